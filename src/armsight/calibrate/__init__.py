@@ -1,0 +1,1 @@
+"""Observations -> parameters: cameras, rigs, and what they were fitted to."""

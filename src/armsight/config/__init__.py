@@ -1,0 +1,1 @@
+"""Typed settings; nothing below may read them."""

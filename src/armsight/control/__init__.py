@@ -1,0 +1,1 @@
+"""Guard, servo, teach, play."""

@@ -1,0 +1,1 @@
+"""The only place that touches hardware: cameras, robots, files as cameras."""

@@ -1,0 +1,136 @@
+"""The one exception tree. Every message says cause, consequence and cure.
+
+ArmsightError                     exit code 1
+├── UsageError                    exit code 2   the call itself is wrong
+├── DataRefused                   exit code 3   the data cannot carry the answer asked for
+│   ├── BadFile                   a file that cannot be read, or that says something impossible
+│   ├── BadImage                  an image that cannot be used
+│   ├── NotEnoughData             too few views, spots, readings
+│   ├── Degenerate                the data leave some direction of the answer open
+│   │   └── Undetermined          ... and these are the parameters that cannot be told apart
+│   ├── Ambiguous                 two answers fit, neither may be guessed
+│   ├── Inconsistent              the inputs contradict each other (sizes, units, swapped views)
+│   └── NotConverged              the solver stopped before it had an answer
+├── DeviceFailed                  exit code 4   camera, link, disk or robot
+│   ├── DeviceNotFound            no such camera or robot
+│   ├── DeviceLost                it was there and is gone
+│   └── StaleData                 it answers, with old data
+└── Cancelled                     exit code 130 the person stopped it
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import ClassVar
+
+
+class ArmsightError(Exception):
+    """Root of every error that armsight raises on purpose.
+
+    cause: what is wrong, with the place (file, row, key, image).
+    consequence: what does not happen because of it.
+    cure: what the person can do.
+    """
+
+    exit_code: ClassVar[int] = 1
+
+    def __init__(self, cause: str, *, consequence: str = "", cure: str = "") -> None:
+        self.cause = cause
+        self.consequence = consequence
+        self.cure = cure
+        super().__init__(cause)
+
+    def __str__(self) -> str:
+        return " ".join(_sentence(part) for part in (self.cause, self.consequence, self.cure) if part)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (_rebuild, (type(self), self.cause, self.consequence, self.cure), self.__dict__)
+
+
+def _sentence(text: str) -> str:
+    text = text.strip()
+    return text if text.endswith((".", "!", "?")) else text + "."
+
+
+def _rebuild(kind: type[ArmsightError], cause: str, consequence: str, cure: str) -> ArmsightError:
+    """Unpickle an error that crossed a process border, whatever its constructor."""
+    error = kind.__new__(kind)
+    ArmsightError.__init__(error, cause, consequence=consequence, cure=cure)
+    return error
+
+
+class UsageError(ArmsightError):
+    """The call itself is wrong."""
+
+    exit_code = 2
+
+
+class DataRefused(ArmsightError):
+    """The data cannot carry the answer asked for."""
+
+    exit_code = 3
+
+
+class BadFile(DataRefused):
+    """A file that cannot be read, or that says something impossible."""
+
+
+class BadImage(DataRefused):
+    """An image that cannot be used."""
+
+
+class NotEnoughData(DataRefused):
+    """Too few views, spots or readings."""
+
+
+class Degenerate(DataRefused):
+    """The data leave some direction of the answer open."""
+
+
+class Undetermined(Degenerate):
+    """Parameters that the data cannot tell apart, in groups by name."""
+
+    def __init__(self, groups: Iterable[Sequence[str]], *, consequence: str = "", cure: str = "") -> None:
+        self.groups = tuple(tuple(group) for group in groups)
+        text = "; ".join(", ".join(group) for group in self.groups)
+        super().__init__(
+            f"the data cannot tell these parameters apart: {text}",
+            consequence=consequence or "No value is given for any of them",
+            cure=cure or "Add data that move them independently, or fix one of each group",
+        )
+
+
+class Ambiguous(DataRefused):
+    """Two answers fit; neither may be guessed."""
+
+
+class Inconsistent(DataRefused):
+    """The inputs contradict each other."""
+
+
+class NotConverged(DataRefused):
+    """The solver stopped before it had an answer."""
+
+
+class DeviceFailed(ArmsightError):
+    """Camera, link, disk or robot failed."""
+
+    exit_code = 4
+
+
+class DeviceNotFound(DeviceFailed):
+    """No such camera or robot."""
+
+
+class DeviceLost(DeviceFailed):
+    """It was there and is gone."""
+
+
+class StaleData(DeviceFailed):
+    """The device answers, but with old data."""
+
+
+class Cancelled(ArmsightError):
+    """The person stopped the work."""
+
+    exit_code = 130

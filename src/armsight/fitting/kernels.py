@@ -1,0 +1,60 @@
+"""The engine's compiled core for fits so small and so frequent that Python would dominate (spots, poses)."""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True)
+def solve_damped(H, g, damping, step):
+    """Solve (H + damping diag H) step = -g by Cholesky for small dense H (n, n); return False where not SPD."""
+    n = g.shape[0]
+    L = np.empty((n, n))
+    for i in range(n):
+        for j in range(i + 1):
+            s = H[i, j]
+            if i == j:
+                s *= 1.0 + damping
+            for k in range(j):
+                s -= L[i, k] * L[j, k]
+            if i == j:
+                if not s > 0.0:
+                    return False
+                L[i, i] = sqrt(s)
+            else:
+                L[i, j] = s / L[j, j]
+    for i in range(n):
+        s = -g[i]
+        for k in range(i):
+            s -= L[i, k] * step[k]
+        step[i] = s / L[i, i]
+    for i in range(n - 1, -1, -1):
+        s = step[i]
+        for k in range(i + 1, n):
+            s -= L[k, i] * step[k]
+        step[i] = s / L[i, i]
+    return True
+
+
+@njit(cache=True)
+def invert_spd(H, out):
+    """Fill out (n, n) with the inverse of the symmetric positive definite H; return False where it is not."""
+    n = H.shape[0]
+    e = np.zeros(n)
+    column = np.empty(n)
+    for j in range(n):
+        e[j] = -1.0
+        if not solve_damped(H, e, 0.0, column):
+            return False
+        e[j] = 0.0
+        for i in range(n):
+            out[i, j] = column[i]
+    for i in range(n):
+        for j in range(i):
+            m = 0.5 * (out[i, j] + out[j, i])
+            out[i, j] = m
+            out[j, i] = m
+    return True

@@ -1,0 +1,99 @@
+"""Normal equations with an arrow shape, and their damped solution by the Schur complement."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.fitting.problem import Evaluation, Problem
+
+Array = NDArray[np.float64]
+
+FLOOR = 1e-30
+"""Smallest diagonal used for scaling, so that a parameter without influence does not divide by zero."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class NormalEquations:
+    """A (F, F) and b (F,) of the free shared parameters, C (G, L, L) and c (G, L) of the local ones, W (G, F, L)."""
+
+    A: Array
+    b: Array
+    C: Array
+    c: Array
+    W: Array
+
+    @classmethod
+    def build(cls, problem: Problem, evaluation: Evaluation, shared: Array, free: NDArray[np.intp]) -> NormalEquations:
+        """Accumulate J'J and J'r of the weighted residuals and of the priors."""
+        r, Js, Jl = evaluation.residuals, evaluation.shared, evaluation.local
+        weights = problem.loss.weights(r)
+        if weights is not None:
+            root = np.sqrt(weights)  # (G, m)
+            r, Js, Jl = r * root, Js * root[:, :, None], Jl * root[:, :, None]
+        Js = Js[:, :, free] if len(free) < Js.shape[2] else Js
+        flat = Js.reshape(-1, len(free))  # (G m, F)
+        A, b = flat.T @ flat, flat.T @ r.reshape(-1)
+        Jlt = Jl.transpose(0, 2, 1)  # (G, L, m)
+        C = Jlt @ Jl
+        c = (Jlt @ r[:, :, None])[:, :, 0]
+        W = Js.transpose(0, 2, 1) @ Jl
+        names = problem.free
+        for name, prior in problem.priors.items():
+            if name in problem.fixed:
+                continue
+            k = names.index(name)
+            A[k, k] += prior.sigma**-2
+            b[k] += (shared[free[k]] - prior.mean) * prior.sigma**-2
+        return cls(A=A, b=b, C=C, c=c, W=W)
+
+    def step(self, damping: float) -> tuple[Array, Array]:
+        """Return the damped Gauss-Newton step (F,), (G, L) (Marquardt's scaling by the diagonal)."""
+        C = _damped(self.C, damping)
+        Ci_c, Ci_Wt = _solve_local(C, self.c, self.W)
+        S = _damped(self.A, damping) - np.einsum("gfl,glh->fh", self.W, Ci_Wt)
+        rhs = -self.b + np.einsum("gfl,gl->f", self.W, Ci_c)
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(self.A), FLOOR))
+        ds = scale * np.linalg.solve(S * np.outer(scale, scale) + 1e-15 * np.eye(len(S)), scale * rhs)
+        dl = -Ci_c - Ci_Wt @ ds
+        return ds, dl
+
+    def reduced(self) -> Array:
+        """Return the information (F, F) of the shared parameters with the local ones eliminated."""
+        _, Ci_Wt = _solve_local(_damped(self.C, 0.0), self.c, self.W)
+        return np.asarray(self.A - np.einsum("gfl,glh->fh", self.W, Ci_Wt))
+
+    def local_covariance(self, covariance: Array) -> Array:
+        """Return the marginal covariance (G, L, L) of the local parameters, given that of the shared ones."""
+        _, Ci_Wt = _solve_local(_damped(self.C, 0.0), self.c, self.W)
+        inverse = np.linalg.inv(_damped(self.C, 0.0))
+        return np.asarray(inverse + Ci_Wt @ covariance @ Ci_Wt.transpose(0, 2, 1))
+
+    def predicted_decrease(self, ds: Array, dl: Array) -> float:
+        """Return the fall of the cost that the linear model promises for the step."""
+        linear = self.b @ ds + np.vdot(self.c, dl)
+        cross = np.einsum("gfl,f,gl->", self.W, ds, dl)
+        quadratic = ds @ self.A @ ds + 2.0 * cross + np.einsum("gl,glk,gk->", dl, self.C, dl)
+        return float(-linear - 0.5 * quadratic)
+
+
+def _damped(M: Array, damping: float) -> Array:
+    """Return M (..., n, n) with its diagonal raised by the factor 1 + damping and kept off zero."""
+    out = M.copy()
+    n = M.shape[-1]
+    diagonal = np.einsum("...ii->...i", out)  # a view
+    diagonal[...] = np.maximum(diagonal * (1.0 + damping), FLOOR) if n else diagonal
+    return out
+
+
+def _solve_local(C: Array, c: Array, W: Array) -> tuple[Array, Array]:
+    """Return C^-1 c (G, L) and C^-1 W' (G, L, F)."""
+    if C.shape[1] == 0:
+        return c, W.transpose(0, 2, 1)
+    scale = 1.0 / np.sqrt(np.einsum("gii->gi", C))  # (G, L)
+    scaled = C * scale[:, :, None] * scale[:, None, :] + 1e-15 * np.eye(C.shape[1])
+    rhs = np.concatenate([c[:, :, None], W.transpose(0, 2, 1)], axis=2) * scale[:, :, None]
+    solution = scale[:, :, None] * np.linalg.solve(scaled, rhs)
+    return solution[:, :, 0], solution[:, :, 1:]

@@ -1,0 +1,104 @@
+"""What is to be fitted: observations behind an evaluate function, a guess, priors, free parameters by name.
+
+Every fit of the project has the same shape: shared parameters (a camera, a rig, an arm) and, where there are
+many views, local parameters that each concern one group of residuals (a board's pose). Eliminating the local
+ones view by view (the Schur complement) is what makes bundle adjustment fast; a problem without local
+parameters is one group with no local block.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.errors import Inconsistent
+from armsight.fitting.loss import Loss
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Evaluation:
+    """Whitened residuals and their derivatives at one point.
+
+    residuals: (G, m), each already divided by its standard deviation; rows that do not exist are zero, in the
+    Jacobians too. shared: (G, m, S) derivative by the shared parameters. local: (G, m, L) derivative of group
+    g by its own local parameters. Derivatives are by the tangent step that `retract` takes.
+    """
+
+    residuals: Array
+    shared: Array
+    local: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Prior:
+    """A parameter is known beforehand as mean +- sigma, in its own unit."""
+
+    mean: float
+    sigma: float
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.mean) and self.sigma > 0.0):
+            raise Inconsistent(f"a prior of {self.mean} +- {self.sigma} says nothing")
+
+
+Evaluate = Callable[[Array, Array], Evaluation]
+"""(shared (S,), local (G, L)) -> Evaluation. Non-finite residuals mean 'impossible here' and are stepped back from."""
+
+Retract = Callable[[Array, Array, Array, Array], tuple[Array, Array]]
+"""(shared, local, step_shared, step_local) -> moved (shared, local)."""
+
+
+def add_step(shared: Array, local: Array, step_shared: Array, step_local: Array) -> tuple[Array, Array]:
+    """Move by plain addition: the retraction of parameters that form a vector space."""
+    return shared + step_shared, local + step_local
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Problem:
+    """A least-squares problem, complete and repeatable.
+
+    names, guess (S,): the shared parameters. local_names (L), local_guess (G, L): one block per group.
+    n_residuals: how many of the residual rows exist. fixed: names of shared parameters held at the guess.
+    priors: by name of a shared parameter that moves by addition. loss: robust loss. retract: how a step is
+    taken; poses move as Exp(dw) R, t + dt.
+    """
+
+    names: tuple[str, ...]
+    guess: Array
+    evaluate: Evaluate
+    n_residuals: int
+    local_names: tuple[str, ...] = ()
+    local_guess: Array = field(default_factory=lambda: np.zeros((1, 0)))
+    fixed: frozenset[str] = frozenset()
+    priors: Mapping[str, Prior] = field(default_factory=dict)
+    loss: Loss = field(default_factory=Loss)
+    retract: Retract = add_step
+
+    def __post_init__(self) -> None:
+        guess, local = np.array(self.guess, float), np.array(self.local_guess, float)
+        if guess.shape != (len(self.names),) or local.ndim != 2 or local.shape[1] != len(self.local_names):
+            raise Inconsistent(
+                f"{len(self.names)} names with a guess of shape {guess.shape}, "
+                f"{len(self.local_names)} local names with a guess of shape {local.shape}"
+            )
+        if not (np.isfinite(guess).all() and np.isfinite(local).all()):
+            raise Inconsistent("the starting guess is not finite")
+        unknown = (set(self.fixed) | set(self.priors)) - set(self.names)
+        if unknown:
+            raise Inconsistent(
+                f"no parameter is called {', '.join(sorted(unknown))}; there are {', '.join(self.names)}"
+            )
+        for array in (guess, local):
+            array.setflags(write=False)
+        object.__setattr__(self, "guess", guess)
+        object.__setattr__(self, "local_guess", local)
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Names of the shared parameters that are fitted."""
+        return tuple(name for name in self.names if name not in self.fixed)

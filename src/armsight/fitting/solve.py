@@ -1,0 +1,216 @@
+"""Levenberg-Marquardt with the local parameters eliminated, and the doubt of its answer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.errors import Cancelled, NotConverged, Undetermined
+from armsight.fitting.normal import FLOOR, NormalEquations
+from armsight.fitting.problem import Evaluation, Problem
+from armsight.fitting.result import Fit, StopReason
+from armsight.records import NamedCovariance, Progress, Silent
+
+Array = NDArray[np.float64]
+
+RANK_TOLERANCE = 1e-11
+"""Eigenvalues of the scaled information below this mean 'not determined': rounding leaves 1e-14, the worst
+honest correlation met in practice (k1, k2, k3 of a narrow lens) 1e-8."""
+
+SHARE_OF_NULL = 0.1
+"""A parameter belongs to an undetermined group where its share of the null vector exceeds this."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Settings:
+    """How the solver works.
+
+    estimate_noise: the residuals' common scale is unknown and estimated from them (else their given standard
+    deviations are taken as true). allow_undetermined: report parameters that cannot be told apart instead of
+    raising. cost_tolerance, step_tolerance: relative.
+    """
+
+    max_iterations: int = 100
+    cost_tolerance: float = 1e-10
+    step_tolerance: float = 1e-10
+    gradient_tolerance: float = 1e-12
+    initial_damping: float = 1e-4
+    estimate_noise: bool = False
+    allow_undetermined: bool = False
+
+
+@dataclass(slots=True)
+class _State:
+    """Where the iteration stands; private and the only thing here that changes."""
+
+    shared: Array
+    local: Array
+    evaluation: Evaluation
+    cost: float
+    damping: float
+
+
+def solve(problem: Problem, settings: Settings | None = None, progress: Progress | None = None) -> Fit:
+    """Minimise the problem's cost and return the fit with its covariance.
+
+    Raises NotConverged where the guess cannot be evaluated or no minimum is reached within max_iterations,
+    Undetermined (with the names) where parameters cannot be told apart, Cancelled where progress says so.
+    """
+    settings = settings or Settings()
+    progress = progress or Silent()
+    free = np.array([i for i, name in enumerate(problem.names) if name not in problem.fixed], dtype=np.intp)
+    state = _start(problem, settings)
+    reason = StopReason.ITERATION_LIMIT
+    iteration = 0
+    for iteration in range(1, settings.max_iterations + 1):
+        if progress.cancelled():
+            raise Cancelled("the fit was stopped", consequence="No result was kept")
+        progress.update(iteration, settings.max_iterations, f"cost {state.cost:.6g}")
+        found = _iterate(problem, settings, state, free)
+        if found is not None:
+            reason = found
+            break
+    fit = _doubt(problem, settings, state, free, iteration, reason)
+    if not fit.converged:
+        raise NotConverged(
+            f"the fit stopped without an answer after {iteration} iterations ({reason.value})",
+            consequence="Its parameters are not to be used",
+            cure="Give a better starting guess, or check the observations for gross errors",
+        )
+    if fit.undetermined and not settings.allow_undetermined:
+        raise Undetermined(fit.undetermined)
+    return fit
+
+
+def _start(problem: Problem, settings: Settings) -> _State:
+    """Evaluate the guess."""
+    evaluation = problem.evaluate(problem.guess, problem.local_guess)
+    cost = _cost(problem, evaluation, problem.guess)
+    if not np.isfinite(cost):
+        raise NotConverged(
+            "the model cannot be evaluated at the starting guess",
+            consequence="Nothing was fitted",
+            cure="Give a starting guess for which every observation is possible",
+        )
+    return _State(problem.guess, problem.local_guess, evaluation, cost, settings.initial_damping)
+
+
+def _cost(problem: Problem, evaluation: Evaluation, shared: Array) -> float:
+    """Return half the (robust) sum of squares, priors included; infinite where not finite."""
+    if not np.isfinite(evaluation.residuals).all():
+        return float("inf")
+    cost = problem.loss.cost(evaluation.residuals)
+    for name, prior in problem.priors.items():
+        if name not in problem.fixed:
+            cost += 0.5 * ((shared[problem.names.index(name)] - prior.mean) / prior.sigma) ** 2
+    return float(cost)
+
+
+def _iterate(problem: Problem, settings: Settings, state: _State, free: NDArray[np.intp]) -> StopReason | None:
+    """Take one accepted step; return why to stop, or None to go on."""
+    normal = NormalEquations.build(problem, state.evaluation, state.shared, free)
+    if _scaled_gradient(normal) <= settings.gradient_tolerance * max(1.0, np.sqrt(2.0 * state.cost)):
+        return StopReason.GRADIENT_ZERO
+    while True:
+        try:
+            ds, dl = normal.step(state.damping)
+        except np.linalg.LinAlgError:
+            ds, dl = np.full(len(free), np.nan), state.local * np.nan
+        full = np.zeros(len(problem.names))
+        full[free] = ds
+        predicted = normal.predicted_decrease(ds, dl)
+        cost = float("inf")
+        if np.isfinite(full).all() and np.isfinite(dl).all():
+            shared, local = problem.retract(state.shared, state.local, full, dl)
+            evaluation = problem.evaluate(shared, local)
+            cost = _cost(problem, evaluation, shared)
+        if cost <= state.cost:
+            settled = state.cost - cost <= settings.cost_tolerance * state.cost
+            small = _relative_step(normal, ds, dl, state) <= settings.step_tolerance
+            state.shared, state.local, state.evaluation, state.cost = shared, local, evaluation, cost
+            state.damping = max(state.damping * 0.1, 1e-12)
+            if small:
+                return StopReason.STEP_SMALL
+            # a heavily damped step falls little without being near the minimum
+            return StopReason.COST_SETTLED if settled and state.damping < 1.0 else None
+        if predicted <= 1e-14 * state.cost:  # the fall promised is below the rounding of the cost
+            return StopReason.COST_SETTLED
+        state.damping = max(state.damping, 1e-8) * 10.0
+        if state.damping > 1e16:
+            return StopReason.NO_DESCENT
+
+
+def _scaled_gradient(normal: NormalEquations) -> float:
+    """Return the largest gradient entry in units of the parameter's own influence."""
+    scale_s = np.sqrt(np.maximum(np.diag(normal.A), FLOOR))
+    scale_l = np.sqrt(np.maximum(np.einsum("gii->gi", normal.C), FLOOR))
+    entries = np.concatenate([np.abs(normal.b) / scale_s, (np.abs(normal.c) / scale_l).ravel()])
+    return float(entries.max(initial=0.0))
+
+
+def _relative_step(normal: NormalEquations, ds: Array, dl: Array, state: _State) -> float:
+    """Return the step's size against the rounding floor, in residual units."""
+    scale_s = np.sqrt(np.maximum(np.diag(normal.A), FLOOR))
+    scale_l = np.sqrt(np.maximum(np.einsum("gii->gi", normal.C), FLOOR))
+    step = np.concatenate([np.abs(ds) * scale_s, (np.abs(dl) * scale_l).ravel()])
+    return float(step.max(initial=0.0) / (1.0 + np.sqrt(2.0 * state.cost)))
+
+
+def _doubt(
+    problem: Problem,
+    settings: Settings,
+    state: _State,
+    free: NDArray[np.intp],
+    iterations: int,
+    reason: StopReason,
+) -> Fit:
+    """Form covariances, scale and rank verdict at the final point."""
+    normal = NormalEquations.build(problem, state.evaluation, state.shared, free)
+    names = problem.free
+    covariance, undetermined = _covariance(normal, names)
+    n_priors = sum(name not in problem.fixed for name in problem.priors)
+    dof = problem.n_residuals + n_priors - len(free) - state.local.size
+    scale = float(np.sqrt(2.0 * state.cost / dof)) if dof > 0 else float("nan")
+    factor = scale**2 if settings.estimate_noise and dof > 0 else 1.0
+    open_ = {name for group in undetermined for name in group}
+    known = [i for i, name in enumerate(names) if name not in open_]
+    weights = problem.loss.weights(state.evaluation.residuals)
+    return Fit(
+        names=problem.names,
+        shared=state.shared,
+        local=state.local,
+        covariance=NamedCovariance(
+            names=tuple(names[i] for i in known), matrix=factor * covariance[np.ix_(known, known)]
+        )
+        if known
+        else None,
+        local_covariance=factor * normal.local_covariance(covariance),
+        residuals=state.evaluation.residuals,
+        weights=np.ones_like(state.evaluation.residuals) if weights is None else weights,
+        cost=state.cost,
+        scale=scale,
+        dof=dof,
+        n_residuals=problem.n_residuals,
+        iterations=iterations,
+        reason=reason,
+        undetermined=undetermined,
+    )
+
+
+def _covariance(normal: NormalEquations, names: tuple[str, ...]) -> tuple[Array, tuple[tuple[str, ...], ...]]:
+    """Return the covariance (F, F) (pseudo-inverse where needed) and the groups that cannot be told apart."""
+    information = normal.reduced()
+    diagonal = np.diag(normal.A)
+    silent = diagonal <= FLOOR  # no residual feels the parameter at all
+    scale = 1.0 / np.sqrt(np.where(silent, 1.0, diagonal))
+    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
+    null = values < RANK_TOLERANCE
+    groups = [
+        tuple(name for name, share in zip(names, np.abs(vectors[:, k]), strict=True) if share > SHARE_OF_NULL)
+        for k in np.flatnonzero(null)
+    ]
+    kept = vectors[:, ~null]
+    inverse = (kept / values[~null]) @ kept.T
+    return np.asarray(inverse * np.outer(scale, scale)), tuple(group for group in groups if group)

@@ -1,0 +1,111 @@
+"""Poses as scipy RigidTransform, and first-order propagation of their 6x6 covariances.
+
+A pose T_a_b maps coordinates of frame b into frame a. Its covariance (6, 6) belongs to the perturbation
+(dt, dw): translation t + dt and rotation Exp(dw) R, both in the axes of the parent frame a.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from armsight.errors import Inconsistent
+
+Array = NDArray[np.float64]
+
+QUAT_NORM_TOLERANCE = 1e-3
+"""Quaternions further from unit length than this are refused: typing errors, not rounding."""
+
+
+def pose_from_quat(xyz_m: ArrayLike, quat_xyzw: ArrayLike) -> RigidTransform:
+    """Return the pose at xyz_m (3,) with the scalar-last quaternion (4,).
+
+    Raises Inconsistent where the quaternion's length is off by more than QUAT_NORM_TOLERANCE or anything
+    is not finite; smaller deviations are rounding and are renormalised.
+    """
+    t, q = np.asarray(xyz_m, float), np.asarray(quat_xyzw, float)
+    if t.shape != (3,) or q.shape != (4,) or not (np.isfinite(t).all() and np.isfinite(q).all()):
+        raise Inconsistent(
+            f"a pose needs 3 finite coordinates and 4 finite quaternion entries, not {t.tolist()}, {q.tolist()}"
+        )
+    norm = float(np.linalg.norm(q))
+    if abs(norm - 1.0) > QUAT_NORM_TOLERANCE:
+        raise Inconsistent(
+            f"the quaternion {q.tolist()} has length {norm:.6g}, not 1",
+            consequence="It does not say a rotation",
+            cure="Check the order of the columns (x, y, z, w) and their precision",
+        )
+    return RigidTransform.from_components(t, Rotation.from_quat(q))
+
+
+def pose_from_rotvec(xyz_m: ArrayLike, rotvec_rad: ArrayLike) -> RigidTransform:
+    """Return the pose at xyz_m (3,) turned by the rotation vector (3,) in radians."""
+    return RigidTransform.from_components(np.asarray(xyz_m, float), Rotation.from_rotvec(np.asarray(rotvec_rad, float)))
+
+
+def pose_from_euler(xyz_m: ArrayLike, rx_ry_rz_rad: ArrayLike) -> RigidTransform:
+    """Return the pose at xyz_m (3,) with R = Rz Ry Rx (the papers' yaw, pitch, roll; MATH 3.2)."""
+    return RigidTransform.from_components(
+        np.asarray(xyz_m, float), Rotation.from_euler("xyz", np.asarray(rx_ry_rz_rad, float))
+    )
+
+
+def pose_from_matrix(R: ArrayLike, t_m: ArrayLike) -> RigidTransform:
+    """Return the pose of a proper rotation matrix (3, 3) and a translation (3,)."""
+    return RigidTransform.from_components(np.asarray(t_m, float), Rotation.from_matrix(np.asarray(R, float)))
+
+
+def xyz_quat(pose: RigidTransform) -> tuple[Array, Array]:
+    """Return xyz (3,) in m and the scalar-last quaternion (4,) with w >= 0."""
+    return np.asarray(pose.translation, float), np.asarray(pose.rotation.as_quat(canonical=True), float)
+
+
+def euler_rad(rotation: Rotation) -> Array:
+    """Return (rx, ry, rz), angles about x, y, z with R = Rz Ry Rx, shape (3,) or (n, 3)."""
+    return np.asarray(rotation.as_euler("xyz", suppress_warnings=True), float)
+
+
+def pose_difference(measured: RigidTransform, reference: RigidTransform) -> Array:
+    """Return (dt, dw) (6,) in the parent's axes that carries reference into measured."""
+    dt = np.asarray(measured.translation) - np.asarray(reference.translation)
+    dw = (measured.rotation * reference.rotation.inv()).as_rotvec()
+    return np.concatenate([dt, dw])
+
+
+def is_close(a: RigidTransform, b: RigidTransform, *, tol_m: float, tol_rad: float) -> bool:
+    """Tell whether two poses agree in position within tol_m and in angle within tol_rad."""
+    difference = pose_difference(a, b)
+    return bool(np.linalg.norm(difference[:3]) <= tol_m and np.linalg.norm(difference[3:]) <= tol_rad)
+
+
+def cross_matrix(v: ArrayLike) -> Array:
+    """Return the (3, 3) matrix that takes the cross product with v (3,) from the left."""
+    x, y, z = np.asarray(v, float)
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def moved_parent_covariance(T_a_b: RigidTransform, covariance_b_c: Array) -> Array:
+    """Return the covariance (6, 6) of T_a_c = T_a_b * T_b_c for an exact T_a_b."""
+    A = np.kron(np.eye(2), T_a_b.rotation.as_matrix())  # (6, 6)
+    return np.asarray(A @ covariance_b_c @ A.T)
+
+
+def compose_covariance(
+    T_a_b: RigidTransform, covariance_a_b: Array, T_b_c: RigidTransform, covariance_b_c: Array
+) -> Array:
+    """Return the covariance (6, 6) of T_a_c = T_a_b * T_b_c, first order, both factors independent."""
+    R = T_a_b.rotation.as_matrix()  # (3, 3)
+    lever = np.eye(6)
+    lever[:3, 3:] = -cross_matrix(R @ np.asarray(T_b_c.translation))  # dw x (R t)
+    return np.asarray(lever @ covariance_a_b @ lever.T) + moved_parent_covariance(T_a_b, covariance_b_c)
+
+
+def inverse_covariance(T_a_b: RigidTransform, covariance_a_b: Array) -> Array:
+    """Return the covariance (6, 6) of T_b_a, first order."""
+    Rt = T_a_b.rotation.as_matrix().T  # (3, 3)
+    A = np.zeros((6, 6))
+    A[:3, :3] = -Rt
+    A[:3, 3:] = -Rt @ cross_matrix(np.asarray(T_a_b.translation))
+    A[3:, 3:] = -Rt
+    return np.asarray(A @ covariance_a_b @ A.T)

@@ -1,0 +1,1 @@
+"""Joints <-> pose: chains, forward and inverse kinematics, Jacobians."""

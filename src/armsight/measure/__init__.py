@@ -1,0 +1,1 @@
+"""Frames -> spots -> matched spots -> points -> poses."""

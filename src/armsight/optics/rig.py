@@ -1,0 +1,67 @@
+"""Two cameras with a known place each, in the rig's axes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform
+
+from armsight.optics.camera import Camera
+from armsight.optics.kernels import project_many
+from armsight.records import NamedCovariance
+
+Array = NDArray[np.float64]
+
+SIDES = ("left", "right")
+
+
+class RigKind(StrEnum):
+    """Two real cameras, or one camera that sees twice through mirrors."""
+
+    STEREO = "stereo"
+    MIRROR = "mirror"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Rig:
+    """Left and right camera, each with its pose in the rig's axes.
+
+    covariance: of the calibration, named '<side>.<intrinsic>' (px) and 'right.tx|ty|tz' (m), 'right.rx|ry|rz'
+    (rad) for the pose T_rig_right of a rig whose reference is the left camera; None where not known.
+    """
+
+    kind: RigKind
+    left: Camera
+    right: Camera
+    T_rig_left: RigidTransform
+    T_rig_right: RigidTransform
+    covariance: NamedCovariance | None = None
+    rms_px: float | None = None
+
+    @property
+    def baseline_m(self) -> float:
+        """Distance between the two centres of projection in m."""
+        return float(np.linalg.norm(self.T_rig_right.translation - self.T_rig_left.translation))
+
+    def camera(self, side: str) -> Camera:
+        """Return the camera of 'left' or 'right'."""
+        return {"left": self.left, "right": self.right}[side]
+
+    def T_rig_camera(self, side: str) -> RigidTransform:
+        """Return the pose of the 'left' or 'right' camera in rig axes."""
+        return {"left": self.T_rig_left, "right": self.T_rig_right}[side]
+
+    def project(self, points_m: ArrayLike) -> tuple[Array, Array]:
+        """Return the left and right pixels (n, 2) of points (n, 3) in rig axes; NaN behind a camera."""
+        X = np.ascontiguousarray(np.atleast_2d(np.asarray(points_m, float)))
+        out = []
+        for side in SIDES:
+            T_camera_rig = self.T_rig_camera(side).inv()
+            uv = np.empty((len(X), 2))
+            R = np.ascontiguousarray(T_camera_rig.rotation.as_matrix())
+            project_many(self.camera(side).intrinsics, R, np.asarray(T_camera_rig.translation), X, uv)
+            out.append(uv)
+        return out[0], out[1]

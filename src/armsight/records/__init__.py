@@ -1,0 +1,25 @@
+"""The nouns that flow through armsight: frozen, checked, copied, read-only."""
+
+from armsight.records.checks import frozen_array
+from armsight.records.covariance import NamedCovariance
+from armsight.records.frames import Frame
+from armsight.records.measured import Points, PoseStatus, Spots, TargetPose
+from armsight.records.motion import JointReading, Motion
+from armsight.records.progress import Progress, Silent
+from armsight.records.target import Target, TargetKind
+
+__all__ = [
+    "Frame",
+    "JointReading",
+    "Motion",
+    "NamedCovariance",
+    "Points",
+    "PoseStatus",
+    "Progress",
+    "Silent",
+    "Spots",
+    "Target",
+    "TargetKind",
+    "TargetPose",
+    "frozen_array",
+]

@@ -1,0 +1,25 @@
+"""How a record takes an array: copied to float64, shape and finiteness checked, made read-only."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armsight.errors import Inconsistent
+
+
+def frozen_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
+    """Return a read-only float64 copy of value; None in shape stands for any length.
+
+    Raises Inconsistent, naming the field, where the shape differs or an entry is not finite.
+    """
+    array = np.array(value, dtype=np.float64)
+    if array.ndim != len(shape) or any(
+        want is not None and have != want for have, want in zip(array.shape, shape, strict=True)
+    ):
+        wanted = ", ".join("n" if want is None else str(want) for want in shape)
+        raise Inconsistent(f"{name} has shape {array.shape}, not ({wanted})")
+    if not np.isfinite(array).all():
+        raise Inconsistent(f"{name} holds a value that is not finite")
+    array.setflags(write=False)
+    return array

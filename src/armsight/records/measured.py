@@ -1,0 +1,122 @@
+"""What is measured: spots in an image, points in space, the target's pose.
+
+Spots and points come in columns (one record for all of a frame): hundreds of frames a second leave no time
+for an object per spot.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from armsight.errors import Inconsistent
+from armsight.records.checks import frozen_array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Spots:
+    """The spots of one image.
+
+    uv_px: (n, 2) centres. covariance_px2: (n, 2, 2). peak: (n,) fitted height above the background in grey
+    levels. size_px: (n,) Gaussian sigma or mean radius of the disc. model: 'gaussian', 'ellipse', 'joint',
+    'streak' or 'centroid' per spot. rejected: (u, v, why) of what was seen and not accepted.
+    """
+
+    uv_px: NDArray[np.float64]
+    covariance_px2: NDArray[np.float64]
+    peak: NDArray[np.float64]
+    size_px: NDArray[np.float64]
+    model: tuple[str, ...]
+    rejected: tuple[tuple[float, float, str], ...] = ()
+
+    def __post_init__(self) -> None:
+        n = len(self.model)
+        object.__setattr__(self, "uv_px", frozen_array("uv_px", self.uv_px, (n, 2)))
+        object.__setattr__(self, "covariance_px2", frozen_array("covariance_px2", self.covariance_px2, (n, 2, 2)))
+        object.__setattr__(self, "peak", frozen_array("peak", self.peak, (n,)))
+        object.__setattr__(self, "size_px", frozen_array("size_px", self.size_px, (n,)))
+
+    def __len__(self) -> int:
+        return len(self.model)
+
+    @classmethod
+    def none(cls, rejected: tuple[tuple[float, float, str], ...] = ()) -> Spots:
+        """Return the record of an image in which no spot was accepted."""
+        return cls(
+            uv_px=np.empty((0, 2)),
+            covariance_px2=np.empty((0, 2, 2)),
+            peak=np.empty(0),
+            size_px=np.empty(0),
+            model=(),
+            rejected=rejected,
+        )
+
+    def take(self, index: NDArray[np.intp] | list[int]) -> Spots:
+        """Return the spots at the given positions, in that order."""
+        i = np.asarray(index, dtype=np.intp)
+        return Spots(
+            uv_px=self.uv_px[i],
+            covariance_px2=self.covariance_px2[i],
+            peak=self.peak[i],
+            size_px=self.size_px[i],
+            model=tuple(self.model[k] for k in i),
+            rejected=self.rejected,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Points:
+    """Triangulated spots: names, xyz_m (n, 3) and covariance_m2 (n, 3, 3) in the rig's axes."""
+
+    names: tuple[str, ...]
+    xyz_m: NDArray[np.float64]
+    covariance_m2: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        n = len(self.names)
+        object.__setattr__(self, "xyz_m", frozen_array("xyz_m", self.xyz_m, (n, 3)))
+        object.__setattr__(self, "covariance_m2", frozen_array("covariance_m2", self.covariance_m2, (n, 3, 3)))
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+
+class PoseStatus(StrEnum):
+    """How much of the pose is known."""
+
+    OK = "ok"
+    POSITION_ONLY = "position_only"
+    LOST = "lost"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TargetPose:
+    """The target at one moment.
+
+    status OK: pose and covariance (6, 6) are there. POSITION_ONLY: pose carries the position of the mean of
+    the spots seen (rotation is the identity and means nothing), covariance is its (3, 3). LOST: both None.
+    why: the reason where the status is not OK. residual_px: (m,) reprojection residuals used.
+    """
+
+    t_s: float
+    status: PoseStatus
+    parent: str
+    spots: tuple[str, ...] = ()
+    pose: RigidTransform | None = None
+    covariance: NDArray[np.float64] | None = None
+    residual_px: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    why: str = ""
+
+    def __post_init__(self) -> None:
+        if not np.isfinite(self.t_s):
+            raise Inconsistent(f"the time {self.t_s} is not finite")
+        size = {PoseStatus.OK: 6, PoseStatus.POSITION_ONLY: 3, PoseStatus.LOST: 0}[self.status]
+        if (size == 0) != (self.pose is None) or (size == 0) != (self.covariance is None):
+            raise Inconsistent(f"a pose of status {self.status} must have both pose and covariance, or neither")
+        if self.covariance is not None:
+            object.__setattr__(self, "covariance", frozen_array("covariance", self.covariance, (size, size)))
+        object.__setattr__(self, "residual_px", frozen_array("residual_px", self.residual_px, (None,)))

@@ -1,0 +1,1 @@
+"""Files, written so that a crash cannot eat them."""
