@@ -1,14 +1,17 @@
 """The nouns that flow through armsight: frozen, checked, copied, read-only."""
 
+from armsight.records.board import BoardView
 from armsight.records.checks import frozen_array
 from armsight.records.covariance import NamedCovariance
 from armsight.records.frames import Frame
 from armsight.records.measured import Points, PoseStatus, Spots, TargetPose
 from armsight.records.motion import JointReading, Motion
 from armsight.records.progress import Progress, Silent
-from armsight.records.target import Target, TargetKind
+from armsight.records.target import Colour, Target, TargetKind, board_target, spot_target, unmeasured_target
 
 __all__ = [
+    "BoardView",
+    "Colour",
     "Frame",
     "JointReading",
     "Motion",
@@ -21,5 +24,8 @@ __all__ = [
     "Target",
     "TargetKind",
     "TargetPose",
+    "board_target",
     "frozen_array",
+    "spot_target",
+    "unmeasured_target",
 ]
