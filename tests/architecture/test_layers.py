@@ -1,0 +1,68 @@
+"""The import contract holds, and each planted violation trips it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+PLANTED = {
+    "geometry sees records": ("geometry/planted.py", "import armsight.records"),
+    "optics sees kinematics": ("optics/planted.py", "import armsight.kinematics"),
+    "calibrate sees measure": ("calibrate/planted.py", "import armsight.measure"),
+    "measure sees sim": ("measure/planted.py", "import armsight.sim"),
+    "sim projects with optics": ("sim/planted.py", "import armsight.optics"),
+    "store sees config": ("store/planted.py", "import armsight.config"),
+    "app imports sim by name": ("app/planted.py", "import armsight.sim"),
+    "drivers see testing": ("drivers/planted.py", "import armsight.testing"),
+    "maths opens files": ("fitting/planted.py", "import pathlib"),
+    "maths draws": ("optics/planted.py", "import plotly"),
+    "maths starts threads": ("measure/planted.py", "import threading"),
+    "a room outside the plan": ("attic/__init__.py", '"""Nobody knows what this is."""'),
+}
+
+
+def lint(folder: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [str(Path(sys.executable).with_name("lint-imports")), "--no-cache"],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(folder / "src")},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+@pytest.fixture(scope="module")
+def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("house")
+    shutil.copytree(ROOT / "src", folder / "src", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "pyproject.toml", folder)
+    return folder
+
+
+def test_the_clean_tree_passes(copy: Path) -> None:
+    done = lint(copy)
+    assert done.returncode == 0, done.stdout
+
+
+@pytest.mark.parametrize("name", PLANTED)
+def test_a_planted_violation_fails(copy: Path, name: str) -> None:
+    path, text = PLANTED[name]
+    planted = copy / "src" / "armsight" / path
+    new_folder = not planted.parent.exists()
+    planted.parent.mkdir(exist_ok=True)
+    planted.write_text(text + "\n")
+    try:
+        done = lint(copy)
+    finally:
+        planted.unlink()
+        if new_folder:
+            planted.parent.rmdir()
+    assert done.returncode != 0, f"{name} went unseen:\n{done.stdout}"

@@ -1,0 +1,95 @@
+"""Records copy, check and freeze what they are given."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from armsight.errors import BadImage, Inconsistent
+from armsight.records import (
+    Colour,
+    Frame,
+    Motion,
+    NamedCovariance,
+    Points,
+    PoseStatus,
+    Spots,
+    TargetKind,
+    TargetPose,
+    board_target,
+    spot_target,
+)
+
+
+def test_a_record_neither_shares_nor_yields_its_arrays() -> None:
+    xyz = np.zeros((1, 3))
+    points = Points(names=("A",), xyz_m=xyz, covariance_m2=np.eye(3)[None])
+    xyz[0, 0] = 5.0
+    assert points.xyz_m[0, 0] == 0.0
+    with pytest.raises(ValueError, match="read-only"):
+        points.xyz_m[0, 0] = 1.0
+
+
+def test_wrong_shapes_and_nan_are_refused_by_name() -> None:
+    with pytest.raises(Inconsistent, match="xyz_m has shape"):
+        Points(names=("A", "B"), xyz_m=np.zeros((1, 3)), covariance_m2=np.zeros((2, 3, 3)))
+    with pytest.raises(Inconsistent, match="uv_px holds a value"):
+        Spots(
+            uv_px=np.array([[np.nan, 0.0]]),
+            covariance_px2=np.eye(2)[None],
+            peak=np.ones(1),
+            size_px=np.ones(1),
+            model=("gaussian",),
+        )
+
+
+def test_a_frame_is_8_bit_grey_or_bgr() -> None:
+    frame = Frame(image=np.zeros((4, 6), np.uint8), t_s=0.0, sequence=0, source="a.png")
+    assert (frame.width, frame.height) == (6, 4)
+    with pytest.raises(ValueError, match="read-only"):
+        frame.image[0, 0] = 1
+    for image in (np.zeros((4, 6)), np.zeros((4, 6, 4), np.uint8), np.zeros((0, 6), np.uint8)):
+        with pytest.raises(BadImage):
+            Frame(image=image, t_s=0.0, sequence=0, source="a.png")  # type: ignore[arg-type]
+
+
+def test_a_pose_carries_what_its_status_promises() -> None:
+    lost = TargetPose(t_s=0.0, status=PoseStatus.LOST, parent="rig", why="no spot found")
+    assert lost.pose is None
+    with pytest.raises(Inconsistent, match="both"):
+        TargetPose(t_s=0.0, status=PoseStatus.OK, parent="rig")
+
+
+def test_boards_count_as_opencv_counts() -> None:
+    board = board_target(TargetKind.CHECKERBOARD, 9, 6, 0.025)
+    assert board.xyz_m.shape == (54, 3)
+    assert np.allclose(board.xyz_m[1], [0.025, 0, 0])
+    assert np.allclose(board.xyz_m[9], [0, 0.025, 0])
+    charuco = board_target(TargetKind.CHARUCO, 7, 5, 0.03, marker_m=0.02, dictionary="DICT_4X4_50")
+    assert charuco.xyz_m.shape == (24, 3)
+    zigzag = board_target(TargetKind.ACIRCLES, 4, 11, 0.02)
+    assert np.allclose(zigzag.xyz_m[4], [0.02, 0.02, 0])
+    with pytest.raises(Inconsistent, match="pitch"):
+        board_target(TargetKind.CIRCLES, 4, 4, 0.0)
+
+
+def test_a_target_needs_names_of_its_own_and_positive_sizes() -> None:
+    target = spot_target({"A": (0, 0, 0), "B": (0.1, 0, 0)}, colour=Colour(hue_deg=(340, 20)))
+    assert target.names == ("A", "B")
+    with pytest.raises(Inconsistent, match="diameter"):
+        spot_target({"A": (0, 0, 0)}, diameter_m=-1.0)
+    with pytest.raises(Inconsistent, match="hue"):
+        Colour(hue_deg=(0, 400))
+
+
+def test_named_covariances_answer_by_name() -> None:
+    covariance = NamedCovariance(names=("fx", "cx"), matrix=np.diag([4.0, 9.0]))
+    assert covariance.std() == {"fx": 2.0, "cx": 3.0}
+    assert covariance.block(("cx",)) == pytest.approx(np.array([[9.0]]))
+    with pytest.raises(KeyError, match="there is one for fx, cx"):
+        covariance.block(("fy",))
+
+
+def test_a_motion_runs_forward() -> None:
+    with pytest.raises(Inconsistent, match="row 2"):
+        Motion(t_s=np.array([0.0, 1.0, 1.0]), q=np.zeros((3, 2)))

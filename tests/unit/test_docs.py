@@ -1,0 +1,64 @@
+"""Every code block of the README and the docs runs; blocks of one page share a folder and follow each other.
+
+Blocks marked `text` are output or need hardware and are not run. `make` lines are checked against the Makefile.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
+FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+RUN = {"bash", "python"}
+SHOWN = {"text", "yaml", "json", "csv", "toml", "mermaid"}
+
+
+def blocks(page: Path) -> list[tuple[str, str]]:
+    return [(match[1], match[2]) for match in FENCE.finditer(page.read_text(encoding="utf-8"))]
+
+
+def make_targets() -> set[str]:
+    return set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_every_block_is_of_a_known_kind(page: Path) -> None:
+    unknown = {kind for kind, _ in blocks(page)} - RUN - SHOWN
+    assert not unknown, f"{page.name}: blocks of kind {unknown} are neither run nor shown as output"
+
+
+@pytest.mark.parametrize(
+    "page", [p for p in PAGES if any(kind in RUN for kind, _ in blocks(p))], ids=lambda p: str(p.relative_to(ROOT))
+)
+def test_the_blocks_run(page: Path, tmp_path: Path) -> None:
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
+    for number, (kind, text) in enumerate(block for block in blocks(page) if block[0] in RUN):
+        if kind == "bash":
+            lines = [line for line in text.splitlines() if not line.startswith("git clone")]
+            made = [line.split()[1] for line in lines if line.startswith("make ")]
+            assert set(made) <= make_targets(), f"{page.name}: no such make target among {made}"
+            text = "\n".join(line for line in lines if not line.startswith(("make ", "cd armsight")))
+            command = ["bash", "-euo", "pipefail", "-c", text]
+        else:
+            script = tmp_path / f"block_{number}.py"
+            script.write_text(text, encoding="utf-8")
+            command = [sys.executable, "-W", "error", str(script)]
+        done = subprocess.run(
+            command, cwd=tmp_path, env={**os.environ, "PATH": path}, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, f"{page.name}, block {number}:\n{text}\n{done.stdout}\n{done.stderr}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_links_inside_the_project_lead_somewhere(page: Path) -> None:
+    text = FENCE.sub("", page.read_text(encoding="utf-8"))
+    for link in re.findall(r"\]\(([^)#\s]+)", text):
+        if "://" not in link and not link.startswith("mailto:"):
+            assert (page.parent / link).exists(), f"{page.name} links to {link}, which is not there"
