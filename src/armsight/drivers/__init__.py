@@ -1,1 +1,38 @@
 """The only place that touches hardware: cameras, robots, files as cameras."""
+
+from armsight.drivers.ahead import cores, ordered_map
+from armsight.drivers.images import list_images, read_image
+from armsight.drivers.live import LivePairs, OpenCvCamera, cameras_there
+from armsight.drivers.opening import is_live, open_pairs, open_source, open_split
+from armsight.drivers.pairs import FilePairs, SplitImages
+from armsight.drivers.protocols import FrameSource, PairSource, Skew
+from armsight.drivers.registry import CAMERAS, CELLS, ROBOTS, known, load
+from armsight.drivers.sources import FPS, Capture, ImageFolder, VideoFile
+
+__all__ = [
+    "CAMERAS",
+    "CELLS",
+    "FPS",
+    "ROBOTS",
+    "Capture",
+    "FilePairs",
+    "FrameSource",
+    "ImageFolder",
+    "LivePairs",
+    "OpenCvCamera",
+    "PairSource",
+    "Skew",
+    "SplitImages",
+    "VideoFile",
+    "cameras_there",
+    "cores",
+    "is_live",
+    "known",
+    "list_images",
+    "load",
+    "open_pairs",
+    "open_source",
+    "open_split",
+    "ordered_map",
+    "read_image",
+]

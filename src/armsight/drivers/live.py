@@ -1,0 +1,245 @@
+"""Live cameras, read in threads of their own, and pairs of them matched by time stamp."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import cv2
+import numpy as np
+
+from armsight.clock import Clock, SystemClock
+from armsight.drivers.protocols import FrameSource, Skew
+from armsight.drivers.sources import Capture
+from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound
+from armsight.records import Frame
+
+DEPTH = 4
+"""Frames a live camera keeps for a slow reader; older ones are dropped, since a late frame is worth less."""
+
+FAILED_READS = 3
+"""Reads that may fail one after the other before a camera counts as lost: USB cameras drop single frames."""
+
+SILENCE_S = 3.0
+"""No frame for so long means that the camera is lost; webcams take up to 2 s to deliver their first one."""
+
+MAX_SKEW_S = 1.0 / 60.0
+"""Half a frame at 30 a second: free-running cameras always have a partner within it."""
+
+UNPAIRED_LIMIT = 60
+"""Frames dropped one after the other for want of a partner before pairing is given up."""
+
+
+def open_camera(device: str) -> Capture:
+    """Open a camera by number or device file with OpenCV."""
+    capture: Capture = cv2.VideoCapture(int(device) if device.isdecimal() else device)
+    return capture
+
+
+def cameras_there() -> tuple[str, ...]:
+    """Return the cameras that the system knows, as they are named on the command line."""
+    devices = sorted(Path("/dev").glob("video*"), key=lambda path: (len(path.name), path.name))
+    return tuple(f"camera:{path.name.removeprefix('video')}" for path in devices)
+
+
+class OpenCvCamera:
+    """A camera that OpenCV can open, by number (0, 1 ...) or device file; read in its own thread from opening on.
+
+    t_s is the moment of arrival on the clock minus origin_s (default: the moment of opening); what the driver
+    holds back before that is not known. open_capture and clock can be replaced for tests.
+    """
+
+    def __init__(
+        self,
+        device: str,
+        *,
+        colour: bool = False,
+        clock: Clock | None = None,
+        origin_s: float | None = None,
+        open_capture: Callable[[str], Capture] = open_camera,
+    ) -> None:
+        self.name = f"camera:{device}"
+        self._device = device
+        self._colour = colour
+        self._clock = clock or SystemClock()
+        self._origin_s = origin_s
+        self._open_capture = open_capture
+        self._capture: Capture | None = None
+        self._thread: threading.Thread | None = None
+        self._stop = threading.Event()
+        self._frames: queue.Queue[Frame | DeviceLost] = queue.Queue(maxsize=DEPTH)
+
+    @property
+    def total(self) -> int | None:
+        """None: it goes on until stopped."""
+        return None
+
+    def __enter__(self) -> Self:
+        capture = self._open_capture(self._device)
+        if not capture.isOpened():
+            capture.release()
+            there = ", ".join(cameras_there())
+            raise DeviceNotFound(
+                f"{self.name} cannot be opened",
+                consequence="There are no frames",
+                cure=f"Cameras there: {there}. Another program may hold it" if there else "No camera is connected",
+            )
+        self._capture = capture
+        self._origin_s = self._clock.now_s() if self._origin_s is None else self._origin_s
+        self._stop.clear()
+        self._frames = queue.Queue(maxsize=DEPTH)
+        self._thread = threading.Thread(target=self._run, args=(capture,), name=self.name, daemon=True)
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stop.set()
+        if self._thread is not None:
+            self._thread.join(timeout=SILENCE_S)
+            if not self._thread.is_alive() and self._capture is not None:
+                self._capture.release()  # releasing under a thread that hangs in the driver would crash
+        self._thread = self._capture = None
+
+    def __iter__(self) -> Iterator[Frame]:
+        while not self._stop.is_set():
+            try:
+                frame = self._frames.get(timeout=SILENCE_S)
+            except queue.Empty:
+                raise self._lost(f"sent no frame for {SILENCE_S:g} s") from None
+            if isinstance(frame, DeviceLost):
+                raise frame
+            yield frame
+
+    def _run(self, capture: Capture) -> None:
+        sequence, failed = 0, 0
+        while not self._stop.is_set():
+            try:
+                good, image = capture.read()
+            except cv2.error:
+                good, image = False, None
+            t_s = self._clock.now_s() - (self._origin_s or 0.0)
+            if good and image is not None:
+                self._put(Frame(image=self._convert(image), t_s=t_s, sequence=sequence, source=self.name))
+                sequence, failed = sequence + 1, 0
+                continue
+            failed += 1
+            if failed >= FAILED_READS:
+                self._put(self._lost(f"stopped sending after {sequence} frames"))
+                return
+
+    def _put(self, item: Frame | DeviceLost) -> None:
+        while True:
+            try:
+                self._frames.put_nowait(item)
+                return
+            except queue.Full:
+                try:
+                    self._frames.get_nowait()
+                except queue.Empty:
+                    continue
+
+    def _convert(self, image: np.ndarray) -> np.ndarray:
+        if image.ndim == 3 and not self._colour:
+            return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
+        return image
+
+    def _lost(self, what: str) -> DeviceLost:
+        return DeviceLost(
+            f"{self.name} {what}",
+            consequence="No frame can be measured from here on; what was measured until then is kept",
+            cure="Check the plug and the cable, and start again",
+        )
+
+
+class LivePairs:
+    """Frames of two live cameras paired by time stamp, no further than max_skew_s apart.
+
+    The older of two frames too far apart is dropped. Raises DeviceLost where a camera goes, DeviceFailed where the
+    cameras' frames never meet.
+    """
+
+    def __init__(self, left: FrameSource, right: FrameSource, *, max_skew_s: float = MAX_SKEW_S) -> None:
+        self._left = left
+        self._right = right
+        self._max_skew_s = max_skew_s
+        self._stack = ExitStack()
+        self._sum_s = 0.0
+        self._largest_s = 0.0
+        self._n_pairs = 0
+        self._n_dropped = 0
+
+    @property
+    def name(self) -> str:
+        """Both cameras' names."""
+        return f"{self._left.name} + {self._right.name}"
+
+    @property
+    def total(self) -> int | None:
+        """None: it goes on until stopped."""
+        return None
+
+    @property
+    def skew(self) -> Skew | None:
+        """Right minus left over the pairs so far; None before the first."""
+        if not self._n_pairs:
+            return None
+        return Skew(
+            mean_s=self._sum_s / self._n_pairs,
+            largest_s=self._largest_s,
+            n_pairs=self._n_pairs,
+            n_dropped=self._n_dropped,
+        )
+
+    def __enter__(self) -> Self:
+        with ExitStack() as stack:
+            stack.enter_context(self._left)
+            stack.enter_context(self._right)
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.close()
+
+    def __iter__(self) -> Iterator[tuple[Frame, Frame]]:
+        lefts, rights = iter(self._left), iter(self._right)
+        left, right = next(lefts, None), next(rights, None)
+        dropped = 0
+        while left is not None and right is not None:
+            skew_s = right.t_s - left.t_s
+            if abs(skew_s) <= self._max_skew_s:
+                self._count(skew_s)
+                dropped = 0
+                yield left, right
+                left, right = next(lefts, None), next(rights, None)
+                continue
+            dropped += 1
+            self._n_dropped += 1
+            if dropped >= UNPAIRED_LIMIT:
+                raise self._never_meet(skew_s)
+            if skew_s > 0.0:
+                left = next(lefts, None)
+            else:
+                right = next(rights, None)
+
+    def _count(self, skew_s: float) -> None:
+        self._n_pairs += 1
+        self._sum_s += skew_s
+        if abs(skew_s) > abs(self._largest_s):
+            self._largest_s = skew_s
+
+    def _never_meet(self, skew_s: float) -> DeviceFailed:
+        return DeviceFailed(
+            f"{UNPAIRED_LIMIT} frames of {self.name} in a row had no partner within {self._max_skew_s * 1e3:.0f} ms "
+            f"(the last two were {skew_s * 1e3:.0f} ms apart)",
+            consequence="No pair can be measured",
+            cure="Set both cameras to the same frame rate, or allow more with --max-skew",
+        )

@@ -1,0 +1,105 @@
+"""From what a person writes (folder, 'pattern', video, camera:NAME) to a source of frames or of pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import cast
+
+from armsight.clock import Clock, SystemClock
+from armsight.drivers.live import MAX_SKEW_S, LivePairs
+from armsight.drivers.pairs import FilePairs, SplitImages
+from armsight.drivers.protocols import FrameSource, PairSource
+from armsight.drivers.registry import CAMERAS, load
+from armsight.drivers.sources import FPS, VIDEO_SUFFIXES, ImageFolder, VideoFile
+from armsight.errors import UsageError
+
+CAMERA = "camera:"
+DEFAULT_CAMERA = "opencv"
+
+
+def is_live(text: str) -> bool:
+    """Tell whether the text names a live camera."""
+    return text.startswith(CAMERA)
+
+
+def open_source(
+    text: str,
+    *,
+    colour: bool = False,
+    fps: float | None = None,
+    times_s: Sequence[float] | None = None,
+    clock: Clock | None = None,
+    origin_s: float | None = None,
+) -> FrameSource:
+    """Return the source that a person's text names; nothing is opened yet.
+
+    camera:0 or camera:/dev/video0 is a camera of OpenCV's, camera:DRIVER or camera:DRIVER:DEVICE one of a registered
+    driver. Raises UsageError, or DeviceNotFound for an unknown driver.
+    """
+    if is_live(text):
+        if times_s is not None:
+            raise UsageError("a live camera brings its own time stamps", cure="Leave --times away")
+        driver, device = _driver(text.removeprefix(CAMERA))
+        return cast(FrameSource, load(CAMERAS, driver)(device, colour=colour, clock=clock, origin_s=origin_s))
+    suffix = Path(text).suffix.lower()
+    if suffix == ".mcap":
+        raise UsageError(
+            f"{text} is a recording, and this version reads no recordings yet",
+            cure="Give the folders of images or the videos it was made from",
+        )
+    if suffix in VIDEO_SUFFIXES and not Path(text).is_dir():
+        return VideoFile(text, colour=colour, fps=fps, times_s=times_s)
+    return ImageFolder(text, colour=colour, fps=fps or FPS, times_s=times_s)
+
+
+def open_pairs(
+    left: str,
+    right: str,
+    *,
+    colour: bool = False,
+    fps: float | None = None,
+    times_s: Sequence[float] | None = None,
+    max_skew_s: float = MAX_SKEW_S,
+) -> PairSource:
+    """Return the pairs of two sources; nothing is opened yet. Raises UsageError for one live and one not."""
+    if is_live(left) != is_live(right):
+        raise UsageError(f"{left} and {right} cannot be paired: one is live, the other is not")
+    if left == right:
+        raise UsageError(
+            f"left and right are both {left}",
+            consequence="The same image twice has no depth",
+            cure="Give each camera's own source, or --image where one image holds both views",
+        )
+    if is_live(left):
+        clock = SystemClock()
+        origin_s = clock.now_s()
+        return LivePairs(
+            open_source(left, colour=colour, clock=clock, origin_s=origin_s),
+            open_source(right, colour=colour, clock=clock, origin_s=origin_s),
+            max_skew_s=max_skew_s,
+        )
+    return FilePairs(
+        open_source(left, colour=colour, fps=fps, times_s=times_s),
+        open_source(right, colour=colour, fps=fps, times_s=times_s),
+    )
+
+
+def open_split(
+    image: str,
+    left_size: tuple[int, int],
+    right_size: tuple[int, int],
+    *,
+    colour: bool = False,
+    fps: float | None = None,
+    times_s: Sequence[float] | None = None,
+) -> PairSource:
+    """Return the pairs in a source whose images hold both views side by side, each of the given (width, height)."""
+    return SplitImages(open_source(image, colour=colour, fps=fps, times_s=times_s), left_size, right_size)
+
+
+def _driver(text: str) -> tuple[str, str]:
+    if text.isdecimal() or text.startswith("/"):
+        return DEFAULT_CAMERA, text
+    driver, _, device = text.partition(":")
+    return driver, device

@@ -1,0 +1,217 @@
+"""Frames from files: a folder or pattern of images, or a video."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Protocol, Self
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.drivers.ahead import ordered_map, read_ahead
+from armsight.drivers.images import list_images, read_image
+from armsight.errors import BadFile, BadImage, Inconsistent
+from armsight.records import Frame
+
+FPS = 30.0
+"""Frames a second where neither time stamps nor a rate are given."""
+
+VIDEO_SUFFIXES = (".avi", ".mp4", ".mkv", ".mov", ".m4v", ".webm", ".mjpeg", ".mjpg", ".mpg", ".mpeg", ".wmv")
+
+HEADER_TOLERANCE = 0.02
+"""A video's header counts frames from duration and rate, so it is off by a frame or a percent; beyond this the file
+is taken as broken off."""
+
+
+class Capture(Protocol):
+    """The part of cv2.VideoCapture that is used, so that tests can put their own in its place."""
+
+    def isOpened(self) -> bool:
+        """Tell whether it can be read."""
+        ...
+
+    def read(self) -> tuple[bool, Any]:
+        """Return (True, image) or (False, None)."""
+        ...
+
+    def get(self, key: int, /) -> float:
+        """Return a property."""
+        ...
+
+    def release(self) -> None:
+        """Close it."""
+        ...
+
+
+def open_video(path: str) -> Capture:
+    """Open a video file with OpenCV."""
+    capture: Capture = cv2.VideoCapture(path)
+    return capture
+
+
+class ImageFolder:
+    """The images of a folder or pattern, decoded ahead in threads.
+
+    times_s: the time of each, else index / fps. Raises Inconsistent on opening where the times are not as many as
+    the images, and at the first image of another size than the first one's.
+    """
+
+    def __init__(
+        self, text: str, *, colour: bool = False, fps: float = FPS, times_s: Sequence[float] | None = None
+    ) -> None:
+        self.name = text
+        self._colour = colour
+        self._fps = fps
+        self._times_s = times_s
+        self._paths: tuple[Path, ...] = ()
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """The files in order; empty before it is opened."""
+        return self._paths
+
+    @property
+    def total(self) -> int | None:
+        """How many images there are; None before it is opened."""
+        return len(self._paths) or None
+
+    def __enter__(self) -> Self:
+        self._paths = list_images(self.name)
+        if self._times_s is not None and len(self._times_s) != len(self._paths):
+            raise wrong_times(self._times_s, self.name, len(self._paths))
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        pass
+
+    def __iter__(self) -> Iterator[Frame]:
+        shape: tuple[int, ...] | None = None
+        images = ordered_map(lambda path: read_image(path, colour=self._colour), self._paths)
+        for sequence, (path, image) in enumerate(zip(self._paths, images, strict=True)):
+            shape = shape or image.shape
+            if image.shape != shape:
+                raise Inconsistent(
+                    f"{path} is {size_text(image.shape)} px, {self._paths[0]} is {size_text(shape)} px",
+                    consequence="Images of one camera must all be of one size, so reading stops here",
+                    cure="Give each camera a folder of its own, without cropped or scaled images",
+                )
+            t_s = self._times_s[sequence] if self._times_s is not None else sequence / self._fps
+            yield Frame(image=image, t_s=float(t_s), sequence=sequence, source=str(path))
+
+
+class VideoFile:
+    """The frames of a video file, decoded ahead in a thread of its own.
+
+    Time stamps are times_s where given, else the file's where they increase, else index / fps (the file's rate, or
+    the given one). Raises BadImage where the file breaks off before the length its header states.
+    """
+
+    def __init__(
+        self,
+        text: str,
+        *,
+        colour: bool = False,
+        fps: float | None = None,
+        times_s: Sequence[float] | None = None,
+        open_capture: Callable[[str], Capture] = open_video,
+    ) -> None:
+        self.name = text
+        self._colour = colour
+        self._fps = fps
+        self._times_s = times_s
+        self._open_capture = open_capture
+        self._capture: Capture | None = None
+        self._said = 0
+
+    @property
+    def total(self) -> int | None:
+        """The number of times given, else the count in the file's header, if any: an estimate."""
+        return len(self._times_s) if self._times_s is not None else self._said or None
+
+    def __enter__(self) -> Self:
+        if not Path(self.name).is_file():
+            raise BadFile(f"there is no file {self.name}", consequence="There are no frames", cure="Check the path")
+        self._capture = self._open_capture(self.name)
+        if not self._capture.isOpened():
+            self._capture = None
+            raise BadFile(
+                f"{self.name} cannot be opened as a video",
+                consequence="There are no frames",
+                cure="Check that it plays; a file cut off while recording lacks its index (ffmpeg can rebuild it)",
+            )
+        count = self._capture.get(cv2.CAP_PROP_FRAME_COUNT)
+        self._said = int(count) if np.isfinite(count) and 0 < count < 1e9 else 0
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._capture is not None:
+            self._capture.release()
+            self._capture = None
+
+    def __iter__(self) -> Iterator[Frame]:
+        return read_ahead(self._frames())
+
+    def _frames(self) -> Iterator[Frame]:
+        capture = self._capture
+        if capture is None:
+            return
+        rate = capture.get(cv2.CAP_PROP_FPS)
+        fps = self._fps or (rate if np.isfinite(rate) and rate > 0.0 else FPS)
+        stamped = self._fps is None
+        sequence, last_s = 0, -np.inf
+        while True:
+            good, image = capture.read()
+            if not good or image is None:
+                break
+            stamp_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
+            stamped = stamped and stamp_s > last_s
+            last_s = stamp_s
+            t_s = self._time_s(sequence, stamp_s if stamped else sequence / fps)
+            yield Frame(image=self._convert(image), t_s=t_s, sequence=sequence, source=f"{self.name}:{sequence}")
+            sequence += 1
+        self._check_end(sequence)
+
+    def _time_s(self, sequence: int, else_s: float) -> float:
+        if self._times_s is None:
+            return else_s
+        if sequence >= len(self._times_s):
+            raise wrong_times(self._times_s, self.name, sequence + 1)
+        return float(self._times_s[sequence])
+
+    def _convert(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        if image.ndim == 3 and not self._colour:
+            return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+        if image.ndim == 2 and self._colour:
+            return np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
+        return image
+
+    def _check_end(self, count: int) -> None:
+        if self._times_s is not None and count < len(self._times_s):
+            raise wrong_times(self._times_s, self.name, count)
+        if count < self._said - max(2, HEADER_TOLERANCE * self._said):
+            raise BadImage(
+                f"the video {self.name} ends after {count} frames, its header states {self._said}",
+                consequence="The frames behind that are lost; those before it were read",
+                cure="Copy the file again from where it was recorded",
+            )
+
+
+def wrong_times(times_s: Sequence[float], name: str, count: int) -> Inconsistent:
+    """Return the error for a list of times that does not belong to the frames."""
+    return Inconsistent(
+        f"{len(times_s)} time stamps are given, {name} has {count} frames",
+        consequence="Nobody can say which time belongs to which frame",
+        cure="Give one time per frame, in the order of the sorted files",
+    )
+
+
+def size_text(shape: Sequence[int]) -> str:
+    """Return 'WIDTHxHEIGHT' of an image's shape."""
+    return f"{shape[1]}x{shape[0]}"
