@@ -1,0 +1,169 @@
+"""Folders, videos and pairs of them with planted faults."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from armsight.drivers import FilePairs, ImageFolder, SplitImages, VideoFile, open_pairs, open_source, ordered_map
+from armsight.errors import BadImage, Inconsistent, UsageError
+
+BLACK = np.zeros((40, 60), np.uint8)
+
+
+def folder_of(path: Path, names: list[str]) -> ImageFolder:
+    path.mkdir()
+    for name in names:
+        cv2.imwrite(str(path / name), BLACK)
+    return ImageFolder(str(path))
+
+
+def video_of(path: Path, count: int) -> Path:
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 25.0, (60, 40))
+    for _ in range(count):
+        writer.write(np.zeros((40, 60, 3), np.uint8))
+    writer.release()
+    return path
+
+
+def numbered(*numbers: int) -> list[str]:
+    return [f"shot{number}.png" for number in numbers]
+
+
+def test_an_image_of_another_size_stops_the_source_and_names_both(tmp_path: Path) -> None:
+    source = folder_of(tmp_path / "a", numbered(1, 2, 3))
+    cv2.imwrite(str(tmp_path / "a" / "shot2.png"), BLACK[:20])
+    with source:
+        frames = iter(source)
+        next(frames)
+        with pytest.raises(Inconsistent, match=r"shot2\.png is 60x20 px.*shot1\.png is 60x40"):
+            next(frames)
+
+
+def test_frames_before_a_truncated_one_are_delivered(tmp_path: Path) -> None:
+    source = folder_of(tmp_path / "a", numbered(*range(6)))
+    (tmp_path / "a" / "shot4.png").write_bytes(b"\x89PNG")
+    got = []
+    with pytest.raises(BadImage, match="shot4"), source:
+        got.extend(frame.sequence for frame in source)
+    assert got == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "text"),
+    [
+        ((1, 2, 3), (1, 2), r"has 3 images, the right one 2; the first without a partner is .*left.shot3"),
+        ((1, 3), (1, 2, 3), r"has 2 images, the right one 3; the first without a partner is .*right.shot2"),
+        ((1, 2, 4), (1, 2, 3), r"the first without a partner is .*right.shot3"),
+    ],
+)
+def test_unpaired_images_are_refused_before_anything_is_read(tmp_path: Path, left, right, text) -> None:
+    pairs = FilePairs(folder_of(tmp_path / "left", numbered(*left)), folder_of(tmp_path / "right", numbered(*right)))
+    with pytest.raises(Inconsistent, match=text), pairs:
+        pass
+
+
+def test_names_with_nothing_in_common_are_paired_by_position(tmp_path: Path) -> None:
+    left = folder_of(tmp_path / "left", ["1700000001.png", "1700000101.png"])
+    right = folder_of(tmp_path / "right", ["1700000003.png", "1700000104.png"])
+    with FilePairs(left, right) as pairs:
+        assert len(list(pairs)) == 2
+    with (
+        pytest.raises(Inconsistent, match="has 2 images, the right one 1"),
+        open_pairs(str(tmp_path / "left"), str(tmp_path / "right" / "*03.png")),
+    ):
+        pass
+
+
+def test_a_video_shorter_than_its_partner_ends_the_pairs_with_a_reason(tmp_path: Path) -> None:
+    left, right = video_of(tmp_path / "l.avi", 9), video_of(tmp_path / "r.avi", 14)
+    count = 0
+    with open_pairs(str(left), str(right)) as pairs, pytest.raises(Inconsistent, match=r"l\.avi ends after 9 frames"):
+        for _ in pairs:
+            count += 1
+    assert count == 9
+
+
+def test_a_video_that_breaks_off_is_told_from_one_that_ends(tmp_path: Path) -> None:
+    path = video_of(tmp_path / "film.avi", 40)
+
+    class Broken:
+        def __init__(self, name: str) -> None:
+            self.capture, self.left = cv2.VideoCapture(name), 25
+
+        def isOpened(self) -> bool:
+            return self.capture.isOpened()
+
+        def read(self):
+            self.left -= 1
+            return self.capture.read() if self.left >= 0 else (False, None)
+
+        def get(self, key: int, /) -> float:
+            return self.capture.get(key)
+
+        def release(self) -> None:
+            self.capture.release()
+
+    with VideoFile(str(path)) as whole:
+        assert len(list(whole)) == 40
+    got = []
+    broken = VideoFile(str(path), open_capture=Broken)
+    with pytest.raises(BadImage, match="ends after 25 frames, its header states 40"), broken:
+        got.extend(frame.t_s for frame in broken)
+    np.testing.assert_allclose(got, np.arange(25) / 25.0, atol=1e-6)
+
+
+def test_times_replace_the_rate_and_must_be_as_many_as_the_frames(tmp_path: Path) -> None:
+    source = folder_of(tmp_path / "a", numbered(1, 2, 3))
+    with open_source(source.name, times_s=[5.0, 6.0, 9.0]) as frames:
+        assert [frame.t_s for frame in frames] == [5.0, 6.0, 9.0]
+    with open_source(source.name, fps=10.0) as frames:
+        assert [frame.t_s for frame in frames] == [0.0, 0.1, 0.2]
+    with pytest.raises(Inconsistent, match="2 time stamps are given"), open_source(source.name, times_s=[5.0, 6.0]):
+        pass
+    video = video_of(tmp_path / "film.avi", 5)
+    for count in (4, 6):
+        with (
+            open_source(str(video), times_s=np.arange(count)) as frames,
+            pytest.raises(Inconsistent, match="time stamps"),
+        ):
+            list(frames)
+
+
+def test_an_image_of_both_views_must_have_the_rig_s_size(tmp_path: Path) -> None:
+    source = folder_of(tmp_path / "a", numbered(1))
+    with SplitImages(source, (30, 40), (30, 40)) as pairs:
+        ((left, right),) = list(pairs)
+    assert left.image.shape == right.image.shape == (40, 30)
+    with SplitImages(source, (40, 40), (40, 40)) as pairs, pytest.raises(Inconsistent, match=r"60x40.*80x40"):
+        list(pairs)
+
+
+def test_sources_that_cannot_be_what_is_meant_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="both"):
+        open_pairs("a", "a")
+    with pytest.raises(UsageError, match="one is live"):
+        open_pairs("camera:0", "a")
+    with pytest.raises(UsageError, match="time stamps"):
+        open_source("camera:0", times_s=[1.0])
+    with pytest.raises(UsageError, match="recording"):
+        open_source("run.mcap")
+
+
+def test_ordered_map_keeps_order_bounds_what_waits_and_raises_in_place() -> None:
+    begun: list[int] = []
+
+    def work(number: int) -> int:
+        begun.append(number)
+        if number == 7:
+            raise ValueError("seven")
+        return number
+
+    results = ordered_map(work, range(1000), workers=3, ahead=4)
+    assert [next(results) for _ in range(7)] == list(range(7))
+    assert len(begun) <= 7 + 5
+    with pytest.raises(ValueError, match="seven"):
+        next(results)

@@ -1,0 +1,123 @@
+"""Live cameras on a fake wire: unplugged, silent, out of step."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from armsight.clock import ManualClock
+from armsight.drivers import LivePairs, OpenCvCamera, known, load
+from armsight.drivers import live as live_module
+from armsight.drivers.registry import CAMERAS
+from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound
+from armsight.records import Frame
+
+
+class Wire:
+    """A camera that sends a number of frames and is then pulled out."""
+
+    def __init__(self, count: int, opened: bool = True) -> None:
+        self.count, self.opened, self.released = count, opened, False
+
+    def isOpened(self) -> bool:
+        return self.opened
+
+    def read(self):
+        self.count -= 1
+        return (True, np.zeros((4, 6, 3), np.uint8)) if self.count >= 0 else (False, None)
+
+    def get(self, key: int, /) -> float:
+        return 0.0
+
+    def release(self) -> None:
+        self.released = True
+
+
+class Scripted:
+    """A source whose frames come at given times."""
+
+    total = None
+
+    def __init__(self, name: str, times_s: list[float]) -> None:
+        self.name, self.times_s = name, times_s
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def __iter__(self) -> Iterator[Frame]:
+        for sequence, t_s in enumerate(self.times_s):
+            yield Frame(image=np.zeros((4, 6), np.uint8), t_s=t_s, sequence=sequence, source=self.name)
+
+
+def test_a_camera_unplugged_midway_is_lost_after_its_last_frames() -> None:
+    wire = Wire(6)
+    got = []
+    camera = OpenCvCamera("3", clock=ManualClock(), open_capture=lambda _: wire)
+    with pytest.raises(DeviceLost, match="camera:3 stopped sending after 6 frames") as info, camera:
+        got.extend(frame.sequence for frame in camera)
+    assert got[-1] == 5
+    assert wire.released
+    assert "cable" in info.value.cure
+
+
+def test_a_camera_that_is_not_there_is_answered_with_those_that_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live_module, "cameras_there", lambda: ("camera:0", "camera:2"))
+    wire = Wire(0, opened=False)
+    camera = OpenCvCamera("9", open_capture=lambda _: wire)
+    with pytest.raises(DeviceNotFound, match="camera:9 cannot be opened") as info, camera:
+        pass
+    assert "camera:0, camera:2" in info.value.cure
+    assert wire.released
+
+
+def test_a_silent_camera_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = threading.Event()
+
+    class Hanging(Wire):
+        def read(self):
+            asked.wait()
+            return False, None
+
+    monkeypatch.setattr(live_module, "SILENCE_S", 0.05)
+    try:
+        camera = OpenCvCamera("0", open_capture=lambda _: Hanging(1))
+        with pytest.raises(DeviceLost, match="no frame for"), camera:
+            next(iter(camera))
+    finally:
+        asked.set()
+
+
+def test_frames_are_paired_with_the_nearest_and_the_skew_is_told() -> None:
+    left = Scripted("left", [0.000, 0.033, 0.066, 0.100, 0.133])
+    right = Scripted("right", [0.003, 0.036, 0.103, 0.136])  # one frame was dropped
+    with LivePairs(left, right, max_skew_s=0.010) as pairs:
+        got = [(one.t_s, two.t_s) for one, two in pairs]
+        skew = pairs.skew
+    assert got == [(0.000, 0.003), (0.033, 0.036), (0.100, 0.103), (0.133, 0.136)]
+    assert skew is not None
+    assert skew.mean_s == pytest.approx(0.003)
+    assert skew.largest_s == pytest.approx(0.003)
+    assert (skew.n_pairs, skew.n_dropped) == (4, 1)
+
+
+def test_cameras_that_never_meet_are_a_failure_and_not_a_pair() -> None:
+    left = Scripted("left", [0.1 * i for i in range(100)])
+    right = Scripted("right", [0.1 * i + 0.05 for i in range(100)])
+    with (
+        LivePairs(left, right, max_skew_s=0.010) as pairs,
+        pytest.raises(DeviceFailed, match="no partner within 10 ms"),
+    ):
+        list(pairs)
+
+
+def test_an_unknown_driver_is_answered_with_the_known_ones() -> None:
+    with pytest.raises(DeviceNotFound, match="nosuch") as info:
+        load(CAMERAS, "nosuch")
+    for name in known(CAMERAS):
+        assert name in info.value.cure
