@@ -1,0 +1,197 @@
+"""Whole files at once, or not at all; and tables that are readable at any moment while they grow."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import math
+import os
+import tempfile
+from collections.abc import Iterator, Mapping
+from io import FileIO
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+
+from armsight.clock import Clock, SystemClock
+from armsight.errors import BadFile, DeviceFailed
+
+FLUSH_S = 1.0
+"""Longest time that a measured row waits in memory: what a crash may cost."""
+
+FLUSH_ROWS = 500
+"""Most rows that wait in memory; below it the system call's cost does not show beside the formatting."""
+
+
+@contextlib.contextmanager
+def disk_errors(path: Path) -> Iterator[None]:
+    """Turn the system's refusal to write into DeviceFailed."""
+    try:
+        yield
+    except OSError as error:
+        raise DeviceFailed(
+            f"{path}: cannot be written ({error.strerror or error})",
+            consequence="The file is as it was before",
+            cure="Check the folder, its permissions and the free space, or choose another place",
+        ) from error
+
+
+def read_bytes(path: Path, *, limit: int) -> bytes:
+    """Return the file's content; BadFile where it cannot be read or holds more than limit bytes."""
+    try:
+        with path.open("rb") as file:
+            data = file.read(limit + 1)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise BadFile(
+            f"{path}: cannot be read ({reason})", consequence="Nothing was done", cure="Check the path"
+        ) from error
+    if len(data) > limit:
+        raise BadFile(
+            f"{path}: larger than {limit / 1e6:.0f} MB, which no file of this kind is",
+            consequence="It is not read",
+            cure="Check that this is the file you meant",
+        )
+    return data
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Replace the file's content in one step: a crash leaves the old file or the new one, never half of one.
+
+    Makes the folder where it is missing. Raises DeviceFailed where the disk refuses.
+    """
+    with disk_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            Path(name).chmod(_mode_of(path))
+            Path(name).replace(path)
+        except BaseException:
+            Path(name).unlink(missing_ok=True)
+            raise
+        _sync_folder(path.parent)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Replace the file's content with UTF-8 text in one step; see write_bytes."""
+    write_bytes(path, text.encode("utf-8"))
+
+
+def _mode_of(path: Path) -> int:
+    """Permissions of the file that is replaced, or of a new one under the person's umask."""
+    if path.exists():
+        return path.stat().st_mode & 0o777
+    mask = os.umask(0)
+    os.umask(mask)
+    return 0o666 & ~mask
+
+
+def _sync_folder(folder: Path) -> None:
+    """Make the new name itself survive a power cut, where the system lets a folder be synced."""
+    with contextlib.suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
+def plain(value: Any) -> Any:
+    """Return value with arrays, numpy scalars, tuples and paths turned into what JSON and YAML know."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple | set | frozenset):
+        return [plain(item) for item in value]
+    if isinstance(value, Path):
+        return value.as_posix()
+    return value
+
+
+def json_text(value: Any, *, indent: int | None = 2) -> str:
+    """Return value as strict JSON text; a number that is not finite (no data) becomes null."""
+    return json.dumps(_finite(plain(value)), indent=indent, ensure_ascii=False, allow_nan=False)
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Replace the file with value as JSON; see json_text and write_bytes."""
+    write_text(path, json_text(value) + "\n")
+
+
+def sha256(path: Path) -> str:
+    """Return the SHA-256 of the file's content in hexadecimal; BadFile where it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise BadFile(f"{path}: cannot be read ({error.strerror or error})", cure="Check the path") from error
+
+
+class RowFile:
+    """A text file that grows row by row and holds whole rows at any moment.
+
+    Rows wait in memory for at most FLUSH_S seconds or FLUSH_ROWS rows and then go to the system in one write. The
+    header is written at once. Use it as a context manager; closing writes what waits and syncs the disk.
+    """
+
+    def __init__(self, path: Path, header: str, *, clock: Clock | None = None) -> None:
+        self._path = path
+        self._clock = clock or SystemClock()
+        self._rows: list[str] = []
+        with disk_errors(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = FileIO(path, "w")
+        self._flushed_s = self._clock.now_s()
+        self.add(header)
+        self.flush()
+
+    def add(self, row: str) -> None:
+        """Take one row without its line end."""
+        self._rows.append(row)
+        if len(self._rows) >= FLUSH_ROWS or self._clock.now_s() - self._flushed_s >= FLUSH_S:
+            self.flush()
+
+    def flush(self) -> None:
+        """Give the waiting rows to the system."""
+        if self._rows:
+            data = ("\n".join(self._rows) + "\n").encode("utf-8")
+            with disk_errors(self._path):
+                while data:
+                    data = data[self._file.write(data) :]
+            self._rows.clear()
+        self._flushed_s = self._clock.now_s()
+
+    def close(self) -> None:
+        """Write what waits, sync the disk, close; a second call does nothing."""
+        if self._file.closed:
+            return
+        try:
+            self.flush()
+            with disk_errors(self._path):
+                os.fsync(self._file.fileno())
+        finally:
+            self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

@@ -1,0 +1,122 @@
+"""Kalibr's camchain YAML.
+
+Cameras cam0, cam1, each with camera_model pinhole, intrinsics [fu, fv, pu, pv] in px, distortion_model radtan with
+[k1, k2, p1, p2], resolution [width, height]; cam1's T_cn_cnm1 (4 x 4, metres) takes points of cam0 into cam1. What
+Kalibr adds (rostopic, T_cam_imu, cam_overlaps, timeshift_cam_imu) is not used. Other models are refused by name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from armsight.errors import BadFile, Inconsistent
+from armsight.optics import Camera, Rig, RigKind
+from armsight.store.atomic import write_text
+from armsight.store.foreign.numbers import array_of, matrix_at, placed, relative, rotation_of, value_at
+from armsight.store.schema import named
+from armsight.store.yamls import dump_yaml, read_yaml
+
+
+def camera_from_kalibr(path: Path, *, name: str = "cam0") -> Camera:
+    """Return one camera of a camchain; BadFile where it is none or has another model."""
+    return kalibr_camera(read_yaml(path), name, str(path))
+
+
+def kalibr_camera(content: Mapping[str, Any], name: str, where: str) -> Camera:
+    """Return one camera of a camchain's content; see camera_from_kalibr."""
+    block = _block(content, name, where)
+    place = f"{where}, {name}"
+    for key, known in (("camera_model", ("pinhole",)), ("distortion_model", ("radtan", "none"))):
+        model = value_at(block, key, place)
+        if model not in known:
+            raise BadFile(
+                f"{place}: {key} is {str(model)[:40]!r}",
+                consequence=f"Only {' or '.join(known)} can be used",
+                cure="Calibrate with pinhole-radtan",
+            )
+    fu, fv, pu, pv = matrix_at(block, "intrinsics", (1, 4), place).ravel().tolist()
+    distortion = np.zeros(5)
+    if block["distortion_model"] == "radtan":
+        distortion[:4] = matrix_at(block, "distortion_coeffs", (1, 4), place).ravel()
+    size = array_of(value_at(block, "resolution", place), "resolution", place).ravel()
+    if size.size != 2 or not all(float(value).is_integer() and 1 <= value <= 1e6 for value in size):
+        raise BadFile(f"{place}: resolution is not [width, height] in px", consequence="The file is not used")
+    with named(place):
+        return Camera.pinhole(int(size[0]), int(size[1]), fu, fv, pu, pv, distortion=distortion)
+
+
+def rig_from_kalibr(path: Path) -> Rig:
+    """Return the rig of a camchain of two cameras: cam0 left, cam1 right, the rig's axes those of cam0.
+
+    Raises BadFile where the file has another number of cameras, another model or no T_cn_cnm1.
+    """
+    return kalibr_rig(read_yaml(path), str(path))
+
+
+def kalibr_rig(content: Mapping[str, Any], where: str) -> Rig:
+    """Return the rig of a camchain's content; see rig_from_kalibr."""
+    names = sorted(key for key in content if key.startswith("cam") and key[3:].isdecimal())
+    if names != ["cam0", "cam1"]:
+        raise BadFile(
+            f"{where}: a chain of the cameras {', '.join(names) or 'none'}",
+            consequence="A rig has two cameras, cam0 and cam1",
+            cure="Cut the chain down to the pair that is meant",
+        )
+    place = f"{where}, cam1"
+    T = matrix_at(_block(content, "cam1", where), "T_cn_cnm1", (4, 4), place)
+    if np.abs(T[3] - (0.0, 0.0, 0.0, 1.0)).max() > 0.0:
+        raise BadFile(f"{place}: T_cn_cnm1 does not end with the row 0, 0, 0, 1", consequence="The file is not used")
+    return Rig(
+        kind=RigKind.STEREO,
+        left=kalibr_camera(content, "cam0", where),
+        right=kalibr_camera(content, "cam1", where),
+        T_rig_left=RigidTransform.identity(),
+        T_rig_right=placed(rotation_of(T[:3, :3], "T_cn_cnm1", place), T[:3, 3], place),
+    )
+
+
+def kalibr_mapping(camera: Camera) -> dict[str, Any]:
+    """Return a camera as Kalibr's file holds it; Inconsistent where radtan cannot say it."""
+    fx, fy, cx, cy, skew, k1, k2, p1, p2, k3 = camera.intrinsics.tolist()
+    if skew != 0.0 or k3 != 0.0:
+        raise Inconsistent(
+            f"the camera has skew {skew:g} px and k3 {k3:g}",
+            consequence="Kalibr's pinhole-radtan has neither",
+            cure="Calibrate with both fixed at zero",
+        )
+    return {
+        "camera_model": "pinhole",
+        "intrinsics": [fx, fy, cx, cy],
+        "distortion_model": "radtan",
+        "distortion_coeffs": [k1, k2, p1, p2],
+        "resolution": [camera.width, camera.height],
+    }
+
+
+def camera_to_kalibr(path: Path, camera: Camera) -> None:
+    """Write a camchain of one camera; Inconsistent where radtan cannot say it."""
+    write_text(path, dump_yaml({"cam0": kalibr_mapping(camera)}))
+
+
+def rig_to_kalibr(path: Path, rig: Rig) -> None:
+    """Write a camchain of the pair; Inconsistent where radtan cannot say a camera."""
+    R, t = relative(rig.T_rig_left, rig.T_rig_right)
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R, t
+    content = {
+        "cam0": {"cam_overlaps": [1], **kalibr_mapping(rig.left)},
+        "cam1": {"T_cn_cnm1": T.tolist(), "cam_overlaps": [0], **kalibr_mapping(rig.right)},
+    }
+    write_text(path, dump_yaml(content))
+
+
+def _block(content: Mapping[str, Any], name: str, where: str) -> Mapping[str, Any]:
+    block = value_at(content, name, where)
+    if not isinstance(block, Mapping):
+        raise BadFile(f"{where}: {name} is not a camera", consequence="The file is not used")
+    return block

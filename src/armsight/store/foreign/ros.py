@@ -1,0 +1,170 @@
+"""ROS camera_info YAML, as camera_calibration_parsers and camera_calibration write it.
+
+One file per camera: image_width, image_height, camera_matrix K, distortion_model plumb_bob with k1, k2, p1, p2, k3,
+rectification_matrix R, projection_matrix P; metres and pixels. Of a stereo pair R turns each camera's axes into the
+rectified axes, in which p_right = p_left + (P[0, 3] / P[0, 0], P[1, 3] / P[1, 1], 0): P of the right camera carries
+the baseline. So p_right_camera = R_right^T (R_left p_left_camera + that shift).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from armsight.errors import BadFile, Inconsistent
+from armsight.optics import Camera, Rig, RigKind
+from armsight.store.atomic import write_text
+from armsight.store.foreign.numbers import (
+    array_of,
+    brown_conrady,
+    count_at,
+    intrinsics_of,
+    matrix_at,
+    placed,
+    relative,
+    rotation_of,
+    rows_of,
+    value_at,
+)
+from armsight.store.schema import named
+from armsight.store.yamls import dump_yaml, read_yaml
+
+Array = NDArray[np.float64]
+
+
+def camera_from_ros(path: Path) -> Camera:
+    """Return the camera of a camera_info YAML; BadFile where it is none or has another lens model."""
+    return ros_camera(read_yaml(path), str(path))
+
+
+def ros_camera(content: Mapping[str, Any], where: str) -> Camera:
+    """Return the camera that camera_info content describes; see camera_from_ros."""
+    model = content.get("distortion_model", "plumb_bob")
+    if model not in ("plumb_bob", "rational_polynomial"):
+        raise BadFile(
+            f"{where}: distortion_model is {str(model)[:40]!r}",
+            consequence="Only plumb_bob (k1, k2, p1, p2, k3) can be used",
+            cure="Calibrate with plumb_bob",
+        )
+    key = "distortion_coefficients"
+    intrinsics = intrinsics_of(matrix_at(content, "camera_matrix", (3, 3), where), "camera_matrix", where)
+    distortion = brown_conrady(array_of(value_at(content, key, where), key, where), key, where)
+    with named(where):
+        return Camera.pinhole(
+            count_at(content, "image_width", where),
+            count_at(content, "image_height", where),
+            *intrinsics[:4],
+            skew=intrinsics[4],
+            distortion=distortion,
+        )
+
+
+def rig_from_ros(left: Path, right: Path) -> Rig:
+    """Return the rig of a pair of camera_info files, its axes those of the left camera.
+
+    Raises BadFile where a file is none, Inconsistent where they are no stereo pair or are swapped.
+    """
+    return ros_rig(read_yaml(left), read_yaml(right), str(left), str(right))
+
+
+def ros_rig(left: Mapping[str, Any], right: Mapping[str, Any], where_left: str, where_right: str) -> Rig:
+    """Return the rig of the content of two camera_info files; see rig_from_ros."""
+    cameras = ros_camera(left, where_left), ros_camera(right, where_right)
+    shifts, turns = [], []
+    for content, where in ((left, where_left), (right, where_right)):
+        P = matrix_at(content, "projection_matrix", (3, 4), where)
+        if not (P[0, 0] > 0.0 and P[1, 1] > 0.0):
+            raise BadFile(f"{where}: projection_matrix has no focal length", consequence="The file is not used")
+        shifts.append(np.array([P[0, 3] / P[0, 0], P[1, 3] / P[1, 1], 0.0]))
+        turns.append(
+            rotation_of(matrix_at(content, "rectification_matrix", (3, 3), where), "rectification_matrix", where)
+        )
+    _check_order(shifts[0], shifts[1], where_left, where_right)
+    R = turns[1].T @ turns[0]  # (3, 3) p_right = R p_left + t
+    t = turns[1].T @ (shifts[1] - shifts[0])  # (3,)
+    return Rig(
+        kind=RigKind.STEREO,
+        left=cameras[0],
+        right=cameras[1],
+        T_rig_left=RigidTransform.identity(),
+        T_rig_right=placed(R, t, where_right),
+    )
+
+
+def _check_order(left: Array, right: Array, where_left: str, where_right: str) -> None:
+    if not left.any() and not right.any():
+        raise Inconsistent(
+            f"{where_left} and {where_right}: neither projection_matrix carries a baseline",
+            consequence="The cameras' places are not known: these are two single calibrations",
+            cure="Give the two files of a stereo calibration",
+        )
+    if left.any() and not right.any():
+        raise Inconsistent(
+            f"{where_left} and {where_right}: the baseline stands in the first file, where the left camera belongs",
+            consequence="Left and right are swapped",
+            cure="Give the files in the other order",
+        )
+
+
+def ros_mapping(camera: Camera, name: str, R: Array | None = None, P: Array | None = None) -> dict[str, Any]:
+    """Return a camera as camera_info content; R (3, 3) and P (3, 4) default to those of a single camera."""
+    P = np.hstack([camera.matrix, np.zeros((3, 1))]) if P is None else P
+    return {
+        "image_width": camera.width,
+        "image_height": camera.height,
+        "camera_name": name,
+        "camera_matrix": _matrix(camera.matrix),
+        "distortion_model": "plumb_bob",
+        "distortion_coefficients": _matrix(camera.distortion.reshape(1, 5)),
+        "rectification_matrix": _matrix(np.eye(3) if R is None else R),
+        "projection_matrix": _matrix(P),
+    }
+
+
+def camera_to_ros(path: Path, camera: Camera, *, name: str = "camera") -> None:
+    """Write a camera_info YAML of a single camera."""
+    write_text(path, dump_yaml(ros_mapping(camera, name)))
+
+
+def rig_to_ros(left: Path, right: Path, rig: Rig, *, names: tuple[str, str] = ("left", "right")) -> None:
+    """Write the pair of camera_info files of a rig; R and P by OpenCV's stereoRectify, as ROS's own tool does.
+
+    Raises Inconsistent where the two images differ in size (one P serves both) or a camera has skew, which
+    rectification by image_geometry leaves out.
+    """
+    if (rig.left.width, rig.left.height) != (rig.right.width, rig.right.height):
+        raise Inconsistent("the cameras' images differ in size", consequence="ROS's stereo files cannot say this")
+    if any(camera.intrinsics[4] != 0.0 for camera in (rig.left, rig.right)):
+        raise Inconsistent(
+            "a camera of the rig has skew",
+            consequence="ROS's rectification leaves it out",
+            cure="Calibrate with skew fixed at zero",
+        )
+    R, t = relative(rig.T_rig_left, rig.T_rig_right)
+    R1, R2, P1, P2, *_ = cv2.stereoRectify(
+        rig.left.matrix,
+        rig.left.distortion,
+        rig.right.matrix,
+        rig.right.distortion,
+        (rig.left.width, rig.left.height),
+        R,
+        t,
+        flags=cv2.CALIB_ZERO_DISPARITY,
+        alpha=0.0,
+    )
+    for path, camera, name, R_rectify, P in (
+        (left, rig.left, names[0], R1, P1),
+        (right, rig.right, names[1], R2, P2),
+    ):
+        content = ros_mapping(camera, name, np.asarray(R_rectify, np.float64), np.asarray(P, np.float64))
+        write_text(path, dump_yaml(content))
+
+
+def _matrix(matrix: Array) -> dict[str, Any]:
+    return {"rows": matrix.shape[0], "cols": matrix.shape[1], "data": rows_of(matrix)}

@@ -1,0 +1,186 @@
+"""rig.yaml and camera.yaml."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from armsight.errors import BadFile
+from armsight.optics import Camera, Rig, RigKind
+from armsight.records import NamedCovariance
+from armsight.store.schema import (
+    Count,
+    CovarianceModel,
+    Finite,
+    Origin,
+    PoseModel,
+    Strict,
+    Vector5,
+    covariance_mapping,
+    named,
+    pose_mapping,
+    read_document,
+    validated,
+    write_document,
+)
+
+RIG_FORMAT = "armsight/rig"
+CAMERA_FORMAT = "armsight/camera"
+
+SMALLEST_BASELINE_M = 1e-4
+"""Two cameras nearer than this see no depth at any distance a rig is used at: a wrong file, not a rig."""
+
+
+class IntrinsicsModel(Strict):
+    """A camera's image size and intrinsics in px; distortion k1, k2, p1, p2, k3."""
+
+    width: Count
+    height: Count
+    fx: Finite
+    fy: Finite
+    cx: Finite
+    cy: Finite
+    skew: Finite = 0.0
+    distortion: Vector5
+
+    def camera(self) -> Camera:
+        """Return the record; Inconsistent where no camera can be like this."""
+        return Camera.pinhole(
+            self.width, self.height, self.fx, self.fy, self.cx, self.cy, skew=self.skew, distortion=self.distortion
+        )
+
+
+class RigCameraModel(IntrinsicsModel):
+    """A camera with its place in the rig."""
+
+    T_rig_camera: PoseModel
+
+
+class SidesModel(Strict):
+    """The rig's two cameras."""
+
+    left: RigCameraModel
+    right: RigCameraModel
+
+
+class RigModel(Origin):
+    """rig.yaml."""
+
+    format: Literal["armsight/rig"] = "armsight/rig"
+    kind: Literal["stereo", "mirror"]
+    cameras: SidesModel
+    rms_px: Finite | None = None
+    covariance: CovarianceModel | None = None
+
+
+class CameraModel(Origin, IntrinsicsModel):
+    """camera.yaml."""
+
+    format: Literal["armsight/camera"] = "armsight/camera"
+    rms_px: Finite | None = None
+    covariance: CovarianceModel | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CameraFile:
+    """What a camera.yaml holds: the camera, and how well it is known (names of INTRINSICS), where the file says it."""
+
+    camera: Camera
+    covariance: NamedCovariance | None = None
+    rms_px: float | None = None
+
+
+def rig_from_mapping(content: Mapping[str, Any], where: str = "rig") -> Rig:
+    """Return the rig that rig.yaml's structure describes; BadFile, with where and the key, where it cannot be."""
+    model = validated(RigModel, content, where)
+    left, right = model.cameras.left, model.cameras.right
+    with named(where):
+        rig = Rig(
+            kind=RigKind(model.kind),
+            left=left.camera(),
+            right=right.camera(),
+            T_rig_left=left.T_rig_camera.pose(),
+            T_rig_right=right.T_rig_camera.pose(),
+            covariance=model.covariance.covariance() if model.covariance else None,
+            rms_px=model.rms_px,
+        )
+    if not rig.baseline_m >= SMALLEST_BASELINE_M:
+        raise BadFile(
+            f"{where}: both cameras stand at the same place",
+            consequence="Such a rig sees no depth",
+            cure="Check T_rig_camera of both cameras: xyz_m is in metres",
+        )
+    return rig
+
+
+def rig_mapping(rig: Rig) -> dict[str, Any]:
+    """Return the rig as rig.yaml's structure, without format, version and origin."""
+    return {
+        "kind": rig.kind.value,
+        "cameras": {
+            side: {**camera_mapping(rig.camera(side)), "T_rig_camera": pose_mapping(rig.T_rig_camera(side))}
+            for side in ("left", "right")
+        },
+        "rms_px": rig.rms_px,
+        "covariance": covariance_mapping(rig.covariance) if rig.covariance else None,
+    }
+
+
+def camera_mapping(camera: Camera) -> dict[str, Any]:
+    """Return a camera's size and intrinsics as files hold them."""
+    fx, fy, cx, cy, skew = camera.intrinsics[:5].tolist()
+    return {
+        "width": camera.width,
+        "height": camera.height,
+        "fx": fx,
+        "fy": fy,
+        "cx": cx,
+        "cy": cy,
+        "skew": skew,
+        "distortion": camera.distortion.tolist(),
+    }
+
+
+def read_rig(path: Path) -> Rig:
+    """Return the rig in a rig.yaml; BadFile where it is none."""
+    return rig_from_mapping(read_document(path, RIG_FORMAT), str(path))
+
+
+def write_rig(path: Path, rig: Rig, *, inputs: Sequence[Path] = ()) -> None:
+    """Write rig.yaml with the hashes of the files it was made from."""
+    write_document(path, RIG_FORMAT, rig_mapping(rig), inputs)
+
+
+def read_camera_file(path: Path) -> CameraFile:
+    """Return all that a camera.yaml says; BadFile where it is none."""
+    model = validated(CameraModel, read_document(path, CAMERA_FORMAT), str(path))
+    with named(str(path)):
+        return CameraFile(
+            camera=model.camera(),
+            covariance=model.covariance.covariance() if model.covariance else None,
+            rms_px=model.rms_px,
+        )
+
+
+def read_camera(path: Path) -> Camera:
+    """Return the camera in a camera.yaml; BadFile where it is none."""
+    return read_camera_file(path).camera
+
+
+def write_camera(
+    path: Path,
+    camera: Camera,
+    *,
+    covariance: NamedCovariance | None = None,
+    rms_px: float | None = None,
+    inputs: Sequence[Path] = (),
+) -> None:
+    """Write camera.yaml with the hashes of the files it was made from."""
+    content = {
+        **camera_mapping(camera),
+        "rms_px": rms_px,
+        "covariance": covariance_mapping(covariance) if covariance else None,
+    }
+    write_document(path, CAMERA_FORMAT, content, inputs)

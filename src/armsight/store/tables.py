@@ -1,0 +1,224 @@
+"""CSV tables: read with errors that name file, row and column; numbers written in full precision."""
+
+from __future__ import annotations
+
+import csv
+import difflib
+import io
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.errors import BadFile, NotEnoughData
+from armsight.store.atomic import read_bytes
+
+MAX_BYTES = 1_000_000_000
+"""An hour of poses at 1 kHz has 0.7 GB."""
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Table:
+    """Columns of numbers (n,) and of text by name; NaN where a cell was allowed to be empty.
+
+    where: the file's name. lines: (n,) the line of the file that each row came from, from 1.
+    """
+
+    where: str
+    numbers: dict[str, Array]
+    text: dict[str, tuple[str, ...]]
+    lines: tuple[int, ...]
+
+    def __len__(self) -> int:
+        return len(self.lines)
+
+    def stacked(self, names: Sequence[str]) -> Array:
+        """Return the columns of numbers as (n, len(names))."""
+        return np.stack([self.numbers[name] for name in names], axis=1) if names else np.empty((len(self), 0))
+
+    def place(self, row: int) -> str:
+        """Return 'file, line 7' for a row counted from 0."""
+        return f"{self.where}, line {self.lines[row]}"
+
+    def series(self, prefix: str) -> tuple[str, ...]:
+        """Return the names prefix1, prefix2, ... that are columns; BadFile where the count has a gap."""
+        found = {name for name in self.numbers if name.startswith(prefix) and name[len(prefix) :].isdecimal()}
+        names = tuple(f"{prefix}{i + 1}" for i in range(len(found)))
+        if set(names) != found:
+            raise BadFile(
+                f"{self.where}: the columns {', '.join(sorted(found))} are not counted {prefix}1, {prefix}2, ...",
+                consequence="The file is not used",
+                cure="Number them from 1 without a gap",
+            )
+        return names
+
+
+def read_table(
+    path: Path,
+    required: Sequence[str],
+    *,
+    optional: Collection[str] = (),
+    text: Collection[str] = (),
+    blank: Collection[str] = (),
+    series: str = "",
+    need_rows: bool = True,
+) -> Table:
+    """Return the table in a CSV file with a header; see parse_table."""
+    return parse_table(
+        read_bytes(path, limit=MAX_BYTES),
+        str(path),
+        required,
+        optional=optional,
+        text=text,
+        blank=blank,
+        series=series,
+        need_rows=need_rows,
+    )
+
+
+def parse_table(
+    data: bytes,
+    where: str,
+    required: Sequence[str],
+    *,
+    optional: Collection[str] = (),
+    text: Collection[str] = (),
+    blank: Collection[str] = (),
+    series: str = "",
+    need_rows: bool = True,
+) -> Table:
+    """Return the table in CSV bytes: UTF-8 with or without mark, any line ends, columns in any order.
+
+    required, optional: names of columns. text: those of them that hold words. blank: columns of numbers whose cells
+    may be empty. series: a prefix whose numbered columns (q1, q2, ...) are taken as well. Raises BadFile that names
+    file, row and column, NotEnoughData where need_rows and there is none.
+    """
+    rows, lines = _rows(data, where)
+    header = [name.strip() for name in rows[0]] if rows else []
+    _check_header(header, where, required, optional, series)
+    body, lines = rows[1:], lines[1:]
+    for row, line in zip(body, lines, strict=True):
+        if len(row) != len(header):
+            raise BadFile(
+                f"{where}, line {line}: {len(row)} cells, the header has {len(header)}",
+                consequence="The file is not used",
+                cure="Give every row one cell per column",
+            )
+    if need_rows and not body:
+        raise NotEnoughData(f"{where}: no row below the header", consequence="There is nothing to do")
+    columns = list(zip(*body, strict=True)) if body else [() for _ in header]
+    numbers, words = {}, {}
+    for name, cells in zip(header, columns, strict=True):
+        if name in text:
+            words[name] = tuple(cell.strip() for cell in cells)
+        else:
+            numbers[name] = _column(cells, name, lines, where, name in blank)
+    return Table(where=where, numbers=numbers, text=words, lines=tuple(lines))
+
+
+def _rows(data: bytes, where: str) -> tuple[list[list[str]], list[int]]:
+    """Return the rows that are not empty, and their lines."""
+    try:
+        content = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise BadFile(
+            f"{where}: byte {error.start} is not UTF-8 text",
+            consequence="The file cannot be read",
+            cure="Save it as CSV in UTF-8, or check that it is not a binary file",
+        ) from error
+    reader = csv.reader(io.StringIO(content, newline=""), strict=True)
+    rows, lines = [], []
+    try:
+        for row in reader:
+            if any(cell.strip() for cell in row):
+                rows.append(row)
+                lines.append(reader.line_num)
+    except csv.Error as error:
+        raise BadFile(f"{where}, line {reader.line_num}: {error}", consequence="The file cannot be read") from error
+    if not rows:
+        raise BadFile(f"{where}: the file is empty", consequence="It says nothing", cure="Check the file")
+    return rows, lines
+
+
+def _check_header(
+    header: list[str], where: str, required: Sequence[str], optional: Collection[str], series: str
+) -> None:
+    missing = [name for name in required if name not in header]
+    if missing:
+        raise BadFile(
+            f"{where}: the column{'s' * (len(missing) > 1)} {', '.join(missing)} "
+            f"{'are' if len(missing) > 1 else 'is'} missing; found {', '.join(header)[:200]}",
+            consequence="The file is not used",
+            cure=_header_cure(header, required),
+        )
+    twice = sorted({name for name in header if header.count(name) > 1})
+    if twice:
+        raise BadFile(f"{where}: the column {twice[0][:40]!r} stands twice", consequence="The file is not used")
+    known = [*required, *optional]
+    for name in header:
+        numbered = series and name.startswith(series) and name[len(series) :].isdecimal()
+        if name not in known and not numbered:
+            close = difflib.get_close_matches(name, known, n=1)
+            also = f", {series}1, {series}2, ..." if series else ""
+            raise BadFile(
+                f"{where}: unknown column {name[:40]!r}" + (f" (did you mean {close[0]!r}?)" if close else ""),
+                consequence="The file is not used",
+                cure=f"Valid columns: {', '.join(known)}{also}",
+            )
+
+
+def _header_cure(header: list[str], required: Sequence[str]) -> str:
+    if len(header) == 1 and ";" in header[0]:
+        return "Separate cells by commas, not semicolons, and write decimals with a point"
+    if any(_is_number(name) for name in header):
+        return f"The first line must name the columns: {', '.join(required)}, ..."
+    return "Name them in the first line"
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _column(cells: Sequence[str], name: str, lines: Sequence[int], where: str, may_be_blank: bool) -> Array:
+    values = np.empty(len(cells))
+    for i, cell in enumerate(cells):
+        try:
+            value = float(cell)
+        except ValueError:
+            if may_be_blank and not cell.strip():
+                values[i] = np.nan
+                continue
+            raise _bad_cell(cell, name, lines[i], where) from None
+        if not math.isfinite(value) or "_" in cell:
+            raise _bad_cell(cell, name, lines[i], where)
+        values[i] = value
+    return values
+
+
+def _bad_cell(cell: str, name: str, line: int, where: str) -> BadFile:
+    shown = repr(cell if len(cell) <= 40 else cell[:37] + "...") if cell.strip() else "empty"
+    return BadFile(
+        f"{where}, line {line}, column {name}: {shown} is not a finite number",
+        consequence="The file is not used",
+        cure="Correct the cell, or remove the row",
+    )
+
+
+def number(value: float) -> str:
+    """Return the shortest text that reads back as the same float; empty for NaN, which stands for nothing."""
+    value = float(value)
+    return "" if math.isnan(value) else repr(value)
+
+
+def cells(values: Sequence[float] | Array) -> str:
+    """Return numbers as comma-separated cells in full precision."""
+    return ",".join(number(value) for value in values)

@@ -1,0 +1,249 @@
+"""target.yaml, and boards said in one word on the command line."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from armsight.errors import BadFile, UsageError
+from armsight.records import Colour, Target, TargetKind, board_target, spot_target, unmeasured_target
+from armsight.records.target import BLUE, GREEN, RED
+from armsight.store.schema import Finite, Origin, Strict, Vector3, named, read_document, validated, write_document
+
+TARGET_FORMAT = "armsight/target"
+
+MAX_BOARD = 200
+"""Rows or columns: no printed board that a camera resolves has more."""
+
+COLOURS: Mapping[str, Colour] = {"red": RED, "green": GREEN, "blue": BLUE}
+
+BOARD_FORMS = (
+    "checkerboard:COLUMNSxROWS:SQUARE_M (inner corners, e.g. checkerboard:9x6:0.025), circles:CxR:PITCH_M, "
+    "acircles:CxR:PITCH_M or charuco:CxR:SQUARE_M:MARKER_M:DICTIONARY (squares, e.g. "
+    "charuco:8x5:0.04:0.03:DICT_4X4_50)"
+)
+
+Positive = Annotated[float, Field(allow_inf_nan=False, gt=0.0)]
+Side = Annotated[int, Field(ge=2, le=MAX_BOARD)]
+SpotName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,40}$")]
+
+
+class ColourModel(Strict):
+    """A colour by hue range in degrees, least saturation and value in 0..1."""
+
+    hue_deg: Annotated[list[Finite], Field(min_length=2, max_length=2)]
+    min_saturation: Finite = 0.3
+    min_value: Finite = 0.3
+
+    def colour(self) -> Colour:
+        """Return the record; Inconsistent where a bound is out of range."""
+        return Colour(
+            hue_deg=(self.hue_deg[0], self.hue_deg[1]), min_saturation=self.min_saturation, min_value=self.min_value
+        )
+
+
+class LitModel(Origin):
+    """Lights: measured (spots_m), or three whose places nobody has measured (labels)."""
+
+    format: Literal["armsight/target"] = "armsight/target"
+    kind: Literal["spots"]
+    spots_m: Annotated[dict[SpotName, Vector3], Field(min_length=1, max_length=200)] | None = None
+    labels: list[str] | None = None
+    diameter_m: Positive | None = None
+    colour: Literal["red", "green", "blue"] | ColourModel | None = None
+
+
+class SquaresModel(Origin):
+    """A checkerboard; columns and rows count inner corners."""
+
+    format: Literal["armsight/target"] = "armsight/target"
+    kind: Literal["checkerboard"]
+    columns: Side
+    rows: Side
+    square_m: Positive
+
+
+class CharucoModel(Origin):
+    """A ChArUco board; columns and rows count squares."""
+
+    format: Literal["armsight/target"] = "armsight/target"
+    kind: Literal["charuco"]
+    columns: Side
+    rows: Side
+    square_m: Positive
+    marker_m: Positive
+    dictionary: str
+
+
+class CirclesModel(Origin):
+    """A grid of circles, straight or staggered."""
+
+    format: Literal["armsight/target"] = "armsight/target"
+    kind: Literal["circles", "acircles"]
+    columns: Side
+    rows: Side
+    pitch_m: Positive
+    diameter_m: Positive | None = None
+
+
+_MODELS: Mapping[str, type[LitModel | SquaresModel | CharucoModel | CirclesModel]] = {
+    "spots": LitModel,
+    "checkerboard": SquaresModel,
+    "charuco": CharucoModel,
+    "circles": CirclesModel,
+    "acircles": CirclesModel,
+}
+
+
+def target_from_mapping(content: Mapping[str, Any], where: str = "target") -> Target:
+    """Return the target that target.yaml's structure describes; BadFile, with the key, where it cannot be."""
+    kind = content.get("kind")
+    if not isinstance(kind, str) or kind not in _MODELS:
+        raise BadFile(
+            f"{where}: the key kind is {str(kind)[:40]!r}",
+            consequence="The file is not used",
+            cure=f"Choose one of {', '.join(_MODELS)}",
+        )
+    model = validated(_MODELS[kind], content, where)
+    with named(where):
+        if isinstance(model, LitModel):
+            return _lit(model, where)
+        if isinstance(model, SquaresModel):
+            return board_target(TargetKind.CHECKERBOARD, model.columns, model.rows, model.square_m)
+        if isinstance(model, CharucoModel):
+            _check_marker(model.square_m, model.marker_m, where)
+            return board_target(
+                TargetKind.CHARUCO,
+                model.columns,
+                model.rows,
+                model.square_m,
+                marker_m=model.marker_m,
+                dictionary=model.dictionary,
+            )
+        board = board_target(TargetKind(model.kind), model.columns, model.rows, model.pitch_m)
+        return replace(board, diameter_m=model.diameter_m)
+
+
+def _lit(model: LitModel, where: str) -> Target:
+    colour = COLOURS[model.colour] if isinstance(model.colour, str) else model.colour.colour() if model.colour else None
+    if (model.spots_m is None) == (model.labels is None):
+        raise BadFile(
+            f"{where}: a target of kind spots needs exactly one of spots_m and labels",
+            consequence="The file is not used",
+            cure="Give spots_m: {A: [x, y, z], ...} in metres, or labels: [A, B, C] for three lights whose places "
+            "nobody has measured",
+        )
+    if model.spots_m is not None:
+        spots = {name: (xyz[0], xyz[1], xyz[2]) for name, xyz in model.spots_m.items()}
+        if len(set(spots.values())) != len(spots):
+            raise BadFile(f"{where}: two spots of spots_m stand at the same place", consequence="The file is not used")
+        return spot_target(spots, diameter_m=model.diameter_m, colour=colour)
+    if model.labels != ["A", "B", "C"]:
+        raise BadFile(
+            f"{where}: labels are {model.labels}, not [A, B, C]",
+            consequence="Without measured places the target's frame cannot be made",
+            cure="An unmeasured target has three lights: A left, B lower right, C upper right as the camera sees them",
+        )
+    return unmeasured_target(diameter_m=model.diameter_m, colour=colour)
+
+
+def _check_marker(square_m: float, marker_m: float, where: str) -> None:
+    if not marker_m < square_m:
+        raise BadFile(
+            f"{where}: markers of {marker_m} m do not fit into squares of {square_m} m",
+            consequence="The board cannot be",
+            cure="Give the square's side first, then the marker's, both in metres",
+        )
+
+
+def target_mapping(target: Target) -> dict[str, Any]:
+    """Return the target as target.yaml's structure, without format, version and origin."""
+    out: dict[str, Any] = {"kind": target.kind.value}
+    if target.is_board:
+        squares = target.kind in (TargetKind.CHECKERBOARD, TargetKind.CHARUCO)
+        out |= {"columns": target.columns, "rows": target.rows, "square_m" if squares else "pitch_m": target.pitch_m}
+        if target.kind is TargetKind.CHARUCO:
+            out |= {"marker_m": target.marker_m, "dictionary": target.dictionary}
+        return out | {"diameter_m": target.diameter_m}
+    if target.model_known:
+        out["spots_m"] = dict(zip(target.names, target.xyz_m.tolist(), strict=True))
+    else:
+        out["labels"] = list(target.names)
+    out["diameter_m"] = target.diameter_m
+    out["colour"] = _colour_value(target.colour) if target.colour else None
+    return out
+
+
+def _colour_value(colour: Colour) -> str | dict[str, Any]:
+    content = {
+        "hue_deg": list(colour.hue_deg),
+        "min_saturation": colour.min_saturation,
+        "min_value": colour.min_value,
+    }
+    for name, known in COLOURS.items():
+        if (known.hue_deg, known.min_saturation, known.min_value) == (
+            colour.hue_deg,
+            colour.min_saturation,
+            colour.min_value,
+        ):
+            return name
+    return content
+
+
+def read_target(path: Path) -> Target:
+    """Return the target in a target.yaml; BadFile where it is none."""
+    return target_from_mapping(read_document(path, TARGET_FORMAT), str(path))
+
+
+def write_target(path: Path, target: Target, *, inputs: Sequence[Path] = ()) -> None:
+    """Write target.yaml with the hashes of the files it was made from."""
+    write_document(path, TARGET_FORMAT, target_mapping(target), inputs)
+
+
+def parse_board(text: str) -> Target:
+    """Return the board that one of BOARD_FORMS describes; UsageError, with the forms, where none does."""
+    kind, _, rest = text.partition(":")
+    if kind not in ("checkerboard", "circles", "acircles", "charuco"):
+        raise _wrong_board(text, f"no kind of board is called {kind!r}")
+    parts = rest.split(":")
+    wanted = 4 if kind == "charuco" else 2
+    if len(parts) != wanted:
+        raise _wrong_board(text, f"{kind} takes {wanted} parts after its name, not {len(parts) if rest else 0}")
+    size = re.fullmatch(r"([0-9]{1,4})[xX]([0-9]{1,4})", parts[0])
+    if size is None or not all(2 <= int(n) <= MAX_BOARD for n in size.groups()):
+        raise _wrong_board(text, f"the size {parts[0]!r} is not COLUMNSxROWS with 2 to {MAX_BOARD} each")
+    columns, rows = (int(n) for n in size.groups())
+    pitch_m = _length_m(text, parts[1])
+    if kind != "charuco":
+        return board_target(TargetKind(kind), columns, rows, pitch_m)
+    marker_m = _length_m(text, parts[2])
+    if not marker_m < pitch_m:
+        raise _wrong_board(text, f"markers of {marker_m} m do not fit into squares of {pitch_m} m")
+    if not re.fullmatch(r"[A-Za-z0-9_]{1,40}", parts[3]):
+        raise _wrong_board(text, f"{parts[3]!r} is not the name of a dictionary such as DICT_4X4_50")
+    return board_target(TargetKind.CHARUCO, columns, rows, pitch_m, marker_m=marker_m, dictionary=parts[3])
+
+
+def board_text(board: Target) -> str:
+    """Return a board in the form parse_board reads."""
+    text = f"{board.kind.value}:{board.columns}x{board.rows}:{board.pitch_m!r}"
+    return f"{text}:{board.marker_m!r}:{board.dictionary}" if board.kind is TargetKind.CHARUCO else text
+
+
+def _length_m(text: str, part: str) -> float:
+    if not re.fullmatch(r"[0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]{1,2})?", part) or not 0.0 < float(part) < 10.0:
+        raise _wrong_board(text, f"{part!r} is not a length in metres between 0 and 10")
+    return float(part)
+
+
+def _wrong_board(text: str, reason: str) -> UsageError:
+    return UsageError(
+        f"the board {text[:80]!r} is not understood: {reason}",
+        consequence="Nothing was done",
+        cure=f"Write {BOARD_FORMS}",
+    )

@@ -1,0 +1,281 @@
+"""poses.csv, points.csv, spots.csv, joints.csv, times.csv and TUM."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from armsight.clock import Clock
+from armsight.errors import BadFile, Inconsistent
+from armsight.geometry import pose_from_quat, xyz_quat
+from armsight.records import Motion, Points, PoseStatus, Spots, TargetPose
+from armsight.store.atomic import RowFile, read_bytes, write_text
+from armsight.store.schema import named
+from armsight.store.tables import MAX_BYTES, Array, Table, cells, number, parse_table, read_table
+
+POSITION = ("x_m", "y_m", "z_m")
+QUATERNION = ("qx", "qy", "qz", "qw")
+DEVIATIONS = ("sx_m", "sy_m", "sz_m", "srx_rad", "sry_rad", "srz_rad")
+POSE_COLUMNS = ("t_s", *POSITION, *QUATERNION, *DEVIATIONS, "status", "spots")
+POINT_COLUMNS = ("t_s", "spot", "x_m", "y_m", "z_m", "sx_m", "sy_m", "sz_m")
+SPOT_COLUMNS = ("t_s", "camera", "spot", "u_px", "v_px", "su_px", "sv_px")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PoseTrack:
+    """Poses without uncertainty: t_s (n,), pose a stack of n."""
+
+    t_s: NDArray[np.float64]
+    pose: RigidTransform
+
+
+class _Writer:
+    """A RowFile with a header of its own, usable as a context manager."""
+
+    columns: tuple[str, ...]
+
+    def __init__(self, path: Path, *, clock: Clock | None = None) -> None:
+        self._rows = RowFile(path, ",".join(self.columns), clock=clock)
+
+    def flush(self) -> None:
+        """Give the waiting rows to the system."""
+        self._rows.flush()
+
+    def close(self) -> None:
+        """Write what waits and close."""
+        self._rows.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._rows.close()
+
+
+class PosesWriter(_Writer):
+    """poses.csv, row by row: an interrupted run leaves what was measured."""
+
+    columns = POSE_COLUMNS
+
+    def write(self, pose: TargetPose) -> None:
+        """Add one pose."""
+        self._rows.add(pose_row(pose))
+
+
+class PointsWriter(_Writer):
+    """points.csv, row by row."""
+
+    columns = POINT_COLUMNS
+
+    def write(self, t_s: float, points: Points) -> None:
+        """Add the points of one moment, in rig axes."""
+        if not len(points):
+            return
+        deviation = np.sqrt(np.diagonal(points.covariance_m2, axis1=1, axis2=2))  # (n, 3)
+        for name, xyz, std in zip(points.names, points.xyz_m.tolist(), deviation.tolist(), strict=True):
+            self._rows.add(f"{number(t_s)},{name},{cells(xyz)},{cells(std)}")
+
+
+class SpotsWriter(_Writer):
+    """spots.csv, row by row."""
+
+    columns = SPOT_COLUMNS
+
+    def write(self, t_s: float, camera: str, names: Sequence[str], spots: Spots) -> None:
+        """Add the spots of one image, named in their order; camera is 'left' or 'right'."""
+        if not len(spots):
+            return
+        deviation = np.sqrt(np.diagonal(spots.covariance_px2, axis1=1, axis2=2))  # (n, 2)
+        for name, uv, std in zip(names, spots.uv_px.tolist(), deviation.tolist(), strict=True):
+            self._rows.add(f"{number(t_s)},{camera},{name},{cells(uv)},{cells(std)}")
+
+
+def pose_row(pose: TargetPose) -> str:
+    """Return one row of poses.csv: cells that mean nothing are empty, spots are separated by spaces.
+
+    ok: all cells. position_only: no quaternion, no srx..srz. lost: only t_s, status, spots.
+    """
+    values = [np.nan] * 13
+    if pose.pose is not None and pose.covariance is not None:
+        xyz, quat = xyz_quat(pose.pose)
+        values[:3] = xyz.tolist()
+        deviation = np.sqrt(np.diag(pose.covariance)).tolist()
+        values[7 : 7 + len(deviation)] = deviation
+        if pose.status is PoseStatus.OK:
+            values[3:7] = quat.tolist()
+    return f"{number(pose.t_s)},{cells(values)},{pose.status.value},{' '.join(pose.spots)}"
+
+
+def write_poses(path: Path, poses: Iterable[TargetPose]) -> None:
+    """Write poses.csv in one step."""
+    write_text(path, "\n".join([",".join(POSE_COLUMNS), *(pose_row(pose) for pose in poses)]) + "\n")
+
+
+def read_poses(path: Path, *, parent: str = "rig") -> tuple[TargetPose, ...]:
+    """Return the poses in a poses.csv, in the frame parent; see parse_poses."""
+    return parse_poses(read_bytes(path, limit=MAX_BYTES), str(path), parent=parent)
+
+
+def parse_poses(data: bytes, where: str, *, parent: str = "rig") -> tuple[TargetPose, ...]:
+    """Return the poses in the bytes of a poses.csv, in the frame parent.
+
+    The file holds standard deviations only: the covariances come back diagonal, and zero where the deviations'
+    cells or columns are empty. The columns from sx_m on may be missing (status is then ok). Raises BadFile that
+    names file, line and column.
+    """
+    table = parse_table(
+        data,
+        where,
+        POSE_COLUMNS[:8],
+        optional=POSE_COLUMNS[8:],
+        text=("status", "spots"),
+        blank=POSE_COLUMNS[1:14],
+    )
+    return tuple(_pose(table, row, parent) for row in range(len(table)))
+
+
+def _pose(table: Table, row: int, parent: str) -> TargetPose:
+    word = table.text["status"][row] if "status" in table.text else "ok"
+    try:
+        status = PoseStatus(word)
+    except ValueError:
+        raise BadFile(
+            f"{table.place(row)}, column status: {word[:40]!r}",
+            consequence="The file is not used",
+            cure=f"Write one of {', '.join(PoseStatus)}",
+        ) from None
+    spots = tuple(table.text["spots"][row].split()) if "spots" in table.text else ()
+    t_s = float(table.numbers["t_s"][row])
+    if status is PoseStatus.LOST:
+        return TargetPose(t_s=t_s, status=status, parent=parent, spots=spots)
+    size = 6 if status is PoseStatus.OK else 3
+    xyz = _full(table, row, POSITION)
+    quat = _full(table, row, QUATERNION) if status is PoseStatus.OK else np.array([0.0, 0.0, 0.0, 1.0])
+    deviation = np.array([table.numbers[name][row] if name in table.numbers else np.nan for name in DEVIATIONS[:size]])
+    with named(table.place(row)):
+        if (deviation < 0.0).any():
+            raise Inconsistent("a standard deviation is negative")
+        return TargetPose(
+            t_s=t_s,
+            status=status,
+            parent=parent,
+            spots=spots,
+            pose=pose_from_quat(xyz, quat),
+            covariance=np.diag(np.where(np.isnan(deviation), 0.0, deviation) ** 2),
+        )
+
+
+def _full(table: Table, row: int, names: Sequence[str]) -> Array:
+    """Return the cells of one row, none of which may be empty."""
+    values = np.array([table.numbers[name][row] for name in names])
+    for name, value in zip(names, values, strict=True):
+        if np.isnan(value):
+            raise BadFile(
+                f"{table.place(row)}, column {name}: empty, though the status is not lost",
+                consequence="The file is not used",
+                cure="Fill the cell, or set the status to lost",
+            )
+    return values
+
+
+def read_joints(path: Path) -> Motion:
+    """Return the joint values in a joints.csv (t_s, q1, ..., qn; rad, m); BadFile that names line and column."""
+    return parse_joints(read_bytes(path, limit=MAX_BYTES), str(path))
+
+
+def parse_joints(data: bytes, where: str) -> Motion:
+    """Return the joint values in the bytes of a joints.csv; see read_joints."""
+    table = parse_table(data, where, ("t_s", "q1"), series="q")
+    with named(where):
+        return Motion(t_s=table.numbers["t_s"], q=table.stacked(table.series("q")))
+
+
+def write_joints(path: Path, motion: Motion) -> None:
+    """Write joints.csv in one step."""
+    header = ",".join(["t_s", *(f"q{i + 1}" for i in range(motion.q.shape[1]))])
+    rows = (f"{number(t)},{cells(q)}" for t, q in zip(motion.t_s, motion.q, strict=True))
+    write_text(path, "\n".join([header, *rows]) + "\n")
+
+
+def read_times(path: Path) -> Array:
+    """Return the frames' times (n,) in s from a times.csv (column t_s, increasing, one row per frame)."""
+    return parse_times(read_bytes(path, limit=MAX_BYTES), str(path))
+
+
+def parse_times(data: bytes, where: str) -> Array:
+    """Return the times in the bytes of a times.csv; see read_times."""
+    table = parse_table(data, where, ("t_s",), optional=("frame",))
+    t_s = table.numbers["t_s"]
+    late = np.flatnonzero(np.diff(t_s) <= 0.0)
+    if late.size:
+        raise BadFile(
+            f"{table.place(int(late[0]) + 1)}, column t_s: the time does not increase",
+            consequence="The frames have no order",
+            cure="Give one row per frame, in the order of the frames",
+        )
+    return t_s
+
+
+def read_points(path: Path) -> Table:
+    """Return the table in a points.csv."""
+    return read_table(path, POINT_COLUMNS, text=("spot",), need_rows=False)
+
+
+def read_spots(path: Path) -> Table:
+    """Return the table in a spots.csv."""
+    return read_table(path, SPOT_COLUMNS, text=("spot", "camera"), need_rows=False)
+
+
+def write_tum(path: Path, poses: Iterable[TargetPose]) -> int:
+    """Write the poses of status ok as TUM (t x y z qx qy qz qw, for evo); return how many there were."""
+    rows = []
+    for pose in poses:
+        if pose.status is PoseStatus.OK and pose.pose is not None:
+            xyz, quat = xyz_quat(pose.pose)
+            rows.append(" ".join(number(value) for value in (pose.t_s, *xyz, *quat)))
+    write_text(path, "\n".join(["# t_s x_m y_m z_m qx qy qz qw", *rows]) + "\n")
+    return len(rows)
+
+
+def read_tum(path: Path) -> PoseTrack:
+    """Return the track in a TUM file; BadFile that names the line."""
+    return parse_tum(read_bytes(path, limit=MAX_BYTES), str(path))
+
+
+def parse_tum(data: bytes, where: str) -> PoseTrack:
+    """Return the track in the bytes of a TUM file; see read_tum."""
+    try:
+        lines = data.decode("utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        raise BadFile(f"{where}: byte {error.start} is not UTF-8 text", consequence="It cannot be read") from error
+    t_s, poses = [], []
+    for i, line in enumerate(lines, 1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        place = f"{where}, line {i}"
+        parts = line.replace(",", " ").split()
+        try:
+            values = [float(part) for part in parts]
+        except ValueError:
+            values = []
+        if len(values) != 8 or not np.isfinite(values).all():
+            raise BadFile(
+                f"{place}: not eight finite numbers t x y z qx qy qz qw",
+                consequence="The file is not used",
+                cure="Correct the line or remove it",
+            )
+        with named(place):
+            poses.append(pose_from_quat(values[1:4], values[4:]))
+        t_s.append(values[0])
+    if not poses:
+        raise BadFile(f"{where}: holds no pose", consequence="There is nothing to do", cure="Check the file")
+    return PoseTrack(t_s=np.array(t_s), pose=RigidTransform.concatenate(poses))
