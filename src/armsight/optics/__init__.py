@@ -1,6 +1,41 @@
 """Pixel <-> ray: cameras, rigs, triangulation."""
 
 from armsight.optics.camera import INTRINSICS, Camera
+from armsight.optics.epipolar import epipolar_chi2, epipolar_distance, fundamental_matrix
+from armsight.optics.packed import PackedRig
+from armsight.optics.parallelism import RIG_PARAMETERS, RIGHT_POSE, Parallelism, moved_rig, parallelism
+from armsight.optics.resolution import Resolution, mean_axes, resolution
 from armsight.optics.rig import SIDES, Rig, RigKind
+from armsight.optics.rigs import converged_rig, look_at, parallel_rig
+from armsight.optics.rotary import RotaryBase, rig_on_base, rotary_from_mount
+from armsight.optics.triangulate import Triangulation, Verdict, triangulate, triangulate_closed
 
-__all__ = ["INTRINSICS", "SIDES", "Camera", "Rig", "RigKind"]
+__all__ = [
+    "INTRINSICS",
+    "RIGHT_POSE",
+    "RIG_PARAMETERS",
+    "SIDES",
+    "Camera",
+    "PackedRig",
+    "Parallelism",
+    "Resolution",
+    "Rig",
+    "RigKind",
+    "RotaryBase",
+    "Triangulation",
+    "Verdict",
+    "converged_rig",
+    "epipolar_chi2",
+    "epipolar_distance",
+    "fundamental_matrix",
+    "look_at",
+    "mean_axes",
+    "moved_rig",
+    "parallel_rig",
+    "parallelism",
+    "resolution",
+    "rig_on_base",
+    "rotary_from_mount",
+    "triangulate",
+    "triangulate_closed",
+]

@@ -8,6 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from armsight.fitting.kernels import invert_spd, solve_damped
+
 UNDISTORT_STEPS = 30
 UNDISTORT_TOLERANCE = 1e-13
 
@@ -143,3 +145,266 @@ def undistort_many(k, uv, xy):
         if not undistort_point(k, uv[i, 0], uv[i, 1], xy[i], J):
             xy[i, 0] = np.nan
             xy[i, 1] = np.nan
+
+
+@njit(cache=True)
+def see_point(k, R, t, X, uv, J):
+    """Fill uv (2,) and J (2, 3) = d uv / d X for a point X (3,) in rig axes, p_camera = R X + t; False behind it."""
+    x = R[0, 0] * X[0] + R[0, 1] * X[1] + R[0, 2] * X[2] + t[0]
+    y = R[1, 0] * X[0] + R[1, 1] * X[1] + R[1, 2] * X[2] + t[1]
+    z = R[2, 0] * X[0] + R[2, 1] * X[1] + R[2, 2] * X[2] + t[2]
+    if not project_point(k, x, y, z, uv, J):
+        return False
+    for i in range(2):
+        a, b, c = J[i, 0], J[i, 1], J[i, 2]
+        for j in range(3):
+            J[i, j] = a * R[0, j] + b * R[1, j] + c * R[2, j]
+    return True
+
+
+@njit(cache=True)
+def rays_in_rig(k, R, uv, d, D, ok):
+    """Fill rays d (n, 3) in rig axes of pixels uv (n, 2), D (n, 3, 2) = d ray / d pixel, ok (n,) where there is one.
+
+    The rays have unit depth in the camera, not unit length.
+    """
+    xy = np.empty(2)
+    J = np.empty((2, 2))
+    for i in range(uv.shape[0]):
+        ok[i] = undistort_point(k, uv[i, 0], uv[i, 1], xy, J)
+        if not ok[i]:
+            d[i] = np.nan
+            D[i] = np.nan
+            continue
+        for r in range(3):  # R is camera from rig: its transpose carries the ray into the rig's axes
+            d[i, r] = R[0, r] * xy[0] + R[1, r] * xy[1] + R[2, r]
+            for c in range(2):
+                D[i, r, c] = R[0, r] * J[0, c] + R[1, r] * J[1, c]
+
+
+@njit(cache=True)
+def epipolar_residual(d_left, D_left, d_right, D_right, baseline, g_left, g_right):
+    """Return baseline . (d_left x d_right) of one pair of rays and fill its gradients (2,) by the two pixels."""
+    a = d_right[1] * baseline[2] - d_right[2] * baseline[1]  # d e / d d_left = d_right x baseline
+    b = d_right[2] * baseline[0] - d_right[0] * baseline[2]
+    c = d_right[0] * baseline[1] - d_right[1] * baseline[0]
+    e = d_left[0] * a + d_left[1] * b + d_left[2] * c
+    p = baseline[1] * d_left[2] - baseline[2] * d_left[1]  # d e / d d_right = baseline x d_left
+    q = baseline[2] * d_left[0] - baseline[0] * d_left[2]
+    r = baseline[0] * d_left[1] - baseline[1] * d_left[0]
+    for j in range(2):
+        g_left[j] = a * D_left[0, j] + b * D_left[1, j] + c * D_left[2, j]
+        g_right[j] = p * D_right[0, j] + q * D_right[1, j] + r * D_right[2, j]
+    return e
+
+
+@njit(cache=True)
+def quadratic_form_2(S, g):
+    """Return g' S g for S (2, 2), g (2,)."""
+    return g[0] * (S[0, 0] * g[0] + S[0, 1] * g[1]) + g[1] * (S[1, 0] * g[0] + S[1, 1] * g[1])
+
+
+@njit(cache=True)
+def epipolar_rows(d_left, D_left, d_right, D_right, baseline, out):
+    """Fill out (n, 2): signed distance in px of each left pixel from its partner's line, and of each right one."""
+    g_left = np.empty(2)
+    g_right = np.empty(2)
+    for i in range(out.shape[0]):
+        e = epipolar_residual(d_left[i], D_left[i], d_right[i], D_right[i], baseline, g_left, g_right)
+        out[i, 0] = e / np.hypot(g_left[0], g_left[1])
+        out[i, 1] = e / np.hypot(g_right[0], g_right[1])
+
+
+@njit(cache=True)
+def epipolar_matrix(d_left, D_left, cov_left, d_right, D_right, cov_right, baseline, chi2):
+    """Fill chi2 (n, m): whitened squared epipolar distance of every left spot to every right one; NaN without ray."""
+    g_left = np.empty(2)
+    g_right = np.empty(2)
+    for i in range(chi2.shape[0]):
+        for j in range(chi2.shape[1]):
+            e = epipolar_residual(d_left[i], D_left[i], d_right[j], D_right[j], baseline, g_left, g_right)
+            variance = quadratic_form_2(cov_left[i], g_left) + quadratic_form_2(cov_right[j], g_right)
+            chi2[i, j] = e * e / variance
+
+
+# What became of a pair of pixels; armsight.optics.triangulate.Verdict gives the names.
+FOUND, NO_RAY, PARALLEL, BEHIND = 0, 1, 2, 3
+
+PARALLEL_SINE = 1e-9
+"""Rays closer to parallel than this (1e-9 rad) meet only in the rounding."""
+
+DEPTH_DEVIATION = 1.0 / 3.0
+"""A distance that is less than 3 standard deviations from infinite is not one: its covariance means nothing."""
+
+TRIANGULATE_STEPS = 30
+SETTLED = 1e-16  # relative fall of the cost
+
+
+@njit(cache=True)
+def _undetermined(X, S, centre):
+    """Tell whether the deviation along the sight line exceeds DEPTH_DEVIATION of the distance."""
+    s2 = 0.0
+    n2 = 0.0
+    for i in range(3):
+        for j in range(3):
+            s2 += (X[i] - centre[i]) * S[i, j] * (X[j] - centre[j])
+        n2 += (X[i] - centre[i]) ** 2
+    return not s2 <= DEPTH_DEVIATION * DEPTH_DEVIATION * n2 * n2
+
+
+@njit(cache=True)
+def centre_of(R, t, c):
+    """Fill c (3,) with the centre of projection -R' t in rig axes."""
+    for i in range(3):
+        c[i] = -(R[0, i] * t[0] + R[1, i] * t[1] + R[2, i] * t[2])
+
+
+@njit(cache=True)
+def triangulate_linear_point(k, R, t, uv, cov, X, S):
+    """Fill X (3,), S (3, 3) from the pixels uv (2, 2) of both sides with cov (2, 2, 2); return the verdict.
+
+    Linear least squares of x (r3 X + t3) = r1 X + t1 and the same in y, in normalised coordinates of both views.
+    """
+    A = np.empty((4, 3))
+    b = np.empty(4)
+    N = np.zeros((2, 2, 2))  # covariance of the normalised rays
+    xy = np.empty(2)
+    J = np.empty((2, 2))
+    rays = np.empty((2, 3))
+    for s in range(2):
+        if not undistort_point(k[s], uv[s, 0], uv[s, 1], xy, J):
+            return NO_RAY
+        for c in range(2):
+            for j in range(3):
+                A[2 * s + c, j] = R[s, c, j] - xy[c] * R[s, 2, j]
+            b[2 * s + c] = xy[c] * t[s, 2] - t[s, c]
+            for e in range(2):
+                for f in range(2):
+                    for h in range(2):
+                        N[s, c, e] += J[c, f] * cov[s, f, h] * J[e, h]
+        for j in range(3):
+            rays[s, j] = R[s, 0, j] * xy[0] + R[s, 1, j] * xy[1] + R[s, 2, j]
+    cross = np.cross(rays[0], rays[1])
+    if not np.dot(cross, cross) > PARALLEL_SINE**2 * np.dot(rays[0], rays[0]) * np.dot(rays[1], rays[1]):
+        return PARALLEL
+    H = A.T @ A
+    P = np.empty((3, 3))
+    if not (solve_damped(H, -(A.T @ b), 0.0, X) and invert_spd(H, P)):
+        return PARALLEL
+    M = P @ A.T  # (3, 4)
+    S[:] = 0.0
+    behind = False
+    for s in range(2):
+        z = R[s, 2, 0] * X[0] + R[s, 2, 1] * X[1] + R[s, 2, 2] * X[2] + t[s, 2]
+        behind |= not z > 0.0
+        for i in range(3):
+            for j in range(3):
+                for c in range(2):
+                    for e in range(2):
+                        S[i, j] += z * z * M[i, 2 * s + c] * N[s, c, e] * M[j, 2 * s + e]
+    centre = np.empty(3)
+    centre_of(R[0], t[0], centre)
+    if _undetermined(X, S, centre):
+        return PARALLEL
+    return BEHIND if behind else FOUND
+
+
+@njit(cache=True)
+def _point_normal(k, R, t, uv, W, X, H, g):
+    """Fill H (3, 3) and g (3,) of the whitened reprojection of X; return the squared sum, infinite behind a camera."""
+    H[:] = 0.0
+    g[:] = 0.0
+    p = np.empty(2)
+    J = np.empty((2, 3))
+    cost = 0.0
+    for s in range(2):
+        if not see_point(k[s], R[s], t[s], X, p, J):
+            return np.inf
+        rx = p[0] - uv[s, 0]
+        ry = p[1] - uv[s, 1]
+        wx = W[s, 0, 0] * rx + W[s, 0, 1] * ry
+        wy = W[s, 1, 0] * rx + W[s, 1, 1] * ry
+        cost += rx * wx + ry * wy
+        for i in range(3):
+            a = W[s, 0, 0] * J[0, i] + W[s, 0, 1] * J[1, i]
+            b = W[s, 1, 0] * J[0, i] + W[s, 1, 1] * J[1, i]
+            g[i] += J[0, i] * wx + J[1, i] * wy
+            for j in range(3):
+                H[i, j] += a * J[0, j] + b * J[1, j]
+    return cost
+
+
+@njit(cache=True)
+def invert_2(S, out):
+    """Fill out (2, 2) with the inverse of the symmetric positive S; False where it is not positive."""
+    det = S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0]
+    if not (det > 0.0 and S[0, 0] > 0.0):
+        return False
+    out[0, 0] = S[1, 1] / det
+    out[1, 1] = S[0, 0] / det
+    out[0, 1] = -S[0, 1] / det
+    out[1, 0] = -S[1, 0] / det
+    return True
+
+
+@njit(cache=True)
+def triangulate_ml_point(k, R, t, uv, cov, X, S):
+    """Fill X (3,), S (3, 3) at the least whitened reprojection error; return (verdict, chi-square, 1 dof)."""
+    verdict = triangulate_linear_point(k, R, t, uv, cov, X, S)
+    if verdict != FOUND:
+        return verdict, np.nan
+    W = np.empty((2, 2, 2))
+    if not (invert_2(cov[0], W[0]) and invert_2(cov[1], W[1])):
+        return NO_RAY, np.nan
+    H = np.empty((3, 3))
+    g = np.empty(3)
+    H2 = np.empty((3, 3))
+    g2 = np.empty(3)
+    step = np.empty(3)
+    cost = _point_normal(k, R, t, uv, W, X, H, g)
+    damping = 0.0
+    for _ in range(TRIANGULATE_STEPS):
+        if not solve_damped(H, g, damping, step):
+            return PARALLEL, np.nan
+        trial = X + step
+        new = _point_normal(k, R, t, uv, W, trial, H2, g2)
+        if new <= cost:
+            settled = cost - new <= SETTLED + 1e-12 * cost
+            X[:] = trial
+            cost = new
+            H, H2 = H2, H
+            g, g2 = g2, g
+            damping *= 0.1
+            if settled:
+                break
+        else:
+            if abs(np.dot(step, g)) <= SETTLED + 1e-12 * cost:  # the promised fall is rounding
+                break
+            damping = max(10.0 * damping, 1e-4)
+    centre = np.empty(3)
+    centre_of(R[0], t[0], centre)
+    if not invert_spd(H, S) or _undetermined(X, S, centre):
+        return PARALLEL, np.nan
+    return FOUND, cost
+
+
+@njit(cache=True)
+def triangulate_rows(k, R, t, uv, cov, likeliest, X, S, chi2, verdict):
+    """Triangulate uv (n, 2, 2) [point, side] with cov (n, 2, 2, 2) into X (n, 3), S (n, 3, 3); NaN where refused.
+
+    likeliest: by maximum likelihood; else the linear closed form.
+    """
+    W = np.empty((2, 2, 2))
+    H = np.empty((3, 3))
+    g = np.empty(3)
+    for i in range(uv.shape[0]):
+        if likeliest:
+            verdict[i], chi2[i] = triangulate_ml_point(k, R, t, uv[i], cov[i], X[i], S[i])
+        else:
+            verdict[i] = triangulate_linear_point(k, R, t, uv[i], cov[i], X[i], S[i])
+            if verdict[i] == FOUND and invert_2(cov[i, 0], W[0]) and invert_2(cov[i, 1], W[1]):
+                chi2[i] = _point_normal(k, R, t, uv[i], W, X[i], H, g)
+        if verdict[i] != FOUND:
+            X[i] = np.nan
+            S[i] = np.nan
+            chi2[i] = np.nan

@@ -1,0 +1,56 @@
+"""How far a pair of pixels is from lying in one plane with the baseline."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armsight.geometry.poses import cross_matrix
+from armsight.optics import kernels
+from armsight.optics.packed import PackedRig
+from armsight.optics.rig import Rig
+
+Array = NDArray[np.float64]
+
+
+def fundamental_matrix(rig: Rig) -> Array:
+    """Return F (3, 3), of unit norm, with (u, v, 1)_right F (u, v, 1)_left = 0 for undistorted pixels."""
+    T_right_left = rig.T_rig_right.inv() * rig.T_rig_left
+    E = cross_matrix(T_right_left.translation) @ T_right_left.rotation.as_matrix()  # (3, 3) essential
+    F = np.linalg.inv(rig.right.matrix).T @ E @ np.linalg.inv(rig.left.matrix)
+    return np.asarray(F / np.linalg.norm(F))
+
+
+def epipolar_distance(rig: Rig, left_px: ArrayLike, right_px: ArrayLike) -> Array:
+    """Return (n, 2): signed distance in px of each left pixel from its partner's line, and of each right pixel.
+
+    left_px, right_px: (n, 2) as seen, with distortion; the line is the tangent of the epipolar curve at the
+    pixel. NaN where a pixel has no ray. For a parallel pair both are the difference of the rows.
+    """
+    packed = PackedRig.of(rig)
+    rays = [_rays(packed, side, px) for side, px in enumerate((left_px, right_px))]
+    out = np.full((len(rays[0][0]), 2), np.nan)
+    kernels.epipolar_rows(*rays[0], *rays[1], packed.baseline, out)
+    return out
+
+
+def epipolar_chi2(
+    packed: PackedRig, left_px: Array, cov_left_px2: Array, right_px: Array, cov_right_px2: Array
+) -> Array:
+    """Return (n, m): squared epipolar distance of every left spot to every right one, whitened (1 degree of freedom).
+
+    left_px (n, 2) with cov_left_px2 (n, 2, 2); right_px (m, 2) with cov_right_px2 (m, 2, 2). NaN without a ray.
+    """
+    d_left, D_left = _rays(packed, 0, left_px)
+    d_right, D_right = _rays(packed, 1, right_px)
+    chi2 = np.empty((len(d_left), len(d_right)))
+    kernels.epipolar_matrix(d_left, D_left, cov_left_px2, d_right, D_right, cov_right_px2, packed.baseline, chi2)
+    return chi2
+
+
+def _rays(packed: PackedRig, side: int, px: ArrayLike) -> tuple[Array, Array]:
+    """Return the rays (n, 3) and their derivatives (n, 3, 2) by the pixels of one side."""
+    uv = np.ascontiguousarray(np.atleast_2d(np.asarray(px, float)))
+    d, D, ok = np.empty((len(uv), 3)), np.empty((len(uv), 3, 2)), np.empty(len(uv), np.bool_)
+    kernels.rays_in_rig(packed.k[side], packed.R[side], uv, d, D, ok)
+    return d, D

@@ -1,0 +1,37 @@
+"""A rig as plain arrays, the form in which the compiled code takes it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.optics.rig import SIDES, Rig
+from armsight.records import frozen_array
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PackedRig:
+    """Intrinsics k (2, 10), R (2, 3, 3) and t (2, 3) with p_camera = R p_rig + t, baseline (3,) left to right in m.
+
+    First index: left, right.
+    """
+
+    k: Array
+    R: Array
+    t: Array
+    baseline: Array
+
+    @classmethod
+    def of(cls, rig: Rig) -> PackedRig:
+        """Pack a rig; do it once per rig, not once per frame."""
+        poses = [rig.T_rig_camera(side).inv() for side in SIDES]
+        return cls(
+            k=frozen_array("k", [rig.camera(side).intrinsics for side in SIDES], (2, 10)),
+            R=frozen_array("R", [pose.rotation.as_matrix() for pose in poses], (2, 3, 3)),
+            t=frozen_array("t", [pose.translation for pose in poses], (2, 3)),
+            baseline=frozen_array("baseline", rig.T_rig_right.translation - rig.T_rig_left.translation, (3,)),
+        )
