@@ -1,0 +1,296 @@
+"""Compiled parts of the renderer: lens, spread functions, noise, board.
+
+A lens travels as one vector p (10,): fx, fy, cx, cy, skew (px), then k1, k2, p1, p2, k3. Light is float32
+(h, w, c) in grey levels, c = 1 (grey) or 3 (BGR); the centre of the top-left pixel is (0, 0).
+"""
+
+from __future__ import annotations
+
+from math import erf, exp, floor, isfinite, pi, sqrt
+
+import numpy as np
+from numba import njit
+
+REACH_SIGMA = 5.5
+"""The spread function is drawn this many sigma (and a pixel) far: less than 1e-7 of its flux lies outside."""
+
+
+@njit(cache=True)
+def bend(p, x, y):
+    """Return the distorted image (xd, yd) of the ray (x, y, 1): Brown's radial series and decentring terms."""
+    rr = x * x + y * y
+    stretch = 1.0 + p[5] * rr + p[6] * rr * rr + p[9] * rr * rr * rr
+    decentre = 2.0 * (p[7] * y + p[8] * x)  # both decentring terms share 2 (p1 y + p2 x) along the ray
+    return x * (stretch + decentre) + p[8] * rr, y * (stretch + decentre) + p[7] * rr
+
+
+@njit(cache=True)
+def see_points(p, X, uv):
+    """Fill uv (n, 2) with the pixels of points X (n, 3) in camera axes; NaN for points not in front."""
+    for i in range(X.shape[0]):
+        if X[i, 2] > 0.0:
+            xd, yd = bend(p, X[i, 0] / X[i, 2], X[i, 1] / X[i, 2])
+            uv[i, 0] = p[0] * xd + p[4] * yd + p[2]
+            uv[i, 1] = p[1] * yd + p[3]
+        else:
+            uv[i, 0] = np.nan
+            uv[i, 1] = np.nan
+
+
+@njit(cache=True)
+def trace_rays(p, uv, rays):
+    """Fill rays (n, 2) with (x, y) of the ray (x, y, 1) behind each pixel uv (n, 2); NaN where none is found.
+
+    Newton on bend() with its slope by central differences, damped by nothing: lenses that fold inside their
+    own image are not simulated.
+    """
+    h = 1e-6
+    for i in range(uv.shape[0]):
+        yd = (uv[i, 1] - p[3]) / p[1]
+        xd = (uv[i, 0] - p[2] - p[4] * yd) / p[0]
+        x, y = xd, yd
+        error = 1.0
+        for _ in range(20):
+            fx, fy = bend(p, x, y)
+            ex, ey = xd - fx, yd - fy
+            error = abs(ex) + abs(ey)
+            if error < 1e-14:
+                break
+            ax, ay = bend(p, x + h, y)
+            bx, by = bend(p, x - h, y)
+            cx, cy = bend(p, x, y + h)
+            dx, dy = bend(p, x, y - h)
+            xx, yx = (ax - bx) / (2.0 * h), (ay - by) / (2.0 * h)
+            xy, yy = (cx - dx) / (2.0 * h), (cy - dy) / (2.0 * h)
+            det = xx * yy - xy * yx
+            x += (yy * ex - xy * ey) / det
+            y += (xx * ey - yx * ex) / det
+        rays[i, 0] = x if error < 1e-9 else np.nan
+        rays[i, 1] = y if error < 1e-9 else np.nan
+
+
+@njit(cache=True)
+def _gauss_step(t, sigma):
+    """Return the integral of the unit Gaussian from minus infinity to t."""
+    return 0.5 * (1.0 + erf(t / (sigma * sqrt(2.0))))
+
+
+@njit(cache=True)
+def _gauss_ramp(t, sigma):
+    """Return the integral of _gauss_step from minus infinity to t."""
+    return t * _gauss_step(t, sigma) + sigma * exp(-0.5 * (t / sigma) ** 2) / sqrt(2.0 * pi)
+
+
+@njit(cache=True)
+def _span(low, high, size):
+    """Return the first pixel and one past the last that touch [low, high] in an image of size pixels."""
+    return int(min(max(np.floor(low), 0.0), size)), int(min(max(np.ceil(high) + 1.0, 0.0), size))
+
+
+@njit(cache=True)
+def _fill_steps(out, first, last, centre, sigma, factor):
+    """Fill out[:last-first] with factor times the share of a Gaussian that falls on each of the pixels."""
+    before = _gauss_step(first - 0.5 - centre, sigma)
+    for i in range(first, last):
+        after = _gauss_step(i + 0.5 - centre, sigma)
+        out[i - first] = factor * (after - before)
+        before = after
+
+
+@njit(cache=True)
+def _fill_ramps(out, first, last, centre, sigma):
+    """Fill out[:last-first] with the mean over each of the pixels of the Gaussian's integral from the left."""
+    before = _gauss_ramp(first - 0.5 - centre, sigma)
+    for i in range(first, last):
+        after = _gauss_ramp(i + 0.5 - centre, sigma)
+        out[i - first] = after - before
+        before = after
+
+
+@njit(cache=True)
+def add_gaussians(light, uv, weight, sigma, bgr):
+    """Add to light (h, w, c) a Gaussian at each uv (n, 2), integrated over every pixel.
+
+    weight: (n,) flux of each in grey levels x px^2. bgr: (c,) share of each channel. Centres that are not
+    finite are skipped, those outside the image shine in as far as they reach.
+    """
+    height, width, channels = light.shape
+    reach = REACH_SIGMA * sigma + 1.0
+    wx, wy = np.empty(int(2.0 * reach) + 5), np.empty(int(2.0 * reach) + 5)
+    for k in range(uv.shape[0]):
+        u, v = uv[k, 0], uv[k, 1]
+        if not (isfinite(u) and isfinite(v)):
+            continue
+        i0, i1 = _span(u - reach, u + reach, width)
+        j0, j1 = _span(v - reach, v + reach, height)
+        _fill_steps(wx, i0, i1, u, sigma, weight[k])
+        _fill_steps(wy, j0, j1, v, sigma, 1.0)
+        for j in range(j0, j1):
+            for i in range(i0, i1):
+                for c in range(channels):
+                    light[j, i, c] += np.float32(bgr[c] * wy[j - j0] * wx[i - i0])
+
+
+@njit(cache=True)
+def _add_cover(cover, i0, j0, outline, dv, sigma, factor):
+    """Add factor times the share of each pixel that a blurred region covers to cover (h, w), whose corner is i0, j0."""
+    height, width = cover.shape
+    reach = REACH_SIGMA * sigma + 1.0
+    if (outline[:, 0] * dv).sum() < 0.0:  # the signed area: the curve runs the other way round
+        factor = -factor
+    wx, wy = np.empty(width), np.empty(int(2.0 * reach) + 5)
+    for k in range(outline.shape[0]):
+        u, v = outline[k, 0] - i0, outline[k, 1] - j0
+        near_i0, near_i1 = _span(u - reach, u + reach, width)
+        near_j0, near_j1 = _span(v - reach, v + reach, height)
+        wx[:near_i0] = 0.0
+        _fill_ramps(wx[near_i0:], near_i0, near_i1, u, sigma)
+        wx[near_i1:] = 1.0
+        _fill_steps(wy, near_j0, near_j1, v, sigma, factor * dv[k])
+        for j in range(near_j0, near_j1):
+            for i in range(width):
+                cover[j, i] -= wy[j - near_j0] * wx[i]
+
+
+@njit(cache=True)
+def add_regions(light, outlines, dv, share, sigma, bgr):
+    """Add to light (h, w, c) uniformly lit regions, blurred by a Gaussian, integrated over every pixel.
+
+    outlines: (m, n, 2) px, each n nodes of a smooth closed curve, evenly spaced in its parameter; dv: (m, n)
+    derivative of the curve's v times the step of the parameter. share: (m,) of the exposure for each. bgr: (c,)
+    plateau of each channel in grey levels.
+    Green's theorem turns the area integral of the spread function into one along the outline, of the
+    spread function already integrated to the left; the periodic trapezoid rule converges exponentially as
+    long as the nodes lie no further apart than about sigma. Outlines that are not finite are skipped.
+    """
+    reach = REACH_SIGMA * sigma + 1.0
+    for m in range(outlines.shape[0]):
+        if not np.isfinite(outlines[m]).all():
+            continue
+        u, v = outlines[m, :, 0], outlines[m, :, 1]
+        i0, i1 = _span(u.min() - reach, u.max() + reach, light.shape[1])
+        j0, j1 = _span(v.min() - reach, v.max() + reach, light.shape[0])
+        if i0 >= i1 or j0 >= j1:
+            continue
+        cover = np.zeros((j1 - j0, i1 - i0))
+        _add_cover(cover, i0, j0, outlines[m], dv[m], sigma, share[m])
+        for j in range(j0, j1):
+            for i in range(i0, i1):
+                for c in range(light.shape[2]):
+                    light[j, i, c] += np.float32(bgr[c] * cover[j - j0, i - i0])
+
+
+@njit(cache=True)
+def _draw_bits(state, bits):
+    """Fill bits (n,) uint64 from a xoshiro256++ generator (Blackman, Vigna 2019); state (4,) moves on."""
+    s0, s1, s2, s3 = state[0], state[1], state[2], state[3]
+    for i in range(bits.size):
+        r = s0 + s3
+        bits[i] = ((r << np.uint64(23)) | (r >> np.uint64(41))) + s0
+        t = s1 << np.uint64(17)
+        s2 ^= s0
+        s3 ^= s1
+        s1 ^= s2
+        s0 ^= s3
+        s2 ^= t
+        s3 = (s3 << np.uint64(45)) | (s3 >> np.uint64(19))
+    state[0], state[1], state[2], state[3] = s0, s1, s2, s3
+
+
+@njit(cache=True)
+def _draw_normals(bits, table, z):
+    """Fill z (n,) with standard normals: each the sum of two entries of table (4096,), chosen by 24 of 32 bits."""
+    low, shift = np.uint32(0xFFF), np.uint32(12)
+    for i in range(z.size):
+        r = bits[i]
+        z[i] = table[r & low] + table[(r >> shift) & low]
+
+
+@njit(cache=True, error_model="numpy")
+def _digitise(light, z, levels_per_electron, read_noise, saturation, out):
+    """Fill out (n,) uint8 with the grey levels of light (n,) under the standard normals z (n,).
+
+    Mean, variance and third moment are those of Poisson electrons plus Gaussian read noise (Cornish-Fisher).
+    """
+    gain, variance0 = np.float32(levels_per_electron), np.float32(read_noise * read_noise + 1e-12)
+    skew = np.float32(levels_per_electron * levels_per_electron / 6.0)
+    half, one, zero, top = np.float32(0.5), np.float32(1.0), np.float32(0.0), np.float32(saturation)
+    for i in range(light.size):
+        mean, q = light[i], z[i]
+        variance = variance0 + gain * mean
+        value = mean + np.sqrt(variance) * q + skew * mean / variance * (q * q - one) + half
+        value = value if value > zero else zero
+        value = value if value < top else top
+        out[i] = np.uint8(np.int32(value))
+
+
+@njit(cache=True)
+def develop(light, patch, row, column, levels_per_electron, read_noise, saturation, table, state, out):
+    """Fill out (h, n) uint8 with what the sensor makes of light (h, n) float32 >= 0 in grey levels; state moves on.
+
+    patch: replaces light from [row, column] on. A row is made at a time: its buffers stay in the cache.
+    """
+    height, width = light.shape
+    bits = np.empty((width + 1) // 2, np.uint64)
+    halves = bits.view(np.uint32)
+    z = np.empty(width, np.float32)
+    mixed = np.empty(width, np.float32)
+    for j in range(height):
+        _draw_bits(state, bits)
+        _draw_normals(halves, table, z)
+        if row <= j < row + patch.shape[0]:
+            mixed[:] = light[j]
+            mixed[column : column + patch.shape[1]] = patch[j - row]
+            _digitise(mixed, z, levels_per_electron, read_noise, saturation, out[j])
+        else:
+            _digitise(light[j], z, levels_per_electron, read_noise, saturation, out[j])
+
+
+@njit(cache=True)
+def _cell(H, x, y, columns, rows):
+    """Return column and row of the board's square that the ray (x, y, 1) meets, both clamped to one beyond the edge."""
+    w = H[2, 0] * x + H[2, 1] * y + H[2, 2]
+    if not w > 0.0:
+        return -3, -3
+    a = (H[0, 0] * x + H[0, 1] * y + H[0, 2]) / w
+    b = (H[1, 0] * x + H[1, 1] * y + H[1, 2]) / w
+    return floor(min(max(a, -3.0), columns + 2.0)), floor(min(max(b, -3.0), rows + 2.0))
+
+
+@njit(cache=True)
+def _shade(a, b, columns, rows, shades):
+    """Return the shade of square (a, b): black, white (also one square of margin round the board), or beyond."""
+    if a < -2 or b < -2 or a > columns or b > rows:
+        return shades[2]
+    if a < -1 or b < -1 or a > columns - 1 or b > rows - 1:
+        return shades[1]
+    return shades[(a + b) & 1]
+
+
+@njit(cache=True)
+def cast_board(corner_rays, H, columns, rows, shades, lattice, out):
+    """Fill out (h, w) float32 with the mean shade of a checkerboard over each pixel, by casting rays.
+
+    corner_rays: (h+1, w+1, 2) rays through the pixels' corners. H: (3, 3) takes a ray (x, y, 1) to the
+    board's plane in squares, origin at the first of columns x rows inner corners. shades: black, white, beyond the
+    board. lattice: (n, 2) sample places in the unit square. A pixel whose corners lie in one square is taken
+    as uniform; in the others n rays are cast, interpolated between those of the corners.
+    """
+    for j in range(out.shape[0]):
+        for i in range(out.shape[1]):
+            r00, r01 = corner_rays[j, i], corner_rays[j, i + 1]
+            r10, r11 = corner_rays[j + 1, i], corner_rays[j + 1, i + 1]
+            first = _cell(H, r00[0], r00[1], columns, rows)
+            same = first == _cell(H, r11[0], r11[1], columns, rows)
+            same = same and first == _cell(H, r01[0], r01[1], columns, rows)
+            if same and first == _cell(H, r10[0], r10[1], columns, rows):
+                out[j, i] = _shade(first[0], first[1], columns, rows, shades)
+                continue
+            total = 0.0
+            for k in range(lattice.shape[0]):
+                s, t = lattice[k, 0], lattice[k, 1]
+                x = (1.0 - t) * ((1.0 - s) * r00[0] + s * r01[0]) + t * ((1.0 - s) * r10[0] + s * r11[0])
+                y = (1.0 - t) * ((1.0 - s) * r00[1] + s * r01[1]) + t * ((1.0 - s) * r10[1] + s * r11[1])
+                a, b = _cell(H, x, y, columns, rows)
+                total += _shade(a, b, columns, rows, shades)
+            out[j, i] = np.float32(total / lattice.shape[0])
