@@ -51,7 +51,7 @@ def read_bytes(path: Path, *, limit: int) -> bytes:
         ) from error
     if len(data) > limit:
         raise BadFile(
-            f"{path}: larger than {limit / 1e6:.0f} MB, which no file of this kind is",
+            f"{path}: larger than {limit / 1e6:g} MB, which no file of this kind is",
             consequence="It is not read",
             cure="Check that this is the file you meant",
         )

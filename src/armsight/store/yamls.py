@@ -15,11 +15,14 @@ import yaml
 from armsight.errors import BadFile
 from armsight.store.atomic import read_bytes
 
-MAX_BYTES = 2_000_000
-"""The largest file of ours, a rig with its full covariance, has 20 kB; parsing 2 MB takes seconds."""
+MAX_BYTES = 500_000
+"""The largest file of ours, a rig with its full covariance, has 20 kB."""
 
-MAX_NODES = 200_000
-"""Nodes after the expansion of aliases: a file of MAX_BYTES without aliases cannot hold more than a few times this."""
+MAX_NODES = 30_000
+"""Values in a file, with aliases written out: a rig with its full covariance has 800."""
+
+MAX_DEPTH = 40
+"""Lists and mappings within each other: the deepest file of ours has 5."""
 
 _INT = re.compile(r"^[-+]?[0-9]+$|^0o[0-7]+$|^0x[0-9a-fA-F]+$")
 _FLOAT = re.compile(
@@ -36,6 +39,23 @@ class _Loader(yaml.SafeLoader):
 
     yaml_implicit_resolvers = {None: list(_CORE)}  # noqa: RUF012 - the base class's own attribute, read only
     yaml_constructors = {}  # noqa: RUF012 - filled below, once
+
+    def __init__(self, stream: str) -> None:
+        super().__init__(stream)
+        self._depth = 0
+        self._nodes = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        """Compose a node, and give up early on a file that is none of ours."""
+        self._depth += 1
+        self._nodes += 1
+        if self._depth > MAX_DEPTH:
+            raise yaml.composer.ComposerError(None, None, "nested too deeply")
+        if self._nodes > MAX_NODES:
+            raise yaml.composer.ComposerError(None, None, "more values than any file here has")
+        node = super().compose_node(parent, index)
+        self._depth -= 1
+        return node
 
 
 def _null(loader: _Loader, node: yaml.Node) -> None:
@@ -94,6 +114,11 @@ def _mapping(loader: _Loader, node: yaml.Node) -> dict[str, Any]:
     return out
 
 
+def _undefined(loader: _Loader, node: yaml.Node) -> None:
+    raise yaml.constructor.ConstructorError(None, None, f"the tag {node.tag[:60]!r} is not known", node.start_mark)
+
+
+_Loader.add_constructor(None, _undefined)
 for _name, _constructor in (
     ("null", _null),
     ("bool", _bool),
@@ -118,6 +143,15 @@ class _Dumper(yaml.SafeDumper):
     def ignore_aliases(self, data: Any) -> bool:
         """Write every value out in full."""
         return True
+
+
+def _text(dumper: _Dumper, text: str) -> yaml.ScalarNode:
+    """Escape the line ends of Unicode, which plain and single-quoted text would lose."""
+    style = '"' if any(letter in text for letter in "\x85\u2028\u2029") else None
+    return dumper.represent_scalar(f"{_TAG}str", text, style=style)
+
+
+_Dumper.add_representer(str, _text)
 
 
 def dump_yaml(value: dict[str, Any]) -> str:

@@ -1,0 +1,189 @@
+"""The CSV kinds and TUM: full precision, and errors that name line and column."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from armsight import store
+from armsight.errors import BadFile, NotEnoughData
+from armsight.geometry import is_close
+from armsight.records import Motion, Points, PoseStatus, Spots, TargetPose
+from armsight.store.tables import parse_table
+from armsight.store.tracks import POSE_COLUMNS, parse_joints, parse_poses, parse_times, parse_tum
+
+
+def make_poses(n=20, seed=2):
+    rng = np.random.default_rng(seed)
+    poses = []
+    for i in range(n):
+        A = rng.standard_normal((6, 6)) * 1e-4
+        pose = RigidTransform.from_components(rng.standard_normal(3), Rotation.random(rng=rng))
+        poses.append(
+            TargetPose(
+                t_s=i / 30,
+                status=PoseStatus.OK,
+                parent="rig",
+                spots=("A", "B", "C"),
+                pose=pose,
+                covariance=A @ A.T,
+            )
+        )
+    position = RigidTransform.from_translation([0.1, 1 / 3, 2.0])
+    poses.append(
+        TargetPose(
+            t_s=n / 30,
+            status=PoseStatus.POSITION_ONLY,
+            parent="rig",
+            spots=("A",),
+            pose=position,
+            covariance=np.diag([1e-8, 2e-8, 3e-8]),
+        )
+    )
+    poses.append(TargetPose(t_s=(n + 1) / 30, status=PoseStatus.LOST, parent="rig", why="no spot"))
+    return poses
+
+
+def assert_same(back, poses):
+    for got, want in zip(back, poses, strict=True):
+        assert (got.t_s, got.status, got.spots, got.parent) == (want.t_s, want.status, want.spots, "rig")
+        if want.pose is not None:
+            assert np.array_equal(got.pose.translation, want.pose.translation)
+            assert is_close(got.pose, want.pose, tol_m=0.0, tol_rad=1e-14)
+            assert np.allclose(np.diag(got.covariance), np.diag(want.covariance), rtol=1e-15, atol=0.0)
+
+
+def test_poses_come_back(tmp_path):
+    poses = make_poses()
+    store.write_poses(tmp_path / "poses.csv", poses)
+    assert_same(store.read_poses(tmp_path / "poses.csv"), poses)
+    with store.PosesWriter(tmp_path / "rows.csv") as writer:
+        for pose in poses:
+            writer.write(pose)
+    assert (tmp_path / "rows.csv").read_bytes() == (tmp_path / "poses.csv").read_bytes()
+    header, first = (tmp_path / "poses.csv").read_text().splitlines()[:2]
+    assert header == "t_s,x_m,y_m,z_m,qx,qy,qz,qw,sx_m,sy_m,sz_m,srx_rad,sry_rad,srz_rad,status,spots"
+    assert first.endswith(",ok,A B C")
+
+
+def test_cells_that_mean_nothing_are_empty(tmp_path):
+    store.write_poses(tmp_path / "poses.csv", make_poses(1))
+    _, _, position, lost = (tmp_path / "poses.csv").read_text().splitlines()
+    assert position.split(",")[4:8] == [""] * 4
+    assert position.split(",")[11:] == ["", "", "", "position_only", "A"]
+    assert lost.split(",")[1:] == [""] * 13 + ["lost", ""]
+
+
+def test_poses_without_deviations_are_read(tmp_path):
+    poses = parse_poses(b"t_s,x_m,y_m,z_m,qx,qy,qz,qw\n0,1,2,3,0,0,0,1\n", "truth.csv", parent="world")
+    assert poses[0].status is PoseStatus.OK
+    assert poses[0].parent == "world"
+    assert not poses[0].covariance.any()
+
+
+def test_points_and_spots_come_back(tmp_path):
+    rng = np.random.default_rng(3)
+    points = Points(names=("A", "B"), xyz_m=rng.standard_normal((2, 3)), covariance_m2=np.stack([np.eye(3) / 9] * 2))
+    spots = Spots(
+        uv_px=rng.standard_normal((2, 2)),
+        covariance_px2=np.stack([np.diag([0.04, 0.09])] * 2),
+        peak=np.ones(2),
+        size_px=np.ones(2),
+        model=("gaussian",) * 2,
+    )
+    with store.PointsWriter(tmp_path / "points.csv") as writer:
+        writer.write(0.1, points)
+    with store.SpotsWriter(tmp_path / "spots.csv") as writer:
+        writer.write(0.1, "left", ("A", "B"), spots)
+        writer.write(0.1, "right", (), Spots.none())
+    table = store.read_points(tmp_path / "points.csv")
+    assert table.text["spot"] == ("A", "B")
+    assert np.array_equal(table.stacked(("x_m", "y_m", "z_m")), points.xyz_m)
+    assert table.numbers["sx_m"][0] == 1 / 3
+    table = store.read_spots(tmp_path / "spots.csv")
+    assert table.text["camera"] == ("left", "left")
+    assert np.array_equal(table.stacked(("u_px", "v_px")), spots.uv_px)
+    assert (tmp_path / "spots.csv").read_text().startswith("t_s,camera,spot,u_px,v_px,su_px,sv_px\n")
+
+
+def test_joints_and_times_come_back(tmp_path):
+    motion = Motion(t_s=np.arange(5) / 3, q=np.random.default_rng(0).standard_normal((5, 6)))
+    store.write_joints(tmp_path / "joints.csv", motion)
+    back = store.read_joints(tmp_path / "joints.csv")
+    assert np.array_equal(back.t_s, motion.t_s)
+    assert np.array_equal(back.q, motion.q)
+    assert parse_times(b"frame,t_s\n0,0.5\n1,0.75\n", "times.csv").tolist() == [0.5, 0.75]
+    shuffled = parse_joints(b"q2,t_s,q1\n2,0,1\n", "joints.csv")
+    assert shuffled.q.tolist() == [[1.0, 2.0]]
+
+
+def test_tum_comes_back(tmp_path):
+    poses = make_poses()
+    assert store.write_tum(tmp_path / "track.tum", poses) == 20
+    track = store.read_tum(tmp_path / "track.tum")
+    assert track.t_s.tolist() == [pose.t_s for pose in poses[:20]]
+    for got, want in zip(track.pose, poses[:20], strict=True):
+        assert is_close(got, want.pose, tol_m=0.0, tol_rad=1e-14)
+    spaced = parse_tum(b"# from elsewhere\n\n 1 0 0 0   0 0 0 1 \n", "x.tum")
+    assert spaced.t_s.tolist() == [1.0]
+
+
+def test_tables_from_other_programs_are_read():
+    for data in (b"\xef\xbb\xbft_s,q1\r\n0,1\r\n1,2\r\n", b"t_s, q1\n 0 ,\t1\n\n1,2", b'"t_s","q1"\n"0","1"\n1,2\n'):
+        assert parse_joints(data, "joints.csv").q.tolist() == [[1.0], [2.0]]
+
+
+POSES = ",".join(POSE_COLUMNS)
+REFUSED = {
+    "empty": (parse_times, b"", BadFile, "empty"),
+    "blank": (parse_times, b"\n \n", BadFile, "empty"),
+    "header only": (parse_times, b"t_s\n", NotEnoughData, "no row"),
+    "binary": (parse_times, b"t_s\n\xff\xfe", BadFile, "byte 4 is not UTF-8"),
+    "utf-16": (parse_times, "t_s\n1\n".encode("utf-16"), BadFile, "not UTF-8"),
+    "no header": (parse_times, b"0.0\n0.1\n", BadFile, "The first line must name the columns: t_s"),
+    "missing column": (parse_joints, b"t_s,x\n0,1\n", BadFile, "column q1 is missing; found t_s, x"),
+    "unknown column": (parse_joints, b"t_s,q1,p2\n0,1,2\n", BadFile, "unknown column 'p2'.*t_s, q1, q1, q2"),
+    "mistyped column": (parse_poses, POSES[:-5].encode() + b"spot", BadFile, "did you mean 'spots'"),
+    "column twice": (parse_joints, b"t_s,q1,q1\n0,1,2\n", BadFile, "'q1' stands twice"),
+    "gap in the numbering": (parse_joints, b"t_s,q1,q3\n0,1,2\n", BadFile, "q1, q3 are not counted"),
+    "short row": (parse_joints, b"t_s,q1\n0,1\n1\n", BadFile, "line 3: 1 cells, the header has 2"),
+    "long row": (parse_joints, b"t_s,q1\n0,1,2\n", BadFile, "line 2: 3 cells"),
+    "word": (parse_joints, b"t_s,q1\n0,one\n", BadFile, "line 2, column q1: 'one' is not a finite number"),
+    "nan": (parse_joints, b"t_s,q1\n0,1\n\n1,NaN\n", BadFile, "line 4, column q1: 'NaN'"),
+    "inf": (parse_joints, b"t_s,q1\n0,-inf\n", BadFile, "'-inf'"),
+    "too large": (parse_joints, b"t_s,q1\n0,1e999\n", BadFile, "'1e999'"),
+    "python's own numbers": (parse_joints, b"t_s,q1\n0,1_000\n", BadFile, "'1_000'"),
+    "empty cell": (parse_joints, b"t_s,q1\n0,\n", BadFile, "column q1: empty"),
+    "semicolons": (parse_joints, b"t_s;q1\n0,5;1,5\n", BadFile, "commas, not semicolons"),
+    "open quote": (parse_joints, b't_s,q1\n0,"1\n', BadFile, "line 2"),
+    "time backwards": (parse_times, b"t_s\n0\n1\n0.5\n", BadFile, "line 4, column t_s"),
+    "joint time backwards": (parse_joints, b"t_s,q1\n1,0\n0,0\n", BadFile, "joints.csv: time does not increase"),
+    "status": (parse_poses, POSES.encode() + b"\n" + b"0," * 14 + b"fine,A\n", BadFile, "column status: 'fine'.*lost"),
+    "ok without a pose": (parse_poses, POSES.encode() + b"\n0" + b"," * 14 + b"ok,A\n", BadFile, "column x_m: empty"),
+    "no quaternion": (parse_poses, POSES.encode() + b"\n" + b"0," * 14 + b"ok,A\n", BadFile, "line 2: the quaternion"),
+    "negative deviation": (
+        parse_poses,
+        POSES.encode() + b"\n0,0,0,0,0,0,0,1,-1,0,0,0,0,0,ok,\n",
+        BadFile,
+        "line 2: a standard deviation is negative",
+    ),
+    "short tum": (parse_tum, b"# x\n0 1 2 3 0 0 0\n", BadFile, "line 2: not eight"),
+    "tum with nan": (parse_tum, b"0 1 2 nan 0 0 0 1\n", BadFile, "line 1"),
+    "tum of another order": (parse_tum, b"0 1 2 3 5 0 0 0\n", BadFile, "line 1: the quaternion"),
+    "empty tum": (parse_tum, b"# nothing\n", BadFile, "holds no pose"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_a_wrong_table_is_refused_with_its_place(case):
+    read, data, kind, message = REFUSED[case]
+    where = "joints.csv" if read is parse_joints else "file"
+    with pytest.raises(kind, match=message) as caught:
+        read(data, where)
+    assert caught.value.cause.startswith(where)
+    assert caught.value.consequence
+
+
+def test_a_table_knows_its_lines():
+    table = parse_table(b"a,b\n\n1,x\n2,y\n", "t.csv", ("a", "b"), text=("b",))
+    assert table.place(1) == "t.csv, line 4"
+    assert table.stacked(()).shape == (2, 0)

@@ -1,0 +1,350 @@
+"""rig.yaml, camera.yaml, target.yaml, world.yaml: exact round trips, and errors that name the key."""
+
+import numpy as np
+import pytest
+import yaml
+from scipy.spatial.transform import RigidTransform, Rotation
+
+import armsight
+from armsight import store
+from armsight.errors import BadFile, UsageError
+from armsight.geometry import is_close
+from armsight.optics import Camera, Rig, RigKind
+from armsight.records import Colour, NamedCovariance, TargetKind, board_target, spot_target, unmeasured_target
+from armsight.records.target import GREEN
+from armsight.store.worlds import POSE_NAMES
+from armsight.store.yamls import parse_yaml
+
+
+def awkward(rng, shape):
+    """Floats with all 53 bits in use, over many decades."""
+    return rng.standard_normal(shape) * 10.0 ** rng.integers(-12, 3, shape)
+
+
+def make_rig(seed=1):
+    rng = np.random.default_rng(seed)
+
+    def camera():
+        return Camera.pinhole(
+            1280,
+            720,
+            *(np.array([1100.0, 1099.0, 640.0, 360.0]) + rng.standard_normal(4)),
+            skew=float(rng.standard_normal() * 1e-7),
+            distortion=awkward(rng, 5),
+        )
+
+    A = awkward(rng, (7, 7))
+    names = ("left.fx", "left.fy", "right.fx", "right.tx", "right.rx", "right.ry", "right.rz")
+    return Rig(
+        kind=RigKind.STEREO,
+        left=camera(),
+        right=camera(),
+        T_rig_left=RigidTransform.identity(),
+        T_rig_right=RigidTransform.from_components(
+            rng.standard_normal(3) / 7, Rotation.from_rotvec(rng.standard_normal(3) / 9)
+        ),
+        covariance=NamedCovariance(names=names, matrix=A @ A.T),
+        rms_px=1.0 / 7.0,
+    )
+
+
+def rig_content():
+    return store.rig_mapping(make_rig())
+
+
+def test_rig_comes_back_exactly(tmp_path):
+    rig, path, source = make_rig(), tmp_path / "rig.yaml", tmp_path / "left01.png"
+    source.write_bytes(b"abc")
+    store.write_rig(path, rig, inputs=[source])
+    back = store.read_rig(path)
+    assert back.kind is rig.kind
+    assert back.rms_px == rig.rms_px
+    for side in ("left", "right"):
+        assert np.array_equal(back.camera(side).intrinsics, rig.camera(side).intrinsics)
+        assert (back.camera(side).width, back.camera(side).height) == (1280, 720)
+        assert is_close(back.T_rig_camera(side), rig.T_rig_camera(side), tol_m=0.0, tol_rad=1e-15)
+    assert back.covariance.names == rig.covariance.names
+    assert np.array_equal(back.covariance.matrix, rig.covariance.matrix)
+    origin = yaml.safe_load(path.read_text())  # another reader reads it as well
+    assert (origin["format"], origin["version"]) == ("armsight/rig", 1)
+    assert origin["software"] == f"armsight {armsight.__version__}"
+    assert origin["inputs"][0]["sha256"].startswith("ba7816bf")
+    assert origin["created"].endswith("+00:00")
+
+
+def test_camera_comes_back_exactly(tmp_path):
+    camera = make_rig().left
+    covariance = NamedCovariance(names=("fx", "fy"), matrix=np.diag([1 / 3, 1 / 7]))
+    store.write_camera(tmp_path / "camera.yaml", camera, covariance=covariance, rms_px=0.1)
+    assert np.array_equal(store.read_camera(tmp_path / "camera.yaml").intrinsics, camera.intrinsics)
+    file = store.read_camera_file(tmp_path / "camera.yaml")
+    assert np.array_equal(file.covariance.matrix, covariance.matrix)
+    assert file.rms_px == 0.1
+
+
+SPOTS = {"A": (0.1 + 0.2, -1e-5, 1e-17), "B": (1 / 3, 2.0, 0.0), "e1": (0.0, 0.0, 1.0)}
+TARGETS = {
+    "spots": spot_target(SPOTS, diameter_m=0.005),
+    "beacon by name of colour": spot_target({"beacon": (0.0, 0.0, 0.0)}, colour=GREEN),
+    "beacon by hue": spot_target({"1": (0.0, 0.0, 0.0)}, colour=Colour(hue_deg=(300.0, 310.5), min_value=0.9)),
+    "unmeasured": unmeasured_target(diameter_m=0.01),
+    "checkerboard": board_target(TargetKind.CHECKERBOARD, 9, 6, 0.025),
+    "circles": board_target(TargetKind.CIRCLES, 10, 10, 0.02482),
+    "acircles": board_target(TargetKind.ACIRCLES, 4, 11, 0.02),
+    "charuco": board_target(TargetKind.CHARUCO, 8, 5, 0.04, marker_m=0.03, dictionary="DICT_4X4_50"),
+}
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_target_comes_back_exactly(tmp_path, name):
+    target, path = TARGETS[name], tmp_path / "target.yaml"
+    store.write_target(path, target)
+    back = store.read_target(path)
+    assert np.array_equal(back.xyz_m, target.xyz_m)
+    for field in ("kind", "names", "diameter_m", "columns", "rows", "pitch_m", "marker_m", "dictionary", "model_known"):
+        assert getattr(back, field) == getattr(target, field), field
+    assert (back.colour is None) == (target.colour is None)
+    if target.colour is not None:
+        assert back.colour.hue_deg == target.colour.hue_deg
+        assert back.colour.min_value == target.colour.min_value
+
+
+@pytest.mark.parametrize("parent", ["world", "base"])
+def test_world_comes_back(tmp_path, parent):
+    pose = RigidTransform.from_components([0.1, 1 / 3, -2.0], Rotation.from_rotvec([0.3, 0.2, 0.1]))
+    covariance = NamedCovariance(names=POSE_NAMES, matrix=np.diag(np.arange(6.0) / 7))
+    store.write_world(
+        tmp_path / "world.yaml", store.World(parent=parent, T_parent_rig=pose, covariance=covariance, n_used=12)
+    )
+    back = store.read_world(tmp_path / "world.yaml")
+    assert back.parent == parent
+    assert is_close(back.T_parent_rig, pose, tol_m=0.0, tol_rad=1e-15)
+    assert np.array_equal(back.covariance.matrix, covariance.matrix)
+    assert back.n_used == 12
+
+
+def changed(content, key, value):
+    """Return content with one key, given as a path with dots, set to value (or dropped)."""
+    at = content
+    *parents, last = key.split(".")
+    for part in parents:
+        at = at[part]
+    if value is KeyError:
+        del at[last]
+    else:
+        at[last] = value
+    return content
+
+
+REFUSED_RIGS = {
+    "unknown key": ("cameras.left.fz", 1.0, r"unknown key cameras\.left\.fz .*valid here: width, height, fx"),
+    "mistyped key": ("cameras.left.T_rig_camra", {}, "did you mean 'T_rig_camera'"),
+    "missing key": ("cameras.right.fy", KeyError, r"cameras\.right\.fy is missing"),
+    "nan": ("cameras.left.cx", float("nan"), r"cameras\.left\.cx is nan, which is not a finite number"),
+    "nan in a list": ("cameras.left.distortion", [0.0, 0.0, float("inf"), 0.0, 0.0], r"cameras\.left\.distortion\[2\]"),
+    "text for a number": ("cameras.left.fx", "wide", r"cameras\.left\.fx: .*not 'wide'"),
+    "truth for a number": ("cameras.left.fx", True, r"cameras\.left\.fx"),
+    "fraction of a pixel": ("cameras.left.width", 640.5, r"cameras\.left\.width"),
+    "short list": ("cameras.left.distortion", [0.0] * 4, r"cameras\.left\.distortion"),
+    "kind": ("kind", "trinocular", "'stereo' or 'mirror'"),
+    "version of the future": ("version", 2, "version"),
+    "focal length": ("cameras.left.fx", -800.0, "focal lengths"),
+    "no rotation": ("cameras.right.T_rig_camera.quat_xyzw", [1.0, 1.0, 0.0, 0.0], "quaternion"),
+    "no baseline": ("cameras.right.T_rig_camera.xyz_m", [0.0, 0.0, 0.0], "same place"),
+    "lopsided covariance": ("covariance.matrix", [[1.0, 0.0]] * 7, "7 names need"),
+    "not even a mapping": ("cameras", [1, 2], "cameras"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED_RIGS)
+def test_a_wrong_rig_is_refused_with_its_key(case):
+    key, value, message = REFUSED_RIGS[case]
+    with pytest.raises(BadFile, match=message) as caught:
+        store.rig_from_mapping(changed(rig_content(), key, value), "rig.yaml")
+    assert "rig.yaml" in caught.value.cause
+    assert caught.value.consequence
+    assert caught.value.cure
+
+
+def test_a_covariance_must_be_one():
+    content = rig_content()
+    content["covariance"]["matrix"][0][0] *= -1.0
+    with pytest.raises(BadFile, match="not symmetric with a diagonal of variances"):
+        store.rig_from_mapping(content)
+
+
+REFUSED_TARGETS = {
+    "kind": ({"kind": "cube"}, "'cube'.*spots, checkerboard"),
+    "no kind": ({"spots_m": {}}, "None"),
+    "neither spots nor labels": ({"kind": "spots"}, "exactly one of spots_m and labels"),
+    "both": ({"kind": "spots", "spots_m": {"A": [0.0, 0.0, 0.0]}, "labels": ["A", "B", "C"]}, "exactly one"),
+    "other labels": ({"kind": "spots", "labels": ["A", "B"]}, "three lights"),
+    "two at one place": ({"kind": "spots", "spots_m": {"A": [0.0, 0, 0], "B": [0.0, 0, 0]}}, "same place"),
+    "name with a comma": ({"kind": "spots", "spots_m": {"A,B": [0.0, 0.0, 0.0]}}, "spots_m"),
+    "no size": ({"kind": "spots", "spots_m": {"A": [0.0, 0.0, 0.0]}, "diameter_m": 0.0}, "diameter_m"),
+    "colour": ({"kind": "spots", "spots_m": {"A": [0.0, 0.0, 0.0]}, "colour": "mauve"}, "colour"),
+    "hue": ({"kind": "spots", "spots_m": {"A": [0.0, 0, 0]}, "colour": {"hue_deg": [0.0, 400.0]}}, "400"),
+    "key of another kind": (
+        {"kind": "checkerboard", "columns": 9, "rows": 6, "pitch_m": 0.02},
+        "unknown key pitch_m.*square_m",
+    ),
+    "marker": (
+        {"kind": "charuco", "columns": 9, "rows": 6, "square_m": 0.02, "marker_m": 0.03, "dictionary": "D"},
+        "do not fit",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED_TARGETS)
+def test_a_wrong_target_is_refused_with_its_key(case):
+    content, message = REFUSED_TARGETS[case]
+    with pytest.raises(BadFile, match=message):
+        store.target_from_mapping(content, "target.yaml")
+
+
+def test_a_file_of_another_format_is_told_apart(tmp_path):
+    store.write_target(tmp_path / "target.yaml", TARGETS["spots"])
+    with pytest.raises(BadFile, match="'armsight/target', not 'armsight/rig'"):
+        store.read_rig(tmp_path / "target.yaml")
+    (tmp_path / "opencv.yml").write_text("%YAML:1.0\n---\nM1: 1\n")
+    with pytest.raises(BadFile, match="a file of opencv: convert it first"):
+        store.read_rig(tmp_path / "opencv.yml")
+    with pytest.raises(BadFile, match="No such file"):
+        store.read_rig(tmp_path / "missing.yaml")
+    with pytest.raises(BadFile, match="cannot be read"):
+        store.read_rig(tmp_path)
+
+
+def test_world_wants_exactly_one_parent():
+    from armsight.store.worlds import world_from_mapping
+
+    pose = {"xyz_m": [0.0, 0.0, 0.0], "quat_xyzw": [0.0, 0.0, 0.0, 1.0]}
+    assert world_from_mapping({"T_base_rig": pose}).parent == "base"
+    for content in ({}, {"T_base_rig": pose, "T_world_rig": pose}):
+        with pytest.raises(BadFile, match="exactly one"):
+            world_from_mapping(content)
+
+
+def test_numpy_values_are_taken_as_numbers():
+    content = rig_content()
+    content["cameras"]["left"]["distortion"] = np.zeros(5)
+    content["cameras"]["left"]["width"] = np.int64(1280)
+    content["rms_px"] = np.float32(0.25)
+    assert store.rig_from_mapping(content).rms_px == 0.25
+
+
+YAML_VALUES = {
+    "a: 1e-5": 1e-5,  # YAML 1.1 readers make a text of it
+    "a: 1.0e-05": 1e-5,
+    "a: 1.": 1.0,
+    "a: .5": 0.5,
+    "a: 0x10": 16,
+    "a: 010": 10,
+    "a: 12:30": "12:30",
+    "a: no": "no",
+    "a: 2026-11-20": "2026-11-20",
+    "a: true": True,
+    "a: ~": None,
+    "a: '1e5'": "1e5",
+    "a: *x\nb: 1": BadFile,
+    "\ufeffa: 1": 1,
+}
+
+
+@pytest.mark.parametrize("text", YAML_VALUES)
+def test_yaml_values_are_what_they_look_like(text):
+    want = YAML_VALUES[text]
+    if want is BadFile:
+        with pytest.raises(BadFile):
+            parse_yaml(text.encode(), "x.yaml")
+    else:
+        got = parse_yaml(text.encode(), "x.yaml")["a"]
+        assert got == want
+        assert type(got) is type(want)
+
+
+LAUGHS = "a: &a [1,1,1,1,1,1,1,1,1]\n" + "".join(
+    f"{chr(98 + i)}: &{chr(98 + i)} [{','.join(['*' + chr(97 + i)] * 9)}]\n" for i in range(12)
+)
+BROKEN_YAML = {
+    "empty": (b"", "empty"),
+    "comment only": (b"# nothing\n", "empty"),
+    "a list": (b"[1, 2]", "a list"),
+    "a word": (b"hello", "a str"),
+    "binary": (bytes(range(256)), "not UTF-8"),
+    "nul": (b"a: \0", "special characters"),
+    "unclosed": (b"a: [1, 2\nb: 3", "line 2"),
+    "tab": (b"a:\n\t- 1", "line 2"),
+    "twice": (b"a: 1\nb: 2\na: 3\n", "line 3.*'a' stands twice"),
+    "python object": (b"a: !!python/object/apply:os.system ['true']", "line 1"),
+    "wrong tag": (b"a: !!int hello", "does not fit"),
+    "timestamp tag": (b"a: !!timestamp hello", "line 1"),
+    "billion laughs": (LAUGHS.encode(), "more values than"),
+    "snake": (b"a: &a [*a]", "contains itself"),
+    "deep": (b"[\n" * 20_000, "deep"),
+    "long": (b"a: [" + b"1, " * 40_000 + b"]", "more values than"),
+    "deep mapping": (b"{a: " * 5_000, "deep"),
+    "huge integer": (b"a: " + b"9" * 10_000, "x.yaml"),
+    "impossible letter": (b'a: "\\UFFFFFFFF"', "x.yaml"),
+    "half a letter": (b'a: "\\ud800"', "half a character"),
+    "list as a key": (b"? [1, 2]\n: 3", "single value"),
+    "two documents": (b"a: 1\n---\nb: 2\n", "line 2"),
+}
+
+
+@pytest.mark.parametrize("case", BROKEN_YAML)
+def test_broken_yaml_is_refused_with_its_place(case):
+    data, message = BROKEN_YAML[case]
+    with pytest.raises(BadFile, match=message):
+        parse_yaml(data, "x.yaml")
+
+
+def test_a_huge_file_is_not_read(tmp_path):
+    path = tmp_path / "rig.yaml"
+    path.write_bytes(b"a: 1\n" * 100_001)
+    with pytest.raises(BadFile, match="larger than 0.5 MB"):
+        store.read_rig(path)
+
+
+BOARDS = {
+    "checkerboard:9x6:0.025": (TargetKind.CHECKERBOARD, 54),
+    "circles:10x10:0.02": (TargetKind.CIRCLES, 100),
+    "acircles:4x11:2e-2": (TargetKind.ACIRCLES, 44),
+    "charuco:8x5:0.04:0.03:DICT_4X4_50": (TargetKind.CHARUCO, 28),
+}
+
+
+@pytest.mark.parametrize("text", BOARDS)
+def test_boards_in_one_word(text):
+    board = store.parse_board(text)
+    assert (board.kind, len(board.names)) == BOARDS[text]
+    again = store.parse_board(store.board_text(board))
+    assert np.array_equal(again.xyz_m, board.xyz_m)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "checkerboard",
+        "checkerboard:",
+        "checkerboard:9x6",
+        "checkerboard:9*6:0.025",
+        "checkerboard:9x6:25mm",
+        "checkerboard:9x6:nan",
+        "checkerboard:9x6:-0.025",
+        "checkerboard:9x6:0",
+        "checkerboard:9x6:25",
+        "checkerboard:1x6:0.025",
+        "checkerboard:9x6:0.025:1",
+        "chess:9x6:0.025",
+        "charuco:8x5:0.04:0.03",
+        "charuco:8x5:0.03:0.04:DICT_4X4_50",
+        "charuco:8x5:0.04:0.03:a b",
+    ],
+)
+def test_a_wrong_board_is_answered_with_the_forms(text):
+    with pytest.raises(UsageError) as caught:
+        store.parse_board(text)
+    for form in ("checkerboard:COLUMNSxROWS:SQUARE_M", "circles:", "acircles:", "charuco:"):
+        assert form in caught.value.cure
