@@ -1,0 +1,219 @@
+"""The arm: a chain of revolute and prismatic joints with its base and its tool."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform
+
+from armsight.errors import Inconsistent, UsageError
+from armsight.kinematics.convention import Convention, distal_rows
+from armsight.records import NamedCovariance
+
+Array = NDArray[np.float64]
+
+LARGEST_ANGLE_RAD = 1e4
+"""Joint angles beyond this are not angles of an arm: degrees, encoder counts or a fault."""
+
+GAIN_RANGE = (0.5, 2.0)
+"""The sign carries the joint's scale where one was identified; further from one it is a mistake of units."""
+
+
+class JointType(StrEnum):
+    """A joint turns about its z axis or slides along it."""
+
+    REVOLUTE = "revolute"
+    PRISMATIC = "prismatic"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Joint:
+    """One joint and the link behind it.
+
+    Revolute: theta = sign * q + theta_rad. Prismatic: d = sign * q + d_m. beta_rad: Hayati's turn about y, for
+    nearly parallel axes. lower, upper: limits of q (rad or m). max_speed (rad/s or m/s) and stall_effort (N m or N)
+    where known. sign: +1 or -1, times the joint's scale where one was identified.
+    """
+
+    name: str
+    type: JointType = JointType.REVOLUTE
+    a_m: float = 0.0
+    alpha_rad: float = 0.0
+    d_m: float = 0.0
+    theta_rad: float = 0.0
+    beta_rad: float = 0.0
+    lower: float = -math.inf
+    upper: float = math.inf
+    sign: float = 1.0
+    max_speed: float | None = None
+    stall_effort: float | None = None
+
+    def __post_init__(self) -> None:
+        try:
+            object.__setattr__(self, "type", JointType(self.type))
+        except ValueError:
+            raise Inconsistent(
+                f"joint {self.name} is of unknown type {str(self.type)!r}",
+                consequence="The arm cannot be modelled",
+                cure="Use one of: " + ", ".join(JointType),
+            ) from None
+        for key in ("a_m", "alpha_rad", "d_m", "theta_rad", "beta_rad", "sign"):
+            if not math.isfinite(getattr(self, key)):
+                raise Inconsistent(f"{key} of joint {self.name} is not finite", consequence="The arm has no geometry")
+        if not GAIN_RANGE[0] <= abs(self.sign) <= GAIN_RANGE[1]:
+            raise Inconsistent(
+                f"the sign of joint {self.name} is {self.sign:g}",
+                consequence="Its readings cannot be turned into angles",
+                cure="Use +1 or -1, times the joint's scale where that was identified",
+            )
+        if not self.lower < self.upper:
+            raise Inconsistent(
+                f"the limits of joint {self.name} are swapped or equal: lower {self.lower:g}, upper {self.upper:g}",
+                consequence="The joint could not move",
+                cure="Give the smaller one as lower; leave both out for a joint without limits",
+            )
+        for key in ("max_speed", "stall_effort"):
+            value = getattr(self, key)
+            if value is not None and not (math.isfinite(value) and value > 0.0):
+                raise Inconsistent(f"{key} of joint {self.name} is {value:g}, which is not a positive number")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Arm:
+    """A serial arm: joints from base to flange, T_world_base, T_flange_tool.
+
+    convention says how the joints' a, alpha, beta are read: standard (behind the joint) or craig (before it).
+    source: where the numbers come from. covariance: of identified parameters, named as in `parameter_names`.
+    chain (n + 2, 12): the same arm as compiled code sees it (kernels.chain), always in standard convention.
+    """
+
+    name: str
+    joints: tuple[Joint, ...]
+    convention: Convention = Convention.STANDARD
+    T_world_base: RigidTransform = field(default_factory=RigidTransform.identity)
+    T_flange_tool: RigidTransform = field(default_factory=RigidTransform.identity)
+    source: str = ""
+    covariance: NamedCovariance | None = None
+    chain: Array = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "joints", tuple(self.joints))
+        object.__setattr__(self, "convention", Convention(self.convention))
+        if not self.joints:
+            raise Inconsistent("an arm needs at least one joint", consequence="There is nothing to move")
+        names = [joint.name for joint in self.joints]
+        if len(set(names)) != len(names):
+            raise Inconsistent(f"joint names repeat: {', '.join(names)}", cure="Give each joint a name of its own")
+        chain = _chain(self)
+        chain.setflags(write=False)
+        object.__setattr__(self, "chain", chain)
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.joints)
+
+    @property
+    def lower(self) -> Array:
+        """Lower limits (n,) in rad or m."""
+        return np.array([joint.lower for joint in self.joints])
+
+    @property
+    def upper(self) -> Array:
+        """Upper limits (n,) in rad or m."""
+        return np.array([joint.upper for joint in self.joints])
+
+    @property
+    def revolute(self) -> NDArray[np.bool_]:
+        """Which joints turn (n,)."""
+        return np.array([joint.type is JointType.REVOLUTE for joint in self.joints])
+
+    @property
+    def reach_m(self) -> float:
+        """Upper bound of the distance of the tool's origin from the base's, in m; inf with an unlimited slide."""
+        total = float(np.linalg.norm(self.chain[-1, [3, 7, 11]]))
+        for joint, row in zip(self.joints, self.chain[1:-1], strict=True):
+            slide = abs(row[3])
+            if joint.type is JointType.PRISMATIC:
+                ends = (joint.sign * joint.lower + row[3], joint.sign * joint.upper + row[3])
+                slide = max(abs(end) for end in ends)
+            total += math.hypot(row[4], slide)
+        return total
+
+    @property
+    def length_m(self) -> float:
+        """Characteristic length in m, by which metres are compared with radians: the mean length of a link."""
+        rows = self.chain[1:-1]
+        lengths = np.hypot(rows[:, 4], rows[:, 3])
+        lengths = np.append(lengths, np.linalg.norm(self.chain[-1, [3, 7, 11]]))
+        used = lengths[lengths > 0.0]
+        return float(used.mean()) if len(used) else 1.0
+
+    def checked(self, q: ArrayLike) -> Array:
+        """Return joint values as float64 (n,) or (m, n); Inconsistent where their number or size cannot be."""
+        array = np.ascontiguousarray(q, dtype=np.float64)
+        if array.ndim not in (1, 2) or array.shape[-1] != self.n:
+            raise UsageError(
+                f"{self.name} has {self.n} joints, but the joint values have shape {array.shape}",
+                consequence="No pose can be computed",
+                cure=f"Give {self.n} values per row: {', '.join(joint.name for joint in self.joints)}",
+            )
+        size = float(np.abs(array).max(initial=0.0))
+        if not size <= LARGEST_ANGLE_RAD:  # also true for NaN
+            raise Inconsistent(
+                "a joint value is not finite" if not math.isfinite(size) else f"a joint value is {size:g}",
+                consequence="No pose can be computed",
+                cure="Give radians for turning and metres for sliding joints, and leave rows without a reading out",
+            )
+        return array
+
+    def within_limits(self, q: ArrayLike, tolerance: float = 1e-9) -> NDArray[np.bool_]:
+        """Tell for joint values (n,) or (m, n) whether all joints are within their limits: shape () or (m,)."""
+        values = np.asarray(q, float)
+        inside = (values >= self.lower - tolerance) & (values <= self.upper + tolerance)
+        return np.asarray(inside.all(axis=-1))
+
+
+def _chain(arm: Arm) -> Array:
+    """Return the table (n + 2, 12) of kernels.chain."""
+    T_base, rows, T_tool = distal_rows(
+        arm.convention,
+        arm.T_world_base.as_matrix(),
+        [(joint.a_m, joint.alpha_rad, joint.beta_rad) for joint in arm.joints],
+        arm.T_flange_tool.as_matrix(),
+    )
+    chain = np.zeros((arm.n + 2, 12))
+    chain[0] = T_base[:3].ravel()
+    chain[-1] = T_tool[:3].ravel()
+    for row, joint, (a, alpha, beta) in zip(chain[1:-1], arm.joints, rows, strict=True):
+        row[0] = float(joint.type is JointType.PRISMATIC)
+        row[1:4] = joint.sign, joint.theta_rad, joint.d_m
+        row[4] = a
+        row[5:7] = exact_cos_sin(alpha)
+        row[7:9] = exact_cos_sin(beta)
+        row[9:12] = joint.lower, joint.upper, alpha
+    return chain
+
+
+def exact_cos_sin(angle_rad: float) -> tuple[float, float]:
+    """Return cosine and sine, exact where the angle is the nearest float64 to a quarter turn."""
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    if abs(c) < np.finfo(float).eps:
+        return 0.0, math.copysign(1.0, s)
+    if abs(s) < np.finfo(float).eps:
+        return math.copysign(1.0, c), 0.0
+    return c, s
+
+
+def dh_arm(name: str, rows: Sequence[Sequence[float]], **fields: object) -> Arm:
+    """Return an arm of revolute joints j1..jn from rows (a_m, alpha_rad, d_m, theta_rad), standard convention."""
+    joints = tuple(
+        Joint(name=f"j{i}", a_m=a, alpha_rad=alpha, d_m=d, theta_rad=theta)
+        for i, (a, alpha, d, theta) in enumerate(rows, start=1)
+    )
+    return Arm(name=name, joints=joints, **fields)  # type: ignore[arg-type]  # passed on as they are

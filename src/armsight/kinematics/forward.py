@@ -1,0 +1,141 @@
+"""From joint values to the tool's pose, to every link's frame, and to the Jacobian."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform
+
+from armsight.errors import UsageError
+from armsight.kinematics.arm import Arm
+from armsight.kinematics.convention import Convention, proximal_rows
+from armsight.kinematics.kernels.chain import (
+    joint_frames,
+    many_poses,
+    many_poses_jacobians,
+    one_pose,
+    one_pose_jacobian,
+)
+
+Array = NDArray[np.float64]
+Axes = Literal["world", "base", "tool"]
+
+ALL_CORES_FROM = 16_384
+"""Batches from this size (about a millisecond of work) are spread over the cores."""
+
+
+def forward(arm: Arm, q: ArrayLike, *, all_cores: bool = True) -> Array:
+    """Return T_world_tool as (4, 4) for q (n,), or (m, 4, 4) for q (m, n), in rad and m.
+
+    Big batches run on all cores unless all_cores is False. Raises UsageError for a wrong number of joints and
+    Inconsistent for values that are not finite. Korayem 2018 section 4 with MATH 2.1.
+    """
+    values = arm.checked(q)
+    if values.ndim == 1:
+        T = np.empty((4, 4))
+        one_pose(arm.chain, values, T)
+        return T
+    T = np.empty((len(values), 4, 4))
+    if all_cores and len(values) >= ALL_CORES_FROM:
+        from armsight.kinematics.kernels.parallel import many_poses_on_all_cores
+
+        many_poses_on_all_cores(arm.chain, values, T)
+    else:
+        many_poses(arm.chain, values, T)
+    return T
+
+
+def pose(arm: Arm, q: ArrayLike) -> RigidTransform:
+    """Return T_world_tool as a RigidTransform, one or many; `forward` gives the same as a matrix, faster."""
+    return RigidTransform(forward(arm, q), normalize=False, copy=False)
+
+
+def jacobian(arm: Arm, q: ArrayLike, *, axes: Axes = "world") -> Array:
+    """Return the geometric Jacobian (6, n) or (m, 6, n): velocity of the tool's origin, then angular velocity.
+
+    axes: the axes in which both are given: world, base or tool. Units: m or 1 and rad per unit of the joint.
+    Korayem 2018 section 4 (A4, A5 in MATH).
+    """
+    return forward_jacobian(arm, q, axes=axes)[1]
+
+
+def forward_jacobian(
+    arm: Arm, q: ArrayLike, *, axes: Axes = "world", all_cores: bool = True, out: tuple[Array, Array] | None = None
+) -> tuple[Array, Array]:
+    """Return T_world_tool (4, 4) and the Jacobian (6, n), or both for each row of q (m, n); see `jacobian`.
+
+    out: arrays to fill in place of new ones, for callers that come back often with big batches.
+    """
+    if axes not in ("world", "base", "tool"):
+        raise UsageError(f"the axes {axes!r} are not known", cure="Use world, base or tool")
+    values = arm.checked(q)
+    shape = values.shape[:-1]
+    T, J = (np.empty((*shape, 4, 4)), np.empty((*shape, 6, arm.n))) if out is None else out
+    if values.ndim == 1:
+        one_pose_jacobian(arm.chain, values, T, J)
+    elif all_cores and len(values) >= ALL_CORES_FROM:
+        from armsight.kinematics.kernels.parallel import many_poses_jacobians_on_all_cores
+
+        many_poses_jacobians_on_all_cores(arm.chain, values, T, J)
+    else:
+        many_poses_jacobians(arm.chain, values, T, J)
+    if axes != "world":
+        R = T[..., :3, :3] if axes == "tool" else arm.chain[0].reshape(3, 4)[:, :3]
+        Rt = np.swapaxes(R, -1, -2)
+        J[..., :3, :] = Rt @ J[..., :3, :]
+        J[..., 3:, :] = Rt @ J[..., 3:, :]
+    return T, J
+
+
+def link_frames(arm: Arm, q: ArrayLike) -> Array:
+    """Return (n + 2, 4, 4): T_world_base, the frame behind each joint in standard convention, T_world_tool."""
+    values = arm.checked(q)
+    if values.ndim != 1:
+        raise UsageError("link frames are computed for one joint vector at a time")
+    F = np.empty((arm.n + 2, 12))
+    joint_frames(arm.chain, values, F)
+    T = np.tile(np.eye(4), (arm.n + 2, 1, 1))
+    T[:, :3, :] = F.reshape(-1, 4, 3).transpose(0, 2, 1)
+    return T
+
+
+def in_convention(arm: Arm, convention: Convention | str) -> Arm:
+    """Return the same arm written in the other convention; its poses stay the same, its covariance is dropped.
+
+    A link length or twist that the new convention cannot hold at its end goes into the base or the tool.
+    """
+    import dataclasses
+
+    wanted = Convention(convention)
+    if wanted is arm.convention:
+        return arm
+    from armsight.kinematics.convention import distal_rows
+
+    move = distal_rows if wanted is Convention.STANDARD else proximal_rows
+    links = [(joint.a_m, joint.alpha_rad, joint.beta_rad) for joint in arm.joints]
+    base, rows, tool = move(arm.convention, arm.T_world_base.as_matrix(), links, arm.T_flange_tool.as_matrix())
+    joints = tuple(
+        dataclasses.replace(joint, a_m=a, alpha_rad=alpha, beta_rad=beta)
+        for joint, (a, alpha, beta) in zip(arm.joints, rows, strict=True)
+    )
+    return Arm(
+        name=arm.name,
+        joints=joints,
+        convention=wanted,
+        T_world_base=RigidTransform.from_matrix(base),
+        T_flange_tool=RigidTransform.from_matrix(tool),
+        source=arm.source,
+    )
+
+
+def warm_up() -> None:
+    """Compile, or load from the cache, what the functions of this module run, outside any control loop."""
+    from armsight.kinematics.arm import dh_arm
+
+    arm = dh_arm("warm-up", [(0.1, 0.0, 0.1, 0.0)] * 2)
+    forward_jacobian(arm, [0.0, 0.0])
+    forward(arm, [0.0, 0.0])
+    forward_jacobian(arm, np.zeros((2, 2)))
+    forward(arm, np.zeros((2, 2)))

@@ -1,0 +1,1 @@
+"""Compiled kinematics. The arm travels as one table, see `armsight.kinematics.arm.Arm.chain`."""

@@ -1,0 +1,80 @@
+"""Compiled derivatives of the tool's pose with respect to every geometric parameter of the chain."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from armsight.kinematics.kernels.chain import frame_matrix, joint_frames
+
+PER_JOINT = 5
+"""a, alpha, d, theta, beta."""
+
+
+@njit(cache=True, error_model="numpy")
+def _turn(ux, uy, uz, frame, at, T, J, column):
+    """Fill one column of J (6, .) with the motion of the tool by a turn about the axis u through frame[at : at + 3]."""
+    px = T[0, 3] - frame[at]
+    py = T[1, 3] - frame[at + 1]
+    pz = T[2, 3] - frame[at + 2]
+    J[0, column] = uy * pz - uz * py
+    J[1, column] = uz * px - ux * pz
+    J[2, column] = ux * py - uy * px
+    J[3, column] = ux
+    J[4, column] = uy
+    J[5, column] = uz
+
+
+@njit(cache=True, error_model="numpy")
+def _shift(ux, uy, uz, J, column):
+    """Fill one column of J (6, .) with a shift along u."""
+    J[0, column] = ux
+    J[1, column] = uy
+    J[2, column] = uz
+    J[3, column] = 0.0
+    J[4, column] = 0.0
+    J[5, column] = 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def parameter_columns(chain, q, T, J):
+    """Fill T (4, 4) and J (6, 5 n + 12), the derivative (dt, dw) in world axes of the tool's pose.
+
+    Columns: a, alpha, d, theta, beta of each joint; then T_world_base by (dt, dw) in world axes; then T_flange_tool
+    by (dt, dw) in flange axes.
+    """
+    n = chain.shape[0] - 2
+    F = np.empty((n + 2, 12))
+    joint_frames(chain, q, F)
+    frame_matrix(F[n + 1], T)
+    for i in range(n):
+        row = chain[i + 1]
+        k = PER_JOINT * i
+        after = F[i + 1]
+        cb, sb = row[7], row[8]
+        # x of the link before beta: beta turns about the final y, so x_link = x cos beta + z sin beta
+        xx = after[0] * cb + after[6] * sb
+        xy = after[1] * cb + after[7] * sb
+        xz = after[2] * cb + after[8] * sb
+        _shift(xx, xy, xz, J, k)
+        _turn(xx, xy, xz, after, 9, T, J, k + 1)
+        _shift(F[i, 6], F[i, 7], F[i, 8], J, k + 2)
+        _turn(F[i, 6], F[i, 7], F[i, 8], F[i], 9, T, J, k + 3)
+        _turn(after[3], after[4], after[5], after, 9, T, J, k + 4)
+    k = PER_JOINT * n
+    for c in range(3):
+        e0 = 1.0 if c == 0 else 0.0
+        e1 = 1.0 if c == 1 else 0.0
+        e2 = 1.0 if c == 2 else 0.0
+        _shift(e0, e1, e2, J, k + c)
+        _turn(e0, e1, e2, F[0], 9, T, J, k + 3 + c)
+        f0, f1, f2 = F[n, 3 * c], F[n, 3 * c + 1], F[n, 3 * c + 2]
+        _shift(f0, f1, f2, J, k + 6 + c)
+        _turn(f0, f1, f2, F[n + 1], 9, T, J, k + 9 + c)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def many_parameter_columns(chain, q, T, J):
+    """Fill T (m, 4, 4) and J (m, 6, 5 n + 12) for each row of q (m, n)."""
+    for k in range(q.shape[0]):
+        parameter_columns(chain, q[k], T[k], J[k])
