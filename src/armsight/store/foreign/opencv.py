@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.errors import BadFile
+from armsight.errors import BadFile, Inconsistent
 from armsight.optics import Camera, Rig, RigKind
 from armsight.store.atomic import write_text
 from armsight.store.foreign.numbers import (
@@ -110,10 +110,10 @@ def camera_to_opencv(path: Path, camera: Camera) -> None:
 def rig_to_opencv(path: Path, rig: Rig) -> None:
     """Write a FileStorage YAML of a pair: M1 D1 M2 D2 R T in metres, and the left image's size.
 
-    Raises BadFile where the images differ in size, which this file cannot say.
+    Raises Inconsistent where the images differ in size, which this file cannot say.
     """
     if (rig.left.width, rig.left.height) != (rig.right.width, rig.right.height):
-        raise BadFile(f"{path}: the cameras' images differ in size", consequence="OpenCV's stereo file cannot say this")
+        raise Inconsistent("the cameras' images differ in size", consequence="OpenCV's stereo file cannot say this")
     R, t = relative(rig.T_rig_left, rig.T_rig_right)
     parts: dict[str, int | Array] = {
         "image_width": rig.left.width,
