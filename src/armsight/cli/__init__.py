@@ -3,4 +3,6 @@
 
 def main() -> None:
     """Run the command line."""
-    raise SystemExit(2)
+    from armsight.cli.commands import app  # imported here so that `import armsight.cli` costs nothing
+
+    app(prog_name="armsight")

@@ -1,0 +1,217 @@
+"""Images of a board in, cameras and rigs out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from armsight.app.boards import Seen, in_parallel, other_size, see_board
+from armsight.calibrate import CameraCalibration, StereoCalibration
+from armsight.calibrate import calibrate_camera as solve_camera
+from armsight.calibrate import calibrate_stereo as solve_stereo
+from armsight.drivers import is_live, list_images, open_pairs, open_source
+from armsight.drivers.sources import VIDEO_SUFFIXES
+from armsight.errors import Cancelled, Inconsistent, NotEnoughData
+from armsight.optics import Rig
+from armsight.records import BoardView, Frame, NamedCovariance, Progress, Silent, Target
+from armsight.store import parse_board, write_camera, write_rig
+
+Rejected = tuple[str, str]
+"""Which image, and why."""
+
+PIXEL_NAMES = ("fx", "fy", "cx", "cy", "skew")
+POSE_UNITS: Mapping[str, str] = {
+    "tx": "tx_m",
+    "ty": "ty_m",
+    "tz": "tz_m",
+    "rx": "rx_rad",
+    "ry": "ry_rad",
+    "rz": "rz_rad",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CalibrateJob:
+    """Board as text, where to put the result, every how manyth frame to use (videos), and the sources."""
+
+    board: str
+    out: Path
+    every: int = 1
+    limit: int | None = None
+    workers: int | None = None
+    source: str = ""
+    left: str = ""
+    right: str = ""
+
+
+def calibrate_camera(job: CalibrateJob, progress: Progress | None = None) -> dict[str, Any]:
+    """Calibrate one camera and write its camera.yaml; return the figures as --json gives them.
+
+    Raises UsageError, DataRefused or DeviceFailed, Cancelled.
+    """
+    board = parse_board(job.board)
+    progress = progress or Silent()
+    views: list[BoardView] = []
+    rejected: list[Rejected] = []
+    first: Frame | None = None
+    with open_source(job.source) as source:
+        frames = islice(source, 0, _stop(job), job.every)
+        total = _total(source.total, job)
+        for frame, seen in in_parallel(lambda frame: (frame, see_board(frame, board)), frames, workers=job.workers):
+            first = first or frame
+            _sort(frame, seen, views, rejected)
+            _tell(progress, len(views) + len(rejected), total)
+    _require(views, rejected, first, board, job.board)
+    progress.update(0, 0, "solving")
+    done = solve_camera(views, board)
+    write_camera(job.out, done.camera, covariance=done.covariance, rms_px=done.rms_px, inputs=_inputs(job.source))
+    return camera_content(done, rejected)
+
+
+def calibrate_stereo(job: CalibrateJob, progress: Progress | None = None) -> dict[str, Any]:
+    """Calibrate a pair of cameras and write its rig.yaml; return the figures as --json gives them.
+
+    Raises UsageError, DataRefused or DeviceFailed, Cancelled.
+    """
+    board = parse_board(job.board)
+    progress = progress or Silent()
+    views: tuple[list[BoardView], list[BoardView]] = ([], [])
+    rejected: list[Rejected] = []
+    first: Frame | None = None
+    done = 0
+
+    def see(pair: tuple[Frame, Frame]) -> tuple[tuple[Frame, Seen], ...]:
+        return tuple((frame, see_board(frame, board)) for frame in pair)
+
+    with open_pairs(job.left, job.right) as pairs:
+        chosen = islice(pairs, 0, _stop(job), job.every)
+        total = _total(pairs.total, job)
+        for both in in_parallel(see, chosen, workers=job.workers):
+            first = first or both[0][0]
+            lost = [(frame.source, seen) for frame, seen in both if isinstance(seen, str)]
+            rejected += lost
+            if not lost:
+                for side, (_, seen) in zip(views, both, strict=True):
+                    if isinstance(seen, BoardView):
+                        side.append(seen)
+            done += 1
+            _tell(progress, done, total)
+    _require(views[0], rejected, first, board, job.board)
+    progress.update(0, 0, "solving")
+    result = solve_stereo(views[0], views[1], board)
+    refuse_swapped(result.rig)
+    write_rig(job.out, result.rig, inputs=[*_inputs(job.left), *_inputs(job.right)])
+    return stereo_content(result, rejected, n_pairs=done)
+
+
+def camera_content(done: CameraCalibration, rejected: Sequence[Rejected]) -> dict[str, Any]:
+    """Return a camera's calibration as --json gives it."""
+    fx, fy, cx, cy = done.camera.intrinsics[:4].tolist()
+    everything = [*rejected, *done.rejected]
+    return {
+        "rms_px": done.rms_px,
+        "n_images": done.n_used + len(everything),
+        "n_used": done.n_used,
+        "rejected": _rejected(everything),
+        "fx_px": fx,
+        "fy_px": fy,
+        "cx_px": cx,
+        "cy_px": cy,
+        "distortion": done.camera.distortion.tolist(),
+        "std": _std(done.covariance),
+        "holdout_rms_px": done.holdout_rms_px,
+    }
+
+
+def stereo_content(result: StereoCalibration, rejected: Sequence[Rejected], *, n_pairs: int) -> dict[str, Any]:
+    """Return a rig's calibration as --json gives it."""
+    return {
+        "rms_px": result.rms_px,
+        "epipolar_rms_px": result.epipolar_rms_px,
+        "baseline_m": result.rig.baseline_m,
+        "n_pairs": n_pairs,
+        "n_used": result.n_used,
+        "rejected": _rejected([*rejected, *result.rejected]),
+        "std": _std(result.rig.covariance),
+        "holdout_rms_px": result.holdout_rms_px,
+        "holdout_epipolar_rms_px": result.holdout_epipolar_rms_px,
+        "metric": dict(result.metric),
+    }
+
+
+def refuse_swapped(rig: Rig) -> None:
+    """Raise Inconsistent where the camera called right stands on the left of the one called left."""
+    x, y, z = (rig.T_rig_left.inv() * rig.T_rig_right).translation.tolist()
+    if x < 0.0 and abs(x) > max(abs(y), abs(z)):
+        raise Inconsistent(
+            f"left and right are swapped, or both images are mirrored: the right camera stands {-x * 1e3:.1f} mm "
+            "to the left of the left one",
+            consequence="No rig is written: every later use would call its views by the wrong name",
+            cure="Exchange the sources of --left and --right; if they are right, switch off the cameras' mirroring",
+        )
+
+
+def _sort(frame: Frame, seen: Seen, views: list[BoardView], rejected: list[Rejected]) -> None:
+    if isinstance(seen, str):
+        rejected.append((frame.source, seen))
+    else:
+        views.append(seen)
+
+
+def _tell(progress: Progress, done: int, total: int) -> None:
+    progress.update(done, total, "finding the board")
+    if progress.cancelled():
+        raise Cancelled(f"stopped after {done} images", consequence="Nothing was written")
+
+
+def _require(
+    views: Sequence[BoardView], rejected: Sequence[Rejected], first: Frame | None, board: Target, text: str
+) -> None:
+    """Raise NotEnoughData where the board was seen nowhere, with the size that was found instead."""
+    if views or first is None:
+        return
+    other = other_size(first, board)
+    why = f"; in the first, {rejected[0][0]}: {rejected[0][1]}" if rejected else ""
+    raise NotEnoughData(
+        f"the board {text} was found in none of the images{why}",
+        consequence="Nothing was calibrated",
+        cure=f"A board of {other} inner corners is there: give --board with that size, and check its square's length"
+        if other
+        else "Count the inner corners, where four squares meet (a board of 10x7 squares has 9x6), and check that the "
+        "whole board is in the images",
+    )
+
+
+def _stop(job: CalibrateJob) -> int | None:
+    return None if job.limit is None else job.limit * job.every
+
+
+def _total(total: int | None, job: CalibrateJob) -> int:
+    stop = _stop(job)
+    if total is None:
+        return job.limit or 0
+    return -(-min(total, stop or total) // job.every)
+
+
+def _inputs(text: str) -> Sequence[Path]:
+    """Return the files behind a source, whose hashes go into the result."""
+    if is_live(text):
+        return ()
+    return [Path(text)] if Path(text).suffix.lower() in VIDEO_SUFFIXES else list_images(text)
+
+
+def _rejected(items: Sequence[Rejected]) -> list[dict[str, str]]:
+    return [{"file": file, "why": why} for file, why in items]
+
+
+def _std(covariance: NamedCovariance | None) -> dict[str, float]:
+    """Return deviations by name with the unit in the key."""
+    out: dict[str, float] = {}
+    for name, value in (covariance.std() if covariance else {}).items():
+        side, _, plain = name.rpartition(".")
+        unit = f"{plain}_px" if plain in PIXEL_NAMES else POSE_UNITS.get(plain, plain)
+        out[f"{side}.{unit}" if side else unit] = value
+    return out

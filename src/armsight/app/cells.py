@@ -1,0 +1,94 @@
+"""Simulated cells, reached by name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Protocol, Self, cast
+
+import cv2
+
+from armsight.drivers import CELLS, Skew, load
+from armsight.errors import DeviceFailed
+from armsight.records import Frame
+from armsight.store import rig_from_mapping, target_from_mapping, write_rig, write_target, write_text
+from armsight.store.tables import cells, number
+from armsight.store.tracks import POSE_COLUMNS
+from armsight.store.yamls import dump_yaml
+
+SIDES = ("left", "right")
+
+
+class Cell(Protocol):
+    """What a simulated cell offers (entry points armsight.cells: (seed, frames) -> Cell)."""
+
+    name: str
+    rig: Mapping[str, Any]
+    target: Mapping[str, Any]
+    fps: float
+    truth: Sequence[Any]
+    assumptions: Sequence[str]
+
+    def frames(self) -> Iterator[tuple[Frame, Frame]]:
+        """Yield the pairs."""
+        ...
+
+
+def load_cell(name: str, *, seed: int, frames: int) -> Cell:
+    """Return the cell registered under a name; DeviceNotFound, with the known names, where there is none."""
+    return cast(Cell, load(CELLS, name)(seed=seed, frames=frames))
+
+
+class CellPairs:
+    """A cell as a source of pairs; with a folder, each frame is also written there as PNG."""
+
+    skew: Skew | None = None
+
+    def __init__(self, cell: Cell, total: int, *, folder: Path | None = None) -> None:
+        self._cell = cell
+        self._folder = folder
+        self.name = cell.name
+        self.total: int | None = total
+
+    def __enter__(self) -> Self:
+        if self._folder is not None:
+            for side in SIDES:
+                (self._folder / side).mkdir(parents=True, exist_ok=True)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        pass
+
+    def __iter__(self) -> Iterator[tuple[Frame, Frame]]:
+        for index, pair in enumerate(self._cell.frames()):
+            if self._folder is not None:
+                for side, frame in zip(SIDES, pair, strict=True):
+                    _write_png(self._folder / side / f"{index:06d}.png", frame)
+            yield pair
+
+
+def write_cell_files(cell: Cell, folder: Path, *, seed: int, frames: int) -> None:
+    """Write rig.yaml, target.yaml, times.csv, truth.csv and scenario.yaml of a cell."""
+    write_rig(folder / "rig.yaml", rig_from_mapping(cell.rig, f"{cell.name}'s rig"))
+    write_target(folder / "target.yaml", target_from_mapping(cell.target, f"{cell.name}'s target"))
+    rows = [f"{number(t_s)},{cells(xyz_m)},{cells(quat_xyzw)},,,,,,,ok," for t_s, xyz_m, quat_xyzw in cell.truth]
+    write_text(folder / "truth.csv", "\n".join([",".join(POSE_COLUMNS), *rows]) + "\n")
+    write_text(folder / "times.csv", "\n".join(["t_s", *(number(t_s) for t_s, _, _ in cell.truth)]) + "\n")
+    scenario = {
+        "format": "armsight/scenario",
+        "version": 1,
+        "name": cell.name,
+        "seed": seed,
+        "frames": frames,
+        "fps": cell.fps,
+        "assumptions": list(cell.assumptions),
+    }
+    write_text(folder / "scenario.yaml", dump_yaml(scenario))
+
+
+def _write_png(path: Path, frame: Frame) -> None:
+    if not cv2.imwrite(str(path), frame.image, (cv2.IMWRITE_PNG_COMPRESSION, 1)):
+        raise DeviceFailed(f"{path} cannot be written", cure="Check the folder and the free space")

@@ -1,0 +1,157 @@
+"""Between our files and those of other programs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from armsight.errors import BadFile, UsageError
+from armsight.optics import Camera, Rig
+from armsight.records import PoseStatus, TargetPose
+from armsight.store import (
+    read_camera,
+    read_poses,
+    read_rig,
+    read_tum,
+    write_camera,
+    write_poses,
+    write_rig,
+    write_tum,
+)
+from armsight.store.foreign import (
+    camera_from_kalibr,
+    camera_from_opencv,
+    camera_from_ros,
+    camera_to_kalibr,
+    camera_to_opencv,
+    camera_to_ros,
+    kind_of,
+    rig_from_kalibr,
+    rig_from_opencv,
+    rig_from_ros,
+    rig_to_kalibr,
+    rig_to_opencv,
+    rig_to_ros,
+)
+
+KINDS = ("armsight", "ros", "opencv", "kalibr")
+TUM_SUFFIXES = (".tum", ".txt")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Converted:
+    """From which kind to which, and the files written."""
+
+    source: str
+    target: str
+    files: tuple[Path, ...]
+    rows: int | None = None
+
+
+def convert_camera(source: Path, out: Path, *, to: str | None = None, size: tuple[int, int] | None = None) -> Converted:
+    """Convert a camera's file; to: one of KINDS, default armsight. Raises DataRefused or UsageError."""
+    kind = _kind(source, "armsight/camera")
+    to = _wanted(kind, to)
+    read: Mapping[str, Callable[[Path], Camera]] = {
+        "armsight": read_camera,
+        "ros": camera_from_ros,
+        "opencv": lambda path: camera_from_opencv(path, size=size),
+        "kalibr": camera_from_kalibr,
+    }
+    camera = read[kind](source)
+    write: Mapping[str, Callable[[], None]] = {
+        "armsight": lambda: write_camera(out, camera, inputs=[source]),
+        "ros": lambda: camera_to_ros(out, camera),
+        "opencv": lambda: camera_to_opencv(out, camera),
+        "kalibr": lambda: camera_to_kalibr(out, camera),
+    }
+    write[to]()
+    return Converted(source=kind, target=to, files=(out,))
+
+
+def convert_rig(
+    sources: Sequence[Path],
+    outs: Sequence[Path],
+    *,
+    to: str | None = None,
+    size: tuple[int, int] | None = None,
+    unit_m: float = 1.0,
+) -> Converted:
+    """Convert a rig's file, or its two files (ROS: left, right; OpenCV: intrinsics, extrinsics).
+
+    to: one of KINDS, default armsight; ROS wants two outs, the others one. size (width, height) and unit_m are for
+    OpenCV's files, which may leave them out. Raises DataRefused or UsageError.
+    """
+    kind = _kind(sources[0], "armsight/rig")
+    to = _wanted(kind, to)
+    _count("input", sources, kind, {"armsight": (1,), "ros": (2,), "opencv": (1, 2), "kalibr": (1,)}[kind])
+    _count("output", outs, to, (2,) if to == "ros" else (1,))
+    read: Mapping[str, Callable[[], Rig]] = {
+        "armsight": lambda: read_rig(sources[0]),
+        "ros": lambda: rig_from_ros(sources[0], sources[1]),
+        "opencv": lambda: rig_from_opencv(sources, size=size, unit_m=unit_m),
+        "kalibr": lambda: rig_from_kalibr(sources[0]),
+    }
+    rig = read[kind]()
+    write: Mapping[str, Callable[[], None]] = {
+        "armsight": lambda: write_rig(outs[0], rig, inputs=sources),
+        "ros": lambda: rig_to_ros(outs[0], outs[1], rig),
+        "opencv": lambda: rig_to_opencv(outs[0], rig),
+        "kalibr": lambda: rig_to_kalibr(outs[0], rig),
+    }
+    write[to]()
+    return Converted(source=kind, target=to, files=tuple(outs))
+
+
+def convert_poses(source: Path, out: Path) -> Converted:
+    """Convert poses.csv to TUM (.tum, .txt) or TUM to poses.csv, by the names' endings."""
+    from_tum, to_tum = (path.suffix.lower() in TUM_SUFFIXES for path in (source, out))
+    if from_tum == to_tum or not all(path.suffix.lower() in (*TUM_SUFFIXES, ".csv") for path in (source, out)):
+        raise UsageError(
+            f"{source.name} to {out.name} is no conversion of poses",
+            cure="One name must end in .csv, the other in .tum or .txt",
+        )
+    if to_tum:
+        return Converted(source="poses.csv", target="tum", files=(out,), rows=write_tum(out, read_poses(source)))
+    track = read_tum(source)
+    poses = [
+        TargetPose(t_s=float(t_s), status=PoseStatus.OK, parent="world", pose=pose, covariance=np.zeros((6, 6)))
+        for t_s, pose in zip(track.t_s, track.pose, strict=True)
+    ]
+    write_poses(out, poses)
+    return Converted(source="tum", target="poses.csv", files=(out,), rows=len(poses))
+
+
+def _kind(path: Path, own: str) -> str:
+    kind = kind_of(path)
+    if kind == own:
+        return "armsight"
+    if kind in KINDS:
+        return kind
+    raise BadFile(
+        f"{path} is {kind}, not {own}" if kind else f"{path} is no calibration of a known kind",
+        consequence="It cannot be converted",
+        cure=f"Known are {own}, ROS camera_info, OpenCV FileStorage and Kalibr camchain, all in YAML",
+    )
+
+
+def _wanted(kind: str, to: str | None) -> str:
+    to = to or ("armsight" if kind != "armsight" else None)
+    if to is None or to not in KINDS:
+        raise UsageError(
+            f"{to!r} is not a kind to convert to" if to else "the file is armsight's own, and --to says nothing",
+            cure=f"Give --to with one of {', '.join(KINDS)}",
+        )
+    return to
+
+
+def _count(what: str, paths: Sequence[Path], kind: str, allowed: tuple[int, ...]) -> None:
+    if len(paths) not in allowed:
+        wanted = " or ".join(str(count) for count in allowed)
+        raise UsageError(
+            f"{len(paths)} {what} files are given, {kind} takes {wanted}",
+            cure="For ROS give both cameras, the left one first" if kind == "ros" else "",
+        )

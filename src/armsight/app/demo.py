@@ -1,0 +1,125 @@
+"""The main job on a simulated cell, and how far its poses are from the truth."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from armsight.app.cells import CellPairs, load_cell, write_cell_files
+from armsight.app.measure import run
+from armsight.app.outputs import Summary
+from armsight.geometry import pose_difference, pose_from_quat
+from armsight.measure import Measured, Setup, SpotSettings
+from armsight.records import Frame, PoseStatus, Progress, Silent, TargetPose
+from armsight.store import rig_from_mapping, target_from_mapping, write_json
+from armsight.units import DEG, MM
+
+Array = NDArray[np.float64]
+
+INSIDE_95 = float(chi2.ppf(0.95, 6))
+AXES = ("x", "y", "z", "rx", "ry", "rz")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DemoResult:
+    """The run's figures, the errors (n, 6) in m and rad of its poses, and the deviations they claim (n, 6)."""
+
+    summary: Summary
+    errors: Array
+    claimed: Array
+    inside_95: float
+    seconds: float
+    assumptions: tuple[str, ...]
+
+    def rows(self) -> Sequence[tuple[str, float, float, float]]:
+        """Return name, RMS, largest and claimed deviation (RMS) of each coordinate, in mm and degrees."""
+        units = [("mm", MM)] * 3 + [("deg", DEG)] * 3
+        return [
+            (
+                f"{axis}, {unit}",
+                _rms(self.errors[:, i]) / factor,
+                float(np.abs(self.errors[:, i]).max(initial=0.0)) / factor,
+                _rms(self.claimed[:, i]) / factor,
+            )
+            for i, (axis, (unit, factor)) in enumerate(zip(AXES, units, strict=True))
+        ]
+
+    def content(self) -> dict[str, Any]:
+        """Return it as --json gives it."""
+        units = ["m"] * 3 + ["rad"] * 3
+        return {
+            **self.summary.content(),
+            "truth": {
+                f"{axis}_{unit}": {
+                    "rms": _rms(self.errors[:, i]),
+                    "max": float(np.abs(self.errors[:, i]).max(initial=0.0)),
+                    "claimed": _rms(self.claimed[:, i]),
+                }
+                for i, (axis, unit) in enumerate(zip(AXES, units, strict=True))
+            },
+            "inside_95": self.inside_95,
+            "seconds_s": self.seconds,
+            "assumptions": list(self.assumptions),
+        }
+
+
+def demo(
+    out: Path, *, seed: int, frames: int, cell: str, keep_frames: bool = False, progress: Progress | None = None
+) -> DemoResult:
+    """Measure a simulated cell's frames into the folder out and compare with the truth.
+
+    Raises DeviceNotFound for an unknown cell, what `run` raises, and Cancelled.
+    """
+    start_s = time.perf_counter()
+    made = load_cell(cell, seed=seed, frames=frames)
+    setup = Setup(
+        rig=rig_from_mapping(made.rig, f"{cell}'s rig"),
+        target=target_from_mapping(made.target, f"{cell}'s target"),
+        settings=SpotSettings(),
+    )
+    write_cell_files(made, out, seed=seed, frames=frames)
+    poses: list[TargetPose] = []
+
+    def keep(left: Frame, right: Frame, measured: Measured, pose: TargetPose) -> None:
+        poses.append(pose)
+
+    pairs = CellPairs(made, frames, folder=out if keep_frames else None)
+    summary = run(setup, pairs, out, progress=progress or Silent(), listeners=(keep,))
+    errors, claimed, distances = compare(poses, made.truth)
+    result = DemoResult(
+        summary=summary,
+        errors=errors,
+        claimed=claimed,
+        inside_95=float(np.mean(distances <= INSIDE_95)) if len(distances) else 0.0,
+        seconds=time.perf_counter() - start_s,
+        assumptions=tuple(made.assumptions),
+    )
+    write_json(out / "demo.json", result.content())
+    return result
+
+
+def compare(poses: Sequence[TargetPose], truth: Sequence[Any]) -> tuple[Array, Array, Array]:
+    """Return errors (n, 6), claimed deviations (n, 6) and squared Mahalanobis distances (n,) of poses of status ok.
+
+    truth: (t_s, xyz_m, quat_xyzw) per pose, in step.
+    """
+    errors, claimed, distances = [], [], []
+    for pose, (_, xyz_m, quat_xyzw) in zip(poses, truth, strict=True):
+        if pose.status is not PoseStatus.OK or pose.pose is None or pose.covariance is None:
+            continue
+        error = pose_difference(pose.pose, pose_from_quat(xyz_m, quat_xyzw))
+        errors.append(error)
+        claimed.append(np.sqrt(np.diag(pose.covariance)))
+        distances.append(float(error @ np.linalg.solve(pose.covariance, error)))
+    return np.array(errors).reshape(-1, 6), np.array(claimed).reshape(-1, 6), np.array(distances)
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")

@@ -1,0 +1,108 @@
+"""What this machine can do, and what a rig can tell apart."""
+
+from __future__ import annotations
+
+import os
+import platform
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import cv2
+
+import armsight
+from armsight.drivers import CAMERAS, CELLS, ROBOTS, cameras_there, cores, known
+from armsight.optics import Rig, resolution
+from armsight.optics.resolution import CENTROID_SIGMA_PX
+from armsight.store import read_rig
+
+PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless", "pydantic", "plotly", "typer")
+DEPTHS_IN_BASELINES = (2.0, 5.0, 10.0, 20.0, 50.0)
+"""Distances of the table: below two baselines views hardly overlap, beyond fifty depth is a guess."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Diagnosis:
+    """What was found, in plain values ready for JSON; problems are sentences with a cure."""
+
+    versions: Mapping[str, str]
+    machine: Mapping[str, Any]
+    cameras: Sequence[str]
+    drivers: Mapping[str, Sequence[str]]
+    kernels: Mapping[str, Any]
+    problems: Sequence[str]
+    rig: Mapping[str, Any] | None = None
+
+
+def doctor(
+    rig: Path | None = None, *, depths_m: Sequence[float] = (), sigma_px: float = CENTROID_SIGMA_PX
+) -> Diagnosis:
+    """Look at the machine and, where given, at a rig's resolution at distances (default: multiples of its baseline)."""
+    drivers = {group.removeprefix("armsight."): known(group) for group in (CAMERAS, ROBOTS, CELLS)}
+    kernels = kernel_cache(Path(armsight.__file__).parent)
+    return Diagnosis(
+        versions={"armsight": armsight.__version__, "python": platform.python_version(), **_versions()},
+        machine={"system": platform.platform(), "cores": cores(), "cores_there": os.cpu_count() or 1},
+        cameras=cameras_there(),
+        drivers=drivers,
+        kernels=kernels,
+        problems=_problems(drivers, kernels),
+        rig=None if rig is None else rig_resolution(read_rig(rig), depths_m, sigma_px),
+    )
+
+
+def rig_resolution(rig: Rig, depths_m: Sequence[float], sigma_px: float) -> dict[str, Any]:
+    """Return baseline_m, sigma_px and rows of depth and lateral deviation at each distance."""
+    depths = list(depths_m) or [factor * rig.baseline_m for factor in DEPTHS_IN_BASELINES]
+    rows = [resolution(rig, depth_m, sigma_px) for depth_m in depths]
+    return {
+        "baseline_m": rig.baseline_m,
+        "rms_px": rig.rms_px,
+        "sigma_px": sigma_px,
+        "distances": [
+            {
+                "depth_m": row.depth_m,
+                "sigma_depth_m": row.sigma_depth_m,
+                "sigma_lateral_m": row.sigma_lateral_m.tolist(),
+                "depth_per_px_m": row.depth_per_px_m,
+                "lateral_per_px_m": row.lateral_per_px_m,
+                "in_view": row.in_view,
+            }
+            for row in rows
+        ],
+    }
+
+
+def kernel_cache(package: Path) -> dict[str, Any]:
+    """Return how many compiled kernels are kept on disk, where, and whether more can be added."""
+    given = os.environ.get("NUMBA_CACHE_DIR")
+    folder = Path(given) if given else package
+    kept = sum(1 for _ in folder.rglob("*.nbc")) if folder.is_dir() else 0
+    return {"folder": str(folder), "compiled": kept, "writable": os.access(folder, os.W_OK)}
+
+
+def _versions() -> dict[str, str]:
+    found = {}
+    for name in PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "missing"
+    found["opencv"] = cv2.__version__
+    return found
+
+
+def _problems(drivers: Mapping[str, Sequence[str]], kernels: Mapping[str, Any]) -> list[str]:
+    problems = []
+    if not drivers["cameras"]:
+        problems.append("No camera driver is registered: the installation is incomplete. Run `make install`.")
+    if not kernels["writable"]:
+        problems.append(
+            f"{kernels['folder']} cannot be written, so every start compiles anew. Set NUMBA_CACHE_DIR to a folder."
+        )
+    if cv2.__version__.startswith("5.") or sys.version_info < (3, 11):
+        problems.append("OpenCV 5 or an old Python is installed; run in the environment that `make install` builds.")
+    return problems

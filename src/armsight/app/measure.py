@@ -1,0 +1,243 @@
+"""Frames in, poses with their uncertainty out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.app.outputs import REPORT, SUMMARY, Outputs, Summary
+from armsight.drivers import PairSource, open_pairs, open_split, ordered_map, read_image
+from armsight.drivers.live import MAX_SKEW_S
+from armsight.errors import ArmsightError, Cancelled, Inconsistent, NotEnoughData, UsageError
+from armsight.measure import Measured, Setup, SpotSettings, Track, measure_pair, warm_up
+from armsight.optics import SIDES, Rig
+from armsight.records import Frame, Points, PoseStatus, Progress, Silent, Spots, Target, TargetPose
+from armsight.store import World, read_rig, read_target, read_times, read_world, write_json
+
+Pair = tuple[Frame, Frame]
+
+SWAPPED_ENOUGH = 3
+"""Pairs at the start of a run that look exchanged before it is refused: one may do so by a reflection."""
+
+MEASURING = "measuring"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Step:
+    """One pair, what was measured, the milliseconds it took; swapped: why left and right look exchanged."""
+
+    pair: Pair
+    measured: Measured
+    ms: float
+    swapped: Inconsistent | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeasureJob:
+    """What to measure, with what, and where to put it.
+
+    left and right, or image: sources as on the command line. fps: of folders. limit: frames after which to stop.
+    mask: an image that is black where no light may be looked for.
+    """
+
+    rig: Path
+    target: Path
+    out: Path
+    left: str | None = None
+    right: str | None = None
+    image: str | None = None
+    times: Path | None = None
+    world: Path | None = None
+    mask: Path | None = None
+    fps: float | None = None
+    max_skew_s: float = MAX_SKEW_S
+    limit: int | None = None
+    threshold: float | None = None
+    inverted: bool = False
+
+
+Listener = Callable[[Frame, Frame, Measured, TargetPose], None]
+"""Sees each step of a run: both frames, what was measured, the pose in the parent frame."""
+
+
+def measure(job: MeasureJob, progress: Progress | None = None) -> Summary:
+    """Measure every pair of frames; write poses.csv, points.csv, spots.csv, poses.tum, measure.json, report.html.
+
+    What was measured before a failure or a cancel is in the files when the error is raised. Raises UsageError,
+    DataRefused or DeviceFailed, Cancelled.
+    """
+    rig, target = read_rig(job.rig), read_target(job.target)
+    world = read_world(job.world) if job.world else None
+    setup = Setup(rig=rig, target=target, settings=_settings(job, target))
+    pairs = _pairs(job, rig, target)
+    return run(setup, pairs, job.out, world=world, limit=job.limit, progress=progress or Silent())
+
+
+def run(
+    setup: Setup,
+    pairs: PairSource,
+    out: Path,
+    *,
+    progress: Progress,
+    world: World | None = None,
+    limit: int | None = None,
+    listeners: Iterable[Listener] = (),
+) -> Summary:
+    """Measure pairs from an open-able source into the folder out; see measure."""
+    parent, T_parent_rig = (world.parent, world.T_parent_rig) if world else ("rig", None)
+    report = Collector(setup, parent)
+    failure: ArmsightError | None = None
+    with pairs:
+        progress.update(0, pairs.total or 0, "preparing")
+        warm_up()
+        with Outputs(out, T_parent_rig=T_parent_rig, parent=parent) as outputs:
+            try:
+                for step in _steps(setup, pairs, limit, progress):
+                    pose = outputs.add(step.measured, step.ms)
+                    for listener in (report.add, *listeners):
+                        listener(*step.pair, step.measured, pose)
+            except ArmsightError as error:
+                failure = error
+    if outputs.n_frames == 0 and failure is not None:
+        raise failure
+    failure = failure or _nothing_seen(outputs)
+    summary = outputs.summary(skew=pairs.skew, error=str(failure) if failure else "")
+    report.write(out / REPORT, summary)
+    write_json(out / SUMMARY, summary.content())
+    if failure is not None:
+        raise _with_place(failure, outputs, out)
+    return summary
+
+
+def _steps(setup: Setup, pairs: PairSource, limit: int | None, progress: Progress) -> Iterator[Step]:
+    """Yield each pair measured, in order. Raises Cancelled, and Inconsistent for swapped or wrongly sized views."""
+    total = _total(pairs.total, limit)
+    measure_all = _boards if setup.target.is_board else _lights
+    done = seen = 0
+    swapped: list[Inconsistent] = []
+    with closing(_iterator(pairs)) as source:
+        checked = (_sized(setup.rig, pair) for pair in islice(source, limit))
+        with closing(measure_all(setup, checked)) as steps:
+            for step in steps:
+                yield step
+                done += 1
+                seen += step.measured.pose.status is not PoseStatus.LOST
+                swapped += [step.swapped] if step.swapped else []
+                if not seen and len(swapped) >= SWAPPED_ENOUGH:
+                    raise swapped[0]
+                progress.update(done, total, MEASURING)
+                if progress.cancelled():
+                    raise Cancelled(f"stopped after {done} pairs")
+    if not seen and swapped:
+        raise swapped[0]
+
+
+def _lights(setup: Setup, pairs: Iterable[Pair]) -> Iterator[Step]:
+    """Measure one pair after the other: each tells the next where to look, and takes well under a millisecond."""
+    track: Track | None = None
+    for pair in pairs:
+        step = _one(setup, pair, track)
+        track = step.measured.track
+        yield step
+
+
+def _boards(setup: Setup, pairs: Iterable[Pair]) -> Iterator[Step]:
+    """Measure pairs in threads: finding a board takes tens of milliseconds and needs no memory of the last one."""
+    return ordered_map(lambda pair: _one(setup, pair, None), pairs)
+
+
+def _one(setup: Setup, pair: Pair, track: Track | None) -> Step:
+    start_s = time.perf_counter()
+    swapped = None
+    try:
+        measured = measure_pair(setup, *pair, track)
+    except Inconsistent as error:  # sizes were checked before: the views look exchanged, which one frame cannot decide
+        measured, swapped = lost_pair(pair, error.cause), error
+    return Step(pair=pair, measured=measured, ms=(time.perf_counter() - start_s) * 1e3, swapped=swapped)
+
+
+def lost_pair(pair: Pair, why: str) -> Measured:
+    """Return the record of a pair that gave nothing."""
+    none = Spots.none()
+    return Measured(
+        pose=TargetPose(t_s=0.5 * (pair[0].t_s + pair[1].t_s), status=PoseStatus.LOST, parent="rig", why=why),
+        points=Points(names=(), xyz_m=np.empty((0, 3)), covariance_m2=np.empty((0, 3, 3))),
+        left=none,
+        right=none,
+        names=(),
+        left_seen=none,
+        right_seen=none,
+    )
+
+
+def _sized(rig: Rig, pair: Pair) -> Pair:
+    """Return the pair, or raise Inconsistent where a frame's size is not its camera's."""
+    for side, frame in zip(SIDES, pair, strict=True):
+        camera = rig.camera(side)
+        if (frame.width, frame.height) != (camera.width, camera.height):
+            raise Inconsistent(
+                f"{frame.source} is {frame.width}x{frame.height} px, the rig's {side} camera "
+                f"{camera.width}x{camera.height} px",
+                consequence="The calibration says nothing about such frames, so measuring stops here",
+                cure="Record at the resolution of the calibration, or calibrate at this one",
+            )
+    return pair
+
+
+def _settings(job: MeasureJob, target: Target) -> SpotSettings:
+    mask: NDArray[np.bool_] | None = None
+    if job.mask is not None:
+        mask = read_image(job.mask) > 0
+    return SpotSettings(threshold=job.threshold, inverted=job.inverted, mask=mask, colour=target.colour)
+
+
+def _pairs(job: MeasureJob, rig: Rig, target: Target) -> PairSource:
+    colour = target.colour is not None
+    times_s = read_times(job.times).tolist() if job.times else None
+    if job.image is not None:
+        if job.left is not None or job.right is not None:
+            raise UsageError("--image goes with neither --left nor --right", cure="Give the one or the others")
+        left, right = ((camera.width, camera.height) for camera in (rig.left, rig.right))
+        return open_split(job.image, left, right, colour=colour, fps=job.fps, times_s=times_s)
+    if job.left is None or job.right is None:
+        raise UsageError("there are no frames to measure", cure="Give --left and --right, or --image")
+    return open_pairs(job.left, job.right, colour=colour, fps=job.fps, times_s=times_s, max_skew_s=job.max_skew_s)
+
+
+def _nothing_seen(outputs: Outputs) -> NotEnoughData | None:
+    """Return the error for a run in which no frame gave even a position, or in which there was none."""
+    if outputs.n_seen:
+        return None
+    reasons = outputs.summary().reasons
+    first = next(iter(reasons), "")
+    return NotEnoughData(
+        f"the target was found in none of the {outputs.n_frames} pairs" + (f"; most often: {first}" if first else ""),
+        consequence="There is no pose",
+        cure="Look at the frames: the light must be on, in both views and brighter than what is round it. "
+        "The report shows what was seen",
+    )
+
+
+def _with_place(failure: ArmsightError, outputs: Outputs, out: Path) -> ArmsightError:
+    """Add to an error what was measured until it came, and where it is."""
+    kept = f"What was measured until then ({outputs.n_seen} poses of {outputs.n_frames} pairs) is in {out}"
+    failure.consequence = ". ".join(part.rstrip(".") for part in (failure.consequence, kept) if part)
+    return failure
+
+
+def _total(total: int | None, limit: int | None) -> int:
+    """Return how many pairs there will be, 0 where that is not known."""
+    if total is None or limit is None:
+        return total or limit or 0
+    return min(total, limit)
+
+
+def _iterator(pairs: PairSource) -> Iterator[Pair]:
+    yield from pairs

@@ -1,0 +1,170 @@
+"""The files of a measurement, written row by row, and the figures that sum it up."""
+
+from __future__ import annotations
+
+from array import array
+from collections import Counter
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from armsight.drivers import Skew
+from armsight.geometry import moved_parent_covariance, xyz_quat
+from armsight.measure import Measured
+from armsight.records import PoseStatus, TargetPose
+from armsight.store import PointsWriter, PosesWriter, SpotsWriter
+from armsight.store.atomic import RowFile
+
+POSES, POINTS, SPOTS, TUM = "poses.csv", "points.csv", "spots.csv", "poses.tum"
+SUMMARY, REPORT = "measure.json", "report.html"
+FILES = (POSES, POINTS, SPOTS, TUM, SUMMARY, REPORT)
+
+REASONS_KEPT = 20
+"""Different reasons for lost frames that are counted apart; the rest is summed."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Summary:
+    """What a measurement came to. reasons: how often each cause took a pose or its rotation away."""
+
+    n_frames: int
+    n_ok: int
+    n_position_only: int
+    n_lost: int
+    reprojection_rms_px: float | None
+    median_ms: float | None
+    p99_ms: float | None
+    reasons: Mapping[str, int] = field(default_factory=dict)
+    skew: Skew | None = None
+    error: str = ""
+
+    def content(self) -> dict[str, Any]:
+        """Return it as measure.json and --json hold it."""
+        out: dict[str, Any] = {
+            "n_frames": self.n_frames,
+            "n_ok": self.n_ok,
+            "n_position_only": self.n_position_only,
+            "n_lost": self.n_lost,
+            "reprojection_rms_px": self.reprojection_rms_px,
+            "ms_per_frame": {"median": self.median_ms, "p99": self.p99_ms},
+            "reasons": dict(self.reasons),
+        }
+        if self.skew is not None:
+            out["skew"] = {
+                "mean_s": self.skew.mean_s,
+                "largest_s": self.skew.largest_s,
+                "n_dropped": self.skew.n_dropped,
+            }
+        if self.error:
+            out["error"] = self.error
+        return out
+
+
+class Outputs:
+    """poses.csv, points.csv, spots.csv and poses.tum in a folder, whole rows at any moment; a context manager.
+
+    T_parent_rig, parent: the frame the poses are given in; points stay in rig axes. A frame of the parent is exact
+    here: its own uncertainty is common to all poses and not part of theirs.
+    """
+
+    def __init__(self, folder: Path, *, T_parent_rig: RigidTransform | None = None, parent: str = "rig") -> None:
+        self._folder = folder
+        self._T_parent_rig = T_parent_rig
+        self._parent = parent
+        self._stack = ExitStack()
+        self._counts: Counter[PoseStatus] = Counter()
+        self._reasons: Counter[str] = Counter()
+        self._squares_px2 = 0.0
+        self._residuals = 0
+        self._ms = array("d")
+
+    def __enter__(self) -> Self:
+        with ExitStack() as stack:
+            self._poses = stack.enter_context(PosesWriter(self._folder / POSES))
+            self._points = stack.enter_context(PointsWriter(self._folder / POINTS))
+            self._spots = stack.enter_context(SpotsWriter(self._folder / SPOTS))
+            self._tum = stack.enter_context(RowFile(self._folder / TUM, "# t_s x_m y_m z_m qx qy qz qw"))
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.close()
+
+    @property
+    def n_frames(self) -> int:
+        """Frames added so far."""
+        return self._counts.total()
+
+    @property
+    def n_seen(self) -> int:
+        """Frames in which at least a position was found."""
+        return self.n_frames - self._counts[PoseStatus.LOST]
+
+    def add(self, measured: Measured, ms: float) -> TargetPose:
+        """Take one frame's result and the milliseconds it took; return its pose in the parent frame."""
+        pose = moved_pose(measured.pose, self._T_parent_rig, self._parent)
+        t_s = pose.t_s
+        self._poses.write(pose)
+        self._points.write(t_s, measured.points)
+        self._spots.write(t_s, "left", measured.names, measured.left)
+        self._spots.write(t_s, "right", measured.names, measured.right)
+        if pose.status is PoseStatus.OK and pose.pose is not None:
+            xyz, quat = xyz_quat(pose.pose)
+            self._tum.add(" ".join(repr(value) for value in (t_s, *xyz.tolist(), *quat.tolist())))
+        self._counts[pose.status] += 1
+        if pose.why:
+            known = pose.why in self._reasons or len(self._reasons) < REASONS_KEPT
+            self._reasons[pose.why if known else "other reasons"] += 1
+        self._squares_px2 += float(pose.residual_px @ pose.residual_px)
+        self._residuals += len(pose.residual_px)
+        self._ms.append(ms)
+        return pose
+
+    def summary(self, *, skew: Skew | None = None, error: str = "") -> Summary:
+        """Return the figures so far. The reprojection RMS is of the 2-D residual per point, pooled over all frames."""
+        ms = np.array(self._ms)
+        return Summary(
+            n_frames=self.n_frames,
+            n_ok=self._counts[PoseStatus.OK],
+            n_position_only=self._counts[PoseStatus.POSITION_ONLY],
+            n_lost=self._counts[PoseStatus.LOST],
+            reprojection_rms_px=float(np.sqrt(2.0 * self._squares_px2 / self._residuals)) if self._residuals else None,
+            median_ms=float(np.median(ms)) if len(ms) else None,
+            p99_ms=float(np.percentile(ms, 99)) if len(ms) else None,
+            reasons=dict(self._reasons.most_common()),
+            skew=skew,
+            error=error,
+        )
+
+
+def moved_pose(pose: TargetPose, T_parent_rig: RigidTransform | None, parent: str) -> TargetPose:
+    """Return a pose given in rig axes in the parent's; unchanged where T_parent_rig is None or it is lost."""
+    if T_parent_rig is None:
+        return pose
+    moved, covariance = None, None
+    if pose.pose is not None and pose.covariance is not None:
+        moved = T_parent_rig * pose.pose
+        if pose.status is PoseStatus.OK:
+            covariance = moved_parent_covariance(T_parent_rig, pose.covariance)
+        else:
+            R = T_parent_rig.rotation.as_matrix()
+            covariance = R @ pose.covariance @ R.T
+            moved = RigidTransform.from_translation(np.asarray(moved.translation))  # the rotation means nothing
+    return TargetPose(
+        t_s=pose.t_s,
+        status=pose.status,
+        parent=parent,
+        spots=pose.spots,
+        pose=moved,
+        covariance=covariance,
+        residual_px=pose.residual_px,
+        why=pose.why,
+    )

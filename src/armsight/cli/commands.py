@@ -1,0 +1,157 @@
+"""The commands: each parses, calls one function of armsight.app and prints what it says.
+
+Imports of the program itself stand inside the commands, so that `armsight --help` does not load the compiler.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from armsight.cli.calibrate import calibrate
+from armsight.cli.convert import convert
+from armsight.cli.face import Face
+from armsight.cli.options import SRC, AsJson, Fps, Limit, OutFolder, Seed
+from armsight.cli.tables import demo_tables, doctor_tables, measure_tables
+
+app = typer.Typer(
+    name="armsight",
+    help="See where a robot arm really is: two cameras, light beacons, poses with honest uncertainty.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+app.add_typer(calibrate, name="calibrate")
+app.add_typer(convert, name="convert")
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from armsight import __version__
+
+        typer.echo(f"armsight {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and stop.")
+    ] = False,
+) -> None:
+    """See where a robot arm really is: two cameras, light beacons, poses with honest uncertainty."""
+
+
+@app.command()
+def measure(
+    rig: Annotated[Path, typer.Option(help="rig.yaml of the two cameras, from `armsight calibrate stereo`.")],
+    target: Annotated[Path, typer.Option(help="target.yaml: the lights or the board that is looked for.")],
+    out: OutFolder,
+    left: Annotated[str | None, typer.Option(metavar="SRC", help=f"Left frames: {SRC}.")] = None,
+    right: Annotated[str | None, typer.Option(metavar="SRC", help="Right frames, in step with the left ones.")] = None,
+    image: Annotated[str | None, typer.Option(metavar="SRC", help="Images that hold both views side by side.")] = None,
+    times: Annotated[Path | None, typer.Option(help="times.csv with a column t_s, one row per frame.")] = None,
+    world: Annotated[Path | None, typer.Option(help="world.yaml: give the poses in this frame.")] = None,
+    fps: Fps = None,
+    frames: Limit = None,
+    threshold: Annotated[
+        float | None, typer.Option(min=0.0, max=255.0, help="Grey level that counts as light. [default: automatic]")
+    ] = None,
+    inverted: Annotated[bool, typer.Option("--inverted", help="Look for dark spots on a bright ground.")] = False,
+    mask: Annotated[Path | None, typer.Option(help="Image that is black where no light may be looked for.")] = None,
+    max_skew: Annotated[
+        float | None, typer.Option(min=0.0, help="Largest time in s between live frames of a pair. [default: 1/60]")
+    ] = None,
+    json: AsJson = False,
+) -> None:
+    """Measure the target's pose in every pair of frames.
+
+    Writes poses.csv, points.csv, spots.csv, poses.tum, measure.json and report.html.
+    """
+    with Face(as_json=json) as face:
+        from armsight.app.measure import MeasureJob
+        from armsight.app.measure import measure as run
+        from armsight.config import load_settings
+        from armsight.drivers.live import MAX_SKEW_S
+
+        settings = load_settings()
+        job = MeasureJob(
+            rig=rig,
+            target=target,
+            out=out,
+            left=left,
+            right=right,
+            image=image,
+            times=times,
+            world=world,
+            mask=mask,
+            fps=fps if fps is not None else settings.fps,
+            max_skew_s=max_skew or settings.max_skew_s or MAX_SKEW_S,
+            limit=frames,
+            threshold=threshold,
+            inverted=inverted,
+        )
+        summary = run(job, face.progress("measuring"))
+        measure_tables(face, summary, out)
+        face.result(summary.content())
+
+
+@app.command()
+def demo(
+    out: OutFolder = Path("demo"),
+    seed: Seed = 1,
+    frames: Annotated[int, typer.Option(min=1, help="How many pairs of frames.")] = 300,
+    cell: Annotated[str, typer.Option(help="Which simulated cell.")] = "webcam-cell",
+    keep_frames: Annotated[bool, typer.Option("--keep-frames", help="Write the frames as PNG files too.")] = False,
+    json: AsJson = False,
+) -> None:
+    """Do the main job on a simulated cell: frames, poses, report, and how far the poses are from the truth."""
+    with Face(as_json=json) as face:
+        from armsight.app.demo import demo as run
+
+        result = run(out, seed=seed, frames=frames, cell=cell, keep_frames=keep_frames, progress=face.progress("demo"))
+        demo_tables(face, result, out)
+        face.result(result.content())
+
+
+@app.command()
+def simulate(
+    scenario: Annotated[str, typer.Argument(help="Name of a simulated cell; `armsight doctor` lists them.")],
+    out: OutFolder,
+    seed: Seed = 1,
+    frames: Annotated[int, typer.Option(min=1, help="How many pairs of frames.")] = 100,
+    json: AsJson = False,
+) -> None:
+    """Write the frames of a simulated cell, its files and the truth into a folder."""
+    with Face(as_json=json) as face:
+        from armsight.app.simulate import simulate as run
+
+        content = run(scenario, out, seed=seed, frames=frames, progress=face.progress("simulating"))
+        face.say(f"{content['n_frames']} pairs of frames and the truth are in {out}")
+        face.result(content)
+
+
+@app.command()
+def doctor(
+    rig: Annotated[Path | None, typer.Option(help="Tell what this rig can tell apart at distances.")] = None,
+    depth: Annotated[
+        list[float] | None, typer.Option(min=1e-6, help="Distance in m for the rig's table; may be repeated.")
+    ] = None,
+    sigma: Annotated[
+        float | None, typer.Option(min=1e-6, help="Deviation of a spot's centre in px. [default: 0.1]")
+    ] = None,
+    json: AsJson = False,
+) -> None:
+    """Tell what this machine can do: versions, cameras, drivers, compiled kernels; and a rig's resolution."""
+    with Face(as_json=json) as face:
+        from dataclasses import asdict
+
+        from armsight.app.doctor import doctor as run
+        from armsight.optics.resolution import CENTROID_SIGMA_PX
+
+        found = run(rig, depths_m=depth or (), sigma_px=sigma or CENTROID_SIGMA_PX)
+        doctor_tables(face, found)
+        content: dict[str, Any] = asdict(found)
+        face.result(content)

@@ -1,0 +1,223 @@
+"""What every command shares: progress, messages, exit codes, one JSON object, Ctrl-C."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+import sys
+import tempfile
+import threading
+import time
+import traceback
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import FrameType, TracebackType
+from typing import Any, Self
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from armsight.errors import ArmsightError, Cancelled
+
+UNFORESEEN = 1
+LINE_EVERY_S = 5.0
+"""How often progress is told where there is no terminal to draw a bar on."""
+
+
+class Face:
+    """One command's way to the person: used as a context manager round its work.
+
+    Everything for people goes to stderr. With as_json, stdout carries one JSON object and nothing else: the result,
+    or {"error": {...}}. Errors end the program with their exit code.
+    """
+
+    def __init__(self, *, as_json: bool) -> None:
+        self._as_json = as_json
+        self.console = Console(stderr=True, highlight=False)
+        self._stopped = threading.Event()
+        self._before: Any = None
+        self._bar: Bar | None = None
+
+    def progress(self, what: str) -> Bar:
+        """Return the progress of a piece of work; the one before it ends."""
+        self._end_bar()
+        self._bar = Bar(what, self.console, self._stopped)
+        return self._bar
+
+    def say(self, text: str) -> None:
+        """Print a line for the person."""
+        self._end_bar()
+        self.console.print(text, markup=False, soft_wrap=True)
+
+    def table(self, title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+        """Print a table for the person; the first column is text, the others are numbers."""
+        self._end_bar()
+        table = Table(title=title, title_justify="left")
+        for column, name in enumerate(header):
+            table.add_column(name, justify="left" if column == 0 else "right")
+        for row in rows:
+            table.add_row(*row)
+        self.console.print(table)
+
+    def result(self, content: Mapping[str, Any]) -> None:
+        """Give the command's result; printed only with --json."""
+        self._end_bar()
+        if self._as_json:
+            sys.stdout.write(json.dumps(_finite(content), ensure_ascii=False, allow_nan=False) + "\n")
+            sys.stdout.flush()
+
+    def __enter__(self) -> Self:
+        os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")  # OpenCV's own complaints repeat ours without a cure
+        os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+        if threading.current_thread() is threading.main_thread():
+            self._before = signal.signal(signal.SIGINT, self._interrupt)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._end_bar()
+        if self._before is not None:
+            signal.signal(signal.SIGINT, self._before)
+        if error is None or isinstance(error, typer.Exit):
+            return
+        if isinstance(error, KeyboardInterrupt):
+            error = Cancelled("stopped")
+        if isinstance(error, ArmsightError):
+            self._tell(error)
+            raise typer.Exit(error.exit_code) from None
+        if isinstance(error, Exception):
+            self._tell(unforeseen(error))
+            raise typer.Exit(UNFORESEEN) from None
+
+    def _tell(self, error: ArmsightError) -> None:
+        head = "stopped" if isinstance(error, Cancelled) else "error"
+        self.console.print(f"{head}: {error}", style="bold red" if self.console.is_terminal else "", markup=False,
+                           soft_wrap=True)  # fmt: skip
+        self.result(
+            {
+                "error": {
+                    "kind": type(error).__name__,
+                    "cause": error.cause,
+                    "consequence": error.consequence,
+                    "cure": error.cure,
+                    "exit_code": error.exit_code,
+                }
+            }
+        )
+
+    def _interrupt(self, number: int, frame: FrameType | None) -> None:
+        if self._stopped.is_set():
+            raise KeyboardInterrupt
+        self._stopped.set()
+        self.console.print("stopping ... (Ctrl-C again to stop at once)")
+
+    def _end_bar(self) -> None:
+        if self._bar is not None:
+            self._bar.close()
+            self._bar = None
+
+
+class Bar:
+    """A Progress drawn as a bar on a terminal, told in a line now and then elsewhere."""
+
+    def __init__(self, what: str, console: Console, stopped: threading.Event) -> None:
+        self._what = what
+        self._console = console
+        self._stopped = stopped
+        self._bar: Progress | None = None
+        self._task: TaskID | None = None
+        self._begun_s = self._told_s = time.monotonic()
+        self._note = ""
+
+    def update(self, done: float, total: float, note: str = "") -> None:
+        """Show that done of total is finished; total 0 means unknown. A new note begins the clock anew."""
+        if note != self._note:
+            self._note = note
+            self._begun_s = time.monotonic()
+        label = f"{self._what}: {note}" if note else self._what
+        if self._console.is_terminal:
+            self._draw(label, done, total)
+        else:
+            self._line(label, done, total)
+
+    def cancelled(self) -> bool:
+        """Tell whether Ctrl-C was pressed."""
+        return self._stopped.is_set()
+
+    def close(self) -> None:
+        """Leave the bar as it stands."""
+        if self._bar is not None:
+            self._bar.stop()
+            self._bar = None
+
+    def _draw(self, label: str, done: float, total: float) -> None:
+        if self._bar is None:
+            columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
+                       TextColumn("{task.fields[rate]}"), TimeRemainingColumn())  # fmt: skip
+            self._bar = Progress(*columns, console=self._console)
+            self._task = self._bar.add_task(label, total=total or None, rate="")
+            self._bar.start()
+        if self._task is not None:
+            rate = self._rate(done)
+            self._bar.update(
+                self._task, description=label, completed=done, total=total or None, rate=f"{rate:.0f}/s" if rate else ""
+            )
+
+    def _line(self, label: str, done: float, total: float) -> None:
+        now_s = time.monotonic()
+        finished = total > 0 and done >= total
+        if now_s - self._told_s < LINE_EVERY_S and not finished:
+            return
+        self._told_s = now_s
+        rate = self._rate(done)
+        text = f"{label} {done:.0f}" + (f" of {total:.0f}" if total else "")
+        if rate:
+            text += f", {rate:.1f} a second"
+        if rate and total and not finished:
+            left_s = round((total - done) / rate)
+            text += f", {left_s // 60}:{left_s % 60:02d} left"
+        self._console.print(text, markup=False, soft_wrap=True)
+
+    def _rate(self, done: float) -> float:
+        passed_s = time.monotonic() - self._begun_s
+        return done / passed_s if passed_s > 0.2 else 0.0
+
+
+def unforeseen(error: Exception) -> ArmsightError:
+    """Write the traceback to a log file and return one line that says where."""
+    path = log_path()
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(f"{' '.join(sys.argv)}\n{''.join(traceback.format_exception(error))}", encoding="utf-8")
+        where = f"The details are in {path}"
+    except OSError:
+        where = "The details could not be written to a file"
+    first = (str(error).splitlines() or [""])[0]
+    return ArmsightError(f"armsight met something it does not know: {type(error).__name__}: {first}"[:300], cure=where)
+
+
+def log_path() -> Path:
+    """Return a new log file's path: in $ARMSIGHT_LOG_FOLDER, else where the system keeps programs' state."""
+    state = os.environ.get("XDG_STATE_HOME")
+    home = Path(state) if state else Path.home() / ".local" / "state"
+    given = os.environ.get("ARMSIGHT_LOG_FOLDER")
+    folder = Path(given) if given else home / "armsight"
+    if not given and not os.access(next(path for path in (folder, *folder.parents) if path.exists()), os.W_OK):
+        folder = Path(tempfile.gettempdir())
+    return folder / f"armsight-{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}.log"
+
+
+def _finite(value: Any) -> Any:
+    """Return value fit for strict JSON: what is not finite (no data) becomes null."""
+    if isinstance(value, Mapping):
+        return {str(key): _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    return value

@@ -1,0 +1,37 @@
+"""Options that several commands share."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Annotated, TypeAlias
+
+import typer
+
+from armsight.errors import UsageError
+
+SRC = "a folder of images, a quoted 'pattern*.png', a video, or camera:0"
+BOARD = "checkerboard:9x6:0.025 (inner corners, square in m), circles:, acircles: or charuco:8x5:0.04:0.03:DICT_4X4_50"
+
+AsJson: TypeAlias = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout, nothing else.")]
+Board: TypeAlias = Annotated[str, typer.Option("--board", metavar="BOARD", help=BOARD)]
+OutFolder: TypeAlias = Annotated[Path, typer.Option("-o", "--out", metavar="FOLDER", help="Where the results go.")]
+Seed: TypeAlias = Annotated[int, typer.Option("--seed", help="The same seed gives the same frames.", min=0)]
+Every: TypeAlias = Annotated[int, typer.Option("--every", min=1, help="Use every n-th frame, for videos.")]
+Limit: TypeAlias = Annotated[int | None, typer.Option("--frames", min=1, help="Stop after so many.")]
+Fps: TypeAlias = Annotated[
+    float | None, typer.Option("--fps", min=1e-6, help="Frames a second, where none brings its time. [default: 30]")
+]
+Workers: TypeAlias = Annotated[
+    int | None, typer.Option("--workers", min=1, help="Threads that read and search images. [default: all cores]")
+]
+
+
+def parse_size(text: str | None) -> tuple[int, int] | None:
+    """Return (width, height) of '640x480'. Raises UsageError."""
+    if text is None:
+        return None
+    match = re.fullmatch(r"([1-9][0-9]{0,5})[xX]([1-9][0-9]{0,5})", text)
+    if match is None:
+        raise UsageError(f"the size {text!r} is not WIDTHxHEIGHT", cure="Write for instance 640x480")
+    return int(match[1]), int(match[2])

@@ -1,0 +1,137 @@
+"""Results as people read them: millimetres, degrees, pixels, rounded to what they are worth."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from armsight.cli.face import Face
+
+if TYPE_CHECKING:
+    from armsight.app.demo import DemoResult
+    from armsight.app.doctor import Diagnosis
+    from armsight.app.outputs import Summary
+
+REJECTED_SHOWN = 8
+
+
+def figure(value: float | None, digits: int = 3) -> str:
+    """Return a number with so many significant digits, never in powers of ten; '-' for none."""
+    if value is None or not math.isfinite(value):
+        return "-"
+    if value == 0.0:
+        return "0"
+    places = max(0, digits - 1 - math.floor(math.log10(abs(value))))
+    return f"{value:.{min(places, 9)}f}"
+
+
+def measure_tables(face: Face, summary: Summary, out: Path) -> None:
+    """Print what a measurement came to."""
+    rows = [
+        ["pairs of frames", str(summary.n_frames)],
+        ["pose", str(summary.n_ok)],
+        ["position only", str(summary.n_position_only)],
+        ["lost", str(summary.n_lost)],
+        ["reprojection, px RMS", figure(summary.reprojection_rms_px)],
+        ["ms per pair, median", figure(summary.median_ms)],
+        ["ms per pair, 99 %", figure(summary.p99_ms)],
+    ]
+    if summary.skew is not None:
+        rows += [
+            ["right after left, ms mean", figure(summary.skew.mean_s * 1e3)],
+            ["right after left, ms largest", figure(summary.skew.largest_s * 1e3)],
+            ["frames without a partner", str(summary.skew.n_dropped)],
+        ]
+    face.table("Measured", ["", ""], rows)
+    for reason, count in list(summary.reasons.items())[:REJECTED_SHOWN]:
+        face.say(f"  {count} x {reason}")
+    face.say(f"Results: {out}; open {out / 'report.html'}")
+
+
+def camera_tables(face: Face, content: Mapping[str, Any], out: Path) -> None:
+    """Print a camera's calibration."""
+    std = content["std"]
+    rows = [
+        [name.removesuffix("_px"), figure(content[name], 6), figure(std.get(name), 2)]
+        for name in ("fx_px", "fy_px", "cx_px", "cy_px")
+    ]
+    rows += [
+        [name, figure(value, 4), figure(std.get(name), 2)]
+        for name, value in zip(("k1", "k2", "p1", "p2", "k3"), content["distortion"], strict=True)
+    ]
+    face.table(f"Camera, {content['n_used']} of {content['n_images']} images", ["", "value", "+-"], rows)
+    face.say(
+        f"Reprojection {figure(content['rms_px'])} px RMS; {figure(content['holdout_rms_px'])} px on left-out images"
+    )
+    _rejected(face, content["rejected"])
+    face.say(f"Written: {out}")
+
+
+def stereo_tables(face: Face, content: Mapping[str, Any], out: Path) -> None:
+    """Print a rig's calibration."""
+    metric = content["metric"]
+    rows = [
+        ["baseline, mm", figure(content["baseline_m"] * 1e3, 5)],
+        ["baseline +-, mm", figure(_mm(content["std"].get("baseline_m")), 2)],
+        ["reprojection, px RMS", figure(content["rms_px"])],
+        ["... on left-out pairs", figure(content["holdout_rms_px"])],
+        ["epipolar, px RMS", figure(content["epipolar_rms_px"])],
+        ["neighbouring corners, mm expected", figure(_mm(metric.get("expected_m")), 5)],
+        ["... mean on left-out pairs", figure(_mm(metric.get("mean_m")), 5)],
+        ["... RMS error", figure(_mm(metric.get("rms_m")))],
+    ]
+    face.table(f"Rig, {content['n_used']} of {content['n_pairs']} pairs", ["", ""], rows)
+    _rejected(face, content["rejected"])
+    face.say(f"Written: {out}")
+
+
+def doctor_tables(face: Face, found: Diagnosis) -> None:
+    """Print what the machine can do."""
+    rows = [[name, text] for name, text in found.versions.items()]
+    rows += [["system", str(found.machine["system"])], ["cores for armsight", str(found.machine["cores"])]]
+    rows += [["cameras there", ", ".join(found.cameras) or "none"]]
+    rows += [[f"registered {group}", ", ".join(names) or "none"] for group, names in found.drivers.items()]
+    rows += [["compiled kernels kept", str(found.kernels["compiled"])]]
+    face.table("This machine", ["", ""], rows)
+    if found.rig is not None:
+        distances = [
+            [
+                figure(row["depth_m"]),
+                figure(row["sigma_depth_m"] * 1e3),
+                figure(max(row["sigma_lateral_m"]) * 1e3),
+                "yes" if row["in_view"] else "no",
+            ]
+            for row in found.rig["distances"]
+        ]
+        face.table(
+            f"A spot known to {figure(found.rig['sigma_px'], 2)} px by a rig of "
+            f"{figure(found.rig['baseline_m'] * 1e3, 4)} mm baseline",
+            ["distance, m", "+- along it, mm", "+- across, mm", "in both views"],
+            distances,
+        )
+    for problem in found.problems:
+        face.say(f"Problem: {problem}")
+    if not found.problems:
+        face.say("No problem found.")
+
+
+def demo_tables(face: Face, result: DemoResult, out: Path) -> None:
+    """Print how far the demo's poses are from the truth."""
+    measure_tables(face, result.summary, out)
+    rows = [[name, figure(rms), figure(largest), figure(claimed)] for name, rms, largest, claimed in result.rows()]
+    face.table("Error against the truth", ["", "RMS", "largest", "claimed +-"], rows)
+    face.say(f"{figure(100.0 * result.inside_95, 3)} % of the poses lie inside their own 95 % ellipsoid.")
+    face.say(f"All in {figure(result.seconds, 2)} s.")
+
+
+def _rejected(face: Face, rejected: Sequence[Mapping[str, str]]) -> None:
+    for item in rejected[:REJECTED_SHOWN]:
+        face.say(f"  left out {item['file']}: {item['why']}")
+    if len(rejected) > REJECTED_SHOWN:
+        face.say(f"  ... and {len(rejected) - REJECTED_SHOWN} more")
+
+
+def _mm(value_m: float | None) -> float | None:
+    return None if value_m is None else value_m * 1e3

@@ -1,0 +1,76 @@
+"""Conversions between the file kinds, and back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from armsight.app.convert import convert_camera, convert_poses, convert_rig
+from armsight.errors import BadFile, UsageError
+from armsight.optics import Camera, Rig, RigKind
+from armsight.store import read_camera, read_poses, read_rig, write_camera, write_rig
+
+CAMERA = Camera.pinhole(640, 480, 612.5, 611.0, 318.2, 241.7, distortion=(-0.21, 0.07, 1e-4, -2e-4, 0.0))
+
+
+def rig() -> Rig:
+    return Rig(
+        kind=RigKind.STEREO,
+        left=CAMERA,
+        right=Camera.pinhole(640, 480, 615.0, 614.0, 322.0, 238.0, distortion=(-0.2, 0.06, 0.0, 1e-4, 0.0)),
+        T_rig_left=RigidTransform.identity(),
+        T_rig_right=RigidTransform.from_components([0.12, 0.001, -0.002], Rotation.from_rotvec([0.01, -0.05, 0.002])),
+    )
+
+
+@pytest.mark.parametrize("kind", ["ros", "opencv", "kalibr"])
+def test_a_camera_goes_out_and_comes_back(tmp_path: Path, kind: str) -> None:
+    own, foreign, back = tmp_path / "own.yaml", tmp_path / "foreign.yaml", tmp_path / "back.yaml"
+    write_camera(own, CAMERA)
+    assert convert_camera(own, foreign, to=kind).target == kind
+    done = convert_camera(foreign, back)
+    assert (done.source, done.target, done.files) == (kind, "armsight", (back,))
+    assert read_camera(back).is_close(CAMERA, tol=1e-9)
+
+
+@pytest.mark.parametrize(("kind", "count"), [("ros", 2), ("opencv", 1), ("kalibr", 1)])
+def test_a_rig_goes_out_and_comes_back(tmp_path: Path, kind: str, count: int) -> None:
+    own, back = tmp_path / "own.yaml", tmp_path / "back.yaml"
+    foreign = [tmp_path / f"foreign{i}.yaml" for i in range(count)]
+    write_rig(own, rig())
+    convert_rig([own], foreign, to=kind)
+    convert_rig(foreign, [back])
+    got = read_rig(back)
+    assert got.left.is_close(rig().left, tol=1e-6)
+    assert got.right.is_close(rig().right, tol=1e-6)
+    np.testing.assert_allclose(got.T_rig_right.as_matrix(), rig().T_rig_right.as_matrix(), atol=1e-6)
+
+
+def test_what_cannot_be_converted_is_said(tmp_path: Path) -> None:
+    own = tmp_path / "own.yaml"
+    write_camera(own, CAMERA)
+    with pytest.raises(UsageError, match="--to says nothing"):
+        convert_camera(own, tmp_path / "out.yaml")
+    with pytest.raises(UsageError, match="'matlab' is not a kind"):
+        convert_camera(own, tmp_path / "out.yaml", to="matlab")
+    with pytest.raises(BadFile, match="armsight/camera, not armsight/rig"):
+        convert_rig([own], [tmp_path / "out.yaml"])
+    write_rig(own, rig())
+    with pytest.raises(UsageError, match="1 output files are given, ros takes 2"):
+        convert_rig([own], [tmp_path / "out.yaml"], to="ros")
+    assert not (tmp_path / "out.yaml").exists()
+
+
+def test_poses_go_to_tum_and_back(tmp_path: Path) -> None:
+    source, tum, back = tmp_path / "poses.csv", tmp_path / "poses.tum", tmp_path / "back.csv"
+    source.write_text("t_s,x_m,y_m,z_m,qx,qy,qz,qw\n0.5,1,2,3,0,0,0,1\n0.75,1,2,3.5,0,0,0.6,0.8\n")
+    assert convert_poses(source, tum).rows == 2
+    assert convert_poses(tum, back).rows == 2
+    for one, two in zip(read_poses(source), read_poses(back), strict=True):
+        assert one.t_s == two.t_s
+        np.testing.assert_array_equal(one.pose.as_matrix(), two.pose.as_matrix())
+    with pytest.raises(UsageError, match="no conversion of poses"):
+        convert_poses(source, tmp_path / "poses.json")

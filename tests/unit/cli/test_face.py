@@ -1,0 +1,142 @@
+"""What all commands share: help that is quick, one JSON object, exit codes, messages, a log for the unforeseen."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+from typer.testing import CliRunner
+
+from armsight import errors
+from armsight.cli.commands import app
+from armsight.cli.face import Bar, Face
+
+HEAVY = ("numba", "cv2", "plotly", "scipy", "pydantic", "numpy")
+
+
+def run(*words: str) -> Any:
+    return CliRunner().invoke(app, list(words))
+
+
+def failing(monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr("armsight.app.doctor.doctor", fail)
+
+
+def test_help_loads_no_compiler_and_no_plots() -> None:
+    code = (
+        "import sys\nfrom armsight.cli.commands import app\n"
+        "try:\n    app(['--help'])\nexcept SystemExit as end:\n    assert not end.code\n"
+        f"print([name for name in {HEAVY!r} if name in sys.modules], file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stderr.strip() == "[]", done.stderr
+    for word in ("measure", "calibrate", "demo", "convert", "doctor", "simulate"):
+        assert word in done.stdout
+
+
+def test_version_is_one_line() -> None:
+    done = run("--version")
+    assert done.exit_code == 0
+    assert done.stdout.startswith("armsight ")
+    assert len(done.stdout.splitlines()) == 1
+
+
+def test_wrong_usage_ends_with_2() -> None:
+    for words in (("measure",), ("nosuch",), ("doctor", "--depth", "far"), ("calibrate", "camera", "a", "-o", "b")):
+        assert run(*words).exit_code == 2, words
+
+
+def test_json_is_one_object_on_stdout_and_text_is_on_stderr() -> None:
+    done = run("doctor", "--json")
+    assert done.exit_code == 0
+    assert json.loads(done.stdout)["versions"]["armsight"]
+    assert "This machine" in done.stderr
+    assert run("doctor").stdout == ""
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (errors.UsageError("the call is wrong", cure="Do it right"), 2),
+        (errors.BadImage("the image is black", consequence="No pose", cure="Light it"), 3),
+        (errors.DeviceLost("the camera is gone", consequence="No frames", cure="Plug it in"), 4),
+        (errors.Cancelled("stopped after 3 pairs"), 130),
+        (KeyboardInterrupt(), 130),
+    ],
+)
+def test_a_known_error_is_one_message_and_its_exit_code(
+    monkeypatch: pytest.MonkeyPatch, error: BaseException, code: int
+) -> None:
+    failing(monkeypatch, error)
+    done = run("doctor", "--json")
+    assert done.exit_code == code
+    told = json.loads(done.stdout)["error"]
+    assert told["exit_code"] == code
+    for part in ("cause", "consequence", "cure"):
+        assert told[part] in done.stderr
+    assert "Traceback" not in done.stderr
+    assert run("doctor").stdout == ""
+
+
+def test_the_unforeseen_is_one_line_and_a_log(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    failing(monkeypatch, ZeroDivisionError("nobody thought of this"))
+    monkeypatch.setenv("ARMSIGHT_LOG_FOLDER", str(tmp_path / "logs"))
+    done = run("doctor")
+    assert done.exit_code == 1
+    (log,) = (tmp_path / "logs").iterdir()
+    assert "Traceback" in log.read_text()
+    assert str(log) in done.stderr
+    assert "Traceback" not in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_a_log_that_cannot_be_written_does_not_hide_the_error(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    failing(monkeypatch, ValueError("odd"))
+    monkeypatch.setenv("ARMSIGHT_LOG_FOLDER", str(tmp_path / "file" / "logs"))
+    done = run("doctor")
+    assert done.exit_code == 1
+    assert "odd" in done.stderr
+
+
+def test_no_number_that_is_not_finite_gets_into_json(capsys: pytest.CaptureFixture[str]) -> None:
+    with Face(as_json=True) as face:
+        face.result({"a_m": float("nan"), "b": [1.0, float("inf")], "c": {"d": (1, None)}})
+    assert json.loads(capsys.readouterr().out) == {"a_m": None, "b": [1.0, None], "c": {"d": [1, None]}}
+
+
+def test_ctrl_c_asks_first_and_the_second_one_stops_at_once() -> None:
+    before = signal.getsignal(signal.SIGINT)
+    with Face(as_json=False) as face:
+        bar = face.progress("working")
+        assert not bar.cancelled()
+        os.kill(os.getpid(), signal.SIGINT)
+        assert bar.cancelled()
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGINT)
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_progress_tells_count_and_end_on_a_terminal_and_elsewhere(terminal: bool) -> None:
+    with (Path(os.devnull)).open("w") as sink:
+        console = Console(file=sink, force_terminal=terminal, width=100, record=True)
+        bar = Bar("measuring", console, threading.Event())
+        bar.update(0, 0, "preparing")
+        for done in range(1, 41):
+            bar.update(done, 40)
+        bar.close()
+    text = console.export_text()
+    assert "measuring" in text
+    assert "40" in text
