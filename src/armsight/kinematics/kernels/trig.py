@@ -18,7 +18,7 @@ QUARTER = 0.25 * pi
 HALF = 0.5 * pi
 
 
-@njit(cache=True, inline="always", error_model="numpy", fastmath={"contract"})
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
 def sin_cos(x):
     """Return (sin x, cos x) of a finite angle in radians."""
     k = floor(x * 0.6366197723675814 + 0.5)
@@ -43,7 +43,7 @@ def sin_cos(x):
     return sine, cosine
 
 
-@njit(cache=True, inline="always", error_model="numpy", fastmath={"contract"})
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
 def arc_tangent(y, x):
     """Return the angle of the direction (x, y) in (-pi, pi]; zero where both are zero."""
     ax = abs(x)
@@ -70,7 +70,7 @@ def arc_tangent(y, x):
     return -angle if y < 0.0 else angle
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def wrap(x):
     """Return the angle x brought into [-pi, pi]."""
     return x - TWO_PI * floor(x * PER_TURN + 0.5)

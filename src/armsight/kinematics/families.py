@@ -1,0 +1,114 @@
+"""Which closed form solves an arm, found from its Denavit-Hartenberg table."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from math import atan2, hypot
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.kinematics.arm import Arm
+from armsight.kinematics.convention import link_matrix
+
+Array = NDArray[np.float64]
+
+EXACT = 1e-10
+"""A twist (rad) or offset (m) this close to the family's is the family's: an error of 0.1 nm at a metre's reach."""
+
+NEARLY = 0.1
+"""Twists within 0.1 rad and offsets within a tenth of the mean link of the family's make its closed form a good start
+for the numeric solver: a calibrated arm has every parameter a little off."""
+
+
+class Wrist(StrEnum):
+    """How the last three axes stand."""
+
+    OFFSET = "offset wrist"
+    SPHERICAL = "spherical wrist"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Family:
+    """A closed form with its constants; exact is False where the arm is only close to it.
+
+    numbers (34,), T_base_world (12,) and T_tool_six (12,): as kernels.closed takes them.
+    """
+
+    wrist: Wrist
+    exact: bool
+    numbers: Array
+    T_base_world: Array
+    T_tool_six: Array
+
+
+def family_of(arm: Arm) -> Family | None:
+    """Return the closed form for the arm, exact if there is one, else the one it is close to, else None."""
+    rows = arm.chain[1:-1]
+    if len(rows) != 6 or rows[:, 0].any():
+        return None
+    found = [
+        family
+        for wrist in Wrist
+        for tolerance in (EXACT, NEARLY)
+        if (family := _recognise(arm, wrist, tolerance)) is not None
+    ]
+    return min(found, key=lambda family: not family.exact) if found else None
+
+
+def _recognise(arm: Arm, wrist: Wrist, tolerance: float) -> Family | None:
+    """Return the family with the arm's numbers where every condition holds within the tolerance."""
+    rows = arm.chain[1:-1]
+    d, a, ca, sa, beta = rows[:, 3], rows[:, 4], rows[:, 5], rows[:, 6], rows[:, 8]
+    square = [0, 3, 4] if wrist is Wrist.OFFSET else [0, 2, 3, 4]  # quarter turns
+    parallel = [1, 2] if wrist is Wrist.OFFSET else [1]
+    zero = [a[4]] if wrist is Wrist.OFFSET else [a[3], a[4], d[4]]
+    length = 1.0 if tolerance == EXACT else arm.length_m
+    twists = np.concatenate([np.abs(ca[square]), np.abs(sa[parallel]), np.abs(beta[:5])])
+    if (twists > tolerance).any() or (np.abs(zero) > tolerance * length).any():
+        return None
+    numbers = np.zeros(34)
+    numbers[0] = 1.0 if wrist is Wrist.OFFSET else 2.0
+    k2 = np.sign(ca[1])
+    numbers[1:6] = np.sign([sa[0], ca[1], ca[2] if wrist is Wrist.OFFSET else sa[2], sa[3], sa[4]])
+    numbers[6:9] = a[0], d[0], a[1]
+    if wrist is Wrist.OFFSET:
+        numbers[9:12] = a[2], 0.0, d[1] + k2 * d[2] + k2 * numbers[3] * d[3]
+        numbers[12:14] = a[3], d[4]
+    else:
+        numbers[9:12] = hypot(a[2], d[3]), atan2(-k2 * numbers[3] * d[3], a[2]), d[1] + k2 * d[2]
+    if min(abs(numbers[8]), abs(numbers[9])) < EXACT:
+        return None
+    numbers[14:20] = rows[:, 2]
+    numbers[20:26] = rows[:, 1]
+    numbers[26] = np.abs(a).sum() + np.abs(d).sum()
+    base, tool = _outside(arm)
+    numbers[27] = np.array_equal(base, np.eye(4))
+    numbers[28] = np.array_equal(tool, np.eye(4))
+    return Family(
+        wrist=wrist,
+        exact=tolerance == EXACT,
+        numbers=numbers,
+        T_base_world=base[:3].ravel(),
+        T_tool_six=tool[:3].ravel(),
+    )
+
+
+def _outside(arm: Arm) -> tuple[Array, Array]:
+    """Return (4, 4): inverse of T_world_base, and of all that comes after the turn of joint 6."""
+    base, tool = np.eye(4), np.eye(4)
+    base[:3], tool[:3] = arm.chain[0].reshape(3, 4), arm.chain[-1].reshape(3, 4)
+    row = arm.chain[-2]
+    shift = np.eye(4)
+    shift[2, 3] = row[3]
+    after = shift @ link_matrix(row[4], row[11], atan2(row[8], row[7])) @ tool
+    return _inverse(base), _inverse(after)
+
+
+def _inverse(T: Array) -> Array:
+    """Return the inverse of a rigid (4, 4) matrix."""
+    out = np.eye(4)
+    out[:3, :3] = T[:3, :3].T
+    out[:3, 3] = -T[:3, :3].T @ T[:3, 3]
+    return out
