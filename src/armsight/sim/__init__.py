@@ -1,1 +1,41 @@
-"""The synthetic world. Shares no projection code with the product; reached by entry point."""
+"""The synthetic world: renders what cameras see, from first principles, with everything that goes wrong."""
+
+from armsight.sim.boards import Board, board_light, corner_rays, random_board_pose
+from armsight.sim.camera import SimCamera
+from armsight.sim.cell import BoardCell, Cell
+from armsight.sim.cells import beacon_cell, board_cell, cells, led_cell, webcam_cell
+from armsight.sim.lens import Lens
+from armsight.sim.paint import Patch, PointStroke, RegionStroke, Stroke, paint
+from armsight.sim.scene import Event, Ghost, Light, Path, Rest, Wander
+from armsight.sim.sensor import Sensor, ambient, with_clutter, with_hot_pixels
+
+__all__ = [
+    "Board",
+    "BoardCell",
+    "Cell",
+    "Event",
+    "Ghost",
+    "Lens",
+    "Light",
+    "Patch",
+    "Path",
+    "PointStroke",
+    "RegionStroke",
+    "Rest",
+    "Sensor",
+    "SimCamera",
+    "Stroke",
+    "Wander",
+    "ambient",
+    "beacon_cell",
+    "board_cell",
+    "board_light",
+    "cells",
+    "corner_rays",
+    "led_cell",
+    "paint",
+    "random_board_pose",
+    "webcam_cell",
+    "with_clutter",
+    "with_hot_pixels",
+]

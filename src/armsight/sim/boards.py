@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.errors import Inconsistent
+from armsight.errors import Inconsistent, UsageError
 from armsight.sim.kernels import cast_board
 from armsight.sim.lens import Lens
 from armsight.sim.paint import LightImage
@@ -74,3 +75,39 @@ def board_light(rays: Array, board: Board, T_camera_board: RigidTransform) -> Li
     cast_board(rays, np.ascontiguousarray(H), board.columns, board.rows, shades, lattice, sharp)
     light: LightImage = gaussian_filter(sharp, board.blur_px, mode="nearest", truncate=5.0)
     return light[:, :, None]
+
+
+BOARD_MARGIN_PX = 12.0
+"""How far inside both images every corner of the outer squares must be."""
+
+BOARD_TRIES = 2000
+"""Poses drawn before a board is said not to fit; about one in five fits at the default sizes."""
+
+
+def random_board_pose(
+    board: Board, rig: Mapping[str, tuple[Lens, RigidTransform]], rng: np.random.Generator
+) -> RigidTransform:
+    """Return a random T_world_board that both cameras see whole. Raises UsageError where none is found."""
+    corners = board.corners_m()
+    size = corners.max(axis=0)
+    x, y = np.meshgrid([-board.square_m, size[0] + board.square_m], [-board.square_m, size[1] + board.square_m])
+    rim = np.stack([x.ravel(), y.ravel(), np.zeros(4)], axis=1)
+    for _ in range(BOARD_TRIES):
+        axis = rng.normal(size=2)
+        lean = rng.uniform(0.0, np.deg2rad(40.0)) * axis / np.linalg.norm(axis)
+        R = Rotation.from_rotvec([*lean, 0.0]) * Rotation.from_rotvec([0.0, 0.0, rng.uniform(-0.35, 0.35)])
+        centre = rng.uniform([-0.15, -0.12, 0.40], [0.27, 0.12, 0.75])
+        pose = RigidTransform.from_components(centre - R.apply(0.5 * size), R)
+        if all(_holds(lens, (T.inv() * pose).apply(rim)) for lens, T in rig.values()):
+            return pose
+    raise UsageError(
+        f"no pose was found at which both cameras see all of a board of {size[0]:.2f} x {size[1]:.2f} m",
+        cure="Simulate a smaller board",
+    )
+
+
+def _holds(lens: Lens, points_m: Array) -> bool:
+    """Tell whether points (n, 3) in camera axes land inside the image with BOARD_MARGIN_PX to spare."""
+    uv = lens.project(points_m)
+    high = np.array([lens.width, lens.height]) - 1.0 - BOARD_MARGIN_PX
+    return bool(((uv >= BOARD_MARGIN_PX) & (uv <= high)).all())

@@ -181,20 +181,23 @@ def add_regions(light, outlines, dv, share, sigma, bgr):
 
 
 @njit(cache=True)
-def _draw_bits(state, bits):
-    """Fill bits (n,) uint64 from a xoshiro256++ generator (Blackman, Vigna 2019); state (4,) moves on."""
-    s0, s1, s2, s3 = state[0], state[1], state[2], state[3]
+def _draw_bits(s0, s1, s2, s3, bits):
+    """Fill bits (n,) uint64 with one step of n generators xoshiro256++ (Blackman, Vigna 2019) side by side.
+
+    s0..s3: (n,) uint64, the generators' states, which move on. Side by side they fill the vector registers.
+    """
     for i in range(bits.size):
-        r = s0 + s3
-        bits[i] = ((r << np.uint64(23)) | (r >> np.uint64(41))) + s0
-        t = s1 << np.uint64(17)
-        s2 ^= s0
-        s3 ^= s1
-        s1 ^= s2
-        s0 ^= s3
-        s2 ^= t
-        s3 = (s3 << np.uint64(45)) | (s3 >> np.uint64(19))
-    state[0], state[1], state[2], state[3] = s0, s1, s2, s3
+        a, b, c, d = s0[i], s1[i], s2[i], s3[i]
+        r = a + d
+        bits[i] = ((r << np.uint64(23)) | (r >> np.uint64(41))) + a
+        t = b << np.uint64(17)
+        c ^= a
+        d ^= b
+        b ^= c
+        a ^= d
+        c ^= t
+        s0[i], s1[i], s2[i] = a, b, c
+        s3[i] = (d << np.uint64(45)) | (d >> np.uint64(19))
 
 
 @njit(cache=True)
@@ -226,17 +229,18 @@ def _digitise(light, z, levels_per_electron, read_noise, saturation, out):
 
 @njit(cache=True)
 def develop(light, patch, row, column, levels_per_electron, read_noise, saturation, table, state, out):
-    """Fill out (h, n) uint8 with what the sensor makes of light (h, n) float32 >= 0 in grey levels; state moves on.
+    """Fill out (h, n) uint8 with what the sensor makes of light (h, n) float32 >= 0 in grey levels.
 
-    patch: replaces light from [row, column] on. A row is made at a time: its buffers stay in the cache.
+    patch: replaces light from [row, column] on. state: (4, (n+1)//2) uint64, one generator for every two columns;
+    it moves on by a step per row.
     """
     height, width = light.shape
-    bits = np.empty((width + 1) // 2, np.uint64)
+    bits = np.empty(state.shape[1], np.uint64)
     halves = bits.view(np.uint32)
     z = np.empty(width, np.float32)
     mixed = np.empty(width, np.float32)
     for j in range(height):
-        _draw_bits(state, bits)
+        _draw_bits(state[0], state[1], state[2], state[3], bits)
         _draw_normals(halves, table, z)
         if row <= j < row + patch.shape[0]:
             mixed[:] = light[j]

@@ -50,23 +50,24 @@ class Sensor:
     def develop(self, light: LightImage, rng: np.random.Generator, patch: Patch | None = None) -> NDArray[np.uint8]:
         """Return the 8-bit image (h, w) or (h, w, 3) of light (h, w, 1 or 3) >= 0 in grey levels, patch over it.
 
-        Every pixel's noise is drawn afresh by a compiled xoshiro256++ seeded from rng. Mean, variance and
+        Every pixel's noise is drawn afresh, by compiled xoshiro256++ generators seeded from rng, one for two
+        columns. Mean, variance and
         third moment are those of Poisson electrons plus Gaussian read noise; the shape is right where a
         pixel holds more than about ten electrons or the read noise is above the shot noise.
         """
-        height, _, channels = light.shape
+        height, width, channels = light.shape
         over = patch or Patch(row=0, column=0, light=np.empty((0, 0, channels), np.float32))
         image = np.empty(light.shape, np.uint8)
         develop(
             light.reshape(height, -1),
-            over.light.reshape(len(over.light), -1),
+            over.light.reshape(over.light.shape[0], over.light.shape[1] * channels),
             over.row,
             over.column * channels,
             1.0 / self.electrons_per_level,
             self.read_noise_level,
             self.saturation,
             _TABLE,
-            rng.integers(0, 2**64, size=4, dtype=np.uint64),
+            rng.integers(0, 2**64, size=(4, (width * channels + 1) // 2), dtype=np.uint64),
             image.reshape(height, -1),
         )
         return image[:, :, 0] if channels == 1 else image

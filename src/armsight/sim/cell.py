@@ -1,0 +1,143 @@
+"""What a simulated cell is: cameras, what they watch, and the truth about it.
+
+The world is the rig: the axes of the left camera. A frame depends on the cell's seed and its own index only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from armsight.geometry import xyz_quat
+from armsight.records import Frame
+from armsight.sim.boards import Board, board_light, corner_rays
+from armsight.sim.camera import SimCamera
+from armsight.sim.rigs import SIDES, rig_mapping
+from armsight.sim.scene import Event, Light, Path, ghosts_seen, hidden_lights
+
+Array = NDArray[np.float64]
+Truth = tuple[float, Array, Array]
+
+SEED_PATH, SEED_BACKDROP, SEED_NOISE, SEED_BOARD = range(4)
+"""Streams of random numbers that a cell's seed is split into, so that more noise never moves the target."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Cell:
+    """Two cameras that watch lights on a moving target.
+
+    rig, target: the structures of rig.yaml and target.yaml. truth: per frame t_s, xyz_m (3,) and quat_xyzw (4,) of
+    T_world_target at the middle of the exposure, world = rig. assumptions: every number that was chosen.
+    """
+
+    name: str
+    seed: int
+    n_frames: int
+    fps: float
+    cameras: Mapping[str, SimCamera]
+    lights: tuple[Light, ...]
+    path: Path
+    target: dict[str, Any]
+    events: tuple[Event, ...]
+    assumptions: tuple[str, ...]
+
+    @property
+    def rig(self) -> dict[str, Any]:
+        """The true rig, as rig.yaml has it under kind and cameras."""
+        return rig_mapping({side: (camera.lens, camera.T_world_camera) for side, camera in self.cameras.items()})
+
+    @property
+    def truth(self) -> tuple[Truth, ...]:
+        """Time in s, position in m and scalar-last quaternion of the target in every frame."""
+        t_s = np.arange(self.n_frames) / self.fps
+        return tuple((float(t), *xyz_quat(pose)) for t, pose in zip(t_s, self.path(t_s), strict=True))
+
+    def pair(self, index: int) -> tuple[Frame, Frame]:
+        """Return the left and right frame number index."""
+        return self._frame(index, "left"), self._frame(index, "right")
+
+    def frames(self) -> Iterator[tuple[Frame, Frame]]:
+        """Yield all pairs in the order of time."""
+        for index in range(self.n_frames):
+            yield self.pair(index)
+
+    def centres_px(self, index: int, side: str) -> dict[str, Array]:
+        """Return the true pixel (2,) of each light's centre at the middle of the exposure, where it is not covered."""
+        covered = hidden_lights(self.events, index, side)
+        uv = self.cameras[side].centres_px(self.lights, self.path, index / self.fps)
+        return {light.name: place for light, place in zip(self.lights, uv, strict=True) if light.name not in covered}
+
+    def _frame(self, index: int, side: str) -> Frame:
+        camera, t_s = self.cameras[side], index / self.fps
+        image = camera.expose(
+            self.lights,
+            self.path,
+            t_s,
+            np.random.default_rng([self.seed, SEED_NOISE, SIDES.index(side), index]),
+            hidden=hidden_lights(self.events, index, side),
+            ghosts=ghosts_seen(self.events, index, side),
+        )
+        source = f"{self.name}/{side}"
+        return Frame(image=image, t_s=t_s, sequence=index, source=source, exposure_s=camera.exposure_s)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BoardCell:
+    """Two cameras that watch a checkerboard held still at one pose after another; the face of a Cell.
+
+    truth: T_world_board per pair. board: as the command line takes it.
+    """
+
+    name: str
+    seed: int
+    fps: float
+    cameras: Mapping[str, SimCamera]
+    printed: Board
+    poses: tuple[RigidTransform, ...]
+    assumptions: tuple[str, ...]
+
+    @property
+    def n_frames(self) -> int:
+        """How many pairs there are."""
+        return len(self.poses)
+
+    @property
+    def board(self) -> str:
+        """The board in one word."""
+        return f"checkerboard:{self.printed.columns}x{self.printed.rows}:{self.printed.square_m:g}"
+
+    @property
+    def rig(self) -> dict[str, Any]:
+        """The true rig, as rig.yaml has it under kind and cameras."""
+        return rig_mapping({side: (camera.lens, camera.T_world_camera) for side, camera in self.cameras.items()})
+
+    @property
+    def target(self) -> dict[str, Any]:
+        """The board, as target.yaml has it."""
+        b = self.printed
+        return {"kind": "checkerboard", "columns": b.columns, "rows": b.rows, "square_m": b.square_m}
+
+    @property
+    def truth(self) -> tuple[Truth, ...]:
+        """Time in s, position in m and scalar-last quaternion of the board in every pair."""
+        return tuple((index / self.fps, *xyz_quat(pose)) for index, pose in enumerate(self.poses))
+
+    def frames(self) -> Iterator[tuple[Frame, Frame]]:
+        """Yield all pairs; the rays through the pixels are traced once."""
+        rays = {side: corner_rays(camera.lens) for side, camera in self.cameras.items()}
+        for index, pose in enumerate(self.poses):
+            left, right = (self._frame(index, side, rays[side], pose) for side in SIDES)
+            yield left, right
+
+    def _frame(self, index: int, side: str, rays: Array, pose: RigidTransform) -> Frame:
+        camera = self.cameras[side]
+        light = board_light(rays, self.printed, camera.T_world_camera.inv() * pose)
+        light = light * camera.backdrop  # here the backdrop is the lamps' unevenness about 1
+        rng = np.random.default_rng([self.seed, SEED_NOISE, SIDES.index(side), index])
+        image = camera.sensor.develop(light, rng)
+        return Frame(image=image, t_s=index / self.fps, sequence=index, source=f"{self.name}/{side}")

@@ -1,0 +1,230 @@
+"""Makers of simulated cells; each cell states every number that was chosen.
+
+Reached by name through the entry points `armsight.cells`; a maker takes (seed, frames) and may take more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from armsight.errors import UsageError
+from armsight.sim.boards import Board, random_board_pose
+from armsight.sim.camera import SimCamera
+from armsight.sim.cell import SEED_BACKDROP, SEED_BOARD, SEED_PATH, BoardCell, Cell
+from armsight.sim.mishaps import planned_events
+from armsight.sim.rigs import SIDES, converging_webcams, parallel_pair
+from armsight.sim.scene import Light, Wander
+from armsight.sim.sensor import Sensor, ambient, with_clutter, with_hot_pixels
+
+TRIANGLE_M = {"A": (-0.040, 0.0, 0.0), "B": (0.030, 0.032, 0.0), "C": (0.030, -0.032, 0.0)}
+"""Isosceles: A left, B lower right, C upper right as the cameras see it (MATH 3.2), so that z points away from them."""
+
+
+def webcam_cell(seed: int, frames: int) -> Cell:
+    """Return two 1280x720 webcams at 60 frames per second that watch three LEDs 0.8 m away."""
+    return led_cell(seed, frames, name="webcam-cell")
+
+
+def led_cell(
+    seed: int,
+    frames: int,
+    *,
+    name: str = "led-cell",
+    width: int = 1280,
+    height: int = 720,
+    fps: float = 60.0,
+    exposure_s: float = 0.004,
+    level: float = 190.0,
+    sigma_px: float = 2.0,
+    diameter_m: float | None = None,
+    sensor: Sensor | None = None,
+    hot_pixels: int = 12,
+    mishaps: bool = True,
+) -> Cell:
+    """Return a cell of two converging webcams and three LEDs on an isosceles triangle.
+
+    The view stays the same for every width (the focal length follows). level, sigma_px, diameter_m: of the lights
+    as in Light; a diameter makes them flat discs. mishaps: whether planned_events happen. Raises UsageError for
+    less than one frame.
+    """
+    _check_frames(frames)
+    sensor = sensor or Sensor()
+    cameras = _webcams_in_room(seed, width, height, exposure_s, sensor, hot_pixels)
+    lights = tuple(
+        Light(name=key, xyz_m=xyz, level=level, sigma_px=sigma_px, diameter_m=diameter_m)
+        for key, xyz in TRIANGLE_M.items()
+    )
+    target: dict[str, Any] = {"kind": "spots", "spots_m": {key: list(xyz) for key, xyz in TRIANGLE_M.items()}}
+    if diameter_m is not None:
+        target["diameter_m"] = diameter_m
+    events = planned_events(frames, tuple(TRIANGLE_M), (width, height), sigma_px) if mishaps else ()
+    return Cell(
+        name=name,
+        seed=seed,
+        n_frames=frames,
+        fps=fps,
+        cameras=cameras,
+        lights=lights,
+        path=_in_a_hand(seed),
+        target=target,
+        events=events,
+        assumptions=(
+            *_cameras_chosen(cameras),
+            "target: isosceles triangle of lights, A (-40, 0), B (30, 32), C (30, -32) mm; sides 77, 77, 64 mm",
+            _light_chosen(level, sigma_px, diameter_m),
+            "path: sines of 140, 80, 60 mm about (60, 0, 800) mm and of 15, 15, 23 deg, periods 3.3 to 6.1 s, "
+            "phases from the seed",
+            f"time: {fps:g} frames per second, both shutters open together for {1e3 * exposure_s:g} ms, no jitter",
+            _sensor_chosen(sensor),
+            f"room: 9 grey levels with a slope of 5 across and -3 down, {hot_pixels} hot pixels of 20 to 120 levels",
+            *(f"mishap in frames {e.first} to {e.last - 1}: {e.note}" for e in events),
+        ),
+    )
+
+
+def beacon_cell(seed: int, frames: int, *, width: int = 640, height: int = 480, clutter: int = 12) -> Cell:
+    """Return two parallel colour cameras (baseline of Kapucu 2005) that watch one red beacon before clutter."""
+    _check_frames(frames)
+    sensor = Sensor()
+    cameras = {}
+    for side, (lens, pose) in parallel_pair(width, height, focal_px=750.0 * width / 640.0, baseline_m=0.126).items():
+        room = np.random.default_rng([seed, SEED_BACKDROP])  # one stream: far behind, so both see the same
+        plain = ambient(width, height, 30.0, across=10.0, bgr=(0.9, 1.0, 0.8))
+        backdrop = with_clutter(plain, clutter, (20.0, 90.0), room)
+        cameras[side] = SimCamera(lens=lens, T_world_camera=pose, sensor=sensor, backdrop=backdrop)
+    return Cell(
+        name="beacon-cell",
+        seed=seed,
+        n_frames=frames,
+        fps=25.0,
+        cameras=cameras,
+        lights=(Light(name="A", xyz_m=(0.0, 0.0, 0.0), level=210.0, sigma_px=3.0, bgr=(0.05, 0.08, 1.0)),),
+        path=Wander(
+            centre_m=np.array([0.063, 0.0, 1.5]),
+            tilt=Rotation.identity(),
+            swing_m=np.array([0.35, 0.25, 0.15]),
+            swing_rad=np.zeros(3),
+            period_s=np.array([7.0, 5.0, 9.0, 1.0, 1.0, 1.0]),
+            phase_rad=np.random.default_rng([seed, SEED_PATH]).uniform(0.0, 2.0 * np.pi, 6),
+        ),
+        target={"kind": "spots", "spots_m": {"A": [0.0, 0.0, 0.0]}, "colour": "red"},
+        events=(),
+        assumptions=(
+            *_cameras_chosen(cameras),
+            "the baseline is Kapucu's, and the image size at the default width; all else is chosen",
+            "beacon: red, 210 grey levels in R, 17 in G, 10 in B, Gaussian of sigma 3 px; 1.5 m away on sines of 350, "
+            "250, 150 mm, periods 5 to 9 s, phases from the seed; the exposure is an instant",
+            _sensor_chosen(sensor),
+            f"room: 30 grey levels, {clutter} soft coloured patches of 20 to 90 levels; no mosaic of colour filters",
+        ),
+    )
+
+
+def board_cell(
+    seed: int, frames: int, *, width: int = 1280, height: int = 720, printed: Board | None = None
+) -> BoardCell:
+    """Return the cameras of webcam_cell with a checkerboard before them, for calibrating them from images.
+
+    frames: how many poses the board takes. Raises UsageError for less than one, or a board too large for the view.
+    """
+    _check_frames(frames)
+    board = printed or Board()
+    rng = np.random.default_rng([seed, SEED_BOARD])
+    rig = converging_webcams(width, height)
+    sensor = Sensor()
+    lamps = ambient(width, height, 1.0, across=0.16, down=-0.10)
+    cameras = {
+        side: SimCamera(lens=lens, T_world_camera=pose, sensor=sensor, backdrop=lamps)
+        for side, (lens, pose) in rig.items()
+    }
+    return BoardCell(
+        name="board-cell",
+        seed=seed,
+        fps=2.0,
+        cameras=cameras,
+        printed=board,
+        poses=tuple(random_board_pose(board, rig, rng) for _ in range(frames)),
+        assumptions=(
+            *_cameras_chosen(cameras),
+            f"board: {board.columns}x{board.rows} inner corners, squares of {1e3 * board.square_m:g} mm, flat, black "
+            f"{board.black:g}, white {board.white:g} levels, lens blur sigma {board.blur_px:g} px",
+            "poses: random within both views, 0.4 to 0.75 m away, tilted up to 40 deg, turned up to 20 deg",
+            _sensor_chosen(sensor),
+            "lamps: uneven by 16 % across and 10 % down",
+        ),
+    )
+
+
+MAKERS: Mapping[str, Callable[..., Cell | BoardCell]] = {
+    "webcam-cell": webcam_cell,
+    "led-cell": led_cell,
+    "beacon-cell": beacon_cell,
+    "board-cell": board_cell,
+}
+
+
+def cells() -> tuple[str, ...]:
+    """Return the names of the built-in cells."""
+    return tuple(MAKERS)
+
+
+def _check_frames(frames: int) -> None:
+    """Raise UsageError for less than one frame."""
+    if frames < 1:
+        raise UsageError(f"a simulation of {frames} frames shows nothing", cure="Ask for one or more")
+
+
+def _in_a_hand(seed: int) -> Wander:
+    """Return the path of webcam_cell: slow swings 0.8 m in front of and between the cameras."""
+    return Wander(
+        centre_m=np.array([0.06, 0.0, 0.80]),
+        tilt=Rotation.identity(),
+        swing_m=np.array([0.14, 0.08, 0.06]),
+        swing_rad=np.array([0.26, 0.26, 0.40]),
+        period_s=np.array([4.1, 3.3, 5.7, 3.7, 4.7, 6.1]),
+        phase_rad=np.random.default_rng([seed, SEED_PATH]).uniform(0.0, 2.0 * np.pi, 6),
+    )
+
+
+def _webcams_in_room(
+    seed: int, width: int, height: int, exposure_s: float, sensor: Sensor, hot_pixels: int
+) -> dict[str, SimCamera]:
+    """Return two converging webcams in a dim room, with hot pixels of their own."""
+    cameras = {}
+    for side, (lens, pose) in converging_webcams(width, height).items():
+        rng = np.random.default_rng([seed, SEED_BACKDROP, SIDES.index(side)])
+        backdrop = with_hot_pixels(ambient(width, height, 9.0, across=5.0, down=-3.0), hot_pixels, (20.0, 120.0), rng)
+        cameras[side] = SimCamera(
+            lens=lens, T_world_camera=pose, sensor=sensor, backdrop=backdrop, exposure_s=exposure_s
+        )
+    return cameras
+
+
+def _cameras_chosen(cameras: Mapping[str, SimCamera]) -> tuple[str, ...]:
+    """Return what was chosen about a pair of cameras."""
+    left, right, T = cameras["left"].lens, cameras["right"].lens, cameras["right"].T_world_camera
+    turn = np.rad2deg(float(np.linalg.norm(T.rotation.as_rotvec())))
+    return (
+        f"cameras: {left.width}x{left.height} px, fx {left.focal_px[0]:.1f} and {right.focal_px[0]:.1f} px, "
+        f"distortion {list(left.distortion)} and {list(right.distortion)}",
+        f"rig: right camera at {np.round(1e3 * np.asarray(T.translation), 2).tolist()} mm, turned {turn:.2f} deg",
+    )
+
+
+def _light_chosen(level: float, sigma_px: float, diameter_m: float | None) -> str:
+    """Return what was chosen about the lights."""
+    if diameter_m is None:
+        return f"lights: Gaussian of sigma {sigma_px:g} px, {level:g} grey levels high at any distance"
+    return f"lights: flat discs of {1e3 * diameter_m:g} mm, {level:g} grey levels, lens blur sigma {sigma_px:g} px"
+
+
+def _sensor_chosen(sensor: Sensor) -> str:
+    """Return what was chosen about the sensor."""
+    return (
+        f"sensor: {sensor.electrons_per_level:g} electrons per grey level, read noise of "
+        f"{sensor.read_noise_level:g} levels, clipping at {sensor.saturation}"
+    )
