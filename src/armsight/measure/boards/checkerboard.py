@@ -1,0 +1,243 @@
+"""Checkerboards: found by OpenCV, their corners fitted and verified here."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armsight.errors import BadImage
+from armsight.measure.boards.gridmap import GridMap, fit_map
+from armsight.measure.boards.kernels import fit_corners
+from armsight.measure.boards.orient import most_upright
+from armsight.records import BoardView, Target
+from armsight.records.symmetry import grid_turns
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+REACH = 0.5
+"""Half window in squares: the edges run on past it, and the next corner's blur stays out (0.4 to 0.7 do as well)."""
+FIRST_HALF_PX = 8.0
+LAST_HALF_PX = 24.0
+"""Largest half window in px, for the first fit and for the last: larger ones add time, no accuracy."""
+EXPLAINED = 0.6
+"""A true corner's window is explained to 0.95 and better by the model, a corner beside one to less than this."""
+CLEAR = 0.9
+"""A corner looked for beyond the board is one only if it is explained to this share: paper edges reach 0.8."""
+OFF_GRID = 0.15
+"""A corner further than this from the smooth grid, in squares, is not the board's."""
+LOW_CONTRAST = 0.2
+"""A corner of less than this share of the board's usual contrast is hidden or in glare."""
+LOST_SHARE = 0.2
+"""With more than this share of corners refused, the whole view is."""
+BLUR_SHARE = 0.3
+"""Edges blurred by more than this share of a square make neighbouring corners run together."""
+COARSE_WIDTH_PX = 1300
+"""The first search needs no more pixels than this; wider images are halved for it until they fit."""
+
+
+def find_checkerboard(image: Image, board: Target, source: str, detector: str) -> BoardView:
+    """Return all corners of the board, or those that could be verified; raises BadImage with the reason."""
+    coarse = coarse_corners(image, board.columns, board.rows, detector)
+    if coarse is None:
+        raise BadImage(
+            f"{source}: no checkerboard of {board.columns}x{board.rows} inner corners was found"
+            f"{_instead(image, board)}",
+            consequence="The image is not used",
+            cure="Show the whole board, sharp and evenly lit, and count its inner corners",
+        )
+    return refine_corners(image, board, _order(image, board, coarse), source)
+
+
+def coarse_corners(image: Image, columns: int, rows: int, detector: str) -> Array | None:
+    """Return the corners (n, 2) to about a pixel, row by row, or None; detector: auto, classic or sectors."""
+    scale = 1
+    while image.shape[1] / scale > COARSE_WIDTH_PX:
+        scale *= 2
+    small = image if scale == 1 else shrunk(image, scale)
+    images = [small] if scale == 1 else [small, image]
+    size = (columns, rows)
+    for picture in images:
+        factor = image.shape[1] / picture.shape[1]
+        if detector != "sectors":
+            flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+            found, corners = cv2.findChessboardCorners(picture, size, flags=flags)
+            if found:
+                return _full_size(corners, factor)
+        if detector != "classic":
+            found, corners = cv2.findChessboardCornersSB(picture, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
+            if found:
+                return _full_size(corners, factor)
+    return None
+
+
+def shrunk(image: Image, factor: int) -> Image:
+    """Return the image made smaller by a whole factor, grey levels averaged."""
+    small = cv2.resize(image, None, fx=1 / factor, fy=1 / factor, interpolation=cv2.INTER_AREA)
+    return np.asarray(small, dtype=np.uint8)
+
+
+def _full_size(corners: ArrayLike, factor: float) -> Array:
+    """Return the corners (n, 2) in pixels of the full image."""
+    uv = np.asarray(corners, float).reshape(-1, 2)
+    return np.asarray((uv + 0.5) * factor - 0.5)
+
+
+def _order(image: Image, board: Target, uv: Array) -> Array:
+    """Number the corners so that x runs along the columns, y is to its right hand, and the first square is black.
+
+    Where the colours leave a choice, x points as far to the image's right as it can.
+    """
+    n = board.columns
+    E, _ = fit_map(_grid(board), uv)[0].derivatives(_grid(board))
+    if np.linalg.det(E.mean(axis=0)) < 0.0:
+        uv = uv.reshape(-1, n, 2)[:, ::-1].reshape(-1, 2)
+    turned = [uv[turn] for turn in grid_turns(board).values()]
+    black_first = [t for t in turned if _first_square_is_black(image, board, t)]
+    return most_upright(black_first or turned, board)
+
+
+def _grid(board: Target) -> Array:
+    """Return the grid coordinates (n, 2) of the board's points, in squares."""
+    return np.asarray(board.xyz_m[:, :2] / board.pitch_m)
+
+
+def _parity(board: Target) -> Array:
+    """Return -1 where the square beyond a corner (towards +x, +y) has the first square's colour, else +1; (n,)."""
+    return np.where(np.rint(_grid(board).sum(axis=1)).astype(int) % 2 == 0, -1.0, 1.0)
+
+
+def _first_square_is_black(image: Image, board: Target, uv: Array) -> bool:
+    """Tell whether the square between the first four corners is darker than its neighbours, over the whole board."""
+    grid = _grid(board)
+    inner = (grid < grid.max(axis=0)).all(axis=1)
+    centres = fit_map(grid, uv)[0](grid[inner] + 0.5)
+    col = np.clip(np.rint(centres[:, 0]).astype(int), 0, image.shape[1] - 1)
+    row = np.clip(np.rint(centres[:, 1]).astype(int), 0, image.shape[0] - 1)
+    level = image[row, col].astype(float)
+    dark = _parity(board)[inner] < 0.0
+    if dark.all():
+        return True
+    return bool(level[dark].mean() < level[~dark].mean())
+
+
+def refine_corners(image: Image, board: Target, guess: Array, source: str) -> BoardView:
+    """Fit every corner twice, the second time with straightened edges, and keep what passes the checks."""
+    grid, sign = _grid(board), _parity(board)
+    if not _first_square_is_black(image, board, guess):
+        sign = -sign
+    uv = guess
+    for half_px in (FIRST_HALF_PX, LAST_HALF_PX):
+        smooth, distance = fit_map(grid, uv)
+        size = _square_px(smooth, grid)
+        uv, covariance, quality = _fit(
+            image, smooth, grid, np.where((distance > OFF_GRID * size)[:, None], smooth(grid), uv), sign, half_px
+        )
+    smooth, distance = fit_map(grid, uv)
+    size = _square_px(smooth, grid)
+    contrast = quality[:, 1]
+    good = (quality[:, 0] > EXPLAINED) & (distance < OFF_GRID * size)
+    usual = float(np.median(contrast[good])) if good.any() else 0.0
+    good &= contrast > LOW_CONTRAST * usual
+    _refuse(image, board, source, smooth, good, quality, size, sign)
+    index = np.flatnonzero(good)
+    return BoardView(
+        uv_px=uv[index],
+        index=index,
+        sigma_px=float(np.sqrt(np.median(np.trace(covariance[index], axis1=1, axis2=2)) / 2.0)),
+        width=image.shape[1],
+        height=image.shape[0],
+        source=source,
+    )
+
+
+def _square_px(smooth: GridMap, grid: Array) -> Array:
+    """Return the shorter side (n,) of a square at each corner in px."""
+    E, _ = smooth.derivatives(grid)
+    return np.asarray(np.linalg.norm(E, axis=1).min(axis=1))
+
+
+def _fit(
+    image: Image, smooth: GridMap, grid: Array, guess: Array, sign: Array, half_px: float
+) -> tuple[Array, Array, Array]:
+    """Return the fitted corners (n, 2), covariances (n, 2, 2) and quality (n, 4)."""
+    E, Q = smooth.derivatives(grid)
+    longer = np.linalg.norm(E, axis=1).max(axis=1)
+    n = len(grid)
+    uv, covariance, quality = np.empty((n, 2)), np.empty((n, 2, 2)), np.empty((n, 4))
+    reach = np.minimum(REACH, half_px / longer)
+    contiguous = np.ascontiguousarray
+    fit_corners(
+        image, contiguous(guess), contiguous(E), contiguous(Q), contiguous(reach), sign, uv, covariance, quality
+    )
+    return uv, covariance, quality
+
+
+def _refuse(
+    image: Image,
+    board: Target,
+    source: str,
+    smooth: GridMap,
+    good: NDArray[np.bool_],
+    quality: Array,
+    size: Array,
+    sign: Array,
+) -> None:
+    """Raise BadImage where the corners are not those of this board, or too blurred to be placed."""
+    lost = int(np.count_nonzero(~good))
+    if lost > LOST_SHARE * len(good):
+        raise BadImage(
+            f"{source}: {lost} of {len(good)} corners are hidden, in glare or not corners",
+            consequence="The image is not used",
+            cure="Show the whole board without reflections",
+        )
+    blur = float(np.median(quality[good, 2] / size[good]))
+    if blur > BLUR_SHARE:
+        raise BadImage(
+            f"{source}: blurred: the edges are {blur:.2f} of a square wide (standard deviation)",
+            consequence="The corners cannot be placed and the image is not used",
+            cure="Hold the board still, shorten the exposure or focus the lens",
+        )
+    for side, more in _beyond(board).items():
+        uv, _, beyond = _fit(image, smooth, more, smooth(more), _sign_at(more, sign), FIRST_HALF_PX)
+        near = np.linalg.norm(uv - smooth(more), axis=1) < OFF_GRID * float(np.median(size))
+        usual = float(np.median(quality[good, 1]))
+        like = near & (beyond[:, 0] > CLEAR) & (beyond[:, 1] > 0.5 * usual)
+        if like.mean() > 1.0 - LOST_SHARE:
+            raise BadImage(
+                f"{source}: the board goes on beyond {board.columns}x{board.rows} inner corners ({side})",
+                consequence="Which of its corners are meant cannot be known and the image is not used",
+                cure="Count the inner corners again",
+            )
+
+
+def _beyond(board: Target) -> dict[str, Array]:
+    """Return the grid coordinates of the corners that one more row or column would have, by the side's name."""
+    c, r = board.columns, board.rows
+    i, j = np.arange(r, dtype=float), np.arange(c, dtype=float)
+    return {
+        "one more column before the first": np.stack([np.full(r, -1.0), i], axis=1),
+        "one more column after the last": np.stack([np.full(r, float(c)), i], axis=1),
+        "one more row before the first": np.stack([j, np.full(c, -1.0)], axis=1),
+        "one more row after the last": np.stack([j, np.full(c, float(r))], axis=1),
+    }
+
+
+def _sign_at(grid: Array, sign: Array) -> Array:
+    """Return the sign (n,) that corners at grid (n, 2) have on a board whose first corner has sign[0]."""
+    return np.asarray(np.where(np.rint(grid.sum(axis=1)).astype(int) % 2 == 0, sign[0], -sign[0]))
+
+
+def _instead(image: Image, board: Target) -> str:
+    """Return words on what is there instead: a board of another size, the board out of focus, or nothing."""
+    found, corners, meta = cv2.findChessboardCornersSBWithMeta(
+        image, (3, 3), flags=cv2.CALIB_CB_LARGER | cv2.CALIB_CB_NORMALIZE_IMAGE
+    )
+    if found and corners is not None and meta is not None:
+        rows, columns = sorted(meta.shape[:2])
+        if (columns, rows) != (max(board.columns, board.rows), min(board.columns, board.rows)):
+            return f", but one of {columns}x{rows} was"
+    if coarse_corners(shrunk(image, 4), board.columns, board.rows, "auto") is not None:
+        return "; it is there, but blurred"
+    return ""

@@ -1,0 +1,78 @@
+"""The smooth map from a board's grid to the image: a homography and, on top, the lens as a cubic polynomial."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+POINTS_FOR_CUBIC = 24
+"""A cubic has ten coefficients a coordinate; with fewer points than this it would follow single corners."""
+STEP = 1e-3
+"""Step of the numerical derivatives, in squares."""
+FAR = 4.0
+"""Points further from the map than this many robust deviations do not shape it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class GridMap:
+    """H (3, 3) and the cubic's coefficients (10, 2) over grid coordinates centred on `centre` and divided by `half`."""
+
+    H: Array
+    cubic: Array
+    centre: Array
+    half: float
+
+    def __call__(self, grid: Array) -> Array:
+        """Return the pixels (n, 2) of grid coordinates (n, 2)."""
+        g = (np.asarray(grid, float) - self.centre) / self.half
+        h = np.column_stack([g, np.ones(len(g))]) @ self.H.T
+        return np.asarray(h[:, :2] / h[:, 2:] + _monomials(g) @ self.cubic)
+
+    def derivatives(self, grid: Array) -> tuple[Array, Array]:
+        """Return the image steps of one square (n, 2, 2; columns: along x, y) and second derivatives (n, 2, 3)."""
+        e = STEP * self.half
+        g = np.asarray(grid, float)
+        x, y = np.array([e, 0.0]), np.array([0.0, e])
+        f0, px, mx, py, my = self(g), self(g + x), self(g - x), self(g + y), self(g - y)
+        first = np.stack([(px - mx) / (2 * e), (py - my) / (2 * e)], axis=2)
+        cross = (self(g + x + y) - self(g + x - y) - self(g - x + y) + self(g - x - y)) / (4 * e * e)
+        second = np.stack([(px - 2 * f0 + mx) / e**2, cross, (py - 2 * f0 + my) / e**2], axis=2)
+        return first, second
+
+
+def _monomials(g: Array) -> Array:
+    """Return all monomials up to the third degree, (n, 10)."""
+    x, y = g[:, 0], g[:, 1]
+    one = np.ones(len(g))
+    return np.stack([one, x, y, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3], axis=1)
+
+
+def fit_map(grid: Array, uv_px: Array) -> tuple[GridMap, Array]:
+    """Return the map of grid coordinates (n, 2) to pixels (n, 2), n >= 4, and the distance (n,) of each point from it.
+
+    Gross outliers do not pull it: they are left out, judged by the median distance.
+    """
+    grid, uv = np.asarray(grid, float), np.asarray(uv_px, float)
+    centre = 0.5 * (grid.min(axis=0) + grid.max(axis=0))
+    half = max(1.0, 0.5 * float(np.ptp(grid, axis=0).max()))
+    use = np.ones(len(grid), bool)
+    g = (grid - centre) / half
+    for _ in range(3):
+        H = np.asarray(cv2.findHomography(g[use], uv[use])[0], float)
+        h = np.column_stack([g, np.ones(len(g))]) @ H.T
+        rest = uv - h[:, :2] / h[:, 2:]
+        cubic = np.zeros((10, 2))
+        if np.count_nonzero(use) >= POINTS_FOR_CUBIC:
+            cubic = np.linalg.lstsq(_monomials(g[use]), rest[use], rcond=None)[0]
+        distance = np.linalg.norm(rest - _monomials(g) @ cubic, axis=1)
+        limit = FAR * max(1.5 * float(np.median(distance)), 0.05)
+        keep = distance <= limit
+        if np.count_nonzero(keep) < 0.6 * len(grid) or (keep == use).all():
+            break
+        use = keep
+    return GridMap(H=H, cubic=cubic, centre=centre, half=half), distance
