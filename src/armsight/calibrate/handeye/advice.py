@@ -1,0 +1,87 @@
+"""What to tell the person: verdict, warnings, what to do next."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from armsight.calibrate.handeye.result import HandEye
+from armsight.units import DEG, MM
+
+SCALE_SURE = 1e-5
+"""Chance below which a wrong scale is believed: one good set in a hundred thousand is accused."""
+
+SCALE_MATTERS = 2e-3
+"""A target whose size is right within 0.2 % is not worth a word."""
+
+FEW_PAIRS = 10
+WEAK_TURN_RAD = 8.0 * DEG
+"""Below this second turn (root mean square) more tilt is the cheapest gain: errors shrink in proportion to it."""
+
+
+def advise(result: HandEye, pitch_m: float | None) -> HandEye:
+    """Return the result with its advice, most urgent first."""
+    advice = [*_scale(result, pitch_m), *_outliers(result), *_poses(result), result.noise.explanation() + "."]
+    return replace(result, advice=tuple(advice))
+
+
+def verdict(result: HandEye) -> str:
+    """Return the verdict in one sentence."""
+    std = result.std()
+    place = 1.96 * max(std[name] for name in ("x_m", "y_m", "z_m")) / MM
+    turn = 1.96 * max(std[name] for name in ("rx_rad", "ry_rad", "rz_rad")) / DEG
+    text = (
+        f"The camera's place in the {result.mount} is known to {place:.2g} mm and {turn:.2g} degrees (95 %) from "
+        f"{result.n_used} of {len(result.pairs)} poses; a pose left out is predicted to {result.loo_rms_m / MM:.2g} mm "
+        f"and {result.loo_rms_rad / DEG:.2g} degrees"
+    )
+    if scale_is_wrong(result):
+        return text + ", but the target is not of the size that was given: measure it and run again."
+    return text + "."
+
+
+def scale_is_wrong(result: HandEye) -> bool:
+    """Tell whether the robot's motion contradicts the target's size."""
+    scale = result.scale
+    return scale is not None and scale.p < SCALE_SURE and abs(scale.factor - 1.0) > SCALE_MATTERS
+
+
+def _scale(result: HandEye, pitch_m: float | None) -> list[str]:
+    scale = result.scale
+    if scale is None or not scale_is_wrong(result):
+        return []
+    percent = 100.0 * (scale.factor - 1.0)
+    text = f"The robot's motion says that the target is {percent:+.2f} +- {100.0 * scale.std:.2f} % of the size given"
+    text = text.replace("% of the size given", "% off the size given")
+    if pitch_m is not None:
+        given, true = pitch_m / MM, pitch_m * scale.factor / MM
+        text += f": a pitch of {true:.2f} +- {pitch_m * scale.std / MM:.2f} mm, not {given:.4g} mm"
+    return [text + ". Measure the target with a calliper over many squares, correct the pitch, and run again."]
+
+
+def _outliers(result: HandEye) -> list[str]:
+    wrong = [name for name, why in result.rejected if why.startswith("off by")]
+    copies = len(result.rejected) - len(wrong)
+    out = []
+    if wrong:
+        out.append(
+            f"{len(wrong)} of {len(result.pairs)} poses contradict the others and were left out ({', '.join(wrong[:8])}"
+            + (", ..." if len(wrong) > 8 else "")
+            + "): look at these images and robot poses."
+        )
+    if copies:
+        out.append(f"{copies} rows repeat others and were left out: copies add no knowledge.")
+    return out
+
+
+def _poses(result: HandEye) -> list[str]:
+    out = []
+    if result.n_used < FEW_PAIRS:
+        out.append(f"{result.n_used} poses are few: {FEW_PAIRS} to 30 make the answer and its doubt trustworthy.")
+    second = float(result.turning.rms_rad[1])
+    if second < WEAK_TURN_RAD:
+        x, y, z = result.turning.axes[1]
+        out.append(
+            f"The hand turns by only {second / DEG:.2g} degrees (root mean square) about its second axis ({x:.2f}, "
+            f"{y:.2f}, {z:.2f}): poses tilted by 20 degrees about it help most."
+        )
+    return out

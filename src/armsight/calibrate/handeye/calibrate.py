@@ -1,0 +1,187 @@
+"""Hand-eye calibration from pose pairs: check, solve, doubt, advise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import f as fisher
+from scipy.stats import t as student
+
+from armsight.calibrate.handeye.advice import advise
+from armsight.calibrate.handeye.consensus import LEAST_SHARE, Consensus, check_reading, consensus
+from armsight.calibrate.handeye.motion import require_metres, require_turning, turning
+from armsight.calibrate.handeye.noise import noise_of_pairs
+from armsight.calibrate.handeye.pairs import MIN_PAIRS, Array, Arrays, PosePairs, Setup, pose
+from armsight.calibrate.handeye.result import NAMES, HandEye, Scale
+from armsight.calibrate.handeye.solution import Doubt, Solution, doubt, solve_pairs
+from armsight.errors import DataRefused, Inconsistent
+from armsight.records import NamedCovariance
+from armsight.units import DEG, MM
+
+FALSE_ALARM = 1e-5
+"""Chance that any pair of a good set is called an outlier, or its scale wrong: one set in a hundred thousand."""
+
+ROUNDS = 10
+"""Rounds of naming outliers and fitting again; two or three settle it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HandEyeOptions:
+    """target_pitch_m: the pitch of the printed target, where there is one, so that advice can name the right one."""
+
+    target_pitch_m: float | None = None
+
+
+def calibrate_eye_in_hand(pairs: PosePairs, options: HandEyeOptions | None = None) -> HandEye:
+    """Return T_flange_camera and T_base_target from T_base_flange * T_flange_camera * T_camera_target = T_base_target.
+
+    Raises Degenerate for too little turning, Inconsistent for wrong units, inverted or wrongly paired poses and
+    poses without agreement, NotConverged. Zhuang, Roth, Sudhakar 1994 (Pachidis 2005 section 4), by maximum likelihood.
+    """
+    return _calibrate(pairs, Setup.EYE_IN_HAND, options or HandEyeOptions())
+
+
+def calibrate_eye_to_hand(pairs: PosePairs, options: HandEyeOptions | None = None) -> HandEye:
+    """Return T_base_camera and T_flange_target from T_base_camera * T_camera_target = T_base_flange * T_flange_target.
+
+    Raises as calibrate_eye_in_hand.
+    """
+    return _calibrate(pairs, Setup.EYE_TO_HAND, options or HandEyeOptions())
+
+
+def expected_deviation(
+    pairs: PosePairs, setup: Setup, *, sigma_m: float = 0.3 * MM, sigma_rad: float = 0.05 * DEG
+) -> dict[str, float]:
+    """Return the deviations that these poses can reach at best, from their geometry alone, by name.
+
+    sigma_m, sigma_rad: noise of one component of a camera pose. Where the pairs are consistent, the residuals play no
+    part: the answer is the inverse of the information that such poses carry.
+    """
+    variances = np.array([sigma_m**2, sigma_rad**2, 0.0])
+    solution = solve_pairs(pairs.arrays(setup), setup, variances=variances)
+    return dict(zip(NAMES, np.sqrt(np.diag(solution.C)).tolist(), strict=True))
+
+
+def _calibrate(pairs: PosePairs, setup: Setup, options: HandEyeOptions) -> HandEye:
+    require_metres(pairs)
+    repeated = {row: why for row, _, why in pairs.duplicates()}
+    rows = np.array([i for i in range(len(pairs)) if i not in repeated], dtype=np.intp)
+    chosen = pairs.take(rows) if repeated else pairs
+    require_turning(turning(chosen.T_base_flange.rotation))
+    order = chosen.canonical_order()
+    in_order = chosen.arrays(setup)
+    arrays: Arrays = tuple(np.ascontiguousarray(a[order]) for a in in_order)  # type: ignore[assignment]  # four stay four
+    given = consensus(arrays)
+    check_reading(arrays, setup, given, in_order)
+    solution, left_out = settle(arrays, setup, given)
+    used = np.zeros(len(pairs), bool)
+    used[rows[order[solution.keep]]] = True
+    turned = turning(pairs.T_base_flange[np.flatnonzero(used)].rotation)
+    require_turning(turned)
+    doubts = doubt(solution)
+    result = _result(pairs, setup, solution, doubts, used)
+    errors = result.residuals.copy()
+    errors[rows[order]] = left_out
+    rejected = _rejected(pairs, repeated, used, errors)
+    scale = true_scale(solution)
+    lever = float(solution.lever[solution.keep].mean())
+    noise = noise_of_pairs(solution.variances, doubts.variance_covariance, lever)
+    finished = HandEye(
+        setup=setup,
+        T_mount_camera=pose(solution.RX, solution.tX),
+        T_seat_target=pose(solution.RZ, solution.tZ),
+        covariance=result.covariance,
+        dof=float(doubts.dof[:6].min()),
+        noise=noise,
+        scale=scale,
+        turning=turned,
+        pairs=pairs,
+        used=used,
+        rejected=rejected,
+        residuals=result.residuals,
+        left_out=errors,
+        advice=(),
+    )
+    return advise(finished, options.target_pitch_m)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Parts:
+    covariance: NamedCovariance
+    residuals: Array
+
+
+def _result(pairs: PosePairs, setup: Setup, solution: Solution, doubts: Doubt, used: NDArray[np.bool_]) -> _Parts:
+    """Return the widened covariance and the residuals of all pairs in the order of the file."""
+    widen = doubts.std / np.sqrt(np.diag(solution.C))
+    everything = pairs.arrays(setup)
+    from armsight.calibrate.handeye.solution import residuals
+
+    return _Parts(
+        covariance=NamedCovariance(names=NAMES, matrix=solution.C * np.outer(widen, widen)),
+        residuals=residuals(everything, solution.RX, solution.tX, solution.RZ, solution.tZ),
+    )
+
+
+def settle(arrays: Arrays, setup: Setup, given: Consensus) -> tuple[Solution, Array]:
+    """Return the fit to the pairs that belong to it, and the left-out error (n, 6) of each.
+
+    A pair is an outlier where its prediction from the other used pairs is off by more than chance allows in any
+    pair of FALSE_ALARM of all good sets (Hotelling's T-square on the left-out error). Raises Inconsistent where fewer
+    than LEAST_SHARE of the pairs stay.
+    """
+    keep, start = given.keep, given.start
+    n = len(keep)
+    for _ in range(ROUNDS):
+        solution = solve_pairs(arrays, setup, keep=keep, start=start)
+        start = (solution.RX, solution.tX, solution.RZ, solution.tZ)
+        errors, q = solution.left_out()
+        limit = 6.0 * float(fisher.isf(FALSE_ALARM / n, 6, max(3 * solution.n_used - 6, 3)))
+        fitting = np.where(np.isfinite(q), q <= limit, keep)
+        if (fitting == keep).all():
+            break
+        if fitting.sum() < max(MIN_PAIRS, LEAST_SHARE * n):
+            raise Inconsistent(
+                f"only {fitting.sum()} of {n} pairs agree with each other",
+                consequence="The rest outvote any answer; no calibration is given",
+                cure="Check which robot pose belongs to which image, and that nothing moved during the recording",
+            )
+        keep = fitting
+    return solution, errors
+
+
+def true_scale(solution: Solution) -> Scale | None:
+    """Return the true over the assumed size of the target; None where these poses cannot tell."""
+    try:
+        free = solve_pairs(
+            solution.arrays,
+            solution.setup,
+            keep=solution.keep,
+            start=(solution.RX, solution.tX, solution.RZ, solution.tZ),
+            free_scale=True,
+        )
+    except DataRefused:
+        return None
+    doubts = doubt(free)
+    std = float(np.sqrt(free.C[12, 12]))
+    if not (free.gamma > 0.0 and std < 0.2):
+        return None
+    p = 2.0 * float(student.sf(abs(free.gamma - 1.0) / std, doubts.dof[12]))
+    return Scale(factor=1.0 / free.gamma, std=float(doubts.std[12]) / free.gamma**2, p=p)
+
+
+def _rejected(
+    pairs: PosePairs, repeated: dict[int, str], used: NDArray[np.bool_], errors: Array
+) -> tuple[tuple[str, str], ...]:
+    """Return (name, why) of the pairs that were not used, in the order of the file."""
+    out = []
+    for i in np.flatnonzero(~used).tolist():
+        if i in repeated:
+            why = repeated[i]
+        else:
+            move, turn = np.linalg.norm(errors[i, :3]), np.linalg.norm(errors[i, 3:])
+            why = f"off by {move / MM:.3g} mm and {turn / DEG:.3g} degrees from what the other pairs say"
+        out.append((pairs.names[i], why))
+    return tuple(out)

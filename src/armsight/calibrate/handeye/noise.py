@@ -1,0 +1,83 @@
+"""Whose noise the residuals are: the robot's or the camera's."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from armsight.calibrate.handeye.pairs import Array
+from armsight.units import DEG, MM
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Part:
+    """One noise: its standard deviation per component and how well that is known, in m or rad.
+
+    std is infinite where the data cannot tell this noise from another; then value is its upper bound.
+    """
+
+    value: float
+    std: float
+
+    @property
+    def known(self) -> bool:
+        """Whether the data can tell this noise from the others."""
+        return bool(np.isfinite(self.std))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Noise:
+    """Noise of one component of a pose of the robot and of the camera.
+
+    translation_m: of both together as seen at the target, without what the robot's orientation adds through the
+    lever. Pose pairs cannot split it: a shift of the flange and a shift of the target look alike; with images the
+    camera's share is known from the corners.
+    """
+
+    translation_m: Part
+    robot_m: Part
+    camera_m: Part
+    robot_rad: Part
+    camera_rad: Part
+    lever_m: float
+
+    def explanation(self) -> str:
+        """Return one sentence on whether robot or camera explains the residuals."""
+        total = self.robot_rad.value**2 + self.camera_rad.value**2
+        share = self.robot_rad.value**2 / total if total > 0.0 else 0.0
+        doubt = 2.0 * np.hypot(self.robot_rad.value * self.robot_rad.std, self.camera_rad.value * self.camera_rad.std)
+        size = f"{np.sqrt(total) / DEG:.2g} degrees"
+        if total > 0.0 and doubt > 0.3 * total:
+            turn = f"The data cannot yet tell whether robot or camera causes the {size} in orientation"
+        elif share > 0.7:
+            turn = f"The robot explains most of the {size} in orientation"
+        elif share < 0.3:
+            turn = f"The camera explains most of the {size} in orientation"
+        else:
+            turn = f"Robot and camera share the {size} in orientation"
+        if not self.robot_m.known:
+            return f"{turn}; the {self.translation_m.value / MM:.2g} mm in position may be either's"
+        who = "robot" if self.robot_m.value > self.camera_m.value else "camera"
+        return f"{turn}; in position the {who} is the noisier ({self.robot_m.value / MM:.2g} mm robot, {self.camera_m.value / MM:.2g} mm camera)"
+
+
+def noise_of_pairs(variances: Array, covariance: Array, lever_m: float) -> Noise:
+    """Return the noises of a fit to pose pairs from its variances (3,) and their covariance (3, 3)."""
+    together = _part(variances[0], covariance[0, 0])
+    open_ = Part(value=together.value, std=float("inf"))
+    return Noise(
+        translation_m=together,
+        robot_m=open_,
+        camera_m=open_,
+        robot_rad=_part(variances[2], covariance[2, 2]),
+        camera_rad=_part(variances[1], covariance[1, 1]),
+        lever_m=lever_m,
+    )
+
+
+def _part(variance: float, spread: float) -> Part:
+    """Return the deviation of a variance; near zero its doubt is that of the variance itself, not of its slope."""
+    value = float(np.sqrt(max(variance, 0.0)))
+    doubt = float(np.sqrt(max(spread, 0.0)))
+    return Part(value=value, std=float(min(doubt / (2.0 * value) if value > 0.0 else np.inf, np.sqrt(doubt))))

@@ -1,0 +1,145 @@
+"""Pose pairs: where the robot said its flange was, and where the camera saw the target."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from armsight.errors import Inconsistent, NotEnoughData
+
+Array = NDArray[np.float64]
+Arrays = tuple[Array, Array, Array, Array]
+"""RF (n, 3, 3), tF (n, 3), RB (n, 3, 3), tB (n, 3) of F X B = Z: what the kernels work on."""
+
+MIN_PAIRS = 4
+"""Three pairs fix the answer; the fourth is the first that can contradict it."""
+
+SAME_M = 1e-9
+SAME_RAD = 1e-9
+"""Two poses closer than this are copies: no robot or camera repeats itself to a nanometre."""
+
+
+class Setup(StrEnum):
+    """Who carries the camera."""
+
+    EYE_IN_HAND = "eye-in-hand"
+    EYE_TO_HAND = "eye-to-hand"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PosePairs:
+    """n poses T_base_flange of the robot and n poses T_camera_target of the camera, row by row, and the rows' names.
+
+    Raises NotEnoughData below MIN_PAIRS rows, Inconsistent for tables of different length.
+    """
+
+    T_base_flange: RigidTransform
+    T_camera_target: RigidTransform
+    names: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        n, m = _count(self.T_base_flange), _count(self.T_camera_target)
+        if n != m or n != len(self.names):
+            raise Inconsistent(
+                f"{n} robot poses, {m} camera poses and {len(self.names)} names",
+                consequence="Nobody knows which belong together",
+                cure="Give one robot pose and one camera pose per row",
+            )
+        if n < MIN_PAIRS:
+            raise NotEnoughData(
+                f"{n} pose pairs, of which {MIN_PAIRS} are the fewest that can be checked",
+                consequence="No calibration is given",
+                cure="Record 15 to 30 poses that turn the hand about at least two axes",
+            )
+        for what, poses in (("robot", self.T_base_flange), ("camera", self.T_camera_target)):
+            if not np.isfinite(poses.as_matrix()).all():
+                row = int(np.argmax(~np.isfinite(poses.as_matrix()).all(axis=(1, 2))))
+                raise Inconsistent(f"the {what} pose of {self.names[row]} is not finite")
+
+    @classmethod
+    def of(
+        cls,
+        T_base_flange: Sequence[RigidTransform],
+        T_camera_target: Sequence[RigidTransform],
+        names: Sequence[str] | None = None,
+    ) -> PosePairs:
+        """Return the pairs of two sequences of single poses; rows are called 'row 1', 'row 2' ... unless named."""
+        return cls(
+            T_base_flange=stack(T_base_flange),
+            T_camera_target=stack(T_camera_target),
+            names=tuple(names) if names is not None else tuple(f"row {i + 1}" for i in range(len(T_base_flange))),
+        )
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def take(self, index: Sequence[int] | NDArray[np.intp]) -> PosePairs:
+        """Return the rows at the given positions."""
+        i = np.asarray(index, dtype=np.intp)
+        return PosePairs(
+            T_base_flange=self.T_base_flange[i],
+            T_camera_target=self.T_camera_target[i],
+            names=tuple(self.names[k] for k in i),
+        )
+
+    def canonical_order(self) -> NDArray[np.intp]:
+        """Return the order that depends on the poses alone, so that no answer depends on the order of the rows."""
+        table = np.concatenate([_columns(self.T_base_flange), _columns(self.T_camera_target)], axis=1)
+        return np.lexsort(table.T[::-1])
+
+    def duplicates(self) -> tuple[tuple[int, int, str], ...]:
+        """Return (row, earlier row, why) of rows whose camera pose repeats an earlier one to the last digit."""
+        found: list[tuple[int, int, str]] = []
+        for i in range(1, len(self)):
+            seen = _same(self.T_camera_target, i)
+            if not len(seen):
+                continue
+            moved = _same(self.T_base_flange, i)
+            both = [k for k in seen if k in moved]
+            first = int(both[0] if both else seen[0])
+            why = "repeats" if both else "has the same camera pose (a stale image?) as"
+            found.append((i, first, f"{why} {self.names[first]}"))
+        return tuple(found)
+
+    def arrays(self, setup: Setup) -> Arrays:
+        """Return the arrays of F X B = Z: F is T_base_flange eye-in-hand, its inverse eye-to-hand."""
+        F = self.T_base_flange if setup is Setup.EYE_IN_HAND else self.T_base_flange.inv()
+        return (*components(F), *components(self.T_camera_target))
+
+
+def stack(poses: Sequence[RigidTransform]) -> RigidTransform:
+    """Return single poses as one stack."""
+    if not len(poses):
+        return RigidTransform.from_matrix(np.empty((0, 4, 4)))
+    return RigidTransform.from_matrix(np.stack([pose.as_matrix() for pose in poses]))
+
+
+def components(poses: RigidTransform) -> tuple[Array, Array]:
+    """Return rotation matrices (n, 3, 3) and translations (n, 3) of a stack, contiguous."""
+    M = poses.as_matrix()
+    return np.ascontiguousarray(M[..., :3, :3]), np.ascontiguousarray(M[..., :3, 3])
+
+
+def pose(R: Array, t: Array) -> RigidTransform:
+    """Return the pose of one rotation matrix and translation."""
+    return RigidTransform.from_components(t, Rotation.from_matrix(R))
+
+
+def _count(poses: RigidTransform) -> int:
+    return 1 if poses.single else len(poses)
+
+
+def _columns(poses: RigidTransform) -> Array:
+    return np.concatenate([poses.translation, poses.rotation.as_quat(canonical=True)], axis=1)
+
+
+def _same(poses: RigidTransform, row: int) -> NDArray[np.intp]:
+    """Return the earlier rows that are copies of the given one."""
+    near = np.linalg.norm(poses.translation[:row] - poses.translation[row], axis=1) <= SAME_M
+    near &= np.asarray((poses.rotation[:row] * poses.rotation[row].inv()).magnitude() <= SAME_RAD)
+    return np.flatnonzero(near)

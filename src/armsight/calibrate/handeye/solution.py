@@ -1,0 +1,200 @@
+"""Maximum likelihood of both unknowns, with the noises of robot and camera, from pose pairs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student
+
+from armsight.calibrate.handeye.pairs import Array, Arrays, Setup
+from armsight.calibrate.kernels import handeye as kernels
+from armsight.calibrate.kernels import handeye_start as starts
+from armsight.errors import NotConverged
+
+FLOOR = np.array([1e-22, 1e-22, 1e-24])
+"""Variances are kept above (0.01 nm)^2 and (1e-11 rad)^2, so that exact data can be fitted as well."""
+
+TOLERANCE = 5e-3
+"""The fit is settled when parameters move by less than this share of their deviation, variances of their size."""
+
+LIMIT = 100
+NORMAL_95 = 1.959964
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Solution:
+    """The fit of F X B = Z.
+
+    RX, tX, RZ, tZ: the unknowns. gamma: distances seen by the camera over distances moved by the robot, 1 unless
+    free. variances (3,): of the translation (robot's and camera's together), of the camera's orientation and of the
+    robot's. C (m, m): covariance of (dtX, dwX, dtZ, dwZ[, gamma]). e (n, 6), J (n, 6, m), lever (n,): whitened
+    residuals and derivatives in the lever's axes. log_likelihood: restricted.
+    """
+
+    setup: Setup
+    arrays: Arrays
+    keep: NDArray[np.bool_]
+    RX: Array
+    tX: Array
+    RZ: Array
+    tZ: Array
+    gamma: float
+    variances: Array
+    C: Array
+    e: Array
+    J: Array
+    lever: Array
+    log_likelihood: float
+    iterations: int
+
+    @property
+    def n_used(self) -> int:
+        """Pairs in the fit."""
+        return int(self.keep.sum())
+
+    def residuals(self) -> Array:
+        """Return (n, 6): every pair, also those left out, against the fit: camera axes, m and rad."""
+        return residuals(self.arrays, self.RX, self.tX, self.RZ, self.tZ, self.gamma)
+
+    def left_out(self) -> tuple[Array, Array]:
+        """Return the error (n, 6) of each pair as predicted from the other used ones, and its chi-square (n,)."""
+        out = np.empty((len(self.keep), 6))
+        q = kernels.left_out(
+            (self.RX, self.tX),
+            (self.RZ, self.tZ),
+            self.gamma,
+            self.arrays,
+            self.variances,
+            self.setup is Setup.EYE_TO_HAND,
+            self.keep,
+            self.C,
+            out,
+        )
+        return out, q
+
+
+def solve_pairs(
+    arrays: Arrays,
+    setup: Setup,
+    *,
+    keep: NDArray[np.bool_] | None = None,
+    start: tuple[Array, Array, Array, Array] | None = None,
+    variances: Array | None = None,
+    free_scale: bool = False,
+) -> Solution:
+    """Return the maximum-likelihood X, Z of F X B = Z, the noises by restricted maximum likelihood.
+
+    arrays: of PosePairs.arrays. keep (n,): the pairs to use. start: RX, tX, RZ, tZ, by default Shah's closed form.
+    variances (3,): known and held, else estimated. free_scale: the camera's distances carry a common factor gamma.
+    Raises NotConverged. Model of the noise: the robot's pose is off by N(0, s_t) m and N(0, s_r) rad about the
+    flange, which reaches the target through its lever; the camera's by N(0, c_t) m and N(0, c_r) rad; s_t and c_t
+    act alike and only their sum is known.
+    """
+    n = len(arrays[0])
+    keep = np.ones(n, bool) if keep is None else keep
+    gamma = 1.0
+    if start is None:
+        RX, RZ = starts.shah_rotations(arrays[0], arrays[2], keep)
+        ok, tX, tZ, gamma = starts.translations(RX, arrays[0], arrays[1], arrays[3], keep, free_scale)
+        if not ok:
+            raise _not_converged("the translations are not determined")
+    else:
+        RX, tX, RZ, tZ = start
+    X, Z = (RX, tX), (RZ, tZ)
+    estimate = variances is None
+    theta = (
+        kernels.first_variances(X, Z, gamma, arrays, keep, FLOOR) if variances is None else np.maximum(variances, FLOOR)
+    )
+    m = 13 if free_scale else 12
+    to_hand = setup is Setup.EYE_TO_HAND
+    done = kernels.fit_pairs(X, Z, gamma, arrays, theta, estimate, FLOOR, to_hand, keep, m, TOLERANCE, LIMIT)
+    ok, (RX, tX), (RZ, tZ), gamma, theta, C, e, J, lever, likelihood, iterations = done
+    if not ok:
+        raise _not_converged(f"no minimum after {iterations} iterations")
+    return Solution(
+        setup=setup,
+        arrays=arrays,
+        keep=keep,
+        RX=RX,
+        tX=tX,
+        RZ=RZ,
+        tZ=tZ,
+        gamma=gamma,
+        variances=theta,
+        C=C,
+        e=e,
+        J=J,
+        lever=lever,
+        log_likelihood=likelihood,
+        iterations=iterations,
+    )
+
+
+def residuals(arrays: Arrays, RX: Array, tX: Array, RZ: Array, tZ: Array, gamma: float = 1.0) -> Array:
+    """Return (n, 6): the measured T_camera_target against X^-1 F^-1 Z, camera axes, m and rad."""
+    RF, tF, RB, tB = arrays
+    P = RX.T @ RF.transpose(0, 2, 1)  # (n, 3, 3)
+    t = np.einsum("nij,nj->ni", P, tZ - tF) - RX.T @ tX
+    out = np.empty((len(RF), 6))
+    out[:, :3] = tB - gamma * t
+    turn = RB @ (P @ RZ).transpose(0, 2, 1)
+    for i in range(len(RF)):
+        starts.log_rotation(turn[i], out[i, 3:])
+    return out
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Doubt:
+    """What the estimated noises leave in doubt.
+
+    variance_covariance (3, 3): of the variances. dof (m,): effective degrees of freedom behind each parameter's
+    variance (Satterthwaite 1946). std (m,): deviations widened by Student's factor, so that +- 1.96 std holds 95 %.
+    """
+
+    variance_covariance: Array
+    dof: Array
+    std: Array
+
+
+def doubt(solution: Solution) -> Doubt:
+    """Return the doubt of a fit whose noises were estimated from its own residuals."""
+    Q = _shapes(solution)  # (3, n, 6, 6) whitened derivative of the noise by each variance
+    J, C = solution.J, solution.C
+    M = J @ C @ J.transpose(0, 2, 1)  # (n, 6, 6)
+    B = np.einsum("nab,knac,ncd->kbd", J, Q, J, optimize=True)  # (3, m, m)
+    QQ = np.einsum("knab,jnbc->kjnac", Q, Q)
+    information = np.einsum("kjnaa->kj", QQ) - 2.0 * np.einsum("kjnab,nba->kj", QQ, M)
+    CB = C @ B
+    information = 0.5 * (information + np.einsum("kab,jba->kj", CB, CB))
+    covariance = np.linalg.pinv(information, rcond=1e-12, hermitian=True)
+    slope = np.einsum("kab,bc->kac", CB, C)  # dC / d variance
+    slope = np.einsum("kaa->ka", slope)  # (3, m)
+    spread = np.einsum("ka,kj,ja->a", slope, covariance, slope)
+    variance = np.diag(C)
+    dof = np.clip(2.0 * variance**2 / np.maximum(spread, 1e-300), 1.0, 1e6)
+    factor = student.ppf(0.975, dof) / NORMAL_95
+    return Doubt(variance_covariance=covariance, dof=dof, std=np.sqrt(variance) * factor)
+
+
+def _shapes(solution: Solution) -> Array:
+    """Return (3, n, 6, 6): the derivative of the whitened noise by each variance, zero for pairs not used."""
+    n = len(solution.keep)
+    Q = np.zeros((3, n, 6, 6))
+    w, q = np.empty(5), np.empty((3, 5))
+    for i in np.flatnonzero(solution.keep):
+        kernels.shapes(solution.lever[i], solution.variances, w, q)
+        for k in range(3):
+            block = np.array([[q[k, 0], q[k, 1]], [q[k, 1], q[k, 2]]])
+            Q[k, i, :2, :2] = Q[k, i, 2:4, 2:4] = block
+            Q[k, i, 4, 4], Q[k, i, 5, 5] = q[k, 3], q[k, 4]
+    return Q
+
+
+def _not_converged(why: str) -> NotConverged:
+    return NotConverged(
+        f"the hand-eye fit found no answer: {why}",
+        consequence="No calibration is given",
+        cure="Check which robot pose belongs to which image, and record poses that turn the hand about two axes",
+    )

@@ -1,0 +1,259 @@
+"""Compiled starts of the hand-eye fit: closed forms, and the consensus of most pairs against gross errors.
+
+F_i X B_i = Z, with F the robot's pose as the fit sees it (see kernels.handeye), rotations RF, RX, RB, RZ.
+"""
+
+from __future__ import annotations
+
+from math import atan2, sqrt
+
+import numpy as np
+from numba import njit
+
+from armsight.fitting.kernels import solve_damped
+
+MEDIAN_NORM = 1.538
+"""Median length of a vector of three standard normals."""
+
+GENEROUS = 6.0
+"""Robust deviations up to which a pair joins the consensus: with ten pairs the deviation is known to a quarter."""
+
+
+@njit(cache=True)
+def multiply(A, B, out):
+    """Fill out (3, 3) with A B."""
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = A[i, 0] * B[0, j] + A[i, 1] * B[1, j] + A[i, 2] * B[2, j]
+
+
+@njit(cache=True)
+def multiply_t(A, B, out):
+    """Fill out (3, 3) with A B'."""
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = A[i, 0] * B[j, 0] + A[i, 1] * B[j, 1] + A[i, 2] * B[j, 2]
+
+
+@njit(cache=True)
+def log_rotation(R, w):
+    """Fill w (3,) with the rotation vector of R (3, 3), at any angle; through the quaternion's largest entry."""
+    trace = R[0, 0] + R[1, 1] + R[2, 2]
+    if trace > 0.0:
+        qw = 0.5 * sqrt(1.0 + trace)
+        f = 0.25 / qw
+        x, y, z = (R[2, 1] - R[1, 2]) * f, (R[0, 2] - R[2, 0]) * f, (R[1, 0] - R[0, 1]) * f
+    else:
+        i = 0
+        if R[1, 1] > R[0, 0]:
+            i = 1
+        if R[2, 2] > R[i, i]:
+            i = 2
+        j, k = (i + 1) % 3, (i + 2) % 3
+        big = 0.5 * sqrt(max(1.0 + R[i, i] - R[j, j] - R[k, k], 1e-300))
+        f = 0.25 / big
+        q = np.empty(3)
+        q[i] = big
+        q[j] = (R[j, i] + R[i, j]) * f
+        q[k] = (R[k, i] + R[i, k]) * f
+        qw = (R[k, j] - R[j, k]) * f
+        x, y, z = q[0], q[1], q[2]
+    if qw < 0.0:
+        x, y, z, qw = -x, -y, -z, -qw
+    s = sqrt(x * x + y * y + z * z)
+    f = 2.0 if s < 1e-12 else 2.0 * atan2(s, qw) / s
+    w[0], w[1], w[2] = x * f, y * f, z * f
+
+
+@njit(cache=True)
+def project_rotation(M):
+    """Return the rotation (3, 3) nearest to M, or to -M where that has the positive determinant."""
+    U, _, Vt = np.linalg.svd(M)
+    R = U @ Vt
+    if np.linalg.det(R) < 0.0:
+        R = -R
+    return R
+
+
+@njit(cache=True)
+def shah_rotations(Rf, Rb, keep):
+    """Return RX, RZ of RF RX RB = RZ from the dominant singular vectors of the sum of RF (x) RB' (Shah 2013)."""
+    K = np.zeros((9, 9))
+    for n in range(Rf.shape[0]):
+        if keep[n]:
+            for i in range(3):
+                for k in range(3):
+                    f = Rf[n, i, k]
+                    for j in range(3):
+                        for m in range(3):
+                            K[3 * i + j, 3 * k + m] += f * Rb[n, m, j]
+    Vt = np.linalg.svd(K)[2]
+    RX = project_rotation(np.ascontiguousarray(Vt[0]).reshape(3, 3))
+    return RX, mean_target(RX, Rf, Rb, keep)
+
+
+@njit(cache=True)
+def mean_target(RX, Rf, Rb, keep):
+    """Return RZ nearest to all RF RX RB."""
+    total = np.zeros((3, 3))
+    a = np.empty((3, 3))
+    b = np.empty((3, 3))
+    for n in range(Rf.shape[0]):
+        if keep[n]:
+            multiply(Rf[n], RX, a)
+            multiply(a, Rb[n], b)
+            total += b
+    return project_rotation(total)
+
+
+@njit(cache=True)
+def translations(RX, Rf, tf, tb, keep, free_scale):
+    """Return ok, tX, tZ, gamma of tB = gamma (P (tZ - tF) - RX' tX) by linear least squares, gamma 1 unless free."""
+    m = 7 if free_scale else 6
+    H = np.zeros((m, m))
+    g = np.zeros(m)
+    row = np.zeros((3, 7))
+    for n in range(Rf.shape[0]):
+        if not keep[n]:
+            continue
+        for i in range(3):
+            row[i, 6] = 0.0
+            for j in range(3):
+                row[i, j] = RX[0, i] * Rf[n, j, 0] + RX[1, i] * Rf[n, j, 1] + RX[2, i] * Rf[n, j, 2]
+                row[i, 3 + j] = -RX[j, i]
+            for j in range(3):
+                row[i, 6] -= row[i, j] * tf[n, j]
+            y = tb[n, i] if free_scale else tb[n, i] - row[i, 6]
+            for a in range(m):
+                g[a] -= row[i, a] * y
+                for b in range(m):
+                    H[a, b] += row[i, a] * row[i, b]
+    x = np.zeros(7)
+    x[6] = 1.0
+    ok = solve_damped(H, g, 1e-13, x[:m])
+    return ok, x[3:6] / x[6], x[0:3] / x[6], x[6]
+
+
+@njit(cache=True)
+def sample_rotation(Rf, Rb, index):
+    """Return RX from the motions within a few pairs: their rotation vectors turned onto each other (Kabsch)."""
+    M = np.zeros((3, 3))
+    R = np.empty((3, 3))
+    a = np.empty(3)
+    b = np.empty(3)
+    count = index.shape[0]
+    for i in range(count):
+        for j in range(i):
+            p, q = index[i], index[j]
+            multiply(Rf[q].T, Rf[p], R)
+            log_rotation(R, a)
+            multiply_t(Rb[q], Rb[p], R)
+            log_rotation(R, b)
+            for r in range(3):
+                for c in range(3):
+                    M[r, c] += a[r] * b[c]
+    U, _, Vt = np.linalg.svd(M)
+    if np.linalg.det(U @ Vt) < 0.0:
+        U[:, 2] *= -1.0
+    return U @ Vt
+
+
+@njit(cache=True)
+def rotation_errors(RX, RZ, Rf, Rb, out):
+    """Fill out (n,) with the angle between RF RX RB and RZ."""
+    P = np.empty((3, 3))
+    Q = np.empty((3, 3))
+    w = np.empty(3)
+    for i in range(Rf.shape[0]):
+        multiply(Rf[i], RX, P)
+        multiply(P, Rb[i], Q)
+        multiply_t(Q, RZ, P)
+        log_rotation(P, w)
+        out[i] = sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
+
+
+@njit(cache=True)
+def translation_errors(RX, tX, tZ, gamma, Rf, tf, tb, out):
+    """Fill out (n,) with the distance between tB and its prediction, in the camera's unit."""
+    y = np.empty(3)
+    for n in range(Rf.shape[0]):
+        for j in range(3):
+            y[j] = -tX[j]
+            for c in range(3):
+                y[j] += Rf[n, c, j] * (tZ[c] - tf[n, c])
+        total = 0.0
+        for i in range(3):
+            d = tb[n, i] - gamma * (RX[0, i] * y[0] + RX[1, i] * y[1] + RX[2, i] * y[2])
+            total += d * d
+        out[n] = sqrt(total)
+
+
+@njit(cache=True)
+def rotation_consensus(Rf, Rb, samples, keep, errors):
+    """Return RX, RZ that most pairs agree on, and the robust deviation of one component in rad; fill keep, errors.
+
+    Least median of squares over the samples (S, 4) (Rousseeuw 1984), then Shah's closed form on those that agree.
+    """
+    n = Rf.shape[0]
+    best = np.inf
+    mask = np.zeros(n, np.bool_)
+    RX, RZ = np.eye(3), np.eye(3)
+    for s in range(samples.shape[0]):
+        mask[:] = False
+        for i in samples[s]:
+            mask[i] = True
+        R = sample_rotation(Rf, Rb, samples[s])
+        T = mean_target(R, Rf, Rb, mask)
+        rotation_errors(R, T, Rf, Rb, errors)
+        middle = np.median(errors)
+        if middle < best:
+            best, RX, RZ = middle, R, T
+    rotation_errors(RX, RZ, Rf, Rb, errors)
+    for _ in range(3):
+        sigma = max(np.median(errors) / MEDIAN_NORM, 1e-12)
+        keep[:] = errors < GENEROUS * sigma
+        RX, RZ = shah_rotations(Rf, Rb, keep)
+        rotation_errors(RX, RZ, Rf, Rb, errors)
+    sigma = max(np.median(errors) / MEDIAN_NORM, 1e-12)
+    keep[:] = errors < GENEROUS * sigma
+    return RX, RZ, sigma
+
+
+@njit(cache=True)
+def translation_consensus(RX, Rf, tf, tb, samples, free_scale, keep, errors):
+    """Return ok, tX, tZ, gamma, robust deviation in the camera's unit; lower keep to the pairs that agree."""
+    n = Rf.shape[0]
+    mask = np.zeros(n, np.bool_)
+    agreed = keep.copy()
+    best = np.inf
+    ok, tX, tZ, gamma = translations(RX, Rf, tf, tb, keep, free_scale)
+    for s in range(-1, samples.shape[0]):
+        if s < 0:
+            mask[:] = keep
+        else:
+            mask[:] = False
+            whole = True
+            for i in samples[s]:
+                mask[i] = True
+                whole = whole and keep[i]
+            if not whole:
+                continue
+        good, x, z, c = translations(RX, Rf, tf, tb, mask, free_scale)
+        if not good:
+            continue
+        translation_errors(RX, x, z, c, Rf, tf, tb, errors)
+        middle = np.median(errors[keep])
+        if middle < best:
+            best, ok, tX, tZ, gamma = middle, True, x, z, c
+    if not ok:
+        return False, tX, tZ, gamma, np.inf
+    sigma = np.inf
+    for _ in range(3):
+        translation_errors(RX, tX, tZ, gamma, Rf, tf, tb, errors)
+        sigma = max(np.median(errors[keep]) / MEDIAN_NORM, 1e-15)
+        agreed[:] = keep & (errors < GENEROUS * sigma)
+        good, x, z, c = translations(RX, Rf, tf, tb, agreed, free_scale)
+        if good:
+            tX, tZ, gamma = x, z, c
+    keep[:] = agreed
+    return True, tX, tZ, gamma, sigma
