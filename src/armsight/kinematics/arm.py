@@ -20,6 +20,9 @@ Array = NDArray[np.float64]
 LARGEST_ANGLE_RAD = 1e4
 """Joint angles beyond this are not angles of an arm: degrees, encoder counts or a fault."""
 
+LIMIT_SLACK = 1e-9
+"""Joint values this far (rad or m) beyond a limit are at it: rounding of a solution that ends there."""
+
 GAIN_RANGE = (0.5, 2.0)
 """The sign carries the joint's scale where one was identified; further from one it is a mistake of units."""
 
@@ -89,7 +92,8 @@ class Arm:
 
     convention says how the joints' a, alpha, beta are read: standard (behind the joint) or craig (before it).
     source: where the numbers come from. covariance: of identified parameters, named as in `parameter_names`.
-    chain (n + 2, 12): the same arm as compiled code sees it (kernels.chain), always in standard convention.
+    chain (n + 2, 12): the same arm as compiled code sees it (kernels.chain), always in standard convention. found: what
+    other modules worked out once from the fields above (its closed form); never part of the arm's value.
     """
 
     name: str
@@ -100,6 +104,7 @@ class Arm:
     source: str = ""
     covariance: NamedCovariance | None = None
     chain: Array = field(init=False, repr=False)
+    found: dict[str, object] = field(init=False, repr=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "joints", tuple(self.joints))
@@ -172,10 +177,10 @@ class Arm:
             )
         return array
 
-    def within_limits(self, q: ArrayLike, tolerance: float = 1e-9) -> NDArray[np.bool_]:
+    def within_limits(self, q: ArrayLike) -> NDArray[np.bool_]:
         """Tell for joint values (n,) or (m, n) whether all joints are within their limits: shape () or (m,)."""
         values = np.asarray(q, float)
-        inside = (values >= self.lower - tolerance) & (values <= self.upper + tolerance)
+        inside = (values >= self.lower - LIMIT_SLACK) & (values <= self.upper + LIMIT_SLACK)
         return np.asarray(inside.all(axis=-1))
 
 

@@ -30,10 +30,11 @@ def parameter_names(arm: Arm) -> tuple[str, ...]:
 
 
 def parameter_jacobian(arm: Arm, q: ArrayLike) -> tuple[Array, Array]:
-    """Return T_world_tool (m, 4, 4) and its derivative (m, 6, 5 n + 12) by `parameter_names`; q (m, n), or (n,) for one.
+    """Return T_world_tool (m, 4, 4) and its derivative (m, 6, 5 n + 12) by `parameter_names` for q (m, n).
 
-    A derivative is (dt, dw) in world axes per m or rad. For a joint's scale multiply its theta (sliding: d) column
-    by q. Of a prismatic joint d_m is the offset of the slide. Raises as `forward`.
+    For a single q (n,) the first axis is left out. A derivative is (dt, dw) in world axes per m or rad. For a joint's
+    scale multiply its theta (sliding: d) column by q. Of a prismatic joint d_m is the offset of the slide. Raises as
+    `forward`.
     """
     values = arm.checked(q)
     rows = np.atleast_2d(values)

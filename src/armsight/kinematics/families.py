@@ -33,7 +33,7 @@ class Wrist(StrEnum):
 class Family:
     """A closed form with its constants; exact is False where the arm is only close to it.
 
-    numbers (34,), T_base_world (12,) and T_tool_six (12,): as kernels.closed takes them.
+    numbers (29,), T_base_world (12,) and T_tool_six (12,): as kernels.closed takes them.
     """
 
     wrist: Wrist
@@ -45,16 +45,23 @@ class Family:
 
 def family_of(arm: Arm) -> Family | None:
     """Return the closed form for the arm, exact if there is one, else the one it is close to, else None."""
+    if "family" not in arm.found:
+        arm.found["family"] = _search(arm)
+    family = arm.found["family"]
+    return family if isinstance(family, Family) else None
+
+
+def _search(arm: Arm) -> Family | None:
+    """Return the first family whose conditions hold, exactly before nearly."""
     rows = arm.chain[1:-1]
     if len(rows) != 6 or rows[:, 0].any():
         return None
-    found = [
-        family
-        for wrist in Wrist
-        for tolerance in (EXACT, NEARLY)
-        if (family := _recognise(arm, wrist, tolerance)) is not None
-    ]
-    return min(found, key=lambda family: not family.exact) if found else None
+    for tolerance in (EXACT, NEARLY):
+        for wrist in Wrist:
+            family = _recognise(arm, wrist, tolerance)
+            if family is not None:
+                return family
+    return None
 
 
 def _recognise(arm: Arm, wrist: Wrist, tolerance: float) -> Family | None:
@@ -68,7 +75,7 @@ def _recognise(arm: Arm, wrist: Wrist, tolerance: float) -> Family | None:
     twists = np.concatenate([np.abs(ca[square]), np.abs(sa[parallel]), np.abs(beta[:5])])
     if (twists > tolerance).any() or (np.abs(zero) > tolerance * length).any():
         return None
-    numbers = np.zeros(34)
+    numbers = np.zeros(29)
     numbers[0] = 1.0 if wrist is Wrist.OFFSET else 2.0
     k2 = np.sign(ca[1])
     numbers[1:6] = np.sign([sa[0], ca[1], ca[2] if wrist is Wrist.OFFSET else sa[2], sa[3], sa[4]])

@@ -42,7 +42,7 @@ class Link:
         ca, sa, cb, sb = cos(self.alpha_rad), sin(self.alpha_rad), cos(self.beta_rad), sin(self.beta_rad)
         turn = np.array([[c, -s, 0, 0], [s, c, 0, 0], [0, 0, 1, self.d_m], [0, 0, 0, 1.0]])
         link = np.array([[cb, 0, sb, self.a_m], [sa * sb, ca, -sa * cb, 0], [-ca * sb, sa, ca * cb, 0], [0, 0, 0, 1.0]])
-        return turn @ link
+        return np.asarray(turn @ link)
 
 
 def link_to_line(

@@ -18,7 +18,7 @@ from armsight.kinematics.kernels.trig import sin_cos
 BLOCK = 32
 """Poses per block: 16 and 64 were slower (0.08 and 0.07 against 0.06 us a pose)."""
 
-X, Y, Z, O, S, C, D, A, B, V, W = 0, 3, 6, 9, 12, 13, 14, 15, 18, 21, 24
+X, Y, Z, P, S, C, D, A, B, V, W = 0, 3, 6, 9, 12, 13, 14, 15, 18, 21, 24
 """Slots of the buffer: columns of the rotation and origin (three slots each); sine, cosine and d of the joint at work;
 its axis and the axis' origin; the linear and the angular part of its column of the Jacobian."""
 
@@ -154,7 +154,7 @@ def _joint_block(row, q, first, count, i, w):
             z0 = w[(Z + r) * BLOCK + b]
             x = x0 * c + y0 * s
             y = y0 * c - x0 * s
-            w[(O + r) * BLOCK + b] += z0 * w[D * BLOCK + b] + x * a
+            w[(P + r) * BLOCK + b] += z0 * w[D * BLOCK + b] + x * a
             w[(X + r) * BLOCK + b] = x
             w[(Y + r) * BLOCK + b] = y * ca + z0 * sa
             w[(Z + r) * BLOCK + b] = z0 * ca - y * sa
@@ -179,16 +179,16 @@ def _tool_block(tool, w):
             w[(X + r) * BLOCK + b] = x * tool[0] + y * tool[4] + z * tool[8]
             w[(Y + r) * BLOCK + b] = x * tool[1] + y * tool[5] + z * tool[9]
             w[(Z + r) * BLOCK + b] = x * tool[2] + y * tool[6] + z * tool[10]
-            w[(O + r) * BLOCK + b] += x * tool[3] + y * tool[7] + z * tool[11]
+            w[(P + r) * BLOCK + b] += x * tool[3] + y * tool[7] + z * tool[11]
 
 
 @njit(cache=True, error_model="numpy")
 def is_identity(frame):
     """Tell whether a fixed transform, given as row (12,) of the chain, does nothing."""
+    different = 0
     for k in range(12):
-        if frame[k] != (1.0 if k == 0 or k == 5 or k == 10 else 0.0):
-            return False
-    return True
+        different += frame[k] != (1.0 if k in (0, 5, 10) else 0.0)
+    return different == 0
 
 
 @njit(cache=True, error_model="numpy")
@@ -233,9 +233,9 @@ def _jacobian_block(prismatic, g, w):
         zx = g * w[A * BLOCK + b]
         zy = g * w[(A + 1) * BLOCK + b]
         zz = g * w[(A + 2) * BLOCK + b]
-        px = w[O * BLOCK + b] - w[B * BLOCK + b]
-        py = w[(O + 1) * BLOCK + b] - w[(B + 1) * BLOCK + b]
-        pz = w[(O + 2) * BLOCK + b] - w[(B + 2) * BLOCK + b]
+        px = w[P * BLOCK + b] - w[B * BLOCK + b]
+        py = w[(P + 1) * BLOCK + b] - w[(B + 1) * BLOCK + b]
+        pz = w[(P + 2) * BLOCK + b] - w[(B + 2) * BLOCK + b]
         w[V * BLOCK + b] = zy * pz - zz * py
         w[(V + 1) * BLOCK + b] = zz * px - zx * pz
         w[(V + 2) * BLOCK + b] = zx * py - zy * px

@@ -6,10 +6,11 @@ Both have a plane arm: axis 2 square to axis 1 and parallel to axis 3. They diff
     axes 5 and 6 meet; offsets a4, d2..d5 allowed;
   spherical wrist (Puma, IRB 120): axes 4, 5, 6 meet in one point, each square to the next; a1, a3, d2..d4 allowed.
 
-All twists are quarter or half turns, so that family (34,), filled by `armsight.kinematics.families`, holds only signs and
-lengths: 0 wrist (1 offset, 2 spherical), 1 sin alpha1, 2 cos alpha2, 3 cos alpha3 (offset) or sin alpha3 (spherical), 4 sin
-alpha4, 5 sin alpha5, 6 a1, 7 d1, 8 a2, 9 second link of the plane arm, 10 its bend, 11 offset along axis 2, 12 a4, 13 d5,
-14..19 theta offsets, 20..25 signs, 26 reach (scale of lengths), 27 straight base, 28 straight tool.
+All twists are quarter or half turns, so that family (29,), filled by `armsight.kinematics.families`, holds only signs
+and lengths: 0 wrist (1 offset, 2 spherical), 1 sin alpha1, 2 cos alpha2, 3 cos alpha3 (offset) or sin alpha3
+(spherical), 4 sin alpha4, 5 sin alpha5, 6 a1, 7 d1, 8 a2, 9 second link of the plane arm, 10 its bend, 11 offset along
+axis 2, 12 a4, 13 d5, 14..19 theta offsets, 20..25 signs, 26 scale of lengths, 27 base is the world, 28 nothing behind
+joint 6.
 
 Angles inside are DH angles theta, not joint values. In the frame behind joint 1: x1 = (C1, S1, 0), z1 = axis 2.
 """
@@ -21,13 +22,14 @@ from math import sqrt
 import numpy as np
 from numba import njit
 
-from armsight.kinematics.kernels.trig import arc_tangent, sin_cos, wrap
+from armsight.kinematics.kernels.numeric import pose_error
+from armsight.kinematics.kernels.trig import TWO_PI, arc_tangent, sin_cos, wrap
 
 ELBOW_MERGED = 1e-8
 """Sine of the elbow below which its two branches are one: the square root of rounding in the reach."""
 
 WRIST_FREE = 1e-10
-"""Sine of joint 5 below which only a sum of angles is fixed; the orientation error of calling it zero is that many rad."""
+"""Sine of joint 5 below which only a sum of angles is fixed; calling it zero turns the tool by that many rad."""
 
 SHOULDER_FREE = 1e-10
 """Distance of the wrist from axis 1, over the reach, below which theta 1 is free."""
@@ -197,9 +199,7 @@ def _spherical_wrist(family, W, near, C1, S1, t1, bits, k, Q, code, work):
         for flip in range(wrists):
             turn = 0.0 if flip == 0 else np.pi
             sign = 1.0 if flip == 0 else -1.0
-            _store(
-                family, Q, code, k, t1, t2, k2 * bend, t4 + turn, sign * t5, t6 + turn, b | (FLIP if flip else 0)
-            )
+            _store(family, Q, code, k, t1, t2, k2 * bend, t4 + turn, sign * t5, t6 + turn, b | (FLIP if flip else 0))
             k += 1
     return k
 
@@ -253,3 +253,36 @@ def solve_closed_many(family, base, tool, T, near, Q, code, count):
     """Solve each T (m, 4, 4): Q (m, 8, 6), code (m, 8), count (m,); see `solve_closed`."""
     for i in range(T.shape[0]):
         count[i] = solve_closed(family, base, tool, T[i], near, Q[i], code[i])
+
+
+@njit(cache=True, error_model="numpy")
+def nearest_turns(chain, q, here, slack):
+    """Move turning joints of q (n,) by whole turns: within limits where that is possible, and nearest to here (n,).
+
+    Return whether all joints are within their limits, give or take slack.
+    """
+    inside = True
+    for i in range(q.shape[0]):
+        row = chain[i + 1]
+        low, high = row[9] - slack, row[10] + slack
+        if row[0] == 0.0:
+            turn = TWO_PI / abs(row[1])
+            k = np.floor((here[i] - q[i]) / turn + 0.5)
+            first = np.ceil((low - q[i]) / turn)
+            last = np.floor((high - q[i]) / turn)
+            if first <= last:
+                k = min(max(k, first), last)
+            q[i] += k * turn
+        inside = inside and low <= q[i] <= high
+    return inside
+
+
+@njit(cache=True, error_model="numpy")
+def settle(chain, T, count, here, slack, Q, errors, inside):
+    """Bring the first count rows of Q (8, n) near here (n,); fill errors (8, 2) in m and rad and inside (8,)."""
+    n = chain.shape[0] - 2
+    F = np.empty((n + 2, 12))
+    e = np.empty(6)
+    for k in range(count):
+        inside[k] = nearest_turns(chain, Q[k], here, slack)
+        errors[k, 0], errors[k, 1] = pose_error(chain, T, Q[k], 6, F, e)

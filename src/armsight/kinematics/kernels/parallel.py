@@ -1,4 +1,4 @@
-"""The batched kernels on all cores. Kept apart: compiling for many threads takes longer, and only big batches need it."""
+"""The batched kernels on all cores. Kept apart: they take longer to compile, and only big batches need them."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Sine, cosine and arc tangent without branches, so that the compiler can run several of them at once.
 
-Range reduction after Cody and Waite, polynomials of fdlibm (Sun Microsystems 1993, k_sin.c, k_cos.c, s_atan.c), exact to
-about one unit in the last place for angles up to 1e6 rad. The arguments must be finite.
+Range reduction after Cody and Waite, polynomials of fdlibm (Sun Microsystems 1993, k_sin.c, k_cos.c, s_atan.c), exact
+to about one unit in the last place for angles up to 1e6 rad. The arguments must be finite.
 """
 
 from __future__ import annotations

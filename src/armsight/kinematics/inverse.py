@@ -1,0 +1,286 @@
+"""All joint values that bring the tool to a pose, with their branches; closed form where the arm allows it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform
+
+from armsight.errors import UsageError
+from armsight.kinematics.arm import LIMIT_SLACK, Arm
+from armsight.kinematics.families import Family, family_of
+from armsight.kinematics.kernels.closed import (
+    AT_ELBOW,
+    AT_SHOULDER,
+    AT_WRIST,
+    DOWN,
+    FLIP,
+    LEFT,
+    nearest_turns,
+    settle,
+    solve_closed,
+    solve_closed_many,
+)
+from armsight.kinematics.kernels.numeric import solve_damped_least_squares
+from armsight.kinematics.numeric import MAX_STEPS, Attempt, Stop, search_starts, solve_numeric
+from armsight.kinematics.singular import near_singularities
+from armsight.kinematics.target import Task, Tolerance, start_values, target_matrices, task_of
+from armsight.records import frozen_array
+
+Array = NDArray[np.float64]
+
+SAME_SOLUTION = 1e-5
+"""Numeric solutions closer than this (rad or m) are one."""
+
+SINGULAR_HERE = 1e-6
+"""Measure of a singularity below which a numeric solution stands in it."""
+
+FINE = 1e-11
+"""Numeric solutions are run down to this (m and rad) where rounding lets them, so that equal ones are seen as equal."""
+
+NUMERIC_SEARCHES = 24
+"""Searches from different starts for the several solutions of an arm without a closed form."""
+
+
+class Status(StrEnum):
+    """How an inverse problem ended."""
+
+    OK = "ok"
+    OUT_OF_REACH = "out_of_reach"
+    SINGULAR = "singular"
+    LIMITS = "limits"
+    NO_SOLUTION = "no_solution"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Solution:
+    """Joint values q (n,) that reach the pose within tolerance.
+
+    branch: ('shoulder right', 'elbow up', 'wrist no flip') for arms with a closed form, else empty. singular: names of
+    the singularities it stands in; there the free joints keep the values they were near to.
+    """
+
+    q: Array
+    branch: tuple[str, ...]
+    singular: tuple[str, ...]
+    error_m: float
+    error_rad: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "q", frozen_array("q", self.q, (None,)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Inverse:
+    """The solutions of one pose, nearest first.
+
+    status ok: at least one within limits. singular: all of them stand in a singularity. limits: solutions exist, all
+    beyond the limits (in beyond_limits). out_of_reach, no_solution: none; why says the reason. complete: the closed
+    form gave them, so there are no others.
+    """
+
+    solutions: tuple[Solution, ...]
+    beyond_limits: tuple[Solution, ...]
+    status: Status
+    why: str
+    complete: bool
+
+
+def branch_names(code: int) -> tuple[str, str, str]:
+    """Return the branch of a solution's code (kernels.closed) in words."""
+    return (
+        "shoulder left" if code & LEFT else "shoulder right",
+        "elbow down" if code & DOWN else "elbow up",
+        "wrist flip" if code & FLIP else "wrist no flip",
+    )
+
+
+def singular_names(code: int) -> tuple[str, ...]:
+    """Return the names of the singularities in a solution's code."""
+    names = ((AT_SHOULDER, "shoulder"), (AT_ELBOW, "elbow"), (AT_WRIST, "wrist"))
+    return tuple(name for bit, name in names if code & bit)
+
+
+def inverse(
+    arm: Arm,
+    T_world_tool: RigidTransform | ArrayLike,
+    near: ArrayLike | None = None,
+    *,
+    task: Task | str | None = None,
+    tolerance: Tolerance | None = None,
+) -> Inverse:
+    """Return every solution found for one pose, nearest to near (n,) first.
+
+    Closed form (MATH 2.2, with its singular cases) where the table has one; refined numerically where the arm is only
+    close to such a family; a numeric search from many starts otherwise. Turning joints are moved by whole turns to be
+    within limits and nearest to near (default: the middle of the range). In a singular pose the free joint keeps the
+    value of near. A result that misses the tolerance is not a solution. Raises as `target_matrices`.
+    """
+    wanted = tolerance or Tolerance()
+    T = target_matrices(arm, T_world_tool)
+    if len(T) != 1:
+        raise UsageError("give one pose; `inverse_many` takes many")
+    here = start_values(arm, near)
+    aim = task_of(arm, task)
+    distance = float(np.linalg.norm(T[0, :3, 3] - arm.chain[0, [3, 7, 11]]))
+    if distance > arm.reach_m:
+        why = f"the pose is {distance:.4g} m from the base; the arm reaches {arm.reach_m:.4g} m at most"
+        return Inverse(solutions=(), beyond_limits=(), status=Status.OUT_OF_REACH, why=why, complete=True)
+    family = family_of(arm) if aim is Task.POSE else None
+    if family is None:
+        return _searched(arm, T[0], here, aim, wanted)
+    found = _closed(arm, family, T[0], here, wanted)
+    if not family.exact and not found:
+        return _searched(arm, T[0], here, aim, wanted)
+    return _sorted_out(arm, found, here, family.exact, "no joint values bring the wrist there")
+
+
+def inverse_many(
+    arm: Arm, poses: RigidTransform | ArrayLike, near: ArrayLike | None = None
+) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+    """Return all closed-form solutions of many poses: q (m, 8, 6), code (m, 8), count (m,).
+
+    Only the first count[i] rows of q[i] are solutions, in radians within a turn; limits are not looked at
+    (`Arm.within_limits`). `branch_names` and `singular_names` read the codes. Raises UsageError for an arm without an
+    exact closed form.
+    """
+    family = family_of(arm)
+    if family is None or not family.exact:
+        raise UsageError(f"{arm.name} has no closed form", cure="Use inverse or solve_numeric_many")
+    T = target_matrices(arm, poses)
+    Q = np.full((len(T), 8, 6), np.nan)
+    code, count = np.zeros((len(T), 8), dtype=np.int64), np.empty(len(T), dtype=np.int64)
+    theta = dh_angles(arm, start_values(arm, near))
+    solve_closed_many(family.numbers, family.T_base_world, family.T_tool_six, T, theta, Q, code, count)
+    return Q, code, count
+
+
+def dh_angles(arm: Arm, q: Array) -> Array:
+    """Return the DH angles theta (n,) of turning joints at q (n,)."""
+    rows = arm.chain[1:-1]
+    return np.asarray(rows[:, 1] * q + rows[:, 2])
+
+
+def in_range(arm: Arm, q: Array, here: Array) -> Array:
+    """Return q (n,) with turning joints moved by whole turns: within the limits where possible, nearest to here."""
+    out = q.copy()
+    nearest_turns(arm.chain, out, here, LIMIT_SLACK)
+    return out
+
+
+def _closed(arm: Arm, family: Family, T: Array, here: Array, wanted: Tolerance) -> list[Solution]:
+    """Return the closed form's solutions that keep the tolerance, refined where the family is not exact."""
+    Q, code = np.empty((9, 6)), np.zeros(9, dtype=np.int64)
+    errors, inside = np.empty((9, 2)), np.empty(9, dtype=np.bool_)
+    theta = dh_angles(arm, here)
+    count = solve_closed(family.numbers, family.T_base_world, family.T_tool_six, T, theta, Q, code)
+    if not family.exact:
+        Q[count], code[count] = here, -1
+        count = _refine(arm, T, Q, code, count + 1, wanted)
+    settle(arm.chain, T, count, here, LIMIT_SLACK, Q, errors, inside)
+    found: list[Solution] = []
+    for k in range(count):
+        m, rad = errors[k]
+        if m > wanted.m or rad > wanted.rad:
+            continue
+        bits = int(code[k])
+        found.append(
+            Solution(
+                q=Q[k],
+                branch=branch_names(bits) if bits >= 0 else (),
+                singular=singular_names(bits) if family.exact else near_singularities(arm, Q[k], SINGULAR_HERE),
+                error_m=float(m),
+                error_rad=float(rad),
+            )
+        )
+    return found
+
+
+def _refine(arm: Arm, T: Array, Q: Array, code: NDArray[np.int64], count: int, wanted: Tolerance) -> int:
+    """Improve the closed form's guesses of an arm that is only close to the family; return how many are left.
+
+    Limits are not looked at. Those that fail or come together are dropped; singular bits of the guess mean nothing.
+    """
+    free = arm.chain.copy()
+    free[1:-1, 9], free[1:-1, 10] = -np.inf, np.inf
+    fine = min(wanted.m, FINE), min(wanted.rad, FINE)
+    errors, kept = np.empty(2), 0
+    for k in range(count):
+        q = Q[k].copy()
+        solve_damped_least_squares(free, T, 6, arm.length_m**-2, *fine, MAX_STEPS, q, errors)
+        if errors[0] > wanted.m or errors[1] > wanted.rad:
+            continue
+        if any(_gap(arm, q, other) < SAME_SOLUTION for other in Q[:kept]):
+            continue
+        Q[kept], code[kept] = q, code[k] if code[k] < 0 else code[k] & (LEFT | DOWN | FLIP)
+        kept += 1
+    return kept
+
+
+def _searched(arm: Arm, T: Array, here: Array, aim: Task, wanted: Tolerance) -> Inverse:
+    """Return what a numeric search from several starts finds; one solution where joints are more than needed."""
+    rows = 6 if aim is Task.POSE else 3
+    fine = Tolerance(m=min(wanted.m, FINE), rad=min(wanted.rad, FINE))
+    found: list[Solution] = []
+    closest: Attempt | None = None
+    for start in search_starts(arm, here, NUMERIC_SEARCHES, seed=0):
+        attempt = solve_numeric(arm, T, start, task=aim, tolerance=wanted, restarts=0)
+        if not attempt.converged:
+            closest = attempt if closest is None or attempt.error_m < closest.error_m else closest
+            continue
+        finer = solve_numeric(arm, T, attempt.q, task=aim, tolerance=fine, restarts=0)
+        attempt = finer if finer.error_m <= attempt.error_m and finer.error_rad <= wanted.rad else attempt
+        q = in_range(arm, attempt.closest_q.copy(), here)
+        if any(_gap(arm, q, other.q) < SAME_SOLUTION for other in found):
+            continue
+        singular = near_singularities(arm, q, SINGULAR_HERE)
+        found.append(Solution(q=q, branch=(), singular=singular, error_m=attempt.error_m, error_rad=attempt.error_rad))
+        if arm.n > rows:
+            break
+    if found or closest is None:
+        return _sorted_out(arm, found, here, False, "")
+    status = Status.LIMITS if closest.stopped is Stop.LIMITS else Status.NO_SOLUTION
+    why = f"{closest.stopped}; the closest approach is {closest.error_m:.3g} m and {closest.error_rad:.3g} rad off"
+    return Inverse(solutions=(), beyond_limits=(), status=status, why=why, complete=False)
+
+
+def whole_turns(arm: Arm) -> Array:
+    """Return by how much each joint value changes in a whole turn (n,); 1, without meaning, for slides."""
+    return np.where(arm.revolute, 2.0 * np.pi / np.abs(arm.chain[1:-1, 1]), 1.0)
+
+
+def _gap(arm: Arm, a: Array, b: Array) -> float:
+    """Return the largest difference of two joint vectors, whole turns apart being the same."""
+    difference = a - b
+    turns = np.where(arm.revolute, np.round(difference / whole_turns(arm)), 0.0)
+    return float(np.abs(difference - turns * whole_turns(arm)).max())
+
+
+def _sorted_out(arm: Arm, found: list[Solution], here: Array, complete: bool, why_none: str) -> Inverse:
+    """Return the record: within limits and beyond, nearest first, and the status."""
+    if found:
+        values = np.array([solution.q for solution in found])  # (k, n)
+        order = np.abs(values - here).max(axis=1).argsort(kind="stable")
+        within = arm.within_limits(values)
+        inside = tuple(found[k] for k in order if within[k])
+        beyond = tuple(found[k] for k in order if not within[k])
+    else:
+        inside = beyond = ()
+    if inside:
+        singular = all(solution.singular for solution in inside)
+        names = sorted({name for solution in inside for name in solution.singular})
+        why = f"singular: {', '.join(names)}" if singular else ""
+        status = Status.SINGULAR if singular else Status.OK
+    elif beyond:
+        wrong = [
+            joint.name
+            for joint, value in zip(arm.joints, beyond[0].q, strict=True)
+            if not joint.lower - LIMIT_SLACK <= value <= joint.upper + LIMIT_SLACK
+        ]
+        status, why = Status.LIMITS, f"every solution is beyond a limit; the nearest at {', '.join(wrong)}"
+    else:
+        status, why = Status.OUT_OF_REACH, why_none
+    return Inverse(solutions=inside, beyond_limits=beyond, status=status, why=why, complete=complete)

@@ -1,0 +1,194 @@
+"""Numeric inverse kinematics of any chain, also with fewer joints than the pose has dimensions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform
+
+from armsight.errors import NotConverged, UsageError
+from armsight.kinematics.arm import Arm
+from armsight.kinematics.kernels.numeric import (
+    CONVERGED,
+    DIVERGED,
+    LIMITS,
+    MINIMUM,
+    SINGULAR,
+    STEPS,
+    solve_damped_least_squares,
+    solve_many,
+    solve_newton,
+)
+from armsight.kinematics.target import Task, Tolerance, size_m, start_values, target_matrices, task_of
+from armsight.records import frozen_array
+
+Array = NDArray[np.float64]
+
+MAX_STEPS = 60
+"""Damped least squares takes 3 to 10 steps where it succeeds (benchmarks/kinematics.py)."""
+
+RESTARTS = 30
+"""Fresh starts before a pose is given up: a 6R arm has up to 16 solutions, each with its own basin."""
+
+
+class Stop(StrEnum):
+    """Why the solver stopped."""
+
+    CONVERGED = "converged"
+    STEPS = "out of steps"
+    MINIMUM = "local minimum of the error"
+    LIMITS = "held by joint limits"
+    SINGULAR = "singular Jacobian"
+    DIVERGED = "diverged"
+
+
+STOPS = {
+    CONVERGED: Stop.CONVERGED,
+    STEPS: Stop.STEPS,
+    MINIMUM: Stop.MINIMUM,
+    LIMITS: Stop.LIMITS,
+    SINGULAR: Stop.SINGULAR,
+    DIVERGED: Stop.DIVERGED,
+}
+
+
+class Method(StrEnum):
+    """Damped least squares with limits and restarts, or plain Newton-Raphson (Kapucu 2005)."""
+
+    DAMPED = "damped"
+    NEWTON = "newton"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Attempt:
+    """What a numeric run came to: closest_q (n,), where it stopped, with its error; q, only where it is a solution."""
+
+    stopped: Stop
+    closest_q: Array
+    error_m: float
+    error_rad: float
+    steps: int
+    starts: int
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "closest_q", frozen_array("closest_q", self.closest_q, (None,)))
+
+    @property
+    def converged(self) -> bool:
+        """Whether the tolerance was reached."""
+        return self.stopped is Stop.CONVERGED
+
+    @property
+    def q(self) -> Array:
+        """The joint values (n,) of the solution; NotConverged, saying why, where there is none."""
+        if not self.converged:
+            raise NotConverged(
+                f"the inverse kinematics stopped after {self.starts} starts: {self.stopped}",
+                consequence=f"The closest approach is {self.error_m:.3g} m and {self.error_rad:.3g} rad off, which is "
+                "no solution",
+                cure="Check that the pose is within reach and limits, or give a closer start",
+            )
+        return self.closest_q
+
+
+def solve_numeric(
+    arm: Arm,
+    T_world_tool: RigidTransform | ArrayLike,
+    start: ArrayLike | None = None,
+    *,
+    method: Method | str = Method.DAMPED,
+    task: Task | str | None = None,
+    tolerance: Tolerance | None = None,
+    max_steps: int = MAX_STEPS,
+    restarts: int = RESTARTS,
+    seed: int = 0,
+) -> Attempt:
+    """Search joint values for one pose, from start (n,) and then from random places within the limits.
+
+    Newton takes full steps from the start alone and knows no limits (Kapucu 2005, sections 1 and 3); the damped method
+    keeps to the limits (Levenberg-Marquardt, Sugihara 2011). task: see `task_of`. The same seed gives the same answer.
+    """
+    wanted = tolerance or Tolerance()
+    T = target_matrices(arm, T_world_tool)
+    if len(T) != 1:
+        raise UsageError("give one pose; `solve_numeric_many` takes many")
+    try:
+        newton = Method(method) is Method.NEWTON
+    except ValueError:
+        raise UsageError(f"the method {method!r} is not known", cure=f"Use one of: {', '.join(Method)}") from None
+    first = start_values(arm, start)
+    starts = iter([first]) if newton else search_starts(arm, first, restarts, seed)
+    solver = solve_newton if newton else solve_damped_least_squares
+    rows = 6 if task_of(arm, task) is Task.POSE else 3
+    weight = arm.length_m**-2
+    best: Attempt | None = None
+    for count, q in enumerate(starts, start=1):
+        errors = np.empty(2)
+        reason, steps = solver(arm.chain, T[0], rows, weight, wanted.m, wanted.rad, max_steps, q, errors)
+        found = Attempt(
+            stopped=STOPS[reason],
+            closest_q=np.where(np.isfinite(q), q, first),
+            error_m=float(errors[0]),
+            error_rad=float(errors[1]),
+            steps=int(steps),
+            starts=count,
+        )
+        if found.converged:
+            return found
+        if best is None or _cost(found, weight) < _cost(best, weight):
+            best = found
+    if best is None:
+        raise UsageError("at least one start is needed")
+    return Attempt(
+        stopped=best.stopped,
+        closest_q=best.closest_q,
+        error_m=best.error_m,
+        error_rad=best.error_rad,
+        steps=best.steps,
+        starts=count,
+    )
+
+
+def solve_numeric_many(
+    arm: Arm,
+    poses: RigidTransform | ArrayLike,
+    starts: ArrayLike,
+    *,
+    task: Task | str | None = None,
+    tolerance: Tolerance | None = None,
+    max_steps: int = MAX_STEPS,
+) -> tuple[Array, NDArray[np.bool_], Array]:
+    """Improve each start (m, n) for its pose by damped least squares, once each: for tracks and warm starts.
+
+    Returns q (m, n), which rows are solutions (m,), and the errors (m, 2) in m and rad. Rows that are no solution hold
+    the closest approach.
+    """
+    wanted = tolerance or Tolerance()
+    T = target_matrices(arm, poses)
+    q = arm.checked(starts).copy()
+    if q.ndim != 2 or len(q) != len(T):
+        raise UsageError(f"{len(T)} poses need as many starts, not an array of shape {q.shape}")
+    errors, reasons = np.empty((len(T), 2)), np.empty((len(T), 2), dtype=np.int64)
+    rows = 6 if task_of(arm, task) is Task.POSE else 3
+    solve_many(arm.chain, T, rows, arm.length_m**-2, wanted.m, wanted.rad, max_steps, q, errors, reasons)
+    return q, reasons[:, 0] == CONVERGED, errors
+
+
+def search_starts(arm: Arm, first: Array, more: int, seed: int) -> Iterator[Array]:
+    """Yield the first start (n,), then random ones within the limits, or within a turn or the arm's size."""
+    yield first.copy()
+    rng = np.random.default_rng(seed)
+    span = np.where(arm.revolute, np.pi, size_m(arm))
+    low = np.where(np.isfinite(arm.lower), arm.lower, np.where(np.isfinite(arm.upper), arm.upper - 2 * span, -span))
+    high = np.where(np.isfinite(arm.upper), arm.upper, np.where(np.isfinite(arm.lower), arm.lower + 2 * span, span))
+    for _ in range(more):
+        yield rng.uniform(low, high)
+
+
+def _cost(attempt: Attempt, weight: float) -> float:
+    """Return the scaled squared error."""
+    return weight * attempt.error_m**2 + attempt.error_rad**2

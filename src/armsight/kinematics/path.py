@@ -1,0 +1,265 @@
+"""A continuous joint track along a path of poses, and what is wrong with it, with the place."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform
+
+from armsight.errors import NotConverged, UsageError
+from armsight.kinematics.arm import LIMIT_SLACK, Arm
+from armsight.kinematics.families import Family, family_of
+from armsight.kinematics.inverse import branch_names, dh_angles, in_range, inverse
+from armsight.kinematics.kernels.closed import DOWN, FLIP, LEFT, solve_closed
+from armsight.kinematics.numeric import solve_numeric
+from armsight.kinematics.singular import NEAR, UNNAMED, singular_values, singularity_measures
+from armsight.kinematics.target import Task, Tolerance, start_values, target_matrices, task_of
+from armsight.records import Motion, frozen_array
+
+Array = NDArray[np.float64]
+
+JUMP = 0.35
+"""A joint that moves more than this (20 degrees, 0.35 m) in one step has jumped, or the path is too coarse to tell."""
+
+BRANCH = LEFT | DOWN | FLIP
+
+
+class Trouble(StrEnum):
+    """What can be wrong with a track."""
+
+    JUMP = "jump"
+    SPEED = "speed"
+    LIMITS = "limits"
+    SINGULAR = "singular"
+    BRANCH = "branch"
+    UNREACHED = "unreached"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Issue:
+    """Something wrong from row first to row last of the path, worst at row worst.
+
+    joint: the joint's name, or '' where it concerns the arm. value and limit: in rad, m, rad/s or m/s; for a singular
+    passage the measure of `singularity_measures` and its threshold.
+    """
+
+    trouble: Trouble
+    first: int
+    last: int
+    worst: int
+    joint: str
+    value: float
+    limit: float
+    text: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class JointPath:
+    """Joint values q (k, n) for the first k of m poses; k < m where a pose could not be reached.
+
+    branch: the branch on which it starts, empty without a closed form. motion: the whole track with its times; raises
+    NotConverged where the track is not complete.
+    """
+
+    q: Array
+    t_s: Array | None
+    poses: int
+    branch: tuple[str, ...]
+    issues: tuple[Issue, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "q", frozen_array("q", self.q, (None, None)))
+
+    @property
+    def complete(self) -> bool:
+        """Whether every pose is reached."""
+        return len(self.q) == self.poses
+
+    @property
+    def motion(self) -> Motion:
+        """The track with its times (the row number where none were given)."""
+        if not self.complete:
+            raise NotConverged(
+                f"pose {len(self.q)} of {self.poses} is not reached",
+                consequence="There is no track along the whole path",
+                cure="Move the path into reach, or start on another branch",
+            )
+        t = np.arange(self.poses, dtype=float) if self.t_s is None else self.t_s
+        return Motion(t_s=t, q=self.q)
+
+
+def follow(
+    arm: Arm,
+    poses: RigidTransform | ArrayLike,
+    *,
+    t_s: ArrayLike | None = None,
+    start: ArrayLike | None = None,
+    task: Task | str | None = None,
+    tolerance: Tolerance | None = None,
+) -> JointPath:
+    """Return a joint track along poses T_world_tool (m, 4, 4), each next to the one before.
+
+    start (n,): where the arm stands; the track begins with the solution nearest to it. Without it every branch of the
+    first pose is tried and the one with the least trouble is kept. t_s (m,): times, for the joints' speeds. Jumps,
+    speeds beyond max_speed, limits, changes of branch, passages near singularities and poses out of reach are reported
+    with their rows.
+    """
+    T = target_matrices(arm, poses)
+    times = None if t_s is None else frozen_array("t_s", t_s, (len(T),))
+    if not len(T):
+        raise UsageError("a path needs at least one pose")
+    if times is not None and (np.diff(times) <= 0.0).any():
+        raise UsageError("the times of a path must increase", cure="Sort the rows and drop repeated ones")
+    aim = task_of(arm, task)
+    wanted = tolerance or Tolerance()
+    here = start_values(arm, start)
+    first = inverse(arm, T[0], here, task=aim, tolerance=wanted)
+    if not first.solutions:
+        issue = _issue(Trouble.UNREACHED, 0, 0, 0, "", np.nan, np.nan, f"pose 0: {first.status}, {first.why}")
+        return JointPath(q=np.empty((0, arm.n)), t_s=times, poses=len(T), branch=(), issues=(issue,))
+    options = first.solutions[:1] if start is not None else first.solutions
+    tracks = [_track(arm, T, option.q, times, aim, wanted) for option in options]
+    return max(tracks, key=lambda track: (len(track.q), -sum(_weight(issue) for issue in track.issues)))
+
+
+def _track(arm: Arm, T: Array, q0: Array, times: Array | None, aim: Task, wanted: Tolerance) -> JointPath:
+    """Return the track that starts at q0."""
+    family = family_of(arm) if aim is Task.POSE else None
+    rows, codes, why = [np.array(q0)], [-1], ""
+    if family is not None and family.exact:
+        codes = [_nearest_closed(arm, family, T[0], q0)[1]]
+    for target in T[1:]:
+        q, code = None, -1
+        if family is not None and family.exact:
+            q, code = _nearest_closed(arm, family, target, rows[-1])
+        else:
+            attempt = solve_numeric(arm, target, rows[-1], task=aim, tolerance=wanted, restarts=0)
+            if not attempt.converged:
+                attempt = solve_numeric(arm, target, rows[-1], task=aim, tolerance=wanted)
+            q = attempt.q if attempt.converged else None
+        if q is None:
+            answer = inverse(arm, target, rows[-1], task=aim, tolerance=wanted)
+            why = f"pose {len(rows)}: {answer.status}, {answer.why}"
+            break
+        rows.append(q)
+        codes.append(code)
+    q_all = np.array(rows)
+    issues = [*_steps(arm, q_all, times), *_beyond(arm, q_all), *_branches(codes), *_singular(arm, q_all, aim)]
+    if why:
+        k = len(rows)
+        issues.append(_issue(Trouble.UNREACHED, k, len(T) - 1, k, "", np.nan, np.nan, why))
+    branch = branch_names(codes[0]) if codes[0] >= 0 else ()
+    return JointPath(q=q_all, t_s=times, poses=len(T), branch=branch, issues=tuple(issues))
+
+
+def _nearest_closed(arm: Arm, family: Family, T: Array, here: Array) -> tuple[Array | None, int]:
+    """Return the closed-form solution whose largest joint step from here is least, and its code."""
+    Q, code = np.empty((8, 6)), np.zeros(8, dtype=np.int64)
+    count = solve_closed(family.numbers, family.T_base_world, family.T_tool_six, T, dh_angles(arm, here), Q, code)
+    best, best_code, best_step = None, -1, np.inf
+    for k in range(count):
+        q = in_range(arm, Q[k], here)
+        step = float(np.abs(q - here).max())
+        step += 0.0 if arm.within_limits(q) else 100.0  # only where nothing else is left
+        if step < best_step:
+            best, best_code, best_step = q, int(code[k]), step
+    return best, best_code
+
+
+def _issue(
+    trouble: Trouble, first: int, last: int, worst: int, joint: str, value: float, limit: float, text: str
+) -> Issue:
+    return Issue(trouble=trouble, first=first, last=last, worst=worst, joint=joint, value=value, limit=limit, text=text)
+
+
+def _weight(issue: Issue) -> float:
+    """Return how much an issue counts in the choice of a branch: jumps and limits first, then speed, then closeness."""
+    return {Trouble.JUMP: 100.0, Trouble.LIMITS: 100.0, Trouble.BRANCH: 10.0, Trouble.SPEED: 10.0}.get(
+        issue.trouble, 1.0
+    )
+
+
+def _runs(bad: NDArray[np.bool_]) -> Iterable[tuple[int, int]]:
+    """Yield first and last index of each run of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]]).astype(int)))
+    return [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def _steps(arm: Arm, q: Array, times: Array | None) -> list[Issue]:
+    """Return jumps, and speeds beyond the joints' own, by row of the pose in which the step ends."""
+    if len(q) < 2:
+        return []
+    step = np.abs(np.diff(q, axis=0))
+    issues = []
+    for i, joint in enumerate(arm.joints):
+        unit = "rad" if arm.revolute[i] else "m"
+        for a, b in _runs(step[:, i] > JUMP):
+            worst = a + int(step[a : b + 1, i].argmax())
+            text = f"{joint.name} jumps by {step[worst, i]:.3g} {unit} before pose {worst + 1}"
+            issues.append(_issue(Trouble.JUMP, a + 1, b + 1, worst + 1, joint.name, float(step[worst, i]), JUMP, text))
+        if times is None or joint.max_speed is None:
+            continue
+        speed = step[:, i] / np.diff(times[: len(q)])
+        for a, b in _runs(speed > joint.max_speed):
+            worst = a + int(speed[a : b + 1].argmax())
+            text = (
+                f"{joint.name} would run at {speed[worst]:.3g} {unit}/s before pose {worst + 1}; "
+                f"it can do {joint.max_speed:.3g}"
+            )
+            issues.append(
+                _issue(Trouble.SPEED, a + 1, b + 1, worst + 1, joint.name, float(speed[worst]), joint.max_speed, text)
+            )
+    return issues
+
+
+def _beyond(arm: Arm, q: Array) -> list[Issue]:
+    """Return where joints are beyond their limits."""
+    issues = []
+    for i, joint in enumerate(arm.joints):
+        excess = np.maximum(joint.lower - q[:, i], q[:, i] - joint.upper)
+        for a, b in _runs(excess > LIMIT_SLACK):
+            worst = a + int(excess[a : b + 1].argmax())
+            value = float(q[worst, i])
+            limit = joint.lower if value < joint.lower else joint.upper
+            text = f"{joint.name} would stand at {value:.4g} at pose {worst}; its limit is {limit:.4g}"
+            issues.append(_issue(Trouble.LIMITS, a, b, worst, joint.name, value, limit, text))
+    return issues
+
+
+def _branches(codes: list[int]) -> list[Issue]:
+    """Return where the branch changes, told against the last pose at which it was clear (no singular bits)."""
+    issues = []
+    known = codes[0] & BRANCH
+    for row, code in enumerate(codes):
+        if code < 0 or code & ~BRANCH:
+            continue
+        if code & BRANCH != known:
+            before, after = branch_names(known), branch_names(code)
+            change = ", ".join(f"{a} to {b}" for a, b in zip(before, after, strict=True) if a != b)
+            issues.append(_issue(Trouble.BRANCH, row, row, row, "", np.nan, np.nan, f"{change} at pose {row}"))
+            known = code & BRANCH
+    return issues
+
+
+def _singular(arm: Arm, q: Array, aim: Task) -> list[Issue]:
+    """Return passages through or close to singularities, by name."""
+    measures: dict[str, Array] = {}
+    if aim is Task.POSE and singularity_measures(arm, q[0]):
+        rows = [singularity_measures(arm, row) for row in q]
+        measures = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    else:
+        values = singular_values(arm, q, aim)
+        measures = {UNNAMED: values[:, -1] / values[:, 0]}
+    issues = []
+    for name, value in measures.items():
+        crossed = np.concatenate([[False], np.sign(value[1:]) * np.sign(value[:-1]) < 0.0])
+        for a, b in _runs((np.abs(value) < NEAR) | crossed):
+            worst = a + int(np.abs(value[a : b + 1]).argmin())
+            how = "passes through" if crossed[a : b + 1].any() or abs(value[worst]) < 1e-9 else "comes close to"
+            text = f"the track {how} the {name} singularity at pose {worst} (measure {abs(value[worst]):.2g})"
+            issues.append(_issue(Trouble.SINGULAR, a, b, worst, "", float(abs(value[worst])), NEAR, text))
+    return issues

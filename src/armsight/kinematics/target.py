@@ -1,0 +1,111 @@
+"""What an inverse problem asks for, checked before it is solved."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform
+
+from armsight.errors import Inconsistent, UsageError
+from armsight.kinematics.arm import Arm
+
+Array = NDArray[np.float64]
+
+TOLERANCE_M = 1e-6
+TOLERANCE_RAD = 1e-6
+"""An answer further off is not a solution: arms repeat to tens of micrometres."""
+
+FAR_FACTOR = 100.0
+"""A pose this many times the arm's size away is not out of reach but in the wrong unit (mm read as m: 1000 times)."""
+
+ROTATION_TOLERANCE = 1e-6
+"""Rotation matrices whose columns differ from unit and square by more were rounded too much for 1 urad."""
+
+
+class Task(StrEnum):
+    """The whole pose, or the position of the tool's origin alone (arms with fewer than six joints)."""
+
+    POSE = "pose"
+    POSITION = "position"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tolerance:
+    """How far from the pose an answer may be, in m and rad."""
+
+    m: float = TOLERANCE_M
+    rad: float = TOLERANCE_RAD
+
+
+def task_of(arm: Arm, task: Task | str | None) -> Task:
+    """Return the task asked for; without one the pose for six joints and more, else the position."""
+    if task is None:
+        return Task.POSE if arm.n >= 6 else Task.POSITION
+    try:
+        return Task(task)
+    except ValueError:
+        raise UsageError(f"the task {task!r} is not known", cure=f"Use one of: {', '.join(Task)}") from None
+
+
+def size_m(arm: Arm) -> float:
+    """Return the arm's size in m: all lengths and offsets with every finite end of a slide, the tool included."""
+    rows = arm.chain[1:-1]
+    ends = np.where(np.isfinite(rows[:, 9:11]), rows[:, 9:11], 0.0)
+    slides = np.where(rows[:, 0] == 1.0, np.abs(ends).max(axis=1), 0.0)
+    total = np.abs(rows[:, 3]).sum() + np.abs(rows[:, 4]).sum() + slides.sum()
+    return float(total + np.linalg.norm(arm.chain[-1, [3, 7, 11]]))
+
+
+def target_matrices(arm: Arm, poses: RigidTransform | ArrayLike) -> Array:
+    """Return the poses T_world_tool as (m, 4, 4), m = 1 for a single one.
+
+    poses: RigidTransform, (4, 4) or (m, 4, 4). Raises Inconsistent for values that are not finite, for matrices that
+    are no rigid motion and for poses so far off that their unit must be wrong; the row (from 0) is named.
+    """
+    T = np.asarray(poses.as_matrix() if isinstance(poses, RigidTransform) else poses, dtype=np.float64)
+    if T.ndim not in (2, 3) or T.shape[-2:] != (4, 4):
+        raise UsageError(f"a pose is a 4x4 matrix, not an array of shape {T.shape}")
+    T = np.ascontiguousarray(T.reshape(-1, 4, 4))
+    bad = ~np.isfinite(T).all(axis=(1, 2))
+    if bad.any():
+        raise Inconsistent(
+            f"pose {int(np.argmax(bad))} holds a value that is not finite",
+            consequence="No joint values can be given",
+            cure="Leave out the rows in which nothing was measured",
+        )
+    R = T[:, :3, :3]
+    off = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2))
+    bad = (off > ROTATION_TOLERANCE) | (np.linalg.det(R) < 0.0)
+    if bad.any():
+        raise Inconsistent(
+            f"the orientation of pose {int(np.argmax(bad))} is not a rotation (off by {off.max():.2g})",
+            consequence="No joint values can be given",
+            cure="Check the order of the columns and their precision",
+        )
+    base = arm.chain[0, [3, 7, 11]]
+    distance = np.linalg.norm(T[:, :3, 3] - base, axis=1)
+    size = size_m(arm)
+    if len(T) and distance.max() > FAR_FACTOR * max(size, 1e-3):
+        row = int(distance.argmax())
+        times = distance[row] / size
+        raise Inconsistent(
+            f"pose {row} is {distance[row]:.4g} m from the base, {times:.0f} times the size of {arm.name}",
+            consequence="No joint values can be given",
+            cure="Give metres: the numbers look like millimetres",
+        )
+    return T
+
+
+def start_values(arm: Arm, near: ArrayLike | None) -> Array:
+    """Return near (n,) checked, or the middle of each joint's range (zero where it has none)."""
+    if near is not None:
+        values = arm.checked(near)
+        if values.ndim != 1:
+            raise UsageError("give one joint vector as the place to be near")
+        return values
+    with np.errstate(invalid="ignore"):
+        middle = 0.5 * (arm.lower + arm.upper)
+    return np.where(np.isfinite(middle), middle, np.clip(0.0, arm.lower, arm.upper))
