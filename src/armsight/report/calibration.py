@@ -1,0 +1,197 @@
+"""report.html of a calibration."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from pathlib import PurePath
+
+import numpy as np
+
+from armsight.report.figures import BLUE, ORANGE, Figure, axis, layout
+from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table, text, with_deviation
+from armsight.report.residuals import coverage_figure, pooled_rms, residual_figure
+from armsight.report.run import CalibrationRun, CameraFit
+from armsight.units import MM
+
+GRID = (8, 6)
+"""Cells, columns by rows, in which the points' spread over the image is counted."""
+
+COVERED = 0.6
+"""Share of cells with points from which the lens is called known all over the image."""
+
+OVERFITTED = 1.5
+"""Left-out error over fitted error: above it the fit follows its own images more than the camera."""
+
+MIN_USED = 0.7
+"""Share of the images used, below which the set itself is in doubt."""
+
+
+def calibration_report(run: CalibrationRun, *, created: datetime | None = None) -> str:
+    """Return the page of a calibration as HTML text that needs no other file."""
+    page = Page(
+        title=run.title,
+        subtitle=run.subtitle or f"{run.n_used} of {run.n_images} {_noun(run)} of the board {run.board}",
+        verdict=_verdict(run),
+        cards=_cards(run),
+    )
+    _add_parameters(page, run)
+    _add_images(page, run)
+    for fit in run.cameras:
+        if len(fit.uv_px):
+            _add_coverage(page, fit)
+    clouds = {fit.name: fit.residual_px for fit in run.cameras if len(fit.residual_px)}
+    if clouds:
+        page.add(
+            "Residuals",
+            "Detected point minus the model's. Round clouds about the centre are noise; other shapes are a lens, "
+            "a board or a corner that does not fit.",
+            page.plot(residual_figure(clouds)),
+        )
+    _add_rejected(page, run)
+    rows = [["board", run.board], *([name, value] for name, value in run.facts)]
+    page.add("What went in", "", table(["", ""], rows))
+    return page.html(created=created or datetime.now())
+
+
+def _noun(run: CalibrationRun) -> str:
+    return "pairs" if len(run.cameras) > 1 else "images"
+
+
+def coverage(fit: CameraFit) -> float:
+    """Return the share of the image's cells in which points lie."""
+    columns, rows = GRID
+    if not len(fit.uv_px):
+        return 0.0
+    i = np.clip((fit.uv_px[:, 0] / fit.camera.width * columns).astype(int), 0, columns - 1)
+    j = np.clip((fit.uv_px[:, 1] / fit.camera.height * rows).astype(int), 0, rows - 1)
+    return len(set(zip(i.tolist(), j.tolist(), strict=True))) / (columns * rows)
+
+
+def _doubts(run: CalibrationRun) -> list[str]:
+    """Return what speaks against relying on the result."""
+    out = []
+    if run.n_used < MIN_USED * run.n_images:
+        out.append(f"only {run.n_used} of {run.n_images} {_noun(run)} could be used")
+    if run.holdout_rms_px is not None and run.holdout_rms_px > OVERFITTED * run.rms_px:
+        ratio = run.holdout_rms_px / run.rms_px
+        out.append(f"{_noun(run)} left out of the fit are met {ratio:.1f} times worse than those in it")
+    for fit in run.cameras:
+        share = coverage(fit)
+        if len(fit.uv_px) and share < COVERED:
+            out.append(f"the board covered only {100 * share:.0f} % of the {fit.name} image")
+    return out
+
+
+def _verdict(run: CalibrationRun) -> Verdict:
+    sentence = f"{run.n_used} of {run.n_images} {_noun(run)} fit to {figure_of(run.rms_px, 'px')} RMS"
+    if run.holdout_rms_px is not None:
+        sentence += f", {_noun(run)} left out of the fit to {figure_of(run.holdout_rms_px, 'px')}"
+    if run.baseline_m is not None:
+        sentence += f"; the cameras stand {figure_of(run.baseline_m / MM, 'mm', digits=5)} apart"
+    doubts = _doubts(run)
+    if doubts:
+        return Verdict(level="warn", word="Usable with care", sentence=f"{sentence}. But {'; '.join(doubts)}.")
+    return Verdict(level="good", word="Good", sentence=f"{sentence}.")
+
+
+def _cards(run: CalibrationRun) -> list[Card]:
+    cards = [
+        Card(name=f"{_noun(run)} used", value=f"{run.n_used} of {run.n_images}", note=f"{len(run.rejected)} rejected"),
+        Card(name="fit", value=figure_of(run.rms_px, "px"), note="RMS"),
+    ]
+    if run.holdout_rms_px is not None:
+        cards.append(Card(name="left out", value=figure_of(run.holdout_rms_px, "px"), note="RMS, k-fold"))
+    if run.holdout_epipolar_rms_px is not None or run.epipolar_rms_px is not None:
+        held = run.holdout_epipolar_rms_px is not None
+        value = run.holdout_epipolar_rms_px if held else run.epipolar_rms_px
+        cards.append(
+            Card(name="epipolar", value=figure_of(value, "px"), note="RMS, left out" if held else "RMS, in the fit")
+        )
+    if run.baseline_m is not None:
+        cards.append(Card(name="baseline", value=figure_of(run.baseline_m / MM, "mm", digits=5)))
+    if run.metric:
+        first = next(iter(run.metric))
+        shown = "rms_m" if "rms_m" in run.metric else first
+        cards.append(
+            Card(name="length on the board", value=figure_of(run.metric[shown] / MM, "mm"), note="RMS error, left out")
+        )
+    cards += [
+        Card(name=f"coverage, {fit.name}", value=f"{100 * coverage(fit):.0f} %", note="of the image")
+        for fit in run.cameras
+        if len(fit.uv_px)
+    ]
+    return cards
+
+
+def _add_parameters(page: Page, run: CalibrationRun) -> None:
+    rows = []
+    for parameter in run.parameters:
+        value, std = with_deviation(parameter.value, parameter.std)
+        rows.append([parameter.name, value, std, parameter.unit])
+    parts = [table(["parameter", "value", "standard deviation", "unit"], rows, numbers=(1, 2))]
+    if run.metric:
+        lengths = [[_metric_name(name), figure_of(value / MM, digits=5)] for name, value in run.metric.items()]
+        parts.append(table(["lengths on the board, measured by the rig", "mm"], lengths, numbers=(1,)))
+    if run.advice:
+        parts.append(f"<p>What would make it better:</p>{bullets(list(run.advice))}")
+    page.add("Result", "Deviations are those of the fit: what this set of images leaves open.", *parts)
+
+
+def _metric_name(name: str) -> str:
+    words = name.removesuffix("_m").replace("_", " ")
+    return {"expected": "expected", "mean": "mean", "rms": "RMS error", "board rms": "RMS of the rigid fit"}.get(
+        words, words
+    )
+
+
+def _add_images(page: Page, run: CalibrationRun) -> None:
+    """Add the RMS of each image, one bar per camera."""
+    data = []
+    for fit, colour in zip(run.cameras, (BLUE, ORANGE), strict=False):
+        if not fit.sources:
+            continue
+        names = [text(f"{i + 1}: {PurePath(source).name[-28:]}") for i, source in enumerate(fit.sources)]
+        data.append(
+            {
+                "type": "bar",
+                "x": list(range(1, len(names) + 1)),
+                "y": fit.view_rms_px,
+                "name": text(fit.name),
+                "marker": {"color": colour},
+                "customdata": names,
+                "hovertemplate": "%{customdata}<br>%{y:.3f} px<extra></extra>",
+            }
+        )
+    if not data:
+        return
+    shape = layout(
+        barmode="group",
+        showlegend=len(data) > 1,
+        xaxis=axis(f"{_noun(run)[:-1]} (number in the order used)", dtick=max(1, len(run.cameras[0].sources) // 20)),
+        yaxis=axis("RMS, px", rangemode="tozero"),
+    )
+    page.add(
+        "Error of each image",
+        "One that stands out was moved, blurred or badly detected.",
+        page.plot(Figure(data=data, layout=shape, height_px=260)),
+    )
+
+
+def _add_coverage(page: Page, fit: CameraFit) -> None:
+    scale = 0.02 * fit.camera.width / (pooled_rms([fit.residual_px]) or 1.0)
+    page.add(
+        f"Coverage of the image, {fit.name}",
+        "Each dot is a point of the board in some image, each stroke its residual, "
+        f"{scale:.0f} times enlarged. The lens is known where dots are; strokes that lean the same way side by side "
+        "are lens that the model misses.",
+        page.plot(coverage_figure(fit.uv_px, fit.residual_px, fit.camera.width, fit.camera.height)),
+    )
+
+
+def _add_rejected(page: Page, run: CalibrationRun) -> None:
+    if not run.rejected:
+        page.add("Rejected", "Nothing: every image was used.")
+        return
+    page.add(
+        "Rejected", "Not in the fit, each with its reason.", table(["image", "why"], [[s, w] for s, w in run.rejected])
+    )

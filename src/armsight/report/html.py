@@ -1,0 +1,176 @@
+"""The page: one file, no network, light, printable. All text that comes from outside is escaped here."""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+
+from plotly.offline import get_plotlyjs
+
+import armsight
+from armsight.report.figures import Figure, json_text
+
+STYLE = """
+:root{--ink:#1c2733;--soft:#5b6b7b;--line:#dfe5eb;--back:#f4f6f8;--blue:#1f5fa8;--good:#2e7d4f;--warn:#b86a00;
+--bad:#b3302f}
+*{box-sizing:border-box}
+body{margin:0;background:var(--back);color:var(--ink);
+font:15px/1.5 system-ui,-apple-system,"Segoe UI",Roboto,"Helvetica Neue",Arial,sans-serif}
+main{max-width:1120px;margin:0 auto;padding:28px 24px 48px}
+header h1{font-size:26px;line-height:1.2;margin:0 0 2px}
+header p{margin:0;color:var(--soft)}
+h2{font-size:18px;margin:0 0 4px}
+section,.verdict,.cards div{background:#fff;border:1px solid var(--line);border-radius:8px}
+section{padding:18px 20px;margin:16px 0}
+section>p{margin:0 0 10px;color:var(--soft);max-width:85ch}
+.verdict{margin:18px 0;padding:14px 18px;border-left:6px solid var(--good);font-size:17px}
+.verdict.warn{border-left-color:var(--warn)}.verdict.bad{border-left-color:var(--bad)}
+.verdict strong{display:block;font-size:13px;letter-spacing:.06em;text-transform:uppercase;color:var(--good)}
+.verdict.warn strong{color:var(--warn)}.verdict.bad strong{color:var(--bad)}
+.cards{display:grid;grid-template-columns:repeat(auto-fit,minmax(150px,1fr));gap:12px}
+.cards div{padding:12px 14px}
+.cards b{display:block;font-size:22px;line-height:1.25;font-variant-numeric:tabular-nums}
+.cards span{color:var(--soft);font-size:13px}
+.cards small{display:block;color:var(--soft);font-size:12px}
+.scroll{overflow-x:auto}
+table{border-collapse:collapse;width:100%;font-size:14px;font-variant-numeric:tabular-nums}
+th,td{padding:6px 10px;border-bottom:1px solid var(--line);text-align:left;vertical-align:top;overflow-wrap:anywhere}
+th{color:var(--soft);font-weight:600;font-size:13px;overflow-wrap:normal}
+td.n,th.n{text-align:right;white-space:nowrap}
+tr:last-child td{border-bottom:0}
+.plot{width:100%}
+.pair{display:grid;grid-template-columns:repeat(auto-fit,minmax(420px,1fr));gap:14px;margin:8px 0 14px}
+figure{margin:0}figure svg{width:100%;height:auto;display:block;background:#000;border-radius:4px}
+figcaption{font-size:13px;color:var(--soft);margin-top:4px;overflow-wrap:anywhere}
+.zooms{display:flex;flex-wrap:wrap;gap:6px;margin-top:6px}.zooms svg{width:82px;height:82px;border-radius:3px}
+ul{margin:6px 0 0;padding-left:20px}
+footer{color:var(--soft);font-size:13px;margin-top:18px}
+@media print{body{background:#fff}main{max-width:none;padding:0}section,.verdict,figure,.cards div{break-inside:avoid}
+section{border:0;border-top:1px solid var(--line);border-radius:0;padding:12px 0}.modebar{display:none!important}}
+"""
+
+POLICY = (
+    "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; "
+    "img-src data: blob:; font-src data:"
+)
+"""What the page may load: nothing from anywhere. plotly.js compiles its 3-D shaders' glue, hence eval."""
+
+SCRIPT = """
+const figures=JSON.parse(document.getElementById('figures').textContent);
+for(const f of figures){Plotly.newPlot(f.id,f.data,f.layout,{responsive:true,displaylogo:false})}
+const fit=()=>{for(const f of figures){Plotly.Plots.resize(f.id)}};
+addEventListener('beforeprint',fit);addEventListener('afterprint',fit);
+"""
+
+
+def text(value: object) -> str:
+    """Return value as HTML text, safe in elements and in quoted attributes."""
+    return html.escape(str(value), quote=True)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Card:
+    """One key figure: its name, its value with unit, a remark."""
+
+    name: str
+    value: str
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verdict:
+    """The page's one sentence. level: good, warn or bad; word: the level in one word."""
+
+    level: str
+    word: str
+    sentence: str
+
+
+@dataclass(slots=True, kw_only=True)
+class Page:
+    """A page under construction: sections are added in order."""
+
+    title: str
+    subtitle: str
+    verdict: Verdict
+    cards: Sequence[Card]
+    _sections: list[str] = field(default_factory=list)
+    _figures: list[dict[str, object]] = field(default_factory=list)
+
+    def add(self, heading: str, explanation: str, *parts: str) -> None:
+        """Add a section: heading and explanation are plain text, parts are HTML."""
+        told = f"<p>{text(explanation)}</p>" if explanation else ""
+        self._sections.append(f"<section><h2>{text(heading)}</h2>{told}{''.join(parts)}</section>")
+
+    def plot(self, figure: Figure) -> str:
+        """Take a figure; return its place in the page."""
+        name = f"figure{len(self._figures) + 1}"
+        self._figures.append({"id": name, "data": figure.data, "layout": figure.layout})
+        return f'<div class="plot" id="{name}" style="height:{figure.height_px}px"></div>'
+
+    def html(self, *, created: datetime) -> str:
+        """Return the whole page."""
+        cards = "".join(
+            f"<div><span>{text(card.name)}</span><b>{text(card.value)}</b><small>{text(card.note)}</small></div>"
+            for card in self.cards
+        )
+        verdict = (
+            f'<div class="verdict {text(self.verdict.level)}"><strong>{text(self.verdict.word)}</strong>'
+            f"{text(self.verdict.sentence)}</div>"
+        )
+        when = created.strftime("%Y-%m-%d %H:%M")
+        return (
+            '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+            f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">'
+            '<meta name="viewport" content="width=device-width,initial-scale=1">'
+            f"<title>{text(self.title)}</title><style>{STYLE}</style></head><body><main>"
+            f"<header><h1>{text(self.title)}</h1><p>{text(self.subtitle)}</p></header>"
+            f'{verdict}<div class="cards">{cards}</div>{"".join(self._sections)}'
+            f"<footer>armsight {text(armsight.__version__)}, {text(when)}. This file is complete in itself and "
+            "loads nothing from the network.</footer></main>"
+            f'<script type="application/json" id="figures">{json_text(self._figures)}</script>'
+            f"<script>{get_plotlyjs()}</script><script>{SCRIPT}</script></body></html>\n"
+        )
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[object]], *, numbers: Sequence[int] = ()) -> str:
+    """Return a table of plain text; the columns in numbers are set to the right."""
+    mark = ['class="n"' if i in numbers else "" for i in range(len(header))]
+    head = "".join(f"<th {m}>{text(name)}</th>" for m, name in zip(mark, header, strict=True))
+    body = "".join(
+        "<tr>" + "".join(f"<td {m}>{text(cell)}</td>" for m, cell in zip(mark, row, strict=True)) + "</tr>"
+        for row in rows
+    )
+    return f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
+
+
+def bullets(items: Sequence[str]) -> str:
+    """Return a list of plain text."""
+    return "<ul>" + "".join(f"<li>{text(item)}</li>" for item in items) + "</ul>"
+
+
+def figure_of(value: float | None, unit: str = "", *, digits: int = 3) -> str:
+    """Return a number for people with so many significant digits; a dash where there is none."""
+    if value is None or not math.isfinite(value):
+        return "–"
+    if value == 0.0:
+        shown = "0"
+    elif 1e-4 <= abs(value) < 1e7:
+        decimals = max(0, digits - 1 - math.floor(math.log10(abs(value))))
+        shown = f"{value:.{decimals}f}"
+    else:
+        shown = f"{value:.{digits - 1}e}"
+    return f"{shown} {unit}".strip()
+
+
+def with_deviation(value: float, std: float | None) -> tuple[str, str]:
+    """Return a value and its standard deviation, both to the deviation's second digit."""
+    if std is None or not math.isfinite(std) or std <= 0.0:
+        return figure_of(value, digits=7), "–"
+    decimals = max(0, 1 - math.floor(math.log10(std)))
+    if decimals > 9:
+        return f"{value:.3e}", f"{std:.1e}"
+    return f"{value:.{decimals}f}", f"{std:.{decimals}f}"

@@ -1,0 +1,299 @@
+"""report.html of a measurement."""
+
+from __future__ import annotations
+
+from datetime import datetime
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import bdtr
+
+from armsight.optics import SIDES, Camera
+from armsight.records import PoseStatus, Target
+from armsight.report.frames import sample_figure
+from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table
+from armsight.report.residuals import pooled_rms, residual_figure
+from armsight.report.run import MeasureRun
+from armsight.report.series import Errors, Series, errors_of, losses_of, ranges, series_of
+from armsight.report.track import deviation_figure, time_figure, track_figure
+from armsight.units import MM
+
+Array = NDArray[np.float64]
+
+AXES = ("x", "y", "z", "rx", "ry", "rz")
+UNITS = ("mm", "mm", "mm", "°", "°", "°")
+
+INSIDE_95 = 12.591587243743977
+"""95 % point of chi-square with six degrees of freedom: the squared size of a pose's 95 % ellipsoid."""
+
+GOOD_SHARE = 0.95
+"""Share of full poses from which a run is called complete."""
+
+MAX_LOSSES = 25
+MAX_SAMPLES = 6
+
+TRUE_CLAIM = 0.999
+"""The claim is doubted where the share inside falls out of this central range of what chance alone would give."""
+
+
+def measure_report(run: MeasureRun, *, created: datetime | None = None) -> str:
+    """Return the page of a measurement as HTML text that needs no other file."""
+    series = series_of(run.poses)
+    errors = errors_of(run.poses, run.truth) if run.truth is not None else None
+    page = Page(
+        title=run.title,
+        subtitle=run.subtitle or _subtitle(run, series),
+        verdict=_verdict(run, series, errors),
+        cards=_cards(run, series, errors),
+    )
+    _add_truth(page, errors)
+    _add_track(page, run, series, errors)
+    _add_residuals(page, run)
+    _add_samples(page, run)
+    _add_losses(page, run, series)
+    _add_inputs(page, run)
+    return page.html(created=created or datetime.now())
+
+
+def _subtitle(run: MeasureRun, series: Series) -> str:
+    n = len(run.poses)
+    if n < 2:
+        return f"{n} frame{'s' * (n != 1)}"
+    return f"{n:,} pairs of frames over {figure_of(float(np.ptp(series.t_s)), 's')}"
+
+
+def _verdict(run: MeasureRun, series: Series, errors: Errors | None) -> Verdict:
+    n, ok = len(run.poses), int(series.where(PoseStatus.OK).sum())
+    if ok == 0:
+        losses = losses_of(run.poses)
+        why = f" Most often: {losses[0].why.rstrip('.')}." if losses else ""
+        return Verdict(level="bad", word="No pose", sentence=f"None of {n:,} frames gave a full pose.{why} {run.error}")
+    rms = _rms_columns(series.std[series.where(PoseStatus.OK)])
+    sentence = (
+        f"{ok:,} of {n:,} frames ({100 * ok / n:.1f} %) gave a full pose, known to "
+        f"{figure_of(float(np.max(rms[:3])), 'mm', digits=2)} and {figure_of(float(np.max(rms[3:])), '°', digits=2)} "
+        "in the worst direction (one standard deviation)."
+    )
+    level, word = ("good", "Complete") if ok >= GOOD_SHARE * n else ("warn", "With gaps")
+    if errors is not None:
+        inside, low, high = _inside(errors)
+        position = figure_of(float(np.sqrt(np.nanmean((errors.values[:, :3] ** 2).sum(axis=1)))), "mm", digits=2)
+        sentence += f" Against the truth: {position} RMS; {100 * inside:.1f} % inside their own 95 % ellipsoid."
+        if not low <= inside <= high:
+            level, word = "warn", "Claim doubted"
+    if run.error:
+        level, word, sentence = "bad", "Broken off", f"{run.error.rstrip('.')}. Until then: {sentence}"
+    return Verdict(level=level, word=word, sentence=sentence)
+
+
+def _rms_columns(values: Array) -> Array:
+    """Return the root mean square of each column, NaN aside; NaN for a column without numbers."""
+    known = np.isfinite(values)
+    count = known.sum(axis=0).astype(float)
+    total = np.where(known, values, 0.0) ** 2
+    return np.asarray(np.sqrt(total.sum(axis=0) / np.where(count > 0.0, count, np.nan)))
+
+
+def _inside(errors: Errors) -> tuple[float, float, float]:
+    """Return the share of errors inside their 95 % ellipsoid, and the range in which chance alone would leave it."""
+    distance2 = errors.distance2[np.isfinite(errors.distance2)]
+    n = len(distance2)
+    if n == 0:
+        return float("nan"), 0.0, 1.0
+    chance = bdtr(np.arange(n + 1), n, 0.95)  # binomial: this many or fewer inside
+    low, high = np.searchsorted(chance, [0.5 - 0.5 * TRUE_CLAIM, 0.5 + 0.5 * TRUE_CLAIM])
+    return float(np.mean(distance2 <= INSIDE_95)), float(low) / n, float(min(high, n)) / n
+
+
+def _cards(run: MeasureRun, series: Series, errors: Errors | None) -> list[Card]:
+    n = len(run.poses)
+    count = {status: int(series.where(status).sum()) for status in PoseStatus}
+    rms = _rms_columns(series.std[series.where(PoseStatus.OK)])
+    spots = sum(len(rows) for rows in run.residuals.values())
+    cards = [
+        Card(
+            name="full poses",
+            value=f"{count[PoseStatus.OK]:,} of {n:,}",
+            note=f"{count[PoseStatus.POSITION_ONLY]:,} position only, {count[PoseStatus.LOST]:,} lost",
+        ),
+        Card(
+            name="position deviation",
+            value=figure_of(float(np.sqrt(np.sum(rms[:3] ** 2))), "mm"),
+            note="claimed, 3-D, one standard deviation",
+        ),
+        Card(
+            name="rotation deviation",
+            value=figure_of(float(np.sqrt(np.sum(rms[3:] ** 2))), "°"),
+            note="claimed, one standard deviation",
+        ),
+        Card(
+            name="reprojection",
+            value=figure_of(pooled_rms([rows[:, 1:] for rows in run.residuals.values()]), "px"),
+            note=f"RMS per coordinate, {spots:,} spots" if spots else "",
+        ),
+        Card(
+            name="time per pair",
+            value=figure_of(run.median_ms, "ms"),
+            note=f"median; 99 % below {figure_of(run.p99_ms, 'ms')}" if run.p99_ms is not None else "median",
+        ),
+    ]
+    if errors is not None:
+        cards.insert(
+            1,
+            Card(
+                name="position error",
+                value=figure_of(float(np.sqrt(np.nansum(_rms_columns(errors.values)[:3] ** 2))), "mm"),
+                note="against the truth, 3-D RMS",
+            ),
+        )
+    return cards
+
+
+def _add_truth(page: Page, errors: Errors | None) -> None:
+    if errors is None or not np.isfinite(errors.values).any():
+        return
+    known = np.isfinite(errors.values[:, 0])
+    values, std = errors.values[known], errors.std[known]
+    claimed = _rms_columns(std)
+    rows = [
+        [
+            f"{axis}, {unit}",
+            *(
+                figure_of(float(x))
+                for x in (
+                    np.mean(values[:, i]),
+                    np.std(values[:, i]),
+                    np.sqrt(np.mean(values[:, i] ** 2)),
+                    np.abs(values[:, i]).max(),
+                    claimed[i],
+                )
+            ),
+            figure_of(float(np.sqrt(np.mean(values[:, i] ** 2)) / claimed[i])) if claimed[i] > 0.0 else "–",
+        ]
+        for i, (axis, unit) in enumerate(zip(AXES, UNITS, strict=True))
+    ]
+    inside, low, high = _inside(errors)
+    page.add(
+        "Errors against the truth",
+        f"Measured minus true over {len(values):,} full poses; rotations as a vector in the parent's axes. "
+        f"{100 * inside:.1f} % of the errors lie inside their own 95 % ellipsoid; true deviations leave "
+        f"{100 * low:.1f} to {100 * high:.1f} %. A ratio near 1 says that the claimed deviations are true.",
+        table(
+            ["", "mean", "standard deviation", "RMS", "largest", "claimed (RMS)", "RMS / claimed"],
+            rows,
+            numbers=range(1, 7),
+        ),
+    )
+
+
+def _add_track(page: Page, run: MeasureRun, series: Series, errors: Errors | None) -> None:
+    if np.isfinite(series.values[:, 0]).any():
+        page.add(
+            f"Track in the axes of {run.parent}",
+            "Drag to turn, scroll to zoom; a click on a name in the legend hides or shows it.",
+            page.plot(track_figure(run, series)),
+        )
+        page.add(
+            "Position and rotation over time",
+            "The band holds the true value in 95 % of the frames (1.96 standard deviations); rx, ry, rz are angles "
+            "about x, y, z with R = Rz Ry Rx. Red marks at the bottom are frames without a full pose.",
+            page.plot(time_figure(series)),
+        )
+        page.add(
+            "Error over time" if errors is not None else "Width of the band over time",
+            "Measured minus true, within the claimed 95 % band."
+            if errors is not None
+            else "Half the width of the 95 % band: what may be read off the pose at each moment.",
+            page.plot(deviation_figure(series, errors)),
+        )
+
+
+def _add_residuals(page: Page, run: MeasureRun) -> None:
+    if not any(len(rows) for rows in run.residuals.values()):
+        return
+    rows = []
+    for side, row in run.residuals.items():
+        if len(row):
+            figures = (*_rms_columns(row[:, 1:]), *row[:, 1:].mean(axis=0), np.abs(row[:, 1:]).max())
+            rows.append([side, f"{len(row):,}", *(figure_of(float(x)) for x in figures)])
+    page.add(
+        "Reprojection",
+        "Measured spot minus the model's, per camera. A cloud off the centre or an oblong one says that rig or target "
+        "do not fit the frames.",
+        page.plot(residual_figure({side: r[:, 1:] for side, r in run.residuals.items() if len(r)})),
+        table(
+            ["camera", "spots", "RMS u, px", "RMS v, px", "mean u, px", "mean v, px", "largest, px"],
+            rows,
+            numbers=range(1, 7),
+        ),
+    )
+
+
+def _add_samples(page: Page, run: MeasureRun) -> None:
+    if not run.samples:
+        return
+    figures = "".join(sample_figure(sample, i) for i, sample in enumerate(run.samples[:MAX_SAMPLES]))
+    page.add(
+        "What the cameras saw",
+        "Green: spots used, with their names and, enlarged, their measured centres. Orange: seen and not matched. "
+        "Red crosses: rejected; the reason shows when the pointer rests on one.",
+        f'<div class="pair">{figures}</div>',
+    )
+
+
+def _add_losses(page: Page, run: MeasureRun, series: Series) -> None:
+    losses = losses_of(run.poses)
+    if not losses:
+        page.add("What was lost", "Nothing: every frame gave a full pose.")
+        return
+    names = {PoseStatus.POSITION_ONLY: "position only", PoseStatus.LOST: "lost"}
+    rows = [
+        [
+            names[loss.status],
+            loss.why,
+            f"{len(loss.frames):,}",
+            f"{100 * len(loss.frames) / len(run.poses):.1f} %",
+            ranges(loss.frames),
+            f"{series.t_s[loss.frames[0]]:.3f} – {series.t_s[loss.frames[-1]]:.3f}",
+        ]
+        for loss in losses[:MAX_LOSSES]
+    ]
+    if len(losses) > MAX_LOSSES:
+        rest = losses[MAX_LOSSES:]
+        count = sum(len(loss.frames) for loss in rest)
+        rows.append(["", f"{len(rest)} more reasons", f"{count:,}", f"{100 * count / len(run.poses):.1f} %", "", ""])
+    page.add(
+        "What was lost, and why",
+        "Frames without a full pose, counted from 0; frames with the same reason stand together, in the first one's "
+        "wording.",
+        table(["", "why", "frames", "share", "which", "first – last, s"], rows, numbers=(2, 3, 5)),
+    )
+
+
+def _add_inputs(page: Page, run: MeasureRun) -> None:
+    rig, target = run.rig, run.target
+    rows = [
+        ["rig", f"{rig.kind}, baseline {figure_of(rig.baseline_m / MM, 'mm', digits=5)}"],
+        *([f"{side} camera", _camera_text(rig.camera(side))] for side in SIDES),
+        ["calibration's RMS", figure_of(rig.rms_px, "px") if rig.rms_px is not None else "not given"],
+        ["target", _target_text(target)],
+        ["frame of the poses", run.parent],
+        *([name, value] for name, value in run.facts),
+    ]
+    if target.diameter_m is not None:
+        rows.insert(5, ["diameter of a light", figure_of(target.diameter_m / MM, "mm")])
+    assumed = [f"<p>Assumed:</p>{bullets(list(run.assumptions))}"] if run.assumptions else []
+    page.add("What went in", "", table(["", ""], rows), *assumed)
+
+
+def _camera_text(camera: Camera) -> str:
+    fx, fy = camera.intrinsics[:2]
+    return f"{camera.width} × {camera.height} px, fx {fx:.1f} px, fy {fy:.1f} px"
+
+
+def _target_text(target: Target) -> str:
+    if target.is_board:
+        return f"{target.kind}, {target.columns} × {target.rows}, {figure_of(target.pitch_m / MM, 'mm')} apart"
+    n = len(target.names)
+    known = "" if target.model_known else ", places not measured"
+    return f"{n} light{'s' * (n > 1)}: {', '.join(target.names)}{known}"

@@ -1,0 +1,127 @@
+"""What a report is told."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from armsight.errors import Inconsistent
+from armsight.optics import SIDES, Camera, Rig
+from armsight.records import Spots, Target, TargetPose, frozen_array
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Sample:
+    """One image to show. spots: the matched ones, in the order of names; seen: all that were found.
+
+    frame: position in the run. why: what was wrong with it, where something was.
+    """
+
+    frame: int
+    side: str
+    image: NDArray[np.uint8]
+    names: tuple[str, ...]
+    spots: Spots
+    seen: Spots
+    source: str = ""
+    why: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MeasureRun:
+    """A finished (or broken off) measurement.
+
+    poses: one per pair of frames, in order, in the frame parent. residuals: per side (m, 3): frame, and measured
+    minus projected u, v in px. samples: images to show. truth: the true pose per frame, in the same frame.
+    facts: more lines for the table of inputs. error: why the run ended early.
+    """
+
+    poses: Sequence[TargetPose]
+    rig: Rig
+    target: Target
+    residuals: Mapping[str, Array] = field(default_factory=dict)
+    samples: Sequence[Sample] = ()
+    truth: Sequence[RigidTransform] | None = None
+    median_ms: float | None = None
+    p99_ms: float | None = None
+    parent: str = "rig"
+    title: str = "Measurement"
+    subtitle: str = ""
+    facts: Sequence[tuple[str, str]] = ()
+    assumptions: Sequence[str] = ()
+    error: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "poses", tuple(self.poses))
+        object.__setattr__(
+            self, "residuals", {side: frozen_array(side, rows, (None, 3)) for side, rows in self.residuals.items()}
+        )
+        if not set(self.residuals) <= set(SIDES):
+            raise Inconsistent(f"residuals of {', '.join(self.residuals)}: the sides are {', '.join(SIDES)}")
+        if self.truth is not None and len(self.truth) != len(self.poses):
+            raise Inconsistent(f"{len(self.truth)} true poses for {len(self.poses)} measured ones")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CameraFit:
+    """One camera of a calibration: the board's points in its images and what the fit left of them.
+
+    uv_px, residual_px: (m, 2). view: (m,) which of sources each point belongs to. view_rms_px: by source.
+    """
+
+    name: str
+    camera: Camera
+    uv_px: Array
+    residual_px: Array
+    view: NDArray[np.intp]
+    sources: tuple[str, ...]
+    view_rms_px: Array
+
+    def __post_init__(self) -> None:
+        n = len(self.view)
+        object.__setattr__(self, "uv_px", frozen_array("uv_px", self.uv_px, (n, 2)))
+        object.__setattr__(self, "residual_px", frozen_array("residual_px", self.residual_px, (n, 2)))
+        object.__setattr__(self, "view_rms_px", frozen_array("view_rms_px", self.view_rms_px, (len(self.sources),)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Parameter:
+    """One number of a calibration, its standard deviation where known, and the unit of both."""
+
+    name: str
+    value: float
+    std: float | None
+    unit: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CalibrationRun:
+    """A calibration of one camera or of a pair.
+
+    n_images: images (or pairs) given; n_used: of them in the fit. rms_px and the other RMS are pooled over points;
+    holdout: on images left out of the fit. metric: name and value in m of lengths on the board, measured by the rig
+    on left-out pairs. facts: more lines for the table of inputs. advice: what would make it better.
+    """
+
+    title: str
+    board: str
+    cameras: Sequence[CameraFit]
+    parameters: Sequence[Parameter]
+    n_images: int
+    n_used: int
+    rms_px: float
+    holdout_rms_px: float | None = None
+    epipolar_rms_px: float | None = None
+    holdout_epipolar_rms_px: float | None = None
+    baseline_m: float | None = None
+    metric: Mapping[str, float] = field(default_factory=dict)
+    rejected: Sequence[tuple[str, str]] = ()
+    facts: Sequence[tuple[str, str]] = ()
+    advice: Sequence[str] = ()
+    subtitle: str = ""

@@ -1,0 +1,152 @@
+"""The poses of a run as columns in the units people read, with their deviations; what was lost, in groups."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from armsight.geometry import euler_rad
+from armsight.records import PoseStatus, TargetPose
+from armsight.units import DEG, MM
+
+Array = NDArray[np.float64]
+
+SCALE = np.array([MM] * 3 + [DEG] * 3)
+"""From m and rad to mm and degrees, by division."""
+
+GIMBAL = 1e-3
+"""cos(ry) below which rx and rz cannot be told apart, and a band around either would say nothing."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Series:
+    """Columns over the n frames: t_s (n,), values and deviations (n, 6) of x, y, z in mm and rx, ry, rz in degrees.
+
+    NaN where a frame does not say. Angles are unwrapped: they run on beyond 180 degrees.
+    """
+
+    t_s: Array
+    status: tuple[PoseStatus, ...]
+    values: Array
+    std: Array
+
+    def where(self, status: PoseStatus) -> NDArray[np.bool_]:
+        """Return the mask (n,) of the frames with this status."""
+        return np.array([s is status for s in self.status], dtype=bool)
+
+
+def series_of(poses: Sequence[TargetPose]) -> Series:
+    """Return the columns of poses; rotations become the angles of R = Rz Ry Rx, their covariance with them."""
+    n = len(poses)
+    values, std = np.full((n, 6), np.nan), np.full((n, 6), np.nan)
+    for i, pose in enumerate(poses):
+        if pose.pose is not None and pose.covariance is not None:
+            values[i, :3] = pose.pose.translation
+            std[i, :3] = np.sqrt(np.diag(pose.covariance)[:3])
+    ok = _ok(poses)
+    if len(ok):
+        angles = euler_rad(Rotation.from_matrix(_rotations([poses[i].pose for i in ok])))  # (m, 3)
+        values[ok, 3:] = np.unwrap(angles, axis=0)
+        std[ok, 3:] = _euler_std(angles, _covariances(poses, ok)[:, 3:, 3:])
+    return Series(
+        t_s=np.array([pose.t_s for pose in poses]),
+        status=tuple(pose.status for pose in poses),
+        values=values / SCALE,
+        std=std / SCALE,
+    )
+
+
+def _ok(poses: Sequence[TargetPose]) -> NDArray[np.intp]:
+    return np.array([i for i, pose in enumerate(poses) if pose.status is PoseStatus.OK], dtype=np.intp)
+
+
+def _rotations(poses: Sequence[RigidTransform | None]) -> Array:
+    """Return the rotation matrices (m, 3, 3) of poses that are there."""
+    return np.array([pose.as_matrix()[:3, :3] for pose in poses if pose is not None])
+
+
+def _covariances(poses: Sequence[TargetPose], ok: NDArray[np.intp]) -> Array:
+    return np.array([poses[i].covariance for i in ok], dtype=float).reshape(-1, 6, 6)
+
+
+def _euler_std(angles: Array, covariance: Array) -> Array:
+    """Return deviations (m, 3) of rx, ry, rz from covariances (m, 3, 3) of rotation vectors in the parent's axes.
+
+    With R = Rz Ry Rx a small change turns the body by w = Rz Ry ex drx + Rz ey dry + ez drz = J d(rx, ry, rz).
+    NaN where ry is within GIMBAL of a right angle.
+    """
+    (cy, cz), (sy, sz) = np.cos(angles[:, 1:].T), np.sin(angles[:, 1:].T)
+    cy = np.where(np.abs(cy) < GIMBAL, np.nan, cy)
+    zero = np.zeros(len(angles))
+    # the inverse of J = [[cz cy, -sz, 0], [sz cy, cz, 0], [-sy, 0, 1]]
+    rows = [[cz / cy, sz / cy, zero], [-sz, cz, zero], [cz * sy / cy, sz * sy / cy, zero + 1.0]]
+    inverse = np.moveaxis(np.array(rows), -1, 0)  # (m, 3, 3)
+    return np.asarray(np.sqrt(np.einsum("mij,mjk,mik->mi", inverse, covariance, inverse)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Errors:
+    """Measured minus true (n, 6), mm and degrees, rotation as a vector in the parent's axes; NaN where not ok.
+
+    std: the claimed deviations of the same. distance2: (n,) squared Mahalanobis distance of each error.
+    """
+
+    values: Array
+    std: Array
+    distance2: Array
+
+
+def errors_of(poses: Sequence[TargetPose], truth: Sequence[RigidTransform]) -> Errors:
+    """Return the errors of the poses of status ok against the true ones, in step."""
+    n, ok = len(poses), _ok(poses)
+    values, std, distance2 = np.full((n, 6), np.nan), np.full((n, 6), np.nan), np.full(n, np.nan)
+    if len(ok):
+        true = np.array([truth[i].as_matrix() for i in ok])  # (m, 4, 4)
+        turn = _rotations([poses[i].pose for i in ok]) @ np.swapaxes(true[:, :3, :3], 1, 2)
+        shift = np.array([np.asarray(pose.translation) for i in ok if (pose := poses[i].pose) is not None])
+        error = np.hstack([shift - true[:, :3, 3], Rotation.from_matrix(turn).as_rotvec()])  # (m, 6)
+        covariance = _covariances(poses, ok)
+        values[ok], std[ok] = error / SCALE, np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)) / SCALE
+        full = np.linalg.matrix_rank(covariance, hermitian=True) == 6  # an exact pose claims nothing to be checked
+        whitened = np.linalg.solve(covariance[full], error[full][:, :, None])[:, :, 0]
+        distance2[ok[full]] = np.sum(error[full] * whitened, axis=1)
+    return Errors(values=values, std=std, distance2=distance2)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Loss:
+    """Frames without a full pose for one reason: the first frame's wording, and which frames they were."""
+
+    status: PoseStatus
+    why: str
+    frames: tuple[int, ...]
+
+
+def losses_of(poses: Sequence[TargetPose]) -> list[Loss]:
+    """Return the frames without a full pose, grouped by reason (numbers in it aside), the largest group first."""
+    groups: dict[tuple[PoseStatus, str], list[int]] = {}
+    for i, pose in enumerate(poses):
+        if pose.status is not PoseStatus.OK:
+            groups.setdefault((pose.status, re.sub(r"\d+(?:\.\d+)?", "#", pose.why)), []).append(i)
+    out = [
+        Loss(status=status, why=poses[frames[0]].why or "no reason was given", frames=tuple(frames))
+        for (status, _), frames in groups.items()
+    ]
+    return sorted(out, key=lambda loss: -len(loss.frames))
+
+
+def ranges(frames: Sequence[int], limit: int = 8) -> str:
+    """Return frames as '3, 7–12, 40' with at most limit pieces."""
+    pieces: list[list[int]] = []
+    for frame in frames:
+        if pieces and frame == pieces[-1][1] + 1:
+            pieces[-1][1] = frame
+        else:
+            pieces.append([frame, frame])
+    shown = [f"{a}" if a == b else f"{a}–{b}" for a, b in pieces[:limit]]
+    return ", ".join(shown) + (f" and {len(pieces) - limit} more stretches" if len(pieces) > limit else "")

@@ -1,0 +1,207 @@
+"""The plots of a track: in space, over time, and how well it is known."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.optics import SIDES, Rig
+from armsight.records import PoseStatus
+from armsight.report.figures import (
+    BLUE,
+    GREY,
+    INK,
+    MAX_PLOTTED,
+    ORANGE,
+    RED,
+    Figure,
+    axis,
+    band,
+    layout,
+    place,
+    runs,
+    thinned,
+)
+from armsight.report.run import MeasureRun
+from armsight.report.series import Errors, Series
+from armsight.units import MM
+
+Array = NDArray[np.float64]
+
+TITLES = ("x, mm", "y, mm", "z, mm", "rx, °", "ry, °", "rz, °")
+
+WITHIN_95 = 1.96
+
+MARKED = 400
+"""Frames up to which every one gets a mark on the line."""
+
+FAR = 3.0
+"""A track seen from farther than this many times its own size would be a dot beside the cameras: they start hidden."""
+
+
+def track_figure(run: MeasureRun, series: Series) -> Figure:
+    """Return the track in space, with the truth where there is one and the cameras where the axes are the rig's."""
+    ok, position = series.where(PoseStatus.OK), series.where(PoseStatus.POSITION_ONLY)
+    xyz = np.where(ok[:, None], series.values[:, :3], np.nan)
+    every = np.unique(np.linspace(0, len(xyz) - 1, MAX_PLOTTED).astype(int))
+    data: list[dict[str, Any]] = []
+    if run.truth is not None:
+        true = np.array([np.asarray(pose.translation) for pose in run.truth]).reshape(-1, 3) / MM
+        data.append(_line(true[every], "truth", {"color": GREY, "width": 5}))
+    colours = {"color": series.t_s[every], "colorscale": "Viridis", "size": 2.5}
+    bar = {"title": {"text": "time, s"}, "thickness": 12, "len": 0.7}
+    trace = _line(xyz[every], "full pose", {"color": BLUE, "width": 2})
+    data.append({**trace, "mode": "lines+markers", "marker": {**colours, "colorbar": bar}})
+    if position.any():
+        some = np.flatnonzero(position)[:: max(1, int(position.sum()) // MAX_PLOTTED)]
+        marks = _line(series.values[some, :3], "position only", {})
+        data.append({**marks, "mode": "markers", "marker": {"size": 3, "color": ORANGE}})
+    if run.parent == "rig":
+        data += [_camera(run.rig, side, hidden=_is_far(run.rig, xyz)) for side in SIDES]
+    scene: dict[str, Any] = {f"{name}axis": axis(f"{name}, mm", ticks="") for name in "xyz"}
+    scene["aspectmode"] = "data"
+    scene["camera"] = (
+        {"up": {"x": 0, "y": -1, "z": 0}, "eye": {"x": -0.9, "y": -0.8, "z": -1.6}}  # y down: from behind the cameras
+        if run.parent == "rig"
+        else {"up": {"x": 0, "y": 0, "z": 1}, "eye": {"x": 1.3, "y": -1.5, "z": 0.9}}
+    )
+    return Figure(
+        data=data, layout=layout(scene=scene, margin={"l": 0, "r": 0, "t": 28, "b": 0}, uirevision=1), height_px=520
+    )
+
+
+def _line(xyz: Array, name: str, line: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "type": "scatter3d",
+        "x": xyz[:, 0],
+        "y": xyz[:, 1],
+        "z": xyz[:, 2],
+        "name": name,
+        "mode": "lines",
+        "line": line,
+    }
+
+
+def _is_far(rig: Rig, xyz: Array) -> bool:
+    known = xyz[np.isfinite(xyz[:, 0])]
+    if not len(known):
+        return False
+    size = max(float(np.ptp(known, axis=0).max()), rig.baseline_m / MM)
+    return float(np.linalg.norm(known.mean(axis=0))) > FAR * size
+
+
+def _camera(rig: Rig, side: str, *, hidden: bool) -> dict[str, Any]:
+    """Return a camera as a pyramid whose base is its image, a third of the baseline away."""
+    camera, T = rig.camera(side), rig.T_rig_camera(side)
+    fx, fy, cx, cy = camera.intrinsics[:4]
+    depth = rig.baseline_m / 3.0
+    u, v = np.array([0.0, camera.width, camera.width, 0.0]), np.array([0.0, 0.0, camera.height, camera.height])
+    base = np.stack([(u - cx) / fx * depth, (v - cy) / fy * depth, np.full(4, depth)], axis=1)  # (4, 3)
+    order = np.array([(0.0, 0.0, 0.0), *base[[0, 1]], (0, 0, 0), *base[[1, 2]], (0, 0, 0), *base[[2, 3]], (0, 0, 0)])
+    closed = np.vstack([order, base[[3, 0]], base[3], np.zeros(3)])
+    trace = _line(np.asarray(T.apply(closed)) / MM, f"{side} camera", {"color": INK, "width": 2})
+    return {**trace, "visible": "legendonly"} if hidden else trace
+
+
+def time_figure(series: Series) -> Figure:
+    """Return x, y, z, rx, ry, rz over time with their 95 % bands, and marks where there is no full pose."""
+    data: list[dict[str, Any]] = []
+    lacking = ~series.where(PoseStatus.OK)
+    for k in range(6):
+        values, half = series.values[:, k], WITHIN_95 * series.std[:, k]
+        data += _banded(series.t_s, values, values - half, values + half, k)
+        data += _marks_below(series.t_s[lacking], k)
+    return Figure(data=data, layout=_six(TITLES), height_px=640)
+
+
+def deviation_figure(series: Series, errors: Errors | None) -> Figure:
+    """Return errors within their claimed band over time, or the band's half width where there is no truth."""
+    data: list[dict[str, Any]] = []
+    for k in range(6):
+        if errors is not None:
+            half = WITHIN_95 * errors.std[:, k]
+            data += _banded(series.t_s, errors.values[:, k], -half, half, k)
+        else:
+            half = WITHIN_95 * series.std[:, k]
+            data += _banded(series.t_s, half, np.full_like(half, np.nan), half, k)
+    shape = _six([f"Δ{title}" for title in TITLES] if errors is not None else [f"± {title}" for title in TITLES])
+    if errors is None:
+        for k in range(6):
+            shape["yaxis" + place(k + 1)["yaxis"][1:]]["rangemode"] = "tozero"
+    return Figure(data=data, layout=shape, height_px=640)
+
+
+def _banded(t_s: Array, values: Array, low: Array, high: Array, k: int) -> list[dict[str, Any]]:
+    """Return the traces of one of six plots: a band, a line with gaps, marks where a frame stands alone."""
+    where: dict[str, Any] = {**place(k + 1), "showlegend": False}
+    keep = thinned(np.where(np.isfinite(high), high, values))
+    known = np.isfinite(values)
+    gaps = np.flatnonzero(~known[1:] & known[:-1]) + 1  # the first frame of each gap, so that lines do not cross it
+    keep = np.unique(np.concatenate([keep, thinned(values), gaps[:MAX_PLOTTED]]))
+    x, y = t_s[keep], values[keep]
+    traces = [band(x, low[keep], high[keep], **where)] if np.isfinite(low).any() else []
+    mode = "lines+markers" if len(keep) <= MARKED else "lines"
+    traces.append(
+        {
+            "type": "scatter",
+            "x": x,
+            "y": y,
+            "mode": mode,
+            "line": {"color": BLUE, "width": 1.2},
+            "marker": {"size": 3},
+            "hovertemplate": "%{x:.3f} s: %{y:.4f}<extra></extra>",
+            **where,
+        }
+    )
+    alone = [a for a, b in runs(np.isfinite(y)) if b == a + 1]
+    if alone and mode == "lines":
+        marks = {"mode": "markers", "marker": {"size": 3, "color": BLUE}, "hoverinfo": "skip"}
+        traces.append({"type": "scatter", "x": x[alone], "y": y[alone], **marks, **where})
+    return traces
+
+
+def _marks_below(t_s: Array, k: int) -> list[dict[str, Any]]:
+    """Return red ticks along the bottom of plot k."""
+    if not len(t_s):
+        return []
+    some = t_s[np.unique(np.linspace(0, len(t_s) - 1, MAX_PLOTTED // 4).astype(int))]
+    return [
+        {
+            "type": "scatter",
+            "x": some,
+            "y": np.zeros(len(some)),
+            **place(k + 1, k + 7),
+            "mode": "markers",
+            "marker": {"symbol": "line-ns", "size": 7, "line": {"color": RED, "width": 1}},
+            "hoverinfo": "skip",
+            "showlegend": False,
+        }
+    ]
+
+
+def _six(titles: Any) -> dict[str, Any]:
+    """Return the layout of six plots in two columns over one time axis; y7..y12 lie over them for marks."""
+    out: dict[str, Any] = layout(hovermode="x", margin={"l": 60, "r": 16, "t": 12, "b": 40})
+    height, gap = 0.29, 0.065
+    for k, title in enumerate(titles):
+        column, row = divmod(k, 3)
+        top = 1.0 - row * (height + gap)
+        own, last = place(k + 1), row == 2
+        out["xaxis" + own["xaxis"][1:]] = axis(
+            "time, s" if last else "",
+            domain=[0.0, 0.455] if column == 0 else [0.545, 1.0],
+            anchor=own["yaxis"],
+            showticklabels=last,
+            **({"matches": "x"} if k else {}),
+        )
+        out["yaxis" + own["yaxis"][1:]] = axis(title, domain=[max(0.0, top - height), top], anchor=own["xaxis"])
+        out[f"yaxis{k + 7}"] = {
+            "overlaying": own["yaxis"],
+            "range": [-0.03, 1.0],
+            "visible": False,
+            "fixedrange": True,
+            "anchor": own["xaxis"],
+        }
+    return out
