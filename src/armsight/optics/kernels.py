@@ -237,7 +237,7 @@ DEPTH_DEVIATION = 1.0 / 3.0
 """A distance that is less than 3 standard deviations from infinite is not one: its covariance means nothing."""
 
 TRIANGULATE_STEPS = 30
-SETTLED = 1e-16  # relative fall of the cost
+SETTLED = 1e-9  # fall of chi-square, relative and absolute, that counts as none: 3e-5 of a deviation
 
 
 @njit(cache=True)
@@ -260,6 +260,19 @@ def centre_of(R, t, c):
 
 
 @njit(cache=True)
+def _parallel(rays):
+    """Tell whether two rays (2, 3) are parallel to rounding."""
+    cross2 = (
+        (rays[0, 1] * rays[1, 2] - rays[0, 2] * rays[1, 1]) ** 2
+        + (rays[0, 2] * rays[1, 0] - rays[0, 0] * rays[1, 2]) ** 2
+        + (rays[0, 0] * rays[1, 1] - rays[0, 1] * rays[1, 0]) ** 2
+    )
+    a2 = rays[0, 0] ** 2 + rays[0, 1] ** 2 + rays[0, 2] ** 2
+    b2 = rays[1, 0] ** 2 + rays[1, 1] ** 2 + rays[1, 2] ** 2
+    return not cross2 > PARALLEL_SINE**2 * a2 * b2
+
+
+@njit(cache=True)
 def triangulate_linear_point(k, R, t, uv, cov, X, S):
     """Fill X (3,), S (3, 3) from the pixels uv (2, 2) of both sides with cov (2, 2, 2); return the verdict.
 
@@ -267,41 +280,46 @@ def triangulate_linear_point(k, R, t, uv, cov, X, S):
     """
     A = np.empty((4, 3))
     b = np.empty(4)
-    N = np.zeros((2, 2, 2))  # covariance of the normalised rays
-    xy = np.empty(2)
-    J = np.empty((2, 2))
+    xy = np.empty((2, 2))
+    J = np.empty((2, 2, 2))
     rays = np.empty((2, 3))
     for s in range(2):
-        if not undistort_point(k[s], uv[s, 0], uv[s, 1], xy, J):
+        if not undistort_point(k[s], uv[s, 0], uv[s, 1], xy[s], J[s]):
             return NO_RAY
         for c in range(2):
             for j in range(3):
-                A[2 * s + c, j] = R[s, c, j] - xy[c] * R[s, 2, j]
-            b[2 * s + c] = xy[c] * t[s, 2] - t[s, c]
-            for e in range(2):
-                for f in range(2):
-                    for h in range(2):
-                        N[s, c, e] += J[c, f] * cov[s, f, h] * J[e, h]
+                A[2 * s + c, j] = R[s, c, j] - xy[s, c] * R[s, 2, j]
+            b[2 * s + c] = xy[s, c] * t[s, 2] - t[s, c]
         for j in range(3):
-            rays[s, j] = R[s, 0, j] * xy[0] + R[s, 1, j] * xy[1] + R[s, 2, j]
-    cross = np.cross(rays[0], rays[1])
-    if not np.dot(cross, cross) > PARALLEL_SINE**2 * np.dot(rays[0], rays[0]) * np.dot(rays[1], rays[1]):
+            rays[s, j] = R[s, 0, j] * xy[s, 0] + R[s, 1, j] * xy[s, 1] + R[s, 2, j]
+    if _parallel(rays):
         return PARALLEL
-    H = A.T @ A
+    H = np.zeros((3, 3))
+    g = np.zeros(3)
+    for r in range(4):
+        for i in range(3):
+            g[i] -= A[r, i] * b[r]
+            for j in range(3):
+                H[i, j] += A[r, i] * A[r, j]
     P = np.empty((3, 3))
-    if not (solve_damped(H, -(A.T @ b), 0.0, X) and invert_spd(H, P)):
+    if not (solve_damped(H, g, 0.0, X) and invert_spd(H, P)):
         return PARALLEL
-    M = P @ A.T  # (3, 4)
     S[:] = 0.0
     behind = False
+    G = np.empty((3, 2))  # d X / d pixel of one side
     for s in range(2):
         z = R[s, 2, 0] * X[0] + R[s, 2, 1] * X[1] + R[s, 2, 2] * X[2] + t[s, 2]
         behind |= not z > 0.0
         for i in range(3):
+            mx = P[i, 0] * A[2 * s, 0] + P[i, 1] * A[2 * s, 1] + P[i, 2] * A[2 * s, 2]
+            my = P[i, 0] * A[2 * s + 1, 0] + P[i, 1] * A[2 * s + 1, 1] + P[i, 2] * A[2 * s + 1, 2]
+            for c in range(2):
+                G[i, c] = z * (mx * J[s, 0, c] + my * J[s, 1, c])
+        for i in range(3):
+            gx = G[i, 0] * cov[s, 0, 0] + G[i, 1] * cov[s, 1, 0]
+            gy = G[i, 0] * cov[s, 0, 1] + G[i, 1] * cov[s, 1, 1]
             for j in range(3):
-                for c in range(2):
-                    for e in range(2):
-                        S[i, j] += z * z * M[i, 2 * s + c] * N[s, c, e] * M[j, 2 * s + e]
+                S[i, j] += gx * G[j, 0] + gy * G[j, 1]
     centre = np.empty(3)
     centre_of(R[0], t[0], centre)
     if _undetermined(X, S, centre):
@@ -369,7 +387,7 @@ def triangulate_ml_point(k, R, t, uv, cov, X, S):
         trial = X + step
         new = _point_normal(k, R, t, uv, W, trial, H2, g2)
         if new <= cost:
-            settled = cost - new <= SETTLED + 1e-12 * cost
+            settled = cost - new <= SETTLED * (1.0 + new)
             X[:] = trial
             cost = new
             H, H2 = H2, H
@@ -378,7 +396,7 @@ def triangulate_ml_point(k, R, t, uv, cov, X, S):
             if settled:
                 break
         else:
-            if abs(np.dot(step, g)) <= SETTLED + 1e-12 * cost:  # the promised fall is rounding
+            if abs(np.dot(step, g)) <= SETTLED * (1.0 + cost):
                 break
             damping = max(10.0 * damping, 1e-4)
     centre = np.empty(3)

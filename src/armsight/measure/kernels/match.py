@@ -1,0 +1,218 @@
+"""Compiled search for the one consistent assignment of the spots of both views to the target's names.
+
+Pairs of spots that agree with the epipolar constraint are triangulated; names are then given to pairs by
+depth-first search, cut wherever a distance between two of them is not the target's; what is left is judged by
+its reprojection.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from armsight.measure.kernels.pose import SOLVED, kabsch, refine_pose, weights
+from armsight.optics.kernels import (
+    BEHIND,
+    FOUND,
+    epipolar_residual,
+    quadratic_form_2,
+    rays_in_rig,
+    triangulate_linear_point,
+)
+
+MAX_PAIRS = 1024
+MAX_NODES = 2_000_000  # of the search; about 0.1 s
+
+
+@njit(cache=True)
+def candidate_pairs(k, R, t, baseline, uv_left, cov_left, uv_right, cov_right, slack2, gate):
+    """Return pairs (c, 2), uv (c, 2, 2), cov (c, 2, 2, 2), P (c, 3), S (c, 3, 3), and how many more lay behind.
+
+    gate: largest whitened squared epipolar distance, with slack2 added to every coordinate's variance, which is
+    in S as well. Pairs behind a camera or without a finite distance are counted or left out.
+    """
+    n_left = uv_left.shape[0]
+    n_right = uv_right.shape[0]
+    limit = min(n_left * n_right, MAX_PAIRS)
+    pairs = np.empty((limit, 2), np.intp)
+    uv = np.empty((limit, 2, 2))
+    cov = np.empty((limit, 2, 2, 2))
+    P = np.empty((limit, 3))
+    S = np.empty((limit, 3, 3))
+    d_left = np.empty((n_left, 3))
+    D_left = np.empty((n_left, 3, 2))
+    ok_left = np.empty(n_left, np.bool_)
+    d_right = np.empty((n_right, 3))
+    D_right = np.empty((n_right, 3, 2))
+    ok_right = np.empty(n_right, np.bool_)
+    rays_in_rig(k[0], R[0], uv_left, d_left, D_left, ok_left)
+    rays_in_rig(k[1], R[1], uv_right, d_right, D_right, ok_right)
+    g_left = np.empty(2)
+    g_right = np.empty(2)
+    wide = np.empty((2, 2, 2))
+    count = 0
+    behind = 0
+    for i in range(n_left):
+        for j in range(n_right):
+            if not (ok_left[i] and ok_right[j]) or count == limit:
+                continue
+            e = epipolar_residual(d_left[i], D_left[i], d_right[j], D_right[j], baseline, g_left, g_right)
+            variance = quadratic_form_2(cov_left[i], g_left) + quadratic_form_2(cov_right[j], g_right)
+            variance += slack2 * (g_left[0] ** 2 + g_left[1] ** 2 + g_right[0] ** 2 + g_right[1] ** 2)
+            if not e * e <= gate * variance:
+                continue
+            uv[count, 0] = uv_left[i]
+            uv[count, 1] = uv_right[j]
+            cov[count, 0] = cov_left[i]
+            cov[count, 1] = cov_right[j]
+            wide[:] = cov[count]
+            for s in range(2):
+                wide[s, 0, 0] += slack2
+                wide[s, 1, 1] += slack2
+            verdict = triangulate_linear_point(k, R, t, uv[count], wide, P[count], S[count])
+            if verdict == FOUND:
+                pairs[count, 0] = i
+                pairs[count, 1] = j
+                count += 1
+            elif verdict == BEHIND:
+                behind += 1
+    return pairs[:count], uv[:count], cov[:count], P[:count], S[:count], behind
+
+
+@njit(cache=True)
+def distance_fits(P, S, a, b, distance, gate):
+    """Tell whether the points a and b are `distance` apart within gate (squared deviations)."""
+    d = P[a] - P[b]
+    length2 = d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
+    variance = 0.0
+    for i in range(3):
+        for j in range(3):
+            variance += d[i] * (S[a, i, j] + S[b, i, j]) * d[j]
+    # variance of the length is variance / length^2
+    return (np.sqrt(length2) - distance) ** 2 * length2 <= gate * variance
+
+
+@njit(cache=True)
+def _allowed(name, candidate, chosen, pairs, P, S, D, gate):
+    """Tell whether the candidate may be `name` beside the names already chosen."""
+    for other in range(name):
+        c = chosen[other]
+        if c < 0:
+            continue
+        if pairs[c, 0] == pairs[candidate, 0] or pairs[c, 1] == pairs[candidate, 1]:
+            return False
+        if not distance_fits(P, S, c, candidate, D[other, name], gate):
+            return False
+    return True
+
+
+@njit(cache=True)
+def _judge(k, R, t, chosen, count, X, radius, normal, ellipse, pairs, uv, W, P, Rp, tp):
+    """Fit the pose to the chosen pairs; return chi-square, infinite where there is none."""
+    x = np.empty((count, 3))
+    p = np.empty((count, 3))
+    r = np.empty((count, 2))
+    z = np.empty((count, 2, 2))
+    w = np.empty((count, 2, 2, 2))
+    n = 0
+    for name in range(chosen.shape[0]):
+        c = chosen[name]
+        if c >= 0:
+            x[n] = X[name]
+            p[n] = P[c]
+            r[n, 0] = radius if ellipse[0, pairs[c, 0]] else 0.0
+            r[n, 1] = radius if ellipse[1, pairs[c, 1]] else 0.0
+            z[n] = uv[c]
+            w[n] = W[c]
+            n += 1
+    kabsch(x, p, Rp, tp)
+    state, chi2 = refine_pose(k, R, t, x, r, normal, z, w, Rp, tp, np.empty((6, 6)), np.empty((count, 2, 2)))
+    return chi2 if state == SOLVED else np.inf
+
+
+@njit(cache=True)
+def search(
+    k, R, t, X, D, radius, normal, ellipse, pairs, uv, cov, P, S, slack2, gate, limits, margin, names, chi2s, poses
+):
+    """Fill the best hypotheses and return (how many, how many names each has, whether the search was cut short).
+
+    X (m, 3) and D (m, m): the model and its distances. ellipse (2, n): which spots of each side are outlines of
+    discs. pairs .. S: from candidate_pairs. gate: on distances. limits (m + 1,): largest chi-square of a fit of
+    that many spots. margin: a hypothesis is kept while its chi-square is within margin of the best one's.
+    names (h, m) gets the pair of each name or -1, chi2s (h,) ascending, poses (h, 3, 4) rotation and translation.
+    Only hypotheses with the largest number of names are kept.
+    """
+    m = X.shape[0]
+    C = pairs.shape[0]
+    room = names.shape[0]
+    W = np.empty_like(cov)
+    if not weights(cov, slack2, W):
+        return 0, 0, False
+    chosen = np.full(m, -1, np.intp)
+    following = np.zeros(m, np.intp)
+    Rp = np.empty((3, 3))
+    tp = np.empty(3)
+    found = 0
+    best = 3
+    count = 0
+    level = 0
+    nodes = 0
+    while level >= 0:
+        nodes += 1
+        if nodes > MAX_NODES:
+            return found, best, True
+        if level == m:
+            chi2 = _judge(k, R, t, chosen, count, X, radius, normal, ellipse, pairs, uv, W, P, Rp, tp)
+            if chi2 <= limits[count]:
+                if count > best:
+                    found = 0
+                    best = count
+                found = _keep(found, room, margin, chosen, chi2, Rp, tp, names, chi2s, poses)
+            level -= 1
+            continue
+        if chosen[level] >= 0:  # come back from below: give the name up again
+            chosen[level] = -1
+            count -= 1
+        c = following[level]
+        while c < C and not _allowed(level, c, chosen, pairs, P, S, D, gate):
+            c += 1
+        if c < C:
+            chosen[level] = c
+            count += 1
+            following[level] = c + 1
+            level += 1
+            if level < m:
+                following[level] = 0
+        elif c == C and count + (m - level - 1) >= best:  # leave the name without a spot
+            following[level] = C + 1
+            level += 1
+            if level < m:
+                following[level] = 0
+        else:
+            level -= 1
+    return found, best, False
+
+
+@njit(cache=True)
+def _keep(found, room, margin, chosen, chi2, Rp, tp, names, chi2s, poses):
+    """Insert a hypothesis in ascending order of chi-square; return how many are kept."""
+    if found and chi2 > chi2s[0] + margin:
+        return found
+    at = found
+    while at > 0 and chi2s[at - 1] > chi2:
+        at -= 1
+    last = min(found, room - 1)
+    if at > last:
+        return found
+    for i in range(last, at, -1):
+        names[i] = names[i - 1]
+        chi2s[i] = chi2s[i - 1]
+        poses[i] = poses[i - 1]
+    names[at] = chosen
+    chi2s[at] = chi2
+    poses[at, :, :3] = Rp
+    poses[at, :, 3] = tp
+    found = last + 1
+    while chi2s[found - 1] > chi2s[0] + margin:
+        found -= 1
+    return found

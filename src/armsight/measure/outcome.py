@@ -1,0 +1,61 @@
+"""What one moment of both cameras gave, and what the next one may expect."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.records import Points, Spots, TargetPose, frozen_array
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Track:
+    """Where the lights were and how fast: hand it to the next call.
+
+    names: of the lights; xyz_m, velocity_m_s (n, 3) in rig axes at t_s. whole_t_s: when all of the target's lights were
+    last placed. complete: all of them were seen at t_s, so that windows around the predictions may replace the
+    search of the whole frame. half_window_px: of these windows.
+    """
+
+    t_s: float
+    whole_t_s: float
+    names: tuple[str, ...]
+    xyz_m: Array
+    velocity_m_s: Array
+    half_window_px: int
+    complete: bool
+
+    def __post_init__(self) -> None:
+        n = len(self.names)
+        object.__setattr__(self, "xyz_m", frozen_array("xyz_m", self.xyz_m, (n, 3)))
+        object.__setattr__(self, "velocity_m_s", frozen_array("velocity_m_s", self.velocity_m_s, (n, 3)))
+
+    def predict(self, t_s: float) -> Array:
+        """Return the lights' places (n, 3) at t_s: constant velocity."""
+        return np.asarray(self.xyz_m + (t_s - self.t_s) * self.velocity_m_s)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Measured:
+    """Everything found in one pair of frames.
+
+    points: in rig axes, each triangulated by itself. left, right: the matched spots, in the order of names.
+    left_seen, right_seen: all that were found (in the windows only, where tracked). track: for the next call.
+    alternatives: poses of other assignments of the names that fit as well. notes: what was left out, and why.
+    """
+
+    pose: TargetPose
+    points: Points
+    left: Spots
+    right: Spots
+    names: tuple[str, ...]
+    left_seen: Spots
+    right_seen: Spots
+    track: Track | None = None
+    alternatives: tuple[TargetPose, ...] = ()
+    notes: tuple[str, ...] = ()
+    tracked: bool = False

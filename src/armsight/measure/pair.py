@@ -1,0 +1,374 @@
+"""One moment of both cameras -> the target's pose: a pure function, with the track handed from call to call."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.errors import Inconsistent, NotConverged
+from armsight.measure.boardpair import measure_board_pair, swapped
+from armsight.measure.kernels.pose import project_points
+from armsight.measure.match import (
+    OUTLINE,
+    Assignment,
+    Match,
+    Pairs,
+    match_by_place,
+    match_few,
+    match_known,
+    pair_spots,
+)
+from armsight.measure.outcome import Measured, Track
+from armsight.measure.pose import Solved, lost, no_points, position_only, solve_frame, solve_points, solve_pose
+from armsight.measure.setup import Setup
+from armsight.measure.spots import find_spots, track_spots
+from armsight.measure.spots import warm_up as spots_warm_up
+from armsight.optics import SIDES, Camera, parallel_rig
+from armsight.records import Frame, PoseStatus, Spots, TargetPose, spot_target, unmeasured_target
+
+__all__ = ["Measured", "Setup", "Track", "measure_pair", "measure_spots", "warm_up"]
+
+Array = NDArray[np.float64]
+
+MAX_GAP_S = 0.5
+"""A track older than this predicts nothing: hand-held targets turn round in less than a second."""
+
+FIRST_WINDOW_PX = 32
+"""Half the window before a velocity is known: 0.5 m/s at 0.6 m, 30 frames a second and f = 1130 px."""
+
+LEAST_WINDOW_PX = 8
+"""Half the smallest window, beside the spot itself."""
+
+SPOT_REACH = 4.0
+"""A spot's light reaches about this many of its sigmas (or radii)."""
+
+LOOSE = 8.0
+"""Factor on the slack with which a set of spots that does not fit is tried again, only to say by how much."""
+
+
+def measure_pair(setup: Setup, left: Frame, right: Frame, track: Track | None = None) -> Measured:
+    """Return the target's pose from one pair of frames, with everything it came from.
+
+    track: of the call before; the spots are then looked for in windows around their predicted places, and in the
+    whole frame only where that fails. Raises Inconsistent where a frame has not the size of the rig's camera, or
+    where left and right are swapped. What can happen to a good recording (a light hidden, a reflection, nobody
+    there) raises nothing: the status and `why` of the pose say it.
+    """
+    _check_sizes(setup, left, right)
+    t_s = 0.5 * (left.t_s + right.t_s)
+    if setup.target.is_board:
+        return measure_board_pair(setup, left, right, t_s)
+    if track is not None and not 0.0 < t_s - track.t_s <= MAX_GAP_S:
+        track = None
+    if track is not None and track.complete:
+        measured = _measure_windows(setup, left, right, t_s, track)
+        if measured is not None:
+            return measured
+    left_seen, right_seen = find_spots(left.image, setup.settings), find_spots(right.image, setup.settings)
+    return measure_spots(setup, t_s, left_seen, right_seen, track)
+
+
+def warm_up() -> None:
+    """Compile (or load from the cache) all that measure_pair runs, so that no frame waits for it.
+
+    Raises NotConverged where the code does not find a target that is plainly there.
+    """
+    spots_warm_up()
+    rig = parallel_rig(Camera.pinhole(320, 240, 250.0, 250.0, 160.0, 120.0), 0.1)
+    xyz = np.array([[-0.05, 0.0, 0.0], [0.05, 0.04, 0.0], [0.03, -0.04, 0.0]])
+    y, x = np.mgrid[0:240, 0:320]
+    images = [
+        sum(150.0 * np.exp(-((x - u) ** 2 + (y - v) ** 2) / 8.0) for u, v in uv).astype(np.uint8)
+        for uv in rig.project(xyz + np.array([0.05, 0.0, 0.5]))
+    ]
+    for target in (spot_target(dict(zip("ABC", map(tuple, xyz.tolist()), strict=True))), unmeasured_target()):
+        setup, track = Setup(rig, target), None
+        for number in range(3):
+            frames = [Frame(image=image, t_s=0.01 * number, sequence=number, source="warm-up") for image in images]
+            measured = measure_pair(setup, frames[0], frames[1], track)
+            track = measured.track
+            if measured.pose.status is not PoseStatus.OK:
+                raise NotConverged(f"the check at start-up failed: {measured.pose.why}", cure="Install armsight anew")
+
+
+def measure_spots(setup: Setup, t_s: float, left: Spots, right: Spots, track: Track | None = None) -> Measured:
+    """Return the pose from all spots found in both views at t_s; see measure_pair."""
+    pairs = pair_spots(setup.packed, left, right, setup.slack_px)
+    match = _match(setup, left, right, pairs, _expected(setup, track, t_s))
+    if match.best is None and match.alternatives:
+        return _ambiguous(setup, t_s, left, right, pairs, match, track)
+    if match.best is None:
+        if track is None:
+            _refuse_swapped(setup, left, right)
+        why = _explain(setup, left, right, pairs, match.why)
+        return _nothing(t_s, left, right, why, track)
+    solved = _solve(setup, t_s, left, right, pairs, match.best)
+    if solved.pose.status is PoseStatus.LOST:
+        return _nothing(t_s, left, right, solved.pose.why, track)
+    index = pairs.index[match.best.pair]
+    return Measured(
+        pose=solved.pose,
+        points=solved.points,
+        left=_take(left, index[:, 0]),
+        right=_take(right, index[:, 1]),
+        names=match.best.names,
+        left_seen=left,
+        right_seen=right,
+        track=_next_track(setup, t_s, solved, left, right, track),
+        alternatives=_poses(setup, t_s, left, right, pairs, match.alternatives),
+        notes=_left_out(setup, solved, left, right),
+    )
+
+
+def _check_sizes(setup: Setup, left: Frame, right: Frame) -> None:
+    for side, frame in zip(SIDES, (left, right), strict=True):
+        camera = setup.rig.camera(side)
+        if (frame.width, frame.height) != (camera.width, camera.height):
+            raise Inconsistent(
+                f"{frame.source}: the {side} image is {frame.width}x{frame.height} px, "
+                f"the rig's {side} camera {camera.width}x{camera.height} px",
+                consequence="Its pixels have no rays",
+                cure="Use frames of the size the rig was calibrated with, or calibrate at this size",
+            )
+
+
+def _measure_windows(setup: Setup, left: Frame, right: Frame, t_s: float, track: Track) -> Measured | None:
+    """Return the pose from windows around the predicted spots; None where not every one of them is found and fits."""
+    n = len(track.names)
+    expected = np.empty((n, 2, 2))
+    packed = setup.packed
+    if not project_points(packed.k, packed.R, packed.t, track.predict(t_s), expected):
+        return None
+    uv, cov = np.empty((n, 2, 2)), np.empty((n, 2, 2, 2))
+    seen = []
+    for side, frame in enumerate((left, right)):
+        spots, of = track_spots(frame.image, expected[:, side], track.half_window_px, setup.settings)
+        if len(spots) != n or (np.bincount(of, minlength=n) != 1).any():
+            return None
+        order = np.argsort(of)
+        spots = _take(spots, order)
+        uv[:, side], cov[:, side] = spots.uv_px, spots.covariance_px2
+        seen.append(spots)
+    radius = _radii(setup, seen[0], seen[1], np.arange(n)[:, None].repeat(2, axis=1))
+    solved = _solve_named(setup, t_s, track.names, uv, cov, radius)
+    if not solved.fits or solved.pose.status is PoseStatus.LOST:
+        return None
+    off = float(np.abs(uv - expected).max())
+    return Measured(
+        pose=solved.pose,
+        points=solved.points,
+        left=seen[0],
+        right=seen[1],
+        names=track.names,
+        left_seen=seen[0],
+        right_seen=seen[1],
+        track=_next_track(setup, t_s, solved, seen[0], seen[1], track, off_px=off),
+        tracked=True,
+    )
+
+
+def _expected(setup: Setup, track: Track | None, t_s: float) -> Array | None:
+    """Return the predicted places (m, 3) in the order of the target's names, NaN where there is none."""
+    if track is None:
+        return None
+    predicted = track.predict(t_s)
+    if track.names == setup.model.names:
+        return predicted
+    out = np.full((len(setup.model), 3), np.nan)
+    for name, place in zip(track.names, predicted, strict=True):
+        out[setup.model.names.index(name)] = place
+    return out
+
+
+def _match(setup: Setup, left: Spots, right: Spots, pairs: Pairs, expected: Array | None) -> Match:
+    """Name the spots: by the target's geometry, by their order in the image, or as far as one or two lights go."""
+    known, model = setup.target.model_known, setup.model
+    if not len(pairs.index):
+        return Match(best=None, why="")
+    match = Match(best=None)
+    if known and len(model) >= 3:
+        match = match_known(setup.packed, model, left, right, pairs, predicted_m=expected, slack_px=setup.slack_px)
+    elif len(model) >= 3:
+        match = match_by_place(left, right, pairs)
+    few = min(len(np.unique(pairs.index[:, side])) for side in range(2)) <= min(2, len(model))
+    if match.best is None and not match.alternatives and (few or len(model) < 3):
+        return match_few(model, pairs, known=known, predicted_m=expected)
+    return match
+
+
+def _solve(setup: Setup, t_s: float, left: Spots, right: Spots, pairs: Pairs, chosen: Assignment) -> Solved:
+    uv, cov = pairs.uv_px[chosen.pair], pairs.cov_px2[chosen.pair]
+    radius = _radii(setup, left, right, pairs.index[chosen.pair])
+    return _solve_named(setup, t_s, chosen.names, uv, cov, radius)
+
+
+def _radii(setup: Setup, left: Spots, right: Spots, index: NDArray[np.intp]) -> Array:
+    """Return (n, 2): the radius of the flat light where the spot (n, 2 positions) is its outline, else 0."""
+    radius = np.zeros(index.shape)
+    if setup.model.radius_m > 0.0:
+        for side, spots in enumerate((left, right)):
+            outline = [spots.model[i] == OUTLINE for i in index[:, side]]
+            radius[outline, side] = setup.model.radius_m
+    return radius
+
+
+def _solve_named(setup: Setup, t_s: float, names: tuple[str, ...], uv: Array, cov: Array, radius: Array) -> Solved:
+    """Return the pose of three or more named spots (the frame of an unmeasured target), or the place of fewer."""
+    model = setup.model
+    if len(names) < 3:
+        points, residual, why = solve_points(setup.packed, names, uv, cov)
+        if why:
+            return Solved(pose=lost(t_s, why), points=points, fits=False)
+        why = "" if len(names) == len(model) else f"{len(names)} of {len(model)} spots seen"
+        why = f"{why or 'a target of one or two spots'}: only their position is known"
+        return Solved(pose=position_only(t_s, points, residual, why), points=points)
+    if not setup.target.model_known:
+        return solve_frame(setup.packed, t_s, names, uv, cov)
+    rows = model.xyz_m if names == model.names else model.xyz_m[[model.names.index(name) for name in names]]
+    return solve_pose(setup.packed, t_s, names, rows, uv, cov, radius, model.normal, slack_px=setup.slack_px)
+
+
+def _poses(
+    setup: Setup, t_s: float, left: Spots, right: Spots, pairs: Pairs, others: tuple[Assignment, ...]
+) -> tuple[TargetPose, ...]:
+    return tuple(_solve(setup, t_s, left, right, pairs, other).pose for other in others)
+
+
+def _ambiguous(
+    setup: Setup, t_s: float, left: Spots, right: Spots, pairs: Pairs, match: Match, track: Track | None
+) -> Measured:
+    """Return all hypotheses, and the position where they agree on the lights and differ only in the names."""
+    first = match.alternatives[0]
+    alternatives = _poses(setup, t_s, left, right, pairs, match.alternatives)
+    same = all(set(a.pair.tolist()) == set(first.pair.tolist()) for a in match.alternatives)
+    if not same:
+        return replace(_nothing(t_s, left, right, match.why, track), alternatives=alternatives)
+    names = ("?",) * len(first.pair)
+    points, residual, why = solve_points(setup.packed, names, pairs.uv_px[first.pair], pairs.cov_px2[first.pair])
+    if why:
+        return replace(_nothing(t_s, left, right, match.why, track), alternatives=alternatives)
+    index = pairs.index[first.pair]
+    return Measured(
+        pose=position_only(t_s, points, residual, match.why),
+        points=points,
+        left=_take(left, index[:, 0]),
+        right=_take(right, index[:, 1]),
+        names=names,
+        left_seen=left,
+        right_seen=right,
+        track=track,
+        alternatives=alternatives,
+    )
+
+
+def _nothing(t_s: float, left: Spots, right: Spots, why: str, track: Track | None) -> Measured:
+    """Return a lost moment; the track, as old as it is, may still help the next one."""
+    none = Spots.none()
+    return Measured(
+        pose=lost(t_s, why),
+        points=no_points(),
+        left=none,
+        right=none,
+        names=(),
+        left_seen=left,
+        right_seen=right,
+        track=track,
+    )
+
+
+def _refuse_swapped(setup: Setup, left: Spots, right: Spots) -> None:
+    """Raise Inconsistent where the target is found only with left and right exchanged."""
+    if len(setup.model) < 3 or min(len(left), len(right)) < 3:
+        return
+    pairs = pair_spots(setup.packed, right, left, setup.slack_px)
+    match = _match(setup, right, left, pairs, None)
+    if match.alternatives or (match.best is not None and len(match.best.names) >= 3):
+        raise swapped()
+
+
+def _explain(setup: Setup, left: Spots, right: Spots, pairs: Pairs, why: str) -> str:
+    """Return why no pose could be given, with the size of the misfit where there is one."""
+    if not len(left) and not len(right):
+        return "no spot in either image"
+    if not len(left) or not len(right):
+        return f"no spot in the {'right' if len(left) else 'left'} image"
+    if not len(pairs.index) and pairs.behind:
+        return "every pair of spots lies behind the cameras: left and right may be swapped"
+    slack = LOOSE * setup.slack_px
+    loose = pair_spots(setup.packed, left, right, slack)
+    if setup.target.model_known and len(setup.model) >= 3 and len(loose.index):
+        match = match_known(setup.packed, setup.model, left, right, loose, slack_px=slack)
+        if match.best is not None:
+            solved = _solve(setup, 0.0, left, right, loose, match.best)
+            return solved.pose.why or why
+    if not len(pairs.index):
+        return "no spot of the left image agrees with one of the right image (epipolar distance)"
+    return why
+
+
+def _left_out(setup: Setup, solved: Solved, left: Spots, right: Spots) -> tuple[str, ...]:
+    """Return a note for every light of the target that was not used, with the nearest spot to its place."""
+    if solved.R is None or not setup.target.model_known or len(solved.points) == len(setup.model):
+        return ()
+    notes = []
+    for name, place in zip(setup.model.names, setup.model.xyz_m @ solved.R.T + solved.t_m, strict=True):
+        if name in solved.points.names:
+            continue
+        words = []
+        for side, spots, uv in zip(SIDES, (left, right), setup.rig.project(place), strict=True):
+            near = float(np.linalg.norm(spots.uv_px - uv[0], axis=1).min())
+            words.append(f"{near:.1f} px in the {side} image")
+        notes.append(f"{name} left out: the spot nearest to its place is off by {' and '.join(words)}")
+    return tuple(notes)
+
+
+def _next_track(
+    setup: Setup,
+    t_s: float,
+    solved: Solved,
+    left: Spots,
+    right: Spots,
+    track: Track | None,
+    off_px: float | None = None,
+) -> Track | None:
+    """Return where the lights are and how fast they go; lights not seen go on as they went."""
+    if "?" in solved.points.names:
+        return None
+    whole = len(solved.points) == len(setup.model)
+    if solved.R is not None and setup.target.model_known:
+        names, places = setup.model.names, setup.model.xyz_m @ solved.R.T + solved.t_m
+    else:
+        names, places = solved.points.names, solved.points.xyz_m
+    before = dict(zip(track.names, zip(track.xyz_m, track.velocity_m_s, strict=True), strict=True)) if track else {}
+    dt = t_s - track.t_s if track else 0.0
+    velocity = np.zeros_like(places)
+    if track is not None and names == track.names:
+        velocity = (places - track.xyz_m) / dt
+    elif track is not None:
+        for i, name in enumerate(names):
+            if name in before:
+                velocity[i] = (places[i] - before[name][0]) / dt
+        missing = [name for name in track.names if name not in names] if t_s - track.whole_t_s <= MAX_GAP_S else []
+        names = (*names, *missing)
+        places = np.vstack([places, *(before[name][0] + dt * before[name][1] for name in missing)])
+        velocity = np.vstack([velocity, *(before[name][1] for name in missing)])
+    reach = SPOT_REACH * max(float(left.size_px.max()), float(right.size_px.max()))
+    slip = FIRST_WINDOW_PX if off_px is None else LEAST_WINDOW_PX + 2.0 * off_px
+    return Track(
+        t_s=t_s,
+        whole_t_s=t_s if whole or track is None else track.whole_t_s,
+        names=names,
+        xyz_m=places,
+        velocity_m_s=velocity,
+        half_window_px=int(np.ceil(reach + min(slip, FIRST_WINDOW_PX))),
+        complete=whole,
+    )
+
+
+def _take(spots: Spots, index: NDArray[np.intp]) -> Spots:
+    """Return the spots in the order of index; itself where that changes nothing."""
+    if len(index) == len(spots) and (index[:-1] < index[1:]).all():
+        return spots
+    return spots.take(index)
