@@ -80,8 +80,8 @@ def board_light(rays: Array, board: Board, T_camera_board: RigidTransform) -> Li
 BOARD_MARGIN_PX = 12.0
 """How far inside both images every corner of the outer squares must be."""
 
-BOARD_TRIES = 2000
-"""Poses drawn before a board is said not to fit; about one in five fits at the default sizes."""
+BOARD_TRIES = 200
+"""Poses drawn before a board is said not to fit; about one in two fits at the default sizes."""
 
 
 def random_board_pose(

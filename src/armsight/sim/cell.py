@@ -55,7 +55,9 @@ class Cell:
     def truth(self) -> tuple[Truth, ...]:
         """Time in s, position in m and scalar-last quaternion of the target in every frame."""
         t_s = np.arange(self.n_frames) / self.fps
-        return tuple((float(t), *xyz_quat(pose)) for t, pose in zip(t_s, self.path(t_s), strict=True))
+        poses = self.path(t_s)
+        xyz, quat = np.asarray(poses.translation), poses.rotation.as_quat(canonical=True)
+        return tuple(zip(t_s.tolist(), xyz, quat, strict=True))
 
     def pair(self, index: int) -> tuple[Frame, Frame]:
         """Return the left and right frame number index."""

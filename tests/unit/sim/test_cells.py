@@ -1,0 +1,187 @@
+"""Simulated cells: truth, seeds, mishaps, and boards, checked with OpenCV's projection and detectors."""
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from armsight.errors import Inconsistent, UsageError
+from armsight.sim import (
+    Board,
+    Lens,
+    Sensor,
+    beacon_cell,
+    board_cell,
+    board_light,
+    cells,
+    corner_rays,
+    led_cell,
+    webcam_cell,
+)
+
+QUIET = Sensor(electrons_per_level=np.inf, read_noise_level=0.0)
+
+
+def small(seed=3, frames=4, **options):
+    return led_cell(seed, frames, **({"width": 320, "height": 180, "sigma_px": 1.2} | options))
+
+
+def opencv_pixels(rig, side, points_m):
+    """Pixels (n, 2) of points in rig axes, from the rig.yaml structure alone."""
+    c = rig["cameras"][side]
+    pose = c["T_rig_camera"]
+    R = Rotation.from_quat(pose["quat_xyzw"]).as_matrix().T
+    K = np.array([[c["fx"], c["skew"], c["cx"]], [0, c["fy"], c["cy"]], [0, 0, 1]])
+    t = -R @ np.array(pose["xyz_m"])
+    return cv2.projectPoints(np.asarray(points_m), cv2.Rodrigues(R)[0], t, K, np.array(c["distortion"]))[0][:, 0]
+
+
+def true_points(cell, index):
+    _, xyz, quat = cell.truth[index]
+    return Rotation.from_quat(quat).apply(np.array(list(cell.target["spots_m"].values()))) + xyz
+
+
+def centroid(light, uv, half):
+    """Centre of the light in a window about uv."""
+    i, j = np.round(uv).astype(int)
+    window = light[j - half : j + half + 1, i - half : i + half + 1].astype(float)
+    v, u = np.mgrid[j - half : j + half + 1, i - half : i + half + 1]
+    return np.array([(window * u).sum(), (window * v).sum()]) / window.sum()
+
+
+@pytest.mark.parametrize(("diameter_m", "tolerance_px"), [(None, 2e-3), (0.012, 0.02)])
+def test_the_light_falls_where_the_true_poses_say(diameter_m, tolerance_px):
+    """Tolerance: the path's curvature within the exposure; for discs the perspective shift of their centre."""
+    cell = small(frames=40, diameter_m=diameter_m, width=640, height=360, sigma_px=1.5)
+    for index in (0, 20, 39):
+        points, t_s = true_points(cell, index), cell.truth[index][0]
+        assert t_s == index / 60.0
+        for side, camera in cell.cameras.items():
+            want = opencv_pixels(cell.rig, side, points)
+            visible = cell.centres_px(index, side)
+            light = (camera.light(cell.lights, cell.path, t_s) - camera.backdrop)[:, :, 0]
+            for name, uv in zip("ABC", want, strict=True):
+                np.testing.assert_allclose(centroid(light, uv, 11), uv, atol=tolerance_px)
+                assert name not in visible or np.allclose(visible[name], uv, atol=1e-9)
+
+
+def test_every_light_stays_in_both_views():
+    for seed in range(3):
+        cell = webcam_cell(seed, 2000)
+        corners = np.array(list(cell.target["spots_m"].values()))
+        points = np.concatenate([Rotation.from_quat(quat).apply(corners) + xyz for _, xyz, quat in cell.truth[::7]])
+        for side in ("left", "right"):
+            uv = opencv_pixels(cell.rig, side, points)
+            assert (uv > 20).all()
+            assert (uv < (1260, 700)).all()
+
+
+def test_a_frame_depends_on_its_seed_and_index_only():
+    cell, again, other = small(), small(), small(seed=4)
+    later = again.pair(2)
+    frames = list(cell.frames())
+    for a, b in zip(frames[2], later, strict=True):
+        np.testing.assert_array_equal(a.image, b.image)
+    assert (frames[2][0].image != other.pair(2)[0].image).mean() > 0.3
+    assert (frames[2][0].image != frames[2][1].image).mean() > 0.3
+    assert not np.allclose(cell.truth[0][1], other.truth[0][1])
+    longer = small(frames=9)
+    np.testing.assert_array_equal(longer.truth[3][1], cell.truth[3][1])
+
+
+def test_mishaps_happen_when_they_are_planned():
+    cell = small(frames=200, sensor=QUIET, hot_pixels=0)
+    covered = {side: [3 - len(cell.centres_px(k, side)) for k in range(200)] for side in ("left", "right")}
+    both = np.array(covered["left"]) + np.array(covered["right"])
+    assert (both == 6).sum() == 4
+    assert 0.05 < (both > 0).mean() < 0.15
+    assert (both[:25] == 0).all()
+    lost = int(np.argmax(both == 6))
+    assert cell.pair(lost)[0].image.max() < 15
+    ghost = next(e for e in cell.events if e.ghosts)
+    u, v = np.round(ghost.ghosts[0].uv_px).astype(int)
+    assert cell.pair(ghost.first)[1].image[v, u] > 100
+    assert cell.pair(ghost.last)[1].image[v, u] < 15
+    assert all(any(e.note in text for text in cell.assumptions) for e in cell.events)
+    assert small(frames=200, mishaps=False).events == ()
+    assert small(frames=10).events == ()
+
+
+def test_the_beacon_is_red_and_where_it_should_be():
+    cell = beacon_cell(1, 2, width=320, height=240)
+    left, right = cell.pair(1)
+    assert left.image.shape == (240, 320, 3)
+    for side, frame in (("left", left), ("right", right)):
+        (uv,) = opencv_pixels(cell.rig, side, true_points(cell, 1))
+        i, j = np.round(uv).astype(int)
+        blue, green, red = frame.image[j, i].astype(int)
+        assert red > 150
+        assert max(blue, green) < red - 60
+    assert cell.target["colour"] == "red"
+
+
+def test_board_edges_match_brute_force():
+    """A crop, cast with 40 x 40 rays a pixel by plain numpy, without the lens's blur."""
+    lens = Lens(
+        width=120, height=90, focal_px=(150.0, 151.0), centre_px=(60.0, 44.0), distortion=(0.2, -0.1, 0.01, 0.0, 0.0)
+    )
+    board = Board(columns=4, rows=3, square_m=0.03, blur_px=0.0)
+    pose = RigidTransform.from_components([-0.05, -0.03, 0.3], Rotation.from_rotvec([0.4, -0.3, 0.2]))
+    light = board_light(corner_rays(lens), board, pose)[:, :, 0]
+    fine = (np.arange(40) + 0.5) / 40 - 0.5
+    u, v = np.meshgrid((np.arange(20, 70)[:, None] + fine).ravel(), (np.arange(10, 50)[:, None] + fine).ravel())
+    rays = lens.rays(np.stack([u, v], axis=-1))
+    rays = np.concatenate([rays, np.ones((*rays.shape[:2], 1))], axis=-1)
+    R, t = pose.rotation.as_matrix(), np.asarray(pose.translation)
+    hits = (rays * ((t @ R[:, 2]) / (rays @ R[:, 2]))[..., None] - t) @ R / 0.03
+    a, b = np.floor(hits[..., 0]).astype(int), np.floor(hits[..., 1]).astype(int)
+    shade = np.where((a + b) % 2 == 0, board.black, board.white)
+    shade = np.where((a < -1) | (b < -1) | (a > 3) | (b > 2), board.white, shade)
+    shade = np.where((a < -2) | (b < -2) | (a > 4) | (b > 3), board.room, shade)
+    want = shade.reshape(40, 40, 50, 40).mean(axis=(1, 3))
+    difference = light[10:50, 20:70] - want
+    assert np.abs(difference).max() < 8.0  # 5 % of the contrast in a pixel: 89 rays
+    assert np.sqrt((difference**2).mean()) < 1.0
+    assert abs(difference.mean()) < 0.03
+
+
+def test_boards_are_found_where_they_are():
+    cell = board_cell(5, 3, width=640, height=360)
+    corners = np.array([[c * 0.025, r * 0.025, 0.0] for r in range(6) for c in range(9)])
+    for index, frames in enumerate(cell.frames()):
+        _, xyz, quat = cell.truth[index]
+        for side, frame in zip(("left", "right"), frames, strict=True):
+            want = opencv_pixels(cell.rig, side, Rotation.from_quat(quat).apply(corners) + xyz)
+            assert cv2.findChessboardCornersSB(frame.image, (9, 6))[0]
+            start = want.astype(np.float32)[:, None].copy()
+            seen = cv2.cornerSubPix(frame.image, start, (4, 4), (-1, -1), (3, 100, 1e-6))[:, 0]
+            assert np.sqrt(((seen - want) ** 2).mean()) < 0.07  # OpenCV's own scatter is 0.04 px
+            assert np.abs((seen - want).mean(axis=0)).max() < 0.02  # no shift of the pixel grid
+    assert cell.board == "checkerboard:9x6:0.025"
+
+
+def test_a_board_that_cannot_be_seen_is_refused():
+    rays = corner_rays(Lens(width=16, height=12, focal_px=(20.0, 20.0), centre_px=(8.0, 6.0)))
+    with pytest.raises(Inconsistent, match="behind"):
+        board_light(rays, Board(), RigidTransform.from_translation([0.0, 0.0, -1.0]))
+    with pytest.raises(UsageError, match="no pose"):
+        board_cell(0, 1, printed=Board(square_m=0.5))
+
+
+@pytest.mark.parametrize("maker", [webcam_cell, led_cell, beacon_cell, board_cell])
+def test_no_frames_are_refused(maker):
+    with pytest.raises(UsageError):
+        maker(0, 0)
+
+
+def test_the_built_in_cells_have_names_and_say_what_was_chosen():
+    assert "webcam-cell" in cells()
+    cell = webcam_cell(0, 300)
+    assert cell.name == "webcam-cell"
+    assert len(cell.truth) == 300
+    assert cell.rig["kind"] == "stereo"
+    left, _ = cell.pair(0)
+    assert left.image.shape == (720, 1280)
+    text = " ".join(cell.assumptions)
+    for chosen in ("fx", "distortion", "shutters", "electrons", "hot pixels", "sigma", "path", "mm"):
+        assert chosen in text
