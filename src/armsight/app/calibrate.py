@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from armsight.app.boards import Seen, in_parallel, other_size, see_board
-from armsight.calibrate import CameraCalibration, StereoCalibration
+from armsight.app.reporting import write_camera_report, write_stereo_report
+from armsight.calibrate import BoardOptions, CameraCalibration, StereoCalibration
 from armsight.calibrate import calibrate_camera as solve_camera
 from armsight.calibrate import calibrate_stereo as solve_stereo
 from armsight.drivers import is_live, list_images, open_pairs, open_source
 from armsight.drivers.sources import VIDEO_SUFFIXES
-from armsight.errors import Cancelled, Inconsistent, NotEnoughData
-from armsight.optics import Rig
+from armsight.errors import Cancelled, NotEnoughData
 from armsight.records import BoardView, Frame, NamedCovariance, Progress, Silent, Target
 from armsight.store import parse_board, write_camera, write_rig
 
@@ -35,13 +35,14 @@ POSE_UNITS: Mapping[str, str] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrateJob:
-    """Board as text, where to put the result, every how manyth frame to use (videos), and the sources."""
+    """Board as text, where to put the result, every how manyth frame to use (videos), folds of the left-out error."""
 
     board: str
     out: Path
     every: int = 1
     limit: int | None = None
     workers: int | None = None
+    folds: int = BoardOptions().folds
     source: str = ""
     left: str = ""
     right: str = ""
@@ -66,8 +67,9 @@ def calibrate_camera(job: CalibrateJob, progress: Progress | None = None) -> dic
             _tell(progress, len(views) + len(rejected), total)
     _require(views, rejected, first, board, job.board)
     progress.update(0, 0, "solving")
-    done = solve_camera(views, board)
+    done = solve_camera(views, board, BoardOptions(folds=job.folds), progress)
     write_camera(job.out, done.camera, covariance=done.covariance, rms_px=done.rms_px, inputs=_inputs(job.source))
+    write_camera_report(report_path(job.out), done, board=job.board, rejected=rejected)
     return camera_content(done, rejected)
 
 
@@ -101,9 +103,9 @@ def calibrate_stereo(job: CalibrateJob, progress: Progress | None = None) -> dic
             _tell(progress, done, total)
     _require(views[0], rejected, first, board, job.board)
     progress.update(0, 0, "solving")
-    result = solve_stereo(views[0], views[1], board)
-    refuse_swapped(result.rig)
+    result = solve_stereo(views[0], views[1], board, BoardOptions(folds=job.folds), progress)
     write_rig(job.out, result.rig, inputs=[*_inputs(job.left), *_inputs(job.right)])
+    write_stereo_report(report_path(job.out), result, board=job.board, n_pairs=done, rejected=rejected)
     return stereo_content(result, rejected, n_pairs=done)
 
 
@@ -123,6 +125,7 @@ def camera_content(done: CameraCalibration, rejected: Sequence[Rejected]) -> dic
         "distortion": done.camera.distortion.tolist(),
         "std": _std(done.covariance),
         "holdout_rms_px": done.holdout_rms_px,
+        "advice": list(done.advice),
     }
 
 
@@ -135,23 +138,25 @@ def stereo_content(result: StereoCalibration, rejected: Sequence[Rejected], *, n
         "n_pairs": n_pairs,
         "n_used": result.n_used,
         "rejected": _rejected([*rejected, *result.rejected]),
-        "std": _std(result.rig.covariance),
+        "std": {**_std(result.rig.covariance), "baseline_m": result.baseline_std_m},
         "holdout_rms_px": result.holdout_rms_px,
         "holdout_epipolar_rms_px": result.holdout_epipolar_rms_px,
         "metric": dict(result.metric),
+        "metric_is_left_out": result.metric_is_left_out,
+        "alignment": alignment_content(result),
+        "advice": list(result.advice),
     }
 
 
-def refuse_swapped(rig: Rig) -> None:
-    """Raise Inconsistent where the camera called right stands on the left of the one called left."""
-    x, y, z = (rig.T_rig_left.inv() * rig.T_rig_right).translation.tolist()
-    if x < 0.0 and abs(x) > max(abs(y), abs(z)):
-        raise Inconsistent(
-            f"left and right are swapped, or both images are mirrored: the right camera stands {-x * 1e3:.1f} mm "
-            "to the left of the left one",
-            consequence="No rig is written: every later use would call its views by the wrong name",
-            cure="Exchange the sources of --left and --right; if they are right, switch off the cameras' mirroring",
-        )
+def alignment_content(result: StereoCalibration) -> dict[str, float]:
+    """Return how parallel the pair stands, as --json gives it."""
+    names = ("convergence_rad", "vertical_rad", "vertical_px", "roll_rad", "height_m", "advance_m")
+    return {name: getattr(result.parallelism, name) for name in names}
+
+
+def report_path(out: Path) -> Path:
+    """Return where the report of a calibration file goes: rig.yaml -> rig.report.html."""
+    return out.with_suffix(".report.html")
 
 
 def _sort(frame: Frame, seen: Seen, views: list[BoardView], rejected: list[Rejected]) -> None:

@@ -10,20 +10,22 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from armsight.app.cells import CellPairs, load_cell, write_cell_files
 from armsight.app.measure import run
 from armsight.app.outputs import Summary
-from armsight.geometry import pose_difference, pose_from_quat
-from armsight.measure import Measured, Setup, SpotSettings
-from armsight.records import Frame, PoseStatus, Progress, Silent, TargetPose
+from armsight.app.reporting import About
+from armsight.geometry import pose_from_quat
+from armsight.measure.pair import Setup
+from armsight.measure.settings import SpotSettings
+from armsight.records import Progress, Silent
+from armsight.report.measure import INSIDE_95
+from armsight.report.series import SCALE, errors_of
 from armsight.store import rig_from_mapping, target_from_mapping, write_json
 from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
 
-INSIDE_95 = float(chi2.ppf(0.95, 6))
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 
@@ -34,7 +36,7 @@ class DemoResult:
     summary: Summary
     errors: Array
     claimed: Array
-    inside_95: float
+    inside_95: float | None
     seconds: float
     assumptions: tuple[str, ...]
 
@@ -85,40 +87,27 @@ def demo(
         settings=SpotSettings(),
     )
     write_cell_files(made, out, seed=seed, frames=frames)
-    poses: list[TargetPose] = []
-
-    def keep(left: Frame, right: Frame, measured: Measured, pose: TargetPose) -> None:
-        poses.append(pose)
-
+    truth = [pose_from_quat(xyz_m, quat_xyzw) for _, xyz_m, quat_xyzw in made.truth]
+    about = About(
+        title=f"Demonstration: {cell}",
+        facts=[("frames", f"simulated, {made.fps:g} a second, seed {seed}")],
+        assumptions=made.assumptions,
+        truth=truth,
+    )
     pairs = CellPairs(made, frames, folder=out if keep_frames else None)
-    summary = run(setup, pairs, out, progress=progress or Silent(), listeners=(keep,))
-    errors, claimed, distances = compare(poses, made.truth)
+    summary, poses = run(setup, pairs, out, progress=progress or Silent(), about=about)
+    errors = errors_of(poses, truth)
+    compared = np.isfinite(errors.distance2)
     result = DemoResult(
         summary=summary,
-        errors=errors,
-        claimed=claimed,
-        inside_95=float(np.mean(distances <= INSIDE_95)) if len(distances) else 0.0,
+        errors=errors.values[compared] * SCALE,
+        claimed=errors.std[compared] * SCALE,
+        inside_95=float(np.mean(errors.distance2[compared] <= INSIDE_95)) if compared.any() else None,
         seconds=time.perf_counter() - start_s,
         assumptions=tuple(made.assumptions),
     )
     write_json(out / "demo.json", result.content())
     return result
-
-
-def compare(poses: Sequence[TargetPose], truth: Sequence[Any]) -> tuple[Array, Array, Array]:
-    """Return errors (n, 6), claimed deviations (n, 6) and squared Mahalanobis distances (n,) of poses of status ok.
-
-    truth: (t_s, xyz_m, quat_xyzw) per pose, in step.
-    """
-    errors, claimed, distances = [], [], []
-    for pose, (_, xyz_m, quat_xyzw) in zip(poses, truth, strict=True):
-        if pose.status is not PoseStatus.OK or pose.pose is None or pose.covariance is None:
-            continue
-        error = pose_difference(pose.pose, pose_from_quat(xyz_m, quat_xyzw))
-        errors.append(error)
-        claimed.append(np.sqrt(np.diag(pose.covariance)))
-        distances.append(float(error @ np.linalg.solve(pose.covariance, error)))
-    return np.array(errors).reshape(-1, 6), np.array(claimed).reshape(-1, 6), np.array(distances)
 
 
 def _rms(values: Array) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Generator, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from itertools import islice
@@ -13,10 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.outputs import REPORT, SUMMARY, Outputs, Summary
+from armsight.app.reporting import About, Collector
 from armsight.drivers import PairSource, open_pairs, open_split, ordered_map, read_image
 from armsight.drivers.live import MAX_SKEW_S
 from armsight.errors import ArmsightError, Cancelled, Inconsistent, NotEnoughData, UsageError
-from armsight.measure import Measured, Setup, SpotSettings, Track, measure_pair, warm_up
+from armsight.measure.pair import Measured, Setup, Track, measure_pair, warm_up
+from armsight.measure.settings import SpotSettings
 from armsight.optics import SIDES, Rig
 from armsight.records import Frame, Points, PoseStatus, Progress, Silent, Spots, Target, TargetPose
 from armsight.store import World, read_rig, read_target, read_times, read_world, write_json
@@ -63,10 +65,6 @@ class MeasureJob:
     inverted: bool = False
 
 
-Listener = Callable[[Frame, Frame, Measured, TargetPose], None]
-"""Sees each step of a run: both frames, what was measured, the pose in the parent frame."""
-
-
 def measure(job: MeasureJob, progress: Progress | None = None) -> Summary:
     """Measure every pair of frames; write poses.csv, points.csv, spots.csv, poses.tum, measure.json, report.html.
 
@@ -77,7 +75,18 @@ def measure(job: MeasureJob, progress: Progress | None = None) -> Summary:
     world = read_world(job.world) if job.world else None
     setup = Setup(rig=rig, target=target, settings=_settings(job, target))
     pairs = _pairs(job, rig, target)
-    return run(setup, pairs, job.out, world=world, limit=job.limit, progress=progress or Silent())
+    facts = [("frames", pairs.name), ("rig's file", str(job.rig)), ("target's file", str(job.target))]
+    facts += [("place of the rig", str(job.world))] if job.world else []
+    summary, _ = run(
+        setup,
+        pairs,
+        job.out,
+        world=world,
+        limit=job.limit,
+        progress=progress or Silent(),
+        about=About(facts=facts),
+    )
+    return summary
 
 
 def run(
@@ -88,9 +97,9 @@ def run(
     progress: Progress,
     world: World | None = None,
     limit: int | None = None,
-    listeners: Iterable[Listener] = (),
-) -> Summary:
-    """Measure pairs from an open-able source into the folder out; see measure."""
+    about: About | None = None,
+) -> tuple[Summary, Sequence[TargetPose]]:
+    """Measure the pairs of a source not yet open into the folder out; return the figures and all poses. See measure."""
     parent, T_parent_rig = (world.parent, world.T_parent_rig) if world else ("rig", None)
     report = Collector(setup, parent)
     failure: ArmsightError | None = None
@@ -101,28 +110,28 @@ def run(
             try:
                 for step in _steps(setup, pairs, limit, progress):
                     pose = outputs.add(step.measured, step.ms)
-                    for listener in (report.add, *listeners):
-                        listener(*step.pair, step.measured, pose)
+                    report.add(*step.pair, step.measured, pose)
             except ArmsightError as error:
                 failure = error
     if outputs.n_frames == 0 and failure is not None:
         raise failure
     failure = failure or _nothing_seen(outputs)
     summary = outputs.summary(skew=pairs.skew, error=str(failure) if failure else "")
-    report.write(out / REPORT, summary)
+    progress.update(0, 0, "writing the report")
+    report.write(out / REPORT, summary, about or About())
     write_json(out / SUMMARY, summary.content())
     if failure is not None:
         raise _with_place(failure, outputs, out)
-    return summary
+    return summary, report.poses
 
 
-def _steps(setup: Setup, pairs: PairSource, limit: int | None, progress: Progress) -> Iterator[Step]:
+def _steps(setup: Setup, pairs: PairSource, limit: int | None, progress: Progress) -> Generator[Step, None, None]:
     """Yield each pair measured, in order. Raises Cancelled, and Inconsistent for swapped or wrongly sized views."""
     total = _total(pairs.total, limit)
     measure_all = _boards if setup.target.is_board else _lights
     done = seen = 0
     swapped: list[Inconsistent] = []
-    with closing(_iterator(pairs)) as source:
+    with closing(_generator(pairs)) as source:
         checked = (_sized(setup.rig, pair) for pair in islice(source, limit))
         with closing(measure_all(setup, checked)) as steps:
             for step in steps:
@@ -139,7 +148,7 @@ def _steps(setup: Setup, pairs: PairSource, limit: int | None, progress: Progres
         raise swapped[0]
 
 
-def _lights(setup: Setup, pairs: Iterable[Pair]) -> Iterator[Step]:
+def _lights(setup: Setup, pairs: Iterable[Pair]) -> Generator[Step, None, None]:
     """Measure one pair after the other: each tells the next where to look, and takes well under a millisecond."""
     track: Track | None = None
     for pair in pairs:
@@ -148,7 +157,7 @@ def _lights(setup: Setup, pairs: Iterable[Pair]) -> Iterator[Step]:
         yield step
 
 
-def _boards(setup: Setup, pairs: Iterable[Pair]) -> Iterator[Step]:
+def _boards(setup: Setup, pairs: Iterable[Pair]) -> Generator[Step, None, None]:
     """Measure pairs in threads: finding a board takes tens of milliseconds and needs no memory of the last one."""
     return ordered_map(lambda pair: _one(setup, pair, None), pairs)
 
@@ -239,5 +248,5 @@ def _total(total: int | None, limit: int | None) -> int:
     return min(total, limit)
 
 
-def _iterator(pairs: PairSource) -> Iterator[Pair]:
+def _generator(pairs: PairSource) -> Generator[Pair, None, None]:
     yield from pairs

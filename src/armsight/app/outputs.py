@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.drivers import Skew
 from armsight.geometry import moved_parent_covariance, xyz_quat
-from armsight.measure import Measured
+from armsight.measure.pair import Measured
 from armsight.records import PoseStatus, TargetPose
 from armsight.store import PointsWriter, PosesWriter, SpotsWriter
 from armsight.store.atomic import RowFile

@@ -133,6 +133,7 @@ class Bar:
         self._task: TaskID | None = None
         self._begun_s = self._told_s = time.monotonic()
         self._note = ""
+        self._label = ""
 
     def update(self, done: float, total: float, note: str = "") -> None:
         """Show that done of total is finished; total 0 means unknown. A new note begins the clock anew."""
@@ -171,7 +172,11 @@ class Bar:
     def _line(self, label: str, done: float, total: float) -> None:
         now_s = time.monotonic()
         finished = total > 0 and done >= total
-        if now_s - self._told_s < LINE_EVERY_S and not finished:
+        if now_s - self._told_s < LINE_EVERY_S and not finished and label == self._label:
+            return
+        self._label = label
+        if not done:
+            self._console.print(f"{label} ...", markup=False, soft_wrap=True)
             return
         self._told_s = now_s
         rate = self._rate(done)

@@ -122,7 +122,8 @@ def demo_tables(face: Face, result: DemoResult, out: Path) -> None:
     measure_tables(face, result.summary, out)
     rows = [[name, figure(rms), figure(largest), figure(claimed)] for name, rms, largest, claimed in result.rows()]
     face.table("Error against the truth", ["", "RMS", "largest", "claimed +-"], rows)
-    face.say(f"{figure(100.0 * result.inside_95, 3)} % of the poses lie inside their own 95 % ellipsoid.")
+    if result.inside_95 is not None:
+        face.say(f"{figure(100.0 * result.inside_95, 3)} % of the poses lie inside their own 95 % ellipsoid.")
     face.say(f"All in {figure(result.seconds, 2)} s.")
 
 

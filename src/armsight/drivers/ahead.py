@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import repeat
 from typing import TypeVar
@@ -23,7 +23,7 @@ def cores() -> int:
 
 def ordered_map(
     function: Callable[[In], Out], items: Iterable[In], *, workers: int | None = None, ahead: int = AHEAD
-) -> Iterator[Out]:
+) -> Generator[Out, None, None]:
     """Yield function(item) for each item in order, computed in threads at most `ahead` items before they are asked for.
 
     Pays where the function releases the interpreter's lock (decoding, file reading, OpenCV). An error is
@@ -43,7 +43,7 @@ def ordered_map(
                 future.cancel()
 
 
-def read_ahead(items: Iterable[Out], *, ahead: int = AHEAD) -> Iterator[Out]:
+def read_ahead(items: Iterable[Out], *, ahead: int = AHEAD) -> Generator[Out, None, None]:
     """Yield the items of an iterator that one thread of its own pulls, at most `ahead` before they are asked for."""
     iterator = iter(items)
     end = object()
