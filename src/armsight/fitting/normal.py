@@ -34,7 +34,7 @@ class NormalEquations:
             root = np.sqrt(weights)  # (G, m)
             r, Js, Jl = r * root, Js * root[:, :, None], Jl * root[:, :, None]
         Js = Js[:, :, free] if len(free) < Js.shape[2] else Js
-        flat = Js.reshape(-1, len(free))  # (G m, F)
+        flat = Js.reshape(r.size, len(free))  # (G m, F)
         A, b = flat.T @ flat, flat.T @ r.reshape(-1)
         Jlt = Jl.transpose(0, 2, 1)  # (G, L, m)
         C = Jlt @ Jl

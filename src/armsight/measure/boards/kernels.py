@@ -224,7 +224,7 @@ def _sample(image, u, v, E, Q, reach_s, reach_t, hole, X, Y, V):
     return n
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def fit_corners(image, guess, basis, bend, reach, sign, uv, cov, quality):
     """Fit each corner of a checkerboard.
 
@@ -271,7 +271,7 @@ def fit_corners(image, guess, basis, bend, reach, sign, uv, cov, quality):
             cov[i] = C[:2, :2] * max(noise2, QUANTISATION)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def fit_dots(image, guess, shape, reach, hole, uv, cov, quality):
     """Fit each printed dot as a blurred ellipse.
 

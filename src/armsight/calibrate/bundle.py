@@ -1,0 +1,124 @@
+"""Bundle adjustment of boards seen by one camera or two, on the one least-squares engine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.calibrate.kernels.boards import evaluate_views, move_poses
+from armsight.calibrate.sightings import Sightings
+from armsight.fitting import Evaluation, Fit, Problem, Settings, solve
+from armsight.fitting.normal import NormalEquations
+from armsight.optics import INTRINSICS, SIDES
+from armsight.records import Progress
+
+Array = NDArray[np.float64]
+
+POSE = ("tx", "ty", "tz", "rx", "ry", "rz")
+FREED_AT = 10.0
+"""Fall of chi-square at which a further distortion coefficient is freed: by chance once in 600 sets."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Bundle:
+    """A state of the adjustment: intrinsics k (C, 10), T_left_right (6,), T_left_board (G, 6) as (t, rotvec)."""
+
+    k: Array
+    side_pose: Array
+    poses: Array
+
+
+def names_of(n_cameras: int) -> tuple[str, ...]:
+    """Return the names of the shared parameters: plain for one camera, by side and with the right pose for two."""
+    if n_cameras == 1:
+        return INTRINSICS
+    return tuple(f"{side}.{name}" for side in SIDES for name in INTRINSICS) + tuple(f"right.{name}" for name in POSE)
+
+
+def problem_of(sightings: Sightings, start: Bundle, fixed: frozenset[str]) -> Problem:
+    """Return the least-squares problem; fixed: names of names_of that are held."""
+    n_cameras, G, n = sightings.n_cameras, sightings.n_views, len(sightings.X)
+    names = names_of(n_cameras)
+    split = len(INTRINSICS) * n_cameras
+
+    def evaluate(shared: Array, local: Array) -> Evaluation:
+        rows = 2 * n * n_cameras
+        r, Js, Jl = np.empty((G, rows)), np.zeros((G, rows, len(names))), np.zeros((G, rows, len(POSE)))
+        k = shared[:split].reshape(n_cameras, -1)
+        side = shared[split:] if n_cameras == 2 else np.zeros(6)
+        fine = evaluate_views(
+            k, side, local, sightings.X, sightings.radius_m, sightings.uv, sightings.weight, r, Js, Jl
+        )
+        return Evaluation(residuals=r if fine else np.full_like(r, np.nan), shared=Js, local=Jl)
+
+    def retract(shared: Array, local: Array, step_shared: Array, step_local: Array) -> tuple[Array, Array]:
+        moved, poses = shared + step_shared, np.empty_like(local)
+        move_poses(local, step_local, poses)
+        if n_cameras == 2:
+            move_poses(shared[None, split:], step_shared[None, split:], moved[None, split:])
+        return moved, poses
+
+    return Problem(
+        names=names,
+        guess=np.concatenate([start.k.ravel(), start.side_pose]) if n_cameras == 2 else start.k.ravel(),
+        evaluate=evaluate,
+        n_residuals=2 * sightings.n_points,
+        local_names=POSE,
+        local_guess=start.poses,
+        fixed=fixed,
+        retract=retract,
+    )
+
+
+def adjust(
+    sightings: Sightings,
+    start: Bundle,
+    fixed: frozenset[str],
+    *,
+    max_iterations: int,
+    progress: Progress | None = None,
+) -> Fit:
+    """Return the fit; covariances are scaled by the noise that the residuals show.
+
+    Raises NotConverged, Undetermined, Cancelled as the engine does.
+    """
+    settings = Settings(estimate_noise=True, max_iterations=max_iterations, cost_tolerance=1e-8)
+    return solve(problem_of(sightings, start, fixed), settings, progress)
+
+
+def bundle_of(fit: Fit, n_cameras: int) -> Bundle:
+    """Return the state that a fit has reached."""
+    split = len(INTRINSICS) * n_cameras
+    side = fit.shared[split:] if n_cameras == 2 else np.zeros(6)
+    return Bundle(k=fit.shared[:split].reshape(n_cameras, -1), side_pose=side, poses=fit.local)
+
+
+def asks_to_be_freed(sightings: Sightings, fit: Fit, fixed: frozenset[str], name: str) -> bool:
+    """Tell whether freeing one fixed parameter would lower chi-square by more than chance does (a score test)."""
+    wider = fixed - {name}
+    problem = problem_of(sightings, bundle_of(fit, sightings.n_cameras), wider)
+    evaluation = problem.evaluate(fit.shared, fit.local)
+    free = np.array([i for i, n in enumerate(problem.names) if n not in wider], dtype=np.intp)
+    normal = NormalEquations.build(problem, evaluation, fit.shared, free)
+    fall = 2.0 * normal.predicted_decrease(*normal.step(0.0))
+    return bool(fall > FREED_AT * fit.scale**2)
+
+
+def residuals_px(sightings: Sightings, fit: Fit) -> Array:
+    """Return the residuals (G, C, n, 2) in px, zero where not seen."""
+    G, C, n = sightings.weight.shape
+    whitened = fit.residuals.reshape(G, C, n, 2)
+    sigma = np.divide(1.0, sightings.weight, out=np.zeros_like(sightings.weight), where=sightings.weight > 0.0)
+    return np.asarray(whitened * sigma[..., None])
+
+
+def without(sightings: Sightings, bad: NDArray[np.bool_]) -> Sightings:
+    """Return the sightings without the points marked in bad (G, C, n)."""
+    return replace(sightings, weight=np.where(bad, 0.0, sightings.weight))
+
+
+def start_at(bundle: Bundle, views: NDArray[np.intp]) -> Bundle:
+    """Return the state of some of the views."""
+    return Bundle(k=bundle.k, side_pose=bundle.side_pose, poses=bundle.poses[views])

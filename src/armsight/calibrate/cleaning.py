@@ -1,0 +1,123 @@
+"""Fit, leave out what does not fit, fit again; and let the data choose how long the distortion polynomial is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.calibrate.bundle import Bundle, adjust, asks_to_be_freed, bundle_of, residuals_px, start_at, without
+from armsight.calibrate.options import BoardOptions
+from armsight.calibrate.precheck import LEAST_POINTS, LEAST_VIEWS
+from armsight.calibrate.sightings import Sightings
+from armsight.errors import NotEnoughData
+from armsight.fitting import Fit
+from armsight.optics import SIDES
+from armsight.records import Progress
+
+Array = NDArray[np.float64]
+
+POINT_LIMIT = 6.0
+"""A point further off than this many robust deviations is wrong: 1.5e-8 by chance, and real lenses and boards
+scatter less."""
+VIEW_LIMIT = 4.0
+"""A view that scatters this many times more than the median view moved during the exposure or is no pair."""
+MOST_ROUNDS = 5
+RAYLEIGH_MEDIAN = 1.1774
+"""Median distance of points scattered by one deviation along each axis."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Cleaned:
+    """The last fit with what went into it. kept: positions of the views in the sightings given."""
+
+    sightings: Sightings
+    fit: Fit
+    kept: NDArray[np.intp]
+    fixed: frozenset[str]
+    rejected: tuple[tuple[str, str], ...]
+
+
+def fit_cleaned(
+    sightings: Sightings, start: Bundle, options: BoardOptions, progress: Progress | None = None
+) -> Cleaned:
+    """Return the fit of what agrees; raises as the engine does, and NotEnoughData where too few views agree."""
+    fixed = fixed_names(options, sightings.n_cameras)
+    kept = np.arange(sightings.n_views, dtype=np.intp)
+    rejected: list[tuple[str, str]] = []
+    fit = adjust(sightings, start, fixed, max_iterations=options.max_iterations, progress=progress)
+    for _ in range(MOST_ROUNDS):
+        wider = _freed(sightings, fit, fixed, options)
+        bad_views, bad_points = _misfits(sightings, fit) if options.reject else ({}, None)
+        if wider == fixed and not bad_views and bad_points is None:
+            break
+        fixed = wider
+        state = bundle_of(fit, sightings.n_cameras)
+        if bad_points is not None:
+            rejected += _dropped_points(sightings, bad_points, bad_views)
+            sightings = without(sightings, bad_points)
+        if bad_views:
+            rejected += [(" / ".join(sightings.sources[g]), why) for g, why in bad_views.items()]
+            stay = np.array([g for g in range(sightings.n_views) if g not in bad_views], dtype=np.intp)
+            _require_views(len(stay), sightings.n_views, rejected)
+            sightings, kept, state = sightings.take(stay), kept[stay], start_at(state, stay)
+        fit = adjust(sightings, state, fixed, max_iterations=options.max_iterations, progress=progress)
+    return Cleaned(sightings=sightings, fit=fit, kept=kept, fixed=fixed, rejected=tuple(rejected))
+
+
+def fixed_names(options: BoardOptions, n_cameras: int) -> frozenset[str]:
+    """Return the names held in the first fit."""
+    plain = options.fixed | ({"k3"} if options.automatic_k3 else frozenset())
+    return frozenset(plain) if n_cameras == 1 else frozenset(f"{side}.{name}" for side in SIDES for name in plain)
+
+
+def _freed(sightings: Sightings, fit: Fit, fixed: frozenset[str], options: BoardOptions) -> frozenset[str]:
+    """Return the fixed names without those k3 that the data ask for."""
+    if not options.automatic_k3 or "k3" in options.fixed:
+        return fixed
+    names = [name for name in fixed if name.split(".")[-1] == "k3"]
+    return fixed - {name for name in names if asks_to_be_freed(sightings, fit, fixed, name)}
+
+
+def _misfits(sightings: Sightings, fit: Fit) -> tuple[dict[int, str], NDArray[np.bool_] | None]:
+    """Return the views to leave out, with the reason, and the points (G, C, n), None where all fit."""
+    residual = np.linalg.norm(residuals_px(sightings, fit), axis=3)  # (G, C, n) px
+    seen = sightings.weight > 0.0
+    scale = float(np.median(residual[seen])) / RAYLEIGH_MEDIAN
+    count = np.maximum(seen.sum(axis=(1, 2)), 1)
+    rms = np.sqrt((residual**2).sum(axis=(1, 2)) / count)  # (G,)
+    usual = float(np.median(rms))
+    views = {
+        int(g): f"does not fit the other views: {rms[g]:.2f} px against {usual:.2f} px"
+        for g in np.flatnonzero(rms > VIEW_LIMIT * usual)
+    }
+    bad = (residual > POINT_LIMIT * scale) & seen
+    bad[list(views)] = False
+    left = (seen & ~bad).sum(axis=2).min(axis=1)
+    for g in np.flatnonzero((left < LEAST_POINTS) & bad.any(axis=(1, 2))):
+        views[int(g)] = "too few of its points fit the other views"
+        bad[g] = False
+    if views:  # one bad view bends all others: their points are judged in the next round
+        return views, None
+    return views, bad if bad.any() else None
+
+
+def _dropped_points(sightings: Sightings, bad: NDArray[np.bool_], views: dict[int, str]) -> list[tuple[str, str]]:
+    """Return (source, why) for single points that are left out."""
+    return [
+        (sightings.sources[g][c], f"{int(bad[g, c].sum())} of its points do not fit and are left out")
+        for g, c in zip(*np.nonzero(bad.any(axis=2)), strict=True)
+        if int(g) not in views
+    ]
+
+
+def _require_views(left: int, total: int, rejected: list[tuple[str, str]]) -> None:
+    """Raise NotEnoughData where too few views agree with each other."""
+    if left < LEAST_VIEWS or left < total / 2:
+        reasons = "; ".join(f"{name}: {why}" for name, why in rejected[-3:])
+        raise NotEnoughData(
+            f"only {left} of {total} views agree with each other ({reasons})",
+            consequence="Nothing was calibrated",
+            cure="Check the board's size, hold it still, and that left and right images belong together",
+        )

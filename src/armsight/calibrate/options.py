@@ -1,0 +1,34 @@
+"""What a calibration from boards is free to do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from armsight.errors import UsageError
+from armsight.optics import INTRINSICS
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BoardOptions:
+    """Options of calibrate_camera and calibrate_stereo.
+
+    fixed: intrinsics held at their start (zero for skew and distortion, the image's middle for cx and cy).
+    automatic_k3: hold k3 at zero unless the data ask for it (by a score test). reject: leave out views and points
+    that do not fit the others, and say so. folds: of the left-out error (0: none; as many as views: leave one out).
+    """
+
+    fixed: frozenset[str] = frozenset({"skew"})
+    automatic_k3: bool = True
+    reject: bool = True
+    folds: int = 5
+    max_iterations: int = 60
+
+    def __post_init__(self) -> None:
+        unknown = set(self.fixed) - set(INTRINSICS)
+        if unknown:
+            raise UsageError(
+                f"no intrinsic is called {', '.join(sorted(unknown))}; there are {', '.join(INTRINSICS)}",
+                consequence="Nothing was calibrated",
+            )
+        if self.folds < 0 or self.folds == 1 or self.max_iterations < 1:
+            raise UsageError(f"{self.folds} folds with {self.max_iterations} iterations make no sense")

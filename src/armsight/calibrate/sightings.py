@@ -1,0 +1,104 @@
+"""Board views of one camera or two, packed for the bundle adjustment."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.errors import Inconsistent
+from armsight.records import BoardView, Target
+
+Array = NDArray[np.float64]
+
+SIGMA_FLOOR_PX = 0.02
+"""No view is believed to be better than this: print, paper and JPEG leave more, whatever the detector's fit says."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Sightings:
+    """G views of a board of n points by C cameras.
+
+    X (n, 3) m, centred on the board's middle (`middle`, (3,) m) so that poses and shape are told apart well.
+    uv (G, C, n, 2) px, zero where not seen. weight (G, C, n): 1 / sigma, 0 where not seen. sizes: (width, height) of
+    each camera's images. sources: names of the images of each view. radius_m: of printed circles, 0 for points.
+    """
+
+    X: Array
+    middle: Array
+    uv: Array
+    weight: Array
+    sizes: tuple[tuple[int, int], ...]
+    sources: tuple[tuple[str, ...], ...]
+    radius_m: float
+
+    @property
+    def n_views(self) -> int:
+        """Number of views G."""
+        return len(self.uv)
+
+    @property
+    def n_cameras(self) -> int:
+        """Number of cameras C."""
+        return int(self.uv.shape[1])
+
+    @property
+    def n_points(self) -> int:
+        """Points seen, over all views and cameras."""
+        return int(np.count_nonzero(self.weight))
+
+    def take(self, views: Sequence[int] | NDArray[np.intp]) -> Sightings:
+        """Return some of the views."""
+        i = np.asarray(views, dtype=np.intp)
+        return replace(self, uv=self.uv[i], weight=self.weight[i], sources=tuple(self.sources[k] for k in i))
+
+    def camera(self, c: int) -> Sightings:
+        """Return what camera c alone has seen."""
+        return replace(
+            self,
+            uv=np.ascontiguousarray(self.uv[:, c : c + 1]),
+            weight=np.ascontiguousarray(self.weight[:, c : c + 1]),
+            sizes=(self.sizes[c],),
+            sources=tuple((names[c],) for names in self.sources),
+        )
+
+
+def pack(views: Sequence[Sequence[BoardView]], board: Target) -> Sightings:
+    """Return the sightings of C sequences of G views each; raises Inconsistent for images of unequal size."""
+    n, G, C = len(board.names), len(views[0]), len(views)
+    uv, weight = np.zeros((G, C, n, 2)), np.zeros((G, C, n))
+    for c, camera in enumerate(views):
+        _same_size(camera)
+        for g, view in enumerate(camera):
+            if len(view) and int(view.index.max()) >= n:
+                raise Inconsistent(
+                    f"{view.source}: point {int(view.index.max())} is named, but the board has {n}",
+                    consequence="Nothing was calibrated",
+                    cure="Give the board that the images show",
+                )
+            uv[g, c, view.index] = view.uv_px
+            weight[g, c, view.index] = 1.0 / max(view.sigma_px, SIGMA_FLOOR_PX)
+    middle = board.xyz_m.mean(axis=0)
+    return Sightings(
+        X=board.xyz_m - middle,
+        middle=middle,
+        uv=uv,
+        weight=weight,
+        sizes=tuple((camera[0].width, camera[0].height) for camera in views),
+        sources=tuple(tuple(camera[g].source for camera in views) for g in range(G)),
+        radius_m=0.5 * board.diameter_m if board.diameter_m else 0.0,
+    )
+
+
+def _same_size(views: Sequence[BoardView]) -> None:
+    """Raise Inconsistent, naming the image, where the images of one camera differ in size."""
+    first = views[0]
+    for view in views:
+        if (view.width, view.height) != (first.width, first.height):
+            raise Inconsistent(
+                f"{view.source} is {view.width}x{view.height} px, {first.source} is {first.width}x{first.height} px",
+                consequence="Images of different sizes do not come from one calibration of a camera",
+                cure="Give images of one camera at one resolution",
+            )

@@ -1,0 +1,138 @@
+"""A pair of cameras from views of a printed board that both see."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.calibrate.bundle import Bundle, bundle_of, residuals_px
+from armsight.calibrate.camera import doubts, require_views, required, rms, start_of, view_rms
+from armsight.calibrate.cleaning import fit_cleaned
+from armsight.calibrate.leftout import epipolar_rms, left_out, metric_of
+from armsight.calibrate.options import BoardOptions
+from armsight.calibrate.pairing import pair_views
+from armsight.calibrate.precheck import check_count, check_spread, check_tilt, different_views
+from armsight.calibrate.rigs import baseline_std, rig_of
+from armsight.calibrate.sightings import pack
+from armsight.errors import Inconsistent
+from armsight.optics import SIDES, Rig
+from armsight.optics.parallelism import Parallelism, parallelism
+from armsight.records import BoardView, Progress, Target
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StereoCalibration:
+    """A rig (its covariance inside, its reference the left camera), how good it is, and what it rests on.
+
+    rms_px: of the points' 2-D residuals over both cameras. epipolar_rms_px: distance of a point from its partner's
+    line. holdout_*: the same on pairs left out of the fit, None where there were too few. metric: expected_m,
+    mean_m, rms_m of the distance of neighbouring points after triangulation and board_rms_m of a rigid fit, on
+    left-out pairs, or, where metric_is_left_out is False, on the pairs of the fit. rejected: (source, why). sides,
+    uv_px, residual_px (n, 2): every point used, by side. advice: what would make it surer.
+    """
+
+    rig: Rig
+    baseline_std_m: float
+    rms_px: float
+    epipolar_rms_px: float
+    n_pairs: int
+    n_used: int
+    rejected: tuple[tuple[str, str], ...]
+    holdout_rms_px: float | None
+    holdout_epipolar_rms_px: float | None
+    metric: Mapping[str, float]
+    metric_is_left_out: bool
+    parallelism: Parallelism
+    view_rms_px: tuple[float, ...]
+    sources: tuple[tuple[str, ...], ...]
+    uv_px: Mapping[str, Array]
+    residual_px: Mapping[str, Array]
+    advice: tuple[str, ...]
+
+    @property
+    def std(self) -> dict[str, float]:
+        """Standard deviations of the free parameters by name, and of baseline_m."""
+        known = {} if self.rig.covariance is None else self.rig.covariance.std()
+        return {**known, "baseline_m": self.baseline_std_m}
+
+
+def calibrate_stereo(
+    left: Sequence[BoardView],
+    right: Sequence[BoardView],
+    board: Target,
+    options: BoardOptions | None = None,
+    progress: Progress | None = None,
+) -> StereoCalibration:
+    """Return the rig whose left and right camera saw the board in the views, paired by position.
+
+    Raises Inconsistent (unequal numbers, unequal image sizes, images that do not belong together, left and right
+    swapped or mirrored), NotEnoughData, Degenerate, Undetermined, NotConverged, Cancelled as calibrate_camera.
+    """
+    options = options or BoardOptions()
+    if len(left) != len(right):
+        raise Inconsistent(
+            f"{len(left)} left and {len(right)} right views do not pair up",
+            consequence="Nothing was calibrated",
+            cure="Give a right image for every left one, in the same order",
+        )
+    require_views(left, board)
+    sightings = pack([left, right], board)
+    kept, rejected = different_views(sightings)
+    sightings = sightings.take(kept)
+    advice = check_count(len(kept))
+    starts = [start_of(sightings.camera(c)) for c in range(2)]
+    for c, side in enumerate(SIDES):
+        name = f"the {side} camera"
+        advice += check_spread(sightings, c, name) + check_tilt(starts[c].poses, name)
+    sightings, paired = pair_views(sightings, [start.poses for start in starts], board)
+    _refuse_swapped(paired.side_pose)
+    rejected += [
+        (" / ".join(sightings.sources[g]), "the two images do not show the board at one moment: no pair, or it moved")
+        for g in np.flatnonzero(~paired.agreeing)
+    ]
+    agree = np.flatnonzero(paired.agreeing)
+    start = Bundle(k=np.concatenate([s.k for s in starts]), side_pose=paired.side_pose, poses=starts[0].poses[agree])
+    cleaned = fit_cleaned(sightings.take(agree), start, options, progress)
+    used, fit = cleaned.sightings, cleaned.fit
+    residual, seen = residuals_px(used, fit), used.weight > 0.0
+    covariance = required(cleaned)
+    overall = rms(residual, seen)
+    rig = rig_of(bundle_of(fit, 2), used.sizes, covariance=covariance, rms_px=overall)
+    out = left_out(cleaned, options)
+    metric = (out.metric if out else None) or metric_of([(used, rig)])
+    return StereoCalibration(
+        rig=rig,
+        baseline_std_m=baseline_std(rig),
+        rms_px=overall,
+        epipolar_rms_px=epipolar_rms([(used, rig)]),
+        n_pairs=len(left),
+        n_used=used.n_views,
+        rejected=(*rejected, *cleaned.rejected),
+        holdout_rms_px=out.rms_px if out else None,
+        holdout_epipolar_rms_px=out.epipolar_rms_px if out else None,
+        metric=metric.as_mapping() if metric else {},
+        metric_is_left_out=bool(out and out.metric),
+        parallelism=parallelism(rig),
+        view_rms_px=view_rms(residual, seen),
+        sources=used.sources,
+        uv_px={side: used.uv[:, c][seen[:, c]] for c, side in enumerate(SIDES)},
+        residual_px={side: residual[:, c][seen[:, c]] for c, side in enumerate(SIDES)},
+        advice=(*advice, *doubts(covariance, cleaned)),
+    )
+
+
+def _refuse_swapped(side_pose: Array) -> None:
+    """Raise Inconsistent where the right camera stands on the left one's left."""
+    x, y, z = side_pose[:3].tolist()
+    if x < 0.0 and abs(x) > max(abs(y), abs(z)):
+        raise Inconsistent(
+            f"left and right are swapped, or both cameras' images are mirrored: the right camera would stand "
+            f"{-x * 1e3:.1f} mm to the left of the left one",
+            consequence="Nothing was calibrated: every later use would call the views by the wrong name",
+            cure="Exchange the sources of --left and --right, or switch off the cameras' mirror mode",
+        )
