@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from armsight.calibrate.handeye.result import HandEye
 from armsight.units import DEG, MM
 
@@ -50,8 +52,9 @@ def _scale(result: HandEye, pitch_m: float | None) -> list[str]:
     if scale is None or not scale_is_wrong(result):
         return []
     percent = 100.0 * (scale.factor - 1.0)
-    text = f"The robot's motion says that the target is {percent:+.2f} +- {100.0 * scale.std:.2f} % of the size given"
-    text = text.replace("% of the size given", "% off the size given")
+    doubt = 100.0 * scale.std
+    text = f"The robot's motion says that the target is {abs(percent):.2f} +- {doubt:.2f} % "
+    text += "smaller than given" if percent < 0.0 else "larger than given"
     if pitch_m is not None:
         given, true = pitch_m / MM, pitch_m * scale.factor / MM
         text += f": a pitch of {true:.2f} +- {pitch_m * scale.std / MM:.2f} mm, not {given:.4g} mm"
@@ -75,6 +78,12 @@ def _outliers(result: HandEye) -> list[str]:
 
 def _poses(result: HandEye) -> list[str]:
     out = []
+    behind = result.pairs.T_camera_target.translation[result.used, 2] < 0.0
+    if np.mean(behind) > 0.5:
+        out.append(
+            "The target lies behind the camera (z < 0): if the camera looks along z, both tables are inverted "
+            "(T_flange_base and T_target_camera), and the two results have changed places."
+        )
     if result.n_used < FEW_PAIRS:
         out.append(f"{result.n_used} poses are few: {FEW_PAIRS} to 30 make the answer and its doubt trustworthy.")
     second = float(result.turning.rms_rad[1])

@@ -23,6 +23,10 @@ from armsight.units import DEG, MM
 FALSE_ALARM = 1e-5
 """Chance that any pair of a good set is called an outlier, or its scale wrong: one set in a hundred thousand."""
 
+MASKED = 2.5
+"""Outliers that hide each other raise the fitted noise above what most pairs show by more than this factor; of ten
+good pairs the two differ by less than 2."""
+
 ROUNDS = 10
 """Rounds of naming outliers and fitting again; two or three settle it."""
 
@@ -90,8 +94,8 @@ def _calibrate(pairs: PosePairs, setup: Setup, options: HandEyeOptions) -> HandE
     noise = noise_of_pairs(solution.variances, doubts.variance_covariance, lever)
     finished = HandEye(
         setup=setup,
-        T_mount_camera=pose(solution.RX, solution.tX),
-        T_seat_target=pose(solution.RZ, solution.tZ),
+        T_mount_camera=pose(solution.R_X, solution.t_x),
+        T_seat_target=pose(solution.R_Z, solution.t_z),
         covariance=result.covariance,
         dof=float(doubts.dof[:6].min()),
         noise=noise,
@@ -121,7 +125,7 @@ def _result(pairs: PosePairs, setup: Setup, solution: Solution, doubts: Doubt, u
 
     return _Parts(
         covariance=NamedCovariance(names=NAMES, matrix=solution.C * np.outer(widen, widen)),
-        residuals=residuals(everything, solution.RX, solution.tX, solution.RZ, solution.tZ),
+        residuals=residuals(everything, solution.R_X, solution.t_x, solution.R_Z, solution.t_z),
     )
 
 
@@ -132,14 +136,16 @@ def settle(arrays: Arrays, setup: Setup, given: Consensus) -> tuple[Solution, Ar
     pair of FALSE_ALARM of all good sets (Hotelling's T-square on the left-out error). Raises Inconsistent where fewer
     than LEAST_SHARE of the pairs stay.
     """
+    n = len(given.keep)
+    whole = _whole(arrays, setup, given)
+    if whole is not None:
+        return whole
     keep, start = given.keep, given.start
-    n = len(keep)
     for _ in range(ROUNDS):
         solution = solve_pairs(arrays, setup, keep=keep, start=start)
-        start = (solution.RX, solution.tX, solution.RZ, solution.tZ)
+        start = (solution.R_X, solution.t_x, solution.R_Z, solution.t_z)
         errors, q = solution.left_out()
-        limit = 6.0 * float(fisher.isf(FALSE_ALARM / n, 6, max(3 * solution.n_used - 6, 3)))
-        fitting = np.where(np.isfinite(q), q <= limit, keep)
+        fitting = np.where(np.isfinite(q), q <= _limit(solution), keep)
         if (fitting == keep).all():
             break
         if fitting.sum() < max(MIN_PAIRS, LEAST_SHARE * n):
@@ -152,6 +158,28 @@ def settle(arrays: Arrays, setup: Setup, given: Consensus) -> tuple[Solution, Ar
     return solution, errors
 
 
+def _whole(arrays: Arrays, setup: Setup, given: Consensus) -> tuple[Solution, Array] | None:
+    """Return the fit to all pairs where nothing speaks against any of them; None otherwise.
+
+    Trimming first and taking back later would rob small sets of good pairs: the trimmed fit underrates the noise.
+    """
+    try:
+        solution = solve_pairs(arrays, setup, start=given.start)
+    except DataRefused:
+        return None
+    noise_m, noise_rad = np.sqrt(solution.variances[0]), np.sqrt(solution.variances[1:].sum())
+    if noise_m > MASKED * given.sigma_m or noise_rad > MASKED * given.sigma_rad:
+        return None
+    errors, q = solution.left_out()
+    return (solution, errors) if (q[np.isfinite(q)] <= _limit(solution)).all() else None
+
+
+def _limit(solution: Solution) -> float:
+    """Return the T-square that a good pair exceeds by chance in FALSE_ALARM of all sets of this size."""
+    dof = max(3 * solution.n_used - 6, 3)
+    return 6.0 * float(fisher.isf(FALSE_ALARM / len(solution.keep), 6, dof))
+
+
 def true_scale(solution: Solution) -> Scale | None:
     """Return the true over the assumed size of the target; None where these poses cannot tell."""
     try:
@@ -159,7 +187,7 @@ def true_scale(solution: Solution) -> Scale | None:
             solution.arrays,
             solution.setup,
             keep=solution.keep,
-            start=(solution.RX, solution.tX, solution.RZ, solution.tZ),
+            start=(solution.R_X, solution.t_x, solution.R_Z, solution.t_z),
             free_scale=True,
         )
     except DataRefused:

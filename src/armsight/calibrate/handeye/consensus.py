@@ -8,9 +8,10 @@ from math import comb
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from armsight.calibrate.handeye.pairs import Array, Arrays, Setup
-from armsight.calibrate.kernels import handeye_start as starts
+from armsight.calibrate.handeye.kernels import start as starts
 from armsight.errors import Inconsistent
 from armsight.units import DEG
 
@@ -64,10 +65,10 @@ class Consensus:
     """RX, tX, RZ, tZ, gamma of most pairs, keep (n,): which agree; robust deviations of one component, sigma_rad and
     sigma_m (camera's unit), and their shares of the motion."""
 
-    RX: Array
-    tX: Array
-    RZ: Array
-    tZ: Array
+    R_X: Array
+    t_x: Array
+    R_Z: Array
+    t_z: Array
     gamma: float
     keep: NDArray[np.bool_]
     sigma_rad: float
@@ -88,7 +89,7 @@ class Consensus:
     @property
     def start(self) -> tuple[Array, Array, Array, Array]:
         """Where the fit begins."""
-        return self.RX, self.tX, self.RZ, self.tZ
+        return self.R_X, self.t_x, self.R_Z, self.t_z
 
 
 def consensus(arrays: Arrays) -> Consensus:
@@ -108,10 +109,10 @@ def consensus(arrays: Arrays) -> Consensus:
     turn = _spread(_turns(RB))
     move = np.hypot(_spread(tB), abs(gamma) * _spread(-np.einsum("nji,nj->ni", RF, tF)))
     return Consensus(
-        RX=RX,
-        tX=tX,
-        RZ=RZ,
-        tZ=tZ,
+        R_X=RX,
+        t_x=tX,
+        R_Z=RZ,
+        t_z=tZ,
         gamma=gamma,
         keep=mask,
         sigma_rad=float(sigma_rad),
@@ -137,7 +138,8 @@ def check_reading(arrays: Arrays, setup: Setup, given: Consensus, in_order: Arra
     if better:
         _, text, found = min(better, key=lambda entry: entry[0])
         raise Inconsistent(
-            f"the poses contradict each other as given (typically {_size(given)}), but agree ({_size(found)}) if {text}",
+            f"the poses contradict each other as given (typically {_size(given)}), but agree ({_size(found)}) "
+            f"if {text}",
             consequence="A calibration from the table as it is would be wrong by as much",
             cure="Correct the table and run again",
         )
@@ -167,12 +169,12 @@ def require_agreement(given: Consensus) -> None:
     if given.share <= UNRELATED and agree >= LEAST_SHARE:
         return
     raise Inconsistent(
-        f"the camera's poses do not follow the robot's: only {given.keep.sum()} of {len(given.keep)} pairs agree, and "
-        f"these leave {100.0 * given.share_turn:.3g} % of the turns and {100.0 * given.share_move:.3g} % of the moves "
-        "unexplained",
+        "the camera's poses do not follow the robot's: the best explanation leaves "
+        f"{100.0 * given.share_turn:.3g} % of the turns and {100.0 * given.share_move:.3g} % of the moves open"
+        + (f", and only {given.keep.sum()} of {len(given.keep)} pairs share it" if agree < LEAST_SHARE else ""),
         consequence="No place of the camera explains them; no calibration is given",
-        cure="Check which robot pose belongs to which image, that the target stood still (or moved with the hand, eye-to-hand), "
-        "and the order of the quaternion's columns (x, y, z, w)",
+        cure="Check which robot pose belongs to which image, that the target stood still (eye-to-hand: moved with the "
+        "hand), and the order of the quaternion's columns (x, y, z, w)",
     )
 
 
@@ -202,15 +204,11 @@ def _shifted(arrays: Arrays) -> list[tuple[str, Arrays]]:
 def _other_readings(arrays: Arrays, setup: Setup) -> dict[str, Arrays]:
     """Return the usual mistakes of exporting poses, undone."""
     RF, tF, RB, tB = arrays
-    robot_back, camera_back = _inverse(RF, tF), _inverse(RB, tB)
+    # both tables inverted satisfy the same equation with X and Z exchanged: no residual can tell that
     other = Setup.EYE_TO_HAND if setup is Setup.EYE_IN_HAND else Setup.EYE_IN_HAND
     return {
-        f"the setup is {other}, or the robot's poses are T_flange_base": (*robot_back, RB, tB),
-        "the camera's poses are T_target_camera": (RF, tF, *camera_back),
-        f"both the robot's and the camera's poses are inverted (or the camera's, and the setup is {other})": (
-            *robot_back,
-            *camera_back,
-        ),
+        f"the setup is {other}, or the robot's poses are T_flange_base": (*_inverse(RF, tF), RB, tB),
+        "the camera's poses are T_target_camera": (RF, tF, *_inverse(RB, tB)),
         "the robot's quaternions are written w, x, y, z": (*_scalar_first(RF, tF, setup), RB, tB),
         "the camera's quaternions are written w, x, y, z": (RF, tF, _rolled(RB), tB),
     }
@@ -230,8 +228,6 @@ def _scalar_first(R: Array, t: Array, setup: Setup) -> tuple[Array, Array]:
 
 def _rolled(R: Array) -> Array:
     """Return the rotations whose quaternion (x, y, z, w) was really written as (w, x, y, z)."""
-    from scipy.spatial.transform import Rotation
-
     q = Rotation.from_matrix(R).as_quat()
     return np.ascontiguousarray(Rotation.from_quat(np.roll(q, -1, axis=1)).as_matrix())
 

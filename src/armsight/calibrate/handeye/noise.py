@@ -59,7 +59,8 @@ class Noise:
         if not self.robot_m.known:
             return f"{turn}; the {self.translation_m.value / MM:.2g} mm in position may be either's"
         who = "robot" if self.robot_m.value > self.camera_m.value else "camera"
-        return f"{turn}; in position the {who} is the noisier ({self.robot_m.value / MM:.2g} mm robot, {self.camera_m.value / MM:.2g} mm camera)"
+        sizes = f"{self.robot_m.value / MM:.2g} mm robot, {self.camera_m.value / MM:.2g} mm camera"
+        return f"{turn}; in position the {who} is the noisier ({sizes})"
 
 
 def noise_of_pairs(variances: Array, covariance: Array, lever_m: float) -> Noise:

@@ -19,9 +19,9 @@ Arrays = tuple[Array, Array, Array, Array]
 MIN_PAIRS = 4
 """Three pairs fix the answer; the fourth is the first that can contradict it."""
 
-SAME_M = 1e-9
-SAME_RAD = 1e-9
-"""Two poses closer than this are copies: no robot or camera repeats itself to a nanometre."""
+SAME = 1e-9
+"""Poses whose matrices (m, and directions) agree so closely are copies: no robot or camera repeats itself to a
+nanometre."""
 
 
 class Setup(StrEnum):
@@ -95,11 +95,12 @@ class PosePairs:
     def duplicates(self) -> tuple[tuple[int, int, str], ...]:
         """Return (row, earlier row, why) of rows whose camera pose repeats an earlier one to the last digit."""
         found: list[tuple[int, int, str]] = []
+        camera, robot = self.T_camera_target.as_matrix(), self.T_base_flange.as_matrix()
         for i in range(1, len(self)):
-            seen = _same(self.T_camera_target, i)
+            seen = _same(camera, i)
             if not len(seen):
                 continue
-            moved = _same(self.T_base_flange, i)
+            moved = _same(robot, i)
             both = [k for k in seen if k in moved]
             first = int(both[0] if both else seen[0])
             why = "repeats" if both else "has the same camera pose (a stale image?) as"
@@ -138,8 +139,6 @@ def _columns(poses: RigidTransform) -> Array:
     return np.concatenate([poses.translation, poses.rotation.as_quat(canonical=True)], axis=1)
 
 
-def _same(poses: RigidTransform, row: int) -> NDArray[np.intp]:
+def _same(matrices: Array, row: int) -> NDArray[np.intp]:
     """Return the earlier rows that are copies of the given one."""
-    near = np.linalg.norm(poses.translation[:row] - poses.translation[row], axis=1) <= SAME_M
-    near &= np.asarray((poses.rotation[:row] * poses.rotation[row].inv()).magnitude() <= SAME_RAD)
-    return np.flatnonzero(near)
+    return np.flatnonzero(np.abs(matrices[:row] - matrices[row]).max(axis=(1, 2)) <= SAME)

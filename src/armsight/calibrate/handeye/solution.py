@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from armsight.calibrate.handeye.pairs import Array, Arrays, Setup
-from armsight.calibrate.kernels import handeye as kernels
-from armsight.calibrate.kernels import handeye_start as starts
+from armsight.calibrate.handeye.kernels import fit as kernels
+from armsight.calibrate.handeye.kernels import start as starts
 from armsight.errors import NotConverged
 
 FLOOR = np.array([1e-22, 1e-22, 1e-24])
@@ -36,10 +36,10 @@ class Solution:
     setup: Setup
     arrays: Arrays
     keep: NDArray[np.bool_]
-    RX: Array
-    tX: Array
-    RZ: Array
-    tZ: Array
+    R_X: Array
+    t_x: Array
+    R_Z: Array
+    t_z: Array
     gamma: float
     variances: Array
     C: Array
@@ -56,14 +56,14 @@ class Solution:
 
     def residuals(self) -> Array:
         """Return (n, 6): every pair, also those left out, against the fit: camera axes, m and rad."""
-        return residuals(self.arrays, self.RX, self.tX, self.RZ, self.tZ, self.gamma)
+        return residuals(self.arrays, self.R_X, self.t_x, self.R_Z, self.t_z, self.gamma)
 
     def left_out(self) -> tuple[Array, Array]:
         """Return the error (n, 6) of each pair as predicted from the other used ones, and its chi-square (n,)."""
         out = np.empty((len(self.keep), 6))
         q = kernels.left_out(
-            (self.RX, self.tX),
-            (self.RZ, self.tZ),
+            (self.R_X, self.t_x),
+            (self.R_Z, self.t_z),
             self.gamma,
             self.arrays,
             self.variances,
@@ -117,10 +117,10 @@ def solve_pairs(
         setup=setup,
         arrays=arrays,
         keep=keep,
-        RX=RX,
-        tX=tX,
-        RZ=RZ,
-        tZ=tZ,
+        R_X=RX,
+        t_x=tX,
+        R_Z=RZ,
+        t_z=tZ,
         gamma=gamma,
         variances=theta,
         C=C,

@@ -1,6 +1,6 @@
 """Compiled starts of the hand-eye fit: closed forms, and the consensus of most pairs against gross errors.
 
-F_i X B_i = Z, with F the robot's pose as the fit sees it (see kernels.handeye), rotations RF, RX, RB, RZ.
+F_i X B_i = Z, with F the robot's pose as the fit sees it (see kernels.fit), rotations RF, RX, RB, RZ.
 """
 
 from __future__ import annotations

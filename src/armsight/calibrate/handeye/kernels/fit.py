@@ -14,7 +14,7 @@ from math import log, sqrt
 import numpy as np
 from numba import njit
 
-from armsight.calibrate.kernels.handeye_start import log_rotation, multiply, multiply_t
+from armsight.calibrate.handeye.kernels.start import log_rotation, multiply, multiply_t
 from armsight.fitting.kernels import solve_damped
 from armsight.geometry.kernels import rotate_left
 

@@ -1,0 +1,1 @@
+"""Compiled core of the hand-eye fit."""

@@ -1,0 +1,302 @@
+"""Where a tool's end is: in the target's frame (the driver of Pachidis 2005 section 4.1) or the flange's (TCP).
+
+The end P rests on a fixed point while the target (or the flange) is turned about it: every pose T_i says
+R_i tip + t_i = point. Pachidis takes the point from a measurement and averages (eqs. 10-13), so that an error of the
+point goes straight into the tip; with the point unknown as well (MATH 3.2) no measurement of it is needed, and one
+that exists counts for as much as it is sure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.stats import f as fisher
+from scipy.stats import t as student
+
+from armsight.errors import Degenerate, Inconsistent, NotEnoughData
+from armsight.records import NamedCovariance, frozen_array
+from armsight.units import DEG, MM
+
+Array = NDArray[np.float64]
+
+NAMES = ("tip.x_m", "tip.y_m", "tip.z_m", "point.x_m", "point.y_m", "point.z_m")
+
+MIN_POSES = 4
+LEAST_TURN_RAD = 2.5 * DEG
+"""Least root-mean-square turn about the second axis: below it noise is blown up more than 20 times."""
+
+LEAST_SHARE = 0.6
+FALSE_ALARM = 1e-5
+"""Chance that any pose of a good recording is called an outlier."""
+
+ROUNDS = 20
+SETTLED = 1e-10
+"""Weights follow the tip's place; the fit is settled when it moves by less (m)."""
+
+NOISE_M = 0.1 * MM
+NOISE_RAD = 0.1 * DEG
+"""Ratio of the noises where poses bring no covariance; their common size is estimated."""
+
+GOOD_ENOUGH_M = 0.1 * MM
+NORMAL_95 = 1.959964
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MeasuredPoint:
+    """The point that the tool rests on, measured: xyz_m (3,) in the poses' parent frame, sigma_m of one coordinate."""
+
+    xyz_m: Array
+    sigma_m: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "xyz_m", frozen_array("xyz_m", self.xyz_m, (3,)))
+        if not self.sigma_m > 0.0:
+            raise Inconsistent(
+                f"a point measured to {self.sigma_m} m is not believed", cure="Give the deviation of one coordinate"
+            )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TipCalibration:
+    """tip_m (3,) in the turned frame's axes, point_m (3,) in its parent's; covariance of both by name, widened so that
+    +- 1.96 std holds 95 %. residuals_m (n, 3): R tip + t - point of all poses. used (n,). rejected: (row, why).
+    paper_tip_m: the mean of Pachidis eq. (13), where the point was measured.
+    """
+
+    tip_m: Array
+    point_m: Array
+    covariance: NamedCovariance
+    residuals_m: Array
+    used: NDArray[np.bool_]
+    rejected: tuple[tuple[int, str], ...]
+    turn_rms_rad: Array
+    paper_tip_m: Array | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("tip_m", "point_m", "turn_rms_rad"):
+            object.__setattr__(self, name, frozen_array(name, getattr(self, name), (3,)))
+        object.__setattr__(self, "residuals_m", frozen_array("residuals_m", self.residuals_m, (None, 3)))
+
+    @property
+    def n_used(self) -> int:
+        """Poses that the answer rests on."""
+        return int(self.used.sum())
+
+    @property
+    def residual_rms_m(self) -> float:
+        """Root mean square length of the residuals of the used poses."""
+        return float(np.sqrt((self.residuals_m[self.used] ** 2).sum(axis=1).mean()))
+
+    def std(self) -> dict[str, float]:
+        """Return the deviations of the tip by coordinate."""
+        whole = self.covariance.std()
+        return {name: whole[f"tip.{name}"] for name in ("x_m", "y_m", "z_m")}
+
+
+def calibrate_tooltip(
+    poses: RigidTransform | Sequence[RigidTransform],
+    covariances: ArrayLike | None = None,
+    point: MeasuredPoint | None = None,
+) -> TipCalibration:
+    """Return the tip from poses of the turned frame in a fixed one, the tip resting on one point.
+
+    covariances: (n, 6, 6) of the poses, translation then rotation vector in the parent's axes; without them one noise
+    of position and orientation is assumed and its size estimated. point: where it rests, if measured; without a
+    sigma worth having leave it out. Raises NotEnoughData below MIN_POSES, Degenerate for too little turning or
+    one axis, Inconsistent where the poses share no point.
+    """
+    R, t = _split(poses)
+    n = len(R)
+    C = _covariances(covariances, n)
+    turn = _turns(R)
+    _require_turning(turn)
+    keep = _consensus(R, t)
+    for _ in range(ROUNDS):
+        x, cov, e, V, scale2, dof = _fit(R, t, C, keep, point)
+        q = _distance(R, e, V, cov, keep, scale2)
+        limit = 3.0 * float(fisher.isf(FALSE_ALARM / n, 3, dof))
+        fitting = q <= limit
+        if (fitting == keep).all():
+            break
+        if fitting.sum() < max(MIN_POSES, LEAST_SHARE * n):
+            raise _no_point(int(fitting.sum()), n)
+        keep = fitting
+    turn = _turns(R[keep])
+    _require_turning(turn)
+    widen = (float(student.ppf(0.975, dof)) / NORMAL_95) ** 2
+    return TipCalibration(
+        tip_m=x[:3],
+        point_m=x[3:],
+        covariance=NamedCovariance(names=NAMES, matrix=cov * widen),
+        residuals_m=e,
+        used=keep,
+        rejected=tuple(
+            (int(i), f"the tip is {np.linalg.norm(e[i]) / MM:.3g} mm from the point where the others rest")
+            for i in np.flatnonzero(~keep)
+        ),
+        turn_rms_rad=turn,
+        paper_tip_m=None if point is None else mean_tip(R[keep], t[keep], point.xyz_m),
+    )
+
+
+def mean_tip(R: Array, t: Array, point_m: Array) -> Array:
+    """Return the tip of Pachidis eqs. (12), (13): the mean of T_i^-1 point, R (n, 3, 3), t (n, 3)."""
+    return np.asarray(np.einsum("nji,nj->ni", R, point_m - t).mean(axis=0))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TipRecording:
+    """Poses recorded so far while the operator pivots, and what they are worth; every `with_pose` is a new one."""
+
+    poses: tuple[RigidTransform, ...] = ()
+    point: MeasuredPoint | None = None
+    good_m: float = GOOD_ENOUGH_M
+    latest: TipCalibration | None = field(default=None)
+    waiting: str = "turn the tool about its end"
+
+    def with_pose(self, pose: RigidTransform) -> TipRecording:
+        """Return the recording with one more pose, and the calibration that it now allows."""
+        poses = (*self.poses, pose)
+        try:
+            latest, waiting = calibrate_tooltip(poses, point=self.point), ""
+        except (NotEnoughData, Degenerate, Inconsistent) as error:
+            latest, waiting = None, error.cause
+        return TipRecording(poses=poses, point=self.point, good_m=self.good_m, latest=latest, waiting=waiting)
+
+    @property
+    def std_m(self) -> float:
+        """The largest deviation of the tip in m; infinite while nothing can be said."""
+        return float("inf") if self.latest is None else max(self.latest.std().values())
+
+    @property
+    def good_enough(self) -> bool:
+        """Whether the deviation has fallen below good_m."""
+        return self.std_m <= self.good_m
+
+    def progress(self) -> str:
+        """Return one line for the operator."""
+        if self.latest is None:
+            return f"{len(self.poses)} poses: {self.waiting}"
+        state = "good enough" if self.good_enough else f"aim: {self.good_m / MM:.3g} mm"
+        return f"{len(self.poses)} poses: tip known to {self.std_m / MM:.3g} mm ({state})"
+
+
+def _split(poses: RigidTransform | Sequence[RigidTransform]) -> tuple[Array, Array]:
+    """Return rotations (n, 3, 3) and translations (n, 3)."""
+    if isinstance(poses, RigidTransform):
+        M = np.atleast_3d(poses.as_matrix()) if not poses.single else poses.as_matrix()[None]
+    else:
+        M = np.stack([pose.as_matrix() for pose in poses]) if len(poses) else np.empty((0, 4, 4))
+    if len(M) < MIN_POSES:
+        raise NotEnoughData(
+            f"{len(M)} poses, of which {MIN_POSES} are the fewest that can be checked",
+            consequence="No tip is given",
+            cure="Turn the tool about its end and record 20 to 50 poses",
+        )
+    if not np.isfinite(M).all():
+        raise Inconsistent(f"pose {int(np.argmax(~np.isfinite(M).all(axis=(1, 2)))) + 1} is not finite")
+    return M[:, :3, :3], M[:, :3, 3]
+
+
+def _covariances(given: ArrayLike | None, n: int) -> Array:
+    if given is None:
+        return np.tile(np.diag([NOISE_M**2] * 3 + [NOISE_RAD**2] * 3), (n, 1, 1))
+    return frozen_array("covariances", given, (n, 6, 6))
+
+
+def _fit(
+    R: Array, t: Array, C: Array, keep: NDArray[np.bool_], point: MeasuredPoint | None
+) -> tuple[Array, Array, Array, Array, float, int]:
+    """Return x (6,) = tip, point; its covariance; residuals (n, 3); their covariances V (n, 3, 3) in given units; the
+    estimated factor on V; degrees of freedom."""
+    n = len(R)
+    J = np.concatenate([R, np.tile(-np.eye(3), (n, 1, 1))], axis=2)  # (n, 3, 6)
+    x = np.linalg.lstsq(J[keep].reshape(-1, 6), -t[keep].reshape(-1), rcond=None)[0]
+    dof = max(3 * int(keep.sum()) - 6, 1)
+    for _ in range(ROUNDS):
+        lever = np.einsum("nij,j->ni", R, x[:3])  # (n, 3)
+        A = np.concatenate([np.tile(np.eye(3), (n, 1, 1)), _minus_cross(lever)], axis=2)  # (n, 3, 6): dt + dw x lever
+        V = A @ C @ A.transpose(0, 2, 1)
+        W = np.linalg.inv(V)
+        WJ = W[keep] @ J[keep]
+        H = np.einsum("nia,nib->ab", J[keep], WJ)
+        g = -np.einsum("nia,ni->a", WJ, t[keep])
+        new = np.linalg.solve(H, g)
+        e = np.einsum("nia,a->ni", J, new) + t
+        scale2 = float(np.einsum("ni,nij,nj->", e[keep], W[keep], e[keep])) / dof
+        if point is not None:  # a measurement of the point, in its own units: the poses' factor must be known first
+            prior = np.zeros((6, 6))
+            prior[3:, 3:] = np.eye(3) * max(scale2, 1e-30) / point.sigma_m**2
+            H = H + prior
+            new = np.linalg.solve(H, g + prior @ np.concatenate([np.zeros(3), point.xyz_m]))
+            e = np.einsum("nia,a->ni", J, new) + t
+        moved = float(np.abs(new - x).max())
+        x = new
+        if moved < SETTLED:
+            break
+    return x, np.linalg.inv(H) * scale2, e, V, scale2, dof
+
+
+def _distance(R: Array, e: Array, V: Array, cov: Array, keep: NDArray[np.bool_], scale2: float) -> Array:
+    """Return (n,): squared length of each residual, as left out, against its own noise and the answer's."""
+    J = np.concatenate([R, np.tile(-np.eye(3), (len(R), 1, 1))], axis=2)
+    M = J @ cov @ J.transpose(0, 2, 1)
+    S = V * scale2 + np.where(keep[:, None, None], -M, M)
+    S = S + 1e-24 * np.eye(3)
+    return np.asarray(np.einsum("ni,ni->n", e, np.linalg.solve(S, e[:, :, None])[:, :, 0]))
+
+
+def _consensus(R: Array, t: Array) -> NDArray[np.bool_]:
+    """Return the poses that agree with the best of many small samples (least median of squares)."""
+    n = len(R)
+    rng = np.random.default_rng(41)
+    order = np.lexsort(t.T)  # the answer does not depend on the order of the poses
+    J = np.concatenate([R, np.tile(-np.eye(3), (n, 1, 1))], axis=2)[order]
+    b = t[order]
+    samples = np.argsort(rng.random((60, n)), axis=1)[:, : min(n, 5)]
+    A = J[samples].reshape(len(samples), -1, 6)
+    H = A.transpose(0, 2, 1) @ A + 1e-12 * np.eye(6)
+    x = -np.linalg.solve(H, A.transpose(0, 2, 1) @ b[samples].reshape(len(samples), -1, 1))[:, :, 0]
+    errors = np.linalg.norm(np.einsum("nia,sa->sni", J, x) + b, axis=2)  # (S, n)
+    best = errors[int(np.argmin(np.median(errors, axis=1)))]
+    keep = np.empty(n, bool)
+    keep[order] = best <= 8.0 * max(float(np.median(best)), 1e-12)
+    return keep
+
+
+def _turns(R: Array) -> Array:
+    """Return the root mean square turn (3,) about the principal axes, falling, in rad."""
+    rotations = Rotation.from_matrix(R)
+    w = (rotations.mean().inv() * rotations).as_rotvec()
+    w = w - w.mean(axis=0)
+    return np.sqrt(np.maximum(np.linalg.eigvalsh(w.T @ w / len(w))[::-1], 0.0))
+
+
+def _require_turning(turn: Array) -> None:
+    if turn[1] >= LEAST_TURN_RAD:
+        return
+    what = "about one axis only" if turn[0] >= LEAST_TURN_RAD else f"by only {turn[0] / DEG:.2g} degrees"
+    raise Degenerate(
+        f"the tool turns {what}",
+        consequence="Where its end is along that axis cannot be known; no tip is given",
+        cure="Tilt the tool by 20 degrees and more in at least two directions while its end stays on the point",
+    )
+
+
+def _no_point(agree: int, n: int) -> Inconsistent:
+    return Inconsistent(
+        f"only {agree} of {n} poses share one resting point of the tip",
+        consequence="The tip moved, or the poses do not belong to one recording; no tip is given",
+        cure="Keep the end of the tool on one point, a small cone or centre punch, and record again",
+    )
+
+
+def _minus_cross(v: Array) -> Array:
+    """Return (n, 3, 3): dw -> dw x v."""
+    x, y, z = v.T
+    o = np.zeros_like(x)
+    return np.array([[o, z, -y], [-z, o, x], [y, -x, o]]).transpose(2, 0, 1)
