@@ -9,7 +9,7 @@ import numpy as np
 
 from armsight.report.figures import BLUE, ORANGE, Figure, axis, layout
 from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table, text, with_deviation
-from armsight.report.residuals import coverage_figure, pooled_rms, residual_figure
+from armsight.report.residuals import STROKE, coverage_figure, pooled_rms, residual_figure
 from armsight.report.run import CalibrationRun, CameraFit
 from armsight.units import MM
 
@@ -21,6 +21,9 @@ COVERED = 0.6
 
 OVERFITTED = 1.5
 """Left-out error over fitted error: above it the fit follows its own images more than the camera."""
+
+LONG_TABLE = 12
+"""Rows above which a table is set in two columns."""
 
 MIN_USED = 0.7
 """Share of the images used, below which the set itself is in doubt."""
@@ -36,9 +39,7 @@ def calibration_report(run: CalibrationRun, *, created: datetime | None = None) 
     )
     _add_parameters(page, run)
     _add_images(page, run)
-    for fit in run.cameras:
-        if len(fit.uv_px):
-            _add_coverage(page, fit)
+    _add_coverage(page, run)
     clouds = {fit.name: fit.residual_px for fit in run.cameras if len(fit.residual_px)}
     if clouds:
         page.add(
@@ -128,10 +129,14 @@ def _add_parameters(page: Page, run: CalibrationRun) -> None:
     for parameter in run.parameters:
         value, std = with_deviation(parameter.value, parameter.std)
         rows.append([parameter.name, value, std, parameter.unit])
-    parts = [table(["parameter", "value", "standard deviation", "unit"], rows, numbers=(1, 2))]
+    half = len(rows) if len(rows) <= LONG_TABLE else (len(rows) + 1) // 2
+    header = ["parameter", "value", "standard deviation", "unit"]
+    pieces = [table(header, piece, numbers=(1, 2)) for piece in (rows[:half], rows[half:]) if piece]
+    parts = [f'<div class="pair">{"".join(pieces)}</div>']
     if run.metric:
-        lengths = [[_metric_name(name), figure_of(value / MM, digits=5)] for name, value in run.metric.items()]
-        parts.append(table(["lengths on the board, measured by the rig", "mm"], lengths, numbers=(1,)))
+        lengths = [[_metric_name(name), f"{value / MM:.4f}"] for name, value in run.metric.items()]
+        metric = table(["lengths on the board, measured by the rig", "mm"], lengths, numbers=(1,))
+        parts.append(f'<div class="pair">{metric}</div>')
     if run.advice:
         parts.append(f"<p>What would make it better:</p>{bullets(list(run.advice))}")
     page.add("Result", "Deviations are those of the fit: what this set of images leaves open.", *parts)
@@ -177,14 +182,21 @@ def _add_images(page: Page, run: CalibrationRun) -> None:
     )
 
 
-def _add_coverage(page: Page, fit: CameraFit) -> None:
-    scale = 0.02 * fit.camera.width / (pooled_rms([fit.residual_px]) or 1.0)
+def _add_coverage(page: Page, run: CalibrationRun) -> None:
+    fits = [fit for fit in run.cameras if len(fit.uv_px)]
+    if not fits:
+        return
+    places = []
+    for fit in fits:
+        figure = coverage_figure(fit.uv_px, fit.residual_px, fit.camera.width, fit.camera.height)
+        scale = STROKE * fit.camera.width / (pooled_rms([fit.residual_px]) or 1.0)
+        caption = f"{fit.name}, residuals {scale:.0f} times enlarged"
+        places.append(f"<figure>{page.plot(figure)}<figcaption>{text(caption)}</figcaption></figure>")
     page.add(
-        f"Coverage of the image, {fit.name}",
-        "Each dot is a point of the board in some image, each stroke its residual, "
-        f"{scale:.0f} times enlarged. The lens is known where dots are; strokes that lean the same way side by side "
-        "are lens that the model misses.",
-        page.plot(coverage_figure(fit.uv_px, fit.residual_px, fit.camera.width, fit.camera.height)),
+        "Coverage of the image",
+        "Each dot is a point of the board in some image, each stroke its residual. The lens is known where dots are; "
+        "strokes that lean the same way side by side are lens that the model misses.",
+        f'<div class="pair">{"".join(places)}</div>',
     )
 
 

@@ -113,7 +113,7 @@ def spread(values: Array, limit: int = MAX_SCATTERED) -> Index:
     n = len(values)
     if n <= limit:
         return np.arange(n)
-    far = np.argsort(-np.abs(values).max(axis=1))[: limit // 10]
+    far = np.argsort(-np.abs(values).max(axis=1))[: limit // 100]
     even = np.linspace(0, n - 1, limit - len(far)).astype(int)
     return np.unique(np.concatenate([far, even]))
 

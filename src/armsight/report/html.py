@@ -42,7 +42,9 @@ th{color:var(--soft);font-weight:600;font-size:13px;overflow-wrap:normal}
 td.n,th.n{text-align:right;white-space:nowrap}
 tr:last-child td{border-bottom:0}
 .plot{width:100%}
-.pair{display:grid;grid-template-columns:repeat(auto-fit,minmax(420px,1fr));gap:14px;margin:8px 0 14px}
+.pair{display:grid;grid-template-columns:repeat(auto-fit,minmax(420px,1fr));gap:14px 28px;margin:8px 0 14px}
+.pair>*{min-width:0}
+.modebar{opacity:0;transition:opacity .2s}.plot:hover .modebar{opacity:1}
 figure{margin:0}figure svg{width:100%;height:auto;display:block;background:#000;border-radius:4px}
 figcaption{font-size:13px;color:var(--soft);margin-top:4px;overflow-wrap:anywhere}
 .zooms{display:flex;flex-wrap:wrap;gap:6px;margin-top:6px}.zooms svg{width:82px;height:82px;border-radius:3px}
@@ -60,7 +62,7 @@ POLICY = (
 
 SCRIPT = """
 const figures=JSON.parse(document.getElementById('figures').textContent);
-for(const f of figures){Plotly.newPlot(f.id,f.data,f.layout,{responsive:true,displaylogo:false})}
+for(const f of figures){Plotly.newPlot(f.id,f.data,f.layout,{responsive:true,displaylogo:false,displayModeBar:'hover'})}
 const fit=()=>{for(const f of figures){Plotly.Plots.resize(f.id)}};
 addEventListener('beforeprint',fit);addEventListener('afterprint',fit);
 """
@@ -163,7 +165,7 @@ def figure_of(value: float | None, unit: str = "", *, digits: int = 3) -> str:
         shown = f"{value:.{decimals}f}"
     else:
         shown = f"{value:.{digits - 1}e}"
-    return f"{shown} {unit}".strip()
+    return f"{shown}{unit}" if unit == "°" else f"{shown} {unit}".strip()
 
 
 def with_deviation(value: float, std: float | None) -> tuple[str, str]:

@@ -113,8 +113,8 @@ def _cards(run: MeasureRun, series: Series, errors: Errors | None) -> list[Card]
     cards = [
         Card(
             name="full poses",
-            value=f"{count[PoseStatus.OK]:,} of {n:,}",
-            note=f"{count[PoseStatus.POSITION_ONLY]:,} position only, {count[PoseStatus.LOST]:,} lost",
+            value=f"{count[PoseStatus.OK]:,}",
+            note=f"of {n:,}; {count[PoseStatus.POSITION_ONLY]:,} position only, {count[PoseStatus.LOST]:,} lost",
         ),
         Card(
             name="position deviation",
@@ -196,7 +196,8 @@ def _add_track(page: Page, run: MeasureRun, series: Series, errors: Errors | Non
         page.add(
             "Position and rotation over time",
             "The band holds the true value in 95 % of the frames (1.96 standard deviations); rx, ry, rz are angles "
-            "about x, y, z with R = Rz Ry Rx. Red marks at the bottom are frames without a full pose.",
+            "about x, y, z with R = Rz Ry Rx. Red marks at the bottom are frames without a full pose; "
+            "orange dots are the mean of the spots seen where not all were.",
             page.plot(time_figure(series)),
         )
         page.add(

@@ -17,6 +17,9 @@ BINS = 41
 GAP = 0.14
 """Share of the figure between one camera's plots and the next's."""
 
+STROKE = 0.02
+"""Length of a stroke for a residual of the RMS, as a share of the image's width."""
+
 WIDEST = 6.0
 """Times the RMS beyond which a residual is drawn at the edge of the plots: one wild point must not hide the rest."""
 
@@ -51,6 +54,7 @@ def residual_figure(residuals: Mapping[str, Array]) -> Figure:
         data += [_cloud(points, limit, cloud), *_bars(points, limit, bars, legend=i == 0)]
         notes.append(_note(name, top))
     shape["annotations"] = notes
+    shape["legend"] = {**shape["legend"], "x": 0.46}
     return Figure(data=data, layout=shape, height_px=110 + 250 * n)
 
 
@@ -130,7 +134,7 @@ def _bars(points: Array, limit: float, axes: dict[str, str], *, legend: bool) ->
 def coverage_figure(uv_px: Array, residual_px: Array, width: int, height: int) -> Figure:
     """Return where in the image the points (m, 2) lay, with their residuals as enlarged strokes."""
     rms = pooled_rms([residual_px]) or 1.0
-    scale = 0.02 * width / rms
+    scale = STROKE * width / rms
     keep = spread(uv_px)
     ends = uv_px[keep] + scale * residual_px[keep]
     x = np.stack([uv_px[keep, 0], ends[:, 0], np.full(len(keep), np.nan)], axis=1).ravel()
@@ -151,4 +155,4 @@ def coverage_figure(uv_px: Array, residual_px: Array, width: int, height: int) -
         xaxis=axis("u, px", range=[-0.5, width - 0.5], constrain="domain", mirror=True),
         yaxis=axis("v, px", range=[height - 0.5, -0.5], scaleanchor="x", constrain="domain", mirror=True),
     )
-    return Figure(data=data, layout=shape, height_px=400)
+    return Figure(data=data, layout=shape, height_px=380)

@@ -39,6 +39,14 @@ class Series:
         """Return the mask (n,) of the frames with this status."""
         return np.array([s is status for s in self.status], dtype=bool)
 
+    def full(self) -> tuple[Array, Array]:
+        """Return values and deviations with NaN wherever the pose is not full.
+
+        A position alone is that of the mean of the spots seen, another point than the target's origin.
+        """
+        ok = self.where(PoseStatus.OK)[:, None]
+        return np.where(ok, self.values, np.nan), np.where(ok, self.std, np.nan)
+
 
 def series_of(poses: Sequence[TargetPose]) -> Series:
     """Return the columns of poses; rotations become the angles of R = Rz Ry Rx, their covariance with them."""

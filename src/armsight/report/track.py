@@ -43,8 +43,8 @@ FAR = 3.0
 
 def track_figure(run: MeasureRun, series: Series) -> Figure:
     """Return the track in space, with the truth where there is one and the cameras where the axes are the rig's."""
-    ok, position = series.where(PoseStatus.OK), series.where(PoseStatus.POSITION_ONLY)
-    xyz = np.where(ok[:, None], series.values[:, :3], np.nan)
+    position = series.where(PoseStatus.POSITION_ONLY)
+    xyz = series.full()[0][:, :3]
     every = np.unique(np.linspace(0, len(xyz) - 1, MAX_PLOTTED).astype(int))
     data: list[dict[str, Any]] = []
     if run.truth is not None:
@@ -63,7 +63,11 @@ def track_figure(run: MeasureRun, series: Series) -> Figure:
     scene: dict[str, Any] = {f"{name}axis": axis(f"{name}, mm", ticks="") for name in "xyz"}
     scene["aspectmode"] = "data"
     scene["camera"] = (
-        {"up": {"x": 0, "y": -1, "z": 0}, "eye": {"x": -0.9, "y": -0.8, "z": -1.6}}  # y down: from behind the cameras
+        {
+            "up": {"x": 0, "y": -1, "z": 0},
+            "eye": {"x": -1.0, "y": -0.85, "z": -1.75},
+            "center": {"x": 0, "y": 0.1, "z": 0},
+        }  # y down: from behind the cameras
         if run.parent == "rig"
         else {"up": {"x": 0, "y": 0, "z": 1}, "eye": {"x": 1.3, "y": -1.5, "z": 0.9}}
     )
@@ -108,11 +112,14 @@ def _camera(rig: Rig, side: str, *, hidden: bool) -> dict[str, Any]:
 def time_figure(series: Series) -> Figure:
     """Return x, y, z, rx, ry, rz over time with their 95 % bands, and marks where there is no full pose."""
     data: list[dict[str, Any]] = []
-    lacking = ~series.where(PoseStatus.OK)
+    ok, position = series.where(PoseStatus.OK), series.where(PoseStatus.POSITION_ONLY)
+    full, std = series.full()
     for k in range(6):
-        values, half = series.values[:, k], WITHIN_95 * series.std[:, k]
+        values, half = full[:, k], WITHIN_95 * std[:, k]
         data += _banded(series.t_s, values, values - half, values + half, k)
-        data += _marks_below(series.t_s[lacking], k)
+        data += _marks_below(series.t_s[~ok], k)
+        if k < 3 and position.any():
+            data.append(_dots(series.t_s[position], series.values[position, k], k))
     return Figure(data=data, layout=_six(TITLES), height_px=640)
 
 
@@ -124,7 +131,7 @@ def deviation_figure(series: Series, errors: Errors | None) -> Figure:
             half = WITHIN_95 * errors.std[:, k]
             data += _banded(series.t_s, errors.values[:, k], -half, half, k)
         else:
-            half = WITHIN_95 * series.std[:, k]
+            half = WITHIN_95 * series.full()[1][:, k]
             data += _banded(series.t_s, half, np.full_like(half, np.nan), half, k)
     shape = _six([f"Δ{title}" for title in TITLES] if errors is not None else [f"± {title}" for title in TITLES])
     if errors is None:
@@ -179,6 +186,13 @@ def _marks_below(t_s: Array, k: int) -> list[dict[str, Any]]:
             "showlegend": False,
         }
     ]
+
+
+def _dots(t_s: Array, values: Array, k: int) -> dict[str, Any]:
+    """Return orange dots in plot k."""
+    keep = thinned(values)
+    marks = {"mode": "markers", "marker": {"size": 3.5, "color": ORANGE}, "hovertemplate": "%{y:.3f}<extra></extra>"}
+    return {"type": "scatter", "x": t_s[keep], "y": values[keep], **marks, **place(k + 1), "showlegend": False}
 
 
 def _six(titles: Any) -> dict[str, Any]:
