@@ -58,7 +58,7 @@ def link_to_line(
     """
     frame = np.asarray(T, float)
     R, o = frame[:3, :3], frame[:3, 3]
-    v = R.T @ _unit(direction)  # (3,) in the near frame
+    v = R.T @ unit_direction(direction)  # (3,) in the near frame
     p = np.zeros(3) if slides else R.T @ (np.asarray(point_m, float) - o)
     hint = np.array([1.0, 0.0, 0.0]) if x_hint is None else R.T @ np.asarray(x_hint, float)
     sine = hypot(v[0], v[1])
@@ -108,14 +108,14 @@ def _hayati(p: Array, v: Array, hint: Array) -> Link:
     return Link(theta_rad=theta, d_m=0.0, a_m=a, alpha_rad=alpha, beta_rad=beta, case="nearly parallel")
 
 
-def _unit(direction: ArrayLike) -> Array:
+def unit_direction(direction: ArrayLike, what: str = "the axis") -> Array:
     """Return the direction (3,) at exactly unit length; Inconsistent where it is far from that."""
     v = np.asarray(direction, float)
     length = float(np.linalg.norm(v)) if v.shape == (3,) else float("nan")
     if not abs(length - 1.0) <= UNIT_TOLERANCE:
         raise Inconsistent(
-            f"the axis {v.tolist()} has length {length:.6g}, not 1",
-            consequence="Its direction, and the scale of what was measured along it, cannot be trusted",
+            f"{what}, {v.tolist()}, has length {length:.6g}, not 1",
+            consequence="Its direction, and the scale of what moves along it, cannot be trusted",
             cure="Give a unit vector",
         )
     return np.asarray(v / length)

@@ -8,7 +8,10 @@ from types import MappingProxyType
 
 from armsight.errors import UsageError
 from armsight.kinematics.arm import Arm, Joint, JointType
-from armsight.units import DEG, MM
+from armsight.units import DEG
+
+PER_M = 1000.0
+"""Millimetres in a metre: dividing by it gives the float64 nearest to the printed number."""
 
 
 def korayem6r() -> Arm:
@@ -22,7 +25,7 @@ def korayem6r() -> Arm:
         (0.0, 0, 152.8, 40.4, 0.9),
     )
     joints = tuple(
-        Joint(name=f"j{i}", a_m=a * MM, alpha_rad=alpha * DEG, d_m=d * MM, max_speed=speed, stall_effort=torque)
+        Joint(name=f"j{i}", a_m=a / PER_M, alpha_rad=alpha * DEG, d_m=d / PER_M, max_speed=speed, stall_effort=torque)
         for i, (a, alpha, d, torque, speed) in enumerate(table, start=1)
     )
     return Arm(name="korayem6r", joints=joints, source="Korayem et al. 2018, Tables 2 and 3; no limits are given")
@@ -39,7 +42,7 @@ def puma761() -> Arm:
         (0.0, 0, 125.0),
     )
     joints = tuple(
-        Joint(name=f"j{i}", a_m=a * MM, alpha_rad=alpha * DEG, d_m=d * MM)
+        Joint(name=f"j{i}", a_m=a / PER_M, alpha_rad=alpha * DEG, d_m=d / PER_M)
         for i, (a, alpha, d) in enumerate(table, start=1)
     )
     source = (
@@ -107,9 +110,9 @@ def irb120() -> Arm:
     joints = tuple(
         Joint(
             name=f"j{i}",
-            a_m=a * MM,
+            a_m=a / PER_M,
             alpha_rad=alpha * DEG,
-            d_m=d * MM,
+            d_m=d / PER_M,
             theta_rad=theta * DEG,
             lower=low * DEG,
             upper=high * DEG,

@@ -1,0 +1,163 @@
+"""An arm from its joints' frames in space, as URDF gives them, and back; exact both ways."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import atan2, inf
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from armsight.errors import Inconsistent
+from armsight.kinematics.arm import Arm, Joint, JointType
+from armsight.kinematics.convention import Convention, link_matrix
+from armsight.kinematics.forward import in_convention
+from armsight.kinematics.lines import link_to_line, unit_direction
+
+Array = NDArray[np.float64]
+
+SAME = 1e-12
+"""Frames that agree to this (m, rad) are the same to rounding."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class AxisJoint:
+    """A joint as URDF has it: T_parent_joint (4, 4) to the link before, axis (3,) in its own frame, limits."""
+
+    name: str
+    type: JointType
+    T_parent_joint: Array
+    axis: Array
+    lower: float = -inf
+    upper: float = inf
+    max_speed: float | None = None
+    stall_effort: float | None = None
+
+
+def arm_from_axes(
+    name: str, T_world_base: Array, joints: Sequence[AxisJoint], T_last_flange: Array, T_flange_tool: Array
+) -> Arm:
+    """Return the arm in standard Denavit-Hartenberg form whose poses are those of the axes, to rounding.
+
+    All (4, 4): T_world_base of the link before the first joint, T_last_flange of the flange in the last joint's frame.
+    Joint values keep their zero and their sense. Where a frame is already one of Denavit and Hartenberg's its
+    parameters come back as they are; nearly parallel axes get a beta. Raises Inconsistent for an axis that is not of
+    unit length.
+    """
+    lines = []
+    at = T_world_base
+    for joint in joints:
+        at = at @ joint.T_parent_joint
+        lines.append((at, *_direction(joint)))
+    frame = _first_frame(T_world_base, lines[0][0], lines[0][1])
+    base = frame
+    rows: list[Joint] = []
+    for k, joint in enumerate(joints):
+        here, _, sign = lines[k]
+        if k + 1 < len(joints):
+            there, direction, _ = lines[k + 1]
+            link = link_to_line(frame, there[:3, 3], there[:3, :3] @ direction, x_hint=here[:3, 0])
+            theta, d, a, alpha, beta = link.theta_rad, link.d_m, link.a_m, link.alpha_rad, link.beta_rad
+            frame = frame @ link.matrix()
+        else:
+            theta, d, a, alpha, T_flange_tool = _last_link(frame, here @ T_last_flange, T_flange_tool)
+            beta = 0.0
+        rows.append(
+            Joint(
+                name=joint.name,
+                type=joint.type,
+                a_m=a,
+                alpha_rad=alpha,
+                d_m=d,
+                theta_rad=theta,
+                beta_rad=beta,
+                lower=joint.lower,
+                upper=joint.upper,
+                sign=sign,
+                max_speed=joint.max_speed,
+                stall_effort=joint.stall_effort,
+            )
+        )
+    return Arm(
+        name=name,
+        joints=tuple(rows),
+        T_world_base=RigidTransform.from_matrix(base),
+        T_flange_tool=RigidTransform.from_matrix(T_flange_tool),
+    )
+
+
+def axes_of(arm: Arm) -> tuple[Array, list[AxisJoint], Array, Array]:
+    """Return what `arm_from_axes` takes after the name; every joint moves about or along the z axis of its frame.
+
+    Raises Inconsistent for a joint with a scale, which URDF cannot say.
+    """
+    standard = in_convention(arm, Convention.STANDARD)
+    before = np.eye(4)
+    out = []
+    for joint in standard.joints:
+        if abs(joint.sign) != 1.0:
+            raise Inconsistent(
+                f"joint {joint.name} has the scale {abs(joint.sign):g}",
+                consequence="URDF has no place for it",
+                cure="Keep this arm as arm.yaml",
+            )
+        out.append(
+            AxisJoint(
+                name=joint.name,
+                type=joint.type,
+                T_parent_joint=before @ _turn_z(joint.theta_rad),
+                axis=np.array([0.0, 0.0, joint.sign]),
+                lower=joint.lower,
+                upper=joint.upper,
+                max_speed=joint.max_speed,
+                stall_effort=joint.stall_effort,
+            )
+        )
+        before = link_matrix(joint.a_m, joint.alpha_rad, joint.beta_rad)
+        before[2, 3] += joint.d_m
+    return standard.T_world_base.as_matrix(), out, before, standard.T_flange_tool.as_matrix()
+
+
+def _turn_z(angle_rad: float) -> Array:
+    T = np.eye(4)
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    T[:2, :2] = [[c, -s], [s, c]]
+    return T
+
+
+def _direction(joint: AxisJoint) -> tuple[Array, float]:
+    """Return the direction of the DH z axis in the joint's frame, and the sign with which the joint moves along it."""
+    axis = unit_direction(joint.axis, f"the axis of joint {joint.name}")
+    if np.array_equal(axis, [0.0, 0.0, -1.0]):
+        return -axis, -1.0
+    return axis, 1.0
+
+
+def _first_frame(T_world_base: Array, T_world_joint: Array, axis: Array) -> Array:
+    """Return frame 0: the base where its z axis is joint 1's axis, else the joint's own frame turned to its axis."""
+    z = T_world_joint[:3, :3] @ axis
+    to_axis = T_world_joint[:3, 3] - T_world_base[:3, 3]
+    off = np.linalg.norm(np.cross(z, to_axis))
+    if np.linalg.norm(T_world_base[:3, 2] - z) < SAME and off < SAME:
+        return T_world_base
+    frame = T_world_joint.copy()
+    if np.linalg.norm(frame[:3, 2] - z) > 0.0:
+        side = frame[:3, int(np.abs(frame[:3, :3].T @ z).argmin())]
+        x = side - (side @ z) * z
+        x /= np.linalg.norm(x)
+        frame[:3, :3] = np.column_stack([x, np.cross(z, x), z])
+    return frame
+
+
+def _last_link(frame: Array, T_world_flange: Array, T_flange_tool: Array) -> tuple[float, float, float, float, Array]:
+    """Return theta, d, a, alpha of the last row, and the tool, which takes the flange where the row cannot."""
+    X = np.linalg.inv(frame) @ T_world_flange
+    theta = atan2(X[1, 0], X[0, 0])
+    c, s = np.cos(theta), np.sin(theta)
+    across = -s * X[0, 3] + c * X[1, 3]
+    if abs(X[2, 0]) < SAME and abs(across) < SAME:
+        a = float(c * X[0, 3] + s * X[1, 3])
+        return theta, float(X[2, 3]), a, atan2(X[2, 1], X[2, 2]), T_flange_tool
+    return 0.0, 0.0, 0.0, 0.0, X @ T_flange_tool

@@ -1,0 +1,317 @@
+"""URDF, as far as a serial arm needs it: links, joints, fixed joints, origins, axes, limits."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.errors import BadFile
+from armsight.kinematics import Arm, JointType
+from armsight.kinematics.axes import AxisJoint, arm_from_axes, axes_of
+from armsight.store.atomic import read_bytes, write_text
+from armsight.store.schema import named
+
+Array = NDArray[np.float64]
+
+MAX_BYTES = 5_000_000
+"""Larger than any arm's description; meshes are kept in files of their own."""
+
+NO_LIMIT = 1e9
+"""What a limit without end is written as: URDF has no word for it on one side."""
+
+MOVING = {"revolute": JointType.REVOLUTE, "continuous": JointType.REVOLUTE, "prismatic": JointType.PRISMATIC}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class UrdfJoint:
+    """One joint element: links by name, T_parent_joint (4, 4), and its element for the rest."""
+
+    name: str
+    type: str
+    parent: str
+    child: str
+    T_parent_joint: Array
+    element: ElementTree.Element
+
+
+def read_urdf(path: Path, *, tip: str | None = None) -> Arm:
+    """Return the arm in a URDF file; see arm_from_urdf."""
+    data = read_bytes(path, limit=MAX_BYTES)
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise BadFile(f"{path}: is not UTF-8 text", consequence="It is not read") from error
+    return arm_from_urdf(text, str(path), tip=tip)
+
+
+def arm_from_urdf(text: str, where: str = "URDF", *, tip: str | None = None) -> Arm:
+    """Return the serial arm from the root link to the link tip, in standard Denavit-Hartenberg form.
+
+    Without tip the chain must not branch, but for fixed branches beside it; after the last joint the longest fixed
+    chain is the tool. Fixed joints are folded in. Raises BadFile that names the joint: floating, planar and unknown
+    types, branches, loops, axes not of unit length, limits swapped, mimicking joints.
+    """
+    root = _parsed(text, where)
+    joints = [_joint(element, where) for element in root.findall("joint")]
+    chain = _chain(joints, {_name(link, "link", where) for link in root.findall("link")}, where, tip)
+    before, moving, after = _folded(chain, where)
+    with named(where):
+        return arm_from_axes(root.get("name") or "arm", before, moving, *after)
+
+
+def _parsed(text: str, where: str) -> ElementTree.Element:
+    """Return the robot element. Document types, and with them entities, are refused before the parser sees them."""
+    if re.search(r"<!\s*(DOCTYPE|ENTITY)", text, re.IGNORECASE):
+        raise BadFile(
+            f"{where}: holds a document type or entities",
+            consequence="It is not read: they could expand without end",
+            cure="Remove the <!DOCTYPE ...> part",
+        )
+    try:
+        root = ElementTree.fromstring(text)
+    except (ElementTree.ParseError, ValueError) as error:
+        raise BadFile(
+            f"{where}: is not XML ({error})", consequence="It is not read", cure="A xacro file must be expanded first"
+        ) from error
+    if root.tag != "robot":
+        raise BadFile(f"{where}: its root is <{str(root.tag)[:40]}>, not <robot>", cure="Give a URDF file")
+    return root
+
+
+def _name(element: ElementTree.Element, kind: str, where: str) -> str:
+    name = element.get("name")
+    if not name:
+        raise BadFile(f"{where}: a {kind} has no name")
+    return name
+
+
+def _numbers(text: str | None, default: str, count: int, what: str) -> Array:
+    """Return so many finite numbers from an attribute."""
+    try:
+        values = np.array([float(part) for part in (text if text is not None else default).split()])
+    except ValueError:
+        values = np.empty(0)
+    if len(values) != count or not np.isfinite(values).all():
+        raise BadFile(f"{what} is {str(text)[:40]!r}, not {count} finite numbers", consequence="The file is not used")
+    return values
+
+
+def _joint(element: ElementTree.Element, where: str) -> UrdfJoint:
+    """Return one joint's place and kind; BadFile for kinds that no serial arm has."""
+    name = _name(element, "joint", where)
+    kind = element.get("type") or ""
+    at = f"{where}: joint {name}"
+    if kind not in (*MOVING, "fixed"):
+        what = "leaves the arm free to float" if kind == "floating" else "is not a joint of an arm"
+        raise BadFile(
+            f"{at}: type {kind[:30]!r} {what}",
+            consequence="The arm cannot be modelled",
+            cure="Known are revolute, continuous, prismatic and fixed",
+        )
+    if element.find("mimic") is not None:
+        raise BadFile(
+            f"{at}: mimics another joint", consequence="Its value would not be its own", cure="Remove <mimic>"
+        )
+    links = {}
+    for role in ("parent", "child"):
+        link = element.find(role)
+        links[role] = link.get("link") if link is not None else None
+        if not links[role]:
+            raise BadFile(f"{at}: has no {role} link", consequence="The arm cannot be put together")
+    origin = element.find("origin")
+    xyz = _numbers(origin.get("xyz") if origin is not None else None, "0 0 0", 3, f"{at}: origin xyz")
+    rpy = _numbers(origin.get("rpy") if origin is not None else None, "0 0 0", 3, f"{at}: origin rpy")
+    return UrdfJoint(
+        name=name,
+        type=kind,
+        parent=str(links["parent"]),
+        child=str(links["child"]),
+        T_parent_joint=_matrix(xyz, rpy),
+        element=element,
+    )
+
+
+def _matrix(xyz: Array, rpy: Array) -> Array:
+    """Return the (4, 4) matrix of an origin: R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
+    T = np.eye(4)
+    T[:3, :3] = [
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ]
+    T[:3, 3] = xyz
+    return T
+
+
+def _chain(joints: list[UrdfJoint], links: set[str], where: str, tip: str | None) -> list[UrdfJoint]:
+    """Return the joints from the root to the tip, in order."""
+    above: dict[str, UrdfJoint] = {}
+    below: dict[str, list[UrdfJoint]] = {}
+    for joint in joints:
+        for link in (joint.parent, joint.child):
+            if link not in links:
+                raise BadFile(f"{where}: joint {joint.name} names the link {link!r}, which is not there")
+        if joint.child in above:
+            raise BadFile(
+                f"{where}: the link {joint.child} hangs on two joints, {above[joint.child].name} and {joint.name}",
+                consequence="The chain is closed, not serial",
+            )
+        above[joint.child] = joint
+        below.setdefault(joint.parent, []).append(joint)
+    roots = sorted(links - set(above))
+    if len(roots) != 1:
+        what = f"{len(roots)} root links ({', '.join(roots)})" if roots else "no root link: its joints form a loop"
+        raise BadFile(f"{where}: has {what}", consequence="It is not one arm")
+    end = tip if tip is not None else _end(roots[0], below, where)
+    if end not in links:
+        raise BadFile(f"{where}: has no link {end!r}", cure=f"Use one of {', '.join(sorted(links))}")
+    chain: list[UrdfJoint] = []
+    while end in above:
+        chain.append(above[end])
+        end = above[end].parent
+        if len(chain) > len(joints):
+            raise BadFile(f"{where}: its joints form a loop", consequence="It is not a serial arm")
+    return chain[::-1]
+
+
+def _end(root: str, below: Mapping[str, list[UrdfJoint]], where: str) -> str:
+    """Return the last link: along the only branch that moves, then along the longest fixed one."""
+    moves: dict[str, bool] = {}
+    depth: dict[str, int] = {}
+    order = [root]
+    for link in order:  # grows while it is walked
+        order += [joint.child for joint in below.get(link, ())]
+    for link in reversed(order):
+        children = below.get(link, ())
+        moves[link] = any(joint.type in MOVING or moves[joint.child] for joint in children)
+        depth[link] = max((1 + depth[joint.child] for joint in children), default=0)
+    link = root
+    while children := below.get(link, []):
+        moving = [joint for joint in children if joint.type in MOVING or moves[joint.child]]
+        if len(moving) > 1:
+            raise BadFile(
+                f"{where}: branches at the link {link} into {', '.join(joint.name for joint in moving)}",
+                consequence="It is not a serial arm",
+                cure="Name the link at the end of the chain you mean (tip)",
+            )
+        link = moving[0].child if moving else max(children, key=lambda joint: depth[joint.child]).child
+    return link
+
+
+def _folded(chain: list[UrdfJoint], where: str) -> tuple[Array, list[AxisJoint], tuple[Array, Array]]:
+    """Fold fixed joints: what stands before the first moving joint, the moving joints, and flange and tool behind."""
+    at = np.eye(4)
+    base = np.eye(4)
+    moving: list[AxisJoint] = []
+    fixed: list[Array] = []
+    for joint in chain:
+        if joint.type == "fixed":
+            fixed.append(joint.T_parent_joint)
+            continue
+        for T in fixed:
+            at = at @ T
+        fixed = []
+        if not moving:
+            base, at = at, np.eye(4)
+        moving.append(_axis_joint(joint, at @ joint.T_parent_joint, where))
+        at = np.eye(4)
+    if not moving:
+        raise BadFile(f"{where}: nothing in it moves", consequence="It is not an arm")
+    flange = fixed[0] if fixed else np.eye(4)
+    tool = np.eye(4)
+    for T in fixed[1:]:
+        tool = tool @ T
+    return base, moving, (flange, tool)
+
+
+def _axis_joint(joint: UrdfJoint, T: Array, where: str) -> AxisJoint:
+    """Return a moving joint with its axis and limits."""
+    at = f"{where}: joint {joint.name}"
+    axis = joint.element.find("axis")
+    direction = _numbers(axis.get("xyz") if axis is not None else None, "1 0 0", 3, f"{at}: axis")
+    limit = joint.element.find("limit")
+    lower, upper = -math.inf, math.inf
+    if joint.type != "continuous":
+        if limit is None:
+            raise BadFile(f"{at}: has no <limit>", cure="Give lower and upper, or make it continuous")
+        lower = float(_numbers(limit.get("lower"), "0", 1, f"{at}: lower limit")[0])
+        upper = float(_numbers(limit.get("upper"), "0", 1, f"{at}: upper limit")[0])
+    values = [
+        float(_numbers(limit.get(key) if limit is not None else None, "0", 1, f"{at}: {key}")[0])
+        for key in ("velocity", "effort")
+    ]
+    speed, effort = (value if 0.0 < value < NO_LIMIT else None for value in values)
+    return AxisJoint(
+        name=joint.name,
+        type=MOVING[joint.type],
+        T_parent_joint=T,
+        axis=direction,
+        lower=lower if lower > -NO_LIMIT else -math.inf,
+        upper=upper if upper < NO_LIMIT else math.inf,
+        max_speed=speed,
+        stall_effort=effort,
+    )
+
+
+def write_urdf(path: Path, arm: Arm) -> None:
+    """Write the arm's kinematics as URDF; see urdf_text."""
+    write_text(path, urdf_text(arm))
+
+
+def urdf_text(arm: Arm) -> str:
+    """Return the arm's kinematics as URDF: links world, base, link1.., flange, tool; no shapes, no masses.
+
+    Poses are the same to rounding, also after reading it back. Raises Inconsistent for a joint with a scale.
+    """
+    base, joints, flange, tool = axes_of(arm)
+    robot = ElementTree.Element("robot", name=arm.name)
+    links = ["world", "base", *(f"link{i + 1}" for i in range(arm.n)), "flange", "tool"]
+    for link in links:
+        ElementTree.SubElement(robot, "link", name=link)
+    _add_joint(robot, "world_base", "fixed", "world", "base", base)
+    for joint, parent, child in zip(joints, links[1:], links[2:], strict=False):
+        endless = math.isinf(joint.lower) and math.isinf(joint.upper)
+        turns = joint.type is JointType.REVOLUTE
+        kind = "continuous" if turns and endless else str(joint.type.value)
+        element = _add_joint(robot, joint.name, kind, parent, child, joint.T_parent_joint)
+        ElementTree.SubElement(element, "axis", xyz=_text(joint.axis))
+        limit = {"effort": repr(joint.stall_effort or 0.0), "velocity": repr(joint.max_speed or 0.0)}
+        if kind != "continuous":
+            limit["lower"], limit["upper"] = (
+                repr(float(np.clip(end, -NO_LIMIT, NO_LIMIT))) for end in (joint.lower, joint.upper)
+            )
+        ElementTree.SubElement(element, "limit", limit)
+    _add_joint(robot, "to_flange", "fixed", links[-3], "flange", flange)
+    _add_joint(robot, "to_tool", "fixed", "flange", "tool", tool)
+    ElementTree.indent(robot)
+    return '<?xml version="1.0"?>\n' + ElementTree.tostring(robot, encoding="unicode") + "\n"
+
+
+def _add_joint(
+    robot: ElementTree.Element, name: str, kind: str, parent: str, child: str, T: Array
+) -> ElementTree.Element:
+    element = ElementTree.SubElement(robot, "joint", name=name, type=kind)
+    ElementTree.SubElement(element, "parent", link=parent)
+    ElementTree.SubElement(element, "child", link=child)
+    ElementTree.SubElement(element, "origin", xyz=_text(T[:3, 3]), rpy=_text(_rpy(T[:3, :3])))
+    return element
+
+
+def _text(values: Array) -> str:
+    return " ".join(repr(float(value)) for value in values)
+
+
+def _rpy(R: Array) -> Array:
+    """Return roll, pitch, yaw with R = Rz Ry Rx, to rounding everywhere: the others are read with the yaw taken out."""
+    yaw = math.atan2(R[1, 0], R[0, 0])
+    c, s = math.cos(yaw), math.sin(yaw)
+    M = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ R  # Ry Rx
+    return np.array([math.atan2(-M[1, 2], M[1, 1]), math.atan2(-M[2, 0], M[0, 0]), yaw])
