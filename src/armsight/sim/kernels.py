@@ -6,13 +6,37 @@ A lens travels as one vector p (10,): fx, fy, cx, cy, skew (px), then k1, k2, p1
 
 from __future__ import annotations
 
-from math import erf, exp, floor, isfinite, pi, sqrt
+from math import floor, isfinite
 
 import numpy as np
 from numba import njit
+from scipy.special import ndtr
 
 REACH_SIGMA = 5.5
 """The spread function is drawn this many sigma (and a pixel) far: less than 1e-7 of its flux lies outside."""
+
+
+TABLE_REACH = 7.0
+"""The Gaussian's integrals are tabulated this many sigma far; 1e-12 lies beyond."""
+
+TABLE_DENSITY = 64
+"""Entries per sigma: cubics through values and slopes are then right to 1.4 / 384 / 64^4 = 2e-10, and several times
+faster than erf."""
+
+
+def _cubics(value, slope):
+    """Return coefficients 0..3 of the cubics between entries (n,), in fractions of the step between them."""
+    rise, a, b = np.diff(value), slope[:-1] / TABLE_DENSITY, slope[1:] / TABLE_DENSITY
+    coefficients = (value[:-1].copy(), a, 3.0 * rise - 2.0 * a - b, a + b - 2.0 * rise)
+    for c in coefficients:
+        c.setflags(write=False)
+    return coefficients
+
+
+_AT = np.arange(-TABLE_REACH * TABLE_DENSITY, TABLE_REACH * TABLE_DENSITY + 1.0) / TABLE_DENSITY
+_BELL = np.exp(-0.5 * _AT**2) / np.sqrt(2.0 * np.pi)
+_STEP, _STEP_1, _STEP_2, _STEP_3 = _cubics(ndtr(_AT), _BELL)
+_RAMP, _RAMP_1, _RAMP_2, _RAMP_3 = _cubics(_AT * ndtr(_AT) + _BELL, ndtr(_AT))
 
 
 @njit(cache=True)
@@ -70,15 +94,29 @@ def trace_rays(p, uv, rays):
 
 
 @njit(cache=True)
-def _gauss_step(t, sigma):
+def _gauss_step(t):
     """Return the integral of the unit Gaussian from minus infinity to t."""
-    return 0.5 * (1.0 + erf(t / (sigma * sqrt(2.0))))
+    if t <= -TABLE_REACH:
+        return 0.0
+    if t >= TABLE_REACH:
+        return 1.0
+    at = (t + TABLE_REACH) * TABLE_DENSITY
+    k = int(at)
+    s = at - k
+    return _STEP[k] + s * (_STEP_1[k] + s * (_STEP_2[k] + s * _STEP_3[k]))
 
 
 @njit(cache=True)
-def _gauss_ramp(t, sigma):
+def _gauss_ramp(t):
     """Return the integral of _gauss_step from minus infinity to t."""
-    return t * _gauss_step(t, sigma) + sigma * exp(-0.5 * (t / sigma) ** 2) / sqrt(2.0 * pi)
+    if t <= -TABLE_REACH:
+        return 0.0
+    if t >= TABLE_REACH:
+        return t
+    at = (t + TABLE_REACH) * TABLE_DENSITY
+    k = int(at)
+    s = at - k
+    return _RAMP[k] + s * (_RAMP_1[k] + s * (_RAMP_2[k] + s * _RAMP_3[k]))
 
 
 @njit(cache=True)
@@ -90,9 +128,9 @@ def _span(low, high, size):
 @njit(cache=True)
 def _fill_steps(out, first, last, centre, sigma, factor):
     """Fill out[:last-first] with factor times the share of a Gaussian that falls on each of the pixels."""
-    before = _gauss_step(first - 0.5 - centre, sigma)
+    before = _gauss_step((first - 0.5 - centre) / sigma)
     for i in range(first, last):
-        after = _gauss_step(i + 0.5 - centre, sigma)
+        after = _gauss_step((i + 0.5 - centre) / sigma)
         out[i - first] = factor * (after - before)
         before = after
 
@@ -100,10 +138,10 @@ def _fill_steps(out, first, last, centre, sigma, factor):
 @njit(cache=True)
 def _fill_ramps(out, first, last, centre, sigma):
     """Fill out[:last-first] with the mean over each of the pixels of the Gaussian's integral from the left."""
-    before = _gauss_ramp(first - 0.5 - centre, sigma)
+    before = _gauss_ramp((first - 0.5 - centre) / sigma)
     for i in range(first, last):
-        after = _gauss_ramp(i + 0.5 - centre, sigma)
-        out[i - first] = after - before
+        after = _gauss_ramp((i + 0.5 - centre) / sigma)
+        out[i - first] = sigma * (after - before)
         before = after
 
 

@@ -35,9 +35,8 @@ class Rest:
 
     def __call__(self, t_s: Array) -> RigidTransform:
         """Return the same pose for every time."""
-        R = np.broadcast_to(self.T_world_target.rotation.as_matrix(), (len(t_s), 3, 3))
-        xyz = np.broadcast_to(np.asarray(self.T_world_target.translation), (len(t_s), 3))
-        return RigidTransform.from_components(xyz, Rotation.from_matrix(R))
+        poses = np.broadcast_to(self.T_world_target.as_matrix(), (len(t_s), 4, 4))
+        return RigidTransform(poses, normalize=False)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -64,9 +63,11 @@ class Wander:
     def __call__(self, t_s: Array) -> RigidTransform:
         """Return the poses T_world_target at the times t_s (n,)."""
         swing = np.sin(2.0 * np.pi * np.asarray(t_s)[:, None] / self.period_s + self.phase_rad)  # (n, 6)
-        return RigidTransform.from_components(
-            self.centre_m + swing[:, :3] * self.swing_m, self.tilt * Rotation.from_rotvec(swing[:, 3:] * self.swing_rad)
-        )
+        poses = np.zeros((len(swing), 4, 4))
+        poses[:, :3, :3] = (self.tilt * Rotation.from_rotvec(swing[:, 3:] * self.swing_rad)).as_matrix()
+        poses[:, :3, 3] = self.centre_m + swing[:, :3] * self.swing_m
+        poses[:, 3, 3] = 1.0
+        return RigidTransform(poses, normalize=False)  # from_components takes four times as long
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

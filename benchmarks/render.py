@@ -1,0 +1,74 @@
+"""Time of rendering a pair of frames on one core, and of its parts, beside the plain numpy way of the same noise.
+
+python benchmarks/render.py [--quick]
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+import bench
+from armsight.sim import Cell, Sensor, ambient, led_cell
+
+TARGET_MS = 8.0
+"""A 1280x720 pair with six spots on one core."""
+
+HEXAGON_M = {
+    name: (0.05 * np.cos(angle), 0.05 * np.sin(angle), 0.0)
+    for name, angle in zip("ABCDEF", np.arange(6) * np.pi / 3, strict=True)
+}
+
+
+def six_lights(**options: object) -> Cell:
+    """Return the webcam cell with six lights on a circle of 100 mm instead of three."""
+    cell = led_cell(0, 1000, mishaps=False, **options)  # type: ignore[arg-type]
+    return replace(cell, lights=tuple(replace(cell.lights[0], name=n, xyz_m=xyz) for n, xyz in HEXAGON_M.items()))
+
+
+def numpy_noise(light: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """The same sensor in plain numpy: Poisson electrons, normal read noise, rounding."""
+    sensor = Sensor()
+    electrons = rng.poisson(light * sensor.electrons_per_level)
+    levels = electrons / sensor.electrons_per_level + sensor.read_noise_level * rng.standard_normal(
+        light.shape, np.float32
+    )
+    return np.clip(np.round(levels), 0, 255).astype(np.uint8)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--quick", action="store_true")
+    repeats = 20 if parser.parse_args().quick else 200
+    cv2.setNumThreads(1)
+    cells = {
+        "6 point lights, 1280x720": six_lights(),
+        "6 discs of 10 mm, 1280x720": six_lights(diameter_m=0.010, sigma_px=0.8),
+        "6 point lights, 640x360": six_lights(width=640, height=360),
+    }
+    index = iter(range(10**9))
+    runs = {name: (lambda cell=cell: cell.pair(next(index) % 1000)) for name, cell in cells.items()}
+    light, rng = ambient(1280, 720, 9.0), np.random.default_rng(0)
+    runs["noise of two frames, ours"] = lambda: (Sensor().develop(light, rng), Sensor().develop(light, rng))
+    runs["noise of two frames, numpy"] = lambda: (numpy_noise(light, rng), numpy_noise(light, rng))
+    wall = bench.interleaved_ms(runs, repeats)
+    print(f"Rendering, {bench.machine()}; {repeats} repeats, one thread")
+    rows = []
+    for name, times in wall.items():
+        start = time.process_time()
+        for _ in range(10):
+            runs[name]()
+        cpu = (time.process_time() - start) * 100.0
+        rows.append((name, float(np.median(times)), float(times.min()), cpu))
+    bench.table("ms per pair of frames", ("what", "median", "least", "processor time"), rows)
+    median = rows[0][1]
+    verdict = "met" if median <= TARGET_MS else "MISSED"
+    print(f"\n1280x720 pair with six spots: {median:.2f} ms, target <= {TARGET_MS} ms: {verdict}")
+
+
+if __name__ == "__main__":
+    main()
