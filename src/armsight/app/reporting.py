@@ -203,7 +203,6 @@ def _fit(
         camera=camera,
         uv_px=uv_px,
         residual_px=-residual_px,  # the report speaks of measured minus model
-        view=np.zeros(len(uv_px), np.intp),  # the fit does not say which view a point is of, the report does not ask
         sources=tuple(sources),
         view_rms_px=np.asarray(view_rms_px, float),
     )

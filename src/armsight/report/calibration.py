@@ -150,16 +150,17 @@ def _metric_name(name: str) -> str:
 
 
 def _add_images(page: Page, run: CalibrationRun) -> None:
-    """Add the RMS of each image, one bar per camera."""
+    """Add the RMS of each image, one bar per camera, or one per pair where the cameras share one figure."""
+    fits = [fit for fit in run.cameras if fit.sources]
+    shared = len(fits) > 1 and all(np.array_equal(fit.view_rms_px, fits[0].view_rms_px) for fit in fits)
     data = []
-    for fit, colour in zip(run.cameras, (BLUE, ORANGE), strict=False):
-        if not fit.sources:
-            continue
-        names = [text(f"{i + 1}: {PurePath(source).name[-28:]}") for i, source in enumerate(fit.sources)]
+    for fit, colour in zip(fits[:1] if shared else fits, (BLUE, ORANGE), strict=False):
+        numbers = list(range(1, len(fit.sources) + 1))
+        names = [text(f"{i}: {PurePath(source).name[-28:]}") for i, source in zip(numbers, fit.sources, strict=True)]
         data.append(
             {
                 "type": "bar",
-                "x": list(range(1, len(names) + 1)),
+                "x": numbers,
                 "y": fit.view_rms_px,
                 "name": text(fit.name),
                 "marker": {"color": colour},

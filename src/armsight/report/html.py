@@ -45,7 +45,7 @@ tr:last-child td{border-bottom:0}
 .pair{display:grid;grid-template-columns:repeat(auto-fit,minmax(420px,1fr));gap:14px 28px;margin:8px 0 14px}
 .pair>*{min-width:0}
 .modebar{opacity:0;transition:opacity .2s}.plot:hover .modebar{opacity:1}
-figure{margin:0}figure svg{width:100%;height:auto;display:block;background:#000;border-radius:4px}
+figure{margin:0}figure>svg{width:100%;height:auto;display:block;background:#000;border-radius:4px}
 figcaption{font-size:13px;color:var(--soft);margin-top:4px;overflow-wrap:anywhere}
 .zooms{display:flex;flex-wrap:wrap;gap:6px;margin-top:6px}.zooms svg{width:82px;height:82px;border-radius:3px}
 ul{margin:6px 0 0;padding-left:20px}

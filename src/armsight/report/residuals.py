@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from html import escape
 from typing import Any
 
 import numpy as np
@@ -67,7 +68,7 @@ def _limit(residuals: Mapping[str, Array]) -> float:
 
 def _note(name: str, top: float) -> dict[str, Any]:
     return {
-        "text": f"<b>{name}</b>",
+        "text": f"<b>{escape(name)}</b>",
         "x": 0.0,
         "y": top,
         "xref": "paper",

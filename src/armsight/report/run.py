@@ -72,20 +72,19 @@ class MeasureRun:
 class CameraFit:
     """One camera of a calibration: the board's points in its images and what the fit left of them.
 
-    uv_px, residual_px: (m, 2). view: (m,) which of sources each point belongs to. view_rms_px: by source.
+    uv_px, residual_px: (m, 2). view_rms_px: RMS of each image, in the order of sources.
     """
 
     name: str
     camera: Camera
     uv_px: Array
     residual_px: Array
-    view: NDArray[np.intp]
     sources: tuple[str, ...]
     view_rms_px: Array
 
     def __post_init__(self) -> None:
-        n = len(self.view)
-        object.__setattr__(self, "uv_px", frozen_array("uv_px", self.uv_px, (n, 2)))
+        object.__setattr__(self, "uv_px", frozen_array("uv_px", self.uv_px, (None, 2)))
+        n = len(self.uv_px)
         object.__setattr__(self, "residual_px", frozen_array("residual_px", self.residual_px, (n, 2)))
         object.__setattr__(self, "view_rms_px", frozen_array("view_rms_px", self.view_rms_px, (len(self.sources),)))
 

@@ -1,0 +1,456 @@
+"""The pages: complete in themselves, safe against what names say, right in their figures, small for long runs."""
+
+import json
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from armsight.errors import Inconsistent
+from armsight.geometry import pose_difference
+from armsight.optics import Camera, Rig, RigKind
+from armsight.records import PoseStatus, Spots, TargetPose, spot_target
+from armsight.report import (
+    CalibrationRun,
+    CameraFit,
+    MeasureRun,
+    Parameter,
+    Sample,
+    calibration_report,
+    measure_report,
+)
+from armsight.report.calibration import coverage
+from armsight.report.figures import MAX_PLOTTED, band, json_text, spread, thinned
+from armsight.report.html import figure_of, with_deviation
+from armsight.report.series import errors_of, losses_of, ranges, series_of
+
+HOSTILE = "</script><script>alert(1)</script>\"'><img src=x onerror=alert(2)>&<b>"
+CAMERA = Camera.pinhole(640, 480, 500.0, 500.0, 320.0, 240.0)
+RIG = Rig(
+    kind=RigKind.STEREO,
+    left=CAMERA,
+    right=CAMERA,
+    T_rig_left=RigidTransform.identity(),
+    T_rig_right=RigidTransform.from_translation([0.12, 0.0, 0.0]),
+    rms_px=0.1,
+)
+TARGET = spot_target({"A": (0.0, 0.0, 0.0), "B": (0.05, 0.0, 0.0), "C": (0.0, 0.05, 0.0)}, diameter_m=0.005)
+STD = np.array([2e-5, 2e-5, 1e-4, 3e-4, 2e-4, 1e-4])
+
+
+class Tags(HTMLParser):
+    """Collects tags, attributes that load something, the text people see, and the figures' JSON."""
+
+    def __init__(self, page):
+        super().__init__()
+        self.tags, self.loads, self.text, self.scripts, self._in = [], [], "", [], ""
+        self.feed(page)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self._in = tag
+        self.loads += [value for name, value in attrs if name in ("src", "href", "data", "action", "srcset")]
+        assert not [name for name, _ in attrs if name.startswith("on")], attrs
+
+    def handle_endtag(self, tag):
+        self._in = ""
+
+    def handle_data(self, data):
+        if self._in == "script":
+            self.scripts.append(data)
+        elif self._in != "style":
+            self.text += data
+
+    @property
+    def figures(self):
+        return json.loads(self.scripts[0])
+
+
+def poses_and_truth(n=40, *, lost=(), position=(), scale=1.0, seed=1):
+    """A track with noise as its covariance says (times scale), with gaps."""
+    rng = np.random.default_rng(seed)
+    poses, truth = [], []
+    for i in range(n):
+        w = 2 * np.pi * i / n
+        true = RigidTransform.from_components(
+            [0.1 * np.cos(w), 0.1 * np.sin(w), 0.8], Rotation.from_euler("xyz", [0.1, 0.3 * np.sin(w), w])
+        )
+        e = scale * STD * rng.standard_normal(6)
+        pose = RigidTransform.from_components(
+            np.asarray(true.translation) + e[:3], Rotation.from_rotvec(e[3:]) * true.rotation
+        )
+        truth.append(true)
+        common = {"t_s": i / 30, "parent": "rig"}
+        if i in lost:
+            poses.append(TargetPose(status=PoseStatus.LOST, why=f"no light in the left frame ({i} px seen)", **common))
+        elif i in position:
+            poses.append(
+                TargetPose(
+                    status=PoseStatus.POSITION_ONLY,
+                    pose=RigidTransform.from_translation(pose.translation),
+                    covariance=np.diag(STD[:3] ** 2),
+                    spots=("A",),
+                    why=HOSTILE,
+                    **common,
+                )
+            )
+        else:
+            poses.append(
+                TargetPose(status=PoseStatus.OK, pose=pose, covariance=np.diag(STD**2), spots=("A", "B", "C"), **common)
+            )
+    return poses, truth
+
+
+def sample(names=("A",), colour=False):
+    rng = np.random.default_rng(0)
+    image = rng.integers(0, 30, (480, 640, 3) if colour else (480, 640), dtype=np.uint8)
+    n = len(names)
+    spots = Spots(
+        uv_px=np.full((n, 2), 100.25),
+        covariance_px2=np.tile(np.eye(2) * 1e-3, (n, 1, 1)),
+        peak=np.ones(n),
+        size_px=np.full(n, 2.0),
+        model=("gaussian",) * n,
+        rejected=((5.0, 6.0, HOSTILE),),
+    )
+    return Sample(frame=3, side="left", image=image, names=names, spots=spots, seen=spots, source=HOSTILE, why=HOSTILE)
+
+
+def full_run(**more):
+    poses, truth = poses_and_truth(lost=(7, 8, 20), position=(11,))
+    residuals = {side: np.column_stack([np.arange(100.0), *np.full((2, 100), 0.1)]) for side in ("left", "right")}
+    given = {
+        "poses": poses,
+        "truth": truth,
+        "rig": RIG,
+        "target": TARGET,
+        "residuals": residuals,
+        "samples": [sample((HOSTILE,)), sample(colour=True)],
+        "median_ms": 0.3,
+        "p99_ms": 0.9,
+        "title": HOSTILE,
+        "facts": [(HOSTILE, HOSTILE)],
+        "assumptions": [HOSTILE],
+    }
+    return MeasureRun(**(given | more))
+
+
+def full_calibration(**more):
+    rng = np.random.default_rng(2)
+    n = 500
+    fits = [
+        CameraFit(
+            name=name,
+            camera=CAMERA,
+            uv_px=rng.uniform((0, 0), (640, 480), (n, 2)),
+            residual_px=0.1 * rng.standard_normal((n, 2)),
+            sources=tuple(f"{HOSTILE}/{HOSTILE}{i}.png" for i in range(9)),
+            view_rms_px=rng.uniform(0.05, 0.15, 9),
+        )
+        for name in (HOSTILE, "right")
+    ]
+    given = {
+        "title": HOSTILE,
+        "board": HOSTILE,
+        "cameras": fits,
+        "parameters": [Parameter(name=HOSTILE, value=533.4751, std=0.41, unit="px")] * 20,
+        "n_images": 10,
+        "n_used": 9,
+        "rms_px": 0.135,
+        "holdout_rms_px": 0.161,
+        "holdout_epipolar_rms_px": 0.178,
+        "baseline_m": 0.08319,
+        "metric": {"expected_m": 0.025, "mean_m": 0.025003, "rms_m": 0.000198},
+        "rejected": [(HOSTILE, HOSTILE)],
+        "facts": [(HOSTILE, HOSTILE)],
+        "advice": [HOSTILE],
+    }
+    return CalibrationRun(**(given | more))
+
+
+def assert_figures_hold_together(figures):
+    """Every trace's axes are in the layout, and every axis it is tied to is there: plotly draws nothing otherwise."""
+    for figure in figures:
+        layout = figure["layout"]
+        for trace in figure["data"]:
+            if trace["type"] == "scatter3d":
+                assert len(trace["x"]) == len(trace["y"]) == len(trace["z"])
+                continue
+            assert len(trace["x"]) == len(trace["y"])
+            for letter in "xy":
+                ref = trace.get(f"{letter}axis", letter)
+                assert ref != f"{letter}1"  # plotly's first axes have no number
+                assert f"{letter}axis{ref[1:]}" in layout
+        for name, content in layout.items():
+            if name[1:5] == "axis":
+                for tie in ("anchor", "overlaying", "scaleanchor", "matches"):
+                    if tie in content:
+                        assert f"{content[tie][0]}axis{content[tie][1:]}" in layout, (name, tie)
+
+
+@pytest.mark.parametrize("make", [lambda: measure_report(full_run()), lambda: calibration_report(full_calibration())])
+def test_a_page_is_complete_in_itself_and_runs_nothing_that_names_say(make):
+    page = make()
+    tags = Tags(page)
+    assert tags.tags.count("script") == 3  # the figures, plotly, what draws them
+    assert "img" not in tags.tags
+    assert HOSTILE in tags.text  # shown as it is
+    assert all(load.startswith(("data:image/", "#")) for load in tags.loads)
+    assert "default-src 'none'" in page
+    assert "\n" in tags.scripts[1][:400]  # plotly.js itself is inside
+    assert_figures_hold_together(tags.figures)
+
+
+def test_plotly_gets_no_markup_from_names():
+    figures = Tags(calibration_report(full_calibration())).figures
+    text = json.dumps(figures)
+    assert "<script" not in text
+    assert "<img" not in text
+
+
+def test_figures_of_a_run_are_in_the_page():
+    poses, truth = poses_and_truth(200)
+    page = Tags(measure_report(full_run(poses=poses, truth=truth)))
+    errors = np.array([pose_difference(p.pose, t) for p, t in zip(poses, truth, strict=True)])
+    for i, scale in enumerate([1e3] * 3 + [180 / np.pi] * 3):
+        assert figure_of(float(np.sqrt(np.mean(errors[:, i] ** 2)) * scale)) in page.text
+    assert "200 of 200 frames (100.0 %)" in page.text
+    assert figure_of(0.1, "px") in page.text
+    inside = np.mean(np.sum((errors / STD) ** 2, axis=1) <= 12.5916)
+    assert f"{100 * inside:.1f} % inside their own 95 % ellipsoid" in page.text
+
+
+VERDICTS = {
+    "Complete": lambda: {"poses": poses_and_truth(40, lost=(3,))[0], "truth": None},
+    "With gaps": lambda: {"poses": poses_and_truth(40, lost=range(10))[0], "truth": None},
+    "No pose": lambda: {"poses": poses_and_truth(40, lost=range(40))[0], "truth": None},
+    "Broken off": lambda: {"error": "left: the camera is gone"},
+    "Claim doubted": lambda: dict(zip(("poses", "truth"), poses_and_truth(400, scale=2.0), strict=True)),
+}
+
+
+@pytest.mark.parametrize("word", VERDICTS)
+def test_the_verdict_says_what_happened(word):
+    page = Tags(measure_report(full_run(**VERDICTS[word](), title="run")))
+    assert [name for name in VERDICTS if name in page.text.split("full poses")[0]] == [word]
+    if word == "No pose":
+        assert "Most often: no light in the left frame (0 px seen)" in page.text
+    if word == "Broken off":
+        assert "left: the camera is gone. Until then:" in page.text
+
+
+NOTHING = {
+    "no frames": lambda: {"poses": (), "truth": None, "samples": (), "residuals": {}},
+    "one frame": lambda: dict(zip(("poses", "truth"), poses_and_truth(1), strict=True)),
+    "all lost": lambda: dict(zip(("poses", "truth"), poses_and_truth(3, lost=range(3)), strict=True)),
+    "positions only": lambda: dict(zip(("poses", "truth"), poses_and_truth(3, position=range(3)), strict=True)),
+    "no spots, no times": lambda: {"samples": [sample(())], "median_ms": None, "p99_ms": None},
+    "no residuals": lambda: {"residuals": {"left": np.empty((0, 3))}, "parent": "world"},
+    "residuals of zero": lambda: {"residuals": {"left": np.zeros((4, 3))}},
+}
+
+
+@pytest.mark.parametrize("case", NOTHING)
+def test_runs_with_nothing_in_them_still_make_a_page(case):
+    tags = Tags(measure_report(full_run(**NOTHING[case]())))
+    assert "nan" not in tags.text.lower()
+    assert_figures_hold_together(tags.figures)
+
+
+def test_a_long_run_stays_small_and_keeps_its_outlier():
+    some, true = poses_and_truth(500, lost=range(100, 110))
+    poses, truth = [replace(some[i % 500], t_s=i / 30) for i in range(10_000)], [true[i % 500] for i in range(10_000)]
+    wild = np.add(poses[6543].pose.translation, (0.0, 0.05, 0.0))
+    poses[6543] = replace(poses[6543], pose=RigidTransform.from_components(wild, poses[6543].pose.rotation))
+    rng = np.random.default_rng(0)
+    residuals = {"left": np.column_stack([np.arange(60_000) // 6, 0.05 * rng.standard_normal((60_000, 2))])}
+    page = measure_report(full_run(poses=poses, truth=truth, residuals=residuals))
+    assert len(page) < 15e6
+    tags = Tags(page)
+    assert len(tags.scripts[0]) < 3e6
+    largest = max(len(trace["x"]) for figure in tags.figures for trace in figure["data"])
+    assert largest < 3 * MAX_PLOTTED  # a band goes there and back
+    y = max(v for trace in tags.figures[2]["data"] if trace.get("yaxis") == "y2" for v in trace["y"] if v is not None)
+    assert y == pytest.approx(50.0, abs=0.2)  # mm, the outlier of the error in y
+
+
+def test_losses_are_grouped_by_reason():
+    poses, _ = poses_and_truth(30, lost=(3, 4, 5, 12, 28), position=(20,))
+    lost, position = losses_of(poses)
+    assert (lost.status, lost.frames) == (PoseStatus.LOST, (3, 4, 5, 12, 28))
+    assert lost.why == "no light in the left frame (3 px seen)"
+    assert position.frames == (20,)
+    assert ranges(lost.frames) == "3–5, 12, 28"
+    assert ranges(range(0, 40, 2), limit=2) == "0, 2 and 18 more stretches"
+    text = Tags(measure_report(full_run(poses=poses, truth=None))).text
+    assert "3–5, 12, 28" in text
+    assert "16.7 %" in text
+
+
+def test_bands_of_the_angles_by_finite_differences():
+    """Deviations of rx, ry, rz from a correlated covariance of the rotation vector, against numeric derivatives."""
+    rng = np.random.default_rng(3)
+    A = 1e-3 * rng.standard_normal((6, 6))
+    covariance = A @ A.T
+    R = Rotation.from_euler("xyz", [0.4, -0.9, 2.2])
+    pose = TargetPose(
+        t_s=0.0,
+        status=PoseStatus.OK,
+        parent="rig",
+        pose=RigidTransform.from_components([0.1, 0.2, 0.3], R),
+        covariance=covariance,
+    )
+    series = series_of([pose])
+    h = 1e-6
+    J = np.column_stack(
+        [
+            (
+                (Rotation.from_rotvec(h * axis) * R).as_euler("xyz")
+                - (Rotation.from_rotvec(-h * axis) * R).as_euler("xyz")
+            )
+            / (2 * h)
+            for axis in np.eye(3)
+        ]
+    )
+    want = np.sqrt(np.diag(J @ covariance[3:, 3:] @ J.T))
+    assert np.allclose(np.deg2rad(series.std[0, 3:]), want, rtol=1e-6)
+    assert np.allclose(series.std[0, :3], 1e3 * np.sqrt(np.diag(covariance))[:3])
+    assert np.allclose(np.deg2rad(series.values[0, 3:]), [0.4, -0.9, 2.2])
+
+
+def test_angles_run_on_and_gimbal_lock_has_no_band():
+    def turned(angles):
+        return TargetPose(
+            t_s=0.0,
+            status=PoseStatus.OK,
+            parent="rig",
+            pose=RigidTransform.from_rotation(Rotation.from_euler("xyz", angles, degrees=True)),
+            covariance=np.diag(STD**2),
+        )
+
+    track = series_of([turned([0, 0, angle]) for angle in (170, 179, 188, 197)])
+    assert np.allclose(track.values[:, 5], (170, 179, 188, 197))
+    assert np.isnan(series_of([turned([0, 90, 0])]).std[0, 3:]).any()
+
+
+def test_errors_are_those_of_the_geometry():
+    poses, truth = poses_and_truth(10, lost=(4,), position=(5,))
+    errors = errors_of(poses, truth)
+    assert np.isnan(errors.values[[4, 5]]).all()
+    want = pose_difference(poses[0].pose, truth[0])
+    assert np.allclose(errors.values[0], want / np.array([1e-3] * 3 + [np.pi / 180] * 3))
+    assert errors.distance2[0] == pytest.approx(np.sum((want / STD) ** 2))
+
+
+def test_a_truth_of_another_length_is_refused():
+    with pytest.raises(Inconsistent, match="3 true poses for 40"):
+        full_run(truth=poses_and_truth(3)[1])
+    with pytest.raises(Inconsistent, match="the sides are left, right"):
+        full_run(residuals={"middle": np.zeros((1, 3))})
+
+
+CALIBRATIONS = {
+    "Good": ({}, ""),
+    "Usable with care": ({"n_used": 5}, "only 5 of 10 pairs could be used"),
+    "Usable with care ": ({"holdout_rms_px": 0.5}, "3.7 times worse"),
+}
+
+
+@pytest.mark.parametrize("word", CALIBRATIONS)
+def test_the_verdict_on_a_calibration(word):
+    more, reason = CALIBRATIONS[word]
+    text = Tags(calibration_report(full_calibration(**more))).text
+    assert word.strip() in text
+    assert reason in text
+    assert "83.190 mm apart" in text
+
+
+def test_a_board_kept_in_one_corner_is_said():
+    run = full_calibration()
+    fit = run.cameras[0]
+    corner = CameraFit(
+        name="left",
+        camera=CAMERA,
+        uv_px=0.3 * fit.uv_px,
+        residual_px=fit.residual_px,
+        sources=fit.sources,
+        view_rms_px=fit.view_rms_px,
+    )
+    assert coverage(fit) > 0.95
+    assert coverage(corner) < 0.2
+    text = Tags(calibration_report(full_calibration(cameras=[corner, run.cameras[1]]))).text
+    assert "the board covered only" in text
+    assert "of the left image" in text
+
+
+def test_a_calibration_without_points_still_makes_a_page():
+    bare = CameraFit(
+        name="camera",
+        camera=CAMERA,
+        uv_px=np.empty((0, 2)),
+        residual_px=np.empty((0, 2)),
+        sources=(),
+        view_rms_px=np.empty(0),
+    )
+    text = Tags(calibration_report(full_calibration(cameras=[bare], rejected=(), metric={}, holdout_rms_px=None))).text
+    assert "Nothing: every image was used." in text
+
+
+def test_one_bar_per_pair_where_the_cameras_share_their_error():
+    run = full_calibration()
+    shared = [
+        CameraFit(
+            name=fit.name,
+            camera=CAMERA,
+            uv_px=fit.uv_px,
+            residual_px=fit.residual_px,
+            sources=fit.sources,
+            view_rms_px=run.cameras[0].view_rms_px,
+        )
+        for fit in run.cameras
+    ]
+    for cameras, bars in ((run.cameras, 2), (shared, 1)):
+        figure = Tags(calibration_report(full_calibration(cameras=cameras))).figures[0]
+        assert [trace["type"] for trace in figure["data"]] == ["bar"] * bars
+
+
+def test_thinning_keeps_extremes_and_ends():
+    values = np.sin(np.arange(100_000) / 1000.0)
+    values[[31_415, 77_777]] = 9.0, -9.0
+    values[500:600] = np.nan
+    keep = thinned(values)
+    assert len(keep) <= MAX_PLOTTED + 2
+    assert {0, 31_415, 77_777, 99_999} <= set(keep.tolist())
+    points = np.zeros((50_000, 2))
+    points[123] = 0.0, 7.0
+    assert 123 in spread(points)
+    assert len(spread(points)) <= 3000
+    assert thinned(np.full(100_000, np.nan)).tolist() == [0, 99_999]
+
+
+def test_a_band_has_one_polygon_per_stretch():
+    low = np.array([0.0, 1.0, np.nan, 3.0, 4.0])
+    trace = band(np.arange(5.0), low, low + 1.0)
+    assert trace["x"] == [0.0, 1.0, 1.0, 0.0, None, 3.0, 4.0, 4.0, 3.0, None]
+    assert trace["y"] == [1.0, 2.0, 1.0, 0.0, None, 4.0, 5.0, 4.0, 3.0, None]
+
+
+def test_numbers_for_people():
+    assert figure_of(0.0, "px") == "0 px"
+    assert figure_of(123.456) == "123"
+    assert figure_of(0.0312345, "mm") == "0.0312 mm"
+    assert figure_of(0.02, "°", digits=2) == "0.020°"
+    assert figure_of(None) == figure_of(float("nan")) == "–"
+    assert figure_of(3.2e-7) == "3.20e-07"
+    assert with_deviation(533.47509, 0.4123) == ("533.48", "0.41")
+    assert with_deviation(1234.5, 23.0) == ("1234", "23")
+    assert with_deviation(0.1, None) == ("0.1000000", "–")
+    assert with_deviation(0.5, 1e-14) == ("5.000e-01", "1.0e-14")
+
+
+def test_json_cannot_leave_its_script():
+    text = json_text({"a": ["</script>&", np.float64(np.nan), np.arange(2.0) / 3]})
+    assert not set("<>&") & set(text)
+    assert json.loads(text) == {"a": ["</script>&", None, [0.0, 0.33333333]]}
