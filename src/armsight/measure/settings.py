@@ -1,0 +1,86 @@
+"""What the search for spots is told."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.errors import UsageError
+from armsight.records import Colour
+
+MODELS = ("auto", "gaussian", "ellipse")
+"""Models that may be asked for; auto lets the data choose, streaks and touching spots included."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SpotSettings:
+    """How spots are searched and measured.
+
+    threshold: grey level (0..255; after inversion, if inverted) that a spot's pixels exceed. None: background plus
+    five deviations of the noise, both estimated from the image tile by tile.
+    inverted: dark spots on light; grey then means 255 - grey, everywhere in these settings.
+    mask: (h, w), True where spots may be; pixels outside count for nothing.
+    min_pixels: least area above the threshold. max_radius_px: larger areas are reflections or windows.
+    max_spots: the strongest so many are measured.
+    model: 'auto', 'gaussian' (round, narrow lights) or 'ellipse' (flat lights with a blurred edge).
+    saturation: grey level from which a pixel is clipped and its value unknown.
+    gain: variance in grey levels^2 that the light adds per grey level (shot noise; full-scale / full-well electrons).
+    None: as far as the residuals of the image's spots prove it.
+    colour: a beacon's colour; the image must then be BGR.
+    """
+
+    threshold: float | None = None
+    inverted: bool = False
+    mask: NDArray[np.bool_] | None = None
+    min_pixels: int = 3
+    max_radius_px: float = 32.0
+    max_spots: int = 64
+    model: Literal["auto", "gaussian", "ellipse"] = "auto"
+    saturation: int = 255
+    gain: float | None = None
+    colour: Colour | None = None
+    options: NDArray[np.float64] = field(init=False, repr=False)
+    mask_bytes: NDArray[np.uint8] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        self._check()
+        options = np.array(
+            [
+                -1.0 if self.threshold is None else np.floor(self.threshold),
+                255.0 if self.inverted else 0.0,
+                self.saturation,
+                self.min_pixels,
+                self.max_radius_px,
+                self.max_spots,
+                MODELS.index(self.model),
+                -1.0 if self.gain is None else self.gain,
+            ]
+        )
+        options.setflags(write=False)
+        mask = np.zeros((0, 0), np.uint8) if self.mask is None else np.array(self.mask, dtype=np.uint8, order="C")
+        mask.setflags(write=False)
+        object.__setattr__(self, "options", options)
+        object.__setattr__(self, "mask_bytes", mask)
+
+    def _check(self) -> None:
+        def refuse(cause: str) -> None:
+            raise UsageError(cause, consequence="No spots are searched", cure="Correct the spot settings")
+
+        if self.threshold is not None and not 0.0 <= self.threshold < 255.0:
+            refuse(f"a threshold of {self.threshold:g} is not a grey level from 0 to below 255")
+        if not 1 <= self.saturation <= 255:
+            refuse(f"a saturation of {self.saturation} is not a grey level from 1 to 255")
+        if self.min_pixels < 1 or self.max_spots < 1 or not self.max_radius_px >= 1.0:
+            refuse("min_pixels, max_spots and max_radius_px must be at least 1")
+        if self.model not in MODELS:
+            refuse(f"there is no model {self.model!r}; the models are {', '.join(MODELS)}")
+        if self.gain is not None and not 0.0 <= self.gain < 255.0:
+            refuse(f"a gain of {self.gain} is not from 0 to 255")
+        if self.mask is not None and np.ndim(self.mask) != 2:
+            refuse("the mask is not an image of rows and columns")
+
+
+DEFAULTS = SpotSettings()

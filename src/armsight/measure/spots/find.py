@@ -1,0 +1,156 @@
+"""Spots of an image: the public calls around the compiled search."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armsight.errors import BadImage, Inconsistent
+from armsight.measure.settings import DEFAULTS, SpotSettings
+from armsight.measure.spots.kernels.search import NOTHING_ABOVE, TOO_BRIGHT, search, track
+from armsight.records import Spots
+
+Image = NDArray[np.uint8]
+Rejected = tuple[tuple[float, float, str], ...]
+
+MODEL_NAMES = ("gaussian", "ellipse", "joint", "streak", "centroid")
+"""How a spot was measured, in the order of the kernels' numbers."""
+REASONS = (
+    "accepted",
+    "hot pixel: it stands alone",
+    "too small: fewer pixels above the threshold than min_pixels",
+    "cut by the border of the image",
+    "too large for a spot: a reflection, a window or a lamp",
+    "no light's model could be fitted to it",
+    "saturated beyond use: too little of it is not clipped",
+    "too many spots: only the max_spots strongest are measured",
+    "touching spots that cannot be told apart",
+    "not like a spot: the residuals of the best model are too large",
+    "reaches beyond its search window",
+    "another spot is nearer to the prediction",
+)
+"""Why something bright was not accepted, in the order of the kernels' numbers."""
+ONE_MODEL = tuple(("gaussian",) * n for n in range(65))
+
+
+def find_spots(image: Image, settings: SpotSettings = DEFAULTS) -> Spots:
+    """Return all spots of an image (h, w) grey or (h, w, 3) BGR, searched without prior.
+
+    Centres are in px with the centre of the top-left pixel at (0, 0), each with its 2x2 covariance. What was seen
+    and not accepted is in `rejected`, with the reason; an image without spots gives an empty record.
+    With settings.colour the spots are areas of that colour in a BGR image (Kapucu and Baysec 2005).
+    Raises BadImage where the image is not 8-bit grey or BGR, Inconsistent where the mask has another size.
+    """
+    if settings.colour is not None:
+        from armsight.measure.spots.colour import find_coloured
+
+        return find_coloured(image, settings)
+    grey = searchable(image, settings)
+    columns, refused, outcome, number = search(grey, settings.mask_bytes, settings.options)
+    if outcome == NOTHING_ABOVE:
+        return Spots.none(
+            (whole_frame(grey, f"bright all over: the background's grey level {number:.0f} leaves no room"),)
+        )
+    if outcome == TOO_BRIGHT:
+        return Spots.none((whole_frame(grey, f"{100.0 * number:.0f} % of the image lies above the threshold"),))
+    return record(columns, refused)
+
+
+def track_spots(
+    image: Image, predicted_uv_px: ArrayLike, half_window_px: float, settings: SpotSettings = DEFAULTS
+) -> tuple[Spots, NDArray[np.intp]]:
+    """Return the spots in windows around predicted_uv_px (n, 2), and the prediction that each belongs to.
+
+    In each window of half_window_px to either side, the bright area nearest to the prediction is measured as in
+    find_spots; two predictions never share one. A prediction whose window is dark, or whose spot was rejected, has
+    no entry. Touching spots give two spots of the same prediction. Raises as find_spots, and Inconsistent where
+    the predictions are not an (n, 2) array of finite numbers.
+    """
+    predicted = np.ascontiguousarray(predicted_uv_px, dtype=np.float64)
+    if predicted.ndim != 2 or predicted.shape[1] != 2 or not np.isfinite(predicted).all():
+        raise Inconsistent("predicted spots are not rows of two finite pixel coordinates")
+    if settings.colour is not None:
+        from armsight.measure.spots.colour import track_coloured
+
+        return track_coloured(image, predicted, half_window_px, settings)
+    grey = searchable(image, settings)
+    columns, owner, refused = track(grey, settings.mask_bytes, settings.options, predicted, int(half_window_px + 0.5))
+    return record(columns, refused), owner[columns[5]].astype(np.intp, copy=False)
+
+
+def warm_up() -> None:
+    """Compile (or load from the cache) all that find_spots and track_spots run, so that no later call waits for it."""
+    y, x = np.mgrid[0:96, 0:128]
+    spot = 150.0 * np.exp(-((x - 60.3) ** 2 + (y - 50.2) ** 2) / 8.0)
+    grey = (10.0 + spot).astype(np.uint8)
+    find_spots(grey)
+    track_spots(grey, [[60.0, 50.0]], 16.0)
+
+
+def searchable(image: Image, settings: SpotSettings) -> Image:
+    """Return the image as contiguous grey; raise where it cannot be searched, or the mask does not fit it."""
+    if not isinstance(image, np.ndarray) or image.dtype != np.uint8 or image.ndim not in (2, 3) or image.size == 0:
+        raise not_an_image(image)
+    if image.ndim == 3:
+        if image.shape[2] != 3:
+            raise not_an_image(image)
+        image = grey_of(image, settings.saturation)
+    if settings.mask is not None and settings.mask_bytes.shape != image.shape:
+        raise Inconsistent(
+            f"the mask has shape {settings.mask_bytes.shape}, the image {image.shape}",
+            consequence="It is unknown which pixels are meant",
+            cure="Make the mask from an image of this camera",
+        )
+    view = np.ascontiguousarray(image)[:]
+    view.setflags(write=False)  # one type of array for the kernels, whether the caller's can be written or not
+    return view
+
+
+def grey_of(image: Image, saturation: int) -> Image:
+    """Return BGR as grey, white where any channel is clipped: such a pixel's grey value is not known."""
+    grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+    top = image.max() if saturation == 255 else 255
+    if top >= saturation:
+        grey[(image >= saturation).any(axis=2)] = 255
+    return grey
+
+
+def not_an_image(image: object) -> BadImage:
+    """Return the error for something that is not an 8-bit image."""
+    kind = f"type {image.dtype} and shape {image.shape}" if isinstance(image, np.ndarray) else type(image).__name__
+    return BadImage(
+        f"an image of {kind} is not 8-bit grey (h, w) or BGR (h, w, 3)",
+        consequence="It cannot be searched for spots",
+        cure="Convert it to 8-bit grey or BGR",
+    )
+
+
+def whole_frame(image: Image, why: str) -> tuple[float, float, str]:
+    """Return a rejection that concerns the whole image."""
+    return (0.5 * (image.shape[1] - 1), 0.5 * (image.shape[0] - 1), why)
+
+
+def rejections(refused: NDArray[np.float64]) -> Rejected:
+    """Return the kernels' refusals (n, 3: u, v, number of the reason) as a record's tuple."""
+    return tuple([(u, v, REASONS[int(why)]) for u, v, why in refused.tolist()])
+
+
+def record(columns: tuple[NDArray[np.float64], ...], refused: NDArray[np.float64]) -> Spots:
+    """Return the record of the kernels' columns.
+
+    The columns are fresh and finite by construction, so that the constructor's copies and checks (40 us, as much as
+    the search itself) are left out.
+    """
+    uv, covariance, peak, size, model, _ = columns
+    n = len(peak)
+    plain = n < len(ONE_MODEL) and not model.any()
+    names = ONE_MODEL[n] if plain else tuple([MODEL_NAMES[k] for k in model.tolist()])
+    spots = object.__new__(Spots)
+    put = object.__setattr__
+    for name, column in (("uv_px", uv), ("covariance_px2", covariance), ("peak", peak), ("size_px", size)):
+        column.setflags(write=False)
+        put(spots, name, column)
+    put(spots, "model", names)
+    put(spots, "rejected", rejections(refused) if len(refused) else ())
+    return spots

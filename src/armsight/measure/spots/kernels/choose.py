@@ -1,0 +1,459 @@
+"""Which light is it? Fits the models that its shape suggests and lets the data choose (Schwarz's criterion)."""
+
+from __future__ import annotations
+
+from math import atan2, erf, exp, log, pi, sqrt
+
+import numpy as np
+
+from armsight.measure.spots.kernels.compiled import copy_to, kernel
+from armsight.measure.spots.kernels.models import (
+    ELLIPSE,
+    JOINT,
+    MOST_LIGHTS,
+    MOST_PARAMETERS,
+    ROOT_2,
+    ROOT_2PI,
+    STREAK,
+    fit_model,
+    normal_equations,
+    residuals_of,
+    weighted_information,
+)
+from armsight.measure.spots.kernels.round import PIXEL_VARIANCE, uncertainty
+from armsight.measure.spots.kernels.scan import (
+    AREA,
+    CLIPPED,
+    LEVEL,
+    PEAK,
+    SUM_X,
+    SUM_Y,
+    WEIGHT,
+    X_MAX,
+    X_MIN,
+    Y_MAX,
+    Y_MIN,
+)
+
+# what became of a bright area
+ACCEPTED, HOT, SMALL, BORDER, LARGE, FAILED, SATURATED, MANY, UNRESOLVED, UNLIKE, BEYOND, OTHER = range(12)
+# how an accepted spot was measured
+AS_GAUSSIAN, AS_ELLIPSE, AS_JOINT, AS_STREAK, AS_CENTROID = range(5)
+# what may be tried
+AUTO, ONLY_GAUSSIAN, ONLY_ELLIPSE = range(3)
+
+# columns of a measured spot; 2..4 and 5..7 are C_H and C_G (see round.uncertainty)
+S_U, S_V, S_CH, S_CG, S_PEAK, S_SIZE, S_MODEL, S_DOF, S_RSS, S_SIGNAL, S_FOURTH, S_SQUARE, S_OF = (
+    0, 1, 2, 5, 8, 9, 10, 11, 12, 13, 14, 15, 16,
+)  # fmt: skip
+SPOT = 17
+
+MISFIT = 4.0
+"""Neighbouring residuals correlated by more than this many deviations say that the model is wrong."""
+FLAT = 0.58
+"""Mean over peak above the threshold: a Gaussian has 0.3-0.5, a streak up to 0.55, a disc wider than its blur more."""
+ELONGATED = 1.12
+"""Ratio of second moments from which a streak or two lights are tried at once."""
+LONG = 3.5
+"""Length in blurs from which two lights of one width cannot pass for a streak."""
+SURE = 10.0
+"""Fall of Schwarz's criterion that a further light must bring: odds of 150 to 1."""
+DOMINANT = 0.2
+"""Share of all squares in one pixel that marks it as hot; no wrong model puts so much into a single one."""
+UNLIKE_SHARE = 0.15
+"""Residual, as a share of the height, above which it is no light that we know."""
+WORST_SIGMA_PX = 0.5
+"""A centre worse than this is no measurement."""
+
+
+@kernel
+def patch_box(comp, h, w, box):
+    """Fill box (x0, x1, y0, y1) with a component's bounds and a margin that holds its skirt and some background."""
+    half = 0.5 * max(comp[X_MAX] - comp[X_MIN], comp[Y_MAX] - comp[Y_MIN])
+    margin = int(min(max(0.5 * half + 2.0, 4.0), 9.0))
+    box[0] = max(int(comp[X_MIN]) - margin, 0)
+    box[1] = min(int(comp[X_MAX]) + margin + 1, w)
+    box[2] = max(int(comp[Y_MIN]) - margin, 0)
+    box[3] = min(int(comp[Y_MAX]) + margin + 1, h)
+
+
+@kernel
+def fill_patch(image, flip, saturation, mask, box, values, use):
+    """Fill values and use (ny, nx) from the image; use is 0 for clipped and masked pixels."""
+    for j in range(values.shape[0]):
+        for i in range(values.shape[1]):
+            grey = np.uint8(image[box[2] + j, box[0] + i] ^ flip)
+            values[j, i] = grey
+            free = mask.size == 0 or mask[box[2] + j, box[0] + i] != 0
+            use[j, i] = 1 if grey < saturation and free else 0
+
+
+@kernel
+def leave_to(own, other, box, use):
+    """Set use to 0 where a pixel belongs to another component rather than to this one."""
+    ox = 0.5 * (own[X_MIN] + own[X_MAX])
+    oy = 0.5 * (own[Y_MIN] + own[Y_MAX])
+    ow = 0.5 * (own[X_MAX] - own[X_MIN]) + 2.0
+    oh = 0.5 * (own[Y_MAX] - own[Y_MIN]) + 2.0
+    nx = 0.5 * (other[X_MIN] + other[X_MAX])
+    ny = 0.5 * (other[Y_MIN] + other[Y_MAX])
+    nw = 0.5 * (other[X_MAX] - other[X_MIN]) + 2.0
+    nh = 0.5 * (other[Y_MAX] - other[Y_MIN]) + 2.0
+    for j in range(use.shape[0]):
+        y = box[2] + j
+        for i in range(use.shape[1]):
+            x = box[0] + i
+            mine = ((x - ox) / ow) ** 2 + ((y - oy) / oh) ** 2
+            theirs = ((x - nx) / nw) ** 2 + ((y - ny) / nh) ** 2
+            if theirs < mine:
+                use[j, i] = 0
+
+
+@kernel
+def used(use):
+    """Return how many pixels of the patch are used."""
+    n = 0
+    for j in range(use.shape[0]):
+        for i in range(use.shape[1]):
+            n += use[j, i]
+    return n
+
+
+@kernel
+def shape_of(values, use, comp, box, level, background, shape):
+    """Fill shape (8,): centre, second moments xx, xy, yy above level; the same about half height, unweighted: 5..7."""
+    half = background + 0.5 * (comp[PEAK] - background)
+    s = np.zeros(6)
+    a = np.zeros(6)
+    for j in range(values.shape[0]):
+        y = float(box[2] + j)
+        if y < comp[Y_MIN] or y > comp[Y_MAX]:
+            continue
+        for i in range(values.shape[1]):
+            x = float(box[0] + i)
+            v = values[j, i] - level
+            if v <= 0.0 or x < comp[X_MIN] or x > comp[X_MAX]:
+                continue
+            s[0] += v
+            s[1] += v * x
+            s[2] += v * y
+            s[3] += v * x * x
+            s[4] += v * x * y
+            s[5] += v * y * y
+            if values[j, i] > half:
+                a[0] += 1.0
+                a[1] += x
+                a[2] += y
+                a[3] += x * x
+                a[4] += x * y
+                a[5] += y * y
+    for k in range(2):
+        m = s if k == 0 else a
+        total = max(m[0], 1e-9)
+        cx = m[1] / total
+        cy = m[2] / total
+        if k == 0:
+            shape[0] = cx
+            shape[1] = cy
+        shape[2 + 3 * k] = max(m[3] / total - cx * cx, 0.1)
+        shape[3 + 3 * k] = m[4] / total - cx * cy
+        shape[4 + 3 * k] = max(m[5] / total - cy * cy, 0.1)
+
+
+@kernel
+def principal(xx, xy, yy):
+    """Return the larger and the smaller second moment, and the angle of the larger."""
+    mean = 0.5 * (xx + yy)
+    root = sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
+    return mean + root, max(mean - root, 0.05), 0.5 * atan2(2.0 * xy, xx - yy)
+
+
+@kernel
+def start_model(kind, lights, comp, shape, background, p):
+    """Fill p with a start from the moments; return how many parameters."""
+    large, small, angle = principal(shape[2], shape[3], shape[4])
+    height = max(comp[PEAK] - background, 1.0)
+    p[0] = background
+    if kind == JOINT:
+        q = 1.3 * (0.5 * (large + small) if lights == 1 else small) + 0.1
+        p[1] = 1.0 / q
+        apart = sqrt(max(large - small, 0.2 * small)) if lights == 2 else 0.0
+        for k in range(lights):
+            sign = 2.0 * k - 1.0
+            p[2 + 3 * k] = shape[0] + sign * apart * np.cos(angle)
+            p[3 + 3 * k] = shape[1] + sign * apart * np.sin(angle)
+            p[4 + 3 * k] = height * (1.0 if lights == 1 else 1.0 / (1.0 + exp(-2.0 * apart * apart / q)))
+        return 2 + 3 * lights
+    p[1] = shape[0]
+    p[2] = shape[1]
+    p[3] = height
+    if kind == STREAK:
+        p[4] = sqrt(1.3 * small)
+        p[5] = angle
+        p[6] = sqrt(3.0 * max(large - small, 0.3 * small))
+        p[3] = height * 2.0 * p[6] / (ROOT_2PI * p[4] * erf(p[6] / (ROOT_2 * p[4])))
+        return 7
+    p[4] = 0.8
+    det = 4.0 * max(shape[5] * shape[7] - shape[6] ** 2, 0.05)
+    p[5] = shape[7] / det
+    p[6] = -shape[6] / det
+    p[7] = shape[5] / det
+    return 8
+
+
+@kernel
+def run_of(residuals, use):
+    """Return the sum of products of neighbouring residuals over its own deviation (see round.residual_sums)."""
+    products = 0.0
+    spread = 0.0
+    for j in range(residuals.shape[0]):
+        for i in range(residuals.shape[1]):
+            r = residuals[j, i]
+            left = residuals[j, i - 1] if i > 0 else 0.0
+            above = residuals[j - 1, i] if j > 0 else 0.0
+            products += r * (left + above)
+            spread += r * r * (left * left + above * above)
+    return products / sqrt(spread) if spread > 0.0 else 0.0
+
+
+@kernel
+def drop_worst(residuals, use, rss, noise):
+    """Set use to 0 at the pixel that holds a dominant share of all squares; tell whether there was one."""
+    worst = 0.0
+    a = 0
+    b = 0
+    for j in range(residuals.shape[0]):
+        for i in range(residuals.shape[1]):
+            if residuals[j, i] ** 2 > worst:
+                worst = residuals[j, i] ** 2
+                a = j
+                b = i
+    if worst < DOMINANT * rss or worst < 36.0 * max(noise, PIXEL_VARIANCE):
+        return False
+    use[a, b] = 0
+    return True
+
+
+@kernel
+def add_light(residuals, x0, y0, p, n):
+    """Extend a joint model by a light where the residuals, summed over 3 x 3 pixels, are largest; return the new n."""
+    best = -1.0
+    for j in range(1, residuals.shape[0] - 1):
+        for i in range(1, residuals.shape[1] - 1):
+            t = 0.0
+            for a in range(-1, 2):
+                for b in range(-1, 2):
+                    t += residuals[j + a, i + b]
+            if t > best:
+                best = t
+                p[n] = x0 + i
+                p[n + 1] = y0 + j
+                p[n + 2] = max(t / 9.0, 1.0)
+    return n + 3
+
+
+@kernel
+def criterion(rss, count, n):
+    """Return Schwarz's criterion for n parameters."""
+    return count * log(max(rss / count, PIXEL_VARIANCE)) + n * log(float(count))
+
+
+@kernel
+def order_of_trial(comp, shape, only, order):
+    """Fill order with the kinds to try after the round Gaussian, likeliest first; return how many."""
+    if only == ONLY_GAUSSIAN:
+        return 0
+    if only == ONLY_ELLIPSE:
+        order[0] = ELLIPSE
+        return 1
+    large, small, _ = principal(shape[2], shape[3], shape[4])
+    height = max(comp[PEAK] - comp[LEVEL], 1.0)
+    flat = comp[WEIGHT] / (comp[AREA] * height) > FLAT
+    elongated = large > ELONGATED * small
+    if flat or not elongated:
+        order[0] = ELLIPSE
+        order[1] = STREAK
+        order[2] = JOINT
+        return 3 if elongated else 1
+    order[0] = STREAK
+    order[1] = JOINT
+    order[2] = ELLIPSE
+    return 3
+
+
+@kernel
+def attempt(kind, lights, comp, shape, background, values, use, x0, y0, noise, count, p, residuals):
+    """Start and fit one model into p; return n, sum of squares (-1: failed), run of the residuals."""
+    n = start_model(kind, lights, comp, shape, background, p)
+    rss, run = refit(kind, n, values, use, x0, y0, count, p, residuals)
+    return n, rss, run
+
+
+@kernel
+def refit(kind, n, values, use, x0, y0, count, p, residuals):
+    """Fit one model from p in place; return sum of squares (-1: failed) and run of the residuals."""
+    H = np.empty((n, n))
+    rss = fit_model(kind, p, n, values, use, x0, y0, count, H)
+    if rss < 0.0:
+        return rss, 0.0
+    residuals_of(kind, p, n, values, use, x0, y0, residuals)
+    return rss, run_of(residuals, use)
+
+
+@kernel
+def choose(comp, background, box, values, use, noise, only, best):
+    """Fit the models that the shape suggests; fill best (MOST_PARAMETERS,); return kind, n (0: none), sum of squares."""
+    x0 = box[0]
+    y0 = box[2]
+    count = used(use)
+    shape = np.empty(8)
+    shape_of(values, use, comp, box, comp[LEVEL], background, shape)
+    p = np.zeros(MOST_PARAMETERS)
+    more = np.zeros(MOST_PARAMETERS)
+    residuals = np.zeros(values.shape)
+    kind, n_best, rss_best, score = JOINT, 0, -1.0, 1e300
+    if only != ONLY_ELLIPSE:
+        n, rss, run = attempt(
+            np.int64(JOINT), np.int64(1), comp, shape, background, values, use, x0, y0, noise, count, p, residuals
+        )
+        for _ in range(3):
+            if rss > 0.0 and drop_worst(residuals, use, rss, noise):
+                count -= 1
+                rss, run = refit(np.int64(JOINT), n, values, use, x0, y0, count, p, residuals)
+        if rss >= 0.0:
+            n_best, rss_best, score = n, rss, criterion(rss, count, n)
+            copy_to(p, best)
+            if run < MISFIT:
+                return kind, n_best, rss_best
+    order = np.empty(3, np.int64)
+    for k in range(order_of_trial(comp, shape, only, order)):
+        trial = order[k]
+        lights = 2 if trial == JOINT else 1
+        n, rss, run = attempt(trial, lights, comp, shape, background, values, use, x0, y0, noise, count, p, residuals)
+        if rss < 0.0:
+            continue
+        new = criterion(rss, count, n)
+        while trial == JOINT and run > MISFIT and n + 3 <= 2 + 3 * MOST_LIGHTS:
+            copy_to(p, more)
+            n_more = add_light(residuals, x0, y0, more, n)
+            rss_more, run_more = refit(np.int64(JOINT), n_more, values, use, x0, y0, count, more, residuals)
+            if rss_more < 0.0 or criterion(rss_more, count, n_more) > new - SURE:
+                break
+            copy_to(more, p)
+            n, rss, run = n_more, rss_more, run_more
+            new = criterion(rss, count, n)
+        if new < score:
+            kind, n_best, rss_best, score = trial, n, rss, new
+            copy_to(p, best)
+        settled = trial == ELLIPSE or (trial == STREAK and 2.0 * p[6] > LONG * p[4])
+        if run < MISFIT and settled:
+            break
+    return kind, n_best, rss_best
+
+
+@kernel
+def describe(kind, n, p, values, use, box, rss, prior, rows, source):
+    """Write the lights of a fitted model into rows (.., SPOT); return how many (0: no covariance)."""
+    H = np.empty((n, n))
+    G = np.empty((n, n))
+    sums = np.empty(3)
+    residuals = np.empty(values.shape)
+    tilt = np.empty((n + 3, 2))
+    count = used(use)
+    noise = max(rss / max(count - n, 1), PIXEL_VARIANCE)
+    lights = (n - 2) // 3 if kind == JOINT else 1
+    normal_equations(kind, p, n, values, use, box[0], box[2], H, np.empty(n))
+    first = 2 if kind == JOINT else 1
+    weighted_information(kind, p, n, values, use, box[0], box[2], p[first], p[first + 1], G, tilt, residuals, sums)
+    order = np.empty(n, np.int64)
+    tilt2 = np.empty((n + 3, 2))
+    for i in range(n, n + 3):
+        copy_to(tilt[i], tilt2[i])
+    H2 = np.empty((n, n))
+    G2 = np.empty((n, n))
+    for k in range(lights):
+        first = 2 + 3 * k if kind == JOINT else 1
+        # the light's centre first, as uncertainty wants it
+        m = 2
+        order[0] = first
+        order[1] = first + 1
+        for i in range(n):
+            if i != first and i != first + 1:
+                order[m] = i
+                m += 1
+        for i in range(n):
+            for j in range(n):
+                H2[i, j] = H[order[i], order[j]]
+                G2[i, j] = G[order[i], order[j]]
+            copy_to(tilt[order[i]], tilt2[i])
+        row = rows[k]
+        work = np.zeros(8)
+        left = uncertainty(H2, G2, tilt2, prior, noise, sums[0], work)
+        if not left == left:
+            return 0
+        row[S_U] = p[first] + work[6]
+        row[S_V] = p[first + 1] + work[7]
+        for i in range(6):
+            row[S_CH + i] = work[i]
+        row[S_DOF] = count - n
+        row[S_RSS] = rss
+        row[S_SIGNAL] = left
+        row[S_FOURTH] = sums[1]
+        row[S_SQUARE] = sums[2] if k == 0 else 0.0
+        row[S_OF] = source
+        if kind == JOINT:
+            row[S_PEAK] = p[first + 2]
+            row[S_SIZE] = sqrt(max(1.0 / p[1] - PIXEL_VARIANCE, 0.01))
+            row[S_MODEL] = AS_GAUSSIAN if lights == 1 else AS_JOINT
+        elif kind == STREAK:
+            row[S_PEAK] = p[3] * erf(p[6] / (ROOT_2 * p[4])) * ROOT_2PI * p[4] / (2.0 * p[6])
+            row[S_SIZE] = sqrt(max(p[4] * p[4] - PIXEL_VARIANCE, 0.01))
+            row[S_MODEL] = AS_STREAK
+        else:
+            row[S_PEAK] = p[3]
+            row[S_SIZE] = (p[5] * p[7] - p[6] * p[6]) ** -0.25
+            row[S_MODEL] = AS_ELLIPSE
+    return lights
+
+
+@kernel
+def verdict(comp, rows, lights, saturated, noise):
+    """Return ACCEPTED, or why these lights of one component are refused."""
+    for k in range(lights):
+        row = rows[k]
+        a = max(row[S_RSS] / max(row[S_DOF], 1.0), PIXEL_VARIANCE)
+        worst = sqrt(a * max(row[S_CH], row[S_CH + 2]))
+        inside = (
+            comp[X_MIN] - 2.0 <= row[S_U] <= comp[X_MAX] + 2.0 and comp[Y_MIN] - 2.0 <= row[S_V] <= comp[Y_MAX] + 2.0
+        )
+        if lights > 1 and not (inside and worst < 0.35 * row[S_SIZE] and row[S_PEAK] > 4.0 * sqrt(a)):
+            return UNRESOLVED
+        if not worst < WORST_SIGMA_PX:
+            return SATURATED if saturated else FAILED
+        if not (inside and row[S_PEAK] > 0.0):
+            return FAILED
+        if sqrt(a) > UNLIKE_SHARE * row[S_PEAK] and a > 9.0 * noise:
+            return UNLIKE
+    return ACCEPTED
+
+
+@kernel
+def round_start(comp, background, saturation, start):
+    """Fill start (u, v, A, q, b) for a round Gaussian from a component's sums.
+
+    The area above a grey level L is 2 pi q ln(A / L); with clipped pixels the areas above the threshold and
+    above the clipping level together give A and q.
+    """
+    start[0] = comp[SUM_X] / comp[WEIGHT]
+    start[1] = comp[SUM_Y] / comp[WEIGHT]
+    low = max(comp[LEVEL] + 0.5 - background, 0.5)
+    if comp[CLIPPED] > 3.0:
+        high = saturation - background
+        q = (comp[AREA] - comp[CLIPPED]) / (2.0 * pi * log(max(high / low, 1.05)))
+        q = max(q, 0.2)
+        start[2] = high * exp(min(comp[CLIPPED] / (2.0 * pi * q), 4.0))
+    else:
+        start[2] = max(comp[PEAK] - background, 1.1 * low)
+        q = comp[AREA] / (2.0 * pi * log(start[2] / low))
+    start[3] = min(max(q, 0.2), 200.0)
+    start[4] = background

@@ -1,0 +1,345 @@
+"""Finds what is bright: background and noise from a sample, a block-wise scan, run-length components.
+
+All functions see grey through `flip`: 0 as it is, 255 inverted (dark spots on light become light on dark).
+A mask is a (h, w) uint8 array, zero where nothing may be found; an array of size 0 stands for no mask.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from armsight.measure.spots.kernels.compiled import copy_to, insertion_sort, kernel
+
+BLOCK = 64
+"""Pixels that are accepted or skipped together."""
+SUPER = 512
+"""Pixels whose maximum is taken at once; the compiler turns it into vector instructions at the speed of memory."""
+GRID = 8
+"""Tiles per image side for the background."""
+LINE = 64
+"""Pixels sampled in a tile: one cache line, so that the sample costs 64 memory accesses and no more."""
+GROUPS = 4
+"""Parts of a line; the second-darkest part gives the tile's level, so that a spot on the line does not count."""
+
+# columns of the components' table
+AREA, WEIGHT, SUM_X, SUM_Y, PEAK, CLIPPED, X_MIN, X_MAX, Y_MIN, Y_MAX, LEVEL = range(11)
+COLUMNS = 11
+
+
+@kernel
+def sample_line(image, flip, y, x, n, parts):
+    """Return level and noise variance of the n pixels from (x, y): second-darkest part's mean, mean squared step / 2."""
+    m = n // GROUPS
+    steps = 0
+    last = np.int64(np.uint8(image[y, x] ^ flip))
+    for k in range(GROUPS):
+        total = 0
+        for i in range(x + k * m, x + k * m + m):
+            v = np.int64(np.uint8(image[y, i] ^ flip))
+            total += v
+            steps += (v - last) * (v - last)
+            last = v
+        parts[k] = total / m
+    insertion_sort(parts, parts.shape[0])
+    return parts[1], 0.5 * steps / max(m * GROUPS - 1, 1)
+
+
+@kernel
+def line_is_free(mask, y, x, n):
+    """Tell whether no pixel of the line is masked out."""
+    for i in range(x, x + n):
+        if mask[y, i] == 0:
+            return False
+    return True
+
+
+@kernel
+def sense(image, flip, mask, levels):
+    """Fill levels (GRID, GRID) with the background of the tiles (-1 unknown); return the median noise variance."""
+    h, w = image.shape
+    n = min(LINE, w)
+    n -= n % GROUPS
+    noise = np.empty(GRID * GRID)
+    parts = np.empty(GROUPS)
+    known = np.int64(0)
+    for i in range(GRID):
+        for j in range(GRID):
+            levels[i, j] = -1.0
+            if n == 0:
+                continue
+            x = min(max((2 * j + 1) * w // (2 * GRID) - n // 2, 0), w - n)
+            y = (2 * i + 1) * h // (2 * GRID)
+            if mask.size > 0 and not line_is_free(mask, y, x, n):
+                continue
+            levels[i, j], noise[known] = sample_line(image, flip, y, x, n, parts)
+            known += 1
+    if known == 0:
+        median = histogram_median(image, flip, mask)
+        for i in range(GRID):
+            for j in range(GRID):
+                levels[i, j] = median
+        return 0.0
+    insertion_sort(noise, known)
+    return noise[known // 2]
+
+
+@kernel
+def histogram_median(image, flip, mask):
+    """Return the median grey of the unmasked pixels (slow; for masks and images too small to be sampled)."""
+    counts = np.zeros(256, np.int64)
+    total = 0
+    for y in range(image.shape[0]):
+        for x in range(image.shape[1]):
+            if mask.size == 0 or mask[y, x] != 0:
+                counts[np.uint8(image[y, x] ^ flip)] += 1
+                total += 1
+    seen = 0
+    for v in range(256):
+        seen += counts[v]
+        if 2 * seen >= total:
+            return float(v)
+    return 0.0
+
+
+@kernel
+def threshold_map(levels, margin, thresholds):
+    """Fill thresholds (GRID, GRID): the upper third of the 3 x 3 tiles around, plus margin; return lowest, highest.
+
+    The upper third lies above a linear gradient's level anywhere in the tile, and ignores up to a third of
+    tiles that a large light has lifted.
+    """
+    around = np.empty(9)
+    lowest = 1e9
+    highest = -1e9
+    for i in range(GRID):
+        for j in range(GRID):
+            n = np.int64(0)
+            for a in range(max(i - 1, 0), min(i + 2, GRID)):
+                for b in range(max(j - 1, 0), min(j + 2, GRID)):
+                    if levels[a, b] >= 0.0:
+                        around[n] = levels[a, b]
+                        n += 1
+            value = -1.0
+            if n > 0:
+                insertion_sort(around, n)
+                value = around[2 * n // 3] + margin
+                lowest = min(lowest, value)
+                highest = max(highest, value)
+            thresholds[i, j] = value
+    for i in range(GRID):
+        for j in range(GRID):
+            if thresholds[i, j] < 0.0:
+                thresholds[i, j] = highest
+    return lowest, highest
+
+
+@kernel
+def bright_blocks(flat, flip, threshold, hits):
+    """Fill hits with the numbers of the 64-pixel blocks of flat that hold a pixel above threshold; return how many."""
+    t = np.uint8(threshold)
+    n = 0
+    per = SUPER // BLOCK
+    whole = flat.size // SUPER
+    for s in range(whole):
+        top = np.uint8(0)
+        for i in range(SUPER):
+            v = np.uint8(flat[s * SUPER + i] ^ flip)
+            top = max(top, v)
+        if top > t:
+            for b in range(s * per, s * per + per):
+                top = np.uint8(0)
+                for i in range(BLOCK):
+                    v = np.uint8(flat[b * BLOCK + i] ^ flip)
+                    top = max(top, v)
+                if top > t:
+                    hits[n] = b
+                    n += 1
+    for b in range(whole * per, (flat.size + BLOCK - 1) // BLOCK):
+        hits[n] = b
+        n += 1
+    return n
+
+
+@kernel
+def bright_blocks_mapped(flat, flip, h, w, thresholds, hits):
+    """As bright_blocks, the threshold being that of the tile at the block's first pixel."""
+    n = 0
+    x = 0
+    y = 0
+    whole = flat.size // BLOCK
+    for b in range(whole):
+        t = np.uint8(thresholds[y * GRID // h, x * GRID // w])
+        top = np.uint8(0)
+        for i in range(BLOCK):
+            v = np.uint8(flat[b * BLOCK + i] ^ flip)
+            top = max(top, v)
+        if top > t:
+            hits[n] = b
+            n += 1
+        x += BLOCK
+        while x >= w:
+            x -= w
+            y += 1
+    if whole * BLOCK < flat.size:
+        hits[n] = whole
+        n += 1
+    return n
+
+
+@kernel
+def root_of(parent, i):
+    """Return the root of run i, shortening the path."""
+    while parent[i] != i:
+        parent[i] = parent[parent[i]]
+        i = parent[i]
+    return i
+
+
+@kernel
+def add_run(image, flip, saturation, y, start, stop, level, k, table):
+    """Write the sums of the run of row y, columns start..stop-1, into row k of table; weights are above level."""
+    weight = 0.0
+    sum_x = 0.0
+    peak = 0.0
+    clipped = 0
+    for x in range(start, stop):
+        grey = np.int64(np.uint8(image[y, x] ^ flip))
+        v = grey - level
+        weight += v
+        sum_x += v * x
+        peak = max(peak, float(grey))
+        if grey >= saturation:
+            clipped += 1
+    row = table[k]
+    row[AREA] = stop - start
+    row[WEIGHT] = weight
+    row[SUM_X] = sum_x
+    row[SUM_Y] = weight * y
+    row[PEAK] = peak
+    row[CLIPPED] = clipped
+    row[X_MIN] = start
+    row[X_MAX] = stop - 1
+    row[Y_MIN] = y
+    row[Y_MAX] = y
+    row[LEVEL] = level
+
+
+@kernel
+def link(runs, parent, first, last, k):
+    """Join run k with the runs first..last-1 of the row above that touch it (diagonals count)."""
+    q = first
+    while q < last and runs[q, 2] < runs[k, 1] - 1:
+        q += 1
+    first = q
+    while q < last and runs[q, 1] <= runs[k, 2] + 1:
+        a = root_of(parent, q)
+        b = root_of(parent, k)
+        if a < b:
+            parent[b] = a
+        elif b < a:
+            parent[a] = b
+        q += 1
+    return first
+
+
+@kernel
+def merge(parent, n, table):
+    """Add the runs' sums into their roots and move the roots to the front of table; return how many components."""
+    count = 0
+    for i in range(n):
+        r = root_of(parent, i)
+        if r != i:
+            a = table[r]
+            b = table[i]
+            for c in range(AREA, PEAK):
+                a[c] += b[c]
+            a[CLIPPED] += b[CLIPPED]
+            a[PEAK] = max(a[PEAK], b[PEAK])
+            a[X_MIN] = min(a[X_MIN], b[X_MIN])
+            a[X_MAX] = max(a[X_MAX], b[X_MAX])
+            a[Y_MIN] = min(a[Y_MIN], b[Y_MIN])
+            a[Y_MAX] = max(a[Y_MAX], b[Y_MAX])
+    for i in range(n):
+        if parent[i] == i:
+            copy_to(table[i], table[count])
+            count += 1
+    return count
+
+
+@kernel
+def components(image, flip, mask, saturation, thresholds, mapped, blocks, n_blocks, runs, parent, table):
+    """Fill table (.., COLUMNS) with the connected bright areas of the given blocks; -1 where the runs do not fit.
+
+    image (h, w) is contiguous. A run starts in one of the blocks and may end beyond it.
+    """
+    h, w = image.shape
+    flat = image.reshape(-1)
+    level = np.int64(thresholds[0, 0])
+    n = np.int64(0)
+    first = np.int64(0)
+    last = np.int64(0)
+    current = np.int64(0)
+    row = -2
+    end = 0
+    done = 0
+    for k in range(n_blocks):
+        i = max(blocks[k] * BLOCK, done)
+        stop = min(blocks[k] * BLOCK + BLOCK, flat.size)
+        if mapped and i < stop:
+            b = blocks[k] * BLOCK
+            level = np.int64(thresholds[(b // w) * GRID // h, (b % w) * GRID // w])
+        while i < stop:
+            if np.uint8(flat[i] ^ flip) <= level or (mask.size > 0 and mask[i // w, i % w] == 0):
+                i += 1
+                continue
+            if i >= end:
+                y = i // w
+                first, last = (current, n) if y == row + 1 else (n, n)
+                current = n
+                row = y
+                end = (y + 1) * w
+            base = end - w
+            start = i
+            while i < end and np.uint8(flat[i] ^ flip) > level and (mask.size == 0 or mask[row, i - base] != 0):
+                i += 1
+            if n >= parent.size:
+                return -1
+            runs[n, 0] = row
+            runs[n, 1] = start - base
+            runs[n, 2] = i - base - 1
+            parent[n] = n
+            add_run(image, flip, saturation, row, start - base, i - base, level, n, table)
+            first = link(runs, parent, first, last, n)
+            n += 1
+        done = max(done, i)
+    return merge(parent, n, table)
+
+
+@kernel
+def window_components(image, flip, mask, saturation, level, box, runs, parent, table):
+    """As components, within the window box (x0, x1, y0, y1; ends excluded) of an image; -1 where the runs do not fit."""
+    n = np.int64(0)
+    first = np.int64(0)
+    last = np.int64(0)
+    current = np.int64(0)
+    for y in range(box[2], box[3]):
+        first, last = current, n
+        current = n
+        x = box[0]
+        while x < box[1]:
+            if np.uint8(image[y, x] ^ flip) <= level or (mask.size > 0 and mask[y, x] == 0):
+                x += 1
+                continue
+            start = x
+            while x < box[1] and np.uint8(image[y, x] ^ flip) > level and (mask.size == 0 or mask[y, x] != 0):
+                x += 1
+            if n >= parent.size:
+                return -1
+            runs[n, 0] = y
+            runs[n, 1] = start
+            runs[n, 2] = x - 1
+            parent[n] = n
+            add_run(image, flip, saturation, y, start, x, level, n, table)
+            first = link(runs, parent, first, last, n)
+            n += 1
+    return merge(parent, n, table)
