@@ -6,7 +6,6 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -81,6 +80,8 @@ def json_text(value: Any) -> str:
 def _plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray) and value.dtype == np.float64 and value.ndim == 1:
+        return [float(f"{v:.{SIGNIFICANT}g}") if math.isfinite(v) else None for v in value.tolist()]
     if isinstance(value, np.ndarray | np.generic):
         return _plain(value.tolist())
     if isinstance(value, list | tuple):
@@ -98,14 +99,17 @@ def thinned(values: Array, limit: int = MAX_PLOTTED) -> Index:
     n = len(values)
     if n <= limit:
         return np.arange(n)
-    edges = np.linspace(0, n, limit // 2 + 1).astype(int)
-    chosen = {0, n - 1}
-    for low, high in pairwise(edges.tolist()):
-        piece = values[low:high]
-        if np.isfinite(piece).any():
-            chosen.add(low + int(np.nanargmin(piece)))
-            chosen.add(low + int(np.nanargmax(piece)))
-    return np.array(sorted(chosen))
+    size = -(-2 * n // limit)  # of a bucket
+    rows = -(-n // size)
+    padded = np.full(rows * size, np.nan)
+    padded[:n] = values
+    buckets = padded.reshape(rows, size)
+    known = np.isfinite(buckets)
+    least = np.where(known, buckets, np.inf).argmin(axis=1)
+    greatest = np.where(known, buckets, -np.inf).argmax(axis=1)
+    start = size * np.arange(rows)
+    some = known.any(axis=1)
+    return np.unique(np.concatenate([[0, n - 1], (start + least)[some], (start + greatest)[some]]))
 
 
 def spread(values: Array, limit: int = MAX_SCATTERED) -> Index:

@@ -6,6 +6,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from plotly.offline import get_plotlyjs
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.errors import Inconsistent
@@ -26,6 +27,7 @@ from armsight.report.figures import MAX_PLOTTED, band, json_text, spread, thinne
 from armsight.report.html import figure_of, with_deviation
 from armsight.report.series import errors_of, losses_of, ranges, series_of
 
+PLOTLY = get_plotlyjs()
 HOSTILE = "</script><script>alert(1)</script>\"'><img src=x onerror=alert(2)>&<b>"
 CAMERA = Camera.pinhole(640, 480, 500.0, 500.0, 320.0, 240.0)
 RIG = Rig(
@@ -46,7 +48,8 @@ class Tags(HTMLParser):
     def __init__(self, page):
         super().__init__()
         self.tags, self.loads, self.text, self.scripts, self._in = [], [], "", [], ""
-        self.feed(page)
+        self.has_plotly = PLOTLY in page
+        self.feed(page.replace(PLOTLY, ""))
 
     def handle_starttag(self, tag, attrs):
         self.tags.append(tag)
@@ -199,7 +202,7 @@ def test_a_page_is_complete_in_itself_and_runs_nothing_that_names_say(make):
     assert HOSTILE in tags.text  # shown as it is
     assert all(load.startswith(("data:image/", "#")) for load in tags.loads)
     assert "default-src 'none'" in page
-    assert "\n" in tags.scripts[1][:400]  # plotly.js itself is inside
+    assert tags.has_plotly
     assert_figures_hold_together(tags.figures)
 
 
