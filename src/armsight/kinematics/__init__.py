@@ -1,19 +1,66 @@
-"""Joints <-> pose: chains, forward and inverse kinematics, Jacobians."""
+"""Joints <-> pose: chains, forward and inverse kinematics, Jacobians, singularities, tracks along paths."""
 
 from armsight.kinematics.arm import Arm, Joint, JointType, dh_arm
 from armsight.kinematics.convention import Convention
-from armsight.kinematics.forward import forward, forward_jacobian, in_convention, jacobian, link_frames, pose
+from armsight.kinematics.derivatives import moved, parameter_jacobian, parameter_names
+from armsight.kinematics.families import Family, Wrist, family_of
+from armsight.kinematics.forward import forward, forward_jacobian, in_convention, jacobian, link_frames, pose, warm_up
+from armsight.kinematics.inverse import Inverse, Solution, Status, branch_names, inverse, inverse_many, singular_names
+from armsight.kinematics.lines import Link, link_to_line
+from armsight.kinematics.numeric import Attempt, Method, Stop, solve_numeric, solve_numeric_many
+from armsight.kinematics.path import Issue, JointPath, Trouble, follow
+from armsight.kinematics.presets import PRESETS, preset
+from armsight.kinematics.singular import (
+    manipulability,
+    near_singularities,
+    singularity_distance,
+    singularity_measures,
+)
+from armsight.kinematics.target import Task, Tolerance
 
 __all__ = [
+    "PRESETS",
     "Arm",
+    "Attempt",
     "Convention",
+    "Family",
+    "Inverse",
+    "Issue",
     "Joint",
+    "JointPath",
     "JointType",
+    "Link",
+    "Method",
+    "Solution",
+    "Status",
+    "Stop",
+    "Task",
+    "Tolerance",
+    "Trouble",
+    "Wrist",
+    "branch_names",
     "dh_arm",
+    "family_of",
+    "follow",
     "forward",
     "forward_jacobian",
     "in_convention",
+    "inverse",
+    "inverse_many",
     "jacobian",
     "link_frames",
+    "link_to_line",
+    "manipulability",
+    "moved",
+    "near_singularities",
+    "parameter_jacobian",
+    "parameter_names",
     "pose",
+    "preset",
+    "singular_names",
+    "singularity_distance",
+    "singularity_measures",
+    "solve_numeric",
+    "solve_numeric_many",
+    "warm_up",
 ]

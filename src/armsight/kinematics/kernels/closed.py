@@ -25,8 +25,8 @@ from numba import njit
 from armsight.kinematics.kernels.numeric import pose_error
 from armsight.kinematics.kernels.trig import TWO_PI, arc_tangent, sin_cos, wrap
 
-ELBOW_MERGED = 1e-8
-"""Sine of the elbow below which its two branches are one: the square root of rounding in the reach."""
+ELBOW_MERGED = 1e-7
+"""Sine of the elbow below which its two branches are one: rounding of the reach, under a square root, makes 2e-8."""
 
 WRIST_FREE = 1e-10
 """Sine of joint 5 below which only a sum of angles is fixed; calling it zero turns the tool by that many rad."""
