@@ -65,19 +65,19 @@ class Noise:
 
 def noise_of_pairs(variances: Array, covariance: Array, lever_m: float) -> Noise:
     """Return the noises of a fit to pose pairs from its variances (3,) and their covariance (3, 3)."""
-    together = _part(variances[0], covariance[0, 0])
+    together = part(variances[0], covariance[0, 0])
     open_ = Part(value=together.value, std=float("inf"))
     return Noise(
         translation_m=together,
         robot_m=open_,
         camera_m=open_,
-        robot_rad=_part(variances[2], covariance[2, 2]),
-        camera_rad=_part(variances[1], covariance[1, 1]),
+        robot_rad=part(variances[2], covariance[2, 2]),
+        camera_rad=part(variances[1], covariance[1, 1]),
         lever_m=lever_m,
     )
 
 
-def _part(variance: float, spread: float) -> Part:
+def part(variance: float, spread: float) -> Part:
     """Return the deviation of a variance; near zero its doubt is that of the variance itself, not of its slope."""
     value = float(np.sqrt(max(variance, 0.0)))
     doubt = float(np.sqrt(max(spread, 0.0)))

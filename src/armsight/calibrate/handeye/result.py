@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
+from scipy.stats import t as student
 
 from armsight.calibrate.handeye.motion import Turning
 from armsight.calibrate.handeye.noise import Noise
@@ -94,6 +95,11 @@ class HandEye:
     def loo_rms_rad(self) -> float:
         """Root mean square of the left-out angles over the used pairs."""
         return _rms(self.left_out[self.used, 3:])
+
+    @property
+    def widening(self) -> float:
+        """Student's factor on the deviations for the noise being estimated."""
+        return float(student.ppf(0.975, self.dof) / student.ppf(0.975, np.inf))
 
     def std(self, who: str = "camera") -> dict[str, float]:
         """Return the deviations of the 'camera' or the 'target' pose by name."""

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from armsight.calibrate.handeye.pairs import Array, Arrays, Setup
 from armsight.calibrate.handeye.kernels import fit as kernels
 from armsight.calibrate.handeye.kernels import start as starts
+from armsight.calibrate.handeye.pairs import Array, Arrays, Setup
 from armsight.errors import NotConverged
 
 FLOOR = np.array([1e-22, 1e-22, 1e-24])

@@ -12,8 +12,8 @@ from collections.abc import Callable
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from armsight.calibrate.handeye.pairs import Array, Arrays
 from armsight.calibrate.handeye.kernels import start as kernels
+from armsight.calibrate.handeye.pairs import Array, Arrays
 from armsight.errors import Degenerate
 
 ClosedForm = tuple[Array, Array, Array, Array]
