@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.calibrate.bundle import Bundle, problem_of
+from armsight.calibrate.bundle import EMPTY, Bundle, problem_of
 from armsight.calibrate.handeye.advice import advise
 from armsight.calibrate.handeye.calibrate import HandEyeOptions, calibrate_eye_in_hand, calibrate_eye_to_hand
 from armsight.calibrate.handeye.kernels import fit as kernels
@@ -24,7 +24,7 @@ from armsight.calibrate.handeye.solution import residuals
 from armsight.calibrate.handeye.variances import Restricted, restricted_variances
 from armsight.calibrate.handeye.views import ViewPoses, cross, poses_of_views
 from armsight.errors import Inconsistent
-from armsight.fitting import Evaluation, Fit, Problem, Settings, solve
+from armsight.fitting import Condensed, Evaluation, Fit, Problem, Settings, solve
 from armsight.optics import INTRINSICS, Camera
 from armsight.records import BoardView, NamedCovariance, Target
 
@@ -132,33 +132,36 @@ class _Model:
         """Return the fit of X, Z, the camera and the target's pose in each used view to corners and robot."""
         used = np.flatnonzero(self.used)
         sightings = self.seen.sightings.take(used)
-        RF, tF = self.arrays[0][used], self.arrays[1][used]
+        F = self.arrays[0][used], self.arrays[1][used]
         whiten = np.linalg.inv(np.linalg.cholesky(V))  # (n, 6, 6)
-        G, n = len(used), len(sightings.X)
+        G = len(used)
         poses = self.seen.centred[used]
         boards = problem_of(
             sightings, Bundle(k=camera.intrinsics[None], side_pose=np.zeros(6), poses=poses), frozenset()
         )
 
         def evaluate(shared: Array, local: Array) -> Evaluation:
-            r, Js, Jl = np.zeros((G, 2 * n + 6)), np.zeros((G, 2 * n + 6, 22)), np.zeros((G, 2 * n + 6, 6))
             corners = boards.evaluate(shared[12:], local)
-            if not np.isfinite(corners.residuals).all():
-                return Evaluation(residuals=np.full_like(r, np.nan), shared=Js, local=Jl)
-            r[:, :-6], Js[:, :-6, 12:], Jl[:, :-6] = corners.residuals, corners.shared, corners.local
-            turned = Rotation.from_rotvec(np.array(local[:, 3:]))  # scipy takes no read-only array
-            lever = turned.apply(sightings.middle)
-            RB, tB = np.ascontiguousarray(turned.as_matrix()), local[:, :3] - lever
-            RX, RZ = _rotation(shared[3:6]), _rotation(shared[9:12])
-            inner = replace(self, arrays=(RF, tF, RB, tB))
-            e, J, _ = inner.linearised((RX, shared[:3], RZ, shared[6:9]))
-            by_pose = np.tile(np.eye(6), (G, 1, 1))
-            by_pose[:, :3, 3:] = cross(lever)
-            by_pose[:, 3:, 3:] = _left_inverse(e[:, 3:])
-            r[:, -6:] = np.einsum("nij,nj->ni", whiten, e)
-            Js[:, -6:, :12] = whiten @ J
-            Jl[:, -6:] = whiten @ by_pose
-            return Evaluation(residuals=r, shared=Js, local=Jl)
+            by_corners = corners.condensed
+            if by_corners is None or not np.isfinite(corners.residuals).all():
+                bad = np.full((G, corners.residuals.shape[1] + 6), np.nan)
+                return Evaluation(residuals=bad, shared=EMPTY, local=EMPTY)
+            e, J, by_pose = self._at(shared, local, F, sightings.middle)
+            e = np.einsum("nij,nj->ni", whiten, e)
+            J, by_pose = whiten @ J, whiten @ by_pose
+            A, b, W = np.zeros((22, 22)), np.zeros(22), np.zeros((G, 22, 6))
+            A[:12, :12], A[12:, 12:] = np.einsum("nia,nib->ab", J, J), by_corners.A
+            b[:12], b[12:] = np.einsum("nia,ni->a", J, e), by_corners.b
+            W[:, :12], W[:, 12:] = J.transpose(0, 2, 1) @ by_pose, by_corners.W
+            condensed = Condensed(
+                A=A,
+                b=b,
+                C=by_corners.C + by_pose.transpose(0, 2, 1) @ by_pose,
+                c=by_corners.c + np.einsum("nia,ni->na", by_pose, e),
+                W=W,
+            )
+            residuals = np.concatenate([corners.residuals, e], axis=1)
+            return Evaluation(residuals=residuals, shared=EMPTY, local=EMPTY, condensed=condensed)
 
         def retract(shared: Array, local: Array, ds: Array, dl: Array) -> tuple[Array, Array]:
             moved = shared + ds
@@ -181,6 +184,17 @@ class _Model:
             retract=retract,
         )
         return solve(problem, Settings(cost_tolerance=1e-9))
+
+    def _at(self, shared: Array, local: Array, F: tuple[Array, Array], middle: Array) -> tuple[Array, Array, Array]:
+        """Return e (n, 6), its derivatives (n, 6, 12) by X and Z and (n, 6, 6) by the poses of the board's middle."""
+        turned = Rotation.from_rotvec(np.array(local[:, 3:]))  # scipy takes no read-only array
+        lever = turned.apply(middle)
+        inner = replace(self, arrays=(*F, np.ascontiguousarray(turned.as_matrix()), local[:, :3] - lever))
+        e, J, _ = inner.linearised((_rotation(shared[3:6]), shared[:3], _rotation(shared[9:12]), shared[6:9]))
+        by_pose = np.tile(np.eye(6), (len(local), 1, 1))
+        by_pose[:, :3, 3:] = cross(lever)
+        by_pose[:, 3:, 3:] = _left_inverse(e[:, 3:])
+        return e, J, by_pose
 
 
 def _refined(result: HandEye, seen: ViewPoses, model: _Model, restricted: Restricted, fit: Fit) -> HandEye:
