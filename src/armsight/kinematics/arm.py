@@ -126,29 +126,25 @@ class Arm:
     @property
     def lower(self) -> Array:
         """Lower limits (n,) in rad or m."""
-        return np.array([joint.lower for joint in self.joints])
+        return self.chain[1:-1, 9]
 
     @property
     def upper(self) -> Array:
         """Upper limits (n,) in rad or m."""
-        return np.array([joint.upper for joint in self.joints])
+        return self.chain[1:-1, 10]
 
     @property
     def revolute(self) -> NDArray[np.bool_]:
         """Which joints turn (n,)."""
-        return np.array([joint.type is JointType.REVOLUTE for joint in self.joints])
+        return np.asarray(self.chain[1:-1, 0] == 0.0)
 
     @property
     def reach_m(self) -> float:
         """Upper bound of the distance of the tool's origin from the base's, in m; inf with an unlimited slide."""
-        total = float(np.linalg.norm(self.chain[-1, [3, 7, 11]]))
-        for joint, row in zip(self.joints, self.chain[1:-1], strict=True):
-            slide = abs(row[3])
-            if joint.type is JointType.PRISMATIC:
-                ends = (joint.sign * joint.lower + row[3], joint.sign * joint.upper + row[3])
-                slide = max(abs(end) for end in ends)
-            total += math.hypot(row[4], slide)
-        return total
+        rows = self.chain[1:-1]
+        ends = np.where(self.revolute, 0.0, rows[:, 1]) * np.where(self.revolute, 0.0, rows[:, 9:11].T) + rows[:, 3]
+        links = np.hypot(rows[:, 4], np.abs(ends).max(axis=0))
+        return float(links.sum() + np.linalg.norm(self.chain[-1, [3, 7, 11]]))
 
     @property
     def length_m(self) -> float:

@@ -11,6 +11,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics.arm import Arm
+from armsight.kinematics.kernels.checks import NO_ROTATION, NOT_FINITE, check_poses, farthest
 
 Array = NDArray[np.float64]
 
@@ -20,6 +21,9 @@ TOLERANCE_RAD = 1e-6
 
 FAR_FACTOR = 100.0
 """A pose this many times the arm's size away is not out of reach but in the wrong unit (mm read as m: 1000 times)."""
+
+SMALLEST_M = 1e-3
+"""Arms are taken to be at least this big, so that a chain without lengths has a scale."""
 
 ROTATION_TOLERANCE = 1e-6
 """Rotation matrices whose columns differ from unit and square by more were rounded too much for 1 urad."""
@@ -52,11 +56,14 @@ def task_of(arm: Arm, task: Task | str | None) -> Task:
 
 def size_m(arm: Arm) -> float:
     """Return the arm's size in m: all lengths and offsets with every finite end of a slide, the tool included."""
-    rows = arm.chain[1:-1]
-    ends = np.where(np.isfinite(rows[:, 9:11]), rows[:, 9:11], 0.0)
-    slides = np.where(rows[:, 0] == 1.0, np.abs(ends).max(axis=1), 0.0)
-    total = np.abs(rows[:, 3]).sum() + np.abs(rows[:, 4]).sum() + slides.sum()
-    return float(total + np.linalg.norm(arm.chain[-1, [3, 7, 11]]))
+    found = arm.found.get("size_m")
+    if not isinstance(found, float):
+        rows = arm.chain[1:-1]
+        ends = np.where(np.isfinite(rows[:, 9:11]), rows[:, 9:11], 0.0)
+        slides = np.where(arm.revolute, 0.0, np.abs(ends).max(axis=1))
+        total = np.abs(rows[:, 3]).sum() + np.abs(rows[:, 4]).sum() + slides.sum()
+        found = arm.found["size_m"] = float(total + np.linalg.norm(arm.chain[-1, [3, 7, 11]]))
+    return found
 
 
 def target_matrices(arm: Arm, poses: RigidTransform | ArrayLike) -> Array:
@@ -69,30 +76,25 @@ def target_matrices(arm: Arm, poses: RigidTransform | ArrayLike) -> Array:
     if T.ndim not in (2, 3) or T.shape[-2:] != (4, 4):
         raise UsageError(f"a pose is a 4x4 matrix, not an array of shape {T.shape}")
     T = np.ascontiguousarray(T.reshape(-1, 4, 4))
-    bad = ~np.isfinite(T).all(axis=(1, 2))
-    if bad.any():
+    fault, row, value = check_poses(T, ROTATION_TOLERANCE)
+    if fault == NOT_FINITE:
         raise Inconsistent(
-            f"pose {int(np.argmax(bad))} holds a value that is not finite",
+            f"pose {row} holds a value that is not finite",
             consequence="No joint values can be given",
             cure="Leave out the rows in which nothing was measured",
         )
-    R = T[:, :3, :3]
-    off = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2))
-    bad = (off > ROTATION_TOLERANCE) | (np.linalg.det(R) < 0.0)
-    if bad.any():
+    if fault == NO_ROTATION:
         raise Inconsistent(
-            f"the orientation of pose {int(np.argmax(bad))} is not a rotation (off by {off.max():.2g})",
+            f"the orientation of pose {row} is not a rotation (off by {value:.2g})",
             consequence="No joint values can be given",
             cure="Check the order of the columns and their precision",
         )
-    base = arm.chain[0, [3, 7, 11]]
-    distance = np.linalg.norm(T[:, :3, 3] - base, axis=1)
+    distance, row = farthest(T, arm.chain)
     size = size_m(arm)
-    if len(T) and distance.max() > FAR_FACTOR * max(size, 1e-3):
-        row = int(distance.argmax())
-        times = distance[row] / size
+    if distance > FAR_FACTOR * max(size, SMALLEST_M):
+        times = distance / max(size, SMALLEST_M)
         raise Inconsistent(
-            f"pose {row} is {distance[row]:.4g} m from the base, {times:.0f} times the size of {arm.name}",
+            f"pose {row} is {distance:.4g} m from the base, {times:.0f} times the size of {arm.name}",
             consequence="No joint values can be given",
             cure="Give metres: the numbers look like millimetres",
         )
