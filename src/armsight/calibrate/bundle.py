@@ -6,19 +6,26 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri
 
-from armsight.calibrate.kernels.boards import evaluate_views, move_poses
+from armsight.calibrate.kernels.boards import move_poses
+from armsight.calibrate.kernels.condense import condense_views
 from armsight.calibrate.sightings import Sightings
-from armsight.fitting import Evaluation, Fit, Problem, Settings, solve
+from armsight.fitting import Condensed, Evaluation, Fit, Problem, Settings, solve
 from armsight.fitting.normal import NormalEquations
 from armsight.optics import INTRINSICS, SIDES
 from armsight.records import Progress
 
 Array = NDArray[np.float64]
 
+EMPTY = np.empty((0, 0, 0))
+EMPTY.setflags(write=False)
 POSE = ("tx", "ty", "tz", "rx", "ry", "rz")
-FREED_AT = 10.0
-"""Fall of chi-square at which a further distortion coefficient is freed: by chance once in 600 sets."""
+BY_CHANCE = 1e-3
+"""Further distortion coefficients are freed where chi-square would fall by more than noise does this often."""
+COST_SETTLED = 1e-6
+"""Relative fall of the cost that ends the fit. The step that brings it is a hundredth of the doubt, and convergence is
+quadratic: the next one would not be seen."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -44,14 +51,19 @@ def problem_of(sightings: Sightings, start: Bundle, fixed: frozenset[str]) -> Pr
     split = len(INTRINSICS) * n_cameras
 
     def evaluate(shared: Array, local: Array) -> Evaluation:
-        rows = 2 * n * n_cameras
-        r, Js, Jl = np.empty((G, rows)), np.zeros((G, rows, len(names))), np.zeros((G, rows, len(POSE)))
+        S, L = len(names), len(POSE)
+        r, A, b = np.empty((G, 2 * n * n_cameras)), np.empty((S, S)), np.empty(S)
+        C, c, W = np.empty((G, L, L)), np.empty((G, L)), np.empty((G, S, L))
         k = shared[:split].reshape(n_cameras, -1)
         side = shared[split:] if n_cameras == 2 else np.zeros(6)
-        fine = evaluate_views(
-            k, side, local, sightings.X, sightings.radius_m, sightings.uv, sightings.weight, r, Js, Jl
+        X, radius, uv, weight = sightings.X, sightings.radius_m, sightings.uv, sightings.weight
+        fine = condense_views(k, side, local, X, radius, uv, weight, r, A, b, C, c, W)
+        return Evaluation(
+            residuals=r if fine else np.full_like(r, np.nan),
+            shared=EMPTY,
+            local=EMPTY,
+            condensed=Condensed(A=A, b=b, C=C, c=c, W=W),
         )
-        return Evaluation(residuals=r if fine else np.full_like(r, np.nan), shared=Js, local=Jl)
 
     def retract(shared: Array, local: Array, step_shared: Array, step_local: Array) -> tuple[Array, Array]:
         moved, poses = shared + step_shared, np.empty_like(local)
@@ -84,7 +96,7 @@ def adjust(
 
     Raises NotConverged, Undetermined, Cancelled as the engine does.
     """
-    settings = Settings(estimate_noise=True, max_iterations=max_iterations, cost_tolerance=1e-8)
+    settings = Settings(estimate_noise=True, max_iterations=max_iterations, cost_tolerance=COST_SETTLED)
     return solve(problem_of(sightings, start, fixed), settings, progress)
 
 
@@ -95,15 +107,15 @@ def bundle_of(fit: Fit, n_cameras: int) -> Bundle:
     return Bundle(k=fit.shared[:split].reshape(n_cameras, -1), side_pose=side, poses=fit.local)
 
 
-def asks_to_be_freed(sightings: Sightings, fit: Fit, fixed: frozenset[str], name: str) -> bool:
-    """Tell whether freeing one fixed parameter would lower chi-square by more than chance does (a score test)."""
-    wider = fixed - {name}
+def asks_to_be_freed(sightings: Sightings, fit: Fit, fixed: frozenset[str], names: frozenset[str]) -> bool:
+    """Tell whether freeing some fixed parameters would lower chi-square by more than chance does (a score test)."""
+    wider = fixed - names
     problem = problem_of(sightings, bundle_of(fit, sightings.n_cameras), wider)
     evaluation = problem.evaluate(fit.shared, fit.local)
     free = np.array([i for i, n in enumerate(problem.names) if n not in wider], dtype=np.intp)
     normal = NormalEquations.build(problem, evaluation, fit.shared, free)
     fall = 2.0 * normal.predicted_decrease(*normal.step(0.0))
-    return bool(fall > FREED_AT * fit.scale**2)
+    return bool(fall > chdtri(len(names), BY_CHANCE) * fit.scale**2)
 
 
 def residuals_px(sightings: Sightings, fit: Fit) -> Array:

@@ -73,11 +73,11 @@ def fixed_names(options: BoardOptions, n_cameras: int) -> frozenset[str]:
 
 
 def _freed(sightings: Sightings, fit: Fit, fixed: frozenset[str], options: BoardOptions) -> frozenset[str]:
-    """Return the fixed names without those k3 that the data ask for."""
+    """Return the fixed names without k3 where the data ask for it."""
     if not options.automatic_k3 or "k3" in options.fixed:
         return fixed
-    names = [name for name in fixed if name.split(".")[-1] == "k3"]
-    return fixed - {name for name in names if asks_to_be_freed(sightings, fit, fixed, name)}
+    names = frozenset(name for name in fixed if name.split(".")[-1] == "k3")
+    return fixed - names if names and asks_to_be_freed(sightings, fit, fixed, names) else fixed
 
 
 def _misfits(sightings: Sightings, fit: Fit) -> tuple[dict[int, str], NDArray[np.bool_] | None]:

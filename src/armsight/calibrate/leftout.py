@@ -106,10 +106,10 @@ def _folds(cleaned: Cleaned, options: BoardOptions, folds: int) -> Iterator[tupl
 
 def epipolar_rms(pairs: list[tuple[Sightings, Rig]]) -> float:
     """Return the RMS distance in px of a point from its partner's epipolar line, over both images."""
-    squares = [
-        epipolar_distance(rig, part.uv[g, 0, both], part.uv[g, 1, both]).ravel() ** 2
-        for part, rig, g, both in _each(pairs)
-    ]
+    squares = []
+    for part, rig in pairs:
+        both = (part.weight > 0.0).all(axis=1)  # (G, n)
+        squares.append(epipolar_distance(rig, part.uv[:, 0][both], part.uv[:, 1][both]).ravel() ** 2)
     return float(np.sqrt(np.concatenate(squares).mean()))
 
 

@@ -17,6 +17,8 @@ ENOUGH_VIEWS = 8
 LEAST_POINTS = 4
 SAME_PLACE_PX = 1.0
 """Views whose points lie this close (RMS) show the same pose: a held board moves more between two shots."""
+NEAR_MIDDLE_PX = 50.0
+"""Views whose points' means differ by more are not compared point by point (they may show different parts)."""
 LEAST_TILT_DEG = 5.0
 """Views whose normals all lie within this of each other leave the focal length to the noise."""
 ENOUGH_TILT_DEG = 20.0
@@ -33,13 +35,16 @@ def different_views(sightings: Sightings) -> tuple[NDArray[np.intp], list[tuple[
     kept: list[int] = []
     refused: list[tuple[str, str]] = []
     seen = sightings.weight > 0.0  # (G, C, n)
+    count = np.maximum(seen.sum(axis=(1, 2)), 1)[:, None]
+    middle = (sightings.uv * seen[..., None]).sum(axis=(1, 2)) / count  # (G, 2)
+    close = np.linalg.norm(middle[:, None] - middle[None], axis=2) < NEAR_MIDDLE_PX
     for g in range(sightings.n_views):
         name = " / ".join(sightings.sources[g])
         few = int(seen[g].sum(axis=1).min())
         if few < LEAST_POINTS:
             refused.append((name, f"only {few} points of the board are seen, {LEAST_POINTS} are needed"))
             continue
-        twin = next((k for k in kept if _same(sightings, seen, g, k)), None)
+        twin = next((k for k in kept if close[g, k] and _same(sightings, seen, g, k)), None)
         if twin is not None:
             refused.append((name, f"shows the board in the same place as {' / '.join(sightings.sources[twin])}"))
         else:

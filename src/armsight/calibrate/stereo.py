@@ -32,8 +32,9 @@ class StereoCalibration:
     rms_px: of the points' 2-D residuals over both cameras. epipolar_rms_px: distance of a point from its partner's
     line. holdout_*: the same on pairs left out of the fit, None where there were too few. metric: expected_m,
     mean_m, rms_m of the distance of neighbouring points after triangulation and board_rms_m of a rigid fit, on
-    left-out pairs, or, where metric_is_left_out is False, on the pairs of the fit. rejected: (source, why). sides,
-    uv_px, residual_px (n, 2): every point used, by side. advice: what would make it surer.
+    left-out pairs; where there were too few, metric_is_left_out is False and it is of the fit's own pairs; empty
+    where no folds were asked for. rejected: (source, why). uv_px, residual_px: every point used (n, 2), by side.
+    advice: what would make it surer.
     """
 
     rig: Rig
@@ -47,7 +48,6 @@ class StereoCalibration:
     holdout_epipolar_rms_px: float | None
     metric: Mapping[str, float]
     metric_is_left_out: bool
-    parallelism: Parallelism
     view_rms_px: tuple[float, ...]
     sources: tuple[tuple[str, ...], ...]
     uv_px: Mapping[str, Array]
@@ -59,6 +59,11 @@ class StereoCalibration:
         """Standard deviations of the free parameters by name, and of baseline_m."""
         known = {} if self.rig.covariance is None else self.rig.covariance.std()
         return {**known, "baseline_m": self.baseline_std_m}
+
+    @property
+    def parallelism(self) -> Parallelism:
+        """How parallel the two cameras stand, with deviations."""
+        return parallelism(self.rig)
 
 
 def calibrate_stereo(
@@ -90,7 +95,6 @@ def calibrate_stereo(
         name = f"the {side} camera"
         advice += check_spread(sightings, c, name) + check_tilt(starts[c].poses, name)
     sightings, paired = pair_views(sightings, [start.poses for start in starts], board)
-    _refuse_swapped(paired.side_pose)
     rejected += [
         (" / ".join(sightings.sources[g]), "the two images do not show the board at one moment: no pair, or it moved")
         for g in np.flatnonzero(~paired.agreeing)
@@ -102,9 +106,11 @@ def calibrate_stereo(
     residual, seen = residuals_px(used, fit), used.weight > 0.0
     covariance = required(cleaned)
     overall = rms(residual, seen)
-    rig = rig_of(bundle_of(fit, 2), used.sizes, covariance=covariance, rms_px=overall)
+    state = bundle_of(fit, 2)
+    _refuse_swapped(state.side_pose)
+    rig = rig_of(state, used.sizes, covariance=covariance, rms_px=overall)
     out = left_out(cleaned, options)
-    metric = (out.metric if out else None) or metric_of([(used, rig)])
+    metric = out.metric if out else metric_of([(used, rig)]) if options.folds else None
     return StereoCalibration(
         rig=rig,
         baseline_std_m=baseline_std(rig),
@@ -117,7 +123,6 @@ def calibrate_stereo(
         holdout_epipolar_rms_px=out.epipolar_rms_px if out else None,
         metric=metric.as_mapping() if metric else {},
         metric_is_left_out=bool(out and out.metric),
-        parallelism=parallelism(rig),
         view_rms_px=view_rms(residual, seen),
         sources=used.sources,
         uv_px={side: used.uv[:, c][seen[:, c]] for c, side in enumerate(SIDES)},
@@ -131,7 +136,7 @@ def _refuse_swapped(side_pose: Array) -> None:
     x, y, z = side_pose[:3].tolist()
     if x < 0.0 and abs(x) > max(abs(y), abs(z)):
         raise Inconsistent(
-            f"left and right are swapped, or both cameras' images are mirrored: the right camera would stand "
+            f"left and right are swapped, or both cameras' images are mirrored: the right camera stands "
             f"{-x * 1e3:.1f} mm to the left of the left one",
             consequence="Nothing was calibrated: every later use would call the views by the wrong name",
             cure="Exchange the sources of --left and --right, or switch off the cameras' mirror mode",

@@ -58,3 +58,47 @@ def invert_spd(H, out):
             out[i, j] = m
             out[j, i] = m
     return True
+
+
+@njit(cache=True)
+def eliminate(C, c, W, floor, x, X):
+    """Fill x (G, L) = C^-1 c and X (G, L, F) = C^-1 W' for symmetric C (G, L, L) that is positive (semi-)definite.
+
+    Cholesky of C scaled to a unit diagonal; pivots below floor are raised to it, so that a direction without
+    information gets a finite, large answer.
+    """
+    n_groups, n, n_free = C.shape[0], C.shape[1], W.shape[1]
+    L = np.empty((n, n))
+    s = np.empty(n)
+    y = np.empty((n, n_free + 1))
+    for g in range(n_groups):
+        for i in range(n):
+            s[i] = 1.0 / sqrt(C[g, i, i])
+        for i in range(n):
+            for j in range(i + 1):
+                v = C[g, i, j] * s[i] * s[j]
+                for k in range(j):
+                    v -= L[i, k] * L[j, k]
+                if i == j:
+                    L[i, i] = sqrt(max(v, floor))
+                else:
+                    L[i, j] = v / L[j, j]
+        for i in range(n):
+            y[i, 0] = s[i] * c[g, i]
+            for f in range(n_free):
+                y[i, f + 1] = s[i] * W[g, f, i]
+            for k in range(i):
+                for f in range(n_free + 1):
+                    y[i, f] -= L[i, k] * y[k, f]
+            for f in range(n_free + 1):
+                y[i, f] /= L[i, i]
+        for i in range(n - 1, -1, -1):
+            for k in range(i + 1, n):
+                for f in range(n_free + 1):
+                    y[i, f] -= L[k, i] * y[k, f]
+            for f in range(n_free + 1):
+                y[i, f] /= L[i, i]
+        for i in range(n):
+            x[g, i] = s[i] * y[i, 0]
+            for f in range(n_free):
+                X[g, i, f] = s[i] * y[i, f + 1]

@@ -7,9 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.fitting.kernels import eliminate
 from armsight.fitting.problem import Evaluation, Problem
 
 Array = NDArray[np.float64]
+
+PIVOT_FLOOR = 1e-15
+"""Smallest pivot, squared, of a local block scaled to a unit diagonal: rounding leaves as much of a zero."""
 
 FLOOR = 1e-30
 """Smallest diagonal used for scaling, so that a parameter without influence does not divide by zero."""
@@ -27,19 +31,10 @@ class NormalEquations:
 
     @classmethod
     def build(cls, problem: Problem, evaluation: Evaluation, shared: Array, free: NDArray[np.intp]) -> NormalEquations:
-        """Accumulate J'J and J'r of the weighted residuals and of the priors."""
-        r, Js, Jl = evaluation.residuals, evaluation.shared, evaluation.local
-        weights = problem.loss.weights(r)
-        if weights is not None:
-            root = np.sqrt(weights)  # (G, m)
-            r, Js, Jl = r * root, Js * root[:, :, None], Jl * root[:, :, None]
-        Js = Js[:, :, free] if len(free) < Js.shape[2] else Js
-        flat = Js.reshape(r.size, len(free))  # (G m, F)
-        A, b = flat.T @ flat, flat.T @ r.reshape(-1)
-        Jlt = Jl.transpose(0, 2, 1)  # (G, L, m)
-        C = Jlt @ Jl
-        c = (Jlt @ r[:, :, None])[:, :, 0]
-        W = Js.transpose(0, 2, 1) @ Jl
+        """Take J'J and J'r of the weighted residuals for the free parameters and add the priors."""
+        whole = problem.condense(evaluation)
+        A, b = whole.A[np.ix_(free, free)], whole.b[free]
+        C, c, W = whole.C, whole.c, np.ascontiguousarray(whole.W[:, free])
         names = problem.free
         for name, prior in problem.priors.items():
             if name in problem.fixed:
@@ -90,10 +85,6 @@ def _damped(M: Array, damping: float) -> Array:
 
 def _solve_local(C: Array, c: Array, W: Array) -> tuple[Array, Array]:
     """Return C^-1 c (G, L) and C^-1 W' (G, L, F)."""
-    if C.shape[1] == 0:
-        return c, W.transpose(0, 2, 1)
-    scale = 1.0 / np.sqrt(np.einsum("gii->gi", C))  # (G, L)
-    scaled = C * scale[:, :, None] * scale[:, None, :] + 1e-15 * np.eye(C.shape[1])
-    rhs = np.concatenate([c[:, :, None], W.transpose(0, 2, 1)], axis=2) * scale[:, :, None]
-    solution = scale[:, :, None] * np.linalg.solve(scaled, rhs)
-    return solution[:, :, 0], solution[:, :, 1:]
+    x, X = np.empty_like(c), np.empty((W.shape[0], W.shape[2], W.shape[1]))
+    eliminate(C, c, W, PIVOT_FLOOR, x, X)
+    return x, X

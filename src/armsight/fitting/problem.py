@@ -15,9 +15,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import Inconsistent
-from armsight.fitting.loss import Loss
+from armsight.fitting.loss import Loss, LossKind
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Condensed:
+    """J'J and J'r of whitened residuals: A (S, S), b (S,) shared, C (G, L, L), c (G, L) local, W (G, S, L) mixed."""
+
+    A: Array
+    b: Array
+    C: Array
+    c: Array
+    W: Array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -26,12 +37,15 @@ class Evaluation:
 
     residuals: (G, m), each already divided by its standard deviation; rows that do not exist are zero, in the
     Jacobians too. shared: (G, m, S) derivative by the shared parameters. local: (G, m, L) derivative of group
-    g by its own local parameters. Derivatives are by the tangent step that `retract` takes.
+    g by its own local parameters. Derivatives are by the tangent step that `retract` takes. condensed: a compiled
+    model may give the normal equations of its squares instead, and leave shared and local empty; with plain
+    squares only.
     """
 
     residuals: Array
     shared: Array
     local: Array
+    condensed: Condensed | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -97,6 +111,27 @@ class Problem:
             array.setflags(write=False)
         object.__setattr__(self, "guess", guess)
         object.__setattr__(self, "local_guess", local)
+
+    def condense(self, evaluation: Evaluation) -> Condensed:
+        """Return J'J and J'r, weighted by the loss."""
+        if evaluation.condensed is not None:
+            if self.loss.kind is not LossKind.SQUARES:
+                raise Inconsistent("a robust loss weighs single residuals, and the model gives only their sums")
+            return evaluation.condensed
+        r, Js, Jl = evaluation.residuals, evaluation.shared, evaluation.local
+        weights = self.loss.weights(r)
+        if weights is not None:
+            root = np.sqrt(weights)  # (G, m)
+            r, Js, Jl = r * root, Js * root[:, :, None], Jl * root[:, :, None]
+        flat = Js.reshape(r.size, Js.shape[2])  # (G m, S)
+        Jlt = Jl.transpose(0, 2, 1)  # (G, L, m)
+        return Condensed(
+            A=flat.T @ flat,
+            b=flat.T @ r.reshape(-1),
+            C=Jlt @ Jl,
+            c=(Jlt @ r[:, :, None])[:, :, 0],
+            W=Js.transpose(0, 2, 1) @ Jl,
+        )
 
     @property
     def free(self) -> tuple[str, ...]:

@@ -9,23 +9,23 @@ from armsight.records.target import Target, TargetKind
 
 Index = NDArray[np.intp]
 
-SAME_POINT = 1e-6
-"""Two points of a board closer than this share of its pitch are one."""
-
 
 def grid_turns(board: Target) -> dict[int, Index]:
     """Return the quarter turns (0..3, about z) that carry the board's points onto its points, colours aside.
 
     Each comes with its renumbering: point i of the turned board lies where point turn[i] was.
     """
-    xy = board.xyz_m[:, :2] - 0.5 * (board.xyz_m[:, :2].min(axis=0) + board.xyz_m[:, :2].max(axis=0))
-    turned = xy
+    grid = board.xyz_m[:, :2] / board.pitch_m
+    halves = np.rint(2.0 * grid - grid.min(axis=0) - grid.max(axis=0)).astype(np.intp)  # centred, in half steps
+    order = np.lexsort(halves.T)
+    turned = halves
     found: dict[int, Index] = {}
     for quarter in range(4):
-        distance = np.linalg.norm(turned[:, None, :] - xy[None, :, :], axis=2)  # (n, n)
-        nearest = distance.argmin(axis=1)
-        if distance.min(axis=1).max() <= SAME_POINT * board.pitch_m:
-            found[quarter] = nearest.astype(np.intp)
+        order_turned = np.lexsort(turned.T)
+        if (turned[order_turned] == halves[order]).all():
+            turn = np.empty(len(order), dtype=np.intp)
+            turn[order_turned] = order
+            found[quarter] = turn
         turned = np.stack([-turned[:, 1], turned[:, 0]], axis=1)
     return found
 
