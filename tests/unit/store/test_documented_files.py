@@ -1,0 +1,48 @@
+"""Every file shown in docs/file-formats.md is read by the reader it is written for."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from armsight.store.rigs import CameraModel, rig_from_mapping
+from armsight.store.schema import validated
+from armsight.store.tables import parse_table
+from armsight.store.targets import target_from_mapping
+from armsight.store.tracks import POINT_COLUMNS, SPOT_COLUMNS, parse_joints, parse_poses, parse_times
+from armsight.store.worlds import world_from_mapping
+from armsight.store.yamls import parse_yaml
+
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "file-formats.md"
+BLOCKS = re.findall(r"^```(yaml|csv)\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+
+READERS = {
+    "armsight/rig": rig_from_mapping,
+    "armsight/camera": lambda content: validated(CameraModel, content, "x").camera(),
+    "armsight/target": target_from_mapping,
+    "armsight/world": world_from_mapping,
+    "t_s,x_m": lambda data: parse_poses(data, "x"),
+    "t_s,spot": lambda data: parse_table(data, "x", POINT_COLUMNS, text=("spot",)),
+    "t_s,camera": lambda data: parse_table(data, "x", SPOT_COLUMNS, text=("camera", "spot")),
+    "t_s,q1": lambda data: parse_joints(data, "x"),
+    "t_s": lambda data: parse_times(data, "x"),
+}
+
+
+def reader_of(kind, text):
+    if kind == "yaml":
+        content = parse_yaml(text.encode(), "x")
+        return READERS[content["format"]], content
+    header = ",".join(text.splitlines()[0].split(",")[:2])
+    return READERS[header], text.encode()
+
+
+def test_every_kind_is_shown():
+    shown = {reader_of(kind, text)[0] for kind, text in BLOCKS}
+    assert shown == set(READERS.values())
+
+
+@pytest.mark.parametrize("number", range(len(BLOCKS)))
+def test_a_shown_file_is_read(number):
+    reader, content = reader_of(*BLOCKS[number])
+    assert reader(content) is not None
