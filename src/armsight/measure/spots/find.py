@@ -8,10 +8,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from armsight.errors import BadImage, Inconsistent
 from armsight.measure.settings import DEFAULTS, SpotSettings
-from armsight.measure.spots.kernels.search import NOTHING_ABOVE, TOO_BRIGHT, search, track
+from armsight.measure.spots.kernels.area import FIT, MOST_LIGHTS, SPOT
+from armsight.measure.spots.kernels.lights import deliver, measure_others, measure_round
+from armsight.measure.spots.kernels.locate import FULL, NOTHING_ABOVE, NUMBER, locate, locate_near
 from armsight.records import Spots
 
 Image = NDArray[np.uint8]
+Array = NDArray[np.float64]
 Rejected = tuple[tuple[float, float, str], ...]
 
 MODEL_NAMES = ("gaussian", "ellipse", "joint", "streak", "centroid")
@@ -47,14 +50,13 @@ def find_spots(image: Image, settings: SpotSettings = DEFAULTS) -> Spots:
 
         return find_coloured(image, settings)
     grey = searchable(image, settings)
-    columns, refused, outcome, number = search(grey, settings.mask_bytes, settings.options)
+    areas, state, survey, outcome = locate(grey, settings.mask_bytes, settings.options)
+    if outcome == FULL:
+        return record(*measured(grey, settings, areas, state, survey))
+    number = survey[-1, NUMBER]
     if outcome == NOTHING_ABOVE:
-        return Spots.none(
-            (whole_frame(grey, f"bright all over: the background's grey level {number:.0f} leaves no room"),)
-        )
-    if outcome == TOO_BRIGHT:
-        return Spots.none((whole_frame(grey, f"{100.0 * number:.0f} % of the image lies above the threshold"),))
-    return record(columns, refused)
+        return Spots.none((whole_frame(grey, f"bright all over: a background of {number:.0f} leaves no room"),))
+    return Spots.none((whole_frame(grey, f"{100.0 * number:.0f} % of the image lies above the threshold"),))
 
 
 def track_spots(
@@ -75,15 +77,32 @@ def track_spots(
 
         return track_coloured(image, predicted, half_window_px, settings)
     grey = searchable(image, settings)
-    columns, owner, refused = track(grey, settings.mask_bytes, settings.options, predicted, int(half_window_px + 0.5))
-    return record(columns, refused), owner[columns[5]].astype(np.intp, copy=False)
+    half = int(half_window_px + 0.5)
+    areas, state, survey, cut = locate_near(grey, settings.mask_bytes, settings.options, predicted, half)
+    columns, refused = measured(grey, settings, areas, state, survey)
+    if len(cut):
+        refused = np.concatenate([refused, cut])
+    return record(columns, refused), columns[5]
+
+
+def measured(
+    grey: Image, settings: SpotSettings, areas: Array, state: NDArray[np.int64], survey: Array
+) -> tuple[tuple[Array, ...], Array]:
+    """Return the spots' columns and the refusals of the located areas."""
+    n = len(areas)
+    fits, rows = np.empty((n, FIT)), np.empty((n, MOST_LIGHTS, SPOT))
+    if measure_round(grey, settings.mask_bytes, settings.options, areas, state, survey, fits, rows):
+        measure_others(grey, settings.mask_bytes, settings.options, areas, state, survey, fits, rows)
+    *columns, refused = deliver(settings.options, areas, state, rows)
+    return tuple(columns), refused
 
 
 def warm_up() -> None:
     """Compile (or load from the cache) all that find_spots and track_spots run, so that no later call waits for it."""
     y, x = np.mgrid[0:96, 0:128]
     spot = 150.0 * np.exp(-((x - 60.3) ** 2 + (y - 50.2) ** 2) / 8.0)
-    grey = (10.0 + spot).astype(np.uint8)
+    disc = np.where((x - 20.0) ** 2 + (y - 20.0) ** 2 < 25.0, 99.0, 0.0)
+    grey = (10.0 + spot + disc).astype(np.uint8)
     find_spots(grey)
     track_spots(grey, [[60.0, 50.0]], 16.0)
 
@@ -136,7 +155,7 @@ def rejections(refused: NDArray[np.float64]) -> Rejected:
     return tuple([(u, v, REASONS[int(why)]) for u, v, why in refused.tolist()])
 
 
-def record(columns: tuple[NDArray[np.float64], ...], refused: NDArray[np.float64]) -> Spots:
+def record(columns: tuple[Array, ...], refused: Array) -> Spots:
     """Return the record of the kernels' columns.
 
     The columns are fresh and finite by construction, so that the constructor's copies and checks (40 us, as much as

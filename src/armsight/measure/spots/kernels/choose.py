@@ -2,16 +2,36 @@
 
 from __future__ import annotations
 
-from math import atan2, erf, exp, log, pi, sqrt
+from math import erf, exp, log, sqrt
 
 import numpy as np
 
+from armsight.measure.spots.kernels.area import (
+    AS_ELLIPSE,
+    AS_GAUSSIAN,
+    AS_JOINT,
+    AS_STREAK,
+    MOST_LIGHTS,
+    MOST_PARAMETERS,
+    ONLY_ELLIPSE,
+    ONLY_GAUSSIAN,
+    S_CH,
+    S_DOF,
+    S_FOURTH,
+    S_MODEL,
+    S_OF,
+    S_PEAK,
+    S_RSS,
+    S_SIGNAL,
+    S_SIZE,
+    S_SQUARE,
+    S_U,
+    S_V,
+)
 from armsight.measure.spots.kernels.compiled import copy_to, kernel
 from armsight.measure.spots.kernels.models import (
     ELLIPSE,
     JOINT,
-    MOST_LIGHTS,
-    MOST_PARAMETERS,
     ROOT_2,
     ROOT_2PI,
     STREAK,
@@ -20,33 +40,15 @@ from armsight.measure.spots.kernels.models import (
     residuals_of,
     weighted_information,
 )
-from armsight.measure.spots.kernels.round import PIXEL_VARIANCE, uncertainty
+from armsight.measure.spots.kernels.patch import principal, shape_of, used
+from armsight.measure.spots.kernels.round import PIXEL_VARIANCE
 from armsight.measure.spots.kernels.scan import (
     AREA,
-    CLIPPED,
     LEVEL,
     PEAK,
-    SUM_X,
-    SUM_Y,
     WEIGHT,
-    X_MAX,
-    X_MIN,
-    Y_MAX,
-    Y_MIN,
 )
-
-# what became of a bright area
-ACCEPTED, HOT, SMALL, BORDER, LARGE, FAILED, SATURATED, MANY, UNRESOLVED, UNLIKE, BEYOND, OTHER = range(12)
-# how an accepted spot was measured
-AS_GAUSSIAN, AS_ELLIPSE, AS_JOINT, AS_STREAK, AS_CENTROID = range(5)
-# what may be tried
-AUTO, ONLY_GAUSSIAN, ONLY_ELLIPSE = range(3)
-
-# columns of a measured spot; 2..4 and 5..7 are C_H and C_G (see round.uncertainty)
-S_U, S_V, S_CH, S_CG, S_PEAK, S_SIZE, S_MODEL, S_DOF, S_RSS, S_SIGNAL, S_FOURTH, S_SQUARE, S_OF = (
-    0, 1, 2, 5, 8, 9, 10, 11, 12, 13, 14, 15, 16,
-)  # fmt: skip
-SPOT = 17
+from armsight.measure.spots.kernels.uncertainty import uncertainty
 
 MISFIT = 4.0
 """Neighbouring residuals correlated by more than this many deviations say that the model is wrong."""
@@ -60,112 +62,6 @@ SURE = 10.0
 """Fall of Schwarz's criterion that a further light must bring: odds of 150 to 1."""
 DOMINANT = 0.2
 """Share of all squares in one pixel that marks it as hot; no wrong model puts so much into a single one."""
-UNLIKE_SHARE = 0.15
-"""Residual, as a share of the height, above which it is no light that we know."""
-WORST_SIGMA_PX = 0.5
-"""A centre worse than this is no measurement."""
-
-
-@kernel
-def patch_box(comp, h, w, box):
-    """Fill box (x0, x1, y0, y1) with a component's bounds and a margin that holds its skirt and some background."""
-    half = 0.5 * max(comp[X_MAX] - comp[X_MIN], comp[Y_MAX] - comp[Y_MIN])
-    margin = int(min(max(0.5 * half + 2.0, 4.0), 9.0))
-    box[0] = max(int(comp[X_MIN]) - margin, 0)
-    box[1] = min(int(comp[X_MAX]) + margin + 1, w)
-    box[2] = max(int(comp[Y_MIN]) - margin, 0)
-    box[3] = min(int(comp[Y_MAX]) + margin + 1, h)
-
-
-@kernel
-def fill_patch(image, flip, saturation, mask, box, values, use):
-    """Fill values and use (ny, nx) from the image; use is 0 for clipped and masked pixels."""
-    for j in range(values.shape[0]):
-        for i in range(values.shape[1]):
-            grey = np.uint8(image[box[2] + j, box[0] + i] ^ flip)
-            values[j, i] = grey
-            free = mask.size == 0 or mask[box[2] + j, box[0] + i] != 0
-            use[j, i] = 1 if grey < saturation and free else 0
-
-
-@kernel
-def leave_to(own, other, box, use):
-    """Set use to 0 where a pixel belongs to another component rather than to this one."""
-    ox = 0.5 * (own[X_MIN] + own[X_MAX])
-    oy = 0.5 * (own[Y_MIN] + own[Y_MAX])
-    ow = 0.5 * (own[X_MAX] - own[X_MIN]) + 2.0
-    oh = 0.5 * (own[Y_MAX] - own[Y_MIN]) + 2.0
-    nx = 0.5 * (other[X_MIN] + other[X_MAX])
-    ny = 0.5 * (other[Y_MIN] + other[Y_MAX])
-    nw = 0.5 * (other[X_MAX] - other[X_MIN]) + 2.0
-    nh = 0.5 * (other[Y_MAX] - other[Y_MIN]) + 2.0
-    for j in range(use.shape[0]):
-        y = box[2] + j
-        for i in range(use.shape[1]):
-            x = box[0] + i
-            mine = ((x - ox) / ow) ** 2 + ((y - oy) / oh) ** 2
-            theirs = ((x - nx) / nw) ** 2 + ((y - ny) / nh) ** 2
-            if theirs < mine:
-                use[j, i] = 0
-
-
-@kernel
-def used(use):
-    """Return how many pixels of the patch are used."""
-    n = 0
-    for j in range(use.shape[0]):
-        for i in range(use.shape[1]):
-            n += use[j, i]
-    return n
-
-
-@kernel
-def shape_of(values, use, comp, box, level, background, shape):
-    """Fill shape (8,): centre, second moments xx, xy, yy above level; the same about half height, unweighted: 5..7."""
-    half = background + 0.5 * (comp[PEAK] - background)
-    s = np.zeros(6)
-    a = np.zeros(6)
-    for j in range(values.shape[0]):
-        y = float(box[2] + j)
-        if y < comp[Y_MIN] or y > comp[Y_MAX]:
-            continue
-        for i in range(values.shape[1]):
-            x = float(box[0] + i)
-            v = values[j, i] - level
-            if v <= 0.0 or x < comp[X_MIN] or x > comp[X_MAX]:
-                continue
-            s[0] += v
-            s[1] += v * x
-            s[2] += v * y
-            s[3] += v * x * x
-            s[4] += v * x * y
-            s[5] += v * y * y
-            if values[j, i] > half:
-                a[0] += 1.0
-                a[1] += x
-                a[2] += y
-                a[3] += x * x
-                a[4] += x * y
-                a[5] += y * y
-    for k in range(2):
-        m = s if k == 0 else a
-        total = max(m[0], 1e-9)
-        cx = m[1] / total
-        cy = m[2] / total
-        if k == 0:
-            shape[0] = cx
-            shape[1] = cy
-        shape[2 + 3 * k] = max(m[3] / total - cx * cx, 0.1)
-        shape[3 + 3 * k] = m[4] / total - cx * cy
-        shape[4 + 3 * k] = max(m[5] / total - cy * cy, 0.1)
-
-
-@kernel
-def principal(xx, xy, yy):
-    """Return the larger and the smaller second moment, and the angle of the larger."""
-    mean = 0.5 * (xx + yy)
-    root = sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
-    return mean + root, max(mean - root, 0.05), 0.5 * atan2(2.0 * xy, xx - yy)
 
 
 @kernel
@@ -352,7 +248,7 @@ def choose(comp, background, box, values, use, noise, only, best):
 
 
 @kernel
-def describe(kind, n, p, values, use, box, rss, prior, rows, source):
+def describe(kind, n, p, values, use, box, rss, rows, source):
     """Write the lights of a fitted model into rows (.., SPOT); return how many (0: no covariance)."""
     H = np.empty((n, n))
     G = np.empty((n, n))
@@ -388,8 +284,8 @@ def describe(kind, n, p, values, use, box, rss, prior, rows, source):
             copy_to(tilt[order[i]], tilt2[i])
         row = rows[k]
         work = np.zeros(8)
-        left = uncertainty(H2, G2, tilt2, prior, noise, sums[0], work)
-        if not left == left:
+        left = uncertainty(H2, G2, tilt2, p[MOST_PARAMETERS:], noise, sums[0], work)
+        if left != left:
             return 0
         row[S_U] = p[first] + work[6]
         row[S_V] = p[first + 1] + work[7]
@@ -414,46 +310,3 @@ def describe(kind, n, p, values, use, box, rss, prior, rows, source):
             row[S_SIZE] = (p[5] * p[7] - p[6] * p[6]) ** -0.25
             row[S_MODEL] = AS_ELLIPSE
     return lights
-
-
-@kernel
-def verdict(comp, rows, lights, saturated, noise):
-    """Return ACCEPTED, or why these lights of one component are refused."""
-    for k in range(lights):
-        row = rows[k]
-        a = max(row[S_RSS] / max(row[S_DOF], 1.0), PIXEL_VARIANCE)
-        worst = sqrt(a * max(row[S_CH], row[S_CH + 2]))
-        inside = (
-            comp[X_MIN] - 2.0 <= row[S_U] <= comp[X_MAX] + 2.0 and comp[Y_MIN] - 2.0 <= row[S_V] <= comp[Y_MAX] + 2.0
-        )
-        if lights > 1 and not (inside and worst < 0.35 * row[S_SIZE] and row[S_PEAK] > 4.0 * sqrt(a)):
-            return UNRESOLVED
-        if not worst < WORST_SIGMA_PX:
-            return SATURATED if saturated else FAILED
-        if not (inside and row[S_PEAK] > 0.0):
-            return FAILED
-        if sqrt(a) > UNLIKE_SHARE * row[S_PEAK] and a > 9.0 * noise:
-            return UNLIKE
-    return ACCEPTED
-
-
-@kernel
-def round_start(comp, background, saturation, start):
-    """Fill start (u, v, A, q, b) for a round Gaussian from a component's sums.
-
-    The area above a grey level L is 2 pi q ln(A / L); with clipped pixels the areas above the threshold and
-    above the clipping level together give A and q.
-    """
-    start[0] = comp[SUM_X] / comp[WEIGHT]
-    start[1] = comp[SUM_Y] / comp[WEIGHT]
-    low = max(comp[LEVEL] + 0.5 - background, 0.5)
-    if comp[CLIPPED] > 3.0:
-        high = saturation - background
-        q = (comp[AREA] - comp[CLIPPED]) / (2.0 * pi * log(max(high / low, 1.05)))
-        q = max(q, 0.2)
-        start[2] = high * exp(min(comp[CLIPPED] / (2.0 * pi * q), 4.0))
-    else:
-        start[2] = max(comp[PEAK] - background, 1.1 * low)
-        q = comp[AREA] / (2.0 * pi * log(start[2] / low))
-    start[3] = min(max(q, 0.2), 200.0)
-    start[4] = background

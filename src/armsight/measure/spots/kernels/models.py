@@ -17,8 +17,6 @@ from armsight.fitting.kernels import solve_damped
 from armsight.measure.spots.kernels.compiled import copy_to, kernel
 
 JOINT, STREAK, ELLIPSE = 0, 1, 2
-MOST_LIGHTS = 4
-MOST_PARAMETERS = 2 + 3 * MOST_LIGHTS
 STEPS = 40
 CLOSE = 3e-3
 """Stop where a step lowers chi-square by less than this share of the noise variance."""

@@ -16,8 +16,9 @@ from math import erf, exp, pi, sqrt
 import numpy as np
 from numba import njit
 
-from armsight.fitting.kernels import invert_spd, solve_damped
+from armsight.fitting.kernels import solve_damped
 from armsight.measure.spots.kernels.compiled import copy_to, kernel
+from armsight.measure.spots.kernels.uncertainty import uncertainty
 
 PIXEL_VARIANCE = 1.0 / 12.0
 NARROW = 0.9
@@ -285,63 +286,6 @@ def residual_sums(image, flip, dropped, n_dropped, box, fx, fy, p, out):
     out[RUN] = products / sqrt(spread) if spread > 0.0 else 0.0
     out[TILT_X] = tilt_x
     out[TILT_Y] = tilt_y
-
-
-@kernel
-def uncertainty(H, G, tilt, prior, noise, signal, out):
-    """Write C_H and C_G into out (6,), correct the centre for the background's slope; return SIGNAL less the fit's take.
-
-    With noise variance a + g m at a pixel of model height m, the covariance of the centre is a C_H + g C_G (C_G =
-    H^-1 G H^-1), and the residuals' expectation is (1 - leverage) (a + g m). The background's slope (per px along x
-    and y) is one linear step of a fit with prior (4,): mean x, y, deviation x, y. tilt (n + 3, 2): the sums of J dx,
-    J dy (n rows), of (dx, dy)'(dx, dy) (2 rows) and of r dx, r dy. The centre's shift goes to out[6:8].
-    NaN where H cannot be inverted.
-    """
-    n = H.shape[0]
-    C = np.empty((n, n))
-    if not invert_spd(H, C):
-        return np.nan
-    trace = 0.0
-    for i in range(n):
-        for j in range(n):
-            trace += C[i, j] * G[i, j]
-    CG = np.zeros((2, n))
-    CB = np.zeros((n, 2))
-    for j in range(n):
-        for i in range(n):
-            CG[0, j] += C[0, i] * G[i, j]
-            CG[1, j] += C[1, i] * G[i, j]
-            CB[j, 0] += C[j, i] * tilt[i, 0]
-            CB[j, 1] += C[j, i] * tilt[i, 1]
-    kx = noise / (prior[2] * prior[2])
-    ky = noise / (prior[3] * prior[3])
-    xx = tilt[n, 0] + kx
-    xy = tilt[n, 1]
-    yy = tilt[n + 1, 1] + ky
-    for i in range(n):
-        xx -= tilt[i, 0] * CB[i, 0]
-        xy -= tilt[i, 0] * CB[i, 1]
-        yy -= tilt[i, 1] * CB[i, 1]
-    det = xx * yy - xy * xy
-    if not det > 0.0:
-        return np.nan
-    hx = tilt[n + 2, 0] + kx * prior[0]
-    hy = tilt[n + 2, 1] + ky * prior[1]
-    slope_x = (yy * hx - xy * hy) / det
-    slope_y = (xx * hy - xy * hx) / det
-    k = 0
-    for a in range(2):
-        out[6 + a] = -(CB[a, 0] * slope_x + CB[a, 1] * slope_y)
-        for b in range(a, 2):
-            out[k] = C[a, b]
-            out[k] += (CB[a, 0] * CB[b, 0] * yy - (CB[a, 0] * CB[b, 1] + CB[a, 1] * CB[b, 0]) * xy) / det
-            out[k] += CB[a, 1] * CB[b, 1] * xx / det
-            t = 0.0
-            for j in range(n):
-                t += CG[a, j] * C[j, b]
-            out[k + 3] = t
-            k += 1
-    return signal - trace
 
 
 @kernel

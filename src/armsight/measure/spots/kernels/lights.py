@@ -1,0 +1,342 @@
+"""Measures the bright areas: round lights at once, the others by a choice of models, crowded ones together."""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+
+from armsight.measure.spots.kernels.area import (
+    ACCEPTED,
+    AS_GAUSSIAN,
+    CROWDED,
+    FAILED,
+    FIT,
+    HOT,
+    KIND,
+    LIGHTS,
+    MOST_LIGHTS,
+    MOST_PARAMETERS,
+    O_FLIP,
+    O_GAIN,
+    O_MODEL,
+    O_SATURATION,
+    ONLY_ELLIPSE,
+    ONLY_GAUSSIAN,
+    OWNER,
+    S_CG,
+    S_CH,
+    S_DOF,
+    S_FOURTH,
+    S_MODEL,
+    S_OF,
+    S_PEAK,
+    S_RSS,
+    S_SIGNAL,
+    S_SIZE,
+    S_SQUARE,
+    S_U,
+    S_V,
+    SATURATED,
+    SIZE,
+    SMALL,
+    SPOT,
+    STATUS,
+    hot_pixels,
+    near,
+    round_start,
+    skirt,
+    verdict,
+)
+from armsight.measure.spots.kernels.choose import choose, describe, refit
+from armsight.measure.spots.kernels.compiled import copy_to, kernel
+from armsight.measure.spots.kernels.locate import NOISE
+from armsight.measure.spots.kernels.models import light_of
+from armsight.measure.spots.kernels.patch import make_patch, patch_box
+from armsight.measure.spots.kernels.round import (
+    COV,
+    DOF,
+    FOURTH,
+    MOST,
+    PIXEL_VARIANCE,
+    RESULT,
+    RSS,
+    RUN,
+    SIGNAL,
+    SQUARE,
+    A,
+    B,
+    Q,
+    U,
+    V,
+    fit_round,
+)
+from armsight.measure.spots.kernels.scan import (
+    AREA,
+    CLIPPED,
+    GRID,
+    LEVEL,
+    SUM_X,
+    SUM_Y,
+    WEIGHT,
+    X_MAX,
+    X_MIN,
+    Y_MAX,
+    Y_MIN,
+)
+from armsight.measure.spots.kernels.uncertainty import slope_prior
+
+PENDING = -1
+"""Status of an area that the fit of a round light did not settle."""
+MISFIT = 4.0
+"""Neighbouring residuals correlated by more than this many deviations say that the model is wrong."""
+CROWD_SWEEPS = 2
+"""Times that crowded spots are refitted with their neighbours' light subtracted."""
+MOST_DROPPED = 2048
+HOT_REACH = 64.0
+"""Distance in px along either axis beyond which a hot pixel is in no window."""
+
+
+@kernel
+def copy_round(result, source, row):
+    """Write the result of a round fit into a spot's row."""
+    row[S_U] = result[U]
+    row[S_V] = result[V]
+    for k in range(6):
+        row[S_CH + k] = result[COV + k]
+    row[S_PEAK] = result[A]
+    row[S_SIZE] = sqrt(max(result[Q] - PIXEL_VARIANCE, 0.01))
+    row[S_MODEL] = AS_GAUSSIAN
+    row[S_DOF] = result[DOF]
+    row[S_RSS] = result[RSS]
+    row[S_SIGNAL] = result[SIGNAL]
+    row[S_FOURTH] = result[FOURTH]
+    row[S_SQUARE] = result[SQUARE]
+    row[S_OF] = source
+
+
+@kernel
+def keep_fit(result, p):
+    """Write the result of a round fit into p as a joint model of one light."""
+    p[0] = result[B]
+    p[1] = 1.0 / result[Q]
+    p[2] = result[U]
+    p[3] = result[V]
+    p[4] = result[A]
+
+
+@kernel
+def background_of(comp, survey, w, h):
+    """Return the background level of the tile in which a component lies."""
+    i = int(comp[SUM_Y] / comp[WEIGHT]) * GRID // h
+    j = int(comp[SUM_X] / comp[WEIGHT]) * GRID // w
+    return min(survey[GRID + i, j], comp[LEVEL])
+
+
+@kernel
+def is_hot_near(comp, hot, n_hot):
+    """Tell whether a hot pixel may lie in the component's window."""
+    for k in range(n_hot):
+        if (
+            abs(hot[k, 0] - 0.5 * (comp[X_MIN] + comp[X_MAX])) < HOT_REACH
+            and abs(hot[k, 1] - 0.5 * (comp[Y_MIN] + comp[Y_MAX])) < HOT_REACH
+        ):
+            return True
+    return False
+
+
+@kernel
+def mark_crowded(comps, state):
+    """Set CROWDED where another area's bounds meet a component's skirt."""
+    n = comps.shape[0]
+    relevant = np.empty(n, np.int64)
+    count = 0
+    for i in range(n):
+        state[i, CROWDED] = 0
+        if state[i, STATUS] != HOT and state[i, STATUS] != SMALL:
+            relevant[count] = i
+            count += 1
+    for a in range(count):
+        i = relevant[a]
+        if state[i, STATUS] != ACCEPTED:
+            continue
+        reach = skirt(comps[i])
+        for b in range(count):
+            if b != a and near(comps[i], comps[relevant[b]], reach):
+                state[i, CROWDED] = 1
+                break
+
+
+@kernel
+def measure_round(image, mask, options, comps, state, survey, fits, rows):
+    """Fit a round Gaussian to each accepted area that stands alone; return how many areas are left PENDING.
+
+    fits (n, FIT) takes the fits, rows (n, MOST_LIGHTS, SPOT) the measured lights, state what became of the area.
+    """
+    h, w = image.shape
+    flip = np.uint8(options[O_FLIP])
+    saturation = int(options[O_SATURATION])
+    only = int(options[O_MODEL])
+    n = comps.shape[0]
+    hot = np.empty((2 * n, 2), np.int64)
+    n_hot = hot_pixels(comps, state, hot)
+    mark_crowded(comps, state)
+    start = np.empty(5)
+    prior = np.empty(4)
+    result = np.empty(RESULT)
+    dropped = np.empty((MOST_DROPPED, 2), np.int64)
+    fx = np.empty((3, MOST))
+    fy = np.empty((3, MOST))
+    noise = survey[2 * GRID, NOISE]
+    pending = 0
+    for i in range(n):
+        if state[i, STATUS] != ACCEPTED:
+            continue
+        comp = comps[i]
+        slope_prior(survey, int(comp[SUM_Y] / comp[WEIGHT]), int(comp[SUM_X] / comp[WEIGHT]), w, h, noise, prior)
+        for k in range(4):
+            fits[i, MOST_PARAMETERS + k] = prior[k]
+        if state[i, CROWDED] == 0 and only != ONLY_ELLIPSE:
+            round_start(comp, background_of(comp, survey, w, h), saturation, start)
+            clipped = comp[CLIPPED] > 0.0 or mask.size > 0 or is_hot_near(comp, hot, n_hot)
+            fine = fit_round(image, flip, saturation, mask, hot, n_hot, clipped, start, prior, dropped, fx, fy, result)
+            if fine and (result[RUN] < MISFIT or only == ONLY_GAUSSIAN):
+                copy_round(result, i, rows[i, 0])
+                keep_fit(result, fits[i])
+                state[i, SIZE] = 5
+                state[i, KIND] = 0
+                state[i, LIGHTS] = 1
+                if verdict(comp, rows[i], state[i, LIGHTS], comp[CLIPPED] > 0.0, noise) == ACCEPTED:
+                    continue
+        state[i, STATUS] = PENDING
+        state[i, SIZE] = 0
+        pending += 1
+    return pending
+
+
+@kernel
+def measure_others(image, mask, options, comps, state, survey, fits, rows):
+    """Fit the areas left PENDING with the models that their shape suggests, and refine the crowded ones."""
+    h, w = image.shape
+    flip = np.uint8(options[O_FLIP])
+    saturation = int(options[O_SATURATION])
+    only = int(options[O_MODEL])
+    n = comps.shape[0]
+    hot = np.empty((2 * n, 2), np.int64)
+    n_hot = hot_pixels(comps, state, hot)
+    noise = survey[2 * GRID, NOISE]
+    box = np.empty(4, np.int64)
+    for i in range(n):
+        if state[i, STATUS] != PENDING:
+            continue
+        comp = comps[i]
+        patch_box(comp, h, w, box)
+        shape = (box[3] - box[2], box[1] - box[0])
+        values = np.empty(shape)
+        use = np.empty(shape, np.uint8)
+        make_patch(image, flip, saturation, mask, comps, state, i, hot, n_hot, np.int64(0), box, values, use)
+        background = background_of(comp, survey, w, h)
+        kind, size, rss = choose(comp, background, box, values, use, noise, only, fits[i])
+        state[i, KIND] = kind
+        state[i, SIZE] = size
+        state[i, STATUS] = SATURATED if comp[CLIPPED] > 0.5 * comp[AREA] else FAILED
+        if size > 0:
+            lights = describe(kind, size, fits[i], values, use, box, rss, rows[i], i)
+            state[i, LIGHTS] = lights
+            if lights > 0:
+                state[i, STATUS] = verdict(comp, rows[i], lights, comp[CLIPPED] > 0.0, noise)
+    for _ in range(CROWD_SWEEPS):
+        for i in range(n):
+            if state[i, STATUS] == ACCEPTED and state[i, CROWDED] == 1 and state[i, SIZE] > 0:
+                refine(image, flip, saturation, mask, comps, state, i, hot, n_hot, fits, rows)
+
+
+@kernel
+def refine(image, flip, saturation, mask, comps, state, i, hot, n_hot, fits, rows):
+    """Refit a crowded component with its neighbours' light subtracted, in place."""
+    box = np.empty(4, np.int64)
+    patch_box(comps[i], image.shape[0], image.shape[1], box)
+    shape = (box[3] - box[2], box[1] - box[0])
+    values = np.empty(shape)
+    use = np.empty(shape, np.uint8)
+    make_patch(image, flip, saturation, mask, comps, state, i, hot, n_hot, np.int64(1), box, values, use)
+    for j in range(comps.shape[0]):
+        if j != i and state[j, SIZE] > 0 and near(comps[i], comps[j], skirt(comps[i]) + skirt(comps[j])):
+            light_of(state[j, KIND], fits[j], state[j, SIZE], box[0], box[2], values, -1.0)
+    p = np.empty(FIT)
+    copy_to(fits[i], p)
+    kind = state[i, KIND]
+    size = state[i, SIZE]
+    rss, _ = refit(kind, size, values, use, box[0], box[2], use.size, p, np.empty(shape))
+    if rss >= 0.0:
+        copy_to(p, fits[i])
+        describe(kind, size, p, values, use, box, rss, rows[i], i)
+
+
+@kernel
+def shot_gain(spots, n):
+    """Return the gain (grey levels of variance per grey level of light) that the residuals of all spots prove.
+
+    Regression of the squared residuals on the model, each spot with its own constant part; less one deviation,
+    because a gain that is only noise would widen every ellipse.
+    """
+    top = 0.0
+    bottom = 0.0
+    spread = 0.0
+    for k in range(n):
+        row = spots[k]
+        dof = row[S_DOF]
+        signal = row[S_SIGNAL]
+        if row[S_SQUARE] <= 0.0 or dof < 1.0:
+            continue
+        square = row[S_SQUARE] - signal * signal / dof
+        a = row[S_RSS] / dof
+        top += row[S_FOURTH] - a * signal
+        bottom += square
+        spread += 2.0 * a * a * square
+    if bottom <= 0.0:
+        return 0.0
+    return max((top - sqrt(spread)) / bottom, 0.0)
+
+
+@kernel
+def deliver(options, comps, state, rows):
+    """Return uv (n, 2), covariance (n, 2, 2), peak, size, model and owner (n,) of the spots, and refused (m, 3).
+
+    A spot's owner is that of its area; refused are u, v and the number of the reason.
+    """
+    spots = np.empty((comps.shape[0] * MOST_LIGHTS, SPOT))
+    refused = np.empty((comps.shape[0], 3))
+    n = np.int64(0)
+    m = 0
+    for i in range(comps.shape[0]):
+        if state[i, STATUS] == ACCEPTED:
+            for k in range(state[i, LIGHTS]):
+                copy_to(rows[i, k], spots[n])
+                n += 1
+        elif state[i, OWNER] >= 0:
+            refused[m, 0] = comps[i, SUM_X] / comps[i, WEIGHT]
+            refused[m, 1] = comps[i, SUM_Y] / comps[i, WEIGHT]
+            refused[m, 2] = state[i, STATUS]
+            m += 1
+    g = options[O_GAIN] if options[O_GAIN] >= 0.0 else shot_gain(spots, n)
+    uv = np.empty((n, 2))
+    covariance = np.empty((n, 2, 2))
+    peak = np.empty(n)
+    size = np.empty(n)
+    model = np.empty(n, np.int64)
+    owner = np.empty(n, np.int64)
+    for k in range(n):
+        row = spots[k]
+        a = max((row[S_RSS] - g * row[S_SIGNAL]) / max(row[S_DOF], 1.0), PIXEL_VARIANCE)
+        uv[k, 0] = row[S_U]
+        uv[k, 1] = row[S_V]
+        covariance[k, 0, 0] = a * row[S_CH] + g * row[S_CG]
+        covariance[k, 0, 1] = a * row[S_CH + 1] + g * row[S_CG + 1]
+        covariance[k, 1, 0] = covariance[k, 0, 1]
+        covariance[k, 1, 1] = a * row[S_CH + 2] + g * row[S_CG + 2]
+        peak[k] = row[S_PEAK]
+        size[k] = row[S_SIZE]
+        model[k] = int(row[S_MODEL])
+        owner[k] = state[int(row[S_OF]), OWNER]
+    return uv, covariance, peak, size, model, owner, refused[:m].copy()
