@@ -86,7 +86,7 @@ def calibrate_camera(
         sources=tuple(names[0] for names in cleaned.sightings.sources),
         uv_px=cleaned.sightings.uv[seen],
         residual_px=residual[seen],
-        advice=(*advice, *doubts(covariance, cleaned)),
+        advice=(*advice, *doubts(covariance, cleaned), *cleaned.notes),
     )
 
 

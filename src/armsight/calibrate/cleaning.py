@@ -30,13 +30,12 @@ RAYLEIGH_MEDIAN = 1.1774
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Cleaned:
-    """The last fit with what went into it. kept: positions of the views in the sightings given."""
+    """The last fit with what went into it, the views that did not, and notes on images that lost single points."""
 
     sightings: Sightings
     fit: Fit
-    kept: NDArray[np.intp]
-    fixed: frozenset[str]
     rejected: tuple[tuple[str, str], ...]
+    notes: tuple[str, ...]
 
 
 def fit_cleaned(
@@ -44,7 +43,7 @@ def fit_cleaned(
 ) -> Cleaned:
     """Return the fit of what agrees; raises as the engine does, and NotEnoughData where too few views agree."""
     fixed = fixed_names(options, sightings.n_cameras)
-    kept = np.arange(sightings.n_views, dtype=np.intp)
+    given, kept = sightings, np.arange(sightings.n_views, dtype=np.intp)
     rejected: list[tuple[str, str]] = []
     fit = adjust(sightings, start, fixed, max_iterations=options.max_iterations, progress=progress)
     for _ in range(MOST_ROUNDS):
@@ -55,7 +54,6 @@ def fit_cleaned(
         fixed = wider
         state = bundle_of(fit, sightings.n_cameras)
         if bad_points is not None:
-            rejected += _dropped_points(sightings, bad_points, bad_views)
             sightings = without(sightings, bad_points)
         if bad_views:
             rejected += [(" / ".join(sightings.sources[g]), why) for g, why in bad_views.items()]
@@ -63,7 +61,8 @@ def fit_cleaned(
             _require_views(len(stay), sightings.n_views, rejected)
             sightings, kept, state = sightings.take(stay), kept[stay], start_at(state, stay)
         fit = adjust(sightings, state, fixed, max_iterations=options.max_iterations, progress=progress)
-    return Cleaned(sightings=sightings, fit=fit, kept=kept, fixed=fixed, rejected=tuple(rejected))
+    notes = _notes(given.take(kept), sightings)
+    return Cleaned(sightings=sightings, fit=fit, rejected=tuple(rejected), notes=notes)
 
 
 def fixed_names(options: BoardOptions, n_cameras: int) -> frozenset[str]:
@@ -103,13 +102,13 @@ def _misfits(sightings: Sightings, fit: Fit) -> tuple[dict[int, str], NDArray[np
     return views, bad if bad.any() else None
 
 
-def _dropped_points(sightings: Sightings, bad: NDArray[np.bool_], views: dict[int, str]) -> list[tuple[str, str]]:
-    """Return (source, why) for single points that are left out."""
-    return [
-        (sightings.sources[g][c], f"{int(bad[g, c].sum())} of its points do not fit and are left out")
-        for g, c in zip(*np.nonzero(bad.any(axis=2)), strict=True)
-        if int(g) not in views
-    ]
+def _notes(given: Sightings, left: Sightings) -> tuple[str, ...]:
+    """Return a line for every image of which single points were left out."""
+    lost = ((given.weight > 0.0) & (left.weight == 0.0)).sum(axis=2)  # (G, C)
+    return tuple(
+        f"{given.sources[g][c]}: {lost[g, c]} of its points do not fit and are left out"
+        for g, c in zip(*np.nonzero(lost), strict=True)
+    )
 
 
 def _require_views(left: int, total: int, rejected: list[tuple[str, str]]) -> None:

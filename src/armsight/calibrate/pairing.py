@@ -38,16 +38,18 @@ class Paired:
     turn: Index
 
 
-def pair_views(sightings: Sightings, poses: Sequence[Array], board: Target) -> tuple[Sightings, Paired]:
+def pair_views(
+    sightings: Sightings, poses: Sequence[Array], board: Target, *, final: bool = True
+) -> tuple[Sightings, Paired]:
     """Return the sightings with right views renumbered where the print is symmetric, and what the pairs agree on.
 
-    poses: T_left_board and T_right_board (G, 6). Raises Inconsistent where no common relative pose is
+    poses: T_left_board and T_right_board (G, 6). final: these are the best poses to be had. Raises Inconsistent where no common relative pose is
     found, saying whether the right images come late, or one camera is mirrored.
     """
     turns = symmetries(board)
     spins = np.stack([_spin(sightings.X, turn) for turn in turns])  # (S, 3, 3)
     paired = _consensus(poses[0], poses[1], spins)
-    if paired.agreeing.mean() < AGREEING:
+    if final and paired.agreeing.mean() < AGREEING:
         _refuse(sightings, poses, spins)
     if (paired.turn == 0).all():
         return sightings, paired

@@ -33,20 +33,21 @@ def different_views(sightings: Sightings) -> tuple[NDArray[np.intp], list[tuple[
     Raises NotEnoughData where fewer than LEAST_VIEWS are left.
     """
     kept: list[int] = []
+    names = [" / ".join(sources) for sources in sightings.sources]
     refused: list[tuple[str, str]] = []
     seen = sightings.weight > 0.0  # (G, C, n)
+    few = seen.sum(axis=2).min(axis=1)  # (G,)
     count = np.maximum(seen.sum(axis=(1, 2)), 1)[:, None]
     middle = (sightings.uv * seen[..., None]).sum(axis=(1, 2)) / count  # (G, 2)
     close = np.linalg.norm(middle[:, None] - middle[None], axis=2) < NEAR_MIDDLE_PX
     for g in range(sightings.n_views):
-        name = " / ".join(sightings.sources[g])
-        few = int(seen[g].sum(axis=1).min())
-        if few < LEAST_POINTS:
-            refused.append((name, f"only {few} points of the board are seen, {LEAST_POINTS} are needed"))
+        if few[g] < LEAST_POINTS:
+            refused.append((names[g], f"only {few[g]} points of the board are seen, {LEAST_POINTS} are needed"))
             continue
-        twin = next((k for k in kept if close[g, k] and _same(sightings, seen, g, k)), None)
+        near = np.flatnonzero(close[g, :g])
+        twin = next((k for k in near.tolist() if k in kept and _same(sightings, seen, g, k)), None)
         if twin is not None:
-            refused.append((name, f"shows the board in the same place as {' / '.join(sightings.sources[twin])}"))
+            refused.append((names[g], f"shows the board in the same place as {names[twin]}"))
         else:
             kept.append(g)
     if len(kept) < LEAST_VIEWS:

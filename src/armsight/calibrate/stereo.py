@@ -8,16 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.calibrate.bundle import Bundle, bundle_of, residuals_px
+from armsight.calibrate.bundle import Bundle, adjust, bundle_of, residuals_px
 from armsight.calibrate.camera import doubts, require_views, required, rms, start_of, view_rms
-from armsight.calibrate.cleaning import fit_cleaned
+from armsight.calibrate.cleaning import fit_cleaned, fixed_names
 from armsight.calibrate.leftout import epipolar_rms, left_out, metric_of
 from armsight.calibrate.options import BoardOptions
-from armsight.calibrate.pairing import pair_views
+from armsight.calibrate.pairing import Paired, pair_views
 from armsight.calibrate.precheck import check_count, check_spread, check_tilt, different_views
 from armsight.calibrate.rigs import baseline_std, rig_of
-from armsight.calibrate.sightings import pack
-from armsight.errors import Inconsistent
+from armsight.calibrate.sightings import Sightings, pack
+from armsight.errors import Inconsistent, NotConverged, Undetermined
 from armsight.optics import SIDES, Rig
 from armsight.optics.parallelism import Parallelism, parallelism
 from armsight.records import BoardView, Progress, Target
@@ -29,18 +29,17 @@ Array = NDArray[np.float64]
 class StereoCalibration:
     """A rig (its covariance inside, its reference the left camera), how good it is, and what it rests on.
 
-    rms_px: of the points' 2-D residuals over both cameras. epipolar_rms_px: distance of a point from its partner's
-    line. holdout_*: the same on pairs left out of the fit, None where there were too few. metric: expected_m,
-    mean_m, rms_m of the distance of neighbouring points after triangulation and board_rms_m of a rigid fit, on
-    left-out pairs; where there were too few, metric_is_left_out is False and it is of the fit's own pairs; empty
-    where no folds were asked for. rejected: (source, why). uv_px, residual_px: every point used (n, 2), by side.
-    advice: what would make it surer.
+    rms_px: of the points' 2-D residuals over both cameras. holdout_*: the same, and the epipolar distance, on pairs
+    left out of the fit, None where there were too few. metric: expected_m, mean_m, rms_m of the distance of
+    neighbouring points after triangulation and board_rms_m of a rigid fit, on left-out pairs; where there were too
+    few, metric_is_left_out is False and it is of the fit's own pairs; empty where no folds were asked for. rejected:
+    (source, why). used: the sightings in the fit. residual_px: of every point used (n, 2), model minus detected, by
+    side. advice: what would make it surer.
     """
 
     rig: Rig
     baseline_std_m: float
     rms_px: float
-    epipolar_rms_px: float
     n_pairs: int
     n_used: int
     rejected: tuple[tuple[str, str], ...]
@@ -49,8 +48,7 @@ class StereoCalibration:
     metric: Mapping[str, float]
     metric_is_left_out: bool
     view_rms_px: tuple[float, ...]
-    sources: tuple[tuple[str, ...], ...]
-    uv_px: Mapping[str, Array]
+    used: Sightings
     residual_px: Mapping[str, Array]
     advice: tuple[str, ...]
 
@@ -59,6 +57,21 @@ class StereoCalibration:
         """Standard deviations of the free parameters by name, and of baseline_m."""
         known = {} if self.rig.covariance is None else self.rig.covariance.std()
         return {**known, "baseline_m": self.baseline_std_m}
+
+    @property
+    def sources(self) -> tuple[tuple[str, ...], ...]:
+        """Names of the two images of each pair used."""
+        return self.used.sources
+
+    @property
+    def uv_px(self) -> dict[str, Array]:
+        """Every point used (n, 2), by side."""
+        return {side: self.used.uv[:, c][self.used.weight[:, c] > 0.0] for c, side in enumerate(SIDES)}
+
+    @property
+    def epipolar_rms_px(self) -> float:
+        """RMS distance in px of a point from its partner's epipolar line, over both images of the pairs used."""
+        return epipolar_rms([(self.used, self.rig)])
 
     @property
     def parallelism(self) -> Parallelism:
@@ -94,7 +107,7 @@ def calibrate_stereo(
     for c, side in enumerate(SIDES):
         name = f"the {side} camera"
         advice += check_spread(sightings, c, name) + check_tilt(starts[c].poses, name)
-    sightings, paired = pair_views(sightings, [start.poses for start in starts], board)
+    sightings, starts, paired = _paired(sightings, starts, board, options)
     rejected += [
         (" / ".join(sightings.sources[g]), "the two images do not show the board at one moment: no pair, or it moved")
         for g in np.flatnonzero(~paired.agreeing)
@@ -115,7 +128,6 @@ def calibrate_stereo(
         rig=rig,
         baseline_std_m=baseline_std(rig),
         rms_px=overall,
-        epipolar_rms_px=epipolar_rms([(used, rig)]),
         n_pairs=len(left),
         n_used=used.n_views,
         rejected=(*rejected, *cleaned.rejected),
@@ -124,11 +136,33 @@ def calibrate_stereo(
         metric=metric.as_mapping() if metric else {},
         metric_is_left_out=bool(out and out.metric),
         view_rms_px=view_rms(residual, seen),
-        sources=used.sources,
-        uv_px={side: used.uv[:, c][seen[:, c]] for c, side in enumerate(SIDES)},
+        used=used,
         residual_px={side: residual[:, c][seen[:, c]] for c, side in enumerate(SIDES)},
-        advice=(*advice, *doubts(covariance, cleaned)),
+        advice=(*advice, *doubts(covariance, cleaned), *cleaned.notes),
     )
+
+
+def _paired(
+    sightings: Sightings, starts: list[Bundle], board: Target, options: BoardOptions
+) -> tuple[Sightings, list[Bundle], Paired]:
+    """Return what the pairs agree on; where not all do at first sight, look again with each camera fitted by itself.
+
+    The closed-form start knows no distortion and no principal point: good pairs may seem to disagree by it.
+    """
+    renumbered, paired = pair_views(sightings, [start.poses for start in starts], board, final=False)
+    if paired.agreeing.all():
+        return renumbered, starts, paired
+    fixed = fixed_names(options, 1)
+    fitted = []
+    for c, start in enumerate(starts):
+        try:
+            fit = adjust(sightings.camera(c), start, fixed, max_iterations=options.max_iterations)
+        except (NotConverged, Undetermined):
+            fitted.append(start)  # its start is the best there is
+        else:
+            fitted.append(bundle_of(fit, 1))
+    renumbered, paired = pair_views(sightings, [start.poses for start in fitted], board)
+    return renumbered, fitted, paired
 
 
 def _refuse_swapped(side_pose: Array) -> None:

@@ -48,8 +48,9 @@ class NormalEquations:
         """Return the damped Gauss-Newton step (F,), (G, L) (Marquardt's scaling by the diagonal)."""
         C = _damped(self.C, damping)
         Ci_c, Ci_Wt = _solve_local(C, self.c, self.W)
-        S = _damped(self.A, damping) - np.einsum("gfl,glh->fh", self.W, Ci_Wt)
-        rhs = -self.b + np.einsum("gfl,gl->f", self.W, Ci_c)
+        flat = self.W.transpose(1, 0, 2).reshape(len(self.b), self.c.size)  # (F, G L)
+        S = _damped(self.A, damping) - flat @ Ci_Wt.reshape(self.c.size, len(self.b))
+        rhs = -self.b + flat @ Ci_c.ravel()
         scale = 1.0 / np.sqrt(np.maximum(np.diag(self.A), FLOOR))
         ds = scale * np.linalg.solve(S * np.outer(scale, scale) + 1e-15 * np.eye(len(S)), scale * rhs)
         dl = -Ci_c - Ci_Wt @ ds
