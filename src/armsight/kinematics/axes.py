@@ -22,6 +22,10 @@ SAME = 1e-12
 """Frames that agree to this (m, rad) are the same to rounding."""
 
 
+ROUNDING = 1e-14
+"""Parameters (m, rad) below this are the rounding of products of rotations."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AxisJoint:
     """A joint as URDF has it: T_parent_joint (4, 4) to the link before, axis (3,) in its own frame, limits."""
@@ -68,11 +72,11 @@ def arm_from_axes(
             Joint(
                 name=joint.name,
                 type=joint.type,
-                a_m=a,
-                alpha_rad=alpha,
-                d_m=d,
-                theta_rad=theta,
-                beta_rad=beta,
+                a_m=_clean(a),
+                alpha_rad=_clean(alpha),
+                d_m=_clean(d),
+                theta_rad=_clean(theta),
+                beta_rad=_clean(beta),
                 lower=joint.lower,
                 upper=joint.upper,
                 sign=sign,
@@ -118,6 +122,11 @@ def axes_of(arm: Arm) -> tuple[Array, list[AxisJoint], Array, Array]:
         before = link_matrix(joint.a_m, joint.alpha_rad, joint.beta_rad)
         before[2, 3] += joint.d_m
     return standard.T_world_base.as_matrix(), out, before, standard.T_flange_tool.as_matrix()
+
+
+def _clean(value: float) -> float:
+    """Return zero for what is zero but for rounding."""
+    return 0.0 if abs(value) < ROUNDING else float(value)
 
 
 def _turn_z(angle_rad: float) -> Array:

@@ -1,0 +1,218 @@
+"""What a person does with an arm: poses of joints, joints of poses, Jacobians, tracks, formulas, pictures."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.errors import Inconsistent, UsageError
+from armsight.kinematics import (
+    PRESETS,
+    Arm,
+    Inverse,
+    Status,
+    Task,
+    follow,
+    forward,
+    forward_jacobian,
+    in_convention,
+    inverse,
+    pose,
+    preset,
+)
+from armsight.kinematics.target import start_values, task_of
+from armsight.records import Motion, PoseStatus, TargetPose
+from armsight.report.arm_view import arm_report
+from armsight.store import read_joints, read_poses, write_joints, write_poses, write_text
+from armsight.store.arm_file import read_arm, write_arm
+from armsight.store.tables import cells, number
+from armsight.store.urdf import read_urdf, write_urdf
+
+Array = NDArray[np.float64]
+
+URDF_SUFFIXES = (".urdf", ".xml")
+YAML_SUFFIXES = (".yaml", ".yml")
+
+
+def load_arm(text: str, *, tip: str | None = None) -> Arm:
+    """Return the arm of an arm.yaml, a .urdf or a preset's name. tip: the last link of a branched URDF."""
+    suffix = Path(text).suffix.lower()
+    if suffix in URDF_SUFFIXES:
+        return read_urdf(Path(text), tip=tip)
+    if suffix in YAML_SUFFIXES or Path(text).exists():
+        return read_arm(Path(text))
+    if text in PRESETS:
+        return preset(text)
+    raise UsageError(
+        f"{text!r} is neither a file nor an arm known by name",
+        cure=f"Give an arm.yaml, a .urdf, or one of {', '.join(PRESETS)}",
+    )
+
+
+def fk(arm: str, joints: Path, out: Path) -> dict[str, Any]:
+    """Write poses.csv, T_world_tool at each row of joints.csv."""
+    model, motion = load_arm(arm), read_joints(joints)
+    poses = pose(model, motion.q)
+    write_poses(
+        out,
+        (
+            TargetPose(t_s=float(t), status=PoseStatus.OK, parent="world", pose=T, covariance=np.zeros((6, 6)))
+            for t, T in zip(motion.t_s, poses, strict=True)
+        ),
+    )
+    return {"arm": model.name, "n": len(motion.t_s), "n_beyond_limits": int((~model.within_limits(motion.q)).sum())}
+
+
+def jacobian(arm: str, joints: Path, out: Path, *, axes: str = "world") -> dict[str, Any]:
+    """Write the geometric Jacobian at each row of joints.csv: t_s, then J11..J6n row by row."""
+    model, motion = load_arm(arm), read_joints(joints)
+    if axes not in ("world", "base", "tool"):
+        raise UsageError(f"the axes {axes!r} are not known", cure="Use world, base or tool")
+    J = forward_jacobian(model, motion.q, axes=axes)[1]  # type: ignore[arg-type]  # checked above
+    header = ["t_s", *(f"J{r + 1}{c + 1}" for r in range(6) for c in range(model.n))]
+    rows = (f"{number(t)},{cells(row.ravel().tolist())}" for t, row in zip(motion.t_s, J, strict=True))
+    write_text(out, "\n".join([",".join(header), *rows]) + "\n")
+    return {"arm": model.name, "n": len(J), "axes": axes}
+
+
+def ik(
+    arm: str, poses: Path, out: Path, *, near: Path | None = None, every: bool = False, task: str | None = None
+) -> dict[str, Any]:
+    """Write solutions.csv: pose, solution, q1..qn, error_m, error_rad, status; one row per pose, or all of them.
+
+    near: joints.csv with one row, or one per pose. Without it each pose is solved near the one before. Poses without a
+    solution get one row with empty joint values; the reason is its status, and in words in the result.
+    """
+    model = load_arm(arm)
+    targets = read_poses(poses, parent="world")
+    starts = _starts(model, near, len(targets))
+    aim = task_of(model, task)
+    here = start_values(model, None)
+    rows, counts, told = [], Counter[str](), []
+    for k, target in enumerate(targets):
+        here = starts[k] if starts is not None else here
+        answer = _solve(model, target, here, aim)
+        counts[answer.status.value] += 1
+        if answer.why and answer.status not in (Status.OK, Status.SINGULAR):
+            told.append({"pose": k, "status": answer.status.value, "why": answer.why})
+        rows += _rows(k, answer, model.n, every)
+        if answer.solutions:
+            here = answer.solutions[0].q
+    header = ["pose", "solution", *(f"q{i + 1}" for i in range(model.n)), "error_m", "error_rad", "status"]
+    write_text(out, "\n".join([",".join(header), *rows]) + "\n")
+    return {"arm": model.name, "n": len(targets), "status": dict(counts), "unsolved": told}
+
+
+def _starts(arm: Arm, near: Path | None, poses: int) -> Array | None:
+    """Return a start for each pose (m, n), or None."""
+    if near is None:
+        return None
+    q = arm.checked(read_joints(near).q)
+    if len(q) not in (1, poses):
+        raise Inconsistent(
+            f"{near} has {len(q)} rows for {poses} poses", cure="Give one row for all, or one for each pose"
+        )
+    return np.broadcast_to(q, (poses, arm.n)) if len(q) == 1 else q
+
+
+def _solve(arm: Arm, target: TargetPose, here: Array, aim: Task) -> Inverse:
+    """Return the solutions of one row of poses.csv; a row that holds too little has none."""
+    enough = target.pose is not None and (target.status is PoseStatus.OK or aim is Task.POSITION)
+    if not enough or target.pose is None:
+        why = f"the pose is {target.status}"
+        return Inverse(solutions=(), beyond_limits=(), status=Status.NO_SOLUTION, why=why, complete=False)
+    return inverse(arm, target.pose, here, task=aim)
+
+
+def _rows(k: int, answer: Inverse, n: int, every: bool) -> list[str]:
+    """Return the lines of one pose."""
+    solutions = answer.solutions if every else answer.solutions[:1]
+    out = []
+    for i, solution in enumerate(solutions):
+        status = Status.SINGULAR if solution.singular else Status.OK
+        values = cells([*solution.q.tolist(), solution.error_m, solution.error_rad])
+        out.append(f"{k},{i},{values},{status}")
+    return out or [f"{k},," + "," * (n + 2) + answer.status.value]
+
+
+def path(arm: str, poses: Path, out: Path, *, start: Path | None = None, task: str | None = None) -> dict[str, Any]:
+    """Write joints.csv, a continuous track along poses.csv, as far as it goes; tell what is wrong with it where."""
+    model = load_arm(arm)
+    targets = read_poses(poses, parent="world")
+    blind = [k for k, target in enumerate(targets) if target.status is not PoseStatus.OK]
+    if blind:
+        raise Inconsistent(
+            f"{poses}: row {blind[0]} is {targets[blind[0]].status}",
+            consequence="The path has a hole there",
+            cure="Leave such rows out",
+        )
+    t_s = np.array([target.t_s for target in targets])
+    T = np.array([target.pose.as_matrix() for target in targets if target.pose is not None])
+    first = None if start is None else model.checked(read_joints(start).q)[0]
+    track = follow(model, T, t_s=t_s, start=first, task=task)
+    if len(track.q):
+        write_joints(out, Motion(t_s=t_s[: len(track.q)], q=track.q))
+    issues = [
+        {"kind": i.trouble.value, "first": i.first, "last": i.last, "worst": i.worst, "joint": i.joint,
+         "value": i.value, "limit": i.limit, "text": i.text}
+        for i in track.issues
+    ]  # fmt: skip
+    return {
+        "arm": model.name,
+        "n": len(targets),
+        "n_reached": len(track.q),
+        "branch": list(track.branch),
+        "issues": issues,
+    }
+
+
+def write_formulas(arm: str, out: Path) -> dict[str, Any]:
+    """Write forward kinematics and Jacobian as formulas: Python for a name that ends in .py, LaTeX for .tex."""
+    from armsight.kinematics.symbolic import latex_source, python_source  # sympy takes a third of a second to load
+
+    model = load_arm(arm)
+    suffix = out.suffix.lower()
+    if suffix not in (".py", ".tex"):
+        raise UsageError(f"{out.name} ends in neither .py nor .tex", cure="Choose one of them")
+    write_text(out, python_source(model) if suffix == ".py" else latex_source(model))
+    return {"arm": model.name, "file": str(out)}
+
+
+def show(arm: str, out: Path, *, joints: str | None = None) -> dict[str, Any]:
+    """Write a page with the arm in 3-D at joint values: a joints.csv, numbers separated by commas, or the middle."""
+    model = load_arm(arm)
+    q = start_values(model, None) if joints is None else _joint_values(model, joints)
+    write_text(out, arm_report(model, q))
+    T = forward(model, np.atleast_2d(q)[0])
+    return {"arm": model.name, "file": str(out), "tool_xyz_m": T[:3, 3].tolist()}
+
+
+def _joint_values(arm: Arm, text: str) -> Array:
+    if re.fullmatch(r"[-+0-9.eE, ]+", text):
+        try:
+            return arm.checked([float(part) for part in text.replace(",", " ").split()])
+        except ValueError as error:
+            raise UsageError(f"{text!r} are not joint values", cure="Write for instance 0,-1.2,0.4") from error
+    return arm.checked(read_joints(Path(text)).q)
+
+
+def convert_arm(source: str, out: Path, *, convention: str | None = None, tip: str | None = None) -> dict[str, Any]:
+    """Write the arm as arm.yaml or URDF, by the name's ending; convention: standard or craig (arm.yaml only)."""
+    model = load_arm(source, tip=tip)
+    suffix = out.suffix.lower()
+    if convention is not None:
+        if convention not in ("standard", "craig"):
+            raise UsageError(f"the convention {convention!r} is not known", cure="Use standard or craig")
+        model = in_convention(model, convention)
+    if suffix in URDF_SUFFIXES:
+        write_urdf(out, model)
+    elif suffix in YAML_SUFFIXES:
+        write_arm(out, model, inputs=[Path(source)] if Path(source).exists() else [])
+    else:
+        raise UsageError(f"{out.name} ends in neither .yaml nor .urdf", cure="Choose one of them")
+    return {"arm": model.name, "file": str(out), "joints": model.n, "convention": model.convention.value}

@@ -1,0 +1,139 @@
+"""armsight kinematics, and armsight convert arm."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, TypeAlias
+
+import typer
+
+from armsight.cli.face import Face
+from armsight.cli.options import AsJson
+
+kinematics = typer.Typer(help="Joints to poses and back, for any serial arm.", no_args_is_help=True)
+
+ARM = "arm.yaml, a .urdf, or a name: korayem6r, puma761, stanford-rrp, ur10, irb120"
+ArmFile: TypeAlias = Annotated[str, typer.Option("--arm", metavar="FILE", help=f"{ARM}.")]
+Joints: TypeAlias = Annotated[Path, typer.Option(help="joints.csv: t_s, q1 .. qn in rad and m.")]
+Poses: TypeAlias = Annotated[Path, typer.Option(help="poses.csv of the tool in world.")]
+Out: TypeAlias = Annotated[Path, typer.Option("-o", "--out", help="File to write.")]
+TaskName: TypeAlias = Annotated[
+    str | None, typer.Option("--task", help="pose or position. [default: pose from six joints on]")
+]
+
+
+@kinematics.command("fk")
+def fk(arm: ArmFile, joints: Joints, out: Out, json: AsJson = False) -> None:
+    """Write the tool's pose at each row of joint values."""
+    with Face(as_json=json) as face:
+        from armsight.app.kinematics import fk as run
+
+        content = run(arm, joints, out)
+        beyond = f", {content['n_beyond_limits']} of them beyond limits" if content["n_beyond_limits"] else ""
+        face.say(f"{content['n']} poses of {content['arm']}{beyond}: {out}")
+        face.result(content)
+
+
+@kinematics.command("ik")
+def ik(
+    arm: ArmFile,
+    poses: Poses,
+    out: Out,
+    near: Annotated[Path | None, typer.Option(help="joints.csv to be near to: one row, or one per pose.")] = None,
+    every: Annotated[bool, typer.Option("--all", help="Write every solution, not the nearest alone.")] = False,
+    task: TaskName = None,
+    json: AsJson = False,
+) -> None:
+    """Write the joint values that bring the tool to each pose."""
+    with Face(as_json=json) as face:
+        from armsight.app.kinematics import ik as run
+
+        content = run(arm, poses, out, near=near, every=every, task=task)
+        counts = ", ".join(f"{count} {status}" for status, count in content["status"].items())
+        face.say(f"{content['n']} poses of {content['arm']} ({counts}): {out}")
+        for entry in content["unsolved"][:5]:
+            face.say(f"  pose {entry['pose']}: {entry['status']}, {entry['why']}")
+        face.result(content)
+
+
+@kinematics.command("jacobian")
+def jacobian(
+    arm: ArmFile,
+    joints: Joints,
+    out: Out,
+    axes: Annotated[str, typer.Option(help="world, base or tool.")] = "world",
+    json: AsJson = False,
+) -> None:
+    """Write the Jacobian at each row of joint values: t_s, J11 .. J6n."""
+    with Face(as_json=json) as face:
+        from armsight.app.kinematics import jacobian as run
+
+        content = run(arm, joints, out, axes=axes)
+        face.say(f"{content['n']} Jacobians of {content['arm']} in {content['axes']} axes: {out}")
+        face.result(content)
+
+
+@kinematics.command("path")
+def path(
+    arm: ArmFile,
+    poses: Poses,
+    out: Out,
+    start: Annotated[Path | None, typer.Option(help="joints.csv; its first row is where the arm stands.")] = None,
+    task: TaskName = None,
+    json: AsJson = False,
+) -> None:
+    """Write a continuous joint track along a path, and tell jumps, speeds, limits and singular passages."""
+    with Face(as_json=json) as face:
+        from armsight.app.kinematics import path as run
+
+        content = run(arm, poses, out, start=start, task=task)
+        branch = f" on the branch {', '.join(content['branch'])}" if content["branch"] else ""
+        face.say(f"{content['n_reached']} of {content['n']} poses of {content['arm']} reached{branch}: {out}")
+        for issue in content["issues"]:
+            face.say(f"  {issue['text']}")
+        face.result(content)
+
+
+@kinematics.command("formulas")
+def formulas(arm: ArmFile, out: Out, json: AsJson = False) -> None:
+    """Write forward kinematics and Jacobian as Python (.py) or LaTeX (.tex)."""
+    with Face(as_json=json) as face:
+        from armsight.app.kinematics import write_formulas
+
+        content = write_formulas(arm, out)
+        face.say(f"formulas of {content['arm']}: {out}")
+        face.result(content)
+
+
+@kinematics.command("show")
+def show(
+    arm: ArmFile,
+    out: Out = Path("arm.html"),
+    joints: Annotated[
+        str | None, typer.Option(help="joints.csv, or values as 0,-1.2,0.4. [default: middle of the ranges]")
+    ] = None,
+    json: AsJson = False,
+) -> None:
+    """Write a page with the arm in three dimensions."""
+    with Face(as_json=json) as face:
+        from armsight.app.kinematics import show as run
+
+        content = run(arm, out, joints=joints)
+        face.say(f"{content['arm']}: {out}")
+        face.result(content)
+
+
+def convert_arm(
+    source: Annotated[str, typer.Argument(metavar="FILE", help=f"{ARM}.")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="File to write: .yaml or .urdf.")],
+    convention: Annotated[str | None, typer.Option(help="standard or craig, for arm.yaml.")] = None,
+    tip: Annotated[str | None, typer.Option(help="Last link, where a URDF branches.")] = None,
+    json: AsJson = False,
+) -> None:
+    """Convert an arm between arm.yaml and URDF, and between the two Denavit-Hartenberg conventions."""
+    with Face(as_json=json) as face:
+        from armsight.app.kinematics import convert_arm as run
+
+        content = run(source, out, convention=convention, tip=tip)
+        face.say(f"{content['arm']}, {content['joints']} joints: {out}")
+        face.result(content)
