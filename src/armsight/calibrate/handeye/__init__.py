@@ -7,24 +7,34 @@ from armsight.calibrate.handeye.calibrate import (
     calibrate_eye_to_hand,
     expected_deviation,
 )
+from armsight.calibrate.handeye.images import ImageHandEye, calibrate_from_views
 from armsight.calibrate.handeye.noise import Noise, Part
 from armsight.calibrate.handeye.pairs import PosePairs, Setup
+from armsight.calibrate.handeye.propose import Proposal, propose
 from armsight.calibrate.handeye.result import HandEye, Scale
-from armsight.calibrate.handeye.solution import Solution, solve_pairs
+from armsight.calibrate.handeye.solution import Solution, solve_pairs, warm_up
+from armsight.calibrate.handeye.timing import TimeOffset, time_offset
 
 __all__ = [
     "HandEye",
     "HandEyeOptions",
+    "ImageHandEye",
     "Noise",
     "Part",
     "PosePairs",
+    "Proposal",
     "Scale",
     "Setup",
     "Solution",
+    "TimeOffset",
     "calibrate_eye_in_hand",
     "calibrate_eye_to_hand",
+    "calibrate_from_views",
     "expected_deviation",
+    "propose",
     "scale_is_wrong",
     "solve_pairs",
+    "time_offset",
     "verdict",
+    "warm_up",
 ]

@@ -17,6 +17,7 @@ from armsight.calibrate.bundle import EMPTY, Bundle, problem_of
 from armsight.calibrate.handeye.advice import advise
 from armsight.calibrate.handeye.calibrate import HandEyeOptions, calibrate_eye_in_hand, calibrate_eye_to_hand
 from armsight.calibrate.handeye.kernels import fit as kernels
+from armsight.calibrate.handeye.kernels import noise as noise_kernels
 from armsight.calibrate.handeye.noise import Noise, part
 from armsight.calibrate.handeye.pairs import Array, Arrays, PosePairs, Setup, components, pose
 from armsight.calibrate.handeye.result import NAMES, HandEye
@@ -112,7 +113,7 @@ class _Model:
             kernels.residual(RX, tX, RZ, tZ, 1.0, RF[i], tF[i], RB[i], tB[i], e[i], P, t_hat, work)
             kernels.jacobian(RX, 1.0, e[i], P, t_hat, J[i])
             to_hand = self.setup is Setup.EYE_TO_HAND
-            length = kernels.lever_frame(RX, tX, 1.0, RF[i], tF[i], t_hat, to_hand, E)
+            length = noise_kernels.lever_frame(RX, tX, 1.0, RF[i], tF[i], t_hat, to_hand, E)
             reach = np.concatenate(
                 [-cross(length * E[2:])[0], np.eye(3)]
             )  # (6, 3): dw at the flange seen at the target

@@ -58,9 +58,9 @@ class Noise:
             turn = f"Robot and camera share the {size} in orientation"
         if not self.robot_m.known:
             return f"{turn}; the {self.translation_m.value / MM:.2g} mm in position may be either's"
-        who = "robot" if self.robot_m.value > self.camera_m.value else "camera"
-        sizes = f"{self.robot_m.value / MM:.2g} mm robot, {self.camera_m.value / MM:.2g} mm camera"
-        return f"{turn}; in position the {who} is the noisier ({sizes})"
+        robot, corners = self.robot_m.value / MM, self.camera_m.value / MM
+        rest = "the robot, or what bends an image as a whole (lens, sheet)"
+        return f"{turn}; in position the corners' noise makes {corners:.2g} mm, {rest} {robot:.2g} mm"
 
 
 def noise_of_pairs(variances: Array, covariance: Array, lever_m: float) -> Noise:

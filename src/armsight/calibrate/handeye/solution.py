@@ -6,9 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 from scipy.stats import t as student
 
 from armsight.calibrate.handeye.kernels import fit as kernels
+from armsight.calibrate.handeye.kernels import noise as noise_kernels
 from armsight.calibrate.handeye.kernels import start as starts
 from armsight.calibrate.handeye.pairs import Array, Arrays, Setup
 from armsight.errors import NotConverged
@@ -178,13 +180,22 @@ def doubt(solution: Solution) -> Doubt:
     return Doubt(variance_covariance=covariance, dof=dof, std=np.sqrt(variance) * factor)
 
 
+def warm_up() -> None:
+    """Compile the kernels, or load them from disk, so that the first calibration is not kept waiting."""
+    turns = np.array([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0], [0.0, 0.3, 0.0], [0.0, 0.2, 0.3], [0.2, -0.3, 0.1]])
+    R = np.ascontiguousarray(Rotation.from_rotvec(turns).as_matrix())
+    back = np.ascontiguousarray(R.transpose(0, 2, 1))
+    arrays = (R, np.zeros((5, 3)), back, 0.5 * turns + np.array([0.0, 0.0, 0.5]))
+    solve_pairs(arrays, Setup.EYE_IN_HAND, variances=np.array([1e-4, 1e-4, 0.0])).left_out()
+
+
 def _shapes(solution: Solution) -> Array:
     """Return (3, n, 6, 6): the derivative of the whitened noise by each variance, zero for pairs not used."""
     n = len(solution.keep)
     Q = np.zeros((3, n, 6, 6))
     w, q = np.empty(5), np.empty((3, 5))
     for i in np.flatnonzero(solution.keep):
-        kernels.shapes(solution.lever[i], solution.variances, w, q)
+        noise_kernels.shapes(solution.lever[i], solution.variances, w, q)
         for k in range(3):
             block = np.array([[q[k, 0], q[k, 1]], [q[k, 1], q[k, 2]]])
             Q[k, i, :2, :2] = Q[k, i, 2:4, 2:4] = block

@@ -9,11 +9,19 @@ and a thirteenth, gamma, that scales the predicted distances (1 / gamma is the t
 
 from __future__ import annotations
 
-from math import log, sqrt
+from math import sqrt
 
 import numpy as np
 from numba import njit
 
+from armsight.calibrate.handeye.kernels.noise import (
+    factor_invert,
+    lever_frame,
+    scoring_step,
+    to_lever,
+    variance_step,
+    whitener,
+)
 from armsight.calibrate.handeye.kernels.start import log_rotation, multiply, multiply_t
 from armsight.fitting.kernels import solve_damped
 from armsight.geometry.kernels import rotate_left
@@ -78,72 +86,6 @@ def jacobian(Rx, gamma, e, P, t_hat, J):
 
 
 @njit(cache=True)
-def lever_frame(Rx, tx, gamma, Rf, tf, t_hat, to_hand, E):
-    """Fill E (3, 3), rows x, y, z with z along the lever from the flange's origin to the target's, in camera axes.
-
-    Returns the lever's length.
-    """
-    z = np.empty(3)
-    for i in range(3):
-        o = -tx[i]  # from the camera to the flange, in the frame that X is expressed in
-        if to_hand:
-            o -= Rf[0, i] * tf[0] + Rf[1, i] * tf[1] + Rf[2, i] * tf[2]
-        for j in range(3):
-            if i == 0:
-                z[j] = t_hat[j]
-        for j in range(3):
-            z[j] -= Rx[i, j] * o
-    length = sqrt(z[0] * z[0] + z[1] * z[1] + z[2] * z[2])
-    if length < 1e-12:
-        E[:] = np.eye(3)
-        return 0.0
-    for j in range(3):
-        E[2, j] = z[j] / length
-    least = 0
-    for j in range(3):
-        if abs(E[2, j]) < abs(E[2, least]):
-            least = j
-    f = 1.0 / sqrt(1.0 - E[2, least] ** 2)
-    for j in range(3):
-        E[0, j] = ((1.0 if j == least else 0.0) - E[2, least] * E[2, j]) * f
-    E[1, 0] = E[2, 1] * E[0, 2] - E[2, 2] * E[0, 1]
-    E[1, 1] = E[2, 2] * E[0, 0] - E[2, 0] * E[0, 2]
-    E[1, 2] = E[2, 0] * E[0, 1] - E[2, 1] * E[0, 0]
-    return gamma * length
-
-
-@njit(cache=True)
-def to_lever(E, w, v, out):
-    """Fill out (6, m) with the columns of v (6, m) turned into the lever's axes and whitened by w of `whitener`."""
-    for c in range(out.shape[1]):
-        out[0, c] = (E[0, 0] * v[0, c] + E[0, 1] * v[1, c] + E[0, 2] * v[2, c]) * w[0]
-        out[1, c] = (E[1, 0] * v[3, c] + E[1, 1] * v[4, c] + E[1, 2] * v[5, c]) * w[2] - out[0, c] * w[1]
-        out[2, c] = -(E[1, 0] * v[0, c] + E[1, 1] * v[1, c] + E[1, 2] * v[2, c]) * w[0]
-        out[3, c] = (E[0, 0] * v[3, c] + E[0, 1] * v[4, c] + E[0, 2] * v[5, c]) * w[2] - out[2, c] * w[1]
-        out[4, c] = (E[2, 0] * v[0, c] + E[2, 1] * v[1, c] + E[2, 2] * v[2, c]) * w[3]
-        out[5, c] = (E[2, 0] * v[3, c] + E[2, 1] * v[4, c] + E[2, 2] * v[5, c]) * w[4]
-
-
-@njit(cache=True)
-def whitener(length, theta, w):
-    """Fill w (5,): the inverse Cholesky factor of the noise in the lever's axes; return log det of the noise.
-
-    There it falls into two equal blocks, (tx, wy) and (-ty, wx), and the two singles tz, wz:
-    [[a + l^2 c, l c], [l c, b + c]], a and b + c, with theta = (a, b, c) the variances of the translation, of the
-    camera's orientation and of the robot's.
-    """
-    a, b, c = theta[0], theta[1], theta[2]
-    v00 = a + length * length * c
-    determinant = a * (b + c) + length * length * b * c
-    w[0] = 1.0 / sqrt(v00)
-    w[2] = sqrt(v00 / determinant)
-    w[1] = length * c * w[0] * w[2]
-    w[3] = 1.0 / sqrt(a)
-    w[4] = 1.0 / sqrt(b + c)
-    return 2.0 * log(determinant) + log(a) + log(b + c)
-
-
-@njit(cache=True)
 def weigh(X, Z, gamma, pairs, theta, to_hand, keep, e, J, lever):
     """Fill whitened e (n, 6), J (n, 6, m) and lever (n,); return sum log det of the noise.
 
@@ -194,128 +136,6 @@ def normal_equations(e, J, H, g):
                 for c in range(m):
                     H[b, c] += v * J[i, a, c]
     return cost
-
-
-@njit(cache=True)
-def shapes(length, theta, w, q):
-    """Fill q (3, 5): of each variance the whitened derivative of the noise: block (00, 01, 11), single t, single w."""
-    whitener(length, theta, w)
-    for k in range(3):  # every derivative is u u' in the block: (1, 0), (0, 1), (length, 1)
-        u0 = w[0] if k == 0 else (0.0 if k == 1 else w[0] * length)
-        u1 = -w[1] * u0 if k == 0 else w[2] - w[1] * u0
-        q[k, 0], q[k, 1], q[k, 2] = u0 * u0, u0 * u1, u1 * u1
-        q[k, 3] = w[3] * w[3] if k == 0 else 0.0
-        q[k, 4] = 0.0 if k == 0 else w[4] * w[4]
-
-
-@njit(cache=True)
-def variance_step(e, J, C, lever, theta, keep, score, information):
-    """Fill score (3,) and expected information (3, 3) of the restricted likelihood by the variances.
-
-    C (m, m) is the covariance of the parameters. Restricted maximum likelihood (Patterson, Thompson 1971); the
-    information is that of known parameters, lowered by the share of the residuals that they use up.
-    """
-    n, _, m = J.shape
-    score[:] = 0.0
-    information[:] = 0.0
-    w = np.empty(5)
-    q = np.empty((3, 5))
-    CJ = np.empty((6, m))
-    M = np.empty(8)
-    used = 0
-    for i in range(n):
-        if not keep[i]:
-            continue
-        used += 6
-        shapes(lever[i], theta, w, q)
-        for a in range(6):
-            for b in range(m):
-                CJ[a, b] = 0.0
-            for c in range(m):
-                f = J[i, a, c]
-                for b in range(m):
-                    CJ[a, b] += f * C[c, b]
-        for a in range(8):
-            r, c = (a, a) if a < 6 else (2 * a - 12, 2 * a - 11)  # the diagonal, then (0, 1) and (2, 3)
-            s = (1.0 if r == c else 0.0) - e[i, r] * e[i, c]
-            for b in range(m):
-                s -= J[i, c, b] * CJ[r, b]
-            M[a] = s
-        for k in range(3):
-            score[k] -= 0.5 * (q[k, 0] * (M[0] + M[2]) + 2.0 * q[k, 1] * (M[6] + M[7]) + q[k, 2] * (M[1] + M[3]))
-            score[k] -= 0.5 * (q[k, 3] * M[4] + q[k, 4] * M[5])
-            for j in range(k + 1):
-                block = q[k, 0] * q[j, 0] + 2.0 * q[k, 1] * q[j, 1] + q[k, 2] * q[j, 2]
-                information[k, j] += block + 0.5 * (q[k, 3] * q[j, 3] + q[k, 4] * q[j, 4])
-    share = max(used - m, 1) / max(used, 1)
-    for k in range(3):
-        for j in range(k + 1):
-            information[k, j] *= share
-            information[j, k] = information[k, j]
-
-
-@njit(cache=True)
-def scoring_step(theta, score, information, floor, out):
-    """Fill out (3,) with the scoring step of the variances; those at their floor that would fall stay."""
-    out[:] = theta
-    index = np.empty(3, np.int64)
-    count = 0
-    for k in range(3):
-        if theta[k] > floor[k] or score[k] > 0.0:
-            index[count] = k
-            count += 1
-    if count == 0:
-        return
-    A = np.empty((count, count))
-    b = np.empty(count)
-    step = np.empty(count)
-    for r in range(count):
-        for c in range(count):
-            A[r, c] = information[index[r], index[c]]
-        A[r, r] *= 1.0 + 1e-9
-        b[r] = -score[index[r]]
-    if not solve_damped(A, b, 0.0, step):
-        return
-    for r in range(count):
-        out[index[r]] = max(theta[index[r]] + step[r], floor[index[r]])
-    out[0] = max(out[0], 0.1 * theta[0])
-    if out[1] + out[2] < 0.1 * (theta[1] + theta[2]):
-        out[1], out[2] = 0.1 * theta[1], 0.1 * theta[2]
-
-
-@njit(cache=True)
-def factor_invert(H, L, C):
-    """Fill L (m, m) with the Cholesky factor of H and C with its inverse; return log det H, NaN where not SPD."""
-    m = H.shape[0]
-    total = 0.0
-    for i in range(m):
-        for j in range(i + 1):
-            s = H[i, j]
-            for k in range(j):
-                s -= L[i, k] * L[j, k]
-            if i == j:
-                if not s > 1e-15 * H[i, i]:
-                    return np.nan
-                L[i, i] = sqrt(s)
-                total += log(s)
-            else:
-                L[i, j] = s / L[j, j]
-    for j in range(m):  # upper triangle of L: the inverse factor, transposed
-        for i in range(j, m):
-            s = 1.0 if i == j else 0.0
-            for k in range(j, i):
-                s -= L[i, k] * C[j, k]
-            C[j, i] = s / L[i, i]
-    for i in range(m):
-        for j in range(i, m):
-            s = 0.0
-            for k in range(j, m):
-                s += C[i, k] * C[j, k]
-            C[i, j] = s
-    for i in range(m):
-        for j in range(i):
-            C[i, j] = C[j, i]
-    return total
 
 
 @njit(cache=True)
