@@ -319,7 +319,9 @@ def real() -> None:
     A, B = ours.pairs.T_base_flange, ours.pairs.T_camera_target
     pairs_result = calibrate_eye_in_hand(ours.pairs, HandEyeOptions(target_pitch_m=board.pitch_m))
     scale = ours.scale
-    assert scale is not None
+    if scale is None:
+        raise RuntimeError("this recording's scale was always seen")
+    pitch, doubt = 25.4 * scale.factor, 25.4 * scale.std
     M = B.as_matrix().copy()
     M[:, :3, 3] *= scale.factor
     scaled = calibrate_eye_in_hand(pairs_of(A, RigidTransform.from_matrix(M)))
@@ -339,9 +341,7 @@ def real() -> None:
         ["robot taken as exact, reprojection only", *robot_exact(views, board, camera, A, B, ours.T_mount_camera)]
     )
     bench.table("Real recording, 15 poses: left-out error at the target", ["method", "mm RMS", "degrees RMS"], rows)
-    print(
-        f"\nscale: {scale.factor:.5f} +- {scale.std:.5f}, a pitch of {25.4 * scale.factor:.2f} +- {25.4 * scale.std:.2f} mm"
-    )
+    print(f"\nscale: {scale.factor:.5f} +- {scale.std:.5f}, a pitch of {pitch:.2f} +- {doubt:.2f} mm")
     print(verdict(ours), *ours.advice, sep="\n")
 
 

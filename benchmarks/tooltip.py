@@ -1,7 +1,7 @@
 """The tool's tip: pivoting, with and without a measured point, against the mean of Pachidis eq. (13).
 
-Run with --quick for a tenth of the trials. Poses are tilted up to 25 degrees about each axis; the point is measured with
-0.2 mm a coordinate. Noise of the poses: 0.02, 0.05, 0.12 mm and 0.2 degrees (a lit target at 0.6 m).
+Run with --quick for a tenth of the trials. Poses are tilted up to 25 degrees about each axis; the point is measured
+with 0.2 mm a coordinate. Noise of the poses: 0.02, 0.05, 0.12 mm and 0.2 degrees (a lit target at 0.6 m).
 """
 
 from __future__ import annotations
