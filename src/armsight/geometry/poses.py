@@ -29,7 +29,8 @@ def pose_from_quat(xyz_m: ArrayLike, quat_xyzw: ArrayLike) -> RigidTransform:
         raise Inconsistent(
             f"a pose needs 3 finite coordinates and 4 finite quaternion entries, not {t.tolist()}, {q.tolist()}"
         )
-    norm = float(np.linalg.norm(q))
+    with np.errstate(over="ignore"):  # an entry of 1e200 is refused below like any other wrong length
+        norm = float(np.linalg.norm(q))
     if abs(norm - 1.0) > QUAT_NORM_TOLERANCE:
         raise Inconsistent(
             f"the quaternion {q.tolist()} has length {norm:.6g}, not 1",

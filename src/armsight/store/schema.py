@@ -28,7 +28,10 @@ MAX_SHOWN = 5
 SYMMETRY_TOLERANCE = 1e-6
 """Largest relative asymmetry of a covariance: above the rounding of a file written by another program."""
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+LARGEST = 1e50
+"""Numbers beyond it are no lengths, angles or pixels, and their squares soon no numbers."""
+
+Finite = Annotated[float, Field(allow_inf_nan=False, ge=-LARGEST, le=LARGEST)]
 Vector3 = Annotated[list[Finite], Field(min_length=3, max_length=3)]
 Vector4 = Annotated[list[Finite], Field(min_length=4, max_length=4)]
 Vector5 = Annotated[list[Finite], Field(min_length=5, max_length=5)]

@@ -13,7 +13,17 @@ from pydantic import Field
 from armsight.errors import BadFile, UsageError
 from armsight.records import Colour, Target, TargetKind, board_target, spot_target, unmeasured_target
 from armsight.records.target import BLUE, GREEN, RED
-from armsight.store.schema import Finite, Origin, Strict, Vector3, named, read_document, validated, write_document
+from armsight.store.schema import (
+    LARGEST,
+    Finite,
+    Origin,
+    Strict,
+    Vector3,
+    named,
+    read_document,
+    validated,
+    write_document,
+)
 
 TARGET_FORMAT = "armsight/target"
 
@@ -28,7 +38,7 @@ BOARD_FORMS = (
     "charuco:8x5:0.04:0.03:DICT_4X4_50)"
 )
 
-Positive = Annotated[float, Field(allow_inf_nan=False, gt=0.0)]
+Positive = Annotated[float, Field(allow_inf_nan=False, gt=0.0, le=LARGEST)]
 Side = Annotated[int, Field(ge=2, le=MAX_BOARD)]
 SpotName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,40}$")]
 

@@ -53,7 +53,7 @@ def test_any_bytes_as_yaml(data):
             read(reader, content)
 
 
-numbers = st.floats() | st.integers() | st.floats(-2.0, 2.0) | st.sampled_from([10**400, -0.0, 640])
+numbers = st.floats() | st.integers() | st.floats(-2.0, 2.0) | st.sampled_from([10**400, -0.0, 640, 1e308, -1e200])
 scalars = st.none() | st.booleans() | numbers | st.text(max_size=5)
 values = st.recursive(
     scalars,
@@ -142,6 +142,13 @@ def test_one_value_of_a_good_file_replaced_by_anything(data):
     again = read(parse_yaml, text.encode("utf-8", "replace"), "x.yaml")
     if again is not None:
         read(MAPPINGS[name], again)
+
+
+@pytest.mark.parametrize("name", GOOD)
+def test_huge_numbers_anywhere_are_read_or_refused(name):
+    for path in paths_of(GOOD[name]):
+        for value in (1e308, -1e200, [1e308] * 3, [[1e200] * 3] * 3):
+            read(MAPPINGS[name], replaced(GOOD[name], path, value) if path else {})
 
 
 @fuzz

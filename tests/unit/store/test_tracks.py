@@ -164,7 +164,7 @@ REFUSED = {
         parse_poses,
         POSES.encode() + b"\n0,0,0,0,0,0,0,1,-1,0,0,0,0,0,ok,\n",
         BadFile,
-        "line 2: a standard deviation is negative",
+        "line 2: a standard deviation is negative or",
     ),
     "short tum": (parse_tum, b"# x\n0 1 2 3 0 0 0\n", BadFile, "line 2: not eight"),
     "tum with nan": (parse_tum, b"0 1 2 nan 0 0 0 1\n", BadFile, "line 1"),
@@ -181,6 +181,18 @@ def test_a_wrong_table_is_refused_with_its_place(case):
         read(data, where)
     assert caught.value.cause.startswith(where)
     assert caught.value.consequence
+
+
+@pytest.mark.parametrize("column", range(14))
+def test_huge_numbers_are_read_or_refused_without_a_warning(column):
+    row = ["0", "0", "0", "0", "0", "0", "0", "1", "0", "0", "0", "0", "0", "0", "ok", ""]
+    row[column] = "1e308"
+    data = f"{POSES}\n{','.join(row)}\n".encode()
+    if column < 4:
+        assert parse_poses(data, "p")[0].status is PoseStatus.OK
+    else:
+        with pytest.raises(BadFile, match="line 2"):
+            parse_poses(data, "p")
 
 
 def test_a_table_knows_its_lines():

@@ -11,6 +11,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import BadFile
 from armsight.geometry import pose_from_matrix
+from armsight.store.schema import LARGEST
 
 Array = NDArray[np.float64]
 
@@ -48,8 +49,8 @@ def array_of(value: Any, key: str, where: str) -> Array:
         if numbers.size != shape[0] * shape[1]:
             raise _bad(key, where, f"holds {numbers.size} numbers, not {shape[0]} x {shape[1]}")
         numbers = numbers.reshape(shape)
-    if not np.isfinite(numbers).all():
-        raise _bad(key, where, "holds a number that is not finite")
+    if not (np.abs(numbers) <= LARGEST).all():
+        raise _bad(key, where, f"holds a number that is not finite, or beyond {LARGEST:g}")
     return numbers
 
 

@@ -1,0 +1,241 @@
+"""arm.yaml and URDF: round trips exact to 1e-12, and files that are refused, by name."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from armsight.errors import BadFile, Inconsistent
+from armsight.kinematics import Arm, forward, in_convention, moved, parameter_names, preset
+from armsight.kinematics.presets import PRESETS
+from armsight.records import NamedCovariance
+from armsight.store.arm_file import arm_from_mapping, read_arm, write_arm
+from armsight.store.urdf import arm_from_urdf, read_urdf, urdf_text, write_urdf
+
+ALL = sorted(PRESETS)
+KEYS = (
+    "a_m",
+    "alpha_rad",
+    "d_m",
+    "theta_rad",
+    "beta_rad",
+    "sign",
+    "lower",
+    "upper",
+    "max_speed",
+    "stall_effort",
+    "type",
+)
+
+
+def variants(name: str) -> list[Arm]:
+    """The preset; mounted somewhere with a tool; with every parameter off; with nearly parallel axes (beta)."""
+    rng = np.random.default_rng(0)
+    arm = preset(name)
+    mounted = dataclasses.replace(
+        arm,
+        T_world_base=RigidTransform.from_components([1, 2, 3], Rotation.random(rng=rng)),
+        T_flange_tool=RigidTransform.from_components([0.1, -0.2, 0.3], Rotation.random(rng=rng)),
+        joints=tuple(dataclasses.replace(j, sign=-1.0 if k == 1 else 1.0) for k, j in enumerate(arm.joints)),
+    )
+    off = moved(arm, {key: rng.normal() * 1e-2 for key in parameter_names(arm)})
+    hayati = moved(arm, {"j2.alpha_rad": 1e-3, "j2.beta_rad": -2e-3, "tool.x_m": 0.1})
+    return [arm, mounted, off, hayati, in_convention(off, "craig")]
+
+
+def joint_values(arm: Arm) -> np.ndarray:
+    rng = np.random.default_rng(1)
+    return rng.uniform(np.maximum(arm.lower, -3), np.minimum(arm.upper, 3), (20, arm.n))
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_urdf_and_back_gives_the_same_poses(name: str) -> None:
+    for arm in variants(name):
+        q = joint_values(arm)
+        once = arm_from_urdf(urdf_text(arm))
+        twice = arm_from_urdf(urdf_text(once))
+        np.testing.assert_allclose(forward(once, q), forward(arm, q), atol=1e-12)
+        np.testing.assert_allclose(forward(twice, q), forward(arm, q), atol=1e-12)
+        assert [j.name for j in once.joints] == [j.name for j in arm.joints]
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_urdf_and_back_gives_the_same_rows_where_they_are_unique(name: str) -> None:
+    for arm in variants(name)[:2]:
+        back = arm_from_urdf(urdf_text(arm))
+        for joint, other in zip(arm.joints, back.joints, strict=True):
+            for key in KEYS:
+                assert getattr(other, key) == pytest.approx(getattr(joint, key), abs=1e-12), (joint.name, key)
+        np.testing.assert_allclose(back.T_flange_tool.as_matrix(), arm.T_flange_tool.as_matrix(), atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_arm_yaml_and_back_is_the_same_arm(name: str, tmp_path: Path) -> None:
+    for k, arm in enumerate(variants(name)):
+        path = tmp_path / f"{k}.yaml"
+        write_arm(path, arm)
+        back = read_arm(path)
+        for joint, other in zip(arm.joints, back.joints, strict=True):
+            assert all(getattr(joint, key) == getattr(other, key) for key in KEYS)
+        assert (back.name, back.convention, back.source) == (arm.name, arm.convention, arm.source)
+        q = joint_values(arm)
+        np.testing.assert_allclose(forward(back, q), forward(arm, q), atol=1e-12)
+
+
+def test_standard_deviations_travel_with_the_arm(tmp_path: Path) -> None:
+    matrix = np.array([[4e-8, 1e-8], [1e-8, 9e-8]])
+    covariance = NamedCovariance(names=("j2.a_m", "j3.theta_rad"), matrix=matrix)
+    arm = dataclasses.replace(preset("ur10"), covariance=covariance)
+    write_arm(tmp_path / "arm.yaml", arm)
+    back = read_arm(tmp_path / "arm.yaml")
+    assert back.covariance is not None
+    np.testing.assert_array_equal(back.covariance.matrix, matrix)
+    assert "std: {a_m: 0.0002}" in (tmp_path / "arm.yaml").read_text().replace("\n", " ")
+    only = arm_from_mapping({"format": "armsight/arm", "convention": "standard", "joints": [{"name": "j", "type": "revolute", "std": {"d_m": 0.1}}]})  # fmt: skip
+    assert only.covariance is not None
+    assert only.covariance.std() == {"j.d_m": pytest.approx(0.1)}
+
+
+def mapping(**joint: object) -> dict[str, object]:
+    row = {"name": "j1", "type": "revolute", **joint}
+    return {"format": "armsight/arm", "convention": "standard", "joints": [row]}
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (mapping(type="ball"), "unknown type 'ball'.*revolute, prismatic"),
+        (mapping(lower=1.0, upper=-1.0), "swapped"),
+        (mapping(a_m=float("nan")), r"joints\[0\]\.a_m is nan"),
+        (mapping(a_mm=3.0), "unknown key .*did you mean 'a_m'"),
+        (mapping(sign=0.0), "sign"),
+        ({**mapping(), "convention": "proximal"}, "convention"),
+        ({**mapping(), "joints": []}, "at least one joint"),
+        ({"format": "armsight/arm", "convention": "standard"}, "joints is missing"),
+        (mapping(std={"a_m": -1.0}), "negative"),
+    ],
+)
+def test_arm_yaml_that_cannot_be(content: dict[str, object], words: str) -> None:
+    with pytest.raises(BadFile, match=words):
+        arm_from_mapping(content, "my.yaml")
+
+
+JOINT = '<joint name="{name}" type="{type}"><parent link="{parent}"/><child link="{child}"/>{more}</joint>'
+LIMIT = '<limit lower="-1" upper="1" effort="0" velocity="0"/>'
+
+
+def robot(*joints: dict[str, str], links: int = 4, head: str = "") -> str:
+    names = "".join(f'<link name="l{k}"/>' for k in range(links))
+    body = "".join(
+        JOINT.format(
+            **{"name": f"j{k}", "type": "revolute", "parent": f"l{k}", "child": f"l{k + 1}", "more": LIMIT, **joint}
+        )
+        for k, joint in enumerate(joints)
+    )
+    return f'{head}<robot name="r">{names}{body}</robot>'
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (robot({"type": "floating"}, {}, {}), "joint j0: type 'floating' leaves the arm free to float"),
+        (robot({}, {"type": "planar"}, {}), "joint j1: type 'planar'.*revolute, continuous, prismatic and fixed"),
+        (robot({}, {"type": "ball"}, {}), "joint j1: type 'ball'"),
+        (robot({}, {"parent": "l0"}, links=3), "branches at the link l0 into j0, j1"),
+        (robot({}, {"child": "l1"}, links=3), "l1 hangs on two joints"),
+        (robot({}, {}, links=4), "2 root links"),
+        (robot({"parent": "l1", "child": "l0"}, {"parent": "l0", "child": "l1"}, links=2), "loop"),
+        (robot({"more": '<axis xyz="0 0 2"/>' + LIMIT}, links=2), "joint j0.*length 2, not 1"),
+        (robot({"more": '<axis xyz="0 0 0"/>' + LIMIT}, links=2), "length 0"),
+        (robot({"more": '<axis xyz="0 nan 1"/>' + LIMIT}, links=2), "3 finite numbers"),
+        (robot({"more": '<limit lower="1" upper="-1"/>'}, links=2), "swapped"),
+        (robot({"more": ""}, links=2), "no <limit>"),
+        (robot({"more": LIMIT + '<mimic joint="j9"/>'}, links=2), "mimics"),
+        (robot({"more": LIMIT + '<origin xyz="1 2" rpy="0 0 0"/>'}, links=2), "origin xyz"),
+        (robot({"child": "l7"}, links=2), "names the link 'l7'"),
+        (robot({"type": "fixed"}, links=2), "nothing in it moves"),
+        (robot({}, links=2, head='<!DOCTYPE r [<!ENTITY a "aaaa">]>'), "document type or entities"),
+        ("<robot", "not XML"),
+        ("<sdf/>", "not <robot>"),
+    ],
+)
+def test_urdf_that_is_refused(text: str, words: str) -> None:
+    with pytest.raises(BadFile, match=words) as error:
+        arm_from_urdf(text, "my.urdf")
+    assert "my.urdf" in str(error.value)
+
+
+def test_fixed_joints_are_folded_and_fixed_side_branches_ignored() -> None:
+    """A flange with two frames on it and a camera on the forearm: the longest fixed chain behind the last joint counts."""
+    text = """
+    <robot name="r"><link name="world"/><link name="base"/><link name="a"/><link name="cam"/><link name="b"/>
+    <link name="flange"/><link name="tool"/><link name="side"/>
+    <joint name="f0" type="fixed"><parent link="world"/><child link="base"/><origin xyz="0 0 1"/></joint>
+    <joint name="j1" type="continuous"><parent link="base"/><child link="a"/><axis xyz="0 0 1"/></joint>
+    <joint name="fc" type="fixed"><parent link="a"/><child link="cam"/></joint>
+    <joint name="j2" type="prismatic"><parent link="a"/><child link="b"/><origin xyz="0.5 0 0"/><axis xyz="1 0 0"/>
+      <limit lower="0" upper="2" effort="5" velocity="0.5"/></joint>
+    <joint name="f1" type="fixed"><parent link="b"/><child link="flange"/><origin rpy="0 1.5707963267948966 0"/></joint>
+    <joint name="f2" type="fixed"><parent link="flange"/><child link="tool"/><origin xyz="0 0 0.1"/></joint>
+    <joint name="f3" type="fixed"><parent link="b"/><child link="side"/></joint></robot>
+    """
+    arm = arm_from_urdf(text)
+    T = forward(arm, [np.pi / 2, 0.25])
+    np.testing.assert_allclose(T[:3, 3], [0, 0.85, 1], atol=1e-15)
+    np.testing.assert_allclose(T[:3, 2], [0, 1, 0], atol=1e-15)
+    assert (arm.joints[1].max_speed, arm.joints[1].stall_effort) == (0.5, 5.0)
+    side = arm_from_urdf(text, tip="side")
+    np.testing.assert_allclose(forward(side, [0, 0])[:3, 3], [0.5, 0, 1], atol=1e-15)
+    with pytest.raises(BadFile, match="no link 'hand'.*base, cam, flange"):
+        arm_from_urdf(text, tip="hand")
+
+
+def test_a_random_urdf_keeps_its_poses() -> None:
+    """Axes in any direction, links anywhere: against the product of the URDF's own transforms."""
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        n = 5
+        xyz, rpy = rng.normal(size=(n, 3)), rng.uniform(-3, 3, (n, 3))
+        axes = rng.normal(size=(n, 3))
+        axes /= np.linalg.norm(axes, axis=1)[:, None]
+        text = robot(
+            *(
+                {
+                    "type": "prismatic" if k == 2 else "revolute",
+                    "more": f'<origin xyz="{" ".join(map(repr, x.tolist()))}" rpy="{" ".join(map(repr, r.tolist()))}"/>'
+                    f'<axis xyz="{" ".join(map(repr, a.tolist()))}"/>{LIMIT}',
+                }
+                for k, (x, r, a) in enumerate(zip(xyz, rpy, axes, strict=True))
+            ),
+            links=n + 1,
+        )
+        arm = arm_from_urdf(text)
+        q = rng.uniform(-1, 1, n)
+        T = RigidTransform.identity()
+        for k in range(n):
+            T = T * RigidTransform.from_components(xyz[k], Rotation.from_euler("xyz", rpy[k]))
+            move = RigidTransform.from_translation(q[k] * axes[k])
+            T = T * (move if k == 2 else RigidTransform.from_rotation(Rotation.from_rotvec(q[k] * axes[k])))
+        np.testing.assert_allclose(forward(arm, q), T.as_matrix(), atol=1e-11)  # d of the common normal may be long
+
+
+def test_a_scale_has_no_place_in_urdf(tmp_path: Path) -> None:
+    arm = preset("ur10")
+    scaled = dataclasses.replace(arm, joints=(dataclasses.replace(arm.joints[0], sign=1.01), *arm.joints[1:]))
+    with pytest.raises(Inconsistent, match=r"scale 1\.01"):
+        write_urdf(tmp_path / "a.urdf", scaled)
+
+
+def test_urdf_files(tmp_path: Path) -> None:
+    path = tmp_path / "arm.urdf"
+    write_urdf(path, preset("irb120"))
+    assert read_urdf(path).n == 6
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(BadFile, match="not UTF-8"):
+        read_urdf(path)
+    with pytest.raises(BadFile, match="cannot be read"):
+        read_urdf(tmp_path / "none.urdf")
