@@ -6,6 +6,7 @@ python benchmarks/render.py [--quick]
 from __future__ import annotations
 
 import argparse
+import os
 import time
 from dataclasses import replace
 
@@ -56,7 +57,8 @@ def main() -> None:
     runs["noise of two frames, ours"] = lambda: (Sensor().develop(light, rng), Sensor().develop(light, rng))
     runs["noise of two frames, numpy"] = lambda: (numpy_noise(light, rng), numpy_noise(light, rng))
     wall = bench.interleaved_ms(runs, repeats)
-    print(f"Rendering, {bench.machine()}; {repeats} repeats, one thread")
+    load = os.getloadavg()[0]
+    print(f"Rendering, {bench.machine()}; {repeats} repeats, one thread; load of the machine {load:.1f}")
     rows = []
     for name, times in wall.items():
         start = time.process_time()

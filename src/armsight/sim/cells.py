@@ -49,9 +49,9 @@ def led_cell(
 
     The view stays the same for every width (the focal length follows). level, sigma_px, diameter_m: of the lights
     as in Light; a diameter makes them flat discs. mishaps: whether planned_events happen. Raises UsageError for
-    less than one frame.
+    less than one frame or a negative seed.
     """
-    _check_frames(frames)
+    _check(seed, frames)
     sensor = sensor or Sensor()
     cameras = _webcams_in_room(seed, width, height, exposure_s, sensor, hot_pixels)
     lights = tuple(
@@ -88,7 +88,7 @@ def led_cell(
 
 def beacon_cell(seed: int, frames: int, *, width: int = 640, height: int = 480, clutter: int = 12) -> Cell:
     """Return two parallel colour cameras (baseline of Kapucu 2005) that watch one red beacon before clutter."""
-    _check_frames(frames)
+    _check(seed, frames)
     sensor = Sensor()
     cameras = {}
     for side, (lens, pose) in parallel_pair(width, height, focal_px=750.0 * width / 640.0, baseline_m=0.126).items():
@@ -131,7 +131,7 @@ def board_cell(
 
     frames: how many poses the board takes. Raises UsageError for less than one, or a board too large for the view.
     """
-    _check_frames(frames)
+    _check(seed, frames)
     board = printed or Board()
     rng = np.random.default_rng([seed, SEED_BOARD])
     rig = converging_webcams(width, height)
@@ -172,10 +172,19 @@ def cells() -> tuple[str, ...]:
     return tuple(MAKERS)
 
 
-def _check_frames(frames: int) -> None:
-    """Raise UsageError for less than one frame."""
+def warm_up() -> None:
+    """Compile the renderer, so that the first frame of a timed run does not wait for it."""
+    led_cell(0, 1, width=32, height=18).pair(0)
+    led_cell(0, 1, width=32, height=18, diameter_m=0.01).pair(0)
+    next(board_cell(0, 1, width=320, height=180).frames())
+
+
+def _check(seed: int, frames: int) -> None:
+    """Raise UsageError for a seed or a number of frames that cannot be."""
     if frames < 1:
         raise UsageError(f"a simulation of {frames} frames shows nothing", cure="Ask for one or more")
+    if seed < 0:
+        raise UsageError(f"the seed {seed} is negative", cure="Give 0 or more")
 
 
 def _in_a_hand(seed: int) -> Wander:

@@ -25,18 +25,21 @@ faster than erf."""
 
 
 def _cubics(value, slope):
-    """Return coefficients 0..3 of the cubics between entries (n,), in fractions of the step between them."""
+    """Return coefficients 0..3 (4, n-1), read-only, of the cubics through values and slopes at n entries."""
     rise, a, b = np.diff(value), slope[:-1] / TABLE_DENSITY, slope[1:] / TABLE_DENSITY
-    coefficients = (value[:-1].copy(), a, 3.0 * rise - 2.0 * a - b, a + b - 2.0 * rise)
-    for c in coefficients:
-        c.setflags(write=False)
+    coefficients = np.stack([value[:-1], a, 3.0 * rise - 2.0 * a - b, a + b - 2.0 * rise])
+    coefficients.setflags(write=False)
     return coefficients
 
 
-_AT = np.arange(-TABLE_REACH * TABLE_DENSITY, TABLE_REACH * TABLE_DENSITY + 1.0) / TABLE_DENSITY
-_BELL = np.exp(-0.5 * _AT**2) / np.sqrt(2.0 * np.pi)
-_STEP, _STEP_1, _STEP_2, _STEP_3 = _cubics(ndtr(_AT), _BELL)
-_RAMP, _RAMP_1, _RAMP_2, _RAMP_3 = _cubics(_AT * ndtr(_AT) + _BELL, ndtr(_AT))
+def _tabulate():
+    """Return the cubics of the unit Gaussian's integral and of that integral's integral."""
+    t = np.arange(-TABLE_REACH * TABLE_DENSITY, TABLE_REACH * TABLE_DENSITY + 1.0) / TABLE_DENSITY
+    bell = np.exp(-0.5 * t * t) / np.sqrt(2.0 * np.pi)
+    return _cubics(ndtr(t), bell), _cubics(t * ndtr(t) + bell, ndtr(t))
+
+
+_STEP, _RAMP = _tabulate()
 
 
 @njit(cache=True)
@@ -103,7 +106,7 @@ def _gauss_step(t):
     at = (t + TABLE_REACH) * TABLE_DENSITY
     k = int(at)
     s = at - k
-    return _STEP[k] + s * (_STEP_1[k] + s * (_STEP_2[k] + s * _STEP_3[k]))
+    return _STEP[0, k] + s * (_STEP[1, k] + s * (_STEP[2, k] + s * _STEP[3, k]))
 
 
 @njit(cache=True)
@@ -116,7 +119,7 @@ def _gauss_ramp(t):
     at = (t + TABLE_REACH) * TABLE_DENSITY
     k = int(at)
     s = at - k
-    return _RAMP[k] + s * (_RAMP_1[k] + s * (_RAMP_2[k] + s * _RAMP_3[k]))
+    return _RAMP[0, k] + s * (_RAMP[1, k] + s * (_RAMP[2, k] + s * _RAMP[3, k]))
 
 
 @njit(cache=True)

@@ -169,9 +169,10 @@ def test_a_board_that_cannot_be_seen_is_refused():
 
 
 @pytest.mark.parametrize("maker", [webcam_cell, led_cell, beacon_cell, board_cell])
-def test_no_frames_are_refused(maker):
-    with pytest.raises(UsageError):
-        maker(0, 0)
+def test_no_frames_and_negative_seeds_are_refused(maker):
+    for seed, frames in ((0, 0), (-1, 1)):
+        with pytest.raises(UsageError):
+            maker(seed, frames)
 
 
 def test_the_built_in_cells_have_names_and_say_what_was_chosen():

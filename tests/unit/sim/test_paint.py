@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.special import ndtr
 
 from armsight.errors import Inconsistent
-from armsight.sim import Ghost, Lens, Light, PointStroke, Rest, Sensor, SimCamera, Wander, ambient, paint
+from armsight.sim import Ghost, Lens, Light, PointStroke, Rest, Sensor, SimCamera, Wander, ambient, kernels, paint
 
 
 def moments(light):
@@ -58,6 +59,13 @@ def test_moments_of_a_gaussian_spot(sigma, centre):
     # the pixel's box widens it by 1/12; below half a pixel of sigma the grid no longer carries the second moment
     if sigma >= 0.7:
         np.testing.assert_allclose(second, [sigma**2 + 1 / 12, 0.0, sigma**2 + 1 / 12], atol=2e-4)
+
+
+def test_the_tabulated_integrals_are_exact_to_a_billionth():
+    t = np.linspace(-9.0, 9.0, 20011)
+    bell = np.exp(-0.5 * t * t) / np.sqrt(2 * np.pi)
+    np.testing.assert_allclose([kernels._gauss_step(x) for x in t], ndtr(t), atol=1e-9)
+    np.testing.assert_allclose([kernels._gauss_ramp(x) for x in t], t * ndtr(t) + bell, atol=1e-9)
 
 
 def test_a_pixel_holds_the_integral_over_its_area():
