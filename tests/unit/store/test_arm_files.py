@@ -95,9 +95,9 @@ def test_standard_deviations_travel_with_the_arm(tmp_path: Path) -> None:
     assert back.covariance is not None
     np.testing.assert_array_equal(back.covariance.matrix, matrix)
     assert "std: {a_m: 0.0002}" in (tmp_path / "arm.yaml").read_text().replace("\n", " ")
-    only = arm_from_mapping({"format": "armsight/arm", "convention": "standard", "joints": [{"name": "j", "type": "revolute", "std": {"d_m": 0.1}}]})  # fmt: skip
+    only = arm_from_mapping(mapping(std={"d_m": 0.1}))
     assert only.covariance is not None
-    assert only.covariance.std() == {"j.d_m": pytest.approx(0.1)}
+    assert only.covariance.std() == {"j1.d_m": pytest.approx(0.1)}
 
 
 def mapping(**joint: object) -> dict[str, object]:
@@ -170,7 +170,7 @@ def test_urdf_that_is_refused(text: str, words: str) -> None:
 
 
 def test_fixed_joints_are_folded_and_fixed_side_branches_ignored() -> None:
-    """A flange with two frames on it and a camera on the forearm: the longest fixed chain behind the last joint counts."""
+    """Two frames on the flange, a camera on the forearm: the longest fixed chain behind the last joint counts."""
     text = """
     <robot name="r"><link name="world"/><link name="base"/><link name="a"/><link name="cam"/><link name="b"/>
     <link name="flange"/><link name="tool"/><link name="side"/>
@@ -190,7 +190,7 @@ def test_fixed_joints_are_folded_and_fixed_side_branches_ignored() -> None:
     assert (arm.joints[1].max_speed, arm.joints[1].stall_effort) == (0.5, 5.0)
     side = arm_from_urdf(text, tip="side")
     np.testing.assert_allclose(forward(side, [0, 0])[:3, 3], [0.5, 0, 1], atol=1e-15)
-    with pytest.raises(BadFile, match="no link 'hand'.*base, cam, flange"):
+    with pytest.raises(BadFile, match=r"no link 'hand'.*base, cam, flange"):
         arm_from_urdf(text, tip="hand")
 
 
