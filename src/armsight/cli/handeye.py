@@ -1,0 +1,122 @@
+"""armsight calibrate handeye, armsight calibrate tooltip."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from armsight.cli.face import Face
+from armsight.cli.options import BOARD, SRC, AsJson, Workers
+from armsight.cli.tables import figure
+from armsight.errors import UsageError
+
+MM, DEG = 1e3, 57.29577951308232
+POINT_SIGMA_MM = 0.2
+"""Deviation believed of a measured point unless another is given: a dot measured by two cameras at 0.6 m."""
+
+
+def handeye(
+    out: Annotated[Path, typer.Option("-o", "--out", help="handeye.yaml to write.")],
+    pairs: Annotated[Path | None, typer.Option(help="pairs.csv: robot pose and camera pose in every row.")] = None,
+    images: Annotated[str | None, typer.Option(metavar="SRC", help=f"Images of the board: {SRC}.")] = None,
+    camera: Annotated[Path | None, typer.Option(help="camera.yaml of the camera that took the images.")] = None,
+    board: Annotated[str | None, typer.Option(metavar="BOARD", help=BOARD)] = None,
+    robot: Annotated[
+        Path | None, typer.Option(help="robot_poses.csv: file,x_m,..,qw, T_base_flange per image.")
+    ] = None,
+    robot_stream: Annotated[Path | None, typer.Option(help="poses.csv of the flange, time-stamped.")] = None,
+    camera_stream: Annotated[Path | None, typer.Option(help="poses.csv of the target in the camera.")] = None,
+    setup: Annotated[str, typer.Option(help="eye-in-hand or eye-to-hand.")] = "eye-in-hand",
+    free_camera: Annotated[bool, typer.Option("--free-camera", help="With images: refine the camera as well.")] = False,
+    propose: Annotated[int, typer.Option(min=0, help="Propose so many further poses.")] = 0,
+    workers: Workers = None,
+    json: AsJson = False,
+) -> None:
+    """Find where the camera is on the hand (or beside the robot), and say whether the answer is right."""
+    with Face(as_json=json) as face:
+        from armsight.app.handeye import HandEyeJob, calibrate_handeye
+        from armsight.calibrate.handeye import Setup
+
+        if setup not in tuple(Setup):
+            raise UsageError(f"no setup is called {setup!r}; there are {', '.join(Setup)}")
+        job = HandEyeJob(
+            out=out,
+            setup=Setup(setup),
+            pairs=pairs,
+            images=images or "",
+            camera=camera,
+            board=board or "",
+            robot=robot,
+            robot_stream=robot_stream,
+            camera_stream=camera_stream,
+            free_camera=free_camera,
+            propose=propose,
+            workers=workers,
+        )
+        content = calibrate_handeye(job, face.progress("calibrating"))
+        handeye_tables(face, content, out)
+        face.result(content)
+
+
+def tooltip(
+    poses: Annotated[Path, typer.Option(help="poses.csv of the target (or flange) while the tool pivots on a point.")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="tip.yaml to write.")],
+    point: Annotated[str | None, typer.Option(metavar="X,Y,Z", help="The point in m, if it was measured.")] = None,
+    point_sigma: Annotated[
+        float, typer.Option(min=1e-9, help="Standard deviation in m of one coordinate of the measured point.")
+    ] = POINT_SIGMA_MM / MM,
+    json: AsJson = False,
+) -> None:
+    """Find where the end of a tool is, from poses recorded while it was turned about its end."""
+    with Face(as_json=json) as face:
+        from armsight.app.handeye import calibrate_tip
+
+        content = calibrate_tip(poses, out, point=_point(point), sigma_m=point_sigma)
+        std = content["std"]
+        rows = [
+            [axis, figure(MM * content["tip_m"][i], 6), figure(MM * std[f"{axis}_m"], 2)]
+            for i, axis in enumerate("xyz")
+        ]
+        face.table("Tip", ["", "mm", "+-"], rows)
+        face.say(f"{content['n_used']} poses, residual {figure(MM * content['residual_rms_m'])} mm RMS. Result: {out}")
+        for item in content["rejected"]:
+            face.say(f"  left out: row {item['row']}: {item['why']}")
+        face.result(content)
+
+
+def handeye_tables(face: Face, content: Mapping[str, Any], out: Path) -> None:
+    """Print a hand-eye calibration."""
+    for name in (key for key in content if key.startswith("T_")):
+        std = content["std" if name.endswith("camera") else "std_target"]
+        xyz = content[name]["xyz_m"]
+        rows = [[a, figure(MM * xyz[i], 6), figure(MM * std[f"{a}_m"], 2)] for i, a in enumerate("xyz")]
+        rows += [[f"about {a}", "", f"{figure(DEG * std[f'r{a}_rad'], 2)} deg"] for a in "xyz"]
+        face.table(name, ["", "mm", "+-"], rows)
+    face.say(content["verdict"])
+    for text in content["advice"]:
+        face.say(f"- {text}")
+    for item in content["rejected"][:8]:
+        face.say(f"  left out: {item['name']}: {item['why']}")
+    for item in content.get("proposals", ()):
+        xyz, quat = (", ".join(f"{v:.4f}" for v in values) for values in item["T_base_flange"].values())
+        face.say(f"  propose T_base_flange ({xyz}) m, ({quat}): then {figure(MM * item['expected_std_m'], 2)} mm")
+    face.say(f"Result: {out}; open {out.with_suffix('.report.html')}")
+
+
+def add_to(calibrate: typer.Typer) -> None:
+    """Add the two commands to `armsight calibrate`."""
+    calibrate.command("handeye")(handeye)
+    calibrate.command("tooltip")(tooltip)
+
+
+def _point(text: str | None) -> tuple[float, float, float] | None:
+    if text is None:
+        return None
+    try:
+        x, y, z = (float(cell) for cell in text.split(","))
+    except ValueError:
+        raise UsageError(f"the point {text!r} is not X,Y,Z", cure="Write for instance 0.2,1.25,0.08, in m") from None
+    return x, y, z

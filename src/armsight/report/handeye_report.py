@@ -1,0 +1,258 @@
+"""The page of a hand-eye calibration: verdict, poses in space, residuals, how the hand turned."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from armsight.calibrate.handeye import HandEye, Part, scale_is_wrong, verdict
+from armsight.report.figures import BLUE, GREEN, GREY, INK, ORANGE, RED, Figure, axis, layout, place
+from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table, with_deviation
+from armsight.units import DEG, MM
+
+Array = NDArray[np.float64]
+
+AXIS_COLOURS = (RED, GREEN, BLUE)
+AXIS_SHARE = 0.06
+"""Length of a drawn axis over the size of the scene."""
+
+
+def handeye_report(result: HandEye, *, inputs: Sequence[tuple[str, str]] = (), created: datetime | None = None) -> str:
+    """Return the page as HTML text that needs no other file. inputs: (what, which) lines for the end of the page."""
+    page = Page(
+        title="Hand-eye calibration",
+        subtitle=f"{result.setup}, {result.n_used} of {len(result.pairs)} poses",
+        verdict=_verdict(result),
+        cards=_cards(result),
+    )
+    if result.advice:
+        page.add("What to know, and to do", "", bullets(result.advice))
+    page.add(
+        "Result",
+        "Position in mm, orientation as a rotation vector in degrees, in the axes of the frame named first. "
+        "Deviations allow for the noise being estimated: 1.96 of them hold 95 %.",
+        *_poses(result),
+    )
+    page.add(
+        "Poses in space",
+        f"In the base's axes: flange, camera and target as the calibration sees them. {_axes_told()}",
+        page.plot(scene_figure(result)),
+    )
+    page.add(
+        "Residuals",
+        "Measured target against the fit, and against the prediction from the other poses, at the target. "
+        "A single bar that stands out is a wrong pose or image; all alike is noise.",
+        page.plot(residual_figure(result)),
+    )
+    page.add(
+        "Turns of the hand",
+        "Rotation vectors about the mean orientation. Points on one line would leave the camera's place open.",
+        page.plot(turning_figure(result)),
+    )
+    page.add("Whose noise it is", "Standard deviations of one component of one pose.", _noise(result))
+    if result.rejected:
+        page.add("Left out", "", table(["pose", "why"], [list(item) for item in result.rejected]))
+    if inputs:
+        page.add("What went in", "", table(["", ""], [list(item) for item in inputs]))
+    return page.html(created=created or datetime.now())
+
+
+def _verdict(result: HandEye) -> Verdict:
+    if scale_is_wrong(result):
+        return Verdict(level="bad", word="Measure the target", sentence=verdict(result))
+    if len(result.rejected) > 0:
+        return Verdict(level="warn", word="Usable, with poses left out", sentence=verdict(result))
+    if result.n_used < 10:
+        return Verdict(level="warn", word="Usable, few poses", sentence=verdict(result))
+    return Verdict(level="good", word="Good", sentence=verdict(result))
+
+
+def _cards(result: HandEye) -> list[Card]:
+    std = result.std()
+    place_m = max(std[name] for name in ("x_m", "y_m", "z_m"))
+    turn_rad = max(std[name] for name in ("rx_rad", "ry_rad", "rz_rad"))
+    cards = [
+        Card(name="camera's place, 95 %", value=figure_of(1.96 * place_m / MM, "mm"), note="weakest direction"),
+        Card(name="camera's orientation, 95 %", value=figure_of(1.96 * turn_rad / DEG, "°"), note="weakest axis"),
+        Card(
+            name="pose left out",
+            value=figure_of(result.loo_rms_m / MM, "mm"),
+            note=f"{figure_of(result.loo_rms_rad / DEG, '°')}, RMS at the target",
+        ),
+        Card(
+            name="second turn", value=figure_of(result.turning.rms_rad[1] / DEG, "°"), note="RMS, 8° and more is fine"
+        ),
+    ]
+    if result.scale is not None:
+        cards.append(
+            Card(
+                name="target's size, true over given",
+                value=f"{result.scale.factor:.4f}",
+                note=f"+- {result.scale.std:.4f}, from the robot's motion",
+            )
+        )
+    if result.reprojection_rms_px is not None:
+        cards.append(Card(name="corners", value=figure_of(result.reprojection_rms_px, "px"), note="RMS"))
+    return cards
+
+
+def _poses(result: HandEye) -> list[str]:
+    out = []
+    poses = (
+        (f"T_{result.mount}_camera", result.T_mount_camera, "camera"),
+        (f"T_{result.seat}_target", result.T_seat_target, "target"),
+    )
+    for name, pose, who in poses:
+        std = result.std(who)
+        values = [*(pose.translation / MM), *(pose.rotation.as_rotvec() / DEG)]
+        rows = []
+        for (key, deviation), value in zip(std.items(), values, strict=True):
+            unit, factor = ("mm", MM) if key.endswith("_m") else ("°", DEG)
+            shown, doubt = with_deviation(float(value), deviation / factor)
+            rows.append([key.rpartition("_")[0], shown, doubt, unit])
+        out.append(table([name, "value", "+-", "unit"], rows, numbers=(1, 2)))
+    return out
+
+
+def _noise(result: HandEye) -> str:
+    noise = result.noise
+
+    def row(name: str, part: Part, factor: float, unit: str) -> list[str]:
+        if not part.known:
+            return [name, f"0 to {figure_of(part.value / factor)}", "cannot be told apart", unit]
+        return [name, figure_of(part.value / factor), figure_of(part.std / factor), unit]
+
+    rows = [
+        row("position, both together", noise.translation_m, MM, "mm"),
+        row("position, robot", noise.robot_m, MM, "mm"),
+        row("position, camera", noise.camera_m, MM, "mm"),
+        row("orientation, robot", noise.robot_rad, DEG, "°"),
+        row("orientation, camera", noise.camera_rad, DEG, "°"),
+    ]
+    return table(["noise", "value", "+-", "unit"], rows, numbers=(1, 2))
+
+
+def scene_figure(result: HandEye) -> Figure:
+    """Return flanges, cameras and targets in the base's axes."""
+    flange = result.pairs.T_base_flange
+    if result.mount == "flange":
+        camera, target = flange * result.T_mount_camera, _stacked(result.T_seat_target)
+    else:
+        camera, target = _stacked(result.T_mount_camera), flange * result.T_seat_target
+    everything = np.concatenate([flange.translation, camera.translation, target.translation])
+    size = float(np.linalg.norm(np.ptp(everything, axis=0))) or 1.0
+    data: list[dict[str, Any]] = []
+    for name, poses, colour in (("flange", flange, GREY), ("camera", camera, BLUE), ("target", target, ORANGE)):
+        data.append(_dots(name, poses, colour))
+        data += _axes(poses, AXIS_SHARE * size)
+    scene = {"aspectmode": "data", **{f"{k}axis": {"title": {"text": f"{k}, m"}} for k in "xyz"}}
+    return Figure(data=data, layout=layout(scene=scene, margin={"l": 0, "r": 0, "t": 28, "b": 0}), height_px=560)
+
+
+def residual_figure(result: HandEye) -> Figure:
+    """Return each pose's residual and left-out error, position above, orientation below."""
+    names = list(result.pairs.names)
+    data: list[dict[str, Any]] = []
+    for k, (part, factor) in enumerate(((slice(0, 3), MM), (slice(3, 6), DEG)), start=1):
+        for values, title, colour in (
+            (result.residuals, "residual", BLUE),
+            (result.left_out, "left out", ORANGE),
+        ):
+            size = np.linalg.norm(values[:, part], axis=1) / factor
+            opacity = np.where(result.used, 1.0, 0.35)
+            data.append(
+                {
+                    "type": "bar",
+                    "x": names,
+                    "y": size,
+                    "name": title,
+                    "showlegend": k == 1,
+                    "marker": {"color": colour, "opacity": opacity},
+                    **place(k),
+                }
+            )
+    return Figure(
+        data=data,
+        layout=layout(
+            barmode="group",
+            grid={"rows": 2, "columns": 1, "pattern": "independent"},
+            xaxis=axis("", type="category"),
+            xaxis2=axis("", type="category"),
+            yaxis=axis("position, mm", rangemode="tozero"),
+            yaxis2=axis("orientation, °", rangemode="tozero"),
+        ),
+        height_px=520,
+    )
+
+
+def turning_figure(result: HandEye) -> Figure:
+    """Return the turns of the hand as points, with the principal axes at two root mean squares."""
+    turning = result.turning
+    w = turning.rotvecs_rad / DEG
+    data: list[dict[str, Any]] = [
+        {
+            "type": "scatter3d",
+            "mode": "markers",
+            "x": w[:, 0],
+            "y": w[:, 1],
+            "z": w[:, 2],
+            "name": "poses",
+            "marker": {"size": 4, "color": BLUE},
+        }
+    ]
+    for k, (rms, direction) in enumerate(zip(turning.rms_rad / DEG, turning.axes, strict=True), start=1):
+        ends = np.outer([-2.0 * rms, 2.0 * rms], direction)
+        data.append(
+            {
+                "type": "scatter3d",
+                "mode": "lines",
+                "x": ends[:, 0],
+                "y": ends[:, 1],
+                "z": ends[:, 2],
+                "name": f"axis {k}: {rms:.1f}° RMS",
+                "line": {"width": 5, "color": (INK, ORANGE, GREY)[k - 1]},
+            }
+        )
+    scene = {"aspectmode": "cube", **{f"{k}axis": {"title": {"text": f"about {k}, °"}} for k in "xyz"}}
+    return Figure(data=data, layout=layout(scene=scene, margin={"l": 0, "r": 0, "t": 28, "b": 0}), height_px=460)
+
+
+def _axes_told() -> str:
+    return "Axes are x red, y green, z blue."
+
+
+def _stacked(pose: RigidTransform) -> RigidTransform:
+    return RigidTransform.from_matrix(pose.as_matrix()[None])
+
+
+def _dots(name: str, poses: RigidTransform, colour: str) -> dict[str, Any]:
+    x, y, z = poses.translation.T
+    marker = {"size": 3, "color": colour}
+    return {"type": "scatter3d", "mode": "markers", "x": x, "y": y, "z": z, "name": name, "marker": marker}
+
+
+def _axes(poses: RigidTransform, length_m: float) -> list[dict[str, Any]]:
+    """Return three traces of short lines, one per axis, broken between poses."""
+    origin, R = poses.translation, poses.rotation.as_matrix()
+    out = []
+    for k, colour in enumerate(AXIS_COLOURS):
+        points = np.full((3 * len(origin), 3), np.nan)
+        points[0::3], points[1::3] = origin, origin + length_m * R[:, :, k]
+        out.append(
+            {
+                "type": "scatter3d",
+                "mode": "lines",
+                "x": points[:, 0],
+                "y": points[:, 1],
+                "z": points[:, 2],
+                "hoverinfo": "skip",
+                "showlegend": False,
+                "line": {"width": 3, "color": colour},
+            }
+        )
+    return out

@@ -1,0 +1,193 @@
+"""pairs.csv and robot_poses.csv in; handeye.yaml and tip.yaml out and in."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from armsight.calibrate.handeye import HandEye, PosePairs, Setup
+from armsight.calibrate.tooltip import TipCalibration
+from armsight.errors import BadFile
+from armsight.geometry import pose_from_quat
+from armsight.records import NamedCovariance
+from armsight.store.atomic import write_text
+from armsight.store.schema import (
+    CovarianceModel,
+    Finite,
+    Origin,
+    PoseModel,
+    Vector3,
+    covariance_mapping,
+    named,
+    pose_mapping,
+    read_document,
+    validated,
+    write_document,
+)
+from armsight.store.tables import Table, cells, read_table
+from armsight.store.tracks import POSITION, QUATERNION
+
+HANDEYE_FORMAT = "armsight/handeye"
+TIP_FORMAT = "armsight/tip"
+
+CELLS = (*POSITION, *QUATERNION)
+PAIR_COLUMNS = tuple(f"{who}_{cell}" for who in ("base_flange", "camera_target") for cell in CELLS)
+ROBOT_COLUMNS = ("file", *CELLS)
+
+
+class HandEyeModel(Origin):
+    """handeye.yaml: the poses that its setup names."""
+
+    format: Literal["armsight/handeye"] = "armsight/handeye"
+    setup: Literal["eye-in-hand", "eye-to-hand"]
+    T_flange_camera: PoseModel | None = None
+    T_base_target: PoseModel | None = None
+    T_base_camera: PoseModel | None = None
+    T_flange_target: PoseModel | None = None
+    covariance: CovarianceModel | None = None
+    residual_rms_m: Finite | None = None
+    residual_rms_rad: Finite | None = None
+    loo_rms_m: Finite | None = None
+    loo_rms_rad: Finite | None = None
+    n_used: int | None = None
+    verdict: str | None = None
+
+
+class TipModel(Origin):
+    """tip.yaml: where the tool's end is in the turned frame, and where it rested."""
+
+    format: Literal["armsight/tip"] = "armsight/tip"
+    tip_m: Vector3
+    point_m: Vector3 | None = None
+    covariance: CovarianceModel | None = None
+    residual_rms_m: Finite | None = None
+    n_used: int | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class HandEyeFile:
+    """What a handeye.yaml says: EYE_IN_HAND: T_flange_camera, T_base_target; EYE_TO_HAND: T_base_camera,
+    T_flange_target; covariance (12, 12) of both."""
+
+    setup: Setup
+    T_mount_camera: RigidTransform
+    T_seat_target: RigidTransform
+    covariance: NamedCovariance | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TipFile:
+    """What a tip.yaml says: tip_m (3,) in the turned frame's axes; covariance of tip and point, where known."""
+
+    tip_m: NDArray[np.float64]
+    covariance: NamedCovariance | None
+
+
+def read_pairs(path: Path) -> PosePairs:
+    """Return the pose pairs of a pairs.csv; BadFile that names line and column, NotEnoughData for too few."""
+    table = read_table(path, PAIR_COLUMNS)
+    robot, camera = (_poses(table, f"{who}_") for who in ("base_flange", "camera_target"))
+    return PosePairs.of(robot, camera, [f"row {i + 1}" for i in range(len(table))])
+
+
+def write_pairs(path: Path, pairs: PosePairs) -> None:
+    """Write pairs.csv."""
+    columns = [
+        np.concatenate([poses.translation, poses.rotation.as_quat(canonical=True)], axis=1)
+        for poses in (pairs.T_base_flange, pairs.T_camera_target)
+    ]
+    rows = (cells(row) for row in np.concatenate(columns, axis=1))
+    write_text(path, "\n".join([",".join(PAIR_COLUMNS), *rows]) + "\n")
+
+
+def read_robot_poses(path: Path) -> dict[str, RigidTransform]:
+    """Return T_base_flange by the image's file name from a robot_poses.csv; BadFile that names line and column."""
+    table = read_table(path, ROBOT_COLUMNS, text=("file",))
+    files = [Path(name).name for name in table.text["file"]]
+    for row, name in enumerate(files):
+        if not name or name in files[:row]:
+            raise BadFile(
+                f"{table.place(row)}, column file: {name[:40]!r} is empty or stands twice",
+                consequence="Nobody knows which pose belongs to the image",
+                cure="Give every image one row",
+            )
+    return dict(zip(files, _poses(table, ""), strict=True))
+
+
+def write_handeye(path: Path, result: HandEye, verdict: str, *, inputs: Sequence[Path] = ()) -> None:
+    """Write handeye.yaml with the hashes of the files it was made from."""
+    content = {
+        "setup": str(result.setup),
+        **{name: pose_mapping(pose) for name, pose in named_poses(result).items()},
+        "covariance": covariance_mapping(result.covariance),
+        "residual_rms_m": result.residual_rms_m,
+        "residual_rms_rad": result.residual_rms_rad,
+        "loo_rms_m": result.loo_rms_m,
+        "loo_rms_rad": result.loo_rms_rad,
+        "n_used": result.n_used,
+        "verdict": verdict,
+    }
+    write_document(path, HANDEYE_FORMAT, content, inputs)
+
+
+def named_poses(result: HandEye) -> dict[str, RigidTransform]:
+    """Return the two poses under the names that their setup gives them."""
+    return {f"T_{result.mount}_camera": result.T_mount_camera, f"T_{result.seat}_target": result.T_seat_target}
+
+
+def read_handeye(path: Path) -> HandEyeFile:
+    """Return what a handeye.yaml says; BadFile where it is none, or names the poses of the other setup."""
+    model = validated(HandEyeModel, read_document(path, HANDEYE_FORMAT), str(path))
+    setup = Setup(model.setup)
+    inside = setup is Setup.EYE_IN_HAND
+    camera, target = (
+        (model.T_flange_camera, model.T_base_target) if inside else (model.T_base_camera, model.T_flange_target)
+    )
+    if camera is None or target is None:
+        wanted = "T_flange_camera and T_base_target" if inside else "T_base_camera and T_flange_target"
+        raise BadFile(f"{path}: {setup} needs {wanted}", consequence="The file is not used", cure="Calibrate it again")
+    with named(str(path)):
+        return HandEyeFile(
+            setup=setup,
+            T_mount_camera=camera.pose(),
+            T_seat_target=target.pose(),
+            covariance=model.covariance.covariance() if model.covariance else None,
+        )
+
+
+def write_tip(path: Path, result: TipCalibration, *, inputs: Sequence[Path] = ()) -> None:
+    """Write tip.yaml with the hashes of the files it was made from."""
+    content: dict[str, Any] = {
+        "tip_m": result.tip_m.tolist(),
+        "point_m": result.point_m.tolist(),
+        "covariance": covariance_mapping(result.covariance),
+        "residual_rms_m": result.residual_rms_m,
+        "n_used": result.n_used,
+    }
+    write_document(path, TIP_FORMAT, content, inputs)
+
+
+def read_tip(path: Path) -> TipFile:
+    """Return what a tip.yaml says; BadFile where it is none."""
+    model = validated(TipModel, read_document(path, TIP_FORMAT), str(path))
+    with named(str(path)):
+        return TipFile(
+            tip_m=np.array(model.tip_m), covariance=model.covariance.covariance() if model.covariance else None
+        )
+
+
+def _poses(table: Table, prefix: str) -> list[RigidTransform]:
+    """Return the poses of the columns with the prefix; BadFile, with the line, for a quaternion that is none."""
+    xyz = table.stacked([f"{prefix}{cell}" for cell in POSITION])
+    quat = table.stacked([f"{prefix}{cell}" for cell in QUATERNION])
+    out = []
+    for row in range(len(table)):
+        with named(table.place(row)):
+            out.append(pose_from_quat(xyz[row], quat[row]))
+    return out
