@@ -386,3 +386,27 @@ def test_link_frames_begin_at_the_base_and_end_at_the_tool() -> None:
     np.testing.assert_allclose(frames[0], arm.T_world_base.as_matrix(), atol=1e-15)
     np.testing.assert_allclose(frames[-1], forward(arm, q), atol=1e-15)
     np.testing.assert_allclose(frames[-2] @ arm.T_flange_tool.as_matrix(), forward(arm, q), atol=1e-14)
+
+
+@pytest.mark.parametrize("name", CLOSED)
+def test_branch_names_are_what_the_eye_sees(name: str) -> None:
+    """The elbow is up where it stands above the line from shoulder to wrist, the shoulder right where the wrist is on
+    the side to which joint 1 points."""
+    rng = np.random.default_rng(12)
+    arm = preset(name)
+    seen = set()
+    for q in joint_values(arm, rng, 40):
+        for solution in inverse(arm, pose(arm, q), q).solutions:
+            frames = link_frames(arm, solution.q)
+            x1 = np.array([np.cos(solution.q[0]), np.sin(solution.q[0]), 0.0])
+            shoulder, elbow = frames[1][:3, 3], frames[2][:3, 3]
+            forearm_end = frames[3][:3, 3] if name in ("korayem6r", "ur10") else frames[5][:3, 3]
+            right = frames[5][:3, 3] @ x1 > 0
+            out = x1 if right else -x1  # seen from the side on which the wrist is
+            to_end, to_elbow = forearm_end - shoulder, elbow - shoulder
+            above = (to_end @ out) * to_elbow[2] - to_end[2] * (to_elbow @ out) > 0
+            words = ("shoulder right" if right else "shoulder left", "elbow up" if above else "elbow down")
+            assert solution.branch[:2] == words
+            assert solution.branch[2] == ("wrist no flip" if np.sin(solution.q[4]) >= 0 else "wrist flip")
+            seen.add(solution.branch)
+    assert len(seen) == 8

@@ -4,7 +4,7 @@ from armsight.kinematics.arm import Arm, Joint, JointType, dh_arm
 from armsight.kinematics.convention import Convention
 from armsight.kinematics.derivatives import moved, parameter_jacobian, parameter_names
 from armsight.kinematics.families import Family, Wrist, family_of
-from armsight.kinematics.forward import forward, forward_jacobian, in_convention, jacobian, link_frames, pose, warm_up
+from armsight.kinematics.forward import forward, forward_jacobian, in_convention, jacobian, link_frames, pose
 from armsight.kinematics.inverse import Inverse, Solution, Status, branch_names, inverse, inverse_many, singular_names
 from armsight.kinematics.lines import Link, link_to_line
 from armsight.kinematics.numeric import Attempt, Method, Stop, solve_numeric, solve_numeric_many
@@ -17,6 +17,7 @@ from armsight.kinematics.singular import (
     singularity_measures,
 )
 from armsight.kinematics.target import Task, Tolerance
+from armsight.kinematics.warm import warm_up
 
 __all__ = [
     "PRESETS",

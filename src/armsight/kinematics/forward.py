@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Literal
 
 import numpy as np
@@ -10,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import UsageError
 from armsight.kinematics.arm import Arm
-from armsight.kinematics.convention import Convention, proximal_rows
+from armsight.kinematics.convention import Convention, distal_rows, proximal_rows
 from armsight.kinematics.kernels.chain import (
     joint_frames,
     many_poses,
@@ -106,13 +107,9 @@ def in_convention(arm: Arm, convention: Convention | str) -> Arm:
 
     A link length or twist that the new convention cannot hold at its end goes into the base or the tool.
     """
-    import dataclasses
-
     wanted = Convention(convention)
     if wanted is arm.convention:
         return arm
-    from armsight.kinematics.convention import distal_rows
-
     move = distal_rows if wanted is Convention.STANDARD else proximal_rows
     links = [(joint.a_m, joint.alpha_rad, joint.beta_rad) for joint in arm.joints]
     base, rows, tool = move(arm.convention, arm.T_world_base.as_matrix(), links, arm.T_flange_tool.as_matrix())
@@ -128,14 +125,3 @@ def in_convention(arm: Arm, convention: Convention | str) -> Arm:
         T_flange_tool=RigidTransform.from_matrix(tool),
         source=arm.source,
     )
-
-
-def warm_up() -> None:
-    """Compile, or load from the cache, what the functions of this module run, outside any control loop."""
-    from armsight.kinematics.arm import dh_arm
-
-    arm = dh_arm("warm-up", [(0.1, 0.0, 0.1, 0.0)] * 2)
-    forward_jacobian(arm, [0.0, 0.0])
-    forward(arm, [0.0, 0.0])
-    forward_jacobian(arm, np.zeros((2, 2)))
-    forward(arm, np.zeros((2, 2)))

@@ -127,3 +127,35 @@ def test_half_a_turn_of_error_is_solved() -> None:
     start = q + np.array([0, 0, 0, 0, 0, np.pi])
     attempt = solve_numeric(arm, forward(arm, q), start)
     assert attempt.converged
+
+
+def test_nothing_is_left_to_compile_after_the_warm_up() -> None:
+    from armsight.kinematics import warm_up
+    from armsight.kinematics.kernels import chain, checks, closed, derivatives, numeric
+
+    warm_up()
+    used = (
+        chain.one_pose,
+        chain.one_pose_jacobian,
+        chain.many_poses,
+        chain.many_poses_jacobians,
+        chain.joint_frames,
+        checks.check_poses,
+        checks.farthest,
+        closed.solve_closed,
+        closed.solve_closed_many,
+        closed.settle,
+        closed.nearest_turns,
+        derivatives.many_parameter_columns,
+        numeric.solve_damped_least_squares,
+        numeric.solve_newton,
+        numeric.solve_many,
+    )
+    before = [len(kernel.signatures) for kernel in used]
+    assert min(before) >= 1
+    arm = preset("irb120")
+    q = np.array([0.3, -0.5, 0.4, 0.2, 0.5, 0.7])
+    inverse(arm, forward(arm, q), q)
+    solve_numeric(arm, forward(arm, q), q)
+    forward(arm, np.tile(q, (3, 1)))
+    assert [len(kernel.signatures) for kernel in used] == before
