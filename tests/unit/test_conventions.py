@@ -10,6 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import ndtr
 
 from armsight import store
+from armsight.calibrate.camera import rms as calibration_rms
 from armsight.geometry import compose_covariance, euler_rad, pose_difference, pose_from_euler, pose_from_quat, xyz_quat
 from armsight.kinematics import Arm, Joint, JointType, dh_arm, forward
 from armsight.measure.pair import Setup, measure_pair
@@ -26,6 +27,7 @@ from armsight.records import (
     unmeasured_target,
 )
 from armsight.records.target import BLUE, RED
+from armsight.report.residuals import distance_rms
 from armsight.sim.paint import PointStroke, paint
 from armsight.store import tracks
 from armsight.store.foreign import rig_from_kalibr
@@ -89,6 +91,13 @@ def test_line_full_precision(tmp_path):
     camera = Camera(width=640, height=480, intrinsics=np.abs(rng.standard_normal(10)) * 10.0 ** rng.integers(-9, 3, 10))
     store.write_camera(tmp_path / "camera.yaml", camera)
     assert store.read_camera(tmp_path / "camera.yaml").intrinsics.tolist() == camera.intrinsics.tolist()
+
+
+def test_line_rms():
+    parts = [np.array([[3.0, 4.0]]), np.zeros((3, 2))]  # distances 5, 0, 0, 0
+    assert distance_rms(parts) == pytest.approx(2.5)
+    seen = np.array([[True, True], [True, True]])
+    assert calibration_rms(np.array([[[3.0, 4.0], [0, 0]], [[0, 0], [0, 0]]]), seen) == pytest.approx(2.5)
 
 
 def test_line_pose_name():

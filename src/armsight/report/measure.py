@@ -12,7 +12,7 @@ from armsight.optics import SIDES, Camera
 from armsight.records import PoseStatus, Target
 from armsight.report.frames import sample_figure
 from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table
-from armsight.report.residuals import pooled_rms, residual_figure
+from armsight.report.residuals import distance_rms, residual_figure
 from armsight.report.run import MeasureRun
 from armsight.report.series import Errors, Series, errors_of, losses_of, ranges, series_of
 from armsight.report.track import deviation_figure, time_figure, track_figure
@@ -128,8 +128,8 @@ def _cards(run: MeasureRun, series: Series, errors: Errors | None) -> list[Card]
         ),
         Card(
             name="reprojection",
-            value=figure_of(pooled_rms([rows[:, 1:] for rows in run.residuals.values()]), "px"),
-            note=f"RMS per coordinate, {spots:,} spots" if spots else "",
+            value=figure_of(distance_rms([rows[:, 1:] for rows in run.residuals.values()]), "px"),
+            note=f"RMS distance, {spots:,} spots" if spots else "",
         ),
         Card(
             name="time per pair",

@@ -31,6 +31,12 @@ def pooled_rms(parts: Sequence[Array]) -> float | None:
     return float(np.sqrt(sum(float((part**2).sum()) for part in parts) / count)) if count else None
 
 
+def distance_rms(parts: Sequence[Array]) -> float | None:
+    """Return the root mean square distance of points (m, 2) of all parts; None where there is none."""
+    rms = pooled_rms(parts)
+    return None if rms is None else float(np.sqrt(2.0)) * rms
+
+
 def residual_figure(residuals: Mapping[str, Array]) -> Figure:
     """Return per camera the cloud of residuals (m, 2) in px, and the histograms of both coordinates."""
     data: list[dict[str, Any]] = []

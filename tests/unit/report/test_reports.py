@@ -220,7 +220,7 @@ def test_figures_of_a_run_are_in_the_page():
     for i, scale in enumerate([1e3] * 3 + [180 / np.pi] * 3):
         assert figure_of(float(np.sqrt(np.mean(errors[:, i] ** 2)) * scale)) in page.text
     assert "200 of 200 frames (100.0 %)" in page.text
-    assert figure_of(0.1, "px") in page.text
+    assert figure_of(0.1 * np.sqrt(2.0), "px") in page.text
     inside = np.mean(np.sum((errors / STD) ** 2, axis=1) <= 12.5916)
     assert f"{100 * inside:.1f} % inside their own 95 % ellipsoid" in page.text
 
