@@ -33,6 +33,11 @@ LEAST_SHARE = 0.6
 FALSE_ALARM = 1e-5
 """Chance that any pose of a good recording is called an outlier."""
 
+UNRELATED = 0.25
+"""Residuals above this share of how far the frame moved, and above LOOSE_M, mean that there is no resting point."""
+
+LOOSE_M = 2.0 * MM
+
 ROUNDS = 20
 SETTLED = 1e-10
 """Weights follow the tip's place; the fit is settled when it moves by less (m)."""
@@ -127,6 +132,7 @@ def calibrate_tooltip(
         keep = fitting
     turn = _turns(R[keep])
     _require_turning(turn)
+    _require_point(e[keep], t[keep], n)
     widen = (float(student.ppf(0.975, dof)) / NORMAL_95) ** 2
     return TipCalibration(
         tip_m=x[:3],
@@ -285,6 +291,13 @@ def _require_turning(turn: Array) -> None:
         consequence="Where its end is along that axis cannot be known; no tip is given",
         cure="Tilt the tool by 20 degrees and more in at least two directions while its end stays on the point",
     )
+
+
+def _require_point(e: Array, t: Array, n: int) -> None:
+    """Raise Inconsistent where the residuals (k, 3) are as large as the motion of the frame (k, 3)."""
+    rms, moved = (float(np.sqrt((v**2).sum(axis=1).mean())) for v in (e, t - t.mean(axis=0)))
+    if rms > LOOSE_M and rms > UNRELATED * moved:
+        raise _no_point(int((np.linalg.norm(e, axis=1) <= LOOSE_M).sum()), n)
 
 
 def _no_point(agree: int, n: int) -> Inconsistent:

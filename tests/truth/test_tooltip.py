@@ -1,0 +1,87 @@
+"""The tool's tip in a simulated world: pivoting against the paper's mean, honesty, refusals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from armsight.calibrate.tooltip import MeasuredPoint, TipRecording, calibrate_tooltip, mean_tip
+from armsight.errors import Degenerate, Inconsistent, NotEnoughData
+
+DEG, MM = np.pi / 180, 1e-3
+TIP, POINT = np.array([0.01, -0.02, 0.08]), np.array([0.2, 1.2, 0.08])
+SIGMA_M, SIGMA_RAD = np.array([0.02, 0.05, 0.12]) * MM, 0.2 * DEG
+
+
+def pivot(rng: np.random.Generator, n: int, tilt_deg: float = 25.0, noise: float = 1.0) -> RigidTransform:
+    R = Rotation.from_rotvec(rng.uniform(-tilt_deg * DEG, tilt_deg * DEG, (n, 3)))
+    t = POINT - R.apply(TIP)
+    turn = Rotation.from_rotvec(noise * rng.normal(0, SIGMA_RAD, (n, 3)))
+    return RigidTransform.from_components(t + noise * rng.normal(0, 1, (n, 3)) * SIGMA_M, turn * R)
+
+
+def test_pivoting_beats_the_mean_and_knows_its_doubt() -> None:
+    covariance = np.tile(np.diag([*SIGMA_M**2, *[SIGMA_RAD**2] * 3]), (50, 1, 1))
+    mean, free, both, z = [], [], [], []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        poses = pivot(rng, 50)
+        point = POINT + rng.normal(0, 0.2 * MM, 3)
+        M = poses.as_matrix()
+        result = calibrate_tooltip(poses, covariance)
+        mean.append(mean_tip(M[:, :3, :3], M[:, :3, 3], point) - TIP)
+        free.append(result.tip_m - TIP)
+        both.append(calibrate_tooltip(poses, covariance, MeasuredPoint(xyz_m=point, sigma_m=0.2 * MM)).tip_m - TIP)
+        z.append(free[-1] / np.array(list(result.std().values())))
+        assert result.rejected == ()
+    rms = [float(np.sqrt(np.mean(np.square(errors)))) / MM for errors in (mean, free, both)]
+    assert rms[0] == pytest.approx(0.2, abs=0.03)  # eq. (13) keeps the whole error of the point
+    assert rms[1] < 0.6 * rms[0]
+    assert rms[2] <= 1.02 * rms[1]
+    assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=0.15)
+
+
+def test_exact_poses_give_the_exact_tip_and_point() -> None:
+    result = calibrate_tooltip(pivot(np.random.default_rng(1), 12, noise=0.0))
+    assert result.tip_m == pytest.approx(TIP, abs=1e-9)
+    assert result.point_m == pytest.approx(POINT, abs=1e-9)
+
+
+def test_a_slip_is_named_and_left_out() -> None:
+    poses = pivot(np.random.default_rng(2), 30)
+    M = poses.as_matrix().copy()
+    M[[4, 17], 0, 3] += 5 * MM
+    result = calibrate_tooltip(RigidTransform.from_matrix(M))
+    assert [row for row, _ in result.rejected] == [4, 17]
+    assert result.tip_m == pytest.approx(TIP, abs=0.6 * MM)
+
+
+def test_refusals() -> None:
+    rng = np.random.default_rng(3)
+    with pytest.raises(NotEnoughData, match="3 poses"):
+        calibrate_tooltip(list(pivot(rng, 3)))
+    with pytest.raises(Degenerate, match="by only"):
+        calibrate_tooltip(pivot(rng, 30, tilt_deg=2.0))
+    turns = Rotation.from_rotvec(np.outer(np.linspace(-0.5, 0.5, 20), [0, 0, 1.0]))
+    with pytest.raises(Degenerate, match="one axis only"):
+        calibrate_tooltip(RigidTransform.from_components(POINT - turns.apply(TIP), turns))
+    wandering = pivot(rng, 30)
+    M = wandering.as_matrix().copy()
+    M[::2, :3, 3] += rng.normal(0, 20 * MM, (15, 3))
+    with pytest.raises(Inconsistent, match="share one resting point"):
+        calibrate_tooltip(RigidTransform.from_matrix(M))
+
+
+def test_recording_tells_when_it_is_enough() -> None:
+    recording = TipRecording(good_m=0.15 * MM)
+    doubts = []
+    for pose in pivot(np.random.default_rng(4), 60):
+        recording = recording.with_pose(pose)
+        doubts.append(recording.std_m)
+        if recording.good_enough:
+            break
+    assert not np.isfinite(doubts[2])
+    assert 8 < len(doubts) < 60
+    assert "good enough" in recording.progress()
+    assert TipRecording().with_pose(RigidTransform.identity()).progress().startswith("1 poses: ")
