@@ -88,7 +88,7 @@ def _recognise(arm: Arm, wrist: Wrist, tolerance: float) -> Family | None:
     if min(abs(numbers[8]), abs(numbers[9])) < EXACT:
         return None
     numbers[14:20] = rows[:, 2]
-    numbers[20:26] = rows[:, 1]
+    numbers[20:26] = 1.0 / rows[:, 1]
     numbers[26] = np.abs(a).sum() + np.abs(d).sum()
     base, tool = _outside(arm)
     numbers[27] = np.array_equal(base, np.eye(4))

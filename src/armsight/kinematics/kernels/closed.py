@@ -9,7 +9,7 @@ Both have a plane arm: axis 2 square to axis 1 and parallel to axis 3. They diff
 All twists are quarter or half turns, so that family (29,), filled by `armsight.kinematics.families`, holds only signs
 and lengths: 0 wrist (1 offset, 2 spherical), 1 sin alpha1, 2 cos alpha2, 3 cos alpha3 (offset) or sin alpha3
 (spherical), 4 sin alpha4, 5 sin alpha5, 6 a1, 7 d1, 8 a2, 9 second link of the plane arm, 10 its bend, 11 offset along
-axis 2, 12 a4, 13 d5, 14..19 theta offsets, 20..25 signs, 26 scale of lengths, 27 base is the world, 28 nothing behind
+axis 2, 12 a4, 13 d5, 14..19 theta offsets, 20..25 one over the signs, 26 scale of lengths, 27 base is the world, 28 nothing behind
 joint 6.
 
 Angles inside are DH angles theta, not joint values. In the frame behind joint 1: x1 = (C1, S1, 0), z1 = axis 2.
@@ -67,12 +67,12 @@ def wrist_pose(family, base, tool, T, W):
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _store(family, Q, code, k, t1, t2, t3, t4, t5, t6, bits):
     """Store one solution as joint values, each turned into [-pi, pi] (over the joint's scale)."""
-    Q[k, 0] = wrap(t1 - family[14]) / family[20]
-    Q[k, 1] = wrap(t2 - family[15]) / family[21]
-    Q[k, 2] = wrap(t3 - family[16]) / family[22]
-    Q[k, 3] = wrap(t4 - family[17]) / family[23]
-    Q[k, 4] = wrap(t5 - family[18]) / family[24]
-    Q[k, 5] = wrap(t6 - family[19]) / family[25]
+    Q[k, 0] = wrap(t1 - family[14]) * family[20]
+    Q[k, 1] = wrap(t2 - family[15]) * family[21]
+    Q[k, 2] = wrap(t3 - family[16]) * family[22]
+    Q[k, 3] = wrap(t4 - family[17]) * family[23]
+    Q[k, 4] = wrap(t5 - family[18]) * family[24]
+    Q[k, 5] = wrap(t6 - family[19]) * family[25]
     code[k] = bits
 
 
@@ -210,8 +210,12 @@ def solve_closed(family, base, tool, T, near, Q, code):
 
     near (6,): DH angles that decide where a singular pose leaves one free. Solutions are not checked against limits.
     """
-    W = np.empty(12)
-    work = np.empty(3)
+    return _solve(family, base, tool, T, near, Q, code, np.empty(12), np.empty(3))
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
+def _solve(family, base, tool, T, near, Q, code, W, work):
+    """Do what `solve_closed` says, with room to work in: W (12,), work (3,)."""
     wrist_pose(family, base, tool, T, W)
     wx, wy, sa1 = W[9], W[10], family[1]
     offset = sa1 * family[11]
@@ -251,8 +255,10 @@ def solve_closed(family, base, tool, T, near, Q, code):
 @njit(cache=True, nogil=True, error_model="numpy")
 def solve_closed_many(family, base, tool, T, near, Q, code, count):
     """Solve each T (m, 4, 4): Q (m, 8, 6), code (m, 8), count (m,); see `solve_closed`."""
+    W = np.empty(12)
+    work = np.empty(3)
     for i in range(T.shape[0]):
-        count[i] = solve_closed(family, base, tool, T[i], near, Q[i], code[i])
+        count[i] = _solve(family, base, tool, T[i], near, Q[i], code[i], W, work)
 
 
 @njit(cache=True, error_model="numpy")

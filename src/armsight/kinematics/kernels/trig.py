@@ -6,7 +6,7 @@ to about one unit in the last place for angles up to 1e6 rad. The arguments must
 
 from __future__ import annotations
 
-from math import floor, pi
+from math import pi
 
 import numpy as np
 from numba import njit
@@ -21,7 +21,7 @@ HALF = 0.5 * pi
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
 def sin_cos(x):
     """Return (sin x, cos x) of a finite angle in radians."""
-    k = floor(x * 0.6366197723675814 + 0.5)
+    k = np.floor(x * 0.6366197723675814 + 0.5)
     r = x - k * 1.5707963267341256  # pi / 2 in three parts of 33 bits
     r = r - k * 6.077100506303966e-11
     r = r - k * 2.0222662487959506e-21
@@ -73,4 +73,4 @@ def arc_tangent(y, x):
 @njit(cache=True, error_model="numpy")
 def wrap(x):
     """Return the angle x brought into [-pi, pi]."""
-    return x - TWO_PI * floor(x * PER_TURN + 0.5)
+    return x - TWO_PI * np.floor(x * PER_TURN + 0.5)
