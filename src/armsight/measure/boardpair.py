@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import BadImage, Inconsistent
 from armsight.measure.boards import find_board
 from armsight.measure.outcome import Measured
-from armsight.measure.pose import lost, no_points, solve_points, solve_pose
+from armsight.measure.pose import lost, no_points, solve_pose
 from armsight.measure.setup import Setup
 from armsight.records import BoardView, Frame, PoseStatus, Spots, TargetKind
 
@@ -46,7 +48,16 @@ def pose_of_views(setup: Setup, left: BoardView, right: BoardView, t_s: float) -
     uv = np.ascontiguousarray(np.stack([left.uv_px[at_left], right.uv_px[at_right]], axis=1))  # (n, 2, 2)
     variance = np.array([left.sigma_px, right.sigma_px]) ** 2
     cov = np.tile(variance[:, None, None] * np.eye(2), (len(index), 1, 1, 1))  # (n, 2, 2, 2)
-    _refuse_swapped(setup, uv, cov)
+    measured = _fit(setup, t_s, index, uv, cov)
+    if measured.pose.status is not PoseStatus.OK:
+        exchanged = _fit(setup, t_s, index, np.ascontiguousarray(uv[:, ::-1]), np.ascontiguousarray(cov[:, ::-1]))
+        if exchanged.pose.status is PoseStatus.OK:
+            raise swapped()
+    return replace(measured, left_seen=_all(left), right_seen=_all(right))
+
+
+def _fit(setup: Setup, t_s: float, index: NDArray[np.intp], uv: Array, cov: Array) -> Measured:
+    """Return the pose of the points `index` of the board, wrong corners left out, or LOST where too many are."""
     kept = np.arange(len(index))
     dropped: list[str] = []
     while True:
@@ -60,30 +71,34 @@ def pose_of_views(setup: Setup, left: BoardView, right: BoardView, t_s: float) -
             cov[kept],
             _radius(setup, len(kept)),
             setup.model.normal,
+            limit=np.inf,  # judged point by point
             slack_px=setup.slack_px,
         )
-        worst = _worst(solved.pose.residual_px, variance + setup.slack_px**2)
+        worst = _worst(solved.pose.residual_px, cov[kept], setup.slack_px)
         if worst is None or len(dropped) >= MAX_DROPPED * len(index) or len(kept) <= LEAST_POINTS:
             break
         dropped.append(names[worst])
         kept = np.delete(kept, worst)
-    if worst is not None and solved.pose.status is PoseStatus.OK:
+    if worst is not None:
         return _lost(t_s, f"more than {len(dropped)} points of the board are off: a wrong board or a bad calibration")
+    if solved.pose.status is PoseStatus.LOST:
+        return _lost(t_s, solved.pose.why)
     return Measured(
         pose=solved.pose,
         points=solved.points,
         left=_spots(uv[kept, 0], cov[kept, 0]),
         right=_spots(uv[kept, 1], cov[kept, 1]),
         names=names,
-        left_seen=_spots(left.uv_px, np.tile(variance[0] * np.eye(2), (len(left), 1, 1))),
-        right_seen=_spots(right.uv_px, np.tile(variance[1] * np.eye(2), (len(right), 1, 1))),
+        left_seen=Spots.none(),
+        right_seen=Spots.none(),
         notes=tuple(f"{name} left out: it does not fit the others" for name in dropped),
     )
 
 
-def _worst(residual_px: Array, variance: Array) -> int | None:
+def _worst(residual_px: Array, cov: Array, slack_px: float) -> int | None:
     """Return the point whose residuals are beyond chance, the worst one; None where there is none."""
-    chi2 = (residual_px.reshape(-1, 2, 2) ** 2 / variance[:, None]).sum(axis=(1, 2))
+    variance = cov[..., 0, 0] + slack_px**2  # (n, 2); a board's points are as certain in u as in v
+    chi2 = (residual_px.reshape(-1, 2, 2) ** 2 / variance[: residual_px.size // 4, :, None]).sum(axis=(1, 2))
     return int(np.argmax(chi2)) if len(chi2) and chi2.max() > OUTLIER_CHI2 else None
 
 
@@ -93,25 +108,17 @@ def _radius(setup: Setup, n: int) -> Array:
     return np.full((n, 2), setup.model.radius_m if circles else 0.0)
 
 
-def _refuse_swapped(setup: Setup, uv: Array, cov: Array) -> None:
-    """Raise Inconsistent where the points meet only with left and right exchanged."""
-    names = tuple(setup.target.names[: len(uv)])
-    if solve_points(setup.packed, names, uv, cov)[2] == "":
-        return
-    if (
-        solve_points(setup.packed, names, np.ascontiguousarray(uv[:, ::-1]), np.ascontiguousarray(cov[:, ::-1]))[2]
-        == ""
-    ):
-        raise swapped()
-
-
 def swapped() -> Inconsistent:
     """Return the error that says that left and right are exchanged."""
     return Inconsistent(
-        "left and right are swapped: every point lies behind the cameras, and before them with the images exchanged",
-        consequence="No pose is given: it would be of a mirrored world",
+        "left and right are swapped: the target is found, or fits, only with the two images exchanged",
+        consequence="No pose is given: the depths would be turned round",
         cure="Exchange the two sources, or calibrate the rig with the cameras as they are now",
     )
+
+
+def _all(view: BoardView) -> Spots:
+    return _spots(view.uv_px, np.tile(view.sigma_px**2 * np.eye(2), (len(view), 1, 1)))
 
 
 def _spots(uv: Array, cov: Array) -> Spots:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from math import ceil, inf
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import Inconsistent, NotConverged
 from armsight.measure.boardpair import measure_board_pair, swapped
-from armsight.measure.kernels.pose import project_points
+from armsight.measure.kernels import pose as kernels
 from armsight.measure.match import (
     OUTLINE,
     Assignment,
@@ -43,6 +44,12 @@ LEAST_WINDOW_PX = 8
 
 SPOT_REACH = 4.0
 """A spot's light reaches about this many of its sigmas (or radii)."""
+
+TIGHT_PX = 0.05
+"""What a good calibration leaves; residuals beyond it are reason enough to try left and right exchanged."""
+
+SWAP_RATIO = 0.1
+"""Exchanged views are believed where they bring chi-square below this share of what it is."""
 
 LOOSE = 8.0
 """Factor on the slack with which a set of spots that does not fit is tried again, only to say by how much."""
@@ -104,15 +111,19 @@ def measure_spots(setup: Setup, t_s: float, left: Spots, right: Spots, track: Tr
             _refuse_swapped(setup, left, right)
         why = _explain(setup, left, right, pairs, match.why)
         return _nothing(t_s, left, right, why, track)
-    solved = _solve(setup, t_s, left, right, pairs, match.best)
+    index = pairs.index[match.best.pair]
+    matched = _take(left, index[:, 0]), _take(right, index[:, 1])
+    solved = _solve(setup, t_s, match.best.names, *matched)
     if solved.pose.status is PoseStatus.LOST:
         return _nothing(t_s, left, right, solved.pose.why, track)
-    index = pairs.index[match.best.pair]
+    misfit = _misfit(solved, *matched)
+    if misfit > float(setup.model.limits[min(len(matched[0]), len(setup.model))]):
+        _refuse_swapped(setup, left, right, misfit)
     return Measured(
         pose=solved.pose,
         points=solved.points,
-        left=_take(left, index[:, 0]),
-        right=_take(right, index[:, 1]),
+        left=matched[0],
+        right=matched[1],
         names=match.best.names,
         left_seen=left,
         right_seen=right,
@@ -136,37 +147,41 @@ def _check_sizes(setup: Setup, left: Frame, right: Frame) -> None:
 
 def _measure_windows(setup: Setup, left: Frame, right: Frame, t_s: float, track: Track) -> Measured | None:
     """Return the pose from windows around the predicted spots; None where not every one of them is found and fits."""
-    n = len(track.names)
-    expected = np.empty((n, 2, 2))
-    packed = setup.packed
-    if not project_points(packed.k, packed.R, packed.t, track.predict(t_s), expected):
+    n, packed = len(track.names), setup.packed
+    ahead, at_left, at_right = np.empty((n, 3)), np.empty((n, 2)), np.empty((n, 2))
+    dt = t_s - track.t_s
+    if not kernels.predict_views(
+        packed.k, packed.R, packed.t, track.xyz_m, track.velocity_m_s, dt, ahead, at_left, at_right
+    ):
         return None
-    uv, cov = np.empty((n, 2, 2)), np.empty((n, 2, 2, 2))
-    seen = []
-    for side, frame in enumerate((left, right)):
-        spots, of = track_spots(frame.image, expected[:, side], track.half_window_px, setup.settings)
-        if len(spots) != n or (np.bincount(of, minlength=n) != 1).any():
-            return None
-        order = np.argsort(of)
-        spots = _take(spots, order)
-        uv[:, side], cov[:, side] = spots.uv_px, spots.covariance_px2
-        seen.append(spots)
-    radius = _radii(setup, seen[0], seen[1], np.arange(n)[:, None].repeat(2, axis=1))
-    solved = _solve_named(setup, t_s, track.names, uv, cov, radius)
+    left_seen = _in_windows(left, at_left, track.half_window_px, setup)
+    right_seen = None if left_seen is None else _in_windows(right, at_right, track.half_window_px, setup)
+    if left_seen is None or right_seen is None:
+        return None
+    solved = _solve(setup, t_s, track.names, left_seen, right_seen)
     if not solved.fits or solved.pose.status is PoseStatus.LOST:
         return None
-    off = float(np.abs(uv - expected).max())
+    slip = kernels.largest_slip(left_seen.uv_px, at_left, right_seen.uv_px, at_right)
     return Measured(
         pose=solved.pose,
         points=solved.points,
-        left=seen[0],
-        right=seen[1],
+        left=left_seen,
+        right=right_seen,
         names=track.names,
-        left_seen=seen[0],
-        right_seen=seen[1],
-        track=_next_track(setup, t_s, solved, seen[0], seen[1], track, off_px=off),
+        left_seen=left_seen,
+        right_seen=right_seen,
+        track=_next_track(setup, t_s, solved, left_seen, right_seen, track, slip_px=slip),
         tracked=True,
     )
+
+
+def _in_windows(frame: Frame, expected: Array, half_window_px: int, setup: Setup) -> Spots | None:
+    """Return the spots in the order of expected (n, 2); None where not every one was found, or one twice."""
+    spots, of = track_spots(frame.image, expected, half_window_px, setup.settings)
+    order, whole = of.tolist(), list(range(len(expected)))
+    if order == whole:
+        return spots
+    return spots.take(np.argsort(of)) if sorted(order) == whole else None
 
 
 def _expected(setup: Setup, track: Track | None, t_s: float) -> Array | None:
@@ -198,42 +213,42 @@ def _match(setup: Setup, left: Spots, right: Spots, pairs: Pairs, expected: Arra
     return match
 
 
-def _solve(setup: Setup, t_s: float, left: Spots, right: Spots, pairs: Pairs, chosen: Assignment) -> Solved:
-    uv, cov = pairs.uv_px[chosen.pair], pairs.cov_px2[chosen.pair]
-    radius = _radii(setup, left, right, pairs.index[chosen.pair])
-    return _solve_named(setup, t_s, chosen.names, uv, cov, radius)
+def _solve_assignment(setup: Setup, t_s: float, left: Spots, right: Spots, pairs: Pairs, chosen: Assignment) -> Solved:
+    index = pairs.index[chosen.pair]
+    return _solve(setup, t_s, chosen.names, _take(left, index[:, 0]), _take(right, index[:, 1]))
 
 
-def _radii(setup: Setup, left: Spots, right: Spots, index: NDArray[np.intp]) -> Array:
-    """Return (n, 2): the radius of the flat light where the spot (n, 2 positions) is its outline, else 0."""
-    radius = np.zeros(index.shape)
-    if setup.model.radius_m > 0.0:
-        for side, spots in enumerate((left, right)):
-            outline = [spots.model[i] == OUTLINE for i in index[:, side]]
-            radius[outline, side] = setup.model.radius_m
-    return radius
-
-
-def _solve_named(setup: Setup, t_s: float, names: tuple[str, ...], uv: Array, cov: Array, radius: Array) -> Solved:
+def _solve(setup: Setup, t_s: float, names: tuple[str, ...], left: Spots, right: Spots) -> Solved:
     """Return the pose of three or more named spots (the frame of an unmeasured target), or the place of fewer."""
-    model = setup.model
+    model, packed = setup.model, setup.packed
+    uv, cov = np.empty((len(names), 2, 2)), np.empty((len(names), 2, 2, 2))  # [spot, side]
+    kernels.stack_views(left.uv_px, left.covariance_px2, right.uv_px, right.covariance_px2, uv, cov)
     if len(names) < 3:
-        points, residual, why = solve_points(setup.packed, names, uv, cov)
+        points, residual, why = solve_points(packed, names, uv, cov)
         if why:
             return Solved(pose=lost(t_s, why), points=points, fits=False)
-        why = "" if len(names) == len(model) else f"{len(names)} of {len(model)} spots seen"
-        why = f"{why or 'a target of one or two spots'}: only their position is known"
-        return Solved(pose=position_only(t_s, points, residual, why), points=points)
+        why = "a target of one or two spots" if len(names) == len(model) else f"{len(names)} of {len(model)} spots seen"
+        return Solved(pose=position_only(t_s, points, residual, f"{why}: only their position is known"), points=points)
     if not setup.target.model_known:
-        return solve_frame(setup.packed, t_s, names, uv, cov)
+        return solve_frame(packed, t_s, names, uv, cov)
     rows = model.xyz_m if names == model.names else model.xyz_m[[model.names.index(name) for name in names]]
-    return solve_pose(setup.packed, t_s, names, rows, uv, cov, radius, model.normal, slack_px=setup.slack_px)
+    radius, limit = _radii(model.radius_m, left, right), float(model.limits[len(names)])
+    return solve_pose(packed, t_s, names, rows, uv, cov, radius, model.normal, limit=limit, slack_px=setup.slack_px)
+
+
+def _radii(radius_m: float, left: Spots, right: Spots) -> Array:
+    """Return (n, 2): the radius of the flat light where the spot is its outline, else 0."""
+    radius = np.zeros((len(left), 2))
+    if radius_m > 0.0:
+        for side, spots in enumerate((left, right)):
+            radius[[kind == OUTLINE for kind in spots.model], side] = radius_m
+    return radius
 
 
 def _poses(
     setup: Setup, t_s: float, left: Spots, right: Spots, pairs: Pairs, others: tuple[Assignment, ...]
 ) -> tuple[TargetPose, ...]:
-    return tuple(_solve(setup, t_s, left, right, pairs, other).pose for other in others)
+    return tuple(_solve_assignment(setup, t_s, left, right, pairs, other).pose for other in others)
 
 
 def _ambiguous(
@@ -278,14 +293,35 @@ def _nothing(t_s: float, left: Spots, right: Spots, why: str, track: Track | Non
     )
 
 
-def _refuse_swapped(setup: Setup, left: Spots, right: Spots) -> None:
-    """Raise Inconsistent where the target is found only with left and right exchanged."""
+def _refuse_swapped(setup: Setup, left: Spots, right: Spots, misfit: float = inf) -> None:
+    """Raise Inconsistent where the target is found with left and right exchanged, and fits better than as it is.
+
+    With parallel cameras the exchange puts all behind them. With cameras that look at one point it turns the depths
+    about that point, which a triangle survives: only the residuals tell, hence misfit.
+    """
     if len(setup.model) < 3 or min(len(left), len(right)) < 3:
         return
     pairs = pair_spots(setup.packed, right, left, setup.slack_px)
     match = _match(setup, right, left, pairs, None)
-    if match.alternatives or (match.best is not None and len(match.best.names) >= 3):
+    if match.alternatives and match.best is None and misfit == inf:
         raise swapped()
+    if match.best is None or len(match.best.names) < 3:
+        return
+    index = pairs.index[match.best.pair]
+    matched = _take(right, index[:, 0]), _take(left, index[:, 1])
+    solved = _solve(setup, 0.0, match.best.names, *matched)
+    other = _misfit(solved, *matched)
+    if solved.fits and solved.T is not None and (misfit == inf or other < SWAP_RATIO * misfit):
+        raise swapped()
+
+
+def _misfit(solved: Solved, left: Spots, right: Spots) -> float:
+    """Return chi-square of the residuals with TIGHT_PX beside the spots' own deviations."""
+    if solved.T is None:
+        return 0.0
+    uv, cov = np.empty((len(left), 2, 2)), np.empty((len(left), 2, 2, 2))
+    kernels.stack_views(left.uv_px, left.covariance_px2, right.uv_px, right.covariance_px2, uv, cov)
+    return float(kernels.slack_chi2(solved.pose.residual_px.reshape(uv.shape), cov, TIGHT_PX**2))
 
 
 def _explain(setup: Setup, left: Spots, right: Spots, pairs: Pairs, why: str) -> str:
@@ -301,7 +337,7 @@ def _explain(setup: Setup, left: Spots, right: Spots, pairs: Pairs, why: str) ->
     if setup.target.model_known and len(setup.model) >= 3 and len(loose.index):
         match = match_known(setup.packed, setup.model, left, right, loose, slack_px=slack)
         if match.best is not None:
-            solved = _solve(setup, 0.0, left, right, loose, match.best)
+            solved = _solve_assignment(setup, 0.0, left, right, loose, match.best)
             return solved.pose.why or why
     if not len(pairs.index):
         return "no spot of the left image agrees with one of the right image (epipolar distance)"
@@ -310,10 +346,10 @@ def _explain(setup: Setup, left: Spots, right: Spots, pairs: Pairs, why: str) ->
 
 def _left_out(setup: Setup, solved: Solved, left: Spots, right: Spots) -> tuple[str, ...]:
     """Return a note for every light of the target that was not used, with the nearest spot to its place."""
-    if solved.R is None or not setup.target.model_known or len(solved.points) == len(setup.model):
+    if solved.T is None or not setup.target.model_known or len(solved.points) == len(setup.model):
         return ()
     notes = []
-    for name, place in zip(setup.model.names, setup.model.xyz_m @ solved.R.T + solved.t_m, strict=True):
+    for name, place in zip(setup.model.names, _places(setup, solved.T), strict=True):
         if name in solved.points.names:
             continue
         words = []
@@ -324,6 +360,13 @@ def _left_out(setup: Setup, solved: Solved, left: Spots, right: Spots) -> tuple[
     return tuple(notes)
 
 
+def _places(setup: Setup, T: Array) -> Array:
+    """Return where the lights of the target are (m, 3) in rig axes under its pose T (4, 4)."""
+    places = np.empty((len(setup.model), 3))
+    kernels.place_lights(T, setup.model.xyz_m, places)
+    return places
+
+
 def _next_track(
     setup: Setup,
     t_s: float,
@@ -331,40 +374,47 @@ def _next_track(
     left: Spots,
     right: Spots,
     track: Track | None,
-    off_px: float | None = None,
+    slip_px: float | None = None,
 ) -> Track | None:
     """Return where the lights are and how fast they go; lights not seen go on as they went."""
     if "?" in solved.points.names:
         return None
     whole = len(solved.points) == len(setup.model)
-    if solved.R is not None and setup.target.model_known:
-        names, places = setup.model.names, setup.model.xyz_m @ solved.R.T + solved.t_m
+    if solved.T is not None and setup.target.model_known:
+        names, places = setup.model.names, _places(setup, solved.T)
     else:
         names, places = solved.points.names, solved.points.xyz_m
-    before = dict(zip(track.names, zip(track.xyz_m, track.velocity_m_s, strict=True), strict=True)) if track else {}
-    dt = t_s - track.t_s if track else 0.0
     velocity = np.zeros_like(places)
     if track is not None and names == track.names:
-        velocity = (places - track.xyz_m) / dt
+        velocity = (places - track.xyz_m) / (t_s - track.t_s)
     elif track is not None:
-        for i, name in enumerate(names):
-            if name in before:
-                velocity[i] = (places[i] - before[name][0]) / dt
-        missing = [name for name in track.names if name not in names] if t_s - track.whole_t_s <= MAX_GAP_S else []
-        names = (*names, *missing)
-        places = np.vstack([places, *(before[name][0] + dt * before[name][1] for name in missing)])
-        velocity = np.vstack([velocity, *(before[name][1] for name in missing)])
-    reach = SPOT_REACH * max(float(left.size_px.max()), float(right.size_px.max()))
-    slip = FIRST_WINDOW_PX if off_px is None else LEAST_WINDOW_PX + 2.0 * off_px
+        names, places, velocity = _carry_on(track, t_s, names, places)
+    reach = SPOT_REACH * max(left.size_px.max(), right.size_px.max())
+    slip = FIRST_WINDOW_PX if slip_px is None else min(LEAST_WINDOW_PX + 2.0 * slip_px, FIRST_WINDOW_PX)
     return Track(
         t_s=t_s,
         whole_t_s=t_s if whole or track is None else track.whole_t_s,
         names=names,
         xyz_m=places,
         velocity_m_s=velocity,
-        half_window_px=int(np.ceil(reach + min(slip, FIRST_WINDOW_PX))),
+        half_window_px=ceil(reach + slip),
         complete=whole,
     )
+
+
+def _carry_on(track: Track, t_s: float, names: tuple[str, ...], places: Array) -> tuple[tuple[str, ...], Array, Array]:
+    """Return names, places and velocities of the lights seen, followed by those of the track not seen now."""
+    dt = t_s - track.t_s
+    before = dict(zip(track.names, zip(track.xyz_m, track.velocity_m_s, strict=True), strict=True))
+    velocity = np.zeros_like(places)
+    for i, name in enumerate(names):
+        if name in before:
+            velocity[i] = (places[i] - before[name][0]) / dt
+    if t_s - track.whole_t_s > MAX_GAP_S:
+        return names, places, velocity
+    missing = [name for name in track.names if name not in names]
+    gone = [before[name][0] + dt * before[name][1] for name in missing]
+    return (*names, *missing), np.vstack([places, *gone]), np.vstack([velocity, *(before[name][1] for name in missing)])
 
 
 def _take(spots: Spots, index: NDArray[np.intp]) -> Spots:

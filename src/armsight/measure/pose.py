@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,6 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.measure.kernels import pose as kernels
 from armsight.measure.match import SLACK_PX
-from armsight.measure.model import fit_limit
 from armsight.optics import PackedRig
 from armsight.records import Points, PoseStatus, TargetPose
 
@@ -32,15 +31,14 @@ _WHY = {
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Solved:
-    """A pose with the points it came from; rotation R (3, 3) and translation t_m (3,), R None where it is not whole.
+    """A pose with the points it came from; its matrix T (4, 4), None where it is not whole.
 
     fits: whether the residuals agree with the target, slack allowed.
     """
 
     pose: TargetPose
     points: Points
-    R: Array | None = None
-    t_m: Array = field(default_factory=lambda: np.zeros(3))
+    T: Array | None = None
     fits: bool = True
 
 
@@ -54,46 +52,41 @@ def solve_pose(
     radius_m: Array,
     normal: Array,
     *,
+    limit: float,
     slack_px: float = SLACK_PX,
 ) -> Solved:
     """Return the pose of greatest likelihood on both images from n >= 3 named spots, started by Kabsch.
 
     xyz_m: (n, 3) in target axes. uv_px: (n, 2, 2), cov_px2: (n, 2, 2, 2) as [spot, side]. radius_m: (n, 2) of the
     flat light where the spot is the outline of one, else 0; normal: (3,) of the lights' plane in target axes.
+    limit: largest chi-square, slack included, that is believed (fit_limit).
     Status LOST, with the reason, where the spots do not fit the target; POSITION_ONLY where they fit but leave
     the rotation open.
     """
     n = len(names)
-    P, S = np.empty((n, 3)), np.empty((n, 3, 3))
-    R, t, C = np.empty((3, 3)), np.empty(3), np.empty((6, 6))
-    residual = np.empty((n, 2, 2))
-    state, _, wide = kernels.solve_named(
-        packed.k, packed.R, packed.t, uv_px, cov_px2, slack_px**2, xyz_m, radius_m, normal, P, S, R, t, C, residual
+    P, S, T, C, residual = (
+        np.empty((n, 3)),
+        np.empty((n, 3, 3)),
+        np.empty((4, 4)),
+        np.empty((6, 6)),
+        np.zeros((n, 2, 2)),
+    )
+    state, wide = kernels.solve_named(
+        packed.k, packed.R, packed.t, uv_px, cov_px2, slack_px**2, xyz_m, radius_m, normal, P, S, T, C, residual
     )
     if state in (kernels.NO_WEIGHT, kernels.NO_POINT):
         return Solved(pose=lost(t_s, _WHY[state]), points=no_points(), fits=False)
     points = Points(names=names, xyz_m=P, covariance_m2=S)
     if state != kernels.SOLVED:
         return Solved(pose=position_only(t_s, points, residual, _WHY[state]), points=points, fits=state == kernels.OPEN)
-    if not wide <= fit_limit(n):
+    if not wide <= limit:
         rms = float(np.sqrt(np.mean(residual**2)))
         why = (
             f"the spots do not fit the target: residuals of {rms:.2f} px; "
             "the target's measures, the calibration or the moment of the two exposures is off"
         )
         return Solved(pose=lost(t_s, why), points=points, fits=False)
-    if not max(C[3, 3], C[4, 4], C[5, 5]) <= MAX_ROTATION_SIGMA**2:
-        return Solved(pose=position_only(t_s, points, residual, _WHY[kernels.OPEN]), points=points)
-    pose = TargetPose(
-        t_s=t_s,
-        status=PoseStatus.OK,
-        parent=PARENT,
-        spots=names,
-        pose=_rigid(R, t),
-        covariance=C,
-        residual_px=residual.ravel(),
-    )
-    return Solved(pose=pose, points=points, R=R, t_m=t)
+    return _whole(t_s, points, T, C, residual)
 
 
 def solve_frame(packed: PackedRig, t_s: float, names: tuple[str, ...], uv_px: Array, cov_px2: Array) -> Solved:
@@ -104,20 +97,27 @@ def solve_frame(packed: PackedRig, t_s: float, names: tuple[str, ...], uv_px: Ar
     points, residual, why = solve_points(packed, names, uv_px, cov_px2)
     if why:
         return Solved(pose=lost(t_s, why), points=points, fits=False)
-    R, t, C = np.empty((3, 3)), np.empty(3), np.empty((6, 6))
-    ok = kernels.pachidis_frame(points.xyz_m, points.covariance_m2, R, t, C)
-    if not ok or not max(C[3, 3], C[4, 4], C[5, 5]) <= MAX_ROTATION_SIGMA**2:
+    T, C = np.eye(4), np.empty((6, 6))
+    if not kernels.pachidis_frame(points.xyz_m, points.covariance_m2, T, C):
         return Solved(pose=position_only(t_s, points, residual, "the three lights lie on one line"), points=points)
+    return _whole(t_s, points, T, C, residual)
+
+
+def _whole(t_s: float, points: Points, T: Array, C: Array, residual: Array) -> Solved:
+    """Return the pose T (4, 4) with its covariance, or the position alone where the rotation is too uncertain."""
+    if not max(C[3, 3], C[4, 4], C[5, 5]) <= MAX_ROTATION_SIGMA**2:
+        return Solved(pose=position_only(t_s, points, residual, _WHY[kernels.OPEN]), points=points)
     pose = TargetPose(
         t_s=t_s,
         status=PoseStatus.OK,
         parent=PARENT,
-        spots=names,
-        pose=_rigid(R, t),
+        spots=points.names,
+        # orthonormal to rounding: testing and mending it would cost 0.1 ms
+        pose=RigidTransform(T, normalize=False, copy=True),
         covariance=C,
         residual_px=residual.ravel(),
     )
-    return Solved(pose=pose, points=points, R=R, t_m=t)
+    return Solved(pose=pose, points=points, T=T)
 
 
 def solve_points(packed: PackedRig, names: tuple[str, ...], uv_px: Array, cov_px2: Array) -> tuple[Points, Array, str]:
@@ -139,7 +139,7 @@ def position_only(t_s: float, points: Points, residual_px: Array, why: str) -> T
         status=PoseStatus.POSITION_ONLY,
         parent=PARENT,
         spots=points.names,
-        pose=_rigid(np.eye(3), points.xyz_m.mean(axis=0)),
+        pose=RigidTransform.from_translation(points.xyz_m.mean(axis=0)),
         covariance=points.covariance_m2.sum(axis=0) / n**2,
         residual_px=residual_px.ravel(),
         why=why,
@@ -154,11 +154,3 @@ def lost(t_s: float, why: str) -> TargetPose:
 def no_points() -> Points:
     """Return the record of no points."""
     return Points(names=(), xyz_m=np.empty((0, 3)), covariance_m2=np.empty((0, 3, 3)))
-
-
-def _rigid(R: Array, t_m: Array) -> RigidTransform:
-    """Return the pose of a rotation that is orthonormal to rounding: testing and mending it costs 0.2 ms."""
-    T = np.eye(4)
-    T[:3, :3] = R
-    T[:3, 3] = t_m
-    return RigidTransform(T, normalize=False, copy=False)

@@ -41,7 +41,7 @@ class RotaryBase:
     def T_home_rig(self, angle_rad: float) -> RigidTransform:
         """Return the rig's pose, in its own axes of angle 0, with the base turned by angle_rad."""
         Q = Rotation.from_rotvec(angle_rad * self.direction)
-        return RigidTransform.from_components(self.point_m - Q.apply(self.point_m), Q)
+        return RigidTransform.from_components(self.point_m - Q.as_matrix() @ self.point_m, Q)
 
     def T_world_rig(self, angle_rad: float) -> RigidTransform:
         """Return the rig's pose in world with the base turned by angle_rad."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import isfinite
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -14,12 +16,13 @@ def frozen_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> 
     Raises Inconsistent, naming the field, where the shape differs or an entry is not finite.
     """
     array = np.array(value, dtype=np.float64)
-    if array.ndim != len(shape) or any(
-        want is not None and have != want for have, want in zip(array.shape, shape, strict=True)
+    if array.shape != shape and (
+        array.ndim != len(shape)
+        or any(want is not None and have != want for have, want in zip(array.shape, shape, strict=True))
     ):
         wanted = ", ".join("n" if want is None else str(want) for want in shape)
         raise Inconsistent(f"{name} has shape {array.shape}, not ({wanted})")
-    if not np.isfinite(array).all():
+    if not (isfinite(np.vdot(array, array)) or np.isfinite(array).all()):  # the first is three times as fast
         raise Inconsistent(f"{name} holds a value that is not finite")
     array.setflags(write=False)
     return array

@@ -14,6 +14,7 @@ from armsight.fitting.kernels import invert_spd, solve_damped
 from armsight.geometry.kernels import rotate_left
 from armsight.optics.kernels import (
     FOUND,
+    distort,
     invert_2,
     project_point,
     see_point,
@@ -71,6 +72,43 @@ def kabsch(X, P, R, t):
 
 
 @njit(cache=True)
+def bend_outline(k, x, y, z, nx, ny, nz, radius, uv):
+    """Fill uv (2,) with the centre of a disc's distorted image; x/z, y/z is the centre of its undistorted outline.
+
+    The mean over the outline's area is, to second order, that over four points (radius / sqrt 2) off the centre along
+    two directions square to each other in the disc's plane, weighted by how much the distortion swells them.
+    """
+    if abs(nx) < abs(ny):
+        ex, ey, ez = 0.0, nz, -ny
+    else:
+        ex, ey, ez = -nz, 0.0, nx
+    length = sqrt(ex * ex + ey * ey + ez * ez)
+    if not length > 1e-9:  # seen straight on
+        ex, ey, ez, length = 1.0, 0.0, 0.0, 1.0
+    ex, ey, ez = ex / length, ey / length, ez / length
+    fx, fy, fz = ny * ez - nz * ey, nz * ex - nx * ez, nx * ey - ny * ex
+    a, b = x / z, y / z
+    s = radius * sqrt(0.5) / z
+    g0, g1 = s * (ex - a * ez), s * (ey - b * ez)
+    h0, h1 = s * (fx - a * fz), s * (fy - b * fz)
+    xd = 0.0
+    yd = 0.0
+    area = 0.0
+    for i in range(4):
+        sign = 1.0 if i < 2 else -1.0
+        dx, dy = (g0, g1) if i % 2 == 0 else (h0, h1)
+        px, py, xx, xy, yy = distort(k, a + sign * dx, b + sign * dy)
+        w = xx * yy - xy * xy
+        xd += w * px
+        yd += w * py
+        area += w
+    xd /= area
+    yd /= area
+    uv[0] = k[0] * xd + k[4] * yd + k[2]
+    uv[1] = k[1] * yd + k[3]
+
+
+@njit(cache=True)
 def see_light(k, R, t, p, radius, normal, uv, J):
     """Fill uv (2,), J (2, 3) = d uv / d p for a light at p (3,) in rig axes; False behind the camera.
 
@@ -81,16 +119,16 @@ def see_light(k, R, t, p, radius, normal, uv, J):
     x = R[0, 0] * p[0] + R[0, 1] * p[1] + R[0, 2] * p[2] + t[0]
     y = R[1, 0] * p[0] + R[1, 1] * p[1] + R[1, 2] * p[2] + t[1]
     z = R[2, 0] * p[0] + R[2, 1] * p[1] + R[2, 2] * p[2] + t[2]
-    if radius > 0.0 and z > 0.0:
+    if not project_point(k, x, y, z, uv, J):
+        return False
+    if radius > 0.0:
         nx = R[0, 0] * normal[0] + R[0, 1] * normal[1] + R[0, 2] * normal[2]
         ny = R[1, 0] * normal[0] + R[1, 1] * normal[1] + R[1, 2] * normal[2]
         nz = R[2, 0] * normal[0] + R[2, 1] * normal[1] + R[2, 2] * normal[2]
         s = radius * radius / z
-        x += s * nz * nx
-        y += s * nz * ny
-        z += s * (nz * nz - 1.0)
-    if not project_point(k, x, y, z, uv, J):
-        return False
+        if not z > radius:
+            return False
+        bend_outline(k, x + s * nz * nx, y + s * nz * ny, z + s * (nz * nz - 1.0), nx, ny, nz, radius, uv)
     for i in range(2):
         a, b, c = J[i, 0], J[i, 1], J[i, 2]
         for j in range(3):
@@ -250,36 +288,74 @@ def point_residuals(k, R, t, uv, P, residual):
 
 
 @njit(cache=True)
-def project_points(k, R, t, P, uv):
-    """Fill uv (n, 2, 2) with the images of P (n, 3); False where a point is behind a camera."""
+def stack_views(uv_left, cov_left, uv_right, cov_right, uv, cov):
+    """Fill uv (n, 2, 2) and cov (n, 2, 2, 2) [spot, side] from two lists of spots in the same order."""
+    for i in range(uv.shape[0]):
+        for a in range(2):
+            uv[i, 0, a] = uv_left[i, a]
+            uv[i, 1, a] = uv_right[i, a]
+            for b in range(2):
+                cov[i, 0, a, b] = cov_left[i, a, b]
+                cov[i, 1, a, b] = cov_right[i, a, b]
+
+
+@njit(cache=True)
+def solve_named(k, R, t, uv, cov, slack2, X, radius, normal, P, S, T, C, residual):
+    """Pose of the model X (n, 3) from its n named spots, uv (n, 2, 2), cov (n, 2, 2, 2); chi-square is with slack.
+
+    Returns (state, chi-square). Fills the points each by itself P (n, 3), S (n, 3, 3), the pose T (4, 4), its
+    covariance C (6, 6) (translation, rotation vector; rig axes), residual (n, 2, 2) in px. Arrays are filled, not
+    returned: handing one back costs as much as the algebra.
+    """
+    W = np.empty_like(cov)
+    H = np.empty((6, 6))
+    Rp = np.empty((3, 3))
+    tp = np.empty(3)
+    if not weights(cov, 0.0, W):
+        return NO_WEIGHT, np.inf
+    if not triangulate_all(k, R, t, uv, cov, P, S):
+        return NO_POINT, np.inf
+    kabsch(X, P, Rp, tp)
+    state, _ = refine_pose(k, R, t, X, radius, normal, uv, W, Rp, tp, H, residual)
+    if state == SOLVED and not invert_spd(H, C):
+        state = OPEN
+    T[:3, :3] = Rp
+    T[:3, 3] = tp
+    T[3, :3] = 0.0
+    T[3, 3] = 1.0
+    return state, slack_chi2(residual, cov, slack2)
+
+
+@njit(cache=True)
+def place_lights(T, X, places):
+    """Fill places (n, 3) with the model's lights X (n, 3) under the pose T (4, 4)."""
+    for n in range(X.shape[0]):
+        for i in range(3):
+            places[n, i] = T[i, 0] * X[n, 0] + T[i, 1] * X[n, 1] + T[i, 2] * X[n, 2] + T[i, 3]
+
+
+@njit(cache=True)
+def predict_views(k, R, t, places, velocity, dt, ahead, uv_left, uv_right):
+    """Fill ahead (n, 3) with places + dt velocity, uv_left, uv_right (n, 2) with its images; False behind a camera."""
     J = np.empty((2, 3))
-    for n in range(P.shape[0]):
-        for s in range(2):
-            if not see_point(k[s], R[s], t[s], P[n], uv[n, s], J):
-                return False
+    for n in range(places.shape[0]):
+        for i in range(3):
+            ahead[n, i] = places[n, i] + dt * velocity[n, i]
+        if not see_point(k[0], R[0], t[0], ahead[n], uv_left[n], J):
+            return False
+        if not see_point(k[1], R[1], t[1], ahead[n], uv_right[n], J):
+            return False
     return True
 
 
 @njit(cache=True)
-def solve_named(k, R, t, uv, cov, slack2, X, radius, normal, P, S, Rp, tp, C, residual):
-    """Pose of the model X (n, 3) from its n named spots; return (state, chi-square, chi-square with slack).
-
-    uv (n, 2, 2), cov (n, 2, 2, 2). Fills P (n, 3), S (n, 3, 3) with the points each by itself, Rp, tp with the pose,
-    C (6, 6) with its covariance (translation, rotation vector; rig axes), residual (n, 2, 2) in px.
-    """
-    W = np.empty_like(cov)
-    H = np.empty((6, 6))
-    if not weights(cov, 0.0, W):
-        return NO_WEIGHT, np.inf, np.inf
-    if not triangulate_all(k, R, t, uv, cov, P, S):
-        return NO_POINT, np.inf, np.inf
-    kabsch(X, P, Rp, tp)
-    state, chi2 = refine_pose(k, R, t, X, radius, normal, uv, W, Rp, tp, H, residual)
-    if state != SOLVED:
-        return state, chi2, np.inf
-    if not invert_spd(H, C):
-        return OPEN, chi2, np.inf
-    return SOLVED, chi2, slack_chi2(residual, cov, slack2)
+def largest_slip(uv_left, expected_left, uv_right, expected_right):
+    """Return the largest distance along one axis between seen and expected pixels (n, 2) of both sides."""
+    slip = 0.0
+    for n in range(uv_left.shape[0]):
+        for i in range(2):
+            slip = max(slip, abs(uv_left[n, i] - expected_left[n, i]), abs(uv_right[n, i] - expected_right[n, i]))
+    return slip
 
 
 @njit(cache=True)
@@ -295,18 +371,18 @@ def kabsch_pose(k, R, t, uv, cov, X, Rp, tp):
 
 
 @njit(cache=True)
-def pachidis_frame(P, S, Rp, tp, C):
+def pachidis_frame(P, S, T, C):
     """Frame of three points P (3, 3), rows A, B, C, with covariances S (3, 3, 3); False where they are on one line.
 
     Origin G at their mean, u = A to G, w = (B - G) x (A - G), v = w x u (Pachidis 2005, eqs. 7-8). C (6, 6) is the
-    covariance of (dt, dw) to first order.
+    covariance of (dt, dw) to first order; T (4, 4) the pose.
     """
     a = np.empty(3)
     b = np.empty(3)
     for i in range(3):
-        tp[i] = (P[0, i] + P[1, i] + P[2, i]) / 3.0
-        a[i] = P[0, i] - tp[i]
-        b[i] = P[1, i] - tp[i]
+        T[i, 3] = (P[0, i] + P[1, i] + P[2, i]) / 3.0
+        a[i] = P[0, i] - T[i, 3]
+        b[i] = P[1, i] - T[i, 3]
     w = np.cross(b, a)
     na = sqrt(np.dot(a, a))
     nw = sqrt(np.dot(w, w))
@@ -315,9 +391,9 @@ def pachidis_frame(P, S, Rp, tp, C):
     u = -a / na
     w /= nw
     v = np.cross(w, u)
-    Rp[:, 0] = u
-    Rp[:, 1] = v
-    Rp[:, 2] = w
+    T[:3, 0] = u
+    T[:3, 1] = v
+    T[:3, 2] = w
     # turn about v: -w . du; about w: v . du; about u: -v . dw
     J = np.zeros((6, 9))
     ba = np.dot(b, u)  # b = ba u + bv v in the plane

@@ -1,0 +1,192 @@
+"""Two frames in, pose out: sizes, windows around predictions, what is handed from call to call, boards."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from armsight.errors import BadImage, Inconsistent
+from armsight.geometry import pose_difference
+from armsight.measure import boardpair
+from armsight.measure.boardpair import pose_of_views
+from armsight.measure.pair import Measured, Setup, Track, measure_pair, warm_up
+from armsight.optics import Camera, converged_rig
+from armsight.records import BoardView, Frame, PoseStatus, TargetKind, board_target, spot_target
+
+CAMERA = Camera.pinhole(640, 480, 560.0, 562.0, 322.0, 236.0, distortion=(-0.1, 0.02, 0.0, 0.0, 0.0))
+RIG = converged_rig(CAMERA, CAMERA, 0.1, 0.08, -0.08)
+TRIANGLE = {"A": (-0.05, 0.0, 0.0), "B": (0.04, 0.045, 0.0), "C": (0.02, -0.04, 0.0)}
+X = np.array(list(TRIANGLE.values()))
+SETUP = Setup(RIG, spot_target(TRIANGLE))
+
+
+def pixels(points: np.ndarray) -> list[np.ndarray]:
+    out = []
+    for T in (RIG.T_rig_left.inv(), RIG.T_rig_right.inv()):
+        uv, _ = cv2.projectPoints(
+            np.ascontiguousarray(points), T.rotation.as_rotvec(), T.translation, CAMERA.matrix, CAMERA.distortion
+        )
+        out.append(uv[:, 0])
+    return out
+
+
+def frames(points: np.ndarray, number: int, *, width: int = 640) -> tuple[Frame, Frame]:
+    """Gaussian spots of 2 px, 150 grey levels high, with noise of 2, at the pixels of the points."""
+    rng = np.random.default_rng(number)
+    y, x = np.mgrid[0:480, 0:width]
+    made = []
+    for source, uv in zip(("left", "right"), pixels(points), strict=True):
+        image = 20.0 + rng.normal(0.0, 2.0, x.shape)
+        for u, v in uv:
+            image += 150.0 * np.exp(-((x - u) ** 2 + (y - v) ** 2) / 8.0)
+        made.append(
+            Frame(image=image.round().clip(0, 255).astype(np.uint8), t_s=number / 30.0, sequence=number, source=source)
+        )
+    return made[0], made[1]
+
+
+def pose_at(number: int, speed: float = 0.006) -> RigidTransform:
+    return RigidTransform.from_components(
+        [0.01 + speed * number, -0.01, 0.6], Rotation.from_rotvec([0.2, -0.2, 0.01 * number])
+    )
+
+
+def assert_pose(measured: Measured, T: RigidTransform) -> None:
+    assert measured.pose.status is PoseStatus.OK, measured.pose.why
+    assert measured.pose.pose is not None and measured.pose.covariance is not None
+    d = pose_difference(measured.pose.pose, T)
+    assert d @ np.linalg.solve(measured.pose.covariance, d) < 40.0
+
+
+def test_a_moving_target_is_tracked_in_windows() -> None:
+    track: Track | None = None
+    for number in range(6):
+        measured = measure_pair(SETUP, *frames(pose_at(number).apply(X), number), track)
+        assert_pose(measured, pose_at(number))
+        assert measured.tracked is (number > 0)
+        assert measured.pose.t_s == pytest.approx(number / 30.0)
+        track = measured.track
+    assert track is not None
+    assert track.half_window_px < 32  # the velocity is known: the windows are smaller than the first ones
+    np.testing.assert_allclose(track.velocity_m_s[:, 0], 0.18, atol=0.05)
+
+
+def test_a_jump_out_of_the_windows_falls_back_to_the_whole_frame() -> None:
+    first = measure_pair(SETUP, *frames(pose_at(0).apply(X), 0))
+    jumped = RigidTransform.from_components([-0.1, 0.06, 0.7], Rotation.from_rotvec([-0.1, 0.3, 1.0]))
+    measured = measure_pair(SETUP, *frames(jumped.apply(X), 1), first.track)
+    assert not measured.tracked
+    assert_pose(measured, jumped)
+
+
+def test_lights_exchanged_in_the_windows_are_noticed() -> None:
+    """Half a turn of an arrangement whose lights land in each other's windows: the fit refuses, the search finds it."""
+    first = measure_pair(SETUP, *frames(pose_at(0).apply(X), 0))
+    assert first.track is not None
+    order = [1, 0, 2]
+    wrong = Track(
+        t_s=0.0,
+        whole_t_s=0.0,
+        names=("A", "B", "C"),
+        xyz_m=first.track.xyz_m[order],
+        velocity_m_s=np.zeros((3, 3)),
+        half_window_px=20,
+        complete=True,
+    )
+    measured = measure_pair(SETUP, *frames(pose_at(1).apply(X), 1), wrong)
+    assert not measured.tracked
+    assert_pose(measured, pose_at(1))
+
+
+def test_a_dark_moment_is_lost_and_the_track_survives_it_for_a_while() -> None:
+    first = measure_pair(SETUP, *frames(pose_at(0).apply(X), 0))
+    dark = measure_pair(SETUP, *frames(np.array([[9.0, 9.0, 10.0]]), 1), first.track)
+    assert dark.pose.status is PoseStatus.LOST and dark.pose.why == "no spot in either image"
+    assert dark.track is first.track
+    again = measure_pair(SETUP, *frames(pose_at(2).apply(X), 2), dark.track)
+    assert again.tracked
+    late = measure_pair(SETUP, *frames(pose_at(0).apply(X), 60), dark.track)
+    assert not late.tracked
+    assert_pose(late, pose_at(0))
+
+
+def test_frames_of_another_size_are_refused_with_both_sizes() -> None:
+    left, right = frames(pose_at(0).apply(X), 0, width=650)
+    with pytest.raises(Inconsistent, match="650x480 px, the rig's left camera 640x480 px"):
+        measure_pair(SETUP, left, right)
+
+
+def test_the_same_call_gives_the_same_answer() -> None:
+    pair = frames(pose_at(0).apply(X), 0)
+    a, b = measure_pair(SETUP, *pair), measure_pair(SETUP, *pair)
+    assert a.pose.covariance is not None and b.pose.covariance is not None
+    np.testing.assert_array_equal(a.pose.covariance, b.pose.covariance)
+    np.testing.assert_array_equal(a.points.xyz_m, b.points.xyz_m)
+
+
+def test_warm_up_finds_its_own_target() -> None:
+    warm_up()
+
+
+BOARD = board_target(TargetKind.CHECKERBOARD, 9, 6, 0.025)
+BOARD_SETUP = Setup(RIG, BOARD)
+BOARD_POSE = RigidTransform.from_components([-0.1, -0.06, 0.7], Rotation.from_rotvec([0.2, -0.25, 0.05]))
+
+
+def views(seed: int, keep: list[np.ndarray] | None = None) -> list[BoardView]:
+    rng, out = np.random.default_rng(seed), []
+    for side, uv in enumerate(pixels(BOARD_POSE.apply(BOARD.xyz_m))):
+        index = np.arange(54) if keep is None else keep[side]
+        out.append(
+            BoardView(
+                uv_px=(uv + rng.normal(0.0, 0.1, uv.shape))[index],
+                index=index,
+                sigma_px=0.1,
+                width=640,
+                height=480,
+                source=f"view{side}",
+            )
+        )
+    return out
+
+
+def test_board_points_need_no_matching() -> None:
+    measured = pose_of_views(BOARD_SETUP, *views(1), 0.5)
+    assert_pose(measured, BOARD_POSE)
+    assert len(measured.names) == 54 and measured.pose.t_s == 0.5
+
+
+def test_a_board_seen_in_parts_uses_the_common_points() -> None:
+    keep = [np.arange(0, 40), np.arange(20, 54)]
+    measured = pose_of_views(BOARD_SETUP, *views(2, keep), 0.0)
+    assert_pose(measured, BOARD_POSE)
+    assert measured.names == BOARD.names[20:40]
+    few = pose_of_views(BOARD_SETUP, *views(2, [np.arange(0, 20), np.arange(18, 54)]), 0.0)
+    assert few.pose.status is PoseStatus.LOST and "2 points" in few.pose.why
+
+
+def test_a_wrong_corner_is_left_out_by_name() -> None:
+    left, right = views(3)
+    uv = right.uv_px.copy()
+    uv[17] += [9.0, -4.0]
+    wrong = BoardView(uv_px=uv, index=right.index, sigma_px=0.1, width=640, height=480, source="right")
+    measured = pose_of_views(BOARD_SETUP, left, wrong, 0.0)
+    assert_pose(measured, BOARD_POSE)
+    assert measured.notes == (f"{BOARD.names[17]} left out: it does not fit the others",)
+
+
+def test_swapped_views_of_a_board_are_recognised() -> None:
+    left, right = views(4)
+    with pytest.raises(Inconsistent, match="left and right are swapped"):
+        pose_of_views(BOARD_SETUP, right, left, 0.0)
+
+
+def test_a_board_that_is_not_there_is_lost_with_the_detectors_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    def nothing(image: object, board: object, *, source: str) -> BoardView:
+        raise BadImage(f"{source}: no board found")
+
+    monkeypatch.setattr(boardpair, "find_board", nothing)
+    measured = measure_pair(BOARD_SETUP, *frames(np.array([[9.0, 9.0, 10.0]]), 0))
+    assert measured.pose.status is PoseStatus.LOST and "no board found" in measured.pose.why
