@@ -165,15 +165,15 @@ def doubt(solution: Solution) -> Doubt:
     Q = _shapes(solution)  # (3, n, 6, 6) whitened derivative of the noise by each variance
     J, C = solution.J, solution.C
     M = J @ C @ J.transpose(0, 2, 1)  # (n, 6, 6)
-    B = np.einsum("nab,knac,ncd->kbd", J, Q, J, optimize=True)  # (3, m, m)
-    QQ = np.einsum("knab,jnbc->kjnac", Q, Q)
-    information = np.einsum("kjnaa->kj", QQ) - 2.0 * np.einsum("kjnab,nba->kj", QQ, M)
+    m = len(C)
+    B = np.stack([J.reshape(-1, m).T @ QJ.reshape(-1, m) for QJ in Q @ J])  # (3, m, m)
+    flat, turned = Q.reshape(3, -1), (Q @ M).swapaxes(2, 3).reshape(3, -1)
+    information = flat @ flat.T - 2.0 * flat @ turned.T  # tr Qk Qj, tr Qk Qj M
     CB = C @ B
     information = 0.5 * (information + np.einsum("kab,jba->kj", CB, CB))
     covariance = np.linalg.pinv(information, rcond=1e-12, hermitian=True)
-    slope = np.einsum("kab,bc->kac", CB, C)  # dC / d variance
-    slope = np.einsum("kaa->ka", slope)  # (3, m)
-    spread = np.einsum("ka,kj,ja->a", slope, covariance, slope)
+    slope = np.diagonal(CB @ C, axis1=1, axis2=2)  # (3, m): dC / d variance
+    spread = ((covariance @ slope) * slope).sum(axis=0)
     variance = np.diag(C)
     dof = np.clip(2.0 * variance**2 / np.maximum(spread, 1e-300), 1.0, 1e6)
     factor = student.ppf(0.975, dof) / NORMAL_95
