@@ -10,9 +10,11 @@ from typing import Annotated, Any
 
 import typer
 
+from armsight.cli import handeye
 from armsight.cli.calibrate import calibrate
 from armsight.cli.convert import convert
 from armsight.cli.face import Face
+from armsight.cli.kinematics import convert_arm, kinematics
 from armsight.cli.options import SRC, AsJson, Fps, Limit, OutFolder, Seed
 from armsight.cli.tables import demo_tables, doctor_tables, measure_tables
 
@@ -24,7 +26,10 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.add_typer(calibrate, name="calibrate")
+handeye.add_to(calibrate)
+convert.command("arm")(convert_arm)
 app.add_typer(convert, name="convert")
+app.add_typer(kinematics, name="kinematics")
 
 
 def _version(wanted: bool) -> None:
