@@ -157,7 +157,9 @@ def match_few(model: TargetModel, pairs: Pairs, *, known: bool, predicted_m: Arr
     if known and len(options[0]) == 2 and len(names) > 1:
         gap = model.distance_m[np.triu_indices(len(names), 1)]
         fitting = [
-            o for o in options if any(kernels.distance_fits(pairs.xyz_m, pairs.cov_m2, *o, d, GATE) for d in gap)
+            o
+            for o in options
+            if any(kernels.distance_fits(pairs.xyz_m, pairs.cov_m2, o[0], o[1], d, GATE) for d in gap)
         ]
         if not fitting:
             return Match(best=None, why="two lights are seen, but no two of the target's are that far apart")

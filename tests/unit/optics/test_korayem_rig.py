@@ -1,4 +1,4 @@
-"""Korayem's closed forms against the general triangulation, and its printed errors (MATH A12-A18) shown to be errors."""
+"""Korayem's closed forms against the general triangulation; its printed errors (MATH A12-A18) shown to be errors."""
 
 from __future__ import annotations
 
