@@ -8,7 +8,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from armsight.app.boards import Seen, in_parallel, other_size, see_board
+from armsight.app.boards import Seen, in_parallel, see_board
 from armsight.app.reporting import write_camera_report, write_stereo_report
 from armsight.calibrate import BoardOptions, CameraCalibration, StereoCalibration
 from armsight.calibrate import calibrate_camera as solve_camera
@@ -16,7 +16,7 @@ from armsight.calibrate import calibrate_stereo as solve_stereo
 from armsight.drivers import is_live, list_images, open_pairs, open_source
 from armsight.drivers.sources import VIDEO_SUFFIXES
 from armsight.errors import Cancelled, NotEnoughData
-from armsight.records import BoardView, Frame, NamedCovariance, Progress, Silent, Target
+from armsight.records import BoardView, Frame, NamedCovariance, Progress, Silent
 from armsight.store import parse_board, write_camera, write_rig
 
 Rejected = tuple[str, str]
@@ -57,15 +57,13 @@ def calibrate_camera(job: CalibrateJob, progress: Progress | None = None) -> dic
     progress = progress or Silent()
     views: list[BoardView] = []
     rejected: list[Rejected] = []
-    first: Frame | None = None
     with open_source(job.source) as source:
         frames = islice(source, 0, _stop(job), job.every)
         total = _total(source.total, job)
         for frame, seen in in_parallel(lambda frame: (frame, see_board(frame, board)), frames, workers=job.workers):
-            first = first or frame
             _sort(frame, seen, views, rejected)
             _tell(progress, len(views) + len(rejected), total)
-    _require(views, rejected, first, board, job.board)
+    _require(views, rejected, job.board)
     progress.update(0, 0, "solving")
     done = solve_camera(views, board, BoardOptions(folds=job.folds), progress)
     write_camera(job.out, done.camera, covariance=done.covariance, rms_px=done.rms_px, inputs=_inputs(job.source))
@@ -82,7 +80,6 @@ def calibrate_stereo(job: CalibrateJob, progress: Progress | None = None) -> dic
     progress = progress or Silent()
     views: tuple[list[BoardView], list[BoardView]] = ([], [])
     rejected: list[Rejected] = []
-    first: Frame | None = None
     done = 0
 
     def see(pair: tuple[Frame, Frame]) -> tuple[tuple[Frame, Seen], ...]:
@@ -92,7 +89,6 @@ def calibrate_stereo(job: CalibrateJob, progress: Progress | None = None) -> dic
         chosen = islice(pairs, 0, _stop(job), job.every)
         total = _total(pairs.total, job)
         for both in in_parallel(see, chosen, workers=job.workers):
-            first = first or both[0][0]
             lost = [(frame.source, seen) for frame, seen in both if isinstance(seen, str)]
             rejected += lost
             if not lost:
@@ -101,7 +97,7 @@ def calibrate_stereo(job: CalibrateJob, progress: Progress | None = None) -> dic
                         side.append(seen)
             done += 1
             _tell(progress, done, total)
-    _require(views[0], rejected, first, board, job.board)
+    _require(views[0], rejected, job.board)
     progress.update(0, 0, "solving")
     result = solve_stereo(views[0], views[1], board, BoardOptions(folds=job.folds), progress)
     write_rig(job.out, result.rig, inputs=[*_inputs(job.left), *_inputs(job.right)])
@@ -172,20 +168,15 @@ def _tell(progress: Progress, done: int, total: int) -> None:
         raise Cancelled(f"stopped after {done} images", consequence="Nothing was written")
 
 
-def _require(
-    views: Sequence[BoardView], rejected: Sequence[Rejected], first: Frame | None, board: Target, text: str
-) -> None:
-    """Raise NotEnoughData where the board was seen nowhere, with the size that was found instead."""
-    if views or first is None:
+def _require(views: Sequence[BoardView], rejected: Sequence[Rejected], board: str) -> None:
+    """Raise NotEnoughData where the board was seen nowhere."""
+    if views or not rejected:
         return
-    other = other_size(first, board)
-    why = f"; in the first, {rejected[0][0]}: {rejected[0][1]}" if rejected else ""
+    file, why = rejected[0]
     raise NotEnoughData(
-        f"the board {text} was found in none of the images{why}",
+        f"the board {board} was found in none of the images; in the first, {file}: {why}",
         consequence="Nothing was calibrated",
-        cure=f"A board of {other} inner corners is there: give --board with that size, and check its square's length"
-        if other
-        else "Count the inner corners, where four squares meet (a board of 10x7 squares has 9x6), and check that the "
+        cure="Count the inner corners, where four squares meet (a board of 10x7 squares has 9x6), and check that the "
         "whole board is in the images",
     )
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from armsight.app.cells import CellPairs, load_cell, write_cell_files
 from armsight.app.measure import run
 from armsight.app.outputs import Summary
+from armsight.app.prepare import prepare
 from armsight.app.reporting import About
 from armsight.geometry import pose_from_quat
 from armsight.measure.pair import Setup
@@ -80,6 +81,8 @@ def demo(
     Raises DeviceNotFound for an unknown cell, what `run` raises, and Cancelled.
     """
     start_s = time.perf_counter()
+    progress = progress or Silent()
+    prepare(progress, cell=cell)
     made = load_cell(cell, seed=seed, frames=frames)
     setup = Setup(
         rig=rig_from_mapping(made.rig, f"{cell}'s rig"),
@@ -95,7 +98,7 @@ def demo(
         truth=truth,
     )
     pairs = CellPairs(made, frames, folder=out if keep_frames else None)
-    summary, poses = run(setup, pairs, out, progress=progress or Silent(), about=about)
+    summary, poses = run(setup, pairs, out, progress=progress, about=about)
     errors = errors_of(poses, truth)
     compared = np.isfinite(errors.distance2)
     result = DemoResult(

@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.outputs import REPORT, SUMMARY, Outputs, Summary
+from armsight.app.prepare import prepare
 from armsight.app.reporting import About, Collector
 from armsight.drivers import PairSource, open_pairs, open_split, ordered_map, read_image
 from armsight.drivers.live import MAX_SKEW_S
 from armsight.errors import ArmsightError, Cancelled, Inconsistent, NotEnoughData, UsageError
-from armsight.measure.pair import Measured, Setup, Track, measure_pair, warm_up
+from armsight.measure.pair import Measured, Setup, Track, measure_pair
 from armsight.measure.settings import SpotSettings
 from armsight.optics import SIDES, Rig
 from armsight.records import Frame, Points, PoseStatus, Progress, Silent, Spots, Target, TargetPose
@@ -104,8 +105,7 @@ def run(
     report = Collector(setup, parent)
     failure: ArmsightError | None = None
     with pairs:
-        progress.update(0, pairs.total or 0, "preparing")
-        warm_up()
+        prepare(progress)
         with Outputs(out, T_parent_rig=T_parent_rig, parent=parent) as outputs:
             try:
                 for step in _steps(setup, pairs, limit, progress):

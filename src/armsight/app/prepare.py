@@ -1,0 +1,69 @@
+"""Compile the kernels before the first frame, once per machine, with a second process to share the work."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+
+import armsight.measure
+from armsight.app.cells import load_cell
+from armsight.measure.pair import Setup, measure_spots, warm_up
+from armsight.optics import Camera, parallel_rig
+from armsight.records import Progress, Spots, spot_target
+
+FIRST_TIME = "compiling (only this first time, about a minute)"
+READY = "preparing"
+
+
+def prepare(progress: Progress, *, cell: str = "") -> None:
+    """Make sure that no frame waits for the compiler; with a cell's name, nor does its first frame.
+
+    Where nothing is compiled yet, a second process compiles the matching, the pose and the cell's renderer while
+    this one compiles the search for spots: the compiler holds the interpreter's lock, so threads would not help.
+    """
+    if compiled():
+        progress.update(0, 0, READY)
+        warm_up()
+        return
+    progress.update(0, 0, FIRST_TIME)
+    code = f"from armsight.app.prepare import compile_beside; compile_beside({cell!r})"
+    helper = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        warm_up()
+        helper.wait()  # where it failed, this process compiles when it comes to it
+    finally:
+        helper.kill()
+
+
+def compiled() -> bool:
+    """Tell whether compiled kernels of the measurement are kept on this machine."""
+    given = os.environ.get("NUMBA_CACHE_DIR")
+    folder = Path(given) if given else Path(next(iter(armsight.measure.__path__)))
+    return folder.is_dir() and any(folder.rglob("*.nbi"))
+
+
+def compile_beside(cell: str = "") -> None:
+    """Compile what comes after the spots; see prepare."""
+    xyz_m = {"A": (-0.05, 0.0, 0.0), "B": (0.05, 0.04, 0.0), "C": (0.03, -0.04, 0.0)}
+    rig = parallel_rig(Camera.pinhole(640, 480, 500.0, 500.0, 320.0, 240.0), 0.1)
+    seen = [_spots_at(uv_px) for uv_px in rig.project(np.array(list(xyz_m.values())) + np.array([0.05, 0.0, 0.5]))]
+    setup = Setup(rig, spot_target(xyz_m))
+    track = measure_spots(setup, 0.0, seen[0], seen[1]).track
+    measure_spots(setup, 0.01, seen[0], seen[1], track)
+    if cell:
+        next(load_cell(cell, seed=0, frames=1).frames())
+
+
+def _spots_at(uv_px: np.ndarray) -> Spots:
+    n = len(uv_px)
+    return Spots(
+        uv_px=uv_px,
+        covariance_px2=np.tile(0.01 * np.eye(2), (n, 1, 1)),
+        peak=np.full(n, 100.0),
+        size_px=np.full(n, 2.0),
+        model=("gaussian",) * n,
+    )
