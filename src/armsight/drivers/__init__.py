@@ -7,6 +7,7 @@ from armsight.drivers.opening import is_live, open_pairs, open_source, open_spli
 from armsight.drivers.pairs import FilePairs, SplitImages
 from armsight.drivers.protocols import FrameSource, PairSource, Skew
 from armsight.drivers.registry import CAMERAS, CELLS, ROBOTS, known, load
+from armsight.drivers.robot import Robot, RobotState, Sent
 from armsight.drivers.sources import FPS, Capture, ImageFolder, VideoFile
 
 __all__ = [
@@ -21,6 +22,9 @@ __all__ = [
     "LivePairs",
     "OpenCvCamera",
     "PairSource",
+    "Robot",
+    "RobotState",
+    "Sent",
     "Skew",
     "SplitImages",
     "VideoFile",

@@ -11,7 +11,7 @@ CAMERAS = "armsight.cameras"
 """Group of callables (device: str, *, colour: bool, clock: Clock, origin_s: float) -> FrameSource."""
 
 ROBOTS = "armsight.robots"
-"""Group of robot links."""
+"""Group of callables (device: str, *, settings: Mapping[str, Any], clock: Clock) -> Robot."""
 
 CELLS = "armsight.cells"
 """Group of callables (seed: int, frames: int) -> a simulated cell."""

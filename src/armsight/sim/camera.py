@@ -32,13 +32,17 @@ draw a streak of 80 sigma smoothly."""
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SimCamera:
-    """Lens, place in the world, sensor, the light that is there without the target (h, w, c), and exposure."""
+    """Lens, place in the world, sensor, the light that is there without the target (h, w, c), and exposure.
+
+    readout_s: time from the first row's exposure to the last row's (a rolling shutter); the middle row is on time.
+    """
 
     lens: Lens
     T_world_camera: RigidTransform
     sensor: Sensor
     backdrop: LightImage
     exposure_s: float = 0.0
+    readout_s: float = 0.0
 
     def __post_init__(self) -> None:
         shape = self.backdrop.shape
@@ -49,8 +53,8 @@ class SimCamera:
         backdrop = self.backdrop.copy()
         backdrop.setflags(write=False)
         object.__setattr__(self, "backdrop", backdrop)
-        if not self.exposure_s >= 0.0:
-            raise Inconsistent(f"an exposure of {self.exposure_s} s cannot be")
+        if not (self.exposure_s >= 0.0 and self.readout_s >= 0.0):
+            raise Inconsistent(f"an exposure of {self.exposure_s} s, read out in {self.readout_s} s, cannot be")
 
     def centres_px(self, lights: Sequence[Light], path: Path, t_s: float) -> Array:
         """Return the pixels (n, 2) of the lights' centres at time t_s; NaN behind the camera or facing away."""
@@ -66,7 +70,7 @@ class SimCamera:
         ghosts: Sequence[Ghost] = (),
     ) -> LightImage:
         """Return the light (h, w, c) on the sensor, in grey levels without noise, of an exposure about t_s."""
-        patch = paint(self.backdrop, self._strokes(lights, path, t_s, hidden, ghosts))
+        patch = paint(self.backdrop, self.strokes(lights, path, t_s, hidden, ghosts))
         image = self.backdrop.copy()
         height, width = patch.light.shape[:2]
         image[patch.row : patch.row + height, patch.column : patch.column + width] = patch.light
@@ -83,10 +87,10 @@ class SimCamera:
         ghosts: Sequence[Ghost] = (),
     ) -> NDArray[np.uint8]:
         """Return the 8-bit image (h, w) or (h, w, 3) of an exposure whose middle is t_s."""
-        patch = paint(self.backdrop, self._strokes(lights, path, t_s, hidden, ghosts))
+        patch = paint(self.backdrop, self.strokes(lights, path, t_s, hidden, ghosts))
         return self.sensor.develop(self.backdrop, rng, patch)
 
-    def _strokes(
+    def strokes(
         self, lights: Sequence[Light], path: Path, t_s: float, hidden: frozenset[str], ghosts: Sequence[Ghost]
     ) -> list[Stroke]:
         """Return the light that the lights not hidden and the ghosts put on the sensor."""
@@ -94,14 +98,29 @@ class SimCamera:
             self._point(np.array([ghost.uv_px]), np.ones(1), ghost.level, ghost.sigma_px, ghost.bgr) for ghost in ghosts
         ]
         shown = [light for light in lights if light.name not in hidden]
-        if shown:
-            poses, tracks, share = self._exposed(shown, path, t_s)
-            for i, light in enumerate(shown):
+        groups = (
+            [(shown, t_s)]
+            if self.readout_s == 0.0
+            else [([light], self._row_time(light, path, t_s)) for light in shown]
+        )
+        for group, at_s in groups if shown else ():
+            poses, tracks, share = self._exposed(group, path, at_s)
+            for i, light in enumerate(group):
                 if light.diameter_m is not None:
                     strokes.append(self._disc(light, poses, tracks[:, i], share))
                 else:
                     strokes.append(self._point(tracks[:, i], share, light.level, light.sigma_px, light.bgr))
         return strokes
+
+    def _row_time(self, light: Light, path: Path, t_s: float) -> float:
+        """Return when the row that sees a light is exposed, by a rolling shutter."""
+        at_s = t_s
+        for _ in range(3):  # a light crosses a small part of the image in a readout: each round gains a factor of 30
+            row = float(self.centres_px([light], path, at_s)[0, 1])
+            if not 0.0 <= row <= self.lens.height:
+                return t_s
+            at_s = t_s + self.readout_s * (row / (self.lens.height - 1) - 0.5)
+        return at_s
 
     def _poses(self, path: Path, t_s: Array) -> tuple[Array, Array]:
         """Return rotations (n, 3, 3) and translations (n, 3) of T_camera_target at the times (n,)."""

@@ -1,1 +1,7 @@
-"""Fixtures and contract suites for the users' own tests."""
+"""Contract suites for the users' own drivers: subclass one, give it a driver, and pytest runs the whole contract."""
+
+from armsight.testing.cameras import CameraCase, CameraContract
+from armsight.testing.checks import check, contract_tests, refused
+from armsight.testing.robots import RobotCase, RobotContract
+
+__all__ = ["CameraCase", "CameraContract", "RobotCase", "RobotContract", "check", "contract_tests", "refused"]

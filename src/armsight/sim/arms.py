@@ -1,0 +1,228 @@
+"""The simulated arm: forward kinematics by plain products of matrices, inverse by Newton steps.
+
+Nothing here is shared with the product's kinematics, which is tested against it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from armsight.errors import Inconsistent
+
+Array = NDArray[np.float64]
+
+IK_STEPS = 60
+"""Newton steps before a pose counts as out of reach; from 30 degrees away 6 to 10 are needed."""
+
+IK_TOLERANCE = (1e-9, 1e-9)
+"""Largest error of position in m and of rotation in rad of a solution."""
+
+LARGEST_STEP = 0.3
+"""Longest Newton step in rad (or m): keeps to the branch it began on."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SimJoint:
+    """One joint and the link behind it, standard Denavit-Hartenberg; slides: along z instead of turning about it.
+
+    lower, upper, max_speed: of the joint value, in rad or m and per s.
+    """
+
+    name: str
+    slides: bool = False
+    a_m: float = 0.0
+    alpha_rad: float = 0.0
+    d_m: float = 0.0
+    theta_rad: float = 0.0
+    lower: float = -math.inf
+    upper: float = math.inf
+    max_speed: float = math.inf
+
+    def matrix(self, q: float) -> Array:
+        """Return Rz(theta) Tz(d) Tx(a) Rx(alpha) (4, 4): the frame behind the joint in the one before it."""
+        theta = self.theta_rad + (0.0 if self.slides else q)
+        d = self.d_m + (q if self.slides else 0.0)
+        turn, tilt = np.eye(4), np.eye(4)
+        c, s = math.cos(theta), math.sin(theta)
+        turn[:2, :2] = [[c, -s], [s, c]]
+        turn[2, 3] = d
+        c, s = math.cos(self.alpha_rad), math.sin(self.alpha_rad)
+        tilt[1:3, 1:3] = [[c, -s], [s, c]]
+        tilt[0, 3] = self.a_m
+        return np.asarray(turn @ tilt)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SimArm:
+    """A chain of joints on T_world_base."""
+
+    joints: tuple[SimJoint, ...]
+    T_world_base: RigidTransform = field(default_factory=RigidTransform.identity)
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.joints)
+
+    def frames(self, q: ArrayLike) -> Array:
+        """Return the poses (n + 1, 4, 4) of the base and of the frame behind each joint, in base axes."""
+        frames = [np.eye(4)]
+        for joint, value in zip(self.joints, np.asarray(q, dtype=float), strict=True):
+            frames.append(frames[-1] @ joint.matrix(float(value)))
+        return np.array(frames)
+
+    def flange(self, q: ArrayLike) -> RigidTransform:
+        """Return T_base_flange at joint values q (n,)."""
+        return RigidTransform.from_matrix(self.frames(q)[-1])
+
+    def flanges(self, q: ArrayLike) -> Array:
+        """Return T_base_flange (m, 4, 4) at joint values q (m, n), all at once."""
+        values = np.atleast_2d(np.asarray(q, dtype=float))
+        pose = np.broadcast_to(np.eye(4), (len(values), 4, 4))
+        for joint, column in zip(self.joints, values.T, strict=True):
+            pose = pose @ np.array([joint.matrix(float(value)) for value in column])
+        return np.asarray(pose)
+
+    def jacobian(self, frames: Array) -> Array:
+        """Return velocity and turning rate (6, n) of the flange in base axes for unit joint rates, given its frames."""
+        tip = frames[-1, :3, 3]
+        J = np.zeros((6, self.n))
+        for i, joint in enumerate(self.joints):
+            z, p = frames[i, :3, 2], frames[i, :3, 3]
+            if joint.slides:
+                J[:3, i] = z
+            else:
+                J[:3, i] = np.cross(z, tip - p)
+                J[3:, i] = z
+        return J
+
+    def reach(self, T_base_flange: RigidTransform, near: ArrayLike) -> Array:
+        """Return joint values (n,) that bring the flange to a pose, on the branch of near (n,).
+
+        Raises Inconsistent where damped Newton steps from there do not arrive.
+        """
+        q = np.array(near, dtype=float)
+        goal = T_base_flange.as_matrix()
+        damping = 1e-9
+        for _ in range(IK_STEPS):
+            frames = self.frames(q)
+            turn = Rotation.from_matrix(goal[:3, :3] @ frames[-1, :3, :3].T).as_rotvec()
+            error = np.concatenate([goal[:3, 3] - frames[-1, :3, 3], turn])
+            if np.linalg.norm(error[:3]) < IK_TOLERANCE[0] and np.linalg.norm(turn) < IK_TOLERANCE[1]:
+                return q
+            J = self.jacobian(frames)
+            step = J.T @ np.linalg.solve(J @ J.T + damping * np.eye(6), error)
+            q = q + step * min(1.0, LARGEST_STEP / max(float(np.abs(step).max()), 1e-12))
+        raise Inconsistent(
+            f"the arm does not reach the flange pose at {np.round(goal[:3, 3], 3).tolist()} m",
+            consequence="It cannot be sent there",
+            cure="Keep the path within the arm's reach, and away from where its axes line up",
+        )
+
+    def with_errors(self, rng: np.random.Generator, length_m: float, angle_rad: float) -> SimArm:
+        """Return an arm whose lengths and angles differ from these by normal errors: the one that was really built.
+
+        The first joint's zero and height stay: they cannot be told from where the base stands.
+        """
+        joints = []
+        for i, joint in enumerate(self.joints):
+            a, alpha, d, theta = rng.normal(size=4)
+            joints.append(
+                replace(
+                    joint,
+                    a_m=joint.a_m + length_m * a,
+                    alpha_rad=joint.alpha_rad + angle_rad * alpha,
+                    d_m=joint.d_m + (length_m * d if i else 0.0),
+                    theta_rad=joint.theta_rad + (angle_rad * theta if i and not joint.slides else 0.0),
+                )
+            )
+        return replace(self, joints=tuple(joints))
+
+    def mapping(self, T_flange_tool: RigidTransform) -> dict[str, object]:
+        """Return it as arm.yaml has it under convention, T_world_base, T_flange_tool and joints."""
+        return {
+            "convention": "standard",
+            "T_world_base": pose_mapping(self.T_world_base),
+            "T_flange_tool": pose_mapping(T_flange_tool),
+            "joints": [
+                {
+                    "name": joint.name,
+                    "type": "prismatic" if joint.slides else "revolute",
+                    "a_m": joint.a_m,
+                    "alpha_rad": joint.alpha_rad,
+                    "d_m": joint.d_m,
+                    "theta_rad": joint.theta_rad,
+                    "lower": joint.lower if math.isfinite(joint.lower) else None,
+                    "upper": joint.upper if math.isfinite(joint.upper) else None,
+                }
+                for joint in self.joints
+            ],
+        }
+
+
+def pose_mapping(pose: RigidTransform) -> dict[str, list[float]]:
+    """Return a pose as files have it."""
+    quat = pose.rotation.as_quat(canonical=True)
+    return {"xyz_m": np.asarray(pose.translation).tolist(), "quat_xyzw": np.asarray(quat).tolist()}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FlangeLimits:
+    """Largest speed of the flange that the controller passes on, in m/s and rad/s."""
+
+    speed_m_s: float = math.inf
+    speed_rad_s: float = math.inf
+
+    def cut(self, here: RigidTransform, goal: RigidTransform, time_s: float) -> tuple[RigidTransform, tuple[str, ...]]:
+        """Return how far one gets from here to goal in time_s, straight and about one axis, and the limits that cut."""
+        way = np.asarray(goal.translation) - np.asarray(here.translation)
+        turn = (goal.rotation * here.rotation.inv()).as_rotvec()
+        longest = self.speed_m_s * time_s / max(float(np.linalg.norm(way)), 1e-15)
+        widest = self.speed_rad_s * time_s / max(float(np.linalg.norm(turn)), 1e-15)
+        limited = []
+        if longest < 1.0:
+            limited.append(f"speed of the flange ({self.speed_m_s:g} m/s)")
+        if widest < 1.0:
+            limited.append(f"turning of the flange ({self.speed_rad_s:g} rad/s)")
+        share = min(1.0, longest, widest)
+        return RigidTransform.from_components(
+            np.asarray(here.translation) + share * way, Rotation.from_rotvec(share * turn) * here.rotation
+        ), tuple(limited)
+
+
+def covered(frames: Array, radii_m: Sequence[float], eye_m: Array, light_m: Array) -> bool:
+    """Tell whether the arm stands between eye (3,) and light (3,), all in base axes.
+
+    Its links are capsules of radii_m (n,) between its frames (n + 1, 4, 4). A capsule that holds the light itself
+    carries it and covers nothing.
+    """
+    for start, end, radius in zip(frames[:-1, :3, 3], frames[1:, :3, 3], radii_m, strict=True):
+        if radius <= 0.0 or _distance(start, end, light_m, light_m) <= radius:
+            continue
+        if _distance(start, end, eye_m, light_m) <= radius:
+            return True
+    return False
+
+
+def _distance(a: Array, b: Array, c: Array, d: Array) -> float:
+    """Return the distance of the segments a-b and c-d: the least over s in [0, 1] is convex, so it is searched."""
+
+    def to_second(s: float) -> float:
+        p, along = a + s * (b - a), d - c
+        t = 0.0 if not along.any() else float(np.clip((p - c) @ along / (along @ along), 0.0, 1.0))
+        return float(np.linalg.norm(p - c - t * along))
+
+    low, high = 0.0, 1.0
+    for _ in range(40):  # thirds: 1e-7 of the link's length
+        first, second = low + (high - low) / 3.0, high - (high - low) / 3.0
+        if to_second(first) < to_second(second):
+            high = second
+        else:
+            low = first
+    return to_second(0.5 * (low + high))

@@ -1,0 +1,242 @@
+"""A simulated robot behind the Protocol of real ones, on an injected clock."""
+
+from __future__ import annotations
+
+import math
+from enum import StrEnum
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform
+
+from armsight.clock import Clock
+from armsight.drivers import RobotState, Sent
+from armsight.errors import DeviceFailed, DeviceLost, Inconsistent, StaleData, UsageError
+from armsight.records import JointReading
+from armsight.sim.arms import FlangeLimits, SimArm
+from armsight.sim.servo import Drive, Servo
+
+Array = NDArray[np.float64]
+
+STALE_CYCLES = 3.5
+"""A reading older than so many cycles is stale: two packets in a row may be late, a third is a fault."""
+
+REST = 1e-6
+"""Joints nearer to their command than this (rad or m) are at rest."""
+
+MEMORY = 15_000
+"""Steps of the motion remembered: a minute, and 1 MB."""
+
+
+class RobotFault(StrEnum):
+    """What can be made to go wrong."""
+
+    LINK_LOST = "link_lost"
+    FROZEN = "frozen"
+    LATE_CYCLE = "late_cycle"
+    JUMP = "jump"
+
+
+class SimRobot:
+    """An arm with true and nominal geometry, encoders, lag, speed limits and a controller's cycle.
+
+    nominal is what the controller computes poses with; true is where the flange really is. Every call first lets the
+    motors move up to the clock's time; a command is taken at the next beginning of a cycle.
+    """
+
+    takes_poses: bool
+
+    def __init__(
+        self,
+        name: str,
+        *,
+        true: SimArm,
+        nominal: SimArm,
+        drive: Drive,
+        home: ArrayLike,
+        clock: Clock,
+        limits: FlangeLimits | None = None,
+    ) -> None:
+        self.name = name
+        self.true = true
+        self.nominal = nominal
+        self.takes_poses = nominal.n == 6
+        self._drive = drive
+        self._clock = clock
+        self._limits = limits or FlangeLimits()
+        self._origin_s = clock.now_s()
+        self._servo = Servo(drive, home, keep=MEMORY)
+        self._open = False
+        self._stopped = False
+        self._faults: set[RobotFault] = set()
+        self._frozen_at_s = 0.0
+        self._jump: Array = np.zeros(nominal.n)
+        self._sent = 0
+        self._cycle = -1
+        self._from: Array = self._servo.goal
+
+    @property
+    def n_joints(self) -> int:
+        """How many joints it has."""
+        return self.nominal.n
+
+    @property
+    def cycle_s(self) -> float:
+        """The controller's cycle in s."""
+        return self._drive.cycle_s
+
+    @property
+    def state(self) -> RobotState:
+        """What it can do just now."""
+        if not self._open:
+            return RobotState.CLOSED
+        if RobotFault.LINK_LOST in self._faults:
+            return RobotState.LOST
+        if self._stopped:
+            return RobotState.STOPPED
+        rest = self._servo.goal - self._servo.at(self._now_s())[0]
+        return RobotState.MOVING if float(np.abs(rest).max()) > REST else RobotState.READY
+
+    def __enter__(self) -> Self:
+        self._now_s()
+        self._open, self._stopped = True, False
+        self._from = self._servo.goal
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+        self._open = False
+
+    def read(self) -> JointReading:
+        """Return the reading of the newest cycle. Raises DeviceFailed where closed, DeviceLost, StaleData."""
+        self._check_link("read")
+        now_s = self._now_s()
+        cycle = self._cycle_at(self._frozen_at_s if RobotFault.FROZEN in self._faults else now_s)
+        t_s = cycle * self.cycle_s
+        if now_s - t_s > STALE_CYCLES * self.cycle_s:
+            raise StaleData(
+                f"{self.name}: the newest reading is {now_s - t_s:.3f} s old",
+                consequence="Where the arm is now is not known",
+                cure="Stop the robot and look at its controller",
+            )
+        q = self._servo.read(t_s)[0] + self._jump
+        return JointReading(q=q, t_s=self._origin_s + t_s, sequence=cycle, source=self.name)
+
+    def step_joints(self, step: Array) -> Sent:
+        """Move on by step (n,) in rad or m as far as range, speed and cycle allow; return what was sent."""
+        self._check_motion()
+        values = np.asarray(step, dtype=float)
+        if values.shape != (self.n_joints,):
+            raise UsageError(
+                f"{self.name} has {self.n_joints} joints, but the step has shape {values.shape}",
+                consequence="Nothing was sent",
+                cure=f"Give {self.n_joints} values",
+            )
+        if not np.isfinite(values).all():
+            raise Inconsistent(f"{self.name}: a step is not finite", consequence="Nothing was sent")
+        return self._send(self._servo.goal + values, ())
+
+    def move_pose(self, T_base_flange: RigidTransform) -> Sent:
+        """Move the flange towards a pose by the controller's geometry, as far as one cycle allows."""
+        self._check_motion()
+        if not self.takes_poses:
+            raise UsageError(
+                f"{self.name} has {self.n_joints} joints and takes no poses", consequence="Nothing was sent",
+                cure="Send joint steps",
+            )  # fmt: skip
+        if not np.isfinite(T_base_flange.as_matrix()).all():
+            raise Inconsistent(f"{self.name}: a pose is not finite", consequence="Nothing was sent")
+        self._begin_cycle()
+        here = self.nominal.flange(self._from)
+        goal, limited = self._limits.cut(here, T_base_flange, self.cycle_s)
+        return self._send(self.nominal.reach(goal, self._from), limited)
+
+    def stop(self) -> None:
+        """Come to rest where the joints are; legal always."""
+        self._now_s()
+        self._servo.halt()
+        self._stopped = True
+
+    def reset(self) -> None:
+        """Take commands again from where it stands."""
+        self._check_link("reset")
+        self._from = self._servo.goal
+        self._stopped = False
+
+    def fault(self, fault: RobotFault | str, *, on: bool = True, by: ArrayLike = 0.0) -> None:
+        """Make something go wrong, or right again: the link lost, readings frozen or jumping by `by`, cycles late.
+
+        A robot whose link is lost comes to rest by itself.
+        """
+        kind = RobotFault(fault)
+        now_s = self._now_s()
+        if kind is RobotFault.JUMP:
+            self._jump = np.broadcast_to(np.asarray(by, dtype=float), (self.n_joints,)) * float(on)
+        if kind is RobotFault.FROZEN and kind not in self._faults:
+            self._frozen_at_s = now_s
+        if kind is RobotFault.LINK_LOST and on:
+            self._servo.halt()
+        (self._faults.add if on else self._faults.discard)(kind)
+
+    def true_flange(self, t_s: float) -> RigidTransform:
+        """Return where the flange really was at time t_s of the clock, T_base_flange; now at the latest."""
+        self._now_s()
+        return self.true.flange(self._servo.at(t_s - self._origin_s)[0])
+
+    def _now_s(self) -> float:
+        now_s = self._clock.now_s() - self._origin_s
+        self._servo.advance(now_s)
+        return now_s
+
+    def _cycle_at(self, t_s: float) -> int:
+        return math.floor(t_s / self.cycle_s + 1e-9)
+
+    def _check_link(self, what: str) -> None:
+        if not self._open:
+            raise DeviceFailed(f"{self.name} is not open", consequence=f"It cannot {what}", cure="Open it first")
+        if RobotFault.LINK_LOST in self._faults:
+            raise DeviceLost(
+                f"the link to {self.name} is lost",
+                consequence="The robot has stopped by itself, and where it is is not known",
+                cure="Check the cable and the controller, and open it again",
+            )
+
+    def _check_motion(self) -> None:
+        self._check_link("move")
+        if self._stopped:
+            raise DeviceFailed(f"{self.name} is stopped", consequence="Nothing was sent", cure="Reset it first")
+
+    def _begin_cycle(self) -> None:
+        """Note where this cycle's commands begin: several within one cycle replace each other, they do not add up."""
+        cycle = self._cycle_at(self._now_s())
+        if cycle != self._cycle:
+            self._cycle = cycle
+            self._from = self._servo.goal
+
+    def _send(self, goal: Array, limited: tuple[str, ...]) -> Sent:
+        """Send joint values (n,), cut to what one cycle allows."""
+        self._begin_cycle()
+        joints = self.nominal.joints
+        way = goal - self._from
+        longest = self._drive.max_speed * self.cycle_s
+        share = float(np.min(longest / np.maximum(np.abs(way), 1e-300), initial=1.0))
+        slow = [f"speed of {j.name}" for j, w, m in zip(joints, way, longest, strict=True) if abs(w) > m * (1 + 1e-9)]
+        asked = self._from + share * way  # all joints alike, so that the direction of the motion stays
+        low = np.array([joint.lower for joint in joints])
+        high = np.array([joint.upper for joint in joints])
+        q = np.clip(asked, low, high)
+        ends = [f"range of {j.name}" for j, a, b in zip(joints, asked, q, strict=True) if a != b]
+        late = 2 if RobotFault.LATE_CYCLE in self._faults else 1
+        self._servo.command((self._cycle + late) * self.cycle_s, q)
+        self._sent += 1
+        return Sent(
+            q=q,
+            t_s=self._origin_s + self._now_s(),
+            sequence=self._sent - 1,
+            pose=self.nominal.flange(q),
+            limited=(*limited, *slow, *ends),
+        )
