@@ -34,7 +34,6 @@ REASONS = (
     "another spot is nearer to the prediction",
 )
 """Why something bright was not accepted, in the order of the kernels' numbers."""
-ONE_MODEL = tuple(("gaussian",) * n for n in range(65))
 
 
 def find_spots(image: Image, settings: SpotSettings = DEFAULTS) -> Spots:
@@ -121,9 +120,11 @@ def searchable(image: Image, settings: SpotSettings) -> Image:
             consequence="It is unknown which pixels are meant",
             cure="Make the mask from an image of this camera",
         )
-    view = np.ascontiguousarray(image)[:]
-    view.setflags(write=False)  # one type of array for the kernels, whether the caller's can be written or not
-    return view
+    flags = image.flags
+    if flags.writeable or not flags.c_contiguous:  # one type of array for the kernels, whoever owns it
+        image = np.ascontiguousarray(image).view()
+        image.setflags(write=False)
+    return image
 
 
 def grey_of(image: Image, saturation: int) -> Image:
@@ -152,7 +153,8 @@ def whole_frame(image: Image, why: str) -> tuple[float, float, str]:
 
 def rejections(refused: NDArray[np.float64]) -> Rejected:
     """Return the kernels' refusals (n, 3: u, v, number of the reason) as a record's tuple."""
-    return tuple([(u, v, REASONS[int(why)]) for u, v, why in refused.tolist()])
+    u, v, why = refused.T.tolist()
+    return tuple(zip(u, v, map(REASONS.__getitem__, map(int, why)), strict=True))
 
 
 def record(columns: tuple[Array, ...], refused: Array) -> Spots:
@@ -162,9 +164,7 @@ def record(columns: tuple[Array, ...], refused: Array) -> Spots:
     the search itself) are left out.
     """
     uv, covariance, peak, size, model, _ = columns
-    n = len(peak)
-    plain = n < len(ONE_MODEL) and not model.any()
-    names = ONE_MODEL[n] if plain else tuple([MODEL_NAMES[k] for k in model.tolist()])
+    names = tuple(map(MODEL_NAMES.__getitem__, model.tolist()))
     spots = object.__new__(Spots)
     put = object.__setattr__
     for name, column in (("uv_px", uv), ("covariance_px2", covariance), ("peak", peak), ("size_px", size)):

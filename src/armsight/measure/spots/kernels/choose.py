@@ -28,6 +28,7 @@ from armsight.measure.spots.kernels.area import (
     S_U,
     S_V,
 )
+from armsight.measure.spots.kernels.axes import PIXEL_VARIANCE
 from armsight.measure.spots.kernels.compiled import copy_to, kernel
 from armsight.measure.spots.kernels.models import (
     ELLIPSE,
@@ -41,7 +42,6 @@ from armsight.measure.spots.kernels.models import (
     weighted_information,
 )
 from armsight.measure.spots.kernels.patch import principal, shape_of, used
-from armsight.measure.spots.kernels.round import PIXEL_VARIANCE
 from armsight.measure.spots.kernels.scan import (
     AREA,
     LEVEL,
@@ -198,7 +198,7 @@ def refit(kind, n, values, use, x0, y0, count, p, residuals):
 
 @kernel
 def choose(comp, background, box, values, use, noise, only, best):
-    """Fit the models that the shape suggests; fill best (MOST_PARAMETERS,); return kind, n (0: none), sum of squares."""
+    """Fit the models that the shape suggests; fill best; return kind, n (0: none), sum of squares."""
     x0 = box[0]
     y0 = box[2]
     count = used(use)

@@ -48,6 +48,7 @@ from armsight.measure.spots.kernels.area import (
     skirt,
     verdict,
 )
+from armsight.measure.spots.kernels.axes import PIXEL_VARIANCE
 from armsight.measure.spots.kernels.choose import choose, describe, refit
 from armsight.measure.spots.kernels.compiled import copy_to, kernel
 from armsight.measure.spots.kernels.locate import NOISE
@@ -57,8 +58,6 @@ from armsight.measure.spots.kernels.round import (
     COV,
     DOF,
     FOURTH,
-    MOST,
-    PIXEL_VARIANCE,
     RESULT,
     RSS,
     RUN,
@@ -70,6 +69,7 @@ from armsight.measure.spots.kernels.round import (
     U,
     V,
     fit_round,
+    new_work,
 )
 from armsight.measure.spots.kernels.scan import (
     AREA,
@@ -92,9 +92,6 @@ MISFIT = 4.0
 """Neighbouring residuals correlated by more than this many deviations say that the model is wrong."""
 CROWD_SWEEPS = 2
 """Times that crowded spots are refitted with their neighbours' light subtracted."""
-MOST_DROPPED = 2048
-HOT_REACH = 64.0
-"""Distance in px along either axis beyond which a hot pixel is in no window."""
 
 
 @kernel
@@ -136,11 +133,11 @@ def background_of(comp, survey, w, h):
 @kernel
 def is_hot_near(comp, hot, n_hot):
     """Tell whether a hot pixel may lie in the component's window."""
+    reach = 1.5 * skirt(comp)
     for k in range(n_hot):
-        if (
-            abs(hot[k, 0] - 0.5 * (comp[X_MIN] + comp[X_MAX])) < HOT_REACH
-            and abs(hot[k, 1] - 0.5 * (comp[Y_MIN] + comp[Y_MAX])) < HOT_REACH
-        ):
+        x = hot[k, 0]
+        y = hot[k, 1]
+        if comp[X_MIN] - reach < x < comp[X_MAX] + reach and comp[Y_MIN] - reach < y < comp[Y_MAX] + reach:
             return True
     return False
 
@@ -184,9 +181,7 @@ def measure_round(image, mask, options, comps, state, survey, fits, rows):
     start = np.empty(5)
     prior = np.empty(4)
     result = np.empty(RESULT)
-    dropped = np.empty((MOST_DROPPED, 2), np.int64)
-    fx = np.empty((3, MOST))
-    fy = np.empty((3, MOST))
+    work = new_work()
     noise = survey[2 * GRID, NOISE]
     pending = 0
     for i in range(n):
@@ -199,7 +194,7 @@ def measure_round(image, mask, options, comps, state, survey, fits, rows):
         if state[i, CROWDED] == 0 and only != ONLY_ELLIPSE:
             round_start(comp, background_of(comp, survey, w, h), saturation, start)
             clipped = comp[CLIPPED] > 0.0 or mask.size > 0 or is_hot_near(comp, hot, n_hot)
-            fine = fit_round(image, flip, saturation, mask, hot, n_hot, clipped, start, prior, dropped, fx, fy, result)
+            fine = fit_round(image, flip, saturation, mask, hot, n_hot, clipped, start, prior, work, result)
             if fine and (result[RUN] < MISFIT or only == ONLY_GAUSSIAN):
                 copy_round(result, i, rows[i, 0])
                 keep_fit(result, fits[i])

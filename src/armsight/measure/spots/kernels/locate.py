@@ -47,7 +47,7 @@ LEAST_MARGIN = 6.0
 """Least threshold above the background in grey levels, where the noise is below one level."""
 LEVEL_FRAME = 2.0
 """Range of the thresholds in grey levels within which one is used for the whole frame."""
-FEW_RUNS = 1024
+FEW_RUNS = 512
 MOST_RUNS = 65536
 MOST_SEEN = 32
 """Areas looked at in one window."""
@@ -139,7 +139,8 @@ def locate(image, mask, options):
         return np.empty((0, COLUMNS)), np.empty((0, STATE), np.int64), survey, TOO_BRIGHT
     comps = np.empty((n, COLUMNS))
     for i in range(n):
-        copy_to(table[i], comps[i])
+        for c in range(COLUMNS):
+            comps[i, c] = table[i, c]
     state = np.zeros((n, STATE), np.int64)
     window = np.empty(4, np.int64)
     whole_window(w, h, window)

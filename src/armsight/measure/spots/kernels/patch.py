@@ -124,7 +124,7 @@ def make_patch(image, flip, saturation, mask, comps, state, i, hot, n_hot, subtr
             use[y, x] = 0
     for j in range(comps.shape[0]):
         status = state[j, STATUS]
-        if j == i or status == HOT or status == SMALL or (subtract > 0 and status == ACCEPTED):
+        if j == i or status in (HOT, SMALL) or (subtract > 0 and status == ACCEPTED):
             continue
         if near(comps[i], comps[j], skirt(comps[i]) + 2.0):
             leave_to(comps[i], comps[j], box, use)

@@ -7,13 +7,18 @@ A mask is a (h, w) uint8 array, zero where nothing may be found; an array of siz
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 
-from armsight.measure.spots.kernels.compiled import copy_to, insertion_sort, kernel
+from armsight.measure.spots.kernels.compiled import insertion_sort, kernel
 
 BLOCK = 64
 """Pixels that are accepted or skipped together."""
 SUPER = 512
 """Pixels whose maximum is taken at once; the compiler turns it into vector instructions at the speed of memory."""
+LEVEL_RANGE = 2.0
+"""Range of the tiles' levels (grey) within which the background is level; the sample's own scatter is half of it."""
+SKIP = 16
+"""Pixels of a bright block that are skipped together where they are dark."""
 GRID = 8
 """Tiles per image side for the background."""
 LINE = 64
@@ -26,31 +31,33 @@ AREA, WEIGHT, SUM_X, SUM_Y, PEAK, CLIPPED, X_MIN, X_MAX, Y_MIN, Y_MAX, LEVEL = r
 COLUMNS = 11
 
 
-@kernel
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
 def sample_line(image, flip, y, x, n, parts):
-    """Return level and noise variance of the n pixels from (x, y): second-darkest part's mean, mean squared step / 2."""
+    """Return level and noise variance of n pixels from (x, y): second-darkest part's mean, mean squared step / 2."""
     m = n // GROUPS
-    steps = 0
-    last = np.int64(np.uint8(image[y, x] ^ flip))
+    row = np.uint64(y)
     for k in range(GROUPS):
-        total = 0
-        for i in range(x + k * m, x + k * m + m):
-            v = np.int64(np.uint8(image[y, i] ^ flip))
-            total += v
-            steps += (v - last) * (v - last)
-            last = v
+        first = np.uint64(x + k * m)
+        total = 0.0
+        for i in range(m):
+            total += float(np.uint8(image[row, first + np.uint64(i)] ^ flip))
         parts[k] = total / m
+    first = np.uint64(x)
+    steps = 0.0
+    for i in range(m * GROUPS - 1):
+        step = float(image[row, first + np.uint64(i + 1)]) - float(image[row, first + np.uint64(i)])
+        steps += step * step
     insertion_sort(parts, parts.shape[0])
     return parts[1], 0.5 * steps / max(m * GROUPS - 1, 1)
 
 
 @kernel
-def line_is_free(mask, y, x, n):
-    """Tell whether no pixel of the line is masked out."""
+def hidden_pixels(mask, y, x, n):
+    """Return how many of the line's pixels are masked out."""
+    count = 0
     for i in range(x, x + n):
-        if mask[y, i] == 0:
-            return False
-    return True
+        count += mask[y, i] == 0
+    return count
 
 
 @kernel
@@ -69,7 +76,7 @@ def sense(image, flip, mask, levels):
                 continue
             x = min(max((2 * j + 1) * w // (2 * GRID) - n // 2, 0), w - n)
             y = (2 * i + 1) * h // (2 * GRID)
-            if mask.size > 0 and not line_is_free(mask, y, x, n):
+            if mask.size > 0 and hidden_pixels(mask, y, x, n) > 0:
                 continue
             levels[i, j], noise[known] = sample_line(image, flip, y, x, n, parts)
             known += 1
@@ -108,6 +115,17 @@ def threshold_map(levels, margin, thresholds):
     The upper third lies above a linear gradient's level anywhere in the tile, and ignores up to a third of
     tiles that a large light has lifted.
     """
+    lowest = 1e9
+    highest = -1e9
+    for i in range(GRID):
+        for j in range(GRID):
+            lowest = min(lowest, levels[i, j])
+            highest = max(highest, levels[i, j])
+    if lowest >= 0.0 and highest - lowest < LEVEL_RANGE:
+        for i in range(GRID):
+            for j in range(GRID):
+                thresholds[i, j] = highest + margin
+        return highest + margin, highest + margin
     around = np.empty(9)
     lowest = 1e9
     highest = -1e9
@@ -210,18 +228,17 @@ def add_run(image, flip, saturation, y, start, stop, level, k, table):
         peak = max(peak, float(grey))
         if grey >= saturation:
             clipped += 1
-    row = table[k]
-    row[AREA] = stop - start
-    row[WEIGHT] = weight
-    row[SUM_X] = sum_x
-    row[SUM_Y] = weight * y
-    row[PEAK] = peak
-    row[CLIPPED] = clipped
-    row[X_MIN] = start
-    row[X_MAX] = stop - 1
-    row[Y_MIN] = y
-    row[Y_MAX] = y
-    row[LEVEL] = level
+    table[k, AREA] = stop - start
+    table[k, WEIGHT] = weight
+    table[k, SUM_X] = sum_x
+    table[k, SUM_Y] = weight * y
+    table[k, PEAK] = peak
+    table[k, CLIPPED] = clipped
+    table[k, X_MIN] = start
+    table[k, X_MAX] = stop - 1
+    table[k, Y_MIN] = y
+    table[k, Y_MAX] = y
+    table[k, LEVEL] = level
 
 
 @kernel
@@ -249,19 +266,18 @@ def merge(parent, n, table):
     for i in range(n):
         r = root_of(parent, i)
         if r != i:
-            a = table[r]
-            b = table[i]
             for c in range(AREA, PEAK):
-                a[c] += b[c]
-            a[CLIPPED] += b[CLIPPED]
-            a[PEAK] = max(a[PEAK], b[PEAK])
-            a[X_MIN] = min(a[X_MIN], b[X_MIN])
-            a[X_MAX] = max(a[X_MAX], b[X_MAX])
-            a[Y_MIN] = min(a[Y_MIN], b[Y_MIN])
-            a[Y_MAX] = max(a[Y_MAX], b[Y_MAX])
+                table[r, c] += table[i, c]
+            table[r, CLIPPED] += table[i, CLIPPED]
+            table[r, PEAK] = max(table[r, PEAK], table[i, PEAK])
+            table[r, X_MIN] = min(table[r, X_MIN], table[i, X_MIN])
+            table[r, X_MAX] = max(table[r, X_MAX], table[i, X_MAX])
+            table[r, Y_MIN] = min(table[r, Y_MIN], table[i, Y_MIN])
+            table[r, Y_MAX] = max(table[r, Y_MAX], table[i, Y_MAX])
     for i in range(n):
         if parent[i] == i:
-            copy_to(table[i], table[count])
+            for c in range(COLUMNS):
+                table[count, c] = table[i, c]
             count += 1
     return count
 
@@ -274,7 +290,7 @@ def components(image, flip, mask, saturation, thresholds, mapped, blocks, n_bloc
     """
     h, w = image.shape
     flat = image.reshape(-1)
-    level = np.int64(thresholds[0, 0])
+    level = np.uint8(thresholds[0, 0])
     n = np.int64(0)
     first = np.int64(0)
     last = np.int64(0)
@@ -287,8 +303,17 @@ def components(image, flip, mask, saturation, thresholds, mapped, blocks, n_bloc
         stop = min(blocks[k] * BLOCK + BLOCK, flat.size)
         if mapped and i < stop:
             b = blocks[k] * BLOCK
-            level = np.int64(thresholds[(b // w) * GRID // h, (b % w) * GRID // w])
+            level = np.uint8(thresholds[(b // w) * GRID // h, (b % w) * GRID // w])
         while i < stop:
+            if i + SKIP <= stop:
+                top = np.uint8(0)
+                at = np.uint64(i)  # unsigned: without the test for negative indices the loop becomes vector code
+                for j in range(SKIP):
+                    v = np.uint8(flat[at + np.uint64(j)] ^ flip)
+                    top = max(top, v)
+                if top <= level:
+                    i += SKIP
+                    continue
             if np.uint8(flat[i] ^ flip) <= level or (mask.size > 0 and mask[i // w, i % w] == 0):
                 i += 1
                 continue
@@ -317,7 +342,10 @@ def components(image, flip, mask, saturation, thresholds, mapped, blocks, n_bloc
 
 @kernel
 def window_components(image, flip, mask, saturation, level, box, runs, parent, table):
-    """As components, within the window box (x0, x1, y0, y1; ends excluded) of an image; -1 where the runs do not fit."""
+    """As components, within the window box (x0, x1, y0, y1; ends excluded) of an image.
+
+    -1 where the runs do not fit.
+    """
     n = np.int64(0)
     first = np.int64(0)
     last = np.int64(0)

@@ -53,7 +53,7 @@ def slope_prior(levels, y, x, w, h, noise, prior):
 
 @kernel
 def uncertainty(H, G, tilt, prior, noise, signal, out):
-    """Write C_H and C_G into out (6,), correct the centre for the background's slope; return SIGNAL less the fit's take.
+    """Write C_H, C_G into out (6,), correct the centre for the background's slope; return signal less the fit's take.
 
     With noise variance a + g m at a pixel of model height m, the covariance of the centre is a C_H + g C_G (C_G =
     H^-1 G H^-1), and the residuals' expectation is (1 - leverage) (a + g m). The background's slope (per px along x
