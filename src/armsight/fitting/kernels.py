@@ -43,20 +43,31 @@ def solve_damped(H, g, damping, step):
 def invert_spd(H, out):
     """Fill out (n, n) with the inverse of the symmetric positive definite H; return False where it is not."""
     n = H.shape[0]
-    e = np.zeros(n)
-    column = np.empty(n)
-    for j in range(n):
-        e[j] = -1.0
-        if not solve_damped(H, e, 0.0, column):
-            return False
-        e[j] = 0.0
-        for i in range(n):
-            out[i, j] = column[i]
+    L = np.empty((n, n))  # Cholesky factor below the diagonal, turned into its inverse column by column
     for i in range(n):
-        for j in range(i):
-            m = 0.5 * (out[i, j] + out[j, i])
-            out[i, j] = m
-            out[j, i] = m
+        for j in range(i + 1):
+            s = H[i, j]
+            for k in range(j):
+                s -= L[i, k] * L[j, k]
+            if i == j:
+                if not s > 0.0:
+                    return False
+                L[i, i] = 1.0 / sqrt(s)
+            else:
+                L[i, j] = s * L[j, j]
+    for j in range(n):
+        for i in range(j + 1, n):
+            s = 0.0
+            for k in range(j, i):
+                s -= L[i, k] * L[k, j]
+            L[i, j] = s * L[i, i]
+    for i in range(n):
+        for j in range(i + 1):
+            s = 0.0
+            for k in range(i, n):
+                s += L[k, i] * L[k, j]
+            out[i, j] = s
+            out[j, i] = s
     return True
 
 
