@@ -1,0 +1,121 @@
+"""A file cut off by a crash, or damaged within, made whole again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+from mcap.opcode import Opcode
+from mcap.records import Channel, Schema
+
+from armsight.errors import BadFile, NotEnoughData
+from armsight.store.recording import walk
+from armsight.store.recording.mcapfile import MAGIC, McapFile
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Repaired:
+    """What was saved: messages by topic, seconds from the first to the last; what was not: bytes, damaged chunks."""
+
+    path: Path
+    messages: dict[str, int]
+    seconds_s: float
+    lost_bytes: int
+    damaged_chunks: int
+
+
+def repair(source: Path, out: Path, *, overwrite: bool = False) -> Repaired:
+    """Copy all that is whole in source into a new, complete file; source is only read.
+
+    A chunk whose checksum does not fit is left out, those behind it are kept. Raises BadFile where source is no MCAP
+    file, NotEnoughData where no message is whole, UsageError where out is there already, DeviceFailed.
+    """
+    try:
+        file = source.open("rb")
+    except OSError as error:
+        raise BadFile(f"{source}: cannot be read ({error.strerror or error})", cure="Check the path") from error
+    with file:
+        walk.check_magic(file, source)
+        copy = _Copy(McapFile(out, overwrite=overwrite))
+        try:
+            copy.all_of(file, source)
+        finally:
+            copy.out.close()
+    if not copy.counts:
+        out.unlink()
+        raise NotEnoughData(f"{source}: not one message in it is whole", consequence="Nothing can be saved")
+    return Repaired(
+        path=out,
+        messages=dict(copy.counts),
+        seconds_s=(copy.last_ns - copy.first_ns) / 1e9,
+        lost_bytes=copy.lost_bytes,
+        damaged_chunks=copy.damaged,
+    )
+
+
+class _Copy:
+    """Copies records and counts them; numbers of schemas and channels may differ in the copy."""
+
+    def __init__(self, out: McapFile) -> None:
+        self.out = out
+        self.counts: dict[str, int] = {}
+        self.first_ns = self.last_ns = 0
+        self.lost_bytes = 0
+        self.damaged = 0
+        self._schemas: dict[int, int] = {0: 0}
+        self._channels: dict[int, tuple[int, str]] = {}
+
+    def all_of(self, file: BinaryIO, path: Path) -> None:
+        """Copy every whole record."""
+        size = file.seek(0, 2)
+        whole = len(MAGIC)
+        for span in walk.spans(file, len(MAGIC), size):
+            whole = span.end
+            if span.opcode == Opcode.DATA_END:
+                whole = size
+                break
+            try:
+                self._span(file, span, path)
+            except (BadFile, ValueError):
+                self.damaged += 1
+                self.lost_bytes += span.length
+        self.lost_bytes += size - whole
+
+    def _span(self, file: BinaryIO, span: walk.Span, path: Path) -> None:
+        if span.opcode == Opcode.CHUNK:
+            data = walk.chunk_data(file, walk.chunk_span(file, span, path), path)
+            for record in list(walk.inner_records(data)):
+                self._record(record)
+            self.out.flush()  # the chunks of the copy are those of the source
+        elif span.opcode in (Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL):
+            for record in _single(file, span):
+                self._record(record)
+            self.out.flush_due()
+        elif span.opcode == Opcode.ATTACHMENT:
+            it = walk.attachment_of(walk.read_at(file, span.start, span.length))
+            self.out.add_attachment(it.name, it.media_type, it.data, it.log_time)
+        elif span.opcode == Opcode.METADATA:
+            meta = walk.metadata_of(walk.read_at(file, span.start, span.length))
+            self.out.add_metadata(meta.name, meta.metadata)
+
+    def _record(self, record: walk.Message | Schema | Channel) -> None:
+        if isinstance(record, Schema):
+            if record.id not in self._schemas:
+                self._schemas[record.id] = self.out.add_schema(record.name, record.encoding, record.data)
+        elif isinstance(record, Channel):
+            if record.id not in self._channels:
+                schema = self._schemas.get(record.schema_id, 0)
+                number = self.out.add_channel(record.topic, record.message_encoding, schema, record.metadata)
+                self._channels[record.id] = (number, record.topic)
+        elif record.channel in self._channels:
+            number, topic = self._channels[record.channel]
+            self.out.add_message(number, record.t_ns, record.sequence, record.data)
+            self.first_ns = min(self.first_ns, record.t_ns) if self.counts else record.t_ns
+            self.last_ns = max(self.last_ns, record.t_ns)
+            self.counts[topic] = self.counts.get(topic, 0) + 1
+
+
+def _single(file: BinaryIO, span: walk.Span) -> Iterator[walk.Message | Schema | Channel]:
+    return walk.inner_records(walk.read_at(file, span.start - walk.HEAD, span.length + walk.HEAD))

@@ -1,0 +1,282 @@
+"""Recordings: what goes in comes out, what is cut off or damaged is told and mended, what cannot be is refused."""
+
+from __future__ import annotations
+
+import errno
+import json
+from io import FileIO
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from armsight.clock import ManualClock
+from armsight.errors import BadFile, BadImage, DeviceFailed, Inconsistent, NotEnoughData, UsageError
+from armsight.records import Frame, JointReading, PoseStatus, Spots, TargetPose
+from armsight.store.recording import ImageFormat, Recording, RecordingWriter, encode, mcapfile, repair
+
+ORIGIN_NS = 1_700_000_000_000_000_000
+
+
+def frame(number: int, *, colour: bool = False, size: tuple[int, int] = (12, 20), t_s: float | None = None) -> Frame:
+    shape = (*size, 3) if colour else size
+    image = np.random.default_rng(number).integers(0, 256, shape, dtype=np.uint8)
+    return Frame(
+        image=image, t_s=number / 60.0 if t_s is None else t_s, sequence=number, source="camera", exposure_s=0.004
+    )
+
+
+def write(path: Path, n: int = 40, *, chunk_bytes: int = 2000, close: bool = True) -> RecordingWriter:
+    writer = RecordingWriter(path, origin_ns=ORIGIN_NS, clock=ManualClock(), chunk_bytes=chunk_bytes)
+    for i in range(n):
+        writer.pair(frame(2 * i), frame(2 * i + 1))
+    if close:
+        writer.close()
+    return writer
+
+
+@pytest.mark.parametrize("kind", [ImageFormat.RAW, ImageFormat.PNG])
+@pytest.mark.parametrize("colour", [False, True])
+def test_frames_come_back_bit_for_bit(tmp_path: Path, kind: ImageFormat, colour: bool) -> None:
+    path = tmp_path / "a.mcap"
+    frames = [frame(i, colour=colour) for i in range(5)]
+    with RecordingWriter(path, origin_ns=ORIGIN_NS) as writer:
+        for each in frames:
+            writer.frame("left", each, encode(each.image, kind))
+    with Recording(path) as recording:
+        assert recording.finished
+        assert recording.cameras == ("left",)
+        assert recording.count("/left/image") == 5
+        for there, back in zip(frames, recording.frames("left"), strict=True):
+            np.testing.assert_array_equal(back.image, there.image)
+            assert abs(back.t_s - there.t_s) < 1e-9
+            assert back.sequence == there.sequence
+        assert back.exposure_s == 0.004
+
+
+def test_a_jpeg_is_near(tmp_path: Path) -> None:
+    smooth = cv2.GaussianBlur(frame(1, size=(60, 80)).image, (0, 0), 4.0)
+    seen = Frame(image=smooth, t_s=0.0, sequence=0, source="x")
+    with RecordingWriter(tmp_path / "a.mcap") as writer:
+        writer.frame("left", seen, encode(seen.image, ImageFormat.JPEG))
+    with Recording(tmp_path / "a.mcap") as recording:
+        (back,) = recording.frames("left")
+    assert np.abs(back.image.astype(int) - smooth).max() <= 4
+
+
+def test_times_before_the_origin_are_kept(tmp_path: Path) -> None:
+    with RecordingWriter(tmp_path / "a.mcap", origin_ns=ORIGIN_NS) as writer:
+        writer.frame("left", frame(0, t_s=-1.5))
+    with Recording(tmp_path / "a.mcap") as recording:
+        assert next(iter(recording.frames("left"))).t_s == -1.5
+
+
+def test_records_come_back_exactly(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    pose = RigidTransform.from_components(rng.normal(size=3), Rotation.random(rng=rng))
+    cov = np.diag(rng.uniform(1e-9, 1e-6, 6))
+    poses = [
+        TargetPose(t_s=0.1, status=PoseStatus.OK, parent="rig", spots=("A", "B"), pose=pose, covariance=cov,
+                   residual_px=rng.normal(size=4)),
+        TargetPose(t_s=0.2, status=PoseStatus.LOST, parent="rig", why="no light"),
+    ]  # fmt: skip
+    spots = Spots(
+        uv_px=rng.normal(size=(2, 2)),
+        covariance_px2=rng.normal(size=(2, 2, 2)),
+        peak=np.array([200.0, 90.0]),
+        size_px=np.array([2.0, 3.0]),
+        model=("gaussian", "ellipse"),
+        rejected=((1.0, 2.0, "saturated"),),
+    )
+    reading = JointReading(q=rng.normal(size=6), t_s=0.15, sequence=7, source="robot")
+    with RecordingWriter(tmp_path / "a.mcap", origin_ns=ORIGIN_NS) as writer:
+        for each in poses:
+            writer.pose(each)
+        writer.spots("left", 0.1, ("A", "B"), spots)
+        writer.joints(reading)
+        writer.command(0.12, "joints", {"q": [0.1, 0.2]})
+        writer.event(0.3, "3 pairs dropped", level="warning")
+    with Recording(tmp_path / "a.mcap") as recording:
+        one, two = recording.poses()
+        assert one.pose is not None
+        np.testing.assert_array_equal(one.pose.translation, pose.translation)
+        np.testing.assert_allclose(one.pose.rotation.as_matrix(), pose.rotation.as_matrix(), atol=1e-15)
+        np.testing.assert_array_equal(one.covariance, cov)
+        assert (one.t_s, one.spots, two.status, two.why) == (0.1, ("A", "B"), PoseStatus.LOST, "no light")
+        (seen,) = recording.spots("left")
+        np.testing.assert_array_equal(seen.spots.uv_px, spots.uv_px)
+        np.testing.assert_array_equal(seen.spots.covariance_px2, spots.covariance_px2)
+        assert (seen.names, seen.spots.rejected, seen.spots.model) == (("A", "B"), spots.rejected, spots.model)
+        (joints,) = recording.joints()
+        np.testing.assert_array_equal(joints.q, reading.q)
+        assert (joints.sequence, joints.source) == (7, "robot")
+        (command,) = recording.commands()
+        assert (command.kind, command.values) == ("joints", {"q": [0.1, 0.2]})
+        (event,) = recording.events()
+        assert (event.level, event.message) == (3, "3 pairs dropped")
+        assert event.t_s == pytest.approx(0.3, abs=1e-9)
+
+
+def test_a_chunk_is_written_by_the_clock_even_where_nothing_follows(tmp_path: Path) -> None:
+    clock = ManualClock()
+    writer = RecordingWriter(tmp_path / "a.mcap", clock=clock)
+    writer.frame("left", frame(0))
+    before = writer.size
+    writer.tick()
+    assert writer.size == before
+    clock.advance(mcapfile.CHUNK_S)
+    writer.tick()
+    assert writer.size > before
+    with Recording(tmp_path / "a.mcap") as recording:  # still being written
+        assert not recording.finished
+        assert len(list(recording.frames("left"))) == 1
+    writer.close()
+
+
+def test_cut_off_anywhere_it_is_readable_up_to_there_and_can_be_mended(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    write(path)
+    data = path.read_bytes()
+    starts = [0]
+    last = -1
+    for size in [*range(400, len(data), 997), len(data) - 1, len(data) - 9]:
+        cut = tmp_path / "cut.mcap"
+        cut.write_bytes(data[:size])
+        with Recording(cut) as recording:
+            assert not recording.finished
+            frames = list(recording.frames("left")) if recording.cameras else []
+        assert [it.sequence for it in frames] == [2 * i for i in range(len(frames))]
+        assert len(frames) >= last
+        last = len(frames)
+        starts.append(last)
+        mended = tmp_path / "mended.mcap"
+        if frames:
+            done = repair(cut, mended, overwrite=True)
+            assert done.messages["/left/image"] == done.messages["/right/image"] == len(frames)
+            with Recording(mended) as recording:
+                assert recording.finished
+                assert len(list(recording.frames("right"))) == len(frames)
+        else:
+            with pytest.raises(NotEnoughData, match="not one message"):
+                repair(cut, mended, overwrite=True)
+    assert last == 40
+    assert len(set(starts)) > 10  # it did grow with the size
+
+
+def test_damage_within_is_told_and_costs_one_chunk(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    write(path)
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    path.write_bytes(data)
+    with Recording(path) as recording, pytest.raises(BadFile, match="damaged at byte"):
+        list(recording.frames("left"))
+    done = repair(path, tmp_path / "b.mcap")
+    assert done.damaged_chunks == 1
+    assert 30 <= done.messages["/left/image"] < 40
+
+
+@pytest.mark.parametrize("content", [b"", b"hello", b"\x89PNG\r\n\x1a\n" + bytes(100)])
+def test_what_is_no_recording_is_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(content)
+    with pytest.raises(BadFile, match=r"no MCAP|empty"):
+        Recording(path)
+    with pytest.raises(BadFile, match=r"no MCAP|empty"):
+        repair(path, tmp_path / "b.mcap")
+    assert not (tmp_path / "b.mcap").exists()
+
+
+def test_garbage_behind_the_magic_raises_nothing_but_our_errors(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    write(path, 6)
+    good = path.read_bytes()
+    rng = np.random.default_rng(5)
+    refused = 0
+    for _ in range(300):
+        data = bytearray(good)
+        for _ in range(int(rng.integers(1, 6))):
+            data[int(rng.integers(8, len(data)))] = int(rng.integers(256))
+        path.write_bytes(data)
+        try:
+            with Recording(path) as recording:
+                for camera in recording.cameras:
+                    list(recording.frames(camera))
+        except (BadFile, BadImage, NotEnoughData, Inconsistent):
+            refused += 1
+    assert refused > 100
+
+
+def test_missing_channels_are_named(tmp_path: Path) -> None:
+    with RecordingWriter(tmp_path / "a.mcap") as writer:
+        writer.event(0.0, "only this")
+    with Recording(tmp_path / "a.mcap") as recording:
+        with pytest.raises(NotEnoughData, match=r"no channel /left/image.*/events \(foxglove.Log\)"):
+            next(iter(recording.frames("left")))
+        with pytest.raises(NotEnoughData, match="no channel /target/measured"):
+            next(iter(recording.poses()))
+        with pytest.raises(NotEnoughData, match=r"no file rig\.yaml"):
+            recording.attachment("rig.yaml")
+
+
+def test_time_that_runs_backwards_is_refused_and_what_was_there_kept(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with RecordingWriter(path) as writer:
+        writer.frame("left", frame(0, t_s=2.0))
+        with pytest.raises(Inconsistent, match=r"backwards by 0\.5 s"):
+            writer.frame("left", frame(1, t_s=1.5))
+    with Recording(path) as recording:
+        assert len(list(recording.frames("left"))) == 1
+
+
+def test_an_existing_file_is_not_overwritten_by_accident(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    write(path, 3)
+    before = path.read_bytes()
+    with pytest.raises(UsageError, match="there already"):
+        RecordingWriter(path)
+    assert path.read_bytes() == before
+
+
+class SmallDisk(FileIO):
+    """A file on a disk with room for so many bytes."""
+
+    room = 20_000
+
+    def write(self, data: object) -> int:  # type: ignore[override]  # the test hands in bytes-like objects only
+        view = memoryview(data).cast("B")  # type: ignore[arg-type]  # as above
+        fits = max(0, min(len(view), self.room - self.tell()))
+        if not fits:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return super().write(view[:fits])
+
+
+@pytest.mark.parametrize("room", [20_000, 20_333, 27_777, 30_001])
+def test_a_full_disk_leaves_a_complete_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, room: int) -> None:
+    monkeypatch.setattr(SmallDisk, "room", room)
+    monkeypatch.setattr(mcapfile, "FileIO", SmallDisk)
+    path = tmp_path / "a.mcap"
+    writer = RecordingWriter(path, origin_ns=ORIGIN_NS, clock=ManualClock(), chunk_bytes=2000)
+    with pytest.raises(DeviceFailed, match=r"No space left.*whole and readable") as caught:
+        for i in range(1000):
+            writer.pair(frame(2 * i), frame(2 * i + 1))
+    assert caught.value.exit_code == 4
+    writer.close()
+    assert path.stat().st_size <= room
+    with Recording(path) as recording:
+        assert recording.finished
+        n = len(list(recording.frames("left")))
+        assert n == len(list(recording.frames("right")))
+    assert n > 0.5 * room / (2 * frame(0).image.size + 200)
+
+
+def test_messages_are_json_with_the_schemas_names(tmp_path: Path) -> None:
+    with RecordingWriter(tmp_path / "a.mcap", origin_ns=ORIGIN_NS) as writer:
+        writer.joints(JointReading(q=np.array([0.1, 1 / 3]), t_s=1.0, sequence=0, source="robot"))
+    with Recording(tmp_path / "a.mcap") as recording:
+        (message,) = recording.messages()
+    assert (message.topic, message.schema) == ("/robot/joints", "armsight.JointReading")
+    assert message.t_ns == ORIGIN_NS + 10**9
+    assert json.loads(bytes(message.data))["q"] == [0.1, 1 / 3]
