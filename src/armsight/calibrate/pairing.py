@@ -43,8 +43,8 @@ def pair_views(
 ) -> tuple[Sightings, Paired]:
     """Return the sightings with right views renumbered where the print is symmetric, and what the pairs agree on.
 
-    poses: T_left_board and T_right_board (G, 6). final: these are the best poses to be had. Raises Inconsistent where no common relative pose is
-    found, saying whether the right images come late, or one camera is mirrored.
+    poses: T_left_board and T_right_board (G, 6). final: these are the best poses to be had. Raises Inconsistent
+    then where no common relative pose is found, saying whether the right images come late, or one camera is mirrored.
     """
     turns = symmetries(board)
     spins = np.stack([_spin(sightings.X, turn) for turn in turns])  # (S, 3, 3)

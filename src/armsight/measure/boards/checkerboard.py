@@ -27,6 +27,10 @@ CLEAR = 0.9
 """A corner looked for beyond the board is one only if it is explained to this share: paper edges reach 0.8."""
 OFF_GRID = 0.15
 """A corner further than this from the smooth grid, in squares, is not the board's."""
+SMOOTH = 0.02
+SCATTER = 8.0
+"""... and after the last fit one further than this share of a square, and than this many times the median corner, is
+pulled by something else: the medians of real boards are 0.005 squares."""
 LOW_CONTRAST = 0.2
 """A corner of less than this share of the board's usual contrast is hidden or in glare."""
 LOST_SHARE = 0.2
@@ -137,7 +141,8 @@ def refine_corners(image: Image, board: Target, guess: Array, source: str) -> Bo
     smooth, distance = fit_map(grid, uv)
     size = _square_px(smooth, grid)
     contrast = quality[:, 1]
-    good = (quality[:, 0] > EXPLAINED) & (distance < OFF_GRID * size)
+    limit = np.clip(SCATTER * np.median(distance), SMOOTH * size, OFF_GRID * size)
+    good = (quality[:, 0] > EXPLAINED) & (distance < limit)
     usual = float(np.median(contrast[good])) if good.any() else 0.0
     good &= contrast > LOW_CONTRAST * usual
     _refuse(image, board, source, smooth, good, quality, size, sign)
@@ -231,13 +236,20 @@ def _sign_at(grid: Array, sign: Array) -> Array:
 
 def _instead(image: Image, board: Target) -> str:
     """Return words on what is there instead: a board of another size, the board out of focus, or nothing."""
-    found, corners, meta = cv2.findChessboardCornersSBWithMeta(
-        image, (3, 3), flags=cv2.CALIB_CB_LARGER | cv2.CALIB_CB_NORMALIZE_IMAGE
-    )
-    if found and corners is not None and meta is not None:
-        rows, columns = sorted(meta.shape[:2])
-        if (columns, rows) != (max(board.columns, board.rows), min(board.columns, board.rows)):
-            return f", but one of {columns}x{rows} was"
-    if coarse_corners(shrunk(image, 4), board.columns, board.rows, "auto") is not None:
-        return "; it is there, but blurred"
-    return ""
+    wanted = max(board.columns, board.rows), min(board.columns, board.rows)
+    other = _largest_grid(image)
+    if other and other != wanted and other[0] >= wanted[0] and other[1] >= wanted[1]:
+        return f", but one of {other[0]}x{other[1]} was"
+    for factor in (2, 4):
+        if coarse_corners(shrunk(image, factor), board.columns, board.rows, "auto") is not None:
+            return "; it is there, but blurred"
+    return f", but one of {other[0]}x{other[1]} was" if other and other != wanted else ""
+
+
+def _largest_grid(image: Image) -> tuple[int, int] | None:
+    """Return the larger and the smaller count of inner corners of whatever checkerboard is there."""
+    flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_NORMALIZE_IMAGE
+    found, corners, meta = cv2.findChessboardCornersSBWithMeta(image, (3, 3), flags=flags)
+    if not found or corners is None or meta is None:
+        return None
+    return int(max(meta.shape[:2])), int(min(meta.shape[:2]))

@@ -20,12 +20,16 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 LEAST_RADIUS_PX = 1.5
+MOST_CONTOURS = 8000
+"""A threshold that leaves more pieces than this has cut noise, not print."""
 ROUNDNESS = 0.12
 """A dot's area may differ from its ellipse's by this share (pixel stairs of the smallest dots: 0.1)."""
 FLATTEST = 0.2
 """Shortest half axis over longest: beyond this slant nobody measures."""
 LEAST_LEVELS = 12.0
 """A dot must differ from its surroundings by this many grey levels."""
+MOST_SEEDS = 40
+"""Dots from which a lattice is grown, from the middle of all outwards, before a thresholded image is given up."""
 NEAR = 0.3
 """The next dot of a lattice lies within this share of a step of where it is expected."""
 ALIKE = 2.5
@@ -100,6 +104,8 @@ def _candidates(image: Image, block: int, *, dark: bool) -> _Dots:
         binary = cv2.adaptiveThreshold(image, 255, cv2.ADAPTIVE_THRESH_MEAN_C, kind, max(block, 5), offset)
     contours, _ = cv2.findContours(binary, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
     found: list[tuple[float, float, float, float, float]] = []
+    if len(contours) > MOST_CONTOURS:
+        contours = ()
     largest = image.size / 16.0
     for contour in contours:
         if len(contour) < 8 or len(contour) > image.shape[1]:
@@ -132,7 +138,7 @@ def _lattices(dots: _Dots) -> list[dict[tuple[int, int], int]]:
     lattices: list[dict[tuple[int, int], int]] = []
     tried = 0
     for seed in np.argsort(np.linalg.norm(dots.uv - np.median(dots.uv, axis=0), axis=1)):
-        if int(seed) not in free or tried >= 60:
+        if int(seed) not in free or tried >= MOST_SEEDS:
             continue
         tried += 1
         lattice = _grow(dots, tree, int(seed))
