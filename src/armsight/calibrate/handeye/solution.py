@@ -18,6 +18,10 @@ from armsight.errors import NotConverged
 FLOOR = np.array([1e-22, 1e-22, 1e-24])
 """Variances are kept above (0.01 nm)^2 and (1e-11 rad)^2, so that exact data can be fitted as well."""
 
+LEAST_OWN = 0.1
+"""At least this share of the position's residual variance is the positions' own: what turns about the flange moves
+the target across the lever, never along it. Half a dozen poses could else be fitted with no noise of position."""
+
 TOLERANCE = 5e-3
 """The fit is settled when parameters move by less than this share of their deviation, variances of their size."""
 
@@ -105,13 +109,15 @@ def solve_pairs(
     else:
         RX, tX, RZ, tZ = start
     X, Z = (RX, tX), (RZ, tZ)
-    estimate = variances is None
-    theta = (
-        kernels.first_variances(X, Z, gamma, arrays, keep, FLOOR) if variances is None else np.maximum(variances, FLOOR)
-    )
+    floor = FLOOR.copy()
+    if variances is None:
+        theta = kernels.first_variances(X, Z, gamma, arrays, keep, FLOOR)
+        floor[0] = max(floor[0], LEAST_OWN * theta[0])
+    else:
+        theta = np.maximum(variances, FLOOR)
     m = 13 if free_scale else 12
     to_hand = setup is Setup.EYE_TO_HAND
-    done = kernels.fit_pairs(X, Z, gamma, arrays, theta, estimate, FLOOR, to_hand, keep, m, TOLERANCE, LIMIT)
+    done = kernels.fit_pairs(X, Z, gamma, arrays, theta, variances is None, floor, to_hand, keep, m, TOLERANCE, LIMIT)
     ok, (RX, tX), (RZ, tZ), gamma, theta, C, e, J, lever, likelihood, iterations = done
     if not ok:
         raise _not_converged(f"no minimum after {iterations} iterations")

@@ -173,6 +173,8 @@ def fit_pairs(X, Z, gamma, pairs, theta, estimate, floor, to_hand, keep, m, tole
     theta = theta.copy()
     new = theta.copy()
     best = theta.copy()
+    last = np.zeros(3)
+    relax = 1.0
     best_likelihood = -np.inf
     likelihood = np.nan
     near = False
@@ -205,6 +207,13 @@ def fit_pairs(X, Z, gamma, pairs, theta, estimate, floor, to_hand, keep, m, tole
                 best_likelihood = likelihood
                 variance_step(e, J, C, lever, theta, keep, score, information)
                 scoring_step(theta, score, information, floor, new)
+                turned = 0.0  # steps that go to and fro overshoot: shorten them until they do not
+                for k in range(3):
+                    turned += (new[k] - theta[k]) * last[k] / (theta[min(k, 1)] + theta[2 * min(k, 1)]) ** 2
+                relax = max(0.5 * relax, 0.1) if turned < 0.0 else min(1.5 * relax, 1.0)
+                for k in range(3):
+                    last[k] = new[k] - theta[k]
+                    new[k] = theta[k] + relax * last[k]
             near = True
             change = abs(new[0] - theta[0]) / theta[0]
             for k in range(1, 3):
