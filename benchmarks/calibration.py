@@ -23,7 +23,7 @@ N_VIEWS = 20
 NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
 LEFT = np.array([1105.0, 1102.0, 651.0, 352.0, -0.12, 0.06, 4e-4, -3e-4])
 RIGHT = np.array([1093.0, 1096.0, 630.0, 371.0, -0.11, 0.05, -2e-4, 5e-4])
-RIGHT_POSE = np.array([0.30, -0.004, 0.03, -0.01, 0.25, -0.015])  # T_left_right: m, rad
+RIGHT_POSE = np.array([0.30, -0.004, 0.03, -0.01, -0.25, -0.015])  # T_left_right: m, rad
 SHARED = [*(f"left.{n}" for n in NAMES), *(f"right.{n}" for n in NAMES)] + [
     f"right.{n}" for n in ("tx", "ty", "tz", "rx", "ry", "rz")
 ]
@@ -65,7 +65,7 @@ def make(rng: np.random.Generator, X: np.ndarray) -> Set:
     poses: list[np.ndarray] = []
     while len(poses) < N_VIEWS:
         pose = np.concatenate(
-            [[rng.uniform(-0.25, 0.3), rng.uniform(-0.18, 0.18), rng.uniform(0.6, 1.1)], rng.uniform(-0.6, 0.6, 3)]
+            [[rng.uniform(-0.25, 0.4), rng.uniform(-0.25, 0.25), rng.uniform(0.6, 1.1)], rng.uniform(-0.6, 0.6, 3)]
         )
         uv = world(np.concatenate([LEFT, RIGHT, RIGHT_POSE, pose]), X)
         if (uv > 8).all() and (uv[..., 0] < SIZE[0] - 8).all() and (uv[..., 1] < SIZE[1] - 8).all():
@@ -191,7 +191,6 @@ def main() -> None:
     board = board_target(TargetKind.CHECKERBOARD, 9, 6, 0.03)
     X = board.xyz_m
     print(machine(), f"OpenCV {cv2.__version__}", sep=", ")
-    # the board's own origin is its first corner; poses place that
     peers(4 if quick else 40, board, X)
     claims(20 if quick else 200, board, X)
 

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.calibrate.bundle import Bundle, bundle_of, residuals_px
-from armsight.calibrate.cleaning import Cleaned, fit_cleaned
+from armsight.calibrate.cleaning import Cleaned, fit_tilted
 from armsight.calibrate.leftout import left_out
 from armsight.calibrate.options import BoardOptions
-from armsight.calibrate.precheck import check_count, check_spread, check_tilt, different_views
+from armsight.calibrate.precheck import check_count, check_spread, different_views
 from armsight.calibrate.rigs import camera_of
 from armsight.calibrate.sightings import Sightings, pack
 from armsight.calibrate.start import board_poses, focal_lengths, homographies, start_intrinsics
@@ -69,9 +69,7 @@ def calibrate_camera(
     kept, repeated = different_views(sightings)
     sightings = sightings.take(kept)
     advice = check_count(len(kept)) + check_spread(sightings, 0, "the camera")
-    start = start_of(sightings)
-    advice += check_tilt(start.poses, "the camera")
-    cleaned = fit_cleaned(sightings, start, options, progress)
+    cleaned, on_tilt = fit_tilted(sightings, start_of(sightings), options, "the camera", progress)
     out = left_out(cleaned, options)
     residual, seen = residuals_px(cleaned.sightings, cleaned.fit), cleaned.sightings.weight > 0.0
     covariance = required(cleaned)
@@ -86,7 +84,7 @@ def calibrate_camera(
         sources=tuple(names[0] for names in cleaned.sightings.sources),
         uv_px=cleaned.sightings.uv[seen],
         residual_px=residual[seen],
-        advice=(*advice, *doubts(covariance, cleaned), *cleaned.notes),
+        advice=(*advice, *on_tilt, *doubts(covariance, cleaned), *cleaned.notes),
     )
 
 

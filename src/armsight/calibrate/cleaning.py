@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from armsight.calibrate.bundle import Bundle, adjust, asks_to_be_freed, bundle_of, residuals_px, start_at, without
 from armsight.calibrate.options import BoardOptions
-from armsight.calibrate.precheck import LEAST_POINTS, LEAST_VIEWS
+from armsight.calibrate.precheck import DOUBTFUL_TILT_DEG, LEAST_POINTS, LEAST_VIEWS, check_tilt
 from armsight.calibrate.sightings import Sightings
-from armsight.errors import NotEnoughData
+from armsight.errors import NotConverged, NotEnoughData, Undetermined
 from armsight.fitting import Fit
 from armsight.optics import SIDES
 from armsight.records import Progress
@@ -63,6 +63,23 @@ def fit_cleaned(
         fit = adjust(sightings, state, fixed, max_iterations=options.max_iterations, progress=progress)
     notes = _notes(given.take(kept), sightings)
     return Cleaned(sightings=sightings, fit=fit, rejected=tuple(rejected), notes=notes)
+
+
+def fit_tilted(
+    sightings: Sightings, start: Bundle, options: BoardOptions, name: str, progress: Progress | None = None
+) -> tuple[Cleaned, list[str]]:
+    """Return fit_cleaned with advice on the board's tilt; raises Degenerate where that is what is missing.
+
+    name: of the camera, for the message. Asked before the fit, and again after it: a lens's distortion looks like
+    tilt until it is known.
+    """
+    check_tilt(start.poses, name)
+    try:
+        cleaned = fit_cleaned(sightings, start, options, progress)
+    except (Undetermined, NotConverged):
+        check_tilt(start.poses, name, DOUBTFUL_TILT_DEG)
+        raise
+    return cleaned, check_tilt(cleaned.fit.local, name)
 
 
 def fixed_names(options: BoardOptions, n_cameras: int) -> frozenset[str]:

@@ -21,6 +21,8 @@ NEAR_MIDDLE_PX = 50.0
 """Views whose points' means differ by more are not compared point by point (they may show different parts)."""
 LEAST_TILT_DEG = 5.0
 """Views whose normals all lie within this of each other leave the focal length to the noise."""
+DOUBTFUL_TILT_DEG = 15.0
+"""Where the fit fails and the starting poses, which take a lens's distortion for tilt, differ by less, that is why."""
 ENOUGH_TILT_DEG = 20.0
 LEAST_SPREAD = 0.5
 """Points within less than half the image's width and half its height say nothing about the lens elsewhere."""
@@ -68,19 +70,19 @@ def _same(sightings: Sightings, seen: NDArray[np.bool_], a: int, b: int) -> bool
     return bool(np.sqrt((distance**2).sum(axis=1).mean()) < SAME_PLACE_PX)
 
 
-def check_tilt(poses: Array, name: str) -> list[str]:
-    """Return advice on how the board is tilted, from its starting poses (G, 6); raises Degenerate for no tilt.
+def check_tilt(poses: Array, name: str, least_deg: float = LEAST_TILT_DEG) -> list[str]:
+    """Return advice on how the board is tilted, from its poses (G, 6); raises Degenerate for no tilt.
 
     name: of the camera, for the message ("the left camera").
     """
     normals = Rotation.from_rotvec(poses[:, 3:]).as_matrix()[:, :, 2]  # (G, 3)
     between = np.degrees(np.arccos(np.clip(normals @ normals.T, -1.0, 1.0)))
-    if between.max() >= LEAST_TILT_DEG:
+    if between.max() >= least_deg:
         if between.max() < ENOUGH_TILT_DEG:
             return [f"{name}: the board's tilt varies by {between.max():.0f} degrees only; tilt it by 20 to 40"]
         return []
     slant = float(np.degrees(np.arccos(np.clip(np.abs(normals[:, 2]), 0.0, 1.0))).max())
-    how = "is never tilted" if slant < LEAST_TILT_DEG else "is always tilted the same way"
+    how = "is never tilted" if slant < least_deg else "is always tilted the same way"
     raise Degenerate(
         f"{name}: the board {how} (its directions differ by {between.max():.1f} degrees at most)",
         consequence="Focal length and distance cannot be told apart, and nothing was calibrated",

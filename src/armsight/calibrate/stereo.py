@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from armsight.calibrate.bundle import Bundle, adjust, bundle_of, residuals_px
 from armsight.calibrate.camera import doubts, require_views, required, rms, start_of, view_rms
-from armsight.calibrate.cleaning import fit_cleaned, fixed_names
+from armsight.calibrate.cleaning import fit_tilted, fixed_names
 from armsight.calibrate.leftout import epipolar_rms, left_out, metric_of
 from armsight.calibrate.options import BoardOptions
 from armsight.calibrate.pairing import Paired, pair_views
@@ -105,8 +105,8 @@ def calibrate_stereo(
     advice = check_count(len(kept))
     starts = [start_of(sightings.camera(c)) for c in range(2)]
     for c, side in enumerate(SIDES):
-        name = f"the {side} camera"
-        advice += check_spread(sightings, c, name) + check_tilt(starts[c].poses, name)
+        advice += check_spread(sightings, c, f"the {side} camera")
+        check_tilt(starts[c].poses, f"the {side} camera")
     sightings, starts, paired = _paired(sightings, starts, board, options)
     rejected += [
         (" / ".join(sightings.sources[g]), "the two images do not show the board at one moment: no pair, or it moved")
@@ -114,7 +114,7 @@ def calibrate_stereo(
     ]
     agree = np.flatnonzero(paired.agreeing)
     start = Bundle(k=np.concatenate([s.k for s in starts]), side_pose=paired.side_pose, poses=starts[0].poses[agree])
-    cleaned = fit_cleaned(sightings.take(agree), start, options, progress)
+    cleaned, on_tilt = fit_tilted(sightings.take(agree), start, options, "the pair", progress)
     used, fit = cleaned.sightings, cleaned.fit
     residual, seen = residuals_px(used, fit), used.weight > 0.0
     covariance = required(cleaned)
@@ -138,7 +138,7 @@ def calibrate_stereo(
         view_rms_px=view_rms(residual, seen),
         used=used,
         residual_px={side: residual[:, c][seen[:, c]] for c, side in enumerate(SIDES)},
-        advice=(*advice, *doubts(covariance, cleaned), *cleaned.notes),
+        advice=(*advice, *on_tilt, *doubts(covariance, cleaned), *cleaned.notes),
     )
 
 

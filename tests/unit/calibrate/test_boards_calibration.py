@@ -1,0 +1,371 @@
+"""Camera and stereo calibration: what is recovered, what is refused and how it is said."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from armsight.calibrate import BoardOptions, calibrate_camera, calibrate_stereo
+from armsight.calibrate.bundle import Bundle, problem_of
+from armsight.calibrate.kernels.boards import evaluate_views, move_poses
+from armsight.calibrate.sightings import pack
+from armsight.errors import Degenerate, Inconsistent, NotEnoughData, UsageError
+from armsight.records import BoardView, Target, TargetKind, board_target, spot_target
+
+SIZE = (1280, 720)
+LEFT = np.array([1105.0, 1102.0, 651.0, 352.0, -0.12, 0.06, 4e-4, -3e-4, 0.0])
+RIGHT = np.array([1093.0, 1096.0, 630.0, 371.0, -0.11, 0.05, -2e-4, 5e-4, 0.0])
+"""fx, fy, cx, cy, k1, k2, p1, p2, k3"""
+T_M = np.array([0.30, -0.004, 0.03])
+W_RAD = np.array([-0.01, -0.25, -0.015])
+SIGMA_PX = 0.1
+BOARD = board_target(TargetKind.CHECKERBOARD, 9, 6, 0.03)
+EVEN = board_target(TargetKind.CHECKERBOARD, 8, 6, 0.03)
+QUICK = BoardOptions(folds=0)
+
+Pose = tuple[np.ndarray, np.ndarray]
+
+
+def see(k: np.ndarray, X: np.ndarray, w: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Project with OpenCV, which shares no code with the product."""
+    K = np.array([[k[0], 0.0, k[2]], [0.0, k[1], k[3]], [0.0, 0.0, 1.0]])
+    return cv2.projectPoints(X, w, t, K, k[4:])[0].reshape(-1, 2)
+
+
+def right_pose(w: np.ndarray, t: np.ndarray) -> Pose:
+    """T_right_board from T_left_board and the truth T_left_right."""
+    S, R = cv2.Rodrigues(W_RAD)[0], cv2.Rodrigues(w)[0]
+    return cv2.Rodrigues(S.T @ R)[0].ravel(), S.T @ (t - T_M)
+
+
+def poses(n: int, rng: np.random.Generator, board: Target = BOARD, tilt: float = 0.6) -> list[Pose]:
+    """Board poses that both cameras see whole; w turns the board about its middle."""
+    out: list[Pose] = []
+    middle = board.xyz_m.mean(0)
+    while len(out) < n:
+        w = rng.uniform(-tilt, tilt, 3)
+        at = np.array([rng.uniform(-0.25, 0.35), rng.uniform(-0.25, 0.25), rng.uniform(0.6, 1.0)])
+        t = at - cv2.Rodrigues(w)[0] @ middle
+        views = [see(LEFT, board.xyz_m, w, t), see(RIGHT, board.xyz_m, *right_pose(w, t))]
+        if all((uv > 5).all() and (uv < np.array(SIZE) - 5).all() for uv in views):
+            out.append((w, t))
+    return out
+
+
+def view(uv: np.ndarray, source: str, index: np.ndarray | None = None) -> BoardView:
+    index = np.arange(len(uv)) if index is None else index
+    return BoardView(uv_px=uv, index=index, sigma_px=SIGMA_PX, width=SIZE[0], height=SIZE[1], source=source)
+
+
+def pairs(
+    n: int, seed: int, board: Target = BOARD, left: np.ndarray = LEFT, right: np.ndarray = RIGHT
+) -> tuple[list[BoardView], list[BoardView]]:
+    rng = np.random.default_rng(seed)
+    out: tuple[list[BoardView], list[BoardView]] = ([], [])
+    for g, (w, t) in enumerate(poses(n, rng, board)):
+        for side, k, pose, name in ((0, left, (w, t), "l"), (1, right, right_pose(w, t), "r")):
+            uv = see(k, board.xyz_m, *pose)
+            out[side].append(view(uv + rng.normal(0.0, SIGMA_PX, uv.shape), f"{name}{g:02d}.png"))
+    return out
+
+
+def mirrored(views: list[BoardView]) -> list[BoardView]:
+    """What a camera in mirror mode gives, numbered right-handed as the finder would."""
+    out = []
+    for v in views:
+        flipped = np.column_stack([SIZE[0] - 1.0 - v.uv_px[:, 0], v.uv_px[:, 1]])
+        out.append(replace(v, uv_px=flipped.reshape(6, -1, 2)[:, ::-1].reshape(-1, 2)))
+    return out
+
+
+def turned(v: BoardView) -> BoardView:
+    return replace(v, uv_px=v.uv_px[::-1])
+
+
+# what is recovered
+
+
+def test_stereo_finds_the_rig_within_its_claims() -> None:
+    left, right = pairs(14, 1)
+    found = calibrate_stereo(left, right, BOARD)
+    std = found.std
+    for side, truth in (("left", LEFT), ("right", RIGHT)):
+        got = found.rig.camera(side).intrinsics[[0, 1, 2, 3, 5, 6, 7, 8]]
+        for name, value, true in zip(("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"), got, truth, strict=False):
+            assert abs(value - true) < 4.5 * std[f"{side}.{name}"], f"{side}.{name}"
+    assert abs(found.rig.baseline_m - np.linalg.norm(T_M)) < 4.5 * std["baseline_m"]
+    assert np.asarray(found.rig.T_rig_left.translation).tolist() == [0.0, 0.0, 0.0]
+    assert found.n_used == found.n_pairs == 14
+    assert found.rejected == ()
+    # noise of 0.1 px a coordinate is 0.141 px a point; held-out views add the doubt of the calibration
+    assert found.rms_px == pytest.approx(0.141, rel=0.06)
+    assert found.rms_px < found.holdout_rms_px < 0.17
+    assert found.metric_is_left_out
+    assert found.metric["expected_m"] == pytest.approx(0.03)
+    assert abs(found.metric["mean_m"] - 0.03) < 2e-5
+    assert 0.0 < found.metric["rms_m"] < 3e-4
+    assert found.parallelism.convergence_rad == pytest.approx(0.25, abs=0.005)
+
+
+def test_camera_with_a_strong_third_term_gets_it_and_one_without_does_not() -> None:
+    bent = LEFT.copy()
+    bent[[4, 5, 8]] = -0.35, 0.15, -0.25
+    left, _ = pairs(12, 2, left=bent)
+    free = calibrate_camera(left, BOARD, QUICK)
+    assert abs(free.camera.intrinsics[9] + 0.25) < 4.5 * free.std["k3"]
+    plain, _ = pairs(12, 2)
+    held = calibrate_camera(plain, BOARD, QUICK)
+    assert held.camera.intrinsics[9] == 0.0
+    assert "k3" not in held.std
+    assert "skew" not in held.std
+
+
+def test_fixed_parameters_stay_and_every_name_is_known() -> None:
+    left, _ = pairs(10, 3)
+    found = calibrate_camera(left, BOARD, BoardOptions(folds=0, fixed=frozenset({"skew", "cx", "cy", "p1", "p2"})))
+    assert found.camera.intrinsics[[2, 3]].tolist() == [639.5, 359.5]
+    assert set(found.std) == {"fx", "fy", "k1", "k2"}
+    with pytest.raises(UsageError, match="fx, fy, cx"):
+        BoardOptions(fixed=frozenset({"focal"}))
+
+
+def test_half_seen_boards_count_for_what_is_seen() -> None:
+    left, right = pairs(12, 4)
+    rng = np.random.default_rng(5)
+    for views in (left, right):
+        for g in range(0, 12, 2):
+            keep = np.sort(rng.choice(54, 30, replace=False))
+            views[g] = view(views[g].uv_px[keep], views[g].source, keep)
+    found = calibrate_stereo(left, right, BOARD)
+    assert abs(found.rig.baseline_m - np.linalg.norm(T_M)) < 4.5 * found.std["baseline_m"]
+    assert found.rms_px == pytest.approx(0.141, rel=0.08)
+
+
+def test_symmetric_board_half_a_turn_off_in_some_views_is_turned_back() -> None:
+    left, right = pairs(12, 6, EVEN)
+    right = [turned(v) if g % 3 == 0 else v for g, v in enumerate(right)]
+    found = calibrate_stereo(left, right, EVEN, QUICK)
+    assert found.n_used == 12
+    assert found.rms_px == pytest.approx(0.141, rel=0.08)
+
+
+def test_circles_known_diameter_removes_the_shift_of_their_centres() -> None:
+    board = replace(board_target(TargetKind.CIRCLES, 7, 6, 0.04), diameter_m=0.034)
+    a = np.linspace(0.0, 2.0 * np.pi, 720, endpoint=False)
+    ring = 0.017 * np.stack([np.cos(a), np.sin(a), 0.0 * a], 1)
+    views = []
+    pinhole = np.r_[LEFT[:4], np.zeros(5)]
+    for g, (w, t) in enumerate(poses(10, np.random.default_rng(7), board, tilt=0.8)):
+        uv = []
+        for centre in board.xyz_m:
+            m = cv2.moments(see(pinhole, centre + ring, w, t).astype(np.float32))
+            uv.append([m["m10"] / m["m00"], m["m01"] / m["m00"]])
+        views.append(view(np.array(uv), f"{g}.png"))
+    exact = calibrate_camera(views, board, QUICK)
+    rough = calibrate_camera(views, replace(board, diameter_m=None), QUICK)
+    assert abs(exact.camera.intrinsics[0] - 1105.0) < 0.01
+    assert exact.rms_px < 0.002  # the moments are of a polygon in single precision
+    assert rough.rms_px > 5.0 * exact.rms_px
+
+
+# what is left out
+
+
+def test_wrong_pair_and_wrong_corner_are_left_out_and_named() -> None:
+    left, right = pairs(14, 8)
+    right[4] = replace(right[9], source="r04.png")
+    uv = left[7].uv_px.copy()
+    uv[20] += [4.0, -3.0]
+    left[7] = view(uv, "l07.png")
+    found = calibrate_stereo(left, right, BOARD)
+    assert found.n_used == 13
+    assert [name for name, _ in found.rejected] == ["l04.png / r04.png"]
+    assert "one moment" in found.rejected[0][1]
+    assert any("l07.png: 1 of its points" in line for line in found.advice)
+    assert abs(found.rig.baseline_m - np.linalg.norm(T_M)) < 4.5 * found.std["baseline_m"]
+
+
+def test_board_that_moved_between_the_exposures_is_left_out() -> None:
+    left, right = pairs(14, 9)
+    right[3] = replace(right[3], uv_px=right[3].uv_px + np.array([4.0, 2.0]))
+    found = calibrate_stereo(left, right, BOARD, QUICK)
+    assert [name for name, _ in found.rejected] == ["l03.png / r03.png"]
+    assert "does not fit the other views" in found.rejected[0][1]
+
+
+def test_nothing_is_left_out_where_told_so() -> None:
+    left, _ = pairs(10, 10)
+    uv = left[2].uv_px.copy()
+    uv[0] += 5.0
+    left[2] = view(uv, "l02.png")
+    assert calibrate_camera(left, BOARD, BoardOptions(folds=0, reject=False)).uv_px.shape == (540, 2)
+
+
+# what is refused
+
+
+def no_tilt(board: Target) -> list[BoardView]:
+    """Boards parallel to the image, all over it."""
+    rng = np.random.default_rng(11)
+    places = [(x, y, z) for x in (-0.4, -0.1, 0.15) for y in (-0.25, 0.1) for z in (0.9, 1.1)]
+    views = []
+    for g, at in enumerate(places):
+        uv = see(LEFT, board.xyz_m, np.array([0.0, 0.0, 0.1 * g]), np.array(at))
+        views.append(view(uv + rng.normal(0.0, SIGMA_PX, uv.shape), f"{g}.png"))
+    return views
+
+
+def one_tilt(board: Target) -> list[BoardView]:
+    """... and all tilted in the same way."""
+    rng = np.random.default_rng(12)
+    places = [(x, y, z) for x in (-0.4, -0.1, 0.15) for y in (-0.25, 0.1) for z in (0.9, 1.1)]
+    uvs = [see(LEFT, board.xyz_m, np.array([0.5, 0.0, 0.0]), np.array(at)) for at in places]
+    return [view(uv + rng.normal(0.0, SIGMA_PX, uv.shape), f"{g}.png") for g, uv in enumerate(uvs)]
+
+
+def one_corner(board: Target) -> list[BoardView]:
+    """Boards far away, low on the right."""
+    rng = np.random.default_rng(13)
+    views = []
+    for g in range(10):
+        w = rng.uniform(-0.6, 0.6, 3)
+        t = np.array([0.9, 0.4, 2.4]) + rng.uniform(-0.05, 0.05, 3) - cv2.Rodrigues(w)[0] @ board.xyz_m.mean(0)
+        uv = see(LEFT, board.xyz_m, w, t)
+        views.append(view(uv + rng.normal(0.0, SIGMA_PX, uv.shape), f"{g}.png"))
+    return views
+
+
+@pytest.mark.parametrize(
+    ("views", "kind", "why"),
+    [
+        (lambda: pairs(2, 14)[0], NotEnoughData, "2 different poses, 3 are needed"),
+        (list, NotEnoughData, "no image"),
+        (lambda: [pairs(1, 15)[0][0]] * 6, NotEnoughData, "6 views show the board in 1 different poses"),
+        (lambda: no_tilt(BOARD), Degenerate, "never tilted"),
+        (lambda: one_tilt(BOARD), Degenerate, "always tilted the same way"),
+        (lambda: one_corner(BOARD), Degenerate, "only seen around"),
+    ],
+)
+def test_set_that_cannot_carry_a_camera_is_refused(
+    views: Callable[[], list[BoardView]], kind: type[Exception], why: str
+) -> None:
+    with pytest.raises(kind, match=why) as caught:
+        calibrate_camera(views(), BOARD)
+    assert "othing was calibrated" in str(caught.value)
+
+
+def test_images_of_unequal_size_are_refused_by_name() -> None:
+    left, _ = pairs(6, 16)
+    left[3] = replace(left[3], width=640, height=480)
+    with pytest.raises(Inconsistent, match=r"l03.png is 640x480 px, l00.png is 1280x720"):
+        calibrate_camera(left, BOARD)
+
+
+def test_board_smaller_than_what_was_seen_is_refused() -> None:
+    left, _ = pairs(6, 17)
+    with pytest.raises(Inconsistent, match="point 53 is named, but the board has 48"):
+        calibrate_camera(left, EVEN)
+
+
+def test_lights_are_no_board() -> None:
+    with pytest.raises(Inconsistent, match="not with lights"):
+        calibrate_camera([], spot_target({"A": (0.0, 0.0, 0.0)}))
+
+
+@pytest.mark.parametrize(
+    ("arrange", "why"),
+    [
+        (lambda a, b: (a, b[:-1]), "10 left and 9 right views do not pair up"),
+        (lambda a, b: (b, a), "swapped"),
+        (lambda a, b: (a[1:], b[:-1]), "out of step: each left image fits the right one 1 later"),
+        (lambda a, b: (a[:-2], b[2:]), "out of step: each left image fits the right one 2 earlier"),
+        (lambda a, b: (a, mirrored(b)), "images of the right camera are mirrored"),
+        (lambda a, b: (mirrored(a), b), "images of the left camera are mirrored"),
+        (lambda a, b: (mirrored(a), mirrored(b)), "swapped, or both cameras' images are mirrored"),
+        (lambda a, b: (a, [b[i] for i in (5, 2, 8, 0, 9, 1, 7, 3, 6, 4)]), "do not belong together"),
+    ],
+)
+def test_pairs_that_are_none_are_refused_with_the_reason(
+    arrange: Callable[[list[BoardView], list[BoardView]], tuple[list[BoardView], list[BoardView]]], why: str
+) -> None:
+    left, right = arrange(*pairs(10, 18))
+    with pytest.raises(Inconsistent, match=why):
+        calibrate_stereo(left, right, BOARD)
+
+
+# the compiled core
+
+
+@pytest.mark.parametrize("n_cameras", [1, 2])
+def test_normal_equations_are_those_of_the_finite_differences(n_cameras: int) -> None:
+    left, right = pairs(3, 19)
+    sightings = pack([left, right][:n_cameras], BOARD)
+    weight = sightings.weight * (np.random.default_rng(20).random(sightings.weight.shape) > 0.2)
+    sightings = replace(sightings, weight=weight)
+    k = np.array([np.r_[truth[:4], 1.5, truth[4:]] for truth in (LEFT, RIGHT)[:n_cameras]])
+    truth_poses = poses(3, np.random.default_rng(19))
+    local = np.array([np.r_[t + cv2.Rodrigues(w)[0] @ sightings.middle, w] for w, t in truth_poses])
+    start = Bundle(k=k, side_pose=np.r_[T_M, W_RAD] if n_cameras == 2 else np.zeros(6), poses=local)
+    problem = problem_of(sightings, start, frozenset())
+    S, (G, L) = len(problem.names), local.shape
+    here = problem.evaluate(problem.guess, local)
+    step = np.r_[np.tile([1e-3] * 5 + [1e-6] * 5, n_cameras), [1e-6] * (6 * (n_cameras - 1))]
+    Js = np.empty((G, here.residuals.shape[1], S))
+    Jl = np.empty((G, here.residuals.shape[1], L))
+
+    def at(ds: np.ndarray, dl: np.ndarray) -> np.ndarray:
+        return problem.evaluate(*problem.retract(problem.guess, local, ds, dl)).residuals
+
+    for i in range(S):
+        h = np.zeros(S)
+        h[i] = step[i]
+        Js[:, :, i] = (at(h, 0.0 * local) - at(-h, 0.0 * local)) / (2.0 * step[i])
+    for i in range(L):
+        h = np.zeros_like(local)
+        h[:, i] = 1e-6
+        Jl[:, :, i] = (at(np.zeros(S), h) - at(np.zeros(S), -h)) / 2e-6
+    c = here.condensed
+    assert c is not None
+    flat = Js.reshape(-1, S)
+    for got, want in (
+        (c.A, flat.T @ flat),
+        (c.b, flat.T @ here.residuals.ravel()),
+        (c.C, np.einsum("gml,gmk->glk", Jl, Jl)),
+        (c.c, np.einsum("gml,gm->gl", Jl, here.residuals)),
+        (c.W, np.einsum("gms,gml->gsl", Js, Jl)),
+    ):
+        scale = np.abs(want).max(axis=tuple(range(got.ndim - 1)), keepdims=True) + 1e-9
+        assert np.abs((got - want) / scale).max() < 1e-4
+    r, A, B = np.zeros_like(here.residuals), np.zeros_like(Js), np.zeros_like(Jl)
+    side = start.side_pose
+    assert evaluate_views(k, side, local, sightings.X, 0.0, sightings.uv, sightings.weight, r, A, B)
+    assert np.abs(r - here.residuals).max() < 1e-9
+    assert np.abs(A - Js).max() < 1e-4 * np.abs(Js).max()
+    assert np.abs(B - Jl).max() < 1e-4 * np.abs(Jl).max()
+
+
+def test_poses_move_by_the_exponential_from_the_left_also_through_half_a_turn() -> None:
+    rng = np.random.default_rng(21)
+    start = np.column_stack([rng.normal(size=(40, 3)), rng.normal(size=(40, 3)) * 1.5])
+    start[0, 3:], start[1, 3:] = 0.0, [np.pi - 1e-9, 0.0, 0.0]
+    step = rng.normal(size=(40, 6)) * 0.3
+    step[2:5, 3:] *= 1e-9
+    out = np.empty_like(start)
+    move_poses(start, step, out)
+    assert np.allclose(out[:, :3], start[:, :3] + step[:, :3])
+    for a, d, b in zip(start, step, out, strict=True):
+        want = cv2.Rodrigues(d[3:])[0] @ cv2.Rodrigues(a[3:])[0]
+        assert np.abs(cv2.Rodrigues(b[3:])[0] - want).max() < 1e-8
+
+
+def test_point_behind_a_camera_is_impossible_not_a_number() -> None:
+    left, _ = pairs(3, 22)
+    sightings = pack([left], BOARD)
+    local = np.tile([0.0, 0.0, -1.0, 0.0, 0.0, 0.0], (3, 1))
+    start = Bundle(k=np.r_[LEFT[:4], 0.0, LEFT[4:]][None], side_pose=np.zeros(6), poses=local)
+    problem = problem_of(sightings, start, frozenset())
+    assert np.isnan(problem.evaluate(problem.guess, local).residuals).all()
