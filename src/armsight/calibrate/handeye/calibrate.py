@@ -15,7 +15,7 @@ from armsight.calibrate.handeye.motion import require_metres, require_turning, t
 from armsight.calibrate.handeye.noise import noise_of_pairs
 from armsight.calibrate.handeye.pairs import MIN_PAIRS, Array, Arrays, PosePairs, Setup, pose
 from armsight.calibrate.handeye.result import NAMES, HandEye, Scale
-from armsight.calibrate.handeye.solution import Doubt, Solution, doubt, solve_pairs
+from armsight.calibrate.handeye.solution import Solution, doubt, residuals, solve_pairs
 from armsight.errors import DataRefused, Inconsistent
 from armsight.records import NamedCovariance
 from armsight.units import DEG, MM
@@ -85,9 +85,10 @@ def _calibrate(pairs: PosePairs, setup: Setup, options: HandEyeOptions) -> HandE
     turned = turning(pairs.T_base_flange[np.flatnonzero(used)].rotation)
     require_turning(turned)
     doubts = doubt(solution)
-    result = _result(pairs, setup, solution, doubts, used)
-    errors = result.residuals.copy()
+    found = residuals(pairs.arrays(setup), solution.R_X, solution.t_x, solution.R_Z, solution.t_z)
+    errors = found.copy()
     errors[rows[order]] = left_out
+    widen = doubts.std / np.sqrt(np.diag(solution.C))
     rejected = _rejected(pairs, repeated, used, errors)
     scale = true_scale(solution)
     lever = float(solution.lever[solution.keep].mean())
@@ -96,7 +97,7 @@ def _calibrate(pairs: PosePairs, setup: Setup, options: HandEyeOptions) -> HandE
         setup=setup,
         T_mount_camera=pose(solution.R_X, solution.t_x),
         T_seat_target=pose(solution.R_Z, solution.t_z),
-        covariance=result.covariance,
+        covariance=NamedCovariance(names=NAMES, matrix=solution.C * np.outer(widen, widen)),
         dof=float(doubts.dof[:6].min()),
         noise=noise,
         scale=scale,
@@ -104,29 +105,11 @@ def _calibrate(pairs: PosePairs, setup: Setup, options: HandEyeOptions) -> HandE
         pairs=pairs,
         used=used,
         rejected=rejected,
-        residuals=result.residuals,
+        residuals=found,
         left_out=errors,
         advice=(),
     )
     return advise(finished, options.target_pitch_m)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Parts:
-    covariance: NamedCovariance
-    residuals: Array
-
-
-def _result(pairs: PosePairs, setup: Setup, solution: Solution, doubts: Doubt, used: NDArray[np.bool_]) -> _Parts:
-    """Return the widened covariance and the residuals of all pairs in the order of the file."""
-    widen = doubts.std / np.sqrt(np.diag(solution.C))
-    everything = pairs.arrays(setup)
-    from armsight.calibrate.handeye.solution import residuals
-
-    return _Parts(
-        covariance=NamedCovariance(names=NAMES, matrix=solution.C * np.outer(widen, widen)),
-        residuals=residuals(everything, solution.R_X, solution.t_x, solution.R_Z, solution.t_z),
-    )
 
 
 def settle(arrays: Arrays, setup: Setup, given: Consensus) -> tuple[Solution, Array]:
