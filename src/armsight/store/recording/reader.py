@@ -173,9 +173,9 @@ class Recording:
                 exposure_s = float(self._json(message).get("exposure_s", 0.0))
                 continue
             where = f"{self.path}:{camera}:{message.sequence}"
-            if last_ns is not None and message.t_ns <= last_ns:
+            if last_ns is not None and message.t_ns < last_ns:
                 raise Inconsistent(
-                    f"{where}: time runs backwards, {(last_ns - message.t_ns) / NS:.6g} s behind the frame before",
+                    f"{where}: time runs backwards by {(last_ns - message.t_ns) / NS:.6g} s",
                     consequence="The frames have no order from there on, so reading stops",
                     cure="Sort the recording by time (`mcap sort`), or record it anew",
                 )

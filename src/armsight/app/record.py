@@ -1,0 +1,234 @@
+"""Frames into a recording; a broken recording mended."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Generator, Iterable, Iterator, Mapping
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
+from itertools import chain
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from armsight.app.cells import CellPairs, load_cell, write_cell_files
+from armsight.app.recorder import Recorder
+from armsight.app.replay import is_recording, open_pairs, recording_path
+from armsight.clock import Clock, SystemClock
+from armsight.drivers import PairSource, Skew, is_live
+from armsight.drivers.live import MAX_SKEW_S
+from armsight.errors import ArmsightError, NotEnoughData, UsageError
+from armsight.optics import Rig
+from armsight.records import Frame, Progress, Silent
+from armsight.store import read_rig, read_target
+from armsight.store.atomic import disk_errors
+from armsight.store.recording import ImageFormat, RecordingWriter, Repaired, repair
+
+RIG_NAME = "rig.yaml"
+TARGET_NAME = "target.yaml"
+
+CELL_FRAMES = 300
+"""Pairs of a simulated cell where no limit is given: five seconds at 60 a second."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordJob:
+    """What to record and how.
+
+    left and right: sources as on the command line; or cell: a simulated cell's name. rig, target: files that go into
+    the recording. limit: pairs, seconds_s: time after which to stop.
+    """
+
+    out: Path
+    left: str | None = None
+    right: str | None = None
+    cell: str | None = None
+    seed: int = 0
+    rig: Path | None = None
+    target: Path | None = None
+    kind: ImageFormat = ImageFormat.PNG
+    colour: bool = False
+    fps: float | None = None
+    max_skew_s: float = MAX_SKEW_S
+    limit: int | None = None
+    seconds_s: float | None = None
+    overwrite: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordSummary:
+    """What was recorded: n_dropped found no room, n_missed were lost by the camera or had no partner."""
+
+    path: Path
+    kind: ImageFormat
+    n_pairs: int
+    n_dropped: int
+    n_missed: int
+    seconds_s: float
+    size: int
+    skew: Skew | None
+
+    def content(self) -> dict[str, Any]:
+        """Return it as --json gives it."""
+        return {
+            "file": str(self.path),
+            "format": self.kind.value,
+            "n_pairs": self.n_pairs,
+            "n_dropped": self.n_dropped,
+            "n_missed": self.n_missed,
+            "duration_s": self.seconds_s,
+            "pairs_per_s": (self.n_pairs - 1) / self.seconds_s if self.seconds_s > 0.0 else None,
+            "size_bytes": self.size,
+            "skew_s": {"mean": self.skew.mean_s, "largest": self.skew.largest_s} if self.skew else None,
+        }
+
+
+def record(job: RecordJob, progress: Progress | None = None, *, clock: Clock | None = None) -> RecordSummary:
+    """Record pairs until the source ends, the limit is reached or the person stops, which is no error here.
+
+    Raises UsageError, DataRefused and DeviceFailed; what was recorded until then is readable.
+    """
+    with _files(job) as (files, rig):
+        pairs, live = _source(job)
+        return record_pairs(job, pairs, live=live, files=files, rig=rig, progress=progress, clock=clock)
+
+
+def record_pairs(
+    job: RecordJob,
+    pairs: PairSource,
+    *,
+    live: bool,
+    files: Mapping[str, Path] | None = None,
+    rig: Rig | None = None,
+    progress: Progress | None = None,
+    clock: Clock | None = None,
+) -> RecordSummary:
+    """Record the pairs of a source not yet open; live: what finds no room is dropped. See record."""
+    tally = Tally()
+    with pairs, closing(_generator(pairs)) as source:
+        first = next(source, None)
+        if first is None:
+            raise NotEnoughData(f"{pairs.name} gave no pair", consequence="Nothing was recorded")
+        start_s = first[0].t_s
+        origin_ns = time.time_ns() - (round(start_s * 1e9) if live else 0)
+        writer = RecordingWriter(job.out, origin_ns=origin_ns, overwrite=job.overwrite)
+        recorder = Recorder(writer, job.kind, live=live)
+        try:
+            with writer:
+                for name, path in (files or {}).items():
+                    writer.attach(name, path.read_bytes())
+                if rig is not None:
+                    writer.rig(start_s, rig)
+                with recorder:
+                    _pump(job, chain([first], source), recorder, tally, progress or Silent(), clock or SystemClock())
+        except ArmsightError as error:
+            kept = f"What was recorded until then is in {job.out}"
+            error.consequence = ". ".join(part.rstrip(".") for part in (error.consequence, kept) if part)
+            raise
+    skew = pairs.skew
+    return RecordSummary(
+        path=job.out,
+        kind=job.kind,
+        n_pairs=recorder.written,
+        n_dropped=recorder.dropped,
+        n_missed=tally.missed + (skew.n_dropped if skew else 0) if live else 0,
+        seconds_s=tally.last_s - tally.first_s,
+        size=job.out.stat().st_size,
+        skew=skew,
+    )
+
+
+@dataclass(slots=True)
+class Tally:
+    """What went through: n pairs, missed frames by the gaps in the left camera's numbers, first and last time."""
+
+    n: int = 0
+    missed: int = 0
+    first_s: float = 0.0
+    last_s: float = 0.0
+    last_number: int = -1
+
+    def add(self, left: Frame) -> None:
+        """Count a pair by its left frame."""
+        if self.n == 0:
+            self.first_s = left.t_s
+        else:
+            self.missed += max(0, left.sequence - self.last_number - 1)
+        self.last_s, self.last_number = left.t_s, left.sequence
+        self.n += 1
+
+
+def _pump(
+    job: RecordJob,
+    source: Iterable[tuple[Frame, Frame]],
+    recorder: Recorder,
+    tally: Tally,
+    progress: Progress,
+    clock: Clock,
+) -> None:
+    end_s = clock.now_s() + job.seconds_s if job.seconds_s is not None else float("inf")
+    for left, right in source:
+        recorder.put(left, right)
+        tally.add(left)
+        note = f"{recorder.dropped} dropped" if recorder.dropped else ""
+        progress.update(tally.n, job.limit or 0, note)
+        if tally.n == job.limit or clock.now_s() >= end_s or progress.cancelled():
+            return
+
+
+def _source(job: RecordJob) -> tuple[PairSource, bool]:
+    """Return the pairs to record and whether they come live."""
+    if job.cell is not None:
+        if job.left is not None or job.right is not None:
+            raise UsageError("--cell goes with neither --left nor --right", cure="Give the one or the others")
+        n = job.limit or CELL_FRAMES
+        return CellPairs(load_cell(job.cell, seed=job.seed, frames=n), n), False
+    sources = [text for text in (job.left, job.right) if text is not None]
+    if not sources:
+        raise UsageError("there is nothing to record", cure="Give --left and --right, or --cell")
+    if any(is_recording(text) and recording_path(text).resolve() == job.out.resolve() for text in sources):
+        raise UsageError(f"{job.out} is both source and result", cure="Choose another name for the result")
+    pairs = open_pairs(job.left, job.right, colour=job.colour, fps=job.fps, max_skew_s=job.max_skew_s)
+    return pairs, is_live(sources[0])
+
+
+@contextmanager
+def _files(job: RecordJob) -> Iterator[tuple[dict[str, Path], Rig | None]]:
+    """Give the files to attach, checked, and the rig; a cell brings its own."""
+    with TemporaryDirectory() as folder:
+        rig_path, target_path = job.rig, job.target
+        if job.cell is not None:
+            write_cell_files(load_cell(job.cell, seed=job.seed, frames=1), Path(folder), seed=job.seed, frames=1)
+            rig_path = rig_path or Path(folder) / RIG_NAME
+            target_path = target_path or Path(folder) / TARGET_NAME
+        files = {name: path for name, path in ((RIG_NAME, rig_path), (TARGET_NAME, target_path)) if path is not None}
+        if target_path is not None:
+            read_target(target_path)
+        yield files, read_rig(rig_path) if rig_path is not None else None
+
+
+def _generator(pairs: PairSource) -> Generator[tuple[Frame, Frame], None, None]:
+    yield from pairs
+
+
+def mend(source: Path, out: Path | None = None, *, overwrite: bool = False) -> Repaired:
+    """Make a readable file of a broken recording: in out, or in its own place with the broken one kept beside it.
+
+    Raises BadFile, NotEnoughData, UsageError, DeviceFailed; then source is as it was.
+    """
+    if out is not None:
+        if out.resolve() == source.resolve():
+            raise UsageError(f"{out} is both source and result", cure="Leave -o away to mend a file in its place")
+        return repair(source, out, overwrite=overwrite)
+    made = source.with_name(f".{source.name}.part")
+    kept = source.with_name(f"{source.stem}.broken{source.suffix}")
+    if kept.exists():
+        raise UsageError(f"{kept} is there already", consequence="Nothing was mended", cure="Move it away, or give -o")
+    try:
+        done = repair(source, made, overwrite=True)
+        with disk_errors(source):
+            source.rename(kept)
+            made.rename(source)
+    finally:
+        made.unlink(missing_ok=True)
+    return replace(done, path=source)

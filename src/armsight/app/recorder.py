@@ -1,0 +1,173 @@
+"""Pairs of frames from a camera's thread to the disk: compressed in threads, written in order, memory bounded."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Self
+
+from armsight.clock import Clock, SystemClock
+from armsight.drivers import cores
+from armsight.records import Frame
+from armsight.store.recording import Encoded, ImageFormat, RecordingWriter, encode
+
+QUEUE_BYTES = 128_000_000
+"""Frames that may wait: over a second of raw 720p pairs at 60 a second."""
+
+QUEUE_S = 0.5
+"""A pair that would have to wait longer is dropped (live) or held back (files): with a chunk's quarter of a second,
+what a killed program loses stays below a second."""
+
+TICK_S = 0.05
+"""How often the writer looks whether a chunk is due while no frame comes."""
+
+SYNC_S = 1.0
+"""How often the disk is told to keep what it was given: what a power cut costs. In a thread of its own, since a sync
+takes as long as the disk likes."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Waiting:
+    pair: tuple[Frame, Frame]
+    encoded: tuple[Future[Encoded | None], Future[Encoded | None]] | None
+    size: int
+    since_s: float
+
+
+class Recorder:
+    """Takes pairs in one thread, writes them in another; as a context manager it ends with everything written.
+
+    live: a pair that finds no room is dropped and counted; else put() waits for room. Closes the writer.
+    """
+
+    def __init__(
+        self,
+        writer: RecordingWriter,
+        kind: ImageFormat,
+        *,
+        live: bool,
+        clock: Clock | None = None,
+        workers: int | None = None,
+        sync_s: float = SYNC_S,
+    ) -> None:
+        self._writer = writer
+        self._kind = kind
+        self._live = live
+        self._clock = clock or SystemClock()
+        self._sync_s = sync_s
+        self._pool = ThreadPoolExecutor(workers or cores(), thread_name_prefix="encode")
+        self._waiting: deque[_Waiting] = deque()
+        self._bytes = 0
+        self._room = threading.Condition()
+        self._ending = threading.Event()
+        self._failure: BaseException | None = None
+        self._written = self._dropped = self._told = 0
+        self._threads = [
+            threading.Thread(target=self._write, name="recorder", daemon=True),
+            threading.Thread(target=self._sync, name="recorder-sync", daemon=True),
+        ]
+
+    @property
+    def written(self) -> int:
+        """Pairs in the file or its chunk being filled."""
+        return self._written
+
+    @property
+    def dropped(self) -> int:
+        """Pairs for which there was no room."""
+        return self._dropped
+
+    def put(self, left: Frame, right: Frame) -> bool:
+        """Hand over a pair; False where it was dropped. Raises what writing has met: DeviceFailed, Inconsistent."""
+        size = left.image.nbytes + right.image.nbytes
+        with self._room:
+            while self._failure is None and self._full(size):
+                if self._live:
+                    self._dropped += 1
+                    return False
+                self._room.wait()
+            if self._failure is not None:
+                raise self._failure
+            encoded = None
+            if self._kind is not ImageFormat.RAW:
+                one, two = (self._pool.submit(encode, frame.image, self._kind) for frame in (left, right))
+                encoded = (one, two)
+            self._waiting.append(_Waiting((left, right), encoded, size, self._clock.now_s()))
+            self._bytes += size
+            self._room.notify_all()
+        return True
+
+    def close(self) -> None:
+        """Write what waits, end the threads, close the file. Raises what writing has met and nobody was told yet."""
+        with self._room:
+            self._ending.set()
+            self._room.notify_all()
+        for thread in self._threads:
+            thread.join()
+        self._pool.shutdown(cancel_futures=True)
+        try:
+            if self._failure is not None:
+                raise self._failure
+        finally:
+            self._writer.close()
+
+    def __enter__(self) -> Self:
+        for thread in self._threads:
+            thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            self.close()
+        except BaseException as failure:
+            if failure is not error:
+                raise
+
+    def _full(self, size: int) -> bool:
+        if not self._waiting:
+            return False
+        return self._bytes + size > QUEUE_BYTES or self._clock.now_s() - self._waiting[0].since_s > QUEUE_S
+
+    def _write(self) -> None:
+        try:
+            while True:
+                with self._room:
+                    if not self._waiting:
+                        if self._ending.is_set():
+                            return
+                        self._room.wait(TICK_S)
+                    item = self._waiting[0] if self._waiting else None
+                if item is None:
+                    self._writer.tick()
+                    continue
+                self._one(item)
+                with self._room:
+                    self._waiting.popleft()
+                    self._bytes -= item.size
+                    self._room.notify_all()
+        except BaseException as error:
+            with self._room:
+                self._failure = error
+                self._room.notify_all()
+
+    def _one(self, item: _Waiting) -> None:
+        left, right = item.pair
+        encoded = (item.encoded[0].result(), item.encoded[1].result()) if item.encoded else (None, None)
+        self._writer.pair(left, right, encoded)
+        self._written += 1
+        if self._dropped > self._told:
+            news = self._dropped - self._told
+            self._told += news
+            self._writer.event(left.t_s, f"{news} pairs dropped before this: the disk is too slow", level="warning")
+
+    def _sync(self) -> None:
+        while not self._ending.wait(self._sync_s):
+            try:
+                self._writer.sync()
+            except OSError:
+                return  # writing meets it as well, and tells

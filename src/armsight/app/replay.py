@@ -1,0 +1,201 @@
+"""Recordings as sources of frames, beside folders, videos and cameras.
+
+A source's text may be REC.mcap, or REC.mcap:CAMERA for one of its cameras. As left the recording's left camera is
+meant, as right its right one; one recording for both views, or for one of them alone, gives its pairs.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import cv2
+import numpy as np
+
+from armsight import drivers
+from armsight.clock import Clock
+from armsight.drivers import FrameSource, LivePairs, PairSource, Skew, SplitImages
+from armsight.drivers.live import MAX_SKEW_S
+from armsight.errors import DeviceFailed, Inconsistent, UsageError
+from armsight.records import Frame
+from armsight.store.recording import Recording
+
+SOURCE = re.compile(r"(.+\.mcap)(?::([\w-]+))?", re.IGNORECASE | re.DOTALL)
+"""REC.mcap or REC.mcap:CAMERA."""
+
+
+def is_recording(text: str) -> bool:
+    """Tell whether a source's text names a recording."""
+    return SOURCE.fullmatch(text) is not None
+
+
+def recording_path(text: str) -> Path:
+    """Return the file of a recording's text, without its camera."""
+    match = SOURCE.fullmatch(text)
+    return Path(match[1] if match else text)
+
+
+class RecordedFrames:
+    """The frames of one camera of a recording, with the times and numbers they were recorded with.
+
+    camera: which one where the text does not say it; None: the only one. Opening raises BadFile, and Inconsistent
+    where it is open which camera is meant.
+    """
+
+    def __init__(self, text: str, camera: str | None = None, *, colour: bool = False) -> None:
+        self.name = text
+        match = SOURCE.fullmatch(text)
+        self._camera = (match[2] if match else None) or camera
+        self._colour = colour
+        self._recording: Recording | None = None
+
+    @property
+    def total(self) -> int | None:
+        """How many frames there are; None before it is opened."""
+        return self._recording.count(f"/{self._camera}/image") if self._recording and self._camera else None
+
+    def __enter__(self) -> Self:
+        recording = Recording(recording_path(self.name))
+        if self._camera is None:
+            if len(recording.cameras) > 1:
+                recording.close()
+                raise Inconsistent(
+                    f"{self.name} holds frames of the cameras {', '.join(recording.cameras)}",
+                    consequence="It is open which are meant",
+                    cure=f"Write {self.name}:{recording.cameras[0]}",
+                )
+            self._camera = recording.cameras[0] if recording.cameras else "image"
+        self._recording = recording
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._recording is not None:
+            self._recording.close()
+            self._recording = None
+
+    def __iter__(self) -> Iterator[Frame]:
+        if self._recording is None or self._camera is None:
+            return
+        for frame in self._recording.frames(self._camera):
+            yield _converted(frame, self._colour)
+
+
+class RecordedPairs:
+    """Pairs of one recording or of two, matched by time."""
+
+    def __init__(self, left: RecordedFrames, right: RecordedFrames, *, max_skew_s: float = MAX_SKEW_S) -> None:
+        self._left = left
+        self._right = right
+        self._pairs = LivePairs(left, right, max_skew_s=max_skew_s)
+
+    @property
+    def name(self) -> str:
+        """The recording's name, or both."""
+        return self._left.name if self._left.name == self._right.name else self._pairs.name
+
+    @property
+    def total(self) -> int | None:
+        """The smaller of both counts."""
+        counts = [count for count in (self._left.total, self._right.total) if count is not None]
+        return min(counts) if len(counts) == 2 else None
+
+    @property
+    def skew(self) -> Skew | None:
+        """Right minus left over the pairs so far; None before the first."""
+        return self._pairs.skew
+
+    def __enter__(self) -> Self:
+        self._pairs.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._pairs.__exit__(kind, error, trace)
+
+    def __iter__(self) -> Iterator[tuple[Frame, Frame]]:
+        try:
+            yield from self._pairs
+        except DeviceFailed as error:  # the rule is that of live cameras, the cause is in the file
+            raise Inconsistent(
+                error.cause,
+                consequence="Nobody can say which frames were taken together",
+                cure="Check that both cameras were recorded on one clock, or allow more with --max-skew",
+            ) from error
+
+
+def open_source(
+    text: str,
+    *,
+    colour: bool = False,
+    fps: float | None = None,
+    times_s: Sequence[float] | None = None,
+    clock: Clock | None = None,
+    origin_s: float | None = None,
+) -> FrameSource:
+    """Return the source that a text names as drivers.open_source does, or one camera of a recording."""
+    if is_recording(text):
+        _no_times(text, fps, times_s)
+        return RecordedFrames(text, colour=colour)
+    return drivers.open_source(text, colour=colour, fps=fps, times_s=times_s, clock=clock, origin_s=origin_s)
+
+
+def open_pairs(
+    left: str | None,
+    right: str | None,
+    *,
+    colour: bool = False,
+    fps: float | None = None,
+    times_s: Sequence[float] | None = None,
+    max_skew_s: float = MAX_SKEW_S,
+) -> PairSource:
+    """Return the pairs of two sources as drivers.open_pairs does, or of one recording. Raises UsageError."""
+    recorded = [text for text in (left, right) if text is not None and is_recording(text)]
+    if recorded and (left is None or right is None or len(recorded) == 2):
+        _no_times(recorded[0], fps, times_s)
+        return RecordedPairs(
+            RecordedFrames(recorded[0], "left", colour=colour),
+            RecordedFrames(recorded[-1], "right", colour=colour),
+            max_skew_s=max_skew_s,
+        )
+    if left is None or right is None:
+        raise UsageError("one view is missing", cure="Give --left and --right, or one recording for both")
+    if recorded:
+        raise UsageError(f"{left} and {right} cannot be paired: one is a recording, the other is not")
+    return drivers.open_pairs(left, right, colour=colour, fps=fps, times_s=times_s, max_skew_s=max_skew_s)
+
+
+def open_split(
+    image: str,
+    left_size: tuple[int, int],
+    right_size: tuple[int, int],
+    *,
+    colour: bool = False,
+    fps: float | None = None,
+    times_s: Sequence[float] | None = None,
+) -> PairSource:
+    """Return the pairs in images that hold both views, as drivers.open_split does, or in such a recording."""
+    return SplitImages(open_source(image, colour=colour, fps=fps, times_s=times_s), left_size, right_size)
+
+
+def _no_times(text: str, fps: float | None, times_s: Sequence[float] | None) -> None:
+    if fps is not None or times_s is not None:
+        raise UsageError(f"{text} brings its own times", cure="Leave --times and --fps away")
+
+
+def _converted(frame: Frame, colour: bool) -> Frame:
+    if (frame.image.ndim == 3) == colour:
+        return frame
+    code = cv2.COLOR_GRAY2BGR if colour else cv2.COLOR_BGR2GRAY
+    return Frame(
+        image=np.asarray(cv2.cvtColor(frame.image, code), dtype=np.uint8),
+        t_s=frame.t_s,
+        sequence=frame.sequence,
+        source=frame.source,
+        exposure_s=frame.exposure_s,
+    )

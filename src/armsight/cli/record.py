@@ -1,0 +1,120 @@
+"""armsight record, and convert recording."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from armsight.cli.face import Face
+from armsight.cli.options import SRC, AsJson, Fps, Limit, Seed
+
+if TYPE_CHECKING:
+    from armsight.store.recording import ImageFormat
+
+
+def record(
+    out: Annotated[Path | None, typer.Option("-o", "--out", metavar="FILE.mcap", help="The recording.")] = None,
+    left: Annotated[str | None, typer.Option(metavar="SRC", help=f"Left frames: {SRC}.")] = None,
+    right: Annotated[str | None, typer.Option(metavar="SRC", help="Right frames, in step with the left ones.")] = None,
+    cell: Annotated[str | None, typer.Option(help="A simulated cell in place of cameras, such as webcam-cell.")] = None,
+    seed: Seed = 0,
+    rig: Annotated[Path | None, typer.Option(help="rig.yaml: its calibration goes into the recording.")] = None,
+    target: Annotated[Path | None, typer.Option(help="target.yaml that goes into the recording.")] = None,
+    kind: Annotated[
+        str, typer.Option("--format", help="png (bit for bit, small), raw (bit for bit, quick) or jpeg (smallest).")
+    ] = "png",
+    colour: Annotated[bool, typer.Option("--colour", help="Keep the colours; else grey is recorded.")] = False,
+    fps: Fps = None,
+    frames: Limit = None,
+    seconds: Annotated[float | None, typer.Option(min=0.0, help="Stop after so many seconds.")] = None,
+    max_skew: Annotated[
+        float | None, typer.Option(min=0.0, help="Largest time in s between live frames of a pair. [default: 1/60]")
+    ] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a file of this name.")] = False,
+    repair: Annotated[
+        Path | None, typer.Option(metavar="FILE.mcap", help="Mend this broken recording and record nothing.")
+    ] = None,
+    json: AsJson = False,
+) -> None:
+    """Record both cameras into an MCAP file, or mend one that was cut off.
+
+    Stop with Ctrl-C. Whatever happens to the program or the disk, all but the last second is readable.
+    """
+    with Face(as_json=json) as face:
+        from armsight.app.record import RecordJob
+        from armsight.app.record import record as run
+        from armsight.drivers.live import MAX_SKEW_S
+        from armsight.errors import UsageError
+
+        if repair is not None:
+            _mend(face, repair, out, overwrite)
+            return
+        if out is None:
+            raise UsageError("the recording has no name", cure="Give -o FILE.mcap")
+        job = RecordJob(
+            out=out,
+            left=left,
+            right=right,
+            cell=cell,
+            seed=seed,
+            rig=rig,
+            target=target,
+            kind=_format(kind),
+            colour=colour,
+            fps=fps,
+            limit=frames,
+            seconds_s=seconds,
+            max_skew_s=MAX_SKEW_S if max_skew is None else max_skew,
+            overwrite=overwrite,
+        )
+        done = run(job, face.progress("recording"))
+        lost = f", {done.n_dropped} dropped because the disk is too slow" if done.n_dropped else ""
+        lost += f", {done.n_missed} missed by the cameras" if done.n_missed else ""
+        size = f"{done.size / 1e6:.1f} MB as {done.kind.value}"
+        face.say(f"{done.n_pairs} pairs in {done.seconds_s:.1f} s{lost}; {size} in {done.path}")
+        face.result(done.content())
+
+
+def recording(
+    source: Annotated[Path, typer.Argument(metavar="FILE.mcap", help="A recording.")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="A folder, or a .csv or .tum for the poses.")],
+    json: AsJson = False,
+) -> None:
+    """Write a recording's content as PNG folders and tables, or its poses as CSV or TUM."""
+    with Face(as_json=json) as face:
+        from armsight.app.export import export
+
+        done = export(source, out, progress=face.progress("exporting"))
+        face.say(", ".join(f"{name}: {count}" for name, count in done.items()) + f" in {out}")
+        face.result({"from": str(source), "out": str(out), "n": done})
+
+
+def _mend(face: Face, path: Path, out: Path | None, overwrite: bool) -> None:
+    from armsight.app.record import mend
+
+    done = mend(path, out, overwrite=overwrite)
+    total = sum(done.messages.values())
+    lost = f"{done.lost_bytes} bytes were not whole" if done.lost_bytes else "nothing was lost"
+    face.say(f"{total} messages over {done.seconds_s:.1f} s are in {done.path}; {lost}")
+    face.result(
+        {
+            "file": str(done.path),
+            "messages": done.messages,
+            "duration_s": done.seconds_s,
+            "lost_bytes": done.lost_bytes,
+            "damaged_chunks": done.damaged_chunks,
+        }
+    )
+
+
+def _format(text: str) -> ImageFormat:
+    from armsight.errors import UsageError
+    from armsight.store.recording import ImageFormat
+
+    try:
+        return ImageFormat(text.lower())
+    except ValueError:
+        known = ", ".join(kind.value for kind in ImageFormat)
+        raise UsageError(f"frames are not kept as {text!r}", cure=f"Choose one of {known}") from None

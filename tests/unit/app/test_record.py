@@ -1,0 +1,201 @@
+"""record, mend, export, and recordings as sources: what was recorded is what is measured."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import cv2
+import numpy as np
+import pytest
+
+from armsight.app import recorder as recorder_module
+from armsight.app.export import export
+from armsight.app.record import RecordJob, mend, record, record_pairs
+from armsight.app.recorder import Recorder
+from armsight.app.replay import RecordedFrames, open_pairs, open_source
+from armsight.drivers import Skew
+from armsight.errors import DeviceFailed, DeviceLost, Inconsistent, NotEnoughData, UsageError
+from armsight.records import Frame, JointReading
+from armsight.store import read_rig, read_target, read_times
+from armsight.store.recording import ImageFormat, Recording, RecordingWriter
+
+
+def frame(number: int, side: int = 0, t_s: float | None = None) -> Frame:
+    image = np.random.default_rng([number, side]).integers(0, 256, (30, 40), dtype=np.uint8)
+    return Frame(image=image, t_s=number / 60.0 if t_s is None else t_s, sequence=number, source="fake")
+
+
+class Fake:
+    """Pairs as a live source would send them, and what it does at its end."""
+
+    name = "fake"
+    total: int | None = None
+    skew: Skew | None = None
+
+    def __init__(self, pairs: list[tuple[Frame, Frame]], end: Exception | None = None) -> None:
+        self._pairs = pairs
+        self._end = end
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        pass
+
+    def __iter__(self) -> Iterator[tuple[Frame, Frame]]:
+        yield from self._pairs
+        if self._end:
+            raise self._end
+
+
+def fakes(n: int) -> list[tuple[Frame, Frame]]:
+    return [(frame(i), frame(i, 1)) for i in range(n)]
+
+
+@pytest.mark.parametrize("kind", [ImageFormat.RAW, ImageFormat.PNG])
+def test_pairs_recorded_and_replayed_are_the_same(tmp_path: Path, kind: ImageFormat) -> None:
+    path = tmp_path / "a.mcap"
+    pairs = fakes(30)
+    done = record_pairs(RecordJob(out=path, kind=kind), Fake(pairs), live=False)
+    assert (done.n_pairs, done.n_dropped) == (30, 0)
+    assert done.content()["pairs_per_s"] == pytest.approx(60.0)
+    with open_pairs(str(path), None) as back:
+        assert (back.name, back.total) == (str(path), 30)
+        replayed = list(back)
+    for there, here in zip(pairs, replayed, strict=True):
+        for one, two in zip(there, here, strict=True):
+            np.testing.assert_array_equal(one.image, two.image)
+            assert abs(one.t_s - two.t_s) < 1e-9
+
+
+def test_a_cell_is_recorded_with_its_rig_and_target_and_exported(tmp_path: Path) -> None:
+    path = tmp_path / "cell.mcap"
+    record(RecordJob(out=path, cell="webcam-cell", seed=3, limit=3))
+    done = export(path, tmp_path / "out")
+    assert done == {"rig.yaml": 1, "target.yaml": 1, "left": 3, "right": 3, "times.csv": 3}
+    assert read_rig(tmp_path / "out" / "rig.yaml").left.width == 1280
+    assert not read_target(tmp_path / "out" / "target.yaml").is_board
+    assert len(read_times(tmp_path / "out" / "times.csv")) == 3
+    with RecordedFrames(str(path), "right") as source:
+        for i, seen in enumerate(source):
+            image = cv2.imread(str(tmp_path / "out" / "right" / f"{i:06d}.png"), cv2.IMREAD_UNCHANGED)
+            np.testing.assert_array_equal(image, seen.image)
+    with Recording(path) as recording:
+        assert recording.count("/left/calibration") == 1
+
+
+def test_live_frames_that_find_no_room_are_dropped_and_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    gate = threading.Event()
+    monkeypatch.setattr(recorder_module, "QUEUE_BYTES", 5 * 2 * frame(0).image.nbytes)
+    writer = RecordingWriter(tmp_path / "a.mcap")
+    whole = writer.pair
+
+    def slow(*args: object) -> None:
+        gate.wait()
+        whole(*args)  # type: ignore[arg-type]  # handed through as they came
+
+    monkeypatch.setattr(writer, "pair", slow)
+    with Recorder(writer, ImageFormat.RAW, live=True) as recorder:
+        taken = [recorder.put(*pair) for pair in fakes(12)]
+        gate.set()
+    assert taken == [True] * 5 + [False] * 7
+    assert (recorder.written, recorder.dropped) == (5, 7)
+    with Recording(tmp_path / "a.mcap") as recording:
+        assert sum("7 pairs dropped" in event.message for event in recording.events()) == 1
+
+
+def test_what_the_cameras_missed_is_counted(tmp_path: Path) -> None:
+    pairs = [pair for pair in fakes(20) if pair[0].sequence not in (5, 6, 11)]
+    done = record_pairs(RecordJob(out=tmp_path / "a.mcap"), Fake(pairs), live=True)
+    assert (done.n_pairs, done.n_missed) == (17, 3)
+
+
+def test_a_camera_that_goes_leaves_what_was_recorded(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with pytest.raises(DeviceLost, match=r"What was recorded until then is in .*a\.mcap"):
+        record_pairs(RecordJob(out=path), Fake(fakes(7), DeviceLost("camera:0 is gone")), live=True)
+    with Recording(path) as recording:
+        assert recording.finished
+        assert recording.count("/right/image") == 7
+
+
+def test_time_that_runs_backwards_ends_it_readably(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    pairs = [*fakes(5), (frame(5, t_s=0.01), frame(5, 1, t_s=0.01))]
+    with pytest.raises(Inconsistent, match="time runs backwards"):
+        record_pairs(RecordJob(out=path, kind=ImageFormat.RAW), Fake(pairs), live=False)
+    with open_pairs(str(path), None) as back:
+        assert len(list(back)) == 5
+
+
+def test_a_file_size_limit_ends_it_with_exit_code_4(tmp_path: Path) -> None:
+    resource = pytest.importorskip("resource")
+    path = tmp_path / "a.mcap"
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, before[1]))
+    try:
+        with pytest.raises(DeviceFailed, match="cannot be written any further") as caught:
+            record_pairs(RecordJob(out=path, kind=ImageFormat.RAW), Fake(fakes(300)), live=False)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert caught.value.exit_code == 4
+    with Recording(path) as recording:
+        assert recording.finished
+
+
+def test_no_pair_makes_no_file(tmp_path: Path) -> None:
+    with pytest.raises(NotEnoughData):
+        record_pairs(RecordJob(out=tmp_path / "a.mcap"), Fake([]), live=False)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_broken_recording_is_mended_in_its_place(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    record_pairs(RecordJob(out=path), Fake(fakes(30)), live=False)
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-300])
+    done = mend(path)
+    assert done.messages["/left/image"] == 30
+    assert (tmp_path / "a.broken.mcap").read_bytes() == whole[:-300]
+    with Recording(path) as recording:
+        assert recording.finished
+    with pytest.raises(UsageError, match="there already"):
+        mend(path)
+    with pytest.raises(UsageError, match="both source and result"):
+        mend(path, path)
+
+
+def test_which_camera_is_meant_must_be_said(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    record_pairs(RecordJob(out=path), Fake(fakes(3)), live=False)
+    with pytest.raises(Inconsistent, match="cameras left, right"), open_source(str(path)):
+        pass
+    with open_source(f"{path}:right") as source:
+        assert source.total == 3
+        np.testing.assert_array_equal(next(iter(source)).image, frame(0, 1).image)
+    with pytest.raises(UsageError, match="one is a recording"):
+        open_pairs(str(path), str(tmp_path))
+    with pytest.raises(UsageError, match="brings its own times"):
+        open_pairs(str(path), None, fps=30.0)
+    with pytest.raises(UsageError, match="both source and result"):
+        record(replace(RecordJob(out=path), left=str(path)))
+
+
+def test_a_recording_without_frames_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with RecordingWriter(path) as writer:
+        writer.joints(JointReading(q=np.zeros(2), t_s=0.5, sequence=0, source="robot"))
+    with pytest.raises(NotEnoughData, match="no channel /left/image"), open_pairs(str(path), str(path)) as pairs:
+        list(pairs)
+    with pytest.raises(NotEnoughData, match="no channel /target/measured"):
+        export(path, tmp_path / "poses.csv")
+    assert not (tmp_path / "poses.csv").exists()
+    assert export(path, tmp_path / "out") == {"joints.csv": 1}
+    assert (tmp_path / "out" / "joints.csv").read_text() == "t_s,q1,q2\n0.5,0.0,0.0\n"
