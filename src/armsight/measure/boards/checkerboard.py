@@ -23,8 +23,9 @@ LAST_HALF_PX = 24.0
 """Largest half window in px, for the first fit and for the last: larger ones add time, no accuracy."""
 EXPLAINED = 0.6
 """A true corner's window is explained to 0.95 and better by the model, a corner beside one to less than this."""
-CLEAR = 0.9
-"""A corner looked for beyond the board is one only if it is explained to this share: paper edges reach 0.8."""
+END_OF_BOARD = 0.9
+"""Likeness of the end of a black square on an evenly white margin to a corner: 0.895-0.906 on painted boards, where
+true corners reach 0.97-0.999; a corner beyond the board must be nearer to its own corners' likeness."""
 OFF_GRID = 0.15
 """A corner further than this from the smooth grid, in squares, is not the board's."""
 SMOOTH = 0.02
@@ -207,8 +208,8 @@ def _refuse(
     for side, more in _beyond(board).items():
         uv, _, beyond = _fit(image, smooth, more, smooth(more), _sign_at(more, sign), FIRST_HALF_PX)
         near = np.linalg.norm(uv - smooth(more), axis=1) < OFF_GRID * float(np.median(size))
-        usual = float(np.median(quality[good, 1]))
-        like = near & (beyond[:, 0] > CLEAR) & (beyond[:, 1] > 0.5 * usual)
+        clear, contrast = np.median(quality[good, :2], axis=0)
+        like = near & (beyond[:, 0] > 0.5 * (END_OF_BOARD + clear)) & (beyond[:, 1] > 0.5 * contrast)
         if like.mean() > 1.0 - LOST_SHARE:
             raise BadImage(
                 f"{source}: the board goes on beyond {board.columns}x{board.rows} inner corners ({side})",

@@ -1,0 +1,138 @@
+"""Frames drawn from first principles: a pinhole pair by hand, lights as Gaussians, boards warped by homographies."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
+
+WIDTH, HEIGHT, FOCAL, BASELINE = 320, 240, 400.0, 0.1
+CX, CY = 160.3, 119.6
+LIGHTS = {"A": (-0.04, 0.0, 0.0), "B": (0.03, 0.03, 0.0), "C": (0.03, -0.03, 0.0)}
+COUNT = 12
+
+RIG = f"""\
+format: armsight/rig
+version: 1
+kind: stereo
+cameras:
+  left: {{width: {WIDTH}, height: {HEIGHT}, fx: {FOCAL}, fy: {FOCAL}, cx: {CX}, cy: {CY}, skew: 0.0,
+    distortion: [0.0, 0.0, 0.0, 0.0, 0.0], T_rig_camera: {{xyz_m: [0.0, 0.0, 0.0], quat_xyzw: [0.0, 0.0, 0.0, 1.0]}}}}
+  right: {{width: {WIDTH}, height: {HEIGHT}, fx: {FOCAL}, fy: {FOCAL}, cx: {CX}, cy: {CY}, skew: 0.0,
+    distortion: [0.0, 0.0, 0.0, 0.0, 0.0],
+    T_rig_camera: {{xyz_m: [{BASELINE}, 0.0, 0.0], quat_xyzw: [0.0, 0.0, 0.0, 1.0]}}}}
+"""
+TARGET = "format: armsight/target\nversion: 1\nkind: spots\nspots_m:\n" + "".join(
+    f"  {name}: [{x}, {y}, {z}]\n" for name, (x, y, z) in LIGHTS.items()
+)
+
+
+@dataclass(frozen=True)
+class Result:
+    """How a command ended: exit code, the object on stdout, the text on stderr."""
+
+    code: int
+    json: Any
+    text: str
+
+
+@pytest.fixture(scope="session")
+def armsight() -> Callable[..., Result]:
+    """Run a command with --json in this process; stdout must hold exactly one object."""
+    from armsight.cli.commands import app
+
+    def run(*words: object) -> Result:
+        done = CliRunner().invoke(app, [*(str(word) for word in words), "--json"])
+        return Result(done.exit_code, json.loads(done.stdout) if done.stdout else None, done.stderr)
+
+    return run
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A folder with left/, right/, rig.yaml, target.yaml, and the truth: positions (n, 3) in m and rotations."""
+
+    folder: Path
+    xyz_m: np.ndarray
+    rotation: Rotation
+
+    @property
+    def inputs(self) -> list[object]:
+        """The options that name rig and target."""
+        return ["--rig", self.folder / "rig.yaml", "--target", self.folder / "target.yaml"]
+
+    def sources(self, left: Path | None = None, right: Path | None = None) -> list[object]:
+        """The options that name the frames."""
+        return ["--left", left or self.folder / "left", "--right", right or self.folder / "right"]
+
+
+def draw(xyz_m: np.ndarray, camera_x_m: float, rng: np.random.Generator) -> np.ndarray:
+    """Return the image of lights (n, 3) in left camera axes, seen by a camera shifted along x."""
+    image = rng.normal(12.0, 1.5, (HEIGHT, WIDTH))
+    rows, columns = np.mgrid[0:HEIGHT, 0:WIDTH]
+    for x, y, z in xyz_m:
+        u, v = FOCAL * (x - camera_x_m) / z + CX, FOCAL * y / z + CY
+        image += 150.0 * np.exp(-((columns - u) ** 2 + (rows - v) ** 2) / (2.0 * 1.8**2))
+    return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+
+@pytest.fixture(scope="session")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    """Three lights that move slowly before a parallel pair, COUNT frames."""
+    folder = tmp_path_factory.mktemp("scene")
+    (folder / "rig.yaml").write_text(RIG)
+    (folder / "target.yaml").write_text(TARGET)
+    steps = np.arange(COUNT)
+    xyz = np.stack([0.05 + 0.002 * steps, 0.01 - 0.001 * steps, 0.6 + 0.001 * steps], axis=1)
+    rotation = Rotation.from_rotvec(np.stack([0.1 + 0.01 * steps, -0.05 + 0.0 * steps, 0.02 * steps], axis=1))
+    rng = np.random.default_rng(11)
+    for side, shift in (("left", 0.0), ("right", BASELINE)):
+        (folder / side).mkdir()
+        for i in steps:
+            lights = rotation[i].apply(np.array(list(LIGHTS.values()))) + xyz[i]
+            cv2.imwrite(str(folder / side / f"frame{i}.png"), draw(lights, shift, rng))
+    return Scene(folder, xyz, rotation)
+
+
+@dataclass(frozen=True)
+class Boards:
+    """A folder with left/ and right/ images of a 7x5 checkerboard, squares of 20 mm; FOCAL_PX, BASELINE_M true."""
+
+    folder: Path
+    board: str = "checkerboard:7x5:0.02"
+    focal_px: float = 560.0
+    baseline_m: float = 0.08
+
+
+@pytest.fixture(scope="session")
+def boards(tmp_path_factory: pytest.TempPathFactory) -> Boards:
+    """Ten pairs of a board in different poses, seen by a parallel pair of 640x480 cameras."""
+    made = Boards(tmp_path_factory.mktemp("boards"))
+    K = np.array([[made.focal_px, 0.0, 322.0], [0.0, made.focal_px, 238.0], [0.0, 0.0, 1.0]])
+    squares = np.kron(np.indices((6, 8)).sum(axis=0) % 2, np.ones((40, 40)))  # black and white, 40 px a square
+    sheet = np.pad(200.0 * squares + 25.0, 40, constant_values=225.0).astype(np.uint8)
+    to_m = np.array([[0.02 / 40, 0.0, -0.04 + 0.00025], [0.0, 0.02 / 40, -0.04 + 0.00025], [0.0, 0.0, 1.0]])
+    turns = [(0, 0), (25, 0), (-25, 5), (0, 25), (5, -25), (20, 20), (-20, 20), (20, -20), (-20, -20), (10, 30)]
+    places = [(-10, -50, 360), (90, -50, 360), (40, 0, 340), (-10, 50, 360), (90, 50, 360), (40, 20, 380)]
+    double = np.array([[2.0, 0.0, 0.5], [0.0, 2.0, 0.5], [0.0, 0.0, 1.0]])  # drawn twice as large, then averaged
+    rng = np.random.default_rng(3)
+    for side in ("left", "right"):
+        (made.folder / side).mkdir()
+    for i, (rx, ry) in enumerate(turns):
+        R = Rotation.from_euler("xyz", [rx, ry, 7.0 * i - 20.0], degrees=True).as_matrix()
+        t = np.array(places[i % len(places)]) / 1e3 + R @ np.array([-0.06, -0.04, 0.0])
+        for side, shift in (("left", 0.0), ("right", made.baseline_m)):
+            H = K @ np.column_stack([R[:, 0], R[:, 1], t - np.array([shift, 0.0, 0.0])]) @ to_m
+            large = cv2.warpPerspective(sheet, double @ H, (1280, 960), flags=cv2.INTER_LINEAR, borderValue=225)
+            image = large.reshape(480, 2, 640, 2).mean(axis=(1, 3))
+            noisy = cv2.GaussianBlur(image, (0, 0), 0.8) + rng.normal(0.0, 3.0, image.shape)
+            cv2.imwrite(str(made.folder / side / f"shot{i}.png"), np.clip(np.rint(noisy), 0, 255).astype(np.uint8))
+    return made

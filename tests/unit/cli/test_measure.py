@@ -1,0 +1,288 @@
+"""armsight measure, as a person calls it: what comes out, and every bad input of the list."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from armsight.errors import DeviceLost
+from armsight.records import Frame
+
+COUNT = 12
+FILES = ("poses.csv", "points.csv", "spots.csv", "poses.tum", "measure.json", "report.html")
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def column(table: list[dict[str, str]], *names: str) -> np.ndarray:
+    return np.array([[float(row[name]) for name in names] for row in table])
+
+
+def copied(scene: Any, folder: Path) -> Path:
+    shutil.copytree(scene.folder, folder)
+    return folder
+
+
+def test_poses_agree_with_the_truth_and_every_file_is_there(armsight: Any, scene: Any, tmp_path: Path) -> None:
+    done = armsight("measure", *scene.inputs, *scene.sources(), "-o", tmp_path / "out", "--fps", 10)
+    assert done.code == 0, done.text
+    assert done.json["n_frames"] == done.json["n_ok"] == COUNT
+    assert set(done.json["ms_per_frame"]) == {"median", "p99"}
+    assert json.loads((tmp_path / "out" / "measure.json").read_text()) == done.json
+    assert {path.name for path in (tmp_path / "out").iterdir()} == set(FILES)
+    table = rows(tmp_path / "out" / "poses.csv")
+    np.testing.assert_allclose(column(table, "t_s")[:, 0], np.arange(COUNT) / 10.0)
+    error = column(table, "x_m", "y_m", "z_m") - scene.xyz_m
+    deviation = column(table, "sx_m", "sy_m", "sz_m")
+    assert (np.abs(error) < 5.0 * deviation).all()
+    assert deviation.max() < 1e-3
+    turn = Rotation.from_quat(column(table, "qx", "qy", "qz", "qw")) * scene.rotation.inv()
+    assert (turn.magnitude() < 5.0 * np.linalg.norm(column(table, "srx_rad", "sry_rad", "srz_rad"), axis=1)).all()
+    assert len((tmp_path / "out" / "poses.tum").read_text().splitlines()) == COUNT + 1
+    assert len(rows(tmp_path / "out" / "points.csv")) == 3 * COUNT
+    assert len(rows(tmp_path / "out" / "spots.csv")) == 6 * COUNT
+
+
+def test_a_world_moves_the_poses_and_times_come_from_their_file(armsight: Any, scene: Any, tmp_path: Path) -> None:
+    (tmp_path / "world.yaml").write_text(
+        "format: armsight/world\nversion: 1\nT_world_rig: {xyz_m: [1.0, 2.0, 3.0], quat_xyzw: [0.0, 0.0, 1.0, 0.0]}\n"
+    )
+    (tmp_path / "times.csv").write_text("t_s\n" + "".join(f"{5.0 + 0.01 * i}\n" for i in range(COUNT)))
+    more = ["--world", tmp_path / "world.yaml", "--times", tmp_path / "times.csv", "--frames", 5]
+    assert armsight("measure", *scene.inputs, *scene.sources(), *more, "-o", tmp_path / "out").code == 0
+    table = rows(tmp_path / "out" / "poses.csv")
+    np.testing.assert_allclose(column(table, "t_s")[:, 0], 5.0 + 0.01 * np.arange(5))
+    want = np.array([1.0, 2.0, 3.0]) + scene.xyz_m[:5] * np.array([-1.0, -1.0, 1.0])
+    np.testing.assert_allclose(column(table, "x_m", "y_m", "z_m"), want, atol=2e-3)
+
+
+def test_one_image_of_both_views_gives_the_same_poses(armsight: Any, scene: Any, tmp_path: Path) -> None:
+    (tmp_path / "both").mkdir()
+    for path in (scene.folder / "left").iterdir():
+        views = [cv2.imread(str(scene.folder / side / path.name), cv2.IMREAD_GRAYSCALE) for side in ("left", "right")]
+        cv2.imwrite(str(tmp_path / "both" / path.name), np.hstack(views))
+    assert armsight("measure", *scene.inputs, "--image", tmp_path / "both", "-o", tmp_path / "one").code == 0
+    assert armsight("measure", *scene.inputs, *scene.sources(), "-o", tmp_path / "two").code == 0
+    assert (tmp_path / "one" / "poses.csv").read_text() == (tmp_path / "two" / "poses.csv").read_text()
+
+
+def test_a_dark_frame_is_lost_and_the_others_are_not(armsight: Any, scene: Any, tmp_path: Path) -> None:
+    folder = copied(scene, tmp_path / "copy")
+    cv2.imwrite(str(folder / "left" / "frame4.png"), np.zeros((240, 320), np.uint8))
+    cv2.imwrite(str(folder / "right" / "frame7.png"), np.full((240, 320), 255, np.uint8))
+    done = armsight("measure", *scene.inputs, *scene.sources(folder / "left", folder / "right"), "-o", tmp_path / "out")
+    assert done.code == 0
+    assert (done.json["n_ok"], done.json["n_lost"]) == (COUNT - 2, 2)
+    assert [i for i, row in enumerate(rows(tmp_path / "out" / "poses.csv")) if row["status"] == "lost"] == [4, 7]
+    assert sum(done.json["reasons"].values()) == 2
+
+
+@pytest.mark.parametrize("level", [0, 255])
+def test_nothing_but_dark_or_white_frames_is_refused_with_the_reason(
+    armsight: Any, scene: Any, tmp_path: Path, level: int
+) -> None:
+    for side in ("left", "right"):
+        (tmp_path / side).mkdir()
+        for i in range(3):
+            cv2.imwrite(str(tmp_path / side / f"{i}.png"), np.full((240, 320), level, np.uint8))
+    done = armsight(
+        "measure", *scene.inputs, *scene.sources(tmp_path / "left", tmp_path / "right"), "-o", tmp_path / "o"
+    )
+    assert done.code == 3
+    assert "found in none of the 3 pairs" in done.json["error"]["cause"]
+    assert done.json["error"]["cure"]
+    assert {path.name for path in (tmp_path / "o").iterdir()} == set(FILES)
+
+
+def test_a_truncated_image_ends_the_run_and_what_was_measured_is_kept(
+    armsight: Any, scene: Any, tmp_path: Path
+) -> None:
+    folder = copied(scene, tmp_path / "copy")
+    path = folder / "right" / "frame9.png"
+    path.write_bytes(path.read_bytes()[:-500])
+    done = armsight("measure", *scene.inputs, *scene.sources(folder / "left", folder / "right"), "-o", tmp_path / "out")
+    assert done.code == 3
+    assert done.json["error"]["kind"] == "BadImage"
+    assert str(path) in done.json["error"]["cause"]
+    assert "9 poses of 9 pairs" in done.json["error"]["consequence"]
+    assert len(rows(tmp_path / "out" / "poses.csv")) == 9
+    assert str(path) in json.loads((tmp_path / "out" / "measure.json").read_text())["error"]
+    assert (tmp_path / "out" / "report.html").exists()
+
+
+def test_images_of_unequal_size_and_of_another_size_than_the_rig(armsight: Any, scene: Any, tmp_path: Path) -> None:
+    folder = copied(scene, tmp_path / "copy")
+    cv2.imwrite(str(folder / "left" / "frame3.png"), np.zeros((100, 320), np.uint8))
+    words = ["measure", *scene.inputs, *scene.sources(folder / "left", folder / "right"), "-o"]
+    done = armsight(*words, tmp_path / "out")
+    assert done.code == 3
+    assert "320x100" in done.json["error"]["cause"]
+    assert len(rows(tmp_path / "out" / "poses.csv")) == 3
+    for path in (folder / "left").iterdir():
+        cv2.imwrite(str(path), np.zeros((480, 640), np.uint8))
+    done = armsight(*words, tmp_path / "none")
+    assert done.code == 3
+    assert "640x480 px, the rig's left camera 320x240 px" in done.json["error"]["cause"]
+
+
+def test_unpaired_counts_are_refused_before_anything_is_written(armsight: Any, scene: Any, tmp_path: Path) -> None:
+    folder = copied(scene, tmp_path / "copy")
+    (folder / "right" / "frame5.png").unlink()
+    done = armsight("measure", *scene.inputs, *scene.sources(folder / "left", folder / "right"), "-o", tmp_path / "out")
+    assert done.code == 3
+    cause = done.json["error"]["cause"]
+    assert f"{COUNT} images, the right one {COUNT - 1}" in cause
+    assert "left/frame5.png" in cause
+    assert not (tmp_path / "out").exists()
+
+
+def test_swapped_views_are_recognised_and_said(armsight: Any, scene: Any, tmp_path: Path) -> None:
+    words = scene.sources(scene.folder / "right", scene.folder / "left")
+    done = armsight("measure", *scene.inputs, *words, "-o", tmp_path / "out")
+    assert done.code == 3
+    assert "swapped" in done.json["error"]["cause"]
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "told"),
+    [
+        ("rig.yaml", "fx: 400.0", "fx: .nan", "fx is nan"),
+        ("rig.yaml", "width: 320", "widht: 320", "did you mean 'width'"),
+        ("target.yaml", "A: [-0.04", "A: [.nan", "spots_m.A[0] is nan"),
+        ("target.yaml", "kind: spots", "kind: dots", "'dots'"),
+        ("target.yaml", "armsight/target", "armsight/rig", "not 'armsight/target'"),
+    ],
+)
+def test_a_wrong_yaml_is_refused_by_key(
+    armsight: Any, scene: Any, tmp_path: Path, file: str, old: str, new: str, told: str
+) -> None:
+    for name in ("rig.yaml", "target.yaml"):
+        text = (scene.folder / name).read_text()
+        (tmp_path / name).write_text(text.replace(old, new, 1) if name == file else text)
+    words = ["--rig", tmp_path / "rig.yaml", "--target", tmp_path / "target.yaml", *scene.sources()]
+    done = armsight("measure", *words, "-o", tmp_path / "out")
+    assert done.code == 3
+    assert told in done.json["error"]["cause"]
+    assert file in done.json["error"]["cause"]
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_video_that_ends_before_the_other_keeps_what_was_measured(armsight: Any, scene: Any, tmp_path: Path) -> None:
+    for side, count in (("left", 6), ("right", 10)):
+        writer = cv2.VideoWriter(str(tmp_path / f"{side}.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 25.0, (320, 240))
+        for i in range(count):
+            writer.write(cv2.imread(str(scene.folder / side / f"frame{i}.png")))
+        writer.release()
+    done = armsight(
+        "measure", *scene.inputs, *scene.sources(tmp_path / "left.avi", tmp_path / "right.avi"), "-o", tmp_path / "out"
+    )
+    assert done.code == 3
+    assert "left.avi ends after 6 frames" in done.json["error"]["cause"]
+    table = rows(tmp_path / "out" / "poses.csv")
+    np.testing.assert_allclose(column(table, "t_s")[:, 0], np.arange(6) / 25.0, atol=1e-6)
+    np.testing.assert_allclose(column(table, "x_m", "y_m", "z_m"), scene.xyz_m[:6], atol=3e-3)
+
+
+class Unplugged:
+    """A live camera of a registered driver that goes after five frames."""
+
+    total = None
+
+    def __init__(self, folder: str, **_: object) -> None:
+        self.name = f"camera:fake:{folder}"
+        self.folder = Path(folder)
+
+    def __enter__(self) -> Unplugged:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def __iter__(self) -> Iterator[Frame]:
+        late_s = 0.004 if self.folder.name == "right" else 0.0
+        for i in range(5):
+            image = cv2.imread(str(self.folder / f"frame{i}.png"), cv2.IMREAD_GRAYSCALE)
+            yield Frame(image=image, t_s=0.033 * i + late_s, sequence=i, source=self.name)
+        raise DeviceLost(f"{self.name} stopped sending", consequence="No more frames", cure="Check the plug")
+
+
+def test_a_camera_unplugged_midway_ends_with_4_and_keeps_what_was_measured(
+    armsight: Any, scene: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("armsight.drivers.opening.load", lambda group, name: Unplugged)
+    sides = [f"camera:fake:{scene.folder / side}" for side in ("left", "right")]
+    done = armsight("measure", *scene.inputs, "--left", sides[0], "--right", sides[1], "-o", tmp_path / "out")
+    assert done.code == 4
+    assert done.json["error"]["kind"] == "DeviceLost"
+    assert len(rows(tmp_path / "out" / "poses.csv")) == 5
+    summary = json.loads((tmp_path / "out" / "measure.json").read_text())
+    assert summary["n_ok"] == 5
+    assert summary["skew"]["mean_s"] == pytest.approx(0.004)
+
+
+def test_a_camera_that_is_not_there_ends_with_4(armsight: Any, scene: Any, tmp_path: Path) -> None:
+    done = armsight("measure", *scene.inputs, "--left", "camera:97", "--right", "camera:98", "-o", tmp_path / "out")
+    assert done.code == 4
+    assert "camera:97" in done.json["error"]["cause"]
+    done = armsight("measure", *scene.inputs, "--left", "camera:nosuch", "--right", "camera:98", "-o", tmp_path / "out")
+    assert done.code == 4
+    assert "opencv" in done.json["error"]["cure"]
+
+
+def test_wrong_calls_end_with_2(armsight: Any, scene: Any, tmp_path: Path) -> None:
+    out = ["-o", tmp_path / "out"]
+    one, two = scene.folder / "left", scene.folder / "right"
+    for words in (
+        [],
+        ["--left", one],
+        ["--left", one, "--right", one],
+        ["--left", one, "--right", two, "--image", one],
+        ["--left", "camera:0", "--right", two],
+        ["--left", one, "--right", "run.mcap"],
+        ["--left", one, "--right", two, "--threshold", 400],
+    ):
+        assert armsight("measure", *scene.inputs, *words, *out).code == 2, words
+    assert not (tmp_path / "out").exists()
+
+
+def test_ctrl_c_leaves_whole_files_and_ends_with_130(scene: Any, tmp_path: Path) -> None:
+    for side in ("left", "right"):
+        (tmp_path / side).mkdir()
+        for i in range(3000):
+            os.link(scene.folder / side / f"frame{i % COUNT}.png", tmp_path / side / f"{i}.png")
+    words = [*scene.inputs, *scene.sources(tmp_path / "left", tmp_path / "right"), "-o", tmp_path / "out", "--json"]
+    process = subprocess.Popen(
+        [sys.executable, "-c", "from armsight.cli import main; main()", "measure", *map(str, words)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    poses = tmp_path / "out" / "poses.csv"
+    while process.poll() is None and not (poses.exists() and poses.stat().st_size > 2000):
+        time.sleep(0.01)  # until it measures; pytest's own limit ends a hang
+    process.send_signal(signal.SIGINT)
+    out, text = process.communicate()
+    assert process.returncode == 130, text
+    assert json.loads(out)["error"]["kind"] == "Cancelled"
+    table = rows(poses)
+    assert 0 < len(table) < 3000
+    assert all(row["status"] for row in table)
+    assert json.loads((tmp_path / "out" / "measure.json").read_text())["n_frames"] == len(table)
+    assert not list((tmp_path / "out").glob("*.part"))
