@@ -69,7 +69,7 @@ class CellPairs:
         for index, pair in enumerate(self._cell.frames()):
             if self._folder is not None:
                 for side, frame in zip(SIDES, pair, strict=True):
-                    _write_png(self._folder / side / f"{index:06d}.png", frame)
+                    write_png(self._folder / side / f"{index:06d}.png", frame)
             yield pair
 
 
@@ -92,6 +92,7 @@ def write_cell_files(cell: Cell, folder: Path, *, seed: int, frames: int) -> Non
     write_text(folder / "scenario.yaml", dump_yaml(scenario))
 
 
-def _write_png(path: Path, frame: Frame) -> None:
+def write_png(path: Path, frame: Frame) -> None:
+    """Write a frame; DeviceFailed where the disk refuses."""
     if not cv2.imwrite(str(path), frame.image, PNG):
         raise DeviceFailed(f"{path} cannot be written", cure="Check the folder and the free space")

@@ -5,18 +5,104 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from armsight.app.cells import CellPairs, load_cell, write_cell_files
+import numpy as np
+
+from armsight.app.cells import CellPairs, load_cell, write_cell_files, write_png
+from armsight.app.scenarios import build_cell, load_scenario, scenario_names, settled_text
+from armsight.drivers import CELLS, known
 from armsight.errors import Cancelled
-from armsight.records import Progress, Silent
+from armsight.records import Motion, Progress, Silent
+from armsight.store import rig_from_mapping, target_from_mapping, write_rig, write_target, write_text
+from armsight.store.arm_file import arm_from_mapping, write_arm
+from armsight.store.tables import cells, number
+from armsight.store.tracks import POSE_COLUMNS, write_joints
+from armsight.store.worlds import World, write_world
+
+CELL_FRAMES = 100
+"""Frames of a built-in cell without a scenario file, where the caller does not say."""
 
 
-def simulate(scenario: str, out: Path, *, seed: int, frames: int, progress: Progress | None = None) -> dict[str, Any]:
-    """Write left/*.png, right/*.png, rig.yaml, target.yaml, times.csv, truth.csv and scenario.yaml into the folder out.
+def simulate(
+    scenario: str,
+    out: Path,
+    *,
+    seed: int | None = None,
+    frames: int | None = None,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Simulate a scenario, by name or file, or a built-in cell, into the folder out.
 
-    Raises DeviceNotFound for an unknown scenario, DeviceFailed where the disk refuses, Cancelled.
+    Writes left/*.png and right/*.png (image/*.png for a mirror rig), rig.yaml, target.yaml, times.csv, truth.csv and
+    scenario.yaml; of a scenario with a robot also arm.yaml (nominal, the target or rig as its tool), arm_true.yaml,
+    joints.csv (encoders), truth_world.csv, world.yaml (of a fixed rig) and sweep_joints.csv (of sweeps). seed and
+    frames default to the scenario's own. Raises DeviceNotFound for an unknown scenario, BadFile for one that cannot
+    be, DeviceFailed where the disk refuses, Cancelled.
     """
     progress = progress or Silent()
-    cell = load_cell(scenario, seed=seed, frames=frames)
+    if scenario in known(CELLS) and scenario not in scenario_names():
+        return _simulate_cell(scenario, out, 1 if seed is None else seed, frames or CELL_FRAMES, progress)
+    model, text = load_scenario(scenario)
+    stage = build_cell(scenario, model, seed=seed, frames=frames)
+    write_text(out / "scenario.yaml", settled_text(text, seed=stage.seed, frames=stage.n_frames))
+    write_stage_files(stage, out)
+    for view in stage.views:
+        (out / view).mkdir(parents=True, exist_ok=True)
+    done, total = 0, len(stage.kept)
+    for done, seen in enumerate(stage.frames(), start=1):
+        for view, frame in zip(stage.views, seen, strict=True):
+            write_png(out / view / f"{frame.sequence:06d}.png", frame)
+        progress.update(done, total)
+        if progress.cancelled():
+            raise Cancelled(f"stopped after {done} frames", consequence=f"They are in {out}")
+    return {
+        "scenario": model.name,
+        "seed": stage.seed,
+        "n_frames": done,
+        "n_dropped": stage.n_frames - total,
+        "views": list(stage.views),
+        "out": str(out),
+    }
+
+
+def write_stage_files(stage: Any, out: Path) -> None:
+    """Write what is known of a stage besides its frames."""
+    write_rig(out / "rig.yaml", rig_from_mapping(stage.rig, f"{stage.name}'s rig"))
+    write_target(out / "target.yaml", target_from_mapping(stage.target, f"{stage.name}'s target"))
+    for name, arm in (("arm.yaml", stage.nominal), ("arm_true.yaml", stage.true)):
+        content = {"format": "armsight/arm", "version": 1, **arm.mapping(stage.T_flange_tool)}
+        write_arm(out / name, arm_from_mapping(content, f"{stage.name}'s arm"))
+    _write_truth(out / "truth.csv", stage.truth)
+    _write_truth(out / "truth_world.csv", stage.world_truth)
+    write_text(out / "times.csv", "\n".join(["t_s", *(number(t_s) for t_s, _, _ in stage.truth)]) + "\n")
+    readings = stage.joints
+    if readings:
+        motion = Motion(t_s=np.array([t_s for t_s, _ in readings]), q=np.array([q for _, q in readings]))
+        write_joints(out / "joints.csv", motion)
+    if stage.T_base_rig is not None:
+        T_world_rig = stage.true.T_world_base * stage.T_base_rig
+        write_world(out / "world.yaml", World(parent="world", T_parent_rig=T_world_rig))
+    if stage.sweeps:
+        n = stage.nominal.n
+        place = {index: row for row, index in enumerate(stage.kept)}
+        rows = [
+            f"{place[frame]},{joint},{cells(stage.servo.read(frame / stage.fps)[0])}"
+            for frame, joint in stage.sweeps
+            if frame in place
+        ]
+        header = ",".join(["frame", "joint", *(f"q{i + 1}" for i in range(n))])
+        write_text(out / "sweep_joints.csv", "\n".join([header, *rows]) + "\n")
+
+
+def _write_truth(path: Path, truth: Any) -> None:
+    rows = []
+    for t_s, xyz_m, quat_xyzw in truth:
+        rows.append(f"{number(t_s)},{cells(xyz_m)},{cells(quat_xyzw)},,,,,,,ok,")
+    write_text(path, "\n".join([",".join(POSE_COLUMNS), *rows]) + "\n")
+
+
+def _simulate_cell(name: str, out: Path, seed: int, frames: int, progress: Progress) -> dict[str, Any]:
+    """Simulate a built-in cell without a robot."""
+    cell = load_cell(name, seed=seed, frames=frames)
     write_cell_files(cell, out, seed=seed, frames=frames)
     done = 0
     with CellPairs(cell, frames, folder=out) as pairs:
@@ -25,4 +111,4 @@ def simulate(scenario: str, out: Path, *, seed: int, frames: int, progress: Prog
             progress.update(done, frames)
             if progress.cancelled():
                 raise Cancelled(f"stopped after {done} pairs", consequence=f"They are in {out}")
-    return {"scenario": scenario, "seed": seed, "n_frames": done, "out": str(out)}
+    return {"scenario": name, "seed": seed, "n_frames": done, "out": str(out)}

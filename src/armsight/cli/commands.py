@@ -16,6 +16,7 @@ from armsight.cli.convert import convert
 from armsight.cli.face import Face
 from armsight.cli.kinematics import convert_arm, kinematics
 from armsight.cli.options import SRC, AsJson, Fps, Limit, OutFolder, Seed
+from armsight.cli.record import record
 from armsight.cli.tables import demo_tables, doctor_tables, measure_tables
 
 app = typer.Typer(
@@ -29,6 +30,7 @@ app.add_typer(calibrate, name="calibrate")
 handeye.add_to(calibrate)
 convert.command("arm")(convert_arm)
 app.add_typer(convert, name="convert")
+app.command()(record)
 app.add_typer(kinematics, name="kinematics")
 
 
@@ -123,10 +125,12 @@ def demo(
 
 @app.command()
 def simulate(
-    scenario: Annotated[str, typer.Argument(help="Name of a simulated cell; `armsight doctor` lists them.")],
+    scenario: Annotated[str, typer.Argument(help="A scenario's name or file, or a built-in cell's name.")],
     out: OutFolder,
-    seed: Seed = 1,
-    frames: Annotated[int, typer.Option(min=1, help="How many pairs of frames.")] = 100,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="The same seed gives the same run. [default: the file's]")
+    ] = None,
+    frames: Annotated[int | None, typer.Option(min=1, help="How many frames. [default: the file's]")] = None,
     json: AsJson = False,
 ) -> None:
     """Write the frames of a simulated cell, its files and the truth into a folder."""
@@ -134,7 +138,7 @@ def simulate(
         from armsight.app.simulate import simulate as run
 
         content = run(scenario, out, seed=seed, frames=frames, progress=face.progress("simulating"))
-        face.say(f"{content['n_frames']} pairs of frames and the truth are in {out}")
+        face.say(f"{content['n_frames']} frames of each view and the truth are in {out}")
         face.result(content)
 
 

@@ -6,7 +6,7 @@ from armsight.drivers.live import LivePairs, OpenCvCamera, cameras_there
 from armsight.drivers.opening import is_live, open_pairs, open_source, open_split
 from armsight.drivers.pairs import FilePairs, SplitImages
 from armsight.drivers.protocols import FrameSource, PairSource, Skew
-from armsight.drivers.registry import CAMERAS, CELLS, ROBOTS, known, load
+from armsight.drivers.registry import CAMERAS, CELLS, ROBOTS, SCENARIOS, known, load
 from armsight.drivers.robot import Robot, RobotState, Sent
 from armsight.drivers.sources import FPS, Capture, ImageFolder, VideoFile
 
@@ -15,6 +15,7 @@ __all__ = [
     "CELLS",
     "FPS",
     "ROBOTS",
+    "SCENARIOS",
     "Capture",
     "FilePairs",
     "FrameSource",

@@ -16,6 +16,9 @@ ROBOTS = "armsight.robots"
 CELLS = "armsight.cells"
 """Group of callables (seed: int, frames: int) -> a simulated cell."""
 
+SCENARIOS = "armsight.scenarios"
+"""Group of pydantic models of scenario files, with cell(seed=, frames=) and robot(device, clock)."""
+
 
 def known(group: str) -> tuple[str, ...]:
     """Return the names registered in a group, sorted."""

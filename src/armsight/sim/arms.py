@@ -47,15 +47,17 @@ class SimJoint:
     def matrix(self, q: float) -> Array:
         """Return Rz(theta) Tz(d) Tx(a) Rx(alpha) (4, 4): the frame behind the joint in the one before it."""
         theta = self.theta_rad + (0.0 if self.slides else q)
-        d = self.d_m + (q if self.slides else 0.0)
-        turn, tilt = np.eye(4), np.eye(4)
         c, s = math.cos(theta), math.sin(theta)
-        turn[:2, :2] = [[c, -s], [s, c]]
-        turn[2, 3] = d
-        c, s = math.cos(self.alpha_rad), math.sin(self.alpha_rad)
-        tilt[1:3, 1:3] = [[c, -s], [s, c]]
-        tilt[0, 3] = self.a_m
-        return np.asarray(turn @ tilt)
+        ca, sa = math.cos(self.alpha_rad), math.sin(self.alpha_rad)
+        d = self.d_m + (q if self.slides else 0.0)
+        return np.array(
+            [
+                [c, -s * ca, s * sa, self.a_m * c],
+                [s, c * ca, -c * sa, self.a_m * s],
+                [0.0, sa, ca, d],
+                [0.0, 0.0, 0.0, 1.0],
+            ]
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -203,7 +205,11 @@ def covered(frames: Array, radii_m: Sequence[float], eye_m: Array, light_m: Arra
     carries it and covers nothing.
     """
     for start, end, radius in zip(frames[:-1, :3, 3], frames[1:, :3, 3], radii_m, strict=True):
-        if radius <= 0.0 or _distance(start, end, light_m, light_m) <= radius:
+        half = 0.5 * float(np.linalg.norm(end - start))
+        middle = 0.5 * (start + end)
+        if radius <= 0.0 or _distance(eye_m, light_m, middle, middle) > half + radius:
+            continue  # far off, as nearly always
+        if _distance(start, end, light_m, light_m) <= radius:
             continue
         if _distance(start, end, eye_m, light_m) <= radius:
             return True

@@ -136,7 +136,7 @@ class SimCamera:
         in_camera = places @ R.transpose(0, 2, 1) + t[:, None, :]  # (poses, lights, 3)
         uv = self.lens.project(in_camera)
         towards = np.einsum("pli,pli->pl", facing @ R.transpose(0, 2, 1), in_camera)
-        uv[towards >= 0.0] = np.nan
+        uv[(towards >= 0.0) & facing.any(axis=1)] = np.nan
         return uv
 
     def _exposed(self, lights: Sequence[Light], path: Path, t_s: float) -> tuple[tuple[Array, Array], Array, Array]:

@@ -74,7 +74,8 @@ class Wander:
 class Light:
     """A light fixed to the target.
 
-    xyz_m, facing (unit): place and direction of shining in target axes; it is not seen from behind. level:
+    xyz_m, facing (unit): place and direction of shining in target axes; it is not seen from behind, unless
+    facing is zero: then it shines everywhere. level:
     peak of the spread function above the background in grey levels (of a disc: its plateau). sigma_px: spread of
     a point light, or the lens blur at the edge of a disc. diameter_m: None for a point, else of a flat disc
     normal to facing. bgr: share of each channel in a colour camera.

@@ -1,0 +1,65 @@
+"""Scenario files: the built-in ones by name, others by path."""
+
+from __future__ import annotations
+
+import re
+from importlib.resources import as_file, files
+from pathlib import Path
+from typing import Any
+
+from armsight.drivers import CELLS, SCENARIOS, known, load
+from armsight.errors import DeviceNotFound
+from armsight.store.atomic import read_bytes
+from armsight.store.schema import named, validated
+from armsight.store.yamls import MAX_BYTES, parse_yaml
+
+MODEL = "scenario"
+
+
+def scenario_names() -> tuple[str, ...]:
+    """Return the names of the built-in scenarios, sorted."""
+    folder = files("armsight") / "sim" / "scenarios"
+    return tuple(sorted(item.name.removesuffix(".yaml") for item in folder.iterdir() if item.name.endswith(".yaml")))
+
+
+def scenario_text(name: str) -> tuple[bytes, str] | None:
+    """Return the content of a built-in scenario or of a file, and what to call it; None where it is neither."""
+    path = Path(name)
+    if path.suffix in (".yaml", ".yml"):
+        return read_bytes(path, limit=MAX_BYTES), name
+    if name not in scenario_names():
+        return None
+    with as_file(files("armsight") / "sim" / "scenarios" / f"{name}.yaml") as inside:
+        return read_bytes(inside, limit=MAX_BYTES), f"the scenario {name}"
+
+
+def load_scenario(name: str) -> tuple[Any, str]:
+    """Return a scenario, checked, and its text. Raises DeviceNotFound with the known names; BadFile naming the key."""
+    found = scenario_text(name)
+    if found is None:
+        raise DeviceNotFound(
+            f"there is no scenario {name!r}",
+            consequence="There is nothing to simulate",
+            cure=f"Known are: {', '.join((*scenario_names(), *known(CELLS)))}; or give a scenario file (.yaml)",
+        )
+    data, where = found
+    content = parse_yaml(data, where)
+    model: Any = validated(load(SCENARIOS, MODEL), content, where)
+    return model, data.decode("utf-8")
+
+
+def build_cell(name: str, model: Any, *, seed: int | None, frames: int | None) -> Any:
+    """Return a scenario's stage; BadFile, naming the scenario and the key, for a geometry that cannot be."""
+    with named(f"the scenario {name}"):
+        return model.cell(seed=seed, frames=frames)
+
+
+def settled_text(text: str, *, seed: int, frames: int) -> str:
+    """Return a scenario's text with these numbers for seed and frames, so that it makes the same run again."""
+    for key, value in (("seed", seed), ("frames", frames)):
+        line = re.compile(rf"^{key}:[ \t]*[^\s#]+", re.MULTILINE)
+        if line.search(text):
+            text = line.sub(f"{key}: {value}", text, count=1)
+        else:
+            text = text.rstrip("\n") + f"\n{key}: {value}\n"
+    return text

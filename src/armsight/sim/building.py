@@ -1,0 +1,397 @@
+"""From a checked scenario to the stage, its robot and its cameras."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from armsight.clock import Clock
+from armsight.errors import Inconsistent, UsageError
+from armsight.sim.arms import FlangeLimits, SimArm, SimJoint
+from armsight.sim.camera import SimCamera
+from armsight.sim.cell import SEED_BACKDROP, SEED_PATH
+from armsight.sim.lens import Lens
+from armsight.sim.mirror import MirrorLens, Mirrors, mirror_rig, mirror_views
+from armsight.sim.motions import Drawn, JointMotion, Jumping, Swing, Tremor, Turntable, Vibration, Waypoints
+from armsight.sim.rigs import SIDES, rig_mapping
+from armsight.sim.robot import SimRobot
+from armsight.sim.scenario import (
+    ArcKeys,
+    CameraKeys,
+    EdgeKeys,
+    EventKeys,
+    LensKeys,
+    RestKeys,
+    Scenario,
+    SweepsKeys,
+    SwingKeys,
+    WayKeys,
+)
+from armsight.sim.scene import Event, Ghost, Light, Path, Rest
+from armsight.sim.sensor import Sensor, ambient, with_hot_pixels
+from armsight.sim.servo import Drive, Servo
+from armsight.sim.stage import Carried, Stage, Timing
+
+Array = NDArray[np.float64]
+
+SEED_ARM, SEED_TREMOR, SEED_VIBRATION = 20, 21, 22
+
+AHEAD_S = 0.5
+"""How far past the last frame the motion is worked out: exposures, jitter and a rolling shutter reach beyond it."""
+
+DWELL = 0.5
+"""Share of a reading's time that a swept joint rests before it is read: five time constants of a lag of a tenth."""
+
+BGR = {"red": (0.05, 0.08, 1.0), "green": (0.08, 1.0, 0.10), "blue": (1.0, 0.10, 0.05)}
+"""What a coloured light gives each channel: the filters of real sensors overlap by 5 to 10 %."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Robotics:
+    """The scenario's arm: as its controller believes it, as it is, how it moves."""
+
+    nominal: SimArm
+    true: SimArm
+    drive: Drive
+    limits: FlangeLimits
+    units: Array
+
+
+def robotics(scenario: Scenario, seed: int) -> Robotics:
+    """Return the arm of a scenario; its errors come from the seed. units (n,): of a file's joint value, rad or m."""
+    keys = scenario.arm
+    units = np.array([1.0 if joint.type == "prismatic" else np.pi / 180.0 for joint in keys.joints])
+    joints = tuple(
+        SimJoint(
+            name=joint.name,
+            slides=joint.type == "prismatic",
+            a_m=joint.a_m,
+            alpha_rad=np.deg2rad(joint.alpha_deg),
+            d_m=joint.d_m,
+            theta_rad=np.deg2rad(joint.theta_deg),
+            lower=-np.inf if joint.lower is None else unit * joint.lower,
+            upper=np.inf if joint.upper is None else unit * joint.upper,
+            max_speed=joint.max_speed,
+        )
+        for joint, unit in zip(keys.joints, units, strict=True)
+    )
+    nominal = SimArm(joints=joints, T_world_base=keys.T_world_base.pose())
+    rng = np.random.default_rng([seed, SEED_ARM])
+    step = np.array([(1.0 if joint.slides else 2.0 * np.pi) / keys.steps for joint in joints])
+    return Robotics(
+        nominal=nominal,
+        true=nominal.with_errors(rng, keys.error.length_m, np.deg2rad(keys.error.angle_deg)),
+        drive=Drive(
+            cycle_s=keys.cycle_s,
+            lag_s=keys.lag_s,
+            max_speed=np.array([joint.max_speed for joint in joints]),
+            encoder_step=step,
+        ),
+        limits=FlangeLimits(
+            speed_m_s=keys.max_speed_m_s or np.inf,
+            speed_rad_s=np.deg2rad(keys.max_speed_deg_s) if keys.max_speed_deg_s else np.inf,
+        ),
+        units=units,
+    )
+
+
+def build_robot(scenario: Scenario, device: str, clock: Clock) -> SimRobot:
+    """Return the scenario's robot on a clock, standing where its motion begins."""
+    arm = robotics(scenario, scenario.seed)
+    motion = scenario.motion
+    home = motion.follow.home if not isinstance(motion, WayKeys | SweepsKeys | SwingKeys) else _first(scenario)
+    return SimRobot(
+        f"{scenario.name}{':' if device else ''}{device}",
+        true=arm.true,
+        nominal=arm.nominal,
+        drive=arm.drive,
+        home=arm.units * np.array(home),
+        clock=clock,
+        limits=arm.limits,
+    )
+
+
+def build_stage(scenario: Scenario, seed: int, frames: int) -> Stage:
+    """Return the stage of a scenario. Raises Inconsistent, naming the key, for a motion that the arm cannot make."""
+    if frames < 1 or seed < 0:
+        raise UsageError(f"{frames} frames with the seed {seed} cannot be", cure="Ask for one or more, and a seed >= 0")
+    arm = robotics(scenario, seed)
+    cameras, rig = _cameras(scenario.cameras, seed)
+    until_s = frames / scenario.fps + AHEAD_S
+    shake = np.random.default_rng([seed, SEED_VIBRATION])
+    vibration = Vibration(
+        amplitude_m=np.full(3, scenario.arm.vibration.amplitude_m),
+        hz=scenario.arm.vibration.hz * shake.uniform(0.8, 1.2, 3),
+        phase_rad=shake.uniform(0.0, 2.0 * np.pi, 3),
+    )
+    T_mount_rig = scenario.cameras.T_mount_rig.pose()
+    motion = scenario.motion
+    if isinstance(motion, WayKeys | SweepsKeys | SwingKeys):
+        servo = _commanded(scenario, arm, _joint_motion(scenario, arm.units, seed), until_s)
+        T_flange_tool = scenario.target.T_flange_target.pose() if scenario.target.T_flange_target else T_mount_rig
+        target: Path = Carried(arm=arm.true, servo=servo, T_flange_thing=T_flange_tool, vibration=vibration)
+        rig_path: Path = Rest(T_world_target=arm.true.T_world_base * T_mount_rig)
+    else:
+        target = _carried_target(motion, seed)
+        servo = _following(scenario, arm, target, T_mount_rig, until_s)
+        T_flange_tool = T_mount_rig
+        rig_path = Carried(arm=arm.true, servo=servo, T_flange_thing=T_mount_rig, vibration=vibration)
+    for event in scenario.events:
+        if event.kind == "jump":
+            target = Jumping(path=target, by_m=np.array(event.by_m), start_s=event.at_s, end_s=event.at_s + event.for_s)
+    fixed = scenario.cameras.mount == "base"
+    stage = Stage(
+        name=scenario.name,
+        seed=seed,
+        n_frames=frames,
+        timing=Timing(
+            fps=scenario.fps,
+            jitter_s=scenario.cameras.jitter_s,
+            latency_s=scenario.cameras.latency_s,
+            drop=scenario.cameras.drop,
+        ),
+        views=("image",) if scenario.cameras.mirrors else SIDES,
+        cameras=cameras,
+        lights=_lights(scenario),
+        rig_path=rig_path,
+        target_path=target,
+        rig=rig,
+        target=_target_mapping(scenario),
+        nominal=arm.nominal,
+        true=arm.true,
+        T_flange_tool=T_flange_tool,
+        servo=servo,
+        T_base_rig=T_mount_rig if fixed else None,
+        T_flange_rig=None if fixed else T_mount_rig,
+        radii_m=tuple(joint.radius_m for joint in scenario.arm.joints),
+        events=_events(scenario, ("occluded", "reflection")),
+        frozen=_events(scenario, ("frozen",)),
+        dropped=_events(scenario, ("dropped",)),
+        cut_off=_events(scenario, ("link_lost",)),
+        sweeps=_sweep_rows(scenario, frames),
+        assumptions=("every number is told in the scenario's file, with its source or why it was chosen",),
+    )
+    _check_seen(stage)
+    return stage
+
+
+def _first(scenario: Scenario) -> list[float]:
+    motion = scenario.motion
+    if isinstance(motion, WayKeys):
+        return motion.q[0]
+    if isinstance(motion, SwingKeys):
+        return motion.home
+    if isinstance(motion, SweepsKeys):
+        return motion.sweeps[0].rest
+    return motion.follow.home
+
+
+def _joint_motion(scenario: Scenario, units: Array, seed: int) -> JointMotion:
+    motion = scenario.motion
+    if isinstance(motion, SwingKeys):
+        rng = np.random.default_rng([seed, SEED_PATH])
+        return Swing(
+            home=units * np.array(motion.home),
+            amplitude=units * np.array(motion.amplitude),
+            period_s=np.array(motion.period_s),
+            phase_rad=rng.uniform(0.0, 2.0 * np.pi, len(units)),
+        )
+    if isinstance(motion, SweepsKeys):
+        rows = []
+        for sweep in motion.sweeps:
+            for value in np.linspace(sweep.begin, sweep.end, sweep.readings):
+                row = np.array(sweep.rest)
+                row[sweep.joint - 1] = value
+                rows.append(units * row)
+        at_s = np.asarray(motion.every_s * np.arange(len(rows)), dtype=np.float64)
+        arrive = at_s[1:] - DWELL * motion.every_s
+        return Waypoints(q=np.array(rows), leave_s=at_s[:-1] + 0.1 * motion.every_s, arrive_s=arrive)
+    if isinstance(motion, WayKeys):
+        leave = np.asarray(motion.start_s + motion.lasts_s * np.arange(len(motion.q) - 1), dtype=np.float64)
+        return Waypoints(q=units * np.array(motion.q), leave_s=leave, arrive_s=leave + motion.lasts_s)
+    raise Inconsistent(f"motion.kind {motion.kind} moves no joints")
+
+
+def _commanded(scenario: Scenario, arm: Robotics, motion: JointMotion, until_s: float) -> Servo:
+    """Return the motion of an arm that is sent along a motion, one command a cycle; it begins at rest on the way."""
+    cycle_s = arm.drive.cycle_s
+    t_s = np.asarray(cycle_s * np.arange(int(until_s / cycle_s) + 2), dtype=np.float64)
+    commands = motion(t_s)
+    servo = Servo(arm.drive, commands[0])
+    for moment, q in zip(t_s, commands, strict=True):
+        servo.command(moment + _lateness(scenario, moment, cycle_s), q)
+    servo.advance(until_s)
+    return servo
+
+
+def _following(scenario: Scenario, arm: Robotics, target: Path, T_flange_rig: RigidTransform, until_s: float) -> Servo:
+    """Return the motion of an arm that keeps its rig before a target, by its nominal geometry."""
+    motion = scenario.motion
+    if isinstance(motion, WayKeys | SweepsKeys | SwingKeys):
+        raise Inconsistent(f"motion.kind {motion.kind} follows nothing")
+    follow, cycle_s = motion.follow, arm.drive.cycle_s
+    t_s = np.asarray(cycle_s * np.arange(int(until_s / cycle_s) + 2), dtype=np.float64)
+    T_rig_goal = RigidTransform.from_translation([0.0, 0.0, follow.distance_m])
+    seen = target(np.maximum(t_s - follow.delay_s, 0.0))
+    goals = arm.nominal.T_world_base.inv() * seen * (T_flange_rig * T_rig_goal).inv()
+    try:
+        q = arm.nominal.reach(goals[0], arm.units * np.array(follow.home))
+        servo = Servo(arm.drive, q)
+        longest = arm.drive.max_speed * cycle_s
+        moved = np.append(True, np.abs(np.diff(goals.as_matrix(), axis=0)).max(axis=(1, 2)) > 0.0)
+        arrived = False
+        for index, moment in enumerate(t_s):
+            if arrived and not moved[index]:
+                continue
+            here = arm.nominal.flange(q)
+            goal, _ = arm.limits.cut(here, goals[index], cycle_s)
+            way = arm.nominal.reach(goal, q) - q
+            q = q + way * min(1.0, float(np.min(longest / np.maximum(np.abs(way), 1e-300))))
+            arrived = not np.abs(way).max() > 1e-12
+            servo.command(moment + _lateness(scenario, moment, cycle_s), q)
+    except Inconsistent as error:
+        raise Inconsistent(
+            f"motion: {error.cause}", consequence="The robot cannot follow the target", cure=error.cure
+        ) from error
+    servo.advance(until_s)
+    return servo
+
+
+def _lateness(scenario: Scenario, t_s: float, cycle_s: float) -> float:
+    """Return by how much a command is late on command: one cycle."""
+    late = any(e.kind == "late_cycle" and e.at_s <= t_s < e.at_s + e.for_s for e in scenario.events)
+    return cycle_s if late else 0.0
+
+
+def _carried_target(motion: RestKeys | ArcKeys | EdgeKeys, seed: int) -> Path:
+    path: Path
+    if isinstance(motion, RestKeys):
+        path = Rest(T_world_target=motion.T_world_target.pose())
+    elif isinstance(motion, ArcKeys):
+        path = Turntable(
+            T_world_base=motion.T_world_centre.pose(),
+            T_base_target=RigidTransform.from_translation([motion.radius_m, 0.0, 0.0]) * motion.T_arm_target.pose(),
+            from_rad=np.deg2rad(motion.from_deg),
+            to_rad=np.deg2rad(motion.to_deg),
+            start_s=motion.start_s,
+            lasts_s=motion.lasts_s,
+        )
+    else:
+        R = Rotation.from_euler("xyz", motion.turn_deg, degrees=True)
+        path = Drawn(motion.corners_m, R, motion.speed_m_s, motion.smooth_s, motion.start_s)
+    if motion.hand.rms_m or motion.hand.rms_deg:
+        rng = np.random.default_rng([seed, SEED_TREMOR])
+        path = Tremor(path, motion.hand.rms_m, np.deg2rad(motion.hand.rms_deg), rng)
+    return path
+
+
+def _lens(keys: LensKeys, cameras: CameraKeys) -> Lens:
+    k1, k2, p1, p2, k3 = keys.distortion
+    return Lens(
+        width=cameras.width,
+        height=cameras.height,
+        focal_px=(keys.fx, keys.fy),
+        centre_px=(keys.cx, keys.cy),
+        distortion=(k1, k2, p1, p2, k3),
+    )
+
+
+def _cameras(keys: CameraKeys, seed: int) -> tuple[dict[str, SimCamera], dict[str, Any]]:
+    """Return the cameras of a rig in its axes, and the rig as rig.yaml has it."""
+    left = _lens(keys.left, keys)
+    here = RigidTransform.identity()
+    if keys.mirrors is not None:
+        views = mirror_views(left, Mirrors(**keys.mirrors.model_dump()))
+        places: dict[str, tuple[Lens | MirrorLens, RigidTransform]] = {side: (views[side], here) for side in SIDES}
+        rig = mirror_rig(views)
+    else:
+        right = keys.right
+        if right is None:
+            raise Inconsistent("cameras: neither right nor mirrors is given")
+        pair = {"left": (left, here), "right": (_lens(right, keys), right.T_rig_camera.pose())}
+        places, rig = dict(pair), rig_mapping(pair)
+    sensor = Sensor(electrons_per_level=keys.sensor.electrons_per_level, read_noise_level=keys.sensor.read_noise_level)
+    cameras = {}
+    for side, (lens, T_rig_camera) in places.items():
+        bgr = (1.0, 1.0, 1.0) if keys.colour else (1.0,)
+        room = ambient(keys.width, keys.height, keys.sensor.ambient_level, bgr=bgr)
+        if keys.sensor.hot_pixels:
+            rng = np.random.default_rng([seed, SEED_BACKDROP, SIDES.index(side)])
+            room = with_hot_pixels(room, keys.sensor.hot_pixels, (20.0, 120.0), rng)
+        cameras[side] = SimCamera(
+            lens=lens,
+            T_world_camera=T_rig_camera,
+            sensor=sensor,
+            backdrop=room,
+            exposure_s=keys.exposure_s,
+            readout_s=keys.readout_s,
+        )
+    return cameras, rig
+
+
+def _lights(scenario: Scenario) -> tuple[Light, ...]:
+    keys = scenario.target
+    bgr = BGR[keys.colour] if keys.colour else (1.0, 1.0, 1.0)
+    return tuple(
+        Light(
+            name=name,
+            xyz_m=(x, y, z),
+            level=keys.level,
+            sigma_px=keys.sigma_px,
+            diameter_m=keys.diameter_m,
+            bgr=bgr,
+            facing=(0.0, 0.0, 0.0) if keys.everywhere else (0.0, 0.0, -1.0),
+        )
+        for name, (x, y, z) in keys.spots_m.items()
+    )
+
+
+def _target_mapping(scenario: Scenario) -> dict[str, Any]:
+    keys = scenario.target
+    target: dict[str, Any] = {"kind": "spots", "spots_m": {name: list(xyz) for name, xyz in keys.spots_m.items()}}
+    if keys.diameter_m is not None:
+        target["diameter_m"] = keys.diameter_m
+    if keys.colour is not None:
+        target["colour"] = keys.colour
+    return target
+
+
+def _events(scenario: Scenario, kinds: tuple[str, ...]) -> tuple[Event, ...]:
+    def made(event: EventKeys) -> Event:
+        first = int(np.ceil(event.at_s * scenario.fps - 1e-9))
+        last = max(first + 1, int(np.ceil((event.at_s + event.for_s) * scenario.fps - 1e-9)))
+        ghosts: tuple[Ghost, ...] = ()
+        if event.kind == "reflection" and event.uv_px is not None:
+            uv = (event.uv_px[0], event.uv_px[1])
+            ghosts = (Ghost(uv_px=uv, level=event.level, sigma_px=scenario.target.sigma_px),)
+        hidden = tuple(event.lights) if event.kind == "occluded" else ()
+        return Event(first=first, last=last, side=event.side, note=event.kind, hidden=hidden, ghosts=ghosts)
+
+    return tuple(made(event) for event in scenario.events if event.kind in kinds)
+
+
+def _sweep_rows(scenario: Scenario, frames: int) -> tuple[tuple[int, int], ...]:
+    """Return (frame, joint) of each reading of a sweep."""
+    if not isinstance(scenario.motion, SweepsKeys):
+        return ()
+    joints = [sweep.joint for sweep in scenario.motion.sweeps for _ in range(sweep.readings)]
+    every = scenario.motion.every_s * scenario.fps
+    return tuple((round(i * every), joint) for i, joint in enumerate(joints) if round(i * every) < frames)
+
+
+def _check_seen(stage: Stage) -> None:
+    """Raise Inconsistent where no light of the target is in a view at the beginning."""
+    for side, camera in stage.cameras.items():
+        uv = camera.centres_px(stage.lights, stage.path, 0.0)
+        inside = ((uv >= 0.0) & (uv <= [camera.lens.width - 1, camera.lens.height - 1])).all(axis=1)
+        if not inside.any():
+            raise Inconsistent(
+                f"cameras.T_mount_rig, target or motion: the {side} view sees no light at the beginning "
+                f"(the first would be at {np.round(uv[0], 1).tolist()} px)",
+                consequence="There is nothing to simulate",
+                cure="Turn the rig to the target, or the target's z axis away from the rig",
+            )
