@@ -135,6 +135,17 @@ def translations(RX, Rf, tf, tb, keep, free_scale):
 
 
 @njit(cache=True)
+def robust_sigma(errors):
+    """Return the deviation of one component from the lengths of residuals (n,), most of them good.
+
+    The four pairs that made the solution fit it by themselves: the median of few is raised for that (Rousseeuw, Leroy
+    1987).
+    """
+    n = errors.shape[0]
+    return max(np.median(errors) / MEDIAN_NORM * (1.0 + 5.0 / max(n - 3, 1)), 1e-15)
+
+
+@njit(cache=True)
 def sample_rotation(Rf, Rb, index):
     """Return RX from the motions within a few pairs: their rotation vectors turned onto each other (Kabsch)."""
     M = np.zeros((3, 3))
@@ -210,11 +221,11 @@ def rotation_consensus(Rf, Rb, samples, keep, errors):
             best, RX, RZ = middle, R, T
     rotation_errors(RX, RZ, Rf, Rb, errors)
     for _ in range(3):
-        sigma = max(np.median(errors) / MEDIAN_NORM, 1e-12)
+        sigma = robust_sigma(errors)
         keep[:] = errors < GENEROUS * sigma
         RX, RZ = shah_rotations(Rf, Rb, keep)
         rotation_errors(RX, RZ, Rf, Rb, errors)
-    sigma = max(np.median(errors) / MEDIAN_NORM, 1e-12)
+    sigma = robust_sigma(errors)
     keep[:] = errors < GENEROUS * sigma
     return RX, RZ, sigma
 
@@ -250,7 +261,7 @@ def translation_consensus(RX, Rf, tf, tb, samples, free_scale, keep, errors):
     sigma = np.inf
     for _ in range(3):
         translation_errors(RX, tX, tZ, gamma, Rf, tf, tb, errors)
-        sigma = max(np.median(errors[keep]) / MEDIAN_NORM, 1e-15)
+        sigma = robust_sigma(errors[keep])
         agreed[:] = keep & (errors < GENEROUS * sigma)
         good, x, z, c = translations(RX, Rf, tf, tb, agreed, free_scale)
         if good:
