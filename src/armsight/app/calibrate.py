@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from armsight.app.boards import Seen, in_parallel, see_board
+from armsight.app.replay import is_recording, open_pairs, open_source, recording_path
 from armsight.app.reporting import write_camera_report, write_stereo_report
 from armsight.calibrate import BoardOptions, CameraCalibration, StereoCalibration
 from armsight.calibrate import calibrate_camera as solve_camera
 from armsight.calibrate import calibrate_stereo as solve_stereo
-from armsight.drivers import is_live, list_images, open_pairs, open_source
+from armsight.drivers import is_live, list_images
 from armsight.drivers.sources import VIDEO_SUFFIXES
 from armsight.errors import Cancelled, NotEnoughData
 from armsight.records import BoardView, Frame, NamedCovariance, Progress, Silent
@@ -196,6 +197,8 @@ def _inputs(text: str) -> Sequence[Path]:
     """Return the files behind a source, whose hashes go into the result."""
     if is_live(text):
         return ()
+    if is_recording(text):
+        return [recording_path(text)]
     return [Path(text)] if Path(text).suffix.lower() in VIDEO_SUFFIXES else list_images(text)
 
 

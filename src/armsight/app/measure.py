@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from armsight.app.outputs import REPORT, SUMMARY, Outputs, Summary
 from armsight.app.prepare import prepare
+from armsight.app.replay import is_recording, open_pairs, open_split
 from armsight.app.reporting import About, Collector
-from armsight.drivers import PairSource, open_pairs, open_split, ordered_map, read_image
+from armsight.drivers import PairSource, ordered_map, read_image
 from armsight.drivers.live import MAX_SKEW_S
 from armsight.errors import ArmsightError, Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.measure.pair import Measured, Setup, Track, measure_pair
@@ -215,8 +216,11 @@ def _pairs(job: MeasureJob, rig: Rig, target: Target) -> PairSource:
             raise UsageError("--image goes with neither --left nor --right", cure="Give the one or the others")
         left, right = ((camera.width, camera.height) for camera in (rig.left, rig.right))
         return open_split(job.image, left, right, colour=colour, fps=job.fps, times_s=times_s)
-    if job.left is None or job.right is None:
-        raise UsageError("there are no frames to measure", cure="Give --left and --right, or --image")
+    alone = (job.left or job.right) if job.left is None or job.right is None else None
+    if job.left is job.right is None or (alone is not None and not is_recording(alone)):
+        raise UsageError(
+            "there are no frames to measure", cure="Give --left and --right, one recording as --left, or --image"
+        )
     return open_pairs(job.left, job.right, colour=colour, fps=job.fps, times_s=times_s, max_skew_s=job.max_skew_s)
 
 

@@ -9,11 +9,13 @@ import typer
 
 from armsight.cli.face import Face
 from armsight.cli.options import AsJson, parse_size
+from armsight.cli.record import recording
 
 if TYPE_CHECKING:
     from armsight.app.convert import Converted
 
 convert = typer.Typer(help="Convert between armsight's files and those of other programs.", no_args_is_help=True)
+convert.command("recording")(recording)
 
 To: TypeAlias = Annotated[str | None, typer.Option("--to", help="armsight, ros, opencv or kalibr. [default: armsight]")]
 Size: TypeAlias = Annotated[str | None, typer.Option(help="WIDTHxHEIGHT, where an OpenCV file does not say it.")]
