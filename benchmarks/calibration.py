@@ -1,7 +1,7 @@
 """Stereo calibration after detection: accuracy against the Cramer-Rao bound, time, and truth of the claimed deviations.
 
-Synthetic: 2 cameras 1280x720, 20 boards of 9x6 corners, 0.1 px noise. The world is projected by NumPy here, apart from the
-product's code. Peer: cv2.calibrateCamera for each camera, then cv2.stereoCalibrate with free intrinsics.
+Synthetic: 2 cameras 1280x720, 20 boards of 9x6 corners, 0.1 px noise. The world is projected by NumPy here, apart
+from the product's code. Peer: cv2.calibrateCamera for each camera, then cv2.stereoCalibrate with free intrinsics.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from bench import machine, table
 
 from armsight.calibrate import BoardOptions, calibrate_camera, calibrate_stereo
 from armsight.records import BoardView, Target, TargetKind, board_target
+from bench import machine, table
 
 SIZE = (1280, 720)
 SIGMA_PX = 0.1
@@ -61,7 +61,7 @@ class Set:
 
 
 def make(rng: np.random.Generator, X: np.ndarray) -> Set:
-    """A random set in which both cameras see every board whole, with the Cramer-Rao bound of the 22 shared parameters."""
+    """A random set in which both cameras see every board whole, with the bound of the 22 shared parameters."""
     poses: list[np.ndarray] = []
     while len(poses) < N_VIEWS:
         pose = np.concatenate(
@@ -174,7 +174,14 @@ def claims(n: int, board: Target, X: np.ndarray) -> None:
         typical = np.sqrt(np.mean(np.square(claim), axis=0))
         rows += [[name, float(s), float(c), float(c / s)] for name, s, c in zip(names, spread, typical, strict=True)]
     e, c = np.array(lengths).T
-    rows.append(["baseline_m", float(np.sqrt(np.mean(e**2))), float(np.sqrt(np.mean(c**2))), float(np.sqrt(np.mean(c**2) / np.mean(e**2)))])
+    rows.append(
+        [
+            "baseline_m",
+            float(np.sqrt(np.mean(e**2))),
+            float(np.sqrt(np.mean(c**2))),
+            float(np.sqrt(np.mean(c**2) / np.mean(e**2))),
+        ]
+    )
     table(
         f"Claimed deviations against the errors of {n} repeats (chance alone: +-{100 / np.sqrt(2 * n):.0f} % for each)",
         ["parameter", "RMS error", "claimed", "claimed / error"],

@@ -1,0 +1,214 @@
+"""Calibration from real pictures of boards, beside OpenCV: detection, left-out errors, intrinsics.
+
+Reads ../shared/data (opencv_stereo, dots_10x10_handeye) and says so where it is not there. One evaluator, built on
+OpenCV's undistortPoints and triangulatePoints, judges every method on the pair that its fit has not seen.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from armsight.calibrate import BoardOptions, calibrate_camera, calibrate_stereo
+from armsight.errors import BadImage
+from armsight.measure.boards import find_board
+from armsight.records import BoardView, TargetKind, board_target
+from bench import DATA, machine, table
+
+PAIRS = (1, 2, 3, 4, 5, 6, 7, 8, 9, 11, 12, 13, 14)
+SIZE = (640, 480)
+BOARD = board_target(TargetKind.CHECKERBOARD, 9, 6, 0.025)
+DOTS = board_target(TargetKind.CIRCLES, 10, 10, 0.0254)
+X = BOARD.xyz_m.astype(np.float32)
+Corners = dict[tuple[str, int], np.ndarray]
+
+
+@dataclass
+class Solved:
+    K: list[np.ndarray]
+    d: list[np.ndarray]
+    R: np.ndarray
+    t: np.ndarray
+    rms_px: float
+
+
+def images() -> dict[tuple[str, int], np.ndarray]:
+    folder = DATA / "opencv_stereo"
+    return {
+        (side, n): cv2.imread(str(folder / f"{side}{n:02d}.jpg"), cv2.IMREAD_GRAYSCALE)
+        for n in PAIRS
+        for side in ("left", "right")
+    }
+
+
+def opencv_corners(pictures: dict[tuple[str, int], np.ndarray], window: int) -> Corners:
+    """findChessboardCorners and cornerSubPix; window 0: findChessboardCornersSB."""
+    out: Corners = {}
+    for key, picture in pictures.items():
+        if window == 0:
+            found, corners = cv2.findChessboardCornersSB(picture, (9, 6))
+        else:
+            found, corners = cv2.findChessboardCorners(picture, (9, 6))
+        if not found:
+            continue
+        if window:
+            corners = cv2.cornerSubPix(picture, corners, (window, window), (-1, -1), (3, 100, 1e-4))
+        out[key] = np.asarray(corners, float).reshape(-1, 2)
+    return out
+
+
+def solve_opencv(corners: Corners, pairs: list[int]) -> Solved:
+    objects = [X] * len(pairs)
+    uv = [[corners[side, n].astype(np.float32) for n in pairs] for side in ("left", "right")]
+    mono = [cv2.calibrateCamera(objects, side, SIZE, None, None) for side in uv]
+    rms, K0, d0, K1, d1, R, T, *_ = cv2.stereoCalibrate(
+        objects,
+        *uv,
+        mono[0][1],
+        mono[0][2],
+        mono[1][1],
+        mono[1][2],
+        SIZE,
+        flags=cv2.CALIB_USE_INTRINSIC_GUESS,
+        criteria=(3, 200, 1e-9),
+    )
+    return Solved([K0, K1], [d0, d1], R, T.ravel(), rms)
+
+
+def solve_ours(views: dict[tuple[str, int], BoardView], pairs: list[int]) -> Solved:
+    done = calibrate_stereo(
+        [views["left", n] for n in pairs], [views["right", n] for n in pairs], BOARD, BoardOptions(folds=0)
+    )
+    if done.rejected:
+        print("left out:", done.rejected)
+    T = done.rig.T_rig_right.inv()
+    cameras = (done.rig.left, done.rig.right)
+    return Solved(
+        [c.matrix for c in cameras], [c.distortion for c in cameras], T.rotation.as_matrix(), T.translation, done.rms_px
+    )
+
+
+def judge(s: Solved, left: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return errors of the squares' sides (mm), distances from the rigid board (mm), epipolar distances (px)."""
+    rays = [
+        cv2.undistortPoints(uv.reshape(-1, 1, 2), K, d).reshape(-1, 2)
+        for uv, K, d in zip((left, right), s.K, s.d, strict=True)
+    ]
+    P = cv2.triangulatePoints(np.eye(3, 4), np.column_stack([s.R, s.t]), rays[0].T.copy(), rays[1].T.copy())
+    P = (P[:3] / P[3]).T * 1e3
+    grid = P.reshape(6, 9, 3)
+    sides = [np.linalg.norm(np.diff(grid, axis=a), axis=2).ravel() - 25.0 for a in (0, 1)]
+    A, B = P - P.mean(0), 1e3 * (BOARD.xyz_m - BOARD.xyz_m.mean(0))
+    U, _, Vt = np.linalg.svd(A.T @ B)
+    rigid = np.linalg.norm(A - B @ (U @ np.diag([1, 1, np.linalg.det(U @ Vt)]) @ Vt).T, axis=1)
+    tx = np.array([[0, -s.t[2], s.t[1]], [s.t[2], 0, -s.t[0]], [-s.t[1], s.t[0], 0]])
+    F = np.linalg.inv(s.K[1]).T @ tx @ s.R @ np.linalg.inv(s.K[0])
+    flat = [np.column_stack([r, np.ones(len(r))]) @ K.T for r, K in zip(rays, s.K, strict=True)]
+    lines = flat[1] @ F, flat[0] @ F.T
+    product = (flat[1] * lines[1]).sum(1)
+    epipolar = np.concatenate([product / np.hypot(line[:, 0], line[:, 1]) for line in lines])
+    return np.concatenate(sides), rigid, epipolar
+
+
+def leave_one_out(name: str, corners: Corners, solve: Callable[[list[int]], Solved]) -> list[object]:
+    pairs = [n for n in PAIRS if ("left", n) in corners and ("right", n) in corners]
+    judged = [judge(solve([m for m in pairs if m != n]), corners["left", n], corners["right", n]) for n in pairs]
+    rms = [float(np.sqrt(np.mean(np.concatenate(errors) ** 2))) for errors in zip(*judged, strict=True)]
+    whole = solve(pairs)
+    baseline = 1e3 * float(np.linalg.norm(whole.t))
+    return [name, len(pairs), f"{whole.rms_px:.3f}", f"{baseline:.2f}", *(f"{value:.3f}" for value in rms)]
+
+
+def stereo(quick: bool) -> None:
+    if not (DATA / "opencv_stereo").exists():
+        print("opencv_stereo: not here, skipped")
+        return
+    pictures = images()
+    find_board(pictures["left", 1], BOARD)  # compile
+    start = time.perf_counter()
+    views = {key: find_board(picture, BOARD, source=f"{key[0]}{key[1]:02d}") for key, picture in pictures.items()}
+    seconds = time.perf_counter() - start
+    ours = {key: view.uv_px for key, view in views.items()}
+    rows = [leave_one_out("armsight", ours, lambda pairs: solve_ours(views, pairs))]
+    rows.append(leave_one_out("armsight's corners, OpenCV's solver", ours, lambda pairs: solve_opencv(ours, pairs)))
+    for window in (5,) if quick else (4, 5, 6, 7, 8, 11, 0):
+        corners = opencv_corners(pictures, window)
+        name = f"OpenCV, cornerSubPix window {window}" if window else "OpenCV, findChessboardCornersSB"
+        rows.append(leave_one_out(name, corners, lambda pairs, corners=corners: solve_opencv(corners, pairs)))
+    table(
+        "opencv_stereo, leaving one pair out (RMS)",
+        ["method", "pairs", "stereo fit px", "baseline mm", "square's side mm", "rigid board mm", "epipolar px"],
+        rows,
+    )
+    done = calibrate_stereo(
+        [views["left", n] for n in PAIRS], [views["right", n] for n in PAIRS], BOARD, BoardOptions(folds=len(PAIRS))
+    )
+    worst = max(float(np.linalg.norm(r, axis=1).max()) for r in done.residual_px.values())
+    whole = sum(len(view) == 54 for view in views.values())
+    print(
+        f"\nimages with all 54 corners: {whole} of {len(views)}; "
+        f"largest residual of {2 * 54 * done.n_used} corners {worst:.2f} px"
+    )
+    print(f"detection: {1e3 * seconds / len(views):.0f} ms an image, one thread")
+    print(
+        f"calibrate_stereo's own left-one-out figures: reprojection {done.holdout_rms_px:.3f} px, "
+        f"epipolar {done.holdout_epipolar_rms_px:.3f} px, side {1e3 * done.metric['rms_m']:.3f} mm, "
+        f"board {1e3 * done.metric['board_rms_m']:.3f} mm"
+    )
+
+
+def dots() -> None:
+    folder = DATA / "dots_10x10_handeye" / "images"
+    if not folder.exists():
+        print("dots_10x10_handeye: not here, skipped")
+        return
+    views, refused, opencv = [], [], []
+    for n in range(15):
+        picture = cv2.imread(str(folder / f"{n}.png"), cv2.IMREAD_GRAYSCALE)
+        try:
+            views.append(find_board(picture, DOTS, source=f"{n}.png"))
+        except BadImage as error:
+            refused.append(str(error))
+        found, centres = cv2.findCirclesGrid(picture, (10, 10), flags=cv2.CALIB_CB_SYMMETRIC_GRID)
+        if found:
+            opencv.append(centres)
+    rows = []
+    for name, options in (
+        ("armsight", BoardOptions()),
+        ("armsight, no point left out", BoardOptions(reject=False)),
+        (
+            "armsight, no distortion",
+            BoardOptions(fixed=frozenset({"skew", "k1", "k2", "p1", "p2", "k3"}), reject=False),
+        ),
+    ):
+        done = calibrate_camera(views, DOTS, options)
+        rows.append([name, f"{done.n_used} of 15", len(done.uv_px), f"{done.rms_px:.3f}", f"{done.holdout_rms_px:.3f}"])
+    objects = [DOTS.xyz_m[v.index].astype(np.float32) for v in views]
+    rms = cv2.calibrateCamera(objects, [v.uv_px.astype(np.float32) for v in views], SIZE, None, None)[0]
+    rows.append(["armsight's centres, OpenCV's solver", f"{len(views)} of 15", sum(map(len, views)), f"{rms:.3f}", ""])
+    detail = "OpenCV, findCirclesGrid as it comes"
+    if len(opencv) > 3:
+        rms = cv2.calibrateCamera([DOTS.xyz_m.astype(np.float32)] * len(opencv), opencv, SIZE, None, None)[0]
+        rows.append([detail, f"{len(opencv)} of 15", 100 * len(opencv), f"{rms:.3f}", ""])
+    else:
+        rows.append([detail, f"{len(opencv)} of 15", 0, "", ""])
+    table("dots_10x10_handeye, intrinsics", ["method", "images", "points", "fit px", "left out (5-fold) px"], rows)
+    print("\n".join(refused))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="only OpenCV's window 5 as the peer")
+    quick = parser.parse_args().quick
+    print(machine(), f"OpenCV {cv2.__version__}", sep=", ")
+    stereo(quick)
+    dots()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,79 @@
+"""Real pictures of boards made by other people; see the data's README for where they come from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from armsight.calibrate import BoardOptions, calibrate_camera, calibrate_stereo
+from armsight.errors import BadImage, Inconsistent
+from armsight.measure.boards import find_board
+from armsight.records import BoardView, TargetKind, board_target
+
+DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
+STEREO, DOTS = DATA / "opencv_stereo", DATA / "dots_10x10_handeye" / "images"
+PAIRS = (1, 2, 3, 4, 5, 6, 7, 8, 9, 11, 12, 13, 14)
+BOARD = board_target(TargetKind.CHECKERBOARD, 9, 6, 0.025)
+SHEET = board_target(TargetKind.CIRCLES, 10, 10, 0.0254)
+
+needs_stereo = pytest.mark.skipif(not STEREO.exists(), reason=f"{STEREO.name} is not beside the repository")
+needs_dots = pytest.mark.skipif(not DOTS.exists(), reason=f"{DOTS.parent.name} is not beside the repository")
+
+
+def picture(path: Path) -> np.ndarray:
+    return cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+
+
+@pytest.fixture(scope="module")
+def views() -> tuple[list[BoardView], list[BoardView]]:
+    sides = ([STEREO / f"{side}{n:02d}.jpg" for n in PAIRS] for side in ("left", "right"))
+    left, right = ([find_board(picture(p), BOARD, source=p.name) for p in side] for side in sides)
+    return left, right
+
+
+@needs_stereo
+def test_all_pairs_are_used_and_left_out_pairs_are_measured_better_than_by_opencv(
+    views: tuple[list[BoardView], list[BoardView]],
+) -> None:
+    assert all(len(view) == 54 for side in views for view in side)
+    found = calibrate_stereo(*views, BOARD, BoardOptions(folds=13))
+    assert found.n_used == 13
+    assert found.rejected == ()
+    assert max(np.linalg.norm(r, axis=1).max() for r in found.residual_px.values()) < 1.0  # no wrong corner
+    # OpenCV 4.14 at window 5: 0.206 mm, 0.427 mm, 0.181 px
+    assert found.metric_is_left_out
+    assert found.metric["rms_m"] < 0.20e-3
+    assert found.metric["board_rms_m"] < 0.42e-3
+    assert found.holdout_epipolar_rms_px < 0.18
+    assert found.rms_px < 0.21
+    assert abs(found.rig.baseline_m - 83.19e-3) < 0.1e-3
+
+
+@needs_stereo
+def test_swapped_sides_are_recognised(views: tuple[list[BoardView], list[BoardView]]) -> None:
+    with pytest.raises(Inconsistent, match="swapped"):
+        calibrate_stereo(views[1], views[0], BOARD)
+
+
+@needs_stereo
+@pytest.mark.parametrize("size", [(8, 6), (9, 5), (7, 7)])
+def test_wrong_size_is_told_with_the_right_one(size: tuple[int, int]) -> None:
+    with pytest.raises(BadImage, match="one of 9x6 was"):
+        find_board(picture(STEREO / "left01.jpg"), board_target(TargetKind.CHECKERBOARD, *size, 0.025))
+
+
+@needs_dots
+def test_all_dots_are_found_from_the_big_one_on() -> None:
+    views = [find_board(picture(DOTS / f"{n}.png"), SHEET, source=f"{n}.png") for n in range(15)]
+    assert [len(view) for view in views] == [100] * 15
+    found = calibrate_camera(views, SHEET, BoardOptions(reject=False))
+    assert found.n_used == 15
+    assert found.rms_px < 0.187  # OpenCV 4.14, all points
+    assert calibrate_camera(views, SHEET).rms_px < 0.18
+    # the sheet lay on the table, lettering upright: its origin, the big dot, is low on the left of most images
+    first = np.array([view.uv_px[view.index == 0][0] for view in views])
+    middle = np.array([view.uv_px.mean(0) for view in views])
+    assert (first[:, 1] > middle[:, 1]).all()
