@@ -3,10 +3,12 @@
 from armsight.drivers.ahead import cores, ordered_map
 from armsight.drivers.images import list_images, read_image
 from armsight.drivers.live import LivePairs, OpenCvCamera, cameras_there
+from armsight.drivers.lock import DeviceLock
 from armsight.drivers.opening import is_live, open_pairs, open_source, open_split
 from armsight.drivers.pairs import FilePairs, SplitImages
 from armsight.drivers.protocols import FrameSource, PairSource, Skew
 from armsight.drivers.registry import CAMERAS, CELLS, ROBOTS, SCENARIOS, known, load
+from armsight.drivers.replay import Replay, ReplayRobot, check_forward
 from armsight.drivers.robot import Robot, RobotState, Sent
 from armsight.drivers.sources import FPS, Capture, ImageFolder, VideoFile
 
@@ -17,12 +19,15 @@ __all__ = [
     "ROBOTS",
     "SCENARIOS",
     "Capture",
+    "DeviceLock",
     "FilePairs",
     "FrameSource",
     "ImageFolder",
     "LivePairs",
     "OpenCvCamera",
     "PairSource",
+    "Replay",
+    "ReplayRobot",
     "Robot",
     "RobotState",
     "Sent",
@@ -30,6 +35,7 @@ __all__ = [
     "SplitImages",
     "VideoFile",
     "cameras_there",
+    "check_forward",
     "cores",
     "is_live",
     "known",

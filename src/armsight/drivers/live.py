@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from armsight.clock import Clock, SystemClock
+from armsight.drivers.lock import DeviceLock
 from armsight.drivers.protocols import FrameSource, Skew
 from armsight.drivers.sources import Capture
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound
@@ -51,7 +52,8 @@ class OpenCvCamera:
     """A camera that OpenCV can open, by number (0, 1 ...) or device file; read in its own thread from opening on.
 
     t_s is the moment of arrival on the clock minus origin_s (default: the moment of opening); what the driver
-    holds back before that is not known. open_capture and clock can be replaced for tests.
+    holds back before that is not known. One process at a time may read it (DeviceFailed for a second one). clock, and
+    open_capture with the lock, can be replaced for tests.
     """
 
     def __init__(
@@ -62,8 +64,10 @@ class OpenCvCamera:
         clock: Clock | None = None,
         origin_s: float | None = None,
         open_capture: Callable[[str], Capture] = open_camera,
+        lock: DeviceLock | None = None,
     ) -> None:
         self.name = f"camera:{device}"
+        self._lock = DeviceLock(self.name) if lock is None and open_capture is open_camera else lock
         self._device = device
         self._colour = colour
         self._clock = clock or SystemClock()
@@ -80,6 +84,15 @@ class OpenCvCamera:
         return None
 
     def __enter__(self) -> Self:
+        if self._lock is not None:
+            self._lock.__enter__()
+        try:
+            return self._open()
+        except BaseException:
+            self._unlock()
+            raise
+
+    def _open(self) -> Self:
         capture = self._open_capture(self._device)
         if not capture.isOpened():
             capture.release()
@@ -106,6 +119,11 @@ class OpenCvCamera:
             if not self._thread.is_alive() and self._capture is not None:
                 self._capture.release()  # releasing under a thread that hangs in the driver would crash
         self._thread = self._capture = None
+        self._unlock()
+
+    def _unlock(self) -> None:
+        if self._lock is not None:
+            self._lock.__exit__(None, None, None)
 
     def __iter__(self) -> Iterator[Frame]:
         while not self._stop.is_set():

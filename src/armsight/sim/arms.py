@@ -93,28 +93,23 @@ class SimArm:
 
     def jacobian(self, frames: Array) -> Array:
         """Return velocity and turning rate (6, n) of the flange in base axes for unit joint rates, given its frames."""
-        tip = frames[-1, :3, 3]
-        J = np.zeros((6, self.n))
-        for i, joint in enumerate(self.joints):
-            z, p = frames[i, :3, 2], frames[i, :3, 3]
-            if joint.slides:
-                J[:3, i] = z
-            else:
-                J[:3, i] = np.cross(z, tip - p)
-                J[3:, i] = z
-        return J
+        z, p = frames[:-1, :3, 2], frames[:-1, :3, 3]
+        arm = frames[-1, :3, 3] - p
+        turning = z[:, [1, 2, 0]] * arm[:, [2, 0, 1]] - z[:, [2, 0, 1]] * arm[:, [1, 2, 0]]  # z x arm, (n, 3)
+        slides = np.array([[joint.slides] for joint in self.joints])
+        return np.vstack([np.where(slides, z, turning).T, np.where(slides, 0.0, z).T])
 
-    def reach(self, T_base_flange: RigidTransform, near: ArrayLike) -> Array:
-        """Return joint values (n,) that bring the flange to a pose, on the branch of near (n,).
+    def reach(self, T_base_flange: Array, near: ArrayLike) -> Array:
+        """Return joint values (n,) that bring the flange to a pose (4, 4), on the branch of near (n,).
 
         Raises Inconsistent where damped Newton steps from there do not arrive.
         """
         q = np.array(near, dtype=float)
-        goal = T_base_flange.as_matrix()
+        goal = T_base_flange
         damping = 1e-9
         for _ in range(IK_STEPS):
             frames = self.frames(q)
-            turn = Rotation.from_matrix(goal[:3, :3] @ frames[-1, :3, :3].T).as_rotvec()
+            turn = _turn(goal[:3, :3] @ frames[-1, :3, :3].T)
             error = np.concatenate([goal[:3, 3] - frames[-1, :3, 3], turn])
             if np.linalg.norm(error[:3]) < IK_TOLERANCE[0] and np.linalg.norm(turn) < IK_TOLERANCE[1]:
                 return q
@@ -168,6 +163,13 @@ class SimArm:
         }
 
 
+def _turn(R: Array) -> Array:
+    """Return a rotation vector (3,) along that of R (3, 3): exact beyond 60 degrees, to first order below."""
+    if np.trace(R) < 2.0:
+        return np.asarray(Rotation.from_matrix(R).as_rotvec())
+    return 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+
+
 def pose_mapping(pose: RigidTransform) -> dict[str, list[float]]:
     """Return a pose as files have it."""
     quat = pose.rotation.as_quat(canonical=True)
@@ -181,21 +183,25 @@ class FlangeLimits:
     speed_m_s: float = math.inf
     speed_rad_s: float = math.inf
 
-    def cut(self, here: RigidTransform, goal: RigidTransform, time_s: float) -> tuple[RigidTransform, tuple[str, ...]]:
-        """Return how far one gets from here to goal in time_s, straight and about one axis, and the limits that cut."""
-        way = np.asarray(goal.translation) - np.asarray(here.translation)
-        turn = (goal.rotation * here.rotation.inv()).as_rotvec()
-        longest = self.speed_m_s * time_s / max(float(np.linalg.norm(way)), 1e-15)
-        widest = self.speed_rad_s * time_s / max(float(np.linalg.norm(turn)), 1e-15)
+    def cut(self, here: Array, goal: Array, time_s: float) -> tuple[Array, tuple[str, ...]]:
+        """Return how far one gets from pose here (4, 4) to goal in time_s, along a straight line; and what cut it."""
+        way, D = goal[:3, 3] - here[:3, 3], goal[:3, :3] @ here[:3, :3].T
+        far = math.sqrt(float(way @ way))
+        wide = math.acos(min(1.0, max(-1.0, 0.5 * (float(np.trace(D)) - 1.0))))
+        longest = self.speed_m_s * time_s / max(far, 1e-15)
+        widest = self.speed_rad_s * time_s / max(wide, 1e-15)
         limited = []
         if longest < 1.0:
             limited.append(f"speed of the flange ({self.speed_m_s:g} m/s)")
         if widest < 1.0:
             limited.append(f"turning of the flange ({self.speed_rad_s:g} rad/s)")
-        share = min(1.0, longest, widest)
-        return RigidTransform.from_components(
-            np.asarray(here.translation) + share * way, Rotation.from_rotvec(share * turn) * here.rotation
-        ), tuple(limited)
+        if not limited:
+            return goal, ()
+        share = min(longest, widest)
+        end = here.copy()
+        end[:3, 3] += share * way
+        end[:3, :3] = Rotation.from_rotvec(share * Rotation.from_matrix(D).as_rotvec()).as_matrix() @ here[:3, :3]
+        return end, tuple(limited)
 
 
 def covered(frames: Array, radii_m: Sequence[float], eye_m: Array, light_m: Array) -> bool:

@@ -237,17 +237,17 @@ def _following(scenario: Scenario, arm: Robotics, target: Path, T_flange_rig: Ri
     t_s = np.asarray(cycle_s * np.arange(int(until_s / cycle_s) + 2), dtype=np.float64)
     T_rig_goal = RigidTransform.from_translation([0.0, 0.0, follow.distance_m])
     seen = target(np.maximum(t_s - follow.delay_s, 0.0))
-    goals = arm.nominal.T_world_base.inv() * seen * (T_flange_rig * T_rig_goal).inv()
+    goals = (arm.nominal.T_world_base.inv() * seen * (T_flange_rig * T_rig_goal).inv()).as_matrix()
     try:
         q = arm.nominal.reach(goals[0], arm.units * np.array(follow.home))
         servo = Servo(arm.drive, q)
         longest = arm.drive.max_speed * cycle_s
-        moved = np.append(True, np.abs(np.diff(goals.as_matrix(), axis=0)).max(axis=(1, 2)) > 0.0)
+        moved = np.append(True, np.abs(np.diff(goals, axis=0)).max(axis=(1, 2)) > 0.0)
         arrived = False
         for index, moment in enumerate(t_s):
             if arrived and not moved[index]:
                 continue
-            here = arm.nominal.flange(q)
+            here = arm.nominal.frames(q)[-1]
             goal, _ = arm.limits.cut(here, goals[index], cycle_s)
             way = arm.nominal.reach(goal, q) - q
             q = q + way * min(1.0, float(np.min(longest / np.maximum(np.abs(way), 1e-300))))

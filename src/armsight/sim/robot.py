@@ -151,8 +151,8 @@ class SimRobot:
         if not np.isfinite(T_base_flange.as_matrix()).all():
             raise Inconsistent(f"{self.name}: a pose is not finite", consequence="Nothing was sent")
         self._begin_cycle()
-        here = self.nominal.flange(self._from)
-        goal, limited = self._limits.cut(here, T_base_flange, self.cycle_s)
+        here = self.nominal.frames(self._from)[-1]
+        goal, limited = self._limits.cut(here, T_base_flange.as_matrix(), self.cycle_s)
         return self._send(self.nominal.reach(goal, self._from), limited)
 
     def stop(self) -> None:

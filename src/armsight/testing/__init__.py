@@ -2,6 +2,15 @@
 
 from armsight.testing.cameras import CameraCase, CameraContract
 from armsight.testing.checks import check, contract_tests, refused
-from armsight.testing.robots import RobotCase, RobotContract
+from armsight.testing.robots import RobotCase, RobotContract, RobotReadingContract
 
-__all__ = ["CameraCase", "CameraContract", "RobotCase", "RobotContract", "check", "contract_tests", "refused"]
+__all__ = [
+    "CameraCase",
+    "CameraContract",
+    "RobotCase",
+    "RobotContract",
+    "RobotReadingContract",
+    "check",
+    "contract_tests",
+    "refused",
+]

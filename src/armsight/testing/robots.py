@@ -33,8 +33,8 @@ class RobotCase:
     tolerance: float = 1e-3
 
 
-class RobotContract:
-    """Subclass it in a test file as Test..., and return a new case from make(); pytest then runs every test."""
+class RobotReadingContract:
+    """What also a robot that can only be read must do. Subclass it as Test..., and return a new case from make()."""
 
     def make(self) -> RobotCase:
         """Return a new robot, not opened, standing where small steps of all joints are possible."""
@@ -83,6 +83,40 @@ class RobotContract:
         for before, after in itertools.pairwise(readings):
             check(after.t_s > before.t_s, "the time of readings increases")
             check(after.sequence > before.sequence, "the number of readings increases")
+
+    def test_a_lost_link_is_told(self) -> None:
+        """Without a link it neither reads nor moves, says so, and may still be stopped."""
+        case = self.make()
+        if case.lose_link is None:
+            return
+        with case.robot as robot:
+            case.advance(2.0 * robot.cycle_s)
+            robot.read()
+            case.lose_link()
+            case.advance(10.0 * robot.cycle_s)
+            with refused(DeviceFailed, "a robot without a link cannot be read"):
+                robot.read()
+            with refused(DeviceFailed, "a robot without a link cannot be moved"):
+                robot.step_joints(np.zeros(robot.n_joints))
+            check(robot.state is RobotState.LOST, "a robot without a link is lost")
+            robot.stop()
+
+    def test_old_readings_are_refused(self) -> None:
+        """Where no new readings come, the last one is not passed off as the present."""
+        case = self.make()
+        if case.freeze is None:
+            return
+        with case.robot as robot:
+            case.advance(2.0 * robot.cycle_s)
+            robot.read()
+            case.freeze()
+            case.advance(50.0 * robot.cycle_s)
+            with refused(StaleData, "a reading fifty cycles old is stale"):
+                robot.read()
+
+
+class RobotContract(RobotReadingContract):
+    """Subclass it in a test file as Test..., and return a new case from make(); pytest then runs every test."""
 
     def test_it_goes_where_it_says_it_was_sent(self) -> None:
         """What a command returns is where the robot then goes."""
@@ -183,36 +217,6 @@ class RobotContract:
             second = robot.read().q
         check(bool(np.abs(first - second).max() <= case.tolerance), "closed, it has come to rest")
         check(bool(np.isfinite(first - near).all()), "it can be opened again and read")
-
-    def test_a_lost_link_is_told(self) -> None:
-        """Without a link it neither reads nor moves, says so, and may still be stopped."""
-        case = self.make()
-        if case.lose_link is None:
-            return
-        with case.robot as robot:
-            case.advance(2.0 * robot.cycle_s)
-            robot.read()
-            case.lose_link()
-            case.advance(10.0 * robot.cycle_s)
-            with refused(DeviceFailed, "a robot without a link cannot be read"):
-                robot.read()
-            with refused(DeviceFailed, "a robot without a link cannot be moved"):
-                robot.step_joints(np.zeros(robot.n_joints))
-            check(robot.state is RobotState.LOST, "a robot without a link is lost")
-            robot.stop()
-
-    def test_old_readings_are_refused(self) -> None:
-        """Where no new readings come, the last one is not passed off as the present."""
-        case = self.make()
-        if case.freeze is None:
-            return
-        with case.robot as robot:
-            case.advance(2.0 * robot.cycle_s)
-            robot.read()
-            case.freeze()
-            case.advance(50.0 * robot.cycle_s)
-            with refused(StaleData, "a reading fifty cycles old is stale"):
-                robot.read()
 
     def test_poses_are_approached_and_reported(self) -> None:
         """A pose far away is approached by no more than a cycle's way, and the command says how far."""
