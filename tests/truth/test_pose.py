@@ -12,8 +12,8 @@ from armsight.errors import Degenerate
 from armsight.geometry import align_points, pose_difference
 from armsight.measure.kernels import pose as kernels
 from armsight.measure.pair import Measured, Setup, measure_spots
-from armsight.optics import Camera, Rig, converged_rig, triangulate_closed
-from armsight.records import PoseStatus, Spots, Target, spot_target, unmeasured_target
+from armsight.optics import INTRINSICS, RIG_PARAMETERS, Camera, Rig, converged_rig, triangulate_closed
+from armsight.records import NamedCovariance, PoseStatus, Spots, Target, spot_target, unmeasured_target
 
 CAMERA = Camera.pinhole(1280, 720, 1131.0, 1127.0, 643.5, 352.25, distortion=(-0.28, 0.09, 8e-4, -5e-4, -0.012))
 RIG = converged_rig(CAMERA, CAMERA, 0.12, 0.08, -0.08)
@@ -232,3 +232,46 @@ def test_one_wrong_spot_of_five_is_left_out_with_the_reason() -> None:
     assert measured.names == ("A", "B", "C", "E")
     assert len(measured.notes) == 1 and measured.notes[0].startswith("D left out")
     assert np.linalg.norm(found.translation - T.translation) < 1e-3
+
+
+def noisy_rig(rng: np.random.Generator, covariance: NamedCovariance) -> Rig:
+    """The rig as a calibration would give it, wrong by a draw from its covariance, parameter by parameter."""
+    draw = dict(zip(covariance.names, rng.multivariate_normal(np.zeros(26), covariance.matrix), strict=True))
+    cameras = {}
+    for side, camera in (("left", RIG.left), ("right", RIG.right)):
+        k = camera.intrinsics + [draw[f"{side}.{name}"] for name in INTRINSICS]
+        cameras[side] = Camera(width=camera.width, height=camera.height, intrinsics=k)
+    dt, dw = np.array([draw[f"right.t{a}"] for a in "xyz"]), np.array([draw[f"right.r{a}"] for a in "xyz"])
+    T = RIG.T_rig_right
+    moved = RigidTransform.from_components(T.translation + dt, Rotation.from_rotvec(dw) * T.rotation)
+    return Rig(kind=RIG.kind, **cameras, T_rig_left=RIG.T_rig_left, T_rig_right=moved, covariance=covariance)
+
+
+@pytest.mark.parametrize("target", [spot_target(TRIANGLE), unmeasured_target()], ids=["measured", "unmeasured"])
+def test_errors_of_the_calibration_are_in_the_deviations(target: Target) -> None:
+    """300 calibrations, each wrong within its own covariance; the spots' noise is small beside it."""
+    rng, q, share = np.random.default_rng(10), {"pose": [], "point": []}, []
+    sigma = dict.fromkeys(RIG_PARAMETERS, 1e-3)  # k1 .. k3
+    for side in ("left", "right"):
+        sigma |= {f"{side}.{a}": s for a, s in (("fx", 0.4), ("fy", 0.4), ("cx", 0.2), ("cy", 0.2), ("skew", 0.05))}
+        sigma |= {f"{side}.p1": 5e-5, f"{side}.p2": 5e-5}
+    sigma |= {f"right.t{a}": 5e-5 for a in "xyz"} | {f"right.r{a}": 1e-4 for a in "xyz"}
+    covariance = NamedCovariance(names=RIG_PARAMETERS, matrix=np.diag([sigma[n] ** 2 for n in RIG_PARAMETERS]))
+    model = np.array([[-0.05, 0.0, 0.0], [0.025, 0.045, 0.0], [0.025, -0.045, 0.0]])
+    places = model if not target.model_known else np.array(list(TRIANGLE.values()))
+    for _ in range(300):
+        T = random_pose(rng, 0.1)
+        points = T.apply(places)
+        views = [spots(uv, rng) for uv in project(points)]
+        setup = Setup(noisy_rig(rng, covariance), target, slack_px=0.5)
+        measured = measure_spots(setup, 0.0, *views)
+        found, C = whole(measured)
+        d = pose_difference(found, T)
+        q["pose"].append(d @ np.linalg.solve(C, d) / 6.0)
+        e = measured.points.xyz_m[0] - points[0]
+        q["point"].append(e @ np.linalg.solve(measured.points.covariance_m2[0], e) / 3.0)
+        exact = measure_spots(Setup(RIG, target, slack_px=0.5), 0.0, *views)
+        share.append(np.trace(whole(exact)[1][:3, :3]) / np.trace(C[:3, :3]))
+    assert np.mean(share) < 0.3
+    for name, dof in (("pose", 6.0), ("point", 3.0)):
+        assert abs(np.mean(q[name]) - 1.0) < 5.0 * np.sqrt(2.0 / (dof * 300)), name

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import ceil, inf
+from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,24 +26,13 @@ from armsight.measure.pose import Solved, lost, no_points, position_only, solve_
 from armsight.measure.setup import Setup
 from armsight.measure.spots import find_spots, track_spots
 from armsight.measure.spots import warm_up as spots_warm_up
-from armsight.optics import SIDES, Camera, parallel_rig
-from armsight.records import Frame, PoseStatus, Spots, TargetPose, spot_target, unmeasured_target
+from armsight.measure.tracking import MAX_GAP_S, expected, next_track, places_of
+from armsight.optics import RIG_PARAMETERS, SIDES, Camera, parallel_rig
+from armsight.records import Frame, NamedCovariance, PoseStatus, Spots, TargetPose, spot_target, unmeasured_target
 
 __all__ = ["Measured", "Setup", "Track", "measure_pair", "measure_spots", "warm_up"]
 
 Array = NDArray[np.float64]
-
-MAX_GAP_S = 0.5
-"""A track older than this predicts nothing: hand-held targets turn round in less than a second."""
-
-FIRST_WINDOW_PX = 32
-"""Half the window before a velocity is known: 0.5 m/s at 0.6 m, 30 frames a second and f = 1130 px."""
-
-LEAST_WINDOW_PX = 8
-"""Half the smallest window, beside the spot itself."""
-
-SPOT_REACH = 4.0
-"""A spot's light reaches about this many of its sigmas (or radii)."""
 
 TIGHT_PX = 0.05
 """What a good calibration leaves; residuals beyond it are reason enough to try left and right exchanged."""
@@ -83,7 +72,8 @@ def warm_up() -> None:
     Raises NotConverged where the code does not find a target that is plainly there.
     """
     spots_warm_up()
-    rig = parallel_rig(Camera.pinhole(320, 240, 250.0, 250.0, 160.0, 120.0), 0.1)
+    doubt = NamedCovariance(names=RIG_PARAMETERS, matrix=1e-12 * np.eye(len(RIG_PARAMETERS)))
+    rig = replace(parallel_rig(Camera.pinhole(320, 240, 250.0, 250.0, 160.0, 120.0), 0.1), covariance=doubt)
     xyz = np.array([[-0.05, 0.0, 0.0], [0.05, 0.04, 0.0], [0.03, -0.04, 0.0]])
     y, x = np.mgrid[0:240, 0:320]
     images = [
@@ -103,7 +93,7 @@ def warm_up() -> None:
 def measure_spots(setup: Setup, t_s: float, left: Spots, right: Spots, track: Track | None = None) -> Measured:
     """Return the pose from all spots found in both views at t_s; see measure_pair."""
     pairs = pair_spots(setup.packed, left, right, setup.slack_px)
-    match = _match(setup, left, right, pairs, _expected(setup, track, t_s))
+    match = _match(setup, left, right, pairs, expected(setup, track, t_s))
     if match.best is None and match.alternatives:
         return _ambiguous(setup, t_s, left, right, pairs, match, track)
     if match.best is None:
@@ -127,7 +117,7 @@ def measure_spots(setup: Setup, t_s: float, left: Spots, right: Spots, track: Tr
         names=match.best.names,
         left_seen=left,
         right_seen=right,
-        track=_next_track(setup, t_s, solved, left, right, track),
+        track=next_track(setup, t_s, solved, left, right, track),
         alternatives=_poses(setup, t_s, left, right, pairs, match.alternatives),
         notes=_left_out(setup, solved, left, right),
     )
@@ -170,7 +160,7 @@ def _measure_windows(setup: Setup, left: Frame, right: Frame, t_s: float, track:
         names=track.names,
         left_seen=left_seen,
         right_seen=right_seen,
-        track=_next_track(setup, t_s, solved, left_seen, right_seen, track, slip_px=slip),
+        track=next_track(setup, t_s, solved, left_seen, right_seen, track, slip_px=slip),
         tracked=True,
     )
 
@@ -182,19 +172,6 @@ def _in_windows(frame: Frame, expected: Array, half_window_px: int, setup: Setup
     if order == whole:
         return spots
     return spots.take(np.argsort(of)) if sorted(order) == whole else None
-
-
-def _expected(setup: Setup, track: Track | None, t_s: float) -> Array | None:
-    """Return the predicted places (m, 3) in the order of the target's names, NaN where there is none."""
-    if track is None:
-        return None
-    predicted = track.predict(t_s)
-    if track.names == setup.model.names:
-        return predicted
-    out = np.full((len(setup.model), 3), np.nan)
-    for name, place in zip(track.names, predicted, strict=True):
-        out[setup.model.names.index(name)] = place
-    return out
 
 
 def _match(setup: Setup, left: Spots, right: Spots, pairs: Pairs, expected: Array | None) -> Match:
@@ -224,11 +201,11 @@ def _solve(setup: Setup, t_s: float, names: tuple[str, ...], left: Spots, right:
     uv, cov = np.empty((len(names), 2, 2)), np.empty((len(names), 2, 2, 2))  # [spot, side]
     kernels.stack_views(left.uv_px, left.covariance_px2, right.uv_px, right.covariance_px2, uv, cov)
     if len(names) < 3:
-        points, residual, why = solve_points(packed, names, uv, cov)
-        if why:
-            return Solved(pose=lost(t_s, why), points=points, fits=False)
+        seen = solve_points(packed, names, uv, cov)
+        if isinstance(seen, str):
+            return Solved(pose=lost(t_s, seen), points=no_points(), fits=False)
         why = "a target of one or two spots" if len(names) == len(model) else f"{len(names)} of {len(model)} spots seen"
-        return Solved(pose=position_only(t_s, points, residual, f"{why}: only their position is known"), points=points)
+        return Solved(pose=position_only(t_s, seen, f"{why}: only their position is known"), points=seen.points)
     if not setup.target.model_known:
         return solve_frame(packed, t_s, names, uv, cov)
     rows = model.xyz_m if names == model.names else model.xyz_m[[model.names.index(name) for name in names]]
@@ -261,13 +238,13 @@ def _ambiguous(
     if not same:
         return replace(_nothing(t_s, left, right, match.why, track), alternatives=alternatives)
     names = ("?",) * len(first.pair)
-    points, residual, why = solve_points(setup.packed, names, pairs.uv_px[first.pair], pairs.cov_px2[first.pair])
-    if why:
+    seen = solve_points(setup.packed, names, pairs.uv_px[first.pair], pairs.cov_px2[first.pair])
+    if isinstance(seen, str):
         return replace(_nothing(t_s, left, right, match.why, track), alternatives=alternatives)
     index = pairs.index[first.pair]
     return Measured(
-        pose=position_only(t_s, points, residual, match.why),
-        points=points,
+        pose=position_only(t_s, seen, match.why),
+        points=seen.points,
         left=_take(left, index[:, 0]),
         right=_take(right, index[:, 1]),
         names=names,
@@ -349,7 +326,7 @@ def _left_out(setup: Setup, solved: Solved, left: Spots, right: Spots) -> tuple[
     if solved.T is None or not setup.target.model_known or len(solved.points) == len(setup.model):
         return ()
     notes = []
-    for name, place in zip(setup.model.names, _places(setup, solved.T), strict=True):
+    for name, place in zip(setup.model.names, places_of(setup, solved.T), strict=True):
         if name in solved.points.names:
             continue
         words = []
@@ -358,63 +335,6 @@ def _left_out(setup: Setup, solved: Solved, left: Spots, right: Spots) -> tuple[
             words.append(f"{near:.1f} px in the {side} image")
         notes.append(f"{name} left out: the spot nearest to its place is off by {' and '.join(words)}")
     return tuple(notes)
-
-
-def _places(setup: Setup, T: Array) -> Array:
-    """Return where the lights of the target are (m, 3) in rig axes under its pose T (4, 4)."""
-    places = np.empty((len(setup.model), 3))
-    kernels.place_lights(T, setup.model.xyz_m, places)
-    return places
-
-
-def _next_track(
-    setup: Setup,
-    t_s: float,
-    solved: Solved,
-    left: Spots,
-    right: Spots,
-    track: Track | None,
-    slip_px: float | None = None,
-) -> Track | None:
-    """Return where the lights are and how fast they go; lights not seen go on as they went."""
-    if "?" in solved.points.names:
-        return None
-    whole = len(solved.points) == len(setup.model)
-    if solved.T is not None and setup.target.model_known:
-        names, places = setup.model.names, _places(setup, solved.T)
-    else:
-        names, places = solved.points.names, solved.points.xyz_m
-    velocity = np.zeros_like(places)
-    if track is not None and names == track.names:
-        velocity = (places - track.xyz_m) / (t_s - track.t_s)
-    elif track is not None:
-        names, places, velocity = _carry_on(track, t_s, names, places)
-    reach = SPOT_REACH * max(left.size_px.max(), right.size_px.max())
-    slip = FIRST_WINDOW_PX if slip_px is None else min(LEAST_WINDOW_PX + 2.0 * slip_px, FIRST_WINDOW_PX)
-    return Track(
-        t_s=t_s,
-        whole_t_s=t_s if whole or track is None else track.whole_t_s,
-        names=names,
-        xyz_m=places,
-        velocity_m_s=velocity,
-        half_window_px=ceil(reach + slip),
-        complete=whole,
-    )
-
-
-def _carry_on(track: Track, t_s: float, names: tuple[str, ...], places: Array) -> tuple[tuple[str, ...], Array, Array]:
-    """Return names, places and velocities of the lights seen, followed by those of the track not seen now."""
-    dt = t_s - track.t_s
-    before = dict(zip(track.names, zip(track.xyz_m, track.velocity_m_s, strict=True), strict=True))
-    velocity = np.zeros_like(places)
-    for i, name in enumerate(names):
-        if name in before:
-            velocity[i] = (places[i] - before[name][0]) / dt
-    if t_s - track.whole_t_s > MAX_GAP_S:
-        return names, places, velocity
-    missing = [name for name in track.names if name not in names]
-    gone = [before[name][0] + dt * before[name][1] for name in missing]
-    return (*names, *missing), np.vstack([places, *gone]), np.vstack([velocity, *(before[name][1] for name in missing)])
 
 
 def _take(spots: Spots, index: NDArray[np.intp]) -> Spots:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.measure.kernels import pose as kernels
+from armsight.measure.kernels import share
 from armsight.measure.match import SLACK_PX
 from armsight.optics import PackedRig
 from armsight.records import Points, PoseStatus, TargetPose
@@ -42,6 +43,15 @@ class Solved:
     fits: bool = True
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Placed:
+    """Points by themselves, their joint covariance (3 n, 3 n) and residuals (n, 2, 2) in px."""
+
+    points: Points
+    joint_m2: Array
+    residual_px: Array
+
+
 def solve_pose(
     packed: PackedRig,
     t_s: float,
@@ -61,32 +71,36 @@ def solve_pose(
     flat light where the spot is the outline of one, else 0; normal: (3,) of the lights' plane in target axes.
     limit: largest chi-square, slack included, that is believed (fit_limit).
     Status LOST, with the reason, where the spots do not fit the target; POSITION_ONLY where they fit but leave
-    the rotation open.
+    the rotation open. Covariances hold the spots' noise and, where the rig brings a covariance, its calibration's
+    share, which is the same in every frame.
     """
     n = len(names)
-    P, S, T, C, residual = (
-        np.empty((n, 3)),
-        np.empty((n, 3, 3)),
-        np.empty((4, 4)),
-        np.empty((6, 6)),
-        np.zeros((n, 2, 2)),
-    )
+    P, S, residual = np.empty((n, 3)), np.empty((n, 3, 3)), np.zeros((n, 2, 2))
+    T, C = np.empty((4, 4)), np.empty((6, 6))
     state, wide = kernels.solve_named(
         packed.k, packed.R, packed.t, uv_px, cov_px2, slack_px**2, xyz_m, radius_m, normal, P, S, T, C, residual
     )
     if state in (kernels.NO_WEIGHT, kernels.NO_POINT):
         return Solved(pose=lost(t_s, _WHY[state]), points=no_points(), fits=False)
-    points = Points(names=names, xyz_m=P, covariance_m2=S)
     if state != kernels.SOLVED:
-        return Solved(pose=position_only(t_s, points, residual, _WHY[state]), points=points, fits=state == kernels.OPEN)
+        seen = _placed(packed, names, P, S, cov_px2, residual)
+        return Solved(pose=position_only(t_s, seen, _WHY[state]), points=seen.points, fits=state == kernels.OPEN)
     if not wide <= limit:
         rms = float(np.sqrt(np.mean(residual**2)))
         why = (
             f"the spots do not fit the target: residuals of {rms:.2f} px; "
             "the target's measures, the calibration or the moment of the two exposures is off"
         )
-        return Solved(pose=lost(t_s, why), points=points, fits=False)
-    return _whole(t_s, points, T, C, residual)
+        return Solved(pose=lost(t_s, why), points=no_points(), fits=False)
+    if packed.covariance.size:
+        share.add_pose_share(packed.k, packed.R, packed.t, cov_px2, xyz_m, T, packed.covariance, C)
+    if not _certain(C):
+        seen = _placed(packed, names, P, S, cov_px2, residual)
+        return Solved(pose=position_only(t_s, seen, _WHY[kernels.OPEN]), points=seen.points)
+    if packed.covariance.size:
+        A = _slopes(packed, cov_px2, P, S)
+        S += A @ packed.covariance @ A.transpose(0, 2, 1)
+    return _whole(t_s, Points(names=names, xyz_m=P, covariance_m2=S), T, C, residual)
 
 
 def solve_frame(packed: PackedRig, t_s: float, names: tuple[str, ...], uv_px: Array, cov_px2: Array) -> Solved:
@@ -94,19 +108,43 @@ def solve_frame(packed: PackedRig, t_s: float, names: tuple[str, ...], uv_px: Ar
 
     Arguments as solve_pose. The lights' own triangle is not assumed to keep its shape.
     """
-    points, residual, why = solve_points(packed, names, uv_px, cov_px2)
-    if why:
-        return Solved(pose=lost(t_s, why), points=points, fits=False)
+    seen = solve_points(packed, names, uv_px, cov_px2)
+    if isinstance(seen, str):
+        return Solved(pose=lost(t_s, seen), points=no_points(), fits=False)
     T, C = np.eye(4), np.empty((6, 6))
-    if not kernels.pachidis_frame(points.xyz_m, points.covariance_m2, T, C):
-        return Solved(pose=position_only(t_s, points, residual, "the three lights lie on one line"), points=points)
-    return _whole(t_s, points, T, C, residual)
+    if not kernels.pachidis_frame(seen.points.xyz_m, seen.joint_m2, T, C) or not _certain(C):
+        return Solved(pose=position_only(t_s, seen, "the three lights lie on one line"), points=seen.points)
+    return _whole(t_s, seen.points, T, C, seen.residual_px)
+
+
+def solve_points(packed: PackedRig, names: tuple[str, ...], uv_px: Array, cov_px2: Array) -> Placed | str:
+    """Return the points by themselves, or why there are none; arguments as solve_pose."""
+    n = len(names)
+    P, S, residual = np.empty((n, 3)), np.empty((n, 3, 3)), np.zeros((n, 2, 2))
+    if not kernels.triangulate_all(packed.k, packed.R, packed.t, uv_px, cov_px2, P, S):
+        return _WHY[kernels.NO_POINT]
+    if not kernels.point_residuals(packed.k, packed.R, packed.t, uv_px, P, residual):
+        return _WHY[kernels.NO_POINT]
+    return _placed(packed, names, P, S, cov_px2, residual)
+
+
+def position_only(t_s: float, seen: Placed, why: str) -> TargetPose:
+    """Return the position of the mean of the points, with its covariance (3, 3)."""
+    n = len(seen.points)
+    return TargetPose(
+        t_s=t_s,
+        status=PoseStatus.POSITION_ONLY,
+        parent=PARENT,
+        spots=seen.points.names,
+        pose=RigidTransform.from_translation(seen.points.xyz_m.mean(axis=0)),
+        covariance=seen.joint_m2.reshape(n, 3, n, 3).sum(axis=(0, 2)) / n**2,
+        residual_px=seen.residual_px.ravel(),
+        why=why,
+    )
 
 
 def _whole(t_s: float, points: Points, T: Array, C: Array, residual: Array) -> Solved:
-    """Return the pose T (4, 4) with its covariance, or the position alone where the rotation is too uncertain."""
-    if not max(C[3, 3], C[4, 4], C[5, 5]) <= MAX_ROTATION_SIGMA**2:
-        return Solved(pose=position_only(t_s, points, residual, _WHY[kernels.OPEN]), points=points)
+    """Return the pose T (4, 4) with its covariance C (6, 6)."""
     pose = TargetPose(
         t_s=t_s,
         status=PoseStatus.OK,
@@ -120,30 +158,29 @@ def _whole(t_s: float, points: Points, T: Array, C: Array, residual: Array) -> S
     return Solved(pose=pose, points=points, T=T)
 
 
-def solve_points(packed: PackedRig, names: tuple[str, ...], uv_px: Array, cov_px2: Array) -> tuple[Points, Array, str]:
-    """Return the points by themselves, their residuals (n, 2, 2) in px, and why there are none ('' where there are)."""
+def _certain(C: Array) -> bool:
+    """Whether the rotation of a covariance (6, 6) is known well enough to be one."""
+    return bool(max(C[3, 3], C[4, 4], C[5, 5]) <= MAX_ROTATION_SIGMA**2)
+
+
+def _placed(packed: PackedRig, names: tuple[str, ...], P: Array, S: Array, cov_px2: Array, residual: Array) -> Placed:
+    """Return the points with their joint covariance: independent spots, one common calibration."""
     n = len(names)
-    P, S, residual = np.empty((n, 3)), np.empty((n, 3, 3)), np.zeros((n, 2, 2))
-    if not kernels.triangulate_all(packed.k, packed.R, packed.t, uv_px, cov_px2, P, S):
-        return no_points(), residual[:0], _WHY[kernels.NO_POINT]
-    if not kernels.point_residuals(packed.k, packed.R, packed.t, uv_px, P, residual):
-        return no_points(), residual[:0], _WHY[kernels.NO_POINT]
-    return Points(names=names, xyz_m=P, covariance_m2=S), residual, ""
+    blocks = np.zeros((n, 3, n, 3))
+    blocks[np.arange(n), :, np.arange(n), :] = S
+    joint = blocks.reshape(3 * n, 3 * n)
+    if packed.covariance.size:
+        A = _slopes(packed, cov_px2, P, S).reshape(3 * n, -1)
+        joint = joint + A @ packed.covariance @ A.T
+    own = joint.reshape(n, 3, n, 3)[np.arange(n), :, np.arange(n), :]
+    return Placed(points=Points(names=names, xyz_m=P, covariance_m2=own), joint_m2=joint, residual_px=residual)
 
 
-def position_only(t_s: float, points: Points, residual_px: Array, why: str) -> TargetPose:
-    """Return the position of the mean of the points, with its covariance (3, 3)."""
-    n = len(points)
-    return TargetPose(
-        t_s=t_s,
-        status=PoseStatus.POSITION_ONLY,
-        parent=PARENT,
-        spots=points.names,
-        pose=RigidTransform.from_translation(points.xyz_m.mean(axis=0)),
-        covariance=points.covariance_m2.sum(axis=0) / n**2,
-        residual_px=residual_px.ravel(),
-        why=why,
-    )
+def _slopes(packed: PackedRig, cov_px2: Array, P: Array, S: Array) -> Array:
+    """Return (n, 3, 26): how the points follow the rig's parameters."""
+    A = np.empty((len(P), 3, share.PARAMETERS))
+    share.point_slopes(packed.k, packed.R, packed.t, cov_px2, P, S, A)
+    return A
 
 
 def lost(t_s: float, why: str) -> TargetPose:

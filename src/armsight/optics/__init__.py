@@ -3,9 +3,9 @@
 from armsight.optics.camera import INTRINSICS, Camera
 from armsight.optics.epipolar import epipolar_chi2, epipolar_distance, fundamental_matrix
 from armsight.optics.packed import PackedRig
-from armsight.optics.parallelism import RIG_PARAMETERS, RIGHT_POSE, Parallelism, moved_rig, parallelism
+from armsight.optics.parallelism import Parallelism, moved_rig, parallelism
 from armsight.optics.resolution import Resolution, mean_axes, resolution
-from armsight.optics.rig import SIDES, Rig, RigKind
+from armsight.optics.rig import RIG_PARAMETERS, RIGHT_POSE, SIDES, Rig, RigKind
 from armsight.optics.rigs import converged_rig, look_at, parallel_rig
 from armsight.optics.rotary import RotaryBase, rig_on_base, rotary_from_mount
 from armsight.optics.triangulate import Triangulation, Verdict, triangulate, triangulate_closed

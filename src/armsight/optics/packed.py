@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.optics.rig import SIDES, Rig
+from armsight.optics.rig import RIG_PARAMETERS, SIDES, Rig
 from armsight.records import frozen_array
 
 Array = NDArray[np.float64]
@@ -17,13 +17,15 @@ Array = NDArray[np.float64]
 class PackedRig:
     """Intrinsics k (2, 10), R (2, 3, 3) and t (2, 3) with p_camera = R p_rig + t, baseline (3,) left to right in m.
 
-    First index: left, right.
+    First index: left, right. covariance: (26, 26) of RIG_PARAMETERS where the calibration brings one, zero for the
+    parameters it held fixed; (0, 0) where the rig is taken as exact.
     """
 
     k: Array
     R: Array
     t: Array
     baseline: Array
+    covariance: Array
 
     @classmethod
     def of(cls, rig: Rig) -> PackedRig:
@@ -34,4 +36,14 @@ class PackedRig:
             R=frozen_array("R", [pose.rotation.as_matrix() for pose in poses], (2, 3, 3)),
             t=frozen_array("t", [pose.translation for pose in poses], (2, 3)),
             baseline=frozen_array("baseline", rig.T_rig_right.translation - rig.T_rig_left.translation, (3,)),
+            covariance=frozen_array("covariance", _covariance(rig), (None, None)),
         )
+
+
+def _covariance(rig: Rig) -> Array:
+    if rig.covariance is None:
+        return np.empty((0, 0))
+    named = [i for i, name in enumerate(RIG_PARAMETERS) if name in rig.covariance.names]
+    out = np.zeros((len(RIG_PARAMETERS), len(RIG_PARAMETERS)))
+    out[np.ix_(named, named)] = rig.covariance.block(tuple(RIG_PARAMETERS[i] for i in named))
+    return out

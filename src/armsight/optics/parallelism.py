@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.optics.camera import INTRINSICS, Camera
-from armsight.optics.rig import SIDES, Rig
+from armsight.optics.rig import RIG_PARAMETERS, RIGHT_POSE, Rig
 from armsight.records import NamedCovariance, frozen_array
 
 Array = NDArray[np.float64]
@@ -19,12 +19,6 @@ STEPS = (1e-3,) * 5 + (1e-6,) * 5
 
 POSE_STEP = 1e-6
 """... and by T_rig_right, in m and rad."""
-
-RIGHT_POSE = tuple(f"right.{name}" for name in ("tx", "ty", "tz", "rx", "ry", "rz"))
-"""Names of the pose parameters in a rig's covariance: T_rig_right moved as t + dt, Exp(dw) R."""
-
-RIG_PARAMETERS = tuple(f"{side}.{name}" for side in SIDES for name in INTRINSICS) + RIGHT_POSE
-"""All 26 parameters that a rig's covariance may name, in the order of moved_rig."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -9,13 +9,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.optics.camera import Camera
+from armsight.optics.camera import INTRINSICS, Camera
 from armsight.optics.kernels import project_many
 from armsight.records import NamedCovariance
 
 Array = NDArray[np.float64]
 
 SIDES = ("left", "right")
+
+RIGHT_POSE = tuple(f"right.{name}" for name in ("tx", "ty", "tz", "rx", "ry", "rz"))
+"""Names of the pose parameters in a rig's covariance: T_rig_right moved as t + dt, Exp(dw) R."""
+
+RIG_PARAMETERS = tuple(f"{side}.{name}" for side in SIDES for name in INTRINSICS) + RIGHT_POSE
+"""All 26 parameters that a rig's covariance may name, in the order of moved_rig."""
 
 
 class RigKind(StrEnum):

@@ -12,11 +12,10 @@ from numba import njit
 
 from armsight.fitting.kernels import invert_spd, solve_damped
 from armsight.geometry.kernels import rotate_left
+from armsight.measure.kernels.lights import see_light
 from armsight.optics.kernels import (
     FOUND,
-    distort,
     invert_2,
-    project_point,
     see_point,
     triangulate_linear_point,
     triangulate_ml_point,
@@ -24,8 +23,8 @@ from armsight.optics.kernels import (
 
 SOLVED, NO_WEIGHT, NO_POINT, BEHIND_CAMERA, OPEN, ENDLESS = 0, 1, 2, 3, 4, 5
 
-MAX_STEPS = 50
-SETTLED = 1e-9  # fall of chi-square, relative and absolute, that counts as none: 3e-5 of a deviation
+MAX_STEPS = 200  # five or fewer where residuals are noise; a target seen straight on that does not fit takes many
+SETTLED = 1e-8  # fall of chi-square, relative and absolute, that counts as none: 1e-4 of a deviation
 
 
 @njit(cache=True)
@@ -69,71 +68,6 @@ def kabsch(X, P, R, t):
     R[2, 2] = 1.0 - 2.0 * (x * x + y * y)
     for a in range(3):
         t[a] = mp[a] - (R[a, 0] * mx[0] + R[a, 1] * mx[1] + R[a, 2] * mx[2])
-
-
-@njit(cache=True)
-def bend_outline(k, x, y, z, nx, ny, nz, radius, uv):
-    """Fill uv (2,) with the centre of a disc's distorted image; x/z, y/z is the centre of its undistorted outline.
-
-    The mean over the outline's area is, to second order, that over four points (radius / sqrt 2) off the centre along
-    two directions square to each other in the disc's plane, weighted by how much the distortion swells them.
-    """
-    if abs(nx) < abs(ny):
-        ex, ey, ez = 0.0, nz, -ny
-    else:
-        ex, ey, ez = -nz, 0.0, nx
-    length = sqrt(ex * ex + ey * ey + ez * ez)
-    if not length > 1e-9:  # seen straight on
-        ex, ey, ez, length = 1.0, 0.0, 0.0, 1.0
-    ex, ey, ez = ex / length, ey / length, ez / length
-    fx, fy, fz = ny * ez - nz * ey, nz * ex - nx * ez, nx * ey - ny * ex
-    a, b = x / z, y / z
-    s = radius * sqrt(0.5) / z
-    g0, g1 = s * (ex - a * ez), s * (ey - b * ez)
-    h0, h1 = s * (fx - a * fz), s * (fy - b * fz)
-    xd = 0.0
-    yd = 0.0
-    area = 0.0
-    for i in range(4):
-        sign = 1.0 if i < 2 else -1.0
-        dx, dy = (g0, g1) if i % 2 == 0 else (h0, h1)
-        px, py, xx, xy, yy = distort(k, a + sign * dx, b + sign * dy)
-        w = xx * yy - xy * xy
-        xd += w * px
-        yd += w * py
-        area += w
-    xd /= area
-    yd /= area
-    uv[0] = k[0] * xd + k[4] * yd + k[2]
-    uv[1] = k[1] * yd + k[3]
-
-
-@njit(cache=True)
-def see_light(k, R, t, p, radius, normal, uv, J):
-    """Fill uv (2,), J (2, 3) = d uv / d p for a light at p (3,) in rig axes; False behind the camera.
-
-    radius > 0: a flat disc with the unit normal (3,) in rig axes; uv is then the centre of its outline. The dual
-    conic of the outline is r^2 (I - n n') - c c', whose centre is the image of c + (r^2 / c_z) (n_z n - e_z).
-    Its change with p is that of the point: the rest is below r^2 / z^2 of it.
-    """
-    x = R[0, 0] * p[0] + R[0, 1] * p[1] + R[0, 2] * p[2] + t[0]
-    y = R[1, 0] * p[0] + R[1, 1] * p[1] + R[1, 2] * p[2] + t[1]
-    z = R[2, 0] * p[0] + R[2, 1] * p[1] + R[2, 2] * p[2] + t[2]
-    if not project_point(k, x, y, z, uv, J):
-        return False
-    if radius > 0.0:
-        nx = R[0, 0] * normal[0] + R[0, 1] * normal[1] + R[0, 2] * normal[2]
-        ny = R[1, 0] * normal[0] + R[1, 1] * normal[1] + R[1, 2] * normal[2]
-        nz = R[2, 0] * normal[0] + R[2, 1] * normal[1] + R[2, 2] * normal[2]
-        s = radius * radius / z
-        if not z > radius:
-            return False
-        bend_outline(k, x + s * nz * nx, y + s * nz * ny, z + s * (nz * nz - 1.0), nx, ny, nz, radius, uv)
-    for i in range(2):
-        a, b, c = J[i, 0], J[i, 1], J[i, 2]
-        for j in range(3):
-            J[i, j] = a * R[0, j] + b * R[1, j] + c * R[2, j]
-    return True
 
 
 @njit(cache=True)
@@ -192,7 +126,7 @@ def pose_normal(k, R, t, X, radius, normal, uv, W, Rp, tp, H, g, residual):
 def refine_pose(k, R, t, X, radius, normal, uv, W, Rp, tp, H, residual):
     """Move Rp, tp to the least chi-square from where they are; return (state, chi-square).
 
-    H (6, 6) and residual (n, 2, 2) are left at the minimum. Levenberg-Marquardt.
+    H (6, 6) and residual (n, 2, 2) are left at the minimum. Levenberg-Marquardt, damped after Nielsen.
     """
     g = np.empty(6)
     H2 = np.empty((6, 6))
@@ -205,16 +139,18 @@ def refine_pose(k, R, t, X, radius, normal, uv, W, Rp, tp, H, residual):
     if not np.isfinite(chi2):
         return BEHIND_CAMERA, np.inf
     damping = 0.0
+    growth = 2.0
     for _ in range(MAX_STEPS):
         if not solve_damped(H, g, damping, step):
             return OPEN, np.inf
-        promised = -0.5 * np.dot(step, g)  # of chi-square / 2, at least
+        promised = -np.dot(step, g)  # fall of chi-square, more where damped
         rotate_left(step[3:], Rp, R2)
         for i in range(3):
             t2[i] = tp[i] + step[i]
         new = pose_normal(k, R, t, X, radius, normal, uv, W, R2, t2, H2, g2, residual2)
         if new <= chi2:
             settled = chi2 - new <= SETTLED * (1.0 + chi2)
+            share = 2.0 * (chi2 - new) / promised - 1.0
             chi2 = new
             Rp[:] = R2
             tp[:] = t2
@@ -223,11 +159,14 @@ def refine_pose(k, R, t, X, radius, normal, uv, W, Rp, tp, H, residual):
             residual[:] = residual2
             if settled or promised <= SETTLED * (1.0 + chi2):
                 return SOLVED, chi2
-            damping = 0.1 * damping if damping > 1e-8 else 0.0
+            # less damping the better the promise was kept; where foreshortening bends the residuals it is not
+            damping *= max(1.0 / 3.0, 1.0 - share**3)
+            growth = 2.0
         else:
             if promised <= SETTLED * (1.0 + chi2):
                 return SOLVED, chi2
-            damping = max(10.0 * damping, 1e-4)
+            damping = max(growth * damping, 1e-2)
+            growth *= 2.0
     return ENDLESS, np.inf
 
 
@@ -372,7 +311,7 @@ def kabsch_pose(k, R, t, uv, cov, X, Rp, tp):
 
 @njit(cache=True)
 def pachidis_frame(P, S, T, C):
-    """Frame of three points P (3, 3), rows A, B, C, with covariances S (3, 3, 3); False where they are on one line.
+    """Frame of three points P (3, 3), rows A, B, C, with joint covariance S (9, 9); False where they are on one line.
 
     Origin G at their mean, u = A to G, w = (B - G) x (A - G), v = w x u (Pachidis 2005, eqs. 7-8). C (6, 6) is the
     covariance of (dt, dw) to first order; T (4, 4) the pose.
@@ -410,12 +349,5 @@ def pachidis_frame(P, S, T, C):
             about_u = (db * w[i] + about_v * ba) / bv
             for j in range(3):
                 J[3 + j, c] = about_u * u[j] + about_v * v[j] + about_w * w[j]
-    for i in range(6):
-        for j in range(6):
-            total = 0.0
-            for point in range(3):
-                for m in range(3):
-                    for n in range(3):
-                        total += J[i, 3 * point + m] * S[point, m, n] * J[j, 3 * point + n]
-            C[i, j] = total
+    C[:] = J @ np.ascontiguousarray(S) @ J.T
     return True

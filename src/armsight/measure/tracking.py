@@ -1,0 +1,98 @@
+"""From one moment to the next: where the lights are expected, and what is handed on."""
+
+from __future__ import annotations
+
+from math import ceil
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.measure.kernels import pose as kernels
+from armsight.measure.outcome import Track
+from armsight.measure.pose import Solved
+from armsight.measure.setup import Setup
+from armsight.records import Spots
+
+Array = NDArray[np.float64]
+
+MAX_GAP_S = 0.5
+"""A track older than this predicts nothing: hand-held targets turn round in less than a second."""
+
+FIRST_WINDOW_PX = 32
+"""Half the window before a velocity is known: 0.5 m/s at 0.6 m, 30 frames a second and f = 1130 px."""
+
+LEAST_WINDOW_PX = 8
+"""Half the smallest window, beside the spot itself."""
+
+SPOT_REACH = 4.0
+"""A spot's light reaches about this many of its sigmas (or radii)."""
+
+
+def expected(setup: Setup, track: Track | None, t_s: float) -> Array | None:
+    """Return the predicted places (m, 3) in the order of the target's names, NaN where there is none."""
+    if track is None:
+        return None
+    predicted = track.predict(t_s)
+    if track.names == setup.model.names:
+        return predicted
+    out = np.full((len(setup.model), 3), np.nan)
+    for name, place in zip(track.names, predicted, strict=True):
+        out[setup.model.names.index(name)] = place
+    return out
+
+
+def places_of(setup: Setup, T: Array) -> Array:
+    """Return where the lights of the target are (m, 3) in rig axes under its pose T (4, 4)."""
+    places = np.empty((len(setup.model), 3))
+    kernels.place_lights(T, setup.model.xyz_m, places)
+    return places
+
+
+def next_track(
+    setup: Setup,
+    t_s: float,
+    solved: Solved,
+    left: Spots,
+    right: Spots,
+    track: Track | None,
+    slip_px: float | None = None,
+) -> Track | None:
+    """Return where the lights are and how fast they go; lights not seen go on as they went."""
+    if "?" in solved.points.names:
+        return None
+    whole = len(solved.points) == len(setup.model)
+    if solved.T is not None and setup.target.model_known:
+        names, places = setup.model.names, places_of(setup, solved.T)
+    else:
+        names, places = solved.points.names, solved.points.xyz_m
+    velocity = np.zeros_like(places)
+    if track is not None and names == track.names:
+        velocity = (places - track.xyz_m) / (t_s - track.t_s)
+    elif track is not None:
+        names, places, velocity = _carry_on(track, t_s, names, places)
+    reach = SPOT_REACH * max(left.size_px.max(), right.size_px.max())
+    slip = FIRST_WINDOW_PX if slip_px is None else min(LEAST_WINDOW_PX + 2.0 * slip_px, FIRST_WINDOW_PX)
+    return Track(
+        t_s=t_s,
+        whole_t_s=t_s if whole or track is None else track.whole_t_s,
+        names=names,
+        xyz_m=places,
+        velocity_m_s=velocity,
+        half_window_px=ceil(reach + slip),
+        complete=whole,
+    )
+
+
+def _carry_on(track: Track, t_s: float, names: tuple[str, ...], places: Array) -> tuple[tuple[str, ...], Array, Array]:
+    """Return names, places and velocities of the lights seen, followed by those of the track not seen now."""
+    dt = t_s - track.t_s
+    before = dict(zip(track.names, zip(track.xyz_m, track.velocity_m_s, strict=True), strict=True))
+    velocity = np.zeros_like(places)
+    for i, name in enumerate(names):
+        if name in before:
+            velocity[i] = (places[i] - before[name][0]) / dt
+    if t_s - track.whole_t_s > MAX_GAP_S:
+        return names, places, velocity
+    missing = [name for name in track.names if name not in names]
+    gone = [before[name][0] + dt * before[name][1] for name in missing]
+    return (*names, *missing), np.vstack([places, *gone]), np.vstack([velocity, *(before[name][1] for name in missing)])
