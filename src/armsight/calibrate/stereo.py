@@ -10,19 +10,22 @@ from numpy.typing import NDArray
 
 from armsight.calibrate.bundle import Bundle, adjust, bundle_of, residuals_px
 from armsight.calibrate.camera import doubts, require_views, required, rms, start_of, view_rms
-from armsight.calibrate.cleaning import fit_tilted, fixed_names
+from armsight.calibrate.cleaning import Cleaned, fit_tilted, fixed_names
 from armsight.calibrate.leftout import epipolar_rms, left_out, metric_of
 from armsight.calibrate.options import BoardOptions
 from armsight.calibrate.pairing import Paired, pair_views
-from armsight.calibrate.precheck import check_count, check_spread, check_tilt, different_views
+from armsight.calibrate.precheck import LEAST_VIEWS, check_count, check_spread, check_tilt, different_views
 from armsight.calibrate.rigs import baseline_std, rig_of
 from armsight.calibrate.sightings import Sightings, pack
-from armsight.errors import Inconsistent, NotConverged, Undetermined
+from armsight.errors import Inconsistent, NotConverged, NotEnoughData, Undetermined
 from armsight.optics import SIDES, Rig
 from armsight.optics.parallelism import Parallelism, parallelism
 from armsight.records import BoardView, Progress, Target
 
 Array = NDArray[np.float64]
+
+
+NO_PAIR = "the two images do not show the board at one moment: they are no pair, or it moved"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -92,6 +95,30 @@ def calibrate_stereo(
     swapped or mirrored), NotEnoughData, Degenerate, Undetermined, NotConverged, Cancelled as calibrate_camera.
     """
     options = options or BoardOptions()
+    sightings, rejected = _different_pairs(left, right, board)
+    advice = check_count(sightings.n_views)
+    starts = [start_of(sightings.camera(c)) for c in range(2)]
+    for c, side in enumerate(SIDES):
+        advice += check_spread(sightings, c, f"the {side} camera")
+        check_tilt(starts[c].poses, f"the {side} camera")
+    sightings, starts, paired = _paired(sightings, starts, board, options)
+    agree = np.flatnonzero(paired.agreeing)
+    rejected += [(" / ".join(sightings.sources[g]), NO_PAIR) for g in np.flatnonzero(~paired.agreeing)]
+    if len(agree) < LEAST_VIEWS:
+        raise NotEnoughData(
+            f"{len(agree)} of {len(left)} pairs show the board at one moment, {LEAST_VIEWS} are needed",
+            consequence="Nothing was calibrated",
+            cure="Expose both cameras at once, or hold the board still",
+        )
+    start = Bundle(k=np.concatenate([s.k for s in starts]), side_pose=paired.side_pose, poses=starts[0].poses[agree])
+    cleaned, on_tilt = fit_tilted(sightings.take(agree), start, options, "the pair", progress)
+    return _judged(cleaned, options, n_pairs=len(left), rejected=rejected, advice=[*advice, *on_tilt])
+
+
+def _different_pairs(
+    left: Sequence[BoardView], right: Sequence[BoardView], board: Target
+) -> tuple[Sightings, list[tuple[str, str]]]:
+    """Return the pairs that show something new, and (source, why) of the others."""
     if len(left) != len(right):
         raise Inconsistent(
             f"{len(left)} left and {len(right)} right views do not pair up",
@@ -101,26 +128,18 @@ def calibrate_stereo(
     require_views(left, board)
     sightings = pack([left, right], board)
     kept, rejected = different_views(sightings)
-    sightings = sightings.take(kept)
-    advice = check_count(len(kept))
-    starts = [start_of(sightings.camera(c)) for c in range(2)]
-    for c, side in enumerate(SIDES):
-        advice += check_spread(sightings, c, f"the {side} camera")
-        check_tilt(starts[c].poses, f"the {side} camera")
-    sightings, starts, paired = _paired(sightings, starts, board, options)
-    rejected += [
-        (" / ".join(sightings.sources[g]), "the two images do not show the board at one moment: no pair, or it moved")
-        for g in np.flatnonzero(~paired.agreeing)
-    ]
-    agree = np.flatnonzero(paired.agreeing)
-    start = Bundle(k=np.concatenate([s.k for s in starts]), side_pose=paired.side_pose, poses=starts[0].poses[agree])
-    cleaned, on_tilt = fit_tilted(sightings.take(agree), start, options, "the pair", progress)
-    used, fit = cleaned.sightings, cleaned.fit
-    residual, seen = residuals_px(used, fit), used.weight > 0.0
+    return sightings.take(kept), rejected
+
+
+def _judged(
+    cleaned: Cleaned, options: BoardOptions, *, n_pairs: int, rejected: list[tuple[str, str]], advice: list[str]
+) -> StereoCalibration:
+    """Return the result with its errors, on the pairs of the fit and on left-out ones."""
+    used, state = cleaned.sightings, bundle_of(cleaned.fit, 2)
+    _refuse_swapped(state.side_pose)
+    residual, seen = residuals_px(used, cleaned.fit), used.weight > 0.0
     covariance = required(cleaned)
     overall = rms(residual, seen)
-    state = bundle_of(fit, 2)
-    _refuse_swapped(state.side_pose)
     rig = rig_of(state, used.sizes, covariance=covariance, rms_px=overall)
     out = left_out(cleaned, options)
     metric = out.metric if out else metric_of([(used, rig)]) if options.folds else None
@@ -128,7 +147,7 @@ def calibrate_stereo(
         rig=rig,
         baseline_std_m=baseline_std(rig),
         rms_px=overall,
-        n_pairs=len(left),
+        n_pairs=n_pairs,
         n_used=used.n_views,
         rejected=(*rejected, *cleaned.rejected),
         holdout_rms_px=out.rms_px if out else None,
@@ -138,7 +157,7 @@ def calibrate_stereo(
         view_rms_px=view_rms(residual, seen),
         used=used,
         residual_px={side: residual[:, c][seen[:, c]] for c, side in enumerate(SIDES)},
-        advice=(*advice, *on_tilt, *doubts(covariance, cleaned), *cleaned.notes),
+        advice=(*advice, *doubts(covariance, cleaned), *cleaned.notes),
     )
 
 

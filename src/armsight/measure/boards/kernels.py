@@ -271,6 +271,33 @@ def fit_corners(image, guess, basis, bend, reach, sign, uv, cov, quality):
             cov[i] = C[:2, :2] * max(noise2, QUANTISATION)
 
 
+@njit(cache=True)
+def _start_dot(x, y, v, n, E, p):
+    """Fill p with the ellipse of half axes E and the grey levels met inside and outside; False where one is empty."""
+    inside = 0.0
+    n_inside = 0
+    outside = 0.0
+    n_outside = 0
+    A = np.linalg.inv(E)
+    M = A.T @ A
+    for k in range(n):
+        q = M[0, 0] * x[k] * x[k] + 2.0 * M[0, 1] * x[k] * y[k] + M[1, 1] * y[k] * y[k]
+        if q < 0.7:
+            inside += v[k]
+            n_inside += 1
+        elif q > 1.5:
+            outside += v[k]
+            n_outside += 1
+    if n_inside == 0 or n_outside == 0:
+        return False
+    p[0] = p[1] = 0.0
+    p[2], p[3], p[4] = M[0, 0], M[0, 1], M[1, 1]
+    p[5] = 0.8
+    p[6], p[7], p[8] = outside / n_outside, 0.0, 0.0
+    p[9] = inside / n_inside - p[6]
+    return True
+
+
 @njit(cache=True, nogil=True)
 def fit_dots(image, guess, shape, reach, hole, uv, cov, quality):
     """Fit each printed dot as a blurred ellipse.
@@ -299,27 +326,8 @@ def fit_dots(image, guess, shape, reach, hole, uv, cov, quality):
         _, spread = _levels(V, n)
         if spread < 1.0:
             continue
-        inside = 0.0
-        n_inside = 0
-        outside = 0.0
-        n_outside = 0
-        A = np.linalg.inv(E)
-        M = A.T @ A
-        for k in range(n):
-            q = M[0, 0] * X[k] * X[k] + 2.0 * M[0, 1] * X[k] * Y[k] + M[1, 1] * Y[k] * Y[k]
-            if q < 0.7:
-                inside += V[k]
-                n_inside += 1
-            elif q > 1.5:
-                outside += V[k]
-                n_outside += 1
-        if n_inside == 0 or n_outside == 0:
+        if not _start_dot(X, Y, V, n, E, p):
             continue
-        p[0] = p[1] = 0.0
-        p[2], p[3], p[4] = M[0, 0], M[0, 1], M[1, 1]
-        p[5] = 0.8
-        p[6], p[7], p[8] = outside / n_outside, 0.0, 0.0
-        p[9] = inside / n_inside - p[6]
         cost = _descend(1, X, Y, V, n, p, 0.6 * sqrt(abs(det)), H)
         noise2 = cost / (n - N_DOT)
         quality[i, 1] = -p[9]
