@@ -152,6 +152,6 @@ class Jumping:
 
     def __call__(self, t_s: Array) -> RigidTransform:
         """Return the poses T_world_target at times (m,)."""
-        t = np.asarray(t_s)
+        t = np.asarray(t_s) + 1e-9  # frames at the very end, by rounding, are past it
         on = ((t >= self.start_s) & (t < self.end_s)).astype(float)
         return self.path(t) * RigidTransform.from_translation(on[:, None] * self.by_m)

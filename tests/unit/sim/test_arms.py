@@ -1,0 +1,179 @@
+"""The simulated arm, its servos and its motions against closed forms and against the product's own kinematics."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+
+import numpy as np
+import pytest
+import yaml
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from armsight.errors import Inconsistent
+from armsight.kinematics import pose
+from armsight.sim.arms import FlangeLimits, SimArm, SimJoint, covered
+from armsight.sim.building import robotics
+from armsight.sim.motions import Drawn, Jumping, Tremor, Turntable, Waypoints
+from armsight.sim.scenario import Scenario
+from armsight.sim.scene import Rest
+from armsight.sim.servo import Drive, Servo
+from armsight.store.arm_file import arm_from_mapping
+
+NAMES = ("korayem2018-circle", "kapucu2005-rrp", "webcam-cell", "pachidis2005-static")
+
+
+def arm_of(name: str) -> SimArm:
+    text = (files("armsight") / "sim" / "scenarios" / f"{name}.yaml").read_text()
+    return robotics(Scenario.model_validate(yaml.safe_load(text)), 3).true
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_two_kinematics_written_apart_agree(name: str) -> None:
+    """The simulator's products of matrices and the product's kernels put the tool in the same place."""
+    arm = arm_of(name)
+    tool = RigidTransform.from_components([0.01, -0.02, 0.03], Rotation.from_rotvec([0.1, 0.2, -0.3]))
+    product = arm_from_mapping({"format": "armsight/arm", "version": 1, **arm.mapping(tool)})
+    rng = np.random.default_rng(1)
+    for q in rng.uniform(-3.0, 3.0, (20, arm.n)):
+        ours = arm.T_world_base * arm.flange(q) * tool
+        theirs = pose(product, q)
+        assert np.abs(ours.as_matrix() - np.asarray(theirs.as_matrix())).max() < 1e-12
+    many = rng.uniform(-3.0, 3.0, (5, arm.n))
+    assert np.abs(arm.flanges(many) - np.array([arm.frames(q)[-1] for q in many])).max() < 1e-15
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_jacobian_is_the_derivative(name: str) -> None:
+    arm = arm_of(name)
+    q, h = np.random.default_rng(2).uniform(0.2, 1.0, arm.n), 1e-6
+    J = arm.jacobian(arm.frames(q))
+    for i in range(arm.n):
+        step = h * np.eye(arm.n)[i]
+        ahead, behind = arm.frames(q + step)[-1], arm.frames(q - step)[-1]
+        assert np.abs(J[:3, i] - (ahead - behind)[:3, 3] / (2 * h)).max() < 1e-8
+        turn = Rotation.from_matrix(ahead[:3, :3] @ behind[:3, :3].T).as_rotvec() / (2 * h)
+        assert np.abs(J[3:, i] - turn).max() < 1e-8
+
+
+def test_reach_comes_back_to_the_pose_and_refuses_what_is_too_far() -> None:
+    arm = arm_of("webcam-cell")
+    q = np.deg2rad([10.0, -60.0, 90.0, -30.0, 80.0, 20.0])
+    found = arm.reach(arm.frames(q)[-1], q + 0.3)
+    assert np.abs(arm.frames(found)[-1] - arm.frames(q)[-1]).max() < 1e-8
+    far = arm.frames(q)[-1].copy()
+    far[:3, 3] *= 3.0
+    with pytest.raises(Inconsistent, match="does not reach"):
+        arm.reach(far, q)
+
+
+def test_errors_leave_alone_what_the_base_takes_up() -> None:
+    nominal = SimArm(joints=(SimJoint(name="a", a_m=0.1), SimJoint(name="b", a_m=0.2), SimJoint(name="c", slides=True)))
+    draws = [nominal.with_errors(np.random.default_rng(s), 1e-3, 1e-2).joints for s in range(400)]
+    assert {(j[0].d_m, j[0].theta_rad, j[2].theta_rad) for j in draws} == {(0.0, 0.0, 0.0)}
+    assert np.std([j[1].a_m for j in draws]) == pytest.approx(1e-3, rel=0.15)
+    assert np.std([j[1].alpha_rad for j in draws]) == pytest.approx(1e-2, rel=0.15)
+
+
+def test_a_flange_is_cut_to_its_speed_and_turning_rate() -> None:
+    here = np.eye(4)
+    goal = np.eye(4)
+    goal[:3, :3] = Rotation.from_rotvec([0.0, 0.0, 1.0]).as_matrix()
+    goal[0, 3] = 0.5
+    end, limited = FlangeLimits(speed_m_s=0.1, speed_rad_s=10.0).cut(here, goal, 1.0)
+    assert end[0, 3] == pytest.approx(0.1)
+    assert Rotation.from_matrix(end[:3, :3]).as_rotvec()[2] == pytest.approx(0.2)
+    assert len(limited) == 1
+    assert "speed" in limited[0]
+    same, none = FlangeLimits(speed_m_s=1.0, speed_rad_s=2.0).cut(here, goal, 1.0)
+    assert (same == goal).all()
+    assert none == ()
+
+
+@pytest.mark.parametrize(
+    ("eye", "light", "hides"),
+    [
+        ((2.0, 0.0, 0.5), (-2.0, 0.0, 0.5), True),
+        ((2.0, 0.11, 0.5), (-2.0, 0.11, 0.5), False),
+        ((2.0, 0.0, 1.09), (-2.0, 0.0, 1.09), True),
+        ((2.0, 0.0, 1.11), (-2.0, 0.0, 1.11), False),
+        ((2.0, 0.0, 0.5), (1.0, 0.0, 0.5), False),
+        ((2.0, 0.0, 0.5), (0.05, 0.0, 0.5), False),
+    ],
+    ids=["through the middle", "past the side", "through the round end", "over the end", "before it", "carried by it"],
+)
+def test_a_link_is_a_capsule_before_the_light(eye: tuple, light: tuple, hides: bool) -> None:
+    frames = np.array([np.eye(4), np.eye(4)])
+    frames[1, 2, 3] = 1.0
+    assert covered(frames, [0.1], np.array(eye), np.array(light)) is hides
+
+
+def drive(lag_s: float = 0.1, speed: float = 100.0, step: float = 0.0) -> Drive:
+    return Drive(cycle_s=0.02, lag_s=lag_s, max_speed=np.array([speed]), encoder_step=np.array([step]))
+
+
+def test_a_servo_lags_exponentially() -> None:
+    servo = Servo(drive(), [0.0])
+    servo.command(0.0, np.array([1.0]))
+    servo.advance(1.0)
+    t_s = np.arange(0.0, 1.0, 0.004)
+    assert np.abs(servo.at(t_s)[:, 0] - (1.0 - np.exp(-t_s / 0.1))).max() < 1e-12
+
+
+def test_a_servo_keeps_its_speed_limit_and_holds_commands_for_their_time() -> None:
+    servo = Servo(drive(lag_s=0.0, speed=0.5), [0.0])
+    servo.command(0.1, np.array([1.0]))
+    servo.advance(3.0)
+    assert servo.at(0.1)[0, 0] == 0.0
+    assert servo.at(1.1)[0, 0] == pytest.approx(0.5, abs=1e-9)
+    assert servo.at(2.9)[0, 0] == 1.0
+
+
+def test_encoders_count_in_steps() -> None:
+    servo = Servo(drive(step=0.01), [0.1234])
+    assert servo.read(0.0)[0, 0] == pytest.approx(0.12)
+
+
+def test_a_servo_that_forgets_its_past_knows_the_rest() -> None:
+    whole, short = Servo(drive(), [0.0]), Servo(drive(), [0.0], keep=50)
+    for servo in (whole, short):
+        servo.command(0.0, np.array([1.0]))
+        for t_s in np.arange(0.0, 2.0, 0.01):
+            servo.advance(float(t_s))
+    assert short.t_s == pytest.approx(whole.t_s)
+    assert np.abs(short.at([1.9, 1.95]) - whole.at([1.9, 1.95])).max() < 1e-9
+
+
+def test_ways_rest_at_their_points() -> None:
+    ways = Waypoints(q=np.array([[0.0], [1.0], [3.0]]), leave_s=np.array([1.0, 3.0]), arrive_s=np.array([2.0, 5.0]))
+    values = ways(np.array([0.0, 1.0, 1.5, 2.0, 2.7, 4.0, 5.0, 9.0]))[:, 0]
+    assert values == pytest.approx([0.0, 0.0, 0.5, 1.0, 1.0, 2.0, 3.0, 3.0])
+
+
+def test_a_turntable_turns_about_its_centre() -> None:
+    table = Turntable(
+        T_world_base=RigidTransform.from_translation([1.0, 2.0, 3.0]),
+        T_base_target=RigidTransform.from_translation([0.246, 0.0, 0.0]),
+        from_rad=np.deg2rad(50),
+        to_rad=np.deg2rad(-50),
+        start_s=1.0,
+        lasts_s=10.0,
+    )
+    xyz = np.asarray(table(np.linspace(0.0, 12.0, 50)).translation) - [1.0, 2.0, 3.0]
+    assert np.abs(np.linalg.norm(xyz, axis=1) - 0.246).max() < 1e-12
+    assert np.rad2deg(np.arctan2(xyz[[0, -1], 1], xyz[[0, -1], 0])) == pytest.approx([50.0, -50.0])
+
+
+def test_a_drawn_path_keeps_its_speed_on_edges_and_rounds_corners() -> None:
+    path = Drawn([[0, 0, 0], [0.4, 0, 0], [0.4, 0.2, 0]], Rotation.identity(), 0.1, 0.05, 1.0)
+    xyz = np.asarray(path(np.array([0.0, 2.0, 3.0, 5.0, 60.0])).translation)
+    assert np.abs(xyz - [[0, 0, 0], [0.1, 0, 0], [0.2, 0, 0], [0.4, 0, 0], [0.4, 0.2, 0]])[[0, 1, 2, 4]].max() < 1e-6
+    assert 1e-3 < np.linalg.norm(xyz[3] - [0.4, 0.0, 0.0]) < 0.1 * 0.05
+
+
+def test_a_hand_shakes_as_much_as_it_is_told_and_a_jump_ends() -> None:
+    rest = Rest(T_world_target=RigidTransform.identity())
+    shaken = Tremor(rest, 1e-3, 0.01, np.random.default_rng(5))(np.linspace(0.0, 400.0, 20_000))
+    assert np.asarray(shaken.translation).std(axis=0) == pytest.approx(np.full(3, 1e-3), rel=0.05)
+    assert shaken.rotation.as_rotvec().std(axis=0) == pytest.approx(np.full(3, 0.01), rel=0.05)
+    jump = Jumping(path=rest, by_m=np.array([0.1, 0.0, 0.0]), start_s=1.0, end_s=2.0)
+    assert np.asarray(jump(np.array([0.9, 1.0, 1.9, 2.0])).translation)[:, 0] == pytest.approx([0.0, 0.1, 0.1, 0.0])

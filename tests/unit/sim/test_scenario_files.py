@@ -1,0 +1,367 @@
+"""Scenarios: the papers' numbers come out, faults happen on command, what cannot be is refused by its key."""
+
+from __future__ import annotations
+
+import copy
+import re
+from collections.abc import Callable
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+from armsight.app.scenarios import load_scenario, scenario_names
+from armsight.app.simulate import simulate
+from armsight.errors import ArmsightError, BadFile, DeviceNotFound, Inconsistent
+from armsight.sim.scenario import Scenario
+from armsight.sim.stage import Stage
+from armsight.store import read_rig, read_target
+from armsight.store.arm_file import read_arm
+from armsight.store.tracks import read_joints, read_poses
+from armsight.store.worlds import read_world
+
+NAMES = (
+    "kapucu2005-rrp",
+    "korayem2018-circle",
+    "pachidis2005-circle",
+    "pachidis2005-static",
+    "pachidis2005-trapezium",
+    "webcam-cell",
+)
+
+
+@cache
+def content(name: str) -> dict[str, Any]:
+    found: dict[str, Any] = yaml.safe_load((files("armsight") / "sim" / "scenarios" / f"{name}.yaml").read_text())
+    return found
+
+
+def stage(name: str, frames: int | None = None, change: Callable[[dict[str, Any]], None] | None = None) -> Stage:
+    mapping = copy.deepcopy(content(name))
+    if change is not None:
+        change(mapping)
+    made: Stage = Scenario.model_validate(mapping).cell(frames=frames)
+    return made
+
+
+def places(truth: Any) -> np.ndarray:
+    return np.array([xyz for _, xyz, _ in truth])
+
+
+def centroids(image: np.ndarray, level: int = 60) -> np.ndarray:
+    """Centres of the lit patches of an image, weighted by light, from left to right."""
+    grey = image.astype(float)
+    count, labels = cv2.connectedComponents((image > level).astype(np.uint8))
+    found = []
+    for label in range(1, count):
+        v, u = np.nonzero(cv2.dilate((labels == label).astype(np.uint8), np.ones((9, 9))))
+        if (labels == label).sum() < 4:
+            continue
+        weight = np.clip(grey[v, u] - np.median(grey), 0.0, None)
+        found.append([weight @ u / weight.sum(), weight @ v / weight.sum()])
+    return np.array(sorted(found))
+
+
+def test_the_scenarios_are_there() -> None:
+    assert scenario_names() == NAMES
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_number_says_where_it_is_from(name: str) -> None:
+    text = (files("armsight") / "sim" / "scenarios" / f"{name}.yaml").read_text()
+    for line in text.splitlines():
+        value, _, note = line.partition("#")
+        if (
+            re.search(r":.*\d|^\s+- .*\d", value.split("name: ")[-1])
+            and "about:" not in value
+            and "version:" not in value
+        ):
+            assert re.match(r" (paper|derived|chosen|data sheet)", note), f"{name}: no source beside {line!r}"
+
+
+def test_korayem_turns_a_quarter_at_half_a_metre() -> None:
+    made = stage("korayem2018-circle", change=lambda m: m["arm"].update(error={}))
+    xyz = places(made.world_truth)
+    assert len(xyz) == 40
+    radius = np.hypot(xyz[:, 0], xyz[:, 1])
+    assert np.ptp(radius) < 1e-3  # vibration
+    angle = np.rad2deg(np.unwrap(np.arctan2(xyz[:, 1], xyz[:, 0])))
+    assert 90.0 < np.ptp(angle) < 95.0
+    assert places(made.truth)[:, 2].min() == pytest.approx(0.5, abs=0.005)
+
+
+def test_kapucu_moves_one_joint_at_a_time() -> None:
+    made = stage("kapucu2005-rrp")
+    xyz = places(made.world_truth)
+    assert [joint for _, joint in made.sweeps] == [1] * 10 + [2] * 10 + [3] * 10
+    first, second, third = xyz[:10], xyz[10:20], xyz[20:]
+    assert np.hypot(first[:, 0], first[:, 1]) == pytest.approx(np.full(10, np.hypot(0.96, 0.05)), abs=1e-3)
+    assert first[:, 2] == pytest.approx(np.full(10, 1.46), abs=1e-3)
+    centre = np.array([0.0, 0.05, 1.27])
+    assert np.linalg.norm(second - centre, axis=1) == pytest.approx(np.full(10, 0.96), abs=1e-3)
+    assert np.linalg.norm(third[-1] - third[0]) == pytest.approx(0.463, abs=1e-3)
+    for joint in (1, 2, 3):
+        q = np.array([row for (_, row), (_, moved) in zip(made.joints, made.sweeps, strict=True) if moved == joint])
+        others = np.delete(q, joint - 1, axis=1)
+        assert np.ptp(others, axis=0).max() < 2e-4  # one encoder step
+
+
+def test_pachidis_follows_a_circle_at_dz_within_its_speeds() -> None:
+    made = stage("pachidis2005-circle", frames=30)
+    arm = places(made.world_truth) - [0.1475, 1.3785, 0.448]
+    assert np.hypot(arm[:, 0], arm[:, 1]) == pytest.approx(np.full(30, 0.246), abs=1e-3)
+    seen = places(made.truth)
+    assert seen[:, 2] == pytest.approx(np.full(30, 0.6), abs=0.005)
+    assert np.abs(seen[:, :2]).max() < 0.01
+    t_s = np.arange(0.0, 20.0, 0.028)
+    path = np.asarray(made.rig_path(t_s).translation)
+    assert np.linalg.norm(np.diff(path, axis=0), axis=1).max() / 0.028 < 0.15  # 100 mm/s and the vibration's own
+
+
+def test_a_complex_image_holds_both_views_where_the_rays_say() -> None:
+    def still(mapping: dict[str, Any]) -> None:
+        mapping["arm"]["vibration"]["amplitude_m"] = 0.0
+
+    made = stage("pachidis2005-static", frames=1, change=still)
+    spots = centroids(made.frame(0, "image").image, level=40)
+    expected = np.vstack([made.cameras[s].centres_px(made.lights, made.path, 0.0) for s in ("left", "right")])
+    expected = expected[np.argsort(expected[:, 0])]
+    assert len(spots) == 6
+    gaps = np.linalg.norm(spots[:, None] - expected[None], axis=2).min(axis=1)
+    assert gaps.max() < 0.15  # a centroid of a noisy patch
+
+
+def shutter(mapping: dict[str, Any]) -> None:
+    mapping["cameras"].update(readout_s=0.016, exposure_s=0.0)
+    mapping["cameras"]["sensor"].update(hot_pixels=0)
+    mapping["motion"].update(period_s=[1.0] * 6)
+
+
+def test_a_rolling_shutter_sees_each_row_at_its_own_time() -> None:
+    made = stage("webcam-cell", frames=5, change=shutter)
+    camera = made.cameras["left"]
+    t_s = 3 / made.fps
+    spots = centroids(made.frame(3, "left").image)
+    now = camera.centres_px(made.lights, made.path, t_s)
+    now = now[np.argsort(now[:, 0])]
+    rows = [
+        camera.centres_px(made.lights, made.path, t_s + 0.016 * (v / 719 - 0.5))[:, None] for v in spots[:, 1].tolist()
+    ]
+    then = np.array([at[np.argmin(np.linalg.norm(at[:, 0] - s, axis=1)), 0] for at, s in zip(rows, spots, strict=True)])
+    assert np.abs(spots - then).max() < 0.15
+    shift = np.linalg.norm(then - now, axis=1)
+    assert shift.max() > 0.2, "the light moves too little for the test to tell"
+    assert np.linalg.norm(spots - now, axis=1).max() > 0.5 * shift.max()
+
+
+def with_event(**event: Any) -> Callable[[dict[str, Any]], None]:
+    def change(mapping: dict[str, Any]) -> None:
+        mapping["events"] = [{"at_s": 0.05, "for_s": 0.1, **event}]
+
+    return change
+
+
+def test_a_frozen_camera_repeats_its_picture() -> None:
+    made = stage("webcam-cell", frames=12, change=with_event(kind="frozen", side="left"))
+    images = [made.frame(k, "left").image for k in (3, 5, 9)]
+    assert np.array_equal(images[0], images[1])
+    assert not np.array_equal(images[0], images[2])
+    assert not np.array_equal(made.frame(3, "right").image, made.frame(5, "right").image)
+    assert made.frame(5, "left").sequence == 5
+
+
+def test_dropped_frames_leave_gaps_in_the_numbers() -> None:
+    made = stage("webcam-cell", frames=12, change=with_event(kind="dropped", side="right"))
+    assert made.kept == (0, 1, 2, 9, 10, 11)
+    assert [f[0].sequence for f in made.frames()] == [0, 1, 2, 9, 10, 11]
+
+    def busy(mapping: dict[str, Any]) -> None:
+        mapping["cameras"]["drop"] = 0.1
+
+    lost = 1.0 - len(stage("webcam-cell", frames=300, change=busy).kept) / 300
+    assert lost == pytest.approx(1.0 - 0.9**2, abs=0.07)
+
+
+def test_a_lost_link_leaves_no_readings_and_a_late_cycle_moves_later() -> None:
+    made = stage("webcam-cell", frames=12, change=with_event(kind="link_lost"))
+    assert len(made.joints) == 6
+    assert len(made.kept) == 12
+    prompt, late = stage("webcam-cell", 12), stage("webcam-cell", 12, with_event(kind="late_cycle"))
+    moved = np.abs(late.servo.at(np.array([0.02, 0.1])) - prompt.servo.at(np.array([0.02, 0.1]))).max(axis=1)
+    assert moved[0] == 0.0
+    assert moved[1] > 1e-5
+
+
+def test_a_jump_moves_the_target_and_its_truth() -> None:
+    made = stage("webcam-cell", 12, with_event(kind="jump", by_m=[0.02, 0.0, 0.0]))
+    steps = np.linalg.norm(np.diff(places(made.truth), axis=0), axis=1)
+    assert sorted(np.argsort(steps)[-2:].tolist()) == [2, 8]
+
+
+def test_lights_are_covered_and_reflections_appear_on_command() -> None:
+    plain = stage("webcam-cell", 12)
+    covered = stage("webcam-cell", 12, with_event(kind="occluded", lights=["B"], side="left"))
+    assert covered.hidden(5, "left") == {"B"}
+    assert covered.hidden(5, "right") == frozenset()
+    ghost = stage("webcam-cell", 12, with_event(kind="reflection", uv_px=[100.0, 200.0], side="left"))
+    assert ghost.frame(5, "left").image[200, 100] > 100 > plain.frame(5, "left").image[200, 100]
+
+
+def test_the_arm_covers_what_is_behind_it() -> None:
+    def other_side(mapping: dict[str, Any]) -> None:
+        mapping["cameras"]["T_mount_rig"] = {"xyz_m": [1.5, -0.2, 0.3], "turn_deg": [-90.0, 0.0, 90.0]}
+        mapping["target"]["everywhere"] = True
+
+    made = stage("webcam-cell", 3, other_side)
+    assert made.hidden(0, "left") | made.hidden(0, "right")
+    assert stage("webcam-cell", 3).hidden(0, "left") == frozenset()
+
+
+def test_jitter_moves_the_right_picture_and_not_the_truth() -> None:
+    def free_running(mapping: dict[str, Any]) -> None:
+        mapping["cameras"]["jitter_s"] = 0.004
+
+    plain, loose = stage("webcam-cell", 3), stage("webcam-cell", 3, free_running)
+    assert np.array_equal(plain.frame(2, "left").image, loose.frame(2, "left").image)
+    assert not np.array_equal(plain.frame(2, "right").image, loose.frame(2, "right").image)
+    assert np.array_equal(places(plain.truth), places(loose.truth))
+
+
+WRONG: dict[str, tuple[str, Callable[[dict[str, Any]], Any], str]] = {
+    "an unknown key": (
+        "webcam-cell",
+        lambda m: m["cameras"].update(exposure_ms=4.0),
+        "cameras.exposure_ms.*exposure_s",
+    ),
+    "an unknown motion": ("webcam-cell", lambda m: m["motion"].update(kind="dance"), "motion"),
+    "no frames": ("webcam-cell", lambda m: m.update(frames=0), "frames"),
+    "no rate": ("webcam-cell", lambda m: m.update(fps=0.0), "fps"),
+    "a number that is none": ("webcam-cell", lambda m: m.update(fps=float("nan")), "fps"),
+    "both cameras in one place": (
+        "webcam-cell",
+        lambda m: m["cameras"]["right"]["T_rig_camera"].update(xyz_m=[0.0, 0.0, 0.0]),
+        "T_rig_camera",
+    ),
+    "two lights in one place": (
+        "webcam-cell",
+        lambda m: m["target"]["spots_m"].update(B=[-0.04, 0.0, 0.0]),
+        "spots_m",
+    ),
+    "limits swapped": ("kapucu2005-rrp", lambda m: m["arm"]["joints"][2].update(lower=2.0), r"joints\[2\].*lower"),
+    "a sweep beyond the range": (
+        "kapucu2005-rrp",
+        lambda m: m["motion"]["sweeps"][2].update(end=1.5),
+        r"sweeps\[2\].end.*j3",
+    ),
+    "a sweep of a joint too few": (
+        "kapucu2005-rrp",
+        lambda m: m["motion"]["sweeps"][0].update(rest=[0.0, 1.0]),
+        r"sweeps\[0\].*2 values for 3 joints",
+    ),
+    "a rig turned away": (
+        "webcam-cell",
+        lambda m: m["cameras"]["T_mount_rig"].update(turn_deg=[-90.0, 0.0, 90.0]),
+        "T_mount_rig.*sees no light",
+    ),
+    "out of reach": (
+        "pachidis2005-static",
+        lambda m: m["motion"]["T_world_target"].update(xyz_m=[0.2, 3.0, 0.1]),
+        "motion.*does not reach",
+    ),
+    "a plate thicker than its room": (
+        "pachidis2005-static",
+        lambda m: m["cameras"]["mirrors"].update(plate_m=0.03),
+        "gap_m",
+    ),
+    "glass thinner than air": (
+        "pachidis2005-static",
+        lambda m: m["cameras"]["mirrors"].update(index=0.5),
+        "mirrors.index",
+    ),
+    "mirrors and a second camera": (
+        "pachidis2005-static",
+        lambda m: m["cameras"].update(right=content("webcam-cell")["cameras"]["right"]),
+        "right.*mirrors",
+    ),
+    "an event of an unknown light": (
+        "webcam-cell",
+        lambda m: m.update(events=[{"kind": "occluded", "at_s": 0.1, "for_s": 0.1, "lights": ["Z"]}]),
+        "events.*Z",
+    ),
+    "a negative radius": ("pachidis2005-circle", lambda m: m["motion"].update(radius_m=-0.2), "radius_m"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_what_cannot_be_is_refused_by_its_key(case: str, tmp_path: Path) -> None:
+    name, change, says = WRONG[case]
+    mapping = copy.deepcopy(content(name))
+    change(mapping)
+    path = tmp_path / "scenario.yaml"
+    path.write_text(yaml.safe_dump(mapping))
+    with pytest.raises(BadFile, match=f"(?s){says}") as caught:
+        simulate(str(path), tmp_path / "out", frames=1)
+    assert isinstance(caught.value, ArmsightError)
+    assert not (tmp_path / "out" / "rig.yaml").exists()
+
+
+def test_an_unknown_scenario_is_answered_with_the_known_ones(tmp_path: Path) -> None:
+    with pytest.raises(DeviceNotFound, match=r"kapucu2005-rrp.*led-cell"):
+        simulate("nowhere", tmp_path)
+
+
+def test_simulate_writes_files_that_the_readers_take_and_that_make_the_run_again(tmp_path: Path) -> None:
+    first, second = tmp_path / "first", tmp_path / "second"
+    done = simulate("webcam-cell", first, seed=7, frames=2)
+    assert done["n_frames"] == 2
+    assert read_rig(first / "rig.yaml").kind == "stereo"
+    assert read_target(first / "target.yaml").names == ("A", "B", "C")
+    assert read_joints(first / "joints.csv").q.shape == (2, 6)
+    world = read_world(first / "world.yaml")
+    for pose, there in zip(read_poses(first / "truth.csv"), read_poses(first / "truth_world.csv"), strict=True):
+        moved = world.T_parent_rig * pose.pose
+        assert np.abs(moved.as_matrix() - there.pose.as_matrix()).max() < 1e-9
+    assert read_arm(first / "arm.yaml").n == read_arm(first / "arm_true.yaml").n == 6
+    simulate(str(first / "scenario.yaml"), second)
+    for side in ("left", "right"):
+        images = sorted((first / side).iterdir())
+        assert len(images) == 2
+        assert all(image.read_bytes() == (second / side / image.name).read_bytes() for image in images)
+    assert (first / "joints.csv").read_bytes() == (second / "joints.csv").read_bytes()
+
+
+def test_a_mirror_rig_gives_complex_images_and_sweeps_give_their_table(tmp_path: Path) -> None:
+    done = simulate("pachidis2005-static", tmp_path / "psvs", frames=1)
+    assert done["views"] == ["image"]
+    assert [p.name for p in (tmp_path / "psvs" / "image").iterdir()] == ["000000.png"]
+    assert read_rig(tmp_path / "psvs" / "rig.yaml").kind == "mirror"
+    assert not (tmp_path / "psvs" / "world.yaml").exists()
+    simulate("kapucu2005-rrp", tmp_path / "rrp", frames=2)
+    rows = (tmp_path / "rrp" / "sweep_joints.csv").read_text().splitlines()
+    assert rows[0] == "frame,joint,q1,q2,q3"
+    assert rows[1].startswith("0,1,")
+    assert len(rows) == 3
+
+
+def test_a_scenario_gives_its_robot_alone() -> None:
+    from armsight.clock import ManualClock
+    from armsight.drivers import ROBOTS, RobotState, load
+
+    clock = ManualClock()
+    robot = load(ROBOTS, "sim")("", settings=content("webcam-cell"), clock=clock)
+    with robot:
+        clock.advance(0.1)
+        assert robot.state is RobotState.READY
+        assert robot.read().q == pytest.approx(np.deg2rad([0.0, -60.0, 90.0, -30.0, 90.0, 0.0]), abs=1e-4)
+
+
+def test_the_text_of_a_scenario_keeps_its_notes() -> None:
+    _, text = load_scenario("korayem2018-circle")
+    assert "# paper: Table 2" in text
+    with pytest.raises(Inconsistent):
+        stage("kapucu2005-rrp", 1, lambda m: m["cameras"]["T_mount_rig"].update(xyz_m=[50.0, 0.0, 0.0]))
