@@ -14,6 +14,7 @@ from typing import Any
 import cv2
 
 import armsight
+from armsight.app.scenarios import scenario_names
 from armsight.drivers import CAMERAS, CELLS, ROBOTS, cameras_there, cores, known
 from armsight.optics import Rig, resolution
 from armsight.optics.resolution import CENTROID_SIGMA_PX
@@ -42,6 +43,7 @@ def doctor(
 ) -> Diagnosis:
     """Look at the machine and, where given, at a rig's resolution at distances (default: multiples of its baseline)."""
     drivers = {group.removeprefix("armsight."): known(group) for group in (CAMERAS, ROBOTS, CELLS)}
+    drivers["scenarios"] = scenario_names()
     kernels = kernel_cache(Path(armsight.__file__).parent)
     return Diagnosis(
         versions={"armsight": armsight.__version__, "python": platform.python_version(), **_versions()},
