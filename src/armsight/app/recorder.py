@@ -17,9 +17,15 @@ from armsight.store.recording import Encoded, ImageFormat, RecordingWriter, enco
 QUEUE_BYTES = 128_000_000
 """Frames that may wait: over a second of raw 720p pairs at 60 a second."""
 
-QUEUE_S = 0.5
-"""A pair that would have to wait longer is dropped (live) or held back (files): with a chunk's quarter of a second,
-what a killed program loses stays below a second."""
+QUEUE_PAIRS = 16
+"""Pairs from files that may wait: enough to keep every core at compressing."""
+
+QUEUE_S = 0.3
+"""A live pair that would have to wait longer, at the pace of the last pairs, is dropped before it is compressed: with a
+chunk's quarter of a second, what a killed program loses stays below a second on a machine that is too slow as well."""
+
+PACE_WEIGHT, PACE_LIMIT_S = 0.2, 0.1
+"""Weight of the newest pair in the pace, and the most it counts for: a disk that pauses once is no slow disk."""
 
 TICK_S = 0.05
 """How often the writer looks whether a chunk is due while no frame comes."""
@@ -34,13 +40,13 @@ class _Waiting:
     pair: tuple[Frame, Frame]
     encoded: tuple[Future[Encoded | None], Future[Encoded | None]] | None
     size: int
-    since_s: float
 
 
 class Recorder:
     """Takes pairs in one thread, writes them in another; as a context manager it ends with everything written.
 
-    live: a pair that finds no room is dropped and counted; else put() waits for room. Closes the writer.
+    live: a pair that finds no room, or would have to wait too long, is dropped and counted; else put() waits for room.
+    Closes the writer.
     """
 
     def __init__(
@@ -61,6 +67,7 @@ class Recorder:
         self._pool = ThreadPoolExecutor(workers or cores(), thread_name_prefix="encode")
         self._waiting: deque[_Waiting] = deque()
         self._bytes = 0
+        self._pace_s = 0.0
         self._room = threading.Condition()
         self._ending = threading.Event()
         self._failure: BaseException | None = None
@@ -77,7 +84,7 @@ class Recorder:
 
     @property
     def dropped(self) -> int:
-        """Pairs for which there was no room."""
+        """Pairs for which there was no room or no time."""
         return self._dropped
 
     def put(self, left: Frame, right: Frame) -> bool:
@@ -95,7 +102,7 @@ class Recorder:
             if self._kind is not ImageFormat.RAW:
                 one, two = (self._pool.submit(encode, frame.image, self._kind) for frame in (left, right))
                 encoded = (one, two)
-            self._waiting.append(_Waiting((left, right), encoded, size, self._clock.now_s()))
+            self._waiting.append(_Waiting((left, right), encoded, size))
             self._bytes += size
             self._room.notify_all()
         return True
@@ -131,7 +138,8 @@ class Recorder:
     def _full(self, size: int) -> bool:
         if not self._waiting:
             return False
-        return self._bytes + size > QUEUE_BYTES or self._clock.now_s() - self._waiting[0].since_s > QUEUE_S
+        n = len(self._waiting)
+        return self._bytes + size > QUEUE_BYTES or (n * self._pace_s > QUEUE_S if self._live else n >= QUEUE_PAIRS)
 
     def _write(self) -> None:
         try:
@@ -145,7 +153,10 @@ class Recorder:
                 if item is None:
                     self._writer.tick()
                     continue
+                begun_s = self._clock.now_s()
                 self._one(item)
+                took_s = min(self._clock.now_s() - begun_s, PACE_LIMIT_S)
+                self._pace_s += PACE_WEIGHT * (took_s - self._pace_s)
                 with self._room:
                     self._waiting.popleft()
                     self._bytes -= item.size
@@ -163,7 +174,9 @@ class Recorder:
         if self._dropped > self._told:
             news = self._dropped - self._told
             self._told += news
-            self._writer.event(left.t_s, f"{news} pairs dropped before this: the disk is too slow", level="warning")
+            self._writer.event(
+                left.t_s, f"{news} pairs dropped before this: the disk or the processor is too slow", level="warning"
+            )
 
     def _sync(self) -> None:
         while not self._ending.wait(self._sync_s):

@@ -70,7 +70,7 @@ def record(
             overwrite=overwrite,
         )
         done = run(job, face.progress("recording"))
-        lost = f", {done.n_dropped} dropped because the disk is too slow" if done.n_dropped else ""
+        lost = f", {done.n_dropped} dropped because the disk or the processor is too slow" if done.n_dropped else ""
         lost += f", {done.n_missed} missed by the cameras" if done.n_missed else ""
         size = f"{done.size / 1e6:.1f} MB as {done.kind.value}"
         face.say(f"{done.n_pairs} pairs in {done.seconds_s:.1f} s{lost}; {size} in {done.path}")

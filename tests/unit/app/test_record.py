@@ -18,6 +18,7 @@ from armsight.app.export import export
 from armsight.app.record import RecordJob, mend, record, record_pairs
 from armsight.app.recorder import Recorder
 from armsight.app.replay import RecordedFrames, open_pairs, open_source
+from armsight.clock import ManualClock
 from armsight.drivers import Skew
 from armsight.errors import DeviceFailed, DeviceLost, Inconsistent, NotEnoughData, UsageError
 from armsight.records import Frame, JointReading
@@ -102,13 +103,42 @@ def test_live_frames_that_find_no_room_are_dropped_and_counted(tmp_path: Path, m
         whole(*args)  # type: ignore[arg-type]  # handed through as they came
 
     monkeypatch.setattr(writer, "pair", slow)
-    with Recorder(writer, ImageFormat.RAW, live=True) as recorder:
+    with Recorder(writer, ImageFormat.RAW, live=True, clock=ManualClock()) as recorder:
         taken = [recorder.put(*pair) for pair in fakes(12)]
         gate.set()
     assert taken == [True] * 5 + [False] * 7
     assert (recorder.written, recorder.dropped) == (5, 7)
     with Recording(tmp_path / "a.mcap") as recording:
         assert sum("7 pairs dropped" in event.message for event in recording.events()) == 1
+
+
+def test_live_frames_that_would_wait_too_long_are_dropped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    gate, clock = threading.Semaphore(0), ManualClock()
+    done = threading.Semaphore(0)
+    writer = RecordingWriter(tmp_path / "a.mcap", clock=clock)
+    whole = writer.pair
+
+    def slow(*args: object) -> None:
+        clock.advance(recorder_module.PACE_LIMIT_S)  # what each pair takes
+        whole(*args)  # type: ignore[arg-type]  # handed through as they came
+        done.release()
+        gate.acquire()
+
+    monkeypatch.setattr(writer, "pair", slow)
+    pairs = fakes(60)
+    with Recorder(writer, ImageFormat.RAW, live=True, clock=clock) as recorder:
+        for pair in pairs[:30]:  # one at a time: all have room, and the pace is learnt
+            assert recorder.put(*pair)
+            assert done.acquire(timeout=60.0)
+            gate.release()
+        taken = [recorder.put(*pair) for pair in pairs[30:]]
+        for _ in pairs:
+            gate.release()
+    room = recorder_module.QUEUE_S / recorder_module.PACE_LIMIT_S
+    assert room - 1 <= sum(taken) <= room + 2
+    assert recorder.dropped == 30 - sum(taken)
+    with Recording(tmp_path / "a.mcap") as recording:
+        assert recording.count("/left/image") == 30 + sum(taken)
 
 
 def test_what_the_cameras_missed_is_counted(tmp_path: Path) -> None:
