@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.calibrate.kernels.start import matrices_of, rotvec_of
 from armsight.calibrate.sightings import Sightings
 from armsight.calibrate.start import board_poses, homographies
 from armsight.errors import Inconsistent
@@ -63,14 +64,17 @@ def _spin(X: Array, turn: Index) -> Array:
     """Return the rotation about z (3, 3) with X[turn] = spin X."""
     a, b = X[:, :2], X[turn, :2]
     angle = np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum())
-    return np.asarray(Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix())
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def _consensus(left: Array, right: Array, spins: Array) -> Paired:
     """Return the relative pose that most pairs agree on, each with the symmetry that suits it best."""
     G, S = len(left), len(spins)
-    R_left = Rotation.from_rotvec(left[:, 3:]).as_matrix()
-    R_right = Rotation.from_rotvec(right[:, 3:]).as_matrix()[:, None] @ spins[None]  # (G, S, 3, 3)
+    R_left, R_right = np.empty((G, 3, 3)), np.empty((G, 3, 3))
+    matrices_of(left[:, 3:], R_left)
+    matrices_of(right[:, 3:], R_right)
+    R_right = R_right[:, None] @ spins[None]  # (G, S, 3, 3)
     R = R_left[:, None] @ R_right.transpose(0, 1, 3, 2)  # of T_left_right
     t = left[:, None, :3] - np.einsum("gsij,gj->gsi", R, right[:, :3])  # (G, S, 3)
     flat_R, flat_t = R.reshape(G * S, 3, 3), t.reshape(G * S, 3)
@@ -84,9 +88,11 @@ def _consensus(left: Array, right: Array, spins: Array) -> Paired:
     agreeing = best[hypothesis] < 1.0
     turn = score[hypothesis].argmin(axis=1).astype(np.intp)
     chosen = np.flatnonzero(agreeing)
-    mean = Rotation.from_matrix(R[chosen, turn[chosen]]).mean()
-    middle = np.median(t[chosen, turn[chosen]], axis=0)
-    return Paired(side_pose=np.concatenate([middle, mean.as_rotvec()]), agreeing=agreeing, turn=turn)
+    U, _, Vt = np.linalg.svd(R[chosen, turn[chosen]].sum(axis=0))  # the mean rotation: nearest to the sum
+    side_pose = np.empty(6)
+    side_pose[:3] = np.median(t[chosen, turn[chosen]], axis=0)
+    rotvec_of(U @ Vt, side_pose[3:])
+    return Paired(side_pose=side_pose, agreeing=agreeing, turn=turn)
 
 
 def _refuse(sightings: Sightings, poses: Sequence[Array], spins: Array) -> None:

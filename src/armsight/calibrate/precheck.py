@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
+from armsight.calibrate.kernels.start import matrices_of
 from armsight.calibrate.sightings import Sightings
 from armsight.errors import Degenerate, NotEnoughData
 
@@ -75,7 +75,9 @@ def check_tilt(poses: Array, name: str, least_deg: float = LEAST_TILT_DEG) -> li
 
     name: of the camera, for the message ("the left camera").
     """
-    normals = Rotation.from_rotvec(poses[:, 3:]).as_matrix()[:, :, 2]  # (G, 3)
+    R = np.empty((len(poses), 3, 3))
+    matrices_of(poses[:, 3:], R)
+    normals = R[:, :, 2]  # (G, 3)
     between = np.degrees(np.arccos(np.clip(normals @ normals.T, -1.0, 1.0)))
     if between.max() >= least_deg:
         if between.max() < ENOUGH_TILT_DEG:

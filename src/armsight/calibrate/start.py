@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
+from armsight.calibrate.kernels.start import poses_of
 from armsight.calibrate.sightings import Sightings
 from armsight.errors import Degenerate
 
@@ -75,12 +75,9 @@ def focal_lengths(H: Array, width: int) -> Array:
 
 def board_poses(H: Array, focal: Array, width: int) -> Array:
     """Return T_camera_board (G, 6) as (t m, rotation vector rad) from homographies and focal lengths (2,)."""
-    rays = H / np.append(focal / width, 1.0)[None, :, None]  # K^-1 H
-    scale = 2.0 / (np.linalg.norm(rays[:, :, 0], axis=1) + np.linalg.norm(rays[:, :, 1], axis=1))
-    rays = rays * (scale * np.where(rays[:, 2, 2] > 0.0, 1.0, -1.0))[:, None, None]
-    R = np.stack([rays[:, :, 0], rays[:, :, 1], np.cross(rays[:, :, 0], rays[:, :, 1])], axis=2)
-    U, _, Vt = np.linalg.svd(R)
-    return np.concatenate([rays[:, :, 2], Rotation.from_matrix(U @ Vt).as_rotvec()], axis=1)
+    poses = np.empty((len(H), 6))
+    poses_of(np.ascontiguousarray(H), focal[0] / width, focal[1] / width, poses)
+    return poses
 
 
 def start_intrinsics(focal: Array, size: tuple[int, int]) -> Array:

@@ -12,6 +12,7 @@ import pytest
 from armsight.calibrate import BoardOptions, calibrate_camera, calibrate_stereo
 from armsight.calibrate.bundle import Bundle, problem_of
 from armsight.calibrate.kernels.boards import evaluate_views, move_poses
+from armsight.calibrate.kernels.start import poses_of
 from armsight.calibrate.sightings import pack
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData, UsageError
 from armsight.records import BoardView, Target, TargetKind, board_target, spot_target
@@ -369,3 +370,16 @@ def test_point_behind_a_camera_is_impossible_not_a_number() -> None:
     start = Bundle(k=np.r_[LEFT[:4], 0.0, LEFT[4:]][None], side_pose=np.zeros(6), poses=local)
     problem = problem_of(sightings, start, frozenset())
     assert np.isnan(problem.evaluate(problem.guess, local).residuals).all()
+
+
+def test_closed_form_poses_are_exact_without_noise() -> None:
+    rng = np.random.default_rng(23)
+    w, t = rng.normal(size=(60, 3)), np.column_stack([rng.normal(size=(60, 2)) * 0.2, rng.uniform(0.5, 1.0, 60)])
+    w[0], w[1], w[2] = 0.0, [np.pi, 0.0, 0.0], [0.0, 0.0, np.pi - 1e-7]
+    for turn, place in zip(w, t, strict=True):
+        R = cv2.Rodrigues(turn)[0]
+        H = np.diag([1.2, 1.1, 1.0]) @ np.column_stack([R[:, 0], R[:, 1], place])
+        got = np.empty((1, 6))
+        poses_of(np.ascontiguousarray(H[None] / H[2, 2]), 1.2, 1.1, got)
+        assert np.abs(got[0, :3] - place).max() < 1e-12
+        assert np.abs(cv2.Rodrigues(got[0, 3:])[0] - R).max() < 1e-7
