@@ -37,11 +37,11 @@ AS_GAUSSIAN, AS_ELLIPSE, AS_JOINT, AS_STREAK, AS_CENTROID = range(5)
 AUTO, ONLY_GAUSSIAN, ONLY_ELLIPSE = range(3)
 
 # columns of a measured spot; 2..4 and 5..7 are C_H and C_G (see round.uncertainty)
-S_U, S_V, S_CH, S_CG, S_PEAK, S_SIZE, S_MODEL, S_DOF, S_RSS, S_SIGNAL, S_FOURTH, S_SQUARE, S_OF = (
-    0, 1, 2, 5, 8, 9, 10, 11, 12, 13, 14, 15, 16,
+S_U, S_V, S_CH, S_CG, S_PEAK, S_SIZE, S_MODEL, S_DOF, S_RSS, S_SIGNAL, S_FOURTH, S_SQUARE, S_B, S_OF = (
+    0, 1, 2, 5, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17,
 )  # fmt: skip
-SPOT = 17
-MOST_LIGHTS = 4
+SPOT = 18
+MOST_LIGHTS = 6
 """Lights that are told apart within one bright area."""
 MOST_PARAMETERS = 2 + 3 * MOST_LIGHTS
 FIT = MOST_PARAMETERS + 4

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import erf, exp, log, sqrt
+from math import erf, exp, log, pi, sqrt
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from armsight.measure.spots.kernels.area import (
     MOST_PARAMETERS,
     ONLY_ELLIPSE,
     ONLY_GAUSSIAN,
+    S_B,
     S_CH,
     S_DOF,
     S_FOURTH,
@@ -41,17 +42,15 @@ from armsight.measure.spots.kernels.models import (
     residuals_of,
     weighted_information,
 )
-from armsight.measure.spots.kernels.patch import principal, shape_of, used
+from armsight.measure.spots.kernels.patch import find_peaks, principal, shape_of, used
 from armsight.measure.spots.kernels.scan import (
     AREA,
     LEVEL,
     PEAK,
     WEIGHT,
 )
-from armsight.measure.spots.kernels.uncertainty import uncertainty
+from armsight.measure.spots.kernels.uncertainty import MISFIT, inflation, remaining_square, uncertainty
 
-MISFIT = 4.0
-"""Neighbouring residuals correlated by more than this many deviations say that the model is wrong."""
 FLAT = 0.58
 """Mean over peak above the threshold: a Gaussian has 0.3-0.5, a streak up to 0.55, a disc wider than its blur more."""
 ELONGATED = 1.12
@@ -65,11 +64,19 @@ DOMINANT = 0.2
 
 
 @kernel
-def start_model(kind, lights, comp, shape, background, p):
-    """Fill p with a start from the moments; return how many parameters."""
+def start_model(kind, lights, comp, shape, background, peaks, p):
+    """Fill p with a start from the moments, or from the peaks (.., 3) for three lights and more; return its length."""
     large, small, angle = principal(shape[2], shape[3], shape[4])
     height = max(comp[PEAK] - background, 1.0)
     p[0] = background
+    if kind == JOINT and lights > 2:
+        low = max(comp[LEVEL] + 0.5 - background, 0.5)
+        for k in range(lights):
+            p[2 + 3 * k] = peaks[k, 0]
+            p[3 + 3 * k] = peaks[k, 1]
+            p[4 + 3 * k] = max(peaks[k, 2] - background, 1.1 * low)
+        p[1] = 2.0 * pi * lights * log(max(height / low, 1.5)) / comp[AREA]
+        return 2 + 3 * lights
     if kind == JOINT:
         q = 1.3 * (0.5 * (large + small) if lights == 1 else small) + 0.1
         p[1] = 1.0 / q
@@ -98,8 +105,8 @@ def start_model(kind, lights, comp, shape, background, p):
 
 
 @kernel
-def run_of(residuals, use):
-    """Return the sum of products of neighbouring residuals over its own deviation (see round.residual_sums)."""
+def neighbours(residuals):
+    """Return the sum of products of neighbouring residuals, and that over its own deviation (round.residual_sums)."""
     products = 0.0
     spread = 0.0
     for j in range(residuals.shape[0]):
@@ -109,7 +116,30 @@ def run_of(residuals, use):
             above = residuals[j - 1, i] if j > 0 else 0.0
             products += r * (left + above)
             spread += r * r * (left * left + above * above)
-    return products / sqrt(spread) if spread > 0.0 else 0.0
+    return products, products / sqrt(spread) if spread > 0.0 else 0.0
+
+
+@kernel
+def odd_part(residuals, use, u, v, odd):
+    """Fill odd with the part of the residuals that changes sign under reflection at (u, v), times root 2; return sums.
+
+    Only this part moves a centre: a profile that is wrong but symmetric (a halo, a ring) leaves it alone. The sums
+    are those of the squares and of the pixels. u and v count from the patch's first pixel.
+    """
+    turn_x = int(np.round(2.0 * u))
+    turn_y = int(np.round(2.0 * v))
+    squares = 0.0
+    count = 0
+    for j in range(residuals.shape[0]):
+        for i in range(residuals.shape[1]):
+            odd[j, i] = 0.0
+            a = turn_y - j
+            b = turn_x - i
+            if 0 <= a < residuals.shape[0] and 0 <= b < residuals.shape[1] and use[j, i] != 0 and use[a, b] != 0:
+                odd[j, i] = (residuals[j, i] - residuals[a, b]) / ROOT_2
+                squares += odd[j, i] ** 2
+                count += 1
+    return squares, count
 
 
 @kernel
@@ -155,7 +185,7 @@ def criterion(rss, count, n):
 
 
 @kernel
-def order_of_trial(comp, shape, only, order):
+def order_of_trial(comp, shape, n_peaks, only, order):
     """Fill order with the kinds to try after the round Gaussian, likeliest first; return how many."""
     if only == ONLY_GAUSSIAN:
         return 0
@@ -170,17 +200,17 @@ def order_of_trial(comp, shape, only, order):
         order[0] = ELLIPSE
         order[1] = STREAK
         order[2] = JOINT
-        return 3 if elongated else 1
-    order[0] = STREAK
-    order[1] = JOINT
+        return 3 if elongated or n_peaks > 1 else 1
+    order[0] = STREAK if n_peaks < 3 else JOINT
+    order[1] = JOINT if n_peaks < 3 else STREAK
     order[2] = ELLIPSE
     return 3
 
 
 @kernel
-def attempt(kind, lights, comp, shape, background, values, use, x0, y0, noise, count, p, residuals):
+def attempt(kind, lights, comp, shape, background, peaks, values, use, x0, y0, count, p, residuals):
     """Start and fit one model into p; return n, sum of squares (-1: failed), run of the residuals."""
-    n = start_model(kind, lights, comp, shape, background, p)
+    n = start_model(kind, lights, comp, shape, background, peaks, p)
     rss, run = refit(kind, n, values, use, x0, y0, count, p, residuals)
     return n, rss, run
 
@@ -193,12 +223,12 @@ def refit(kind, n, values, use, x0, y0, count, p, residuals):
     if rss < 0.0:
         return rss, 0.0
     residuals_of(kind, p, n, values, use, x0, y0, residuals)
-    return rss, run_of(residuals, use)
+    return rss, neighbours(residuals)[1]
 
 
 @kernel
 def choose(comp, background, box, values, use, noise, only, best):
-    """Fit the models that the shape suggests; fill best; return kind, n (0: none), sum of squares."""
+    """Fit the models that the shape suggests; fill best; return kind, n (0: none), squares, run."""
     x0 = box[0]
     y0 = box[2]
     count = used(use)
@@ -207,25 +237,28 @@ def choose(comp, background, box, values, use, noise, only, best):
     p = np.zeros(MOST_PARAMETERS)
     more = np.zeros(MOST_PARAMETERS)
     residuals = np.zeros(values.shape)
-    kind, n_best, rss_best, score = JOINT, 0, -1.0, 1e300
+    kind, n_best, rss_best, score, run_best = JOINT, 0, -1.0, 1e300, 0.0
+    peaks = np.empty((MOST_LIGHTS, 3))
+    n_peaks = np.int64(0)
     if only != ONLY_ELLIPSE:
         n, rss, run = attempt(
-            np.int64(JOINT), np.int64(1), comp, shape, background, values, use, x0, y0, noise, count, p, residuals
+            np.int64(JOINT), np.int64(1), comp, shape, background, peaks, values, use, x0, y0, count, p, residuals
         )
         for _ in range(3):
             if rss > 0.0 and drop_worst(residuals, use, rss, noise):
                 count -= 1
                 rss, run = refit(np.int64(JOINT), n, values, use, x0, y0, count, p, residuals)
         if rss >= 0.0:
-            n_best, rss_best, score = n, rss, criterion(rss, count, n)
+            n_best, rss_best, score, run_best = n, rss, criterion(rss, count, n), run
             copy_to(p, best)
             if run < MISFIT:
-                return kind, n_best, rss_best
+                return kind, n_best, rss_best, run_best
+    n_peaks = find_peaks(values, use, comp[LEVEL], noise, x0, y0, peaks)
     order = np.empty(3, np.int64)
-    for k in range(order_of_trial(comp, shape, only, order)):
+    for k in range(order_of_trial(comp, shape, n_peaks, only, order)):
         trial = order[k]
-        lights = 2 if trial == JOINT else 1
-        n, rss, run = attempt(trial, lights, comp, shape, background, values, use, x0, y0, noise, count, p, residuals)
+        lights = max(n_peaks, 2) if trial == JOINT else 1
+        n, rss, run = attempt(trial, lights, comp, shape, background, peaks, values, use, x0, y0, count, p, residuals)
         if rss < 0.0:
             continue
         new = criterion(rss, count, n)
@@ -239,12 +272,12 @@ def choose(comp, background, box, values, use, noise, only, best):
             n, rss, run = n_more, rss_more, run_more
             new = criterion(rss, count, n)
         if new < score:
-            kind, n_best, rss_best, score = trial, n, rss, new
+            kind, n_best, rss_best, score, run_best = trial, n, rss, new, run
             copy_to(p, best)
         settled = trial == ELLIPSE or (trial == STREAK and 2.0 * p[6] > LONG * p[4])
         if run < MISFIT and settled:
             break
-    return kind, n_best, rss_best
+    return kind, n_best, rss_best, run_best
 
 
 @kernel
@@ -261,8 +294,21 @@ def describe(kind, n, p, values, use, box, rss, rows, source):
     normal_equations(kind, p, n, values, use, box[0], box[2], H, np.empty(n))
     first = 2 if kind == JOINT else 1
     weighted_information(kind, p, n, values, use, box[0], box[2], p[first], p[first + 1], G, tilt, residuals, sums)
+    products, run = neighbours(residuals)
+    wider = inflation(run, products, rss)
+    if wider > 1.0 and lights == 1:
+        odd = np.empty(values.shape)
+        squares, pixels = odd_part(residuals, use, p[first] - box[0], p[first + 1] - box[2], odd)
+        if pixels > n:
+            products, run = neighbours(odd)
+            wider = inflation(run / ROOT_2, products, squares)
+            rss = squares / pixels * (count - n)
+            noise = max(squares / pixels, PIXEL_VARIANCE)
     order = np.empty(n, np.int64)
     tilt2 = np.empty((n + 3, 2))
+    prior = np.empty(4)
+    for i in range(4):
+        prior[i] = p[MOST_PARAMETERS + i]
     for i in range(n, n + 3):
         copy_to(tilt[i], tilt2[i])
     H2 = np.empty((n, n))
@@ -284,18 +330,19 @@ def describe(kind, n, p, values, use, box, rss, rows, source):
             copy_to(tilt[order[i]], tilt2[i])
         row = rows[k]
         work = np.zeros(8)
-        left = uncertainty(H2, G2, tilt2, p[MOST_PARAMETERS:], noise, sums[0], work)
+        left = uncertainty(H2, G2, tilt2, prior, noise, sums[0], work)
         if left != left:
             return 0
         row[S_U] = p[first] + work[6]
         row[S_V] = p[first + 1] + work[7]
         for i in range(6):
-            row[S_CH + i] = work[i]
+            row[S_CH + i] = wider * work[i]
         row[S_DOF] = count - n
         row[S_RSS] = rss
         row[S_SIGNAL] = left
         row[S_FOURTH] = sums[1]
-        row[S_SQUARE] = sums[2] if k == 0 else 0.0
+        row[S_SQUARE] = remaining_square(sums[2], sums[0], left) if k == 0 else 0.0
+        row[S_B] = p[0]
         row[S_OF] = source
         if kind == JOINT:
             row[S_PEAK] = p[first + 2]

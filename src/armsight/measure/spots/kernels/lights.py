@@ -24,6 +24,7 @@ from armsight.measure.spots.kernels.area import (
     ONLY_ELLIPSE,
     ONLY_GAUSSIAN,
     OWNER,
+    S_B,
     S_CG,
     S_CH,
     S_DOF,
@@ -42,6 +43,7 @@ from armsight.measure.spots.kernels.area import (
     SMALL,
     SPOT,
     STATUS,
+    UNRESOLVED,
     hot_pixels,
     near,
     round_start,
@@ -84,12 +86,12 @@ from armsight.measure.spots.kernels.scan import (
     Y_MAX,
     Y_MIN,
 )
-from armsight.measure.spots.kernels.uncertainty import slope_prior
+from armsight.measure.spots.kernels.uncertainty import MISFIT, slope_prior
 
+DOUBT = 0.5
+"""Deviations by which the estimated gain is lowered."""
 PENDING = -1
 """Status of an area that the fit of a round light did not settle."""
-MISFIT = 4.0
-"""Neighbouring residuals correlated by more than this many deviations say that the model is wrong."""
 CROWD_SWEEPS = 2
 """Times that crowded spots are refitted with their neighbours' light subtracted."""
 
@@ -109,6 +111,7 @@ def copy_round(result, source, row):
     row[S_SIGNAL] = result[SIGNAL]
     row[S_FOURTH] = result[FOURTH]
     row[S_SQUARE] = result[SQUARE]
+    row[S_B] = result[B]
     row[S_OF] = source
 
 
@@ -231,7 +234,7 @@ def measure_others(image, mask, options, comps, state, survey, fits, rows):
         use = np.empty(shape, np.uint8)
         make_patch(image, flip, saturation, mask, comps, state, i, hot, n_hot, np.int64(0), box, values, use)
         background = background_of(comp, survey, w, h)
-        kind, size, rss = choose(comp, background, box, values, use, noise, only, fits[i])
+        kind, size, rss, run = choose(comp, background, box, values, use, noise, only, fits[i])
         state[i, KIND] = kind
         state[i, SIZE] = size
         state[i, STATUS] = SATURATED if comp[CLIPPED] > 0.5 * comp[AREA] else FAILED
@@ -240,14 +243,16 @@ def measure_others(image, mask, options, comps, state, survey, fits, rows):
             state[i, LIGHTS] = lights
             if lights > 0:
                 state[i, STATUS] = verdict(comp, rows[i], lights, comp[CLIPPED] > 0.0, noise)
+            if lights > 1 and run > 2.0 * MISFIT:
+                state[i, STATUS] = UNRESOLVED
     for _ in range(CROWD_SWEEPS):
         for i in range(n):
             if state[i, STATUS] == ACCEPTED and state[i, CROWDED] == 1 and state[i, SIZE] > 0:
-                refine(image, flip, saturation, mask, comps, state, i, hot, n_hot, fits, rows)
+                refine(image, flip, saturation, mask, comps, state, i, hot, n_hot, noise, fits, rows)
 
 
 @kernel
-def refine(image, flip, saturation, mask, comps, state, i, hot, n_hot, fits, rows):
+def refine(image, flip, saturation, mask, comps, state, i, hot, n_hot, noise, fits, rows):
     """Refit a crowded component with its neighbours' light subtracted, in place."""
     box = np.empty(4, np.int64)
     patch_box(comps[i], image.shape[0], image.shape[1], box)
@@ -256,23 +261,28 @@ def refine(image, flip, saturation, mask, comps, state, i, hot, n_hot, fits, row
     use = np.empty(shape, np.uint8)
     make_patch(image, flip, saturation, mask, comps, state, i, hot, n_hot, np.int64(1), box, values, use)
     for j in range(comps.shape[0]):
-        if j != i and state[j, SIZE] > 0 and near(comps[i], comps[j], skirt(comps[i]) + skirt(comps[j])):
+        if j != i and state[j, STATUS] == ACCEPTED and near(comps[i], comps[j], skirt(comps[i]) + skirt(comps[j])):
             light_of(state[j, KIND], fits[j], state[j, SIZE], box[0], box[2], values, -1.0)
     p = np.empty(FIT)
     copy_to(fits[i], p)
     kind = state[i, KIND]
     size = state[i, SIZE]
     rss, _ = refit(kind, size, values, use, box[0], box[2], use.size, p, np.empty(shape))
-    if rss >= 0.0:
+    if rss < 0.0:
+        return
+    trial = np.empty((MOST_LIGHTS, SPOT))
+    lights = describe(kind, size, p, values, use, box, rss, trial, i)
+    if lights == state[i, LIGHTS] and verdict(comps[i], trial, lights, comps[i, CLIPPED] > 0.0, noise) == ACCEPTED:
         copy_to(p, fits[i])
-        describe(kind, size, p, values, use, box, rss, rows[i], i)
+        for k in range(lights):
+            copy_to(trial[k], rows[i, k])
 
 
 @kernel
 def shot_gain(spots, n):
     """Return the gain (grey levels of variance per grey level of light) that the residuals of all spots prove.
 
-    Regression of the squared residuals on the model, each spot with its own constant part; less one deviation,
+    Regression of the squared residuals on the model, each spot with its own constant part; less DOUBT deviations,
     because a gain that is only noise would widen every ellipse.
     """
     top = 0.0
@@ -291,7 +301,22 @@ def shot_gain(spots, n):
         spread += 2.0 * a * a * square
     if bottom <= 0.0:
         return 0.0
-    return max((top - sqrt(spread)) / bottom, 0.0)
+    return max((top - DOUBT * sqrt(spread)) / bottom, 0.0)
+
+
+@kernel
+def noise_of(row, g):
+    """Return the constant part of a spot's noise variance, given the shot noise's gain g.
+
+    Where the background lies within the noise of black, half of its pixels are clipped and tell too little; there the
+    residuals are weighted with the light.
+    """
+    a = (row[S_RSS] - g * row[S_SIGNAL]) / max(row[S_DOF], 1.0)
+    if row[S_SIGNAL] > 0.0 and row[S_SQUARE] > 0.0:
+        lit = row[S_FOURTH] / row[S_SIGNAL]
+        if row[S_B] < 2.0 * sqrt(lit):
+            a = max(a, lit - g * row[S_SQUARE] / row[S_SIGNAL])
+    return max(a, PIXEL_VARIANCE)
 
 
 @kernel
@@ -323,7 +348,7 @@ def deliver(options, comps, state, rows):
     owner = np.empty(n, np.int64)
     for k in range(n):
         row = spots[k]
-        a = max((row[S_RSS] - g * row[S_SIGNAL]) / max(row[S_DOF], 1.0), PIXEL_VARIANCE)
+        a = noise_of(row, g)
         uv[k, 0] = row[S_U]
         uv[k, 1] = row[S_V]
         covariance[k, 0, 0] = a * row[S_CH] + g * row[S_CG]

@@ -7,8 +7,12 @@ from math import atan2, sqrt
 import numpy as np
 
 from armsight.measure.spots.kernels.area import ACCEPTED, HOT, SMALL, STATUS, near, skirt
-from armsight.measure.spots.kernels.compiled import kernel
+from armsight.measure.spots.kernels.compiled import copy_to, kernel
 from armsight.measure.spots.kernels.scan import PEAK, X_MAX, X_MIN, Y_MAX, Y_MIN
+
+DEEP = 2.0
+"""Depth of the valley between two lights in deviations of the noise; the smoothed values have a third of it."""
+MOST_MAXIMA = 32
 
 
 @kernel
@@ -103,6 +107,72 @@ def shape_of(values, use, comp, box, level, background, shape):
         shape[2 + 3 * k] = max(m[3] / total - cx * cx, 0.1)
         shape[3 + 3 * k] = m[4] / total - cx * cy
         shape[4 + 3 * k] = max(m[5] / total - cy * cy, 0.1)
+
+
+@kernel
+def smoothed(values, use, j, i):
+    """Return the mean of the 3 x 3 pixels around (j, i), or -1 where one of them is not used."""
+    if j < 1 or i < 1 or j > values.shape[0] - 2 or i > values.shape[1] - 2:
+        return -1.0
+    total = 0.0
+    for a in range(j - 1, j + 2):
+        for b in range(i - 1, i + 2):
+            if use[a, b] == 0:
+                return -1.0
+            total += values[a, b]
+    return total / 9.0
+
+
+@kernel
+def valley(values, use, x0, y0, a, b):
+    """Return the lowest smoothed value on the straight line between two peaks (x, y, height)."""
+    steps = int(max(abs(a[0] - b[0]), abs(a[1] - b[1]))) + 1
+    low = 1e9
+    for k in range(steps + 1):
+        x = a[0] + (b[0] - a[0]) * k / steps
+        y = a[1] + (b[1] - a[1]) * k / steps
+        v = smoothed(values, use, int(y + 0.5) - y0, int(x + 0.5) - x0)
+        if v >= 0.0:
+            low = min(low, v)
+    return low
+
+
+@kernel
+def find_peaks(values, use, level, noise, x0, y0, peaks):
+    """Fill peaks (.., 3: x, y, height) with the maxima that a valley parts from all higher ones; return how many."""
+    depth = DEEP * sqrt(noise)
+    found = np.empty((MOST_MAXIMA, 3))
+    n = 0
+    for j in range(1, values.shape[0] - 1):
+        for i in range(1, values.shape[1] - 1):
+            v = smoothed(values, use, j, i)
+            if v <= level or n == MOST_MAXIMA:
+                continue
+            top = True
+            for a in range(-1, 2):
+                for b in range(-1, 2):
+                    other = smoothed(values, use, j + a, i + b)
+                    if other > v or (other == v and (a < 0 or (a == 0 and b < 0))):
+                        top = False
+            if top:
+                k = n
+                while k > 0 and found[k - 1, 2] < v:
+                    copy_to(found[k - 1], found[k])
+                    k -= 1
+                found[k, 0] = x0 + i
+                found[k, 1] = y0 + j
+                found[k, 2] = v
+                n += 1
+    count = np.int64(0)
+    for k in range(n):
+        parted = count < peaks.shape[0]
+        for m in range(count):
+            if valley(values, use, x0, y0, found[k], peaks[m]) > found[k, 2] - depth:
+                parted = False
+        if parted:
+            copy_to(found[k], peaks[count])
+            count += 1
+    return count
 
 
 @kernel

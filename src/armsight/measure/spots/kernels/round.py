@@ -20,7 +20,7 @@ from numba import njit
 from armsight.fitting.kernels import solve_damped
 from armsight.measure.spots.kernels.axes import PIXEL_VARIANCE, P, assemble, gram, profile, tilt_sums
 from armsight.measure.spots.kernels.compiled import copy_to, kernel
-from armsight.measure.spots.kernels.uncertainty import uncertainty
+from armsight.measure.spots.kernels.uncertainty import inflation, remaining_square, uncertainty
 
 MOST = 129
 """Largest side of a window in px."""
@@ -33,9 +33,9 @@ CLOSE = 0.25
 """Stop after a step that lowered chi-square by less than this (half a deviation); the next would be a thousandth."""
 
 # columns of the fit's result
-U, V, A, Q, B, DOF, RSS, SIGNAL, FOURTH, SQUARE, RUN, TILT_X, TILT_Y = range(13)
-COV = 13  # 13..15: C_H (uu, uv, vv); 16..18: C_G
-RESULT = 19
+U, V, A, Q, B, DOF, RSS, SIGNAL, FOURTH, SQUARE, RUN, TILT_X, TILT_Y, PRODUCTS = range(14)
+COV = 14  # 14..16: C_H (uu, uv, vv); 17..19: C_G
+RESULT = 20
 
 
 class Work(NamedTuple):
@@ -258,6 +258,7 @@ def residual_sums(image, flip, n_dropped, w, out):
         tilt_y += total * (y0 + j - 1 - p[1])
     out[FOURTH] = fourth
     out[RUN] = products / sqrt(spread) if spread > 0.0 else 0.0
+    out[PRODUCTS] = products
     out[TILT_X] = tilt_x
     out[TILT_Y] = tilt_y
 
@@ -372,7 +373,6 @@ def finish(image, flip, n_dropped, dof, rss, prior, w, out):
     for i in range(P):
         w.tilt[P + 2, 0] -= w.tilt[i, 0] * w.step[i]
         w.tilt[P + 2, 1] -= w.tilt[i, 1] * w.step[i]
-    out[SQUARE] = square - w.light[1]
     out[A] = p[2] + w.step[2]
     out[Q] = 1.0 / (p[3] + w.step[3])
     out[B] = p[4] + w.step[4]
@@ -380,8 +380,10 @@ def finish(image, flip, n_dropped, dof, rss, prior, w, out):
     out[RSS] = max(rss, 0.0)
     noise = max(out[RSS] / max(dof, 1.0), PIXEL_VARIANCE)
     out[SIGNAL] = uncertainty(w.H, w.G, w.tilt, prior, noise, signal - w.light[0], w.answer)
+    out[SQUARE] = remaining_square(square - w.light[1], signal - w.light[0], out[SIGNAL])
+    wider = inflation(out[RUN], out[PRODUCTS], out[RSS])
     for k in range(6):
-        out[COV + k] = w.answer[k]
+        out[COV + k] = wider * w.answer[k]
     out[U] = p[0] + w.step[0] + w.answer[6]
     out[V] = p[1] + w.step[1] + w.answer[7]
     return out[SIGNAL] == out[SIGNAL]

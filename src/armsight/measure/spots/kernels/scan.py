@@ -109,6 +109,27 @@ def histogram_median(image, flip, mask):
 
 
 @kernel
+def level_at(levels, i, j):
+    """Return the level of a tile, of one row or column beyond the image by linear continuation; -1 where unknown."""
+    if i < 0 or i >= GRID:
+        edge = 0 if i < 0 else GRID - 1
+        a = level_at_column(levels, edge, j)
+        b = level_at_column(levels, 1 if i < 0 else GRID - 2, j)
+        return 2.0 * a - b if a >= 0.0 and b >= 0.0 else -1.0
+    return level_at_column(levels, i, j)
+
+
+@kernel
+def level_at_column(levels, i, j):
+    """As level_at, for a row within the image."""
+    if j < 0 or j >= GRID:
+        a = levels[i, 0 if j < 0 else GRID - 1]
+        b = levels[i, 1 if j < 0 else GRID - 2]
+        return 2.0 * a - b if a >= 0.0 and b >= 0.0 else -1.0
+    return levels[i, j]
+
+
+@kernel
 def threshold_map(levels, margin, thresholds):
     """Fill thresholds (GRID, GRID): the upper third of the 3 x 3 tiles around, plus margin; return lowest, highest.
 
@@ -132,10 +153,11 @@ def threshold_map(levels, margin, thresholds):
     for i in range(GRID):
         for j in range(GRID):
             n = np.int64(0)
-            for a in range(max(i - 1, 0), min(i + 2, GRID)):
-                for b in range(max(j - 1, 0), min(j + 2, GRID)):
-                    if levels[a, b] >= 0.0:
-                        around[n] = levels[a, b]
+            for a in range(i - 1, i + 2):
+                for b in range(j - 1, j + 2):
+                    level = level_at(levels, a, b)
+                    if level >= 0.0:
+                        around[n] = level
                         n += 1
             value = -1.0
             if n > 0:
@@ -179,14 +201,20 @@ def bright_blocks(flat, flip, threshold, hits):
 
 
 @kernel
+def block_threshold(thresholds, i, h, w):
+    """Return the higher one of the thresholds at the first and the last pixel of the block from flat index i."""
+    j = min(i + BLOCK - 1, h * w - 1)
+    a = thresholds[(i // w) * GRID // h, (i % w) * GRID // w]
+    return max(a, thresholds[(j // w) * GRID // h, (j % w) * GRID // w])
+
+
+@kernel
 def bright_blocks_mapped(flat, flip, h, w, thresholds, hits):
-    """As bright_blocks, the threshold being that of the tile at the block's first pixel."""
+    """As bright_blocks, the threshold being block_threshold's."""
     n = 0
-    x = 0
-    y = 0
     whole = flat.size // BLOCK
     for b in range(whole):
-        t = np.uint8(thresholds[y * GRID // h, x * GRID // w])
+        t = np.uint8(block_threshold(thresholds, b * BLOCK, h, w))
         top = np.uint8(0)
         for i in range(BLOCK):
             v = np.uint8(flat[b * BLOCK + i] ^ flip)
@@ -194,10 +222,6 @@ def bright_blocks_mapped(flat, flip, h, w, thresholds, hits):
         if top > t:
             hits[n] = b
             n += 1
-        x += BLOCK
-        while x >= w:
-            x -= w
-            y += 1
     if whole * BLOCK < flat.size:
         hits[n] = whole
         n += 1
@@ -302,8 +326,7 @@ def components(image, flip, mask, saturation, thresholds, mapped, blocks, n_bloc
         i = max(blocks[k] * BLOCK, done)
         stop = min(blocks[k] * BLOCK + BLOCK, flat.size)
         if mapped and i < stop:
-            b = blocks[k] * BLOCK
-            level = np.uint8(thresholds[(b // w) * GRID // h, (b % w) * GRID // w])
+            level = np.uint8(block_threshold(thresholds, blocks[k] * BLOCK, h, w))
         while i < stop:
             if i + SKIP <= stop:
                 top = np.uint8(0)
