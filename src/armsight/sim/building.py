@@ -122,27 +122,8 @@ def build_stage(scenario: Scenario, seed: int, frames: int) -> Stage:
     arm = robotics(scenario, seed)
     cameras, rig = _cameras(scenario.cameras, seed)
     until_s = frames / scenario.fps + AHEAD_S
-    shake = np.random.default_rng([seed, SEED_VIBRATION])
-    vibration = Vibration(
-        amplitude_m=np.full(3, scenario.arm.vibration.amplitude_m),
-        hz=scenario.arm.vibration.hz * shake.uniform(0.8, 1.2, 3),
-        phase_rad=shake.uniform(0.0, 2.0 * np.pi, 3),
-    )
     T_mount_rig = scenario.cameras.T_mount_rig.pose()
-    motion = scenario.motion
-    if isinstance(motion, WayKeys | SweepsKeys | SwingKeys):
-        servo = _commanded(scenario, arm, _joint_motion(scenario, arm.units, seed), until_s)
-        T_flange_tool = scenario.target.T_flange_target.pose() if scenario.target.T_flange_target else T_mount_rig
-        target: Path = Carried(arm=arm.true, servo=servo, T_flange_thing=T_flange_tool, vibration=vibration)
-        rig_path: Path = Rest(T_world_target=arm.true.T_world_base * T_mount_rig)
-    else:
-        target = _carried_target(motion, seed)
-        servo = _following(scenario, arm, target, T_mount_rig, until_s)
-        T_flange_tool = T_mount_rig
-        rig_path = Carried(arm=arm.true, servo=servo, T_flange_thing=T_mount_rig, vibration=vibration)
-    for event in scenario.events:
-        if event.kind == "jump":
-            target = Jumping(path=target, by_m=np.array(event.by_m), start_s=event.at_s, end_s=event.at_s + event.for_s)
+    servo, T_flange_tool, rig_path, target = _moving(scenario, arm, T_mount_rig, seed, until_s)
     fixed = scenario.cameras.mount == "base"
     stage = Stage(
         name=scenario.name,
@@ -177,6 +158,39 @@ def build_stage(scenario: Scenario, seed: int, frames: int) -> Stage:
     )
     _check_seen(stage)
     return stage
+
+
+def _moving(
+    scenario: Scenario, arm: Robotics, T_mount_rig: RigidTransform, seed: int, until_s: float
+) -> tuple[Servo, RigidTransform, Path, Path]:
+    """Return the arm's motion, what its tool is (T_flange_tool), and the paths of the rig and the target in world."""
+    motion = scenario.motion
+    vibration = _vibration(scenario, seed)
+    if isinstance(motion, WayKeys | SweepsKeys | SwingKeys):
+        servo = _commanded(scenario, arm, _joint_motion(scenario, arm.units, seed), until_s)
+        T_flange_tool = scenario.target.T_flange_target.pose() if scenario.target.T_flange_target else T_mount_rig
+        target: Path = Carried(arm=arm.true, servo=servo, T_flange_thing=T_flange_tool, vibration=vibration)
+        rig_path: Path = Rest(T_world_target=arm.true.T_world_base * T_mount_rig)
+    else:
+        target = _carried_target(motion, seed)
+        servo = _following(scenario, arm, target, T_mount_rig, until_s)
+        T_flange_tool = T_mount_rig
+        rig_path = Carried(arm=arm.true, servo=servo, T_flange_thing=T_mount_rig, vibration=vibration)
+    for event in scenario.events:
+        if event.kind == "jump":
+            end_s = event.at_s + event.for_s
+            target = Jumping(path=target, by_m=np.array(event.by_m), start_s=event.at_s, end_s=end_s)
+    return servo, T_flange_tool, rig_path, target
+
+
+def _vibration(scenario: Scenario, seed: int) -> Vibration:
+    """Return the flange's vibration, its frequencies a fifth apart at most."""
+    keys, shake = scenario.arm.vibration, np.random.default_rng([seed, SEED_VIBRATION])
+    return Vibration(
+        amplitude_m=np.full(3, keys.amplitude_m),
+        hz=keys.hz * shake.uniform(0.8, 1.2, 3),
+        phase_rad=shake.uniform(0.0, 2.0 * np.pi, 3),
+    )
 
 
 def _first(scenario: Scenario) -> list[float]:
