@@ -1,6 +1,6 @@
 """Printed boards: checkerboards, circle grids and ChArUco, found in an image and measured."""
 
-from armsight.measure.boards.find import DETECTORS, find_board
+from armsight.measure.boards.find import DETECTORS, find_board, warm_up
 from armsight.measure.boards.orient import same_way_up
 
-__all__ = ["DETECTORS", "find_board", "same_way_up"]
+__all__ = ["DETECTORS", "find_board", "same_way_up", "warm_up"]

@@ -10,6 +10,7 @@ from armsight.errors import BadImage, Inconsistent, UsageError
 from armsight.measure.boards.charuco import find_charuco
 from armsight.measure.boards.checkerboard import find_checkerboard
 from armsight.measure.boards.circles import find_circles
+from armsight.measure.boards.kernels import fit_corners, fit_dots
 from armsight.records import BoardView, Target, TargetKind
 
 DETECTORS = ("auto", "classic", "sectors")
@@ -43,6 +44,15 @@ def find_board(image: NDArray[np.uint8], board: Target, *, source: str = "", det
     if board.kind in (TargetKind.CIRCLES, TargetKind.ACIRCLES):
         return find_circles(grey, board, source)
     raise Inconsistent(f"a target of kind {board.kind.value} is not a printed board", cure="Give a board")
+
+
+def warm_up() -> None:
+    """Compile the fits, or load them from the cache, so that the first image does not wait for it."""
+    image = np.zeros((SMALLEST_PX, SMALLEST_PX), np.uint8)
+    middle, axes, one = np.full((1, 2), 16.0), np.eye(2)[None] * 4.0, np.ones(1)
+    uv, covariance, quality = np.empty((1, 2)), np.empty((1, 2, 2)), np.empty((1, 4))
+    fit_corners(image, middle, axes, np.zeros((1, 2, 3)), one, one, uv, covariance, quality)
+    fit_dots(image, middle, axes, one, 0.0, uv, covariance, quality)
 
 
 def _grey(image: NDArray[np.uint8], source: str) -> NDArray[np.uint8]:
