@@ -82,8 +82,8 @@ def demo(
     """
     start_s = time.perf_counter()
     progress = progress or Silent()
-    prepare(progress, cell=cell)
     made = load_cell(cell, seed=seed, frames=frames)
+    prepare(progress, cell=cell)
     setup = Setup(
         rig=rig_from_mapping(made.rig, f"{cell}'s rig"),
         target=target_from_mapping(made.target, f"{cell}'s target"),

@@ -1,0 +1,48 @@
+"""armsight demo and doctor: what the person is told, and that the demo's frames measured from files say the same."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+
+def test_the_demo_compares_with_the_truth_and_its_frames_can_be_measured_again(armsight: Any, tmp_path: Path) -> None:
+    out = tmp_path / "demo"
+    done = armsight("demo", "--frames", 8, "--seed", 2, "--keep-frames", "-o", out)
+    assert done.code == 0, done.text
+    assert done.json["n_frames"] == 8
+    assert done.json["n_ok"] >= 4
+    for axis, limit in (("x_m", 1e-3), ("y_m", 1e-3), ("z_m", 3e-3), ("rx_rad", 0.02), ("rz_rad", 0.02)):
+        assert 0.0 < done.json["truth"][axis]["rms"] < limit
+        assert done.json["truth"][axis]["claimed"] > 0.0
+    assert "Error against the truth" in done.text
+    assert done.json["assumptions"]
+    assert (out / "report.html").stat().st_size > 10_000
+    inputs = ["--rig", out / "rig.yaml", "--target", out / "target.yaml", "--times", out / "times.csv"]
+    again = armsight("measure", *inputs, "--left", out / "left", "--right", out / "right", "-o", tmp_path / "again")
+    assert again.code == 0, again.text
+    assert (tmp_path / "again" / "poses.csv").read_text() == (out / "poses.csv").read_text()
+    with (out / "truth.csv").open(newline="") as file:
+        assert len(list(csv.DictReader(file))) == 8
+
+
+def test_an_unknown_cell_is_answered_with_the_known_ones(armsight: Any, tmp_path: Path) -> None:
+    done = armsight("demo", "--cell", "nosuch", "-o", tmp_path / "demo")
+    assert done.code == 4
+    assert "webcam-cell" in done.json["error"]["cure"]
+    assert not (tmp_path / "demo").exists()
+
+
+def test_doctor_tells_a_rig_s_resolution(armsight: Any, scene: Any) -> None:
+    done = armsight("doctor", "--rig", scene.folder / "rig.yaml", "--depth", 1.0, "--depth", 2.0, "--sigma", 0.1)
+    assert done.code == 0
+    near, far = done.json["rig"]["distances"]
+    assert done.json["rig"]["baseline_m"] == pytest.approx(0.1)
+    # parallel axes: sigma_Z = Z^2 sqrt(2) sigma / (B f), sigma_X = Z sigma / (sqrt(2) f)
+    assert near["sigma_depth_m"] == pytest.approx(2**0.5 * 0.1 / (0.1 * 400.0), rel=0.02)
+    assert far["sigma_depth_m"] == pytest.approx(4.0 * near["sigma_depth_m"], rel=0.02)
+    assert near["sigma_lateral_m"][1] == pytest.approx(0.1 / (2**0.5 * 400.0), rel=0.02)
+    assert "distance, m" in done.text
