@@ -158,7 +158,8 @@ class Doubt:
     """What the estimated noises leave in doubt.
 
     variance_covariance (3, 3): of the variances. dof (m,): effective degrees of freedom behind each parameter's
-    variance (Satterthwaite 1946). std (m,): deviations widened by Student's factor, so that +- 1.96 std holds 95 %.
+    variance (Satterthwaite 1946). std (m,): deviations with what wrong weights cost (Kenward, Roger 1997), widened by
+    Student's factor, so that +- 1.96 std holds 95 %.
     """
 
     variance_covariance: Array
@@ -180,10 +181,13 @@ def doubt(solution: Solution) -> Doubt:
     covariance = np.linalg.pinv(information, rcond=1e-12, hermitian=True)
     slope = np.diagonal(CB @ C, axis1=1, axis2=2)  # (3, m): dC / d variance
     spread = ((covariance @ slope) * slope).sum(axis=0)
+    QJ = (Q @ J).reshape(3, -1, m)
+    lost = sum(covariance[k, j] * (QJ[k].T @ QJ[j] - B[k] @ C @ B[j]) for k in range(3) for j in range(3))
     variance = np.diag(C)
+    grown = variance + 2.0 * np.maximum(np.diag(C @ lost @ C), 0.0)
     dof = np.clip(2.0 * variance**2 / np.maximum(spread, 1e-300), 1.0, 1e6)
     factor = student.ppf(0.975, dof) / NORMAL_95
-    return Doubt(variance_covariance=covariance, dof=dof, std=np.sqrt(variance) * factor)
+    return Doubt(variance_covariance=covariance, dof=dof, std=np.sqrt(grown) * factor)
 
 
 def warm_up() -> None:
