@@ -152,11 +152,12 @@ def search(
     following = np.zeros(m, np.intp)
     Rp = np.empty((3, 3))
     tp = np.empty(3)
-    found = 0
-    best = 3
-    count = 0
-    level = 0
-    nodes = 0
+    # typed: a bare 0 would have every callee compiled once for the literal and once for the number
+    found = np.int64(0)
+    best = np.int64(3)
+    count = np.int64(0)
+    level = np.int64(0)
+    nodes = np.int64(0)
     while level >= 0:
         nodes += 1
         if nodes > MAX_NODES:

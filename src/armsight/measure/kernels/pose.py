@@ -246,6 +246,7 @@ def solve_named(k, R, t, uv, cov, slack2, X, radius, normal, P, S, T, C, residua
     covariance C (6, 6) (translation, rotation vector; rig axes), residual (n, 2, 2) in px. Arrays are filled, not
     returned: handing one back costs as much as the algebra.
     """
+    model = X.copy()  # writable as in the search: one compilation serves both
     W = np.empty_like(cov)
     H = np.empty((6, 6))
     Rp = np.empty((3, 3))
@@ -254,8 +255,8 @@ def solve_named(k, R, t, uv, cov, slack2, X, radius, normal, P, S, T, C, residua
         return NO_WEIGHT, np.inf
     if not triangulate_all(k, R, t, uv, cov, P, S):
         return NO_POINT, np.inf
-    kabsch(X, P, Rp, tp)
-    state, _ = refine_pose(k, R, t, X, radius, normal, uv, W, Rp, tp, H, residual)
+    kabsch(model, P, Rp, tp)
+    state, _ = refine_pose(k, R, t, model, radius, normal, uv, W, Rp, tp, H, residual)
     if state == SOLVED and not invert_spd(H, C):
         state = OPEN
     T[:3, :3] = Rp
@@ -305,7 +306,7 @@ def kabsch_pose(k, R, t, uv, cov, X, Rp, tp):
     for n in range(uv.shape[0]):
         if triangulate_linear_point(k, R, t, uv[n], cov[n], P[n], S) != FOUND:
             return False
-    kabsch(X, P, Rp, tp)
+    kabsch(X.copy(), P, Rp, tp)
     return True
 
 
