@@ -74,7 +74,7 @@ def test_points_behind_the_mirrors_are_not_seen() -> None:
 
 
 def test_the_rig_file_stands_for_the_mirrors() -> None:
-    """Two pinholes describe the two views; MATH 3.1 finds 0.022 px rms for the left one over the middle of the image."""
+    """Two pinholes describe the two views; MATH 3.1 finds 0.022 px rms for the left one over the image's middle."""
     lens = Lens(width=768, height=576, focal_px=(1000.0, 1000.0), centre_px=(383.5, 287.5))
     views = mirror_views(lens, Mirrors(baseline_m=0.12))
     rig = mirror_rig(views)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 
 import cv2
 import numpy as np
@@ -17,8 +18,8 @@ from armsight.records.symmetry import symmetries
 
 SIZE = (480, 360)
 K = np.array([[405.0, 0.0, 238.0], [0.0, 403.0, 183.0], [0.0, 0.0, 1.0]])
-NO_LENS = np.zeros(5)
-LENS = np.array([-0.28, 0.1, 0.001, -0.0005, 0.0])
+NO_LENS = (0.0,) * 5
+LENS = (-0.28, 0.1, 0.001, -0.0005, 0.0)
 PITCH_M = 0.025
 OVER = 3
 """Sub-pixels along each axis; at an edge each has its covered share."""
@@ -34,6 +35,7 @@ Print = Callable[[np.ndarray, float], np.ndarray]
 """Board coordinates (..., 2) in m and the size of a sub-pixel on the board -> reflectance 0..1."""
 
 
+@cache
 def checkerboard(columns: int, rows: int) -> Print:
     def ink(xy: np.ndarray, grain_m: float) -> np.ndarray:
         s = xy / PITCH_M
@@ -48,6 +50,7 @@ def checkerboard(columns: int, rows: int) -> Print:
     return ink
 
 
+@cache
 def dots(board: Target, *, big: int | None = None, light: bool = False) -> Print:
     def ink(xy: np.ndarray, grain_m: float) -> np.ndarray:
         s = xy / PITCH_M
@@ -65,6 +68,7 @@ def dots(board: Target, *, big: int | None = None, light: bool = False) -> Print
     return ink
 
 
+@cache
 def charuco(board: Target) -> Print:
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
     cv_board = cv2.aruco.CharucoBoard((board.columns, board.rows), board.pitch_m, board.marker_m, dictionary)
@@ -88,7 +92,7 @@ class View:
 
     w: tuple[float, float, float] = (0.25, -0.3, 0.1)
     t_m: tuple[float, float, float] = (0.0, 0.0, 0.42)
-    lens: np.ndarray = None  # type: ignore[assignment]
+    lens: tuple[float, ...] = NO_LENS
 
     def pose(self, board: Target) -> tuple[np.ndarray, np.ndarray]:
         R = cv2.Rodrigues(np.array(self.w))[0]
@@ -99,7 +103,15 @@ def paint(
     ink: Print, board: Target, view: View, rng: np.random.Generator, blur_px: float = BLUR_PX
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the image and the true pixels of the board's points."""
-    lens = NO_LENS if view.lens is None else view.lens
+    sharp, truth = trace(ink, board, view)
+    image = cv2.GaussianBlur(sharp, (0, 0), blur_px) + rng.normal(0.0, NOISE, sharp.shape)
+    return np.clip(np.rint(image), 0, 255).astype(np.uint8), truth
+
+
+@cache
+def trace(ink: Print, board: Target, view: View) -> tuple[np.ndarray, np.ndarray]:
+    """Return the grey levels without blur and noise, and the true pixels."""
+    lens = np.array(view.lens)
     R, t = view.pose(board)
     cells = np.stack(np.meshgrid(np.arange(OVER * SIZE[0]), np.arange(OVER * SIZE[1])), -1)
     grid = ((cells + 0.5) / OVER - 0.5).reshape(-1, 1, 2)
@@ -112,9 +124,8 @@ def paint(
     xy = o[:2] - d[:, :2] * (o[2] / d[:, 2])[:, None]
     grain_m = view.t_m[2] / K[0, 0] / OVER
     fine = ink(xy, grain_m).reshape(SIZE[1], OVER, SIZE[0], OVER).mean((1, 3)) * 220.0
-    image = cv2.GaussianBlur(fine, (0, 0), blur_px) + rng.normal(0.0, NOISE, fine.shape)
     truth = cv2.projectPoints(board.xyz_m, cv2.Rodrigues(R)[0], t, K, lens)[0].reshape(-1, 2)
-    return np.clip(np.rint(image), 0, 255).astype(np.uint8), truth
+    return fine, truth
 
 
 def outline_centres(board: Target, view: View, radius_m: float) -> np.ndarray:
@@ -124,7 +135,7 @@ def outline_centres(board: Target, view: View, radius_m: float) -> np.ndarray:
     ring = np.stack([np.cos(a), np.sin(a), 0.0 * a], 1) * radius_m
     out = []
     for centre in board.xyz_m:
-        uv = cv2.projectPoints(centre + ring, cv2.Rodrigues(R)[0], t, K, NO_LENS)[0].reshape(-1, 2)
+        uv = cv2.projectPoints(centre + ring, cv2.Rodrigues(R)[0], t, K, None)[0].reshape(-1, 2)
         m = cv2.moments(uv.astype(np.float32))
         out.append([m["m10"] / m["m00"], m["m01"] / m["m00"]])
     return np.array(out)

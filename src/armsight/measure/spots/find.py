@@ -1,39 +1,16 @@
-"""Spots of an image: the public calls around the compiled search."""
+"""Spots of an image: the public calls."""
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armsight.errors import BadImage, Inconsistent
+from armsight.errors import Inconsistent
 from armsight.measure.settings import DEFAULTS, SpotSettings
-from armsight.measure.spots.kernels.area import FIT, MOST_LIGHTS, SPOT
-from armsight.measure.spots.kernels.lights import deliver, measure_others, measure_round
-from armsight.measure.spots.kernels.locate import FULL, NOTHING_ABOVE, NUMBER, locate, locate_near
+from armsight.measure.spots.colour import find_coloured, track_coloured
+from armsight.measure.spots.grey import Image, find_grey, track_grey
 from armsight.records import Spots
-
-Image = NDArray[np.uint8]
-Array = NDArray[np.float64]
-Rejected = tuple[tuple[float, float, str], ...]
-
-MODEL_NAMES = ("gaussian", "ellipse", "joint", "streak", "centroid")
-"""How a spot was measured, in the order of the kernels' numbers."""
-REASONS = (
-    "accepted",
-    "hot pixel: it stands alone",
-    "too small: fewer pixels above the threshold than min_pixels",
-    "cut by the border of the image",
-    "too large for a spot: a reflection, a window or a lamp",
-    "no light's model could be fitted to it",
-    "saturated beyond use: too little of it is not clipped",
-    "too many spots: only the max_spots strongest are measured",
-    "touching spots that cannot be told apart",
-    "not like a spot: the residuals of the best model are too large",
-    "reaches beyond its search window",
-    "another spot is nearer to the prediction",
-)
-"""Why something bright was not accepted, in the order of the kernels' numbers."""
+from armsight.records.target import RED
 
 
 def find_spots(image: Image, settings: SpotSettings = DEFAULTS) -> Spots:
@@ -42,20 +19,12 @@ def find_spots(image: Image, settings: SpotSettings = DEFAULTS) -> Spots:
     Centres are in px with the centre of the top-left pixel at (0, 0), each with its 2x2 covariance. What was seen
     and not accepted is in `rejected`, with the reason; an image without spots gives an empty record.
     With settings.colour the spots are areas of that colour in a BGR image (Kapucu and Baysec 2005).
-    Raises BadImage where the image is not 8-bit grey or BGR, Inconsistent where the mask has another size.
+    Raises BadImage where the image is not 8-bit grey or BGR (BGR, where a colour is searched), Inconsistent where
+    the mask has another size.
     """
     if settings.colour is not None:
-        from armsight.measure.spots.colour import find_coloured
-
         return find_coloured(image, settings)
-    grey = searchable(image, settings)
-    areas, state, survey, outcome = locate(grey, settings.mask_bytes, settings.options)
-    if outcome == FULL:
-        return record(*measured(grey, settings, areas, state, survey))
-    number = survey[-1, NUMBER]
-    if outcome == NOTHING_ABOVE:
-        return Spots.none((whole_frame(grey, f"bright all over: a background of {number:.0f} leaves no room"),))
-    return Spots.none((whole_frame(grey, f"{100.0 * number:.0f} % of the image lies above the threshold"),))
+    return find_grey(image, settings)
 
 
 def track_spots(
@@ -66,34 +35,16 @@ def track_spots(
     In each window of half_window_px to either side, the bright area nearest to the prediction is measured as in
     find_spots; two predictions never share one. A prediction whose window is dark, or whose spot was rejected, has
     no entry. Touching spots give two spots of the same prediction. Raises as find_spots, and Inconsistent where
-    the predictions are not an (n, 2) array of finite numbers.
+    the predictions are not an (n, 2) array of finite numbers or the window is empty.
     """
     predicted = np.ascontiguousarray(predicted_uv_px, dtype=np.float64)
     if predicted.ndim != 2 or predicted.shape[1] != 2 or not np.isfinite(predicted).all():
         raise Inconsistent("predicted spots are not rows of two finite pixel coordinates")
+    if not 1.0 <= half_window_px < 1e6:
+        raise Inconsistent(f"a window of {half_window_px:g} px to either side is not 1 px or more")
     if settings.colour is not None:
-        from armsight.measure.spots.colour import track_coloured
-
         return track_coloured(image, predicted, half_window_px, settings)
-    grey = searchable(image, settings)
-    half = int(half_window_px + 0.5)
-    areas, state, survey, cut = locate_near(grey, settings.mask_bytes, settings.options, predicted, half)
-    columns, refused = measured(grey, settings, areas, state, survey)
-    if len(cut):
-        refused = np.concatenate([refused, cut])
-    return record(columns, refused), columns[5]
-
-
-def measured(
-    grey: Image, settings: SpotSettings, areas: Array, state: NDArray[np.int64], survey: Array
-) -> tuple[tuple[Array, ...], Array]:
-    """Return the spots' columns and the refusals of the located areas."""
-    n = len(areas)
-    fits, rows = np.empty((n, FIT)), np.empty((n, MOST_LIGHTS, SPOT))
-    if measure_round(grey, settings.mask_bytes, settings.options, areas, state, survey, fits, rows):
-        measure_others(grey, settings.mask_bytes, settings.options, areas, state, survey, fits, rows)
-    *columns, refused = deliver(settings.options, areas, state, rows)
-    return tuple(columns), refused
+    return track_grey(image, predicted, half_window_px, settings)
 
 
 def warm_up() -> None:
@@ -102,74 +53,7 @@ def warm_up() -> None:
     spot = 150.0 * np.exp(-((x - 60.3) ** 2 + (y - 50.2) ** 2) / 8.0)
     disc = np.where((x - 20.0) ** 2 + (y - 20.0) ** 2 < 25.0, 99.0, 0.0)
     grey = (10.0 + spot + disc).astype(np.uint8)
-    find_spots(grey)
-    track_spots(grey, [[60.0, 50.0]], 16.0)
-
-
-def searchable(image: Image, settings: SpotSettings) -> Image:
-    """Return the image as contiguous grey; raise where it cannot be searched, or the mask does not fit it."""
-    if not isinstance(image, np.ndarray) or image.dtype != np.uint8 or image.ndim not in (2, 3) or image.size == 0:
-        raise not_an_image(image)
-    if image.ndim == 3:
-        if image.shape[2] != 3:
-            raise not_an_image(image)
-        image = grey_of(image, settings.saturation)
-    if settings.mask is not None and settings.mask_bytes.shape != image.shape:
-        raise Inconsistent(
-            f"the mask has shape {settings.mask_bytes.shape}, the image {image.shape}",
-            consequence="It is unknown which pixels are meant",
-            cure="Make the mask from an image of this camera",
-        )
-    flags = image.flags
-    if flags.writeable or not flags.c_contiguous:  # one type of array for the kernels, whoever owns it
-        image = np.ascontiguousarray(image).view()
-        image.setflags(write=False)
-    return image
-
-
-def grey_of(image: Image, saturation: int) -> Image:
-    """Return BGR as grey, white where any channel is clipped: such a pixel's grey value is not known."""
-    grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
-    top = image.max() if saturation == 255 else 255
-    if top >= saturation:
-        grey[(image >= saturation).any(axis=2)] = 255
-    return grey
-
-
-def not_an_image(image: object) -> BadImage:
-    """Return the error for something that is not an 8-bit image."""
-    kind = f"type {image.dtype} and shape {image.shape}" if isinstance(image, np.ndarray) else type(image).__name__
-    return BadImage(
-        f"an image of {kind} is not 8-bit grey (h, w) or BGR (h, w, 3)",
-        consequence="It cannot be searched for spots",
-        cure="Convert it to 8-bit grey or BGR",
-    )
-
-
-def whole_frame(image: Image, why: str) -> tuple[float, float, str]:
-    """Return a rejection that concerns the whole image."""
-    return (0.5 * (image.shape[1] - 1), 0.5 * (image.shape[0] - 1), why)
-
-
-def rejections(refused: NDArray[np.float64]) -> Rejected:
-    """Return the kernels' refusals (n, 3: u, v, number of the reason) as a record's tuple."""
-    u, v, why = refused.T.tolist()
-    return tuple(zip(u, v, map(REASONS.__getitem__, map(int, why)), strict=True))
-
-
-def record(columns: tuple[Array, ...], refused: Array) -> Spots:
-    """Return the record of the kernels' columns.
-
-    The columns are fresh and finite by construction, so that the constructor's copies and checks (40 us, as much as
-    the search itself) are left out.
-    """
-    uv, covariance, peak, size, model, _ = columns
-    names = tuple(map(MODEL_NAMES.__getitem__, model.tolist()))
-    spots = object.__new__(Spots)
-    put = object.__setattr__
-    for name, column in (("uv_px", uv), ("covariance_px2", covariance), ("peak", peak), ("size_px", size)):
-        column.setflags(write=False)
-        put(spots, name, column)
-    put(spots, "model", names)
-    put(spots, "rejected", rejections(refused) if len(refused) else ())
-    return spots
+    red = np.stack([0 * grey, 0 * grey, grey], axis=2)
+    for settings, image in ((DEFAULTS, grey), (SpotSettings(colour=RED), red)):
+        find_spots(image, settings)
+        track_spots(image, [[60.0, 50.0]], 16.0, settings)
