@@ -168,7 +168,7 @@ def search(
                 if count > best:
                     found = 0
                     best = count
-                found = _keep(found, room, margin, chosen, chi2, Rp, tp, names, chi2s, poses)
+                found = np.int64(_keep(found, room, margin, chosen, chi2, Rp, tp, names, chi2s, poses))
             level -= 1
             continue
         if chosen[level] >= 0:  # come back from below: give the name up again
