@@ -166,9 +166,9 @@ def search(
             chi2 = _judge(k, R, t, chosen, count, X, radius, normal, ellipse, pairs, uv, W, P, Rp, tp)
             if chi2 <= limits[count]:
                 if count > best:
-                    found = 0
+                    found = np.int64(0)
                     best = count
-                found = np.int64(_keep(found, room, margin, chosen, chi2, Rp, tp, names, chi2s, poses))
+                found = _keep(found, room, margin, chosen, chi2, Rp, tp, names, chi2s, poses)
             level -= 1
             continue
         if chosen[level] >= 0:  # come back from below: give the name up again
