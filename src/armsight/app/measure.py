@@ -23,7 +23,7 @@ from armsight.measure.pair import Measured, Setup, Track, measure_pair
 from armsight.measure.settings import SpotSettings
 from armsight.optics import SIDES, Rig
 from armsight.records import Frame, Points, PoseStatus, Progress, Silent, Spots, Target, TargetPose
-from armsight.store import World, read_rig, read_target, read_times, read_world, write_json
+from armsight.store import World, parse_board, read_rig, read_target, read_times, read_world, write_json
 
 Pair = tuple[Frame, Frame]
 
@@ -67,13 +67,18 @@ class MeasureJob:
     inverted: bool = False
 
 
+def target_of(named: Path) -> Target:
+    """Return the target of a target.yaml, or the board of a text such as checkerboard:9x6:0.025."""
+    return parse_board(str(named)) if ":" in named.name and not named.exists() else read_target(named)
+
+
 def measure(job: MeasureJob, progress: Progress | None = None) -> Summary:
     """Measure every pair of frames; write poses.csv, points.csv, spots.csv, poses.tum, measure.json, report.html.
 
     What was measured before a failure or a cancel is in the files when the error is raised. Raises UsageError,
     DataRefused or DeviceFailed, Cancelled.
     """
-    rig, target = read_rig(job.rig), read_target(job.target)
+    rig, target = read_rig(job.rig), target_of(job.target)
     world = read_world(job.world) if job.world else None
     setup = Setup(rig=rig, target=target, settings=_settings(job, target))
     pairs = _pairs(job, rig, target)

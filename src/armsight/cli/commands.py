@@ -54,7 +54,12 @@ def root(
 @app.command()
 def measure(
     rig: Annotated[Path, typer.Option(help="rig.yaml of the two cameras, from `armsight calibrate stereo`.")],
-    target: Annotated[Path, typer.Option(help="target.yaml: the lights or the board that is looked for.")],
+    target: Annotated[
+        Path,
+        typer.Option(
+            help="target.yaml: the lights or the board that is looked for; or a board as checkerboard:9x6:0.025."
+        ),
+    ],
     out: OutFolder,
     left: Annotated[str | None, typer.Option(metavar="SRC", help=f"Left frames: {SRC}.")] = None,
     right: Annotated[str | None, typer.Option(metavar="SRC", help="Right frames, in step with the left ones.")] = None,

@@ -286,3 +286,11 @@ def test_ctrl_c_leaves_whole_files_and_ends_with_130(scene: Any, tmp_path: Path)
     assert all(row["status"] for row in table)
     assert json.loads((tmp_path / "out" / "measure.json").read_text())["n_frames"] == len(table)
     assert not list((tmp_path / "out").glob("*.part"))
+
+
+def test_a_board_needs_no_file(armsight: Any, scene: Any, tmp_path: Path) -> None:
+    views = ["--left", scene.folder / "left", "--right", scene.folder / "right", "-o", tmp_path / "out"]
+    done = armsight("measure", *scene.inputs[:2], "--target", "checkerboard:9x6:0.025", *views)
+    assert done.code == 3  # lights are no board
+    assert "checkerboard" in done.json["error"]["cause"]
+    assert armsight("measure", *scene.inputs[:2], "--target", "checkerboard:9x:0.025", *views).code == 2

@@ -174,6 +174,17 @@ def threshold_map(levels, margin, thresholds):
 
 
 @kernel
+def brightest(flat, flip, start, n):
+    """Return the highest grey of n pixels from start (unsigned: the test for negative indices forbids vector code)."""
+    at = np.uint64(start)
+    top = np.uint8(0)
+    for i in range(n):
+        v = np.uint8(flat[at + np.uint64(i)] ^ flip)
+        top = max(top, v)
+    return top
+
+
+@kernel
 def bright_blocks(flat, flip, threshold, hits):
     """Fill hits with the numbers of the 64-pixel blocks of flat that hold a pixel above threshold; return how many."""
     t = np.uint8(threshold)
@@ -181,17 +192,9 @@ def bright_blocks(flat, flip, threshold, hits):
     per = SUPER // BLOCK
     whole = flat.size // SUPER
     for s in range(whole):
-        top = np.uint8(0)
-        for i in range(SUPER):
-            v = np.uint8(flat[s * SUPER + i] ^ flip)
-            top = max(top, v)
-        if top > t:
+        if brightest(flat, flip, s * SUPER, SUPER) > t:
             for b in range(s * per, s * per + per):
-                top = np.uint8(0)
-                for i in range(BLOCK):
-                    v = np.uint8(flat[b * BLOCK + i] ^ flip)
-                    top = max(top, v)
-                if top > t:
+                if brightest(flat, flip, b * BLOCK, BLOCK) > t:
                     hits[n] = b
                     n += 1
     for b in range(whole * per, (flat.size + BLOCK - 1) // BLOCK):
@@ -209,21 +212,40 @@ def block_threshold(thresholds, i, h, w):
 
 
 @kernel
+def lowest_threshold(thresholds, i, j):
+    """Return the lowest threshold of the rows of tiles i to j."""
+    least = 255.0
+    for a in range(i, j + 1):
+        for b in range(GRID):
+            least = min(least, thresholds[a, b])
+    return np.uint8(least)
+
+
+@kernel
 def bright_blocks_mapped(flat, flip, h, w, thresholds, hits):
-    """As bright_blocks, the threshold being block_threshold's."""
+    """As bright_blocks, the threshold being block_threshold's.
+
+    What lies below the lowest threshold of its rows of tiles is skipped together.
+    """
     n = 0
-    whole = flat.size // BLOCK
-    for b in range(whole):
-        t = np.uint8(block_threshold(thresholds, b * BLOCK, h, w))
-        top = np.uint8(0)
-        for i in range(BLOCK):
-            v = np.uint8(flat[b * BLOCK + i] ^ flip)
-            top = max(top, v)
-        if top > t:
-            hits[n] = b
-            n += 1
-    if whole * BLOCK < flat.size:
-        hits[n] = whole
+    per = SUPER // BLOCK
+    whole = flat.size // SUPER
+    least = np.uint8(0)
+    until = 0
+    for s in range(whole):
+        if s * SUPER + SUPER > until:  # the stretch reaches a new row of tiles
+            i = (s * SUPER // w) * GRID // h
+            j = ((s * SUPER + SUPER - 1) // w) * GRID // h
+            least = lowest_threshold(thresholds, i, j)
+            until = ((i + 1) * h + GRID - 1) // GRID * w
+        if brightest(flat, flip, s * SUPER, SUPER) > least:
+            for b in range(s * per, s * per + per):
+                top = brightest(flat, flip, b * BLOCK, BLOCK)
+                if top > least and top > np.uint8(block_threshold(thresholds, b * BLOCK, h, w)):
+                    hits[n] = b
+                    n += 1
+    for b in range(whole * per, (flat.size + BLOCK - 1) // BLOCK):
+        hits[n] = b
         n += 1
     return n
 
@@ -328,15 +350,9 @@ def components(image, flip, mask, saturation, thresholds, mapped, blocks, n_bloc
         if mapped and i < stop:
             level = np.uint8(block_threshold(thresholds, blocks[k] * BLOCK, h, w))
         while i < stop:
-            if i + SKIP <= stop:
-                top = np.uint8(0)
-                at = np.uint64(i)  # unsigned: without the test for negative indices the loop becomes vector code
-                for j in range(SKIP):
-                    v = np.uint8(flat[at + np.uint64(j)] ^ flip)
-                    top = max(top, v)
-                if top <= level:
-                    i += SKIP
-                    continue
+            if i + SKIP <= stop and brightest(flat, flip, i, SKIP) <= level:
+                i += SKIP
+                continue
             if np.uint8(flat[i] ^ flip) <= level or (mask.size > 0 and mask[i // w, i % w] == 0):
                 i += 1
                 continue
