@@ -45,7 +45,7 @@ class Measured:
 
     points: in rig axes, each triangulated by itself. left, right: the matched spots, in the order of names.
     left_seen, right_seen: all that were found (in the windows only, where tracked). track: for the next call.
-    alternatives: poses of other assignments of the names that fit as well. notes: what was left out, and why.
+    alternatives: the poses of all assignments that fit, where names are ambiguous. notes: what was left out, and why.
     """
 
     pose: TargetPose

@@ -118,7 +118,6 @@ def measure_spots(setup: Setup, t_s: float, left: Spots, right: Spots, track: Tr
         left_seen=left,
         right_seen=right,
         track=next_track(setup, t_s, solved, left, right, track),
-        alternatives=_poses(setup, t_s, left, right, pairs, match.alternatives),
         notes=_left_out(setup, solved, left, right),
     )
 
