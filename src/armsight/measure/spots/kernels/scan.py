@@ -23,6 +23,8 @@ GRID = 8
 """Tiles per image side for the background."""
 LINE = 64
 """Pixels sampled in a tile: one cache line, so that the sample costs 64 memory accesses and no more."""
+SHORT = 16
+"""Fewest pixels sampled in a tile: narrower tiles share some."""
 GROUPS = 4
 """Parts of a line; the second-darkest part gives the tile's level, so that a spot on the line does not count."""
 
@@ -64,7 +66,7 @@ def hidden_pixels(mask, y, x, n):
 def sense(image, flip, mask, levels):
     """Fill levels (GRID, GRID) with the background of the tiles (-1 unknown); return the median noise variance."""
     h, w = image.shape
-    n = min(LINE, w)
+    n = min(min(LINE, max(w // GRID, SHORT)), w)
     n -= n % GROUPS
     noise = np.empty(GRID * GRID)
     parts = np.empty(GROUPS)
