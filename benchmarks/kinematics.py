@@ -1,7 +1,8 @@
-"""Forward and inverse kinematics against Pinocchio and EAIK, side by side in one run, on one core.
+"""Forward and inverse kinematics against Pinocchio, EAIK, the Robotics Toolbox and ikpy, in one run, on one core.
 
-python benchmarks/kinematics.py [--quick]. The peers are development tools (pip install armsight[dev]); one that is not
-installed is left out, and the table says so. Times are medians; the ratio is the peer's over ours in the same run.
+python benchmarks/kinematics.py [--quick]. Pinocchio and EAIK are development tools (pip install armsight[dev]), the
+others are not: pip install roboticstoolbox-python ikpy. One that is not installed is left out, and the table says so.
+Times are medians; the ratio is the peer's over ours in the same run.
 """
 
 from __future__ import annotations
@@ -9,8 +10,10 @@ from __future__ import annotations
 import argparse
 import importlib
 import os
+import tempfile
 from collections import Counter
 from collections.abc import Callable
+from pathlib import Path
 from types import ModuleType
 
 import numpy as np
@@ -85,6 +88,34 @@ class Pinocchio:
                 q = pin.integrate(model, q, step)
 
 
+class Ikpy:
+    """ikpy's numeric inverse, started from the same joints."""
+
+    def __init__(self, chain: ModuleType, arm: Arm) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "arm.urdf"
+            path.write_text(urdf_text(arm))
+            joints = [False, False, *[True] * len(arm.joints), False, False]
+            self.chain = chain.Chain.from_urdf_file(str(path), base_elements=["world"], active_links_mask=joints)
+
+    def inverse(self, targets: np.ndarray, starts: np.ndarray) -> None:
+        for target, start in zip(targets, starts, strict=True):
+            first = np.concatenate([[0.0, 0.0], start, [0.0, 0.0]])
+            self.chain.inverse_kinematics_frame(target, initial_position=first, orientation_mode="all")
+
+
+def toolbox(rtb: ModuleType, arm: Arm) -> Callable[[np.ndarray, np.ndarray], None]:
+    """Return the Robotics Toolbox's compiled Levenberg-Marquardt, from given joints, for rows of targets."""
+    links = [rtb.RevoluteDH(d=j.d_m, a=j.a_m, alpha=j.alpha_rad, offset=j.theta_rad) for j in arm.joints]
+    ets = rtb.DHRobot(links).ets()
+
+    def run(targets: np.ndarray, starts: np.ndarray) -> None:
+        for target, start in zip(targets, starts, strict=True):
+            ets.ik_LM(target, q0=start)
+
+    return run
+
+
 def per_pose_us(times_ms: np.ndarray, poses: int) -> float:
     return float(np.median(times_ms)) / poses * 1e3
 
@@ -132,6 +163,13 @@ def batches(m: int, repeats: int) -> None:
     if eaik is not None:
         robot = eaik.DhRobot(*(np.array([getattr(j, key) for j in arm.joints]) for key in ("alpha_rad", "a_m", "d_m")))
         runs["EAIK closed form"] = (few, lambda: robot.IK_batched(targets[:few], 1))
+    rtb, ikpy = optional("roboticstoolbox"), optional("ikpy.chain")
+    if rtb is not None:
+        lm = toolbox(rtb, arm)
+        runs["Robotics Toolbox ik_LM, warm start"] = (200, lambda: lm(targets[:200], starts[:200]))
+    if ikpy is not None:
+        slow = Ikpy(ikpy, arm)
+        runs["ikpy, warm start"] = (5, lambda: slow.inverse(targets[:5], starts[:5]))
     times = interleaved_ms({name: run for name, (_, run) in runs.items()}, repeats)
     us = {name: per_pose_us(times[name], runs[name][0]) for name in runs}
     peers = {
@@ -155,7 +193,7 @@ def batches(m: int, repeats: int) -> None:
         rows.append([name, value, fastest, targets_us.get(name, ""), peers.get(name, "") if other else "", ratio])
     title = f"korayem6r, {m:,} poses (peers and numeric: fewer), us a pose, median of {repeats}"
     table(title, ["what", "median", "fastest", "wanted", "peer", "peer / ours"], rows)
-    for name, module in (("Pinocchio", pin), ("EAIK", eaik)):
+    for name, module in (("Pinocchio", pin), ("EAIK", eaik), ("the Robotics Toolbox", rtb), ("ikpy", ikpy)):
         if module is None:
             print(f"\n{name} is not installed and left out.")
     print(f"\nNumeric warm starts ({WARM_RAD} rad off): {(reasons[:, 0] == 0).mean():.2%} solved, "
