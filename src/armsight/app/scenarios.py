@@ -7,13 +7,16 @@ from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any
 
-from armsight.drivers import CELLS, SCENARIOS, known, load
+from armsight.clock import Clock, SystemClock
+from armsight.drivers import CELLS, SCENARIOS, FrameSource, known, load
 from armsight.errors import DeviceNotFound
 from armsight.store.atomic import read_bytes
 from armsight.store.schema import named, validated
 from armsight.store.yamls import MAX_BYTES, parse_yaml
 
 MODEL = "scenario"
+VIEW = "view"
+VIEWS = ("left", "right", "image")
 
 
 def scenario_names() -> tuple[str, ...]:
@@ -52,6 +55,28 @@ def build_cell(name: str, model: Any, *, seed: int | None, frames: int | None) -
     """Return a scenario's stage; BadFile, naming the scenario and the key, for a geometry that cannot be."""
     with named(f"the scenario {name}"):
         return model.cell(seed=seed, frames=frames)
+
+
+def sim_camera(device: str, *, colour: bool, clock: Clock | None, origin_s: float | None) -> FrameSource:
+    """Return one camera of a scenario, live: device is SCENARIO:left, SCENARIO:right, or of a mirror rig SCENARIO:image.
+
+    Its stamps are the scenario's own, so that left and right agree. Raises DeviceNotFound, BadFile as load_scenario.
+    """
+    name, _, view = device.rpartition(":")
+    if view not in VIEWS or not name:
+        raise DeviceNotFound(
+            f"the simulated camera {device!r} has no view",
+            consequence="There is no frame to read",
+            cure=f"Write camera:sim:SCENARIO:VIEW, with one of {', '.join(VIEWS)}",
+        )
+    stage = build_cell(name, load_scenario(name)[0], seed=None, frames=None)
+    if view not in stage.views:
+        raise DeviceNotFound(
+            f"{name} has no view {view!r}", consequence="There is no frame to read",
+            cure=f"It has {', '.join(stage.views)}",
+        )  # fmt: skip
+    source: FrameSource = load(SCENARIOS, VIEW)(stage, clock or SystemClock(), view)
+    return source
 
 
 def settled_text(text: str, *, seed: int, frames: int) -> str:

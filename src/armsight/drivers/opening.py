@@ -45,8 +45,8 @@ def open_source(
     suffix = Path(text).suffix.lower()
     if suffix == ".mcap":
         raise UsageError(
-            f"{text} is a recording, and this version reads no recordings yet",
-            cure="Give the folders of images or the videos it was made from",
+            f"{text} is a recording, and only frames of cameras, images and videos are taken here",
+            cure="Turn it into images first: armsight convert recording",
         )
     if suffix in VIDEO_SUFFIXES and not Path(text).is_dir():
         return VideoFile(text, colour=colour, fps=fps, times_s=times_s)
