@@ -74,7 +74,7 @@ class Paced:
 
 
 def pictures(size: tuple[int, int] | None = None) -> list[tuple[np.ndarray, np.ndarray]]:
-    pairs = load_cell("webcam-cell", seed=1, frames=DIFFERENT).frames()
+    pairs = load_cell("hand-cell", seed=1, frames=DIFFERENT).frames()
     rows, columns = size or (720, 1280)
     return [
         (np.ascontiguousarray(a.image[:rows, :columns]), np.ascontiguousarray(b.image[:rows, :columns]))

@@ -28,8 +28,9 @@ from armsight.drivers import (
     RobotState,
     SplitImages,
     VideoFile,
+    open_source,
 )
-from armsight.errors import DeviceFailed, Inconsistent, StaleData, UsageError
+from armsight.errors import DeviceFailed, DeviceNotFound, Inconsistent, StaleData, UsageError
 from armsight.records import Frame, Motion
 from armsight.sim.devices import SimCameraView, SimPairs
 from armsight.sim.scenario import Scenario
@@ -353,3 +354,13 @@ def test_a_camera_whose_lock_is_held_stays_closed_and_frees_it_when_it_closes(tm
         camera().__enter__()
     with camera():
         pass
+
+
+def test_a_scenario_s_camera_is_opened_by_name() -> None:
+    source = open_source("camera:sim:webcam-cell:right", clock=ManualClock(50.0))
+    with source:
+        frame = next(iter(source))
+    assert frame.image.shape == (720, 1280) and frame.source.endswith("right")
+    for unknown in ("webcam-cell", "webcam-cell:image", "nothing:left"):
+        with pytest.raises(DeviceNotFound):
+            open_source(f"camera:sim:{unknown}")

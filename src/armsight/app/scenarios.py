@@ -58,7 +58,7 @@ def build_cell(name: str, model: Any, *, seed: int | None, frames: int | None) -
 
 
 def sim_camera(device: str, *, colour: bool, clock: Clock | None, origin_s: float | None) -> FrameSource:
-    """Return one camera of a scenario, live: device is SCENARIO:left, SCENARIO:right, or of a mirror rig SCENARIO:image.
+    """Return one camera of a scenario, live; device: SCENARIO:left, SCENARIO:right, or of a mirror rig SCENARIO:image.
 
     Its stamps are the scenario's own, so that left and right agree. Raises DeviceNotFound, BadFile as load_scenario.
     """

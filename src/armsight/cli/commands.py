@@ -115,7 +115,7 @@ def demo(
     out: OutFolder = Path("demo"),
     seed: Seed = 1,
     frames: Annotated[int, typer.Option(min=1, help="How many pairs of frames.")] = 300,
-    cell: Annotated[str, typer.Option(help="Which simulated cell.")] = "webcam-cell",
+    cell: Annotated[str, typer.Option(help="Which simulated cell.")] = "hand-cell",
     keep_frames: Annotated[bool, typer.Option("--keep-frames", help="Write the frames as PNG files too.")] = False,
     json: AsJson = False,
 ) -> None:

@@ -18,7 +18,7 @@ def record(
     out: Annotated[Path | None, typer.Option("-o", "--out", metavar="FILE.mcap", help="The recording.")] = None,
     left: Annotated[str | None, typer.Option(metavar="SRC", help=f"Left frames: {SRC}.")] = None,
     right: Annotated[str | None, typer.Option(metavar="SRC", help="Right frames, in step with the left ones.")] = None,
-    cell: Annotated[str | None, typer.Option(help="A simulated cell in place of cameras, such as webcam-cell.")] = None,
+    cell: Annotated[str | None, typer.Option(help="A simulated cell in place of cameras, such as hand-cell.")] = None,
     seed: Seed = 0,
     rig: Annotated[Path | None, typer.Option(help="rig.yaml: its calibration goes into the recording.")] = None,
     target: Annotated[Path | None, typer.Option(help="target.yaml that goes into the recording.")] = None,

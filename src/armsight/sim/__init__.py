@@ -3,7 +3,7 @@
 from armsight.sim.boards import Board, board_light, corner_rays, random_board_pose
 from armsight.sim.camera import SimCamera
 from armsight.sim.cell import BoardCell, Cell
-from armsight.sim.cells import beacon_cell, board_cell, cells, led_cell, warm_up, webcam_cell
+from armsight.sim.cells import beacon_cell, board_cell, cells, hand_cell, led_cell, warm_up
 from armsight.sim.lens import Lens
 from armsight.sim.paint import Patch, PointStroke, RegionStroke, Stroke, paint
 from armsight.sim.scene import Event, Ghost, Light, Path, Rest, Wander
@@ -32,11 +32,11 @@ __all__ = [
     "board_light",
     "cells",
     "corner_rays",
+    "hand_cell",
     "led_cell",
     "paint",
     "random_board_pose",
     "warm_up",
-    "webcam_cell",
     "with_clutter",
     "with_hot_pixels",
 ]

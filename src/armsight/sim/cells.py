@@ -24,9 +24,9 @@ TRIANGLE_M = {"A": (-0.040, 0.0, 0.0), "B": (0.030, 0.032, 0.0), "C": (0.030, -0
 """Isosceles: A left, B lower right, C upper right as the cameras see it (MATH 3.2), so that z points away from them."""
 
 
-def webcam_cell(seed: int, frames: int) -> Cell:
+def hand_cell(seed: int, frames: int) -> Cell:
     """Return two 1280x720 webcams at 60 frames per second that watch three LEDs 0.8 m away."""
-    return led_cell(seed, frames, name="webcam-cell")
+    return led_cell(seed, frames, name="hand-cell")
 
 
 def led_cell(
@@ -127,7 +127,7 @@ def beacon_cell(seed: int, frames: int, *, width: int = 640, height: int = 480, 
 def board_cell(
     seed: int, frames: int, *, width: int = 1280, height: int = 720, printed: Board | None = None
 ) -> BoardCell:
-    """Return the cameras of webcam_cell with a checkerboard before them, for calibrating them from images.
+    """Return the cameras of hand_cell with a checkerboard before them, for calibrating them from images.
 
     frames: how many poses the board takes. Raises UsageError for less than one, or a board too large for the view.
     """
@@ -160,7 +160,7 @@ def board_cell(
 
 
 MAKERS: Mapping[str, Callable[..., Cell | BoardCell]] = {
-    "webcam-cell": webcam_cell,
+    "hand-cell": hand_cell,
     "led-cell": led_cell,
     "beacon-cell": beacon_cell,
     "board-cell": board_cell,
@@ -188,7 +188,7 @@ def _check(seed: int, frames: int) -> None:
 
 
 def _in_a_hand(seed: int) -> Wander:
-    """Return the path of webcam_cell: slow swings 0.8 m in front of and between the cameras."""
+    """Return the path of hand_cell: slow swings 0.8 m in front of and between the cameras."""
     return Wander(
         centre_m=np.array([0.06, 0.0, 0.80]),
         tilt=Rotation.identity(),

@@ -78,7 +78,7 @@ def test_pairs_recorded_and_replayed_are_the_same(tmp_path: Path, kind: ImageFor
 
 def test_a_cell_is_recorded_with_its_rig_and_target_and_exported(tmp_path: Path) -> None:
     path = tmp_path / "cell.mcap"
-    record(RecordJob(out=path, cell="webcam-cell", seed=3, limit=3))
+    record(RecordJob(out=path, cell="hand-cell", seed=3, limit=3))
     done = export(path, tmp_path / "out")
     assert done == {"rig.yaml": 1, "target.yaml": 1, "left": 3, "right": 3, "times.csv": 3}
     assert read_rig(tmp_path / "out" / "rig.yaml").left.width == 1280

@@ -32,7 +32,7 @@ def test_the_demo_compares_with_the_truth_and_its_frames_can_be_measured_again(a
 def test_an_unknown_cell_is_answered_with_the_known_ones(armsight: Any, tmp_path: Path) -> None:
     done = armsight("demo", "--cell", "nosuch", "-o", tmp_path / "demo")
     assert done.code == 4
-    assert "webcam-cell" in done.json["error"]["cure"]
+    assert "hand-cell" in done.json["error"]["cure"]
     assert not (tmp_path / "demo").exists()
 
 

@@ -15,8 +15,8 @@ from armsight.sim import (
     board_light,
     cells,
     corner_rays,
+    hand_cell,
     led_cell,
-    webcam_cell,
 )
 
 QUIET = Sensor(electrons_per_level=np.inf, read_noise_level=0.0)
@@ -67,7 +67,7 @@ def test_the_light_falls_where_the_true_poses_say(diameter_m, tolerance_px):
 
 def test_every_light_stays_in_both_views():
     for seed in range(3):
-        cell = webcam_cell(seed, 2000)
+        cell = hand_cell(seed, 2000)
         corners = np.array(list(cell.target["spots_m"].values()))
         points = np.concatenate([Rotation.from_quat(quat).apply(corners) + xyz for _, xyz, quat in cell.truth[::7]])
         for side in ("left", "right"):
@@ -168,7 +168,7 @@ def test_a_board_that_cannot_be_seen_is_refused():
         board_cell(0, 1, printed=Board(square_m=0.5))
 
 
-@pytest.mark.parametrize("maker", [webcam_cell, led_cell, beacon_cell, board_cell])
+@pytest.mark.parametrize("maker", [hand_cell, led_cell, beacon_cell, board_cell])
 def test_no_frames_and_negative_seeds_are_refused(maker):
     for seed, frames in ((0, 0), (-1, 1)):
         with pytest.raises(UsageError):
@@ -176,9 +176,9 @@ def test_no_frames_and_negative_seeds_are_refused(maker):
 
 
 def test_the_built_in_cells_have_names_and_say_what_was_chosen():
-    assert "webcam-cell" in cells()
-    cell = webcam_cell(0, 300)
-    assert cell.name == "webcam-cell"
+    assert "hand-cell" in cells()
+    cell = hand_cell(0, 300)
+    assert cell.name == "hand-cell"
     assert len(cell.truth) == 300
     assert cell.rig["kind"] == "stereo"
     left, _ = cell.pair(0)
