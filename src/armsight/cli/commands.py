@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from armsight.cli import handeye
+from armsight.cli import arm, handeye
 from armsight.cli.calibrate import calibrate
 from armsight.cli.convert import convert
 from armsight.cli.face import Face
@@ -28,6 +28,7 @@ app = typer.Typer(
 )
 app.add_typer(calibrate, name="calibrate")
 handeye.add_to(calibrate)
+arm.add_to(calibrate)
 convert.command("arm")(convert_arm)
 app.add_typer(convert, name="convert")
 app.command()(record)

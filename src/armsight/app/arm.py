@@ -1,0 +1,161 @@
+"""Measurements of an arm in; its corrected geometry, or where the rig stands to it, out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.app.calibrate import report_path
+from armsight.app.kinematics import load_arm
+from armsight.calibrate.arm import (
+    ArmCalibration,
+    Tolerance,
+    calibrate_arm,
+    calibrate_world,
+    propose,
+)
+from armsight.errors import Inconsistent, UsageError
+from armsight.kinematics import JointType
+from armsight.optics import Rig
+from armsight.report.arm_report import arm_report
+from armsight.store import World, read_rig, read_world, write_text
+from armsight.store.arm_file import write_arm
+from armsight.store.arm_points import read_arm_points
+from armsight.store.schema import pose_mapping
+from armsight.store.tables import cells
+from armsight.store.urdf import urdf_text
+from armsight.store.worlds import write_world
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ArmJob:
+    """What `calibrate arm` is told; rig and world: for proposals that both cameras see."""
+
+    model: str
+    points: Path
+    out: Path
+    holdout: Path | None = None
+    scale: bool = True
+    tolerance_m: float = Tolerance().length_m
+    tolerance_rad: float = Tolerance().angle_rad
+    propose: int = 0
+    rig: Path | None = None
+    world: Path | None = None
+
+
+def run_calibrate_arm(job: ArmJob) -> dict[str, Any]:
+    """Calibrate; write arm.yaml, the URDF and the table of corrections beside it, and the report; return the figures.
+
+    Raises UsageError, DataRefused.
+    """
+    if (job.rig is None) != (job.world is None):
+        raise UsageError("for proposals in view give both --rig and --world: where the rig stands to the measurements")
+    nominal, points = load_arm(job.model), read_arm_points(job.points)
+    holdout = None if job.holdout is None else read_arm_points(job.holdout)
+    tolerance = Tolerance(length_m=job.tolerance_m, angle_rad=job.tolerance_rad)
+    result = calibrate_arm(nominal, points, holdout=holdout, tolerance=tolerance, scale=job.scale)
+    content = arm_content(result)
+    if job.propose:
+        seen = None if job.rig is None or job.world is None else _in_view(read_rig(job.rig), read_world(job.world))
+        told = propose(result.model, result.fitted, points, job.propose, tolerance=tolerance, visible=seen)
+        content["proposals"] = told.q.tolist()
+        content["expected_std"] = told.expected_std
+        rows = [",".join(f"q{i + 1}" for i in range(nominal.n)), *(cells(row) for row in told.q)]
+        write_text(job.out.with_suffix(".proposed.csv"), "\n".join(rows) + "\n")
+    inputs = [job.points] if job.holdout is None else [job.points, job.holdout]
+    write_arm(job.out, result.arm, inputs=inputs)
+    write_text(job.out.with_suffix(".corrections.csv"), corrections(result))
+    try:
+        write_text(job.out.with_suffix(".urdf"), urdf_text(result.arm))
+        content["urdf"] = str(job.out.with_suffix(".urdf"))
+    except Inconsistent:  # joint scales have no place in a URDF
+        content["urdf"] = None
+    files = [("model", job.model), *(("measurements", path.name) for path in inputs)]
+    write_text(report_path(job.out), arm_report(result, points, inputs=files))
+    return content
+
+
+def _in_view(rig: Rig, world: World) -> Any:
+    """Return the test whether places (m, 3) in the world's frame are in both images."""
+
+    def seen(xyz_m: Array) -> NDArray[np.bool_]:
+        local = world.T_parent_rig.inv().apply(xyz_m)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            views = rig.project(local)
+        inside = np.ones(len(xyz_m), bool)
+        for camera, uv in zip((rig.left, rig.right), views, strict=True):
+            inside &= np.isfinite(uv).all(axis=1)
+            inside &= ((uv >= 0.0) & (uv <= [camera.width - 1, camera.height - 1])).all(axis=1)
+        return inside
+
+    return seen
+
+
+def arm_content(result: ArmCalibration) -> dict[str, Any]:
+    """Return an arm's calibration as --json gives it."""
+    left = {"before": asdict(result.left_before), "after": asdict(result.left_after)}
+    return {
+        "n": len(result.error_m),
+        "before": asdict(result.before),
+        "after": asdict(result.after),
+        "holdout" if result.held else "crossval": left,
+        "free": list(result.free),
+        "fixed": [{"name": name, "why": why} for name, why in result.fixed],
+        "std": result.std(),
+        "corrections": {name: result.change(name) for name in result.free},
+        "condition": result.condition,
+        "outliers": [{"row": row + 1, "error_m": error} for row, error in result.outliers],
+        "couplings": [{"joint": a, "by": b, "share": share} for a, b, share in result.couplings],
+        "noise": {"place_m": result.fitted.sigma_m, "rotation_rad": _rotation_noise(result)},
+        "model": result.level,
+        "verdict": result.verdict,
+        "gain": result.gain,
+    }
+
+
+def _rotation_noise(result: ArmCalibration) -> float | None:
+    return result.fitted.sigma_rad if result.model.turned else None
+
+
+def corrections(result: ArmCalibration) -> str:
+    """Return a CSV text in a controller's terms: per joint the zero to add, its deviation, and the scale."""
+    std = result.std()
+    rows = ["joint,zero_correction,unit,std,scale"]
+    for joint in result.nominal.joints:
+        turns = joint.type is JointType.REVOLUTE
+        name, factor, unit = (
+            (f"{joint.name}.theta_rad", np.rad2deg(1.0), "deg") if turns else (f"{joint.name}.d_m", 1e3, "mm")
+        )
+        zero = joint.sign * result.change(name) * factor
+        doubt = std[name] * factor if name in std else ""
+        rows.append(f"{joint.name},{zero:.6g},{unit},{doubt},{1.0 + result.change(f'{joint.name}.scale'):.8g}")
+    return "\n".join(rows) + "\n"
+
+
+def run_calibrate_world(arm: str, points: Path, out: Path) -> dict[str, Any]:
+    """Find where the rig stands to the arm's base, write world.yaml; return the figures. Raises DataRefused."""
+    result = calibrate_world(load_arm(arm), read_arm_points(points))
+    n_used = len(result.residual_m) - len(result.rejected)
+    world = World(
+        parent="base",
+        T_parent_rig=result.T_base_rig,
+        covariance=result.covariance,
+        residual_rms_m=result.residual_rms_m,
+        n_used=n_used,
+    )
+    write_world(out, world, inputs=[points])
+    std: Mapping[str, float] = result.covariance.std()
+    return {
+        "T_base_rig": pose_mapping(result.T_base_rig),
+        "std": dict(std),
+        "residual_rms_m": result.residual_rms_m,
+        "n_used": n_used,
+        "rejected": [{"row": row + 1, "why": why} for row, why in result.rejected],
+    }

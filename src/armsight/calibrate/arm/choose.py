@@ -1,0 +1,81 @@
+"""Which parameters the measurements can tell, by pivoting in the order of what they tell most."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.calibrate.arm.fit import Tolerance
+from armsight.calibrate.arm.model import ArmModel
+from armsight.calibrate.arm.points import ArmPoints
+
+Array = NDArray[np.float64]
+
+WORTH = 2.0
+"""A parameter is freed where the measurements alone would know it to a half of its tolerance."""
+APART = 0.02
+"""Share of a parameter's effect that must be its own, not that of base, tool and the parameters freed before."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Choice:
+    """free: names in the order of what the measurements tell. fixed: (name, why) of all other candidates.
+
+    condition: of the freed columns, each scaled by its tolerance, beside base and tools.
+    """
+
+    free: tuple[str, ...]
+    fixed: tuple[tuple[str, str], ...]
+    condition: float
+
+
+def choose(
+    model: ArmModel,
+    points: ArmPoints,
+    p: Array,
+    candidates: Sequence[str],
+    tolerance: Tolerance,
+    noise: tuple[float, float],
+) -> Choice:
+    """Return which candidates can be told from each other and from base and tools by these measurements."""
+    J = model.evaluate(p, points, *noise).shared[0]
+    mounts = J[:, model.n_geometry :]
+    Q = _basis(mounts)
+    index = [model.names.index(name) for name in candidates]
+    columns = J[:, index] * np.array([tolerance.of(name) for name in candidates])
+    whole = np.linalg.norm(columns, axis=0)
+    left = columns - Q @ (Q.T @ columns)
+    free: list[int] = []
+    open_ = list(range(len(candidates)))
+    while open_:
+        size = np.linalg.norm(left[:, open_], axis=0)
+        fit = (size >= WORTH) & (size >= APART * whole[open_])
+        if not fit.any():
+            break
+        best = open_[int(np.argmax(np.where(fit, size, -1.0)))]
+        free.append(best)
+        open_.remove(best)
+        v = left[:, best] / np.linalg.norm(left[:, best])
+        left = left - np.outer(v, v @ left)
+    fixed = tuple((candidates[i], _why(whole[i], float(np.linalg.norm(left[:, i])))) for i in open_)
+    own = columns[:, free] - Q @ (Q.T @ columns[:, free])
+    condition = float(np.linalg.cond(own)) if free else 1.0
+    return Choice(free=tuple(candidates[i] for i in free), fixed=fixed, condition=condition)
+
+
+def _basis(columns: Array) -> Array:
+    """Return an orthonormal basis of the columns' span."""
+    size = np.linalg.norm(columns, axis=0)
+    U, s, _ = np.linalg.svd(columns[:, size > 0.0] / size[size > 0.0], full_matrices=False)
+    return np.asarray(U[:, s > 1e-9 * s[0]])
+
+
+def _why(whole: float, left: float) -> str:
+    if whole < WORTH:
+        return "the measurements tell less of it than its tolerance"
+    if left < APART * whole:
+        return "cannot be told apart from base, tool and the parameters that were freed"
+    return "what it does apart from the freed parameters is lost in the noise"

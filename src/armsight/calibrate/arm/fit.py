@@ -1,0 +1,109 @@
+"""One fit of an arm's parameters, with the noise estimated and gross errors held down."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from armsight.calibrate.arm.model import ArmModel
+from armsight.calibrate.arm.points import ArmPoints
+from armsight.fitting import Fit, Loss, LossKind, Prior, Problem, Settings, solve
+
+Array = NDArray[np.float64]
+
+MEDIAN_3 = float(chi2.median(3))
+"""Median of a squared length of three unit normals: the noise comes from the median, which gross errors leave alone."""
+ROUNDS = 4
+"""Fits with the noise of the one before; the ratio of the two noises settles in two or three."""
+LEAST_SIGMA = 1e-9
+"""Noise (m, rad) of data without any; a test's, never a measurement's."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tolerance:
+    """What a nominal arm is believed to: deviations of its lengths, angles, joint scales and couplings."""
+
+    length_m: float = 2e-3
+    angle_rad: float = 0.03
+    scale: float = 0.02
+    coupling: float = 0.1
+
+    def of(self, name: str) -> float:
+        """Return the deviation of a parameter by its name."""
+        if name.endswith(".scale"):
+            return self.scale
+        if ".by_" in name:
+            return self.coupling
+        return self.length_m if name.endswith("_m") else self.angle_rad
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ArmFit:
+    """Parameters p, the fit they came from, and the noise of places and rotations found.
+
+    free: names of what was fitted, base and tools included. prior_weight: 1 / tolerance^2 of each, 0 without one.
+    """
+
+    p: Array
+    fit: Fit
+    sigma_m: float
+    sigma_rad: float
+    free: tuple[str, ...]
+    prior_weight: Array
+
+
+def fit_arm(
+    model: ArmModel,
+    points: ArmPoints,
+    guess: Array,
+    free: Collection[str],
+    tolerance: Tolerance,
+    noise: tuple[float, float] | None = None,
+) -> ArmFit:
+    """Return the parameters named in free, and base and tools, by maximum likelihood with priors from the tolerances.
+
+    noise: (m, rad) where it is known; else it is found. Base and tools may leave directions open (a tool on the last
+    axis); they then stay near the guess. Raises NotConverged.
+    """
+    mounts = [name for name in model.mounts if points.rotation is not None or not _tool_turn(name)]
+    fixed = frozenset(model.names) - set(free) - set(mounts)
+    priors = {name: Prior(mean=0.0, sigma=tolerance.of(name)) for name in free}
+    rows = 6 if points.rotation is not None else 3
+    loss = Loss(kind=LossKind.HUBER, scale=float(np.sqrt(chi2.ppf(0.99, rows))), block=rows)
+    sigma = noise or _noise(model, guess, points, 0)
+    p = guess
+    for _ in range(1 if noise else ROUNDS):
+        problem = Problem(
+            names=model.names, guess=p, n_residuals=rows * len(points), fixed=fixed, priors=priors, loss=loss,
+            evaluate=lambda q, _, s=sigma: model.evaluate(q, points, *s),  # type: ignore[misc]
+            retract=model.retract, local_guess=np.zeros((1, 0)),
+        )  # fmt: skip
+        fit = solve(problem, Settings(allow_undetermined=True, max_iterations=200))
+        p = fit.shared
+        before, sigma = sigma, noise or _noise(model, p, points, len(free) + len(mounts))
+        if max(abs(np.log(np.divide(sigma, before)))) < 0.01:
+            break
+    fitted = tuple(name for name in model.names if name not in fixed)
+    weight = np.array([tolerance.of(name) ** -2 if name in priors else 0.0 for name in fitted])
+    return ArmFit(p=p, fit=fit, sigma_m=sigma[0], sigma_rad=sigma[1], free=fitted, prior_weight=weight)
+
+
+def _tool_turn(name: str) -> bool:
+    return name.startswith("tool") and name.rsplit(".", 1)[1] in ("rx_rad", "ry_rad", "rz_rad")
+
+
+def _noise(model: ArmModel, p: Array, points: ArmPoints, n_free: int) -> tuple[float, float]:
+    """Return the deviations of one coordinate of place and of rotation, from the medians of the residuals."""
+    place, turn = model.errors(p, points)
+    m = len(points)
+    rows = 6 if points.rotation is not None else 3
+    spent = np.sqrt(rows * m / max(rows * m - n_free, 0.25 * rows * m))
+
+    def one(r: Array) -> float:
+        return max(float(np.sqrt(np.median((r**2).sum(axis=1)) / MEDIAN_3) * spent), LEAST_SIGMA)
+
+    return one(place), one(turn) if points.rotation is not None else 1.0

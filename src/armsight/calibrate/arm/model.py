@@ -1,0 +1,153 @@
+"""The arm as a function of its parameters: links, zeros, scales, couplings, base and the tool's points."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from armsight.calibrate.arm.points import ArmPoints
+from armsight.fitting import Evaluation
+from armsight.kinematics import Arm, forward, parameter_jacobian, parameter_names
+
+Array = NDArray[np.float64]
+
+LINK = ("a_m", "alpha_rad", "d_m", "theta_rad", "beta_rad")
+POSE = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
+THETA, D = LINK.index("theta_rad"), LINK.index("d_m")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ArmModel:
+    """A nominal arm, and what of its tool is seen.
+
+    Parameters: changes of the links ('j1.a_m' ..), of the joints' scales ('j1.scale'), couplings ('j3.by_j2': the share
+    of j2's reading that is added to j3's), then base and tool poses as position and rotation vector ('base.x_m' ..,
+    'tool.x_m' ..; of several points 'tool:NAME.x_m'). turned: rotations were measured too.
+    """
+
+    arm: Arm
+    labels: tuple[str, ...]
+    turned: bool
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all parameters."""
+        joints = [joint.name for joint in self.arm.joints]
+        links = parameter_names(self.arm)[: 5 * self.arm.n]
+        scales = tuple(f"{name}.scale" for name in joints)
+        couplings = tuple(f"{b}.by_{a}" for a, b in pairwise(joints))
+        return (*links, *scales, *couplings, *self.mounts)
+
+    @property
+    def mounts(self) -> tuple[str, ...]:
+        """Names of the parameters of base and tools."""
+        tools = ["tool" if not label else f"tool:{label}" for label in self.labels]
+        return tuple(f"{part}.{key}" for part in ("base", *tools) for key in POSE)
+
+    @property
+    def n_geometry(self) -> int:
+        """How many parameters come before those of base and tools."""
+        return 7 * self.arm.n - 1
+
+    def vector(self, base: RigidTransform, tools: Sequence[RigidTransform]) -> Array:
+        """Return the parameters of the nominal geometry with these mounts."""
+        mounts = [np.concatenate([T.translation, T.rotation.as_rotvec()]) for T in (base, *tools)]
+        return np.concatenate([np.zeros(self.n_geometry), *mounts])
+
+    def pose(self, p: Array, k: int) -> RigidTransform:
+        """Return the base (k = 0) or the tool k - 1 of parameters p."""
+        v = np.array(p[self.n_geometry + 6 * k :][:6])
+        return RigidTransform.from_components(v[:3], Rotation.from_rotvec(v[3:]))
+
+    def arm_at(self, p: Array, tool: int = 0) -> Arm:
+        """Return the arm of parameters p, without its couplings (see readings)."""
+        n = self.arm.n
+        links, scales = p[: 5 * n].reshape(n, 5), p[5 * n : 6 * n]
+        joints = tuple(
+            replace(
+                joint,
+                **{key: getattr(joint, key) + change for key, change in zip(LINK, row.tolist(), strict=True)},
+                sign=joint.sign * (1.0 + float(scale)),
+            )
+            for joint, row, scale in zip(self.arm.joints, links, scales, strict=True)
+        )
+        return replace(
+            self.arm, joints=joints, T_world_base=self.pose(p, 0), T_flange_tool=self.pose(p, tool + 1), covariance=None
+        )
+
+    def readings(self, p: Array, q: Array) -> Array:
+        """Return joint values (m, n) as the uncoupled arm takes them."""
+        out = q.copy()
+        out[:, 1:] += p[6 * self.arm.n : self.n_geometry] * q[:, :-1]
+        return out
+
+    def predict(self, p: Array, points: ArmPoints) -> tuple[Array, Array]:
+        """Return the tool's poses (m, 4, 4) and their derivative (m, 6, P), (dt, dw) in world axes."""
+        n, g = self.arm.n, self.n_geometry
+        T = np.empty((len(points), 4, 4))
+        J = np.zeros((len(points), 6, len(p)))
+        which = self._which(points)
+        sign = np.array([joint.sign for joint in self.arm.joints])
+        scaled = sign * (1.0 + p[5 * n : 6 * n])
+        drive = 5 * np.arange(n) + np.where(self.arm.revolute, THETA, D)
+        for k in range(len(self.labels)):
+            rows = np.flatnonzero(which == k)
+            q = self.readings(p, points.q[rows])
+            T[rows], own = parameter_jacobian(self.arm_at(p, k), q)
+            J[rows, :, : 5 * n] = own[:, :, : 5 * n]
+            turn = own[:, :, drive]  # (m, 6, n)
+            J[rows, :, 5 * n : 6 * n] = turn * (sign * q)[:, None, :]
+            J[rows, :, 6 * n : g] = turn[:, :, 1:] * (scaled[1:] * points.q[rows][:, :-1])[:, None, :]
+            J[rows, :, g : g + 6] = own[:, :, 5 * n : 5 * n + 6]
+            J[rows, :, g + 6 * (k + 1) : g + 6 * (k + 2)] = own[:, :, 5 * n + 6 :]
+        return T, J
+
+    def _which(self, points: ArmPoints) -> NDArray[np.intp]:
+        """Return (m,) which of the tool's points each row is of."""
+        place = {label: k for k, label in enumerate(self.labels)}
+        return np.array([place[label] for label in points.point], dtype=np.intp)
+
+    def errors(self, p: Array, points: ArmPoints) -> tuple[Array, Array]:
+        """Return the errors of place (m, 3) and, where measured, of rotation (m, 3), model minus measurement."""
+        T = np.empty((len(points), 4, 4))
+        which = self._which(points)
+        for k in range(len(self.labels)):
+            rows = which == k
+            T[rows] = forward(self.arm_at(p, k), self.readings(p, points.q[rows]))
+        return _errors(T, points)
+
+    def evaluate(self, p: Array, points: ArmPoints, sigma_m: float, sigma_rad: float) -> Evaluation:
+        """Return whitened residuals and Jacobian; one block of three or six rows per measurement."""
+        T, J = self.predict(p, points)
+        place, turn = _errors(T, points)
+        r = place / sigma_m
+        slopes = J[:, :3] / sigma_m
+        if self.turned:
+            r = np.concatenate([r, turn / sigma_rad], axis=1)
+            slopes = np.concatenate([slopes, J[:, 3:] / sigma_rad], axis=1)
+        return Evaluation(
+            residuals=r.reshape(1, -1),
+            shared=slopes.reshape(1, -1, len(p)),
+            local=np.empty((1, r.size, 0)),
+        )
+
+    def retract(self, p: Array, local: Array, step: Array, step_local: Array) -> tuple[Array, Array]:
+        """Move by a step: poses as t + dt, Exp(dw) R, all else by addition."""
+        out = p + step
+        for k in range(len(self.labels) + 1):
+            at = slice(self.n_geometry + 6 * k + 3, self.n_geometry + 6 * k + 6)
+            out[at] = (Rotation.from_rotvec(step[at]) * Rotation.from_rotvec(np.array(p[at]))).as_rotvec()
+        return out, local + step_local
+
+
+def _errors(T: Array, points: ArmPoints) -> tuple[Array, Array]:
+    place = T[:, :3, 3] - points.xyz_m
+    if points.rotation is None:
+        return place, np.zeros((len(points), 3))
+    turn = Rotation.from_matrix(T[:, :3, :3] @ points.rotation.transpose(0, 2, 1)).as_rotvec()
+    return place, np.asarray(turn)

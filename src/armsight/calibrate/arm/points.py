@@ -1,0 +1,101 @@
+"""What was measured of an arm: its tool at joint readings, in any fixed frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.errors import Inconsistent, NotEnoughData
+from armsight.kinematics import Arm, forward
+from armsight.records import frozen_array
+
+Array = NDArray[np.float64]
+
+MOST_TURNS_RAD = 40.0
+"""A turning joint's reading beyond six turns is in degrees or counts."""
+
+FEWEST_ROWS = 6
+"""Base and one tool point alone have nine unknowns; three rows would fit anything."""
+
+WRONG_UNITS = {1000.0: "millimetres", 100.0: "centimetres", 39.37: "inches", 0.001: "kilometres"}
+NEAR_UNIT = 0.25
+"""Share by which the ratio of sizes may miss the ratio of units: a nominal arm and tool are that right at least."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ArmPoints:
+    """Measurements: joint readings q (m, n), places xyz_m (m, 3), and where known rotations (m, 3, 3).
+
+    point: (m,) names which of the tool's points a row is of.
+    """
+
+    q: Array
+    xyz_m: Array
+    rotation: Array | None = None
+    point: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        m = len(self.xyz_m)
+        object.__setattr__(self, "q", frozen_array("q", self.q, (m, np.shape(self.q)[-1])))
+        object.__setattr__(self, "xyz_m", frozen_array("xyz_m", self.xyz_m, (m, 3)))
+        if self.rotation is not None:
+            object.__setattr__(self, "rotation", frozen_array("rotation", self.rotation, (m, 3, 3)))
+        object.__setattr__(self, "point", tuple(self.point) or ("",) * m)
+        if len(self.point) != m:
+            raise Inconsistent(f"{m} places, but {len(self.point)} names of points")
+
+    def __len__(self) -> int:
+        return len(self.xyz_m)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The names of the tool's points, sorted."""
+        return tuple(sorted(set(self.point)))
+
+    def take(self, rows: NDArray[np.intp]) -> ArmPoints:
+        """Return the measurements of some rows."""
+        rotation = None if self.rotation is None else self.rotation[rows]
+        return ArmPoints(
+            q=self.q[rows], xyz_m=self.xyz_m[rows], rotation=rotation, point=tuple(self.point[i] for i in rows)
+        )
+
+
+def check_points(arm: Arm, points: ArmPoints) -> None:
+    """Raise NotEnoughData or Inconsistent for measurements that cannot be of this arm: count, units, other joints."""
+    if points.q.shape[1] != arm.n:
+        raise Inconsistent(
+            f"the rows have {points.q.shape[1]} joint readings, {arm.name} has {arm.n} joints",
+            consequence="They cannot be of this arm",
+            cure="Give the file of this arm, with q1 .. qn in the order of its joints",
+        )
+    if len(points) < FEWEST_ROWS:
+        raise NotEnoughData(
+            f"{len(points)} measurements; {FEWEST_ROWS} is the least",
+            consequence="Even base and tool would fit anything",
+            cure="Measure more joint positions",
+        )
+    turns = np.abs(points.q[:, arm.revolute])
+    if turns.size and turns.max() > MOST_TURNS_RAD:
+        raise Inconsistent(
+            f"a joint reading of {turns.max():.4g} rad is {turns.max() / (2 * np.pi):.0f} turns",
+            consequence="The arm is not calibrated",
+            cure="Give radians; the numbers look like degrees",
+        )
+    _check_units(arm, points)
+
+
+def _check_units(arm: Arm, points: ArmPoints) -> None:
+    there = forward(arm, points.q)[:, :3, 3]
+    expected = np.linalg.norm(there - there.mean(axis=0), axis=1).mean()
+    seen = np.linalg.norm(points.xyz_m - points.xyz_m.mean(axis=0), axis=1).mean()
+    if not expected > 0.0:
+        return
+    for factor, unit in WRONG_UNITS.items():
+        if abs(seen / expected / factor - 1.0) < NEAR_UNIT:
+            raise Inconsistent(
+                f"the places spread {seen / expected:.4g} times as far as {arm.name} moves its tool",
+                consequence="The arm is not calibrated",
+                cure=f"Give metres; the numbers look like {unit}",
+            )

@@ -1,0 +1,105 @@
+"""Which joint positions to measure next: those that shrink the doubt of the arm most (D-optimal, greedy)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.calibrate.arm.choose import choose
+from armsight.calibrate.arm.fit import ArmFit, Tolerance
+from armsight.calibrate.arm.model import ArmModel
+from armsight.calibrate.arm.points import ArmPoints
+from armsight.errors import NotEnoughData
+
+Array = NDArray[np.float64]
+
+CANDIDATES = 1500
+"""Joint positions looked at, drawn evenly within the limits."""
+OPEN_RAD = np.pi
+"""Range of a joint without limits, to either side."""
+OPEN_M = 0.3
+"""Range of a slide without limits, to either side."""
+SEED = 5
+"""The same measurements give the same proposal."""
+
+Visible = Callable[[Array], NDArray[np.bool_]]
+"""Places (m, 3) in the frame of the measurements -> which of them both cameras see."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Proposal:
+    """Joint values q (n, joints) in the order of their worth, and the deviations expected with all of them, by name."""
+
+    q: Array
+    expected_std: dict[str, float]
+    std_now: dict[str, float]
+
+
+def propose(
+    model: ArmModel,
+    fitted: ArmFit,
+    points: ArmPoints,
+    n: int,
+    *,
+    tolerance: Tolerance | None = None,
+    visible: Visible | None = None,
+) -> Proposal:
+    """Return n further joint positions for the geometry's parameters.
+
+    Each is the candidate within the limits (and seen, where visible is given) that adds most to the determinant of
+    the information on what positions at all candidates could tell. Raises NotEnoughData where no candidate is seen.
+    """
+    tolerance = tolerance or Tolerance()
+    rng = np.random.default_rng(SEED)
+    low, high = _ranges(model, points)
+    q = rng.uniform(low, high, (CANDIDATES, model.arm.n))
+    at = ArmPoints(q=q, xyz_m=np.zeros((len(q), 3)), point=(points.point[0],) * len(q))
+    place, _ = model.errors(fitted.p, at)
+    if visible is not None:
+        seen = np.flatnonzero(visible(place))
+        if not len(seen):
+            raise NotEnoughData(
+                "no joint position within the limits puts the tool where both cameras see it",
+                consequence="No measurement is proposed",
+                cure="Check the rig's place (world.yaml), or move the cameras",
+            )
+        at, place, q = at.take(seen), place[seen], q[seen]
+    there = ArmPoints(q=q, xyz_m=place, point=at.point)
+    noise = fitted.sigma_m, fitted.sigma_rad
+    plain = ArmModel(arm=model.arm, labels=model.labels, turned=False)
+    names = choose(plain, there, fitted.p, model.names[: 5 * model.arm.n], tolerance, noise).free
+    wanted = (*names, *(name for name in plain.mounts if not _turn_of_tool(name)))
+    index = [plain.names.index(name) for name in wanted]
+    scale = np.array([tolerance.of(name) if name in names else 1.0 for name in wanted])
+    J = plain.evaluate(fitted.p, there, *noise).shared[0][:, index].reshape(len(q), 3, -1) * scale
+    seen_J = model.evaluate(fitted.p, points, *noise).shared[0][:, index] * scale
+    H = seen_J.T @ seen_J + np.diag([1.0 if name in names else 1e-6 for name in wanted])
+    now = _std(H, wanted, scale)
+    order: list[int] = []
+    for _ in range(min(n, len(q))):
+        gain = np.linalg.slogdet(np.eye(3) + J @ np.linalg.solve(H, J.transpose(0, 2, 1)))[1]
+        gain[order] = -np.inf
+        best = int(gain.argmax())
+        order.append(best)
+        H = H + J[best].T @ J[best]
+    return Proposal(q=q[order], expected_std=_std(H, wanted, scale), std_now=now)
+
+
+def _ranges(model: ArmModel, points: ArmPoints) -> tuple[Array, Array]:
+    reach = np.where(model.arm.revolute, OPEN_RAD, OPEN_M)
+    middle = points.q.mean(axis=0)
+    low = np.where(np.isfinite(model.arm.lower), model.arm.lower, middle - reach)
+    high = np.where(np.isfinite(model.arm.upper), model.arm.upper, middle + reach)
+    return low, high
+
+
+def _turn_of_tool(name: str) -> bool:
+    return name.startswith("tool") and name.endswith("_rad")
+
+
+def _std(H: Array, names: Sequence[str], scale: Array) -> dict[str, float]:
+    deviations = np.sqrt(np.diag(np.linalg.inv(H))) * scale
+    return dict(zip(names, deviations.tolist(), strict=True))

@@ -1,0 +1,101 @@
+"""armsight calibrate arm, armsight calibrate robot-world."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from armsight.cli.face import Face
+from armsight.cli.options import AsJson
+from armsight.cli.tables import figure
+
+MM, DEG = 1e3, 57.29577951308232
+TOLERANCE_MM, TOLERANCE_DEG = 2.0, 1.72
+
+
+def arm(
+    model: Annotated[str, typer.Option(metavar="ARM", help="The nominal arm: arm.yaml, .urdf or a preset's name.")],
+    points: Annotated[Path, typer.Option(help="points.csv: q1..qn,x_m,y_m,z_m[,qx,qy,qz,qw][,point].")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="arm.yaml to write.")],
+    holdout: Annotated[Path | None, typer.Option(help="Further points, only for judging.")] = None,
+    scale: Annotated[bool, typer.Option("--scale/--no-scale", help="Try joint scales too.")] = True,
+    tolerance_mm: Annotated[float, typer.Option(min=1e-6, help="Deviation of nominal lengths.")] = TOLERANCE_MM,
+    tolerance_deg: Annotated[float, typer.Option(min=1e-6, help="Deviation of nominal angles.")] = TOLERANCE_DEG,
+    propose: Annotated[int, typer.Option(min=0, help="Propose so many further joint positions.")] = 0,
+    rig: Annotated[Path | None, typer.Option(help="rig.yaml, for proposals both cameras see; with --world.")] = None,
+    world: Annotated[Path | None, typer.Option(help="world.yaml: where that rig stands.")] = None,
+    json: AsJson = False,
+) -> None:
+    """Correct a known arm's geometry from measured positions, where a gain can be proved."""
+    with Face(as_json=json) as face:
+        from armsight.app.arm import ArmJob, run_calibrate_arm
+
+        job = ArmJob(
+            model=model,
+            points=points,
+            out=out,
+            holdout=holdout,
+            scale=scale,
+            tolerance_m=tolerance_mm / MM,
+            tolerance_rad=tolerance_deg / DEG,
+            propose=propose,
+            rig=rig,
+            world=world,
+        )
+        content = run_calibrate_arm(job)
+        left = "holdout" if "holdout" in content else "crossval"
+        errors = [
+            (name, part["before"], part["after"])
+            for name, part in (("rows used", content), ("rows left out", content[left]))
+        ]
+        rows = [
+            [name, *(figure(MM * part[key], 4) for part in (before, after) for key in ("mean_m", "max_m"))]
+            for name, before, after in errors
+        ]
+        face.table("Error at the tool's point, mm", ["", "before: mean", "max", "after: mean", "max"], rows)
+        freed = [[name, _shown(name, content["corrections"][name]), _shown(name, content["std"][name])]
+                 for name in content["free"]]  # fmt: skip
+        if freed:
+            face.table("Corrections", ["", "mm, deg or share", "+-"], freed)
+        face.say(content["verdict"])
+        for item in content["outliers"][:8]:
+            face.say(f"  row {item['row']} misses by {figure(MM * item['error_m'])} mm")
+        for q in content.get("proposals", ()):
+            face.say("  measure at " + ", ".join(f"{value:.4f}" for value in q))
+        face.say(f"Result: {out}; open {out.with_suffix('.report.html')}")
+        face.result(content)
+
+
+def robot_world(
+    arm: Annotated[str, typer.Option(metavar="ARM", help="arm.yaml, .urdf or a preset's name, its tool the beacon.")],
+    points: Annotated[Path, typer.Option(help="observed.csv: q1..qn,x_m,y_m,z_m in rig axes.")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="world.yaml to write.")],
+    json: AsJson = False,
+) -> None:
+    """Find where the rig stands to the arm's base, from observed points at joint readings."""
+    with Face(as_json=json) as face:
+        from armsight.app.arm import run_calibrate_world
+
+        content = run_calibrate_world(arm, points, out)
+        std, xyz = content["std"], content["T_base_rig"]["xyz_m"]
+        rows = [[a, figure(MM * xyz[i], 6), figure(MM * std[f"{a}_m"], 2)] for i, a in enumerate("xyz")]
+        rows += [[f"about {a}", "", f"{figure(DEG * std[f'r{a}_rad'], 2)} deg"] for a in "xyz"]
+        face.table("T_base_rig", ["", "mm", "+-"], rows)
+        face.say(f"{content['n_used']} points, residual {figure(MM * content['residual_rms_m'])} mm RMS. Result: {out}")
+        for item in content["rejected"][:8]:
+            face.say(f"  left out: row {item['row']}: {item['why']}")
+        face.result(content)
+
+
+def add_to(calibrate: typer.Typer) -> None:
+    """Add the two commands to `armsight calibrate`."""
+    calibrate.command("arm")(arm)
+    calibrate.command("robot-world")(robot_world)
+
+
+def _shown(name: str, value: float) -> str:
+    if name.endswith("_m"):
+        return figure(MM * value, 4)
+    return figure(DEG * value, 4) if name.endswith("_rad") else figure(value, 4)

@@ -1,0 +1,115 @@
+"""The page of an arm's calibration: verdict, errors before and after, corrections, what the tool's place is worth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.calibrate.arm import ArmCalibration, ArmPoints
+from armsight.report.figures import BLUE, GREY, INK, Figure, axis, layout
+from armsight.report.html import Card, Page, Verdict, figure_of, table, with_deviation
+from armsight.units import DEG, MM
+
+Array = NDArray[np.float64]
+
+CLOUD = 600
+"""Joint positions at which the tool's uncertainty is drawn."""
+
+
+def arm_report(
+    result: ArmCalibration,
+    points: ArmPoints,
+    *,
+    inputs: Sequence[tuple[str, str]] = (),
+    created: datetime | None = None,
+) -> str:
+    """Return the page as HTML text that needs no other file. inputs: (what, which) lines for the end of the page."""
+    page = Page(
+        title=f"Calibration of {result.nominal.name}",
+        subtitle=f"{len(points)} measurements, {result.level}",
+        verdict=Verdict(
+            level="good" if result.gain else "warn",
+            word="Better" if result.gain else "No gain",
+            sentence=result.verdict,
+        ),
+        cards=_cards(result),
+    )
+    page.add(
+        "Errors row by row",
+        "At the tool's point, with the nominal geometry (base and tool fitted) and with the corrected one.",
+        page.plot(error_figure(result)),
+    )
+    if result.free:
+        page.add("Corrections", "Changes to the nominal arm, with standard deviations.", _corrections(result))
+    page.add(
+        "Where the tool's place is how certain",
+        "The deviation that the arm's parameters leave at the tool, at random positions between those measured.",
+        page.plot(workspace_figure(result, points)),
+    )
+    if result.fixed:
+        page.add("Not corrected", "", table(["parameter", "why"], [list(item) for item in result.fixed]))
+    if result.outliers:
+        rows = [[row + 1, figure_of(error / MM, "mm")] for row, error in result.outliers]
+        page.add("Rows that miss by far", "They pulled little.", table(["row", "error"], rows, numbers=(1,)))
+    if inputs:
+        page.add("What went in", "", table(["", ""], [list(item) for item in inputs]))
+    return page.html(created=created or datetime.now())
+
+
+def _cards(result: ArmCalibration) -> list[Card]:
+    kind = "holdout" if result.held else "left out in turn"
+    return [
+        Card(name="before, rows left out", value=figure_of(result.left_before.mean_m / MM, "mm"), note=f"mean, {kind}"),
+        Card(name="after, rows left out", value=figure_of(result.left_after.mean_m / MM, "mm"), note=f"mean, {kind}"),
+        Card(name="largest, after", value=figure_of(result.left_after.max_m / MM, "mm"), note=kind),
+        Card(name="noise of a place", value=figure_of(result.fitted.sigma_m / MM, "mm"), note="one coordinate"),
+        Card(name="parameters corrected", value=str(len(result.free)), note=f"condition {result.condition:.3g}"),
+    ]
+
+
+def _corrections(result: ArmCalibration) -> str:
+    std = result.std()
+    rows = []
+    for name in result.free:
+        unit, factor = ("mm", MM) if name.endswith("_m") else ("°", DEG) if name.endswith("_rad") else ("", 1.0)
+        shown, doubt = with_deviation(result.change(name) / factor, std[name] / factor)
+        rows.append([name, shown, doubt, unit])
+    return table(["parameter", "change", "+-", "unit"], rows, numbers=(1, 2))
+
+
+def error_figure(result: ArmCalibration) -> Figure:
+    """Return the errors of all rows before and after."""
+    rows = np.arange(1, len(result.error_m) + 1)
+    traces = [
+        {"type": "scatter", "mode": "markers", "name": name, "x": rows, "y": errors / MM, "marker": {"color": colour}}
+        for name, errors, colour in (("nominal", result.before_m, GREY), ("corrected", result.error_m, BLUE))
+    ]
+    high = axis("error, mm", type="log") if result.before_m.min() > 0.0 else axis("error, mm")
+    return Figure(data=traces, layout=layout(xaxis=axis("row"), yaxis=high))
+
+
+def workspace_figure(result: ArmCalibration, points: ArmPoints) -> Figure:
+    """Return the tool's place at random joint positions, coloured by its standard deviation."""
+    q = np.random.default_rng(0).uniform(points.q.min(axis=0), points.q.max(axis=0), (CLOUD, points.q.shape[1]))
+    there = ArmPoints(q=q, xyz_m=np.zeros((CLOUD, 3)), point=(points.point[0],) * CLOUD)
+    T, J = result.model.predict(result.fitted.p, there)
+    sigma = np.zeros(CLOUD)
+    if result.covariance is not None:
+        index = [result.model.names.index(name) for name in result.covariance.names]
+        A = J[:, :3, index]
+        sigma = np.sqrt(np.einsum("mij,jk,mik->m", A, result.covariance.matrix, A))
+    xyz = T[:, :3, 3] / MM
+    cloud = {
+        "type": "scatter3d", "mode": "markers", "name": "tool", "x": xyz[:, 0], "y": xyz[:, 1], "z": xyz[:, 2],
+        "marker": {"size": 3, "color": sigma / MM, "colorscale": "Viridis", "colorbar": {"title": {"text": "mm"}}},
+    }  # fmt: skip
+    seen = points.xyz_m / MM
+    measured = {
+        "type": "scatter3d", "mode": "markers", "name": "measured", "x": seen[:, 0], "y": seen[:, 1], "z": seen[:, 2],
+        "marker": {"size": 2, "color": INK, "symbol": "cross"},
+    }  # fmt: skip
+    scene = {"aspectmode": "data", **{f"{a}axis": {"title": {"text": f"{a}, mm"}} for a in "xyz"}}
+    return Figure(data=[cloud, measured], layout=layout(scene=scene), height_px=520)

@@ -1,0 +1,46 @@
+"""points.csv: the tool's places, and maybe rotations, at joint readings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from armsight.calibrate.arm import ArmPoints
+from armsight.errors import BadFile
+from armsight.geometry import pose_from_quat
+from armsight.store.schema import named
+from armsight.store.tables import read_table
+from armsight.store.tracks import POSITION, QUATERNION
+
+
+def read_arm_points(path: Path) -> ArmPoints:
+    """Return the measurements of a points.csv: q1..qn,x_m,y_m,z_m[,qx,qy,qz,qw][,point].
+
+    Raises BadFile that names line and column.
+    """
+    table = read_table(path, POSITION, optional=(*QUATERNION, "point"), text=("point",), series="q")
+    readings = table.series("q")
+    if not readings:
+        raise BadFile(f"{path}: no column q1", consequence="The file is not used", cure="Give q1 .. qn in every row")
+    turns = [name for name in QUATERNION if name in table.numbers]
+    if turns and len(turns) < len(QUATERNION):
+        raise BadFile(
+            f"{path}: of the quaternion only {', '.join(turns)} is there",
+            consequence="The file is not used",
+            cure="Give qx, qy, qz and qw, or none of them",
+        )
+    rotation = None
+    if turns:
+        with named(str(path)):
+            poses = [
+                pose_from_quat(xyz, quat)
+                for xyz, quat in zip(table.stacked(POSITION), table.stacked(QUATERNION), strict=True)
+            ]
+        rotation = np.stack([pose.rotation.as_matrix() for pose in poses])
+    return ArmPoints(
+        q=table.stacked(readings),
+        xyz_m=table.stacked(POSITION),
+        rotation=rotation,
+        point=table.text.get("point", ()),
+    )
