@@ -19,9 +19,9 @@ MOST_TURNS_RAD = 40.0
 FEWEST_ROWS = 6
 """Base and one tool point alone have nine unknowns; three rows would fit anything."""
 
-WRONG_UNITS = {1000.0: "millimetres", 100.0: "centimetres", 39.37: "inches", 0.001: "kilometres"}
-NEAR_UNIT = 0.25
-"""Share by which the ratio of sizes may miss the ratio of units: a nominal arm and tool are that right at least."""
+UNITS = {1000.0: "millimetres", 100.0: "centimetres", 39.37: "inches", 1e-3: "kilometres"}
+ABSURD = 12.0
+"""Places that spread so many times as far as the arm moves its tool, or so many times less, are in another unit."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -92,10 +92,12 @@ def _check_units(arm: Arm, points: ArmPoints) -> None:
     seen = np.linalg.norm(points.xyz_m - points.xyz_m.mean(axis=0), axis=1).mean()
     if not expected > 0.0:
         return
-    for factor, unit in WRONG_UNITS.items():
-        if abs(seen / expected / factor - 1.0) < NEAR_UNIT:
-            raise Inconsistent(
-                f"the places spread {seen / expected:.4g} times as far as {arm.name} moves its tool",
-                consequence="The arm is not calibrated",
-                cure=f"Give metres; the numbers look like {unit}",
-            )
+    ratio = seen / expected
+    if 1.0 / ABSURD < ratio < ABSURD:
+        return
+    unit = UNITS[min(UNITS, key=lambda factor: abs(np.log(max(ratio, 1e-12) / factor)))]
+    raise Inconsistent(
+        f"the places spread {ratio:.4g} times as far as {arm.name} moves its tool",
+        consequence="The arm is not calibrated",
+        cure=f"Give metres; the numbers look like {unit}",
+    )

@@ -20,7 +20,7 @@ from armsight.records import NamedCovariance
 Array = NDArray[np.float64]
 
 NAMES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
-GROSS = float(np.sqrt(chi2.ppf(0.9999, 3)))
+GROSS = float(np.sqrt(chi2.ppf(1.0 - 1e-7, 3)))
 """Errors beyond so many deviations are gross, and left out."""
 LEAST_LEFT = 4
 """Rows that must be left: six unknowns, and something to judge them by."""

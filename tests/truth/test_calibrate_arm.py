@@ -1,0 +1,244 @@
+"""A known arm corrected from simulated measurements, against the truth and the Cramer-Rao prediction; and on real ones.
+
+The arms are simulated here, by Denavit-Hartenberg matrices of the test's own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from armsight.calibrate.arm import ArmPoints, calibrate_arm, calibrate_world, propose
+from armsight.errors import Inconsistent, NotEnoughData
+from armsight.kinematics import Arm, Joint, preset
+from armsight.store.arm_points import read_arm_points
+
+Array = NDArray[np.float64]
+
+DATA = Path(__file__).parents[3] / "shared" / "data"
+NOISE_M = 1.3e-4
+REACH = np.array([1.5, 0.8, 0.8, 2.0, 1.5, 2.5])
+WHERE = RigidTransform.from_components([0.4, -0.2, 0.7], Rotation.from_rotvec([0.3, -0.5, 1.1]))
+
+real = pytest.mark.skipif(not DATA.is_dir(), reason="the real measurements are not beside the project")
+
+
+def flange(rows: Array, q: Array) -> Array:
+    """T_base_flange (m, 4, 4) of rows (theta, d, a, alpha) at q (m, n)."""
+    T = np.tile(np.eye(4), (len(q), 1, 1))
+    for (theta, d, a, alpha), values in zip(rows, q.T, strict=True):
+        c, s, ca, sa = np.cos(values + theta), np.sin(values + theta), np.cos(alpha), np.sin(alpha)
+        A = np.zeros((len(q), 4, 4))
+        A[:, 0], A[:, 1] = (np.stack(row, axis=1) for row in (
+            (c, -s * ca, s * sa, a * c), (s, c * ca, -c * sa, a * s)))  # fmt: skip
+        A[:, 2], A[:, 3, 3] = (0.0, sa, ca, d), 1.0
+        T = T @ A
+    return T
+
+
+def table(arm: Arm) -> Array:
+    return np.array([[j.theta_rad, j.d_m, j.a_m, j.alpha_rad] for j in arm.joints])
+
+
+@dataclass(frozen=True)
+class Cell:
+    """An arm with zeros off by about 2 degrees and lengths by about 0.5 mm, and a tool with points."""
+
+    arm: Arm
+    true: Array
+    tools: Array
+
+    def points(self, q: Array, rng: np.random.Generator, noise_m: float = NOISE_M) -> ArmPoints:
+        T = WHERE.as_matrix() @ flange(self.true, q)
+        x = np.einsum("mij,kj->mki", T[:, :3, :3], self.tools) + T[:, None, :3, 3]
+        n = len(self.tools)
+        return ArmPoints(
+            q=np.repeat(q, n, axis=0),
+            xyz_m=x.reshape(-1, 3) + rng.normal(0.0, noise_m, (n * len(q), 3)),
+            point=tuple(f"P{k}" for k in range(n)) * len(q),
+        )
+
+
+def cell(rng: np.random.Generator) -> Cell:
+    arm = preset("irb120")
+    off = rng.normal(size=(arm.n, 4)) * [np.deg2rad(2.0), 5e-4, 5e-4, 0.0]
+    return Cell(arm, table(arm) + off, rng.normal([0.0, 0.0, 0.1], 0.08, (3, 3)))
+
+
+def test_left_out_errors_are_what_the_cramer_rao_bound_predicts() -> None:
+    """36 configurations of 3 tool points; the prediction is the noise and the parameters' doubt at further places."""
+    ratios, inside = [], []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        made = cell(rng)
+        q = rng.uniform(-1.0, 1.0, (36, 6)) * REACH
+        far = made.points(rng.uniform(-1.0, 1.0, (100, 6)) * REACH, rng)
+        result = calibrate_arm(made.arm, made.points(q, rng), holdout=far)
+        assert result.gain and result.level == "geometry"
+        assert result.left_before.mean_m > 5e-3
+        assert result.fitted.sigma_m == pytest.approx(NOISE_M, rel=0.2)  # 324 coordinates: 4 %, from medians 7 %
+        _, J = result.model.predict(result.fitted.p, far)
+        assert result.covariance is not None
+        A = J[:, :3, [result.model.names.index(name) for name in result.covariance.names]]
+        C = np.einsum("mij,jk,mlk->mil", A, result.covariance.matrix, A)
+        claimed = C + NOISE_M**2 * np.eye(3)
+        e = result.model.errors(result.fitted.p, far)[0]
+        ratios.append(np.sqrt(np.mean(np.sum(e**2, axis=1)) / np.mean(np.trace(claimed, axis1=1, axis2=2))))
+        inside.append(np.mean(np.einsum("mi,mij,mj->m", e, np.linalg.inv(claimed), e) < 7.815))
+    assert np.mean(ratios) < 1.1
+    assert 0.91 < np.mean(inside) < 0.985  # 95 %; rows of one calibration hang together
+
+
+def test_corrections_are_found_within_their_deviations() -> None:
+    chi2 = []
+    for seed in range(12):
+        rng = np.random.default_rng(100 + seed)
+        arm = preset("irb120")
+        zero = np.deg2rad(1.0) * rng.normal(size=6)
+        true = table(arm)
+        true[:, 0] += zero
+        made = Cell(arm, true, np.array([[0.05, 0.02, 0.1], [-0.06, 0.01, 0.12], [0.0, 0.05, 0.15]]))
+        result = calibrate_arm(arm, made.points(rng.uniform(-1.0, 1.0, (36, 6)) * REACH, rng), scale=False)
+        std = result.std()
+        names = [name for name in result.free if name.endswith("theta_rad")]
+        joints = {f"{joint.name}.theta_rad": value for joint, value in zip(arm.joints, zero, strict=True)}
+        assert len(names) >= 3
+        chi2 += [((result.change(name) - joints[name]) / std[name]) ** 2 for name in names]
+    assert np.mean(chi2) == pytest.approx(1.0, abs=0.6)  # about 40 terms: 1 +- 0.22
+
+
+def test_an_elbow_whose_reading_is_absolute_is_found() -> None:
+    rng = np.random.default_rng(3)
+    made = cell(rng)
+    points = made.points(rng.uniform(-1.0, 1.0, (40, 6)) * REACH, rng)
+    reading = points.q.copy()
+    reading[:, 2] += reading[:, 1]  # the controller shows q3 + q2: the arm turns by q3 - q2 of the readings
+    absolute = ArmPoints(q=reading, xyz_m=points.xyz_m, point=points.point)
+    result = calibrate_arm(made.arm, absolute)
+    names = [joint.name for joint in made.arm.joints]
+    assert result.couplings == ((names[2], names[1], -1.0),)
+    assert names[2] in result.verdict
+    assert result.left_after.mean_m < 3.0 * NOISE_M
+    assert calibrate_arm(made.arm, points).couplings == ()
+
+
+def test_a_perfect_arm_is_left_alone_and_gross_rows_are_named() -> None:
+    rng = np.random.default_rng(8)
+    arm = preset("irb120")
+    made = Cell(arm, table(arm), np.array([[0.05, 0.02, 0.1], [-0.06, 0.01, 0.12], [0.0, 0.05, 0.15]]))
+    points = made.points(rng.uniform(-1.0, 1.0, (30, 6)) * REACH, rng)
+    moved = points.xyz_m.copy()
+    moved[[7, 40]] += [[0.02, 0.0, 0.0], [0.0, -0.03, 0.01]]
+    result = calibrate_arm(arm, ArmPoints(q=points.q, xyz_m=moved, point=points.point))
+    assert not result.gain and result.free == () and "No gain" in result.verdict
+    assert [row for row, _ in result.outliers] == [7, 40]
+    np.testing.assert_array_equal(table(result.arm), table(arm))
+
+
+def test_joints_that_did_not_move_tell_nothing() -> None:
+    rng = np.random.default_rng(9)
+    made = cell(rng)
+    q = rng.uniform(-1.0, 1.0, (40, 6)) * REACH
+    q[:, 3:] = 0.2
+    result = calibrate_arm(made.arm, made.points(q, rng))
+    wrist = {f"{joint.name}.{key}" for joint in made.arm.joints[3:5] for key in ("theta_rad", "a_m", "d_m")}
+    assert not wrist & set(result.free)
+    assert {name for name, _ in result.fixed} >= wrist
+
+
+def test_wrong_units_counts_and_rows_are_refused() -> None:
+    rng = np.random.default_rng(10)
+    made = cell(rng)
+    points = made.points(rng.uniform(-1.0, 1.0, (20, 6)) * REACH, rng)
+    for factor, unit in ((1000.0, "millimetres"), (100.0, "centimetres")):
+        wrong = ArmPoints(q=points.q, xyz_m=factor * points.xyz_m, point=points.point)
+        with pytest.raises(Inconsistent, match=unit):
+            calibrate_arm(made.arm, wrong)
+    with pytest.raises(Inconsistent, match="degrees"):
+        calibrate_arm(made.arm, ArmPoints(q=np.rad2deg(points.q), xyz_m=points.xyz_m, point=points.point))
+    with pytest.raises(Inconsistent, match="6 joints"):
+        calibrate_arm(made.arm, ArmPoints(q=points.q[:, :5], xyz_m=points.xyz_m, point=points.point))
+    with pytest.raises(NotEnoughData):
+        calibrate_arm(made.arm, points.take(np.arange(4)))
+
+
+def test_proposed_positions_are_worth_more_than_random_ones() -> None:
+    rng = np.random.default_rng(12)
+    made = cell(rng)
+    points = made.points(rng.uniform(-0.3, 0.3, (15, 6)) * REACH, rng)
+    result = calibrate_arm(made.arm, points, scale=False)
+    told = propose(result.model, result.fitted, points, 8)
+    assert told.q.shape == (8, 6) and made.arm.within_limits(told.q).all()
+    assert all(told.expected_std[name] < told.std_now[name] for name in told.expected_std)
+
+    def size(q: Array) -> float:
+        more = calibrate_arm(made.arm, joined(points, made.points(q, np.random.default_rng(1))), scale=False)
+        std = more.std()
+        return float(np.mean([np.log(std[name]) for name in result.free if name in std]))
+
+    assert size(told.q) < size(rng.uniform(-0.3, 0.3, (8, 6)) * REACH) - 0.5
+    some = propose(result.model, result.fitted, points, 4, visible=lambda xyz: xyz[:, 2] > 0.7)
+    assert len(some.q) == 4
+    with pytest.raises(NotEnoughData, match="both cameras"):
+        propose(result.model, result.fitted, points, 4, visible=lambda xyz: np.zeros(len(xyz), bool))
+
+
+def joined(a: ArmPoints, b: ArmPoints) -> ArmPoints:
+    return ArmPoints(q=np.concatenate([a.q, b.q]), xyz_m=np.concatenate([a.xyz_m, b.xyz_m]), point=(*a.point, *b.point))
+
+
+def test_the_rig_is_found_at_the_base_with_true_deviations() -> None:
+    arm = preset("irb120")
+    chi2 = []
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        q = rng.uniform(-1.0, 1.0, (25, 6)) * REACH
+        base = flange(table(arm), q)[:, :3, 3]
+        seen = WHERE.inv().apply(base) + rng.normal(0.0, 1e-3, (25, 3))
+        seen[3] += 0.05
+        found = calibrate_world(arm, ArmPoints(q=q, xyz_m=seen))
+        assert [row for row, _ in found.rejected] == [3]
+        error = np.append(
+            found.T_base_rig.translation - WHERE.translation,
+            (found.T_base_rig.rotation * WHERE.rotation.inv()).as_rotvec(),
+        )
+        chi2.append(error @ np.linalg.solve(found.covariance.matrix, error) / 6.0)
+    assert np.mean(chi2) == pytest.approx(1.0, abs=0.4)  # 180 terms: 1 +- 0.1, the noise estimated
+
+
+@real
+def test_a_real_positioner_is_corrected_as_far_as_it_can_be() -> None:
+    base = RigidTransform.from_components([2.2, 0.0, 1.6], Rotation.from_euler("x", 90, degrees=True))
+    joints = (Joint(name="j1", alpha_rad=-np.pi / 2), Joint(name="j2", d_m=-0.475, theta_rad=-np.pi / 2))
+    arm = Arm(name="positioner", joints=joints, T_world_base=base)
+    train, holdout = (read_arm_points(DATA / "positioner" / f"{name}.csv") for name in ("train", "holdout"))
+    geometry = calibrate_arm(arm, train, holdout=holdout, scale=False)
+    assert geometry.gain and geometry.left_after.mean_m < 0.39e-3
+    scales = calibrate_arm(arm, train, holdout=holdout)
+    assert scales.gain and scales.left_after.mean_m < 0.365e-3
+
+
+@real
+@pytest.mark.parametrize("turned", [True, False])
+def test_no_gain_is_claimed_from_23_noisy_poses(turned: bool) -> None:
+    rows = (
+        (0.1807, 0.0, 1),
+        (0.0, -0.6127, 0),
+        (0.0, -0.57155, 0),
+        (0.17415, 0.0, 1),
+        (0.11985, 0.0, -1),
+        (0.11655, 0.0, 0),
+    )
+    joints = tuple(Joint(name=f"j{i}", d_m=d, a_m=a, alpha_rad=k * np.pi / 2) for i, (d, a, k) in enumerate(rows, 1))
+    arm = Arm(name="ur10e", joints=joints)
+    points = read_arm_points(DATA / "ur10_positions" / "points.csv")
+    if not turned:
+        points = ArmPoints(q=points.q, xyz_m=points.xyz_m)
+    result = calibrate_arm(arm, points)
+    assert not result.gain and "No gain" in result.verdict
+    np.testing.assert_array_equal(table(result.arm), table(arm))
