@@ -1,0 +1,199 @@
+"""One joint's path: circle or line by maximum likelihood, and which of the two by the chi-square test of MATH 4.3."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from armsight.calibrate.identify.seen import Seen
+from armsight.calibrate.identify.shapes import CIRCLE, LINE, Tilt, basis, circle, line
+from armsight.errors import NotConverged
+from armsight.fitting import Evaluation, Fit, Loss, LossKind, Problem, Settings, solve
+
+Array = NDArray[np.float64]
+
+SWUNG = 8
+"""Normals tried, swung about the chord: with a short arc the plane fit may be anywhere about it (MATH 4.3)."""
+GROSS = float(np.sqrt(chi2.ppf(1.0 - 1e-6, 3)))
+"""Readings beyond so many deviations are discarded."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PathFit:
+    """A circle (kind 'circle') or a line, fitted to the readings of one joint.
+
+    point_m: the circle's centre, or a point of the line. direction: the axis, its sense by the commanded values.
+    radius_m: 0 of a line. phase (N,): where on it the readings are (rad or m). chi2, dof: of the readings kept.
+    residual (N, rows): whitened. fit: the engine's.
+    """
+
+    kind: str
+    point_m: Array
+    direction: Array
+    radius_m: float
+    phase: Array
+    chi2: float
+    dof: int
+    residual: Array
+    fit: Fit
+
+    @property
+    def p(self) -> float:
+        """Probability that noise alone leaves as much."""
+        return float(chi2.sf(self.chi2, max(self.dof, 1)))
+
+
+def fit_line(seen: Seen, order: Array) -> PathFit:
+    """Return the line of greatest likelihood. order (N,): the commanded values, of which only the sense is used."""
+    xyz = seen.sweeps.xyz_m
+    middle = xyz.mean(axis=0)
+    direction = np.linalg.svd(xyz - middle)[2][0]
+    tilt = Tilt(B=basis(direction))
+
+    def evaluate(p: Array, t: Array) -> Evaluation:
+        X, J, Jt = line(tilt, middle, p, t[:, 0])
+        return _evaluation(seen, X, J, Jt)
+
+    problem = Problem(
+        names=LINE, guess=np.zeros(4), evaluate=evaluate, n_residuals=seen.rows * len(xyz), local_names=("t_m",),
+        local_guess=((xyz - middle) @ direction)[:, None], loss=_loss(seen),
+    )  # fmt: skip
+    fit = solve(problem, ROUGH)
+    d, _ = tilt.direction(fit.shared[2:])
+    point, t = middle + tilt.B[:, :2] @ fit.shared[:2], fit.local[:, 0]
+    sense = _sense(t, order)
+    return _path("line", seen, fit, point, sense * d, 0.0, sense * t, len(LINE))
+
+
+def fit_circle(seen: Seen, order: Array) -> PathFit:
+    """Return the circle of greatest likelihood; started from the plane fit and from normals swung about the chord."""
+    best: PathFit | None = None
+    starts = _starts(seen.sweeps.xyz_m)
+    flat = [_misfit(seen, *start) for start in starts]
+    for settings, k in [(SETTINGS, k) for k in np.argsort(flat)[:2]] + [(ROUGH, int(np.argmin(flat)))]:
+        if settings is ROUGH and best is not None:
+            break
+        try:
+            found = _circle_from(seen, *starts[int(k)], order, settings)
+        except NotConverged:
+            continue
+        if best is None or found.fit.cost < best.fit.cost:
+            best = found
+        if _decided(found):
+            break
+    if best is None:
+        raise NotConverged("no circle fits the readings", cure="Take readings over a longer arc")
+    return best
+
+
+def swung_axes(seen: Seen, order: Array, n: int) -> list[tuple[Array, Array]]:
+    """Return centre and direction of the n best circles a fit would start from, the sense by the commanded values."""
+    xyz = seen.sweeps.xyz_m
+    starts = sorted(_starts(xyz), key=lambda start: _misfit(seen, *start))
+    out = []
+    for normal, centre, _ in starts[:n]:
+        local = (xyz[np.argsort(order)] - centre) @ basis(normal)
+        phase = np.unwrap(np.arctan2(local[:, 1], local[:, 0]))
+        out.append((centre, normal if phase[-1] >= phase[0] else -normal))
+    return out
+
+
+def circle_misfit(seen: Seen) -> float:
+    """Return chi-square of the best of the circles a fit would start from."""
+    return min(_misfit(seen, *start) for start in _starts(seen.sweeps.xyz_m))
+
+
+def _starts(xyz: Array) -> list[tuple[Array, Array, float]]:
+    """Return normal, centre, radius of circles whose normals are swung about the chord."""
+    axes = np.linalg.svd(xyz - xyz.mean(axis=0))[2]
+    chord, normal = axes[0], axes[2]
+    side = np.array([chord[1] * normal[2] - chord[2] * normal[1], chord[2] * normal[0] - chord[0] * normal[2],
+                     chord[0] * normal[1] - chord[1] * normal[0]])  # fmt: skip
+    angles = np.arange(SWUNG) * np.pi / SWUNG
+    normals = [np.cos(angle) * normal + np.sin(angle) * side for angle in angles]
+    return [(n, *_flat_circle(xyz, n)) for n in normals]
+
+
+def _decided(found: PathFit) -> bool:
+    """Whether a fit is good enough not to try another start."""
+    return found.p > 1e-3
+
+
+def _circle_from(seen: Seen, n: Array, centre: Array, radius: float, order: Array, settings: Settings) -> PathFit:
+    xyz = seen.sweeps.xyz_m
+    tilt = Tilt(B=basis(n))
+    local = (xyz - centre) @ tilt.B
+    phi = np.arctan2(local[:, 1], local[:, 0])
+
+    def evaluate(p: Array, phase: Array) -> Evaluation:
+        X, J, Jt = circle(tilt, p, phase[:, 0])
+        return _evaluation(seen, X, J, Jt)
+
+    problem = Problem(
+        names=CIRCLE, guess=np.array([*centre, 0.0, 0.0, radius]), evaluate=evaluate,
+        n_residuals=seen.rows * len(xyz), local_names=("phase",), local_guess=phi[:, None], loss=_loss(seen),
+    )  # fmt: skip
+    fit = solve(problem, settings)
+    p = fit.shared
+    d, _ = tilt.direction(p[3:5])
+    phase = np.unwrap(fit.local[np.argsort(order), 0])
+    sense = 1.0 if phase[-1] >= phase[0] else -1.0
+    back = np.empty(len(phase))
+    back[np.argsort(order)] = phase
+    return _path("circle", seen, fit, p[:3].copy(), sense * d, abs(float(p[5])), sense * back, len(CIRCLE))
+
+
+ROUGH = Settings(max_iterations=200, allow_undetermined=True, cost_tolerance=1e-3, step_tolerance=1e-4)
+"""For a line far from fitting, where it does not matter how far, and for a centre that the noise leaves open."""
+SETTINGS = Settings(max_iterations=100, allow_undetermined=True, cost_tolerance=1e-6, step_tolerance=1e-6)
+"""For the circle: a short arc's centre runs along a valley in which nothing changes; a millionth of the cost is enough."""
+
+
+def _loss(seen: Seen) -> Loss:
+    return Loss(kind=LossKind.HUBER, scale=float(np.sqrt(chi2.ppf(0.999, seen.rows))), block=seen.rows)
+
+
+def _evaluation(seen: Seen, X: Array, J: Array, Jt: Array) -> Evaluation:
+    r, slopes = seen.residuals(X, np.concatenate([J, Jt[:, :, None]], axis=2))
+    return Evaluation(residuals=r, shared=slopes[:, :, :-1], local=slopes[:, :, -1:])
+
+
+def _path(
+    kind: str, seen: Seen, fit: Fit, point: Array, direction: Array, radius: float, phase: Array, n_shared: int
+) -> PathFit:
+    r = fit.residuals
+    dof = r.size - n_shared - len(r)
+    return PathFit(
+        kind=kind, point_m=point, direction=direction, radius_m=radius, phase=phase, chi2=float((r**2).sum()), dof=dof,
+        residual=r, fit=fit,
+    )  # fmt: skip
+
+
+def _sense(t: Array, order: Array) -> float:
+    return 1.0 if np.dot(t - t.mean(), order - order.mean()) >= 0.0 else -1.0
+
+
+def _flat_circle(xyz: Array, n: Array) -> tuple[Array, float]:
+    """Return centre and radius of the circle in the plane through the middle with normal n, by linear least squares."""
+    B = basis(n)
+    middle = xyz.mean(axis=0)
+    x = (xyz - middle) @ B[:, :2]
+    A = np.column_stack([2.0 * x, np.ones(len(x))])
+    a, b, c = np.linalg.lstsq(A, (x**2).sum(axis=1), rcond=None)[0]
+    radius = float(np.sqrt(max(c + a * a + b * b, 1e-12)))
+    return middle + B[:, :2] @ np.array([a, b]), radius
+
+
+def _misfit(seen: Seen, n: Array, centre: Array, radius: float) -> float:
+    """Return the whitened misfit of a circle, each reading put to its nearest place on it."""
+    xyz = seen.sweeps.xyz_m
+    B = basis(n)
+    local = (xyz - centre) @ B
+    phi = np.arctan2(local[:, 1], local[:, 0])
+    X = centre + radius * (np.outer(np.cos(phi), B[:, 0]) + np.outer(np.sin(phi), B[:, 1]))
+    r, _ = seen.residuals(X, np.zeros((len(xyz), 3, 1)))
+    size = float((r**2).sum())
+    return size if np.isfinite(size) else np.inf

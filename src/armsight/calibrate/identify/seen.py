@@ -1,0 +1,70 @@
+"""How far readings are from where a model puts the beacon, in deviations: by pixels of both cameras, or by places."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.calibrate.identify.kernels import see_many
+from armsight.calibrate.identify.sweeps import Sweeps
+from armsight.optics import PackedRig
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Seen:
+    """Readings, and what a residual is.
+
+    With a rig: pixels over sigma (px). Else places, whitened with their covariances times sigma^2, or over sigma (m)
+    where there are none. unit: the sigma with which the places' covariances were worked out.
+    """
+
+    sweeps: Sweeps
+    rig: PackedRig | None = None
+    sigma: float = 1.0
+    whitener: Array | None = field(default=None)
+    unit: float = 1.0
+
+    @property
+    def rows(self) -> int:
+        """Residuals of a reading."""
+        return 3 if self.rig is None else 4
+
+    def residuals(self, xyz_m: Array, J: Array) -> tuple[Array, Array]:
+        """Return whitened residuals (m, rows) of model places (m, 3), and derivatives (m, rows, P) from J (m, 3, P)."""
+        m = len(xyz_m)
+        if self.rig is None:
+            r = xyz_m - self.sweeps.xyz_m
+            W = self.whitener
+            if W is None:
+                return r / self.sigma, J / self.sigma
+            return np.einsum("mij,mj->mi", W, r) / self.sigma, W @ J / self.sigma
+        if self.sweeps.uv_px is None:
+            raise ValueError("readings without pixels")
+        uv, D = np.empty((m, 2, 2)), np.empty((m, 2, 2, 3))
+        see_many(self.rig.k, self.rig.R, self.rig.t, np.ascontiguousarray(xyz_m), uv, D)
+        r = (uv - self.sweeps.uv_px).reshape(m, 4) / self.sigma
+        return r, D.reshape(m, 4, 3) @ J / self.sigma
+
+    @property
+    def relative(self) -> float:
+        """Deviations of the places over those of their covariances."""
+        return self.sigma / self.unit
+
+    def take(self, rows: NDArray[np.intp]) -> Seen:
+        """Return some readings."""
+        whitener = None if self.whitener is None else self.whitener[rows]
+        return Seen(sweeps=self.sweeps.take(rows), rig=self.rig, sigma=self.sigma, whitener=whitener, unit=self.unit)
+
+    def at(self, sigma: float) -> Seen:
+        """Return the same readings with another noise."""
+        return Seen(sweeps=self.sweeps, rig=self.rig, sigma=sigma, whitener=self.whitener, unit=self.unit)
+
+
+def seen_places(sweeps: Sweeps, sigma: float) -> Seen:
+    """Return readings judged by their places."""
+    C = sweeps.covariance_m2
+    return Seen(sweeps=sweeps, sigma=sigma, whitener=None if C is None else np.linalg.inv(np.linalg.cholesky(C)))

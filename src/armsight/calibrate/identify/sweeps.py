@@ -1,0 +1,112 @@
+"""Readings of a beacon while one joint after the other moves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.errors import Inconsistent, NotEnoughData
+from armsight.optics import Rig, triangulate
+from armsight.records import frozen_array
+
+Array = NDArray[np.float64]
+
+FEWEST = 3
+"""Three points lie on a circle always; from four on something is left to judge by."""
+HELD = 1e-3
+"""Joints that hold still within a sweep may differ by so much (rad, m): what encoders and brakes leave."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Sweeps:
+    """Readings row by row: joint (m,) that moves, from 0; q (m, n); xyz_m (m, 3) in rig axes.
+
+    uv_px: (m, 2, 2) as [row, side], where a rig saw them. covariance_m2: (m, 3, 3) of the places, where known.
+    """
+
+    joint: NDArray[np.intp]
+    q: Array
+    xyz_m: Array
+    uv_px: Array | None = None
+    covariance_m2: Array | None = None
+
+    def __post_init__(self) -> None:
+        m = len(self.joint)
+        object.__setattr__(self, "joint", np.array(self.joint, dtype=np.intp))
+        object.__setattr__(self, "q", frozen_array("q", self.q, (m, np.shape(self.q)[-1])))
+        object.__setattr__(self, "xyz_m", frozen_array("xyz_m", self.xyz_m, (m, 3)))
+        if self.uv_px is not None:
+            object.__setattr__(self, "uv_px", frozen_array("uv_px", self.uv_px, (m, 2, 2)))
+        if self.covariance_m2 is not None:
+            object.__setattr__(self, "covariance_m2", frozen_array("covariance_m2", self.covariance_m2, (m, 3, 3)))
+
+    def __len__(self) -> int:
+        return len(self.joint)
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return int(self.q.shape[1])
+
+    def rows(self, joint: int) -> NDArray[np.intp]:
+        """Return the rows in which a joint (from 0) moves."""
+        return np.flatnonzero(self.joint == joint)
+
+    def take(self, rows: NDArray[np.intp]) -> Sweeps:
+        """Return some rows."""
+        return Sweeps(
+            joint=self.joint[rows],
+            q=self.q[rows],
+            xyz_m=self.xyz_m[rows],
+            uv_px=None if self.uv_px is None else self.uv_px[rows],
+            covariance_m2=None if self.covariance_m2 is None else self.covariance_m2[rows],
+        )
+
+
+def placed(sweeps: Sweeps, rig: Rig, sigma_px: float) -> Sweeps:
+    """Return the sweeps with places and covariances triangulated from their pixels. Raises Inconsistent without pixels."""
+    if sweeps.uv_px is None:
+        raise Inconsistent(
+            "the sweep has no pixel columns", consequence="The rig cannot be used",
+            cure="Give left_u_px, left_v_px, right_u_px, right_v_px, or leave the rig out",
+        )  # fmt: skip
+    noise = np.tile(sigma_px**2 * np.eye(2), (len(sweeps), 1, 1))
+    found = triangulate(rig, sweeps.uv_px[:, 0], sweeps.uv_px[:, 1], noise, noise)
+    return Sweeps(
+        joint=sweeps.joint, q=sweeps.q, xyz_m=found.xyz_m, uv_px=sweeps.uv_px, covariance_m2=found.covariance_m2
+    )
+
+
+def check_sweeps(sweeps: Sweeps) -> None:
+    """Raise NotEnoughData, Inconsistent for sweeps that cannot tell an arm: joints missing, moving together, too few."""
+    if len(sweeps) == 0 or sweeps.joint.min() < 0 or sweeps.joint.max() >= sweeps.n:
+        numbers = sorted(set((sweeps.joint + 1).tolist()))
+        raise Inconsistent(
+            f"the sweep moves joints {numbers}, its rows have {sweeps.n} joint values",
+            consequence="The arm is not identified",
+            cure="Number joints from 1, and give q1 .. qn in every row",
+        )
+    for joint in range(sweeps.n):
+        rows = sweeps.rows(joint)
+        if len(rows) < FEWEST:
+            raise NotEnoughData(
+                f"joint {joint + 1} has {len(rows)} readings; {FEWEST} is the least, ten are good",
+                consequence="Its axis cannot be found",
+                cure="Move every joint in a sweep of its own",
+            )
+        others = np.delete(sweeps.q[rows], joint, axis=1)
+        if others.size and np.ptp(others, axis=0).max() > HELD:
+            also = int(np.delete(np.arange(sweeps.n), joint)[np.ptp(others, axis=0).argmax()])
+            raise Inconsistent(
+                f"joint {also + 1} moves in the sweep of joint {joint + 1}",
+                consequence="The beacon's path is neither's",
+                cure="Move one joint at a time",
+            )
+        if np.ptp(sweeps.q[rows, joint]) <= HELD:
+            raise Inconsistent(
+                f"joint {joint + 1} was not moved in its own sweep",
+                consequence="Its axis cannot be found",
+                cure="Move it, or correct the joint column",
+            )
