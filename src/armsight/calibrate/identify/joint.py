@@ -149,7 +149,7 @@ def _circle_from(seen: Seen, n: Array, centre: Array, radius: float, order: Arra
 ROUGH = Settings(max_iterations=200, allow_undetermined=True, cost_tolerance=1e-3, step_tolerance=1e-4)
 """For a line far from fitting, where it does not matter how far, and for a centre that the noise leaves open."""
 SETTINGS = Settings(max_iterations=100, allow_undetermined=True, cost_tolerance=1e-6, step_tolerance=1e-6)
-"""For the circle: a short arc's centre runs along a valley in which nothing changes; a millionth of the cost is enough."""
+"""For the circle: a short arc leaves its centre in a valley; a millionth of the cost is enough."""
 
 
 def _loss(seen: Seen) -> Loss:

@@ -40,8 +40,8 @@ class JointFound:
 class Identification:
     """The arm, its joints, and what to know about them.
 
-    sigma: noise found, px with a rig, else m (or a factor on the given covariances). predicted_m: (m, 3) where the result puts
-    the beacon at each reading. beacon_m: with all joints at zero, in rig axes.
+    sigma: noise found, px with a rig, else m (or a factor on the given covariances). predicted_m: (m, 3) where the
+    result puts the beacon at each reading. beacon_m: with all joints at zero, in rig axes.
     """
 
     arm: Arm

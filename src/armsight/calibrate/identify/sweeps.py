@@ -66,7 +66,7 @@ class Sweeps:
 
 
 def placed(sweeps: Sweeps, rig: Rig, sigma_px: float) -> Sweeps:
-    """Return the sweeps with places and covariances triangulated from their pixels. Raises Inconsistent without pixels."""
+    """Return the sweeps with places and covariances triangulated from their pixels; Inconsistent without pixels."""
     if sweeps.uv_px is None:
         raise Inconsistent(
             "the sweep has no pixel columns", consequence="The rig cannot be used",

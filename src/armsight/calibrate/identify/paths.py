@@ -1,0 +1,165 @@
+"""Every joint's path: line or circle, gross readings discarded, the noise found from all of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2, f
+
+from armsight.calibrate.identify.chain import Axis
+from armsight.calibrate.identify.joint import GROSS, PathFit, circle_misfit, fit_circle, fit_line
+from armsight.calibrate.identify.seen import Seen
+from armsight.calibrate.identify.shapes import basis
+from armsight.calibrate.identify.sweeps import Sweeps
+from armsight.errors import Inconsistent, NotConverged, NotEnoughData
+
+Array = NDArray[np.float64]
+
+DECIDED = 1e-4
+"""A line is rejected below this probability: one slide in ten thousand is then called a turning joint."""
+HIDDEN_RAD = 0.3
+"""A path that may be an arc of so much is not certainly a line."""
+STILL = 5.0
+"""A beacon that moves by less than so many deviations of the noise has not moved."""
+LOST_SHARE = 0.3
+"""With more readings discarded the path is not that of one joint."""
+POOR = 1e-12
+"""Probability of a path's misfit below which it is neither line nor circle."""
+LOOSE = 1e3
+"""Factor on the noise with which nothing counts as gross, while the noise itself is looked for."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Found:
+    """A joint's path, the rows of its sweep that were kept, and the readings discarded."""
+
+    path: PathFit
+    rows: NDArray[np.intp]
+    discarded: tuple[tuple[int, str], ...]
+    p_line: float
+    line_chi2: float
+    decided: bool
+
+
+def find_paths(seen: Seen, sigma: float | None) -> tuple[list[Found], Seen]:
+    """Return every joint's path, and the readings with the noise found from all of them."""
+    n = seen.sweeps.n
+    if sigma is None:
+        noises = [_noise(seen.take(seen.sweeps.rows(j)), seen.sweeps.q[seen.sweeps.rows(j), j]) for j in range(n)]
+        known = [value for value in noises if np.isfinite(value)]
+        if not known:
+            raise NotEnoughData(
+                "three readings of every joint leave nothing to find the noise by",
+                consequence="No deviations can be given", cure="Give the noise (sigma), or take more readings",
+            )  # fmt: skip
+        seen = seen.at(seen.sigma * max(float(np.median(known)), 1e-9))
+    found = [_one_path(seen, j, sigma) for j in range(n)]
+    if sigma is None:  # once more with the noise of the shapes that were chosen
+        total = sum(item.path.chi2 for item in found)
+        dof = sum(item.path.dof for item in found)
+        if dof > 0:
+            factor = float(np.sqrt(max(total / dof, 1e-18)))
+            seen = seen.at(seen.sigma * factor)
+            found = [_judged(item, factor, dof) for item in found]
+    return found, seen
+
+
+def _judged(item: Found, factor: float, dof: int) -> Found:
+    """Return a path with the probability of a line by an F test: the noise was found from dof residuals."""
+    if item.path.kind == "line":
+        return replace(item, p_line=float(chi2.sf(item.path.chi2 / factor**2, max(item.path.dof, 1))))
+    gained = max(item.line_chi2 - item.path.chi2, 0.0) / factor**2
+    return replace(item, p_line=float(f.sf(gained / 2.0, 2, max(dof, 1))))
+
+
+def _noise(seen: Seen, order: Array) -> float:
+    """Return the noise of one sweep over the assumed one, by the median of the better shape's residuals."""
+    loose = seen.at(LOOSE * seen.sigma if seen.rig is not None else LOOSE)
+    path = fit_line(loose, order)
+    if path.dof < 1 or circle_misfit(loose) < 0.25 * path.chi2:
+        try:
+            path = fit_circle(loose, order)
+        except NotConverged:
+            return float("nan")
+    if path.dof < 1:
+        return float("nan")
+    spread = float(np.median((path.residual**2).sum(axis=1)) / chi2.median(path.dof / len(path.residual)))
+    return float(np.sqrt(spread)) * loose.sigma / seen.sigma
+
+
+def _one_path(seen: Seen, joint: int, sigma: float | None) -> Found:
+    """Return a joint's path, gross readings discarded."""
+    rows = seen.sweeps.rows(joint)
+    out: list[tuple[int, str]] = []
+    _check_moved(seen.take(rows), joint, sigma)
+    for _ in range(4):
+        part, order = seen.take(rows), seen.sweeps.q[rows, joint]
+        straight = fit_line(part, order)
+        path = fit_circle(part, order) if straight.p < DECIDED else straight
+        size = np.sqrt((path.residual**2).sum(axis=1))
+        bad = size > GROSS
+        if not bad.any() or len(rows) - bad.sum() < 3:
+            break
+        worst = bad & (size >= size.max() * 0.5)
+        out += [
+            (int(row), f"off its path by {s:.0f} deviations") for row, s in zip(rows[worst], size[worst], strict=True)
+        ]
+        rows = rows[~worst]
+    if len(out) > LOST_SHARE * len(seen.sweeps.rows(joint)) or (path.dof > 0 and path.p < POOR):
+        raise Inconsistent(
+            f"the path of joint {joint + 1} is neither a line nor a circle ({len(out)} readings off)",
+            consequence="The joint is not identified",
+            cure="Two joints may have moved, or a reflection was taken for the beacon: look at its points, sweep again",
+        )
+    return Found(
+        path=path,
+        rows=rows,
+        discarded=tuple(out),
+        p_line=straight.p,
+        line_chi2=straight.chi2,
+        decided=_decided(straight, part),
+    )
+
+
+def _check_moved(seen: Seen, joint: int, sigma: float | None) -> None:
+    xyz = seen.sweeps.xyz_m
+    spread, _ = seen.residuals(np.tile(xyz.mean(axis=0), (len(xyz), 1)), np.zeros((len(xyz), 3, 1)))
+    if np.sqrt(np.mean((spread**2).sum(axis=1)) / seen.rows) < STILL:
+        raise NotEnoughData(
+            f"the beacon did not move beyond the noise in the sweep of joint {joint + 1}",
+            consequence="Its axis cannot be found",
+            cure="The joint stood still, or the beacon lies on its axis: move it further, or put the beacon elsewhere",
+        )
+
+
+def _decided(straight: PathFit, seen: Seen) -> bool:
+    """Whether the type is beyond doubt: the line is rejected, or no arc worth the name could hide in the noise.
+
+    The arc's angle is the bend of the path, by weighted least squares of t^2 in the directions across the line, times
+    the stroke.
+    """
+    if straight.p < DECIDED:
+        return True
+    t = straight.phase - straight.phase.mean()
+    xyz = seen.sweeps.xyz_m
+    across = basis(straight.direction)[:, :2]
+    C = seen.sweeps.covariance_m2
+    variance = np.tile(seen.sigma**2 * np.eye(3), (len(t), 1, 1)) if C is None else seen.relative**2 * C
+    A = np.stack([np.ones_like(t), t, t**2], axis=1)
+    if len(t) < 4:
+        return False
+    bend, doubt = 0.0, 0.0
+    for e in across.T:
+        w = 1.0 / np.sqrt(np.einsum("i,mij,j->m", e, variance, e))
+        H = np.linalg.inv((A * w[:, None]).T @ (A * w[:, None]))
+        b = H @ (A * (w**2)[:, None]).T @ (xyz @ e - xyz.mean(axis=0) @ e)
+        bend, doubt = np.hypot(bend, b[2]), np.hypot(doubt, np.sqrt(H[2, 2]))
+    return bool(2.0 * (bend + 3.0 * doubt) * np.ptp(t) < HIDDEN_RAD)
+
+
+def measured(item: Found, sweeps: Sweeps) -> Axis:
+    """Return a joint's axis as its own sweep saw it; a slide's goes through the middle of its path."""
+    point = item.path.point_m if item.path.kind == "circle" else sweeps.xyz_m[item.rows].mean(axis=0)
+    return Axis(point_m=point, direction=item.path.direction, revolute=item.path.kind == "circle")
