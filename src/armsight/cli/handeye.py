@@ -87,6 +87,44 @@ def tooltip(
         face.result(content)
 
 
+def pivot(
+    rig: Annotated[Path, typer.Option(help="rig.yaml of the two cameras.")],
+    target: Annotated[Path, typer.Option(help="target.yaml of the target on the tool.")],
+    left: Annotated[str, typer.Option(metavar="SRC", help=f"Left frames: {SRC}.")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="tip.yaml to write.")],
+    right: Annotated[str | None, typer.Option(metavar="SRC", help="Right frames, in step with the left ones.")] = None,
+    goal: Annotated[
+        float, typer.Option(min=1e-6, help="Stop where the tip is known so well (m, one deviation).")
+    ] = 1e-4,
+    point: Annotated[str | None, typer.Option(metavar="X,Y,Z", help="The point in m in rig axes, if measured.")] = None,
+    point_sigma: Annotated[
+        float, typer.Option(min=1e-9, help="Standard deviation in m of one coordinate of the measured point.")
+    ] = POINT_SIGMA_MM / MM,
+    json: AsJson = False,
+) -> None:
+    """Find a tool's tip while you pivot it before the cameras; tells its deviation until it is small enough."""
+    with Face(as_json=json) as face:
+        from armsight.app.pivot import PivotJob, run_pivot
+
+        job = PivotJob(
+            rig=rig,
+            target=target,
+            out=out,
+            left=left,
+            right=right,
+            goal_m=goal,
+            point=_point(point),
+            sigma_m=point_sigma,
+        )
+        content = run_pivot(job, face.progress("pivoting"))
+        rows = [[a, figure(MM * content["tip_m"][i], 6), figure(MM * content["std"][f"{a}_m"], 2)]
+                for i, a in enumerate("xyz")]  # fmt: skip
+        face.table("Tip", ["", "mm", "+-"], rows)
+        said = "good enough" if content["reached"] else "not yet as good as wanted: pivot on, or lower the goal"
+        face.say(f"{content['n_used']} poses, {said}. Result: {out}")
+        face.result(content)
+
+
 def handeye_tables(face: Face, content: Mapping[str, Any], out: Path) -> None:
     """Print a hand-eye calibration."""
     for name in (key for key in content if key.startswith("T_")):
@@ -107,9 +145,10 @@ def handeye_tables(face: Face, content: Mapping[str, Any], out: Path) -> None:
 
 
 def add_to(calibrate: typer.Typer) -> None:
-    """Add the two commands to `armsight calibrate`."""
+    """Add the commands to `armsight calibrate`."""
     calibrate.command("handeye")(handeye)
     calibrate.command("tooltip")(tooltip)
+    calibrate.command("pivot")(pivot)
 
 
 def _point(text: str | None) -> tuple[float, float, float] | None:

@@ -80,7 +80,7 @@ def placed(sweeps: Sweeps, rig: Rig, sigma_px: float) -> Sweeps:
 
 
 def check_sweeps(sweeps: Sweeps) -> None:
-    """Raise NotEnoughData, Inconsistent for sweeps that cannot tell an arm: joints missing, moving together, too few."""
+    """Raise NotEnoughData, Inconsistent for sweeps that cannot tell an arm: joints missing, moving together, few."""
     if len(sweeps) == 0 or sweeps.joint.min() < 0 or sweeps.joint.max() >= sweeps.n:
         numbers = sorted(set((sweeps.joint + 1).tolist()))
         raise Inconsistent(

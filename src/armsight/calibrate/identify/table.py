@@ -25,7 +25,7 @@ def place_frames(
 ) -> tuple[Array, Array, Array]:
     """Return rows (n, 5) by KEYS, T_world_base (4, 4) and T_flange_tool (4, 4) of axes with all joints at zero.
 
-    base (4, 4): its origin's foot on the first axis becomes the first frame's origin, its x axis the side of x. A slide's
+    base (4, 4): its origin's foot on the first axis becomes the first frame's origin, its x the side of x. A slide's
     place is free: the last joint's goes through the beacon, as in the paper, any other through the frame before it.
     """
     T = _first(axes[0], base)
@@ -92,7 +92,7 @@ def carried(make: Callable[[Array], Array], p: Array, covariance: Array) -> Arra
 
 
 def say_cases(axes: Sequence[Axis], rows: Array, std: Array) -> tuple[list[str], Array]:
-    """Return notes on degenerate pairs of axes, and std with NaN where an entry is chosen and not measured (MATH 4.5)."""
+    """Return notes on degenerate pairs of axes, and std with NaN where an entry is chosen, not measured (MATH 4.5)."""
     notes, known = [], std.copy()
     for i in range(len(axes) - 1):
         pair = f"axes {i + 1} and {i + 2}"

@@ -1,0 +1,96 @@
+"""A tool's tip found while the operator pivots it: the deviation is told after every pose, until it is small enough."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.app.handeye import tip_content
+from armsight.app.measure import target_of
+from armsight.app.replay import open_pairs
+from armsight.calibrate.tooltip import GOOD_ENOUGH_M, MeasuredPoint, TipRecording
+from armsight.drivers import PairSource
+from armsight.errors import NotEnoughData
+from armsight.measure.pair import Setup, measure_pair
+from armsight.measure.settings import SpotSettings
+from armsight.records import PoseStatus, Progress, Silent, TargetPose
+from armsight.store import read_rig, write_poses
+from armsight.store.handeye_file import write_tip
+
+APART_RAD = 0.03
+"""Turn since the last pose taken: poses closer than 2 degrees tell nearly the same twice."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PivotJob:
+    """Sources as on the command line; goal_m: largest deviation of the tip's place that is good enough."""
+
+    rig: Path
+    target: Path
+    out: Path
+    left: str
+    right: str | None = None
+    goal_m: float = GOOD_ENOUGH_M
+    point: tuple[float, float, float] | None = None
+    sigma_m: float = 0.0
+
+
+def run_pivot(job: PivotJob, progress: Progress | None = None) -> dict[str, Any]:
+    """Measure while the tool pivots; write tip.yaml, and the poses beside it; return the figures as --json gives them.
+
+    Stops where every coordinate's deviation is below the goal, at the end of the frames, or when cancelled. Raises
+    UsageError, DataRefused (also where the poses do not tell the tip), DeviceFailed.
+    """
+    target = target_of(job.target)
+    setup = Setup(rig=read_rig(job.rig), target=target, settings=SpotSettings(colour=target.colour))
+    pairs = open_pairs(job.left, job.right, colour=target.colour is not None)
+    point = None if job.point is None else MeasuredPoint(xyz_m=np.asarray(job.point), sigma_m=job.sigma_m)
+    with pairs:
+        recording, taken = pivoted(
+            _poses(setup, pairs), TipRecording(point=point, good_m=job.goal_m), progress or Silent()
+        )
+    if recording.latest is None:
+        raise NotEnoughData(
+            f"the tip was not found from {len(taken)} poses: {recording.waiting}",
+            consequence="No tip is given",
+            cure="Rest the tool's end on one point, and turn the tool by 20 degrees and more to several sides",
+        )
+    write_poses(job.out.with_suffix(".poses.csv"), taken)
+    write_tip(job.out, recording.latest, inputs=[job.rig])
+    return {**tip_content(recording.latest), "goal_m": job.goal_m, "reached": recording.good_enough}
+
+
+def _poses(setup: Setup, pairs: PairSource) -> Iterator[TargetPose]:
+    track = None
+    for left, right in pairs:
+        measured = measure_pair(setup, left, right, track)
+        track = measured.track
+        yield measured.pose
+
+
+def pivoted(
+    poses: Iterable[TargetPose], recording: TipRecording, progress: Progress
+) -> tuple[TipRecording, list[TargetPose]]:
+    """Return the recording after a stream of poses, and those taken: until it is good enough, ends, or is cancelled."""
+    taken: list[TargetPose] = []
+    for pose in poses:
+        if progress.cancelled() or recording.good_enough:
+            break
+        if pose.status is not PoseStatus.OK or pose.pose is None or not _is_new(pose, taken):
+            continue
+        taken.append(pose)
+        recording = recording.with_pose(pose.pose)
+        progress.update(len(taken), 0, recording.progress())
+    return recording, taken
+
+
+def _is_new(pose: TargetPose, taken: list[TargetPose]) -> bool:
+    if not taken or pose.pose is None or taken[-1].pose is None:
+        return True
+    turn: NDArray[np.float64] = (pose.pose.rotation * taken[-1].pose.rotation.inv()).as_rotvec()
+    return float(np.linalg.norm(turn)) >= APART_RAD
