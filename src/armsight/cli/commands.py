@@ -14,6 +14,7 @@ from armsight.cli import arm, handeye
 from armsight.cli.calibrate import calibrate
 from armsight.cli.convert import convert
 from armsight.cli.face import Face
+from armsight.cli.identify import identify
 from armsight.cli.kinematics import convert_arm, kinematics
 from armsight.cli.options import SRC, AsJson, Fps, Limit, OutFolder, Seed
 from armsight.cli.record import record
@@ -32,6 +33,7 @@ arm.add_to(calibrate)
 convert.command("arm")(convert_arm)
 app.add_typer(convert, name="convert")
 app.command()(record)
+app.command()(identify)
 app.add_typer(kinematics, name="kinematics")
 
 

@@ -94,6 +94,9 @@ def carried(make: Callable[[Array], Array], p: Array, covariance: Array) -> Arra
 def say_cases(axes: Sequence[Axis], rows: Array, std: Array) -> tuple[list[str], Array]:
     """Return notes on degenerate pairs of axes, and std with NaN where an entry is chosen, not measured (MATH 4.5)."""
     notes, known = [], std.copy()
+    known[-1, [0, 2, 3, 4]] = np.nan  # behind the last joint there is only the beacon
+    if axes[-1].revolute:
+        known[-1, 1] = np.nan
     for i in range(len(axes) - 1):
         pair = f"axes {i + 1} and {i + 2}"
         sine, sine_std = abs(np.sin(rows[i, 3])), std[i, 3]

@@ -23,9 +23,9 @@ SLOPES = {1.0: "", np.pi / 180.0: "degrees given as radians", 180.0 / np.pi: "ra
           0.01: "centimetres given as metres", 100.0: "metres given as centimetres",
           0.001: "millimetres given as metres", 1000.0: "metres given as millimetres"}  # fmt: skip
 SLOPE_NEAR = 0.25
-SUSPECT = 1.6
+SUSPECT = 1.2
 """A whole arm that misses its readings by so much more (variance) than single paths do may have started wrong."""
-SHORT_RAD = 2.0
+SHORT_RAD = 2.6
 """Arcs shorter than this may have their plane swung about the chord by the noise."""
 SWINGS = 4
 
@@ -94,6 +94,10 @@ def _starts(seen: Seen, found: Sequence[Found]) -> list[ChainModel]:
         if item.path.kind == "circle" and np.ptp(item.path.phase) < SHORT_RAD:
             for centre, direction in swung_axes(seen.take(item.rows), sweeps.q[item.rows, j], SWINGS):
                 variants.append([*own[:j], Axis(point_m=centre, direction=direction, revolute=True), *own[j + 1 :]])
+        if item.path.kind == "line":  # depth is the weakest: the slide's mirror image in it looks nearly the same
+            sight = own[j].point_m / np.linalg.norm(own[j].point_m)
+            turned = own[j].direction - 2.0 * (own[j].direction @ sight) * sight
+            variants.append([*own[:j], Axis(point_m=own[j].point_m, direction=turned, revolute=False), *own[j + 1 :]])
     out = []
     for variant in variants:
         axes = at_zero(variant, rests)
