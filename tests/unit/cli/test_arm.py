@@ -1,0 +1,112 @@
+"""armsight identify, calibrate arm, calibrate robot-world: files in, the promised keys and files out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from armsight.kinematics import forward, moved, preset
+from armsight.store.arm_file import read_arm
+from armsight.store.worlds import read_world
+
+ERRORS = {"mean_m", "rms_m", "max_m"}
+
+
+def write_rows(path: Path, header: str, rows: np.ndarray) -> Path:
+    path.write_text("\n".join([header, *(",".join(repr(float(v)) for v in row) for row in rows)]) + "\n")
+    return path
+
+
+@pytest.fixture(scope="module")
+def measured() -> np.ndarray:
+    """q1..q6,x,y,z of an irb120 whose second joint is off by 1 degree."""
+    arm = preset("irb120")
+    true = moved(arm, {f"{arm.joints[1].name}.theta_rad": np.deg2rad(1.0)})
+    rng = np.random.default_rng(0)
+    q = rng.uniform(-0.9, 0.9, (60, 6))
+    return np.hstack([q, forward(true, q)[:, :3, 3] + rng.normal(0.0, 1e-4, (60, 3))])
+
+
+HEADER = "q1,q2,q3,q4,q5,q6,x_m,y_m,z_m"
+
+
+def test_an_arm_is_calibrated_with_every_promised_key(armsight: Any, measured: np.ndarray, tmp_path: Path) -> None:
+    points = write_rows(tmp_path / "points.csv", HEADER, measured[:40])
+    holdout = write_rows(tmp_path / "holdout.csv", HEADER, measured[40:])
+    words = ["calibrate", "arm", "--model", "irb120", "--points", points, "-o", tmp_path / "arm.yaml"]
+    done = armsight(*words, "--holdout", holdout, "--propose", 2)
+    assert done.code == 0
+    content = done.json
+    keys = {"n", "before", "after", "holdout", "free", "fixed", "std", "condition", "outliers", "verdict", "gain"}
+    assert keys <= set(content) and set(content["before"]) == ERRORS
+    assert set(content["holdout"]) == {"before", "after"} and set(content["holdout"]["after"]) == ERRORS
+    assert content["gain"] is True and content["n"] == 40
+    assert content["holdout"]["after"]["mean_m"] < 0.1 * content["holdout"]["before"]["mean_m"]
+    assert read_arm(tmp_path / "arm.yaml").n == 6
+    for name in ("arm.urdf", "arm.corrections.csv", "arm.report.html", "arm.proposed.csv"):
+        assert (tmp_path / name).stat().st_size > 0, name
+    assert "crossval" in armsight(*words).json
+
+
+def test_measurements_that_cannot_be_are_refused(armsight: Any, measured: np.ndarray, tmp_path: Path) -> None:
+    out = ["-o", tmp_path / "arm.yaml"]
+    centimetres = measured * np.r_[np.ones(6), np.full(3, 100.0)]
+    for rows, header, said in (
+        (centimetres, HEADER, "centimetres"),
+        (measured[:, 1:], "q1,q2,q3,q4,q5,x_m,y_m,z_m", "6 joints"),
+        (measured[:3], HEADER, "3 measurements"),
+        (np.where(np.arange(60)[:, None] == 7, np.nan, measured), HEADER, "line 9"),
+        (measured, HEADER.replace("q6", "p6"), "p6"),
+    ):
+        done = armsight(
+            "calibrate", "arm", "--model", "irb120", "--points", write_rows(tmp_path / "p.csv", header, rows), *out
+        )
+        assert done.code == 3, header
+        assert said in str(done.json["error"]), done.json
+    assert not (tmp_path / "arm.yaml").exists()
+
+
+def test_the_rig_is_placed_at_the_base(armsight: Any, measured: np.ndarray, tmp_path: Path) -> None:
+    where = RigidTransform.from_components([0.9, -0.2, 0.5], Rotation.from_rotvec([0.2, 1.4, -0.3]))
+    places = forward(preset("irb120"), measured[:, :6])[:, :3, 3] + np.random.default_rng(1).normal(0.0, 1e-4, (60, 3))
+    rows = np.hstack([measured[:, :6], where.inv().apply(places)])
+    observed = write_rows(tmp_path / "observed.csv", HEADER, rows)
+    done = armsight("calibrate", "robot-world", "--arm", "irb120", "--points", observed, "-o", tmp_path / "world.yaml")
+    assert done.code == 0
+    assert {"T_base_rig", "std", "residual_rms_m", "n_used", "rejected"} <= set(done.json)
+    world = read_world(tmp_path / "world.yaml")
+    assert world.parent == "base"
+    np.testing.assert_allclose(world.T_parent_rig.translation, where.translation, atol=2e-4)
+
+
+def test_an_arm_is_identified_with_every_promised_key(armsight: Any, tmp_path: Path) -> None:
+    arm = preset("stanford-rrp")
+    joint = np.repeat([1, 2, 3], 10)
+    q = np.tile([0.0, 1.5, 0.7], (30, 1))
+    q[np.arange(30), joint - 1] = np.concatenate(
+        [np.linspace(0, 4, 10), np.linspace(0.5, 1.8, 10), np.linspace(0.6, 1.1, 10)]
+    )
+    places = forward(arm, q)[:, :3, 3] + np.random.default_rng(0).normal(0.0, 2e-4, (30, 3))
+    header = "joint,q1,q2,q3,x_m,y_m,z_m"
+    sweep = write_rows(tmp_path / "sweep.csv", header, np.hstack([joint[:, None], q, places]))
+    done = armsight("identify", "--sweep", sweep, "-o", tmp_path / "arm.yaml")
+    assert done.code == 0
+    keys = "index type a_m alpha_rad d_m theta_rad lower upper sign std n discarded residual_rms_m residual_rms_px "
+    keys += "p_line axis"
+    assert set(keys.split()) <= set(done.json["joints"][0])
+    assert {"joints", "method", "notes"} <= set(done.json)
+    assert [item["type"] for item in done.json["joints"]] == ["revolute", "revolute", "prismatic"]
+    assert (tmp_path / "arm.report.html").stat().st_size > 0
+    again = read_arm(tmp_path / "arm.yaml")
+    off = np.linalg.norm(forward(again, q)[:, :3, 3] - forward(arm, q)[:, :3, 3], axis=1)
+    assert off.max() < 1e-3
+    two = write_rows(
+        tmp_path / "two.csv", "joint,q1,q2,q3,q4,x_m,y_m,z_m", np.hstack([joint[:, None], q, q[:, :1] * 0, places])
+    )
+    refused = armsight("identify", "--sweep", two, "-o", tmp_path / "no.yaml")
+    assert refused.code == 3 and "joint 4" in str(refused.json["error"])
+    assert armsight("identify", "--sweep", sweep, "--method", "guess", "-o", tmp_path / "no.yaml").code == 2
