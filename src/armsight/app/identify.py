@@ -7,24 +7,40 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from armsight.app.calibrate import report_path
-from armsight.calibrate.identify import Identification, identify
-from armsight.errors import UsageError
+from armsight.app.measure import target_of
+from armsight.app.replay import open_pairs
+from armsight.calibrate.identify import Identification, Sweeps, identify
+from armsight.errors import Cancelled, NotEnoughData, UsageError
+from armsight.measure.pair import Setup, measure_pair
+from armsight.measure.settings import SpotSettings
+from armsight.optics import Rig
+from armsight.records import Progress, Silent
 from armsight.report.identify_report import identify_report
 from armsight.store import read_rig, read_world, write_text
 from armsight.store.arm_file import write_arm
-from armsight.store.sweeps import read_sweeps
+from armsight.store.sweeps import read_sweep_joints, read_sweeps, write_sweeps
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class IdentifyJob:
-    """sigma: noise of a pixel coordinate in px with a rig, else of a place in m, where known.
+    """A sweep file; or frames (left, right) of a beacon (target) before a rig, with sweep_joints.csv (joints).
 
+    sigma: noise of a pixel coordinate in px with a rig, else of a place in m, where known.
     world: where the rig stands to the base; the first frame is then the base's foot on the first axis.
     """
 
-    sweep: Path
     out: Path
+    sweep: Path | None = None
+    target: Path | None = None
+    left: str | None = None
+    right: str | None = None
+    joints: Path | None = None
     rig: Path | None = None
     world: Path | None = None
     method: str = "ml"
@@ -32,23 +48,72 @@ class IdentifyJob:
     sigma: float | None = None
 
 
-def run_identify(job: IdentifyJob) -> dict[str, Any]:
-    """Identify the arm, write arm.yaml and its report; return the figures as --json gives them. Raises DataRefused."""
-    sweeps = read_sweeps(job.sweep)
-    if job.rig is None and sweeps.uv_px is not None and not sweeps.xyz_m.any():
-        raise UsageError(f"{job.sweep} has pixels only", cure="Give the rig that saw them (--rig)")
+def run_identify(job: IdentifyJob, progress: Progress | None = None) -> dict[str, Any]:
+    """Identify the arm, write arm.yaml and its report; return the figures as --json gives them.
+
+    A sweep made from frames is written beside the arm. Raises UsageError, DataRefused, DeviceFailed.
+    """
     rig = None if job.rig is None else read_rig(job.rig)
+    notes: list[str] = []
+    if job.sweep is not None:
+        sweeps = read_sweeps(job.sweep)
+        if rig is None and sweeps.uv_px is not None and not sweeps.xyz_m.any():
+            raise UsageError(f"{job.sweep} has pixels only", cure="Give the rig that saw them (--rig)")
+    else:
+        if rig is None or job.target is None or job.left is None or job.joints is None:
+            raise UsageError(
+                "nothing to identify from", cure="Give --sweep; or --rig, --target, --left, --right and --joints"
+            )
+        sweeps, notes = seen_in_frames(job, rig, progress or Silent())
+        write_sweeps(job.out.with_suffix(".sweep.csv"), sweeps)
     base = None if job.world is None else read_world(job.world).T_parent_rig.inv().as_matrix()
     result = identify(
         sweeps, rig=rig if sweeps.uv_px is not None else None, sigma=job.sigma, method=job.method,
-        increments=job.increments, base=base, name=job.sweep.stem,
+        increments=job.increments, base=base, name=job.out.stem,
     )  # fmt: skip
-    inputs = [path for path in (job.sweep, job.rig, job.world) if path is not None]
+    inputs = [path for path in (job.sweep, job.joints, job.rig, job.target, job.world) if path is not None]
     write_arm(job.out, result.arm, inputs=inputs)
     content = identified_content(result)
+    content["notes"] = [*notes, *content["notes"]]
     files = [("file", path.name) for path in inputs]
     write_text(report_path(job.out), identify_report(result, sweeps, rig, inputs=files))
     return content
+
+
+def seen_in_frames(job: IdentifyJob, rig: Rig, progress: Progress) -> tuple[Sweeps, list[str]]:
+    """Return the sweep that frames show, and notes on those in which the beacon is not seen."""
+    if job.target is None or job.left is None or job.joints is None:
+        raise UsageError("frames need --target, --left and --joints")
+    target = target_of(job.target)
+    frames, joint, q = read_sweep_joints(job.joints)
+    setup = Setup(rig=rig, target=target, settings=SpotSettings(colour=target.colour))
+    seen: dict[int, tuple[Array, Array]] = {}
+    notes = []
+    wanted = set(frames.tolist())
+    with open_pairs(job.left, job.right, colour=target.colour is not None) as pairs:
+        for number, (left, right) in enumerate(pairs):
+            if progress.cancelled():
+                raise Cancelled("the frames were not read to the end", consequence="Nothing was written")
+            progress.update(number + 1, max(wanted) + 1, "looking for the beacon")
+            if number not in wanted:
+                continue
+            found = measure_pair(setup, left, right)
+            if len(found.points) == 0:
+                notes.append(f"frame {number}: {found.pose.why or 'the beacon is not seen'}")
+                continue
+            seen[number] = found.points.xyz_m[0], np.stack([found.left.uv_px[0], found.right.uv_px[0]])
+    rows = [i for i, frame in enumerate(frames.tolist()) if frame in seen]
+    if not rows:
+        raise NotEnoughData(
+            f"the beacon is seen in none of the {len(frames)} frames; {notes[0] if notes else 'there are none'}",
+            consequence="The arm is not identified", cure="Look at the frames: one light, on, in both views",
+        )  # fmt: skip
+    return Sweeps(
+        joint=joint[rows],
+        q=q[rows],
+        xyz_m=np.array([seen[int(frames[i])][0] for i in rows]),
+        uv_px=np.array([seen[int(frames[i])][1] for i in rows]),
+    ), notes
 
 
 def identified_content(result: Identification) -> dict[str, Any]:

@@ -8,15 +8,23 @@ from typing import Annotated
 import typer
 
 from armsight.cli.face import Face
-from armsight.cli.options import AsJson
+from armsight.cli.options import SRC, AsJson
 from armsight.cli.tables import figure
 
 MM, DEG = 1e3, 57.29577951308232
 
 
 def identify(
-    sweep: Annotated[Path, typer.Option(help="sweep.csv: joint,q1..qn and places (x_m,y_m,z_m), pixels, or both.")],
     out: Annotated[Path, typer.Option("-o", "--out", help="arm.yaml to write.")],
+    sweep: Annotated[
+        Path | None, typer.Option(help="sweep.csv: joint,q1..qn and places (x_m,y_m,z_m), pixels, or both.")
+    ] = None,
+    target: Annotated[
+        Path | None, typer.Option(help="Instead of a sweep: target.yaml of the beacon, with frames.")
+    ] = None,
+    left: Annotated[str | None, typer.Option(metavar="SRC", help=f"Left frames: {SRC}.")] = None,
+    right: Annotated[str | None, typer.Option(metavar="SRC", help="Right frames, in step with the left ones.")] = None,
+    joints: Annotated[Path | None, typer.Option(help="sweep_joints.csv: frame,joint,q1..qn of those frames.")] = None,
     rig: Annotated[Path | None, typer.Option(help="rig.yaml: fit pixels instead of places.")] = None,
     world: Annotated[Path | None, typer.Option(help="world.yaml: where the rig stands to the arm's base.")] = None,
     method: Annotated[str, typer.Option(help="ml (maximum likelihood) or paper (triples, Chauvenet, means).")] = "ml",
@@ -33,8 +41,20 @@ def identify(
     with Face(as_json=json) as face:
         from armsight.app.identify import IdentifyJob, run_identify
 
-        job = IdentifyJob(sweep=sweep, out=out, rig=rig, world=world, method=method, increments=increments, sigma=sigma)
-        content = run_identify(job)
+        job = IdentifyJob(
+            out=out,
+            sweep=sweep,
+            target=target,
+            left=left,
+            right=right,
+            joints=joints,
+            rig=rig,
+            world=world,
+            method=method,
+            increments=increments,
+            sigma=sigma,
+        )
+        content = run_identify(job, face.progress("identifying"))
         rows = []
         for joint in content["joints"]:
             cells = [f"{joint['index']}", joint["type"]]

@@ -5,10 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from armsight.calibrate.identify import Sweeps
 from armsight.errors import BadFile
-from armsight.store.tables import read_table
+from armsight.store.atomic import write_text
+from armsight.store.tables import cells, read_table
 from armsight.store.tracks import POSITION
 
 PIXELS = ("left_u_px", "left_v_px", "right_u_px", "right_v_px")
@@ -36,3 +38,29 @@ def read_sweeps(path: Path) -> Sweeps:
     xyz = table.stacked(POSITION) if places else np.zeros((len(table), 3))
     uv = table.stacked(PIXELS).reshape(-1, 2, 2) if pixels else None
     return Sweeps(joint=joint.astype(np.intp) - 1, q=table.stacked(readings), xyz_m=xyz, uv_px=uv)
+
+
+def read_sweep_joints(path: Path) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]:
+    """Return frames (m,) in sorted order, joints (m,) that move, both from 0, and q (m, n) of a sweep_joints.csv."""
+    table = read_table(path, ["frame", "joint"], series="q")
+    readings = table.series("q")
+    if not readings:
+        raise BadFile(f"{path}: no column q1", consequence="The file is not used", cure="Give q1 .. qn in every row")
+    frame, joint = table.numbers["frame"], table.numbers["joint"]
+    for name, column in (("frame", frame), ("joint", joint)):
+        whole = (column == np.round(column)) & (column >= 0.0)
+        if not whole.all():
+            row = int(np.argmin(whole))
+            raise BadFile(f"{table.place(row)}, column {name}: {column[row]:g} is not a number to count with")
+    return frame.astype(np.intp), joint.astype(np.intp) - 1, table.stacked(readings)
+
+
+def write_sweeps(path: Path, sweeps: Sweeps) -> None:
+    """Write sweep.csv, joints from 1."""
+    pixels = sweeps.uv_px is not None
+    names = ["joint", *(f"q{i + 1}" for i in range(sweeps.n)), *POSITION, *(PIXELS if pixels else ())]
+    rows = []
+    for i in range(len(sweeps)):
+        values = [*sweeps.q[i], *sweeps.xyz_m[i], *(sweeps.uv_px[i].ravel() if sweeps.uv_px is not None else ())]
+        rows.append(f"{sweeps.joint[i] + 1},{cells(values)}")
+    write_text(path, "\n".join([",".join(names), *rows]) + "\n")

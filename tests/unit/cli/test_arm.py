@@ -110,3 +110,21 @@ def test_an_arm_is_identified_with_every_promised_key(armsight: Any, tmp_path: P
     refused = armsight("identify", "--sweep", two, "-o", tmp_path / "no.yaml")
     assert refused.code == 3 and "joint 4" in str(refused.json["error"])
     assert armsight("identify", "--sweep", sweep, "--method", "guess", "-o", tmp_path / "no.yaml").code == 2
+
+
+def test_an_arm_is_identified_from_frames(armsight: Any, tmp_path: Path) -> None:
+    """The scenario after Kapucu and Baysec (2005), its frames rendered: d1 1.27, a2 0.1, d2 -0.05 m."""
+    cell = tmp_path / "cell"
+    assert armsight("simulate", "kapucu2005-rrp", "-o", cell).code == 0
+    words = ["--rig", cell / "rig.yaml", "--target", cell / "target.yaml", "--world", cell / "world.yaml"]
+    frames = ["--left", cell / "left", "--right", cell / "right", "--joints", cell / "sweep_joints.csv"]
+    done = armsight("identify", *words, *frames, "-o", tmp_path / "arm.yaml")
+    assert done.code == 0
+    first, second, third = done.json["joints"]
+    assert [joint["type"] for joint in done.json["joints"]] == ["revolute", "revolute", "prismatic"]
+    for joint, key, true in ((first, "d_m", 1.27), (first, "a_m", 0.0), (second, "d_m", -0.05), (second, "a_m", 0.1)):
+        assert abs(joint[key] - true) < min(5.0 * joint["std"][key], 0.005), key
+    assert third["std"]["a_m"] is None
+    assert (tmp_path / "arm.sweep.csv").exists()
+    nothing = armsight("identify", *words, "-o", tmp_path / "no.yaml")
+    assert nothing.code == 2 and "--sweep" in str(nothing.json["error"])
