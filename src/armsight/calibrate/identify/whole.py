@@ -25,6 +25,8 @@ SLOPES = {1.0: "", np.pi / 180.0: "degrees given as radians", 180.0 / np.pi: "ra
 SLOPE_NEAR = 0.25
 SUSPECT = 1.2
 """A whole arm that misses its readings by so much more (variance) than single paths do may have started wrong."""
+WORTH = 8.0
+"""Gain in half chi-square for which another start is taken, of which a joint's other type costs two parameters."""
 SHORT_RAD = 2.6
 """Arcs shorter than this may have their plane swung about the chord by the noise."""
 SWINGS = 4
@@ -33,6 +35,8 @@ SWINGS = 4
 def _check_slopes(found: Sequence[Found], sweeps: Sweeps) -> None:
     """Raise Inconsistent where the paths' lengths are not those of the commanded values: units, or not exact."""
     for j, item in enumerate(found):
+        if not item.decided:
+            continue
         q = sweeps.q[item.rows, j]
         slope = abs(float(np.polyfit(q, item.path.phase, 1)[0]))
         if abs(slope - 1.0) < 4 * SLOPE_NEAR and slope > 0.2:
@@ -64,21 +68,23 @@ class WholeFit:
 def fit_whole(seen: Seen, found: Sequence[Found]) -> WholeFit:
     """Return the fit of the whole arm to all readings, the joint values known.
 
-    Started from the paths; where it misses more than they do, from every short arc's plane swung about its chord too.
+    Started from the paths; where it misses more than they do, or a joint's type is not decided, also from every short
+    arc's plane swung about its chord, from slides mirrored in depth, and from undecided joints as turning ones.
     Raises Inconsistent where the paths' lengths contradict the joint values, NotConverged.
     """
     _check_slopes(found, seen.sweeps)
     rows = np.sort(np.concatenate([item.rows for item in found]))
     starts = _starts(seen, found)
     best = _fit_from(seen, min(starts, key=lambda model: _start_cost(seen.take(rows), model)), rows)
-    if best.scale2 <= SUSPECT:
+    if best.scale2 <= SUSPECT and all(item.decided for item in found):
         return best
     for start in starts:
         try:
             again = _fit_from(seen, start, rows)
         except NotConverged:
             continue
-        if again.fit.cost < 0.9 * best.fit.cost and len(again.rows) >= len(best.rows):
+        gained = best.fit.cost - again.fit.cost
+        if gained > max(0.1 * best.fit.cost, WORTH) and len(again.rows) >= len(best.rows):
             best = again
     return best
 
@@ -89,15 +95,20 @@ def _starts(seen: Seen, found: Sequence[Found]) -> list[ChainModel]:
     rests = [sweeps.q[item.rows[0], :j] for j, item in enumerate(found)]
     own = [measured(item, sweeps) for item in found]
     rows = np.concatenate([item.rows for item in found])
-    variants = [own]
+    variants: list[list[Axis]] = [own]
+    other_types: list[list[Axis]] = []
     for j, item in enumerate(found):
-        if item.path.kind == "circle" and np.ptp(item.path.phase) < SHORT_RAD:
+        before, after = own[:j], own[j + 1 :]
+        circle = item.path.kind == "circle"
+        if (circle and np.ptp(item.path.phase) < SHORT_RAD) or not item.decided:
             for centre, direction in swung_axes(seen.take(item.rows), sweeps.q[item.rows, j], SWINGS):
-                variants.append([*own[:j], Axis(point_m=centre, direction=direction, revolute=True), *own[j + 1 :]])
-        if item.path.kind == "line":  # depth is the weakest: the slide's mirror image in it looks nearly the same
+                swung = [*before, Axis(point_m=centre, direction=direction, revolute=True), *after]
+                (variants if circle else other_types).append(swung)
+        if not circle:  # depth is the weakest: the slide's mirror image in it looks nearly the same
             sight = own[j].point_m / np.linalg.norm(own[j].point_m)
             turned = own[j].direction - 2.0 * (own[j].direction @ sight) * sight
-            variants.append([*own[:j], Axis(point_m=own[j].point_m, direction=turned, revolute=False), *own[j + 1 :]])
+            variants.append([*before, Axis(point_m=own[j].point_m, direction=turned, revolute=False), *after])
+    variants += other_types  # last: what they gain is over the best of the types the paths show
     out = []
     for variant in variants:
         axes = at_zero(variant, rests)

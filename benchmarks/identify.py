@@ -1,0 +1,219 @@
+"""Identification: the rig of Kapucu and Baysec against the Cramer-Rao bound, random arms, real sweeps, time.
+
+    python benchmarks/identify.py [--quick]
+
+Truth and bound come from Denavit-Hartenberg matrices and pinholes written here; the bound is the numerical Fisher
+information of 13 parameters with the joint values known (MATH 4.3's last column).
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from armsight.calibrate.identify import Identification, Sweeps, identify
+from armsight.errors import DataRefused
+from armsight.kinematics import forward
+from armsight.optics import Camera, parallel_rig
+from armsight.store.arm_points import read_arm_points
+from bench import machine, table
+
+Array = NDArray[np.float64]
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+FU, FV, CX, CY, BASELINE = 757.6, 748.9, 319.5, 239.5, 0.126
+RIG = parallel_rig(Camera.pinhole(640, 480, FU, FV, CX, CY), BASELINE)
+WHERE = RigidTransform.from_components([2.618, -3.710, 0.785], Rotation.from_euler("ZYX", [36, 0, -90], degrees=True))
+NAMES = ("d1 cm", "a1 cm", "d2 cm", "a2 cm", "alpha2 deg")
+UNITS = np.array([100.0, 100.0, 100.0, 100.0, np.rad2deg(1.0)])
+TRUTH = np.array([1.27, 0.0, -0.05, 0.1, np.pi / 2])
+START = np.zeros(13)
+START[6:] = 0.0, np.pi / 2, 0.0, -0.05, 0.1, np.pi / 2, 0.0
+
+
+def step(theta: Array, d: Array, a: float, alpha: float) -> Array:
+    """Return Denavit-Hartenberg matrices (m, 4, 4)."""
+    c, s, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
+    T = np.zeros((len(theta), 4, 4))
+    T[:, 0] = np.stack([c, -s * ca, s * sa, a * c], axis=1)
+    T[:, 1] = np.stack([s, c * ca, -c * sa, a * s], axis=1)
+    T[:, 2, 1], T[:, 2, 2], T[:, 2, 3], T[:, 3, 3] = sa, ca, d, 1.0
+    return T
+
+
+def pixels(p: Array, q: Array) -> Array:
+    """Return (m, 4): base moved by p[:6], then a1, alpha1, theta2, d2, a2, alpha2, d3."""
+    m = len(q)
+    T = step(q[:, 0], np.full(m, 1.27), p[6], p[7]) @ step(q[:, 1] + p[8], np.full(m, p[9]), p[10], p[11])
+    X = T[:, :3, 3] + T[:, :3, 2] * (q[:, 2] + p[12])[:, None]
+    X = Rotation.from_rotvec(p[3:6]).apply(X) + p[:3]
+    X = WHERE.inv().apply(X)
+    u, v = FU * X[:, 0] / X[:, 2] + CX, FV * X[:, 1] / X[:, 2] + CY
+    return np.stack([u, v, u - FU * BASELINE / X[:, 2], v], axis=1)
+
+
+def sweep(arc_deg: float) -> tuple[NDArray[np.intp], Array]:
+    """Return joints and values of the rig's sweeps, ten readings each."""
+    joint = np.repeat([0, 1, 2], 10)
+    q = np.repeat([[0.0, np.deg2rad(95.33), 0.9735], [0.0, 0.0, 0.9548], [0.0, np.deg2rad(106.7), 0.0]], 10, axis=0)
+    q[:10, 0] = np.deg2rad(np.linspace(0.0, 324.0, 10))
+    q[10:20, 1] = np.deg2rad(np.linspace(106.7, 106.7 - arc_deg, 10))
+    q[20:, 2] = np.linspace(0.6, 1.063, 10)
+    return joint, q
+
+
+def bound(q: Array, sigma: float) -> Array:
+    """Return the Cramer-Rao deviations of NAMES in their units."""
+    J = np.empty((4 * len(q), 13))
+    for i in range(13):
+        h = np.zeros(13)
+        h[i] = 1e-6
+        J[:, i] = (pixels(START + h, q) - pixels(START - h, q)).ravel() / 2e-6
+    C = np.linalg.inv(J.T @ J) * sigma**2
+    return np.sqrt(np.diag(C))[[2, 6, 9, 10, 11]] * UNITS
+
+
+def entries(found: Identification) -> tuple[Array, Array]:
+    """Return NAMES of an identified arm and their claimed deviations."""
+    j, s = found.arm.joints, [one.std for one in found.joints]
+    value = np.array([j[0].d_m, j[0].a_m, j[1].d_m, j[1].a_m, j[1].alpha_rad])
+    claimed = np.array([s[0]["d_m"], s[0]["a_m"], s[1]["d_m"], s[1]["a_m"], s[1]["alpha_rad"]])
+    return (value - TRUTH) * UNITS, claimed * UNITS
+
+
+def kapucu(runs: int) -> None:
+    """Print errors over the bound, the paper's method beside, and how often 95 % intervals hold."""
+    rows, held = [], []
+    for sigma in (0.05, 0.2, 0.5):
+        for arc in (40.0, 60.0, 120.0):
+            joint, q = sweep(arc)
+            clean = pixels(START, q).reshape(-1, 2, 2)
+            ours, theirs, inside, refused = [], [], [], 0
+            for seed in range(runs):
+                uv = clean + np.random.default_rng(seed).normal(0.0, sigma, clean.shape)
+                seen = Sweeps(joint=joint, q=q, xyz_m=np.zeros((len(q), 3)), uv_px=uv)
+                try:
+                    error, claimed = entries(identify(seen, rig=RIG, base=WHERE.inv().as_matrix()))
+                except DataRefused:
+                    refused += 1
+                    continue
+                ours.append(error)
+                inside.append(np.abs(error) < 1.96 * claimed)
+                if seed < runs // 4:
+                    theirs.append(entries(identify(seen, rig=RIG, base=WHERE.inv().as_matrix(), method="paper"))[0])
+            least = bound(q, sigma)
+            rms = np.sqrt(np.mean(np.square(ours), axis=0)) / least
+            held.append(np.mean(inside))
+            typical = np.percentile(np.abs(ours), 68, axis=0)
+            paper = np.percentile(np.abs(theirs), 68, axis=0)
+            rows.append([f"{sigma} px, {arc:.0f} deg", refused, *(f"{a:.2f} ({r:.2f}) {b:.1f}" for a, r, b in
+                         zip(typical, rms, paper, strict=True)), f"{100 * held[-1]:.1f} %"])  # fmt: skip
+    table(
+        f"RRP rig, {runs} runs: 68 % error (RMS over Cramer-Rao bound, wanted 1.15), 68 % error of the paper's method",
+        ["noise, arc of joint 2", "refused", *NAMES, "95 % intervals hold"],
+        rows,
+    )
+
+
+def random_arms(count: int) -> None:
+    """Print how random arms are told: types where decided, places at unseen joint values in claimed deviations."""
+    decided, right, refused, kept, ratios = 0, 0, 0, 0, []
+    for seed in range(count):
+        rng = np.random.default_rng(seed)
+        n = int(rng.integers(3, 8))
+        alpha = np.where(rng.random(n) < 0.6, rng.choice([0.0, np.pi / 2, -np.pi / 2], n), rng.uniform(0.3, 2.8, n))
+        a = np.where((alpha != 0.0) & (rng.random(n) < 0.4), 0.0, rng.uniform(0.1, 0.5, n))
+        a[-1] = 0.25
+        theta, d, turns = rng.uniform(-1, 1, n), rng.uniform(-0.3, 0.3, n), rng.random(n) < 0.7
+        low = np.where(turns, rng.uniform(-1.2, -0.6, n), -0.15)
+        high = np.where(turns, rng.uniform(0.8, 1.6, n), 0.25)
+
+        def place(q: Array) -> Array:
+            T = np.tile(np.eye(4), (len(q), 1, 1))
+            for i in range(n):  # noqa: B023
+                turn = q[:, i] if turns[i] else np.zeros(len(q))  # noqa: B023
+                slide = np.zeros(len(q)) if turns[i] else q[:, i]  # noqa: B023
+                T = T @ step(theta[i] + turn, d[i] + slide, a[i], alpha[i])  # noqa: B023
+            return T[:, :3, 3]
+
+        joint = np.repeat(np.arange(n), 12)
+        q = np.tile(rng.uniform(-0.4, 0.4, n), (12 * n, 1))
+        q[np.arange(12 * n), joint] = np.concatenate([np.linspace(x, y, 12) for x, y in zip(low, high, strict=True)])
+        try:
+            found = identify(Sweeps(joint=joint, q=q, xyz_m=place(q) + rng.normal(0.0, 2e-4, (12 * n, 3))))
+        except DataRefused:
+            refused += 1
+            continue
+        same = [one.axis.revolute == bool(t) for one, t in zip(found.joints, turns, strict=True)]
+        decided += sum(one.decided for one in found.joints)
+        right += sum(one.decided and ok for one, ok in zip(found.joints, same, strict=True))
+        if all(same):
+            further = rng.uniform(low, high, (20, n))
+            off = np.linalg.norm(forward(found.arm, further)[:, :3, 3] - place(further), axis=1)
+            ratios.append(off.max() / 2e-4)
+            kept += 1
+    table(
+        f"{count} random arms of 3 to 7 joints, all degenerate cases among them, 0.2 mm noise, 12 readings a joint",
+        ["joints decided", "of these right", "arms refused (beacon on an axis, ..)", "arms compared",
+         "largest error at unseen values over noise: median", "95 %"],
+        [[decided, f"{100.0 * right / max(decided, 1):.3f} %", refused, kept, float(np.median(ratios)),
+          float(np.percentile(ratios, 95))]],
+    )  # fmt: skip
+
+
+def positioner() -> None:
+    """Print the axes of the real positioner, from one sweep of each joint."""
+    if not DATA.is_dir():
+        print("\nThe real measurements are not there and skipped.")
+        return
+    points = read_arm_points(DATA / "positioner" / "points.csv")
+    rows = []
+    for k in range(3):
+        middle = points.q[np.argmin(np.abs(points.q[:, 0] - 0.17 * (k - 1))), 0]
+        second = np.flatnonzero(np.abs(points.q[:, 0] - middle) < 0.02)
+        at = points.q[second[4 + k], 1]
+        first = np.flatnonzero(np.abs(points.q[:, 1] - at) < 0.02)
+        q = np.concatenate([points.q[first], points.q[second]])
+        q[: len(first), 1], q[len(first) :, 0] = at, points.q[second, 0].mean()
+        joint = np.repeat([0, 1], [len(first), len(second)])
+        seen = Sweeps(joint=joint, q=q, xyz_m=np.concatenate([points.xyz_m[first], points.xyz_m[second]]))
+        found = identify(seen)
+        link, std = found.arm.joints[0], found.joints[0].std
+        rows.append([k + 1, *(str(one.type) for one in found.arm.joints),
+                     f"{1e3 * link.a_m:.2f} +- {1e3 * std['a_m']:.2f}",
+                     f"{np.rad2deg(link.alpha_rad):.3f} +- {np.rad2deg(std['alpha_rad']):.3f}",
+                     *(f"{1e3 * one.residual_rms_m:.3f}" for one in found.joints)])  # fmt: skip
+    table("positioner, three pairs of sweeps (drawing: a 0 mm, alpha 90 deg)",
+          ["pair", "joint 1", "joint 2", "a1 mm", "alpha1 deg", "residual 1 mm", "residual 2 mm"], rows)  # fmt: skip
+
+
+def speed(repeats: int) -> None:
+    """Print the time of one identification of the RRP arm."""
+    joint, q = sweep(120.0)
+    times = []
+    for seed in range(repeats):
+        uv = pixels(START, q).reshape(-1, 2, 2) + np.random.default_rng(seed).normal(0.0, 0.2, (30, 2, 2))
+        seen = Sweeps(joint=joint, q=q, xyz_m=np.zeros((30, 3)), uv_px=uv)
+        begin = time.perf_counter()
+        identify(seen, rig=RIG)
+        times.append(1e3 * (time.perf_counter() - begin))
+    table("Time of one identification, ms (wanted 50)", ["median", "least"], [[float(np.median(times)), min(times)]])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="a tenth of the runs")
+    quick = parser.parse_args().quick
+    print(machine())
+    speed(5 if quick else 40)
+    positioner()
+    random_arms(100 if quick else 1000)
+    kapucu(20 if quick else 400)
+
+
+if __name__ == "__main__":
+    main()
