@@ -26,6 +26,9 @@ from armsight.store.recording import ImageFormat, Recording, repair
 
 IMAGES = np.random.default_rng(0).integers(0, 256, (5, 2, 60, 80), dtype=np.uint8)
 
+TOLD_AT = 2500
+"""Pairs of 9.6 kB: three chunks full, however quick the machine is; what waits in memory is less than one."""
+
 
 class Endless:
     """Pairs without end, as fast as they are taken; tells through a pipe when a number of them was."""
@@ -61,11 +64,11 @@ def _child(path: Path, kind: ImageFormat, pipe: Connection, tell_at: int) -> Non
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="there is no kill -9")
-@pytest.mark.parametrize(("kind", "tell_at"), [(ImageFormat.RAW, 1100), (ImageFormat.PNG, 700)])
-def test_killed_while_recording(tmp_path: Path, kind: ImageFormat, tell_at: int) -> None:
+@pytest.mark.parametrize("kind", [ImageFormat.RAW, ImageFormat.PNG])
+def test_killed_while_recording(tmp_path: Path, kind: ImageFormat) -> None:
     path = tmp_path / "a.mcap"
     here, there = multiprocessing.Pipe(duplex=False)
-    child = multiprocessing.get_context("fork").Process(target=_child, args=(path, kind, there, tell_at), daemon=True)
+    child = multiprocessing.get_context("fork").Process(target=_child, args=(path, kind, there, TOLD_AT), daemon=True)
     child.start()
     assert here.poll(60.0)
     os.kill(child.pid or 0, signal.SIGKILL)
