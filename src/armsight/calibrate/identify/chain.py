@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from armsight.calibrate.identify.kernels import chain_beacon
 from armsight.calibrate.identify.seen import Seen
 from armsight.calibrate.identify.shapes import Tilt, basis
 from armsight.fitting import Evaluation, Fit, Loss, LossKind, Problem, Settings, solve
@@ -36,11 +37,15 @@ def moved_by(axis: Axis, q: Array, X: Array) -> Array:
 class ChainModel:
     """Parameters: tilt and place of every turning joint's axis (4), of a slide's its tilt (2), the beacon at zero (3).
 
-    Measured from a start: the first axes given, each with its own basis.
+    Measured from a start: the first axes given, each with its own basis (n, 3, 3).
     """
 
     axes: tuple[Axis, ...]
     beacon_m: Array
+    bases: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "bases", np.stack([basis(axis.direction) for axis in self.axes]))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -55,8 +60,7 @@ class ChainModel:
     def axes_at(self, p: Array) -> tuple[list[Axis], Array]:
         """Return the axes and the beacon (3,) of parameters p."""
         out, k = [], 0
-        for axis in self.axes:
-            B = basis(axis.direction)
+        for axis, B in zip(self.axes, self.bases, strict=True):
             direction, _ = Tilt(B=B).direction(p[k : k + 2])
             point = axis.point_m
             if axis.revolute:
@@ -67,30 +71,10 @@ class ChainModel:
 
     def predict(self, p: Array, q: Array) -> tuple[Array, Array]:
         """Return the beacon (m, 3) at joint values q (m, n), and its derivative (m, 3, P)."""
-        axes, beacon = self.axes_at(p)
-        m = len(q)
-        J = np.zeros((m, 3, len(p)))
-        J[:, :, -3:] = np.eye(3)
-        X = np.tile(beacon, (m, 1))
-        k = len(p) - 3
-        for axis, first, value in zip(axes[::-1], self.axes[::-1], q.T[::-1], strict=True):
-            k -= 4 if axis.revolute else 2
-            B = basis(first.direction)
-            _, dd = Tilt(B=B).direction(p[k : k + 2])
-            if not axis.revolute:
-                X = X + np.outer(value, axis.direction)
-                J[:, :, k : k + 2] = value[:, None, None] * dd
-                continue
-            R = Rotation.from_rotvec(np.outer(value, axis.direction)).as_matrix()
-            r = X - axis.point_m
-            J[:, :, k + 4 :] = R @ J[:, :, k + 4 :]
-            s, c = np.sin(value)[:, None, None], 1.0 - np.cos(value)[:, None, None]
-            along = (
-                np.outer(r @ axis.direction, np.ones(2))[:, None, :] * dd + axis.direction[:, None] * (r @ dd)[:, None]
-            )
-            J[:, :, k : k + 2] = s * np.cross(dd.T[None], r[:, None]).transpose(0, 2, 1) + c * along
-            J[:, :, k + 2 : k + 4] = (np.eye(3) - R) @ B[:, :2]
-            X = axis.point_m + np.einsum("mij,mj->mi", R, r)
+        X, J = np.empty((len(q), 3)), np.empty((len(q), 3, len(p)))
+        revolute = np.array([axis.revolute for axis in self.axes])
+        points = np.stack([axis.point_m for axis in self.axes])
+        chain_beacon(revolute, self.bases, points, self.beacon_m, p, np.ascontiguousarray(q), X, J)
         return X, J
 
 

@@ -89,18 +89,6 @@ def fit_circle(seen: Seen, order: Array) -> PathFit:
     return best
 
 
-def swung_axes(seen: Seen, order: Array, n: int) -> list[tuple[Array, Array]]:
-    """Return centre and direction of the n best circles a fit would start from, the sense by the commanded values."""
-    xyz = seen.sweeps.xyz_m
-    starts = sorted(_starts(xyz), key=lambda start: _misfit(seen, *start))
-    out = []
-    for normal, centre, _ in starts[:n]:
-        local = (xyz[np.argsort(order)] - centre) @ basis(normal)
-        phase = np.unwrap(np.arctan2(local[:, 1], local[:, 0]))
-        out.append((centre, normal if phase[-1] >= phase[0] else -normal))
-    return out
-
-
 def circle_misfit(seen: Seen) -> float:
     """Return chi-square of the best of the circles a fit would start from."""
     return min(_misfit(seen, *start) for start in _starts(seen.sweeps.xyz_m))

@@ -1,10 +1,11 @@
-"""Compiled: a rig's pixels of many points, with derivatives."""
+"""Compiled: a rig's pixels of many points; a chain's beacon; how well axes of all directions fit a sweep."""
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
 
+from armsight.fitting.kernels import invert_spd
 from armsight.optics.kernels import see_point
 
 
@@ -16,3 +17,193 @@ def see_many(k, R, t, X, uv, D):
             if not see_point(k[side], R[side], t[side], X[i], uv[i, side], D[i, side]):
                 uv[i, side, :] = np.nan
                 D[i, side, :, :] = np.nan
+
+
+@njit(cache=True)
+def tilted(B, u, v, d, dd):
+    """Fill d (3,) = normalise(B (u, v, 1)) and dd (3, 2) = d d / d (u, v)."""
+    size = 0.0
+    for r in range(3):
+        d[r] = B[r, 0] * u + B[r, 1] * v + B[r, 2]
+        size += d[r] * d[r]
+    size = np.sqrt(size)
+    for r in range(3):
+        d[r] /= size
+    for c in range(2):
+        along = d[0] * B[0, c] + d[1] * B[1, c] + d[2] * B[2, c]
+        for r in range(3):
+            dd[r, c] = (B[r, c] - along * d[r]) / size
+
+
+@njit(cache=True)
+def turn(d, angle, x, out):
+    """Fill out (3,) with x turned about the unit direction d."""
+    s, c = np.sin(angle), np.cos(angle)
+    along = (1.0 - c) * (d[0] * x[0] + d[1] * x[1] + d[2] * x[2])
+    a = c * x[0] + s * (d[1] * x[2] - d[2] * x[1]) + along * d[0]
+    b = c * x[1] + s * (d[2] * x[0] - d[0] * x[2]) + along * d[1]
+    out[2] = c * x[2] + s * (d[0] * x[1] - d[1] * x[0]) + along * d[2]
+    out[0], out[1] = a, b
+
+
+@njit(cache=True)
+def chain_beacon(revolute, B, points, beacon, p, q, X, J):
+    """Fill X (m, 3) and J (m, 3, P): the beacon at joint values q (m, n) and its derivative by p.
+
+    B (n, 3, 3): basis of every joint's first direction; points (n, 3) on the axes; p: tilt (2) of every joint and, of
+    turning ones, the shift (2) along B's first columns; then the beacon's shift (3).
+    """
+    m, n = q.shape
+    P = p.shape[0]
+    d, dd, at = np.empty((n, 3)), np.empty((n, 3, 2)), np.empty((n, 3))
+    first = np.empty(n, dtype=np.int64)
+    k = 0
+    for j in range(n):
+        first[j] = k
+        tilted(B[j], p[k], p[k + 1], d[j], dd[j])
+        k += 2
+        at[j] = points[j]
+        if revolute[j]:
+            for r in range(3):
+                at[j, r] += B[j, r, 0] * p[k] + B[j, r, 1] * p[k + 1]
+            k += 2
+    r0, column = np.empty(3), np.empty(3)
+    for i in range(m):
+        x, G = X[i], J[i]
+        G[:, :] = 0.0
+        for r in range(3):
+            x[r] = beacon[r] + p[P - 3 + r]
+            G[r, P - 3 + r] = 1.0
+        for j in range(n - 1, -1, -1):
+            value, k = q[i, j], first[j]
+            if not revolute[j]:
+                for r in range(3):
+                    x[r] += value * d[j, r]
+                    G[r, k] = value * dd[j, r, 0]
+                    G[r, k + 1] = value * dd[j, r, 1]
+                continue
+            s, c = np.sin(value), 1.0 - np.cos(value)
+            for r in range(3):
+                r0[r] = x[r] - at[j, r]
+            for col in range(k + 4, P):
+                for r in range(3):
+                    column[r] = G[r, col]
+                turn(d[j], value, column, column)
+                for r in range(3):
+                    G[r, col] = column[r]
+            on = r0[0] * d[j, 0] + r0[1] * d[j, 1] + r0[2] * d[j, 2]
+            for t in range(2):
+                e0, e1, e2 = dd[j, 0, t], dd[j, 1, t], dd[j, 2, t]
+                off = r0[0] * e0 + r0[1] * e1 + r0[2] * e2
+                G[0, k + t] = s * (e1 * r0[2] - e2 * r0[1]) + c * (on * e0 + off * d[j, 0])
+                G[1, k + t] = s * (e2 * r0[0] - e0 * r0[2]) + c * (on * e1 + off * d[j, 1])
+                G[2, k + t] = s * (e0 * r0[1] - e1 * r0[0]) + c * (on * e2 + off * d[j, 2])
+                turn(d[j], value, B[j, :, t], column)
+                for r in range(3):
+                    G[r, k + 2 + t] = B[j, r, t] - column[r]
+            turn(d[j], value, r0, x)
+            for r in range(3):
+                x[r] += at[j, r]
+
+
+@njit(cache=True)
+def axis_cost(revolute, direction, xyz, W, q, p):
+    """Return the misfit of a sweep for an axis of given direction, all else eliminated; fill p.
+
+    xyz (m, 3), W (m, 3, 3) their information, q (m,) the joint's values. Turning: the place is a + cos q b + sin q n x b
+    with b square to n: p = a (3), b's parts (2). Sliding: a + q n: p = a. Infinite where a cannot be found.
+    """
+    m = len(q)
+    size = 5 if revolute else 3
+    e1, e2 = np.empty(3), np.empty(3)
+    i = 0
+    for r in range(1, 3):
+        if abs(direction[r]) < abs(direction[i]):
+            i = r
+    for r in range(3):
+        e1[r] = (1.0 if r == i else 0.0) - direction[i] * direction[r]
+    norm = np.sqrt(e1[0] ** 2 + e1[1] ** 2 + e1[2] ** 2)
+    for r in range(3):
+        e1[r] /= norm
+    e2[0] = direction[1] * e1[2] - direction[2] * e1[1]
+    e2[1] = direction[2] * e1[0] - direction[0] * e1[2]
+    e2[2] = direction[0] * e1[1] - direction[1] * e1[0]
+    H, g, inverse = np.zeros((size, size)), np.zeros(size), np.empty((size, size))
+    A, WA = np.zeros((3, size)), np.empty((3, size))
+    y, total = np.empty(3), 0.0
+    for r in range(3):
+        A[r, r] = 1.0
+    for k in range(m):
+        if revolute:
+            s, c = np.sin(q[k]), np.cos(q[k])
+            for r in range(3):
+                A[r, 3] = c * e1[r] + s * e2[r]
+                A[r, 4] = c * e2[r] - s * e1[r]
+        for r in range(3):
+            y[r] = xyz[k, r] - (0.0 if revolute else q[k] * direction[r])
+        for r in range(3):
+            Wy = W[k, r, 0] * y[0] + W[k, r, 1] * y[1] + W[k, r, 2] * y[2]
+            total += y[r] * Wy
+            for a in range(size):
+                g[a] += A[r, a] * Wy
+                WA[r, a] = W[k, r, 0] * A[0, a] + W[k, r, 1] * A[1, a] + W[k, r, 2] * A[2, a]
+        for a in range(size):
+            for b in range(a + 1):
+                H[a, b] += A[0, a] * WA[0, b] + A[1, a] * WA[1, b] + A[2, a] * WA[2, b]
+                H[b, a] = H[a, b]
+    if not invert_spd(H, inverse):
+        return np.inf
+    for a in range(size):
+        p[a] = 0.0
+        for b in range(size):
+            p[a] += inverse[a, b] * g[b]
+        total -= p[a] * g[a]
+    if revolute:  # from the parts of b to a point's offset from the axis
+        b1, b2 = p[3], p[4]
+        for r in range(3):
+            p[3 + r] = b1 * e1[r] + b2 * e2[r]
+    return total
+
+
+@njit(cache=True)
+def axis_costs(revolute, directions, xyz, W, q, costs):
+    """Fill costs (k,) of directions (k, 3); see axis_cost."""
+    p = np.empty(6)
+    for i in range(len(directions)):
+        costs[i] = axis_cost(revolute, directions[i], xyz, W, q, p)
+
+
+@njit(cache=True)
+def settle_axis(revolute, direction, step, xyz, W, q, p):
+    """Move direction (3,) to the nearest minimum of axis_cost by eight-way steps that shrink; return cost; fill p."""
+    best = axis_cost(revolute, direction, xyz, W, q, p)
+    d, B, trial = np.empty(3), np.empty((3, 3)), np.empty(6)
+    while step > 1e-5:
+        i = 0
+        for r in range(1, 3):
+            if abs(direction[r]) < abs(direction[i]):
+                i = r
+        for r in range(3):
+            B[r, 2] = direction[r]
+            B[r, 0] = (1.0 if r == i else 0.0) - direction[i] * direction[r]
+        norm = np.sqrt(B[0, 0] ** 2 + B[1, 0] ** 2 + B[2, 0] ** 2)
+        for r in range(3):
+            B[r, 0] /= norm
+        B[0, 1] = B[1, 2] * B[2, 0] - B[2, 2] * B[1, 0]
+        B[1, 1] = B[2, 2] * B[0, 0] - B[0, 2] * B[2, 0]
+        B[2, 1] = B[0, 2] * B[1, 0] - B[1, 2] * B[0, 0]
+        moved = False
+        for k in range(8):
+            u, v = step * np.cos(0.25 * np.pi * k), step * np.sin(0.25 * np.pi * k)
+            norm = np.sqrt(1.0 + step * step)
+            for r in range(3):
+                d[r] = (B[r, 0] * u + B[r, 1] * v + B[r, 2]) / norm
+            cost = axis_cost(revolute, d, xyz, W, q, trial)
+            if cost < best:
+                best, moved = cost, True
+                direction[:] = d
+                p[:] = trial
+                break
+        if not moved:
+            step *= 0.5
+    return best

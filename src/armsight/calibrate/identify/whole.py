@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from armsight.calibrate.identify.axes import PLAUSIBLE, Candidate, candidates, plausible
 from armsight.calibrate.identify.chain import Axis, ChainModel, at_zero, fit_chain, moved_by
-from armsight.calibrate.identify.joint import GROSS, swung_axes
-from armsight.calibrate.identify.paths import LOST_SHARE, Found, measured
+from armsight.calibrate.identify.joint import GROSS
+from armsight.calibrate.identify.paths import LOST_SHARE, Found
 from armsight.calibrate.identify.seen import Seen
 from armsight.calibrate.identify.sweeps import Sweeps
 from armsight.errors import Inconsistent, NotConverged
@@ -23,19 +24,21 @@ SLOPES = {1.0: "", np.pi / 180.0: "degrees given as radians", 180.0 / np.pi: "ra
           0.01: "centimetres given as metres", 100.0: "metres given as centimetres",
           0.001: "millimetres given as metres", 1000.0: "metres given as millimetres"}  # fmt: skip
 SLOPE_NEAR = 0.25
-SUSPECT = 1.2
-"""A whole arm that misses its readings by so much more (variance) than single paths do may have started wrong."""
 WORTH = 8.0
-"""Gain in half chi-square for which another start is taken, of which a joint's other type costs two parameters."""
-SHORT_RAD = 2.6
-"""Arcs shorter than this may have their plane swung about the chord by the noise."""
-SWINGS = 4
+"""Half chi-square by which a turning joint must be better than a sliding one where the path alone does not decide."""
+STARTED = 12
+"""Combinations of axes fitted at most."""
 
 
-def _check_slopes(found: Sequence[Found], sweeps: Sweeps) -> None:
-    """Raise Inconsistent where the paths' lengths are not those of the commanded values: units, or not exact."""
-    for j, item in enumerate(found):
-        if not item.decided:
+def _check_slopes(found: Sequence[Found], sweeps: Sweeps, axes: Sequence[Sequence[Candidate]]) -> None:
+    """Raise Inconsistent where a path does not go with the commanded values: another unit, or not exact.
+
+    The lengths are compared only where no axis explains the path at those values: an arc whose centre the noise leaves
+    open has no length to speak of.
+    """
+    for j, (item, possible) in enumerate(zip(found, axes, strict=True)):
+        best = min((one.chi2 for one in possible), default=np.inf)
+        if best < 3.0 * item.path.chi2 + PLAUSIBLE:
             continue
         q = sweeps.q[item.rows, j]
         slope = abs(float(np.polyfit(q, item.path.phase, 1)[0]))
@@ -68,59 +71,65 @@ class WholeFit:
 def fit_whole(seen: Seen, found: Sequence[Found]) -> WholeFit:
     """Return the fit of the whole arm to all readings, the joint values known.
 
-    Started from the paths; where it misses more than they do, or a joint's type is not decided, also from every short
-    arc's plane swung about its chord, from slides mirrored in depth, and from undecided joints as turning ones.
-    Raises Inconsistent where the paths' lengths contradict the joint values, NotConverged.
+    Started from the axes that explain each sweep best, and from all others the noise does not exclude; joints whose
+    type is not decided are tried as both. Raises Inconsistent where the paths contradict the joint values, NotConverged.
     """
-    _check_slopes(found, seen.sweeps)
+    axes = [_possible(seen, item, j) for j, item in enumerate(found)]
+    _check_slopes(found, seen.sweeps, axes)
     rows = np.sort(np.concatenate([item.rows for item in found]))
-    starts = _starts(seen, found)
-    best = _fit_from(seen, min(starts, key=lambda model: _start_cost(seen.take(rows), model)), rows)
-    if best.scale2 <= SUSPECT and all(item.decided for item in found):
-        return best
-    for start in starts:
+    best: WholeFit | None = None
+    for least, start in _starts(seen, found, axes):
+        if best is not None and least > _price(best):
+            break  # the arm explains its sweeps at best as well as each sweep's own axis does
         try:
             again = _fit_from(seen, start, rows)
         except NotConverged:
             continue
-        gained = best.fit.cost - again.fit.cost
-        if gained > max(0.1 * best.fit.cost, WORTH) and len(again.rows) >= len(best.rows):
+        if best is None or (-len(again.rows), _price(again)) < (-len(best.rows), _price(best)):
             best = again
+    if best is None:
+        raise NotConverged(
+            "no arm explains the sweeps", consequence="The arm is not identified",
+            cure="Sweep again, slower and over longer arcs",
+        )  # fmt: skip
     return best
 
 
-def _starts(seen: Seen, found: Sequence[Found]) -> list[ChainModel]:
-    """Return starts of the whole arm: the paths as fitted, and each short arc's plane swung about its chord."""
+def _price(fit: WholeFit) -> float:
+    """Return the fit's cost, and what its turning joints cost beside sliding ones."""
+    return fit.fit.cost + WORTH * sum(axis.revolute for axis in fit.model.axes)
+
+
+def _possible(seen: Seen, item: Found, joint: int) -> list[Candidate]:
+    """Return a joint's axes as its sweep shows them: of its type, and of both where that is not decided."""
+    part, q = seen.take(item.rows), seen.sweeps.q[item.rows, joint]
+    circle = item.path.kind == "circle"
+    own = candidates(part, q, revolute=circle)
+    other = [] if item.decided else candidates(part, q, revolute=not circle)
+    best = min((one.chi2 for one in (*own, *other)), default=np.inf)
+    return plausible(own, best) + plausible(other, best)
+
+
+def _starts(
+    seen: Seen, found: Sequence[Found], axes: Sequence[Sequence[Candidate]]
+) -> list[tuple[float, ChainModel]]:
+    """Return starts of the whole arm with the least price each can have: combinations of the joints' axes, best first."""
     sweeps = seen.sweeps
     rests = [sweeps.q[item.rows[0], :j] for j, item in enumerate(found)]
-    own = [measured(item, sweeps) for item in found]
-    rows = np.concatenate([item.rows for item in found])
-    variants: list[list[Axis]] = [own]
-    other_types: list[list[Axis]] = []
-    for j, item in enumerate(found):
-        before, after = own[:j], own[j + 1 :]
-        circle = item.path.kind == "circle"
-        if (circle and np.ptp(item.path.phase) < SHORT_RAD) or not item.decided:
-            for centre, direction in swung_axes(seen.take(item.rows), sweeps.q[item.rows, j], SWINGS):
-                swung = [*before, Axis(point_m=centre, direction=direction, revolute=True), *after]
-                (variants if circle else other_types).append(swung)
-        if not circle:  # depth is the weakest: the slide's mirror image in it looks nearly the same
-            sight = own[j].point_m / np.linalg.norm(own[j].point_m)
-            turned = own[j].direction - 2.0 * (own[j].direction @ sight) * sight
-            variants.append([*before, Axis(point_m=own[j].point_m, direction=turned, revolute=False), *after])
-    variants += other_types  # last: what they gain is over the best of the types the paths show
+    rows = np.sort(np.concatenate([item.rows for item in found]))
+    combined: list[tuple[float, list[Axis]]] = [(0.0, [])]
+    for possible in axes:
+        more = [
+            (price + 0.5 * one.chi2 + WORTH * one.axis.revolute, [*before, one.axis])
+            for price, before in combined
+            for one in possible
+        ]
+        combined = sorted(more, key=lambda item: item[0])[:STARTED]
     out = []
-    for variant in variants:
-        axes = at_zero(variant, rests)
-        out.append(ChainModel(axes=tuple(axes), beacon_m=beacon_at_zero(axes, sweeps, rows)))
+    for price, chosen in combined:
+        turned = at_zero(chosen, rests)
+        out.append((price, ChainModel(axes=tuple(turned), beacon_m=beacon_at_zero(turned, sweeps, rows))))
     return out
-
-
-def _start_cost(seen: Seen, model: ChainModel) -> float:
-    """Return the misfit of a start, gross readings counting little."""
-    r, _ = seen.residuals(*model.predict(np.zeros(len(model.names)), seen.sweeps.q))
-    size = np.nan_to_num((r**2).sum(axis=1), nan=1e30)
-    return float(np.log1p(size).sum())
 
 
 def _fit_from(seen: Seen, model: ChainModel, rows: NDArray[np.intp]) -> WholeFit:
