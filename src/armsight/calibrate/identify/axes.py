@@ -14,8 +14,8 @@ from armsight.calibrate.identify.seen import Seen
 
 Array = NDArray[np.float64]
 
-DIRECTIONS = 600
-"""Directions tried, spread over the sphere 8 degrees apart."""
+DIRECTIONS = 400
+"""Directions tried, spread over the sphere 10 degrees apart."""
 APART_COS = np.cos(np.deg2rad(25.0))
 """Minima nearer to each other than this are followed once."""
 SAME_COS = np.cos(np.deg2rad(2.0))
@@ -50,9 +50,8 @@ def candidates(seen: Seen, q: Array, *, revolute: bool) -> list[Candidate]:
         cost = settle_axis(revolute, direction, 0.1, centred, W, value, p)
         if not np.isfinite(cost) or any(one.axis.direction @ direction > SAME_COS for one in out):
             continue
-        # the foot of a + b on the axis is a without its part along it, plus that of the place in the middle
-        point = mean + p[:3]
-        out.append(Candidate(axis=Axis(point_m=point, direction=direction, revolute=revolute), chi2=cost))
+        axis = Axis(point_m=mean + p[:3], direction=direction, revolute=revolute)
+        out.append(Candidate(axis=axis, chi2=cost))
     out.sort(key=lambda one: one.chi2)
     return out
 
@@ -65,10 +64,11 @@ def plausible(found: Sequence[Candidate], best: float) -> list[Candidate]:
 def _information(seen: Seen) -> Array:
     """Return the information (m, 3, 3) of every place."""
     m = len(seen.sweeps)
+    W: Array
     if seen.rig is None and seen.whitener is not None:
         W = seen.whitener.transpose(0, 2, 1) @ seen.whitener / seen.sigma**2
     elif seen.sweeps.covariance_m2 is not None:
-        W = np.linalg.inv(seen.sweeps.covariance_m2) / seen.relative**2
+        W = np.asarray(np.linalg.inv(seen.sweeps.covariance_m2) / seen.relative**2)
     else:
         W = np.tile(np.eye(3) / seen.sigma**2, (m, 1, 1))
     return np.ascontiguousarray(W)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtrc, chdtri
 
 from armsight.calibrate.identify.seen import Seen
-from armsight.calibrate.identify.shapes import CIRCLE, LINE, Tilt, basis, circle, line
+from armsight.calibrate.identify.shapes import CIRCLE, LINE, Tilt, basis, circle, line, skew
 from armsight.errors import NotConverged
 from armsight.fitting import Evaluation, Fit, Loss, LossKind, Problem, Settings, solve
 
@@ -17,7 +18,7 @@ Array = NDArray[np.float64]
 
 SWUNG = 8
 """Normals tried, swung about the chord: with a short arc the plane fit may be anywhere about it (MATH 4.3)."""
-GROSS = float(np.sqrt(chi2.ppf(1.0 - 1e-6, 3)))
+GROSS = float(np.sqrt(chdtri(3, 1e-6)))
 """Readings beyond so many deviations are discarded."""
 
 
@@ -43,11 +44,14 @@ class PathFit:
     @property
     def p(self) -> float:
         """Probability that noise alone leaves as much."""
-        return float(chi2.sf(self.chi2, max(self.dof, 1)))
+        return float(chdtrc(max(self.dof, 1), self.chi2))
 
 
-def fit_line(seen: Seen, order: Array) -> PathFit:
-    """Return the line of greatest likelihood. order (N,): the commanded values, of which only the sense is used."""
+def fit_line(seen: Seen, order: Array, *, coarse: bool = False) -> PathFit:
+    """Return the line of greatest likelihood. order (N,): the commanded values, of which only the sense is used.
+
+    coarse: a tenth of the cost is enough, as where the path is plainly bent.
+    """
     xyz = seen.sweeps.xyz_m
     middle = xyz.mean(axis=0)
     direction = np.linalg.svd(xyz - middle)[2][0]
@@ -61,23 +65,24 @@ def fit_line(seen: Seen, order: Array) -> PathFit:
         names=LINE, guess=np.zeros(4), evaluate=evaluate, n_residuals=seen.rows * len(xyz), local_names=("t_m",),
         local_guess=((xyz - middle) @ direction)[:, None], loss=_loss(seen),
     )  # fmt: skip
-    fit = solve(problem, ROUGH)
+    fit = solve(problem, COARSE if coarse else ROUGH)
     d, _ = tilt.direction(fit.shared[2:])
     point, t = middle + tilt.B[:, :2] @ fit.shared[:2], fit.local[:, 0]
     sense = _sense(t, order)
     return _path("line", seen, fit, point, sense * d, 0.0, sense * t, len(LINE))
 
 
-def fit_circle(seen: Seen, order: Array) -> PathFit:
-    """Return the circle of greatest likelihood; started from the plane fit and from normals swung about the chord."""
+def fit_circle(seen: Seen, order: Array, near: PathFit | None = None, *, coarse: bool = False) -> PathFit:
+    """Return the circle of greatest likelihood; started from the plane fit and from normals swung about the chord.
+
+    near: a circle fitted before to nearly the same readings, tried first. coarse: a thousandth of the cost is enough.
+    """
     best: PathFit | None = None
-    starts = _starts(seen.sweeps.xyz_m)
-    flat = [_misfit(seen, *start) for start in starts]
-    for settings, k in [(SETTINGS, k) for k in np.argsort(flat)[:2]] + [(ROUGH, int(np.argmin(flat)))]:
-        if settings is ROUGH and best is not None:
+    for settings, (normal, centre, radius) in _attempts(seen, near):
+        if best is not None and settings is ROUGH:
             break
         try:
-            found = _circle_from(seen, *starts[int(k)], order, settings)
+            found = _circle_from(seen, normal, centre, radius, order, ROUGH if coarse else settings)
         except NotConverged:
             continue
         if best is None or found.fit.cost < best.fit.cost:
@@ -89,20 +94,54 @@ def fit_circle(seen: Seen, order: Array) -> PathFit:
     return best
 
 
+def _attempts(seen: Seen, near: PathFit | None) -> Iterator[tuple[Settings, tuple[Array, Array, float]]]:
+    """Yield how and from where a circle is fitted, worked out only as far as it is needed."""
+    if near is not None:
+        yield SETTINGS, (near.direction, near.point_m, near.radius_m)
+    starts = _starts(seen)
+    for start in starts[:2]:
+        yield SETTINGS, start[1:]
+    yield ROUGH, starts[0][1:]
+
+
 def circle_misfit(seen: Seen) -> float:
     """Return chi-square of the best of the circles a fit would start from."""
-    return min(_misfit(seen, *start) for start in _starts(seen.sweeps.xyz_m))
+    return _starts(seen)[0][0]
 
 
-def _starts(xyz: Array) -> list[tuple[Array, Array, float]]:
-    """Return normal, centre, radius of circles whose normals are swung about the chord."""
-    axes = np.linalg.svd(xyz - xyz.mean(axis=0))[2]
-    chord, normal = axes[0], axes[2]
-    side = np.array([chord[1] * normal[2] - chord[2] * normal[1], chord[2] * normal[0] - chord[0] * normal[2],
-                     chord[0] * normal[1] - chord[1] * normal[0]])  # fmt: skip
-    angles = np.arange(SWUNG) * np.pi / SWUNG
-    normals = [np.cos(angle) * normal + np.sin(angle) * side for angle in angles]
-    return [(n, *_flat_circle(xyz, n)) for n in normals]
+def line_misfit(seen: Seen) -> float:
+    """Return chi-square of the line a fit would start from."""
+    xyz = seen.sweeps.xyz_m
+    middle = xyz.mean(axis=0)
+    direction = np.linalg.svd(xyz - middle)[2][0]
+    r, _ = seen.residuals(middle + np.outer((xyz - middle) @ direction, direction), np.zeros((len(xyz), 3, 1)))
+    return float((r**2).sum())
+
+
+def _starts(seen: Seen) -> list[tuple[float, Array, Array, float]]:
+    """Return chi-square, normal, centre, radius of circles with normals swung about the chord, the best first.
+
+    Each is the circle of linear least squares in its plane through the middle, every reading put to its nearest place.
+    """
+    xyz = seen.sweeps.xyz_m
+    middle = xyz.mean(axis=0)
+    chord, _, normal = np.linalg.svd(xyz - middle)[2]
+    side = skew(chord) @ normal
+    out, still = [], np.zeros((len(xyz), 3, 1))
+    for angle in np.arange(SWUNG) * np.pi / SWUNG:
+        n = np.cos(angle) * normal + np.sin(angle) * side
+        E = basis(n)[:, :2]
+        x = (xyz - middle) @ E
+        A = np.column_stack([2.0 * x, np.ones(len(x))])
+        a, b, c = np.linalg.lstsq(A, (x**2).sum(axis=1), rcond=None)[0]
+        radius = float(np.sqrt(max(c + a * a + b * b, 1e-12)))
+        from_centre = x - np.array([a, b])
+        nearest = radius * from_centre / np.maximum(np.hypot(*from_centre.T), 1e-12)[:, None]
+        centre = middle + E @ np.array([a, b])
+        r, _ = seen.residuals(centre + nearest @ E.T, still)
+        size = float((r**2).sum())
+        out.append((size if np.isfinite(size) else np.inf, n, centre, radius))
+    return sorted(out, key=lambda start: start[0])
 
 
 def _decided(found: PathFit) -> bool:
@@ -136,12 +175,14 @@ def _circle_from(seen: Seen, n: Array, centre: Array, radius: float, order: Arra
 
 ROUGH = Settings(max_iterations=200, allow_undetermined=True, cost_tolerance=1e-3, step_tolerance=1e-4)
 """For a line far from fitting, where it does not matter how far, and for a centre that the noise leaves open."""
+COARSE = Settings(max_iterations=200, allow_undetermined=True, cost_tolerance=0.1, step_tolerance=1e-2)
+"""For a line that cannot be."""
 SETTINGS = Settings(max_iterations=100, allow_undetermined=True, cost_tolerance=1e-6, step_tolerance=1e-6)
 """For the circle: a short arc leaves its centre in a valley; a millionth of the cost is enough."""
 
 
 def _loss(seen: Seen) -> Loss:
-    return Loss(kind=LossKind.HUBER, scale=float(np.sqrt(chi2.ppf(0.999, seen.rows))), block=seen.rows)
+    return Loss(kind=LossKind.HUBER, scale=float(np.sqrt(chdtri(seen.rows, 1e-3))), block=seen.rows)
 
 
 def _evaluation(seen: Seen, X: Array, J: Array, Jt: Array) -> Evaluation:
@@ -162,26 +203,3 @@ def _path(
 
 def _sense(t: Array, order: Array) -> float:
     return 1.0 if np.dot(t - t.mean(), order - order.mean()) >= 0.0 else -1.0
-
-
-def _flat_circle(xyz: Array, n: Array) -> tuple[Array, float]:
-    """Return centre and radius of the circle in the plane through the middle with normal n, by linear least squares."""
-    B = basis(n)
-    middle = xyz.mean(axis=0)
-    x = (xyz - middle) @ B[:, :2]
-    A = np.column_stack([2.0 * x, np.ones(len(x))])
-    a, b, c = np.linalg.lstsq(A, (x**2).sum(axis=1), rcond=None)[0]
-    radius = float(np.sqrt(max(c + a * a + b * b, 1e-12)))
-    return middle + B[:, :2] @ np.array([a, b]), radius
-
-
-def _misfit(seen: Seen, n: Array, centre: Array, radius: float) -> float:
-    """Return the whitened misfit of a circle, each reading put to its nearest place on it."""
-    xyz = seen.sweeps.xyz_m
-    B = basis(n)
-    local = (xyz - centre) @ B
-    phi = np.arctan2(local[:, 1], local[:, 0])
-    X = centre + radius * (np.outer(np.cos(phi), B[:, 0]) + np.outer(np.sin(phi), B[:, 1]))
-    r, _ = seen.residuals(X, np.zeros((len(xyz), 3, 1)))
-    size = float((r**2).sum())
-    return size if np.isfinite(size) else np.inf

@@ -110,8 +110,8 @@ def chain_beacon(revolute, B, points, beacon, p, q, X, J):
 def axis_cost(revolute, direction, xyz, W, q, p):
     """Return the misfit of a sweep for an axis of given direction, all else eliminated; fill p.
 
-    xyz (m, 3), W (m, 3, 3) their information, q (m,) the joint's values. Turning: the place is a + cos q b + sin q n x b
-    with b square to n: p = a (3), b's parts (2). Sliding: a + q n: p = a. Infinite where a cannot be found.
+    xyz (m, 3), W (m, 3, 3) their information, q (m,) the joint's values. Turning: the place is
+    a + cos q b + sin q n x b with b square to n: p = a (3), b (3). Sliding: a + q n: p = a. Infinite where a cannot be found.
     """
     m = len(q)
     size = 5 if revolute else 3
@@ -178,7 +178,7 @@ def settle_axis(revolute, direction, step, xyz, W, q, p):
     """Move direction (3,) to the nearest minimum of axis_cost by eight-way steps that shrink; return cost; fill p."""
     best = axis_cost(revolute, direction, xyz, W, q, p)
     d, B, trial = np.empty(3), np.empty((3, 3)), np.empty(6)
-    while step > 1e-5:
+    while step > 2e-4:
         i = 0
         for r in range(1, 3):
             if abs(direction[r]) < abs(direction[i]):

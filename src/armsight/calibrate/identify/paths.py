@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2, f
+from scipy.special import chdtrc, chdtri, fdtrc
 
 from armsight.calibrate.identify.chain import Axis
-from armsight.calibrate.identify.joint import GROSS, PathFit, circle_misfit, fit_circle, fit_line
+from armsight.calibrate.identify.joint import GROSS, PathFit, circle_misfit, fit_circle, fit_line, line_misfit
 from armsight.calibrate.identify.seen import Seen
 from armsight.calibrate.identify.shapes import basis
 from armsight.calibrate.identify.sweeps import Sweeps
@@ -27,6 +27,8 @@ LOST_SHARE = 0.3
 """With more readings discarded the path is not that of one joint."""
 POOR = 1e-12
 """Probability of a path's misfit below which it is neither line nor circle."""
+PLAINLY = 0.01
+"""A path is plainly bent where a circle leaves less than this share of the misfit a line leaves."""
 LOOSE = 1e3
 """Factor on the noise with which nothing counts as gross, while the noise itself is looked for."""
 
@@ -46,16 +48,18 @@ class Found:
 def find_paths(seen: Seen, sigma: float | None) -> tuple[list[Found], Seen]:
     """Return every joint's path, and the readings with the noise found from all of them."""
     n = seen.sweeps.n
+    near: list[PathFit | None] = [None] * n
     if sigma is None:
-        noises = [_noise(seen.take(seen.sweeps.rows(j)), seen.sweeps.q[seen.sweeps.rows(j), j]) for j in range(n)]
-        known = [value for value in noises if np.isfinite(value)]
+        first = [_noise(seen.take(seen.sweeps.rows(j)), seen.sweeps.q[seen.sweeps.rows(j), j]) for j in range(n)]
+        known = [value for value, _ in first if np.isfinite(value)]
+        near = [path for _, path in first]
         if not known:
             raise NotEnoughData(
                 "three readings of every joint leave nothing to find the noise by",
                 consequence="No deviations can be given", cure="Give the noise (sigma), or take more readings",
             )  # fmt: skip
         seen = seen.at(seen.sigma * max(float(np.median(known)), 1e-9))
-    found = [_one_path(seen, j, sigma) for j in range(n)]
+    found = [_one_path(seen, j, near[j]) for j in range(n)]
     if sigma is None:  # once more with the noise of the shapes that were chosen
         total = sum(item.path.chi2 for item in found)
         dof = sum(item.path.dof for item in found)
@@ -69,35 +73,37 @@ def find_paths(seen: Seen, sigma: float | None) -> tuple[list[Found], Seen]:
 def _judged(item: Found, factor: float, dof: int) -> Found:
     """Return a path with the probability of a line by an F test: the noise was found from dof residuals."""
     if item.path.kind == "line":
-        return replace(item, p_line=float(chi2.sf(item.path.chi2 / factor**2, max(item.path.dof, 1))))
+        return replace(item, p_line=float(chdtrc(max(item.path.dof, 1), item.path.chi2 / factor**2)))
     gained = max(item.line_chi2 - item.path.chi2, 0.0) / factor**2
-    return replace(item, p_line=float(f.sf(gained / 2.0, 2, max(dof, 1))))
+    return replace(item, p_line=float(fdtrc(2, max(dof, 1), gained / 2.0)))
 
 
-def _noise(seen: Seen, order: Array) -> float:
-    """Return the noise of one sweep over the assumed one, by the median of the better shape's residuals."""
+def _noise(seen: Seen, order: Array) -> tuple[float, PathFit | None]:
+    """Return the noise of one sweep over the assumed one, by the median of the better shape's residuals; the shape."""
     loose = seen.at(LOOSE * seen.sigma if seen.rig is not None else LOOSE)
-    path = fit_line(loose, order)
-    if path.dof < 1 or circle_misfit(loose) < 0.25 * path.chi2:
+    bent = circle_misfit(loose)
+    path = None if bent < PLAINLY * line_misfit(loose) else fit_line(loose, order)
+    if path is None or path.dof < 1 or bent < 0.25 * path.chi2:
         try:
-            path = fit_circle(loose, order)
+            path = fit_circle(loose, order, coarse=True)
         except NotConverged:
-            return float("nan")
+            return float("nan"), None
     if path.dof < 1:
-        return float("nan")
-    spread = float(np.median((path.residual**2).sum(axis=1)) / chi2.median(path.dof / len(path.residual)))
-    return float(np.sqrt(spread)) * loose.sigma / seen.sigma
+        return float("nan"), None
+    spread = float(np.median((path.residual**2).sum(axis=1)) / chdtri(path.dof / len(path.residual), 0.5))
+    return float(np.sqrt(spread)) * loose.sigma / seen.sigma, path
 
 
-def _one_path(seen: Seen, joint: int, sigma: float | None) -> Found:
-    """Return a joint's path, gross readings discarded."""
+def _one_path(seen: Seen, joint: int, near: PathFit | None) -> Found:
+    """Return a joint's path, gross readings discarded; near: fitted to it before, without regard to them."""
     rows = seen.sweeps.rows(joint)
     out: list[tuple[int, str]] = []
-    _check_moved(seen.take(rows), joint, sigma)
+    _check_moved(seen.take(rows), joint)
     for _ in range(4):
         part, order = seen.take(rows), seen.sweeps.q[rows, joint]
-        straight = fit_line(part, order)
-        path = fit_circle(part, order) if straight.p < DECIDED else straight
+        bent = near if near is not None and near.kind == "circle" else None
+        straight = fit_line(part, order, coarse=bent is not None)
+        path = fit_circle(part, order, bent) if straight.p < DECIDED else straight
         size = np.sqrt((path.residual**2).sum(axis=1))
         bad = size > GROSS
         if not bad.any() or len(rows) - bad.sum() < 3:
@@ -123,7 +129,7 @@ def _one_path(seen: Seen, joint: int, sigma: float | None) -> Found:
     )
 
 
-def _check_moved(seen: Seen, joint: int, sigma: float | None) -> None:
+def _check_moved(seen: Seen, joint: int) -> None:
     xyz = seen.sweeps.xyz_m
     spread, _ = seen.residuals(np.tile(xyz.mean(axis=0), (len(xyz), 1)), np.zeros((len(xyz), 3, 1)))
     if np.sqrt(np.mean((spread**2).sum(axis=1)) / seen.rows) < STILL:

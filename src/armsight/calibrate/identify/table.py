@@ -9,13 +9,14 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.calibrate.identify.chain import Axis
+from armsight.calibrate.identify.shapes import skew
 from armsight.kinematics import Arm, Joint, JointType, link_to_line
 
 Array = NDArray[np.float64]
 
 KEYS = ("theta_rad", "d_m", "a_m", "alpha_rad", "beta_rad")
-STEP = 1e-6
-"""Of the central differences by which deviations are carried over, in the axes' own parameters (m, rad)."""
+STEP = 1e-7
+"""Of the differences by which deviations are carried over, in the axes' own parameters (m, rad)."""
 INTERSECT = 2.0
 """Axes closer than this many deviations meet, as far as anyone can tell; the same for angles of parallel ones."""
 
@@ -53,7 +54,7 @@ def _first(axis: Axis, base: Array) -> Array:
         x = base[:3, 1] - (base[:3, 1] @ z) * z
     x /= np.linalg.norm(x)
     T = np.eye(4)
-    T[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
+    T[:3, :3] = np.stack([x, skew(z) @ x, z], axis=1)
     T[:3, 3] = axis.point_m + ((base[:3, 3] - axis.point_m) @ z) * z
     return T
 
@@ -79,15 +80,16 @@ def arm_of(name: str, axes: Sequence[Axis], rows: Array, T_world_base: Array, to
 
 
 def carried(make: Callable[[Array], Array], p: Array, covariance: Array) -> Array:
-    """Return the deviations of make(p)'s table entries, by central differences, angles unwrapped."""
-    A = np.empty((make(p).size, len(p)))
+    """Return the deviations of make(p)'s table entries, by differences, angles unwrapped."""
+    here = make(p)
+    A = np.empty((here.size, len(p)))
     for i in range(len(p)):
         step = np.zeros(len(p))
         step[i] = STEP
-        change = (make(p + step) - make(p - step)).reshape(-1, len(KEYS))
+        change = (make(p + step) - here).reshape(-1, len(KEYS))
         for k in (0, 3, 4):
             change[:, k] = np.mod(change[:, k] + np.pi, 2.0 * np.pi) - np.pi
-        A[:, i] = change.ravel() / (2.0 * STEP)
+        A[:, i] = change.ravel() / STEP
     return np.asarray(np.sqrt(np.einsum("ij,jk,ik->i", A, covariance, A)).reshape(-1, len(KEYS)))
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from armsight.calibrate.identify.axes import PLAUSIBLE, Candidate, candidates, plausible
 from armsight.calibrate.identify.chain import Axis, ChainModel, at_zero, fit_chain, moved_by
@@ -72,7 +72,7 @@ def fit_whole(seen: Seen, found: Sequence[Found]) -> WholeFit:
     """Return the fit of the whole arm to all readings, the joint values known.
 
     Started from the axes that explain each sweep best, and from all others the noise does not exclude; joints whose
-    type is not decided are tried as both. Raises Inconsistent where the paths contradict the joint values, NotConverged.
+    type is not decided are tried as both. Raises NotConverged, Inconsistent where the paths contradict the values.
     """
     axes = [_possible(seen, item, j) for j, item in enumerate(found)]
     _check_slopes(found, seen.sweeps, axes)
@@ -110,10 +110,8 @@ def _possible(seen: Seen, item: Found, joint: int) -> list[Candidate]:
     return plausible(own, best) + plausible(other, best)
 
 
-def _starts(
-    seen: Seen, found: Sequence[Found], axes: Sequence[Sequence[Candidate]]
-) -> list[tuple[float, ChainModel]]:
-    """Return starts of the whole arm with the least price each can have: combinations of the joints' axes, best first."""
+def _starts(seen: Seen, found: Sequence[Found], axes: Sequence[Sequence[Candidate]]) -> list[tuple[float, ChainModel]]:
+    """Return starts of the whole arm, the best first, with the least price each can have."""
     sweeps = seen.sweeps
     rests = [sweeps.q[item.rows[0], :j] for j, item in enumerate(found)]
     rows = np.sort(np.concatenate([item.rows for item in found]))
@@ -135,11 +133,11 @@ def _starts(
 def _fit_from(seen: Seen, model: ChainModel, rows: NDArray[np.intp]) -> WholeFit:
     """Fit the whole arm to the rows from one start, discarding gross readings."""
     dropped: list[tuple[int, str]] = []
-    robust = float(np.sqrt(chi2.ppf(0.999, seen.rows)))
+    robust = float(np.sqrt(chdtri(seen.rows, 1e-3)))
     while True:
         fit = fit_chain(seen.take(rows), model, robust=robust)
         size = np.sqrt((fit.residuals.reshape(len(rows), -1) ** 2).sum(axis=1))
-        scale = max(1.0, float(np.sqrt(np.median(size**2) / chi2.median(seen.rows))))
+        scale = max(1.0, float(np.sqrt(np.median(size**2) / chdtri(seen.rows, 0.5))))
         bad = size > GROSS * scale
         if not bad.any() or len(dropped) > LOST_SHARE * len(rows):
             return WholeFit(model=model, fit=fit, rows=rows, dropped=tuple(dropped))
