@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -119,50 +120,68 @@ def kapucu(runs: int) -> None:
     )
 
 
+def random_arm(rng: np.random.Generator) -> tuple[Array, NDArray[np.bool_]]:
+    """Return rows theta, d, a, alpha (n, 4) of 3 to 7 joints, and which turn.
+
+    Axes are skew, square, parallel, nearly parallel, meeting or coincident; the beacon is 0.25 m from the last one.
+    """
+    n = int(rng.integers(3, 8))
+    alpha = np.where(rng.random(n) < 0.6, rng.choice([0.0, np.pi / 2, -np.pi / 2, 1e-3], n), rng.uniform(0.3, 2.8, n))
+    a = np.where(rng.random(n) < 0.3, 0.0, rng.uniform(0.1, 0.5, n))
+    a[-1] = 0.25
+    return np.column_stack([rng.uniform(-1, 1, n), rng.uniform(-0.3, 0.3, n), a, alpha]), rng.random(n) < 0.7
+
+
+def tip(rows: Array, turns: NDArray[np.bool_], q: Array) -> Array:
+    """Return the beacon (m, 3) in base axes."""
+    T = np.tile(np.eye(4), (len(q), 1, 1))
+    for (theta, d, a, alpha), turn, value in zip(rows, turns, q.T, strict=True):
+        still = np.zeros(len(q))
+        T = T @ step(theta + (value if turn else still), d + (still if turn else value), a, alpha)
+    return T[:, :3, 3]
+
+
 def random_arms(count: int) -> None:
     """Print how random arms are told: types where decided, places at unseen joint values in claimed deviations."""
-    decided, right, refused, kept, ratios = 0, 0, 0, 0, []
+    decided, right, kept, ratios, single, joint3 = 0, 0, 0, [], [], []
+    refused: Counter[str] = Counter()
     for seed in range(count):
         rng = np.random.default_rng(seed)
-        n = int(rng.integers(3, 8))
-        alpha = np.where(rng.random(n) < 0.6, rng.choice([0.0, np.pi / 2, -np.pi / 2], n), rng.uniform(0.3, 2.8, n))
-        a = np.where((alpha != 0.0) & (rng.random(n) < 0.4), 0.0, rng.uniform(0.1, 0.5, n))
-        a[-1] = 0.25
-        theta, d, turns = rng.uniform(-1, 1, n), rng.uniform(-0.3, 0.3, n), rng.random(n) < 0.7
+        rows, turns = random_arm(rng)
+        n = len(rows)
         low = np.where(turns, rng.uniform(-1.2, -0.6, n), -0.15)
         high = np.where(turns, rng.uniform(0.8, 1.6, n), 0.25)
-
-        def place(q: Array) -> Array:
-            T = np.tile(np.eye(4), (len(q), 1, 1))
-            for i in range(n):  # noqa: B023
-                turn = q[:, i] if turns[i] else np.zeros(len(q))  # noqa: B023
-                slide = np.zeros(len(q)) if turns[i] else q[:, i]  # noqa: B023
-                T = T @ step(theta[i] + turn, d[i] + slide, a[i], alpha[i])  # noqa: B023
-            return T[:, :3, 3]
-
         joint = np.repeat(np.arange(n), 12)
         q = np.tile(rng.uniform(-0.4, 0.4, n), (12 * n, 1))
         q[np.arange(12 * n), joint] = np.concatenate([np.linspace(x, y, 12) for x, y in zip(low, high, strict=True)])
+        xyz = tip(rows, turns, q) + rng.normal(0.0, 2e-4, (12 * n, 3))
         try:
-            found = identify(Sweeps(joint=joint, q=q, xyz_m=place(q) + rng.normal(0.0, 2e-4, (12 * n, 3))))
-        except DataRefused:
-            refused += 1
+            found = identify(Sweeps(joint=joint, q=q, xyz_m=xyz))
+        except DataRefused as refusal:
+            refused[str(refusal).split(" in the sweep")[0].split(" joint")[0]] += 1
             continue
         same = [one.axis.revolute == bool(t) for one, t in zip(found.joints, turns, strict=True)]
         decided += sum(one.decided for one in found.joints)
         right += sum(one.decided and ok for one, ok in zip(found.joints, same, strict=True))
-        if all(same):
-            further = rng.uniform(low, high, (20, n))
-            off = np.linalg.norm(forward(found.arm, further)[:, :3, 3] - place(further), axis=1)
-            ratios.append(off.max() / 2e-4)
-            kept += 1
+        if not all(same) or found.doubt is None:
+            continue
+        further = rng.uniform(low, high, (20, n))
+        off = forward(found.arm, further)[:, :3, 3] - tip(rows, turns, further)
+        _, C = found.doubt.places(further)
+        ratios.append(np.linalg.norm(off, axis=1).max() / 2e-4)
+        single.append(np.mean(np.abs(off) <= 3.0 * np.sqrt(np.einsum("mii->mi", C))))
+        finite = np.isfinite(C[:, 0, 0])
+        d2 = np.einsum("mi,mi->m", off[finite], np.linalg.solve(C[finite], off[finite][:, :, None])[:, :, 0])
+        joint3.append(np.mean(d2 <= 14.16) if finite.any() else 1.0)
+        kept += 1
     table(
         f"{count} random arms of 3 to 7 joints, all degenerate cases among them, 0.2 mm noise, 12 readings a joint",
-        ["joints decided", "of these right", "arms refused (beacon on an axis, ..)", "arms compared",
-         "largest error at unseen values over noise: median", "95 %"],
-        [[decided, f"{100.0 * right / max(decided, 1):.3f} %", refused, kept, float(np.median(ratios)),
-          float(np.percentile(ratios, 95))]],
+        ["joints decided", "of these right", "arms compared", "largest error at unseen values over noise: median",
+         "95 %", "coordinates within 3 sigma (99.7 % ideal)", "places in the 99.73 % ellipsoid"],
+        [[decided, f"{100.0 * right / max(decided, 1):.3f} %", kept, float(np.median(ratios)),
+          float(np.percentile(ratios, 95)), f"{100 * np.mean(single):.2f} %", f"{100 * np.mean(joint3):.2f} %"]],
     )  # fmt: skip
+    table("Arms refused", ["why", "count"], [[why, number] for why, number in refused.most_common()])
 
 
 def positioner() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from armsight.calibrate.identify.chain import Axis, at_zero, moved_by
 from armsight.calibrate.identify.paper import pair_line, triple_circle
 from armsight.calibrate.identify.paths import Found, find_paths, measured
-from armsight.calibrate.identify.result import Identification, JointFound
+from armsight.calibrate.identify.result import Doubt, Identification, JointFound
 from armsight.calibrate.identify.seen import Seen, seen_places
 from armsight.calibrate.identify.shapes import Tilt, basis
 from armsight.calibrate.identify.sweeps import Sweeps, check_sweeps, placed
@@ -106,7 +107,11 @@ def _at_once(
     std = carried(entries, p, covariance)
     predicted = model.predict(p, seen.sweeps.q)[0]
     seen = seen.at(seen.sigma * float(np.sqrt(widen)))
-    return _finish(seen, found, axes, beacon, table, std, (first, tool), predicted, notes, name, "ml", whole.dropped)
+    result = _finish(seen, found, axes, beacon, table, std, (first, tool), predicted, notes, name, "ml", whole.dropped)
+    kept = seen.take(whole.rows)
+    _, slopes = kept.residuals(*model.predict(p, kept.sweeps.q))
+    A = slopes.reshape(-1, len(p))
+    return replace(result, doubt=Doubt(model=model, p=p, information=A.T @ A))
 
 
 def _joint_by_joint(seen: Seen, found: list[Found], base: Array, notes: list[str], name: str) -> Identification:

@@ -108,10 +108,10 @@ def chain_beacon(revolute, B, points, beacon, p, q, X, J):
 
 @njit(cache=True)
 def axis_cost(revolute, direction, xyz, W, q, p):
-    """Return the misfit of a sweep for an axis of given direction, all else eliminated; fill p.
+    """Return the misfit of a sweep for an axis of given direction, all else eliminated (or infinity); fill p.
 
     xyz (m, 3), W (m, 3, 3) their information, q (m,) the joint's values. Turning: the place is
-    a + cos q b + sin q n x b with b square to n: p = a (3), b (3). Sliding: a + q n: p = a. Infinite where a cannot be found.
+    a + cos q b + sin q n x b with b square to n: p = a (3), b (3). Sliding: a + q n: p = a.
     """
     m = len(q)
     size = 5 if revolute else 3

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.calibrate.identify.chain import Axis
+from armsight.calibrate.identify.chain import Axis, ChainModel
 from armsight.kinematics import Arm
 
 Array = NDArray[np.float64]
@@ -36,12 +36,43 @@ class JointFound:
     residual_rms_px: float | None
 
 
+NOTHING = 1e-11
+"""Eigenvalues of the scaled information below this mean that the readings say nothing of a combination."""
+FELT = 1e-4
+"""A place that hangs on such a combination by more than this share is not known."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Doubt:
+    """What the readings say of the arm's parameters: the model, their values p (P,), the information (P, P)."""
+
+    model: ChainModel
+    p: Array
+    information: Array
+
+    def places(self, q: Array) -> tuple[Array, Array]:
+        """Return the beacon (m, 3) in rig axes at joint values q (m, n) and its covariance (m, 3, 3) in m^2.
+
+        Infinite where the place hangs on something that the readings leave open.
+        """
+        X, J = self.model.predict(self.p, np.asarray(q, float))
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(self.information), 1e-300))
+        values, vectors = np.linalg.eigh(self.information * np.outer(scale, scale))
+        known = values > NOTHING * values[-1]
+        G = J @ (scale[:, None] * vectors)
+        C = np.einsum("mik,k,mjk->mij", G[:, :, known], 1.0 / values[known], G[:, :, known])
+        lost = np.linalg.norm(G[:, :, ~known], axis=(1, 2)) > FELT * np.linalg.norm(G, axis=(1, 2))
+        C[lost] = np.diag([np.inf] * 3)
+        return X, C
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Identification:
     """The arm, its joints, and what to know about them.
 
     sigma: noise found, px with a rig, else m (or a factor on the given covariances). predicted_m: (m, 3) where the
-    result puts the beacon at each reading. beacon_m: with all joints at zero, in rig axes.
+    result puts the beacon at each reading. beacon_m: with all joints at zero, in rig axes. doubt: of the beacon's place
+    anywhere, where the whole arm was fitted at once.
     """
 
     arm: Arm
@@ -51,3 +82,4 @@ class Identification:
     sigma: float
     predicted_m: Array
     beacon_m: Array
+    doubt: Doubt | None = None
