@@ -138,7 +138,7 @@ def tip(rows: Array, turns: NDArray[np.bool_], q: Array) -> Array:
     for (theta, d, a, alpha), turn, value in zip(rows, turns, q.T, strict=True):
         still = np.zeros(len(q))
         T = T @ step(theta + (value if turn else still), d + (still if turn else value), a, alpha)
-    return T[:, :3, 3]
+    return np.asarray(T[:, :3, 3])
 
 
 def random_arms(count: int) -> None:
@@ -185,29 +185,36 @@ def random_arms(count: int) -> None:
 
 
 def positioner() -> None:
-    """Print the axes of the real positioner, from one sweep of each joint."""
+    """Print the axes of the real positioner: from one sweep of each joint, and from all of them pooled."""
     if not DATA.is_dir():
         print("\nThe real measurements are not there and skipped.")
         return
     points = read_arm_points(DATA / "positioner" / "points.csv")
+    label = [np.unique(np.round(points.q[:, j], 2), return_inverse=True)[1] for j in range(2)]
     rows = []
-    for k in range(3):
-        middle = points.q[np.argmin(np.abs(points.q[:, 0] - 0.17 * (k - 1))), 0]
-        second = np.flatnonzero(np.abs(points.q[:, 0] - middle) < 0.02)
-        at = points.q[second[4 + k], 1]
-        first = np.flatnonzero(np.abs(points.q[:, 1] - at) < 0.02)
-        q = np.concatenate([points.q[first], points.q[second]])
-        q[: len(first), 1], q[len(first) :, 0] = at, points.q[second, 0].mean()
-        joint = np.repeat([0, 1], [len(first), len(second)])
-        seen = Sweeps(joint=joint, q=q, xyz_m=np.concatenate([points.xyz_m[first], points.xyz_m[second]]))
-        found = identify(seen)
+    for name, chosen in {"1": [1], "2": [2], "3": [3], "pooled": list(range(label[0].max() + 1))}.items():
+        joint, at = [], []
+        for j in range(2):  # every other value of the first joint serves its own sweeps, the rest the second's
+            still = label[0] % 2 == j if name == "pooled" else np.isin(label[1 - j], chosen)
+            order = np.flatnonzero(still)[np.lexsort((points.q[still, j], label[1 - j][still]))]
+            at.append(order)
+            joint.append(np.full(len(order), j))
+        index = np.concatenate(at)
+        q = points.q[index].copy()
+        of = np.concatenate(joint)
+        for j in range(2):  # what the resting joint reads differs by its encoder's noise
+            for k in np.unique(label[1 - j]):
+                same = (of == j) & (label[1 - j][index] == k)
+                q[same, 1 - j] = q[same, 1 - j].mean() if same.any() else 0.0
+        found = identify(Sweeps(joint=of, q=q, xyz_m=points.xyz_m[index]))
         link, std = found.arm.joints[0], found.joints[0].std
-        rows.append([k + 1, *(str(one.type) for one in found.arm.joints),
+        rows.append([name, len(index), *(str(one.type) for one in found.arm.joints),
                      f"{1e3 * link.a_m:.2f} +- {1e3 * std['a_m']:.2f}",
                      f"{np.rad2deg(link.alpha_rad):.3f} +- {np.rad2deg(std['alpha_rad']):.3f}",
                      *(f"{1e3 * one.residual_rms_m:.3f}" for one in found.joints)])  # fmt: skip
-    table("positioner, three pairs of sweeps (drawing: a 0 mm, alpha 90 deg)",
-          ["pair", "joint 1", "joint 2", "a1 mm", "alpha1 deg", "residual 1 mm", "residual 2 mm"], rows)  # fmt: skip
+    table("positioner, pairs of sweeps and all sweeps pooled (drawing: a 0 mm, alpha 90 deg)",
+          ["pair", "readings", "joint 1", "joint 2", "a1 mm", "alpha1 deg", "residual 1 mm", "residual 2 mm"],
+          rows)  # fmt: skip
 
 
 def speed(repeats: int) -> None:

@@ -199,3 +199,34 @@ def test_sweeps_that_cannot_tell_an_arm_are_refused() -> None:
         identify(changed(q=degrees), rig=RIG)
     with pytest.raises(UsageError):
         identify(sweeps, rig=RIG, method="guess")
+
+
+def test_several_sweeps_of_a_joint_are_pooled() -> None:
+    """Three short arcs of a joint with the next one elsewhere each time tell more than one of them."""
+    rows: list[Row] = [(0.1, 0.4, 0.0, np.pi / 2, True), (0.0, 0.1, 0.3, 0.0, True)]
+    at = np.linspace(-0.35, 0.35, 8)
+    first = [np.column_stack([at, np.full(8, second)]) for second in (-1.0, 0.2, 1.4)]
+    second = np.column_stack([np.full(10, 0.1), np.linspace(-1.0, 1.4, 10)])
+    q = np.concatenate([*first, second])
+    joint = np.repeat([0, 1], [24, 10])
+    errors, claimed, alone = [], [], []
+    for seed in range(10):
+        seen = Sweeps(joint=joint, q=q, xyz_m=tip(rows, q) + np.random.default_rng(seed).normal(0.0, 1e-4, (34, 3)))
+        result = identify(seen)
+        assert [one.type for one in result.arm.joints] == ["revolute", "revolute"]
+        errors.append([result.arm.joints[0].a_m, abs(result.arm.joints[0].alpha_rad) - np.pi / 2])
+        claimed.append([result.joints[0].std["a_m"], result.joints[0].std["alpha_rad"]])
+        alone.append(identify(seen.take(np.r_[0:8, 24:34])).joints[0].std["a_m"])
+        assert result.doubt is not None
+        further = np.random.default_rng(seed).uniform(-1.0, 1.0, (20, 2))
+        places, C = result.doubt.places(further)
+        assert np.linalg.norm(places - tip(rows, further), axis=1).max() < 5.0 * np.sqrt(
+            C.trace(axis1=1, axis2=2).max()
+        )
+    z2 = (np.array(errors) / np.array(claimed)) ** 2
+    assert np.mean(z2) == pytest.approx(1.0, abs=0.9)  # 20 values, the noise found from 34 readings
+    assert np.median(claimed, axis=0)[0] < 0.5 * np.median(alone)
+    drifting = q.copy()
+    drifting[24:, 0] += np.linspace(0.0, 0.2, 10)
+    with pytest.raises(Inconsistent, match="joint 1 moves in the sweep of joint 2"):
+        identify(Sweeps(joint=joint, q=drifting, xyz_m=tip(rows, drifting)))

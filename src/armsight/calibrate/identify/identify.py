@@ -178,7 +178,7 @@ def _from_paper(seen: Seen, found: list[Found], base: Array, notes: list[str], n
     sweeps = seen.sweeps
     seen_axes = []
     for j, item in enumerate(found):
-        rows = sweeps.rows(j)
+        rows = item.main
         if item.path.kind == "circle":
             centre, direction, _ = triple_circle(sweeps.xyz_m[rows], sweeps.q[rows, j])
             sense = 1.0 if direction @ item.path.direction >= 0.0 else -1.0
@@ -186,7 +186,7 @@ def _from_paper(seen: Seen, found: list[Found], base: Array, notes: list[str], n
         else:
             point, direction = pair_line(sweeps.xyz_m[rows], sweeps.q[rows, j])
             seen_axes.append(Axis(point_m=point, direction=direction, revolute=False))
-    axes = at_zero(seen_axes, [sweeps.q[item.rows[0], :j] for j, item in enumerate(found)])
+    axes = at_zero(seen_axes, [sweeps.q[item.main[0], :j] for j, item in enumerate(found)])
     beacon = beacon_at_zero(axes, sweeps, np.arange(len(sweeps)))
     table, first, tool = place_frames(axes, beacon, base)
     X = np.tile(beacon, (len(sweeps), 1))

@@ -35,9 +35,13 @@ LOOSE = 1e3
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Found:
-    """A joint's path, the rows of its sweep that were kept, and the readings discarded."""
+    """A joint's path, the rows of its sweep that were kept, and the readings discarded.
+
+    Of several sweeps the path is that of the one that tells most, main its rows; rows are those of all.
+    """
 
     path: PathFit
+    main: NDArray[np.intp]
     rows: NDArray[np.intp]
     discarded: tuple[tuple[int, str], ...]
     p_line: float
@@ -47,10 +51,11 @@ class Found:
 
 def find_paths(seen: Seen, sigma: float | None) -> tuple[list[Found], Seen]:
     """Return every joint's path, and the readings with the noise found from all of them."""
-    n = seen.sweeps.n
-    near: list[PathFit | None] = [None] * n
+    sweeps = seen.sweeps
+    parts = [(j, rows) for j in range(sweeps.n) for rows in sweeps.sweeps(j)]
+    near: list[PathFit | None] = [None] * len(parts)
     if sigma is None:
-        first = [_noise(seen.take(seen.sweeps.rows(j)), seen.sweeps.q[seen.sweeps.rows(j), j]) for j in range(n)]
+        first = [_noise(seen.take(rows), sweeps.q[rows, j]) for j, rows in parts]
         known = [value for value, _ in first if np.isfinite(value)]
         near = [path for _, path in first]
         if not known:
@@ -59,15 +64,25 @@ def find_paths(seen: Seen, sigma: float | None) -> tuple[list[Found], Seen]:
                 consequence="No deviations can be given", cure="Give the noise (sigma), or take more readings",
             )  # fmt: skip
         seen = seen.at(seen.sigma * max(float(np.median(known)), 1e-9))
-    found = [_one_path(seen, j, near[j]) for j in range(n)]
+    each = [_one_path(seen, j, rows, start) for (j, rows), start in zip(parts, near, strict=True)]
     if sigma is None:  # once more with the noise of the shapes that were chosen
-        total = sum(item.path.chi2 for item in found)
-        dof = sum(item.path.dof for item in found)
+        total = sum(item.path.chi2 for item in each)
+        dof = sum(item.path.dof for item in each)
         if dof > 0:
             factor = float(np.sqrt(max(total / dof, 1e-18)))
             seen = seen.at(seen.sigma * factor)
-            found = [_judged(item, factor, dof) for item in found]
-    return found, seen
+            each = [_judged(item, factor, dof) for item in each]
+    return [_together([one for (k, _), one in zip(parts, each, strict=True) if k == j]) for j in range(sweeps.n)], seen
+
+
+def _together(found: list[Found]) -> Found:
+    """Return a joint's path from those of its sweeps: of the one that shows its type most plainly and went furthest."""
+    best = max(found, key=lambda item: (item.decided, item.path.kind == "circle", float(np.ptp(item.path.phase))))
+    return replace(
+        best,
+        rows=np.concatenate([item.rows for item in found]),
+        discarded=tuple(one for item in found for one in item.discarded),
+    )
 
 
 def _judged(item: Found, factor: float, dof: int) -> Found:
@@ -94,9 +109,9 @@ def _noise(seen: Seen, order: Array) -> tuple[float, PathFit | None]:
     return float(np.sqrt(spread)) * loose.sigma / seen.sigma, path
 
 
-def _one_path(seen: Seen, joint: int, near: PathFit | None) -> Found:
-    """Return a joint's path, gross readings discarded; near: fitted to it before, without regard to them."""
-    rows = seen.sweeps.rows(joint)
+def _one_path(seen: Seen, joint: int, rows: NDArray[np.intp], near: PathFit | None) -> Found:
+    """Return the path of one sweep, gross readings discarded; near: fitted to it before, without regard to them."""
+    count = len(rows)
     out: list[tuple[int, str]] = []
     _check_moved(seen.take(rows), joint)
     for _ in range(4):
@@ -113,7 +128,7 @@ def _one_path(seen: Seen, joint: int, near: PathFit | None) -> Found:
             (int(row), f"off its path by {s:.0f} deviations") for row, s in zip(rows[worst], size[worst], strict=True)
         ]
         rows = rows[~worst]
-    if len(out) > LOST_SHARE * len(seen.sweeps.rows(joint)) or (path.dof > 0 and path.p < POOR):
+    if len(out) > LOST_SHARE * count or (path.dof > 0 and path.p < POOR):
         raise Inconsistent(
             f"the path of joint {joint + 1} is neither a line nor a circle ({len(out)} readings off)",
             consequence="The joint is not identified",
@@ -121,6 +136,7 @@ def _one_path(seen: Seen, joint: int, near: PathFit | None) -> Found:
         )
     return Found(
         path=path,
+        main=rows,
         rows=rows,
         discarded=tuple(out),
         p_line=straight.p,
@@ -167,5 +183,5 @@ def _decided(straight: PathFit, seen: Seen) -> bool:
 
 def measured(item: Found, sweeps: Sweeps) -> Axis:
     """Return a joint's axis as its own sweep saw it; a slide's goes through the middle of its path."""
-    point = item.path.point_m if item.path.kind == "circle" else sweeps.xyz_m[item.rows].mean(axis=0)
+    point = item.path.point_m if item.path.kind == "circle" else sweeps.xyz_m[item.main].mean(axis=0)
     return Axis(point_m=point, direction=item.path.direction, revolute=item.path.kind == "circle")

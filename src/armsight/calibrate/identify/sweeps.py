@@ -23,6 +23,7 @@ HELD = 1e-3
 class Sweeps:
     """Readings row by row: joint (m,) that moves, from 0; q (m, n); xyz_m (m, 3) in rig axes.
 
+    A joint may be swept several times, with the others at other places each time.
     uv_px: (m, 2, 2) as [row, side], where a rig saw them. covariance_m2: (m, 3, 3) of the places, where known.
     """
 
@@ -53,6 +54,13 @@ class Sweeps:
     def rows(self, joint: int) -> NDArray[np.intp]:
         """Return the rows in which a joint (from 0) moves."""
         return np.flatnonzero(self.joint == joint)
+
+    def sweeps(self, joint: int) -> list[NDArray[np.intp]]:
+        """Return the rows of each sweep of a joint: another begins where the joints at rest have moved."""
+        rows = self.rows(joint)
+        others = np.delete(self.q[rows], joint, axis=1)
+        moved = np.abs(np.diff(others, axis=0)).max(axis=1, initial=0.0) > HELD
+        return [np.asarray(part) for part in np.split(rows, np.flatnonzero(moved) + 1)]
 
     def take(self, rows: NDArray[np.intp]) -> Sweeps:
         """Return some rows."""
@@ -96,15 +104,17 @@ def check_sweeps(sweeps: Sweeps) -> None:
                 consequence="Its axis cannot be found",
                 cure="Move every joint in a sweep of its own",
             )
-        others = np.delete(sweeps.q[rows], joint, axis=1)
-        if others.size and np.ptp(others, axis=0).max() > HELD:
-            also = int(np.delete(np.arange(sweeps.n), joint)[np.ptp(others, axis=0).argmax()])
+        others = [np.delete(sweeps.q[part], joint, axis=1) for part in sweeps.sweeps(joint)]
+        drift = np.max([np.ptp(part, axis=0) for part in others], axis=0)
+        if min(len(part) for part in others) < FEWEST or drift.max(initial=0.0) > HELD:
+            moved = np.ptp(np.delete(sweeps.q[rows], joint, axis=1), axis=0)
+            also = int(np.delete(np.arange(sweeps.n), joint)[moved.argmax()])
             raise Inconsistent(
                 f"joint {also + 1} moves in the sweep of joint {joint + 1}",
                 consequence="The beacon's path is neither's",
-                cure="Move one joint at a time",
+                cure=f"Move one joint at a time; of several sweeps of a joint each needs {FEWEST} readings",
             )
-        if np.ptp(sweeps.q[rows, joint]) <= HELD:
+        if min(np.ptp(sweeps.q[part, joint]) for part in sweeps.sweeps(joint)) <= HELD:
             raise Inconsistent(
                 f"joint {joint + 1} was not moved in its own sweep",
                 consequence="Its axis cannot be found",

@@ -40,7 +40,7 @@ def _check_slopes(found: Sequence[Found], sweeps: Sweeps, axes: Sequence[Sequenc
         best = min((one.chi2 for one in possible), default=np.inf)
         if best < 3.0 * item.path.chi2 + PLAUSIBLE:
             continue
-        q = sweeps.q[item.rows, j]
+        q = sweeps.q[item.main, j]
         slope = abs(float(np.polyfit(q, item.path.phase, 1)[0]))
         if abs(slope - 1.0) < 4 * SLOPE_NEAR and slope > 0.2:
             continue
@@ -102,7 +102,7 @@ def _price(fit: WholeFit) -> float:
 
 def _possible(seen: Seen, item: Found, joint: int) -> list[Candidate]:
     """Return a joint's axes as its sweep shows them: of its type, and of both where that is not decided."""
-    part, q = seen.take(item.rows), seen.sweeps.q[item.rows, joint]
+    part, q = seen.take(item.main), seen.sweeps.q[item.main, joint]
     circle = item.path.kind == "circle"
     own = candidates(part, q, revolute=circle)
     other = [] if item.decided else candidates(part, q, revolute=not circle)
@@ -113,7 +113,7 @@ def _possible(seen: Seen, item: Found, joint: int) -> list[Candidate]:
 def _starts(seen: Seen, found: Sequence[Found], axes: Sequence[Sequence[Candidate]]) -> list[tuple[float, ChainModel]]:
     """Return starts of the whole arm, the best first, with the least price each can have."""
     sweeps = seen.sweeps
-    rests = [sweeps.q[item.rows[0], :j] for j, item in enumerate(found)]
+    rests = [sweeps.q[item.main[0], :j] for j, item in enumerate(found)]
     rows = np.sort(np.concatenate([item.rows for item in found]))
     combined: list[tuple[float, list[Axis]]] = [(0.0, [])]
     for possible in axes:
