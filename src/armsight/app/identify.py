@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.calibrate import report_path
+from armsight.app.kinematics import load_arm
 from armsight.app.measure import target_of
 from armsight.app.replay import open_pairs
 from armsight.calibrate.identify import Identification, Sweeps, identify
-from armsight.errors import Cancelled, NotEnoughData, UsageError
+from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.measure.pair import Setup, measure_pair
 from armsight.measure.settings import SpotSettings
 from armsight.optics import Rig
@@ -32,7 +34,8 @@ class IdentifyJob:
     """A sweep file; or frames (left, right) of a beacon (target) before a rig, with sweep_joints.csv (joints).
 
     sigma: noise of a pixel coordinate in px with a rig, else of a place in m, where known.
-    world: where the rig stands to the base; the first frame is then the base's foot on the first axis.
+    world: where the rig stands to the base; the first frame is then the base's foot on the first axis. nominal: an arm
+    (file or preset) to put beside the identified one.
     """
 
     out: Path
@@ -46,6 +49,7 @@ class IdentifyJob:
     method: str = "ml"
     increments: str = "known"
     sigma: float | None = None
+    nominal: str | None = None
 
 
 def run_identify(job: IdentifyJob, progress: Progress | None = None) -> dict[str, Any]:
@@ -66,6 +70,17 @@ def run_identify(job: IdentifyJob, progress: Progress | None = None) -> dict[str
             )
         sweeps, notes = seen_in_frames(job, rig, progress or Silent())
         write_sweeps(job.out.with_suffix(".sweep.csv"), sweeps)
+    return identified(job, sweeps, rig, notes)
+
+
+def identified(job: IdentifyJob, sweeps: Sweeps, rig: Rig | None, notes: Sequence[str] = ()) -> dict[str, Any]:
+    """Identify the arm that made these sweeps, write arm.yaml and its report; return the figures. notes go first."""
+    nominal = None if job.nominal is None else load_arm(job.nominal)
+    if nominal is not None and len(nominal.joints) != sweeps.n:
+        raise Inconsistent(
+            f"the nominal arm has {len(nominal.joints)} joints, the sweep {sweeps.n}",
+            consequence="They cannot be compared", cure="Give the arm that was swept, or none",
+        )  # fmt: skip
     base = None if job.world is None else read_world(job.world).T_parent_rig.inv().as_matrix()
     result = identify(
         sweeps, rig=rig if sweeps.uv_px is not None else None, sigma=job.sigma, method=job.method,
@@ -76,7 +91,7 @@ def run_identify(job: IdentifyJob, progress: Progress | None = None) -> dict[str
     content = identified_content(result)
     content["notes"] = [*notes, *content["notes"]]
     files = [("file", path.name) for path in inputs]
-    write_text(report_path(job.out), identify_report(result, sweeps, rig, inputs=files))
+    write_text(report_path(job.out), identify_report(result, sweeps, rig, nominal=nominal, inputs=files))
     return content
 
 

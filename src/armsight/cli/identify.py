@@ -35,6 +35,9 @@ def identify(
         float | None,
         typer.Option(min=1e-9, help="Noise: px of a pixel with --rig, else m of a place; else it is found."),
     ] = None,
+    nominal: Annotated[
+        str | None, typer.Option(metavar="ARM", help="arm.yaml, .urdf or preset to put beside, in the report.")
+    ] = None,
     json: AsJson = False,
 ) -> None:
     """Find an unknown arm's joints, axes and table from a beacon's places while one joint after the other moves."""
@@ -53,6 +56,7 @@ def identify(
             method=method,
             increments=increments,
             sigma=sigma,
+            nominal=nominal,
         )
         content = run_identify(job, face.progress("identifying"))
         rows = []

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.calibrate.arm import ArmCalibration, ArmPoints
-from armsight.report.figures import BLUE, GREY, INK, Figure, axis, layout
+from armsight.report.figures import BLUE, GREY, Figure, axis, cloud_figure, layout
 from armsight.report.html import Card, Page, Verdict, figure_of, table, with_deviation
 from armsight.units import DEG, MM
 
@@ -101,15 +101,4 @@ def workspace_figure(result: ArmCalibration, points: ArmPoints) -> Figure:
         index = [result.model.names.index(name) for name in result.covariance.names]
         A = J[:, :3, index]
         sigma = np.sqrt(np.einsum("mij,jk,mik->m", A, result.covariance.matrix, A))
-    xyz = T[:, :3, 3] / MM
-    cloud = {
-        "type": "scatter3d", "mode": "markers", "name": "tool", "x": xyz[:, 0], "y": xyz[:, 1], "z": xyz[:, 2],
-        "marker": {"size": 3, "color": sigma / MM, "colorscale": "Viridis", "colorbar": {"title": {"text": "mm"}}},
-    }  # fmt: skip
-    seen = points.xyz_m / MM
-    measured = {
-        "type": "scatter3d", "mode": "markers", "name": "measured", "x": seen[:, 0], "y": seen[:, 1], "z": seen[:, 2],
-        "marker": {"size": 2, "color": INK, "symbol": "cross"},
-    }  # fmt: skip
-    scene = {"aspectmode": "data", **{f"{a}axis": {"title": {"text": f"{a}, mm"}} for a in "xyz"}}
-    return Figure(data=[cloud, measured], layout=layout(scene=scene), height_px=520)
+    return cloud_figure(T[:, :3, 3], sigma, points.xyz_m)

@@ -11,13 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.calibrate.identify import Identification, Sweeps
+from armsight.kinematics import Arm
 from armsight.optics import Rig, triangulate
-from armsight.report.figures import BLUE, GREEN, GREY, ORANGE, RED, Figure, axis, layout
+from armsight.report.figures import BLUE, GREEN, GREY, ORANGE, RED, Figure, axis, cloud_figure, layout
 from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table, with_deviation
 from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
 
+ENTRIES = (("a_m", MM), ("alpha_rad", DEG), ("d_m", MM), ("theta_rad", DEG), ("beta_rad", DEG))
+TITLES = ("a, mm", "alpha, °", "d, mm", "theta, °", "beta, °")
+CLOUD = 600
+"""Joint positions at which the beacon's uncertainty is drawn."""
 COLOURS = (BLUE, ORANGE, GREEN, "#7b4fa3", "#2a8fa0", "#8a6d3b")
 
 
@@ -26,10 +31,14 @@ def identify_report(
     sweeps: Sweeps,
     rig: Rig | None = None,
     *,
+    nominal: Arm | None = None,
     inputs: Sequence[tuple[str, str]] = (),
     created: datetime | None = None,
 ) -> str:
-    """Return the page as HTML text that needs no other file. inputs: (what, which) lines for the end of the page."""
+    """Return the page as HTML text that needs no other file.
+
+    nominal: an arm to put beside the table. inputs: (what, which) lines for the end of the page.
+    """
     xyz = _places(sweeps, rig)
     sure = all(joint.decided for joint in result.joints)
     kinds = "".join("R" if joint.axis.revolute else "P" for joint in result.joints)
@@ -46,6 +55,8 @@ def identify_report(
     if result.notes:
         page.add("What to know", "", bullets(result.notes))
     page.add("Table", "Denavit-Hartenberg parameters with standard deviations.", _table(result))
+    if nominal is not None:
+        page.add("Beside the nominal arm", f"Identified, and {nominal.name}.", _beside(result, nominal))
     page.add(
         "Paths and axes",
         "Readings by joint, where the result puts the beacon (small), and the axes with all joints at zero. Crosses "
@@ -53,6 +64,12 @@ def identify_report(
         page.plot(path_figure(result, sweeps, xyz)),
     )
     page.add("Residuals", "Distance of each reading from the result.", page.plot(residual_figure(result, sweeps, xyz)))
+    if result.doubt is not None:
+        page.add(
+            "Where the beacon's place is how certain",
+            "The deviation that the identified arm leaves at the beacon, at random positions between those swept.",
+            page.plot(workspace_figure(result, xyz)),
+        )
     if inputs:
         page.add("What went in", "", table(["", ""], [list(item) for item in inputs]))
     return page.html(created=created or datetime.now())
@@ -80,13 +97,42 @@ def _table(result: Identification) -> str:
     rows = []
     for number, (joint, found) in enumerate(zip(result.arm.joints, result.joints, strict=True), 1):
         cells: list[object] = [number, str(joint.type)]
-        for key, unit in (("a_m", MM), ("alpha_rad", DEG), ("d_m", MM), ("theta_rad", DEG), ("beta_rad", DEG)):
+        for key, unit in ENTRIES:
             doubt = found.std[key]
             known = math.isfinite(doubt)
+            if doubt == 0.0:  # beta of axes that are not nearly parallel
+                cells.append("0")
+                continue
             shown, plus = with_deviation(getattr(joint, key) / unit, doubt / unit if known else None)
             cells.append(f"{shown} ± {plus}" if known else f"{shown} (chosen)")
         rows.append(cells)
-    return table(["joint", "type", "a, mm", "alpha, °", "d, mm", "theta, °", "beta, °"], rows, numbers=(2, 3, 4, 5, 6))
+    return table(["joint", "type", *TITLES], rows, numbers=(2, 3, 4, 5, 6))
+
+
+def _beside(result: Identification, nominal: Arm) -> str:
+    """Return entries beside those of the nominal arm; those that are chosen are left out."""
+    rows = []
+    for number, (joint, found, other) in enumerate(
+        zip(result.arm.joints, result.joints, nominal.joints, strict=True), 1
+    ):
+        cells: list[object] = [number, str(joint.type), str(other.type)]
+        for key, unit in ENTRIES:
+            known = math.isfinite(found.std[key])
+            was = getattr(other, key) / unit
+            cells.append(f"{getattr(joint, key) / unit:.5g} | {was:.5g}" if known else f"| {was:.5g}")
+        rows.append(cells)
+    head = ["joint", "type", "nominal type", *(f"{name} | nominal" for name in TITLES)]
+    return table(head, rows, numbers=(3, 4, 5, 6, 7))
+
+
+def workspace_figure(result: Identification, xyz_m: Array) -> Figure:
+    """Return the beacon's place at random joint positions within the travel, coloured by its standard deviation."""
+    if result.doubt is None:
+        return cloud_figure(np.empty((0, 3)), np.empty(0), xyz_m)
+    travel = np.array([joint.travel for joint in result.joints])
+    q = np.random.default_rng(0).uniform(travel[:, 0], travel[:, 1], (CLOUD, len(travel)))
+    places, C = result.doubt.places(q)
+    return cloud_figure(places, np.sqrt(np.einsum("mii->m", C)), xyz_m)
 
 
 def _places(sweeps: Sweeps, rig: Rig | None) -> Array:
