@@ -184,8 +184,12 @@ class SimRobot:
 
     def true_flange(self, t_s: float) -> RigidTransform:
         """Return where the flange really was at time t_s of the clock, T_base_flange; now at the latest."""
+        return self.true.flange(self.true_joints(t_s))
+
+    def true_joints(self, t_s: float) -> Array:
+        """Return where the joints (n,) really were at time t_s of the clock; now at the latest."""
         self._now_s()
-        return self.true.flange(self._servo.at(t_s - self._origin_s)[0])
+        return np.asarray(self._servo.at(t_s - self._origin_s)[0])
 
     def _now_s(self) -> float:
         now_s = self._clock.now_s() - self._origin_s

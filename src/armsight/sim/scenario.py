@@ -355,6 +355,13 @@ class Scenario(Keys):
 
         return build_robot(self, device, clock)
 
+    def live(self, clock: Any) -> Any:
+        """Return the scenario's robot and the cameras that watch it, on a clock; its motion is not played."""
+        from armsight.sim.building import build_robot, build_stage
+        from armsight.sim.live import live_cell
+
+        return live_cell(build_stage(self, self.seed, 1), build_robot(self, "", clock), clock)
+
 
 def _joint_rows(motion: RobotMotion | FollowedMotion) -> list[tuple[str, list[float]]]:
     """Return the joint values that a motion names, with their keys."""

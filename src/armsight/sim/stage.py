@@ -156,15 +156,7 @@ class Stage:
         if not any(self.radii_m) or self.T_base_rig is None:
             return names
         t_s = np.array([index / self.fps])
-        frames = self.true.frames(self.servo.at(t_s)[0])
-        eye = (self.T_base_rig * self.cameras[side].T_world_camera).translation
-        T_base_target = self.T_base_rig * self.path(t_s)[0]
-        behind = {
-            light.name
-            for light in self.lights
-            if covered(frames, self.radii_m, np.asarray(eye), np.asarray(T_base_target.apply(light.xyz_m)))
-        }
-        return names | behind
+        return names | behind_arm(self, side, self.true.frames(self.servo.at(t_s)[0]), self.path(t_s)[0])
 
     def _single(self, index: int, side: str) -> NDArray[np.uint8]:
         camera = self.cameras[side]
@@ -207,6 +199,19 @@ class Stage:
             return False
         lots = np.random.default_rng([self.seed, SEED_DROP, index]).uniform(size=len(self.views))
         return bool((lots < self.timing.drop).any())
+
+
+def behind_arm(stage: Stage, side: str, frames: Array, T_rig_target: RigidTransform) -> frozenset[str]:
+    """Return the names of the lights that an arm with frames (n + 1, 4, 4) in base axes hides from a fixed camera."""
+    if not any(stage.radii_m) or stage.T_base_rig is None:
+        return frozenset()
+    eye = (stage.T_base_rig * stage.cameras[side].T_world_camera).translation
+    T_base_target = stage.T_base_rig * T_rig_target
+    return frozenset(
+        light.name
+        for light in stage.lights
+        if covered(frames, stage.radii_m, np.asarray(eye), np.asarray(T_base_target.apply(light.xyz_m)))
+    )
 
 
 def _truth(path: Path, t_s: Array) -> tuple[Truth, ...]:

@@ -26,6 +26,8 @@ SLOPES = {1.0: "", np.pi / 180.0: "degrees given as radians", 180.0 / np.pi: "ra
 SLOPE_NEAR = 0.25
 WORTH = 8.0
 """Half chi-square by which a turning joint must be better than a sliding one where the path alone does not decide."""
+SURE = 1e-12
+"""Where a line is rejected less clearly than this, by one noisy sweep in ten thousand, its values decide as well."""
 STARTED = 12
 """Combinations of axes fitted at most."""
 
@@ -105,7 +107,8 @@ def _possible(seen: Seen, item: Found, joint: int) -> list[Candidate]:
     part, q = seen.take(item.main), seen.sweeps.q[item.main, joint]
     circle = item.path.kind == "circle"
     own = candidates(part, q, revolute=circle)
-    other = [] if item.decided else candidates(part, q, revolute=not circle)
+    sure = item.decided and (not circle or item.p_line < SURE)
+    other = [] if sure else candidates(part, q, revolute=not circle)
     best = min((one.chi2 for one in (*own, *other)), default=np.inf)
     return plausible(own, best) + plausible(other, best)
 
