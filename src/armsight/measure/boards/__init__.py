@@ -2,5 +2,6 @@
 
 from armsight.measure.boards.find import DETECTORS, find_board, warm_up
 from armsight.measure.boards.orient import same_way_up
+from armsight.measure.boards.xcorner import xcorner_corners
 
-__all__ = ["DETECTORS", "find_board", "same_way_up", "warm_up"]
+__all__ = ["DETECTORS", "find_board", "same_way_up", "warm_up", "xcorner_corners"]

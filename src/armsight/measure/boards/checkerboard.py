@@ -1,4 +1,4 @@
-"""Checkerboards: found by OpenCV, their corners fitted and verified here."""
+"""Checkerboards: found by OpenCV or by templates, their corners fitted and verified here."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from armsight.errors import BadImage
 from armsight.measure.boards.gridmap import GridMap, fit_map
 from armsight.measure.boards.kernels import fit_corners
 from armsight.measure.boards.orient import most_upright
+from armsight.measure.boards.xcorner import xcorner_corners
 from armsight.records import BoardView, Target
 from armsight.records.symmetry import grid_turns
 
@@ -56,7 +57,7 @@ def find_checkerboard(image: Image, board: Target, source: str, detector: str) -
 
 
 def coarse_corners(image: Image, columns: int, rows: int, detector: str) -> Array | None:
-    """Return the corners (n, 2) to about a pixel, row by row, or None; detector: auto, classic or sectors."""
+    """Return the corners (n, 2) to about a pixel, row by row, or None; detector: auto, classic, sectors or xcorner."""
     scale = 1
     while image.shape[1] / scale > COARSE_WIDTH_PX:
         scale *= 2
@@ -65,6 +66,11 @@ def coarse_corners(image: Image, columns: int, rows: int, detector: str) -> Arra
     size = (columns, rows)
     for picture in images:
         factor = image.shape[1] / picture.shape[1]
+        if detector == "xcorner":
+            placed = xcorner_corners(picture, columns, rows)
+            if placed is not None:
+                return _full_size(placed, factor)
+            continue
         if detector != "sectors":
             flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
             found, corners = cv2.findChessboardCorners(picture, size, flags=flags)

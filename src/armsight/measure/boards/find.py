@@ -13,8 +13,9 @@ from armsight.measure.boards.circles import find_circles
 from armsight.measure.boards.kernels import fit_corners, fit_dots
 from armsight.records import BoardView, Target, TargetKind
 
-DETECTORS = ("auto", "classic", "sectors")
-"""How checkerboards are first looked for: auto tries both; the corners are fitted the same way afterwards."""
+DETECTORS = ("auto", "classic", "sectors", "xcorner")
+"""How checkerboards are first looked for: auto tries classic and sectors, OpenCV's two; xcorner is the one of Pachidis
+et al. 2005. The corners are fitted the same way afterwards."""
 
 DARK_LEVEL = 40.0
 WHITE_LEVEL = 215.0
