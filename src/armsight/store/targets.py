@@ -64,6 +64,7 @@ class LitModel(Origin):
     kind: Literal["spots"]
     spots_m: Annotated[dict[SpotName, Vector3], Field(min_length=1, max_length=200)] | None = None
     labels: list[str] | None = None
+    std_m: Annotated[dict[SpotName, Vector3], Field(max_length=200)] | None = None
     diameter_m: Positive | None = None
     colour: Literal["red", "green", "blue"] | ColourModel | None = None
 
@@ -148,6 +149,12 @@ def _lit(model: LitModel, where: str) -> Target:
             cure="Give spots_m: {A: [x, y, z], ...} in metres, or labels: [A, B, C] for three lights whose places "
             "nobody has measured",
         )
+    if model.std_m is not None and (model.spots_m is None or set(model.std_m) != set(model.spots_m)):
+        raise BadFile(
+            f"{where}: std_m names {', '.join(model.std_m)}, not the spots of spots_m",
+            consequence="The file is not used",
+            cure="Give std_m: {A: [sx, sy, sz], ...} in metres for every spot of spots_m, or leave it out",
+        )
     if model.spots_m is not None:
         spots = {name: (xyz[0], xyz[1], xyz[2]) for name, xyz in model.spots_m.items()}
         if len(set(spots.values())) != len(spots):
@@ -210,9 +217,14 @@ def read_target(path: Path) -> Target:
     return target_from_mapping(read_document(path, TARGET_FORMAT), str(path))
 
 
-def write_target(path: Path, target: Target, *, inputs: Sequence[Path] = ()) -> None:
-    """Write target.yaml with the hashes of the files it was made from."""
-    write_document(path, TARGET_FORMAT, target_mapping(target), inputs)
+def write_target(
+    path: Path, target: Target, *, inputs: Sequence[Path] = (), std_m: Mapping[str, Sequence[float]] | None = None
+) -> None:
+    """Write target.yaml with the hashes of the files it was made from; std_m: deviations (3,) of each spot's place.
+
+    The deviations are for people: reading the file checks their names and gives the places alone.
+    """
+    write_document(path, TARGET_FORMAT, {**target_mapping(target), "std_m": std_m}, inputs)
 
 
 def parse_board(text: str) -> Target:

@@ -1,0 +1,101 @@
+"""Frames of a lit target in, the places of its lights out: target.yaml."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from armsight.app.replay import open_pairs
+from armsight.calibrate.target import LitFrame, TargetCalibration, calibrate_target
+from armsight.drivers import PairSource
+from armsight.errors import Cancelled, Inconsistent
+from armsight.measure.match import pair_spots
+from armsight.measure.settings import SpotSettings
+from armsight.measure.spots import find_spots
+from armsight.optics import SIDES, PackedRig, Rig
+from armsight.records import Frame, Progress, Silent, Spots
+from armsight.store import read_rig, write_target
+
+Pair = tuple[Frame, Frame]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TargetJob:
+    """Sources as on the command line; lights: how many the target has."""
+
+    rig: Path
+    out: Path
+    left: str
+    right: str | None = None
+    lights: int = 3
+    limit: int | None = None
+    threshold: float | None = None
+    inverted: bool = False
+
+
+def calibrate_lit_target(job: TargetJob, progress: Progress | None = None) -> dict[str, Any]:
+    """Find the target's geometry, write target.yaml, and return the figures as --json gives them.
+
+    Raises UsageError, DataRefused (frames of another size, and as calibrate_target), DeviceFailed, Cancelled.
+    """
+    rig = read_rig(job.rig)
+    settings = SpotSettings(threshold=job.threshold, inverted=job.inverted)
+    with open_pairs(job.left, job.right) as pairs:
+        frames = _lit_frames(rig, pairs, settings, job.limit, progress or Silent())
+    done = calibrate_target(rig, frames, job.lights)
+    std = dict(zip(done.names, done.std_m.tolist(), strict=True))
+    write_target(job.out, done.target, inputs=[job.rig], std_m=std)
+    return target_content(done)
+
+
+def target_content(done: TargetCalibration) -> dict[str, Any]:
+    """Return the figures of a target's calibration as --json gives them."""
+    return {
+        "spots_m": dict(zip(done.names, done.xyz_m.tolist(), strict=True)),
+        "std": dict(zip(done.names, done.std_m.tolist(), strict=True)),
+        "distances_m": {k: {"value_m": d.value_m, "std_m": d.std_m} for k, d in done.distances().items()},
+        "n_frames": done.n_frames,
+        "n_used": done.n_used,
+        "rejected": [{"frame": frame, "why": why} for frame, why in done.rejected],
+        "residual_rms_px": done.residual_rms_px,
+        "loo_rms_px": done.loo_rms_px,
+        "advice": list(done.advice),
+    }
+
+
+def lit_frame(packed: PackedRig, name: str, left: Spots, right: Spots) -> LitFrame:
+    """Return the pairs of a moment's spots that agree with the epipolar lines."""
+    index = pair_spots(packed, left, right).index
+    return LitFrame(name=name, left=left.take(index[:, 0]), right=right.take(index[:, 1]))
+
+
+def _lit_frames(
+    rig: Rig, pairs: PairSource, settings: SpotSettings, limit: int | None, progress: Progress
+) -> list[LitFrame]:
+    packed, frames = PackedRig.of(rig), []
+    total = min(limit or pairs.total, pairs.total) if pairs.total else limit or 0
+    found: Iterable[Pair] = islice(pairs, limit)
+    for left, right in found:
+        _require_sizes(rig, left, right)
+        frames.append(
+            lit_frame(packed, left.source, find_spots(left.image, settings), find_spots(right.image, settings))
+        )
+        progress.update(len(frames), total, "looking for lights")
+        if progress.cancelled():
+            raise Cancelled(f"stopped after {len(frames)} pairs", consequence="No target was written")
+    return frames
+
+
+def _require_sizes(rig: Rig, left: Frame, right: Frame) -> None:
+    for side, frame in zip(SIDES, (left, right), strict=True):
+        camera = rig.camera(side)
+        if (frame.width, frame.height) != (camera.width, camera.height):
+            raise Inconsistent(
+                f"{frame.source} is {frame.width}x{frame.height} px, the rig's {side} camera "
+                f"{camera.width}x{camera.height} px",
+                consequence="The calibration says nothing about such frames; no target is given",
+                cure="Record at the resolution of the calibration, or calibrate at this one",
+            )

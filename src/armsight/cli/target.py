@@ -1,0 +1,77 @@
+"""armsight calibrate target."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from armsight.cli.face import Face
+from armsight.cli.options import SRC, AsJson, Limit
+from armsight.cli.tables import figure
+
+MM = 1e3
+
+SHOWN = 8
+"""Frames left out that are listed; the rest is in --json."""
+
+
+def target(
+    rig: Annotated[Path, typer.Option(help="rig.yaml of the two cameras, from `armsight calibrate stereo`.")],
+    left: Annotated[str, typer.Option(metavar="SRC", help=f"Left frames: {SRC}.")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="target.yaml to write.")],
+    right: Annotated[str | None, typer.Option(metavar="SRC", help="Right frames, in step with the left ones.")] = None,
+    lights: Annotated[int, typer.Option(min=2, max=6, help="How many lights the target has.")] = 3,
+    frames: Limit = None,
+    threshold: Annotated[
+        float | None, typer.Option(min=0.0, max=255.0, help="Grey level that counts as light. [default: automatic]")
+    ] = None,
+    inverted: Annotated[bool, typer.Option("--inverted", help="Look for dark spots on a bright ground.")] = False,
+    json: AsJson = False,
+) -> None:
+    """Find where the lights of a target are, from frames of it turned to several sides before a calibrated rig."""
+    with Face(as_json=json) as face:
+        from armsight.app.target import TargetJob, calibrate_lit_target
+
+        job = TargetJob(
+            rig=rig,
+            out=out,
+            left=left,
+            right=right,
+            lights=lights,
+            limit=frames,
+            threshold=threshold,
+            inverted=inverted,
+        )
+        content = calibrate_lit_target(job, face.progress("calibrating"))
+        target_tables(face, content, out)
+        face.result(content)
+
+
+def target_tables(face: Face, content: Mapping[str, Any], out: Path) -> None:
+    """Print a target's geometry."""
+    rows = [
+        [name, *(figure(MM * x, 6) for x in xyz), " ".join(figure(MM * s, 2) for s in content["std"][name])]
+        for name, xyz in content["spots_m"].items()
+    ]
+    face.table("Lights in the target's frame", ["", "x mm", "y mm", "z mm", "+- mm"], rows)
+    rows = [
+        [name, figure(MM * d["value_m"], 6), figure(MM * d["std_m"], 2)] for name, d in content["distances_m"].items()
+    ]
+    face.table("Distances", ["", "mm", "+-"], rows)
+    face.say(
+        f"{content['n_used']} of {content['n_frames']} frames, residual {figure(content['residual_rms_px'])} px RMS, "
+        f"left-out frames {figure(content['loo_rms_px'])} px"
+    )
+    for item in content["rejected"][:SHOWN]:
+        face.say(f"  left out: {item['frame']}: {item['why']}")
+    for text in content["advice"]:
+        face.say(f"- {text}")
+    face.say(f"Result: {out}")
+
+
+def add_to(calibrate: typer.Typer) -> None:
+    """Add the command to `armsight calibrate`."""
+    calibrate.command("target")(target)
