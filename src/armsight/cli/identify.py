@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -11,7 +11,11 @@ from armsight.cli.face import Face
 from armsight.cli.options import SRC, AsJson
 from armsight.cli.tables import figure
 
+if TYPE_CHECKING:
+    from armsight.app.identify_live import LiveJob
+
 MM, DEG = 1e3, 57.29577951308232
+ENTRIES = (("a_m", MM), ("alpha_rad", DEG), ("d_m", MM), ("theta_rad", DEG))
 
 
 def identify(
@@ -38,10 +42,58 @@ def identify(
     nominal: Annotated[
         str | None, typer.Option(metavar="ARM", help="arm.yaml, .urdf or preset to put beside, in the report.")
     ] = None,
+    live: Annotated[
+        str | None,
+        typer.Option(metavar="ROBOT", help="Move this robot: DRIVER[:DEVICE], or sim:SCENARIO with its own cameras."),
+    ] = None,
+    limits: Annotated[
+        str | None,
+        typer.Option(metavar="LIMITS", help="With --live, in rad or m: lo:hi,lo:hi ... or limits.yaml. Never left."),
+    ] = None,
+    readings: Annotated[int, typer.Option(min=4, help="With --live: readings of a sweep.")] = 10,
+    speed: Annotated[
+        float, typer.Option(min=0.001, max=1.0, help="With --live: share of a joint's travel a second.")
+    ] = 0.1,
+    propose: Annotated[
+        bool, typer.Option("--propose", help="With --live: probe and tell the plan only; with --model do not move.")
+    ] = False,
+    model: Annotated[
+        Path | None, typer.Option(help="With --live: arm.yaml that is roughly right, its tool the beacon; no probe.")
+    ] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="With --live: move without asking.")] = False,
     json: AsJson = False,
 ) -> None:
     """Find an unknown arm's joints, axes and table from a beacon's places while one joint after the other moves."""
     with Face(as_json=json) as face:
+        if live is not None:
+            from armsight.app.identify_live import LiveJob
+            from armsight.app.sweeping import Pace
+            from armsight.errors import UsageError
+
+            if rig is None or target is None or left is None or right is None or limits is None:
+                raise UsageError(
+                    "--live lacks something", cure="Give --rig, --target, --left, --right and --limits with it"
+                )
+            _live(
+                LiveJob(
+                    robot=live,
+                    left=left,
+                    right=right,
+                    rig=rig,
+                    target=target,
+                    limits=limits,
+                    out=out,
+                    world=world,
+                    model=model,
+                    readings=readings,
+                    pace=Pace(speed=speed),
+                    sigma=sigma,
+                    propose=propose,
+                ),
+                face,
+                yes,
+            )
+            return
         from armsight.app.identify import IdentifyJob, run_identify
 
         job = IdentifyJob(
@@ -59,17 +111,59 @@ def identify(
             nominal=nominal,
         )
         content = run_identify(job, face.progress("identifying"))
-        rows = []
-        for joint in content["joints"]:
-            cells = [f"{joint['index']}", joint["type"]]
-            for key, factor in (("a_m", MM), ("alpha_rad", DEG), ("d_m", MM), ("theta_rad", DEG)):
-                doubt = joint["std"][key]
-                shown = figure(factor * joint[key], 5)
-                cells.append(shown if doubt is None else f"{shown} +- {figure(factor * doubt, 2)}")
-            rows.append([*cells, figure(MM * joint["residual_rms_m"])])
-        face.table("Arm, mm and degrees", ["joint", "type", "a", "alpha", "d", "theta", "residual"], rows)
-        face.say("Entries without a deviation are chosen, not measured.")
-        for note in content["notes"]:
-            face.say(f"- {note}")
-        face.say(f"Result: {out}; open {out.with_suffix('.report.html')}")
+        _tell(content, out, face)
+
+
+def _live(job: LiveJob, face: Face, yes: bool) -> None:
+    """Identify online; ask before the robot moves."""
+    from armsight.app.identify_live import Person, run_identify_live
+
+    def confirm(question: str) -> bool:
+        try:
+            return yes or typer.confirm(question, err=True)
+        except typer.Abort:  # nobody there to ask
+            return False
+
+    def show(plan: dict[str, Any]) -> None:
+        _tell_plan(plan, face)
+
+    content = run_identify_live(job, Person(confirm=confirm, show=show), face.progress("identifying"))
+    if job.propose:
         face.result(content)
+    else:
+        _tell(content, job.out, face)
+
+
+def _tell_plan(plan: dict[str, Any], face: Face) -> None:
+    rows = [
+        [f"{sweep['joint']}", figure(sweep["from"], 4), figure(sweep["to"], 4), f"{sweep['readings']}",
+         ", ".join(figure(value, 3) for k, value in enumerate(sweep["rest"], 1) if k != sweep["joint"])]
+        for sweep in plan["sweeps"]
+    ]  # fmt: skip
+    face.table("Sweeps, rad or m", ["joint", "from", "to", "readings", "others rest at"], rows)
+    rows = []
+    for number, std in enumerate(plan["expected_std"], 1):
+        shown = ((std[key], factor) for key, factor in ENTRIES)
+        rows.append(
+            [f"{number}", *("" if value is None else f"+- {figure(factor * value, 2)}" for value, factor in shown)]
+        )
+    face.table("Accuracy to expect, mm and degrees", ["joint", "a", "alpha", "d", "theta"], rows)
+    for note in plan["notes"]:
+        face.say(f"- {note}")
+
+
+def _tell(content: dict[str, Any], out: Path, face: Face) -> None:
+    rows = []
+    for joint in content["joints"]:
+        cells = [f"{joint['index']}", joint["type"]]
+        for key, factor in ENTRIES:
+            doubt = joint["std"][key]
+            shown = figure(factor * joint[key], 5)
+            cells.append(shown if doubt is None else f"{shown} +- {figure(factor * doubt, 2)}")
+        rows.append([*cells, figure(MM * joint["residual_rms_m"])])
+    face.table("Arm, mm and degrees", ["joint", "type", "a", "alpha", "d", "theta", "residual"], rows)
+    face.say("Entries without a deviation are chosen, not measured.")
+    for note in content["notes"]:
+        face.say(f"- {note}")
+    face.say(f"Result: {out}; open {out.with_suffix('.report.html')}")
+    face.result(content)

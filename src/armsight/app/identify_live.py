@@ -1,0 +1,302 @@
+"""An unknown arm identified online: a small probe, a plan with the accuracy to expect, then the sweeps."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.app.identify import IdentifyJob, identified
+from armsight.app.measure import target_of
+from armsight.app.replay import open_pairs
+from armsight.app.scenarios import load_scenario
+from armsight.app.sweeping import Eyes, Pace, Sweeper
+from armsight.calibrate.identify import Identification, Sweeps, identify
+from armsight.calibrate.identify.plan import (
+    PROBE_SHARE,
+    Plan,
+    RoughArm,
+    checked_limits,
+    known_arm,
+    probe,
+    propose_sweeps,
+    rough_arm,
+)
+from armsight.clock import Clock, SystemClock
+from armsight.drivers import ROBOTS, PairSource, Robot, is_live, load
+from armsight.errors import ArmsightError, BadFile, Cancelled, DataRefused, UsageError
+from armsight.measure.pair import Setup
+from armsight.measure.settings import SpotSettings
+from armsight.optics import Rig
+from armsight.records import Progress, Silent, Target
+from armsight.store import read_rig, read_world
+from armsight.store.arm_file import read_arm
+from armsight.store.sweeps import write_sweeps
+from armsight.store.yamls import read_yaml
+
+Array = NDArray[np.float64]
+
+SIM = "sim:"
+LARGEST_SHARE = 0.4
+"""Probes grow no further than this share of the travel; what is not told by then, the plan says."""
+SIGMA_PX = 0.2
+"""Noise of a reading where only a model is known."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LiveJob:
+    """robot: DRIVER[:DEVICE], or sim:SCENARIO with the cameras camera:sim:SCENARIO:left and :right; left, right: live.
+
+    limits: limits.yaml (limits: [[lo, hi], ...]) or 'lo:hi,lo:hi', in rad or m. model: an arm.yaml whose tool is the
+    beacon, roughly right, that takes the place of the probe; it needs world. propose: give the plan only.
+    """
+
+    robot: str
+    left: str
+    right: str
+    rig: Path
+    target: Path
+    limits: str
+    out: Path
+    world: Path | None = None
+    model: Path | None = None
+    readings: int = 10
+    pace: Pace = field(default_factory=Pace)
+    sigma: float | None = None
+    propose: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Person:
+    """Who watches the robot: confirm is asked before it moves, show is given the plan before the sweeps."""
+
+    confirm: Callable[[str], bool] = lambda _: False
+    show: Callable[[dict[str, Any]], None] = lambda _: None
+
+
+def run_identify_live(
+    job: LiveJob,
+    person: Person,
+    progress: Progress | None = None,
+    *,
+    clock: Clock | None = None,
+    devices: tuple[Robot, PairSource] | None = None,
+) -> dict[str, Any]:
+    """Probe, plan, sweep and identify; write arm.yaml and its report; return the figures as --json gives them.
+
+    The robot moves only where the person confirms, and is stopped on every error; what was read until then is beside
+    the arm (.probe.csv, .sweep.csv). clock, devices: in place of the machine's and of those named. Raises UsageError,
+    DataRefused (also for a lost beacon), DeviceFailed, Cancelled.
+    """
+    clock, progress = clock or SystemClock(), progress or Silent()
+    rig, target = read_rig(job.rig), target_of(job.target)
+    limits = read_limits(job.limits)
+    _check(job, target)
+    robot, pairs = devices or open_devices(job, target, clock)
+    setup = Setup(rig=rig, target=target, settings=SpotSettings(colour=target.colour))
+    base = None if job.world is None else read_world(job.world).T_parent_rig.inv().as_matrix()
+    with robot, pairs:
+        low_high, start = checked_limits(limits, robot.read().q)
+        sweeper = Sweeper(robot, Eyes(setup, iter(pairs), clock), low_high, clock, progress, job.pace)
+        if job.model is not None:
+            arm, notes = _modelled(job), list[str]()
+        else:
+            with _stopped_on_error(robot, sweeper, job.out.with_suffix(".probe.csv")):
+                arm, notes = _probed(job, person, robot, sweeper, rig)
+        if not (job.model is not None and job.propose):
+            start = sweeper.standing
+        plan = propose_sweeps(arm, rig, low_high, start, readings=job.readings, base=base)
+        content = plan_content(plan, notes)
+        person.show(content)
+        if job.propose:
+            return {"plan": content, "notes": content["notes"]}
+        _ask(person, f"Move {robot.name} along {len(plan.sweeps)} sweeps as planned?")
+        sweeps = _swept(job, plan, robot, sweeper)
+    file = job.out.with_suffix(".sweep.csv")
+    done = identified(
+        IdentifyJob(out=job.out, sweep=file, rig=job.rig, target=job.target, world=job.world, sigma=job.sigma),
+        sweeps, rig,
+    )  # fmt: skip
+    return {**done, "plan": content}
+
+
+def read_limits(text: str) -> Array:
+    """Return limits (n, 2) of 'lo:hi,lo:hi' or of a limits.yaml. Raises UsageError, BadFile."""
+    if Path(text).suffix in (".yaml", ".yml"):
+        rows = read_yaml(Path(text)).get("limits")
+        refusal: ArmsightError = BadFile(f"{text}: no list 'limits' of [lower, upper] in rad or m")
+    else:
+        rows = [part.split(":") for part in text.split(",")]
+        refusal = UsageError(f"the limits {text!r} are not lo:hi,lo:hi", cure="Write for instance --limits=0:3.1,-1:1")
+    try:
+        limits = np.array(cast(Any, rows), dtype=float)
+    except (TypeError, ValueError):
+        raise refusal from None
+    if limits.ndim != 2 or limits.shape[1] != 2:
+        raise refusal
+    return limits
+
+
+def open_devices(job: LiveJob, target: Target, clock: Clock) -> tuple[Robot, PairSource]:
+    """Return the robot and the pairs that the job names; nothing is opened yet. Raises UsageError, DeviceNotFound."""
+    if job.robot.startswith(SIM):
+        name = job.robot.removeprefix(SIM)
+        for view, text in (("left", job.left), ("right", job.right)):
+            if text != f"camera:sim:{name}:{view}":
+                raise UsageError(
+                    f"{text} does not see the simulated robot {job.robot}", cure=f"Give camera:sim:{name}:{view}"
+                )
+        cell = load_scenario(name)[0].live(clock)
+        return cell.robot, cell.pairs
+    if not (is_live(job.left) and is_live(job.right)):
+        raise UsageError("a robot that moves needs live cameras", cure="Give camera:NAME for --left and --right")
+    driver, _, device = job.robot.partition(":")
+    robot = cast(Robot, load(ROBOTS, driver)(device, settings={}, clock=clock))
+    return robot, open_pairs(job.left, job.right, colour=target.colour is not None)
+
+
+def plan_content(plan: Plan, notes: Sequence[str] = ()) -> dict[str, Any]:
+    """Return a plan as --json gives it; joints count from 1, a deviation that means nothing is null."""
+    return {
+        "sweeps": [
+            {
+                "joint": sweep.joint + 1, "from": float(sweep.q[0, sweep.joint]), "to": float(sweep.q[-1, sweep.joint]),
+                "readings": len(sweep.q), "rest": sweep.q[0].tolist(), "way": sweep.way.tolist(),
+                "radius_m": sweep.radius_m, "ended_by": list(sweep.ends),
+            }
+            for sweep in plan.sweeps
+        ],
+        "expected_std": [
+            {key: value if math.isfinite(value) else None for key, value in one.items()} for one in plan.expected
+        ],
+        "noise_px": plan.sigma_px,
+        "notes": [*notes, *plan.notes],
+    }  # fmt: skip
+
+
+def _check(job: LiveJob, target: Target) -> None:
+    if len(target.names) != 1:
+        raise UsageError(
+            f"the target has {len(target.names)} points", consequence="Which is the beacon is open",
+            cure="Give a target of one light (--target)",
+        )  # fmt: skip
+    if job.model is not None and job.world is None:
+        raise UsageError("a model needs the rig's place", cure="Give --world beside --model")
+    if not 0.0 < job.pace.speed <= 1.0 or job.readings < 4 or job.pace.frames < 1:
+        raise UsageError(
+            "speed is a share of the travel a second in (0, 1], a sweep has 4 readings or more of a frame or more each"
+        )
+
+
+def _ask(person: Person, question: str) -> None:
+    if not person.confirm(question):
+        raise Cancelled(
+            "not confirmed", consequence="The robot is not moved further", cure="Give --yes to move without asking"
+        )
+
+
+@contextmanager
+def _stopped_on_error(robot: Robot, sweeper: Sweeper, file: Path) -> Iterator[None]:
+    """Stop the robot at once where the work in it fails or ends early, and write what was read."""
+    try:
+        yield
+    except BaseException as error:
+        robot.stop()
+        sweeps = sweeper.sweeps
+        if sweeps is not None:
+            write_sweeps(file, sweeps)
+            if isinstance(error, ArmsightError):
+                kept = f"the {len(sweeps)} readings until then are in {file}"
+                error.consequence = "; ".join(part.rstrip(".") for part in (error.consequence, kept) if part)
+        raise
+
+
+def _modelled(job: LiveJob) -> RoughArm:
+    """Return the arm of the model's file as the rig sees it."""
+    if job.model is None or job.world is None:
+        raise UsageError("a model needs the rig's place", cure="Give --model and --world")
+    arm, world = read_arm(job.model), read_world(job.world)
+    T = world.T_parent_rig.inv().as_matrix()
+    if world.parent == "base":
+        T = T @ arm.T_world_base.inv().as_matrix()
+    return known_arm(arm, T, job.sigma or SIGMA_PX)
+
+
+def _probed(job: LiveJob, person: Person, robot: Robot, sweeper: Sweeper, rig: Rig) -> tuple[RoughArm, list[str]]:
+    """Return the arm as small sweeps about the start tell it, and notes; those that do not tell a joint's type grow."""
+    _ask(
+        person,
+        f"Move each joint of {robot.name} by {PROBE_SHARE:.0%} of its travel, one after the other, and where that "
+        f"does not tell the joint by up to {LARGEST_SHARE:.0%}?",
+    )
+    start = sweeper.standing
+    checked_limits(sweeper.limits, start)
+    shares, parts = np.full(len(start), PROBE_SHARE), {}
+    todo = list(range(len(start)))
+    while True:
+        for j in todo:
+            poses = probe(sweeper.limits, start, j, share=float(shares[j]))
+            sweeper.clear(len(poses))
+            sweeper.sweep(j, poses)
+            sweeper.move(start)
+            if sweeper.sweeps is not None:
+                parts[j] = sweeper.sweeps
+        sweeps = joined([parts[j] for j in sorted(parts)])
+        found, refused = _tried(sweeps, rig, job.sigma)
+        todo = [j for j in range(len(start)) if found is None or not found.joints[j].decided]
+        todo = [j for j in todo if shares[j] < LARGEST_SHARE]
+        if found is not None and not todo:
+            write_sweeps(job.out.with_suffix(".probe.csv"), sweeps)
+            return rough_arm(found, sweeps.q, rig), _unsure(found)
+        if not todo and refused is not None:
+            raise refused
+        shares[todo] = np.minimum(2.0 * shares[todo], LARGEST_SHARE)
+
+
+def _unsure(found: Identification) -> list[str]:
+    return [
+        f"joint {number}: the probe does not tell whether it turns or slides; the plan takes it as "
+        f"{'turning' if joint.axis.revolute else 'sliding'}, and what it says of this joint may be wrong"
+        for number, joint in enumerate(found.joints, 1)
+        if not joint.decided
+    ]
+
+
+def _tried(sweeps: Sweeps, rig: Rig, sigma: float | None) -> tuple[Identification | None, DataRefused | None]:
+    try:
+        return identify(sweeps, rig=rig, sigma=sigma), None
+    except DataRefused as error:
+        return None, error
+
+
+def joined(parts: list[Sweeps]) -> Sweeps:
+    """Return sweeps with pixels, one after the other."""
+    uv = [part.uv_px for part in parts if part.uv_px is not None]
+    return Sweeps(
+        joint=np.concatenate([part.joint for part in parts]),
+        q=np.concatenate([part.q for part in parts]),
+        xyz_m=np.concatenate([part.xyz_m for part in parts]),
+        uv_px=np.concatenate(uv),
+    )
+
+
+def _swept(job: LiveJob, plan: Plan, robot: Robot, sweeper: Sweeper) -> Sweeps:
+    """Return the readings of the planned sweeps, written beside the arm."""
+    file = job.out.with_suffix(".sweep.csv")
+    with _stopped_on_error(robot, sweeper, file):
+        sweeper.clear(sum(len(sweep.q) for sweep in plan.sweeps))
+        for sweep in plan.sweeps:
+            for pose in sweep.way:
+                sweeper.move(pose)
+            sweeper.sweep(sweep.joint, sweep.q)
+        sweeps = sweeper.sweeps
+    if sweeps is None:
+        raise Cancelled("nothing was read")
+    write_sweeps(file, sweeps)
+    return sweeps

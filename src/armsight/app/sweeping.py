@@ -1,0 +1,241 @@
+"""A robot moved one joint at a time before two cameras that watch its beacon."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.calibrate.identify import Sweeps
+from armsight.clock import Clock
+from armsight.drivers import Robot, RobotState
+from armsight.errors import Cancelled, DeviceFailed, DeviceLost, Inconsistent, NotEnoughData
+from armsight.measure.pair import Setup, measure_pair
+from armsight.records import Frame, JointReading, Progress
+
+Array = NDArray[np.float64]
+
+LOOK_S = 0.2
+"""Time between two looks at the beacon while a joint moves: at a tenth of its travel a second 2 % of it."""
+LOST_FRAMES = 3
+"""Frames in a row without the beacon that mean it is lost: single ones are lost to flicker."""
+REST_FRAMES = 3
+"""Frames in a row in which joints and beacon keep still."""
+REST_PX = 0.5
+"""A beacon that moves less from frame to frame rests: three times a poor centre's noise."""
+REST_STEP = 2e-4
+"""Joint readings (rad, m) that change less rest: an encoder may flicker by a step."""
+REST_TIMEOUT_S = 10.0
+"""A joint told nothing new for so long that still moves is not under control."""
+FOLLOW_SHARE = 0.02
+"""Share of its travel by which a joint at rest may miss where it was sent: play and gravity, not a fault."""
+STUCK = 20
+"""Commands in a row that go nowhere."""
+SLACK = 1e-9
+"""Joint values (rad, m) so far beyond a limit are at it: rounding."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Look:
+    """The beacon in one pair of frames: taken_s on our clock, not later than true; uv_px (2, 2), xyz_m (3,), or why."""
+
+    taken_s: float
+    uv_px: Array | None = None
+    xyz_m: Array | None = None
+    why: str = ""
+
+
+class Eyes:
+    """Looks at the beacon through pairs of live frames, whose stamps count from a moment of their own."""
+
+    def __init__(self, setup: Setup, pairs: Iterator[tuple[Frame, Frame]], clock: Clock) -> None:
+        self._setup = setup
+        self._pairs = pairs
+        self._clock = clock
+        self._ahead_s = np.inf
+        self._lost = 0
+
+    def look(self, while_: str) -> Look:
+        """Return what the next pair shows. Raises NotEnoughData after LOST_FRAMES without the beacon, DeviceLost."""
+        pair = next(self._pairs, None)
+        if pair is None:
+            raise DeviceLost(f"the cameras ended {while_}", consequence="The robot was stopped", cure="Check them")
+        t_s = max(pair[0].t_s, pair[1].t_s)
+        self._ahead_s = min(self._ahead_s, self._clock.now_s() - t_s)  # a frame may wait, none comes before it is taken
+        found = measure_pair(self._setup, *pair)
+        if len(found.points):
+            self._lost = 0
+            uv = np.stack([found.left.uv_px[0], found.right.uv_px[0]])
+            return Look(taken_s=t_s + self._ahead_s, uv_px=uv, xyz_m=found.points.xyz_m[0])
+        self._lost += 1
+        why = found.pose.why or "it is not in both images"
+        if self._lost >= LOST_FRAMES:
+            raise NotEnoughData(
+                f"the beacon is lost {while_}: {why}", consequence="The robot was stopped",
+                cure="Free the view of it, or narrow the limits to where both cameras see it",
+            )  # fmt: skip
+        return Look(taken_s=t_s + self._ahead_s, why=why)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pace:
+    """speed: share of a joint's travel a second. frames: pairs averaged for a reading."""
+
+    speed: float = 0.1
+    frames: int = 4
+
+
+class Sweeper:
+    """Moves an open robot one joint at a time within limits (n, 2), and reads joints and beacon where it rests.
+
+    It never asks for a joint value outside the limits, and watches the beacon all the while. Nothing here stops the
+    robot: whoever catches an error does.
+    """
+
+    def __init__(self, robot: Robot, eyes: Eyes, limits: Array, clock: Clock, progress: Progress, pace: Pace) -> None:
+        self._robot = robot
+        self._eyes = eyes
+        self.limits = limits
+        self._clock = clock
+        self._progress = progress
+        self._pace = pace
+        self._at: Array | None = None
+        self._joint: list[int] = []
+        self._rows: list[tuple[Array, Array, Array]] = []
+        self._total = 0
+
+    @property
+    def travel(self) -> Array:
+        """How far each joint may go (n,), rad or m."""
+        return np.asarray(self.limits[:, 1] - self.limits[:, 0])
+
+    @property
+    def standing(self) -> Array:
+        """Where the robot was last sent (n,)."""
+        return self._sent()
+
+    @property
+    def sweeps(self) -> Sweeps | None:
+        """What was read since the last clear; None where nothing was."""
+        if not self._rows:
+            return None
+        q, uv, xyz = (np.array(values) for values in zip(*self._rows, strict=True))
+        return Sweeps(joint=np.array(self._joint, dtype=np.intp), q=q, xyz_m=xyz, uv_px=uv)
+
+    def clear(self, expected: int) -> None:
+        """Forget what was read; so many readings are to come."""
+        self._joint, self._rows, self._total = [], [], expected
+
+    def sweep(self, joint: int, q: Array) -> None:
+        """Take a reading at every pose of q (m, n); they differ in one joint, as the robot's own from the first."""
+        for pose in q:
+            self.move(pose)
+            self._rest(joint)
+            self._read(joint)
+            self._progress.update(len(self._rows), self._total, f"joint {joint + 1}")
+
+    def move(self, goal: Array) -> None:
+        """Move the one joint in which goal (n,) differs from where the robot was last sent.
+
+        Raises Inconsistent for a goal beyond the limits or with two joints, DeviceFailed, NotEnoughData, Cancelled.
+        """
+        self._check_goal(goal)
+        at = self._sent()
+        joint = int(np.argmax(np.abs(goal - at)))
+        longest = self._pace.speed * self.travel[joint] * self._robot.cycle_s
+        stuck, looked_s = 0, self._clock.now_s()
+        while abs(goal[joint] - at[joint]) > SLACK:
+            self._check_going(f"while joint {joint + 1} moved")
+            step = np.zeros(len(at))
+            step[joint] = np.clip(goal[joint] - at[joint], -longest, longest)
+            sent = self._robot.step_joints(step)
+            stuck = stuck + 1 if abs(sent.q[joint] - at[joint]) < 1e-3 * abs(step[joint]) else 0
+            if stuck >= STUCK:
+                raise DeviceFailed(
+                    f"joint {joint + 1} does not go from {at[joint]:.4g} to {goal[joint]:.4g}"
+                    f"{': ' if sent.limited else ''}{', '.join(sent.limited)}",
+                    consequence="The robot was stopped", cure="Give limits inside the robot's own",
+                )  # fmt: skip
+            at = self._at = sent.q
+            self._clock.sleep_until(self._clock.now_s() + self._robot.cycle_s)
+            if self._clock.now_s() - looked_s >= LOOK_S:
+                looked_s = self._clock.now_s()
+                self._eyes.look(f"while joint {joint + 1} moved")
+
+    def _sent(self) -> Array:
+        if self._at is None:
+            self._at = self._robot.step_joints(np.zeros(self._robot.n_joints)).q
+        return self._at
+
+    def _check_goal(self, goal: Array) -> None:
+        at = self._sent()
+        beyond = np.flatnonzero((goal < self.limits[:, 0] - SLACK) | (goal > self.limits[:, 1] + SLACK))
+        if len(beyond):
+            j = int(beyond[0])
+            raise Inconsistent(
+                f"joint {j + 1} would go to {goal[j]:.4g}, its limits are {self.limits[j, 0]:g} to "
+                f"{self.limits[j, 1]:g}",
+                consequence="It was not sent there", cure="Give other limits or another plan",
+            )  # fmt: skip
+        if (np.abs(goal - at) > SLACK).sum() > 1:
+            raise Inconsistent("more than one joint would move at once", consequence="Nothing was sent")
+
+    def _check_going(self, when: str) -> None:
+        if self._progress.cancelled():
+            raise Cancelled(f"stopped {when}", consequence="The robot was stopped")
+        state = self._robot.state
+        if state not in (RobotState.READY, RobotState.MOVING):
+            raise DeviceFailed(
+                f"{self._robot.name} is {state} {when}", consequence="The sweeps are not complete",
+                cure="Look at the robot and its controller, then begin anew",
+            )  # fmt: skip
+
+    def _rest(self, joint: int) -> None:
+        """Return when joints and beacon keep still. Raises DeviceFailed where they do not, or stand elsewhere."""
+        arrived_s = self._clock.now_s()
+        when = f"while joint {joint + 1} came to rest"
+        still, before, seen = 0, self._robot.read(), self._eyes.look(when)
+        while still < REST_FRAMES:
+            self._check_going(when)
+            if self._clock.now_s() - arrived_s > REST_TIMEOUT_S:
+                raise DeviceFailed(
+                    f"joint {joint + 1} did not come to rest in {REST_TIMEOUT_S:g} s", consequence="It was stopped",
+                    cure="Look for vibration, a slipping brake, or a camera that shakes",
+                )  # fmt: skip
+            look, reading = self._eyes.look(when), self._robot.read()
+            still = still + 1 if look.taken_s >= arrived_s and _same(before, reading, seen, look) else 0
+            before, seen = reading, look
+        self._check_place(before.q)
+
+    def _check_place(self, q: Array) -> None:
+        off = np.abs(q - self._sent())
+        j = int(np.argmax(off / self.travel))
+        if off[j] > FOLLOW_SHARE * self.travel[j]:
+            raise DeviceFailed(
+                f"joint {j + 1} was sent to {self._sent()[j]:.4g} and stands at {q[j]:.4g}",
+                consequence="The robot was stopped", cure="Look for an obstacle, a brake, or a broken encoder",
+            )  # fmt: skip
+
+    def _read(self, joint: int) -> None:
+        """Add the mean of some frames, and of the joint readings beside them, to the rows."""
+        looks: list[Look] = []
+        readings: list[Array] = []
+        while len(looks) < self._pace.frames:
+            self._check_going(f"while joint {joint + 1} was read")
+            look = self._eyes.look(f"while joint {joint + 1} was read")
+            if look.uv_px is not None:
+                looks.append(look)
+                readings.append(self._robot.read().q)
+        uv = np.mean([look.uv_px for look in looks if look.uv_px is not None], axis=0)
+        xyz = np.mean([look.xyz_m for look in looks if look.xyz_m is not None], axis=0)
+        self._joint.append(joint)
+        self._rows.append((np.mean(readings, axis=0), uv, xyz))
+
+
+def _same(before: JointReading, now: JointReading, seen: Look, look: Look) -> bool:
+    """Tell whether neither joints nor beacon moved from one look to the next."""
+    if seen.uv_px is None or look.uv_px is None:
+        return False
+    return bool(np.abs(now.q - before.q).max() <= REST_STEP and np.abs(look.uv_px - seen.uv_px).max() <= REST_PX)

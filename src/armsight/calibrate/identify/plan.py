@@ -1,0 +1,382 @@
+"""Which sweeps to make and what accuracy to expect of them, before they are made (Cramer-Rao, MATH 4.3).
+
+A small probe of every joint about the start pose tells the arm roughly. From it, rest poses and ranges are chosen,
+within limits and where both cameras surely see the beacon, that make the determinant of the information largest: this
+is the volume of the deviations, which is least for the axes' parameters and for the table's at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armsight.calibrate.identify.chain import Axis, ChainModel
+from armsight.calibrate.identify.kernels import see_many
+from armsight.calibrate.identify.result import Identification
+from armsight.calibrate.identify.table import KEYS, carried, place_frames, say_cases
+from armsight.errors import Degenerate, Inconsistent, NotEnoughData, UsageError
+from armsight.kinematics import Arm, JointType, link_frames
+from armsight.optics import PackedRig, Rig
+from armsight.records import frozen_array
+
+Array = NDArray[np.float64]
+
+PROBE_SHARE = 0.05
+"""Share of a joint's travel that a probe moves it: small beside what a free working place allows."""
+PRIOR_RAD, PRIOR_M = 1.0, 3.0
+"""Deviations before any reading: an axis may point anywhere, within metres. Keeps every information invertible."""
+SURE = 3.0
+"""Deviations by which the beacon must be inside both images for a pose to count as seen."""
+MARGIN_PX = 10.0
+"""A spot nearer to the border may be cut off."""
+RESTS, GRID, ROUNDS, WAY = 150, 41, 4, 9
+"""Rest poses tried a joint, values of its range, rounds of exchange, poses looked at on each way."""
+SEED = 1
+POOR_M, POOR_RAD = 0.005, np.deg2rad(1.0)
+"""Expected deviations beyond these are named: an arm known worse is of no use to a controller."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RoughArm:
+    """An arm as far as it is known: axes and beacon in rig axes, all joints at zero; noise of a reading in px.
+
+    covariance (P, P): of ChainModel's parameters, None where the arm is taken as known.
+    """
+
+    axes: tuple[Axis, ...]
+    beacon_m: Array
+    sigma_px: float
+    covariance: Array | None = None
+
+    @property
+    def model(self) -> ChainModel:
+        """The arm as a model about itself."""
+        return ChainModel(axes=self.axes, beacon_m=self.beacon_m)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PlannedSweep:
+    """A sweep: joint (from 0), q (readings, n), what ends its range: ('limit' or 'view') at both ends, span: rad or m.
+
+    radius_m: the beacon's distance from a turning joint's axis, 0 of a slide. way: poses (k, n) that lead to its first
+    reading, each a move of one joint.
+    """
+
+    joint: int
+    q: Array
+    ends: tuple[str, str]
+    radius_m: float
+    way: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "q", frozen_array("q", self.q, (None, None)))
+        object.__setattr__(self, "way", frozen_array("way", self.way, (None, self.q.shape[1])))
+
+    @property
+    def span(self) -> float:
+        """How far the joint moves, rad or m."""
+        return float(abs(self.q[-1, self.joint] - self.q[0, self.joint]))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Plan:
+    """Sweeps in the order of moving; the deviations of the table's entries to expect (NaN: chosen, not measured)."""
+
+    sweeps: tuple[PlannedSweep, ...]
+    expected: tuple[dict[str, float], ...]
+    notes: tuple[str, ...]
+    sigma_px: float
+
+
+def checked_limits(limits: ArrayLike, start: ArrayLike) -> tuple[Array, Array]:
+    """Return limits (n, 2) and start (n,) as arrays. Raises UsageError, Inconsistent for a start beyond the limits."""
+    low_high, q = np.asarray(limits, dtype=float), np.asarray(start, dtype=float)
+    if low_high.shape != (len(q), 2) or not np.isfinite(low_high).all() or not (low_high[:, 0] < low_high[:, 1]).all():
+        raise UsageError(
+            f"the limits do not give {len(q)} joints a lower and an upper value each",
+            cure="Write lo:hi for every joint, in rad or m, lower before upper",
+        )
+    beyond = np.flatnonzero((q < low_high[:, 0]) | (q > low_high[:, 1]))
+    if len(beyond):
+        j = int(beyond[0])
+        raise Inconsistent(
+            f"joint {j + 1} stands at {q[j]:.4g}, outside its limits {low_high[j, 0]:g} to {low_high[j, 1]:g}",
+            consequence="Nothing is moved",
+            cure="Bring the arm to a pose within the limits first, or correct them (rad, m)",
+        )
+    return low_high, q
+
+
+def probe(limits: Array, start: Array, joint: int, *, share: float = PROBE_SHARE, readings: int = 6) -> Array:
+    """Return poses (readings, n) that move one joint by a share of its travel about the start, within limits."""
+    low, high = limits[joint]
+    half = 0.5 * share * (high - low)
+    middle = float(np.clip(start[joint], low + half, high - half))
+    q = np.tile(start, (readings, 1))
+    q[:, joint] = np.clip(np.linspace(middle - half, middle + half, readings), low, high)
+    return q
+
+
+def rough_arm(found: Identification, q: Array, rig: Rig) -> RoughArm:
+    """Return the arm that readings at q (m, n) identified, with the covariance that they leave."""
+    axes = tuple(joint.axis for joint in found.joints)
+    arm = RoughArm(axes=axes, beacon_m=found.beacon_m, sigma_px=found.sigma)
+    G = _slopes(arm.model, PackedRig.of(rig), q)[1] / found.sigma
+    G = G[np.isfinite(G).all(axis=(1, 2))]
+    information = np.einsum("mia,mib->ab", G, G) + _prior(arm.model)
+    return RoughArm(axes=axes, beacon_m=found.beacon_m, sigma_px=found.sigma, covariance=np.linalg.inv(information))
+
+
+def known_arm(arm: Arm, T_rig_world: Array, sigma_px: float) -> RoughArm:
+    """Return a modelled arm, its tool's origin the beacon, as a rig at T_rig_world (4, 4) sees it."""
+    frames = T_rig_world @ link_frames(arm, np.zeros(arm.n))
+    axes = tuple(
+        Axis(point_m=T[:3, 3].copy(), direction=joint.sign * T[:3, 2], revolute=joint.type is JointType.REVOLUTE)
+        for joint, T in zip(arm.joints, frames, strict=False)
+    )
+    return RoughArm(axes=axes, beacon_m=frames[-1, :3, 3].copy(), sigma_px=sigma_px)
+
+
+def propose_sweeps(
+    arm: RoughArm, rig: Rig, limits: ArrayLike, start: ArrayLike, *, readings: int = 10, base: Array | None = None
+) -> Plan:
+    """Return the sweeps that tell the arm best, and the deviations to expect of the table they give.
+
+    limits (n, 2), start (n,): in rad or m, joint by joint. base (4, 4): as identify takes it. Raises UsageError,
+    Inconsistent, NotEnoughData where the beacon is not in both images at the start, Degenerate where a joint cannot
+    be moved in view.
+    """
+    low_high, q0 = checked_limits(limits, start)
+    if len(q0) != len(arm.axes):
+        raise UsageError(f"the arm has {len(arm.axes)} joints, the limits {len(q0)}")
+    view = View(arm=arm, rig=PackedRig.of(rig), sizes=_sizes(rig))
+    if not view.seen(q0[None])[0]:
+        raise NotEnoughData(
+            "the beacon is not surely in both images at the start pose",
+            consequence="No sweep is proposed",
+            cure="Start where both cameras see the beacon, well inside the image",
+        )
+    rng = np.random.default_rng(SEED)
+    candidates = [_candidates(view, low_high, q0, j, readings, rng) for j in range(len(q0))]
+    chosen = _exchange(candidates, _prior(arm.model))
+    sweeps = _ordered(view, [found[k] for found, k in zip(candidates, chosen, strict=True)], q0)
+    expected, notes = expected_deviations(arm, rig, np.concatenate([sweep.q for sweep in sweeps]), base)
+    return Plan(
+        sweeps=tuple(sweeps), expected=expected, notes=(*notes, *_poor(expected, sweeps, arm)), sigma_px=arm.sigma_px
+    )
+
+
+def expected_deviations(
+    arm: RoughArm, rig: Rig, q: Array, base: Array | None = None
+) -> tuple[tuple[dict[str, float], ...], list[str]]:
+    """Return the deviations that readings at q (m, n) will leave of each joint's entries, and notes on odd cases."""
+    model, frame = arm.model, np.eye(4) if base is None else base
+    G = _slopes(model, PackedRig.of(rig), q)[1] / arm.sigma_px
+    covariance = np.linalg.inv(np.einsum("mia,mib->ab", G, G) + _prior(model))
+    table = place_frames(arm.axes, arm.beacon_m, frame)[0]
+
+    def entries(x: Array) -> Array:
+        return place_frames(*model.axes_at(x), frame)[0].ravel()
+
+    std = carried(entries, np.zeros(len(covariance)), covariance)
+    notes, known = say_cases(arm.axes, table, std)
+    return tuple(dict(zip(KEYS, row.tolist(), strict=True)) for row in known), notes
+
+
+class Candidate(NamedTuple):
+    """A sweep that could be made: readings (m, n), what ends its range, its information (P, P)."""
+
+    joint: int
+    q: Array
+    ends: tuple[str, str]
+    information: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class View:
+    """Where both cameras see a roughly known arm's beacon."""
+
+    arm: RoughArm
+    rig: PackedRig
+    sizes: Array
+
+    def seen(self, q: Array) -> NDArray[np.bool_]:
+        """Return for poses (m, n) whether the beacon is surely in both images: by SURE deviations of what is known."""
+        uv, G = _slopes(self.arm.model, self.rig, q)
+        spread = np.zeros(uv.shape)
+        if self.arm.covariance is not None:
+            C = self.arm.covariance
+            spread = np.sqrt(np.maximum(np.einsum("mia,ab,mib->mi", G, C, G, optimize=True), 0.0)).reshape(uv.shape)
+        edge = SURE * spread + MARGIN_PX
+        with np.errstate(invalid="ignore"):
+            inside = (uv > edge) & (uv < self.sizes - 1.0 - edge)
+        return np.asarray(inside.all(axis=(1, 2)))
+
+    def way(self, a: Array, b: Array) -> Array | None:
+        """Return poses (k, n) from a to b, each a move of one joint, all in view; None where none of two orders is."""
+        moved = np.flatnonzero(a != b)
+        if not len(moved):
+            return np.empty((0, len(a)))
+        for order in (moved, moved[::-1]):
+            poses, at = [], a.copy()
+            for j in order:
+                at = at.copy()
+                at[j] = b[j]
+                poses.append(at)
+            corners = np.array([a, *poses])
+            between = np.linspace(0.0, 1.0, WAY)[1:, None, None]
+            if self.seen((corners[:-1] + between * np.diff(corners, axis=0)).reshape(-1, len(a))).all():
+                return np.array(poses)
+        return None
+
+
+def _slopes(model: ChainModel, rig: PackedRig, q: Array) -> tuple[Array, Array]:
+    """Return pixels (m, 2, 2) of the beacon at q (m, n), and their derivatives (m, 4, P); NaN behind a camera."""
+    X, J = model.predict(np.zeros(len(model.names)), q)
+    uv, D = np.empty((len(q), 2, 2)), np.empty((len(q), 2, 2, 3))
+    see_many(rig.k, rig.R, rig.t, X, uv, D)
+    return uv, D.reshape(len(q), 4, 3) @ J
+
+
+def _prior(model: ChainModel) -> Array:
+    """Return the information (P, P) there is before any reading."""
+    return np.diag([(PRIOR_RAD if "tilt" in name else PRIOR_M) ** -2.0 for name in model.names])
+
+
+def _sizes(rig: Rig) -> Array:
+    return np.array([[camera.width, camera.height] for camera in (rig.left, rig.right)], dtype=float)
+
+
+def _candidates(
+    view: View, limits: Array, start: Array, joint: int, readings: int, rng: np.random.Generator
+) -> list[Candidate]:
+    """Return sweeps of one joint from the start's and from random rest poses, each over its longest range in view."""
+    rests = np.vstack([start, rng.uniform(limits[:, 0], limits[:, 1], (RESTS, len(start)))])
+    values = np.linspace(limits[joint, 0], limits[joint, 1], GRID)
+    q = np.repeat(rests, GRID, axis=0)
+    q[:, joint] = np.tile(values, len(rests))
+    seen = view.seen(q).reshape(len(rests), GRID)
+    out = []
+    for rest, row in zip(rests, seen, strict=True):
+        first, last = _longest(row)
+        if last - first < 1:
+            continue
+        poses = np.tile(rest, (readings, 1))
+        poses[:, joint] = np.linspace(values[first], values[last], readings)
+        if view.way(start, poses[0]) is None and view.way(start, poses[-1]) is None:
+            continue
+        G = _slopes(view.arm.model, view.rig, poses)[1] / view.arm.sigma_px
+        ends = ("limit" if first == 0 else "view", "limit" if last == GRID - 1 else "view")
+        out.append(Candidate(joint, poses, ends, np.einsum("mia,mib->ab", G, G)))
+    if not out:
+        raise Degenerate(
+            f"joint {joint + 1} cannot be moved by {1.0 / (GRID - 1):.0%} of its travel with the beacon surely in view",
+            consequence="No sweep of it is proposed",
+            cure="Start from a pose with the beacon in the middle of both images, or move the cameras back",
+        )
+    return out
+
+
+def _longest(row: NDArray[np.bool_]) -> tuple[int, int]:
+    """Return first and last index of the longest run of True; (0, -1) without one."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(int)))
+    if not len(edges):
+        return 0, -1
+    runs = edges.reshape(-1, 2)
+    first, end = runs[int(np.argmax(runs[:, 1] - runs[:, 0]))]
+    return int(first), int(end) - 1
+
+
+def _exchange(candidates: Sequence[Sequence[Candidate]], prior: Array) -> list[int]:
+    """Return one candidate a joint by the determinant of all information: first in turn, then exchanged one by one."""
+    stacks = [np.stack([one.information for one in found]) for found in candidates]
+    chosen, total = [-1] * len(stacks), prior.copy()
+    for _ in range(ROUNDS):
+        before = list(chosen)
+        for j, stack in enumerate(stacks):
+            if chosen[j] >= 0:
+                total = total - stack[chosen[j]]
+            chosen[j] = int(np.argmax(np.linalg.slogdet(total + stack)[1]))
+            total = total + stack[chosen[j]]
+        if chosen == before:
+            break
+    return chosen
+
+
+def _ordered(view: View, chosen: Sequence[Candidate], start: Array) -> list[PlannedSweep]:
+    """Return the sweeps with the ways between them: the next is the nearest, reached in view, else by way of the start.
+
+    The order does not matter to the arm that is found, only to the time it takes.
+    """
+    left, at, begun, out = list(chosen), start, start, []
+    travel = np.maximum(np.ptp(np.concatenate([one.q for one in chosen]), axis=0), 1e-9)
+    while left:
+        turns = [(float(np.abs((q[0] - at) / travel).sum()), i, q) for i, one in enumerate(left)
+                 for q in (one.q, one.q[::-1])]  # fmt: skip
+        turns.sort(key=lambda turn: turn[0])
+        found = next(((i, q, way) for _, i, q in turns if (way := view.way(at, q[0])) is not None), None)
+        if found is None:
+            home = _home(view, at, begun, start)
+            found = next(
+                (i, q, np.vstack([home, way])) for _, i, q in turns if (way := view.way(start, q[0])) is not None
+            )
+        i, q, way = found
+        one = left.pop(i)
+        ends = one.ends if q is one.q else one.ends[::-1]
+        radius = _radius(view.arm, one.joint, q)
+        out.append(PlannedSweep(joint=one.joint, q=q, ends=ends, radius_m=radius, way=way))
+        at, begun = q[-1], q[0]
+    return out
+
+
+def _home(view: View, at: Array, begun: Array, start: Array) -> Array:
+    """Return the way back to the start: straight, or from the sweep's beginning."""
+    straight = view.way(at, start)
+    if straight is not None:
+        return straight
+    back = view.way(begun, start)
+    if back is None:
+        raise Degenerate(
+            "the sweeps cannot be joined with the beacon in view", consequence="No sweep is proposed",
+            cure="Narrow the limits",
+        )  # fmt: skip
+    return np.vstack([begun, back])
+
+
+def _radius(arm: RoughArm, joint: int, q: Array) -> float:
+    """Return the beacon's distance from a turning joint's axis during its sweep: from the two first readings' chord."""
+    if not arm.axes[joint].revolute:
+        return 0.0
+    X = arm.model.predict(np.zeros(len(arm.model.names)), q[:2])[0]
+    step = abs(q[1, joint] - q[0, joint])
+    return float(np.linalg.norm(X[1] - X[0]) / max(2.0 * abs(np.sin(0.5 * step)), 1e-12))
+
+
+def _poor(expected: Sequence[dict[str, float]], sweeps: Sequence[PlannedSweep], arm: RoughArm) -> list[str]:
+    """Return a note on every entry that will be known badly, with the sweep that is to blame."""
+    reach = {sweep.joint: (min(sweep.span, 1.0) * sweep.radius_m if arm.axes[sweep.joint].revolute else sweep.span)
+             for sweep in sweeps}  # fmt: skip
+    by_joint = {sweep.joint: sweep for sweep in sweeps}
+    notes = []
+    for i, entries in enumerate(expected):
+        for key, std in entries.items():
+            length = key.endswith("_m")
+            if not np.isfinite(std) or std <= (POOR_M if length else POOR_RAD):
+                continue
+            shown = f"{1e3 * std:.2g} mm" if length else f"{np.rad2deg(std):.2g} deg"
+            weak = by_joint[min((j for j in (i, i + 1) if j in reach), key=lambda j: reach[j])]
+            notes.append(f"joint {i + 1}, {key}: only to {shown} is to be expected; {_sweep_said(weak, arm)}")
+    return notes
+
+
+def _sweep_said(sweep: PlannedSweep, arm: RoughArm) -> str:
+    ended = " and ".join(sorted({"its limits" if end == "limit" else "the cameras' view" for end in sweep.ends}))
+    if arm.axes[sweep.joint].revolute:
+        what = f"an arc of {np.rad2deg(sweep.span):.0f} deg, {1e3 * sweep.radius_m:.0f} mm from the axis"
+    else:
+        what = f"a way of {1e3 * sweep.span:.0f} mm"
+    return f"the sweep of joint {sweep.joint + 1} is {what}, ended by {ended}"
