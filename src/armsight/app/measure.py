@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 
 from armsight.app.outputs import REPORT, SUMMARY, Outputs, Summary
 from armsight.app.prepare import prepare
-from armsight.app.replay import is_recording, open_pairs, open_split
+from armsight.app.replay import is_recording, open_pairs, open_source, open_split
 from armsight.app.reporting import About, Collector
-from armsight.drivers import PairSource, ordered_map, read_image
+from armsight.drivers import Overlaid, PairSource, ordered_map, read_image
 from armsight.drivers.live import MAX_SKEW_S
 from armsight.errors import ArmsightError, Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.measure.pair import Measured, Setup, Track, measure_pair
-from armsight.measure.settings import SpotSettings
-from armsight.optics import SIDES, Rig
+from armsight.measure.settings import METHODS, SpotSettings
+from armsight.optics import SIDES, Rig, RigKind
 from armsight.records import Frame, Points, PoseStatus, Progress, Silent, Spots, Target, TargetPose
 from armsight.store import World, parse_board, read_rig, read_target, read_times, read_world, write_json
 
@@ -65,6 +65,7 @@ class MeasureJob:
     limit: int | None = None
     threshold: float | None = None
     inverted: bool = False
+    method: str = METHODS[0]
 
 
 def target_of(named: Path) -> Target:
@@ -80,7 +81,8 @@ def measure(job: MeasureJob, progress: Progress | None = None) -> Summary:
     """
     rig, target = read_rig(job.rig), target_of(job.target)
     world = read_world(job.world) if job.world else None
-    setup = Setup(rig=rig, target=target, settings=_settings(job, target))
+    overlaid = job.image is not None and rig.kind is RigKind.MIRROR
+    setup = Setup(rig=rig, target=target, settings=_settings(job, target), overlaid=overlaid)
     pairs = _pairs(job, rig, target)
     facts = [("frames", pairs.name), ("rig's file", str(job.rig)), ("target's file", str(job.target))]
     facts += [("place of the rig", str(job.world))] if job.world else []
@@ -210,7 +212,9 @@ def _settings(job: MeasureJob, target: Target) -> SpotSettings:
     mask: NDArray[np.bool_] | None = None
     if job.mask is not None:
         mask = read_image(job.mask) > 0
-    return SpotSettings(threshold=job.threshold, inverted=job.inverted, mask=mask, colour=target.colour)
+    return SpotSettings(
+        threshold=job.threshold, inverted=job.inverted, mask=mask, colour=target.colour, method=job.method
+    )
 
 
 def _pairs(job: MeasureJob, rig: Rig, target: Target) -> PairSource:
@@ -220,6 +224,8 @@ def _pairs(job: MeasureJob, rig: Rig, target: Target) -> PairSource:
         if job.left is not None or job.right is not None:
             raise UsageError("--image goes with neither --left nor --right", cure="Give the one or the others")
         left, right = ((camera.width, camera.height) for camera in (rig.left, rig.right))
+        if rig.kind is RigKind.MIRROR:
+            return Overlaid(open_source(job.image, colour=colour, fps=job.fps, times_s=times_s))
         return open_split(job.image, left, right, colour=colour, fps=job.fps, times_s=times_s)
     alone = (job.left or job.right) if job.left is None or job.right is None else None
     if job.left is job.right is None or (alone is not None and not is_recording(alone)):

@@ -67,7 +67,12 @@ def measure(
     out: OutFolder,
     left: Annotated[str | None, typer.Option(metavar="SRC", help=f"Left frames: {SRC}.")] = None,
     right: Annotated[str | None, typer.Option(metavar="SRC", help="Right frames, in step with the left ones.")] = None,
-    image: Annotated[str | None, typer.Option(metavar="SRC", help="Images that hold both views side by side.")] = None,
+    image: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SRC", help="Images that hold both views: side by side, or one upon the other (mirror rig)."
+        ),
+    ] = None,
     times: Annotated[Path | None, typer.Option(help="times.csv with a column t_s, one row per frame.")] = None,
     world: Annotated[Path | None, typer.Option(help="world.yaml: give the poses in this frame.")] = None,
     fps: Fps = None,
@@ -80,6 +85,10 @@ def measure(
     max_skew: Annotated[
         float | None, typer.Option(min=0.0, help="Largest time in s between live frames of a pair. [default: 1/60]")
     ] = None,
+    method: Annotated[
+        str,
+        typer.Option(help="likelihood (a light's model is fitted) or seed (Pachidis 2005: threshold, cross, mean)."),
+    ] = "likelihood",
     json: AsJson = False,
 ) -> None:
     """Measure the target's pose in every pair of frames.
@@ -108,6 +117,7 @@ def measure(
             limit=frames,
             threshold=threshold,
             inverted=inverted,
+            method=method,
         )
         summary = run(job, face.progress("measuring"))
         measure_tables(face, summary, out)

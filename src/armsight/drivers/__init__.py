@@ -5,7 +5,7 @@ from armsight.drivers.images import list_images, read_image
 from armsight.drivers.live import LivePairs, OpenCvCamera, cameras_there
 from armsight.drivers.lock import DeviceLock
 from armsight.drivers.opening import is_live, open_pairs, open_source, open_split
-from armsight.drivers.pairs import FilePairs, SplitImages
+from armsight.drivers.pairs import FilePairs, Overlaid, SplitImages
 from armsight.drivers.protocols import FrameSource, PairSource, Skew
 from armsight.drivers.registry import CAMERAS, CELLS, ROBOTS, SCENARIOS, known, load
 from armsight.drivers.replay import Replay, ReplayRobot, check_forward
@@ -25,6 +25,7 @@ __all__ = [
     "ImageFolder",
     "LivePairs",
     "OpenCvCamera",
+    "Overlaid",
     "PairSource",
     "Replay",
     "ReplayRobot",

@@ -135,6 +135,42 @@ class SplitImages:
         )
 
 
+class Overlaid:
+    """Complex images that hold both views one upon the other (a mirror rig's): each is its own pair."""
+
+    def __init__(self, source: FrameSource) -> None:
+        self._source = source
+
+    @property
+    def name(self) -> str:
+        """The source's name."""
+        return self._source.name
+
+    @property
+    def total(self) -> int | None:
+        """The source's count."""
+        return self._source.total
+
+    @property
+    def skew(self) -> Skew | None:
+        """None: both views are of one exposure."""
+        return None
+
+    def __enter__(self) -> Self:
+        self._source.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._source.__exit__(kind, error, trace)
+
+    def __iter__(self) -> Iterator[tuple[Frame, Frame]]:
+        with closing(_generator(self._source)) as frames:
+            for frame in frames:
+                yield frame, frame
+
+
 class _Closing(Iterator[Frame]):
     """An iterator that can be closed; a source may hand out one that cannot."""
 

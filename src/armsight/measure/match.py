@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +36,9 @@ PREDICTION_RATIO = 3.0
 LABEL_MARGIN_PX = 2.0
 """Lights closer than this in column (or row) have no order in the image that could name them."""
 
+MOST_FREE = 12
+"""Pairs among which the ways to combine them are counted."""
+
 OUTLINE = "ellipse"
 """The spots' model whose centre is that of a flat light's outline."""
 
@@ -45,7 +49,7 @@ _FEWER = "mask the background or raise the threshold"
 class Pairs:
     """Spots of both views that agree with the epipolar constraint and meet in front of both cameras.
 
-    index: (c, 2) position in the left and right spots. uv_px (c, 2, 2), cov_px2 (c, 2, 2, 2): [pair, side].
+    index: (c, 2) position in the left and right spots; overlaid: both are the spots of one image that holds both views. uv_px (c, 2, 2), cov_px2 (c, 2, 2, 2): [pair, side].
     xyz_m (c, 3), cov_m2 (c, 3, 3): closed form, slack included. behind: how many met behind the cameras.
     complete: False where there were more pairs than can be searched.
     """
@@ -57,6 +61,19 @@ class Pairs:
     cov_m2: Array
     behind: int
     complete: bool
+    overlaid: bool = False
+
+    def disjoint(self, i: int, j: int) -> bool:
+        """Whether two pairs use no spot twice."""
+        a, b = self.index[i], self.index[j]
+        return bool((a != b).all()) and not (self.overlaid and bool((a == b[::-1]).any()))
+
+    @property
+    def few(self) -> bool:
+        """Whether there cannot be three lights among them."""
+        if self.overlaid:
+            return not _overlaid_triples(self)
+        return min(len(np.unique(self.index[:, side])) for side in range(2)) <= 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -82,8 +99,14 @@ class Match:
     why: str = ""
 
 
-def pair_spots(packed: PackedRig, left: Spots, right: Spots, slack_px: float = SLACK_PX) -> Pairs:
-    """Return the pairs of spots that could be one light: epipolar distance, whitened by the spots' covariances."""
+def pair_spots(
+    packed: PackedRig, left: Spots, right: Spots, slack_px: float = SLACK_PX, *, overlaid: bool = False
+) -> Pairs:
+    """Return the pairs of spots that could be one light: epipolar distance, whitened by the spots' covariances.
+
+    overlaid: left and right are the same spots, of one image that holds both views; which of two spots is the left
+    view's, their order tells: the other way round they would meet behind the cameras.
+    """
     index, uv, cov, P, S, behind = kernels.candidate_pairs(
         packed.k,
         packed.R,
@@ -95,9 +118,12 @@ def pair_spots(packed: PackedRig, left: Spots, right: Spots, slack_px: float = S
         right.covariance_px2,
         slack_px**2,
         GATE,
+        overlaid,
     )
     complete = len(index) + behind < kernels.MAX_PAIRS
-    return Pairs(index=index, uv_px=uv, cov_px2=cov, xyz_m=P, cov_m2=S, behind=behind, complete=complete)
+    return Pairs(
+        index=index, uv_px=uv, cov_px2=cov, xyz_m=P, cov_m2=S, behind=behind, complete=complete, overlaid=overlaid
+    )
 
 
 def match_known(
@@ -125,8 +151,11 @@ def match_known(
 def match_by_place(left: Spots, right: Spots, pairs: Pairs) -> Match:
     """Return names for three lights whose arrangement is not known: A left, B lower right, C upper right (MATH 3.2).
 
-    Both images must show the same order, and the pairs it makes must agree with the epipolar constraint.
+    Both images must show the same order, and the pairs it makes must agree with the epipolar constraint. Where one
+    image holds both views, there must be one way only to make three pairs of its spots.
     """
+    if pairs.overlaid:
+        return _overlaid_by_place(left, pairs)
     sides = [np.unique(pairs.index[:, side]) for side in range(2)]
     if len(sides[0]) != 3 or len(sides[1]) != 3:
         n = f"{len(sides[0])} in the left image and {len(sides[1])} in the right one"
@@ -146,6 +175,29 @@ def match_by_place(left: Spots, right: Spots, pairs: Pairs) -> Match:
             return Match(best=None, why="the order of the lights differs between the two images")
         rows.append(at[0])
     return Match(best=Assignment(names=("A", "B", "C"), pair=np.array(rows, dtype=np.intp), chi2=0.0))
+
+
+def _overlaid_by_place(spots: Spots, pairs: Pairs) -> Match:
+    triples = _overlaid_triples(pairs)
+    if len(triples) != 1:
+        ways = "more than one way" if triples else "no way"
+        return Match(best=None, why=f"there is {ways} to make three pairs of the {len(spots)} lights of both views")
+    rows = np.array(triples[0], dtype=np.intp)
+    order = _order_by_place(spots.uv_px[pairs.index[rows, 0]])
+    if order is None:
+        return Match(best=None, why="ambiguous: the lights have no clear order left to right in the left view")
+    return Match(best=Assignment(names=("A", "B", "C"), pair=rows[order], chi2=0.0))
+
+
+def _overlaid_triples(pairs: Pairs) -> list[tuple[int, ...]]:
+    """Return the ways to make three pairs that use no spot twice; at most two are looked for."""
+    found: list[tuple[int, ...]] = []
+    if len(pairs.index) > MOST_FREE:
+        return [(), ()]
+    for rows in combinations(range(len(pairs.index)), 3):
+        if all(pairs.disjoint(i, j) for i, j in combinations(rows, 2)):
+            found.append(rows)
+    return found[:2]
 
 
 def match_few(model: TargetModel, pairs: Pairs, *, known: bool, predicted_m: Array | None = None) -> Match:
@@ -200,6 +252,7 @@ def _search(
         GATE,
         model.limits,
         MARGIN,
+        pairs.overlaid,
         rows,
         chi2,
         poses,
@@ -273,10 +326,13 @@ def _order_by_place(uv: Array) -> list[int] | None:
 def _disjoint(pairs: Pairs) -> list[tuple[int, ...]]:
     """Return the largest sets of pairs that use no spot twice; for more than a few pairs only whether all are apart."""
     c = len(pairs.index)
-    apart = all(len(np.unique(pairs.index[:, side])) == c for side in range(2))
-    if apart or c > 4:
+    if pairs.overlaid:
+        apart = len(np.unique(pairs.index)) == 2 * c
+    else:
+        apart = all(len(np.unique(pairs.index[:, side])) == c for side in range(2))
+    if apart or c > (MOST_FREE if pairs.overlaid else 4):
         return [tuple(range(c))] * (1 if apart else 2)
-    two = [(i, j) for i in range(c) for j in range(i) if (pairs.index[i] != pairs.index[j]).all()]
+    two = [(i, j) for i in range(c) for j in range(i) if pairs.disjoint(i, j)]
     return list(two) or [(i,) for i in range(c)]
 
 

@@ -47,6 +47,8 @@ LOOSE = 8.0
 def measure_pair(setup: Setup, left: Frame, right: Frame, track: Track | None = None) -> Measured:
     """Return the target's pose from one pair of frames, with everything it came from.
 
+    Where setup says that one image holds both views (Pachidis 2005's complex image), it is given as left and right.
+
     track: of the call before; the spots are then looked for in windows around their predicted places, and in the
     whole frame only where that fails. Raises Inconsistent where a frame has not the size of the rig's camera, or
     where left and right are swapped. What can happen to a good recording (a light hidden, a reflection, nobody
@@ -62,7 +64,8 @@ def measure_pair(setup: Setup, left: Frame, right: Frame, track: Track | None = 
         measured = _measure_windows(setup, left, right, t_s, track)
         if measured is not None:
             return measured
-    left_seen, right_seen = find_spots(left.image, setup.settings), find_spots(right.image, setup.settings)
+    left_seen = find_spots(left.image, setup.settings)
+    right_seen = left_seen if setup.overlaid else find_spots(right.image, setup.settings)
     return measure_spots(setup, t_s, left_seen, right_seen, track)
 
 
@@ -92,7 +95,7 @@ def warm_up() -> None:
 
 def measure_spots(setup: Setup, t_s: float, left: Spots, right: Spots, track: Track | None = None) -> Measured:
     """Return the pose from all spots found in both views at t_s; see measure_pair."""
-    pairs = pair_spots(setup.packed, left, right, setup.slack_px)
+    pairs = pair_spots(setup.packed, left, right, setup.slack_px, overlaid=setup.overlaid)
     match = _match(setup, left, right, pairs, expected(setup, track, t_s))
     if match.best is None and match.alternatives:
         return _ambiguous(setup, t_s, left, right, pairs, match, track)
@@ -143,8 +146,14 @@ def _measure_windows(setup: Setup, left: Frame, right: Frame, t_s: float, track:
         packed.k, packed.R, packed.t, track.xyz_m, track.velocity_m_s, dt, ahead, at_left, at_right
     ):
         return None
-    left_seen = _in_windows(left, at_left, track.half_window_px, setup)
-    right_seen = None if left_seen is None else _in_windows(right, at_right, track.half_window_px, setup)
+    if setup.overlaid:
+        both = _in_windows(left, np.concatenate([at_left, at_right]), track.half_window_px, setup)
+        left_seen, right_seen = (
+            (None, None) if both is None else (both.take(list(range(n))), both.take(list(range(n, 2 * n))))
+        )
+    else:
+        left_seen = _in_windows(left, at_left, track.half_window_px, setup)
+        right_seen = None if left_seen is None else _in_windows(right, at_right, track.half_window_px, setup)
     if left_seen is None or right_seen is None:
         return None
     solved = _solve(setup, t_s, track.names, left_seen, right_seen)
@@ -183,8 +192,7 @@ def _match(setup: Setup, left: Spots, right: Spots, pairs: Pairs, expected: Arra
         match = match_known(setup.packed, model, left, right, pairs, predicted_m=expected, slack_px=setup.slack_px)
     elif len(model) >= 3:
         match = match_by_place(left, right, pairs)
-    few = min(len(np.unique(pairs.index[:, side])) for side in range(2)) <= min(2, len(model))
-    if match.best is None and not match.alternatives and (few or len(model) < 3):
+    if match.best is None and not match.alternatives and (len(model) < 3 or pairs.few):
         return match_few(model, pairs, known=known, predicted_m=expected)
     return match
 
@@ -275,8 +283,8 @@ def _refuse_swapped(setup: Setup, left: Spots, right: Spots, misfit: float = inf
     With parallel cameras the exchange puts all behind them. With cameras that look at one point it turns the depths
     about that point, which a triangle survives: only the residuals tell, hence misfit.
     """
-    if len(setup.model) < 3 or min(len(left), len(right)) < 3:
-        return
+    if setup.overlaid or len(setup.model) < 3 or min(len(left), len(right)) < 3:
+        return  # within one image the order of the two spots says which view each is of
     pairs = pair_spots(setup.packed, right, left, setup.slack_px)
     match = _match(setup, right, left, pairs, None)
     if match.alternatives and match.best is None and misfit == inf:
@@ -304,18 +312,22 @@ def _explain(setup: Setup, left: Spots, right: Spots, pairs: Pairs, why: str) ->
     """Return why no pose could be given, with the size of the misfit where there is one."""
     if not len(left) and not len(right):
         return "no spot in either image"
+    if setup.overlaid and len(left) <= len(setup.model) and not len(pairs.index):
+        return f"{len(left)} spots, and no two of them are both views of one light: one path may be dark"
     if not len(left) or not len(right):
         return f"no spot in the {'right' if len(left) else 'left'} image"
     if not len(pairs.index) and pairs.behind:
         return "every pair of spots lies behind the cameras: left and right may be swapped"
     slack = LOOSE * setup.slack_px
-    loose = pair_spots(setup.packed, left, right, slack)
+    loose = pair_spots(setup.packed, left, right, slack, overlaid=setup.overlaid)
     if setup.target.model_known and len(setup.model) >= 3 and len(loose.index):
         match = match_known(setup.packed, setup.model, left, right, loose, slack_px=slack)
         if match.best is not None:
             solved = _solve_assignment(setup, 0.0, left, right, loose, match.best)
             return solved.pose.why or why
     if not len(pairs.index):
+        if setup.overlaid:
+            return "no two spots agree as left and right view of one light (epipolar distance)"
         return "no spot of the left image agrees with one of the right image (epipolar distance)"
     return why
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from armsight.errors import UsageError
 from armsight.records import Colour
 
+METHODS = ("likelihood", "seed")
 MODELS = ("auto", "gaussian", "ellipse")
 """Models that may be asked for; auto lets the data choose, streaks and touching spots included."""
 
@@ -30,6 +31,9 @@ class SpotSettings:
     gain: variance in grey levels^2 that the light adds per grey level (shot noise; full-scale / full-well electrons).
     None: as far as the residuals of the image's spots prove it.
     colour: a beacon's colour; the image must then be BGR.
+    method: 'likelihood' (a model of light and noise is fitted) or 'seed' (Pachidis 2005: a 9x9 cross finds a seed in
+    the binary image, which is propagated over the shape; the centre is the mean of its pixels; needs a threshold or
+    takes half of the brightest, and lights at least nine pixels wide).
     """
 
     threshold: float | None = None
@@ -42,6 +46,7 @@ class SpotSettings:
     saturation: int = 255
     gain: float | None = None
     colour: Colour | None = None
+    method: str = METHODS[0]
     options: NDArray[np.float64] = field(init=False, repr=False)
     mask_bytes: NDArray[np.uint8] = field(init=False, repr=False)
 
@@ -77,6 +82,10 @@ class SpotSettings:
             refuse("min_pixels, max_spots and max_radius_px must be at least 1")
         if self.model not in MODELS:
             refuse(f"there is no model {self.model!r}; the models are {', '.join(MODELS)}")
+        if self.method not in METHODS:
+            refuse(f"there is no method {self.method!r}; the methods are {', '.join(METHODS)}")
+        if self.method == "seed" and self.colour is not None:
+            refuse("the seed method works on grey levels, not on colours")
         if self.gain is not None and not 0.0 <= self.gain < 255.0:
             refuse(f"a gain of {self.gain} is not from 0 to 255")
         if self.mask is not None and np.ndim(self.mask) != 2:

@@ -17,13 +17,15 @@ class Setup:
 
     slack_px: what calibration, the target's measures and the shutters' skew may add to a spot's deviation before a
     match is doubted. A colour of the target is looked for unless the settings name their own. Raises Degenerate
-    for a measured target whose spots (three or more) lie on one line.
+    for a measured target whose spots (three or more) lie on one line. overlaid: one image holds both views, one upon
+    the other (a mirror rig's complex image); it is then given as the left and as the right frame.
     """
 
     rig: Rig
     target: Target
     settings: SpotSettings = field(default_factory=SpotSettings)
     slack_px: float = SLACK_PX
+    overlaid: bool = False
     packed: PackedRig = field(init=False, repr=False)
     model: TargetModel = field(init=False, repr=False)
 

@@ -25,11 +25,12 @@ MAX_NODES = 2_000_000  # of the search; about 0.1 s
 
 
 @njit(cache=True)
-def candidate_pairs(k, R, t, baseline, uv_left, cov_left, uv_right, cov_right, slack2, gate):
+def candidate_pairs(k, R, t, baseline, uv_left, cov_left, uv_right, cov_right, slack2, gate, overlaid):
     """Return pairs (c, 2), uv (c, 2, 2), cov (c, 2, 2, 2), P (c, 3), S (c, 3, 3), and how many more lay behind.
 
     gate: largest whitened squared epipolar distance, with slack2 added to every coordinate's variance, which is
-    in S as well. Pairs behind a camera or without a finite distance are counted or left out.
+    in S as well. Pairs behind a camera or without a finite distance are counted or left out. overlaid: left and right
+    are the same spots, of one image that holds both views, and no spot is its own partner.
     """
     n_left = uv_left.shape[0]
     n_right = uv_right.shape[0]
@@ -54,7 +55,7 @@ def candidate_pairs(k, R, t, baseline, uv_left, cov_left, uv_right, cov_right, s
     behind = 0
     for i in range(n_left):
         for j in range(n_right):
-            if not (ok_left[i] and ok_right[j]) or count == limit:
+            if not (ok_left[i] and ok_right[j]) or count == limit or (overlaid and i == j):
                 continue
             e = epipolar_residual(d_left[i], D_left[i], d_right[j], D_right[j], baseline, g_left, g_right)
             variance = quadratic_form_2(cov_left[i], g_left) + quadratic_form_2(cov_right[j], g_right)
@@ -93,13 +94,15 @@ def distance_fits(P, S, a, b, distance, gate):
 
 
 @njit(cache=True)
-def _allowed(name, candidate, chosen, pairs, P, S, D, gate):
-    """Tell whether the candidate may be `name` beside the names already chosen."""
+def _allowed(name, candidate, chosen, pairs, P, S, D, gate, overlaid):
+    """Tell whether the candidate may be `name` beside the names already chosen: no spot serves twice."""
     for other in range(name):
         c = chosen[other]
         if c < 0:
             continue
         if pairs[c, 0] == pairs[candidate, 0] or pairs[c, 1] == pairs[candidate, 1]:
+            return False
+        if overlaid and (pairs[c, 0] == pairs[candidate, 1] or pairs[c, 1] == pairs[candidate, 0]):
             return False
         if not distance_fits(P, S, c, candidate, D[other, name], gate):
             return False
@@ -132,13 +135,14 @@ def _judge(k, R, t, chosen, count, X, radius, normal, ellipse, pairs, uv, W, P, 
 
 @njit(cache=True)
 def search(
-    k, R, t, X, D, radius, normal, ellipse, pairs, uv, cov, P, S, slack2, gate, limits, margin, names, chi2s, poses
-):
+    k, R, t, X, D, radius, normal, ellipse, pairs, uv, cov, P, S, slack2, gate, limits, margin, overlaid,
+    names, chi2s, poses
+):  # fmt: skip
     """Fill the best hypotheses and return (how many, how many names each has, whether the search was cut short).
 
     X (m, 3) and D (m, m): the model and its distances. ellipse (2, n): which spots of each side are outlines of
     discs. pairs .. S: from candidate_pairs. gate: on distances. limits (m + 1,): largest chi-square of a fit of
-    that many spots. margin: a hypothesis is kept while its chi-square is within margin of the best one's.
+    that many spots. overlaid: see candidate_pairs. margin: a hypothesis is kept while its chi-square is within margin of the best one's.
     names (h, m) gets the pair of each name or -1, chi2s (h,) ascending, poses (h, 3, 4) rotation and translation.
     Only hypotheses with the largest number of names are kept.
     """
@@ -175,7 +179,7 @@ def search(
             chosen[level] = -1
             count -= 1
         c = following[level]
-        while c < C and not _allowed(level, c, chosen, pairs, P, S, D, gate):
+        while c < C and not _allowed(level, c, chosen, pairs, P, S, D, gate, overlaid):
             c += 1
         if c < C:
             chosen[level] = c

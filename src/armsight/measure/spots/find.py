@@ -9,6 +9,7 @@ from armsight.errors import Inconsistent
 from armsight.measure.settings import DEFAULTS, SpotSettings
 from armsight.measure.spots.colour import find_coloured, track_coloured
 from armsight.measure.spots.grey import Image, find_grey, track_grey
+from armsight.measure.spots.seed import find_seeded, track_seeded
 from armsight.records import Spots
 from armsight.records.target import RED
 
@@ -18,12 +19,15 @@ def find_spots(image: Image, settings: SpotSettings = DEFAULTS) -> Spots:
 
     Centres are in px with the centre of the top-left pixel at (0, 0), each with its 2x2 covariance. What was seen
     and not accepted is in `rejected`, with the reason; an image without spots gives an empty record.
+    With settings.method 'seed' they are found as Pachidis 2005 did (section 4, figure 6).
     With settings.colour the spots are areas of that colour in a BGR image (Kapucu and Baysec 2005).
     Raises BadImage where the image is not 8-bit grey or BGR (BGR, where a colour is searched), Inconsistent where
     the mask has another size.
     """
     if settings.colour is not None:
         return find_coloured(image, settings)
+    if settings.method == "seed":
+        return find_seeded(image, settings)
     return find_grey(image, settings)
 
 
@@ -44,6 +48,8 @@ def track_spots(
         raise Inconsistent(f"a window of {half_window_px:g} px to either side is not 1 px or more")
     if settings.colour is not None:
         return track_coloured(image, predicted, half_window_px, settings)
+    if settings.method == "seed":
+        return track_seeded(image, predicted, half_window_px, settings)
     return track_grey(image, predicted, half_window_px, settings)
 
 

@@ -1,0 +1,65 @@
+"""Spots as Pachidis 2005 finds them: threshold, mask, inversion, a seed by the cross template, propagation, the mean."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.measure.settings import SpotSettings
+from armsight.measure.spots.grey import Array, Image, searchable
+from armsight.measure.spots.kernels.seed import shapes
+from armsight.records import Spots
+
+HALF = 0.5
+"""Share of the brightest pixel that is the threshold where none is given."""
+LEAST_CONTRAST = 24.0
+"""Grey levels above the image's median without which there is no light to set a threshold by."""
+
+
+def find_seeded(image: Image, settings: SpotSettings) -> Spots:
+    """Return the shapes in which a 9x9 cross fits, each with the mean of its pixels (Pachidis 2005, section 4)."""
+    grey = searchable(image, settings)
+    return _seeded(grey, settings, (0, grey.shape[0], 0, grey.shape[1]))
+
+
+def track_seeded(
+    image: Image, predicted: Array, half_window_px: float, settings: SpotSettings
+) -> tuple[Spots, NDArray[np.intp]]:
+    """Return the shape nearest to each prediction (n, 2) within half_window_px, and the prediction of each."""
+    spots = find_seeded(image, settings)
+    if not len(spots):
+        return spots, np.empty(0, np.intp)
+    far = np.abs(spots.uv_px[:, None] - predicted[None]).max(axis=2)
+    owner = far.argmin(axis=1)
+    kept = [i for i, k in enumerate(owner) if far[i, k] <= half_window_px and far[:, k][owner == k].min() >= far[i, k]]
+    return spots.take(kept), owner[kept]
+
+
+def _seeded(grey: Image, settings: SpotSettings, window: tuple[int, int, int, int]) -> Spots:
+    threshold = settings.threshold
+    if threshold is None:
+        light = 255.0 - float(grey.min()) if settings.inverted else float(grey.max())
+        dark = float(np.median(grey[::4, ::4]))
+        dark = 255.0 - dark if settings.inverted else dark
+        if light - dark < LEAST_CONTRAST:
+            return Spots.none()
+        threshold = dark + HALF * (light - dark)
+    most = np.pi * settings.max_radius_px**2
+    table = shapes(grey, settings.mask_bytes, threshold, settings.inverted, *window, most, 4 * settings.max_spots)
+    good = (table[:, 5] == 0.0) & (table[:, 6] == 0.0)
+    size, uv = table[:, 0], table[:, 1:3] / table[:, :1]
+    refused = tuple(
+        (float(u), float(v), "cut by the border of the image" if cut else "too large for a spot")
+        for (u, v), cut in zip(uv[~good], table[~good, 5], strict=True)
+    )
+    radius = np.sqrt(size[good] / np.pi)
+    # each pixel of the rim is in or out by chance, 1/12 px^2 across it: 1 / (12 pi r) of the mean
+    variance = 1.0 / (12.0 * np.pi * radius)
+    return Spots(
+        uv_px=uv[good],
+        covariance_px2=variance[:, None, None] * np.eye(2),
+        peak=table[good, 4],
+        size_px=radius,
+        model=("centroid",) * int(good.sum()),
+        rejected=refused,
+    )
