@@ -18,7 +18,7 @@ from armsight.records import Frame, JointReading, Progress
 Array = NDArray[np.float64]
 
 LOOK_S = 0.2
-"""Time between two looks at the beacon while a joint moves: at a tenth of its travel a second 2 % of it."""
+"""Time between two looks at the beacon while a joint moves: at a tenth of its travel a second 2 % of it, blindly."""
 LOST_FRAMES = 3
 """Frames in a row without the beacon that mean it is lost: single ones are lost to flicker."""
 REST_FRAMES = 3
@@ -162,7 +162,8 @@ class Sweeper:
             self._clock.sleep_until(self._clock.now_s() + self._robot.cycle_s)
             if self._clock.now_s() - looked_s >= LOOK_S:
                 looked_s = self._clock.now_s()
-                self._eyes.look(f"while joint {joint + 1} moved")
+                while self._eyes.look(f"while joint {joint + 1} moved").uv_px is None:
+                    continue  # told nothing, the robot waits where it is until the beacon is seen again, or lost
 
     def _sent(self) -> Array:
         if self._at is None:
@@ -187,7 +188,8 @@ class Sweeper:
             raise Cancelled(f"stopped {when}", consequence="The robot was stopped")
         state = self._robot.state
         if state not in (RobotState.READY, RobotState.MOVING):
-            raise DeviceFailed(
+            kind = DeviceLost if state is RobotState.LOST else DeviceFailed
+            raise kind(
                 f"{self._robot.name} is {state} {when}", consequence="The sweeps are not complete",
                 cure="Look at the robot and its controller, then begin anew",
             )  # fmt: skip

@@ -1,0 +1,261 @@
+"""An arm identified online on the simulated cell, on a clock that only the test moves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armsight.app.identify_live import LiveJob, Person, open_devices, read_limits, run_identify_live
+from armsight.app.scenarios import load_scenario
+from armsight.app.sweeping import Pace
+from armsight.clock import ManualClock
+from armsight.drivers import RobotState
+from armsight.errors import BadFile, Cancelled, DeviceFailed, DeviceLost, Inconsistent, NotEnoughData, UsageError
+from armsight.records import Frame
+from armsight.store import rig_from_mapping, target_from_mapping, write_rig, write_target
+from armsight.store.arm_file import read_arm
+from armsight.store.sweeps import read_sweeps
+from armsight.store.worlds import World, write_world
+
+LIMITS = np.array([[-0.5, 5.2], [-0.4, 1.9], [0.3, 1.1]])
+TEXT = "-0.5:5.2,-0.4:1.9,0.3:1.1"
+TRUE = {(0, "d_m"): 1.27, (0, "a_m"): 0.0, (0, "alpha_rad"): np.pi / 2, (1, "d_m"): -0.05, (1, "a_m"): 0.1,
+        (1, "alpha_rad"): np.pi / 2}  # fmt: skip
+YES = Person(confirm=lambda _: True)
+
+
+class Cell:
+    """The scenario after Kapucu and Baysec, its images of a quarter's size, and files of its rig, target and place."""
+
+    def __init__(self, folder: Path) -> None:
+        model = load_scenario("kapucu2005-rrp")[0]
+        keys = model.model_dump()
+        cameras = keys["cameras"]
+        cameras |= {"width": 320, "height": 240, "colour": False}
+        for side in ("left", "right"):
+            cameras[side] |= {"fx": 378.8, "fy": 374.45, "cx": 159.5, "cy": 119.5}
+        for joint in keys["arm"]["joints"]:
+            joint["radius_m"] = 0.0  # whether the arm hides the beacon takes longer to work out than the image
+        keys["target"] |= {"sigma_px": 1.5, "colour": None, "level": 120.0}
+        keys["cameras"]["sensor"] |= {"read_noise_level": 4.0, "ambient_level": 12.0}
+        model = type(model).model_validate(keys)
+        self.clock = ManualClock(10.0)
+        cell = model.live(self.clock)
+        self.robot, self.pairs = cell.robot, cell.pairs
+        write_rig(folder / "rig.yaml", rig_from_mapping(cell.rig, "rig"))
+        write_target(folder / "target.yaml", target_from_mapping(cell.target, "target"))
+        stage = model.cell(frames=1)
+        write_world(folder / "world.yaml", World(parent="world", T_parent_rig=stage.T_base_rig))
+        self.folder = folder
+        self.asked: list[np.ndarray] = []
+        self.moved_at_once = 0
+        send = self.robot.step_joints
+
+        def watched(step: np.ndarray) -> Any:
+            self.moved_at_once = max(self.moved_at_once, int((np.abs(step) > 0.0).sum()))
+            sent = send(step)
+            self.asked.append(sent.q)
+            return sent
+
+        self.robot.step_joints = watched  # type: ignore[method-assign]
+
+    def job(self, **more: Any) -> LiveJob:
+        """The job of identifying this arm, quickly."""
+        files = {name: self.folder / f"{name}.yaml" for name in ("rig", "target", "world")}
+        given: dict[str, Any] = {"limits": TEXT, "pace": Pace(speed=1.0, frames=1), "out": self.folder / "arm.yaml"}
+        return LiveJob(robot="here", left="here", right="here", **files, **(given | more))
+
+    def run(self, person: Person = YES, progress: Any = None, **more: Any) -> dict[str, Any]:
+        """Identify."""
+        devices = (self.robot, self.pairs)
+        return run_identify_live(self.job(**more), person, progress, clock=self.clock, devices=devices)
+
+
+def when(condition: Callable[[int], bool], act: Callable[[], None]) -> Any:
+    """A Progress that acts once on the first reading for which the condition holds, counted from 1 over all sweeps."""
+    state = SimpleNamespace(n=0, done=False)
+
+    def update(done: float, total: float, note: str = "") -> None:
+        state.n += 1
+        if not state.done and condition(state.n):
+            state.done = True
+            act()
+
+    return SimpleNamespace(update=update, cancelled=lambda: False)
+
+
+@pytest.fixture(scope="module")
+def complete(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Cell, dict[str, Any], dict[str, Any], int]]:
+    """One complete identification: cell, result, the plan as it was shown, commands sent until then."""
+    cell = Cell(tmp_path_factory.mktemp("live"))
+    shown: list[tuple[dict[str, Any], int]] = []
+    person = Person(confirm=lambda _: True, show=lambda plan: shown.append((plan, len(cell.asked))))
+    content = cell.run(person)
+    assert len(shown) == 1
+    yield cell, content, *shown[0]
+
+
+def test_the_arm_is_found_within_its_deviations(complete: Any) -> None:
+    cell, content, _, _ = complete
+    assert [joint["type"] for joint in content["joints"]] == ["revolute", "revolute", "prismatic"]
+    for (j, key), true in TRUE.items():
+        found, std = content["joints"][j][key], content["joints"][j]["std"][key]
+        assert abs(found - true) < 4.0 * std, (j, key, found, std)
+        assert std < 2e-3, (j, key)
+    assert read_arm(cell.folder / "arm.yaml").n == 3
+    assert len(read_sweeps(cell.folder / "arm.sweep.csv")) == 30
+    for name in ("arm.probe.csv", "arm.report.html"):
+        assert (cell.folder / name).stat().st_size > 0
+
+
+def test_the_accuracy_told_before_moving_is_that_claimed_afterwards(complete: Any) -> None:
+    _, content, plan, sent = complete
+    assert sent < len(complete[0].asked)
+    compared = 0
+    for joint, expected in zip(content["joints"], plan["expected_std"], strict=True):
+        for key, claimed in joint["std"].items():
+            assert (claimed is None) == (expected[key] is None), (joint["index"], key)
+            if claimed:
+                assert 0.5 < expected[key] / claimed < 2.0, (joint["index"], key)
+                compared += 1
+    assert compared == 9
+
+
+def test_limits_are_kept_and_one_joint_moves_at_a_time(complete: Any) -> None:
+    cell, _, plan, sent = complete
+    asked = np.array(cell.asked)
+    assert (asked >= LIMITS[:, 0] - 1e-9).all() and (asked <= LIMITS[:, 1] + 1e-9).all()
+    assert cell.moved_at_once == 1
+    assert (np.abs(np.diff(asked, axis=0)) > 1e-12).sum(axis=1).max() == 1
+    assert cell.robot.state is RobotState.CLOSED
+    # the probe stays near the start, the sweeps use what the limits give
+    probed, swept = np.ptp(asked[:sent], axis=0), np.ptp(asked, axis=0)
+    assert (probed <= 0.4 * np.ptp(LIMITS, axis=1) + 1e-6).all()
+    assert (swept > 0.8 * np.ptp(LIMITS, axis=1)).all()
+    assert sorted(sweep["joint"] for sweep in plan["sweeps"]) == [1, 2, 3]
+
+
+def test_a_lost_beacon_stops_the_robot_and_what_was_read_stays(tmp_path: Path) -> None:
+    cell = Cell(tmp_path)
+    model = nearly_right(tmp_path)
+    progress = when(lambda n: n == 10, lambda: cell.pairs.cover())
+    stopped: list[int] = []
+    stop = cell.robot.stop
+    cell.robot.stop = lambda: (stopped.append(len(cell.asked)), stop())[1]  # type: ignore[method-assign]
+    with pytest.raises(NotEnoughData, match=r"beacon is lost while joint \d moved") as caught:
+        cell.run(progress=progress, model=model, pace=Pace(speed=0.2, frames=1))
+    assert "10 readings" in caught.value.consequence and "stopped" in caught.value.consequence
+    assert len(read_sweeps(tmp_path / "arm.sweep.csv")) == 10
+    assert not (tmp_path / "arm.yaml").exists()
+    assert stopped[0] == len(cell.asked), "commands after the stop"
+
+
+def nearly_right(folder: Path) -> Path:
+    """An arm.yaml of the table, its lengths a few mm off."""
+    path = folder / "model.yaml"
+    path.write_text(
+        "format: armsight/arm\nversion: 1\nconvention: standard\njoints:\n"
+        "- {name: j1, type: revolute, a_m: 0.002, alpha_rad: 1.5708, d_m: 1.273, theta_rad: 0.0}\n"
+        "- {name: j2, type: revolute, a_m: 0.098, alpha_rad: 1.5708, d_m: -0.051, theta_rad: 0.0}\n"
+        "- {name: j3, type: prismatic, a_m: 0.0, alpha_rad: 0.0, d_m: 0.002, theta_rad: 0.0}\n"
+    )
+    return path
+
+
+@pytest.mark.parametrize(
+    ("fault", "kind", "said"),
+    [
+        ({"fault": "link_lost"}, DeviceLost, "lost"),
+        ({"fault": "frozen"}, DeviceFailed, "old"),
+        ({"fault": "jump", "by": [0.0, 0.3, 0.0]}, DeviceFailed, "joint 2 was sent to .* and stands at"),
+    ],
+)
+def test_a_robot_that_fails_is_stopped(fault: dict[str, Any], kind: type[Exception], said: str, tmp_path: Path) -> None:
+    cell = Cell(tmp_path)
+    progress = when(lambda n: n == 3, lambda: cell.robot.fault(**fault))
+    with pytest.raises(kind, match=said):
+        cell.run(progress=progress, model=nearly_right(tmp_path))
+    sent = len(cell.asked)
+    cell.clock.advance(5.0)
+    assert len(cell.asked) == sent
+    assert len(read_sweeps(tmp_path / "arm.sweep.csv")) >= 3
+
+
+def test_a_limit_of_the_robot_s_own_is_told(tmp_path: Path) -> None:
+    cell = Cell(tmp_path)
+    with pytest.raises(DeviceFailed, match=r"joint 3 does not go from .*range of j3"):
+        cell.run(limits="-0.5:5.2,-0.4:1.9,0.3:1.6", model=nearly_right(tmp_path))
+    assert np.max(np.array(cell.asked)[:, 2]) <= 1.2
+
+
+def test_nothing_moves_unless_confirmed_or_where_it_cannot(tmp_path: Path) -> None:
+    cell = Cell(tmp_path)
+    with pytest.raises(Cancelled, match="not confirmed"):
+        cell.run(Person())
+    with pytest.raises(Inconsistent, match=r"joint 2 stands at 1\.66"):
+        cell.run(limits="-0.5:5.2,-0.4:1.2,0.3:1.1")
+    with pytest.raises(UsageError, match="limits do not give 3 joints"):
+        cell.run(limits="-0.5:5.2,-0.4:1.9")
+    plan = cell.run(Person(), model=nearly_right(tmp_path), propose=True)["plan"]
+    assert len(plan["sweeps"]) == 3 and plan["expected_std"][1]["a_m"] < 2e-3
+    assert not cell.asked, "a command was sent"
+
+
+def test_ctrl_c_stops_it(tmp_path: Path) -> None:
+    cell = Cell(tmp_path)
+    calls = SimpleNamespace(n=0)
+
+    def cancelled() -> bool:
+        calls.n += 1
+        return calls.n > 100
+
+    progress = SimpleNamespace(update=lambda *_: None, cancelled=cancelled)
+    with pytest.raises(Cancelled, match="stopped while"):
+        cell.run(progress=progress)
+    assert calls.n == 101
+
+
+def test_limits_and_devices_are_read_as_written(tmp_path: Path) -> None:
+    (tmp_path / "limits.yaml").write_text("limits: [[-1, 1], [0.1, 0.5]]\n")
+    np.testing.assert_allclose(read_limits(str(tmp_path / "limits.yaml")), [[-1, 1], [0.1, 0.5]])
+    np.testing.assert_allclose(read_limits("-1:1,1e-1:.5"), [[-1, 1], [0.1, 0.5]])
+    for wrong in ("1", "a:b", "0:1,2", ""):
+        with pytest.raises(UsageError, match="limits"):
+            read_limits(wrong)
+    (tmp_path / "limits.yaml").write_text("limits: {j1: 3}\n")
+    with pytest.raises(BadFile):
+        read_limits(str(tmp_path / "limits.yaml"))
+    cell = Cell(tmp_path)
+    target = target_from_mapping({"kind": "spots", "spots_m": {"A": [0.0, 0.0, 0.0]}}, "target")
+    job = cell.job()
+    for robot, left in (("sim:kapucu2005-rrp", "camera:0"), ("sim", "left/*.png")):
+        other = LiveJob(robot=robot, left=left, right="x", rig=job.rig, target=job.target, limits=TEXT, out=job.out)
+        with pytest.raises(UsageError):
+            open_devices(other, target, ManualClock())
+
+
+def test_the_frames_show_where_the_robot_is_now(tmp_path: Path) -> None:
+    """Frames of the simulated pair follow the commands, and none is from before."""
+    cell = Cell(tmp_path)
+    with cell.robot, cell.pairs:
+        frames = iter(cell.pairs)
+
+        def column(frame: Frame) -> float:
+            image = frame.image.astype(float) - 40.0
+            weight = np.clip(image, 0.0, None).sum(axis=0)
+            return float(weight @ np.arange(len(weight)) / weight.sum())
+
+        first = next(frames)
+        for _ in range(20):
+            cell.robot.step_joints(np.array([0.02, 0.0, 0.0]))
+            cell.clock.advance(cell.robot.cycle_s)
+        cell.clock.advance(1.0)
+        second, third = next(frames), next(frames)
+        assert second[0].t_s >= first[0].t_s + 1.3
+        assert abs(column(second[0]) - column(first[0])) > 5.0
+        assert abs(column(third[0]) - column(second[0])) < 0.5
