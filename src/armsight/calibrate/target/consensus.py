@@ -100,22 +100,19 @@ def _best_hypothesis(sights: Sequence[Sight], perms: Index) -> tuple[Array, Arra
     """Return the shape (n, 3) of one choice of one frame that most frames share, and its distances' variances."""
     order = _orders(perms)
     gate = float(chi2_law.isf(GATE, order.shape[1]))
-    measured = [(distances(s.xyz_m)[:, order], _variances(s.xyz_m, s.cov_m2)[:, order]) for s in sights]  # (c, p, m)
-    choices = [(s, c) for s in range(len(sights)) for c in range(len(sights[s].rows))]
-    step = max(len(choices) / HYPOTHESES, 1.0)
-    tried = [choices[int(k * step)] for k in range(int(len(choices) / step))]
+    xyz, cov = (np.concatenate([getattr(s, name) for s in sights]) for name in ("xyz_m", "cov_m2"))
+    first = np.cumsum([0] + [len(s.rows) for s in sights[:-1]])  # each frame's first choice
+    D, V = distances(xyz)[:, order], _variances(xyz, cov)[:, order]  # (c, p, m)
+    tried = np.unique(np.linspace(0, len(xyz) - 1, min(HYPOTHESES, len(xyz))).astype(np.intp))
     costs = []
-    for s, c in tried:
-        d, v = measured[s][0][c, 0], measured[s][1][c, 0]  # perms[0] is the identity
-        cost = 0.0
-        for D, V in measured:
-            chi2 = ((D - d) ** 2 / (V + v)).sum(axis=-1)
-            at = np.unravel_index(int(np.argmin(chi2)), chi2.shape)
-            # an uncertain shape fits everything: likelihood counts its width against it
-            cost += min(float(chi2[at]), gate) + float(np.log(V[at] + v).sum())
-        costs.append(cost)
-    s, c = tried[int(np.argmin(costs))]
-    return sights[s].xyz_m[c], measured[s][1][c, 0]
+    for c in tried:
+        spread = V + V[c, 0]  # perms[0] is the identity
+        chi2 = ((D - D[c, 0]) ** 2 / spread).sum(axis=-1)  # (c, p)
+        # an uncertain shape fits everything: likelihood counts its width against it
+        cost = (np.minimum(chi2, gate) + np.log(spread).sum(axis=-1)).min(axis=1)
+        costs.append(float(np.minimum.reduceat(cost, first).sum()))
+    best = tried[int(np.argmin(costs))]
+    return xyz[best], V[best, 0]
 
 
 def _name_all(sights: Sequence[Sight], X: Array, variances: Array, perms: Index) -> Named:
