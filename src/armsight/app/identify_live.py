@@ -235,6 +235,7 @@ def _probed(job: LiveJob, person: Person, robot: Robot, sweeper: Sweeper, rig: R
         f"Move each joint of {robot.name} by {PROBE_SHARE:.0%} of its travel, one after the other, and where that "
         f"does not tell the joint by up to {LARGEST_SHARE:.0%}?",
     )
+    sweeper.begin()
     start = sweeper.standing
     checked_limits(sweeper.limits, start)
     shares, parts = np.full(len(start), PROBE_SHARE), {}
@@ -291,6 +292,7 @@ def _swept(job: LiveJob, plan: Plan, robot: Robot, sweeper: Sweeper) -> Sweeps:
     file = job.out.with_suffix(".sweep.csv")
     with _stopped_on_error(robot, sweeper, file):
         sweeper.clear(sum(len(sweep.q) for sweep in plan.sweeps))
+        sweeper.begin()
         for sweep in plan.sweeps:
             for pose in sweep.way:
                 sweeper.move(pose)

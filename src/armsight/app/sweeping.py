@@ -33,13 +33,15 @@ FOLLOW_SHARE = 0.02
 """Share of its travel by which a joint at rest may miss where it was sent: play and gravity, not a fault."""
 STUCK = 20
 """Commands in a row that go nowhere."""
+FIRST_LOOKS = 8
+"""Pairs looked at before anything moves: old frames in the cameras' queues are gone then, and all code is compiled."""
 SLACK = 1e-9
 """Joint values (rad, m) so far beyond a limit are at it: rounding."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Look:
-    """The beacon in one pair of frames: taken_s on our clock, not later than true; uv_px (2, 2), xyz_m (3,), or why."""
+    """The beacon in one pair of frames: uv_px (2, 2), xyz_m (3,), or why not; taken_s: the earliest, on our clock."""
 
     taken_s: float
     uv_px: Array | None = None
@@ -123,6 +125,11 @@ class Sweeper:
             return None
         q, uv, xyz = (np.array(values) for values in zip(*self._rows, strict=True))
         return Sweeps(joint=np.array(self._joint, dtype=np.intp), q=q, xyz_m=xyz, uv_px=uv)
+
+    def begin(self) -> None:
+        """See the beacon before anything moves. Raises NotEnoughData where it is not there, DeviceLost."""
+        for _ in range(FIRST_LOOKS):
+            self._eyes.look("before anything moved")
 
     def clear(self, expected: int) -> None:
         """Forget what was read; so many readings are to come."""

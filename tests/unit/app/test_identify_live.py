@@ -259,3 +259,24 @@ def test_the_frames_show_where_the_robot_is_now(tmp_path: Path) -> None:
         assert second[0].t_s >= first[0].t_s + 1.3
         assert abs(column(second[0]) - column(first[0])) > 5.0
         assert abs(column(third[0]) - column(second[0])) < 0.5
+
+
+def test_the_command_line_asks_and_moves_nothing_without_an_answer(tmp_path: Path) -> None:
+    from typer.testing import CliRunner
+
+    from armsight.app.simulate import write_stage_files
+    from armsight.cli.commands import app
+
+    model = load_scenario("kapucu2005-rrp")[0]
+    write_stage_files(model.cell(frames=1), tmp_path)
+    name = "sim:kapucu2005-rrp"
+    words = ["identify", "--live", name, "--left", f"camera:{name}:left", "--right", f"camera:{name}:right"]
+    words += ["--rig", str(tmp_path / "rig.yaml"), "--target", str(tmp_path / "target.yaml")]
+    out = ["-o", str(tmp_path / "found.yaml")]
+    assert CliRunner().invoke(app, [*words, *out]).exit_code == 2
+    words += [f"--limits={TEXT}", "--world", str(tmp_path / "world.yaml")]
+    asked = CliRunner().invoke(app, [*words, *out], input="n\n")
+    assert asked.exit_code == 130 and "by 5% of its travel" in asked.output
+    planned = CliRunner().invoke(app, [*words, "--model", str(tmp_path / "arm.yaml"), "--propose", *out])
+    assert planned.exit_code == 0 and "Accuracy to expect" in planned.output
+    assert not (tmp_path / "found.yaml").exists()

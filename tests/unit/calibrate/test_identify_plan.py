@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -19,7 +21,7 @@ from armsight.calibrate.identify.plan import (
     rough_arm,
 )
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
-from armsight.kinematics import preset
+from armsight.kinematics import forward, preset
 from armsight.optics import Camera, parallel_rig
 
 Array = NDArray[np.float64]
@@ -144,6 +146,29 @@ def test_what_is_hardly_known_is_not_sent_to_the_border(arm: RoughArm) -> None:
         uv = 1.5 * (pixels(rows(propose_sweeps(one, longer, LIMITS, START))[1]) - [CX, CY]) + [CX, CY]
         room.append(min(uv.min(), (np.array([639.0, 479.0]) - uv).min()))
     assert 10.0 < room[0] < 30.0 and room[1] > room[0] + 10.0, room
+
+
+def test_six_joints_with_parallel_and_intersecting_axes_are_told_as_they_will_be_found() -> None:
+    tool = RigidTransform.from_translation([0.05, 0.02, 0.1])
+    robot = replace(preset("irb120"), T_flange_tool=tool)
+    rig = parallel_rig(Camera.pinhole(1280, 960, 1100.0, 1100.0, 639.5, 479.5), 0.2)
+    looks = Rotation.from_matrix([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    where = RigidTransform.from_components([2.0, -0.1, 0.6], looks)
+    base = where.inv().as_matrix()
+    limits = np.array([[-1.2, 1.2], [-0.8, 0.8], [-0.8, 0.5], [-1.5, 1.5], [-1.2, 1.2], [-2.5, 2.5]])
+    shown = propose_sweeps(known_arm(robot, base, 0.1), rig, limits, np.full(6, 0.1), base=base)
+    joint, q = rows(shown)
+    uv = np.stack(rig.project(where.inv().apply(forward(robot, q)[:, :3, 3])), axis=1)
+    uv += np.random.default_rng(3).normal(0.0, 0.1, uv.shape)
+    found = identify(Sweeps(joint=joint, q=q, xyz_m=np.zeros((len(q), 3)), uv_px=uv), rig=rig, base=base)
+    pairs = [
+        (expected[key], one.std[key])
+        for expected, one in zip(shown.expected, found.joints, strict=True)
+        for key in ("a_m", "d_m", "alpha_rad", "theta_rad")
+    ]
+    both = [expected / claimed for expected, claimed in pairs if np.isfinite(expected) and np.isfinite(claimed)]
+    assert len(both) >= 18 and min(both) > 0.7 and max(both) < 1.4, pairs
+    assert sum(np.isfinite(expected) != np.isfinite(claimed) for expected, claimed in pairs) <= 1, pairs
 
 
 def test_probes_are_small_and_within_limits() -> None:

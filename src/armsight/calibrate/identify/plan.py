@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from armsight.calibrate.identify.chain import Axis, ChainModel
 from armsight.calibrate.identify.kernels import see_many
 from armsight.calibrate.identify.result import Identification
+from armsight.calibrate.identify.shapes import skew
 from armsight.calibrate.identify.table import KEYS, carried, place_frames, say_cases
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Arm, JointType, link_frames
@@ -38,6 +39,9 @@ RESTS, GRID, ROUNDS, WAY = 150, 41, 4, 9
 SEED = 1
 POOR_M, POOR_RAD = 0.005, np.deg2rad(1.0)
 """Expected deviations beyond these are named: an arm known worse is of no use to a controller."""
+
+NEARLY_PARALLEL = 0.1
+"""Sine between axes below which an offset along them is told ten times worse than a distance, and more."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -177,13 +181,15 @@ def expected_deviations(
     model, frame = arm.model, np.eye(4) if base is None else base
     G = _slopes(model, PackedRig.of(rig), q)[1] / arm.sigma_px
     covariance = np.linalg.inv(np.einsum("mia,mib->ab", G, G) + _prior(model))
-    table = place_frames(arm.axes, arm.beacon_m, frame)[0]
+    at = np.zeros(len(covariance))
+    if arm.covariance is None:  # a model may say exactly parallel; what will be found is off that by its deviations
+        at = np.linalg.cholesky(covariance) @ np.random.default_rng(SEED).normal(size=len(at))
+    axes, beacon = model.axes_at(at)
 
     def entries(x: Array) -> Array:
         return place_frames(*model.axes_at(x), frame)[0].ravel()
 
-    std = carried(entries, np.zeros(len(covariance)), covariance)
-    notes, known = say_cases(arm.axes, table, std)
+    notes, known = say_cases(axes, place_frames(axes, beacon, frame)[0], carried(entries, at, covariance))
     return tuple(dict(zip(KEYS, row.tolist(), strict=True)) for row in known), notes
 
 
@@ -369,8 +375,19 @@ def _poor(expected: Sequence[dict[str, float]], sweeps: Sequence[PlannedSweep], 
                 continue
             shown = f"{1e3 * std:.2g} mm" if length else f"{np.rad2deg(std):.2g} deg"
             weak = by_joint[min((j for j in (i, i + 1) if j in reach), key=lambda j: reach[j])]
-            notes.append(f"joint {i + 1}, {key}: only to {shown} is to be expected; {_sweep_said(weak, arm)}")
+            why = (_parallel_said(i, arm) if key == "d_m" else "") or _sweep_said(weak, arm)
+            notes.append(f"joint {i + 1}, {key}: only to {shown} is to be expected; {why}")
     return notes
+
+
+def _parallel_said(joint: int, arm: RoughArm) -> str:
+    """Return that an offset lies along an axis nearly parallel to one beside it; the angle is the same in any pose."""
+    for k in (joint - 1, joint):
+        if 0 <= k < len(arm.axes) - 1:
+            sine = float(np.linalg.norm(skew(arm.axes[k].direction) @ arm.axes[k + 1].direction))
+            if sine < NEARLY_PARALLEL:
+                return f"axes {k + 1} and {k + 2} are nearly parallel, and where they come nearest is hardly seen"
+    return ""
 
 
 def _sweep_said(sweep: PlannedSweep, arm: RoughArm) -> str:
