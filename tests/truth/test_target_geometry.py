@@ -240,6 +240,22 @@ def test_equilateral_target_is_three_fold_ambiguous() -> None:
     assert "isosceles" in refusal.value.cure
 
 
+def test_rectangle_of_lights_is_ambiguous() -> None:
+    X = np.array([[-0.03, -0.04, 0.0], [0.03, -0.04, 0.0], [0.03, 0.04, 0.0], [-0.03, 0.04, 0.0]])
+    with pytest.raises(Ambiguous, match="another naming fits"):
+        calibrate_target(RIG, recording(X, np.random.default_rng(21)), lights=4)
+
+
+def test_nearly_equilateral_target_is_named_where_the_frames_allow() -> None:
+    X = EQUILATERAL * [[1.0, 1.0, 1.0], [1.03, 1.03, 1.0], [1.0, 1.0, 1.0]]
+    total = 0.0
+    for seed in range(10):
+        done = calibrate_target(RIG, recording(X, np.random.default_rng([22, seed])))
+        assert done.n_used >= 8 and all("told apart" in why for _, why in done.rejected)
+        total += min(free_chi2(done, frame_axes(X[np.roll(range(3), k)]))[0] for k in range(3))
+    assert total < chi2_law.isf(1e-4, 30)
+
+
 def test_lights_on_a_line_tell_only_their_distances() -> None:
     with pytest.raises(Degenerate, match=r"only their distances are known: AB 60\.0") as refusal:
         calibrate_target(RIG, recording(LINE, np.random.default_rng(15)))

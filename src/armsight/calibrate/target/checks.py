@@ -128,14 +128,15 @@ def require_names(named: Named, told: Flags, nearest: NDArray[np.intp] | None) -
         return
     d = distances(named.X)
     lengths = ", ".join(f"{v / MM:.2f}" for v in np.sort(d))
-    kind = "another naming of the lights fits as well"
+    kind, cure = "another naming fits as well", "Move one light so that no two of the distances are alike"
     if len(named.X) == 3 and nearest is not None:
         kind = "an equilateral target is 3-fold ambiguous: any of its lights could be A"
+        cure = "Make it isosceles: move one light so that two distances differ from the third by a fifth or more"
     raise Ambiguous(
         f"in {int((~told).sum())} of {len(told)} frames the lights (distances {lengths} mm) cannot be told apart; "
         f"{kind}",
         consequence="Nobody could name the lights of a later frame either; no geometry is given",
-        cure="Make the target isosceles: move one light so that two distances differ from the third by a fifth or more",
+        cure=cure,
     )
 
 
