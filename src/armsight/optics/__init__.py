@@ -1,6 +1,6 @@
 """Pixel <-> ray: cameras, rigs, triangulation."""
 
-from armsight.optics.camera import INTRINSICS, Camera
+from armsight.optics.camera import INTRINSICS, Camera, Plate
 from armsight.optics.epipolar import epipolar_chi2, epipolar_distance, fundamental_matrix
 from armsight.optics.packed import PackedRig
 from armsight.optics.parallelism import Parallelism, moved_rig, parallelism
@@ -18,6 +18,7 @@ __all__ = [
     "Camera",
     "PackedRig",
     "Parallelism",
+    "Plate",
     "Resolution",
     "Rig",
     "RigKind",

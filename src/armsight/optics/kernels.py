@@ -1,6 +1,7 @@
 """Compiled pinhole projection with Brown-Conrady distortion, and its derivatives.
 
-A camera's intrinsics travel as one vector k (10,): fx, fy, cx, cy, skew, k1, k2, p1, p2, k3.
+A camera's intrinsics travel as one vector k (10,): fx, fy, cx, cy, skew, k1, k2, p1, p2, k3; of a view through a glass
+plate as k (12,), with the plate's thickness (m) and refractive index behind them.
 """
 
 from __future__ import annotations
@@ -29,11 +30,38 @@ def distort(k, x, y):
     return xd, yd, dxx, dxy, dyy
 
 
+PLATE_ROUNDS = 4
+"""Steps to the ray that meets a point through the plate; each gains a factor of a thousand (shift over depth)."""
+
+
+@njit(cache=True)
+def plate_shift(thickness, index, U, V):
+    """Return mu (m) of MATH 3.1: the ray (U, V, 1) through a plate at 45 degrees seems to start at (-mu, 0, +mu)."""
+    c = (1.0 - U) / np.sqrt(2.0 * (1.0 + U * U + V * V))
+    return thickness * np.sqrt(0.5) * (1.0 - c / np.sqrt(index * index - 1.0 + c * c))
+
+
+@njit(cache=True)
+def behind_plate(thickness, index, x, y, z):
+    """Return x and z of a point as a pinhole without the plate would have it, whose centre the chief ray points to."""
+    chief = plate_shift(thickness, index, 0.0, 0.0)
+    shift = 0.0
+    for _ in range(PLATE_ROUNDS):
+        depth = z - shift
+        shift = plate_shift(thickness, index, (x + shift) / depth, y / depth) - chief
+    return x + shift, z - shift
+
+
 @njit(cache=True)
 def project_point(k, x, y, z, uv, J):
-    """Fill uv (2,) and J (2, 3) = d uv / d (x, y, z) for a point in camera axes; False where z <= 0."""
+    """Fill uv (2,) and J (2, 3) = d uv / d (x, y, z) for a point in camera axes; False where z <= 0.
+
+    Through a plate J leaves out how the shift changes with the point: a thousandth of J.
+    """
     if not z > 0.0:
         return False
+    if k.shape[0] > 10 and k[10] > 0.0:
+        x, z = behind_plate(k[10], k[11], x, y, z)
     iz = 1.0 / z
     a = x * iz
     b = y * iz

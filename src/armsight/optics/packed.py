@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PackedRig:
-    """Intrinsics k (2, 10), R (2, 3, 3) and t (2, 3) with p_camera = R p_rig + t, baseline (3,) left to right in m.
+    """Intrinsics and plates k (2, 12); R (2, 3, 3), t (2, 3) with p_camera = R p_rig + t; baseline (3,) m.
 
     First index: left, right. covariance: (26, 26) of RIG_PARAMETERS where the calibration brings one, zero for the
     parameters it held fixed; (0, 0) where the rig is taken as exact.
@@ -32,7 +32,7 @@ class PackedRig:
         """Pack a rig; do it once per rig, not once per frame."""
         poses = [rig.T_rig_camera(side).inv() for side in SIDES]
         return cls(
-            k=frozen_array("k", [rig.camera(side).intrinsics for side in SIDES], (2, 10)),
+            k=frozen_array("k", [rig.camera(side).packed for side in SIDES], (2, 12)),
             R=frozen_array("R", [pose.rotation.as_matrix() for pose in poses], (2, 3, 3)),
             t=frozen_array("t", [pose.translation for pose in poses], (2, 3)),
             baseline=frozen_array("baseline", rig.T_rig_right.translation - rig.T_rig_left.translation, (3,)),

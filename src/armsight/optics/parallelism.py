@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.optics.camera import INTRINSICS, Camera
+from armsight.optics.camera import INTRINSICS
 from armsight.optics.rig import RIG_PARAMETERS, RIGHT_POSE, Rig
 from armsight.records import NamedCovariance, frozen_array
 
@@ -68,7 +68,7 @@ def moved_rig(rig: Rig, step: Array) -> Rig:
     """Return the rig with its RIG_PARAMETERS moved by step (26,); the right pose as t + dt, Exp(dw) R."""
     n = len(INTRINSICS)
     cameras = [
-        Camera(width=camera.width, height=camera.height, intrinsics=camera.intrinsics + part)
+        replace(camera, intrinsics=camera.intrinsics + part)
         for camera, part in ((rig.left, step[:n]), (rig.right, step[n : 2 * n]))
     ]
     dt, dw = step[2 * n : 2 * n + 3], step[2 * n + 3 :]

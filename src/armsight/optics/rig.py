@@ -68,6 +68,6 @@ class Rig:
             T_camera_rig = self.T_rig_camera(side).inv()
             uv = np.empty((len(X), 2))
             R = np.ascontiguousarray(T_camera_rig.rotation.as_matrix())
-            project_many(self.camera(side).intrinsics, R, np.asarray(T_camera_rig.translation), X, uv)
+            project_many(self.camera(side).packed, R, np.asarray(T_camera_rig.translation), X, uv)
             out.append(uv)
         return out[0], out[1]

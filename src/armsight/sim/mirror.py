@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import least_squares
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.errors import Inconsistent
 from armsight.sim.lens import Lens
@@ -27,16 +26,15 @@ SLANT = np.sqrt(0.5)
 ROUNDS = 12
 """Steps of the search for the ray that meets a point: each gains a factor of 300 (the plate's shift over the depth)."""
 
-TRUTH_DEPTHS_M = (0.4, 0.6, 0.8)
-"""Where the pinhole that stands for the left view is fitted."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mirrors:
     """The mirrors before the lens.
 
     baseline_m: between the two virtual cameras. plate_m, index: thickness and refraction of the glass. near_m: from the
-    lens to the plate's front, along the axis; gap_m: from there to mirror 3.
+    lens to the plate's front, along the axis; gap_m: from there to mirror 3. tilts_rad: of mirror 1 (the plate) to 4,
+    each (turn about the vertical y, tilt about the line in its face square to y), about the point where the chief ray
+    meets it.
     """
 
     baseline_m: float
@@ -44,6 +42,7 @@ class Mirrors:
     index: float = 1.5
     near_m: float = 0.06
     gap_m: float = 0.04
+    tilts_rad: tuple[tuple[float, float], ...] = ((0.0, 0.0),) * 4
 
     def __post_init__(self) -> None:
         if not (self.baseline_m > 0.0 and self.plate_m >= 0.0 and self.index >= 1.0):
@@ -59,20 +58,53 @@ class Mirrors:
         ray = np.column_stack([xy, np.ones(len(xy))])
         ray /= np.linalg.norm(ray, axis=1)[:, None]
         place = np.zeros_like(ray)
-        front = np.array([0.0, 0.0, self.near_m])
-        half = 0.5 * self.baseline_m
-        if side == "right":
-            first = np.array([SLANT, 0.0, -SLANT])
-            place, ray = _reflect(_meet(place, ray, front, first), ray, first)
-            return _reflect(_meet(place, ray, front + np.array([half, 0.0, 0.0]), first), ray, first)
-        through = np.array([-SLANT, 0.0, SLANT])
+        if side == "left":
+            place, ray = self._glass(place, ray)
+        for point, normal in self._mirrors(side):
+            place, ray = _reflect(_meet(place, ray, point, normal), ray, normal)
+        return place, ray
+
+    def _glass(self, place: Array, ray: Array) -> tuple[Array, Array]:
+        """Return where rays leave the plate, and their directions."""
+        front, through = np.array([0.0, 0.0, self.near_m]), -self.normals()[0]
         place = _meet(place, ray, front, through)
         ray = _refract(ray, through, 1.0 / self.index)
         place = _meet(place, ray, front + self.plate_m * through, through)
-        ray = _refract(ray, through, self.index)
-        third, mirror = front + np.array([0.0, 0.0, self.gap_m]), np.array([-SLANT, 0.0, -SLANT])
-        place, ray = _reflect(_meet(place, ray, third, mirror), ray, mirror)
-        return _reflect(_meet(place, ray, third - np.array([half, 0.0, 0.0]), mirror), ray, mirror)
+        return place, _refract(ray, through, self.index)
+
+    def _mirrors(self, side: str) -> list[tuple[Array, Array]]:
+        """Return a point and the normal of the two mirrors on a side's way out."""
+        front, half = np.array([0.0, 0.0, self.near_m]), np.array([0.5 * self.baseline_m, 0.0, 0.0])
+        normals = self.normals()
+        if side == "right":
+            return [(front, normals[0]), (front + half, normals[1])]
+        third = front + np.array([0.0, 0.0, self.gap_m])
+        return [(third, normals[2]), (third - half, normals[3])]
+
+    def normals(self) -> Array:
+        """Return the mirrors' normals (4, 3): at 45 degrees, turned by their tilts."""
+        upright = np.array([[SLANT, 0.0, -SLANT], [SLANT, 0.0, -SLANT], [-SLANT, 0.0, -SLANT], [-SLANT, 0.0, -SLANT]])
+        out = []
+        for normal, (turn, tilt) in zip(upright, self.tilts_rad, strict=True):
+            across = np.array([-normal[2], 0.0, normal[0]])  # in the face, square to y
+            out.append(Rotation.from_rotvec(turn * np.array([0.0, 1.0, 0.0]) + tilt * across).apply(normal))
+        return np.array(out)
+
+    def pose(self, side: str) -> RigidTransform:
+        """Return T_camera_virtual: the camera as a side's mirrors show it; left, where the glass lets it seem to be.
+
+        The glass shifts the camera along its normal, so far that the traced chief ray comes from there.
+        """
+        T = np.eye(4)
+        for point, normal in self._mirrors(side):
+            mirror = np.eye(4)
+            mirror[:3, :3] -= 2.0 * np.outer(normal, normal)
+            mirror[:3, 3] = 2.0 * (point @ normal) * normal
+            T = mirror @ T
+        if side == "left":
+            place, _ = self._glass(np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]))
+            T[:3, 3] += T[:3, :3] @ np.array([place[0, 0], 0.0, -place[0, 0]])
+        return RigidTransform.from_matrix(T)
 
     def image(self, side: str, points_m: ArrayLike) -> Array:
         """Return the rays (x, y) (n, 2) of the lens that meet points (n, 3); NaN for points behind the mirrors."""
@@ -123,54 +155,29 @@ def mirror_views(lens: Lens, mirrors: Mirrors) -> dict[str, MirrorLens]:
 
 
 def mirror_rig(views: Mapping[str, MirrorLens]) -> dict[str, Any]:
-    """Return the nearest pair of pinholes as rig.yaml has it: kind mirror, rig axes those of the real camera.
+    """Return the two views as rig.yaml has them: kind mirror, rig axes those of the real camera.
 
-    The right view is a pinhole exactly; the left one, seen through a tilted plate, is only to about 0.02 px: its
-    centre, focal lengths and principal point are fitted over the image at TRUTH_DEPTHS_M.
+    The right view is a pinhole exactly; the left one a pinhole behind a glass plate, whose centre lies where the
+    traced chief ray seems to come from.
     """
-    right = views["right"]
-    half = 0.5 * right.mirrors.baseline_m
-    lens, centre_m = _pinhole(views["left"])
-    pair = {
-        "left": (lens, RigidTransform.from_translation(centre_m)),
-        "right": (_plain(right), RigidTransform.from_translation([half, 0.0, -half])),
-    }
-    return rig_mapping(pair) | {"kind": "mirror"}
+    mirrors = views["right"].mirrors
+    poses = {side: mirrors.pose(side) for side in SIDES}
+    pair = {side: (_plain(views[side]), poses[side]) for side in SIDES}
+    content = rig_mapping(pair) | {"kind": "mirror"}
+    if mirrors.plate_m > 0.0:
+        content["cameras"]["left"]["plate"] = {"thickness_m": mirrors.plate_m, "index": mirrors.index}
+    return content
 
 
-def _plain(
-    view: MirrorLens, focal_px: tuple[float, float] | None = None, centre_px: tuple[float, float] | None = None
-) -> Lens:
+def _plain(view: MirrorLens) -> Lens:
     return Lens(
         width=view.width,
         height=view.height,
-        focal_px=focal_px or view.focal_px,
-        centre_px=centre_px or view.centre_px,
+        focal_px=view.focal_px,
+        centre_px=view.centre_px,
         skew_px=view.skew_px,
         distortion=view.distortion,
     )
-
-
-def _pinhole(view: MirrorLens) -> tuple[Lens, Array]:
-    """Return the lens and the place (3,) in O axes of the pinhole nearest to a view."""
-    u, v = np.meshgrid(np.linspace(0.05, 0.95, 7) * view.width, np.linspace(0.05, 0.95, 5) * view.height)
-    place, ray = view.mirrors.trace(view.side, view.rays(np.stack([u.ravel(), v.ravel()], axis=1)))
-    points = np.vstack([place + ((z - place[:, 2]) / ray[:, 2])[:, None] * ray for z in TRUTH_DEPTHS_M])
-    seen = view.project(points)
-    half = 0.5 * view.mirrors.baseline_m
-
-    def lens_of(x: Array) -> tuple[Lens, Array]:
-        focal = (view.focal_px[0] * (1 + x[3]), view.focal_px[1] * (1 + x[4]))
-        return _plain(view, focal, (view.centre_px[0] + x[5], view.centre_px[1] + x[6])), np.array(
-            [-half, 0, -half]
-        ) + x[:3]
-
-    def misses(x: Array) -> Array:
-        lens, centre_m = lens_of(x)
-        return np.asarray((lens.project(points - centre_m) - seen).ravel())
-
-    found = least_squares(misses, np.zeros(7), x_scale=[1e-4, 1e-4, 1e-4, 1e-3, 1e-3, 1.0, 1.0])
-    return lens_of(found.x)
 
 
 def _meet(place: Array, ray: Array, point: Array, normal: Array) -> Array:

@@ -105,13 +105,14 @@ class RightKeys(LensKeys):
 
 
 class MirrorKeys(Keys):
-    """The mirrors before the one lens of a mirror rig."""
+    """The mirrors before the one lens of a mirror rig; tilts_rad of mirrors 1 to 4: about the vertical, and across."""
 
     baseline_m: Positive
     plate_m: NotNegative
     index: Annotated[float, Field(ge=1.0, le=4.0)]
     near_m: Positive
     gap_m: Positive
+    tilts_rad: tuple[tuple[Finite, Finite], ...] = Field(default=((0.0, 0.0),) * 4, min_length=4, max_length=4)
 
 
 class SensorKeys(Keys):

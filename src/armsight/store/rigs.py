@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 from armsight.errors import BadFile
-from armsight.optics import Camera, Rig, RigKind
+from armsight.optics import Camera, Plate, Rig, RigKind
 from armsight.records import NamedCovariance
 from armsight.store.schema import (
     Count,
@@ -52,10 +52,23 @@ class IntrinsicsModel(Strict):
         )
 
 
+class PlateModel(Strict):
+    """The glass plate of a mirror rig."""
+
+    thickness_m: Finite
+    index: Finite = 1.5
+
+
 class RigCameraModel(IntrinsicsModel):
-    """A camera with its place in the rig."""
+    """A camera with its place in the rig, and the glass plate it looks through, if any."""
 
     T_rig_camera: PoseModel
+    plate: PlateModel | None = None
+
+    def camera(self) -> Camera:
+        """Return the record; Inconsistent where no camera can be like this."""
+        plain = IntrinsicsModel.camera(self)
+        return plain if self.plate is None else replace(plain, plate=Plate(**self.plate.model_dump()))
 
 
 class SidesModel(Strict):
@@ -131,6 +144,7 @@ def rig_mapping(rig: Rig) -> dict[str, Any]:
 def camera_mapping(camera: Camera) -> dict[str, Any]:
     """Return a camera's size and intrinsics as files hold them."""
     fx, fy, cx, cy, skew = camera.intrinsics[:5].tolist()
+    plate = {} if camera.plate is None else {"plate": asdict(camera.plate)}
     return {
         "width": camera.width,
         "height": camera.height,
@@ -140,6 +154,7 @@ def camera_mapping(camera: Camera) -> dict[str, Any]:
         "cy": cy,
         "skew": skew,
         "distortion": camera.distortion.tolist(),
+        **plate,
     }
 
 
