@@ -53,7 +53,7 @@ def find_checkerboard(image: Image, board: Target, source: str, detector: str) -
             consequence="The image is not used",
             cure="Show the whole board, sharp and evenly lit, and count its inner corners",
         )
-    return refine_corners(image, board, _order(image, board, coarse), source)
+    return refine_corners(image, board, number_corners(image, board, coarse), source)
 
 
 def coarse_corners(image: Image, columns: int, rows: int, detector: str) -> Array | None:
@@ -95,13 +95,13 @@ def _full_size(corners: ArrayLike, factor: float) -> Array:
     return np.asarray((uv + 0.5) * factor - 0.5)
 
 
-def _order(image: Image, board: Target, uv: Array) -> Array:
+def number_corners(image: Image | Array, board: Target, uv: Array) -> Array:
     """Number the corners so that x runs along the columns, y is to its right hand, and the first square is black.
 
     Where the colours leave a choice, x points as far to the image's right as it can.
     """
     n = board.columns
-    E, _ = fit_map(_grid(board), uv)[0].derivatives(_grid(board))
+    E, _ = fit_map(grid_of(board), uv)[0].derivatives(grid_of(board))
     if np.linalg.det(E.mean(axis=0)) < 0.0:
         uv = uv.reshape(-1, n, 2)[:, ::-1].reshape(-1, 2)
     turned = [uv[turn] for turn in grid_turns(board).values()]
@@ -109,25 +109,25 @@ def _order(image: Image, board: Target, uv: Array) -> Array:
     return most_upright(black_first or turned, board)
 
 
-def _grid(board: Target) -> Array:
+def grid_of(board: Target) -> Array:
     """Return the grid coordinates (n, 2) of the board's points, in squares."""
     return np.asarray(board.xyz_m[:, :2] / board.pitch_m)
 
 
-def _parity(board: Target) -> Array:
+def parity_of(board: Target) -> Array:
     """Return -1 where the square beyond a corner (towards +x, +y) has the first square's colour, else +1; (n,)."""
-    return np.where(np.rint(_grid(board).sum(axis=1)).astype(int) % 2 == 0, -1.0, 1.0)
+    return np.where(np.rint(grid_of(board).sum(axis=1)).astype(int) % 2 == 0, -1.0, 1.0)
 
 
-def _first_square_is_black(image: Image, board: Target, uv: Array) -> bool:
+def _first_square_is_black(image: Image | Array, board: Target, uv: Array) -> bool:
     """Tell whether the square between the first four corners is darker than its neighbours, over the whole board."""
-    grid = _grid(board)
+    grid = grid_of(board)
     inner = (grid < grid.max(axis=0)).all(axis=1)
     centres = fit_map(grid, uv)[0](grid[inner] + 0.5)
     col = np.clip(np.rint(centres[:, 0]).astype(int), 0, image.shape[1] - 1)
     row = np.clip(np.rint(centres[:, 1]).astype(int), 0, image.shape[0] - 1)
     level = image[row, col].astype(float)
-    dark = _parity(board)[inner] < 0.0
+    dark = parity_of(board)[inner] < 0.0
     if dark.all():
         return True
     return bool(level[dark].mean() < level[~dark].mean())
@@ -135,7 +135,7 @@ def _first_square_is_black(image: Image, board: Target, uv: Array) -> bool:
 
 def refine_corners(image: Image, board: Target, guess: Array, source: str) -> BoardView:
     """Fit every corner twice, the second time with straightened edges, and keep what passes the checks."""
-    grid, sign = _grid(board), _parity(board)
+    grid, sign = grid_of(board), parity_of(board)
     if not _first_square_is_black(image, board, guess):
         sign = -sign
     uv = guess

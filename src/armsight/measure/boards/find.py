@@ -36,8 +36,8 @@ def find_board(image: NDArray[np.uint8], board: Target, *, source: str = "", det
     if detector not in DETECTORS:
         raise UsageError(f"no detector is called {detector!r}; there are {', '.join(DETECTORS)}")
     source = source or "the image"
-    grey = _grey(image, source)
-    _check_exposure(grey, source)
+    grey = grey_image(image, source)
+    check_exposure(grey, source)
     if board.kind is TargetKind.CHECKERBOARD:
         return find_checkerboard(grey, board, source, detector)
     if board.kind is TargetKind.CHARUCO:
@@ -56,7 +56,7 @@ def warm_up() -> None:
     fit_dots(image, middle, axes, one, 0.0, uv, covariance, quality)
 
 
-def _grey(image: NDArray[np.uint8], source: str) -> NDArray[np.uint8]:
+def grey_image(image: NDArray[np.uint8], source: str) -> NDArray[np.uint8]:
     """Return the image as contiguous uint8 (h, w)."""
     if image.dtype != np.uint8 or image.ndim not in (2, 3) or min(image.shape[:2]) < SMALLEST_PX:
         raise BadImage(
@@ -68,7 +68,7 @@ def _grey(image: NDArray[np.uint8], source: str) -> NDArray[np.uint8]:
     return np.ascontiguousarray(grey)
 
 
-def _check_exposure(grey: NDArray[np.uint8], source: str) -> None:
+def check_exposure(grey: NDArray[np.uint8], source: str) -> None:
     """Raise BadImage for an image that is black, white or grey all over."""
     low, middle, high = np.percentile(grey[::2, ::2], [1.0, 50.0, 99.0])
     if high - low >= LEAST_CONTRAST:

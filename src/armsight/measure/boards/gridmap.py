@@ -62,8 +62,14 @@ def fit_map(grid: Array, uv_px: Array) -> tuple[GridMap, Array]:
     half = max(1.0, 0.5 * float(np.ptp(grid, axis=0).max()))
     use = np.ones(len(grid), bool)
     g = (grid - centre) / half
+    H: Array = np.eye(3)
+    cubic: Array = np.zeros((10, 2))
+    distance: Array = np.full(len(grid), np.inf)
     for _ in range(3):
-        H = np.asarray(cv2.findHomography(g[use], uv[use])[0], float)
+        found = cv2.findHomography(g[use], uv[use])[0]
+        if found is None:  # what is left lies on one line
+            break
+        H = np.asarray(found, float)
         h = np.column_stack([g, np.ones(len(g))]) @ H.T
         rest = uv - h[:, :2] / h[:, 2:]
         cubic = np.zeros((10, 2))

@@ -106,7 +106,8 @@ def segment(light: Image, cross_px: int) -> Squares:
 
     cross_px: length of the arms of the seed's cross.
     """
-    arms = cv2.getStructuringElement(cv2.MORPH_CROSS, (2 * cross_px + 1, 2 * cross_px + 1))
+    side = 2 * cross_px + 1
+    arms = np.asarray(cv2.getStructuringElement(cv2.MORPH_CROSS, (side, side)), dtype=np.uint8)
     parts = [_one_colour(mask, arms, cross_px, colour) for mask, colour in ((light, 1), (1 - light, -1))]
     return Squares(
         corners=np.concatenate([part.corners for part in parts]),
@@ -117,9 +118,9 @@ def segment(light: Image, cross_px: int) -> Squares:
 
 def _one_colour(mask: Image, arms: Image, cross_px: int, colour: int) -> Squares:
     """Return the squares of one colour: seeds, their propagation, and their corners by the X templates."""
-    seeds = cv2.erode(mask, arms, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    seeds = np.asarray(cv2.erode(mask, arms, borderType=cv2.BORDER_CONSTANT, borderValue=0), dtype=np.uint8)
     n, cores, stats, _ = cv2.connectedComponentsWithStats(seeds, connectivity=4)
-    labels = _propagate(mask, seeds, cores, 1.5 * cross_px)
+    labels = _propagate(mask, seeds, np.asarray(cores, dtype=np.int32), 1.5 * cross_px)
     sides = stats[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]]
     area = np.bincount(labels.ravel(), minlength=n)
     whole = sides.max(axis=1) < 0.5 * min(mask.shape)
