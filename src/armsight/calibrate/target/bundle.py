@@ -67,21 +67,7 @@ def fit_bundle(rig: Rig, layout: Layout, sightings: Sightings, values: Array, R:
     g, n = sightings.uv_px.shape[:2]
 
     def evaluate(shared: Array, local: Array) -> Evaluation:
-        turned, uv, J = _project(packed, layout, shared, local)
-        r = (whiten @ (uv - sightings.uv_px)[..., None])[..., 0]
-        WJ = whiten @ J  # (g, n, 2, 2, 3)
-        by_pose = np.concatenate([WJ, -WJ @ hat(turned)[:, :, None]], axis=-1)
-        by_place = WJ @ _rotations(local)[:, None, None]
-        by_shape = by_place @ layout.basis.reshape(1, n, 1, 3, -1)
-        residuals, own = r.reshape(g, -1), by_pose.reshape(g, 4 * n, 6)
-        shape = by_shape.reshape(g, 4 * n, -1)
-        if layout.on_line:  # a row without residual that holds the turn about the line
-            axis = _rotations(local)[:, :, 0]
-            residuals = np.concatenate([residuals, np.zeros((g, 1))], axis=1)
-            held = np.sqrt(HOLD) * np.concatenate([np.zeros((g, 3)), axis], axis=1)
-            own = np.concatenate([own, held[:, None]], axis=1)
-            shape = np.concatenate([shape, np.zeros((g, 1, shape.shape[2]))], axis=1)
-        return Evaluation(residuals=residuals, shared=shape, local=own)
+        return _evaluate(packed, layout, sightings, whiten, shared, local)
 
     fit = solve(
         Problem(
@@ -95,6 +81,24 @@ def fit_bundle(rig: Rig, layout: Layout, sightings: Sightings, values: Array, R:
         )
     )
     return _judge(rig, layout, sightings, fit, evaluate(fit.shared, fit.local), whiten)
+
+
+def _evaluate(
+    packed: PackedRig, layout: Layout, sightings: Sightings, whiten: Array, shared: Array, local: Array
+) -> Evaluation:
+    g, n = sightings.uv_px.shape[:2]
+    turned, uv, J = _project(packed, layout, shared, local)
+    WJ = whiten @ J  # (g, n, 2, 2, 3)
+    residuals = (whiten @ (uv - sightings.uv_px)[..., None]).reshape(g, -1)
+    own = np.concatenate([WJ, -WJ @ hat(turned)[:, :, None]], axis=-1).reshape(g, 4 * n, 6)
+    R = _rotations(local)
+    shape = (WJ @ R[:, None, None] @ layout.basis.reshape(1, n, 1, 3, -1)).reshape(g, 4 * n, -1)
+    if layout.on_line:  # a row without residual that holds the turn about the line
+        held = np.sqrt(HOLD) * np.concatenate([np.zeros((g, 3)), R[:, :, 0]], axis=1)
+        residuals = np.concatenate([residuals, np.zeros((g, 1))], axis=1)
+        own = np.concatenate([own, held[:, None]], axis=1)
+        shape = np.concatenate([shape, np.zeros((g, 1, shape.shape[2]))], axis=1)
+    return Evaluation(residuals=residuals, shared=shape, local=own)
 
 
 def _judge(rig: Rig, layout: Layout, sightings: Sightings, fit: Fit, at: Evaluation, whiten: Array) -> Bundle:

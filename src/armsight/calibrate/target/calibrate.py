@@ -49,7 +49,7 @@ FALSE_ALARM = 1e-4
 LEAST_SHARE = 0.6
 """Share of the frames with all lights that must agree on one shape."""
 
-ROUNDS = 10
+TINY = 1e-300
 
 
 def calibrate_target(rig: Rig, frames: Sequence[LitFrame], lights: int = 3) -> TargetCalibration:
@@ -62,30 +62,19 @@ def calibrate_target(rig: Rig, frames: Sequence[LitFrame], lights: int = 3) -> T
     where a symmetric arrangement leaves the names open, Inconsistent where the frames share no rigid shape.
     """
     require_lights(lights)
-    sights, rejected = sights_of(rig, frames, lights)
-    if len(sights) < MIN_FRAMES:
-        raise few_frames(len(sights), len(frames), lights, rejected)
-    named = find_shape(sights)
-    rejected += [
-        (sights[s].frame, f"distances of its lights differ by {off / MM:.2g} mm from those of the other frames")
-        for s, off in named.misfit
-    ]
-    if len(named.number) < max(MIN_FRAMES, LEAST_SHARE * len(sights)):
-        raise not_rigid(len(named.number), len(sights), named)
-    numbers = np.array([sights[s].frame for s in named.number], dtype=np.intp)
+    named, numbers, rejected = _name(rig, frames, lights)
     flat = on_one_line(named)
     keep = np.ones(len(numbers), bool) if flat else _clear(named, numbers, rejected)
     seen = _sightings(frames, numbers, named)
-    away = _order(named, seen, keep, flat)
+    order = _order(named, seen, keep, flat)
     layout = line_layout(lights) if flat else plane_layout(lights)
-    seen = Sightings(uv_px=seen.uv_px[:, away], cov_px2=seen.cov_px2[:, away])
-    bundle, used = _fit(rig, layout, seen, named, away, keep, numbers, rejected)
-    require_rigid(bundle, _epipolar(rig, seen.take(used)), lights, len(named.number))
+    seen = Sightings(uv_px=seen.uv_px[:, order], cov_px2=seen.cov_px2[:, order])
+    bundle, used = _fit(rig, layout, seen, named, order, keep, numbers, rejected)
+    require_rigid(bundle, _epipolar(rig, seen.take(used)), lights, int(used.sum()))
     covariance = _covariance(layout, bundle)
     X, names = layout.spots(bundle.values), tuple(LETTERS[:lights])
     if flat and lights > 2:
         raise on_line(distances_of(names, X, covariance))
-    share = np.sqrt(np.trace(bundle.rig_share) / max(np.trace(covariance), 1e-300))
     return advise(
         TargetCalibration(
             names=names,
@@ -97,10 +86,25 @@ def calibrate_target(rig: Rig, frames: Sequence[LitFrame], lights: int = 3) -> T
             residual_px=bundle.residual_px,
             left_out_px=bundle.left_out_px,
             scale=float(np.sqrt(bundle.scale2)),
-            rig_share=None if rig.covariance is None else float(share),
+            rig_share=None if rig.covariance is None else _share(layout, bundle, covariance),
             turn_rms_rad=_turns(bundle.poses),
         )
     )
+
+
+def _name(rig: Rig, frames: Sequence[LitFrame], lights: int) -> tuple[Named, NDArray[np.intp], Rejected]:
+    """Return the shape that the frames share with their lights named by it, the frames' numbers, and the others."""
+    sights, rejected = sights_of(rig, frames, lights)
+    if len(sights) < MIN_FRAMES:
+        raise few_frames(len(sights), len(frames), lights, rejected)
+    named = find_shape(sights)
+    rejected += [
+        (sights[s].frame, f"distances of its lights differ by {off / MM:.2g} mm from those of the other frames")
+        for s, off in named.misfit
+    ]
+    if len(named.number) < max(MIN_FRAMES, LEAST_SHARE * len(sights)):
+        raise not_rigid(len(named.number), len(sights), named)
+    return named, np.array([sights[s].frame for s in named.number], dtype=np.intp), rejected
 
 
 def _clear(named: Named, numbers: NDArray[np.intp], rejected: Rejected) -> Flags:
@@ -108,8 +112,8 @@ def _clear(named: Named, numbers: NDArray[np.intp], rejected: Rejected) -> Flags
     told, other = told_apart(named)
     require_names(named, told, other)
     require_side(named)
-    few = named.behind.mean() <= 0.5
-    reversed_ = (named.behind == few) if len(named.X) == 3 else np.zeros(len(told), bool)
+    minority = named.behind if named.behind.mean() <= 0.5 else ~named.behind
+    reversed_ = minority & (len(named.X) == 3)  # more lights in space do not fit from behind
     for i in np.flatnonzero(~told | reversed_):
         why = (
             "its lights run the other way round: a mirror image, or the target from behind"
@@ -164,7 +168,7 @@ def _fit(
     R, t = named.R @ axes, named.R @ origin + named.t
     used, n = keep.copy(), len(X)
     total = int(used.sum())
-    for _ in range(max(ROUNDS, total)):
+    for _ in range(total):
         if used.sum() < MIN_FRAMES or used.sum() < LEAST_SHARE * total:
             raise not_rigid(int(used.sum()), total, named)
         bundle = fit_bundle(rig, layout, seen.take(used), values, R[used], t[used])
@@ -192,6 +196,12 @@ def _covariance(layout: Layout, bundle: Bundle) -> Array:
     """Return (3 n, 3 n); the noise is never believed to be smaller than the spots say."""
     whole = bundle.covariance * max(bundle.scale2, 1.0) + bundle.rig_share
     return np.asarray(layout.basis @ whole @ layout.basis.T)
+
+
+def _share(layout: Layout, bundle: Bundle, covariance: Array) -> float:
+    """Return the part of the deviation that the rig's calibration alone would make."""
+    own = np.trace(layout.basis @ bundle.rig_share @ layout.basis.T)
+    return float(np.sqrt(own / max(np.trace(covariance), TINY)))
 
 
 def _turns(poses: Array) -> Array:

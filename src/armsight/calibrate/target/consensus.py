@@ -38,7 +38,7 @@ class Named:
     """The shape X (n, 3), labels in an order of their own, and the frames named by it.
 
     number (g,): position in the sights. rows (g, n): the pair that is each light. R (g, 3, 3), t (g, 3): its place in
-    rig axes. chi2 (g,). behind (g,): seen from the other side than the rest. information (g, n, 3, 3): of the points.
+    rig axes. behind (g,): seen from the other side than the rest. information (g, n, 3, 3): of the points.
     misfit: for the other frames, (number, largest difference of a distance in m).
     """
 
@@ -47,7 +47,6 @@ class Named:
     rows: Index
     R: Array
     t: Array
-    chi2: Array
     behind: NDArray[np.bool_]
     information: Array
     misfit: tuple[tuple[int, float], ...]
@@ -117,37 +116,44 @@ def _best_hypothesis(sights: Sequence[Sight], perms: Index) -> tuple[Array, Arra
 
 def _name_all(sights: Sequence[Sight], X: Array, variances: Array, perms: Index) -> Named:
     """Name the lights of every frame that shows the shape."""
-    order, d = _orders(perms), distances(X)
-    gate = float(chi2_law.isf(GATE, len(d)))
+    tried, misfit = _near(sights, distances(X), variances, perms)
+    n = len(X)
+    P = np.array([sights[s].xyz_m[c][perms[p]] for s, c, p in tried]).reshape(-1, n, 3)
+    W = np.linalg.inv(np.array([sights[s].cov_m2[c][perms[p]] for s, c, p in tried]).reshape(-1, n, 3, 3))
+    R, t, chi2 = align(X, P, W)
+    behind = facing(R, t, X, _normal(X)) < 0.0
+    cost = chi2 + BEHIND * behind
+    of = np.array([s for s, _, _ in tried], dtype=np.intp)
+    best = np.array([np.flatnonzero(of == s)[np.argmin(cost[of == s])] for s in np.unique(of)], dtype=np.intp)
+    rows = [sights[s].rows[c][perms[p]] for s, c, p in (tried[b] for b in best)]
+    return Named(
+        X=X,
+        number=of[best],
+        rows=np.array(rows, dtype=np.intp).reshape(-1, n),
+        R=R[best],
+        t=t[best],
+        behind=behind[best],
+        information=W[best],
+        misfit=misfit,
+    )
+
+
+def _near(
+    sights: Sequence[Sight], d: Array, variances: Array, perms: Index
+) -> tuple[list[tuple[int, int, int]], tuple[tuple[int, float], ...]]:
+    """Return (sight, choice, naming) whose distances come near d (m,), and for sights without any by how much not."""
+    order, gate = _orders(perms), float(chi2_law.isf(GATE, len(d)))
     tried: list[tuple[int, int, int]] = []
     misfit: list[tuple[int, float]] = []
     for s, sight in enumerate(sights):
         D, V = distances(sight.xyz_m)[:, order], _variances(sight.xyz_m, sight.cov_m2)[:, order]
         chi2 = ((D - d) ** 2 / (V + variances)).sum(axis=-1)  # (c, p)
         at = np.unravel_index(int(np.argmin(chi2)), chi2.shape)
-        if not chi2[at] <= gate:
+        if chi2[at] <= gate:
+            tried += [(s, int(c), int(p)) for c, p in np.argwhere(chi2 <= chi2[at] + WIDE)]
+        else:
             misfit.append((s, float(np.abs(D[at] - d).max())))
-            continue
-        tried += [(s, int(c), int(p)) for c, p in np.argwhere(chi2 <= chi2[at] + WIDE)]
-    normal = _normal(X)
-    if not tried:
-        empty = np.empty(0, dtype=np.intp)
-        return Named(
-            X=X, number=empty, rows=np.empty((0, len(X)), dtype=np.intp), R=np.empty((0, 3, 3)), t=np.empty((0, 3)),
-            chi2=np.empty(0), behind=np.empty(0, bool), information=np.empty((0, len(X), 3, 3)), misfit=tuple(misfit),
-        )  # fmt: skip
-    P = np.stack([sights[s].xyz_m[c][perms[p]] for s, c, p in tried])
-    W = np.linalg.inv(np.stack([sights[s].cov_m2[c][perms[p]] for s, c, p in tried]))
-    R, t, chi2 = align(X, P, W)
-    behind = facing(R, t, X, normal) < 0.0
-    cost = chi2 + BEHIND * behind
-    of = np.array([s for s, _, _ in tried])
-    best = np.array([np.flatnonzero(of == s)[np.argmin(cost[of == s])] for s in np.unique(of)], dtype=np.intp)
-    rows = np.stack([sights[tried[b][0]].rows[tried[b][1]][perms[tried[b][2]]] for b in best])
-    return Named(
-        X=X, number=of[best], rows=rows, R=R[best], t=t[best], chi2=chi2[best], behind=behind[best],
-        information=W[best], misfit=tuple(misfit),
-    )  # fmt: skip
+    return tried, tuple(misfit)
 
 
 def _mean_shape(sights: Sequence[Sight], named: Named) -> Array:

@@ -28,7 +28,7 @@ class TargetCalibration:
     used: names of the frames that the answer rests on. rejected: (frame, why). residual_px (g, n, 2, 2) [frame, light,
     side, axis] predicted minus seen; left_out_px: the same, each frame by the shape that the others give. scale:
     residuals over the spots' own deviations; above 1 the covariance is widened by it. rig_share: part of the
-    largest deviation that comes from the rig's calibration, None where the rig has no covariance. turn_rms_rad (3,):
+    deviation that comes from the rig's calibration, None where the rig has no covariance. turn_rms_rad (3,):
     root mean square turns between frames about their principal axes, falling.
     """
 
