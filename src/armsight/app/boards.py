@@ -17,10 +17,10 @@ Item = TypeVar("Item")
 Found = TypeVar("Found")
 
 
-def see_board(frame: Frame, board: Target) -> Seen:
+def see_board(frame: Frame, board: Target, detector: str = "auto") -> Seen:
     """Return what is seen of the board in one frame, or the reason why it is not."""
     try:
-        return find_board(frame.image, board, source=frame.source)
+        return find_board(frame.image, board, source=frame.source, detector=detector)
     except BadImage as error:
         return error.cause.removeprefix(f"{frame.source}: ")
 

@@ -36,7 +36,10 @@ POSE_UNITS: Mapping[str, str] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrateJob:
-    """Board as text, where to put the result, every how manyth frame to use (videos), folds of the left-out error."""
+    """Board as text, where to put the result, every how manyth frame to use (videos), folds of the left-out error.
+
+    detector: one of armsight.measure.boards.DETECTORS, for checkerboards.
+    """
 
     board: str
     out: Path
@@ -47,6 +50,7 @@ class CalibrateJob:
     source: str = ""
     left: str = ""
     right: str = ""
+    detector: str = "auto"
 
 
 def calibrate_camera(job: CalibrateJob, progress: Progress | None = None) -> dict[str, Any]:
@@ -61,7 +65,9 @@ def calibrate_camera(job: CalibrateJob, progress: Progress | None = None) -> dic
     with open_source(job.source) as source:
         frames = islice(source, 0, _stop(job), job.every)
         total = _total(source.total, job)
-        for frame, seen in in_parallel(lambda frame: (frame, see_board(frame, board)), frames, workers=job.workers):
+        for frame, seen in in_parallel(
+            lambda frame: (frame, see_board(frame, board, job.detector)), frames, workers=job.workers
+        ):
             _sort(frame, seen, views, rejected)
             _tell(progress, len(views) + len(rejected), total)
     _require(views, rejected, job.board)
@@ -84,7 +90,7 @@ def calibrate_stereo(job: CalibrateJob, progress: Progress | None = None) -> dic
     done = 0
 
     def see(pair: tuple[Frame, Frame]) -> tuple[tuple[Frame, Seen], ...]:
-        return tuple((frame, see_board(frame, board)) for frame in pair)
+        return tuple((frame, see_board(frame, board, job.detector)) for frame in pair)
 
     with open_pairs(job.left, job.right) as pairs:
         chosen = islice(pairs, 0, _stop(job), job.every)

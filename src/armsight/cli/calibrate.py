@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeAlias
 
 import typer
 
 from armsight.cli.face import Face
 from armsight.cli.options import SRC, AsJson, Board, Every, Limit, Workers
 from armsight.cli.tables import camera_tables, stereo_tables
+
+Detector: TypeAlias = Annotated[
+    str,
+    typer.Option(
+        "--detector", metavar="NAME", help="How checkerboards are looked for: auto, classic, sectors, xcorner."
+    ),
+]
 
 calibrate = typer.Typer(help="Calibrate a camera, or a pair of cameras.", no_args_is_help=True)
 
@@ -22,6 +29,7 @@ def camera(
     every: Every = 1,
     frames: Limit = None,
     workers: Workers = None,
+    detector: Detector = "auto",
     json: AsJson = False,
 ) -> None:
     """Find one camera's focal lengths, centre and distortion from images of a printed board."""
@@ -36,6 +44,7 @@ def camera(
             every=every,
             limit=frames,
             workers=workers if workers is not None else load_settings().workers,
+            detector=detector,
         )
         content = calibrate_camera(job, face.progress("calibrating"))
         camera_tables(face, content, out)
@@ -51,6 +60,7 @@ def stereo(
     every: Every = 1,
     frames: Limit = None,
     workers: Workers = None,
+    detector: Detector = "auto",
     json: AsJson = False,
 ) -> None:
     """Find both cameras of a pair and where they stand to each other, from pairs of images of a printed board."""
@@ -66,6 +76,7 @@ def stereo(
             every=every,
             limit=frames,
             workers=workers if workers is not None else load_settings().workers,
+            detector=detector,
         )
         content = calibrate_stereo(job, face.progress("calibrating"))
         stereo_tables(face, content, out)

@@ -74,8 +74,8 @@ def fit_map(grid: Array, uv_px: Array) -> tuple[GridMap, Array]:
         rest = uv - h[:, :2] / h[:, 2:]
         cubic = np.zeros((10, 2))
         if np.count_nonzero(use) >= POINTS_FOR_CUBIC:
-            cubic = np.linalg.lstsq(_monomials(g[use]), rest[use], rcond=None)[0]
-        distance = np.linalg.norm(rest - _monomials(g) @ cubic, axis=1)
+            cubic = np.asarray(np.linalg.lstsq(_monomials(g[use]), rest[use], rcond=None)[0])
+        distance = np.asarray(np.linalg.norm(rest - _monomials(g) @ cubic, axis=1))
         limit = FAR * max(1.5 * float(np.median(distance)), 0.05)
         keep = distance <= limit
         if np.count_nonzero(keep) < 0.6 * len(grid) or (keep == use).all():
