@@ -69,6 +69,8 @@ class LiveJob:
     readings: int = 10
     pace: Pace = field(default_factory=Pace)
     sigma: float | None = None
+    method: str = "ml"
+    nominal: str | None = None
     propose: bool = False
 
 
@@ -120,7 +122,10 @@ def run_identify_live(
         sweeps = _swept(job, plan, robot, sweeper)
     file = job.out.with_suffix(".sweep.csv")
     done = identified(
-        IdentifyJob(out=job.out, sweep=file, rig=job.rig, target=job.target, world=job.world, sigma=job.sigma),
+        IdentifyJob(
+            out=job.out, sweep=file, rig=job.rig, target=job.target, world=job.world, method=job.method,
+            sigma=job.sigma, nominal=job.nominal,
+        ),
         sweeps, rig,
     )  # fmt: skip
     return {**done, "plan": content}

@@ -27,6 +27,8 @@ REST_PX = 0.5
 """A beacon that moves less from frame to frame rests: three times a poor centre's noise."""
 REST_STEP = 2e-4
 """Joint readings (rad, m) that change less rest: an encoder may flicker by a step."""
+HELD_BACK_S = 0.2
+"""By how much a frame may be older than its stamp: cameras' drivers stamp at arrival and buffer up to some frames."""
 REST_TIMEOUT_S = 10.0
 """A joint told nothing new for so long that still moves is not under control."""
 FOLLOW_SHARE = 0.02
@@ -214,7 +216,8 @@ class Sweeper:
                     cure="Look for vibration, a slipping brake, or a camera that shakes",
                 )  # fmt: skip
             look, reading = self._eyes.look(when), self._robot.read()
-            still = still + 1 if look.taken_s >= arrived_s and _same(before, reading, seen, look) else 0
+            fresh = look.taken_s >= arrived_s + HELD_BACK_S
+            still = still + 1 if fresh and _same(before, reading, seen, look) else 0
             before, seen = reading, look
         self._check_place(before.q)
 

@@ -74,6 +74,11 @@ def identify(
                 raise UsageError(
                     "--live lacks something", cure="Give --rig, --target, --left, --right and --limits with it"
                 )
+            if sweep is not None or joints is not None or increments != "known":
+                raise UsageError(
+                    "--live makes its own sweeps, of known values",
+                    cure="Leave --sweep, --joints and --increments away, or --live",
+                )
             _live(
                 LiveJob(
                     robot=live,
@@ -88,6 +93,8 @@ def identify(
                     readings=readings,
                     pace=Pace(speed=speed),
                     sigma=sigma,
+                    method=method,
+                    nominal=nominal,
                     propose=propose,
                 ),
                 face,

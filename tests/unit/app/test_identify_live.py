@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -32,13 +33,14 @@ YES = Person(confirm=lambda _: True)
 class Cell:
     """The scenario after Kapucu and Baysec, its images of a quarter's size, and files of its rig, target and place."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, lag_s: float = 0.05) -> None:
         model = load_scenario("kapucu2005-rrp")[0]
         keys = model.model_dump()
         cameras = keys["cameras"]
         cameras |= {"width": 320, "height": 240, "colour": False}
         for side in ("left", "right"):
             cameras[side] |= {"fx": 378.8, "fy": 374.45, "cx": 159.5, "cy": 119.5}
+        keys["arm"]["lag_s"] = lag_s
         for joint in keys["arm"]["joints"]:
             joint["radius_m"] = 0.0  # whether the arm hides the beacon takes longer to work out than the image
         keys["target"] |= {"sigma_px": 1.5, "colour": None, "level": 120.0}
@@ -186,6 +188,41 @@ def test_a_robot_that_fails_is_stopped(fault: dict[str, Any], kind: type[Excepti
     assert len(read_sweeps(tmp_path / "arm.sweep.csv")) >= 3
 
 
+class Late:
+    """The pairs as drivers give them that stamp frames at their arrival, 0.18 s after they were taken, 30 a second."""
+
+    name, total, skew = "late", None, None
+
+    def __init__(self, cell: Cell) -> None:
+        self._cell = cell
+
+    def __enter__(self) -> Late:
+        self._cell.pairs.__enter__()
+        return self
+
+    def __exit__(self, *ended: Any) -> None:
+        self._cell.pairs.__exit__(*ended)
+
+    def __iter__(self) -> Iterator[tuple[Frame, Frame]]:
+        pairs, clock = self._cell.pairs, self._cell.clock
+        path = pairs._path
+        assert path is not None
+        index = 6
+        while True:
+            index = max(index + 1, int(np.ceil(30.0 * (clock.now_s() - path.origin_s))))
+            clock.sleep_until(path.origin_s + index / 30.0)
+            taken = [pairs._frame(index, index / 30.0 - 0.18, side, path) for side in ("left", "right")]
+            yield tuple(replace(frame, t_s=index / 30.0) for frame in taken)  # type: ignore[misc]
+
+
+def test_frames_older_than_they_say_are_not_taken_for_the_present(tmp_path: Path) -> None:
+    cell = Cell(tmp_path, lag_s=0.0)
+    job = cell.job(model=nearly_right(tmp_path), readings=20)  # each way takes a twentieth of a second
+    content = run_identify_live(job, YES, clock=cell.clock, devices=(cell.robot, Late(cell)))
+    assert max(joint["residual_rms_px"] for joint in content["joints"]) < 0.1
+    assert not any(joint["discarded"] for joint in content["joints"])
+
+
 def test_a_limit_of_the_robot_s_own_is_told(tmp_path: Path) -> None:
     cell = Cell(tmp_path)
     with pytest.raises(DeviceFailed, match=r"joint 3 does not go from .*range of j3"):
@@ -275,6 +312,7 @@ def test_the_command_line_asks_and_moves_nothing_without_an_answer(tmp_path: Pat
     out = ["-o", str(tmp_path / "found.yaml")]
     assert CliRunner().invoke(app, [*words, *out]).exit_code == 2
     words += [f"--limits={TEXT}", "--world", str(tmp_path / "world.yaml")]
+    assert CliRunner().invoke(app, [*words, *out, "--increments", "order"]).exit_code == 2
     asked = CliRunner().invoke(app, [*words, *out], input="n\n")
     assert asked.exit_code == 130 and "by 5% of its travel" in asked.output
     planned = CliRunner().invoke(app, [*words, "--model", str(tmp_path / "arm.yaml"), "--propose", *out])
