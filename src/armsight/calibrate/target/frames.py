@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import Inconsistent
-from armsight.optics import Rig, triangulate
+from armsight.optics import SIDES, Rig, Triangulation, triangulate
 from armsight.records import Spots
 
 Array = NDArray[np.float64]
@@ -56,30 +56,40 @@ def sights_of(rig: Rig, frames: Sequence[LitFrame], n: int) -> tuple[list[Sight]
     """Return the frames in which n lights may be seen, and (number, why) of those in which not."""
     sights: list[Sight] = []
     rejected: list[tuple[int, str]] = []
-    for number, frame in enumerate(frames):
-        found = _sight(rig, number, frame, n)
-        if isinstance(found, str):
-            rejected.append((number, found))
+    points = _triangulated(rig, frames)
+    ends = np.cumsum([len(frame) for frame in frames])
+    for number, (frame, end) in enumerate(zip(frames, ends.tolist(), strict=True)):
+        of = slice(end - len(frame), end)
+        choices = _choices(frame, points.found[of], n)
+        if isinstance(choices, str):
+            rejected.append((number, choices))
         else:
-            sights.append(found)
+            xyz, cov = points.xyz_m[of], points.covariance_m2[of]
+            sights.append(Sight(frame=number, rows=choices, xyz_m=xyz[choices], cov_m2=cov[choices]))
     return sights, rejected
 
 
-def _sight(rig: Rig, number: int, frame: LitFrame, n: int) -> Sight | str:
+def _triangulated(rig: Rig, frames: Sequence[LitFrame]) -> Triangulation:
+    """Return the points of all frames, one after the other."""
+    slack = SLACK_PX**2 * np.eye(2)
+    views = [[getattr(frame, side) for frame in frames] for side in SIDES]
+    uv = [np.concatenate([np.empty((0, 2)), *(spots.uv_px for spots in view)]) for view in views]
+    cov = [np.concatenate([np.empty((0, 2, 2)), *(spots.covariance_px2 for spots in view)]) for view in views]
+    return triangulate(rig, *uv, *(c + slack for c in cov))
+
+
+def _choices(frame: LitFrame, found: NDArray[np.bool_], n: int) -> Index | str:
+    """Return (c, n) rows of the frame that are n different lights, or why there are none."""
     if len(frame) < n:
         return f"{len(frame)} of {n} lights are seen in both views"
-    slack = SLACK_PX**2 * np.eye(2)
-    left, right = frame.left, frame.right
-    points = triangulate(rig, left.uv_px, right.uv_px, left.covariance_px2 + slack, right.covariance_px2 + slack)
-    good = np.flatnonzero(points.found)
-    sides = [np.unique(s.uv_px, axis=0, return_inverse=True)[1].reshape(-1) for s in (left, right)]
+    good = np.flatnonzero(found).tolist()
+    sides = [np.unique(s.uv_px, axis=0, return_inverse=True)[1].reshape(-1) for s in (frame.left, frame.right)]
     rows: list[tuple[int, ...]] = []
-    for choice in combinations(good.tolist(), n):
+    for choice in combinations(good, n):
         if all(len(set(side[list(choice)].tolist())) == n for side in sides):
             rows.append(choice)
         if len(rows) > MAX_CHOICES:
             return f"{len(frame)} pairs of spots, too many to tell {n} lights from clutter: mask the background"
     if not rows:
         return f"{len(good)} pairs of spots, among them no {n} different lights"
-    index = np.array(rows, dtype=np.intp)
-    return Sight(frame=number, rows=index, xyz_m=points.xyz_m[index], cov_m2=points.covariance_m2[index])
+    return np.array(rows, dtype=np.intp)
