@@ -44,20 +44,32 @@ def names_of(n_cameras: int) -> tuple[str, ...]:
     return tuple(f"{side}.{name}" for side in SIDES for name in INTRINSICS) + tuple(f"right.{name}" for name in POSE)
 
 
+RIGHT = frozenset(f"right.{name}" for name in INTRINSICS)
+
+
 def problem_of(sightings: Sightings, start: Bundle, fixed: frozenset[str]) -> Problem:
-    """Return the least-squares problem; fixed: names of names_of that are held."""
+    """Return the least-squares problem; fixed: names of names_of that are held.
+
+    Views of one lens share the left one's intrinsics, and the right ones' are held at them.
+    """
+    tied = sightings.one_lens and sightings.n_cameras == 2
     n_cameras, G, n = sightings.n_cameras, sightings.n_views, len(sightings.X)
     names = names_of(n_cameras)
     split = len(INTRINSICS) * n_cameras
+    k0 = np.tile(start.k.mean(axis=0), (2, 1)) if tied else start.k
 
     def evaluate(shared: Array, local: Array) -> Evaluation:
         S, L = len(names), len(POSE)
         r, A, b = np.empty((G, 2 * n * n_cameras)), np.empty((S, S)), np.empty(S)
         C, c, W = np.empty((G, L, L)), np.empty((G, L)), np.empty((G, S, L))
         k = shared[:split].reshape(n_cameras, -1)
+        if tied:
+            k = np.ascontiguousarray(k[[0, 0]])
         side = shared[split:] if n_cameras == 2 else np.zeros(6)
         X, radius, uv, weight = sightings.X, sightings.radius_m, sightings.uv, sightings.weight
         fine = condense_views(k, side, local, X, radius, uv, weight, r, A, b, C, c, W)
+        if tied:
+            _tie(A, b, W)
         return Evaluation(
             residuals=r if fine else np.full_like(r, np.nan),
             shared=EMPTY,
@@ -68,20 +80,34 @@ def problem_of(sightings: Sightings, start: Bundle, fixed: frozenset[str]) -> Pr
     def retract(shared: Array, local: Array, step_shared: Array, step_local: Array) -> tuple[Array, Array]:
         moved, poses = shared + step_shared, np.empty_like(local)
         move_poses(local, step_local, poses)
+        if tied:
+            moved[split // 2 : split] = moved[: split // 2]
         if n_cameras == 2:
             move_poses(shared[None, split:], step_shared[None, split:], moved[None, split:])
         return moved, poses
 
     return Problem(
         names=names,
-        guess=np.concatenate([start.k.ravel(), start.side_pose]) if n_cameras == 2 else start.k.ravel(),
+        guess=np.concatenate([k0.ravel(), start.side_pose]) if n_cameras == 2 else k0.ravel(),
         evaluate=evaluate,
         n_residuals=2 * sightings.n_points,
         local_names=POSE,
         local_guess=start.poses,
-        fixed=fixed,
+        fixed=fixed | RIGHT if tied else fixed,
         retract=retract,
     )
+
+
+def _tie(A: Array, b: Array, W: Array) -> None:
+    """Move the right view's share of the normal equations to the left one's intrinsics, in place."""
+    n = len(INTRINSICS)
+    for M in (A, A.T):
+        M[:n] += M[n : 2 * n]
+        M[n : 2 * n] = 0.0
+    b[:n] += b[n : 2 * n]
+    b[n : 2 * n] = 0.0
+    W[:, :n] += W[:, n : 2 * n]
+    W[:, n : 2 * n] = 0.0
 
 
 def adjust(
@@ -112,7 +138,7 @@ def asks_to_be_freed(sightings: Sightings, fit: Fit, fixed: frozenset[str], name
     wider = fixed - names
     problem = problem_of(sightings, bundle_of(fit, sightings.n_cameras), wider)
     evaluation = problem.evaluate(fit.shared, fit.local)
-    free = np.array([i for i, n in enumerate(problem.names) if n not in wider], dtype=np.intp)
+    free = np.array([i for i, n in enumerate(problem.names) if n not in problem.fixed], dtype=np.intp)
     normal = NormalEquations.build(problem, evaluation, fit.shared, free)
     fall = 2.0 * normal.predicted_decrease(*normal.step(0.0))
     return bool(fall > chdtri(len(names), BY_CHANCE) * fit.scale**2)

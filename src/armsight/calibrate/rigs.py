@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
@@ -45,3 +47,29 @@ def baseline_std(rig: Rig) -> float:
     t = np.asarray(rig.T_rig_right.translation)
     direction = t / np.linalg.norm(t)
     return float(np.sqrt(direction @ rig.covariance.block(("right.tx", "right.ty", "right.tz")) @ direction))
+
+
+def of_one_lens(covariance: NamedCovariance) -> NamedCovariance:
+    """Return the covariance of both views' intrinsics from that of the left one's, which are the right one's too."""
+    shared = [i for i, name in enumerate(covariance.names) if name.startswith("left.")]
+    rows = [*range(len(covariance.names)), *shared]
+    names = (*covariance.names, *(covariance.names[i].replace("left.", "right.") for i in shared))
+    return NamedCovariance(names=names, matrix=covariance.matrix[np.ix_(rows, rows)])
+
+
+def in_frame(rig: Rig, T_new_rig: RigidTransform) -> Rig:
+    """Return the rig with its axes moved: poses, and the covariance of T_rig_right."""
+    covariance = rig.covariance
+    if covariance is not None:
+        turn = np.eye(len(covariance.names))
+        R = T_new_rig.rotation.as_matrix()
+        for block in (("tx", "ty", "tz"), ("rx", "ry", "rz")):
+            at = [covariance.names.index(f"right.{name}") for name in block]
+            turn[np.ix_(at, at)] = R
+        covariance = NamedCovariance(names=covariance.names, matrix=turn @ covariance.matrix @ turn.T)
+    return replace(
+        rig,
+        T_rig_left=T_new_rig * rig.T_rig_left,
+        T_rig_right=T_new_rig * rig.T_rig_right,
+        covariance=covariance,
+    )

@@ -24,6 +24,7 @@ class Sightings:
     X (n, 3) m, centred on the board's middle (`middle`, (3,) m) so that poses and shape are told apart well.
     uv (G, C, n, 2) px, zero where not seen. weight (G, C, n): 1 / sigma, 0 where not seen. sizes: (width, height) of
     each camera's images. sources: names of the images of each view. radius_m: of printed circles, 0 for points.
+    one_lens: both views are of one camera (a mirror rig's) and share its intrinsics.
     """
 
     X: Array
@@ -33,6 +34,7 @@ class Sightings:
     sizes: tuple[tuple[int, int], ...]
     sources: tuple[tuple[str, ...], ...]
     radius_m: float
+    one_lens: bool = False
 
     @property
     def n_views(self) -> int:

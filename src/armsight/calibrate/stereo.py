@@ -15,7 +15,7 @@ from armsight.calibrate.leftout import epipolar_rms, left_out, metric_of
 from armsight.calibrate.options import BoardOptions
 from armsight.calibrate.pairing import Paired, pair_views
 from armsight.calibrate.precheck import LEAST_VIEWS, check_count, check_spread, check_tilt, different_views
-from armsight.calibrate.rigs import baseline_std, rig_of
+from armsight.calibrate.rigs import baseline_std, of_one_lens, rig_of
 from armsight.calibrate.sightings import Sightings, pack
 from armsight.errors import Inconsistent, NotConverged, NotEnoughData, Undetermined
 from armsight.optics import SIDES, Rig
@@ -95,6 +95,18 @@ def calibrate_stereo(
     swapped or mirrored), NotEnoughData, Degenerate, Undetermined, NotConverged, Cancelled as calibrate_camera.
     """
     options = options or BoardOptions()
+    cleaned, rejected, advice = fit_pairs(left, right, board, options, progress)
+    return judged(cleaned, options, n_pairs=len(left), rejected=rejected, advice=advice)
+
+
+def fit_pairs(
+    left: Sequence[BoardView],
+    right: Sequence[BoardView],
+    board: Target,
+    options: BoardOptions,
+    progress: Progress | None = None,
+) -> tuple[Cleaned, list[tuple[str, str]], list[str]]:
+    """Return the fit of the pairs that agree, (source, why) of others, and advice; raises as calibrate_stereo."""
     sightings, rejected = _different_pairs(left, right, board)
     advice = check_count(sightings.n_views)
     starts = [start_of(sightings.camera(c)) for c in range(2)]
@@ -112,7 +124,7 @@ def calibrate_stereo(
         )
     start = Bundle(k=np.concatenate([s.k for s in starts]), side_pose=paired.side_pose, poses=starts[0].poses[agree])
     cleaned, on_tilt = fit_tilted(sightings.take(agree), start, options, "the pair", progress)
-    return _judged(cleaned, options, n_pairs=len(left), rejected=rejected, advice=[*advice, *on_tilt])
+    return cleaned, rejected, [*advice, *on_tilt]
 
 
 def _different_pairs(
@@ -131,14 +143,14 @@ def _different_pairs(
     return sightings.take(kept), rejected
 
 
-def _judged(
+def judged(
     cleaned: Cleaned, options: BoardOptions, *, n_pairs: int, rejected: list[tuple[str, str]], advice: list[str]
 ) -> StereoCalibration:
     """Return the result with its errors, on the pairs of the fit and on left-out ones."""
     used, state = cleaned.sightings, bundle_of(cleaned.fit, 2)
     _refuse_swapped(state.side_pose)
     residual, seen = residuals_px(used, cleaned.fit), used.weight > 0.0
-    covariance = required(cleaned)
+    covariance = of_one_lens(required(cleaned)) if used.one_lens else required(cleaned)
     overall = rms(residual, seen)
     rig = rig_of(state, used.sizes, covariance=covariance, rms_px=overall)
     out = left_out(cleaned, options)
