@@ -286,6 +286,13 @@ def test_target_shown_from_both_sides_leaves_the_sense_of_w_open() -> None:
         calibrate_target(RIG, frames)
 
 
+def test_exchanged_views_are_refused() -> None:
+    frames = recording(SCALENE, np.random.default_rng(23))
+    with pytest.raises(Inconsistent) as refusal:
+        calibrate_target(RIG, [LitFrame(name=f.name, left=f.right, right=f.left) for f in frames])
+    assert "left one" in refusal.value.cure
+
+
 def test_too_little_is_refused() -> None:
     frames = recording(SCALENE, np.random.default_rng(19), 2)
     with pytest.raises(NotEnoughData, match="2 of 2 frames"):

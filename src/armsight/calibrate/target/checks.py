@@ -54,10 +54,11 @@ def require_lights(n: int) -> None:
 def few_frames(n: int, total: int, lights: int, rejected: Sequence[tuple[int, str]]) -> NotEnoughData:
     """Return the refusal of too few frames."""
     why = f"; the first of the others: {rejected[0][1]}" if rejected else ""
+    swapped = "; where all are there, check which source is the left one" if n == 0 else ""
     return NotEnoughData(
         f"{n} of {total} frames show {lights} lights in both views, of which {MIN_FRAMES} are the fewest{why}",
         consequence="The target is not calibrated",
-        cure="Record 10 frames and more, with the target turned to several sides and all lights seen by both cameras",
+        cure=f"Record 10 frames and more, the target turned to several sides, all lights seen by both cameras{swapped}",
     )
 
 
@@ -68,7 +69,7 @@ def not_rigid(n: int, total: int, named: Named) -> Inconsistent:
     return Inconsistent(
         f"only {n} of {total} frames share one set of distances between the lights{much}",
         consequence="The target is not rigid, or other lights were taken for its own; no geometry is given",
-        cure="Fix the lights to one body, cover reflections, and do not move the target during an exposure",
+        cure="Fix the lights to one body, cover reflections, and check which source is the left one",
     )
 
 
