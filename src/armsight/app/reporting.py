@@ -146,15 +146,22 @@ def write_camera_report(
 
 
 def write_stereo_report(
-    path: Path, done: StereoCalibration, *, board: str, n_pairs: int, rejected: Sequence[tuple[str, str]]
+    path: Path,
+    done: StereoCalibration,
+    *,
+    board: str,
+    n_pairs: int,
+    rejected: Sequence[tuple[str, str]],
+    title: str = "Calibration of a pair of cameras",
+    facts: Sequence[tuple[str, str]] = (),
 ) -> None:
-    """Write the report of a rig's calibration."""
+    """Write the report of a rig's calibration. facts: lines for the end of the page."""
     rig = done.rig
     parameters = [Parameter(name="baseline", value=rig.baseline_m * 1e3, std=done.baseline_std_m * 1e3, unit="mm")]
     for side in SIDES:
         parameters += _parameters(f"{side}.", rig.camera(side), rig.covariance)
     run = CalibrationRun(
-        title="Calibration of a pair of cameras",
+        title=title,
         board=board,
         cameras=[
             _fit(
@@ -177,7 +184,7 @@ def write_stereo_report(
         baseline_m=rig.baseline_m,
         metric=done.metric if done.metric_is_left_out else {},
         rejected=(*rejected, *done.rejected),
-        facts=alignment_facts(done),
+        facts=[*alignment_facts(done), *facts],
         advice=done.advice,
     )
     write_text(path, calibration_report(run))

@@ -9,19 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.calibrate.bundle import Bundle, adjust, bundle_of
+from armsight.calibrate.bundle import Bundle, adjust, bundle_of, residuals_px
 from armsight.calibrate.mirrors import without_plate
-from armsight.calibrate.rigs import rig_of
-from armsight.calibrate.sightings import pack
+from armsight.calibrate.rigs import in_frame, rig_of
+from armsight.calibrate.sightings import Sightings, pack
 from armsight.calibrate.start import board_poses, homographies
 from armsight.errors import Inconsistent, NotEnoughData
 from armsight.optics import INTRINSICS, SIDES, Rig, RigKind
 from armsight.optics.mirrors import Mirrors
 from armsight.optics.parallelism import Parallelism, parallelism
-from armsight.records import BoardView, NamedCovariance, Target
+from armsight.records import BoardView, NamedCovariance, Target, TargetPose
 
 Array = NDArray[np.float64]
 
+LEAST_LIT = 5
+"""Views of a lit target below which the mirrors' place is not asked for."""
 MIRRORS = 4
 STEP_RAD = 1e-6
 ROUNDS = 4
@@ -116,6 +118,34 @@ def check_alignment(
     )  # fmt: skip
 
 
+def mirrors_from_target(
+    design: Rig, views: Sequence[tuple[BoardView, BoardView]], poses: Sequence[TargetPose], target: Target
+) -> Alignment:
+    """Return the mirror rig that saw the lit target in both views, started from its design and the poses that gives.
+
+    The lens and the plate are taken as known: three lights do not tell them. Raises NotEnoughData for fewer than
+    LEAST_LIT views.
+    """
+    if len(views) < LEAST_LIT:
+        raise NotEnoughData(
+            f"the target is seen in {len(views)} images, {LEAST_LIT} are needed",
+            consequence="Nothing was calibrated", cure="Turn the target, and show it near and far, left and right",
+        )  # fmt: skip
+    sightings = pack([[left for left, _ in views], [right for _, right in views]], target)
+    T_target_middle = RigidTransform.from_translation(sightings.middle)
+    local = []
+    for pose in poses:
+        if pose.pose is None:
+            raise Inconsistent("a view without a pose")
+        T = design.T_rig_left.inv() * pose.pose * T_target_middle
+        local.append(np.concatenate([T.translation, T.rotation.as_rotvec()]))
+    now = _fitted(design, sightings, np.array(local))
+    return Alignment(
+        now=parallelism(now), rig=in_frame(now, design.T_rig_left), change=np.zeros(6),
+        std=np.sqrt(np.diag(_covariance(now))), chi2=0.0, suspects=(), n_views=len(views),
+    )  # fmt: skip
+
+
 def _relative(rig: Rig, left: Sequence[BoardView], right: Sequence[BoardView], board: Target) -> Rig:
     """Return the rig with T_rig_right, and its covariance, as the views show it now; the lens is taken as it was."""
     sightings = pack([left, right], board)
@@ -125,15 +155,21 @@ def _relative(rig: Rig, left: Sequence[BoardView], right: Sequence[BoardView], b
                 f"the images are {size[0]}x{size[1]} px, the rig's {camera.width}x{camera.height} px",
                 cure="Use the resolution of the calibration",
             )
+    poses = board_poses(homographies(sightings.camera(0)), rig.left.intrinsics[:2], sightings.sizes[0][0])
+    return _fitted(rig, sightings, poses)
+
+
+def _fitted(rig: Rig, sightings: Sightings, poses: Array) -> Rig:
+    """Return the rig with T_rig_right and its covariance, fitted from poses T_left_board (G, 6)."""
     k = np.stack([rig.left.intrinsics, rig.right.intrinsics])
-    poses = board_poses(homographies(sightings.camera(0)), k[0, :2], sightings.sizes[0][0])
     T = rig.T_rig_left.inv() * rig.T_rig_right
     start = Bundle(k=k, side_pose=np.concatenate([T.translation, T.rotation.as_rotvec()]), poses=poses)
     fit = adjust(sightings, start, FIXED, max_iterations=60)
     if rig.left.plate is not None:
         corrected = without_plate(sightings, bundle_of(fit, 2), rig.left.plate)
         fit = adjust(corrected, bundle_of(fit, 2), FIXED, max_iterations=60)
-    found = rig_of(bundle_of(fit, 2), sightings.sizes, covariance=fit.covariance)
+    rms = float(np.sqrt((residuals_px(sightings, fit) ** 2).sum() / max(sightings.n_points, 1)))
+    found = rig_of(bundle_of(fit, 2), sightings.sizes, covariance=fit.covariance, rms_px=rms)
     return replace(found, kind=RigKind.MIRROR, left=rig.left, right=rig.right)
 
 

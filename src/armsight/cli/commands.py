@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from armsight.cli import arm, handeye, target
+from armsight.cli import arm, handeye, mirrors, target
 from armsight.cli.calibrate import calibrate
 from armsight.cli.convert import convert
 from armsight.cli.face import Face
@@ -30,6 +30,7 @@ app = typer.Typer(
 app.add_typer(calibrate, name="calibrate")
 handeye.add_to(calibrate)
 arm.add_to(calibrate)
+mirrors.add_to(calibrate)
 target.add_to(calibrate)
 convert.command("arm")(convert_arm)
 app.add_typer(convert, name="convert")

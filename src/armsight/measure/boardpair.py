@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import BadImage, Inconsistent
-from armsight.measure.boards import find_board
+from armsight.measure.boards import find_board, find_two_boards
 from armsight.measure.outcome import Measured
 from armsight.measure.pose import lost, no_points, solve_pose
 from armsight.measure.setup import Setup
@@ -31,12 +31,12 @@ def measure_board_pair(setup: Setup, left: Frame, right: Frame, t_s: float) -> M
 
     Raises Inconsistent where the board lies behind the cameras, but before them with left and right exchanged.
     """
-    views = []
-    for frame in (left, right):
-        try:
-            views.append(find_board(frame.image, setup.target, source=frame.source))
-        except BadImage as error:
-            return _lost(t_s, str(error))
+    try:
+        if setup.overlaid:
+            return pose_of_views(setup, *find_two_boards(left.image, setup.target, source=left.source), t_s)
+        views = [find_board(frame.image, setup.target, source=frame.source) for frame in (left, right)]
+    except BadImage as error:
+        return _lost(t_s, str(error))
     return pose_of_views(setup, views[0], views[1], t_s)
 
 

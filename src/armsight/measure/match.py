@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +49,8 @@ _FEWER = "mask the background or raise the threshold"
 class Pairs:
     """Spots of both views that agree with the epipolar constraint and meet in front of both cameras.
 
-    index: (c, 2) position in the left and right spots; overlaid: both are the spots of one image that holds both views. uv_px (c, 2, 2), cov_px2 (c, 2, 2, 2): [pair, side].
+    index: (c, 2) position in the left and right spots; overlaid: both are those of one image with both views.
+    uv_px (c, 2, 2), cov_px2 (c, 2, 2, 2): [pair, side].
     xyz_m (c, 3), cov_m2 (c, 3, 3): closed form, slack included. behind: how many met behind the cameras.
     complete: False where there were more pairs than can be searched.
     """
@@ -191,13 +192,11 @@ def _overlaid_by_place(spots: Spots, pairs: Pairs) -> Match:
 
 def _overlaid_triples(pairs: Pairs) -> list[tuple[int, ...]]:
     """Return the ways to make three pairs that use no spot twice; at most two are looked for."""
-    found: list[tuple[int, ...]] = []
     if len(pairs.index) > MOST_FREE:
         return [(), ()]
-    for rows in combinations(range(len(pairs.index)), 3):
-        if all(pairs.disjoint(i, j) for i, j in combinations(rows, 2)):
-            found.append(rows)
-    return found[:2]
+    triples = combinations(range(len(pairs.index)), 3)
+    found = (rows for rows in triples if all(pairs.disjoint(i, j) for i, j in combinations(rows, 2)))
+    return list(islice(found, 2))
 
 
 def match_few(model: TargetModel, pairs: Pairs, *, known: bool, predicted_m: Array | None = None) -> Match:

@@ -142,7 +142,8 @@ def search(
 
     X (m, 3) and D (m, m): the model and its distances. ellipse (2, n): which spots of each side are outlines of
     discs. pairs .. S: from candidate_pairs. gate: on distances. limits (m + 1,): largest chi-square of a fit of
-    that many spots. overlaid: see candidate_pairs. margin: a hypothesis is kept while its chi-square is within margin of the best one's.
+    that many spots. overlaid: see candidate_pairs. margin: a hypothesis is kept while its chi-square is within margin
+    of the best one's.
     names (h, m) gets the pair of each name or -1, chi2s (h,) ascending, poses (h, 3, 4) rotation and translation.
     Only hypotheses with the largest number of names are kept.
     """

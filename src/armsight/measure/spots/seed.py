@@ -1,4 +1,4 @@
-"""Spots as Pachidis 2005 finds them: threshold, mask, inversion, a seed by the cross template, propagation, the mean."""
+"""Spots as Pachidis 2005 finds them: threshold, mask, inversion, a seed by the cross, propagation, the mean."""
 
 from __future__ import annotations
 

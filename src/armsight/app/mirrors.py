@@ -1,0 +1,332 @@
+"""Complex images of a board, or of the lit target, in; a mirror rig, or what is wrong with its mirrors, out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from armsight.app.boards import in_parallel, see_board
+from armsight.app.calibrate import report_path, stereo_content
+from armsight.app.replay import open_source
+from armsight.app.reporting import write_stereo_report
+from armsight.calibrate import BoardOptions
+from armsight.calibrate.alignment import Alignment, check_alignment, mirrors_from_target
+from armsight.calibrate.mirrors import GLASS, MirrorCalibration, calibrate_mirrors
+from armsight.drivers import is_live, list_images
+from armsight.errors import BadImage, Cancelled, Inconsistent, NotEnoughData, UsageError
+from armsight.measure.boards import find_two_boards
+from armsight.measure.pair import Setup, measure_pair
+from armsight.optics import Plate, Rig
+from armsight.optics.mirrors import FormError, Mirrors, form_errors
+from armsight.records import BoardView, Frame, PoseStatus, Progress, Silent, Target, TargetPose
+from armsight.store import parse_board, read_camera, read_rig, read_target, write_rig
+
+LOOSE_PX = 4.0
+"""How far the mirrors may be out when spots are first paired by their design."""
+DEPTHS_M = (0.4, 0.5, 0.6, 0.7, 0.8)
+KEPT = 8
+"""Frames that a live check looks back on: a turned screw should show."""
+
+Pair = tuple[BoardView, BoardView]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MirrorsJob:
+    """What shows the mirror rig, and how it was built.
+
+    image: complex images. left_only, right_only: images with the other path covered, of the same moments. thickness_m:
+    of the plate, None to find it, 0 for none. baseline_m, near_m, gap_m: as designed. rig: with check, the rig as it
+    was. target, camera: calibrate from complex images of this lit target, the lens as camera.yaml says.
+    """
+
+    out: Path | None = None
+    board: str = ""
+    image: str | None = None
+    left_only: str | None = None
+    right_only: str | None = None
+    thickness_m: float | None = None
+    index: float = GLASS
+    baseline_m: float | None = None
+    near_m: float = 0.06
+    gap_m: float = 0.04
+    rig: Path | None = None
+    target: Path | None = None
+    camera: Path | None = None
+    every: int = 1
+    limit: int | None = None
+    workers: int | None = None
+    folds: int = BoardOptions().folds
+
+
+def run_mirrors(job: MirrorsJob, progress: Progress | None = None) -> dict[str, Any]:
+    """Calibrate a mirror rig and write its rig.yaml; return the figures as --json gives them.
+
+    Raises UsageError, DataRefused or DeviceFailed, Cancelled.
+    """
+    progress = progress or Silent()
+    if job.out is None:
+        raise UsageError("there is no file to write", cure="Give -o rig.yaml")
+    if job.target is not None:
+        return _from_target(job, job.out, progress)
+    board = parse_board(_board(job))
+    views, rejected = _all_pairs(job, board, progress)
+    if not views:
+        file, why = rejected[0] if rejected else ("", "there are no images")
+        raise NotEnoughData(
+            f"the board {job.board} was found in both views of none of the images; in the first, {file}: {why}",
+            consequence="Nothing was calibrated", cure="Show the whole board in both views, lit evenly",
+        )  # fmt: skip
+    progress.update(0, 0, "solving")
+    done = calibrate_mirrors(
+        [left for left, _ in views], [right for _, right in views], board, thickness_m=job.thickness_m,
+        index=job.index, options=BoardOptions(folds=job.folds), progress=progress,
+    )  # fmt: skip
+    write_rig(job.out, done.rig, inputs=_inputs(job))
+    forms = _forms(done)
+    n_pairs = len(views) + len(rejected)
+    write_stereo_report(
+        report_path(job.out), done.pair, board=job.board, n_pairs=n_pairs, rejected=rejected,
+        title="Calibration of a mirror rig", facts=_facts(done, forms),
+    )  # fmt: skip
+    return mirrors_content(done, rejected, n_pairs=n_pairs, forms=forms)
+
+
+def run_check(job: MirrorsJob, progress: Progress | None = None) -> dict[str, Any]:
+    """Tell how the mirrors stand against the rig as it was calibrated, frame by frame, and which is to be turned how.
+
+    Goes on until the frames end, job.limit is reached or it is cancelled; the answer is of the last frames. Raises
+    UsageError, DataRefused or DeviceFailed.
+    """
+    progress = progress or Silent()
+    if job.rig is None or job.image is None:
+        raise UsageError("nothing to check", cure="Give --rig rig.yaml, as it was calibrated, and --image")
+    rig, board = read_rig(job.rig), parse_board(_board(job))
+    plate = rig.left.plate or Plate(thickness_m=job.thickness_m or 1e-3, index=job.index)
+    design = Mirrors(
+        baseline_m=job.baseline_m or rig.baseline_m, plate=plate, near_m=job.near_m, gap_m=job.gap_m
+    )  # fmt: skip
+    kept: list[Pair] = []
+    missed: list[str] = []
+    last: Alignment | None = None
+    back = KEPT if is_live(job.image) else None
+    for number, (source, seen) in enumerate(_complex(job, board), 1):
+        if isinstance(seen, str):
+            missed.append(f"{source}: {seen}")
+            progress.update(number, job.limit or 0, seen)
+        else:
+            kept.append(seen)
+            recent = kept[-back:] if back else kept
+            last = check_alignment(rig, [a for a, _ in recent], [b for _, b in recent], board, design=design)
+            progress.update(number, job.limit or 0, _line(last))
+        if progress.cancelled():
+            break
+    if last is None:
+        raise NotEnoughData(
+            f"the board was found in both views of none of the images; {missed[0] if missed else 'there are none'}",
+            consequence="The alignment is not known", cure="Show the whole board in both views",
+        )  # fmt: skip
+    return check_content(last, missed)
+
+
+def _line(found: Alignment) -> str:
+    now = found.now
+    return (
+        f"convergence {1e3 * now.convergence_rad:+.2f} mrad, vertical {now.vertical_px:+.2f} px, "
+        f"roll {1e3 * now.roll_rad:+.2f} mrad; {found.advice()}"
+    )
+
+
+def check_content(found: Alignment, missed: Sequence[str]) -> dict[str, Any]:
+    """Return a check of the alignment as --json gives it."""
+    names = ("dx_m", "dy_m", "dz_m", "drx_rad", "dry_rad", "drz_rad")
+    return {
+        "alignment": {
+            "convergence_rad": found.now.convergence_rad,
+            "vertical_px": found.now.vertical_px,
+            "vertical_rad": found.now.vertical_rad,
+            "roll_rad": found.now.roll_rad,
+            "std": found.now.std,
+        },
+        "change": dict(zip(names, found.change.tolist(), strict=True)),
+        "change_std": dict(zip(names, found.std.tolist(), strict=True)),
+        "moved": found.moved,
+        "certain": found.certain,
+        "suspects": [
+            {"mirror": one.mirror, "turn_rad": one.turn_rad, "tilt_rad": one.tilt_rad, "chi2": one.chi2}
+            for one in found.suspects
+        ],
+        "advice": [found.advice()],
+        "n_views": found.n_views,
+        "missed": list(missed),
+    }
+
+
+def mirrors_content(
+    done: MirrorCalibration, rejected: Sequence[tuple[str, str]], *, n_pairs: int, forms: Sequence[FormError] = ()
+) -> dict[str, Any]:
+    """Return a mirror rig's calibration as --json gives it."""
+    content = stereo_content(done.pair, rejected, n_pairs=n_pairs)
+    plate = done.rig.left.plate
+    content["alignment"]["plate"] = {
+        "m_m": done.shift_m,
+        "l_m": done.shift_m,
+        "thickness_m": 0.0 if plate is None else plate.thickness_m,
+        "index": None if plate is None else plate.index,
+        "seen_thickness_m": done.seen_m,
+        "seen_thickness_std_m": done.seen_std_m,
+    }
+    content["one_lens"] = done.one_lens
+    content["forms"] = [
+        {"name": one.name, "x_m": one.x_m, "y_m": one.y_m, "z_m": one.z_m, "epipolar_px": one.epipolar_px}
+        for one in forms
+    ]
+    return content
+
+
+def _board(job: MirrorsJob) -> str:
+    if not job.board:
+        raise UsageError("there is no board", cure="Give --board, for instance checkerboard:9x6:0.025")
+    return job.board
+
+
+def _all_pairs(job: MirrorsJob, board: Target, progress: Progress) -> tuple[list[Pair], list[tuple[str, str]]]:
+    """Return the board in both views of every image, and (source, why) where it is not."""
+    if job.image is None and (job.left_only is None or job.right_only is None):
+        raise UsageError("there are no images", cure="Give --image, or --left-only and --right-only")
+    views: list[Pair] = []
+    rejected: list[tuple[str, str]] = []
+    sources = ([_complex(job, board)] if job.image is not None else []) + (
+        [_covered(job, board)] if job.left_only is not None else []
+    )
+    for source in sources:
+        for name, seen in source:
+            if isinstance(seen, str):
+                rejected.append((name, seen))
+            else:
+                views.append(seen)
+            progress.update(len(views) + len(rejected), job.limit or 0, "finding the board")
+            if progress.cancelled():
+                raise Cancelled("stopped", consequence="Nothing was written")
+    return views, rejected
+
+
+def _complex(job: MirrorsJob, board: Target) -> Iterator[tuple[str, Pair | str]]:
+    """Yield each complex image's name with the board in both of its views, or why there are not two."""
+
+    def see(frame: Frame) -> tuple[str, Pair | str]:
+        try:
+            return frame.source, find_two_boards(frame.image, board, source=frame.source)
+        except BadImage as error:
+            return frame.source, error.cause.removeprefix(f"{frame.source}: ")
+
+    stop = None if job.limit is None else job.limit * job.every
+    with open_source(job.image or "") as frames:
+        yield from in_parallel(see, islice(frames, 0, stop, job.every), workers=job.workers)
+
+
+def _covered(job: MirrorsJob, board: Target) -> Iterator[tuple[str, Pair | str]]:
+    """Yield the pairs of images taken with one path covered after the other."""
+    if job.left_only is None or job.right_only is None:
+        raise UsageError("one of the two covered views is missing", cure="Give --left-only and --right-only")
+    with open_source(job.left_only) as lefts, open_source(job.right_only) as rights:
+        if lefts.total != rights.total:
+            raise Inconsistent(
+                f"{lefts.total} images of the left view and {rights.total} of the right one do not pair up",
+                consequence="Nothing was calibrated", cure="Cover one path after the other at every place of the board",
+            )  # fmt: skip
+        for left, right in zip(lefts, rights, strict=True):
+            seen = [see_board(frame, board) for frame in (left, right)]
+            lost = [
+                f"{frame.source}: {one}" for frame, one in zip((left, right), seen, strict=True) if isinstance(one, str)
+            ]
+            both = [one for one in seen if isinstance(one, BoardView)]
+            yield left.source, "; ".join(lost) if lost else (both[0], both[1])
+
+
+def _from_target(job: MirrorsJob, out: Path, progress: Progress) -> dict[str, Any]:
+    """Calibrate the mirrors from complex images of the lit target; the lens comes from camera.yaml."""
+    if job.camera is None or job.baseline_m is None or job.image is None or job.target is None:
+        raise UsageError(
+            "the lit target alone does not tell the lens", cure="Give --camera camera.yaml, --baseline and --image"
+        )
+    camera, target = read_camera(job.camera), read_target(job.target)
+    plate = Plate(thickness_m=job.thickness_m or 1e-3, index=job.index)
+    design = Mirrors(baseline_m=job.baseline_m, near_m=job.near_m, gap_m=job.gap_m, plate=plate)
+    start = _without_glass(design.rig(camera)) if job.thickness_m == 0.0 else design.rig(camera)
+    views, poses, rejected = _lit(job, start, target, progress)
+    done = mirrors_from_target(start, views, poses, target)
+    write_rig(out, done.rig, inputs=[job.camera, job.target])
+    content = check_content(done, [f"{name}: {why}" for name, why in rejected])
+    return {
+        **content,
+        "rms_px": done.rig.rms_px,
+        "baseline_m": done.rig.baseline_m,
+        "n_pairs": len(views) + len(rejected),
+        "n_used": len(views),
+        "rejected": [{"file": name, "why": why} for name, why in rejected],
+    }
+
+
+def _without_glass(rig: Rig) -> Rig:
+    return replace(rig, left=replace(rig.left, plate=None))
+
+
+def _lit(
+    job: MirrorsJob, rig: Rig, target: Target, progress: Progress
+) -> tuple[list[Pair], list[TargetPose], list[tuple[str, str]]]:
+    """Return the target's lights in both views of every image, and the poses that the design makes of them."""
+    setup = Setup(rig, target, slack_px=LOOSE_PX, overlaid=True)
+    views: list[Pair] = []
+    poses: list[TargetPose] = []
+    rejected: list[tuple[str, str]] = []
+    with open_source(job.image or "", colour=target.colour is not None) as frames:
+        for frame in islice(frames, 0, job.limit and job.limit * job.every, job.every):
+            found = measure_pair(setup, frame, frame)
+            if found.pose.status is not PoseStatus.OK:
+                rejected.append((frame.source, found.pose.why))
+            else:
+                index = np.array([target.names.index(name) for name in found.names])
+                both = [
+                    BoardView(
+                        uv_px=spots.uv_px, index=index, width=frame.width, height=frame.height, source=frame.source,
+                        sigma_px=float(np.sqrt(np.median(np.trace(spots.covariance_px2, axis1=1, axis2=2)) / 2.0)),
+                    )
+                    for spots in (found.left, found.right)
+                ]  # fmt: skip
+                views.append((both[0], both[1]))
+                poses.append(found.pose)
+            progress.update(len(views) + len(rejected), job.limit or 0, "finding the lights")
+    return views, poses, rejected
+
+
+def _forms(done: MirrorCalibration) -> tuple[FormError, ...]:
+    """Return how far the paper's equations would be off with this rig, from 400 to 800 mm."""
+    plate = done.rig.left.plate
+    if plate is None:
+        return ()
+    side = np.linspace(-0.12, 0.12, 9)
+    grid = np.stack(np.meshgrid(side, 0.75 * side, DEPTHS_M, indexing="ij"), axis=-1).reshape(-1, 3)
+    lens = replace(done.rig.left, plate=None)
+    return form_errors(lens, Mirrors(baseline_m=done.rig.baseline_m, plate=plate), grid)
+
+
+def _facts(done: MirrorCalibration, forms: Sequence[FormError]) -> list[tuple[str, str]]:
+    facts = [
+        ("glass plate, as the views show it", f"{1e3 * done.seen_m:.2f} +- {1e3 * done.seen_std_m:.2f} mm"),
+        ("its shift of the left view, m and l", f"{1e3 * done.shift_m:.4f} mm"),
+    ]
+    facts += [
+        (f"triangulation off by, {one.name}", f"{1e3 * one.z_m:.3g} mm in depth, {one.epipolar_px:.2g} px across")
+        for one in forms
+    ]
+    return facts
+
+
+def _inputs(job: MirrorsJob) -> list[Path]:
+    texts = [text for text in (job.image, job.left_only, job.right_only) if text is not None and not is_live(text)]
+    return [path for text in texts for path in (list_images(text) if not Path(text).is_file() else [Path(text)])]

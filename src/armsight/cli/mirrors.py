@@ -1,0 +1,111 @@
+"""armsight calibrate mirrors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from armsight.cli.face import Face
+from armsight.cli.options import BOARD, SRC, AsJson, Every, Limit, Workers
+from armsight.cli.tables import figure, stereo_tables
+
+MM, MRAD = 1e3, 1e3
+
+
+def mirrors(
+    image: Annotated[str | None, typer.Option(metavar="SRC", help=f"Complex images, both views in one: {SRC}.")] = None,
+    left_only: Annotated[
+        str | None, typer.Option(metavar="SRC", help="Images of the left view, the other path covered.")
+    ] = None,
+    right_only: Annotated[
+        str | None, typer.Option(metavar="SRC", help="Images of the right view, of the same places of the board.")
+    ] = None,
+    board: Annotated[str | None, typer.Option("--board", metavar="BOARD", help=BOARD)] = None,
+    out: Annotated[Path | None, typer.Option("-o", "--out", help="rig.yaml to write.")] = None,
+    check: Annotated[
+        bool, typer.Option("--check", help="Do not calibrate: tell how the mirrors stand, and which to turn.")
+    ] = False,
+    rig: Annotated[Path | None, typer.Option(help="With --check: rig.yaml as it was calibrated.")] = None,
+    plate_mm: Annotated[
+        float | None, typer.Option(min=0.0, help="Thickness of the plate; found from the views where not given.")
+    ] = None,
+    index: Annotated[float, typer.Option(min=1.0, max=3.0, help="Refractive index of the plate.")] = 1.5,
+    baseline_mm: Annotated[float | None, typer.Option(min=1.0, help="Baseline as designed.")] = None,
+    near_mm: Annotated[float, typer.Option(min=1.0, help="From the lens to the plate, along the axis.")] = 60.0,
+    gap_mm: Annotated[float, typer.Option(min=1.0, help="From the plate to the mirror behind it.")] = 40.0,
+    target: Annotated[
+        Path | None, typer.Option(help="Instead of a board: target.yaml of the lit target in the images.")
+    ] = None,
+    camera: Annotated[Path | None, typer.Option(help="With --target: camera.yaml of the lens.")] = None,
+    every: Every = 1,
+    frames: Limit = None,
+    workers: Workers = None,
+    json: AsJson = False,
+) -> None:
+    """Calibrate a rig of one camera and four mirrors, or check that its mirrors still stand as they did."""
+    with Face(as_json=json) as face:
+        from armsight.app.mirrors import MirrorsJob, run_check, run_mirrors
+        from armsight.config import load_settings
+
+        job = MirrorsJob(
+            out=out,
+            board=board or "",
+            image=image,
+            left_only=left_only,
+            right_only=right_only,
+            thickness_m=None if plate_mm is None else plate_mm / MM,
+            index=index,
+            baseline_m=None if baseline_mm is None else baseline_mm / MM,
+            near_m=near_mm / MM,
+            gap_m=gap_mm / MM,
+            rig=rig,
+            target=target,
+            camera=camera,
+            every=every,
+            limit=frames,
+            workers=workers if workers is not None else load_settings().workers,
+        )
+        if check:
+            content = run_check(job, face.progress("checking"))
+            check_tables(face, content)
+        else:
+            content = run_mirrors(job, face.progress("calibrating"))
+            if "metric" in content and out is not None:
+                stereo_tables(face, content, out)
+            check_tables(face, content)
+        face.result(content)
+
+
+def check_tables(face: Face, content: Mapping[str, Any]) -> None:
+    """Print how the virtual cameras stand to each other, and what to do."""
+    found = content["alignment"]
+    rows = [
+        ["axes turn towards each other, mrad", figure(MRAD * found["convergence_rad"])],
+        ["right image lower, px", figure(found["vertical_px"])],
+        ["right image turned, mrad", figure(MRAD * found["roll_rad"])],
+    ]
+    if "plate" in found:
+        rows.append(["plate, mm", figure(MM * found["plate"]["thickness_m"])])
+        rows.append(["its shift m = l, mm", figure(MM * found["plate"]["m_m"])])
+    face.table("Alignment", ["", ""], rows)
+    if content.get("suspects"):
+        rows = [
+            [
+                f"mirror {one['mirror']}",
+                figure(MRAD * one["turn_rad"]),
+                figure(MRAD * one["tilt_rad"]),
+                figure(one["chi2"]),
+            ]
+            for one in content["suspects"]
+        ]
+        face.table("Which mirror has moved", ["", "about the vertical, mrad", "across, mrad", "chi-square left"], rows)
+    for line in content["advice"]:
+        face.say(f"- {line}")
+
+
+def add_to(calibrate: typer.Typer) -> None:
+    """Add this command to `armsight calibrate`."""
+    calibrate.command("mirrors")(mirrors)
