@@ -16,16 +16,15 @@ from armsight.measure.boards.checkerboard import (
     OFF_GRID,
     REACH,
     SCATTER,
-    SMOOTH,
     grid_of,
     number_corners,
     parity_of,
 )
 from armsight.measure.boards.find import check_exposure, grey_image
-from armsight.measure.boards.gridmap import GridMap, fit_map
+from armsight.measure.boards.gridmap import GridMap, fit_map, monomials
 from armsight.measure.boards.kernels import fit_corners
 from armsight.measure.boards.orient import same_way_up
-from armsight.measure.boards.saddles import Grid, Saddles, find_grids, find_saddles
+from armsight.measure.boards.saddles import ENOUGH, Grid, Saddles, find_grids, find_saddles
 from armsight.measure.kernels.overlay import draw_ink
 from armsight.records import BoardView, Target, TargetKind
 
@@ -34,9 +33,16 @@ Image = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 
 SEEN_SHARE = 0.5
-"""A board of which fewer corners can be placed than this is refused."""
+"""A board of which fewer corners are seen than this is refused,"""
+PLACED_SHARE = 0.5
+"""... and one of which fewer can be placed: what is known of the other board then comes from too few, and errors of 40
+deviations were met among 24 corners of 54."""
 PART_SHARE = 0.25
 """So much of a board is told as a board in part."""
+FAINT = 0.3
+"""What is left of a board that was taken off responds less than this share of it."""
+RIM_SHARE = 0.7
+"""Corners of the outer rows and columns respond as the others do; the ends of the rim's black squares by half."""
 ON_PX = 2.0
 """Corners this near to a board's own are not looked for again."""
 START_BLUR_PX = 1.0
@@ -47,6 +53,11 @@ SETTLED_PX = 1e-3
 NEAR_BLURS = 4.0
 NEAR_PX = 3.0
 """Corners of the two boards nearer than so many blurs, and than this, cannot be told apart: neither is used."""
+LOOSE = 3.0
+"""Where the other board's map is extrapolated until its variance is this many times a corner's, no corner is fitted
+that has one of its corners in the window: what is taken off there may be off by more than the noise."""
+STRAIGHT = 0.005
+"""A corner this near to the smooth grid, in squares, is never taken for pulled by something else."""
 RESTLESS = 1.8
 """Residuals in a corner's window, to the usual ones, that mean an edge of neither board: paper's rim, a hand, ..."""
 
@@ -120,16 +131,18 @@ def _two_layers(light: Array, board: Target, source: str) -> tuple[Layer, Layer]
 
 
 def _second(light: Array, saddles: Saddles, first: Layer, board: Target, source: str) -> Layer:
-    """Return the board beside the one found: among the other corners, or in the image without the first board."""
+    """Return the board beside the one found: in the image without that one, or among the other corners."""
     rim = first.smooth(_with_rim(board))
-    found = find_grids(saddles.without(rim, ON_PX), board.columns, board.rows)
-    if not found or len(found[0].cells) < SEEN_SHARE * len(board.names):
-        measured = _measure(light, first, None, board)
-        without = light.copy()
-        _take_off(without, measured, board)
-        again = find_grids(find_saddles(without).without(rim, ON_PX), board.columns, board.rows)
-        if again and (not found or len(again[0].cells) > len(found[0].cells)):
-            found = again
+    without = light.copy()
+    _take_off(without, _measure(light, first, None, board), board)
+    rest = find_saddles(without).stronger(FAINT * saddles.usual)
+    found: tuple[Grid, ...] = ()
+    for others in (rest, rest.without(rim, ON_PX), saddles.without(rim, ON_PX)):
+        grids = find_grids(others, board.columns, board.rows)
+        if grids and (not found or len(grids[0].cells) > len(found[0].cells)):
+            found = grids
+        if found and len(found[0].cells) >= ENOUGH * len(board.names):
+            break
     if not found or len(found[0].cells) < PART_SHARE * len(board.names):
         raise _refusal(
             f"{source}: the board of {board.columns}x{board.rows} inner corners is there only once",
@@ -142,6 +155,15 @@ def _second(light: Array, saddles: Saddles, first: Layer, board: Target, source:
 def _check_whole(grid: Grid, board: Target, source: str) -> None:
     """Raise BadImage for a grid that shows a part of the board only, or one of another size."""
     size = np.ptp(grid.cells, axis=0) + 1
+    usual = np.median(grid.strength)
+    for axis in range(2):
+        for end in (grid.cells[:, axis].min(), grid.cells[:, axis].max()):
+            if np.median(grid.strength[grid.cells[:, axis] == end]) < RIM_SHARE * usual:
+                raise _refusal(
+                    f"{source}: no checkerboard of {board.columns}x{board.rows} inner corners was found, but one with "
+                    f"fewer {'columns' if axis == 0 else 'rows'}, or a part of one",
+                    cure="Count the inner corners again, and show the whole board to both views",
+                )
     if grid.beyond > 0.5 * min(board.columns, board.rows):
         raise _refusal(
             f"{source}: {grid.beyond} corners continue a board beyond {board.columns}x{board.rows} inner corners",
@@ -251,6 +273,10 @@ def _measure(light: Array, layer: Layer, other: Layer | None, board: Target) -> 
         covariance,
         quality,
     )
+    if other is None:  # half of the corners are disturbed: the others tell light and blur, the map stays
+        clear = quality[:, 0] >= np.median(quality[:, 0])
+        contrast, blur = np.median(quality[clear, 1:3], axis=0)
+        return replace(layer, uv=uv, quality=quality, contrast=np.array([contrast, 0.0, 0.0]), blur_px=float(blur))
     good = _good(layer, other, board, uv, quality, size.min(axis=1))
     if np.count_nonzero(good) < PART_SHARE * n:  # nothing to go by: as it was
         return replace(layer, uv=uv, covariance=covariance, quality=quality, good=good)
@@ -266,19 +292,31 @@ def _measure(light: Array, layer: Layer, other: Layer | None, board: Target) -> 
     )
 
 
-def _good(layer: Layer, other: Layer | None, board: Target, uv: Array, quality: Array, size: Array) -> Mask:
+def _good(layer: Layer, other: Layer, board: Target, uv: Array, quality: Array, size: Array) -> Mask:
     """Tell which corners (n,) are fitted well, and by themselves."""
     grid = grid_of(board)
-    good = quality[:, 0] > EXPLAINED if other is not None else quality[:, 1] > 0.0
+    good = quality[:, 0] > EXPLAINED
     distance = np.linalg.norm(uv - layer.smooth(grid), axis=1)
     good &= distance < OFF_GRID * size
-    if not good.any() or other is None:
+    if not good.any():
         return np.asarray(good)
-    good &= distance < np.clip(SCATTER * np.median(distance[good]), SMOOTH * size, OFF_GRID * size)
+    good &= distance < np.clip(SCATTER * np.median(distance[good]), STRAIGHT * size, OFF_GRID * size)
     good &= quality[:, 1] > LOW_CONTRAST * np.median(quality[good, 1])
     good &= quality[:, 3] < RESTLESS * np.median(quality[good, 3])
-    gap = np.linalg.norm(layer.smooth(grid)[:, None] - other.smooth(_with_rim(board))[None], axis=2).min(axis=1)
-    return np.asarray(good & (gap > max(NEAR_PX, NEAR_BLURS * layer.blur_px)))
+    rim = _with_rim(board)
+    gap = np.linalg.norm(layer.smooth(grid)[:, None] - other.smooth(rim)[None], axis=2)  # (n, rim)
+    loose = _leverage(grid[other.good], rim) > LOOSE
+    limit = np.where(loose, REACH * size[:, None], max(NEAR_PX, NEAR_BLURS * layer.blur_px))
+    return np.asarray(good & (gap > limit).all(axis=1))
+
+
+def _leverage(known: Array, grid: Array) -> Array:
+    """Return the variance (m,) at grid (m, 2) of a cubic through corners at known (n, 2), by that of one corner."""
+    centre = grid.mean(axis=0)
+    scale = np.abs(grid - centre).max()
+    A, B = monomials((known - centre) / scale), monomials((grid - centre) / scale)
+    normal = A.T @ A + 1e-9 * np.eye(A.shape[1])
+    return np.asarray(np.einsum("ij,ij->i", B, np.linalg.solve(normal, B.T).T))
 
 
 def _slope(grid: Array, contrast: Array) -> Array:
@@ -290,7 +328,7 @@ def _slope(grid: Array, contrast: Array) -> Array:
 def _view(light: Array, board: Target, layer: Layer, other: Layer, source: str) -> BoardView:
     """Return the board of a layer, its points numbered as everywhere; raises BadImage where too few are left."""
     lost = int(np.count_nonzero(~layer.good))
-    if lost > (1.0 - SEEN_SHARE) * len(layer.good):
+    if lost > (1.0 - PLACED_SHARE) * len(layer.good):
         raise _refusal(
             f"{source}: {lost} of {len(layer.good)} corners of one board cannot be placed: they fall on the other "
             "board's, are hidden or are not corners",

@@ -31,7 +31,7 @@ class GridMap:
         """Return the pixels (n, 2) of grid coordinates (n, 2)."""
         g = (np.asarray(grid, float) - self.centre) / self.half
         h = np.column_stack([g, np.ones(len(g))]) @ self.H.T
-        return np.asarray(h[:, :2] / h[:, 2:] + _monomials(g) @ self.cubic)
+        return np.asarray(h[:, :2] / h[:, 2:] + monomials(g) @ self.cubic)
 
     def derivatives(self, grid: Array) -> tuple[Array, Array]:
         """Return the image steps of one square (n, 2, 2; columns: along x, y) and second derivatives (n, 2, 3)."""
@@ -45,7 +45,7 @@ class GridMap:
         return first, second
 
 
-def _monomials(g: Array) -> Array:
+def monomials(g: Array) -> Array:
     """Return all monomials up to the third degree, (n, 10)."""
     x, y = g[:, 0], g[:, 1]
     one = np.ones(len(g))
@@ -74,8 +74,8 @@ def fit_map(grid: Array, uv_px: Array) -> tuple[GridMap, Array]:
         rest = uv - h[:, :2] / h[:, 2:]
         cubic = np.zeros((10, 2))
         if np.count_nonzero(use) >= POINTS_FOR_CUBIC:
-            cubic = np.asarray(np.linalg.lstsq(_monomials(g[use]), rest[use], rcond=None)[0])
-        distance = np.asarray(np.linalg.norm(rest - _monomials(g) @ cubic, axis=1))
+            cubic = np.asarray(np.linalg.lstsq(monomials(g[use]), rest[use], rcond=None)[0])
+        distance = np.asarray(np.linalg.norm(rest - monomials(g) @ cubic, axis=1))
         limit = FAR * max(1.5 * float(np.median(distance)), 0.05)
         keep = distance <= limit
         if np.count_nonzero(keep) < 0.6 * len(grid) or (keep == use).all():

@@ -24,6 +24,10 @@ APART_PX = 4
 """Two corners nearer to each other than this show as one."""
 WEAK = 0.12
 """Share of the strong corners' response below which a maximum is no corner."""
+LOUD = 6.0
+"""... and so many deviations of the noise: among half a million pixels of noise the largest has five."""
+STRONG = 40
+"""How many of the strongest maxima set what is usual."""
 MANY = 800
 """More maxima than this are not looked at, the weakest first."""
 BINS = 180
@@ -39,8 +43,8 @@ FLAT = 0.3
 NEIGHBOURS = 6
 """Along each direction so many maxima are tried as the next corner: those of the other board lie between."""
 NEAR = 0.08
-NEAR_PX = 2.0
-"""A corner is this near to where the grid predicts it: in squares, or in px where that is more."""
+NEAR_PX = (2.0, 5.0)
+"""A corner is this near to where the grid predicts it: in squares, but in px not less than and no more than that."""
 SETTLED = 16
 """A grid of so many corners predicts the next ones twice as well."""
 SEEDS = 80
@@ -73,6 +77,16 @@ class Saddles:
     response: Array
     axes: Array
 
+    @property
+    def usual(self) -> float:
+        """The response of a strong one."""
+        return float(np.median(np.abs(self.response[:STRONG]))) if len(self.response) else 0.0
+
+    def stronger(self, response: float) -> Saddles:
+        """Return those of a larger response."""
+        keep = np.abs(self.response) > response
+        return Saddles(uv=self.uv[keep], response=self.response[keep], axes=self.axes)
+
     def without(self, points_px: Array, radius_px: float) -> Saddles:
         """Return those that are further than the radius from all the points (m, 2)."""
         gap = np.linalg.norm(self.uv[:, None] - points_px[None], axis=2).min(axis=1, initial=np.inf)
@@ -82,14 +96,16 @@ class Saddles:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Grid:
-    """Corners by their cell: cells (n, 2) from 0 to the board's size, right-handed in the image, uv (n, 2) px.
+    """Corners by their cell.
 
+    cells (n, 2) from 0 to the board's size, right-handed in the image; uv (n, 2) px; strength (n,) of response.
     first: +1 where the square beyond cell (0, 0) is bright, -1 where dark. beyond: how many corners were met
     outside the board's size.
     """
 
     cells: NDArray[np.intp]
     uv: Array
+    strength: Array
     first: float
     beyond: int
 
@@ -113,8 +129,9 @@ def find_saddles(image: Array) -> Saddles:
     row, col = row[order], col[order]
     if len(row) == 0:
         return Saddles(uv=np.empty((0, 2)), response=np.empty(0), axes=axes)
-    usual = float(np.median(strength[row, col][: max(1, min(40, len(row)))]))
-    strong = strength[row, col] > WEAK * usual
+    usual = float(np.median(strength[row[:STRONG], col[:STRONG]]))
+    noise = float(np.median(strength[::2, ::2])) / 0.6745
+    strong = strength[row, col] > max(WEAK * usual, LOUD * noise)
     row, col = row[strong], col[strong]
     return Saddles(uv=_peaks(strength, row, col), response=mixed[row, col], axes=axes)
 
@@ -184,8 +201,13 @@ def _starts(saddles: Saddles) -> Iterator[NDArray[np.intp]]:
                 gap = np.linalg.norm(uv - (uv[q] + uv[r] - uv[p]), axis=1)
                 gap[sign != sign[p]] = np.inf
                 s = int(np.argmin(gap))
-                if gap[s] < 2.0 * max(NEAR_PX, NEAR * min(length[q], length[r])):
+                if gap[s] < 2.0 * _near(min(length[q], length[r])):
                     yield np.array([p, q, s, r])
+
+
+def _near(size_px: Array | float) -> Array:
+    """Return how near to its prediction a corner is, px, for squares of a size."""
+    return np.clip(NEAR * np.asarray(size_px), *NEAR_PX)
 
 
 def _grow(
@@ -212,7 +234,7 @@ def _grow(
         gap[:, places] = np.inf
         near = np.argmin(gap, axis=1)
         tight = 1.0 if len(cells) < SETTLED else 0.5
-        met = gap[np.arange(len(new)), near] < tight * np.maximum(NEAR_PX, NEAR * size)
+        met = gap[np.arange(len(new)), near] < tight * _near(size)
         _, once = np.unique(near[met], return_index=True)
         if len(once) == 0:
             return cells, places
@@ -301,4 +323,6 @@ def _grid(
     if not upright:  # a quarter turn: rows become columns, the other way round; the other two sectors come first
         place = np.stack([size[1] - 1 - place[:, 1], place[:, 0]], axis=1)
         sign = -sign if size[1] % 2 == 1 else sign
-    return Grid(cells=place, uv=saddles.uv[places[inside]], first=sign, beyond=int(beyond))
+    return Grid(
+        cells=place, uv=saddles.uv[places[inside]], strength=np.abs(response[inside]), first=sign, beyond=int(beyond)
+    )
