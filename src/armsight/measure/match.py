@@ -308,8 +308,7 @@ def _shows_front(packed: PackedRig, a: Assignment) -> bool:
     """Whether the target's z points away from the left camera."""
     if a.R is None or a.t_m is None:
         return False
-    in_camera = packed.R[0] @ a.t_m + packed.t[0]
-    return bool((packed.R[0] @ a.R[:, 2]) @ in_camera > 0.0)
+    return bool(a.R[:, 2] @ (a.t_m + packed.t[0] @ packed.R[0]) > 0.0)
 
 
 def _order_by_place(uv: Array) -> list[int] | None:

@@ -58,14 +58,15 @@ class Spots:
     def take(self, index: NDArray[np.intp] | list[int]) -> Spots:
         """Return the spots at the given positions, in that order."""
         i = np.asarray(index, dtype=np.intp)
-        return Spots(
-            uv_px=self.uv_px[i],
-            covariance_px2=self.covariance_px2[i],
-            peak=self.peak[i],
-            size_px=self.size_px[i],
-            model=tuple(self.model[k] for k in i),
-            rejected=self.rejected,
-        )
+        taken = object.__new__(Spots)  # rows of a checked record need no second check: this runs in every frame
+        put = object.__setattr__
+        for name in ("uv_px", "covariance_px2", "peak", "size_px"):
+            column = getattr(self, name)[i]
+            column.setflags(write=False)
+            put(taken, name, column)
+        put(taken, "model", tuple([self.model[k] for k in i.tolist()]))
+        put(taken, "rejected", self.rejected)
+        return taken
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
