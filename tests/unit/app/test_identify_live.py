@@ -146,15 +146,20 @@ def test_a_lost_beacon_stops_the_robot_and_what_was_read_stays(tmp_path: Path) -
     cell = Cell(tmp_path)
     model = nearly_right(tmp_path)
     progress = when(lambda n: n == 10, lambda: cell.pairs.cover())
-    stopped: list[int] = []
+    stopped: list[tuple[int, bool]] = []
     stop = cell.robot.stop
-    cell.robot.stop = lambda: (stopped.append(len(cell.asked)), stop())[1]  # type: ignore[method-assign]
+
+    def noted_stop() -> None:
+        stopped.append((len(cell.asked), (tmp_path / "arm.sweep.csv").exists()))
+        stop()
+
+    cell.robot.stop = noted_stop  # type: ignore[method-assign]
     with pytest.raises(NotEnoughData, match=r"beacon is lost while joint \d moved") as caught:
         cell.run(progress=progress, model=model, pace=Pace(speed=0.2, frames=1))
     assert "10 readings" in caught.value.consequence and "stopped" in caught.value.consequence
     assert len(read_sweeps(tmp_path / "arm.sweep.csv")) == 10
     assert not (tmp_path / "arm.yaml").exists()
-    assert stopped[0] == len(cell.asked), "commands after the stop"
+    assert stopped[0] == (len(cell.asked), False), "stopped before anything else is done, and sent nothing after"
 
 
 def nearly_right(folder: Path) -> Path:
