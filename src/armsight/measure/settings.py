@@ -33,7 +33,7 @@ class SpotSettings:
     colour: a beacon's colour; the image must then be BGR.
     method: 'likelihood' (a model of light and noise is fitted) or 'seed' (Pachidis 2005: a 9x9 cross finds a seed in
     the binary image, which is propagated over the shape; the centre is the mean of its pixels; needs a threshold or
-    takes half of the brightest, and lights at least nine pixels wide).
+    takes one; lights at least nine pixels wide, or five where none is).
     """
 
     threshold: float | None = None

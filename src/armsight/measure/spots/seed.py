@@ -6,20 +6,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.measure.settings import SpotSettings
-from armsight.measure.spots.grey import Array, Image, searchable
+from armsight.measure.spots.grey import Array, Image, searchable, whole_frame
 from armsight.measure.spots.kernels.seed import shapes
 from armsight.records import Spots
 
-HALF = 0.5
-"""Share of the brightest pixel that is the threshold where none is given."""
+ARMS = (4, 2)
+"""Pixels of the cross to either side of its middle: 9x9, of which 17 are looked at, or 5x5 where that fits nowhere."""
+SHARE = 0.3
+"""Share of the way from the background to the brightest pixel at which the threshold lies where none is given."""
 LEAST_CONTRAST = 24.0
 """Grey levels above the image's median without which there is no light to set a threshold by."""
 
 
 def find_seeded(image: Image, settings: SpotSettings) -> Spots:
-    """Return the shapes in which a 9x9 cross fits, each with the mean of its pixels (Pachidis 2005, section 4)."""
-    grey = searchable(image, settings)
-    return _seeded(grey, settings, (0, grey.shape[0], 0, grey.shape[1]))
+    """Return the shapes in which a cross of 9x9 pixels fits, each with the mean of its pixels (Pachidis 2005).
+
+    A cross of 5x5 is tried where that fits nowhere (its appendix).
+    """
+    return _seeded(searchable(image, settings), settings)
 
 
 def track_seeded(
@@ -35,7 +39,7 @@ def track_seeded(
     return spots.take(kept), owner[kept]
 
 
-def _seeded(grey: Image, settings: SpotSettings, window: tuple[int, int, int, int]) -> Spots:
+def _seeded(grey: Image, settings: SpotSettings) -> Spots:
     threshold = settings.threshold
     if threshold is None:
         light = 255.0 - float(grey.min()) if settings.inverted else float(grey.max())
@@ -43,9 +47,15 @@ def _seeded(grey: Image, settings: SpotSettings, window: tuple[int, int, int, in
         dark = 255.0 - dark if settings.inverted else dark
         if light - dark < LEAST_CONTRAST:
             return Spots.none()
-        threshold = dark + HALF * (light - dark)
+        threshold = dark + SHARE * (light - dark)
     most = np.pi * settings.max_radius_px**2
-    table = shapes(grey, settings.mask_bytes, threshold, settings.inverted, *window, most, 4 * settings.max_spots)
+    table = np.empty((0, 7))
+    for arm in ARMS:
+        table = shapes(grey, settings.mask_bytes, threshold, settings.inverted, arm, most, 4 * settings.max_spots)
+        if len(table):
+            break
+    if not len(table):
+        return Spots.none((whole_frame(grey, "no cross of 5x5 pixels fits into what is brighter than the threshold"),))
     good = (table[:, 5] == 0.0) & (table[:, 6] == 0.0)
     size, uv = table[:, 0], table[:, 1:3] / table[:, :1]
     refused = tuple(

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-ARM = 4
-"""Pixels of the cross to either side of its middle: 9x9, of which 17 are looked at."""
 COLUMNS = 7  # of a shape: pixels, sum of u, sum of v, sum of u^2 + v^2, brightest, cut by the border, too large
 
 
@@ -18,9 +16,9 @@ def is_light(image, mask, threshold, inverted, r, c):
 
 
 @njit(cache=True)
-def is_seed(image, mask, threshold, inverted, r, c):
-    """Whether all 17 pixels of the cross about (r, c) are light; the cross lies inside the image."""
-    for k in range(-ARM, ARM + 1):
+def is_seed(image, mask, threshold, inverted, r, c, arm):
+    """Whether all pixels of the cross about (r, c) are light, arm to either side; the cross lies inside the image."""
+    for k in range(-arm, arm + 1):
         if not is_light(image, mask, threshold, inverted, r + k, c):
             return False
         if not is_light(image, mask, threshold, inverted, r, c + k):
@@ -61,19 +59,19 @@ def propagate(image, mask, threshold, inverted, r, c, taken, stack, most, out):
 
 
 @njit(cache=True)
-def shapes(image, mask, threshold, inverted, row0, row1, col0, col1, most, room):
-    """Return the shapes (n, COLUMNS) whose seeds lie in rows row0..row1-1 and columns col0..col1-1."""
+def shapes(image, mask, threshold, inverted, arm, most, room):
+    """Return the shapes (n, COLUMNS) in which a cross fits, its arms so many pixels long."""
     h, w = image.shape
     taken = np.zeros((h, w), np.uint8)
     stack = np.empty((h * w // 4 + 64, 2), np.int32)
     found = np.empty((room, COLUMNS))
     n = 0
-    for r in range(max(row0, ARM), min(row1, h - ARM)):
-        for c in range(max(col0, ARM), min(col1, w - ARM)):
+    for r in range(arm, h - arm):
+        for c in range(arm, w - arm):
             grey = 255 - image[r, c] if inverted else image[r, c]
             if grey <= threshold or taken[r, c] or n == room:
                 continue
-            if is_seed(image, mask, threshold, inverted, r, c):
+            if is_seed(image, mask, threshold, inverted, r, c, arm):
                 propagate(image, mask, threshold, inverted, r, c, taken, stack, most, found[n])
                 n += 1
     return found[:n]
