@@ -8,14 +8,14 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from armsight.app.replay import open_pairs
+from armsight.app.replay import open_pairs, open_source
 from armsight.calibrate.target import LitFrame, TargetCalibration, calibrate_target
-from armsight.drivers import PairSource
-from armsight.errors import Cancelled, Inconsistent
+from armsight.drivers import Overlaid, PairSource
+from armsight.errors import Cancelled, Inconsistent, UsageError
 from armsight.measure.match import pair_spots
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import find_spots
-from armsight.optics import SIDES, PackedRig, Rig
+from armsight.optics import SIDES, PackedRig, Rig, RigKind
 from armsight.records import Frame, Progress, Silent, Spots
 from armsight.store import read_rig, write_target
 
@@ -24,11 +24,12 @@ Pair = tuple[Frame, Frame]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TargetJob:
-    """Sources as on the command line; lights: how many the target has."""
+    """Sources as on the command line: left and right, or the complex images of a mirror rig; lights: of the target."""
 
     rig: Path
     out: Path
-    left: str
+    left: str | None = None
+    image: str | None = None
     right: str | None = None
     lights: int = 3
     limit: int | None = None
@@ -43,7 +44,12 @@ def calibrate_lit_target(job: TargetJob, progress: Progress | None = None) -> di
     """
     rig = read_rig(job.rig)
     settings = SpotSettings(threshold=job.threshold, inverted=job.inverted)
-    with open_pairs(job.left, job.right) as pairs:
+    if (job.image is None) == (job.left is None):
+        raise UsageError("which frames?", cure="Give --left and --right, or --image of a mirror rig")
+    if job.image is not None and rig.kind is not RigKind.MIRROR:
+        raise UsageError("--image needs a rig with mirrors", cure="Give --left and --right")
+    source = open_pairs(job.left, job.right) if job.image is None else Overlaid(open_source(job.image))
+    with source as pairs:
         frames = _lit_frames(rig, pairs, settings, job.limit, progress or Silent())
     done = calibrate_target(rig, frames, job.lights)
     std = dict(zip(done.names, done.std_m.tolist(), strict=True))
@@ -66,9 +72,9 @@ def target_content(done: TargetCalibration) -> dict[str, Any]:
     }
 
 
-def lit_frame(packed: PackedRig, name: str, left: Spots, right: Spots) -> LitFrame:
-    """Return the pairs of a moment's spots that agree with the epipolar lines."""
-    index = pair_spots(packed, left, right).index
+def lit_frame(packed: PackedRig, name: str, left: Spots, right: Spots, *, overlaid: bool = False) -> LitFrame:
+    """Return the pairs of a moment's spots that agree with the epipolar lines; overlaid: see pair_spots."""
+    index = pair_spots(packed, left, right, overlaid=overlaid).index
     return LitFrame(name=name, left=left.take(index[:, 0]), right=right.take(index[:, 1]))
 
 
@@ -80,9 +86,10 @@ def _lit_frames(
     found: Iterable[Pair] = islice(pairs, limit)
     for left, right in found:
         _require_sizes(rig, left, right)
-        frames.append(
-            lit_frame(packed, left.source, find_spots(left.image, settings), find_spots(right.image, settings))
-        )
+        overlaid = left is right
+        at_left = find_spots(left.image, settings)
+        at_right = at_left if overlaid else find_spots(right.image, settings)
+        frames.append(lit_frame(packed, left.source, at_left, at_right, overlaid=overlaid))
         progress.update(len(frames), total, "looking for lights")
         if progress.cancelled():
             raise Cancelled(f"stopped after {len(frames)} pairs", consequence="No target was written")

@@ -20,9 +20,10 @@ SHOWN = 8
 
 def target(
     rig: Annotated[Path, typer.Option(help="rig.yaml of the two cameras, from `armsight calibrate stereo`.")],
-    left: Annotated[str, typer.Option(metavar="SRC", help=f"Left frames: {SRC}.")],
     out: Annotated[Path, typer.Option("-o", "--out", help="target.yaml to write.")],
+    left: Annotated[str | None, typer.Option(metavar="SRC", help=f"Left frames: {SRC}.")] = None,
     right: Annotated[str | None, typer.Option(metavar="SRC", help="Right frames, in step with the left ones.")] = None,
+    image: Annotated[str | None, typer.Option(metavar="SRC", help="Complex images of a mirror rig.")] = None,
     lights: Annotated[int, typer.Option(min=2, max=6, help="How many lights the target has.")] = 3,
     frames: Limit = None,
     threshold: Annotated[
@@ -39,6 +40,7 @@ def target(
             rig=rig,
             out=out,
             left=left,
+            image=image,
             right=right,
             lights=lights,
             limit=frames,
