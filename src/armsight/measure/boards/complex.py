@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
 
 from armsight.errors import BadImage, Inconsistent
 from armsight.measure.boards.checkerboard import (
@@ -15,7 +16,6 @@ from armsight.measure.boards.checkerboard import (
     LOW_CONTRAST,
     OFF_GRID,
     REACH,
-    SCATTER,
     grid_of,
     number_corners,
     parity_of,
@@ -53,11 +53,19 @@ SETTLED_PX = 1e-3
 NEAR_BLURS = 4.0
 NEAR_PX = 3.0
 """Corners of the two boards nearer than so many blurs, and than this, cannot be told apart: neither is used."""
+OUTWARD = np.linspace(0.15, 1.5, 55)
+"""Squares outside the outermost corners at which the end of the ink is looked for, ..."""
+INNER = 5
+"""... the first of which are inside for certain."""
+MAP_SIZE = 22
+"""Numbers in a homography and cubics on top that it does not hold itself (8 + 20 - 6, the first-order ones shared)."""
 LOOSE = 3.0
 """Where the other board's map is extrapolated until its variance is this many times a corner's, no corner is fitted
 that has one of its corners in the window: what is taken off there may be off by more than the noise."""
+SCATTER = 5.0
+"""A corner further from the smooth grid than this many times the median one is pulled by something else, ..."""
 STRAIGHT = 0.005
-"""A corner this near to the smooth grid, in squares, is never taken for pulled by something else."""
+"""... but not one this near, in squares."""
 RESTLESS = 1.8
 """Residuals in a corner's window, to the usual ones, that mean an edge of neither board: paper's rim, a hand, ..."""
 
@@ -66,13 +74,15 @@ RESTLESS = 1.8
 class Layer:
     """One of the boards: its map, colours and light, and how its corners were last fitted.
 
-    sign (n,): +1 where the square beyond a corner is white. contrast (3,): half the levels between black and white,
+    sign (n,): +1 where the square beyond a corner is white. rim (2, 2): where the ink begins and ends along columns and
+    rows, in squares. contrast (3,): half the levels between black and white,
     and its slope along columns and rows, per square. uv (n, 2), covariance (n, 2, 2), quality (n, 4) as
     fit_corners gives them. good (n,): the corners that are kept.
     """
 
     smooth: GridMap
     sign: Array
+    rim: Array
     contrast: Array
     blur_px: float
     uv: Array
@@ -116,10 +126,22 @@ def _two_layers(light: Array, board: Target, source: str) -> tuple[Layer, Layer]
         raise _refusal(f"{source}: no checkerboard of {board.columns}x{board.rows} inner corners was found")
     if len(grids) == 2:
         layers = _start(grids[0], board), _start(grids[1], board)
+        for part, other in zip(grids, layers[::-1], strict=True):
+            _check_size(part, other, board, source)
     else:
         _check_whole(grids[0], board, source)
         first = _start(grids[0], board)
-        layers = first, _second(light, saddles, first, board, source)
+        grid = _second(light, saddles, first, board)
+        if grid is None:
+            _check_size(grids[0], None, board, source)
+            raise _refusal(
+                f"{source}: the board of {board.columns}x{board.rows} inner corners is there only once",
+                cure="Show the whole board to both views, and no other way round the mirrors",
+            )
+        layers = first, _start(grid, board)
+        for part, other in ((grids[0], layers[1]), (grid, first)):
+            _check_size(part, other, board, source)
+        _check_whole(grid, board, source)
     rest = saddles
     for layer in layers:
         _check_inside(layer, light, board, source)
@@ -130,8 +152,8 @@ def _two_layers(light: Array, board: Target, source: str) -> tuple[Layer, Layer]
     return layers
 
 
-def _second(light: Array, saddles: Saddles, first: Layer, board: Target, source: str) -> Layer:
-    """Return the board beside the one found: in the image without that one, or among the other corners."""
+def _second(light: Array, saddles: Saddles, first: Layer, board: Target) -> Grid | None:
+    """Return the board beside the one found, or a part: in the image without that one, or among the other corners."""
     rim = first.smooth(_with_rim(board))
     without = light.copy()
     _take_off(without, _measure(light, first, None, board), board)
@@ -143,13 +165,7 @@ def _second(light: Array, saddles: Saddles, first: Layer, board: Target, source:
             found = grids
         if found and len(found[0].cells) >= ENOUGH * len(board.names):
             break
-    if not found or len(found[0].cells) < PART_SHARE * len(board.names):
-        raise _refusal(
-            f"{source}: the board of {board.columns}x{board.rows} inner corners is there only once",
-            cure="Show the whole board to both views, and no other way round the mirrors",
-        )
-    _check_whole(found[0], board, source)
-    return _start(found[0], board)
+    return found[0] if found and len(found[0].cells) >= PART_SHARE * len(board.names) else None
 
 
 def _check_whole(grid: Grid, board: Target, source: str) -> None:
@@ -164,17 +180,25 @@ def _check_whole(grid: Grid, board: Target, source: str) -> None:
                     f"fewer {'columns' if axis == 0 else 'rows'}, or a part of one",
                     cure="Count the inner corners again, and show the whole board to both views",
                 )
-    if grid.beyond > 0.5 * min(board.columns, board.rows):
-        raise _refusal(
-            f"{source}: {grid.beyond} corners continue a board beyond {board.columns}x{board.rows} inner corners",
-            cure="Count the inner corners again; where they are right, move the board: corners of the two views "
-            "fall on one another",
-        )
     if len(grid.cells) < SEEN_SHARE * len(board.names) or (size != [board.columns, board.rows]).any():
         raise _refusal(
             f"{source}: one of the two boards is there in part: {size[0]}x{size[1]} of its "
             f"{board.columns}x{board.rows} inner corners",
             cure="Show the whole board to both views",
+        )
+
+
+def _check_size(grid: Grid, other: Layer | None, board: Target, source: str) -> None:
+    """Raise BadImage where a board goes on beyond its size, with corners that are not the other board's."""
+    strange = grid.beyond
+    if other is not None and len(strange):
+        rim = other.smooth(_with_rim(board))
+        strange = strange[np.linalg.norm(strange[:, None] - rim[None], axis=2).min(axis=1) > 2.0 * ON_PX]
+    if len(strange) > 0.5 * min(board.columns, board.rows):
+        raise _refusal(
+            f"{source}: {len(strange)} corners continue a board beyond {board.columns}x{board.rows} inner corners",
+            cure="Count the inner corners again; where they are right, move the board: corners of the two views "
+            "fall on one another",
         )
 
 
@@ -205,6 +229,7 @@ def _start(grid: Grid, board: Target) -> Layer:
     return Layer(
         smooth=smooth,
         sign=-grid.first * parity_of(board),
+        rim=np.array([[-1.0, -1.0], [board.columns, board.rows]]),
         contrast=np.zeros(3),
         blur_px=START_BLUR_PX,
         uv=smooth(grid_of(board)),
@@ -239,6 +264,7 @@ def _take_off(light: Array, layer: Layer, board: Target) -> None:
         smooth.half,
         board.columns,
         board.rows,
+        layer.rim,
         float(layer.sign[0]),
         -layer.contrast,
         layer.blur_px,
@@ -262,8 +288,9 @@ def _measure(light: Array, layer: Layer, other: Layer | None, board: Target) -> 
     n = len(grid)
     uv, covariance, quality = np.empty((n, 2)), np.empty((n, 2, 2)), np.empty((n, 4))
     contiguous = np.ascontiguousarray
+    rest = _without(light, other, board)
     fit_corners(
-        _without(light, other, board),
+        rest,
         contiguous(smooth(grid)),
         contiguous(E),
         contiguous(Q),
@@ -280,9 +307,11 @@ def _measure(light: Array, layer: Layer, other: Layer | None, board: Target) -> 
     good = _good(layer, other, board, uv, quality, size.min(axis=1))
     if np.count_nonzero(good) < PART_SHARE * n:  # nothing to go by: as it was
         return replace(layer, uv=uv, covariance=covariance, quality=quality, good=good)
+    smooth = fit_map(grid[good], uv[good])[0]
     return Layer(
-        smooth=fit_map(grid[good], uv[good])[0],
+        smooth=smooth,
         sign=layer.sign,
+        rim=_rim(rest, smooth, layer, board),
         contrast=_slope(grid[good], quality[good, 1]),
         blur_px=float(np.median(quality[good, 2])),
         uv=uv,
@@ -303,7 +332,7 @@ def _good(layer: Layer, other: Layer, board: Target, uv: Array, quality: Array, 
     good &= distance < np.clip(SCATTER * np.median(distance[good]), STRAIGHT * size, OFF_GRID * size)
     good &= quality[:, 1] > LOW_CONTRAST * np.median(quality[good, 1])
     good &= quality[:, 3] < RESTLESS * np.median(quality[good, 3])
-    rim = _with_rim(board)
+    rim = np.clip(_with_rim(board), *other.rim)
     gap = np.linalg.norm(layer.smooth(grid)[:, None] - other.smooth(rim)[None], axis=2)  # (n, rim)
     loose = _leverage(grid[other.good], rim) > LOOSE
     limit = np.where(loose, REACH * size[:, None], max(NEAR_PX, NEAR_BLURS * layer.blur_px))
@@ -317,6 +346,36 @@ def _leverage(known: Array, grid: Array) -> Array:
     A, B = monomials((known - centre) / scale), monomials((grid - centre) / scale)
     normal = A.T @ A + 1e-9 * np.eye(A.shape[1])
     return np.asarray(np.einsum("ij,ij->i", B, np.linalg.solve(normal, B.T).T))
+
+
+def _rim(rest: Array, smooth: GridMap, layer: Layer, board: Target) -> Array:
+    """Return where the ink ends on the four sides, (2, 2): printed or cut boards have outer squares of any width.
+
+    Beyond its end the outer black squares look as the white ones between them: the difference falls by half there.
+    """
+    out = layer.rim.copy()
+    count = (board.columns, board.rows)
+    for axis in range(2):
+        beside = np.arange(-0.5, count[1 - axis])[1:-1]  # middles of the squares along the side, without the ends
+        for end in range(2):
+            foot = float(end * (count[axis] - 1))
+            grid = np.empty((len(beside), len(OUTWARD), 2))
+            grid[:, :, axis] = foot + (OUTWARD if end else -OUTWARD)
+            grid[:, :, 1 - axis] = beside[:, None]
+            uv = smooth(grid.reshape(-1, 2))
+            level = map_coordinates(rest, uv.T[::-1], order=1, mode="nearest").reshape(grid.shape[:2])
+            cell = np.floor(grid[:, 0]).sum(axis=1).astype(np.intp)
+            white = np.where(cell % 2 == 0, layer.sign[0], -layer.sign[0]) > 0.0
+            if white.all() or not white.any():
+                continue
+            fall = np.median(level[white], axis=0) - np.median(level[~white], axis=0)
+            past = np.flatnonzero(fall < 0.5 * np.median(fall[:INNER]))
+            if len(past) and past[0] > 0:
+                i = int(past[0])
+                share = (fall[i - 1] - 0.5 * np.median(fall[:INNER])) / (fall[i - 1] - fall[i])
+                way = OUTWARD[i - 1] + share * (OUTWARD[i] - OUTWARD[i - 1])
+                out[end, axis] = foot + (way if end else -way)
+    return out
 
 
 def _slope(grid: Array, contrast: Array) -> Array:
@@ -346,11 +405,16 @@ def _view(light: Array, board: Target, layer: Layer, other: Layer, source: str) 
     numbered = number_corners(_without(light, other, board), board, everywhere)
     was = np.linalg.norm(numbered[:, None] - everywhere[None], axis=2).argmin(axis=1)
     index = np.flatnonzero(layer.good[was])
-    covariance = layer.covariance[was[index]]
+    # what shows through from the other view is no noise from pixel to pixel: the corners' scatter about the smooth grid
+    # tells of it, the windows' residuals do not
+    noise = float(np.sqrt(np.median(np.trace(layer.covariance[layer.good], axis1=1, axis2=2)) / 2.0))
+    off = (layer.uv - smooth(grid))[layer.good]
+    free = max(1, off.size - MAP_SIZE)
+    scatter = float(np.sqrt((off**2).sum() / free))
     return BoardView(
         uv_px=numbered[index],
         index=index,
-        sigma_px=float(np.sqrt(np.median(np.trace(covariance, axis1=1, axis2=2)) / 2.0)),
+        sigma_px=max(noise, scatter),
         width=light.shape[1],
         height=light.shape[0],
         source=source,

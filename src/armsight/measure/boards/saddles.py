@@ -99,15 +99,15 @@ class Grid:
     """Corners by their cell.
 
     cells (n, 2) from 0 to the board's size, right-handed in the image; uv (n, 2) px; strength (n,) of response.
-    first: +1 where the square beyond cell (0, 0) is bright, -1 where dark. beyond: how many corners were met
-    outside the board's size.
+    first: +1 where the square beyond cell (0, 0) is bright, -1 where dark. beyond (m, 2): px of
+    corners that were met outside the board's size.
     """
 
     cells: NDArray[np.intp]
     uv: Array
     strength: Array
     first: float
-    beyond: int
+    beyond: Array
 
     def smooth(self) -> GridMap:
         """Return the map from squares to px."""
@@ -319,10 +319,14 @@ def _grid(
     place = cells[inside] - corner
     response = saddles.response[places]
     sign = float(np.sign(np.sum(np.where(place.sum(axis=1) % 2 == 0, 1.0, -1.0) * response[inside])))
-    beyond = np.count_nonzero(np.abs(response[outside]) > BEYOND * np.median(np.abs(response[inside])))
+    beyond = outside & (np.abs(response) > BEYOND * np.median(np.abs(response[inside])))
     if not upright:  # a quarter turn: rows become columns, the other way round; the other two sectors come first
         place = np.stack([size[1] - 1 - place[:, 1], place[:, 0]], axis=1)
         sign = -sign if size[1] % 2 == 1 else sign
     return Grid(
-        cells=place, uv=saddles.uv[places[inside]], strength=np.abs(response[inside]), first=sign, beyond=int(beyond)
+        cells=place,
+        uv=saddles.uv[places[inside]],
+        strength=np.abs(response[inside]),
+        first=sign,
+        beyond=saddles.uv[places[beyond]],
     )

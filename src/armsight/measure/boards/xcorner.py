@@ -58,8 +58,12 @@ FIT = 0.8
 """Share of the templates' pixels that must fit at a corner; at a square's true corner it is 0.9 and more."""
 SEEN_SHARE = 0.8
 """With fewer of the board's corners seen than this, it is not taken for the board."""
-STRAY = 0.15
-"""A corner further than this from the smooth grid, in squares, is replaced by the grid's own."""
+STRAY_PX = 1.0
+SCATTER = 5.0
+"""A corner further from the smooth grid than this, and than so many times the median corner, is replaced by the grid's
+own: dust and ragged edges move one in fifty by two pixels."""
+OFF_GRID = 0.15
+"""... and where more than a few are further than this, in squares, it is not the board."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -248,9 +252,9 @@ def _corners_of(squares: Squares, placed: dict[Cell, tuple[int, int]], columns: 
     grid = np.stack([np.tile(np.arange(columns), rows), np.repeat(np.arange(rows), columns)], axis=1).astype(float)
     smooth, distance = fit_map(cells.astype(float), uv)
     side = np.linalg.norm(smooth.derivatives(cells.astype(float))[0], axis=1).min(axis=1)
-    good = distance < STRAY * side
-    if np.count_nonzero(good) < SEEN_SHARE * columns * rows:
+    if np.count_nonzero(distance < OFF_GRID * side) < SEEN_SHARE * columns * rows:
         return None
+    good = distance < np.clip(SCATTER * np.median(distance), STRAY_PX, OFF_GRID * side)
     out = smooth(grid)
     out[cells[good, 1] * columns + cells[good, 0]] = uv[good]
     return out

@@ -37,23 +37,24 @@ def map_point(H, cubic, centre, half, s, t, uv, slope):
 
 
 @njit(cache=True)
-def _stripes(s, px, n, blur):
+def _stripes(s, px, n, low, high, blur):
     """Return how far inside the board (0..1) and on which stripe (-1..1) a point lies along one axis.
 
-    px: pixels per square across the stripes; the lines are at 0 .. n - 1, the board ends at -1 and n.
+    px: pixels per square across the stripes; the lines are at 0 .. n - 1, the board ends at low and high.
     """
     z = SQRT_HALF * px / blur
     k = min(max(int(np.rint(s)), 0), n - 1)
     side = erf((s - k) * z)
-    inside = 0.25 * (1.0 + erf((s + 1.0) * z)) * (1.0 - erf((s - n) * z))
+    inside = 0.25 * (1.0 + erf((s - low) * z)) * (1.0 - erf((s - high) * z))
     return inside, side if k % 2 == 0 else -side
 
 
 @njit(cache=True, nogil=True)
-def draw_ink(H, cubic, centre, half, columns, rows, first, contrast, blur, out):
+def draw_ink(H, cubic, centre, half, columns, rows, rim, first, contrast, blur, out):
     """Add a board's ink to out (h, w) float64.
 
-    H, cubic, centre, half: the GridMap from squares to px. first: +1 where the square beyond the first corner is
+    H, cubic, centre, half: the GridMap from squares to px. rim (2, 2): where the ink
+    begins and ends along columns and rows, in squares. first: +1 where the square beyond the first corner is
     white, -1 where it is black. contrast (3,): half the levels between black and white, and its slope along
     columns and rows, per square. blur: of the edges, px.
     """
@@ -90,7 +91,7 @@ def draw_ink(H, cubic, centre, half, columns, rows, first, contrast, blur, out):
                 t += (E[0, 0] * dv - E[1, 0] * du) / det
             warm = True
             # gradients of s and t have lengths |E's other column| / det
-            in_s, on_s = _stripes(s, abs(det) / sqrt(E[0, 1] ** 2 + E[1, 1] ** 2), columns, blur)
-            in_t, on_t = _stripes(t, abs(det) / sqrt(E[0, 0] ** 2 + E[1, 0] ** 2), rows, blur)
+            in_s, on_s = _stripes(s, abs(det) / sqrt(E[0, 1] ** 2 + E[1, 1] ** 2), columns, rim[0, 0], rim[1, 0], blur)
+            in_t, on_t = _stripes(t, abs(det) / sqrt(E[0, 0] ** 2 + E[1, 0] ** 2), rows, rim[0, 1], rim[1, 1], blur)
             ink = in_s * in_t * 0.5 * (1.0 - first * on_s * on_t)
             out[row, col] -= 2.0 * (contrast[0] + contrast[1] * s + contrast[2] * t) * ink
