@@ -2,7 +2,8 @@
 
 Real boards: ../shared/data/opencv_stereo, skipped, saying so, where it is not there; nobody knows their corners, so the
 figures are each detector's scatter about the smooth grid through its own corners, leaving each corner out of the
-grid that judges it. Rendered boards: against the truth. Found means with all corners: find_board leaves out those that it cannot verify.
+grid that judges it. Rendered boards: against the truth. Found means with all corners: find_board leaves
+out those that it cannot verify.
 """
 
 from __future__ import annotations

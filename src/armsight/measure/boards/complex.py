@@ -178,8 +178,8 @@ def _check_whole(grid: Grid, board: Target, source: str) -> None:
                 raise _refusal(
                     f"{source}: no checkerboard of {board.columns}x{board.rows} inner corners was found, but one with "
                     f"fewer {'columns' if axis == 0 else 'rows'}, or a part of one",
-                    cure="Count the inner corners again, show the whole board to both views, or move it a little: corners "
-                    "of the two views may fall on one another",
+                    cure="Count the inner corners again, show the whole board to both views, or move it a little: "
+                    "corners of the two views may fall on one another",
                 )
     if len(grid.cells) < SEEN_SHARE * len(board.names) or (size != [board.columns, board.rows]).any():
         raise _refusal(
