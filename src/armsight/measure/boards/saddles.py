@@ -51,8 +51,8 @@ SEEDS = 80
 """Corners tried as the first of a grid, the strongest first."""
 BEYOND = 0.75
 """Response of a corner outside the board's size, to the median one, that means that the board goes on."""
-MISSING = 0.5
-RIM = 0.6
+MISSING = 0.1
+RIM = 0.75
 CLIP = 1.3
 """What a cell of a board is worth: its response by the usual one (at most CLIP) less RIM; a rim's corner has 0.5 and is
 worth less than nothing, and a cell without a corner costs MISSING."""
