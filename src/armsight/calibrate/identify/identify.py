@@ -16,7 +16,7 @@ from armsight.calibrate.identify.seen import Seen, seen_places
 from armsight.calibrate.identify.shapes import Tilt, basis
 from armsight.calibrate.identify.sweeps import Sweeps, check_sweeps, placed
 from armsight.calibrate.identify.table import KEYS, arm_of, carried, place_frames, say_cases
-from armsight.calibrate.identify.whole import all_covariance, beacon_at_zero, fit_whole
+from armsight.calibrate.identify.whole import WholeFit, all_covariance, beacon_at_zero, fit_whole
 from armsight.errors import Inconsistent, UsageError
 from armsight.optics import PackedRig, Rig
 
@@ -26,6 +26,8 @@ METHODS = ("ml", "paper")
 INCREMENTS = ("known", "order")
 AT_ODDS = 9.0
 """Variance of the whole arm's misfit over that of single paths from which it is worth a note."""
+ANOTHER = 5.0
+"""Deviations by which an entry of another solution must differ for it to be another arm."""
 FIRST_PX = 0.2
 """Noise of a beacon's centre assumed before it is found from the residuals."""
 
@@ -105,6 +107,8 @@ def _at_once(
         return place_frames(*model.axes_at(x), base)[0].ravel()
 
     std = carried(entries, p, covariance)
+    std, doubtful = _with_rivals(whole, table, std, base)
+    notes += doubtful
     predicted = model.predict(p, seen.sweeps.q)[0]
     seen = seen.at(seen.sigma * float(np.sqrt(widen)))
     result = _finish(seen, found, axes, beacon, table, std, (first, tool), predicted, notes, name, "ml", whole.dropped)
@@ -112,6 +116,22 @@ def _at_once(
     _, slopes = kept.residuals(*model.predict(p, kept.sweeps.q))
     A = slopes.reshape(-1, len(p))
     return replace(result, doubt=Doubt(model=model, p=p, information=A.T @ A))
+
+
+def _with_rivals(whole: WholeFit, table: Array, std: Array, base: Array) -> tuple[Array, list[str]]:
+    """Return deviations that cover every arm the readings do not tell from this one, and a note where there is one."""
+    wide, count = std.copy(), 0
+    for rival in whole.rivals:
+        off = place_frames(*rival.model.axes_at(rival.fit.shared), base)[0] - table
+        off[:, [0, 3, 4]] = np.mod(off[:, [0, 3, 4]] + np.pi, 2.0 * np.pi) - np.pi
+        if (np.abs(off) > ANOTHER * std)[np.isfinite(std) & (std > 0.0)].any():
+            wide, count = np.maximum(wide, np.hypot(std, off)), count + 1
+    if not count:
+        return std, []
+    return wide, [
+        "another arm explains the readings as well; the deviations cover both. Longer arcs, or a sweep seen from "
+        "elsewhere, would tell"
+    ]
 
 
 def _joint_by_joint(seen: Seen, found: list[Found], base: Array, notes: list[str], name: str) -> Identification:

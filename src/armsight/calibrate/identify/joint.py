@@ -78,12 +78,9 @@ def fit_circle(seen: Seen, order: Array, near: PathFit | None = None, *, coarse:
     near: a circle fitted before to nearly the same readings, tried first. coarse: a thousandth of the cost is enough.
     """
     best: PathFit | None = None
-    for settings, (normal, centre, radius) in _attempts(seen, near):
-        if best is not None and settings is ROUGH:
-            break
-        try:
-            found = _circle_from(seen, normal, centre, radius, order, ROUGH if coarse else settings)
-        except NotConverged:
+    for normal, centre, radius in _attempts(seen, near):
+        found = _settled(seen, normal, centre, radius, order, coarse=coarse)
+        if found is None:
             continue
         if best is None or found.fit.cost < best.fit.cost:
             best = found
@@ -94,14 +91,22 @@ def fit_circle(seen: Seen, order: Array, near: PathFit | None = None, *, coarse:
     return best
 
 
-def _attempts(seen: Seen, near: PathFit | None) -> Iterator[tuple[Settings, tuple[Array, Array, float]]]:
-    """Yield how and from where a circle is fitted, worked out only as far as it is needed."""
+def _attempts(seen: Seen, near: PathFit | None) -> Iterator[tuple[Array, Array, float]]:
+    """Yield from where a circle is fitted, worked out only as far as it is needed."""
     if near is not None:
-        yield SETTINGS, (near.direction, near.point_m, near.radius_m)
-    starts = _starts(seen)
-    for start in starts[:2]:
-        yield SETTINGS, start[1:]
-    yield ROUGH, starts[0][1:]
+        yield near.direction, near.point_m, near.radius_m
+    for start in _starts(seen):
+        yield start[1:]
+
+
+def _settled(seen: Seen, n: Array, centre: Array, radius: float, order: Array, *, coarse: bool) -> PathFit | None:
+    """Return the circle from one start, settled roughly where it will not settle finely, None where it does neither."""
+    for settings in (ROUGH,) if coarse else (SETTINGS, ROUGH):
+        try:
+            return _circle_from(seen, n, centre, radius, order, settings)
+        except NotConverged:
+            continue
+    return None
 
 
 def circle_misfit(seen: Seen) -> float:

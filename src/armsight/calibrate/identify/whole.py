@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,8 @@ SLOPES = {1.0: "", np.pi / 180.0: "degrees given as radians", 180.0 / np.pi: "ra
 SLOPE_NEAR = 0.25
 WORTH = 8.0
 """Half chi-square by which a turning joint must be better than a sliding one where the path alone does not decide."""
+RIVAL = 4.5
+"""Half chi-square within which two arms explain the readings alike (odds of 90 to 1)."""
 SURE = 1e-12
 """Where a line is rejected less clearly than this, by one noisy sweep in ten thousand, its values decide as well."""
 STARTED = 12
@@ -57,12 +59,16 @@ def _check_slopes(found: Sequence[Found], sweeps: Sweeps, axes: Sequence[Sequenc
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class WholeFit:
-    """The whole arm: model, fit, the rows kept and those discarded, and how much larger its misfit's variance is."""
+    """The whole arm: model, fit, the rows kept and those discarded, and how much larger its misfit's variance is.
+
+    rivals: other arms of the same types that explain as many readings nearly as well.
+    """
 
     model: ChainModel
     fit: Fit
     rows: NDArray[np.intp]
     dropped: tuple[tuple[int, str], ...]
+    rivals: tuple[WholeFit, ...] = ()
 
     @property
     def scale2(self) -> float:
@@ -80,13 +86,15 @@ def fit_whole(seen: Seen, found: Sequence[Found]) -> WholeFit:
     _check_slopes(found, seen.sweeps, axes)
     rows = np.sort(np.concatenate([item.rows for item in found]))
     best: WholeFit | None = None
+    tried: list[WholeFit] = []
     for least, start in _starts(seen, found, axes):
-        if best is not None and least > _price(best):
+        if best is not None and least > _price(best) + RIVAL:
             break  # the arm explains its sweeps at best as well as each sweep's own axis does
         try:
             again = _fit_from(seen, start, rows)
         except NotConverged:
             continue
+        tried.append(again)
         if best is None or (-len(again.rows), _price(again)) < (-len(best.rows), _price(best)):
             best = again
     if best is None:
@@ -94,7 +102,13 @@ def fit_whole(seen: Seen, found: Sequence[Found]) -> WholeFit:
             "no arm explains the sweeps", consequence="The arm is not identified",
             cure="Sweep again, slower and over longer arcs",
         )  # fmt: skip
-    return best
+    return replace(best, rivals=tuple(one for one in tried if _rivals(one, best)))
+
+
+def _rivals(one: WholeFit, best: WholeFit) -> bool:
+    """Whether an arm is another of the best one's types that the readings do not tell from it."""
+    alike = [axis.revolute for axis in one.model.axes] == [axis.revolute for axis in best.model.axes]
+    return one is not best and alike and len(one.rows) == len(best.rows) and _price(one) < _price(best) + RIVAL
 
 
 def _price(fit: WholeFit) -> float:
