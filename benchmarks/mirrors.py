@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import time
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -227,7 +228,8 @@ def speed(count: int) -> None:
         painter.frame(np.concatenate([view.project(P) for view in views.values()]), number)
         for number, P in ((number, random_pose(rng, views)) for number in range(60))
     ]
-    whole, search, match = [], [], []
+    whole, search, match, brightest, blobs = [], [], [], [], []
+    detector = cv2.SimpleBlobDetector.create()
     for number in range(count):
         frame = frames[number % len(frames)]
         begin = time.perf_counter()
@@ -239,9 +241,17 @@ def speed(count: int) -> None:
         whole.append(1e3 * (middle - begin))
         search.append(1e3 * (found - middle))
         match.append(1e3 * (time.perf_counter() - found))
+        begin = time.perf_counter()
+        frame.image.max()
+        brightest.append(1e3 * (time.perf_counter() - begin))
+        if number < 50:
+            begin = time.perf_counter()
+            detector.detect(frame.image)
+            blobs.append(1e3 * (time.perf_counter() - begin))
     rows = [[name, float(np.median(ms)), float(np.min(ms)), float(np.percentile(ms, 99))]
             for name, ms in (("complex frame to pose (wanted 0.6)", whole), ("of it: spots", search),
-                             ("of it: pairs and pose", match))]  # fmt: skip
+                             ("of it: pairs and pose", match), ("for scale: np.max of the frame", brightest),
+                             ("for scale: cv2.SimpleBlobDetector of the frame, no pose", blobs))]  # fmt: skip
     table(f"1280x720 complex frame without prior, {count} times, ms", ["", "median", "least", "99 %"], rows)
 
 

@@ -31,10 +31,13 @@ SECTIONS = {
     "render": "Rendering frames",
     "recording": "Recordings",
     "identify": "Identification of an arm",
+    "identify_live": "Identification online",
     "calibrate_arm": "Calibration of an arm",
     "handeye": "Hand-eye calibration",
     "tooltip": "Tool tip",
     "mirrors": "Mirror stereo",
+    "target": "A target's lights",
+    "xcorner": "Board detectors",
 }
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from armsight.errors import BadFile, UsageError
 from armsight.optics import Camera, Rig
+from armsight.optics.mirrors import pinhole_pair
 from armsight.records import PoseStatus, TargetPose
 from armsight.store import (
     read_camera,
@@ -43,12 +44,13 @@ TUM_SUFFIXES = (".tum", ".txt")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Converted:
-    """From which kind to which, and the files written."""
+    """From which kind to which, the files written, and what the new kind could not carry."""
 
     source: str
     target: str
     files: tuple[Path, ...]
     rows: int | None = None
+    note: str = ""
 
 
 def convert_camera(source: Path, out: Path, *, to: str | None = None, size: tuple[int, int] | None = None) -> Converted:
@@ -95,7 +97,10 @@ def convert_rig(
         "opencv": lambda: rig_from_opencv(sources, size=size, unit_m=unit_m),
         "kalibr": lambda: rig_from_kalibr(sources[0]),
     }
-    rig = read[kind]()
+    rig, note = read[kind](), ""
+    if to != "armsight" and rig.left.plate is not None:
+        rig, rms_px = pinhole_pair(rig)
+        note = f"{to} knows no glass plate: written is the nearest pair of pinholes, {rms_px:.3f} px RMS off"
     write: Mapping[str, Callable[[], None]] = {
         "armsight": lambda: write_rig(outs[0], rig, inputs=sources),
         "ros": lambda: rig_to_ros(outs[0], outs[1], rig),
@@ -103,7 +108,7 @@ def convert_rig(
         "kalibr": lambda: rig_to_kalibr(outs[0], rig),
     }
     write[to]()
-    return Converted(source=kind, target=to, files=tuple(outs))
+    return Converted(source=kind, target=to, files=tuple(outs), note=note)
 
 
 def convert_poses(source: Path, out: Path) -> Converted:

@@ -71,4 +71,14 @@ def _tell(face: Face, done: Converted) -> None:
     files = ", ".join(str(path) for path in done.files)
     rows = f", {done.rows} poses" if done.rows is not None else ""
     face.say(f"{done.source} to {done.target}{rows}: {files}")
-    face.result({"from": done.source, "to": done.target, "files": [str(path) for path in done.files], "n": done.rows})
+    if done.note:
+        face.say(f"- {done.note}")
+    face.result(
+        {
+            "from": done.source,
+            "to": done.target,
+            "files": [str(path) for path in done.files],
+            "n": done.rows,
+            "note": done.note,
+        }
+    )

@@ -11,6 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.app.convert import convert_camera, convert_poses, convert_rig
 from armsight.errors import BadFile, UsageError
 from armsight.optics import Camera, Rig, RigKind
+from armsight.optics.mirrors import Mirrors
 from armsight.store import read_camera, read_poses, read_rig, write_camera, write_rig
 
 CAMERA = Camera.pinhole(640, 480, 612.5, 611.0, 318.2, 241.7, distortion=(-0.21, 0.07, 1e-4, -2e-4, 0.0))
@@ -47,6 +48,20 @@ def test_a_rig_goes_out_and_comes_back(tmp_path: Path, kind: str, count: int) ->
     assert got.left.is_close(rig().left, tol=1e-6)
     assert got.right.is_close(rig().right, tol=1e-6)
     np.testing.assert_allclose(got.T_rig_right.as_matrix(), rig().T_rig_right.as_matrix(), atol=1e-6)
+
+
+def test_a_mirror_rig_goes_out_as_two_pinholes(tmp_path: Path) -> None:
+    own, foreign, back = tmp_path / "own.yaml", tmp_path / "out.yaml", tmp_path / "back.yaml"
+    mirrors = Mirrors(baseline_m=0.1).rig(Camera.pinhole(768, 576, 1000.0, 1000.0, 383.5, 287.5))
+    write_rig(own, mirrors)
+    assert read_rig(own).left.plate == mirrors.left.plate
+    done = convert_rig([own], [foreign], to="kalibr")
+    assert "nearest pair of pinholes" in done.note
+    convert_rig([foreign], [back])
+    X = np.array([[0.02, 0.01, 0.5], [-0.05, 0.03, 0.7]])
+    T = read_rig(back).T_rig_left * mirrors.T_rig_left.inv()  # Kalibr's axes are those of its first camera
+    for got, seen in zip(read_rig(back).project(T.apply(X)), mirrors.project(X), strict=True):
+        assert np.abs(got - seen).max() < 1.0  # the pinhole's centre lies a little off the glass's
 
 
 def test_what_cannot_be_converted_is_said(tmp_path: Path) -> None:
