@@ -36,7 +36,8 @@ WIDTH, HEIGHT = 1280, 720
 LENS = Lens(width=WIDTH, height=HEIGHT, focal_px=(1000.0, 1000.0), centre_px=(639.5, 359.5))
 CAMERA = Camera.pinhole(WIDTH, HEIGHT, 1000.0, 1000.0, 639.5, 359.5)
 BASELINE = 0.1
-SPOTS = {"A": (-0.04, 0.0, 0.0), "B": (0.03, 0.032, 0.0), "C": (0.03, -0.032, 0.0)}
+SPOTS = {"A": (-0.08, 0.0, 0.0), "B": (0.06, 0.064, 0.0), "C": (0.06, -0.064, 0.0)}
+"""Wider than the baseline, so that the two views of the target overlap."""
 BOARD = parse_board("checkerboard:9x6:0.018")
 SIGMA_PX = 0.037
 PAIRS = 25
@@ -133,7 +134,7 @@ def table_one(count: int) -> None:
     views = views_of()
     rng = np.random.default_rng(1)
     done = calibrate_mirrors(*board_views(views, rng, PAIRS, 0.05), BOARD)
-    X = np.array(list(SPOTS.values())) * 0.2 + np.array([0.0, 0.0, 0.6])
+    X = np.array(list(SPOTS.values())) * 0.1 + np.array([0.0, 0.0, 0.6])
     uv = [view.project(X) for view in views.values()]
     noise = np.eye(2) * SIGMA_PX**2
     found = []

@@ -260,7 +260,8 @@ def test_few_lights_dark_paths_ghosts_and_spots_on_each_other() -> None:
     ghost = np.array([[300.0, 200.0], [512.0, 640.0], [900.0, 333.0]])  # a third reflection of everything
     assert measured(uv[0], uv[1], ghost)[0] is PoseStatus.OK
     merged = np.delete(np.concatenate(uv), 3, axis=0)  # one view's spot lies under another's: five are left
-    assert measured(merged)[0] in (PoseStatus.POSITION_ONLY, PoseStatus.LOST)
+    status, why = measured(merged)
+    assert status is PoseStatus.POSITION_ONLY or (status is PoseStatus.LOST and "5 of the 6 spots" in why)
     nothing = measure_spots(setup, 0.0, Spots.none(), Spots.none()).pose
     assert nothing.status is PoseStatus.LOST and "no spot" in nothing.why
     with pytest.raises(Degenerate, match="one line"):

@@ -24,7 +24,7 @@ from armsight.measure.match import (
 from armsight.measure.outcome import Measured, Track
 from armsight.measure.pose import Solved, lost, no_points, position_only, solve_frame, solve_points, solve_pose
 from armsight.measure.setup import Setup
-from armsight.measure.spots import find_spots, track_spots
+from armsight.measure.spots import TOUCHING, find_spots, track_spots
 from armsight.measure.spots import warm_up as spots_warm_up
 from armsight.measure.tracking import MAX_GAP_S, expected, next_track, places_of
 from armsight.optics import RIG_PARAMETERS, SIDES, Camera, parallel_rig
@@ -329,7 +329,19 @@ def _explain(setup: Setup, left: Spots, right: Spots, pairs: Pairs, why: str) ->
         if setup.overlaid:
             return "no two spots agree as left and right view of one light (epipolar distance)"
         return "no spot of the left image agrees with one of the right image (epipolar distance)"
-    return why
+    return why + (_overlapping(left, 2 * len(setup.model)) if setup.overlaid else "")
+
+
+def _overlapping(spots: Spots, expected: int) -> str:
+    """Return what an image of both views with too few spots may mean."""
+    if len(spots) >= expected:
+        return ""
+    at = [f"({u:.0f}, {v:.0f})" for u, v, why in spots.rejected if why == TOUCHING]
+    merged = f", and those at {', '.join(at)} px touch and cannot be told apart" if at else ""
+    return (
+        f"; {len(spots)} of the {expected} spots of both views are seen{merged}: one view's spot may lie on another's, "
+        "which a small movement of the target parts"
+    )
 
 
 def _left_out(setup: Setup, solved: Solved, left: Spots, right: Spots) -> tuple[str, ...]:

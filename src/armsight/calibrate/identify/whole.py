@@ -26,8 +26,8 @@ SLOPES = {1.0: "", np.pi / 180.0: "degrees given as radians", 180.0 / np.pi: "ra
 SLOPE_NEAR = 0.25
 WORTH = 8.0
 """Half chi-square by which a turning joint must be better than a sliding one where the path alone does not decide."""
-RIVAL = 4.5
-"""Half chi-square within which two arms explain the readings alike (odds of 90 to 1)."""
+RIVAL = 3.0
+"""Half chi-square within which two arms explain the readings alike (odds of 20 to 1)."""
 SURE = 1e-12
 """Where a line is rejected less clearly than this, by one noisy sweep in ten thousand, its values decide as well."""
 STARTED = 12

@@ -2,5 +2,6 @@
 
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots.find import find_spots, track_spots, warm_up
+from armsight.measure.spots.grey import TOUCHING
 
-__all__ = ["SpotSettings", "find_spots", "track_spots", "warm_up"]
+__all__ = ["TOUCHING", "SpotSettings", "find_spots", "track_spots", "warm_up"]

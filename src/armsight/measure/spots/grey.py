@@ -19,6 +19,7 @@ Rejected = tuple[tuple[float, float, str], ...]
 
 MODEL_NAMES = ("gaussian", "ellipse", "joint", "streak", "centroid")
 """How a spot was measured, in the order of the kernels' numbers."""
+TOUCHING = "touching spots that cannot be told apart"
 REASONS = (
     "accepted",
     "hot pixel: it stands alone",
@@ -28,7 +29,7 @@ REASONS = (
     "no light's model could be fitted to it",
     "saturated beyond use: too little of it is not clipped",
     "too many spots: only the max_spots strongest are measured",
-    "touching spots that cannot be told apart",
+    TOUCHING,
     "not like a spot: the residuals of the best model are too large",
     "reaches beyond its search window",
     "another spot is nearer to the prediction",
