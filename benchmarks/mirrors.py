@@ -10,10 +10,12 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Callable
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from armsight.calibrate.alignment import check_alignment
@@ -32,6 +34,7 @@ from bench import machine, table
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
+Pose = Callable[[np.random.Generator, "dict[str, MirrorLens]"], Array]
 WIDTH, HEIGHT = 1280, 720
 LENS = Lens(width=WIDTH, height=HEIGHT, focal_px=(1000.0, 1000.0), centre_px=(639.5, 359.5))
 CAMERA = Camera.pinhole(WIDTH, HEIGHT, 1000.0, 1000.0, 639.5, 359.5)
@@ -185,17 +188,47 @@ def random_pose(rng: np.random.Generator, views: dict[str, MirrorLens]) -> Array
             return np.asarray(P)
 
 
-def pairing(count: int) -> None:
+def meeting_pose(rng: np.random.Generator, views: dict[str, MirrorLens]) -> Array:
+    """Return the lights of a target of which one, in the left view, falls within 8 px of another in the right view.
+
+    Random poses are turned about the camera's axis and about the vertical until they do.
+    """
+    while True:
+        P = random_pose(rng, views)
+        i, j = rng.choice(len(P), 2, replace=False)
+        way, length = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(0.0, 8.0)
+        wanted = length * np.array([np.cos(way), np.sin(way)])
+
+        def moved(x: Array, P: Array = P) -> Array:
+            middle = P.mean(axis=0)
+            turn = Rotation.from_euler("yz", [x[1], x[0]])
+            return np.asarray(turn.apply(P - middle) + middle)
+
+        def miss(x: Array, i: int = i, j: int = j, wanted: Array = wanted) -> Array:
+            Q = moved(x)
+            return np.asarray(views["left"].project(Q)[i] - views["right"].project(Q)[j] - wanted)
+
+        found = least_squares(miss, rng.uniform([-np.pi, -0.6], [np.pi, 0.6]), max_nfev=15)
+        Q = moved(found.x)
+        uv = [view.project(Q) for view in views.values()]
+        whole = all(((p > 15.0) & (p < np.array([WIDTH, HEIGHT]) - 16.0)).all() for p in uv)
+        back = np.cross(Q[2] - Q[0], Q[1] - Q[0])  # the target's z; 60 degrees from the line of sight at most
+        shown = back @ Q[0] > 0.5 * np.linalg.norm(back) * np.linalg.norm(Q[0])
+        if np.linalg.norm(found.fun) < 0.1 and whole and shown:
+            return Q
+
+
+def pairing(title: str, count: int, pose: Pose, level: float = 90.0) -> None:
     """Print how often the six spots of both views are sorted right, and what happens where they are not."""
     views = views_of()
     rig = Design(baseline_m=BASELINE).rig(CAMERA)
     setup = Setup(rig, spot_target(SPOTS), overlaid=True)
     rng = np.random.default_rng(0)
-    painter = Painter(rng)
+    painter = Painter(rng, level)
     ok = right = position = lost = wrong = near = 0
     reasons: dict[str, int] = {}
     for number in range(count):
-        P = random_pose(rng, views)
+        P = pose(rng, views)
         uv = [view.project(P) for view in views.values()]
         found = measure_pair(setup, *(2 * [painter.frame(np.concatenate(uv), number)]))
         near += np.linalg.norm(uv[0][:, None] - uv[1][None], axis=2).min() < 6.0
@@ -209,9 +242,10 @@ def pairing(count: int) -> None:
         else:
             position += found.pose.status is PoseStatus.POSITION_ONLY
             lost += found.pose.status is PoseStatus.LOST
-            reasons[found.pose.why[:70]] = reasons.get(found.pose.why[:70], 0) + 1
+            why = found.pose.why.partition(";")[0]
+            reasons[why] = reasons.get(why, 0) + 1
     table(
-        f"{count} random poses, both views in one frame, rendered",
+        f"{count} {title}, both views in one frame, rendered",
         ["poses", "pairs right of these", "position only", "refused", "poses with spots of the two views within 6 px"],
         [[ok, f"{100.0 * right / max(ok, 1):.3f} %", f"{100.0 * position / count:.2f} %",
           f"{100.0 * lost / count:.2f} %", near]],
@@ -307,7 +341,9 @@ def main() -> None:
     points(3 if quick else 30, 400)
     table_one(400 if quick else 4000)
     alignment(5 if quick else 50)
-    pairing(1000 if quick else 10_000)
+    pairing("random poses", 1000 if quick else 10_000, random_pose)
+    for title, level in (("poses with a spot on another view's", 90.0), ("the same, saturated", 500.0)):
+        pairing(title, 20 if quick else 200, meeting_pose, level)
 
 
 if __name__ == "__main__":
