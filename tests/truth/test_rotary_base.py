@@ -39,7 +39,11 @@ def views(angles: np.ndarray, rng: np.random.Generator | None) -> list[TargetPos
         if rng is not None:
             d = rng.multivariate_normal(np.zeros(6), COVARIANCE)
             T = RigidTransform.from_components(T.translation + d[:3], Rotation.from_rotvec(d[3:]) * T.rotation)
-        out.append(TargetPose(t_s=0.0, status=PoseStatus.OK, parent="rig", pose=T, covariance=COVARIANCE))
+        out.append(
+            TargetPose(
+                t_s=0.0, status=PoseStatus.OK, parent="rig", T_parent_target=T.as_matrix(), covariance=COVARIANCE
+            )
+        )
     return out
 
 

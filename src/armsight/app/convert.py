@@ -123,8 +123,8 @@ def convert_poses(source: Path, out: Path) -> Converted:
         return Converted(source="poses.csv", target="tum", files=(out,), rows=write_tum(out, read_poses(source)))
     track = read_tum(source)
     poses = [
-        TargetPose(t_s=float(t_s), status=PoseStatus.OK, parent="world", pose=pose, covariance=np.zeros((6, 6)))
-        for t_s, pose in zip(track.t_s, track.pose, strict=True)
+        TargetPose(t_s=float(t_s), status=PoseStatus.OK, parent="world", T_parent_target=T, covariance=np.zeros((6, 6)))
+        for t_s, T in zip(track.t_s, track.pose.as_matrix(), strict=True)
     ]
     write_poses(out, poses)
     return Converted(source="tum", target="poses.csv", files=(out,), rows=len(poses))

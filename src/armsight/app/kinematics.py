@@ -61,8 +61,10 @@ def fk(arm: str, joints: Path, out: Path) -> dict[str, Any]:
     write_poses(
         out,
         (
-            TargetPose(t_s=float(t), status=PoseStatus.OK, parent="world", pose=T, covariance=np.zeros((6, 6)))
-            for t, T in zip(motion.t_s, poses, strict=True)
+            TargetPose(
+                t_s=float(t), status=PoseStatus.OK, parent="world", T_parent_target=T, covariance=np.zeros((6, 6))
+            )
+            for t, T in zip(motion.t_s, poses.as_matrix(), strict=True)
         ),
     )
     return {"arm": model.name, "n": len(motion.t_s), "n_beyond_limits": int((~model.within_limits(motion.q)).sum())}

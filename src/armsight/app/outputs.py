@@ -149,21 +149,21 @@ def moved_pose(pose: TargetPose, T_parent_rig: RigidTransform | None, parent: st
     """Return a pose given in rig axes in the parent's; unchanged where T_parent_rig is None or it is lost."""
     if T_parent_rig is None:
         return pose
-    moved, covariance = None, None
-    if pose.pose is not None and pose.covariance is not None:
-        moved = T_parent_rig * pose.pose
+    T, covariance = None, None
+    if pose.T_parent_target is not None and pose.covariance is not None:
+        T = T_parent_rig.as_matrix() @ pose.T_parent_target
         if pose.status is PoseStatus.OK:
             covariance = moved_parent_covariance(T_parent_rig, pose.covariance)
         else:
             R = T_parent_rig.rotation.as_matrix()
             covariance = R @ pose.covariance @ R.T
-            moved = RigidTransform.from_translation(np.asarray(moved.translation))  # the rotation means nothing
+            T[:3, :3] = np.eye(3)  # the rotation means nothing
     return TargetPose(
         t_s=pose.t_s,
         status=pose.status,
         parent=parent,
         spots=pose.spots,
-        pose=moved,
+        T_parent_target=T,
         covariance=covariance,
         residual_px=pose.residual_px,
         why=pose.why,

@@ -273,9 +273,11 @@ def _outlines(model: TargetModel, left: Spots, right: Spots) -> NDArray[np.bool_
 
 
 def _assignment(model: TargetModel, rows: Index, chi2: float, pose: Array) -> Assignment:
-    named = np.flatnonzero(rows >= 0)
-    names = model.names if len(named) == len(model) else tuple(model.names[i] for i in named)
-    return Assignment(names=names, pair=rows[named], chi2=chi2, R=pose[:, :3], t_m=pose[:, 3])
+    names = model.names
+    if -1 in rows.tolist():
+        named = np.flatnonzero(rows >= 0)
+        names, rows = tuple(names[i] for i in named), rows[named]
+    return Assignment(names=names, pair=rows, chi2=chi2, R=pose[:, :3], t_m=pose[:, 3])
 
 
 def _decide(packed: PackedRig, model: TargetModel, found: list[Assignment], predicted_m: Array | None) -> Match:
@@ -286,7 +288,8 @@ def _decide(packed: PackedRig, model: TargetModel, found: list[Assignment], pred
     if predicted_m is not None:
         best = _predicted(model, found, predicted_m)
     elif model.one_sided:
-        shown = [a for a in found if _shows_front(packed, a)]
+        back = packed.t[0] @ packed.R[0]  # from the left camera to the rig's origin
+        shown = [a for a in found if _shows_front(back, a)]
         best = shown[0] if len(shown) == 1 else None
     others = tuple(a for a in found if a is not best)
     if best is None:
@@ -304,11 +307,9 @@ def _predicted(model: TargetModel, found: list[Assignment], predicted_m: Array) 
     return found[order[0]] if far[order[1]] > PREDICTION_RATIO * far[order[0]] else None
 
 
-def _shows_front(packed: PackedRig, a: Assignment) -> bool:
-    """Whether the target's z points away from the left camera."""
-    if a.R is None or a.t_m is None:
-        return False
-    return bool(a.R[:, 2] @ (a.t_m + packed.t[0] @ packed.R[0]) > 0.0)
+def _shows_front(back: Array, a: Assignment) -> bool:
+    """Whether the target's z points away from the left camera; back (3,): from that camera to the rig's origin."""
+    return a.R is not None and a.t_m is not None and bool(a.R[:, 2] @ (a.t_m + back) > 0.0)
 
 
 def _order_by_place(uv: Array) -> list[int] | None:

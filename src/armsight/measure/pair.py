@@ -109,7 +109,7 @@ def measure_spots(setup: Setup, t_s: float, left: Spots, right: Spots, track: Tr
     solved = _solve(setup, t_s, match.best.names, *matched)
     if solved.pose.status is PoseStatus.LOST:
         return _nothing(t_s, left, right, solved.pose.why, track)
-    misfit = _misfit(solved, *matched)
+    misfit = 0.0 if setup.overlaid else _misfit(solved, *matched)
     if misfit > float(setup.model.limits[min(len(matched[0]), len(setup.model))]):
         _refuse_swapped(setup, left, right, misfit)
     return Measured(

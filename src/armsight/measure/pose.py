@@ -6,13 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform
 
 from armsight.measure.kernels import pose as kernels
 from armsight.measure.kernels import share
 from armsight.measure.match import SLACK_PX
 from armsight.optics import PackedRig
-from armsight.records import Points, PoseStatus, TargetPose
+from armsight.records import Points, PoseStatus, TargetPose, trusted
 
 Array = NDArray[np.float64]
 
@@ -100,7 +99,7 @@ def solve_pose(
     if packed.covariance.size:
         A = _slopes(packed, cov_px2, P, S)
         S += A @ packed.covariance @ A.transpose(0, 2, 1)
-    return _whole(t_s, Points(names=names, xyz_m=P, covariance_m2=S), T, C, residual)
+    return _whole(t_s, trusted(Points, names=names, xyz_m=P, covariance_m2=S), T, C, residual)
 
 
 def solve_frame(packed: PackedRig, t_s: float, names: tuple[str, ...], uv_px: Array, cov_px2: Array) -> Solved:
@@ -131,12 +130,14 @@ def solve_points(packed: PackedRig, names: tuple[str, ...], uv_px: Array, cov_px
 def position_only(t_s: float, seen: Placed, why: str) -> TargetPose:
     """Return the position of the mean of the points, with its covariance (3, 3)."""
     n = len(seen.points)
+    T = np.eye(4)
+    T[:3, 3] = seen.points.xyz_m.mean(axis=0)
     return TargetPose(
         t_s=t_s,
         status=PoseStatus.POSITION_ONLY,
         parent=PARENT,
         spots=seen.points.names,
-        pose=RigidTransform.from_translation(seen.points.xyz_m.mean(axis=0)),
+        T_parent_target=T,
         covariance=seen.joint_m2.reshape(n, 3, n, 3).sum(axis=(0, 2)) / n**2,
         residual_px=seen.residual_px.ravel(),
         why=why,
@@ -145,15 +146,16 @@ def position_only(t_s: float, seen: Placed, why: str) -> TargetPose:
 
 def _whole(t_s: float, points: Points, T: Array, C: Array, residual: Array) -> Solved:
     """Return the pose T (4, 4) with its covariance C (6, 6)."""
-    pose = TargetPose(
+    pose = trusted(
+        TargetPose,
         t_s=t_s,
         status=PoseStatus.OK,
         parent=PARENT,
         spots=points.names,
-        # orthonormal to rounding: testing and mending it would cost 0.1 ms
-        pose=RigidTransform(T, normalize=False, copy=True),
+        T_parent_target=T,
         covariance=C,
         residual_px=residual.ravel(),
+        why="",
     )
     return Solved(pose=pose, points=points, T=T)
 

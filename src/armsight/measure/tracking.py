@@ -11,7 +11,7 @@ from armsight.measure.kernels import pose as kernels
 from armsight.measure.outcome import Track
 from armsight.measure.pose import Solved
 from armsight.measure.setup import Setup
-from armsight.records import Spots
+from armsight.records import Spots, trusted
 
 Array = NDArray[np.float64]
 
@@ -70,9 +70,10 @@ def next_track(
         velocity = (places - track.xyz_m) / (t_s - track.t_s)
     elif track is not None:
         names, places, velocity = _carry_on(track, t_s, names, places)
-    reach = SPOT_REACH * max(left.size_px.max(), right.size_px.max())
+    reach = SPOT_REACH * max(*left.size_px.tolist(), *right.size_px.tolist())
     slip = FIRST_WINDOW_PX if slip_px is None else min(LEAST_WINDOW_PX + 2.0 * slip_px, FIRST_WINDOW_PX)
-    return Track(
+    return trusted(
+        Track,
         t_s=t_s,
         whole_t_s=t_s if whole or track is None else track.whole_t_s,
         names=names,

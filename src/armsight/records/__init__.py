@@ -1,7 +1,7 @@
 """The nouns that flow through armsight: frozen, checked, copied, read-only."""
 
 from armsight.records.board import BoardView
-from armsight.records.checks import frozen_array
+from armsight.records.checks import frozen_array, trusted
 from armsight.records.covariance import NamedCovariance
 from armsight.records.frames import Frame
 from armsight.records.measured import Points, PoseStatus, Spots, TargetPose
@@ -27,5 +27,6 @@ __all__ = [
     "board_target",
     "frozen_array",
     "spot_target",
+    "trusted",
     "unmeasured_target",
 ]

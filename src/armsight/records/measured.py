@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import Inconsistent
-from armsight.records.checks import frozen_array
+from armsight.records.checks import frozen_array, trusted
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -58,15 +58,15 @@ class Spots:
     def take(self, index: NDArray[np.intp] | list[int]) -> Spots:
         """Return the spots at the given positions, in that order."""
         i = np.asarray(index, dtype=np.intp)
-        taken = object.__new__(Spots)  # rows of a checked record need no second check: this runs in every frame
-        put = object.__setattr__
-        for name in ("uv_px", "covariance_px2", "peak", "size_px"):
-            column = getattr(self, name)[i]
-            column.setflags(write=False)
-            put(taken, name, column)
-        put(taken, "model", tuple([self.model[k] for k in i.tolist()]))
-        put(taken, "rejected", self.rejected)
-        return taken
+        return trusted(
+            Spots,
+            uv_px=self.uv_px[i],
+            covariance_px2=self.covariance_px2[i],
+            peak=self.peak[i],
+            size_px=self.size_px[i],
+            model=tuple([self.model[k] for k in i.tolist()]),
+            rejected=self.rejected,
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -98,8 +98,9 @@ class PoseStatus(StrEnum):
 class TargetPose:
     """The target at one moment.
 
-    status OK: pose and covariance (6, 6) are there. POSITION_ONLY: pose carries the position of the mean of
-    the spots seen (rotation is the identity and means nothing), covariance is its (3, 3). LOST: both None.
+    status OK: T_parent_target (4, 4) and covariance (6, 6) are there. POSITION_ONLY: T_parent_target carries the
+    position of the mean of the spots seen (its rotation is the identity and means nothing), covariance is its (3, 3).
+    LOST: both None.
     why: the reason where the status is not OK. residual_px: (m,) reprojection residuals used.
     """
 
@@ -107,7 +108,7 @@ class TargetPose:
     status: PoseStatus
     parent: str
     spots: tuple[str, ...] = ()
-    pose: RigidTransform | None = None
+    T_parent_target: NDArray[np.float64] | None = None
     covariance: NDArray[np.float64] | None = None
     residual_px: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
     why: str = ""
@@ -116,8 +117,17 @@ class TargetPose:
         if not np.isfinite(self.t_s):
             raise Inconsistent(f"the time {self.t_s} is not finite")
         size = {PoseStatus.OK: 6, PoseStatus.POSITION_ONLY: 3, PoseStatus.LOST: 0}[self.status]
-        if (size == 0) != (self.pose is None) or (size == 0) != (self.covariance is None):
+        if (size == 0) != (self.T_parent_target is None) or (size == 0) != (self.covariance is None):
             raise Inconsistent(f"a pose of status {self.status} must have both pose and covariance, or neither")
         if self.covariance is not None:
             object.__setattr__(self, "covariance", frozen_array("covariance", self.covariance, (size, size)))
+        if self.T_parent_target is not None:
+            object.__setattr__(self, "T_parent_target", frozen_array("T_parent_target", self.T_parent_target, (4, 4)))
         object.__setattr__(self, "residual_px", frozen_array("residual_px", self.residual_px, (None,)))
+
+    @property
+    def pose(self) -> RigidTransform | None:
+        """T_parent_target as a rigid transform, made anew: 40 us that no frame needs."""
+        if self.T_parent_target is None:
+            return None
+        return RigidTransform(self.T_parent_target, normalize=False, copy=True)

@@ -53,12 +53,12 @@ def series_of(poses: Sequence[TargetPose]) -> Series:
     n = len(poses)
     values, std = np.full((n, 6), np.nan), np.full((n, 6), np.nan)
     for i, pose in enumerate(poses):
-        if pose.pose is not None and pose.covariance is not None:
-            values[i, :3] = pose.pose.translation
+        if pose.T_parent_target is not None and pose.covariance is not None:
+            values[i, :3] = pose.T_parent_target[:3, 3]
             std[i, :3] = np.sqrt(np.diag(pose.covariance)[:3])
     ok = _ok(poses)
     if len(ok):
-        angles = euler_rad(Rotation.from_matrix(_rotations([poses[i].pose for i in ok])))  # (m, 3)
+        angles = euler_rad(Rotation.from_matrix(_matrices(poses, ok)[:, :3, :3]))  # (m, 3)
         values[ok, 3:] = np.unwrap(angles, axis=0)
         std[ok, 3:] = _euler_std(angles, _covariances(poses, ok)[:, 3:, 3:])
     return Series(
@@ -73,9 +73,8 @@ def _ok(poses: Sequence[TargetPose]) -> NDArray[np.intp]:
     return np.array([i for i, pose in enumerate(poses) if pose.status is PoseStatus.OK], dtype=np.intp)
 
 
-def _rotations(poses: Sequence[RigidTransform | None]) -> Array:
-    """Return the rotation matrices (m, 3, 3) of poses that are there."""
-    return np.array([pose.as_matrix()[:3, :3] for pose in poses if pose is not None])
+def _matrices(poses: Sequence[TargetPose], ok: NDArray[np.intp]) -> Array:
+    return np.array([poses[i].T_parent_target for i in ok], dtype=float).reshape(-1, 4, 4)
 
 
 def _covariances(poses: Sequence[TargetPose], ok: NDArray[np.intp]) -> Array:
@@ -115,9 +114,9 @@ def errors_of(poses: Sequence[TargetPose], truth: Sequence[RigidTransform]) -> E
     values, std, distance2 = np.full((n, 6), np.nan), np.full((n, 6), np.nan), np.full(n, np.nan)
     if len(ok):
         true = np.array([truth[i].as_matrix() for i in ok])  # (m, 4, 4)
-        turn = _rotations([poses[i].pose for i in ok]) @ np.swapaxes(true[:, :3, :3], 1, 2)
-        shift = np.array([np.asarray(pose.translation) for i in ok if (pose := poses[i].pose) is not None])
-        error = np.hstack([shift - true[:, :3, 3], Rotation.from_matrix(turn).as_rotvec()])  # (m, 6)
+        seen = _matrices(poses, ok)
+        turn = seen[:, :3, :3] @ np.swapaxes(true[:, :3, :3], 1, 2)
+        error = np.hstack([seen[:, :3, 3] - true[:, :3, 3], Rotation.from_matrix(turn).as_rotvec()])  # (m, 6)
         covariance = _covariances(poses, ok)
         values[ok], std[ok] = error / SCALE, np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)) / SCALE
         full = np.linalg.matrix_rank(covariance, hermitian=True) == 6  # an exact pose claims nothing to be checked

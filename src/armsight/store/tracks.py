@@ -148,7 +148,8 @@ def parse_poses(data: bytes, where: str, *, parent: str = "rig") -> tuple[Target
     quat = np.array(
         [_full(table, row, QUATERNION) if statuses[row] is PoseStatus.OK else IDENTITY for row in seen]
     ).reshape(-1, 4)
-    poses = dict(zip(seen, _poses(xyz, quat, [table.place(row) for row in seen]), strict=True))
+    T = _stack(xyz, quat, [table.place(row) for row in seen]).as_matrix() if seen else ()
+    poses = dict(zip(seen, T, strict=True))
     return tuple(_target_pose(table, row, statuses[row], poses.get(row), parent) for row in range(len(table)))
 
 
@@ -164,15 +165,11 @@ def _status(table: Table, row: int) -> PoseStatus:
         ) from None
 
 
-def _poses(xyz_m: Array, quat_xyzw: Array, places: Sequence[str]) -> Sequence[RigidTransform]:
-    """Return the poses of (n, 3) positions and (n, 4) quaternions at once: one by one takes a millisecond each."""
-    if not places:
-        return ()
-    return list(_stack(xyz_m, quat_xyzw, places))
-
-
 def _stack(xyz_m: Array, quat_xyzw: Array, places: Sequence[str]) -> RigidTransform:
-    """Return the poses as a stack; BadFile, with the row's place, where a quaternion is none."""
+    """Return the poses as a stack; BadFile, with the row's place, where a quaternion is none.
+
+    At once: one by one takes a millisecond each.
+    """
     far = np.abs(np.linalg.norm(np.clip(quat_xyzw, -LARGEST, LARGEST), axis=1) - 1.0) > QUAT_NORM_TOLERANCE
     for row in np.flatnonzero(far).tolist():
         with named(places[row]):
@@ -180,7 +177,7 @@ def _stack(xyz_m: Array, quat_xyzw: Array, places: Sequence[str]) -> RigidTransf
     return RigidTransform.from_components(xyz_m, Rotation.from_quat(quat_xyzw))
 
 
-def _target_pose(table: Table, row: int, status: PoseStatus, pose: RigidTransform | None, parent: str) -> TargetPose:
+def _target_pose(table: Table, row: int, status: PoseStatus, T: Array | None, parent: str) -> TargetPose:
     size = {PoseStatus.OK: 6, PoseStatus.POSITION_ONLY: 3, PoseStatus.LOST: 0}[status]
     deviation = np.array([table.numbers[name][row] if name in table.numbers else np.nan for name in DEVIATIONS[:size]])
     with named(table.place(row)):
@@ -191,7 +188,7 @@ def _target_pose(table: Table, row: int, status: PoseStatus, pose: RigidTransfor
             status=status,
             parent=parent,
             spots=tuple(table.text["spots"][row].split()) if "spots" in table.text else (),
-            pose=pose,
+            T_parent_target=T,
             covariance=np.diag(np.where(np.isnan(deviation), 0.0, deviation) ** 2) if size else None,
         )
 

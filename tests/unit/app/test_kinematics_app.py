@@ -61,7 +61,13 @@ def test_poses_without_a_solution_have_a_row_and_a_reason(tmp_path: Path) -> Non
     far = forward(arm, Q[0])
     far[:3, 3] = [3.0, 0.0, 0.0]
     rows = [
-        TargetPose(t_s=0.0, status=PoseStatus.OK, parent="world", pose=pose(arm, Q[0]), covariance=np.zeros((6, 6))),
+        TargetPose(
+            t_s=0.0,
+            status=PoseStatus.OK,
+            parent="world",
+            T_parent_target=pose(arm, Q[0]).as_matrix(),
+            covariance=np.zeros((6, 6)),
+        ),
         TargetPose(t_s=1.0, status=PoseStatus.LOST, parent="world", why="dark"),
     ]
     write_poses(tmp_path / "poses.csv", rows)

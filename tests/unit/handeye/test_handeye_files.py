@@ -141,7 +141,13 @@ def test_streams_of_two_clocks(tmp_path: Path) -> None:
 
     def write(name: str, t: np.ndarray, pose: RigidTransform) -> Path:
         rows = [
-            TargetPose(t_s=float(t[i]), status=PoseStatus.OK, parent="x", pose=pose[i], covariance=1e-8 * np.eye(6))
+            TargetPose(
+                t_s=float(t[i]),
+                status=PoseStatus.OK,
+                parent="x",
+                T_parent_target=pose[i].as_matrix(),
+                covariance=1e-8 * np.eye(6),
+            )
             for i in range(len(t))
         ]
         write_poses(tmp_path / name, rows)
@@ -168,7 +174,7 @@ def test_the_tips_contract(tmp_path: Path) -> None:
             t_s=float(i),
             status=PoseStatus.OK,
             parent="world",
-            pose=RigidTransform.from_components(t[i], R[i]),
+            T_parent_target=RigidTransform.from_components(t[i], R[i]).as_matrix(),
             covariance=np.diag([5e-5**2] * 3 + [1e-4**2] * 3),
         )
         for i in range(25)

@@ -44,7 +44,7 @@ def stream(rng: np.random.Generator, n: int, *, spread_rad: float = 0.4) -> Iter
                 status=PoseStatus.OK,
                 parent="rig",
                 spots=("A", "B", "C"),
-                pose=pose,
+                T_parent_target=pose.as_matrix(),
                 covariance=1e-8 * np.eye(6),
             )
 

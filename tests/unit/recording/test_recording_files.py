@@ -78,8 +78,8 @@ def test_records_come_back_exactly(tmp_path: Path) -> None:
     pose = RigidTransform.from_components(rng.normal(size=3), Rotation.random(rng=rng))
     cov = np.diag(rng.uniform(1e-9, 1e-6, 6))
     poses = [
-        TargetPose(t_s=0.1, status=PoseStatus.OK, parent="rig", spots=("A", "B"), pose=pose, covariance=cov,
-                   residual_px=rng.normal(size=4)),
+        TargetPose(t_s=0.1, status=PoseStatus.OK, parent="rig", spots=("A", "B"),
+                   T_parent_target=pose.as_matrix(), covariance=cov, residual_px=rng.normal(size=4)),
         TargetPose(t_s=0.2, status=PoseStatus.LOST, parent="rig", why="no light"),
     ]  # fmt: skip
     spots = Spots(

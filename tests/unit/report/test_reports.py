@@ -92,7 +92,7 @@ def poses_and_truth(n=40, *, lost=(), position=(), scale=1.0, seed=1):
             poses.append(
                 TargetPose(
                     status=PoseStatus.POSITION_ONLY,
-                    pose=RigidTransform.from_translation(pose.translation),
+                    T_parent_target=RigidTransform.from_translation(pose.translation).as_matrix(),
                     covariance=np.diag(STD[:3] ** 2),
                     spots=("A",),
                     why=HOSTILE,
@@ -101,7 +101,13 @@ def poses_and_truth(n=40, *, lost=(), position=(), scale=1.0, seed=1):
             )
         else:
             poses.append(
-                TargetPose(status=PoseStatus.OK, pose=pose, covariance=np.diag(STD**2), spots=("A", "B", "C"), **common)
+                TargetPose(
+                    status=PoseStatus.OK,
+                    T_parent_target=pose.as_matrix(),
+                    covariance=np.diag(STD**2),
+                    spots=("A", "B", "C"),
+                    **common,
+                )
             )
     return poses, truth
 
@@ -266,7 +272,9 @@ def test_a_long_run_stays_small_and_keeps_its_outlier():
     some, true = poses_and_truth(500, lost=range(100, 110))
     poses, truth = [replace(some[i % 500], t_s=i / 30) for i in range(10_000)], [true[i % 500] for i in range(10_000)]
     wild = np.add(poses[6543].pose.translation, (0.0, 0.05, 0.0))
-    poses[6543] = replace(poses[6543], pose=RigidTransform.from_components(wild, poses[6543].pose.rotation))
+    poses[6543] = replace(
+        poses[6543], T_parent_target=RigidTransform.from_components(wild, poses[6543].pose.rotation).as_matrix()
+    )
     rng = np.random.default_rng(0)
     residuals = {"left": np.column_stack([np.arange(60_000) // 6, 0.05 * rng.standard_normal((60_000, 2))])}
     page = measure_report(full_run(poses=poses, truth=truth, residuals=residuals))
@@ -302,7 +310,7 @@ def test_bands_of_the_angles_by_finite_differences():
         t_s=0.0,
         status=PoseStatus.OK,
         parent="rig",
-        pose=RigidTransform.from_components([0.1, 0.2, 0.3], R),
+        T_parent_target=RigidTransform.from_components([0.1, 0.2, 0.3], R).as_matrix(),
         covariance=covariance,
     )
     series = series_of([pose])
@@ -329,7 +337,7 @@ def test_angles_run_on_and_gimbal_lock_has_no_band():
             t_s=0.0,
             status=PoseStatus.OK,
             parent="rig",
-            pose=RigidTransform.from_rotation(Rotation.from_euler("xyz", angles, degrees=True)),
+            T_parent_target=RigidTransform.from_rotation(Rotation.from_euler("xyz", angles, degrees=True)).as_matrix(),
             covariance=np.diag(STD**2),
         )
 

@@ -24,7 +24,7 @@ def make_poses(n=20, seed=2):
                 status=PoseStatus.OK,
                 parent="rig",
                 spots=("A", "B", "C"),
-                pose=pose,
+                T_parent_target=pose.as_matrix(),
                 covariance=A @ A.T,
             )
         )
@@ -35,7 +35,7 @@ def make_poses(n=20, seed=2):
             status=PoseStatus.POSITION_ONLY,
             parent="rig",
             spots=("A",),
-            pose=position,
+            T_parent_target=position.as_matrix(),
             covariance=np.diag([1e-8, 2e-8, 3e-8]),
         )
     )

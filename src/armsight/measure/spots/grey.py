@@ -11,7 +11,7 @@ from armsight.measure.settings import SpotSettings
 from armsight.measure.spots.kernels.area import FIT, MOST_LIGHTS, SPOT
 from armsight.measure.spots.kernels.lights import deliver, measure_others, measure_round
 from armsight.measure.spots.kernels.locate import FULL, NOTHING_ABOVE, NUMBER, locate, locate_near
-from armsight.records import Spots
+from armsight.records import Spots, trusted
 
 Image = NDArray[np.uint8]
 Array = NDArray[np.float64]
@@ -132,18 +132,15 @@ def rejections(refused: NDArray[np.float64]) -> Rejected:
 
 
 def record(columns: tuple[Array, ...], refused: Array) -> Spots:
-    """Return the record of the kernels' columns.
-
-    The columns are fresh and finite by construction, so that the constructor's copies and checks (40 us, as much as
-    the search itself) are left out.
-    """
+    """Return the record of the kernels' columns."""
     uv, covariance, peak, size, model, _ = columns
     names = tuple(map(MODEL_NAMES.__getitem__, model.tolist()))
-    spots = object.__new__(Spots)
-    put = object.__setattr__
-    for name, column in (("uv_px", uv), ("covariance_px2", covariance), ("peak", peak), ("size_px", size)):
-        column.setflags(write=False)
-        put(spots, name, column)
-    put(spots, "model", names)
-    put(spots, "rejected", rejections(refused) if len(refused) else ())
-    return spots
+    return trusted(
+        Spots,
+        uv_px=uv,
+        covariance_px2=covariance,
+        peak=peak,
+        size_px=size,
+        model=names,
+        rejected=rejections(refused) if len(refused) else (),
+    )

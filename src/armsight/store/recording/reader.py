@@ -348,7 +348,7 @@ def _pose(it: dict[str, Any]) -> TargetPose:
         status=status,
         parent=str(it["parent"]),
         spots=tuple(it["spots"]),
-        pose=pose_from_quat(it["xyz_m"], it["quat_xyzw"]) if known else None,
+        T_parent_target=pose_from_quat(it["xyz_m"], it["quat_xyzw"]).as_matrix() if known else None,
         covariance=np.array(it["covariance"], float) if known else None,
         residual_px=np.array(it["residual_px"], float),
         why=str(it["why"]),
