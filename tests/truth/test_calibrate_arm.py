@@ -125,6 +125,11 @@ def test_an_elbow_whose_reading_is_absolute_is_found() -> None:
     assert names[2] in result.verdict
     assert result.left_after.mean_m < 3.0 * NOISE_M
     assert calibrate_arm(made.arm, points).couplings == ()
+    arm = result.arm  # takes the controller's readings, and as a nominal arm asks for them
+    np.testing.assert_allclose(arm.values(reading), points.q, atol=1e-12)
+    np.testing.assert_allclose(arm.readings(points.q), reading, atol=1e-12)
+    again = calibrate_arm(arm, ArmPoints(q=arm.values(reading), xyz_m=points.xyz_m, point=points.point))
+    assert again.couplings == () and again.arm.couplings == arm.couplings
 
 
 def test_a_perfect_arm_is_left_alone_and_gross_rows_are_named() -> None:

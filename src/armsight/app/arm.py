@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +14,14 @@ from armsight.app.calibrate import report_path
 from armsight.app.kinematics import load_arm
 from armsight.calibrate.arm import (
     ArmCalibration,
+    ArmPoints,
     Tolerance,
     calibrate_arm,
     calibrate_world,
     propose,
 )
 from armsight.errors import Inconsistent, UsageError
-from armsight.kinematics import JointType
+from armsight.kinematics import Arm, JointType
 from armsight.optics import Rig
 from armsight.report.arm_report import arm_report
 from armsight.store import World, read_rig, read_world, write_text
@@ -57,17 +58,18 @@ def run_calibrate_arm(job: ArmJob) -> dict[str, Any]:
     """
     if (job.rig is None) != (job.world is None):
         raise UsageError("for proposals in view give both --rig and --world: where the rig stands to the measurements")
-    nominal, points = load_arm(job.model), read_arm_points(job.points)
-    holdout = None if job.holdout is None else read_arm_points(job.holdout)
+    nominal = load_arm(job.model)
+    points = _measurements(nominal, job.points)
+    holdout = None if job.holdout is None else _measurements(nominal, job.holdout)
     tolerance = Tolerance(length_m=job.tolerance_m, angle_rad=job.tolerance_rad)
     result = calibrate_arm(nominal, points, holdout=holdout, tolerance=tolerance, scale=job.scale)
     content = arm_content(result)
     if job.propose:
         seen = None if job.rig is None or job.world is None else _in_view(read_rig(job.rig), read_world(job.world))
         told = propose(result.model, result.fitted, points, job.propose, tolerance=tolerance, visible=seen)
-        content["proposals"] = told.q.tolist()
+        content["proposals"] = nominal.readings(told.q).tolist()
         content["expected_std"] = told.expected_std
-        rows = [",".join(f"q{i + 1}" for i in range(nominal.n)), *(cells(row) for row in told.q)]
+        rows = [",".join(f"q{i + 1}" for i in range(nominal.n)), *(cells(row) for row in content["proposals"])]
         write_text(job.out.with_suffix(".proposed.csv"), "\n".join(rows) + "\n")
     inputs = [job.points] if job.holdout is None else [job.points, job.holdout]
     write_arm(job.out, result.arm, inputs=inputs)
@@ -75,11 +77,17 @@ def run_calibrate_arm(job: ArmJob) -> dict[str, Any]:
     try:
         write_text(job.out.with_suffix(".urdf"), urdf_text(result.arm))
         content["urdf"] = str(job.out.with_suffix(".urdf"))
-    except Inconsistent:  # joint scales have no place in a URDF
+    except Inconsistent:  # joint scales and couplings have no place in a URDF
         content["urdf"] = None
     files = [("model", job.model), *(("measurements", path.name) for path in inputs)]
     write_text(report_path(job.out), arm_report(result, points, inputs=files))
     return content
+
+
+def _measurements(arm: Arm, path: Path) -> ArmPoints:
+    """Return points.csv with the controller's readings turned into the joints' own values."""
+    points = read_arm_points(path)
+    return replace(points, q=arm.values(points.q)) if arm.couplings else points
 
 
 def _in_view(rig: Rig, world: World) -> Any:
@@ -141,7 +149,8 @@ def corrections(result: ArmCalibration) -> str:
 
 def run_calibrate_world(arm: str, points: Path, out: Path) -> dict[str, Any]:
     """Find where the rig stands to the arm's base, write world.yaml; return the figures. Raises DataRefused."""
-    result = calibrate_world(load_arm(arm), read_arm_points(points))
+    model = load_arm(arm)
+    result = calibrate_world(model, _measurements(model, points))
     n_used = len(result.residual_m) - len(result.rejected)
     world = World(
         parent="base",

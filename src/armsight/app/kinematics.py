@@ -54,9 +54,16 @@ def load_arm(text: str, *, tip: str | None = None) -> Arm:
     )
 
 
+def read_values(arm: Arm, path: Path) -> Motion:
+    """Return joints.csv, which holds a controller's readings, as the joints' own values."""
+    motion = read_joints(path)
+    return Motion(t_s=motion.t_s, q=arm.values(motion.q))
+
+
 def fk(arm: str, joints: Path, out: Path) -> dict[str, Any]:
     """Write poses.csv, T_world_tool at each row of joints.csv."""
-    model, motion = load_arm(arm), read_joints(joints)
+    model = load_arm(arm)
+    motion = read_values(model, joints)
     poses = pose(model, motion.q)
     write_poses(
         out,
@@ -72,10 +79,12 @@ def fk(arm: str, joints: Path, out: Path) -> dict[str, Any]:
 
 def jacobian(arm: str, joints: Path, out: Path, *, axes: str = "world") -> dict[str, Any]:
     """Write the geometric Jacobian at each row of joints.csv: t_s, then J11..J6n row by row."""
-    model, motion = load_arm(arm), read_joints(joints)
+    model = load_arm(arm)
+    motion = read_values(model, joints)
     if axes not in ("world", "base", "tool"):
         raise UsageError(f"the axes {axes!r} are not known", cure="Use world, base or tool")
     J = forward_jacobian(model, motion.q, axes=axes)[1]  # type: ignore[arg-type]  # checked above
+    J = J @ model.gearing  # by the readings' rates
     header = ["t_s", *(f"J{r + 1}{c + 1}" for r in range(6) for c in range(model.n))]
     rows = (f"{number(t)},{cells(row.ravel().tolist())}" for t, row in zip(motion.t_s, J, strict=True))
     write_text(out, "\n".join([",".join(header), *rows]) + "\n")
@@ -102,7 +111,7 @@ def ik(
         counts[answer.status.value] += 1
         if answer.why and answer.status not in (Status.OK, Status.SINGULAR):
             told.append({"pose": k, "status": answer.status.value, "why": answer.why})
-        rows += _rows(k, answer, model.n, every)
+        rows += _rows(model, k, answer, every)
         if answer.solutions:
             here = answer.solutions[0].q
     header = ["pose", "solution", *(f"q{i + 1}" for i in range(model.n)), "error_m", "error_rad", "status"]
@@ -114,7 +123,7 @@ def _starts(arm: Arm, near: Path | None, poses: int) -> Array | None:
     """Return a start for each pose (m, n), or None."""
     if near is None:
         return None
-    q = arm.checked(read_joints(near).q)
+    q = read_values(arm, near).q
     if len(q) not in (1, poses):
         raise Inconsistent(
             f"{near} has {len(q)} rows for {poses} poses", cure="Give one row for all, or one for each pose"
@@ -131,15 +140,15 @@ def _solve(arm: Arm, target: TargetPose, here: Array, aim: Task) -> Inverse:
     return inverse(arm, target.pose, here, task=aim)
 
 
-def _rows(k: int, answer: Inverse, n: int, every: bool) -> list[str]:
+def _rows(arm: Arm, k: int, answer: Inverse, every: bool) -> list[str]:
     """Return the lines of one pose."""
     solutions = answer.solutions if every else answer.solutions[:1]
     out = []
     for i, solution in enumerate(solutions):
         status = Status.SINGULAR if solution.singular else Status.OK
-        values = cells([*solution.q.tolist(), solution.error_m, solution.error_rad])
+        values = cells([*arm.readings(solution.q).tolist(), solution.error_m, solution.error_rad])
         out.append(f"{k},{i},{values},{status}")
-    return out or [f"{k},," + "," * (n + 2) + answer.status.value]
+    return out or [f"{k},," + "," * (arm.n + 2) + answer.status.value]
 
 
 def path(arm: str, poses: Path, out: Path, *, start: Path | None = None, task: str | None = None) -> dict[str, Any]:
@@ -155,10 +164,10 @@ def path(arm: str, poses: Path, out: Path, *, start: Path | None = None, task: s
         )
     t_s = np.array([target.t_s for target in targets])
     T = np.array([target.pose.as_matrix() for target in targets if target.pose is not None])
-    first = None if start is None else model.checked(read_joints(start).q)[0]
+    first = None if start is None else read_values(model, start).q[0]
     track = follow(model, T, t_s=t_s, start=first, task=task)
     if len(track.q):
-        write_joints(out, Motion(t_s=t_s[: len(track.q)], q=track.q))
+        write_joints(out, Motion(t_s=t_s[: len(track.q)], q=model.readings(track.q)))
     issues = [
         {"kind": i.trouble.value, "first": i.first, "last": i.last, "worst": i.worst, "joint": i.joint,
          "value": i.value, "limit": i.limit, "text": i.text}
@@ -181,6 +190,12 @@ def write_formulas(arm: str, out: Path) -> dict[str, Any]:
     suffix = out.suffix.lower()
     if suffix not in (".py", ".tex"):
         raise UsageError(f"{out.name} ends in neither .py nor .tex", cure="Choose one of them")
+    if model.couplings:
+        raise Inconsistent(
+            f"the readings of {', '.join(c.joint for c in model.couplings)} are coupled to other joints'",
+            consequence="The formulas, which are of the joints' own values, would be taken for those of the readings",
+            cure="Leave `coupled` out of a copy of the arm file, and give the formulas the joints' own values",
+        )
     write_text(out, python_source(model) if suffix == ".py" else latex_source(model))
     return {"arm": model.name, "file": str(out)}
 
@@ -197,10 +212,10 @@ def show(arm: str, out: Path, *, joints: str | None = None) -> dict[str, Any]:
 def _joint_values(arm: Arm, text: str) -> Array:
     if re.fullmatch(r"[-+0-9.eE, ]+", text):
         try:
-            return arm.checked([float(part) for part in text.replace(",", " ").split()])
+            return arm.values([float(part) for part in text.replace(",", " ").split()])
         except ValueError as error:
             raise UsageError(f"{text!r} are not joint values", cure="Write for instance 0,-1.2,0.4") from error
-    return arm.checked(read_joints(Path(text)).q)
+    return read_values(arm, Path(text)).q
 
 
 def convert_arm(source: str, out: Path, *, convention: str | None = None, tip: str | None = None) -> dict[str, Any]:

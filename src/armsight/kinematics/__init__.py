@@ -1,6 +1,6 @@
 """Joints <-> pose: chains, forward and inverse kinematics, Jacobians, singularities, tracks along paths."""
 
-from armsight.kinematics.arm import Arm, Joint, JointType, dh_arm
+from armsight.kinematics.arm import Arm, Coupling, Joint, JointType, dh_arm
 from armsight.kinematics.convention import Convention
 from armsight.kinematics.derivatives import moved, parameter_jacobian, parameter_names
 from armsight.kinematics.families import Family, Wrist, family_of
@@ -24,6 +24,7 @@ __all__ = [
     "Arm",
     "Attempt",
     "Convention",
+    "Coupling",
     "Family",
     "Inverse",
     "Issue",

@@ -86,9 +86,21 @@ class Joint:
                 raise Inconsistent(f"{key} of joint {self.name} is {value:g}, which is not a positive number")
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Coupling:
+    """A controller's reading that is not the joint's own: value of joint = its reading + share * reading of by."""
+
+    joint: str
+    by: str
+    share: float = 1.0
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Arm:
     """A serial arm: joints from base to flange, T_world_base, T_flange_tool.
+
+    All kinematics is in the joints' own values q, which are the controller's readings unless `couplings` say otherwise:
+    `values` and `readings` turn one into the other.
 
     convention says how the joints' a, alpha, beta are read: standard (behind the joint) or craig (before it).
     source: where the numbers come from. covariance: of identified parameters, named as in `parameter_names`.
@@ -103,6 +115,7 @@ class Arm:
     T_flange_tool: RigidTransform = field(default_factory=RigidTransform.identity)
     source: str = ""
     covariance: NamedCovariance | None = None
+    couplings: tuple[Coupling, ...] = ()
     chain: Array = field(init=False, repr=False)
     found: dict[str, object] = field(init=False, repr=False, default_factory=dict)
 
@@ -114,6 +127,8 @@ class Arm:
         names = [joint.name for joint in self.joints]
         if len(set(names)) != len(names):
             raise Inconsistent(f"joint names repeat: {', '.join(names)}", cure="Give each joint a name of its own")
+        object.__setattr__(self, "couplings", tuple(self.couplings))
+        _check_couplings(self.couplings, names)
         chain = _chain(self)
         chain.setflags(write=False)
         object.__setattr__(self, "chain", chain)
@@ -155,6 +170,25 @@ class Arm:
         used = lengths[lengths > 0.0]
         return float(used.mean()) if len(used) else 1.0
 
+    @property
+    def gearing(self) -> Array:
+        """Return (n, n): how the joints' values follow the controller's readings; the identity without couplings."""
+        place = {joint.name: i for i, joint in enumerate(self.joints)}
+        gearing = np.eye(self.n)
+        for coupling in self.couplings:
+            gearing[place[coupling.joint], place[coupling.by]] += coupling.share
+        return gearing
+
+    def values(self, readings: ArrayLike) -> Array:
+        """Return the joints' own values (n,) or (m, n) of a controller's readings; raises as `checked`."""
+        readings = self.checked(readings)
+        return readings @ self.gearing.T if self.couplings else readings
+
+    def readings(self, q: ArrayLike) -> Array:
+        """Return what the controller shows, (n,) or (m, n), at the joints' values q."""
+        q = self.checked(q)
+        return np.asarray(np.linalg.solve(self.gearing, q.T).T) if self.couplings else q
+
     def checked(self, q: ArrayLike) -> Array:
         """Return joint values as float64 (n,) or (m, n); Inconsistent where their number or size cannot be."""
         array = np.ascontiguousarray(q, dtype=np.float64)
@@ -178,6 +212,20 @@ class Arm:
         values = np.asarray(q, float)
         inside = (values >= self.lower - LIMIT_SLACK) & (values <= self.upper + LIMIT_SLACK)
         return np.asarray(inside.all(axis=-1))
+
+
+def _check_couplings(couplings: Sequence[Coupling], names: Sequence[str]) -> None:
+    """Raise Inconsistent where a coupling names no joints, or one that does not come before."""
+    for coupling in couplings:
+        known = coupling.joint in names and coupling.by in names
+        if not known or names.index(coupling.by) >= names.index(coupling.joint):
+            raise Inconsistent(
+                f"{coupling.joint} is coupled to {coupling.by}, which is no joint before it",
+                consequence="Its readings cannot be turned into values",
+                cure=f"Name joints in their order from the base: {', '.join(names)}",
+            )
+        if not (math.isfinite(coupling.share) and abs(coupling.share) <= 2.0):
+            raise Inconsistent(f"{coupling.joint} is coupled to {coupling.by} by {coupling.share:g}, not by about one")
 
 
 def _chain(arm: Arm) -> Array:

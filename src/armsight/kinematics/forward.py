@@ -124,4 +124,5 @@ def in_convention(arm: Arm, convention: Convention | str) -> Arm:
         T_world_base=RigidTransform.from_matrix(base),
         T_flange_tool=RigidTransform.from_matrix(tool),
         source=arm.source,
+        couplings=arm.couplings,
     )

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from armsight.errors import BadFile
-from armsight.kinematics import Arm, Joint, JointType
+from armsight.kinematics import Arm, Coupling, Joint, JointType
 from armsight.records import NamedCovariance
 from armsight.store.schema import (
     CovarianceModel,
@@ -44,11 +44,12 @@ class JointModel(Strict):
     sign: Finite = 1.0
     max_speed: Finite | None = None
     stall_effort: Finite | None = None
+    coupled: dict[str, Finite] | None = None
     std: dict[str, Finite] | None = None
 
     def joint(self) -> Joint:
         """Return the record; Inconsistent where no joint can be like this."""
-        values = self.model_dump(exclude={"std", "lower", "upper"})
+        values = self.model_dump(exclude={"coupled", "std", "lower", "upper"})
         return Joint(
             **values,
             lower=-math.inf if self.lower is None else self.lower,
@@ -83,6 +84,11 @@ def arm_from_mapping(content: Mapping[str, Any], where: str = "arm") -> Arm:
             convention=model.convention,  # type: ignore[arg-type]  # the record turns the word into its enum
             source=model.source,
             covariance=_covariance(model),
+            couplings=tuple(
+                Coupling(joint=joint.name, by=by, share=share)
+                for joint in model.joints
+                for by, share in (joint.coupled or {}).items()
+            ),
             **poses,
         )
 
@@ -107,13 +113,13 @@ def arm_mapping(arm: Arm) -> dict[str, Any]:
         "convention": arm.convention.value,
         "T_world_base": pose_mapping(arm.T_world_base),
         "T_flange_tool": pose_mapping(arm.T_flange_tool),
-        "joints": [joint_mapping(joint, std) for joint in arm.joints],
+        "joints": [joint_mapping(joint, std, arm.couplings) for joint in arm.joints],
         "source": arm.source or None,
         "covariance": covariance_mapping(arm.covariance) if arm.covariance else None,
     }
 
 
-def joint_mapping(joint: Joint, std: Mapping[str, float]) -> dict[str, Any]:
+def joint_mapping(joint: Joint, std: Mapping[str, float], couplings: Sequence[Coupling]) -> dict[str, Any]:
     """Return one joint as arm.yaml holds it; std: deviations by '<joint>.<key>'."""
     own = {key.removeprefix(f"{joint.name}."): value for key, value in std.items() if key.startswith(f"{joint.name}.")}
     content = {
@@ -129,6 +135,7 @@ def joint_mapping(joint: Joint, std: Mapping[str, float]) -> dict[str, Any]:
         "sign": joint.sign,
         "max_speed": joint.max_speed,
         "stall_effort": joint.stall_effort,
+        "coupled": {c.by: c.share for c in couplings if c.joint == joint.name} or None,
         "std": own or None,
     }
     return {key: value for key, value in content.items() if value is not None}

@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.errors import BadFile
+from armsight.errors import BadFile, Inconsistent
 from armsight.kinematics import Arm, JointType
 from armsight.kinematics.axes import AxisJoint, arm_from_axes, axes_of
 from armsight.store.atomic import read_bytes, write_text
@@ -269,8 +269,15 @@ def write_urdf(path: Path, arm: Arm) -> None:
 def urdf_text(arm: Arm) -> str:
     """Return the arm's kinematics as URDF: links world, base, link1.., flange, tool; no shapes, no masses.
 
-    Poses are the same to rounding, also after reading it back. Raises Inconsistent for a joint with a scale.
+    Poses are the same to rounding, also after reading it back. Raises Inconsistent for a joint with a scale and for
+    coupled readings.
     """
+    if arm.couplings:
+        raise Inconsistent(
+            f"the readings of {', '.join(c.joint for c in arm.couplings)} are coupled to other joints'",
+            consequence="URDF has no place for it",
+            cure="Keep this arm as arm.yaml",
+        )
     base, joints, flange, tool = axes_of(arm)
     robot = ElementTree.Element("robot", name=arm.name)
     links = ["world", "base", *(f"link{i + 1}" for i in range(arm.n)), "flange", "tool"]

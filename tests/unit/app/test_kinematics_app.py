@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +14,12 @@ from typer.testing import CliRunner
 
 from armsight.app.kinematics import load_arm
 from armsight.cli.kinematics import convert_arm, kinematics
-from armsight.errors import UsageError
+from armsight.errors import Inconsistent, UsageError
 from armsight.geometry import is_close
-from armsight.kinematics import forward, pose, preset
+from armsight.kinematics import Coupling, forward, pose, preset
 from armsight.records import Motion, PoseStatus, TargetPose
 from armsight.store import read_joints, read_poses, read_table, write_joints, write_poses
+from armsight.store.arm_file import write_arm
 
 Q = np.array([[0.1, -0.5, 0.7, 0.2, 0.6, 0.3], [0.15, -0.55, 0.75, 0.15, 0.55, 0.25], [0.2, -0.6, 0.8, 0.1, 0.5, 0.2]])
 
@@ -54,6 +56,42 @@ def test_there_and_back(tmp_path: Path, joints: Path) -> None:
     every = run("kinematics", "ik", "--arm", "korayem6r", "--poses", poses, "--all", "-o", solutions)
     assert every["n"] == 3
     assert len(solutions.read_text().splitlines()) > 4
+
+
+def test_commands_take_and_give_the_readings_of_a_controller(tmp_path: Path, joints: Path) -> None:
+    """An elbow that shows its absolute angle, q3 + q2: the same places, other numbers."""
+    arm = replace(preset("korayem6r"), couplings=(Coupling(joint="j3", by="j2", share=-1.0),))
+    write_arm(tmp_path / "arm.yaml", arm)
+    shown = Q.copy()
+    shown[:, 2] += shown[:, 1]
+    write_joints(tmp_path / "shown.csv", Motion(t_s=np.arange(3.0), q=shown))
+    poses, solutions = tmp_path / "poses.csv", tmp_path / "solutions.csv"
+    run("kinematics", "fk", "--arm", tmp_path / "arm.yaml", "--joints", tmp_path / "shown.csv", "-o", poses)
+    for row, T in zip(read_poses(poses), forward(preset("korayem6r"), Q), strict=True):
+        np.testing.assert_allclose(row.T_parent_target, T, atol=1e-12)
+    run(
+        "kinematics",
+        "ik",
+        "--arm",
+        tmp_path / "arm.yaml",
+        "--poses",
+        poses,
+        "--near",
+        tmp_path / "shown.csv",
+        "-o",
+        solutions,
+    )
+    names = ("pose", "solution", *(f"q{k}" for k in range(1, 7)), "error_m", "error_rad", "status")
+    np.testing.assert_allclose(read_table(solutions, names, text=("status",)).stacked(names[2:8]), shown, atol=1e-9)
+    run("kinematics", "jacobian", "--arm", tmp_path / "arm.yaml", "--joints", tmp_path / "shown.csv", "-o", solutions)
+    J = np.loadtxt(solutions, delimiter=",", skiprows=1)[0, 1:].reshape(6, 6)
+    step = 1e-6 * np.eye(6)
+    moved = [forward(arm, arm.values(shown[0] + sign * step))[:, :3, 3] for sign in (1.0, -1.0)]
+    np.testing.assert_allclose(J[:3], ((moved[0] - moved[1]) / 2e-6).T, atol=1e-8)
+    run("convert-arm", tmp_path / "arm.yaml", "-o", tmp_path / "arm.urdf", code=3)
+    run("kinematics", "formulas", "--arm", tmp_path / "arm.yaml", "-o", tmp_path / "arm.py", code=3)
+    with pytest.raises(Inconsistent, match="no joint before it"):
+        replace(arm, couplings=(Coupling(joint="j2", by="j3"),))
 
 
 def test_poses_without_a_solution_have_a_row_and_a_reason(tmp_path: Path) -> None:

@@ -277,7 +277,7 @@ def _verdict(
 ) -> str:
     """Return what to think of it, in a sentence or two."""
     told = "".join(
-        f" The reading of {a} is absolute: its angle is {a} {'+' if share > 0 else '-'} {b}; give that to this arm."
+        f" The reading of {a} is absolute: its angle is {a} {'+' if share > 0 else '-'} {b}, and the arm file says so."
         for a, b, share in couplings
     )
     mean = 1e3 * float(first.left_m.mean())

@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.arm.points import ArmPoints
 from armsight.fitting import Evaluation
-from armsight.kinematics import Arm, forward, parameter_jacobian, parameter_names
+from armsight.kinematics import Arm, Coupling, forward, parameter_jacobian, parameter_names
 
 Array = NDArray[np.float64]
 
@@ -65,7 +65,7 @@ class ArmModel:
         return RigidTransform.from_components(v[:3], Rotation.from_rotvec(v[3:]))
 
     def arm_at(self, p: Array, tool: int = 0) -> Arm:
-        """Return the arm of parameters p, without its couplings (see readings)."""
+        """Return the arm of parameters p; its couplings are p's on top of the nominal arm's."""
         n = self.arm.n
         links, scales = p[: 5 * n].reshape(n, 5), p[5 * n : 6 * n]
         joints = tuple(
@@ -77,11 +77,26 @@ class ArmModel:
             for joint, row, scale in zip(self.arm.joints, links, scales, strict=True)
         )
         return replace(
-            self.arm, joints=joints, T_world_base=self.pose(p, 0), T_flange_tool=self.pose(p, tool + 1), covariance=None
+            self.arm,
+            joints=joints,
+            T_world_base=self.pose(p, 0),
+            T_flange_tool=self.pose(p, tool + 1),
+            covariance=None,
+            couplings=self._couplings(p),
         )
 
-    def readings(self, p: Array, q: Array) -> Array:
-        """Return joint values (m, n) as the uncoupled arm takes them."""
+    def _couplings(self, p: Array) -> tuple[Coupling, ...]:
+        """Return how the arm of parameters p follows the controller's readings."""
+        gearing = self.values(p, np.eye(self.arm.n)).T @ self.arm.gearing
+        names = [joint.name for joint in self.arm.joints]
+        return tuple(
+            Coupling(joint=names[i], by=names[k], share=float(gearing[i, k]))
+            for i in range(self.arm.n)
+            for k in np.flatnonzero(gearing[i, :i])
+        )
+
+    def values(self, p: Array, q: Array) -> Array:
+        """Return the joints' own values (m, n) at rows q."""
         out = q.copy()
         out[:, 1:] += p[6 * self.arm.n : self.n_geometry] * q[:, :-1]
         return out
@@ -97,7 +112,7 @@ class ArmModel:
         drive = 5 * np.arange(n) + np.where(self.arm.revolute, THETA, D)
         for k in range(len(self.labels)):
             rows = np.flatnonzero(which == k)
-            q = self.readings(p, points.q[rows])
+            q = self.values(p, points.q[rows])
             T[rows], own = parameter_jacobian(self.arm_at(p, k), q)
             J[rows, :, : 5 * n] = own[:, :, : 5 * n]
             turn = own[:, :, drive]  # (m, 6, n)
@@ -118,7 +133,7 @@ class ArmModel:
         which = self._which(points)
         for k in range(len(self.labels)):
             rows = which == k
-            T[rows] = forward(self.arm_at(p, k), self.readings(p, points.q[rows]))
+            T[rows] = forward(self.arm_at(p, k), self.values(p, points.q[rows]))
         return _errors(T, points)
 
     def evaluate(self, p: Array, points: ArmPoints, sigma_m: float, sigma_rad: float) -> Evaluation:
