@@ -76,7 +76,7 @@ def _notes(found: Sequence[Found]) -> list[str]:
                 "sliding, move it further to be sure"
             )
         if item.path.kind == "circle":
-            std = item.path.fit.std().get("radius_m", np.inf)
+            std = item.path.covariance.std()["radius_m"] if item.path.covariance is not None else np.inf
             arc = float(np.ptp(item.path.phase))
             if std > 0.3 * item.path.radius_m:
                 notes.append(
@@ -142,11 +142,11 @@ def _joint_by_joint(seen: Seen, found: list[Found], base: Array, notes: list[str
     at = int(np.argmin(np.abs(sweeps.q - home).sum(axis=1)))
     beacon = sweeps.xyz_m[at]
     table, first, tool = place_frames(axes, beacon, base)
-    sizes = [len(item.path.fit.shared) for item in found]
+    sizes = [len(item.path.names) for item in found]
     p = np.concatenate([np.zeros(size) for size in sizes])
     covariance = np.zeros((len(p), len(p)))
     for item, k in zip(found, np.cumsum([0, *sizes[:-1]]), strict=True):
-        own = all_covariance(item.path.fit.names, item.path.fit.covariance, 1.0)
+        own = all_covariance(item.path.names, item.path.covariance, 1.0)
         covariance[k : k + len(own), k : k + len(own)] = own
     shifted = _shifter(found, axes, sizes)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,11 +10,13 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc, chdtri
 
 from armsight.calibrate.identify.seen import Seen
-from armsight.calibrate.identify.shapes import CIRCLE, LINE, Tilt, basis, circle, line, skew
+from armsight.calibrate.identify.shapes import ARC, CIRCLE, LINE, Tilt, arc, basis, circle_of, line, skew
 from armsight.errors import NotConverged
 from armsight.fitting import Evaluation, Fit, Loss, LossKind, Problem, Settings, solve
+from armsight.records import NamedCovariance
 
 Array = NDArray[np.float64]
+Start = tuple[float, Array, Array, float]
 
 SWUNG = 8
 """Normals tried, swung about the chord: with a short arc the plane fit may be anywhere about it (MATH 4.3)."""
@@ -28,7 +30,8 @@ class PathFit:
 
     point_m: the circle's centre, or a point of the line. direction: the axis, its sense by the commanded values.
     radius_m: 0 of a line. phase (N,): where on it the readings are (rad or m). chi2, dof: of the readings kept.
-    residual (N, rows): whitened. fit: the engine's.
+    residual (N, rows): whitened. cost: half the robust sum of squares. names, covariance: of CIRCLE, about the basis of
+    the direction, or of LINE; None where the readings leave it open.
     """
 
     kind: str
@@ -39,7 +42,9 @@ class PathFit:
     chi2: float
     dof: int
     residual: Array
-    fit: Fit
+    cost: float
+    names: tuple[str, ...]
+    covariance: NamedCovariance | None
 
     @property
     def p(self) -> float:
@@ -55,6 +60,7 @@ def fit_line(seen: Seen, order: Array, *, coarse: bool = False) -> PathFit:
     xyz = seen.sweeps.xyz_m
     middle = xyz.mean(axis=0)
     direction = np.linalg.svd(xyz - middle)[2][0]
+    direction = direction * _sense((xyz - middle) @ direction, order)
     tilt = Tilt(B=basis(direction))
 
     def evaluate(p: Array, t: Array) -> Evaluation:
@@ -69,20 +75,28 @@ def fit_line(seen: Seen, order: Array, *, coarse: bool = False) -> PathFit:
     d, _ = tilt.direction(fit.shared[2:])
     point, t = middle + tilt.B[:, :2] @ fit.shared[:2], fit.local[:, 0]
     sense = _sense(t, order)
-    return _path("line", seen, fit, point, sense * d, 0.0, sense * t, len(LINE))
+    return _path("line", fit, point, sense * d, 0.0, sense * t, LINE, fit.covariance)
 
 
-def fit_circle(seen: Seen, order: Array, near: PathFit | None = None, *, coarse: bool = False) -> PathFit:
+def fit_circle(
+    seen: Seen,
+    order: Array,
+    near: PathFit | None = None,
+    *,
+    starts: Sequence[Start] | None = None,
+    coarse: bool = False,
+) -> PathFit:
     """Return the circle of greatest likelihood; started from the plane fit and from normals swung about the chord.
 
-    near: a circle fitted before to nearly the same readings, tried first. coarse: a thousandth of the cost is enough.
+    near: a circle fitted before to nearly the same readings, tried first. starts: circle_starts, where they are there
+    already. coarse: a thousandth of the cost is enough.
     """
     best: PathFit | None = None
-    for normal, centre, radius in _attempts(seen, near):
+    for normal, centre, radius in _attempts(seen, near, starts):
         found = _settled(seen, normal, centre, radius, order, coarse=coarse)
         if found is None:
             continue
-        if best is None or found.fit.cost < best.fit.cost:
+        if best is None or found.cost < best.cost:
             best = found
         if _decided(found):
             break
@@ -91,11 +105,11 @@ def fit_circle(seen: Seen, order: Array, near: PathFit | None = None, *, coarse:
     return best
 
 
-def _attempts(seen: Seen, near: PathFit | None) -> Iterator[tuple[Array, Array, float]]:
+def _attempts(seen: Seen, near: PathFit | None, starts: Sequence[Start] | None) -> Iterator[tuple[Array, Array, float]]:
     """Yield from where a circle is fitted, worked out only as far as it is needed."""
     if near is not None:
         yield near.direction, near.point_m, near.radius_m
-    for start in _starts(seen):
+    for start in circle_starts(seen) if starts is None else starts:
         yield start[1:]
 
 
@@ -109,11 +123,6 @@ def _settled(seen: Seen, n: Array, centre: Array, radius: float, order: Array, *
     return None
 
 
-def circle_misfit(seen: Seen) -> float:
-    """Return chi-square of the best of the circles a fit would start from."""
-    return _starts(seen)[0][0]
-
-
 def line_misfit(seen: Seen) -> float:
     """Return chi-square of the line a fit would start from."""
     xyz = seen.sweeps.xyz_m
@@ -123,7 +132,7 @@ def line_misfit(seen: Seen) -> float:
     return float((r**2).sum())
 
 
-def _starts(seen: Seen) -> list[tuple[float, Array, Array, float]]:
+def circle_starts(seen: Seen) -> list[Start]:
     """Return chi-square, normal, centre, radius of circles with normals swung about the chord, the best first.
 
     Each is the circle of linear least squares in its plane through the middle, every reading put to its nearest place.
@@ -131,21 +140,22 @@ def _starts(seen: Seen) -> list[tuple[float, Array, Array, float]]:
     xyz = seen.sweeps.xyz_m
     middle = xyz.mean(axis=0)
     chord, _, normal = np.linalg.svd(xyz - middle)[2]
-    side = skew(chord) @ normal
+    angle = np.arange(SWUNG)[:, None] * np.pi / SWUNG
+    normals = np.cos(angle) * normal + np.sin(angle) * (skew(chord) @ normal)
+    E = np.stack([np.broadcast_to(chord, normals.shape), np.cross(normals, chord)], axis=2)  # (8, 3, 2)
+    x = (xyz - middle) @ E
+    A = np.concatenate([2.0 * x, np.ones((*x.shape[:2], 1))], axis=2)
+    solved = (np.linalg.pinv(A) @ (x**2).sum(axis=2)[:, :, None])[:, :, 0]
+    centre, c = solved[:, None, :2], solved[:, 2]
+    radius = np.sqrt(np.maximum(c + (centre[:, 0] ** 2).sum(axis=1), 1e-12))
+    away = x - centre
+    nearest = centre + radius[:, None, None] * away / np.maximum(np.linalg.norm(away, axis=2), 1e-12)[:, :, None]
+    places, centres = middle + nearest @ E.transpose(0, 2, 1), middle + (centre @ E.transpose(0, 2, 1))[:, 0]
     out, still = [], np.zeros((len(xyz), 3, 1))
-    for angle in np.arange(SWUNG) * np.pi / SWUNG:
-        n = np.cos(angle) * normal + np.sin(angle) * side
-        E = basis(n)[:, :2]
-        x = (xyz - middle) @ E
-        A = np.column_stack([2.0 * x, np.ones(len(x))])
-        a, b, c = np.linalg.lstsq(A, (x**2).sum(axis=1), rcond=None)[0]
-        radius = float(np.sqrt(max(c + a * a + b * b, 1e-12)))
-        from_centre = x - np.array([a, b])
-        nearest = radius * from_centre / np.maximum(np.hypot(*from_centre.T), 1e-12)[:, None]
-        centre = middle + E @ np.array([a, b])
-        r, _ = seen.residuals(centre + nearest @ E.T, still)
+    for k in range(SWUNG):
+        r, _ = seen.residuals(places[k], still)
         size = float((r**2).sum())
-        out.append((size if np.isfinite(size) else np.inf, n, centre, radius))
+        out.append((size if np.isfinite(size) else np.inf, normals[k], centres[k], float(radius[k])))
     return sorted(out, key=lambda start: start[0])
 
 
@@ -156,26 +166,33 @@ def _decided(found: PathFit) -> bool:
 
 def _circle_from(seen: Seen, n: Array, centre: Array, radius: float, order: Array, settings: Settings) -> PathFit:
     xyz = seen.sweeps.xyz_m
-    tilt = Tilt(B=basis(n))
-    local = (xyz - centre) @ tilt.B
-    phi = np.arctan2(local[:, 1], local[:, 0])
+    index = np.argsort(order)
+    point = xyz[index[len(index) // 2]] - centre
+    point = point - (point @ n) * n
+    point *= radius / max(float(np.linalg.norm(point)), 1e-12)
+    tangent = skew(n) @ point / radius
+    tilt, middle = Tilt(B=basis(tangent)), centre + point
+    phi = np.arctan2((xyz - centre) @ tangent, (xyz - centre) @ point / radius)
 
-    def evaluate(p: Array, phase: Array) -> Evaluation:
-        X, J, Jt = circle(tilt, p, phase[:, 0])
-        return _evaluation(seen, X, J, Jt)
+    def evaluate(p: Array, s: Array) -> Evaluation:
+        X, J, Js = arc(tilt, middle, p, s[:, 0])
+        return _evaluation(seen, X, J, Js)
 
     problem = Problem(
-        names=CIRCLE, guess=np.array([*centre, 0.0, 0.0, radius]), evaluate=evaluate,
-        n_residuals=seen.rows * len(xyz), local_names=("phase",), local_guess=phi[:, None], loss=_loss(seen),
+        names=ARC, guess=np.array([0.0, 0.0, 0.0, 0.0, *(-tilt.B[:, :2].T @ point / radius**2)]), evaluate=evaluate,
+        n_residuals=seen.rows * len(xyz), local_names=("s_m",), local_guess=radius * phi[:, None], loss=_loss(seen),
     )  # fmt: skip
     fit = solve(problem, settings)
-    p = fit.shared
-    d, _ = tilt.direction(p[3:5])
-    phase = np.unwrap(fit.local[np.argsort(order), 0])
+    centre, axis, radius, D = circle_of(tilt, middle, fit.shared)
+    phase = np.unwrap(fit.local[index, 0] / radius)
     sense = 1.0 if phase[-1] >= phase[0] else -1.0
     back = np.empty(len(phase))
-    back[np.argsort(order)] = phase
-    return _path("circle", seen, fit, p[:3].copy(), sense * d, abs(float(p[5])), sense * back, len(CIRCLE))
+    back[index] = phase
+    covariance = None
+    if fit.covariance is not None and fit.covariance.names == ARC:
+        D[3:5] = basis(sense * axis)[:, :2].T @ basis(axis)[:, :2] @ D[3:5] * sense
+        covariance = NamedCovariance(names=CIRCLE, matrix=D @ fit.covariance.matrix @ D.T)
+    return _path("circle", fit, centre, sense * axis, radius, sense * back, CIRCLE, covariance)
 
 
 ROUGH = Settings(max_iterations=200, allow_undetermined=True, cost_tolerance=1e-3, step_tolerance=1e-4)
@@ -196,13 +213,13 @@ def _evaluation(seen: Seen, X: Array, J: Array, Jt: Array) -> Evaluation:
 
 
 def _path(
-    kind: str, seen: Seen, fit: Fit, point: Array, direction: Array, radius: float, phase: Array, n_shared: int
-) -> PathFit:
+    kind: str, fit: Fit, point: Array, direction: Array, radius: float, phase: Array, names: tuple[str, ...],
+    covariance: NamedCovariance | None,
+) -> PathFit:  # fmt: skip
     r = fit.residuals
-    dof = r.size - n_shared - len(r)
     return PathFit(
-        kind=kind, point_m=point, direction=direction, radius_m=radius, phase=phase, chi2=float((r**2).sum()), dof=dof,
-        residual=r, fit=fit,
+        kind=kind, point_m=point, direction=direction, radius_m=radius, phase=phase, chi2=float((r**2).sum()),
+        dof=r.size - len(names) - len(r), residual=r, cost=fit.cost, names=names, covariance=covariance,
     )  # fmt: skip
 
 

@@ -36,6 +36,53 @@ def tilted(B, u, v, d, dd):
 
 
 @njit(cache=True)
+def arc_places(B, middle, p, s, X, J, Js):
+    """Fill X (N, 3), J (N, 3, 6), Js (N, 3): places at arc lengths s of the arc p, derivatives by p and by s.
+
+    p: shift (2) of the arc's point along B's first columns, tilt (2) of the tangent from its third, and the curvature
+    vector (2) along the first columns, of which the part c across the tangent t counts. With k = |c| and w = k s:
+    X = P + t sin(w) / k + c (1 - cos w) / k^2, smooth through k = 0, where it is a line.
+    """
+    t, dt = np.empty(3), np.empty((3, 2))
+    tilted(B, p[2], p[3], t, dt)
+    g = B[:, 0] * p[4] + B[:, 1] * p[5]
+    along = g[0] * t[0] + g[1] * t[1] + g[2] * t[2]
+    c = g - along * t
+    dc = np.empty((3, 4))  # by both tilts, by both parts of the curvature
+    for k in range(2):
+        turned = g[0] * dt[0, k] + g[1] * dt[1, k] + g[2] * dt[2, k]
+        across = B[0, k] * t[0] + B[1, k] * t[1] + B[2, k] * t[2]
+        for r in range(3):
+            dc[r, k] = -turned * t[r] - along * dt[r, k]
+            dc[r, 2 + k] = B[r, k] - across * t[r]
+    bend2 = c[0] * c[0] + c[1] * c[1] + c[2] * c[2]
+    for i in range(s.shape[0]):
+        z = bend2 * s[i] * s[i]
+        if z > 1e-2:
+            root = np.sqrt(z)
+            cosine, f1 = np.cos(root), np.sin(root) / root
+            f2 = (1.0 - cosine) / z
+            df1, df2 = (cosine - f1) / (2.0 * z), (f1 - 2.0 * f2) / (2.0 * z)
+        else:
+            cosine = 1.0 - z / 2.0 + z * z / 24.0 - z**3 / 720.0
+            f1 = 1.0 - z / 6.0 + z * z / 120.0 - z**3 / 5040.0
+            f2 = 0.5 - z / 24.0 + z * z / 720.0 - z**3 / 40320.0
+            df1 = -1.0 / 6.0 + z / 60.0 - z * z / 1680.0
+            df2 = -1.0 / 24.0 + z / 360.0 - z * z / 13440.0
+        S, C = s[i] * f1, s[i] * s[i] * f2
+        for r in range(3):
+            X[i, r] = middle[r] + B[r, 0] * p[0] + B[r, 1] * p[1] + t[r] * S + c[r] * C
+            Js[i, r] = t[r] * cosine + c[r] * S
+            J[i, r, 0], J[i, r, 1] = B[r, 0], B[r, 1]
+        for k in range(4):
+            grown = 2.0 * (c[0] * dc[0, k] + c[1] * dc[1, k] + c[2] * dc[2, k]) * s[i] ** 3
+            for r in range(3):
+                J[i, r, 2 + k] = dc[r, k] * C + grown * (t[r] * df1 + c[r] * s[i] * df2)
+                if k < 2:
+                    J[i, r, 2 + k] += dt[r, k] * S
+
+
+@njit(cache=True)
 def turn(d, angle, x, out):
     """Fill out (3,) with x turned about the unit direction d."""
     s, c = np.sin(angle), np.cos(angle)

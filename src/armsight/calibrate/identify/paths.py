@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc, chdtri, fdtrc
 
 from armsight.calibrate.identify.chain import Axis
-from armsight.calibrate.identify.joint import GROSS, PathFit, circle_misfit, fit_circle, fit_line, line_misfit
+from armsight.calibrate.identify.joint import GROSS, PathFit, circle_starts, fit_circle, fit_line, line_misfit
 from armsight.calibrate.identify.seen import Seen
 from armsight.calibrate.identify.shapes import basis
 from armsight.calibrate.identify.sweeps import Sweeps
@@ -96,11 +96,12 @@ def _judged(item: Found, factor: float, dof: int) -> Found:
 def _noise(seen: Seen, order: Array) -> tuple[float, PathFit | None]:
     """Return the noise of one sweep over the assumed one, by the median of the better shape's residuals; the shape."""
     loose = seen.at(LOOSE * seen.sigma if seen.rig is not None else LOOSE)
-    bent = circle_misfit(loose)
+    starts = circle_starts(loose)
+    bent = starts[0][0]
     path = None if bent < PLAINLY * line_misfit(loose) else fit_line(loose, order)
     if path is None or path.dof < 1 or bent < 0.25 * path.chi2:
         try:
-            path = fit_circle(loose, order, coarse=True)
+            path = fit_circle(loose, order, starts=starts, coarse=True)
         except NotConverged:
             return float("nan"), None
     if path.dof < 1:

@@ -1,4 +1,4 @@
-"""Circle and line as functions of their parameters and of where on them a reading is, with derivatives."""
+"""Arc and line as functions of their parameters and of where on them a reading is, with derivatives."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from armsight.calibrate.identify.kernels import arc_places
 
 Array = NDArray[np.float64]
 
@@ -37,34 +39,50 @@ class Tilt:
         n = b / size
         return n, (self.B[:, :2] - np.outer(n, n @ self.B[:, :2])) / size
 
-    def frame(self, uv: Array) -> tuple[Array, Array]:
-        """Return e1, e2, n as columns (3, 3) and their derivatives (3, 3, 2) [coordinate, column, parameter]."""
-        n, dn = self.direction(uv)
-        ex = self.B[:, 0]
-        w = ex - (ex @ n) * n
-        dw = -np.outer(n, ex @ dn) - (ex @ n) * dn
-        size = np.linalg.norm(w)
-        e1 = w / size
-        de1 = (dw - np.outer(e1, e1 @ dw)) / size
-        e2 = skew(n) @ e1
-        de2 = skew(n) @ de1 - skew(e1) @ dn
-        return np.stack([e1, e2, n], axis=1), np.stack([de1, de2, dn], axis=1)
-
 
 CIRCLE = ("x_m", "y_m", "z_m", "tilt_u", "tilt_v", "radius_m")
+ARC = ("u_m", "v_m", "tilt_u", "tilt_v", "bend_u_1_m", "bend_v_1_m")
+STRAIGHT = 1e-5
+"""Curvature (1/m) below which an arc is as good as straight."""
 LINE = ("u_m", "v_m", "tilt_u", "tilt_v")
 
 
-def circle(tilt: Tilt, p: Array, phi: Array) -> tuple[Array, Array, Array]:
-    """Return places (N, 3) at angles phi, derivative (N, 3, 6) by CIRCLE, and (N, 3) by phi."""
-    E, dE = tilt.frame(p[3:5])
-    c, s, r = np.cos(phi), np.sin(phi), p[5]
-    ring = np.outer(c, E[:, 0]) + np.outer(s, E[:, 1])
-    J = np.empty((len(phi), 3, 6))
-    J[:, :, :3] = np.eye(3)
-    J[:, :, 3:5] = r * (c[:, None, None] * dE[:, 0] + s[:, None, None] * dE[:, 1])
-    J[:, :, 5] = ring
-    return p[:3] + r * ring, J, r * (np.outer(-s, E[:, 0]) + np.outer(c, E[:, 1]))
+def arc(tilt: Tilt, middle: Array, p: Array, s: Array) -> tuple[Array, Array, Array]:
+    """Return places (N, 3) at arc lengths s, derivative (N, 3, 6) by ARC, and (N, 3) by s; see kernels.arc_places.
+
+    A circle told by a point, its tangent there and its curvature: what a short arc knows well. By centre and radius,
+    which it hardly knows, a fit creeps along a curved valley.
+    """
+    n = len(s)
+    X, J, Js = np.empty((n, 3)), np.empty((n, 3, 6)), np.empty((n, 3))
+    arc_places(tilt.B, middle, p, s, X, J, Js)
+    return X, J, Js
+
+
+def circle_of(tilt: Tilt, middle: Array, p: Array) -> tuple[Array, Array, float, Array]:
+    """Return centre (3,), axis (3,), radius of an arc, and the derivative (6, 6) of CIRCLE by ARC.
+
+    The axis turns the tangent towards the centre; its tilts are along basis(axis). STRAIGHT bounds the radius.
+    """
+    t, dt = tilt.direction(p[2:4])
+    across = tilt.B[:, :2]
+    g = across @ p[4:6]
+    c = g - (g @ t) * t
+    dc = np.zeros((3, 6))
+    dc[:, 2:4] = -np.outer(t, g @ dt) - (g @ t) * dt
+    dc[:, 4:6] = across - np.outer(t, across.T @ t)
+    full = np.zeros((3, 6))
+    full[:, 2:4] = dt
+    bend = max(float(np.linalg.norm(c)), STRAIGHT)
+    stretch = c @ dc / bend
+    axis = np.cross(t, c) / bend
+    daxis = (np.cross(full, c, axis=0) + np.cross(t, dc, axisb=0).T) / bend - np.outer(axis, stretch) / bend
+    D = np.empty((6, 6))
+    D[:3] = dc / bend**2 - 2.0 * np.outer(c, stretch) / bend**3
+    D[:3, :2] += across
+    D[3:5] = basis(axis)[:, :2].T @ daxis
+    D[5] = -stretch / bend**2
+    return middle + across @ p[:2] + c / bend**2, axis, 1.0 / bend, D
 
 
 def line(tilt: Tilt, middle: Array, p: Array, t: Array) -> tuple[Array, Array, Array]:
