@@ -225,6 +225,13 @@ def test_blurred_board_is_refused_as_blurred(blur_px: float) -> None:
         find_board(image, CHECKERBOARD)
 
 
+def test_the_rim_of_a_blurred_board_is_no_further_corner() -> None:
+    for blur_px in (1.5, 2.5):
+        image, truth = paint(checkerboard(9, 6), CHECKERBOARD, VIEWS[3], np.random.default_rng(3), blur_px=blur_px)
+        found = find_board(image, CHECKERBOARD)
+        assert len(found) == 54 and np.abs(found.uv_px - truth).max() < 0.1
+
+
 def test_noise_is_no_board() -> None:
     image = np.random.default_rng(8).integers(0, 255, (480, 640)).astype(np.uint8)
     for board in (CHECKERBOARD, CIRCLES, CHARUCO):

@@ -27,6 +27,8 @@ EXPLAINED = 0.6
 END_OF_BOARD = 0.9
 """Likeness of the end of a black square on an evenly white margin to a corner: 0.895-0.906 on painted boards, where
 true corners reach 0.97-0.999; a corner beyond the board must be nearer to its own corners' likeness."""
+ALTERNATING = 0.5
+"""Share of the board's own step from black to white that the squares beyond must show to be the board's."""
 OFF_GRID = 0.15
 """A corner further than this from the smooth grid, in squares, is not the board's."""
 SMOOTH = 0.02
@@ -216,12 +218,32 @@ def _refuse(
         near = np.linalg.norm(uv - smooth(more), axis=1) < OFF_GRID * float(np.median(size))
         clear, contrast = np.median(quality[good, :2], axis=0)
         like = near & (beyond[:, 0] > 0.5 * (END_OF_BOARD + clear)) & (beyond[:, 1] > 0.5 * contrast)
-        if like.mean() > 1.0 - LOST_SHARE:
+        if like.mean() > 1.0 - LOST_SHARE and not _margin(image, board, smooth, more, sign):
             raise BadImage(
                 f"{source}: the board goes on beyond {board.columns}x{board.rows} inner corners ({side})",
                 consequence="Which of its corners are meant cannot be known and the image is not used",
                 cure="Count the inner corners again",
             )
+
+
+def _margin(image: Image, board: Target, smooth: GridMap, more: Array, sign: Array) -> bool:
+    """Whether the squares behind one more row of corners (m, 2) do not alternate: the rim of a blurred board."""
+    grid = grid_of(board)
+    outwards = np.rint(more[0] - np.clip(more[0], 0, grid.max(axis=0)))
+    inner = grid[(grid < grid.max(axis=0)).all(axis=1)]
+    behind = more + np.minimum(outwards, 0.0)  # a square is named by its corner nearest to the origin
+    steps = [_step(image, smooth, cells, _sign_at(cells, sign)) for cells in (inner, behind)]
+    return steps[1] < ALTERNATING * steps[0]  # not where there is nothing to compare
+
+
+def _step(image: Image, smooth: GridMap, cells: Array, sign: Array) -> float:
+    """Return how much brighter the middles of the squares of sign +1 are in the image than the others; NaN for none."""
+    at = np.rint(smooth(cells + 0.5)).astype(int)
+    seen = ((at >= 0) & (at < [image.shape[1], image.shape[0]])).all(axis=1)
+    if len(np.unique(sign[seen])) < 2:
+        return float("nan")
+    level = image[at[seen, 1], at[seen, 0]].astype(float)
+    return float(level[sign[seen] > 0.0].mean() - level[sign[seen] < 0.0].mean())
 
 
 def _beyond(board: Target) -> dict[str, Array]:
