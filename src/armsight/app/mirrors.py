@@ -105,6 +105,12 @@ def run_check(job: MirrorsJob, progress: Progress | None = None) -> dict[str, An
     progress = progress or Silent()
     if job.rig is None or job.image is None:
         raise UsageError("nothing to check", cure="Give --rig rig.yaml, as it was calibrated, and --image")
+    if job.target is not None:
+        raise UsageError(
+            "mirrors are checked with a board, not with the lit target: turned by more than a little, they pair its lights "
+            "wrongly",
+            cure="Leave --target out and give --board",
+        )
     rig, board = read_rig(job.rig), parse_board(_board(job))
     plate = rig.left.plate or Plate(thickness_m=job.thickness_m or 1e-3, index=job.index)
     design = Mirrors(

@@ -140,6 +140,8 @@ def test_what_cannot_be_calibrated_is_refused(rig: Path, tmp_path: Path) -> None
     assert not (tmp_path / "x.yaml").exists()
     code, content = run("--check", "--image", str(rig.parent / "image"), "--board", BOARD)
     assert code == 2 and "--rig" in content["error"]["cure"]
+    code, content = run("--check", "--rig", str(rig), "--image", str(rig.parent / "image"), "--target", "target.yaml")
+    assert code == 2 and "--board" in content["error"]["cure"]
 
 
 def test_complex_frames_are_measured(tmp_path: Path) -> None:
