@@ -107,8 +107,7 @@ def run_check(job: MirrorsJob, progress: Progress | None = None) -> dict[str, An
         raise UsageError("nothing to check", cure="Give --rig rig.yaml, as it was calibrated, and --image")
     if job.target is not None:
         raise UsageError(
-            "mirrors are checked with a board, not with the lit target: turned by more than a little, they pair its lights "
-            "wrongly",
+            "mirrors are checked with a board, not with the lit target, whose lights turned mirrors pair wrongly",
             cure="Leave --target out and give --board",
         )
     rig, board = read_rig(job.rig), parse_board(_board(job))
