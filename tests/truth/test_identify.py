@@ -68,13 +68,17 @@ def entries(result: Identification) -> Array:
 @pytest.mark.parametrize(("sigma_px", "arc_deg"), [(0.05, 40.0), (0.2, 60.0), (0.5, 120.0)])
 def test_the_rrp_arm_is_found_within_true_deviations(sigma_px: float, arc_deg: float) -> None:
     truth = np.array([1.27, 0.0, -0.05, 0.1, np.pi / 2])
-    errors, claimed = [], []
+    names = ("j1.d_m", "j1.a_m", "j2.d_m", "j2.a_m", "j2.alpha_rad")
+    errors, claimed, distance2 = [], [], []
     for seed in range(12):
         result = identify(rrp_sweeps(sigma_px, arc_deg, seed), rig=RIG, base=WHERE.inv().as_matrix())
         assert [joint.type for joint in result.arm.joints] == ["revolute", "revolute", "prismatic"]
         errors.append(entries(result) - truth)
         std = [joint.std for joint in result.joints]
         claimed.append([std[0]["d_m"], std[0]["a_m"], std[1]["d_m"], std[1]["a_m"], std[1]["alpha_rad"]])
+        assert result.arm.covariance is not None
+        distance2.append(errors[-1] @ np.linalg.solve(result.arm.covariance.block(names), errors[-1]))
+    assert np.mean(distance2) / 5.0 == pytest.approx(1.0, abs=0.55)
     z2 = (np.array(errors) / np.array(claimed)) ** 2
     assert np.mean(z2) == pytest.approx(1.0, abs=0.55)  # 60 values that hang together, the noise found from 30 readings
     if sigma_px == 0.2:
@@ -138,6 +142,8 @@ def test_what_is_chosen_has_no_deviation_and_is_said() -> None:
     result = identify(Sweeps(joint=joint, q=q, xyz_m=xyz))
     assert any("parallel" in note for note in result.notes)
     assert np.isnan(result.joints[0].std["d_m"]) and np.isfinite(result.joints[0].std["a_m"])
+    assert result.arm.covariance is not None
+    assert "j1.d_m" not in result.arm.covariance.names and "j1.a_m" in result.arm.covariance.names
     assert result.arm.joints[0].a_m == pytest.approx(0.3, abs=2e-3)
     assert all(joint.type is JointType.REVOLUTE for joint in result.arm.joints)
 

@@ -15,7 +15,15 @@ from armsight.calibrate.identify.result import Doubt, Identification, JointFound
 from armsight.calibrate.identify.seen import Seen, seen_places
 from armsight.calibrate.identify.shapes import Tilt, basis
 from armsight.calibrate.identify.sweeps import Sweeps, check_sweeps, placed
-from armsight.calibrate.identify.table import KEYS, arm_of, carried, place_frames, say_cases
+from armsight.calibrate.identify.table import (
+    KEYS,
+    arm_of,
+    carried,
+    deviations,
+    measured_entries,
+    place_frames,
+    say_cases,
+)
 from armsight.calibrate.identify.whole import WholeFit, all_covariance, beacon_at_zero, fit_whole
 from armsight.errors import Inconsistent, UsageError
 from armsight.optics import PackedRig, Rig
@@ -106,20 +114,22 @@ def _at_once(
     def entries(x: Array) -> Array:
         return place_frames(*model.axes_at(x), base)[0].ravel()
 
-    std = carried(entries, p, covariance)
-    std, doubtful = _with_rivals(whole, table, std, base)
+    covariance, doubtful = _with_rivals(whole, table, carried(entries, p, covariance), base)
     notes += doubtful
     predicted = model.predict(p, seen.sweeps.q)[0]
     seen = seen.at(seen.sigma * float(np.sqrt(widen)))
-    result = _finish(seen, found, axes, beacon, table, std, (first, tool), predicted, notes, name, "ml", whole.dropped)
+    result = _finish(
+        seen, found, axes, beacon, table, covariance, (first, tool), predicted, notes, name, "ml", whole.dropped
+    )
     kept = seen.take(whole.rows)
     _, slopes = kept.residuals(*model.predict(p, kept.sweeps.q))
     A = slopes.reshape(-1, len(p))
     return replace(result, doubt=Doubt(model=model, p=p, information=A.T @ A))
 
 
-def _with_rivals(whole: WholeFit, table: Array, std: Array, base: Array) -> tuple[Array, list[str]]:
-    """Return deviations that cover every arm the readings do not tell from this one, and a note where there is one."""
+def _with_rivals(whole: WholeFit, table: Array, covariance: Array, base: Array) -> tuple[Array, list[str]]:
+    """Return a covariance that covers every arm the readings do not tell from this one, and a note of it."""
+    std = deviations(covariance)
     wide, count = std.copy(), 0
     for rival in whole.rivals:
         off = place_frames(*rival.model.axes_at(rival.fit.shared), base)[0] - table
@@ -127,8 +137,9 @@ def _with_rivals(whole: WholeFit, table: Array, std: Array, base: Array) -> tupl
         if (np.abs(off) > ANOTHER * std)[np.isfinite(std) & (std > 0.0)].any():
             wide, count = np.maximum(wide, np.hypot(std, off)), count + 1
     if not count:
-        return std, []
-    return wide, [
+        return covariance, []
+    stretch = np.divide(wide, std, out=np.ones_like(std), where=std > 0.0).ravel()
+    return covariance * np.outer(stretch, stretch), [
         "another arm explains the readings as well; the deviations cover both. Longer arcs, or a sweep seen from "
         "elsewhere, would tell"
     ]
@@ -153,10 +164,10 @@ def _joint_by_joint(seen: Seen, found: list[Found], base: Array, notes: list[str
     def entries(x: Array) -> Array:
         return place_frames(shifted(x), beacon, base)[0].ravel()
 
-    std = carried(entries, p, covariance)
+    covariance = carried(entries, p, covariance)
     notes = [*notes, "only the order of the commanded values was used: joint values count from the pose at rest"]
     predicted = sweeps.xyz_m.copy()
-    return _finish(seen, found, axes, beacon, table, std, (first, tool), predicted, notes, name, "ml", [])
+    return _finish(seen, found, axes, beacon, table, covariance, (first, tool), predicted, notes, name, "ml", [])
 
 
 def _shifter(found: Sequence[Found], axes: Sequence[Axis], sizes: Sequence[int]) -> Callable[[Array], list[Axis]]:
@@ -212,8 +223,7 @@ def _from_paper(seen: Seen, found: list[Found], base: Array, notes: list[str], n
     X = np.tile(beacon, (len(sweeps), 1))
     for axis, q in zip(axes[::-1], sweeps.q.T[::-1], strict=True):
         X = moved_by(axis, q, X)
-    std = np.full(table.shape, np.nan)
-    return _finish(seen, found, axes, beacon, table, std, (first, tool), X, notes, name, "paper", [])
+    return _finish(seen, found, axes, beacon, table, None, (first, tool), X, notes, name, "paper", [])
 
 
 def _finish(
@@ -222,7 +232,7 @@ def _finish(
     axes: Sequence[Axis],
     beacon: Array,
     table: Array,
-    std: Array,
+    covariance: Array | None,
     ends: tuple[Array, Array],
     predicted: Array,
     notes: list[str],
@@ -231,9 +241,13 @@ def _finish(
     dropped: Sequence[tuple[int, str]],
 ) -> Identification:
     sweeps = seen.sweeps
-    cases, known = say_cases(axes, table, std) if method != "paper" else ([], std)
+    cases, known = (
+        ([], np.full(table.shape, np.nan)) if covariance is None else say_cases(axes, table, deviations(covariance))
+    )
     travel = np.array([[sweeps.q[sweeps.rows(j), j].min(), sweeps.q[sweeps.rows(j), j].max()] for j in range(sweeps.n)])
     arm = arm_of(name, axes, table, ends[0], ends[1], travel)
+    if covariance is not None:
+        arm = replace(arm, covariance=measured_entries(covariance, known))
     pixels = None
     if seen.rig is not None:
         r, _ = seen.residuals(predicted, np.zeros((len(sweeps), 3, 1)))

@@ -11,6 +11,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.calibrate.identify.chain import Axis
 from armsight.calibrate.identify.shapes import skew
 from armsight.kinematics import Arm, Joint, JointType, link_to_line
+from armsight.records import NamedCovariance
 
 Array = NDArray[np.float64]
 
@@ -80,7 +81,7 @@ def arm_of(name: str, axes: Sequence[Axis], rows: Array, T_world_base: Array, to
 
 
 def carried(make: Callable[[Array], Array], p: Array, covariance: Array) -> Array:
-    """Return the deviations of make(p)'s table entries, by differences, angles unwrapped."""
+    """Return the covariance (5 n, 5 n) of make(p)'s table entries, by differences, angles unwrapped."""
     here = make(p)
     A = np.empty((here.size, len(p)))
     for i in range(len(p)):
@@ -90,7 +91,19 @@ def carried(make: Callable[[Array], Array], p: Array, covariance: Array) -> Arra
         for k in (0, 3, 4):
             change[:, k] = np.mod(change[:, k] + np.pi, 2.0 * np.pi) - np.pi
         A[:, i] = change.ravel() / STEP
-    return np.asarray(np.sqrt(np.einsum("ij,jk,ik->i", A, covariance, A)).reshape(-1, len(KEYS)))
+    return np.asarray(A @ covariance @ A.T)
+
+
+def deviations(covariance: Array) -> Array:
+    """Return the deviations (n, 5) of table entries."""
+    return np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0.0)).reshape(-1, len(KEYS)))
+
+
+def measured_entries(covariance: Array, known: Array) -> NamedCovariance | None:
+    """Return the covariance of the entries that were measured: known (n, 5) is NaN, or 0, where one is chosen."""
+    there = np.flatnonzero((np.isfinite(known) & (known > 0.0)).ravel())
+    names = tuple(f"j{1 + i // len(KEYS)}.{KEYS[i % len(KEYS)]}" for i in there.tolist())
+    return NamedCovariance(names=names, matrix=covariance[np.ix_(there, there)]) if names else None
 
 
 def say_cases(axes: Sequence[Axis], rows: Array, std: Array) -> tuple[list[str], Array]:
