@@ -19,7 +19,7 @@ from armsight.calibrate.sightings import Sightings
 from armsight.calibrate.stereo import StereoCalibration, fit_pairs, judged
 from armsight.errors import UsageError
 from armsight.optics import Camera, Plate, Rig, RigKind
-from armsight.optics.kernels import plate_shift
+from armsight.optics.kernels.camera import plate_shift
 from armsight.records import BoardView, Progress, Target
 
 Array = NDArray[np.float64]

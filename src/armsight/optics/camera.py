@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armsight.errors import Inconsistent
-from armsight.optics.kernels import project_many, undistort_many
+from armsight.optics.kernels.camera import project_many, undistort_many
 from armsight.records import frozen_array
 
 Array = NDArray[np.float64]

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armsight.geometry.poses import cross_matrix
-from armsight.optics import kernels
+from armsight.optics.kernels import rays as kernels
 from armsight.optics.packed import PackedRig
 from armsight.optics.rig import Rig
 

@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.errors import Inconsistent, NotConverged
 from armsight.fitting import Evaluation, Problem, solve
 from armsight.optics.camera import INTRINSICS, Camera, Plate
-from armsight.optics.kernels import plate_shift
+from armsight.optics.kernels.camera import plate_shift
 from armsight.optics.rig import SIDES, Rig, RigKind
 
 Array = NDArray[np.float64]

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.optics.camera import INTRINSICS, Camera
-from armsight.optics.kernels import project_many
+from armsight.optics.kernels.camera import project_many
 from armsight.records import NamedCovariance
 
 Array = NDArray[np.float64]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armsight.errors import Degenerate, Inconsistent
-from armsight.optics import kernels
+from armsight.optics.kernels import triangulation as kernels
 from armsight.optics.packed import PackedRig
 from armsight.optics.rig import Rig
 

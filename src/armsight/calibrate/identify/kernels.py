@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 
 from armsight.fitting.kernels import invert_spd
-from armsight.optics.kernels import see_point
+from armsight.optics.kernels.camera import see_point
 
 
 @njit(cache=True)

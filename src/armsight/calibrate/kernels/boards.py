@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from armsight.geometry.kernels import rotation_from_rotvec
-from armsight.optics.kernels import intrinsics_jacobian, project_point
+from armsight.optics.kernels.camera import intrinsics_jacobian, project_point
 
 N_INTRINSICS = 10
 N_POSE = 6

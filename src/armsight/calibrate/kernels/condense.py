@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 
 from armsight.geometry.kernels import rotation_from_rotvec
-from armsight.optics.kernels import distort
+from armsight.optics.kernels.camera import distort
 
 N_INTRINSICS = 10
 N_POSE = 6

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from armsight.optics.kernels import see_point
+from armsight.optics.kernels.camera import see_point
 
 
 @njit(cache=True)

@@ -6,7 +6,7 @@ from math import sqrt
 
 from numba import njit
 
-from armsight.optics.kernels import distort, project_point
+from armsight.optics.kernels.camera import distort, project_point
 
 
 @njit(cache=True)

@@ -11,14 +11,8 @@ import numpy as np
 from numba import njit
 
 from armsight.measure.kernels.pose import SOLVED, kabsch, refine_pose, weights
-from armsight.optics.kernels import (
-    BEHIND,
-    FOUND,
-    epipolar_residual,
-    quadratic_form_2,
-    rays_in_rig,
-    triangulate_linear_point,
-)
+from armsight.optics.kernels.rays import epipolar_residual, quadratic_form_2, rays_in_rig
+from armsight.optics.kernels.triangulation import BEHIND, FOUND, triangulate_linear_point
 
 MAX_PAIRS = 1024
 MAX_NODES = 2_000_000  # of the search; about 0.1 s

@@ -13,13 +13,8 @@ from numba import njit
 from armsight.fitting.kernels import invert_spd, solve_damped
 from armsight.geometry.kernels import rotate_left
 from armsight.measure.kernels.lights import see_light
-from armsight.optics.kernels import (
-    FOUND,
-    invert_2,
-    see_point,
-    triangulate_linear_point,
-    triangulate_ml_point,
-)
+from armsight.optics.kernels.camera import see_point
+from armsight.optics.kernels.triangulation import FOUND, invert_2, triangulate_linear_point, triangulate_ml_point
 
 SOLVED, NO_WEIGHT, NO_POINT, BEHIND_CAMERA, OPEN, ENDLESS = 0, 1, 2, 3, 4, 5
 

@@ -10,7 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from armsight.optics.kernels import centre_of, intrinsics_jacobian, invert_2, see_point
+from armsight.optics.kernels.camera import intrinsics_jacobian, see_point
+from armsight.optics.kernels.triangulation import centre_of, invert_2
 
 PARAMETERS = 26
 

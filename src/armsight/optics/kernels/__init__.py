@@ -1,0 +1,1 @@
+"""Compiled optics: one camera, rays of two, and where they meet."""

@@ -1,0 +1,188 @@
+"""Compiled pinhole projection with Brown-Conrady distortion, and its derivatives.
+
+A camera's intrinsics travel as one vector k (10,): fx, fy, cx, cy, skew, k1, k2, p1, p2, k3; of a view through a glass
+plate as k (12,), with the plate's thickness (m) and refractive index behind them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+UNDISTORT_STEPS = 30
+UNDISTORT_TOLERANCE = 1e-13
+
+
+@njit(cache=True)
+def distort(k, x, y):
+    """Return the distorted normalised point and its derivative (xx, xy, yy) by (x, y); xy is symmetric."""
+    k1, k2, p1, p2, k3 = k[5], k[6], k[7], k[8], k[9]
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    slope = k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3)  # d radial / d r2
+    xd = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
+    yd = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
+    dxx = radial + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x
+    dxy = 2.0 * x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
+    dyy = radial + 2.0 * y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
+    return xd, yd, dxx, dxy, dyy
+
+
+PLATE_ROUNDS = 4
+"""Steps to the ray that meets a point through the plate; each gains a factor of a thousand (shift over depth)."""
+
+
+@njit(cache=True)
+def plate_shift(thickness, index, U, V):
+    """Return mu (m) of MATH 3.1: the ray (U, V, 1) through a plate at 45 degrees seems to start at (-mu, 0, +mu)."""
+    c = (1.0 - U) / np.sqrt(2.0 * (1.0 + U * U + V * V))
+    return thickness * np.sqrt(0.5) * (1.0 - c / np.sqrt(index * index - 1.0 + c * c))
+
+
+@njit(cache=True)
+def behind_plate(thickness, index, x, y, z):
+    """Return x and z of a point as a pinhole without the plate would have it, whose centre the chief ray points to."""
+    chief = plate_shift(thickness, index, 0.0, 0.0)
+    shift = 0.0
+    for _ in range(PLATE_ROUNDS):
+        depth = z - shift
+        shift = plate_shift(thickness, index, (x + shift) / depth, y / depth) - chief
+    return x + shift, z - shift
+
+
+@njit(cache=True)
+def project_point(k, x, y, z, uv, J):
+    """Fill uv (2,) and J (2, 3) = d uv / d (x, y, z) for a point in camera axes; False where z <= 0.
+
+    Through a plate J leaves out how the shift changes with the point: a thousandth of J.
+    """
+    if not z > 0.0:
+        return False
+    if k.shape[0] > 10 and k[10] > 0.0:
+        x, z = behind_plate(k[10], k[11], x, y, z)
+    iz = 1.0 / z
+    a = x * iz
+    b = y * iz
+    xd, yd, dxx, dxy, dyy = distort(k, a, b)
+    fx, fy, skew = k[0], k[1], k[4]
+    uv[0] = fx * xd + skew * yd + k[2]
+    uv[1] = fy * yd + k[3]
+    ua = fx * dxx + skew * dxy
+    ub = fx * dxy + skew * dyy
+    va = fy * dxy
+    vb = fy * dyy
+    J[0, 0] = ua * iz
+    J[0, 1] = ub * iz
+    J[0, 2] = -(ua * a + ub * b) * iz
+    J[1, 0] = va * iz
+    J[1, 1] = vb * iz
+    J[1, 2] = -(va * a + vb * b) * iz
+    return True
+
+
+@njit(cache=True)
+def intrinsics_jacobian(k, x, y, z, D):
+    """Fill D (2, 10) = d uv / d intrinsics for a point in camera axes with z > 0."""
+    a = x / z
+    b = y / z
+    xd, yd, _, _, _ = distort(k, a, b)
+    fx, fy, skew = k[0], k[1], k[4]
+    r2 = a * a + b * b
+    D[:] = 0.0
+    D[0, 0] = xd
+    D[1, 1] = yd
+    D[0, 2] = 1.0
+    D[1, 3] = 1.0
+    D[0, 4] = yd
+    power = r2
+    for j in (5, 6, 9):
+        D[0, j] = fx * a * power + skew * b * power
+        D[1, j] = fy * b * power
+        power *= r2
+    px, py = 2.0 * a * b, r2 + 2.0 * b * b  # by p1
+    D[0, 7] = fx * px + skew * py
+    D[1, 7] = fy * py
+    px, py = r2 + 2.0 * a * a, 2.0 * a * b  # by p2
+    D[0, 8] = fx * px + skew * py
+    D[1, 8] = fy * py
+
+
+@njit(cache=True)
+def undistort_point(k, u, v, xy, J):
+    """Fill xy (2,) with the normalised ray (x/z, y/z) of a pixel and J (2, 2) = d xy / d (u, v).
+
+    Newton's iteration on the distortion polynomial. False where it does not converge or where the polynomial
+    folds over: the pixel has no ray under this model.
+    """
+    yd = (v - k[3]) / k[1]
+    xd = (u - k[2] - k[4] * yd) / k[0]
+    x = xd
+    y = yd
+    ok = False
+    for _ in range(UNDISTORT_STEPS):
+        fx, fy, dxx, dxy, dyy = distort(k, x, y)
+        det = dxx * dyy - dxy * dxy
+        if not det > 0.0:
+            return False
+        ex = fx - xd
+        ey = fy - yd
+        x -= (dyy * ex - dxy * ey) / det
+        y -= (dxx * ey - dxy * ex) / det
+        if abs(ex) + abs(ey) < UNDISTORT_TOLERANCE:
+            ok = True
+            break
+    if not ok:
+        return False
+    _, _, dxx, dxy, dyy = distort(k, x, y)
+    det = dxx * dyy - dxy * dxy
+    if not (det > 0.0 and dxx > 0.0):
+        return False
+    # d(xd, yd)/d(u, v) = [[1/fx, -skew/(fx fy)], [0, 1/fy]]
+    a = 1.0 / k[0]
+    b = -k[4] / (k[0] * k[1])
+    c = 1.0 / k[1]
+    xy[0] = x
+    xy[1] = y
+    J[0, 0] = dyy * a / det
+    J[0, 1] = (dyy * b - dxy * c) / det
+    J[1, 0] = -dxy * a / det
+    J[1, 1] = (-dxy * b + dxx * c) / det
+    return True
+
+
+@njit(cache=True)
+def project_many(k, R, t, X, uv):
+    """Fill uv (n, 2) with the pixels of points X (n, 3) seen through p_camera = R X + t; NaN behind the camera."""
+    J = np.empty((2, 3))
+    for i in range(X.shape[0]):
+        x = R[0, 0] * X[i, 0] + R[0, 1] * X[i, 1] + R[0, 2] * X[i, 2] + t[0]
+        y = R[1, 0] * X[i, 0] + R[1, 1] * X[i, 1] + R[1, 2] * X[i, 2] + t[1]
+        z = R[2, 0] * X[i, 0] + R[2, 1] * X[i, 1] + R[2, 2] * X[i, 2] + t[2]
+        if not project_point(k, x, y, z, uv[i], J):
+            uv[i, 0] = np.nan
+            uv[i, 1] = np.nan
+
+
+@njit(cache=True)
+def undistort_many(k, uv, xy):
+    """Fill xy (n, 2) with the normalised rays of pixels uv (n, 2); NaN where a pixel has no ray."""
+    J = np.empty((2, 2))
+    for i in range(uv.shape[0]):
+        if not undistort_point(k, uv[i, 0], uv[i, 1], xy[i], J):
+            xy[i, 0] = np.nan
+            xy[i, 1] = np.nan
+
+
+@njit(cache=True)
+def see_point(k, R, t, X, uv, J):
+    """Fill uv (2,) and J (2, 3) = d uv / d X for a point X (3,) in rig axes, p_camera = R X + t; False behind it."""
+    x = R[0, 0] * X[0] + R[0, 1] * X[1] + R[0, 2] * X[2] + t[0]
+    y = R[1, 0] * X[0] + R[1, 1] * X[1] + R[1, 2] * X[2] + t[1]
+    z = R[2, 0] * X[0] + R[2, 1] * X[1] + R[2, 2] * X[2] + t[2]
+    if not project_point(k, x, y, z, uv, J):
+        return False
+    for i in range(2):
+        a, b, c = J[i, 0], J[i, 1], J[i, 2]
+        for j in range(3):
+            J[i, j] = a * R[0, j] + b * R[1, j] + c * R[2, j]
+    return True

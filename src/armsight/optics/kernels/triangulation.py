@@ -1,0 +1,209 @@
+"""Compiled triangulation of pairs of pixels: in closed form and by maximum likelihood, with covariances."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from armsight.fitting.kernels import invert_spd, solve_damped
+from armsight.optics.kernels.camera import see_point, undistort_point
+
+# What became of a pair of pixels; armsight.optics.triangulate.Verdict gives the names.
+FOUND, NO_RAY, PARALLEL, BEHIND = 0, 1, 2, 3
+
+PARALLEL_SINE = 1e-9
+"""Rays closer to parallel than this (1e-9 rad) meet only in the rounding."""
+
+DEPTH_DEVIATION = 1.0 / 3.0
+"""A distance that is less than 3 standard deviations from infinite is not one: its covariance means nothing."""
+
+TRIANGULATE_STEPS = 30
+SETTLED = 1e-9  # fall of chi-square, relative and absolute, that counts as none: 3e-5 of a deviation
+
+
+@njit(cache=True)
+def _undetermined(X, S, centre):
+    """Tell whether the deviation along the sight line exceeds DEPTH_DEVIATION of the distance."""
+    s2 = 0.0
+    n2 = 0.0
+    for i in range(3):
+        for j in range(3):
+            s2 += (X[i] - centre[i]) * S[i, j] * (X[j] - centre[j])
+        n2 += (X[i] - centre[i]) ** 2
+    return not s2 <= DEPTH_DEVIATION * DEPTH_DEVIATION * n2 * n2
+
+
+@njit(cache=True)
+def centre_of(R, t, c):
+    """Fill c (3,) with the centre of projection -R' t in rig axes."""
+    for i in range(3):
+        c[i] = -(R[0, i] * t[0] + R[1, i] * t[1] + R[2, i] * t[2])
+
+
+@njit(cache=True)
+def _parallel(rays):
+    """Tell whether two rays (2, 3) are parallel to rounding."""
+    cross2 = (
+        (rays[0, 1] * rays[1, 2] - rays[0, 2] * rays[1, 1]) ** 2
+        + (rays[0, 2] * rays[1, 0] - rays[0, 0] * rays[1, 2]) ** 2
+        + (rays[0, 0] * rays[1, 1] - rays[0, 1] * rays[1, 0]) ** 2
+    )
+    a2 = rays[0, 0] ** 2 + rays[0, 1] ** 2 + rays[0, 2] ** 2
+    b2 = rays[1, 0] ** 2 + rays[1, 1] ** 2 + rays[1, 2] ** 2
+    return not cross2 > PARALLEL_SINE**2 * a2 * b2
+
+
+@njit(cache=True)
+def triangulate_linear_point(k, R, t, uv, cov, X, S):
+    """Fill X (3,), S (3, 3) from the pixels uv (2, 2) of both sides with cov (2, 2, 2); return the verdict.
+
+    Linear least squares of x (r3 X + t3) = r1 X + t1 and the same in y, in normalised coordinates of both views.
+    """
+    A = np.empty((4, 3))
+    b = np.empty(4)
+    xy = np.empty((2, 2))
+    J = np.empty((2, 2, 2))
+    rays = np.empty((2, 3))
+    for s in range(2):
+        if not undistort_point(k[s], uv[s, 0], uv[s, 1], xy[s], J[s]):
+            return NO_RAY
+        for c in range(2):
+            for j in range(3):
+                A[2 * s + c, j] = R[s, c, j] - xy[s, c] * R[s, 2, j]
+            b[2 * s + c] = xy[s, c] * t[s, 2] - t[s, c]
+        for j in range(3):
+            rays[s, j] = R[s, 0, j] * xy[s, 0] + R[s, 1, j] * xy[s, 1] + R[s, 2, j]
+    if _parallel(rays):
+        return PARALLEL
+    H = np.zeros((3, 3))
+    g = np.zeros(3)
+    for r in range(4):
+        for i in range(3):
+            g[i] -= A[r, i] * b[r]
+            for j in range(3):
+                H[i, j] += A[r, i] * A[r, j]
+    P = np.empty((3, 3))
+    if not (solve_damped(H, g, 0.0, X) and invert_spd(H, P)):
+        return PARALLEL
+    S[:] = 0.0
+    behind = False
+    G = np.empty((3, 2))  # d X / d pixel of one side
+    for s in range(2):
+        z = R[s, 2, 0] * X[0] + R[s, 2, 1] * X[1] + R[s, 2, 2] * X[2] + t[s, 2]
+        behind |= not z > 0.0
+        for i in range(3):
+            mx = P[i, 0] * A[2 * s, 0] + P[i, 1] * A[2 * s, 1] + P[i, 2] * A[2 * s, 2]
+            my = P[i, 0] * A[2 * s + 1, 0] + P[i, 1] * A[2 * s + 1, 1] + P[i, 2] * A[2 * s + 1, 2]
+            for c in range(2):
+                G[i, c] = z * (mx * J[s, 0, c] + my * J[s, 1, c])
+        for i in range(3):
+            gx = G[i, 0] * cov[s, 0, 0] + G[i, 1] * cov[s, 1, 0]
+            gy = G[i, 0] * cov[s, 0, 1] + G[i, 1] * cov[s, 1, 1]
+            for j in range(3):
+                S[i, j] += gx * G[j, 0] + gy * G[j, 1]
+    centre = np.empty(3)
+    centre_of(R[0], t[0], centre)
+    if _undetermined(X, S, centre):
+        return PARALLEL
+    return BEHIND if behind else FOUND
+
+
+@njit(cache=True)
+def _point_normal(k, R, t, uv, W, X, H, g):
+    """Fill H (3, 3) and g (3,) of the whitened reprojection of X; return the squared sum, infinite behind a camera."""
+    H[:] = 0.0
+    g[:] = 0.0
+    p = np.empty(2)
+    J = np.empty((2, 3))
+    cost = 0.0
+    for s in range(2):
+        if not see_point(k[s], R[s], t[s], X, p, J):
+            return np.inf
+        rx = p[0] - uv[s, 0]
+        ry = p[1] - uv[s, 1]
+        wx = W[s, 0, 0] * rx + W[s, 0, 1] * ry
+        wy = W[s, 1, 0] * rx + W[s, 1, 1] * ry
+        cost += rx * wx + ry * wy
+        for i in range(3):
+            a = W[s, 0, 0] * J[0, i] + W[s, 0, 1] * J[1, i]
+            b = W[s, 1, 0] * J[0, i] + W[s, 1, 1] * J[1, i]
+            g[i] += J[0, i] * wx + J[1, i] * wy
+            for j in range(3):
+                H[i, j] += a * J[0, j] + b * J[1, j]
+    return cost
+
+
+@njit(cache=True)
+def invert_2(S, out):
+    """Fill out (2, 2) with the inverse of the symmetric positive S; False where it is not positive."""
+    det = S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0]
+    if not (det > 0.0 and S[0, 0] > 0.0):
+        return False
+    out[0, 0] = S[1, 1] / det
+    out[1, 1] = S[0, 0] / det
+    out[0, 1] = -S[0, 1] / det
+    out[1, 0] = -S[1, 0] / det
+    return True
+
+
+@njit(cache=True)
+def triangulate_ml_point(k, R, t, uv, cov, X, S):
+    """Fill X (3,), S (3, 3) at the least whitened reprojection error; return (verdict, chi-square, 1 dof)."""
+    verdict = triangulate_linear_point(k, R, t, uv, cov, X, S)
+    if verdict != FOUND:
+        return verdict, np.nan
+    W = np.empty((2, 2, 2))
+    if not (invert_2(cov[0], W[0]) and invert_2(cov[1], W[1])):
+        return NO_RAY, np.nan
+    H = np.empty((3, 3))
+    g = np.empty(3)
+    H2 = np.empty((3, 3))
+    g2 = np.empty(3)
+    step = np.empty(3)
+    cost = _point_normal(k, R, t, uv, W, X, H, g)
+    damping = 0.0
+    for _ in range(TRIANGULATE_STEPS):
+        if not solve_damped(H, g, damping, step):
+            return PARALLEL, np.nan
+        trial = X + step
+        new = _point_normal(k, R, t, uv, W, trial, H2, g2)
+        if new <= cost:
+            settled = cost - new <= SETTLED * (1.0 + new)
+            X[:] = trial
+            cost = new
+            H, H2 = H2, H
+            g, g2 = g2, g
+            damping *= 0.1
+            if settled:
+                break
+        else:
+            if abs(np.dot(step, g)) <= SETTLED * (1.0 + cost):
+                break
+            damping = max(10.0 * damping, 1e-4)
+    centre = np.empty(3)
+    centre_of(R[0], t[0], centre)
+    if not invert_spd(H, S) or _undetermined(X, S, centre):
+        return PARALLEL, np.nan
+    return FOUND, cost
+
+
+@njit(cache=True)
+def triangulate_rows(k, R, t, uv, cov, likeliest, X, S, chi2, verdict):
+    """Triangulate uv (n, 2, 2) [point, side] with cov (n, 2, 2, 2) into X (n, 3), S (n, 3, 3); NaN where refused.
+
+    likeliest: by maximum likelihood; else the linear closed form.
+    """
+    W = np.empty((2, 2, 2))
+    H = np.empty((3, 3))
+    g = np.empty(3)
+    for i in range(uv.shape[0]):
+        if likeliest:
+            verdict[i], chi2[i] = triangulate_ml_point(k, R, t, uv[i], cov[i], X[i], S[i])
+        else:
+            verdict[i] = triangulate_linear_point(k, R, t, uv[i], cov[i], X[i], S[i])
+            if verdict[i] == FOUND and invert_2(cov[i, 0], W[0]) and invert_2(cov[i, 1], W[1]):
+                chi2[i] = _point_normal(k, R, t, uv[i], W, X[i], H, g)
+        if verdict[i] != FOUND:
+            X[i] = np.nan
+            S[i] = np.nan
+            chi2[i] = np.nan
