@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -87,7 +87,10 @@ def identified(job: IdentifyJob, sweeps: Sweeps, rig: Rig | None, notes: Sequenc
         increments=job.increments, base=base, name=job.out.stem,
     )  # fmt: skip
     inputs = [path for path in (job.sweep, job.joints, job.rig, job.target, job.world) if path is not None]
-    write_arm(job.out, result.arm, inputs=inputs)
+    arm = result.arm
+    if job.world is not None:  # found in the rig's axes
+        arm = replace(arm, T_world_base=read_world(job.world).T_parent_rig * arm.T_world_base)
+    write_arm(job.out, arm, inputs=inputs)
     content = identified_content(result)
     content["notes"] = [*notes, *content["notes"]]
     files = [("file", path.name) for path in inputs]

@@ -10,6 +10,7 @@ import typer
 from armsight.cli.face import Face
 from armsight.cli.options import SRC, AsJson
 from armsight.cli.tables import figure
+from armsight.errors import UsageError
 
 if TYPE_CHECKING:
     from armsight.app.identify_live import LiveJob
@@ -68,7 +69,6 @@ def identify(
         if live is not None:
             from armsight.app.identify_live import LiveJob
             from armsight.app.sweeping import Pace
-            from armsight.errors import UsageError
 
             if rig is None or target is None or left is None or right is None or limits is None:
                 raise UsageError(
@@ -103,6 +103,12 @@ def identify(
             return
         from armsight.app.identify import IdentifyJob, run_identify
 
+        given = {"--propose": propose, "--limits": limits, "--model": model, "--yes": yes}
+        if any(given.values()):
+            raise UsageError(
+                f"{', '.join(name for name, value in given.items() if value)} only means something with --live",
+                cure="Add --live ROBOT, or leave it out",
+            )
         job = IdentifyJob(
             out=out,
             sweep=sweep,
@@ -169,7 +175,8 @@ def _tell(content: dict[str, Any], out: Path, face: Face) -> None:
             cells.append(shown if doubt is None else f"{shown} +- {figure(factor * doubt, 2)}")
         rows.append([*cells, figure(MM * joint["residual_rms_m"])])
     face.table("Arm, mm and degrees", ["joint", "type", "a", "alpha", "d", "theta", "residual"], rows)
-    face.say("Entries without a deviation are chosen, not measured.")
+    if any(value is not None for joint in content["joints"] for value in joint["std"].values()):
+        face.say("Entries without a deviation are chosen, not measured.")
     for note in content["notes"]:
         face.say(f"- {note}")
     face.say(f"Result: {out}; open {out.with_suffix('.report.html')}")

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.calibrate.identify.chain import Axis, at_zero, moved_by
+from armsight.calibrate.identify.joint import PathFit
 from armsight.calibrate.identify.paper import pair_line, triple_circle
 from armsight.calibrate.identify.paths import Found, find_paths, measured
 from armsight.calibrate.identify.result import Doubt, Identification, JointFound
@@ -24,7 +25,14 @@ from armsight.calibrate.identify.table import (
     place_frames,
     say_cases,
 )
-from armsight.calibrate.identify.whole import WholeFit, all_covariance, beacon_at_zero, fit_whole
+from armsight.calibrate.identify.whole import (
+    WholeFit,
+    all_covariance,
+    beacon_at_zero,
+    check_slopes,
+    fit_whole,
+    possible_axes,
+)
 from armsight.errors import Inconsistent, UsageError
 from armsight.optics import PackedRig, Rig
 
@@ -36,6 +44,10 @@ AT_ODDS = 9.0
 """Variance of the whole arm's misfit over that of single paths from which it is worth a note."""
 ANOTHER = 5.0
 """Deviations by which an entry of another solution must differ for it to be another arm."""
+FAR_M = 10.0
+"""A beacon on an arm hardly moves further."""
+MEETING_STEPS = 20
+"""Steps to where all paths meet; each squares the miss where their tangents differ."""
 FIRST_PX = 0.2
 """Noise of a beacon's centre assumed before it is found from the residuals."""
 
@@ -59,6 +71,8 @@ def identify(
     """
     if method not in METHODS or increments not in INCREMENTS:
         raise UsageError(f"method is one of {', '.join(METHODS)}, increments one of {', '.join(INCREMENTS)}")
+    if method == "paper" and increments == "order":
+        raise UsageError("the paper's method takes the increments as known", cure="Use method ml with increments order")
     check_sweeps(sweeps)
     if rig is not None:
         sweeps = placed(sweeps, rig, sigma or FIRST_PX)
@@ -66,7 +80,7 @@ def identify(
     else:
         seen = seen_places(sweeps, sigma or 1.0)
     found, seen = find_paths(seen, sigma)
-    notes = _notes(found)
+    notes = _far(sweeps)
     frame = np.eye(4) if base is None else np.asarray(base, float)
     if method == "paper":
         return _from_paper(seen, found, frame, notes, name)
@@ -75,13 +89,20 @@ def identify(
     return _at_once(seen, found, frame, notes, name, sigma)
 
 
-def _notes(found: Sequence[Found]) -> list[str]:
+def _far(sweeps: Sweeps) -> list[str]:
+    """Return a note where the beacon moved further than arms reach."""
+    reach = float(np.linalg.norm(np.ptp(sweeps.xyz_m, axis=0)))
+    return [f"the beacon moved over {reach:.0f} m: give metres, if these are not"] if reach > FAR_M else []
+
+
+def _notes(found: Sequence[Found], turns: Sequence[bool]) -> list[str]:
+    """Return what is doubtful about the paths of joints that were taken as turning or sliding."""
     notes = []
-    for j, item in enumerate(found, 1):
+    for j, (item, turning) in enumerate(zip(found, turns, strict=True), 1):
         if not item.decided:
             notes.append(
                 f"joint {j}: its path is straight as far as the noise tells, but an arc would look the same; taken as "
-                "sliding, move it further to be sure"
+                f"{'turning' if turning else 'sliding'}, move it further to be sure"
             )
         if item.path.kind == "circle":
             std = item.path.covariance.std()["radius_m"] if item.path.covariance is not None else np.inf
@@ -102,11 +123,13 @@ def _at_once(
     if whole.scale2 > AT_ODDS:
         notes.append(
             f"the readings miss the arm by {np.sqrt(whole.scale2):.1f} times their noise about single paths: the "
-            "commanded values are not exact, or a joint gave way; deviations are widened accordingly"
+            "commanded values are not exact, or a joint gave way; deviations are widened accordingly, which may not be "
+            "enough: with values that are not exact use only their order (--increments order)"
         )
     widen = whole.scale2 if sigma is None else max(whole.scale2, 1.0)
     notes += [f"reading {row + 1} discarded: {why}" for row, why in whole.dropped]
     p, model = whole.fit.shared, whole.model
+    notes += _notes(found, [axis.revolute for axis in model.axes])
     covariance = all_covariance(whole.fit.names, whole.fit.covariance, widen)
     axes, beacon = model.axes_at(p)
     table, first, tool = place_frames(axes, beacon, base)
@@ -150,8 +173,8 @@ def _joint_by_joint(seen: Seen, found: list[Found], base: Array, notes: list[str
     sweeps = seen.sweeps
     home = _home(sweeps)
     axes = [measured(item, sweeps) for item in found]
-    at = int(np.argmin(np.abs(sweeps.q - home).sum(axis=1)))
-    beacon = sweeps.xyz_m[at]
+    beacon = _where_paths_meet([item.path for item in found], sweeps, home)
+    notes = notes + _notes(found, [axis.revolute for axis in axes])
     table, first, tool = place_frames(axes, beacon, base)
     sizes = [len(item.path.names) for item in found]
     p = np.concatenate([np.zeros(size) for size in sizes])
@@ -167,7 +190,27 @@ def _joint_by_joint(seen: Seen, found: list[Found], base: Array, notes: list[str
     covariance = carried(entries, p, covariance)
     notes = [*notes, "only the order of the commanded values was used: joint values count from the pose at rest"]
     predicted = sweeps.xyz_m.copy()
-    return _finish(seen, found, axes, beacon, table, covariance, (first, tool), predicted, notes, name, "ml", [])
+    for item in found:
+        predicted[item.main] = item.path.nearest(sweeps.xyz_m[item.main])
+    result = _finish(seen, found, axes, beacon, table, covariance, (first, tool), predicted, notes, name, "ml", [])
+    joints = tuple(
+        replace(joint, lower=joint.lower - rest, upper=joint.upper - rest)
+        for joint, rest in zip(result.arm.joints, home.tolist(), strict=True)
+    )
+    return replace(result, arm=replace(result.arm, joints=joints))
+
+
+def _where_paths_meet(paths: Sequence[PathFit], sweeps: Sweeps, home: Array) -> Array:
+    """Return the beacon (3,) with all joints at rest: all paths go through it, whatever the values are worth."""
+    place = sweeps.xyz_m[int(np.argmin(np.abs(sweeps.q - home).sum(axis=1)))]
+    for _ in range(MEETING_STEPS):
+        near = np.array([path.nearest(place[None])[0] for path in paths])
+        tangents = np.array([path.tangent(at) for path, at in zip(paths, near, strict=True)])
+        across = np.eye(3) - tangents[:, :, None] * tangents[:, None, :]
+        # paths of one tangent leave it open how far along them; there the start is kept
+        step = np.linalg.pinv(across.sum(axis=0), rcond=1e-3) @ np.einsum("kij,kj->i", across, near - place)
+        place = place + step
+    return np.asarray(place)
 
 
 def _shifter(found: Sequence[Found], axes: Sequence[Axis], sizes: Sequence[int]) -> Callable[[Array], list[Axis]]:
@@ -217,6 +260,8 @@ def _from_paper(seen: Seen, found: list[Found], base: Array, notes: list[str], n
         else:
             point, direction = pair_line(sweeps.xyz_m[rows], sweeps.q[rows, j])
             seen_axes.append(Axis(point_m=point, direction=direction, revolute=False))
+    check_slopes(found, sweeps, [possible_axes(seen, item, j) for j, item in enumerate(found)])
+    notes = notes + _notes(found, [axis.revolute for axis in seen_axes])
     axes = at_zero(seen_axes, [sweeps.q[item.main[0], :j] for j, item in enumerate(found)])
     beacon = beacon_at_zero(axes, sweeps, np.arange(len(sweeps)))
     table, first, tool = place_frames(axes, beacon, base)

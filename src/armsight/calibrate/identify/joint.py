@@ -51,6 +51,22 @@ class PathFit:
         """Probability that noise alone leaves as much."""
         return float(chdtrc(max(self.dof, 1), self.chi2))
 
+    def nearest(self, xyz_m: Array) -> Array:
+        """Return the places (N, 3) on the path that are nearest to xyz_m (N, 3)."""
+        away = xyz_m - self.point_m
+        along = np.outer(away @ self.direction, self.direction)
+        if self.kind == "line":
+            return np.asarray(self.point_m + along)
+        across = away - along
+        size = np.maximum(np.linalg.norm(across, axis=1), 1e-12)[:, None]
+        return np.asarray(self.point_m + self.radius_m * across / size)
+
+    def tangent(self, at_m: Array) -> Array:
+        """Return the direction (3,) of the path at a place (3,) on it."""
+        if self.kind == "line":
+            return self.direction
+        return np.asarray(np.cross(self.direction, at_m - self.point_m) / self.radius_m)
+
 
 def fit_line(seen: Seen, order: Array, *, coarse: bool = False) -> PathFit:
     """Return the line of greatest likelihood. order (N,): the commanded values, of which only the sense is used.

@@ -130,8 +130,9 @@ def _one_path(seen: Seen, joint: int, rows: NDArray[np.intp], near: PathFit | No
         ]
         rows = rows[~worst]
     if len(out) > LOST_SHARE * count or (path.dof > 0 and path.p < POOR):
+        off = f": {len(out)} of {count} readings are off" if out else ", by more than noise can be"
         raise Inconsistent(
-            f"the path of joint {joint + 1} is neither a line nor a circle ({len(out)} readings off)",
+            f"the path of joint {joint + 1} is neither a line nor a circle{off}",
             consequence="The joint is not identified",
             cure="Two joints may have moved, or a reflection was taken for the beacon: look at its points, sweep again",
         )

@@ -15,8 +15,10 @@ Array = NDArray[np.float64]
 
 FEWEST = 3
 """Three points lie on a circle always; from four on something is left to judge by."""
-HELD = 1e-3
+HELD = 5e-3
 """Joints that hold still within a sweep may differ by so much (rad, m): what encoders and brakes leave."""
+MOVED = 1e-3
+"""Least movement (rad, m) of a joint in its own sweep."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -110,11 +112,11 @@ def check_sweeps(sweeps: Sweeps) -> None:
             moved = np.ptp(np.delete(sweeps.q[rows], joint, axis=1), axis=0)
             also = int(np.delete(np.arange(sweeps.n), joint)[moved.argmax()])
             raise Inconsistent(
-                f"joint {also + 1} moves in the sweep of joint {joint + 1}",
+                f"joint {also + 1} moves by {moved.max():.3g} rad or m in the sweep of joint {joint + 1}",
                 consequence="The beacon's path is neither's",
                 cure=f"Move one joint at a time; of several sweeps of a joint each needs {FEWEST} readings",
             )
-        if min(np.ptp(sweeps.q[part, joint]) for part in sweeps.sweeps(joint)) <= HELD:
+        if min(np.ptp(sweeps.q[part, joint]) for part in sweeps.sweeps(joint)) <= MOVED:
             raise Inconsistent(
                 f"joint {joint + 1} was not moved in its own sweep",
                 consequence="Its axis cannot be found",

@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 KEYS = ("theta_rad", "d_m", "a_m", "alpha_rad", "beta_rad")
 STEP = 1e-7
 """Of the differences by which deviations are carried over, in the axes' own parameters (m, rad)."""
+VAGUE = 0.05
+"""Share of the arm's size beyond which a deviation leaves open how axes lie to each other."""
 INTERSECT = 2.0
 """Axes closer than this many deviations meet, as far as anyone can tell; the same for angles of parallel ones."""
 
@@ -110,6 +112,9 @@ def say_cases(axes: Sequence[Axis], rows: Array, std: Array) -> tuple[list[str],
     """Return notes on degenerate pairs of axes, and std with NaN where an entry is chosen, not measured (MATH 4.5)."""
     notes, known = [], std.copy()
     known[-1, [0, 2, 3, 4]] = np.nan  # behind the last joint there is only the beacon
+    size = float(np.abs(rows[:, 1:3]).sum())
+    if not axes[0].revolute and len(axes) > 1:
+        notes.append("joint 1 slides: only its direction is seen, its place is chosen")
     if axes[-1].revolute:
         known[-1, 1] = np.nan
     for i in range(len(axes) - 1):
@@ -126,7 +131,11 @@ def say_cases(axes: Sequence[Axis], rows: Array, std: Array) -> tuple[list[str],
             if apart == "coincide":
                 known[i, 0] = np.nan
         elif abs(rows[i, 2]) <= INTERSECT * std[i, 2]:
-            notes.append(
-                f"{pair} intersect as far as can be told: a is {1e3 * rows[i, 2]:.3g} +- {1e3 * std[i, 2]:.2g} mm"
+            told = (
+                "it cannot be told whether {} meet"
+                if std[i, 2] > VAGUE * size
+                else "{} intersect as far as can be told"
             )
+            notes.append(f"{told.format(pair)}: a is {1e3 * rows[i, 2]:.3g} +- {1e3 * std[i, 2]:.2g} mm")
+    known[known == 0.0] = np.nan  # what nothing measured moves is chosen
     return notes, known

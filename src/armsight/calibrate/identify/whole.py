@@ -34,7 +34,7 @@ STARTED = 12
 """Combinations of axes fitted at most."""
 
 
-def _check_slopes(found: Sequence[Found], sweeps: Sweeps, axes: Sequence[Sequence[Candidate]]) -> None:
+def check_slopes(found: Sequence[Found], sweeps: Sweeps, axes: Sequence[Sequence[Candidate]]) -> None:
     """Raise Inconsistent where a path does not go with the commanded values: another unit, or not exact.
 
     The lengths are compared only where no axis explains the path at those values: an arc whose centre the noise leaves
@@ -82,8 +82,8 @@ def fit_whole(seen: Seen, found: Sequence[Found]) -> WholeFit:
     Started from the axes that explain each sweep best, and from all others the noise does not exclude; joints whose
     type is not decided are tried as both. Raises NotConverged, Inconsistent where the paths contradict the values.
     """
-    axes = [_possible(seen, item, j) for j, item in enumerate(found)]
-    _check_slopes(found, seen.sweeps, axes)
+    axes = [possible_axes(seen, item, j) for j, item in enumerate(found)]
+    check_slopes(found, seen.sweeps, axes)
     rows = np.sort(np.concatenate([item.rows for item in found]))
     best: WholeFit | None = None
     tried: list[WholeFit] = []
@@ -97,12 +97,29 @@ def fit_whole(seen: Seen, found: Sequence[Found]) -> WholeFit:
         tried.append(again)
         if best is None or (-len(again.rows), _price(again)) < (-len(best.rows), _price(best)):
             best = again
+    if best is not None:
+        _check_dropped(found, best)
     if best is None:
         raise NotConverged(
             "no arm explains the sweeps", consequence="The arm is not identified",
             cure="Sweep again, slower and over longer arcs",
         )  # fmt: skip
     return replace(best, rivals=tuple(one for one in tried if _rivals(one, best)))
+
+
+def _check_dropped(found: Sequence[Found], whole: WholeFit) -> None:
+    """Raise Inconsistent where an arm explains its other sweeps, and too little of one."""
+    dropped = [row for row, _ in whole.dropped]
+    for j, item in enumerate(found, 1):
+        off = len(item.discarded) + int(np.isin(item.rows, dropped).sum())
+        count = len(item.discarded) + len(item.rows)
+        if off > LOST_SHARE * count:
+            raise Inconsistent(
+                f"{off} of the {count} readings of joint {j} do not agree with any arm that explains the other sweeps",
+                consequence="The arm is not identified",
+                cure="Another joint may have moved with it, or its commanded values are not exact: sweep again, or use "
+                "only their order (--increments order)",
+            )
 
 
 def _rivals(one: WholeFit, best: WholeFit) -> bool:
@@ -116,7 +133,7 @@ def _price(fit: WholeFit) -> float:
     return fit.fit.cost + WORTH * sum(axis.revolute for axis in fit.model.axes)
 
 
-def _possible(seen: Seen, item: Found, joint: int) -> list[Candidate]:
+def possible_axes(seen: Seen, item: Found, joint: int) -> list[Candidate]:
     """Return a joint's axes as its sweep shows them: of its type, and of both where that is not decided."""
     part, q = seen.take(item.main), seen.sweeps.q[item.main, joint]
     circle = item.path.kind == "circle"
