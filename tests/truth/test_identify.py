@@ -208,8 +208,17 @@ def test_sweeps_that_cannot_tell_an_arm_are_refused() -> None:
     degrees[:, :2] = np.rad2deg(degrees[:, :2])
     with pytest.raises(Inconsistent, match=r"radians|degrees"):
         identify(changed(q=degrees), rig=RIG)
+    with pytest.raises(Inconsistent, match=r"radians|degrees"):
+        identify(changed(q=degrees), rig=RIG, method="paper")
+    slipped = sweeps.q.copy()  # joint 1 gives way by 3 degrees while joint 2 is swept, and does not show it
+    slipped[15:20, 0] += np.deg2rad(3.0)
+    uv = np.stack(RIG.project(WHERE.inv().apply(tip(RRP, slipped))), axis=1)
+    with pytest.raises(Inconsistent, match="joint 2"):
+        identify(changed(uv_px=uv + np.random.default_rng(0).normal(0.0, 0.1, uv.shape)), rig=RIG)
     with pytest.raises(UsageError):
         identify(sweeps, rig=RIG, method="guess")
+    with pytest.raises(UsageError):
+        identify(sweeps, rig=RIG, method="paper", increments="order")
 
 
 def test_several_sweeps_of_a_joint_are_pooled() -> None:

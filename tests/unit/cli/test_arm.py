@@ -110,6 +110,7 @@ def test_an_arm_is_identified_with_every_promised_key(armsight: Any, tmp_path: P
     refused = armsight("identify", "--sweep", two, "-o", tmp_path / "no.yaml")
     assert refused.code == 3 and "joint 4" in str(refused.json["error"])
     assert armsight("identify", "--sweep", sweep, "--method", "guess", "-o", tmp_path / "no.yaml").code == 2
+    assert armsight("identify", "--sweep", sweep, "--propose", "-o", tmp_path / "no.yaml").code == 2
 
 
 def test_an_arm_is_identified_from_frames(armsight: Any, tmp_path: Path) -> None:
@@ -124,7 +125,9 @@ def test_an_arm_is_identified_from_frames(armsight: Any, tmp_path: Path) -> None
     assert [joint["type"] for joint in done.json["joints"]] == ["revolute", "revolute", "prismatic"]
     for joint, key, true in ((first, "d_m", 1.27), (first, "a_m", 0.0), (second, "d_m", -0.05), (second, "a_m", 0.1)):
         assert abs(joint[key] - true) < min(5.0 * joint["std"][key], 0.005), key
-    assert third["std"]["a_m"] is None
+    assert third["std"]["a_m"] is None and third["std"]["beta_rad"] is None
+    where = read_arm(tmp_path / "arm.yaml").T_world_base  # in the frame of --world, where the arm stands at the origin
+    assert np.linalg.norm(where.translation) < 5e-3 and where.rotation.magnitude() < 2e-3
     assert (tmp_path / "arm.sweep.csv").exists()
     nothing = armsight("identify", *words, "-o", tmp_path / "no.yaml")
     assert nothing.code == 2 and "--sweep" in str(nothing.json["error"])
