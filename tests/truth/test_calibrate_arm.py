@@ -5,7 +5,7 @@ The arms are simulated here, by Denavit-Hartenberg matrices of the test's own.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +13,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.calibrate.arm import ArmPoints, calibrate_arm, calibrate_world, propose
-from armsight.errors import Inconsistent, NotEnoughData
+from armsight.app.arm import corrections
+from armsight.calibrate.arm import ArmModel, ArmPoints, calibrate_arm, calibrate_world, propose
+from armsight.errors import Ambiguous, Inconsistent, NotEnoughData
 from armsight.kinematics import Arm, Joint, preset
 from armsight.store.arm_points import read_arm_points
 
@@ -132,6 +133,130 @@ def test_an_elbow_whose_reading_is_absolute_is_found() -> None:
     assert again.couplings == () and again.arm.couplings == arm.couplings
 
 
+def test_zeros_are_found_within_their_deviations_where_all_lengths_are_off_too() -> None:
+    """Zeros off by 2 degrees, lengths by 0.5 mm: Hayati's beta must not take a joint zero's place (MATH 4.5)."""
+    chi2 = []
+    for seed in range(10):
+        rng = np.random.default_rng(500 + seed)
+        made = cell(rng)
+        result = calibrate_arm(made.arm, made.points(rng.uniform(-1.0, 1.0, (36, 6)) * REACH, rng))
+        std, off = result.std(), made.true - table(made.arm)
+        names = [joint.name for joint in made.arm.joints]
+        zeros = [(f"{name}.theta_rad", true) for name, true in zip(names, off[:, 0], strict=True)]
+        free = [(name, true) for name, true in zeros if name in result.free]
+        assert [name for name, _ in free] == [f"{name}.theta_rad" for name in names[1:5]]  # the others: base and tool
+        assert [name for name in result.free if "beta" in name] == [f"{names[1]}.beta_rad"]  # parallel: joints 2, 3
+        assert f"{names[1]}.d_m" in dict(result.fixed)
+        chi2 += [((result.change(name) - true) / std[name]) ** 2 for name, true in free]
+    assert np.mean(chi2) == pytest.approx(1.0, abs=0.7)  # 40 terms: 1 +- 0.22
+    assert max(chi2) < 16.0
+
+
+def test_what_is_fixed_is_as_in_the_nominal_arm() -> None:
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        made = cell(rng)
+        result = calibrate_arm(made.arm, made.points(rng.uniform(-1.0, 1.0, (30, 6)) * REACH, rng))
+        assert result.gain and not set(result.free) & set(dict(result.fixed))
+        assert {result.change(name) for name, _ in result.fixed} == {0.0}
+        geometry = result.model.names[: result.model.n_geometry]
+        assert {name for name in geometry if result.change(name) != 0.0} == set(result.free)
+
+
+def test_beta_is_offered_for_parallel_axes_only_and_in_both_conventions() -> None:
+    scara = [Joint(name="s1", a_m=0.3), Joint(name="s2", a_m=0.2, alpha_rad=np.pi), Joint(name="s3", type="prismatic")]
+    model = ArmModel(arm=Arm(name="scara", joints=tuple(scara)), labels=("",), turned=False)
+    assert model.parallel == ((0, "s1.beta_rad"), (1, "s2.beta_rad"))
+    assert model.replaced == ("s1.d_m", "s2.d_m") and "s3.d_m" in model.geometry
+    craig = replace(preset("irb120"), convention="craig")
+    assert ArmModel(arm=craig, labels=("",), turned=False).parallel == (
+        (0, f"{craig.joints[1].name}.beta_rad"),
+        (4, f"{craig.joints[5].name}.beta_rad"),
+    )
+
+
+def test_points_of_one_joint_position_are_left_out_together() -> None:
+    """Each position's places are all off by the same 5 mm: what only the other points of a position tell is no gain."""
+    rng = np.random.default_rng(21)
+    arm = preset("irb120")
+    made = Cell(arm, table(arm), np.array([[0.05, 0.02, 0.1], [-0.06, 0.01, 0.12], [0.0, 0.05, 0.15]]))
+    points = made.points(rng.uniform(-1.0, 1.0, (9, 6)) * REACH, rng)
+    assert points.position.tolist() == np.repeat(np.arange(9), 3).tolist()
+    off = np.repeat(rng.normal(0.0, 5e-3, (9, 3)), 3, axis=0)
+    result = calibrate_arm(arm, replace(points, xyz_m=points.xyz_m + off))
+    assert not result.gain
+    assert result.cross_before.mean_m > 5e-3
+
+
+def test_a_holdout_must_prove_the_gain_too() -> None:
+    rng = np.random.default_rng(22)
+    made = cell(rng)
+    points = made.points(rng.uniform(-1.0, 1.0, (30, 6)) * REACH, rng)
+    other = Cell(made.arm, table(made.arm), made.tools).points(rng.uniform(-1.0, 1.0, (30, 6)) * REACH, rng)
+    assert calibrate_arm(made.arm, points).gain
+    result = calibrate_arm(made.arm, points, holdout=other)  # of an arm that is as nominal
+    assert not result.gain and result.free == () and result.level == "nominal"
+    assert "rows of the holdout" in result.verdict and "cross-validation" in result.verdict
+    np.testing.assert_array_equal(table(result.arm), table(made.arm))
+    with pytest.raises(Inconsistent, match="Q0"):
+        named = replace(other, point=tuple(name.replace("P", "Q") for name in other.point))
+        calibrate_arm(made.arm, points, holdout=named)
+
+
+def test_rows_that_are_not_of_the_arm_are_refused_by_number() -> None:
+    rng = np.random.default_rng(23)
+    made = cell(rng)
+    points = made.points(rng.uniform(-1.0, 1.0, (40, 6)) * REACH, rng)
+    for rows in (slice(60, None), slice(40, 80)):  # places of a reflection
+        mirrored = points.xyz_m.copy()
+        mirrored[rows, 0] = 2.2 - mirrored[rows, 0]
+        with pytest.raises(Inconsistent, match="do not agree"):
+            calibrate_arm(made.arm, replace(points, xyz_m=mirrored))
+    with pytest.raises(Inconsistent, match="out of step"):
+        calibrate_arm(made.arm, replace(points, q=np.roll(points.q, 3, axis=0)))
+    with pytest.raises(Inconsistent, match="not of this arm"):
+        calibrate_arm(made.arm, replace(points, xyz_m=rng.normal(0.0, 0.5, points.xyz_m.shape)))
+
+
+def test_a_lack_of_joint_positions_is_said_as_such() -> None:
+    rng = np.random.default_rng(24)
+    made = cell(rng)
+    q = rng.uniform(-1.0, 1.0, (3, 6)) * REACH
+    for positions, said in ((q[[0] * 10], "30 rows are of 1 joint position;"), (q[:2], "2 joint positions; 4")):
+        with pytest.raises(NotEnoughData, match=said):
+            calibrate_arm(made.arm, made.points(positions, rng))
+        with pytest.raises(NotEnoughData, match=said):
+            calibrate_world(made.arm, made.points(positions, rng))
+    hardly = np.tile(q[0], (10, 1))
+    hardly[:, 0] = np.linspace(0.0, 5e-4, 10)
+    with pytest.raises(NotEnoughData, match="hardly moved"):
+        calibrate_world(made.arm, made.points(hardly, rng))
+
+
+def test_coupled_readings_alone_are_a_gain() -> None:
+    rng = np.random.default_rng(25)
+    arm = preset("irb120")
+    names = [joint.name for joint in arm.joints]
+    true = table(arm)
+    for zeros in (np.zeros(6), np.deg2rad([0.0, 1.0, -2.0, 0.5, 0.8, 0.0])):
+        made = Cell(arm, true + np.outer(zeros, [1.0, 0.0, 0.0, 0.0]), np.array([[0.05, 0.02, 0.1], [0.0, 0.05, 0.15]]))
+        points = made.points(rng.uniform(-1.0, 1.0, (40, 6)) * REACH, rng)
+        reading = points.q.copy()
+        reading[:, 2] += reading[:, 1]
+        result = calibrate_arm(arm, replace(points, q=reading))
+        assert result.gain and result.level.startswith("coupled readings") and "coupled readings" in result.verdict
+        assert result.before.mean_m > 0.05 > 3e-4 > result.after.mean_m  # before: without the coupling
+        if not zeros.any():
+            assert result.free == ()
+            continue
+        rows = [line.split(",") for line in corrections(result).splitlines()[1:]]
+        found = {row[0]: float(row[1]) for row in rows}
+        # To add to readings: joint 3 turns by its reading minus joint 2's, so -2 of its value is -2 + 1 of its reading.
+        for name, wanted in zip(names[1:5], (1.0, -1.0, 0.5, 0.8), strict=True):
+            std = float(rows[names.index(name)][3])
+            assert abs(found[name] - wanted) < max(4.0 * std, 0.01), name
+
+
 def test_a_perfect_arm_is_left_alone_and_gross_rows_are_named() -> None:
     rng = np.random.default_rng(8)
     arm = preset("irb120")
@@ -154,6 +279,9 @@ def test_joints_that_did_not_move_tell_nothing() -> None:
     wrist = {f"{joint.name}.{key}" for joint in made.arm.joints[3:5] for key in ("theta_rad", "a_m", "d_m")}
     assert not wrist & set(result.free)
     assert {name for name, _ in result.fixed} >= wrist
+    names = [joint.name for joint in made.arm.joints]
+    assert result.still == tuple(names[3:])
+    assert dict(result.fixed)[f"{names[3]}.theta_rad"] == f"joint {names[3]} did not move"
 
 
 def test_wrong_units_counts_and_rows_are_refused() -> None:
@@ -214,6 +342,24 @@ def test_the_rig_is_found_at_the_base_with_true_deviations() -> None:
         )
         chi2.append(error @ np.linalg.solve(found.covariance.matrix, error) / 6.0)
     assert np.mean(chi2) == pytest.approx(1.0, abs=0.4)  # 180 terms: 1 +- 0.1, the noise estimated
+
+
+def test_the_rig_is_found_where_a_half_of_the_rows_is_wrong() -> None:
+    rng = np.random.default_rng(31)
+    arm = preset("irb120")
+    q = rng.uniform(-1.0, 1.0, (20, 6)) * REACH
+    seen = WHERE.inv().apply(flange(table(arm), q)[:, :3, 3]) + rng.normal(0.0, 2e-4, (20, 3))
+    mirrored = seen.copy()
+    mirrored[10:, 0] = 1.0 - mirrored[10:, 0]
+    found = calibrate_world(arm, ArmPoints(q=q, xyz_m=mirrored))
+    assert [row for row, _ in found.rejected] == list(range(10, 20))
+    np.testing.assert_allclose(found.T_base_rig.translation, WHERE.translation, atol=1e-3)
+    moved = seen.copy()
+    moved[10:] += [0.3, 0.0, 0.1]
+    with pytest.raises(Ambiguous, match=r"11-20|1-10"):
+        calibrate_world(arm, ArmPoints(q=q, xyz_m=moved))
+    with pytest.raises(Inconsistent, match="not of this arm"):
+        calibrate_world(arm, ArmPoints(q=np.roll(q, 3, axis=0), xyz_m=seen))
 
 
 @real

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -108,18 +108,21 @@ def _in_view(rig: Rig, world: World) -> Any:
 
 def arm_content(result: ArmCalibration) -> dict[str, Any]:
     """Return an arm's calibration as --json gives it."""
-    left = {"before": asdict(result.left_before), "after": asdict(result.left_after)}
+    cross = {"before": asdict(result.cross_before), "after": asdict(result.cross_after)}
+    held = {"holdout": {"before": asdict(result.left_before), "after": asdict(result.left_after)}}
     return {
         "n": len(result.error_m),
         "before": asdict(result.before),
         "after": asdict(result.after),
-        "holdout" if result.held else "crossval": left,
+        "crossval": cross,
+        **(held if result.held else {}),
         "free": list(result.free),
         "fixed": [{"name": name, "why": why} for name, why in result.fixed],
         "std": result.std(),
         "corrections": {name: result.change(name) for name in result.free},
         "condition": result.condition,
         "outliers": [{"row": row + 1, "error_m": error} for row, error in result.outliers],
+        "still": list(result.still),
         "couplings": [{"joint": a, "by": b, "share": share} for a, b, share in result.couplings],
         "noise": {"place_m": result.fitted.sigma_m, "rotation_rad": _rotation_noise(result)},
         "model": result.level,
@@ -133,18 +136,33 @@ def _rotation_noise(result: ArmCalibration) -> float | None:
 
 
 def corrections(result: ArmCalibration) -> str:
-    """Return a CSV text in a controller's terms: per joint the zero to add, its deviation, and the scale."""
-    std = result.std()
+    """Return a CSV text in a controller's terms: per joint the zero to add to its reading, its deviation, the scale.
+
+    Where readings are coupled, value = gearing @ reading: zeros of the readings give those of the values by it.
+    """
+    joints = result.nominal.joints
+    names = [f"{j.name}.{'theta_rad' if j.type is JointType.REVOLUTE else 'd_m'}" for j in joints]
+    sign = np.array([joint.sign for joint in joints])
+    to_readings = np.linalg.inv(result.arm.gearing) / sign  # (n, n): of changes of theta or d
+    zeros = to_readings @ [result.change(name) for name in names]
+    doubts = np.sqrt(np.diag(to_readings @ _zero_covariance(result, names) @ to_readings.T))
     rows = ["joint,zero_correction,unit,std,scale"]
-    for joint in result.nominal.joints:
-        turns = joint.type is JointType.REVOLUTE
-        name, factor, unit = (
-            (f"{joint.name}.theta_rad", np.rad2deg(1.0), "deg") if turns else (f"{joint.name}.d_m", 1e3, "mm")
-        )
-        zero = joint.sign * result.change(name) * factor
-        doubt = std[name] * factor if name in std else ""
-        rows.append(f"{joint.name},{zero:.6g},{unit},{doubt},{1.0 + result.change(f'{joint.name}.scale'):.8g}")
+    for joint, zero, std in zip(joints, zeros.tolist(), doubts.tolist(), strict=True):
+        factor, unit = (np.rad2deg(1.0), "deg") if joint.type is JointType.REVOLUTE else (1e3, "mm")
+        doubt = f"{std * factor:.6g}" if std > 0.0 else ""
+        scale = 1.0 + result.change(f"{joint.name}.scale")
+        rows.append(f"{joint.name},{zero * factor + 0.0:.6g},{unit},{doubt},{scale:.8g}")
     return "\n".join(rows) + "\n"
+
+
+def _zero_covariance(result: ArmCalibration, names: Sequence[str]) -> Array:
+    """Return the covariance (n, n) of the joints' zeros, 0 where one is not corrected."""
+    free = tuple(name for name in names if name in result.free)
+    C = np.zeros((len(names), len(names)))
+    if result.covariance is not None and free:
+        at = [names.index(name) for name in free]
+        C[np.ix_(at, at)] = result.covariance.block(free)
+    return C
 
 
 def run_calibrate_world(arm: str, points: Path, out: Path) -> dict[str, Any]:

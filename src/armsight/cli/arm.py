@@ -45,11 +45,9 @@ def arm(
             world=world,
         )
         content = run_calibrate_arm(job)
-        left = "holdout" if "holdout" in content else "crossval"
-        errors = [
-            (name, part["before"], part["after"])
-            for name, part in (("rows used", content), ("rows left out", content[left]))
-        ]
+        named = [("rows used", content), ("rows left out by cross-validation", content["crossval"])]
+        named += [("rows of the holdout", content["holdout"])] if "holdout" in content else []
+        errors = [(name, part["before"], part["after"]) for name, part in named]
         rows = [
             [name, *(figure(MM * part[key], 4) for part in (before, after) for key in ("mean_m", "max_m"))]
             for name, before, after in errors
@@ -60,10 +58,15 @@ def arm(
         if freed:
             face.table("Corrections", ["", "mm, deg or share", "+-"], freed)
         face.say(content["verdict"])
+        if content["still"]:
+            face.say("Did not move: " + ", ".join(content["still"]) + ". Nothing of them is corrected by these rows.")
         for item in content["outliers"][:8]:
             face.say(f"  row {item['row']} misses by {figure(MM * item['error_m'])} mm")
         for q in content.get("proposals", ()):
             face.say("  measure at " + ", ".join(f"{value:.4f}" for value in q))
+        if "expected_std" in content:
+            expected = [[name, _shown(name, value)] for name, value in content["expected_std"].items()]
+            face.table("Deviations to expect with those measured too", ["", "mm, deg or share: +-"], expected)
         face.say(f"Result: {out}; open {out.with_suffix('.report.html')}")
         face.result(content)
 

@@ -60,11 +60,11 @@ def arm_report(
 
 
 def _cards(result: ArmCalibration) -> list[Card]:
-    kind = "holdout" if result.held else "left out in turn"
+    kind = "rows of the holdout" if result.held else "rows left out by cross-validation"
     return [
-        Card(name="before, rows left out", value=figure_of(result.left_before.mean_m / MM, "mm"), note=f"mean, {kind}"),
-        Card(name="after, rows left out", value=figure_of(result.left_after.mean_m / MM, "mm"), note=f"mean, {kind}"),
-        Card(name="largest, after", value=figure_of(result.left_after.max_m / MM, "mm"), note=kind),
+        Card(name="error before", value=figure_of(result.left_before.mean_m / MM, "mm"), note=f"mean, {kind}"),
+        Card(name="error after", value=figure_of(result.left_after.mean_m / MM, "mm"), note=f"mean, {kind}"),
+        Card(name="largest error after", value=figure_of(result.left_after.max_m / MM, "mm"), note=kind),
         Card(name="noise of a place", value=figure_of(result.fitted.sigma_m / MM, "mm"), note="one coordinate"),
         Card(name="parameters corrected", value=str(len(result.free)), note=f"condition {result.condition:.3g}"),
     ]

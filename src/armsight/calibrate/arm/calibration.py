@@ -9,26 +9,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from armsight.calibrate.arm.choose import Choice, choose
+from armsight.calibrate.arm.choose import still
 from armsight.calibrate.arm.fit import ArmFit, Tolerance, fit_arm
+from armsight.calibrate.arm.levels import Couplings, Level, candidates, coupled, level, plain_level, proved
 from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.points import ArmPoints, check_points
+from armsight.calibrate.arm.sense import check_fit, exceeded
 from armsight.calibrate.arm.start import start
-from armsight.errors import NotConverged
+from armsight.errors import Inconsistent, NotConverged
 from armsight.kinematics import Arm
 from armsight.records import NamedCovariance
 
 Array = NDArray[np.float64]
 
-FOLDS = 5
-PROVED = 2.0
-"""A model is taken where left-out errors fall by this many of the fall's own standard errors: by chance once in 44."""
-RIDGE = 1e-12
-"""Keeps directions that no row tells (a tool on the last axis) where they are, in scaled information."""
 GROSS = float(np.sqrt(chi2.ppf(0.99999, 3)))
 """Errors of place beyond so many deviations are gross."""
-COUPLED = 0.5
-"""A coupling of one is believed where it takes the error below this share of what it is without."""
+UNPROVED = "no gain is proved by correcting it"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,11 +45,12 @@ class Errors:
 class ArmCalibration:
     """What came out.
 
-    arm: corrected where gain, else nominal; base and tool fitted in both. before, after: errors on the rows used;
-    left_before, left_after: on rows left out, in turn (k-fold), or on the holdout where one was given (held). free,
-    fixed, condition: see Choice. model, fitted: names and values of the parameters (changes to the nominal arm), noise.
-    outliers: (row from 0, error in m). couplings: (joint, by which, share). level: which kind of model was taken.
-    before_m, error_m: (m,) before and after, by row.
+    arm: corrected where gain, else nominal; base and tool fitted in both. before, after: errors on the rows used, with
+    the nominal arm and the one kept; cross_before, cross_after: on rows left out by cross-validation; left_before,
+    left_after: on the holdout where one was given (held), else the same. free, condition: see Choice. fixed: (name,
+    why) of what is as in the nominal arm. model, fitted: names and values of the parameters (changes to the nominal
+    arm), noise. outliers: (row from 0, error in m). couplings: (joint, by which, share). level: which kind of model was
+    taken. still: joints that did not move. before_m, error_m: (m,) before and after, by row.
     """
 
     arm: Arm
@@ -64,6 +61,8 @@ class ArmCalibration:
     level: str
     before: Errors
     after: Errors
+    cross_before: Errors
+    cross_after: Errors
     left_before: Errors
     left_after: Errors
     held: bool
@@ -72,7 +71,8 @@ class ArmCalibration:
     condition: float
     covariance: NamedCovariance | None
     outliers: tuple[tuple[int, float], ...]
-    couplings: tuple[tuple[str, str, float], ...]
+    couplings: Couplings
+    still: tuple[str, ...]
     verdict: str
     error_m: Array
     before_m: Array
@@ -86,16 +86,6 @@ class ArmCalibration:
         return float(self.fitted.p[self.model.names.index(name)])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Level:
-    """A kind of model: its name, its fit to all rows, its choice, and the left-out errors (m,)."""
-
-    name: str
-    fitted: ArmFit
-    choice: Choice
-    left_m: Array
-
-
 def calibrate_arm(
     nominal: Arm,
     points: ArmPoints,
@@ -106,150 +96,80 @@ def calibrate_arm(
 ) -> ArmCalibration:
     """Return the arm whose left-out errors are smallest: nominal, or with zeros, geometry, joint scales corrected.
 
-    Each richer model is taken only where left-out errors fall beyond their own doubt. Base and tool points are fitted
-    always. Couplings of one (an elbow's reading that is absolute) are tried and kept where they halve the error.
-    Raises NotEnoughData, Inconsistent for measurements that cannot be of this arm.
+    Each richer model is taken only where left-out errors fall beyond their own doubt, in cross-validation and, where a
+    holdout is given, there too. Base and tool points are fitted always. Couplings of one (an elbow's reading that is
+    absolute) are a kind of model of their own, tried where they halve the error. Raises NotEnoughData, Inconsistent for
+    measurements that cannot be of this arm.
     """
     tolerance = tolerance or Tolerance()
     check_points(nominal, points)
+    model = ArmModel(arm=nominal, labels=points.labels, turned=points.rotation is not None)
     if holdout is not None:
         check_points(nominal, holdout)
-    model = ArmModel(arm=nominal, labels=points.labels, turned=points.rotation is not None)
-    first, couplings = _coupled(model, points, tolerance)
-    nominal_fit = fit_arm(model, points, first, (), tolerance)
-    levels = [_level(model, points, nominal_fit, "nominal", (), tolerance)]
-    for name, candidates in _candidates(model, scale=scale):
+        _check_labels(model, holdout)
+    levels = _levels(model, points, tolerance, scale=scale)
+    errors = [_size(model, x, points) for x in levels]
+    check_fit(model, points, min(errors, key=exceeded))
+    best = levels[0]
+    for richer in levels[1:]:
+        if proved(best.left_m, richer.left_m, points.position):
+            best = richer
+    return _result(model, points, holdout, levels, best)
+
+
+def _levels(model: ArmModel, points: ArmPoints, tolerance: Tolerance, *, scale: bool) -> list[Level]:
+    """Return the fits of all kinds of model, the nominal one first; those that did not converge are left out."""
+    guess = start(model, points)
+    p, couplings = coupled(model, points, guess)
+    try:
+        levels = [plain_level(model, points, fit_arm(model, points, guess, (), tolerance), "nominal")]
+    except NotConverged:
+        check_fit(model, points, np.linalg.norm(model.errors(p, points)[0], axis=1))
+        raise
+    if couplings:
+        fitted = fit_arm(model, points, p, (), tolerance)
+        levels.append(plain_level(model, points, fitted, "coupled readings", couplings))
+    plain = levels[-1]
+    for name, offered in candidates(model, scale=scale):
         try:
-            levels.append(_level(model, points, nominal_fit, name, candidates, tolerance))
+            told = f"{plain.name} and {name}" if couplings else name
+            levels.append(level(model, points, plain, told, offered, tolerance))
         except NotConverged:
             continue
-    best = levels[0]
-    for level in levels[1:]:
-        if _proved(best.left_m, level.left_m):
-            best = level
-    return _result(model, points, holdout, levels, best, couplings)
+    return levels
 
 
-def _candidates(model: ArmModel, *, scale: bool) -> list[tuple[str, tuple[str, ...]]]:
-    joints = model.arm.joints
-    zeros = tuple(f"{j.name}.{'theta_rad' if r else 'd_m'}" for j, r in zip(joints, model.arm.revolute, strict=True))
-    links = model.names[: 5 * model.arm.n]
-    found = [("joint zeros", zeros), ("geometry", links)]
-    if scale:
-        found.append(("geometry and joint scales", (*links, *(f"{j.name}.scale" for j in joints))))
-    return found
+def _check_labels(model: ArmModel, holdout: ArmPoints) -> None:
+    unknown = sorted(set(holdout.labels) - set(model.labels))
+    if unknown:
+        raise Inconsistent(
+            f"the holdout has points {', '.join(map(repr, unknown))}, which the measurements have not",
+            consequence="Where they are on the tool is not known, and nothing can be judged by them",
+            cure="Measure the same points of the tool in both, under the same names",
+        )
 
 
-def _coupled(
-    model: ArmModel, points: ArmPoints, tolerance: Tolerance
-) -> tuple[Array, tuple[tuple[str, str, float], ...]]:
-    """Return the nominal arm's parameters, couplings of one included where they halve the error."""
-    p = start(model, points)
-    joints = model.arm.joints
-    found: list[tuple[str, str, float]] = []
-    size = _robust(model, p, points)
-    for i in range(1, model.arm.n):
-        if not (model.arm.revolute[i] and model.arm.revolute[i - 1]) or np.ptp(points.q[:, i - 1]) < 0.2:
-            continue
-        for share in (1.0, -1.0):
-            driven = points.q.copy()
-            driven[:, i] += share * driven[:, i - 1]
-            other = start(model, replace(points, q=driven), like=p)
-            if _robust(model, other, replace(points, q=driven)) < COUPLED * size:
-                p = other.copy()
-                p[6 * model.arm.n + i - 1] = share
-                size = _robust(model, p, points)
-                found = [(joints[i].name, joints[i - 1].name, share)]
-    return p, tuple(found)
-
-
-def _robust(model: ArmModel, p: Array, points: ArmPoints) -> float:
-    return float(np.median(np.linalg.norm(model.errors(p, points)[0], axis=1)))
-
-
-def _level(
-    model: ArmModel,
-    points: ArmPoints,
-    nominal: ArmFit,
-    name: str,
-    candidates: Sequence[str],
-    tolerance: Tolerance,
-) -> _Level:
-    """Fit one kind of model to all rows, and work out what it misses rows by that it has not seen."""
-    choice = Choice(free=(), fixed=(), condition=1.0)
-    fitted = nominal
-    for _ in range(2 if candidates else 0):  # once with the nominal arm's noise, once with the calibrated one's
-        before = choice.free
-        noise = fitted.sigma_m, fitted.sigma_rad
-        choice = choose(model, points, fitted.p, candidates, tolerance, noise)
-        if set(choice.free) == set(before):
-            break
-        fitted = fit_arm(model, points, fitted.p, choice.free, tolerance)
-    return _Level(name=name, fitted=fitted, choice=choice, left_m=left_out(model, points, fitted))
-
-
-def left_out(model: ArmModel, points: ArmPoints, fitted: ArmFit) -> Array:
-    """Return the error (m,) in m at each row, predicted without it and every FOLDS-th beside it.
-
-    Leaving rows out moves the fit by (H - H_k)^-1 g_k, H the information and g_k the gradient of those rows: one
-    Gauss-Newton step from the fit to all rows, which is at its minimum for the rest to second order.
-    """
-    evaluation = model.evaluate(fitted.p, points, fitted.sigma_m, fitted.sigma_rad)
-    index = [model.names.index(name) for name in fitted.free]
-    m = len(points)
-    root = np.sqrt(fitted.fit.weights.reshape(m, -1))
-    J = evaluation.shared[0][:, index].reshape(m, -1, len(index)) * root[:, :, None]
-    r = evaluation.residuals.reshape(m, -1) * root
-    H = np.einsum("mki,mkj->ij", J, J) + np.diag(fitted.prior_weight)
-    scale = np.sqrt(np.diag(H))
-    scale[scale == 0.0] = 1.0
-    out = np.empty(m)
-    none = np.zeros((1, 0))
-    for k in range(min(FOLDS, m)):
-        rows = np.arange(k, m, min(FOLDS, m))
-        flat = J[rows].reshape(-1, len(index))
-        rest = (H - flat.T @ flat) / np.outer(scale, scale) + RIDGE * np.eye(len(index))
-        step = np.zeros(len(fitted.p))
-        step[index] = np.linalg.solve(rest, (flat.T @ r[rows].ravel()) / scale) / scale
-        moved, _ = model.retract(fitted.p, none, step, none)
-        out[rows] = np.linalg.norm(model.errors(moved, points.take(rows))[0], axis=1)
-    return out
-
-
-def _proved(before_m: Array, after_m: Array) -> bool:
-    """Whether errors fall beyond their own doubt, row by row; gross rows are levelled so that none decides alone."""
-    cap = 5.0 * float(np.median(before_m))
-    fall = np.minimum(before_m, cap) - np.minimum(after_m, cap)
-    doubt = float(fall.std(ddof=1)) / np.sqrt(len(fall))
-    return bool(fall.mean() > PROVED * doubt and fall.mean() > 1e-3 * before_m.mean())
+def _size(model: ArmModel, x: Level, points: ArmPoints) -> Array:
+    """Return the errors of place (m,) in m."""
+    return np.asarray(np.linalg.norm(model.errors(x.fitted.p, points)[0], axis=1))
 
 
 def _result(
-    model: ArmModel,
-    points: ArmPoints,
-    holdout: ArmPoints | None,
-    levels: Sequence[_Level],
-    best: _Level,
-    couplings: tuple[tuple[str, str, float], ...],
+    model: ArmModel, points: ArmPoints, holdout: ArmPoints | None, levels: Sequence[Level], chosen: Level
 ) -> ArmCalibration:
-    first = levels[0]
-    before_m = np.linalg.norm(model.errors(first.fitted.p, points)[0], axis=1)
-    after_m = np.linalg.norm(model.errors(best.fitted.p, points)[0], axis=1)
-    left = first.left_m, best.left_m
+    first, best = levels[0], chosen
+    held: tuple[Array, Array] | None = None
     if holdout is not None:
-        there = [np.linalg.norm(model.errors(x.fitted.p, holdout)[0], axis=1) for x in (first, best)]
-        left = there[0], there[1]
-    richest = levels[-1].choice
+        held = _size(model, first, holdout), _size(model, chosen, holdout)
+        if chosen is not first and not proved(*held, holdout.position):
+            best = first
     gain = best is not first
+    cross = Errors.of(first.left_m), Errors.of(best.left_m)
+    left = cross if held is None else (Errors.of(held[0]), Errors.of(held[1 if gain else 0]))
+    before_m, after_m = _size(model, first, points), _size(model, best, points)
     limit = GROSS * best.fitted.sigma_m
-    covariance = best.fitted.fit.covariance
-    arm = model.arm_at(best.fitted.p)
-    if covariance is not None:
-        links = tuple(name for name in covariance.names if name in model.names[: 5 * model.arm.n])
-        if links:
-            arm = replace(arm, covariance=NamedCovariance(names=links, matrix=covariance.block(links)))
     return ArmCalibration(
-        arm=arm,
+        arm=_arm(model, best),
         nominal=model.arm,
         model=model,
         fitted=best.fitted,
@@ -257,37 +177,68 @@ def _result(
         level=best.name,
         before=Errors.of(before_m),
         after=Errors.of(after_m),
-        left_before=Errors.of(left[0]),
-        left_after=Errors.of(left[1]),
-        held=holdout is not None,
+        cross_before=cross[0],
+        cross_after=cross[1],
+        left_before=left[0],
+        left_after=left[1],
+        held=held is not None,
         free=best.choice.free,
-        fixed=best.choice.fixed if gain else richest.fixed,
+        fixed=_fixed(best, levels[-1]),
         condition=best.choice.condition,
-        covariance=covariance,
+        covariance=best.fitted.fit.covariance,
         outliers=tuple((int(i), float(after_m[i])) for i in np.flatnonzero(after_m > limit)),
-        couplings=couplings,
-        verdict=_verdict(first, best, levels, couplings),
+        couplings=best.couplings,
+        still=still(model, points),
+        verdict=_verdict(levels, chosen, best, held),
         error_m=after_m,
         before_m=before_m,
     )
 
 
-def _verdict(
-    first: _Level, best: _Level, levels: Sequence[_Level], couplings: tuple[tuple[str, str, float], ...]
-) -> str:
-    """Return what to think of it, in a sentence or two."""
+def _arm(model: ArmModel, best: Level) -> Arm:
+    """Return the arm of a level, with the covariance of its links."""
+    arm, covariance = model.arm_at(best.fitted.p), best.fitted.fit.covariance
+    if covariance is not None:
+        links = tuple(name for name in covariance.names if name in model.names[: 5 * model.arm.n])
+        if links:
+            return replace(arm, covariance=NamedCovariance(names=links, matrix=covariance.block(links)))
+    return arm
+
+
+def _fixed(best: Level, richest: Level) -> tuple[tuple[str, str], ...]:
+    """Return (name, why) of every parameter that the kept or the richest model offered and that was not corrected."""
+    why = dict.fromkeys(richest.choice.free, UNPROVED) | dict(richest.choice.fixed) | dict(best.choice.fixed)
+    return tuple((name, reason) for name, reason in why.items() if name not in best.choice.free)
+
+
+def _verdict(levels: Sequence[Level], chosen: Level, best: Level, held: tuple[Array, Array] | None) -> str:
+    """Return what to think of it, in a sentence or two. chosen: by cross-validation; best: what was kept."""
+    first = levels[0]
+    cross = f"{_mm(first.left_m)} to {_mm(chosen.left_m)} mm"
+    there = "" if held is None else f"{_mm(held[0])} to {_mm(held[1])} mm"
+    if chosen is first:
+        tried = ", ".join(f"{x.name} {_mm(x.left_m)} mm" for x in levels[1:])
+        return (
+            f"No gain is proved: rows left out by cross-validation miss by {_mm(first.left_m)} mm with the nominal "
+            f"arm, and not reliably less with any correction ({tried}). "
+            "The nominal geometry is kept; measure more, or better."
+        )
+    if best is first:
+        return (
+            f"No gain is proved: correcting {chosen.name} takes the error of rows left out by cross-validation from "
+            f"{cross}, but that of the rows of the holdout from {there}, not reliably less. "
+            "The nominal geometry is kept; measure more joint positions."
+        )
+    count = f" ({len(best.choice.free)} parameters)" if best.choice.free else ""
+    also = f", and of the rows of the holdout from {there}" if there else ""
     told = "".join(
         f" The reading of {a} is absolute: its angle is {a} {'+' if share > 0 else '-'} {b}, and the arm file says so."
-        for a, b, share in couplings
+        for a, b, share in best.couplings
     )
-    mean = 1e3 * float(first.left_m.mean())
-    if best is first:
-        tried = ", ".join(f"{level.name} {1e3 * level.left_m.mean():.3g} mm" for level in levels[1:])
-        return (
-            f"No gain is proved: rows left out of the fit miss by {mean:.3g} mm with the nominal arm, and not reliably "
-            f"less with any correction ({tried}). The nominal geometry is kept; measure more, or better." + told
-        )
     return (
-        f"Correcting {best.name} ({len(best.choice.free)} parameters) takes the error of rows left out of the fit from "
-        f"{mean:.3g} to {1e3 * best.left_m.mean():.3g} mm." + told
+        f"Correcting {best.name}{count} takes the error of rows left out by cross-validation from {cross}{also}." + told
     )
+
+
+def _mm(size_m: Array) -> str:
+    return f"{1e3 * float(size_m.mean()):.3g}"

@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 
 WORTH = 2.0
 """A parameter is freed where the measurements alone would know it to a half of its tolerance."""
+STILL = 1e-3
+"""A joint whose readings stay within so much (rad, or of the mean link) did not move."""
 APART = 0.02
 """Share of a parameter's effect that must be its own, not that of base, tool and the parameters freed before."""
 
@@ -60,7 +62,8 @@ def choose(
         open_.remove(best)
         v = left[:, best] / np.linalg.norm(left[:, best])
         left = left - np.outer(v, v @ left)
-    fixed = tuple((candidates[i], _why(whole[i], float(np.linalg.norm(left[:, i])))) for i in open_)
+    resting = still(model, points)
+    fixed = tuple((candidates[i], _why(candidates[i], resting, whole[i], np.linalg.norm(left[:, i]))) for i in open_)
     own = columns[:, free] - Q @ (Q.T @ columns[:, free])
     condition = float(np.linalg.cond(own)) if free else 1.0
     return Choice(free=tuple(candidates[i] for i in free), fixed=fixed, condition=condition)
@@ -73,7 +76,17 @@ def _basis(columns: Array) -> Array:
     return np.asarray(U[:, s > 1e-9 * s[0]])
 
 
-def _why(whole: float, left: float) -> str:
+def still(model: ArmModel, points: ArmPoints) -> tuple[str, ...]:
+    """Return the names of the joints that did not move."""
+    size = np.where(model.arm.revolute, 1.0, model.arm.length_m)
+    moved = np.ptp(points.q, axis=0) > STILL * size
+    return tuple(joint.name for joint, m in zip(model.arm.joints, moved, strict=True) if not m)
+
+
+def _why(name: str, resting: Sequence[str], whole: float, left: float | np.floating) -> str:
+    joint = name.rsplit(".", 1)[0]
+    if joint in resting:
+        return f"joint {joint} did not move"
     if whole < WORTH:
         return "the measurements tell less of it than its tolerance"
     if left < APART * whole:

@@ -12,13 +12,15 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.arm.points import ArmPoints
 from armsight.fitting import Evaluation
-from armsight.kinematics import Arm, Coupling, forward, parameter_jacobian, parameter_names
+from armsight.kinematics import Arm, Convention, Coupling, forward, parameter_jacobian, parameter_names
 
 Array = NDArray[np.float64]
 
 LINK = ("a_m", "alpha_rad", "d_m", "theta_rad", "beta_rad")
 POSE = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 THETA, D = LINK.index("theta_rad"), LINK.index("d_m")
+PARALLEL_RAD = 0.1
+"""Axes nearer to parallel are nearly parallel: a direction known to 1e-3 rad leaves d to 1 % of a link (MATH 4.5)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -42,6 +44,38 @@ class ArmModel:
         scales = tuple(f"{name}.scale" for name in joints)
         couplings = tuple(f"{b}.by_{a}" for a, b in pairwise(joints))
         return (*links, *scales, *couplings, *self.mounts)
+
+    @property
+    def parallel(self) -> tuple[tuple[int, str], ...]:
+        """Pairs of consecutive joints with nearly parallel axes: the first one's place, and the name of their beta."""
+        craig = self.arm.convention is Convention.CRAIG  # there a joint's a, alpha, beta are those of the link before
+        links = [(k, self.arm.joints[k + craig]) for k in range(self.arm.n - 1)]
+        return tuple(
+            (k, f"{joint.name}.beta_rad")
+            for k, joint in links
+            if abs(np.cos(joint.alpha_rad) * np.cos(joint.beta_rad)) > np.cos(PARALLEL_RAD)
+        )
+
+    @property
+    def replaced(self) -> tuple[str, ...]:
+        """Names of the d that beta takes the place of: of the first of two turning or sliding joints on parallel axes.
+
+        A slide's d is its zero and stays; the second joint's d then says the same and is left to the pivoting.
+        """
+        return tuple(f"{self.arm.joints[k].name}.d_m" for k, _ in self.parallel if self.arm.revolute[k])
+
+    @property
+    def geometry(self) -> tuple[str, ...]:
+        """Names of the links' parameters that can be corrected: Denavit-Hartenberg's, Hayati's on parallel axes.
+
+        Beside the other four, beta at axes that are not parallel does what joint zeros do (MATH 4.5), and is not among
+        them.
+        """
+        betas = {name for _, name in self.parallel}
+        links = parameter_names(self.arm)[: 5 * self.arm.n]
+        return tuple(
+            name for name in links if (name in betas or not name.endswith(".beta_rad")) and name not in self.replaced
+        )
 
     @property
     def mounts(self) -> tuple[str, ...]:

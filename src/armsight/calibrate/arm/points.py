@@ -18,6 +18,12 @@ MOST_TURNS_RAD = 40.0
 
 FEWEST_ROWS = 6
 """Base and one tool point alone have nine unknowns; three rows would fit anything."""
+FEWEST_POSITIONS = 4
+"""Different joint positions: of three, base and one tool point fit any places."""
+LEAST_MOVE = 0.01
+"""Some joint must move by so much (rad, or of the mean link): less is lost in the noise of any measurement."""
+SAME_Q = 1e-9
+"""Readings that differ by less (rad or m) are of one joint position: rounding of a file."""
 
 UNITS = {1000.0: "millimetres", 100.0: "centimetres", 39.37: "inches", 1e-3: "kilometres"}
 ABSURD = 12.0
@@ -54,6 +60,14 @@ class ArmPoints:
         """The names of the tool's points, sorted."""
         return tuple(sorted(set(self.point)))
 
+    @property
+    def position(self) -> NDArray[np.intp]:
+        """Which joint position each row (m,) is of, counted from 0 as they come: rows of equal readings are of one."""
+        _, first, which = np.unique(np.round(self.q / SAME_Q), axis=0, return_index=True, return_inverse=True)
+        place = np.empty(len(first), dtype=np.intp)
+        place[np.argsort(first)] = np.arange(len(first))
+        return place[which.ravel()]
+
     def take(self, rows: NDArray[np.intp]) -> ArmPoints:
         """Return the measurements of some rows."""
         rotation = None if self.rotation is None else self.rotation[rows]
@@ -76,6 +90,7 @@ def check_points(arm: Arm, points: ArmPoints) -> None:
             consequence="Even base and tool would fit anything",
             cure="Measure more joint positions",
         )
+    _check_moves(arm, points)
     turns = np.abs(points.q[:, arm.revolute])
     if turns.size and turns.max() > MOST_TURNS_RAD:
         raise Inconsistent(
@@ -84,6 +99,26 @@ def check_points(arm: Arm, points: ArmPoints) -> None:
             cure="Give radians; the numbers look like degrees",
         )
     _check_units(arm, points)
+
+
+def _check_moves(arm: Arm, points: ArmPoints) -> None:
+    """Raise NotEnoughData where too few joint positions were measured, or the joints hardly moved between them."""
+    count = int(points.position.max()) + 1
+    if count < FEWEST_POSITIONS:
+        raise NotEnoughData(
+            f"the {len(points)} rows are of {count} joint position{'s' * (count > 1)}; {FEWEST_POSITIONS} is the least",
+            consequence="Even base and tool would fit anything",
+            cure="Measure at more joint positions; further rows at the same ones do not help",
+        )
+    moved = np.ptp(points.q, axis=0)
+    most = int(np.argmax(moved / np.where(arm.revolute, 1.0, arm.length_m)))
+    if moved[most] < LEAST_MOVE * (1.0 if arm.revolute[most] else arm.length_m):
+        unit = "rad" if arm.revolute[most] else "m"
+        raise NotEnoughData(
+            f"the joints hardly moved: {arm.joints[most].name} the most, by {moved[most]:.3g} {unit}",
+            consequence="What the arm did is lost in the noise of the places",
+            cure="Measure joint positions far apart, over the ranges that the arm is used in",
+        )
 
 
 def _check_units(arm: Arm, points: ArmPoints) -> None:

@@ -70,7 +70,7 @@ def propose(
     there = ArmPoints(q=q, xyz_m=place, point=at.point)
     noise = fitted.sigma_m, fitted.sigma_rad
     plain = ArmModel(arm=model.arm, labels=model.labels, turned=False)
-    names = choose(plain, there, fitted.p, model.names[: 5 * model.arm.n], tolerance, noise).free
+    names = choose(plain, there, fitted.p, model.geometry, tolerance, noise).free
     wanted = (*names, *(name for name in plain.mounts if not _turn_of_tool(name)))
     index = [plain.names.index(name) for name in wanted]
     scale = np.array([tolerance.of(name) if name in names else 1.0 for name in wanted])

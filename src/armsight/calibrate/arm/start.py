@@ -8,6 +8,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.points import ArmPoints
+from armsight.errors import Degenerate
 from armsight.geometry import align_points
 from armsight.kinematics import forward
 
@@ -50,12 +51,24 @@ def start(model: ArmModel, points: ArmPoints, like: Array | None = None) -> Arra
     return model.vector(base, [RigidTransform.from_components(x, turn) for x in at])
 
 
+def placed(there_m: Array, here_m: Array) -> RigidTransform:
+    """Return the pose that takes places (m, 3) to others. Raises Degenerate, in an arm's words."""
+    try:
+        return align_points(there_m, here_m).T_a_b
+    except Degenerate:
+        raise Degenerate(
+            "the tool's places lie on one line, or all in one place",
+            consequence="The turn of the base about that line cannot be known",
+            cure="Move at least two joints, or one far along an arc",
+        ) from None
+
+
 def _by_turns(F: Array, xyz_m: Array, which: NDArray[np.intp], at: Array) -> tuple[RigidTransform, Array, float]:
     base = RigidTransform.identity()
     rms = np.inf
     for _ in range(TURNS):
         local = np.einsum("mij,mj->mi", F[:, :3, :3], at[which]) + F[:, :3, 3]
-        base = align_points(xyz_m, local).T_a_b
+        base = placed(xyz_m, local)
         R, t = base.rotation.as_matrix(), base.translation
         wanted = (xyz_m - t) @ R - F[:, :3, 3]  # what the tool's points should add, in base axes
         at = np.stack([_point(F[which == k, :3, :3], wanted[which == k], at[k]) for k in range(len(at))])

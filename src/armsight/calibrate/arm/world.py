@@ -11,9 +11,10 @@ from scipy.stats import chi2
 
 from armsight.calibrate.arm.fit import MEDIAN_3
 from armsight.calibrate.arm.points import ArmPoints, check_points
-from armsight.errors import Degenerate, NotEnoughData
+from armsight.calibrate.arm.sense import MOST_SHARE, ranges, senseless, spread_m
+from armsight.calibrate.arm.start import placed
+from armsight.errors import Ambiguous, Degenerate, NotEnoughData
 from armsight.fitting import Evaluation, Loss, LossKind, Problem, Settings, solve
-from armsight.geometry import align_points
 from armsight.kinematics import Arm, forward
 from armsight.records import NamedCovariance
 
@@ -22,6 +23,10 @@ Array = NDArray[np.float64]
 NAMES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 GROSS = float(np.sqrt(chi2.ppf(1.0 - 1e-7, 3)))
 """Errors beyond so many deviations are gross, and left out."""
+TRIES = 300
+"""Draws of three places: with half of the rows wrong, one draw in eight is without a wrong one."""
+SEED = 11
+"""The same measurements give the same answer."""
 LEAST_LEFT = 4
 """Rows that must be left: six unknowns, and something to judge them by."""
 
@@ -45,33 +50,81 @@ class WorldCalibration:
 def calibrate_world(arm: Arm, points: ArmPoints) -> WorldCalibration:
     """Return where the rig stands in base axes, from the tool's places in rig axes at joint readings.
 
-    Kabsch on the arm's forward kinematics, then robust least squares with the noise estimated. Raises as check_points,
-    NotEnoughData where too few agree, Degenerate where the places lie on one line.
+    Kabsch on the arm's forward kinematics from the triple of places that half of the rows agree with best, then robust
+    least squares with the noise estimated. Rows that do not agree are rejected. Raises as check_points, NotEnoughData
+    where too few agree, Inconsistent where fewer than half do, Ambiguous where the others agree on another place,
+    Degenerate where the places lie on one line.
     """
     check_points(arm, points)
     local = forward(arm, points.q)[:, :3, 3]
     base = np.asarray(arm.T_world_base.inv().apply(local))
-    kept = np.arange(len(points))
-    T = align_points(base, points.xyz_m).T_a_b
+    T, kept = _majority(base, points.xyz_m)
+    size = np.linalg.norm(T.apply(points.xyz_m) - base, axis=1)
+    typical, spread = float(np.median(size[kept])), spread_m(points.xyz_m)
+    if 2 * len(kept) < len(points) or typical > MOST_SHARE * spread:
+        raise senseless(size, spread)
+    out = np.setdiff1d(np.arange(len(points)), kept)
+    _check_others(base, points.xyz_m, kept, out)
+    T, covariance = _refine(T, points.xyz_m[kept], base[kept])
+    size = np.linalg.norm(T.apply(points.xyz_m) - base, axis=1)
+    rejected = tuple((int(row), f"misses the others' rig by {1e3 * size[row]:.3g} mm") for row in out)
+    return WorldCalibration(T_base_rig=T, covariance=covariance, residual_m=size, rejected=rejected)
+
+
+def _majority(base_m: Array, rig_m: Array) -> tuple[RigidTransform, NDArray[np.intp]]:
+    """Return the pose of the rig that places (m, 3) agree on, and the rows that do."""
+    T = _consensus(base_m, rig_m)
+    size = np.linalg.norm(T.apply(rig_m) - base_m, axis=1)
+    kept = np.argsort(size)[: max((len(size) + 1) // 2, LEAST_LEFT)]
     for _ in range(10):
-        size = np.linalg.norm(T.apply(points.xyz_m) - base, axis=1)
+        size = np.linalg.norm(T.apply(rig_m) - base_m, axis=1)
         sigma = max(float(np.median(size[kept]) / np.sqrt(MEDIAN_3)), 1e-9)
         good = np.flatnonzero(size <= GROSS * sigma)
         if len(good) < LEAST_LEFT:
             raise NotEnoughData(
-                f"only {len(good)} of {len(points)} places agree with the arm",
+                f"only {len(good)} of {len(rig_m)} places agree with the arm",
                 consequence="Where the rig stands is not given",
                 cure="Check that arm, joint readings and places belong together, row by row",
             )
-        T = align_points(base[good], points.xyz_m[good]).T_a_b
+        T = placed(base_m[good], rig_m[good])
         if np.array_equal(good, kept):
             break
         kept = good
-    T, covariance = _refine(T, points.xyz_m[kept], base[kept])
-    size = np.linalg.norm(T.apply(points.xyz_m) - base, axis=1)
-    out = sorted(set(range(len(points))) - set(kept.tolist()))
-    rejected = tuple((row, f"misses the others' rig by {1e3 * size[row]:.3g} mm") for row in out)
-    return WorldCalibration(T_base_rig=T, covariance=covariance, residual_m=size, rejected=rejected)
+    return T, kept
+
+
+def _consensus(base_m: Array, rig_m: Array) -> RigidTransform:
+    """Return the pose from the triple of places that half of all places miss by least."""
+    rng = np.random.default_rng(SEED)
+    half = (len(rig_m) + 1) // 2 - 1
+    best, least = placed(base_m, rig_m), np.inf  # raises where all places are on one line
+    for _ in range(TRIES):
+        rows = rng.choice(len(rig_m), 3, replace=False)
+        try:
+            T = placed(base_m[rows], rig_m[rows])
+        except Degenerate:
+            continue
+        miss = float(np.partition(np.linalg.norm(T.apply(rig_m) - base_m, axis=1), half)[half])
+        if miss < least:
+            best, least = T, miss
+    return best
+
+
+def _check_others(base_m: Array, rig_m: Array, kept: NDArray[np.intp], out: NDArray[np.intp]) -> None:
+    """Raise Ambiguous where the rows left out agree on another place of the rig, about as many as those kept."""
+    if len(out) < max(2 * LEAST_LEFT, 0.8 * len(kept)):
+        return
+    try:
+        T, agree = _majority(base_m[out], rig_m[out])
+    except (NotEnoughData, Degenerate):
+        return
+    miss = np.linalg.norm(T.apply(rig_m[out]) - base_m[out], axis=1)[agree]
+    if len(agree) >= 0.8 * len(kept) and np.median(miss) < MOST_SHARE * spread_m(rig_m):
+        raise Ambiguous(
+            f"rows {ranges(out[agree])} put the rig elsewhere than rows {ranges(kept)}",
+            consequence="Where the rig stands is not given: it moved, or the readings are of two set-ups",
+            cure="Give the rows of one of them",
+        )
 
 
 def _refine(T: RigidTransform, rig_m: Array, base_m: Array) -> tuple[RigidTransform, NamedCovariance]:
