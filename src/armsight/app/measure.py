@@ -6,17 +6,19 @@ import time
 from collections.abc import Generator, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.app.complex_images import complex_pairs
 from armsight.app.outputs import REPORT, SUMMARY, Outputs, Summary
 from armsight.app.prepare import prepare
-from armsight.app.replay import is_recording, open_pairs, open_source, open_split
+from armsight.app.replay import is_recording, open_pairs, open_source
 from armsight.app.reporting import About, Collector
-from armsight.drivers import Overlaid, PairSource, ordered_map, read_image
+from armsight.drivers import PairSource, ordered_map, read_image
 from armsight.drivers.live import MAX_SKEW_S
 from armsight.errors import ArmsightError, Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.measure.pair import Measured, Setup, Track, measure_pair
@@ -81,9 +83,9 @@ def measure(job: MeasureJob, progress: Progress | None = None) -> Summary:
     """
     rig, target = read_rig(job.rig), target_of(job.target)
     world = read_world(job.world) if job.world else None
-    overlaid = job.image is not None and rig.kind is RigKind.MIRROR
-    setup = Setup(rig=rig, target=target, settings=_settings(job, target), overlaid=overlaid)
-    pairs = _pairs(job, rig, target)
+    settings = _settings(job, target)
+    pairs, overlaid = _pairs(job, rig, target)
+    setup = Setup(rig=rig, target=target, settings=settings, overlaid=overlaid)
     facts = [("frames", pairs.name), ("rig's file", str(job.rig)), ("target's file", str(job.target))]
     facts += [("place of the rig", str(job.world))] if job.world else []
     summary, _ = run(
@@ -217,22 +219,27 @@ def _settings(job: MeasureJob, target: Target) -> SpotSettings:
     )
 
 
-def _pairs(job: MeasureJob, rig: Rig, target: Target) -> PairSource:
+def _pairs(job: MeasureJob, rig: Rig, target: Target) -> tuple[PairSource, bool]:
+    """Return the source of pairs, and whether both views are in one image, one upon the other."""
     colour = target.colour is not None
     times_s = read_times(job.times).tolist() if job.times else None
     if job.image is not None:
         if job.left is not None or job.right is not None:
             raise UsageError("--image goes with neither --left nor --right", cure="Give the one or the others")
-        left, right = ((camera.width, camera.height) for camera in (rig.left, rig.right))
-        if rig.kind is RigKind.MIRROR:
-            return Overlaid(open_source(job.image, colour=colour, fps=job.fps, times_s=times_s))
-        return open_split(job.image, left, right, colour=colour, fps=job.fps, times_s=times_s)
+        source = partial(open_source, job.image, colour=colour, fps=job.fps, times_s=times_s)
+        return complex_pairs(source, rig)
+    if rig.kind is RigKind.MIRROR and job.left is not None and job.left == job.right:
+        raise UsageError(
+            f"left and right are both {job.left}, and the rig has mirrors: both of its views are in one image",
+            cure=f"Give --image {job.left} in place of --left and --right",
+        )
     alone = (job.left or job.right) if job.left is None or job.right is None else None
     if job.left is job.right is None or (alone is not None and not is_recording(alone)):
         raise UsageError(
             "there are no frames to measure", cure="Give --left and --right, one recording as --left, or --image"
         )
-    return open_pairs(job.left, job.right, colour=colour, fps=job.fps, times_s=times_s, max_skew_s=job.max_skew_s)
+    pairs = open_pairs(job.left, job.right, colour=colour, fps=job.fps, times_s=times_s, max_skew_s=job.max_skew_s)
+    return pairs, False
 
 
 def _nothing_seen(outputs: Outputs) -> NotEnoughData | None:

@@ -12,25 +12,36 @@ import numpy as np
 
 from armsight.app.boards import in_parallel, see_board
 from armsight.app.calibrate import report_path, stereo_content
+from armsight.app.mirrors_lit import calibrate_lit, reasons
 from armsight.app.replay import open_source
 from armsight.app.reporting import write_stereo_report
 from armsight.calibrate import BoardOptions
-from armsight.calibrate.alignment import Alignment, check_alignment, mirrors_from_target
+from armsight.calibrate.alignment import Alignment, check_alignment
 from armsight.calibrate.mirrors import GLASS, MirrorCalibration, calibrate_mirrors
 from armsight.drivers import is_live, list_images
 from armsight.errors import BadImage, Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.measure.boards import find_two_boards
-from armsight.measure.pair import Setup, measure_pair
-from armsight.optics import Plate, Rig
+from armsight.optics import Plate
 from armsight.optics.mirrors import FormError, Mirrors, form_errors
-from armsight.records import BoardView, Frame, PoseStatus, Progress, Silent, Target, TargetPose
+from armsight.records import BoardView, Frame, Progress, Silent, Target
 from armsight.store import parse_board, read_camera, read_rig, read_target, write_rig
 
-LOOSE_PX = 4.0
-"""How far the mirrors may be out when spots are first paired by their design."""
 DEPTHS_M = (0.4, 0.5, 0.6, 0.7, 0.8)
+LEAST_BOARDS = 3
+"""Images of the board below which nothing is calibrated."""
 KEPT = 8
 """Frames that a live check looks back on: a turned screw should show."""
+
+CURES = (
+    ("continue a board beyond", "Check the counts of --board, or look for a third reflection of the board"),
+    ("three times or more", "Look for a third reflection: show the board once in each view"),
+    ("only once", "Open both paths; where each image shows one view, give --left-only and --right-only"),
+    ("in part", "Show the whole board in both views"),
+    ("half out", "Show the whole board in both views"),
+    ("blurred", "Hold the board still, shorten the exposure or focus the lens"),
+)
+"""What an image's reason says, and what helps."""
+OTHER_CURE = "Show the whole board in both views, lit evenly, and check the counts of --board"
 
 Pair = tuple[BoardView, BoardView]
 
@@ -75,12 +86,8 @@ def run_mirrors(job: MirrorsJob, progress: Progress | None = None) -> dict[str, 
         return _from_target(job, job.out, progress)
     board = parse_board(_board(job))
     views, rejected = _all_pairs(job, board, progress)
-    if not views:
-        file, why = rejected[0] if rejected else ("", "there are no images")
-        raise NotEnoughData(
-            f"the board {job.board} was found in both views of none of the images; in the first, {file}: {why}",
-            consequence="Nothing was calibrated", cure="Show the whole board in both views, lit evenly",
-        )  # fmt: skip
+    if len(views) < LEAST_BOARDS:
+        raise _too_few(job, len(views), rejected)
     progress.update(0, 0, "solving")
     done = calibrate_mirrors(
         [left for left, _ in views], [right for _, right in views], board, thickness_m=job.thickness_m,
@@ -91,9 +98,23 @@ def run_mirrors(job: MirrorsJob, progress: Progress | None = None) -> dict[str, 
     n_pairs = len(views) + len(rejected)
     write_stereo_report(
         report_path(job.out), done.pair, board=job.board, n_pairs=n_pairs, rejected=rejected,
-        title="Calibration of a mirror rig", facts=_facts(done, forms),
+        title="Calibration of a mirror rig", results=_results(done, forms),
     )  # fmt: skip
     return mirrors_content(done, rejected, n_pairs=n_pairs, forms=forms)
+
+
+def _too_few(job: MirrorsJob, n: int, rejected: Sequence[tuple[str, str]]) -> NotEnoughData:
+    """Return the refusal of too few images that show the board in both views, with the commonest reasons."""
+    total = n + len(rejected)
+    why = reasons(rejected)
+    said = "; ".join(f"{text} (in {count})" for text, count in why[:3])
+    counted = f"{n or 'none'} of {total} image{'' if total == 1 else 's'} show{'s' if n == 1 else ''}"
+    cure = next((cure for words, cure in CURES if why and words in why[0][0]), OTHER_CURE)
+    return NotEnoughData(
+        f"{counted} the board {job.board} in both views, {LEAST_BOARDS} are needed" + (f": {said}" if said else ""),
+        consequence="Nothing was calibrated",
+        cure=cure if rejected else "Take ten to twenty images, with the board tilted in different directions",
+    )
 
 
 def run_check(job: MirrorsJob, progress: Progress | None = None) -> dict[str, Any]:
@@ -185,6 +206,8 @@ def mirrors_content(
         "seen_thickness_m": done.seen_m,
         "seen_thickness_std_m": done.seen_std_m,
     }
+    if not done.pair.metric:
+        content["metric"] = dict.fromkeys(("expected_m", "mean_m", "rms_m"))
     content["one_lens"] = done.one_lens
     content["forms"] = [
         {"name": one.name, "x_m": one.x_m, "y_m": one.y_m, "z_m": one.z_m, "epipolar_px": one.epipolar_px}
@@ -202,11 +225,11 @@ def _board(job: MirrorsJob) -> str:
 def _all_pairs(job: MirrorsJob, board: Target, progress: Progress) -> tuple[list[Pair], list[tuple[str, str]]]:
     """Return the board in both views of every image, and (source, why) where it is not."""
     if job.image is None and (job.left_only is None or job.right_only is None):
-        raise UsageError("there are no images", cure="Give --image, or --left-only and --right-only")
+        raise _no_images(job)
     views: list[Pair] = []
     rejected: list[tuple[str, str]] = []
     sources = ([_complex(job, board)] if job.image is not None else []) + (
-        [_covered(job, board)] if job.left_only is not None else []
+        [_covered(job, board)] if job.left_only is not None or job.right_only is not None else []
     )
     for source in sources:
         for name, seen in source:
@@ -218,6 +241,17 @@ def _all_pairs(job: MirrorsJob, board: Target, progress: Progress) -> tuple[list
             if progress.cancelled():
                 raise Cancelled("stopped", consequence="Nothing was written")
     return views, rejected
+
+
+def _no_images(job: MirrorsJob) -> UsageError:
+    """Return the refusal that names which source is missing."""
+    if job.left_only is None and job.right_only is None:
+        return UsageError("there are no images", cure="Give --image, or --left-only and --right-only")
+    given, missing = ("--left-only", "--right-only") if job.right_only is None else ("--right-only", "--left-only")
+    return UsageError(
+        f"{given} is given without {missing}",
+        cure=f"Give {missing} too, with the images of the same places of the board, or --image with complex images",
+    )
 
 
 def _complex(job: MirrorsJob, board: Target) -> Iterator[tuple[str, Pair | str]]:
@@ -237,7 +271,7 @@ def _complex(job: MirrorsJob, board: Target) -> Iterator[tuple[str, Pair | str]]
 def _covered(job: MirrorsJob, board: Target) -> Iterator[tuple[str, Pair | str]]:
     """Yield the pairs of images taken with one path covered after the other."""
     if job.left_only is None or job.right_only is None:
-        raise UsageError("one of the two covered views is missing", cure="Give --left-only and --right-only")
+        raise _no_images(job)
     with open_source(job.left_only) as lefts, open_source(job.right_only) as rights:
         if lefts.total != rights.total:
             raise Inconsistent(
@@ -255,58 +289,44 @@ def _covered(job: MirrorsJob, board: Target) -> Iterator[tuple[str, Pair | str]]
 
 def _from_target(job: MirrorsJob, out: Path, progress: Progress) -> dict[str, Any]:
     """Calibrate the mirrors from complex images of the lit target; the lens comes from camera.yaml."""
+    if job.board:
+        raise UsageError("--target and --board are both given", cure="Give the one that the images show")
+    if job.left_only is not None or job.right_only is not None:
+        raise UsageError("--target goes with complex images only", cure="Give --image, or covered views with --board")
     if job.camera is None or job.baseline_m is None or job.image is None or job.target is None:
-        raise UsageError(
-            "the lit target alone does not tell the lens", cure="Give --camera camera.yaml, --baseline and --image"
-        )
+        raise _incomplete(job)
     camera, target = read_camera(job.camera), read_target(job.target)
     plate = Plate(thickness_m=job.thickness_m or 1e-3, index=job.index)
-    design = Mirrors(baseline_m=job.baseline_m, near_m=job.near_m, gap_m=job.gap_m, plate=plate)
-    start = _without_glass(design.rig(camera)) if job.thickness_m == 0.0 else design.rig(camera)
-    views, poses, rejected = _lit(job, start, target, progress)
-    done = mirrors_from_target(start, views, poses, target)
-    write_rig(out, done.rig, inputs=[job.camera, job.target])
-    content = check_content(done, [f"{name}: {why}" for name, why in rejected])
-    return {
-        **content,
-        "rms_px": done.rig.rms_px,
-        "baseline_m": done.rig.baseline_m,
-        "n_pairs": len(views) + len(rejected),
-        "n_used": len(views),
-        "rejected": [{"file": name, "why": why} for name, why in rejected],
+    design = Mirrors(baseline_m=job.baseline_m, near_m=job.near_m, gap_m=job.gap_m, plate=plate).rig(camera)
+    if job.thickness_m == 0.0:
+        design = replace(design, left=replace(design.left, plate=None))
+    done, rejected = calibrate_lit(
+        design, target, job.image, every=job.every, limit=job.limit, progress=progress
+    )  # fmt: skip
+    write_rig(out, done.rig, inputs=[job.camera, job.target, *_inputs(job)])
+    forms = _forms(done)
+    n_images = done.pair.n_used + len(rejected)
+    write_stereo_report(
+        report_path(out), done.pair, board=str(job.target), thing="lit target", n_pairs=n_images, rejected=rejected,
+        title="Calibration of a mirror rig", results=_results(done, forms),
+        facts=[("camera's file", str(job.camera)), ("baseline as designed", f"{1e3 * job.baseline_m:g} mm")],
+    )  # fmt: skip
+    return mirrors_content(done, rejected, n_pairs=n_images, forms=forms)
+
+
+def _incomplete(job: MirrorsJob) -> UsageError:
+    """Return the refusal that names which options a calibration from the lit target still needs."""
+    needed = {
+        "--camera": (job.camera, "camera.yaml, the lens"),
+        "--baseline-mm": (job.baseline_m, "the baseline as designed"),
+        "--image": (job.image, "the complex images"),
     }
-
-
-def _without_glass(rig: Rig) -> Rig:
-    return replace(rig, left=replace(rig.left, plate=None))
-
-
-def _lit(
-    job: MirrorsJob, rig: Rig, target: Target, progress: Progress
-) -> tuple[list[Pair], list[TargetPose], list[tuple[str, str]]]:
-    """Return the target's lights in both views of every image, and the poses that the design makes of them."""
-    setup = Setup(rig, target, slack_px=LOOSE_PX, overlaid=True)
-    views: list[Pair] = []
-    poses: list[TargetPose] = []
-    rejected: list[tuple[str, str]] = []
-    with open_source(job.image or "", colour=target.colour is not None) as frames:
-        for frame in islice(frames, 0, job.limit and job.limit * job.every, job.every):
-            found = measure_pair(setup, frame, frame)
-            if found.pose.status is not PoseStatus.OK:
-                rejected.append((frame.source, found.pose.why))
-            else:
-                index = np.array([target.names.index(name) for name in found.names])
-                both = [
-                    BoardView(
-                        uv_px=spots.uv_px, index=index, width=frame.width, height=frame.height, source=frame.source,
-                        sigma_px=float(np.sqrt(np.median(np.trace(spots.covariance_px2, axis1=1, axis2=2)) / 2.0)),
-                    )
-                    for spots in (found.left, found.right)
-                ]  # fmt: skip
-                views.append((both[0], both[1]))
-                poses.append(found.pose)
-            progress.update(len(views) + len(rejected), job.limit or 0, "finding the lights")
-    return views, poses, rejected
+    missing = {name: what for name, (given, what) in needed.items() if given is None}
+    return UsageError(
+        f"{' and '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing: "
+        "the lit target alone does not tell the rig",
+        cure=f"Give {' and '.join(f'{name} ({what})' for name, what in missing.items())}",
+    )
 
 
 def _forms(done: MirrorCalibration) -> tuple[FormError, ...]:
@@ -320,16 +340,19 @@ def _forms(done: MirrorCalibration) -> tuple[FormError, ...]:
     return form_errors(lens, Mirrors(baseline_m=done.rig.baseline_m, plate=plate), grid)
 
 
-def _facts(done: MirrorCalibration, forms: Sequence[FormError]) -> list[tuple[str, str]]:
-    facts = [
-        ("glass plate, as the views show it", f"{1e3 * done.seen_m:.2f} +- {1e3 * done.seen_std_m:.2f} mm"),
-        ("its shift of the left view, m and l", f"{1e3 * done.shift_m:.4f} mm"),
-    ]
-    facts += [
+def _results(done: MirrorCalibration, forms: Sequence[FormError]) -> list[tuple[str, str]]:
+    """Return the plate and how far the paper's equations are off, in words."""
+    plate = done.rig.left.plate
+    if done.seen_m is not None and done.seen_std_m is not None:
+        lines = [("glass plate, as the views show it", f"{1e3 * done.seen_m:.2f} +- {1e3 * done.seen_std_m:.2f} mm")]
+    else:
+        lines = [("glass plate, as given", "none" if plate is None else f"{1e3 * plate.thickness_m:g} mm")]
+    lines.append(("its shift of the left view, m and l", f"{1e3 * done.shift_m:.4f} mm"))
+    lines += [
         (f"triangulation off by, {one.name}", f"{1e3 * one.z_m:.3g} mm in depth, {one.epipolar_px:.2g} px across")
         for one in forms
     ]
-    return facts
+    return lines
 
 
 def _inputs(job: MirrorsJob) -> list[Path]:

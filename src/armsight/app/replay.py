@@ -17,7 +17,7 @@ import numpy as np
 
 from armsight import drivers
 from armsight.clock import Clock
-from armsight.drivers import FrameSource, LivePairs, PairSource, Skew, SplitImages
+from armsight.drivers import FrameSource, LivePairs, PairSource, Skew
 from armsight.drivers.live import MAX_SKEW_S
 from armsight.errors import DeviceFailed, Inconsistent, UsageError
 from armsight.records import Frame
@@ -168,19 +168,6 @@ def open_pairs(
     if recorded:
         raise UsageError(f"{left} and {right} cannot be paired: one is a recording, the other is not")
     return drivers.open_pairs(left, right, colour=colour, fps=fps, times_s=times_s, max_skew_s=max_skew_s)
-
-
-def open_split(
-    image: str,
-    left_size: tuple[int, int],
-    right_size: tuple[int, int],
-    *,
-    colour: bool = False,
-    fps: float | None = None,
-    times_s: Sequence[float] | None = None,
-) -> PairSource:
-    """Return the pairs in images that hold both views, as drivers.open_split does, or in such a recording."""
-    return SplitImages(open_source(image, colour=colour, fps=fps, times_s=times_s), left_size, right_size)
 
 
 def _no_times(text: str, fps: float | None, times_s: Sequence[float] | None) -> None:

@@ -24,6 +24,7 @@ from armsight.report import (
     calibration_report,
     measure_report,
 )
+from armsight.report.html import with_deviation
 from armsight.store import write_text
 
 Array = NDArray[np.float64]
@@ -153,9 +154,14 @@ def write_stereo_report(
     n_pairs: int,
     rejected: Sequence[tuple[str, str]],
     title: str = "Calibration of a pair of cameras",
+    thing: str = "board",
+    results: Sequence[tuple[str, str]] = (),
     facts: Sequence[tuple[str, str]] = (),
 ) -> None:
-    """Write the report of a rig's calibration. facts: lines for the end of the page."""
+    """Write the report of a rig's calibration.
+
+    thing: what the images show, if not a board. results: lines beside the alignment. facts: for the end of the page.
+    """
     rig = done.rig
     parameters = [Parameter(name="baseline", value=rig.baseline_m * 1e3, std=done.baseline_std_m * 1e3, unit="mm")]
     for side in SIDES:
@@ -163,6 +169,7 @@ def write_stereo_report(
     run = CalibrationRun(
         title=title,
         board=board,
+        thing=thing,
         cameras=[
             _fit(
                 side,
@@ -184,21 +191,28 @@ def write_stereo_report(
         baseline_m=rig.baseline_m,
         metric=done.metric if done.metric_is_left_out else {},
         rejected=(*rejected, *done.rejected),
-        facts=[*alignment_facts(done), *facts],
+        alignment=[*alignment_lines(done), *results],
+        facts=facts,
         advice=done.advice,
     )
     write_text(path, calibration_report(run))
 
 
-def alignment_facts(done: StereoCalibration) -> list[tuple[str, str]]:
-    """Return how parallel the pair stands, in words (Kapucu's alignment)."""
-    found = done.parallelism
+def alignment_lines(done: StereoCalibration) -> list[tuple[str, str]]:
+    """Return how parallel the pair stands, in words (Kapucu's alignment); as many digits as the deviations allow."""
+    found, std = done.parallelism, done.parallelism.std or {}
+
+    def line(words: str, name: str, unit: str, scale: float) -> tuple[str, str]:
+        value, deviation = with_deviation(scale * getattr(found, name), scale * std[name] if name in std else None)
+        return words, f"{value} +- {deviation} {unit}" if name in std else f"{value} {unit}"
+
     return [
-        ("axes turn towards each other by", f"{np.rad2deg(found.convergence_rad):.3f} deg"),
-        ("right axis points below the left one by", f"{np.rad2deg(found.vertical_rad):.3f} deg"),
-        ("right image turned by", f"{np.rad2deg(found.roll_rad):.3f} deg"),
-        ("right camera lower by", f"{found.height_m * 1e3:.2f} mm"),
-        ("right camera further forward by", f"{found.advance_m * 1e3:.2f} mm"),
+        line("axes turn towards each other by", "convergence_rad", "mrad", 1e3),
+        line("right axis points below the left one by", "vertical_rad", "mrad", 1e3),
+        line("right image lower at infinity by", "vertical_px", "px", 1.0),
+        line("right image turned by", "roll_rad", "mrad", 1e3),
+        line("right camera lower by", "height_m", "mm", 1e3),
+        line("right camera further forward by", "advance_m", "mm", 1e3),
     ]
 
 

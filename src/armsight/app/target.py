@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
+from armsight.app.complex_images import complex_pairs
 from armsight.app.replay import open_pairs, open_source
 from armsight.calibrate.target import LitFrame, TargetCalibration, calibrate_target
-from armsight.drivers import Overlaid, PairSource
+from armsight.drivers import PairSource
 from armsight.errors import Cancelled, Inconsistent, UsageError
 from armsight.measure.match import pair_spots
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import find_spots
-from armsight.optics import SIDES, PackedRig, Rig, RigKind
+from armsight.optics import SIDES, PackedRig, Rig
 from armsight.records import Frame, Progress, Silent, Spots
 from armsight.store import read_rig, write_target
 
@@ -24,7 +26,7 @@ Pair = tuple[Frame, Frame]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TargetJob:
-    """Sources as on the command line: left and right, or the complex images of a mirror rig; lights: of the target."""
+    """Sources as on the command line: left and right, or images that hold both views; lights: of the target."""
 
     rig: Path
     out: Path
@@ -45,13 +47,14 @@ def calibrate_lit_target(job: TargetJob, progress: Progress | None = None) -> di
     rig = read_rig(job.rig)
     settings = SpotSettings(threshold=job.threshold, inverted=job.inverted)
     if (job.image is None) == (job.left is None):
-        raise UsageError("which frames?", cure="Give --left and --right, or --image of a mirror rig")
-    if job.image is not None and rig.kind is not RigKind.MIRROR:
-        raise UsageError("--image needs a rig with mirrors", cure="Give --left and --right")
-    source = open_pairs(job.left, job.right) if job.image is None else Overlaid(open_source(job.image))
+        raise UsageError("which frames?", cure="Give --left and --right, or --image with both views in one image")
+    if job.image is None:
+        source, overlaid = open_pairs(job.left, job.right), False
+    else:
+        source, overlaid = complex_pairs(partial(open_source, job.image), rig)
     with source as pairs:
         frames = _lit_frames(rig, pairs, settings, job.limit, progress or Silent())
-    done = calibrate_target(rig, frames, job.lights)
+    done = calibrate_target(rig, frames, job.lights, overlaid=overlaid)
     std = dict(zip(done.names, done.std_m.tolist(), strict=True))
     write_target(job.out, done.target, inputs=[job.rig], std_m=std)
     return target_content(done)

@@ -10,11 +10,14 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.calibrate.bundle import Bundle, adjust, bundle_of, residuals_px
-from armsight.calibrate.mirrors import without_plate
-from armsight.calibrate.rigs import in_frame, rig_of
+from armsight.calibrate.camera import rms, view_rms
+from armsight.calibrate.mirrors import MirrorCalibration, without_plate
+from armsight.calibrate.rigs import baseline_std, in_frame, rig_of
 from armsight.calibrate.sightings import Sightings, pack
 from armsight.calibrate.start import board_poses, homographies
+from armsight.calibrate.stereo import StereoCalibration
 from armsight.errors import Inconsistent, NotEnoughData
+from armsight.fitting import Fit
 from armsight.optics import INTRINSICS, SIDES, Rig, RigKind
 from armsight.optics.mirrors import Mirrors
 from armsight.optics.parallelism import Parallelism, parallelism
@@ -24,6 +27,9 @@ Array = NDArray[np.float64]
 
 LEAST_LIT = 5
 """Views of a lit target below which the mirrors' place is not asked for."""
+GOOD_LIT = 10
+VAGUE = 0.01
+"""Deviation of the baseline, by itself, from which the views are too much alike."""
 MIRRORS = 4
 STEP_RAD = 1e-6
 ROUNDS = 4
@@ -120,7 +126,7 @@ def check_alignment(
 
 def mirrors_from_target(
     design: Rig, views: Sequence[tuple[BoardView, BoardView]], poses: Sequence[TargetPose], target: Target
-) -> Alignment:
+) -> MirrorCalibration:
     """Return the mirror rig that saw the lit target in both views, started from its design and the poses that gives.
 
     The lens and the plate are taken as known: three lights do not tell them. Raises NotEnoughData for fewer than
@@ -139,11 +145,43 @@ def mirrors_from_target(
             raise Inconsistent("a view without a pose")
         T = design.T_rig_left.inv() * pose.pose * T_target_middle
         local.append(np.concatenate([T.translation, T.rotation.as_rotvec()]))
-    now = _fitted(design, sightings, np.array(local))
-    return Alignment(
-        now=parallelism(now), rig=in_frame(now, design.T_rig_left), change=np.zeros(6),
-        std=np.sqrt(np.diag(_covariance(now))), chi2=0.0, suspects=(), n_views=len(views),
-    )  # fmt: skip
+    used, fit = _fit(design, sightings, np.array(local))
+    pair = _as_pair(used, fit)
+    rig = replace(pair.rig, kind=RigKind.MIRROR, left=design.left, right=design.right)
+    return MirrorCalibration(
+        rig=in_frame(rig, design.T_rig_left), pair=pair, seen_m=None, seen_std_m=None, one_lens=True, advice=pair.advice
+    )
+
+
+def _as_pair(used: Sightings, fit: Fit) -> StereoCalibration:
+    """Return the fit's figures as of a stereo pair; of left-out views and of the board's lengths there are none."""
+    residual, seen = residuals_px(used, fit), used.weight > 0.0
+    overall = rms(residual, seen)
+    rig = rig_of(bundle_of(fit, 2), used.sizes, covariance=fit.covariance, rms_px=overall)
+    advice = ["the lens and the plate are taken as they were given: an error in them is not in the deviations"]
+    if used.n_views < GOOD_LIT:
+        advice.append(f"{used.n_views} images were used: {GOOD_LIT} and more tell wrong ones better")
+    if baseline_std(rig) > VAGUE * rig.baseline_m:
+        advice.append(
+            f"the baseline is known to {1e3 * baseline_std(rig):.2g} mm only: show the target turned to several sides, "
+            "near and far, left and right"
+        )
+    return StereoCalibration(
+        rig=rig,
+        baseline_std_m=baseline_std(rig),
+        rms_px=overall,
+        n_pairs=used.n_views,
+        n_used=used.n_views,
+        rejected=(),
+        holdout_rms_px=None,
+        holdout_epipolar_rms_px=None,
+        metric={},
+        metric_is_left_out=False,
+        view_rms_px=view_rms(residual, seen),
+        used=used,
+        residual_px={side: residual[:, c][seen[:, c]] for c, side in enumerate(SIDES)},
+        advice=tuple(advice),
+    )
 
 
 def _relative(rig: Rig, left: Sequence[BoardView], right: Sequence[BoardView], board: Target) -> Rig:
@@ -161,16 +199,22 @@ def _relative(rig: Rig, left: Sequence[BoardView], right: Sequence[BoardView], b
 
 def _fitted(rig: Rig, sightings: Sightings, poses: Array) -> Rig:
     """Return the rig with T_rig_right and its covariance, fitted from poses T_left_board (G, 6)."""
+    used, fit = _fit(rig, sightings, poses)
+    overall = rms(residuals_px(used, fit), used.weight > 0.0)
+    found = rig_of(bundle_of(fit, 2), used.sizes, covariance=fit.covariance, rms_px=overall)
+    return replace(found, kind=RigKind.MIRROR, left=rig.left, right=rig.right)
+
+
+def _fit(rig: Rig, sightings: Sightings, poses: Array) -> tuple[Sightings, Fit]:
+    """Return the fit of T_left_right and the poses T_left_board (G, 6), and the sightings without the plate's part."""
     k = np.stack([rig.left.intrinsics, rig.right.intrinsics])
     T = rig.T_rig_left.inv() * rig.T_rig_right
     start = Bundle(k=k, side_pose=np.concatenate([T.translation, T.rotation.as_rotvec()]), poses=poses)
     fit = adjust(sightings, start, FIXED, max_iterations=60)
     if rig.left.plate is not None:
-        corrected = without_plate(sightings, bundle_of(fit, 2), rig.left.plate)
-        fit = adjust(corrected, bundle_of(fit, 2), FIXED, max_iterations=60)
-    rms = float(np.sqrt((residuals_px(sightings, fit) ** 2).sum() / max(sightings.n_points, 1)))
-    found = rig_of(bundle_of(fit, 2), sightings.sizes, covariance=fit.covariance, rms_px=rms)
-    return replace(found, kind=RigKind.MIRROR, left=rig.left, right=rig.right)
+        sightings = without_plate(sightings, bundle_of(fit, 2), rig.left.plate)
+        fit = adjust(sightings, bundle_of(fit, 2), FIXED, max_iterations=60)
+    return sightings, fit
 
 
 def _covariance(rig: Rig) -> Array:

@@ -17,7 +17,7 @@ from armsight.calibrate.options import BoardOptions
 from armsight.calibrate.rigs import in_frame
 from armsight.calibrate.sightings import Sightings
 from armsight.calibrate.stereo import StereoCalibration, fit_pairs, judged
-from armsight.errors import UsageError
+from armsight.errors import DataRefused, Inconsistent, UsageError
 from armsight.optics import Camera, Plate, Rig, RigKind
 from armsight.optics.kernels.camera import plate_shift
 from armsight.records import BoardView, Progress, Target
@@ -32,6 +32,10 @@ SEEN = 4.0
 """A plate thinner than this many deviations of its thickness is not there, as far as the views tell."""
 AT_ODDS = 5.0
 """Deviations between the thickness given and the one seen from which it is worth a word."""
+THICKEST_M = 0.03
+"""A thicker plate than this is in no rig: what looks like one is a wrong image or a wrong board."""
+WIDE = 2.0
+"""Width over height of an image from which it is two side by side; no common sensor is wider than 1.9."""
 ONE_LENS = 1e-6
 """Probability below which the two views are not those of one lens through flat mirrors."""
 
@@ -40,14 +44,15 @@ ONE_LENS = 1e-6
 class MirrorCalibration:
     """The rig (kind mirror, axes those of the real camera) and how good it is.
 
-    pair: the figures of the fit, as of a stereo pair. seen_m, seen_std_m: the plate's thickness as the views show it.
+    pair: the figures of the fit, as of a stereo pair. seen_m, seen_std_m: the plate's thickness as the views show it,
+    None where it was taken as known.
     one_lens: whether both views were explained by one lens; else the rig is a general pair of pinholes.
     """
 
     rig: Rig
     pair: StereoCalibration
-    seen_m: float
-    seen_std_m: float
+    seen_m: float | None
+    seen_std_m: float | None
     one_lens: bool
     advice: tuple[str, ...]
 
@@ -71,15 +76,70 @@ def calibrate_mirrors(
     """Return the mirror rig that saw the board in the left and right views, paired by position.
 
     thickness_m, index: of the plate; the thickness is found from the views where none is given, or 0 for no glass.
-    Raises as calibrate_stereo, and UsageError for a plate that cannot be.
+    Raises as calibrate_stereo, UsageError for a plate that cannot be, and Inconsistent where the images are no complex
+    ones but two side by side.
     """
     options = options or BoardOptions()
     if thickness_m is not None and thickness_m < 0.0:
         raise UsageError(f"a plate {thickness_m:g} m thick cannot be", cure="Give its thickness in metres, or 0")
     if thickness_m:
         Plate(thickness_m=thickness_m, index=index)
+    halves = _in_halves(left, right)
+    if halves and left[0].width >= WIDE * left[0].height:
+        raise _side_by_side(left[0])
+    try:
+        return _calibrated(left, right, board, thickness_m, index, options, progress)
+    except DataRefused as error:
+        if halves:
+            raise _side_by_side(left[0]) from error
+        raise
+
+
+def _in_halves(left: Sequence[BoardView], right: Sequence[BoardView]) -> bool:
+    """Whether in every complex image the two boards keep to its two halves, as two images side by side do."""
+    of_one = [(a, b) for a, b in zip(left, right, strict=False) if a.source == b.source]
+    return bool(of_one) and all(a.uv_px[:, 0].min() > 0.5 * a.width > b.uv_px[:, 0].max() for a, b in of_one)
+
+
+def _side_by_side(view: BoardView) -> Inconsistent:
+    return Inconsistent(
+        f"{view.source} and the others ({view.width}x{view.height} px) show one board in their left half and one in "
+        "their right half: they look like two images side by side, not one complex image",
+        consequence="Nothing was calibrated",
+        cure="Cut every image in two and use `armsight calibrate stereo --left --right`",
+    )
+
+
+def _refuse_swapped(free: Cleaned) -> None:
+    """Raise Inconsistent where the right view is from the left: the covered paths were exchanged."""
+    x, y, z = bundle_of(free.fit, 2).side_pose[:3].tolist()
+    if x < 0.0 and abs(x) > max(abs(y), abs(z)):
+        raise Inconsistent(
+            f"left and right are swapped: the right view's camera stands {-1e3 * x:.1f} mm to the left of the left "
+            "one's",
+            consequence="Nothing was calibrated: every later use would call the views by the wrong name",
+            cure="Exchange the sources of --left-only and --right-only, or switch off the camera's mirror mode",
+        )
+
+
+def _calibrated(
+    left: Sequence[BoardView],
+    right: Sequence[BoardView],
+    board: Target,
+    thickness_m: float | None,
+    index: float,
+    options: BoardOptions,
+    progress: Progress | None,
+) -> MirrorCalibration:
     free, rejected, advice = fit_pairs(left, right, board, options, progress)
+    _refuse_swapped(free)
     seen, seen_std = _thickness(free, index, options)
+    if thickness_m is None and seen > THICKEST_M:
+        raise Inconsistent(
+            f"the two views would need a glass plate {1e3 * seen:.0f} mm thick between them",
+            consequence="Nothing was calibrated: these are not the two views of one camera through four mirrors",
+            cure="Check that the images are complex ones of this rig, and the board's squares; or give --plate-mm",
+        )
     used = seen if thickness_m is None else thickness_m
     notes = []
     if thickness_m is None and seen < SEEN * seen_std:

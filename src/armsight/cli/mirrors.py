@@ -13,6 +13,7 @@ from armsight.cli.options import BOARD, SRC, AsJson, Every, Limit, Workers
 from armsight.cli.tables import figure, stereo_tables
 
 MM, MRAD = 1e3, 1e3
+REASONS_SHOWN = 8
 
 
 def mirrors(
@@ -47,6 +48,7 @@ def mirrors(
 ) -> None:
     """Calibrate a rig of one camera and four mirrors, or check that its mirrors still stand as they did."""
     with Face(as_json=json) as face:
+        from armsight.app.calibrate import report_path
         from armsight.app.mirrors import MirrorsJob, run_check, run_mirrors
         from armsight.config import load_settings
 
@@ -73,10 +75,26 @@ def mirrors(
             check_tables(face, content)
         else:
             content = run_mirrors(job, face.progress("calibrating"))
-            if "metric" in content and out is not None:
-                stereo_tables(face, content, out)
-            check_tables(face, content)
+            if out is not None:
+                stereo_tables(face, content, out) if target is None else lit_table(face, content)
+                check_tables(face, content)
+                face.say(f"Written: {out}; open {report_path(out)}")
         face.result(content)
+
+
+def lit_table(face: Face, content: Mapping[str, Any]) -> None:
+    """Print a rig's calibration from the lit target, with the commonest reasons of images left out."""
+    from armsight.app.mirrors_lit import reasons
+
+    rows = [
+        ["baseline, mm", figure(MM * content["baseline_m"], 6)],
+        ["baseline +-, mm", figure(MM * content["std"]["baseline_m"], 2)],
+        ["reprojection, px RMS", figure(content["rms_px"])],
+        ["epipolar, px RMS", figure(content["epipolar_rms_px"])],
+    ]
+    face.table(f"Rig, {content['n_used']} of {content['n_pairs']} images", ["", ""], rows)
+    for why, count in reasons([(one["file"], one["why"]) for one in content["rejected"]])[:REASONS_SHOWN]:
+        face.say(f"  {count} left out: {why}")
 
 
 def check_tables(face: Face, content: Mapping[str, Any]) -> None:

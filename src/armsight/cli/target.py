@@ -23,7 +23,7 @@ def target(
     out: Annotated[Path, typer.Option("-o", "--out", help="target.yaml to write.")],
     left: Annotated[str | None, typer.Option(metavar="SRC", help=f"Left frames: {SRC}.")] = None,
     right: Annotated[str | None, typer.Option(metavar="SRC", help="Right frames, in step with the left ones.")] = None,
-    image: Annotated[str | None, typer.Option(metavar="SRC", help="Complex images of a mirror rig.")] = None,
+    image: Annotated[str | None, typer.Option(metavar="SRC", help="Images that hold both views of the rig.")] = None,
     lights: Annotated[int, typer.Option(min=2, max=6, help="How many lights the target has.")] = 3,
     frames: Limit = None,
     threshold: Annotated[

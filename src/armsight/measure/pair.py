@@ -311,7 +311,7 @@ def _misfit(solved: Solved, left: Spots, right: Spots) -> float:
 def _explain(setup: Setup, left: Spots, right: Spots, pairs: Pairs, why: str) -> str:
     """Return why no pose could be given, with the size of the misfit where there is one."""
     if not len(left) and not len(right):
-        return "no spot in either image"
+        return "no spot in the image" if setup.overlaid else "no spot in either image"
     if setup.overlaid and len(left) <= len(setup.model) and not len(pairs.index):
         return f"{len(left)} spots, and no two of them are both views of one light: one path may be dark"
     if not len(left) or not len(right):

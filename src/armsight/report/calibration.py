@@ -33,11 +33,15 @@ def calibration_report(run: CalibrationRun, *, created: datetime | None = None) 
     """Return the page of a calibration as HTML text that needs no other file."""
     page = Page(
         title=run.title,
-        subtitle=run.subtitle or f"{run.n_used} of {run.n_images} {_noun(run)} of the board {run.board}",
+        subtitle=run.subtitle or f"{run.n_used} of {run.n_images} {_noun(run)} of the {run.thing} {run.board}",
         verdict=_verdict(run),
         cards=_cards(run),
     )
     _add_parameters(page, run)
+    if run.alignment:
+        page.add(
+            "Alignment", "How the two views stand to each other.", table(["", ""], [list(r) for r in run.alignment])
+        )
     _add_images(page, run)
     _add_coverage(page, run)
     clouds = {fit.name: fit.residual_px for fit in run.cameras if len(fit.residual_px)}
@@ -49,7 +53,7 @@ def calibration_report(run: CalibrationRun, *, created: datetime | None = None) 
             page.plot(residual_figure(clouds)),
         )
     _add_rejected(page, run)
-    rows = [["board", run.board], *([name, value] for name, value in run.facts)]
+    rows = [[run.thing, run.board], *([name, value] for name, value in run.facts)]
     page.add("What went in", "", table(["", ""], rows))
     return page.html(created=created or datetime.now())
 
@@ -79,7 +83,7 @@ def _doubts(run: CalibrationRun) -> list[str]:
     for fit in run.cameras:
         share = coverage(fit)
         if len(fit.uv_px) and share < COVERED:
-            out.append(f"the board covered only {100 * share:.0f} % of the {fit.name} image")
+            out.append(f"the {run.thing} covered only {100 * share:.0f} % of the {fit.name} image")
     return out
 
 

@@ -105,7 +105,8 @@ class CalibrationRun:
 
     n_images: images (or pairs) given; n_used: of them in the fit. rms_px and the other RMS are pooled over points;
     holdout: on images left out of the fit. metric: name and value in m of lengths on the board, measured by the rig
-    on left-out pairs. facts: more lines for the table of inputs. advice: what would make it better.
+    on left-out pairs. alignment: lines on how the views stand to each other. facts: more lines for the table of inputs.
+    advice: what would make it better. thing: what the images show.
     """
 
     title: str
@@ -123,4 +124,6 @@ class CalibrationRun:
     rejected: Sequence[tuple[str, str]] = ()
     facts: Sequence[tuple[str, str]] = ()
     advice: Sequence[str] = ()
+    thing: str = "board"
+    alignment: Sequence[tuple[str, str]] = ()
     subtitle: str = ""

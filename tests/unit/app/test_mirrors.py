@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +15,18 @@ from scipy.spatial.transform import Rotation
 from scipy.special import erf
 from typer.testing import CliRunner
 
+from armsight.app.complex_images import complex_pairs
 from armsight.app.measure import MeasureJob, measure
+from armsight.app.replay import open_source
 from armsight.app.simulate import simulate
 from armsight.cli.commands import app
-from armsight.errors import NotEnoughData
+from armsight.drivers import PairSource
+from armsight.errors import Inconsistent, NotEnoughData, UsageError
+from armsight.optics import Camera, parallel_rig
+from armsight.records import spot_target
 from armsight.sim.lens import Lens
 from armsight.sim.mirror import MirrorLens, Mirrors, mirror_views
-from armsight.store import read_poses, read_rig
+from armsight.store import read_poses, read_rig, write_camera, write_rig, write_target
 
 Array = NDArray[np.float64]
 Tilts = tuple[tuple[float, float], ...]
@@ -30,6 +36,7 @@ COLUMNS, ROWS, SQUARE_M = 7, 5, 0.02
 BOARD = f"checkerboard:{COLUMNS}x{ROWS}:{SQUARE_M}"
 BLACK, WHITE, ROOM = 12.0, 95.0, 35.0
 BLUR_PX = 0.7
+LIGHTS_M = np.array([[-0.04, 0.0, 0.0], [0.022, -0.03, 0.0], [0.018, 0.03, 0.0]])
 
 
 def step(x: Array, at: Array | float, width: Array) -> Array:
@@ -130,7 +137,16 @@ def test_what_cannot_be_calibrated_is_refused(rig: Path, tmp_path: Path) -> None
     code, content = run("--image", str(rig.parent / "image"), "--board", BOARD)
     assert code == 2
     code, content = run("--image", str(rig.parent / "left"), "--board", BOARD, "-o", str(tmp_path / "x.yaml"))
-    assert code == 3 and "none of the images" in content["error"]["cause"]  # one view only: a path is dark
+    assert code == 3 and "none of 9 images" in content["error"]["cause"]  # one view only: a path is dark
+    assert "only once" in content["error"]["cause"] and "--left-only" in content["error"]["cure"]
+    code, content = run("--image", str(rig.parent / "image"), "--board", BOARD, "-o", str(tmp_path / "x.yaml"))
+    assert (
+        code == 3 and "2 of 2 images show" in content["error"]["cause"] and "3 are needed" in content["error"]["cause"]
+    )
+    code, content = run("--left-only", "left", "--board", BOARD, "-o", str(tmp_path / "x.yaml"))
+    assert code == 2 and "--left-only is given without --right-only" in content["error"]["cause"]
+    code, content = run("--right-only", "right", "--board", BOARD, "-o", str(tmp_path / "x.yaml"))
+    assert code == 2 and "--right-only is given without --left-only" in content["error"]["cause"]
     pictures(tmp_path, 8, 2, complex_only=False)
     code, content = run(
         "--left-only", str(tmp_path / "left"), "--right-only", str(rig.parent / "right"), "--board", BOARD,
@@ -172,3 +188,129 @@ def test_a_board_is_measured_in_a_complex_image(rig: Path, tmp_path: Path) -> No
     dark = MeasureJob(rig=rig, target=Path(BOARD), out=tmp_path / "d", image=str(rig.parent / "left"), limit=1)
     with pytest.raises(NotEnoughData, match="none of the 1 pairs"):
         measure(dark)
+
+
+def test_covered_views_exchanged_or_joined_are_told(rig: Path, tmp_path: Path) -> None:
+    left, right = (sorted((rig.parent / side).iterdir()) for side in ("left", "right"))
+    code, content = run(
+        "--left-only", str(rig.parent / "right"), "--right-only", str(rig.parent / "left"), "--board", BOARD,
+        "-o", str(tmp_path / "x.yaml"),
+    )  # fmt: skip
+    assert code == 3 and "swapped" in content["error"]["cause"]
+    assert "--left-only and --right-only" in content["error"]["cure"]
+    for a, b in zip(left[:5], right[:5], strict=True):
+        joined = np.hstack([cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in (a, b)])
+        cv2.imwrite(str(tmp_path / a.name), joined)
+    code, content = run("--image", str(tmp_path), "--board", BOARD, "-o", str(tmp_path / "x.yaml"))
+    assert code == 3 and "side by side" in content["error"]["cause"]
+    assert "calibrate stereo" in content["error"]["cure"] and not (tmp_path / "x.yaml").exists()
+
+
+@pytest.fixture(scope="module")
+def lit(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Fourteen complex images of three lights, with the lens and the target in files; dark: the same, one path dark."""
+    folder = tmp_path_factory.mktemp("lit")
+    rng = np.random.default_rng(6)
+    tilts = ((0.0, 0.0), (2e-4, -1e-4), (0.0, 0.0), (-1e-4, 2e-4))
+    lens = Lens(width=WIDTH, height=HEIGHT, focal_px=(600.0, 601.0), centre_px=(361.0, 266.0))
+    views = mirror_views(lens, Mirrors(baseline_m=0.1, tilts_rad=tilts))
+    v, u = np.mgrid[0:HEIGHT, 0:WIDTH].astype(float)
+    number = 0
+    while number < 14:
+        t = np.array([rng.uniform(-0.08, 0.08), rng.uniform(-0.08, 0.08), rng.uniform(0.4, 0.7)])
+        X = LIGHTS_M @ Rotation.from_euler("xyz", rng.uniform(-0.5, 0.5, 3)).as_matrix().T + t
+        uv = [view.project(X) for view in views.values()]
+        spots = np.concatenate(uv)
+        apart = np.linalg.norm(spots[:, None] - spots[None], axis=2) + 1e3 * np.eye(6)
+        if apart.min() < 14.0 or ((spots < 10) | (spots > [WIDTH - 11, HEIGHT - 11])).any():
+            continue
+        for name, seen in (("image", spots), ("dark", uv[0])):
+            light: Array = 15.0 + rng.normal(0.0, 1.0, (HEIGHT, WIDTH))
+            for a, b in seen:
+                light += 150.0 * np.exp(-((u - a) ** 2 + (v - b) ** 2) / (2.0 * 1.8**2))
+            (folder / name).mkdir(exist_ok=True)
+            cv2.imwrite(str(folder / name / f"{number:03d}.png"), np.clip(np.rint(light), 0, 255).astype(np.uint8))
+        number += 1
+    camera = Camera.pinhole(WIDTH, HEIGHT, 600.0, 601.0, 361.0, 266.0)
+    write_camera(folder / "camera.yaml", camera)
+    write_target(folder / "target.yaml", spot_target(dict(zip("ABC", map(tuple, LIGHTS_M.tolist()), strict=True))))
+    return folder
+
+
+def lit_options(lit: Path, image: str = "image") -> list[str]:
+    return ["--image", str(lit / image), "--target", str(lit / "target.yaml"), "--camera", str(lit / "camera.yaml")]
+
+
+def test_the_lit_target_calibrates_the_mirrors(lit: Path) -> None:
+    """All that a board gives, but what lights cannot tell: null, not left out."""
+    out = lit / "rig.yaml"
+    code, content = run(*lit_options(lit), "--baseline-mm", "100", "-o", str(out))
+    assert code == 0, content
+    assert content["n_pairs"] == 14 and content["n_used"] >= 12
+    assert content["baseline_m"] == pytest.approx(0.10033, abs=2e-4)  # turned mirrors move it a little
+    assert 0.0 < content["std"]["baseline_m"] < 1e-4
+    assert 0.0 < content["rms_px"] < 0.1 and 0.0 < content["epipolar_rms_px"] < 0.1
+    assert content["holdout_rms_px"] is None and content["metric"]["mean_m"] is None
+    assert content["alignment"]["plate"]["m_m"] == pytest.approx(0.32914e-3, abs=1e-8)
+    assert not {"moved", "suspects", "change"} & set(content)
+    assert read_rig(out).kind == "mirror"
+    assert "lit target" in (lit / "rig.report.html").read_text(encoding="utf-8")
+    arguments = ["calibrate", "mirrors", *lit_options(lit), "--baseline-mm", "100", "-o", str(out)]
+    said = CliRunner().invoke(app, arguments).output
+    assert "Written:" in said and "baseline" in said and "of 14 images" in said and "as they did" not in said
+
+
+def test_lit_images_that_cannot_be_sorted_say_why(lit: Path, tmp_path: Path) -> None:
+    out = ["-o", str(tmp_path / "x.yaml")]
+    code, content = run(*lit_options(lit, "dark"), "--baseline-mm", "100", *out)
+    assert code == 3 and "path may be dark (in 1" in content["error"]["cause"]
+    assert "both paths" in content["error"]["cure"]
+    blank = tmp_path / "none"
+    blank.mkdir()
+    for number in range(2):
+        cv2.imwrite(str(blank / f"{number}.png"), np.full((HEIGHT, WIDTH), 15, np.uint8))
+    options = [*lit_options(lit)[2:], "--baseline-mm", "100", *out]
+    code, content = run("--image", str(blank), *options)
+    assert code == 3 and "no spot" in content["error"]["cause"] and "lights on" in content["error"]["cure"]
+    cv2.imwrite(str(tmp_path / "wide.png"), np.zeros((HEIGHT, 2 * WIDTH), np.uint8))
+    code, content = run("--image", str(tmp_path / "wide.png"), *options)
+    assert code == 3 and "side by side" in content["error"]["cause"]
+    code, content = run(*lit_options(lit), *out)
+    assert code == 2 and "--baseline-mm is missing" in content["error"]["cause"]
+    code, content = run("--target", str(lit / "target.yaml"), "--baseline-mm", "100", *out)
+    assert code == 2 and "--camera and --image are missing" in content["error"]["cause"]
+    code, content = run(*lit_options(lit), "--baseline-mm", "100", "--board", BOARD, *out)
+    assert code == 2 and "--target and --board" in content["error"]["cause"]
+    assert not (tmp_path / "x.yaml").exists()
+
+
+def test_the_size_tells_how_an_image_holds_two_views(lit: Path, tmp_path: Path) -> None:
+    """A pair of cameras: images of one's size are overlaid, those of twice the width side by side, others refused."""
+    camera = Camera.pinhole(WIDTH, HEIGHT, 600.0, 601.0, 361.0, 266.0)
+    write_rig(tmp_path / "rig.yaml", parallel_rig(camera, 0.1))
+    one = cv2.imread(str(lit / "image" / "000.png"), cv2.IMREAD_GRAYSCALE)
+    widths = {"overlaid": one, "joined": np.hstack([one, one]), "odd": one[:, :-40]}
+    for name, image in widths.items():
+        cv2.imwrite(str(tmp_path / f"{name}.png"), image)
+
+    def source(name: str) -> tuple[PairSource, bool]:
+        return complex_pairs(partial(open_source, str(tmp_path / f"{name}.png")), read_rig(tmp_path / "rig.yaml"))
+
+    pairs, overlaid = source("overlaid")
+    with pairs:
+        ((left, right),) = pairs
+    assert overlaid and left is right
+    pairs, overlaid = source("joined")
+    with pairs:
+        ((left, right),) = pairs
+    assert not overlaid and left.width == right.width == WIDTH
+    with pytest.raises(Inconsistent, match=f"{WIDTH - 40}x{HEIGHT} px.*{WIDTH}x{HEIGHT} px.*{2 * WIDTH}x{HEIGHT} px"):
+        source("odd")
+
+
+def test_a_mirror_rig_needs_image(rig: Path, tmp_path: Path) -> None:
+    images = str(rig.parent / "image")
+    job = MeasureJob(rig=rig, target=Path(BOARD), out=tmp_path / "m", left=images, right=images)
+    with pytest.raises(UsageError, match="mirrors") as caught:
+        measure(job)
+    assert "--image" in caught.value.cure

@@ -52,24 +52,27 @@ LEAST_SHARE = 0.6
 TINY = 1e-300
 
 
-def calibrate_target(rig: Rig, frames: Sequence[LitFrame], lights: int = 3) -> TargetCalibration:
+def calibrate_target(
+    rig: Rig, frames: Sequence[LitFrame], lights: int = 3, *, overlaid: bool = False
+) -> TargetCalibration:
     """Return where the lights are in the target's own frame, from frames of a calibrated rig.
 
     The lights are named across frames by their distances, so their order in the rows does not matter; A is leftmost in
     the mean of the left images, w points away from the camera (MATH 3.2). Deviations hold the spots' noise, widened
-    where the residuals are larger, and the rig's covariance. Raises UsageError for a number of lights
+    where the residuals are larger, and the rig's covariance. overlaid: both views are in one image, which only changes
+    what a refusal advises. Raises UsageError for a number of lights
     that is not 2 to 6, NotEnoughData below three frames, Degenerate for three and more lights on one line, Ambiguous
     where a symmetric arrangement leaves the names open, Inconsistent where the frames share no rigid shape.
     """
     require_lights(lights)
-    named, numbers, rejected = _name(rig, frames, lights)
+    named, numbers, rejected = _name(rig, frames, lights, overlaid)
     flat = on_one_line(named)
     keep = np.ones(len(numbers), bool) if flat else _clear(named, numbers, rejected)
     seen = _sightings(frames, numbers, named)
     order = _order(named, seen, keep, flat)
     layout = line_layout(lights) if flat else plane_layout(lights)
     seen = Sightings(uv_px=seen.uv_px[:, order], cov_px2=seen.cov_px2[:, order])
-    bundle, used = _fit(rig, layout, seen, named, order, keep, numbers, rejected)
+    bundle, used = _fit(rig, layout, seen, named, order, keep, numbers, rejected, overlaid)
     require_rigid(bundle, _epipolar(rig, seen.take(used)), lights, int(used.sum()))
     covariance = _covariance(layout, bundle)
     X, names = layout.spots(bundle.values), tuple(LETTERS[:lights])
@@ -92,18 +95,20 @@ def calibrate_target(rig: Rig, frames: Sequence[LitFrame], lights: int = 3) -> T
     )
 
 
-def _name(rig: Rig, frames: Sequence[LitFrame], lights: int) -> tuple[Named, NDArray[np.intp], Rejected]:
+def _name(
+    rig: Rig, frames: Sequence[LitFrame], lights: int, overlaid: bool
+) -> tuple[Named, NDArray[np.intp], Rejected]:
     """Return the shape that the frames share with their lights named by it, the frames' numbers, and the others."""
     sights, rejected = sights_of(rig, frames, lights)
     if len(sights) < MIN_FRAMES:
-        raise few_frames(len(sights), len(frames), lights, rejected)
+        raise few_frames(len(sights), len(frames), lights, rejected, overlaid=overlaid)
     named = find_shape(sights)
     rejected += [
         (sights[s].frame, f"distances of its lights differ by {off / MM:.2g} mm from those of the other frames")
         for s, off in named.misfit
     ]
     if len(named.number) < max(MIN_FRAMES, LEAST_SHARE * len(sights)):
-        raise not_rigid(len(named.number), len(sights), named)
+        raise not_rigid(len(named.number), len(sights), named, overlaid=overlaid)
     return named, np.array([sights[s].frame for s in named.number], dtype=np.intp), rejected
 
 
@@ -159,6 +164,7 @@ def _fit(
     keep: Flags,
     numbers: NDArray[np.intp],
     rejected: Rejected,
+    overlaid: bool,
 ) -> tuple[Bundle, Flags]:
     """Return the bundle of the frames that agree, and which these are; the worst are left out one after the other."""
     X = named.X[order]
@@ -170,7 +176,7 @@ def _fit(
     total = int(used.sum())
     for _ in range(total):
         if used.sum() < MIN_FRAMES or used.sum() < LEAST_SHARE * total:
-            raise not_rigid(int(used.sum()), total, named)
+            raise not_rigid(int(used.sum()), total, named, overlaid=overlaid)
         bundle = fit_bundle(rig, layout, seen.take(used), values, R[used], t[used])
         dof = 4 * n - (5 if layout.on_line else 6)
         middle = max(float(np.median(bundle.frame_chi2)) / float(chi2_law.median(dof)), 1.0)

@@ -51,25 +51,29 @@ def require_lights(n: int) -> None:
         raise UsageError(f"a target of {n} lights cannot be calibrated", cure=f"Give 2 to {len(LETTERS)} lights")
 
 
-def few_frames(n: int, total: int, lights: int, rejected: Sequence[tuple[int, str]]) -> NotEnoughData:
-    """Return the refusal of too few frames."""
+def few_frames(
+    n: int, total: int, lights: int, rejected: Sequence[tuple[int, str]], *, overlaid: bool = False
+) -> NotEnoughData:
+    """Return the refusal of too few frames; overlaid: both views are in one image."""
     why = f"; the first of the others: {rejected[0][1]}" if rejected else ""
-    swapped = "; where all are there, check which source is the left one" if n == 0 else ""
+    seen = "all lights in the image twice, neither path dark" if overlaid else "all lights seen by both cameras"
+    swapped = "; where all are there, check which source is the left one" if n == 0 and not overlaid else ""
     return NotEnoughData(
         f"{n} of {total} frames show {lights} lights in both views, of which {MIN_FRAMES} are the fewest{why}",
         consequence="The target is not calibrated",
-        cure=f"Record 10 frames and more, the target turned to several sides, all lights seen by both cameras{swapped}",
+        cure=f"Record 10 frames and more, the target turned to several sides, {seen}{swapped}",
     )
 
 
-def not_rigid(n: int, total: int, named: Named) -> Inconsistent:
+def not_rigid(n: int, total: int, named: Named, *, overlaid: bool = False) -> Inconsistent:
     """Return the refusal of lights whose distances differ from frame to frame."""
     off = max((m for _, m in named.misfit), default=0.0)
     much = f", others differ by up to {off / MM:.2g} mm" if off else ""
     return Inconsistent(
         f"only {n} of {total} frames share one set of distances between the lights{much}",
         consequence="The target is not rigid, or other lights were taken for its own; no geometry is given",
-        cure="Fix the lights to one body, cover reflections, and check which source is the left one",
+        cure="Fix the lights to one body, cover reflections"
+        + ("" if overlaid else ", and check which source is the left one"),
     )
 
 

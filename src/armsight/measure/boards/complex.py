@@ -198,8 +198,8 @@ def _check_size(grid: Grid, other: Layer | None, board: Target, source: str) -> 
     if len(strange) > 0.5 * min(board.columns, board.rows):
         raise _refusal(
             f"{source}: {len(strange)} corners continue a board beyond {board.columns}x{board.rows} inner corners",
-            cure="Count the inner corners again; where they are right, move the board: corners of the two views "
-            "fall on one another",
+            cure="Count the inner corners again; where they are right, look for a third reflection, or move the board: "
+            "corners of the two views may fall on one another",
         )
 
 

@@ -1,0 +1,177 @@
+"""Complex images of the lit target, taken through mirrors that are known by their design only."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import islice
+
+import numpy as np
+
+from armsight.app.replay import open_source
+from armsight.calibrate.alignment import LEAST_LIT, mirrors_from_target
+from armsight.calibrate.mirrors import MirrorCalibration
+from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
+from armsight.measure.match import SLACK_PX
+from armsight.measure.pair import Setup, measure_spots
+from armsight.measure.spots import find_spots
+from armsight.optics import Camera, Rig
+from armsight.records import BoardView, Frame, PoseStatus, Progress, Spots, Target, TargetPose
+
+SLACKS_PX = (0.5, 1.0, 2.0, 4.0)
+"""How far the mirrors may be out of their design. Well built ones are found with the least, and only with that: at 4 px
+every frame of a target of 60 mm fits under all six namings, at 1 px one in five."""
+MOST = 0.6
+"""Share of the frames with spots enough in which the lights must be named before a slack is taken."""
+FEWEST_LIGHTS = 3
+REASONS_SHOWN = 3
+
+CURES = (
+    ("no spot", "Switch the lights on, expose longer, or give the target.yaml with the lights' colour"),
+    ("one path may be dark", "Open both paths: every light must be in the image twice"),
+    ("ambiguous", "Give --baseline-mm, --near-mm and --gap-mm as the mirrors stand, or calibrate with --board"),
+    ("spot may lie on another", "Move the target a little, until the spots of the two views part"),
+    ("spots seen", "Show all lights of the target to both views"),
+)
+"""What a frame's reason says, and what helps."""
+OTHER_CURE = "Check that --target, --camera and --baseline-mm are those of the rig and the target in the images"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Moment:
+    """All spots of one complex image."""
+
+    source: str
+    t_s: float
+    spots: Spots
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Sorted:
+    """The moments whose lights are named, as views of a board with their poses; rejected: (source, why)."""
+
+    views: list[tuple[BoardView, BoardView]]
+    poses: list[TargetPose]
+    rejected: list[tuple[str, str]]
+
+
+def calibrate_lit(
+    design: Rig, target: Target, image: str, *, every: int, limit: int | None, progress: Progress
+) -> tuple[MirrorCalibration, list[tuple[str, str]]]:
+    """Return the mirror rig that took the complex images of the lit target, and (source, why) of those left out.
+
+    design: as built, the lens known. The spots are sorted by the design, and again by the rig that this gives. Raises
+    UsageError for a target that cannot serve, NotEnoughData, Inconsistent (sizes), Cancelled.
+    """
+    _require_target(target)
+    moments = _moments(design, target, image, every, limit, progress)
+    first = _sorted(design, target, moments, SLACKS_PX)
+    _require_views(first, len(moments))
+    done = mirrors_from_target(design, first.views, first.poses, target)
+    second = _sorted(done.rig, target, moments, (SLACK_PX, *SLACKS_PX))
+    _require_views(second, len(moments))
+    return mirrors_from_target(done.rig, second.views, second.poses, target), second.rejected
+
+
+def reasons(rejected: Sequence[tuple[str, str]]) -> list[tuple[str, int]]:
+    """Return the reasons, the commonest first, with their counts; those that differ in numbers only are one."""
+    kinds = [re.sub(r"\d+(\.\d+)?", "#", why) for _, why in rejected]
+    first = {kind: why for kind, (_, why) in reversed(list(zip(kinds, rejected, strict=True)))}
+    return [(first[kind], count) for kind, count in Counter(kinds).most_common()]
+
+
+def _require_target(target: Target) -> None:
+    if target.is_board:
+        raise UsageError("--target is a board", cure="Give it as --board, or --target with the lit target")
+    if not target.model_known or len(target.names) < FEWEST_LIGHTS:
+        raise UsageError(
+            f"the target has {len(target.names)} lights{'' if target.model_known else ' whose places are not known'}; "
+            f"{FEWEST_LIGHTS} in known places are needed to calibrate mirrors",
+            cure="Measure the target, or calibrate with --board",
+        )
+
+
+def _moments(rig: Rig, target: Target, image: str, every: int, limit: int | None, progress: Progress) -> list[Moment]:
+    settings = Setup(rig, target, overlaid=True).settings
+    out: list[Moment] = []
+    with open_source(image, colour=target.colour is not None) as frames:
+        for frame in islice(frames, 0, limit and limit * every, every):
+            _require_size(frame, rig.left)
+            out.append(Moment(source=frame.source, t_s=frame.t_s, spots=find_spots(frame.image, settings)))
+            progress.update(len(out), limit or 0, "finding the lights")
+            if progress.cancelled():
+                raise Cancelled("stopped", consequence="Nothing was written")
+    return out
+
+
+def _require_size(frame: Frame, camera: Camera) -> None:
+    if (frame.width, frame.height) == (camera.width, camera.height):
+        return
+    double = (frame.width, frame.height) == (2 * camera.width, camera.height)
+    raise Inconsistent(
+        f"{frame.source} is {frame.width}x{frame.height} px, the camera of --camera {camera.width}x{camera.height} px"
+        + (": it looks like two images side by side, not one complex image" if double else ""),
+        consequence="Nothing was calibrated",
+        cure="Cut the images in two and use `armsight calibrate stereo`"
+        if double
+        else "Record at the resolution of the lens's calibration, or calibrate the lens at this one",
+    )
+
+
+def _sorted(rig: Rig, target: Target, moments: Sequence[Moment], slacks_px: Sequence[float]) -> Sorted:
+    """Return the lights as sorted with the least slack that names most of them, else with the one that names most."""
+    enough = sum(len(moment.spots) >= 2 * len(target.names) for moment in moments)
+    needed = max(LEAST_LIT, MOST * enough)
+    best: Sorted | None = None
+    for slack_px in slacks_px:
+        found = _with_slack(Setup(rig, target, slack_px=slack_px, overlaid=True), moments)
+        if best is None or len(found.views) > len(best.views):
+            best = found
+        if len(found.views) >= needed:
+            break
+    return best or Sorted(views=[], poses=[], rejected=[])
+
+
+def _with_slack(setup: Setup, moments: Sequence[Moment]) -> Sorted:
+    out = Sorted(views=[], poses=[], rejected=[])
+    camera, names = setup.rig.left, setup.target.names
+    for moment in moments:
+        found = measure_spots(setup, moment.t_s, moment.spots, moment.spots)
+        if found.pose.status is not PoseStatus.OK:
+            out.rejected.append((moment.source, found.pose.why))
+            continue
+        index = np.array([names.index(name) for name in found.names])
+        left, right = (
+            BoardView(
+                uv_px=spots.uv_px,
+                index=index,
+                width=camera.width,
+                height=camera.height,
+                source=moment.source,
+                sigma_px=float(np.sqrt(np.median(np.trace(spots.covariance_px2, axis1=1, axis2=2)) / 2.0)),
+            )
+            for spots in (found.left, found.right)
+        )
+        out.views.append((left, right))
+        out.poses.append(found.pose)
+    return out
+
+
+def _require_views(found: Sorted, total: int) -> None:
+    """Raise NotEnoughData with the commonest reasons, and what helps against the first of them."""
+    if len(found.views) >= LEAST_LIT:
+        return
+    why = reasons(found.rejected)
+    said = "; ".join(f"{text} (in {count})" for text, count in why[:REASONS_SHOWN])
+    if why:
+        cure = next((cure for words, cure in CURES if words in why[0][0]), OTHER_CURE)
+    else:
+        cure = f"Give {LEAST_LIT} images and more, the target turned, near and far, left and right"
+    raise NotEnoughData(
+        f"the target is seen whole in {len(found.views)} of {total} images, {LEAST_LIT} are needed"
+        + (f": {said}" if said else ""),
+        consequence="Nothing was calibrated",
+        cure=cure,
+    )
