@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing
 from pathlib import Path
@@ -75,68 +76,8 @@ class FilePairs:
                 )
 
 
-class SplitImages:
-    """One complex image per moment that holds the left view in its left part and the right view in its right.
-
-    left_size, right_size: (width, height) of the rig's cameras in px. Raises Inconsistent at the first frame whose
-    size is not theirs side by side.
-    """
-
-    def __init__(self, source: FrameSource, left_size: tuple[int, int], right_size: tuple[int, int]) -> None:
-        self._source = source
-        self._left_size = left_size
-        self._right_size = right_size
-
-    @property
-    def name(self) -> str:
-        """The source's name."""
-        return self._source.name
-
-    @property
-    def total(self) -> int | None:
-        """The source's count."""
-        return self._source.total
-
-    @property
-    def skew(self) -> Skew | None:
-        """None: both views are of one exposure."""
-        return None
-
-    def __enter__(self) -> Self:
-        self._source.__enter__()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._source.__exit__(kind, error, trace)
-
-    def __iter__(self) -> Iterator[tuple[Frame, Frame]]:
-        (left_width, left_height), (right_width, right_height) = self._left_size, self._right_size
-        with closing(_generator(self._source)) as frames:
-            for frame in frames:
-                if frame.width != left_width + right_width or not frame.height == left_height == right_height:
-                    raise Inconsistent(
-                        f"{frame.source} is {frame.width}x{frame.height} px, the rig's views side by side are "
-                        f"{left_width + right_width}x{max(left_height, right_height)} px",
-                        consequence="The image cannot be split into its two views",
-                        cure="Give the rig that was calibrated with this camera at this resolution",
-                    )
-                yield self._part(frame, 0, left_width), self._part(frame, left_width, right_width)
-
-    @staticmethod
-    def _part(frame: Frame, start: int, width: int) -> Frame:
-        return Frame(
-            image=frame.image[:, start : start + width],
-            t_s=frame.t_s,
-            sequence=frame.sequence,
-            source=frame.source,
-            exposure_s=frame.exposure_s,
-        )
-
-
-class Overlaid:
-    """Complex images that hold both views one upon the other (a mirror rig's): each is its own pair."""
+class ComplexImages(ABC):
+    """One image per moment that holds both views: the pairs of one source."""
 
     def __init__(self, source: FrameSource) -> None:
         self._source = source
@@ -168,7 +109,52 @@ class Overlaid:
     def __iter__(self) -> Iterator[tuple[Frame, Frame]]:
         with closing(_generator(self._source)) as frames:
             for frame in frames:
-                yield frame, frame
+                yield self._views(frame)
+
+    @abstractmethod
+    def _views(self, frame: Frame) -> tuple[Frame, Frame]:
+        """Return the left and the right view in a frame."""
+
+
+class Overlaid(ComplexImages):
+    """Complex images that hold both views one upon the other (a mirror rig's): each is its own pair."""
+
+    def _views(self, frame: Frame) -> tuple[Frame, Frame]:
+        return frame, frame
+
+
+class SplitImages(ComplexImages):
+    """Complex images that hold the left view in their left part and the right view in their right.
+
+    left_size, right_size: (width, height) of the rig's cameras in px. Raises Inconsistent at the first frame whose
+    size is not theirs side by side.
+    """
+
+    def __init__(self, source: FrameSource, left_size: tuple[int, int], right_size: tuple[int, int]) -> None:
+        super().__init__(source)
+        self._left_size = left_size
+        self._right_size = right_size
+
+    def _views(self, frame: Frame) -> tuple[Frame, Frame]:
+        (left_width, left_height), (right_width, right_height) = self._left_size, self._right_size
+        if frame.width != left_width + right_width or not frame.height == left_height == right_height:
+            raise Inconsistent(
+                f"{frame.source} is {frame.width}x{frame.height} px, the rig's views side by side are "
+                f"{left_width + right_width}x{max(left_height, right_height)} px",
+                consequence="The image cannot be split into its two views",
+                cure="Give the rig that was calibrated with this camera at this resolution",
+            )
+        return self._part(frame, 0, left_width), self._part(frame, left_width, right_width)
+
+    @staticmethod
+    def _part(frame: Frame, start: int, width: int) -> Frame:
+        return Frame(
+            image=frame.image[:, start : start + width],
+            t_s=frame.t_s,
+            sequence=frame.sequence,
+            source=frame.source,
+            exposure_s=frame.exposure_s,
+        )
 
 
 class _Closing(Iterator[Frame]):
