@@ -17,6 +17,7 @@ from armsight.calibrate.identify.seen import Seen
 from armsight.calibrate.identify.sweeps import Sweeps
 from armsight.errors import Inconsistent, NotConverged
 from armsight.fitting import Fit
+from armsight.records import NamedCovariance
 
 Array = NDArray[np.float64]
 
@@ -179,16 +180,12 @@ def _fit_from(seen: Seen, model: ChainModel, rows: NDArray[np.intp]) -> WholeFit
         rows = rows[~bad]
 
 
-def all_covariance(names: tuple[str, ...], covariance: object, widen: float) -> Array:
-    """Return the covariance of all parameters; those the data leave open get an infinite-like variance."""
-    out = np.zeros((len(names), len(names)))
-    known = getattr(covariance, "names", ())
-    index = [names.index(one) for one in known]
-    if known:
-        out[np.ix_(index, index)] = widen * covariance.matrix  # type: ignore[attr-defined]
-    for i, one in enumerate(names):
-        if one not in known:
-            out[i, i] = 1e6
+def all_covariance(names: tuple[str, ...], covariance: NamedCovariance | None, widen: float) -> Array:
+    """Return the covariance (P, P) of all parameters; those the data leave open get an infinite-like variance."""
+    out = 1e6 * np.eye(len(names))
+    if covariance is not None:
+        index = [names.index(one) for one in covariance.names]
+        out[np.ix_(index, index)] = widen * covariance.matrix
     return out
 
 
