@@ -11,8 +11,10 @@ from scipy.stats import chi2 as chi2_law
 from armsight.errors import Degenerate
 from armsight.geometry import align_points, pose_difference
 from armsight.measure.kernels import pose as kernels
+from armsight.measure.kernels import share
 from armsight.measure.pair import Measured, Setup, measure_spots
 from armsight.optics import INTRINSICS, RIG_PARAMETERS, Camera, Rig, converged_rig, triangulate_closed
+from armsight.optics.parallelism import moved_rig
 from armsight.records import NamedCovariance, PoseStatus, Spots, Target, spot_target, unmeasured_target
 
 CAMERA = Camera.pinhole(1280, 720, 1131.0, 1127.0, 643.5, 352.25, distortion=(-0.28, 0.09, 8e-4, -5e-4, -0.012))
@@ -32,7 +34,11 @@ def project(points: np.ndarray, rig: Rig = RIG) -> list[np.ndarray]:
 
 
 def spots(
-    uv: np.ndarray, rng: np.random.Generator | None, sigma_px: float = SIGMA_PX, model: str = "gaussian"
+    uv: np.ndarray,
+    rng: np.random.Generator | None,
+    sigma_px: float = SIGMA_PX,
+    model: str = "gaussian",
+    size_px: float = 2.0,
 ) -> Spots:
     """Spots in an order of their own, with the noise they claim (none where rng is None)."""
     n = len(uv)
@@ -42,7 +48,7 @@ def spots(
         uv_px=(uv + noise)[order],
         covariance_px2=np.tile(sigma_px**2 * np.eye(2), (n, 1, 1)),
         peak=np.full(n, 100.0),
-        size_px=np.full(n, 2.0),
+        size_px=np.full(n, size_px),
         model=(model,) * n,
     )
 
@@ -174,7 +180,7 @@ def test_perspective_shift_of_flat_lights_is_taken_out(distortion: tuple[float, 
     assert max(np.abs(uv - p).max() for uv, p in zip(seen, project(T.apply(X), rig), strict=True)) > 0.15
 
     def error(diameter: float | None, model: str) -> np.ndarray:
-        views = [spots(uv, None, model=model) for uv in seen]
+        views = [spots(uv, None, model=model, size_px=1131.0 * 0.012 / 0.45) for uv in seen]
         found, _ = whole(measure_spots(Setup(rig, spot_target(TRIANGLE, diameter_m=diameter)), 0.0, *views))
         return np.abs(pose_difference(found, T))
 
@@ -275,3 +281,18 @@ def test_errors_of_the_calibration_are_in_the_deviations(target: Target) -> None
     assert np.mean(share) < 0.3
     for name, dof in (("pose", 6.0), ("point", 3.0)):
         assert abs(np.mean(q[name]) - 1.0) < 5.0 * np.sqrt(2.0 / (dof * 300)), name
+
+
+@pytest.mark.parametrize("side", [0, 1], ids=["left", "right"])
+def test_derivatives_of_pixels_by_the_rig(side: int) -> None:
+    """All 26 against differences: signs matter where the calibration's parameters depend on each other."""
+    packed, point = Setup(RIG, spot_target(TRIANGLE)).packed, np.array([0.05, 0.03, 0.6])
+    uv, J, D, expected = np.empty(2), np.empty((2, 3)), np.empty((2, 26)), np.empty((2, 26))
+    share.pixel_slopes(packed.k, packed.R, packed.t, point, side, uv, J, D)
+    for i, name in enumerate(RIG_PARAMETERS):
+        step = np.zeros(26)
+        step[i] = 1e-3 if name[-2:] in ("fx", "fy", "cx", "cy", "ew") else 1e-6
+        views = [moved_rig(RIG, s * step).project(point)[side][0] for s in (1.0, -1.0)]
+        expected[:, i] = (views[0] - views[1]) / (2.0 * step[i])
+    np.testing.assert_allclose(D, expected, atol=1e-4 * np.abs(expected).max())
+    np.testing.assert_allclose(D[:, :10], expected[:, :10], atol=1e-5 * np.abs(expected[:, :10]).max())

@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from armsight.app.boards import Seen, in_parallel, see_board
-from armsight.app.replay import is_recording, open_pairs, open_source, recording_path
+from armsight.app.noise import NoiseJob, find_noise, input_files, require_size
+from armsight.app.replay import open_pairs, open_source
 from armsight.app.reporting import write_camera_report, write_stereo_report
 from armsight.calibrate import BoardOptions, CameraCalibration, StereoCalibration
 from armsight.calibrate import calibrate_camera as solve_camera
 from armsight.calibrate import calibrate_stereo as solve_stereo
-from armsight.drivers import is_live, list_images
-from armsight.drivers.sources import VIDEO_SUFFIXES
 from armsight.errors import Cancelled, NotEnoughData
 from armsight.records import BoardView, Frame, NamedCovariance, Progress, Silent
 from armsight.store import parse_board, write_camera, write_rig
@@ -38,7 +37,8 @@ POSE_UNITS: Mapping[str, str] = {
 class CalibrateJob:
     """Board as text, where to put the result, every how manyth frame to use (videos), folds of the left-out error.
 
-    detector: one of armsight.measure.boards.DETECTORS, for checkerboards.
+    detector: one of armsight.measure.boards.DETECTORS, for checkerboards. noise: still frames of the camera, or a file
+    that holds its noise.
     """
 
     board: str
@@ -51,6 +51,7 @@ class CalibrateJob:
     left: str = ""
     right: str = ""
     detector: str = "auto"
+    noise: str | None = None
 
 
 def calibrate_camera(job: CalibrateJob, progress: Progress | None = None) -> dict[str, Any]:
@@ -62,6 +63,7 @@ def calibrate_camera(job: CalibrateJob, progress: Progress | None = None) -> dic
     progress = progress or Silent()
     views: list[BoardView] = []
     rejected: list[Rejected] = []
+    found = None if job.noise is None else find_noise(NoiseJob(frames=job.noise, out=job.out), progress)
     with open_source(job.source) as source:
         frames = islice(source, 0, _stop(job), job.every)
         total = _total(source.total, job)
@@ -71,11 +73,20 @@ def calibrate_camera(job: CalibrateJob, progress: Progress | None = None) -> dic
             _sort(frame, seen, views, rejected)
             _tell(progress, len(views) + len(rejected), total)
     _require(views, rejected, job.board)
+    if found is not None:
+        require_size(found, (views[0].width, views[0].height), job.source)
     progress.update(0, 0, "solving")
     done = solve_camera(views, board, BoardOptions(folds=job.folds), progress)
-    write_camera(job.out, done.camera, covariance=done.covariance, rms_px=done.rms_px, inputs=_inputs(job.source))
+    write_camera(
+        job.out,
+        done.camera,
+        covariance=done.covariance,
+        rms_px=done.rms_px,
+        noise=None if found is None else found.noise,
+        inputs=[*input_files(job.source), *(found.inputs if found else ())],
+    )
     write_camera_report(report_path(job.out), done, board=job.board, rejected=rejected)
-    return camera_content(done, rejected)
+    return {**camera_content(done, rejected), **({"noise": found.content} if found else {})}
 
 
 def calibrate_stereo(job: CalibrateJob, progress: Progress | None = None) -> dict[str, Any]:
@@ -107,7 +118,7 @@ def calibrate_stereo(job: CalibrateJob, progress: Progress | None = None) -> dic
     _require(views[0], rejected, job.board)
     progress.update(0, 0, "solving")
     result = solve_stereo(views[0], views[1], board, BoardOptions(folds=job.folds), progress)
-    write_rig(job.out, result.rig, inputs=[*_inputs(job.left), *_inputs(job.right)])
+    write_rig(job.out, result.rig, inputs=[*input_files(job.left), *input_files(job.right)])
     write_stereo_report(report_path(job.out), result, board=job.board, n_pairs=done, rejected=rejected)
     return stereo_content(result, rejected, n_pairs=done)
 
@@ -197,15 +208,6 @@ def _total(total: int | None, job: CalibrateJob) -> int:
     if total is None:
         return job.limit or 0
     return -(-min(total, stop or total) // job.every)
-
-
-def _inputs(text: str) -> Sequence[Path]:
-    """Return the files behind a source, whose hashes go into the result."""
-    if is_live(text):
-        return ()
-    if is_recording(text):
-        return [recording_path(text)]
-    return [Path(text)] if Path(text).suffix.lower() in VIDEO_SUFFIXES else list_images(text)
 
 
 def _rejected(items: Sequence[Rejected]) -> list[dict[str, str]]:

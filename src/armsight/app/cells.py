@@ -23,6 +23,10 @@ PNG = (cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_UP)
 """Of OpenCV's filters the smallest and quickest for noisy frames: half the time of its adaptive choice both ways."""
 
 
+PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+"""Endings that tell a picture's path from a room's name."""
+
+
 class Cell(Protocol):
     """What a simulated cell offers (entry points armsight.cells: (seed, frames) -> Cell)."""
 
@@ -38,9 +42,18 @@ class Cell(Protocol):
         ...
 
 
-def load_cell(name: str, *, seed: int, frames: int) -> Cell:
-    """Return the cell registered under a name; DeviceNotFound, with the known names, where there is none."""
-    return cast(Cell, load(CELLS, name)(seed=seed, frames=frames))
+def load_cell(name: str, *, seed: int, frames: int, room: str | None = None) -> Cell:
+    """Return the cell registered under a name; DeviceNotFound, with the known names, where there is none.
+
+    room: instead of the cell's own, see room_choice; UsageError for one that is unknown.
+    """
+    chosen = {} if room is None else {"room": room_choice(room)}
+    return cast(Cell, load(CELLS, name)(seed=seed, frames=frames, **chosen))
+
+
+def room_choice(room: str) -> Any:
+    """Return a room as a scenario's key takes it: the name of one, or a picture by its path."""
+    return {"picture": room} if Path(room).suffix.lower() in PICTURES else room
 
 
 class CellPairs:

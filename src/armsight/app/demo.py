@@ -74,15 +74,23 @@ class DemoResult:
 
 
 def demo(
-    out: Path, *, seed: int, frames: int, cell: str, keep_frames: bool = False, progress: Progress | None = None
+    out: Path,
+    *,
+    seed: int,
+    frames: int,
+    cell: str,
+    room: str | None = None,
+    keep_frames: bool = False,
+    progress: Progress | None = None,
 ) -> DemoResult:
     """Measure a simulated cell's frames into the folder out and compare with the truth.
 
-    Raises DeviceNotFound for an unknown cell, what `run` raises, and Cancelled.
+    room: a room's name or a picture's path instead of the cell's own. Raises DeviceNotFound for an unknown cell,
+    UsageError for an unknown room, what `run` raises, and Cancelled.
     """
     start_s = time.perf_counter()
     progress = progress or Silent()
-    made = load_cell(cell, seed=seed, frames=frames)
+    made = load_cell(cell, seed=seed, frames=frames, room=room)
     prepare(progress, cell=cell)
     setup = Setup(
         rig=rig_from_mapping(made.rig, f"{cell}'s rig"),

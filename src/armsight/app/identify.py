@@ -17,10 +17,12 @@ from armsight.app.measure import target_of
 from armsight.app.replay import open_pairs
 from armsight.calibrate.identify import Identification, Sweeps, identify
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
-from armsight.measure.pair import Setup, measure_pair
+from armsight.measure.pair import Setup, check_sizes, measure_spots
 from armsight.measure.settings import SpotSettings
+from armsight.measure.spots import find_spots
+from armsight.measure.standing import without_standing
 from armsight.optics import Rig
-from armsight.records import Progress, Silent
+from armsight.records import Progress, Silent, Spots
 from armsight.report.identify_report import identify_report
 from armsight.store import read_rig, read_world, write_text
 from armsight.store.arm_file import write_arm
@@ -105,21 +107,18 @@ def seen_in_frames(job: IdentifyJob, rig: Rig, progress: Progress) -> tuple[Swee
     target = target_of(job.target)
     frames, joint, q = read_sweep_joints(job.joints)
     setup = Setup(rig=rig, target=target, settings=SpotSettings(colour=target.colour))
-    seen: dict[int, tuple[Array, Array]] = {}
-    notes = []
     wanted = set(frames.tolist())
+    spots: list[tuple[int, Spots, Spots]] = []
     with open_pairs(job.left, job.right, colour=target.colour is not None) as pairs:
         for number, (left, right) in enumerate(pairs):
             if progress.cancelled():
                 raise Cancelled("the frames were not read to the end", consequence="Nothing was written")
             progress.update(number + 1, max(wanted) + 1, "looking for the beacon")
-            if number not in wanted:
-                continue
-            found = measure_pair(setup, left, right)
-            if len(found.points) == 0:
-                notes.append(f"frame {number}: {found.pose.why or 'the beacon is not seen'}")
-                continue
-            seen[number] = found.points.xyz_m[0], np.stack([found.left.uv_px[0], found.right.uv_px[0]])
+            if number in wanted:
+                check_sizes(setup, left, right)
+                at_left, at_right = (find_spots(frame.image, setup.settings) for frame in (left, right))
+                spots.append((number, at_left, at_right))
+    seen, notes = _beacons(setup, spots)
     rows = [i for i, frame in enumerate(frames.tolist()) if frame in seen]
     if not rows:
         raise NotEnoughData(
@@ -132,6 +131,24 @@ def seen_in_frames(job: IdentifyJob, rig: Rig, progress: Progress) -> tuple[Swee
         xyz_m=np.array([seen[int(frames[i])][0] for i in rows]),
         uv_px=np.array([seen[int(frames[i])][1] for i in rows]),
     ), notes
+
+
+def _beacons(setup: Setup, spots: list[tuple[int, Spots, Spots]]) -> tuple[dict[int, tuple[Array, Array]], list[str]]:
+    """Return place and pixels of the beacon by frame, and why it is not seen in the others.
+
+    The beacon moves with the arm: what stands at one place in most frames is something else.
+    """
+    seen: dict[int, tuple[Array, Array]] = {}
+    notes = []
+    lefts = without_standing([left for _, left, _ in spots])
+    rights = without_standing([right for _, _, right in spots])
+    for (number, _, _), left, right in zip(spots, lefts, rights, strict=True):
+        found = measure_spots(setup, float(number), left, right)
+        if len(found.points) == 0:
+            notes.append(f"frame {number}: {found.pose.why or 'the beacon is not seen'}")
+            continue
+        seen[number] = found.points.xyz_m[0], np.stack([found.left.uv_px[0], found.right.uv_px[0]])
+    return seen, notes
 
 
 def identified_content(result: Identification) -> dict[str, Any]:

@@ -21,6 +21,9 @@ from armsight.app.reporting import About, Collector
 from armsight.drivers import PairSource, ordered_map, read_image
 from armsight.drivers.live import MAX_SKEW_S
 from armsight.errors import ArmsightError, Cancelled, Inconsistent, NotEnoughData, UsageError
+from armsight.measure.check import RunCheck
+from armsight.measure.consistency import Consistency
+from armsight.measure.explain import advice, sentence
 from armsight.measure.pair import Measured, Setup, Track, measure_pair
 from armsight.measure.settings import METHODS, SpotSettings
 from armsight.optics import SIDES, Rig, RigKind
@@ -50,7 +53,8 @@ class MeasureJob:
     """What to measure, with what, and where to put it.
 
     left and right, or image: sources as on the command line. fps: of folders. limit: frames after which to stop.
-    mask: an image that is black where no light may be looked for.
+    mask: an image that is black where no light may be looked for. stills: the frames are single shots, each measured
+    by itself.
     """
 
     rig: Path
@@ -67,6 +71,7 @@ class MeasureJob:
     limit: int | None = None
     threshold: float | None = None
     inverted: bool = False
+    stills: bool = False
     method: str = METHODS[0]
 
 
@@ -96,6 +101,7 @@ def measure(job: MeasureJob, progress: Progress | None = None) -> Summary:
         limit=job.limit,
         progress=progress or Silent(),
         about=About(facts=facts),
+        stills=job.stills,
     )
     return summary
 
@@ -109,24 +115,27 @@ def run(
     world: World | None = None,
     limit: int | None = None,
     about: About | None = None,
+    stills: bool = False,
 ) -> tuple[Summary, Sequence[TargetPose]]:
     """Measure the pairs of a source not yet open into the folder out; return the figures and all poses. See measure."""
     parent, T_parent_rig = (world.parent, world.T_parent_rig) if world else ("rig", None)
-    report = Collector(setup, parent)
+    report, check = Collector(setup, parent), RunCheck(setup)
     failure: ArmsightError | None = None
     with pairs:
         prepare(progress)
         with Outputs(out, T_parent_rig=T_parent_rig, parent=parent) as outputs:
             try:
-                for step in _steps(setup, pairs, limit, progress):
-                    pose = outputs.add(step.measured, step.ms)
-                    report.add(*step.pair, step.measured, pose)
+                for step in _steps(setup, pairs, limit, progress, alone=stills or setup.target.is_board):
+                    measured = check.add(step.measured)
+                    pose = outputs.add(measured, step.ms)
+                    report.add(*step.pair, measured, pose)
             except ArmsightError as error:
                 failure = error
     if outputs.n_frames == 0 and failure is not None:
         raise failure
-    failure = failure or _nothing_seen(outputs)
-    summary = outputs.summary(skew=pairs.skew, error=str(failure) if failure else "")
+    consistency = check.finish()
+    failure = failure or _nothing_seen(outputs, consistency)
+    summary = outputs.summary(skew=pairs.skew, error=str(failure) if failure else "", consistency=consistency)
     progress.update(0, 0, "writing the report")
     report.write(out / REPORT, summary, about or About())
     write_json(out / SUMMARY, summary.content())
@@ -135,10 +144,12 @@ def run(
     return summary, report.poses
 
 
-def _steps(setup: Setup, pairs: PairSource, limit: int | None, progress: Progress) -> Generator[Step, None, None]:
+def _steps(
+    setup: Setup, pairs: PairSource, limit: int | None, progress: Progress, *, alone: bool
+) -> Generator[Step, None, None]:
     """Yield each pair measured, in order. Raises Cancelled, and Inconsistent for swapped or wrongly sized views."""
     total = _total(pairs.total, limit)
-    measure_all = _boards if setup.target.is_board else _lights
+    measure_all = _singly if alone else _tracked
     done = seen = 0
     swapped: list[Inconsistent] = []
     with closing(_generator(pairs)) as source:
@@ -158,8 +169,8 @@ def _steps(setup: Setup, pairs: PairSource, limit: int | None, progress: Progres
         raise swapped[0]
 
 
-def _lights(setup: Setup, pairs: Iterable[Pair]) -> Generator[Step, None, None]:
-    """Measure one pair after the other: each tells the next where to look, and takes well under a millisecond."""
+def _tracked(setup: Setup, pairs: Iterable[Pair]) -> Generator[Step, None, None]:
+    """Measure one pair after the other: each tells the next where to look, so that few are searched as a whole."""
     track: Track | None = None
     for pair in pairs:
         step = _one(setup, pair, track)
@@ -167,8 +178,8 @@ def _lights(setup: Setup, pairs: Iterable[Pair]) -> Generator[Step, None, None]:
         yield step
 
 
-def _boards(setup: Setup, pairs: Iterable[Pair]) -> Generator[Step, None, None]:
-    """Measure pairs in threads: finding a board takes tens of milliseconds and needs no memory of the last one."""
+def _singly(setup: Setup, pairs: Iterable[Pair]) -> Generator[Step, None, None]:
+    """Measure pairs in threads, each by itself: a board, or single shots, which tell nothing of each other."""
     return ordered_map(lambda pair: _one(setup, pair, None), pairs)
 
 
@@ -242,12 +253,18 @@ def _pairs(job: MeasureJob, rig: Rig, target: Target) -> tuple[PairSource, bool]
     return pairs, False
 
 
-def _nothing_seen(outputs: Outputs) -> NotEnoughData | None:
+def _nothing_seen(outputs: Outputs, consistency: Consistency) -> NotEnoughData | None:
     """Return the error for a run in which no frame gave even a position, or in which there was none."""
     if outputs.n_seen:
         return None
     reasons = outputs.summary().reasons
     first = next(iter(reasons), "")
+    if consistency.refused > 0.0:
+        return NotEnoughData(
+            f"the target is seen in the {outputs.n_frames} pairs and fits in none of them. {sentence(consistency)}",
+            consequence="There is no pose",
+            cure=advice(consistency),
+        )
     return NotEnoughData(
         f"the target was found in none of the {outputs.n_frames} pairs" + (f"; most often: {first}" if first else ""),
         consequence="There is no pose",

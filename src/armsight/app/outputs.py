@@ -12,14 +12,21 @@ from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.drivers import Skew
 from armsight.geometry import moved_parent_covariance, xyz_quat
+from armsight.measure.consistency import Consistency
+from armsight.measure.explain import content
 from armsight.measure.pair import Measured
 from armsight.records import PoseStatus, TargetPose
 from armsight.store import PointsWriter, PosesWriter, SpotsWriter
 from armsight.store.atomic import RowFile
+
+Array = NDArray[np.float64]
+
+COORDINATES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 
 POSES, POINTS, SPOTS, TUM = "poses.csv", "points.csv", "spots.csv", "poses.tum"
 SUMMARY, REPORT = "measure.json", "report.html"
@@ -31,7 +38,12 @@ REASONS_KEPT = 20
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Summary:
-    """What a measurement came to. reasons: how often each cause took a pose or its rotation away."""
+    """What a measurement came to. reasons: how often each cause took a pose or its rotation away.
+
+    std: median standard deviations of the full poses by coordinate: 'total', 'random' (the spots, anew in each frame)
+    and 'systematic' (rig and target, the same in all). consistency: whether the residuals agree with all of these.
+    candidates: bright things in all images: seen, fitted, matched to a light.
+    """
 
     n_frames: int
     n_ok: int
@@ -43,6 +55,9 @@ class Summary:
     reasons: Mapping[str, int] = field(default_factory=dict)
     skew: Skew | None = None
     error: str = ""
+    std: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    consistency: Consistency | None = None
+    candidates: Mapping[str, int] = field(default_factory=dict)
 
     def content(self) -> dict[str, Any]:
         """Return it as measure.json and --json hold it."""
@@ -55,6 +70,12 @@ class Summary:
             "ms_per_frame": {"median": self.median_ms, "p99": self.p99_ms},
             "reasons": dict(self.reasons),
         }
+        if self.candidates:
+            out["candidates"] = dict(self.candidates)
+        if self.std:
+            out["std"] = {name: dict(values) for name, values in self.std.items()}
+        if self.consistency is not None:
+            out["consistency"] = content(self.consistency)
         if self.skew is not None:
             out["skew"] = {
                 "mean_s": self.skew.mean_s,
@@ -83,6 +104,8 @@ class Outputs:
         self._squares_px2 = 0.0
         self._residuals = 0
         self._ms = array("d")
+        self._candidates: Counter[str] = Counter()
+        self._std = array("d")  # per full pose: six totals, six of what repeats
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:
@@ -119,7 +142,12 @@ class Outputs:
         if pose.status is PoseStatus.OK and pose.pose is not None:
             xyz, quat = xyz_quat(pose.pose)
             self._tum.add(" ".join(repr(value) for value in (t_s, *xyz.tolist(), *quat.tolist())))
+        if pose.status is PoseStatus.OK and pose.covariance is not None:
+            repeats = np.zeros((6, 6)) if pose.systematic_covariance is None else pose.systematic_covariance
+            variances = np.concatenate([np.diag(pose.covariance), np.diag(repeats).clip(min=0.0)])
+            self._std.extend(np.sqrt(variances).tolist())
         self._counts[pose.status] += 1
+        self._candidates.update(candidates_of(measured))
         if pose.why:
             known = pose.why in self._reasons or len(self._reasons) < REASONS_KEPT
             self._reasons[pose.why if known else "other reasons"] += 1
@@ -128,7 +156,7 @@ class Outputs:
         self._ms.append(ms)
         return pose
 
-    def summary(self, *, skew: Skew | None = None, error: str = "") -> Summary:
+    def summary(self, *, skew: Skew | None = None, error: str = "", consistency: Consistency | None = None) -> Summary:
         """Return the figures so far. The reprojection RMS is of the 2-D residual per point, pooled over all frames."""
         ms = np.array(self._ms)
         return Summary(
@@ -142,21 +170,43 @@ class Outputs:
             reasons=dict(self._reasons.most_common()),
             skew=skew,
             error=error,
+            candidates=dict(self._candidates),
+            std=_medians(np.array(self._std).reshape(-1, 2, 6)),
+            consistency=consistency,
         )
+
+
+def _medians(std: Array) -> dict[str, dict[str, float]]:
+    """Return the median deviations by part and coordinate of poses (n, [total, systematic], 6); empty for none."""
+    if not len(std):
+        return {}
+    random = np.sqrt(np.maximum(std[:, 0] ** 2 - std[:, 1] ** 2, 0.0))
+    parts = {"total": std[:, 0], "random": random, "systematic": std[:, 1]}
+    return {
+        name: dict(zip(COORDINATES, np.median(values, axis=0).tolist(), strict=True)) for name, values in parts.items()
+    }
+
+
+def candidates_of(measured: Measured) -> dict[str, int]:
+    """Return how many bright things were seen in both images, how many were fitted, and how many are the target's."""
+    one = measured.left_seen is measured.right_seen
+    views = (measured.left_seen,) if one else (measured.left_seen, measured.right_seen)
+    fitted = sum(len(spots) for spots in views)
+    return {
+        "n_seen": fitted + sum(len(spots.rejected) for spots in views),
+        "n_fitted": fitted,
+        "n_matched": len(measured.left) + len(measured.right),
+    }
 
 
 def moved_pose(pose: TargetPose, T_parent_rig: RigidTransform | None, parent: str) -> TargetPose:
     """Return a pose given in rig axes in the parent's; unchanged where T_parent_rig is None or it is lost."""
     if T_parent_rig is None:
         return pose
-    T, covariance = None, None
-    if pose.T_parent_target is not None and pose.covariance is not None:
+    T = None
+    if pose.T_parent_target is not None:
         T = T_parent_rig.as_matrix() @ pose.T_parent_target
-        if pose.status is PoseStatus.OK:
-            covariance = moved_parent_covariance(T_parent_rig, pose.covariance)
-        else:
-            R = T_parent_rig.rotation.as_matrix()
-            covariance = R @ pose.covariance @ R.T
+        if pose.status is not PoseStatus.OK:
             T[:3, :3] = np.eye(3)  # the rotation means nothing
     return TargetPose(
         t_s=pose.t_s,
@@ -164,7 +214,16 @@ def moved_pose(pose: TargetPose, T_parent_rig: RigidTransform | None, parent: st
         parent=parent,
         spots=pose.spots,
         T_parent_target=T,
-        covariance=covariance,
+        covariance=_moved(T_parent_rig, pose.covariance),
         residual_px=pose.residual_px,
         why=pose.why,
+        systematic_covariance=_moved(T_parent_rig, pose.systematic_covariance),
     )
+
+
+def _moved(T_parent_rig: RigidTransform, covariance: Array | None) -> Array | None:
+    """Return the covariance (6, 6) of a pose, or (3, 3) of a position, in the parent's axes."""
+    if covariance is None or len(covariance) == 6:
+        return None if covariance is None else moved_parent_covariance(T_parent_rig, covariance)
+    R = T_parent_rig.rotation.as_matrix()
+    return np.asarray(R @ covariance @ R.T)

@@ -12,6 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.app.outputs import Summary
 from armsight.calibrate import CameraCalibration, StereoCalibration
+from armsight.measure.explain import content
 from armsight.measure.pair import Measured, Setup
 from armsight.optics import INTRINSICS, SIDES, Camera
 from armsight.records import Frame, NamedCovariance, PoseStatus, TargetPose
@@ -87,6 +88,7 @@ class Collector:
             facts=about.facts,
             assumptions=about.assumptions,
             error=summary.error,
+            consistency={} if summary.consistency is None else content(summary.consistency),
         )
         write_text(path, measure_report(run))
 

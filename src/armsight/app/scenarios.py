@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from importlib.resources import as_file, files
 from pathlib import Path
@@ -17,6 +18,9 @@ from armsight.store.yamls import MAX_BYTES, parse_yaml
 MODEL = "scenario"
 VIEW = "view"
 VIEWS = ("left", "right", "image")
+
+ROOM_BLOCK = re.compile(r"^room:.*\n(?:[ \t]+.*\n|#.*\n(?=[ \t]))*", re.MULTILINE)
+"""The key `room` of a scenario's text, with the lines that belong to it."""
 
 
 def scenario_names() -> tuple[str, ...]:
@@ -51,10 +55,13 @@ def load_scenario(name: str) -> tuple[Any, str]:
     return model, data.decode("utf-8")
 
 
-def build_cell(name: str, model: Any, *, seed: int | None, frames: int | None) -> Any:
-    """Return a scenario's stage; BadFile, naming the scenario and the key, for a geometry that cannot be."""
+def build_cell(name: str, model: Any, *, seed: int | None, frames: int | None, room: Any = None) -> Any:
+    """Return a scenario's stage; BadFile, naming the scenario and the key, for a geometry that cannot be.
+
+    room: instead of the scenario's own, as its key takes it.
+    """
     with named(f"the scenario {name}"):
-        return model.cell(seed=seed, frames=frames)
+        return model.cell(seed=seed, frames=frames, room=room)
 
 
 def sim_camera(device: str, *, colour: bool, clock: Clock | None, origin_s: float | None) -> FrameSource:
@@ -79,8 +86,10 @@ def sim_camera(device: str, *, colour: bool, clock: Clock | None, origin_s: floa
     return source
 
 
-def settled_text(text: str, *, seed: int, frames: int) -> str:
-    """Return a scenario's text with these numbers for seed and frames, so that it makes the same run again."""
+def settled_text(text: str, *, seed: int, frames: int, room: Any = None) -> str:
+    """Return a scenario's text with this seed, number of frames and room, so that it makes the same run again."""
+    if room is not None:
+        text = ROOM_BLOCK.sub("", text).rstrip("\n") + f"\nroom: {json.dumps(room)}\n"
     for key, value in (("seed", seed), ("frames", frames)):
         line = re.compile(rf"^{key}:[ \t]*[^\s#]+", re.MULTILINE)
         if line.search(text):

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from armsight.app.cells import CellPairs, load_cell, write_cell_files, write_png
+from armsight.app.cells import CellPairs, load_cell, room_choice, write_cell_files, write_png
 from armsight.app.scenarios import build_cell, load_scenario, scenario_names, settled_text
 from armsight.drivers import CELLS, known
 from armsight.errors import Cancelled
@@ -28,22 +28,24 @@ def simulate(
     *,
     seed: int | None = None,
     frames: int | None = None,
+    room: str | None = None,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Simulate a scenario, by name or file, or a built-in cell, into the folder out.
 
     Writes left/*.png and right/*.png (image/*.png for a mirror rig), rig.yaml, target.yaml, times.csv, truth.csv and
     scenario.yaml; of a scenario with a robot also arm.yaml (nominal, the target or rig as its tool), arm_true.yaml,
-    joints.csv (encoders), truth_world.csv, world.yaml (of a fixed rig) and sweep_joints.csv (of sweeps). seed and
-    frames default to the scenario's own. Raises DeviceNotFound for an unknown scenario, BadFile for one that cannot
-    be, DeviceFailed where the disk refuses, Cancelled.
+    joints.csv (encoders), truth_world.csv, world.yaml (of a fixed rig) and sweep_joints.csv (of sweeps). seed, frames
+    and room (a name, or a picture's path) default to the scenario's own. Raises DeviceNotFound for an unknown scenario,
+    UsageError for an unknown room, BadFile for what cannot be, DeviceFailed where the disk refuses, Cancelled.
     """
     progress = progress or Silent()
     if scenario in known(CELLS) and scenario not in scenario_names():
-        return _simulate_cell(scenario, out, 1 if seed is None else seed, frames or CELL_FRAMES, progress)
+        return _simulate_cell(scenario, out, 1 if seed is None else seed, frames or CELL_FRAMES, room, progress)
     model, text = load_scenario(scenario)
-    stage = build_cell(scenario, model, seed=seed, frames=frames)
-    write_text(out / "scenario.yaml", settled_text(text, seed=stage.seed, frames=stage.n_frames))
+    chosen = None if room is None else room_choice(room)
+    stage = build_cell(scenario, model, seed=seed, frames=frames, room=chosen)
+    write_text(out / "scenario.yaml", settled_text(text, seed=stage.seed, frames=stage.n_frames, room=chosen))
     write_stage_files(stage, out)
     for view in stage.views:
         (out / view).mkdir(parents=True, exist_ok=True)
@@ -100,9 +102,11 @@ def _write_truth(path: Path, truth: Any) -> None:
     write_text(path, "\n".join([",".join(POSE_COLUMNS), *rows]) + "\n")
 
 
-def _simulate_cell(name: str, out: Path, seed: int, frames: int, progress: Progress) -> dict[str, Any]:
+def _simulate_cell(
+    name: str, out: Path, seed: int, frames: int, room: str | None, progress: Progress
+) -> dict[str, Any]:
     """Simulate a built-in cell without a robot."""
-    cell = load_cell(name, seed=seed, frames=frames)
+    cell = load_cell(name, seed=seed, frames=frames, room=room)
     write_cell_files(cell, out, seed=seed, frames=frames)
     done = 0
     with CellPairs(cell, frames, folder=out) as pairs:

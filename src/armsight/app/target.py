@@ -17,6 +17,7 @@ from armsight.errors import Cancelled, Inconsistent, UsageError
 from armsight.measure.match import pair_spots
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import find_spots
+from armsight.measure.standing import without_standing
 from armsight.optics import SIDES, PackedRig, Rig
 from armsight.records import Frame, Progress, Silent, Spots
 from armsight.store import read_rig, write_target
@@ -84,7 +85,7 @@ def lit_frame(packed: PackedRig, name: str, left: Spots, right: Spots, *, overla
 def _lit_frames(
     rig: Rig, pairs: PairSource, settings: SpotSettings, limit: int | None, progress: Progress
 ) -> list[LitFrame]:
-    packed, frames = PackedRig.of(rig), []
+    packed, seen = PackedRig.of(rig), []
     total = min(limit or pairs.total, pairs.total) if pairs.total else limit or 0
     found: Iterable[Pair] = islice(pairs, limit)
     for left, right in found:
@@ -92,11 +93,15 @@ def _lit_frames(
         overlaid = left is right
         at_left = find_spots(left.image, settings)
         at_right = at_left if overlaid else find_spots(right.image, settings)
-        frames.append(lit_frame(packed, left.source, at_left, at_right, overlaid=overlaid))
-        progress.update(len(frames), total, "looking for lights")
+        seen.append((left.source, at_left, at_right))
+        progress.update(len(seen), total, "looking for lights")
         if progress.cancelled():
-            raise Cancelled(f"stopped after {len(frames)} pairs", consequence="No target was written")
-    return frames
+            raise Cancelled(f"stopped after {len(seen)} pairs", consequence="No target was written")
+    names, lefts, rights = zip(*seen, strict=True) if seen else ((), (), ())
+    overlaid = bool(seen) and lefts[0] is rights[0]
+    moving = without_standing(lefts)
+    others = moving if overlaid else without_standing(rights)
+    return [lit_frame(packed, *frame, overlaid=overlaid) for frame in zip(names, moving, others, strict=True)]
 
 
 def _require_sizes(rig: Rig, left: Frame, right: Frame) -> None:

@@ -8,8 +8,9 @@ from typing import Annotated, TypeAlias
 import typer
 
 from armsight.cli.face import Face
-from armsight.cli.options import SRC, AsJson, Board, Every, Limit, Workers
-from armsight.cli.tables import camera_tables, stereo_tables
+from armsight.cli.options import BOARD, SRC, AsJson, Board, Every, Limit, Workers
+from armsight.cli.tables import camera_tables, noise_tables, stereo_tables
+from armsight.errors import UsageError
 
 Detector: TypeAlias = Annotated[
     str,
@@ -23,32 +24,68 @@ calibrate = typer.Typer(help="Calibrate a camera, or a pair of cameras.", no_arg
 
 @calibrate.command("camera")
 def camera(
-    source: Annotated[str, typer.Argument(metavar="SRC", help=f"Images of the board: {SRC}.")],
-    board: Board,
-    out: Annotated[Path, typer.Option("-o", "--out", help="camera.yaml to write.")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="camera.yaml to write; with --noise alone, to add to.")],
+    source: Annotated[str | None, typer.Argument(metavar="[SRC]", help=f"Images of the board: {SRC}.")] = None,
+    board: Annotated[str | None, typer.Option("--board", metavar="BOARD", help=BOARD)] = None,
+    noise: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FRAMES",
+            help="4 to 50 still frames of any scene, as SRC, for the camera's noise; or a file with it.",
+        ),
+    ] = None,
+    side: Annotated[
+        str | None, typer.Option(metavar="SIDE", help="With --noise and a rig.yaml: left or right, the frames' camera.")
+    ] = None,
     every: Every = 1,
     frames: Limit = None,
     workers: Workers = None,
     detector: Detector = "auto",
     json: AsJson = False,
 ) -> None:
-    """Find one camera's focal lengths, centre and distortion from images of a printed board."""
+    """Find one camera's focal lengths, centre and distortion from images of a printed board, and its noise.
+
+    --every and --frames are of the board's images; without them of the still frames.
+    """
     with Face(as_json=json) as face:
         from armsight.app.calibrate import CalibrateJob, calibrate_camera
+        from armsight.app.noise import NoiseJob, run_noise
         from armsight.config import load_settings
 
+        if noise is not None and source is None and board is None:
+            alone = NoiseJob(frames=noise, out=out, side=side, every=every, limit=frames)
+            content = run_noise(alone, face.progress("calibrating"))
+            noise_tables(face, content["noise"], out)
+            face.result(content)
+            return
+        _require_board(source, board, side)
         job = CalibrateJob(
-            board=board,
+            board=board or "",
             out=out,
-            source=source,
+            source=source or "",
             every=every,
             limit=frames,
             workers=workers if workers is not None else load_settings().workers,
             detector=detector,
+            noise=noise,
         )
         content = calibrate_camera(job, face.progress("calibrating"))
         camera_tables(face, content, out)
+        if noise is not None:
+            noise_tables(face, content["noise"], out)
         face.result(content)
+
+
+def _require_board(source: str | None, board: str | None, side: str | None) -> None:
+    """Raise UsageError where a camera is to be calibrated from half of what that takes."""
+    if source is None or board is None:
+        what = "the images of the board, SRC," if source is None else "the board, --board,"
+        raise UsageError(
+            f"{what} is not given" if source is not None else f"{what} are not given",
+            cure="Give SRC and --board; or --noise FRAMES alone, with the file to add to as -o",
+        )
+    if side is not None:
+        raise UsageError("--side is of a rig.yaml, and a board's images make a camera.yaml", cure="Leave --side away")
 
 
 @calibrate.command("stereo")

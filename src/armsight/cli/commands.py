@@ -82,6 +82,9 @@ def measure(
         float | None, typer.Option(min=0.0, max=255.0, help="Grey level that counts as light. [default: automatic]")
     ] = None,
     inverted: Annotated[bool, typer.Option("--inverted", help="Look for dark spots on a bright ground.")] = False,
+    stills: Annotated[
+        bool, typer.Option("--stills", help="The frames are single shots, not a motion: measure each by itself.")
+    ] = False,
     mask: Annotated[Path | None, typer.Option(help="Image that is black where no light may be looked for.")] = None,
     max_skew: Annotated[
         float | None, typer.Option(min=0.0, help="Largest time in s between live frames of a pair. [default: 1/60]")
@@ -118,6 +121,7 @@ def measure(
             limit=frames,
             threshold=threshold,
             inverted=inverted,
+            stills=stills,
             method=method,
         )
         summary = run(job, face.progress("measuring"))
@@ -131,6 +135,10 @@ def demo(
     seed: Seed = 1,
     frames: Annotated[int, typer.Option(min=1, help="How many pairs of frames.")] = 300,
     cell: Annotated[str, typer.Option(help="Which simulated cell.")] = "hand-cell",
+    room: Annotated[
+        str | None,
+        typer.Option(help="Behind the target: dark, workshop, office, plain or a picture. [default: its own]"),
+    ] = None,
     keep_frames: Annotated[bool, typer.Option("--keep-frames", help="Write the frames as PNG files too.")] = False,
     json: AsJson = False,
 ) -> None:
@@ -138,7 +146,15 @@ def demo(
     with Face(as_json=json) as face:
         from armsight.app.demo import demo as run
 
-        result = run(out, seed=seed, frames=frames, cell=cell, keep_frames=keep_frames, progress=face.progress("demo"))
+        result = run(
+            out,
+            seed=seed,
+            frames=frames,
+            cell=cell,
+            room=room,
+            keep_frames=keep_frames,
+            progress=face.progress("demo"),
+        )
         demo_tables(face, result, out)
         face.result(result.content())
 
@@ -151,13 +167,17 @@ def simulate(
         int | None, typer.Option(min=0, help="The same seed gives the same run. [default: the file's]")
     ] = None,
     frames: Annotated[int | None, typer.Option(min=1, help="How many frames. [default: the file's]")] = None,
+    room: Annotated[
+        str | None,
+        typer.Option(help="Behind the target: dark, workshop, office, plain or a picture. [default: its own]"),
+    ] = None,
     json: AsJson = False,
 ) -> None:
     """Write the frames of a simulated cell, its files and the truth into a folder."""
     with Face(as_json=json) as face:
         from armsight.app.simulate import simulate as run
 
-        content = run(scenario, out, seed=seed, frames=frames, progress=face.progress("simulating"))
+        content = run(scenario, out, seed=seed, frames=frames, room=room, progress=face.progress("simulating"))
         face.say(f"{content['n_frames']} frames of each view and the truth are in {out}")
         face.result(content)
 

@@ -29,6 +29,8 @@ def figure(value: float | None, digits: int = 3) -> str:
 
 def measure_tables(face: Face, summary: Summary, out: Path) -> None:
     """Print what a measurement came to."""
+    from armsight.measure.explain import advice, sentence
+
     rows = [
         ["pairs of frames", str(summary.n_frames)],
         ["pose", str(summary.n_ok)],
@@ -47,6 +49,10 @@ def measure_tables(face: Face, summary: Summary, out: Path) -> None:
     face.table("Measured", ["", ""], rows)
     for reason, count in list(summary.reasons.items())[:REJECTED_SHOWN]:
         face.say(f"  {count} x {reason}")
+    if summary.consistency is not None and (told := sentence(summary.consistency)):
+        loud = summary.consistency.verdict == "inconsistent"
+        face.say(f"{'INCONSISTENT: the poses are not to be trusted. ' if loud else 'Note: '}{told}")
+        face.say(f"  {advice(summary.consistency)}".rstrip())
     face.say(f"Results: {out}; open {out / 'report.html'}")
 
 
@@ -66,6 +72,33 @@ def camera_tables(face: Face, content: Mapping[str, Any], out: Path) -> None:
         f"Reprojection {figure(content['rms_px'])} px RMS; {figure(content['holdout_rms_px'])} px on left-out images"
     )
     _rejected(face, content["rejected"])
+    face.say(f"Written: {out}")
+
+
+def noise_tables(face: Face, content: Mapping[str, Any], out: Path) -> None:
+    """Print a camera's noise."""
+    rows = [
+        [figure(level), figure(math.sqrt(variance)), figure(std / (2.0 * math.sqrt(variance)) if variance else None, 2)]
+        for level, variance, std in zip(
+            content["levels"], content["variance_levels2"], content["std_levels2"], strict=True
+        )
+    ]
+    face.table(f"Noise, {content['n_frames']} frames", ["at grey level", "noise, grey levels", "+-"], rows)
+    near = content["correlation"]
+    face.say(
+        f"Correlation with the next pixel: {near['x'][0]:.3f} along x, {near['y'][0]:.3f} along y, "
+        f"{near['diagonal']:.3f} along diagonals; the one after it: {near['x'][1]:.3f}, {near['y'][1]:.3f}"
+    )
+    line = content["linear"]
+    if line is None:
+        face.say("The variance is no line over the grey level: a transfer curve or compression; the table holds")
+    else:
+        face.say(
+            f"Linear camera: read noise {figure(line['read_noise_levels'])} grey levels, "
+            f"{figure(line['gain_levels'])} grey levels for each electron"
+        )
+    for text in content.get("advice", ()):
+        face.say(f"  {text}")
     face.say(f"Written: {out}")
 
 

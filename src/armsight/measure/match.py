@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations, islice
 
 import numpy as np
@@ -32,6 +32,28 @@ ROOM = 16
 
 PREDICTION_RATIO = 3.0
 """A prediction decides between assignments where the next one is this many times further from it."""
+
+RIVAL = 14.0
+"""Fall of -2 log likelihood by which one set of spots must beat another (odds of 1000 to 1). What the calibration adds
+to the residuals is not known beforehand but is the same for both: each is judged with the slack that fits it best."""
+
+LEAST_SLACK = 0.0064
+"""Least variance of a residual over that of the slack: 0.02 px at a slack of 0.25 px."""
+
+BY_CHANCE = 2e-8
+"""Expected number of arrangements of things that are no lights, as good as the best, from which it is not believed."""
+
+SECOND = 1e-6
+"""The same, from which spots of which none is of the best set are a second target, however well the first fits."""
+
+HIDDEN = 0.03
+"""How often a light is hidden from a camera: a set without it is by so much likelier one of chance."""
+
+AS_FOUND = -1
+"""Arrangements are as many as fit once the spots are measured."""
+
+OWN_CHANCE = 0.2
+"""Arrangements by chance that are expected where none was met."""
 
 LABEL_MARGIN_PX = 2.0
 """Lights closer than this in column (or row) have no order in the image that could name them."""
@@ -91,13 +113,46 @@ class Assignment:
     t_m: Array | None = None
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Prediction:
+    """Where the lights are expected: xyz_m (m, 3) in rig axes, NaN where nothing is known; within_m: how far off it
+    may be. It breaks ties, and only between assignments of which one is that near."""
+
+    xyz_m: Array
+    within_m: float
+
+    def _far_m(self, model: TargetModel, a: Assignment) -> float:
+        """Return the root mean square distance of the lights from where they are expected."""
+        if a.R is None or a.t_m is None or not np.isfinite(self.xyz_m).any():
+            return float("inf")
+        return float(np.sqrt(np.nanmean(((model.xyz_m @ a.R.T + a.t_m) - self.xyz_m) ** 2) * 3.0))
+
+    def holds(self, model: TargetModel, a: Assignment) -> bool:
+        """Whether an assignment is where the lights are expected."""
+        return self._far_m(model, a) <= self.within_m
+
+    def choice(self, model: TargetModel, found: list[Assignment]) -> Assignment | None:
+        """Return the assignment that is as expected where the next one is much further off."""
+        far = np.array([self._far_m(model, a) for a in found])
+        order = np.argsort(far)
+        first = far[order[0]]
+        if first <= self.within_m and far[order[1]] > PREDICTION_RATIO * first:
+            return found[int(order[0])]
+        return None
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Match:
-    """The assignment that holds, or none and why; alternatives that fit as well."""
+    """The assignment that holds, or none and why; alternatives that fit as well.
+
+    predicted: it is where it was expected. chance: expected number of others that fit as well by chance.
+    """
 
     best: Assignment | None
     alternatives: tuple[Assignment, ...] = ()
     why: str = ""
+    predicted: bool = False
+    chance: float = 0.0
 
 
 def pair_spots(
@@ -120,6 +175,7 @@ def pair_spots(
         slack_px**2,
         GATE,
         overlaid,
+        kernels.MAX_PAIRS,
     )
     complete = len(index) + behind < kernels.MAX_PAIRS
     return Pairs(
@@ -134,19 +190,44 @@ def match_known(
     right: Spots,
     pairs: Pairs,
     *,
-    predicted_m: Array | None = None,
+    prediction: Prediction | None = None,
     slack_px: float = SLACK_PX,
+    arrangements: int = 0,
 ) -> Match:
     """Return the one assignment of pairs to the names of a measured target of three spots or more.
 
-    The assignment with the most names wins; among equals the reprojection decides where it can. Where it cannot,
-    predicted_m (m, 3), the lights' places expected in rig axes, decides; then, for lights in a plane square to
-    the target's z, that they are seen from the -z side. Else best is None and the alternatives hold all.
+    The assignment with the most names wins; among equals the reprojection decides where it can. Where it cannot, for
+    lights in a plane square to the target's z it decides that they are seen from the -z side; then the prediction,
+    where it is near one of them. Else best is None and the alternatives hold all. arrangements: how many were
+    consistent before the spots were measured (0 where there was nothing but lights); the more, the better the best one
+    must fit: what is expected by chance is in the match, for the caller to judge.
     """
-    found = _search(packed, model, left, right, pairs, slack_px)
+    found, passed = _search(packed, model, left, right, pairs, slack_px)
     if isinstance(found, str):
         return Match(best=None, why=found)
-    return _decide(packed, model, found, predicted_m)
+    arrangements = passed if arrangements == AS_FOUND else arrangements
+    match = _decide(packed, model, left, right, pairs, found, prediction, arrangements)
+    likeliest = match.best or match.alternatives[0]
+    if not arrangements or (prediction is not None and prediction.holds(model, likeliest)):
+        return match
+    return replace(match, chance=_chance(model, likeliest, arrangements - _namings(found, likeliest)))
+
+
+def _namings(found: list[Assignment], best: Assignment) -> int:
+    """Return in how many ways the spots of the best assignment can be named."""
+    return sum(set(a.pair.tolist()) == set(best.pair.tolist()) for a in found)
+
+
+def _chance(model: TargetModel, best: Assignment, others: int) -> float:
+    """Return how many arrangements of chance are expected that fit as well as the best, of `others` that fit loosely.
+
+    Residuals of chance fill a ball evenly whose dimension is the number of equations left over.
+    """
+    n = len(best.names)
+    dof = 4 * n - 6
+    share = max(best.chi2, LEAST_SLACK * dof) / float(model.limits[n])
+    hidden = (1.0 / HIDDEN) ** (len(model) - n)
+    return float(hidden * (max(others, 0) + OWN_CHANCE) * min(share, 1.0) ** (0.5 * dof))
 
 
 def match_by_place(left: Spots, right: Spots, pairs: Pairs) -> Match:
@@ -199,11 +280,13 @@ def _overlaid_triples(pairs: Pairs) -> list[tuple[int, ...]]:
     return list(islice(found, 2))
 
 
-def match_few(model: TargetModel, pairs: Pairs, *, known: bool, predicted_m: Array | None = None) -> Match:
+def match_few(model: TargetModel, pairs: Pairs, *, known: bool, prediction: Prediction | None = None) -> Match:
     """Return what can be said of one or two lights: their pairs, with names where these are certain, '?' else."""
     names = model.names
-    if predicted_m is not None and len(pairs.index):
-        return _nearest(names, pairs, predicted_m)
+    if prediction is not None and len(pairs.index):
+        match = _nearest(names, pairs, prediction)
+        if match.best is not None:
+            return match
     options = _disjoint(pairs)
     if known and len(options[0]) == 2 and len(names) > 1:
         gap = model.distance_m[np.triu_indices(len(names), 1)]
@@ -226,14 +309,14 @@ def match_few(model: TargetModel, pairs: Pairs, *, known: bool, predicted_m: Arr
 
 def _search(
     packed: PackedRig, model: TargetModel, left: Spots, right: Spots, pairs: Pairs, slack_px: float
-) -> list[Assignment] | str:
-    """Return all assignments within MARGIN of the best, or why there is none."""
+) -> tuple[list[Assignment] | str, int]:
+    """Return all assignments within MARGIN of the best, or why there is none; and how many fit at all."""
     m = len(model)
     if not pairs.complete:
-        return f"more than {kernels.MAX_PAIRS} pairs of spots could belong together: {_FEWER}"
+        return f"more than {kernels.MAX_PAIRS} pairs of spots could belong together: {_FEWER}", 0
     rows, chi2 = np.empty((ROOM, m), np.intp), np.empty(ROOM)
     poses = np.empty((ROOM, 3, 4))
-    found, _, cut = kernels.search(
+    found, passed, cut = kernels.search(
         packed.k,
         packed.R,
         packed.t,
@@ -252,15 +335,17 @@ def _search(
         model.limits,
         MARGIN,
         pairs.overlaid,
+        False,
+        kernels.MAX_NODES,
         rows,
         chi2,
         poses,
     )
     if cut:
-        return f"too many arrangements of the spots are possible: {_FEWER}"
+        return f"too many arrangements of the spots are possible: {_FEWER}", 0
     if not found:
-        return f"no arrangement of the {len(left)} and {len(right)} spots seen is the target's"
-    return [_assignment(model, rows[h], float(chi2[h]), poses[h]) for h in range(found)]
+        return f"no arrangement of the {len(left)} and {len(right)} spots seen is the target's", 0
+    return [_assignment(model, rows[h], float(chi2[h]), poses[h]) for h in range(found)], int(passed)
 
 
 def _outlines(model: TargetModel, left: Spots, right: Spots) -> NDArray[np.bool_]:
@@ -280,31 +365,71 @@ def _assignment(model: TargetModel, rows: Index, chi2: float, pose: Array) -> As
     return Assignment(names=names, pair=rows, chi2=chi2, R=pose[:, :3], t_m=pose[:, 3])
 
 
-def _decide(packed: PackedRig, model: TargetModel, found: list[Assignment], predicted_m: Array | None) -> Match:
+def _decide(
+    packed: PackedRig,
+    model: TargetModel,
+    left: Spots,
+    right: Spots,
+    pairs: Pairs,
+    found: list[Assignment],
+    prediction: Prediction | None,
+    arrangements: int,
+) -> Match:
     """Choose among the assignments, or say that it cannot be done."""
     if len(found) == 1:
         return Match(best=found[0])
-    best: Assignment | None = None
-    if predicted_m is not None:
-        best = _predicted(model, found, predicted_m)
-    elif model.one_sided:
-        back = packed.t[0] @ packed.R[0]  # from the left camera to the rig's origin
-        shown = [a for a in found if _shows_front(back, a)]
-        best = shown[0] if len(shown) == 1 else None
-    others = tuple(a for a in found if a is not best)
+    sets: dict[frozenset[int], list[Assignment]] = {}
+    for a in found:
+        sets.setdefault(frozenset(a.pair.tolist()), []).append(a)
+    surprises = [_surprise(packed, model, left, right, pairs, group[0]) for group in sets.values()]
+    least = min(surprises)
+    first = pairs.index[list(list(sets)[int(np.argmin(surprises))])]
+    possible = [
+        a
+        for group, surprise in zip(sets.values(), surprises, strict=True)
+        if surprise < least + RIVAL
+        or (_apart(pairs.index[group[0].pair], first) and _chance(model, group[0], arrangements) < SECOND)
+        for a in _shown(packed, model, group)
+    ]
+    best = possible[0] if len(possible) == 1 else None
+    if best is None and prediction is not None:
+        best = prediction.choice(model, possible)
     if best is None:
         return Match(
-            best=None, alternatives=others, why=f"ambiguous: {len(found)} assignments of names fit equally well"
+            best=None,
+            alternatives=tuple(possible),
+            why=f"ambiguous: {len(possible)} assignments of names fit equally well",
         )
-    return Match(best=best, alternatives=others)
+    return Match(best=best, alternatives=tuple(a for a in found if a is not best))
 
 
-def _predicted(model: TargetModel, found: list[Assignment], predicted_m: Array) -> Assignment | None:
-    """Return the assignment nearest to the prediction where the next one is much further."""
-    places = [model.xyz_m @ a.R.T + a.t_m for a in found if a.R is not None and a.t_m is not None]
-    far = np.sqrt(np.nanmean((np.array(places) - predicted_m) ** 2, axis=(1, 2)))
-    order = np.argsort(far)
-    return found[order[0]] if far[order[1]] > PREDICTION_RATIO * far[order[0]] else None
+def _apart(a: Index, b: Index) -> bool:
+    """Whether two sets of pairs (n, 2) have no spot in common."""
+    return not any(np.isin(a[:, side], b[:, side]).any() for side in range(2))
+
+
+def _surprise(packed: PackedRig, model: TargetModel, left: Spots, right: Spots, pairs: Pairs, a: Assignment) -> float:
+    """Return -2 log likelihood of an assignment, the slack chosen for it."""
+    if a.R is None or a.t_m is None:
+        return 0.0
+    named = [model.names.index(name) for name in a.names]
+    index = pairs.index[a.pair]
+    outline = _outlines(model, left, right)
+    radius = model.radius_m * np.column_stack([outline[0, index[:, 0]], outline[1, index[:, 1]]])
+    return float(
+        kernels.surprise(
+            packed.k, packed.R, packed.t, model.xyz_m[named], radius, model.normal,
+            pairs.uv_px[a.pair], pairs.cov_px2[a.pair], a.R, a.t_m,
+        )
+    )  # fmt: skip
+
+
+def _shown(packed: PackedRig, model: TargetModel, group: list[Assignment]) -> list[Assignment]:
+    """Return of several ways to name the same spots those that show the front of a one-sided target, if one does."""
+    if not model.one_sided or len(group) == 1:
+        return group
+    back = packed.t[0] @ packed.R[0]  # from the left camera to the rig's origin
+    return [a for a in group if _shows_front(back, a)] or group
 
 
 def _shows_front(back: Array, a: Assignment) -> bool:
@@ -335,14 +460,14 @@ def _disjoint(pairs: Pairs) -> list[tuple[int, ...]]:
     return list(two) or [(i,) for i in range(c)]
 
 
-def _nearest(names: tuple[str, ...], pairs: Pairs, predicted_m: Array) -> Match:
+def _nearest(names: tuple[str, ...], pairs: Pairs, prediction: Prediction) -> Match:
     """Name each light by the nearest prediction, where pair and light are each other's nearest by far."""
-    far = np.linalg.norm(pairs.xyz_m[:, None] - predicted_m[None], axis=2)  # (c, m)
+    far = np.linalg.norm(pairs.xyz_m[:, None] - prediction.xyz_m[None], axis=2)  # (c, m)
     far[~np.isfinite(far)] = np.inf
     chosen = []
     for light in range(len(names)):
         at = int(np.argmin(far[:, light]))
-        if not np.isfinite(far[at, light]):
+        if not far[at, light] <= prediction.within_m:
             continue
         rivals = np.concatenate([np.delete(far[:, light], at), np.delete(far[at], light)])
         if not len(rivals) or rivals.min() > PREDICTION_RATIO * far[at, light]:
@@ -350,4 +475,5 @@ def _nearest(names: tuple[str, ...], pairs: Pairs, predicted_m: Array) -> Match:
     if not chosen:
         return Match(best=None, why="ambiguous: no light is clearly the one expected")
     label = tuple(name for name, _ in chosen)
-    return Match(best=Assignment(names=label, pair=np.array([at for _, at in chosen], dtype=np.intp), chi2=0.0))
+    best = Assignment(names=label, pair=np.array([at for _, at in chosen], dtype=np.intp), chi2=0.0)
+    return Match(best=best, predicted=True)

@@ -46,6 +46,7 @@ class Measured:
     points: in rig axes, each triangulated by itself. left, right: the matched spots, in the order of names.
     left_seen, right_seen: all that were found (in the windows only, where tracked). track: for the next call.
     alternatives: the poses of all assignments that fit, where names are ambiguous. notes: what was left out, and why.
+    busy: more than lights was bright, and the spots were chosen from many candidates.
     """
 
     pose: TargetPose
@@ -59,3 +60,4 @@ class Measured:
     alternatives: tuple[TargetPose, ...] = ()
     notes: tuple[str, ...] = ()
     tracked: bool = False
+    busy: bool = False

@@ -12,19 +12,25 @@ from armsight.errors import Inconsistent, NotConverged
 from armsight.measure.boardpair import measure_board_pair, swapped
 from armsight.measure.kernels import pose as kernels
 from armsight.measure.match import (
+    AS_FOUND,
+    BY_CHANCE,
     OUTLINE,
     Assignment,
     Match,
     Pairs,
+    Prediction,
     match_by_place,
     match_few,
     match_known,
     pair_spots,
 )
 from armsight.measure.outcome import Measured, Track
+from armsight.measure.plausibility import add_outline_shift, impossible
 from armsight.measure.pose import Solved, lost, no_points, position_only, solve_frame, solve_points, solve_pose
+from armsight.measure.settings import SpotSettings
 from armsight.measure.setup import Setup
-from armsight.measure.spots import TOUCHING, find_spots, track_spots
+from armsight.measure.shortlist import Shortlist, likeness, shortlist
+from armsight.measure.spots import SECOND_LOOK, TOUCHING, Candidates, find_candidates, track_spots
 from armsight.measure.spots import warm_up as spots_warm_up
 from armsight.measure.tracking import MAX_GAP_S, expected, next_track, places_of
 from armsight.optics import RIG_PARAMETERS, SIDES, Camera, parallel_rig
@@ -33,6 +39,7 @@ from armsight.records import Frame, NamedCovariance, PoseStatus, Spots, TargetPo
 __all__ = ["Measured", "Setup", "Track", "measure_pair", "measure_spots", "warm_up"]
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 
 TIGHT_PX = 0.05
 """What a good calibration leaves; residuals beyond it are reason enough to try left and right exchanged."""
@@ -54,7 +61,7 @@ def measure_pair(setup: Setup, left: Frame, right: Frame, track: Track | None = 
     where left and right are swapped. What can happen to a good recording (a light hidden, a reflection, nobody
     there) raises nothing: the status and `why` of the pose say it.
     """
-    _check_sizes(setup, left, right)
+    check_sizes(setup, left, right)
     t_s = 0.5 * (left.t_s + right.t_s)
     if setup.target.is_board:
         return measure_board_pair(setup, left, right, t_s)
@@ -64,9 +71,71 @@ def measure_pair(setup: Setup, left: Frame, right: Frame, track: Track | None = 
         measured = _measure_windows(setup, left, right, t_s, track)
         if measured is not None:
             return measured
-    left_seen = find_spots(left.image, setup.settings)
-    right_seen = left_seen if setup.overlaid else find_spots(right.image, setup.settings)
-    return measure_spots(setup, t_s, left_seen, right_seen, track)
+    at_left, at_right = _candidates(setup, left, right)
+    measured = _measure_candidates(setup, t_s, at_left, at_right, track)
+    if measured.pose.status is PoseStatus.OK or measured.alternatives or len(measured.names) == len(setup.model):
+        return measured
+    if not any(_more_to_see(at, seen) for at, seen in ((at_left, measured.left_seen), (at_right, measured.right_seen))):
+        return measured
+    again = _measure_candidates(setup, t_s, *_candidates(setup, left, right, faint=True), track)
+    return again if again.pose.status is PoseStatus.OK or measured.pose.status is PoseStatus.LOST else measured
+
+
+def _more_to_see(candidates: Candidates, seen: Spots) -> bool:
+    """Whether a closer look may show lights: the image is not quiet, or something in it was no light that is known."""
+    return candidates.room or any(why in SECOND_LOOK for _, _, why in seen.rejected)
+
+
+def _candidates(setup: Setup, left: Frame, right: Frame, *, faint: bool = False) -> tuple[Candidates, Candidates]:
+    """Return what may be a light in both images; one image that holds both views is searched once."""
+    found = find_candidates(left.image, setup.sides[0], faint=faint)
+    return found, found if setup.overlaid else find_candidates(right.image, setup.sides[1], faint=faint)
+
+
+def _measure_candidates(setup: Setup, t_s: float, left: Candidates, right: Candidates, track: Track | None) -> Measured:
+    """Return the pose from candidates: all measured where they are few, else those that may be the target's."""
+    if left.quiet and right.quiet:
+        at_left, at_right = left.positions(), right.positions()
+        expected_of_each = len(setup.model) * (2 if setup.overlaid else 1)
+        if max(len(at_left), len(at_right)) > expected_of_each and len(setup.model) >= 3:
+            more = Shortlist(left=at_left, right=at_right, bright=len(at_left) + len(at_right), arrangements=AS_FOUND)
+            return _measure_chosen(setup, t_s, left, right, (at_left, at_right), track, more)
+        seen = left.measure(at_left)
+        return measure_spots(setup, t_s, seen, seen if setup.overlaid else right.measure(at_right), track)
+    among = shortlist(setup, left, right)
+    if among.first is not None:
+        measured = _measure_chosen(setup, t_s, left, right, among.first, track, among)
+        if measured.pose.status is PoseStatus.OK or measured.alternatives:
+            return measured
+    return _measure_chosen(setup, t_s, left, right, (among.left, among.right), track, among)
+
+
+def _measure_chosen(
+    setup: Setup,
+    t_s: float,
+    left: Candidates,
+    right: Candidates,
+    chosen: tuple[Index, Index],
+    track: Track | None,
+    among: Shortlist,
+) -> Measured:
+    """Measure the chosen candidates; return the pose, or that it may be one of chance."""
+    if setup.overlaid:
+        seen_left = seen_right = left.measure(np.union1d(*chosen))
+    else:
+        seen_left, seen_right = left.measure(chosen[0]), right.measure(chosen[1])
+    measured, chance = _from_spots(setup, t_s, seen_left, seen_right, track, among)
+    measured = replace(measured, busy=among.arrangements != AS_FOUND)
+    if measured.pose.status is PoseStatus.LOST or chance == 0.0:
+        return measured
+    alike = likeness(setup, left, right, measured.left, measured.right, measured.points.xyz_m)
+    if chance * alike < BY_CHANCE:
+        return measured
+    why = (
+        f"{among.bright} bright spots: {len(measured.names)} of them fit the target, but no better than some would by "
+        "chance; mask the background, lower the exposure, or give the target one more light"
+    )
+    return replace(_nothing(t_s, seen_left, seen_right, why, track), busy=measured.busy)
 
 
 def warm_up() -> None:
@@ -83,7 +152,10 @@ def warm_up() -> None:
         sum(150.0 * np.exp(-((x - u) ** 2 + (y - v) ** 2) / 8.0) for u, v in uv).astype(np.uint8)
         for uv in rig.project(xyz + np.array([0.05, 0.0, 0.5]))
     ]
-    for target in (spot_target(dict(zip("ABC", map(tuple, xyz.tolist()), strict=True))), unmeasured_target()):
+    for target in (
+        spot_target(dict(zip("ABC", map(tuple, xyz.tolist()), strict=True)), covariance=1e-12 * np.eye(9)),
+        unmeasured_target(),
+    ):
         setup, track = Setup(rig, target), None
         for number in range(3):
             frames = [Frame(image=image, t_s=0.01 * number, sequence=number, source="warm-up") for image in images]
@@ -95,24 +167,38 @@ def warm_up() -> None:
 
 def measure_spots(setup: Setup, t_s: float, left: Spots, right: Spots, track: Track | None = None) -> Measured:
     """Return the pose from all spots found in both views at t_s; see measure_pair."""
+    return _from_spots(setup, t_s, left, right, track, None)[0]
+
+
+def _from_spots(
+    setup: Setup, t_s: float, left: Spots, right: Spots, track: Track | None, among: Shortlist | None
+) -> tuple[Measured, float]:
+    """As measure_spots; among: what the spots were chosen from, where they are not all that is bright.
+
+    The number is how many other arrangements are expected to fit as well by chance.
+    """
     pairs = pair_spots(setup.packed, left, right, setup.slack_px, overlaid=setup.overlaid)
-    match = _match(setup, left, right, pairs, expected(setup, track, t_s))
+    match = _match(setup, left, right, pairs, expected(setup, track, t_s), among)
     if match.best is None and match.alternatives:
-        return _ambiguous(setup, t_s, left, right, pairs, match, track)
+        return _ambiguous(setup, t_s, left, right, pairs, match, track), match.chance
     if match.best is None:
         if track is None:
             _refuse_swapped(setup, left, right)
-        why = _explain(setup, left, right, pairs, match.why)
-        return _nothing(t_s, left, right, why, track)
+        chosen = among is not None and among.arrangements != AS_FOUND
+        why = match.why if chosen and match.why else _explain(setup, left, right, pairs, match.why)
+        return _nothing(t_s, left, right, why, track), 1.0
     index = pairs.index[match.best.pair]
     matched = _take(left, index[:, 0]), _take(right, index[:, 1])
     solved = _solve(setup, t_s, match.best.names, *matched)
     if solved.pose.status is PoseStatus.LOST:
-        return _nothing(t_s, left, right, solved.pose.why, track)
+        return _nothing(t_s, left, right, solved.pose.why, track), 1.0
+    against = impossible(setup, match.best.names, solved, *matched)
+    if against:
+        return _nothing(t_s, left, right, against, track), 1.0
     misfit = 0.0 if setup.overlaid else _misfit(solved, *matched)
     if misfit > float(setup.model.limits[min(len(matched[0]), len(setup.model))]):
         _refuse_swapped(setup, left, right, misfit)
-    return Measured(
+    measured = Measured(
         pose=solved.pose,
         points=solved.points,
         left=matched[0],
@@ -123,9 +209,11 @@ def measure_spots(setup: Setup, t_s: float, left: Spots, right: Spots, track: Tr
         track=next_track(setup, t_s, solved, left, right, track),
         notes=_left_out(setup, solved, left, right),
     )
+    return measured, match.chance
 
 
-def _check_sizes(setup: Setup, left: Frame, right: Frame) -> None:
+def check_sizes(setup: Setup, left: Frame, right: Frame) -> None:
+    """Raise Inconsistent where a frame is not of the size of the rig's camera."""
     for side, frame in zip(SIDES, (left, right), strict=True):
         camera = setup.rig.camera(side)
         if (frame.width, frame.height) != (camera.width, camera.height):
@@ -147,13 +235,13 @@ def _measure_windows(setup: Setup, left: Frame, right: Frame, t_s: float, track:
     ):
         return None
     if setup.overlaid:
-        both = _in_windows(left, np.concatenate([at_left, at_right]), track.half_window_px, setup)
+        both = _in_windows(left, np.concatenate([at_left, at_right]), track.half_window_px, setup.sides[0])
         left_seen, right_seen = (
             (None, None) if both is None else (both.take(list(range(n))), both.take(list(range(n, 2 * n))))
         )
     else:
-        left_seen = _in_windows(left, at_left, track.half_window_px, setup)
-        right_seen = None if left_seen is None else _in_windows(right, at_right, track.half_window_px, setup)
+        left_seen = _in_windows(left, at_left, track.half_window_px, setup.sides[0])
+        right_seen = None if left_seen is None else _in_windows(right, at_right, track.half_window_px, setup.sides[1])
     if left_seen is None or right_seen is None:
         return None
     solved = _solve(setup, t_s, track.names, left_seen, right_seen)
@@ -173,27 +261,41 @@ def _measure_windows(setup: Setup, left: Frame, right: Frame, t_s: float, track:
     )
 
 
-def _in_windows(frame: Frame, expected: Array, half_window_px: int, setup: Setup) -> Spots | None:
+def _in_windows(frame: Frame, expected: Array, half_window_px: int, settings: SpotSettings) -> Spots | None:
     """Return the spots in the order of expected (n, 2); None where not every one was found, or one twice."""
-    spots, of = track_spots(frame.image, expected, half_window_px, setup.settings)
+    spots, of = track_spots(frame.image, expected, half_window_px, settings)
     order, whole = of.tolist(), list(range(len(expected)))
     if order == whole:
         return spots
     return spots.take(np.argsort(of)) if sorted(order) == whole else None
 
 
-def _match(setup: Setup, left: Spots, right: Spots, pairs: Pairs, expected: Array | None) -> Match:
+def _match(
+    setup: Setup, left: Spots, right: Spots, pairs: Pairs, prediction: Prediction | None, among: Shortlist | None
+) -> Match:
     """Name the spots: by the target's geometry, by their order in the image, or as far as one or two lights go."""
     known, model = setup.target.model_known, setup.model
     if not len(pairs.index):
-        return Match(best=None, why="")
+        return Match(best=None, why="" if among is None else among.nothing)
     match = Match(best=None)
     if known and len(model) >= 3:
-        match = match_known(setup.packed, model, left, right, pairs, predicted_m=expected, slack_px=setup.slack_px)
+        match = match_known(
+            setup.packed, model, left, right, pairs,
+            prediction=prediction, slack_px=setup.slack_px, arrangements=among.arrangements if among else 0,
+        )  # fmt: skip
     elif len(model) >= 3:
         match = match_by_place(left, right, pairs)
     if match.best is None and not match.alternatives and (len(model) < 3 or pairs.few):
-        return match_few(model, pairs, known=known, predicted_m=expected)
+        few = match_few(model, pairs, known=known, prediction=prediction)
+        if (
+            among is None
+            or among.few_are_lights
+            or among.arrangements == AS_FOUND
+            or few.best is None
+            or (prediction and few.predicted)
+        ):
+            return few
+        return Match(best=None, why=f"{among.bright} bright spots, and too few lights to tell which of them they are")
     return match
 
 
@@ -207,6 +309,8 @@ def _solve(setup: Setup, t_s: float, names: tuple[str, ...], left: Spots, right:
     model, packed = setup.model, setup.packed
     uv, cov = np.empty((len(names), 2, 2)), np.empty((len(names), 2, 2, 2))  # [spot, side]
     kernels.stack_views(left.uv_px, left.covariance_px2, right.uv_px, right.covariance_px2, uv, cov)
+    if model.radius_m <= 0.0:
+        add_outline_shift(packed, left, right, cov)
     if len(names) < 3:
         seen = solve_points(packed, names, uv, cov)
         if isinstance(seen, str):
@@ -217,7 +321,19 @@ def _solve(setup: Setup, t_s: float, names: tuple[str, ...], left: Spots, right:
         return solve_frame(packed, t_s, names, uv, cov)
     rows = model.xyz_m if names == model.names else model.xyz_m[[model.names.index(name) for name in names]]
     radius, limit = _radii(model.radius_m, left, right), float(model.limits[len(names)])
-    return solve_pose(packed, t_s, names, rows, uv, cov, radius, model.normal, limit=limit, slack_px=setup.slack_px)
+    return solve_pose(
+        packed,
+        t_s,
+        names,
+        rows,
+        uv,
+        cov,
+        radius,
+        model.normal,
+        limit=limit,
+        slack_px=setup.slack_px,
+        covariance=setup.covariance_of(names),
+    )
 
 
 def _radii(radius_m: float, left: Spots, right: Spots) -> Array:
@@ -286,7 +402,7 @@ def _refuse_swapped(setup: Setup, left: Spots, right: Spots, misfit: float = inf
     if setup.overlaid or len(setup.model) < 3 or min(len(left), len(right)) < 3:
         return  # within one image the order of the two spots says which view each is of
     pairs = pair_spots(setup.packed, right, left, setup.slack_px)
-    match = _match(setup, right, left, pairs, None)
+    match = _match(setup, right, left, pairs, None, None)
     if match.alternatives and match.best is None and misfit == inf:
         raise swapped()
     if match.best is None or len(match.best.names) < 3:

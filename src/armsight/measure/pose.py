@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,10 @@ PARENT = "rig"
 
 MAX_ROTATION_SIGMA = 0.3
 """A rotation less certain than this (rad; 17 degrees) is none: its covariance, taken to first order, means nothing."""
+
+MISFIT_SIGMA = 2.326
+"""Residuals further out than this normal deviation (1 %) widen the pose: cameras' noise models are off by up to a
+factor of two in variance, so that a frame alone proves little."""
 
 _WHY = {
     kernels.NO_WEIGHT: "the covariance of a spot is not positive",
@@ -44,11 +49,15 @@ class Solved:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Placed:
-    """Points by themselves, their joint covariance (3 n, 3 n) and residuals (n, 2, 2) in px."""
+    """Points by themselves, their joint covariance (3 n, 3 n) and residuals (n, 2, 2) in px.
+
+    systematic_m2 (3 n, 3 n): the rig's part of it, None where the rig is taken as exact.
+    """
 
     points: Points
     joint_m2: Array
     residual_px: Array
+    systematic_m2: Array | None = None
 
 
 def solve_pose(
@@ -63,20 +72,23 @@ def solve_pose(
     *,
     limit: float,
     slack_px: float = SLACK_PX,
+    covariance: Array | None = None,
 ) -> Solved:
     """Return the pose of greatest likelihood on both images from n >= 3 named spots, started by Kabsch.
 
     xyz_m: (n, 3) in target axes. uv_px: (n, 2, 2), cov_px2: (n, 2, 2, 2) as [spot, side]. radius_m: (n, 2) of the
     flat light where the spot is the outline of one, else 0; normal: (3,) of the lights' plane in target axes.
     limit: largest chi-square, slack included, that is believed (fit_limit).
+    covariance (26 + m, 26 + m): of the rig's parameters and, m = 3 n or 0, of xyz_m; that of the rig where None.
     Status LOST, with the reason, where the spots do not fit the target; POSITION_ONLY where they fit but leave
-    the rotation open. Covariances hold the spots' noise and, where the rig brings a covariance, its calibration's
-    share, which is the same in every frame.
+    the rotation open. Covariances hold the spots' noise, widened where the residuals are larger (misfit_factor), and
+    what rig and target bring, which is the same in every frame: systematic_covariance.
     """
-    n = len(names)
+    n, xyz_m = len(names), xyz_m[:]
+    xyz_m.setflags(write=False)  # lights left out or not: one compilation serves both
     P, S, residual = np.empty((n, 3)), np.empty((n, 3, 3)), np.zeros((n, 2, 2))
     T, C = np.empty((4, 4)), np.empty((6, 6))
-    state, wide = kernels.solve_named(
+    state, wide, chi2 = kernels.solve_named(
         packed.k, packed.R, packed.t, uv_px, cov_px2, slack_px**2, xyz_m, radius_m, normal, P, S, T, C, residual
     )
     if state in (kernels.NO_WEIGHT, kernels.NO_POINT):
@@ -91,15 +103,21 @@ def solve_pose(
             "the target's measures, the calibration or the moment of the two exposures is off"
         )
         return Solved(pose=lost(t_s, why), points=no_points(), fits=False)
-    if packed.covariance.size:
-        share.add_pose_share(packed.k, packed.R, packed.t, cov_px2, xyz_m, T, packed.covariance, C)
+    carried = packed.covariance if covariance is None else covariance
+    systematic = None
+    if carried.size:
+        systematic = np.empty((6, 6))
+        chi2 = share.carry_to_pose(packed.k, packed.R, packed.t, cov_px2, xyz_m, T, carried, C, residual, systematic)
+    C *= misfit_factor(chi2, n)
+    if systematic is not None:
+        C += systematic
     if not _certain(C):
         seen = _placed(packed, names, P, S, cov_px2, residual)
         return Solved(pose=position_only(t_s, seen, _WHY[kernels.OPEN]), points=seen.points)
     if packed.covariance.size:
         A = _slopes(packed, cov_px2, P, S)
         S += A @ packed.covariance @ A.transpose(0, 2, 1)
-    return _whole(t_s, trusted(Points, names=names, xyz_m=P, covariance_m2=S), T, C, residual)
+    return _whole(t_s, trusted(Points, names=names, xyz_m=P, covariance_m2=S), T, C, residual, systematic)
 
 
 def solve_frame(packed: PackedRig, t_s: float, names: tuple[str, ...], uv_px: Array, cov_px2: Array) -> Solved:
@@ -113,7 +131,11 @@ def solve_frame(packed: PackedRig, t_s: float, names: tuple[str, ...], uv_px: Ar
     T, C = np.eye(4), np.empty((6, 6))
     if not kernels.pachidis_frame(seen.points.xyz_m, seen.joint_m2, T, C) or not _certain(C):
         return Solved(pose=position_only(t_s, seen, "the three lights lie on one line"), points=seen.points)
-    return _whole(t_s, seen.points, T, C, seen.residual_px)
+    systematic = None
+    if seen.systematic_m2 is not None:
+        systematic = np.empty((6, 6))
+        kernels.pachidis_frame(seen.points.xyz_m, seen.systematic_m2, np.eye(4), systematic)
+    return _whole(t_s, seen.points, T, C, seen.residual_px, systematic)
 
 
 def solve_points(packed: PackedRig, names: tuple[str, ...], uv_px: Array, cov_px2: Array) -> Placed | str:
@@ -138,13 +160,19 @@ def position_only(t_s: float, seen: Placed, why: str) -> TargetPose:
         parent=PARENT,
         spots=seen.points.names,
         T_parent_target=T,
-        covariance=seen.joint_m2.reshape(n, 3, n, 3).sum(axis=(0, 2)) / n**2,
+        covariance=_of_mean(seen.joint_m2, n),
         residual_px=seen.residual_px.ravel(),
         why=why,
+        systematic_covariance=None if seen.systematic_m2 is None else _of_mean(seen.systematic_m2, n),
     )
 
 
-def _whole(t_s: float, points: Points, T: Array, C: Array, residual: Array) -> Solved:
+def _of_mean(joint_m2: Array, n: int) -> Array:
+    """Return the covariance (3, 3) of the mean of n points with this joint one (3 n, 3 n)."""
+    return np.asarray(joint_m2.reshape(n, 3, n, 3).sum(axis=(0, 2)) / n**2)
+
+
+def _whole(t_s: float, points: Points, T: Array, C: Array, residual: Array, systematic: Array | None = None) -> Solved:
     """Return the pose T (4, 4) with its covariance C (6, 6)."""
     pose = trusted(
         TargetPose,
@@ -156,8 +184,21 @@ def _whole(t_s: float, points: Points, T: Array, C: Array, residual: Array) -> S
         covariance=C,
         residual_px=residual.ravel(),
         why="",
+        systematic_covariance=systematic,
     )
     return Solved(pose=pose, points=points, T=T)
+
+
+def misfit_factor(chi2: float, n_spots: int) -> float:
+    """Return the factor on a pose's variance for residuals of n spots with this chi-square: 1 where they can be noise.
+
+    From the point that one frame in a hundred passes by noise alone it grows with chi-square (4 n - 6 degrees of
+    freedom; Wilson-Hilferty).
+    """
+    dof = max(4 * n_spots - 6, 1)
+    spread = 2.0 / (9.0 * dof)
+    usual = dof * (1.0 - spread + MISFIT_SIGMA * sqrt(spread)) ** 3
+    return max(1.0, chi2 / usual)
 
 
 def _certain(C: Array) -> bool:
@@ -170,12 +211,14 @@ def _placed(packed: PackedRig, names: tuple[str, ...], P: Array, S: Array, cov_p
     n = len(names)
     blocks = np.zeros((n, 3, n, 3))
     blocks[np.arange(n), :, np.arange(n), :] = S
-    joint = blocks.reshape(3 * n, 3 * n)
+    joint, systematic = blocks.reshape(3 * n, 3 * n), None
     if packed.covariance.size:
         A = _slopes(packed, cov_px2, P, S).reshape(3 * n, -1)
-        joint = joint + A @ packed.covariance @ A.T
+        systematic = A @ packed.covariance @ A.T
+        joint = joint + systematic
     own = joint.reshape(n, 3, n, 3)[np.arange(n), :, np.arange(n), :]
-    return Placed(points=Points(names=names, xyz_m=P, covariance_m2=own), joint_m2=joint, residual_px=residual)
+    points = Points(names=names, xyz_m=P, covariance_m2=own)
+    return Placed(points=points, joint_m2=joint, residual_px=residual, systematic_m2=systematic)
 
 
 def _slopes(packed: PackedRig, cov_px2: Array, P: Array, S: Array) -> Array:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.measure.kernels import pose as kernels
+from armsight.measure.match import Prediction
 from armsight.measure.outcome import Track
 from armsight.measure.pose import Solved
 from armsight.measure.setup import Setup
@@ -17,6 +18,13 @@ Array = NDArray[np.float64]
 
 MAX_GAP_S = 0.5
 """A track older than this predicts nothing: hand-held targets turn round in less than a second."""
+
+MOST_SPEED = 2.0
+MOST_ACCELERATION = 25.0
+"""m/s and m/s^2 beyond which no target is expected to be led: twice what a hand reaches between two places."""
+
+STILL_M = 0.005
+"""How far off a prediction may be where nothing moves."""
 
 FIRST_WINDOW_PX = 32
 """Half the window before a velocity is known: 0.5 m/s at 0.6 m, 30 frames a second and f = 1130 px."""
@@ -28,17 +36,18 @@ SPOT_REACH = 4.0
 """A spot's light reaches about this many of its sigmas (or radii)."""
 
 
-def expected(setup: Setup, track: Track | None, t_s: float) -> Array | None:
-    """Return the predicted places (m, 3) in the order of the target's names, NaN where there is none."""
+def expected(setup: Setup, track: Track | None, t_s: float) -> Prediction | None:
+    """Return the predicted places in the order of the target's names, and how far off they may be."""
     if track is None:
         return None
-    predicted = track.predict(t_s)
-    if track.names == setup.model.names:
-        return predicted
-    out = np.full((len(setup.model), 3), np.nan)
-    for name, place in zip(track.names, predicted, strict=True):
-        out[setup.model.names.index(name)] = place
-    return out
+    predicted, dt = track.predict(t_s), t_s - track.t_s
+    moved = MOST_ACCELERATION * dt * dt if track.velocity_m_s.any() else MOST_SPEED * dt
+    if track.names != setup.model.names:
+        out = np.full((len(setup.model), 3), np.nan)
+        for name, place in zip(track.names, predicted, strict=True):
+            out[setup.model.names.index(name)] = place
+        predicted = out
+    return Prediction(predicted, STILL_M + moved)
 
 
 def places_of(setup: Setup, T: Array) -> Array:

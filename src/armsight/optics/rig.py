@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.optics.camera import INTRINSICS, Camera
 from armsight.optics.kernels.camera import project_many
-from armsight.records import NamedCovariance
+from armsight.records import NamedCovariance, NoiseModel
 
 Array = NDArray[np.float64]
 
@@ -36,7 +36,8 @@ class Rig:
     """Left and right camera, each with its pose in the rig's axes.
 
     covariance: of the calibration, named '<side>.<intrinsic>' (px) and 'right.tx|ty|tz' (m), 'right.rx|ry|rz'
-    (rad) for the pose T_rig_right of a rig whose reference is the left camera; None where not known.
+    (rad) for the pose T_rig_right of a rig whose reference is the left camera; None where not known. noise: of the grey
+    levels of the left and the right camera, where known; optics makes no use of it.
     """
 
     kind: RigKind
@@ -46,6 +47,7 @@ class Rig:
     T_rig_right: RigidTransform
     covariance: NamedCovariance | None = None
     rms_px: float | None = None
+    noise: tuple[NoiseModel | None, NoiseModel | None] = (None, None)
 
     @property
     def baseline_m(self) -> float:

@@ -71,4 +71,5 @@ def rig_on_base(rig: Rig, base: RotaryBase, angle_rad: float) -> Rig:
         T_rig_left=T_world_rig * rig.T_rig_left,
         T_rig_right=T_world_rig * rig.T_rig_right,
         rms_px=rig.rms_px,
+        noise=rig.noise,
     )

@@ -6,6 +6,7 @@ from armsight.records.covariance import NamedCovariance
 from armsight.records.frames import Frame
 from armsight.records.measured import Points, PoseStatus, Spots, TargetPose
 from armsight.records.motion import JointReading, Motion
+from armsight.records.noise import LinearNoise, NoiseModel
 from armsight.records.progress import Progress, Silent
 from armsight.records.target import Colour, Target, TargetKind, board_target, spot_target, unmeasured_target
 
@@ -14,8 +15,10 @@ __all__ = [
     "Colour",
     "Frame",
     "JointReading",
+    "LinearNoise",
     "Motion",
     "NamedCovariance",
+    "NoiseModel",
     "Points",
     "PoseStatus",
     "Progress",

@@ -101,7 +101,9 @@ class TargetPose:
     status OK: T_parent_target (4, 4) and covariance (6, 6) are there. POSITION_ONLY: T_parent_target carries the
     position of the mean of the spots seen (its rotation is the identity and means nothing), covariance is its (3, 3).
     LOST: both None.
-    why: the reason where the status is not OK. residual_px: (m,) reprojection residuals used.
+    why: the reason where the status is not OK. residual_px: (m,) reprojection residuals used. covariance holds all
+    that is known of: the spots' noise and, where rig or target bring a covariance, theirs. systematic_covariance, of
+    the same shape: the part of it that repeats from frame to frame (rig and target); None where there is none.
     """
 
     t_s: float
@@ -112,6 +114,7 @@ class TargetPose:
     covariance: NDArray[np.float64] | None = None
     residual_px: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
     why: str = ""
+    systematic_covariance: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         if not np.isfinite(self.t_s):
@@ -119,8 +122,9 @@ class TargetPose:
         size = {PoseStatus.OK: 6, PoseStatus.POSITION_ONLY: 3, PoseStatus.LOST: 0}[self.status]
         if (size == 0) != (self.T_parent_target is None) or (size == 0) != (self.covariance is None):
             raise Inconsistent(f"a pose of status {self.status} must have both pose and covariance, or neither")
-        if self.covariance is not None:
-            object.__setattr__(self, "covariance", frozen_array("covariance", self.covariance, (size, size)))
+        for name in ("covariance", "systematic_covariance"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, frozen_array(name, getattr(self, name), (size, size)))
         if self.T_parent_target is not None:
             object.__setattr__(self, "T_parent_target", frozen_array("T_parent_target", self.T_parent_target, (4, 4)))
         object.__setattr__(self, "residual_px", frozen_array("residual_px", self.residual_px, (None,)))

@@ -51,7 +51,8 @@ class Target:
     corners or circles. diameter_m: of a flat round light, where known. colour: of a beacon, where it is
     found by colour. A beacon is a target with one spot. model_known is False where the spots' arrangement has not
     been measured: then names give only their labels, xyz_m is zeros, and the frame follows
-    Pachidis eqs. (7)-(8).
+    Pachidis eqs. (7)-(8). covariance: (3 n, 3 n) m^2 of the measured places in the order of names, x y z each; None
+    where the places are taken as exact.
     """
 
     kind: TargetKind
@@ -65,14 +66,23 @@ class Target:
     marker_m: float = 0.0
     dictionary: str = ""
     model_known: bool = True
+    covariance: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "names", tuple(self.names))
         object.__setattr__(self, "xyz_m", frozen_array("xyz_m", self.xyz_m, (len(self.names), 3)))
+        if self.covariance is not None:
+            size = 3 * len(self.names)
+            object.__setattr__(self, "covariance", frozen_array("covariance", self.covariance, (size, size)))
         if not self.names or len(set(self.names)) != len(self.names):
             raise Inconsistent("a target needs at least one spot, and every spot a name of its own")
         if self.diameter_m is not None and not self.diameter_m > 0.0:
             raise Inconsistent(f"a spot's diameter of {self.diameter_m} m is not positive")
+
+    @property
+    def covariance_names(self) -> tuple[str, ...]:
+        """Names of the covariance's rows: 'A.x_m', 'A.y_m', 'A.z_m', 'B.x_m', ..."""
+        return tuple(f"{name}.{axis}_m" for name in self.names for axis in "xyz")
 
     @property
     def is_board(self) -> bool:
@@ -85,14 +95,16 @@ def spot_target(
     *,
     diameter_m: float | None = None,
     colour: Colour | None = None,
+    covariance: NDArray[np.float64] | None = None,
 ) -> Target:
-    """Return a lit target from the named positions of its spots in m."""
+    """Return a lit target from the named positions of its spots in m; covariance (3 n, 3 n) of these, m^2."""
     return Target(
         kind=TargetKind.SPOTS,
         names=tuple(spots_m),
         xyz_m=np.array(list(spots_m.values()), dtype=float).reshape(-1, 3),
         diameter_m=diameter_m,
         colour=colour,
+        covariance=covariance,
     )
 
 

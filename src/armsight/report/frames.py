@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.report.figures import GREEN, ORANGE, RED
+from armsight.measure.spots import CANDIDATE
+from armsight.report.figures import GREEN, GREY, ORANGE, RED
 from armsight.report.html import text
 from armsight.report.run import Sample
 
@@ -44,7 +45,9 @@ def sample_figure(sample: Sample, number: int) -> str:
     marks = [
         _circle(u, v, r, spot, GREEN, unit) for (u, v, r), spot in zip(_circles(sample), sample.names, strict=True)
     ]
-    marks += [_cross(u, v, why, unit) for u, v, why in sample.seen.rejected]
+    marks += [
+        _dot(u, v, why, unit) if why == CANDIDATE else _cross(u, v, why, unit) for u, v, why in sample.seen.rejected
+    ]
     matched = {tuple(uv) for uv in sample.spots.uv_px.tolist()}
     marks += [
         _circle(u, v, max(1.6 * unit, 3.0 * size), "", ORANGE, unit)
@@ -56,7 +59,9 @@ def sample_figure(sample: Sample, number: int) -> str:
         'style="image-rendering:pixelated"/>'
     )
     told = f"frame {sample.frame}, {sample.side}" + (f", {sample.source}" if sample.source else "")
-    caption = f"{told}: {len(sample.names)} matched" + (f". {sample.why}" if sample.why else "")
+    seen = len(sample.seen) + len(sample.seen.rejected)
+    counts = f"{len(sample.names)} matched of {len(sample.seen)} measured, {seen} bright things in all"
+    caption = f"{told}: {counts}" + (f". {sample.why}" if sample.why else "")
     return (
         f'<figure><svg viewBox="-0.5 -0.5 {width} {height}" role="img" aria-label="{text(told)}">{image}'
         f"{''.join(marks)}</svg>{_zooms(sample, name)}<figcaption>{text(caption)}</figcaption></figure>"
@@ -82,6 +87,13 @@ def _circle(u: float, v: float, radius: float, label: str, colour: str, unit: fl
     return (
         f'<circle cx="{u:.3f}" cy="{v:.3f}" r="{radius:.3f}" fill="none" stroke="{colour}" '
         f'stroke-width="{0.35 * unit:.3g}"/>{shown}'
+    )
+
+
+def _dot(u: float, v: float, why: str, unit: float) -> str:
+    return (
+        f'<circle cx="{u:.2f}" cy="{v:.2f}" r="{0.6 * unit:.3g}" fill="none" stroke="{GREY}" '
+        f'stroke-width="{0.25 * unit:.3g}"><title>{text(why)}</title></circle>'
     )
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from datetime import datetime
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +34,9 @@ GOOD_SHARE = 0.95
 MAX_LOSSES = 25
 MAX_SAMPLES = 6
 
+VERDICTS = {"doubtful": ("warn", "Doubtful"), "inconsistent": ("bad", "Inconsistent")}
+"""How the verdict on the residuals shows."""
+
 TRUE_CLAIM = 0.999
 """The claim is doubted where the share inside falls out of this central range of what chance alone would give."""
 
@@ -49,6 +54,7 @@ def measure_report(run: MeasureRun, *, created: datetime | None = None) -> str:
     _add_truth(page, errors)
     _add_track(page, run, series, errors)
     _add_residuals(page, run)
+    _add_consistency(page, run)
     _add_samples(page, run)
     _add_losses(page, run, series)
     _add_inputs(page, run)
@@ -81,6 +87,10 @@ def _verdict(run: MeasureRun, series: Series, errors: Errors | None) -> Verdict:
         sentence += f" Against the truth: {position} RMS; {100 * inside:.1f} % inside their own 95 % ellipsoid."
         if not low <= inside <= high:
             level, word = "warn", "Claim doubted"
+    doubt = VERDICTS.get(run.consistency.get("verdict", ""))
+    if doubt is not None:
+        level, word = doubt
+        sentence = f"{run.consistency['sentence']} {run.consistency['advice']} By what they claim: {sentence}"
     if run.error:
         level, word, sentence = "bad", "Broken off", f"{run.error.rstrip('.')}. Until then: {sentence}"
     return Verdict(level=level, word=word, sentence=sentence)
@@ -227,6 +237,40 @@ def _add_residuals(page: Page, run: MeasureRun) -> None:
             rows,
             numbers=range(1, 7),
         ),
+    )
+
+
+def _estimate(cause: Mapping[str, Any]) -> str:
+    if cause["estimate"] is None:
+        return ""
+    unit = cause["unit"].replace("1", "")
+    return f"{figure_of(cause['estimate'])} ± {figure_of(cause['std'], digits=2)} {unit}"
+
+
+def _add_consistency(page: Page, run: MeasureRun) -> None:
+    found = run.consistency
+    if not found or found["verdict"] == "unchecked":
+        return
+    causes = [found, *found["others"]] if found["cause"] else []
+    rows = [
+        [
+            cause["cause"],
+            _estimate(cause),
+            figure_of(cause["effect_m"] / MM, "mm", digits=2),
+            figure_of(float(np.exp(min(-cause.get("log_odds", 0.0), 20.0))), digits=2) if i else "",
+        ]
+        for i, cause in enumerate(causes)
+    ]
+    unseen = [[cause, figure_of(effect_m / MM, "mm", digits=2)] for cause, effect_m in found["undetected_m"].items()]
+    page.add(
+        "Do the residuals agree with rig, target and noise?",
+        f"{found['sentence'] or 'They do.'} {found['advice']} The noise is "
+        f"{figure_of(found['noise_scale'], digits=2)} times what the spots claim; {found['n_frames']:,} frames judged.",
+        table(["cause", "estimate", "error of positions", "times less likely"], rows, numbers=(1, 2, 3))
+        if rows
+        else "",
+        "<p>What could be wrong, at most, without this run showing it (error of positions, RMS):</p>",
+        table(["cause", "error of positions"], unseen, numbers=(1,)),
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +40,8 @@ class MeasureRun:
 
     poses: one per pair of frames, in order, in the frame parent. residuals: per side (m, 3): frame, and measured
     minus projected u, v in px. samples: images to show. truth: the true pose per frame, in the same frame.
-    facts: more lines for the table of inputs. error: why the run ended early.
+    facts: more lines for the table of inputs. error: why the run ended early. consistency: what the check of the
+    residuals says, as measure.json holds it; empty where there was none.
     """
 
     poses: Sequence[TargetPose]
@@ -56,6 +58,7 @@ class MeasureRun:
     facts: Sequence[tuple[str, str]] = ()
     assumptions: Sequence[str] = ()
     error: str = ""
+    consistency: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "poses", tuple(self.poses))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,19 +12,14 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.clock import Clock
 from armsight.errors import Inconsistent, UsageError
 from armsight.sim.arms import FlangeLimits, SimArm, SimJoint
-from armsight.sim.camera import SimCamera
-from armsight.sim.cell import SEED_BACKDROP, SEED_PATH
-from armsight.sim.lens import Lens
-from armsight.sim.mirror import MirrorLens, Mirrors, mirror_rig, mirror_views
+from armsight.sim.cell import SEED_PATH
 from armsight.sim.motions import Drawn, JointMotion, Jumping, Swing, Tremor, Turntable, Vibration, Waypoints
-from armsight.sim.rigs import SIDES, rig_mapping
+from armsight.sim.rigs import SIDES
 from armsight.sim.robot import SimRobot
 from armsight.sim.scenario import (
     ArcKeys,
-    CameraKeys,
     EdgeKeys,
     EventKeys,
-    LensKeys,
     RestKeys,
     Scenario,
     SweepsKeys,
@@ -32,9 +27,9 @@ from armsight.sim.scenario import (
     WayKeys,
 )
 from armsight.sim.scene import Event, Ghost, Light, Path, Rest
-from armsight.sim.sensor import Sensor, ambient, with_hot_pixels
 from armsight.sim.servo import Drive, Servo
 from armsight.sim.stage import Carried, Stage, Timing
+from armsight.sim.viewing import make_cameras, set_room
 
 Array = NDArray[np.float64]
 
@@ -120,7 +115,9 @@ def build_stage(scenario: Scenario, seed: int, frames: int) -> Stage:
     if frames < 1 or seed < 0:
         raise UsageError(f"{frames} frames with the seed {seed} cannot be", cure="Ask for one or more, and a seed >= 0")
     arm = robotics(scenario, seed)
-    cameras, rig = _cameras(scenario.cameras, seed)
+    lights = _lights(scenario)
+    ambient_level = scenario.cameras.sensor.ambient_level if scenario.room.dark else 0.0
+    cameras, rig = make_cameras(scenario.cameras, seed, ambient_level=ambient_level)
     until_s = frames / scenario.fps + AHEAD_S
     T_mount_rig = scenario.cameras.T_mount_rig.pose()
     servo, T_flange_tool, rig_path, target = _moving(scenario, arm, T_mount_rig, seed, until_s)
@@ -137,7 +134,8 @@ def build_stage(scenario: Scenario, seed: int, frames: int) -> Stage:
         ),
         views=("image",) if scenario.cameras.mirrors else SIDES,
         cameras=cameras,
-        lights=_lights(scenario),
+        lights=lights,
+        moving=None,
         rig_path=rig_path,
         target_path=target,
         rig=rig,
@@ -157,7 +155,10 @@ def build_stage(scenario: Scenario, seed: int, frames: int) -> Stage:
         assumptions=("every number is told in the scenario's file, with its source or why it was chosen",),
     )
     _check_seen(stage)
-    return stage
+    cameras, moving = set_room(
+        scenario.room, cameras, lights, (rig_path, target), seed=seed, until_s=until_s - AHEAD_S, stands=fixed
+    )
+    return replace(stage, cameras=cameras, moving=moving)
 
 
 def _moving(
@@ -301,50 +302,6 @@ def _carried_target(motion: RestKeys | ArcKeys | EdgeKeys, seed: int) -> Path:
         rng = np.random.default_rng([seed, SEED_TREMOR])
         path = Tremor(path, motion.hand.rms_m, np.deg2rad(motion.hand.rms_deg), rng)
     return path
-
-
-def _lens(keys: LensKeys, cameras: CameraKeys) -> Lens:
-    k1, k2, p1, p2, k3 = keys.distortion
-    return Lens(
-        width=cameras.width,
-        height=cameras.height,
-        focal_px=(keys.fx, keys.fy),
-        centre_px=(keys.cx, keys.cy),
-        distortion=(k1, k2, p1, p2, k3),
-    )
-
-
-def _cameras(keys: CameraKeys, seed: int) -> tuple[dict[str, SimCamera], dict[str, Any]]:
-    """Return the cameras of a rig in its axes, and the rig as rig.yaml has it."""
-    left = _lens(keys.left, keys)
-    here = RigidTransform.identity()
-    if keys.mirrors is not None:
-        views = mirror_views(left, Mirrors(**keys.mirrors.model_dump()))
-        places: dict[str, tuple[Lens | MirrorLens, RigidTransform]] = {side: (views[side], here) for side in SIDES}
-        rig = mirror_rig(views)
-    else:
-        right = keys.right
-        if right is None:
-            raise Inconsistent("cameras: neither right nor mirrors is given")
-        pair = {"left": (left, here), "right": (_lens(right, keys), right.T_rig_camera.pose())}
-        places, rig = dict(pair), rig_mapping(pair)
-    sensor = Sensor(electrons_per_level=keys.sensor.electrons_per_level, read_noise_level=keys.sensor.read_noise_level)
-    cameras = {}
-    for side, (lens, T_rig_camera) in places.items():
-        bgr = (1.0, 1.0, 1.0) if keys.colour else (1.0,)
-        room = ambient(keys.width, keys.height, keys.sensor.ambient_level, bgr=bgr)
-        if keys.sensor.hot_pixels:
-            rng = np.random.default_rng([seed, SEED_BACKDROP, SIDES.index(side)])
-            room = with_hot_pixels(room, keys.sensor.hot_pixels, (20.0, 120.0), rng)
-        cameras[side] = SimCamera(
-            lens=lens,
-            T_world_camera=T_rig_camera,
-            sensor=sensor,
-            backdrop=room,
-            exposure_s=keys.exposure_s,
-            readout_s=keys.readout_s,
-        )
-    return cameras, rig
 
 
 def _lights(scenario: Scenario) -> tuple[Light, ...]:

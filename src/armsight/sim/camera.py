@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
@@ -13,7 +13,9 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import Inconsistent
 from armsight.sim.lens import Lens
-from armsight.sim.paint import LightImage, PointStroke, RegionStroke, Stroke, paint
+from armsight.sim.paint import LightImage, Patch, PointStroke, RegionStroke, Stroke, paint
+from armsight.sim.pipeline import IDEAL, LensLosses, Picture, Pipeline
+from armsight.sim.rooms.occluders import Occluder
 from armsight.sim.scene import Ghost, Light, Path
 from armsight.sim.sensor import Sensor
 
@@ -35,6 +37,8 @@ class SimCamera:
     """Lens, place in the world, sensor, the light that is there without the target (h, w, c), and exposure.
 
     readout_s: time from the first row's exposure to the last row's (a rolling shutter); the middle row is on time.
+    pipeline: the lens's losses and the camera's processing. grey: pictures of a colour camera are handed out grey.
+    occluders: what comes between it and the lights, in the axes of their path.
     """
 
     lens: Lens
@@ -43,6 +47,11 @@ class SimCamera:
     backdrop: LightImage
     exposure_s: float = 0.0
     readout_s: float = 0.0
+    pipeline: Pipeline = IDEAL
+    grey: bool = False
+    occluders: tuple[Occluder, ...] = ()
+    losses: LensLosses = field(init=False, repr=False)
+    still: LightImage = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         shape = self.backdrop.shape
@@ -53,6 +62,9 @@ class SimCamera:
         backdrop = self.backdrop.copy()
         backdrop.setflags(write=False)
         object.__setattr__(self, "backdrop", backdrop)
+        losses = LensLosses(pipeline=self.pipeline, height=self.lens.height, width=self.lens.width)
+        object.__setattr__(self, "losses", losses)
+        object.__setattr__(self, "still", losses.through(backdrop))
         if not (self.exposure_s >= 0.0 and self.readout_s >= 0.0):
             raise Inconsistent(f"an exposure of {self.exposure_s} s, read out in {self.readout_s} s, cannot be")
 
@@ -70,8 +82,8 @@ class SimCamera:
         ghosts: Sequence[Ghost] = (),
     ) -> LightImage:
         """Return the light (h, w, c) on the sensor, in grey levels without noise, of an exposure about t_s."""
-        patch = paint(self.backdrop, self.strokes(lights, path, t_s, hidden, ghosts))
-        image = self.backdrop.copy()
+        patch = self._on_sensor(self.backdrop, self.still, self.strokes(lights, path, t_s, hidden, ghosts))
+        image = self.still.copy()
         height, width = patch.light.shape[:2]
         image[patch.row : patch.row + height, patch.column : patch.column + width] = patch.light
         return image
@@ -85,10 +97,22 @@ class SimCamera:
         *,
         hidden: frozenset[str] = frozenset(),
         ghosts: Sequence[Ghost] = (),
-    ) -> NDArray[np.uint8]:
+    ) -> Picture:
         """Return the 8-bit image (h, w) or (h, w, 3) of an exposure whose middle is t_s."""
-        patch = paint(self.backdrop, self.strokes(lights, path, t_s, hidden, ghosts))
-        return self.sensor.develop(self.backdrop, rng, patch)
+        return self.develop(self.strokes(lights, path, t_s, hidden, ghosts), rng)
+
+    def develop(
+        self, strokes: Sequence[Stroke], rng: np.random.Generator, backdrop: LightImage | None = None
+    ) -> Picture:
+        """Return the 8-bit image of strokes of light over the backdrop, or over another one (of a moving camera)."""
+        before = self.backdrop if backdrop is None else backdrop
+        still = self.still if backdrop is None else self.losses.through(backdrop)
+        patch = self._on_sensor(before, still, strokes)
+        return self.pipeline.develop(still, self.sensor, rng, patch, grey=self.grey)
+
+    def _on_sensor(self, before: LightImage, still: LightImage, strokes: Sequence[Stroke]) -> Patch:
+        """Return what strokes change of the light `still` that the sensor gets of the light `before` the lens."""
+        return self.losses.patched(before, still, paint(before, strokes))
 
     def strokes(
         self, lights: Sequence[Light], path: Path, t_s: float, hidden: frozenset[str], ghosts: Sequence[Ghost]
@@ -97,6 +121,8 @@ class SimCamera:
         strokes: list[Stroke] = [
             self._point(np.array([ghost.uv_px]), np.ones(1), ghost.level, ghost.sigma_px, ghost.bgr) for ghost in ghosts
         ]
+        before, behind = self._covers(lights, path, t_s)
+        strokes = [*behind, *strokes]
         shown = [light for light in lights if light.name not in hidden]
         groups = (
             [(shown, t_s)]
@@ -110,7 +136,33 @@ class SimCamera:
                     strokes.append(self._disc(light, poses, tracks[:, i], share))
                 else:
                     strokes.append(self._point(tracks[:, i], share, light.level, light.sigma_px, light.bgr))
-        return strokes
+        return [*strokes, *before]
+
+    def covered(self, lights: Sequence[Light], path: Path, t_s: float) -> frozenset[str]:
+        """Return the names of the lights whose centres an occluder hides at a time."""
+        if not self.occluders or not lights:
+            return frozenset()
+        places = np.asarray(path(np.array([t_s]))[0].apply(np.array([light.xyz_m for light in lights], dtype=float)))
+        hidden = np.zeros(len(lights), np.bool_)
+        for occluder in self.occluders:
+            hidden |= occluder.covers(self.lens, self.T_world_camera, places, t_s)
+        return frozenset(light.name for light, covered in zip(lights, hidden, strict=True) if covered)
+
+    def _covers(self, lights: Sequence[Light], path: Path, t_s: float) -> tuple[list[Stroke], list[Stroke]]:
+        """Return what occluders cover, of those before the nearest light and of those behind it."""
+        before: list[Stroke] = []
+        behind: list[Stroke] = []
+        for occluder in self.occluders:
+            pose = occluder.pose(t_s)
+            stroke = occluder.stroke(self.lens, self.T_world_camera, t_s, self.backdrop.shape[2])
+            if pose is None or stroke is None:
+                continue
+            T_camera_world = self.T_world_camera.inv()
+            target = T_camera_world * path(np.array([t_s]))[0]
+            depths = [float(target.apply(light.xyz_m)[2]) for light in lights]
+            nearer = float((T_camera_world * pose).translation[2]) < min(depths, default=np.inf)
+            (before if nearer else behind).append(stroke)
+        return before, behind
 
     def _row_time(self, light: Light, path: Path, t_s: float) -> float:
         """Return when the row that sees a light is exposed, by a rolling shutter."""

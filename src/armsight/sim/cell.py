@@ -6,7 +6,7 @@ The world is the rig: the axes of the left camera. A frame depends on the cell's
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from armsight.geometry import xyz_quat
 from armsight.records import Frame
 from armsight.sim.boards import Board, board_light, corner_rays
 from armsight.sim.camera import SimCamera
+from armsight.sim.paint import LightImage
 from armsight.sim.rigs import SIDES, rig_mapping
 from armsight.sim.scene import Event, Light, Path, ghosts_seen, hidden_lights
 
@@ -70,8 +71,9 @@ class Cell:
 
     def centres_px(self, index: int, side: str) -> dict[str, Array]:
         """Return the true pixel (2,) of each light's centre at the middle of the exposure, where it is not covered."""
-        covered = hidden_lights(self.events, index, side)
-        uv = self.cameras[side].centres_px(self.lights, self.path, index / self.fps)
+        camera = self.cameras[side]
+        covered = hidden_lights(self.events, index, side) | camera.covered(self.lights, self.path, index / self.fps)
+        uv = camera.centres_px(self.lights, self.path, index / self.fps)
         return {light.name: place for light, place in zip(self.lights, uv, strict=True) if light.name not in covered}
 
     def _frame(self, index: int, side: str) -> Frame:
@@ -92,7 +94,8 @@ class Cell:
 class BoardCell:
     """Two cameras that watch a checkerboard held still at one pose after another; the face of a Cell.
 
-    truth: T_world_board per pair. board: as the command line takes it.
+    truth: T_world_board per pair. board: as the command line takes it. behind: the light of a room on each camera;
+    None where the board's own shade of the room is behind it.
     """
 
     name: str
@@ -102,6 +105,7 @@ class BoardCell:
     printed: Board
     poses: tuple[RigidTransform, ...]
     assumptions: tuple[str, ...]
+    behind: Mapping[str, LightImage] | None = None
 
     @property
     def n_frames(self) -> int:
@@ -138,8 +142,14 @@ class BoardCell:
 
     def _frame(self, index: int, side: str, rays: Array, pose: RigidTransform) -> Frame:
         camera = self.cameras[side]
-        light = board_light(rays, self.printed, camera.T_world_camera.inv() * pose)
+        T_camera_board = camera.T_world_camera.inv() * pose
+        printed = self.printed if self.behind is None else replace(self.printed, room=0.0)
+        light = board_light(rays, printed, T_camera_board)
         light = light * camera.backdrop  # here the backdrop is the lamps' unevenness about 1
+        if self.behind is not None:
+            beyond = board_light(rays, replace(self.printed, black=0.0, white=0.0, room=1.0), T_camera_board)
+            light = light + beyond * self.behind[side]
         rng = np.random.default_rng([self.seed, SEED_NOISE, SIDES.index(side), index])
-        image = camera.sensor.develop(light, rng)
+        light = camera.losses.through(np.ascontiguousarray(light, dtype=np.float32))
+        image = camera.pipeline.develop(light, camera.sensor, rng, grey=camera.grey)
         return Frame(image=image, t_s=index / self.fps, sequence=index, source=f"{self.name}/{side}")

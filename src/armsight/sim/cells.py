@@ -5,28 +5,42 @@ Reached by name through the entry points `armsight.cells`; a maker takes (seed, 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.errors import UsageError
+from armsight.sim.backdrops import make_occluders, make_room, stand_in_room
 from armsight.sim.boards import Board, random_board_pose
 from armsight.sim.camera import SimCamera
 from armsight.sim.cell import SEED_BACKDROP, SEED_BOARD, SEED_PATH, BoardCell, Cell
 from armsight.sim.mishaps import planned_events
+from armsight.sim.pipeline import IDEAL, Pipeline
 from armsight.sim.rigs import SIDES, converging_webcams, parallel_pair
+from armsight.sim.room_keys import RoomKeys, checked_pipeline, checked_room
 from armsight.sim.scene import Light, Wander
 from armsight.sim.sensor import Sensor, ambient, with_clutter, with_hot_pixels
+
+Array = NDArray[np.float64]
+
+PLACES, EYE_M = 40, 1.1
+"""Moments at which it is asked where the target is, so that no furniture stands there; height of the cameras."""
 
 TRIANGLE_M = {"A": (-0.040, 0.0, 0.0), "B": (0.030, 0.032, 0.0), "C": (0.030, -0.032, 0.0)}
 """Isosceles: A left, B lower right, C upper right as the cameras see it (MATH 3.2), so that z points away from them."""
 
 
-def hand_cell(seed: int, frames: int) -> Cell:
+ROOM, PIPELINE = "workshop", "webcam"
+"""What stands behind the target and what the cameras do, where the caller does not say."""
+
+
+def hand_cell(seed: int, frames: int, *, room: Any = ROOM, pipeline: Any = PIPELINE) -> Cell:
     """Return two 1280x720 webcams at 60 frames per second that watch three LEDs 0.8 m away."""
-    return led_cell(seed, frames, name="hand-cell")
+    return led_cell(seed, frames, name="hand-cell", room=room, pipeline=pipeline)
 
 
 def led_cell(
@@ -44,20 +58,26 @@ def led_cell(
     sensor: Sensor | None = None,
     hot_pixels: int = 12,
     mishaps: bool = True,
+    room: Any = ROOM,
+    pipeline: Any = PIPELINE,
 ) -> Cell:
     """Return a cell of two converging webcams and three LEDs on an isosceles triangle.
 
     The view stays the same for every width (the focal length follows). level, sigma_px, diameter_m: of the lights
-    as in Light; a diameter makes them flat discs. mishaps: whether planned_events happen. Raises UsageError for
-    less than one frame or a negative seed.
+    as in Light; a diameter makes them flat discs. mishaps: whether planned_events happen. room, pipeline: by name or
+    as in a scenario's keys. Raises UsageError for less than one frame, a negative seed or an unknown room or pipeline.
     """
     _check(seed, frames)
     sensor = sensor or Sensor()
-    cameras = _webcams_in_room(seed, width, height, exposure_s, sensor, hot_pixels)
+    keys, camera_pipeline = checked_room(room), checked_pipeline(pipeline)
+    path = _in_a_hand(seed)
     lights = tuple(
         Light(name=key, xyz_m=xyz, level=level, sigma_px=sigma_px, diameter_m=diameter_m)
         for key, xyz in TRIANGLE_M.items()
     )
+    webcams = _webcams(seed, width, height, exposure_s, sensor, hot_pixels, keys, camera_pipeline)
+    places = path(np.linspace(0.0, frames / fps, PLACES))
+    cameras = _in_room(webcams, keys, _places(places, lights), seed)
     target: dict[str, Any] = {"kind": "spots", "spots_m": {key: list(xyz) for key, xyz in TRIANGLE_M.items()}}
     if diameter_m is not None:
         target["diameter_m"] = diameter_m
@@ -69,7 +89,7 @@ def led_cell(
         fps=fps,
         cameras=cameras,
         lights=lights,
-        path=_in_a_hand(seed),
+        path=path,
         target=target,
         events=events,
         assumptions=(
@@ -80,37 +100,49 @@ def led_cell(
             "phases from the seed",
             f"time: {fps:g} frames per second, both shutters open together for {1e3 * exposure_s:g} ms, no jitter",
             _sensor_chosen(sensor),
-            f"room: 9 grey levels with a slope of 5 across and -3 down, {hot_pixels} hot pixels of 20 to 120 levels",
+            _room_chosen(keys, "9 grey levels with a slope of 5 across and -3 down"),
+            f"{hot_pixels} hot pixels of 20 to 120 levels",
+            _pipeline_chosen(camera_pipeline),
             *(f"mishap in frames {e.first} to {e.last - 1}: {e.note}" for e in events),
         ),
     )
 
 
-def beacon_cell(seed: int, frames: int, *, width: int = 640, height: int = 480, clutter: int = 12) -> Cell:
+def beacon_cell(
+    seed: int,
+    frames: int,
+    *,
+    width: int = 640,
+    height: int = 480,
+    clutter: int = 12,
+    room: Any = ROOM,
+    pipeline: Any = PIPELINE,
+) -> Cell:
     """Return two parallel colour cameras (baseline of Kapucu 2005) that watch one red beacon before clutter."""
     _check(seed, frames)
     sensor = Sensor()
-    cameras = {}
+    keys, camera_pipeline = checked_room(room), checked_pipeline(pipeline)
+    lights = (Light(name="A", xyz_m=(0.0, 0.0, 0.0), level=210.0, sigma_px=3.0, bgr=(0.05, 0.08, 1.0)),)
+    path = _about(seed)
+    dark = {}
     for side, (lens, pose) in parallel_pair(width, height, focal_px=750.0 * width / 640.0, baseline_m=0.126).items():
-        room = np.random.default_rng([seed, SEED_BACKDROP])  # one stream: far behind, so both see the same
-        plain = ambient(width, height, 30.0, across=10.0, bgr=(0.9, 1.0, 0.8))
-        backdrop = with_clutter(plain, clutter, (20.0, 90.0), room)
-        cameras[side] = SimCamera(lens=lens, T_world_camera=pose, sensor=sensor, backdrop=backdrop)
+        patches = np.random.default_rng([seed, SEED_BACKDROP])  # one stream: far behind, so both see the same
+        plain = ambient(
+            width, height, 30.0 if keys.dark else 0.0, across=10.0 if keys.dark else 0.0, bgr=(0.9, 1.0, 0.8)
+        )
+        backdrop = with_clutter(plain, clutter, (20.0, 90.0), patches) if keys.dark else plain
+        dark[side] = SimCamera(
+            lens=lens, T_world_camera=pose, sensor=sensor, backdrop=backdrop, pipeline=camera_pipeline
+        )
+    cameras = _in_room(dark, keys, _places(path(np.linspace(0.0, frames / 25.0, PLACES)), lights), seed)
     return Cell(
         name="beacon-cell",
         seed=seed,
         n_frames=frames,
         fps=25.0,
         cameras=cameras,
-        lights=(Light(name="A", xyz_m=(0.0, 0.0, 0.0), level=210.0, sigma_px=3.0, bgr=(0.05, 0.08, 1.0)),),
-        path=Wander(
-            centre_m=np.array([0.063, 0.0, 1.5]),
-            tilt=Rotation.identity(),
-            swing_m=np.array([0.35, 0.25, 0.15]),
-            swing_rad=np.zeros(3),
-            period_s=np.array([7.0, 5.0, 9.0, 1.0, 1.0, 1.0]),
-            phase_rad=np.random.default_rng([seed, SEED_PATH]).uniform(0.0, 2.0 * np.pi, 6),
-        ),
+        lights=lights,
+        path=path,
         target={"kind": "spots", "spots_m": {"A": [0.0, 0.0, 0.0]}, "colour": "red"},
         events=(),
         assumptions=(
@@ -119,13 +151,21 @@ def beacon_cell(seed: int, frames: int, *, width: int = 640, height: int = 480, 
             "beacon: red, 210 grey levels in R, 17 in G, 10 in B, Gaussian of sigma 3 px; 1.5 m away on sines of 350, "
             "250, 150 mm, periods 5 to 9 s, phases from the seed; the exposure is an instant",
             _sensor_chosen(sensor),
-            f"room: 30 grey levels, {clutter} soft coloured patches of 20 to 90 levels; no mosaic of colour filters",
+            _room_chosen(keys, f"30 grey levels, {clutter} soft coloured patches of 20 to 90 levels"),
+            _pipeline_chosen(camera_pipeline),
         ),
     )
 
 
 def board_cell(
-    seed: int, frames: int, *, width: int = 1280, height: int = 720, printed: Board | None = None
+    seed: int,
+    frames: int,
+    *,
+    width: int = 1280,
+    height: int = 720,
+    printed: Board | None = None,
+    room: Any = ROOM,
+    pipeline: Any = PIPELINE,
 ) -> BoardCell:
     """Return the cameras of hand_cell with a checkerboard before them, for calibrating them from images.
 
@@ -136,18 +176,29 @@ def board_cell(
     rng = np.random.default_rng([seed, SEED_BOARD])
     rig = converging_webcams(width, height)
     sensor = Sensor()
-    lamps = ambient(width, height, 1.0, across=0.16, down=-0.10)
+    keys, camera_pipeline = checked_room(room), checked_pipeline(pipeline)
+    bgr = (1.0, 1.0, 1.0) if camera_pipeline.bayer else (1.0,)
+    lamps = ambient(width, height, 1.0, across=0.16, down=-0.10, bgr=bgr)
     cameras = {
-        side: SimCamera(lens=lens, T_world_camera=pose, sensor=sensor, backdrop=lamps)
+        side: SimCamera(
+            lens=lens, T_world_camera=pose, sensor=sensor, backdrop=lamps, pipeline=camera_pipeline, grey=True
+        )
         for side, (lens, pose) in rig.items()
     }
+    poses = tuple(random_board_pose(board, rig, rng) for _ in range(frames))
+    behind = None
+    if not keys.dark:
+        empty = {side: replace(camera, backdrop=np.zeros_like(lamps)) for side, camera in cameras.items()}
+        corners = np.concatenate([pose.apply(board.corners_m()) for pose in poses])
+        behind = {side: camera.backdrop for side, camera in _in_room(empty, keys, corners, seed).items()}
     return BoardCell(
         name="board-cell",
         seed=seed,
         fps=2.0,
         cameras=cameras,
         printed=board,
-        poses=tuple(random_board_pose(board, rig, rng) for _ in range(frames)),
+        poses=poses,
+        behind=behind,
         assumptions=(
             *_cameras_chosen(cameras),
             f"board: {board.columns}x{board.rows} inner corners, squares of {1e3 * board.square_m:g} mm, flat, black "
@@ -155,6 +206,8 @@ def board_cell(
             "poses: random within both views, 0.4 to 0.75 m away, tilted up to 40 deg, turned up to 20 deg",
             _sensor_chosen(sensor),
             "lamps: uneven by 16 % across and 10 % down",
+            _room_chosen(keys, f"{board.room:g} grey levels"),
+            _pipeline_chosen(camera_pipeline),
         ),
     )
 
@@ -199,18 +252,79 @@ def _in_a_hand(seed: int) -> Wander:
     )
 
 
-def _webcams_in_room(
-    seed: int, width: int, height: int, exposure_s: float, sensor: Sensor, hot_pixels: int
-) -> dict[str, SimCamera]:
-    """Return two converging webcams in a dim room, with hot pixels of their own."""
+def _about(seed: int) -> Wander:
+    """Return the path of beacon_cell, 1.5 m away."""
+    return Wander(
+        centre_m=np.array([0.063, 0.0, 1.5]),
+        tilt=Rotation.identity(),
+        swing_m=np.array([0.35, 0.25, 0.15]),
+        swing_rad=np.zeros(3),
+        period_s=np.array([7.0, 5.0, 9.0, 1.0, 1.0, 1.0]),
+        phase_rad=np.random.default_rng([seed, SEED_PATH]).uniform(0.0, 2.0 * np.pi, 6),
+    )
+
+
+def _webcams(
+    seed: int, width: int, height: int, exposure_s: float, sensor: Sensor, hot_pixels: int, keys: RoomKeys,
+    pipeline: Pipeline,
+) -> dict[str, SimCamera]:  # fmt: skip
+    """Return two converging webcams with hot pixels of their own, in a dim room or as yet before nothing."""
     cameras = {}
+    bgr = (1.0, 1.0, 1.0) if pipeline.bayer else (1.0,)
     for side, (lens, pose) in converging_webcams(width, height).items():
         rng = np.random.default_rng([seed, SEED_BACKDROP, SIDES.index(side)])
-        backdrop = with_hot_pixels(ambient(width, height, 9.0, across=5.0, down=-3.0), hot_pixels, (20.0, 120.0), rng)
+        dim = (9.0, 5.0, -3.0) if keys.dark else (0.0, 0.0, 0.0)
+        plain = ambient(width, height, dim[0], across=dim[1], down=dim[2], bgr=bgr)
         cameras[side] = SimCamera(
-            lens=lens, T_world_camera=pose, sensor=sensor, backdrop=backdrop, exposure_s=exposure_s
+            lens=lens,
+            T_world_camera=pose,
+            sensor=sensor,
+            backdrop=with_hot_pixels(plain, hot_pixels, (20.0, 120.0), rng),
+            exposure_s=exposure_s,
+            pipeline=pipeline,
+            grey=True,
         )
     return cameras
+
+
+def _places(poses: RigidTransform, lights: Sequence[Light]) -> Array:
+    """Return the places (n, 3) of lights on a target at many poses."""
+    spots = np.array([light.xyz_m for light in lights], dtype=np.float64)
+    return np.concatenate([pose.apply(spots) for pose in poses])
+
+
+def _in_room(cameras: Mapping[str, SimCamera], keys: RoomKeys, places_m: Array, seed: int) -> dict[str, SimCamera]:
+    """Return cameras in a room about the places (n, 3) of the target; the world's axes are the left camera's."""
+    occluders = make_occluders(keys.occluders, keys.white_level, seed)
+    if keys.dark:
+        return {side: replace(camera, occluders=occluders) for side, camera in cameras.items()}
+    if keys.picture is not None:
+        return stand_in_room(cameras, keys, RigidTransform.identity(), occluders)
+    T_world_room = keys.T_world_room.pose() if keys.T_world_room else RigidTransform.identity()
+    T_room_world = T_world_room.inv()
+    room = make_room(keys, T_room_world.apply(places_m), seed, least_floor_m=EYE_M)
+    return stand_in_room(cameras, room, T_room_world, occluders)
+
+
+def _room_chosen(keys: RoomKeys, dark: str) -> str:
+    """Return what was chosen about the room."""
+    if keys.dark:
+        return f"room: {dark}"
+    if keys.picture is not None:
+        return "room: pictures of one's own"
+    return f"room: {keys.preset}, white at {keys.white_level:g} grey levels of light, furniture from the seed"
+
+
+def _pipeline_chosen(pipeline: Pipeline) -> str:
+    """Return what was chosen about lens losses and processing."""
+    if pipeline == IDEAL:
+        return "processing: none; no mosaic of colour filters, no glare, no vignetting"
+    mosaic = "Bayer mosaic" if pipeline.bayer else "no mosaic"
+    jpeg = "no JPEG" if pipeline.jpeg_quality is None else f"JPEG of quality {pipeline.jpeg_quality}"
+    return (
+        f"processing: vignetting {100 * pipeline.vignetting:g} %, glare {100 * pipeline.glare:g} %, {mosaic}, curve "
+        f"{pipeline.curve}, sharpening {pipeline.sharpening:g}, {jpeg}"
+    )
 
 
 def _cameras_chosen(cameras: Mapping[str, SimCamera]) -> tuple[str, ...]:

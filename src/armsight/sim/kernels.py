@@ -291,6 +291,62 @@ def develop(light, patch, row, column, levels_per_electron, read_noise, saturati
             _digitise(light[j], z, levels_per_electron, read_noise, saturation, out[j])
 
 
+@njit(cache=True, error_model="numpy")
+def _count(light, z, levels_per_electron, read_noise, steps, top, out):
+    """Fill out (n,) uint16 as _digitise does, in `steps` steps a grey level, up to `top` steps."""
+    gain, variance0 = np.float32(levels_per_electron), np.float32(read_noise * read_noise + 1e-12)
+    skew = np.float32(levels_per_electron * levels_per_electron / 6.0)
+    half, one, zero, fine, most = np.float32(0.5), np.float32(1.0), np.float32(0.0), np.float32(steps), np.float32(top)
+    for i in range(light.size):
+        mean, q = light[i], z[i]
+        variance = variance0 + gain * mean
+        value = fine * (mean + np.sqrt(variance) * q + skew * mean / variance * (q * q - one)) + half
+        value = value if value > zero else zero
+        value = value if value < most else most
+        out[i] = np.uint16(np.int32(value))
+
+
+@njit(cache=True)
+def develop_raw(
+    light, patch, row, column, bayer, levels_per_electron, read_noise, steps, saturation, table, state, out
+):
+    """Fill out uint16 with the raw signal of light (h, w, c) float32 >= 0, in `steps` steps a grey level.
+
+    patch: (h, w, c), replaces light from [row, column] on. bayer: out is (h, w), each pixel behind one filter of the
+    pattern RGGB of light in blue, green, red; otherwise out is (h, w c). state: as in develop, for rows of out.
+    """
+    height, width, channels = light.shape
+    high, wide = patch.shape[0], patch.shape[1]
+    bits = np.empty(state.shape[1], np.uint64)
+    halves = bits.view(np.uint32)
+    z, mixed = np.empty(out.shape[1], np.float32), np.empty(out.shape[1], np.float32)
+    for j in range(height):
+        _draw_bits(state[0], state[1], state[2], state[3], bits)
+        _draw_normals(halves, table, z)
+        inside = row <= j < row + high
+        if bayer:
+            even, odd = (2, 1) if j % 2 == 0 else (1, 0)
+            for i in range(0, width, 2):
+                mixed[i] = light[j, i, even]
+            for i in range(1, width, 2):
+                mixed[i] = light[j, i, odd]
+            if inside:
+                for i in range(wide):
+                    mixed[column + i] = patch[j - row, i, even if (column + i) % 2 == 0 else odd]
+        else:
+            mixed[:] = light[j].ravel()
+            if inside:
+                mixed[column * channels : (column + wide) * channels] = patch[j - row].ravel()
+        _count(mixed, z, levels_per_electron, read_noise, steps, steps * saturation, out[j])
+
+
+@njit(cache=True)
+def apply_curve(raw, curve, out):
+    """Fill out (n,) uint8 with the entries of curve (m,) uint8 that raw (n,) uint16 names."""
+    for i in range(raw.size):
+        out[i] = curve[raw[i]]
+
+
 @njit(cache=True)
 def _cell(H, x, y, columns, rows):
     """Return column and row of the board's square that the ray (x, y, 1) meets, both clamped to one beyond the edge."""

@@ -9,34 +9,26 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
-from scipy.spatial.transform import RigidTransform, Rotation
+from pydantic import Field, model_validator
 
-Finite = Annotated[float, Field(allow_inf_nan=False, ge=-1e6, le=1e6)]
-Positive = Annotated[float, Field(allow_inf_nan=False, gt=0.0, le=1e6)]
-NotNegative = Annotated[float, Field(allow_inf_nan=False, ge=0.0, le=1e6)]
+from armsight.sim.room_keys import (
+    Finite,
+    Keys,
+    NotNegative,
+    PipelineChoice,
+    PipelineKeys,
+    PoseKeys,
+    Positive,
+    RoomChoice,
+    RoomKeys,
+    Vector3,
+    checked_room,
+)
+
 Share = Annotated[float, Field(ge=0.0, lt=1.0)]
 Count = Annotated[int, Field(ge=1, le=100_000)]
-Vector3 = Annotated[list[Finite], Field(min_length=3, max_length=3)]
 Vector2 = Annotated[list[Finite], Field(min_length=2, max_length=2)]
 Vector5 = Annotated[list[Finite], Field(min_length=5, max_length=5)]
-
-
-class Keys(BaseModel):
-    """Unknown keys and wrong types are errors."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
-
-
-class PoseKeys(Keys):
-    """A pose: place in m, turns rx, ry, rz in degrees with R = Rz Ry Rx."""
-
-    xyz_m: Vector3 = [0.0, 0.0, 0.0]
-    turn_deg: Vector3 = [0.0, 0.0, 0.0]
-
-    def pose(self) -> RigidTransform:
-        """Return it as a RigidTransform."""
-        return RigidTransform.from_components(self.xyz_m, Rotation.from_euler("xyz", self.turn_deg, degrees=True))
 
 
 class JointKeys(Keys):
@@ -95,7 +87,7 @@ class LensKeys(Keys):
     fy: Positive
     cx: Finite
     cy: Finite
-    distortion: Vector5 = [0.0, 0.0, 0.0, 0.0, 0.0]
+    distortion: Vector5 = Field(default=[0.0, 0.0, 0.0, 0.0, 0.0])
 
 
 class RightKeys(LensKeys):
@@ -141,6 +133,7 @@ class CameraKeys(Keys):
     latency_s: NotNegative = 0.0
     drop: Share = 0.0
     sensor: SensorKeys = SensorKeys()
+    pipeline: PipelineChoice = PipelineKeys()
 
     @model_validator(mode="after")
     def _one_kind(self) -> Self:
@@ -276,7 +269,7 @@ class EventKeys(Keys):
     at_s: NotNegative
     for_s: Positive
     side: Literal["left", "right", "both"] = "both"
-    lights: list[str] = []
+    lights: list[str] = Field(default=[])
     uv_px: Vector2 | None = None
     level: Positive = 140.0
     by_m: Vector3 | None = None
@@ -307,8 +300,9 @@ class Scenario(Keys):
     arm: ArmKeys
     cameras: CameraKeys
     target: TargetKeys
+    room: RoomChoice = RoomKeys()
     motion: Annotated[RobotMotion | FollowedMotion, Field(discriminator="kind")]
-    events: list[EventKeys] = []
+    events: list[EventKeys] = Field(default=[])
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -344,11 +338,15 @@ class Scenario(Keys):
                 raise ValueError(f"events: lights {', '.join(unknown)} are not among target.spots_m")
         return self
 
-    def cell(self, *, seed: int | None = None, frames: int | None = None) -> Any:
-        """Return the stage; seed and frames of the file where not given. Raises Inconsistent for what cannot be."""
+    def cell(self, *, seed: int | None = None, frames: int | None = None, room: Any = None) -> Any:
+        """Return the stage; seed, frames and room of the file where not given. Raises Inconsistent for what cannot be.
+
+        room: as the file's key; UsageError for what is none.
+        """
         from armsight.sim.building import build_stage
 
-        return build_stage(self, self.seed if seed is None else seed, frames or self.frames)
+        changed = self if room is None else self.model_copy(update={"room": checked_room(room)})
+        return build_stage(changed, self.seed if seed is None else seed, frames or self.frames)
 
     def robot(self, device: str, clock: Any) -> Any:
         """Return the scenario's robot alone, on a clock."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from armsight.errors import Inconsistent
-from armsight.sim.kernels import develop
+from armsight.sim.kernels import develop, develop_raw
 from armsight.sim.paint import LightImage, Patch
 
 TABLE_SIZE = 4096
@@ -29,6 +29,9 @@ def _half_normal_table() -> LightImage:
 
 
 _TABLE = _half_normal_table()
+
+RAW_STEPS = 16
+"""Steps of the raw signal to a grey level: the twelve bits of a camera's converter over eight of its picture."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,6 +74,33 @@ class Sensor:
             image.reshape(height, -1),
         )
         return image[:, :, 0] if channels == 1 else image
+
+    def raw(
+        self, light: LightImage, rng: np.random.Generator, patch: Patch | None = None, *, bayer: bool = False
+    ) -> NDArray[np.uint16]:
+        """Return the signal of light (h, w, c) in steps of 1 / RAW_STEPS of a grey level, with the noise of develop.
+
+        (h, w) of a grey camera or behind a mosaic of colour filters (bayer: red, green; green, blue), else (h, w, 3).
+        """
+        height, width, channels = light.shape
+        over = patch or Patch(row=0, column=0, light=np.empty((0, 0, channels), np.float32))
+        wide = width if bayer else width * channels
+        out = np.empty((height, wide), np.uint16)
+        develop_raw(
+            light,
+            np.ascontiguousarray(over.light),
+            over.row,
+            over.column,
+            bayer,
+            1.0 / self.electrons_per_level,
+            self.read_noise_level,
+            RAW_STEPS,
+            self.saturation,
+            _TABLE,
+            rng.integers(0, 2**64, size=(4, (wide + 1) // 2), dtype=np.uint64),
+            out,
+        )
+        return out if bayer or channels == 1 else out.reshape(light.shape)
 
 
 def ambient(

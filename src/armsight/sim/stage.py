@@ -16,10 +16,11 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.records import Frame
 from armsight.sim.arms import SimArm, covered
+from armsight.sim.backdrops import MovingBackdrops
 from armsight.sim.camera import SimCamera
 from armsight.sim.cell import SEED_NOISE, Truth
 from armsight.sim.motions import Vibration
-from armsight.sim.paint import paint
+from armsight.sim.paint import LightImage
 from armsight.sim.rigs import SIDES
 from armsight.sim.scene import Event, Light, Path, ghosts_seen, hidden_lights
 from armsight.sim.servo import Servo
@@ -78,7 +79,8 @@ class Stage:
 
     views: ('left', 'right'), or ('image',) for the complex images of a mirror rig. servo: the arm's motion, worked out
     to the end. frozen, dropped, cut_off: events (frames, views) in which the image stands still, none comes, no joints
-    are read. radii_m: of the arm's links as obstacles.
+    are read. radii_m: of the arm's links as obstacles. moving: the room as cameras that move see it; None for
+    those that stand, or in the dark.
     """
 
     name: str
@@ -87,6 +89,7 @@ class Stage:
     timing: Timing
     views: tuple[str, ...]
     cameras: Mapping[str, SimCamera]
+    moving: MovingBackdrops | None
     lights: tuple[Light, ...]
     rig_path: Path
     target_path: Path
@@ -159,15 +162,15 @@ class Stage:
         return names | behind_arm(self, side, self.true.frames(self.servo.at(t_s)[0]), self.path(t_s)[0])
 
     def _single(self, index: int, side: str) -> NDArray[np.uint8]:
-        camera = self.cameras[side]
-        return camera.expose(
-            self.lights,
-            self.path,
-            self._moment(index, side),
-            self._noise(index, side),
-            hidden=self.hidden(index, side),
-            ghosts=ghosts_seen(self.events, index, side),
+        camera, t_s = self.cameras[side], self._moment(index, side)
+        strokes = camera.strokes(
+            self.lights, self.path, t_s, self.hidden(index, side), ghosts_seen(self.events, index, side)
         )
+        return camera.develop(strokes, self._noise(index, side), self._backdrop(side, t_s))
+
+    def _backdrop(self, view: str, t_s: float) -> LightImage | None:
+        """Return the room as a camera that moves sees it; None where the camera's own backdrop holds it."""
+        return None if self.moving is None else self.moving.light(view, self.rig_path(np.array([t_s]))[0])
 
     def _complex(self, index: int) -> NDArray[np.uint8]:
         """Return both views on one sensor."""
@@ -180,7 +183,7 @@ class Stage:
                 self.lights, self.path, t_s, self.hidden(index, side), ghosts_seen(self.events, index, side)
             )
         ]
-        return left.sensor.develop(left.backdrop, self._noise(index, "left"), paint(left.backdrop, strokes))
+        return left.develop(strokes, self._noise(index, "left"), self._backdrop("image", t_s))
 
     def _noise(self, index: int, side: str) -> np.random.Generator:
         return np.random.default_rng([self.seed, SEED_NOISE, SIDES.index(side), index])

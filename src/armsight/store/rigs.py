@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from armsight.errors import BadFile
-from armsight.optics import Camera, Plate, Rig, RigKind
-from armsight.records import NamedCovariance
+from armsight.optics import SIDES, Camera, Plate, Rig, RigKind
+from armsight.records import NamedCovariance, NoiseModel
+from armsight.store.noise import NoiseKey, noise_mapping
 from armsight.store.schema import (
     Count,
     CovarianceModel,
@@ -60,9 +61,10 @@ class PlateModel(Strict):
 
 
 class RigCameraModel(IntrinsicsModel):
-    """A camera with its place in the rig, and the glass plate it looks through, if any."""
+    """A camera with its place in the rig, its noise where known, and the glass plate it looks through, if any."""
 
     T_rig_camera: PoseModel
+    noise: NoiseKey | None = None
     plate: PlateModel | None = None
 
     def camera(self) -> Camera:
@@ -94,15 +96,17 @@ class CameraModel(Origin, IntrinsicsModel):
     format: Literal["armsight/camera"] = "armsight/camera"
     rms_px: Finite | None = None
     covariance: CovarianceModel | None = None
+    noise: NoiseKey | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CameraFile:
-    """What a camera.yaml holds: the camera, and how well it is known (names of INTRINSICS), where the file says it."""
+    """What a camera.yaml holds: the camera; where it says so, how well it is known (names of INTRINSICS), its noise."""
 
     camera: Camera
     covariance: NamedCovariance | None = None
     rms_px: float | None = None
+    noise: NoiseModel | None = None
 
 
 def rig_from_mapping(content: Mapping[str, Any], where: str = "rig") -> Rig:
@@ -118,6 +122,7 @@ def rig_from_mapping(content: Mapping[str, Any], where: str = "rig") -> Rig:
             T_rig_right=right.T_rig_camera.pose(),
             covariance=model.covariance.covariance() if model.covariance else None,
             rms_px=model.rms_px,
+            noise=(_noise(left), _noise(right)),
         )
     if not rig.baseline_m >= SMALLEST_BASELINE_M:
         raise BadFile(
@@ -133,8 +138,12 @@ def rig_mapping(rig: Rig) -> dict[str, Any]:
     return {
         "kind": rig.kind.value,
         "cameras": {
-            side: {**camera_mapping(rig.camera(side)), "T_rig_camera": pose_mapping(rig.T_rig_camera(side))}
-            for side in ("left", "right")
+            side: {
+                **camera_mapping(rig.camera(side)),
+                "T_rig_camera": pose_mapping(rig.T_rig_camera(side)),
+                **({} if noise is None else {"noise": noise_mapping(noise)}),
+            }
+            for side, noise in zip(SIDES, rig.noise, strict=True)
         },
         "rms_px": rig.rms_px,
         "covariance": covariance_mapping(rig.covariance) if rig.covariance else None,
@@ -176,7 +185,12 @@ def read_camera_file(path: Path) -> CameraFile:
             camera=model.camera(),
             covariance=model.covariance.covariance() if model.covariance else None,
             rms_px=model.rms_px,
+            noise=_noise(model),
         )
+
+
+def _noise(model: CameraModel | RigCameraModel) -> NoiseModel | None:
+    return None if model.noise is None else model.noise.noise()
 
 
 def read_camera(path: Path) -> Camera:
@@ -190,6 +204,7 @@ def write_camera(
     *,
     covariance: NamedCovariance | None = None,
     rms_px: float | None = None,
+    noise: NoiseModel | None = None,
     inputs: Sequence[Path] = (),
 ) -> None:
     """Write camera.yaml with the hashes of the files it was made from."""
@@ -197,5 +212,6 @@ def write_camera(
         **camera_mapping(camera),
         "rms_px": rms_px,
         "covariance": covariance_mapping(covariance) if covariance else None,
+        "noise": noise_mapping(noise) if noise else None,
     }
     write_document(path, CAMERA_FORMAT, content, inputs)

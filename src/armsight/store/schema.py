@@ -102,15 +102,25 @@ def covariance_mapping(covariance: NamedCovariance) -> dict[str, Any]:
     return {"names": list(covariance.names), "matrix": covariance.matrix.tolist()}
 
 
-def write_document(path: Path, format_: str, content: Mapping[str, Any], inputs: Sequence[Path]) -> None:
-    """Write a YAML file of ours: format, version, content without None, and where it comes from."""
+def write_document(
+    path: Path,
+    format_: str,
+    content: Mapping[str, Any],
+    inputs: Sequence[Path],
+    *,
+    earlier: Sequence[Mapping[str, str]] = (),
+) -> None:
+    """Write a YAML file of ours: format, version, content without None, and where it comes from.
+
+    earlier: inputs as the file held them before, kept in front of the new ones.
+    """
     document = {
         "format": format_,
         "version": 1,
         **{key: plain(value) for key, value in content.items() if value is not None},
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "software": f"armsight {armsight.__version__}",
-        "inputs": [{"path": item.as_posix(), "sha256": sha256(item)} for item in inputs],
+        "inputs": [*earlier, *({"path": item.as_posix(), "sha256": sha256(item)} for item in inputs)],
     }
     write_text(path, dump_yaml(document))
 

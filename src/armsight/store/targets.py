@@ -8,27 +8,36 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from armsight.errors import BadFile, UsageError
-from armsight.records import Colour, Target, TargetKind, board_target, spot_target, unmeasured_target
+from armsight.records import Colour, NamedCovariance, Target, TargetKind, board_target, spot_target, unmeasured_target
 from armsight.records.target import BLUE, GREEN, RED
 from armsight.store.schema import (
     LARGEST,
+    CovarianceModel,
     Finite,
     Origin,
     Strict,
     Vector3,
+    covariance_mapping,
     named,
     read_document,
     validated,
     write_document,
 )
 
+Array = NDArray[np.float64]
+
 TARGET_FORMAT = "armsight/target"
 
 MAX_BOARD = 200
 """Rows or columns: no printed board that a camera resolves has more."""
+
+NEGATIVE = 1e-9
+"""Negative variance over the largest one that is the rounding of a covariance without information in some direction."""
 
 COLOURS: Mapping[str, Colour] = {"red": RED, "green": GREEN, "blue": BLUE}
 
@@ -65,6 +74,7 @@ class LitModel(Origin):
     spots_m: Annotated[dict[SpotName, Vector3], Field(min_length=1, max_length=200)] | None = None
     labels: list[str] | None = None
     std_m: Annotated[dict[SpotName, Vector3], Field(max_length=200)] | None = None
+    covariance: CovarianceModel | None = None
     diameter_m: Positive | None = None
     colour: Literal["red", "green", "blue"] | ColourModel | None = None
 
@@ -159,7 +169,14 @@ def _lit(model: LitModel, where: str) -> Target:
         spots = {name: (xyz[0], xyz[1], xyz[2]) for name, xyz in model.spots_m.items()}
         if len(set(spots.values())) != len(spots):
             raise BadFile(f"{where}: two spots of spots_m stand at the same place", consequence="The file is not used")
-        return spot_target(spots, diameter_m=model.diameter_m, colour=colour)
+        target = spot_target(spots, diameter_m=model.diameter_m, colour=colour)
+        return replace(target, covariance=_covariance(model, target, where))
+    if model.covariance is not None:
+        raise BadFile(
+            f"{where}: a covariance without spots_m says how well nothing is known",
+            consequence="The file is not used",
+            cure="Leave it out, or give spots_m",
+        )
     if model.labels != ["A", "B", "C"]:
         raise BadFile(
             f"{where}: labels are {model.labels}, not [A, B, C]",
@@ -167,6 +184,34 @@ def _lit(model: LitModel, where: str) -> Target:
             cure="An unmeasured target has three lights: A left, B lower right, C upper right as the camera sees them",
         )
     return unmeasured_target(diameter_m=model.diameter_m, colour=colour)
+
+
+def _covariance(model: LitModel, target: Target, where: str) -> Array | None:
+    """Return (3 n, 3 n) in the target's order: of the key covariance, else of std_m; None where neither is there.
+
+    A target measured by `armsight calibrate target` carries both: the places depend on each other, so that the
+    covariance counts. Raises BadFile where its names are not those of the spots, or where it has a negative variance.
+    """
+    names = target.covariance_names
+    if model.covariance is None:
+        if model.std_m is None:
+            return None
+        std = np.array([model.std_m[name] for name in target.names]).ravel()
+        if (std < 0.0).any():
+            raise BadFile(f"{where}: a standard deviation of std_m is negative", consequence="The file is not used")
+        return np.diag(std**2)
+    covariance = model.covariance.covariance()
+    if set(covariance.names) != set(names):
+        raise BadFile(
+            f"{where}: covariance names {', '.join(covariance.names)[:120]}, not the spots' coordinates",
+            consequence="The file is not used",
+            cure=f"Name its rows {', '.join(names[:4])}, ... , one for each coordinate, or leave it out",
+        )
+    matrix = covariance.block(names)
+    least, most = np.linalg.eigvalsh(matrix)[[0, -1]]
+    if least < -NEGATIVE * most:
+        raise BadFile(f"{where}: the covariance has a negative variance", consequence="The file is not used")
+    return matrix
 
 
 def _check_marker(square_m: float, marker_m: float, where: str) -> None:
@@ -189,6 +234,9 @@ def target_mapping(target: Target) -> dict[str, Any]:
         return out | {"diameter_m": target.diameter_m}
     if target.model_known:
         out["spots_m"] = dict(zip(target.names, target.xyz_m.tolist(), strict=True))
+        if target.covariance is not None:
+            named_rows = NamedCovariance(names=target.covariance_names, matrix=target.covariance)
+            out["covariance"] = covariance_mapping(named_rows)
     else:
         out["labels"] = list(target.names)
     out["diameter_m"] = target.diameter_m
@@ -222,7 +270,7 @@ def write_target(
 ) -> None:
     """Write target.yaml with the hashes of the files it was made from; std_m: deviations (3,) of each spot's place.
 
-    The deviations are for people: reading the file checks their names and gives the places alone.
+    The deviations are for people, where the target brings a covariance: that one counts when the file is read.
     """
     write_document(path, TARGET_FORMAT, {**target_mapping(target), "std_m": std_m}, inputs)
 

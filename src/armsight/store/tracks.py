@@ -25,6 +25,7 @@ POSITION = ("x_m", "y_m", "z_m")
 QUATERNION = ("qx", "qy", "qz", "qw")
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
 DEVIATIONS = ("sx_m", "sy_m", "sz_m", "srx_rad", "sry_rad", "srz_rad")
+SYSTEMATIC = tuple(f"sys_{name}" for name in DEVIATIONS)
 POSE_COLUMNS = ("t_s", *POSITION, *QUATERNION, *DEVIATIONS, "status", "spots")
 POINT_COLUMNS = ("t_s", "spot", "x_m", "y_m", "z_m", "sx_m", "sy_m", "sz_m")
 SPOT_COLUMNS = ("t_s", "camera", "spot", "u_px", "v_px", "su_px", "sv_px")
@@ -66,7 +67,7 @@ class _Writer:
 class PosesWriter(_Writer):
     """poses.csv, row by row: an interrupted run leaves what was measured."""
 
-    columns = POSE_COLUMNS
+    columns = (*POSE_COLUMNS, *SYSTEMATIC)
 
     def write(self, pose: TargetPose) -> None:
         """Add one pose."""
@@ -104,9 +105,10 @@ class SpotsWriter(_Writer):
 def pose_row(pose: TargetPose) -> str:
     """Return one row of poses.csv: cells that mean nothing are empty, spots are separated by spaces.
 
-    ok: all cells. position_only: no quaternion, no srx..srz. lost: only t_s, status, spots.
+    ok: all cells. position_only: no quaternion, no srx..srz. lost: only t_s, status, spots. The last six are the
+    deviations of what repeats from frame to frame (rig and target), empty where nothing is known of it.
     """
-    values = [np.nan] * 13
+    values, systematic = [np.nan] * 13, [np.nan] * 6
     if pose.pose is not None and pose.covariance is not None:
         xyz, quat = xyz_quat(pose.pose)
         values[:3] = xyz.tolist()
@@ -114,12 +116,16 @@ def pose_row(pose: TargetPose) -> str:
         values[7 : 7 + len(deviation)] = deviation
         if pose.status is PoseStatus.OK:
             values[3:7] = quat.tolist()
-    return f"{number(pose.t_s)},{cells(values)},{pose.status.value},{' '.join(pose.spots)}"
+        if pose.systematic_covariance is not None:
+            deviation = np.sqrt(np.maximum(np.diag(pose.systematic_covariance), 0.0)).tolist()
+            systematic[: len(deviation)] = deviation
+    row = f"{number(pose.t_s)},{cells(values)},{pose.status.value},{' '.join(pose.spots)}"
+    return f"{row},{cells(systematic)}"
 
 
 def write_poses(path: Path, poses: Iterable[TargetPose]) -> None:
     """Write poses.csv in one step."""
-    write_text(path, "\n".join([",".join(POSE_COLUMNS), *(pose_row(pose) for pose in poses)]) + "\n")
+    write_text(path, "\n".join([",".join(PosesWriter.columns), *(pose_row(pose) for pose in poses)]) + "\n")
 
 
 def read_poses(path: Path, *, parent: str = "rig") -> tuple[TargetPose, ...]:
@@ -138,9 +144,9 @@ def parse_poses(data: bytes, where: str, *, parent: str = "rig") -> tuple[Target
         data,
         where,
         POSE_COLUMNS[:8],
-        optional=POSE_COLUMNS[8:],
+        optional=(*POSE_COLUMNS[8:], *SYSTEMATIC),
         text=("status", "spots"),
-        blank=POSE_COLUMNS[1:14],
+        blank=(*POSE_COLUMNS[1:14], *SYSTEMATIC),
     )
     statuses = [_status(table, row) for row in range(len(table))]
     seen = [row for row, status in enumerate(statuses) if status is not PoseStatus.LOST]
@@ -179,9 +185,12 @@ def _stack(xyz_m: Array, quat_xyzw: Array, places: Sequence[str]) -> RigidTransf
 
 def _target_pose(table: Table, row: int, status: PoseStatus, T: Array | None, parent: str) -> TargetPose:
     size = {PoseStatus.OK: 6, PoseStatus.POSITION_ONLY: 3, PoseStatus.LOST: 0}[status]
-    deviation = np.array([table.numbers[name][row] if name in table.numbers else np.nan for name in DEVIATIONS[:size]])
+    deviation, systematic = (
+        np.array([table.numbers[name][row] if name in table.numbers else np.nan for name in names[:size]])
+        for names in (DEVIATIONS, SYSTEMATIC)
+    )
     with named(table.place(row)):
-        if (deviation < 0.0).any() or (deviation > LARGEST).any():
+        if any((part < 0.0).any() or (part > LARGEST).any() for part in (deviation, systematic)):
             raise Inconsistent(f"a standard deviation is negative or larger than {LARGEST:g}")
         return TargetPose(
             t_s=float(table.numbers["t_s"][row]),
@@ -190,6 +199,7 @@ def _target_pose(table: Table, row: int, status: PoseStatus, T: Array | None, pa
             spots=tuple(table.text["spots"][row].split()) if "spots" in table.text else (),
             T_parent_target=T,
             covariance=np.diag(np.where(np.isnan(deviation), 0.0, deviation) ** 2) if size else None,
+            systematic_covariance=np.diag(systematic**2) if size and not np.isnan(systematic).any() else None,
         )
 
 

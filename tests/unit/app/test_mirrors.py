@@ -16,7 +16,7 @@ from scipy.special import erf
 from typer.testing import CliRunner
 
 from armsight.app.complex_images import complex_pairs
-from armsight.app.measure import MeasureJob, measure
+from armsight.app.measure import MeasureJob, Summary, measure
 from armsight.app.replay import open_source
 from armsight.app.simulate import simulate
 from armsight.cli.commands import app
@@ -160,26 +160,38 @@ def test_what_cannot_be_calibrated_is_refused(rig: Path, tmp_path: Path) -> None
     assert code == 2 and "--board" in content["error"]["cure"]
 
 
-def test_complex_frames_are_measured(tmp_path: Path) -> None:
-    """The paper's static target, seen through the mirrors: both ways of finding spots, against the truth."""
-    simulate("pachidis2005-static", tmp_path / "s", seed=3, frames=12)
-    truth = np.array(
-        [pose.pose.translation for pose in read_poses(tmp_path / "s" / "truth.csv") if pose.pose is not None]
+def measured_complex(folder: Path, method: str) -> tuple[Summary, Any]:
+    """The summary of twelve complex frames, and the root mean square errors of their positions."""
+    job = MeasureJob(
+        rig=folder / "rig.yaml", target=folder / "target.yaml", out=folder / method, image=str(folder / "image"),
+        method=method,
+    )  # fmt: skip
+    summary = measure(job)
+    assert summary.n_ok == 12
+    truth, found = (
+        np.array([pose.pose.translation for pose in read_poses(file) if pose.pose is not None])
+        for file in (folder / "truth.csv", folder / method / "poses.csv")
     )
-    errors = {}
-    for method in ("likelihood", "seed"):
-        job = MeasureJob(
-            rig=tmp_path / "s" / "rig.yaml", target=tmp_path / "s" / "target.yaml", out=tmp_path / method,
-            image=str(tmp_path / "s" / "image"), method=method,
-        )  # fmt: skip
-        summary = measure(job)
-        assert summary.n_ok == 12
-        found = np.array(
-            [pose.pose.translation for pose in read_poses(tmp_path / method / "poses.csv") if pose.pose is not None]
-        )
-        errors[method] = np.sqrt(np.mean((found - truth) ** 2, axis=0))
+    return summary, np.sqrt(np.mean((found - truth) ** 2, axis=0))
+
+
+def test_complex_frames_are_measured(tmp_path: Path) -> None:
+    """The static target of the paper through the mirrors, in the dark: two ways of finding spots, against the truth."""
+    simulate("pachidis2005-static", tmp_path, seed=3, frames=12, room="dark")
+    errors = {method: measured_complex(tmp_path, method)[1] for method in ("likelihood", "seed")}
     assert errors["likelihood"][2] < 1.2e-4 and errors["likelihood"][:2].max() < 3e-5
     assert errors["likelihood"][2] < errors["seed"][2] < 1e-3
+
+
+def test_complex_frames_of_a_room_are_measured(tmp_path: Path) -> None:
+    """The same before a workshop: as well as is claimed, and the paper's threshold gives nothing instead of a place."""
+    simulate("pachidis2005-static", tmp_path, seed=3, frames=12)
+    summary, errors = measured_complex(tmp_path, "likelihood")
+    claimed = np.array([summary.std["total"][key] for key in ("x_m", "y_m", "z_m")])
+    assert (errors < 2.5 * claimed).all()  # the room behind the target, and what it does, is the same in all frames
+    assert claimed[2] < 2e-4
+    with pytest.raises(NotEnoughData, match="no arrangement of them is the target's"):
+        measured_complex(tmp_path, "seed")
 
 
 def test_a_board_is_measured_in_a_complex_image(rig: Path, tmp_path: Path) -> None:

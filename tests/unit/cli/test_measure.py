@@ -60,6 +60,38 @@ def test_poses_agree_with_the_truth_and_every_file_is_there(armsight: Any, scene
     assert len(rows(tmp_path / "out" / "spots.csv")) == 6 * COUNT
 
 
+def test_what_rig_and_target_share_is_in_the_files(armsight: Any, scene: Any, tmp_path: Path) -> None:
+    folder = copied(scene, tmp_path / "scene")
+    with (folder / "target.yaml").open("a") as file:
+        file.write("std_m: {A: [1.0e-4, 1.0e-4, 0.0], B: [1.0e-4, 1.0e-4, 0.0], C: [1.0e-4, 1.0e-4, 0.0]}\n")
+    inputs = ["--rig", folder / "rig.yaml", "--target", folder / "target.yaml"]
+    done = armsight("measure", *inputs, *scene.sources(), "-o", tmp_path / "out")
+    assert done.code == 0 and done.json["consistency"]["verdict"] == "ok"
+    std = done.json["std"]
+    assert std["systematic"]["x_m"] > 3e-5 and std["random"]["x_m"] > 0.0
+    assert std["total"]["x_m"] == pytest.approx(np.hypot(std["random"]["x_m"], std["systematic"]["x_m"]), rel=0.1)
+    table = rows(tmp_path / "out" / "poses.csv")
+    assert (column(table, "sys_sx_m", "sys_srz_rad") < column(table, "sx_m", "srz_rad")).all()
+    exact = armsight("measure", *scene.inputs, *scene.sources(), "-o", tmp_path / "exact").json["std"]
+    assert exact["systematic"]["x_m"] == 0.0 and exact["total"]["x_m"] < std["total"]["x_m"]
+
+
+def test_a_wrong_baseline_is_told_everywhere(armsight: Any, scene: Any, tmp_path: Path) -> None:
+    folder = copied(scene, tmp_path / "scene")
+    text = (folder / "rig.yaml").read_text()
+    (folder / "rig.yaml").write_text(text.replace("xyz_m: [0.1,", "xyz_m: [0.102,"))
+    inputs = ["--rig", folder / "rig.yaml", "--target", folder / "target.yaml"]
+    done = armsight("measure", *inputs, *scene.sources(), "-o", tmp_path / "out")
+    found = done.json["consistency"]
+    assert done.code == 0 and found["verdict"] == "inconsistent" and found["cause"] == "scale"
+    assert abs(found["estimate"] - 0.02) < 5.0 * found["std"] < 0.01
+    assert 0.5 < found["effect_m"] / 0.012 < 2.0
+    page = (tmp_path / "out" / "report.html").read_text()
+    for place in (done.text, page):
+        assert "scale against the baseline is off by" in place and "calibrate target" in place
+    assert "INCONSISTENT" in done.text and ">Inconsistent<" in page
+
+
 def test_a_world_moves_the_poses_and_times_come_from_their_file(armsight: Any, scene: Any, tmp_path: Path) -> None:
     (tmp_path / "world.yaml").write_text(
         "format: armsight/world\nversion: 1\nT_world_rig: {xyz_m: [1.0, 2.0, 3.0], quat_xyzw: [0.0, 0.0, 1.0, 0.0]}\n"

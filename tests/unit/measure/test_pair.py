@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -12,8 +14,18 @@ from armsight.geometry import pose_difference
 from armsight.measure import boardpair
 from armsight.measure.boardpair import pose_of_views
 from armsight.measure.pair import Measured, Setup, Track, measure_pair, warm_up
+from armsight.measure.settings import SpotSettings
 from armsight.optics import Camera, converged_rig
-from armsight.records import BoardView, Frame, PoseStatus, TargetKind, board_target, spot_target
+from armsight.records import (
+    BoardView,
+    Frame,
+    LinearNoise,
+    NoiseModel,
+    PoseStatus,
+    TargetKind,
+    board_target,
+    spot_target,
+)
 
 CAMERA = Camera.pinhole(640, 480, 560.0, 562.0, 322.0, 236.0, distortion=(-0.1, 0.02, 0.0, 0.0, 0.0))
 RIG = converged_rig(CAMERA, CAMERA, 0.1, 0.08, -0.08)
@@ -190,3 +202,21 @@ def test_a_board_that_is_not_there_is_lost_with_the_detectors_reason(monkeypatch
     monkeypatch.setattr(boardpair, "find_board", nothing)
     measured = measure_pair(BOARD_SETUP, *frames(np.array([[9.0, 9.0, 10.0]]), 0))
     assert measured.pose.status is PoseStatus.LOST and "no board found" in measured.pose.why
+
+
+def test_the_gain_of_a_camera_s_known_noise_is_used_unless_one_is_asked_for() -> None:
+    noise = NoiseModel(
+        levels=np.array([10.0, 200.0]),
+        variance_levels2=np.array([2.0, 21.0]),
+        std_levels2=np.array([0.1, 0.5]),
+        correlation=np.zeros((2, 2)),
+        correlation_std=np.zeros((2, 2)),
+        diagonal=0.0,
+        diagonal_std=0.0,
+        n_frames=10,
+        linear=LinearNoise(read_noise_levels=1.0, gain_levels=0.1),
+    )
+    known = replace(RIG, noise=(noise, None))
+    setup = Setup(known, spot_target(TRIANGLE))
+    assert setup.sides[0].gain == 0.1 and setup.sides[1].gain is None
+    assert Setup(known, spot_target(TRIANGLE), SpotSettings(gain=0.3)).sides[0].gain == 0.3

@@ -9,8 +9,10 @@ from armsight.errors import BadImage, Inconsistent
 from armsight.records import (
     Colour,
     Frame,
+    LinearNoise,
     Motion,
     NamedCovariance,
+    NoiseModel,
     Points,
     PoseStatus,
     Spots,
@@ -93,3 +95,38 @@ def test_named_covariances_answer_by_name() -> None:
 def test_a_motion_runs_forward() -> None:
     with pytest.raises(Inconsistent, match="row 2"):
         Motion(t_s=np.array([0.0, 1.0, 1.0]), q=np.zeros((3, 2)))
+
+
+def make_noise(linear: LinearNoise | None = None, near: float = 0.0) -> NoiseModel:
+    return NoiseModel(
+        levels=np.array([10.0, 20.0, 120.0]),
+        variance_levels2=np.array([2.0, 3.0, 13.0]),
+        std_levels2=np.full(3, 0.1),
+        correlation=np.array([[near, near / 4], [near, near / 4]]),
+        correlation_std=np.full((2, 2), 0.001),
+        diagonal=near**2,
+        diagonal_std=0.001,
+        n_frames=20,
+        linear=linear,
+    )
+
+
+def test_noise_is_told_at_any_level() -> None:
+    noise = make_noise()
+    assert noise.variance_at([[10.0, 15.0], [70.0, 120.0]]) == pytest.approx(np.array([[2.0, 2.5], [8.0, 13.0]]))
+    assert noise.variance_at([0.0, 255.0]) == pytest.approx([2.0, 13.0])
+    assert noise.table().shape == (256,)
+    assert noise.table()[70] == pytest.approx(8.0)
+    line = make_noise(LinearNoise(read_noise_levels=1.0, gain_levels=0.1))
+    assert line.variance_at(220.0) == pytest.approx(23.0)
+    with pytest.raises(Inconsistent, match="gain"):
+        LinearNoise(read_noise_levels=1.0, gain_levels=0.0)
+
+
+def test_correlated_noise_widens() -> None:
+    assert make_noise().widening(2.0) == pytest.approx([1.0, 1.0])
+    noise = make_noise(near=0.4)
+    assert noise.widening() == pytest.approx([(1.0 + 0.8 + 0.2) ** 2] * 2)
+    along = 1.0 + 0.8 * (1.0 - 1.0 / 8.0) * np.exp(-1.0 / 16.0) + 0.2 * (1.0 - 4.0 / 8.0) * np.exp(-4.0 / 16.0)
+    across = 1.0 + 0.8 * np.exp(-1.0 / 16.0) + 0.2 * np.exp(-4.0 / 16.0)
+    assert noise.widening(2.0) == pytest.approx([along * across] * 2)

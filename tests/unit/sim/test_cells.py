@@ -22,8 +22,12 @@ from armsight.sim import (
 QUIET = Sensor(electrons_per_level=np.inf, read_noise_level=0.0)
 
 
+DARK = {"room": "dark", "pipeline": "ideal"}
+"""Nothing behind the target, nothing but noise in the cameras."""
+
+
 def small(seed=3, frames=4, **options):
-    return led_cell(seed, frames, **({"width": 320, "height": 180, "sigma_px": 1.2} | options))
+    return led_cell(seed, frames, **({"width": 320, "height": 180, "sigma_px": 1.2} | DARK | options))
 
 
 def opencv_pixels(rig, side, points_m):
@@ -67,7 +71,7 @@ def test_the_light_falls_where_the_true_poses_say(diameter_m, tolerance_px):
 
 def test_every_light_stays_in_both_views():
     for seed in range(3):
-        cell = hand_cell(seed, 2000)
+        cell = hand_cell(seed, 2000, **DARK)
         corners = np.array(list(cell.target["spots_m"].values()))
         points = np.concatenate([Rotation.from_quat(quat).apply(corners) + xyz for _, xyz, quat in cell.truth[::7]])
         for side in ("left", "right"):
@@ -108,7 +112,7 @@ def test_mishaps_happen_when_they_are_planned():
 
 
 def test_the_beacon_is_red_and_where_it_should_be():
-    cell = beacon_cell(1, 2, width=320, height=240)
+    cell = beacon_cell(1, 2, width=320, height=240, **DARK)
     left, right = cell.pair(1)
     assert left.image.shape == (240, 320, 3)
     for side, frame in (("left", left), ("right", right)):
@@ -146,7 +150,7 @@ def test_board_edges_match_brute_force():
 
 
 def test_boards_are_found_where_they_are():
-    cell = board_cell(5, 3, width=640, height=360)
+    cell = board_cell(5, 3, width=640, height=360, **DARK)
     corners = np.array([[c * 0.025, r * 0.025, 0.0] for r in range(6) for c in range(9)])
     for index, frames in enumerate(cell.frames()):
         _, xyz, quat = cell.truth[index]
@@ -177,7 +181,7 @@ def test_no_frames_and_negative_seeds_are_refused(maker):
 
 def test_the_built_in_cells_have_names_and_say_what_was_chosen():
     assert "hand-cell" in cells()
-    cell = hand_cell(0, 300)
+    cell = hand_cell(0, 300, **DARK)
     assert cell.name == "hand-cell"
     assert len(cell.truth) == 300
     assert cell.rig["kind"] == "stereo"

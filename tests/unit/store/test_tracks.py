@@ -61,16 +61,18 @@ def test_poses_come_back(tmp_path):
             writer.write(pose)
     assert (tmp_path / "rows.csv").read_bytes() == (tmp_path / "poses.csv").read_bytes()
     header, first = (tmp_path / "poses.csv").read_text().splitlines()[:2]
-    assert header == "t_s,x_m,y_m,z_m,qx,qy,qz,qw,sx_m,sy_m,sz_m,srx_rad,sry_rad,srz_rad,status,spots"
-    assert first.endswith(",ok,A B C")
+    assert header == "t_s,x_m,y_m,z_m,qx,qy,qz,qw,sx_m,sy_m,sz_m,srx_rad,sry_rad,srz_rad,status,spots," + (
+        "sys_sx_m,sys_sy_m,sys_sz_m,sys_srx_rad,sys_sry_rad,sys_srz_rad"
+    )
+    assert first.endswith(",ok,A B C,,,,,,")
 
 
 def test_cells_that_mean_nothing_are_empty(tmp_path):
     store.write_poses(tmp_path / "poses.csv", make_poses(1))
     _, _, position, lost = (tmp_path / "poses.csv").read_text().splitlines()
     assert position.split(",")[4:8] == [""] * 4
-    assert position.split(",")[11:] == ["", "", "", "position_only", "A"]
-    assert lost.split(",")[1:] == [""] * 13 + ["lost", ""]
+    assert position.split(",")[11:] == ["", "", "", "position_only", "A", *[""] * 6]
+    assert lost.split(",")[1:] == [""] * 13 + ["lost", "", *[""] * 6]
 
 
 def test_poses_without_deviations_are_read(tmp_path):

@@ -1,5 +1,7 @@
 """rig.yaml, camera.yaml, target.yaml, world.yaml: exact round trips, and errors that name the key."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import yaml
@@ -10,7 +12,16 @@ from armsight import store
 from armsight.errors import BadFile, UsageError
 from armsight.geometry import is_close
 from armsight.optics import Camera, Rig, RigKind
-from armsight.records import Colour, NamedCovariance, TargetKind, board_target, spot_target, unmeasured_target
+from armsight.records import (
+    Colour,
+    LinearNoise,
+    NamedCovariance,
+    NoiseModel,
+    TargetKind,
+    board_target,
+    spot_target,
+    unmeasured_target,
+)
 from armsight.records.target import GREEN
 from armsight.store.worlds import POSE_NAMES
 from armsight.store.yamls import parse_yaml
@@ -82,9 +93,67 @@ def test_camera_comes_back_exactly(tmp_path):
     assert file.rms_px == 0.1
 
 
+def make_noise(linear: bool):
+    rng = np.random.default_rng(5)
+    return NoiseModel(
+        levels=[1.0, 50.0 + 1 / 3, 200.0],
+        variance_levels2=rng.random(3) * 7,
+        std_levels2=rng.random(3) / 7,
+        correlation=rng.random((2, 2)) / 3,
+        correlation_std=rng.random((2, 2)) / 300,
+        diagonal=-1 / 7,
+        diagonal_std=1 / 700,
+        n_frames=20,
+        linear=LinearNoise(read_noise_levels=1 / 3, gain_levels=0.1) if linear else None,
+    )
+
+
+def assert_same_noise(a, b):
+    for name in ("levels", "variance_levels2", "std_levels2", "correlation", "correlation_std"):
+        assert np.array_equal(getattr(a, name), getattr(b, name)), name
+    assert (a.diagonal, a.diagonal_std, a.n_frames, a.linear) == (b.diagonal, b.diagonal_std, b.n_frames, b.linear)
+
+
+@pytest.mark.parametrize("linear", [False, True])
+def test_noise_comes_back_exactly(tmp_path, linear):
+    noise = make_noise(linear)
+    store.write_camera(tmp_path / "camera.yaml", make_rig().left, noise=noise)
+    assert_same_noise(store.read_camera_file(tmp_path / "camera.yaml").noise, noise)
+    store.write_rig(tmp_path / "rig.yaml", replace(make_rig(), noise=(None, noise)))
+    back = store.read_rig(tmp_path / "rig.yaml")
+    assert back.noise[0] is None
+    assert_same_noise(back.noise[1], noise)
+    store.add_noise(tmp_path / "rig.yaml", {"left": noise})
+    both = store.read_rig(tmp_path / "rig.yaml")
+    assert_same_noise(both.noise[0], noise)
+    assert_same_noise(both.noise[1], noise)
+    assert np.array_equal(both.covariance.matrix, back.covariance.matrix)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"levels": [1.0, 0.5, 200.0]}, "increasing"),
+        ({"levels": [1.0, 2.0, 300.0]}, "between 0 and 255"),
+        ({"variance_levels2": [1.0, 2.0]}, "variance_levels2"),
+        ({"variance_levels2": [1.0, -2.0, 1.0]}, "negative"),
+        ({"correlation": {"x": [1.5, 0.0], "y": [0.0, 0.0]}}, "between -1 and 1"),
+        ({"correlation": {"x": [0.5], "y": [0.0, 0.0]}}, "correlation.x"),
+        ({"linear": {"read_noise_levels": 1.0, "gain_levels": 0.0}}, "gain"),
+        ({"gain": 3.0}, "unknown key cameras.left.noise.gain"),
+    ],
+)
+def test_noise_that_cannot_be_is_refused(change, told):
+    content = store.rig_mapping(replace(make_rig(), noise=(make_noise(True), None)))
+    content["cameras"]["left"]["noise"].update(change)
+    with pytest.raises(BadFile, match=told):
+        store.rig_from_mapping(content)
+
+
 SPOTS = {"A": (0.1 + 0.2, -1e-5, 1e-17), "B": (1 / 3, 2.0, 0.0), "e1": (0.0, 0.0, 1.0)}
 TARGETS = {
     "spots": spot_target(SPOTS, diameter_m=0.005),
+    "spots and how well they are known": spot_target(SPOTS, covariance=1e-9 * (np.eye(9) / 3 + np.ones((9, 9)) / 7)),
     "beacon by name of colour": spot_target({"beacon": (0.0, 0.0, 0.0)}, colour=GREEN),
     "beacon by hue": spot_target({"1": (0.0, 0.0, 0.0)}, colour=Colour(hue_deg=(300.0, 310.5), min_value=0.9)),
     "unmeasured": unmeasured_target(diameter_m=0.01),
@@ -103,6 +172,9 @@ def test_target_comes_back_exactly(tmp_path, name):
     assert np.array_equal(back.xyz_m, target.xyz_m)
     for field in ("kind", "names", "diameter_m", "columns", "rows", "pitch_m", "marker_m", "dictionary", "model_known"):
         assert getattr(back, field) == getattr(target, field), field
+    assert (back.covariance is None) == (target.covariance is None)
+    if target.covariance is not None:
+        assert np.array_equal(back.covariance, target.covariance)
     assert (back.colour is None) == (target.colour is None)
     if target.colour is not None:
         assert back.colour.hue_deg == target.colour.hue_deg
@@ -348,3 +420,28 @@ def test_a_wrong_board_is_answered_with_the_forms(text):
         store.parse_board(text)
     for form in ("checkerboard:COLUMNSxROWS:SQUARE_M", "circles:", "acircles:", "charuco:"):
         assert form in caught.value.cure
+
+
+LIT = "format: armsight/target\nversion: 1\nkind: spots\nspots_m: {A: [0.0, 0.0, 0.0], B: [0.1, 0.0, 0.0]}\n"
+
+
+def test_deviations_of_a_target_are_a_diagonal_and_its_covariance_counts_before_them(tmp_path):
+    path = tmp_path / "target.yaml"
+    path.write_text(LIT)
+    assert store.read_target(path).covariance is None
+    path.write_text(LIT + "std_m: {B: [4.0e-05, 5.0e-05, 6.0e-05], A: [1.0e-05, 2.0e-05, 0.0]}\n")
+    expected = np.diag([1e-5, 2e-5, 0.0, 4e-5, 5e-5, 6e-5]) ** 2
+    assert np.array_equal(store.read_target(path).covariance, expected)
+    rows = [f"{light}.{axis}_m" for light in "BA" for axis in "xyz"]
+    covariance = NamedCovariance(names=rows, matrix=np.diag([4.0, 5.0, 6.0, 1.0, 2.0, 3.0]) * 1e-10)
+    matrix = covariance.matrix.tolist()
+    path.write_text(LIT + f"std_m: {{A: [1, 1, 1], B: [1, 1, 1]}}\ncovariance: {{names: {rows}, matrix: {matrix}}}\n")
+    assert np.array_equal(np.diag(store.read_target(path).covariance), np.array([1.0, 2, 3, 4, 5, 6]) * 1e-10)
+    path.write_text(LIT + f"covariance: {{names: {rows[:3]}, matrix: {np.eye(3).tolist()}}}\n")
+    with pytest.raises(BadFile, match="covariance names B"):
+        store.read_target(path)
+    negative = np.eye(6)
+    negative[0, 1] = negative[1, 0] = 2.0
+    path.write_text(LIT + f"covariance: {{names: {rows}, matrix: {negative.tolist()}}}\n")
+    with pytest.raises(BadFile, match="negative variance"):
+        store.read_target(path)

@@ -58,8 +58,10 @@ class TargetCalibration:
 
     @property
     def target(self) -> Target:
-        """The target, with places."""
-        return spot_target({n: (x[0], x[1], x[2]) for n, x in zip(self.names, self.xyz_m.tolist(), strict=True)})
+        """The target, with places and their covariance."""
+        places = {n: (x[0], x[1], x[2]) for n, x in zip(self.names, self.xyz_m.tolist(), strict=True)}
+        rows = tuple(f"{name}.{axis}_m" for name in self.names for axis in "xyz")
+        return spot_target(places, covariance=self.covariance.block(rows))
 
     @property
     def std_m(self) -> Array:

@@ -7,19 +7,24 @@ its reprojection.
 
 from __future__ import annotations
 
+from math import log
+
 import numpy as np
 from numba import njit
 
-from armsight.measure.kernels.pose import SOLVED, kabsch, refine_pose, weights
+from armsight.measure.kernels.pose import SOLVED, kabsch, pose_normal, refine_pose, weights
 from armsight.optics.kernels.rays import epipolar_residual, quadratic_form_2, rays_in_rig
 from armsight.optics.kernels.triangulation import BEHIND, FOUND, triangulate_linear_point
 
 MAX_PAIRS = 1024
-MAX_NODES = 2_000_000  # of the search; about 0.1 s
+MANY_PAIRS = 8192  # of coarse centres
+MAX_NODES = 10_000_000  # pairs looked at in the search; about 0.1 s
+HOPELESS = 20.0  # chi-square of a closed-form start over the limit beyond which no fit brings it below
+JUDGED = 1500  # as many pairs take as long as judging a whole arrangement
 
 
 @njit(cache=True)
-def candidate_pairs(k, R, t, baseline, uv_left, cov_left, uv_right, cov_right, slack2, gate, overlaid):
+def candidate_pairs(k, R, t, baseline, uv_left, cov_left, uv_right, cov_right, slack2, gate, overlaid, most):
     """Return pairs (c, 2), uv (c, 2, 2), cov (c, 2, 2, 2), P (c, 3), S (c, 3, 3), and how many more lay behind.
 
     gate: largest whitened squared epipolar distance, with slack2 added to every coordinate's variance, which is
@@ -28,7 +33,7 @@ def candidate_pairs(k, R, t, baseline, uv_left, cov_left, uv_right, cov_right, s
     """
     n_left = uv_left.shape[0]
     n_right = uv_right.shape[0]
-    limit = min(n_left * n_right, MAX_PAIRS)
+    limit = min(n_left * n_right, most)
     pairs = np.empty((limit, 2), np.intp)
     uv = np.empty((limit, 2, 2))
     cov = np.empty((limit, 2, 2, 2))
@@ -88,12 +93,33 @@ def distance_fits(P, S, a, b, distance, gate):
 
 
 @njit(cache=True)
-def _allowed(name, candidate, chosen, pairs, P, S, D, gate, overlaid):
+def _spreads(S, gate, spread):
+    """Fill spread (c,) with how far each point may be off in any direction: at least what `distance_fits` allows."""
+    for c in range(S.shape[0]):
+        spread[c] = np.sqrt(gate * (S[c, 0, 0] + S[c, 1, 1] + S[c, 2, 2]))
+
+
+@njit(cache=True)
+def _near(P, spread, a, b, distance):
+    """Tell, cheaply, whether the points a and b could be `distance` apart."""
+    x = P[a, 0] - P[b, 0]
+    y = P[a, 1] - P[b, 1]
+    z = P[a, 2] - P[b, 2]
+    length2 = x * x + y * y + z * z
+    slack = spread[a] + spread[b]
+    low = max(distance - slack, 0.0)
+    return low * low <= length2 <= (distance + slack) ** 2
+
+
+@njit(cache=True)
+def _allowed(name, candidate, chosen, pairs, P, S, spread, D, gate, overlaid):
     """Tell whether the candidate may be `name` beside the names already chosen: no spot serves twice."""
     for other in range(name):
         c = chosen[other]
         if c < 0:
             continue
+        if not _near(P, spread, c, candidate, D[other, name]):
+            return False
         if pairs[c, 0] == pairs[candidate, 0] or pairs[c, 1] == pairs[candidate, 1]:
             return False
         if overlaid and (pairs[c, 0] == pairs[candidate, 1] or pairs[c, 1] == pairs[candidate, 0]):
@@ -104,8 +130,8 @@ def _allowed(name, candidate, chosen, pairs, P, S, D, gate, overlaid):
 
 
 @njit(cache=True)
-def _judge(k, R, t, chosen, count, X, radius, normal, ellipse, pairs, uv, W, P, Rp, tp):
-    """Fit the pose to the chosen pairs; return chi-square, infinite where there is none."""
+def _judge(k, R, t, chosen, count, X, radius, normal, ellipse, pairs, uv, W, P, limit, Rp, tp):
+    """Fit the pose to the chosen pairs; return chi-square, infinite where there is none or far above the limit."""
     x = np.empty((count, 3))
     p = np.empty((count, 3))
     r = np.empty((count, 2))
@@ -123,30 +149,37 @@ def _judge(k, R, t, chosen, count, X, radius, normal, ellipse, pairs, uv, W, P, 
             w[n] = W[c]
             n += 1
     kabsch(x, p, Rp, tp)
-    state, chi2 = refine_pose(k, R, t, x, r, normal, z, w, Rp, tp, np.empty((6, 6)), np.empty((count, 2, 2)))
+    H = np.empty((6, 6))
+    residual = np.empty((count, 2, 2))
+    if not pose_normal(k, R, t, x, r, normal, z, w, Rp, tp, H, np.empty(6), residual) <= HOPELESS * limit:
+        return np.inf
+    state, chi2 = refine_pose(k, R, t, x, r, normal, z, w, Rp, tp, H, residual)
     return chi2 if state == SOLVED else np.inf
 
 
 @njit(cache=True)
 def search(
     k, R, t, X, D, radius, normal, ellipse, pairs, uv, cov, P, S, slack2, gate, limits, margin, overlaid,
-    names, chi2s, poses
+    smaller, most_nodes, names, chi2s, poses
 ):  # fmt: skip
-    """Fill the best hypotheses and return (how many, how many names each has, whether the search was cut short).
+    """Fill the best hypotheses and return (how many, how many passed in all, whether the search was cut short).
 
     X (m, 3) and D (m, m): the model and its distances. ellipse (2, n): which spots of each side are outlines of
     discs. pairs .. S: from candidate_pairs. gate: on distances. limits (m + 1,): largest chi-square of a fit of
     that many spots. overlaid: see candidate_pairs. margin: a hypothesis is kept while its chi-square is within margin
     of the best one's.
     names (h, m) gets the pair of each name or -1, chi2s (h,) ascending, poses (h, 3, 4) rotation and translation.
-    Only hypotheses with the largest number of names are kept.
+    Only hypotheses with the largest number of names are kept, but where `smaller` is True: then all of three names
+    and more, ordered by chi-square less what their number of spots lets expect.
     """
     m = X.shape[0]
     C = pairs.shape[0]
     room = names.shape[0]
     W = np.empty_like(cov)
     if not weights(cov, slack2, W):
-        return 0, 0, False
+        return np.int64(0), np.int64(0), False
+    spread = np.empty(C)
+    _spreads(S, gate, spread)
     chosen = np.full(m, -1, np.intp)
     following = np.zeros(m, np.intp)
     Rp = np.empty((3, 3))
@@ -157,14 +190,19 @@ def search(
     count = np.int64(0)
     level = np.int64(0)
     nodes = np.int64(0)
+    passed = np.int64(0)
     while level >= 0:
         nodes += 1
-        if nodes > MAX_NODES:
-            return found, best, True
+        if nodes > most_nodes:
+            return found, passed, True
         if level == m:
-            chi2 = _judge(k, R, t, chosen, count, X, radius, normal, ellipse, pairs, uv, W, P, Rp, tp)
+            chi2 = _judge(k, R, t, chosen, count, X, radius, normal, ellipse, pairs, uv, W, P, limits[count], Rp, tp)
+            nodes += JUDGED
             if chi2 <= limits[count]:
-                if count > best:
+                passed += 1
+                if smaller:
+                    chi2 -= limits[count]
+                elif count > best:
                     found = np.int64(0)
                     best = count
                 found = _keep(found, room, margin, chosen, chi2, Rp, tp, names, chi2s, poses)
@@ -174,8 +212,10 @@ def search(
             chosen[level] = -1
             count -= 1
         c = following[level]
-        while c < C and not _allowed(level, c, chosen, pairs, P, S, D, gate, overlaid):
+        nodes -= c
+        while c < C and not _allowed(level, c, chosen, pairs, P, S, spread, D, gate, overlaid):
             c += 1
+        nodes += c
         if c < C:
             chosen[level] = c
             count += 1
@@ -190,7 +230,39 @@ def search(
                 following[level] = 0
         else:
             level -= 1
-    return found, best, False
+    return found, passed, False
+
+
+SLACKS = np.array([0.02, 0.05, 0.1, 0.2, 0.3])  # px
+
+
+@njit(cache=True)
+def surprise(k, R, t, X, radius, normal, uv, cov, Rp, tp):
+    """Return -2 log likelihood of the spots uv (n, 2, 2), cov (n, 2, 2, 2) of a target at the pose Rp, tp.
+
+    radius (n, 2) of flat lights. With the slack of SLACKS that suits it best: what the calibration adds is not known.
+    """
+    n = X.shape[0]
+    residual = np.empty((n, 2, 2))
+    W = np.empty_like(cov)
+    if not weights(cov, 0.0, W):
+        return np.inf
+    if not np.isfinite(pose_normal(k, R, t, X, radius, normal, uv, W, Rp, tp, np.empty((6, 6)), np.empty(6), residual)):
+        return np.inf
+    best = np.inf
+    for slack in SLACKS:
+        total = 0.0
+        for i in range(n):
+            for s in range(2):
+                a = cov[i, s, 0, 0] + slack * slack
+                b = cov[i, s, 0, 1]
+                c = cov[i, s, 1, 1] + slack * slack
+                det = a * c - b * b
+                x = residual[i, s, 0]
+                y = residual[i, s, 1]
+                total += (c * x * x - 2.0 * b * x * y + a * y * y) / det + log(det)
+        best = min(best, total)
+    return best
 
 
 @njit(cache=True)

@@ -235,11 +235,11 @@ def stack_views(uv_left, cov_left, uv_right, cov_right, uv, cov):
 
 @njit(cache=True)
 def solve_named(k, R, t, uv, cov, slack2, X, radius, normal, P, S, T, C, residual):
-    """Pose of the model X (n, 3) from its n named spots, uv (n, 2, 2), cov (n, 2, 2, 2); chi-square is with slack.
+    """Pose of the model X (n, 3) from its n named spots, uv (n, 2, 2), cov (n, 2, 2, 2).
 
-    Returns (state, chi-square). Fills the points each by itself P (n, 3), S (n, 3, 3), the pose T (4, 4), its
-    covariance C (6, 6) (translation, rotation vector; rig axes), residual (n, 2, 2) in px. Arrays are filled, not
-    returned: handing one back costs as much as the algebra.
+    Returns (state, chi-square with slack, chi-square of the spots' own noise). Fills the points each by itself
+    P (n, 3), S (n, 3, 3), the pose T (4, 4), its covariance C (6, 6) (translation, rotation vector; rig axes), residual
+    (n, 2, 2) in px. Arrays are filled, not returned: handing one back costs as much as the algebra.
     """
     model = X.copy()  # writable as in the search: one compilation serves both
     W = np.empty_like(cov)
@@ -247,18 +247,18 @@ def solve_named(k, R, t, uv, cov, slack2, X, radius, normal, P, S, T, C, residua
     Rp = np.empty((3, 3))
     tp = np.empty(3)
     if not weights(cov, 0.0, W):
-        return NO_WEIGHT, np.inf
+        return NO_WEIGHT, np.inf, np.inf
     if not triangulate_all(k, R, t, uv, cov, P, S):
-        return NO_POINT, np.inf
+        return NO_POINT, np.inf, np.inf
     kabsch(model, P, Rp, tp)
-    state, _ = refine_pose(k, R, t, model, radius, normal, uv, W, Rp, tp, H, residual)
+    state, chi2 = refine_pose(k, R, t, model, radius, normal, uv, W, Rp, tp, H, residual)
     if state == SOLVED and not invert_spd(H, C):
         state = OPEN
     T[:3, :3] = Rp
     T[:3, 3] = tp
     T[3, :3] = 0.0
     T[3, 3] = 1.0
-    return state, slack_chi2(residual, cov, slack2)
+    return state, slack_chi2(residual, cov, slack2), chi2
 
 
 @njit(cache=True)

@@ -1,11 +1,13 @@
-"""Compiled share of the rig's calibration in the uncertainty of poses and points.
+"""Compiled share of the rig's calibration and of the target's measures in the uncertainty of poses and points.
 
 A calibration is wrong in the same way in every frame. Its 26 parameters (left and right intrinsics, then T_rig_right as
-t + dt, Exp(dw) R) carry over to whatever is fitted to the pixels: d fit = -H^-1 G' W D d parameters, with G and D
-the derivatives of the pixels by the fit and by the parameters.
+t + dt, Exp(dw) R) and the places of the target's lights carry over to whatever is fitted to the pixels:
+d fit = -H^-1 G' W D d parameters, with G and D the derivatives of the pixels by the fit and by the parameters.
 """
 
 from __future__ import annotations
+
+from math import sqrt
 
 import numpy as np
 from numba import njit
@@ -34,38 +36,114 @@ def pixel_slopes(k, R, t, p, s, uv, J, D):
             for j in range(3):
                 D[i, 20 + j] = -J[i, j]
             # d p_camera = R' (q x dw)
-            D[i, 23] = J[i, 2] * q[1] - J[i, 1] * q[2]
-            D[i, 24] = J[i, 0] * q[2] - J[i, 2] * q[0]
-            D[i, 25] = J[i, 1] * q[0] - J[i, 0] * q[1]
+            D[i, 23] = J[i, 1] * q[2] - J[i, 2] * q[1]
+            D[i, 24] = J[i, 2] * q[0] - J[i, 0] * q[2]
+            D[i, 25] = J[i, 0] * q[1] - J[i, 1] * q[0]
     return True
 
 
 @njit(cache=True)
-def add_pose_share(k, R, t, cov, X, T, covariance, C):
-    """Add the calibration's share to C (6, 6) of the pose T (4, 4) of X (n, 3) seen with cov (n, 2, 2, 2)."""
-    B = np.zeros((6, PARAMETERS))
+def light_slopes(k, R, t, T, X, p, s, uv, J, D, G):
+    """Fill D (2, 26) as pixel_slopes and G (2, 6) = d pixel / d pose for the light X (3,) under T (4, 4); p (3,) too.
+
+    J (2, 3) = d pixel / d p, p the light in rig axes. False behind the camera.
+    """
+    q = np.empty(3)
+    for i in range(3):
+        q[i] = T[i, 0] * X[0] + T[i, 1] * X[1] + T[i, 2] * X[2]
+        p[i] = q[i] + T[i, 3]
+    if not pixel_slopes(k, R, t, p, s, uv, J, D):
+        return False
+    for i in range(2):
+        G[i, :3] = J[i]
+        G[i, 3] = q[1] * J[i, 2] - q[2] * J[i, 1]
+        G[i, 4] = q[2] * J[i, 0] - q[0] * J[i, 2]
+        G[i, 5] = q[0] * J[i, 1] - q[1] * J[i, 0]
+    return True
+
+
+@njit(cache=True)
+def place_slopes(J, T, E):
+    """Fill E (2, 3) = d pixel / d the light's place in target axes, from J (2, 3) by its place in rig axes."""
+    for i in range(2):
+        for j in range(3):
+            E[i, j] = J[i, 0] * T[0, j] + J[i, 1] * T[1, j] + J[i, 2] * T[2, j]
+
+
+@njit(cache=True)
+def carry_to_pose(k, R, t, cov, X, T, covariance, C, residual, systematic):
+    """Carry the covariance of rig and target to the pose T (4, 4) of X (n, 3), seen with cov (n, 2, 2, 2).
+
+    covariance (26 + m, 26 + m): of the rig's parameters and, m = 3 n or 0, of the places X. C (6, 6): of the spots'
+    noise alone. Fills systematic (6, 6) = A covariance A' with d pose = A d parameters, A = -C G' W D, and returns
+    the chi-square of residual (n, 2, 2) with these parameters free within their covariance (a Gaussian prior each).
+    """
+    n, size = X.shape[0], covariance.shape[0]
+    B = np.zeros((6, size))  # G' W D
+    N = np.zeros((size, size))  # D' W D
+    b = np.zeros(size)  # D' W r
     uv = np.empty(2)
+    p = np.empty(3)
     J = np.empty((2, 3))
+    E = np.empty((2, 3))
     D = np.empty((2, PARAMETERS))
     W = np.empty((2, 2))
     G = np.empty((2, 6))
-    q = np.empty(3)
-    p = np.empty(3)
-    for n in range(X.shape[0]):
-        for i in range(3):
-            q[i] = T[i, 0] * X[n, 0] + T[i, 1] * X[n, 1] + T[i, 2] * X[n, 2]
-            p[i] = q[i] + T[i, 3]
+    row = np.zeros((2, size))
+    chi2 = 0.0
+    for light in range(n):
         for s in range(2):
-            if not (pixel_slopes(k, R, t, p, s, uv, J, D) and invert_2(cov[n, s], W)):
+            if not (light_slopes(k, R, t, T, X[light], p, s, uv, J, D, G) and invert_2(cov[light, s], W)):
                 continue
-            for i in range(2):
-                G[i, :3] = J[i]
-                G[i, 3] = q[1] * J[i, 2] - q[2] * J[i, 1]
-                G[i, 4] = q[2] * J[i, 0] - q[0] * J[i, 2]
-                G[i, 5] = q[0] * J[i, 1] - q[1] * J[i, 0]
-            B += G.T @ (W @ D)
+            row[:] = 0.0
+            row[:, :PARAMETERS] = D
+            if size > PARAMETERS:
+                place_slopes(J, T, E)
+                row[:, PARAMETERS + 3 * light : PARAMETERS + 3 * light + 3] = E
+            r = residual[light, s]
+            chi2 += r[0] * (W[0, 0] * r[0] + W[0, 1] * r[1]) + r[1] * (W[1, 0] * r[0] + W[1, 1] * r[1])
+            add_information(row, W, G, r, B, N, b)
     A = C @ B
-    C += A @ covariance @ A.T
+    systematic[:] = A @ covariance @ A.T
+    return marginal_chi2(chi2, N - B.T @ A, b, covariance)
+
+
+@njit(cache=True)
+def add_information(D, W, G, r, B, N, b):
+    """Add one pixel's rows D (2, q), G (2, 6), residual r (2,), weight W (2, 2) to B = G'WD, N = D'WD, b = D'Wr."""
+    for j in range(D.shape[1]):
+        x = W[0, 0] * D[0, j] + W[0, 1] * D[1, j]
+        y = W[1, 0] * D[0, j] + W[1, 1] * D[1, j]
+        if x == 0.0 and y == 0.0:
+            continue
+        b[j] += x * r[0] + y * r[1]
+        for i in range(6):
+            B[i, j] += G[0, i] * x + G[1, i] * y
+        for i in range(D.shape[1]):
+            N[i, j] += D[0, i] * x + D[1, i] * y
+
+
+@njit(cache=True)
+def marginal_chi2(chi2, N, b, covariance):
+    """Return chi-square with the parameters free within their covariance: chi2 - b' (covariance^-1 + N)^-1 b.
+
+    Written as chi2 - b' C (I + N C)^-1 b, which a covariance of less than full rank allows as well.
+    """
+    size = b.shape[0]
+    one = np.eye(size)
+    scale = np.empty(size)
+    for i in range(size):  # parameters in units of their own deviation: px beside metres
+        scale[i] = sqrt(max(covariance[i, i], 0.0))
+    M = np.empty((size, size))
+    Q = np.empty((size, size))
+    g = np.empty(size)
+    for i in range(size):
+        g[i] = scale[i] * b[i]
+        for j in range(size):
+            M[i, j] = scale[i] * N[i, j] * scale[j]
+            product = scale[i] * scale[j]
+            Q[i, j] = covariance[i, j] / product if product > 0.0 else 0.0
+    return max(chi2 - np.dot(g, Q @ np.linalg.solve(one + M @ Q, g)), 0.0)
 
 
 @njit(cache=True)

@@ -1,40 +1,52 @@
-"""Beacons found by their colour (Kapucu and Baysec 2005: search by bisection, a window, the weighted centroid)."""
+"""Beacons found by their colour (Kapucu and Baysec 2005), where they stand out of what is round them in that colour."""
 
 from __future__ import annotations
 
 import dataclasses
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import BadImage
 from armsight.measure.settings import SpotSettings
-from armsight.measure.spots.grey import MODEL_NAMES, Array, Image, checked_mask, not_an_image, rejections, track_grey
-from armsight.measure.spots.kernels.area import AS_CENTROID, BORDER, LARGE, MANY, SMALL
-from armsight.measure.spots.kernels.colour import colour_centroid, coloured_regions
-from armsight.measure.spots.kernels.scan import AREA, COLUMNS, SUM_X, SUM_Y, X_MAX, X_MIN, Y_MAX, Y_MIN
+from armsight.measure.spots.candidates import Candidates
+from armsight.measure.spots.grey import Array, Image, checked_mask, grey_candidates, not_an_image, track_grey
+from armsight.measure.spots.kernels.area import ACCEPTED, OWNER, STATUS, UNUSED
+from armsight.measure.spots.kernels.colour import colour_signal, coloured_pixels
+from armsight.measure.spots.kernels.scan import AREA, X_MAX, X_MIN, Y_MAX, Y_MIN
 from armsight.records import Colour, Spots
 
-MOST_REGIONS = 1024
 ANY = Colour(hue_deg=(0.0, 360.0))
-MARGIN_PX = 16
-"""Background around a region that the fit of its light sees."""
+MARGIN_PX = 24
+"""Background around a window that the fit of a light in it sees."""
 FLOOR = 32.0
 """Grey level of no colour in the signal: were it 0, half of the background's noise would be clipped."""
-CENTROID_NOISE = 9.0
-"""Noise variance (grey levels^2) of the signal that a centroid is claimed with: 8-bit video after demosaicing."""
+COLOURED_SHARE = 0.25
+"""Share of a light's pixels that are of the colour: its middle may be clipped white, its rim too weak."""
+STRONG_SHARE = 0.2
+"""Share of the greatest contrast in the image below which something of the colour is not taken for a light. A beacon
+before a bright wall may have a third of another red lamp's: a larger share gave that lamp's place for it."""
+SMOOTH = 0.8
+"""Mean step to the next pixel over that to the one after it, below which colours were interpolated; 1: white noise."""
+INTERPOLATED_PX = 0.07
+"""Deviation per coordinate of a light's centre of which the fit does not know where a camera interpolated its colours
+and stored them at half size: what simulated webcams leave (compression, sharpening and mosaic)."""
 
 
-def find_coloured(image: Image, settings: SpotSettings) -> Spots:
-    """Return the beacons of settings.colour in a BGR image (h, w, 3); see find_spots.
+def coloured_candidates(image: Image, settings: SpotSettings) -> Candidates:
+    """Return what may be a beacon of settings.colour in a BGR image (h, w, 3); see find_candidates.
 
-    The signal that is measured is a pixel's projection on the colour's hue, zero for any grey. Where the model of a
-    light fits it, centre and covariance are that fit's; else the centroid weighted with the signal.
+    The signal that is searched and measured is a pixel's projection on the colour's hue, FLOOR for any grey. What
+    stands out in it is a candidate where enough of its pixels are of the colour, and none is far stronger.
     """
     bgr = _coloured_image(image)
-    regions = _regions(bgr, checked_mask(settings, bgr), settings)
-    return _measured(bgr, settings, regions)[0]
+    checked_mask(settings, bgr)
+    signal = hue_signal(bgr, settings)
+    found = grey_candidates(signal, _plain(settings), faint=False)
+    _leave_coloured(bgr, found, settings)
+    _leave_strong(found)
+    fit, floor = found.fit, _floor(signal)
+    return dataclasses.replace(found, room=False, fit=lambda chosen, others: _widened(fit(chosen, others), floor))
 
 
 def track_coloured(
@@ -42,16 +54,45 @@ def track_coloured(
 ) -> tuple[Spots, NDArray[np.intp]]:
     """Return the beacon nearest to each of predicted (n, 2) within half_window_px, and the prediction of each."""
     bgr = _coloured_image(image)
-    mask = checked_mask(settings, bgr)
-    windows = np.zeros(bgr.shape[:2], np.uint8)
+    checked_mask(settings, bgr)
+    signal = np.full(bgr.shape[:2], np.uint8(FLOOR))
+    reach, boxes = half_window_px + MARGIN_PX, []
     for u, v in predicted:
-        low = np.maximum(np.rint([v - half_window_px, u - half_window_px]).astype(int), 0)
-        high = np.maximum(np.rint([v + half_window_px, u + half_window_px]).astype(int) + 1, 0)
-        windows[low[0] : high[0], low[1] : high[1]] = 1
-    regions = _regions(bgr, windows & mask if mask.size else windows, settings)
-    owner = _owners(_centres(regions), predicted, half_window_px)
-    spots, of = _measured(bgr, settings, regions[owner >= 0])
-    return spots, owner[owner >= 0][of]
+        low = np.clip(np.rint([v - reach, u - reach]), 0, signal.shape).astype(int)
+        high = np.clip(np.rint([v + reach + 1.0, u + reach + 1.0]), 0, signal.shape).astype(int)
+        box = np.s_[low[0] : high[0], low[1] : high[1]]
+        signal[box] = hue_signal(bgr[box], settings)
+        boxes.append(box)
+    spots, of = track_grey(signal, predicted, half_window_px, _plain(settings))
+    spots = _widened(spots, max((_floor(signal[box]) for box in boxes), default=0.0))
+    kept = [i for i in range(len(spots)) if _is_coloured(bgr, spots.uv_px[i], float(spots.size_px[i]), settings)]
+    return (spots, of) if len(kept) == len(spots) else (spots.take(kept), of[kept])
+
+
+def hue_signal(bgr: Image, settings: SpotSettings) -> Image:
+    """Return BGR's projection on the middle of the colour's hues: FLOOR for grey, 255 for two clipped channels."""
+    low, high = (settings.colour or ANY).hue_deg
+    middle = np.deg2rad(low + 0.5 * ((high - low) % 360.0))
+    weights = np.cos(middle - np.deg2rad([240.0, 120.0, 0.0]))  # of blue, green, red
+    signal = np.empty(bgr.shape[:2], np.uint8)
+    colour_signal(bgr, weights, FLOOR, settings.saturation, signal)
+    return signal
+
+
+def _floor(signal: Image) -> float:
+    """Return the variance (px^2) that a centre has besides: none where neighbouring pixels are independent."""
+    rows = signal[::4].astype(np.int16)
+    if rows.shape[1] < 3:
+        return 0.0
+    near, far = (np.minimum(np.abs(rows[:, k:] - rows[:, :-k]), 8).mean() for k in (1, 2))
+    return INTERPOLATED_PX**2 if near < SMOOTH * far else 0.0
+
+
+def _widened(spots: Spots, variance: float) -> Spots:
+    """Return the spots with so much variance more per coordinate."""
+    if not variance or not len(spots):
+        return spots
+    return dataclasses.replace(spots, covariance_px2=spots.covariance_px2 + variance * np.eye(2))
 
 
 def _coloured_image(image: Image) -> Image:
@@ -63,7 +104,12 @@ def _coloured_image(image: Image) -> Image:
             consequence="A beacon cannot be found by its colour in it",
             cure="Record in colour, or leave the colour out of the target",
         )
-    return np.ascontiguousarray(image)
+    return image
+
+
+def _plain(settings: SpotSettings) -> SpotSettings:
+    """Return the settings with which the signal is searched."""
+    return dataclasses.replace(settings, colour=None, threshold=None, inverted=False, saturation=255)
 
 
 def _definition(settings: SpotSettings) -> Array:
@@ -72,103 +118,29 @@ def _definition(settings: SpotSettings) -> Array:
     return np.array([*colour.hue_deg, colour.min_saturation, 255.0 * colour.min_value])
 
 
-def _regions(bgr: Image, mask: NDArray[np.uint8], settings: SpotSettings) -> Array:
-    """Return the regions (n, COLUMNS) of the colour."""
-    table = np.empty((MOST_REGIONS, COLUMNS))
-    n = coloured_regions(bgr, mask, _definition(settings), table)
-    return table[:n]
+def _leave_coloured(bgr: Image, found: Candidates, settings: SpotSettings) -> None:
+    """Take out the candidates that are not of the colour; they are no refused lights either."""
+    definition = _definition(settings)
+    for i, (area, state) in enumerate(zip(found.areas, found.state, strict=True)):
+        box = area[[X_MIN, X_MAX, Y_MIN, Y_MAX]].astype(np.int64)
+        n = coloured_pixels(bgr, definition, box)
+        if n < max(COLOURED_SHARE * area[AREA], 1.0):
+            state[OWNER] = -1
+            if state[STATUS] == ACCEPTED:
+                found.state[i, STATUS] = UNUSED
 
 
-def _centres(regions: Array) -> Array:
-    """Return the regions' unweighted centres (n, 2)."""
-    return regions[:, [SUM_X, SUM_Y]] / regions[:, [AREA]]
+def _leave_strong(found: Candidates) -> None:
+    """Take out the candidates that are far weaker than the strongest."""
+    at = found.positions()
+    if len(at):
+        weak = at[found.contrast[at] < STRONG_SHARE * found.contrast[at].max()]
+        found.state[weak, STATUS] = UNUSED
 
 
-def _owners(centres: Array, predicted: Array, reach_px: float) -> NDArray[np.intp]:
-    """Return for each centre (m, 2) the prediction whose nearest it is, or -1."""
-    owner = np.full(len(centres), -1, dtype=np.intp)
-    away = np.linalg.norm(centres[:, None] - predicted[None], axis=2)  # (m, n)
-    for k in range(len(predicted) if len(centres) else 0):
-        i = int(away[:, k].argmin())
-        if away[i, k] <= reach_px * np.sqrt(2.0) and (owner[i] < 0 or away[i, k] < away[i, owner[i]]):
-            owner[i] = k
-    return owner
-
-
-def _verdict(region: Array, rank: int, settings: SpotSettings, height: int, width: int) -> int:
-    """Return 0, or the number of the reason why a region is refused; rank: how many regions are larger."""
-    if region[AREA] < settings.min_pixels:
-        return SMALL
-    if region[X_MIN] < 1 or region[Y_MIN] < 1 or region[X_MAX] > width - 2 or region[Y_MAX] > height - 2:
-        return BORDER
-    if max(region[X_MAX] - region[X_MIN], region[Y_MAX] - region[Y_MIN]) > 2.0 * settings.max_radius_px:
-        return LARGE
-    return MANY if rank >= settings.max_spots else 0
-
-
-def _measured(bgr: Image, settings: SpotSettings, regions: Array) -> tuple[Spots, NDArray[np.intp]]:
-    """Return the regions' spots, and which region each is."""
-    ranks = np.argsort(np.argsort(-regions[:, AREA], kind="stable"))
-    found: list[Spots] = []
-    of: list[int] = []
-    refused: list[tuple[float, float, float]] = []
-    for i, (region, centre, rank) in enumerate(zip(regions, _centres(regions), ranks, strict=True)):
-        why = _verdict(region, int(rank), settings, *bgr.shape[:2])
-        if why:
-            refused.append((float(centre[0]), float(centre[1]), float(why)))
-            continue
-        found.append(_measure_region(bgr, settings, region, centre))
-        of.append(i)
-    spots = Spots(
-        uv_px=np.concatenate([s.uv_px for s in found]) if found else np.empty((0, 2)),
-        covariance_px2=np.concatenate([s.covariance_px2 for s in found]) if found else np.empty((0, 2, 2)),
-        peak=np.concatenate([s.peak for s in found]) if found else np.empty(0),
-        size_px=np.concatenate([s.size_px for s in found]) if found else np.empty(0),
-        model=tuple(s.model[0] for s in found),
-        rejected=rejections(np.array(refused).reshape(-1, 3)),
-    )
-    return spots, np.array(of, dtype=np.intp)
-
-
-def _measure_region(bgr: Image, settings: SpotSettings, region: Array, centre: Array) -> Spots:
-    """Return the one spot of a region: the fit of a light to its signal where that works, else its centroid."""
-    x0, y0 = max(int(region[X_MIN]) - MARGIN_PX, 0), max(int(region[Y_MIN]) - MARGIN_PX, 0)
-    box = np.s_[y0 : int(region[Y_MAX]) + MARGIN_PX + 1, x0 : int(region[X_MAX]) + MARGIN_PX + 1]
-    crop = bgr[box]
-    signal = hue_signal(crop, settings)
-    mask = None if settings.mask is None else settings.mask[box]
-    plain = dataclasses.replace(settings, colour=None, mask=mask, threshold=None, inverted=False, saturation=255)
-    corner = np.array([x0, y0], float)
-    reach = float(max(crop.shape[:2]))
-    fitted, _ = track_grey(signal, np.array([centre - corner]), reach, plain)
-    size = np.array([region[X_MAX] - region[X_MIN], region[Y_MAX] - region[Y_MIN]]) + 1.0
-    if len(fitted) == 1 and np.all(np.abs(fitted.uv_px[0] + corner - centre) < 0.25 * size + 0.5):
-        return dataclasses.replace(fitted, uv_px=fitted.uv_px + corner, rejected=())
-    return _centroid(bgr, settings, signal, region, x0, y0)
-
-
-def hue_signal(bgr: Image, settings: SpotSettings) -> Image:
-    """Return the projection of BGR on the middle of the colour's hue range: FLOOR for grey, 255 where clipped."""
-    low, high = (settings.colour or ANY).hue_deg
-    middle = np.deg2rad(low + 0.5 * ((high - low) % 360.0))
-    weights = np.cos(middle - np.deg2rad([240.0, 120.0, 0.0]))  # of blue, green, red
-    affine = np.append(weights, FLOOR)[None, :]
-    signal = np.asarray(cv2.transform(bgr, affine), dtype=np.uint8)  # rounds, and stops at 0 and 255
-    clipped = (bgr >= settings.saturation).any(axis=2) & (signal > FLOOR)
-    signal[clipped] = 255
-    return signal
-
-
-def _centroid(bgr: Image, settings: SpotSettings, signal: Image, region: Array, x0: int, y0: int) -> Spots:
-    """Return the centroid of the colour's pixels, weighted with the signal, with its covariance."""
-    out = np.zeros(6)
-    u, v = _centres(region[None])[0]
-    if not colour_centroid(bgr, settings.mask_bytes, _definition(settings), signal, FLOOR, x0, y0, CENTROID_NOISE, out):
-        out[:] = u, v, 0.25, 0.0, 0.25, 0.0
-    return Spots(
-        uv_px=out[None, :2],
-        covariance_px2=np.array([[[out[2], out[3]], [out[3], out[4]]]]),
-        peak=out[5:],
-        size_px=np.sqrt(region[[AREA]] / np.pi),
-        model=(MODEL_NAMES[AS_CENTROID],),
-    )
+def _is_coloured(bgr: Image, uv: Array, size: float, settings: SpotSettings) -> bool:
+    """Tell whether enough pixels about uv (2,) are of the colour."""
+    r, (u, v) = max(round(size), 1), np.rint(uv).astype(int)
+    h, w = bgr.shape[:2]
+    box = np.array([max(u - r, 0), min(u + r, w - 1), max(v - r, 0), min(v + r, h - 1)], np.int64)
+    return bool(coloured_pixels(bgr, _definition(settings), box) >= max(COLOURED_SHARE * np.pi * r * r, 1.0))

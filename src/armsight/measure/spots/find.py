@@ -7,9 +7,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from armsight.errors import Inconsistent
 from armsight.measure.settings import DEFAULTS, SpotSettings
-from armsight.measure.spots.colour import find_coloured, track_coloured
-from armsight.measure.spots.grey import Image, find_grey, track_grey
-from armsight.measure.spots.seed import find_seeded, track_seeded
+from armsight.measure.spots.candidates import Candidates
+from armsight.measure.spots.colour import coloured_candidates, track_coloured
+from armsight.measure.spots.grey import Image, grey_candidates, track_grey
+from armsight.measure.spots.seed import seeded_candidates, track_seeded
 from armsight.records import Spots
 from armsight.records.target import RED
 
@@ -24,11 +25,22 @@ def find_spots(image: Image, settings: SpotSettings = DEFAULTS) -> Spots:
     Raises BadImage where the image is not 8-bit grey or BGR (BGR, where a colour is searched), Inconsistent where
     the mask has another size.
     """
+    found = find_candidates(image, settings)
+    if found.room:
+        found = find_candidates(image, settings, faint=True)
+    return found.measure_strongest(settings.max_spots)
+
+
+def find_candidates(image: Image, settings: SpotSettings = DEFAULTS, *, faint: bool = False) -> Candidates:
+    """Return what may be a light in an image, each with a coarse centre, to be measured on demand; see find_spots.
+
+    faint: take nothing for quiet, and look for those that hardly stand out as well.
+    """
     if settings.colour is not None:
-        return find_coloured(image, settings)
+        return coloured_candidates(image, settings)
     if settings.method == "seed":
-        return find_seeded(image, settings)
-    return find_grey(image, settings)
+        return seeded_candidates(image, settings)
+    return grey_candidates(image, settings, faint)
 
 
 def track_spots(

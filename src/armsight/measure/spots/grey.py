@@ -2,15 +2,31 @@
 
 from __future__ import annotations
 
-import cv2
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import BadImage, Inconsistent
 from armsight.measure.settings import SpotSettings
-from armsight.measure.spots.kernels.area import FIT, MOST_LIGHTS, SPOT
+from armsight.measure.spots.candidates import Candidates, Index, blobs, fresh_state, is_dark, is_quiet, only
+from armsight.measure.spots.kernels.area import (
+    BORDER,
+    FAILED,
+    FIT,
+    LARGE,
+    MOST_LIGHTS,
+    SATURATED,
+    SPOT,
+    STATUS,
+    UNLIKE,
+    UNRESOLVED,
+    UNUSED,
+)
+from armsight.measure.spots.kernels.colour import to_grey
 from armsight.measure.spots.kernels.lights import deliver, measure_others, measure_round
-from armsight.measure.spots.kernels.locate import FULL, NOTHING_ABOVE, NUMBER, locate, locate_near
+from armsight.measure.spots.kernels.locate import FULL, NOISE, NOTHING_ABOVE, NUMBER, locate, locate_near
+from armsight.measure.spots.kernels.scan import SUM_X, SUM_Y, WEIGHT
 from armsight.records import Spots, trusted
 
 Image = NDArray[np.uint8]
@@ -33,20 +49,49 @@ REASONS = (
     "not like a spot: the residuals of the best model are too large",
     "reaches beyond its search window",
     "another spot is nearer to the prediction",
+    "a candidate only: not needed by any arrangement that could be the target",
 )
 """Why something bright was not accepted, in the order of the kernels' numbers."""
+CANDIDATE = REASONS[UNUSED]
+SECOND_LOOK = frozenset(REASONS[i] for i in (BORDER, LARGE, FAILED, SATURATED, UNRESOLVED, UNLIKE))
+"""Reasons behind which a light may hide: it stands before something bright, or touches it."""
 
 
-def find_grey(image: Image, settings: SpotSettings) -> Spots:
-    """Return the spots of an image (h, w) or (h, w, 3), searched as grey; see find_spots."""
+def grey_candidates(image: Image, settings: SpotSettings, faint: bool) -> Candidates:
+    """Return what may be a light in an image (h, w) or (h, w, 3), searched as grey; see find_candidates."""
     grey = searchable(image, settings)
     areas, state, survey, outcome = locate(grey, settings.mask_bytes, settings.options)
-    if outcome == FULL:
-        return record(*measured(grey, settings, areas, state, survey))
-    number = survey[-1, NUMBER]
+    complete = True
+    refused: Rejected = ()
+    room = settings.threshold is None and (faint or outcome != FULL or not is_dark(areas, state, settings))
+    quiet = outcome == FULL and not room and is_quiet(state, settings.max_spots)
+    if room:
+        if outcome == FULL:
+            refused = too_large(areas, state)
+        areas, complete = blobs(grey, settings, float(survey[-1, NOISE]), faint)
+        state = fresh_state(len(areas))
+    if not len(areas) and outcome != FULL:
+        refused = (whole_frame(grey, _too_bright(outcome, float(survey[-1, NUMBER]))),)
+
+    def fit(chosen: Index, others: int) -> Spots:
+        own = state.copy() if quiet else only(state, chosen, others)
+        spots = record(*measured(grey, settings, areas, own, survey))
+        return replace(spots, rejected=spots.rejected + refused) if refused else spots
+
+    return Candidates(areas=areas, state=state, fit=fit, quiet=quiet, complete=complete, room=room and not faint)
+
+
+def too_large(areas: Array, state: NDArray[np.int64]) -> Rejected:
+    """Return the areas above the threshold that are larger than a light, or cut by the image's border."""
+    large = areas[np.isin(state[:, STATUS], (LARGE, BORDER))]
+    why = state[np.isin(state[:, STATUS], (LARGE, BORDER)), STATUS]
+    return rejections(np.column_stack([large[:, [SUM_X, SUM_Y]] / large[:, [WEIGHT]], why])) if len(large) else ()
+
+
+def _too_bright(outcome: int, number: float) -> str:
     if outcome == NOTHING_ABOVE:
-        return Spots.none((whole_frame(grey, f"bright all over: a background of {number:.0f} leaves no room"),))
-    return Spots.none((whole_frame(grey, f"{100.0 * number:.0f} % of the image lies above the threshold"),))
+        return f"bright all over: a background of {number:.0f} leaves no room"
+    return f"{100.0 * number:.0f} % of the image lies above the threshold"
 
 
 def track_grey(
@@ -103,10 +148,8 @@ def checked_mask(settings: SpotSettings, image: Image) -> NDArray[np.uint8]:
 
 def grey_of(image: Image, saturation: int) -> Image:
     """Return BGR as grey, white where any channel is clipped: such a pixel's grey value is not known."""
-    grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
-    top = image.max() if saturation == 255 else 255
-    if top >= saturation:
-        grey[(image >= saturation).any(axis=2)] = 255
+    grey = np.empty(image.shape[:2], np.uint8)
+    to_grey(np.ascontiguousarray(image).reshape(-1, 3), saturation, grey.reshape(-1))
     return grey
 
 

@@ -6,7 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.measure.settings import SpotSettings
+from armsight.measure.spots.candidates import Candidates, fresh_state
 from armsight.measure.spots.grey import Array, Image, searchable, whole_frame
+from armsight.measure.spots.kernels.scan import AREA, COLUMNS, PEAK, SUM_X, SUM_Y, WEIGHT
 from armsight.measure.spots.kernels.seed import shapes
 from armsight.records import Spots
 
@@ -16,6 +18,28 @@ SHARE = 0.3
 """Share of the way from the background to the brightest pixel at which the threshold lies where none is given."""
 LEAST_CONTRAST = 24.0
 """Grey levels above the image's median without which there is no light to set a threshold by."""
+CUT, TOO_LARGE = "cut by the border of the image", "too large for a spot"
+
+
+def seeded_candidates(image: Image, settings: SpotSettings) -> Candidates:
+    """Return the shapes of find_seeded; they are measured as they are found.
+
+    Shapes that are too large or cut by the border are of a room: one or two spots beside them are no sure lights.
+    """
+    spots = find_seeded(image, settings)
+    areas = np.zeros((len(spots), COLUMNS))
+    areas[:, WEIGHT] = 1.0
+    areas[:, [SUM_X, SUM_Y]] = spots.uv_px
+    areas[:, PEAK] = spots.peak
+    areas[:, AREA] = np.pi * spots.size_px**2
+    shapes_refused = sum(why in (CUT, TOO_LARGE) for _, _, why in spots.rejected)
+    return Candidates(
+        areas=areas,
+        state=fresh_state(len(areas)),
+        fit=lambda chosen, others: spots.take(np.sort(chosen)),
+        quiet=shapes_refused == 0,
+        others=shapes_refused,
+    )
 
 
 def find_seeded(image: Image, settings: SpotSettings) -> Spots:
@@ -59,8 +83,7 @@ def _seeded(grey: Image, settings: SpotSettings) -> Spots:
     good = (table[:, 5] == 0.0) & (table[:, 6] == 0.0)
     size, uv = table[:, 0], table[:, 1:3] / table[:, :1]
     refused = tuple(
-        (float(u), float(v), "cut by the border of the image" if cut else "too large for a spot")
-        for (u, v), cut in zip(uv[~good], table[~good, 5], strict=True)
+        (float(u), float(v), CUT if cut else TOO_LARGE) for (u, v), cut in zip(uv[~good], table[~good, 5], strict=True)
     )
     radius = np.sqrt(size[good] / np.pi)
     # each pixel of the rim is in or out by chance, 1/12 px^2 across it: 1 / (12 pi r) of the mean

@@ -7,7 +7,7 @@ from math import exp, log, pi, sqrt
 import numpy as np
 
 from armsight.measure.spots.kernels.axes import PIXEL_VARIANCE
-from armsight.measure.spots.kernels.compiled import insertion_sort, kernel
+from armsight.measure.spots.kernels.compiled import kernel
 from armsight.measure.spots.kernels.scan import (
     AREA,
     CLIPPED,
@@ -30,7 +30,7 @@ STATUS, OWNER, CROWDED, KIND, SIZE, LIGHTS = range(6)
 STATE = 6
 
 # what became of a bright area
-ACCEPTED, HOT, SMALL, BORDER, LARGE, FAILED, SATURATED, MANY, UNRESOLVED, UNLIKE, BEYOND, OTHER = range(12)
+ACCEPTED, HOT, SMALL, BORDER, LARGE, FAILED, SATURATED, MANY, UNRESOLVED, UNLIKE, BEYOND, OTHER, UNUSED = range(13)
 # how an accepted spot was measured
 AS_GAUSSIAN, AS_ELLIPSE, AS_JOINT, AS_STREAK, AS_CENTROID = range(5)
 # what may be tried
@@ -70,30 +70,6 @@ def classify(comp, w, h, window, min_pixels, max_radius, margin):
     if not (inside and comp[Y_MIN] > window[2] and comp[Y_MAX] < window[3] - 1):
         return BEYOND
     return ACCEPTED
-
-
-@kernel
-def keep_strongest(comps, state, most):
-    """Set STATUS to MANY for all but the `most` accepted components of greatest light; return how many are left."""
-    n = comps.shape[0]
-    weights = np.empty(n)
-    count = 0
-    for i in range(n):
-        if state[i, STATUS] == ACCEPTED:
-            weights[count] = comps[i, WEIGHT]
-            count += 1
-    if count <= most:
-        return count
-    insertion_sort(weights, count)
-    least = weights[count - most]
-    left = 0
-    for i in range(n):
-        if state[i, STATUS] == ACCEPTED:
-            if comps[i, WEIGHT] < least or left >= most:
-                state[i, STATUS] = MANY
-            else:
-                left += 1
-    return left
 
 
 @kernel

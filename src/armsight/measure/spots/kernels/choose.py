@@ -39,14 +39,17 @@ from armsight.measure.spots.kernels.models import (
     STREAK,
     fit_model,
     normal_equations,
+    prior_weight,
     residuals_of,
     weighted_information,
 )
 from armsight.measure.spots.kernels.patch import find_peaks, principal, shape_of, used
 from armsight.measure.spots.kernels.scan import (
     AREA,
+    CLIPPED,
     LEVEL,
     PEAK,
+    SLOPE,
     WEIGHT,
 )
 from armsight.measure.spots.kernels.uncertainty import MISFIT, inflation, remaining_square, uncertainty
@@ -59,6 +62,14 @@ LONG = 3.5
 """Length in blurs from which two lights of one width cannot pass for a streak."""
 SURE = 10.0
 """Fall of Schwarz's criterion that a further light must bring: odds of 150 to 1."""
+PLAIN = 0.035
+"""Residual as a share of the height up to which one ellipse of one peak is believed without other models being tried:
+what a camera's processing leaves of a flat light (transfer curve, sharpening, compression) is below it."""
+WIDE_PATCH = 3000
+"""Pixels of a patch before a room beyond which one flat light is tried and no crowd: it would take tens of ms, and what
+is that large and no disc is a lamp."""
+FLAT_CLIPPED = 3.0
+"""Clipped pixels of a light before a room from which a flat one is tried even where a round one fits."""
 DOMINANT = 0.2
 """Share of all squares in one pixel that marks it as hot; no wrong model puts so much into a single one."""
 
@@ -135,7 +146,7 @@ def odd_part(residuals, use, u, v, odd):
             odd[j, i] = 0.0
             a = turn_y - j
             b = turn_x - i
-            if 0 <= a < residuals.shape[0] and 0 <= b < residuals.shape[1] and use[j, i] != 0 and use[a, b] != 0:
+            if 0 <= a < residuals.shape[0] and 0 <= b < residuals.shape[1] and use[j, i] == 1 and use[a, b] == 1:
                 odd[j, i] = (residuals[j, i] - residuals[a, b]) / ROOT_2
                 squares += odd[j, i] ** 2
                 count += 1
@@ -251,12 +262,16 @@ def choose(comp, background, box, values, use, noise, only, best):
         if rss >= 0.0:
             n_best, rss_best, score, run_best = n, rss, criterion(rss, count, n), run
             copy_to(p, best)
-            if run < MISFIT:
+            if run < MISFIT and not (comp[SLOPE] >= 0.0 and comp[CLIPPED] > FLAT_CLIPPED):
                 return kind, n_best, rss_best, run_best
     n_peaks = find_peaks(values, use, comp[LEVEL], noise, x0, y0, peaks)
     order = np.empty(3, np.int64)
-    for k in range(order_of_trial(comp, shape, n_peaks, only, order)):
+    trials = order_of_trial(comp, shape, n_peaks, only, order)
+    crowd = not (comp[SLOPE] >= 0.0 and count > WIDE_PATCH)
+    for k in range(trials):
         trial = order[k]
+        if trial != ELLIPSE and not crowd:
+            continue
         lights = max(n_peaks, 2) if trial == JOINT else 1
         n, rss, run = attempt(trial, lights, comp, shape, background, peaks, values, use, x0, y0, count, p, residuals)
         if rss < 0.0:
@@ -275,7 +290,7 @@ def choose(comp, background, box, values, use, noise, only, best):
             kind, n_best, rss_best, score, run_best = trial, n, rss, new, run
             copy_to(p, best)
         settled = trial == ELLIPSE or (trial == STREAK and 2.0 * p[6] > LONG * p[4])
-        if run < MISFIT and settled:
+        if settled and (run < MISFIT or (n_peaks < 2 and rss < count * (PLAIN * p[3]) ** 2)):
             break
     return kind, n_best, rss_best, run_best
 
@@ -292,6 +307,9 @@ def describe(kind, n, p, values, use, box, rss, rows, source):
     noise = max(rss / max(count - n, 1), PIXEL_VARIANCE)
     lights = (n - 2) // 3 if kind == JOINT else 1
     normal_equations(kind, p, n, values, use, box[0], box[2], H, np.empty(n))
+    height = p[4] if kind == JOINT else p[3]
+    for i in range(n):
+        H[i, i] += prior_weight(kind, i, height)
     first = 2 if kind == JOINT else 1
     weighted_information(kind, p, n, values, use, box[0], box[2], p[first], p[first + 1], G, tilt, residuals, sums)
     products, run = neighbours(residuals)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from math import sqrt
+from math import pi, sqrt
 
 import numpy as np
 
 from armsight.measure.spots.kernels.area import (
     ACCEPTED,
+    AS_CENTROID,
     AS_GAUSSIAN,
     CROWDED,
     FAILED,
@@ -53,9 +54,10 @@ from armsight.measure.spots.kernels.area import (
 from armsight.measure.spots.kernels.axes import PIXEL_VARIANCE
 from armsight.measure.spots.kernels.choose import choose, describe, refit
 from armsight.measure.spots.kernels.compiled import copy_to, kernel
-from armsight.measure.spots.kernels.locate import NOISE
+from armsight.measure.spots.kernels.locate import NOISE, PROCESSED
 from armsight.measure.spots.kernels.models import light_of
 from armsight.measure.spots.kernels.patch import make_patch, patch_box
+from armsight.measure.spots.kernels.processed import astray, settle_centre
 from armsight.measure.spots.kernels.round import (
     COV,
     DOF,
@@ -77,7 +79,10 @@ from armsight.measure.spots.kernels.scan import (
     AREA,
     CLIPPED,
     GRID,
+    GROUND,
     LEVEL,
+    PEAK,
+    SLOPE,
     SUM_X,
     SUM_Y,
     WEIGHT,
@@ -86,12 +91,17 @@ from armsight.measure.spots.kernels.scan import (
     Y_MAX,
     Y_MIN,
 )
-from armsight.measure.spots.kernels.uncertainty import MISFIT, slope_prior
+from armsight.measure.spots.kernels.uncertainty import MISFIT, ring_prior, slope_prior
 
 DOUBT = 0.5
 """Deviations by which the estimated gain is lowered."""
 PENDING = -1
 """Status of an area that the fit of a round light did not settle."""
+CENTROID_PX = 0.1
+CENTROID_SHARE = 0.02
+"""Standard deviation of a blob's centroid per coordinate: a part of its own and a share of the radius."""
+CENTROID_CHANGE = 1.2
+"""The same where the background changes under the light, in radii for a change of its height over the radius."""
 CROWD_SWEEPS = 2
 """Times that crowded spots are refitted with their neighbours' light subtracted."""
 
@@ -127,7 +137,9 @@ def keep_fit(result, p):
 
 @kernel
 def background_of(comp, survey, w, h):
-    """Return the background level of the tile in which a component lies."""
+    """Return the background level beside a component: its ring's where it has one, else that of its tile."""
+    if comp[SLOPE] >= 0.0:
+        return comp[GROUND]
     i = int(comp[SUM_Y] / comp[WEIGHT]) * GRID // h
     j = int(comp[SUM_X] / comp[WEIGHT]) * GRID // w
     return min(survey[GRID + i, j], comp[LEVEL])
@@ -186,15 +198,19 @@ def measure_round(image, mask, options, comps, state, survey, fits, rows):
     result = np.empty(RESULT)
     work = new_work()
     noise = survey[2 * GRID, NOISE]
+    processed = survey[2 * GRID, PROCESSED] > 0.0
     pending = 0
     for i in range(n):
         if state[i, STATUS] != ACCEPTED:
             continue
         comp = comps[i]
-        slope_prior(survey, int(comp[SUM_Y] / comp[WEIGHT]), int(comp[SUM_X] / comp[WEIGHT]), w, h, noise, prior)
+        if comp[SLOPE] >= 0.0:
+            ring_prior(comp[SLOPE], prior)
+        else:
+            slope_prior(survey, int(comp[SUM_Y] / comp[WEIGHT]), int(comp[SUM_X] / comp[WEIGHT]), w, h, noise, prior)
         for k in range(4):
             fits[i, MOST_PARAMETERS + k] = prior[k]
-        if state[i, CROWDED] == 0 and only != ONLY_ELLIPSE:
+        if state[i, CROWDED] == 0 and only != ONLY_ELLIPSE and not (processed and comp[SLOPE] >= 0.0):
             round_start(comp, background_of(comp, survey, w, h), saturation, start)
             clipped = comp[CLIPPED] > 0.0 or mask.size > 0 or is_hot_near(comp, hot, n_hot)
             fine = fit_round(image, flip, saturation, mask, hot, n_hot, clipped, start, prior, work, result)
@@ -223,6 +239,7 @@ def measure_others(image, mask, options, comps, state, survey, fits, rows):
     hot = np.empty((2 * n, 2), np.int64)
     n_hot = hot_pixels(comps, state, hot)
     noise = survey[2 * GRID, NOISE]
+    processed = survey[2 * GRID, PROCESSED] > 0.0
     box = np.empty(4, np.int64)
     for i in range(n):
         if state[i, STATUS] != PENDING:
@@ -245,10 +262,41 @@ def measure_others(image, mask, options, comps, state, survey, fits, rows):
                 state[i, STATUS] = verdict(comp, rows[i], lights, comp[CLIPPED] > 0.0, noise)
             if lights > 1 and run > 2.0 * MISFIT:
                 state[i, STATUS] = UNRESOLVED
+        single = state[i, STATUS] == ACCEPTED and state[i, LIGHTS] == 1 and comp[SLOPE] >= 0.0
+        if single and (
+            astray(comp, rows[i, 0])
+            or (processed and not settle_centre(kind, size, fits[i], values, use, box, comp, rows[i, 0]))
+        ):
+            state[i, STATUS] = FAILED
+        if state[i, STATUS] != ACCEPTED and comp[SLOPE] >= 0.0:
+            as_centroid(comp, rows[i, 0], i)
+            state[i, SIZE] = 0
+            state[i, LIGHTS] = 1
+            state[i, STATUS] = ACCEPTED
     for _ in range(CROWD_SWEEPS):
         for i in range(n):
             if state[i, STATUS] == ACCEPTED and state[i, CROWDED] == 1 and state[i, SIZE] > 0:
                 refine(image, flip, saturation, mask, comps, state, i, hot, n_hot, noise, fits, rows)
+
+
+@kernel
+def as_centroid(comp, row, source):
+    """Write into a spot's row the centroid of a blob that no model fits: its pixels above half height, weighted."""
+    radius = sqrt(comp[AREA] / pi)
+    for k in range(row.shape[0]):
+        row[k] = 0.0
+    row[S_U] = comp[SUM_X] / comp[WEIGHT]
+    row[S_V] = comp[SUM_Y] / comp[WEIGHT]
+    change = comp[SLOPE] / max(comp[PEAK] - comp[GROUND], 1.0) * radius
+    variance = (CENTROID_PX + CENTROID_SHARE * radius) ** 2 + (CENTROID_CHANGE * radius * change) ** 2
+    row[S_CH] = variance
+    row[S_CH + 2] = variance
+    row[S_PEAK] = comp[PEAK] - comp[GROUND]
+    row[S_SIZE] = radius
+    row[S_MODEL] = AS_CENTROID
+    row[S_DOF] = 1.0
+    row[S_RSS] = 1.0
+    row[S_OF] = source
 
 
 @kernel
@@ -261,7 +309,8 @@ def refine(image, flip, saturation, mask, comps, state, i, hot, n_hot, noise, fi
     use = np.empty(shape, np.uint8)
     make_patch(image, flip, saturation, mask, comps, state, i, hot, n_hot, np.int64(1), box, values, use)
     for j in range(comps.shape[0]):
-        if j != i and state[j, STATUS] == ACCEPTED and near(comps[i], comps[j], skirt(comps[i]) + skirt(comps[j])):
+        known = j != i and state[j, STATUS] == ACCEPTED and state[j, SIZE] > 0
+        if known and near(comps[i], comps[j], skirt(comps[i]) + skirt(comps[j])):
             light_of(state[j, KIND], fits[j], state[j, SIZE], box[0], box[2], values, -1.0)
     p = np.empty(FIT)
     copy_to(fits[i], p)

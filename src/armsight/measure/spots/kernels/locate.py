@@ -12,7 +12,6 @@ from armsight.measure.spots.kernels.area import (
     HOT,
     O_FLIP,
     O_MAX_RADIUS,
-    O_MAX_SPOTS,
     O_MIN_PIXELS,
     O_SATURATION,
     O_THRESHOLD,
@@ -22,17 +21,25 @@ from armsight.measure.spots.kernels.area import (
     STATE,
     STATUS,
     classify,
-    keep_strongest,
     near,
 )
+from armsight.measure.spots.kernels.blobs import RING_SAMPLES, blob_near, new_stack, ring_level
 from armsight.measure.spots.kernels.compiled import copy_to, kernel
 from armsight.measure.spots.kernels.scan import (
+    AREA,
     BLOCK,
     COLUMNS,
     GRID,
+    GROUND,
+    LEVEL,
+    SLOPE,
     SUM_X,
     SUM_Y,
     WEIGHT,
+    X_MAX,
+    X_MIN,
+    Y_MAX,
+    Y_MIN,
     bright_blocks,
     bright_blocks_mapped,
     components,
@@ -49,51 +56,83 @@ LEVEL_FRAME = 2.0
 """Range of the thresholds in grey levels within which one is used for the whole frame."""
 FEW_RUNS = 512
 MOST_RUNS = 65536
+WINDOW_CONTRAST = 24.0
+"""Least height of a light above its ring in a window in which more than lights is bright."""
+WIDE_SHARE = 0.1
+"""Share of a window that an area at its edge covers from which it is no other light but a part of the room."""
+RING_GAP = 4.0
+"""Distance in px of the ring that shows how much the background changes from an area above a threshold."""
+RING_NOISE = 1.35
+"""Deviations of the noise that the quartiles of a ring may be apart where the background does not change."""
 MOST_SEEN = 32
 """Areas looked at in one window."""
-FULL, NOTHING_ABOVE, TOO_BRIGHT = range(3)
+FULL, NOTHING_ABOVE, TOO_BRIGHT, BUSY = range(4)
+BUSY_SHARE = 0.5
+"""Share of the blocks above an automatic threshold from which the background is no ground but a picture."""
+BUSY_RUNS = 4096
+"""Bright runs from which it is one."""
 
 # the survey (SURVEY, GRID): levels of the tiles, then backgrounds, then one row that begins with these
-NOISE, NUMBER = 0, 1
+NOISE, NUMBER, PROCESSED = 0, 1, 2
 SURVEY = 2 * GRID + 1
 
 
 @kernel
 def survey_image(image, flip, mask, survey, thresholds):
     """Fill the survey and the tiles' thresholds; return the margin above the background, lowest, highest threshold."""
-    noise = sense(image, flip, mask, survey)
+    noise, processed = sense(image, flip, mask, survey)
     margin = max(SIGNIFICANT * sqrt(noise), LEAST_MARGIN)
     low, high = threshold_map(survey, margin, thresholds)
     for i in range(GRID):
         for j in range(GRID):
             survey[GRID + i, j] = thresholds[i, j] - margin
     survey[2 * GRID, NOISE] = noise
+    survey[2 * GRID, PROCESSED] = 1.0 if processed else 0.0
     return margin, low, high
 
 
 @kernel
-def label(image, flip, mask, saturation, thresholds, mapped, blocks, n_blocks):
-    """Return the components' table and how many there are (-1: too many runs)."""
+def label(image, flip, mask, saturation, thresholds, mapped, blocks, n_blocks, most):
+    """Return the components' table and how many there are (-1: more than `most` runs)."""
     runs_most = FEW_RUNS
     while True:
         table = np.empty((runs_most, COLUMNS))
         runs = np.empty((runs_most, 3), np.int32)
         parent = np.empty(runs_most, np.int32)
         n = components(image, flip, mask, saturation, thresholds, mapped, blocks, n_blocks, runs, parent, table)
-        if n >= 0 or runs_most >= MOST_RUNS:
+        if n >= 0 or runs_most >= most:
             return table, n
         runs_most *= 8
 
 
 @kernel
 def settle_state(comps, state, options, w, h, window, margin):
-    """Fill STATUS of all areas: what is refused before any fit, and all beyond the strongest max_spots."""
+    """Fill STATUS of all areas: what is refused before any fit."""
     for i in range(comps.shape[0]):
         what = classify(comps[i], w, h, window, options[O_MIN_PIXELS], options[O_MAX_RADIUS], margin)
         if state[i, OWNER] < 0 and what != HOT and what != SMALL:
             what = OTHER
         state[i, STATUS] = what
-    keep_strongest(comps, state, int(options[O_MAX_SPOTS]))
+
+
+@kernel
+def tell_background(image, flip, comps, survey, w, h):
+    """Fill GROUND and SLOPE of areas of a processed picture, whose lights are then judged as those before a room."""
+    if survey[2 * GRID, PROCESSED] == 0.0:
+        return
+    ring = np.empty(RING_SAMPLES)
+    for k in range(comps.shape[0]):
+        if comps[k, SLOPE] >= 0.0:
+            continue
+        i = int(comps[k, SUM_Y] / comps[k, WEIGHT]) * GRID // h
+        j = int(comps[k, SUM_X] / comps[k, WEIGHT]) * GRID // w
+        comps[k, GROUND] = min(survey[GRID + i, j], comps[k, LEVEL])
+        half = 0.5 * max(comps[k, X_MAX] - comps[k, X_MIN], comps[k, Y_MAX] - comps[k, Y_MIN])
+        x = int(0.5 * (comps[k, X_MIN] + comps[k, X_MAX]))
+        y = int(0.5 * (comps[k, Y_MIN] + comps[k, Y_MAX]))
+        n = ring_level(image, flip, x, y, half + RING_GAP, ring)
+        step = ring[(3 * n) // 4] - ring[n // 4] - RING_NOISE * sqrt(survey[2 * GRID, NOISE]) if n > 4 else 0.0
+        comps[k, SLOPE] = max(step, 0.0) / (half + RING_GAP)
 
 
 @kernel
@@ -110,7 +149,8 @@ def locate(image, mask, options):
     """Search a whole image (h, w), contiguous; return its areas (n, COLUMNS), their state, the survey, and outcome.
 
     outcome: FULL (searched), NOTHING_ABOVE (background too bright for any spot; the survey's NUMBER is its level),
-    TOO_BRIGHT (too much lies above the threshold; NUMBER is the share of blocks).
+    TOO_BRIGHT (too much lies above the threshold given; NUMBER is the share of blocks), BUSY (the same for an
+    automatic threshold, found without labelling all of it).
     """
     h, w = image.shape
     flip = np.uint8(options[O_FLIP])
@@ -133,10 +173,14 @@ def locate(image, mask, options):
         n_blocks = bright_blocks_mapped(image.reshape(-1), flip, h, w, thresholds, blocks)
     else:
         n_blocks = bright_blocks(image.reshape(-1), flip, thresholds[0, 0], blocks)
-    table, n = label(image, flip, mask, saturation, thresholds, mapped, blocks, n_blocks)
+    survey[2 * GRID, NUMBER] = n_blocks / n_all
+    automatic = options[O_THRESHOLD] < 0.0
+    if automatic and n_blocks > BUSY_SHARE * n_all:
+        return np.empty((0, COLUMNS)), np.empty((0, STATE), np.int64), survey, BUSY
+    most = BUSY_RUNS if automatic else MOST_RUNS
+    table, n = label(image, flip, mask, saturation, thresholds, mapped, blocks, n_blocks, most)
     if n < 0:
-        survey[2 * GRID, NUMBER] = n_blocks / n_all
-        return np.empty((0, COLUMNS)), np.empty((0, STATE), np.int64), survey, TOO_BRIGHT
+        return np.empty((0, COLUMNS)), np.empty((0, STATE), np.int64), survey, BUSY if automatic else TOO_BRIGHT
     comps = np.empty((n, COLUMNS))
     for i in range(n):
         for c in range(COLUMNS):
@@ -145,6 +189,7 @@ def locate(image, mask, options):
     window = np.empty(4, np.int64)
     whole_window(w, h, window)
     settle_state(comps, state, options, w, h, window, margin)
+    tell_background(image, flip, comps, survey, w, h)
     return comps, state, survey, FULL
 
 
@@ -196,6 +241,21 @@ def distance(comp, uv):
 
 
 @kernel
+def crowded_window(table, count, box):
+    """Tell whether what is bright in a window (x0, x1, y0, y1) is more than a light and some specks."""
+    if count < 0 or count > MOST_SEEN:
+        return True
+    for j in range(count):
+        wide = table[j, X_MAX] - table[j, X_MIN] + 1.0 >= box[1] - box[0]
+        high = table[j, Y_MAX] - table[j, Y_MIN] + 1.0 >= box[3] - box[2]
+        edge = table[j, X_MIN] <= box[0] or table[j, X_MAX] >= box[1] - 1
+        edge = edge or table[j, Y_MIN] <= box[2] or table[j, Y_MAX] >= box[3] - 1
+        if wide or high or (edge and table[j, AREA] > WIDE_SHARE * (box[1] - box[0]) * (box[3] - box[2])):
+            return True
+    return count == 0
+
+
+@kernel
 def locate_near(image, mask, options, predicted, half):
     """Search windows of half width half around predicted (n, 2); return areas, state, survey, and (m, 3) those cut.
 
@@ -218,6 +278,8 @@ def locate_near(image, mask, options, predicted, half):
     box = np.empty(4, np.int64)
     cut = np.empty((most, 3))
     n_cut = 0
+    stack = np.empty(0, np.int64)
+    labels = np.zeros((0, 0), np.int32)
     for k in range(most):
         u = predicted[k, 0]
         v = predicted[k, 1]
@@ -230,10 +292,29 @@ def locate_near(image, mask, options, predicted, half):
         level = options[O_THRESHOLD]
         if level < 0.0:
             level = thresholds[int(v + 0.5) * GRID // h, int(u + 0.5) * GRID // w]
-        if level >= min(saturation, 255):
-            continue
-        count = window_components(image, flip, mask, saturation, int(level), box, runs, parent, table)
+        count = 0
+        if level < min(saturation, 255):
+            count = window_components(image, flip, mask, saturation, int(level), box, runs, parent, table)
         i = nearest(table, count, u, v, box, options, w, h, margin)
+        if options[O_THRESHOLD] < 0.0 and crowded_window(table, count, box):
+            if stack.size == 0:
+                stack = new_stack(options[O_MAX_RADIUS])
+                labels = np.zeros((h, w), np.int32)
+            if blob_near(
+                image, flip, saturation, mask, u, v, box, WINDOW_CONTRAST, options[O_MIN_PIXELS],
+                options[O_MAX_RADIUS], labels, stack, seen[n],
+            ):  # fmt: skip
+                if classify(seen[n], w, h, box, options[O_MIN_PIXELS], options[O_MAX_RADIUS], margin) == BEYOND:
+                    cut[n_cut, 0] = seen[n, SUM_X] / seen[n, WEIGHT]
+                    cut[n_cut, 1] = seen[n, SUM_Y] / seen[n, WEIGHT]
+                    cut[n_cut, 2] = BEYOND
+                    n_cut += 1
+                else:
+                    owner[n] = k
+                    n += 1
+            continue
+        if count < 0:
+            continue
         for j in range(min(count, MOST_SEEN)):
             what = classify(table[j], w, h, box, options[O_MIN_PIXELS], options[O_MAX_RADIUS], margin)
             if what == BEYOND and j == i:
@@ -252,4 +333,5 @@ def locate_near(image, mask, options, predicted, half):
         state[i, OWNER] = owner[i]
     whole_window(w, h, box)
     settle_state(comps, state, options, w, h, box, margin)
+    tell_background(image, flip, comps, survey, w, h)
     return comps, state, survey, cut[:n_cut].copy()

@@ -8,10 +8,13 @@ import numpy as np
 
 from armsight.measure.spots.kernels.area import ACCEPTED, HOT, SMALL, STATUS, near, skirt
 from armsight.measure.spots.kernels.compiled import copy_to, kernel
+from armsight.measure.spots.kernels.models import CLIPPED_PIXEL
 from armsight.measure.spots.kernels.scan import PEAK, X_MAX, X_MIN, Y_MAX, Y_MIN
 
 DEEP = 2.0
 """Depth of the valley between two lights in deviations of the noise; the smoothed values have a third of it."""
+SHALLOW = 0.04
+"""The same as a share of the higher light's height: ripples that sharpening and compression leave are below it."""
 MOST_MAXIMA = 32
 
 
@@ -28,13 +31,13 @@ def patch_box(comp, h, w, box):
 
 @kernel
 def fill_patch(image, flip, saturation, mask, box, values, use):
-    """Fill values and use (ny, nx) from the image; use is 0 for clipped and masked pixels."""
+    """Fill values and use (ny, nx) from the image; use is 0 for masked pixels, CLIPPED_PIXEL for clipped ones."""
     for j in range(values.shape[0]):
         for i in range(values.shape[1]):
             grey = np.uint8(image[box[2] + j, box[0] + i] ^ flip)
             values[j, i] = grey
             free = mask.size == 0 or mask[box[2] + j, box[0] + i] != 0
-            use[j, i] = 1 if grey < saturation and free else 0
+            use[j, i] = 0 if not free else 1 if grey < saturation else CLIPPED_PIXEL
 
 
 @kernel
@@ -60,11 +63,11 @@ def leave_to(own, other, box, use):
 
 @kernel
 def used(use):
-    """Return how many pixels of the patch are used."""
+    """Return how many pixels of the patch are used for what they are."""
     n = 0
     for j in range(use.shape[0]):
         for i in range(use.shape[1]):
-            n += use[j, i]
+            n += use[j, i] == 1
     return n
 
 
@@ -140,7 +143,6 @@ def valley(values, use, x0, y0, a, b):
 @kernel
 def find_peaks(values, use, level, noise, x0, y0, peaks):
     """Fill peaks (.., 3: x, y, height) with the maxima that a valley parts from all higher ones; return how many."""
-    depth = DEEP * sqrt(noise)
     found = np.empty((MOST_MAXIMA, 3))
     n = 0
     for j in range(1, values.shape[0] - 1):
@@ -164,6 +166,7 @@ def find_peaks(values, use, level, noise, x0, y0, peaks):
                 found[k, 2] = v
                 n += 1
     count = np.int64(0)
+    depth = max(DEEP * sqrt(noise), SHALLOW * (found[0, 2] - level)) if n > 0 else 0.0
     for k in range(n):
         parted = count < peaks.shape[0]
         for m in range(count):

@@ -23,19 +23,29 @@ GRID = 8
 """Tiles per image side for the background."""
 LINE = 64
 """Pixels sampled in a tile: one cache line, so that the sample costs 64 memory accesses and no more."""
+LEAST_NOISE = 0.1
+"""Variance (grey levels^2) below which a sensor's noise was taken away: rounding alone leaves a twelfth."""
+WHITE = 0.1
+"""How far the median tile's ratio of neighbouring steps may be from that of white noise; its deviation is 0.02."""
 SHORT = 16
 """Fewest pixels sampled in a tile: narrower tiles share some."""
 GROUPS = 4
 """Parts of a line; the second-darkest part gives the tile's level, so that a spot on the line does not count."""
 
 # columns of the components' table
-AREA, WEIGHT, SUM_X, SUM_Y, PEAK, CLIPPED, X_MIN, X_MAX, Y_MIN, Y_MAX, LEVEL = range(11)
-COLUMNS = 11
+AREA, WEIGHT, SUM_X, SUM_Y, PEAK, CLIPPED, X_MIN, X_MAX, Y_MIN, Y_MAX, LEVEL, GROUND, SLOPE = range(13)
+COLUMNS = 13
+"""LEVEL: grey level that the area's pixels exceed. GROUND: background's level. SLOPE: how far the background may
+change per px; negative where the tiles of the survey tell both."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
 def sample_line(image, flip, y, x, n, parts):
-    """Return level and noise variance of n pixels from (x, y): second-darkest part's mean, mean squared step / 2."""
+    """Return level and noise variance of n pixels from (x, y), and the sums of products of their steps.
+
+    Level: second-darkest part's mean. Variance: mean squared step / 2. Sums: of steps squared, and of each with the
+    next one: of white noise the second is minus half of the first.
+    """
     m = n // GROUPS
     row = np.uint64(y)
     for k in range(GROUPS):
@@ -46,11 +56,14 @@ def sample_line(image, flip, y, x, n, parts):
         parts[k] = total / m
     first = np.uint64(x)
     steps = 0.0
-    for i in range(m * GROUPS - 1):
-        step = float(image[row, first + np.uint64(i + 1)]) - float(image[row, first + np.uint64(i)])
+    products = 0.0
+    for i in range(m * GROUPS - 2):
+        here = float(image[row, first + np.uint64(i + 1)])
+        step = here - float(image[row, first + np.uint64(i)])
         steps += step * step
+        products += step * (float(image[row, first + np.uint64(i + 2)]) - here)
     insertion_sort(parts, parts.shape[0])
-    return parts[1], 0.5 * steps / max(m * GROUPS - 1, 1)
+    return parts[1], 0.5 * steps / max(m * GROUPS - 2, 1), steps, products
 
 
 @kernel
@@ -64,12 +77,16 @@ def hidden_pixels(mask, y, x, n):
 
 @kernel
 def sense(image, flip, mask, levels):
-    """Fill levels (GRID, GRID) with the background of the tiles (-1 unknown); return the median noise variance."""
+    """Fill levels (GRID, GRID) with the background of the tiles (-1 unknown); return the median noise variance.
+
+    Also returned: whether the noise is that of a picture that was processed (demosaiced, sharpened, compressed).
+    """
     h, w = image.shape
     n = min(min(LINE, max(w // GRID, SHORT)), w)
     n -= n % GROUPS
     noise = np.empty(GRID * GRID)
     parts = np.empty(GROUPS)
+    ratio = np.empty(GRID * GRID)
     known = np.int64(0)
     for i in range(GRID):
         for j in range(GRID):
@@ -80,16 +97,19 @@ def sense(image, flip, mask, levels):
             y = (2 * i + 1) * h // (2 * GRID)
             if mask.size > 0 and hidden_pixels(mask, y, x, n) > 0:
                 continue
-            levels[i, j], noise[known] = sample_line(image, flip, y, x, n, parts)
+            levels[i, j], noise[known], steps, products = sample_line(image, flip, y, x, n, parts)
+            ratio[known] = products / steps if steps > 0.0 else 0.0
             known += 1
     if known == 0:
         median = histogram_median(image, flip, mask)
         for i in range(GRID):
             for j in range(GRID):
                 levels[i, j] = median
-        return 0.0
+        return 0.0, False
     insertion_sort(noise, known)
-    return noise[known // 2]
+    insertion_sort(ratio, known)
+    middle = ratio[known // 2]
+    return noise[known // 2], noise[known // 2] < LEAST_NOISE or abs(middle + 0.5) > WHITE
 
 
 @kernel
@@ -287,6 +307,8 @@ def add_run(image, flip, saturation, y, start, stop, level, k, table):
     table[k, Y_MIN] = y
     table[k, Y_MAX] = y
     table[k, LEVEL] = level
+    table[k, GROUND] = 0.0
+    table[k, SLOPE] = -1.0
 
 
 @kernel

@@ -51,6 +51,19 @@ def slope_prior(levels, y, x, w, h, noise, prior):
             prior[2 + axis] = high - low + bend + 0.25 * sqrt(noise) / size + 1e-4
 
 
+LEAST_SLOPE = 0.05
+"""Slope (grey levels per px) that a background before which nothing is seen to change may still have."""
+
+
+@kernel
+def ring_prior(slope, prior):
+    """Fill prior (4,) as slope_prior does where a ring about the light tells how much the background changes."""
+    prior[0] = 0.0
+    prior[1] = 0.0
+    prior[2] = slope + LEAST_SLOPE
+    prior[3] = slope + LEAST_SLOPE
+
+
 MISFIT = 4.0
 """Neighbouring residuals correlated by more than this many deviations say that the model is wrong."""
 MOST_CORRELATED = 0.9

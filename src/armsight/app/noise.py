@@ -1,0 +1,189 @@
+"""Still frames in, the noise of the camera into its file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.app.replay import is_recording, open_source, recording_path
+from armsight.calibrate.noise import NoiseCalibration, calibrate_noise
+from armsight.drivers import is_live, list_images
+from armsight.drivers.sources import VIDEO_SUFFIXES
+from armsight.errors import BadFile, Cancelled, Inconsistent, UsageError
+from armsight.optics import SIDES, Camera, RigKind
+from armsight.records import NoiseModel, Progress, Silent
+from armsight.store import add_noise, noise_mapping, read_camera_file, read_rig
+from armsight.store.rigs import CAMERA_FORMAT, RIG_FORMAT
+from armsight.store.yamls import read_yaml
+
+FRAMES = 50
+"""Frames taken where nothing else is said: with 20 the variance is known to 1 %, more are not needed."""
+
+SETTLING_FRAMES = 15
+"""First frames of a live camera that are left out: its exposure still settles."""
+
+FILES = (".yaml", ".yml")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NoiseJob:
+    """Still frames (a source as on the command line), or a camera.yaml or rig.yaml that holds the noise; where it goes.
+
+    out: the camera.yaml or rig.yaml. side: which camera of a rig. every, limit: of the frames.
+    """
+
+    frames: str
+    out: Path
+    side: str | None = None
+    every: int = 1
+    limit: int | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FoundNoise:
+    """Noise, the size (width, height) of its frames, the figures as --json gives them, and the files behind."""
+
+    noise: NoiseModel
+    size: tuple[int, int]
+    content: Mapping[str, Any]
+    inputs: Sequence[Path]
+
+
+def run_noise(job: NoiseJob, progress: Progress | None = None) -> dict[str, Any]:
+    """Find a camera's noise and add it to its file; return the figures as --json gives them.
+
+    Raises UsageError, DataRefused or DeviceFailed, Cancelled.
+    """
+    sides = _sides(job)
+    found = find_noise(job, progress)
+    for size in sides.values():
+        if size is not None:
+            require_size(found, size, str(job.out))
+    add_noise(job.out, dict.fromkeys(sides, found.noise), inputs=found.inputs)
+    return {"noise": dict(found.content)}
+
+
+def find_noise(job: NoiseJob, progress: Progress | None = None) -> FoundNoise:
+    """Return the noise that frames show, or that a file holds. Raises as run_noise does."""
+    path = Path(job.frames)
+    if path.suffix.lower() in FILES:
+        return _from_file(path, job.side)
+    size: list[tuple[int, int]] = []
+    progress = progress or Silent()
+
+    def images() -> Iterator[NDArray[np.uint8]]:
+        limit = job.limit or FRAMES
+        first = SETTLING_FRAMES if is_live(job.frames) else 0
+        with open_source(job.frames) as source:
+            for i, frame in enumerate(islice(source, first, first + limit * job.every, job.every)):
+                progress.update(i + 1, 0, "reading still frames")
+                if progress.cancelled():
+                    raise Cancelled(f"stopped after {i} frames", consequence="Nothing was written")
+                if not size:
+                    size.append((frame.width, frame.height))
+                yield frame.image
+
+    found = calibrate_noise(images())
+    inputs = list(input_files(job.frames))
+    return FoundNoise(noise=found.noise, size=size[0], content=noise_content(found), inputs=inputs)
+
+
+def noise_content(found: NoiseCalibration) -> dict[str, Any]:
+    """Return a camera's noise and how it was found as --json gives it."""
+    return {
+        **_noise_keys(found.noise),
+        "n_given": found.n_frames,
+        "n_copies": found.n_copies,
+        "brightness_rms": found.brightness_rms,
+        "shift_px_rms": found.shift_px_rms,
+        "moving": found.moving,
+        "frozen": found.frozen,
+        "unusable": found.unusable,
+        "frame_ratio": found.frame_ratio,
+        "line_deviation": found.line_deviation,
+        "advice": list(found.advice),
+    }
+
+
+def require_size(found: FoundNoise, size: tuple[int, int], where: str) -> None:
+    """Raise Inconsistent where the noise is of frames of another size than the camera's (width, height)."""
+    if found.size != size:
+        raise Inconsistent(
+            f"the still frames have {found.size[0]} x {found.size[1]} px, the camera of {where} has "
+            f"{size[0]} x {size[1]}",
+            consequence="A camera that scales its image has another noise, so nothing was written",
+            cure="Take the still frames in the mode the camera is used in",
+        )
+
+
+def input_files(text: str) -> Sequence[Path]:
+    """Return the files behind a source, whose hashes go into the result."""
+    if is_live(text):
+        return ()
+    if is_recording(text):
+        return [recording_path(text)]
+    return [Path(text)] if Path(text).suffix.lower() in VIDEO_SUFFIXES else list_images(text)
+
+
+def _noise_keys(noise: NoiseModel) -> dict[str, Any]:
+    """Return what files hold of a noise, the line always there, and the widening of wide lights."""
+    return {"linear": None, **noise_mapping(noise), "widening": noise.widening().tolist()}
+
+
+def _sides(job: NoiseJob) -> dict[str, tuple[int, int] | None]:
+    """Return the places in the file that get the noise, each with its camera's size, None where any will do."""
+    if not job.out.exists():
+        raise UsageError(
+            f"there is no file {job.out} that the noise could be added to",
+            consequence="Nothing was done",
+            cure="Give the camera.yaml or rig.yaml of the camera with -o; SRC and --board make one",
+        )
+    format_ = read_yaml(job.out).get("format")
+    if format_ == CAMERA_FORMAT:
+        if job.side is not None:
+            raise UsageError(f"{job.out} holds one camera", cure="Leave --side away")
+        return {"": _size(read_camera_file(job.out).camera)}
+    if format_ != RIG_FORMAT:
+        raise BadFile(
+            f"{job.out}: says format {str(format_)[:60]!r}, which is no camera's and no rig's",
+            consequence="Nothing was written",
+            cure="Give a camera.yaml or a rig.yaml",
+        )
+    rig = read_rig(job.out)
+    if rig.kind is RigKind.MIRROR:  # one camera, seen twice; a view may be a part of its image
+        return dict.fromkeys(SIDES)
+    if job.side not in SIDES:
+        raise UsageError(
+            f"{job.out} holds two cameras, and it is not said which one the frames are of",
+            cure="Add --side left or --side right",
+        )
+    return {job.side: _size(rig.camera(job.side))}
+
+
+def _size(camera: Camera) -> tuple[int, int]:
+    return camera.width, camera.height
+
+
+def _from_file(path: Path, side: str | None) -> FoundNoise:
+    """Return the noise that a camera.yaml, or the side of a rig.yaml, holds. Raises BadFile."""
+    if read_yaml(path).get("format") == RIG_FORMAT:
+        rig = read_rig(path)
+        if rig.kind is not RigKind.MIRROR and side not in SIDES:
+            raise UsageError(
+                f"{path} holds two cameras, and it is not said whose noise is meant",
+                cure="Add --side where the noise goes into a rig.yaml; for a camera.yaml give still frames",
+            )
+        at = SIDES.index(side) if side in SIDES else 0
+        noise, camera = rig.noise[at], rig.camera(SIDES[at])
+    else:
+        file = read_camera_file(path)
+        noise, camera = file.noise, file.camera
+    if noise is None:
+        raise BadFile(f"{path}: holds no noise", consequence="Nothing was written", cure="Give still frames instead")
+    return FoundNoise(noise=noise, size=_size(camera), content=_noise_keys(noise), inputs=[path])

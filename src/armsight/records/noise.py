@@ -1,0 +1,109 @@
+"""The noise of one camera's grey levels: how much at which level, and how far neighbours share it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armsight.errors import Inconsistent
+from armsight.records.checks import frozen_array
+
+Array = NDArray[np.float64]
+
+ROUNDING_LEVELS2 = 1.0 / 12.0
+"""Variance of rounding to whole grey levels (EMVA 1288: sigma_q^2 = 1/12 DN^2). No pixel is known better."""
+
+LAGS = (1, 2)
+"""Distances in px of the neighbours whose correlation is kept, along x and along y."""
+
+LEVELS = 256
+"""Grey levels of an 8-bit image."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LinearNoise:
+    """A camera whose variance is a line over the grey level, by EMVA 1288's linear model, black at level 0.
+
+    variance = read_noise_levels^2 + 1/12 + gain_levels * level, in grey levels squared; gain_levels: K, grey levels
+    for each electron.
+    """
+
+    read_noise_levels: float
+    gain_levels: float
+
+    def __post_init__(self) -> None:
+        if not (0.0 <= self.read_noise_levels < inf and 0.0 < self.gain_levels < inf):
+            raise Inconsistent(f"noise with {self} cannot be: the read noise is 0 or more, the gain above 0")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class NoiseModel:
+    """Temporal noise of single pixels, rounding included, as photon transfer finds it (EMVA 1288).
+
+    levels: (n,) grey levels, increasing. variance_levels2, std_levels2: (n,) variance there in grey levels squared, and
+    its standard deviation. correlation, correlation_std: (2, 2) of a pixel's noise with its neighbour's; rows: along x,
+    along y; columns: LAGS. diagonal, diagonal_std: with the next pixel along a diagonal, mean of both. linear: given
+    where variance_levels2 is a line over levels.
+    """
+
+    levels: Array
+    variance_levels2: Array
+    std_levels2: Array
+    correlation: Array
+    correlation_std: Array
+    diagonal: float
+    diagonal_std: float
+    n_frames: int
+    linear: LinearNoise | None = None
+
+    def __post_init__(self) -> None:
+        n = len(np.atleast_1d(self.levels))
+        for name in ("levels", "variance_levels2", "std_levels2"):
+            object.__setattr__(self, name, frozen_array(name, getattr(self, name), (n,)))
+        for name in ("correlation", "correlation_std"):
+            object.__setattr__(self, name, frozen_array(name, getattr(self, name), (2, len(LAGS))))
+        if n == 0 or (np.diff(self.levels) <= 0.0).any() or self.levels[0] < 0.0 or self.levels[-1] > LEVELS - 1:
+            raise Inconsistent(f"noise: the levels are not one or more between 0 and {LEVELS - 1}, increasing")
+        if (self.variance_levels2 < 0.0).any() or (self.std_levels2 < 0.0).any() or (self.correlation_std < 0.0).any():
+            raise Inconsistent("noise: a variance or a standard deviation is negative")
+        if not (np.abs(self.correlation).max() <= 1.0 and abs(self.diagonal) <= 1.0 and 0.0 <= self.diagonal_std < inf):
+            raise Inconsistent("noise: a correlation is not between -1 and 1, or its standard deviation is negative")
+        if self.n_frames < 2:
+            raise Inconsistent(f"noise: {self.n_frames} frames show none")
+
+    def variance_at(self, level: ArrayLike) -> Array:
+        """Return the variance in grey levels squared at any grey levels, in their shape.
+
+        Between the knots a line; below the first knot and above the last one their values, above the last one of a
+        linear camera its slope. Nowhere below what rounding alone makes.
+        """
+        x = np.asarray(level, float)
+        variance = np.interp(x, self.levels, self.variance_levels2)
+        if self.linear is not None:
+            variance = variance + self.linear.gain_levels * np.maximum(x - self.levels[-1], 0.0)
+        return np.asarray(np.maximum(variance, ROUNDING_LEVELS2))
+
+    def table(self) -> Array:
+        """Return the variance (256,) at every grey level, for kernels that look it up."""
+        return self.variance_at(np.arange(LEVELS, dtype=float))
+
+    def widening(self, sigma_px: float = inf) -> Array:
+        """Return by what factor (2,) correlated noise widens the variance of a smooth light's centre, u and v.
+
+        1: noise of independent pixels. Of a Gaussian of sigma_px, fitted with equal weights, the centre moves by the
+        sum of (noise x derivative of the light), so that its variance grows by the sum over all lags of (correlation
+        of the noise x correlation of the derivative with itself):
+        (1 - t^2 / (2 s^2)) exp(-t^2 / (4 s^2)) for t px along the derivative, exp(-t^2 / (4 s^2)) across it. Without
+        sigma_px its limit for wide lights, (1 + 2 x1 + 2 x2) (1 + 2 y1 + 2 y2) + 4 (diagonal - x1 y1). But for the
+        nearest diagonal, correlations along x and y are taken to multiply, and those beyond LAGS to be 0. Not below 0.
+        """
+        t2 = np.square(np.array(LAGS, float)) / sigma_px**2  # (2,)
+        across = np.exp(-t2 / 4.0)
+        along = (1.0 - t2 / 2.0) * across
+        x, y = self.correlation
+        sums = [(1.0 + 2.0 * x @ a) * (1.0 + 2.0 * y @ b) for a, b in ((along, across), (across, along))]
+        corners = 4.0 * (self.diagonal - x[0] * y[0]) * along[0] * across[0]
+        return np.maximum(np.array(sums, float) + float(corners), 0.0)

@@ -1,0 +1,1 @@
+"""Rooms: what stands behind the target, as geometry in the world."""

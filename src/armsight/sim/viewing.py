@@ -1,0 +1,112 @@
+"""From a checked scenario's keys to its cameras and the room that they see."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from armsight.errors import Inconsistent
+from armsight.sim.backdrops import MovingBackdrops, make_occluders, make_room, stand_in_room
+from armsight.sim.camera import SimCamera
+from armsight.sim.cell import SEED_BACKDROP
+from armsight.sim.lens import Lens
+from armsight.sim.mirror import MirrorLens, Mirrors, mirror_rig, mirror_views
+from armsight.sim.rigs import SIDES, rig_mapping
+from armsight.sim.room_keys import RoomKeys, pipeline_of
+from armsight.sim.rooms.room import upright
+from armsight.sim.scenario import CameraKeys, LensKeys
+from armsight.sim.scene import Light, Path
+from armsight.sim.sensor import Sensor, ambient, with_hot_pixels
+
+PLACES = 60
+"""Moments of a run at which it is asked where the target is, so that no furniture stands there."""
+
+STANDING_EYE_M = 1.0
+"""How high above the floor a rig stands on its bench or tripod at least, where its scenario does not say."""
+
+
+def _lens(keys: LensKeys, cameras: CameraKeys) -> Lens:
+    k1, k2, p1, p2, k3 = keys.distortion
+    return Lens(
+        width=cameras.width,
+        height=cameras.height,
+        focal_px=(keys.fx, keys.fy),
+        centre_px=(keys.cx, keys.cy),
+        distortion=(k1, k2, p1, p2, k3),
+    )
+
+
+def make_cameras(keys: CameraKeys, seed: int, *, ambient_level: float) -> tuple[dict[str, SimCamera], dict[str, Any]]:
+    """Return the cameras of a rig in its axes, and the rig as rig.yaml has it; ambient_level: what they see so far."""
+    left = _lens(keys.left, keys)
+    here = RigidTransform.identity()
+    if keys.mirrors is not None:
+        views = mirror_views(left, Mirrors(**keys.mirrors.model_dump()))
+        places: dict[str, tuple[Lens | MirrorLens, RigidTransform]] = {side: (views[side], here) for side in SIDES}
+        rig = mirror_rig(views)
+    else:
+        right = keys.right
+        if right is None:
+            raise Inconsistent("cameras: neither right nor mirrors is given")
+        pair = {"left": (left, here), "right": (_lens(right, keys), right.T_rig_camera.pose())}
+        places, rig = dict(pair), rig_mapping(pair)
+    sensor = Sensor(electrons_per_level=keys.sensor.electrons_per_level, read_noise_level=keys.sensor.read_noise_level)
+    pipeline = pipeline_of(keys.pipeline)
+    cameras = {}
+    for side, (lens, T_rig_camera) in places.items():
+        bgr = (1.0, 1.0, 1.0) if keys.colour or pipeline.bayer else (1.0,)
+        room = ambient(keys.width, keys.height, ambient_level, bgr=bgr)
+        if keys.sensor.hot_pixels:
+            rng = np.random.default_rng([seed, SEED_BACKDROP, SIDES.index(side)])
+            room = with_hot_pixels(room, keys.sensor.hot_pixels, (20.0, 120.0), rng)
+        cameras[side] = SimCamera(
+            lens=lens,
+            T_world_camera=T_rig_camera,
+            sensor=sensor,
+            backdrop=room,
+            exposure_s=keys.exposure_s,
+            readout_s=keys.readout_s,
+            pipeline=pipeline,
+            grey=not keys.colour,
+        )
+    return cameras, rig
+
+
+def set_room(
+    keys: RoomKeys,
+    cameras: Mapping[str, SimCamera],
+    lights: Sequence[Light],
+    paths: tuple[Path, Path],
+    *,
+    seed: int,
+    until_s: float,
+    stands: bool,
+) -> tuple[dict[str, SimCamera], MovingBackdrops | None]:
+    """Return the cameras in the room of a scenario, and where their rig moves, what they see frame by frame.
+
+    paths: of the rig and of the target, in world axes, whose z is up.
+    """
+    occluders = make_occluders(keys.occluders, keys.white_level, seed)
+    if keys.dark or keys.picture is not None:
+        if keys.dark:
+            seen = {side: replace(camera, occluders=occluders) for side, camera in cameras.items()}
+        else:
+            seen = stand_in_room(cameras, keys, RigidTransform.identity(), occluders)
+        return seen, None
+    rig_path, target_path = paths
+    T_world_rig = rig_path(np.zeros(1))[0]
+    T_world_room = keys.T_world_room.pose() if keys.T_world_room else upright(T_world_rig, (0.0, 0.0, 1.0))
+    poses = target_path(np.linspace(0.0, until_s, PLACES))
+    spots = np.array([light.xyz_m for light in lights], dtype=np.float64)
+    places = np.concatenate([(T_world_room.inv() * pose).apply(spots) for pose in poses])
+    rig_height = float(T_world_rig.translation[2])
+    least = rig_height if rig_height > 0.5 else STANDING_EYE_M
+    room = make_room(keys, places, seed, least_floor_m=least)
+    if stands:
+        return stand_in_room(cameras, room, T_world_room.inv() * T_world_rig, occluders), None
+    carried = {side: replace(camera, occluders=occluders) for side, camera in cameras.items()}
+    return carried, MovingBackdrops.of(carried, room, T_world_room)
