@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -222,6 +224,20 @@ def test_clutter_beside_the_lights_is_not_taken_for_them() -> None:
     frames = [see(np.vstack([T.apply(SCALENE), lamp]), str(i), rng) for i, T in enumerate(poses(rng, 10))]
     done = calibrate_target(RIG, frames)
     assert done.n_used == 10 and free_chi2(done, frame_axes(SCALENE))[0] < chi2_law.isf(1e-4, 3)
+
+
+def test_many_dim_things_of_a_room_are_not_searched_for_the_lights() -> None:
+    rng = np.random.default_rng(19)
+    frames = []
+    for i, T in enumerate(poses(rng, 8)):
+        room = rng.uniform([-0.2, -0.15, 0.6], [0.2, 0.15, 1.2], (20, 3))  # none stands still
+        seen = see(np.vstack([room, T.apply(SCALENE)]), str(i), np.random.default_rng(i))
+        lit = np.random.default_rng(i).permutation(23) >= 20
+        peak = np.where(lit, 100.0, rng.uniform(5.0, 60.0, 23))
+        views = (replace(view, peak=peak) for view in (seen.left, seen.right))
+        frames.append(LitFrame(name=str(i), left=next(views), right=next(views)))
+    done = calibrate_target(RIG, frames)
+    assert done.n_used == 8 and free_chi2(done, frame_axes(SCALENE))[0] < chi2_law.isf(1e-4, 3)
 
 
 def test_a_spot_on_two_epipolar_lines_is_used_once() -> None:

@@ -16,8 +16,9 @@ from armsight.calibrate.target.frames import Sight
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-HYPOTHESES = 120
-"""Shapes tried, each what one choice in one frame shows; every one is held against all frames."""
+HYPOTHESES = 600
+"""Shapes tried, each what one choice in one frame shows; every one is held against all frames. All choices of a frame
+are tried or none: of many only one is right."""
 
 GATE = 1e-5
 """Chance that a frame's true distances are called foreign (with SLACK_PX, so in truth rarer)."""
@@ -102,7 +103,8 @@ def _best_hypothesis(sights: Sequence[Sight], perms: Index) -> tuple[Array, Arra
     xyz, cov = (np.concatenate([getattr(s, name) for s in sights]) for name in ("xyz_m", "cov_m2"))
     first = np.cumsum([0] + [len(s.rows) for s in sights[:-1]])  # each frame's first choice
     D, V = distances(xyz)[:, order], _variances(xyz, cov)[:, order]  # (c, p, m)
-    tried = np.unique(np.linspace(0, len(xyz) - 1, min(HYPOTHESES, len(xyz))).astype(np.intp))
+    frames = np.linspace(0, len(sights) - 1, _tried_frames(sights)).astype(np.intp)
+    tried = np.concatenate([first[s] + np.arange(len(sights[s].rows)) for s in frames])
     costs = []
     for c in tried:
         spread = V + V[c, 0]  # perms[0] is the identity
@@ -112,6 +114,12 @@ def _best_hypothesis(sights: Sequence[Sight], perms: Index) -> tuple[Array, Arra
         costs.append(float(np.minimum.reduceat(cost, first).sum()))
     best = tried[int(np.argmin(costs))]
     return xyz[best], V[best, 0]
+
+
+def _tried_frames(sights: Sequence[Sight]) -> int:
+    """Return how many frames' choices are hypotheses: about HYPOTHESES in all, of three frames and more."""
+    mean = sum(len(s.rows) for s in sights) / len(sights)
+    return min(len(sights), max(int(HYPOTHESES / mean), 3))
 
 
 def _name_all(sights: Sequence[Sight], X: Array, variances: Array, perms: Index) -> Named:

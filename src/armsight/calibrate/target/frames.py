@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from math import comb
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 MAX_CHOICES = 150
-"""Choices of lights searched in one frame: nine pairs for three lights give 84. More is clutter."""
+"""Choices of lights searched in one frame: of the brightest pairs, as many as give no more; ten for three lights."""
 
 SLACK_PX = 0.1
 """What a good calibration leaves beside a spot's own deviation; it decides what belongs together, not the answer."""
@@ -82,14 +83,18 @@ def _choices(frame: LitFrame, found: NDArray[np.bool_], n: int) -> Index | str:
     """Return (c, n) rows of the frame that are n different lights, or why there are none."""
     if len(frame) < n:
         return f"{len(frame)} of {n} lights are seen in both views"
-    good = np.flatnonzero(found).tolist()
+    good = _brightest(frame, np.flatnonzero(found), n)
     sides = [np.unique(s.uv_px, axis=0, return_inverse=True)[1].reshape(-1) for s in (frame.left, frame.right)]
-    rows: list[tuple[int, ...]] = []
-    for choice in combinations(good, n):
-        if all(len(set(side[list(choice)].tolist())) == n for side in sides):
-            rows.append(choice)
-        if len(rows) > MAX_CHOICES:
-            return f"{len(frame)} pairs of spots, too many to tell {n} lights from clutter: mask the background"
+    rows = [c for c in combinations(good, n) if all(len(set(side[list(c)].tolist())) == n for side in sides)]
     if not rows:
         return f"{len(good)} pairs of spots, among them no {n} different lights"
     return np.array(rows, dtype=np.intp)
+
+
+def _brightest(frame: LitFrame, good: Index, n: int) -> list[int]:
+    """Return the rows among which to search: all, or of too many those brightest in the view that shows them darker."""
+    most = n
+    while comb(most + 1, n) <= MAX_CHOICES:
+        most += 1
+    peak = np.minimum(frame.left.peak, frame.right.peak)[good]
+    return sorted(good[np.argsort(-peak, kind="stable")[:most]].tolist())
