@@ -224,3 +224,13 @@ def test_pictures_without_the_target_give_no_pose() -> None:
     for left, right in pictures:
         frames = [Frame(image=image, t_s=0.0, sequence=0, source="drawn") for image in (left, right)]
         assert measure_pair(SETUP, frames[0], frames[1], track).pose.status is PoseStatus.LOST
+
+
+def test_a_search_that_stopped_early_is_told() -> None:
+    rng = np.random.default_rng(3)
+    grain = cv2.GaussianBlur(rng.normal(0.0, 1.0, (HEIGHT, WIDTH)), (0, 0), 1.5)
+    image = np.clip(128.0 + 70.0 * grain / grain.std(), 0, 255).astype(np.uint8)
+    frames = [Frame(image=image, t_s=0.0, sequence=0, source="grain") for _ in range(2)]
+    pose = measure_pair(SETUP, frames[0], frames[1]).pose
+    assert pose.status is PoseStatus.LOST
+    assert "stopped before it had looked at all of both images" in pose.why

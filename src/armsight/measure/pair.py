@@ -107,7 +107,10 @@ def _measure_candidates(setup: Setup, t_s: float, left: Candidates, right: Candi
         measured = _measure_chosen(setup, t_s, left, right, among.first, track, among)
         if measured.pose.status is PoseStatus.OK or measured.alternatives:
             return measured
-    return _measure_chosen(setup, t_s, left, right, (among.left, among.right), track, among)
+    measured = _measure_chosen(setup, t_s, left, right, (among.left, among.right), track, among)
+    if measured.pose.status is not PoseStatus.LOST or not among.why or among.why in measured.pose.why:
+        return measured
+    return replace(measured, pose=replace(measured.pose, why=f"{measured.pose.why}; {among.why}"))
 
 
 def _measure_chosen(

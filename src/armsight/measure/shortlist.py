@@ -11,6 +11,7 @@ from armsight.measure.kernels import match as kernels
 from armsight.measure.match import GATE
 from armsight.measure.setup import Setup
 from armsight.measure.spots import Candidates
+from armsight.optics import SIDES
 from armsight.records import Spots
 
 Array = NDArray[np.float64]
@@ -80,6 +81,7 @@ def shortlist(setup: Setup, left: Candidates, right: Candidates) -> Shortlist:
     named = setup.target.model_known and len(setup.model) >= 3
     bright = (len(left.positions()), len(right.positions()))
     found = Shortlist(left=np.empty(0, np.intp), right=np.empty(0, np.intp), bright=sum(bright))
+    stopped = _stopped(left, right)
     few = (bright[0] + left.others) * (bright[1] + right.others) * PAIRED_SHARE < FEW_BY_CHANCE
     for most in STEPS:
         at_left, at_right = left.positions(most), right.positions(most)
@@ -88,11 +90,23 @@ def shortlist(setup: Setup, left: Candidates, right: Candidates) -> Shortlist:
             continue
         if not named:
             found = _partners(pairs.index, at_left, at_right)
-            return replace(found, bright=sum(bright), few_are_lights=few)
-        found = replace(_arranged(setup, pairs, at_left, at_right), bright=sum(bright), few_are_lights=few)
+            return replace(found, bright=sum(bright), few_are_lights=few, why=stopped)
+        found = _arranged(setup, pairs, at_left, at_right)
+        found = replace(
+            found, bright=sum(bright), few_are_lights=few, why="; ".join(filter(None, (found.why, stopped)))
+        )
         if len(found.left) or max(len(at_left), len(at_right)) < most:
             break
-    return found
+    return found if stopped in found.why else replace(found, why=stopped)
+
+
+def _stopped(left: Candidates, right: Candidates) -> str:
+    """Return why candidates may be missing; empty where both images were searched to the end."""
+    cut = [side for side, at in zip(SIDES, (left, right), strict=True) if not at.complete]
+    if not cut:
+        return ""
+    where = "both images" if len(cut) == 2 else f"the {cut[0]} image"
+    return f"so much is bright that the search for spots stopped before it had looked at all of {where}"
 
 
 def likeness(setup: Setup, left: Candidates, right: Candidates, at_left: Spots, at_right: Spots, xyz_m: Array) -> float:
