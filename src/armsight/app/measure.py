@@ -268,8 +268,8 @@ def _nothing_seen(outputs: Outputs, consistency: Consistency) -> NotEnoughData |
     return NotEnoughData(
         f"the target was found in none of the {outputs.n_frames} pairs" + (f"; most often: {first}" if first else ""),
         consequence="There is no pose",
-        cure="Look at the frames: the light must be on, in both views and brighter than what is round it. "
-        "The report shows what was seen",
+        cure="Look at the report, which shows what was seen: the lights must be on, in both views, and brighter than "
+        "what is round them. --inverted is for dark spots, --mask blackens what is not to be looked at",
     )
 
 
