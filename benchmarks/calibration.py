@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from armsight.calibrate import BoardOptions, calibrate_camera, calibrate_stereo
+from armsight.calibrate.cameras import BoardOptions, calibrate_camera, calibrate_stereo
 from armsight.records import BoardView, Target, TargetKind, board_target
 from bench import machine, table
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import chi2
 
-from armsight.calibrate import calibrate_stereo
+from armsight.calibrate.cameras import calibrate_stereo
 from armsight.errors import Inconsistent
 from armsight.geometry import pose_difference
 from armsight.measure.check import RunCheck

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import bench
-from armsight.calibrate import calibrate_camera
+from armsight.calibrate.cameras import calibrate_camera
 from armsight.calibrate.handeye import (
     HandEyeOptions,
     PosePairs,
@@ -25,8 +25,8 @@ from armsight.calibrate.handeye import (
     solve_pairs,
     verdict,
 )
+from armsight.calibrate.handeye.closed_forms import CLOSED_FORMS
 from armsight.calibrate.handeye.images import calibrate_from_views
-from armsight.calibrate.handeye.starts import CLOSED_FORMS
 from armsight.errors import ArmsightError, BadImage
 from armsight.measure.boards import find_board
 from armsight.records import TargetKind, board_target

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from armsight.calibrate.alignment import check_alignment
-from armsight.calibrate.mirrors import MirrorCalibration, calibrate_mirrors
+from armsight.calibrate.mirrors.calibration import MirrorCalibration, calibrate_mirrors
+from armsight.calibrate.mirrors.diagnosis import check_alignment
 from armsight.geometry import align_points
 from armsight.measure.pair import Setup, measure_pair, measure_spots, warm_up
 from armsight.measure.spots import find_spots

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from armsight.calibrate import BoardOptions, calibrate_camera, calibrate_stereo
+from armsight.calibrate.cameras import BoardOptions, calibrate_camera, calibrate_stereo
 from armsight.errors import BadImage
 from armsight.measure.boards import find_board
 from armsight.records import BoardView, TargetKind, board_target

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import bench
-from armsight.calibrate.target import LitFrame, TargetCalibration, calibrate_target
+from armsight.calibrate.light_target import LitFrame, TargetCalibration, calibrate_target
 from armsight.optics import Camera, converged_rig, triangulate
 from armsight.records import Spots
 from armsight.units import DEG, MM

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.calibrate import calibrate_camera
+from armsight.calibrate.cameras import calibrate_camera
 from armsight.calibrate.handeye import (
     ImageHandEye,
     PosePairs,

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from armsight.calibrate import BoardOptions, calibrate_camera, calibrate_stereo
+from armsight.calibrate.cameras import BoardOptions, calibrate_camera, calibrate_stereo
 from armsight.errors import BadImage, Inconsistent
 from armsight.measure.boards import find_board
 from armsight.records import BoardView, TargetKind, board_target

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from armsight.calibrate import BoardOptions, calibrate_camera, calibrate_stereo
+from armsight.calibrate.cameras import BoardOptions, calibrate_camera, calibrate_stereo
 from armsight.records import BoardView, TargetKind, board_target
 
 SIZE = (1280, 720)

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.app.target import lit_frame
-from armsight.calibrate.alignment import check_alignment, mirrors_from_target
-from armsight.calibrate.mirrors import MirrorCalibration, calibrate_mirrors
-from armsight.calibrate.target import calibrate_target
+from armsight.calibrate.light_target import calibrate_target
+from armsight.calibrate.mirrors.calibration import MirrorCalibration, calibrate_mirrors
+from armsight.calibrate.mirrors.diagnosis import check_alignment, mirrors_from_target
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
 from armsight.geometry import align_points
 from armsight.measure.pair import Setup, measure_spots

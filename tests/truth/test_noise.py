@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import convolve, shift
 
-from armsight.calibrate.noise import NoiseCalibration, calibrate_noise
+from armsight.calibrate.camera_noise.photon_transfer import NoiseCalibration, calibrate_noise
 from armsight.errors import BadImage, Degenerate, Inconsistent, NotEnoughData
 
 H, W = 240, 320

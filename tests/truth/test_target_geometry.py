@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import chi2 as chi2_law
 
-from armsight.calibrate.target import LitFrame, TargetCalibration, calibrate_target
+from armsight.calibrate.light_target import LitFrame, TargetCalibration, calibrate_target
 from armsight.errors import Ambiguous, Degenerate, Inconsistent, NotEnoughData, UsageError
 from armsight.optics import RIG_PARAMETERS, Camera, Rig, converged_rig
 from armsight.optics.parallelism import moved_rig

@@ -12,9 +12,9 @@ from armsight.app.boards import Seen, in_parallel, see_board
 from armsight.app.noise import NoiseJob, find_noise, input_files, require_size
 from armsight.app.replay import open_pairs, open_source
 from armsight.app.reporting import write_camera_report, write_stereo_report
-from armsight.calibrate import BoardOptions, CameraCalibration, StereoCalibration
-from armsight.calibrate import calibrate_camera as solve_camera
-from armsight.calibrate import calibrate_stereo as solve_stereo
+from armsight.calibrate.cameras import BoardOptions, CameraCalibration, StereoCalibration
+from armsight.calibrate.cameras import calibrate_camera as solve_camera
+from armsight.calibrate.cameras import calibrate_stereo as solve_stereo
 from armsight.errors import Cancelled, NotEnoughData
 from armsight.records import BoardView, Frame, NamedCovariance, Progress, Silent
 from armsight.store import parse_board, write_camera, write_rig

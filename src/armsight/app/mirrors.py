@@ -15,9 +15,9 @@ from armsight.app.calibrate import report_path, stereo_content
 from armsight.app.mirrors_lit import calibrate_lit, reasons
 from armsight.app.replay import open_source
 from armsight.app.reporting import write_stereo_report
-from armsight.calibrate import BoardOptions
-from armsight.calibrate.alignment import Alignment, check_alignment
-from armsight.calibrate.mirrors import GLASS, MirrorCalibration, calibrate_mirrors
+from armsight.calibrate.cameras import BoardOptions
+from armsight.calibrate.mirrors.calibration import GLASS, MirrorCalibration, calibrate_mirrors
+from armsight.calibrate.mirrors.diagnosis import Alignment, check_alignment
 from armsight.drivers import is_live, list_images
 from armsight.errors import BadImage, Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.measure.boards import find_two_boards

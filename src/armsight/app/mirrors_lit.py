@@ -11,8 +11,8 @@ from itertools import islice
 import numpy as np
 
 from armsight.app.replay import open_source
-from armsight.calibrate.alignment import LEAST_LIT, mirrors_from_target
-from armsight.calibrate.mirrors import MirrorCalibration
+from armsight.calibrate.mirrors.calibration import MirrorCalibration
+from armsight.calibrate.mirrors.diagnosis import LEAST_LIT, mirrors_from_target
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.measure.match import SLACK_PX
 from armsight.measure.pair import Setup, measure_spots

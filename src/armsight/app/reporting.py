@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.outputs import Summary
-from armsight.calibrate import CameraCalibration, StereoCalibration
+from armsight.calibrate.cameras import CameraCalibration, StereoCalibration
 from armsight.measure.explain import content
 from armsight.measure.pair import Measured, Setup
 from armsight.optics import INTRINSICS, SIDES, Camera

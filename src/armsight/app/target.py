@@ -11,7 +11,7 @@ from typing import Any
 
 from armsight.app.complex_images import complex_pairs
 from armsight.app.replay import open_pairs, open_source
-from armsight.calibrate.target import LitFrame, TargetCalibration, calibrate_target
+from armsight.calibrate.light_target import LitFrame, TargetCalibration, calibrate_target
 from armsight.drivers import PairSource
 from armsight.errors import Cancelled, Inconsistent, UsageError
 from armsight.measure.match import pair_spots

@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 import pytest
 
-from armsight.calibrate import BoardOptions, calibrate_camera, calibrate_stereo
-from armsight.calibrate.bundle import Bundle, problem_of
-from armsight.calibrate.kernels.boards import evaluate_views, move_poses
-from armsight.calibrate.kernels.start import poses_of
-from armsight.calibrate.sightings import pack
+from armsight.calibrate.cameras import BoardOptions, calibrate_camera, calibrate_stereo
+from armsight.calibrate.cameras.bundle_adjustment import Bundle, problem_of
+from armsight.calibrate.cameras.kernels.reprojection import evaluate_views, move_poses
+from armsight.calibrate.cameras.kernels.rotations import poses_of
+from armsight.calibrate.cameras.observations import pack
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData, UsageError
 from armsight.records import BoardView, Target, TargetKind, board_target, spot_target
 

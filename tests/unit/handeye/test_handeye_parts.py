@@ -7,11 +7,11 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.handeye import PosePairs, Setup, expected_deviation, solve_pairs
+from armsight.calibrate.handeye.closed_forms import CLOSED_FORMS
 from armsight.calibrate.handeye.kernels import fit as kernels
 from armsight.calibrate.handeye.kernels import noise as noise_kernels
-from armsight.calibrate.handeye.kernels.start import log_rotation
+from armsight.calibrate.handeye.kernels.closed_forms import log_rotation
 from armsight.calibrate.handeye.solution import doubt
-from armsight.calibrate.handeye.starts import CLOSED_FORMS
 from armsight.calibrate.handeye.variances import restricted_variances
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
 from armsight.fitting import Evaluation, Problem, solve

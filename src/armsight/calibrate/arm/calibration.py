@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from armsight.calibrate.arm.choose import still
 from armsight.calibrate.arm.fit import ArmFit, Tolerance, fit_arm
-from armsight.calibrate.arm.levels import Couplings, Level, candidates, coupled, level, plain_level, proved
+from armsight.calibrate.arm.initial_guess import start
 from armsight.calibrate.arm.model import ArmModel
+from armsight.calibrate.arm.model_selection import Couplings, Level, candidates, coupled, level, plain_level, proved
+from armsight.calibrate.arm.parameter_selection import still
+from armsight.calibrate.arm.plausibility import check_fit, exceeded
 from armsight.calibrate.arm.points import ArmPoints, check_points
-from armsight.calibrate.arm.sense import check_fit, exceeded
-from armsight.calibrate.arm.start import start
 from armsight.errors import Inconsistent, NotConverged
 from armsight.kinematics import Arm
 from armsight.records import NamedCovariance

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.calibrate.arm.choose import choose
 from armsight.calibrate.arm.fit import ArmFit, Tolerance
 from armsight.calibrate.arm.model import ArmModel
+from armsight.calibrate.arm.parameter_selection import choose
 from armsight.calibrate.arm.points import ArmPoints
 from armsight.errors import NotEnoughData
 

@@ -10,9 +10,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import chi2
 
 from armsight.calibrate.arm.fit import MEDIAN_3
+from armsight.calibrate.arm.initial_guess import placed
+from armsight.calibrate.arm.plausibility import MOST_SHARE, ranges, senseless, spread_m
 from armsight.calibrate.arm.points import ArmPoints, check_points
-from armsight.calibrate.arm.sense import MOST_SHARE, ranges, senseless, spread_m
-from armsight.calibrate.arm.start import placed
 from armsight.errors import Ambiguous, Degenerate, NotEnoughData
 from armsight.fitting import Evaluation, Loss, LossKind, Problem, Settings, solve
 from armsight.kinematics import Arm, forward

@@ -13,7 +13,7 @@ from armsight.calibrate.handeye.pairs import PosePairs, Setup
 from armsight.calibrate.handeye.propose import Proposal, propose
 from armsight.calibrate.handeye.result import HandEye, Scale
 from armsight.calibrate.handeye.solution import Solution, solve_pairs, warm_up
-from armsight.calibrate.handeye.streams import pairs_of_streams
+from armsight.calibrate.handeye.stream_pairing import pairs_of_streams
 from armsight.calibrate.handeye.timing import TimeOffset, time_offset
 
 __all__ = [

@@ -11,10 +11,10 @@ from scipy.stats import t as student
 
 from armsight.calibrate.handeye.advice import advise
 from armsight.calibrate.handeye.consensus import LEAST_SHARE, Consensus, check_reading, consensus
-from armsight.calibrate.handeye.motion import require_metres, require_turning, turning
 from armsight.calibrate.handeye.noise import noise_of_pairs
 from armsight.calibrate.handeye.pairs import MIN_PAIRS, Array, Arrays, PosePairs, Setup, pose
 from armsight.calibrate.handeye.result import NAMES, HandEye, Scale
+from armsight.calibrate.handeye.rotation_excitation import require_metres, require_turning, turning
 from armsight.calibrate.handeye.solution import Solution, doubt, residuals, solve_pairs
 from armsight.errors import DataRefused, Inconsistent
 from armsight.records import NamedCovariance

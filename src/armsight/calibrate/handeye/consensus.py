@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from armsight.calibrate.handeye.kernels import start as starts
+from armsight.calibrate.handeye.kernels import closed_forms as starts
 from armsight.calibrate.handeye.pairs import Array, Arrays, Setup
 from armsight.errors import Inconsistent
 from armsight.units import DEG

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.calibrate.bundle import EMPTY, Bundle, problem_of
+from armsight.calibrate.cameras.bundle_adjustment import EMPTY, Bundle, problem_of
 from armsight.calibrate.handeye.advice import advise
 from armsight.calibrate.handeye.calibrate import HandEyeOptions, calibrate_eye_in_hand, calibrate_eye_to_hand
 from armsight.calibrate.handeye.kernels import fit as kernels
@@ -22,8 +22,8 @@ from armsight.calibrate.handeye.noise import Noise, part
 from armsight.calibrate.handeye.pairs import Array, Arrays, PosePairs, Setup, components, pose
 from armsight.calibrate.handeye.result import NAMES, HandEye
 from armsight.calibrate.handeye.solution import residuals
+from armsight.calibrate.handeye.target_views import ViewPoses, cross, poses_of_views
 from armsight.calibrate.handeye.variances import Restricted, restricted_variances
-from armsight.calibrate.handeye.views import ViewPoses, cross, poses_of_views
 from armsight.errors import Inconsistent
 from armsight.fitting import Condensed, Evaluation, Fit, Problem, Settings, solve
 from armsight.optics import INTRINSICS, Camera

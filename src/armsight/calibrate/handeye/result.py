@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 from scipy.stats import t as student
 
-from armsight.calibrate.handeye.motion import Turning
 from armsight.calibrate.handeye.noise import Noise
 from armsight.calibrate.handeye.pairs import Array, PosePairs, Setup
+from armsight.calibrate.handeye.rotation_excitation import Turning
 from armsight.records import NamedCovariance, frozen_array
 
 POSE_NAMES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.stats import t as student
 
+from armsight.calibrate.handeye.kernels import closed_forms as starts
 from armsight.calibrate.handeye.kernels import fit as kernels
 from armsight.calibrate.handeye.kernels import noise as noise_kernels
-from armsight.calibrate.handeye.kernels import start as starts
 from armsight.calibrate.handeye.pairs import Array, Arrays, Setup
 from armsight.errors import NotConverged
 

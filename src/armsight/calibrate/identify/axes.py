@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from armsight.calibrate.identify.chain import Axis
 from armsight.calibrate.identify.kernels import axis_costs, settle_axis
-from armsight.calibrate.identify.seen import Seen
+from armsight.calibrate.identify.residuals import Seen
 
 Array = NDArray[np.float64]
 

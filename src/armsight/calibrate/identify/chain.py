@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from armsight.calibrate.identify.curves import Tilt, basis
 from armsight.calibrate.identify.kernels import chain_beacon
-from armsight.calibrate.identify.seen import Seen
-from armsight.calibrate.identify.shapes import Tilt, basis
+from armsight.calibrate.identify.residuals import Seen
 from armsight.fitting import Evaluation, Fit, Loss, LossKind, Problem, Settings, solve
 
 Array = NDArray[np.float64]

@@ -9,12 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.calibrate.identify.chain import Axis, at_zero, moved_by
-from armsight.calibrate.identify.joint import PathFit
-from armsight.calibrate.identify.paper import pair_line, triple_circle
-from armsight.calibrate.identify.paths import Found, find_paths, measured
+from armsight.calibrate.identify.curves import Tilt, basis
+from armsight.calibrate.identify.global_fit import (
+    WholeFit,
+    all_covariance,
+    beacon_at_zero,
+    check_slopes,
+    fit_whole,
+    possible_axes,
+)
+from armsight.calibrate.identify.joint_paths import Found, find_paths, measured
+from armsight.calibrate.identify.kapucu2005 import pair_line, triple_circle
+from armsight.calibrate.identify.path_fit import PathFit
+from armsight.calibrate.identify.residuals import Seen, seen_places
 from armsight.calibrate.identify.result import Doubt, Identification, JointFound
-from armsight.calibrate.identify.seen import Seen, seen_places
-from armsight.calibrate.identify.shapes import Tilt, basis
 from armsight.calibrate.identify.sweeps import Sweeps, check_sweeps, placed
 from armsight.calibrate.identify.table import (
     KEYS,
@@ -24,14 +32,6 @@ from armsight.calibrate.identify.table import (
     measured_entries,
     place_frames,
     say_cases,
-)
-from armsight.calibrate.identify.whole import (
-    WholeFit,
-    all_covariance,
-    beacon_at_zero,
-    check_slopes,
-    fit_whole,
-    possible_axes,
 )
 from armsight.errors import Inconsistent, UsageError
 from armsight.optics import PackedRig, Rig

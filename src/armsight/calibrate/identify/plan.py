@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armsight.calibrate.identify.chain import Axis, ChainModel
+from armsight.calibrate.identify.curves import skew
 from armsight.calibrate.identify.kernels import see_many
 from armsight.calibrate.identify.result import Identification
-from armsight.calibrate.identify.shapes import skew
 from armsight.calibrate.identify.table import KEYS, carried, deviations, place_frames, say_cases
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Arm, JointType, link_frames

@@ -14,6 +14,7 @@ from math import sqrt
 import numpy as np
 from numba import njit
 
+from armsight.calibrate.handeye.kernels.closed_forms import log_rotation, multiply, multiply_t
 from armsight.calibrate.handeye.kernels.noise import (
     factor_invert,
     lever_frame,
@@ -22,7 +23,6 @@ from armsight.calibrate.handeye.kernels.noise import (
     variance_step,
     whitener,
 )
-from armsight.calibrate.handeye.kernels.start import log_rotation, multiply, multiply_t
 from armsight.fitting.kernels import solve_damped
 from armsight.geometry.kernels import rotate_left
 

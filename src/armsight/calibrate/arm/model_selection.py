@@ -1,0 +1,147 @@
+"""Kinds of model from poor to rich, each fitted to all rows, with the errors at joint positions it has not seen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.calibrate.arm.fit import ArmFit, Tolerance, fit_arm
+from armsight.calibrate.arm.initial_guess import start
+from armsight.calibrate.arm.model import ArmModel
+from armsight.calibrate.arm.parameter_selection import Choice, choose
+from armsight.calibrate.arm.points import ArmPoints
+
+Array = NDArray[np.float64]
+Couplings = tuple[tuple[str, str, float], ...]
+
+FOLDS = 5
+PROVED = 2.0
+"""A model is taken where left-out errors fall by this many of the fall's own standard errors: by chance once in 44."""
+PASSES = 6
+"""Choices of what to free: where a fit lessens the noise, more can be told; two or three are the rule."""
+RIDGE = 1e-12
+"""Keeps directions that no row tells (a tool on the last axis) where they are, in scaled information."""
+COUPLED = 0.5
+"""A coupling of one is believed where it takes the error below this share of what it is without."""
+COUPLING_RANGE_RAD = 0.2
+"""A joint that moved less cannot tell whether the next one's reading holds its own."""
+REPLACED = "the axes before and behind are parallel: the next joint's d_m says the same, and beta_rad their tilt"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Level:
+    """A kind of model: its name, its fit to all rows, its choice, the left-out errors (m,), couplings it holds."""
+
+    name: str
+    fitted: ArmFit
+    choice: Choice
+    left_m: Array
+    couplings: Couplings = ()
+
+
+def candidates(model: ArmModel, *, scale: bool) -> list[tuple[str, tuple[str, ...]]]:
+    """Return the kinds of model and the parameters that each offers."""
+    joints = model.arm.joints
+    zeros = tuple(f"{j.name}.{'theta_rad' if r else 'd_m'}" for j, r in zip(joints, model.arm.revolute, strict=True))
+    found = [("joint zeros", zeros), ("geometry", model.geometry)]
+    if scale:
+        found.append(("geometry and joint scales", (*model.geometry, *(f"{j.name}.scale" for j in joints))))
+    return found
+
+
+def coupled(model: ArmModel, points: ArmPoints, nominal: Array) -> tuple[Array, Couplings]:
+    """Return the parameters with those couplings of one that halve the error, and the couplings."""
+    p = nominal
+    joints = model.arm.joints
+    found: Couplings = ()
+    size = _robust(model, p, points)
+    for i in range(1, model.arm.n):
+        turn = model.arm.revolute[i] and model.arm.revolute[i - 1]
+        if not turn or np.ptp(points.q[:, i - 1]) < COUPLING_RANGE_RAD:
+            continue
+        for share in (1.0, -1.0):
+            driven = points.q.copy()
+            driven[:, i] += share * driven[:, i - 1]
+            other = start(model, replace(points, q=driven), like=p)
+            if _robust(model, other, replace(points, q=driven)) < COUPLED * size:
+                p = other.copy()
+                p[6 * model.arm.n + i - 1] = share
+                size = _robust(model, p, points)
+                found = ((joints[i].name, joints[i - 1].name, share),)
+    return p, found
+
+
+def _robust(model: ArmModel, p: Array, points: ArmPoints) -> float:
+    return float(np.median(np.linalg.norm(model.errors(p, points)[0], axis=1)))
+
+
+def plain_level(model: ArmModel, points: ArmPoints, fitted: ArmFit, name: str, couplings: Couplings = ()) -> Level:
+    """Return the level of a fit of base and tool alone."""
+    choice = Choice(free=(), fixed=(), condition=1.0)
+    left = left_out(model, points, fitted)
+    return Level(name=name, fitted=fitted, choice=choice, left_m=left, couplings=couplings)
+
+
+def level(
+    model: ArmModel, points: ArmPoints, first: Level, name: str, offered: Sequence[str], tolerance: Tolerance
+) -> Level:
+    """Fit one kind of model to all rows, from a level without free geometry. Raises NotConverged."""
+    choice, fitted = first.choice, first.fitted
+    for _ in range(PASSES):  # first with the nominal arm's noise, then with the calibrated one's
+        before = choice.free
+        noise = fitted.sigma_m, fitted.sigma_rad
+        choice = choose(model, points, fitted.p, offered, tolerance, noise)
+        if set(choice.free) == set(before):
+            break
+        # What an earlier pass had freed and this one does not goes back to nominal: fixed means unchanged.
+        kept = [name in choice.free or k >= model.n_geometry for k, name in enumerate(model.names)]
+        fitted = fit_arm(model, points, np.where(kept, fitted.p, first.fitted.p), choice.free, tolerance)
+    told = tuple((d, REPLACED) for d in model.replaced if "geometry" in name)
+    choice = replace(choice, fixed=(*choice.fixed, *told))
+    left = left_out(model, points, fitted)
+    return Level(name=name, fitted=fitted, choice=choice, left_m=left, couplings=first.couplings)
+
+
+def left_out(model: ArmModel, points: ArmPoints, fitted: ArmFit) -> Array:
+    """Return the error (m,) in m at each row, predicted without its joint position and every FOLDS-th beside it.
+
+    All rows of one joint position are left out together: what one of them has wrong the others have too. Leaving rows
+    out moves the fit by (H - H_k)^-1 g_k, H the information and g_k the gradient of those rows: one
+    Gauss-Newton step from the fit to all rows, which is at its minimum for the rest to second order.
+    """
+    evaluation = model.evaluate(fitted.p, points, fitted.sigma_m, fitted.sigma_rad)
+    index = [model.names.index(name) for name in fitted.free]
+    m = len(points)
+    root = np.sqrt(fitted.fit.weights.reshape(m, -1))
+    J = evaluation.shared[0][:, index].reshape(m, -1, len(index)) * root[:, :, None]
+    r = evaluation.residuals.reshape(m, -1) * root
+    H = np.einsum("mki,mkj->ij", J, J) + np.diag(fitted.prior_weight)
+    scale = np.sqrt(np.diag(H))
+    scale[scale == 0.0] = 1.0
+    out = np.empty(m)
+    none = np.zeros((1, 0))
+    fold = points.position % FOLDS
+    for k in range(fold.max() + 1):
+        rows = np.flatnonzero(fold == k)
+        flat = J[rows].reshape(-1, len(index))
+        rest = (H - flat.T @ flat) / np.outer(scale, scale) + RIDGE * np.eye(len(index))
+        step = np.zeros(len(fitted.p))
+        step[index] = np.linalg.solve(rest, (flat.T @ r[rows].ravel()) / scale) / scale
+        moved, _ = model.retract(fitted.p, none, step, none)
+        out[rows] = np.linalg.norm(model.errors(moved, points.take(rows))[0], axis=1)
+    return out
+
+
+def proved(before_m: Array, after_m: Array, position: NDArray[np.intp]) -> bool:
+    """Whether errors (m,) fall beyond their own doubt, joint position by joint position: its rows hang together.
+
+    Gross rows are levelled so that none decides alone.
+    """
+    cap = 5.0 * float(np.median(before_m))
+    fall = np.minimum(before_m, cap) - np.minimum(after_m, cap)
+    fall = np.bincount(position, fall) / np.bincount(position)
+    doubt = float(fall.std(ddof=1)) / np.sqrt(len(fall))
+    return bool(fall.mean() > PROVED * doubt and fall.mean() > 1e-3 * before_m.mean())

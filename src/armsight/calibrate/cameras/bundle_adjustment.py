@@ -1,0 +1,162 @@
+"""Bundle adjustment of boards seen by one camera or two, on the one least-squares engine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from armsight.calibrate.cameras.kernels.normal_equations import condense_views
+from armsight.calibrate.cameras.kernels.reprojection import move_poses
+from armsight.calibrate.cameras.observations import Sightings
+from armsight.fitting import Condensed, Evaluation, Fit, Problem, Settings, solve
+from armsight.fitting.normal import NormalEquations
+from armsight.optics import INTRINSICS, SIDES
+from armsight.records import Progress
+
+Array = NDArray[np.float64]
+
+EMPTY = np.empty((0, 0, 0))
+EMPTY.setflags(write=False)
+POSE = ("tx", "ty", "tz", "rx", "ry", "rz")
+BY_CHANCE = 1e-3
+"""Further distortion coefficients are freed where chi-square would fall by more than noise does this often."""
+COST_SETTLED = 1e-6
+"""Relative fall of the cost that ends the fit. The step that brings it is a hundredth of the doubt, and convergence is
+quadratic: the next one would not be seen."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Bundle:
+    """A state of the adjustment: intrinsics k (C, 10), T_left_right (6,), T_left_board (G, 6) as (t, rotvec)."""
+
+    k: Array
+    side_pose: Array
+    poses: Array
+
+
+def names_of(n_cameras: int) -> tuple[str, ...]:
+    """Return the names of the shared parameters: plain for one camera, by side and with the right pose for two."""
+    if n_cameras == 1:
+        return INTRINSICS
+    return tuple(f"{side}.{name}" for side in SIDES for name in INTRINSICS) + tuple(f"right.{name}" for name in POSE)
+
+
+RIGHT = frozenset(f"right.{name}" for name in INTRINSICS)
+
+
+def problem_of(sightings: Sightings, start: Bundle, fixed: frozenset[str]) -> Problem:
+    """Return the least-squares problem; fixed: names of names_of that are held.
+
+    Views of one lens share the left one's intrinsics, and the right ones' are held at them.
+    """
+    tied = sightings.one_lens and sightings.n_cameras == 2
+    n_cameras, G, n = sightings.n_cameras, sightings.n_views, len(sightings.X)
+    names = names_of(n_cameras)
+    split = len(INTRINSICS) * n_cameras
+    k0 = np.tile(start.k.mean(axis=0), (2, 1)) if tied else start.k
+
+    def evaluate(shared: Array, local: Array) -> Evaluation:
+        S, L = len(names), len(POSE)
+        r, A, b = np.empty((G, 2 * n * n_cameras)), np.empty((S, S)), np.empty(S)
+        C, c, W = np.empty((G, L, L)), np.empty((G, L)), np.empty((G, S, L))
+        k = shared[:split].reshape(n_cameras, -1)
+        if tied:
+            k = np.ascontiguousarray(k[[0, 0]])
+        side = shared[split:] if n_cameras == 2 else np.zeros(6)
+        X, radius, uv, weight = sightings.X, sightings.radius_m, sightings.uv, sightings.weight
+        fine = condense_views(k, side, local, X, radius, uv, weight, r, A, b, C, c, W)
+        if tied:
+            _tie(A, b, W)
+        return Evaluation(
+            residuals=r if fine else np.full_like(r, np.nan),
+            shared=EMPTY,
+            local=EMPTY,
+            condensed=Condensed(A=A, b=b, C=C, c=c, W=W),
+        )
+
+    def retract(shared: Array, local: Array, step_shared: Array, step_local: Array) -> tuple[Array, Array]:
+        moved, poses = shared + step_shared, np.empty_like(local)
+        move_poses(local, step_local, poses)
+        if tied:
+            moved[split // 2 : split] = moved[: split // 2]
+        if n_cameras == 2:
+            move_poses(shared[None, split:], step_shared[None, split:], moved[None, split:])
+        return moved, poses
+
+    return Problem(
+        names=names,
+        guess=np.concatenate([k0.ravel(), start.side_pose]) if n_cameras == 2 else k0.ravel(),
+        evaluate=evaluate,
+        n_residuals=2 * sightings.n_points,
+        local_names=POSE,
+        local_guess=start.poses,
+        fixed=fixed | RIGHT if tied else fixed,
+        retract=retract,
+    )
+
+
+def _tie(A: Array, b: Array, W: Array) -> None:
+    """Move the right view's share of the normal equations to the left one's intrinsics, in place."""
+    n = len(INTRINSICS)
+    for M in (A, A.T):
+        M[:n] += M[n : 2 * n]
+        M[n : 2 * n] = 0.0
+    b[:n] += b[n : 2 * n]
+    b[n : 2 * n] = 0.0
+    W[:, :n] += W[:, n : 2 * n]
+    W[:, n : 2 * n] = 0.0
+
+
+def adjust(
+    sightings: Sightings,
+    start: Bundle,
+    fixed: frozenset[str],
+    *,
+    max_iterations: int,
+    progress: Progress | None = None,
+) -> Fit:
+    """Return the fit; covariances are scaled by the noise that the residuals show.
+
+    Raises NotConverged, Undetermined, Cancelled as the engine does.
+    """
+    settings = Settings(estimate_noise=True, max_iterations=max_iterations, cost_tolerance=COST_SETTLED)
+    return solve(problem_of(sightings, start, fixed), settings, progress)
+
+
+def bundle_of(fit: Fit, n_cameras: int) -> Bundle:
+    """Return the state that a fit has reached."""
+    split = len(INTRINSICS) * n_cameras
+    side = fit.shared[split:] if n_cameras == 2 else np.zeros(6)
+    return Bundle(k=fit.shared[:split].reshape(n_cameras, -1), side_pose=side, poses=fit.local)
+
+
+def asks_to_be_freed(sightings: Sightings, fit: Fit, fixed: frozenset[str], names: frozenset[str]) -> bool:
+    """Tell whether freeing some fixed parameters would lower chi-square by more than chance does (a score test)."""
+    wider = fixed - names
+    problem = problem_of(sightings, bundle_of(fit, sightings.n_cameras), wider)
+    evaluation = problem.evaluate(fit.shared, fit.local)
+    free = np.array([i for i, n in enumerate(problem.names) if n not in problem.fixed], dtype=np.intp)
+    normal = NormalEquations.build(problem, evaluation, fit.shared, free)
+    fall = 2.0 * normal.predicted_decrease(*normal.step(0.0))
+    return bool(fall > chdtri(len(names), BY_CHANCE) * fit.scale**2)
+
+
+def residuals_px(sightings: Sightings, fit: Fit) -> Array:
+    """Return the residuals (G, C, n, 2) in px, zero where not seen."""
+    G, C, n = sightings.weight.shape
+    whitened = fit.residuals.reshape(G, C, n, 2)
+    sigma = np.divide(1.0, sightings.weight, out=np.zeros_like(sightings.weight), where=sightings.weight > 0.0)
+    return np.asarray(whitened * sigma[..., None])
+
+
+def without(sightings: Sightings, bad: NDArray[np.bool_]) -> Sightings:
+    """Return the sightings without the points marked in bad (G, C, n)."""
+    return replace(sightings, weight=np.where(bad, 0.0, sightings.weight))
+
+
+def start_at(bundle: Bundle, views: NDArray[np.intp]) -> Bundle:
+    """Return the state of some of the views."""
+    return Bundle(k=bundle.k, side_pose=bundle.side_pose, poses=bundle.poses[views])

@@ -1,0 +1,88 @@
+"""A start for the bundle adjustment: homographies, focal lengths and poses in closed form (Zhang 2000)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.calibrate.cameras.kernels.rotations import poses_of
+from armsight.calibrate.cameras.observations import Sightings
+from armsight.errors import Degenerate
+
+Array = NDArray[np.float64]
+
+GUESS_OVER_WIDTH = 1.0
+"""Focal length over image width (53 degrees of view) where the views do not tell it."""
+RANGE_OVER_WIDTH = (0.2, 20.0)
+"""Focal lengths outside this range come from noise: 136 degrees and 3 degrees of view."""
+
+
+def homographies(sightings: Sightings, c: int = 0) -> Array:
+    """Return H (G, 3, 3) from board coordinates (m, centred) to pixels from the image's middle, in image widths.
+
+    Linear least squares with H[2, 2] = 1, which the centred board allows: its middle is in front of the camera.
+    Raises Degenerate where a view's points lie on one line.
+    """
+    width, height = sightings.sizes[c]
+    seen = (sightings.weight[:, c] > 0.0).astype(float)  # (G, n)
+    xy = (sightings.uv[:, c] - 0.5 * np.array([width - 1.0, height - 1.0])) / width  # (G, n, 2)
+    extent = float(np.abs(sightings.X).max())
+    X, Y = (sightings.X[:, :2] / extent).T  # (n,)
+    one, zero = np.ones_like(X), np.zeros_like(X)
+    design = np.empty((sightings.n_views, 2, len(X), 8))
+    design[:, 0] = np.stack([X, Y, one, zero, zero, zero, zero, zero], axis=1)
+    design[:, 1] = np.stack([zero, zero, zero, X, Y, one, zero, zero], axis=1)
+    for h in range(2):
+        design[:, h, :, 6] = -xy[:, :, h] * X
+        design[:, h, :, 7] = -xy[:, :, h] * Y
+    design *= seen[:, None, :, None]
+    flat = design.reshape(sightings.n_views, -1, 8)
+    target = (xy * seen[:, :, None]).transpose(0, 2, 1).reshape(sightings.n_views, -1, 1)
+    transposed = flat.transpose(0, 2, 1)
+    try:
+        rows = np.linalg.solve(transposed @ flat, transposed @ target)[:, :, 0]
+    except np.linalg.LinAlgError:
+        raise Degenerate(
+            "in one view the points seen of the board lie on one line",
+            consequence="That view says nothing about the camera",
+            cure="Leave the view out",
+        ) from None
+    H = np.concatenate([rows, np.ones((len(rows), 1))], axis=1).reshape(-1, 3, 3)
+    H[:, :, :2] /= extent
+    return np.asarray(H)
+
+
+def focal_lengths(H: Array, width: int) -> Array:
+    """Return fx, fy (2,) in px from homographies (G, 3, 3) with the principal point in the image's middle.
+
+    Zhang's two constraints a view, linear in 1/fx^2 and 1/fy^2. Falls back to one focal length for both, then to
+    GUESS_OVER_WIDTH, where the views leave them open (no tilt).
+    """
+    h1, h2 = H[:, :, 0], H[:, :, 1]
+    size = np.sqrt(np.linalg.norm(h1[:, :2], axis=1) * np.linalg.norm(h2[:, :2], axis=1))[:, None]
+    h1, h2 = h1 / size, h2 / size
+    design = np.concatenate([h1[:, :2] * h2[:, :2], h1[:, :2] ** 2 - h2[:, :2] ** 2])  # (2G, 2)
+    target = -np.concatenate([h1[:, 2] * h2[:, 2], h1[:, 2] ** 2 - h2[:, 2] ** 2])  # (2G,)
+    inverse = np.linalg.lstsq(design, target, rcond=None)[0]
+    low, high = RANGE_OVER_WIDTH
+    if (inverse > 0.0).all() and ((low < inverse**-0.5) & (inverse**-0.5 < high)).all():
+        return np.asarray(width * inverse**-0.5)
+    one = design.sum(axis=1)
+    both = float(one @ target) / max(float(one @ one), 1e-300)
+    f = both**-0.5 if both > 0.0 else 0.0
+    return np.full(2, width * (f if low < f < high else GUESS_OVER_WIDTH))
+
+
+def board_poses(H: Array, focal: Array, width: int) -> Array:
+    """Return T_camera_board (G, 6) as (t m, rotation vector rad) from homographies and focal lengths (2,)."""
+    poses = np.empty((len(H), 6))
+    poses_of(np.ascontiguousarray(H), focal[0] / width, focal[1] / width, poses)
+    return poses
+
+
+def start_intrinsics(focal: Array, size: tuple[int, int]) -> Array:
+    """Return intrinsics (10,): the focal lengths, the principal point in the middle, no skew or distortion."""
+    k = np.zeros(10)
+    k[:2] = focal
+    k[2], k[3] = 0.5 * (size[0] - 1.0), 0.5 * (size[1] - 1.0)
+    return k

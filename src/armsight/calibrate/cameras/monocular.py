@@ -1,0 +1,133 @@
+"""One camera from views of a printed board."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.calibrate.cameras.bundle_adjustment import Bundle, bundle_of, residuals_px
+from armsight.calibrate.cameras.cross_validation import left_out
+from armsight.calibrate.cameras.initial_guess import board_poses, focal_lengths, homographies, start_intrinsics
+from armsight.calibrate.cameras.observations import Sightings, pack
+from armsight.calibrate.cameras.options import BoardOptions
+from armsight.calibrate.cameras.outlier_rejection import Cleaned, fit_tilted
+from armsight.calibrate.cameras.preconditions import check_count, check_spread, different_views
+from armsight.calibrate.cameras.rigs import camera_of
+from armsight.errors import Inconsistent, NotEnoughData
+from armsight.optics import Camera
+from armsight.records import BoardView, NamedCovariance, Progress, Target
+
+Array = NDArray[np.float64]
+
+DOUBTFUL_FOCAL = 0.02
+"""A focal length less sure than this share of itself is worth a word."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CameraCalibration:
+    """A camera, how sure it is, and what it rests on.
+
+    covariance: of the free intrinsics, by name (px; none for distortion). rms_px: of the points' 2-D residuals;
+    holdout_rms_px: the same on views left out of the fit, None where there were too few. sources, view_rms_px: of
+    the views used. uv_px, residual_px (n, 2): every point used and its residual (model minus detected).
+    rejected: (source, why). advice: what would make it surer.
+    """
+
+    camera: Camera
+    covariance: NamedCovariance
+    rms_px: float
+    n_used: int
+    rejected: tuple[tuple[str, str], ...]
+    holdout_rms_px: float | None
+    view_rms_px: tuple[float, ...]
+    sources: tuple[str, ...]
+    uv_px: Array
+    residual_px: Array
+    advice: tuple[str, ...]
+
+    @property
+    def std(self) -> dict[str, float]:
+        """Standard deviations of the free intrinsics by name."""
+        return self.covariance.std()
+
+
+def calibrate_camera(
+    views: Sequence[BoardView], board: Target, options: BoardOptions | None = None, progress: Progress | None = None
+) -> CameraCalibration:
+    """Return the camera that saw the board in the views (Zhang's start, then bundle adjustment).
+
+    Raises NotEnoughData (too few different views), Degenerate (no tilt, board in one part of the image),
+    Undetermined (parameters that cannot be told apart), Inconsistent (images of unequal size), NotConverged,
+    Cancelled.
+    """
+    options = options or BoardOptions()
+    require_views(views, board)
+    sightings = pack([views], board)
+    kept, repeated = different_views(sightings)
+    sightings = sightings.take(kept)
+    advice = check_count(len(kept)) + check_spread(sightings, 0, "the camera")
+    cleaned, on_tilt = fit_tilted(sightings, start_of(sightings), options, "the camera", progress)
+    out = left_out(cleaned, options)
+    residual, seen = residuals_px(cleaned.sightings, cleaned.fit), cleaned.sightings.weight > 0.0
+    covariance = required(cleaned)
+    return CameraCalibration(
+        camera=camera_of(bundle_of(cleaned.fit, 1).k[0], sightings.sizes[0]),
+        covariance=covariance,
+        rms_px=rms(residual, seen),
+        n_used=cleaned.sightings.n_views,
+        rejected=(*repeated, *cleaned.rejected),
+        holdout_rms_px=None if out is None else out.rms_px,
+        view_rms_px=view_rms(residual, seen),
+        sources=tuple(names[0] for names in cleaned.sightings.sources),
+        uv_px=cleaned.sightings.uv[seen],
+        residual_px=residual[seen],
+        advice=(*advice, *on_tilt, *doubts(covariance, cleaned), *cleaned.notes),
+    )
+
+
+def require_views(views: Sequence[BoardView], board: Target) -> None:
+    """Raise Inconsistent where the target is no board, NotEnoughData where there is no view at all."""
+    if not board.is_board:
+        raise Inconsistent("a camera is calibrated with a printed board, not with lights", cure="Give a board")
+    if not views:
+        raise NotEnoughData("the board was found in no image", consequence="Nothing was calibrated")
+
+
+def start_of(sightings: Sightings) -> Bundle:
+    """Return the closed-form start of one camera."""
+    H = homographies(sightings)
+    size = sightings.sizes[0]
+    focal = focal_lengths(H, size[0])
+    return Bundle(k=start_intrinsics(focal, size)[None], side_pose=np.zeros(6), poses=board_poses(H, focal, size[0]))
+
+
+def required(cleaned: Cleaned) -> NamedCovariance:
+    """Return the fit's covariance; the engine has raised where there is none, unless nothing was free."""
+    if cleaned.fit.covariance is None:
+        raise Inconsistent("every intrinsic is held fixed: there is nothing to calibrate", cure="Free one")
+    return cleaned.fit.covariance
+
+
+def rms(residual: Array, seen: NDArray[np.bool_]) -> float:
+    """Return the RMS norm in px of the residuals (..., 2) that exist."""
+    return float(np.sqrt((residual**2).sum() / np.count_nonzero(seen)))
+
+
+def view_rms(residual: Array, seen: NDArray[np.bool_]) -> tuple[float, ...]:
+    """Return the RMS norm in px of each view's residuals (G, C, n, 2)."""
+    squares = (residual**2).sum(axis=(1, 2, 3))
+    return tuple(np.sqrt(squares / np.maximum(seen.sum(axis=(1, 2)), 1)).tolist())
+
+
+def doubts(covariance: NamedCovariance, cleaned: Cleaned) -> list[str]:
+    """Return advice on focal lengths that are not well known."""
+    std = covariance.std()
+    return [
+        f"{name} is known to {100 * std[name] / cleaned.fit.value(name):.1f} % only; "
+        "tilt the board more, bring it closer"
+        for name in cleaned.fit.names
+        if name.split(".")[-1] in ("fx", "fy") and std.get(name, 0.0) > DOUBTFUL_FOCAL * cleaned.fit.value(name)
+    ]

@@ -1,0 +1,167 @@
+"""Do the left and the right images belong together? The two cameras stand still against each other, so all pairs must
+give one relative pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from armsight.calibrate.cameras.initial_guess import board_poses, homographies
+from armsight.calibrate.cameras.kernels.rotations import matrices_of, rotvec_of
+from armsight.calibrate.cameras.observations import Sightings
+from armsight.errors import Inconsistent
+from armsight.records import Target
+from armsight.records.symmetry import symmetries
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+SAME_ANGLE_RAD = 0.12
+"""Relative orientations closer than this agree: starting poses without distortion are off by up to 0.05 rad."""
+SAME_SHARE = 0.12
+"""... and relative places closer than this share of the distance to the board."""
+AGREEING = 0.6
+"""With fewer agreeing pairs than this share, the fault is in the whole set."""
+LARGEST_SHIFT = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Paired:
+    """T_left_right (6,) as (t m, rotation vector), agreeing (G,) pairs, and the symmetry chosen for each right view."""
+
+    side_pose: Array
+    agreeing: NDArray[np.bool_]
+    turn: Index
+
+
+def pair_views(
+    sightings: Sightings, poses: Sequence[Array], board: Target, *, final: bool = True
+) -> tuple[Sightings, Paired]:
+    """Return the sightings with right views renumbered where the print is symmetric, and what the pairs agree on.
+
+    poses: T_left_board and T_right_board (G, 6). final: these are the best poses to be had. Raises Inconsistent
+    then where no common relative pose is found, saying whether the right images come late, or one camera is mirrored.
+    """
+    turns = symmetries(board)
+    spins = np.stack([_spin(sightings.X, turn) for turn in turns])  # (S, 3, 3)
+    paired = _consensus(poses[0], poses[1], spins)
+    if final and paired.agreeing.mean() < AGREEING:
+        _refuse(sightings, poses, spins)
+    if (paired.turn == 0).all():
+        return sightings, paired
+    uv, weight = sightings.uv.copy(), sightings.weight.copy()
+    for g, s in enumerate(paired.turn):
+        uv[g, 1], weight[g, 1] = uv[g, 1, turns[s]], weight[g, 1, turns[s]]
+    return replace(sightings, uv=uv, weight=weight), paired
+
+
+def _spin(X: Array, turn: Index) -> Array:
+    """Return the rotation about z (3, 3) with X[turn] = spin X."""
+    a, b = X[:, :2], X[turn, :2]
+    angle = np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum())
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _consensus(left: Array, right: Array, spins: Array) -> Paired:
+    """Return the relative pose that most pairs agree on, each with the symmetry that suits it best."""
+    G, S = len(left), len(spins)
+    R_left, R_right = np.empty((G, 3, 3)), np.empty((G, 3, 3))
+    matrices_of(left[:, 3:], R_left)
+    matrices_of(right[:, 3:], R_right)
+    R_right = R_right[:, None] @ spins[None]  # (G, S, 3, 3)
+    R = R_left[:, None] @ R_right.transpose(0, 1, 3, 2)  # of T_left_right
+    t = left[:, None, :3] - np.einsum("gsij,gj->gsi", R, right[:, :3])  # (G, S, 3)
+    flat_R, flat_t = R.reshape(G * S, 3, 3), t.reshape(G * S, 3)
+    trace = np.einsum("aij,bij->ab", flat_R, flat_R)
+    angle = np.arccos(np.clip(0.5 * (trace - 1.0), -1.0, 1.0))
+    reach = 0.5 * (np.linalg.norm(left[:, :3], axis=1) + np.linalg.norm(right[:, :3], axis=1))
+    share = np.linalg.norm(flat_t[:, None] - flat_t[None], axis=2) / np.repeat(reach, S)[None]
+    score = np.maximum(angle / SAME_ANGLE_RAD, share / SAME_SHARE).reshape(G * S, G, S)
+    best = score.min(axis=2)  # (hypothesis, pair)
+    hypothesis = int(np.argmin(np.minimum(best, 1.0).sum(axis=1) + 1e-9 * (np.arange(G * S) % S)))
+    agreeing = best[hypothesis] < 1.0
+    turn = score[hypothesis].argmin(axis=1).astype(np.intp)
+    chosen = np.flatnonzero(agreeing)
+    U, _, Vt = np.linalg.svd(R[chosen, turn[chosen]].sum(axis=0))  # the mean rotation: nearest to the sum
+    side_pose = np.empty(6)
+    side_pose[:3] = np.median(t[chosen, turn[chosen]], axis=0)
+    rotvec_of(U @ Vt, side_pose[3:])
+    return Paired(side_pose=side_pose, agreeing=agreeing, turn=turn)
+
+
+def _refuse(sightings: Sightings, poses: Sequence[Array], spins: Array) -> None:
+    """Raise Inconsistent with the likeliest reason why the pairs do not agree."""
+    n = sightings.n_views
+    for shift in (s for k in range(1, LARGEST_SHIFT + 1) for s in (k, -k) if n - k >= 4):
+        a, b = slice(max(0, -shift), n - max(0, shift)), slice(max(0, shift), n - max(0, -shift))
+        if _consensus(poses[0][a], poses[1][b], spins).agreeing.mean() >= AGREEING:
+            raise Inconsistent(
+                f"left and right images are out of step: each left image fits the right one "
+                f"{abs(shift)} {'later' if shift > 0 else 'earlier'}",
+                consequence="Nothing was calibrated",
+                cure="Remove the images that have no partner, so that both lists begin with the same moment",
+            )
+    mirrored = _mirrored_side(sightings, poses, spins)
+    if mirrored:
+        raise Inconsistent(
+            f"the images of the {mirrored} camera are mirrored",
+            consequence="Nothing was calibrated",
+            cure="Switch off that camera's mirror mode",
+        )
+    raise Inconsistent(
+        "left and right images do not belong together: their pairs give no common pose of the cameras",
+        consequence="Nothing was calibrated",
+        cure="Check that both lists are in the same order and from the same moments, and the cameras fixed",
+    )
+
+
+def _mirrored_side(sightings: Sightings, poses: Sequence[Array], spins: Array) -> str:
+    """Return which camera's images are mirrored, or ''."""
+    width = sightings.sizes[1][0]
+    half_turn = np.stack([*spins, *(spins @ np.diag([-1.0, -1.0, 1.0]))])
+    for axis in (0, 1):
+        flip = _flip(sightings.X, axis)
+        if flip is None:
+            continue
+        right = sightings.camera(1)
+        uv = right.uv.copy()
+        uv[..., 0] = width - 1.0 - uv[..., 0]
+        right = replace(right, uv=uv[:, :, flip], weight=right.weight[:, :, flip])
+        H = homographies(right)
+        focal = _focal_of(poses[1], sightings, 1)
+        paired = _consensus(poses[0], board_poses(H, focal, width), half_turn)
+        if paired.agreeing.mean() >= AGREEING:
+            return "right" if paired.side_pose[0] > 0.0 else "left"
+    return ""
+
+
+def _flip(X: Array, axis: int) -> Index | None:
+    """Return the renumbering with X[flip] = X mirrored along the axis, or None where the board has none."""
+    mirrored = X.copy()
+    mirrored[:, axis] *= -1.0
+    distance = np.linalg.norm(mirrored[:, None] - X[None], axis=2)
+    if distance.min(axis=1).max() > 1e-6 * float(np.ptp(X)):
+        return None
+    return np.asarray(distance.argmin(axis=1), dtype=np.intp)
+
+
+def _focal_of(poses: Array, sightings: Sightings, c: int) -> Array:
+    """Return the focal lengths (2,) px that go with the poses, from where they put the points."""
+    width, height = sightings.sizes[c]
+    R = Rotation.from_rotvec(poses[:, 3:]).as_matrix()
+    P = sightings.X @ R.transpose(0, 2, 1) + poses[:, None, :3]  # (G, n, 3)
+    seen = sightings.weight[:, c] > 0.0
+    rays = (P[..., :2] / P[..., 2:])[seen]
+    offset = sightings.uv[:, c][seen] - 0.5 * np.array([width - 1.0, height - 1.0])
+    return np.asarray((rays * offset).sum(axis=0) / (rays**2).sum(axis=0))
+
+
+def as_pose(side_pose: Array) -> RigidTransform:
+    """Return T_left_right from (t, rotation vector) (6,)."""
+    return RigidTransform.from_components(side_pose[:3], Rotation.from_rotvec(side_pose[3:]))

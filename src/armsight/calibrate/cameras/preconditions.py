@@ -1,0 +1,119 @@
+"""Is this set of views able to calibrate a camera? Asked before solving, answered with cause and cure."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.calibrate.cameras.kernels.rotations import matrices_of
+from armsight.calibrate.cameras.observations import Sightings
+from armsight.errors import Degenerate, NotEnoughData
+
+Array = NDArray[np.float64]
+
+LEAST_VIEWS = 3
+"""Two views fix the intrinsics without redundancy only; the third is what can contradict."""
+ENOUGH_VIEWS = 8
+LEAST_POINTS = 4
+SAME_PLACE_PX = 1.0
+"""Views whose points lie this close (RMS) show the same pose: a held board moves more between two shots."""
+NEAR_MIDDLE_PX = 50.0
+"""Views whose points' means differ by more are not compared point by point (they may show different parts)."""
+LEAST_TILT_DEG = 5.0
+"""Views whose normals all lie within this of each other leave the focal length to the noise."""
+DOUBTFUL_TILT_DEG = 15.0
+"""Where the fit fails and the starting poses, which take a lens's distortion for tilt, differ by less, that is why."""
+ENOUGH_TILT_DEG = 20.0
+LEAST_SPREAD = 0.5
+"""Points within less than half the image's width and half its height say nothing about the lens elsewhere."""
+ENOUGH_SPREAD = 0.7
+
+
+def different_views(sightings: Sightings) -> tuple[NDArray[np.intp], list[tuple[str, str]]]:
+    """Return the positions of the views to use, and (source, why) of those with too few points or shown already.
+
+    Raises NotEnoughData where fewer than LEAST_VIEWS are left.
+    """
+    kept: list[int] = []
+    names = [" / ".join(sources) for sources in sightings.sources]
+    refused: list[tuple[str, str]] = []
+    seen = sightings.weight > 0.0  # (G, C, n)
+    few = seen.sum(axis=2).min(axis=1)  # (G,)
+    count = np.maximum(seen.sum(axis=(1, 2)), 1)[:, None]
+    middle = (sightings.uv * seen[..., None]).sum(axis=(1, 2)) / count  # (G, 2)
+    close = np.linalg.norm(middle[:, None] - middle[None], axis=2) < NEAR_MIDDLE_PX
+    for g in range(sightings.n_views):
+        if few[g] < LEAST_POINTS:
+            refused.append((names[g], f"only {few[g]} points of the board are seen, {LEAST_POINTS} are needed"))
+            continue
+        near = np.flatnonzero(close[g, :g])
+        twin = next((k for k in near.tolist() if k in kept and _same(sightings, seen, g, k)), None)
+        if twin is not None:
+            refused.append((names[g], f"shows the board in the same place as {names[twin]}"))
+        else:
+            kept.append(g)
+    if len(kept) < LEAST_VIEWS:
+        raise NotEnoughData(
+            f"{sightings.n_views} views show the board in {len(kept)} different poses, {LEAST_VIEWS} are needed",
+            consequence="Nothing was calibrated",
+            cure="Take ten to twenty images, with the board tilted in different directions and all over the image",
+        )
+    return np.array(kept, dtype=np.intp), refused
+
+
+def _same(sightings: Sightings, seen: NDArray[np.bool_], a: int, b: int) -> bool:
+    """Tell whether two views show the board in the same place in every camera."""
+    both = seen[a] & seen[b]
+    if not both.any():
+        return False
+    distance = sightings.uv[a][both] - sightings.uv[b][both]
+    return bool(np.sqrt((distance**2).sum(axis=1).mean()) < SAME_PLACE_PX)
+
+
+def check_tilt(poses: Array, name: str, least_deg: float = LEAST_TILT_DEG) -> list[str]:
+    """Return advice on how the board is tilted, from its poses (G, 6); raises Degenerate for no tilt.
+
+    name: of the camera, for the message ("the left camera").
+    """
+    R = np.empty((len(poses), 3, 3))
+    matrices_of(poses[:, 3:], R)
+    normals = R[:, :, 2]  # (G, 3)
+    between = np.degrees(np.arccos(np.clip(normals @ normals.T, -1.0, 1.0)))
+    if between.max() >= least_deg:
+        if between.max() < ENOUGH_TILT_DEG:
+            return [f"{name}: the board's tilt varies by {between.max():.0f} degrees only; tilt it by 20 to 40"]
+        return []
+    slant = float(np.degrees(np.arccos(np.clip(np.abs(normals[:, 2]), 0.0, 1.0))).max())
+    how = "is never tilted" if slant < least_deg else "is always tilted the same way"
+    raise Degenerate(
+        f"{name}: the board {how} (its directions differ by {between.max():.1f} degrees at most)",
+        consequence="Focal length and distance cannot be told apart, and nothing was calibrated",
+        cure="Tilt the board by 20 to 40 degrees, towards different sides",
+    )
+
+
+def check_spread(sightings: Sightings, c: int, name: str) -> list[str]:
+    """Return advice on how the points of camera c cover its image; raises Degenerate for one part of it only."""
+    uv = sightings.uv[:, c][sightings.weight[:, c] > 0.0]
+    size = np.array(sightings.sizes[c], float)
+    low, high = uv.min(axis=0), uv.max(axis=0)
+    share = (high - low) / size
+    if (share < LEAST_SPREAD).all():
+        u, v = (0.5 * (low + high)).tolist()
+        raise Degenerate(
+            f"{name}: the board is only seen around ({u:.0f}, {v:.0f}) px, over {100 * share[0]:.0f} % of the "
+            f"image's width and {100 * share[1]:.0f} % of its height",
+            consequence="The lens is unknown elsewhere, and nothing was calibrated",
+            cure="Show the board all over the image, into its corners, and closer",
+        )
+    if share.min() < ENOUGH_SPREAD:
+        return [
+            f"{name}: the points cover {100 * share[0]:.0f} % of the image's width and {100 * share[1]:.0f} % of its "
+            "height; outside them the lens is extrapolated"
+        ]
+    return []
+
+
+def check_count(n: int) -> list[str]:
+    """Return advice on the number of views."""
+    return [f"{n} views are few; {ENOUGH_VIEWS} to 20 in different poses make it sure"] if n < ENOUGH_VIEWS else []

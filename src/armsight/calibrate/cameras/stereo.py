@@ -1,0 +1,208 @@
+"""A pair of cameras from views of a printed board that both see."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.calibrate.cameras.bundle_adjustment import Bundle, adjust, bundle_of, residuals_px
+from armsight.calibrate.cameras.cross_validation import epipolar_rms, left_out, metric_of
+from armsight.calibrate.cameras.monocular import doubts, require_views, required, rms, start_of, view_rms
+from armsight.calibrate.cameras.observations import Sightings, pack
+from armsight.calibrate.cameras.options import BoardOptions
+from armsight.calibrate.cameras.outlier_rejection import Cleaned, fit_tilted, fixed_names
+from armsight.calibrate.cameras.pairing import Paired, pair_views
+from armsight.calibrate.cameras.preconditions import LEAST_VIEWS, check_count, check_spread, check_tilt, different_views
+from armsight.calibrate.cameras.rigs import baseline_std, of_one_lens, rig_of
+from armsight.errors import Inconsistent, NotConverged, NotEnoughData, Undetermined
+from armsight.optics import SIDES, Rig
+from armsight.optics.parallelism import Parallelism, parallelism
+from armsight.records import BoardView, Progress, Target
+
+Array = NDArray[np.float64]
+
+
+NO_PAIR = "the two images do not show the board at one moment: they are no pair, or it moved"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StereoCalibration:
+    """A rig (its covariance inside, its reference the left camera), how good it is, and what it rests on.
+
+    rms_px: of the points' 2-D residuals over both cameras. holdout_*: the same, and the epipolar distance, on pairs
+    left out of the fit, None where there were too few. metric: expected_m, mean_m, rms_m of the distance of
+    neighbouring points after triangulation and board_rms_m of a rigid fit, on left-out pairs; where there were too
+    few, metric_is_left_out is False and it is of the fit's own pairs; empty where no folds were asked for. rejected:
+    (source, why). used: the sightings in the fit. residual_px: of every point used (n, 2), model minus detected, by
+    side. advice: what would make it surer.
+    """
+
+    rig: Rig
+    baseline_std_m: float
+    rms_px: float
+    n_pairs: int
+    n_used: int
+    rejected: tuple[tuple[str, str], ...]
+    holdout_rms_px: float | None
+    holdout_epipolar_rms_px: float | None
+    metric: Mapping[str, float]
+    metric_is_left_out: bool
+    view_rms_px: tuple[float, ...]
+    used: Sightings
+    residual_px: Mapping[str, Array]
+    advice: tuple[str, ...]
+
+    @property
+    def std(self) -> dict[str, float]:
+        """Standard deviations of the free parameters by name, and of baseline_m."""
+        known = {} if self.rig.covariance is None else self.rig.covariance.std()
+        return {**known, "baseline_m": self.baseline_std_m}
+
+    @property
+    def sources(self) -> tuple[tuple[str, ...], ...]:
+        """Names of the two images of each pair used."""
+        return self.used.sources
+
+    @property
+    def uv_px(self) -> dict[str, Array]:
+        """Every point used (n, 2), by side."""
+        return {side: self.used.uv[:, c][self.used.weight[:, c] > 0.0] for c, side in enumerate(SIDES)}
+
+    @property
+    def epipolar_rms_px(self) -> float:
+        """RMS distance in px of a point from its partner's epipolar line, over both images of the pairs used."""
+        return epipolar_rms([(self.used, self.rig)])
+
+    @property
+    def parallelism(self) -> Parallelism:
+        """How parallel the two cameras stand, with deviations."""
+        return parallelism(self.rig)
+
+
+def calibrate_stereo(
+    left: Sequence[BoardView],
+    right: Sequence[BoardView],
+    board: Target,
+    options: BoardOptions | None = None,
+    progress: Progress | None = None,
+) -> StereoCalibration:
+    """Return the rig whose left and right camera saw the board in the views, paired by position.
+
+    Raises Inconsistent (unequal numbers, unequal image sizes, images that do not belong together, left and right
+    swapped or mirrored), NotEnoughData, Degenerate, Undetermined, NotConverged, Cancelled as calibrate_camera.
+    """
+    options = options or BoardOptions()
+    cleaned, rejected, advice = fit_pairs(left, right, board, options, progress)
+    return judged(cleaned, options, n_pairs=len(left), rejected=rejected, advice=advice)
+
+
+def fit_pairs(
+    left: Sequence[BoardView],
+    right: Sequence[BoardView],
+    board: Target,
+    options: BoardOptions,
+    progress: Progress | None = None,
+) -> tuple[Cleaned, list[tuple[str, str]], list[str]]:
+    """Return the fit of the pairs that agree, (source, why) of others, and advice; raises as calibrate_stereo."""
+    sightings, rejected = _different_pairs(left, right, board)
+    advice = check_count(sightings.n_views)
+    starts = [start_of(sightings.camera(c)) for c in range(2)]
+    for c, side in enumerate(SIDES):
+        advice += check_spread(sightings, c, f"the {side} camera")
+        check_tilt(starts[c].poses, f"the {side} camera")
+    sightings, starts, paired = _paired(sightings, starts, board, options)
+    agree = np.flatnonzero(paired.agreeing)
+    rejected += [(" / ".join(sightings.sources[g]), NO_PAIR) for g in np.flatnonzero(~paired.agreeing)]
+    if len(agree) < LEAST_VIEWS:
+        raise NotEnoughData(
+            f"{len(agree)} of {len(left)} pairs show the board at one moment, {LEAST_VIEWS} are needed",
+            consequence="Nothing was calibrated",
+            cure="Expose both cameras at once, or hold the board still",
+        )
+    start = Bundle(k=np.concatenate([s.k for s in starts]), side_pose=paired.side_pose, poses=starts[0].poses[agree])
+    cleaned, on_tilt = fit_tilted(sightings.take(agree), start, options, "the pair", progress)
+    return cleaned, rejected, [*advice, *on_tilt]
+
+
+def _different_pairs(
+    left: Sequence[BoardView], right: Sequence[BoardView], board: Target
+) -> tuple[Sightings, list[tuple[str, str]]]:
+    """Return the pairs that show something new, and (source, why) of the others."""
+    if len(left) != len(right):
+        raise Inconsistent(
+            f"{len(left)} left and {len(right)} right views do not pair up",
+            consequence="Nothing was calibrated",
+            cure="Give a right image for every left one, in the same order",
+        )
+    require_views(left, board)
+    sightings = pack([left, right], board)
+    kept, rejected = different_views(sightings)
+    return sightings.take(kept), rejected
+
+
+def judged(
+    cleaned: Cleaned, options: BoardOptions, *, n_pairs: int, rejected: list[tuple[str, str]], advice: list[str]
+) -> StereoCalibration:
+    """Return the result with its errors, on the pairs of the fit and on left-out ones."""
+    used, state = cleaned.sightings, bundle_of(cleaned.fit, 2)
+    _refuse_swapped(state.side_pose)
+    residual, seen = residuals_px(used, cleaned.fit), used.weight > 0.0
+    covariance = of_one_lens(required(cleaned)) if used.one_lens else required(cleaned)
+    overall = rms(residual, seen)
+    rig = rig_of(state, used.sizes, covariance=covariance, rms_px=overall)
+    out = left_out(cleaned, options)
+    metric = out.metric if out else metric_of([(used, rig)]) if options.folds else None
+    return StereoCalibration(
+        rig=rig,
+        baseline_std_m=baseline_std(rig),
+        rms_px=overall,
+        n_pairs=n_pairs,
+        n_used=used.n_views,
+        rejected=(*rejected, *cleaned.rejected),
+        holdout_rms_px=out.rms_px if out else None,
+        holdout_epipolar_rms_px=out.epipolar_rms_px if out else None,
+        metric=metric.as_mapping() if metric else {},
+        metric_is_left_out=bool(out and out.metric),
+        view_rms_px=view_rms(residual, seen),
+        used=used,
+        residual_px={side: residual[:, c][seen[:, c]] for c, side in enumerate(SIDES)},
+        advice=(*advice, *doubts(covariance, cleaned), *cleaned.notes),
+    )
+
+
+def _paired(
+    sightings: Sightings, starts: list[Bundle], board: Target, options: BoardOptions
+) -> tuple[Sightings, list[Bundle], Paired]:
+    """Return what the pairs agree on; where not all do at first sight, look again with each camera fitted by itself.
+
+    The closed-form start knows no distortion and no principal point: good pairs may seem to disagree by it.
+    """
+    renumbered, paired = pair_views(sightings, [start.poses for start in starts], board, final=False)
+    if paired.agreeing.all():
+        return renumbered, starts, paired
+    fixed = fixed_names(options, 1)
+    fitted = []
+    for c, start in enumerate(starts):
+        try:
+            fit = adjust(sightings.camera(c), start, fixed, max_iterations=options.max_iterations)
+        except (NotConverged, Undetermined):
+            fitted.append(start)  # its start is the best there is
+        else:
+            fitted.append(bundle_of(fit, 1))
+    renumbered, paired = pair_views(sightings, [start.poses for start in fitted], board)
+    return renumbered, fitted, paired
+
+
+def _refuse_swapped(side_pose: Array) -> None:
+    """Raise Inconsistent where the right camera stands on the left one's left."""
+    x, y, z = side_pose[:3].tolist()
+    if x < 0.0 and abs(x) > max(abs(y), abs(z)):
+        raise Inconsistent(
+            f"left and right are swapped, or both cameras' images are mirrored: the right camera stands "
+            f"{-x * 1e3:.1f} mm to the left of the left one",
+            consequence="Nothing was calibrated: every later use would call the views by the wrong name",
+            cure="Exchange the sources of --left and --right, or switch off the cameras' mirror mode",
+        )

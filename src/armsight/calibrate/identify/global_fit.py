@@ -1,0 +1,197 @@
+"""The whole arm fitted at once: starts, gross readings, deviations widened by what the fit leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from armsight.calibrate.identify.axes import PLAUSIBLE, Candidate, candidates, plausible
+from armsight.calibrate.identify.chain import Axis, ChainModel, at_zero, fit_chain, moved_by
+from armsight.calibrate.identify.joint_paths import LOST_SHARE, Found
+from armsight.calibrate.identify.path_fit import GROSS
+from armsight.calibrate.identify.residuals import Seen
+from armsight.calibrate.identify.sweeps import Sweeps
+from armsight.errors import Inconsistent, NotConverged
+from armsight.fitting import Fit
+from armsight.records import NamedCovariance
+
+Array = NDArray[np.float64]
+
+SLOPES = {1.0: "", np.pi / 180.0: "degrees given as radians", 180.0 / np.pi: "radians given as degrees",
+          0.01: "centimetres given as metres", 100.0: "metres given as centimetres",
+          0.001: "millimetres given as metres", 1000.0: "metres given as millimetres"}  # fmt: skip
+SLOPE_NEAR = 0.25
+WORTH = 8.0
+"""Half chi-square by which a turning joint must be better than a sliding one where the path alone does not decide."""
+RIVAL = 3.0
+"""Half chi-square within which two arms explain the readings alike (odds of 20 to 1)."""
+SURE = 1e-12
+"""Where a line is rejected less clearly than this, by one noisy sweep in ten thousand, its values decide as well."""
+STARTED = 12
+"""Combinations of axes fitted at most."""
+
+
+def check_slopes(found: Sequence[Found], sweeps: Sweeps, axes: Sequence[Sequence[Candidate]]) -> None:
+    """Raise Inconsistent where a path does not go with the commanded values: another unit, or not exact.
+
+    The lengths are compared only where no axis explains the path at those values: an arc whose centre the noise leaves
+    open has no length to speak of.
+    """
+    for j, (item, possible) in enumerate(zip(found, axes, strict=True)):
+        best = min((one.chi2 for one in possible), default=np.inf)
+        if best < 3.0 * item.path.chi2 + PLAUSIBLE:
+            continue
+        q = sweeps.q[item.main, j]
+        slope = abs(float(np.polyfit(q, item.path.phase, 1)[0]))
+        if abs(slope - 1.0) < 4 * SLOPE_NEAR and slope > 0.2:
+            continue
+        near = min(SLOPES, key=lambda unit: abs(np.log(max(slope, 1e-9) / unit)))
+        why = SLOPES[near] if abs(slope / near - 1.0) < SLOPE_NEAR and SLOPES[near] else "another unit, or not known"
+        raise Inconsistent(
+            f"joint {j + 1} moved {slope:.3g} times as far as its commanded values say",
+            consequence="The arm is not identified",
+            cure=f"Correct the values ({why}), or use only their order (--increments order)",
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class WholeFit:
+    """The whole arm: model, fit, the rows kept and those discarded, and how much larger its misfit's variance is.
+
+    rivals: other arms of the same types that explain as many readings nearly as well.
+    """
+
+    model: ChainModel
+    fit: Fit
+    rows: NDArray[np.intp]
+    dropped: tuple[tuple[int, str], ...]
+    rivals: tuple[WholeFit, ...] = ()
+
+    @property
+    def scale2(self) -> float:
+        """Variance of the whitened residuals: 1 where the noise of single paths explains all."""
+        return 2.0 * self.fit.cost / max(self.fit.dof, 1)
+
+
+def fit_whole(seen: Seen, found: Sequence[Found]) -> WholeFit:
+    """Return the fit of the whole arm to all readings, the joint values known.
+
+    Started from the axes that explain each sweep best, and from all others the noise does not exclude; joints whose
+    type is not decided are tried as both. Raises NotConverged, Inconsistent where the paths contradict the values.
+    """
+    axes = [possible_axes(seen, item, j) for j, item in enumerate(found)]
+    check_slopes(found, seen.sweeps, axes)
+    rows = np.sort(np.concatenate([item.rows for item in found]))
+    best: WholeFit | None = None
+    tried: list[WholeFit] = []
+    for least, start in _starts(seen, found, axes):
+        if best is not None and least > _price(best) + RIVAL:
+            break  # the arm explains its sweeps at best as well as each sweep's own axis does
+        try:
+            again = _fit_from(seen, start, rows)
+        except NotConverged:
+            continue
+        tried.append(again)
+        if best is None or (-len(again.rows), _price(again)) < (-len(best.rows), _price(best)):
+            best = again
+    if best is not None:
+        _check_dropped(found, best)
+    if best is None:
+        raise NotConverged(
+            "no arm explains the sweeps", consequence="The arm is not identified",
+            cure="Sweep again, slower and over longer arcs",
+        )  # fmt: skip
+    return replace(best, rivals=tuple(one for one in tried if _rivals(one, best)))
+
+
+def _check_dropped(found: Sequence[Found], whole: WholeFit) -> None:
+    """Raise Inconsistent where an arm explains its other sweeps, and too little of one."""
+    dropped = [row for row, _ in whole.dropped]
+    for j, item in enumerate(found, 1):
+        off = len(item.discarded) + int(np.isin(item.rows, dropped).sum())
+        count = len(item.discarded) + len(item.rows)
+        if off > LOST_SHARE * count:
+            raise Inconsistent(
+                f"{off} of the {count} readings of joint {j} do not agree with any arm that explains the other sweeps",
+                consequence="The arm is not identified",
+                cure="Another joint may have moved with it, or its commanded values are not exact: sweep again, or use "
+                "only their order (--increments order)",
+            )
+
+
+def _rivals(one: WholeFit, best: WholeFit) -> bool:
+    """Whether an arm is another of the best one's types that the readings do not tell from it."""
+    alike = [axis.revolute for axis in one.model.axes] == [axis.revolute for axis in best.model.axes]
+    return one is not best and alike and len(one.rows) == len(best.rows) and _price(one) < _price(best) + RIVAL
+
+
+def _price(fit: WholeFit) -> float:
+    """Return the fit's cost, and what its turning joints cost beside sliding ones."""
+    return fit.fit.cost + WORTH * sum(axis.revolute for axis in fit.model.axes)
+
+
+def possible_axes(seen: Seen, item: Found, joint: int) -> list[Candidate]:
+    """Return a joint's axes as its sweep shows them: of its type, and of both where that is not decided."""
+    part, q = seen.take(item.main), seen.sweeps.q[item.main, joint]
+    circle = item.path.kind == "circle"
+    own = candidates(part, q, revolute=circle)
+    sure = item.decided and (not circle or item.p_line < SURE)
+    other = [] if sure else candidates(part, q, revolute=not circle)
+    best = min((one.chi2 for one in (*own, *other)), default=np.inf)
+    return plausible(own, best) + plausible(other, best)
+
+
+def _starts(seen: Seen, found: Sequence[Found], axes: Sequence[Sequence[Candidate]]) -> list[tuple[float, ChainModel]]:
+    """Return starts of the whole arm, the best first, with the least price each can have."""
+    sweeps = seen.sweeps
+    rests = [sweeps.q[item.main[0], :j] for j, item in enumerate(found)]
+    rows = np.sort(np.concatenate([item.rows for item in found]))
+    combined: list[tuple[float, list[Axis]]] = [(0.0, [])]
+    for possible in axes:
+        more = [
+            (price + 0.5 * one.chi2 + WORTH * one.axis.revolute, [*before, one.axis])
+            for price, before in combined
+            for one in possible
+        ]
+        combined = sorted(more, key=lambda item: item[0])[:STARTED]
+    out = []
+    for price, chosen in combined:
+        turned = at_zero(chosen, rests)
+        out.append((price, ChainModel(axes=tuple(turned), beacon_m=beacon_at_zero(turned, sweeps, rows))))
+    return out
+
+
+def _fit_from(seen: Seen, model: ChainModel, rows: NDArray[np.intp]) -> WholeFit:
+    """Fit the whole arm to the rows from one start, discarding gross readings."""
+    dropped: list[tuple[int, str]] = []
+    robust = float(np.sqrt(chdtri(seen.rows, 1e-3)))
+    while True:
+        fit = fit_chain(seen.take(rows), model, robust=robust)
+        size = np.sqrt((fit.residuals.reshape(len(rows), -1) ** 2).sum(axis=1))
+        scale = max(1.0, float(np.sqrt(np.median(size**2) / chdtri(seen.rows, 0.5))))
+        bad = size > GROSS * scale
+        if not bad.any() or len(dropped) > LOST_SHARE * len(rows):
+            return WholeFit(model=model, fit=fit, rows=rows, dropped=tuple(dropped))
+        dropped += [(int(r), f"off the arm by {s:.0f} deviations") for r, s in zip(rows[bad], size[bad], strict=True)]
+        rows = rows[~bad]
+
+
+def all_covariance(names: tuple[str, ...], covariance: NamedCovariance | None, widen: float) -> Array:
+    """Return the covariance (P, P) of all parameters; those the data leave open get an infinite-like variance."""
+    out = 1e6 * np.eye(len(names))
+    if covariance is not None:
+        index = [names.index(one) for one in covariance.names]
+        out[np.ix_(index, index)] = widen * covariance.matrix
+    return out
+
+
+def beacon_at_zero(axes: Sequence[Axis], sweeps: Sweeps, rows: NDArray[np.intp]) -> Array:
+    """Return the beacon with all joints at zero: every reading moved back, the median."""
+    X = sweeps.xyz_m[rows]
+    for axis, q in zip(axes, sweeps.q[rows].T, strict=True):
+        X = moved_by(axis, -q, X)
+    return np.asarray(np.median(X, axis=0))

@@ -1,0 +1,189 @@
+"""Every joint's path: line or circle, gross readings discarded, the noise found from all of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc, chdtri, fdtrc
+
+from armsight.calibrate.identify.chain import Axis
+from armsight.calibrate.identify.curves import basis
+from armsight.calibrate.identify.path_fit import GROSS, PathFit, circle_starts, fit_circle, fit_line, line_misfit
+from armsight.calibrate.identify.residuals import Seen
+from armsight.calibrate.identify.sweeps import Sweeps
+from armsight.errors import Inconsistent, NotConverged, NotEnoughData
+
+Array = NDArray[np.float64]
+
+DECIDED = 1e-4
+"""A line is rejected below this probability: one slide in ten thousand is then called a turning joint."""
+HIDDEN_RAD = 0.3
+"""A path that may be an arc of so much is not certainly a line."""
+STILL = 2.0
+"""A beacon whose places spread by less than so many deviations of the noise has not moved."""
+LOST_SHARE = 0.3
+"""With more readings discarded the path is not that of one joint."""
+POOR = 1e-12
+"""Probability of a path's misfit below which it is neither line nor circle."""
+PLAINLY = 0.01
+"""A path is plainly bent where a circle leaves less than this share of the misfit a line leaves."""
+LOOSE = 1e3
+"""Factor on the noise with which nothing counts as gross, while the noise itself is looked for."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Found:
+    """A joint's path, the rows of its sweep that were kept, and the readings discarded.
+
+    Of several sweeps the path is that of the one that tells most, main its rows; rows are those of all.
+    """
+
+    path: PathFit
+    main: NDArray[np.intp]
+    rows: NDArray[np.intp]
+    discarded: tuple[tuple[int, str], ...]
+    p_line: float
+    line_chi2: float
+    decided: bool
+
+
+def find_paths(seen: Seen, sigma: float | None) -> tuple[list[Found], Seen]:
+    """Return every joint's path, and the readings with the noise found from all of them."""
+    sweeps = seen.sweeps
+    parts = [(j, rows) for j in range(sweeps.n) for rows in sweeps.sweeps(j)]
+    near: list[PathFit | None] = [None] * len(parts)
+    if sigma is None:
+        first = [_noise(seen.take(rows), sweeps.q[rows, j]) for j, rows in parts]
+        known = [value for value, _ in first if np.isfinite(value)]
+        near = [path for _, path in first]
+        if not known:
+            raise NotEnoughData(
+                "three readings of every joint leave nothing to find the noise by",
+                consequence="No deviations can be given", cure="Give the noise (sigma), or take more readings",
+            )  # fmt: skip
+        seen = seen.at(seen.sigma * max(float(np.median(known)), 1e-9))
+    each = [_one_path(seen, j, rows, start) for (j, rows), start in zip(parts, near, strict=True)]
+    if sigma is None:  # once more with the noise of the shapes that were chosen
+        total = sum(item.path.chi2 for item in each)
+        dof = sum(item.path.dof for item in each)
+        if dof > 0:
+            factor = float(np.sqrt(max(total / dof, 1e-18)))
+            seen = seen.at(seen.sigma * factor)
+            each = [_judged(item, factor, dof) for item in each]
+    return [_together([one for (k, _), one in zip(parts, each, strict=True) if k == j]) for j in range(sweeps.n)], seen
+
+
+def _together(found: list[Found]) -> Found:
+    """Return a joint's path from those of its sweeps: of the one that shows its type most plainly and went furthest."""
+    best = max(found, key=lambda item: (item.decided, item.path.kind == "circle", float(np.ptp(item.path.phase))))
+    return replace(
+        best,
+        rows=np.concatenate([item.rows for item in found]),
+        discarded=tuple(one for item in found for one in item.discarded),
+    )
+
+
+def _judged(item: Found, factor: float, dof: int) -> Found:
+    """Return a path with the probability of a line by an F test: the noise was found from dof residuals."""
+    if item.path.kind == "line":
+        return replace(item, p_line=float(chdtrc(max(item.path.dof, 1), item.path.chi2 / factor**2)))
+    gained = max(item.line_chi2 - item.path.chi2, 0.0) / factor**2
+    return replace(item, p_line=float(fdtrc(2, max(dof, 1), gained / 2.0)))
+
+
+def _noise(seen: Seen, order: Array) -> tuple[float, PathFit | None]:
+    """Return the noise of one sweep over the assumed one, by the median of the better shape's residuals; the shape."""
+    loose = seen.at(LOOSE * seen.sigma if seen.rig is not None else LOOSE)
+    starts = circle_starts(loose)
+    bent = starts[0][0]
+    path = None if bent < PLAINLY * line_misfit(loose) else fit_line(loose, order)
+    if path is None or path.dof < 1 or bent < 0.25 * path.chi2:
+        try:
+            path = fit_circle(loose, order, starts=starts, coarse=True)
+        except NotConverged:
+            return float("nan"), None
+    if path.dof < 1:
+        return float("nan"), None
+    spread = float(np.median((path.residual**2).sum(axis=1)) / chdtri(path.dof / len(path.residual), 0.5))
+    return float(np.sqrt(spread)) * loose.sigma / seen.sigma, path
+
+
+def _one_path(seen: Seen, joint: int, rows: NDArray[np.intp], near: PathFit | None) -> Found:
+    """Return the path of one sweep, gross readings discarded; near: fitted to it before, without regard to them."""
+    count = len(rows)
+    out: list[tuple[int, str]] = []
+    _check_moved(seen.take(rows), joint)
+    for _ in range(4):
+        part, order = seen.take(rows), seen.sweeps.q[rows, joint]
+        bent = near if near is not None and near.kind == "circle" else None
+        straight = fit_line(part, order, coarse=bent is not None)
+        path = fit_circle(part, order, bent) if straight.p < DECIDED else straight
+        size = np.sqrt((path.residual**2).sum(axis=1))
+        bad = size > GROSS
+        if not bad.any() or len(rows) - bad.sum() < 3:
+            break
+        worst = bad & (size >= size.max() * 0.5)
+        out += [
+            (int(row), f"off its path by {s:.0f} deviations") for row, s in zip(rows[worst], size[worst], strict=True)
+        ]
+        rows = rows[~worst]
+    if len(out) > LOST_SHARE * count or (path.dof > 0 and path.p < POOR):
+        off = f": {len(out)} of {count} readings are off" if out else ", by more than noise can be"
+        raise Inconsistent(
+            f"the path of joint {joint + 1} is neither a line nor a circle{off}",
+            consequence="The joint is not identified",
+            cure="Two joints may have moved, or a reflection was taken for the beacon: look at its points, sweep again",
+        )
+    return Found(
+        path=path,
+        main=rows,
+        rows=rows,
+        discarded=tuple(out),
+        p_line=straight.p,
+        line_chi2=straight.chi2,
+        decided=_decided(straight, part),
+    )
+
+
+def _check_moved(seen: Seen, joint: int) -> None:
+    xyz = seen.sweeps.xyz_m
+    spread, _ = seen.residuals(np.tile(xyz.mean(axis=0), (len(xyz), 1)), np.zeros((len(xyz), 3, 1)))
+    if np.sqrt(np.mean((spread**2).sum(axis=1)) / seen.rows) < STILL:
+        raise NotEnoughData(
+            f"the beacon did not move beyond the noise in the sweep of joint {joint + 1}",
+            consequence="Its axis cannot be found",
+            cure="The joint stood still, or the beacon lies on its axis: move it further, or put the beacon elsewhere",
+        )
+
+
+def _decided(straight: PathFit, seen: Seen) -> bool:
+    """Whether the type is beyond doubt: the line is rejected, or no arc worth the name could hide in the noise.
+
+    The arc's angle is the bend of the path, by weighted least squares of t^2 in the directions across the line, times
+    the stroke.
+    """
+    if straight.p < DECIDED:
+        return True
+    t = straight.phase - straight.phase.mean()
+    xyz = seen.sweeps.xyz_m
+    across = basis(straight.direction)[:, :2]
+    C = seen.sweeps.covariance_m2
+    variance = np.tile(seen.sigma**2 * np.eye(3), (len(t), 1, 1)) if C is None else seen.relative**2 * C
+    A = np.stack([np.ones_like(t), t, t**2], axis=1)
+    if len(t) < 4:
+        return False
+    bend, doubt = 0.0, 0.0
+    for e in across.T:
+        w = 1.0 / np.sqrt(np.einsum("i,mij,j->m", e, variance, e))
+        H = np.linalg.inv((A * w[:, None]).T @ (A * w[:, None]))
+        b = H @ (A * (w**2)[:, None]).T @ (xyz @ e - xyz.mean(axis=0) @ e)
+        bend, doubt = np.hypot(bend, b[2]), np.hypot(doubt, np.sqrt(H[2, 2]))
+    return bool(2.0 * (bend + 3.0 * doubt) * np.ptp(t) < HIDDEN_RAD)
+
+
+def measured(item: Found, sweeps: Sweeps) -> Axis:
+    """Return a joint's axis as its own sweep saw it; a slide's goes through the middle of its path."""
+    point = item.path.point_m if item.path.kind == "circle" else sweeps.xyz_m[item.main].mean(axis=0)
+    return Axis(point_m=point, direction=item.path.direction, revolute=item.path.kind == "circle")

@@ -1,0 +1,243 @@
+"""One joint's path: circle or line by maximum likelihood, and which of the two by the chi-square test of MATH 4.3."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc, chdtri
+
+from armsight.calibrate.identify.curves import ARC, CIRCLE, LINE, Tilt, arc, basis, circle_of, line, skew
+from armsight.calibrate.identify.residuals import Seen
+from armsight.errors import NotConverged
+from armsight.fitting import Evaluation, Fit, Loss, LossKind, Problem, Settings, solve
+from armsight.records import NamedCovariance
+
+Array = NDArray[np.float64]
+Start = tuple[float, Array, Array, float]
+
+SWUNG = 8
+"""Normals tried, swung about the chord: with a short arc the plane fit may be anywhere about it (MATH 4.3)."""
+GROSS = float(np.sqrt(chdtri(3, 1e-6)))
+"""Readings beyond so many deviations are discarded."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PathFit:
+    """A circle (kind 'circle') or a line, fitted to the readings of one joint.
+
+    point_m: the circle's centre, or a point of the line. direction: the axis, its sense by the commanded values.
+    radius_m: 0 of a line. phase (N,): where on it the readings are (rad or m). chi2, dof: of the readings kept.
+    residual (N, rows): whitened. cost: half the robust sum of squares. names, covariance: of CIRCLE, about the basis of
+    the direction, or of LINE; None where the readings leave it open.
+    """
+
+    kind: str
+    point_m: Array
+    direction: Array
+    radius_m: float
+    phase: Array
+    chi2: float
+    dof: int
+    residual: Array
+    cost: float
+    names: tuple[str, ...]
+    covariance: NamedCovariance | None
+
+    @property
+    def p(self) -> float:
+        """Probability that noise alone leaves as much."""
+        return float(chdtrc(max(self.dof, 1), self.chi2))
+
+    def nearest(self, xyz_m: Array) -> Array:
+        """Return the places (N, 3) on the path that are nearest to xyz_m (N, 3)."""
+        away = xyz_m - self.point_m
+        along = np.outer(away @ self.direction, self.direction)
+        if self.kind == "line":
+            return np.asarray(self.point_m + along)
+        across = away - along
+        size = np.maximum(np.linalg.norm(across, axis=1), 1e-12)[:, None]
+        return np.asarray(self.point_m + self.radius_m * across / size)
+
+    def tangent(self, at_m: Array) -> Array:
+        """Return the direction (3,) of the path at a place (3,) on it."""
+        if self.kind == "line":
+            return self.direction
+        return np.asarray(np.cross(self.direction, at_m - self.point_m) / self.radius_m)
+
+
+def fit_line(seen: Seen, order: Array, *, coarse: bool = False) -> PathFit:
+    """Return the line of greatest likelihood. order (N,): the commanded values, of which only the sense is used.
+
+    coarse: a tenth of the cost is enough, as where the path is plainly bent.
+    """
+    xyz = seen.sweeps.xyz_m
+    middle = xyz.mean(axis=0)
+    direction = np.linalg.svd(xyz - middle)[2][0]
+    direction = direction * _sense((xyz - middle) @ direction, order)
+    tilt = Tilt(B=basis(direction))
+
+    def evaluate(p: Array, t: Array) -> Evaluation:
+        X, J, Jt = line(tilt, middle, p, t[:, 0])
+        return _evaluation(seen, X, J, Jt)
+
+    problem = Problem(
+        names=LINE, guess=np.zeros(4), evaluate=evaluate, n_residuals=seen.rows * len(xyz), local_names=("t_m",),
+        local_guess=((xyz - middle) @ direction)[:, None], loss=_loss(seen),
+    )  # fmt: skip
+    fit = solve(problem, COARSE if coarse else ROUGH)
+    d, _ = tilt.direction(fit.shared[2:])
+    point, t = middle + tilt.B[:, :2] @ fit.shared[:2], fit.local[:, 0]
+    sense = _sense(t, order)
+    return _path("line", fit, point, sense * d, 0.0, sense * t, LINE, fit.covariance)
+
+
+def fit_circle(
+    seen: Seen,
+    order: Array,
+    near: PathFit | None = None,
+    *,
+    starts: Sequence[Start] | None = None,
+    coarse: bool = False,
+) -> PathFit:
+    """Return the circle of greatest likelihood; started from the plane fit and from normals swung about the chord.
+
+    near: a circle fitted before to nearly the same readings, tried first. starts: circle_starts, where they are there
+    already. coarse: a thousandth of the cost is enough.
+    """
+    best: PathFit | None = None
+    for normal, centre, radius in _attempts(seen, near, starts):
+        found = _settled(seen, normal, centre, radius, order, coarse=coarse)
+        if found is None:
+            continue
+        if best is None or found.cost < best.cost:
+            best = found
+        if _decided(found):
+            break
+    if best is None:
+        raise NotConverged("no circle fits the readings", cure="Take readings over a longer arc")
+    return best
+
+
+def _attempts(seen: Seen, near: PathFit | None, starts: Sequence[Start] | None) -> Iterator[tuple[Array, Array, float]]:
+    """Yield from where a circle is fitted, worked out only as far as it is needed."""
+    if near is not None:
+        yield near.direction, near.point_m, near.radius_m
+    for start in circle_starts(seen) if starts is None else starts:
+        yield start[1:]
+
+
+def _settled(seen: Seen, n: Array, centre: Array, radius: float, order: Array, *, coarse: bool) -> PathFit | None:
+    """Return the circle from one start, settled roughly where it will not settle finely, None where it does neither."""
+    for settings in (ROUGH,) if coarse else (SETTINGS, ROUGH):
+        try:
+            return _circle_from(seen, n, centre, radius, order, settings)
+        except NotConverged:
+            continue
+    return None
+
+
+def line_misfit(seen: Seen) -> float:
+    """Return chi-square of the line a fit would start from."""
+    xyz = seen.sweeps.xyz_m
+    middle = xyz.mean(axis=0)
+    direction = np.linalg.svd(xyz - middle)[2][0]
+    r, _ = seen.residuals(middle + np.outer((xyz - middle) @ direction, direction), np.zeros((len(xyz), 3, 1)))
+    return float((r**2).sum())
+
+
+def circle_starts(seen: Seen) -> list[Start]:
+    """Return chi-square, normal, centre, radius of circles with normals swung about the chord, the best first.
+
+    Each is the circle of linear least squares in its plane through the middle, every reading put to its nearest place.
+    """
+    xyz = seen.sweeps.xyz_m
+    middle = xyz.mean(axis=0)
+    chord, _, normal = np.linalg.svd(xyz - middle)[2]
+    angle = np.arange(SWUNG)[:, None] * np.pi / SWUNG
+    normals = np.cos(angle) * normal + np.sin(angle) * (skew(chord) @ normal)
+    E = np.stack([np.broadcast_to(chord, normals.shape), np.cross(normals, chord)], axis=2)  # (8, 3, 2)
+    x = (xyz - middle) @ E
+    A = np.concatenate([2.0 * x, np.ones((*x.shape[:2], 1))], axis=2)
+    solved = (np.linalg.pinv(A) @ (x**2).sum(axis=2)[:, :, None])[:, :, 0]
+    centre, c = solved[:, None, :2], solved[:, 2]
+    radius = np.sqrt(np.maximum(c + (centre[:, 0] ** 2).sum(axis=1), 1e-12))
+    away = x - centre
+    nearest = centre + radius[:, None, None] * away / np.maximum(np.linalg.norm(away, axis=2), 1e-12)[:, :, None]
+    places, centres = middle + nearest @ E.transpose(0, 2, 1), middle + (centre @ E.transpose(0, 2, 1))[:, 0]
+    out, still = [], np.zeros((len(xyz), 3, 1))
+    for k in range(SWUNG):
+        r, _ = seen.residuals(places[k], still)
+        size = float((r**2).sum())
+        out.append((size if np.isfinite(size) else np.inf, normals[k], centres[k], float(radius[k])))
+    return sorted(out, key=lambda start: start[0])
+
+
+def _decided(found: PathFit) -> bool:
+    """Whether a fit is good enough not to try another start."""
+    return found.p > 1e-3
+
+
+def _circle_from(seen: Seen, n: Array, centre: Array, radius: float, order: Array, settings: Settings) -> PathFit:
+    xyz = seen.sweeps.xyz_m
+    index = np.argsort(order)
+    point = xyz[index[len(index) // 2]] - centre
+    point = point - (point @ n) * n
+    point *= radius / max(float(np.linalg.norm(point)), 1e-12)
+    tangent = skew(n) @ point / radius
+    tilt, middle = Tilt(B=basis(tangent)), centre + point
+    phi = np.arctan2((xyz - centre) @ tangent, (xyz - centre) @ point / radius)
+
+    def evaluate(p: Array, s: Array) -> Evaluation:
+        X, J, Js = arc(tilt, middle, p, s[:, 0])
+        return _evaluation(seen, X, J, Js)
+
+    problem = Problem(
+        names=ARC, guess=np.array([0.0, 0.0, 0.0, 0.0, *(-tilt.B[:, :2].T @ point / radius**2)]), evaluate=evaluate,
+        n_residuals=seen.rows * len(xyz), local_names=("s_m",), local_guess=radius * phi[:, None], loss=_loss(seen),
+    )  # fmt: skip
+    fit = solve(problem, settings)
+    centre, axis, radius, D = circle_of(tilt, middle, fit.shared)
+    phase = np.unwrap(fit.local[index, 0] / radius)
+    sense = 1.0 if phase[-1] >= phase[0] else -1.0
+    back = np.empty(len(phase))
+    back[index] = phase
+    covariance = None
+    if fit.covariance is not None and fit.covariance.names == ARC:
+        D[3:5] = basis(sense * axis)[:, :2].T @ basis(axis)[:, :2] @ D[3:5] * sense
+        covariance = NamedCovariance(names=CIRCLE, matrix=D @ fit.covariance.matrix @ D.T)
+    return _path("circle", fit, centre, sense * axis, radius, sense * back, CIRCLE, covariance)
+
+
+ROUGH = Settings(max_iterations=200, allow_undetermined=True, cost_tolerance=1e-3, step_tolerance=1e-4)
+"""For a line far from fitting, where it does not matter how far, and for a centre that the noise leaves open."""
+COARSE = Settings(max_iterations=200, allow_undetermined=True, cost_tolerance=0.1, step_tolerance=1e-2)
+"""For a line that cannot be."""
+SETTINGS = Settings(max_iterations=100, allow_undetermined=True, cost_tolerance=1e-6, step_tolerance=1e-6)
+"""For the circle: a short arc leaves its centre in a valley; a millionth of the cost is enough."""
+
+
+def _loss(seen: Seen) -> Loss:
+    return Loss(kind=LossKind.HUBER, scale=float(np.sqrt(chdtri(seen.rows, 1e-3))), block=seen.rows)
+
+
+def _evaluation(seen: Seen, X: Array, J: Array, Jt: Array) -> Evaluation:
+    r, slopes = seen.residuals(X, np.concatenate([J, Jt[:, :, None]], axis=2))
+    return Evaluation(residuals=r, shared=slopes[:, :, :-1], local=slopes[:, :, -1:])
+
+
+def _path(
+    kind: str, fit: Fit, point: Array, direction: Array, radius: float, phase: Array, names: tuple[str, ...],
+    covariance: NamedCovariance | None,
+) -> PathFit:  # fmt: skip
+    r = fit.residuals
+    return PathFit(
+        kind=kind, point_m=point, direction=direction, radius_m=radius, phase=phase, chi2=float((r**2).sum()),
+        dof=r.size - len(names) - len(r), residual=r, cost=fit.cost, names=names, covariance=covariance,
+    )  # fmt: skip
+
+
+def _sense(t: Array, order: Array) -> float:
+    return 1.0 if np.dot(t - t.mean(), order - order.mean()) >= 0.0 else -1.0

@@ -1,0 +1,7 @@
+"""Where the lights of a target are, from frames that a calibrated rig took of it."""
+
+from armsight.calibrate.light_target.calibrate import calibrate_target
+from armsight.calibrate.light_target.frames import LitFrame
+from armsight.calibrate.light_target.result import Distance, TargetCalibration
+
+__all__ = ["Distance", "LitFrame", "TargetCalibration", "calibrate_target"]

@@ -1,0 +1,217 @@
+"""A lit target's geometry from frames of a calibrated rig: which light is which, then all frames in one bundle."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2 as chi2_law
+
+from armsight.calibrate.light_target.adjustment import Bundle, Sightings, fit_bundle
+from armsight.calibrate.light_target.advice import advise
+from armsight.calibrate.light_target.checks import (
+    MIN_FRAMES,
+    few_frames,
+    not_rigid,
+    on_line,
+    on_one_line,
+    require_lights,
+    require_names,
+    require_rigid,
+    require_side,
+    told_apart,
+)
+from armsight.calibrate.light_target.frames import LitFrame, sights_of
+from armsight.calibrate.light_target.layout import (
+    LETTERS,
+    Layout,
+    line_frame,
+    line_layout,
+    name_order,
+    plane_frame,
+    plane_layout,
+)
+from armsight.calibrate.light_target.naming import Named, find_shape
+from armsight.calibrate.light_target.result import TargetCalibration, distances_of
+from armsight.optics import Rig, triangulate
+from armsight.records import NamedCovariance
+from armsight.units import MM
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Rejected = list[tuple[int, str]]
+
+FALSE_ALARM = 1e-4
+"""Chance that any frame of a good recording is left out for its residuals."""
+
+LEAST_SHARE = 0.6
+"""Share of the frames with all lights that must agree on one shape."""
+
+TINY = 1e-300
+
+
+def calibrate_target(
+    rig: Rig, frames: Sequence[LitFrame], lights: int = 3, *, overlaid: bool = False
+) -> TargetCalibration:
+    """Return where the lights are in the target's own frame, from frames of a calibrated rig.
+
+    The lights are named across frames by their distances, so their order in the rows does not matter; A is leftmost in
+    the mean of the left images, w points away from the camera (MATH 3.2). Deviations hold the spots' noise, widened
+    where the residuals are larger, and the rig's covariance. overlaid: both views are in one image, which only changes
+    what a refusal advises. Raises UsageError for a number of lights
+    that is not 2 to 6, NotEnoughData below three frames, Degenerate for three and more lights on one line, Ambiguous
+    where a symmetric arrangement leaves the names open, Inconsistent where the frames share no rigid shape.
+    """
+    require_lights(lights)
+    named, numbers, rejected = _name(rig, frames, lights, overlaid)
+    flat = on_one_line(named)
+    keep = np.ones(len(numbers), bool) if flat else _clear(named, numbers, rejected)
+    seen = _sightings(frames, numbers, named)
+    order = _order(named, seen, keep, flat)
+    layout = line_layout(lights) if flat else plane_layout(lights)
+    seen = Sightings(uv_px=seen.uv_px[:, order], cov_px2=seen.cov_px2[:, order])
+    bundle, used = _fit(rig, layout, seen, named, order, keep, numbers, rejected, overlaid)
+    require_rigid(bundle, _epipolar(rig, seen.take(used)), lights, int(used.sum()))
+    covariance = _covariance(layout, bundle)
+    X, names = layout.spots(bundle.values), tuple(LETTERS[:lights])
+    if flat and lights > 2:
+        raise on_line(distances_of(names, X, covariance))
+    return advise(
+        TargetCalibration(
+            names=names,
+            xyz_m=X,
+            covariance=NamedCovariance(names=tuple(f"{n}.{a}_m" for n in names for a in "xyz"), matrix=covariance),
+            n_frames=len(frames),
+            used=tuple(frames[i].name for i in numbers[used]),
+            rejected=tuple((frames[i].name, why) for i, why in sorted(rejected)),
+            residual_px=bundle.residual_px,
+            left_out_px=bundle.left_out_px,
+            scale=float(np.sqrt(bundle.scale2)),
+            rig_share=None if rig.covariance is None else _share(layout, bundle, covariance),
+            turn_rms_rad=_turns(bundle.poses),
+        )
+    )
+
+
+def _name(
+    rig: Rig, frames: Sequence[LitFrame], lights: int, overlaid: bool
+) -> tuple[Named, NDArray[np.intp], Rejected]:
+    """Return the shape that the frames share with their lights named by it, the frames' numbers, and the others."""
+    sights, rejected = sights_of(rig, frames, lights)
+    if len(sights) < MIN_FRAMES:
+        raise few_frames(len(sights), len(frames), lights, rejected, overlaid=overlaid)
+    named = find_shape(sights)
+    rejected += [
+        (sights[s].frame, f"distances of its lights differ by {off / MM:.2g} mm from those of the other frames")
+        for s, off in named.misfit
+    ]
+    if len(named.number) < max(MIN_FRAMES, LEAST_SHARE * len(sights)):
+        raise not_rigid(len(named.number), len(sights), named, overlaid=overlaid)
+    return named, np.array([sights[s].frame for s in named.number], dtype=np.intp), rejected
+
+
+def _clear(named: Named, numbers: NDArray[np.intp], rejected: Rejected) -> Flags:
+    """Return the frames whose lights can be named, and say of the others why not."""
+    told, other = told_apart(named)
+    require_names(named, told, other)
+    require_side(named)
+    minority = named.behind if named.behind.mean() <= 0.5 else ~named.behind
+    reversed_ = minority & (len(named.X) == 3)  # more lights in space do not fit from behind
+    for i in np.flatnonzero(~told | reversed_):
+        why = (
+            "its lights run the other way round: a mirror image, or the target from behind"
+            if reversed_[i]
+            else "its lights cannot be told apart from this side"
+        )
+        rejected.append((int(numbers[i]), why))
+    return np.asarray(told & ~reversed_)
+
+
+def _sightings(frames: Sequence[LitFrame], numbers: NDArray[np.intp], named: Named) -> Sightings:
+    views = [
+        [(s.uv_px[rows], s.covariance_px2[rows]) for s in (frames[i].left, frames[i].right)]
+        for i, rows in zip(numbers, named.rows, strict=True)
+    ]
+    return Sightings(
+        uv_px=np.array([np.stack([left[0], right[0]], axis=1) for left, right in views]),
+        cov_px2=np.array([np.stack([left[1], right[1]], axis=1) for left, right in views]),
+    )
+
+
+def _order(named: Named, seen: Sightings, keep: Flags, flat: bool) -> NDArray[np.intp]:
+    """Return the order of the shape's lights that makes them A, B, C ..."""
+    u = seen.uv_px[keep][:, :, 0, 0]
+    u = (u - u.mean(axis=1, keepdims=True)).mean(axis=0)
+    X = named.X
+    if flat:
+        along = X @ line_frame(X)[0][:, 0]
+        order = np.argsort(along)
+        return np.asarray(order if u[order[0]] <= u[order[-1]] else order[::-1])
+    # the mean way from the camera to the target, in its own axes
+    rays = named.t[keep] + named.R[keep] @ X.mean(axis=0)
+    away = np.einsum("gji,gj->gi", named.R[keep], rays / np.linalg.norm(rays, axis=1, keepdims=True)).mean(axis=0)
+    return name_order(X, away, u)
+
+
+def _fit(
+    rig: Rig,
+    layout: Layout,
+    seen: Sightings,
+    named: Named,
+    order: NDArray[np.intp],
+    keep: Flags,
+    numbers: NDArray[np.intp],
+    rejected: Rejected,
+    overlaid: bool,
+) -> tuple[Bundle, Flags]:
+    """Return the bundle of the frames that agree, and which these are; the worst are left out one after the other."""
+    X = named.X[order]
+    axes, origin = (line_frame if layout.on_line else plane_frame)(X)
+    own = (X - origin) @ axes
+    values = np.asarray(np.linalg.lstsq(layout.basis, own.ravel(), rcond=None)[0], float)
+    R, t = named.R @ axes, named.R @ origin + named.t
+    used, n = keep.copy(), len(X)
+    total = int(used.sum())
+    for _ in range(total):
+        if used.sum() < MIN_FRAMES or used.sum() < LEAST_SHARE * total:
+            raise not_rigid(int(used.sum()), total, named, overlaid=overlaid)
+        bundle = fit_bundle(rig, layout, seen.take(used), values, R[used], t[used])
+        dof = 4 * n - (5 if layout.on_line else 6)
+        middle = max(float(np.median(bundle.frame_chi2)) / float(chi2_law.median(dof)), 1.0)
+        limit = middle * float(chi2_law.isf(FALSE_ALARM / total, dof))
+        worst = int(np.argmax(bundle.frame_chi2))
+        if bundle.frame_chi2[worst] <= limit:
+            break
+        number = int(np.flatnonzero(used)[worst])
+        rms = float(np.sqrt(np.mean(bundle.residual_px[worst] ** 2)))
+        rejected.append((int(numbers[number]), f"residuals of {rms:.2g} px: a reflection, a wrong pair or a blur"))
+        used[number] = False
+    return bundle, used
+
+
+def _epipolar(rig: Rig, seen: Sightings) -> tuple[float, int]:
+    """Return chi-square of the two views against each other, which no shape can change, and its degrees of freedom."""
+    uv, cov = seen.uv_px.reshape(-1, 2, 2), seen.cov_px2.reshape(-1, 2, 2, 2)
+    points = triangulate(rig, uv[:, 0], uv[:, 1], cov[:, 0], cov[:, 1])
+    return float(points.chi2[points.found].sum()), int(points.found.sum())
+
+
+def _covariance(layout: Layout, bundle: Bundle) -> Array:
+    """Return (3 n, 3 n); the noise is never believed to be smaller than the spots say."""
+    whole = bundle.covariance * max(bundle.scale2, 1.0) + bundle.rig_share
+    return np.asarray(layout.basis @ whole @ layout.basis.T)
+
+
+def _share(layout: Layout, bundle: Bundle, covariance: Array) -> float:
+    """Return the part of the deviation that the rig's calibration alone would make."""
+    own = np.trace(layout.basis @ bundle.rig_share @ layout.basis.T)
+    return float(np.sqrt(own / max(np.trace(covariance), TINY)))
+
+
+def _turns(poses: Array) -> Array:
+    """Return the root mean square turn (3,) about the principal axes, falling, in rad."""
+    rotations = Rotation.from_rotvec(np.array(poses[:, 3:]))
+    w = (rotations.mean().inv() * rotations).as_rotvec()
+    return np.asarray(np.sqrt(np.maximum(np.linalg.eigvalsh(w.T @ w / len(w))[::-1], 0.0)))

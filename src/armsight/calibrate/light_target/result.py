@@ -1,0 +1,96 @@
+"""What the calibration of a lit target returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.calibrate.light_target.naming import pairs_of
+from armsight.records import NamedCovariance, Target, frozen_array, spot_target
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Distance:
+    """Distance of two lights in m with its standard deviation."""
+
+    value_m: float
+    std_m: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TargetCalibration:
+    """names (n,) and xyz_m (n, 3) of the lights in the target's frame; covariance of 'A.x_m', ... in that frame.
+
+    used: names of the frames that the answer rests on. rejected: (frame, why). residual_px (g, n, 2, 2) [frame, light,
+    side, axis] predicted minus seen; left_out_px: the same, each frame by the shape that the others give. scale:
+    residuals over the spots' own deviations; above 1 the covariance is widened by it. rig_share: part of the
+    deviation that comes from the rig's calibration, None where the rig has no covariance. turn_rms_rad (3,):
+    root mean square turns between frames about their principal axes, falling.
+    """
+
+    names: tuple[str, ...]
+    xyz_m: Array
+    covariance: NamedCovariance
+    n_frames: int
+    used: tuple[str, ...]
+    rejected: tuple[tuple[str, str], ...]
+    residual_px: Array
+    left_out_px: Array
+    scale: float
+    rig_share: float | None
+    turn_rms_rad: Array
+    advice: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "xyz_m", frozen_array("xyz_m", self.xyz_m, (len(self.names), 3)))
+        for name in ("residual_px", "left_out_px"):
+            object.__setattr__(self, name, frozen_array(name, getattr(self, name), (None, len(self.names), 2, 2)))
+        object.__setattr__(self, "turn_rms_rad", frozen_array("turn_rms_rad", self.turn_rms_rad, (3,)))
+
+    @property
+    def n_used(self) -> int:
+        """Frames that the answer rests on."""
+        return len(self.used)
+
+    @property
+    def target(self) -> Target:
+        """The target, with places and their covariance."""
+        places = {n: (x[0], x[1], x[2]) for n, x in zip(self.names, self.xyz_m.tolist(), strict=True)}
+        rows = tuple(f"{name}.{axis}_m" for name in self.names for axis in "xyz")
+        return spot_target(places, covariance=self.covariance.block(rows))
+
+    @property
+    def std_m(self) -> Array:
+        """Deviations (n, 3) of the places; zero where the frame's convention fixes a coordinate."""
+        return np.sqrt(np.maximum(np.diag(self.covariance.matrix), 0.0)).reshape(-1, 3)
+
+    @property
+    def residual_rms_px(self) -> float:
+        """Root mean square of the residuals' coordinates."""
+        return float(np.sqrt(np.mean(self.residual_px**2)))
+
+    @property
+    def loo_rms_px(self) -> float:
+        """The same of the frames by the shape of the other frames, the pose fitted."""
+        return float(np.sqrt(np.mean(self.left_out_px**2)))
+
+    def distances(self) -> dict[str, Distance]:
+        """Return the distance of every two lights, by both names."""
+        return distances_of(self.names, self.xyz_m, self.covariance.matrix)
+
+
+def distances_of(names: tuple[str, ...], X: Array, covariance: Array) -> dict[str, Distance]:
+    """Return distances of the lights X (n, 3) with covariance (3 n, 3 n), by their names."""
+    out = {}
+    for i, j in zip(*pairs_of(len(X)), strict=True):
+        v = X[i] - X[j]
+        length = float(np.linalg.norm(v))
+        J = np.zeros((len(X), 3))
+        J[i], J[j] = v / length, -v / length
+        variance = float(J.ravel() @ covariance @ J.ravel())
+        out[names[i] + names[j]] = Distance(value_m=length, std_m=float(np.sqrt(max(variance, 0.0))))
+    return out

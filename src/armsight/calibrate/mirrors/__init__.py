@@ -1,0 +1,1 @@
+"""Mirror rigs: their calibration from boards, and what it says of how the mirrors stand."""

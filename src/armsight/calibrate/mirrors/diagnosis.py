@@ -1,0 +1,270 @@
+"""Have a mirror rig's mirrors moved, which, and how must it be turned back?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from armsight.calibrate.cameras.bundle_adjustment import Bundle, adjust, bundle_of, residuals_px
+from armsight.calibrate.cameras.initial_guess import board_poses, homographies
+from armsight.calibrate.cameras.monocular import rms, view_rms
+from armsight.calibrate.cameras.observations import Sightings, pack
+from armsight.calibrate.cameras.rigs import baseline_std, in_frame, rig_of
+from armsight.calibrate.cameras.stereo import StereoCalibration
+from armsight.calibrate.mirrors.calibration import MirrorCalibration, without_plate
+from armsight.errors import Inconsistent, NotEnoughData
+from armsight.fitting import Fit
+from armsight.optics import INTRINSICS, SIDES, Rig, RigKind
+from armsight.optics.mirrors import Mirrors
+from armsight.optics.parallelism import Parallelism, parallelism
+from armsight.records import BoardView, NamedCovariance, Target, TargetPose
+
+Array = NDArray[np.float64]
+
+LEAST_LIT = 5
+"""Views of a lit target below which the mirrors' place is not asked for."""
+GOOD_LIT = 10
+VAGUE = 0.01
+"""Deviation of the baseline, by itself, from which the views are too much alike."""
+MIRRORS = 4
+STEP_RAD = 1e-6
+ROUNDS = 4
+STILL = 25.0
+"""Chi-square of six numbers (3e-4 by chance) below which nothing has moved."""
+APART = 9.0
+"""Chi-square by which the best mirror must be better than the next for the two to be told apart."""
+FIXED = frozenset(f"{side}.{name}" for side in SIDES for name in INTRINSICS)
+POSE = ("right.tx", "right.ty", "right.tz", "right.rx", "right.ry", "right.rz")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Suspect:
+    """A mirror (1 to 4) that may have turned about the vertical y and the line in its face square to y; chi2 left."""
+
+    mirror: int
+    turn_rad: float
+    tilt_rad: float
+    chi2: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Alignment:
+    """How the virtual cameras stand now, what has changed since the calibration, and which mirror explains it.
+
+    change: of T_left_right as (dt m, rotation vector rad) in left axes, std its deviations. chi2: of no change.
+    suspects: the best first; none where nothing has moved.
+    """
+
+    now: Parallelism
+    rig: Rig
+    change: Array
+    std: Array
+    chi2: float
+    suspects: tuple[Suspect, ...]
+    n_views: int
+
+    @property
+    def moved(self) -> bool:
+        """Whether anything has moved beyond the views' noise."""
+        return bool(self.suspects)
+
+    @property
+    def certain(self) -> bool:
+        """Whether one mirror alone explains the change: it fits, and the next one does clearly worse."""
+        return self.moved and self.suspects[1].chi2 - self.suspects[0].chi2 > APART
+
+    def advice(self) -> str:
+        """Return what to do, in words."""
+        if not self.moved:
+            return "the mirrors stand as they did when the rig was calibrated"
+        best = self.suspects[0]
+        turns = f"by {-1e3 * best.turn_rad:+.2f} mrad about the vertical and {-1e3 * best.tilt_rad:+.2f} mrad across"
+        others = [str(one.mirror) for one in self.suspects[1:] if one.chi2 - best.chi2 <= APART]
+        if others:
+            return f"turn mirror {best.mirror} {turns}; mirror {' or '.join(others)} may be the one that moved"
+        if best.chi2 > STILL * 4.0:
+            return f"more than one mirror has moved; begin with mirror {best.mirror}: turn it {turns}"
+        return f"turn mirror {best.mirror} back {turns}"
+
+
+def check_alignment(
+    rig: Rig, left: Sequence[BoardView], right: Sequence[BoardView], board: Target, *, design: Mirrors | None = None
+) -> Alignment:
+    """Return how the mirrors stand against a rig calibrated before, from views of a board (one pair is enough).
+
+    design: where the mirrors stand; the rig's baseline and plate with the usual distances where it is not given.
+    Raises Inconsistent for a rig without mirrors or another size of image, NotEnoughData without views.
+    """
+    if rig.kind is not RigKind.MIRROR:
+        raise Inconsistent("this rig has no mirrors", cure="Give the rig.yaml of `armsight calibrate mirrors`")
+    if not left or len(left) != len(right):
+        raise NotEnoughData("the board is not seen in both views", cure="Show the board to both views")
+    now = _relative(rig, left, right, board)
+    before = rig.T_rig_left.inv() * rig.T_rig_right
+    T_now = now.T_rig_left.inv() * now.T_rig_right
+    change: Array = np.concatenate(
+        [T_now.translation - before.translation, (T_now.rotation * before.rotation.inv()).as_rotvec()]
+    )
+    C = _covariance(now) + _in_left_axes(rig)
+    if design is None:
+        design = Mirrors(baseline_m=rig.baseline_m)
+    W = np.asarray(np.linalg.inv(C))
+    chi2 = float(change @ W @ change)
+    suspects: tuple[Suspect, ...] = ()
+    if chi2 > STILL:
+        found = [_suspect(design, mirror, change, W) for mirror in range(MIRRORS)]
+        suspects = tuple(sorted(found, key=lambda one: one.chi2))
+    return Alignment(
+        now=parallelism(now), rig=now, change=change, std=np.sqrt(np.diag(C)), chi2=chi2, suspects=suspects,
+        n_views=len(left),
+    )  # fmt: skip
+
+
+def mirrors_from_target(
+    design: Rig, views: Sequence[tuple[BoardView, BoardView]], poses: Sequence[TargetPose], target: Target
+) -> MirrorCalibration:
+    """Return the mirror rig that saw the lit target in both views, started from its design and the poses that gives.
+
+    The lens and the plate are taken as known: three lights do not tell them. Raises NotEnoughData for fewer than
+    LEAST_LIT views.
+    """
+    if len(views) < LEAST_LIT:
+        raise NotEnoughData(
+            f"the target is seen in {len(views)} images, {LEAST_LIT} are needed",
+            consequence="Nothing was calibrated", cure="Turn the target, and show it near and far, left and right",
+        )  # fmt: skip
+    sightings = pack([[left for left, _ in views], [right for _, right in views]], target)
+    T_target_middle = RigidTransform.from_translation(sightings.middle)
+    local = []
+    for pose in poses:
+        if pose.pose is None:
+            raise Inconsistent("a view without a pose")
+        T = design.T_rig_left.inv() * pose.pose * T_target_middle
+        local.append(np.concatenate([T.translation, T.rotation.as_rotvec()]))
+    used, fit = _fit(design, sightings, np.array(local))
+    pair = _as_pair(used, fit)
+    rig = replace(pair.rig, kind=RigKind.MIRROR, left=design.left, right=design.right)
+    return MirrorCalibration(
+        rig=in_frame(rig, design.T_rig_left), pair=pair, seen_m=None, seen_std_m=None, one_lens=True, advice=pair.advice
+    )
+
+
+def _as_pair(used: Sightings, fit: Fit) -> StereoCalibration:
+    """Return the fit's figures as of a stereo pair; of left-out views and of the board's lengths there are none."""
+    residual, seen = residuals_px(used, fit), used.weight > 0.0
+    overall = rms(residual, seen)
+    rig = rig_of(bundle_of(fit, 2), used.sizes, covariance=fit.covariance, rms_px=overall)
+    advice = ["the lens and the plate are taken as they were given: an error in them is not in the deviations"]
+    if used.n_views < GOOD_LIT:
+        advice.append(f"{used.n_views} images were used: {GOOD_LIT} and more tell wrong ones better")
+    if baseline_std(rig) > VAGUE * rig.baseline_m:
+        advice.append(
+            f"the baseline is known to {1e3 * baseline_std(rig):.2g} mm only: show the target turned to several sides, "
+            "near and far, left and right"
+        )
+    return StereoCalibration(
+        rig=rig,
+        baseline_std_m=baseline_std(rig),
+        rms_px=overall,
+        n_pairs=used.n_views,
+        n_used=used.n_views,
+        rejected=(),
+        holdout_rms_px=None,
+        holdout_epipolar_rms_px=None,
+        metric={},
+        metric_is_left_out=False,
+        view_rms_px=view_rms(residual, seen),
+        used=used,
+        residual_px={side: residual[:, c][seen[:, c]] for c, side in enumerate(SIDES)},
+        advice=tuple(advice),
+    )
+
+
+def _relative(rig: Rig, left: Sequence[BoardView], right: Sequence[BoardView], board: Target) -> Rig:
+    """Return the rig with T_rig_right, and its covariance, as the views show it now; the lens is taken as it was."""
+    sightings = pack([left, right], board)
+    for camera, size in zip((rig.left, rig.right), sightings.sizes, strict=True):
+        if (camera.width, camera.height) != size:
+            raise Inconsistent(
+                f"the images are {size[0]}x{size[1]} px, the rig's {camera.width}x{camera.height} px",
+                cure="Use the resolution of the calibration",
+            )
+    poses = board_poses(homographies(sightings.camera(0)), rig.left.intrinsics[:2], sightings.sizes[0][0])
+    return _fitted(rig, sightings, poses)
+
+
+def _fitted(rig: Rig, sightings: Sightings, poses: Array) -> Rig:
+    """Return the rig with T_rig_right and its covariance, fitted from poses T_left_board (G, 6)."""
+    used, fit = _fit(rig, sightings, poses)
+    overall = rms(residuals_px(used, fit), used.weight > 0.0)
+    found = rig_of(bundle_of(fit, 2), used.sizes, covariance=fit.covariance, rms_px=overall)
+    return replace(found, kind=RigKind.MIRROR, left=rig.left, right=rig.right)
+
+
+def _fit(rig: Rig, sightings: Sightings, poses: Array) -> tuple[Sightings, Fit]:
+    """Return the fit of T_left_right and the poses T_left_board (G, 6), and the sightings without the plate's part."""
+    k = np.stack([rig.left.intrinsics, rig.right.intrinsics])
+    T = rig.T_rig_left.inv() * rig.T_rig_right
+    start = Bundle(k=k, side_pose=np.concatenate([T.translation, T.rotation.as_rotvec()]), poses=poses)
+    fit = adjust(sightings, start, FIXED, max_iterations=60)
+    if rig.left.plate is not None:
+        sightings = without_plate(sightings, bundle_of(fit, 2), rig.left.plate)
+        fit = adjust(sightings, bundle_of(fit, 2), FIXED, max_iterations=60)
+    return sightings, fit
+
+
+def _covariance(rig: Rig) -> Array:
+    if rig.covariance is None:
+        raise NotEnoughData("the views leave nothing to find the noise by", cure="Show the whole board")
+    return rig.covariance.block(POSE)
+
+
+def _in_left_axes(rig: Rig) -> Array:
+    """Return the covariance (6, 6) of the calibration's T_left_right, lens and pose together, 0 where not known.
+
+    The lens's share is left out: it is the same now as it was then.
+    """
+    known: NamedCovariance | None = rig.covariance
+    if known is None:
+        return np.zeros((6, 6))
+    R = rig.T_rig_left.rotation.as_matrix().T
+    turn = np.kron(np.eye(2), R)
+    inverse = np.linalg.pinv(known.matrix)
+    at = [known.names.index(name) for name in POSE]
+    return np.asarray(turn @ np.linalg.inv(inverse[np.ix_(at, at)]) @ turn.T)
+
+
+def _suspect(design: Mirrors, mirror: int, change: Array, W: Array) -> Suspect:
+    """Return the turn of one mirror that explains the change best."""
+    tilt = np.zeros(2)
+    for _ in range(ROUNDS):
+        r = _predicted(design, mirror, tilt) - change
+        J = np.column_stack(
+            [
+                (_predicted(design, mirror, tilt + step) - _predicted(design, mirror, tilt - step)) / (2.0 * STEP_RAD)
+                for step in STEP_RAD * np.eye(2)
+            ]
+        )
+        tilt = tilt - np.linalg.solve(J.T @ W @ J, J.T @ W @ r)
+    r = _predicted(design, mirror, tilt) - change
+    return Suspect(mirror=mirror + 1, turn_rad=float(tilt[0]), tilt_rad=float(tilt[1]), chi2=float(r @ W @ r))
+
+
+def _predicted(design: Mirrors, mirror: int, tilt: Array) -> Array:
+    """Return the change (6,) of T_left_right that a turned mirror makes."""
+    tilts = np.zeros((MIRRORS, 2))
+    before = _left_right(replace(design, tilts_rad=tilts))
+    tilts = tilts.copy()
+    tilts[mirror] = tilt
+    after = _left_right(replace(design, tilts_rad=tilts))
+    return np.concatenate(
+        [after.translation - before.translation, (after.rotation * before.rotation.inv()).as_rotvec()]
+    )
+
+
+def _left_right(design: Mirrors) -> RigidTransform:
+    return design.pose("left").inv() * design.pose("right")

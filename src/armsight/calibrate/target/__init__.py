@@ -1,7 +1,0 @@
-"""Where the lights of a target are, from frames that a calibrated rig took of it."""
-
-from armsight.calibrate.target.calibrate import calibrate_target
-from armsight.calibrate.target.frames import LitFrame
-from armsight.calibrate.target.result import Distance, TargetCalibration
-
-__all__ = ["Distance", "LitFrame", "TargetCalibration", "calibrate_target"]
