@@ -26,8 +26,8 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from armsight.app.cells import load_cell
-from armsight.app.record import RecordJob, record_pairs
-from armsight.app.replay import RecordedFrames, RecordedPairs
+from armsight.app.record.record import RecordJob, record_pairs
+from armsight.app.sources.frames import RecordedFrames, RecordedPairs
 from armsight.drivers import Skew
 from armsight.errors import BadFile
 from armsight.records import Frame

@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.arm import corrections
+from armsight.app.calibrate.arm import corrections
 from armsight.calibrate.arm import ArmModel, ArmPoints, calibrate_arm, calibrate_world, propose
 from armsight.errors import Ambiguous, Inconsistent, NotEnoughData
 from armsight.kinematics import Arm, Joint, preset

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.cells import CellPairs, load_cell, write_cell_files
-from armsight.app.measure import run
-from armsight.app.outputs import Summary
-from armsight.app.prepare import prepare
-from armsight.app.reporting import About
+from armsight.app.measure.collector import About
+from armsight.app.measure.outputs import Summary
+from armsight.app.measure.run import run
+from armsight.app.measure.warm_up import prepare
 from armsight.geometry import pose_from_quat
 from armsight.measure.pair import Setup
 from armsight.measure.settings import SpotSettings

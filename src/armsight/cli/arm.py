@@ -30,7 +30,7 @@ def arm(
 ) -> None:
     """Correct a known arm's geometry from measured positions, where a gain can be proved."""
     with Face(as_json=json) as face:
-        from armsight.app.arm import ArmJob, run_calibrate_arm
+        from armsight.app.calibrate.arm import ArmJob, run_calibrate_arm
 
         job = ArmJob(
             model=model,
@@ -79,7 +79,7 @@ def robot_world(
 ) -> None:
     """Find where the rig stands to the arm's base, from observed points at joint readings."""
     with Face(as_json=json) as face:
-        from armsight.app.arm import run_calibrate_world
+        from armsight.app.calibrate.arm import run_calibrate_world
 
         content = run_calibrate_world(arm, points, out)
         std, xyz = content["std"], content["T_base_rig"]["xyz_m"]

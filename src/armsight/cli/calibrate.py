@@ -48,8 +48,8 @@ def camera(
     --every and --frames are of the board's images; without them of the still frames.
     """
     with Face(as_json=json) as face:
-        from armsight.app.calibrate import CalibrateJob, calibrate_camera
-        from armsight.app.noise import NoiseJob, run_noise
+        from armsight.app.calibrate.camera_noise import NoiseJob, run_noise
+        from armsight.app.calibrate.cameras import CalibrateJob, calibrate_camera
         from armsight.config import load_settings
 
         if noise is not None and source is None and board is None:
@@ -102,7 +102,7 @@ def stereo(
 ) -> None:
     """Find both cameras of a pair and where they stand to each other, from pairs of images of a printed board."""
     with Face(as_json=json) as face:
-        from armsight.app.calibrate import CalibrateJob, calibrate_stereo
+        from armsight.app.calibrate.cameras import CalibrateJob, calibrate_stereo
         from armsight.config import load_settings
 
         job = CalibrateJob(

@@ -100,8 +100,8 @@ def measure(
     Writes poses.csv, points.csv, spots.csv, poses.tum, measure.json and report.html.
     """
     with Face(as_json=json) as face:
-        from armsight.app.measure import MeasureJob
-        from armsight.app.measure import measure as run
+        from armsight.app.measure.run import MeasureJob
+        from armsight.app.measure.run import measure as run
         from armsight.config import load_settings
         from armsight.drivers.live import MAX_SKEW_S
 

@@ -37,7 +37,7 @@ def handeye(
 ) -> None:
     """Find where the camera is on the hand (or beside the robot), and say whether the answer is right."""
     with Face(as_json=json) as face:
-        from armsight.app.handeye import HandEyeJob, calibrate_handeye
+        from armsight.app.calibrate.handeye import HandEyeJob, calibrate_handeye
         from armsight.calibrate.handeye import Setup
 
         if setup not in tuple(Setup):
@@ -72,7 +72,7 @@ def tooltip(
 ) -> None:
     """Find where the end of a tool is, from poses recorded while it was turned about its end."""
     with Face(as_json=json) as face:
-        from armsight.app.handeye import calibrate_tip
+        from armsight.app.calibrate.handeye import calibrate_tip
 
         content = calibrate_tip(poses, out, point=_point(point), sigma_m=point_sigma)
         std = content["std"]
@@ -104,7 +104,7 @@ def pivot(
 ) -> None:
     """Find a tool's tip while you pivot it before the cameras; tells its deviation until it is small enough."""
     with Face(as_json=json) as face:
-        from armsight.app.pivot import PivotJob, run_pivot
+        from armsight.app.calibrate.pivot import PivotJob, run_pivot
 
         job = PivotJob(
             rig=rig,

@@ -13,7 +13,7 @@ from armsight.cli.tables import figure
 from armsight.errors import UsageError
 
 if TYPE_CHECKING:
-    from armsight.app.identify_live import LiveJob
+    from armsight.app.identify.live import LiveJob
 
 MM, DEG = 1e3, 57.29577951308232
 ENTRIES = (("a_m", MM), ("alpha_rad", DEG), ("d_m", MM), ("theta_rad", DEG))
@@ -67,8 +67,8 @@ def identify(
     """Find an unknown arm's joints, axes and table from a beacon's places while one joint after the other moves."""
     with Face(as_json=json) as face:
         if live is not None:
-            from armsight.app.identify_live import LiveJob
-            from armsight.app.sweeping import Pace
+            from armsight.app.identify.live import LiveJob
+            from armsight.control.joint_sweep import Pace
 
             if rig is None or target is None or left is None or right is None or limits is None:
                 raise UsageError(
@@ -101,7 +101,7 @@ def identify(
                 yes,
             )
             return
-        from armsight.app.identify import IdentifyJob, run_identify
+        from armsight.app.identify.sweep_files import IdentifyJob, run_identify
 
         given = {"--propose": propose, "--limits": limits, "--model": model, "--yes": yes}
         if any(given.values()):
@@ -129,7 +129,7 @@ def identify(
 
 def _live(job: LiveJob, face: Face, yes: bool) -> None:
     """Identify online; ask before the robot moves."""
-    from armsight.app.identify_live import Person, run_identify_live
+    from armsight.app.identify.live import Person, run_identify_live
 
     def confirm(question: str) -> bool:
         try:

@@ -48,8 +48,8 @@ def mirrors(
 ) -> None:
     """Calibrate a rig of one camera and four mirrors, or check that its mirrors still stand as they did."""
     with Face(as_json=json) as face:
-        from armsight.app.calibrate import report_path
-        from armsight.app.mirrors import MirrorsJob, run_check, run_mirrors
+        from armsight.app.calibrate.cameras import report_path
+        from armsight.app.calibrate.mirrors import MirrorsJob, run_check, run_mirrors
         from armsight.config import load_settings
 
         job = MirrorsJob(
@@ -84,7 +84,7 @@ def mirrors(
 
 def lit_table(face: Face, content: Mapping[str, Any]) -> None:
     """Print a rig's calibration from the lit target, with the commonest reasons of images left out."""
-    from armsight.app.mirrors_lit import reasons
+    from armsight.app.calibrate.mirrors_lit_target import reasons
 
     rows = [
         ["baseline, mm", figure(MM * content["baseline_m"], 6)],

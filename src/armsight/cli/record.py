@@ -43,8 +43,8 @@ def record(
     Stop with Ctrl-C. Whatever happens to the program or the disk, all but the last second is readable.
     """
     with Face(as_json=json) as face:
-        from armsight.app.record import RecordJob
-        from armsight.app.record import record as run
+        from armsight.app.record.record import RecordJob
+        from armsight.app.record.record import record as run
         from armsight.drivers.live import MAX_SKEW_S
         from armsight.errors import UsageError
 
@@ -84,7 +84,7 @@ def recording(
 ) -> None:
     """Write a recording's content as PNG folders and tables, or its poses as CSV or TUM."""
     with Face(as_json=json) as face:
-        from armsight.app.export import export
+        from armsight.app.record.export import export
 
         done = export(source, out, progress=face.progress("exporting"))
         face.say(", ".join(f"{name}: {count}" for name, count in done.items()) + f" in {out}")
@@ -92,7 +92,7 @@ def recording(
 
 
 def _mend(face: Face, path: Path, out: Path | None, overwrite: bool) -> None:
-    from armsight.app.record import mend
+    from armsight.app.record.record import mend
 
     done = mend(path, out, overwrite=overwrite)
     total = sum(done.messages.values())

@@ -12,7 +12,7 @@ from armsight.cli.face import Face
 if TYPE_CHECKING:
     from armsight.app.demo import DemoResult
     from armsight.app.doctor import Diagnosis
-    from armsight.app.outputs import Summary
+    from armsight.app.measure.outputs import Summary
 
 REJECTED_SHOWN = 8
 

@@ -34,7 +34,7 @@ def target(
 ) -> None:
     """Find where the lights of a target are, from frames of it turned to several sides before a calibrated rig."""
     with Face(as_json=json) as face:
-        from armsight.app.target import TargetJob, calibrate_lit_target
+        from armsight.app.calibrate.light_target import TargetJob, calibrate_lit_target
 
         job = TargetJob(
             rig=rig,

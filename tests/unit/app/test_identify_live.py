@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armsight.app.identify_live import LiveJob, Person, open_devices, read_limits, run_identify_live
+from armsight.app.identify.live import LiveJob, Person, open_devices, read_limits, run_identify_live
 from armsight.app.scenarios import load_scenario
-from armsight.app.sweeping import Pace
 from armsight.clock import ManualClock
+from armsight.control.joint_sweep import Pace
 from armsight.drivers import RobotState
 from armsight.errors import BadFile, Cancelled, DeviceFailed, DeviceLost, Inconsistent, NotEnoughData, UsageError
 from armsight.records import Frame

@@ -15,10 +15,10 @@ from scipy.spatial.transform import Rotation
 from scipy.special import erf
 from typer.testing import CliRunner
 
-from armsight.app.complex_images import complex_pairs
-from armsight.app.measure import MeasureJob, Summary, measure
-from armsight.app.replay import open_source
+from armsight.app.measure.run import MeasureJob, Summary, measure
 from armsight.app.simulate import simulate
+from armsight.app.sources.complex_images import complex_pairs
+from armsight.app.sources.frames import open_source
 from armsight.cli.commands import app
 from armsight.drivers import PairSource
 from armsight.errors import Inconsistent, NotEnoughData, UsageError

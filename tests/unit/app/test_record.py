@@ -13,11 +13,11 @@ import cv2
 import numpy as np
 import pytest
 
-from armsight.app import recorder as recorder_module
-from armsight.app.export import export
-from armsight.app.record import RecordJob, mend, record, record_pairs
-from armsight.app.recorder import Recorder
-from armsight.app.replay import RecordedFrames, open_pairs, open_source
+from armsight.app.record import recorder as recorder_module
+from armsight.app.record.export import export
+from armsight.app.record.record import RecordJob, mend, record, record_pairs
+from armsight.app.record.recorder import Recorder
+from armsight.app.sources.frames import RecordedFrames, open_pairs, open_source
 from armsight.clock import ManualClock
 from armsight.drivers import Skew
 from armsight.errors import DeviceFailed, DeviceLost, Inconsistent, NotEnoughData, UsageError

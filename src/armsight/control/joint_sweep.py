@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,16 +11,13 @@ from numpy.typing import NDArray
 from armsight.calibrate.identify import Sweeps
 from armsight.clock import Clock
 from armsight.drivers import Robot, RobotState
-from armsight.errors import Cancelled, DeviceFailed, DeviceLost, Inconsistent, NotEnoughData
-from armsight.measure.pair import Setup, measure_pair
-from armsight.records import Frame, JointReading, Progress
+from armsight.errors import Cancelled, DeviceFailed, DeviceLost, Inconsistent
+from armsight.records import JointReading, Progress
 
 Array = NDArray[np.float64]
 
 LOOK_S = 0.2
 """Time between two looks at the beacon while a joint moves: at a tenth of its travel a second 2 % of it, blindly."""
-LOST_FRAMES = 3
-"""Frames in a row without the beacon that mean it is lost: single ones are lost to flicker."""
 REST_FRAMES = 3
 """Frames in a row in which joints and beacon keep still."""
 REST_PX = 0.5
@@ -42,7 +39,7 @@ SLACK = 1e-9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Look:
+class Observation:
     """The beacon in one pair of frames: uv_px (2, 2), xyz_m (3,), or why not; taken_s: the earliest, on our clock."""
 
     taken_s: float
@@ -51,36 +48,14 @@ class Look:
     why: str = ""
 
 
-class Eyes:
-    """Looks at the beacon through pairs of live frames, whose stamps count from a moment of their own."""
+class BeaconObserver(Protocol):
+    """Sees where the beacon is, now."""
 
-    def __init__(self, setup: Setup, pairs: Iterator[tuple[Frame, Frame]], clock: Clock) -> None:
-        self._setup = setup
-        self._pairs = pairs
-        self._clock = clock
-        self._ahead_s = np.inf
-        self._lost = 0
+    def observe(self, while_: str) -> Observation:
+        """Return what is seen next; while_: what the robot does, for messages.
 
-    def look(self, while_: str) -> Look:
-        """Return what the next pair shows. Raises NotEnoughData after LOST_FRAMES without the beacon, DeviceLost."""
-        pair = next(self._pairs, None)
-        if pair is None:
-            raise DeviceLost(f"the cameras ended {while_}", consequence="The robot was stopped", cure="Check them")
-        t_s = max(pair[0].t_s, pair[1].t_s)
-        self._ahead_s = min(self._ahead_s, self._clock.now_s() - t_s)  # a frame may wait, none comes before it is taken
-        found = measure_pair(self._setup, *pair)
-        if len(found.points):
-            self._lost = 0
-            uv = np.stack([found.left.uv_px[0], found.right.uv_px[0]])
-            return Look(taken_s=t_s + self._ahead_s, uv_px=uv, xyz_m=found.points.xyz_m[0])
-        self._lost += 1
-        why = found.pose.why or "it is not in both images"
-        if self._lost >= LOST_FRAMES:
-            raise NotEnoughData(
-                f"the beacon is lost {while_}: {why}", consequence="The robot was stopped",
-                cure="Free the view of it, or narrow the limits to where both cameras see it",
-            )  # fmt: skip
-        return Look(taken_s=t_s + self._ahead_s, why=why)
+        Raises NotEnoughData where the beacon has been lost for several frames in a row, DeviceLost.
+        """
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,9 +73,11 @@ class Sweeper:
     robot: whoever catches an error does.
     """
 
-    def __init__(self, robot: Robot, eyes: Eyes, limits: Array, clock: Clock, progress: Progress, pace: Pace) -> None:
+    def __init__(
+        self, robot: Robot, observer: BeaconObserver, limits: Array, clock: Clock, progress: Progress, pace: Pace
+    ) -> None:
         self._robot = robot
-        self._eyes = eyes
+        self._observer = observer
         self.limits = limits
         self._clock = clock
         self._progress = progress
@@ -131,7 +108,7 @@ class Sweeper:
     def begin(self) -> None:
         """See the beacon before anything moves. Raises NotEnoughData where it is not there, DeviceLost."""
         for _ in range(FIRST_LOOKS):
-            self._eyes.look("before anything moved")
+            self._observer.observe("before anything moved")
 
     def clear(self, expected: int) -> None:
         """Forget what was read; so many readings are to come."""
@@ -171,7 +148,7 @@ class Sweeper:
             self._clock.sleep_until(self._clock.now_s() + self._robot.cycle_s)
             if self._clock.now_s() - looked_s >= LOOK_S:
                 looked_s = self._clock.now_s()
-                while self._eyes.look(f"while joint {joint + 1} moved").uv_px is None:
+                while self._observer.observe(f"while joint {joint + 1} moved").uv_px is None:
                     continue  # told nothing, the robot waits where it is until the beacon is seen again, or lost
 
     def _sent(self) -> Array:
@@ -200,22 +177,22 @@ class Sweeper:
             kind = DeviceLost if state is RobotState.LOST else DeviceFailed
             raise kind(
                 f"{self._robot.name} is {state} {when}", consequence="The sweeps are not complete",
-                cure="Look at the robot and its controller, then begin anew",
+                cure="Observation at the robot and its controller, then begin anew",
             )  # fmt: skip
 
     def _rest(self, joint: int) -> None:
         """Return when joints and beacon keep still. Raises DeviceFailed where they do not, or stand elsewhere."""
         arrived_s = self._clock.now_s()
         when = f"while joint {joint + 1} came to rest"
-        still, before, seen = 0, self._robot.read(), self._eyes.look(when)
+        still, before, seen = 0, self._robot.read(), self._observer.observe(when)
         while still < REST_FRAMES:
             self._check_going(when)
             if self._clock.now_s() - arrived_s > REST_TIMEOUT_S:
                 raise DeviceFailed(
                     f"joint {joint + 1} did not come to rest in {REST_TIMEOUT_S:g} s", consequence="It was stopped",
-                    cure="Look for vibration, a slipping brake, or a camera that shakes",
+                    cure="Observation for vibration, a slipping brake, or a camera that shakes",
                 )  # fmt: skip
-            look, reading = self._eyes.look(when), self._robot.read()
+            look, reading = self._observer.observe(when), self._robot.read()
             fresh = look.taken_s >= arrived_s + HELD_BACK_S
             still = still + 1 if fresh and _same(before, reading, seen, look) else 0
             before, seen = reading, look
@@ -227,16 +204,16 @@ class Sweeper:
         if off[j] > FOLLOW_SHARE * self.travel[j]:
             raise DeviceFailed(
                 f"joint {j + 1} was sent to {self._sent()[j]:.4g} and stands at {q[j]:.4g}",
-                consequence="The robot was stopped", cure="Look for an obstacle, a brake, or a broken encoder",
+                consequence="The robot was stopped", cure="Observation for an obstacle, a brake, or a broken encoder",
             )  # fmt: skip
 
     def _read(self, joint: int) -> None:
         """Add the mean of some frames, and of the joint readings beside them, to the rows."""
-        looks: list[Look] = []
+        looks: list[Observation] = []
         readings: list[Array] = []
         while len(looks) < self._pace.frames:
             self._check_going(f"while joint {joint + 1} was read")
-            look = self._eyes.look(f"while joint {joint + 1} was read")
+            look = self._observer.observe(f"while joint {joint + 1} was read")
             if look.uv_px is not None:
                 looks.append(look)
                 readings.append(self._robot.read().q)
@@ -246,7 +223,7 @@ class Sweeper:
         self._rows.append((np.mean(readings, axis=0), uv, xyz))
 
 
-def _same(before: JointReading, now: JointReading, seen: Look, look: Look) -> bool:
+def _same(before: JointReading, now: JointReading, seen: Observation, look: Observation) -> bool:
     """Tell whether neither joints nor beacon moved from one look to the next."""
     if seen.uv_px is None or look.uv_px is None:
         return False

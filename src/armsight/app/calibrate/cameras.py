@@ -8,10 +8,10 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from armsight.app.boards import Seen, in_parallel, see_board
-from armsight.app.noise import NoiseJob, find_noise, input_files, require_size
-from armsight.app.replay import open_pairs, open_source
-from armsight.app.reporting import write_camera_report, write_stereo_report
+from armsight.app.calibrate.board_images import Seen, in_parallel, see_board
+from armsight.app.calibrate.camera_noise import NoiseJob, find_noise, input_files, require_size
+from armsight.app.calibrate.reports import write_camera_report, write_stereo_report
+from armsight.app.sources.frames import open_pairs, open_source
 from armsight.calibrate.cameras import BoardOptions, CameraCalibration, StereoCalibration
 from armsight.calibrate.cameras import calibrate_camera as solve_camera
 from armsight.calibrate.cameras import calibrate_stereo as solve_stereo

@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 
 from armsight.app.cells import PNG
-from armsight.app.record import RIG_NAME, TARGET_NAME
+from armsight.app.record.record import RIG_NAME, TARGET_NAME
 from armsight.drivers import ordered_map
 from armsight.errors import Cancelled, DeviceFailed, Inconsistent, UsageError
 from armsight.records import Frame, Progress, Silent

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.replay import is_recording, open_source, recording_path
+from armsight.app.sources.frames import is_recording, open_source, recording_path
 from armsight.calibrate.camera_noise.photon_transfer import NoiseCalibration, calibrate_noise
 from armsight.drivers import is_live, list_images
 from armsight.drivers.sources import VIDEO_SUFFIXES

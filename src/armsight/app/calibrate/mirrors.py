@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from armsight.app.boards import in_parallel, see_board
-from armsight.app.calibrate import report_path, stereo_content
-from armsight.app.mirrors_lit import calibrate_lit, reasons
-from armsight.app.replay import open_source
-from armsight.app.reporting import write_stereo_report
+from armsight.app.calibrate.board_images import in_parallel, see_board
+from armsight.app.calibrate.cameras import report_path, stereo_content
+from armsight.app.calibrate.mirrors_lit_target import calibrate_lit, reasons
+from armsight.app.calibrate.reports import write_stereo_report
+from armsight.app.sources.frames import open_source
 from armsight.calibrate.cameras import BoardOptions
 from armsight.calibrate.mirrors.calibration import GLASS, MirrorCalibration, calibrate_mirrors
 from armsight.calibrate.mirrors.diagnosis import Alignment, check_alignment

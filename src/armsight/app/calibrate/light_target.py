@@ -9,8 +9,8 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from armsight.app.complex_images import complex_pairs
-from armsight.app.replay import open_pairs, open_source
+from armsight.app.sources.complex_images import complex_pairs
+from armsight.app.sources.frames import open_pairs, open_source
 from armsight.calibrate.light_target import LitFrame, TargetCalibration, calibrate_target
 from armsight.drivers import PairSource
 from armsight.errors import Cancelled, Inconsistent, UsageError

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.boards import in_parallel, see_board
-from armsight.app.calibrate import report_path
+from armsight.app.calibrate.board_images import in_parallel, see_board
+from armsight.app.calibrate.cameras import report_path
 from armsight.calibrate.handeye import (
     HandEye,
     HandEyeOptions,

@@ -12,11 +12,11 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.identify import IdentifyJob, identified
-from armsight.app.measure import target_of
-from armsight.app.replay import open_pairs
+from armsight.app.identify.beacon_observer import StereoBeaconObserver
+from armsight.app.identify.sweep_files import IdentifyJob, identified
+from armsight.app.measure.run import target_of
 from armsight.app.scenarios import load_scenario
-from armsight.app.sweeping import Eyes, Pace, Sweeper
+from armsight.app.sources.frames import open_pairs
 from armsight.calibrate.identify import Identification, Sweeps, identify
 from armsight.calibrate.identify.plan import (
     PROBE_SHARE,
@@ -29,6 +29,7 @@ from armsight.calibrate.identify.plan import (
     rough_arm,
 )
 from armsight.clock import Clock, SystemClock
+from armsight.control.joint_sweep import Pace, Sweeper
 from armsight.drivers import ROBOTS, PairSource, Robot, is_live, load
 from armsight.errors import ArmsightError, BadFile, Cancelled, DataRefused, UsageError
 from armsight.measure.pair import Setup
@@ -105,7 +106,7 @@ def run_identify_live(
     base = None if job.world is None else read_world(job.world).T_parent_rig.inv().as_matrix()
     with robot, pairs:
         low_high, start = checked_limits(limits, robot.read().q)
-        sweeper = Sweeper(robot, Eyes(setup, iter(pairs), clock), low_high, clock, progress, job.pace)
+        sweeper = Sweeper(robot, StereoBeaconObserver(setup, iter(pairs), clock), low_high, clock, progress, job.pace)
         if job.model is not None:
             arm, notes = _modelled(job), list[str]()
         else:

@@ -10,7 +10,7 @@ from itertools import islice
 
 import numpy as np
 
-from armsight.app.replay import open_source
+from armsight.app.sources.frames import open_source
 from armsight.calibrate.mirrors.calibration import MirrorCalibration
 from armsight.calibrate.mirrors.diagnosis import LEAST_LIT, mirrors_from_target
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.calibrate import report_path
+from armsight.app.calibrate.cameras import report_path
 from armsight.app.kinematics import load_arm
 from armsight.calibrate.arm import (
     ArmCalibration,

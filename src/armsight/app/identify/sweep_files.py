@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.calibrate import report_path
+from armsight.app.calibrate.cameras import report_path
 from armsight.app.kinematics import load_arm
-from armsight.app.measure import target_of
-from armsight.app.replay import open_pairs
+from armsight.app.measure.run import target_of
+from armsight.app.sources.frames import open_pairs
 from armsight.calibrate.identify import Identification, Sweeps, identify
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.measure.pair import Setup, check_sizes, measure_spots

@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.complex_images import complex_pairs
-from armsight.app.outputs import REPORT, SUMMARY, Outputs, Summary
-from armsight.app.prepare import prepare
-from armsight.app.replay import is_recording, open_pairs, open_source
-from armsight.app.reporting import About, Collector
+from armsight.app.measure.collector import About, Collector
+from armsight.app.measure.outputs import REPORT, SUMMARY, Outputs, Summary
+from armsight.app.measure.warm_up import prepare
+from armsight.app.sources.complex_images import complex_pairs
+from armsight.app.sources.frames import is_recording, open_pairs, open_source
 from armsight.drivers import PairSource, ordered_map, read_image
 from armsight.drivers.live import MAX_SKEW_S
 from armsight.errors import ArmsightError, Cancelled, Inconsistent, NotEnoughData, UsageError

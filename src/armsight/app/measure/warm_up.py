@@ -30,7 +30,7 @@ def prepare(progress: Progress, *, cell: str = "") -> None:
         warm_up()
         return
     progress.update(0, 0, FIRST_TIME)
-    code = f"from armsight.app.prepare import compile_beside; compile_beside({cell!r})"
+    code = f"from armsight.app.measure.warm_up import compile_beside; compile_beside({cell!r})"
     helper = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         warm_up()

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.handeye import tip_content
-from armsight.app.measure import target_of
-from armsight.app.replay import open_pairs
+from armsight.app.calibrate.handeye import tip_content
+from armsight.app.measure.run import target_of
+from armsight.app.sources.frames import open_pairs
 from armsight.calibrate.tooltip import GOOD_ENOUGH_M, MeasuredPoint, TipRecording
 from armsight.drivers import PairSource
 from armsight.errors import NotEnoughData

@@ -1,0 +1,1 @@
+"""Frames in, poses with their uncertainty out: the run, its files and its report."""

@@ -1,0 +1,1 @@
+"""Frames into recordings, recordings into plain files."""

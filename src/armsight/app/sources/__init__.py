@@ -1,0 +1,1 @@
+"""Where frames come from, by the names that the command line takes."""
