@@ -13,7 +13,7 @@ from typing import Any
 
 import cv2
 
-import armsight
+from armsight._version import __version__
 from armsight.app.scenarios import scenario_names
 from armsight.drivers import CAMERAS, CELLS, ROBOTS, cameras_there, cores, known
 from armsight.optics import Rig, resolution
@@ -44,9 +44,9 @@ def doctor(
     """Look at the machine and, where given, at a rig's resolution at distances (default: multiples of its baseline)."""
     drivers = {group.removeprefix("armsight."): known(group) for group in (CAMERAS, ROBOTS, CELLS)}
     drivers["scenarios"] = scenario_names()
-    kernels = kernel_cache(Path(armsight.__file__).parent)
+    kernels = kernel_cache(Path(__file__).parent.parent)
     return Diagnosis(
-        versions={"armsight": armsight.__version__, "python": platform.python_version(), **_versions()},
+        versions={"armsight": __version__, "python": platform.python_version(), **_versions()},
         machine={"system": platform.platform(), "cores": cores(), "cores_there": os.cpu_count() or 1},
         cameras=cameras_there(),
         drivers=drivers,

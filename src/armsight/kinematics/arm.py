@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,7 +14,10 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics.convention import Convention, distal_rows
-from armsight.records import NamedCovariance
+from armsight.records import NamedCovariance, Saveable
+
+if TYPE_CHECKING:
+    from armsight.kinematics.inverse import Inverse
 
 Array = NDArray[np.float64]
 
@@ -96,7 +100,7 @@ class Coupling:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Arm:
+class Arm(Saveable):
     """A serial arm: joints from base to flange, T_world_base, T_flange_tool.
 
     All kinematics is in the joints' own values q, which are the controller's readings unless `couplings` say otherwise:
@@ -206,6 +210,27 @@ class Arm:
                 cure="Give radians for turning and metres for sliding joints, and leave rows without a reading out",
             )
         return array
+
+    def fk(self, q: ArrayLike) -> Array:
+        """Return T_world_tool (4, 4) of joint values q (n,), or (m, 4, 4) of q (m, n); see kinematics.forward."""
+        from armsight.kinematics.forward import forward
+
+        return forward(self, q)
+
+    def jacobian(self, q: ArrayLike, *, axes: Literal["world", "base", "tool"] = "world") -> Array:
+        """Return the geometric Jacobian (6, n) or (m, 6, n): linear, then angular velocity; see kinematics.jacobian."""
+        from armsight.kinematics.forward import jacobian
+
+        return jacobian(self, q, axes=axes)
+
+    def ik(self, T_world_tool: RigidTransform | ArrayLike, q0: ArrayLike | None = None) -> Inverse:
+        """Return every solution found for one pose, nearest to q0 (n,) first: `arm.ik(T, q0)[0].q`.
+
+        See kinematics.inverse; where there is none, `status` and `why` say the reason.
+        """
+        from armsight.kinematics.inverse import inverse
+
+        return inverse(self, T_world_tool, q0)
 
     def within_limits(self, q: ArrayLike) -> NDArray[np.bool_]:
         """Tell for joint values (n,) or (m, n) whether all joints are within their limits: shape () or (m,)."""

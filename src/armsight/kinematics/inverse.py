@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -87,6 +88,18 @@ class Inverse:
     status: Status
     why: str
     complete: bool
+
+    def __len__(self) -> int:
+        return len(self.solutions)
+
+    def __iter__(self) -> Iterator[Solution]:
+        return iter(self.solutions)
+
+    def __getitem__(self, i: int) -> Solution:
+        """Return the i-th solution; raises IndexError, saying why there are no more."""
+        if not -len(self) <= i < len(self):
+            raise IndexError(f"solution {i} of {len(self)}" + (f": {self.why}" if self.why else ""))
+        return self.solutions[i]
 
 
 def branch_names(code: int) -> tuple[str, str, str]:

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from armsight.errors import Inconsistent
 from armsight.optics.kernels.camera import project_many, undistort_many
-from armsight.records import frozen_array
+from armsight.records import Saveable, frozen_array
 
 Array = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ class Plate:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Camera:
+class Camera(Saveable):
     """Image size in px and intrinsics (10,) in the order of INTRINSICS.
 
     Model: x = X/Z, y = Y/Z; Brown-Conrady with k1, k2, k3 radial and p1, p2 tangential (OpenCV's order in

@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.optics.camera import INTRINSICS, Camera
 from armsight.optics.kernels.camera import project_many
-from armsight.records import NamedCovariance, NoiseModel
+from armsight.records import NamedCovariance, NoiseModel, Saveable
 
 Array = NDArray[np.float64]
 
@@ -32,7 +32,7 @@ class RigKind(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Rig:
+class Rig(Saveable):
     """Left and right camera, each with its pose in the rig's axes.
 
     covariance: of the calibration, named '<side>.<intrinsic>' (px) and 'right.tx|ty|tz' (m), 'right.rx|ry|rz'

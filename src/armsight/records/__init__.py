@@ -8,6 +8,7 @@ from armsight.records.measured import Points, PoseStatus, Spots, TargetPose
 from armsight.records.motion import JointReading, Motion
 from armsight.records.noise import LinearNoise, NoiseModel
 from armsight.records.progress import Progress, Silent
+from armsight.records.saving import Saveable
 from armsight.records.target import Colour, Target, TargetKind, board_target, spot_target, unmeasured_target
 
 __all__ = [
@@ -22,6 +23,7 @@ __all__ = [
     "Points",
     "PoseStatus",
     "Progress",
+    "Saveable",
     "Silent",
     "Spots",
     "Target",

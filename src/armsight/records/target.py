@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from armsight.errors import Inconsistent
 from armsight.records.checks import frozen_array
+from armsight.records.saving import Saveable
 
 
 class TargetKind(StrEnum):
@@ -43,7 +44,7 @@ BLUE = Colour(hue_deg=(200.0, 260.0))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Target:
+class Target(Saveable):
     """Points of the target in its own frame, in m.
 
     names: of the points. xyz_m: (n, 3). For boards the points run row by row, the pattern in the plane

@@ -10,7 +10,7 @@ from datetime import datetime
 
 from plotly.offline import get_plotlyjs
 
-import armsight
+from armsight._version import __version__
 from armsight.report.figures import Figure, json_text
 
 STYLE = """
@@ -131,7 +131,7 @@ class Page:
             f"<title>{text(self.title)}</title><style>{STYLE}</style></head><body><main>"
             f"<header><h1>{text(self.title)}</h1><p>{text(self.subtitle)}</p></header>"
             f'{verdict}<div class="cards">{cards}</div>{"".join(self._sections)}'
-            f"<footer>armsight {text(armsight.__version__)}, {text(when)}. This file is complete in itself and "
+            f"<footer>armsight {text(__version__)}, {text(when)}. This file is complete in itself and "
             "loads nothing from the network.</footer></main>"
             f'<script type="application/json" id="figures">{json_text(self._figures)}</script>'
             f"<script>{get_plotlyjs()}</script><script>{SCRIPT}</script></body></html>\n"

@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy.spatial.transform import RigidTransform
 
-import armsight
+from armsight._version import __version__
 from armsight.errors import BadFile, DataRefused
 from armsight.geometry import pose_from_quat, xyz_quat
 from armsight.records import NamedCovariance
@@ -119,7 +119,7 @@ def write_document(
         "version": 1,
         **{key: plain(value) for key, value in content.items() if value is not None},
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "software": f"armsight {armsight.__version__}",
+        "software": f"armsight {__version__}",
         "inputs": [*earlier, *({"path": item.as_posix(), "sha256": sha256(item)} for item in inputs)],
     }
     write_text(path, dump_yaml(document))

@@ -35,7 +35,7 @@ from mcap.records import (
     SummaryOffset,
 )
 
-import armsight
+from armsight._version import __version__
 from armsight.clock import Clock, SystemClock
 from armsight.errors import DeviceFailed, Inconsistent, UsageError
 
@@ -121,7 +121,7 @@ class McapFile:
         self._chunk = _Chunk()
         self._end = 0
         self._failed = False
-        header = Header(profile="", library=f"armsight {armsight.__version__}")
+        header = Header(profile="", library=f"armsight {__version__}")
         self._commit([MAGIC, _bytes_of(header)])
 
     @property

@@ -10,7 +10,7 @@ from typing import Any, Self
 
 import numpy as np
 
-import armsight
+from armsight._version import __version__
 from armsight.clock import Clock
 from armsight.geometry import xyz_quat
 from armsight.optics import SIDES, Rig
@@ -63,7 +63,7 @@ class RecordingWriter:
                 "format": FORMAT,
                 "version": VERSION,
                 "origin_ns": str(self._origin_ns),
-                "software": f"armsight {armsight.__version__}",
+                "software": f"armsight {__version__}",
             },
         )
 

@@ -1,0 +1,171 @@
+"""What callers hand over, checked once and turned into what the rest of the package takes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from os import PathLike, fspath
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform
+
+from armsight.errors import BadImage, Inconsistent
+from armsight.records import Frame
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+ImageLike = ArrayLike | str | PathLike[str]
+Poses = RigidTransform | ArrayLike | Sequence[RigidTransform]
+
+ROTATION_TOLERANCE = 1e-3
+"""Rotation matrices further from orthonormal than this (largest entry of R^T R - I) are refused: not rounding."""
+
+
+def as_image(image: ImageLike, name: str = "the image") -> Image:
+    """Return an 8-bit image as contiguous uint8 (h, w) grey or (h, w, 3) BGR; a path is read.
+
+    Raises BadImage for any other type or shape.
+    """
+    if isinstance(image, str | PathLike):
+        return read_image(fspath(image))
+    array = np.asarray(image)
+    if array.ndim == 3 and array.shape[2] == 1:
+        array = array[:, :, 0]
+    if array.dtype == np.uint16:
+        raise BadImage(
+            f"{name} has 16 bits a pixel",
+            consequence="Its full scale is not known, so saturation cannot be told",
+            cure="Scale it to 8 bits: (image >> 4).astype(numpy.uint8) for a 12-bit camera, >> 8 for a 16-bit one",
+        )
+    if array.dtype != np.uint8 or array.ndim not in (2, 3) or (array.ndim == 3 and array.shape[2] != 3):
+        raise BadImage(
+            f"{name} is of type {array.dtype} and shape {array.shape}",
+            consequence="It cannot be searched",
+            cure="Give 8-bit grey (h, w) or 8-bit BGR (h, w, 3), as cv2.imread does",
+        )
+    if not array.size:
+        raise BadImage(f"{name} is empty: its shape is {array.shape}", cure="Check that the camera gave a frame")
+    return np.ascontiguousarray(array)
+
+
+def read_image(path: str) -> Image:
+    """Return an image file's content, grey or BGR as stored. Raises BadImage where it cannot be read."""
+    try:
+        data = np.frombuffer(Path(path).read_bytes(), np.uint8)
+    except OSError as error:
+        raise BadImage(f"{path} cannot be read ({error.strerror})", cure="Check the path") from error
+    image = cv2.imdecode(data, cv2.IMREAD_ANYCOLOR) if data.size else None
+    if image is None:
+        raise BadImage(f"{path} is no image", cure="Give PNG, JPEG, BMP or TIFF")
+    return np.asarray(image, dtype=np.uint8)
+
+
+def as_frame(image: ImageLike, *, name: str, t_s: float = 0.0, sequence: int = 0) -> Frame:
+    """Return an image as a Frame; a copy where the caller's array could be written to, for frames are read-only."""
+    array = as_image(image, name)
+    if isinstance(image, np.ndarray) and np.shares_memory(array, image) and image.flags.writeable:
+        array = array.copy()
+    return Frame(image=array, t_s=t_s, sequence=sequence, source=name)
+
+
+def as_images(images: ImageLike | Iterable[ImageLike], name: str) -> list[tuple[str, Image]]:
+    """Return (name, image) of many images: arrays, paths, or one folder or file pattern of images."""
+    if isinstance(images, str | PathLike):
+        from armsight.drivers import list_images
+
+        return [(path.name, read_image(str(path))) for path in list_images(fspath(images))]
+    many: Iterable[Any] = images  # type: ignore[assignment]  # an array of images is one as well
+    out = []
+    for number, image in enumerate(many):
+        called = Path(fspath(image)).name if isinstance(image, str | PathLike) else f"{name} {number}"
+        out.append((called, as_image(image, called)))
+    return out
+
+
+def as_poses(poses: Poses, name: str) -> RigidTransform:
+    """Return n poses as one stack. poses: (4, 4), (n, 4, 4), a RigidTransform of one or many, or a list of any.
+
+    Raises Inconsistent, naming the row (from 0), for what is not finite or no rigid transform.
+    """
+    return RigidTransform.from_matrix(as_matrices(poses, name))
+
+
+def as_matrices(poses: Poses, name: str) -> Array:
+    """Return n poses as (n, 4, 4), the rotations made orthonormal to the last digit; raises as as_poses."""
+    T = _stacked(poses, name)
+    if T.ndim == 2:
+        T = T[None]
+    if T.ndim != 3 or T.shape[1:] != (4, 4):
+        raise Inconsistent(
+            f"{name} has the shape {T.shape}", consequence="It is read as no pose",
+            cure="Give 4x4 matrices (n, 4, 4), or a scipy RigidTransform",
+        )  # fmt: skip
+    if not len(T):
+        raise Inconsistent(f"{name} is empty", consequence="There is nothing to work on", cure="Give at least one pose")
+    _require_rigid(T, name)
+    return np.ascontiguousarray(RigidTransform.from_matrix(T).as_matrix())
+
+
+def as_vectors(values: ArrayLike, columns: int | None, name: str, *, single: bool = False) -> Array:
+    """Return finite float64 (n, columns), or (columns,) where single; raises Inconsistent for anything else."""
+    try:
+        array = np.ascontiguousarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise Inconsistent(
+            f"{name} is not an array of numbers ({error})",
+            consequence="It cannot be used",
+            cure="Give rows of equal length, of numbers only",
+        ) from error
+    wanted = 1 if single else 2
+    if array.ndim != wanted or (columns is not None and array.shape[-1] != columns):
+        text = f"({columns or 'n'},)" if single else f"(n, {columns or 'm'})"
+        raise Inconsistent(
+            f"{name} has the shape {array.shape}, not {text}", consequence="It cannot be used",
+            cure="Give one row per reading" if not single else "Give one vector",
+        )  # fmt: skip
+    if not np.isfinite(array).all():
+        row = int(np.argwhere(~np.isfinite(array))[0][0])
+        raise Inconsistent(
+            f"{name} holds a value that is not finite at row {row}", consequence="It cannot be used",
+            cure="Leave out the rows in which nothing was measured",
+        )  # fmt: skip
+    return array
+
+
+def _stacked(poses: Any, name: str) -> Array:
+    try:
+        if isinstance(poses, RigidTransform):
+            return np.asarray(poses.as_matrix(), float)
+        if isinstance(poses, list | tuple) and any(isinstance(pose, RigidTransform) for pose in poses):
+            poses = [pose.as_matrix() if isinstance(pose, RigidTransform) else pose for pose in poses]
+        return np.asarray(poses, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise Inconsistent(
+            f"{name} is not an array of numbers ({error})",
+            consequence="It is read as no pose",
+            cure="Give 4x4 matrices (n, 4, 4), or a scipy RigidTransform",
+        ) from error
+
+
+def _require_rigid(T: Array, name: str) -> None:
+    finite = np.isfinite(T).all(axis=(1, 2))
+    if not finite.all():
+        raise Inconsistent(
+            f"pose {int(np.argmin(finite))} of {name} is not finite", consequence="It says no place",
+            cure="Leave out the poses in which nothing was measured",
+        )  # fmt: skip
+    R = T[:, :3, :3]
+    off = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2))
+    off = np.maximum(off, np.abs(T[:, 3] - [0.0, 0.0, 0.0, 1.0]).max(axis=1))
+    off = np.where(np.linalg.det(R) > 0.0, off, np.inf)
+    worst = int(np.argmax(off))
+    if off[worst] > ROTATION_TOLERANCE:
+        raise Inconsistent(
+            f"pose {worst} of {name} is no rigid transform"
+            + (f" (off by {off[worst]:.2g})" if np.isfinite(off[worst]) else " (it mirrors)"),
+            consequence="Its rotation cannot be trusted",
+            cure="Give [[R, t], [0, 0, 0, 1]] with R orthonormal and right-handed, t in metres",
+        )

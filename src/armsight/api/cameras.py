@@ -1,0 +1,256 @@
+"""Cameras and rigs from images of a printed board."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from armsight.api.arrays import Image, ImageLike, as_images
+from armsight.api.results import Result, Row, with_std
+from armsight.app.calibrate.board_images import in_parallel, see_board
+from armsight.app.calibrate.cameras import camera_content, stereo_content
+from armsight.app.calibrate.mirrors import mirrors_content
+from armsight.calibrate import cameras as solvers
+from armsight.calibrate.cameras import BoardOptions, CameraCalibration, StereoCalibration
+from armsight.calibrate.mirrors import calibration as mirror_solver
+from armsight.calibrate.mirrors.calibration import MirrorCalibration
+from armsight.errors import BadImage, Inconsistent, NotEnoughData
+from armsight.measure.boards import find_two_boards
+from armsight.optics import Camera, Rig
+from armsight.records import BoardView, Frame, Target
+from armsight.store import parse_board, write_camera
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
+Images = ImageLike | Iterable[ImageLike]
+Rejected = tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class _BoardResult(Result):
+    """What calibrations from boards share: `rejected` names each image left out, and why."""
+
+    rejected: Rejected
+    content: Mapping[str, Any]
+
+    @property
+    def rms_px(self) -> float:
+        """Root mean square reprojection residual in px."""
+        return float(self.content["rms_px"])
+
+    @property
+    def holdout_rms_px(self) -> float | None:
+        """The same on images left out of the fit; None where there were too few."""
+        value = self.content["holdout_rms_px"]
+        return None if value is None else float(value)
+
+    @property
+    def std(self) -> dict[str, float]:
+        """Standard deviations by name, the unit in the name."""
+        return dict(self.content["std"])
+
+    @property
+    def advice(self) -> tuple[str, ...]:
+        """What would make the result surer."""
+        return tuple(self.content["advice"])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the figures as `armsight calibrate ... --json` gives them."""
+        return dict(self.content)
+
+    def _fit_rows(self) -> list[Row]:
+        left_out = "" if self.holdout_rms_px is None else f"; {self.holdout_rms_px:.3g} px on images left out"
+        rows = [("reprojection", f"{self.rms_px:.3g} px RMS{left_out}"), ("rejected", str(len(self.rejected)))]
+        return rows + [("advice", text) for text in self.advice]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class CameraResult(_BoardResult):
+    """One camera's calibration. camera: what it gives; detail: residuals, covariance and all else."""
+
+    camera: Camera
+    detail: CameraCalibration
+
+    @property
+    def title(self) -> str:
+        """What it is, in a few words."""
+        return f"Camera from {self.detail.n_used} images of a board"
+
+    def rows(self) -> list[Row]:
+        """Return the intrinsics with standard deviations, and how well they fit."""
+        names = ("fx", "fy", "cx", "cy", "skew", "k1", "k2", "p1", "p2", "k3")
+        std = self.detail.std
+        values = zip(names, self.camera.intrinsics.tolist(), strict=True)
+        rows = [(name, with_std(v, std.get(name), "px" if i < 5 else "")) for i, (name, v) in enumerate(values)]
+        return rows + self._fit_rows()
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write camera.yaml with the covariance."""
+        write_camera(Path(path), self.camera, covariance=self.detail.covariance, rms_px=self.rms_px)
+
+    def plot(self) -> go.Figure:
+        """Return a plotly figure of the residuals over the image."""
+        return _residual_figure({"camera": (self.detail.uv_px, self.detail.residual_px)}, self.title)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class RigResult(_BoardResult):
+    """A rig's calibration, of two cameras or of a mirror rig. rig: what it gives; detail: all else."""
+
+    rig: Rig
+    detail: StereoCalibration
+
+    @property
+    def title(self) -> str:
+        """What it is, in a few words."""
+        return f"Rig ({self.rig.kind}) from {self.detail.n_used} pairs of views of a board"
+
+    def rows(self) -> list[Row]:
+        """Return baseline and focal lengths with standard deviations, and how well they fit."""
+        std = self.std
+        rows = [("baseline", with_std(self.rig.baseline_m, std.get("baseline_m"), "mm", scale=1e3))]
+        for side in ("left", "right"):
+            values = zip(("fx", "fy", "cx", "cy"), self.rig.camera(side).intrinsics[:4].tolist(), strict=True)
+            rows += [(f"{side} {name}", with_std(v, std.get(f"{side}.{name}_px"), "px")) for name, v in values]
+        return [*rows, ("epipolar", f"{self.content['epipolar_rms_px']:.3g} px RMS"), *self._fit_rows()]
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write rig.yaml with the covariance."""
+        self.rig.save(path)
+
+    def plot(self) -> go.Figure:
+        """Return a plotly figure of both cameras' residuals over the image."""
+        found = self.detail
+        return _residual_figure({s: (found.uv_px[s], found.residual_px[s]) for s in ("left", "right")}, self.title)
+
+
+def calibrate_camera(images: Images, board: str | Target, *, options: BoardOptions | None = None) -> CameraResult:
+    """Return the camera that took the images of a printed board.
+
+    images: arrays, paths, or a folder. board: 'checkerboard:9x6:0.025' (inner corners, square in m),
+    'circles:CxR:PITCH', 'acircles:CxR:PITCH', 'charuco:CxR:SQUARE:MARKER:DICTIONARY', or a Target. Raises
+    NotEnoughData, Degenerate, Undetermined, Inconsistent, NotConverged; BadImage for what is no image.
+    """
+    target = _board(board)
+    seen = _seen(as_images(images, "image"), target)
+    views = [view for _, view in seen if isinstance(view, BoardView)]
+    missed = tuple((name, view) for name, view in seen if isinstance(view, str))
+    _require(views, missed)
+    done = solvers.calibrate_camera(views, target, options)
+    content = camera_content(done, missed)
+    return CameraResult(camera=done.camera, detail=done, rejected=(*missed, *done.rejected), content=content)
+
+
+def calibrate_stereo(
+    left_images: Images, right_images: Images, board: str | Target, *, options: BoardOptions | None = None
+) -> RigResult:
+    """Return the rig of two cameras that took images of a printed board at the same moments.
+
+    left_images, right_images: as many, in the same order; see calibrate_camera for both and for board, and for what is
+    raised.
+    """
+    target = _board(board)
+    pairs = _paired(as_images(left_images, "left image"), as_images(right_images, "right image"))
+    left, right, missed = _both(_seen(pairs[0], target), _seen(pairs[1], target))
+    _require(left, missed)
+    done = solvers.calibrate_stereo(left, right, target, options)
+    content = stereo_content(done, missed, n_pairs=len(pairs[0]))
+    return RigResult(rig=done.rig, detail=done, rejected=(*missed, *done.rejected), content=content)
+
+
+def calibrate_mirrors(
+    images: Images,
+    board: str | Target,
+    *,
+    thickness_m: float | None = None,
+    options: BoardOptions | None = None,
+) -> RigResult:
+    """Return the mirror rig whose complex images show the board in both views.
+
+    thickness_m: of the glass plate; None to find it, 0 for none. See calibrate_camera for the rest.
+    """
+    target = _board(board)
+    seen = list(in_parallel(lambda item: (item[0], _two(item[1], target)), as_images(images, "image")))
+    missed = tuple((name, views) for name, views in seen if isinstance(views, str))
+    found = [views for _, views in seen if not isinstance(views, str)]
+    _require([left for left, _ in found], missed)
+    done: MirrorCalibration = mirror_solver.calibrate_mirrors(
+        [left for left, _ in found], [right for _, right in found], target, thickness_m=thickness_m, options=options
+    )
+    content = mirrors_content(done, missed, n_pairs=len(seen))
+    return RigResult(rig=done.rig, detail=done.pair, rejected=(*missed, *done.pair.rejected), content=content)
+
+
+def _board(board: str | Target) -> Target:
+    return parse_board(board) if isinstance(board, str) else board
+
+
+def _seen(images: list[tuple[str, Image]], board: Target) -> list[tuple[str, BoardView | str]]:
+    def look(item: tuple[str, Image]) -> tuple[str, BoardView | str]:
+        name, image = item
+        return name, see_board(Frame(image=image.copy(), t_s=0.0, sequence=0, source=name), board)
+
+    return list(in_parallel(look, images))
+
+
+def _two(image: Image, board: Target) -> tuple[BoardView, BoardView] | str:
+    try:
+        return find_two_boards(image, board)
+    except BadImage as error:
+        return error.cause
+
+
+def _paired(
+    left: list[tuple[str, Image]], right: list[tuple[str, Image]]
+) -> tuple[list[tuple[str, Image]], list[tuple[str, Image]]]:
+    if len(left) != len(right):
+        raise Inconsistent(
+            f"{len(left)} left images and {len(right)} right images",
+            consequence="Nobody knows which belong together",
+            cure="Give one left and one right image of each moment, in the same order",
+        )
+    return left, right
+
+
+def _both(
+    left: list[tuple[str, BoardView | str]], right: list[tuple[str, BoardView | str]]
+) -> tuple[list[BoardView], list[BoardView], Rejected]:
+    views: tuple[list[BoardView], list[BoardView]] = [], []
+    missed: list[tuple[str, str]] = []
+    for (left_name, a), (right_name, b) in zip(left, right, strict=True):
+        if isinstance(a, BoardView) and isinstance(b, BoardView):
+            views[0].append(a)
+            views[1].append(b)
+        missed += [(name, view) for name, view in ((left_name, a), (right_name, b)) if isinstance(view, str)]
+    return views[0], views[1], tuple(missed)
+
+
+def _require(views: list[BoardView], missed: Rejected) -> None:
+    if not views:
+        first = f"; in the first, {missed[0][0]}: {missed[0][1]}" if missed else ": there are none"
+        raise NotEnoughData(
+            f"the board was found in none of the images{first}", consequence="Nothing was calibrated",
+            cure="Count the inner corners, where four squares meet, and check that the whole board is in the images",
+        )  # fmt: skip
+
+
+def _residual_figure(views: Mapping[str, tuple[Any, Any]], title: str) -> go.Figure:
+    import plotly.graph_objects as go
+    from plotly.subplots import make_subplots
+
+    figure = make_subplots(rows=1, cols=len(views), subplot_titles=list(views))
+    for column, (uv, residual) in enumerate(views.values(), 1):
+        size = np.linalg.norm(residual, axis=1)
+        text = [f"({dx:+.3f}, {dy:+.3f}) px" for dx, dy in residual]
+        marker = {"color": size, "size": 5, "colorscale": "Viridis", "colorbar": {"title": "px"}}
+        trace = go.Scatter(x=uv[:, 0], y=uv[:, 1], mode="markers", marker=marker, text=text, showlegend=False)
+        figure.add_trace(trace, row=1, col=column)
+        figure.update_yaxes(autorange="reversed", scaleanchor=f"x{column if column > 1 else ''}", row=1, col=column)
+    figure.update_layout(title=title)
+    return figure

@@ -1,0 +1,65 @@
+"""Files by path: what is in them as records, and records into them."""
+
+from __future__ import annotations
+
+from os import PathLike, fspath
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from armsight import store
+from armsight.api.arrays import Array
+from armsight.api.pose import PoseTrack
+from armsight.store import arm_file
+from armsight.store.urdf import read_urdf
+
+if TYPE_CHECKING:
+    from armsight.kinematics import Arm
+    from armsight.optics import Camera, Rig
+    from armsight.records import Target
+    from armsight.store.recording import Recording
+
+PathText = str | PathLike[str]
+
+
+def read_rig(path: PathText) -> Rig:
+    """Return the rig in a rig.yaml. Raises BadFile, naming the key."""
+    return store.read_rig(Path(path))
+
+
+def read_camera(path: PathText) -> Camera:
+    """Return the camera in a camera.yaml. Raises BadFile, naming the key."""
+    return store.read_camera(Path(path))
+
+
+def read_target(path: PathText) -> Target:
+    """Return the target in a target.yaml. Raises BadFile, naming the key."""
+    return store.read_target(Path(path))
+
+
+def read_arm(path: PathText) -> Arm:
+    """Return the arm in an arm.yaml or a URDF. Raises BadFile, naming the key or the element."""
+    file = Path(path)
+    return read_urdf(file) if file.suffix.lower() == ".urdf" else arm_file.read_arm(file)
+
+
+def read_poses(path: PathText) -> PoseTrack:
+    """Return the poses in a poses.csv. Raises BadFile, naming line and column."""
+    return PoseTrack(poses=store.read_poses(Path(path)))
+
+
+def read_joints(path: PathText) -> tuple[Array, Array]:
+    """Return times (n,) in s and joint values (n, m) in rad and m of a joints.csv. Raises BadFile."""
+    motion = store.read_joints(Path(path))
+    return np.asarray(motion.t_s), np.asarray(motion.q)
+
+
+def open_recording(path: PathText) -> Recording:
+    """Return a recording (.mcap) open for reading: use it as a context manager. Raises BadFile.
+
+    `cameras` names its cameras, `frames(camera)` yields frames with image and t_s, `poses()` and `joints()` the rest.
+    """
+    from armsight.store.recording import Recording
+
+    return Recording(Path(fspath(path)))

@@ -1,0 +1,325 @@
+"""Spots of an image, the target's pose from a pair, and its track over many pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from armsight.api.arrays import Array, ImageLike, as_frame, as_image
+from armsight.api.results import Result, Row, pose_rows
+from armsight.errors import Inconsistent
+from armsight.geometry import euler_rad
+from armsight.measure import spots as detection
+from armsight.measure.check import RunCheck
+from armsight.measure.consistency import Consistency
+from armsight.measure.outcome import Measured, Track
+from armsight.measure.pair import Setup, measure_pair
+from armsight.measure.settings import DEFAULTS, SpotSettings
+from armsight.optics import Rig, RigKind
+from armsight.records import PoseStatus, Spots, Target, TargetPose, spot_target
+from armsight.records.target import Colour
+from armsight.units import DEG
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
+POSE_NAMES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
+
+
+def LightTarget(
+    lights_m: dict[str, tuple[float, float, float]],
+    *,
+    diameter_m: float | None = None,
+    colour: Colour | None = None,
+    covariance: Array | None = None,
+) -> Target:
+    """Return a target of lights from the named places (x, y, z) of its lights in m, in the target's own frame.
+
+    diameter_m: of flat round lights, where known. colour: of a beacon that is found by its colour. covariance:
+    (3 n, 3 n) m^2 of the places in the order of their names. Raises Inconsistent for places that are no target.
+    """
+    return spot_target(dict(lights_m), diameter_m=diameter_m, colour=colour, covariance=covariance)
+
+
+def find_spots(image: ImageLike, settings: SpotSettings = DEFAULTS) -> Spots:
+    """Return all spots of light in an image, searched without prior.
+
+    image: uint8 (h, w) grey or (h, w, 3) BGR, or an image file's path. uv_px (n, 2): centres, the centre of the
+    top-left pixel being (0, 0); covariance_px2 (n, 2, 2). What was seen and not accepted is in `rejected`, with the
+    reason. Raises BadImage, and Inconsistent where the settings' mask has another size.
+    """
+    return detection.find_spots(as_image(image), settings)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class PoseEstimate(Result):
+    """The target's pose in the rig's frame at one moment, or why there is none.
+
+    status: 'ok', 'position_only' or 'lost'; why: the reason where it is not 'ok'. T_rig_target: (4, 4), of which only
+    the translation means something where the position alone is known; None where lost. covariance: (6, 6) of
+    translation (m) and rotation vector (rad) in the rig's axes, (3, 3) of the position alone; it holds all that is
+    known of: the spots' noise, and the rig's and the target's own covariance where they have one. detail: everything
+    that the pose came from.
+    """
+
+    status: PoseStatus
+    why: str
+    t_s: float
+    T_rig_target: Array | None
+    covariance: Array | None
+    detail: Measured
+
+    @property
+    def ok(self) -> bool:
+        """Whether the whole pose is known."""
+        return self.status is PoseStatus.OK
+
+    @property
+    def xyz_m(self) -> Array | None:
+        """The target's position (3,) in the rig's frame; None where lost."""
+        return None if self.T_rig_target is None else self.T_rig_target[:3, 3]
+
+    @property
+    def std(self) -> dict[str, float]:
+        """Standard deviations by name: x_m, y_m, z_m and, of a whole pose, rx_rad, ry_rad, rz_rad."""
+        if self.covariance is None:
+            return {}
+        return dict(zip(POSE_NAMES, np.sqrt(np.diag(self.covariance)).tolist(), strict=False))
+
+    @property
+    def lights(self) -> tuple[str, ...]:
+        """Names of the lights that the pose rests on."""
+        return self.detail.names
+
+    @property
+    def title(self) -> str:
+        """What it is, in a few words."""
+        seen = f" from {', '.join(self.lights)}" if self.lights else ""
+        return f"Pose of the target in the rig: {self.status}{seen}" + (f" ({self.why})" if self.why else "")
+
+    def rows(self) -> list[Row]:
+        """Return the pose's coordinates in mm and degrees (R = Rz Ry Rx), with standard deviations."""
+        return pose_rows(self._values(), self.std)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain numbers in SI units."""
+        return {
+            "status": str(self.status),
+            "why": self.why,
+            "t_s": self.t_s,
+            "T_rig_target": None if self.T_rig_target is None else self.T_rig_target.tolist(),
+            "covariance": None if self.covariance is None else self.covariance.tolist(),
+            "std": self.std,
+            "lights": list(self.lights),
+        }
+
+    def _values(self) -> dict[str, float]:
+        if self.T_rig_target is None:
+            return {}
+        values = self.T_rig_target[:3, 3].tolist()
+        if self.ok:
+            values += euler_rad(RigidTransform.from_matrix(self.T_rig_target).rotation).tolist()
+        return dict(zip(POSE_NAMES, values, strict=False))
+
+
+def estimate_pose(
+    left: ImageLike,
+    right: ImageLike | None,
+    rig: Rig,
+    target: Target,
+    *,
+    settings: SpotSettings = DEFAULTS,
+    t_s: float = 0.0,
+) -> PoseEstimate:
+    """Return the target's pose from one pair of images, taken by itself.
+
+    left, right: uint8 (h, w) grey or (h, w, 3) BGR, or paths; right is None for a mirror rig whose one image holds both
+    views. What a good recording may show (a hidden light, a reflection, nothing at all) raises nothing: status and why
+    say it. Raises BadImage; Inconsistent where an image has not the size of the rig's camera, or where left and right
+    are swapped; Degenerate for lights on one line.
+    """
+    return _estimate(_measure(_setup(rig, target, settings, right is None), left, right, t_s, None))
+
+
+class PoseTracker:
+    """Follows a target over pairs of images in order, faster than each by itself, and checks that they agree.
+
+    The lights are looked for where they must be by now, and in the whole image where they are not. Over the run the
+    residuals are asked whether rig and target can be right; poses that follow are widened where they cannot.
+    """
+
+    def __init__(self, rig: Rig, target: Target, *, settings: SpotSettings = DEFAULTS) -> None:
+        self._rig, self._target, self._settings = rig, target, settings
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all that was seen."""
+        self._setup: Setup | None = None
+        self._track: Track | None = None
+        self._check: RunCheck | None = None
+        self._poses: list[TargetPose] = []
+
+    def update(self, left: ImageLike, right: ImageLike | None, t_s: float) -> PoseEstimate:
+        """Return the pose at t_s (s, growing from call to call); see estimate_pose.
+
+        Raises as estimate_pose, and Inconsistent where time does not grow.
+        """
+        if not np.isfinite(t_s) or (self._poses and not t_s > self._poses[-1].t_s):
+            raise Inconsistent(
+                f"the time {t_s:g} s does not come after the one before", consequence="The pair cannot be tracked",
+                cure="Give the times of the exposures in seconds, in order; reset() for another recording",
+            )  # fmt: skip
+        if self._setup is None or self._check is None or self._setup.overlaid != (right is None):
+            self._setup = _setup(self._rig, self._target, self._settings, right is None)
+            self._check = RunCheck(self._setup)
+        measured = _measure(self._setup, left, right, t_s, self._track)
+        self._track = measured.track
+        measured = self._check.add(measured)
+        self._poses.append(measured.pose)
+        return _estimate(measured)
+
+    @property
+    def track(self) -> PoseTrack:
+        """The poses so far."""
+        return PoseTrack(poses=tuple(self._poses))
+
+    @property
+    def consistency(self) -> Consistency | None:
+        """Whether the residuals so far fit the rig and the target, and what is likely wrong; None before any pair."""
+        return None if self._check is None else self._check.finish()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class PoseTrack(Result):
+    """Poses of the target in the order of time."""
+
+    poses: tuple[TargetPose, ...] = field(default_factory=tuple)
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+    def __iter__(self) -> Iterator[TargetPose]:
+        return iter(self.poses)
+
+    @property
+    def t_s(self) -> Array:
+        """Times (n,) in s."""
+        return np.array([pose.t_s for pose in self.poses])
+
+    @property
+    def ok(self) -> NDArray[np.bool_]:
+        """Which poses are known as a whole (n,)."""
+        return np.array([pose.status is PoseStatus.OK for pose in self.poses], dtype=bool)
+
+    @property
+    def T_parent_target(self) -> Array:
+        """Poses (n, 4, 4) in the rig's frame (or the file's); NaN where lost."""
+        none = np.full((4, 4), np.nan)
+        found = [none if pose.T_parent_target is None else pose.T_parent_target for pose in self.poses]
+        return np.array(found).reshape(-1, 4, 4)
+
+    @property
+    def title(self) -> str:
+        """What it is, in a few words."""
+        return f"{len(self)} poses of the target, {int(self.ok.sum())} of them whole"
+
+    def rows(self) -> list[Row]:
+        """Return the figures of the track."""
+        if not len(self):
+            return []
+        counts = [(str(status), str(sum(pose.status is status for pose in self.poses))) for status in PoseStatus]
+        xyz = self.T_parent_target[:, :3, 3]
+        seen = xyz[np.isfinite(xyz).all(axis=1)]
+        spans = np.ptp(seen, axis=0) if len(seen) else np.zeros(3)
+        times = [("time", f"{self.t_s[0]:.3f} to {self.t_s[-1]:.3f} s")]
+        return (
+            times + counts + [(f"moved in {axis}", f"{1e3 * d:.3f} mm") for axis, d in zip("xyz", spans, strict=True)]
+        )
+
+    def table(self) -> dict[str, Any]:
+        """Return columns (n,): t_s, status, x_m ... rz_rad (R = Rz Ry Rx), sx_m ... srz_rad; NaN where not known."""
+        values = np.full((len(self), 12), np.nan)
+        for row, pose in zip(values, self.poses, strict=True):
+            if pose.T_parent_target is not None and pose.covariance is not None:
+                n = len(pose.covariance)
+                row[:3] = pose.T_parent_target[:3, 3]
+                if n == len(POSE_NAMES):
+                    row[3:6] = euler_rad(RigidTransform.from_matrix(pose.T_parent_target).rotation)
+                row[6 : 6 + n] = np.sqrt(np.diag(pose.covariance))
+        names = (*POSE_NAMES, *(f"s{name}" for name in POSE_NAMES))
+        columns = dict(zip(names, values.T, strict=True))
+        return {"t_s": self.t_s, "status": [str(pose.status) for pose in self.poses], **columns}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the table with lists; None where a number is not known."""
+        content = {}
+        for name, column in self.table().items():
+            values = column if isinstance(column, list) else column.tolist()
+            content[name] = [None if value != value else value for value in values]
+        return content
+
+    def save(self, path: str | PathLike[str]) -> Path:
+        """Write poses.csv and return its path."""
+        from armsight.store import write_poses
+
+        write_poses(Path(path), self.poses)
+        return Path(path)
+
+    def plot(self) -> go.Figure:
+        """Return a plotly figure: position (mm) and orientation (deg) over time with their 95 % bands."""
+        import plotly.graph_objects as go
+        from plotly.subplots import make_subplots
+
+        table = self.table()
+        figure = make_subplots(rows=6, cols=1, shared_xaxes=True, vertical_spacing=0.02)
+        for i, name in enumerate(POSE_NAMES, 1):
+            scale, unit = (1e3, "mm") if name.endswith("_m") else (1.0 / DEG, "deg")
+            label = name.rpartition("_")[0]
+            band = scale * 1.96 * table[f"s{name}"]
+            value = scale * table[name]
+            for sign, fill in ((-1.0, None), (1.0, "tonexty")):
+                figure.add_trace(
+                    go.Scatter(
+                        x=table["t_s"], y=value + sign * band, mode="lines", line={"width": 0}, fill=fill,
+                        fillcolor="rgba(31,119,180,0.25)", hoverinfo="skip", showlegend=False,
+                    ), row=i, col=1,
+                )  # fmt: skip
+            figure.add_trace(go.Scatter(x=table["t_s"], y=value, name=label, mode="lines+markers"), row=i, col=1)
+            figure.update_yaxes(title_text=f"{label}, {unit}", row=i, col=1)
+        figure.update_xaxes(title_text="t, s", row=6, col=1)
+        figure.update_layout(title=self.title, height=900, showlegend=False)
+        return figure
+
+
+def _setup(rig: Rig, target: Target, settings: SpotSettings, one_image: bool) -> Setup:
+    if one_image and rig.kind is not RigKind.MIRROR:
+        raise Inconsistent(
+            "there is no right image, and the rig has two cameras", consequence="There is nothing to triangulate with",
+            cure="Give both images; one image holds both views only of a mirror rig",
+        )  # fmt: skip
+    return Setup(rig, target, settings, overlaid=one_image)
+
+
+def _measure(setup: Setup, left: ImageLike, right: ImageLike | None, t_s: float, track: Track | None) -> Measured:
+    at_left = as_frame(left, name="the left image" if right is not None else "the image", t_s=t_s)
+    at_right = at_left if right is None else as_frame(right, name="the right image", t_s=t_s)
+    return measure_pair(setup, at_left, at_right, track)
+
+
+def _estimate(measured: Measured) -> PoseEstimate:
+    pose = measured.pose
+    return PoseEstimate(
+        status=pose.status,
+        why=pose.why,
+        t_s=pose.t_s,
+        T_rig_target=pose.T_parent_target,
+        covariance=pose.covariance,
+        detail=measured,
+    )

@@ -1,0 +1,68 @@
+"""How results show themselves: one screen of text, a table in a notebook, a dictionary, columns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from typing import Any
+
+Row = tuple[str, str]
+
+
+class Result:
+    """A result that prints itself. Subclasses give `title`, `rows` and `to_dict`."""
+
+    __slots__ = ()
+
+    @property
+    def title(self) -> str:
+        """What it is, in a few words."""
+        raise NotImplementedError
+
+    def rows(self) -> Sequence[Row]:
+        """Return (name, value with unit and standard deviation) as people read them."""
+        raise NotImplementedError
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain numbers, lists and texts in SI units, as the command line's --json gives them."""
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        rows = self.rows()
+        width = max((len(name) for name, _ in rows), default=0)
+        return "\n".join([self.title, *(f"  {name:<{width}}  {value}".rstrip() for name, value in rows)])
+
+    def _repr_html_(self) -> str:
+        cells = "".join(f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in self.rows())
+        return f"<table><caption>{escape(self.title)}</caption>{cells}</table>"
+
+
+def with_std(value: float, std: float | None, unit: str, *, scale: float = 1.0) -> str:
+    """Return '12.345 +- 0.021 mm': as many digits as the standard deviation is worth."""
+    if std is None or not std > 0.0:
+        return f"{value * scale:.6g} {unit}".rstrip()
+    from math import floor, isfinite, log10
+
+    if not isfinite(std):
+        return f"{value * scale:.6g} {unit}, not determined"
+    digits = max(0, 1 - floor(log10(std * scale)))
+    return f"{value * scale:.{digits}f} +- {std * scale:.{digits}f} {unit}".rstrip()
+
+
+POSE_UNITS: Mapping[str, tuple[str, float]] = {
+    "x_m": ("mm", 1e3),
+    "y_m": ("mm", 1e3),
+    "z_m": ("mm", 1e3),
+    "rx_rad": ("deg", 57.29577951308232),
+    "ry_rad": ("deg", 57.29577951308232),
+    "rz_rad": ("deg", 57.29577951308232),
+}
+
+
+def pose_rows(values: Mapping[str, float], std: Mapping[str, float]) -> list[Row]:
+    """Return the rows of a pose: x, y, z in mm, rx, ry, rz in degrees, each with its standard deviation."""
+    return [
+        (name.rpartition("_")[0], with_std(values[name], std.get(name), unit, scale=scale))
+        for name, (unit, scale) in POSE_UNITS.items()
+        if name in values
+    ]

@@ -1,0 +1,330 @@
+"""Hand-eye, tool tip, and arms: identified, calibrated, or known by name."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armsight.api.arrays import Array, Poses, as_poses, as_vectors
+from armsight.api.results import Result, Row, pose_rows, with_std
+from armsight.app.calibrate.arm import arm_content
+from armsight.app.calibrate.handeye import handeye_content, tip_content
+from armsight.app.identify.sweep_files import identified_content
+from armsight.calibrate.arm import ArmCalibration, ArmPoints
+from armsight.calibrate.arm import calibrate_arm as solve_arm
+from armsight.calibrate.handeye import HandEye, PosePairs, Setup, calibrate_eye_in_hand, calibrate_eye_to_hand, verdict
+from armsight.calibrate.identify import Identification, Sweeps, identify
+from armsight.calibrate.tooltip import MeasuredPoint, TipCalibration, calibrate_tooltip
+from armsight.errors import Inconsistent
+from armsight.geometry import euler_rad
+from armsight.kinematics import Arm
+from armsight.optics import Rig
+from armsight.store.handeye_file import write_handeye, write_tip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class HandEyeResult(Result):
+    """Where the camera is on the arm (or beside it), and how far to believe it. detail: everything else."""
+
+    detail: HandEye
+
+    @property
+    def T_flange_camera(self) -> Array:
+        """Pose of the camera on the flange (4, 4). Raises Inconsistent for a camera that is not on the arm."""
+        return self._pose(Setup.EYE_IN_HAND, "T_flange_camera")
+
+    @property
+    def T_base_target(self) -> Array:
+        """Pose of the target in the base (4, 4). Raises Inconsistent for a target that is on the arm."""
+        return self._pose(Setup.EYE_IN_HAND, "T_base_target")
+
+    @property
+    def T_base_camera(self) -> Array:
+        """Pose of the camera in the base (4, 4). Raises Inconsistent for a camera that is on the arm."""
+        return self._pose(Setup.EYE_TO_HAND, "T_base_camera")
+
+    @property
+    def T_flange_target(self) -> Array:
+        """Pose of the target on the flange (4, 4). Raises Inconsistent for a target that is not on the arm."""
+        return self._pose(Setup.EYE_TO_HAND, "T_flange_target")
+
+    @property
+    def std(self) -> dict[str, float]:
+        """Standard deviations of the camera's pose: x_m, y_m, z_m, rx_rad, ry_rad, rz_rad."""
+        return self.detail.std("camera")
+
+    @property
+    def rejected(self) -> tuple[tuple[str, str], ...]:
+        """(row, why) of the pairs that were left out."""
+        return self.detail.rejected
+
+    @property
+    def verdict(self) -> str:
+        """Whether the result can be trusted."""
+        return verdict(self.detail)
+
+    @property
+    def title(self) -> str:
+        """What it is, in a few words."""
+        where = "T_flange_camera" if self.detail.setup is Setup.EYE_IN_HAND else "T_base_camera"
+        return f"Hand-eye ({self.detail.setup}): {where} from {self.detail.n_used} of {len(self.detail.pairs)} pairs"
+
+    def rows(self) -> list[Row]:
+        """Return the camera's pose with standard deviations, residuals and the verdict."""
+        found = self.detail
+        T = found.T_mount_camera
+        values = [*np.asarray(T.translation).tolist(), *euler_rad(T.rotation).tolist()]
+        return [
+            *pose_rows(dict(zip(self.std, values, strict=True)), self.std),
+            ("left-out error", f"{1e3 * found.loo_rms_m:.3g} mm, {np.rad2deg(found.loo_rms_rad):.3g} deg RMS"),
+            *((f"rejected {name}", why) for name, why in self.rejected[:5]),
+            ("verdict", self.verdict),
+            *(("advice", text) for text in found.advice),
+        ]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the figures as `armsight calibrate handeye --json` gives them."""
+        return handeye_content(self.detail)
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write handeye.yaml."""
+        write_handeye(Path(path), self.detail, self.verdict)
+
+    def _pose(self, setup: Setup, name: str) -> Array:
+        if self.detail.setup is not setup:
+            raise Inconsistent(
+                f"{name} belongs to {setup}, and this calibration is {self.detail.setup}",
+                cure="Give setup='eye-to-hand' for a camera beside the arm, 'eye-in-hand' for one on it",
+            )
+        camera = name.endswith("camera")
+        return np.asarray((self.detail.T_mount_camera if camera else self.detail.T_seat_target).as_matrix())
+
+
+def calibrate_hand_eye(
+    T_base_flange: Poses,
+    T_camera_target: Poses,
+    *,
+    setup: Literal["eye-in-hand", "eye-to-hand"] = "eye-in-hand",
+    names: Sequence[str] | None = None,
+) -> HandEyeResult:
+    """Return where the camera is, from poses of the robot and of the target seen at the same moments, row by row.
+
+    T_base_flange, T_camera_target: n poses each, (n, 4, 4) or RigidTransform, m. setup: the camera is on the arm
+    ('eye-in-hand') or beside it. names: of the rows, for messages. Raises NotEnoughData, Degenerate (too little
+    turning), Inconsistent (wrong units, inverted or wrongly paired poses), NotConverged.
+    """
+    robot, camera = as_poses(T_base_flange, "T_base_flange"), as_poses(T_camera_target, "T_camera_target")
+    rows = tuple(names) if names is not None else tuple(f"row {i}" for i in range(len(robot)))
+    pairs = PosePairs(T_base_flange=robot, T_camera_target=camera, names=rows)
+    calibrate = calibrate_eye_in_hand if Setup(setup) is Setup.EYE_IN_HAND else calibrate_eye_to_hand
+    return HandEyeResult(detail=calibrate(pairs))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class ToolTipResult(Result):
+    """Where the tool's end is in the axes of the turned frame. detail: everything else."""
+
+    detail: TipCalibration
+
+    @property
+    def tip_m(self) -> Array:
+        """The tip (3,) in the turned frame's axes."""
+        return self.detail.tip_m
+
+    @property
+    def point_m(self) -> Array:
+        """The point (3,) on which it rested, in the poses' parent frame."""
+        return self.detail.point_m
+
+    @property
+    def std(self) -> dict[str, float]:
+        """Standard deviations of the tip: x_m, y_m, z_m."""
+        return self.detail.std()
+
+    @property
+    def title(self) -> str:
+        """What it is, in a few words."""
+        return f"Tool tip from {self.detail.n_used} of {len(self.detail.used)} poses"
+
+    def rows(self) -> list[Row]:
+        """Return the tip's coordinates with standard deviations, and the residual."""
+        named = zip(self.std.items(), self.tip_m.tolist(), strict=True)
+        rows = [(name.removesuffix("_m"), with_std(value, std, "mm", scale=1e3)) for (name, std), value in named]
+        return [*rows, ("residual", f"{1e3 * self.detail.residual_rms_m:.3g} mm RMS")]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the figures as `armsight calibrate tooltip --json` gives them."""
+        return tip_content(self.detail)
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write tip.yaml."""
+        write_tip(Path(path), self.detail)
+
+
+def calibrate_tool_tip(
+    T_world_target: Poses,
+    covariances: ArrayLike | None = None,
+    *,
+    point_m: ArrayLike | None = None,
+    point_std_m: float = 0.0,
+) -> ToolTipResult:
+    """Return the tool's tip from n poses of a frame that was turned about it while it rested on one point.
+
+    T_world_target: (n, 4, 4). covariances: (n, 6, 6), where known. point_m (3,), point_std_m: where it rests, if
+    measured. Raises NotEnoughData, Degenerate (too little turning), Inconsistent (no common point).
+    """
+    poses = as_poses(T_world_target, "T_world_target")
+    given = None if covariances is None else np.asarray(covariances, float)
+    if given is not None and given.shape != (len(poses), 6, 6):
+        raise Inconsistent(
+            f"{len(poses)} poses and covariances of shape {given.shape}", consequence="They do not belong together",
+            cure="Give covariances (n, 6, 6)",
+        )  # fmt: skip
+    point = None
+    if point_m is not None:
+        point = MeasuredPoint(xyz_m=as_vectors(point_m, 3, "point_m", single=True), sigma_m=point_std_m)
+    return ToolTipResult(detail=calibrate_tooltip(poses, given, point))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class ArmIdentification(Result):
+    """An unknown arm's geometry. arm: what was found, for kinematics and files. detail: everything else."""
+
+    detail: Identification
+
+    @property
+    def arm(self) -> Arm:
+        """The arm."""
+        return self.detail.arm
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What to know about the result."""
+        return self.detail.notes
+
+    @property
+    def title(self) -> str:
+        """What it is, in a few words."""
+        return f"Arm of {self.arm.n} joints, identified"
+
+    def rows(self) -> list[Row]:
+        """Return each joint's type and table, with standard deviations where they mean something."""
+        rows = []
+        for number, (joint, found) in enumerate(zip(self.arm.joints, self.detail.joints, strict=True), 1):
+            std = found.std
+            parts = [
+                f"a {with_std(joint.a_m, std.get('a_m'), 'mm', scale=1e3)}",
+                f"alpha {with_std(joint.alpha_rad, std.get('alpha_rad'), 'deg', scale=180.0 / np.pi)}",
+                f"d {with_std(joint.d_m, std.get('d_m'), 'mm', scale=1e3)}",
+                f"theta {with_std(joint.theta_rad, std.get('theta_rad'), 'deg', scale=180.0 / np.pi)}",
+            ]
+            rows.append((f"joint {number}", f"{joint.type}{'' if found.decided else '?'}: {', '.join(parts)}"))
+        return rows + [("note", note) for note in self.notes]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the figures as `armsight identify --json` gives them."""
+        return identified_content(self.detail)
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write arm.yaml."""
+        self.arm.save(path)
+
+
+def identify_arm(
+    joint: ArrayLike,
+    q: ArrayLike,
+    xyz_m: ArrayLike,
+    *,
+    rig: Rig | None = None,
+    uv_px: ArrayLike | None = None,
+    name: str = "identified",
+) -> ArmIdentification:
+    """Return the arm whose beacon was at xyz_m (m, 3) while the joints stood at q (m, n), one joint moved at a time.
+
+    joint: (m,) the one that moves in each row, counted from 1. With rig and uv_px (m, 2, 2; [row, side]) the fit is of
+    pixels. q in rad and m, xyz_m in m, in any fixed frame. Raises NotEnoughData, Inconsistent. Kapucu and Baysec 2005.
+    """
+    places, readings = as_vectors(xyz_m, 3, "xyz_m"), as_vectors(q, None, "q")
+    moving = _joint_numbers(joint, len(places))
+    if len(readings) != len(places):
+        raise Inconsistent(
+            f"{len(readings)} rows of q and {len(places)} of xyz_m", consequence="Nobody knows which belong together",
+            cure="Give one row of each per reading",
+        )  # fmt: skip
+    pixels = None if uv_px is None else np.asarray(uv_px, float)
+    sweeps = Sweeps(joint=moving - 1, q=readings, xyz_m=places, uv_px=pixels)
+    return ArmIdentification(detail=identify(sweeps, rig=rig if pixels is not None else None, name=name))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class ArmResult(Result):
+    """A known arm's calibration. arm: corrected where a gain is proved, else nominal. detail: everything else."""
+
+    detail: ArmCalibration
+
+    @property
+    def arm(self) -> Arm:
+        """The arm."""
+        return self.detail.arm
+
+    @property
+    def gain(self) -> bool:
+        """Whether the correction lowers the error on measurements left out, beyond its own uncertainty."""
+        return self.detail.gain
+
+    @property
+    def title(self) -> str:
+        """What it is, in a few words."""
+        return f"Arm {self.arm.name} calibrated from {len(self.detail.error_m)} measurements"
+
+    def rows(self) -> list[Row]:
+        """Return the errors before and after, and the verdict."""
+        found = self.detail
+        pairs = (("fitted rows", found.before, found.after), ("left-out rows", found.cross_before, found.cross_after))
+        rows = [(name, f"{1e3 * a.rms_m:.3g} mm RMS before, {1e3 * b.rms_m:.3g} mm after") for name, a, b in pairs]
+        return [*rows, ("freed", ", ".join(found.free) or "nothing"), ("verdict", found.verdict)]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the figures as `armsight calibrate arm --json` gives them."""
+        return arm_content(self.detail)
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write arm.yaml."""
+        self.arm.save(path)
+
+
+def calibrate_arm(
+    nominal: Arm,
+    q: ArrayLike,
+    xyz_m: ArrayLike,
+    *,
+    rotation: ArrayLike | None = None,
+    point: Sequence[str] = (),
+) -> ArmResult:
+    """Return the arm corrected from the tool's places xyz_m (m, 3) at the controller's readings q (m, n).
+
+    rotation: (m, 3, 3) of the tool, where measured. point: (m,) names which of the tool's points a row is of. Places
+    are in m, in any fixed frame; q in rad and m. Raises NotEnoughData; Inconsistent for measurements that are not of
+    this arm.
+    """
+    places, readings = as_vectors(xyz_m, 3, "xyz_m"), as_vectors(q, nominal.n, "q")
+    turned = None if rotation is None else np.asarray(rotation, float)
+    points = ArmPoints(q=nominal.values(readings), xyz_m=places, rotation=turned, point=tuple(point))
+    return ArmResult(detail=solve_arm(nominal, points))
+
+
+def _joint_numbers(joint: ArrayLike, rows: int) -> NDArray[np.intp]:
+    numbers = np.asarray(joint)
+    if numbers.shape != (rows,) or not np.issubdtype(numbers.dtype, np.integer):
+        raise Inconsistent(
+            f"joint has the shape {numbers.shape} and the type {numbers.dtype}",
+            consequence="Nobody knows which joint moves in which row",
+            cure=f"Give {rows} whole numbers, one per row, counted from 1",
+        )
+    return numbers.astype(np.intp)

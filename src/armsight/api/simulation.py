@@ -1,0 +1,70 @@
+"""Simulated cells: frames as cameras would give them, and the truth beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from armsight.api.arrays import Array, Image
+from armsight.app.cells import room_choice
+from armsight.app.scenarios import build_cell, load_scenario, scenario_names
+from armsight.errors import Inconsistent
+from armsight.optics import Rig
+from armsight.records import Target
+from armsight.store import rig_from_mapping, target_from_mapping
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SimulatedFrame:
+    """What the cameras see at t_s, and where the target truly is: T_rig_target (4, 4). right: None for a mirror rig."""
+
+    t_s: float
+    left: Image
+    right: Image | None
+    T_rig_target: Array
+
+
+class Simulation:
+    """A simulated cell: iterate for its frames. rig, target: as a perfect calibration would give them."""
+
+    def __init__(self, stage: Any, name: str) -> None:
+        self._stage = stage
+        self.name = name
+        self.rig: Rig = rig_from_mapping(stage.rig, f"{name}'s rig")
+        self.target: Target = target_from_mapping(stage.target, f"{name}'s target")
+
+    def __len__(self) -> int:
+        return len(self._stage.kept)
+
+    def __repr__(self) -> str:
+        return f"Simulation of {self.name}: {len(self)} frames"
+
+    def __iter__(self) -> Iterator[SimulatedFrame]:
+        for seen, (t_s, xyz_m, quat_xyzw) in zip(self._stage.frames(), self._stage.truth, strict=True):
+            T = RigidTransform.from_components(xyz_m, Rotation.from_quat(quat_xyzw)).as_matrix()
+            right = seen[1].image if len(seen) == 2 else None
+            yield SimulatedFrame(t_s=float(t_s), left=seen[0].image, right=right, T_rig_target=np.asarray(T))
+
+
+def simulate(
+    scenario: str = "webcam-cell", *, frames: int | None = None, seed: int | None = None, room: str | None = None
+) -> Simulation:
+    """Return a built-in scenario, or that of a scenario file (.yaml), ready to be iterated over.
+
+    frames, seed, room ('workshop', 'office', 'plain', 'dark', or a picture's path): instead of its own. Raises
+    DeviceNotFound with the known names, BadFile naming the key, Inconsistent for a number of frames below 1.
+    """
+    if frames is not None and frames < 1:
+        raise Inconsistent(f"{frames} frames cannot be simulated", cure="Give at least one")
+    model = load_scenario(scenario)[0]
+    chosen = None if room is None else room_choice(room)
+    return Simulation(build_cell(scenario, model, seed=seed, frames=frames, room=chosen), scenario)
+
+
+def scenarios() -> tuple[str, ...]:
+    """Return the names of the built-in scenarios."""
+    return scenario_names()
