@@ -10,8 +10,10 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.api.arrays import Array, Image
-from armsight.app.cells import room_choice
+from armsight.app.cells import load_cell, room_choice
 from armsight.app.scenarios import build_cell, load_scenario, scenario_names
+from armsight.app.simulate import CELL_FRAMES
+from armsight.drivers import CELLS, known
 from armsight.errors import Inconsistent
 from armsight.optics import Rig
 from armsight.records import Target
@@ -31,20 +33,20 @@ class SimulatedFrame:
 class Simulation:
     """A simulated cell: iterate for its frames. rig, target: as a perfect calibration would give them."""
 
-    def __init__(self, stage: Any, name: str) -> None:
-        self._stage = stage
+    def __init__(self, world: Any, name: str) -> None:
+        self._world = world
         self.name = name
-        self.rig: Rig = rig_from_mapping(stage.rig, f"{name}'s rig")
-        self.target: Target = target_from_mapping(stage.target, f"{name}'s target")
+        self.rig: Rig = rig_from_mapping(world.rig, f"{name}'s rig")
+        self.target: Target = target_from_mapping(world.target, f"{name}'s target")
 
     def __len__(self) -> int:
-        return len(self._stage.kept)
+        return len(self._world.truth)
 
     def __repr__(self) -> str:
         return f"Simulation of {self.name}: {len(self)} frames"
 
     def __iter__(self) -> Iterator[SimulatedFrame]:
-        for seen, (t_s, xyz_m, quat_xyzw) in zip(self._stage.frames(), self._stage.truth, strict=True):
+        for seen, (t_s, xyz_m, quat_xyzw) in zip(self._world.frames(), self._world.truth, strict=True):
             T = RigidTransform.from_components(xyz_m, Rotation.from_quat(quat_xyzw)).as_matrix()
             right = seen[1].image if len(seen) == 2 else None
             yield SimulatedFrame(t_s=float(t_s), left=seen[0].image, right=right, T_rig_target=np.asarray(T))
@@ -53,18 +55,20 @@ class Simulation:
 def simulate(
     scenario: str = "webcam-cell", *, frames: int | None = None, seed: int | None = None, room: str | None = None
 ) -> Simulation:
-    """Return a built-in scenario, or that of a scenario file (.yaml), ready to be iterated over.
+    """Return a built-in scenario or cell (see `scenarios`), or that of a scenario file (.yaml), to be iterated over.
 
     frames, seed, room ('workshop', 'office', 'plain', 'dark', or a picture's path): instead of its own. Raises
     DeviceNotFound with the known names, BadFile naming the key, Inconsistent for a number of frames below 1.
     """
     if frames is not None and frames < 1:
         raise Inconsistent(f"{frames} frames cannot be simulated", cure="Give at least one")
+    if scenario in known(CELLS) and scenario not in scenario_names():
+        return Simulation(load_cell(scenario, seed=seed or 0, frames=frames or CELL_FRAMES, room=room), scenario)
     model = load_scenario(scenario)[0]
     chosen = None if room is None else room_choice(room)
     return Simulation(build_cell(scenario, model, seed=seed, frames=frames, room=chosen), scenario)
 
 
 def scenarios() -> tuple[str, ...]:
-    """Return the names of the built-in scenarios."""
-    return scenario_names()
+    """Return the names of the built-in scenarios and cells."""
+    return tuple(sorted({*scenario_names(), *known(CELLS)}))

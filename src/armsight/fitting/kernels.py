@@ -5,10 +5,11 @@ from __future__ import annotations
 from math import sqrt
 
 import numpy as np
-from numba import njit
+
+from armsight._numba import kernel
 
 
-@njit(cache=True)
+@kernel
 def solve_damped(H, g, damping, step):
     """Solve (H + damping diag H) step = -g by Cholesky for small dense H (n, n); return False where not SPD."""
     n = g.shape[0]
@@ -39,7 +40,7 @@ def solve_damped(H, g, damping, step):
     return True
 
 
-@njit(cache=True)
+@kernel
 def invert_spd(H, out):
     """Fill out (n, n) with the inverse of the symmetric positive definite H; return False where it is not."""
     n = H.shape[0]
@@ -71,7 +72,7 @@ def invert_spd(H, out):
     return True
 
 
-@njit(cache=True)
+@kernel
 def eliminate(C, c, W, floor, x, X):
     """Fill x (G, L) = C^-1 c and X (G, L, F) = C^-1 W' for symmetric C (G, L, L) that is positive (semi-)definite.
 

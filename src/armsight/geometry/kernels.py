@@ -5,10 +5,11 @@ from __future__ import annotations
 from math import cos, sin, sqrt
 
 import numpy as np
-from numba import njit
+
+from armsight._numba import kernel
 
 
-@njit(cache=True)
+@kernel
 def rotation_from_rotvec(w, R):
     """Fill R (3, 3) with Exp of the rotation vector w (3,) in radians (Rodrigues)."""
     t2 = w[0] * w[0] + w[1] * w[1] + w[2] * w[2]
@@ -31,7 +32,7 @@ def rotation_from_rotvec(w, R):
     R[2, 2] = 1.0 - b * (x * x + y * y)
 
 
-@njit(cache=True)
+@kernel
 def rotate_left(dw, R, out):
     """Fill out (3, 3) with Exp(dw) R: the rotation part of the project's pose perturbation."""
     E = np.empty((3, 3))

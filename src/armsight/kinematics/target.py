@@ -74,7 +74,11 @@ def target_matrices(arm: Arm, poses: RigidTransform | ArrayLike) -> Array:
     """
     T = np.asarray(poses.as_matrix() if isinstance(poses, RigidTransform) else poses, dtype=np.float64)
     if T.ndim not in (2, 3) or T.shape[-2:] != (4, 4):
-        raise UsageError(f"a pose is a 4x4 matrix, not an array of shape {T.shape}")
+        raise UsageError(
+            f"a pose is a 4x4 matrix, not an array of shape {T.shape}",
+            consequence="No joint values can be given",
+            cure="Give T_world_tool as (4, 4), (n, 4, 4) or a RigidTransform",
+        )
     T = np.ascontiguousarray(T.reshape(-1, 4, 4))
     fault, row, value = check_poses(T, ROTATION_TOLERANCE)
     if fault == NOT_FINITE:

@@ -24,9 +24,12 @@ def frozen_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> 
         or any(want is not None and have != want for have, want in zip(array.shape, shape, strict=True))
     ):
         wanted = ", ".join("n" if want is None else str(want) for want in shape)
-        raise Inconsistent(f"{name} has shape {array.shape}, not ({wanted})")
+        raise Inconsistent(f"{name} has shape {array.shape}, not ({wanted})", consequence="It cannot be used")
     if not (isfinite(np.vdot(array, array)) or np.isfinite(array).all()):  # the first is three times as fast
-        raise Inconsistent(f"{name} holds a value that is not finite")
+        raise Inconsistent(
+            f"{name} holds a value that is not finite", consequence="It cannot be used",
+            cure="Leave out what was not measured",
+        )  # fmt: skip
     array.setflags(write=False)
     return array
 

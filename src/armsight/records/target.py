@@ -76,7 +76,11 @@ class Target(Saveable):
             size = 3 * len(self.names)
             object.__setattr__(self, "covariance", frozen_array("covariance", self.covariance, (size, size)))
         if not self.names or len(set(self.names)) != len(self.names):
-            raise Inconsistent("a target needs at least one spot, and every spot a name of its own")
+            raise Inconsistent(
+                "a target needs at least one spot, and every spot a name of its own",
+                consequence="There is nothing to look for",
+                cure="Name the lights A, B, C ... and give each its place",
+            )
         if self.diameter_m is not None and not self.diameter_m > 0.0:
             raise Inconsistent(f"a spot's diameter of {self.diameter_m} m is not positive")
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from armsight._numba import kernel
 from armsight.fitting.kernels import invert_spd
 from armsight.optics.kernels.camera import see_point
 
 
-@njit(cache=True)
+@kernel
 def see_many(k, R, t, X, uv, D):
     """Fill uv (m, 2, 2) and D (m, 2, 2, 3) as [point, side] for X (m, 3) in rig axes; NaN behind a camera."""
     for i in range(X.shape[0]):
@@ -19,7 +19,7 @@ def see_many(k, R, t, X, uv, D):
                 D[i, side, :, :] = np.nan
 
 
-@njit(cache=True)
+@kernel
 def tilted(B, u, v, d, dd):
     """Fill d (3,) = normalise(B (u, v, 1)) and dd (3, 2) = d d / d (u, v)."""
     size = 0.0
@@ -35,7 +35,7 @@ def tilted(B, u, v, d, dd):
             dd[r, c] = (B[r, c] - along * d[r]) / size
 
 
-@njit(cache=True)
+@kernel
 def arc_places(B, middle, p, s, X, J, Js):
     """Fill X (N, 3), J (N, 3, 6), Js (N, 3): places at arc lengths s of the arc p, derivatives by p and by s.
 
@@ -82,7 +82,7 @@ def arc_places(B, middle, p, s, X, J, Js):
                     J[i, r, 2 + k] += dt[r, k] * S
 
 
-@njit(cache=True)
+@kernel
 def turn(d, angle, x, out):
     """Fill out (3,) with x turned about the unit direction d."""
     s, c = np.sin(angle), np.cos(angle)
@@ -93,7 +93,7 @@ def turn(d, angle, x, out):
     out[0], out[1] = a, b
 
 
-@njit(cache=True)
+@kernel
 def chain_beacon(revolute, B, points, beacon, p, q, X, J):
     """Fill X (m, 3) and J (m, 3, P): the beacon at joint values q (m, n) and its derivative by p.
 
@@ -153,7 +153,7 @@ def chain_beacon(revolute, B, points, beacon, p, q, X, J):
                 x[r] += at[j, r]
 
 
-@njit(cache=True)
+@kernel
 def axis_cost(revolute, direction, xyz, W, q, p):
     """Return the misfit of a sweep for an axis of given direction, all else eliminated (or infinity); fill p.
 
@@ -212,7 +212,7 @@ def axis_cost(revolute, direction, xyz, W, q, p):
     return total
 
 
-@njit(cache=True)
+@kernel
 def axis_costs(revolute, directions, xyz, W, q, costs):
     """Fill costs (k,) of directions (k, 3); see axis_cost."""
     p = np.empty(6)
@@ -220,7 +220,7 @@ def axis_costs(revolute, directions, xyz, W, q, costs):
         costs[i] = axis_cost(revolute, directions[i], xyz, W, q, p)
 
 
-@njit(cache=True)
+@kernel
 def settle_axis(revolute, direction, step, xyz, W, q, p):
     """Move direction (3,) to the nearest minimum of axis_cost by eight-way steps that shrink; return cost; fill p."""
     best = axis_cost(revolute, direction, xyz, W, q, p)

@@ -5,12 +5,13 @@ from __future__ import annotations
 from math import sqrt
 
 import numpy as np
-from numba import njit
+
+from armsight._numba import kernel
 
 FINE, NOT_FINITE, NO_ROTATION = 0, 1, 2
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def check_poses(T, tolerance):
     """Return what is wrong with the first bad one of T (m, 4, 4), its row, and how far it is from a rotation."""
     for i in range(T.shape[0]):
@@ -35,7 +36,7 @@ def check_poses(T, tolerance):
     return FINE, -1, 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def farthest(T, chain):
     """Return the largest distance of a pose of T (m, 4, 4) from the chain's base in m, and its row."""
     worst = -1.0

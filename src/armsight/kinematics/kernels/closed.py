@@ -20,8 +20,8 @@ from __future__ import annotations
 from math import sqrt
 
 import numpy as np
-from numba import njit
 
+from armsight._numba import fast_kernel, kernel
 from armsight.kinematics.kernels.numeric import pose_error
 from armsight.kinematics.kernels.trig import TWO_PI, arc_tangent, sin_cos, wrap
 
@@ -41,7 +41,7 @@ LEFT, DOWN, FLIP, AT_SHOULDER, AT_ELBOW, AT_WRIST = 1, 2, 4, 8, 16, 32
 """Bits of a solution's code: branches, and which singularity it stands in."""
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
+@fast_kernel
 def wrist_pose(family, base, tool, T, W):
     """Fill W (12,) with the axes x, y, z and the origin of frame 6 before its own d, a, alpha, in base axes.
 
@@ -64,7 +64,7 @@ def wrist_pose(family, base, tool, T, W):
                 W[3 * c + r] = v + base[4 * r + 3] if c == 3 else v
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
+@fast_kernel
 def _store(family, Q, code, k, t1, t2, t3, t4, t5, t6, bits):
     """Store one solution as joint values, each turned into [-pi, pi] (over the joint's scale)."""
     Q[k, 0] = wrap(t1 - family[14]) * family[20]
@@ -76,7 +76,7 @@ def _store(family, Q, code, k, t1, t2, t3, t4, t5, t6, bits):
     code[k] = bits
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
+@fast_kernel
 def _elbow(a2, link, x, y, out):
     """Solve the plane arm for (x, y): out = (theta2 base, its bend, elbow angle); return 0, 1 or 2 branches.
 
@@ -99,7 +99,7 @@ def _elbow(a2, link, x, y, out):
     return 1 if s3 < ELBOW_MERGED else 2
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
+@fast_kernel
 def _offset_wrist(family, W, near, C1, S1, t1, bits, k, Q, code, work):
     """Add the solutions of an arm with offset wrist for one theta 1; return their number so far."""
     sa1, k2, k23 = family[1], family[2], family[2] * family[3]
@@ -156,7 +156,7 @@ def _offset_wrist(family, W, near, C1, S1, t1, bits, k, Q, code, work):
     return k
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
+@fast_kernel
 def _spherical_wrist(family, W, near, C1, S1, t1, bits, k, Q, code, work):
     """Add the solutions of an arm with spherical wrist for one theta 1; return their number so far."""
     sa1, k2, sa4, sa5 = family[1], family[2], family[4], family[5]
@@ -204,7 +204,7 @@ def _spherical_wrist(family, W, near, C1, S1, t1, bits, k, Q, code, work):
     return k
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
+@fast_kernel
 def solve_closed(family, base, tool, T, near, Q, code):
     """Fill Q (8, 6) with all solutions and code (8,) with their branches for T_world_tool (4, 4); return how many.
 
@@ -213,7 +213,7 @@ def solve_closed(family, base, tool, T, near, Q, code):
     return _solve(family, base, tool, T, near, Q, code, np.empty(12), np.empty(3))
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
+@fast_kernel
 def _solve(family, base, tool, T, near, Q, code, W, work):
     """Do what `solve_closed` says, with room to work in: W (12,), work (3,)."""
     wrist_pose(family, base, tool, T, W)
@@ -252,7 +252,7 @@ def _solve(family, base, tool, T, near, Q, code, W, work):
     return k
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def solve_closed_many(family, base, tool, T, near, Q, code, count):
     """Solve each T (m, 4, 4): Q (m, 8, 6), code (m, 8), count (m,); see `solve_closed`."""
     W = np.empty(12)
@@ -261,7 +261,7 @@ def solve_closed_many(family, base, tool, T, near, Q, code, count):
         count[i] = _solve(family, base, tool, T[i], near, Q[i], code[i], W, work)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def nearest_turns(chain, q, here, slack):
     """Move turning joints of q (n,) by whole turns: within limits where that is possible, and nearest to here (n,).
 
@@ -283,7 +283,7 @@ def nearest_turns(chain, q, here, slack):
     return inside
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def settle(chain, T, count, here, slack, Q, errors, inside):
     """Bring the first count rows of Q (8, n) near here (n,); fill errors (8, 2) in m and rad and inside (8,)."""
     n = chain.shape[0] - 2

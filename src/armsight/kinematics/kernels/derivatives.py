@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from armsight._numba import kernel
 from armsight.kinematics.kernels.chain import frame_matrix, joint_frames
 
 PER_JOINT = 5
 """a, alpha, d, theta, beta."""
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _turn(ux, uy, uz, frame, at, T, J, column):
     """Fill one column of J (6, .) with the motion of the tool by a turn about the axis u through frame[at : at + 3]."""
     px = T[0, 3] - frame[at]
@@ -25,7 +25,7 @@ def _turn(ux, uy, uz, frame, at, T, J, column):
     J[5, column] = uz
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _shift(ux, uy, uz, J, column):
     """Fill one column of J (6, .) with a shift along u."""
     J[0, column] = ux
@@ -36,7 +36,7 @@ def _shift(ux, uy, uz, J, column):
     J[5, column] = 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def parameter_columns(chain, q, T, J):
     """Fill T (4, 4) and J (6, 5 n + 12), the derivative (dt, dw) in world axes of the tool's pose.
 
@@ -73,7 +73,7 @@ def parameter_columns(chain, q, T, J):
         _turn(f0, f1, f2, F[n + 1], 9, T, J, k + 9 + c)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def many_parameter_columns(chain, q, T, J):
     """Fill T (m, 4, 4) and J (m, 6, 5 n + 12) for each row of q (m, n)."""
     for k in range(q.shape[0]):

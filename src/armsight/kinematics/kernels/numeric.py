@@ -5,8 +5,8 @@ from __future__ import annotations
 from math import pi, sqrt
 
 import numpy as np
-from numba import njit
 
+from armsight._numba import fast_kernel, kernel
 from armsight.kinematics.kernels.chain import frames_jacobian, joint_frames
 from armsight.kinematics.kernels.trig import arc_tangent
 
@@ -30,7 +30,7 @@ DAMPING_SHARE = 0.3
 NEARLY_HALF_TURN = 1e-6
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def rotation_error(T, frame, e):
     """Fill e[3:6] with the rotation vector, in world axes, from the frame (12,) to T (4, 4)."""
     # E = R_target R_now^T
@@ -63,7 +63,7 @@ def rotation_error(T, frame, e):
     e[5] = z * scale
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def pose_error(chain, T, q, rows, F, e):
     """Fill F and e (6,) with the error of T_world_tool at q; return its size in m and in rad (0 where rows is 3)."""
     n = chain.shape[0] - 2
@@ -77,7 +77,7 @@ def pose_error(chain, T, q, rows, F, e):
     return m, sqrt(e[3] * e[3] + e[4] * e[4] + e[5] * e[5])
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
+@fast_kernel
 def _normal_equations(J, e, rows, weight, H, g):
     """Fill H (n, n) = J^T W J and g (n,) = J^T W e, W = weight on the first three rows."""
     n = J.shape[1]
@@ -93,7 +93,7 @@ def _normal_equations(J, e, rows, weight, H, g):
             H[i, j] = s
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
+@fast_kernel
 def _damped_step(H, g, damping, held, L, step):
     """Solve (H + damping) step = g over the joints that are not held; return False where that has no answer."""
     n = g.shape[0]
@@ -135,7 +135,7 @@ def _damped_step(H, g, damping, held, L, step):
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _hold_joints(chain, q, g, held):
     """Hold the joints that stand at a limit and are pulled beyond it; return whether any is."""
     any_held = False
@@ -146,7 +146,7 @@ def _hold_joints(chain, q, g, held):
     return any_held
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _trial_values(chain, q, step, trial):
     """Fill trial with q + step, cut to LARGEST_STEP and to the limits."""
     longest = 0.0
@@ -158,7 +158,7 @@ def _trial_values(chain, q, step, trial):
         trial[i] = min(max(value, chain[i + 1, 9]), chain[i + 1, 10])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def solve_damped_least_squares(chain, T, rows, weight, tol_m, tol_rad, max_steps, q, errors):
     """Improve q (n,) in place until the tool stands at T (4, 4); return (reason, steps), errors (2,) in m and rad.
 
@@ -222,7 +222,7 @@ def solve_damped_least_squares(chain, T, rows, weight, tol_m, tol_rad, max_steps
     return STEPS, max_steps
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def solve_newton(chain, T, rows, weight, tol_m, tol_rad, max_steps, q, errors):
     """Newton-Raphson on q (n,) in place: full steps, no damping, no limits (Kapucu 2005 sections 1 and 3).
 
@@ -255,7 +255,7 @@ def solve_newton(chain, T, rows, weight, tol_m, tol_rad, max_steps, q, errors):
     return STEPS, max_steps
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def solve_many(chain, T, rows, weight, tol_m, tol_rad, max_steps, q, errors, reasons):
     """Improve each row of q (m, n) for its T (m, 4, 4) by damped least squares; errors (m, 2), reasons (m, 2)."""
     for i in range(q.shape[0]):

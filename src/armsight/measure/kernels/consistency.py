@@ -10,8 +10,8 @@ time by which the right camera exposes later.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from armsight._numba import kernel
 from armsight.fitting.kernels import invert_spd
 from armsight.measure.kernels.share import PARAMETERS, add_information, light_slopes, place_slopes
 from armsight.optics.kernels.triangulation import invert_2
@@ -19,7 +19,7 @@ from armsight.optics.kernels.triangulation import invert_2
 DELAY = -1  # the delay's column, the last one
 
 
-@njit(cache=True)
+@kernel
 def frame_evidence(k, R, t, cov, X, T, basis, velocity, residual, N, b, S, C):
     """Fill N (q, q), b (q,), S (6, q) = d pose / d parameters, C (6, 6) = H^-1; return chi-square, -1 where singular.
 

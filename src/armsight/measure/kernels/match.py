@@ -10,8 +10,8 @@ from __future__ import annotations
 from math import log
 
 import numpy as np
-from numba import njit
 
+from armsight._numba import kernel
 from armsight.measure.kernels.pose import SOLVED, kabsch, pose_normal, refine_pose, weights
 from armsight.optics.kernels.rays import epipolar_residual, quadratic_form_2, rays_in_rig
 from armsight.optics.kernels.triangulation import BEHIND, FOUND, triangulate_linear_point
@@ -23,7 +23,7 @@ HOPELESS = 20.0  # chi-square of a closed-form start over the limit beyond which
 JUDGED = 1500  # as many pairs take as long as judging a whole arrangement
 
 
-@njit(cache=True)
+@kernel
 def candidate_pairs(k, R, t, baseline, uv_left, cov_left, uv_right, cov_right, slack2, gate, overlaid, most):
     """Return pairs (c, 2), uv (c, 2, 2), cov (c, 2, 2, 2), P (c, 3), S (c, 3, 3), and how many more lay behind.
 
@@ -79,7 +79,7 @@ def candidate_pairs(k, R, t, baseline, uv_left, cov_left, uv_right, cov_right, s
     return pairs[:count], uv[:count], cov[:count], P[:count], S[:count], behind
 
 
-@njit(cache=True)
+@kernel
 def distance_fits(P, S, a, b, distance, gate):
     """Tell whether the points a and b are `distance` apart within gate (squared deviations)."""
     d = P[a] - P[b]
@@ -92,14 +92,14 @@ def distance_fits(P, S, a, b, distance, gate):
     return (np.sqrt(length2) - distance) ** 2 * length2 <= gate * variance
 
 
-@njit(cache=True)
+@kernel
 def _spreads(S, gate, spread):
     """Fill spread (c,) with how far each point may be off in any direction: at least what `distance_fits` allows."""
     for c in range(S.shape[0]):
         spread[c] = np.sqrt(gate * (S[c, 0, 0] + S[c, 1, 1] + S[c, 2, 2]))
 
 
-@njit(cache=True)
+@kernel
 def _near(P, spread, a, b, distance):
     """Tell, cheaply, whether the points a and b could be `distance` apart."""
     x = P[a, 0] - P[b, 0]
@@ -111,7 +111,7 @@ def _near(P, spread, a, b, distance):
     return low * low <= length2 <= (distance + slack) ** 2
 
 
-@njit(cache=True)
+@kernel
 def _allowed(name, candidate, chosen, pairs, P, S, spread, D, gate, overlaid):
     """Tell whether the candidate may be `name` beside the names already chosen: no spot serves twice."""
     for other in range(name):
@@ -129,7 +129,7 @@ def _allowed(name, candidate, chosen, pairs, P, S, spread, D, gate, overlaid):
     return True
 
 
-@njit(cache=True)
+@kernel
 def _judge(k, R, t, chosen, count, X, radius, normal, ellipse, pairs, uv, W, P, limit, Rp, tp):
     """Fit the pose to the chosen pairs; return chi-square, infinite where there is none or far above the limit."""
     x = np.empty((count, 3))
@@ -157,7 +157,7 @@ def _judge(k, R, t, chosen, count, X, radius, normal, ellipse, pairs, uv, W, P, 
     return chi2 if state == SOLVED else np.inf
 
 
-@njit(cache=True)
+@kernel
 def search(
     k, R, t, X, D, radius, normal, ellipse, pairs, uv, cov, P, S, slack2, gate, limits, margin, overlaid,
     smaller, most_nodes, names, chi2s, poses
@@ -236,7 +236,7 @@ def search(
 SLACKS = np.array([0.02, 0.05, 0.1, 0.2, 0.3])  # px
 
 
-@njit(cache=True)
+@kernel
 def surprise(k, R, t, X, radius, normal, uv, cov, Rp, tp):
     """Return -2 log likelihood of the spots uv (n, 2, 2), cov (n, 2, 2, 2) of a target at the pose Rp, tp.
 
@@ -265,7 +265,7 @@ def surprise(k, R, t, X, radius, normal, uv, cov, Rp, tp):
     return best
 
 
-@njit(cache=True)
+@kernel
 def _keep(found, room, margin, chosen, chi2, Rp, tp, names, chi2s, poses):
     """Insert a hypothesis in ascending order of chi-square; return how many are kept."""
     if found and chi2 > chi2s[0] + margin:

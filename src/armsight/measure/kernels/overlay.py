@@ -5,7 +5,8 @@ from __future__ import annotations
 from math import erf, sqrt
 
 import numpy as np
-from numba import njit
+
+from armsight._numba import kernel
 
 SQRT_HALF = 0.7071067811865476
 STEPS = 3
@@ -15,7 +16,7 @@ REACH = 1.6
 """Squares round the corners that are drawn: the board ends one square beyond them, and its blur a little later."""
 
 
-@njit(cache=True)
+@kernel
 def map_point(H, cubic, centre, half, s, t, uv, slope):
     """Fill uv (2,) and slope (2, 2), px and px per square, of a GridMap at grid coordinates (s, t)."""
     x, y = (s - centre[0]) / half, (t - centre[1]) / half
@@ -36,7 +37,7 @@ def map_point(H, cubic, centre, half, s, t, uv, slope):
         slope[a, 1] = dy / half
 
 
-@njit(cache=True)
+@kernel
 def _stripes(s, px, n, low, high, blur):
     """Return how far inside the board (0..1) and on which stripe (-1..1) a point lies along one axis.
 
@@ -49,7 +50,7 @@ def _stripes(s, px, n, low, high, blur):
     return inside, side if k % 2 == 0 else -side
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def draw_ink(H, cubic, centre, half, columns, rows, rim, first, contrast, blur, out):
     """Add a board's ink to out (h, w) float64.
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 from math import sqrt
 
 import numpy as np
-from numba import njit
 
+from armsight._numba import kernel
 from armsight.fitting.kernels import invert_spd, solve_damped
 from armsight.geometry.kernels import rotate_left
 from armsight.measure.kernels.lights import see_light
@@ -22,7 +22,7 @@ MAX_STEPS = 200  # five or fewer where residuals are noise; a target seen straig
 SETTLED = 1e-8  # fall of chi-square, relative and absolute, that counts as none: 1e-4 of a deviation
 
 
-@njit(cache=True)
+@kernel
 def kabsch(X, P, R, t):
     """Fill R (3, 3), t (3,) so that P ~ R X + t for X, P (n, 3) in least squares (Horn's quaternion)."""
     n = X.shape[0]
@@ -65,7 +65,7 @@ def kabsch(X, P, R, t):
         t[a] = mp[a] - (R[a, 0] * mx[0] + R[a, 1] * mx[1] + R[a, 2] * mx[2])
 
 
-@njit(cache=True)
+@kernel
 def pose_normal(k, R, t, X, radius, normal, uv, W, Rp, tp, H, g, residual):
     """Fill H (6, 6), g (6,), residual (n, 2, 2) of chi-square / 2 at the pose Rp, tp; return chi-square.
 
@@ -117,7 +117,7 @@ def pose_normal(k, R, t, X, radius, normal, uv, W, Rp, tp, H, g, residual):
     return chi2
 
 
-@njit(cache=True)
+@kernel
 def refine_pose(k, R, t, X, radius, normal, uv, W, Rp, tp, H, residual):
     """Move Rp, tp to the least chi-square from where they are; return (state, chi-square).
 
@@ -165,7 +165,7 @@ def refine_pose(k, R, t, X, radius, normal, uv, W, Rp, tp, H, residual):
     return ENDLESS, np.inf
 
 
-@njit(cache=True)
+@kernel
 def weights(cov, slack2, W):
     """Fill W (n, 2, 2, 2) with the inverse of cov + slack2 I; False where one is not positive."""
     S = np.empty((2, 2))
@@ -179,7 +179,7 @@ def weights(cov, slack2, W):
     return True
 
 
-@njit(cache=True)
+@kernel
 def slack_chi2(residual, cov, slack2):
     """Return the sum of squares of residual (n, 2, 2), whitened with cov (n, 2, 2, 2) + slack2 I."""
     S = np.empty((2, 2))
@@ -197,7 +197,7 @@ def slack_chi2(residual, cov, slack2):
     return total
 
 
-@njit(cache=True)
+@kernel
 def triangulate_all(k, R, t, uv, cov, P, S):
     """Fill P (n, 3), S (n, 3, 3) by maximum likelihood; return whether all n are points."""
     for n in range(uv.shape[0]):
@@ -207,7 +207,7 @@ def triangulate_all(k, R, t, uv, cov, P, S):
     return True
 
 
-@njit(cache=True)
+@kernel
 def point_residuals(k, R, t, uv, P, residual):
     """Fill residual (n, 2, 2) = image of P (n, 3) minus uv (n, 2, 2); False where a point is behind a camera."""
     seen = np.empty(2)
@@ -221,7 +221,7 @@ def point_residuals(k, R, t, uv, P, residual):
     return True
 
 
-@njit(cache=True)
+@kernel
 def stack_views(uv_left, cov_left, uv_right, cov_right, uv, cov):
     """Fill uv (n, 2, 2) and cov (n, 2, 2, 2) [spot, side] from two lists of spots in the same order."""
     for i in range(uv.shape[0]):
@@ -233,7 +233,7 @@ def stack_views(uv_left, cov_left, uv_right, cov_right, uv, cov):
                 cov[i, 1, a, b] = cov_right[i, a, b]
 
 
-@njit(cache=True)
+@kernel
 def solve_named(k, R, t, uv, cov, slack2, X, radius, normal, P, S, T, C, residual):
     """Pose of the model X (n, 3) from its n named spots, uv (n, 2, 2), cov (n, 2, 2, 2).
 
@@ -261,7 +261,7 @@ def solve_named(k, R, t, uv, cov, slack2, X, radius, normal, P, S, T, C, residua
     return state, slack_chi2(residual, cov, slack2), chi2
 
 
-@njit(cache=True)
+@kernel
 def place_lights(T, X, places):
     """Fill places (n, 3) with the model's lights X (n, 3) under the pose T (4, 4)."""
     for n in range(X.shape[0]):
@@ -269,7 +269,7 @@ def place_lights(T, X, places):
             places[n, i] = T[i, 0] * X[n, 0] + T[i, 1] * X[n, 1] + T[i, 2] * X[n, 2] + T[i, 3]
 
 
-@njit(cache=True)
+@kernel
 def predict_views(k, R, t, places, velocity, dt, ahead, uv_left, uv_right):
     """Fill ahead (n, 3) with places + dt velocity, uv_left, uv_right (n, 2) with its images; False behind a camera."""
     J = np.empty((2, 3))
@@ -283,7 +283,7 @@ def predict_views(k, R, t, places, velocity, dt, ahead, uv_left, uv_right):
     return True
 
 
-@njit(cache=True)
+@kernel
 def largest_slip(uv_left, expected_left, uv_right, expected_right):
     """Return the largest distance along one axis between seen and expected pixels (n, 2) of both sides."""
     slip = 0.0
@@ -293,7 +293,7 @@ def largest_slip(uv_left, expected_left, uv_right, expected_right):
     return slip
 
 
-@njit(cache=True)
+@kernel
 def kabsch_pose(k, R, t, uv, cov, X, Rp, tp):
     """Fill Rp, tp with Kabsch on linearly triangulated points: the closed form, without likelihood."""
     P = np.empty((uv.shape[0], 3))
@@ -305,7 +305,7 @@ def kabsch_pose(k, R, t, uv, cov, X, Rp, tp):
     return True
 
 
-@njit(cache=True)
+@kernel
 def pachidis_frame(P, S, T, C):
     """Frame of three points P (3, 3), rows A, B, C, with joint covariance S (9, 9); False where they are on one line.
 

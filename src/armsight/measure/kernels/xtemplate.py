@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from armsight._numba import kernel
 
 RINGS = 5
 """The legs of the 11 x 11 template are five pixels long."""
 
 
-@njit(cache=True)
+@kernel
 def _matches(labels, own, u, v, legs, rings):
     """Return how many of the legs' pixels have the right colour: the first leg the square's, the other three not."""
     h, w = labels.shape
@@ -24,7 +25,7 @@ def _matches(labels, own, u, v, legs, rings):
     return right
 
 
-@njit(cache=True)
+@kernel
 def _aim(quad, corner, legs):
     """Fill legs (4, 2): from the corner into the square, then through the three sectors outside; largest entry 1.
 
@@ -44,7 +45,7 @@ def _aim(quad, corner, legs):
             legs[leg + 2, axis] = -legs[leg, axis]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def place_corners(labels, own, quads, radius, rings, corners, score):
     """Place the four corners of each square at the mean of their inner and outer peaks.
 

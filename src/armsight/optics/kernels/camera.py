@@ -7,13 +7,14 @@ plate as k (12,), with the plate's thickness (m) and refractive index behind the
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from armsight._numba import kernel
 
 UNDISTORT_STEPS = 30
 UNDISTORT_TOLERANCE = 1e-13
 
 
-@njit(cache=True)
+@kernel
 def distort(k, x, y):
     """Return the distorted normalised point and its derivative (xx, xy, yy) by (x, y); xy is symmetric."""
     k1, k2, p1, p2, k3 = k[5], k[6], k[7], k[8], k[9]
@@ -32,14 +33,14 @@ PLATE_ROUNDS = 4
 """Steps to the ray that meets a point through the plate; each gains a factor of a thousand (shift over depth)."""
 
 
-@njit(cache=True)
+@kernel
 def plate_shift(thickness, index, U, V):
     """Return mu (m) of MATH 3.1: the ray (U, V, 1) through a plate at 45 degrees seems to start at (-mu, 0, +mu)."""
     c = (1.0 - U) / np.sqrt(2.0 * (1.0 + U * U + V * V))
     return thickness * np.sqrt(0.5) * (1.0 - c / np.sqrt(index * index - 1.0 + c * c))
 
 
-@njit(cache=True)
+@kernel
 def behind_plate(thickness, index, x, y, z):
     """Return x and z of a point as a pinhole without the plate would have it, whose centre the chief ray points to."""
     chief = plate_shift(thickness, index, 0.0, 0.0)
@@ -50,7 +51,7 @@ def behind_plate(thickness, index, x, y, z):
     return x + shift, z - shift
 
 
-@njit(cache=True)
+@kernel
 def project_point(k, x, y, z, uv, J):
     """Fill uv (2,) and J (2, 3) = d uv / d (x, y, z) for a point in camera axes; False where z <= 0.
 
@@ -80,7 +81,7 @@ def project_point(k, x, y, z, uv, J):
     return True
 
 
-@njit(cache=True)
+@kernel
 def intrinsics_jacobian(k, x, y, z, D):
     """Fill D (2, 10) = d uv / d intrinsics for a point in camera axes with z > 0."""
     a = x / z
@@ -107,7 +108,7 @@ def intrinsics_jacobian(k, x, y, z, D):
     D[1, 8] = fy * py
 
 
-@njit(cache=True)
+@kernel
 def undistort_point(k, u, v, xy, J):
     """Fill xy (2,) with the normalised ray (x/z, y/z) of a pixel and J (2, 2) = d xy / d (u, v).
 
@@ -150,7 +151,7 @@ def undistort_point(k, u, v, xy, J):
     return True
 
 
-@njit(cache=True)
+@kernel
 def project_many(k, R, t, X, uv):
     """Fill uv (n, 2) with the pixels of points X (n, 3) seen through p_camera = R X + t; NaN behind the camera."""
     J = np.empty((2, 3))
@@ -163,7 +164,7 @@ def project_many(k, R, t, X, uv):
             uv[i, 1] = np.nan
 
 
-@njit(cache=True)
+@kernel
 def undistort_many(k, uv, xy):
     """Fill xy (n, 2) with the normalised rays of pixels uv (n, 2); NaN where a pixel has no ray."""
     J = np.empty((2, 2))
@@ -173,7 +174,7 @@ def undistort_many(k, uv, xy):
             xy[i, 1] = np.nan
 
 
-@njit(cache=True)
+@kernel
 def see_point(k, R, t, X, uv, J):
     """Fill uv (2,) and J (2, 3) = d uv / d X for a point X (3,) in rig axes, p_camera = R X + t; False behind it."""
     x = R[0, 0] * X[0] + R[0, 1] * X[1] + R[0, 2] * X[2] + t[0]

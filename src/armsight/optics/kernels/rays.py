@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from armsight._numba import kernel
 from armsight.optics.kernels.camera import undistort_point
 
 
-@njit(cache=True)
+@kernel
 def rays_in_rig(k, R, uv, d, D, ok):
     """Fill rays d (n, 3) in rig axes of pixels uv (n, 2), D (n, 3, 2) = d ray / d pixel, ok (n,) where there is one.
 
@@ -28,7 +28,7 @@ def rays_in_rig(k, R, uv, d, D, ok):
                 D[i, r, c] = R[0, r] * J[0, c] + R[1, r] * J[1, c]
 
 
-@njit(cache=True)
+@kernel
 def epipolar_residual(d_left, D_left, d_right, D_right, baseline, g_left, g_right):
     """Return baseline . (d_left x d_right) of one pair of rays and fill its gradients (2,) by the two pixels."""
     a = d_right[1] * baseline[2] - d_right[2] * baseline[1]  # d e / d d_left = d_right x baseline
@@ -44,13 +44,13 @@ def epipolar_residual(d_left, D_left, d_right, D_right, baseline, g_left, g_righ
     return e
 
 
-@njit(cache=True)
+@kernel
 def quadratic_form_2(S, g):
     """Return g' S g for S (2, 2), g (2,)."""
     return g[0] * (S[0, 0] * g[0] + S[0, 1] * g[1]) + g[1] * (S[1, 0] * g[0] + S[1, 1] * g[1])
 
 
-@njit(cache=True)
+@kernel
 def epipolar_rows(d_left, D_left, d_right, D_right, baseline, out):
     """Fill out (n, 2): signed distance in px of each left pixel from its partner's line, and of each right one."""
     g_left = np.empty(2)
@@ -61,7 +61,7 @@ def epipolar_rows(d_left, D_left, d_right, D_right, baseline, out):
         out[i, 1] = e / np.hypot(g_right[0], g_right[1])
 
 
-@njit(cache=True)
+@kernel
 def epipolar_matrix(d_left, D_left, cov_left, d_right, D_right, cov_right, baseline, chi2):
     """Fill chi2 (n, m): whitened squared epipolar distance of every left spot to every right one; NaN without ray."""
     g_left = np.empty(2)

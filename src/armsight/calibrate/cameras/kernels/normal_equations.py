@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from armsight._numba import kernel, sum_kernel
 from armsight.geometry.kernels import rotation_from_rotvec
 from armsight.optics.kernels.camera import distort
 
@@ -14,11 +14,8 @@ RESIDUAL = N_INTRINSICS + N_POSE
 N_COLUMNS = RESIDUAL + 1 + N_POSE
 """Columns of one view: intrinsics, pose of the board, residual, and for the right camera its pose."""
 
-LOOSE = {"contract", "reassoc", "arcp"}
-"""What the compiler may do to the arithmetic; NaN and infinity keep their meaning."""
 
-
-@njit(cache=True, error_model="numpy", fastmath=LOOSE)
+@sum_kernel
 def _inner(columns, m, n, H):
     """Fill the lower half of H[:m, :m] with the inner products of columns[:m, :n]."""
     for a in range(m):
@@ -31,7 +28,7 @@ def _inner(columns, m, n, H):
             H[a, b] = total
 
 
-@njit(cache=True, error_model="numpy", fastmath=LOOSE)
+@sum_kernel
 def condense_views(k, side, poses, X, radius, uv, weight, r, A, b, C, c_local, W):
     """Fill whitened residuals and the normal equations of their squares; False where a point lies behind a camera.
 
@@ -125,7 +122,7 @@ def condense_views(k, side, poses, X, radius, uv, weight, r, A, b, C, c_local, W
     return True
 
 
-@njit(cache=True)
+@kernel
 def _scatter(H, c, g, A, b, C, c_local, W):
     """Add the lower half of one view's H (23, 23) where its parameters belong; A gets its lower half only."""
     k0, pose, side = c * N_INTRINSICS, N_INTRINSICS, RESIDUAL + 1

@@ -5,19 +5,19 @@ from __future__ import annotations
 from math import atan2, sqrt
 
 import numpy as np
-from numba import njit
 
+from armsight._numba import kernel
 from armsight.geometry.kernels import rotation_from_rotvec
 
 
-@njit(cache=True)
+@kernel
 def matrices_of(rotvecs, R):
     """Fill R (n, 3, 3) with Exp of the rotation vectors (n, 3)."""
     for i in range(rotvecs.shape[0]):
         rotation_from_rotvec(rotvecs[i], R[i])
 
 
-@njit(cache=True)
+@kernel
 def rotvec_of(R, w):
     """Fill w (3,) with the rotation vector of R (3, 3), by the largest entry of the quaternion (Shepperd 1978)."""
     trace = R[0, 0] + R[1, 1] + R[2, 2]
@@ -42,7 +42,7 @@ def rotvec_of(R, w):
         w[m] = f * q[m]
 
 
-@njit(cache=True)
+@kernel
 def poses_of(H, fx, fy, poses):
     """Fill poses (G, 6), T_camera_board as (t m, rotation vector), from homographies H (G, 3, 3) and focal lengths.
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 from math import atan2, sqrt
 
 import numpy as np
-from numba import njit
 
+from armsight._numba import kernel
 from armsight.fitting.kernels import solve_damped
 
 MEDIAN_NORM = 1.538
@@ -19,7 +19,7 @@ GENEROUS = 6.0
 """Robust deviations up to which a pair joins the consensus: with ten pairs the deviation is known to a quarter."""
 
 
-@njit(cache=True)
+@kernel
 def multiply(A, B, out):
     """Fill out (3, 3) with A B."""
     for i in range(3):
@@ -27,7 +27,7 @@ def multiply(A, B, out):
             out[i, j] = A[i, 0] * B[0, j] + A[i, 1] * B[1, j] + A[i, 2] * B[2, j]
 
 
-@njit(cache=True)
+@kernel
 def multiply_t(A, B, out):
     """Fill out (3, 3) with A B'."""
     for i in range(3):
@@ -35,7 +35,7 @@ def multiply_t(A, B, out):
             out[i, j] = A[i, 0] * B[j, 0] + A[i, 1] * B[j, 1] + A[i, 2] * B[j, 2]
 
 
-@njit(cache=True)
+@kernel
 def log_rotation(R, w):
     """Fill w (3,) with the rotation vector of R (3, 3), at any angle; through the quaternion's largest entry."""
     trace = R[0, 0] + R[1, 1] + R[2, 2]
@@ -65,7 +65,7 @@ def log_rotation(R, w):
     w[0], w[1], w[2] = x * f, y * f, z * f
 
 
-@njit(cache=True)
+@kernel
 def project_rotation(M):
     """Return the rotation (3, 3) nearest to M, or to -M where that has the positive determinant."""
     U, _, Vt = np.linalg.svd(M)
@@ -75,7 +75,7 @@ def project_rotation(M):
     return R
 
 
-@njit(cache=True)
+@kernel
 def shah_rotations(Rf, Rb, keep):
     """Return RX, RZ of RF RX RB = RZ from the dominant singular vectors of the sum of RF (x) RB' (Shah 2013)."""
     K = np.zeros((9, 9))
@@ -92,7 +92,7 @@ def shah_rotations(Rf, Rb, keep):
     return RX, mean_target(RX, Rf, Rb, keep)
 
 
-@njit(cache=True)
+@kernel
 def mean_target(RX, Rf, Rb, keep):
     """Return RZ nearest to all RF RX RB."""
     total = np.zeros((3, 3))
@@ -106,7 +106,7 @@ def mean_target(RX, Rf, Rb, keep):
     return project_rotation(total)
 
 
-@njit(cache=True)
+@kernel
 def translations(RX, Rf, tf, tb, keep, free_scale):
     """Return ok, tX, tZ, gamma of tB = gamma (P (tZ - tF) - RX' tX) by linear least squares, gamma 1 unless free."""
     m = 7 if free_scale else 6
@@ -134,7 +134,7 @@ def translations(RX, Rf, tf, tb, keep, free_scale):
     return ok, x[3:6] / x[6], x[0:3] / x[6], x[6]
 
 
-@njit(cache=True)
+@kernel
 def robust_sigma(errors):
     """Return the deviation of one component from the lengths of residuals (n,), most of them good.
 
@@ -145,7 +145,7 @@ def robust_sigma(errors):
     return max(np.median(errors) / MEDIAN_NORM * (1.0 + 5.0 / max(n - 3, 1)), 1e-15)
 
 
-@njit(cache=True)
+@kernel
 def sample_rotation(Rf, Rb, index):
     """Return RX from the motions within a few pairs: their rotation vectors turned onto each other (Kabsch)."""
     M = np.zeros((3, 3))
@@ -169,7 +169,7 @@ def sample_rotation(Rf, Rb, index):
     return U @ Vt
 
 
-@njit(cache=True)
+@kernel
 def rotation_errors(RX, RZ, Rf, Rb, out):
     """Fill out (n,) with the angle between RF RX RB and RZ."""
     P = np.empty((3, 3))
@@ -183,7 +183,7 @@ def rotation_errors(RX, RZ, Rf, Rb, out):
         out[i] = sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
 
 
-@njit(cache=True)
+@kernel
 def translation_errors(RX, tX, tZ, gamma, Rf, tf, tb, out):
     """Fill out (n,) with the distance between tB and its prediction, in the camera's unit."""
     y = np.empty(3)
@@ -199,7 +199,7 @@ def translation_errors(RX, tX, tZ, gamma, Rf, tf, tb, out):
         out[n] = sqrt(total)
 
 
-@njit(cache=True)
+@kernel
 def rotation_consensus(Rf, Rb, samples, keep, errors):
     """Return RX, RZ that most pairs agree on, and the robust deviation of one component in rad; fill keep, errors.
 
@@ -230,7 +230,7 @@ def rotation_consensus(Rf, Rb, samples, keep, errors):
     return RX, RZ, sigma
 
 
-@njit(cache=True)
+@kernel
 def translation_consensus(RX, Rf, tf, tb, samples, free_scale, keep, errors):
     """Return ok, tX, tZ, gamma, robust deviation in the camera's unit; lower keep to the pairs that agree."""
     n = Rf.shape[0]

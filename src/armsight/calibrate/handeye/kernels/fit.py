@@ -12,8 +12,8 @@ from __future__ import annotations
 from math import sqrt
 
 import numpy as np
-from numba import njit
 
+from armsight._numba import kernel
 from armsight.calibrate.handeye.kernels.closed_forms import log_rotation, multiply, multiply_t
 from armsight.calibrate.handeye.kernels.noise import (
     factor_invert,
@@ -31,7 +31,7 @@ LINEAR = 30.0
 noise that is far below its own doubt; the noises are judged only there."""
 
 
-@njit(cache=True)
+@kernel
 def residual(Rx, tx, Rz, tz, gamma, Rf, tf, Rb, tb, e, P, t_hat, work):
     """Fill e (6,), P (3, 3) = Rx' Rf' and t_hat (3,), the predicted translation before gamma, of one pair.
 
@@ -50,7 +50,7 @@ def residual(Rx, tx, Rz, tz, gamma, Rf, tf, Rb, tb, e, P, t_hat, work):
     log_rotation(work[1], e[3:])
 
 
-@njit(cache=True)
+@kernel
 def jacobian(Rx, gamma, e, P, t_hat, J):
     """Fill J (6, 13) = d e / d parameters of one pair, given what `residual` left."""
     J[:] = 0.0
@@ -85,7 +85,7 @@ def jacobian(Rx, gamma, e, P, t_hat, J):
         J[5, column] = c + 0.5 * cc + k * (wx * cb - wy * ca)
 
 
-@njit(cache=True)
+@kernel
 def weigh(X, Z, gamma, pairs, theta, to_hand, keep, e, J, lever):
     """Fill whitened e (n, 6), J (n, 6, m) and lever (n,); return sum log det of the noise.
 
@@ -119,7 +119,7 @@ def weigh(X, Z, gamma, pairs, theta, to_hand, keep, e, J, lever):
     return total
 
 
-@njit(cache=True)
+@kernel
 def normal_equations(e, J, H, g):
     """Fill H (m, m) = sum J'J and g (m,) = sum J'e; return sum e'e."""
     n, _, m = J.shape
@@ -138,7 +138,7 @@ def normal_equations(e, J, H, g):
     return cost
 
 
-@njit(cache=True)
+@kernel
 def move(X, Z, gamma, step, n_free):
     """Return X, Z, gamma moved by the step (n_free,)."""
     Rx, tx = X
@@ -151,7 +151,7 @@ def move(X, Z, gamma, step, n_free):
     return (Rx2, tx + step[0:3]), (Rz2, tz + step[6:9]), gamma
 
 
-@njit(cache=True)
+@kernel
 def fit_pairs(X, Z, gamma, pairs, theta, estimate, floor, to_hand, keep, m, tolerance, limit):
     """Alternate Gauss-Newton on X, Z (and gamma where m is 13) with scoring on the variances theta (3,).
 
@@ -234,7 +234,7 @@ def fit_pairs(X, Z, gamma, pairs, theta, estimate, floor, to_hand, keep, m, tole
     return False, X, Z, gamma, theta, C, e, J, lever, likelihood, limit
 
 
-@njit(cache=True)
+@kernel
 def first_variances(X, Z, gamma, pairs, keep, floor):
     """Return theta (3,) from the residuals of a start: translation, and orientation shared out evenly."""
     P = np.empty((3, 3))
@@ -260,7 +260,7 @@ def first_variances(X, Z, gamma, pairs, keep, floor):
     return theta
 
 
-@njit(cache=True)
+@kernel
 def left_out(X, Z, gamma, pairs, theta, to_hand, keep, C, out):
     """Fill out (n, 6): each pair against its prediction from the other kept ones, camera axes, m and rad.
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from armsight._numba import kernel
 from armsight.optics.kernels.camera import see_point
 
 
-@njit(cache=True)
+@kernel
 def see_both(k, R, t, X, uv, J):
     """Fill uv (n, 2, 2) [light, side] and J (n, 2, 2, 3) = d uv / d X for X (n, 3) in rig axes; NaN behind a camera."""
     for i in range(X.shape[0]):
