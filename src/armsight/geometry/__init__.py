@@ -12,6 +12,7 @@ from armsight.geometry.poses import (
     pose_from_matrix,
     pose_from_quat,
     pose_from_rotvec,
+    quat_of_matrix,
     xyz_quat,
 )
 
@@ -28,5 +29,6 @@ __all__ = [
     "pose_from_matrix",
     "pose_from_quat",
     "pose_from_rotvec",
+    "quat_of_matrix",
     "xyz_quat",
 ]

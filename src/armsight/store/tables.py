@@ -221,4 +221,4 @@ def number(value: float) -> str:
 
 def cells(values: Sequence[float] | Array) -> str:
     """Return numbers as comma-separated cells in full precision."""
-    return ",".join(number(value) for value in values)
+    return ",".join(["" if value != value else repr(float(value)) for value in values])

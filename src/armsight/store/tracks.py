@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.clock import Clock
 from armsight.errors import BadFile, Inconsistent
-from armsight.geometry import pose_from_quat, xyz_quat
+from armsight.geometry import pose_from_quat, quat_of_matrix, xyz_quat
 from armsight.geometry.poses import QUAT_NORM_TOLERANCE
 from armsight.records import Motion, Points, PoseStatus, Spots, TargetPose
 from armsight.store.atomic import RowFile, read_bytes, write_text
@@ -108,17 +109,17 @@ def pose_row(pose: TargetPose) -> str:
     ok: all cells. position_only: no quaternion, no srx..srz. lost: only t_s, status, spots. The last six are the
     deviations of what repeats from frame to frame (rig and target), empty where nothing is known of it.
     """
-    values, systematic = [np.nan] * 13, [np.nan] * 6
-    if pose.pose is not None and pose.covariance is not None:
-        xyz, quat = xyz_quat(pose.pose)
-        values[:3] = xyz.tolist()
-        deviation = np.sqrt(np.diag(pose.covariance)).tolist()
-        values[7 : 7 + len(deviation)] = deviation
+    values, systematic = [math.nan] * 13, [math.nan] * 6
+    T = pose.T_parent_target
+    if T is not None and pose.covariance is not None:
+        values[:3] = T[:3, 3].tolist()
+        variances = pose.covariance.diagonal().tolist()
+        values[7 : 7 + len(variances)] = [math.sqrt(v) for v in variances]
         if pose.status is PoseStatus.OK:
-            values[3:7] = quat.tolist()
+            values[3:7] = quat_of_matrix(T)
         if pose.systematic_covariance is not None:
-            deviation = np.sqrt(np.maximum(np.diag(pose.systematic_covariance), 0.0)).tolist()
-            systematic[: len(deviation)] = deviation
+            variances = pose.systematic_covariance.diagonal().tolist()
+            systematic[: len(variances)] = [math.sqrt(max(v, 0.0)) for v in variances]
     row = f"{number(pose.t_s)},{cells(values)},{pose.status.value},{' '.join(pose.spots)}"
     return f"{row},{cells(systematic)}"
 

@@ -17,6 +17,7 @@ from armsight.geometry import (
     pose_from_euler,
     pose_from_quat,
     pose_from_rotvec,
+    quat_of_matrix,
     xyz_quat,
 )
 from armsight.geometry.kernels import rotate_left, rotation_from_rotvec
@@ -104,3 +105,19 @@ def test_alignment_recovers_a_motion_and_refuses_lines_and_reflections() -> None
         align_points(np.outer(np.arange(4), [1, 2, 3]), np.outer(np.arange(4), [1, 2, 3]))
     with pytest.raises(NotEnoughData):
         align_points(b[:2], b[:2])
+
+
+def test_quaternions_of_matrices_are_scipys_for_any_turn() -> None:
+    turns = Rotation.concatenate(
+        [
+            Rotation.random(500, rng=np.random.default_rng(4)),
+            Rotation.from_rotvec(np.pi * np.vstack([np.eye(3), [[0.6, 0.8, 0.0], [0.0, 0.6, -0.8]]])),
+            Rotation.from_rotvec(np.vstack([np.zeros((1, 3)), 1e-9 * np.eye(3), (np.pi - 1e-9) * np.eye(3)])),
+        ]
+    )
+    for turn in turns:
+        ours, theirs = np.array(quat_of_matrix(turn.as_matrix())), turn.as_quat(canonical=True)
+        assert (
+            min(np.abs(ours - theirs).max(), np.abs(ours + theirs).max()) < 1e-15
+        )  # at half a turn both signs are one
+        assert ours[3] >= 0.0

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.drivers import Skew
-from armsight.geometry import moved_parent_covariance, xyz_quat
+from armsight.geometry import moved_parent_covariance, quat_of_matrix
 from armsight.measure.consistency import Consistency
 from armsight.measure.explain import content
 from armsight.measure.pair import Measured
@@ -131,17 +131,21 @@ class Outputs:
         """Frames in which at least a position was found."""
         return self.n_frames - self._counts[PoseStatus.LOST]
 
-    def add(self, measured: Measured, ms: float) -> TargetPose:
-        """Take one frame's result and the milliseconds it took; return its pose in the parent frame."""
+    def took(self, ms: float) -> None:
+        """Note how many milliseconds a frame has taken in all: searched, checked, written and kept for the report."""
+        self._ms.append(ms)
+
+    def add(self, measured: Measured) -> TargetPose:
+        """Take one frame's result; return its pose in the parent frame."""
         pose = moved_pose(measured.pose, self._T_parent_rig, self._parent)
         t_s = pose.t_s
         self._poses.write(pose)
         self._points.write(t_s, measured.points)
         self._spots.write(t_s, "left", measured.names, measured.left)
         self._spots.write(t_s, "right", measured.names, measured.right)
-        if pose.status is PoseStatus.OK and pose.pose is not None:
-            xyz, quat = xyz_quat(pose.pose)
-            self._tum.add(" ".join(repr(value) for value in (t_s, *xyz.tolist(), *quat.tolist())))
+        T = pose.T_parent_target
+        if pose.status is PoseStatus.OK and T is not None:
+            self._tum.add(" ".join(repr(value) for value in (t_s, *T[:3, 3].tolist(), *quat_of_matrix(T))))
         if pose.status is PoseStatus.OK and pose.covariance is not None:
             repeats = np.zeros((6, 6)) if pose.systematic_covariance is None else pose.systematic_covariance
             variances = np.concatenate([np.diag(pose.covariance), np.diag(repeats).clip(min=0.0)])
@@ -153,7 +157,6 @@ class Outputs:
             self._reasons[pose.why if known else "other reasons"] += 1
         self._squares_px2 += float(pose.residual_px @ pose.residual_px)
         self._residuals += len(pose.residual_px)
-        self._ms.append(ms)
         return pose
 
     def summary(self, *, skew: Skew | None = None, error: str = "", consistency: Consistency | None = None) -> Summary:

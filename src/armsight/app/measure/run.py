@@ -126,9 +126,11 @@ def run(
         with Outputs(out, T_parent_rig=T_parent_rig, parent=parent) as outputs:
             try:
                 for step in _steps(setup, pairs, limit, progress, alone=stills or setup.target.is_board):
+                    start_s = time.perf_counter()
                     measured = check.add(step.measured)
-                    pose = outputs.add(measured, step.ms)
+                    pose = outputs.add(measured)
                     report.add(*step.pair, measured, pose)
+                    outputs.took(step.ms + (time.perf_counter() - start_s) * 1e3)
             except ArmsightError as error:
                 failure = error
     if outputs.n_frames == 0 and failure is not None:
