@@ -20,7 +20,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import chi2
 
 from armsight.calibrate.arm import ArmPoints, calibrate_arm
-from armsight.kinematics import Arm, Joint, forward, moved, preset
+from armsight.kinematics import Arm, Joint, fk, moved, preset
 from armsight.store.arm_points import read_arm_points
 from bench import machine, table
 
@@ -67,7 +67,7 @@ def simulated(rng: np.random.Generator, n: int, tools: int) -> tuple[Arm, ArmPoi
 
     def measured(m: int) -> ArmPoints:
         q = rng.uniform(-1.0, 1.0, (m, 6)) * REACH
-        T = forward(true, q)
+        T = fk(true, q)
         xyz = (np.einsum("mij,kj->mki", T[:, :3, :3], at) + T[:, None, :3, 3]).reshape(-1, 3)
         names = tuple(f"P{k}" for k in range(tools)) * m
         return ArmPoints(q=np.repeat(q, tools, axis=0), xyz_m=xyz + rng.normal(0.0, NOISE_M, xyz.shape), point=names)

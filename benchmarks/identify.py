@@ -19,7 +19,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.identify import Identification, Sweeps, identify
 from armsight.errors import DataRefused
-from armsight.kinematics import forward
+from armsight.kinematics import fk
 from armsight.optics import Camera, parallel_rig
 from armsight.store.arm_points import read_arm_points
 from bench import machine, table
@@ -172,7 +172,7 @@ def random_arms(count: int) -> None:
         if not all(same) or found.doubt is None:
             continue
         further = rng.uniform(low, high, (20, n))
-        off = forward(found.arm, further)[:, :3, 3] - tip(rows, turns, further)
+        off = fk(found.arm, further)[:, :3, 3] - tip(rows, turns, further)
         _, C = found.doubt.places(further)
         ratios.append(np.linalg.norm(off, axis=1).max() / 2e-4)
         single.append(np.mean(np.abs(off) <= 3.0 * np.sqrt(np.einsum("mii->mi", C))))

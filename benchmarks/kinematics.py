@@ -21,16 +21,16 @@ import numpy as np
 from armsight.kinematics import (
     Arm,
     family_of,
-    forward,
-    forward_jacobian,
-    inverse,
-    inverse_many,
+    fk,
+    fk_jacobian,
+    ik,
+    ik_many,
     parameter_jacobian,
     pose,
     preset,
     solve_numeric_many,
 )
-from armsight.kinematics.inverse import dh_angles
+from armsight.kinematics.inverse_kinematics import dh_angles
 from armsight.kinematics.kernels.chain import many_poses, many_poses_jacobians
 from armsight.kinematics.kernels.closed import solve_closed_many
 from armsight.kinematics.kernels.numeric import solve_many
@@ -72,7 +72,7 @@ class Pinocchio:
         for q in self.q:
             run(model, data, q)
 
-    def inverse(self, targets: np.ndarray, starts: list[np.ndarray]) -> None:
+    def ik(self, targets: np.ndarray, starts: list[np.ndarray]) -> None:
         """Damped Newton as in Pinocchio's own example, to 1 um and 1 urad."""
         pin, model, data = self.pin, self.model, self.data
         for target, start in zip(targets, starts, strict=True):
@@ -98,7 +98,7 @@ class Ikpy:
             joints = [False, False, *[True] * len(arm.joints), False, False]
             self.chain = chain.Chain.from_urdf_file(str(path), base_elements=["world"], active_links_mask=joints)
 
-    def inverse(self, targets: np.ndarray, starts: np.ndarray) -> None:
+    def ik(self, targets: np.ndarray, starts: np.ndarray) -> None:
         for target, start in zip(targets, starts, strict=True):
             first = np.concatenate([[0.0, 0.0], start, [0.0, 0.0]])
             self.chain.inverse_kinematics_frame(target, initial_position=first, orientation_mode="all")
@@ -132,19 +132,19 @@ def batches(m: int, repeats: int) -> None:
     runs: dict[str, tuple[int, Callable[[], object]]] = {
         "FK": (m, lambda: many_poses(arm.chain, q, T)),
         "FK + Jacobian": (m, lambda: many_poses_jacobians(arm.chain, q, T, J)),
-        "FK, all cores": (m, lambda: forward(arm, q)),
-        "FK + Jacobian, all cores": (m, lambda: forward_jacobian(arm, q, out=(T, J))),
-        "FK, memory of its own each time": (m, lambda: forward(arm, q, all_cores=False)),
+        "FK, all cores": (m, lambda: fk(arm, q)),
+        "FK + Jacobian, all cores": (m, lambda: fk_jacobian(arm, q, out=(T, J))),
+        "FK, memory of its own each time": (m, lambda: fk(arm, q, all_cores=False)),
         "derivatives by all 42 parameters": (few, lambda: parameter_jacobian(arm, q[:few])),
     }
     many_poses(arm.chain, q, T)
     family = family_of(arm)
     assert family is not None  # noqa: S101
     Q, code, count = np.empty((m, 8, 6)), np.empty((m, 8), dtype=np.int64), np.empty(m, dtype=np.int64)
-    near, targets = dh_angles(arm, np.zeros(6)), forward(arm, q)
+    near, targets = dh_angles(arm, np.zeros(6)), fk(arm, q)
     closed = (family.numbers, family.T_base_world, family.T_tool_six, targets, near, Q, code, count)
     runs["IK closed form, all solutions"] = (m, lambda: solve_closed_many(*closed))
-    runs["IK closed form, public function"] = (m, lambda: inverse_many(arm, targets))
+    runs["IK closed form, public function"] = (m, lambda: ik_many(arm, targets))
     starts = q + rng.normal(size=q.shape) * WARM_RAD
     errors, reasons = np.empty((few, 2)), np.empty((few, 2), dtype=np.int64)
     weight = arm.length_m**-2
@@ -159,7 +159,7 @@ def batches(m: int, repeats: int) -> None:
         peer_starts = [peer.configuration(row) for row in starts[:200]]
         runs["Pinocchio FK"] = (few, peer.poses)
         runs["Pinocchio FK + Jacobian"] = (few, peer.jacobians)
-        runs["Pinocchio IK, warm start"] = (200, lambda: peer.inverse(targets[:200], peer_starts))
+        runs["Pinocchio IK, warm start"] = (200, lambda: peer.ik(targets[:200], peer_starts))
     if eaik is not None:
         robot = eaik.DhRobot(*(np.array([getattr(j, key) for j in arm.joints]) for key in ("alpha_rad", "a_m", "d_m")))
         runs["EAIK closed form"] = (few, lambda: robot.IK_batched(targets[:few], 1))
@@ -169,7 +169,7 @@ def batches(m: int, repeats: int) -> None:
         runs["Robotics Toolbox ik_LM, warm start"] = (200, lambda: lm(targets[:200], starts[:200]))
     if ikpy is not None:
         slow = Ikpy(ikpy, arm)
-        runs["ikpy, warm start"] = (5, lambda: slow.inverse(targets[:5], starts[:5]))
+        runs["ikpy, warm start"] = (5, lambda: slow.ik(targets[:5], starts[:5]))
     times = interleaved_ms({name: run for name, (_, run) in runs.items()}, repeats)
     us = {name: per_pose_us(times[name], runs[name][0]) for name in runs}
     peers = {
@@ -204,7 +204,7 @@ def single(repeats: int) -> None:
     """One pose through the public functions."""
     arm = preset("korayem6r")
     q = np.array([0.3, -0.5, 0.8, 0.2, 0.6, 0.7])
-    T = forward(arm, q)
+    T = fk(arm, q)
 
     def often(call: Callable[[], object]) -> Callable[[], None]:
         def run() -> None:
@@ -215,11 +215,11 @@ def single(repeats: int) -> None:
 
     times = interleaved_ms(
         {
-            "forward (matrix)": often(lambda: forward(arm, q)),
-            "forward_jacobian": often(lambda: forward_jacobian(arm, q)),
+            "forward (matrix)": often(lambda: fk(arm, q)),
+            "forward_jacobian": often(lambda: fk_jacobian(arm, q)),
             "pose (RigidTransform)": often(lambda: pose(arm, q)),
-            "inverse_many of one": often(lambda: inverse_many(arm, T)),
-            "inverse, with records": often(lambda: inverse(arm, T)),
+            "inverse_many of one": often(lambda: ik_many(arm, T)),
+            "inverse, with records": often(lambda: ik(arm, T)),
         },
         repeats,
     )
@@ -231,14 +231,14 @@ def shares(m: int) -> None:
     """How many solutions poses have."""
     arm = preset("korayem6r")
     q = np.random.default_rng(1).uniform(-np.pi, np.pi, (m, 6))
-    T = forward(arm, q)
-    Q, _, count = inverse_many(arm, T)
+    T = fk(arm, q)
+    Q, _, count = ik_many(arm, T)
     real = np.arange(8) < count[:, None]
     gaps = np.abs((Q - q[:, None] + np.pi) % (2 * np.pi) - np.pi).max(axis=2)
     counts = Counter(count.tolist())
     rows = [[k, counts[k] / m, wanted] for k, wanted in ((8, 0.34), (6, 0.27), (4, 0.28), (2, 0.11))]
     table(f"korayem6r: share of {m:,} random poses by number of solutions", ["solutions", "share", "wanted"], rows)
-    worst = np.abs(forward(arm, Q[real]) - np.repeat(T, count, axis=0)).max()
+    worst = np.abs(fk(arm, Q[real]) - np.repeat(T, count, axis=0)).max()
     print(f"\nWorst FK error of a solution {worst:.1e}; the original is off by at most "
           f"{np.where(real, gaps, np.inf).min(axis=1).max():.1e} rad.")  # fmt: skip
 

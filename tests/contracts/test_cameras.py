@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -60,10 +61,11 @@ def small_stage(name: str, frames: int = COUNT) -> Stage:
 
 
 class FakeCapture:
-    """A wire on which frames come as fast as they are asked for, a clock's tick apart."""
+    """A wire on which frames come a clock's tick apart, as fast as they are asked for; held: not while this is true."""
 
-    def __init__(self, clock: ManualClock) -> None:
+    def __init__(self, clock: ManualClock, held: Callable[[], bool] = lambda: False) -> None:
         self.clock = clock
+        self.held = held
         self.released = False
         self.images = iter(pictures(10_000))
 
@@ -71,6 +73,8 @@ class FakeCapture:
         return not self.released
 
     def read(self) -> tuple[bool, np.ndarray]:
+        while self.held():
+            os.sched_yield()
         self.clock.advance(1.0 / 30.0)
         return True, np.dstack([next(self.images)] * 3)
 
@@ -116,8 +120,11 @@ class TestOpenCvCamera(CameraContract):
         wires: list[FakeCapture] = []
 
         def wire(_: str) -> FakeCapture:
-            wires.append(FakeCapture(clock))
+            wires.append(FakeCapture(clock, held))
             return wires[-1]
+
+        def held() -> bool:  # a reader that is late would miss the first frames, as it must
+            return camera._frames.full() and not camera._stop.is_set()
 
         camera = OpenCvCamera("0", clock=clock, open_capture=wire)
         opened = lambda: bool(wires) and not wires[-1].released  # noqa: E731

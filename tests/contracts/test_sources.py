@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from itertools import islice
@@ -28,16 +29,19 @@ def picture(number: int) -> np.ndarray:
 
 
 class FakeCapture:
-    """A camera that never ends and whose clock moves by one frame per read."""
+    """A camera that never ends and whose clock moves by one frame per read; held: not while this is true."""
 
-    def __init__(self, clock: ManualClock) -> None:
+    def __init__(self, clock: ManualClock, held: Callable[[], bool] = lambda: False) -> None:
         self.clock = clock
+        self.held = held
         self.released = False
 
     def isOpened(self) -> bool:
         return True
 
     def read(self) -> tuple[bool, np.ndarray]:
+        while self.held():
+            os.sched_yield()
         self.clock.advance(1.0 / 30.0)
         return True, np.dstack([picture(1)] * 3)
 
@@ -73,7 +77,12 @@ def make_video(folder: Path) -> VideoFile:
 
 def make_camera(folder: Path) -> OpenCvCamera:
     clock = ManualClock()
-    return OpenCvCamera(folder.name, clock=clock, open_capture=lambda _: FakeCapture(clock))
+
+    def held() -> bool:  # a reader that is late would miss the first frames, as it must
+        return camera._frames.full() and not camera._stop.is_set()
+
+    camera = OpenCvCamera(folder.name, clock=clock, open_capture=lambda _: FakeCapture(clock, held))
+    return camera
 
 
 SOURCES: dict[str, Callable[[Path], FrameSource]] = {

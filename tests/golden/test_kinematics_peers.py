@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from armsight.errors import Inconsistent
-from armsight.kinematics import Arm, JointType, forward, forward_jacobian, inverse_many, parameter_names, preset
+from armsight.kinematics import Arm, JointType, fk, fk_jacobian, ik_many, parameter_names, preset
 from armsight.kinematics.derivatives import moved
 from armsight.kinematics.dynamics import inverse_dynamics, track_load
 from armsight.kinematics.presets import PRESETS
@@ -52,12 +52,12 @@ def test_poses_and_jacobians_are_pinocchios(pin: ModuleType, index: int) -> None
     for q in rng.uniform(np.maximum(arm.lower, -3), np.minimum(arm.upper, 3), (50, arm.n)):
         full = configuration(model, q)
         pin.framesForwardKinematics(model, data, full)
-        T, J = forward_jacobian(arm, q)
+        T, J = fk_jacobian(arm, q)
         np.testing.assert_allclose(T, data.oMf[tool].homogeneous, atol=1e-12)
         theirs = pin.computeFrameJacobian(model, data, full, tool, pin.LOCAL_WORLD_ALIGNED)
         np.testing.assert_allclose(J, theirs, atol=1e-12)
         local = pin.computeFrameJacobian(model, data, full, tool, pin.LOCAL)
-        np.testing.assert_allclose(forward_jacobian(arm, q, axes="tool")[1], local, atol=1e-12)
+        np.testing.assert_allclose(fk_jacobian(arm, q, axes="tool")[1], local, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", CLOSED)
@@ -69,8 +69,8 @@ def test_solution_sets_are_eaiks(name: str) -> None:
     offset = np.array([joint.theta_rad for joint in arm.joints])
     rng = np.random.default_rng(1)
     q = rng.uniform(-np.pi, np.pi, (300, 6))
-    T = forward(arm, q)
-    Q, _, count = inverse_many(arm, T)
+    T = fk(arm, q)
+    Q, _, count = ik_many(arm, T)
     compared = 0
     for k in range(len(q)):
         answer = theirs.IK(T[k])

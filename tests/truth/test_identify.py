@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.identify import Identification, Sweeps, identify
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
-from armsight.kinematics import JointType, forward
+from armsight.kinematics import JointType, fk
 from armsight.optics import Camera, Rig, parallel_rig
 
 Array = NDArray[np.float64]
@@ -129,7 +129,7 @@ def test_random_arms_move_as_the_true_ones() -> None:
             assert not found.decided or found.axis.revolute == right
         further = rng.uniform(start, end, (50, n))
         if all(found.axis.revolute == right for found, right in zip(result.joints, turns, strict=True)):
-            off = np.linalg.norm(forward(result.arm, further)[:, :3, 3] - tip(rows, further), axis=1)
+            off = np.linalg.norm(fk(result.arm, further)[:, :3, 3] - tip(rows, further), axis=1)
             worst.append(float(off.max()) / 2e-4)
     assert len(worst) > 25
     assert np.median(worst) < 6.0 and np.percentile(worst, 90) < 25.0  # readings' noise, enlarged at unseen poses
@@ -172,7 +172,7 @@ def test_only_the_order_of_the_values_is_used_where_they_are_not_exact() -> None
     assert any("order" in note for note in found.notes)
     assert 5e-5 < max(joint.residual_rms_m for joint in found.joints) < 3e-4  # the noise across the paths
     home = Sweeps(joint=joint, q=q, xyz_m=noisy)
-    off = forward(found.arm, home.q)[:, :3, 3] - xyz  # its values count from rest, which is at zero here
+    off = fk(found.arm, home.q)[:, :3, 3] - xyz  # its values count from rest, which is at zero here
     assert np.linalg.norm(off, axis=1).max() < 2e-3
 
 

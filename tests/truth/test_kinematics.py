@@ -15,11 +15,11 @@ from armsight.kinematics import (
     Convention,
     Joint,
     JointType,
-    forward,
-    forward_jacobian,
+    fk,
+    fk_jacobian,
+    ik,
+    ik_many,
     in_convention,
-    inverse,
-    inverse_many,
     jacobian,
     link_frames,
     moved,
@@ -96,10 +96,10 @@ def test_forward_kinematics_is_the_product_of_the_elementary_motions(name: str, 
         dataclasses.replace(scrambled(preset(name), rng), convention=convention),
     ):
         q = joint_values(arm, rng, 70)  # more than two blocks, the last one not full
-        T = forward(arm, q)
+        T = fk(arm, q)
         expected = np.array([chain_by_hand(arm, row) for row in q])
         np.testing.assert_allclose(T, expected, atol=5e-15)
-        np.testing.assert_allclose([forward(arm, row) for row in q[:5]], expected[:5], atol=5e-15)
+        np.testing.assert_allclose([fk(arm, row) for row in q[:5]], expected[:5], atol=5e-15)
 
 
 def test_the_other_convention_changes_the_rows_and_not_the_poses() -> None:
@@ -108,8 +108,8 @@ def test_the_other_convention_changes_the_rows_and_not_the_poses() -> None:
     craig = in_convention(arm, "craig")
     q = joint_values(arm, rng, 5)
     assert craig.joints[1].alpha_rad == arm.joints[0].alpha_rad
-    np.testing.assert_allclose(forward(craig, q), forward(arm, q), atol=5e-15)
-    np.testing.assert_allclose(forward(in_convention(craig, "standard"), q), forward(arm, q), atol=5e-15)
+    np.testing.assert_allclose(fk(craig, q), fk(arm, q), atol=5e-15)
+    np.testing.assert_allclose(fk(in_convention(craig, "standard"), q), fk(arm, q), atol=5e-15)
 
 
 def test_korayem_forward_kinematics_as_printed_with_the_erratum_corrected() -> None:
@@ -122,7 +122,7 @@ def test_korayem_forward_kinematics_as_printed_with_the_erratum_corrected() -> N
         c23, s23 = np.cos(q[1] + q[2]), np.sin(q[1] + q[2])
         c, s = np.cos(q[1:4].sum()), np.sin(q[1:4].sum())
         reach = a1 + a2 * c2 + a3 * c23 + c * (a4 - d6 * s5)
-        T = forward(preset("korayem6r"), q)
+        T = fk(preset("korayem6r"), q)
         n = [
             -c6 * s1 * s5 + c1 * (c * c5 * c6 - s * s6),
             c * c5 * c6 * s1 + c1 * c6 * s5 - s1 * s * s6,
@@ -141,7 +141,7 @@ def test_the_jacobian_is_the_derivative_of_the_pose(name: str) -> None:
     arm = scrambled(preset(name), rng)
     h = 1e-6
     q = joint_values(arm, rng, 40)
-    T, J = forward_jacobian(arm, q)
+    T, J = fk_jacobian(arm, q)
     for k in (0, 17, 39):
         numeric = np.stack(
             [pose_difference(pose(arm, q[k] + h * e), pose(arm, q[k] - h * e)) / (2 * h) for e in np.eye(arm.n)], axis=1
@@ -163,7 +163,7 @@ def test_parameter_derivatives_against_finite_differences(name: str, convention:
     ):
         q = joint_values(arm, rng, 1)[0]
         T, J = parameter_jacobian(arm, q)
-        np.testing.assert_allclose(T, forward(arm, q), atol=1e-14)
+        np.testing.assert_allclose(T, fk(arm, q), atol=1e-14)
         for column, parameter in enumerate(parameter_names(arm)):
             plus, minus = (pose(moved(arm, {parameter: step}), q) for step in (h, -h))
             np.testing.assert_allclose(
@@ -181,11 +181,11 @@ def test_closed_form_gives_every_solution_and_the_original_among_them(name: str)
     rng = np.random.default_rng(6)
     arm, m = preset(name), 10_000
     q = rng.uniform(-np.pi, np.pi, (m, 6))
-    T = forward(arm, q)
-    Q, code, count = inverse_many(arm, T)
+    T = fk(arm, q)
+    Q, code, count = ik_many(arm, T)
     real = np.arange(8) < count[:, None]
     assert np.isnan(Q[~real]).all()
-    worst = np.abs(forward(arm, Q[real]) - np.repeat(T, count, axis=0)).max()
+    worst = np.abs(fk(arm, Q[real]) - np.repeat(T, count, axis=0)).max()
     assert worst < 1e-9
     nearest = np.where(real, turned(Q - q[:, None]).max(axis=2), np.inf).min(axis=1)
     assert nearest.max() < 1e-8
@@ -211,7 +211,7 @@ def test_closed_form_behind_any_base_and_tool_with_signs_and_offsets(name: str) 
     )
     arm = dataclasses.replace(arm, joints=joints, T_world_base=random_pose(rng), T_flange_tool=random_pose(rng))
     for q in rng.uniform(-3, 3, (20, 6)):
-        answer = inverse(arm, pose(arm, q), q)
+        answer = ik(arm, pose(arm, q), q)
         assert answer.complete
         assert np.abs(answer.solutions[0].q - q).max() < 1e-7
         assert max(max(s.error_m, s.error_rad) for s in answer.solutions) < 1e-9
@@ -253,8 +253,8 @@ def test_closed_form_with_flipped_parallel_axes_is_complete(wrist: str) -> None:
     rng = np.random.default_rng(8)
     arm = parallel_flipped(rng, wrist)
     for q in rng.uniform(-3, 3, (15, 6)):
-        T = forward(arm, q)
-        Q, _, count = inverse_many(arm, T)
+        T = fk(arm, q)
+        Q, _, count = ik_many(arm, T)
         assert turned(Q[0, : count[0]] - q).max(axis=1).min() < 1e-8
         starts = rng.uniform(-3, 3, (60, 6))
         found, solved, _ = solve_numeric_many(arm, np.tile(T, (60, 1, 1)), starts)
@@ -270,7 +270,7 @@ def test_a_calibrated_arm_close_to_a_family_keeps_its_branches(name: str) -> Non
     changes = {parameter: rng.normal() * 1e-3 for parameter in parameter_names(arm)}
     real = moved(arm, changes)
     for q in joint_values(arm, rng, 10):
-        answer = inverse(real, pose(real, q), q)
+        answer = ik(real, pose(real, q), q)
         assert not answer.complete
         assert np.abs(answer.solutions[0].q - q).max() < 1e-6
         assert max(max(s.error_m, s.error_rad) for s in answer.solutions) < 1e-6
@@ -285,12 +285,12 @@ def test_wrist_singularity_keeps_the_previous_sum_of_angles() -> None:
     for fifth in (0.0, np.pi):
         q = np.array([*WRIST[:4], fifth, 0.7])
         T = pose(arm, q)
-        answer = inverse(arm, T, q)
+        answer = ik(arm, T, q)
         assert answer.status == "singular"
         assert answer.why == "singular: wrist"
         assert turned(answer.solutions[0].q - q).max() < 1e-8
         near = q + np.array([0, 0.1, 0.05, 0.03, 0, 0])
-        other = inverse(arm, T, near).solutions[0]
+        other = ik(arm, T, near).solutions[0]
         assert other.q[1:4].sum() == pytest.approx(near[1:4].sum(), abs=1e-9)
         assert other.error_m < 1e-9
 
@@ -299,11 +299,11 @@ def test_wrist_singularity_of_a_spherical_wrist_keeps_the_previous_fourth_joint(
     for name in ("puma761", "irb120"):
         arm = preset(name)
         q = np.array([0.3, -0.5, 0.4, 0.2, 0.0, 0.7])
-        answer = inverse(arm, pose(arm, q), q)
+        answer = ik(arm, pose(arm, q), q)
         assert answer.solutions[0].singular == ("wrist",)
         assert turned(answer.solutions[0].q - q).max() < 1e-8
         near = q + np.array([0, 0, 0, 0.3, 0, 0])
-        other = inverse(arm, pose(arm, q), near).solutions[0]
+        other = ik(arm, pose(arm, q), near).solutions[0]
         assert other.q[3] == pytest.approx(0.5, abs=1e-9)
         assert other.error_rad < 1e-9
 
@@ -322,11 +322,11 @@ def test_shoulder_singularity_keeps_the_previous_first_joint() -> None:
     fourth = brentq(wrist_radius, 0, 3, xtol=1e-15)
     q = np.array([0.3, q2, q3, fourth, 0.6, 0.7])
     T = pose(arm, q)
-    answer = inverse(arm, T, q)
+    answer = ik(arm, T, q)
     assert all("shoulder" in solution.singular for solution in answer.solutions)
     assert min(turned(s.q - q).max() for s in answer.solutions) < 1e-6
     for first in (-1.0, 2.0):
-        solutions = inverse(arm, T, [first, *q[1:]]).solutions
+        solutions = ik(arm, T, [first, *q[1:]]).solutions
         assert all(s.q[0] == pytest.approx(first) and s.error_m < 1e-9 for s in solutions)
 
 
@@ -334,7 +334,7 @@ def test_shoulder_singularity_keeps_the_previous_first_joint() -> None:
 def test_elbow_singularity_merges_the_two_branches(elbow: float) -> None:
     arm = preset("korayem6r")
     q = np.array([0.3, -0.5, elbow, 0.2, 0.9, 0.7])
-    answer = inverse(arm, pose(arm, q), q)
+    answer = ik(arm, pose(arm, q), q)
     merged = [solution for solution in answer.solutions if "elbow" in solution.singular]
     assert len(merged) == 1
     assert turned(merged[0].q - q).max() < 1e-7
@@ -384,8 +384,8 @@ def test_link_frames_begin_at_the_base_and_end_at_the_tool() -> None:
     q = joint_values(arm, rng, 1)[0]
     frames = link_frames(arm, q)
     np.testing.assert_allclose(frames[0], arm.T_world_base.as_matrix(), atol=1e-15)
-    np.testing.assert_allclose(frames[-1], forward(arm, q), atol=1e-15)
-    np.testing.assert_allclose(frames[-2] @ arm.T_flange_tool.as_matrix(), forward(arm, q), atol=1e-14)
+    np.testing.assert_allclose(frames[-1], fk(arm, q), atol=1e-15)
+    np.testing.assert_allclose(frames[-2] @ arm.T_flange_tool.as_matrix(), fk(arm, q), atol=1e-14)
 
 
 @pytest.mark.parametrize("name", CLOSED)
@@ -396,7 +396,7 @@ def test_branch_names_are_what_the_eye_sees(name: str) -> None:
     arm = preset(name)
     seen = set()
     for q in joint_values(arm, rng, 40):
-        for solution in inverse(arm, pose(arm, q), q).solutions:
+        for solution in ik(arm, pose(arm, q), q).solutions:
             frames = link_frames(arm, solution.q)
             x1 = np.array([np.cos(solution.q[0]), np.sin(solution.q[0]), 0.0])
             shoulder, elbow = frames[1][:3, 3], frames[2][:3, 3]

@@ -12,7 +12,7 @@ from scipy.special import ndtr
 from armsight import store
 from armsight.calibrate.cameras.monocular import rms as calibration_rms
 from armsight.geometry import compose_covariance, euler_rad, pose_difference, pose_from_euler, pose_from_quat, xyz_quat
-from armsight.kinematics import Arm, Joint, JointType, dh_arm, forward
+from armsight.kinematics import Arm, Joint, JointType, dh_arm, fk
 from armsight.measure.pair import Setup, measure_pair
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import find_spots
@@ -240,17 +240,17 @@ def test_line_dh():
         return T
 
     want = turn("z", theta) @ shift("z", d) @ shift("x", a) @ turn("x", alpha)
-    assert np.allclose(forward(dh_arm("one", [(a, alpha, d, 0.0)]), [theta]), want)
+    assert np.allclose(fk(dh_arm("one", [(a, alpha, d, 0.0)]), [theta]), want)
     parts = {"name": "j1", "a_m": a, "alpha_rad": alpha, "d_m": d, "beta_rad": 0.1}
     bent = Arm(name="one", joints=(Joint(**parts),))
-    assert np.allclose(forward(bent, [theta]), want @ turn("y", 0.1))
+    assert np.allclose(fk(bent, [theta]), want @ turn("y", 0.1))
     craig = Arm(name="one", joints=(Joint(**parts),), convention="craig")
     proximal = shift("x", a) @ turn("x", alpha) @ turn("y", 0.1) @ turn("z", theta) @ shift("z", d)
-    assert np.allclose(forward(craig, [theta]), proximal)
+    assert np.allclose(fk(craig, [theta]), proximal)
 
 
 def test_line_joint_value():
     turning = Arm(name="r", joints=(Joint(name="j", theta_rad=0.25, sign=-1.0),))
-    assert np.allclose(forward(turning, [0.1])[:3, :3], Rotation.from_rotvec([0, 0, 0.15]).as_matrix())
+    assert np.allclose(fk(turning, [0.1])[:3, :3], Rotation.from_rotvec([0, 0, 0.15]).as_matrix())
     sliding = Arm(name="p", joints=(Joint(name="j", type=JointType.PRISMATIC, d_m=0.25, sign=-1.0),))
-    assert np.allclose(forward(sliding, [0.1])[:3, 3], [0, 0, 0.15])
+    assert np.allclose(fk(sliding, [0.1])[:3, 3], [0, 0, 0.15])

@@ -17,13 +17,13 @@ from armsight.kinematics import (
     Inverse,
     Status,
     Task,
-    follow,
-    forward,
-    forward_jacobian,
+    fk,
+    fk_jacobian,
+    ik,
     in_convention,
-    inverse,
     pose,
     preset,
+    track_path,
 )
 from armsight.kinematics.target import start_values, task_of
 from armsight.records import Motion, PoseStatus, TargetPose
@@ -60,7 +60,7 @@ def read_values(arm: Arm, path: Path) -> Motion:
     return Motion(t_s=motion.t_s, q=arm.values(motion.q))
 
 
-def fk(arm: str, joints: Path, out: Path) -> dict[str, Any]:
+def write_poses_of_joints(arm: str, joints: Path, out: Path) -> dict[str, Any]:
     """Write poses.csv, T_world_tool at each row of joints.csv."""
     model = load_arm(arm)
     motion = read_values(model, joints)
@@ -77,13 +77,13 @@ def fk(arm: str, joints: Path, out: Path) -> dict[str, Any]:
     return {"arm": model.name, "n": len(motion.t_s), "n_beyond_limits": int((~model.within_limits(motion.q)).sum())}
 
 
-def jacobian(arm: str, joints: Path, out: Path, *, axes: str = "world") -> dict[str, Any]:
+def write_jacobians(arm: str, joints: Path, out: Path, *, axes: str = "world") -> dict[str, Any]:
     """Write the geometric Jacobian at each row of joints.csv: t_s, then J11..J6n row by row."""
     model = load_arm(arm)
     motion = read_values(model, joints)
     if axes not in ("world", "base", "tool"):
         raise UsageError(f"the axes {axes!r} are not known", cure="Use world, base or tool")
-    J = forward_jacobian(model, motion.q, axes=axes)[1]  # type: ignore[arg-type]  # checked above
+    J = fk_jacobian(model, motion.q, axes=axes)[1]  # type: ignore[arg-type]  # checked above
     J = J @ model.gearing  # by the readings' rates
     header = ["t_s", *(f"J{r + 1}{c + 1}" for r in range(6) for c in range(model.n))]
     rows = (f"{number(t)},{cells(row.ravel().tolist())}" for t, row in zip(motion.t_s, J, strict=True))
@@ -91,7 +91,7 @@ def jacobian(arm: str, joints: Path, out: Path, *, axes: str = "world") -> dict[
     return {"arm": model.name, "n": len(J), "axes": axes}
 
 
-def ik(
+def write_joints_of_poses(
     arm: str, poses: Path, out: Path, *, near: Path | None = None, every: bool = False, task: str | None = None
 ) -> dict[str, Any]:
     """Write solutions.csv: pose, solution, q1..qn, error_m, error_rad, status; one row per pose, or all of them.
@@ -137,7 +137,7 @@ def _solve(arm: Arm, target: TargetPose, here: Array, aim: Task) -> Inverse:
     if not enough or target.pose is None:
         why = f"the pose is {target.status}"
         return Inverse(solutions=(), beyond_limits=(), status=Status.NO_SOLUTION, why=why, complete=False)
-    return inverse(arm, target.pose, here, task=aim)
+    return ik(arm, target.pose, here, task=aim)
 
 
 def _rows(arm: Arm, k: int, answer: Inverse, every: bool) -> list[str]:
@@ -151,7 +151,9 @@ def _rows(arm: Arm, k: int, answer: Inverse, every: bool) -> list[str]:
     return out or [f"{k},," + "," * (arm.n + 2) + answer.status.value]
 
 
-def path(arm: str, poses: Path, out: Path, *, start: Path | None = None, task: str | None = None) -> dict[str, Any]:
+def write_joint_path(
+    arm: str, poses: Path, out: Path, *, start: Path | None = None, task: str | None = None
+) -> dict[str, Any]:
     """Write joints.csv, a continuous track along poses.csv, as far as it goes; tell what is wrong with it where."""
     model = load_arm(arm)
     targets = read_poses(poses, parent="world")
@@ -165,7 +167,7 @@ def path(arm: str, poses: Path, out: Path, *, start: Path | None = None, task: s
     t_s = np.array([target.t_s for target in targets])
     T = np.array([target.pose.as_matrix() for target in targets if target.pose is not None])
     first = None if start is None else read_values(model, start).q[0]
-    track = follow(model, T, t_s=t_s, start=first, task=task)
+    track = track_path(model, T, t_s=t_s, start=first, task=task)
     if len(track.q):
         write_joints(out, Motion(t_s=t_s[: len(track.q)], q=model.readings(track.q)))
     issues = [
@@ -200,12 +202,12 @@ def write_formulas(arm: str, out: Path) -> dict[str, Any]:
     return {"arm": model.name, "file": str(out)}
 
 
-def show(arm: str, out: Path, *, joints: str | None = None) -> dict[str, Any]:
+def draw_arm(arm: str, out: Path, *, joints: str | None = None) -> dict[str, Any]:
     """Write a page with the arm in 3-D at joint values: a joints.csv, numbers separated by commas, or the middle."""
     model = load_arm(arm)
     q = start_values(model, None) if joints is None else _joint_values(model, joints)
     write_text(out, arm_report(model, q))
-    T = forward(model, np.atleast_2d(q)[0])
+    T = fk(model, np.atleast_2d(q)[0])
     return {"arm": model.name, "file": str(out), "tool_xyz_m": T[:3, 3].tolist()}
 
 

@@ -26,7 +26,7 @@ TaskName: TypeAlias = Annotated[
 def fk(arm: ArmFile, joints: Joints, out: Out, json: AsJson = False) -> None:
     """Write the tool's pose at each row of joint values."""
     with Face(as_json=json) as face:
-        from armsight.app.kinematics import fk as run
+        from armsight.app.kinematics import write_poses_of_joints as run
 
         content = run(arm, joints, out)
         beyond = f", {content['n_beyond_limits']} of them beyond limits" if content["n_beyond_limits"] else ""
@@ -46,7 +46,7 @@ def ik(
 ) -> None:
     """Write the joint values that bring the tool to each pose."""
     with Face(as_json=json) as face:
-        from armsight.app.kinematics import ik as run
+        from armsight.app.kinematics import write_joints_of_poses as run
 
         content = run(arm, poses, out, near=near, every=every, task=task)
         counts = ", ".join(f"{count} {status}" for status, count in content["status"].items())
@@ -66,7 +66,7 @@ def jacobian(
 ) -> None:
     """Write the Jacobian at each row of joint values: t_s, J11 .. J6n."""
     with Face(as_json=json) as face:
-        from armsight.app.kinematics import jacobian as run
+        from armsight.app.kinematics import write_jacobians as run
 
         content = run(arm, joints, out, axes=axes)
         face.say(f"{content['n']} Jacobians of {content['arm']} in {content['axes']} axes: {out}")
@@ -84,7 +84,7 @@ def path(
 ) -> None:
     """Write a continuous joint track along a path, and tell jumps, speeds, limits and singular passages."""
     with Face(as_json=json) as face:
-        from armsight.app.kinematics import path as run
+        from armsight.app.kinematics import write_joint_path as run
 
         content = run(arm, poses, out, start=start, task=task)
         branch = f" on the branch {', '.join(content['branch'])}" if content["branch"] else ""
@@ -116,7 +116,7 @@ def show(
 ) -> None:
     """Write a page with the arm in three dimensions."""
     with Face(as_json=json) as face:
-        from armsight.app.kinematics import show as run
+        from armsight.app.kinematics import draw_arm as run
 
         content = run(arm, out, joints=joints)
         face.say(f"{content['arm']}: {out}")

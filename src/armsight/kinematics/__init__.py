@@ -1,14 +1,14 @@
 """Joints <-> pose: chains, forward and inverse kinematics, Jacobians, singularities, tracks along paths."""
 
 from armsight.kinematics.arm import Arm, Coupling, Joint, JointType, dh_arm
+from armsight.kinematics.closed_form import Family, Wrist, family_of
 from armsight.kinematics.convention import Convention
 from armsight.kinematics.derivatives import moved, parameter_jacobian, parameter_names
-from armsight.kinematics.families import Family, Wrist, family_of
-from armsight.kinematics.forward import forward, forward_jacobian, in_convention, jacobian, link_frames, pose
-from armsight.kinematics.inverse import Inverse, Solution, Status, branch_names, inverse, inverse_many, singular_names
+from armsight.kinematics.forward_kinematics import fk, fk_jacobian, in_convention, jacobian, link_frames, pose
+from armsight.kinematics.inverse_kinematics import Inverse, Solution, Status, branch_names, ik, ik_many, singular_names
 from armsight.kinematics.lines import Link, link_to_line
 from armsight.kinematics.numeric import Attempt, Method, Stop, solve_numeric, solve_numeric_many
-from armsight.kinematics.path import Issue, JointPath, Trouble, follow
+from armsight.kinematics.path import Issue, JointPath, Trouble, track_path
 from armsight.kinematics.presets import PRESETS, preset
 from armsight.kinematics.singular import (
     manipulability,
@@ -17,7 +17,7 @@ from armsight.kinematics.singular import (
     singularity_measures,
 )
 from armsight.kinematics.target import Task, Tolerance
-from armsight.kinematics.warm import warm_up
+from armsight.kinematics.warmup import warm_up
 
 __all__ = [
     "PRESETS",
@@ -43,12 +43,11 @@ __all__ = [
     "branch_names",
     "dh_arm",
     "family_of",
-    "follow",
-    "forward",
-    "forward_jacobian",
+    "fk",
+    "fk_jacobian",
+    "ik",
+    "ik_many",
     "in_convention",
-    "inverse",
-    "inverse_many",
     "jacobian",
     "link_frames",
     "link_to_line",
@@ -64,5 +63,6 @@ __all__ = [
     "singularity_measures",
     "solve_numeric",
     "solve_numeric_many",
+    "track_path",
     "warm_up",
 ]

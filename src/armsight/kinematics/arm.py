@@ -17,7 +17,7 @@ from armsight.kinematics.convention import Convention, distal_rows
 from armsight.records import NamedCovariance, Saveable
 
 if TYPE_CHECKING:
-    from armsight.kinematics.inverse import Inverse
+    from armsight.kinematics.inverse_kinematics import Inverse
 
 Array = NDArray[np.float64]
 
@@ -212,25 +212,25 @@ class Arm(Saveable):
         return array
 
     def fk(self, q: ArrayLike) -> Array:
-        """Return T_world_tool (4, 4) of joint values q (n,), or (m, 4, 4) of q (m, n); see kinematics.forward."""
-        from armsight.kinematics.forward import forward
+        """Return T_world_tool (4, 4) of joint values q (n,), or (m, 4, 4) of q (m, n); see kinematics.fk."""
+        from armsight.kinematics.forward_kinematics import fk
 
-        return forward(self, q)
+        return fk(self, q)
 
     def jacobian(self, q: ArrayLike, *, axes: Literal["world", "base", "tool"] = "world") -> Array:
         """Return the geometric Jacobian (6, n) or (m, 6, n): linear, then angular velocity; see kinematics.jacobian."""
-        from armsight.kinematics.forward import jacobian
+        from armsight.kinematics.forward_kinematics import jacobian
 
         return jacobian(self, q, axes=axes)
 
     def ik(self, T_world_tool: RigidTransform | ArrayLike, q0: ArrayLike | None = None) -> Inverse:
         """Return every solution found for one pose, nearest to q0 (n,) first: `arm.ik(T, q0)[0].q`.
 
-        See kinematics.inverse; where there is none, `status` and `why` say the reason.
+        See kinematics.ik; where there is none, `status` and `why` say the reason.
         """
-        from armsight.kinematics.inverse import inverse
+        from armsight.kinematics.inverse_kinematics import ik
 
-        return inverse(self, T_world_tool, q0)
+        return ik(self, T_world_tool, q0)
 
     def within_limits(self, q: ArrayLike) -> NDArray[np.bool_]:
         """Tell for joint values (n,) or (m, n) whether all joints are within their limits: shape () or (m,)."""

@@ -34,7 +34,7 @@ def parameter_jacobian(arm: Arm, q: ArrayLike) -> tuple[Array, Array]:
 
     For a single q (n,) the first axis is left out. A derivative is (dt, dw) in world axes per m or rad. For a joint's
     scale multiply its theta (sliding: d) column by q. Of a prismatic joint d_m is the offset of the slide. Raises as
-    `forward`.
+    `fk`.
     """
     values = arm.checked(q)
     rows = np.atleast_2d(values)

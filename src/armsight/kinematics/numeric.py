@@ -112,7 +112,7 @@ def solve_numeric(
     Newton takes full steps from the start alone and knows no limits (Kapucu 2005, sections 1 and 3); the damped method
     keeps to the limits (Levenberg-Marquardt, Sugihara 2011). task: see `task_of`. The same seed gives the same answer.
     """
-    wanted = tolerance or Tolerance()
+    tolerance = tolerance or Tolerance()
     T = target_matrices(arm, T_world_tool)
     if len(T) != 1:
         raise UsageError("give one pose; `solve_numeric_many` takes many")
@@ -128,7 +128,7 @@ def solve_numeric(
     best: Attempt | None = None
     for count, q in enumerate(starts, start=1):
         errors = np.empty(2)
-        reason, steps = solver(arm.chain, T[0], rows, weight, wanted.m, wanted.rad, max_steps, q, errors)
+        reason, steps = solver(arm.chain, T[0], rows, weight, tolerance.m, tolerance.rad, max_steps, q, errors)
         found = Attempt(
             stopped=STOPS[reason],
             closest_q=np.where(np.isfinite(q), q, first),
@@ -167,14 +167,14 @@ def solve_numeric_many(
     Returns q (m, n), which rows are solutions (m,), and the errors (m, 2) in m and rad. Rows that are no solution hold
     the closest approach.
     """
-    wanted = tolerance or Tolerance()
+    tolerance = tolerance or Tolerance()
     T = target_matrices(arm, poses)
     q = arm.checked(starts).copy()
     if q.ndim != 2 or len(q) != len(T):
         raise UsageError(f"{len(T)} poses need as many starts, not an array of shape {q.shape}")
     errors, reasons = np.empty((len(T), 2)), np.empty((len(T), 2), dtype=np.int64)
     rows = 6 if task_of(arm, task) is Task.POSE else 3
-    solve_many(arm.chain, T, rows, arm.length_m**-2, wanted.m, wanted.rad, max_steps, q, errors, reasons)
+    solve_many(arm.chain, T, rows, arm.length_m**-2, tolerance.m, tolerance.rad, max_steps, q, errors, reasons)
     return q, reasons[:, 0] == CONVERGED, errors
 
 

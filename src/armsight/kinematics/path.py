@@ -12,8 +12,8 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import NotConverged, UsageError
 from armsight.kinematics.arm import LIMIT_SLACK, Arm
-from armsight.kinematics.families import Family, family_of
-from armsight.kinematics.inverse import branch_names, dh_angles, in_range, inverse
+from armsight.kinematics.closed_form import Family, family_of
+from armsight.kinematics.inverse_kinematics import branch_names, dh_angles, ik, in_range
 from armsight.kinematics.kernels.closed import DOWN, FLIP, LEFT, solve_closed
 from armsight.kinematics.numeric import solve_numeric
 from armsight.kinematics.singular import NEAR, UNNAMED, singular_values, singularity_measures
@@ -92,7 +92,7 @@ class JointPath:
         return Motion(t_s=t, q=self.q)
 
 
-def follow(
+def track_path(
     arm: Arm,
     poses: RigidTransform | ArrayLike,
     *,
@@ -114,21 +114,21 @@ def follow(
         raise UsageError("a path needs at least one pose")
     if times is not None and (np.diff(times) <= 0.0).any():
         raise UsageError("the times of a path must increase", cure="Sort the rows and drop repeated ones")
-    aim = task_of(arm, task)
-    wanted = tolerance or Tolerance()
-    here = start_values(arm, start)
-    first = inverse(arm, T[0], here, task=aim, tolerance=wanted)
+    task = task_of(arm, task)
+    tolerance = tolerance or Tolerance()
+    q_seed = start_values(arm, start)
+    first = ik(arm, T[0], q_seed, task=task, tolerance=tolerance)
     if not first.solutions:
         issue = _issue(Trouble.UNREACHED, 0, 0, 0, "", np.nan, np.nan, f"pose 0: {first.status}, {first.why}")
         return JointPath(q=np.empty((0, arm.n)), t_s=times, poses=len(T), branch=(), issues=(issue,))
     options = first.solutions[:1] if start is not None else first.solutions
-    tracks = [_track(arm, T, option.q, times, aim, wanted) for option in options]
+    tracks = [_track(arm, T, option.q, times, task, tolerance) for option in options]
     return max(tracks, key=lambda track: (len(track.q), -sum(_weight(issue) for issue in track.issues)))
 
 
-def _track(arm: Arm, T: Array, q0: Array, times: Array | None, aim: Task, wanted: Tolerance) -> JointPath:
+def _track(arm: Arm, T: Array, q0: Array, times: Array | None, task: Task, tolerance: Tolerance) -> JointPath:
     """Return the track that starts at q0."""
-    family = family_of(arm) if aim is Task.POSE else None
+    family = family_of(arm) if task is Task.POSE else None
     rows, codes, why = [np.array(q0)], [-1], ""
     if family is not None and family.exact:
         codes = [_nearest_closed(arm, family, T[0], q0)[1]]
@@ -137,18 +137,18 @@ def _track(arm: Arm, T: Array, q0: Array, times: Array | None, aim: Task, wanted
         if family is not None and family.exact:
             q, code = _nearest_closed(arm, family, target, rows[-1])
         else:
-            attempt = solve_numeric(arm, target, rows[-1], task=aim, tolerance=wanted, restarts=0)
+            attempt = solve_numeric(arm, target, rows[-1], task=task, tolerance=tolerance, restarts=0)
             if not attempt.converged:
-                attempt = solve_numeric(arm, target, rows[-1], task=aim, tolerance=wanted)
+                attempt = solve_numeric(arm, target, rows[-1], task=task, tolerance=tolerance)
             q = attempt.q if attempt.converged else None
         if q is None:
-            answer = inverse(arm, target, rows[-1], task=aim, tolerance=wanted)
+            answer = ik(arm, target, rows[-1], task=task, tolerance=tolerance)
             why = f"pose {len(rows)}: {answer.status}, {answer.why}"
             break
         rows.append(q)
         codes.append(code)
     q_all = np.array(rows)
-    issues = [*_steps(arm, q_all, times), *_beyond(arm, q_all), *_branches(codes), *_singular(arm, q_all, aim)]
+    issues = [*_steps(arm, q_all, times), *_beyond(arm, q_all), *_branches(codes), *_singular(arm, q_all, task)]
     if why:
         k = len(rows)
         issues.append(_issue(Trouble.UNREACHED, k, len(T) - 1, k, "", np.nan, np.nan, why))
@@ -156,14 +156,14 @@ def _track(arm: Arm, T: Array, q0: Array, times: Array | None, aim: Task, wanted
     return JointPath(q=q_all, t_s=times, poses=len(T), branch=branch, issues=tuple(issues))
 
 
-def _nearest_closed(arm: Arm, family: Family, T: Array, here: Array) -> tuple[Array | None, int]:
+def _nearest_closed(arm: Arm, family: Family, T: Array, q_seed: Array) -> tuple[Array | None, int]:
     """Return the closed-form solution whose largest joint step from here is least, and its code."""
     Q, code = np.empty((8, 6)), np.zeros(8, dtype=np.int64)
-    count = solve_closed(family.numbers, family.T_base_world, family.T_tool_six, T, dh_angles(arm, here), Q, code)
+    count = solve_closed(family.numbers, family.T_base_world, family.T_tool_six, T, dh_angles(arm, q_seed), Q, code)
     best, best_code, best_step = None, -1, np.inf
     for k in range(count):
-        q = in_range(arm, Q[k], here)
-        step = float(np.abs(q - here).max())
+        q = in_range(arm, Q[k], q_seed)
+        step = float(np.abs(q - q_seed).max())
         step += 0.0 if arm.within_limits(q) else 100.0  # only where nothing else is left
         if step < best_step:
             best, best_code, best_step = q, int(code[k]), step
@@ -245,14 +245,14 @@ def _branches(codes: list[int]) -> list[Issue]:
     return issues
 
 
-def _singular(arm: Arm, q: Array, aim: Task) -> list[Issue]:
+def _singular(arm: Arm, q: Array, task: Task) -> list[Issue]:
     """Return passages through or close to singularities, by name."""
     measures: dict[str, Array] = {}
-    if aim is Task.POSE and singularity_measures(arm, q[0]):
+    if task is Task.POSE and singularity_measures(arm, q[0]):
         rows = [singularity_measures(arm, row) for row in q]
         measures = {name: np.array([row[name] for row in rows]) for name in rows[0]}
     else:
-        values = singular_values(arm, q, aim)
+        values = singular_values(arm, q, task)
         measures = {UNNAMED: values[:, -1] / values[:, 0]}
     issues = []
     for name, value in measures.items():

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armsight.kinematics.arm import Arm
-from armsight.kinematics.families import Wrist, family_of
-from armsight.kinematics.forward import jacobian, link_frames
+from armsight.kinematics.closed_form import Wrist, family_of
+from armsight.kinematics.forward_kinematics import jacobian, link_frames
 from armsight.kinematics.target import Task, task_of
 
 Array = NDArray[np.float64]

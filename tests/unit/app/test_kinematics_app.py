@@ -16,7 +16,7 @@ from armsight.app.kinematics import load_arm
 from armsight.cli.kinematics import convert_arm, kinematics
 from armsight.errors import Inconsistent, UsageError
 from armsight.geometry import is_close
-from armsight.kinematics import Coupling, forward, pose, preset
+from armsight.kinematics import Coupling, fk, pose, preset
 from armsight.records import Motion, PoseStatus, TargetPose
 from armsight.store import read_joints, read_poses, read_table, write_joints, write_poses
 from armsight.store.arm_file import write_arm
@@ -67,7 +67,7 @@ def test_commands_take_and_give_the_readings_of_a_controller(tmp_path: Path, joi
     write_joints(tmp_path / "shown.csv", Motion(t_s=np.arange(3.0), q=shown))
     poses, solutions = tmp_path / "poses.csv", tmp_path / "solutions.csv"
     run("kinematics", "fk", "--arm", tmp_path / "arm.yaml", "--joints", tmp_path / "shown.csv", "-o", poses)
-    for row, T in zip(read_poses(poses), forward(preset("korayem6r"), Q), strict=True):
+    for row, T in zip(read_poses(poses), fk(preset("korayem6r"), Q), strict=True):
         np.testing.assert_allclose(row.T_parent_target, T, atol=1e-12)
     run(
         "kinematics",
@@ -86,7 +86,7 @@ def test_commands_take_and_give_the_readings_of_a_controller(tmp_path: Path, joi
     run("kinematics", "jacobian", "--arm", tmp_path / "arm.yaml", "--joints", tmp_path / "shown.csv", "-o", solutions)
     J = np.loadtxt(solutions, delimiter=",", skiprows=1)[0, 1:].reshape(6, 6)
     step = 1e-6 * np.eye(6)
-    moved = [forward(arm, arm.values(shown[0] + sign * step))[:, :3, 3] for sign in (1.0, -1.0)]
+    moved = [fk(arm, arm.values(shown[0] + sign * step))[:, :3, 3] for sign in (1.0, -1.0)]
     np.testing.assert_allclose(J[:3], ((moved[0] - moved[1]) / 2e-6).T, atol=1e-8)
     run("convert-arm", tmp_path / "arm.yaml", "-o", tmp_path / "arm.urdf", code=3)
     run("kinematics", "formulas", "--arm", tmp_path / "arm.yaml", "-o", tmp_path / "arm.py", code=3)
@@ -96,7 +96,7 @@ def test_commands_take_and_give_the_readings_of_a_controller(tmp_path: Path, joi
 
 def test_poses_without_a_solution_have_a_row_and_a_reason(tmp_path: Path) -> None:
     arm = preset("korayem6r")
-    far = forward(arm, Q[0])
+    far = fk(arm, Q[0])
     far[:3, 3] = [3.0, 0.0, 0.0]
     rows = [
         TargetPose(
@@ -156,7 +156,7 @@ def test_arms_are_converted_both_ways(tmp_path: Path) -> None:
     run("convert-arm", tmp_path / "a.urdf", "-o", tmp_path / "b.yaml", "--convention", "craig")
     run("convert-arm", tmp_path / "b.yaml", "-o", tmp_path / "c.urdf")
     for name in ("a.urdf", "b.yaml", "c.urdf"):
-        np.testing.assert_allclose(forward(load_arm(str(tmp_path / name)), Q), forward(preset("irb120"), Q), atol=1e-12)
+        np.testing.assert_allclose(fk(load_arm(str(tmp_path / name)), Q), fk(preset("irb120"), Q), atol=1e-12)
     assert "convention: craig" in (tmp_path / "b.yaml").read_text()
 
 

@@ -21,7 +21,7 @@ from armsight.calibrate.identify.plan import (
     rough_arm,
 )
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
-from armsight.kinematics import forward, preset
+from armsight.kinematics import fk, preset
 from armsight.optics import Camera, parallel_rig
 
 Array = NDArray[np.float64]
@@ -158,7 +158,7 @@ def test_six_joints_with_parallel_and_intersecting_axes_are_told_as_they_will_be
     limits = np.array([[-1.2, 1.2], [-0.8, 0.8], [-0.8, 0.5], [-1.5, 1.5], [-1.2, 1.2], [-2.5, 2.5]])
     shown = propose_sweeps(known_arm(robot, base, 0.1), rig, limits, np.full(6, 0.1), base=base)
     joint, q = rows(shown)
-    uv = np.stack(rig.project(where.inv().apply(forward(robot, q)[:, :3, 3])), axis=1)
+    uv = np.stack(rig.project(where.inv().apply(fk(robot, q)[:, :3, 3])), axis=1)
     uv += np.random.default_rng(3).normal(0.0, 0.1, uv.shape)
     found = identify(Sweeps(joint=joint, q=q, xyz_m=np.zeros((len(q), 3)), uv_px=uv), rig=rig, base=base)
     pairs = [

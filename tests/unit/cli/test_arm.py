@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.kinematics import forward, moved, preset
+from armsight.kinematics import fk, moved, preset
 from armsight.store.arm_file import read_arm
 from armsight.store.worlds import read_world
 
@@ -28,7 +28,7 @@ def measured() -> np.ndarray:
     true = moved(arm, {f"{arm.joints[1].name}.theta_rad": np.deg2rad(1.0)})
     rng = np.random.default_rng(0)
     q = rng.uniform(-0.9, 0.9, (60, 6))
-    return np.hstack([q, forward(true, q)[:, :3, 3] + rng.normal(0.0, 1e-4, (60, 3))])
+    return np.hstack([q, fk(true, q)[:, :3, 3] + rng.normal(0.0, 1e-4, (60, 3))])
 
 
 HEADER = "q1,q2,q3,q4,q5,q6,x_m,y_m,z_m"
@@ -72,7 +72,7 @@ def test_measurements_that_cannot_be_are_refused(armsight: Any, measured: np.nda
 
 def test_the_rig_is_placed_at_the_base(armsight: Any, measured: np.ndarray, tmp_path: Path) -> None:
     where = RigidTransform.from_components([0.9, -0.2, 0.5], Rotation.from_rotvec([0.2, 1.4, -0.3]))
-    places = forward(preset("irb120"), measured[:, :6])[:, :3, 3] + np.random.default_rng(1).normal(0.0, 1e-4, (60, 3))
+    places = fk(preset("irb120"), measured[:, :6])[:, :3, 3] + np.random.default_rng(1).normal(0.0, 1e-4, (60, 3))
     rows = np.hstack([measured[:, :6], where.inv().apply(places)])
     observed = write_rows(tmp_path / "observed.csv", HEADER, rows)
     done = armsight("calibrate", "robot-world", "--arm", "irb120", "--points", observed, "-o", tmp_path / "world.yaml")
@@ -90,7 +90,7 @@ def test_an_arm_is_identified_with_every_promised_key(armsight: Any, tmp_path: P
     q[np.arange(30), joint - 1] = np.concatenate(
         [np.linspace(0, 4, 10), np.linspace(0.5, 1.8, 10), np.linspace(0.6, 1.1, 10)]
     )
-    places = forward(arm, q)[:, :3, 3] + np.random.default_rng(0).normal(0.0, 2e-4, (30, 3))
+    places = fk(arm, q)[:, :3, 3] + np.random.default_rng(0).normal(0.0, 2e-4, (30, 3))
     header = "joint,q1,q2,q3,x_m,y_m,z_m"
     sweep = write_rows(tmp_path / "sweep.csv", header, np.hstack([joint[:, None], q, places]))
     done = armsight("identify", "--sweep", sweep, "-o", tmp_path / "arm.yaml")
@@ -102,7 +102,7 @@ def test_an_arm_is_identified_with_every_promised_key(armsight: Any, tmp_path: P
     assert [item["type"] for item in done.json["joints"]] == ["revolute", "revolute", "prismatic"]
     assert (tmp_path / "arm.report.html").stat().st_size > 0
     again = read_arm(tmp_path / "arm.yaml")
-    off = np.linalg.norm(forward(again, q)[:, :3, 3] - forward(arm, q)[:, :3, 3], axis=1)
+    off = np.linalg.norm(fk(again, q)[:, :3, 3] - fk(arm, q)[:, :3, 3], axis=1)
     assert off.max() < 1e-3
     two = write_rows(
         tmp_path / "two.csv", "joint,q1,q2,q3,q4,x_m,y_m,z_m", np.hstack([joint[:, None], q, q[:, :1] * 0, places])

@@ -10,15 +10,15 @@ from armsight.kinematics import (
     Arm,
     Joint,
     dh_arm,
-    follow,
-    forward,
-    inverse,
-    inverse_many,
+    fk,
+    ik,
+    ik_many,
     jacobian,
     link_to_line,
     moved,
     preset,
     solve_numeric,
+    track_path,
 )
 
 ARM = preset("korayem6r")
@@ -32,7 +32,7 @@ def told(error: pytest.ExceptionInfo[ArmsightError]) -> str:
 @pytest.mark.parametrize("q", [[0.0] * 5, [0.0] * 7, np.zeros((3, 5)), np.zeros((2, 2, 6)), 0.0])
 def test_wrong_number_of_joints(q: object) -> None:
     with pytest.raises(UsageError, match="6 joints") as error:
-        forward(ARM, q)  # type: ignore[arg-type]
+        fk(ARM, q)  # type: ignore[arg-type]
     assert "j1, j2, j3, j4, j5, j6" in told(error)
 
 
@@ -76,52 +76,52 @@ def test_an_unknown_arm_is_answered_with_the_known_ones() -> None:
 
 
 def test_a_pose_in_millimetres_is_told_as_such() -> None:
-    T = forward(ARM, HOME)
+    T = fk(ARM, HOME)
     T[:3, 3] *= 1000.0
-    for call in (lambda: inverse(ARM, T), lambda: inverse_many(ARM, T[None]), lambda: solve_numeric(ARM, T)):
+    for call in (lambda: ik(ARM, T), lambda: ik_many(ARM, T[None]), lambda: solve_numeric(ARM, T)):
         with pytest.raises(Inconsistent, match="millimetres") as error:
             call()
         assert "pose 0" in told(error)
     with pytest.raises(Inconsistent, match=r"pose 1 .*millimetres"):
-        follow(ARM, np.array([forward(ARM, HOME), T]))
+        track_path(ARM, np.array([fk(ARM, HOME), T]))
 
 
 def test_poses_that_are_none() -> None:
-    T = forward(ARM, HOME)
+    T = fk(ARM, HOME)
     broken = T.copy()
     broken[0, 3] = np.nan
     with pytest.raises(Inconsistent, match=r"pose 1 .*not finite"):
-        inverse_many(ARM, np.array([T, broken]))
+        ik_many(ARM, np.array([T, broken]))
     mirrored = T.copy()
     mirrored[:3, 0] *= -1.0
     stretched = T.copy()
     stretched[:3, :3] *= 1.001
     for matrix in (mirrored, stretched):
         with pytest.raises(Inconsistent, match="not a rotation"):
-            inverse(ARM, matrix)
+            ik(ARM, matrix)
     with pytest.raises(UsageError, match="4x4"):
-        inverse(ARM, T[:3])
+        ik(ARM, T[:3])
 
 
 def test_an_unreachable_pose_says_so_and_by_how_much() -> None:
-    T = forward(ARM, HOME)
+    T = fk(ARM, HOME)
     T[:3, 3] = [2.0, 0.0, 0.4]
-    answer = inverse(ARM, T)
+    answer = ik(ARM, T)
     assert answer.status == "out_of_reach"
     assert answer.solutions == ()
     assert "2.04 m from the base" in answer.why
     T[:3, 3] = [0.75, 0.0, 0.4]  # inside the sum of the lengths, outside what the wrist can do
-    assert inverse(ARM, T).status == "out_of_reach"
+    assert ik(ARM, T).status == "out_of_reach"
 
 
 def test_no_closed_form_is_told() -> None:
     arm = dh_arm("odd", [(0.1, 0.5, 0.1, 0.0)] * 6)
     with pytest.raises(UsageError, match="no closed form"):
-        inverse_many(arm, np.eye(4))
+        ik_many(arm, np.eye(4))
 
 
 def test_a_numeric_run_that_misses_is_not_a_solution() -> None:
-    T = forward(ARM, HOME)
+    T = fk(ARM, HOME)
     T[:3, 3] = [0.75, 0.0, 0.4]
     attempt = solve_numeric(ARM, T, HOME, restarts=3)
     assert not attempt.converged
@@ -131,9 +131,9 @@ def test_a_numeric_run_that_misses_is_not_a_solution() -> None:
 
 
 def test_unknown_words_are_answered_with_the_known_ones() -> None:
-    T = forward(ARM, HOME)
+    T = fk(ARM, HOME)
     with pytest.raises(UsageError, match="pose, position"):
-        inverse(ARM, T, task="pointing")
+        ik(ARM, T, task="pointing")
     with pytest.raises(UsageError, match="damped, newton"):
         solve_numeric(ARM, T, method="magic")
     with pytest.raises(UsageError, match="world, base or tool"):

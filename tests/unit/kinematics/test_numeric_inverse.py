@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from armsight.kinematics import Arm, Joint, Stop, forward, inverse, preset, solve_numeric, solve_numeric_many
+from armsight.kinematics import Arm, Joint, Stop, fk, ik, preset, solve_numeric, solve_numeric_many
 from armsight.kinematics.presets import PRESETS
 
 
@@ -16,21 +16,21 @@ def test_warm_starts_converge_to_the_joint_values_they_came_from(name: str) -> N
     rng = np.random.default_rng(0)
     arm = preset(name)
     q = rng.uniform(np.maximum(arm.lower, -2), np.minimum(arm.upper, 2), (300, arm.n))
-    T = forward(arm, q)
+    T = fk(arm, q)
     found, solved, errors = solve_numeric_many(arm, T, q + rng.normal(size=q.shape) * 0.05)
     assert solved.mean() > 0.99
     assert errors[solved].max() <= 1e-6
     rows = slice(0, 3) if arm.n < 6 else slice(0, 4)
-    np.testing.assert_allclose(forward(arm, found[solved])[:, :3, 3], T[solved][:, :3, 3], atol=1.01e-6)
+    np.testing.assert_allclose(fk(arm, found[solved])[:, :3, 3], T[solved][:, :3, 3], atol=1.01e-6)
     if arm.n == 6:
-        np.testing.assert_allclose(forward(arm, found[solved])[:, rows], T[solved][:, rows], atol=2e-6)
+        np.testing.assert_allclose(fk(arm, found[solved])[:, rows], T[solved][:, rows], atol=2e-6)
 
 
 def test_newton_raphson_solves_the_rrp_arm_of_kapucu() -> None:
     """Kapucu 2005 sections 1 and 3: three joints, position only, quadratic convergence."""
     arm = preset("stanford-rrp")
     q = np.array([0.4, 1.1, 0.8])
-    attempt = solve_numeric(arm, forward(arm, q), q + np.array([0.1, -0.1, 0.05]), method="newton")
+    attempt = solve_numeric(arm, fk(arm, q), q + np.array([0.1, -0.1, 0.05]), method="newton")
     assert attempt.converged
     assert attempt.steps <= 5
     np.testing.assert_allclose(attempt.q, q, atol=1e-5)
@@ -38,10 +38,10 @@ def test_newton_raphson_solves_the_rrp_arm_of_kapucu() -> None:
 
 def test_newton_says_that_the_jacobian_is_singular() -> None:
     arm = preset("stanford-rrp")
-    attempt = solve_numeric(arm, forward(arm, [0.4, 1.1, 0.8]), [0.4, np.pi / 2, 0.0], method="newton", max_steps=5)
-    target = forward(arm, [0.4, 1.1, 0.8])
+    attempt = solve_numeric(arm, fk(arm, [0.4, 1.1, 0.8]), [0.4, np.pi / 2, 0.0], method="newton", max_steps=5)
+    target = fk(arm, [0.4, 1.1, 0.8])
     straight = preset("korayem6r")
-    stretched = solve_numeric(straight, forward(straight, [0, 0.5, 0.5, 0, 1, 0]), np.zeros(6), method="newton")
+    stretched = solve_numeric(straight, fk(straight, [0, 0.5, 0.5, 0, 1, 0]), np.zeros(6), method="newton")
     assert stretched.stopped is Stop.SINGULAR  # elbow and wrist straight at the start
     assert np.isfinite(attempt.closest_q).all()
     assert target.shape == (4, 4)
@@ -49,9 +49,9 @@ def test_newton_says_that_the_jacobian_is_singular() -> None:
 
 def test_the_position_alone_leaves_the_orientation_free() -> None:
     arm = preset("ur10")
-    T = forward(arm, [0.3, -1.0, 1.2, 0.4, 0.9, 0.1])
+    T = fk(arm, [0.3, -1.0, 1.2, 0.4, 0.9, 0.1])
     attempt = solve_numeric(arm, T, np.full(6, 0.2), task="position")
-    np.testing.assert_allclose(forward(arm, attempt.q)[:3, 3], T[:3, 3], atol=1e-6)
+    np.testing.assert_allclose(fk(arm, attempt.q)[:3, 3], T[:3, 3], atol=1e-6)
 
 
 def limited(lower: float) -> Arm:
@@ -62,7 +62,7 @@ def limited(lower: float) -> Arm:
 
 def test_limits_are_kept_and_named_as_the_reason() -> None:
     arm = limited(-3.0)
-    T = forward(arm, [0.3, -0.5, 0.8, 0.2, 0.6, 0.7])
+    T = fk(arm, [0.3, -0.5, 0.8, 0.2, 0.6, 0.7])
     attempt = solve_numeric(arm, T)
     assert attempt.converged
     assert arm.within_limits(attempt.q)
@@ -73,8 +73,8 @@ def test_limits_are_kept_and_named_as_the_reason() -> None:
 
 
 def test_solutions_beyond_limits_are_told_apart() -> None:
-    T = forward(preset("korayem6r"), [0.3, -0.5, 0.8, 0.2, 0.6, 0.7])
-    answer = inverse(limited(2.9), T)
+    T = fk(preset("korayem6r"), [0.3, -0.5, 0.8, 0.2, 0.6, 0.7])
+    answer = ik(limited(2.9), T)
     assert answer.status == "limits"
     assert answer.solutions == ()
     assert len(answer.beyond_limits) in (2, 4, 6, 8)
@@ -84,7 +84,7 @@ def test_solutions_beyond_limits_are_told_apart() -> None:
 def test_whole_turns_bring_joints_into_range_and_near() -> None:
     arm = preset("ur10")  # +-360 degrees
     q = np.array([5.5, -4.0, 1.2, -5.9, 0.9, 6.1])
-    answer = inverse(arm, forward(arm, q), q)
+    answer = ik(arm, fk(arm, q), q)
     np.testing.assert_allclose(answer.solutions[0].q, q, atol=1e-9)
     assert arm.within_limits(np.array([solution.q for solution in answer.solutions])).all()
 
@@ -92,8 +92,8 @@ def test_whole_turns_bring_joints_into_range_and_near() -> None:
 def test_restarts_find_a_pose_far_from_the_start_and_the_same_seed_gives_the_same_answer() -> None:
     arm = preset("irb120")
     q = np.array([-2.0, 1.2, -1.4, 2.0, -1.5, 3.0])
-    first = solve_numeric(arm, forward(arm, q), [2.5, -1.5, 1.0, -2.0, 1.5, -3.0])
-    second = solve_numeric(arm, forward(arm, q), [2.5, -1.5, 1.0, -2.0, 1.5, -3.0])
+    first = solve_numeric(arm, fk(arm, q), [2.5, -1.5, 1.0, -2.0, 1.5, -3.0])
+    second = solve_numeric(arm, fk(arm, q), [2.5, -1.5, 1.0, -2.0, 1.5, -3.0])
     assert first.converged
     np.testing.assert_array_equal(first.q, second.q)
 
@@ -105,7 +105,7 @@ def test_an_arm_with_too_many_joints_gets_one_solution() -> None:
     )
     arm = Arm(name="seven", joints=joints)
     q = np.array([0.3, -0.5, 0.8, 0.2, 0.6, 0.7, -0.4])
-    answer = inverse(arm, forward(arm, q), q + 0.05)
+    answer = ik(arm, fk(arm, q), q + 0.05)
     assert len(answer.solutions) == 1
     assert not answer.complete
     assert answer.solutions[0].error_m <= 1e-6
@@ -114,7 +114,7 @@ def test_an_arm_with_too_many_joints_gets_one_solution() -> None:
 def test_the_rrp_arm_has_two_postures() -> None:
     arm = preset("stanford-rrp")
     for q in ([0.4, 1.1, 0.8], [-1.0, 2.0, 0.5]):
-        answer = inverse(arm, forward(arm, q), q)
+        answer = ik(arm, fk(arm, q), q)
         assert answer.status == "ok"
         np.testing.assert_allclose(answer.solutions[0].q, q, atol=1e-8)
         assert len(answer.solutions) == 2
@@ -125,12 +125,12 @@ def test_half_a_turn_of_error_is_solved() -> None:
     arm = preset("ur10")
     q = np.array([0.3, -1.0, 1.2, 0.4, 0.9, 0.1])
     start = q + np.array([0, 0, 0, 0, 0, np.pi])
-    attempt = solve_numeric(arm, forward(arm, q), start)
+    attempt = solve_numeric(arm, fk(arm, q), start)
     assert attempt.converged
 
 
 def test_nothing_is_left_to_compile_after_the_warm_up() -> None:
-    from armsight.kinematics import warm_up
+    from armsight.kinematics import warmup as warm_up
     from armsight.kinematics.kernels import chain, checks, closed, derivatives, numeric
 
     warm_up()
@@ -155,7 +155,7 @@ def test_nothing_is_left_to_compile_after_the_warm_up() -> None:
     assert min(before) >= 1
     arm = preset("irb120")
     q = np.array([0.3, -0.5, 0.4, 0.2, 0.5, 0.7])
-    inverse(arm, forward(arm, q), q)
-    solve_numeric(arm, forward(arm, q), q)
-    forward(arm, np.tile(q, (3, 1)))
+    ik(arm, fk(arm, q), q)
+    solve_numeric(arm, fk(arm, q), q)
+    fk(arm, np.tile(q, (3, 1)))
     assert [len(kernel.signatures) for kernel in used] == before

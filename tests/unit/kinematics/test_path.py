@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from armsight.errors import NotConverged, UsageError
-from armsight.kinematics import Arm, Trouble, follow, forward, moved, parameter_names, preset
+from armsight.kinematics import Arm, Trouble, fk, moved, parameter_names, preset, track_path
 
 HOME = np.array([0.1, -0.6, 0.9, 0.2, 0.7, 0.3])
 
@@ -21,7 +21,7 @@ def swing(arm: Arm, goal: np.ndarray, rows: int = 80) -> np.ndarray:
 def test_a_track_comes_back_as_it_was(name: str) -> None:
     arm = preset(name)
     q = swing(arm, HOME + np.array([0.5, 0.3, -0.4, 0.6, 0.5, -2.0]))
-    path = follow(arm, forward(arm, q), start=HOME)
+    path = track_path(arm, fk(arm, q), start=HOME)
     assert path.complete
     np.testing.assert_allclose(path.q, q, atol=1e-8)
     assert path.issues == ()
@@ -33,7 +33,7 @@ def test_a_calibrated_arm_is_followed_numerically() -> None:
     rng = np.random.default_rng(0)
     arm = moved(preset("ur10"), {name: rng.normal() * 1e-3 for name in parameter_names(preset("ur10"))})
     q = swing(arm, HOME + np.array([0.5, 0.3, -0.4, 0.6, 0.5, -2.0]))
-    path = follow(arm, forward(arm, q), start=HOME)
+    path = track_path(arm, fk(arm, q), start=HOME)
     np.testing.assert_allclose(path.q, q, atol=1e-5)
     assert path.issues == ()
 
@@ -41,7 +41,7 @@ def test_a_calibrated_arm_is_followed_numerically() -> None:
 def test_a_turn_beyond_pi_does_not_jump() -> None:
     arm = preset("korayem6r")
     q = swing(arm, HOME + np.array([4.0, 0, 0, 0, 0, 9.0]), rows=200)
-    path = follow(arm, forward(arm, q), start=HOME)
+    path = track_path(arm, fk(arm, q), start=HOME)
     np.testing.assert_allclose(path.q, q, atol=1e-8)
 
 
@@ -51,18 +51,18 @@ def test_speeds_against_the_motors_of_table_3() -> None:
     t = np.linspace(0, 2, 101)
     q = np.tile(HOME, (101, 1))
     q[:, 2] += 0.5 * t + np.where(t > 1, 0.4 * (t - 1), 0.0)
-    path = follow(arm, forward(arm, q), t_s=t, start=HOME)
+    path = track_path(arm, fk(arm, q), t_s=t, start=HOME)
     (issue,) = [issue for issue in path.issues if issue.trouble is Trouble.SPEED]
     assert (issue.joint, issue.limit) == ("j3", 0.73)
     assert issue.value == pytest.approx(0.9, rel=1e-6)
     assert (issue.first, issue.last) == (51, 100)
-    assert follow(arm, forward(arm, q), t_s=2 * t, start=HOME).issues == ()
+    assert track_path(arm, fk(arm, q), t_s=2 * t, start=HOME).issues == ()
 
 
 def test_a_wrist_singularity_that_is_passed_straight_is_named_with_its_place() -> None:
     arm = preset("ur10")
     q = swing(arm, HOME + np.array([0.2, 0, 0, 0, -1.4, 0]), rows=81)  # joint 5 from 0.7 to -0.7
-    path = follow(arm, forward(arm, q), start=HOME)
+    path = track_path(arm, fk(arm, q), start=HOME)
     np.testing.assert_allclose(path.q, q, atol=1e-7)
     singular = [issue for issue in path.issues if issue.trouble is Trouble.SINGULAR]
     assert [("wrist" in issue.text, issue.worst) for issue in singular] == [(True, 40)]
@@ -77,9 +77,9 @@ def test_a_track_close_to_a_singularity_jumps_and_says_where() -> None:
     arm = dataclasses.replace(
         arm, joints=tuple(dataclasses.replace(j, d_m=0.0 if j.name == "j2" else j.d_m) for j in arm.joints)
     )
-    T = np.tile(forward(arm, [0.0, -1.2, 1.9, 0.1, 1.0, 0.2]), (61, 1, 1))
+    T = np.tile(fk(arm, [0.0, -1.2, 1.9, 0.1, 1.0, 0.2]), (61, 1, 1))
     T[:, :3, 3] = np.array([0.0, 3e-4, 0.9]) + np.linspace(-0.3, 0.3, 61)[:, None] * [1, 0, 0] + 0.125 * T[:, :3, 2]
-    path = follow(arm, T)
+    path = track_path(arm, T)
     jumps = [issue for issue in path.issues if issue.trouble is Trouble.JUMP]
     assert any(issue.joint == "j1" and issue.first <= 31 <= issue.last + 1 for issue in jumps)
     assert any(issue.trouble is Trouble.SINGULAR and "shoulder" in issue.text for issue in path.issues)
@@ -87,14 +87,14 @@ def test_a_track_close_to_a_singularity_jumps_and_says_where() -> None:
 
 def test_a_path_that_leaves_reach_ends_there() -> None:
     arm = preset("korayem6r")
-    T = np.tile(forward(arm, HOME), (50, 1, 1))
+    T = np.tile(fk(arm, HOME), (50, 1, 1))
     T[:, 0, 3] += np.linspace(0, 0.8, 50)
-    path = follow(arm, T, start=HOME)
+    path = track_path(arm, T, start=HOME)
     assert not path.complete
     (issue,) = [issue for issue in path.issues if issue.trouble is Trouble.UNREACHED]
     assert issue.first == len(path.q)
     assert "out_of_reach" in issue.text
-    np.testing.assert_allclose(forward(arm, path.q), T[: len(path.q)], atol=1e-9)
+    np.testing.assert_allclose(fk(arm, path.q), T[: len(path.q)], atol=1e-9)
     with pytest.raises(NotConverged, match=f"pose {len(path.q)} of 50"):
         _ = path.motion
 
@@ -104,7 +104,7 @@ def test_limits_are_told_with_joint_and_row() -> None:
     joints = tuple(dataclasses.replace(j, lower=-2.0, upper=1.0) for j in arm.joints)
     tight = dataclasses.replace(arm, joints=joints)
     q = swing(arm, HOME + np.array([1.4, 0, 0, 0, 0, 0]))
-    path = follow(tight, forward(arm, q), start=HOME)
+    path = track_path(tight, fk(arm, q), start=HOME)
     issue = next(issue for issue in path.issues if issue.trouble is Trouble.LIMITS)
     assert issue.joint == "j1"
     assert issue.limit == 1.0
@@ -114,7 +114,7 @@ def test_limits_are_told_with_joint_and_row() -> None:
 def test_without_a_start_the_branch_with_the_least_trouble_is_taken() -> None:
     arm = preset("irb120")
     q = swing(arm, HOME + np.array([0.5, 0.2, -0.3, 0.4, 0.5, -1.0]))
-    path = follow(arm, forward(arm, q), t_s=np.linspace(0, 4, 80))
+    path = track_path(arm, fk(arm, q), t_s=np.linspace(0, 4, 80))
     assert path.complete
     assert not [issue for issue in path.issues if issue.trouble in (Trouble.JUMP, Trouble.LIMITS)]
 
@@ -122,7 +122,7 @@ def test_without_a_start_the_branch_with_the_least_trouble_is_taken() -> None:
 def test_the_rrp_arm_follows_positions() -> None:
     arm = preset("stanford-rrp")
     q = np.column_stack([np.linspace(0, 1, 40), np.linspace(1.0, 1.6, 40), np.linspace(0.6, 0.9, 40)])
-    path = follow(arm, forward(arm, q), start=q[0])
+    path = track_path(arm, fk(arm, q), start=q[0])
     np.testing.assert_allclose(path.q, q, atol=1e-5)
     assert path.branch == ()
 
@@ -130,4 +130,4 @@ def test_the_rrp_arm_follows_positions() -> None:
 def test_times_must_increase() -> None:
     arm = preset("ur10")
     with pytest.raises(UsageError, match="increase"):
-        follow(arm, np.tile(forward(arm, HOME), (3, 1, 1)), t_s=[0.0, 1.0, 1.0])
+        track_path(arm, np.tile(fk(arm, HOME), (3, 1, 1)), t_s=[0.0, 1.0, 1.0])

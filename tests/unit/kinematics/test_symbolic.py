@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.errors import UsageError
-from armsight.kinematics import Arm, forward_jacobian, in_convention, preset
+from armsight.kinematics import Arm, fk_jacobian, in_convention, preset
 from armsight.kinematics.symbolic import formulas, latex_source, python_source
 
 
@@ -32,7 +32,7 @@ def test_the_python_module_gives_our_numbers(name: str) -> None:
     exec(compile(python_source(arm, name="arm"), "arm.py", "exec"), space)
     for q in np.random.default_rng(1).uniform(-2, 2, (5, arm.n)):
         T, J = space["arm"](*q)  # type: ignore[operator]
-        ours = forward_jacobian(arm, q)
+        ours = fk_jacobian(arm, q)
         np.testing.assert_allclose(np.array(T, float), ours[0], atol=1e-13)
         np.testing.assert_allclose(np.array(J, float), ours[1], atol=1e-13)
 

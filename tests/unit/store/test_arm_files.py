@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.errors import BadFile, Inconsistent
-from armsight.kinematics import Arm, forward, in_convention, moved, parameter_names, preset
+from armsight.kinematics import Arm, fk, in_convention, moved, parameter_names, preset
 from armsight.kinematics.presets import PRESETS
 from armsight.records import NamedCovariance
 from armsight.store.arm_file import arm_from_mapping, read_arm, write_arm
@@ -58,8 +58,8 @@ def test_urdf_and_back_gives_the_same_poses(name: str) -> None:
         q = joint_values(arm)
         once = arm_from_urdf(urdf_text(arm))
         twice = arm_from_urdf(urdf_text(once))
-        np.testing.assert_allclose(forward(once, q), forward(arm, q), atol=1e-12)
-        np.testing.assert_allclose(forward(twice, q), forward(arm, q), atol=1e-12)
+        np.testing.assert_allclose(fk(once, q), fk(arm, q), atol=1e-12)
+        np.testing.assert_allclose(fk(twice, q), fk(arm, q), atol=1e-12)
         assert [j.name for j in once.joints] == [j.name for j in arm.joints]
 
 
@@ -83,7 +83,7 @@ def test_arm_yaml_and_back_is_the_same_arm(name: str, tmp_path: Path) -> None:
             assert all(getattr(joint, key) == getattr(other, key) for key in KEYS)
         assert (back.name, back.convention, back.source) == (arm.name, arm.convention, arm.source)
         q = joint_values(arm)
-        np.testing.assert_allclose(forward(back, q), forward(arm, q), atol=1e-12)
+        np.testing.assert_allclose(fk(back, q), fk(arm, q), atol=1e-12)
 
 
 def test_standard_deviations_travel_with_the_arm(tmp_path: Path) -> None:
@@ -184,12 +184,12 @@ def test_fixed_joints_are_folded_and_fixed_side_branches_ignored() -> None:
     <joint name="f3" type="fixed"><parent link="b"/><child link="side"/></joint></robot>
     """
     arm = arm_from_urdf(text)
-    T = forward(arm, [np.pi / 2, 0.25])
+    T = fk(arm, [np.pi / 2, 0.25])
     np.testing.assert_allclose(T[:3, 3], [0, 0.85, 1], atol=1e-15)
     np.testing.assert_allclose(T[:3, 2], [0, 1, 0], atol=1e-15)
     assert (arm.joints[1].max_speed, arm.joints[1].stall_effort) == (0.5, 5.0)
     side = arm_from_urdf(text, tip="side")
-    np.testing.assert_allclose(forward(side, [0, 0])[:3, 3], [0.5, 0, 1], atol=1e-15)
+    np.testing.assert_allclose(fk(side, [0, 0])[:3, 3], [0.5, 0, 1], atol=1e-15)
     with pytest.raises(BadFile, match=r"no link 'hand'.*base, cam, flange"):
         arm_from_urdf(text, tip="hand")
 
@@ -220,7 +220,7 @@ def test_a_random_urdf_keeps_its_poses() -> None:
             T = T * RigidTransform.from_components(xyz[k], Rotation.from_euler("xyz", rpy[k]))
             move = RigidTransform.from_translation(q[k] * axes[k])
             T = T * (move if k == 2 else RigidTransform.from_rotation(Rotation.from_rotvec(q[k] * axes[k])))
-        np.testing.assert_allclose(forward(arm, q), T.as_matrix(), atol=1e-11)  # d of the common normal may be long
+        np.testing.assert_allclose(fk(arm, q), T.as_matrix(), atol=1e-11)  # d of the common normal may be long
 
 
 def test_a_scale_has_no_place_in_urdf(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.points import ArmPoints
 from armsight.errors import Degenerate
 from armsight.geometry import align_points
-from armsight.kinematics import forward
+from armsight.kinematics import fk
 
 Array = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ def start(model: ArmModel, points: ArmPoints, like: Array | None = None) -> Arra
         part = points.take(rows)
         points = part if part.labels == points.labels else points
     bare = model.arm_at(model.vector(RigidTransform.identity(), [RigidTransform.identity()] * len(model.labels)))
-    F = forward(bare, points.q)  # base to flange
+    F = fk(bare, points.q)  # base to flange
     which = np.array([model.labels.index(label) for label in points.point])
     size = max(model.arm.length_m, 1e-3)
     nominal, n = np.asarray(model.arm.T_flange_tool.translation), len(model.labels)

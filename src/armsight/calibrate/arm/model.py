@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.arm.points import ArmPoints
 from armsight.fitting import Evaluation
-from armsight.kinematics import Arm, Convention, Coupling, forward, parameter_jacobian, parameter_names
+from armsight.kinematics import Arm, Convention, Coupling, fk, parameter_jacobian, parameter_names
 
 Array = NDArray[np.float64]
 
@@ -167,7 +167,7 @@ class ArmModel:
         which = self._which(points)
         for k in range(len(self.labels)):
             rows = which == k
-            T[rows] = forward(self.arm_at(p, k), self.values(p, points.q[rows]))
+            T[rows] = fk(self.arm_at(p, k), self.values(p, points.q[rows]))
         return _errors(T, points)
 
     def evaluate(self, p: Array, points: ArmPoints, sigma_m: float, sigma_rad: float) -> Evaluation:

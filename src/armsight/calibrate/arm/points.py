@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import Inconsistent, NotEnoughData
-from armsight.kinematics import Arm, forward
+from armsight.kinematics import Arm, fk
 from armsight.records import frozen_array
 
 Array = NDArray[np.float64]
@@ -122,7 +122,7 @@ def _check_moves(arm: Arm, points: ArmPoints) -> None:
 
 
 def _check_units(arm: Arm, points: ArmPoints) -> None:
-    there = forward(arm, points.q)[:, :3, 3]
+    there = fk(arm, points.q)[:, :3, 3]
     expected = np.linalg.norm(there - there.mean(axis=0), axis=1).mean()
     seen = np.linalg.norm(points.xyz_m - points.xyz_m.mean(axis=0), axis=1).mean()
     if not expected > 0.0:

@@ -15,7 +15,7 @@ from armsight.calibrate.arm.plausibility import MOST_SHARE, ranges, senseless, s
 from armsight.calibrate.arm.points import ArmPoints, check_points
 from armsight.errors import Ambiguous, Degenerate, NotEnoughData
 from armsight.fitting import Evaluation, Loss, LossKind, Problem, Settings, solve
-from armsight.kinematics import Arm, forward
+from armsight.kinematics import Arm, fk
 from armsight.records import NamedCovariance
 
 Array = NDArray[np.float64]
@@ -56,7 +56,7 @@ def calibrate_world(arm: Arm, points: ArmPoints) -> WorldCalibration:
     Degenerate where the places lie on one line.
     """
     check_points(arm, points)
-    local = forward(arm, points.q)[:, :3, 3]
+    local = fk(arm, points.q)[:, :3, 3]
     base = np.asarray(arm.T_world_base.inv().apply(local))
     T, kept = _majority(base, points.xyz_m)
     size = np.linalg.norm(T.apply(points.xyz_m) - base, axis=1)

@@ -175,7 +175,7 @@ def axis_cost(revolute, direction, xyz, W, q, p):
     e2[0] = direction[1] * e1[2] - direction[2] * e1[1]
     e2[1] = direction[2] * e1[0] - direction[0] * e1[2]
     e2[2] = direction[0] * e1[1] - direction[1] * e1[0]
-    H, g, inverse = np.zeros((size, size)), np.zeros(size), np.empty((size, size))
+    H, g, ik = np.zeros((size, size)), np.zeros(size), np.empty((size, size))
     A, WA = np.zeros((3, size)), np.empty((3, size))
     y, total = np.empty(3), 0.0
     for r in range(3):
@@ -198,12 +198,12 @@ def axis_cost(revolute, direction, xyz, W, q, p):
             for b in range(a + 1):
                 H[a, b] += A[0, a] * WA[0, b] + A[1, a] * WA[1, b] + A[2, a] * WA[2, b]
                 H[b, a] = H[a, b]
-    if not invert_spd(H, inverse):
+    if not invert_spd(H, ik):
         return np.inf
     for a in range(size):
         p[a] = 0.0
         for b in range(size):
-            p[a] += inverse[a, b] * g[b]
+            p[a] += ik[a, b] * g[b]
         total -= p[a] * g[a]
     if revolute:  # from the parts of b to a point's offset from the axis
         b1, b2 = p[3], p[4]

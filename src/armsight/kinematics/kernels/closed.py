@@ -6,8 +6,8 @@ Both have a plane arm: axis 2 square to axis 1 and parallel to axis 3. They diff
     axes 5 and 6 meet; offsets a4, d2..d5 allowed;
   spherical wrist (Puma, IRB 120): axes 4, 5, 6 meet in one point, each square to the next; a1, a3, d2..d4 allowed.
 
-All twists are quarter or half turns, so that family (29,), filled by `armsight.kinematics.families`, holds only signs
-and lengths: 0 wrist (1 offset, 2 spherical), 1 sin alpha1, 2 cos alpha2, 3 cos alpha3 (offset) or sin alpha3
+All twists are quarter or half turns, so that family (29,), filled by `armsight.kinematics.closed_form`, holds only
+signs and lengths: 0 wrist (1 offset, 2 spherical), 1 sin alpha1, 2 cos alpha2, 3 cos alpha3 (offset) or sin alpha3
 (spherical), 4 sin alpha4, 5 sin alpha5, 6 a1, 7 d1, 8 a2, 9 second link of the plane arm, 10 its bend, 11 offset along
 axis 2, 12 a4, 13 d5, 14..19 theta offsets, 20..25 one over the signs, 26 scale of lengths, 27 base is the world,
 28 nothing behind joint 6.

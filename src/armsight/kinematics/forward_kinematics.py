@@ -27,7 +27,7 @@ ALL_CORES_FROM = 16_384
 """Batches from this size (about a millisecond of work) are spread over the cores."""
 
 
-def forward(arm: Arm, q: ArrayLike, *, all_cores: bool = True) -> Array:
+def fk(arm: Arm, q: ArrayLike, *, all_cores: bool = True) -> Array:
     """Return T_world_tool as (4, 4) for q (n,), or (m, 4, 4) for q (m, n), in rad and m.
 
     Big batches run on all cores unless all_cores is False. Raises UsageError for a wrong number of joints and
@@ -49,8 +49,8 @@ def forward(arm: Arm, q: ArrayLike, *, all_cores: bool = True) -> Array:
 
 
 def pose(arm: Arm, q: ArrayLike) -> RigidTransform:
-    """Return T_world_tool as a RigidTransform, one or many; `forward` gives the same as a matrix, faster."""
-    return RigidTransform(forward(arm, q), normalize=False, copy=False)
+    """Return T_world_tool as a RigidTransform, one or many; `fk` gives the same as a matrix, faster."""
+    return RigidTransform(fk(arm, q), normalize=False, copy=False)
 
 
 def jacobian(arm: Arm, q: ArrayLike, *, axes: Axes = "world") -> Array:
@@ -59,10 +59,10 @@ def jacobian(arm: Arm, q: ArrayLike, *, axes: Axes = "world") -> Array:
     axes: the axes in which both are given: world, base or tool. Units: m or 1 and rad per unit of the joint.
     Korayem 2018 section 4 (A4, A5 in MATH).
     """
-    return forward_jacobian(arm, q, axes=axes)[1]
+    return fk_jacobian(arm, q, axes=axes)[1]
 
 
-def forward_jacobian(
+def fk_jacobian(
     arm: Arm, q: ArrayLike, *, axes: Axes = "world", all_cores: bool = True, out: tuple[Array, Array] | None = None
 ) -> tuple[Array, Array]:
     """Return T_world_tool (4, 4) and the Jacobian (6, n), or both for each row of q (m, n); see `jacobian`.

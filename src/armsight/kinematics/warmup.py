@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from armsight.kinematics.derivatives import parameter_jacobian
-from armsight.kinematics.forward import forward, forward_jacobian, link_frames
-from armsight.kinematics.inverse import in_range, inverse, inverse_many
+from armsight.kinematics.forward_kinematics import fk, fk_jacobian, link_frames
+from armsight.kinematics.inverse_kinematics import ik, ik_many, in_range
 from armsight.kinematics.numeric import Method, solve_numeric, solve_numeric_many
 from armsight.kinematics.presets import ur10
 
@@ -18,14 +18,14 @@ def warm_up() -> None:
     """
     arm = ur10()
     q = np.array([0.3, -1.0, 1.2, 0.4, 0.9, 0.1])
-    T = forward(arm, q)
-    forward(arm, q[None])
-    forward_jacobian(arm, q)
-    forward_jacobian(arm, q[None])
+    T = fk(arm, q)
+    fk(arm, q[None])
+    fk_jacobian(arm, q)
+    fk_jacobian(arm, q[None])
     link_frames(arm, q)
     parameter_jacobian(arm, q)
-    inverse(arm, T, q)
-    inverse_many(arm, T)
+    ik(arm, T, q)
+    ik_many(arm, T)
     in_range(arm, q, q)
     solve_numeric_many(arm, T, q[None])
     for method in Method:

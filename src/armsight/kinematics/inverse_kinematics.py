@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import UsageError
 from armsight.kinematics.arm import LIMIT_SLACK, Arm
-from armsight.kinematics.families import Family, family_of
+from armsight.kinematics.closed_form import Family, family_of
 from armsight.kinematics.kernels.closed import (
     AT_ELBOW,
     AT_SHOULDER,
@@ -117,7 +117,7 @@ def singular_names(code: int) -> tuple[str, ...]:
     return tuple(name for bit, name in names if code & bit)
 
 
-def inverse(
+def ik(
     arm: Arm,
     T_world_tool: RigidTransform | ArrayLike,
     near: ArrayLike | None = None,
@@ -132,26 +132,26 @@ def inverse(
     within limits and nearest to near (default: the middle of the range). In a singular pose the free joint keeps the
     value of near. A result that misses the tolerance is not a solution. Raises as `target_matrices`.
     """
-    wanted = tolerance or Tolerance()
+    tolerance = tolerance or Tolerance()
     T = target_matrices(arm, T_world_tool)
     if len(T) != 1:
-        raise UsageError("give one pose; `inverse_many` takes many")
-    here = start_values(arm, near)
-    aim = task_of(arm, task)
+        raise UsageError("give one pose; `ik_many` takes many")
+    q_seed = start_values(arm, near)
+    task = task_of(arm, task)
     distance = float(np.linalg.norm(T[0, :3, 3] - arm.chain[0, [3, 7, 11]]))
     if distance > arm.reach_m:
         why = f"the pose is {distance:.4g} m from the base; the arm reaches {arm.reach_m:.4g} m at most"
         return Inverse(solutions=(), beyond_limits=(), status=Status.OUT_OF_REACH, why=why, complete=True)
-    family = family_of(arm) if aim is Task.POSE else None
+    family = family_of(arm) if task is Task.POSE else None
     if family is None:
-        return _searched(arm, T[0], here, aim, wanted)
-    found = _closed(arm, family, T[0], here, wanted)
+        return _searched(arm, T[0], q_seed, task, tolerance)
+    found = _closed(arm, family, T[0], q_seed, tolerance)
     if not family.exact and not found:
-        return _searched(arm, T[0], here, aim, wanted)
-    return _sorted_out(arm, found, here, family.exact, "no joint values bring the wrist there")
+        return _searched(arm, T[0], q_seed, task, tolerance)
+    return _sorted_out(arm, found, q_seed, family.exact, "no joint values bring the wrist there")
 
 
-def inverse_many(
+def ik_many(
     arm: Arm, poses: RigidTransform | ArrayLike, near: ArrayLike | None = None
 ) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
     """Return all closed-form solutions of many poses: q (m, 8, 6), code (m, 8), count (m,).
@@ -177,27 +177,27 @@ def dh_angles(arm: Arm, q: Array) -> Array:
     return np.asarray(rows[:, 1] * q + rows[:, 2])
 
 
-def in_range(arm: Arm, q: Array, here: Array) -> Array:
+def in_range(arm: Arm, q: Array, q_seed: Array) -> Array:
     """Return q (n,) with turning joints moved by whole turns: within the limits where possible, nearest to here."""
     out = q.copy()
-    nearest_turns(arm.chain, out, here, LIMIT_SLACK)
+    nearest_turns(arm.chain, out, q_seed, LIMIT_SLACK)
     return out
 
 
-def _closed(arm: Arm, family: Family, T: Array, here: Array, wanted: Tolerance) -> list[Solution]:
+def _closed(arm: Arm, family: Family, T: Array, q_seed: Array, tolerance: Tolerance) -> list[Solution]:
     """Return the closed form's solutions that keep the tolerance, refined where the family is not exact."""
     Q, code = np.empty((9, 6)), np.zeros(9, dtype=np.int64)
     errors, inside = np.empty((9, 2)), np.empty(9, dtype=np.bool_)
-    theta = dh_angles(arm, here)
+    theta = dh_angles(arm, q_seed)
     count = solve_closed(family.numbers, family.T_base_world, family.T_tool_six, T, theta, Q, code)
     if not family.exact:
-        Q[count], code[count] = here, -1
-        count = _refine(arm, T, Q, code, count + 1, wanted)
-    settle(arm.chain, T, count, here, LIMIT_SLACK, Q, errors, inside)
+        Q[count], code[count] = q_seed, -1
+        count = _refine(arm, T, Q, code, count + 1, tolerance)
+    settle(arm.chain, T, count, q_seed, LIMIT_SLACK, Q, errors, inside)
     found: list[Solution] = []
     for k in range(count):
         m, rad = errors[k]
-        if m > wanted.m or rad > wanted.rad:
+        if m > tolerance.m or rad > tolerance.rad:
             continue
         bits = int(code[k])
         found.append(
@@ -212,19 +212,19 @@ def _closed(arm: Arm, family: Family, T: Array, here: Array, wanted: Tolerance) 
     return found
 
 
-def _refine(arm: Arm, T: Array, Q: Array, code: NDArray[np.int64], count: int, wanted: Tolerance) -> int:
+def _refine(arm: Arm, T: Array, Q: Array, code: NDArray[np.int64], count: int, tolerance: Tolerance) -> int:
     """Improve the closed form's guesses of an arm that is only close to the family; return how many are left.
 
     Limits are not looked at. Those that fail or come together are dropped; singular bits of the guess mean nothing.
     """
     free = arm.chain.copy()
     free[1:-1, 9], free[1:-1, 10] = -np.inf, np.inf
-    fine = min(wanted.m, FINE), min(wanted.rad, FINE)
+    fine = min(tolerance.m, FINE), min(tolerance.rad, FINE)
     errors, kept = np.empty(2), 0
     for k in range(count):
         q = Q[k].copy()
         solve_damped_least_squares(free, T, 6, arm.length_m**-2, *fine, MAX_STEPS, q, errors)
-        if errors[0] > wanted.m or errors[1] > wanted.rad:
+        if errors[0] > tolerance.m or errors[1] > tolerance.rad:
             continue
         if any(_gap(arm, q, other) < SAME_SOLUTION for other in Q[:kept]):
             continue
@@ -233,20 +233,20 @@ def _refine(arm: Arm, T: Array, Q: Array, code: NDArray[np.int64], count: int, w
     return kept
 
 
-def _searched(arm: Arm, T: Array, here: Array, aim: Task, wanted: Tolerance) -> Inverse:
+def _searched(arm: Arm, T: Array, q_seed: Array, task: Task, tolerance: Tolerance) -> Inverse:
     """Return what a numeric search from several starts finds; one solution where joints are more than needed."""
-    rows = 6 if aim is Task.POSE else 3
-    fine = Tolerance(m=min(wanted.m, FINE), rad=min(wanted.rad, FINE))
+    rows = 6 if task is Task.POSE else 3
+    fine = Tolerance(m=min(tolerance.m, FINE), rad=min(tolerance.rad, FINE))
     found: list[Solution] = []
     closest: Attempt | None = None
-    for start in search_starts(arm, here, NUMERIC_SEARCHES, seed=0):
-        attempt = solve_numeric(arm, T, start, task=aim, tolerance=wanted, restarts=0)
+    for start in search_starts(arm, q_seed, NUMERIC_SEARCHES, seed=0):
+        attempt = solve_numeric(arm, T, start, task=task, tolerance=tolerance, restarts=0)
         if not attempt.converged:
             closest = attempt if closest is None or attempt.error_m < closest.error_m else closest
             continue
-        finer = solve_numeric(arm, T, attempt.q, task=aim, tolerance=fine, restarts=0)
-        attempt = finer if finer.error_m <= attempt.error_m and finer.error_rad <= wanted.rad else attempt
-        q = in_range(arm, attempt.closest_q.copy(), here)
+        finer = solve_numeric(arm, T, attempt.q, task=task, tolerance=fine, restarts=0)
+        attempt = finer if finer.error_m <= attempt.error_m and finer.error_rad <= tolerance.rad else attempt
+        q = in_range(arm, attempt.closest_q.copy(), q_seed)
         if any(_gap(arm, q, other.q) < SAME_SOLUTION for other in found):
             continue
         singular = near_singularities(arm, q, SINGULAR_HERE)
@@ -254,7 +254,7 @@ def _searched(arm: Arm, T: Array, here: Array, aim: Task, wanted: Tolerance) -> 
         if arm.n > rows:
             break
     if found or closest is None:
-        return _sorted_out(arm, found, here, False, "")
+        return _sorted_out(arm, found, q_seed, False, "")
     status = Status.LIMITS if closest.stopped is Stop.LIMITS else Status.NO_SOLUTION
     why = f"{closest.stopped}; the closest approach is {closest.error_m:.3g} m and {closest.error_rad:.3g} rad off"
     return Inverse(solutions=(), beyond_limits=(), status=status, why=why, complete=False)
@@ -272,11 +272,11 @@ def _gap(arm: Arm, a: Array, b: Array) -> float:
     return float(np.abs(difference - turns * whole_turns(arm)).max())
 
 
-def _sorted_out(arm: Arm, found: list[Solution], here: Array, complete: bool, why_none: str) -> Inverse:
+def _sorted_out(arm: Arm, found: list[Solution], q_seed: Array, complete: bool, why_none: str) -> Inverse:
     """Return the record: within limits and beyond, nearest first, and the status."""
     if found:
         values = np.array([solution.q for solution in found])  # (k, n)
-        order = np.abs(values - here).max(axis=1).argsort(kind="stable")
+        order = np.abs(values - q_seed).max(axis=1).argsort(kind="stable")
         within = arm.within_limits(values)
         inside = tuple(found[k] for k in order if within[k])
         beyond = tuple(found[k] for k in order if not within[k])
