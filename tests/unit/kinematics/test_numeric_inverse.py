@@ -130,7 +130,7 @@ def test_half_a_turn_of_error_is_solved() -> None:
 
 
 def test_nothing_is_left_to_compile_after_the_warm_up() -> None:
-    from armsight.kinematics import warmup as warm_up
+    from armsight.kinematics import warm_up
     from armsight.kinematics.kernels import chain, checks, closed, derivatives, numeric
 
     warm_up()
