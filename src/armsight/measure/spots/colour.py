@@ -28,6 +28,7 @@ from armsight.measure.spots.kernels.blobs import grow_blobs
 from armsight.measure.spots.kernels.colour import (
     BRIGHT,
     CLIPPED_FROM,
+    LEAST_SATURATION,
     LEAST_VALUE,
     LOCAL,
     LOOK,
@@ -39,6 +40,7 @@ from armsight.measure.spots.kernels.colour import (
     level_below,
     look,
     matches,
+    uneven,
     white_pixels,
 )
 from armsight.measure.spots.kernels.locate import FULL, locate
@@ -64,20 +66,31 @@ FLOOR = 32.0
 LEAST_SIGNAL = FLOOR + 20.0
 """Signal that something of a colour has at its brightest."""
 LEAST_RISE = 10.0
-"""Grey levels that a light adds in its brightest channel: what replaces a ground that is brighter is painted."""
+REPLACED = 0.5
+"""Grey levels that a light adds in its brightest channel; what takes away more than this share of it in another one
+replaces its ground, and adds no light to it."""
+PURE = 0.65
+"""Least saturation of what a light adds; in simulated rooms beacons have 0.8 and more, red squares on screens 0.3-0.7."""
 COLOURED_SHARE = 0.25
 """Share of its pixels that are of the colour, where a threshold says what is bright enough to be the beacon."""
-GLOWS = 1.15
+GLOWS = (1.4, 1.12)
 """How much brighter a light is than what the room lights: than nine tenths of the image, and than three quarters of what
-is within 90 px of it, clipped pixels left out. In simulated rooms beacons have 1.2 and more before the brightest walls,
-1.9 in the middle; nine tenths of painted things less than this."""
+is within 90 px of it, clipped pixels left out. First for grey levels in proportion to the light, then for a camera that
+processes its pictures and squeezes what is bright. In simulated rooms beacons have 1.52 and 1.14 at the least, painted
+things and screens seldom so much."""
 ROOM_SHARE = 0.9
 PAINTED = "of the beacon's colour, but no brighter than things that the room lights"
 SMOOTH = 0.8
 """Mean step to the next pixel over that to the one after it, below which colours were interpolated; 1: white noise."""
-INTERPOLATED_PX = 0.07
+INTERPOLATED_PX = 0.06
 """Deviation per coordinate of a light's centre of which the fit does not know where a camera interpolated its colours
 and stored them at half size: what simulated webcams leave (compression, sharpening and mosaic)."""
+UNEVEN = (0.35, 0.85)
+"""Deviation in radii for a ground as uneven as half of the light's height: where the colours are measured in each pixel,
+and where they were interpolated. With these 94-96 % of 760 beacons before simulated rooms are within their 95 % ellipse,
+seeds apart."""
+HALF_HEIGHT = 1.18
+"""Radius at half of its height of a Gaussian light over its deviation."""
 
 
 def coloured_candidates(image: Image, settings: SpotSettings) -> Candidates:
@@ -97,12 +110,12 @@ def coloured_candidates(image: Image, settings: SpotSettings) -> Candidates:
     if not quiet:
         areas, complete = _coloured_blobs(signal, plain)
         state = fresh_state(len(areas))
-    painted = _leave_lights(bgr, signal, areas, state, settings, room_level)
-    floor = _floor(signal)
+    interpolated = _interpolated(signal)
+    painted = _leave_lights(bgr, signal, areas, state, settings, room_level, interpolated)
 
     def fit(chosen: Index, others: int) -> Spots:
         own = state.copy() if quiet else only(state, chosen, others)
-        spots = _widened(record(*measured(signal, plain, areas, own, survey)), floor)
+        spots = _widened(record(*measured(signal, plain, areas, own, survey)), signal, interpolated)
         return dataclasses.replace(spots, rejected=spots.rejected + painted) if painted else spots
 
     return Candidates(areas=areas, state=state, fit=fit, quiet=quiet, complete=complete)
@@ -124,9 +137,11 @@ def track_coloured(
             signal[box] = hue_signal(bgr[box], settings)[0]
             boxes.append(box)
     spots, of = track_grey(signal, predicted, half_window_px, _plain(settings))
-    spots = _widened(spots, max((_floor(signal[box]) for box in boxes), default=0.0))
+    interpolated = any(_interpolated(signal[box]) for box in boxes)
+    spots = _widened(spots, signal, interpolated)
     room_level = float(np.quantile(brightest(bgr[::SPARSE, ::SPARSE]), ROOM_SHARE)) if len(spots) else 0.0
-    kept = [i for i in range(len(spots)) if _is_light(bgr, signal, _box_of(spots, i, signal), settings, room_level)]
+    about = [_box_of(spots, i, signal) for i in range(len(spots))]
+    kept = [i for i, box in enumerate(about) if _is_light(bgr, signal, box, settings, room_level, interpolated)]
     return (spots, of) if len(kept) == len(spots) else (spots.take(kept), of[kept])
 
 
@@ -154,13 +169,13 @@ def brightest(bgr: Image) -> Image:
 
 def _fill_cores(bgr: Image, signal: Image, settings: SpotSettings) -> None:
     """Raise the signal where a light is so bright that its middle is white."""
-    white = np.empty_like(signal)
+    white = np.empty(((signal.shape[0] + 1) // 2, (signal.shape[1] + 1) // 2), np.uint8)
     white_pixels(bgr, settings.saturation, white)
     _, _, found, _ = cv2.connectedComponentsWithStats(white, connectivity=8)
     widest = 2.0 * settings.max_radius_px
     for x, y, w, h, _ in found[1:].tolist():
-        if max(w, h) <= widest:
-            fill_white(bgr, settings.saturation, np.array([x, x + w - 1, y, y + h - 1]), signal)
+        if 2 * max(w, h) <= widest:
+            fill_white(bgr, settings.saturation, 2 * np.array([x, x + w - 1, y, y + h - 1]), signal)
 
 
 def _coloured_blobs(signal: Image, plain: SpotSettings) -> tuple[Array, bool]:
@@ -188,20 +203,26 @@ def _coloured_blobs(signal: Image, plain: SpotSettings) -> tuple[Array, bool]:
     return table[:n], bool(looked == len(peaks))
 
 
-def _floor(signal: Image) -> float:
-    """Return the variance (px^2) that a centre has besides: none where neighbouring pixels are independent."""
+def _interpolated(signal: Image) -> bool:
+    """Tell whether colours were interpolated: neighbouring pixels differ less than those further apart."""
     rows = signal[::4].astype(np.int16)
     if rows.shape[1] < 3:
-        return 0.0
+        return False
     near, far = (np.minimum(np.abs(rows[:, k:] - rows[:, :-k]), 8).mean() for k in (1, 2))
-    return INTERPOLATED_PX**2 if near < SMOOTH * far else 0.0
+    return bool(near < SMOOTH * far)
 
 
-def _widened(spots: Spots, variance: float) -> Spots:
-    """Return the spots with so much variance more per coordinate."""
-    if not variance or not len(spots):
+def _widened(spots: Spots, signal: Image, interpolated: bool) -> Spots:
+    """Return the spots with what no residual shows in their covariances: colours made up, and an uneven ground."""
+    if not len(spots):
         return spots
-    return dataclasses.replace(spots, covariance_px2=spots.covariance_px2 + variance * np.eye(2))
+    own = INTERPOLATED_PX if interpolated else 0.0
+    covariance = np.array(spots.covariance_px2)
+    for i, ((u, v), size, model) in enumerate(zip(spots.uv_px, spots.size_px, spots.model, strict=True)):
+        radius = float(size) * (1.0 if model in ("ellipse", "centroid") else HALF_HEIGHT)
+        shift = UNEVEN[interpolated] * radius * uneven(signal, float(u), float(v), radius)
+        covariance[i] += (own**2 + shift**2) * np.eye(2)
+    return dataclasses.replace(spots, covariance_px2=covariance)
 
 
 def _coloured_image(image: Image) -> Image:
@@ -228,7 +249,13 @@ def _definition(settings: SpotSettings) -> Array:
 
 
 def _leave_lights(
-    bgr: Image, signal: Image, areas: Array, state: NDArray[np.int64], settings: SpotSettings, room_level: float
+    bgr: Image,
+    signal: Image,
+    areas: Array,
+    state: NDArray[np.int64],
+    settings: SpotSettings,
+    room_level: float,
+    interpolated: bool,
 ) -> tuple[tuple[float, float, str], ...]:
     """Take out the areas that are no lights of the colour; return those of them that are of the colour, as refused."""
     painted = []
@@ -236,7 +263,7 @@ def _leave_lights(
         box = area[[X_MIN, X_MAX, Y_MIN, Y_MAX]].astype(np.int64)
         seen = _look(bgr, signal, box, float(area[LEVEL]), settings) if area[PEAK] >= LEAST_SIGNAL else None
         coloured = seen is not None and _is_coloured(bgr, box, seen, settings)
-        if coloured and seen is not None and _glows(seen, settings, room_level):
+        if coloured and seen is not None and _glows(seen, settings, room_level, interpolated):
             continue
         state[i, OWNER] = -1
         if state[i, STATUS] == ACCEPTED:
@@ -246,11 +273,18 @@ def _leave_lights(
     return tuple(painted)
 
 
-def _is_light(bgr: Image, signal: Image, box: NDArray[np.int64], settings: SpotSettings, room_level: float) -> bool:
+def _is_light(
+    bgr: Image,
+    signal: Image,
+    box: NDArray[np.int64],
+    settings: SpotSettings,
+    room_level: float,
+    interpolated: bool,
+) -> bool:
     """Tell whether what is in box is a light of the colour."""
     part = signal[box[2] : box[3] + 1, box[0] : box[1] + 1]
     seen = _look(bgr, signal, box, 0.5 * (FLOOR + float(part.max())), settings)
-    return _is_coloured(bgr, box, seen, settings) and _glows(seen, settings, room_level)
+    return _is_coloured(bgr, box, seen, settings) and _glows(seen, settings, room_level, interpolated)
 
 
 def _box_of(spots: Spots, i: int, signal: Image) -> NDArray[np.int64]:
@@ -273,15 +307,17 @@ def _is_coloured(bgr: Image, box: NDArray[np.int64], seen: Array, settings: Spot
     if settings.threshold is not None:
         pixels = float((box[1] - box[0] + 1) * (box[3] - box[2] + 1))
         return bool(coloured_pixels(bgr, definition, box) >= max(COLOURED_SHARE * pixels, 1.0))
-    if seen[:3].max() < LEAST_RISE or seen[BRIGHT] < definition[LEAST_VALUE]:
+    rise = float(seen[:3].max())
+    if rise < LEAST_RISE or seen[:3].min() < -REPLACED * rise or seen[BRIGHT] < definition[LEAST_VALUE]:
         return False
-    definition[LEAST_VALUE] = 0.0
+    definition[LEAST_VALUE], definition[LEAST_SATURATION] = 0.0, max(definition[LEAST_SATURATION], PURE)
     b, g, r = (int(v) for v in np.rint(16.0 * np.maximum(seen[:3], 0.0)))
     return bool(matches(b, g, r, definition))
 
 
-def _glows(seen: Array, settings: SpotSettings, room_level: float) -> bool:
+def _glows(seen: Array, settings: SpotSettings, room_level: float, interpolated: bool) -> bool:
     """Tell whether something is brighter than what the room lights, or than the threshold that is given."""
     if settings.threshold is not None:
         return bool(seen[BRIGHT] > settings.threshold)
-    return bool(seen[BRIGHT] >= CLIPPED_FROM or seen[BRIGHT] > GLOWS * max(room_level, float(seen[LOCAL])))
+    room = max(room_level, float(seen[LOCAL]))
+    return bool(seen[BRIGHT] >= CLIPPED_FROM or seen[BRIGHT] > GLOWS[interpolated] * room)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import sqrt
+
 import numpy as np
 
 from armsight.measure.spots.kernels.compiled import kernel
@@ -29,6 +31,8 @@ CLIPPED_FROM = 250
 # what `look` sees: by how much blue, green, red are brighter than the ground; own level; level of what is round it
 BRIGHT, LOCAL = 3, 4
 LOOK = 5
+
+OCTANTS = 8
 
 
 @kernel
@@ -98,8 +102,9 @@ def colour_signal(image, weights, floor, saturation, signal, levels):
             s = start + w0 * b + w1 * g + w2 * r
             clipped = np.int32(b >= top) + np.int32(g >= top) + np.int32(r >= top)
             if clipped > 0:
-                white += min(b, min(g, r)) >= pale
-                if clipped > 1 and s > positive:
+                if min(b, min(g, r)) >= pale:
+                    white += 1
+                elif clipped > 1 and s > positive:
                     s = np.int32(255 * ONE)
             signal[y, x] = np.uint8(min(max(s, np.int32(0)) >> SHIFT, np.int32(255)))
         if y % SPARSE == 0:
@@ -110,10 +115,10 @@ def colour_signal(image, weights, floor, saturation, signal, levels):
 
 @kernel
 def white_pixels(image, saturation, white):
-    """Fill white (h, w) with 255 where a pixel is clipped and nearly white, else 0."""
+    """Fill white with 255 where every second pixel of every second row is clipped and nearly white, else 0."""
     for y in range(white.shape[0]):
         for x in range(white.shape[1]):
-            white[y, x] = 255 if _pale(image, y, x, saturation) else 0
+            white[y, x] = 255 if _pale(image, 2 * y, 2 * x, saturation) else 0
 
 
 @kernel
@@ -130,8 +135,8 @@ def fill_white(image, saturation, box, signal):
                 coloured += signal[y, x] >= HALO_LEVEL
     if n == 0 or coloured < HALO_SHARE * n:
         return False
-    for y in range(box[2], box[3] + 1):
-        for x in range(box[0], box[1] + 1):
+    for y in range(max(box[2] - 1, 0), min(box[3] + 1, h - 1) + 1):
+        for x in range(max(box[0] - 1, 0), min(box[1] + 1, w - 1) + 1):
             if _pale(image, y, x, saturation):
                 signal[y, x] = 255
     return True
@@ -208,3 +213,38 @@ def level_below(counts, end, share):
         if below > share * n:
             return float(i)
     return 0.0
+
+
+@kernel
+def uneven(signal, u, v, radius):
+    """Return how uneven the ground about a light at (u, v) is: deviation of the means over the OCTANTS of a frame about
+    it, over half of the light's height."""
+    h, w = signal.shape
+    x, y = int(u + 0.5), int(v + 0.5)
+    inner = int(radius + 0.5)
+    outer = inner + FRAME_GAP + inner // 2
+    peak = np.int64(0)
+    sums = np.zeros(OCTANTS)
+    counts = np.zeros(OCTANTS)
+    for j in range(max(y - outer, 0), min(y + outer, h - 1) + 1):
+        for i in range(max(x - outer, 0), min(x + outer, w - 1) + 1):
+            away = max(abs(i - x), abs(j - y))
+            if away <= inner:
+                peak = max(peak, np.int64(signal[j, i]))
+            elif away > outer - 2:
+                k = (1 if i > x else 0) + (2 if j > y else 0) + (4 if abs(i - x) > abs(j - y) else 0)
+                sums[k] += signal[j, i]
+                counts[k] += 1.0
+    n = 0.0
+    mean = 0.0
+    square = 0.0
+    for k in range(OCTANTS):
+        if counts[k] > 0.0:
+            level = sums[k] / counts[k]
+            n += 1.0
+            mean += level
+            square += level * level
+    if n < 2.0:
+        return 1.0
+    mean /= n
+    return sqrt(max(square / n - mean * mean, 0.0)) / max(0.5 * (peak - mean), 1.0)
