@@ -76,12 +76,17 @@ def measure_pair(setup: Setup, left: Frame, right: Frame, track: Track | None = 
     measured = _measure_candidates(setup, t_s, at_left, at_right, track)
     if measured.pose.status is PoseStatus.OK or measured.alternatives or len(measured.names) == len(setup.model):
         return measured
-    if setup.settings.colour is not None:
-        return measured  # all that has the colour was looked at
+    if setup.settings.colour is not None or _too_many(setup, measured):
+        return measured  # all that has the colour was looked at; more lights would tell no more
     if not any(_more_to_see(at, seen) for at, seen in ((at_left, measured.left_seen), (at_right, measured.right_seen))):
         return measured
     again = _measure_candidates(setup, t_s, *_candidates(setup, left, right, faint=True), track)
     return again if again.pose.status is PoseStatus.OK or measured.pose.status is PoseStatus.LOST else measured
+
+
+def _too_many(setup: Setup, measured: Measured) -> bool:
+    """Whether more lights are seen than a target of unknown geometry has, which names none of them."""
+    return not setup.target.model_known and min(len(measured.left_seen), len(measured.right_seen)) > len(setup.model)
 
 
 def _more_to_see(candidates: Candidates, seen: Spots) -> bool:
