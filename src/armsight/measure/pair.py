@@ -195,7 +195,7 @@ def _from_spots(
     if match.best is None:
         if track is None:
             _refuse_swapped(setup, left, right)
-        chosen = among is not None and among.arrangements != AS_FOUND
+        chosen = (among is not None and among.arrangements != AS_FOUND) or setup.settings.colour is not None
         why = match.why if chosen and match.why else _explain(setup, left, right, pairs, match.why)
         return _nothing(t_s, left, right, why, track), 1.0
     index = pairs.index[match.best.pair]
@@ -286,7 +286,7 @@ def _match(
 ) -> Match:
     """Name the spots: by the target's geometry, by their order in the image, or as far as one or two lights go."""
     known, model = setup.target.model_known, setup.model
-    if setup.settings.colour is not None and len(model) == 1 and among is not None:
+    if setup.settings.colour is not None and len(model) == 1:
         return match_beacon(setup, left, right, pairs, prediction)
     if not len(pairs.index):
         return Match(best=None, why="" if among is None else among.nothing)

@@ -159,6 +159,7 @@ def test_a_track_does_not_follow_what_is_painted() -> None:
     image = ground(1, room=False)
     cv2.circle(image, (300, 200), 6, (10.0, 10.0, 80.0), -1, cv2.LINE_AA)
     assert len(track_spots(stored(image, 4), [[301.0, 201.0]], 20.0, settings)[0]) == 0
+    cv2.circle(image, (300, 200), 6, (10.0, 10.0, 10.0), -1, cv2.LINE_AA)
     light(image, np.array([300.0, 200.0]), LED, 170.0, 3.0)
     assert len(track_spots(stored(image, 4), [[301.0, 201.0]], 20.0, settings)[0]) == 1
 

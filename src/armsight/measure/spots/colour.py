@@ -33,6 +33,7 @@ from armsight.measure.spots.kernels.colour import (
     LOCAL,
     LOOK,
     ONE,
+    OWN,
     SPARSE,
     colour_signal,
     coloured_pixels,
@@ -79,6 +80,8 @@ is within 90 px of it, clipped pixels left out. First for grey levels in proport
 processes its pictures and squeezes what is bright. In simulated rooms beacons have 1.52 and 1.14 at the least, painted
 things and screens seldom so much."""
 ROOM_SHARE = 0.9
+DARK = 50.0
+"""Grey level of nine tenths of an image that shows little else than lights."""
 PAINTED = "of the beacon's colour, but no brighter than things that the room lights"
 SMOOTH = 0.8
 """Mean step to the next pixel over that to the one after it, below which colours were interpolated; 1: white noise."""
@@ -105,7 +108,12 @@ def coloured_candidates(image: Image, settings: SpotSettings) -> Candidates:
     plain = _plain(settings)
     signal = searchable(raised, plain)
     areas, state, survey, outcome = locate(signal, plain.mask_bytes, plain.options)
-    quiet = bool(outcome == FULL and is_dark(areas, state, plain) and is_quiet(state, plain.max_spots))
+    quiet = bool(
+        room_level <= DARK
+        and outcome == FULL
+        and is_dark(areas, state, plain)
+        and is_quiet(state, plain.max_spots)
+    )
     complete = True
     if not quiet:
         areas, complete = _coloured_blobs(signal, plain)
@@ -297,21 +305,26 @@ def _box_of(spots: Spots, i: int, signal: Image) -> NDArray[np.int64]:
 
 def _look(bgr: Image, signal: Image, box: NDArray[np.int64], level: float, settings: SpotSettings) -> Array:
     seen = np.empty(LOOK)
-    look(bgr, signal, box, level, settings.saturation, seen)
+    look(bgr, signal, box, level, FLOOR, settings.saturation, seen)
     return seen
 
 
 def _is_coloured(bgr: Image, box: NDArray[np.int64], seen: Array, settings: SpotSettings) -> bool:
-    """Tell whether something is of the colour: in what it adds to its ground, or as it is where a threshold is given."""
+    """Tell whether something is of the colour: in what it adds to its ground, or as it is."""
     definition = _definition(settings)
     if settings.threshold is not None:
         pixels = float((box[1] - box[0] + 1) * (box[3] - box[2] + 1))
         return bool(coloured_pixels(bgr, definition, box) >= max(COLOURED_SHARE * pixels, 1.0))
-    rise = float(seen[:3].max())
-    if rise < LEAST_RISE or seen[:3].min() < -REPLACED * rise or seen[BRIGHT] < definition[LEAST_VALUE]:
+    if seen[BRIGHT] < definition[LEAST_VALUE]:
         return False
     definition[LEAST_VALUE], definition[LEAST_SATURATION] = 0.0, max(definition[LEAST_SATURATION], PURE)
-    b, g, r = (int(v) for v in np.rint(16.0 * np.maximum(seen[:3], 0.0)))
+    rise = float(seen[:3].max())
+    added = rise >= LEAST_RISE and seen[:3].min() >= -REPLACED * rise
+    return bool((added and _matches(seen[:3], definition)) or _matches(seen[OWN : OWN + 3], definition))
+
+
+def _matches(bgr: Array, definition: Array) -> bool:
+    b, g, r = (int(v) for v in np.rint(16.0 * np.maximum(bgr, 0.0)))
     return bool(matches(b, g, r, definition))
 
 

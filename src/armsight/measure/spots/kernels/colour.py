@@ -28,9 +28,10 @@ LOCAL_SHARE = 0.75
 CLIPPED_FROM = 250
 """Pixels about a light that tell how bright the room is there."""
 
-# what `look` sees: by how much blue, green, red are brighter than the ground; own level; level of what is round it
-BRIGHT, LOCAL = 3, 4
-LOOK = 5
+# what `look` sees: by how much blue, green, red are brighter than the ground; own level; level of what is round it;
+# blue, green, red as they are
+BRIGHT, LOCAL, OWN = 3, 4, 5
+LOOK = 8
 
 OCTANTS = 8
 
@@ -151,21 +152,21 @@ def _pale(image, y, x, saturation):
 
 
 @kernel
-def look(image, signal, box, level, saturation, seen):
+def look(image, signal, box, level, floor, saturation, seen):
     """Fill seen (LOOK,) with what the pixels of box (x first, x last, y first, y last) above level of signal show.
 
-    How much brighter they are than the median of a frame about the box, by channel, clipped pixels left out where
-    others are enough: what a light adds is of its own colour, whatever stands behind it. How bright the upper half of
-    them is in its brightest channel. And the level that LOCAL_SHARE of the pixels about it stay below, no clipped ones.
+    How much brighter they are than the median of a frame about the box, by channel, of the upper half of their height
+    and without clipped pixels where those are enough: what a light adds is of its own colour, whatever stands behind
+    it. How bright the upper half is in its brightest channel. And the level that LOCAL_SHARE of the pixels about it stay below, no clipped ones.
     """
     h, w = signal.shape
     x0, x1, y0, y1 = box[0], box[1], box[2], box[3]
-    sums = np.zeros((2, 4))
+    sums = np.zeros((3, 4))  # of unclipped pixels of the upper half, of the lower half, of clipped ones
     peak = np.int64(0)
     for y in range(y0, y1 + 1):
         for x in range(x0, x1 + 1):
             peak = max(peak, np.int64(signal[y, x]))
-    high = 0.5 * (level + peak)
+    high = 0.5 * (max(level, floor) + peak)
     bright = 0.0
     n_bright = 0.0
     for y in range(y0, y1 + 1):
@@ -173,16 +174,17 @@ def look(image, signal, box, level, saturation, seen):
             if signal[y, x] <= level:
                 continue
             top = max(max(image[y, x, 0], image[y, x, 1]), image[y, x, 2])
-            k = 1 if top >= saturation else 0
+            k = 2 if top >= saturation else 0 if signal[y, x] >= high else 1
             for c in range(3):
                 sums[k, c] += image[y, x, c]
             sums[k, 3] += 1.0
             if signal[y, x] >= high:
                 bright += top
                 n_bright += 1.0
-    if sums[0, 3] < FEWEST_UNCLIPPED:
-        for c in range(4):
-            sums[0, c] += sums[1, c]
+    for k in range(1, 3):
+        if sums[0, 3] < FEWEST_UNCLIPPED:
+            for c in range(4):
+                sums[0, c] += sums[k, c]
     gap = FRAME_GAP + max(x1 - x0, y1 - y0) // 4
     x0, x1, y0, y1 = max(x0 - gap, 0), min(x1 + gap, w - 1), max(y0 - gap, 0), min(y1 + gap, h - 1)
     counts = np.zeros((3, 256), np.int64)
@@ -192,7 +194,8 @@ def look(image, signal, box, level, saturation, seen):
                 for c in range(3):
                     counts[c, image[y, x, c]] += 1
     for c in range(3):
-        seen[c] = sums[0, c] / max(sums[0, 3], 1.0) - level_below(counts[c], 256, 0.5)
+        seen[OWN + c] = sums[0, c] / max(sums[0, 3], 1.0)
+        seen[c] = seen[OWN + c] - level_below(counts[c], 256, 0.5)
     seen[BRIGHT] = bright / max(n_bright, 1.0)
     counts[0, :] = 0
     for y in range(max(y0 - NEIGHBOURHOOD, 0), min(y1 + NEIGHBOURHOOD, h), 4):
