@@ -65,7 +65,9 @@ def too_small(candidates: tuple[Candidates, Candidates], seen: tuple[Spots, Spot
 def _nothing(left: Spots, right: Spots) -> str:
     """Return why there is no pair."""
     if len(left) and len(right):
-        return "no light of the beacon's colour in the left image agrees with one in the right image (epipolar distance)"
+        return (
+            "no light of the beacon's colour in the left image agrees with one in the right image (epipolar distance)"
+        )
     where = "either image" if not len(left) and not len(right) else f"the {'right' if len(left) else 'left'} image"
     if any(why == PAINTED for spots in (left, right) for _, _, why in spots.rejected):
         return (

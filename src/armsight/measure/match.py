@@ -65,8 +65,8 @@ OUTLINE = "ellipse"
 """The spots' model whose centre is that of a flat light's outline."""
 
 _UNMEASURED = (
-    "which of them are the target's, one pair of images does not tell, so that no pose is given; measure the target once "
-    "(armsight calibrate target), black out the rest (--mask), raise --threshold, or darken the room"
+    "which of them are the target's, one pair of images does not tell, so that no pose is given; measure the target "
+    "once (armsight calibrate target), black out the rest (--mask), raise --threshold, or darken the room"
 )
 _FEWER = "mask the background or raise the threshold"
 

@@ -22,7 +22,16 @@ from armsight.measure.spots.candidates import (
     only,
     pyramid_peaks,
 )
-from armsight.measure.spots.grey import Array, Image, checked_mask, measured, not_an_image, record, searchable, track_grey
+from armsight.measure.spots.grey import (
+    Array,
+    Image,
+    checked_mask,
+    measured,
+    not_an_image,
+    record,
+    searchable,
+    track_grey,
+)
 from armsight.measure.spots.kernels.area import ACCEPTED, OWNER, STATUS, UNUSED
 from armsight.measure.spots.kernels.blobs import grow_blobs
 from armsight.measure.spots.kernels.colour import (
@@ -71,12 +80,12 @@ REPLACED = 0.5
 """Grey levels that a light adds in its brightest channel; what takes away more than this share of it in another one
 replaces its ground, and adds no light to it."""
 PURE = 0.65
-"""Least saturation of what a light adds; in simulated rooms beacons have 0.8 and more, red squares on screens 0.3-0.7."""
+"""Least saturation of what a light adds: in simulated rooms beacons have 0.7 and more, red squares on screens less."""
 COLOURED_SHARE = 0.25
 """Share of its pixels that are of the colour, where a threshold says what is bright enough to be the beacon."""
 GLOWS = (1.4, 1.12)
-"""How much brighter a light is than what the room lights: than nine tenths of the image, and than three quarters of what
-is within 90 px of it, clipped pixels left out. First for grey levels in proportion to the light, then for a camera that
+"""How much brighter a light is than what the room lights: than nine tenths of the image, and than three quarters of
+what is within 90 px of it, clipped pixels left out. First for grey levels in proportion to the light, then for a camera that
 processes its pictures and squeezes what is bright. In simulated rooms beacons have 1.52 and 1.14 at the least, painted
 things and screens seldom so much."""
 ROOM_SHARE = 0.9
@@ -88,10 +97,9 @@ SMOOTH = 0.8
 INTERPOLATED_PX = 0.06
 """Deviation per coordinate of a light's centre of which the fit does not know where a camera interpolated its colours
 and stored them at half size: what simulated webcams leave (compression, sharpening and mosaic)."""
-UNEVEN = (0.35, 0.85)
-"""Deviation in radii for a ground as uneven as half of the light's height: where the colours are measured in each pixel,
-and where they were interpolated. With these 94-96 % of 760 beacons before simulated rooms are within their 95 % ellipse,
-seeds apart."""
+UNEVEN = (0.3, 0.85)
+"""Deviation in radii for a ground as uneven as half of the light's height: where the colours are measured in each
+pixel, and where they were interpolated. With these 93-97 % of 760 beacons in rooms are within their 95 % ellipse."""
 HALF_HEIGHT = 1.18
 """Radius at half of its height of a Gaussian light over its deviation."""
 
@@ -109,10 +117,7 @@ def coloured_candidates(image: Image, settings: SpotSettings) -> Candidates:
     signal = searchable(raised, plain)
     areas, state, survey, outcome = locate(signal, plain.mask_bytes, plain.options)
     quiet = bool(
-        room_level <= DARK
-        and outcome == FULL
-        and is_dark(areas, state, plain)
-        and is_quiet(state, plain.max_spots)
+        room_level <= DARK and outcome == FULL and is_dark(areas, state, plain) and is_quiet(state, plain.max_spots)
     )
     complete = True
     if not quiet:

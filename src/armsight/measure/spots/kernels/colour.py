@@ -16,7 +16,9 @@ ONE = 4096
 """Unit of the weights of the channels: the sum is in integers."""
 SPARSE = 8
 PALE = 0.75
-"""Share of the clipping level that all channels of a nearly white pixel reach."""
+NEARLY = 0.97
+"""Shares of the clipping level that all channels of a nearly white pixel reach, and the brightest one at the least:
+compression leaves some of a clipped area a little below."""
 HALO = 3
 HALO_LEVEL = 48
 HALO_SHARE = 0.4
@@ -148,7 +150,7 @@ def _pale(image, y, x, saturation):
     b = image[y, x, 0]
     g = image[y, x, 1]
     r = image[y, x, 2]
-    return max(max(b, g), r) >= saturation and min(min(b, g), r) >= PALE * saturation
+    return max(max(b, g), r) >= NEARLY * saturation and min(min(b, g), r) >= PALE * saturation
 
 
 @kernel
@@ -157,11 +159,12 @@ def look(image, signal, box, level, floor, saturation, seen):
 
     How much brighter they are than the median of a frame about the box, by channel, of the upper half of their height
     and without clipped pixels where those are enough: what a light adds is of its own colour, whatever stands behind
-    it. How bright the upper half is in its brightest channel. And the level that LOCAL_SHARE of the pixels about it stay below, no clipped ones.
+    it. How bright the upper half is in its brightest channel. And the level that LOCAL_SHARE of the pixels about it
+    stay below, no clipped ones.
     """
     h, w = signal.shape
     x0, x1, y0, y1 = box[0], box[1], box[2], box[3]
-    sums = np.zeros((3, 4))  # of unclipped pixels of the upper half, of the lower half, of clipped ones
+    sums = np.zeros((3, 4))  # of unclipped pixels of the upper half, of the others and the halo, of clipped ones
     peak = np.int64(0)
     for y in range(y0, y1 + 1):
         for x in range(x0, x1 + 1):
@@ -169,9 +172,10 @@ def look(image, signal, box, level, floor, saturation, seen):
     high = 0.5 * (max(level, floor) + peak)
     bright = 0.0
     n_bright = 0.0
-    for y in range(y0, y1 + 1):
-        for x in range(x0, x1 + 1):
-            if signal[y, x] <= level:
+    least = min(level, float(HALO_LEVEL))
+    for y in range(max(y0 - HALO, 0), min(y1 + HALO, h - 1) + 1):
+        for x in range(max(x0 - HALO, 0), min(x1 + HALO, w - 1) + 1):
+            if signal[y, x] <= least:
                 continue
             top = max(max(image[y, x, 0], image[y, x, 1]), image[y, x, 2])
             k = 2 if top >= saturation else 0 if signal[y, x] >= high else 1
