@@ -85,9 +85,9 @@ COLOURED_SHARE = 0.25
 """Share of its pixels that are of the colour, where a threshold says what is bright enough to be the beacon."""
 GLOWS = (1.4, 1.12)
 """How much brighter a light is than what the room lights: than nine tenths of the image, and than three quarters of
-what is within 90 px of it, clipped pixels left out. First for grey levels in proportion to the light, then for a camera that
-processes its pictures and squeezes what is bright. In simulated rooms beacons have 1.52 and 1.14 at the least, painted
-things and screens seldom so much."""
+what is within 90 px of it, clipped pixels left out. First for grey levels in proportion to the light, then for a camera
+that processes its pictures and squeezes what is bright. In simulated rooms beacons have 1.52 and 1.14 at the least,
+painted things and screens seldom so much."""
 ROOM_SHARE = 0.9
 DARK = 50.0
 """Grey level of nine tenths of an image that shows little else than lights."""

@@ -191,21 +191,34 @@ def look(image, signal, box, level, floor, saturation, seen):
                 sums[0, c] += sums[k, c]
     gap = FRAME_GAP + max(x1 - x0, y1 - y0) // 4
     x0, x1, y0, y1 = max(x0 - gap, 0), min(x1 + gap, w - 1), max(y0 - gap, 0), min(y1 + gap, h - 1)
+    counts = _frame_levels(image, x0, x1, y0, y1)
+    for c in range(3):
+        seen[OWN + c] = sums[0, c] / max(sums[0, 3], 1.0)
+        seen[c] = seen[OWN + c] - level_below(counts[c], 256, 0.5)
+    seen[BRIGHT] = bright / max(n_bright, 1.0)
+    seen[LOCAL] = level_below(_levels_about(image, x0, x1, y0, y1), CLIPPED_FROM, LOCAL_SHARE)
+
+
+@kernel
+def _frame_levels(image, x0, x1, y0, y1):
+    """Return how often each channel has each level (3, 256) in the outer two pixels of a box."""
     counts = np.zeros((3, 256), np.int64)
     for y in range(y0, y1 + 1):
         for x in range(x0, x1 + 1):
             if y < y0 + 2 or y > y1 - 2 or x < x0 + 2 or x > x1 - 2:
                 for c in range(3):
                     counts[c, image[y, x, c]] += 1
-    for c in range(3):
-        seen[OWN + c] = sums[0, c] / max(sums[0, 3], 1.0)
-        seen[c] = seen[OWN + c] - level_below(counts[c], 256, 0.5)
-    seen[BRIGHT] = bright / max(n_bright, 1.0)
-    counts[0, :] = 0
-    for y in range(max(y0 - NEIGHBOURHOOD, 0), min(y1 + NEIGHBOURHOOD, h), 4):
-        for x in range(max(x0 - NEIGHBOURHOOD, 0), min(x1 + NEIGHBOURHOOD, w), 4):
-            counts[0, max(max(image[y, x, 0], image[y, x, 1]), image[y, x, 2])] += 1
-    seen[LOCAL] = level_below(counts[0], CLIPPED_FROM, LOCAL_SHARE)
+    return counts
+
+
+@kernel
+def _levels_about(image, x0, x1, y0, y1):
+    """Return how often the brightest channel has each level (256,) about a box."""
+    counts = np.zeros(256, np.int64)
+    for y in range(max(y0 - NEIGHBOURHOOD, 0), min(y1 + NEIGHBOURHOOD, image.shape[0]), 4):
+        for x in range(max(x0 - NEIGHBOURHOOD, 0), min(x1 + NEIGHBOURHOOD, image.shape[1]), 4):
+            counts[max(max(image[y, x, 0], image[y, x, 1]), image[y, x, 2])] += 1
+    return counts
 
 
 @kernel
