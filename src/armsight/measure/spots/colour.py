@@ -99,7 +99,8 @@ INTERPOLATED_PX = 0.06
 and stored them at half size: what simulated webcams leave (compression, sharpening and mosaic)."""
 UNEVEN = (0.3, 0.85)
 """Deviation in radii for a ground as uneven as half of the light's height: where the colours are measured in each
-pixel, and where they were interpolated. With these 93-97 % of 760 beacons in rooms are within their 95 % ellipse."""
+pixel, and where they were interpolated. With these the 95 % ellipsoids of positions before simulated rooms hold 96 % of
+121 with machine cameras and 93 % of 120 with webcams."""
 HALF_HEIGHT = 1.18
 """Radius at half of its height of a Gaussian light over its deviation."""
 
