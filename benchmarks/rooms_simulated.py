@@ -44,6 +44,8 @@ FRAMES = 5
 """Complex images of one room: the robot carries its rig along the arc between them."""
 FAR_MM = 50.0
 """A beacon's position further off than this is that of something else."""
+REDDER, CLIPPED = 40.0, 200.0
+"""Grey levels of light: something is red by that, and a beacon before more than this is clipped."""
 FPS = 30.0
 
 RED_THINGS = {
@@ -61,7 +63,10 @@ RED_THINGS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Found:
-    """One pair with a beacon: status and why, error in mm and squared over its claim (NaN: no position), time."""
+    """One pair with a beacon: status and why, error in mm and squared over its claim (NaN: no position), time.
+
+    alone: nothing else in the room is red, and the beacon is not before what the cameras clip.
+    """
 
     status: str
     why: str
@@ -69,6 +74,7 @@ class Found:
     chi2: float
     ms: float
     seed: int
+    alone: bool
 
     @property
     def given(self) -> bool:
@@ -159,14 +165,18 @@ def beacon(count: int) -> None:
         ("Red beacon in rooms", {}, True),
         ("Red beacon among red lamps and a red sheet: to be refused", RED_THINGS, True),
         ("The same without the beacon: to be refused", RED_THINGS, False),
+        ("Rooms without a beacon: to be refused", {}, False),
     ):
-        n = count if not things else max(count // 4, 10)
+        n = count if shown and not things else max(count // 4, 10)
         seen: dict[str, list[Found]] = {pipeline: [] for pipeline in PIPELINES}
         for seed in range(-(-n // FRAMES)):
             for pipeline in PIPELINES:  # of the same room, which is furnished once
                 seen[pipeline] += beacon_pairs(seed, pipeline, things, shown)
         for pipeline in PIPELINES:
             beacon_rows(f"{title}, {pipeline}, {len(seen[pipeline])} pairs", seen[pipeline])
+            alone = [one for one in seen[pipeline] if one.alone and not things]
+            if alone:
+                beacon_rows(f"Of these, {len(alone)} pairs with nothing else red and no window behind it", alone)
 
 
 def beacon_pairs(seed: int, pipeline: str, things: Mapping[str, object], shown: bool) -> Iterator[Found]:
@@ -177,15 +187,29 @@ def beacon_pairs(seed: int, pipeline: str, things: Mapping[str, object], shown: 
         cell = replace(cell, lights=tuple(replace(light, level=0.0) for light in cell.lights))
     setup = setup_of(cell)
     for index in range(0, cell.n_frames, 25):
-        yield found_beacon(setup, cell.pair(index), cell.truth[index][1] if shown else np.full(3, np.inf), seed)
+        xyz_m = cell.truth[index][1]
+        alone = shown and stands_alone(cell, setup.rig.project(xyz_m[None]))
+        yield found_beacon(setup, cell.pair(index), xyz_m if shown else np.full(3, np.inf), seed, alone)
 
 
-def found_beacon(setup: Setup, frames: tuple[Frame, Frame], xyz_m: Array, seed: int) -> Found:
+def stands_alone(cell: Cell, uv_px: Sequence[Array]) -> bool:
+    """Tell of a beacon at uv_px, [side] (1, 2), whether nothing else in the noise-free light is red or outshines it."""
+    for side, uv in zip(SIDES, uv_px, strict=True):
+        light = cell.cameras[side].backdrop.astype(np.float64)
+        u, v = np.rint(uv[0]).astype(int)
+        behind = light[max(v - 12, 0) : v + 13, max(u - 12, 0) : u + 13]
+        redder = light[:, :, 2] - light[:, :, :2].max(axis=2)
+        if redder.max() > REDDER or behind.max() > CLIPPED:
+            return False
+    return True
+
+
+def found_beacon(setup: Setup, frames: tuple[Frame, Frame], xyz_m: Array, seed: int, alone: bool) -> Found:
     """Measure a pair; xyz_m: where the beacon is, infinite where there is none."""
     start = time.perf_counter()
     measured = measure_pair(setup, *frames)
     ms = (time.perf_counter() - start) * 1e3
-    told = partial(Found, status=str(measured.pose.status), why=measured.pose.why, ms=ms, seed=seed)
+    told = partial(Found, status=str(measured.pose.status), why=measured.pose.why, ms=ms, seed=seed, alone=alone)
     if not len(measured.points):
         return told(mm=np.nan, chi2=np.nan)
     d = measured.points.xyz_m[0] - xyz_m

@@ -64,6 +64,10 @@ MOST_FREE = 12
 OUTLINE = "ellipse"
 """The spots' model whose centre is that of a flat light's outline."""
 
+_UNMEASURED = (
+    "which of them are the target's, one pair of images does not tell, so that no pose is given; measure the target "
+    "once (armsight calibrate target), black out the rest (--mask), raise --threshold, or darken the room"
+)
 _FEWER = "mask the background or raise the threshold"
 
 
@@ -241,9 +245,9 @@ def match_by_place(left: Spots, right: Spots, pairs: Pairs) -> Match:
     sides = [np.unique(pairs.index[:, side]) for side in range(2)]
     if len(sides[0]) != 3 or len(sides[1]) != 3:
         n = f"{len(sides[0])} in the left image and {len(sides[1])} in the right one"
-        return Match(
-            best=None, why=f"a target that has not been measured needs exactly three lights in both views, not {n}"
-        )
+        cause = f"a target that has not been measured needs exactly three lights in both views, not {n}"
+        more = max(len(side) for side in sides) > 3
+        return Match(best=None, why=f"{cause}: {_UNMEASURED}" if more else cause)
     orders = []
     for spots, seen, name in ((left, sides[0], "left"), (right, sides[1], "right")):
         order = _order_by_place(spots.uv_px[seen])

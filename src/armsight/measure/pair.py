@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import Inconsistent, NotConverged
+from armsight.measure.beacon import match_beacon, too_small
 from armsight.measure.boardpair import measure_board_pair, swapped
 from armsight.measure.kernels import pose as kernels
 from armsight.measure.match import (
@@ -75,10 +76,17 @@ def measure_pair(setup: Setup, left: Frame, right: Frame, track: Track | None = 
     measured = _measure_candidates(setup, t_s, at_left, at_right, track)
     if measured.pose.status is PoseStatus.OK or measured.alternatives or len(measured.names) == len(setup.model):
         return measured
+    if setup.settings.colour is not None or _too_many(setup, measured):
+        return measured  # all that has the colour was looked at; more lights would tell no more
     if not any(_more_to_see(at, seen) for at, seen in ((at_left, measured.left_seen), (at_right, measured.right_seen))):
         return measured
     again = _measure_candidates(setup, t_s, *_candidates(setup, left, right, faint=True), track)
     return again if again.pose.status is PoseStatus.OK or measured.pose.status is PoseStatus.LOST else measured
+
+
+def _too_many(setup: Setup, measured: Measured) -> bool:
+    """Whether more lights are seen than a target of unknown geometry has, which names none of them."""
+    return not setup.target.model_known and min(len(measured.left_seen), len(measured.right_seen)) > len(setup.model)
 
 
 def _more_to_see(candidates: Candidates, seen: Spots) -> bool:
@@ -131,6 +139,9 @@ def _measure_chosen(
     measured = replace(measured, busy=among.arrangements != AS_FOUND)
     if measured.pose.status is PoseStatus.LOST or chance == 0.0:
         return measured
+    if setup.settings.colour is not None:
+        small = too_small((left, right), (measured.left, measured.right))
+        return replace(_nothing(t_s, seen_left, seen_right, small, track), busy=measured.busy) if small else measured
     alike = likeness(setup, left, right, measured.left, measured.right, measured.points.xyz_m)
     if chance * alike < BY_CHANCE:
         return measured
@@ -187,7 +198,7 @@ def _from_spots(
     if match.best is None:
         if track is None:
             _refuse_swapped(setup, left, right)
-        chosen = among is not None and among.arrangements != AS_FOUND
+        chosen = (among is not None and among.arrangements != AS_FOUND) or setup.settings.colour is not None
         why = match.why if chosen and match.why else _explain(setup, left, right, pairs, match.why)
         return _nothing(t_s, left, right, why, track), 1.0
     index = pairs.index[match.best.pair]
@@ -278,6 +289,8 @@ def _match(
 ) -> Match:
     """Name the spots: by the target's geometry, by their order in the image, or as far as one or two lights go."""
     known, model = setup.target.model_known, setup.model
+    if setup.settings.colour is not None and len(model) == 1:
+        return match_beacon(setup, left, right, pairs, prediction)
     if not len(pairs.index):
         return Match(best=None, why="" if among is None else among.nothing)
     match = Match(best=None)

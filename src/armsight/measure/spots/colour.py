@@ -4,16 +4,68 @@ from __future__ import annotations
 
 import dataclasses
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import BadImage
 from armsight.measure.settings import SpotSettings
-from armsight.measure.spots.candidates import Candidates
-from armsight.measure.spots.grey import Array, Image, checked_mask, grey_candidates, not_an_image, track_grey
+from armsight.measure.spots.candidates import (
+    CONTRAST,
+    MOST,
+    MOST_GROWN,
+    Candidates,
+    Index,
+    fresh_state,
+    is_dark,
+    is_quiet,
+    only,
+    pyramid_peaks,
+)
+from armsight.measure.spots.grey import (
+    Array,
+    Image,
+    checked_mask,
+    measured,
+    not_an_image,
+    record,
+    searchable,
+    track_grey,
+)
 from armsight.measure.spots.kernels.area import ACCEPTED, OWNER, STATUS, UNUSED
-from armsight.measure.spots.kernels.colour import colour_signal, coloured_pixels
-from armsight.measure.spots.kernels.scan import AREA, X_MAX, X_MIN, Y_MAX, Y_MIN
+from armsight.measure.spots.kernels.blobs import grow_blobs
+from armsight.measure.spots.kernels.colour import (
+    BRIGHT,
+    CLIPPED_FROM,
+    LEAST_SATURATION,
+    LEAST_VALUE,
+    LOCAL,
+    LOOK,
+    ONE,
+    OWN,
+    SPARSE,
+    colour_signal,
+    coloured_pixels,
+    fill_white,
+    level_below,
+    look,
+    matches,
+    uneven,
+    white_pixels,
+)
+from armsight.measure.spots.kernels.locate import FULL, locate
+from armsight.measure.spots.kernels.scan import (
+    COLUMNS,
+    LEVEL,
+    PEAK,
+    SUM_X,
+    SUM_Y,
+    WEIGHT,
+    X_MAX,
+    X_MIN,
+    Y_MAX,
+    Y_MIN,
+)
 from armsight.records import Colour, Spots
 
 ANY = Colour(hue_deg=(0.0, 360.0))
@@ -21,32 +73,66 @@ MARGIN_PX = 24
 """Background around a window that the fit of a light in it sees."""
 FLOOR = 32.0
 """Grey level of no colour in the signal: were it 0, half of the background's noise would be clipped."""
+LEAST_SIGNAL = FLOOR + 20.0
+"""Signal that something of a colour has at its brightest."""
+LEAST_RISE = 10.0
+REPLACED = 0.5
+"""Grey levels that a light adds in its brightest channel; what takes away more than this share of it in another one
+replaces its ground, and adds no light to it."""
+PURE = 0.65
+"""Least saturation of what a light adds: in simulated rooms beacons have 0.7 and more, red squares on screens less."""
 COLOURED_SHARE = 0.25
-"""Share of a light's pixels that are of the colour: its middle may be clipped white, its rim too weak."""
-STRONG_SHARE = 0.2
-"""Share of the greatest contrast in the image below which something of the colour is not taken for a light. A beacon
-before a bright wall may have a third of another red lamp's: a larger share gave that lamp's place for it."""
+"""Share of its pixels that are of the colour, where a threshold says what is bright enough to be the beacon."""
+GLOWS = (1.4, 1.12)
+"""How much brighter a light is than what the room lights: than nine tenths of the image, and than three quarters of
+what is within 90 px of it, clipped pixels left out. First for grey levels in proportion to the light, then for a camera
+that processes its pictures and squeezes what is bright. In simulated rooms beacons have 1.52 and 1.14 at the least,
+painted things and screens seldom so much."""
+ROOM_SHARE = 0.9
+DARK = 50.0
+"""Grey level of nine tenths of an image that shows little else than lights."""
+PAINTED = "of the beacon's colour, but no brighter than things that the room lights"
 SMOOTH = 0.8
 """Mean step to the next pixel over that to the one after it, below which colours were interpolated; 1: white noise."""
-INTERPOLATED_PX = 0.07
+INTERPOLATED_PX = 0.06
 """Deviation per coordinate of a light's centre of which the fit does not know where a camera interpolated its colours
 and stored them at half size: what simulated webcams leave (compression, sharpening and mosaic)."""
+UNEVEN = (0.3, 0.85)
+"""Deviation in radii for a ground as uneven as half of the light's height: where the colours are measured in each
+pixel, and where they were interpolated. With these the 95 % ellipsoids of positions before simulated rooms hold 96 % of
+121 with machine cameras and 93 % of 120 with webcams."""
+HALF_HEIGHT = 1.18
+"""Radius at half of its height of a Gaussian light over its deviation."""
 
 
 def coloured_candidates(image: Image, settings: SpotSettings) -> Candidates:
     """Return what may be a beacon of settings.colour in a BGR image (h, w, 3); see find_candidates.
 
     The signal that is searched and measured is a pixel's projection on the colour's hue, FLOOR for any grey. What
-    stands out in it is a candidate where enough of its pixels are of the colour, and none is far stronger.
+    stands out in it is a candidate where what it adds to its ground is of the colour, and where it is a light.
     """
     bgr = _coloured_image(image)
     checked_mask(settings, bgr)
-    signal = hue_signal(bgr, settings)
-    found = grey_candidates(signal, _plain(settings), faint=False)
-    _leave_coloured(bgr, found, settings)
-    _leave_strong(found)
-    fit, floor = found.fit, _floor(signal)
-    return dataclasses.replace(found, room=False, fit=lambda chosen, others: _widened(fit(chosen, others), floor))
+    raised, room_level = hue_signal(bgr, settings)
+    plain = _plain(settings)
+    signal = searchable(raised, plain)
+    areas, state, survey, outcome = locate(signal, plain.mask_bytes, plain.options)
+    quiet = bool(
+        room_level <= DARK and outcome == FULL and is_dark(areas, state, plain) and is_quiet(state, plain.max_spots)
+    )
+    complete = True
+    if not quiet:
+        areas, complete = _coloured_blobs(signal, plain)
+        state = fresh_state(len(areas))
+    interpolated = _interpolated(signal)
+    painted = _leave_lights(bgr, signal, areas, state, settings, room_level, interpolated)
+
+    def fit(chosen: Index, others: int) -> Spots:
+        own = state.copy() if quiet else only(state, chosen, others)
+        spots = _widened(record(*measured(signal, plain, areas, own, survey)), signal, interpolated)
+        return dataclasses.replace(spots, rejected=spots.rejected + painted) if painted else spots
+
+    return Candidates(areas=areas, state=state, fit=fit, quiet=quiet, complete=complete)
 
 
 def track_coloured(
@@ -61,38 +147,96 @@ def track_coloured(
         low = np.clip(np.rint([v - reach, u - reach]), 0, signal.shape).astype(int)
         high = np.clip(np.rint([v + reach + 1.0, u + reach + 1.0]), 0, signal.shape).astype(int)
         box = np.s_[low[0] : high[0], low[1] : high[1]]
-        signal[box] = hue_signal(bgr[box], settings)
-        boxes.append(box)
+        if min(high - low) > 0:
+            signal[box] = hue_signal(bgr[box], settings)[0]
+            boxes.append(box)
     spots, of = track_grey(signal, predicted, half_window_px, _plain(settings))
-    spots = _widened(spots, max((_floor(signal[box]) for box in boxes), default=0.0))
-    kept = [i for i in range(len(spots)) if _is_coloured(bgr, spots.uv_px[i], float(spots.size_px[i]), settings)]
+    interpolated = any(_interpolated(signal[box]) for box in boxes)
+    spots = _widened(spots, signal, interpolated)
+    room_level = float(np.quantile(brightest(bgr[::SPARSE, ::SPARSE]), ROOM_SHARE)) if len(spots) else 0.0
+    about = [_box_of(spots, i, signal) for i in range(len(spots))]
+    kept = [i for i, box in enumerate(about) if _is_light(bgr, signal, box, settings, room_level, interpolated)]
     return (spots, of) if len(kept) == len(spots) else (spots.take(kept), of[kept])
 
 
-def hue_signal(bgr: Image, settings: SpotSettings) -> Image:
-    """Return BGR's projection on the middle of the colour's hues: FLOOR for grey, 255 for two clipped channels."""
+def hue_signal(bgr: Image, settings: SpotSettings) -> tuple[Image, float]:
+    """Return BGR's projection on the middle of the colour's hues: FLOOR for grey, 255 for two clipped channels.
+
+    The number is the level that most of the image's pixels stay below in their brightest channel, no clipped ones.
+    """
     low, high = (settings.colour or ANY).hue_deg
     middle = np.deg2rad(low + 0.5 * ((high - low) % 360.0))
-    weights = np.cos(middle - np.deg2rad([240.0, 120.0, 0.0]))  # of blue, green, red
+    weights = np.rint(ONE * np.cos(middle - np.deg2rad([240.0, 120.0, 0.0])))  # of blue, green, red
     signal = np.empty(bgr.shape[:2], np.uint8)
-    colour_signal(bgr, weights, FLOOR, settings.saturation, signal)
-    return signal
+    levels = np.zeros(256, np.int64)
+    if colour_signal(bgr, weights.astype(np.int32), int(FLOOR), settings.saturation, signal, levels):
+        _fill_cores(bgr, signal, settings)
+    return signal, level_below(levels, CLIPPED_FROM, ROOM_SHARE)
 
 
-def _floor(signal: Image) -> float:
-    """Return the variance (px^2) that a centre has besides: none where neighbouring pixels are independent."""
+def brightest(bgr: Image) -> Image:
+    """Return the brightest channel of the pixels that are not clipped, (n,); one that is dark where all are."""
+    top = bgr.max(axis=2)
+    top = top[top < CLIPPED_FROM]
+    return top if len(top) else np.zeros(1, np.uint8)
+
+
+def _fill_cores(bgr: Image, signal: Image, settings: SpotSettings) -> None:
+    """Raise the signal where a light is so bright that its middle is white."""
+    white = np.empty(((signal.shape[0] + 1) // 2, (signal.shape[1] + 1) // 2), np.uint8)
+    white_pixels(bgr, settings.saturation, white)
+    _, _, found, _ = cv2.connectedComponentsWithStats(white, connectivity=8)
+    widest = 2.0 * settings.max_radius_px
+    for x, y, w, h, _ in found[1:].tolist():
+        if 2 * max(w, h) <= widest:
+            fill_white(bgr, settings.saturation, 2 * np.array([x, x + w - 1, y, y + h - 1]), signal)
+
+
+def _coloured_blobs(signal: Image, plain: SpotSettings) -> tuple[Array, bool]:
+    """Return the blobs (n, COLUMNS) of the signal, grown only from peaks that are coloured."""
+    peaks = pyramid_peaks(signal, CONTRAST, plain.max_radius_px)
+    x, y = peaks[:, 0], peaks[:, 1]
+    half = np.maximum(peaks[:, 2] // 4, 1)
+    near = [signal[y, x]]
+    near += [signal[np.maximum(y - half, 0), x], signal[y, np.maximum(x - half, 0)]]
+    near += [signal[np.maximum(y - half, 0), np.maximum(x - half, 0)]]
+    peaks = np.ascontiguousarray(peaks[np.max(near, axis=0) >= LEAST_SIGNAL])
+    table = np.empty((MOST, COLUMNS))
+    n, looked, _ = grow_blobs(
+        signal,
+        np.uint8(0),
+        plain.saturation,
+        plain.mask_bytes,
+        peaks,
+        CONTRAST,
+        float(plain.min_pixels),
+        plain.max_radius_px,
+        table,
+        MOST_GROWN,
+    )
+    return table[:n], bool(looked == len(peaks))
+
+
+def _interpolated(signal: Image) -> bool:
+    """Tell whether colours were interpolated: neighbouring pixels differ less than those further apart."""
     rows = signal[::4].astype(np.int16)
     if rows.shape[1] < 3:
-        return 0.0
+        return False
     near, far = (np.minimum(np.abs(rows[:, k:] - rows[:, :-k]), 8).mean() for k in (1, 2))
-    return INTERPOLATED_PX**2 if near < SMOOTH * far else 0.0
+    return bool(near < SMOOTH * far)
 
 
-def _widened(spots: Spots, variance: float) -> Spots:
-    """Return the spots with so much variance more per coordinate."""
-    if not variance or not len(spots):
+def _widened(spots: Spots, signal: Image, interpolated: bool) -> Spots:
+    """Return the spots with what no residual shows in their covariances: colours made up, and an uneven ground."""
+    if not len(spots):
         return spots
-    return dataclasses.replace(spots, covariance_px2=spots.covariance_px2 + variance * np.eye(2))
+    own = INTERPOLATED_PX if interpolated else 0.0
+    covariance = np.array(spots.covariance_px2)
+    for i, ((u, v), size, model) in enumerate(zip(spots.uv_px, spots.size_px, spots.model, strict=True)):
+        radius = float(size) * (1.0 if model in ("ellipse", "centroid") else HALF_HEIGHT)
+        shift = UNEVEN[interpolated] * radius * uneven(signal, float(u), float(v), radius)
+        covariance[i] += (own**2 + shift**2) * np.eye(2)
+    return dataclasses.replace(spots, covariance_px2=covariance)
 
 
 def _coloured_image(image: Image) -> Image:
@@ -118,29 +262,81 @@ def _definition(settings: SpotSettings) -> Array:
     return np.array([*colour.hue_deg, colour.min_saturation, 255.0 * colour.min_value])
 
 
-def _leave_coloured(bgr: Image, found: Candidates, settings: SpotSettings) -> None:
-    """Take out the candidates that are not of the colour; they are no refused lights either."""
-    definition = _definition(settings)
-    for i, (area, state) in enumerate(zip(found.areas, found.state, strict=True)):
+def _leave_lights(
+    bgr: Image,
+    signal: Image,
+    areas: Array,
+    state: NDArray[np.int64],
+    settings: SpotSettings,
+    room_level: float,
+    interpolated: bool,
+) -> tuple[tuple[float, float, str], ...]:
+    """Take out the areas that are no lights of the colour; return those of them that are of the colour, as refused."""
+    painted = []
+    for i, area in enumerate(areas):
         box = area[[X_MIN, X_MAX, Y_MIN, Y_MAX]].astype(np.int64)
-        n = coloured_pixels(bgr, definition, box)
-        if n < max(COLOURED_SHARE * area[AREA], 1.0):
-            state[OWNER] = -1
-            if state[STATUS] == ACCEPTED:
-                found.state[i, STATUS] = UNUSED
+        seen = _look(bgr, signal, box, float(area[LEVEL]), settings) if area[PEAK] >= LEAST_SIGNAL else None
+        coloured = seen is not None and _is_coloured(bgr, box, seen, settings)
+        if coloured and seen is not None and _glows(seen, settings, room_level, interpolated):
+            continue
+        state[i, OWNER] = -1
+        if state[i, STATUS] == ACCEPTED:
+            state[i, STATUS] = UNUSED
+            if coloured:
+                painted.append((float(area[SUM_X] / area[WEIGHT]), float(area[SUM_Y] / area[WEIGHT]), PAINTED))
+    return tuple(painted)
 
 
-def _leave_strong(found: Candidates) -> None:
-    """Take out the candidates that are far weaker than the strongest."""
-    at = found.positions()
-    if len(at):
-        weak = at[found.contrast[at] < STRONG_SHARE * found.contrast[at].max()]
-        found.state[weak, STATUS] = UNUSED
+def _is_light(
+    bgr: Image,
+    signal: Image,
+    box: NDArray[np.int64],
+    settings: SpotSettings,
+    room_level: float,
+    interpolated: bool,
+) -> bool:
+    """Tell whether what is in box is a light of the colour."""
+    part = signal[box[2] : box[3] + 1, box[0] : box[1] + 1]
+    seen = _look(bgr, signal, box, 0.5 * (FLOOR + float(part.max())), settings)
+    return _is_coloured(bgr, box, seen, settings) and _glows(seen, settings, room_level, interpolated)
 
 
-def _is_coloured(bgr: Image, uv: Array, size: float, settings: SpotSettings) -> bool:
-    """Tell whether enough pixels about uv (2,) are of the colour."""
-    r, (u, v) = max(round(size), 1), np.rint(uv).astype(int)
-    h, w = bgr.shape[:2]
-    box = np.array([max(u - r, 0), min(u + r, w - 1), max(v - r, 0), min(v + r, h - 1)], np.int64)
-    return bool(coloured_pixels(bgr, _definition(settings), box) >= max(COLOURED_SHARE * np.pi * r * r, 1.0))
+def _box_of(spots: Spots, i: int, signal: Image) -> NDArray[np.int64]:
+    """Return the pixels about a spot: x first, x last, y first, y last."""
+    r, (u, v) = max(round(float(spots.size_px[i])), 1), np.rint(spots.uv_px[i]).astype(int)
+    h, w = signal.shape
+    x, y = np.clip([u - r, u + r], 0, w - 1), np.clip([v - r, v + r], 0, h - 1)
+    return np.array([*x, *y], np.int64)
+
+
+def _look(bgr: Image, signal: Image, box: NDArray[np.int64], level: float, settings: SpotSettings) -> Array:
+    seen = np.empty(LOOK)
+    look(bgr, signal, box, level, FLOOR, settings.saturation, seen)
+    return seen
+
+
+def _is_coloured(bgr: Image, box: NDArray[np.int64], seen: Array, settings: SpotSettings) -> bool:
+    """Tell whether something is of the colour: in what it adds to its ground, or as it is."""
+    definition = _definition(settings)
+    if settings.threshold is not None:
+        pixels = float((box[1] - box[0] + 1) * (box[3] - box[2] + 1))
+        return bool(coloured_pixels(bgr, definition, box) >= max(COLOURED_SHARE * pixels, 1.0))
+    if seen[BRIGHT] < definition[LEAST_VALUE]:
+        return False
+    definition[LEAST_VALUE], definition[LEAST_SATURATION] = 0.0, max(definition[LEAST_SATURATION], PURE)
+    rise = float(seen[:3].max())
+    added = rise >= LEAST_RISE and seen[:3].min() >= -REPLACED * rise
+    return bool((added and _matches(seen[:3], definition)) or _matches(seen[OWN : OWN + 3], definition))
+
+
+def _matches(bgr: Array, definition: Array) -> bool:
+    b, g, r = (int(v) for v in np.rint(16.0 * np.maximum(bgr, 0.0)))
+    return bool(matches(b, g, r, definition))
+
+
+def _glows(seen: Array, settings: SpotSettings, room_level: float, interpolated: bool) -> bool:
+    """Tell whether something is brighter than what the room lights, or than the threshold that is given."""
+    if settings.threshold is not None:
+        return bool(seen[BRIGHT] > settings.threshold)
+    room = max(room_level, float(seen[LOCAL]))
+    return bool(seen[BRIGHT] >= CLIPPED_FROM or seen[BRIGHT] > GLOWS[interpolated] * room)

@@ -72,6 +72,8 @@ def warm_up() -> None:
     disc = np.where((x - 20.0) ** 2 + (y - 20.0) ** 2 < 25.0, 99.0, 0.0)
     grey = (10.0 + spot + disc).astype(np.uint8)
     red = np.stack([0 * grey, 0 * grey, grey], axis=2)
-    for settings, image in ((DEFAULTS, grey), (SpotSettings(colour=RED), red)):
+    room = np.minimum(red.astype(np.int64) + 80, 255).astype(np.uint8)
+    room[80:84, 10:14] = 255
+    for settings, image in ((DEFAULTS, grey), (SpotSettings(colour=RED), red), (SpotSettings(colour=RED), room)):
         find_spots(image, settings)
         track_spots(image, [[60.0, 50.0]], 16.0, settings)

@@ -1,0 +1,183 @@
+"""A coloured beacon and what may be taken for it; the images are made here."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from armsight.measure.pair import Measured, Setup, measure_pair
+from armsight.measure.spots import SpotSettings, find_spots, track_spots
+from armsight.optics import Camera, parallel_rig
+from armsight.records import Frame, PoseStatus, Target, spot_target
+from armsight.records.target import GREEN, RED
+
+WIDTH, HEIGHT = 640, 480
+CAMERA = Camera.pinhole(WIDTH, HEIGHT, 750.0, 750.0, 319.5, 239.5)
+RIG = parallel_rig(CAMERA, 0.12)
+BEACON = spot_target({"A": (0.0, 0.0, 0.0)}, colour=RED)
+PLACE = np.array([0.05, -0.04, 1.2])
+LED = (0.05, 0.08, 1.0)
+AMBER = (0.05, 0.50, 1.0)
+PINK = (0.6, 0.5, 1.0)
+Picture = NDArray[np.uint8]
+Colours = tuple[float, float, float]
+
+
+def ground(seed: int, level: float = 90.0, *, room: bool = True) -> NDArray[np.float64]:
+    """A wall of one level with dark and white things on it, too many and too large for lights; BGR."""
+    image = np.full((HEIGHT, WIDTH, 3), level)
+    if room:
+        rng = np.random.default_rng(seed)
+        for _ in range(60):
+            x, y = rng.integers(0, WIDTH - 80), rng.integers(0, HEIGHT - 60)
+            image[y : y + rng.integers(10, 60), x : x + rng.integers(10, 80)] = level * rng.uniform(0.2, 1.1)
+        cv2.circle(image, (520, 60), 40, (250.0, 250.0, 250.0), -1)
+    return image
+
+
+def light(image: NDArray[np.float64], uv: NDArray[np.float64], colour: Colours, level: float, sigma: float) -> None:
+    """Add a Gaussian light."""
+    y, x = np.mgrid[:HEIGHT, :WIDTH]
+    spot = level * np.exp(-((x - uv[0]) ** 2 + (y - uv[1]) ** 2) / (2.0 * sigma**2))
+    image += spot[:, :, None] * np.array(colour)
+
+
+def stored(image: NDArray[np.float64], seed: int, quality: int | None = None) -> Picture:
+    """The picture with noise of 2 grey levels, through JPEG where a quality is given."""
+    noisy = image + np.random.default_rng(seed).normal(0.0, 2.0, image.shape)
+    picture = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+    if quality is None:
+        return picture
+    _, data = cv2.imencode(".jpg", picture, (cv2.IMWRITE_JPEG_QUALITY, quality))
+    return np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), np.uint8)
+
+
+def seen(
+    *lights: tuple[NDArray[np.float64], Colours, float, float],
+    painted: tuple[Colours, ...] = (),
+    room: bool = True,
+    quality: int | None = None,
+    target: Target = BEACON,
+    settings: SpotSettings | None = None,
+) -> Measured:
+    """What is measured of lights (place, colour, level, sigma in px) and of painted balls 50 mm wide beside them."""
+    frames = []
+    for side in range(2):
+        image = ground(3, room=room)
+        for n, colour in enumerate(painted):
+            u, v = RIG.project(np.array([[-0.3 + 0.2 * n, 0.15, 1.3]]))[side][0]
+            cv2.circle(image, (round(u), round(v)), 14, tuple(float(c) for c in colour), -1, cv2.LINE_AA)
+        for place, colour, level, sigma in lights:
+            light(image, RIG.project(place[None])[side][0], colour, level, sigma)
+        frames.append(Frame(image=stored(image, 10 + side, quality), t_s=0.0, sequence=0, source="test"))
+    return measure_pair(Setup(RIG, target, settings or SpotSettings()), *frames)
+
+
+def found(measured: Measured) -> bool:
+    """Whether there is a position; it is then the beacon's."""
+    if measured.pose.status is PoseStatus.LOST:
+        return False
+    error = measured.points.xyz_m[0] - PLACE
+    assert np.linalg.norm(error) < 0.01
+    assert error @ np.linalg.solve(measured.points.covariance_m2[0], error) < 25.0  # chi-square of 3: once in 60,000
+    return True
+
+
+@pytest.mark.parametrize("quality", [None, 90, 50])
+@pytest.mark.parametrize("level", [170.0, 400.0])
+@pytest.mark.parametrize("room", [True, False])
+def test_a_beacon_is_found_however_compressed(room: bool, level: float, quality: int | None) -> None:
+    assert found(seen((PLACE, LED, level, 3.0), room=room, quality=quality))
+
+
+@pytest.mark.parametrize("room", [True, False])
+def test_an_overexposed_beacon_is_found_by_its_halo(room: bool) -> None:
+    """Red is clipped over 14 px, and the middle is white by what leaks into blue and green."""
+    assert found(seen((PLACE, (0.2, 0.22, 1.0), 1500.0, 3.0), room=room))
+
+
+@pytest.mark.parametrize("colour", [AMBER, PINK, (1.0, 1.0, 1.0), (0.1, 1.0, 0.1)])
+def test_lights_of_near_colours_are_neither_taken_nor_in_the_way(colour: Colours) -> None:
+    other = (np.array([-0.2, 0.1, 1.5]), colour, 300.0, 3.0)
+    assert found(seen((PLACE, LED, 170.0, 3.0), other))
+    assert not found(seen(other))
+
+
+def test_painted_things_are_neither_taken_nor_in_the_way() -> None:
+    painted = ((20.0, 20.0, 95.0), (15.0, 25.0, 70.0))
+    assert found(seen((PLACE, LED, 170.0, 3.0), painted=painted))
+    alone = seen(painted=painted[:1])
+    assert alone.pose.status is PoseStatus.LOST and "must glow" in alone.pose.why
+
+
+def test_a_red_ball_counts_from_the_threshold_that_is_given() -> None:
+    ball = seen(painted=((20.0, 20.0, 95.0),), settings=SpotSettings(threshold=80.0))
+    assert ball.pose.status is not PoseStatus.LOST
+    assert seen(painted=((20.0, 20.0, 95.0),), settings=SpotSettings(threshold=120.0)).pose.status is PoseStatus.LOST
+
+
+def test_two_beacons_are_refused_and_none_is_not_found() -> None:
+    second = (np.array([-0.2, 0.1, 1.5]), LED, 150.0, 3.5)
+    two = seen((PLACE, LED, 170.0, 3.0), second)
+    assert two.pose.status is PoseStatus.LOST and "2 lights of the beacon's colour" in two.pose.why
+    none = seen()
+    assert none.pose.status is PoseStatus.LOST and "no light of the beacon's colour" in none.pose.why
+
+
+def test_an_indicator_lamp_is_not_taken_for_a_beacon_that_is_hidden_unless_something_else_tells() -> None:
+    lamp = (PLACE, LED, 250.0, 1.3)
+    alone = seen(lamp)
+    assert alone.pose.status is PoseStatus.LOST and "indicator lamps" in alone.pose.why
+    assert found(seen(lamp, settings=SpotSettings(mask=np.ones((HEIGHT, WIDTH), np.bool_))))
+    assert found(seen(lamp, target=replace(BEACON, diameter_m=0.005)))
+
+
+def test_the_diameter_tells_the_beacon_from_a_larger_light() -> None:
+    large = (np.array([-0.2, 0.1, 1.2]), LED, 200.0, 12.0)
+    assert not found(seen((PLACE, LED, 170.0, 3.0), large))
+    assert found(seen((PLACE, LED, 170.0, 3.0), large, target=replace(BEACON, diameter_m=0.010)))
+
+
+def test_a_beacon_cut_by_the_border_is_refused() -> None:
+    u, v = 3.0, 200.0
+    edge = RIG.project(PLACE[None])[0][0]
+    place = PLACE + np.array([(u - edge[0]) * PLACE[2] / 750.0, (v - edge[1]) * PLACE[2] / 750.0, 0.0])
+    assert seen((place, LED, 170.0, 3.0)).pose.status is PoseStatus.LOST
+
+
+def test_a_white_middle_is_filled_where_its_halo_is_coloured_only() -> None:
+    image = ground(1, room=False)
+    light(image, np.array([200.3, 150.7]), (0.3, 0.3, 1.0), 1500.0, 4.0)
+    cv2.circle(image, (400, 300), 8, (255.0, 255.0, 255.0), -1)
+    spots = find_spots(stored(image, 2), SpotSettings(colour=RED))
+    assert len(spots) == 1 and np.linalg.norm(spots.uv_px[0] - [200.3, 150.7]) < 0.3
+    assert len(find_spots(stored(image, 2), SpotSettings(colour=GREEN))) == 0
+
+
+def test_a_track_does_not_follow_what_is_painted() -> None:
+    settings = SpotSettings(colour=RED)
+    image = ground(1, room=False)
+    cv2.circle(image, (300, 200), 6, (10.0, 10.0, 80.0), -1, cv2.LINE_AA)
+    assert len(track_spots(stored(image, 4), [[301.0, 201.0]], 20.0, settings)[0]) == 0
+    cv2.circle(image, (300, 200), 6, (10.0, 10.0, 10.0), -1, cv2.LINE_AA)
+    light(image, np.array([300.0, 200.0]), LED, 170.0, 3.0)
+    assert len(track_spots(stored(image, 4), [[301.0, 201.0]], 20.0, settings)[0]) == 1
+
+
+def test_claimed_ellipses_hold_before_uneven_grounds() -> None:
+    """95 % of 60 is 57; 51 and fewer is chance in one of 200."""
+    rng = np.random.default_rng(8)
+    inside = 0
+    for seed in range(60):
+        image = ground(seed, room=True)
+        uv = np.array([rng.uniform(60, 440), rng.uniform(120, 420)])
+        light(image, uv, LED, 170.0, 3.0)
+        spots = find_spots(stored(image, seed), SpotSettings(colour=RED))
+        away = np.linalg.norm(spots.uv_px - uv, axis=1)
+        d = spots.uv_px[int(away.argmin())] - uv
+        inside += bool(d @ np.linalg.solve(spots.covariance_px2[int(away.argmin())], d) < 5.99)
+    assert inside >= 52
