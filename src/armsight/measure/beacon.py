@@ -9,13 +9,9 @@ from numpy.typing import NDArray
 
 from armsight.measure.match import Match, Pairs, Prediction, match_few
 from armsight.measure.setup import Setup
-from armsight.measure.spots import Candidates
 from armsight.measure.spots.colour import PAINTED
 from armsight.records import Spots
 
-LEAST_RADIUS_PX = 3.0
-"""Radius at half of its height from which the only light of the colour is taken for the beacon before a room, nothing
-being known of its size: indicator lamps of machines are smaller (1-2.9 px in simulated rooms, 1.5 to 3 m away)."""
 GAUSSIAN_RADIUS = 1.18
 """Radius at half of its height of a Gaussian light over its deviation."""
 WRONG_SIZE = 1.6
@@ -29,7 +25,8 @@ def match_beacon(setup: Setup, left: Spots, right: Spots, pairs: Pairs, predicti
     """Return the one pair that may be the beacon before a room; else none, with cause and cure.
 
     Of several lights of the colour, one is taken where a track expects it, or where it alone is of the beacon's size.
-    The match's chance is 0 where something else than its colour tells the beacon, else 1: see too_small.
+    The only light of the colour is taken where something besides its colour tells it: its size, a track, or a mask or a
+    threshold of the caller's; where the beacon is hidden, a room's lamp would be the only one.
     """
     if not len(pairs.index):
         return Match(best=None, why=_nothing(left, right))
@@ -44,22 +41,13 @@ def match_beacon(setup: Setup, left: Spots, right: Spots, pairs: Pairs, predicti
     if match.best is None or len(match.best.pair) > 1:
         return Match(best=None, why=f"{_lights(pairs)} seen, and any could be the beacon: {_CURE}")
     told = known or match.predicted or setup.settings.mask is not None or setup.settings.threshold is not None
-    return replace(match, chance=0.0 if told else 1.0)
-
-
-def too_small(candidates: tuple[Candidates, Candidates], seen: tuple[Spots, Spots]) -> str:
-    """Return why the only light of the colour is not taken for the beacon; empty where it is."""
-    radii = []
-    for found, spots in zip(candidates, seen, strict=True):
-        away = np.linalg.norm(found.uv_px - spots.uv_px[0], axis=1)
-        radii.append(float(found.radius_px[int(away.argmin())]))
-    size = min(radii)
-    if size >= LEAST_RADIUS_PX:
-        return ""
-    return (
-        f"one light of the beacon's colour is seen, {2.0 * size:.1f} px wide: as small as machines' indicator lamps, "
-        "it is not taken for the beacon before a room; give diameter_m in target.yaml, a mask (--mask), or come closer"
-    )
+    if not told:
+        return Match(
+            best=None,
+            why="one light of the beacon's colour is seen, and a lamp of the room would look the same: give "
+            "diameter_m in target.yaml, or mask what is not the beacon (--mask)",
+        )
+    return match
 
 
 def _nothing(left: Spots, right: Spots) -> str:

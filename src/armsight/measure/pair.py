@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import Inconsistent, NotConverged
-from armsight.measure.beacon import match_beacon, too_small
+from armsight.measure.beacon import match_beacon
 from armsight.measure.boardpair import measure_board_pair, swapped
 from armsight.measure.kernels import pose as kernels
 from armsight.measure.match import (
@@ -137,11 +137,8 @@ def _measure_chosen(
         seen_left, seen_right = left.measure(chosen[0]), right.measure(chosen[1])
     measured, chance = _from_spots(setup, t_s, seen_left, seen_right, track, among)
     measured = replace(measured, busy=among.arrangements != AS_FOUND)
-    if measured.pose.status is PoseStatus.LOST or chance == 0.0:
+    if measured.pose.status is PoseStatus.LOST or chance == 0.0 or setup.settings.colour is not None:
         return measured
-    if setup.settings.colour is not None:
-        small = too_small((left, right), (measured.left, measured.right))
-        return replace(_nothing(t_s, seen_left, seen_right, small, track), busy=measured.busy) if small else measured
     alike = likeness(setup, left, right, measured.left, measured.right, measured.points.xyz_m)
     if chance * alike < BY_CHANCE:
         return measured

@@ -108,6 +108,10 @@ def led_cell(
     )
 
 
+HALF_WIDTH_PX, AWAY_M = 7.1, 1.5
+"""Width at half of its height of the beacon's image (sigma 3 px), and how far away it is: what its diameter_m says."""
+
+
 def beacon_cell(
     seed: int,
     frames: int,
@@ -125,7 +129,8 @@ def beacon_cell(
     lights = (Light(name="A", xyz_m=(0.0, 0.0, 0.0), level=210.0, sigma_px=3.0, bgr=(0.05, 0.08, 1.0)),)
     path = _about(seed)
     dark = {}
-    for side, (lens, pose) in parallel_pair(width, height, focal_px=750.0 * width / 640.0, baseline_m=0.126).items():
+    focal_px = 750.0 * width / 640.0
+    for side, (lens, pose) in parallel_pair(width, height, focal_px=focal_px, baseline_m=0.126).items():
         patches = np.random.default_rng([seed, SEED_BACKDROP])  # one stream: far behind, so both see the same
         plain = ambient(
             width, height, 30.0 if keys.dark else 0.0, across=10.0 if keys.dark else 0.0, bgr=(0.9, 1.0, 0.8)
@@ -143,7 +148,12 @@ def beacon_cell(
         cameras=cameras,
         lights=lights,
         path=path,
-        target={"kind": "spots", "spots_m": {"A": [0.0, 0.0, 0.0]}, "colour": "red"},
+        target={
+            "kind": "spots",
+            "spots_m": {"A": [0.0, 0.0, 0.0]},
+            "diameter_m": round(HALF_WIDTH_PX * AWAY_M / focal_px, 5),
+            "colour": "red",
+        },
         events=(),
         assumptions=(
             *_cameras_chosen(cameras),

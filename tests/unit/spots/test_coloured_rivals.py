@@ -18,7 +18,9 @@ from armsight.records.target import GREEN, RED
 WIDTH, HEIGHT = 640, 480
 CAMERA = Camera.pinhole(WIDTH, HEIGHT, 750.0, 750.0, 319.5, 239.5)
 RIG = parallel_rig(CAMERA, 0.12)
-BEACON = spot_target({"A": (0.0, 0.0, 0.0)}, colour=RED)
+COLOUR_ALONE = spot_target({"A": (0.0, 0.0, 0.0)}, colour=RED)
+BEACON = replace(COLOUR_ALONE, diameter_m=0.011)
+"""As wide as a light of 3 px deviation looks at 1.2 m."""
 PLACE = np.array([0.05, -0.04, 1.2])
 LED = (0.05, 0.08, 1.0)
 AMBER = (0.05, 0.50, 1.0)
@@ -97,7 +99,8 @@ def test_a_beacon_is_found_however_compressed(room: bool, level: float, quality:
 @pytest.mark.parametrize("room", [True, False])
 def test_an_overexposed_beacon_is_found_by_its_halo(room: bool) -> None:
     """Red is clipped over 14 px, and the middle is white by what leaks into blue and green."""
-    assert found(seen((PLACE, (0.2, 0.22, 1.0), 1500.0, 3.0), room=room))
+    masked = SpotSettings(mask=np.ones((HEIGHT, WIDTH), np.bool_))  # blooming makes it larger than its diameter_m
+    assert found(seen((PLACE, (0.2, 0.22, 1.0), 1500.0, 3.0), room=room, target=COLOUR_ALONE, settings=masked))
 
 
 @pytest.mark.parametrize("colour", [AMBER, PINK, (1.0, 1.0, 1.0), (0.1, 1.0, 0.1)])
@@ -115,9 +118,11 @@ def test_painted_things_are_neither_taken_nor_in_the_way() -> None:
 
 
 def test_a_red_ball_counts_from_the_threshold_that_is_given() -> None:
-    ball = seen(painted=((20.0, 20.0, 95.0),), settings=SpotSettings(threshold=80.0))
+    red = ((20.0, 20.0, 95.0),)
+    ball = seen(painted=red, settings=SpotSettings(threshold=80.0), target=COLOUR_ALONE)
     assert ball.pose.status is not PoseStatus.LOST
-    assert seen(painted=((20.0, 20.0, 95.0),), settings=SpotSettings(threshold=120.0)).pose.status is PoseStatus.LOST
+    dim = seen(painted=red, settings=SpotSettings(threshold=120.0), target=COLOUR_ALONE)
+    assert dim.pose.status is PoseStatus.LOST
 
 
 def test_two_beacons_are_refused_and_none_is_not_found() -> None:
@@ -128,17 +133,19 @@ def test_two_beacons_are_refused_and_none_is_not_found() -> None:
     assert none.pose.status is PoseStatus.LOST and "no light of the beacon's colour" in none.pose.why
 
 
-def test_an_indicator_lamp_is_not_taken_for_a_beacon_that_is_hidden_unless_something_else_tells() -> None:
+def test_a_lamp_is_not_taken_for_a_beacon_that_is_hidden() -> None:
     lamp = (PLACE, LED, 250.0, 1.3)
-    alone = seen(lamp)
-    assert alone.pose.status is PoseStatus.LOST and "indicator lamps" in alone.pose.why
-    assert found(seen(lamp, settings=SpotSettings(mask=np.ones((HEIGHT, WIDTH), np.bool_))))
+    for size in (1.3, 3.0, 6.0):
+        alone = seen((PLACE, LED, 250.0, size), target=COLOUR_ALONE)
+        assert alone.pose.status is PoseStatus.LOST and "a lamp of the room would look the same" in alone.pose.why
     assert found(seen(lamp, target=replace(BEACON, diameter_m=0.005)))
+    masked = SpotSettings(mask=np.ones((HEIGHT, WIDTH), np.bool_))
+    assert found(seen(lamp, target=COLOUR_ALONE, settings=masked))
 
 
 def test_the_diameter_tells_the_beacon_from_a_larger_light() -> None:
     large = (np.array([-0.2, 0.1, 1.2]), LED, 200.0, 12.0)
-    assert not found(seen((PLACE, LED, 170.0, 3.0), large))
+    assert not found(seen((PLACE, LED, 170.0, 3.0), large, target=COLOUR_ALONE))
     assert found(seen((PLACE, LED, 170.0, 3.0), large, target=replace(BEACON, diameter_m=0.010)))
 
 
