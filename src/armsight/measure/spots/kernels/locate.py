@@ -23,7 +23,7 @@ from armsight.measure.spots.kernels.area import (
     classify,
     near,
 )
-from armsight.measure.spots.kernels.blobs import RING_SAMPLES, blob_near, new_stack, ring_level
+from armsight.measure.spots.kernels.blobs import RING_SAMPLES, blob_near, ring_level
 from armsight.measure.spots.kernels.compiled import copy_to, kernel
 from armsight.measure.spots.kernels.scan import (
     AREA,
@@ -278,8 +278,6 @@ def locate_near(image, mask, options, predicted, half):
     box = np.empty(4, np.int64)
     cut = np.empty((most, 3))
     n_cut = 0
-    stack = np.empty(0, np.int64)
-    labels = np.zeros((0, 0), np.int32)
     for k in range(most):
         u = predicted[k, 0]
         v = predicted[k, 1]
@@ -297,12 +295,9 @@ def locate_near(image, mask, options, predicted, half):
             count = window_components(image, flip, mask, saturation, int(level), box, runs, parent, table)
         i = nearest(table, count, u, v, box, options, w, h, margin)
         if options[O_THRESHOLD] < 0.0 and crowded_window(table, count, box):
-            if stack.size == 0:
-                stack = new_stack(options[O_MAX_RADIUS])
-                labels = np.zeros((h, w), np.int32)
             if blob_near(
                 image, flip, saturation, mask, u, v, box, WINDOW_CONTRAST, options[O_MIN_PIXELS],
-                options[O_MAX_RADIUS], labels, stack, seen[n],
+                options[O_MAX_RADIUS], seen[n],
             ):  # fmt: skip
                 if classify(seen[n], w, h, box, options[O_MIN_PIXELS], options[O_MAX_RADIUS], margin) == BEYOND:
                     cut[n_cut, 0] = seen[n, SUM_X] / seen[n, WEIGHT]
