@@ -145,7 +145,7 @@ def pyramid_peaks(grey: Image, contrast: float, max_radius_px: float) -> NDArray
     level, scale = _halved(grey), 2
     while True:
         step = cv2.subtract(level, cv2.blur(level, (BOX_PX, BOX_PX)))  # stops at zero: only what is brighter
-        top = cv2.compare(step, np.maximum(cv2.dilate(step, _SQUARE), np.uint8(least)), cv2.CMP_GE)
+        top = cv2.compare(step, cv2.max(cv2.dilate(step, _SQUARE), least), cv2.CMP_GE)
         at = cv2.findNonZero(top)
         if at is not None:
             x, y = at[:, 0, 0], at[:, 0, 1]

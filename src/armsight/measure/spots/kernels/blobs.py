@@ -62,6 +62,25 @@ def ring_level(image, flip, x0, y0, radius, ring):
 
 
 @kernel
+def stands_out(image, flip, x0, y0, radius, top, contrast):
+    """Tell whether a peak of level top is `contrast` above the ground that ring_level's samples tell (see blob_at).
+
+    Most peaks do not, and need no sorted ring.
+    """
+    h, w = image.shape
+    most = top - contrast
+    n = 0
+    below = 0
+    for i in range(RING_SAMPLES):
+        x = int(x0 + radius * RING_X[i] + 0.5)
+        y = int(y0 + radius * RING_Y[i] + 0.5)
+        if 0 <= x < w and 0 <= y < h:
+            n += 1
+            below += np.uint8(image[y, x] ^ flip) <= most
+    return n >= FEWEST_SAMPLES and below > min(int(GROUND_SHARE * n), n - 1)
+
+
+@kernel
 def grow(image, flip, saturation, mask, x0, y0, level, reach, stamp, labels, left, top_row, stack, row):
     """Fill row (COLUMNS,) with the sums of the pixels above level that hang together with (x0, y0) by their sides.
 
@@ -152,16 +171,26 @@ def roundness(labels, left, top_row, stamp, row):
 def brightest_near(image, flip, x0, y0, r):
     """Return place and level of the brightest pixel within r of (x0, y0) along each axis, the nearest of equals."""
     h, w = image.shape
+    left = np.uint64(max(x0 - r, 0))
+    wide = min(x0 + r + 1, w) - max(x0 - r, 0)
     best = -1
     least = 0
     bx = x0
     by = y0
     for y in range(max(y0 - r, 0), min(y0 + r + 1, h)):
-        for x in range(max(x0 - r, 0), min(x0 + r + 1, w)):
-            grey = int(np.uint8(image[y, x] ^ flip))
+        top = np.uint8(0)
+        row = np.uint64(y)
+        for i in range(wide):
+            top = max(top, np.uint8(image[row, left + np.uint64(i)] ^ flip))
+        if int(top) < best:
+            continue
+        for i in range(wide):
+            if np.uint8(image[row, left + np.uint64(i)] ^ flip) != top:
+                continue
+            x = int(left) + i
             away = (x - x0) ** 2 + (y - y0) ** 2
-            if grey > best or (grey == best and away < least):
-                best = grey
+            if int(top) > best or away < least:
+                best = int(top)
                 least = away
                 bx = x
                 by = y
@@ -191,12 +220,10 @@ def blob_at(
     It is cut at half its height above the ring of the given radius; one of a pixel or two, lower. widest: how far (px)
     it may reach.
     """
+    if not stands_out(image, flip, x, y, radius, top, contrast):
+        return 0.0
     count = ring_level(image, flip, x, y, radius, ring)
-    if count < FEWEST_SAMPLES:
-        return 0.0
     ground = ring[min(int(GROUND_SHARE * count), count - 1)]
-    if top - ground < contrast:
-        return 0.0
     level = int(0.5 * (top + ground))
     reach = min(REACH * radius, widest)
     verdict = grow(image, flip, saturation, mask, x, y, level, reach, stamp, labels, left, top_row, stack, row)

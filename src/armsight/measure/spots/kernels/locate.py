@@ -43,6 +43,7 @@ from armsight.measure.spots.kernels.scan import (
     bright_blocks,
     bright_blocks_mapped,
     components,
+    edges,
     sense,
     threshold_map,
     window_components,
@@ -70,7 +71,7 @@ FULL, NOTHING_ABOVE, TOO_BRIGHT, BUSY = range(4)
 BUSY_SHARE = 0.5
 """Share of the blocks above an automatic threshold from which the background is no ground but a picture."""
 BUSY_RUNS = 4096
-"""Bright runs from which it is one."""
+"""Bright runs from which it is one; counted as rises above the threshold first, of which nearly each begins a run."""
 
 # the survey (SURVEY, GRID): levels of the tiles, then backgrounds, then one row that begins with these
 NOISE, NUMBER, PROCESSED = 0, 1, 2
@@ -177,6 +178,10 @@ def locate(image, mask, options):
     automatic = options[O_THRESHOLD] < 0.0
     if automatic and n_blocks > BUSY_SHARE * n_all:
         return np.empty((0, COLUMNS)), np.empty((0, STATE), np.int64), survey, BUSY
+    if automatic and mask.size == 0:
+        rises = edges(image.reshape(-1), flip, w, h, thresholds, mapped, blocks, n_blocks, np.int64(BUSY_RUNS))
+        if rises > BUSY_RUNS:
+            return np.empty((0, COLUMNS)), np.empty((0, STATE), np.int64), survey, BUSY
     most = BUSY_RUNS if automatic else MOST_RUNS
     table, n = label(image, flip, mask, saturation, thresholds, mapped, blocks, n_blocks, most)
     if n < 0:
