@@ -40,10 +40,10 @@ from armsight.measure.spots.kernels.scan import (
     X_MIN,
     Y_MAX,
     Y_MIN,
+    block_threshold,
     bright_blocks,
     bright_blocks_mapped,
     components,
-    edges,
     sense,
     threshold_map,
     window_components,
@@ -90,6 +90,27 @@ def survey_image(image, flip, mask, survey, thresholds):
     survey[2 * GRID, NOISE] = noise
     survey[2 * GRID, PROCESSED] = 1.0 if processed else 0.0
     return margin, low, high
+
+
+@kernel
+def edges(flat, flip, w, h, thresholds, mapped, blocks, n_blocks, most):
+    """Return how often the grey rises above the threshold within the blocks; stops counting beyond most."""
+    level = np.uint8(thresholds[0, 0])
+    count = np.int64(0)
+    for k in range(n_blocks):
+        first = blocks[k] * BLOCK
+        if mapped:
+            level = np.uint8(block_threshold(thresholds, first, h, w))
+        at = np.uint64(first)
+        rises = np.int64(0)
+        for i in range(min(BLOCK, flat.size - first) - 1):
+            here = np.uint8(flat[at + np.uint64(i)] ^ flip) > level
+            after = np.uint8(flat[at + np.uint64(i + 1)] ^ flip) > level
+            rises += after and not here
+        count += rises
+        if count > most:
+            return count
+    return count
 
 
 @kernel

@@ -12,14 +12,14 @@ code, in which a pixel costs a tenth of what it does one by one.
 
 from __future__ import annotations
 
-from math import cos, erf, exp, pi, sin, sqrt
+from math import cos, exp, pi, sin, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from armsight.measure.spots.kernels.axes import PIXEL_VARIANCE
-from armsight.measure.spots.kernels.compiled import kernel
+from armsight.measure.spots.kernels.compiled import kernel, vector
+from armsight.measure.spots.kernels.normal import normal
 
 JOINT, STREAK, ELLIPSE = 0, 1, 2
 FAR = 5.0
@@ -38,16 +38,7 @@ CLIPPED_PIXEL = 2
 LEAST_BLUR = 0.2
 MOST_BLUR = 25.0
 
-NODES = 64
-"""Nodes of the normal distribution's table per deviation: its series from the nearest one is exact to 1e-16."""
-LAST_NODE = 9 * NODES
-DENSITY = np.array([exp(-0.5 * (i / NODES) ** 2) / ROOT_2PI for i in range(-LAST_NODE, LAST_NODE + 1)])
-PROBABILITY = np.array([0.5 * (1.0 + erf(i / NODES / ROOT_2)) for i in range(-LAST_NODE, LAST_NODE + 1)])
-
-WORK = 6
-
-vector = njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
-"""Compiled so that sums may be taken in any order, as vector code needs it."""
+WORK = 8
 
 
 class Grid(NamedTuple):
@@ -74,26 +65,6 @@ def grid_of(x0, y0, nx, ny):
     return Grid(float(x0), float(y0), nx, ny, x, y, np.empty((WORK, nx * ny)))
 
 
-@kernel
-def normal(z):
-    """Return density and probability of the standard normal distribution at z."""
-    if not (-8.9 < z < 8.9):
-        return (0.0, 1.0) if z > 0.0 else (0.0, 0.0) if z < 0.0 else (z, z)
-    k = int(np.floor(z * NODES + 0.5))
-    a = float(k) / NODES
-    d = z - a
-    density = DENSITY[k + LAST_NODE]
-    t = -d * (a + 0.5 * d)
-    here = 1.0 + t * (1.0 + t * (0.5 + t * (1.0 / 6.0 + t * (1.0 / 24.0 + t * (1.0 / 120.0 + t / 720.0)))))
-    b = a * a
-    c2 = (b - 1.0) / 6.0
-    c3 = -a * (b - 3.0) / 24.0
-    c4 = (b * (b - 6.0) + 3.0) / 120.0
-    c5 = -a * (b * (b - 10.0) + 15.0) / 720.0
-    step = d * (1.0 + d * (-0.5 * a + d * (c2 + d * (c3 + d * (c4 + d * c5)))))
-    return density * here, PROBABILITY[k + LAST_NODE] + density * step
-
-
 @vector
 def outer(ex, ey, nx, ny, e):
     """Fill e (nx ny,) with the products of ex (nx,) and ey (ny,)."""
@@ -108,6 +79,13 @@ def add_scaled(a, b, factor):
     """Add factor times a to b."""
     for i in range(a.shape[0]):
         b[i] += factor * a[i]
+
+
+@vector
+def scaled(a, factor, b):
+    """Fill b with factor times a."""
+    for i in range(a.shape[0]):
+        b[i] = factor * a[i]
 
 
 @vector
@@ -147,6 +125,58 @@ def joint_light(p, n, grid, J, m):
         add_scaled(e, m, height)
 
 
+@vector
+def streak_axes(x, y, u, v, c, s_, s, h, across, a, b):
+    """Fill the distance across the streak, and those along it from its two ends, in widths."""
+    for i in range(x.shape[0]):
+        dx = x[i] - u
+        dy = y[i] - v
+        across[i] = (dy * c - dx * s_) / s
+        a[i] = (dx * c + dy * s_ + h) / s
+        b[i] = a[i] - 2.0 * h / s
+
+
+@vector
+def streak_ends(fa, to_a, fb, to_b, a, b, scale):
+    """Replace fa by fa - fb, to_a by the profile along, fb by fa + fb and to_b by a fa - b fb, all scaled."""
+    for i in range(a.shape[0]):
+        first = scale * fa[i]
+        last = scale * fb[i]
+        to_a[i] = scale * (to_a[i] - to_b[i])
+        fa[i] = first - last
+        fb[i] = first + last
+        to_b[i] = a[i] * first - b[i] * last
+
+
+@vector
+def streak_moved(across, z, along, ends, height, s, c, s_, by_u):
+    """Fill the derivative by a coordinate of the centre, of which c and s_ are the direction along and across."""
+    for i in range(z.shape[0]):
+        by_u[i] = height * across[i] / s * (z[i] * along[i] * s_ - ends[i] * c)
+
+
+@vector
+def streak_turned(across, z, a, along, ends, height, s, h, by_angle):
+    """Fill the derivative by the angle."""
+    for i in range(z.shape[0]):
+        t = a[i] - h / s
+        by_angle[i] = height * across[i] * z[i] * (ends[i] + t * along[i])
+
+
+@vector
+def streak_wider(across, z, along, moments, height, s, by_s):
+    """Fill the derivative by the width."""
+    for i in range(z.shape[0]):
+        by_s[i] = height * across[i] / s * (z[i] * z[i] * along[i] + along[i] - moments[i])
+
+
+@vector
+def streak_longer(across, along, both, height, s, h, by_h):
+    """Fill the derivative by half the length."""
+    for i in range(along.shape[0]):
+        by_h[i] = height * across[i] * (both[i] / s - along[i] / h)
+
+
 @kernel
 def streak_light(p, grid, J, m):
     """Fill m (pixels,) with the light of a streak, and J (7, pixels)."""
@@ -154,29 +184,28 @@ def streak_light(p, grid, J, m):
     s_ = sin(p[5])
     s = p[4]
     h = p[6]
-    scale = ROOT_2PI * s / (2.0 * h)
+    z = grid.work[0]
+    a = grid.work[1]
+    b = grid.work[2]
+    across = grid.work[3]
+    fa = grid.work[4]
+    along = grid.work[5]
+    fb = grid.work[6]
+    to_b = grid.work[7]
+    streak_axes(grid.x, grid.y, p[1], p[2], c, s_, s, h, z, a, b)
+    normal(z, across, fa)
+    scaled(across, ROOT_2PI, across)
+    normal(a, fa, along)
+    normal(b, fb, to_b)
+    streak_ends(fa, along, fb, to_b, a, b, ROOT_2PI * s / (2.0 * h))
+    streak_moved(across, z, along, fa, p[3], s, c, -s_, J[1])
+    streak_moved(across, z, along, fa, p[3], s, s_, c, J[2])
     for i in range(m.shape[0]):
-        dx = grid.x[i] - p[1]
-        dy = grid.y[i] - p[2]
-        t = dx * c + dy * s_
-        n = dy * c - dx * s_
-        across, _ = normal(n / s)
-        across *= ROOT_2PI
-        a = (t + h) / s
-        b = (t - h) / s
-        fa, to_a = normal(a)
-        fb, to_b = normal(b)
-        along = (to_a - to_b) * scale
-        light = p[3] * across * along
-        by_t = p[3] * across * (fa - fb) / s * scale
-        by_n = -n / (s * s) * light
-        J[1, i] = -by_t * c + by_n * s_
-        J[2, i] = -by_t * s_ - by_n * c
-        J[3, i] = across * along
-        J[4, i] = n * n / (s * s * s) * light + p[3] * across * (along - scale * (a * fa - b * fb)) / s
-        J[5, i] = by_t * n - by_n * t
-        J[6, i] = p[3] * across * ((fa + fb) / s * scale - along / h)
-        m[i] = light
+        J[3, i] = across[i] * along[i]
+    streak_wider(across, z, along, to_b, p[3], s, J[4])
+    streak_turned(across, z, a, along, fa, p[3], s, h, J[5])
+    streak_longer(across, along, fb, p[3], s, h, J[6])
+    scaled(J[3], p[3], m)
 
 
 @vector
@@ -203,21 +232,13 @@ def edge_distance(Q, G, core, s, d, h):
         d[i] = (1.0 - S) / (np.sqrt(G[i]) * (1.0 + h[i]))
 
 
-@kernel
-def edge_profile(d, s, height, share, slope):
-    """Fill the share Phi(d / s) of the height, and slope = dm / dd; zero far from the edge."""
+@vector
+def edge_cut(d, s, height, share, slope):
+    """Fill slope = dm / dd by the density that it holds; beyond FAR it is zero, and the share one or zero."""
     for i in range(d.shape[0]):
-        z = d[i] / s
-        if z < -FAR:
-            share[i] = 0.0
-            slope[i] = 0.0
-        elif z > FAR:
-            share[i] = 1.0
-            slope[i] = 0.0
-        else:
-            density, probability = normal(z)
-            share[i] = probability
-            slope[i] = height / s * density
+        far = abs(d[i]) > FAR * s
+        share[i] = (1.0 if d[i] > 0.0 else 0.0) if far else share[i]
+        slope[i] = 0.0 if far else slope[i] * (height / s)
 
 
 @vector
@@ -293,7 +314,9 @@ def ellipse_light(p, grid, J, m):
     slope = grid.work[4]
     edge_form(x, y, u, v, m0, m1, m2, Q, G)
     edge_distance(Q, G, CORE_VARIANCE * (m0 + m2), s, d, h)
-    edge_profile(d, s, p[3], J[3], slope)
+    scaled(d, 1.0 / s, grid.work[5])
+    normal(grid.work[5], slope, J[3])
+    edge_cut(d, s, p[3], J[3], slope)
     edge_blur(slope, d, h, G, s, J[4])
     edge_factors(slope, Q, G, s, d, h)
     n1 = m1 * (m0 + m2)
@@ -302,8 +325,7 @@ def ellipse_light(p, grid, J, m):
     edge_formed(x, y, u, v, h, d, G, m0, m1, J[5])
     edge_turned(x, y, u, v, h, d, G, m0, m1, m2, J[6])
     edge_formed(y, x, v, u, h, d, G, m2, m1, J[7])
-    for i in range(m.shape[0]):
-        m[i] = p[3] * J[3, i]
+    scaled(J[3], p[3], m)
 
 
 @kernel

@@ -273,27 +273,6 @@ def bright_blocks_mapped(flat, flip, h, w, thresholds, hits):
 
 
 @kernel
-def edges(flat, flip, w, h, thresholds, mapped, blocks, n_blocks, most):
-    """Return how often the grey rises above the threshold within the blocks; stops counting beyond most."""
-    level = np.uint8(thresholds[0, 0])
-    count = np.int64(0)
-    for k in range(n_blocks):
-        first = blocks[k] * BLOCK
-        if mapped:
-            level = np.uint8(block_threshold(thresholds, first, h, w))
-        at = np.uint64(first)
-        rises = np.int64(0)
-        for i in range(min(BLOCK, flat.size - first) - 1):
-            here = np.uint8(flat[at + np.uint64(i)] ^ flip) > level
-            after = np.uint8(flat[at + np.uint64(i + 1)] ^ flip) > level
-            rises += after and not here
-        count += rises
-        if count > most:
-            return count
-    return count
-
-
-@kernel
 def root_of(parent, i):
     """Return the root of run i, shortening the path."""
     while parent[i] != i:
