@@ -337,7 +337,7 @@ def blob_near(image, flip, saturation, mask, u, v, box, contrast, min_pixels, ma
         while scale <= max(0.5 * max_radius, 2.0):
             stamp += 1
             if reach < REACH * RING * scale:  # labels of what such a blob may cover about its peak
-                reach = int(REACH * RING * scale) + 1
+                reach = np.int64(REACH * RING * scale) + 1
                 labels = np.zeros((2 * reach + 3, 2 * reach + 3), np.int32)
                 stack = np.empty(labels.size, np.int64)
             if blob_at(

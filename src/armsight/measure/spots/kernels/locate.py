@@ -114,9 +114,9 @@ def edges(flat, flip, w, h, thresholds, mapped, blocks, n_blocks, most):
 
 
 @kernel
-def label(image, flip, mask, saturation, thresholds, mapped, blocks, n_blocks, most):
-    """Return the components' table and how many there are (-1: more than `most` runs)."""
-    runs_most = FEW_RUNS
+def label(image, flip, mask, saturation, thresholds, mapped, blocks, n_blocks, likely, most):
+    """Return the components' table and how many there are (-1: more than `most` runs; likely: about how many runs)."""
+    runs_most = FEW_RUNS if likely < FEW_RUNS else min(8 * FEW_RUNS, most)
     while True:
         table = np.empty((runs_most, COLUMNS))
         runs = np.empty((runs_most, 3), np.int32)
@@ -199,12 +199,13 @@ def locate(image, mask, options):
     automatic = options[O_THRESHOLD] < 0.0
     if automatic and n_blocks > BUSY_SHARE * n_all:
         return np.empty((0, COLUMNS)), np.empty((0, STATE), np.int64), survey, BUSY
+    rises = np.int64(0)
     if automatic and mask.size == 0:
         rises = edges(image.reshape(-1), flip, w, h, thresholds, mapped, blocks, n_blocks, np.int64(BUSY_RUNS))
         if rises > BUSY_RUNS:
             return np.empty((0, COLUMNS)), np.empty((0, STATE), np.int64), survey, BUSY
     most = BUSY_RUNS if automatic else MOST_RUNS
-    table, n = label(image, flip, mask, saturation, thresholds, mapped, blocks, n_blocks, most)
+    table, n = label(image, flip, mask, saturation, thresholds, mapped, blocks, n_blocks, rises, most)
     if n < 0:
         return np.empty((0, COLUMNS)), np.empty((0, STATE), np.int64), survey, BUSY if automatic else TOO_BRIGHT
     comps = np.empty((n, COLUMNS))
