@@ -145,7 +145,8 @@ def pyramid_peaks(grey: Image, contrast: float, max_radius_px: float) -> NDArray
     level, scale = _halved(grey), 2
     while True:
         step = cv2.subtract(level, cv2.blur(level, (BOX_PX, BOX_PX)))  # stops at zero: only what is brighter
-        top = cv2.compare(step, np.maximum(cv2.dilate(step, _SQUARE), np.uint8(least)), cv2.CMP_GE)
+        highest = np.asarray(cv2.dilate(step, _SQUARE), dtype=np.uint8)
+        top = cv2.compare(step, np.maximum(highest, np.uint8(least), out=highest), cv2.CMP_GE)
         at = cv2.findNonZero(top)
         if at is not None:
             x, y = at[:, 0, 0], at[:, 0, 1]
@@ -159,7 +160,7 @@ def pyramid_peaks(grey: Image, contrast: float, max_radius_px: float) -> NDArray
     if not found:
         return np.empty((0, 3), np.int64)
     peaks = np.concatenate(found)
-    order = np.argsort(-peaks[:, 3], kind="stable")
+    order = np.argsort(np.uint8(255) - peaks[:, 3].astype(np.uint8), kind="stable")  # bytes are sorted by counting
     return np.ascontiguousarray(peaks[order, :3], dtype=np.int64)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,7 +24,7 @@ from armsight.measure.spots.kernels.area import (
     UNRESOLVED,
     UNUSED,
 )
-from armsight.measure.spots.kernels.colour import to_grey
+from armsight.measure.spots.kernels.colour import whiten_clipped
 from armsight.measure.spots.kernels.lights import deliver, measure_others, measure_round
 from armsight.measure.spots.kernels.locate import FULL, NOISE, NOTHING_ABOVE, NUMBER, locate, locate_near
 from armsight.measure.spots.kernels.scan import SUM_X, SUM_Y, WEIGHT
@@ -148,8 +149,9 @@ def checked_mask(settings: SpotSettings, image: Image) -> NDArray[np.uint8]:
 
 def grey_of(image: Image, saturation: int) -> Image:
     """Return BGR as grey, white where any channel is clipped: such a pixel's grey value is not known."""
-    grey = np.empty(image.shape[:2], np.uint8)
-    to_grey(np.ascontiguousarray(image).reshape(-1, 3), saturation, grey.reshape(-1))
+    image = np.ascontiguousarray(image)
+    grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+    whiten_clipped(image.reshape(-1), saturation, grey.reshape(-1))
     return grey
 
 

@@ -62,11 +62,31 @@ def ring_level(image, flip, x0, y0, radius, ring):
 
 
 @kernel
-def grow(image, flip, saturation, mask, x0, y0, level, reach, stamp, labels, stack, row):
+def stands_out(image, flip, x0, y0, radius, top, contrast):
+    """Tell whether a peak of level top is `contrast` above the ground that ring_level's samples tell (see blob_at).
+
+    Most peaks do not, and need no sorted ring.
+    """
+    h, w = image.shape
+    most = top - contrast
+    n = 0
+    below = 0
+    for i in range(RING_SAMPLES):
+        x = int(x0 + radius * RING_X[i] + 0.5)
+        y = int(y0 + radius * RING_Y[i] + 0.5)
+        if 0 <= x < w and 0 <= y < h:
+            n += 1
+            below += np.uint8(image[y, x] ^ flip) <= most
+    return n >= FEWEST_SAMPLES and below > min(int(GROUND_SHARE * n), n - 1)
+
+
+@kernel
+def grow(image, flip, saturation, mask, x0, y0, level, reach, stamp, labels, left, top_row, stack, row):
     """Fill row (COLUMNS,) with the sums of the pixels above level that hang together with (x0, y0) by their sides.
 
     Returns 0, or 1 where the blob reaches further than reach from (x0, y0), 2 where it meets the image's border.
-    labels (h, w) gets stamp at every pixel that was looked at and belongs to it. Sums are weighted above level.
+    labels gets stamp at every pixel that was looked at and belongs to it; its first one is that of the image's column
+    left and row top_row. Sums are weighted above level.
     """
     h, w = image.shape
     for c in range(COLUMNS):
@@ -76,7 +96,7 @@ def grow(image, flip, saturation, mask, x0, y0, level, reach, stamp, labels, sta
     row[Y_MIN] = y0
     row[Y_MAX] = y0
     stack[0] = y0 * w + x0
-    labels[y0, x0] = stamp
+    labels[y0 - top_row, x0 - left] = stamp
     top = 1
     reach2 = reach * reach
     while top > 0:
@@ -102,8 +122,10 @@ def grow(image, flip, saturation, mask, x0, y0, level, reach, stamp, labels, sta
         for d in range(4):
             a = x + (1 if d == 0 else -1 if d == 1 else 0)
             b = y + (1 if d == 2 else -1 if d == 3 else 0)
-            if labels[b, a] != stamp and np.uint8(image[b, a] ^ flip) > level and (mask.size == 0 or mask[b, a] != 0):
-                labels[b, a] = stamp
+            if labels[b - top_row, a - left] == stamp:
+                continue
+            if np.uint8(image[b, a] ^ flip) > level and (mask.size == 0 or mask[b, a] != 0):
+                labels[b - top_row, a - left] = stamp
                 stack[top] = b * w + a
                 top += 1
     row[SUM_X] += row[WEIGHT] * x0
@@ -113,7 +135,7 @@ def grow(image, flip, saturation, mask, x0, y0, level, reach, stamp, labels, sta
 
 
 @kernel
-def roundness(labels, stamp, row):
+def roundness(labels, left, top_row, stamp, row):
     """Return fill times ratio of the axes of a blob (1 for a filled circle), 0 where it is a line or ragged."""
     n = 0.0
     sx = 0.0
@@ -125,7 +147,7 @@ def roundness(labels, stamp, row):
     y0 = int(row[Y_MIN])
     for y in range(y0, int(row[Y_MAX]) + 1):
         for x in range(x0, int(row[X_MAX]) + 1):
-            if labels[y, x] == stamp:
+            if labels[y - top_row, x - left] == stamp:
                 n += 1.0
                 sx += x - x0
                 sy += y - y0
@@ -149,16 +171,26 @@ def roundness(labels, stamp, row):
 def brightest_near(image, flip, x0, y0, r):
     """Return place and level of the brightest pixel within r of (x0, y0) along each axis, the nearest of equals."""
     h, w = image.shape
+    left = np.uint64(max(x0 - r, 0))
+    wide = min(x0 + r + 1, w) - max(x0 - r, 0)
     best = -1
     least = 0
     bx = x0
     by = y0
     for y in range(max(y0 - r, 0), min(y0 + r + 1, h)):
-        for x in range(max(x0 - r, 0), min(x0 + r + 1, w)):
-            grey = int(np.uint8(image[y, x] ^ flip))
+        top = np.uint8(0)
+        row = np.uint64(y)
+        for i in range(wide):
+            top = max(top, np.uint8(image[row, left + np.uint64(i)] ^ flip))
+        if int(top) < best:
+            continue
+        for i in range(wide):
+            if np.uint8(image[row, left + np.uint64(i)] ^ flip) != top:
+                continue
+            x = int(left) + i
             away = (x - x0) ** 2 + (y - y0) ** 2
-            if grey > best or (grey == best and away < least):
-                best = grey
+            if int(top) > best or away < least:
+                best = int(top)
                 least = away
                 bx = x
                 by = y
@@ -180,31 +212,30 @@ def known(table, n, row):
 
 @kernel
 def blob_at(
-    image, flip, saturation, mask, x, y, top, radius, contrast, min_pixels, widest, stamp, labels, stack, ring, row
-):
+    image, flip, saturation, mask, x, y, top, radius, contrast, min_pixels, widest, stamp, labels, left, top_row, stack,
+    ring, row,
+):  # fmt: skip
     """Fill row (COLUMNS,) with the blob of the peak at (x, y); return its roundness, 0 where it is none.
 
     It is cut at half its height above the ring of the given radius; one of a pixel or two, lower. widest: how far (px)
     it may reach.
     """
+    if not stands_out(image, flip, x, y, radius, top, contrast):
+        return 0.0
     count = ring_level(image, flip, x, y, radius, ring)
-    if count < FEWEST_SAMPLES:
-        return 0.0
     ground = ring[min(int(GROUND_SHARE * count), count - 1)]
-    if top - ground < contrast:
-        return 0.0
     level = int(0.5 * (top + ground))
     reach = min(REACH * radius, widest)
-    verdict = grow(image, flip, saturation, mask, x, y, level, reach, stamp, labels, stack, row)
+    verdict = grow(image, flip, saturation, mask, x, y, level, reach, stamp, labels, left, top_row, stack, row)
     if verdict == 0 and row[AREA] < min_pixels:
         level = int(TINY * top + (1.0 - TINY) * ground)
-        verdict = grow(image, flip, saturation, mask, x, y, level, reach, -stamp, labels, stack, row)
+        verdict = grow(image, flip, saturation, mask, x, y, level, reach, -stamp, labels, left, top_row, stack, row)
         stamp = -stamp
     if verdict != 0 or row[AREA] < min_pixels:
         return 0.0
     row[GROUND] = ground
     row[SLOPE] = (ring[(3 * count) // 4] - ring[count // 4]) / radius
-    return roundness(labels, stamp, row)
+    return roundness(labels, left, top_row, stamp, row)
 
 
 @kernel
@@ -237,7 +268,7 @@ def grow_blobs(image, flip, saturation, mask, peaks, contrast, min_pixels, max_r
         row[AREA] = 0.0
         fine = blob_at(
             image, flip, saturation, mask, x, y, top, RING * peaks[k, 2], contrast, min_pixels, 2.0 * max_radius,
-            k + 1, labels, stack, ring, row,
+            k + 1, labels, np.int64(0), np.int64(0), stack, ring, row,
         )  # fmt: skip
         spent += int(row[AREA])
         if fine == 0.0 or max(row[X_MAX] - row[X_MIN], row[Y_MAX] - row[Y_MIN]) > 2.0 * max_radius:
@@ -266,12 +297,8 @@ def is_peak(image, flip, x, y, grey):
 
 
 @kernel
-def blob_near(image, flip, saturation, mask, u, v, box, contrast, min_pixels, max_radius, labels, stack, row):
-    """Fill row (COLUMNS,) with the blob nearest to (u, v) whose peak lies in box (x0, x1, y0, y1); False for none.
-
-    labels (h, w), stack: work; a stamp is made of the place, so that labels need not be cleared between windows.
-    """
-    w = image.shape[1]
+def blob_near(image, flip, saturation, mask, u, v, box, contrast, min_pixels, max_radius, row):
+    """Fill row (COLUMNS,) with the blob nearest to (u, v) whose peak lies in box (x0, x1, y0, y1); False for none."""
     ring = np.empty(RING_SAMPLES)
     away = np.empty(MOST_PEAKS)
     at = np.empty((MOST_PEAKS, 2), np.int64)
@@ -298,23 +325,25 @@ def blob_near(image, flip, saturation, mask, u, v, box, contrast, min_pixels, ma
             at[k, 0] = x
             at[k, 1] = y
             n = n + 1 if n < MOST_PEAKS else n
+    reach = np.int64(0)
+    labels = np.zeros((0, 0), np.int32)
+    stack = np.empty(0, np.int64)
+    stamp = np.int64(0)
     for k in range(n):
         x = at[k, 0]
         y = at[k, 1]
         top = int(np.uint8(image[y, x] ^ flip))
         scale = np.int64(2)
         while scale <= max(0.5 * max_radius, 2.0):
-            stamp = (y * w + x) * 16 + scale
+            stamp += 1
+            if reach < REACH * RING * scale:  # labels of what such a blob may cover about its peak
+                reach = np.int64(REACH * RING * scale) + 1
+                labels = np.zeros((2 * reach + 3, 2 * reach + 3), np.int32)
+                stack = np.empty(labels.size, np.int64)
             if blob_at(
                 image, flip, saturation, mask, x, y, top, RING * scale, contrast, min_pixels, 2.0 * max_radius,
-                stamp, labels, stack, ring, row,
+                stamp, labels, x - reach - 1, y - reach - 1, stack, ring, row,
             ) > 0.0:  # fmt: skip
                 return True
             scale *= 2
     return False
-
-
-@kernel
-def new_stack(max_radius):
-    """Return work for grow() that holds the widest blob of a search in windows."""
-    return np.empty(int((4.0 * REACH * RING * max(max_radius, 2.0) + 8.0) ** 2), np.int64)

@@ -31,18 +31,8 @@ from armsight.measure.spots.kernels.area import (
 )
 from armsight.measure.spots.kernels.axes import PIXEL_VARIANCE
 from armsight.measure.spots.kernels.compiled import copy_to, kernel
-from armsight.measure.spots.kernels.models import (
-    ELLIPSE,
-    JOINT,
-    ROOT_2,
-    ROOT_2PI,
-    STREAK,
-    fit_model,
-    normal_equations,
-    prior_weight,
-    residuals_of,
-    weighted_information,
-)
+from armsight.measure.spots.kernels.leastsquares import evaluated, fit_model, gram, weighted_information
+from armsight.measure.spots.kernels.models import ELLIPSE, JOINT, ROOT_2, ROOT_2PI, STREAK, prior_weight
 from armsight.measure.spots.kernels.patch import find_peaks, principal, shape_of, used
 from armsight.measure.spots.kernels.scan import (
     AREA,
@@ -229,11 +219,9 @@ def attempt(kind, lights, comp, shape, background, peaks, values, use, x0, y0, c
 @kernel
 def refit(kind, n, values, use, x0, y0, count, p, residuals):
     """Fit one model from p in place; return sum of squares (-1: failed) and run of the residuals."""
-    H = np.empty((n, n))
-    rss = fit_model(kind, p, n, values, use, x0, y0, count, H)
+    rss = fit_model(kind, p, n, values, use, x0, y0, count, residuals)
     if rss < 0.0:
         return rss, 0.0
-    residuals_of(kind, p, n, values, use, x0, y0, residuals)
     return rss, neighbours(residuals)[1]
 
 
@@ -306,12 +294,13 @@ def describe(kind, n, p, values, use, box, rss, rows, source):
     count = used(use)
     noise = max(rss / max(count - n, 1), PIXEL_VARIANCE)
     lights = (n - 2) // 3 if kind == JOINT else 1
-    normal_equations(kind, p, n, values, use, box[0], box[2], H, np.empty(n))
+    J, m, grid = evaluated(kind, p, n, values, use, box[0], box[2], residuals)
+    gram(J, n, H)
     height = p[4] if kind == JOINT else p[3]
     for i in range(n):
         H[i, i] += prior_weight(kind, i, height)
     first = 2 if kind == JOINT else 1
-    weighted_information(kind, p, n, values, use, box[0], box[2], p[first], p[first + 1], G, tilt, residuals, sums)
+    weighted_information(J, m, grid, residuals, n, p[first], p[first + 1], G, tilt, sums)
     products, run = neighbours(residuals)
     wider = inflation(run, products, rss)
     if wider > 1.0 and lights == 1:
@@ -334,13 +323,13 @@ def describe(kind, n, p, values, use, box, rss, rows, source):
     for k in range(lights):
         first = 2 + 3 * k if kind == JOINT else 1
         # the light's centre first, as uncertainty wants it
-        m = 2
+        at = 2
         order[0] = first
         order[1] = first + 1
         for i in range(n):
             if i != first and i != first + 1:
-                order[m] = i
-                m += 1
+                order[at] = i
+                at += 1
         for i in range(n):
             for j in range(n):
                 H2[i, j] = H[order[i], order[j]]

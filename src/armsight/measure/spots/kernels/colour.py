@@ -7,6 +7,7 @@ from math import sqrt
 import numpy as np
 
 from armsight.measure.spots.kernels.compiled import kernel
+from armsight.measure.spots.kernels.scan import brightest
 
 # a colour as the kernels see it: hue from, to (degrees, wrapping), least saturation (0..1), least value (0..255)
 HUE_FROM, HUE_TO, LEAST_SATURATION, LEAST_VALUE = range(4)
@@ -38,15 +39,20 @@ LOOK = 8
 OCTANTS = 8
 
 
+STRETCH = 192
+"""Channels that are looked at together: of 64 pixels."""
+
+
 @kernel
-def to_grey(bgr, saturation, grey):
-    """Fill grey (n,) with the luma of bgr (n, 3) as OpenCV weighs it, 255 where any channel is clipped."""
-    for i in range(grey.shape[0]):
-        b = np.int32(bgr[i, 0])
-        g = np.int32(bgr[i, 1])
-        r = np.int32(bgr[i, 2])
-        y = (b * np.int32(3735) + g * np.int32(19235) + r * np.int32(9798) + np.int32(16384)) >> np.int32(15)
-        grey[i] = np.uint8(255) if max(max(b, g), r) >= saturation else np.uint8(y)
+def whiten_clipped(channels, saturation, grey):
+    """Set grey (n,) to 255 where any of a pixel's channels (3 n,), side by side, is clipped."""
+    for start in range(0, channels.size, STRETCH):
+        n = min(STRETCH, channels.size - start)
+        if brightest(channels, np.uint8(0), start, n) < saturation:
+            continue
+        for i in range(start, start + n):
+            if channels[i] >= saturation:
+                grey[i // 3] = np.uint8(255)
 
 
 @kernel

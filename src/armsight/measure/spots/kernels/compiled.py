@@ -9,6 +9,8 @@ np.int64: a plain 0 would compile the callee a second time, for that value.
 from numba import njit
 
 kernel = njit(cache=True, nogil=True, error_model="numpy")
+vector = njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
+"""For loops over arrays whose sums may be taken in any order, as vector code needs it."""
 
 
 @kernel

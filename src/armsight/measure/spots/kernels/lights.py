@@ -54,8 +54,8 @@ from armsight.measure.spots.kernels.area import (
 from armsight.measure.spots.kernels.axes import PIXEL_VARIANCE
 from armsight.measure.spots.kernels.choose import choose, describe, refit
 from armsight.measure.spots.kernels.compiled import copy_to, kernel
+from armsight.measure.spots.kernels.leastsquares import light_of
 from armsight.measure.spots.kernels.locate import NOISE, PROCESSED
-from armsight.measure.spots.kernels.models import light_of
 from armsight.measure.spots.kernels.patch import make_patch, patch_box
 from armsight.measure.spots.kernels.processed import astray, settle_centre
 from armsight.measure.spots.kernels.round import (

@@ -23,7 +23,7 @@ from armsight.measure.spots.kernels.area import (
     classify,
     near,
 )
-from armsight.measure.spots.kernels.blobs import RING_SAMPLES, blob_near, new_stack, ring_level
+from armsight.measure.spots.kernels.blobs import RING_SAMPLES, blob_near, ring_level
 from armsight.measure.spots.kernels.compiled import copy_to, kernel
 from armsight.measure.spots.kernels.scan import (
     AREA,
@@ -40,6 +40,7 @@ from armsight.measure.spots.kernels.scan import (
     X_MIN,
     Y_MAX,
     Y_MIN,
+    block_threshold,
     bright_blocks,
     bright_blocks_mapped,
     components,
@@ -70,7 +71,7 @@ FULL, NOTHING_ABOVE, TOO_BRIGHT, BUSY = range(4)
 BUSY_SHARE = 0.5
 """Share of the blocks above an automatic threshold from which the background is no ground but a picture."""
 BUSY_RUNS = 4096
-"""Bright runs from which it is one."""
+"""Bright runs from which it is one; counted as rises above the threshold first, of which nearly each begins a run."""
 
 # the survey (SURVEY, GRID): levels of the tiles, then backgrounds, then one row that begins with these
 NOISE, NUMBER, PROCESSED = 0, 1, 2
@@ -92,9 +93,30 @@ def survey_image(image, flip, mask, survey, thresholds):
 
 
 @kernel
-def label(image, flip, mask, saturation, thresholds, mapped, blocks, n_blocks, most):
-    """Return the components' table and how many there are (-1: more than `most` runs)."""
-    runs_most = FEW_RUNS
+def edges(flat, flip, w, h, thresholds, mapped, blocks, n_blocks, most):
+    """Return how often the grey rises above the threshold within the blocks; stops counting beyond most."""
+    level = np.uint8(thresholds[0, 0])
+    count = np.int64(0)
+    for k in range(n_blocks):
+        first = blocks[k] * BLOCK
+        if mapped:
+            level = np.uint8(block_threshold(thresholds, first, h, w))
+        at = np.uint64(first)
+        rises = np.int64(0)
+        for i in range(min(BLOCK, flat.size - first) - 1):
+            here = np.uint8(flat[at + np.uint64(i)] ^ flip) > level
+            after = np.uint8(flat[at + np.uint64(i + 1)] ^ flip) > level
+            rises += after and not here
+        count += rises
+        if count > most:
+            return count
+    return count
+
+
+@kernel
+def label(image, flip, mask, saturation, thresholds, mapped, blocks, n_blocks, likely, most):
+    """Return the components' table and how many there are (-1: more than `most` runs; likely: about how many runs)."""
+    runs_most = FEW_RUNS if likely < FEW_RUNS else min(8 * FEW_RUNS, most)
     while True:
         table = np.empty((runs_most, COLUMNS))
         runs = np.empty((runs_most, 3), np.int32)
@@ -177,8 +199,13 @@ def locate(image, mask, options):
     automatic = options[O_THRESHOLD] < 0.0
     if automatic and n_blocks > BUSY_SHARE * n_all:
         return np.empty((0, COLUMNS)), np.empty((0, STATE), np.int64), survey, BUSY
+    rises = np.int64(0)
+    if automatic and mask.size == 0:
+        rises = edges(image.reshape(-1), flip, w, h, thresholds, mapped, blocks, n_blocks, np.int64(BUSY_RUNS))
+        if rises > BUSY_RUNS:
+            return np.empty((0, COLUMNS)), np.empty((0, STATE), np.int64), survey, BUSY
     most = BUSY_RUNS if automatic else MOST_RUNS
-    table, n = label(image, flip, mask, saturation, thresholds, mapped, blocks, n_blocks, most)
+    table, n = label(image, flip, mask, saturation, thresholds, mapped, blocks, n_blocks, rises, most)
     if n < 0:
         return np.empty((0, COLUMNS)), np.empty((0, STATE), np.int64), survey, BUSY if automatic else TOO_BRIGHT
     comps = np.empty((n, COLUMNS))
@@ -278,8 +305,6 @@ def locate_near(image, mask, options, predicted, half):
     box = np.empty(4, np.int64)
     cut = np.empty((most, 3))
     n_cut = 0
-    stack = np.empty(0, np.int64)
-    labels = np.zeros((0, 0), np.int32)
     for k in range(most):
         u = predicted[k, 0]
         v = predicted[k, 1]
@@ -297,12 +322,9 @@ def locate_near(image, mask, options, predicted, half):
             count = window_components(image, flip, mask, saturation, int(level), box, runs, parent, table)
         i = nearest(table, count, u, v, box, options, w, h, margin)
         if options[O_THRESHOLD] < 0.0 and crowded_window(table, count, box):
-            if stack.size == 0:
-                stack = new_stack(options[O_MAX_RADIUS])
-                labels = np.zeros((h, w), np.int32)
             if blob_near(
                 image, flip, saturation, mask, u, v, box, WINDOW_CONTRAST, options[O_MIN_PIXELS],
-                options[O_MAX_RADIUS], labels, stack, seen[n],
+                options[O_MAX_RADIUS], seen[n],
             ):  # fmt: skip
                 if classify(seen[n], w, h, box, options[O_MIN_PIXELS], options[O_MAX_RADIUS], margin) == BEYOND:
                     cut[n_cut, 0] = seen[n, SUM_X] / seen[n, WEIGHT]

@@ -1,26 +1,27 @@
-"""The other lights: value and derivatives of each model at a pixel, and one damped least-squares fit for all.
+"""The other lights: light and derivatives of each model at all pixels of a patch at once.
 
 Every model is sampled at the pixel's centre; the pixel's integration is part of the blur (1/12 px^2).
 
 JOINT     p = b, 1/q, then u, v, A of each light: round Gaussians of one width that touch
 STREAK    p = b, u, v, A, s, angle, h: a Gaussian of width s drawn along a segment of length 2 h (motion blur)
 ELLIPSE   p = b, u, v, A, s, m0, m1, m2: a flat ellipse x'Mx <= 1, M = [[m0, m1], [m1, m2]], with an edge of blur s
+
+Derivatives J (n, pixels) lie parameter by parameter, and a loop writes one or two of them: such loops become vector
+code, in which a pixel costs a tenth of what it does one by one.
 """
 
 from __future__ import annotations
 
-from math import cos, erf, exp, pi, sin, sqrt
+from math import cos, exp, pi, sin, sqrt
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from armsight.fitting.kernels import solve_damped
 from armsight.measure.spots.kernels.axes import PIXEL_VARIANCE
-from armsight.measure.spots.kernels.compiled import copy_to, kernel
+from armsight.measure.spots.kernels.compiled import kernel, vector
+from armsight.measure.spots.kernels.normal import normal
 
 JOINT, STREAK, ELLIPSE = 0, 1, 2
-STEPS = 40
-CLOSE = 3e-3
-"""Stop where a step lowers chi-square by less than this share of the noise variance."""
 FAR = 5.0
 """Blurs from the edge of an ellipse beyond which it is flat."""
 CORE_VARIANCE = 0.05
@@ -37,125 +38,307 @@ CLIPPED_PIXEL = 2
 LEAST_BLUR = 0.2
 MOST_BLUR = 25.0
 
+WORK = 8
+
+
+class Grid(NamedTuple):
+    """The pixels of a patch: of the first one x0, y0, how many nx, ny, and of each the place x, y (nx ny,)."""
+
+    x0: Any
+    y0: Any
+    nx: Any
+    ny: Any
+    x: Any
+    y: Any
+    work: Any  # (WORK, nx ny)
+
 
 @kernel
-def joint_at(p, n, x, y, J):
-    """Return the light of (n - 2) / 3 Gaussians at a pixel and fill J (n,)."""
-    total = 0.0
-    by_width = 0.0
-    J[0] = 1.0
+def grid_of(x0, y0, nx, ny):
+    """Return the pixels of a patch."""
+    x = np.empty(nx * ny)
+    y = np.empty(nx * ny)
+    for j in range(ny):
+        for i in range(nx):
+            x[j * nx + i] = float(x0 + i)
+            y[j * nx + i] = float(y0 + j)
+    return Grid(float(x0), float(y0), nx, ny, x, y, np.empty((WORK, nx * ny)))
+
+
+@vector
+def outer(ex, ey, nx, ny, e):
+    """Fill e (nx ny,) with the products of ex (nx,) and ey (ny,)."""
+    for j in range(ny):
+        row = e[j * nx : (j + 1) * nx]
+        for i in range(nx):
+            row[i] = ey[j] * ex[i]
+
+
+@vector
+def add_scaled(a, b, factor):
+    """Add factor times a to b."""
+    for i in range(a.shape[0]):
+        b[i] += factor * a[i]
+
+
+@vector
+def scaled(a, factor, b):
+    """Fill b with factor times a."""
+    for i in range(a.shape[0]):
+        b[i] = factor * a[i]
+
+
+@vector
+def moved_round(e, x, u, scale, by_u):
+    """Fill by_u with the derivative of a Gaussian's light e by its centre: scale (x - u) e."""
+    for i in range(e.shape[0]):
+        by_u[i] = scale * (x[i] - u) * e[i]
+
+
+@vector
+def wider_round(e, x, y, u, v, height, by_width):
+    """Add the derivative of a Gaussian's light by 1 / variance."""
+    for i in range(e.shape[0]):
+        by_width[i] -= 0.5 * height * ((x[i] - u) ** 2 + (y[i] - v) ** 2) * e[i]
+
+
+@kernel
+def joint_light(p, n, grid, J, m):
+    """Fill m (pixels,) with the light of (n - 2) / 3 Gaussians, and J (n, pixels)."""
+    for i in range(m.shape[0]):
+        m[i] = 0.0
+        J[1, i] = 0.0
     w = p[1]
+    ex = np.empty(grid.nx)
+    ey = np.empty(grid.ny)
     for k in range(2, n, 3):
-        dx = x - p[k]
-        dy = y - p[k + 1]
-        r2 = dx * dx + dy * dy
-        e = exp(-0.5 * r2 * w)
-        m = p[k + 2] * e
-        J[k] = m * dx * w
-        J[k + 1] = m * dy * w
-        J[k + 2] = e
-        by_width -= 0.5 * m * r2
-        total += m
-    J[1] = by_width
-    return total
+        for i in range(grid.nx):
+            ex[i] = exp(-0.5 * w * (grid.x0 + i - p[k]) ** 2)
+        for j in range(grid.ny):
+            ey[j] = exp(-0.5 * w * (grid.y0 + j - p[k + 1]) ** 2)
+        e = J[k + 2]
+        height = p[k + 2]
+        outer(ex, ey, grid.nx, grid.ny, e)
+        moved_round(e, grid.x, p[k], height * w, J[k])
+        moved_round(e, grid.y, p[k + 1], height * w, J[k + 1])
+        wider_round(e, grid.x, grid.y, p[k], p[k + 1], height, J[1])
+        add_scaled(e, m, height)
+
+
+@vector
+def streak_axes(x, y, u, v, c, s_, s, h, across, a, b):
+    """Fill the distance across the streak, and those along it from its two ends, in widths."""
+    for i in range(x.shape[0]):
+        dx = x[i] - u
+        dy = y[i] - v
+        across[i] = (dy * c - dx * s_) / s
+        a[i] = (dx * c + dy * s_ + h) / s
+        b[i] = a[i] - 2.0 * h / s
+
+
+@vector
+def streak_ends(fa, to_a, fb, to_b, a, b, scale):
+    """Replace fa by fa - fb, to_a by the profile along, fb by fa + fb and to_b by a fa - b fb, all scaled."""
+    for i in range(a.shape[0]):
+        first = scale * fa[i]
+        last = scale * fb[i]
+        to_a[i] = scale * (to_a[i] - to_b[i])
+        fa[i] = first - last
+        fb[i] = first + last
+        to_b[i] = a[i] * first - b[i] * last
+
+
+@vector
+def streak_moved(across, z, along, ends, height, s, c, s_, by_u):
+    """Fill the derivative by a coordinate of the centre, of which c and s_ are the direction along and across."""
+    for i in range(z.shape[0]):
+        by_u[i] = height * across[i] / s * (z[i] * along[i] * s_ - ends[i] * c)
+
+
+@vector
+def streak_turned(across, z, a, along, ends, height, s, h, by_angle):
+    """Fill the derivative by the angle."""
+    for i in range(z.shape[0]):
+        t = a[i] - h / s
+        by_angle[i] = height * across[i] * z[i] * (ends[i] + t * along[i])
+
+
+@vector
+def streak_wider(across, z, along, moments, height, s, by_s):
+    """Fill the derivative by the width."""
+    for i in range(z.shape[0]):
+        by_s[i] = height * across[i] / s * (z[i] * z[i] * along[i] + along[i] - moments[i])
+
+
+@vector
+def streak_longer(across, along, both, height, s, h, by_h):
+    """Fill the derivative by half the length."""
+    for i in range(along.shape[0]):
+        by_h[i] = height * across[i] * (both[i] / s - along[i] / h)
 
 
 @kernel
-def streak_at(p, c, s_, x, y, J):
-    """Return the light of a streak at a pixel and fill J (7,); c, s_: cosine and sine of its angle."""
-    dx = x - p[1]
-    dy = y - p[2]
+def streak_light(p, grid, J, m):
+    """Fill m (pixels,) with the light of a streak, and J (7, pixels)."""
+    c = cos(p[5])
+    s_ = sin(p[5])
     s = p[4]
     h = p[6]
-    t = dx * c + dy * s_
-    n = dy * c - dx * s_
-    across = exp(-0.5 * n * n / (s * s))
-    a = (t + h) / s
-    b = (t - h) / s
-    scale = ROOT_2PI * s / (2.0 * h)
-    fa = exp(-0.5 * a * a) / ROOT_2PI
-    fb = exp(-0.5 * b * b) / ROOT_2PI
-    along = 0.5 * (erf(a / ROOT_2) - erf(b / ROOT_2)) * scale
-    m = p[3] * across * along
-    by_t = p[3] * across * (fa - fb) / s * scale
-    by_n = -n / (s * s) * m
-    J[0] = 1.0
-    J[1] = -by_t * c + by_n * s_
-    J[2] = -by_t * s_ - by_n * c
-    J[3] = across * along
-    J[4] = n * n / (s * s * s) * m + p[3] * across * (along - scale * (a * fa - b * fb)) / s
-    J[5] = by_t * n - by_n * t
-    J[6] = p[3] * across * ((fa + fb) / s * scale - along / h)
-    return m
+    z = grid.work[0]
+    a = grid.work[1]
+    b = grid.work[2]
+    across = grid.work[3]
+    fa = grid.work[4]
+    along = grid.work[5]
+    fb = grid.work[6]
+    to_b = grid.work[7]
+    streak_axes(grid.x, grid.y, p[1], p[2], c, s_, s, h, z, a, b)
+    normal(z, across, fa)
+    scaled(across, ROOT_2PI, across)
+    normal(a, fa, along)
+    normal(b, fb, to_b)
+    streak_ends(fa, along, fb, to_b, a, b, ROOT_2PI * s / (2.0 * h))
+    streak_moved(across, z, along, fa, p[3], s, c, -s_, J[1])
+    streak_moved(across, z, along, fa, p[3], s, s_, c, J[2])
+    for i in range(m.shape[0]):
+        J[3, i] = across[i] * along[i]
+    streak_wider(across, z, along, to_b, p[3], s, J[4])
+    streak_turned(across, z, a, along, fa, p[3], s, h, J[5])
+    streak_longer(across, along, fb, p[3], s, h, J[6])
+    scaled(J[3], p[3], m)
+
+
+@vector
+def edge_form(x, y, u, v, m0, m1, m2, Q, G):
+    """Fill Q = S + CORE_VARIANCE tr M and G = g^2 of an ellipse; see ellipse_light."""
+    k = CORE_VARIANCE
+    n0 = m0 * m0 + m1 * m1
+    n1 = m1 * (m0 + m2)
+    n2 = m1 * m1 + m2 * m2
+    for i in range(x.shape[0]):
+        dx = x[i] - u
+        dy = y[i] - v
+        q = m0 * dx * dx + 2.0 * m1 * dx * dy + m2 * dy * dy + k * (m0 + m2)
+        Q[i] = q
+        G[i] = (n0 * dx * dx + 2.0 * n1 * dx * dy + n2 * dy * dy + k * (n0 + n2)) / q
+
+
+@vector
+def edge_distance(Q, G, core, s, d, h):
+    """Fill the distance d to the edge, and h = sqrt(S + s^2 g^2)."""
+    for i in range(Q.shape[0]):
+        S = Q[i] - core
+        h[i] = np.sqrt(max(S, 0.0) + s * s * G[i])
+        d[i] = (1.0 - S) / (np.sqrt(G[i]) * (1.0 + h[i]))
+
+
+@vector
+def edge_cut(d, s, height, share, slope):
+    """Fill slope = dm / dd by the density that it holds; beyond FAR it is zero, and the share one or zero."""
+    for i in range(d.shape[0]):
+        far = abs(d[i]) > FAR * s
+        share[i] = (1.0 if d[i] > 0.0 else 0.0) if far else share[i]
+        slope[i] = 0.0 if far else slope[i] * (height / s)
+
+
+@vector
+def edge_blur(slope, d, h, G, s, by_s):
+    """Fill the derivative by the blur s."""
+    for i in range(d.shape[0]):
+        by_s[i] = -slope[i] * d[i] * (1.0 / s + s * G[i] / (h[i] * (1.0 + h[i])))
+
+
+@vector
+def edge_factors(slope, Q, G, s, d, h):
+    """Replace h and d by a and b: the light's change is -a dS - b (dP - G dQ), P = x'M^2x + CORE_VARIANCE tr M^2."""
+    for i in range(d.shape[0]):
+        inner = 0.5 * d[i] / (h[i] * (1.0 + h[i]))
+        a = slope[i] * (1.0 / (np.sqrt(G[i]) * (1.0 + h[i])) + inner)
+        d[i] = slope[i] * (0.5 * d[i] / G[i] + s * s * inner) / Q[i]
+        h[i] = a
+
+
+@vector
+def edge_moved(x, y, u, v, a, b, G, mx, my, nx, ny, by_u):
+    """Fill the derivative by a coordinate of the centre, for that row (mx, my) of M and (nx, ny) of M^2."""
+    for i in range(x.shape[0]):
+        dx = x[i] - u
+        dy = y[i] - v
+        by_S = mx * dx + my * dy
+        by_u[i] = 2.0 * (a[i] * by_S + b[i] * (nx * dx + ny * dy - G[i] * by_S))
+
+
+@vector
+def edge_formed(x, y, u, v, a, b, G, m, m1, by_m):
+    """Fill the derivative by the entry m of M's diagonal that goes with x; m1: M's other entry."""
+    k = CORE_VARIANCE
+    for i in range(x.shape[0]):
+        dx = x[i] - u
+        dy = y[i] - v
+        xx = dx * dx
+        by_m[i] = -a[i] * xx - b[i] * (2.0 * (m * (xx + k) + m1 * dx * dy) - G[i] * (xx + k))
+
+
+@vector
+def edge_turned(x, y, u, v, a, b, G, m0, m1, m2, by_m):
+    """Fill the derivative by m1."""
+    k = CORE_VARIANCE
+    for i in range(x.shape[0]):
+        dx = x[i] - u
+        dy = y[i] - v
+        xy = 2.0 * dx * dy
+        by_P = 2.0 * m1 * (dx * dx + dy * dy + 2.0 * k) + (m0 + m2) * xy
+        by_m[i] = -a[i] * xy - b[i] * (by_P - G[i] * xy)
 
 
 @kernel
-def ellipse_at(p, x, y, J):
-    """Return the light of an edge-blurred ellipse at a pixel and fill J (8,).
+def ellipse_light(p, grid, J, m):
+    """Fill m (pixels,) with the light of an edge-blurred ellipse, and J (8, pixels).
 
     m = A Phi(d / s), d = (1 - S) / (g (1 + sqrt(S + s^2 g^2))), S = x'Mx, g^2 = x'M^2x / x'Mx: the distance to the
     edge, which tends to a parabola within a blur of the centre. For a disc of radius r: d = (r^2 - R^2) /
     (r + sqrt(R^2 + s^2)), within 0.15 % of the true convolution for r >= 1.5 px and s from 0.5 to 2 px.
     """
-    dx = x - p[1]
-    dy = y - p[2]
+    u = p[1]
+    v = p[2]
     s = p[4]
     m0 = p[5]
     m1 = p[6]
     m2 = p[7]
-    xx = dx * dx
-    xy = dx * dy
-    yy = dy * dy
-    n0 = m0 * m0 + m1 * m1
+    x = grid.x
+    y = grid.y
+    Q = grid.work[0]
+    G = grid.work[1]
+    d = grid.work[2]
+    h = grid.work[3]
+    slope = grid.work[4]
+    edge_form(x, y, u, v, m0, m1, m2, Q, G)
+    edge_distance(Q, G, CORE_VARIANCE * (m0 + m2), s, d, h)
+    scaled(d, 1.0 / s, grid.work[5])
+    normal(grid.work[5], slope, J[3])
+    edge_cut(d, s, p[3], J[3], slope)
+    edge_blur(slope, d, h, G, s, J[4])
+    edge_factors(slope, Q, G, s, d, h)
     n1 = m1 * (m0 + m2)
-    n2 = m1 * m1 + m2 * m2
-    S = m0 * xx + 2.0 * m1 * xy + m2 * yy
-    Q = S + CORE_VARIANCE * (m0 + m2)
-    G = (n0 * xx + 2.0 * n1 * xy + n2 * yy + CORE_VARIANCE * (n0 + n2)) / Q
-    g = sqrt(G)
-    h = sqrt(S + s * s * G)
-    d = (1.0 - S) / (g * (1.0 + h))
-    z = d / s
-    J[0] = 1.0
-    if abs(z) > FAR:
-        for i in range(1, 8):
-            J[i] = 0.0
-        if z < 0.0:
-            return 0.0
-        J[3] = 1.0
-        return p[3]
-    phi = 0.5 * (1.0 + erf(z / ROOT_2))
-    slope = p[3] * exp(-0.5 * z * z) / (ROOT_2PI * s)  # dm / dd
-    J[3] = phi
-    J[4] = -slope * z - slope * d / (1.0 + h) * s * G / h
-    # by u, v, m0, m1, m2: derivatives of S, of x'M^2x and of Q
-    sx = -2.0 * (m0 * dx + m1 * dy)
-    sy = -2.0 * (m1 * dx + m2 * dy)
-    k = CORE_VARIANCE
-    J[1] = slope * edge_slope(sx, -2.0 * (n0 * dx + n1 * dy), sx, S, Q, G, g, h, d, s)
-    J[2] = slope * edge_slope(sy, -2.0 * (n1 * dx + n2 * dy), sy, S, Q, G, g, h, d, s)
-    J[5] = slope * edge_slope(xx, 2.0 * (m0 * (xx + k) + m1 * xy), xx + k, S, Q, G, g, h, d, s)
-    by_p = 2.0 * (m1 * (xx + yy + 2.0 * k) + (m0 + m2) * xy)
-    J[6] = slope * edge_slope(2.0 * xy, by_p, 2.0 * xy, S, Q, G, g, h, d, s)
-    J[7] = slope * edge_slope(yy, 2.0 * (m2 * (yy + k) + m1 * xy), yy + k, S, Q, G, g, h, d, s)
-    return p[3] * phi
+    edge_moved(x, y, u, v, h, d, G, m0, m1, m0 * m0 + m1 * m1, n1, J[1])
+    edge_moved(x, y, u, v, h, d, G, m1, m2, n1, m1 * m1 + m2 * m2, J[2])
+    edge_formed(x, y, u, v, h, d, G, m0, m1, J[5])
+    edge_turned(x, y, u, v, h, d, G, m0, m1, m2, J[6])
+    edge_formed(y, x, v, u, h, d, G, m2, m1, J[7])
+    scaled(J[3], p[3], m)
 
 
 @kernel
-def edge_slope(by_s, by_p, by_q, S, Q, G, g, h, d, s):
-    """Return the derivative of the distance to the edge from those of S, P and Q (see ellipse_at)."""
-    by_g2 = (by_p - G * by_q) / Q
-    return -by_s / (g * (1.0 + h)) - d * (0.5 * by_g2 / G + 0.5 * (by_s + s * s * by_g2) / (h * (1.0 + h)))
-
-
-@kernel
-def model_at(kind, p, n, c, s, x, y, J):
-    """Return the light (without background) of the model at a pixel and fill J (n,)."""
+def light_and_slopes(kind, p, n, grid, J, m):
+    """Fill m (pixels,) with the light of the model (without background), and J (n, pixels) with its derivatives."""
+    for i in range(m.shape[0]):
+        J[0, i] = 1.0
     if kind == JOINT:
-        return joint_at(p, n, x, y, J)
-    if kind == STREAK:
-        return streak_at(p, c, s, x, y, J)
-    return ellipse_at(p, x, y, J)
+        joint_light(p, n, grid, J, m)
+    elif kind == STREAK:
+        streak_light(p, grid, J, m)
+    else:
+        ellipse_light(p, grid, J, m)
 
 
 @kernel
@@ -194,157 +377,3 @@ def add_prior(kind, p, start, n, H, g):
             g[i] += w * d
             total += w * d * d
     return total
-
-
-@kernel
-def normal_equations(kind, p, n, values, use, x0, y0, H, g):
-    """Fill H (n, n), g (n,) of the patch values (ny, nx), where use is not zero; return the sum of squares.
-
-    Where use is CLIPPED_PIXEL the light is at least as bright as the value: a model that is brighter costs nothing.
-    """
-    J = np.empty(n)
-    for a in range(n):
-        g[a] = 0.0
-        for b in range(n):
-            H[a, b] = 0.0
-    c = cos(p[5]) if kind == STREAK else 0.0
-    s = sin(p[5]) if kind == STREAK else 0.0
-    rss = 0.0
-    for j in range(values.shape[0]):
-        for i in range(values.shape[1]):
-            if use[j, i] == 0:
-                continue
-            r = model_at(kind, p, n, c, s, float(x0 + i), float(y0 + j), J) + p[0] - values[j, i]
-            if use[j, i] == CLIPPED_PIXEL and r > 0.0:
-                continue
-            rss += r * r
-            for a in range(n):
-                k = J[a]
-                if k == 0.0:
-                    continue
-                g[a] += r * k
-                for b in range(a + 1):
-                    H[a, b] += k * J[b]
-    for a in range(n):
-        for b in range(a):
-            H[b, a] = H[a, b]
-    return rss
-
-
-@kernel
-def fit_model(kind, p, n, values, use, x0, y0, count, H):
-    """Fit p (n,) in place by Levenberg-Marquardt; return the sum of squares, or -1 where it does not converge."""
-    g = np.empty(n)
-    step = np.empty(n)
-    trial = np.empty(n)
-    H2 = np.empty((n, n))
-    g2 = np.empty(n)
-    start = np.empty(n)
-    copy_to(p[:n], start)
-    if not legal(kind, p, n):
-        return -1.0
-    extra = 0.0
-    rss = normal_equations(kind, p, n, values, use, x0, y0, H, g)
-    add_prior(kind, p, start, n, H, g)
-    damping = 1e-3
-    for _ in range(STEPS):
-        if not solve_damped(H, g, damping, step):
-            return -1.0
-        for i in range(n):
-            trial[i] = p[i] + step[i]
-        new = rss + 1.0
-        new_extra = 0.0
-        if legal(kind, trial, n):
-            new = normal_equations(kind, trial, n, values, use, x0, y0, H2, g2)
-            new_extra = add_prior(kind, trial, start, n, H2, g2)
-            new += new_extra
-        if not new <= rss:
-            damping *= 10.0
-            if damping > 1e6:
-                return -1.0
-            continue
-        gain = rss - new
-        rss = new
-        extra = new_extra
-        copy_to(trial, p)
-        copy_to(g2, g)
-        for i in range(n):
-            copy_to(H2[i], H[i])
-        if gain < CLOSE * rss / count and damping <= 1e-3:
-            return rss - extra
-        damping = max(0.1 * damping, 1e-9)
-    return rss - extra if kind == ELLIPSE else -1.0  # its centre is settled long before what clipping hides
-
-
-@kernel
-def weighted_information(kind, p, n, values, use, x0, y0, u, v, G, tilt, residuals, out3):
-    """Fill G (n, n) = sum of m J'J, the residuals (ny, nx; 0 where unused) and out3 = sums of m, r^2 m, m^2.
-
-    tilt (n + 3, 2): see round.uncertainty, about (u, v).
-    """
-    J = np.empty(n)
-    for a in range(n + 3):
-        tilt[a, 0] = 0.0
-        tilt[a, 1] = 0.0
-    for a in range(n):
-        for b in range(n):
-            G[a, b] = 0.0
-    for a in range(3):
-        out3[a] = 0.0
-    c = cos(p[5]) if kind == STREAK else 0.0
-    s = sin(p[5]) if kind == STREAK else 0.0
-    for j in range(values.shape[0]):
-        for i in range(values.shape[1]):
-            residuals[j, i] = 0.0
-            if use[j, i] == 0:
-                continue
-            m = model_at(kind, p, n, c, s, float(x0 + i), float(y0 + j), J)
-            r = values[j, i] - p[0] - m
-            if use[j, i] == CLIPPED_PIXEL and r < 0.0:
-                continue
-            residuals[j, i] = r
-            out3[0] += m
-            out3[1] += r * r * m
-            out3[2] += m * m
-            dx = x0 + i - u
-            dy = y0 + j - v
-            tilt[n, 0] += dx * dx
-            tilt[n, 1] += dx * dy
-            tilt[n + 1, 1] += dy * dy
-            tilt[n + 2, 0] += r * dx
-            tilt[n + 2, 1] += r * dy
-            for a in range(n):
-                if J[a] != 0.0:
-                    tilt[a, 0] += J[a] * dx
-                    tilt[a, 1] += J[a] * dy
-                    for b in range(a + 1):
-                        G[a, b] += m * J[a] * J[b]
-    for a in range(n):
-        for b in range(a):
-            G[b, a] = G[a, b]
-
-
-@kernel
-def residuals_of(kind, p, n, values, use, x0, y0, residuals):
-    """Fill residuals (ny, nx): values less model, 0 where unused."""
-    J = np.empty(n)
-    c = cos(p[5]) if kind == STREAK else 0.0
-    s = sin(p[5]) if kind == STREAK else 0.0
-    for j in range(values.shape[0]):
-        for i in range(values.shape[1]):
-            residuals[j, i] = 0.0
-            if use[j, i] != 0:
-                m = model_at(kind, p, n, c, s, float(x0 + i), float(y0 + j), J)
-                r = values[j, i] - p[0] - m
-                residuals[j, i] = 0.0 if use[j, i] == CLIPPED_PIXEL and r < 0.0 else r
-
-
-@kernel
-def light_of(kind, p, n, x0, y0, values, sign):
-    """Add sign times the model's light to the patch values (ny, nx)."""
-    J = np.empty(n)
-    c = cos(p[5]) if kind == STREAK else 0.0
-    s = sin(p[5]) if kind == STREAK else 0.0
-    for j in range(values.shape[0]):
-        for i in range(values.shape[1]):
-            values[j, i] += sign * model_at(kind, p, n, c, s, float(x0 + i), float(y0 + j), J)

@@ -144,16 +144,20 @@ def valley(values, use, x0, y0, a, b):
 def find_peaks(values, use, level, noise, x0, y0, peaks):
     """Fill peaks (.., 3: x, y, height) with the maxima that a valley parts from all higher ones; return how many."""
     found = np.empty((MOST_MAXIMA, 3))
+    means = np.empty(values.shape)
+    for j in range(values.shape[0]):
+        for i in range(values.shape[1]):
+            means[j, i] = smoothed(values, use, j, i)
     n = 0
     for j in range(1, values.shape[0] - 1):
         for i in range(1, values.shape[1] - 1):
-            v = smoothed(values, use, j, i)
+            v = means[j, i]
             if v <= level or n == MOST_MAXIMA:
                 continue
             top = True
             for a in range(-1, 2):
                 for b in range(-1, 2):
-                    other = smoothed(values, use, j + a, i + b)
+                    other = means[j + a, i + b]
                     if other > v or (other == v and (a < 0 or (a == 0 and b < 0))):
                         top = False
             if top:

@@ -8,7 +8,7 @@ pixel on the centre.
 
 from __future__ import annotations
 
-from math import cos, pi, sin, sqrt
+from math import pi, sqrt
 
 import numpy as np
 
@@ -26,7 +26,8 @@ from armsight.measure.spots.kernels.area import (
 )
 from armsight.measure.spots.kernels.choose import odd_part
 from armsight.measure.spots.kernels.compiled import kernel
-from armsight.measure.spots.kernels.models import JOINT, STREAK, model_at, normal_equations, prior_weight, residuals_of
+from armsight.measure.spots.kernels.leastsquares import evaluated, gram, unused
+from armsight.measure.spots.kernels.models import JOINT, add_scaled, prior_weight
 from armsight.measure.spots.kernels.patch import used
 from armsight.measure.spots.kernels.scan import AREA, CLIPPED, GROUND, PEAK, SLOPE, SUM_X, SUM_Y, WEIGHT
 
@@ -49,28 +50,24 @@ added to what is behind it as often as it hides it."""
 
 
 @kernel
-def pulls(kind, n, p, values, use, x0, y0, psi):
+def pulls(kind, n, p, J, use, psi):
     """Fill psi (2, ny, nx) with the shift of the centre in px per grey level at each pixel; False for none."""
     H = np.empty((n, n))
     C = np.empty((n, n))
-    J = np.empty(n)
-    normal_equations(kind, p, n, values, use, x0, y0, H, np.empty(n))
+    gram(J, n, H)
     for i in range(n):
         H[i, i] += prior_weight(kind, i, p[4] if kind == JOINT else p[3])
     if not invert_spd(H, C):
         return False
     first = 2 if kind == JOINT else 1
-    c = cos(p[5]) if kind == STREAK else 0.0
-    s = sin(p[5]) if kind == STREAK else 0.0
-    for j in range(values.shape[0]):
-        for i in range(values.shape[1]):
-            model_at(kind, p, n, c, s, float(x0 + i), float(y0 + j), J)
-            for a in range(2):
-                total = 0.0
-                if use[j, i] == 1:
-                    for k in range(n):
-                        total += C[first + a, k] * J[k]
-                psi[a, j, i] = total
+    for a in range(2):
+        pull = psi[a].reshape(-1)
+        for i in range(pull.shape[0]):
+            pull[i] = 0.0
+        for k in range(n):
+            add_scaled(J[k], pull, C[first + a, k])
+        for k in unused(use):
+            pull[k] = 0.0
     return True
 
 
@@ -111,10 +108,10 @@ def settle_centre(kind, n, p, values, use, box, comp, row):
     odd = np.empty(values.shape)
     psi = np.empty((2, values.shape[0], values.shape[1]))
     out = np.empty(3)
-    residuals_of(kind, p, n, values, use, box[0], box[2], residuals)
+    J, _, _ = evaluated(kind, p, n, values, use, box[0], box[2], residuals)
     _, pixels = odd_part(residuals, use, row[S_U] - box[0], row[S_V] - box[2], odd)
     count = used(use)
-    if not pixels > n + 4 or not pulls(kind, n, p, values, use, box[0], box[2], psi):
+    if not pixels > n + 4 or not pulls(kind, n, p, J, use, psi):
         return False
     sandwich(odd, psi, out)
     clipped = comp[CLIPPED] / comp[AREA]

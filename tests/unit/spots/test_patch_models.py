@@ -1,0 +1,49 @@
+"""The lights' models over a patch: derivatives against finite differences, the normal distribution against scipy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+from armsight.measure.spots.kernels.models import ELLIPSE, JOINT, STREAK, grid_of, light_and_slopes
+from armsight.measure.spots.kernels.normal import normal
+
+Array = NDArray[np.float64]
+SHAPE = (17, 14)
+MODELS = {
+    "one light": (JOINT, [9.0, 0.3, 105.2, 57.9, 90.0]),
+    "two lights": (JOINT, [9.0, 0.3, 105.2, 57.9, 90.0, 108.1, 60.3, 50.0]),
+    "streak": (STREAK, [9.0, 106.2, 58.4, 80.0, 1.3, 0.4, 2.2]),
+    "ellipse": (ELLIPSE, [9.0, 106.2, 58.4, 120.0, 0.9, 0.09, 0.02, 0.07]),
+}
+
+
+def light(kind: int, p: Array) -> tuple[Array, Array]:
+    """Return the light of a patch with its background, and the derivatives."""
+    ny, nx = SHAPE
+    m, J = np.empty(nx * ny), np.empty((len(p), nx * ny))
+    light_and_slopes(kind, p, len(p), grid_of(100, 50, nx, ny), J, m)
+    return m + p[0], J
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_derivatives_are_those_of_finite_differences(name: str) -> None:
+    kind, start = MODELS[name]
+    p = np.array(start)
+    _, J = light(kind, p)
+    for i in range(len(p)):
+        step = np.zeros(len(p))
+        step[i] = 1e-5 * max(abs(p[i]), 0.1)
+        difference = (light(kind, p + step)[0] - light(kind, p - step)[0]) / (2.0 * step[i])
+        near = np.abs(J[i] - difference) < 1e-5 * max(np.abs(J[i]).max(), 1.0)
+        assert near.mean() > 0.98  # an ellipse's light jumps by 1e-7 where it becomes flat
+
+
+def test_the_table_of_the_normal_distribution_is_exact() -> None:
+    z = np.linspace(-9.5, 9.5, 20001)
+    density, probability = np.empty(len(z)), np.empty(len(z))
+    normal(z, density, probability)
+    np.testing.assert_allclose(density, norm.pdf(z), rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(probability, norm.cdf(z), rtol=0.0, atol=1e-15)
