@@ -23,6 +23,9 @@ MOST_SPEED = 2.0
 MOST_ACCELERATION = 25.0
 """m/s and m/s^2 beyond which no target is expected to be led: twice what a hand reaches between two places."""
 
+JUMP_SIGMA = 3.0
+"""Deviations of a pose that may come on top of how far off its prediction may be."""
+
 STILL_M = 0.005
 """How far off a prediction may be where nothing moves."""
 
@@ -48,6 +51,20 @@ def expected(setup: Setup, track: Track | None, t_s: float) -> Prediction | None
             out[setup.model.names.index(name)] = place
         predicted = out
     return Prediction(predicted, STILL_M + moved)
+
+
+def jumped(setup: Setup, track: Track, t_s: float, solved: Solved) -> bool:
+    """Tell whether a pose in windows puts a light where no target comes from the moment before, its doubt allowed."""
+    predicted = expected(setup, track, t_s)
+    if solved.T is None or predicted is None or not setup.target.model_known:
+        return False
+    C, places = solved.pose.covariance, places_of(setup, solved.T)
+    if C is None:
+        return False
+    arm = np.linalg.norm(setup.model.xyz_m, axis=1)
+    doubt = np.sqrt(np.trace(C[:3, :3])) + arm * np.sqrt(np.trace(C[3:, 3:]))
+    away = np.linalg.norm(places - predicted.xyz_m, axis=1)
+    return bool(np.any(away > predicted.within_m + JUMP_SIGMA * doubt))
 
 
 def places_of(setup: Setup, T: Array) -> Array:

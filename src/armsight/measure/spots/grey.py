@@ -24,7 +24,7 @@ from armsight.measure.spots.kernels.area import (
     UNUSED,
 )
 from armsight.measure.spots.kernels.colour import to_grey
-from armsight.measure.spots.kernels.lights import deliver, measure_others, measure_round
+from armsight.measure.spots.kernels.lights import deliver, doubt_ground, measure_others, measure_round
 from armsight.measure.spots.kernels.locate import FULL, NOISE, NOTHING_ABOVE, NUMBER, locate, locate_near
 from armsight.measure.spots.kernels.scan import SUM_X, SUM_Y, WEIGHT
 from armsight.records import Spots, trusted
@@ -115,6 +115,7 @@ def measured(
     fits, rows = np.empty((n, FIT)), np.empty((n, MOST_LIGHTS, SPOT))
     if measure_round(grey, settings.mask_bytes, settings.options, areas, state, survey, fits, rows):
         measure_others(grey, settings.mask_bytes, settings.options, areas, state, survey, fits, rows)
+    doubt_ground(grey, settings.options, areas, state, survey, rows)
     *columns, refused = deliver(settings.options, areas, state, rows)
     return tuple(columns), refused
 
