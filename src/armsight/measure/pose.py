@@ -21,8 +21,8 @@ PARENT = "rig"
 MAX_ROTATION_SIGMA = 0.3
 """A rotation less certain than this (rad; 17 degrees) is none: its covariance, taken to first order, means nothing."""
 
-MAX_DOUBTFUL_SIGMA = 0.05
-"""The same (3 degrees) where another tilt fits as well, or a spot is of something else: the truth then lies in one of
+MAX_DOUBTFUL_SIGMA = 0.07
+"""The same (4 degrees) where another tilt fits as well, or a spot is of something else: the truth then lies in one of
 several places, not about one."""
 
 FOLDED = 1.05
@@ -120,7 +120,7 @@ def solve_pose(
     factor = misfit_factor(chi2, n)
     C *= factor
     if factor > 1.0:
-        folds.one_astray(packed.k, packed.R, packed.t, xyz_m, radius_m, normal, uv_px, cov_px2, T, C)
+        folds.one_astray(packed.k, packed.R, packed.t, xyz_m, radius_m, normal, uv_px, cov_px2, T, chi2, C)
     folded = folds.fold(
         packed.k, packed.R, packed.t, xyz_m, radius_m, normal, _plane(xyz_m, normal), uv_px, cov_px2, T, factor, C
     )

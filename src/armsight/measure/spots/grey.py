@@ -24,7 +24,8 @@ from armsight.measure.spots.kernels.area import (
     UNUSED,
 )
 from armsight.measure.spots.kernels.colour import to_grey
-from armsight.measure.spots.kernels.lights import deliver, doubt_ground, measure_others, measure_round
+from armsight.measure.spots.kernels.ground import doubt_ground
+from armsight.measure.spots.kernels.lights import deliver, measure_others, measure_round
 from armsight.measure.spots.kernels.locate import FULL, NOISE, NOTHING_ABOVE, NUMBER, locate, locate_near
 from armsight.measure.spots.kernels.scan import SUM_X, SUM_Y, WEIGHT
 from armsight.records import Spots, trusted

@@ -58,7 +58,7 @@ from armsight.measure.spots.kernels.compiled import copy_to, kernel
 from armsight.measure.spots.kernels.locate import NOISE
 from armsight.measure.spots.kernels.models import light_of
 from armsight.measure.spots.kernels.patch import make_patch, patch_box
-from armsight.measure.spots.kernels.processed import astray, ground_floor, settle_centre
+from armsight.measure.spots.kernels.processed import astray, settle_centre
 from armsight.measure.spots.kernels.round import (
     COV,
     DOF,
@@ -277,16 +277,6 @@ def measure_others(image, mask, options, comps, state, survey, fits, rows):
         for i in range(n):
             if state[i, STATUS] == ACCEPTED and state[i, CROWDED] == 1 and state[i, SIZE] > 0:
                 refine(image, flip, saturation, mask, comps, state, i, hot, n_hot, noise, fits, rows)
-
-
-@kernel
-def doubt_ground(image, options, comps, state, survey, rows):
-    """Fill S_FLOOR of the lights that stand alone above a threshold: for a background that is not even round them."""
-    flip = np.uint8(options[O_FLIP])
-    for i in range(comps.shape[0]):
-        alone = state[i, STATUS] == ACCEPTED and state[i, CROWDED] == 0 and state[i, LIGHTS] == 1
-        if alone and comps[i, SLOPE] < 0.0:
-            rows[i, 0, S_FLOOR] = ground_floor(image, flip, comps[i], rows[i, 0], survey[2 * GRID, NOISE])
 
 
 @kernel

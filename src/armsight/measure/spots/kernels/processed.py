@@ -18,19 +18,18 @@ from armsight.measure.spots.kernels.area import (
     S_CH,
     S_DOF,
     S_FOURTH,
-    S_PEAK,
     S_RSS,
     S_SIGNAL,
     S_SQUARE,
     S_U,
     S_V,
 )
-from armsight.measure.spots.kernels.blobs import RING_SAMPLES, RING_X, RING_Y
 from armsight.measure.spots.kernels.choose import odd_part
-from armsight.measure.spots.kernels.compiled import insertion_sort, kernel
+from armsight.measure.spots.kernels.compiled import kernel
+from armsight.measure.spots.kernels.ground import GROUND_PULL, ground_variance
 from armsight.measure.spots.kernels.models import JOINT, STREAK, model_at, normal_equations, prior_weight, residuals_of
 from armsight.measure.spots.kernels.patch import used
-from armsight.measure.spots.kernels.scan import AREA, CLIPPED, GROUND, PEAK, SUM_X, SUM_Y, WEIGHT, X_MAX, X_MIN, Y_MAX, Y_MIN
+from armsight.measure.spots.kernels.scan import AREA, CLIPPED, GROUND, PEAK, SUM_X, SUM_Y, WEIGHT
 
 ASTRAY = 0.3
 ASTRAY_SHARE = 0.35
@@ -45,23 +44,6 @@ RIM_CLIPPED = 2.6e-3
 the same way: of any light, and of one all of whose pixels are clipped (times the clipped share squared)."""
 TINY_PX = 1.2
 """Radius at which these are twice as large: a rim of a few pixels is not averaged over."""
-GROUND_PULL = 0.9
-"""Shift of a centre in radii for a background that varies round the light by as much as the light is high: light is
-added to what is behind it. An edge through the middle of a Gaussian shifts it by 2.7, one anywhere in reach by 1.35
-(root mean square); the residuals tell a part of it, and this is what they leave in simulated rooms."""
-GROUND_FROM = 1.9
-"""Radii from the centre from which the residuals tell the background: a Gaussian is down to a twelfth there."""
-BOX_NOISE = 0.15
-"""Share of the noise's variance left in the mean of 3 x 3 pixels: a ninth of white noise, up to a quarter of noise that
-demosaicing and compression have smoothed."""
-FEWEST_BOXES = 12
-GROUND_SHARE, GROUND_GAP = 1.4, 4.0
-"""Radius of the ring in half widths of an area above a threshold, and px more: a light's skirt has ended there."""
-RING_NOISE = 0.22
-"""Share of white noise's variance that the spread of a ring's boxes stays below: a ninth, and as much again for there
-being two dozen of them."""
-HALF_SHARE = 0.6
-"""Radius at half height over that above the threshold, of round lights of ordinary height."""
 
 
 @kernel
@@ -102,59 +84,6 @@ def sandwich(odd, psi, out):
             out[0] += a * a
             out[1] += a * b
             out[2] += b * b
-
-
-@kernel
-def ground_variance(residuals, use, u, v, radius, noise):
-    """Return the variance of the background round a light at (u, v) of the patch, noise taken off, in boxes of 3 x 3."""
-    total = 0.0
-    squares = 0.0
-    count = 0
-    for j in range(1, residuals.shape[0] - 1):
-        for i in range(1, residuals.shape[1] - 1):
-            if (j - v) ** 2 + (i - u) ** 2 < (GROUND_FROM * radius) ** 2:
-                continue
-            mean = 0.0
-            whole = True
-            for b in range(j - 1, j + 2):
-                for a in range(i - 1, i + 2):
-                    mean += residuals[b, a] / 9.0
-                    whole = whole and use[b, a] == 1
-            if whole:
-                total += mean
-                squares += mean * mean
-                count += 1
-    if count < FEWEST_BOXES:
-        return 0.0
-    return max(squares / count - (total / count) ** 2 - BOX_NOISE * noise, 0.0)
-
-
-@kernel
-def ground_floor(image, flip, comp, row, noise):
-    """Return the variance of a light's centre for what stands out of the noise on a ring outside of its skirt.
-
-    comp: an area above a threshold. The middle two thirds of the ring are taken, so that hot pixels do not count.
-    """
-    h, w = image.shape
-    half = 0.5 * max(comp[X_MAX] - comp[X_MIN], comp[Y_MAX] - comp[Y_MIN])
-    boxes = np.empty(RING_SAMPLES)
-    n = np.int64(0)
-    for k in range(RING_SAMPLES):
-        x = int(row[S_U] + (GROUND_SHARE * half + GROUND_GAP) * RING_X[k] + 0.5)
-        y = int(row[S_V] + (GROUND_SHARE * half + GROUND_GAP) * RING_Y[k] + 0.5)
-        if 1 <= x < w - 1 and 1 <= y < h - 1:
-            boxes[n] = 0.0
-            for b in range(y - 1, y + 2):
-                for a in range(x - 1, x + 2):
-                    boxes[n] += float(np.uint8(image[b, a] ^ flip)) / 9.0
-            n += 1
-    if n < FEWEST_BOXES:
-        return 0.0
-    insertion_sort(boxes, n)
-    spread = 0.5 * (boxes[(5 * n) // 6] - boxes[n // 6])
-    ground = max(spread * spread - RING_NOISE * noise, 0.0)
-    radius = min(half, 1.0 + HALF_SHARE * half)
-    return ground * (GROUND_PULL * radius / max(row[S_PEAK], 1.0)) ** 2
 
 
 @kernel
