@@ -178,19 +178,16 @@ def fold(k, R, t, X, radius, normal, plane, uv, cov, T, factor, C):
         free = free_beside(turns[s] / angle)
         for j in range(shares.shape[1]):
             turned_about(Rp, tp, centre, shares[s, j] * turns[s], R2, t2)
-            rise = settle_beside(k, R, t, X, radius, normal, uv, W, free, R2, t2, residual) - base
+            if s < 2 and j == 0:  # the mirrored tilt: to the least chi-square near it
+                state, least = refine_pose(k, R, t, X, radius, normal, uv, W, R2, t2, H, residual)
+                rise = least - base if state == SOLVED else np.inf
+            else:
+                rise = settle_beside(k, R, t, X, radius, normal, uv, W, free, R2, t2, residual) - base
             if rise < POSSIBLE * factor:
                 difference(Rp, tp, R2, t2, d)
                 most = max(most, reach_out(C, d, rise / factor))
-            if s < 2 and j == 0:
-                if not rise < POSSIBLE * factor:
-                    break  # the mirrored tilt is not possible
-                for start in (0.5, 1.0):  # lesser minima are left for one that is near either
-                    turned_about(Rp, tp, centre, start * turns[s], R2, t2)
-                    state, least = refine_pose(k, R, t, X, radius, normal, uv, W, R2, t2, H, residual)
-                    if state == SOLVED and least - base < POSSIBLE * factor:
-                        difference(Rp, tp, R2, t2, d)
-                        most = max(most, reach_out(C, d, (least - base) / factor))
+            if s < 2 and j == 0 and (most == 1.0 or not rise < POSSIBLE * factor):
+                break  # there is no other tilt, or it does not fit
             if s == 2 and j == 1 and most == 1.0:
                 break  # first order holds to either side
     return most
