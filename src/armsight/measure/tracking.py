@@ -56,14 +56,17 @@ def expected(setup: Setup, track: Track | None, t_s: float) -> Prediction | None
 def jumped(setup: Setup, track: Track, t_s: float, solved: Solved) -> bool:
     """Tell whether a pose in windows puts a light where no target comes from the moment before, its doubt allowed."""
     predicted = expected(setup, track, t_s)
-    if solved.T is None or predicted is None or not setup.target.model_known:
+    if predicted is None or not setup.target.model_known or len(setup.model) < 3:
         return False
-    C, places = solved.pose.covariance, places_of(setup, solved.T)
-    if C is None:
-        return False
-    arm = np.linalg.norm(setup.model.xyz_m, axis=1)
-    doubt = np.sqrt(np.trace(C[:3, :3])) + arm * np.sqrt(np.trace(C[3:, 3:]))
-    away = np.linalg.norm(places - predicted.xyz_m, axis=1)
+    C = solved.pose.covariance
+    if solved.T is None or C is None:  # the points by themselves, in the order of the track
+        places, at = solved.points.xyz_m, track.predict(t_s)
+        doubt = np.sqrt(np.trace(solved.points.covariance_m2, axis1=1, axis2=2))
+    else:
+        places, at = places_of(setup, solved.T), predicted.xyz_m
+        arm = np.linalg.norm(setup.model.xyz_m, axis=1)
+        doubt = np.sqrt(np.trace(C[:3, :3])) + arm * np.sqrt(np.trace(C[3:, 3:]))
+    away = np.linalg.norm(places - at, axis=1)
     return bool(np.any(away > predicted.within_m + JUMP_SIGMA * doubt))
 
 
