@@ -47,10 +47,6 @@ TIGHT_PX = 0.05
 SWAP_RATIO = 0.1
 """Exchanged views are believed where they bring chi-square below this share of what it is."""
 
-NEAR_M = 0.01
-"""How near a prediction must be to decide between arrangements in a room: where a light is hidden all of them are wrong,
-and one is within several cm by chance."""
-
 LOOSE = 8.0
 """Factor on the slack with which a set of spots that does not fit is tried again, only to say by how much."""
 
@@ -182,10 +178,7 @@ def _from_spots(
     The number is how many other arrangements are expected to fit as well by chance.
     """
     pairs = pair_spots(setup.packed, left, right, setup.slack_px, overlaid=setup.overlaid)
-    predicted = expected(setup, track, t_s)
-    if predicted is not None and among is not None and among.arrangements != AS_FOUND:
-        predicted = replace(predicted, within_m=min(predicted.within_m, NEAR_M))
-    match = _match(setup, left, right, pairs, predicted, among)
+    match = _match(setup, left, right, pairs, expected(setup, track, t_s), among)
     if match.best is None and match.alternatives:
         return _ambiguous(setup, t_s, left, right, pairs, match, track), match.chance
     if match.best is None:
