@@ -33,7 +33,7 @@ from armsight.measure.setup import Setup
 from armsight.measure.shortlist import Shortlist, likeness, shortlist
 from armsight.measure.spots import SECOND_LOOK, TOUCHING, Candidates, find_candidates, track_spots
 from armsight.measure.spots import warm_up as spots_warm_up
-from armsight.measure.tracking import MAX_GAP_S, expected, next_track, places_of
+from armsight.measure.tracking import MAX_GAP_S, expected, jumped, next_track, places_of
 from armsight.optics import RIG_PARAMETERS, SIDES, Camera, parallel_rig
 from armsight.records import Frame, NamedCovariance, PoseStatus, Spots, TargetPose, spot_target, unmeasured_target
 
@@ -256,7 +256,7 @@ def _measure_windows(setup: Setup, left: Frame, right: Frame, t_s: float, track:
     if left_seen is None or right_seen is None:
         return None
     solved = _solve(setup, t_s, track.names, left_seen, right_seen)
-    if not solved.fits or solved.pose.status is PoseStatus.LOST:
+    if not solved.fits or solved.pose.status is PoseStatus.LOST or jumped(setup, track, t_s, solved):
         return None
     slip = kernels.largest_slip(left_seen.uv_px, at_left, right_seen.uv_px, at_right)
     return Measured(

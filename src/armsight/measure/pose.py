@@ -8,8 +8,8 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.measure.kernels import folds, share
 from armsight.measure.kernels import pose as kernels
-from armsight.measure.kernels import share
 from armsight.measure.match import SLACK_PX
 from armsight.optics import PackedRig
 from armsight.records import Points, PoseStatus, TargetPose, trusted
@@ -20,6 +20,13 @@ PARENT = "rig"
 
 MAX_ROTATION_SIGMA = 0.3
 """A rotation less certain than this (rad; 17 degrees) is none: its covariance, taken to first order, means nothing."""
+
+MAX_DOUBTFUL_SIGMA = 0.07
+"""The same (4 degrees) where another tilt fits as well, or a spot is of something else: the truth then lies in one of
+several places, not about one."""
+
+FOLDED = 1.05
+"""Squared deviations of another tilt over what its residuals allow, from which that is the case."""
 
 MISFIT_SIGMA = 2.326
 """Residuals further out than this normal deviation (1 %) widen the pose: cameras' noise models are off by up to a
@@ -32,6 +39,8 @@ _WHY = {
     kernels.OPEN: "the spots leave some direction of the pose open",
     kernels.ENDLESS: "the fit did not settle",
 }
+_MISFIT = "one of the spots is off, and it is not clear which: only the position is known"
+_FOLDED = "the spots fit tilts to either side of the line of sight: only the position is known"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -108,12 +117,20 @@ def solve_pose(
     if carried.size:
         systematic = np.empty((6, 6))
         chi2 = share.carry_to_pose(packed.k, packed.R, packed.t, cov_px2, xyz_m, T, carried, C, residual, systematic)
-    C *= misfit_factor(chi2, n)
+    factor = misfit_factor(chi2, n)
+    C *= factor
+    if factor > 1.0:
+        folds.one_astray(packed.k, packed.R, packed.t, xyz_m, radius_m, normal, uv_px, cov_px2, T, chi2, C)
+    folded = folds.fold(
+        packed.k, packed.R, packed.t, xyz_m, radius_m, normal, _plane(xyz_m, normal), uv_px, cov_px2, T, factor, C
+    )
     if systematic is not None:
         C += systematic
-    if not _certain(C):
+    in_doubt = _MISFIT if factor > 1.0 else _FOLDED if folded > FOLDED else ""
+    if not _certain(C, MAX_DOUBTFUL_SIGMA if in_doubt else MAX_ROTATION_SIGMA):
         seen = _placed(packed, names, P, S, cov_px2, residual)
-        return Solved(pose=position_only(t_s, seen, _WHY[kernels.OPEN]), points=seen.points)
+        why = in_doubt or _WHY[kernels.OPEN]
+        return Solved(pose=position_only(t_s, seen, why), points=seen.points)
     if packed.covariance.size:
         A = _slopes(packed, cov_px2, P, S)
         S += A @ packed.covariance @ A.transpose(0, 2, 1)
@@ -129,7 +146,7 @@ def solve_frame(packed: PackedRig, t_s: float, names: tuple[str, ...], uv_px: Ar
     if isinstance(seen, str):
         return Solved(pose=lost(t_s, seen), points=no_points(), fits=False)
     T, C = np.eye(4), np.empty((6, 6))
-    if not kernels.pachidis_frame(seen.points.xyz_m, seen.joint_m2, T, C) or not _certain(C):
+    if not kernels.pachidis_frame(seen.points.xyz_m, seen.joint_m2, T, C) or not _certain(C, MAX_ROTATION_SIGMA):
         return Solved(pose=position_only(t_s, seen, "the three lights lie on one line"), points=seen.points)
     systematic = None
     if seen.systematic_m2 is not None:
@@ -201,9 +218,17 @@ def misfit_factor(chi2: float, n_spots: int) -> float:
     return max(1.0, chi2 / usual)
 
 
-def _certain(C: Array) -> bool:
+def _certain(C: Array, most: float) -> bool:
     """Whether the rotation of a covariance (6, 6) is known well enough to be one."""
-    return bool(max(C[3, 3], C[4, 4], C[5, 5]) <= MAX_ROTATION_SIGMA**2)
+    return bool(max(C[3, 3], C[4, 4], C[5, 5]) <= most**2)
+
+
+def _plane(xyz_m: Array, normal: Array) -> Array:
+    """Return the normal (3,) of the plane of three lights, of more that of the target's."""
+    if len(xyz_m) != 3:
+        return normal
+    across = np.cross(xyz_m[1] - xyz_m[0], xyz_m[2] - xyz_m[0])
+    return np.asarray(across / np.linalg.norm(across))
 
 
 def _placed(packed: PackedRig, names: tuple[str, ...], P: Array, S: Array, cov_px2: Array, residual: Array) -> Placed:

@@ -23,6 +23,9 @@ MOST_SPEED = 2.0
 MOST_ACCELERATION = 25.0
 """m/s and m/s^2 beyond which no target is expected to be led: twice what a hand reaches between two places."""
 
+JUMP_SIGMA = 3.0
+"""Deviations of a pose that may come on top of how far off its prediction may be."""
+
 STILL_M = 0.005
 """How far off a prediction may be where nothing moves."""
 
@@ -48,6 +51,23 @@ def expected(setup: Setup, track: Track | None, t_s: float) -> Prediction | None
             out[setup.model.names.index(name)] = place
         predicted = out
     return Prediction(predicted, STILL_M + moved)
+
+
+def jumped(setup: Setup, track: Track, t_s: float, solved: Solved) -> bool:
+    """Tell whether a pose in windows puts a light where no target comes from the moment before, its doubt allowed."""
+    predicted = expected(setup, track, t_s)
+    if predicted is None or not setup.target.model_known or len(setup.model) < 3:
+        return False
+    C = solved.pose.covariance
+    if solved.T is None or C is None:  # the points by themselves, in the order of the track
+        places, at = solved.points.xyz_m, track.predict(t_s)
+        doubt = np.sqrt(np.trace(solved.points.covariance_m2, axis1=1, axis2=2))
+    else:
+        places, at = places_of(setup, solved.T), predicted.xyz_m
+        arm = np.linalg.norm(setup.model.xyz_m, axis=1)
+        doubt = np.sqrt(np.trace(C[:3, :3])) + arm * np.sqrt(np.trace(C[3:, 3:]))
+    away = np.linalg.norm(places - at, axis=1)
+    return bool(np.any(away > predicted.within_m + JUMP_SIGMA * doubt))
 
 
 def places_of(setup: Setup, T: Array) -> Array:

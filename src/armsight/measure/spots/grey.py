@@ -25,6 +25,7 @@ from armsight.measure.spots.kernels.area import (
     UNUSED,
 )
 from armsight.measure.spots.kernels.colour import whiten_clipped
+from armsight.measure.spots.kernels.ground import doubt_ground
 from armsight.measure.spots.kernels.lights import deliver, measure_others, measure_round
 from armsight.measure.spots.kernels.locate import FULL, NOISE, NOTHING_ABOVE, NUMBER, locate, locate_near
 from armsight.measure.spots.kernels.scan import SUM_X, SUM_Y, WEIGHT
@@ -116,6 +117,7 @@ def measured(
     fits, rows = np.empty((n, FIT)), np.empty((n, MOST_LIGHTS, SPOT))
     if measure_round(grey, settings.mask_bytes, settings.options, areas, state, survey, fits, rows):
         measure_others(grey, settings.mask_bytes, settings.options, areas, state, survey, fits, rows)
+    doubt_ground(grey, settings.options, areas, state, survey, rows)
     *columns, refused = deliver(settings.options, areas, state, rows)
     return tuple(columns), refused
 

@@ -18,6 +18,7 @@ from armsight.measure.spots.kernels.area import (
     S_B,
     S_CH,
     S_DOF,
+    S_FLOOR,
     S_FOURTH,
     S_MODEL,
     S_OF,
@@ -351,6 +352,7 @@ def describe(kind, n, p, values, use, box, rss, rows, source):
         row[S_SQUARE] = remaining_square(sums[2], sums[0], left) if k == 0 else 0.0
         row[S_B] = p[0]
         row[S_OF] = source
+        row[S_FLOOR] = 0.0
         if kind == JOINT:
             row[S_PEAK] = p[first + 2]
             row[S_SIZE] = sqrt(max(1.0 / p[1] - PIXEL_VARIANCE, 0.01))

@@ -29,6 +29,7 @@ from armsight.measure.spots.kernels.area import (
     S_CG,
     S_CH,
     S_DOF,
+    S_FLOOR,
     S_FOURTH,
     S_MODEL,
     S_OF,
@@ -55,7 +56,7 @@ from armsight.measure.spots.kernels.axes import PIXEL_VARIANCE
 from armsight.measure.spots.kernels.choose import choose, describe, refit
 from armsight.measure.spots.kernels.compiled import copy_to, kernel
 from armsight.measure.spots.kernels.leastsquares import light_of
-from armsight.measure.spots.kernels.locate import NOISE, PROCESSED
+from armsight.measure.spots.kernels.locate import NOISE
 from armsight.measure.spots.kernels.patch import make_patch, patch_box
 from armsight.measure.spots.kernels.processed import astray, settle_centre
 from armsight.measure.spots.kernels.round import (
@@ -123,6 +124,7 @@ def copy_round(result, source, row):
     row[S_SQUARE] = result[SQUARE]
     row[S_B] = result[B]
     row[S_OF] = source
+    row[S_FLOOR] = 0.0
 
 
 @kernel
@@ -198,7 +200,6 @@ def measure_round(image, mask, options, comps, state, survey, fits, rows):
     result = np.empty(RESULT)
     work = new_work()
     noise = survey[2 * GRID, NOISE]
-    processed = survey[2 * GRID, PROCESSED] > 0.0
     pending = 0
     for i in range(n):
         if state[i, STATUS] != ACCEPTED:
@@ -210,7 +211,7 @@ def measure_round(image, mask, options, comps, state, survey, fits, rows):
             slope_prior(survey, int(comp[SUM_Y] / comp[WEIGHT]), int(comp[SUM_X] / comp[WEIGHT]), w, h, noise, prior)
         for k in range(4):
             fits[i, MOST_PARAMETERS + k] = prior[k]
-        if state[i, CROWDED] == 0 and only != ONLY_ELLIPSE and not (processed and comp[SLOPE] >= 0.0):
+        if state[i, CROWDED] == 0 and only != ONLY_ELLIPSE and comp[SLOPE] < 0.0:
             round_start(comp, background_of(comp, survey, w, h), saturation, start)
             clipped = comp[CLIPPED] > 0.0 or mask.size > 0 or is_hot_near(comp, hot, n_hot)
             fine = fit_round(image, flip, saturation, mask, hot, n_hot, clipped, start, prior, work, result)
@@ -239,7 +240,6 @@ def measure_others(image, mask, options, comps, state, survey, fits, rows):
     hot = np.empty((2 * n, 2), np.int64)
     n_hot = hot_pixels(comps, state, hot)
     noise = survey[2 * GRID, NOISE]
-    processed = survey[2 * GRID, PROCESSED] > 0.0
     box = np.empty(4, np.int64)
     for i in range(n):
         if state[i, STATUS] != PENDING:
@@ -265,7 +265,7 @@ def measure_others(image, mask, options, comps, state, survey, fits, rows):
         single = state[i, STATUS] == ACCEPTED and state[i, LIGHTS] == 1 and comp[SLOPE] >= 0.0
         if single and (
             astray(comp, rows[i, 0])
-            or (processed and not settle_centre(kind, size, fits[i], values, use, box, comp, rows[i, 0]))
+            or not settle_centre(kind, size, fits[i], values, use, box, comp, noise, rows[i, 0])
         ):
             state[i, STATUS] = FAILED
         if state[i, STATUS] != ACCEPTED and comp[SLOPE] >= 0.0:
@@ -400,10 +400,10 @@ def deliver(options, comps, state, rows):
         a = noise_of(row, g)
         uv[k, 0] = row[S_U]
         uv[k, 1] = row[S_V]
-        covariance[k, 0, 0] = a * row[S_CH] + g * row[S_CG]
+        covariance[k, 0, 0] = a * row[S_CH] + g * row[S_CG] + row[S_FLOOR]
         covariance[k, 0, 1] = a * row[S_CH + 1] + g * row[S_CG + 1]
         covariance[k, 1, 0] = covariance[k, 0, 1]
-        covariance[k, 1, 1] = a * row[S_CH + 2] + g * row[S_CG + 2]
+        covariance[k, 1, 1] = a * row[S_CH + 2] + g * row[S_CG + 2] + row[S_FLOOR]
         peak[k] = row[S_PEAK]
         size[k] = row[S_SIZE]
         model[k] = int(row[S_MODEL])

@@ -26,10 +26,11 @@ from armsight.measure.spots.kernels.area import (
 )
 from armsight.measure.spots.kernels.choose import odd_part
 from armsight.measure.spots.kernels.compiled import kernel
+from armsight.measure.spots.kernels.ground import GROUND_PULL, ground_variance
 from armsight.measure.spots.kernels.leastsquares import evaluated, gram, unused
 from armsight.measure.spots.kernels.models import JOINT, add_scaled, prior_weight
 from armsight.measure.spots.kernels.patch import used
-from armsight.measure.spots.kernels.scan import AREA, CLIPPED, GROUND, PEAK, SLOPE, SUM_X, SUM_Y, WEIGHT
+from armsight.measure.spots.kernels.scan import AREA, CLIPPED, GROUND, PEAK, SUM_X, SUM_Y, WEIGHT
 
 ASTRAY = 0.3
 ASTRAY_SHARE = 0.35
@@ -44,9 +45,6 @@ RIM_CLIPPED = 2.6e-3
 the same way: of any light, and of one all of whose pixels are clipped (times the clipped share squared)."""
 TINY_PX = 1.2
 """Radius at which these are twice as large: a rim of a few pixels is not averaged over."""
-GROUND_CHANGE = 0.8
-"""Shift of a centre in radii where the background changes over the radius by as much as the light is high: light is
-added to what is behind it as often as it hides it."""
 
 
 @kernel
@@ -100,7 +98,7 @@ def astray(comp, row):
 
 
 @kernel
-def settle_centre(kind, n, p, values, use, box, comp, row):
+def settle_centre(kind, n, p, values, use, box, comp, noise, row):
     """Replace the covariance of a spot's row by that of its odd residuals; False where these are too few."""
     radius = sqrt(comp[AREA] / pi)
     away2 = from_centroid(comp, row)
@@ -115,9 +113,10 @@ def settle_centre(kind, n, p, values, use, box, comp, row):
         return False
     sandwich(odd, psi, out)
     clipped = comp[CLIPPED] / comp[AREA]
-    change = comp[SLOPE] / max(comp[PEAK] - comp[GROUND], 1.0) * radius
+    ground = ground_variance(residuals, use, row[S_U] - box[0], row[S_V] - box[2], radius, noise)
+    pull = GROUND_PULL * radius / max(comp[PEAK] - comp[GROUND], 1.0)
     rim = (RIM + RIM_CLIPPED * clipped * clipped) * (1.0 + (TINY_PX / radius) ** 2) / radius
-    floor = SPREAD_SHARE * away2 + rim + (GROUND_CHANGE * radius * change) ** 2
+    floor = SPREAD_SHARE * away2 + rim + pull * pull * ground
     for k in range(3):
         row[S_CH + k] = out[k] * count / (count - n) + (0.0 if k == 1 else floor)
         row[S_CG + k] = 0.0
