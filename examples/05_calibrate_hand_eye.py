@@ -12,7 +12,7 @@ T_base_target = RigidTransform.from_components([0.6, 0.1, 0.05], Rotation.from_e
 T_base_flange, T_camera_target = [], []
 for _ in range(20):  # what the controller shows, and what the camera sees (here with noise)
     turn = Rotation.from_euler("xyz", [180, 0, 0], True) * Rotation.from_rotvec(rng.normal(0.0, 0.35, 3))
-    flange = RigidTransform.from_components([0.6, 0.1, 0.5] + rng.normal(0.0, 0.08, 3), turn)
+    flange = RigidTransform.from_components(rng.normal([0.6, 0.1, 0.5], 0.08), turn)
     noise = RigidTransform.from_components(rng.normal(0.0, 2e-4, 3), Rotation.from_rotvec(rng.normal(0.0, 5e-4, 3)))
     T_base_flange.append(flange.as_matrix())
     T_camera_target.append(((flange * T_flange_camera).inv() * T_base_target * noise).as_matrix())

@@ -10,8 +10,8 @@ from __future__ import annotations
 from math import acos, exp, log, pi, sin, sqrt
 
 import numpy as np
-from numba import njit
 
+from armsight._numba import kernel
 from armsight.fitting.kernels import invert_spd, solve_damped
 from armsight.geometry.kernels import rotate_left
 from armsight.measure.kernels.pose import SOLVED, pose_normal, refine_pose, weights
@@ -32,7 +32,7 @@ LEAST_TURN = 1e-3
 """Turn (rad) from a tilt to its mirror image below which they are one."""
 
 
-@njit(cache=True)
+@kernel
 def mirrored_turn(R, t, Rp, centre, normal, turn):
     """Fill turn (3,) with the rotation vector from the tilt Rp to its mirror image about a camera's line of sight.
 
@@ -51,7 +51,7 @@ def mirrored_turn(R, t, Rp, centre, normal, turn):
     turn[:] = 2.0 * acos(min(np.dot(n, u), 1.0)) / length * axis
 
 
-@njit(cache=True)
+@kernel
 def settle_beside(k, R, t, X, radius, normal, uv, W, free, Rp, tp, residual):
     """Move Rp, tp along the columns of free (6, m) towards the least chi-square; return it (infinite: none)."""
     m = free.shape[1]
@@ -79,7 +79,7 @@ def settle_beside(k, R, t, X, radius, normal, uv, W, free, Rp, tp, residual):
     return chi2
 
 
-@njit(cache=True)
+@kernel
 def turned_about(Rp, tp, centre, turn, R2, t2):
     """Fill R2, t2 with the pose turned by the rotation vector about the centre (3,) of the lights."""
     rotate_left(turn, Rp, R2)
@@ -87,7 +87,7 @@ def turned_about(Rp, tp, centre, turn, R2, t2):
     t2[:] = centre + E @ (tp - centre)
 
 
-@njit(cache=True)
+@kernel
 def difference(Rp, tp, R2, t2, d):
     """Fill d (6,) with the way from the pose Rp, tp to R2, t2: translation, rotation vector."""
     d[:3] = t2 - tp
@@ -97,7 +97,7 @@ def difference(Rp, tp, R2, t2, d):
     d[3:] = w * (0.5 if angle < 1e-6 else angle / (2.0 * sin(min(angle, pi - 1e-6))))
 
 
-@njit(cache=True)
+@kernel
 def reach_out(C, d, rise):
     """Widen C (6, 6) so that d (6,) lies no more deviations out than the root of rise; return by how much it did."""
     inverse = np.empty((6, 6))
@@ -111,7 +111,7 @@ def reach_out(C, d, rise):
     return out / rise
 
 
-@njit(cache=True)
+@kernel
 def free_beside(axis):
     """Return (6, 5): the changes of a pose that do not turn it about the axis (3,)."""
     free = np.zeros((6, 5))
@@ -130,7 +130,7 @@ def free_beside(axis):
     return free
 
 
-@njit(cache=True)
+@kernel
 def looks(R, t, Rp, centre, plane, C):
     """Return turns (3, 3) from the tilt Rp and shares (3, m) of each to look at.
 
@@ -150,7 +150,7 @@ def looks(R, t, Rp, centre, plane, C):
     return turns, shares
 
 
-@njit(cache=True)
+@kernel
 def fold(k, R, t, X, radius, normal, plane, uv, cov, T, factor, C):
     """Widen C (6, 6) of the pose T (4, 4) for tilts that first order takes as too unlikely; return by how much.
 
@@ -193,7 +193,7 @@ def fold(k, R, t, X, radius, normal, plane, uv, cov, T, factor, C):
     return most
 
 
-@njit(cache=True)
+@kernel
 def one_astray(k, R, t, X, radius, normal, uv, cov, T, chi2, C):
     """Widen C (6, 6) of the pose T (4, 4) for one spot that is of something else, whichever that may be.
 

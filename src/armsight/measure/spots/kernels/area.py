@@ -6,8 +6,8 @@ from math import exp, log, pi, sqrt
 
 import numpy as np
 
+from armsight._numba import kernel
 from armsight.measure.spots.kernels.axes import PIXEL_VARIANCE
-from armsight.measure.spots.kernels.compiled import kernel
 from armsight.measure.spots.kernels.scan import (
     AREA,
     CLIPPED,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import erf, exp, pi, sqrt
 
-from armsight.measure.spots.kernels.compiled import kernel
+from armsight._numba import kernel
 
 PIXEL_VARIANCE = 1.0 / 12.0
 NARROW = 0.9

@@ -6,7 +6,8 @@ from math import pi, sqrt
 
 import numpy as np
 
-from armsight.measure.spots.kernels.compiled import copy_to, insertion_sort, kernel
+from armsight._numba import kernel
+from armsight.measure.spots.kernels.loops import copy_to, insertion_sort
 from armsight.measure.spots.kernels.scan import (
     AREA,
     CLIPPED,

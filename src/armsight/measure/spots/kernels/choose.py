@@ -6,6 +6,7 @@ from math import erf, exp, log, pi, sqrt
 
 import numpy as np
 
+from armsight._numba import kernel
 from armsight.measure.spots.kernels.area import (
     AS_ELLIPSE,
     AS_GAUSSIAN,
@@ -31,8 +32,8 @@ from armsight.measure.spots.kernels.area import (
     S_V,
 )
 from armsight.measure.spots.kernels.axes import PIXEL_VARIANCE
-from armsight.measure.spots.kernels.compiled import copy_to, kernel
 from armsight.measure.spots.kernels.leastsquares import evaluated, fit_model, gram, weighted_information
+from armsight.measure.spots.kernels.loops import copy_to
 from armsight.measure.spots.kernels.models import ELLIPSE, JOINT, ROOT_2, ROOT_2PI, STREAK, prior_weight
 from armsight.measure.spots.kernels.patch import find_peaks, principal, shape_of, used
 from armsight.measure.spots.kernels.scan import (

@@ -6,7 +6,7 @@ from math import sqrt
 
 import numpy as np
 
-from armsight.measure.spots.kernels.compiled import kernel
+from armsight._numba import kernel
 from armsight.measure.spots.kernels.scan import brightest
 
 # a colour as the kernels see it: hue from, to (degrees, wrapping), least saturation (0..1), least value (0..255)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from armsight._numba import kernel
 from armsight.measure.spots.kernels.area import (
     ACCEPTED,
     CROWDED,
@@ -20,8 +21,8 @@ from armsight.measure.spots.kernels.area import (
     STATUS,
 )
 from armsight.measure.spots.kernels.blobs import RING_SAMPLES, RING_X, RING_Y
-from armsight.measure.spots.kernels.compiled import insertion_sort, kernel
 from armsight.measure.spots.kernels.locate import NOISE
+from armsight.measure.spots.kernels.loops import insertion_sort
 from armsight.measure.spots.kernels.scan import GRID, SLOPE, X_MAX, X_MIN, Y_MAX, Y_MIN
 
 GROUND_PULL = 0.9

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from armsight._numba import kernel, sum_kernel
 from armsight.fitting.kernels import solve_damped
-from armsight.measure.spots.kernels.compiled import copy_to, kernel, vector
+from armsight.measure.spots.kernels.loops import copy_to
 from armsight.measure.spots.kernels.models import (
     CLIPPED_PIXEL,
     ELLIPSE,
@@ -20,7 +21,7 @@ CLOSE = 3e-3
 """Stop where a step lowers chi-square by less than this share of the noise variance."""
 
 
-@vector
+@sum_kernel
 def dot(a, b):
     """Return the sum of the products of a and b."""
     total = 0.0
@@ -29,14 +30,14 @@ def dot(a, b):
     return total
 
 
-@vector
+@sum_kernel
 def less(values, background, m, r):
     """Fill r with values less background and light m."""
     for i in range(r.shape[0]):
         r[i] = values[i] - background - m[i]
 
 
-@vector
+@sum_kernel
 def products(a, b, ab):
     """Fill ab with the products of a and b."""
     for i in range(a.shape[0]):
@@ -79,7 +80,7 @@ def evaluate(kind, p, n, values, use, special, grid, J, m, r):
                 J[a, k] = 0.0
 
 
-@vector
+@sum_kernel
 def four_dots(a0, a1, b0, b1):
     """Return the sums of the products of a0 and b0, a0 and b1, a1 and b0, a1 and b1."""
     t00 = 0.0

@@ -6,6 +6,7 @@ from math import pi, sqrt
 
 import numpy as np
 
+from armsight._numba import kernel
 from armsight.measure.spots.kernels.area import (
     ACCEPTED,
     AS_CENTROID,
@@ -54,9 +55,9 @@ from armsight.measure.spots.kernels.area import (
 )
 from armsight.measure.spots.kernels.axes import PIXEL_VARIANCE
 from armsight.measure.spots.kernels.choose import choose, describe, refit
-from armsight.measure.spots.kernels.compiled import copy_to, kernel
 from armsight.measure.spots.kernels.leastsquares import light_of
 from armsight.measure.spots.kernels.locate import NOISE
+from armsight.measure.spots.kernels.loops import copy_to
 from armsight.measure.spots.kernels.patch import make_patch, patch_box
 from armsight.measure.spots.kernels.processed import astray, settle_centre
 from armsight.measure.spots.kernels.round import (

@@ -6,6 +6,7 @@ from math import sqrt
 
 import numpy as np
 
+from armsight._numba import kernel
 from armsight.measure.spots.kernels.area import (
     ACCEPTED,
     BEYOND,
@@ -24,7 +25,7 @@ from armsight.measure.spots.kernels.area import (
     near,
 )
 from armsight.measure.spots.kernels.blobs import RING_SAMPLES, blob_near, ring_level
-from armsight.measure.spots.kernels.compiled import copy_to, kernel
+from armsight.measure.spots.kernels.loops import copy_to
 from armsight.measure.spots.kernels.scan import (
     AREA,
     BLOCK,

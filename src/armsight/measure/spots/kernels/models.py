@@ -17,8 +17,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from armsight._numba import kernel, sum_kernel
 from armsight.measure.spots.kernels.axes import PIXEL_VARIANCE
-from armsight.measure.spots.kernels.compiled import kernel, vector
 from armsight.measure.spots.kernels.normal import normal
 
 JOINT, STREAK, ELLIPSE = 0, 1, 2
@@ -65,7 +65,7 @@ def grid_of(x0, y0, nx, ny):
     return Grid(float(x0), float(y0), nx, ny, x, y, np.empty((WORK, nx * ny)))
 
 
-@vector
+@sum_kernel
 def outer(ex, ey, nx, ny, e):
     """Fill e (nx ny,) with the products of ex (nx,) and ey (ny,)."""
     for j in range(ny):
@@ -74,28 +74,28 @@ def outer(ex, ey, nx, ny, e):
             row[i] = ey[j] * ex[i]
 
 
-@vector
+@sum_kernel
 def add_scaled(a, b, factor):
     """Add factor times a to b."""
     for i in range(a.shape[0]):
         b[i] += factor * a[i]
 
 
-@vector
+@sum_kernel
 def scaled(a, factor, b):
     """Fill b with factor times a."""
     for i in range(a.shape[0]):
         b[i] = factor * a[i]
 
 
-@vector
+@sum_kernel
 def moved_round(e, x, u, scale, by_u):
     """Fill by_u with the derivative of a Gaussian's light e by its centre: scale (x - u) e."""
     for i in range(e.shape[0]):
         by_u[i] = scale * (x[i] - u) * e[i]
 
 
-@vector
+@sum_kernel
 def wider_round(e, x, y, u, v, height, by_width):
     """Add the derivative of a Gaussian's light by 1 / variance."""
     for i in range(e.shape[0]):
@@ -125,7 +125,7 @@ def joint_light(p, n, grid, J, m):
         add_scaled(e, m, height)
 
 
-@vector
+@sum_kernel
 def streak_axes(x, y, u, v, c, s_, s, h, across, a, b):
     """Fill the distance across the streak, and those along it from its two ends, in widths."""
     for i in range(x.shape[0]):
@@ -136,7 +136,7 @@ def streak_axes(x, y, u, v, c, s_, s, h, across, a, b):
         b[i] = a[i] - 2.0 * h / s
 
 
-@vector
+@sum_kernel
 def streak_ends(fa, to_a, fb, to_b, a, b, scale):
     """Replace fa by fa - fb, to_a by the profile along, fb by fa + fb and to_b by a fa - b fb, all scaled."""
     for i in range(a.shape[0]):
@@ -148,14 +148,14 @@ def streak_ends(fa, to_a, fb, to_b, a, b, scale):
         to_b[i] = a[i] * first - b[i] * last
 
 
-@vector
+@sum_kernel
 def streak_moved(across, z, along, ends, height, s, c, s_, by_u):
     """Fill the derivative by a coordinate of the centre, of which c and s_ are the direction along and across."""
     for i in range(z.shape[0]):
         by_u[i] = height * across[i] / s * (z[i] * along[i] * s_ - ends[i] * c)
 
 
-@vector
+@sum_kernel
 def streak_turned(across, z, a, along, ends, height, s, h, by_angle):
     """Fill the derivative by the angle."""
     for i in range(z.shape[0]):
@@ -163,14 +163,14 @@ def streak_turned(across, z, a, along, ends, height, s, h, by_angle):
         by_angle[i] = height * across[i] * z[i] * (ends[i] + t * along[i])
 
 
-@vector
+@sum_kernel
 def streak_wider(across, z, along, moments, height, s, by_s):
     """Fill the derivative by the width."""
     for i in range(z.shape[0]):
         by_s[i] = height * across[i] / s * (z[i] * z[i] * along[i] + along[i] - moments[i])
 
 
-@vector
+@sum_kernel
 def streak_longer(across, along, both, height, s, h, by_h):
     """Fill the derivative by half the length."""
     for i in range(along.shape[0]):
@@ -208,7 +208,7 @@ def streak_light(p, grid, J, m):
     scaled(J[3], p[3], m)
 
 
-@vector
+@sum_kernel
 def edge_form(x, y, u, v, m0, m1, m2, Q, G):
     """Fill Q = S + CORE_VARIANCE tr M and G = g^2 of an ellipse; see ellipse_light."""
     k = CORE_VARIANCE
@@ -223,7 +223,7 @@ def edge_form(x, y, u, v, m0, m1, m2, Q, G):
         G[i] = (n0 * dx * dx + 2.0 * n1 * dx * dy + n2 * dy * dy + k * (n0 + n2)) / q
 
 
-@vector
+@sum_kernel
 def edge_distance(Q, G, core, s, d, h):
     """Fill the distance d to the edge, and h = sqrt(S + s^2 g^2)."""
     for i in range(Q.shape[0]):
@@ -232,7 +232,7 @@ def edge_distance(Q, G, core, s, d, h):
         d[i] = (1.0 - S) / (np.sqrt(G[i]) * (1.0 + h[i]))
 
 
-@vector
+@sum_kernel
 def edge_cut(d, s, height, share, slope):
     """Fill slope = dm / dd by the density that it holds; beyond FAR it is zero, and the share one or zero."""
     for i in range(d.shape[0]):
@@ -241,14 +241,14 @@ def edge_cut(d, s, height, share, slope):
         slope[i] = 0.0 if far else slope[i] * (height / s)
 
 
-@vector
+@sum_kernel
 def edge_blur(slope, d, h, G, s, by_s):
     """Fill the derivative by the blur s."""
     for i in range(d.shape[0]):
         by_s[i] = -slope[i] * d[i] * (1.0 / s + s * G[i] / (h[i] * (1.0 + h[i])))
 
 
-@vector
+@sum_kernel
 def edge_factors(slope, Q, G, s, d, h):
     """Replace h and d by a and b: the light's change is -a dS - b (dP - G dQ), P = x'M^2x + CORE_VARIANCE tr M^2."""
     for i in range(d.shape[0]):
@@ -258,7 +258,7 @@ def edge_factors(slope, Q, G, s, d, h):
         h[i] = a
 
 
-@vector
+@sum_kernel
 def edge_moved(x, y, u, v, a, b, G, mx, my, nx, ny, by_u):
     """Fill the derivative by a coordinate of the centre, for that row (mx, my) of M and (nx, ny) of M^2."""
     for i in range(x.shape[0]):
@@ -268,7 +268,7 @@ def edge_moved(x, y, u, v, a, b, G, mx, my, nx, ny, by_u):
         by_u[i] = 2.0 * (a[i] * by_S + b[i] * (nx * dx + ny * dy - G[i] * by_S))
 
 
-@vector
+@sum_kernel
 def edge_formed(x, y, u, v, a, b, G, m, m1, by_m):
     """Fill the derivative by the entry m of M's diagonal that goes with x; m1: M's other entry."""
     k = CORE_VARIANCE
@@ -279,7 +279,7 @@ def edge_formed(x, y, u, v, a, b, G, m, m1, by_m):
         by_m[i] = -a[i] * xx - b[i] * (2.0 * (m * (xx + k) + m1 * dx * dy) - G[i] * (xx + k))
 
 
-@vector
+@sum_kernel
 def edge_turned(x, y, u, v, a, b, G, m0, m1, m2, by_m):
     """Fill the derivative by m1."""
     k = CORE_VARIANCE

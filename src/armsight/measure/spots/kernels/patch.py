@@ -6,8 +6,9 @@ from math import atan2, sqrt
 
 import numpy as np
 
+from armsight._numba import kernel
 from armsight.measure.spots.kernels.area import ACCEPTED, HOT, SMALL, STATUS, near, skirt
-from armsight.measure.spots.kernels.compiled import copy_to, kernel
+from armsight.measure.spots.kernels.loops import copy_to
 from armsight.measure.spots.kernels.models import CLIPPED_PIXEL
 from armsight.measure.spots.kernels.scan import PEAK, X_MAX, X_MIN, Y_MAX, Y_MIN
 

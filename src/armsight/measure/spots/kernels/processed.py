@@ -12,6 +12,7 @@ from math import pi, sqrt
 
 import numpy as np
 
+from armsight._numba import kernel
 from armsight.fitting.kernels import invert_spd
 from armsight.measure.spots.kernels.area import (
     S_CG,
@@ -25,7 +26,6 @@ from armsight.measure.spots.kernels.area import (
     S_V,
 )
 from armsight.measure.spots.kernels.choose import odd_part
-from armsight.measure.spots.kernels.compiled import kernel
 from armsight.measure.spots.kernels.ground import GROUND_PULL, ground_variance
 from armsight.measure.spots.kernels.leastsquares import evaluated, gram, unused
 from armsight.measure.spots.kernels.models import JOINT, add_scaled, prior_weight

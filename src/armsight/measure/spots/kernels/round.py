@@ -15,11 +15,11 @@ from math import sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
+from armsight._numba import kernel, sum_kernel
 from armsight.fitting.kernels import solve_damped
 from armsight.measure.spots.kernels.axes import PIXEL_VARIANCE, P, assemble, gram, profile, tilt_sums
-from armsight.measure.spots.kernels.compiled import copy_to, kernel
+from armsight.measure.spots.kernels.loops import copy_to
 from armsight.measure.spots.kernels.uncertainty import inflation, remaining_square, uncertainty
 
 MOST = 129
@@ -86,7 +86,7 @@ def new_work():
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
+@sum_kernel
 def project(image, flip, x0, y0, nx, ny, fx, fy, d):
     """Fill d (6,) with the sums over the window of v X'Y, v X Y', v X Y, v (X" Y + X Y"), v and v^2."""
     d0 = 0.0
@@ -210,7 +210,7 @@ def set_box(u, v, q, h, w, box):
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
+@sum_kernel
 def residual_sums(image, flip, n_dropped, w, out):
     """Write into out what the residuals r say: FOURTH (sum of r^2 m), RUN, and TILT (of r dx, r dy).
 

@@ -7,9 +7,9 @@ A mask is a (h, w) uint8 array, zero where nothing may be found; an array of siz
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from armsight.measure.spots.kernels.compiled import insertion_sort, kernel
+from armsight._numba import kernel, sum_kernel
+from armsight.measure.spots.kernels.loops import insertion_sort
 
 BLOCK = 64
 """Pixels that are accepted or skipped together."""
@@ -39,7 +39,7 @@ COLUMNS = 13
 change per px; negative where the tiles of the survey tell both."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
+@sum_kernel
 def sample_line(image, flip, y, x, n, parts):
     """Return level and noise variance of n pixels from (x, y), and the sums of products of their steps.
 

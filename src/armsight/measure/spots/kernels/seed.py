@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from armsight._numba import kernel
 
 COLUMNS = 7  # of a shape: pixels, sum of u, sum of v, sum of u^2 + v^2, brightest, cut by the border, too large
 
 
-@njit(cache=True)
+@kernel
 def is_light(image, mask, threshold, inverted, r, c):
     """Whether a pixel belongs to a shape: brighter than the threshold, inverted where asked, inside the mask."""
     grey = 255 - image[r, c] if inverted else image[r, c]
     return grey > threshold and (mask.size == 0 or mask[r, c] != 0)
 
 
-@njit(cache=True)
+@kernel
 def is_seed(image, mask, threshold, inverted, r, c, arm):
     """Whether all pixels of the cross about (r, c) are light, arm to either side; the cross lies inside the image."""
     for k in range(-arm, arm + 1):
@@ -26,7 +27,7 @@ def is_seed(image, mask, threshold, inverted, r, c, arm):
     return True
 
 
-@njit(cache=True)
+@kernel
 def propagate(image, mask, threshold, inverted, r, c, taken, stack, most, out):
     """Fill out (COLUMNS,) with the sums of the shape that (r, c) belongs to; mark its pixels as taken."""
     h, w = image.shape
@@ -58,7 +59,7 @@ def propagate(image, mask, threshold, inverted, r, c, taken, stack, most, out):
     out[6] = 1.0 if out[0] > most else 0.0
 
 
-@njit(cache=True)
+@kernel
 def shapes(image, mask, threshold, inverted, arm, most, room):
     """Return the shapes (n, COLUMNS) in which a cross fits, its arms so many pixels long."""
     h, w = image.shape

@@ -6,8 +6,8 @@ from math import sqrt
 
 import numpy as np
 
+from armsight._numba import kernel
 from armsight.fitting.kernels import invert_spd
-from armsight.measure.spots.kernels.compiled import kernel
 from armsight.measure.spots.kernels.scan import GRID
 
 
