@@ -104,6 +104,24 @@ def test_a_tracked_pose_that_jumps_is_not_believed() -> None:
     assert not measure_pair(SETUP, *again, turned(first.track)).tracked
 
 
+def test_a_tracked_pose_that_turns_faster_than_a_wrist_is_not_believed() -> None:
+    """One light hidden, something else taken for it: each place is within reach of its prediction, the turn is not."""
+    rng = np.random.default_rng(5)
+    pose = RigidTransform.from_components([0.0, 0.0, 0.8], Rotation.from_rotvec([0.0, 0.3, 0.0]))
+    frames = [picture(uv, rng) for uv in placed(pose)]
+    first = measure_pair(SETUP, *frames)
+    assert first.pose.status is PoseStatus.OK and first.track is not None
+    again = [replace(frame, t_s=1.0 / 30.0) for frame in frames]
+    for share, tracked in ((0.1, True), (1.0, False)):  # of a turn to the mirrored tilt, which looks alike
+        z = first.track.xyz_m[:, 2:]
+        other = z + share * 2.0 * (z.mean() - z)
+        led = replace(
+            first.track, xyz_m=first.track.xyz_m * other / z, velocity_m_s=1e-9 * np.ones_like(first.track.velocity_m_s)
+        )
+        assert 0.022 * share < np.abs(other - z).max() < 0.033
+        assert measure_pair(SETUP, *again, led).tracked is tracked
+
+
 def turned(track: Track) -> Track:
     """The same track led to the same pixels by lights that go by at 3 m/s along the line of sight."""
     return replace(track, xyz_m=1.08 * track.xyz_m, velocity_m_s=1e-9 * np.ones_like(track.velocity_m_s))

@@ -120,10 +120,12 @@ class Assignment:
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
     """Where the lights are expected: xyz_m (m, 3) in rig axes, NaN where nothing is known; within_m: how far off it
-    may be. It breaks ties, and only between assignments of which one is that near."""
+    may be; turned_m: how far off each light may be from the others, by the target's turning. It breaks ties, and only
+    between assignments of which one is that near."""
 
     xyz_m: Array
     within_m: float
+    turned_m: float = float("inf")
 
     def _far_m(self, model: TargetModel, a: Assignment) -> float:
         """Return the root mean square distance of the lights from where they are expected."""
@@ -131,9 +133,16 @@ class Prediction:
             return float("inf")
         return float(np.sqrt(np.nanmean(((model.xyz_m @ a.R.T + a.t_m) - self.xyz_m) ** 2) * 3.0))
 
+    def _turned_far(self, model: TargetModel, a: Assignment) -> bool:
+        """Whether a light is further from its place among the others than the target can have turned."""
+        if a.R is None or a.t_m is None or np.isfinite(self.xyz_m[:, 0]).sum() < 2:
+            return False
+        off = model.xyz_m @ a.R.T + a.t_m - self.xyz_m
+        return bool(np.nanmax(np.linalg.norm(off - np.nanmean(off, axis=0), axis=1)) > self.turned_m)
+
     def holds(self, model: TargetModel, a: Assignment) -> bool:
         """Whether an assignment is where the lights are expected."""
-        return self._far_m(model, a) <= self.within_m
+        return self._far_m(model, a) <= self.within_m and not self._turned_far(model, a)
 
     def choice(self, model: TargetModel, found: list[Assignment]) -> Assignment | None:
         """Return the assignment that is as expected where the next one is much further off."""

@@ -192,10 +192,11 @@ def _from_spots(
     match = _match(setup, left, right, pairs, expected(setup, track, t_s), among)
     if match.best is None and match.alternatives:
         return _ambiguous(setup, t_s, left, right, pairs, match, track), match.chance
+    picked = among is not None and among.arrangements != AS_FOUND  # for this order of the views
     if match.best is None:
-        if track is None:
+        if track is None and not picked:
             _refuse_swapped(setup, left, right)
-        chosen = (among is not None and among.arrangements != AS_FOUND) or setup.settings.colour is not None
+        chosen = picked or setup.settings.colour is not None
         why = match.why if chosen and match.why else _explain(setup, left, right, pairs, match.why)
         return _nothing(t_s, left, right, why, track), 1.0
     index = pairs.index[match.best.pair]
@@ -206,7 +207,7 @@ def _from_spots(
     against = impossible(setup, match.best.names, solved, *matched)
     if against:
         return _nothing(t_s, left, right, against, track), 1.0
-    misfit = 0.0 if setup.overlaid else _misfit(solved, *matched)
+    misfit = 0.0 if setup.overlaid or picked else _misfit(solved, *matched)
     if misfit > float(setup.model.limits[min(len(matched[0]), len(setup.model))]):
         _refuse_swapped(setup, left, right, misfit)
     measured = Measured(

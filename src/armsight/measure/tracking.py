@@ -23,6 +23,9 @@ MOST_SPEED = 2.0
 MOST_ACCELERATION = 25.0
 """m/s and m/s^2 beyond which no target is expected to be led: twice what a hand reaches between two places."""
 
+MOST_ANGULAR_ACCELERATION = 300.0
+"""rad/s^2, likewise: a wrist that turns by 60 degrees and back in a quarter of a second reaches a third of it."""
+
 JUMP_SIGMA = 3.0
 """Deviations of a pose that may come on top of how far off its prediction may be."""
 
@@ -50,7 +53,13 @@ def expected(setup: Setup, track: Track | None, t_s: float) -> Prediction | None
         for name, place in zip(track.names, predicted, strict=True):
             out[setup.model.names.index(name)] = place
         predicted = out
-    return Prediction(predicted, STILL_M + moved)
+    turned = STILL_M + MOST_ANGULAR_ACCELERATION * dt * dt * _radius_m(setup)
+    return Prediction(predicted, STILL_M + moved, turned if track.velocity_m_s.any() else np.inf)
+
+
+def _radius_m(setup: Setup) -> float:
+    """Return how far the furthest light is from the mean of the target's lights."""
+    return float(np.linalg.norm(setup.model.xyz_m - setup.model.xyz_m.mean(axis=0), axis=1).max())
 
 
 def jumped(setup: Setup, track: Track, t_s: float, solved: Solved) -> bool:
@@ -66,8 +75,14 @@ def jumped(setup: Setup, track: Track, t_s: float, solved: Solved) -> bool:
         places, at = places_of(setup, solved.T), predicted.xyz_m
         arm = np.linalg.norm(setup.model.xyz_m, axis=1)
         doubt = np.sqrt(np.trace(C[:3, :3])) + arm * np.sqrt(np.trace(C[3:, 3:]))
-    away = np.linalg.norm(places - at, axis=1)
-    return bool(np.any(away > predicted.within_m + JUMP_SIGMA * doubt))
+    off = places - at
+    if np.any(np.linalg.norm(off, axis=1) > predicted.within_m + JUMP_SIGMA * doubt):
+        return True
+    if solved.T is None or C is None:
+        return False
+    turn_doubt = JUMP_SIGMA * _radius_m(setup) * np.sqrt(np.trace(C[3:, 3:]))
+    apart = np.linalg.norm(off - off.mean(axis=0), axis=1)
+    return bool(np.any(apart > predicted.turned_m + turn_doubt))
 
 
 def places_of(setup: Setup, T: Array) -> Array:
