@@ -374,7 +374,7 @@ def pose_errors(cell: Cell, out: Path) -> list[tuple[float, float, float, float]
     found = []
     truth = {round(t_s * FPS): pose_matrix(xyz, quat) for t_s, xyz, quat in cell.truth}
     for row in read_poses(out / "poses.csv"):
-        if row.pose is None or row.covariance is None:
+        if row.pose is None or row.covariance is None or row.status is not PoseStatus.OK:
             continue
         C = np.asarray(row.covariance)
         d = pose_error(row.pose.as_matrix(), truth[round(row.t_s * FPS)])

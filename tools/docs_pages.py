@@ -22,7 +22,11 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 def start_page() -> str:
     """Return the README with its links turned from the project's root to the pages' folder."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
-    return text.replace("](docs/", "](").replace('src="docs/', 'src="').replace("](LICENSE)", "](#license)")
+    return (
+        text.replace("](docs/", "](")
+        .replace('src="docs/', 'src="')
+        .replace("](examples/01_find_spots.py)", "](examples/index.md)")
+    )
 
 
 def examples_page() -> str:
