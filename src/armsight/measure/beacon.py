@@ -18,8 +18,6 @@ WRONG_SIZE = 1.6
 LESS_PX, MORE_PX = 1.0, 2.0
 """Ratio and px by which a beacon may look smaller or larger than its diameter says: tilt, blur and bloom."""
 
-_CURE = "cover or mask the others (--mask), or give diameter_m in target.yaml"
-
 
 def match_beacon(setup: Setup, left: Spots, right: Spots, pairs: Pairs, prediction: Prediction | None) -> Match:
     """Return the one pair that may be the beacon before a room; else none, with cause and cure.
@@ -39,7 +37,9 @@ def match_beacon(setup: Setup, left: Spots, right: Spots, pairs: Pairs, predicti
         pairs, sizes = _only(pairs, fits), [size[fits] for size in sizes]
     match = match_few(setup.model, pairs, known=setup.target.model_known, prediction=prediction)
     if match.best is None or len(match.best.pair) > 1:
-        return Match(best=None, why=f"{_lights(pairs)} seen, and any could be the beacon: {_CURE}")
+        of_size = " and of its diameter_m" if known else ""
+        cure = "cover or mask the others (--mask)" + ("" if known else ", or give diameter_m in target.yaml")
+        return Match(best=None, why=f"{_lights(pairs)} seen{of_size}, and any could be the beacon: {cure}")
     told = known or match.predicted or setup.settings.mask is not None or setup.settings.threshold is not None
     if not told:
         return Match(
