@@ -31,7 +31,7 @@ from armsight.measure.pair import Setup, measure_pair, warm_up
 from armsight.records import Frame, PoseStatus, unmeasured_target
 from armsight.sim import beacon_cell, led_cell
 from armsight.sim.cell import Cell
-from armsight.sim.scene import Wander
+from armsight.sim.scene import SmoothTrajectory
 from armsight.store import read_poses, rig_from_mapping, target_from_mapping, write_rig, write_target
 from bench import machine, table
 from verdicts import BEYOND, BEYOND_MM, SIDES, Array, Verdict, judge, pose_error, reason, share, spread, within
@@ -293,7 +293,7 @@ def moving_run(seconds: float) -> None:
 def moving_cell(frames: int, light: Mapping[str, Any]) -> Cell:
     """Return a cell whose target moves at 0.2 to 0.5 m/s all the time."""
     cell = led_cell(1, frames, fps=FPS, mishaps=False, room="workshop", pipeline="webcam", **light)
-    circling = Wander(
+    circling = SmoothTrajectory(
         centre_m=np.array([0.06, 0.0, 0.80]),
         tilt=Rotation.identity(),
         swing_m=np.array([0.13, 0.08, 0.07]),

@@ -11,7 +11,7 @@ from scipy.stats import chi2 as chi2_law
 from armsight.errors import Degenerate
 from armsight.geometry import align_points, pose_difference
 from armsight.measure.kernels import pose as kernels
-from armsight.measure.kernels import share
+from armsight.measure.kernels import rig_covariance
 from armsight.measure.pair import Measured, Setup, measure_spots
 from armsight.optics import INTRINSICS, RIG_PARAMETERS, Camera, Rig, converged_rig, triangulate_closed
 from armsight.optics.parallelism import moved_rig
@@ -256,7 +256,7 @@ def noisy_rig(rng: np.random.Generator, covariance: NamedCovariance) -> Rig:
 @pytest.mark.parametrize("target", [spot_target(TRIANGLE), unmeasured_target()], ids=["measured", "unmeasured"])
 def test_errors_of_the_calibration_are_in_the_deviations(target: Target) -> None:
     """300 calibrations, each wrong within its own covariance; the spots' noise is small beside it."""
-    rng, q, share = np.random.default_rng(10), {"pose": [], "point": []}, []
+    rng, q, rig_covariance = np.random.default_rng(10), {"pose": [], "point": []}, []
     sigma = dict.fromkeys(RIG_PARAMETERS, 1e-3)  # k1 .. k3
     for side in ("left", "right"):
         sigma |= {f"{side}.{a}": s for a, s in (("fx", 0.4), ("fy", 0.4), ("cx", 0.2), ("cy", 0.2), ("skew", 0.05))}
@@ -277,8 +277,8 @@ def test_errors_of_the_calibration_are_in_the_deviations(target: Target) -> None
         e = measured.points.xyz_m[0] - points[0]
         q["point"].append(e @ np.linalg.solve(measured.points.covariance_m2[0], e) / 3.0)
         exact = measure_spots(Setup(RIG, target, slack_px=0.5), 0.0, *views)
-        share.append(np.trace(whole(exact)[1][:3, :3]) / np.trace(C[:3, :3]))
-    assert np.mean(share) < 0.3
+        rig_covariance.append(np.trace(whole(exact)[1][:3, :3]) / np.trace(C[:3, :3]))
+    assert np.mean(rig_covariance) < 0.3
     for name, dof in (("pose", 6.0), ("point", 3.0)):
         assert abs(np.mean(q[name]) - 1.0) < 5.0 * np.sqrt(2.0 / (dof * 300)), name
 
@@ -288,7 +288,7 @@ def test_derivatives_of_pixels_by_the_rig(side: int) -> None:
     """All 26 against differences: signs matter where the calibration's parameters depend on each other."""
     packed, point = Setup(RIG, spot_target(TRIANGLE)).packed, np.array([0.05, 0.03, 0.6])
     uv, J, D, expected = np.empty(2), np.empty((2, 3)), np.empty((2, 26)), np.empty((2, 26))
-    share.pixel_slopes(packed.k, packed.R, packed.t, point, side, uv, J, D)
+    rig_covariance.pixel_slopes(packed.k, packed.R, packed.t, point, side, uv, J, D)
     for i, name in enumerate(RIG_PARAMETERS):
         step = np.zeros(26)
         step[i] = 1e-3 if name[-2:] in ("fx", "fy", "cx", "cy", "ew") else 1e-6

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from armsight.cli.face import Face
+from armsight.cli.command_ui import CommandUI
 from armsight.cli.options import AsJson
 from armsight.cli.tables import figure
 
@@ -29,7 +29,7 @@ def arm(
     json: AsJson = False,
 ) -> None:
     """Correct a known arm's geometry from measured positions, where a gain can be proved."""
-    with Face(as_json=json) as face:
+    with CommandUI(as_json=json) as face:
         from armsight.app.calibrate.arm import ArmJob, run_calibrate_arm
 
         job = ArmJob(
@@ -78,7 +78,7 @@ def robot_world(
     json: AsJson = False,
 ) -> None:
     """Find where the rig stands to the arm's base, from observed points at joint readings."""
-    with Face(as_json=json) as face:
+    with CommandUI(as_json=json) as face:
         from armsight.app.calibrate.arm import run_calibrate_world
 
         content = run_calibrate_world(arm, points, out)

@@ -7,7 +7,7 @@ from typing import Annotated, TypeAlias
 
 import typer
 
-from armsight.cli.face import Face
+from armsight.cli.command_ui import CommandUI
 from armsight.cli.options import BOARD, SRC, AsJson, Board, Every, Limit, Workers
 from armsight.cli.tables import camera_tables, noise_tables, stereo_tables
 from armsight.errors import UsageError
@@ -47,7 +47,7 @@ def camera(
 
     --every and --frames are of the board's images; without them of the still frames.
     """
-    with Face(as_json=json) as face:
+    with CommandUI(as_json=json) as face:
         from armsight.app.calibrate.camera_noise import NoiseJob, run_noise
         from armsight.app.calibrate.cameras import CalibrateJob, calibrate_camera
         from armsight.config import load_settings
@@ -101,7 +101,7 @@ def stereo(
     json: AsJson = False,
 ) -> None:
     """Find both cameras of a pair and where they stand to each other, from pairs of images of a printed board."""
-    with Face(as_json=json) as face:
+    with CommandUI(as_json=json) as face:
         from armsight.app.calibrate.cameras import CalibrateJob, calibrate_stereo
         from armsight.config import load_settings
 

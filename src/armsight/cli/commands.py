@@ -12,8 +12,8 @@ import typer
 
 from armsight.cli import arm, handeye, mirrors, target
 from armsight.cli.calibrate import calibrate
+from armsight.cli.command_ui import CommandUI
 from armsight.cli.convert import convert
-from armsight.cli.face import Face
 from armsight.cli.identify import identify
 from armsight.cli.kinematics import convert_arm, kinematics
 from armsight.cli.options import SRC, AsJson, Fps, Limit, OutFolder, Seed
@@ -99,7 +99,7 @@ def measure(
 
     Writes poses.csv, points.csv, spots.csv, poses.tum, measure.json and report.html.
     """
-    with Face(as_json=json) as face:
+    with CommandUI(as_json=json) as face:
         from armsight.app.measure.run import MeasureJob
         from armsight.app.measure.run import measure as run
         from armsight.config import load_settings
@@ -143,7 +143,7 @@ def demo(
     json: AsJson = False,
 ) -> None:
     """Do the main job on a simulated cell: frames, poses, report, and how far the poses are from the truth."""
-    with Face(as_json=json) as face:
+    with CommandUI(as_json=json) as face:
         from armsight.app.demo import demo as run
 
         result = run(
@@ -174,7 +174,7 @@ def simulate(
     json: AsJson = False,
 ) -> None:
     """Write the frames of a simulated cell, its files and the truth into a folder."""
-    with Face(as_json=json) as face:
+    with CommandUI(as_json=json) as face:
         from armsight.app.simulate import simulate as run
 
         content = run(scenario, out, seed=seed, frames=frames, room=room, progress=face.progress("simulating"))
@@ -194,7 +194,7 @@ def doctor(
     json: AsJson = False,
 ) -> None:
     """Tell what this machine can do: versions, cameras, drivers, compiled kernels; and a rig's resolution."""
-    with Face(as_json=json) as face:
+    with CommandUI(as_json=json) as face:
         from dataclasses import asdict
 
         from armsight.app.doctor import doctor as run

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
-from armsight.cli.face import Face
+from armsight.cli.command_ui import CommandUI
 from armsight.cli.options import AsJson, parse_size
 from armsight.cli.record import recording
 
@@ -32,7 +32,7 @@ def camera(
     json: AsJson = False,
 ) -> None:
     """Convert the calibration of one camera."""
-    with Face(as_json=json) as face:
+    with CommandUI(as_json=json) as face:
         from armsight.app.convert import convert_camera
 
         _tell(face, convert_camera(source, out, to=to, size=parse_size(size)))
@@ -48,7 +48,7 @@ def rig(
     json: AsJson = False,
 ) -> None:
     """Convert the calibration of a pair of cameras."""
-    with Face(as_json=json) as face:
+    with CommandUI(as_json=json) as face:
         from armsight.app.convert import convert_rig
 
         _tell(face, convert_rig(source, out, to=to, size=parse_size(size), unit_m=unit))
@@ -61,13 +61,13 @@ def poses(
     json: AsJson = False,
 ) -> None:
     """Convert poses between poses.csv and TUM, which evo reads."""
-    with Face(as_json=json) as face:
+    with CommandUI(as_json=json) as face:
         from armsight.app.convert import convert_poses
 
         _tell(face, convert_poses(source, out))
 
 
-def _tell(face: Face, done: Converted) -> None:
+def _tell(face: CommandUI, done: Converted) -> None:
     files = ", ".join(str(path) for path in done.files)
     rows = f", {done.rows} poses" if done.rows is not None else ""
     face.say(f"{done.source} to {done.target}{rows}: {files}")

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from armsight.cli.face import Face
+from armsight.cli.command_ui import CommandUI
 from armsight.cli.options import BOARD, SRC, AsJson, Workers
 from armsight.cli.tables import figure
 from armsight.errors import UsageError
@@ -36,7 +36,7 @@ def handeye(
     json: AsJson = False,
 ) -> None:
     """Find where the camera is on the hand (or beside the robot), and say whether the answer is right."""
-    with Face(as_json=json) as face:
+    with CommandUI(as_json=json) as face:
         from armsight.app.calibrate.handeye import HandEyeJob, calibrate_handeye
         from armsight.calibrate.handeye import Setup
 
@@ -71,7 +71,7 @@ def tooltip(
     json: AsJson = False,
 ) -> None:
     """Find where the end of a tool is, from poses recorded while it was turned about its end."""
-    with Face(as_json=json) as face:
+    with CommandUI(as_json=json) as face:
         from armsight.app.calibrate.handeye import calibrate_tip
 
         content = calibrate_tip(poses, out, point=_point(point), sigma_m=point_sigma)
@@ -103,7 +103,7 @@ def pivot(
     json: AsJson = False,
 ) -> None:
     """Find a tool's tip while you pivot it before the cameras; tells its deviation until it is small enough."""
-    with Face(as_json=json) as face:
+    with CommandUI(as_json=json) as face:
         from armsight.app.calibrate.pivot import PivotJob, run_pivot
 
         job = PivotJob(
@@ -125,7 +125,7 @@ def pivot(
         face.result(content)
 
 
-def handeye_tables(face: Face, content: Mapping[str, Any], out: Path) -> None:
+def handeye_tables(face: CommandUI, content: Mapping[str, Any], out: Path) -> None:
     """Print a hand-eye calibration."""
     for name in (key for key in content if key.startswith("T_")):
         std = content["std" if name.endswith("camera") else "std_target"]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from armsight.cli.face import Face
+from armsight.cli.command_ui import CommandUI
 from armsight.cli.options import SRC, AsJson
 from armsight.cli.tables import figure
 from armsight.errors import UsageError
@@ -65,7 +65,7 @@ def identify(
     json: AsJson = False,
 ) -> None:
     """Find an unknown arm's joints, axes and table from a beacon's places while one joint after the other moves."""
-    with Face(as_json=json) as face:
+    with CommandUI(as_json=json) as face:
         if live is not None:
             from armsight.app.identify.live import LiveJob
             from armsight.control.joint_sweep import Pace
@@ -127,9 +127,9 @@ def identify(
         _tell(content, out, face)
 
 
-def _live(job: LiveJob, face: Face, yes: bool) -> None:
+def _live(job: LiveJob, face: CommandUI, yes: bool) -> None:
     """Identify online; ask before the robot moves."""
-    from armsight.app.identify.live import Person, run_identify_live
+    from armsight.app.identify.live import OperatorCallbacks, run_identify_live
 
     def confirm(question: str) -> bool:
         try:
@@ -140,14 +140,14 @@ def _live(job: LiveJob, face: Face, yes: bool) -> None:
     def show(plan: dict[str, Any]) -> None:
         _tell_plan(plan, face)
 
-    content = run_identify_live(job, Person(confirm=confirm, show=show), face.progress("identifying"))
+    content = run_identify_live(job, OperatorCallbacks(confirm=confirm, show=show), face.progress("identifying"))
     if job.propose:
         face.result(content)
     else:
         _tell(content, job.out, face)
 
 
-def _tell_plan(plan: dict[str, Any], face: Face) -> None:
+def _tell_plan(plan: dict[str, Any], face: CommandUI) -> None:
     rows = [
         [f"{sweep['joint']}", figure(sweep["from"], 4), figure(sweep["to"], 4), f"{sweep['readings']}",
          ", ".join(figure(value, 3) for k, value in enumerate(sweep["rest"], 1) if k != sweep["joint"])]
@@ -165,7 +165,7 @@ def _tell_plan(plan: dict[str, Any], face: Face) -> None:
         face.say(f"- {note}")
 
 
-def _tell(content: dict[str, Any], out: Path, face: Face) -> None:
+def _tell(content: dict[str, Any], out: Path, face: CommandUI) -> None:
     rows = []
     for joint in content["joints"]:
         cells = [f"{joint['index']}", joint["type"]]

@@ -7,7 +7,7 @@ from typing import Annotated, TypeAlias
 
 import typer
 
-from armsight.cli.face import Face
+from armsight.cli.command_ui import CommandUI
 from armsight.cli.options import AsJson
 
 kinematics = typer.Typer(help="Joints to poses and back, for any serial arm.", no_args_is_help=True)
@@ -25,7 +25,7 @@ TaskName: TypeAlias = Annotated[
 @kinematics.command("fk")
 def fk(arm: ArmFile, joints: Joints, out: Out, json: AsJson = False) -> None:
     """Write the tool's pose at each row of joint values."""
-    with Face(as_json=json) as face:
+    with CommandUI(as_json=json) as face:
         from armsight.app.kinematics import write_poses_of_joints as run
 
         content = run(arm, joints, out)
@@ -45,7 +45,7 @@ def ik(
     json: AsJson = False,
 ) -> None:
     """Write the joint values that bring the tool to each pose."""
-    with Face(as_json=json) as face:
+    with CommandUI(as_json=json) as face:
         from armsight.app.kinematics import write_joints_of_poses as run
 
         content = run(arm, poses, out, near=near, every=every, task=task)
@@ -65,7 +65,7 @@ def jacobian(
     json: AsJson = False,
 ) -> None:
     """Write the Jacobian at each row of joint values: t_s, J11 .. J6n."""
-    with Face(as_json=json) as face:
+    with CommandUI(as_json=json) as face:
         from armsight.app.kinematics import write_jacobians as run
 
         content = run(arm, joints, out, axes=axes)
@@ -83,7 +83,7 @@ def path(
     json: AsJson = False,
 ) -> None:
     """Write a continuous joint track along a path, and tell jumps, speeds, limits and singular passages."""
-    with Face(as_json=json) as face:
+    with CommandUI(as_json=json) as face:
         from armsight.app.kinematics import write_joint_path as run
 
         content = run(arm, poses, out, start=start, task=task)
@@ -97,7 +97,7 @@ def path(
 @kinematics.command("formulas")
 def formulas(arm: ArmFile, out: Out, json: AsJson = False) -> None:
     """Write forward kinematics and Jacobian as Python (.py) or LaTeX (.tex)."""
-    with Face(as_json=json) as face:
+    with CommandUI(as_json=json) as face:
         from armsight.app.kinematics import write_formulas
 
         content = write_formulas(arm, out)
@@ -115,7 +115,7 @@ def show(
     json: AsJson = False,
 ) -> None:
     """Write a page with the arm in three dimensions."""
-    with Face(as_json=json) as face:
+    with CommandUI(as_json=json) as face:
         from armsight.app.kinematics import draw_arm as run
 
         content = run(arm, out, joints=joints)
@@ -131,7 +131,7 @@ def convert_arm(
     json: AsJson = False,
 ) -> None:
     """Convert an arm between arm.yaml and URDF, and between the two Denavit-Hartenberg conventions."""
-    with Face(as_json=json) as face:
+    with CommandUI(as_json=json) as face:
         from armsight.app.kinematics import convert_arm as run
 
         content = run(source, out, convention=convention, tip=tip)

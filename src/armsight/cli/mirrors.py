@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from armsight.cli.face import Face
+from armsight.cli.command_ui import CommandUI
 from armsight.cli.options import BOARD, SRC, AsJson, Every, Limit, Workers
 from armsight.cli.tables import figure, stereo_tables
 
@@ -47,7 +47,7 @@ def mirrors(
     json: AsJson = False,
 ) -> None:
     """Calibrate a rig of one camera and four mirrors, or check that its mirrors still stand as they did."""
-    with Face(as_json=json) as face:
+    with CommandUI(as_json=json) as face:
         from armsight.app.calibrate.cameras import report_path
         from armsight.app.calibrate.mirrors import MirrorsJob, run_check, run_mirrors
         from armsight.config import load_settings
@@ -82,7 +82,7 @@ def mirrors(
         face.result(content)
 
 
-def lit_table(face: Face, content: Mapping[str, Any]) -> None:
+def lit_table(face: CommandUI, content: Mapping[str, Any]) -> None:
     """Print a rig's calibration from the lit target, with the commonest reasons of images left out."""
     from armsight.app.calibrate.mirrors_lit_target import reasons
 
@@ -97,7 +97,7 @@ def lit_table(face: Face, content: Mapping[str, Any]) -> None:
         face.say(f"  {count} left out: {why}")
 
 
-def check_tables(face: Face, content: Mapping[str, Any]) -> None:
+def check_tables(face: CommandUI, content: Mapping[str, Any]) -> None:
     """Print how the virtual cameras stand to each other, and what to do."""
     found = content["alignment"]
     rows = [

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from armsight.cli.face import Face
+from armsight.cli.command_ui import CommandUI
 from armsight.cli.options import SRC, AsJson, Fps, Limit, Seed
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ def record(
 
     Stop with Ctrl-C. Whatever happens to the program or the disk, all but the last second is readable.
     """
-    with Face(as_json=json) as face:
+    with CommandUI(as_json=json) as face:
         from armsight.app.record.record import RecordJob
         from armsight.app.record.record import record as run
         from armsight.drivers.live import MAX_SKEW_S
@@ -83,7 +83,7 @@ def recording(
     json: AsJson = False,
 ) -> None:
     """Write a recording's content as PNG folders and tables, or its poses as CSV or TUM."""
-    with Face(as_json=json) as face:
+    with CommandUI(as_json=json) as face:
         from armsight.app.record.export import export
 
         done = export(source, out, progress=face.progress("exporting"))
@@ -91,7 +91,7 @@ def recording(
         face.result({"from": str(source), "out": str(out), "n": done})
 
 
-def _mend(face: Face, path: Path, out: Path | None, overwrite: bool) -> None:
+def _mend(face: CommandUI, path: Path, out: Path | None, overwrite: bool) -> None:
     from armsight.app.record.record import mend
 
     done = mend(path, out, overwrite=overwrite)

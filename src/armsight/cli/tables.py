@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from armsight.cli.face import Face
+from armsight.cli.command_ui import CommandUI
 
 if TYPE_CHECKING:
     from armsight.app.demo import DemoResult
@@ -27,7 +27,7 @@ def figure(value: float | None, digits: int = 3) -> str:
     return f"{value:.{min(places, 9)}f}"
 
 
-def measure_tables(face: Face, summary: Summary, out: Path) -> None:
+def measure_tables(face: CommandUI, summary: Summary, out: Path) -> None:
     """Print what a measurement came to."""
     from armsight.measure.explain import advice, sentence
 
@@ -56,7 +56,7 @@ def measure_tables(face: Face, summary: Summary, out: Path) -> None:
     face.say(f"Results: {out}; open {out / 'report.html'}")
 
 
-def camera_tables(face: Face, content: Mapping[str, Any], out: Path) -> None:
+def camera_tables(face: CommandUI, content: Mapping[str, Any], out: Path) -> None:
     """Print a camera's calibration."""
     std = content["std"]
     rows = [
@@ -75,7 +75,7 @@ def camera_tables(face: Face, content: Mapping[str, Any], out: Path) -> None:
     face.say(f"Written: {out}")
 
 
-def noise_tables(face: Face, content: Mapping[str, Any], out: Path) -> None:
+def noise_tables(face: CommandUI, content: Mapping[str, Any], out: Path) -> None:
     """Print a camera's noise."""
     rows = [
         [figure(level), figure(math.sqrt(variance)), figure(std / (2.0 * math.sqrt(variance)) if variance else None, 2)]
@@ -102,7 +102,7 @@ def noise_tables(face: Face, content: Mapping[str, Any], out: Path) -> None:
     face.say(f"Written: {out}")
 
 
-def stereo_tables(face: Face, content: Mapping[str, Any], out: Path) -> None:
+def stereo_tables(face: CommandUI, content: Mapping[str, Any], out: Path) -> None:
     """Print a rig's calibration."""
     metric = content["metric"]
     rows = [
@@ -120,7 +120,7 @@ def stereo_tables(face: Face, content: Mapping[str, Any], out: Path) -> None:
     face.say(f"Written: {out}")
 
 
-def doctor_tables(face: Face, found: Diagnosis) -> None:
+def doctor_tables(face: CommandUI, found: Diagnosis) -> None:
     """Print what the machine can do."""
     rows = [[name, text] for name, text in found.versions.items()]
     rows += [["system", str(found.machine["system"])], ["cores for armsight", str(found.machine["cores"])]]
@@ -150,7 +150,7 @@ def doctor_tables(face: Face, found: Diagnosis) -> None:
         face.say("No problem found.")
 
 
-def demo_tables(face: Face, result: DemoResult, out: Path) -> None:
+def demo_tables(face: CommandUI, result: DemoResult, out: Path) -> None:
     """Print how far the demo's poses are from the truth."""
     measure_tables(face, result.summary, out)
     rows = [[name, figure(rms), figure(largest), figure(claimed)] for name, rms, largest, claimed in result.rows()]
@@ -160,7 +160,7 @@ def demo_tables(face: Face, result: DemoResult, out: Path) -> None:
     face.say(f"All in {figure(result.seconds, 2)} s.")
 
 
-def _rejected(face: Face, rejected: Sequence[Mapping[str, str]]) -> None:
+def _rejected(face: CommandUI, rejected: Sequence[Mapping[str, str]]) -> None:
     for item in rejected[:REJECTED_SHOWN]:
         face.say(f"  left out {item['file']}: {item['why']}")
     if len(rejected) > REJECTED_SHOWN:

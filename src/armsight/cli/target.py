@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from armsight.cli.face import Face
+from armsight.cli.command_ui import CommandUI
 from armsight.cli.options import SRC, AsJson, Limit
 from armsight.cli.tables import figure
 
@@ -33,7 +33,7 @@ def target(
     json: AsJson = False,
 ) -> None:
     """Find where the lights of a target are, from frames of it turned to several sides before a calibrated rig."""
-    with Face(as_json=json) as face:
+    with CommandUI(as_json=json) as face:
         from armsight.app.calibrate.light_target import TargetJob, calibrate_lit_target
 
         job = TargetJob(
@@ -52,7 +52,7 @@ def target(
         face.result(content)
 
 
-def target_tables(face: Face, content: Mapping[str, Any], out: Path) -> None:
+def target_tables(face: CommandUI, content: Mapping[str, Any], out: Path) -> None:
     """Print a target's geometry."""
     rows = [
         [name, *(figure(MM * x, 6) for x in xyz), " ".join(figure(MM * s, 2) for s in content["std"][name])]

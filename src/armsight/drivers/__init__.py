@@ -1,11 +1,11 @@
 """The only place that touches hardware: cameras, robots, files as cameras."""
 
-from armsight.drivers.ahead import cores, ordered_map
 from armsight.drivers.images import list_images, read_image
 from armsight.drivers.live import LivePairs, OpenCvCamera, cameras_there
 from armsight.drivers.lock import DeviceLock
 from armsight.drivers.opening import is_live, open_pairs, open_source, open_split
 from armsight.drivers.pairs import FilePairs, Overlaid, SplitImages
+from armsight.drivers.prefetch import cores, ordered_map
 from armsight.drivers.protocols import FrameSource, PairSource, Skew
 from armsight.drivers.registry import CAMERAS, CELLS, ROBOTS, SCENARIOS, known, load
 from armsight.drivers.replay import Replay, ReplayRobot, check_forward

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.drivers.ahead import ordered_map, read_ahead
 from armsight.drivers.images import list_images, read_image
+from armsight.drivers.prefetch import ordered_map, read_ahead
 from armsight.errors import BadFile, BadImage, Inconsistent
 from armsight.records import Frame
 

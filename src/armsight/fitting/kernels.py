@@ -73,7 +73,7 @@ def invert_spd(H, out):
 
 
 @kernel
-def eliminate(C, c, W, floor, x, X):
+def schur_complement(C, c, W, floor, x, X):
     """Fill x (G, L) = C^-1 c and X (G, L, F) = C^-1 W' for symmetric C (G, L, L) that is positive (semi-)definite.
 
     Cholesky of C scaled to a unit diagonal; pivots below floor are raised to it, so that a direction without

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.fitting.kernels import eliminate
+from armsight.fitting.kernels import schur_complement
 from armsight.fitting.problem import Evaluation, Problem
 
 Array = NDArray[np.float64]
@@ -32,7 +32,7 @@ class NormalEquations:
     @classmethod
     def build(cls, problem: Problem, evaluation: Evaluation, shared: Array, free: NDArray[np.intp]) -> NormalEquations:
         """Take J'J and J'r of the weighted residuals for the free parameters and add the priors."""
-        whole = problem.condense(evaluation)
+        whole = problem.normal_equations(evaluation)
         A, b = whole.A[np.ix_(free, free)], whole.b[free]
         C, c, W = whole.C, whole.c, np.ascontiguousarray(whole.W[:, free])
         names = problem.free
@@ -56,7 +56,7 @@ class NormalEquations:
         dl = -Ci_c - Ci_Wt @ ds
         return ds, dl
 
-    def reduced(self) -> Array:
+    def reduced_system(self) -> Array:
         """Return the information (F, F) of the shared parameters with the local ones eliminated."""
         _, Ci_Wt = _solve_local(_damped(self.C, 0.0), self.c, self.W)
         return np.asarray(self.A - np.einsum("gfl,glh->fh", self.W, Ci_Wt))
@@ -87,5 +87,5 @@ def _damped(M: Array, damping: float) -> Array:
 def _solve_local(C: Array, c: Array, W: Array) -> tuple[Array, Array]:
     """Return C^-1 c (G, L) and C^-1 W' (G, L, F)."""
     x, X = np.empty_like(c), np.empty((W.shape[0], W.shape[2], W.shape[1]))
-    eliminate(C, c, W, PIVOT_FLOOR, x, X)
+    schur_complement(C, c, W, PIVOT_FLOOR, x, X)
     return x, X

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Condensed:
+class EvaluatedNormalEquations:
     """J'J and J'r of whitened residuals: A (S, S), b (S,) shared, C (G, L, L), c (G, L) local, W (G, S, L) mixed."""
 
     A: Array
@@ -45,7 +45,7 @@ class Evaluation:
     residuals: Array
     shared: Array
     local: Array
-    condensed: Condensed | None = None
+    condensed: EvaluatedNormalEquations | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -112,7 +112,7 @@ class Problem:
         object.__setattr__(self, "guess", guess)
         object.__setattr__(self, "local_guess", local)
 
-    def condense(self, evaluation: Evaluation) -> Condensed:
+    def normal_equations(self, evaluation: Evaluation) -> EvaluatedNormalEquations:
         """Return J'J and J'r, weighted by the loss."""
         if evaluation.condensed is not None:
             if self.loss.kind is not LossKind.SQUARES:
@@ -125,7 +125,7 @@ class Problem:
             r, Js, Jl = r * root, Js * root[:, :, None], Jl * root[:, :, None]
         flat = Js.reshape(r.size, Js.shape[2])  # (G m, S)
         Jlt = Jl.transpose(0, 2, 1)  # (G, L, m)
-        return Condensed(
+        return EvaluatedNormalEquations(
             A=flat.T @ flat,
             b=flat.T @ r.reshape(-1),
             C=Jlt @ Jl,

@@ -201,7 +201,7 @@ def _doubt(
 
 def _covariance(normal: NormalEquations, names: tuple[str, ...]) -> tuple[Array, tuple[tuple[str, ...], ...]]:
     """Return the covariance (F, F) (pseudo-inverse where needed) and the groups that cannot be told apart."""
-    information = normal.reduced()
+    information = normal.reduced_system()
     diagonal = np.diag(normal.A)
     silent = diagonal <= FLOOR  # no residual feels the parameter at all
     scale = 1.0 / np.sqrt(np.where(silent, 1.0, diagonal))

@@ -19,12 +19,15 @@ LESS_PX, MORE_PX = 1.0, 2.0
 """Ratio and px by which a beacon may look smaller or larger than its diameter says: tilt, blur and bloom."""
 
 
-def match_beacon(setup: Setup, left: Spots, right: Spots, pairs: Pairs, prediction: Prediction | None) -> Match:
+def match_beacon(
+    setup: Setup, left: Spots, right: Spots, pairs: Pairs, prediction: Prediction | None, *, alone: bool
+) -> Match:
     """Return the one pair that may be the beacon before a room; else none, with cause and cure.
 
     Of several lights of the colour, one is taken where a track expects it, or where it alone is of the beacon's size.
     The only light of the colour is taken where something besides its colour tells it: its size, a track, or a mask or a
-    threshold of the caller's; where the beacon is hidden, a room's lamp would be the only one.
+    threshold of the caller's; where the beacon is hidden, a room's lamp would be the only one. alone: nothing but lights
+    is bright, or the caller has chosen the spots.
     """
     if not len(pairs.index):
         return Match(best=None, why=_nothing(left, right))
@@ -40,7 +43,7 @@ def match_beacon(setup: Setup, left: Spots, right: Spots, pairs: Pairs, predicti
         of_size = " and of its diameter_m" if known else ""
         cure = "cover or mask the others (--mask)" + ("" if known else ", or give diameter_m in target.yaml")
         return Match(best=None, why=f"{_lights(pairs)} seen{of_size}, and any could be the beacon: {cure}")
-    told = known or match.predicted or setup.settings.mask is not None or setup.settings.threshold is not None
+    told = alone or known or match.predicted or setup.settings.mask is not None or setup.settings.threshold is not None
     if not told:
         return Match(
             best=None,

@@ -259,7 +259,7 @@ def _measure_windows(setup: Setup, left: Frame, right: Frame, t_s: float, track:
     solved = _solve(setup, t_s, track.names, left_seen, right_seen)
     if not solved.fits or solved.pose.status is PoseStatus.LOST or jumped(setup, track, t_s, solved):
         return None
-    slip = kernels.largest_slip(left_seen.uv_px, at_left, right_seen.uv_px, at_right)
+    innovation = kernels.largest_innovation(left_seen.uv_px, at_left, right_seen.uv_px, at_right)
     return Measured(
         pose=solved.pose,
         points=solved.points,
@@ -268,7 +268,7 @@ def _measure_windows(setup: Setup, left: Frame, right: Frame, t_s: float, track:
         names=track.names,
         left_seen=left_seen,
         right_seen=right_seen,
-        track=next_track(setup, t_s, solved, left_seen, right_seen, track, slip_px=slip),
+        track=next_track(setup, t_s, solved, left_seen, right_seen, track, innovation_px=innovation),
         tracked=True,
     )
 
@@ -288,7 +288,7 @@ def _match(
     """Name the spots: by the target's geometry, by their order in the image, or as far as one or two lights go."""
     known, model = setup.target.model_known, setup.model
     if setup.settings.colour is not None and len(model) == 1:
-        return match_beacon(setup, left, right, pairs, prediction)
+        return match_beacon(setup, left, right, pairs, prediction, alone=among is None)
     if not len(pairs.index):
         return Match(best=None, why="" if among is None else among.nothing)
     match = Match(best=None)

@@ -8,7 +8,7 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.measure.kernels import folds, share
+from armsight.measure.kernels import folds, rig_covariance
 from armsight.measure.kernels import pose as kernels
 from armsight.measure.match import SLACK_PX
 from armsight.optics import PackedRig
@@ -116,7 +116,9 @@ def solve_pose(
     systematic = None
     if carried.size:
         systematic = np.empty((6, 6))
-        chi2 = share.carry_to_pose(packed.k, packed.R, packed.t, cov_px2, xyz_m, T, carried, C, residual, systematic)
+        chi2 = rig_covariance.carry_to_pose(
+            packed.k, packed.R, packed.t, cov_px2, xyz_m, T, carried, C, residual, systematic
+        )
     factor = misfit_factor(chi2, n)
     C *= factor
     if factor > 1.0:
@@ -248,8 +250,8 @@ def _placed(packed: PackedRig, names: tuple[str, ...], P: Array, S: Array, cov_p
 
 def _slopes(packed: PackedRig, cov_px2: Array, P: Array, S: Array) -> Array:
     """Return (n, 3, 26): how the points follow the rig's parameters."""
-    A = np.empty((len(P), 3, share.PARAMETERS))
-    share.point_slopes(packed.k, packed.R, packed.t, cov_px2, P, S, A)
+    A = np.empty((len(P), 3, rig_covariance.PARAMETERS))
+    rig_covariance.point_slopes(packed.k, packed.R, packed.t, cov_px2, P, S, A)
     return A
 
 

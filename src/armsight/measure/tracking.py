@@ -99,7 +99,7 @@ def next_track(
     left: Spots,
     right: Spots,
     track: Track | None,
-    slip_px: float | None = None,
+    innovation_px: float | None = None,
 ) -> Track | None:
     """Return where the lights are and how fast they go; lights not seen go on as they went."""
     if "?" in solved.points.names:
@@ -115,7 +115,9 @@ def next_track(
     elif track is not None:
         names, places, velocity = _carry_on(track, t_s, names, places)
     reach = SPOT_REACH * max(*left.size_px.tolist(), *right.size_px.tolist())
-    slip = FIRST_WINDOW_PX if slip_px is None else min(LEAST_WINDOW_PX + 2.0 * slip_px, FIRST_WINDOW_PX)
+    innovation = (
+        FIRST_WINDOW_PX if innovation_px is None else min(LEAST_WINDOW_PX + 2.0 * innovation_px, FIRST_WINDOW_PX)
+    )
     return trusted(
         Track,
         t_s=t_s,
@@ -123,7 +125,7 @@ def next_track(
         names=names,
         xyz_m=places,
         velocity_m_s=velocity,
-        half_window_px=ceil(reach + slip),
+        half_window_px=ceil(reach + innovation),
         complete=whole,
     )
 

@@ -85,7 +85,9 @@ def _cards(result: HandEye) -> list[Card]:
             note=f"{figure_of(result.loo_rms_rad / DEG, '°')}, RMS at the target",
         ),
         Card(
-            name="second turn", value=figure_of(result.turning.rms_rad[1] / DEG, "°"), note="RMS, 8° and more is fine"
+            name="second turn",
+            value=figure_of(result.rotation_excitation.rms_rad[1] / DEG, "°"),
+            note="RMS, 8° and more is fine",
         ),
     ]
     if result.scale is not None:
@@ -192,8 +194,8 @@ def residual_figure(result: HandEye) -> Figure:
 
 def turning_figure(result: HandEye) -> Figure:
     """Return the turns of the hand as points, with the principal axes at two root mean squares."""
-    turning = result.turning
-    w = turning.rotvecs_rad / DEG
+    rotation_excitation = result.rotation_excitation
+    w = rotation_excitation.rotvecs_rad / DEG
     data: list[dict[str, Any]] = [
         {
             "type": "scatter3d",
@@ -205,7 +207,9 @@ def turning_figure(result: HandEye) -> Figure:
             "marker": {"size": 4, "color": BLUE},
         }
     ]
-    for k, (rms, direction) in enumerate(zip(turning.rms_rad / DEG, turning.axes, strict=True), start=1):
+    for k, (rms, direction) in enumerate(
+        zip(rotation_excitation.rms_rad / DEG, rotation_excitation.axes, strict=True), start=1
+    ):
         ends = np.outer([-2.0 * rms, 2.0 * rms], direction)
         data.append(
             {

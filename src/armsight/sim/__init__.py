@@ -6,7 +6,7 @@ from armsight.sim.cell import BoardCell, Cell
 from armsight.sim.cells import beacon_cell, board_cell, cells, hand_cell, led_cell, warm_up
 from armsight.sim.lens import Lens
 from armsight.sim.paint import Patch, PointStroke, RegionStroke, Stroke, paint
-from armsight.sim.scene import Event, Ghost, Light, Path, Rest, Wander
+from armsight.sim.scene import Event, Ghost, Light, Path, Rest, SmoothTrajectory
 from armsight.sim.sensor import Sensor, ambient, with_clutter, with_hot_pixels
 
 __all__ = [
@@ -24,8 +24,8 @@ __all__ = [
     "Rest",
     "Sensor",
     "SimCamera",
+    "SmoothTrajectory",
     "Stroke",
-    "Wander",
     "ambient",
     "beacon_cell",
     "board_cell",

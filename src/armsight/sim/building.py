@@ -13,7 +13,7 @@ from armsight.clock import Clock
 from armsight.errors import Inconsistent, UsageError
 from armsight.sim.arms import FlangeLimits, SimArm, SimJoint
 from armsight.sim.cell import SEED_PATH
-from armsight.sim.motions import Drawn, JointMotion, Jumping, Swing, Tremor, Turntable, Vibration, Waypoints
+from armsight.sim.motions import Drawn, HandJitter, JointMotion, Jumping, Swing, Turntable, Vibration, Waypoints
 from armsight.sim.rigs import SIDES
 from armsight.sim.robot import SimRobot
 from armsight.sim.scenario import (
@@ -300,7 +300,7 @@ def _carried_target(motion: RestKeys | ArcKeys | EdgeKeys, seed: int) -> Path:
         path = Drawn(motion.corners_m, R, motion.speed_m_s, motion.smooth_s, motion.start_s)
     if motion.hand.rms_m or motion.hand.rms_deg:
         rng = np.random.default_rng([seed, SEED_TREMOR])
-        path = Tremor(path, motion.hand.rms_m, np.deg2rad(motion.hand.rms_deg), rng)
+        path = HandJitter(path, motion.hand.rms_m, np.deg2rad(motion.hand.rms_deg), rng)
     return path
 
 

@@ -18,11 +18,11 @@ from armsight.sim.backdrops import make_occluders, make_room, stand_in_room
 from armsight.sim.boards import Board, random_board_pose
 from armsight.sim.camera import SimCamera
 from armsight.sim.cell import SEED_BACKDROP, SEED_BOARD, SEED_PATH, BoardCell, Cell
-from armsight.sim.mishaps import planned_events
+from armsight.sim.faults import planned_events
 from armsight.sim.pipeline import IDEAL, Pipeline
 from armsight.sim.rigs import SIDES, converging_webcams, parallel_pair
 from armsight.sim.room_keys import RoomKeys, checked_pipeline, checked_room
-from armsight.sim.scene import Light, Wander
+from armsight.sim.scene import Light, SmoothTrajectory
 from armsight.sim.sensor import Sensor, ambient, with_clutter, with_hot_pixels
 
 Array = NDArray[np.float64]
@@ -250,9 +250,9 @@ def _check(seed: int, frames: int) -> None:
         raise UsageError(f"the seed {seed} is negative", cure="Give 0 or more")
 
 
-def _in_a_hand(seed: int) -> Wander:
+def _in_a_hand(seed: int) -> SmoothTrajectory:
     """Return the path of hand_cell: slow swings 0.8 m in front of and between the cameras."""
-    return Wander(
+    return SmoothTrajectory(
         centre_m=np.array([0.06, 0.0, 0.80]),
         tilt=Rotation.identity(),
         swing_m=np.array([0.14, 0.08, 0.06]),
@@ -262,9 +262,9 @@ def _in_a_hand(seed: int) -> Wander:
     )
 
 
-def _about(seed: int) -> Wander:
+def _about(seed: int) -> SmoothTrajectory:
     """Return the path of beacon_cell, 1.5 m away."""
-    return Wander(
+    return SmoothTrajectory(
         centre_m=np.array([0.063, 0.0, 1.5]),
         tilt=Rotation.identity(),
         swing_m=np.array([0.35, 0.25, 0.15]),

@@ -111,7 +111,7 @@ class Drawn:
         return RigidTransform.from_components(xyz, Rotation.from_quat(quat))
 
 
-class Tremor:
+class HandJitter:
     """A path in a hand that shakes a little: sines of TREMOR_HZ about it, of given RMS per axis."""
 
     def __init__(self, path: Path, rms_m: float, rms_rad: float, rng: np.random.Generator) -> None:

@@ -40,7 +40,7 @@ class Rest:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Wander:
+class SmoothTrajectory:
     """A smooth path about centre_m (3,) and tilt: each coordinate and each angle swings as a sine of its own.
 
     swing_m (3,), swing_rad (3,): amplitudes, in world axes and as a rotation vector after tilt. period_s (6,) and

@@ -140,7 +140,7 @@ def read_document(path: Path, format_: str) -> dict[str, Any]:
 
 
 def _format_cure(content: Mapping[str, Any], format_: str) -> str:
-    from armsight.store.foreign.kind import kind_of_mapping  # the foreign readers use this module
+    from armsight.store.foreign.format_detection import kind_of_mapping  # the foreign readers use this module
 
     kind = kind_of_mapping(content)
     if kind is not None:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armsight.app.identify.live import LiveJob, Person, open_devices, read_limits, run_identify_live
+from armsight.app.identify.live import LiveJob, OperatorCallbacks, open_devices, read_limits, run_identify_live
 from armsight.app.scenarios import load_scenario
 from armsight.clock import ManualClock
 from armsight.control.joint_sweep import Pace
@@ -27,7 +27,7 @@ LIMITS = np.array([[-0.5, 5.2], [-0.4, 1.9], [0.3, 1.1]])
 TEXT = "-0.5:5.2,-0.4:1.9,0.3:1.1"
 TRUE = {(0, "d_m"): 1.27, (0, "a_m"): 0.0, (0, "alpha_rad"): np.pi / 2, (1, "d_m"): -0.05, (1, "a_m"): 0.1,
         (1, "alpha_rad"): np.pi / 2}  # fmt: skip
-YES = Person(confirm=lambda _: True)
+YES = OperatorCallbacks(confirm=lambda _: True)
 
 
 class Cell:
@@ -73,7 +73,7 @@ class Cell:
         given: dict[str, Any] = {"limits": TEXT, "pace": Pace(speed=1.0, frames=1), "out": self.folder / "arm.yaml"}
         return LiveJob(robot="here", left="here", right="here", **files, **(given | more))
 
-    def run(self, person: Person = YES, progress: Any = None, **more: Any) -> dict[str, Any]:
+    def run(self, person: OperatorCallbacks = YES, progress: Any = None, **more: Any) -> dict[str, Any]:
         """Identify."""
         devices = (self.robot, self.pairs)
         return run_identify_live(self.job(**more), person, progress, clock=self.clock, devices=devices)
@@ -97,7 +97,7 @@ def complete(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Cell, d
     """One complete identification: cell, result, the plan as it was shown, commands sent until then."""
     cell = Cell(tmp_path_factory.mktemp("live"))
     shown: list[tuple[dict[str, Any], int]] = []
-    person = Person(confirm=lambda _: True, show=lambda plan: shown.append((plan, len(cell.asked))))
+    person = OperatorCallbacks(confirm=lambda _: True, show=lambda plan: shown.append((plan, len(cell.asked))))
     content = cell.run(person)
     assert len(shown) == 1
     yield cell, content, *shown[0]
@@ -239,12 +239,12 @@ def test_a_limit_of_the_robot_s_own_is_told(tmp_path: Path) -> None:
 def test_nothing_moves_unless_confirmed_or_where_it_cannot(tmp_path: Path) -> None:
     cell = Cell(tmp_path)
     with pytest.raises(Cancelled, match="not confirmed"):
-        cell.run(Person())
+        cell.run(OperatorCallbacks())
     with pytest.raises(Inconsistent, match=r"joint 2 stands at 1\.66"):
         cell.run(limits="-0.5:5.2,-0.4:1.2,0.3:1.1")
     with pytest.raises(UsageError, match="limits do not give 3 joints"):
         cell.run(limits="-0.5:5.2,-0.4:1.9")
-    plan = cell.run(Person(), model=nearly_right(tmp_path), propose=True)["plan"]
+    plan = cell.run(OperatorCallbacks(), model=nearly_right(tmp_path), propose=True)["plan"]
     assert len(plan["sweeps"]) == 3 and plan["expected_std"][1]["a_m"] < 2e-3
     assert not cell.asked, "a command was sent"
 

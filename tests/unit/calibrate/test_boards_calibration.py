@@ -304,14 +304,14 @@ def test_pairs_that_are_none_are_refused_with_the_reason(
 @pytest.mark.parametrize("n_cameras", [1, 2])
 def test_normal_equations_are_those_of_the_finite_differences(n_cameras: int) -> None:
     left, right = pairs(3, 19)
-    sightings = pack([left, right][:n_cameras], BOARD)
-    weight = sightings.weight * (np.random.default_rng(20).random(sightings.weight.shape) > 0.2)
-    sightings = replace(sightings, weight=weight)
+    observations = pack([left, right][:n_cameras], BOARD)
+    weight = observations.weight * (np.random.default_rng(20).random(observations.weight.shape) > 0.2)
+    observations = replace(observations, weight=weight)
     k = np.array([np.r_[truth[:4], 1.5, truth[4:]] for truth in (LEFT, RIGHT)[:n_cameras]])
     truth_poses = poses(3, np.random.default_rng(19))
-    local = np.array([np.r_[t + cv2.Rodrigues(w)[0] @ sightings.middle, w] for w, t in truth_poses])
+    local = np.array([np.r_[t + cv2.Rodrigues(w)[0] @ observations.middle, w] for w, t in truth_poses])
     start = Bundle(k=k, side_pose=np.r_[T_M, W_RAD] if n_cameras == 2 else np.zeros(6), poses=local)
-    problem = problem_of(sightings, start, frozenset())
+    problem = problem_of(observations, start, frozenset())
     S, (G, L) = len(problem.names), local.shape
     here = problem.evaluate(problem.guess, local)
     step = np.r_[np.tile([1e-3] * 5 + [1e-6] * 5, n_cameras), [1e-6] * (6 * (n_cameras - 1))]
@@ -343,7 +343,7 @@ def test_normal_equations_are_those_of_the_finite_differences(n_cameras: int) ->
         assert np.abs((got - want) / scale).max() < 1e-4
     r, A, B = np.zeros_like(here.residuals), np.zeros_like(Js), np.zeros_like(Jl)
     side = start.side_pose
-    assert evaluate_views(k, side, local, sightings.X, 0.0, sightings.uv, sightings.weight, r, A, B)
+    assert evaluate_views(k, side, local, observations.X, 0.0, observations.uv, observations.weight, r, A, B)
     assert np.abs(r - here.residuals).max() < 1e-9
     assert np.abs(A - Js).max() < 1e-4 * np.abs(Js).max()
     assert np.abs(B - Jl).max() < 1e-4 * np.abs(Jl).max()
@@ -365,10 +365,10 @@ def test_poses_move_by_the_exponential_from_the_left_also_through_half_a_turn() 
 
 def test_point_behind_a_camera_is_impossible_not_a_number() -> None:
     left, _ = pairs(3, 22)
-    sightings = pack([left], BOARD)
+    observations = pack([left], BOARD)
     local = np.tile([0.0, 0.0, -1.0, 0.0, 0.0, 0.0], (3, 1))
     start = Bundle(k=np.r_[LEFT[:4], 0.0, LEFT[4:]][None], side_pose=np.zeros(6), poses=local)
-    problem = problem_of(sightings, start, frozenset())
+    problem = problem_of(observations, start, frozenset())
     assert np.isnan(problem.evaluate(problem.guess, local).residuals).all()
 
 

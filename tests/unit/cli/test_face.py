@@ -16,8 +16,8 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from armsight import errors
+from armsight.cli.command_ui import Bar, CommandUI
 from armsight.cli.commands import app
-from armsight.cli.face import Bar, Face
 
 HEAVY = ("numba", "cv2", "plotly", "scipy", "pydantic", "numpy")
 
@@ -111,14 +111,14 @@ def test_a_log_that_cannot_be_written_does_not_hide_the_error(monkeypatch: pytes
 
 
 def test_no_number_that_is_not_finite_gets_into_json(capsys: pytest.CaptureFixture[str]) -> None:
-    with Face(as_json=True) as face:
+    with CommandUI(as_json=True) as face:
         face.result({"a_m": float("nan"), "b": [1.0, float("inf")], "c": {"d": (1, None)}})
     assert json.loads(capsys.readouterr().out) == {"a_m": None, "b": [1.0, None], "c": {"d": [1, None]}}
 
 
 def test_ctrl_c_asks_first_and_the_second_one_stops_at_once() -> None:
     before = signal.getsignal(signal.SIGINT)
-    with Face(as_json=False) as face:
+    with CommandUI(as_json=False) as face:
         bar = face.progress("working")
         assert not bar.cancelled()
         os.kill(os.getpid(), signal.SIGINT)

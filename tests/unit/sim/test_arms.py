@@ -13,7 +13,7 @@ from armsight.errors import Inconsistent
 from armsight.kinematics import pose
 from armsight.sim.arms import FlangeLimits, SimArm, SimJoint, covered
 from armsight.sim.building import robotics
-from armsight.sim.motions import Drawn, Jumping, Tremor, Turntable, Waypoints
+from armsight.sim.motions import Drawn, HandJitter, Jumping, Turntable, Waypoints
 from armsight.sim.scenario import Scenario
 from armsight.sim.scene import Rest
 from armsight.sim.servo import Drive, Servo
@@ -172,7 +172,7 @@ def test_a_drawn_path_keeps_its_speed_on_edges_and_rounds_corners() -> None:
 
 def test_a_hand_shakes_as_much_as_it_is_told_and_a_jump_ends() -> None:
     rest = Rest(T_world_target=RigidTransform.identity())
-    shaken = Tremor(rest, 1e-3, 0.01, np.random.default_rng(5))(np.linspace(0.0, 400.0, 20_000))
+    shaken = HandJitter(rest, 1e-3, 0.01, np.random.default_rng(5))(np.linspace(0.0, 400.0, 20_000))
     assert np.asarray(shaken.translation).std(axis=0) == pytest.approx(np.full(3, 1e-3), rel=0.05)
     assert shaken.rotation.as_rotvec().std(axis=0) == pytest.approx(np.full(3, 0.01), rel=0.05)
     jump = Jumping(path=rest, by_m=np.array([0.1, 0.0, 0.0]), start_s=1.0, end_s=2.0)

@@ -6,7 +6,19 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import ndtr
 
 from armsight.errors import Inconsistent
-from armsight.sim import Ghost, Lens, Light, PointStroke, Rest, Sensor, SimCamera, Wander, ambient, kernels, paint
+from armsight.sim import (
+    Ghost,
+    Lens,
+    Light,
+    PointStroke,
+    Rest,
+    Sensor,
+    SimCamera,
+    SmoothTrajectory,
+    ambient,
+    kernels,
+    paint,
+)
 
 
 def moments(light):
@@ -101,7 +113,7 @@ def test_motion_over_the_exposure_widens_by_a_twelfth_of_its_square(length_px):
     cam = camera(f=f, exposure_s=0.01)
     reach = 10.0  # so long a swing that its middle is straight and uniform to 1e-6
     speed = length_px / f / 0.01
-    path = Wander(
+    path = SmoothTrajectory(
         centre_m=np.array([0.0, 0.0, 1.0]),
         tilt=Rotation.identity(),
         swing_m=np.array([reach * np.cos(angle), reach * np.sin(angle), 0.0]),
@@ -119,7 +131,7 @@ def test_motion_over_the_exposure_widens_by_a_twelfth_of_its_square(length_px):
 
 def test_a_streak_is_as_smooth_as_a_line_of_light():
     cam = camera(200, 40, exposure_s=0.01)
-    path = Wander(
+    path = SmoothTrajectory(
         centre_m=np.array([0.0, 0.0, 1.0]),
         tilt=Rotation.identity(),
         swing_m=np.array([10.0, 0.0, 0.0]),

@@ -121,7 +121,7 @@ def handeye_content(result: HandEye, unseen: Sequence[tuple[str, str]] = ()) -> 
         "loo_rms_m": result.loo_rms_m,
         "loo_rms_rad": result.loo_rms_rad,
         "noise": noise_content(result.noise),
-        "turning_rms_rad": result.turning.rms_rad.tolist(),
+        "turning_rms_rad": result.rotation_excitation.rms_rad.tolist(),
         "verdict": verdict(result),
         "advice": list(result.advice),
     }

@@ -76,7 +76,7 @@ class LiveJob:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Person:
+class OperatorCallbacks:
     """Who watches the robot: confirm is asked before it moves, show is given the plan before the sweeps."""
 
     confirm: Callable[[str], bool] = lambda _: False
@@ -85,7 +85,7 @@ class Person:
 
 def run_identify_live(
     job: LiveJob,
-    person: Person,
+    person: OperatorCallbacks,
     progress: Progress | None = None,
     *,
     clock: Clock | None = None,
@@ -200,7 +200,7 @@ def _check(job: LiveJob, target: Target) -> None:
         )
 
 
-def _ask(person: Person, question: str) -> None:
+def _ask(person: OperatorCallbacks, question: str) -> None:
     if not person.confirm(question):
         raise Cancelled(
             "not confirmed", consequence="The robot is not moved further", cure="Give --yes to move without asking"
@@ -234,7 +234,9 @@ def _modelled(job: LiveJob) -> RoughArm:
     return known_arm(arm, T, job.sigma or SIGMA_PX)
 
 
-def _probed(job: LiveJob, person: Person, robot: Robot, sweeper: Sweeper, rig: Rig) -> tuple[RoughArm, list[str]]:
+def _probed(
+    job: LiveJob, person: OperatorCallbacks, robot: Robot, sweeper: Sweeper, rig: Rig
+) -> tuple[RoughArm, list[str]]:
     """Return the arm as small sweeps about the start tell it, and notes; those that do not tell a joint's type grow."""
     _ask(
         person,

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from armsight.calibrate.cameras.kernels.normal_equations import condense_views
+from armsight.calibrate.cameras.kernels.normal_equations import view_normal_equations
 from armsight.calibrate.cameras.kernels.reprojection import move_poses
-from armsight.calibrate.cameras.observations import Sightings
-from armsight.fitting import Condensed, Evaluation, Fit, Problem, Settings, solve
+from armsight.calibrate.cameras.observations import Observations
+from armsight.fitting import EvaluatedNormalEquations, Evaluation, Fit, Problem, Settings, solve
 from armsight.fitting.normal import NormalEquations
 from armsight.optics import INTRINSICS, SIDES
 from armsight.records import Progress
@@ -47,13 +47,13 @@ def names_of(n_cameras: int) -> tuple[str, ...]:
 RIGHT = frozenset(f"right.{name}" for name in INTRINSICS)
 
 
-def problem_of(sightings: Sightings, start: Bundle, fixed: frozenset[str]) -> Problem:
+def problem_of(observations: Observations, start: Bundle, fixed: frozenset[str]) -> Problem:
     """Return the least-squares problem; fixed: names of names_of that are held.
 
     Views of one lens share the left one's intrinsics, and the right ones' are held at them.
     """
-    tied = sightings.one_lens and sightings.n_cameras == 2
-    n_cameras, G, n = sightings.n_cameras, sightings.n_views, len(sightings.X)
+    tied = observations.one_lens and observations.n_cameras == 2
+    n_cameras, G, n = observations.n_cameras, observations.n_views, len(observations.X)
     names = names_of(n_cameras)
     split = len(INTRINSICS) * n_cameras
     k0 = np.tile(start.k.mean(axis=0), (2, 1)) if tied else start.k
@@ -66,15 +66,15 @@ def problem_of(sightings: Sightings, start: Bundle, fixed: frozenset[str]) -> Pr
         if tied:
             k = np.ascontiguousarray(k[[0, 0]])
         side = shared[split:] if n_cameras == 2 else np.zeros(6)
-        X, radius, uv, weight = sightings.X, sightings.radius_m, sightings.uv, sightings.weight
-        fine = condense_views(k, side, local, X, radius, uv, weight, r, A, b, C, c, W)
+        X, radius, uv, weight = observations.X, observations.radius_m, observations.uv, observations.weight
+        fine = view_normal_equations(k, side, local, X, radius, uv, weight, r, A, b, C, c, W)
         if tied:
             _tie(A, b, W)
         return Evaluation(
             residuals=r if fine else np.full_like(r, np.nan),
             shared=EMPTY,
             local=EMPTY,
-            condensed=Condensed(A=A, b=b, C=C, c=c, W=W),
+            condensed=EvaluatedNormalEquations(A=A, b=b, C=C, c=c, W=W),
         )
 
     def retract(shared: Array, local: Array, step_shared: Array, step_local: Array) -> tuple[Array, Array]:
@@ -90,7 +90,7 @@ def problem_of(sightings: Sightings, start: Bundle, fixed: frozenset[str]) -> Pr
         names=names,
         guess=np.concatenate([k0.ravel(), start.side_pose]) if n_cameras == 2 else k0.ravel(),
         evaluate=evaluate,
-        n_residuals=2 * sightings.n_points,
+        n_residuals=2 * observations.n_points,
         local_names=POSE,
         local_guess=start.poses,
         fixed=fixed | RIGHT if tied else fixed,
@@ -111,7 +111,7 @@ def _tie(A: Array, b: Array, W: Array) -> None:
 
 
 def adjust(
-    sightings: Sightings,
+    observations: Observations,
     start: Bundle,
     fixed: frozenset[str],
     *,
@@ -123,7 +123,7 @@ def adjust(
     Raises NotConverged, Undetermined, Cancelled as the engine does.
     """
     settings = Settings(estimate_noise=True, max_iterations=max_iterations, cost_tolerance=COST_SETTLED)
-    return solve(problem_of(sightings, start, fixed), settings, progress)
+    return solve(problem_of(observations, start, fixed), settings, progress)
 
 
 def bundle_of(fit: Fit, n_cameras: int) -> Bundle:
@@ -133,10 +133,10 @@ def bundle_of(fit: Fit, n_cameras: int) -> Bundle:
     return Bundle(k=fit.shared[:split].reshape(n_cameras, -1), side_pose=side, poses=fit.local)
 
 
-def asks_to_be_freed(sightings: Sightings, fit: Fit, fixed: frozenset[str], names: frozenset[str]) -> bool:
+def asks_to_be_freed(observations: Observations, fit: Fit, fixed: frozenset[str], names: frozenset[str]) -> bool:
     """Tell whether freeing some fixed parameters would lower chi-square by more than chance does (a score test)."""
     wider = fixed - names
-    problem = problem_of(sightings, bundle_of(fit, sightings.n_cameras), wider)
+    problem = problem_of(observations, bundle_of(fit, observations.n_cameras), wider)
     evaluation = problem.evaluate(fit.shared, fit.local)
     free = np.array([i for i, n in enumerate(problem.names) if n not in problem.fixed], dtype=np.intp)
     normal = NormalEquations.build(problem, evaluation, fit.shared, free)
@@ -144,17 +144,17 @@ def asks_to_be_freed(sightings: Sightings, fit: Fit, fixed: frozenset[str], name
     return bool(fall > chdtri(len(names), BY_CHANCE) * fit.scale**2)
 
 
-def residuals_px(sightings: Sightings, fit: Fit) -> Array:
+def residuals_px(observations: Observations, fit: Fit) -> Array:
     """Return the residuals (G, C, n, 2) in px, zero where not seen."""
-    G, C, n = sightings.weight.shape
+    G, C, n = observations.weight.shape
     whitened = fit.residuals.reshape(G, C, n, 2)
-    sigma = np.divide(1.0, sightings.weight, out=np.zeros_like(sightings.weight), where=sightings.weight > 0.0)
+    sigma = np.divide(1.0, observations.weight, out=np.zeros_like(observations.weight), where=observations.weight > 0.0)
     return np.asarray(whitened * sigma[..., None])
 
 
-def without(sightings: Sightings, bad: NDArray[np.bool_]) -> Sightings:
-    """Return the sightings without the points marked in bad (G, C, n)."""
-    return replace(sightings, weight=np.where(bad, 0.0, sightings.weight))
+def without(observations: Observations, bad: NDArray[np.bool_]) -> Observations:
+    """Return the observations without the points marked in bad (G, C, n)."""
+    return replace(observations, weight=np.where(bad, 0.0, observations.weight))
 
 
 def start_at(bundle: Bundle, views: NDArray[np.intp]) -> Bundle:

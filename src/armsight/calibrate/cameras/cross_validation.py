@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.calibrate.cameras.bundle_adjustment import Bundle, adjust, bundle_of, names_of, residuals_px, start_at
-from armsight.calibrate.cameras.observations import Sightings
+from armsight.calibrate.cameras.observations import Observations
 from armsight.calibrate.cameras.options import BoardOptions
-from armsight.calibrate.cameras.outlier_rejection import Cleaned, fit_cleaned
+from armsight.calibrate.cameras.outlier_rejection import RobustFit, fit_without_outliers
 from armsight.calibrate.cameras.preconditions import LEAST_VIEWS
 from armsight.calibrate.cameras.rigs import rig_of
 from armsight.errors import DataRefused
@@ -59,25 +59,25 @@ class LeftOut:
     metric: Metric | None
 
 
-def left_out(cleaned: Cleaned, options: BoardOptions) -> LeftOut | None:
+def left_out(robust_fit: RobustFit, options: BoardOptions) -> LeftOut | None:
     """Return the k-fold errors, None where there are too few views for it or no folds are asked for.
 
     Every fold repeats the whole procedure (rejection, choice of k3) without its views. In a left-out view
     only the board's pose is fitted, by both cameras together.
     """
-    sightings = cleaned.sightings
-    folds = min(options.folds, sightings.n_views)
-    if folds < 2 or sightings.n_views - -(-sightings.n_views // folds) < LEAST_VIEWS:
+    observations = robust_fit.observations
+    folds = min(options.folds, observations.n_views)
+    if folds < 2 or observations.n_views - -(-observations.n_views // folds) < LEAST_VIEWS:
         return None
     squares, n_points = 0.0, 0
-    rows: list[tuple[Sightings, Rig | None]] = []
-    for out, state in _folds(cleaned, options, folds):
-        part = sightings.take(out)
-        everything = frozenset(names_of(sightings.n_cameras))
+    rows: list[tuple[Observations, Rig | None]] = []
+    for out, state in _folds(robust_fit, options, folds):
+        part = observations.take(out)
+        everything = frozenset(names_of(observations.n_cameras))
         fit = adjust(part, start_at(state, out), everything, max_iterations=options.max_iterations)
         squares += float((residuals_px(part, fit) ** 2).sum())
         n_points += part.n_points
-        rows.append((part, rig_of(bundle_of(fit, 2), sightings.sizes) if sightings.n_cameras == 2 else None))
+        rows.append((part, rig_of(bundle_of(fit, 2), observations.sizes) if observations.n_cameras == 2 else None))
     pairs = [(part, rig) for part, rig in rows if rig is not None]
     return LeftOut(
         rms_px=float(np.sqrt(squares / n_points)),
@@ -86,25 +86,25 @@ def left_out(cleaned: Cleaned, options: BoardOptions) -> LeftOut | None:
     )
 
 
-def _folds(cleaned: Cleaned, options: BoardOptions, folds: int) -> Iterator[tuple[NDArray[np.intp], Bundle]]:
+def _folds(robust_fit: RobustFit, options: BoardOptions, folds: int) -> Iterator[tuple[NDArray[np.intp], Bundle]]:
     """Yield the left-out views of each fold with the state fitted without them (their own poses still the old ones)."""
-    whole = bundle_of(cleaned.fit, cleaned.sightings.n_cameras)
+    whole = bundle_of(robust_fit.fit, robust_fit.observations.n_cameras)
     start_k = whole.k.copy()
     if options.automatic_k3:
         start_k[:, INTRINSIC_K3] = 0.0
-    views = np.arange(cleaned.sightings.n_views)
+    views = np.arange(robust_fit.observations.n_views)
     for fold in range(folds):
         stay, out = views[views % folds != fold], views[views % folds == fold]
         start = Bundle(k=start_k, side_pose=whole.side_pose, poses=whole.poses[stay])
         try:
-            fit = fit_cleaned(cleaned.sightings.take(stay), start, options).fit
+            fit = fit_without_outliers(robust_fit.observations.take(stay), start, options).fit
         except DataRefused:
             continue  # a fold of too few or too equal views says nothing about the whole
-        state = bundle_of(fit, cleaned.sightings.n_cameras)
+        state = bundle_of(fit, robust_fit.observations.n_cameras)
         yield out, Bundle(k=state.k, side_pose=state.side_pose, poses=whole.poses)
 
 
-def epipolar_rms(pairs: list[tuple[Sightings, Rig]]) -> float:
+def epipolar_rms(pairs: list[tuple[Observations, Rig]]) -> float:
     """Return the RMS distance in px of a point from its partner's epipolar line, over both images."""
     squares = []
     for part, rig in pairs:
@@ -113,7 +113,7 @@ def epipolar_rms(pairs: list[tuple[Sightings, Rig]]) -> float:
     return float(np.sqrt(np.concatenate(squares).mean()))
 
 
-def metric_of(pairs: list[tuple[Sightings, Rig]]) -> Metric | None:
+def metric_of(pairs: list[tuple[Observations, Rig]]) -> Metric | None:
     """Return the metric of triangulated boards, None where no two neighbours are seen by both cameras."""
     lengths: list[Array] = []
     squares: list[float] = []
@@ -145,7 +145,7 @@ def metric_of(pairs: list[tuple[Sightings, Rig]]) -> Metric | None:
     )
 
 
-def _each(pairs: list[tuple[Sightings, Rig]]) -> Iterator[tuple[Sightings, Rig, int, NDArray[np.intp]]]:
+def _each(pairs: list[tuple[Observations, Rig]]) -> Iterator[tuple[Observations, Rig, int, NDArray[np.intp]]]:
     """Yield every view with the points (positions) that both cameras saw."""
     for part, rig in pairs:
         for g in range(part.n_views):

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.calibrate.cameras.kernels.rotations import poses_of
-from armsight.calibrate.cameras.observations import Sightings
+from armsight.calibrate.cameras.observations import Observations
 from armsight.errors import Degenerate
 
 Array = NDArray[np.float64]
@@ -17,27 +17,27 @@ RANGE_OVER_WIDTH = (0.2, 20.0)
 """Focal lengths outside this range come from noise: 136 degrees and 3 degrees of view."""
 
 
-def homographies(sightings: Sightings, c: int = 0) -> Array:
+def homographies(observations: Observations, c: int = 0) -> Array:
     """Return H (G, 3, 3) from board coordinates (m, centred) to pixels from the image's middle, in image widths.
 
     Linear least squares with H[2, 2] = 1, which the centred board allows: its middle is in front of the camera.
     Raises Degenerate where a view's points lie on one line.
     """
-    width, height = sightings.sizes[c]
-    seen = (sightings.weight[:, c] > 0.0).astype(float)  # (G, n)
-    xy = (sightings.uv[:, c] - 0.5 * np.array([width - 1.0, height - 1.0])) / width  # (G, n, 2)
-    extent = float(np.abs(sightings.X).max())
-    X, Y = (sightings.X[:, :2] / extent).T  # (n,)
+    width, height = observations.sizes[c]
+    seen = (observations.weight[:, c] > 0.0).astype(float)  # (G, n)
+    xy = (observations.uv[:, c] - 0.5 * np.array([width - 1.0, height - 1.0])) / width  # (G, n, 2)
+    extent = float(np.abs(observations.X).max())
+    X, Y = (observations.X[:, :2] / extent).T  # (n,)
     one, zero = np.ones_like(X), np.zeros_like(X)
-    design = np.empty((sightings.n_views, 2, len(X), 8))
+    design = np.empty((observations.n_views, 2, len(X), 8))
     design[:, 0] = np.stack([X, Y, one, zero, zero, zero, zero, zero], axis=1)
     design[:, 1] = np.stack([zero, zero, zero, X, Y, one, zero, zero], axis=1)
     for h in range(2):
         design[:, h, :, 6] = -xy[:, :, h] * X
         design[:, h, :, 7] = -xy[:, :, h] * Y
     design *= seen[:, None, :, None]
-    flat = design.reshape(sightings.n_views, -1, 8)
-    target = (xy * seen[:, :, None]).transpose(0, 2, 1).reshape(sightings.n_views, -1, 1)
+    flat = design.reshape(observations.n_views, -1, 8)
+    target = (xy * seen[:, :, None]).transpose(0, 2, 1).reshape(observations.n_views, -1, 1)
     transposed = flat.transpose(0, 2, 1)
     try:
         rows = np.linalg.solve(transposed @ flat, transposed @ target)[:, :, 0]

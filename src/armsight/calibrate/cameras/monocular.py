@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from armsight.calibrate.cameras.bundle_adjustment import Bundle, bundle_of, residuals_px
 from armsight.calibrate.cameras.cross_validation import left_out
 from armsight.calibrate.cameras.initial_guess import board_poses, focal_lengths, homographies, start_intrinsics
-from armsight.calibrate.cameras.observations import Sightings, pack
+from armsight.calibrate.cameras.observations import Observations, pack
 from armsight.calibrate.cameras.options import BoardOptions
-from armsight.calibrate.cameras.outlier_rejection import Cleaned, fit_tilted
+from armsight.calibrate.cameras.outlier_rejection import RobustFit, fit_tilted
 from armsight.calibrate.cameras.preconditions import check_count, check_spread, different_views
 from armsight.calibrate.cameras.rigs import camera_of
 from armsight.errors import Inconsistent, NotEnoughData
@@ -65,26 +65,26 @@ def calibrate_camera(
     """
     options = options or BoardOptions()
     require_views(views, board)
-    sightings = pack([views], board)
-    kept, repeated = different_views(sightings)
-    sightings = sightings.take(kept)
-    advice = check_count(len(kept)) + check_spread(sightings, 0, "the camera")
-    cleaned, on_tilt = fit_tilted(sightings, start_of(sightings), options, "the camera", progress)
-    out = left_out(cleaned, options)
-    residual, seen = residuals_px(cleaned.sightings, cleaned.fit), cleaned.sightings.weight > 0.0
-    covariance = required(cleaned)
+    observations = pack([views], board)
+    kept, repeated = different_views(observations)
+    observations = observations.take(kept)
+    advice = check_count(len(kept)) + check_spread(observations, 0, "the camera")
+    robust_fit, on_tilt = fit_tilted(observations, start_of(observations), options, "the camera", progress)
+    out = left_out(robust_fit, options)
+    residual, seen = residuals_px(robust_fit.observations, robust_fit.fit), robust_fit.observations.weight > 0.0
+    covariance = required(robust_fit)
     return CameraCalibration(
-        camera=camera_of(bundle_of(cleaned.fit, 1).k[0], sightings.sizes[0]),
+        camera=camera_of(bundle_of(robust_fit.fit, 1).k[0], observations.sizes[0]),
         covariance=covariance,
         rms_px=rms(residual, seen),
-        n_used=cleaned.sightings.n_views,
-        rejected=(*repeated, *cleaned.rejected),
+        n_used=robust_fit.observations.n_views,
+        rejected=(*repeated, *robust_fit.rejected),
         holdout_rms_px=None if out is None else out.rms_px,
         view_rms_px=view_rms(residual, seen),
-        sources=tuple(names[0] for names in cleaned.sightings.sources),
-        uv_px=cleaned.sightings.uv[seen],
+        sources=tuple(names[0] for names in robust_fit.observations.sources),
+        uv_px=robust_fit.observations.uv[seen],
         residual_px=residual[seen],
-        advice=(*advice, *on_tilt, *doubts(covariance, cleaned), *cleaned.notes),
+        advice=(*advice, *on_tilt, *doubts(covariance, robust_fit), *robust_fit.notes),
     )
 
 
@@ -96,19 +96,19 @@ def require_views(views: Sequence[BoardView], board: Target) -> None:
         raise NotEnoughData("the board was found in no image", consequence="Nothing was calibrated")
 
 
-def start_of(sightings: Sightings) -> Bundle:
+def start_of(observations: Observations) -> Bundle:
     """Return the closed-form start of one camera."""
-    H = homographies(sightings)
-    size = sightings.sizes[0]
+    H = homographies(observations)
+    size = observations.sizes[0]
     focal = focal_lengths(H, size[0])
     return Bundle(k=start_intrinsics(focal, size)[None], side_pose=np.zeros(6), poses=board_poses(H, focal, size[0]))
 
 
-def required(cleaned: Cleaned) -> NamedCovariance:
+def required(robust_fit: RobustFit) -> NamedCovariance:
     """Return the fit's covariance; the engine has raised where there is none, unless nothing was free."""
-    if cleaned.fit.covariance is None:
+    if robust_fit.fit.covariance is None:
         raise Inconsistent("every intrinsic is held fixed: there is nothing to calibrate", cure="Free one")
-    return cleaned.fit.covariance
+    return robust_fit.fit.covariance
 
 
 def rms(residual: Array, seen: NDArray[np.bool_]) -> float:
@@ -122,12 +122,12 @@ def view_rms(residual: Array, seen: NDArray[np.bool_]) -> tuple[float, ...]:
     return tuple(np.sqrt(squares / np.maximum(seen.sum(axis=(1, 2)), 1)).tolist())
 
 
-def doubts(covariance: NamedCovariance, cleaned: Cleaned) -> list[str]:
+def doubts(covariance: NamedCovariance, robust_fit: RobustFit) -> list[str]:
     """Return advice on focal lengths that are not well known."""
     std = covariance.std()
     return [
-        f"{name} is known to {100 * std[name] / cleaned.fit.value(name):.1f} % only; "
+        f"{name} is known to {100 * std[name] / robust_fit.fit.value(name):.1f} % only; "
         "tilt the board more, bring it closer"
-        for name in cleaned.fit.names
-        if name.split(".")[-1] in ("fx", "fy") and std.get(name, 0.0) > DOUBTFUL_FOCAL * cleaned.fit.value(name)
+        for name in robust_fit.fit.names
+        if name.split(".")[-1] in ("fx", "fy") and std.get(name, 0.0) > DOUBTFUL_FOCAL * robust_fit.fit.value(name)
     ]

@@ -18,7 +18,7 @@ SIGMA_FLOOR_PX = 0.02
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Sightings:
+class Observations:
     """G views of a board of n points by C cameras.
 
     X (n, 3) m, centred on the board's middle (`middle`, (3,) m) so that poses and shape are told apart well.
@@ -51,12 +51,12 @@ class Sightings:
         """Points seen, over all views and cameras."""
         return int(np.count_nonzero(self.weight))
 
-    def take(self, views: Sequence[int] | NDArray[np.intp]) -> Sightings:
+    def take(self, views: Sequence[int] | NDArray[np.intp]) -> Observations:
         """Return some of the views."""
         i = np.asarray(views, dtype=np.intp)
         return replace(self, uv=self.uv[i], weight=self.weight[i], sources=tuple(self.sources[k] for k in i))
 
-    def camera(self, c: int) -> Sightings:
+    def camera(self, c: int) -> Observations:
         """Return what camera c alone has seen."""
         return replace(
             self,
@@ -67,8 +67,8 @@ class Sightings:
         )
 
 
-def pack(views: Sequence[Sequence[BoardView]], board: Target) -> Sightings:
-    """Return the sightings of C sequences of G views each; raises Inconsistent for images of unequal size."""
+def pack(views: Sequence[Sequence[BoardView]], board: Target) -> Observations:
+    """Return the observations of C sequences of G views each; raises Inconsistent for images of unequal size."""
     n, G, C = len(board.names), len(views[0]), len(views)
     uv, weight = np.zeros((G, C, n, 2)), np.zeros((G, C, n))
     for c, camera in enumerate(views):
@@ -83,7 +83,7 @@ def pack(views: Sequence[Sequence[BoardView]], board: Target) -> Sightings:
             uv[g, c, view.index] = view.uv_px
             weight[g, c, view.index] = 1.0 / max(view.sigma_px, SIGMA_FLOOR_PX)
     middle = board.xyz_m.mean(axis=0)
-    return Sightings(
+    return Observations(
         X=board.xyz_m - middle,
         middle=middle,
         uv=uv,

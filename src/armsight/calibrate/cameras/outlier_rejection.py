@@ -16,7 +16,7 @@ from armsight.calibrate.cameras.bundle_adjustment import (
     start_at,
     without,
 )
-from armsight.calibrate.cameras.observations import Sightings
+from armsight.calibrate.cameras.observations import Observations
 from armsight.calibrate.cameras.options import BoardOptions
 from armsight.calibrate.cameras.preconditions import DOUBTFUL_TILT_DEG, LEAST_POINTS, LEAST_VIEWS, check_tilt
 from armsight.errors import NotConverged, NotEnoughData, Undetermined
@@ -37,57 +37,57 @@ RAYLEIGH_MEDIAN = 1.1774
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Cleaned:
+class RobustFit:
     """The last fit with what went into it, the views that did not, and notes on images that lost single points."""
 
-    sightings: Sightings
+    observations: Observations
     fit: Fit
     rejected: tuple[tuple[str, str], ...]
     notes: tuple[str, ...]
 
 
-def fit_cleaned(
-    sightings: Sightings, start: Bundle, options: BoardOptions, progress: Progress | None = None
-) -> Cleaned:
+def fit_without_outliers(
+    observations: Observations, start: Bundle, options: BoardOptions, progress: Progress | None = None
+) -> RobustFit:
     """Return the fit of what agrees; raises as the engine does, and NotEnoughData where too few views agree."""
-    fixed = fixed_names(options, sightings.n_cameras)
-    given, kept = sightings, np.arange(sightings.n_views, dtype=np.intp)
+    fixed = fixed_names(options, observations.n_cameras)
+    given, kept = observations, np.arange(observations.n_views, dtype=np.intp)
     rejected: list[tuple[str, str]] = []
-    fit = adjust(sightings, start, fixed, max_iterations=options.max_iterations, progress=progress)
+    fit = adjust(observations, start, fixed, max_iterations=options.max_iterations, progress=progress)
     for _ in range(MOST_ROUNDS):
-        wider = _freed(sightings, fit, fixed, options)
-        bad_views, bad_points = _misfits(sightings, fit) if options.reject else ({}, None)
+        wider = _freed(observations, fit, fixed, options)
+        bad_views, bad_points = _misfits(observations, fit) if options.reject else ({}, None)
         if wider == fixed and not bad_views and bad_points is None:
             break
         fixed = wider
-        state = bundle_of(fit, sightings.n_cameras)
+        state = bundle_of(fit, observations.n_cameras)
         if bad_points is not None:
-            sightings = without(sightings, bad_points)
+            observations = without(observations, bad_points)
         if bad_views:
-            rejected += [(" / ".join(sightings.sources[g]), why) for g, why in bad_views.items()]
-            stay = np.array([g for g in range(sightings.n_views) if g not in bad_views], dtype=np.intp)
-            _require_views(len(stay), sightings.n_views, rejected)
-            sightings, kept, state = sightings.take(stay), kept[stay], start_at(state, stay)
-        fit = adjust(sightings, state, fixed, max_iterations=options.max_iterations, progress=progress)
-    notes = _notes(given.take(kept), sightings)
-    return Cleaned(sightings=sightings, fit=fit, rejected=tuple(rejected), notes=notes)
+            rejected += [(" / ".join(observations.sources[g]), why) for g, why in bad_views.items()]
+            stay = np.array([g for g in range(observations.n_views) if g not in bad_views], dtype=np.intp)
+            _require_views(len(stay), observations.n_views, rejected)
+            observations, kept, state = observations.take(stay), kept[stay], start_at(state, stay)
+        fit = adjust(observations, state, fixed, max_iterations=options.max_iterations, progress=progress)
+    notes = _notes(given.take(kept), observations)
+    return RobustFit(observations=observations, fit=fit, rejected=tuple(rejected), notes=notes)
 
 
 def fit_tilted(
-    sightings: Sightings, start: Bundle, options: BoardOptions, name: str, progress: Progress | None = None
-) -> tuple[Cleaned, list[str]]:
-    """Return fit_cleaned with advice on the board's tilt; raises Degenerate where that is what is missing.
+    observations: Observations, start: Bundle, options: BoardOptions, name: str, progress: Progress | None = None
+) -> tuple[RobustFit, list[str]]:
+    """Return fit_without_outliers with advice on the board's tilt; raises Degenerate where that is what is missing.
 
     name: of the camera, for the message. Asked before the fit, and again after it: a lens's distortion looks like
     tilt until it is known.
     """
     check_tilt(start.poses, name)
     try:
-        cleaned = fit_cleaned(sightings, start, options, progress)
+        robust_fit = fit_without_outliers(observations, start, options, progress)
     except (Undetermined, NotConverged):
         check_tilt(start.poses, name, DOUBTFUL_TILT_DEG)
         raise
-    return cleaned, check_tilt(cleaned.fit.local, name)
+    return robust_fit, check_tilt(robust_fit.fit.local, name)
 
 
 def fixed_names(options: BoardOptions, n_cameras: int) -> frozenset[str]:
@@ -96,18 +96,18 @@ def fixed_names(options: BoardOptions, n_cameras: int) -> frozenset[str]:
     return frozenset(plain) if n_cameras == 1 else frozenset(f"{side}.{name}" for side in SIDES for name in plain)
 
 
-def _freed(sightings: Sightings, fit: Fit, fixed: frozenset[str], options: BoardOptions) -> frozenset[str]:
+def _freed(observations: Observations, fit: Fit, fixed: frozenset[str], options: BoardOptions) -> frozenset[str]:
     """Return the fixed names without k3 where the data ask for it."""
     if not options.automatic_k3 or "k3" in options.fixed:
         return fixed
     names = frozenset(name for name in fixed if name.split(".")[-1] == "k3")
-    return fixed - names if names and asks_to_be_freed(sightings, fit, fixed, names) else fixed
+    return fixed - names if names and asks_to_be_freed(observations, fit, fixed, names) else fixed
 
 
-def _misfits(sightings: Sightings, fit: Fit) -> tuple[dict[int, str], NDArray[np.bool_] | None]:
+def _misfits(observations: Observations, fit: Fit) -> tuple[dict[int, str], NDArray[np.bool_] | None]:
     """Return the views to leave out, with the reason, and the points (G, C, n), None where all fit."""
-    residual = np.linalg.norm(residuals_px(sightings, fit), axis=3)  # (G, C, n) px
-    seen = sightings.weight > 0.0
+    residual = np.linalg.norm(residuals_px(observations, fit), axis=3)  # (G, C, n) px
+    seen = observations.weight > 0.0
     scale = float(np.median(residual[seen])) / RAYLEIGH_MEDIAN
     count = np.maximum(seen.sum(axis=(1, 2)), 1)
     rms = np.sqrt((residual**2).sum(axis=(1, 2)) / count)  # (G,)
@@ -127,7 +127,7 @@ def _misfits(sightings: Sightings, fit: Fit) -> tuple[dict[int, str], NDArray[np
     return views, bad if bad.any() else None
 
 
-def _notes(given: Sightings, left: Sightings) -> tuple[str, ...]:
+def _notes(given: Observations, left: Observations) -> tuple[str, ...]:
     """Return a line for every image of which single points were left out."""
     lost = ((given.weight > 0.0) & (left.weight == 0.0)).sum(axis=2)  # (G, C)
     return tuple(

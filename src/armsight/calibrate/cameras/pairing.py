@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.cameras.initial_guess import board_poses, homographies
 from armsight.calibrate.cameras.kernels.rotations import matrices_of, rotvec_of
-from armsight.calibrate.cameras.observations import Sightings
+from armsight.calibrate.cameras.observations import Observations
 from armsight.errors import Inconsistent
 from armsight.records import Target
 from armsight.records.symmetry import symmetries
@@ -40,24 +40,24 @@ class Paired:
 
 
 def pair_views(
-    sightings: Sightings, poses: Sequence[Array], board: Target, *, final: bool = True
-) -> tuple[Sightings, Paired]:
-    """Return the sightings with right views renumbered where the print is symmetric, and what the pairs agree on.
+    observations: Observations, poses: Sequence[Array], board: Target, *, final: bool = True
+) -> tuple[Observations, Paired]:
+    """Return the observations with right views renumbered where the print is symmetric, and what the pairs agree on.
 
     poses: T_left_board and T_right_board (G, 6). final: these are the best poses to be had. Raises Inconsistent
     then where no common relative pose is found, saying whether the right images come late, or one camera is mirrored.
     """
     turns = symmetries(board)
-    spins = np.stack([_spin(sightings.X, turn) for turn in turns])  # (S, 3, 3)
+    spins = np.stack([_spin(observations.X, turn) for turn in turns])  # (S, 3, 3)
     paired = _consensus(poses[0], poses[1], spins)
     if final and paired.agreeing.mean() < AGREEING:
-        _refuse(sightings, poses, spins)
+        _refuse(observations, poses, spins)
     if (paired.turn == 0).all():
-        return sightings, paired
-    uv, weight = sightings.uv.copy(), sightings.weight.copy()
+        return observations, paired
+    uv, weight = observations.uv.copy(), observations.weight.copy()
     for g, s in enumerate(paired.turn):
         uv[g, 1], weight[g, 1] = uv[g, 1, turns[s]], weight[g, 1, turns[s]]
-    return replace(sightings, uv=uv, weight=weight), paired
+    return replace(observations, uv=uv, weight=weight), paired
 
 
 def _spin(X: Array, turn: Index) -> Array:
@@ -95,9 +95,9 @@ def _consensus(left: Array, right: Array, spins: Array) -> Paired:
     return Paired(side_pose=side_pose, agreeing=agreeing, turn=turn)
 
 
-def _refuse(sightings: Sightings, poses: Sequence[Array], spins: Array) -> None:
+def _refuse(observations: Observations, poses: Sequence[Array], spins: Array) -> None:
     """Raise Inconsistent with the likeliest reason why the pairs do not agree."""
-    n = sightings.n_views
+    n = observations.n_views
     for shift in (s for k in range(1, LARGEST_SHIFT + 1) for s in (k, -k) if n - k >= 4):
         a, b = slice(max(0, -shift), n - max(0, shift)), slice(max(0, shift), n - max(0, -shift))
         if _consensus(poses[0][a], poses[1][b], spins).agreeing.mean() >= AGREEING:
@@ -107,7 +107,7 @@ def _refuse(sightings: Sightings, poses: Sequence[Array], spins: Array) -> None:
                 consequence="Nothing was calibrated",
                 cure="Remove the images that have no partner, so that both lists begin with the same moment",
             )
-    mirrored = _mirrored_side(sightings, poses, spins)
+    mirrored = _mirrored_side(observations, poses, spins)
     if mirrored:
         raise Inconsistent(
             f"the images of the {mirrored} camera are mirrored",
@@ -121,20 +121,20 @@ def _refuse(sightings: Sightings, poses: Sequence[Array], spins: Array) -> None:
     )
 
 
-def _mirrored_side(sightings: Sightings, poses: Sequence[Array], spins: Array) -> str:
+def _mirrored_side(observations: Observations, poses: Sequence[Array], spins: Array) -> str:
     """Return which camera's images are mirrored, or ''."""
-    width = sightings.sizes[1][0]
+    width = observations.sizes[1][0]
     half_turn = np.stack([*spins, *(spins @ np.diag([-1.0, -1.0, 1.0]))])
     for axis in (0, 1):
-        flip = _flip(sightings.X, axis)
+        flip = _flip(observations.X, axis)
         if flip is None:
             continue
-        right = sightings.camera(1)
+        right = observations.camera(1)
         uv = right.uv.copy()
         uv[..., 0] = width - 1.0 - uv[..., 0]
         right = replace(right, uv=uv[:, :, flip], weight=right.weight[:, :, flip])
         H = homographies(right)
-        focal = _focal_of(poses[1], sightings, 1)
+        focal = _focal_of(poses[1], observations, 1)
         paired = _consensus(poses[0], board_poses(H, focal, width), half_turn)
         if paired.agreeing.mean() >= AGREEING:
             return "right" if paired.side_pose[0] > 0.0 else "left"
@@ -151,14 +151,14 @@ def _flip(X: Array, axis: int) -> Index | None:
     return np.asarray(distance.argmin(axis=1), dtype=np.intp)
 
 
-def _focal_of(poses: Array, sightings: Sightings, c: int) -> Array:
+def _focal_of(poses: Array, observations: Observations, c: int) -> Array:
     """Return the focal lengths (2,) px that go with the poses, from where they put the points."""
-    width, height = sightings.sizes[c]
+    width, height = observations.sizes[c]
     R = Rotation.from_rotvec(poses[:, 3:]).as_matrix()
-    P = sightings.X @ R.transpose(0, 2, 1) + poses[:, None, :3]  # (G, n, 3)
-    seen = sightings.weight[:, c] > 0.0
+    P = observations.X @ R.transpose(0, 2, 1) + poses[:, None, :3]  # (G, n, 3)
+    seen = observations.weight[:, c] > 0.0
     rays = (P[..., :2] / P[..., 2:])[seen]
-    offset = sightings.uv[:, c][seen] - 0.5 * np.array([width - 1.0, height - 1.0])
+    offset = observations.uv[:, c][seen] - 0.5 * np.array([width - 1.0, height - 1.0])
     return np.asarray((rays * offset).sum(axis=0) / (rays**2).sum(axis=0))
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.calibrate.cameras.kernels.rotations import matrices_of
-from armsight.calibrate.cameras.observations import Sightings
+from armsight.calibrate.cameras.observations import Observations
 from armsight.errors import Degenerate, NotEnoughData
 
 Array = NDArray[np.float64]
@@ -29,44 +29,44 @@ LEAST_SPREAD = 0.5
 ENOUGH_SPREAD = 0.7
 
 
-def different_views(sightings: Sightings) -> tuple[NDArray[np.intp], list[tuple[str, str]]]:
+def different_views(observations: Observations) -> tuple[NDArray[np.intp], list[tuple[str, str]]]:
     """Return the positions of the views to use, and (source, why) of those with too few points or shown already.
 
     Raises NotEnoughData where fewer than LEAST_VIEWS are left.
     """
     kept: list[int] = []
-    names = [" / ".join(sources) for sources in sightings.sources]
+    names = [" / ".join(sources) for sources in observations.sources]
     refused: list[tuple[str, str]] = []
-    seen = sightings.weight > 0.0  # (G, C, n)
+    seen = observations.weight > 0.0  # (G, C, n)
     few = seen.sum(axis=2).min(axis=1)  # (G,)
     count = np.maximum(seen.sum(axis=(1, 2)), 1)[:, None]
-    middle = (sightings.uv * seen[..., None]).sum(axis=(1, 2)) / count  # (G, 2)
+    middle = (observations.uv * seen[..., None]).sum(axis=(1, 2)) / count  # (G, 2)
     close = np.linalg.norm(middle[:, None] - middle[None], axis=2) < NEAR_MIDDLE_PX
-    for g in range(sightings.n_views):
+    for g in range(observations.n_views):
         if few[g] < LEAST_POINTS:
             refused.append((names[g], f"only {few[g]} points of the board are seen, {LEAST_POINTS} are needed"))
             continue
         near = np.flatnonzero(close[g, :g])
-        twin = next((k for k in near.tolist() if k in kept and _same(sightings, seen, g, k)), None)
+        twin = next((k for k in near.tolist() if k in kept and _same(observations, seen, g, k)), None)
         if twin is not None:
             refused.append((names[g], f"shows the board in the same place as {names[twin]}"))
         else:
             kept.append(g)
     if len(kept) < LEAST_VIEWS:
         raise NotEnoughData(
-            f"{sightings.n_views} views show the board in {len(kept)} different poses, {LEAST_VIEWS} are needed",
+            f"{observations.n_views} views show the board in {len(kept)} different poses, {LEAST_VIEWS} are needed",
             consequence="Nothing was calibrated",
             cure="Take ten to twenty images, with the board tilted in different directions and all over the image",
         )
     return np.array(kept, dtype=np.intp), refused
 
 
-def _same(sightings: Sightings, seen: NDArray[np.bool_], a: int, b: int) -> bool:
+def _same(observations: Observations, seen: NDArray[np.bool_], a: int, b: int) -> bool:
     """Tell whether two views show the board in the same place in every camera."""
     both = seen[a] & seen[b]
     if not both.any():
         return False
-    distance = sightings.uv[a][both] - sightings.uv[b][both]
+    distance = observations.uv[a][both] - observations.uv[b][both]
     return bool(np.sqrt((distance**2).sum(axis=1).mean()) < SAME_PLACE_PX)
 
 
@@ -92,10 +92,10 @@ def check_tilt(poses: Array, name: str, least_deg: float = LEAST_TILT_DEG) -> li
     )
 
 
-def check_spread(sightings: Sightings, c: int, name: str) -> list[str]:
+def check_spread(observations: Observations, c: int, name: str) -> list[str]:
     """Return advice on how the points of camera c cover its image; raises Degenerate for one part of it only."""
-    uv = sightings.uv[:, c][sightings.weight[:, c] > 0.0]
-    size = np.array(sightings.sizes[c], float)
+    uv = observations.uv[:, c][observations.weight[:, c] > 0.0]
+    size = np.array(observations.sizes[c], float)
     low, high = uv.min(axis=0), uv.max(axis=0)
     share = (high - low) / size
     if (share < LEAST_SPREAD).all():

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from armsight.calibrate.cameras.bundle_adjustment import Bundle, adjust, bundle_of, residuals_px
 from armsight.calibrate.cameras.cross_validation import epipolar_rms, left_out, metric_of
 from armsight.calibrate.cameras.monocular import doubts, require_views, required, rms, start_of, view_rms
-from armsight.calibrate.cameras.observations import Sightings, pack
+from armsight.calibrate.cameras.observations import Observations, pack
 from armsight.calibrate.cameras.options import BoardOptions
-from armsight.calibrate.cameras.outlier_rejection import Cleaned, fit_tilted, fixed_names
+from armsight.calibrate.cameras.outlier_rejection import RobustFit, fit_tilted, fixed_names
 from armsight.calibrate.cameras.pairing import Paired, pair_views
 from armsight.calibrate.cameras.preconditions import LEAST_VIEWS, check_count, check_spread, check_tilt, different_views
 from armsight.calibrate.cameras.rigs import baseline_std, of_one_lens, rig_of
@@ -36,7 +36,7 @@ class StereoCalibration:
     left out of the fit, None where there were too few. metric: expected_m, mean_m, rms_m of the distance of
     neighbouring points after triangulation and board_rms_m of a rigid fit, on left-out pairs; where there were too
     few, metric_is_left_out is False and it is of the fit's own pairs; empty where no folds were asked for. rejected:
-    (source, why). used: the sightings in the fit. residual_px: of every point used (n, 2), model minus detected, by
+    (source, why). used: the observations in the fit. residual_px: of every point used (n, 2), model minus detected, by
     side. advice: what would make it surer.
     """
 
@@ -51,7 +51,7 @@ class StereoCalibration:
     metric: Mapping[str, float]
     metric_is_left_out: bool
     view_rms_px: tuple[float, ...]
-    used: Sightings
+    used: Observations
     residual_px: Mapping[str, Array]
     advice: tuple[str, ...]
 
@@ -95,8 +95,8 @@ def calibrate_stereo(
     swapped or mirrored), NotEnoughData, Degenerate, Undetermined, NotConverged, Cancelled as calibrate_camera.
     """
     options = options or BoardOptions()
-    cleaned, rejected, advice = fit_pairs(left, right, board, options, progress)
-    return judged(cleaned, options, n_pairs=len(left), rejected=rejected, advice=advice)
+    robust_fit, rejected, advice = fit_pairs(left, right, board, options, progress)
+    return judged(robust_fit, options, n_pairs=len(left), rejected=rejected, advice=advice)
 
 
 def fit_pairs(
@@ -105,17 +105,17 @@ def fit_pairs(
     board: Target,
     options: BoardOptions,
     progress: Progress | None = None,
-) -> tuple[Cleaned, list[tuple[str, str]], list[str]]:
+) -> tuple[RobustFit, list[tuple[str, str]], list[str]]:
     """Return the fit of the pairs that agree, (source, why) of others, and advice; raises as calibrate_stereo."""
-    sightings, rejected = _different_pairs(left, right, board)
-    advice = check_count(sightings.n_views)
-    starts = [start_of(sightings.camera(c)) for c in range(2)]
+    observations, rejected = _different_pairs(left, right, board)
+    advice = check_count(observations.n_views)
+    starts = [start_of(observations.camera(c)) for c in range(2)]
     for c, side in enumerate(SIDES):
-        advice += check_spread(sightings, c, f"the {side} camera")
+        advice += check_spread(observations, c, f"the {side} camera")
         check_tilt(starts[c].poses, f"the {side} camera")
-    sightings, starts, paired = _paired(sightings, starts, board, options)
+    observations, starts, paired = _paired(observations, starts, board, options)
     agree = np.flatnonzero(paired.agreeing)
-    rejected += [(" / ".join(sightings.sources[g]), NO_PAIR) for g in np.flatnonzero(~paired.agreeing)]
+    rejected += [(" / ".join(observations.sources[g]), NO_PAIR) for g in np.flatnonzero(~paired.agreeing)]
     if len(agree) < LEAST_VIEWS:
         raise NotEnoughData(
             f"{len(agree)} of {len(left)} pairs show the board at one moment, {LEAST_VIEWS} are needed",
@@ -123,13 +123,13 @@ def fit_pairs(
             cure="Expose both cameras at once, or hold the board still",
         )
     start = Bundle(k=np.concatenate([s.k for s in starts]), side_pose=paired.side_pose, poses=starts[0].poses[agree])
-    cleaned, on_tilt = fit_tilted(sightings.take(agree), start, options, "the pair", progress)
-    return cleaned, rejected, [*advice, *on_tilt]
+    robust_fit, on_tilt = fit_tilted(observations.take(agree), start, options, "the pair", progress)
+    return robust_fit, rejected, [*advice, *on_tilt]
 
 
 def _different_pairs(
     left: Sequence[BoardView], right: Sequence[BoardView], board: Target
-) -> tuple[Sightings, list[tuple[str, str]]]:
+) -> tuple[Observations, list[tuple[str, str]]]:
     """Return the pairs that show something new, and (source, why) of the others."""
     if len(left) != len(right):
         raise Inconsistent(
@@ -138,22 +138,22 @@ def _different_pairs(
             cure="Give a right image for every left one, in the same order",
         )
     require_views(left, board)
-    sightings = pack([left, right], board)
-    kept, rejected = different_views(sightings)
-    return sightings.take(kept), rejected
+    observations = pack([left, right], board)
+    kept, rejected = different_views(observations)
+    return observations.take(kept), rejected
 
 
 def judged(
-    cleaned: Cleaned, options: BoardOptions, *, n_pairs: int, rejected: list[tuple[str, str]], advice: list[str]
+    robust_fit: RobustFit, options: BoardOptions, *, n_pairs: int, rejected: list[tuple[str, str]], advice: list[str]
 ) -> StereoCalibration:
     """Return the result with its errors, on the pairs of the fit and on left-out ones."""
-    used, state = cleaned.sightings, bundle_of(cleaned.fit, 2)
+    used, state = robust_fit.observations, bundle_of(robust_fit.fit, 2)
     _refuse_swapped(state.side_pose)
-    residual, seen = residuals_px(used, cleaned.fit), used.weight > 0.0
-    covariance = of_one_lens(required(cleaned)) if used.one_lens else required(cleaned)
+    residual, seen = residuals_px(used, robust_fit.fit), used.weight > 0.0
+    covariance = of_one_lens(required(robust_fit)) if used.one_lens else required(robust_fit)
     overall = rms(residual, seen)
     rig = rig_of(state, used.sizes, covariance=covariance, rms_px=overall)
-    out = left_out(cleaned, options)
+    out = left_out(robust_fit, options)
     metric = out.metric if out else metric_of([(used, rig)]) if options.folds else None
     return StereoCalibration(
         rig=rig,
@@ -161,7 +161,7 @@ def judged(
         rms_px=overall,
         n_pairs=n_pairs,
         n_used=used.n_views,
-        rejected=(*rejected, *cleaned.rejected),
+        rejected=(*rejected, *robust_fit.rejected),
         holdout_rms_px=out.rms_px if out else None,
         holdout_epipolar_rms_px=out.epipolar_rms_px if out else None,
         metric=metric.as_mapping() if metric else {},
@@ -169,30 +169,30 @@ def judged(
         view_rms_px=view_rms(residual, seen),
         used=used,
         residual_px={side: residual[:, c][seen[:, c]] for c, side in enumerate(SIDES)},
-        advice=(*advice, *doubts(covariance, cleaned), *cleaned.notes),
+        advice=(*advice, *doubts(covariance, robust_fit), *robust_fit.notes),
     )
 
 
 def _paired(
-    sightings: Sightings, starts: list[Bundle], board: Target, options: BoardOptions
-) -> tuple[Sightings, list[Bundle], Paired]:
+    observations: Observations, starts: list[Bundle], board: Target, options: BoardOptions
+) -> tuple[Observations, list[Bundle], Paired]:
     """Return what the pairs agree on; where not all do at first sight, look again with each camera fitted by itself.
 
     The closed-form start knows no distortion and no principal point: good pairs may seem to disagree by it.
     """
-    renumbered, paired = pair_views(sightings, [start.poses for start in starts], board, final=False)
+    renumbered, paired = pair_views(observations, [start.poses for start in starts], board, final=False)
     if paired.agreeing.all():
         return renumbered, starts, paired
     fixed = fixed_names(options, 1)
     fitted = []
     for c, start in enumerate(starts):
         try:
-            fit = adjust(sightings.camera(c), start, fixed, max_iterations=options.max_iterations)
+            fit = adjust(observations.camera(c), start, fixed, max_iterations=options.max_iterations)
         except (NotConverged, Undetermined):
             fitted.append(start)  # its start is the best there is
         else:
             fitted.append(bundle_of(fit, 1))
-    renumbered, paired = pair_views(sightings, [start.poses for start in fitted], board)
+    renumbered, paired = pair_views(observations, [start.poses for start in fitted], board)
     return renumbered, fitted, paired
 
 

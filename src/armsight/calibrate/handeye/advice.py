@@ -86,9 +86,9 @@ def _poses(result: HandEye) -> list[str]:
         )
     if result.n_used < FEW_PAIRS:
         out.append(f"{result.n_used} poses are few: {FEW_PAIRS} to 30 make the answer and its doubt trustworthy.")
-    second = float(result.turning.rms_rad[1])
+    second = float(result.rotation_excitation.rms_rad[1])
     if second < WEAK_TURN_RAD:
-        x, y, z = result.turning.axes[1]
+        x, y, z = result.rotation_excitation.axes[1]
         out.append(
             f"The hand turns by only {second / DEG:.2g} degrees (root mean square) about its second axis ({x:.2f}, "
             f"{y:.2f}, {z:.2f}): poses tilted by 20 degrees about it help most."

@@ -14,7 +14,7 @@ from armsight.calibrate.handeye.consensus import LEAST_SHARE, Consensus, check_r
 from armsight.calibrate.handeye.noise import noise_of_pairs
 from armsight.calibrate.handeye.pairs import MIN_PAIRS, Array, Arrays, PosePairs, Setup, pose
 from armsight.calibrate.handeye.result import NAMES, HandEye, Scale
-from armsight.calibrate.handeye.rotation_excitation import require_metres, require_turning, turning
+from armsight.calibrate.handeye.rotation_excitation import require_metres, require_turning, rotation_excitation
 from armsight.calibrate.handeye.solution import Solution, doubt, residuals, solve_pairs
 from armsight.errors import DataRefused, Inconsistent
 from armsight.records import NamedCovariance
@@ -73,7 +73,7 @@ def _calibrate(pairs: PosePairs, setup: Setup, options: HandEyeOptions) -> HandE
     repeated = {row: why for row, _, why in pairs.duplicates()}
     rows = np.array([i for i in range(len(pairs)) if i not in repeated], dtype=np.intp)
     chosen = pairs.take(rows) if repeated else pairs
-    require_turning(turning(chosen.T_base_flange.rotation))
+    require_turning(rotation_excitation(chosen.T_base_flange.rotation))
     order = chosen.canonical_order()
     in_order = chosen.arrays(setup)
     arrays: Arrays = tuple(np.ascontiguousarray(a[order]) for a in in_order)  # type: ignore[assignment]  # four stay four
@@ -82,7 +82,7 @@ def _calibrate(pairs: PosePairs, setup: Setup, options: HandEyeOptions) -> HandE
     solution, left_out = settle(arrays, setup, given)
     used = np.zeros(len(pairs), bool)
     used[rows[order[solution.keep]]] = True
-    turned = turning(pairs.T_base_flange[np.flatnonzero(used)].rotation)
+    turned = rotation_excitation(pairs.T_base_flange[np.flatnonzero(used)].rotation)
     require_turning(turned)
     doubts = doubt(solution)
     found = residuals(pairs.arrays(setup), solution.R_X, solution.t_x, solution.R_Z, solution.t_z)
@@ -101,7 +101,7 @@ def _calibrate(pairs: PosePairs, setup: Setup, options: HandEyeOptions) -> HandE
         dof=float(doubts.dof[:6].min()),
         noise=noise,
         scale=scale,
-        turning=turned,
+        rotation_excitation=turned,
         pairs=pairs,
         used=used,
         rejected=rejected,

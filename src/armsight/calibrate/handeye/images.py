@@ -25,7 +25,7 @@ from armsight.calibrate.handeye.solution import residuals
 from armsight.calibrate.handeye.target_views import ViewPoses, cross, poses_of_views
 from armsight.calibrate.handeye.variances import Restricted, restricted_variances
 from armsight.errors import Inconsistent
-from armsight.fitting import Condensed, Evaluation, Fit, Problem, Settings, solve
+from armsight.fitting import EvaluatedNormalEquations, Evaluation, Fit, Problem, Settings, solve
 from armsight.optics import INTRINSICS, Camera
 from armsight.records import BoardView, NamedCovariance, Target
 
@@ -154,7 +154,7 @@ class _Model:
             A[:12, :12], A[12:, 12:] = np.einsum("nia,nib->ab", J, J), by_corners.A
             b[:12], b[12:] = np.einsum("nia,ni->a", J, e), by_corners.b
             W[:, :12], W[:, 12:] = J.transpose(0, 2, 1) @ by_pose, by_corners.W
-            condensed = Condensed(
+            condensed = EvaluatedNormalEquations(
                 A=A,
                 b=b,
                 C=by_corners.C + by_pose.transpose(0, 2, 1) @ by_pose,
@@ -203,7 +203,7 @@ def _refined(result: HandEye, seen: ViewPoses, model: _Model, restricted: Restri
     RX, RZ = (_rotation(fit.shared[at : at + 3]) for at in (3, 9))
     at = (RX, fit.shared[:3], RZ, fit.shared[6:9])
     covariance = result.covariance.matrix if fit.covariance is None else fit.covariance.block(NAMES)
-    widen = result.widening**2
+    widen = result.coverage_factor**2
     return replace(
         result,
         T_mount_camera=pose(RX, fit.shared[:3]),

@@ -48,7 +48,7 @@ def propose(result: HandEye, n: int, reachable: Callable[[RigidTransform], bool]
     flange, camera = _candidates(result, reachable)
     arrays = _arrays(result.setup, flange, camera)
     J = _whitened(result, arrays)  # (m, 6, 12)
-    information = np.linalg.inv(result.covariance.matrix / result.widening**2)
+    information = np.linalg.inv(result.covariance.matrix / result.coverage_factor**2)
     scale = np.sqrt(np.diag(result.covariance.matrix))[:6]
     out = []
     left = np.arange(len(J))

@@ -11,7 +11,7 @@ from scipy.stats import t as student
 
 from armsight.calibrate.handeye.noise import Noise
 from armsight.calibrate.handeye.pairs import Array, PosePairs, Setup
-from armsight.calibrate.handeye.rotation_excitation import Turning
+from armsight.calibrate.handeye.rotation_excitation import RotationExcitation
 from armsight.records import NamedCovariance, frozen_array
 
 POSE_NAMES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
@@ -47,7 +47,7 @@ class HandEye:
     dof: float
     noise: Noise
     scale: Scale | None
-    turning: Turning
+    rotation_excitation: RotationExcitation
     pairs: PosePairs
     used: NDArray[np.bool_]
     rejected: tuple[tuple[str, str], ...]
@@ -97,7 +97,7 @@ class HandEye:
         return _rms(self.left_out[self.used, 3:])
 
     @property
-    def widening(self) -> float:
+    def coverage_factor(self) -> float:
         """Student's factor on the deviations for the noise being estimated."""
         return float(student.ppf(0.975, self.dof) / student.ppf(0.975, np.inf))
 

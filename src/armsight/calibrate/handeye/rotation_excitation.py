@@ -21,7 +21,7 @@ FAR_M = 50.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Turning:
+class RotationExcitation:
     """Turns of the hand about its mean orientation.
 
     rotvecs_rad (n, 3): in the mean orientation's axes. rms_rad (3,): about the principal axes, falling. axes (3, 3):
@@ -38,16 +38,16 @@ class Turning:
         object.__setattr__(self, "axes", frozen_array("axes", self.axes, (3, 3)))
 
 
-def turning(rotations: Rotation) -> Turning:
+def rotation_excitation(rotations: Rotation) -> RotationExcitation:
     """Return how far a stack of orientations turns, and about which axes."""
     w = (rotations.mean().inv() * rotations).as_rotvec()
     w = w - w.mean(axis=0)
     values, vectors = np.linalg.eigh(w.T @ w / len(w))
     rms = np.sqrt(np.maximum(values[::-1], 0.0))
-    return Turning(rotvecs_rad=w, rms_rad=rms, axes=vectors.T[::-1])
+    return RotationExcitation(rotvecs_rad=w, rms_rad=rms, axes=vectors.T[::-1])
 
 
-def require_turning(found: Turning) -> None:
+def require_turning(found: RotationExcitation) -> None:
     """Raise Degenerate where the hand turned too little, or about one axis only."""
     first, second, _ = found.rms_rad
     if second >= LEAST_TURN_RAD:

@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.cameras.bundle_adjustment import Bundle, adjust
 from armsight.calibrate.cameras.initial_guess import board_poses, homographies
-from armsight.calibrate.cameras.observations import Sightings, pack
+from armsight.calibrate.cameras.observations import Observations, pack
 from armsight.calibrate.handeye.pairs import Array
 from armsight.errors import Inconsistent, NotEnoughData
 from armsight.optics import INTRINSICS, Camera
@@ -30,7 +30,7 @@ class ViewPoses:
     T_camera_target: RigidTransform
     covariance: Array
     rms_px: float
-    sightings: Sightings
+    sightings: Observations
     centred: Array
 
 
@@ -76,7 +76,7 @@ def cross(v: Array) -> Array:
     return np.array([[o, -z, y], [z, o, -x], [-y, x, o]]).transpose(2, 0, 1)
 
 
-def _start(sightings: Sightings, camera: Camera) -> Array:
+def _start(sightings: Observations, camera: Camera) -> Array:
     """Return poses (n, 6) from homographies of the undistorted corners."""
     width, height = sightings.sizes[0]
     rays = camera.rays(sightings.uv[:, 0].reshape(-1, 2)).reshape(sightings.n_views, -1, 2)

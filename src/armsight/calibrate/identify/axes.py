@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from armsight.calibrate.identify.chain import Axis
 from armsight.calibrate.identify.kernels import axis_costs, settle_axis
-from armsight.calibrate.identify.residuals import Seen
+from armsight.calibrate.identify.residuals import SweepResiduals
 
 Array = NDArray[np.float64]
 
@@ -32,7 +32,7 @@ class Candidate:
     chi2: float
 
 
-def candidates(seen: Seen, q: Array, *, revolute: bool) -> list[Candidate]:
+def candidates(seen: SweepResiduals, q: Array, *, revolute: bool) -> list[Candidate]:
     """Return the axes that explain a sweep best at the joint's values q (m,), the best first.
 
     For a direction the rest of the motion is linear, so that all directions can be tried: no start can be wrong. A
@@ -61,7 +61,7 @@ def plausible(found: Sequence[Candidate], best: float) -> list[Candidate]:
     return [one for one in found if one.chi2 < best + PLAUSIBLE]
 
 
-def _information(seen: Seen) -> Array:
+def _information(seen: SweepResiduals) -> Array:
     """Return the information (m, 3, 3) of every place."""
     m = len(seen.sweeps)
     W: Array

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from armsight.calibrate.identify.curves import Tilt, basis
 from armsight.calibrate.identify.kernels import chain_beacon
-from armsight.calibrate.identify.residuals import Seen
+from armsight.calibrate.identify.residuals import SweepResiduals
 from armsight.fitting import Evaluation, Fit, Loss, LossKind, Problem, Settings, solve
 
 Array = NDArray[np.float64]
@@ -78,7 +78,7 @@ class ChainModel:
         return X, J
 
 
-def fit_chain(seen: Seen, model: ChainModel, *, robust: float) -> Fit:
+def fit_chain(seen: SweepResiduals, model: ChainModel, *, robust: float) -> Fit:
     """Return the fit of the whole arm to all readings, the joint values taken as exact. robust: Huber's scale."""
     q = seen.sweeps.q
 
@@ -93,7 +93,7 @@ def fit_chain(seen: Seen, model: ChainModel, *, robust: float) -> Fit:
     return solve(problem, Settings(max_iterations=100, allow_undetermined=True, cost_tolerance=1e-9))
 
 
-def at_zero(measured: Sequence[Axis], rests: Sequence[Array]) -> list[Axis]:
+def at_home(measured: Sequence[Axis], rests: Sequence[Array]) -> list[Axis]:
     """Return the axes with all joints at zero from axes measured each with the joints before it at rest (n,) values."""
     out: list[Axis] = []
     for axis, rest in zip(measured, rests, strict=True):

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from armsight.calibrate.identify.axes import PLAUSIBLE, Candidate, candidates, plausible
-from armsight.calibrate.identify.chain import Axis, ChainModel, at_zero, fit_chain, moved_by
-from armsight.calibrate.identify.joint_paths import LOST_SHARE, Found
+from armsight.calibrate.identify.chain import Axis, ChainModel, at_home, fit_chain, moved_by
+from armsight.calibrate.identify.joint_paths import LOST_SHARE, JointPath
 from armsight.calibrate.identify.path_fit import GROSS
-from armsight.calibrate.identify.residuals import Seen
+from armsight.calibrate.identify.residuals import SweepResiduals
 from armsight.calibrate.identify.sweeps import Sweeps
 from armsight.errors import Inconsistent, NotConverged
 from armsight.fitting import Fit
@@ -35,7 +35,7 @@ STARTED = 12
 """Combinations of axes fitted at most."""
 
 
-def check_slopes(found: Sequence[Found], sweeps: Sweeps, axes: Sequence[Sequence[Candidate]]) -> None:
+def check_slopes(found: Sequence[JointPath], sweeps: Sweeps, axes: Sequence[Sequence[Candidate]]) -> None:
     """Raise Inconsistent where a path does not go with the commanded values: another unit, or not exact.
 
     The lengths are compared only where no axis explains the path at those values: an arc whose centre the noise leaves
@@ -59,7 +59,7 @@ def check_slopes(found: Sequence[Found], sweeps: Sweeps, axes: Sequence[Sequence
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class WholeFit:
+class GlobalFit:
     """The whole arm: model, fit, the rows kept and those discarded, and how much larger its misfit's variance is.
 
     rivals: other arms of the same types that explain as many readings nearly as well.
@@ -69,7 +69,7 @@ class WholeFit:
     fit: Fit
     rows: NDArray[np.intp]
     dropped: tuple[tuple[int, str], ...]
-    rivals: tuple[WholeFit, ...] = ()
+    alternatives: tuple[GlobalFit, ...] = ()
 
     @property
     def scale2(self) -> float:
@@ -77,7 +77,7 @@ class WholeFit:
         return 2.0 * self.fit.cost / max(self.fit.dof, 1)
 
 
-def fit_whole(seen: Seen, found: Sequence[Found]) -> WholeFit:
+def fit_globally(seen: SweepResiduals, found: Sequence[JointPath]) -> GlobalFit:
     """Return the fit of the whole arm to all readings, the joint values known.
 
     Started from the axes that explain each sweep best, and from all others the noise does not exclude; joints whose
@@ -86,8 +86,8 @@ def fit_whole(seen: Seen, found: Sequence[Found]) -> WholeFit:
     axes = [possible_axes(seen, item, j) for j, item in enumerate(found)]
     check_slopes(found, seen.sweeps, axes)
     rows = np.sort(np.concatenate([item.rows for item in found]))
-    best: WholeFit | None = None
-    tried: list[WholeFit] = []
+    best: GlobalFit | None = None
+    tried: list[GlobalFit] = []
     for least, start in _starts(seen, found, axes):
         if best is not None and least > _price(best) + RIVAL:
             break  # the arm explains its sweeps at best as well as each sweep's own axis does
@@ -105,10 +105,10 @@ def fit_whole(seen: Seen, found: Sequence[Found]) -> WholeFit:
             "no arm explains the sweeps", consequence="The arm is not identified",
             cure="Sweep again, slower and over longer arcs",
         )  # fmt: skip
-    return replace(best, rivals=tuple(one for one in tried if _rivals(one, best)))
+    return replace(best, alternatives=tuple(one for one in tried if _rivals(one, best)))
 
 
-def _check_dropped(found: Sequence[Found], whole: WholeFit) -> None:
+def _check_dropped(found: Sequence[JointPath], whole: GlobalFit) -> None:
     """Raise Inconsistent where an arm explains its other sweeps, and too little of one."""
     dropped = [row for row, _ in whole.dropped]
     for j, item in enumerate(found, 1):
@@ -123,18 +123,18 @@ def _check_dropped(found: Sequence[Found], whole: WholeFit) -> None:
             )
 
 
-def _rivals(one: WholeFit, best: WholeFit) -> bool:
+def _rivals(one: GlobalFit, best: GlobalFit) -> bool:
     """Whether an arm is another of the best one's types that the readings do not tell from it."""
     alike = [axis.revolute for axis in one.model.axes] == [axis.revolute for axis in best.model.axes]
     return one is not best and alike and len(one.rows) == len(best.rows) and _price(one) < _price(best) + RIVAL
 
 
-def _price(fit: WholeFit) -> float:
+def _price(fit: GlobalFit) -> float:
     """Return the fit's cost, and what its turning joints cost beside sliding ones."""
     return fit.fit.cost + WORTH * sum(axis.revolute for axis in fit.model.axes)
 
 
-def possible_axes(seen: Seen, item: Found, joint: int) -> list[Candidate]:
+def possible_axes(seen: SweepResiduals, item: JointPath, joint: int) -> list[Candidate]:
     """Return a joint's axes as its sweep shows them: of its type, and of both where that is not decided."""
     part, q = seen.take(item.main), seen.sweeps.q[item.main, joint]
     circle = item.path.kind == "circle"
@@ -145,7 +145,9 @@ def possible_axes(seen: Seen, item: Found, joint: int) -> list[Candidate]:
     return plausible(own, best) + plausible(other, best)
 
 
-def _starts(seen: Seen, found: Sequence[Found], axes: Sequence[Sequence[Candidate]]) -> list[tuple[float, ChainModel]]:
+def _starts(
+    seen: SweepResiduals, found: Sequence[JointPath], axes: Sequence[Sequence[Candidate]]
+) -> list[tuple[float, ChainModel]]:
     """Return starts of the whole arm, the best first, with the least price each can have."""
     sweeps = seen.sweeps
     rests = [sweeps.q[item.main[0], :j] for j, item in enumerate(found)]
@@ -153,19 +155,19 @@ def _starts(seen: Seen, found: Sequence[Found], axes: Sequence[Sequence[Candidat
     combined: list[tuple[float, list[Axis]]] = [(0.0, [])]
     for possible in axes:
         more = [
-            (price + 0.5 * one.chi2 + WORTH * one.axis.revolute, [*before, one.axis])
-            for price, before in combined
+            (penalised_cost + 0.5 * one.chi2 + WORTH * one.axis.revolute, [*before, one.axis])
+            for penalised_cost, before in combined
             for one in possible
         ]
         combined = sorted(more, key=lambda item: item[0])[:STARTED]
     out = []
-    for price, chosen in combined:
-        turned = at_zero(chosen, rests)
-        out.append((price, ChainModel(axes=tuple(turned), beacon_m=beacon_at_zero(turned, sweeps, rows))))
+    for penalised_cost, chosen in combined:
+        turned = at_home(chosen, rests)
+        out.append((penalised_cost, ChainModel(axes=tuple(turned), beacon_m=beacon_at_zero(turned, sweeps, rows))))
     return out
 
 
-def _fit_from(seen: Seen, model: ChainModel, rows: NDArray[np.intp]) -> WholeFit:
+def _fit_from(seen: SweepResiduals, model: ChainModel, rows: NDArray[np.intp]) -> GlobalFit:
     """Fit the whole arm to the rows from one start, discarding gross readings."""
     dropped: list[tuple[int, str]] = []
     robust = float(np.sqrt(chdtri(seen.rows, 1e-3)))
@@ -175,7 +177,7 @@ def _fit_from(seen: Seen, model: ChainModel, rows: NDArray[np.intp]) -> WholeFit
         scale = max(1.0, float(np.sqrt(np.median(size**2) / chdtri(seen.rows, 0.5))))
         bad = size > GROSS * scale
         if not bad.any() or len(dropped) > LOST_SHARE * len(rows):
-            return WholeFit(model=model, fit=fit, rows=rows, dropped=tuple(dropped))
+            return GlobalFit(model=model, fit=fit, rows=rows, dropped=tuple(dropped))
         dropped += [(int(r), f"off the arm by {s:.0f} deviations") for r, s in zip(rows[bad], size[bad], strict=True)]
         rows = rows[~bad]
 

@@ -8,30 +8,30 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.calibrate.identify.chain import Axis, at_zero, moved_by
+from armsight.calibrate.identify.chain import Axis, at_home, moved_by
 from armsight.calibrate.identify.curves import Tilt, basis
 from armsight.calibrate.identify.global_fit import (
-    WholeFit,
+    GlobalFit,
     all_covariance,
     beacon_at_zero,
     check_slopes,
-    fit_whole,
+    fit_globally,
     possible_axes,
 )
-from armsight.calibrate.identify.joint_paths import Found, find_paths, measured
+from armsight.calibrate.identify.joint_paths import JointPath, find_paths, measured
 from armsight.calibrate.identify.kapucu2005 import pair_line, triple_circle
 from armsight.calibrate.identify.path_fit import PathFit
-from armsight.calibrate.identify.residuals import Seen, seen_places
-from armsight.calibrate.identify.result import Doubt, Identification, JointFound
+from armsight.calibrate.identify.residuals import SweepResiduals, seen_places
+from armsight.calibrate.identify.result import Identification, JointFound, ParameterUncertainty
 from armsight.calibrate.identify.sweeps import Sweeps, check_sweeps, placed
 from armsight.calibrate.identify.table import (
     KEYS,
     arm_of,
-    carried,
+    degeneracy_notes,
     deviations,
     measured_entries,
     place_frames,
-    say_cases,
+    propagate_covariance,
 )
 from armsight.errors import Inconsistent, UsageError
 from armsight.optics import PackedRig, Rig
@@ -76,7 +76,7 @@ def identify(
     check_sweeps(sweeps)
     if rig is not None:
         sweeps = placed(sweeps, rig, sigma or FIRST_PX)
-        seen = Seen(sweeps=sweeps, rig=PackedRig.of(rig), sigma=sigma or FIRST_PX, unit=sigma or FIRST_PX)
+        seen = SweepResiduals(sweeps=sweeps, rig=PackedRig.of(rig), sigma=sigma or FIRST_PX, unit=sigma or FIRST_PX)
     else:
         seen = seen_places(sweeps, sigma or 1.0)
     found, seen = find_paths(seen, sigma)
@@ -95,7 +95,7 @@ def _far(sweeps: Sweeps) -> list[str]:
     return [f"the beacon moved over {reach:.0f} m: give metres, if these are not"] if reach > FAR_M else []
 
 
-def _notes(found: Sequence[Found], turns: Sequence[bool]) -> list[str]:
+def _notes(found: Sequence[JointPath], turns: Sequence[bool]) -> list[str]:
     """Return what is doubtful about the paths of joints that were taken as turning or sliding."""
     notes = []
     for j, (item, turning) in enumerate(zip(found, turns, strict=True), 1):
@@ -116,10 +116,10 @@ def _notes(found: Sequence[Found], turns: Sequence[bool]) -> list[str]:
 
 
 def _at_once(
-    seen: Seen, found: list[Found], base: Array, notes: list[str], name: str, sigma: float | None
+    seen: SweepResiduals, found: list[JointPath], base: Array, notes: list[str], name: str, sigma: float | None
 ) -> Identification:
     """Place the frames on the axes of the whole arm's fit."""
-    whole = fit_whole(seen, found)
+    whole = fit_globally(seen, found)
     if whole.scale2 > AT_ODDS:
         notes.append(
             f"the readings miss the arm by {np.sqrt(whole.scale2):.1f} times their noise about single paths: the "
@@ -137,7 +137,7 @@ def _at_once(
     def entries(x: Array) -> Array:
         return place_frames(*model.axes_at(x), base)[0].ravel()
 
-    covariance, doubtful = _with_rivals(whole, table, carried(entries, p, covariance), base)
+    covariance, doubtful = _with_rivals(whole, table, propagate_covariance(entries, p, covariance), base)
     notes += doubtful
     predicted = model.predict(p, seen.sweeps.q)[0]
     seen = seen.at(seen.sigma * float(np.sqrt(widen)))
@@ -147,14 +147,14 @@ def _at_once(
     kept = seen.take(whole.rows)
     _, slopes = kept.residuals(*model.predict(p, kept.sweeps.q))
     A = slopes.reshape(-1, len(p))
-    return replace(result, doubt=Doubt(model=model, p=p, information=A.T @ A))
+    return replace(result, doubt=ParameterUncertainty(model=model, p=p, information=A.T @ A))
 
 
-def _with_rivals(whole: WholeFit, table: Array, covariance: Array, base: Array) -> tuple[Array, list[str]]:
+def _with_rivals(whole: GlobalFit, table: Array, covariance: Array, base: Array) -> tuple[Array, list[str]]:
     """Return a covariance that covers every arm the readings do not tell from this one, and a note of it."""
     std = deviations(covariance)
     wide, count = std.copy(), 0
-    for rival in whole.rivals:
+    for rival in whole.alternatives:
         off = place_frames(*rival.model.axes_at(rival.fit.shared), base)[0] - table
         off[:, [0, 3, 4]] = np.mod(off[:, [0, 3, 4]] + np.pi, 2.0 * np.pi) - np.pi
         if (np.abs(off) > ANOTHER * std)[np.isfinite(std) & (std > 0.0)].any():
@@ -168,7 +168,9 @@ def _with_rivals(whole: WholeFit, table: Array, covariance: Array, base: Array) 
     ]
 
 
-def _joint_by_joint(seen: Seen, found: list[Found], base: Array, notes: list[str], name: str) -> Identification:
+def _joint_by_joint(
+    seen: SweepResiduals, found: list[JointPath], base: Array, notes: list[str], name: str
+) -> Identification:
     """Place the frames on the axes of the single paths; joint values count from the pose in which joints rest."""
     sweeps = seen.sweeps
     home = _home(sweeps)
@@ -187,7 +189,7 @@ def _joint_by_joint(seen: Seen, found: list[Found], base: Array, notes: list[str
     def entries(x: Array) -> Array:
         return place_frames(shifted(x), beacon, base)[0].ravel()
 
-    covariance = carried(entries, p, covariance)
+    covariance = propagate_covariance(entries, p, covariance)
     notes = [*notes, "only the order of the commanded values was used: joint values count from the pose at rest"]
     predicted = sweeps.xyz_m.copy()
     for item in found:
@@ -213,7 +215,7 @@ def _where_paths_meet(paths: Sequence[PathFit], sweeps: Sweeps, home: Array) -> 
     return np.asarray(place)
 
 
-def _shifter(found: Sequence[Found], axes: Sequence[Axis], sizes: Sequence[int]) -> Callable[[Array], list[Axis]]:
+def _shifter(found: Sequence[JointPath], axes: Sequence[Axis], sizes: Sequence[int]) -> Callable[[Array], list[Axis]]:
     """Return a function from changes of the paths' parameters to axes."""
 
     def shifted(x: Array) -> list[Axis]:
@@ -247,7 +249,9 @@ def _home(sweeps: Sweeps) -> Array:
     return home
 
 
-def _from_paper(seen: Seen, found: list[Found], base: Array, notes: list[str], name: str) -> Identification:
+def _from_paper(
+    seen: SweepResiduals, found: list[JointPath], base: Array, notes: list[str], name: str
+) -> Identification:
     """Place the frames on the axes of the paper's means, the joints' rests undone by the commanded values."""
     sweeps = seen.sweeps
     seen_axes = []
@@ -262,7 +266,7 @@ def _from_paper(seen: Seen, found: list[Found], base: Array, notes: list[str], n
             seen_axes.append(Axis(point_m=point, direction=direction, revolute=False))
     check_slopes(found, sweeps, [possible_axes(seen, item, j) for j, item in enumerate(found)])
     notes = notes + _notes(found, [axis.revolute for axis in seen_axes])
-    axes = at_zero(seen_axes, [sweeps.q[item.main[0], :j] for j, item in enumerate(found)])
+    axes = at_home(seen_axes, [sweeps.q[item.main[0], :j] for j, item in enumerate(found)])
     beacon = beacon_at_zero(axes, sweeps, np.arange(len(sweeps)))
     table, first, tool = place_frames(axes, beacon, base)
     X = np.tile(beacon, (len(sweeps), 1))
@@ -272,8 +276,8 @@ def _from_paper(seen: Seen, found: list[Found], base: Array, notes: list[str], n
 
 
 def _finish(
-    seen: Seen,
-    found: Sequence[Found],
+    seen: SweepResiduals,
+    found: Sequence[JointPath],
     axes: Sequence[Axis],
     beacon: Array,
     table: Array,
@@ -287,7 +291,9 @@ def _finish(
 ) -> Identification:
     sweeps = seen.sweeps
     cases, known = (
-        ([], np.full(table.shape, np.nan)) if covariance is None else say_cases(axes, table, deviations(covariance))
+        ([], np.full(table.shape, np.nan))
+        if covariance is None
+        else degeneracy_notes(axes, table, deviations(covariance))
     )
     travel = np.array([[sweeps.q[sweeps.rows(j), j].min(), sweeps.q[sweeps.rows(j), j].max()] for j in range(sweeps.n)])
     arm = arm_of(name, axes, table, ends[0], ends[1], travel)

@@ -11,7 +11,7 @@ from scipy.special import chdtrc, chdtri, fdtrc
 from armsight.calibrate.identify.chain import Axis
 from armsight.calibrate.identify.curves import basis
 from armsight.calibrate.identify.path_fit import GROSS, PathFit, circle_starts, fit_circle, fit_line, line_misfit
-from armsight.calibrate.identify.residuals import Seen
+from armsight.calibrate.identify.residuals import SweepResiduals
 from armsight.calibrate.identify.sweeps import Sweeps
 from armsight.errors import Inconsistent, NotConverged, NotEnoughData
 
@@ -34,7 +34,7 @@ LOOSE = 1e3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Found:
+class JointPath:
     """A joint's path, the rows of its sweep that were kept, and the readings discarded.
 
     Of several sweeps the path is that of the one that tells most, main its rows; rows are those of all.
@@ -49,7 +49,7 @@ class Found:
     decided: bool
 
 
-def find_paths(seen: Seen, sigma: float | None) -> tuple[list[Found], Seen]:
+def find_paths(seen: SweepResiduals, sigma: float | None) -> tuple[list[JointPath], SweepResiduals]:
     """Return every joint's path, and the readings with the noise found from all of them."""
     sweeps = seen.sweeps
     parts = [(j, rows) for j in range(sweeps.n) for rows in sweeps.sweeps(j)]
@@ -75,7 +75,7 @@ def find_paths(seen: Seen, sigma: float | None) -> tuple[list[Found], Seen]:
     return [_together([one for (k, _), one in zip(parts, each, strict=True) if k == j]) for j in range(sweeps.n)], seen
 
 
-def _together(found: list[Found]) -> Found:
+def _together(found: list[JointPath]) -> JointPath:
     """Return a joint's path from those of its sweeps: of the one that shows its type most plainly and went furthest."""
     best = max(found, key=lambda item: (item.decided, item.path.kind == "circle", float(np.ptp(item.path.phase))))
     return replace(
@@ -85,7 +85,7 @@ def _together(found: list[Found]) -> Found:
     )
 
 
-def _judged(item: Found, factor: float, dof: int) -> Found:
+def _judged(item: JointPath, factor: float, dof: int) -> JointPath:
     """Return a path with the probability of a line by an F test: the noise was found from dof residuals."""
     if item.path.kind == "line":
         return replace(item, p_line=float(chdtrc(max(item.path.dof, 1), item.path.chi2 / factor**2)))
@@ -93,7 +93,7 @@ def _judged(item: Found, factor: float, dof: int) -> Found:
     return replace(item, p_line=float(fdtrc(2, max(dof, 1), gained / 2.0)))
 
 
-def _noise(seen: Seen, order: Array) -> tuple[float, PathFit | None]:
+def _noise(seen: SweepResiduals, order: Array) -> tuple[float, PathFit | None]:
     """Return the noise of one sweep over the assumed one, by the median of the better shape's residuals; the shape."""
     loose = seen.at(LOOSE * seen.sigma if seen.rig is not None else LOOSE)
     starts = circle_starts(loose)
@@ -110,7 +110,7 @@ def _noise(seen: Seen, order: Array) -> tuple[float, PathFit | None]:
     return float(np.sqrt(spread)) * loose.sigma / seen.sigma, path
 
 
-def _one_path(seen: Seen, joint: int, rows: NDArray[np.intp], near: PathFit | None) -> Found:
+def _one_path(seen: SweepResiduals, joint: int, rows: NDArray[np.intp], near: PathFit | None) -> JointPath:
     """Return the path of one sweep, gross readings discarded; near: fitted to it before, without regard to them."""
     count = len(rows)
     out: list[tuple[int, str]] = []
@@ -136,7 +136,7 @@ def _one_path(seen: Seen, joint: int, rows: NDArray[np.intp], near: PathFit | No
             consequence="The joint is not identified",
             cure="Two joints may have moved, or a reflection was taken for the beacon: look at its points, sweep again",
         )
-    return Found(
+    return JointPath(
         path=path,
         main=rows,
         rows=rows,
@@ -147,7 +147,7 @@ def _one_path(seen: Seen, joint: int, rows: NDArray[np.intp], near: PathFit | No
     )
 
 
-def _check_moved(seen: Seen, joint: int) -> None:
+def _check_moved(seen: SweepResiduals, joint: int) -> None:
     xyz = seen.sweeps.xyz_m
     spread, _ = seen.residuals(np.tile(xyz.mean(axis=0), (len(xyz), 1)), np.zeros((len(xyz), 3, 1)))
     if np.sqrt(np.mean((spread**2).sum(axis=1)) / seen.rows) < STILL:
@@ -158,7 +158,7 @@ def _check_moved(seen: Seen, joint: int) -> None:
         )
 
 
-def _decided(straight: PathFit, seen: Seen) -> bool:
+def _decided(straight: PathFit, seen: SweepResiduals) -> bool:
     """Whether the type is beyond doubt: the line is rejected, or no arc worth the name could hide in the noise.
 
     The arc's angle is the bend of the path, by weighted least squares of t^2 in the directions across the line, times
@@ -183,7 +183,7 @@ def _decided(straight: PathFit, seen: Seen) -> bool:
     return bool(2.0 * (bend + 3.0 * doubt) * np.ptp(t) < HIDDEN_RAD)
 
 
-def measured(item: Found, sweeps: Sweeps) -> Axis:
+def measured(item: JointPath, sweeps: Sweeps) -> Axis:
     """Return a joint's axis as its own sweep saw it; a slide's goes through the middle of its path."""
     point = item.path.point_m if item.path.kind == "circle" else sweeps.xyz_m[item.main].mean(axis=0)
     return Axis(point_m=point, direction=item.path.direction, revolute=item.path.kind == "circle")

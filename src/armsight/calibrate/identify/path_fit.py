@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc, chdtri
 
 from armsight.calibrate.identify.curves import ARC, CIRCLE, LINE, Tilt, arc, basis, circle_of, line, skew
-from armsight.calibrate.identify.residuals import Seen
+from armsight.calibrate.identify.residuals import SweepResiduals
 from armsight.errors import NotConverged
 from armsight.fitting import Evaluation, Fit, Loss, LossKind, Problem, Settings, solve
 from armsight.records import NamedCovariance
@@ -68,7 +68,7 @@ class PathFit:
         return np.asarray(np.cross(self.direction, at_m - self.point_m) / self.radius_m)
 
 
-def fit_line(seen: Seen, order: Array, *, coarse: bool = False) -> PathFit:
+def fit_line(seen: SweepResiduals, order: Array, *, coarse: bool = False) -> PathFit:
     """Return the line of greatest likelihood. order (N,): the commanded values, of which only the sense is used.
 
     coarse: a tenth of the cost is enough, as where the path is plainly bent.
@@ -95,7 +95,7 @@ def fit_line(seen: Seen, order: Array, *, coarse: bool = False) -> PathFit:
 
 
 def fit_circle(
-    seen: Seen,
+    seen: SweepResiduals,
     order: Array,
     near: PathFit | None = None,
     *,
@@ -121,7 +121,9 @@ def fit_circle(
     return best
 
 
-def _attempts(seen: Seen, near: PathFit | None, starts: Sequence[Start] | None) -> Iterator[tuple[Array, Array, float]]:
+def _attempts(
+    seen: SweepResiduals, near: PathFit | None, starts: Sequence[Start] | None
+) -> Iterator[tuple[Array, Array, float]]:
     """Yield from where a circle is fitted, worked out only as far as it is needed."""
     if near is not None:
         yield near.direction, near.point_m, near.radius_m
@@ -129,7 +131,9 @@ def _attempts(seen: Seen, near: PathFit | None, starts: Sequence[Start] | None) 
         yield start[1:]
 
 
-def _settled(seen: Seen, n: Array, centre: Array, radius: float, order: Array, *, coarse: bool) -> PathFit | None:
+def _settled(
+    seen: SweepResiduals, n: Array, centre: Array, radius: float, order: Array, *, coarse: bool
+) -> PathFit | None:
     """Return the circle from one start, settled roughly where it will not settle finely, None where it does neither."""
     for settings in (ROUGH,) if coarse else (SETTINGS, ROUGH):
         try:
@@ -139,7 +143,7 @@ def _settled(seen: Seen, n: Array, centre: Array, radius: float, order: Array, *
     return None
 
 
-def line_misfit(seen: Seen) -> float:
+def line_misfit(seen: SweepResiduals) -> float:
     """Return chi-square of the line a fit would start from."""
     xyz = seen.sweeps.xyz_m
     middle = xyz.mean(axis=0)
@@ -148,7 +152,7 @@ def line_misfit(seen: Seen) -> float:
     return float((r**2).sum())
 
 
-def circle_starts(seen: Seen) -> list[Start]:
+def circle_starts(seen: SweepResiduals) -> list[Start]:
     """Return chi-square, normal, centre, radius of circles with normals swung about the chord, the best first.
 
     Each is the circle of linear least squares in its plane through the middle, every reading put to its nearest place.
@@ -180,7 +184,9 @@ def _decided(found: PathFit) -> bool:
     return found.p > 1e-3
 
 
-def _circle_from(seen: Seen, n: Array, centre: Array, radius: float, order: Array, settings: Settings) -> PathFit:
+def _circle_from(
+    seen: SweepResiduals, n: Array, centre: Array, radius: float, order: Array, settings: Settings
+) -> PathFit:
     xyz = seen.sweeps.xyz_m
     index = np.argsort(order)
     point = xyz[index[len(index) // 2]] - centre
@@ -219,11 +225,11 @@ SETTINGS = Settings(max_iterations=100, allow_undetermined=True, cost_tolerance=
 """For the circle: a short arc leaves its centre in a valley; a millionth of the cost is enough."""
 
 
-def _loss(seen: Seen) -> Loss:
+def _loss(seen: SweepResiduals) -> Loss:
     return Loss(kind=LossKind.HUBER, scale=float(np.sqrt(chdtri(seen.rows, 1e-3))), block=seen.rows)
 
 
-def _evaluation(seen: Seen, X: Array, J: Array, Jt: Array) -> Evaluation:
+def _evaluation(seen: SweepResiduals, X: Array, J: Array, Jt: Array) -> Evaluation:
     r, slopes = seen.residuals(X, np.concatenate([J, Jt[:, :, None]], axis=2))
     return Evaluation(residuals=r, shared=slopes[:, :, :-1], local=slopes[:, :, -1:])
 

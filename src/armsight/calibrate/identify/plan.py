@@ -18,7 +18,7 @@ from armsight.calibrate.identify.chain import Axis, ChainModel
 from armsight.calibrate.identify.curves import skew
 from armsight.calibrate.identify.kernels import see_many
 from armsight.calibrate.identify.result import Identification
-from armsight.calibrate.identify.table import KEYS, carried, deviations, place_frames, say_cases
+from armsight.calibrate.identify.table import KEYS, degeneracy_notes, deviations, place_frames, propagate_covariance
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Arm, JointType, link_frames
 from armsight.optics import PackedRig, Rig
@@ -189,7 +189,9 @@ def expected_deviations(
     def entries(x: Array) -> Array:
         return place_frames(*model.axes_at(x), frame)[0].ravel()
 
-    notes, known = say_cases(axes, place_frames(axes, beacon, frame)[0], deviations(carried(entries, at, covariance)))
+    notes, known = degeneracy_notes(
+        axes, place_frames(axes, beacon, frame)[0], deviations(propagate_covariance(entries, at, covariance))
+    )
     return tuple(dict(zip(KEYS, row.tolist(), strict=True)) for row in known), notes
 
 

@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Seen:
+class SweepResiduals:
     """Readings, and what a residual is.
 
     With a rig: pixels over sigma (px). Else places, whitened with their covariances times sigma^2, or over sigma (m)
@@ -54,17 +54,21 @@ class Seen:
         """Deviations of the places over those of their covariances."""
         return self.sigma / self.unit
 
-    def take(self, rows: NDArray[np.intp]) -> Seen:
+    def take(self, rows: NDArray[np.intp]) -> SweepResiduals:
         """Return some readings."""
         whitener = None if self.whitener is None else self.whitener[rows]
-        return Seen(sweeps=self.sweeps.take(rows), rig=self.rig, sigma=self.sigma, whitener=whitener, unit=self.unit)
+        return SweepResiduals(
+            sweeps=self.sweeps.take(rows), rig=self.rig, sigma=self.sigma, whitener=whitener, unit=self.unit
+        )
 
-    def at(self, sigma: float) -> Seen:
+    def at(self, sigma: float) -> SweepResiduals:
         """Return the same readings with another noise."""
-        return Seen(sweeps=self.sweeps, rig=self.rig, sigma=sigma, whitener=self.whitener, unit=self.unit)
+        return SweepResiduals(sweeps=self.sweeps, rig=self.rig, sigma=sigma, whitener=self.whitener, unit=self.unit)
 
 
-def seen_places(sweeps: Sweeps, sigma: float) -> Seen:
+def seen_places(sweeps: Sweeps, sigma: float) -> SweepResiduals:
     """Return readings judged by their places."""
     C = sweeps.covariance_m2
-    return Seen(sweeps=sweeps, sigma=sigma, whitener=None if C is None else np.linalg.inv(np.linalg.cholesky(C)))
+    return SweepResiduals(
+        sweeps=sweeps, sigma=sigma, whitener=None if C is None else np.linalg.inv(np.linalg.cholesky(C))
+    )

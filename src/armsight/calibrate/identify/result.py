@@ -43,7 +43,7 @@ FELT = 1e-4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Doubt:
+class ParameterUncertainty:
     """What the readings say of the arm's parameters: the model, their values p (P,), the information (P, P)."""
 
     model: ChainModel
@@ -82,4 +82,4 @@ class Identification:
     sigma: float
     predicted_m: Array
     beacon_m: Array
-    doubt: Doubt | None = None
+    doubt: ParameterUncertainty | None = None

@@ -82,7 +82,7 @@ def arm_of(name: str, axes: Sequence[Axis], rows: Array, T_world_base: Array, to
     )
 
 
-def carried(make: Callable[[Array], Array], p: Array, covariance: Array) -> Array:
+def propagate_covariance(make: Callable[[Array], Array], p: Array, covariance: Array) -> Array:
     """Return the covariance (5 n, 5 n) of make(p)'s table entries, by differences, angles unwrapped."""
     here = make(p)
     A = np.empty((here.size, len(p)))
@@ -108,7 +108,7 @@ def measured_entries(covariance: Array, known: Array) -> NamedCovariance | None:
     return NamedCovariance(names=names, matrix=covariance[np.ix_(there, there)]) if names else None
 
 
-def say_cases(axes: Sequence[Axis], rows: Array, std: Array) -> tuple[list[str], Array]:
+def degeneracy_notes(axes: Sequence[Axis], rows: Array, std: Array) -> tuple[list[str], Array]:
     """Return notes on degenerate pairs of axes, and std with NaN where an entry is chosen, not measured (MATH 4.5)."""
     notes, known = [], std.copy()
     known[-1, [0, 2, 3, 4]] = np.nan  # behind the last joint there is only the beacon

@@ -27,19 +27,19 @@ SMALL = 1e-2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Sightings:
+class LightObservations:
     """Named spots of the frames: uv_px (g, n, 2, 2) [frame, light, side, axis], cov_px2 (g, n, 2, 2, 2)."""
 
     uv_px: Array
     cov_px2: Array
 
-    def take(self, keep: NDArray[np.bool_]) -> Sightings:
+    def take(self, keep: NDArray[np.bool_]) -> LightObservations:
         """Return the frames of the mask."""
-        return Sightings(uv_px=self.uv_px[keep], cov_px2=self.cov_px2[keep])
+        return LightObservations(uv_px=self.uv_px[keep], cov_px2=self.cov_px2[keep])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Bundle:
+class LightBundle:
     """The fit. values (k,): of the layout. poses (g, 6): t, rotation vector. residual_px (g, n, 2, 2) predicted minus
     seen; left_out_px: the same with the shape of the other frames. frame_chi2 (g,). covariance (k, k): from the spots'
     deviations alone; rig_share (k, k): of the rig's calibration.
@@ -60,7 +60,9 @@ class Bundle:
         return float(self.frame_chi2.sum()) / max(self.dof, 1)
 
 
-def fit_bundle(rig: Rig, layout: Layout, sightings: Sightings, values: Array, R: Array, t: Array) -> Bundle:
+def fit_bundle(
+    rig: Rig, layout: Layout, sightings: LightObservations, values: Array, R: Array, t: Array
+) -> LightBundle:
     """Return the bundle from a guess: values (k,) of the layout, R (g, 3, 3), t (g, 3) of the frames."""
     packed = PackedRig.of(rig)
     whiten = np.linalg.inv(np.linalg.cholesky(sightings.cov_px2))  # (g, n, 2, 2, 2)
@@ -84,7 +86,7 @@ def fit_bundle(rig: Rig, layout: Layout, sightings: Sightings, values: Array, R:
 
 
 def _evaluate(
-    packed: PackedRig, layout: Layout, sightings: Sightings, whiten: Array, shared: Array, local: Array
+    packed: PackedRig, layout: Layout, sightings: LightObservations, whiten: Array, shared: Array, local: Array
 ) -> Evaluation:
     g, n = sightings.uv_px.shape[:2]
     turned, uv, J = _project(packed, layout, shared, local)
@@ -101,7 +103,9 @@ def _evaluate(
     return Evaluation(residuals=residuals, shared=shape, local=own)
 
 
-def _judge(rig: Rig, layout: Layout, sightings: Sightings, fit: Fit, at: Evaluation, whiten: Array) -> Bundle:
+def _judge(
+    rig: Rig, layout: Layout, sightings: LightObservations, fit: Fit, at: Evaluation, whiten: Array
+) -> LightBundle:
     """Return the bundle with its doubt, the rig's share and the left-out residuals."""
     g, n = sightings.uv_px.shape[:2]
     Js, Jl, r = at.shared, at.local, at.residuals
@@ -123,7 +127,7 @@ def _judge(rig: Rig, layout: Layout, sightings: Sightings, fit: Fit, at: Evaluat
         A = -covariance @ np.einsum("gmk,gmp->kp", Js, D)
         share = A @ PackedRig.of(rig).covariance @ A.T
     colour = np.linalg.inv(whiten)
-    return Bundle(
+    return LightBundle(
         values=fit.shared,
         poses=fit.local,
         residual_px=(colour @ r[:, : 4 * n].reshape(g, n, 2, 2)[..., None])[..., 0],

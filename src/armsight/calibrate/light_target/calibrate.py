@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2 as chi2_law
 
-from armsight.calibrate.light_target.adjustment import Bundle, Sightings, fit_bundle
+from armsight.calibrate.light_target.adjustment import LightBundle, LightObservations, fit_bundle
 from armsight.calibrate.light_target.advice import advise
 from armsight.calibrate.light_target.checks import (
     MIN_FRAMES,
@@ -68,10 +68,10 @@ def calibrate_target(
     named, numbers, rejected = _name(rig, frames, lights, overlaid)
     flat = on_one_line(named)
     keep = np.ones(len(numbers), bool) if flat else _clear(named, numbers, rejected)
-    seen = _sightings(frames, numbers, named)
+    seen = _observations(frames, numbers, named)
     order = _order(named, seen, keep, flat)
     layout = line_layout(lights) if flat else plane_layout(lights)
-    seen = Sightings(uv_px=seen.uv_px[:, order], cov_px2=seen.cov_px2[:, order])
+    seen = LightObservations(uv_px=seen.uv_px[:, order], cov_px2=seen.cov_px2[:, order])
     bundle, used = _fit(rig, layout, seen, named, order, keep, numbers, rejected, overlaid)
     require_rigid(bundle, _epipolar(rig, seen.take(used)), lights, int(used.sum()))
     covariance = _covariance(layout, bundle)
@@ -129,18 +129,18 @@ def _clear(named: Named, numbers: NDArray[np.intp], rejected: Rejected) -> Flags
     return np.asarray(told & ~reversed_)
 
 
-def _sightings(frames: Sequence[LitFrame], numbers: NDArray[np.intp], named: Named) -> Sightings:
+def _observations(frames: Sequence[LitFrame], numbers: NDArray[np.intp], named: Named) -> LightObservations:
     views = [
         [(s.uv_px[rows], s.covariance_px2[rows]) for s in (frames[i].left, frames[i].right)]
         for i, rows in zip(numbers, named.rows, strict=True)
     ]
-    return Sightings(
+    return LightObservations(
         uv_px=np.array([np.stack([left[0], right[0]], axis=1) for left, right in views]),
         cov_px2=np.array([np.stack([left[1], right[1]], axis=1) for left, right in views]),
     )
 
 
-def _order(named: Named, seen: Sightings, keep: Flags, flat: bool) -> NDArray[np.intp]:
+def _order(named: Named, seen: LightObservations, keep: Flags, flat: bool) -> NDArray[np.intp]:
     """Return the order of the shape's lights that makes them A, B, C ..."""
     u = seen.uv_px[keep][:, :, 0, 0]
     u = (u - u.mean(axis=1, keepdims=True)).mean(axis=0)
@@ -158,14 +158,14 @@ def _order(named: Named, seen: Sightings, keep: Flags, flat: bool) -> NDArray[np
 def _fit(
     rig: Rig,
     layout: Layout,
-    seen: Sightings,
+    seen: LightObservations,
     named: Named,
     order: NDArray[np.intp],
     keep: Flags,
     numbers: NDArray[np.intp],
     rejected: Rejected,
     overlaid: bool,
-) -> tuple[Bundle, Flags]:
+) -> tuple[LightBundle, Flags]:
     """Return the bundle of the frames that agree, and which these are; the worst are left out one after the other."""
     X = named.X[order]
     axes, origin = (line_frame if layout.on_line else plane_frame)(X)
@@ -191,20 +191,20 @@ def _fit(
     return bundle, used
 
 
-def _epipolar(rig: Rig, seen: Sightings) -> tuple[float, int]:
+def _epipolar(rig: Rig, seen: LightObservations) -> tuple[float, int]:
     """Return chi-square of the two views against each other, which no shape can change, and its degrees of freedom."""
     uv, cov = seen.uv_px.reshape(-1, 2, 2), seen.cov_px2.reshape(-1, 2, 2, 2)
     points = triangulate(rig, uv[:, 0], uv[:, 1], cov[:, 0], cov[:, 1])
     return float(points.chi2[points.found].sum()), int(points.found.sum())
 
 
-def _covariance(layout: Layout, bundle: Bundle) -> Array:
+def _covariance(layout: Layout, bundle: LightBundle) -> Array:
     """Return (3 n, 3 n); the noise is never believed to be smaller than the spots say."""
     whole = bundle.covariance * max(bundle.scale2, 1.0) + bundle.rig_share
     return np.asarray(layout.basis @ whole @ layout.basis.T)
 
 
-def _share(layout: Layout, bundle: Bundle, covariance: Array) -> float:
+def _share(layout: Layout, bundle: LightBundle, covariance: Array) -> float:
     """Return the part of the deviation that the rig's calibration alone would make."""
     own = np.trace(layout.basis @ bundle.rig_share @ layout.basis.T)
     return float(np.sqrt(own / max(np.trace(covariance), TINY)))

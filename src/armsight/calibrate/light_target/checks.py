@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_law
 
-from armsight.calibrate.light_target.adjustment import Bundle
+from armsight.calibrate.light_target.adjustment import LightBundle
 from armsight.calibrate.light_target.align import align
 from armsight.calibrate.light_target.layout import LETTERS, line_frame
 from armsight.calibrate.light_target.naming import BEHIND, WIDE, Named, distances, facing
@@ -157,7 +157,7 @@ def require_side(named: Named) -> None:
         )
 
 
-def require_rigid(bundle: Bundle, epipolar: tuple[float, int], n: int, frames: int) -> None:
+def require_rigid(bundle: LightBundle, epipolar: tuple[float, int], n: int, frames: int) -> None:
     """Raise Inconsistent where the shape's residuals are larger than the spots and the epipolar lines explain."""
     chi2, dof = float(bundle.frame_chi2.sum()) - epipolar[0], bundle.dof - epipolar[1]
     if dof <= 0:

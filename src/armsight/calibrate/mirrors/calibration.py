@@ -12,9 +12,9 @@ from scipy.special import fdtrc
 
 from armsight.calibrate.cameras.bundle_adjustment import Bundle, bundle_of
 from armsight.calibrate.cameras.kernels.rotations import matrices_of
-from armsight.calibrate.cameras.observations import Sightings
+from armsight.calibrate.cameras.observations import Observations
 from armsight.calibrate.cameras.options import BoardOptions
-from armsight.calibrate.cameras.outlier_rejection import Cleaned, fit_cleaned
+from armsight.calibrate.cameras.outlier_rejection import RobustFit, fit_without_outliers
 from armsight.calibrate.cameras.rigs import in_frame
 from armsight.calibrate.cameras.stereo import StereoCalibration, fit_pairs, judged
 from armsight.errors import DataRefused, Inconsistent, UsageError
@@ -110,7 +110,7 @@ def _side_by_side(view: BoardView) -> Inconsistent:
     )
 
 
-def _refuse_swapped(free: Cleaned) -> None:
+def _refuse_swapped(free: RobustFit) -> None:
     """Raise Inconsistent where the right view is from the left: the covered paths were exchanged."""
     x, y, z = bundle_of(free.fit, 2).side_pose[:3].tolist()
     if x < 0.0 and abs(x) > max(abs(y), abs(z)):
@@ -166,31 +166,31 @@ def _calibrated(
     )  # fmt: skip
 
 
-def without_plate(sightings: Sightings, state: Bundle, plate: Plate) -> Sightings:
+def without_plate(observations: Observations, state: Bundle, plate: Plate) -> Observations:
     """Return the sightings with the left view's points where they would be without the plate.
 
     The board's poses are known to a thousandth of their distance, and the plate moves points by a tenth of a pixel.
     """
-    lens = Camera(width=sightings.sizes[0][0], height=sightings.sizes[0][1], intrinsics=state.k[0])
+    lens = Camera(width=observations.sizes[0][0], height=observations.sizes[0][1], intrinsics=state.k[0])
     R = np.empty((len(state.poses), 3, 3))
     matrices_of(np.ascontiguousarray(state.poses[:, 3:]), R)
-    places = (sightings.X @ R.transpose(0, 2, 1) + state.poses[:, None, :3]).reshape(-1, 3)
+    places = (observations.X @ R.transpose(0, 2, 1) + state.poses[:, None, :3]).reshape(-1, 3)
     moved = replace(lens, plate=plate).project(places) - lens.project(places)
-    uv = sightings.uv.copy()
+    uv = observations.uv.copy()
     uv[:, 0] -= np.nan_to_num(moved).reshape(uv[:, 0].shape)
-    return replace(sightings, uv=uv)
+    return replace(observations, uv=uv)
 
 
-def _refit(free: Cleaned, plate: Plate | None, options: BoardOptions) -> Cleaned:
+def _refit(free: RobustFit, plate: Plate | None, options: BoardOptions) -> RobustFit:
     """Return the fit with one lens for both views, the plate's part taken out of the left ones."""
     state = bundle_of(free.fit, 2)
-    sightings = replace(free.sightings, one_lens=True)
+    observations = replace(free.observations, one_lens=True)
     if plate is not None:
-        sightings = without_plate(sightings, state, plate)
-    return fit_cleaned(sightings, state, options)
+        observations = without_plate(observations, state, plate)
+    return fit_without_outliers(observations, state, options)
 
 
-def _thickness(free: Cleaned, index: float, options: BoardOptions) -> tuple[float, float]:
+def _thickness(free: RobustFit, index: float, options: BoardOptions) -> tuple[float, float]:
     """Return the plate's thickness (m) as the views show it, and its deviation: the cost's parabola over it."""
     careful = replace(options, reject=False)
     costs, dof, scale = [], 1, 1.0
@@ -206,9 +206,9 @@ def _thickness(free: Cleaned, index: float, options: BoardOptions) -> tuple[floa
     return float(max(TRIED_M - slope / bend, 0.0)), float(scale / np.sqrt(bend))
 
 
-def _as_good(tied: Cleaned, free: Cleaned) -> bool:
+def _as_good(tied: RobustFit, free: RobustFit) -> bool:
     """Whether one lens explains the views as well as two do, noise and the number of parameters considered."""
-    if tied.sightings.n_points != free.sightings.n_points:
+    if tied.observations.n_points != free.observations.n_points:
         return tied.fit.scale < 1.1 * free.fit.scale
     more = max(free.fit.dof * -1 + tied.fit.dof, 1)
     gained = max(tied.fit.cost - free.fit.cost, 0.0) / more / max(free.fit.cost / max(free.fit.dof, 1), 1e-30)

@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.calibrate.cameras.bundle_adjustment import Bundle, adjust, bundle_of, residuals_px
 from armsight.calibrate.cameras.initial_guess import board_poses, homographies
 from armsight.calibrate.cameras.monocular import rms, view_rms
-from armsight.calibrate.cameras.observations import Sightings, pack
+from armsight.calibrate.cameras.observations import Observations, pack
 from armsight.calibrate.cameras.rigs import baseline_std, in_frame, rig_of
 from armsight.calibrate.cameras.stereo import StereoCalibration
 from armsight.calibrate.mirrors.calibration import MirrorCalibration, without_plate
@@ -137,15 +137,15 @@ def mirrors_from_target(
             f"the target is seen in {len(views)} images, {LEAST_LIT} are needed",
             consequence="Nothing was calibrated", cure="Turn the target, and show it near and far, left and right",
         )  # fmt: skip
-    sightings = pack([[left for left, _ in views], [right for _, right in views]], target)
-    T_target_middle = RigidTransform.from_translation(sightings.middle)
+    observations = pack([[left for left, _ in views], [right for _, right in views]], target)
+    T_target_middle = RigidTransform.from_translation(observations.middle)
     local = []
     for pose in poses:
         if pose.pose is None:
             raise Inconsistent("a view without a pose")
         T = design.T_rig_left.inv() * pose.pose * T_target_middle
         local.append(np.concatenate([T.translation, T.rotation.as_rotvec()]))
-    used, fit = _fit(design, sightings, np.array(local))
+    used, fit = _fit(design, observations, np.array(local))
     pair = _as_pair(used, fit)
     rig = replace(pair.rig, kind=RigKind.MIRROR, left=design.left, right=design.right)
     return MirrorCalibration(
@@ -153,7 +153,7 @@ def mirrors_from_target(
     )
 
 
-def _as_pair(used: Sightings, fit: Fit) -> StereoCalibration:
+def _as_pair(used: Observations, fit: Fit) -> StereoCalibration:
     """Return the fit's figures as of a stereo pair; of left-out views and of the board's lengths there are none."""
     residual, seen = residuals_px(used, fit), used.weight > 0.0
     overall = rms(residual, seen)
@@ -186,35 +186,35 @@ def _as_pair(used: Sightings, fit: Fit) -> StereoCalibration:
 
 def _relative(rig: Rig, left: Sequence[BoardView], right: Sequence[BoardView], board: Target) -> Rig:
     """Return the rig with T_rig_right, and its covariance, as the views show it now; the lens is taken as it was."""
-    sightings = pack([left, right], board)
-    for camera, size in zip((rig.left, rig.right), sightings.sizes, strict=True):
+    observations = pack([left, right], board)
+    for camera, size in zip((rig.left, rig.right), observations.sizes, strict=True):
         if (camera.width, camera.height) != size:
             raise Inconsistent(
                 f"the images are {size[0]}x{size[1]} px, the rig's {camera.width}x{camera.height} px",
                 cure="Use the resolution of the calibration",
             )
-    poses = board_poses(homographies(sightings.camera(0)), rig.left.intrinsics[:2], sightings.sizes[0][0])
-    return _fitted(rig, sightings, poses)
+    poses = board_poses(homographies(observations.camera(0)), rig.left.intrinsics[:2], observations.sizes[0][0])
+    return _fitted(rig, observations, poses)
 
 
-def _fitted(rig: Rig, sightings: Sightings, poses: Array) -> Rig:
+def _fitted(rig: Rig, observations: Observations, poses: Array) -> Rig:
     """Return the rig with T_rig_right and its covariance, fitted from poses T_left_board (G, 6)."""
-    used, fit = _fit(rig, sightings, poses)
+    used, fit = _fit(rig, observations, poses)
     overall = rms(residuals_px(used, fit), used.weight > 0.0)
     found = rig_of(bundle_of(fit, 2), used.sizes, covariance=fit.covariance, rms_px=overall)
     return replace(found, kind=RigKind.MIRROR, left=rig.left, right=rig.right)
 
 
-def _fit(rig: Rig, sightings: Sightings, poses: Array) -> tuple[Sightings, Fit]:
+def _fit(rig: Rig, observations: Observations, poses: Array) -> tuple[Observations, Fit]:
     """Return the fit of T_left_right and the poses T_left_board (G, 6), and the sightings without the plate's part."""
     k = np.stack([rig.left.intrinsics, rig.right.intrinsics])
     T = rig.T_rig_left.inv() * rig.T_rig_right
     start = Bundle(k=k, side_pose=np.concatenate([T.translation, T.rotation.as_rotvec()]), poses=poses)
-    fit = adjust(sightings, start, FIXED, max_iterations=60)
+    fit = adjust(observations, start, FIXED, max_iterations=60)
     if rig.left.plate is not None:
-        sightings = without_plate(sightings, bundle_of(fit, 2), rig.left.plate)
-        fit = adjust(sightings, bundle_of(fit, 2), FIXED, max_iterations=60)
-    return sightings, fit
+        observations = without_plate(observations, bundle_of(fit, 2), rig.left.plate)
+        fit = adjust(observations, bundle_of(fit, 2), FIXED, max_iterations=60)
+    return observations, fit
 
 
 def _covariance(rig: Rig) -> Array:

@@ -13,7 +13,7 @@ import numpy as np
 
 from armsight._numba import kernel
 from armsight.fitting.kernels import invert_spd
-from armsight.measure.kernels.share import PARAMETERS, add_information, light_slopes, place_slopes
+from armsight.measure.kernels.rig_covariance import PARAMETERS, add_information, light_slopes, place_slopes
 from armsight.optics.kernels.triangulation import invert_2
 
 DELAY = -1  # the delay's column, the last one

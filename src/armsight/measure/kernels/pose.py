@@ -284,13 +284,15 @@ def predict_views(k, R, t, places, velocity, dt, ahead, uv_left, uv_right):
 
 
 @kernel
-def largest_slip(uv_left, expected_left, uv_right, expected_right):
+def largest_innovation(uv_left, expected_left, uv_right, expected_right):
     """Return the largest distance along one axis between seen and expected pixels (n, 2) of both sides."""
-    slip = 0.0
+    innovation = 0.0
     for n in range(uv_left.shape[0]):
         for i in range(2):
-            slip = max(slip, abs(uv_left[n, i] - expected_left[n, i]), abs(uv_right[n, i] - expected_right[n, i]))
-    return slip
+            innovation = max(
+                innovation, abs(uv_left[n, i] - expected_left[n, i]), abs(uv_right[n, i] - expected_right[n, i])
+            )
+    return innovation
 
 
 @kernel

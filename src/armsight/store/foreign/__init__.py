@@ -1,7 +1,7 @@
 """Calibrations of other programs, read and written: ROS camera_info, OpenCV FileStorage, Kalibr camchain."""
 
+from armsight.store.foreign.format_detection import kind_of
 from armsight.store.foreign.kalibr import camera_from_kalibr, camera_to_kalibr, rig_from_kalibr, rig_to_kalibr
-from armsight.store.foreign.kind import kind_of
 from armsight.store.foreign.opencv import camera_from_opencv, camera_to_opencv, rig_from_opencv, rig_to_opencv
 from armsight.store.foreign.ros import camera_from_ros, camera_to_ros, rig_from_ros, rig_to_ros
 

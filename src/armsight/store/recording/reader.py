@@ -17,7 +17,7 @@ from mcap.records import Channel, Schema
 from armsight.errors import BadFile, DataRefused, Inconsistent, NotEnoughData
 from armsight.geometry import pose_from_quat
 from armsight.records import Frame, JointReading, PoseStatus, Spots, TargetPose
-from armsight.store.recording import schemas, walk
+from armsight.store.recording import record_reader, schemas
 from armsight.store.recording.images import decode
 from armsight.store.recording.mcapfile import MAGIC
 from armsight.store.recording.protobuf import NS
@@ -72,8 +72,8 @@ class _Content:
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     counts: Counter[int] = field(default_factory=Counter)
-    blocks: list[walk.ChunkSpan | walk.Span] = field(default_factory=list)
-    attachments: dict[str, walk.Span] = field(default_factory=dict)
+    blocks: list[record_reader.ChunkSpan | record_reader.Span] = field(default_factory=list)
+    attachments: dict[str, record_reader.Span] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     whole: int = len(MAGIC)
     finished: bool = False
@@ -94,7 +94,7 @@ class Recording:
             reason = getattr(error, "strerror", None) or str(error)
             raise BadFile(f"{path}: cannot be read ({reason})", cure="Check the path") from error
         try:
-            walk.check_magic(self._file, path)
+            record_reader.check_magic(self._file, path)
             self._size = self._file.seek(0, 2)
             self._content = _look_through(self._file, self._size, path)
             self.origin_ns = self._origin()
@@ -140,9 +140,9 @@ class Recording:
             there = ", ".join(self.attachments) or "none"
             raise NotEnoughData(f"{self.path} holds no file {name}; it holds {there}")
         try:
-            return bytes(walk.attachment_of(walk.read_at(self._file, span.start, span.length)).data)
+            return bytes(record_reader.attachment_of(record_reader.read_at(self._file, span.start, span.length)).data)
         except ValueError as error:
-            raise walk.damaged(self.path, span, str(error)) from error
+            raise record_reader.damaged(self.path, span, str(error)) from error
 
     def messages(self, topics: Iterable[str] | None = None) -> Iterator[Recorded]:
         """Yield the messages of the given topics (None: of all) as they stand in the file. Raises BadFile."""
@@ -273,52 +273,54 @@ class Recording:
 def _look_through(file: BinaryIO, size: int, path: Path) -> _Content:
     """Return what the file holds, up to its end or to the first record that is cut off."""
     content = _Content()
-    for span in walk.spans(file, len(MAGIC), size):
+    for span in record_reader.spans(file, len(MAGIC), size):
         content.whole = span.end
         try:
             if span.opcode == Opcode.DATA_END:
-                content.finished = size >= span.end and walk.read_at(file, size - len(MAGIC), len(MAGIC)) == MAGIC
+                content.finished = (
+                    size >= span.end and record_reader.read_at(file, size - len(MAGIC), len(MAGIC)) == MAGIC
+                )
                 break
             _take(content, file, span, path)
         except ValueError as error:
-            raise walk.damaged(path, span, str(error)) from error
+            raise record_reader.damaged(path, span, str(error)) from error
     return content
 
 
-def _take(content: _Content, file: BinaryIO, span: walk.Span, path: Path) -> None:
+def _take(content: _Content, file: BinaryIO, span: record_reader.Span, path: Path) -> None:
     """Add what one record of the file's top level says."""
     if span.opcode == Opcode.CHUNK:
-        chunk = walk.chunk_span(file, span, path)
+        chunk = record_reader.chunk_span(file, span, path)
         content.blocks.append(chunk)
         if not chunk.compression:
-            for inner in walk.spans(file, chunk.start, chunk.start + chunk.size):
+            for inner in record_reader.spans(file, chunk.start, chunk.start + chunk.size):
                 _take_inner(content, file, inner)
         else:
-            for record in walk.inner_records(walk.chunk_data(file, chunk, path)):
+            for record in record_reader.inner_records(record_reader.chunk_data(file, chunk, path)):
                 _count(content, record)
     elif span.opcode == Opcode.MESSAGE:
         content.blocks.append(span)
         _take_inner(content, file, span)
     elif span.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
         _take_inner(content, file, span)
-    elif span.opcode == Opcode.METADATA and span.length < walk.MAX_SMALL:
-        own = walk.metadata_of(walk.read_at(file, span.start, span.length))
+    elif span.opcode == Opcode.METADATA and span.length < record_reader.MAX_SMALL:
+        own = record_reader.metadata_of(record_reader.read_at(file, span.start, span.length))
         content.metadata[own.name] = own.metadata
-    elif span.opcode == Opcode.ATTACHMENT and span.length < walk.MAX_SMALL:
-        name = walk.attachment_of(walk.read_at(file, span.start, span.length)).name
+    elif span.opcode == Opcode.ATTACHMENT and span.length < record_reader.MAX_SMALL:
+        name = record_reader.attachment_of(record_reader.read_at(file, span.start, span.length)).name
         content.attachments[name] = span
 
 
-def _take_inner(content: _Content, file: BinaryIO, span: walk.Span) -> None:
+def _take_inner(content: _Content, file: BinaryIO, span: record_reader.Span) -> None:
     if span.opcode == Opcode.MESSAGE:
-        content.counts[int.from_bytes(walk.read_at(file, span.start, 2), "little")] += 1
-    elif span.opcode == Opcode.SCHEMA and span.length < walk.MAX_SMALL:
-        _count(content, walk.schema_of(walk.read_at(file, span.start, span.length)))
-    elif span.opcode == Opcode.CHANNEL and span.length < walk.MAX_SMALL:
-        _count(content, walk.channel_of(walk.read_at(file, span.start, span.length)))
+        content.counts[int.from_bytes(record_reader.read_at(file, span.start, 2), "little")] += 1
+    elif span.opcode == Opcode.SCHEMA and span.length < record_reader.MAX_SMALL:
+        _count(content, record_reader.schema_of(record_reader.read_at(file, span.start, span.length)))
+    elif span.opcode == Opcode.CHANNEL and span.length < record_reader.MAX_SMALL:
+        _count(content, record_reader.channel_of(record_reader.read_at(file, span.start, span.length)))
 
 
-def _count(content: _Content, record: walk.Message | Schema | Channel) -> None:
+def _count(content: _Content, record: record_reader.Message | Schema | Channel) -> None:
     if isinstance(record, Schema):
         content.schemas[record.id] = record
     elif isinstance(record, Channel):
@@ -327,17 +329,19 @@ def _count(content: _Content, record: walk.Message | Schema | Channel) -> None:
         content.counts[record.channel] += 1
 
 
-def _messages_of(file: BinaryIO, block: walk.ChunkSpan | walk.Span, path: Path) -> Iterator[walk.Message]:
+def _messages_of(
+    file: BinaryIO, block: record_reader.ChunkSpan | record_reader.Span, path: Path
+) -> Iterator[record_reader.Message]:
     try:
-        if isinstance(block, walk.Span):
-            data = walk.read_at(file, block.start - walk.HEAD, block.length + walk.HEAD)
-            yield walk.message_of(memoryview(data))
+        if isinstance(block, record_reader.Span):
+            data = record_reader.read_at(file, block.start - record_reader.HEAD, block.length + record_reader.HEAD)
+            yield record_reader.message_of(memoryview(data))
             return
-        for record in walk.inner_records(walk.chunk_data(file, block, path)):
-            if isinstance(record, walk.Message):
+        for record in record_reader.inner_records(record_reader.chunk_data(file, block, path)):
+            if isinstance(record, record_reader.Message):
                 yield record
     except ValueError as error:
-        raise walk.damaged(path, block, str(error)) from error
+        raise record_reader.damaged(path, block, str(error)) from error
 
 
 def _pose(it: dict[str, Any]) -> TargetPose:

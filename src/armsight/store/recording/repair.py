@@ -11,7 +11,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
 from armsight.errors import BadFile, NotEnoughData
-from armsight.store.recording import walk
+from armsight.store.recording import record_reader as record_reader
 from armsight.store.recording.mcapfile import MAGIC, McapFile
 
 
@@ -37,7 +37,7 @@ def repair(source: Path, out: Path, *, overwrite: bool = False) -> Repaired:
     except OSError as error:
         raise BadFile(f"{source}: cannot be read ({error.strerror or error})", cure="Check the path") from error
     with file:
-        walk.check_magic(file, source)
+        record_reader.check_magic(file, source)
         copy = _Copy(McapFile(out, overwrite=overwrite))
         try:
             copy.all_of(file, source)
@@ -71,7 +71,7 @@ class _Copy:
         """Copy every whole record."""
         size = file.seek(0, 2)
         whole = len(MAGIC)
-        for span in walk.spans(file, len(MAGIC), size):
+        for span in record_reader.spans(file, len(MAGIC), size):
             whole = span.end
             if span.opcode == Opcode.DATA_END:
                 whole = size
@@ -83,10 +83,10 @@ class _Copy:
                 self.lost_bytes += span.length
         self.lost_bytes += size - whole
 
-    def _span(self, file: BinaryIO, span: walk.Span, path: Path) -> None:
+    def _span(self, file: BinaryIO, span: record_reader.Span, path: Path) -> None:
         if span.opcode == Opcode.CHUNK:
-            data = walk.chunk_data(file, walk.chunk_span(file, span, path), path)
-            for record in list(walk.inner_records(data)):
+            data = record_reader.chunk_data(file, record_reader.chunk_span(file, span, path), path)
+            for record in list(record_reader.inner_records(data)):
                 self._record(record)
             self.out.flush()  # the chunks of the copy are those of the source
         elif span.opcode in (Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL):
@@ -94,13 +94,13 @@ class _Copy:
                 self._record(record)
             self.out.flush_due()
         elif span.opcode == Opcode.ATTACHMENT:
-            it = walk.attachment_of(walk.read_at(file, span.start, span.length))
+            it = record_reader.attachment_of(record_reader.read_at(file, span.start, span.length))
             self.out.add_attachment(it.name, it.media_type, it.data, it.log_time)
         elif span.opcode == Opcode.METADATA:
-            meta = walk.metadata_of(walk.read_at(file, span.start, span.length))
+            meta = record_reader.metadata_of(record_reader.read_at(file, span.start, span.length))
             self.out.add_metadata(meta.name, meta.metadata)
 
-    def _record(self, record: walk.Message | Schema | Channel) -> None:
+    def _record(self, record: record_reader.Message | Schema | Channel) -> None:
         if isinstance(record, Schema):
             if record.id not in self._schemas:
                 self._schemas[record.id] = self.out.add_schema(record.name, record.encoding, record.data)
@@ -117,5 +117,7 @@ class _Copy:
             self.counts[topic] = self.counts.get(topic, 0) + 1
 
 
-def _single(file: BinaryIO, span: walk.Span) -> Iterator[walk.Message | Schema | Channel]:
-    return walk.inner_records(walk.read_at(file, span.start - walk.HEAD, span.length + walk.HEAD))
+def _single(file: BinaryIO, span: record_reader.Span) -> Iterator[record_reader.Message | Schema | Channel]:
+    return record_reader.inner_records(
+        record_reader.read_at(file, span.start - record_reader.HEAD, span.length + record_reader.HEAD)
+    )

@@ -29,7 +29,7 @@ def _inner(columns, m, n, H):
 
 
 @sum_kernel
-def condense_views(k, side, poses, X, radius, uv, weight, r, A, b, C, c_local, W):
+def view_normal_equations(k, side, poses, X, radius, uv, weight, r, A, b, C, c_local, W):
     """Fill whitened residuals and the normal equations of their squares; False where a point lies behind a camera.
 
     k (C, 10): intrinsics of C = 1 or 2 cameras. side (6,): T_left_right as (t m, rotation vector rad), not

@@ -28,7 +28,7 @@ LINE_EVERY_S = 5.0
 """How often progress is told where there is no terminal to draw a bar on."""
 
 
-class Face:
+class CommandUI:
     """One command's way to the person: used as a context manager round its work.
 
     Everything for people goes to stderr. With as_json, stdout carries one JSON object and nothing else: the result,
