@@ -26,8 +26,8 @@ def match_beacon(
 
     Of several lights of the colour, one is taken where a track expects it, or where it alone is of the beacon's size.
     The only light of the colour is taken where something besides its colour tells it: its size, a track, or a mask or a
-    threshold of the caller's; where the beacon is hidden, a room's lamp would be the only one. alone: nothing but lights
-    is bright, or the caller has chosen the spots.
+    threshold of the caller's; where the beacon is hidden, a room's lamp would be the only one. alone: nothing but
+    lights is bright, or the caller has chosen the spots.
     """
     if not len(pairs.index):
         return Match(best=None, why=_nothing(left, right))
