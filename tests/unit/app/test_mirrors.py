@@ -170,7 +170,7 @@ def measured_complex(folder: Path, method: str) -> tuple[Summary, Any]:
     assert summary.n_ok == 12 if method == "likelihood" else summary.n_ok >= 10  # coarse spots may leave a tilt open
     rows = zip(*(read_poses(file) for file in (folder / "truth.csv", folder / method / "poses.csv")), strict=True)
     whole = [(truth.pose, found.pose) for truth, found in rows if found.status is PoseStatus.OK]
-    off = np.array([found.translation - truth.translation for truth, found in whole if truth and found])
+    off = np.array([found.translation - truth.translation for truth, found in whole])
     return summary, np.sqrt(np.mean(off**2, axis=0))
 
 
