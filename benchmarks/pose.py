@@ -8,6 +8,7 @@ Projections come from cv2.projectPoints and from the simulated cell's own lens, 
 from __future__ import annotations
 
 import argparse
+from typing import Any
 
 import cv2
 import numpy as np
@@ -41,6 +42,9 @@ TARGETS = {
     },
 }
 SIGMA_PX = 0.05
+
+DARK: dict[str, Any] = {"room": "dark", "pipeline": "ideal"}
+"""The scenes of this script; those before ordinary backgrounds are in rooms.py and rooms_simulated.py."""
 
 
 def see(points: Array) -> list[Array]:
@@ -141,9 +145,9 @@ def rendered(repeats: int) -> None:
     """Coverage through rendered frames of the simulated cells, full search and windows."""
     rows = []
     for name, cell in (
-        ("webcams, LEDs of 2 px", led_cell(3, repeats)),
-        ("webcams, LEDs of 2 px, nothing goes wrong", led_cell(4, repeats, mishaps=False)),
-        ("webcams, flat lights of 12 mm", led_cell(5, max(repeats // 4, 50), diameter_m=0.012, mishaps=False)),
+        ("webcams, LEDs of 2 px", led_cell(3, repeats, **DARK)),
+        ("webcams, LEDs of 2 px, nothing goes wrong", led_cell(4, repeats, mishaps=False, **DARK)),
+        ("webcams, flat lights of 12 mm", led_cell(5, max(repeats // 4, 50), diameter_m=0.012, mishaps=False, **DARK)),
     ):
         setup = Setup(rig_from_mapping(cell.rig), target_of(cell.target))
         for tracking in (True, False):
@@ -197,7 +201,7 @@ def ratios(ours: list[Array], theirs: list[Array]) -> list[float]:
 
 def time(repeats: int) -> None:
     """Time from two frames in memory to pose, and of the parts."""
-    cell = led_cell(1, 12, mishaps=False)
+    cell = led_cell(1, 12, mishaps=False, **DARK)
     rig, target = rig_from_mapping(cell.rig), target_of(cell.target)
     setup, model = Setup(rig, target), np.array(list(target.xyz_m))
     pairs = [cell.pair(i) for i in range(12)]

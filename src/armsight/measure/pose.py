@@ -123,9 +123,10 @@ def solve_pose(
     C *= factor
     if factor > 1.0:
         folds.one_astray(packed.k, packed.R, packed.t, xyz_m, radius_m, normal, uv_px, cov_px2, T, chi2, C)
-    folded = folds.fold(
-        packed.k, packed.R, packed.t, xyz_m, radius_m, normal, _plane(xyz_m, normal), uv_px, cov_px2, T, factor, C
-    )
+    folded = 1.0
+    if folds.depth_chi2(P, S) < folds.PLAIN * factor:
+        plane = _plane(xyz_m, normal)
+        folded = folds.fold(packed.k, packed.R, packed.t, xyz_m, radius_m, normal, plane, uv_px, cov_px2, T, factor, C)
     if systematic is not None:
         C += systematic
     in_doubt = _MISFIT if factor > 1.0 else _FOLDED if folded > FOLDED else ""

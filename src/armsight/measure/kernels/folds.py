@@ -19,6 +19,9 @@ from armsight.optics.kernels.triangulation import invert_2
 
 POSSIBLE = 25.0
 """Rise of chi-square (one quantity) up to which another pose is possible: five deviations."""
+PLAIN = 4.0 * POSSIBLE
+"""Rise that the lights' depths alone set against the mirrored tilt from which neither it nor small tilts are looked
+for: what the other parameters can give back of it is less than half."""
 LOOK_STEPS = 12
 """Poses looked at on the way to a mirrored tilt and a quarter beyond it, and along the least certain turn."""
 FARTHEST = 5.0
@@ -148,6 +151,23 @@ def looks(R, t, Rp, centre, plane, C):
         step = (j // 2 + LOOK_STEPS // 4) % (LOOK_STEPS // 2) + 1
         shares[2, j] = FARTHEST * (2.0 * step / LOOK_STEPS) * (1.0 if j % 2 == 0 else -1.0)
     return turns, shares
+
+
+@kernel
+def depth_chi2(P, S):
+    """Return the rise of chi-square that the depths of the points P (n, 3), S (n, 3, 3) set against the mirrored tilt.
+
+    Each light's depth beyond their mean, along the line of sight to it, would change its sign.
+    """
+    n = P.shape[0]
+    centre = np.zeros(3)
+    for i in range(n):
+        centre += P[i] / n
+    u = centre / np.linalg.norm(centre)
+    chi2 = 0.0
+    for i in range(n):
+        chi2 += 4.0 * np.dot(P[i] - centre, u) ** 2 / max(np.dot(u, np.ascontiguousarray(S[i]) @ u), 1e-30)
+    return chi2
 
 
 @kernel
