@@ -153,3 +153,18 @@ def test_errors_meet_the_bound_and_covariances_are_true(
     assert missed <= refused * frames * TILES
     assert np.sqrt(np.mean(squares)) < ratio + 3.0 * ratio / np.sqrt(2.0 * n)
     assert np.sum(chi2) / n == pytest.approx(1.0, abs=0.1 + 3.0 * np.sqrt(2.0 / n))
+
+
+def test_two_touching_lights_in_the_dark_are_not_taken_for_one_that_moved() -> None:
+    """Two deviations apart they look like a streak: the model of two must be tried before the streak is believed."""
+    rng = np.random.default_rng(31)
+    streaks = 0
+    for _ in range(30):
+        sigma, angle = rng.uniform(2.0, 3.0), rng.uniform(0.0, np.pi)
+        du, dv = sigma * np.cos(angle), sigma * np.sin(angle)
+        image = np.full((4 * SIZE, 4 * SIZE), BACKGROUND)
+        pair = [32.3 - du, 31.8 - dv, 32.3 + du, 31.8 + dv, sigma, 150.0, 110.0]
+        image[96 : 96 + SIZE, 96 : 96 + SIZE] += lights(pair)
+        seen = find_spots(np.clip(np.rint(image + rng.normal(0.0, NOISE, image.shape)), 0, 255).astype(np.uint8))
+        streaks += seen.model != ("joint", "joint")
+    assert streaks <= 1

@@ -257,7 +257,8 @@ def choose(comp, background, box, values, use, noise, only, best):
     n_peaks = find_peaks(values, use, comp[LEVEL], noise, x0, y0, peaks)
     order = np.empty(3, np.int64)
     trials = order_of_trial(comp, shape, n_peaks, only, order)
-    crowd = not (comp[SLOPE] >= 0.0 and count > WIDE_PATCH)
+    room = comp[SLOPE] >= 0.0
+    crowd = not (room and count > WIDE_PATCH)
     for k in range(trials):
         trial = order[k]
         if trial != ELLIPSE and not crowd:
@@ -280,7 +281,7 @@ def choose(comp, background, box, values, use, noise, only, best):
             kind, n_best, rss_best, score, run_best = trial, n, rss, new, run
             copy_to(p, best)
         settled = trial == ELLIPSE or (trial == STREAK and 2.0 * p[6] > LONG * p[4])
-        if settled and (run < MISFIT or (n_peaks < 2 and rss < count * (PLAIN * p[3]) ** 2)):
+        if settled and (run < MISFIT or (room and n_peaks < 2 and rss < count * (PLAIN * p[3]) ** 2)):
             break
     return kind, n_best, rss_best, run_best
 
