@@ -30,7 +30,7 @@ SETTLE_STEPS = 4
 ASTRAY_PX = 2.0
 """How far off a spot may be that is of something else beside its light; further off it would not fit at all."""
 ASTRAY_ODDS = 0.05
-"""How often a spot before a room is: of 1,100 named spots of a simulated run 2 % were off by more than half a px."""
+"""How often a spot before a room is, at most: chosen, not counted."""
 LEAST_TURN = 1e-3
 """Turn (rad) from a tilt to its mirror image below which they are one."""
 
