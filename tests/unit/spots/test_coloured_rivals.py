@@ -138,7 +138,10 @@ def test_a_lamp_is_not_taken_for_a_beacon_that_is_hidden() -> None:
     for size in (1.3, 3.0, 6.0):
         alone = seen((PLACE, LED, 250.0, size), target=COLOUR_ALONE)
         assert alone.pose.status is PoseStatus.LOST and "a lamp of the room would look the same" in alone.pose.why
-    assert found(seen(lamp, target=replace(BEACON, diameter_m=0.005)))
+    small = seen(lamp, target=replace(BEACON, diameter_m=0.005))
+    assert small.pose.status is PoseStatus.LOST and "a radius of 1.6 px" in small.pose.why
+    half = seen((PLACE, LED, 250.0, 2.0), target=BEACON)
+    assert half.pose.status is PoseStatus.LOST and "not of the size" in half.pose.why
     masked = SpotSettings(mask=np.ones((HEIGHT, WIDTH), np.bool_))
     assert found(seen(lamp, target=COLOUR_ALONE, settings=masked))
 
