@@ -167,7 +167,7 @@ def beacon(count: int) -> None:
         ("The same without the beacon: to be refused", RED_THINGS, False),
         ("Rooms without a beacon: to be refused", {}, False),
     ):
-        n = count if shown and not things else max(count // 4, 10)
+        n = max(count // 4, 10) if things else count
         seen: dict[str, list[Found]] = {pipeline: [] for pipeline in PIPELINES}
         for seed in range(-(-n // FRAMES)):
             for pipeline in PIPELINES:  # of the same room, which is furnished once
