@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import cv2
 import numpy as np
 
-from armsight.measure.pair import Setup
+from armsight.measure.poses.pipeline import Setup
 from bench import table
 from composites import Composite, composite
 from verdicts import SIDES, Verdict, blob_detector, judge, near, reason

@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 from scipy.stats import chi2
 
-from armsight.measure.pair import Setup, warm_up
+from armsight.measure.poses.pipeline import Setup, warm_up
 from bad_pictures import bad_pictures
 from bench import machine, table
 from composites import Composite, composite

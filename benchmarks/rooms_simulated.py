@@ -26,8 +26,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from armsight.app.scenarios import load_scenario
-from armsight.measure.outcome import Measured
-from armsight.measure.pair import Setup, measure_pair, warm_up
+from armsight.measure.poses.outcome import Measured
+from armsight.measure.poses.pipeline import Setup, measure_pair, warm_up
 from armsight.records import Frame, PoseStatus, unmeasured_target
 from armsight.sim import beacon_cell, led_cell
 from armsight.sim.cell import Cell

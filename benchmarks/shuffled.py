@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from armsight.measure.outcome import Track
-from armsight.measure.pair import Setup
+from armsight.measure.poses.outcome import Track
+from armsight.measure.poses.pipeline import Setup
 from armsight.records import Frame
 from armsight.store import read_rig, read_target
 from bench import table

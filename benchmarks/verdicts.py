@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from armsight.errors import ArmsightError
-from armsight.measure.outcome import Track
-from armsight.measure.pair import Measured, Setup, measure_pair
+from armsight.measure.poses.outcome import Track
+from armsight.measure.poses.pipeline import Measured, Setup, measure_pair
 from armsight.records import Frame, PoseStatus, Spots
 
 Array = NDArray[np.float64]

@@ -11,8 +11,8 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.geometry import pose_difference
-from armsight.measure.outcome import Measured, Track
-from armsight.measure.pair import Setup, measure_pair
+from armsight.measure.poses.outcome import Measured, Track
+from armsight.measure.poses.pipeline import Setup, measure_pair
 from armsight.records import Frame, PoseStatus
 from armsight.store import read_rig, read_target
 

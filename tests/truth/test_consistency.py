@@ -11,11 +11,11 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import chi2 as chi2_law
 
 from armsight.geometry import pose_difference
-from armsight.measure.check import RunCheck
-from armsight.measure.consistency import Consistency
-from armsight.measure.explain import advice, content, sentence
-from armsight.measure.pair import Measured, Setup, measure_spots
-from armsight.measure.pose import misfit_factor
+from armsight.measure.consistency.check import RunCheck
+from armsight.measure.consistency.diagnosis import Consistency
+from armsight.measure.consistency.explain import advice, content, sentence
+from armsight.measure.poses.pipeline import Measured, Setup, measure_spots
+from armsight.measure.poses.pose import misfit_factor
 from armsight.optics import RIG_PARAMETERS, Camera, Rig, converged_rig
 from armsight.optics.parallelism import moved_rig
 from armsight.records import NamedCovariance, PoseStatus, Spots, Target, spot_target

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.measure.pair import Setup, measure_spots
+from armsight.measure.poses.pipeline import Setup, measure_spots
 from armsight.optics import Camera, Rig, RigKind
 from armsight.records import PoseStatus, Spots, spot_target
 

@@ -10,9 +10,9 @@ from scipy.stats import chi2 as chi2_law
 
 from armsight.errors import Degenerate
 from armsight.geometry import align_points, pose_difference
-from armsight.measure.kernels import pose as kernels
-from armsight.measure.kernels import rig_covariance
-from armsight.measure.pair import Measured, Setup, measure_spots
+from armsight.measure.poses.kernels import pose as kernels
+from armsight.measure.poses.kernels import rig_covariance
+from armsight.measure.poses.pipeline import Measured, Setup, measure_spots
 from armsight.optics import INTRINSICS, RIG_PARAMETERS, Camera, Rig, converged_rig, triangulate_closed
 from armsight.optics.parallelism import moved_rig
 from armsight.records import NamedCovariance, PoseStatus, Spots, Target, spot_target, unmeasured_target

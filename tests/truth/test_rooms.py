@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import binom
 
-from armsight.measure.outcome import Measured, Track
-from armsight.measure.pair import Setup, measure_pair
+from armsight.measure.poses.outcome import Measured, Track
+from armsight.measure.poses.pipeline import Setup, measure_pair
 from armsight.measure.spots import find_spots
 from armsight.optics import Camera, parallel_rig
 from armsight.records import Frame, PoseStatus, spot_target

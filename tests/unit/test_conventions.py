@@ -13,7 +13,7 @@ from armsight import store
 from armsight.calibrate.cameras.monocular import rms as calibration_rms
 from armsight.geometry import compose_covariance, euler_rad, pose_difference, pose_from_euler, pose_from_quat, xyz_quat
 from armsight.kinematics import Arm, Joint, JointType, dh_arm, fk
-from armsight.measure.pair import Setup, measure_pair
+from armsight.measure.poses.pipeline import Setup, measure_pair
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import find_spots
 from armsight.optics import Camera, Rig, RigKind

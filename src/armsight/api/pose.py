@@ -17,10 +17,10 @@ from armsight.api.results import Result, Row, pose_rows
 from armsight.errors import Inconsistent
 from armsight.geometry import euler_rad
 from armsight.measure import spots as detection
-from armsight.measure.check import RunCheck
-from armsight.measure.consistency import Consistency
-from armsight.measure.outcome import Measured, Track
-from armsight.measure.pair import Setup, measure_pair
+from armsight.measure.consistency.check import RunCheck
+from armsight.measure.consistency.diagnosis import Consistency
+from armsight.measure.poses.outcome import Measured, Track
+from armsight.measure.poses.pipeline import Setup, measure_pair
 from armsight.measure.settings import DEFAULTS, SpotSettings
 from armsight.optics import Rig, RigKind
 from armsight.records import PoseStatus, Spots, Target, TargetPose, spot_target

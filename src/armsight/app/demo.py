@@ -17,7 +17,7 @@ from armsight.app.measure.outputs import Summary
 from armsight.app.measure.run import run
 from armsight.app.measure.warm_up import prepare
 from armsight.geometry import pose_from_quat
-from armsight.measure.pair import Setup
+from armsight.measure.poses.pipeline import Setup
 from armsight.measure.settings import SpotSettings
 from armsight.records import Progress, Silent
 from armsight.report.measure import INSIDE_95

@@ -29,7 +29,7 @@ def figure(value: float | None, digits: int = 3) -> str:
 
 def measure_tables(face: CommandUI, summary: Summary, out: Path) -> None:
     """Print what a measurement came to."""
-    from armsight.measure.explain import advice, sentence
+    from armsight.measure.consistency.explain import advice, sentence
 
     rows = [
         ["pairs of frames", str(summary.n_frames)],

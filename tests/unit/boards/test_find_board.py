@@ -12,7 +12,7 @@ import pytest
 
 from armsight.errors import BadImage, Inconsistent, UsageError
 from armsight.measure.boards import find_board, same_way_up
-from armsight.measure.boards.kernels import corner_model, dot_model, prepare
+from armsight.measure.boards.kernels.subpixel import corner_model, dot_model, prepare
 from armsight.records import Target, TargetKind, board_target, spot_target
 from armsight.records.symmetry import symmetries
 

@@ -11,9 +11,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.errors import BadImage, Inconsistent
 from armsight.geometry import pose_difference
-from armsight.measure import boardpair
-from armsight.measure.boardpair import pose_of_views
-from armsight.measure.pair import Measured, Setup, Track, measure_pair, warm_up
+from armsight.measure.poses import board_pose as boardpair
+from armsight.measure.poses.board_pose import pose_of_views
+from armsight.measure.poses.pipeline import Measured, Setup, Track, measure_pair, warm_up
 from armsight.measure.settings import SpotSettings
 from armsight.optics import Camera, converged_rig
 from armsight.records import (

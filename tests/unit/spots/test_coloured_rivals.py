@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from armsight.measure.pair import Measured, Setup, measure_pair
+from armsight.measure.poses.pipeline import Measured, Setup, measure_pair
 from armsight.measure.spots import SpotSettings, find_spots, track_spots
 from armsight.optics import Camera, parallel_rig
 from armsight.records import Frame, PoseStatus, Target, spot_target

@@ -16,7 +16,7 @@ from armsight.app.sources.frames import open_pairs
 from armsight.calibrate.tooltip import GOOD_ENOUGH_M, MeasuredPoint, TipRecording
 from armsight.drivers import PairSource
 from armsight.errors import NotEnoughData
-from armsight.measure.pair import Setup, measure_pair
+from armsight.measure.poses.pipeline import Setup, measure_pair
 from armsight.measure.settings import SpotSettings
 from armsight.records import PoseStatus, Progress, Silent, TargetPose
 from armsight.store import read_rig, write_poses

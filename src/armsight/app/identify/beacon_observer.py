@@ -9,7 +9,7 @@ import numpy as np
 from armsight.clock import Clock
 from armsight.control.joint_sweep import Observation
 from armsight.errors import DeviceLost, NotEnoughData
-from armsight.measure.pair import Setup, measure_pair
+from armsight.measure.poses.pipeline import Setup, measure_pair
 from armsight.records import Frame
 
 LOST_FRAMES = 3

@@ -32,7 +32,7 @@ from armsight.clock import Clock, SystemClock
 from armsight.control.joint_sweep import Pace, Sweeper
 from armsight.drivers import ROBOTS, PairSource, Robot, is_live, load
 from armsight.errors import ArmsightError, BadFile, Cancelled, DataRefused, UsageError
-from armsight.measure.pair import Setup
+from armsight.measure.poses.pipeline import Setup
 from armsight.measure.settings import SpotSettings
 from armsight.optics import Rig
 from armsight.records import Progress, Silent, Target

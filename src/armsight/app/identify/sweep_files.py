@@ -17,10 +17,10 @@ from armsight.app.measure.run import target_of
 from armsight.app.sources.frames import open_pairs
 from armsight.calibrate.identify import Identification, Sweeps, identify
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
-from armsight.measure.pair import Setup, check_sizes, measure_spots
+from armsight.measure.poses.pipeline import Setup, check_sizes, measure_spots
+from armsight.measure.poses.stationary_lights import without_standing
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import find_spots
-from armsight.measure.standing import without_standing
 from armsight.optics import Rig
 from armsight.records import Progress, Silent, Spots
 from armsight.report.identify_report import identify_report

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.measure.outputs import Summary
-from armsight.measure.explain import content
-from armsight.measure.pair import Measured, Setup
+from armsight.measure.consistency.explain import content
+from armsight.measure.poses.pipeline import Measured, Setup
 from armsight.optics import SIDES
 from armsight.records import Frame, PoseStatus, TargetPose
 from armsight.report import (

@@ -17,9 +17,9 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.drivers import Skew
 from armsight.geometry import moved_parent_covariance, quat_of_matrix
-from armsight.measure.consistency import Consistency
-from armsight.measure.explain import content
-from armsight.measure.pair import Measured
+from armsight.measure.consistency.diagnosis import Consistency
+from armsight.measure.consistency.explain import content
+from armsight.measure.poses.pipeline import Measured
 from armsight.records import PoseStatus, TargetPose
 from armsight.store import PointsWriter, PosesWriter, SpotsWriter
 from armsight.store.atomic import RowFile

@@ -21,10 +21,10 @@ from armsight.app.sources.frames import is_recording, open_pairs, open_source
 from armsight.drivers import PairSource, ordered_map, read_image
 from armsight.drivers.live import MAX_SKEW_S
 from armsight.errors import ArmsightError, Cancelled, Inconsistent, NotEnoughData, UsageError
-from armsight.measure.check import RunCheck
-from armsight.measure.consistency import Consistency
-from armsight.measure.explain import advice, sentence
-from armsight.measure.pair import Measured, Setup, Track, measure_pair
+from armsight.measure.consistency.check import RunCheck
+from armsight.measure.consistency.diagnosis import Consistency
+from armsight.measure.consistency.explain import advice, sentence
+from armsight.measure.poses.pipeline import Measured, Setup, Track, measure_pair
 from armsight.measure.settings import METHODS, SpotSettings
 from armsight.optics import SIDES, Rig, RigKind
 from armsight.records import Frame, Points, PoseStatus, Progress, Silent, Spots, Target, TargetPose

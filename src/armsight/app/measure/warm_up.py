@@ -11,7 +11,7 @@ import numpy as np
 
 import armsight.measure
 from armsight.app.cells import load_cell
-from armsight.measure.pair import Setup, measure_spots, warm_up
+from armsight.measure.poses.pipeline import Setup, measure_spots, warm_up
 from armsight.optics import Camera, parallel_rig
 from armsight.records import Progress, Spots, spot_target
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from armsight.errors import BadImage, Inconsistent
 from armsight.measure.boards.checkerboard import LOW_CONTRAST
 from armsight.measure.boards.gridmap import fit_map
-from armsight.measure.boards.kernels import fit_corners
+from armsight.measure.boards.kernels.subpixel import fit_corners
 from armsight.records import BoardView, Target
 
 Array = NDArray[np.float64]

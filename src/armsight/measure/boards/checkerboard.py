@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from armsight.errors import BadImage
 from armsight.measure.boards.gridmap import GridMap, fit_map
-from armsight.measure.boards.kernels import fit_corners
+from armsight.measure.boards.kernels.subpixel import fit_corners
 from armsight.measure.boards.orient import most_upright
 from armsight.measure.boards.xcorner import xcorner_corners
 from armsight.records import BoardView, Target

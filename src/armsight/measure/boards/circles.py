@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from armsight.errors import BadImage
 from armsight.measure.boards.gridmap import fit_map
-from armsight.measure.boards.kernels import fit_dots
+from armsight.measure.boards.kernels.subpixel import fit_dots
 from armsight.measure.boards.orient import axis_px
 from armsight.records import BoardView, Target, TargetKind
 

@@ -10,7 +10,7 @@ from armsight.errors import BadImage, Inconsistent, UsageError
 from armsight.measure.boards.charuco import find_charuco
 from armsight.measure.boards.checkerboard import find_checkerboard
 from armsight.measure.boards.circles import find_circles
-from armsight.measure.boards.kernels import fit_corners, fit_dots
+from armsight.measure.boards.kernels.subpixel import fit_corners, fit_dots
 from armsight.records import BoardView, Target, TargetKind
 
 DETECTORS = ("auto", "classic", "sectors", "xcorner")

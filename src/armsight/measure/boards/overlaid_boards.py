@@ -23,9 +23,9 @@ from armsight.measure.boards.checkerboard import (
 from armsight.measure.boards.corner_detector import ENOUGH, Grid, Saddles, find_grids, find_saddles
 from armsight.measure.boards.find import check_exposure, grey_image
 from armsight.measure.boards.gridmap import GridMap, fit_map, monomials
-from armsight.measure.boards.kernels import fit_corners
+from armsight.measure.boards.kernels.render_board import draw_ink
+from armsight.measure.boards.kernels.subpixel import fit_corners
 from armsight.measure.boards.orient import same_way_up
-from armsight.measure.kernels.render_board import draw_ink
 from armsight.records import BoardView, Target, TargetKind
 
 Array = NDArray[np.float64]

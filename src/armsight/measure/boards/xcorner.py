@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.measure.boards.gridmap import fit_map
-from armsight.measure.kernels.xtemplate import RINGS, place_corners
+from armsight.measure.boards.kernels.xtemplate import RINGS, place_corners
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]

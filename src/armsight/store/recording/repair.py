@@ -11,7 +11,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
 from armsight.errors import BadFile, NotEnoughData
-from armsight.store.recording import record_reader as record_reader
+from armsight.store.recording import record_reader
 from armsight.store.recording.mcapfile import MAGIC, McapFile
 
 

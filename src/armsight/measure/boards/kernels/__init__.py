@@ -1,0 +1,1 @@
+"""Compiled code of the boards: subpixel corners and dots, templates, drawing."""

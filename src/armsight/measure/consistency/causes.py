@@ -1,0 +1,237 @@
+"""What can be wrong with a setup, as directions in the space of its parameters, and the words for it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.measure.poses.setup import Setup
+from armsight.optics import RIG_PARAMETERS, RigKind
+
+Array = NDArray[np.float64]
+
+LEFT, RIGHT = 0, 10  # where each camera's intrinsics begin among RIG_PARAMETERS: fx, fy, cx, cy, skew, k1 ...
+K1 = 5
+PLACE, TURN, TARGET = 20, 23, 26  # right.tx ..., right.rx ..., the target's own
+
+SCALE_WIDTH = 0.02
+LIGHT_WIDTH_M = 2e-3
+TURN_WIDTH_RAD = 5e-3
+PLACE_WIDTH_M = 1e-3
+FOCAL_WIDTH = 0.02
+K1_WIDTH = 0.05
+DELAY_WIDTH_S = 5e-3
+"""How large a fault of each kind usually is, one deviation. They weigh causes against each other and matter little: ten
+times the width costs a cause as much as a chi-square of 4.6."""
+
+RECALIBRATE = "calibrate the cameras anew with `armsight calibrate stereo`"
+REMEASURE = "measure the target with `armsight calibrate target`"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Cause:
+    """One thing that may be wrong. V (q, k): error of all parameters by its k numbers, in units of width (k,).
+
+    labels (k,): of the numbers. same: other directions (q, k) that leave the same residuals and move the poses in
+    another way. from_change: since some moment of the run, not from its beginning. unit: of the numbers, SI.
+    """
+
+    key: str
+    V: Array
+    width: Array
+    labels: tuple[str, ...]
+    unit: str
+    words: str
+    advice: str
+    same: tuple[Array, ...] = ()
+    from_change: bool = False
+
+    def scaled(self) -> Array:
+        """Return V (q, k) for numbers in units of their width."""
+        return np.asarray(self.V * self.width)
+
+
+def parameter_widths(q: int, *, scale_only: bool) -> Array:
+    """Return (q,): how far off each parameter usually is where it is wrong; scale_only: of the target."""
+    camera = [10.0] * 4 + [1.0] + [K1_WIDTH] * 2 + [1e-3] * 2 + [K1_WIDTH]
+    target = [SCALE_WIDTH] if scale_only else [LIGHT_WIDTH_M] * (q - TARGET - 1)
+    return np.array([*camera, *camera, *[PLACE_WIDTH_M] * 3, *[TURN_WIDTH_RAD] * 3, *target, DELAY_WIDTH_S])
+
+
+def causes_of(setup: Setup, basis: Array) -> tuple[Cause, ...]:
+    """Return all causes that this setup can have; basis (m, 3, p) of the target's parameters."""
+    q = len(RIG_PARAMETERS) + basis.shape[2] + 1
+    out = [
+        _scale(setup, basis, q),
+        *_lights(setup, basis, q),
+        _turned(setup, q),
+        _displaced(setup, q),
+        *_lenses(setup, q),
+    ]
+    if setup.rig.kind is RigKind.STEREO and not setup.overlaid:
+        out += [_delay(q), _moved(setup, q)]
+    static = [cause for cause in out if not cause.from_change]
+    lights = [cause for cause in static if cause.key.startswith("light")]
+    rig = [cause for cause in static if cause.key in ("turned", "displaced", "focal", "distortion")]
+    if lights:
+        out.append(_together("target", lights, "more than one light is not where the target's file says", REMEASURE))
+    out.append(_together("rig", rig, "the rig's calibration is wrong in more than one way", RECALIBRATE))
+    words = "the target, the rig or both are wrong in more than one way"
+    out.append(_together("several", static, words, f"first {RECALIBRATE}, then {REMEASURE}"))
+    return tuple(out)
+
+
+def _together(key: str, parts: list[Cause], words: str, advice: str) -> Cause:
+    """Return the cause that any of these may hold at once."""
+    return Cause(
+        key=key,
+        V=np.hstack([cause.V for cause in parts]),
+        width=np.concatenate([cause.width for cause in parts]),
+        labels=tuple(f"{cause.key}.{label}" for cause in parts for label in cause.labels),
+        unit="",
+        words=words,
+        advice=f"{advice[0].upper()}{advice[1:]}",
+    )
+
+
+def _zeros(q: int, k: int) -> Array:
+    return np.zeros((q, k))
+
+
+def _scale(setup: Setup, basis: Array, q: int) -> Cause:
+    """Target against baseline: a larger target and a shorter baseline leave the same residuals."""
+    target, baseline = _zeros(q, 1), _zeros(q, 1)
+    m, p = basis.shape[0], basis.shape[2]
+    target[TARGET : TARGET + p, 0] = np.linalg.lstsq(
+        basis.reshape(3 * m, p), setup.model.xyz_m.ravel(), rcond=None
+    )[0]  # fmt: skip
+    baseline[PLACE : PLACE + 3, 0] = -setup.packed.baseline
+    return Cause(
+        key="scale",
+        V=target,
+        width=np.array([SCALE_WIDTH]),
+        labels=("target_against_baseline",),
+        unit="1",
+        words="the target's scale against the baseline is off",
+        advice=f"Check the target's measures with a calliper, or {REMEASURE}; if they hold, {RECALIBRATE}, with the "
+        "board's true square size",
+        same=(baseline,),
+    )
+
+
+def _lights(setup: Setup, basis: Array, q: int) -> list[Cause]:
+    if basis.shape[2] < 3 * basis.shape[0] or len(setup.model) < 3:
+        return []
+    out = []
+    for i, name in enumerate(setup.model.names):
+        V = _zeros(q, 3)
+        V[TARGET + 3 * i : TARGET + 3 * i + 3] = np.eye(3)
+        out.append(
+            Cause(
+                key=f"light {name}",
+                V=V,
+                width=np.full(3, LIGHT_WIDTH_M),
+                labels=("x_m", "y_m", "z_m"),
+                unit="m",
+                words=f"light {name} is not where the target's file says",
+                advice=f"Look whether {name} is loose or knocked, then {REMEASURE}",
+            )
+        )
+    return out
+
+
+def _axes(setup: Setup) -> Array:
+    """Return (3, 3): the right camera's axes, in rig axes, as columns."""
+    return np.asarray(setup.packed.R[1].T)
+
+
+def _turned(setup: Setup, q: int) -> Cause:
+    V = _zeros(q, 3)
+    V[TURN : TURN + 3] = _axes(setup)
+    return Cause(
+        key="turned",
+        V=V,
+        width=np.full(3, TURN_WIDTH_RAD),
+        labels=("about_x_rad", "about_y_rad", "about_z_rad"),
+        unit="rad",
+        words="the right camera is turned against the left one",
+        advice=f"Fasten the cameras, then {RECALIBRATE}",
+    )
+
+
+def _displaced(setup: Setup, q: int) -> Cause:
+    """Return the cause of a right camera beside its place, square to the baseline: along it is the scale."""
+    along = setup.packed.baseline / np.linalg.norm(setup.packed.baseline)
+    across = np.linalg.svd(along[None])[2][1:].T  # (3, 2)
+    V = _zeros(q, 2)
+    V[PLACE : PLACE + 3] = across
+    return Cause(
+        key="displaced",
+        V=V,
+        width=np.full(2, PLACE_WIDTH_M),
+        labels=("across_1_m", "across_2_m"),
+        unit="m",
+        words="the right camera stands beside its place",
+        advice=f"Fasten the cameras, then {RECALIBRATE}",
+    )
+
+
+def _lenses(setup: Setup, q: int) -> list[Cause]:
+    k = setup.packed.k
+    focal, bend = _zeros(q, 2), _zeros(q, 2)
+    for side, start in enumerate((LEFT, RIGHT)):
+        focal[start : start + 2, side] = k[side, :2]
+        bend[start + K1, side] = 1.0
+    sides = ("left", "right")
+    return [
+        Cause(
+            key="focal",
+            V=focal,
+            width=np.full(2, FOCAL_WIDTH),
+            labels=sides,
+            unit="1",
+            words="a focal length is wrong",
+            advice=f"Look whether a lens was refocused or the frames scaled, then {RECALIBRATE}",
+        ),
+        Cause(
+            key="distortion",
+            V=bend,
+            width=np.full(2, K1_WIDTH),
+            labels=tuple(f"{side}_k1" for side in sides),
+            unit="1",
+            words="a lens's distortion is wrong",
+            advice=f"With views of the board up to the images' corners, {RECALIBRATE}",
+        ),
+    ]
+
+
+def _delay(q: int) -> Cause:
+    V = _zeros(q, 1)
+    V[-1] = 1.0
+    return Cause(
+        key="timing",
+        V=V,
+        width=np.array([DELAY_WIDTH_S]),
+        labels=("right_later_s",),
+        unit="s",
+        words="the two cameras do not expose at one moment",
+        advice="Trigger both cameras together, let the target stand still in each frame, or correct the times",
+    )
+
+
+def _moved(setup: Setup, q: int) -> Cause:
+    turned, V = _turned(setup, q), _zeros(q, 6)
+    V[:, :3] = turned.V
+    V[PLACE : PLACE + 3, 3:] = np.eye(3)
+    return Cause(
+        key="moved",
+        V=V,
+        width=np.concatenate([turned.width, np.full(3, PLACE_WIDTH_M)]),
+        labels=(*turned.labels, "x_m", "y_m", "z_m"),
+        unit="rad",
+        words="a camera was moved during the run",
+        advice=f"Fasten the cameras, then {RECALIBRATE}; measure anew",
+        from_change=True,
+    )

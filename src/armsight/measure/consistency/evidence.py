@@ -1,0 +1,268 @@
+"""What the residuals of a run say about its setup, summed frame by frame in bounded memory."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from math import sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.measure.consistency import kernels
+from armsight.measure.poses.kernels import pose as pose_kernels
+from armsight.measure.poses.outcome import Measured
+from armsight.measure.poses.setup import Setup
+from armsight.measure.poses.tracking import places_of
+from armsight.optics import RIG_PARAMETERS
+from armsight.records import PoseStatus, Spots
+
+Array = NDArray[np.float64]
+
+MOST_LIGHTS = 12
+"""Lights up to which each one's place is a parameter; of larger targets and boards only the scale is."""
+
+MAX_GAP_S = 0.2
+"""Frames further apart than this tell no velocity."""
+
+BIAS_PX = 0.02
+"""What a spot's centre keeps of its place within the pixel and does not lose by averaging: frames in which the target
+stands still are so many looks at one and the same error."""
+
+STILL_PX = 1.0
+"""Lights that moved less than this since a place was taken stand still."""
+
+OUTLIER = 10.0
+"""A frame whose chi-square is larger than this many times the median of the last ones is left out."""
+
+MEDIAN_OF = 51
+"""Frames over which this median is taken; it follows a lasting change after half of them."""
+
+BLOCKS = 16
+"""Stretches of the run that are kept apart, so that a change shows; when full, neighbours are merged."""
+
+
+@dataclass(slots=True, eq=False)
+class Block:
+    """Sums over a stretch of the run that began at start_s; information (q, q) and score (q,) of all parameters."""
+
+    start_s: float
+    information: Array
+    score: Array
+    chi2: float = 0.0
+    dof: float = 0.0
+    frames: int = 0
+
+    def add(self, other: Block) -> None:
+        """Take what another stretch holds."""
+        self.information += other.information
+        self.score += other.score
+        self.chi2 += other.chi2
+        self.dof += other.dof
+        self.frames += other.frames
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Frame:
+    """One frame with a whole pose: lights (n,) as positions in the model, their pixels and residuals, places (m, 3).
+
+    claimed: what the pose's covariance says, trace of the position and of the rotation.
+    """
+
+    t_s: float
+    lights: NDArray[np.intp]
+    T: Array
+    uv_px: Array
+    cov_px2: Array
+    residual_px: Array
+    places_m: Array
+    claimed: tuple[float, float]
+
+
+@dataclass(slots=True, eq=False)
+class Evidence:
+    """The sums. basis (m, 3, p): how the lights' places follow the target's p parameters; size q = 26 + p + 1.
+
+    shift_m2, shift_rad2 (q, q): x' shift x is the sum over frames of the squared move of the position (rotation) that
+    an error x of the parameters makes. claimed_m2, claimed_rad2: sums of the claimed variances.
+    """
+
+    setup: Setup
+    basis: Array
+    blocks: list[Block] = field(default_factory=list)
+    shift_m2: Array = field(init=False)
+    shift_rad2: Array = field(init=False)
+    claimed_m2: float = 0.0
+    claimed_rad2: float = 0.0
+    frames: int = 0
+    outliers: int = 0
+    _per_block: int = 4
+    _recent: deque[float] = field(default_factory=lambda: deque(maxlen=MEDIAN_OF))
+    _before: Frame | None = None
+    _last: Frame | None = None
+    _anchor: Frame | None = None
+    _still: int = 0
+
+    def __post_init__(self) -> None:
+        self.shift_m2, self.shift_rad2 = np.zeros((self.size, self.size)), np.zeros((self.size, self.size))
+
+    @classmethod
+    def of(cls, setup: Setup) -> Evidence:
+        """Return the empty sums of a setup."""
+        return cls(setup, target_basis(setup))
+
+    @property
+    def size(self) -> int:
+        """How many parameters there are."""
+        return len(RIG_PARAMETERS) + int(self.basis.shape[2]) + 1
+
+    def add(self, measured: Measured) -> None:
+        """Take one moment, in the order of time. A frame is counted when the next one has told how fast it moved."""
+        frame = frame_of(self.setup, measured)
+        if self._last is not None:
+            self._count(self._last, velocity_of(self._before, self._last, frame))
+        self._before, self._last = (self._last, frame) if frame is not None else (None, None)
+
+    def finish(self) -> None:
+        """Count the last frame."""
+        if self._last is not None:
+            self._count(self._last, velocity_of(None, self._last, None))
+        self._before = self._last = None
+
+    def slopes(self, frame: Frame, velocity: Array) -> tuple[float, Array, Array, Array, Array] | None:
+        """Return chi-square, N (q, q), b (q,), S (6, q) and the covariance (6, 6) by the spots' noise of a frame."""
+        N, b, S = np.empty((self.size, self.size)), np.empty(self.size), np.empty((6, self.size))
+        C = np.empty((6, 6))
+        packed = self.setup.packed
+        chi2 = kernels.frame_evidence(
+            packed.k,
+            packed.R,
+            packed.t,
+            frame.cov_px2,
+            self.setup.model.xyz_m[frame.lights],
+            frame.T,
+            self.basis[frame.lights],
+            velocity[frame.lights],
+            frame.residual_px,
+            N,
+            b,
+            S,
+            C,
+        )
+        return None if chi2 < 0.0 else (chi2, N, b, S, C)
+
+    def backward(self, frame: Frame) -> Array:
+        """Return the velocities (m, 3) of a frame that comes after the last one added before it."""
+        before = self._before
+        if before is None or not 0.0 < frame.t_s - before.t_s <= MAX_GAP_S:
+            return np.zeros_like(frame.places_m)
+        return np.asarray((frame.places_m - before.places_m) / (frame.t_s - before.t_s))
+
+    def _count(self, frame: Frame, velocity: Array) -> None:
+        found = self.slopes(frame, velocity)
+        if found is None:
+            return
+        chi2, N, b, S, _ = found
+        dof = 4.0 * len(frame.lights) - 6.0
+        usual = float(np.median(self._recent)) if len(self._recent) > MEDIAN_OF // 4 else np.inf
+        self._recent.append(chi2 / dof)
+        if chi2 / dof > OUTLIER * usual:
+            self.outliers += 1
+            return
+        weight = self._weight(frame)
+        block = self._block(frame.t_s)
+        block.information += weight * N
+        block.score += weight * b
+        block.chi2 += weight * chi2
+        block.dof += weight * dof
+        block.frames += 1
+        self.shift_m2 += S[:3].T @ S[:3]
+        self.shift_rad2 += S[3:].T @ S[3:]
+        self.claimed_m2 += frame.claimed[0]
+        self.claimed_rad2 += frame.claimed[1]
+        self.frames += 1
+
+    def _weight(self, frame: Frame) -> float:
+        """Return what one more look at lights that stand still is worth: n looks count n / (1 + n BIAS^2 / sigma^2)."""
+        anchor = self._anchor
+        if (
+            anchor is None
+            or len(anchor.lights) != len(frame.lights)
+            or (anchor.lights != frame.lights).any()
+            or np.abs(anchor.uv_px - frame.uv_px).max() > STILL_PX
+        ):
+            self._anchor, self._still = frame, 0
+        variance = float(np.einsum("nsii->", frame.cov_px2)) / (4.0 * len(frame.lights))
+        weight = 1.0 / (1.0 + self._still * BIAS_PX**2 / variance) ** 2
+        self._still += 1
+        return weight
+
+    def _block(self, t_s: float) -> Block:
+        if self.blocks and self.blocks[-1].frames < self._per_block:
+            return self.blocks[-1]
+        if len(self.blocks) == BLOCKS:
+            for first, second in zip(self.blocks[::2], self.blocks[1::2], strict=True):
+                first.add(second)
+            self.blocks = self.blocks[::2]
+            self._per_block *= 2
+        self.blocks.append(Block(t_s, np.zeros((self.size, self.size)), np.zeros(self.size)))
+        return self.blocks[-1]
+
+
+def target_basis(setup: Setup) -> Array:
+    """Return (m, 3, p): every coordinate of every light, or, for many lights and for boards, the scale alone."""
+    X = setup.model.xyz_m
+    if setup.target.is_board or len(X) > MOST_LIGHTS:
+        return np.ascontiguousarray(X[:, :, None])
+    return np.eye(3 * len(X)).reshape(len(X), 3, 3 * len(X))
+
+
+def frame_of(setup: Setup, measured: Measured) -> Frame | None:
+    """Return what a moment with a whole pose of a measured target says; None for any other."""
+    pose = measured.pose
+    if pose.status is not PoseStatus.OK or pose.T_parent_target is None or pose.covariance is None:
+        return None
+    if not setup.target.model_known:
+        return None
+    names = setup.model.names
+    if measured.names == names:
+        lights = np.arange(len(names))
+    else:
+        place = {name: i for i, name in enumerate(names)}
+        lights = np.array([place[name] for name in measured.names])
+    uv, cov = stacked(measured.left, measured.right)
+    variances = np.diag(pose.covariance)
+    return Frame(
+        t_s=pose.t_s,
+        lights=lights,
+        T=np.array(pose.T_parent_target),
+        uv_px=uv,
+        cov_px2=cov,
+        residual_px=np.array(pose.residual_px).reshape(-1, 2, 2),
+        places_m=places_of(setup, pose.T_parent_target),
+        claimed=(float(variances[:3].sum()), float(variances[3:].sum())),
+    )
+
+
+def stacked(left: Spots, right: Spots) -> tuple[Array, Array]:
+    """Return pixels (n, 2, 2) and covariances (n, 2, 2, 2) [spot, side] of spots in the same order."""
+    uv, cov = np.empty((len(left), 2, 2)), np.empty((len(left), 2, 2, 2))
+    pose_kernels.stack_views(left.uv_px, left.covariance_px2, right.uv_px, right.covariance_px2, uv, cov)
+    return uv, cov
+
+
+def velocity_of(before: Frame | None, frame: Frame, after: Frame | None) -> Array:
+    """Return the lights' velocities (m, 3) in m/s by the frames before and after; zero where these do not tell.
+
+    A target that is put from place to place between frames has none: there the two differences disagree.
+    """
+    none = np.zeros_like(frame.places_m)
+    if before is None or after is None:
+        return none
+    back, ahead = frame.t_s - before.t_s, after.t_s - frame.t_s
+    if not (0.0 < back <= MAX_GAP_S and 0.0 < ahead <= MAX_GAP_S):
+        return none
+    came, goes = (frame.places_m - before.places_m) / back, (after.places_m - frame.places_m) / ahead
+    middle = (after.places_m - before.places_m) / (back + ahead)
+    steady = sqrt(float(((goes - came) ** 2).sum())) <= sqrt(float((middle**2).sum()))
+    return np.asarray(middle) if steady else none

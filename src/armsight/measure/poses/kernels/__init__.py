@@ -1,0 +1,1 @@
+"""Compiled code of the pose: correspondence, fit, covariance."""

@@ -1,0 +1,290 @@
+"""Compiled search for the one consistent assignment of the spots of both views to the target's names.
+
+Pairs of spots that agree with the epipolar constraint are triangulated; names are then given to pairs by
+depth-first search, cut wherever a distance between two of them is not the target's; what is left is judged by
+its reprojection.
+"""
+
+from __future__ import annotations
+
+from math import log
+
+import numpy as np
+
+from armsight._numba import kernel
+from armsight.measure.poses.kernels.pose import SOLVED, kabsch, pose_normal, refine_pose, weights
+from armsight.optics.kernels.rays import epipolar_residual, quadratic_form_2, rays_in_rig
+from armsight.optics.kernels.triangulation import BEHIND, FOUND, triangulate_linear_point
+
+MAX_PAIRS = 1024
+MANY_PAIRS = 8192  # of coarse centres
+MAX_NODES = 10_000_000  # pairs looked at in the search; about 0.1 s
+HOPELESS = 20.0  # chi-square of a closed-form start over the limit beyond which no fit brings it below
+JUDGED = 1500  # as many pairs take as long as judging a whole arrangement
+
+
+@kernel
+def candidate_pairs(k, R, t, baseline, uv_left, cov_left, uv_right, cov_right, slack2, gate, overlaid, most):
+    """Return pairs (c, 2), uv (c, 2, 2), cov (c, 2, 2, 2), P (c, 3), S (c, 3, 3), and how many more lay behind.
+
+    gate: largest whitened squared epipolar distance, with slack2 added to every coordinate's variance, which is
+    in S as well. Pairs behind a camera or without a finite distance are counted or left out. overlaid: left and right
+    are the same spots, of one image that holds both views, and no spot is its own partner.
+    """
+    n_left = uv_left.shape[0]
+    n_right = uv_right.shape[0]
+    limit = min(n_left * n_right, most)
+    pairs = np.empty((limit, 2), np.intp)
+    uv = np.empty((limit, 2, 2))
+    cov = np.empty((limit, 2, 2, 2))
+    P = np.empty((limit, 3))
+    S = np.empty((limit, 3, 3))
+    d_left = np.empty((n_left, 3))
+    D_left = np.empty((n_left, 3, 2))
+    ok_left = np.empty(n_left, np.bool_)
+    d_right = np.empty((n_right, 3))
+    D_right = np.empty((n_right, 3, 2))
+    ok_right = np.empty(n_right, np.bool_)
+    rays_in_rig(k[0], R[0], uv_left, d_left, D_left, ok_left)
+    rays_in_rig(k[1], R[1], uv_right, d_right, D_right, ok_right)
+    g_left = np.empty(2)
+    g_right = np.empty(2)
+    wide = np.empty((2, 2, 2))
+    count = 0
+    behind = 0
+    for i in range(n_left):
+        for j in range(n_right):
+            if not (ok_left[i] and ok_right[j]) or count == limit or (overlaid and i == j):
+                continue
+            e = epipolar_residual(d_left[i], D_left[i], d_right[j], D_right[j], baseline, g_left, g_right)
+            variance = quadratic_form_2(cov_left[i], g_left) + quadratic_form_2(cov_right[j], g_right)
+            variance += slack2 * (g_left[0] ** 2 + g_left[1] ** 2 + g_right[0] ** 2 + g_right[1] ** 2)
+            if not e * e <= gate * variance:
+                continue
+            uv[count, 0] = uv_left[i]
+            uv[count, 1] = uv_right[j]
+            cov[count, 0] = cov_left[i]
+            cov[count, 1] = cov_right[j]
+            wide[:] = cov[count]
+            for s in range(2):
+                wide[s, 0, 0] += slack2
+                wide[s, 1, 1] += slack2
+            verdict = triangulate_linear_point(k, R, t, uv[count], wide, P[count], S[count])
+            if verdict == FOUND:
+                pairs[count, 0] = i
+                pairs[count, 1] = j
+                count += 1
+            elif verdict == BEHIND:
+                behind += 1
+    return pairs[:count], uv[:count], cov[:count], P[:count], S[:count], behind
+
+
+@kernel
+def distance_fits(P, S, a, b, distance, gate):
+    """Tell whether the points a and b are `distance` apart within gate (squared deviations)."""
+    d = (P[a, 0] - P[b, 0], P[a, 1] - P[b, 1], P[a, 2] - P[b, 2])  # no array: this runs a hundred thousand times
+    length2 = d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
+    variance = 0.0
+    for i in range(3):
+        for j in range(3):
+            variance += d[i] * (S[a, i, j] + S[b, i, j]) * d[j]
+    # variance of the length is variance / length^2
+    return (np.sqrt(length2) - distance) ** 2 * length2 <= gate * variance
+
+
+@kernel
+def _spreads(S, gate, spread):
+    """Fill spread (c,) with how far each point may be off in any direction: at least what `distance_fits` allows."""
+    for c in range(S.shape[0]):
+        spread[c] = np.sqrt(gate * (S[c, 0, 0] + S[c, 1, 1] + S[c, 2, 2]))
+
+
+@kernel
+def _near(P, spread, a, b, distance):
+    """Tell, cheaply, whether the points a and b could be `distance` apart."""
+    x = P[a, 0] - P[b, 0]
+    y = P[a, 1] - P[b, 1]
+    z = P[a, 2] - P[b, 2]
+    length2 = x * x + y * y + z * z
+    slack = spread[a] + spread[b]
+    low = max(distance - slack, 0.0)
+    return low * low <= length2 <= (distance + slack) ** 2
+
+
+@kernel
+def _allowed(name, candidate, chosen, pairs, P, S, spread, D, gate, overlaid):
+    """Tell whether the candidate may be `name` beside the names already chosen: no spot serves twice."""
+    for other in range(name):
+        c = chosen[other]
+        if c < 0:
+            continue
+        if not _near(P, spread, c, candidate, D[other, name]):
+            return False
+        if pairs[c, 0] == pairs[candidate, 0] or pairs[c, 1] == pairs[candidate, 1]:
+            return False
+        if overlaid and (pairs[c, 0] == pairs[candidate, 1] or pairs[c, 1] == pairs[candidate, 0]):
+            return False
+        if not distance_fits(P, S, c, candidate, D[other, name], gate):
+            return False
+    return True
+
+
+@kernel
+def _judge(k, R, t, chosen, count, X, radius, normal, ellipse, pairs, uv, W, P, limit, Rp, tp):
+    """Fit the pose to the chosen pairs; return chi-square, infinite where there is none or far above the limit."""
+    x = np.empty((count, 3))
+    p = np.empty((count, 3))
+    r = np.empty((count, 2))
+    z = np.empty((count, 2, 2))
+    w = np.empty((count, 2, 2, 2))
+    n = 0
+    for name in range(chosen.shape[0]):
+        c = chosen[name]
+        if c >= 0:
+            x[n] = X[name]
+            p[n] = P[c]
+            r[n, 0] = radius if ellipse[0, pairs[c, 0]] else 0.0
+            r[n, 1] = radius if ellipse[1, pairs[c, 1]] else 0.0
+            z[n] = uv[c]
+            w[n] = W[c]
+            n += 1
+    kabsch(x, p, Rp, tp)
+    H = np.empty((6, 6))
+    residual = np.empty((count, 2, 2))
+    if not pose_normal(k, R, t, x, r, normal, z, w, Rp, tp, H, np.empty(6), residual) <= HOPELESS * limit:
+        return np.inf
+    state, chi2 = refine_pose(k, R, t, x, r, normal, z, w, Rp, tp, H, residual)
+    return chi2 if state == SOLVED else np.inf
+
+
+@kernel
+def search(
+    k, R, t, X, D, radius, normal, ellipse, pairs, uv, cov, P, S, slack2, gate, limits, margin, overlaid,
+    smaller, most_nodes, names, chi2s, poses
+):  # fmt: skip
+    """Fill the best hypotheses and return (how many, how many passed in all, whether the search was cut short).
+
+    X (m, 3) and D (m, m): the model and its distances. ellipse (2, n): which spots of each side are outlines of
+    discs. pairs .. S: from candidate_pairs. gate: on distances. limits (m + 1,): largest chi-square of a fit of
+    that many spots. overlaid: see candidate_pairs. margin: a hypothesis is kept while its chi-square is within margin
+    of the best one's.
+    names (h, m) gets the pair of each name or -1, chi2s (h,) ascending, poses (h, 3, 4) rotation and translation.
+    Only hypotheses with the largest number of names are kept, but where `smaller` is True: then all of three names
+    and more, ordered by chi-square less what their number of spots lets expect.
+    """
+    m = X.shape[0]
+    C = pairs.shape[0]
+    room = names.shape[0]
+    W = np.empty_like(cov)
+    if not weights(cov, slack2, W):
+        return np.int64(0), np.int64(0), False
+    spread = np.empty(C)
+    _spreads(S, gate, spread)
+    chosen = np.full(m, -1, np.intp)
+    following = np.zeros(m, np.intp)
+    Rp = np.empty((3, 3))
+    tp = np.empty(3)
+    # typed: a bare 0 would have every callee compiled once for the literal and once for the number
+    found = np.int64(0)
+    best = np.int64(3)
+    count = np.int64(0)
+    level = np.int64(0)
+    nodes = np.int64(0)
+    passed = np.int64(0)
+    while level >= 0:
+        nodes += 1
+        if nodes > most_nodes:
+            return found, passed, True
+        if level == m:
+            chi2 = _judge(k, R, t, chosen, count, X, radius, normal, ellipse, pairs, uv, W, P, limits[count], Rp, tp)
+            nodes += JUDGED
+            if chi2 <= limits[count]:
+                passed += 1
+                if smaller:
+                    chi2 -= limits[count]
+                elif count > best:
+                    found = np.int64(0)
+                    best = count
+                found = _keep(found, room, margin, chosen, chi2, Rp, tp, names, chi2s, poses)
+            level -= 1
+            continue
+        if chosen[level] >= 0:  # come back from below: give the name up again
+            chosen[level] = -1
+            count -= 1
+        c = following[level]
+        nodes -= c
+        while c < C and not _allowed(level, c, chosen, pairs, P, S, spread, D, gate, overlaid):
+            c += 1
+        nodes += c
+        if c < C:
+            chosen[level] = c
+            count += 1
+            following[level] = c + 1
+            level += 1
+            if level < m:
+                following[level] = 0
+        elif c == C and count + (m - level - 1) >= best:  # leave the name without a spot
+            following[level] = C + 1
+            level += 1
+            if level < m:
+                following[level] = 0
+        else:
+            level -= 1
+    return found, passed, False
+
+
+SLACKS = np.array([0.02, 0.05, 0.1, 0.2, 0.3])  # px
+
+
+@kernel
+def surprise(k, R, t, X, radius, normal, uv, cov, Rp, tp):
+    """Return -2 log likelihood of the spots uv (n, 2, 2), cov (n, 2, 2, 2) of a target at the pose Rp, tp.
+
+    radius (n, 2) of flat lights. With the slack of SLACKS that suits it best: what the calibration adds is not known.
+    """
+    n = X.shape[0]
+    residual = np.empty((n, 2, 2))
+    W = np.empty_like(cov)
+    if not weights(cov, 0.0, W):
+        return np.inf
+    if not np.isfinite(pose_normal(k, R, t, X, radius, normal, uv, W, Rp, tp, np.empty((6, 6)), np.empty(6), residual)):
+        return np.inf
+    best = np.inf
+    for slack in SLACKS:
+        total = 0.0
+        for i in range(n):
+            for s in range(2):
+                a = cov[i, s, 0, 0] + slack * slack
+                b = cov[i, s, 0, 1]
+                c = cov[i, s, 1, 1] + slack * slack
+                det = a * c - b * b
+                x = residual[i, s, 0]
+                y = residual[i, s, 1]
+                total += (c * x * x - 2.0 * b * x * y + a * y * y) / det + log(det)
+        best = min(best, total)
+    return best
+
+
+@kernel
+def _keep(found, room, margin, chosen, chi2, Rp, tp, names, chi2s, poses):
+    """Insert a hypothesis in ascending order of chi-square; return how many are kept."""
+    if found and chi2 > chi2s[0] + margin:
+        return found
+    at = found
+    while at > 0 and chi2s[at - 1] > chi2:
+        at -= 1
+    last = min(found, room - 1)
+    if at > last:
+        return found
+    for i in range(last, at, -1):
+        names[i] = names[i - 1]
+        chi2s[i] = chi2s[i - 1]
+        poses[i] = poses[i - 1]
+    names[at] = chosen
+    chi2s[at] = chi2
+    poses[at, :, :3] = Rp
+    poses[at, :, 3] = tp
+    found = last + 1
+    while chi2s[found - 1] > chi2s[0] + margin:
+        found -= 1
+    return found

@@ -1,0 +1,351 @@
+"""Compiled pose of named spots seen by both cameras: Kabsch start, maximum likelihood, covariance.
+
+Views are indexed [spot, side]; a camera is k (10,), R (3, 3), t (3,) with p_camera = R p_rig + t.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+
+from armsight._numba import kernel
+from armsight.fitting.kernels import invert_spd, solve_damped
+from armsight.geometry.kernels import rotate_left
+from armsight.measure.poses.kernels.light_image import see_light
+from armsight.optics.kernels.camera import see_point
+from armsight.optics.kernels.triangulation import FOUND, invert_2, triangulate_linear_point, triangulate_ml_point
+
+SOLVED, NO_WEIGHT, NO_POINT, BEHIND_CAMERA, OPEN, ENDLESS = 0, 1, 2, 3, 4, 5
+
+MAX_STEPS = 200  # five or fewer where residuals are noise; a target seen straight on that does not fit takes many
+SETTLED = 1e-8  # fall of chi-square, relative and absolute, that counts as none: 1e-4 of a deviation
+
+
+@kernel
+def kabsch(X, P, R, t):
+    """Fill R (3, 3), t (3,) so that P ~ R X + t for X, P (n, 3) in least squares (Horn's quaternion)."""
+    n = X.shape[0]
+    mx = np.zeros(3)
+    mp = np.zeros(3)
+    for i in range(n):
+        mx += X[i] / n
+        mp += P[i] / n
+    M = np.zeros((3, 3))
+    for i in range(n):
+        for a in range(3):
+            for b in range(3):
+                M[a, b] += (X[i, a] - mx[a]) * (P[i, b] - mp[b])
+    N = np.empty((4, 4))
+    N[0, 0] = M[0, 0] + M[1, 1] + M[2, 2]
+    N[0, 1] = M[1, 2] - M[2, 1]
+    N[0, 2] = M[2, 0] - M[0, 2]
+    N[0, 3] = M[0, 1] - M[1, 0]
+    N[1, 1] = M[0, 0] - M[1, 1] - M[2, 2]
+    N[1, 2] = M[0, 1] + M[1, 0]
+    N[1, 3] = M[2, 0] + M[0, 2]
+    N[2, 2] = -M[0, 0] + M[1, 1] - M[2, 2]
+    N[2, 3] = M[1, 2] + M[2, 1]
+    N[3, 3] = -M[0, 0] - M[1, 1] + M[2, 2]
+    for a in range(4):
+        for b in range(a):
+            N[a, b] = N[b, a]
+    _, vectors = np.linalg.eigh(N)
+    w, x, y, z = vectors[0, 3], vectors[1, 3], vectors[2, 3], vectors[3, 3]
+    R[0, 0] = 1.0 - 2.0 * (y * y + z * z)
+    R[0, 1] = 2.0 * (x * y - w * z)
+    R[0, 2] = 2.0 * (x * z + w * y)
+    R[1, 0] = 2.0 * (x * y + w * z)
+    R[1, 1] = 1.0 - 2.0 * (x * x + z * z)
+    R[1, 2] = 2.0 * (y * z - w * x)
+    R[2, 0] = 2.0 * (x * z - w * y)
+    R[2, 1] = 2.0 * (y * z + w * x)
+    R[2, 2] = 1.0 - 2.0 * (x * x + y * y)
+    for a in range(3):
+        t[a] = mp[a] - (R[a, 0] * mx[0] + R[a, 1] * mx[1] + R[a, 2] * mx[2])
+
+
+@kernel
+def pose_normal(k, R, t, X, radius, normal, uv, W, Rp, tp, H, g, residual):
+    """Fill H (6, 6), g (6,), residual (n, 2, 2) of chi-square / 2 at the pose Rp, tp; return chi-square.
+
+    The pose moves as t + dt, Exp(dw) R in rig axes. Infinite where a spot is behind a camera.
+    """
+    H[:] = 0.0
+    g[:] = 0.0
+    q = np.empty(3)
+    p = np.empty(3)
+    m = np.empty(3)
+    seen = np.empty(2)
+    J = np.empty((2, 3))
+    G = np.empty((2, 6))
+    WG = np.empty((2, 6))
+    for i in range(3):
+        m[i] = Rp[i, 0] * normal[0] + Rp[i, 1] * normal[1] + Rp[i, 2] * normal[2]
+    chi2 = 0.0
+    for n in range(X.shape[0]):
+        for i in range(3):
+            q[i] = Rp[i, 0] * X[n, 0] + Rp[i, 1] * X[n, 1] + Rp[i, 2] * X[n, 2]
+            p[i] = q[i] + tp[i]
+        for s in range(2):
+            if not see_light(k[s], R[s], t[s], p, radius[n, s], m, seen, J):
+                return np.inf
+            rx = seen[0] - uv[n, s, 0]
+            ry = seen[1] - uv[n, s, 1]
+            residual[n, s, 0] = rx
+            residual[n, s, 1] = ry
+            for i in range(2):
+                a, b, c = J[i, 0], J[i, 1], J[i, 2]
+                G[i, 0] = a
+                G[i, 1] = b
+                G[i, 2] = c
+                G[i, 3] = q[1] * c - q[2] * b  # (q x J')
+                G[i, 4] = q[2] * a - q[0] * c
+                G[i, 5] = q[0] * b - q[1] * a
+            w = W[n, s]
+            for j in range(6):
+                WG[0, j] = w[0, 0] * G[0, j] + w[0, 1] * G[1, j]
+                WG[1, j] = w[1, 0] * G[0, j] + w[1, 1] * G[1, j]
+            chi2 += rx * (w[0, 0] * rx + w[0, 1] * ry) + ry * (w[1, 0] * rx + w[1, 1] * ry)
+            for i in range(6):
+                g[i] += WG[0, i] * rx + WG[1, i] * ry
+                for j in range(i + 1):
+                    H[i, j] += G[0, i] * WG[0, j] + G[1, i] * WG[1, j]
+    for i in range(6):
+        for j in range(i):
+            H[j, i] = H[i, j]
+    return chi2
+
+
+@kernel
+def refine_pose(k, R, t, X, radius, normal, uv, W, Rp, tp, H, residual):
+    """Move Rp, tp to the least chi-square from where they are; return (state, chi-square).
+
+    H (6, 6) and residual (n, 2, 2) are left at the minimum. Levenberg-Marquardt, damped after Nielsen.
+    """
+    g = np.empty(6)
+    H2 = np.empty((6, 6))
+    g2 = np.empty(6)
+    residual2 = np.empty_like(residual)
+    step = np.empty(6)
+    R2 = np.empty((3, 3))
+    t2 = np.empty(3)
+    chi2 = pose_normal(k, R, t, X, radius, normal, uv, W, Rp, tp, H, g, residual)
+    if not np.isfinite(chi2):
+        return BEHIND_CAMERA, np.inf
+    damping = 0.0
+    growth = 2.0
+    for _ in range(MAX_STEPS):
+        if not solve_damped(H, g, damping, step):
+            return OPEN, np.inf
+        promised = -np.dot(step, g)  # fall of chi-square, more where damped
+        rotate_left(step[3:], Rp, R2)
+        for i in range(3):
+            t2[i] = tp[i] + step[i]
+        new = pose_normal(k, R, t, X, radius, normal, uv, W, R2, t2, H2, g2, residual2)
+        if new <= chi2:
+            settled = chi2 - new <= SETTLED * (1.0 + chi2)
+            share = 2.0 * (chi2 - new) / promised - 1.0
+            chi2 = new
+            Rp[:] = R2
+            tp[:] = t2
+            H[:] = H2
+            g[:] = g2
+            residual[:] = residual2
+            if settled or promised <= SETTLED * (1.0 + chi2):
+                return SOLVED, chi2
+            # less damping the better the promise was kept; where foreshortening bends the residuals it is not
+            damping *= max(1.0 / 3.0, 1.0 - share**3)
+            growth = 2.0
+        else:
+            if promised <= SETTLED * (1.0 + chi2):
+                return SOLVED, chi2
+            damping = max(growth * damping, 1e-2)
+            growth *= 2.0
+    return ENDLESS, np.inf
+
+
+@kernel
+def weights(cov, slack2, W):
+    """Fill W (n, 2, 2, 2) with the inverse of cov + slack2 I; False where one is not positive."""
+    S = np.empty((2, 2))
+    for n in range(cov.shape[0]):
+        for s in range(2):
+            S[:] = cov[n, s]
+            S[0, 0] += slack2
+            S[1, 1] += slack2
+            if not invert_2(S, W[n, s]):
+                return False
+    return True
+
+
+@kernel
+def slack_chi2(residual, cov, slack2):
+    """Return the sum of squares of residual (n, 2, 2), whitened with cov (n, 2, 2, 2) + slack2 I."""
+    S = np.empty((2, 2))
+    W = np.empty((2, 2))
+    total = 0.0
+    for n in range(residual.shape[0]):
+        for s in range(2):
+            S[:] = cov[n, s]
+            S[0, 0] += slack2
+            S[1, 1] += slack2
+            if not invert_2(S, W):
+                return np.inf
+            x, y = residual[n, s, 0], residual[n, s, 1]
+            total += x * (W[0, 0] * x + W[0, 1] * y) + y * (W[1, 0] * x + W[1, 1] * y)
+    return total
+
+
+@kernel
+def triangulate_all(k, R, t, uv, cov, P, S):
+    """Fill P (n, 3), S (n, 3, 3) by maximum likelihood; return whether all n are points."""
+    for n in range(uv.shape[0]):
+        verdict, _ = triangulate_ml_point(k, R, t, uv[n], cov[n], P[n], S[n])
+        if verdict != FOUND:
+            return False
+    return True
+
+
+@kernel
+def point_residuals(k, R, t, uv, P, residual):
+    """Fill residual (n, 2, 2) = image of P (n, 3) minus uv (n, 2, 2); False where a point is behind a camera."""
+    seen = np.empty(2)
+    J = np.empty((2, 3))
+    for n in range(P.shape[0]):
+        for s in range(2):
+            if not see_point(k[s], R[s], t[s], P[n], seen, J):
+                return False
+            residual[n, s, 0] = seen[0] - uv[n, s, 0]
+            residual[n, s, 1] = seen[1] - uv[n, s, 1]
+    return True
+
+
+@kernel
+def stack_views(uv_left, cov_left, uv_right, cov_right, uv, cov):
+    """Fill uv (n, 2, 2) and cov (n, 2, 2, 2) [spot, side] from two lists of spots in the same order."""
+    for i in range(uv.shape[0]):
+        for a in range(2):
+            uv[i, 0, a] = uv_left[i, a]
+            uv[i, 1, a] = uv_right[i, a]
+            for b in range(2):
+                cov[i, 0, a, b] = cov_left[i, a, b]
+                cov[i, 1, a, b] = cov_right[i, a, b]
+
+
+@kernel
+def solve_named(k, R, t, uv, cov, slack2, X, radius, normal, P, S, T, C, residual):
+    """Pose of the model X (n, 3) from its n named spots, uv (n, 2, 2), cov (n, 2, 2, 2).
+
+    Returns (state, chi-square with slack, chi-square of the spots' own noise). Fills the points each by itself
+    P (n, 3), S (n, 3, 3), the pose T (4, 4), its covariance C (6, 6) (translation, rotation vector; rig axes), residual
+    (n, 2, 2) in px. Arrays are filled, not returned: handing one back costs as much as the algebra.
+    """
+    model = X.copy()  # writable as in the search: one compilation serves both
+    W = np.empty_like(cov)
+    H = np.empty((6, 6))
+    Rp = np.empty((3, 3))
+    tp = np.empty(3)
+    if not weights(cov, 0.0, W):
+        return NO_WEIGHT, np.inf, np.inf
+    if not triangulate_all(k, R, t, uv, cov, P, S):
+        return NO_POINT, np.inf, np.inf
+    kabsch(model, P, Rp, tp)
+    state, chi2 = refine_pose(k, R, t, model, radius, normal, uv, W, Rp, tp, H, residual)
+    if state == SOLVED and not invert_spd(H, C):
+        state = OPEN
+    T[:3, :3] = Rp
+    T[:3, 3] = tp
+    T[3, :3] = 0.0
+    T[3, 3] = 1.0
+    return state, slack_chi2(residual, cov, slack2), chi2
+
+
+@kernel
+def place_lights(T, X, places):
+    """Fill places (n, 3) with the model's lights X (n, 3) under the pose T (4, 4)."""
+    for n in range(X.shape[0]):
+        for i in range(3):
+            places[n, i] = T[i, 0] * X[n, 0] + T[i, 1] * X[n, 1] + T[i, 2] * X[n, 2] + T[i, 3]
+
+
+@kernel
+def predict_views(k, R, t, places, velocity, dt, ahead, uv_left, uv_right):
+    """Fill ahead (n, 3) with places + dt velocity, uv_left, uv_right (n, 2) with its images; False behind a camera."""
+    J = np.empty((2, 3))
+    for n in range(places.shape[0]):
+        for i in range(3):
+            ahead[n, i] = places[n, i] + dt * velocity[n, i]
+        if not see_point(k[0], R[0], t[0], ahead[n], uv_left[n], J):
+            return False
+        if not see_point(k[1], R[1], t[1], ahead[n], uv_right[n], J):
+            return False
+    return True
+
+
+@kernel
+def largest_innovation(uv_left, expected_left, uv_right, expected_right):
+    """Return the largest distance along one axis between seen and expected pixels (n, 2) of both sides."""
+    innovation = 0.0
+    for n in range(uv_left.shape[0]):
+        for i in range(2):
+            innovation = max(
+                innovation, abs(uv_left[n, i] - expected_left[n, i]), abs(uv_right[n, i] - expected_right[n, i])
+            )
+    return innovation
+
+
+@kernel
+def kabsch_pose(k, R, t, uv, cov, X, Rp, tp):
+    """Fill Rp, tp with Kabsch on linearly triangulated points: the closed form, without likelihood."""
+    P = np.empty((uv.shape[0], 3))
+    S = np.empty((3, 3))
+    for n in range(uv.shape[0]):
+        if triangulate_linear_point(k, R, t, uv[n], cov[n], P[n], S) != FOUND:
+            return False
+    kabsch(X.copy(), P, Rp, tp)
+    return True
+
+
+@kernel
+def pachidis_frame(P, S, T, C):
+    """Frame of three points P (3, 3), rows A, B, C, with joint covariance S (9, 9); False where they are on one line.
+
+    Origin G at their mean, u = A to G, w = (B - G) x (A - G), v = w x u (Pachidis 2005, eqs. 7-8). C (6, 6) is the
+    covariance of (dt, dw) to first order; T (4, 4) the pose.
+    """
+    a = np.empty(3)
+    b = np.empty(3)
+    for i in range(3):
+        T[i, 3] = (P[0, i] + P[1, i] + P[2, i]) / 3.0
+        a[i] = P[0, i] - T[i, 3]
+        b[i] = P[1, i] - T[i, 3]
+    w = np.cross(b, a)
+    na = sqrt(np.dot(a, a))
+    nw = sqrt(np.dot(w, w))
+    if not (na > 0.0 and nw > 1e-6 * na * na):
+        return False
+    u = -a / na
+    w /= nw
+    v = np.cross(w, u)
+    T[:3, 0] = u
+    T[:3, 1] = v
+    T[:3, 2] = w
+    # turn about v: -w . du; about w: v . du; about u: -v . dw
+    J = np.zeros((6, 9))
+    ba = np.dot(b, u)  # b = ba u + bv v in the plane
+    bv = np.dot(b, v)
+    for point in range(3):
+        da = (2.0 if point == 0 else -1.0) / 3.0  # d a / d P_point
+        db = (2.0 if point == 1 else -1.0) / 3.0
+        for i in range(3):
+            c = 3 * point + i
+            J[i, c] = 1.0 / 3.0
+            about_v = da * w[i] / na  # -w . du, du = -da / na
+            about_w = -da * v[i] / na
+            # w stays square to a and b: w . (db + dw x b) = 0 and the same for a
+            about_u = (db * w[i] + about_v * ba) / bv
+            for j in range(3):
+                J[3 + j, c] = about_u * u[j] + about_v * v[j] + about_w * w[j]
+    C[:] = J @ np.ascontiguousarray(S) @ J.T
+    return True

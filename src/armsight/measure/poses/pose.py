@@ -1,0 +1,266 @@
+"""The target's pose from its named spots in both views, with covariance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.measure.poses.correspondence import SLACK_PX
+from armsight.measure.poses.kernels import folds, rig_covariance
+from armsight.measure.poses.kernels import pose as kernels
+from armsight.optics import PackedRig
+from armsight.records import Points, PoseStatus, TargetPose, trusted
+
+Array = NDArray[np.float64]
+
+PARENT = "rig"
+
+MAX_ROTATION_SIGMA = 0.3
+"""A rotation less certain than this (rad; 17 degrees) is none: its covariance, taken to first order, means nothing."""
+
+MAX_DOUBTFUL_SIGMA = 0.07
+"""The same (4 degrees) where another tilt fits as well, or a spot is of something else: the truth then lies in one of
+several places, not about one."""
+
+FOLDED = 1.05
+"""Squared deviations of another tilt over what its residuals allow, from which that is the case."""
+
+MISFIT_SIGMA = 2.326
+"""Residuals further out than this normal deviation (1 %) widen the pose: cameras' noise models are off by up to a
+factor of two in variance, so that a frame alone proves little."""
+
+_WHY = {
+    kernels.NO_WEIGHT: "the covariance of a spot is not positive",
+    kernels.NO_POINT: "the rays of a named spot do not meet in front of both cameras",
+    kernels.BEHIND_CAMERA: "the fit put the target behind a camera",
+    kernels.OPEN: "the spots leave some direction of the pose open",
+    kernels.ENDLESS: "the fit did not settle",
+}
+_MISFIT = "one of the spots is off, and it is not clear which: only the position is known"
+_FOLDED = "the spots fit tilts to either side of the line of sight: only the position is known"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Solved:
+    """A pose with the points it came from; its matrix T (4, 4), None where it is not whole.
+
+    fits: whether the residuals agree with the target, slack allowed.
+    """
+
+    pose: TargetPose
+    points: Points
+    T: Array | None = None
+    fits: bool = True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Placed:
+    """Points by themselves, their joint covariance (3 n, 3 n) and residuals (n, 2, 2) in px.
+
+    systematic_m2 (3 n, 3 n): the rig's part of it, None where the rig is taken as exact.
+    """
+
+    points: Points
+    joint_m2: Array
+    residual_px: Array
+    systematic_m2: Array | None = None
+
+
+def solve_pose(
+    packed: PackedRig,
+    t_s: float,
+    names: tuple[str, ...],
+    xyz_m: Array,
+    uv_px: Array,
+    cov_px2: Array,
+    radius_m: Array,
+    normal: Array,
+    *,
+    limit: float,
+    slack_px: float = SLACK_PX,
+    covariance: Array | None = None,
+) -> Solved:
+    """Return the pose of greatest likelihood on both images from n >= 3 named spots, started by Kabsch.
+
+    xyz_m: (n, 3) in target axes. uv_px: (n, 2, 2), cov_px2: (n, 2, 2, 2) as [spot, side]. radius_m: (n, 2) of the
+    flat light where the spot is the outline of one, else 0; normal: (3,) of the lights' plane in target axes.
+    limit: largest chi-square, slack included, that is believed (fit_limit).
+    covariance (26 + m, 26 + m): of the rig's parameters and, m = 3 n or 0, of xyz_m; that of the rig where None.
+    Status LOST, with the reason, where the spots do not fit the target; POSITION_ONLY where they fit but leave
+    the rotation open. Covariances hold the spots' noise, widened where the residuals are larger (misfit_factor), and
+    what rig and target bring, which is the same in every frame: systematic_covariance.
+    """
+    n, xyz_m = len(names), xyz_m[:]
+    xyz_m.setflags(write=False)  # lights left out or not: one compilation serves both
+    P, S, residual = np.empty((n, 3)), np.empty((n, 3, 3)), np.zeros((n, 2, 2))
+    T, C = np.empty((4, 4)), np.empty((6, 6))
+    state, wide, chi2 = kernels.solve_named(
+        packed.k, packed.R, packed.t, uv_px, cov_px2, slack_px**2, xyz_m, radius_m, normal, P, S, T, C, residual
+    )
+    if state in (kernels.NO_WEIGHT, kernels.NO_POINT):
+        return Solved(pose=lost(t_s, _WHY[state]), points=no_points(), fits=False)
+    if state != kernels.SOLVED:
+        seen = _placed(packed, names, P, S, cov_px2, residual)
+        return Solved(pose=position_only(t_s, seen, _WHY[state]), points=seen.points, fits=state == kernels.OPEN)
+    if not wide <= limit:
+        rms = float(np.sqrt(np.mean(residual**2)))
+        why = (
+            f"the spots do not fit the target: residuals of {rms:.2f} px; "
+            "the target's measures, the calibration or the moment of the two exposures is off"
+        )
+        return Solved(pose=lost(t_s, why), points=no_points(), fits=False)
+    carried = packed.covariance if covariance is None else covariance
+    systematic = None
+    if carried.size:
+        systematic = np.empty((6, 6))
+        chi2 = rig_covariance.carry_to_pose(
+            packed.k, packed.R, packed.t, cov_px2, xyz_m, T, carried, C, residual, systematic
+        )
+    factor = misfit_factor(chi2, n)
+    C *= factor
+    if factor > 1.0:
+        folds.one_astray(packed.k, packed.R, packed.t, xyz_m, radius_m, normal, uv_px, cov_px2, T, chi2, C)
+    folded = 1.0
+    if folds.depth_chi2(P, S) < folds.PLAIN * factor:
+        plane = _plane(xyz_m, normal)
+        folded = folds.fold(packed.k, packed.R, packed.t, xyz_m, radius_m, normal, plane, uv_px, cov_px2, T, factor, C)
+    if systematic is not None:
+        C += systematic
+    in_doubt = _MISFIT if factor > 1.0 else _FOLDED if folded > FOLDED else ""
+    if not _certain(C, MAX_DOUBTFUL_SIGMA if in_doubt else MAX_ROTATION_SIGMA):
+        seen = _placed(packed, names, P, S, cov_px2, residual)
+        why = in_doubt or _WHY[kernels.OPEN]
+        return Solved(pose=position_only(t_s, seen, why), points=seen.points)
+    if packed.covariance.size:
+        A = _slopes(packed, cov_px2, P, S)
+        S += A @ packed.covariance @ A.transpose(0, 2, 1)
+    return _whole(t_s, trusted(Points, names=names, xyz_m=P, covariance_m2=S), T, C, residual, systematic)
+
+
+def solve_frame(packed: PackedRig, t_s: float, names: tuple[str, ...], uv_px: Array, cov_px2: Array) -> Solved:
+    """Return the frame of three lights A, B, C nobody has measured (Pachidis 2005, eqs. 7-8), with its covariance.
+
+    Arguments as solve_pose. The lights' own triangle is not assumed to keep its shape.
+    """
+    seen = solve_points(packed, names, uv_px, cov_px2)
+    if isinstance(seen, str):
+        return Solved(pose=lost(t_s, seen), points=no_points(), fits=False)
+    T, C = np.eye(4), np.empty((6, 6))
+    if not kernels.pachidis_frame(seen.points.xyz_m, seen.joint_m2, T, C) or not _certain(C, MAX_ROTATION_SIGMA):
+        return Solved(pose=position_only(t_s, seen, "the three lights lie on one line"), points=seen.points)
+    systematic = None
+    if seen.systematic_m2 is not None:
+        systematic = np.empty((6, 6))
+        kernels.pachidis_frame(seen.points.xyz_m, seen.systematic_m2, np.eye(4), systematic)
+    return _whole(t_s, seen.points, T, C, seen.residual_px, systematic)
+
+
+def solve_points(packed: PackedRig, names: tuple[str, ...], uv_px: Array, cov_px2: Array) -> Placed | str:
+    """Return the points by themselves, or why there are none; arguments as solve_pose."""
+    n = len(names)
+    P, S, residual = np.empty((n, 3)), np.empty((n, 3, 3)), np.zeros((n, 2, 2))
+    if not kernels.triangulate_all(packed.k, packed.R, packed.t, uv_px, cov_px2, P, S):
+        return _WHY[kernels.NO_POINT]
+    if not kernels.point_residuals(packed.k, packed.R, packed.t, uv_px, P, residual):
+        return _WHY[kernels.NO_POINT]
+    return _placed(packed, names, P, S, cov_px2, residual)
+
+
+def position_only(t_s: float, seen: Placed, why: str) -> TargetPose:
+    """Return the position of the mean of the points, with its covariance (3, 3)."""
+    n = len(seen.points)
+    T = np.eye(4)
+    T[:3, 3] = seen.points.xyz_m.mean(axis=0)
+    return TargetPose(
+        t_s=t_s,
+        status=PoseStatus.POSITION_ONLY,
+        parent=PARENT,
+        spots=seen.points.names,
+        T_parent_target=T,
+        covariance=_of_mean(seen.joint_m2, n),
+        residual_px=seen.residual_px.ravel(),
+        why=why,
+        systematic_covariance=None if seen.systematic_m2 is None else _of_mean(seen.systematic_m2, n),
+    )
+
+
+def _of_mean(joint_m2: Array, n: int) -> Array:
+    """Return the covariance (3, 3) of the mean of n points with this joint one (3 n, 3 n)."""
+    return np.asarray(joint_m2.reshape(n, 3, n, 3).sum(axis=(0, 2)) / n**2)
+
+
+def _whole(t_s: float, points: Points, T: Array, C: Array, residual: Array, systematic: Array | None = None) -> Solved:
+    """Return the pose T (4, 4) with its covariance C (6, 6)."""
+    pose = trusted(
+        TargetPose,
+        t_s=t_s,
+        status=PoseStatus.OK,
+        parent=PARENT,
+        spots=points.names,
+        T_parent_target=T,
+        covariance=C,
+        residual_px=residual.ravel(),
+        why="",
+        systematic_covariance=systematic,
+    )
+    return Solved(pose=pose, points=points, T=T)
+
+
+def misfit_factor(chi2: float, n_spots: int) -> float:
+    """Return the factor on a pose's variance for residuals of n spots with this chi-square: 1 where they can be noise.
+
+    From the point that one frame in a hundred passes by noise alone it grows with chi-square (4 n - 6 degrees of
+    freedom; Wilson-Hilferty).
+    """
+    dof = max(4 * n_spots - 6, 1)
+    spread = 2.0 / (9.0 * dof)
+    usual = dof * (1.0 - spread + MISFIT_SIGMA * sqrt(spread)) ** 3
+    return max(1.0, chi2 / usual)
+
+
+def _certain(C: Array, most: float) -> bool:
+    """Whether the rotation of a covariance (6, 6) is known well enough to be one."""
+    return bool(max(C[3, 3], C[4, 4], C[5, 5]) <= most**2)
+
+
+def _plane(xyz_m: Array, normal: Array) -> Array:
+    """Return the normal (3,) of the plane of three lights, of more that of the target's."""
+    if len(xyz_m) != 3:
+        return normal
+    across = np.cross(xyz_m[1] - xyz_m[0], xyz_m[2] - xyz_m[0])
+    return np.asarray(across / np.linalg.norm(across))
+
+
+def _placed(packed: PackedRig, names: tuple[str, ...], P: Array, S: Array, cov_px2: Array, residual: Array) -> Placed:
+    """Return the points with their joint covariance: independent spots, one common calibration."""
+    n = len(names)
+    blocks = np.zeros((n, 3, n, 3))
+    blocks[np.arange(n), :, np.arange(n), :] = S
+    joint, systematic = blocks.reshape(3 * n, 3 * n), None
+    if packed.covariance.size:
+        A = _slopes(packed, cov_px2, P, S).reshape(3 * n, -1)
+        systematic = A @ packed.covariance @ A.T
+        joint = joint + systematic
+    own = joint.reshape(n, 3, n, 3)[np.arange(n), :, np.arange(n), :]
+    points = Points(names=names, xyz_m=P, covariance_m2=own)
+    return Placed(points=points, joint_m2=joint, residual_px=residual, systematic_m2=systematic)
+
+
+def _slopes(packed: PackedRig, cov_px2: Array, P: Array, S: Array) -> Array:
+    """Return (n, 3, 26): how the points follow the rig's parameters."""
+    A = np.empty((len(P), 3, rig_covariance.PARAMETERS))
+    rig_covariance.point_slopes(packed.k, packed.R, packed.t, cov_px2, P, S, A)
+    return A
+
+
+def lost(t_s: float, why: str) -> TargetPose:
+    """Return the record of a moment without any pose."""
+    return TargetPose(t_s=t_s, status=PoseStatus.LOST, parent=PARENT, why=why)
+
+
+def no_points() -> Points:
+    """Return the record of no points."""
+    return Points(names=(), xyz_m=np.empty((0, 3)), covariance_m2=np.empty((0, 3, 3)))

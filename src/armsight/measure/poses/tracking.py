@@ -1,0 +1,145 @@
+"""From one moment to the next: where the lights are expected, and what is handed on."""
+
+from __future__ import annotations
+
+from math import ceil
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.measure.poses.correspondence import Prediction
+from armsight.measure.poses.kernels import pose as kernels
+from armsight.measure.poses.outcome import Track
+from armsight.measure.poses.pose import Solved
+from armsight.measure.poses.setup import Setup
+from armsight.records import Spots, trusted
+
+Array = NDArray[np.float64]
+
+MAX_GAP_S = 0.5
+"""A track older than this predicts nothing: hand-held targets turn round in less than a second."""
+
+MOST_SPEED = 2.0
+MOST_ACCELERATION = 25.0
+"""m/s and m/s^2 beyond which no target is expected to be led: twice what a hand reaches between two places."""
+
+MOST_ANGULAR_ACCELERATION = 300.0
+"""rad/s^2, likewise: a wrist that turns by 60 degrees and back in a quarter of a second reaches a third of it."""
+
+JUMP_SIGMA = 3.0
+"""Deviations of a pose that may come on top of how far off its prediction may be."""
+
+STILL_M = 0.005
+"""How far off a prediction may be where nothing moves."""
+
+FIRST_WINDOW_PX = 32
+"""Half the window before a velocity is known: 0.5 m/s at 0.6 m, 30 frames a second and f = 1130 px."""
+
+LEAST_WINDOW_PX = 8
+"""Half the smallest window, beside the spot itself."""
+
+SPOT_REACH = 4.0
+"""A spot's light reaches about this many of its sigmas (or radii)."""
+
+
+def expected(setup: Setup, track: Track | None, t_s: float) -> Prediction | None:
+    """Return the predicted places in the order of the target's names, and how far off they may be."""
+    if track is None:
+        return None
+    predicted, dt = track.predict(t_s), t_s - track.t_s
+    moved = MOST_ACCELERATION * dt * dt if track.velocity_m_s.any() else MOST_SPEED * dt
+    if track.names != setup.model.names:
+        out = np.full((len(setup.model), 3), np.nan)
+        for name, place in zip(track.names, predicted, strict=True):
+            out[setup.model.names.index(name)] = place
+        predicted = out
+    turned = STILL_M + MOST_ANGULAR_ACCELERATION * dt * dt * _radius_m(setup)
+    return Prediction(predicted, STILL_M + moved, turned if track.velocity_m_s.any() else np.inf)
+
+
+def _radius_m(setup: Setup) -> float:
+    """Return how far the furthest light is from the mean of the target's lights."""
+    return float(np.linalg.norm(setup.model.xyz_m - setup.model.xyz_m.mean(axis=0), axis=1).max())
+
+
+def jumped(setup: Setup, track: Track, t_s: float, solved: Solved) -> bool:
+    """Tell whether a pose in windows puts a light where no target comes from the moment before, its doubt allowed."""
+    predicted = expected(setup, track, t_s)
+    if predicted is None or not setup.target.model_known or len(setup.model) < 3:
+        return False
+    C = solved.pose.covariance
+    if solved.T is None or C is None:  # the points by themselves, in the order of the track
+        places, at = solved.points.xyz_m, track.predict(t_s)
+        doubt = np.sqrt(np.trace(solved.points.covariance_m2, axis1=1, axis2=2))
+    else:
+        places, at = places_of(setup, solved.T), predicted.xyz_m
+        arm = np.linalg.norm(setup.model.xyz_m, axis=1)
+        doubt = np.sqrt(np.trace(C[:3, :3])) + arm * np.sqrt(np.trace(C[3:, 3:]))
+    off = places - at
+    if np.any(np.linalg.norm(off, axis=1) > predicted.within_m + JUMP_SIGMA * doubt):
+        return True
+    if solved.T is None or C is None:
+        return False
+    turn_doubt = JUMP_SIGMA * _radius_m(setup) * np.sqrt(np.trace(C[3:, 3:]))
+    apart = np.linalg.norm(off - off.mean(axis=0), axis=1)
+    return bool(np.any(apart > predicted.turned_m + turn_doubt))
+
+
+def places_of(setup: Setup, T: Array) -> Array:
+    """Return where the lights of the target are (m, 3) in rig axes under its pose T (4, 4)."""
+    places = np.empty((len(setup.model), 3))
+    kernels.place_lights(T, setup.model.xyz_m, places)
+    return places
+
+
+def next_track(
+    setup: Setup,
+    t_s: float,
+    solved: Solved,
+    left: Spots,
+    right: Spots,
+    track: Track | None,
+    innovation_px: float | None = None,
+) -> Track | None:
+    """Return where the lights are and how fast they go; lights not seen go on as they went."""
+    if "?" in solved.points.names:
+        return None
+    whole = len(solved.points) == len(setup.model)
+    if solved.T is not None and setup.target.model_known:
+        names, places = setup.model.names, places_of(setup, solved.T)
+    else:
+        names, places = solved.points.names, solved.points.xyz_m
+    velocity = np.zeros_like(places)
+    if track is not None and names == track.names:
+        velocity = (places - track.xyz_m) / (t_s - track.t_s)
+    elif track is not None:
+        names, places, velocity = _carry_on(track, t_s, names, places)
+    reach = SPOT_REACH * max(*left.size_px.tolist(), *right.size_px.tolist())
+    innovation = (
+        FIRST_WINDOW_PX if innovation_px is None else min(LEAST_WINDOW_PX + 2.0 * innovation_px, FIRST_WINDOW_PX)
+    )
+    return trusted(
+        Track,
+        t_s=t_s,
+        whole_t_s=t_s if whole or track is None else track.whole_t_s,
+        names=names,
+        xyz_m=places,
+        velocity_m_s=velocity,
+        half_window_px=ceil(reach + innovation),
+        complete=whole,
+    )
+
+
+def _carry_on(track: Track, t_s: float, names: tuple[str, ...], places: Array) -> tuple[tuple[str, ...], Array, Array]:
+    """Return names, places and velocities of the lights seen, followed by those of the track not seen now."""
+    dt = t_s - track.t_s
+    before = dict(zip(track.names, zip(track.xyz_m, track.velocity_m_s, strict=True), strict=True))
+    velocity = np.zeros_like(places)
+    for i, name in enumerate(names):
+        if name in before:
+            velocity[i] = (places[i] - before[name][0]) / dt
+    if t_s - track.whole_t_s > MAX_GAP_S:
+        return names, places, velocity
+    missing = [name for name in track.names if name not in names]
+    gone = [before[name][0] + dt * before[name][1] for name in missing]
+    return (*names, *missing), np.vstack([places, *gone]), np.vstack([velocity, *(before[name][1] for name in missing)])

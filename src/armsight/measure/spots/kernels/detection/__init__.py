@@ -1,0 +1,1 @@
+"""Compiled: where something bright may be a light, before any model is fitted."""

@@ -1,0 +1,350 @@
+"""Blobs brighter than their own rim, whatever the level round about: each grown from a peak down to half its height."""
+
+from __future__ import annotations
+
+from math import pi, sqrt
+
+import numpy as np
+
+from armsight._numba import kernel
+from armsight.measure.spots.kernels.detection.scan import (
+    AREA,
+    CLIPPED,
+    COLUMNS,
+    GROUND,
+    LEVEL,
+    PEAK,
+    SLOPE,
+    SUM_X,
+    SUM_Y,
+    WEIGHT,
+    X_MAX,
+    X_MIN,
+    Y_MAX,
+    Y_MIN,
+)
+from armsight.measure.spots.kernels.loops import copy_to, insertion_sort
+
+RING = 4.5
+"""Radius of the ring that tells a blob's background, in pixels of the pyramid's level on which its peak stands."""
+PEAK_PX = 2
+MOST_PEAKS = 24
+"""Peaks looked at in a window, the nearest to the prediction first."""
+TINY = 0.25
+"""Share of its height at which a blob of fewer pixels than wanted is cut instead."""
+REACH = 1.25
+"""How far from its peak a blob may go, in radii of the ring."""
+RING_SAMPLES = 24
+RING_X = np.cos(2.0 * pi * np.arange(RING_SAMPLES) / RING_SAMPLES)
+RING_Y = np.sin(2.0 * pi * np.arange(RING_SAMPLES) / RING_SAMPLES)
+FEWEST_SAMPLES = 12
+"""Ring samples within the image without which nothing is known of the background."""
+GROUND_SHARE = 0.75
+"""Share of the ring that the background level lies above: a bright region may cover a quarter of it and more."""
+LEAST_FILL = 0.7
+"""Area over that of the ellipse with the same second moments (1 for a filled ellipse): ragged blobs lie below."""
+LEAST_AXES = 0.2
+"""Ratio of the axes: below it is a line. A light that moves five of its widths within the exposure is still kept."""
+
+
+@kernel
+def ring_level(image, flip, x0, y0, radius, ring):
+    """Fill ring with the sorted grey levels on a circle about (x0, y0); return how many lie within the image."""
+    h, w = image.shape
+    n = np.int64(0)
+    for i in range(RING_SAMPLES):
+        x = int(x0 + radius * RING_X[i] + 0.5)
+        y = int(y0 + radius * RING_Y[i] + 0.5)
+        if 0 <= x < w and 0 <= y < h:
+            ring[n] = np.uint8(image[y, x] ^ flip)
+            n += 1
+    insertion_sort(ring, n)
+    return n
+
+
+@kernel
+def stands_out(image, flip, x0, y0, radius, top, contrast):
+    """Tell whether a peak of level top is `contrast` above the ground that ring_level's samples tell (see blob_at).
+
+    Most peaks do not, and need no sorted ring.
+    """
+    h, w = image.shape
+    most = top - contrast
+    n = 0
+    below = 0
+    for i in range(RING_SAMPLES):
+        x = int(x0 + radius * RING_X[i] + 0.5)
+        y = int(y0 + radius * RING_Y[i] + 0.5)
+        if 0 <= x < w and 0 <= y < h:
+            n += 1
+            below += np.uint8(image[y, x] ^ flip) <= most
+    return n >= FEWEST_SAMPLES and below > min(int(GROUND_SHARE * n), n - 1)
+
+
+@kernel
+def grow(image, flip, saturation, mask, x0, y0, level, reach, stamp, labels, left, top_row, stack, row):
+    """Fill row (COLUMNS,) with the sums of the pixels above level that hang together with (x0, y0) by their sides.
+
+    Returns 0, or 1 where the blob reaches further than reach from (x0, y0), 2 where it meets the image's border.
+    labels gets stamp at every pixel that was looked at and belongs to it; its first one is that of the image's column
+    left and row top_row. Sums are weighted above level.
+    """
+    h, w = image.shape
+    for c in range(COLUMNS):
+        row[c] = 0.0
+    row[X_MIN] = x0
+    row[X_MAX] = x0
+    row[Y_MIN] = y0
+    row[Y_MAX] = y0
+    stack[0] = y0 * w + x0
+    labels[y0 - top_row, x0 - left] = stamp
+    top = 1
+    reach2 = reach * reach
+    while top > 0:
+        top -= 1
+        y = stack[top] // w
+        x = stack[top] - y * w
+        if x < 1 or y < 1 or x > w - 2 or y > h - 2:
+            return 2
+        if (x - x0) ** 2 + (y - y0) ** 2 > reach2:
+            return 1
+        grey = float(np.uint8(image[y, x] ^ flip))
+        v = grey - level
+        row[AREA] += 1.0
+        row[WEIGHT] += v
+        row[SUM_X] += v * (x - x0)
+        row[SUM_Y] += v * (y - y0)
+        row[PEAK] = max(row[PEAK], grey)
+        row[CLIPPED] += 1.0 if grey >= saturation else 0.0
+        row[X_MIN] = min(row[X_MIN], x)
+        row[X_MAX] = max(row[X_MAX], x)
+        row[Y_MIN] = min(row[Y_MIN], y)
+        row[Y_MAX] = max(row[Y_MAX], y)
+        for d in range(4):
+            a = x + (1 if d == 0 else -1 if d == 1 else 0)
+            b = y + (1 if d == 2 else -1 if d == 3 else 0)
+            if labels[b - top_row, a - left] == stamp:
+                continue
+            if np.uint8(image[b, a] ^ flip) > level and (mask.size == 0 or mask[b, a] != 0):
+                labels[b - top_row, a - left] = stamp
+                stack[top] = b * w + a
+                top += 1
+    row[SUM_X] += row[WEIGHT] * x0
+    row[SUM_Y] += row[WEIGHT] * y0
+    row[LEVEL] = level
+    return 0
+
+
+@kernel
+def roundness(labels, left, top_row, stamp, row):
+    """Return fill times ratio of the axes of a blob (1 for a filled circle), 0 where it is a line or ragged."""
+    n = 0.0
+    sx = 0.0
+    sy = 0.0
+    xx = 0.0
+    xy = 0.0
+    yy = 0.0
+    x0 = int(row[X_MIN])
+    y0 = int(row[Y_MIN])
+    for y in range(y0, int(row[Y_MAX]) + 1):
+        for x in range(x0, int(row[X_MAX]) + 1):
+            if labels[y - top_row, x - left] == stamp:
+                n += 1.0
+                sx += x - x0
+                sy += y - y0
+                xx += (x - x0) ** 2
+                xy += (x - x0) * (y - y0)
+                yy += (y - y0) ** 2
+    sx /= n
+    sy /= n
+    xx = xx / n - sx * sx + 1.0 / 12.0
+    xy = xy / n - sx * sy
+    yy = yy / n - sy * sy + 1.0 / 12.0
+    mean = 0.5 * (xx + yy)
+    root = sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
+    low = max(mean - root, 1e-3)
+    fill = n / (4.0 * pi * sqrt(low * (mean + root)))
+    axes = sqrt(low / (mean + root))
+    return fill * axes if axes > LEAST_AXES and fill > LEAST_FILL else 0.0
+
+
+@kernel
+def brightest_near(image, flip, x0, y0, r):
+    """Return place and level of the brightest pixel within r of (x0, y0) along each axis, the nearest of equals."""
+    h, w = image.shape
+    left = np.uint64(max(x0 - r, 0))
+    wide = min(x0 + r + 1, w) - max(x0 - r, 0)
+    best = -1
+    least = 0
+    bx = x0
+    by = y0
+    for y in range(max(y0 - r, 0), min(y0 + r + 1, h)):
+        top = np.uint8(0)
+        row = np.uint64(y)
+        for i in range(wide):
+            top = max(top, np.uint8(image[row, left + np.uint64(i)] ^ flip))
+        if int(top) < best:
+            continue
+        for i in range(wide):
+            if np.uint8(image[row, left + np.uint64(i)] ^ flip) != top:
+                continue
+            x = int(left) + i
+            away = (x - x0) ** 2 + (y - y0) ** 2
+            if int(top) > best or away < least:
+                best = int(top)
+                least = away
+                bx = x
+                by = y
+    return bx, by, best
+
+
+@kernel
+def known(table, n, row):
+    """Return which of the n blobs has its centre within half the larger one's radius of row's; -1 for none."""
+    x = row[SUM_X] / row[WEIGHT]
+    y = row[SUM_Y] / row[WEIGHT]
+    for k in range(n):
+        dx = table[k, SUM_X] / table[k, WEIGHT] - x
+        dy = table[k, SUM_Y] / table[k, WEIGHT] - y
+        if dx * dx + dy * dy < max(table[k, AREA], row[AREA]) * (0.25 / pi):
+            return k
+    return -1
+
+
+@kernel
+def blob_at(
+    image, flip, saturation, mask, x, y, top, radius, contrast, min_pixels, widest, stamp, labels, left, top_row, stack,
+    ring, row,
+):  # fmt: skip
+    """Fill row (COLUMNS,) with the blob of the peak at (x, y); return its roundness, 0 where it is none.
+
+    It is cut at half its height above the ring of the given radius; one of a pixel or two, lower. widest: how far (px)
+    it may reach.
+    """
+    if not stands_out(image, flip, x, y, radius, top, contrast):
+        return 0.0
+    count = ring_level(image, flip, x, y, radius, ring)
+    ground = ring[min(int(GROUND_SHARE * count), count - 1)]
+    level = int(0.5 * (top + ground))
+    reach = min(REACH * radius, widest)
+    verdict = grow(image, flip, saturation, mask, x, y, level, reach, stamp, labels, left, top_row, stack, row)
+    if verdict == 0 and row[AREA] < min_pixels:
+        level = int(TINY * top + (1.0 - TINY) * ground)
+        verdict = grow(image, flip, saturation, mask, x, y, level, reach, -stamp, labels, left, top_row, stack, row)
+        stamp = -stamp
+    if verdict != 0 or row[AREA] < min_pixels:
+        return 0.0
+    row[GROUND] = ground
+    row[SLOPE] = (ring[(3 * count) // 4] - ring[count // 4]) / radius
+    return roundness(labels, left, top_row, stamp, row)
+
+
+@kernel
+def grow_blobs(image, flip, saturation, mask, peaks, contrast, min_pixels, max_radius, table, work):
+    """Fill table (.., COLUMNS) with the blobs of peaks (n, 3: x, y, scale), strongest first.
+
+    Returns how many blobs, how many peaks were looked at, and how many pixels were grown over. contrast: least height
+    above the ring. work: pixels to grow over at most.
+    """
+    h, w = image.shape
+    labels = np.zeros((h, w), np.int32)
+    taken = np.zeros(peaks.shape[0] + 1, np.uint8)
+    score = np.zeros(table.shape[0] + 1)
+    widest = 1.0
+    for k in range(peaks.shape[0]):
+        widest = max(widest, REACH * RING * peaks[k, 2])
+    stack = np.empty(int((2.0 * widest + 4.0) ** 2), np.int64)
+    ring = np.empty(RING_SAMPLES)
+    row = np.empty(COLUMNS)
+    n = np.int64(0)
+    spent = np.int64(0)
+    looked = np.int64(0)
+    for k in range(peaks.shape[0]):
+        if n == table.shape[0] or spent > work:
+            break
+        looked += 1
+        x, y, top = brightest_near(image, flip, peaks[k, 0], peaks[k, 1], peaks[k, 2])
+        if taken[abs(labels[y, x])] or (mask.size > 0 and mask[y, x] == 0):
+            continue
+        row[AREA] = 0.0
+        fine = blob_at(
+            image, flip, saturation, mask, x, y, top, RING * peaks[k, 2], contrast, min_pixels, 2.0 * max_radius,
+            k + 1, labels, np.int64(0), np.int64(0), stack, ring, row,
+        )  # fmt: skip
+        spent += int(row[AREA])
+        if fine == 0.0 or max(row[X_MAX] - row[X_MIN], row[Y_MAX] - row[Y_MIN]) > 2.0 * max_radius:
+            continue
+        taken[k + 1] = 1
+        same = known(table, n, row)
+        at = n if same < 0 else same
+        if fine > score[at]:
+            copy_to(row, table[at])
+            score[at] = fine
+        if same < 0:
+            n += 1
+    return n, looked, spent
+
+
+@kernel
+def is_peak(image, flip, x, y, grey):
+    """Tell whether no pixel within two of (x, y) is brighter, nor as bright and earlier in reading order."""
+    h, w = image.shape
+    for b in range(max(y - PEAK_PX, 0), min(y + PEAK_PX + 1, h)):
+        for a in range(max(x - PEAK_PX, 0), min(x + PEAK_PX + 1, w)):
+            other = np.uint8(image[b, a] ^ flip)
+            if other > grey or (other == grey and (b < y or (b == y and a < x))):
+                return False
+    return True
+
+
+@kernel
+def blob_near(image, flip, saturation, mask, u, v, box, contrast, min_pixels, max_radius, row):
+    """Fill row (COLUMNS,) with the blob nearest to (u, v) whose peak lies in box (x0, x1, y0, y1); False for none."""
+    ring = np.empty(RING_SAMPLES)
+    away = np.empty(MOST_PEAKS)
+    at = np.empty((MOST_PEAKS, 2), np.int64)
+    n = np.int64(0)
+    ground = 255
+    for y in range(box[2], box[3], 2):
+        for x in range(box[0], box[1], 2):
+            ground = min(ground, int(np.uint8(image[y, x] ^ flip)))
+    for y in range(box[2], box[3]):
+        for x in range(box[0], box[1]):
+            grey = np.uint8(image[y, x] ^ flip)
+            if grey < ground + contrast or not is_peak(image, flip, x, y, grey):
+                continue
+            d = (x - u) ** 2 + (y - v) ** 2
+            k = int(n) if n < MOST_PEAKS else MOST_PEAKS - 1
+            if n == MOST_PEAKS and d >= away[k]:
+                continue
+            while k > 0 and away[k - 1] > d:
+                away[k] = away[k - 1]
+                at[k, 0] = at[k - 1, 0]
+                at[k, 1] = at[k - 1, 1]
+                k -= 1
+            away[k] = d
+            at[k, 0] = x
+            at[k, 1] = y
+            n = n + 1 if n < MOST_PEAKS else n
+    reach = np.int64(0)
+    labels = np.zeros((0, 0), np.int32)
+    stack = np.empty(0, np.int64)
+    stamp = np.int64(0)
+    for k in range(n):
+        x = at[k, 0]
+        y = at[k, 1]
+        top = int(np.uint8(image[y, x] ^ flip))
+        scale = np.int64(2)
+        while scale <= max(0.5 * max_radius, 2.0):
+            stamp += 1
+            if reach < REACH * RING * scale:  # labels of what such a blob may cover about its peak
+                reach = np.int64(REACH * RING * scale) + 1
+                labels = np.zeros((2 * reach + 3, 2 * reach + 3), np.int32)
+                stack = np.empty(labels.size, np.int64)
+            if blob_at(
+                image, flip, saturation, mask, x, y, top, RING * scale, contrast, min_pixels, 2.0 * max_radius,
+                stamp, labels, x - reach - 1, y - reach - 1, stack, ring, row,
+            ) > 0.0:  # fmt: skip
+                return True
+            scale *= 2
+    return False

@@ -1,0 +1,360 @@
+"""Where is it bright? Surveys the background and labels bright areas, in a whole image or around predictions."""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+
+from armsight._numba import kernel
+from armsight.measure.spots.kernels.detection.area import (
+    ACCEPTED,
+    BEYOND,
+    HOT,
+    O_FLIP,
+    O_MAX_RADIUS,
+    O_MIN_PIXELS,
+    O_SATURATION,
+    O_THRESHOLD,
+    OTHER,
+    OWNER,
+    SMALL,
+    STATE,
+    STATUS,
+    classify,
+    near,
+)
+from armsight.measure.spots.kernels.detection.blobs import RING_SAMPLES, blob_near, ring_level
+from armsight.measure.spots.kernels.detection.scan import (
+    AREA,
+    BLOCK,
+    COLUMNS,
+    GRID,
+    GROUND,
+    LEVEL,
+    SLOPE,
+    SUM_X,
+    SUM_Y,
+    WEIGHT,
+    X_MAX,
+    X_MIN,
+    Y_MAX,
+    Y_MIN,
+    block_threshold,
+    bright_blocks,
+    bright_blocks_mapped,
+    components,
+    sense,
+    threshold_map,
+    window_components,
+)
+from armsight.measure.spots.kernels.loops import copy_to
+
+SIGNIFICANT = 5.0
+"""Threshold above the background in deviations of the noise: one false pixel in three frames of 1280 x 720."""
+LEAST_MARGIN = 6.0
+"""Least threshold above the background in grey levels, where the noise is below one level."""
+LEVEL_FRAME = 2.0
+"""Range of the thresholds in grey levels within which one is used for the whole frame."""
+FEW_RUNS = 512
+MOST_RUNS = 65536
+WINDOW_CONTRAST = 24.0
+"""Least height of a light above its ring in a window in which more than lights is bright."""
+WIDE_SHARE = 0.1
+"""Share of a window that an area at its edge covers from which it is no other light but a part of the room."""
+RING_GAP = 4.0
+"""Distance in px of the ring that shows how much the background changes from an area above a threshold."""
+RING_NOISE = 1.35
+"""Deviations of the noise that the quartiles of a ring may be apart where the background does not change."""
+MOST_SEEN = 32
+"""Areas looked at in one window."""
+FULL, NOTHING_ABOVE, TOO_BRIGHT, BUSY = range(4)
+BUSY_SHARE = 0.5
+"""Share of the blocks above an automatic threshold from which the background is no ground but a picture."""
+BUSY_RUNS = 4096
+"""Bright runs from which it is one; counted as rises above the threshold first, of which nearly each begins a run."""
+
+# the survey (SURVEY, GRID): levels of the tiles, then backgrounds, then one row that begins with these
+NOISE, NUMBER, PROCESSED = 0, 1, 2
+SURVEY = 2 * GRID + 1
+
+
+@kernel
+def survey_image(image, flip, mask, survey, thresholds):
+    """Fill the survey and the tiles' thresholds; return the margin above the background, lowest, highest threshold."""
+    noise, processed = sense(image, flip, mask, survey)
+    margin = max(SIGNIFICANT * sqrt(noise), LEAST_MARGIN)
+    low, high = threshold_map(survey, margin, thresholds)
+    for i in range(GRID):
+        for j in range(GRID):
+            survey[GRID + i, j] = thresholds[i, j] - margin
+    survey[2 * GRID, NOISE] = noise
+    survey[2 * GRID, PROCESSED] = 1.0 if processed else 0.0
+    return margin, low, high
+
+
+@kernel
+def edges(flat, flip, w, h, thresholds, mapped, blocks, n_blocks, most):
+    """Return how often the grey rises above the threshold within the blocks; stops counting beyond most."""
+    level = np.uint8(thresholds[0, 0])
+    count = np.int64(0)
+    for k in range(n_blocks):
+        first = blocks[k] * BLOCK
+        if mapped:
+            level = np.uint8(block_threshold(thresholds, first, h, w))
+        at = np.uint64(first)
+        rises = np.int64(0)
+        for i in range(min(BLOCK, flat.size - first) - 1):
+            here = np.uint8(flat[at + np.uint64(i)] ^ flip) > level
+            after = np.uint8(flat[at + np.uint64(i + 1)] ^ flip) > level
+            rises += after and not here
+        count += rises
+        if count > most:
+            return count
+    return count
+
+
+@kernel
+def label(image, flip, mask, saturation, thresholds, mapped, blocks, n_blocks, likely, most):
+    """Return the components' table and how many there are (-1: more than `most` runs; likely: about how many runs)."""
+    runs_most = FEW_RUNS if likely < FEW_RUNS else min(8 * FEW_RUNS, most)
+    while True:
+        table = np.empty((runs_most, COLUMNS))
+        runs = np.empty((runs_most, 3), np.int32)
+        parent = np.empty(runs_most, np.int32)
+        n = components(image, flip, mask, saturation, thresholds, mapped, blocks, n_blocks, runs, parent, table)
+        if n >= 0 or runs_most >= most:
+            return table, n
+        runs_most *= 8
+
+
+@kernel
+def settle_state(comps, state, options, w, h, window, margin):
+    """Fill STATUS of all areas: what is refused before any fit."""
+    for i in range(comps.shape[0]):
+        what = classify(comps[i], w, h, window, options[O_MIN_PIXELS], options[O_MAX_RADIUS], margin)
+        if state[i, OWNER] < 0 and what != HOT and what != SMALL:
+            what = OTHER
+        state[i, STATUS] = what
+
+
+@kernel
+def tell_background(image, flip, comps, survey, w, h):
+    """Fill GROUND and SLOPE of areas of a processed picture, whose lights are then judged as those before a room."""
+    if survey[2 * GRID, PROCESSED] == 0.0:
+        return
+    ring = np.empty(RING_SAMPLES)
+    for k in range(comps.shape[0]):
+        if comps[k, SLOPE] >= 0.0:
+            continue
+        i = int(comps[k, SUM_Y] / comps[k, WEIGHT]) * GRID // h
+        j = int(comps[k, SUM_X] / comps[k, WEIGHT]) * GRID // w
+        comps[k, GROUND] = min(survey[GRID + i, j], comps[k, LEVEL])
+        half = 0.5 * max(comps[k, X_MAX] - comps[k, X_MIN], comps[k, Y_MAX] - comps[k, Y_MIN])
+        x = int(0.5 * (comps[k, X_MIN] + comps[k, X_MAX]))
+        y = int(0.5 * (comps[k, Y_MIN] + comps[k, Y_MAX]))
+        n = ring_level(image, flip, x, y, half + RING_GAP, ring)
+        step = ring[(3 * n) // 4] - ring[n // 4] - RING_NOISE * sqrt(survey[2 * GRID, NOISE]) if n > 4 else 0.0
+        comps[k, SLOPE] = max(step, 0.0) / (half + RING_GAP)
+
+
+@kernel
+def whole_window(w, h, window):
+    """Fill window (x0, x1, y0, y1) so that nothing reaches beyond it."""
+    window[0] = -1
+    window[1] = w + 1
+    window[2] = -1
+    window[3] = h + 1
+
+
+@kernel
+def locate(image, mask, options):
+    """Search a whole image (h, w), contiguous; return its areas (n, COLUMNS), their state, the survey, and outcome.
+
+    outcome: FULL (searched), NOTHING_ABOVE (background too bright for any spot; the survey's NUMBER is its level),
+    TOO_BRIGHT (too much lies above the threshold given; NUMBER is the share of blocks), BUSY (the same for an
+    automatic threshold, found without labelling all of it).
+    """
+    h, w = image.shape
+    flip = np.uint8(options[O_FLIP])
+    saturation = int(options[O_SATURATION])
+    survey = np.empty((SURVEY, GRID))
+    thresholds = np.empty((GRID, GRID))
+    margin, low, high = survey_image(image, flip, mask, survey, thresholds)
+    mapped = options[O_THRESHOLD] < 0.0 and high - low > LEVEL_FRAME
+    if not mapped:
+        low = high if options[O_THRESHOLD] < 0.0 else options[O_THRESHOLD]
+    for i in range(GRID):
+        for j in range(GRID):
+            thresholds[i, j] = min(thresholds[i, j], 255.0) if mapped else low
+    if low >= min(saturation, 255):
+        survey[2 * GRID, NUMBER] = survey[GRID // 2, GRID // 2]
+        return np.empty((0, COLUMNS)), np.empty((0, STATE), np.int64), survey, NOTHING_ABOVE
+    n_all = (image.size + BLOCK - 1) // BLOCK
+    blocks = np.empty(n_all, np.int32)
+    if mapped:
+        n_blocks = bright_blocks_mapped(image.reshape(-1), flip, h, w, thresholds, blocks)
+    else:
+        n_blocks = bright_blocks(image.reshape(-1), flip, thresholds[0, 0], blocks)
+    survey[2 * GRID, NUMBER] = n_blocks / n_all
+    automatic = options[O_THRESHOLD] < 0.0
+    if automatic and n_blocks > BUSY_SHARE * n_all:
+        return np.empty((0, COLUMNS)), np.empty((0, STATE), np.int64), survey, BUSY
+    rises = np.int64(0)
+    if automatic and mask.size == 0:
+        rises = edges(image.reshape(-1), flip, w, h, thresholds, mapped, blocks, n_blocks, np.int64(BUSY_RUNS))
+        if rises > BUSY_RUNS:
+            return np.empty((0, COLUMNS)), np.empty((0, STATE), np.int64), survey, BUSY
+    most = BUSY_RUNS if automatic else MOST_RUNS
+    table, n = label(image, flip, mask, saturation, thresholds, mapped, blocks, n_blocks, rises, most)
+    if n < 0:
+        return np.empty((0, COLUMNS)), np.empty((0, STATE), np.int64), survey, BUSY if automatic else TOO_BRIGHT
+    comps = np.empty((n, COLUMNS))
+    for i in range(n):
+        for c in range(COLUMNS):
+            comps[i, c] = table[i, c]
+    state = np.zeros((n, STATE), np.int64)
+    window = np.empty(4, np.int64)
+    whole_window(w, h, window)
+    settle_state(comps, state, options, w, h, window, margin)
+    tell_background(image, flip, comps, survey, w, h)
+    return comps, state, survey, FULL
+
+
+@kernel
+def nearest(comps, n, u, v, window, options, w, h, margin):
+    """Return the component whose centre is nearest to (u, v), fit for measuring if there is one; -1 where none is."""
+    best = -1
+    least = 1e300
+    for i in range(n):
+        what = classify(comps[i], w, h, window, options[O_MIN_PIXELS], options[O_MAX_RADIUS], margin)
+        if what in (HOT, SMALL):
+            continue
+        dx = comps[i, SUM_X] / comps[i, WEIGHT] - u
+        dy = comps[i, SUM_Y] / comps[i, WEIGHT] - v
+        away = dx * dx + dy * dy + (0.0 if what == ACCEPTED else 1e6)
+        if away < least:
+            least = away
+            best = i
+    return best
+
+
+@kernel
+def settle(seen, owner, n, predicted):
+    """Leave each component to the nearest of the predictions that chose it, once; return how many are left."""
+    left = 0
+    for k in range(n):
+        same = -1
+        for j in range(left):
+            if near(seen[k], seen[j], 0.0):
+                same = j
+        if same < 0:
+            copy_to(seen[k], seen[left])
+            owner[left] = owner[k]
+            left += 1
+        elif owner[same] < 0 and owner[k] >= 0:
+            copy_to(seen[k], seen[same])
+            owner[same] = owner[k]
+        elif owner[k] >= 0 and distance(seen[k], predicted[owner[k]]) < distance(seen[same], predicted[owner[same]]):
+            owner[same] = owner[k]
+    return left
+
+
+@kernel
+def distance(comp, uv):
+    """Return the squared distance in px^2 of a component's centre from uv (2,)."""
+    dx = comp[SUM_X] / comp[WEIGHT] - uv[0]
+    dy = comp[SUM_Y] / comp[WEIGHT] - uv[1]
+    return dx * dx + dy * dy
+
+
+@kernel
+def crowded_window(table, count, box):
+    """Tell whether what is bright in a window (x0, x1, y0, y1) is more than a light and some specks."""
+    if count < 0 or count > MOST_SEEN:
+        return True
+    for j in range(count):
+        wide = table[j, X_MAX] - table[j, X_MIN] + 1.0 >= box[1] - box[0]
+        high = table[j, Y_MAX] - table[j, Y_MIN] + 1.0 >= box[3] - box[2]
+        edge = table[j, X_MIN] <= box[0] or table[j, X_MAX] >= box[1] - 1
+        edge = edge or table[j, Y_MIN] <= box[2] or table[j, Y_MAX] >= box[3] - 1
+        if wide or high or (edge and table[j, AREA] > WIDE_SHARE * (box[1] - box[0]) * (box[3] - box[2])):
+            return True
+    return count == 0
+
+
+@kernel
+def locate_near(image, mask, options, predicted, half):
+    """Search windows of half width half around predicted (n, 2); return areas, state, survey, and (m, 3) those cut.
+
+    OWNER is the prediction whose nearest area this is, or -1: a neighbour, seen but not asked for. An area that is
+    nearest to two predictions belongs to the nearer one. Cut: nearest, but reaching beyond its window.
+    """
+    h, w = image.shape
+    flip = np.uint8(options[O_FLIP])
+    saturation = int(options[O_SATURATION])
+    survey = np.empty((SURVEY, GRID))
+    thresholds = np.empty((GRID, GRID))
+    margin, _, _ = survey_image(image, flip, mask, survey, thresholds)
+    most = predicted.shape[0]
+    seen = np.empty((MOST_SEEN * most, COLUMNS))
+    owner = np.empty(MOST_SEEN * most, np.int64)
+    n = np.int64(0)
+    table = np.empty((FEW_RUNS, COLUMNS))
+    runs = np.empty((FEW_RUNS, 3), np.int32)
+    parent = np.empty(FEW_RUNS, np.int32)
+    box = np.empty(4, np.int64)
+    cut = np.empty((most, 3))
+    n_cut = 0
+    for k in range(most):
+        u = predicted[k, 0]
+        v = predicted[k, 1]
+        if not (-0.5 <= u < w - 0.5 and -0.5 <= v < h - 0.5):
+            continue
+        box[0] = max(int(u + 0.5) - half, 0)
+        box[1] = min(int(u + 0.5) + half + 1, w)
+        box[2] = max(int(v + 0.5) - half, 0)
+        box[3] = min(int(v + 0.5) + half + 1, h)
+        level = options[O_THRESHOLD]
+        if level < 0.0:
+            level = thresholds[int(v + 0.5) * GRID // h, int(u + 0.5) * GRID // w]
+        count = 0
+        if level < min(saturation, 255):
+            count = window_components(image, flip, mask, saturation, int(level), box, runs, parent, table)
+        i = nearest(table, count, u, v, box, options, w, h, margin)
+        if options[O_THRESHOLD] < 0.0 and crowded_window(table, count, box):
+            if blob_near(
+                image, flip, saturation, mask, u, v, box, WINDOW_CONTRAST, options[O_MIN_PIXELS],
+                options[O_MAX_RADIUS], seen[n],
+            ):  # fmt: skip
+                if classify(seen[n], w, h, box, options[O_MIN_PIXELS], options[O_MAX_RADIUS], margin) == BEYOND:
+                    cut[n_cut, 0] = seen[n, SUM_X] / seen[n, WEIGHT]
+                    cut[n_cut, 1] = seen[n, SUM_Y] / seen[n, WEIGHT]
+                    cut[n_cut, 2] = BEYOND
+                    n_cut += 1
+                else:
+                    owner[n] = k
+                    n += 1
+            continue
+        if count < 0:
+            continue
+        for j in range(min(count, MOST_SEEN)):
+            what = classify(table[j], w, h, box, options[O_MIN_PIXELS], options[O_MAX_RADIUS], margin)
+            if what == BEYOND and j == i:
+                cut[n_cut, 0] = table[i, SUM_X] / table[i, WEIGHT]
+                cut[n_cut, 1] = table[i, SUM_Y] / table[i, WEIGHT]
+                cut[n_cut, 2] = BEYOND
+                n_cut += 1
+            copy_to(table[j], seen[n])
+            owner[n] = k if j == i and what != BEYOND else -1
+            n += 1
+    n = settle(seen, owner, n, predicted)
+    comps = np.empty((n, COLUMNS))
+    state = np.zeros((n, STATE), np.int64)
+    for i in range(n):
+        copy_to(seen[i], comps[i])
+        state[i, OWNER] = owner[i]
+    whole_window(w, h, box)
+    settle_state(comps, state, options, w, h, box, margin)
+    tell_background(image, flip, comps, survey, w, h)
+    return comps, state, survey, cut[:n_cut].copy()

@@ -1,0 +1,236 @@
+"""One damped least-squares fit for all models of a light, and the sums that tell how well it is known."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from armsight._numba import kernel, sum_kernel
+from armsight.fitting.kernels import solve_damped
+from armsight.measure.spots.kernels.fitting.light_models import (
+    CLIPPED_PIXEL,
+    ELLIPSE,
+    add_prior,
+    grid_of,
+    legal,
+    light_and_slopes,
+)
+from armsight.measure.spots.kernels.loops import copy_to
+
+STEPS = 40
+CLOSE = 3e-3
+"""Stop where a step lowers chi-square by less than this share of the noise variance."""
+
+
+@sum_kernel
+def dot(a, b):
+    """Return the sum of the products of a and b."""
+    total = 0.0
+    for i in range(a.shape[0]):
+        total += a[i] * b[i]
+    return total
+
+
+@sum_kernel
+def less(values, background, m, r):
+    """Fill r with values less background and light m."""
+    for i in range(r.shape[0]):
+        r[i] = values[i] - background - m[i]
+
+
+@sum_kernel
+def products(a, b, ab):
+    """Fill ab with the products of a and b."""
+    for i in range(a.shape[0]):
+        ab[i] = a[i] * b[i]
+
+
+@kernel
+def unused(use):
+    """Return the positions of the pixels of a patch (ny, nx) that are not used for what they are."""
+    nx = use.shape[1]
+    count = 0
+    for j in range(use.shape[0]):
+        for i in range(nx):
+            count += use[j, i] != 1
+    out = np.empty(count, np.int64)
+    k = 0
+    for j in range(use.shape[0]):
+        for i in range(nx):
+            if use[j, i] != 1:
+                out[k] = j * nx + i
+                k += 1
+    return out
+
+
+@kernel
+def evaluate(kind, p, n, values, use, special, grid, J, m, r):
+    """Fill light m, derivatives J (n, pixels) and residuals r of a patch (values less model).
+
+    Zero in J and r, and so in every sum, where use is 0, and where it is CLIPPED_PIXEL and the model is brighter than
+    the value: the light is at least as bright there, and a model that is brighter costs nothing.
+    """
+    light_and_slopes(kind, p, n, grid, J, m)
+    less(values.reshape(-1), p[0], m, r)
+    marks = use.reshape(-1)
+    for k in special:
+        if marks[k] == 0 or (marks[k] == CLIPPED_PIXEL and r[k] < 0.0):
+            r[k] = 0.0
+            m[k] = 0.0
+            for a in range(n):
+                J[a, k] = 0.0
+
+
+@sum_kernel
+def four_dots(a0, a1, b0, b1):
+    """Return the sums of the products of a0 and b0, a0 and b1, a1 and b0, a1 and b1."""
+    t00 = 0.0
+    t01 = 0.0
+    t10 = 0.0
+    t11 = 0.0
+    for i in range(a0.shape[0]):
+        t00 += a0[i] * b0[i]
+        t01 += a0[i] * b1[i]
+        t10 += a1[i] * b0[i]
+        t11 += a1[i] * b1[i]
+    return t00, t01, t10, t11
+
+
+@kernel
+def gram(J, n, H):
+    """Fill H (n, n) = J J', in blocks of two rows and two columns: each number is loaded half as often."""
+    for a in range(0, n - 1, 2):
+        for b in range(0, a + 1, 2):
+            t00, t01, t10, t11 = four_dots(J[a], J[a + 1], J[b], J[b + 1])
+            H[a, b] = t00
+            H[b, a] = t00
+            H[a + 1, b] = t10
+            H[b, a + 1] = t10
+            H[a + 1, b + 1] = t11
+            H[b + 1, a + 1] = t11
+            if b < a:
+                H[a, b + 1] = t01
+                H[b + 1, a] = t01
+    if n % 2 == 1:
+        for b in range(n):
+            H[n - 1, b] = dot(J[n - 1], J[b])
+            H[b, n - 1] = H[n - 1, b]
+
+
+@kernel
+def normal_equations(J, r, n, H, g):
+    """Fill H (n, n), g (n,) of a patch that was evaluated; return the sum of squares."""
+    gram(J, n, H)
+    for a in range(n):
+        g[a] = -dot(J[a], r)
+    return dot(r, r)
+
+
+@kernel
+def fit_model(kind, p, n, values, use, x0, y0, count, residuals):
+    """Fit p (n,) in place by Levenberg-Marquardt; return the sum of squares, or -1 where it does not converge.
+
+    residuals (ny, nx): values less model, 0 where unused; filled where it converges.
+    """
+    g = np.empty(n)
+    step = np.empty(n)
+    trial = np.empty(n)
+    H = np.empty((n, n))
+    H2 = np.empty((n, n))
+    g2 = np.empty(n)
+    start = np.empty(n)
+    copy_to(p[:n], start)
+    if not legal(kind, p, n):
+        return -1.0
+    grid = grid_of(x0, y0, values.shape[1], values.shape[0])
+    special = unused(use)
+    J = np.empty((n, values.size))
+    m = np.empty(values.size)
+    r = np.empty(values.size)
+    best = residuals.reshape(-1)
+    evaluate(kind, p, n, values, use, special, grid, J, m, best)
+    extra = 0.0
+    rss = normal_equations(J, best, n, H, g)
+    add_prior(kind, p, start, n, H, g)
+    damping = 1e-3
+    for _ in range(STEPS):
+        if not solve_damped(H, g, damping, step):
+            return -1.0
+        for i in range(n):
+            trial[i] = p[i] + step[i]
+        new = rss + 1.0
+        new_extra = 0.0
+        if legal(kind, trial, n):
+            evaluate(kind, trial, n, values, use, special, grid, J, m, r)
+            new = normal_equations(J, r, n, H2, g2)
+            new_extra = add_prior(kind, trial, start, n, H2, g2)
+            new += new_extra
+        if not new <= rss:
+            damping *= 10.0
+            if damping > 1e6:
+                return -1.0
+            continue
+        gain = rss - new
+        rss = new
+        extra = new_extra
+        copy_to(trial, p)
+        copy_to(r, best)
+        copy_to(g2, g)
+        for i in range(n):
+            copy_to(H2[i], H[i])
+        if gain < CLOSE * rss / count and damping <= 1e-3:
+            return rss - extra
+        damping = max(0.1 * damping, 1e-9)
+    return rss - extra if kind == ELLIPSE else -1.0  # its centre is settled long before what clipping hides
+
+
+@kernel
+def evaluated(kind, p, n, values, use, x0, y0, residuals):
+    """Return light and derivatives of a patch, and its pixels; fill residuals (ny, nx). See evaluate."""
+    grid = grid_of(x0, y0, values.shape[1], values.shape[0])
+    J = np.empty((n, values.size))
+    m = np.empty(values.size)
+    evaluate(kind, p, n, values, use, unused(use), grid, J, m, residuals.reshape(-1))
+    return J, m, grid
+
+
+@kernel
+def weighted_information(J, m, grid, residuals, n, u, v, G, tilt, out3):
+    """Fill G (n, n) = sum of m J'J, and out3 = sums of m, r^2 m, m^2, of an evaluated patch.
+
+    tilt (n + 3, 2): see round.uncertainty, about (u, v).
+    """
+    work = grid.work[0]
+    for a in range(n):
+        products(J[a], m, work)
+        for b in range(a + 1):
+            G[a, b] = dot(work, J[b])
+            G[b, a] = G[a, b]
+    r = residuals.reshape(-1)
+    products(r, r, work)
+    out3[0] = dot(J[0], m)
+    out3[1] = dot(work, m)
+    out3[2] = dot(m, m)
+    dx = grid.work[1]
+    dy = grid.work[2]
+    for i in range(m.shape[0]):
+        dx[i] = (grid.x[i] - u) * J[0, i]
+        dy[i] = (grid.y[i] - v) * J[0, i]
+    for a in range(n):
+        tilt[a, 0] = dot(J[a], dx)
+        tilt[a, 1] = dot(J[a], dy)
+    tilt[n, 0] = dot(dx, dx)
+    tilt[n, 1] = dot(dx, dy)
+    tilt[n + 1, 0] = 0.0
+    tilt[n + 1, 1] = dot(dy, dy)
+    tilt[n + 2, 0] = dot(r, dx)
+    tilt[n + 2, 1] = dot(r, dy)
+
+
+@kernel
+def light_of(kind, p, n, x0, y0, values, sign):
+    """Add sign times the model's light to the patch values (ny, nx)."""
+    m = np.empty(values.size)
+    light_and_slopes(kind, p, n, grid_of(x0, y0, values.shape[1], values.shape[0]), np.empty((n, values.size)), m)
+    flat = values.reshape(-1)
+    for i in range(values.size):
+        flat[i] += sign * m[i]

@@ -1,0 +1,412 @@
+"""Measures the bright areas: round lights at once, the others by a choice of models, crowded ones together."""
+
+from __future__ import annotations
+
+from math import pi, sqrt
+
+import numpy as np
+
+from armsight._numba import kernel
+from armsight.measure.spots.kernels.detection.area import (
+    ACCEPTED,
+    AS_CENTROID,
+    AS_GAUSSIAN,
+    CROWDED,
+    FAILED,
+    FIT,
+    HOT,
+    KIND,
+    LIGHTS,
+    MOST_LIGHTS,
+    MOST_PARAMETERS,
+    O_FLIP,
+    O_GAIN,
+    O_MODEL,
+    O_SATURATION,
+    ONLY_ELLIPSE,
+    ONLY_GAUSSIAN,
+    OWNER,
+    S_B,
+    S_CG,
+    S_CH,
+    S_DOF,
+    S_FLOOR,
+    S_FOURTH,
+    S_MODEL,
+    S_OF,
+    S_PEAK,
+    S_RSS,
+    S_SIGNAL,
+    S_SIZE,
+    S_SQUARE,
+    S_U,
+    S_V,
+    SATURATED,
+    SIZE,
+    SMALL,
+    SPOT,
+    STATUS,
+    UNRESOLVED,
+    hot_pixels,
+    near,
+    round_start,
+    skirt,
+    verdict,
+)
+from armsight.measure.spots.kernels.detection.locate import NOISE
+from armsight.measure.spots.kernels.detection.scan import (
+    AREA,
+    CLIPPED,
+    GRID,
+    GROUND,
+    LEVEL,
+    PEAK,
+    SLOPE,
+    SUM_X,
+    SUM_Y,
+    WEIGHT,
+    X_MAX,
+    X_MIN,
+    Y_MAX,
+    Y_MIN,
+)
+from armsight.measure.spots.kernels.fitting.gaussian_axes import PIXEL_VARIANCE
+from armsight.measure.spots.kernels.fitting.leastsquares import light_of
+from armsight.measure.spots.kernels.fitting.model_selection import choose, describe, refit
+from armsight.measure.spots.kernels.fitting.patch import make_patch, patch_box
+from armsight.measure.spots.kernels.fitting.processed import astray, settle_centre
+from armsight.measure.spots.kernels.fitting.round_gaussian import (
+    COV,
+    DOF,
+    FOURTH,
+    RESULT,
+    RSS,
+    RUN,
+    SIGNAL,
+    SQUARE,
+    A,
+    B,
+    Q,
+    U,
+    V,
+    fit_round,
+    new_work,
+)
+from armsight.measure.spots.kernels.fitting.uncertainty import MISFIT, ring_prior, slope_prior
+from armsight.measure.spots.kernels.loops import copy_to
+
+DOUBT = 0.5
+"""Deviations by which the estimated gain is lowered."""
+PENDING = -1
+"""Status of an area that the fit of a round light did not settle."""
+CENTROID_PX = 0.1
+CENTROID_SHARE = 0.02
+"""Standard deviation of a blob's centroid per coordinate: a part of its own and a share of the radius."""
+CENTROID_CHANGE = 1.2
+"""The same where the background changes under the light, in radii for a change of its height over the radius."""
+CROWD_SWEEPS = 2
+"""Times that crowded spots are refitted with their neighbours' light subtracted."""
+
+
+@kernel
+def copy_round(result, source, row):
+    """Write the result of a round fit into a spot's row."""
+    row[S_U] = result[U]
+    row[S_V] = result[V]
+    for k in range(6):
+        row[S_CH + k] = result[COV + k]
+    row[S_PEAK] = result[A]
+    row[S_SIZE] = sqrt(max(result[Q] - PIXEL_VARIANCE, 0.01))
+    row[S_MODEL] = AS_GAUSSIAN
+    row[S_DOF] = result[DOF]
+    row[S_RSS] = result[RSS]
+    row[S_SIGNAL] = result[SIGNAL]
+    row[S_FOURTH] = result[FOURTH]
+    row[S_SQUARE] = result[SQUARE]
+    row[S_B] = result[B]
+    row[S_OF] = source
+    row[S_FLOOR] = 0.0
+
+
+@kernel
+def keep_fit(result, p):
+    """Write the result of a round fit into p as a joint model of one light."""
+    p[0] = result[B]
+    p[1] = 1.0 / result[Q]
+    p[2] = result[U]
+    p[3] = result[V]
+    p[4] = result[A]
+
+
+@kernel
+def background_of(comp, survey, w, h):
+    """Return the background level beside a component: its ring's where it has one, else that of its tile."""
+    if comp[SLOPE] >= 0.0:
+        return comp[GROUND]
+    i = int(comp[SUM_Y] / comp[WEIGHT]) * GRID // h
+    j = int(comp[SUM_X] / comp[WEIGHT]) * GRID // w
+    return min(survey[GRID + i, j], comp[LEVEL])
+
+
+@kernel
+def is_hot_near(comp, hot, n_hot):
+    """Tell whether a hot pixel may lie in the component's window."""
+    reach = 1.5 * skirt(comp)
+    for k in range(n_hot):
+        x = hot[k, 0]
+        y = hot[k, 1]
+        if comp[X_MIN] - reach < x < comp[X_MAX] + reach and comp[Y_MIN] - reach < y < comp[Y_MAX] + reach:
+            return True
+    return False
+
+
+@kernel
+def mark_crowded(comps, state):
+    """Set CROWDED where another area's bounds meet a component's skirt."""
+    n = comps.shape[0]
+    relevant = np.empty(n, np.int64)
+    count = 0
+    for i in range(n):
+        state[i, CROWDED] = 0
+        if state[i, STATUS] != HOT and state[i, STATUS] != SMALL:
+            relevant[count] = i
+            count += 1
+    for a in range(count):
+        i = relevant[a]
+        if state[i, STATUS] != ACCEPTED:
+            continue
+        reach = skirt(comps[i])
+        for b in range(count):
+            if b != a and near(comps[i], comps[relevant[b]], reach):
+                state[i, CROWDED] = 1
+                break
+
+
+@kernel
+def measure_round(image, mask, options, comps, state, survey, fits, rows):
+    """Fit a round Gaussian to each accepted area that stands alone; return how many areas are left PENDING.
+
+    fits (n, FIT) takes the fits, rows (n, MOST_LIGHTS, SPOT) the measured lights, state what became of the area.
+    """
+    h, w = image.shape
+    flip = np.uint8(options[O_FLIP])
+    saturation = int(options[O_SATURATION])
+    only = int(options[O_MODEL])
+    n = comps.shape[0]
+    hot = np.empty((2 * n, 2), np.int64)
+    n_hot = hot_pixels(comps, state, hot)
+    mark_crowded(comps, state)
+    start = np.empty(5)
+    prior = np.empty(4)
+    result = np.empty(RESULT)
+    work = new_work()
+    noise = survey[2 * GRID, NOISE]
+    pending = 0
+    for i in range(n):
+        if state[i, STATUS] != ACCEPTED:
+            continue
+        comp = comps[i]
+        if comp[SLOPE] >= 0.0:
+            ring_prior(comp[SLOPE], prior)
+        else:
+            slope_prior(survey, int(comp[SUM_Y] / comp[WEIGHT]), int(comp[SUM_X] / comp[WEIGHT]), w, h, noise, prior)
+        for k in range(4):
+            fits[i, MOST_PARAMETERS + k] = prior[k]
+        if state[i, CROWDED] == 0 and only != ONLY_ELLIPSE and comp[SLOPE] < 0.0:
+            round_start(comp, background_of(comp, survey, w, h), saturation, start)
+            clipped = comp[CLIPPED] > 0.0 or mask.size > 0 or is_hot_near(comp, hot, n_hot)
+            fine = fit_round(image, flip, saturation, mask, hot, n_hot, clipped, start, prior, work, result)
+            if fine and (result[RUN] < MISFIT or only == ONLY_GAUSSIAN):
+                copy_round(result, i, rows[i, 0])
+                keep_fit(result, fits[i])
+                state[i, SIZE] = 5
+                state[i, KIND] = 0
+                state[i, LIGHTS] = 1
+                if verdict(comp, rows[i], state[i, LIGHTS], comp[CLIPPED] > 0.0, noise) == ACCEPTED:
+                    continue
+        state[i, STATUS] = PENDING
+        state[i, SIZE] = 0
+        pending += 1
+    return pending
+
+
+@kernel
+def measure_others(image, mask, options, comps, state, survey, fits, rows):
+    """Fit the areas left PENDING with the models that their shape suggests, and refine the crowded ones."""
+    h, w = image.shape
+    flip = np.uint8(options[O_FLIP])
+    saturation = int(options[O_SATURATION])
+    only = int(options[O_MODEL])
+    n = comps.shape[0]
+    hot = np.empty((2 * n, 2), np.int64)
+    n_hot = hot_pixels(comps, state, hot)
+    noise = survey[2 * GRID, NOISE]
+    box = np.empty(4, np.int64)
+    for i in range(n):
+        if state[i, STATUS] != PENDING:
+            continue
+        comp = comps[i]
+        patch_box(comp, h, w, box)
+        shape = (box[3] - box[2], box[1] - box[0])
+        values = np.empty(shape)
+        use = np.empty(shape, np.uint8)
+        make_patch(image, flip, saturation, mask, comps, state, i, hot, n_hot, np.int64(0), box, values, use)
+        background = background_of(comp, survey, w, h)
+        kind, size, rss, run = choose(comp, background, box, values, use, noise, only, fits[i])
+        state[i, KIND] = kind
+        state[i, SIZE] = size
+        state[i, STATUS] = SATURATED if comp[CLIPPED] > 0.5 * comp[AREA] else FAILED
+        if size > 0:
+            lights = describe(kind, size, fits[i], values, use, box, rss, rows[i], i)
+            state[i, LIGHTS] = lights
+            if lights > 0:
+                state[i, STATUS] = verdict(comp, rows[i], lights, comp[CLIPPED] > 0.0, noise)
+            if lights > 1 and run > 2.0 * MISFIT:
+                state[i, STATUS] = UNRESOLVED
+        single = state[i, STATUS] == ACCEPTED and state[i, LIGHTS] == 1 and comp[SLOPE] >= 0.0
+        if single and (
+            astray(comp, rows[i, 0])
+            or not settle_centre(kind, size, fits[i], values, use, box, comp, noise, rows[i, 0])
+        ):
+            state[i, STATUS] = FAILED
+        if state[i, STATUS] != ACCEPTED and comp[SLOPE] >= 0.0:
+            as_centroid(comp, rows[i, 0], i)
+            state[i, SIZE] = 0
+            state[i, LIGHTS] = 1
+            state[i, STATUS] = ACCEPTED
+    for _ in range(CROWD_SWEEPS):
+        for i in range(n):
+            if state[i, STATUS] == ACCEPTED and state[i, CROWDED] == 1 and state[i, SIZE] > 0:
+                refine(image, flip, saturation, mask, comps, state, i, hot, n_hot, noise, fits, rows)
+
+
+@kernel
+def as_centroid(comp, row, source):
+    """Write into a spot's row the centroid of a blob that no model fits: its pixels above half height, weighted."""
+    radius = sqrt(comp[AREA] / pi)
+    for k in range(row.shape[0]):
+        row[k] = 0.0
+    row[S_U] = comp[SUM_X] / comp[WEIGHT]
+    row[S_V] = comp[SUM_Y] / comp[WEIGHT]
+    change = comp[SLOPE] / max(comp[PEAK] - comp[GROUND], 1.0) * radius
+    variance = (CENTROID_PX + CENTROID_SHARE * radius) ** 2 + (CENTROID_CHANGE * radius * change) ** 2
+    row[S_CH] = variance
+    row[S_CH + 2] = variance
+    row[S_PEAK] = comp[PEAK] - comp[GROUND]
+    row[S_SIZE] = radius
+    row[S_MODEL] = AS_CENTROID
+    row[S_DOF] = 1.0
+    row[S_RSS] = 1.0
+    row[S_OF] = source
+
+
+@kernel
+def refine(image, flip, saturation, mask, comps, state, i, hot, n_hot, noise, fits, rows):
+    """Refit a crowded component with its neighbours' light subtracted, in place."""
+    box = np.empty(4, np.int64)
+    patch_box(comps[i], image.shape[0], image.shape[1], box)
+    shape = (box[3] - box[2], box[1] - box[0])
+    values = np.empty(shape)
+    use = np.empty(shape, np.uint8)
+    make_patch(image, flip, saturation, mask, comps, state, i, hot, n_hot, np.int64(1), box, values, use)
+    for j in range(comps.shape[0]):
+        known = j != i and state[j, STATUS] == ACCEPTED and state[j, SIZE] > 0
+        if known and near(comps[i], comps[j], skirt(comps[i]) + skirt(comps[j])):
+            light_of(state[j, KIND], fits[j], state[j, SIZE], box[0], box[2], values, -1.0)
+    p = np.empty(FIT)
+    copy_to(fits[i], p)
+    kind = state[i, KIND]
+    size = state[i, SIZE]
+    rss, _ = refit(kind, size, values, use, box[0], box[2], use.size, p, np.empty(shape))
+    if rss < 0.0:
+        return
+    trial = np.empty((MOST_LIGHTS, SPOT))
+    lights = describe(kind, size, p, values, use, box, rss, trial, i)
+    if lights == state[i, LIGHTS] and verdict(comps[i], trial, lights, comps[i, CLIPPED] > 0.0, noise) == ACCEPTED:
+        copy_to(p, fits[i])
+        for k in range(lights):
+            copy_to(trial[k], rows[i, k])
+
+
+@kernel
+def shot_gain(spots, n):
+    """Return the gain (grey levels of variance per grey level of light) that the residuals of all spots prove.
+
+    Regression of the squared residuals on the model, each spot with its own constant part; less DOUBT deviations,
+    because a gain that is only noise would widen every ellipse.
+    """
+    top = 0.0
+    bottom = 0.0
+    spread = 0.0
+    for k in range(n):
+        row = spots[k]
+        dof = row[S_DOF]
+        signal = row[S_SIGNAL]
+        if row[S_SQUARE] <= 0.0 or dof < 1.0:
+            continue
+        square = row[S_SQUARE] - signal * signal / dof
+        a = row[S_RSS] / dof
+        top += row[S_FOURTH] - a * signal
+        bottom += square
+        spread += 2.0 * a * a * square
+    if bottom <= 0.0:
+        return 0.0
+    return max((top - DOUBT * sqrt(spread)) / bottom, 0.0)
+
+
+@kernel
+def noise_of(row, g):
+    """Return the constant part of a spot's noise variance, given the shot noise's gain g.
+
+    Where the background lies within the noise of black, half of its pixels are clipped and tell too little; there the
+    residuals are weighted with the light.
+    """
+    a = (row[S_RSS] - g * row[S_SIGNAL]) / max(row[S_DOF], 1.0)
+    if row[S_SIGNAL] > 0.0 and row[S_SQUARE] > 0.0:
+        lit = row[S_FOURTH] / row[S_SIGNAL]
+        if row[S_B] < 2.0 * sqrt(lit):
+            a = max(a, lit - g * row[S_SQUARE] / row[S_SIGNAL])
+    return max(a, PIXEL_VARIANCE)
+
+
+@kernel
+def deliver(options, comps, state, rows):
+    """Return uv (n, 2), covariance (n, 2, 2), peak, size, model and owner (n,) of the spots, and refused (m, 3).
+
+    A spot's owner is that of its area; refused are u, v and the number of the reason.
+    """
+    spots = np.empty((comps.shape[0] * MOST_LIGHTS, SPOT))
+    refused = np.empty((comps.shape[0], 3))
+    n = np.int64(0)
+    m = 0
+    for i in range(comps.shape[0]):
+        if state[i, STATUS] == ACCEPTED:
+            for k in range(state[i, LIGHTS]):
+                copy_to(rows[i, k], spots[n])
+                n += 1
+        elif state[i, OWNER] >= 0:
+            refused[m, 0] = comps[i, SUM_X] / comps[i, WEIGHT]
+            refused[m, 1] = comps[i, SUM_Y] / comps[i, WEIGHT]
+            refused[m, 2] = state[i, STATUS]
+            m += 1
+    g = options[O_GAIN] if options[O_GAIN] >= 0.0 else shot_gain(spots, n)
+    uv = np.empty((n, 2))
+    covariance = np.empty((n, 2, 2))
+    peak = np.empty(n)
+    size = np.empty(n)
+    model = np.empty(n, np.int64)
+    owner = np.empty(n, np.int64)
+    for k in range(n):
+        row = spots[k]
+        a = noise_of(row, g)
+        uv[k, 0] = row[S_U]
+        uv[k, 1] = row[S_V]
+        covariance[k, 0, 0] = a * row[S_CH] + g * row[S_CG] + row[S_FLOOR]
+        covariance[k, 0, 1] = a * row[S_CH + 1] + g * row[S_CG + 1]
+        covariance[k, 1, 0] = covariance[k, 0, 1]
+        covariance[k, 1, 1] = a * row[S_CH + 2] + g * row[S_CG + 2] + row[S_FLOOR]
+        peak[k] = row[S_PEAK]
+        size[k] = row[S_SIZE]
+        model[k] = int(row[S_MODEL])
+        owner[k] = state[int(row[S_OF]), OWNER]
+    return uv, covariance, peak, size, model, owner, refused[:m].copy()

@@ -1,0 +1,370 @@
+"""Which light is it? Fits the models that its shape suggests and lets the data choose (Schwarz's criterion)."""
+
+from __future__ import annotations
+
+from math import erf, exp, log, pi, sqrt
+
+import numpy as np
+
+from armsight._numba import kernel
+from armsight.measure.spots.kernels.detection.area import (
+    AS_ELLIPSE,
+    AS_GAUSSIAN,
+    AS_JOINT,
+    AS_STREAK,
+    MOST_LIGHTS,
+    MOST_PARAMETERS,
+    ONLY_ELLIPSE,
+    ONLY_GAUSSIAN,
+    S_B,
+    S_CH,
+    S_DOF,
+    S_FLOOR,
+    S_FOURTH,
+    S_MODEL,
+    S_OF,
+    S_PEAK,
+    S_RSS,
+    S_SIGNAL,
+    S_SIZE,
+    S_SQUARE,
+    S_U,
+    S_V,
+)
+from armsight.measure.spots.kernels.detection.scan import (
+    AREA,
+    CLIPPED,
+    LEVEL,
+    PEAK,
+    SLOPE,
+    WEIGHT,
+)
+from armsight.measure.spots.kernels.fitting.gaussian_axes import PIXEL_VARIANCE
+from armsight.measure.spots.kernels.fitting.leastsquares import evaluated, fit_model, gram, weighted_information
+from armsight.measure.spots.kernels.fitting.light_models import ELLIPSE, JOINT, ROOT_2, ROOT_2PI, STREAK, prior_weight
+from armsight.measure.spots.kernels.fitting.patch import find_peaks, principal, shape_of, used
+from armsight.measure.spots.kernels.fitting.uncertainty import MISFIT, inflation, remaining_square, uncertainty
+from armsight.measure.spots.kernels.loops import copy_to
+
+FLAT = 0.58
+"""Mean over peak above the threshold: a Gaussian has 0.3-0.5, a streak up to 0.55, a disc wider than its blur more."""
+ELONGATED = 1.12
+"""Ratio of second moments from which a streak or two lights are tried at once."""
+LONG = 3.5
+"""Length in blurs from which two lights of one width cannot pass for a streak."""
+SURE = 10.0
+"""Fall of Schwarz's criterion that a further light must bring: odds of 150 to 1."""
+PLAIN = 0.035
+"""Residual as a share of the height up to which one ellipse of one peak is believed without other models being tried:
+what a camera's processing leaves of a flat light (transfer curve, sharpening, compression) is below it."""
+WIDE_PATCH = 3000
+"""Pixels of a patch before a room beyond which one flat light is tried and no crowd: it would take tens of ms, and what
+is that large and no disc is a lamp."""
+FLAT_CLIPPED = 3.0
+"""Clipped pixels of a light before a room from which a flat one is tried even where a round one fits."""
+DOMINANT = 0.2
+"""Share of all squares in one pixel that marks it as hot; no wrong model puts so much into a single one."""
+
+
+@kernel
+def start_model(kind, lights, comp, shape, background, peaks, p):
+    """Fill p with a start from the moments, or from the peaks (.., 3) for three lights and more; return its length."""
+    large, small, angle = principal(shape[2], shape[3], shape[4])
+    height = max(comp[PEAK] - background, 1.0)
+    p[0] = background
+    if kind == JOINT and lights > 2:
+        low = max(comp[LEVEL] + 0.5 - background, 0.5)
+        for k in range(lights):
+            p[2 + 3 * k] = peaks[k, 0]
+            p[3 + 3 * k] = peaks[k, 1]
+            p[4 + 3 * k] = max(peaks[k, 2] - background, 1.1 * low)
+        p[1] = 2.0 * pi * lights * log(max(height / low, 1.5)) / comp[AREA]
+        return 2 + 3 * lights
+    if kind == JOINT:
+        q = 1.3 * (0.5 * (large + small) if lights == 1 else small) + 0.1
+        p[1] = 1.0 / q
+        apart = sqrt(max(large - small, 0.2 * small)) if lights == 2 else 0.0
+        for k in range(lights):
+            sign = 2.0 * k - 1.0
+            p[2 + 3 * k] = shape[0] + sign * apart * np.cos(angle)
+            p[3 + 3 * k] = shape[1] + sign * apart * np.sin(angle)
+            p[4 + 3 * k] = height * (1.0 if lights == 1 else 1.0 / (1.0 + exp(-2.0 * apart * apart / q)))
+        return 2 + 3 * lights
+    p[1] = shape[0]
+    p[2] = shape[1]
+    p[3] = height
+    if kind == STREAK:
+        p[4] = sqrt(1.3 * small)
+        p[5] = angle
+        p[6] = sqrt(3.0 * max(large - small, 0.3 * small))
+        p[3] = height * 2.0 * p[6] / (ROOT_2PI * p[4] * erf(p[6] / (ROOT_2 * p[4])))
+        return 7
+    p[4] = 0.8
+    det = 4.0 * max(shape[5] * shape[7] - shape[6] ** 2, 0.05)
+    p[5] = shape[7] / det
+    p[6] = -shape[6] / det
+    p[7] = shape[5] / det
+    return 8
+
+
+@kernel
+def neighbours(residuals):
+    """Return the sum of products of neighbouring residuals, and that over its own deviation (round.residual_sums)."""
+    products = 0.0
+    spread = 0.0
+    for j in range(residuals.shape[0]):
+        for i in range(residuals.shape[1]):
+            r = residuals[j, i]
+            left = residuals[j, i - 1] if i > 0 else 0.0
+            above = residuals[j - 1, i] if j > 0 else 0.0
+            products += r * (left + above)
+            spread += r * r * (left * left + above * above)
+    return products, products / sqrt(spread) if spread > 0.0 else 0.0
+
+
+@kernel
+def odd_part(residuals, use, u, v, odd):
+    """Fill odd with the part of the residuals that changes sign under reflection at (u, v), times root 2; return sums.
+
+    Only this part moves a centre: a profile that is wrong but symmetric (a halo, a ring) leaves it alone. The sums
+    are those of the squares and of the pixels. u and v count from the patch's first pixel.
+    """
+    turn_x = int(np.round(2.0 * u))
+    turn_y = int(np.round(2.0 * v))
+    squares = 0.0
+    count = 0
+    for j in range(residuals.shape[0]):
+        for i in range(residuals.shape[1]):
+            odd[j, i] = 0.0
+            a = turn_y - j
+            b = turn_x - i
+            if 0 <= a < residuals.shape[0] and 0 <= b < residuals.shape[1] and use[j, i] == 1 and use[a, b] == 1:
+                odd[j, i] = (residuals[j, i] - residuals[a, b]) / ROOT_2
+                squares += odd[j, i] ** 2
+                count += 1
+    return squares, count
+
+
+@kernel
+def drop_worst(residuals, use, rss, noise):
+    """Set use to 0 at the pixel that holds a dominant share of all squares; tell whether there was one."""
+    worst = 0.0
+    a = 0
+    b = 0
+    for j in range(residuals.shape[0]):
+        for i in range(residuals.shape[1]):
+            if residuals[j, i] ** 2 > worst:
+                worst = residuals[j, i] ** 2
+                a = j
+                b = i
+    if worst < DOMINANT * rss or worst < 36.0 * max(noise, PIXEL_VARIANCE):
+        return False
+    use[a, b] = 0
+    return True
+
+
+@kernel
+def add_light(residuals, x0, y0, p, n):
+    """Extend a joint model by a light where the residuals, summed over 3 x 3 pixels, are largest; return the new n."""
+    best = -1.0
+    for j in range(1, residuals.shape[0] - 1):
+        for i in range(1, residuals.shape[1] - 1):
+            t = 0.0
+            for a in range(-1, 2):
+                for b in range(-1, 2):
+                    t += residuals[j + a, i + b]
+            if t > best:
+                best = t
+                p[n] = x0 + i
+                p[n + 1] = y0 + j
+                p[n + 2] = max(t / 9.0, 1.0)
+    return n + 3
+
+
+@kernel
+def criterion(rss, count, n):
+    """Return Schwarz's criterion for n parameters."""
+    return count * log(max(rss / count, PIXEL_VARIANCE)) + n * log(float(count))
+
+
+@kernel
+def order_of_trial(comp, shape, n_peaks, only, order):
+    """Fill order with the kinds to try after the round Gaussian, likeliest first; return how many."""
+    if only == ONLY_GAUSSIAN:
+        return 0
+    if only == ONLY_ELLIPSE:
+        order[0] = ELLIPSE
+        return 1
+    large, small, _ = principal(shape[2], shape[3], shape[4])
+    height = max(comp[PEAK] - comp[LEVEL], 1.0)
+    flat = comp[WEIGHT] / (comp[AREA] * height) > FLAT
+    elongated = large > ELONGATED * small
+    if flat or not elongated:
+        order[0] = ELLIPSE
+        order[1] = STREAK
+        order[2] = JOINT
+        return 3 if elongated or n_peaks > 1 else 1
+    order[0] = STREAK if n_peaks < 3 else JOINT
+    order[1] = JOINT if n_peaks < 3 else STREAK
+    order[2] = ELLIPSE
+    return 3
+
+
+@kernel
+def attempt(kind, lights, comp, shape, background, peaks, values, use, x0, y0, count, p, residuals):
+    """Start and fit one model into p; return n, sum of squares (-1: failed), run of the residuals."""
+    n = start_model(kind, lights, comp, shape, background, peaks, p)
+    rss, run = refit(kind, n, values, use, x0, y0, count, p, residuals)
+    return n, rss, run
+
+
+@kernel
+def refit(kind, n, values, use, x0, y0, count, p, residuals):
+    """Fit one model from p in place; return sum of squares (-1: failed) and run of the residuals."""
+    rss = fit_model(kind, p, n, values, use, x0, y0, count, residuals)
+    if rss < 0.0:
+        return rss, 0.0
+    return rss, neighbours(residuals)[1]
+
+
+@kernel
+def choose(comp, background, box, values, use, noise, only, best):
+    """Fit the models that the shape suggests; fill best; return kind, n (0: none), squares, run."""
+    x0 = box[0]
+    y0 = box[2]
+    count = used(use)
+    shape = np.empty(8)
+    shape_of(values, use, comp, box, comp[LEVEL], background, shape)
+    p = np.zeros(MOST_PARAMETERS)
+    more = np.zeros(MOST_PARAMETERS)
+    residuals = np.zeros(values.shape)
+    kind, n_best, rss_best, score, run_best = JOINT, 0, -1.0, 1e300, 0.0
+    peaks = np.empty((MOST_LIGHTS, 3))
+    n_peaks = np.int64(0)
+    if only != ONLY_ELLIPSE:
+        n, rss, run = attempt(
+            np.int64(JOINT), np.int64(1), comp, shape, background, peaks, values, use, x0, y0, count, p, residuals
+        )
+        for _ in range(3):
+            if rss > 0.0 and drop_worst(residuals, use, rss, noise):
+                count -= 1
+                rss, run = refit(np.int64(JOINT), n, values, use, x0, y0, count, p, residuals)
+        if rss >= 0.0:
+            n_best, rss_best, score, run_best = n, rss, criterion(rss, count, n), run
+            copy_to(p, best)
+            if run < MISFIT and not (comp[SLOPE] >= 0.0 and comp[CLIPPED] > FLAT_CLIPPED):
+                return kind, n_best, rss_best, run_best
+    n_peaks = find_peaks(values, use, comp[LEVEL], noise, x0, y0, peaks)
+    order = np.empty(3, np.int64)
+    trials = order_of_trial(comp, shape, n_peaks, only, order)
+    room = comp[SLOPE] >= 0.0
+    crowd = not (room and count > WIDE_PATCH)
+    for k in range(trials):
+        trial = order[k]
+        if trial != ELLIPSE and not crowd:
+            continue
+        lights = max(n_peaks, 2) if trial == JOINT else 1
+        n, rss, run = attempt(trial, lights, comp, shape, background, peaks, values, use, x0, y0, count, p, residuals)
+        if rss < 0.0:
+            continue
+        new = criterion(rss, count, n)
+        while trial == JOINT and run > MISFIT and n + 3 <= 2 + 3 * MOST_LIGHTS:
+            copy_to(p, more)
+            n_more = add_light(residuals, x0, y0, more, n)
+            rss_more, run_more = refit(np.int64(JOINT), n_more, values, use, x0, y0, count, more, residuals)
+            if rss_more < 0.0 or criterion(rss_more, count, n_more) > new - SURE:
+                break
+            copy_to(more, p)
+            n, rss, run = n_more, rss_more, run_more
+            new = criterion(rss, count, n)
+        if new < score:
+            kind, n_best, rss_best, score, run_best = trial, n, rss, new, run
+            copy_to(p, best)
+        settled = trial == ELLIPSE or (trial == STREAK and 2.0 * p[6] > LONG * p[4])
+        if settled and (run < MISFIT or (room and n_peaks < 2 and rss < count * (PLAIN * p[3]) ** 2)):
+            break
+    return kind, n_best, rss_best, run_best
+
+
+@kernel
+def describe(kind, n, p, values, use, box, rss, rows, source):
+    """Write the lights of a fitted model into rows (.., SPOT); return how many (0: no covariance)."""
+    H = np.empty((n, n))
+    G = np.empty((n, n))
+    sums = np.empty(3)
+    residuals = np.empty(values.shape)
+    tilt = np.empty((n + 3, 2))
+    count = used(use)
+    noise = max(rss / max(count - n, 1), PIXEL_VARIANCE)
+    lights = (n - 2) // 3 if kind == JOINT else 1
+    J, m, grid = evaluated(kind, p, n, values, use, box[0], box[2], residuals)
+    gram(J, n, H)
+    height = p[4] if kind == JOINT else p[3]
+    for i in range(n):
+        H[i, i] += prior_weight(kind, i, height)
+    first = 2 if kind == JOINT else 1
+    weighted_information(J, m, grid, residuals, n, p[first], p[first + 1], G, tilt, sums)
+    products, run = neighbours(residuals)
+    wider = inflation(run, products, rss)
+    if wider > 1.0 and lights == 1:
+        odd = np.empty(values.shape)
+        squares, pixels = odd_part(residuals, use, p[first] - box[0], p[first + 1] - box[2], odd)
+        if pixels > n:
+            products, run = neighbours(odd)
+            wider = inflation(run / ROOT_2, products, squares)
+            rss = squares / pixels * (count - n)
+            noise = max(squares / pixels, PIXEL_VARIANCE)
+    order = np.empty(n, np.int64)
+    tilt2 = np.empty((n + 3, 2))
+    prior = np.empty(4)
+    for i in range(4):
+        prior[i] = p[MOST_PARAMETERS + i]
+    for i in range(n, n + 3):
+        copy_to(tilt[i], tilt2[i])
+    H2 = np.empty((n, n))
+    G2 = np.empty((n, n))
+    for k in range(lights):
+        first = 2 + 3 * k if kind == JOINT else 1
+        # the light's centre first, as uncertainty wants it
+        at = 2
+        order[0] = first
+        order[1] = first + 1
+        for i in range(n):
+            if i != first and i != first + 1:
+                order[at] = i
+                at += 1
+        for i in range(n):
+            for j in range(n):
+                H2[i, j] = H[order[i], order[j]]
+                G2[i, j] = G[order[i], order[j]]
+            copy_to(tilt[order[i]], tilt2[i])
+        row = rows[k]
+        work = np.zeros(8)
+        left = uncertainty(H2, G2, tilt2, prior, noise, sums[0], work)
+        if left != left:
+            return 0
+        row[S_U] = p[first] + work[6]
+        row[S_V] = p[first + 1] + work[7]
+        for i in range(6):
+            row[S_CH + i] = wider * work[i]
+        row[S_DOF] = count - n
+        row[S_RSS] = rss
+        row[S_SIGNAL] = left
+        row[S_FOURTH] = sums[1]
+        row[S_SQUARE] = remaining_square(sums[2], sums[0], left) if k == 0 else 0.0
+        row[S_B] = p[0]
+        row[S_OF] = source
+        row[S_FLOOR] = 0.0
+        if kind == JOINT:
+            row[S_PEAK] = p[first + 2]
+            row[S_SIZE] = sqrt(max(1.0 / p[1] - PIXEL_VARIANCE, 0.01))
+            row[S_MODEL] = AS_GAUSSIAN if lights == 1 else AS_JOINT
+        elif kind == STREAK:
+            row[S_PEAK] = p[3] * erf(p[6] / (ROOT_2 * p[4])) * ROOT_2PI * p[4] / (2.0 * p[6])
+            row[S_SIZE] = sqrt(max(p[4] * p[4] - PIXEL_VARIANCE, 0.01))
+            row[S_MODEL] = AS_STREAK
+        else:
+            row[S_PEAK] = p[3]
+            row[S_SIZE] = (p[5] * p[7] - p[6] * p[6]) ** -0.25
+            row[S_MODEL] = AS_ELLIPSE
+    return lights

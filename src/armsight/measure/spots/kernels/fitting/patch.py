@@ -1,0 +1,208 @@
+"""The pixels around one bright area as the slower fits want them: values, which of them to use, and their moments."""
+
+from __future__ import annotations
+
+from math import atan2, sqrt
+
+import numpy as np
+
+from armsight._numba import kernel
+from armsight.measure.spots.kernels.detection.area import ACCEPTED, HOT, SMALL, STATUS, near, skirt
+from armsight.measure.spots.kernels.detection.scan import PEAK, X_MAX, X_MIN, Y_MAX, Y_MIN
+from armsight.measure.spots.kernels.fitting.light_models import CLIPPED_PIXEL
+from armsight.measure.spots.kernels.loops import copy_to
+
+DEEP = 2.0
+"""Depth of the valley between two lights in deviations of the noise; the smoothed values have a third of it."""
+SHALLOW = 0.04
+"""The same as a share of the higher light's height: ripples that sharpening and compression leave are below it."""
+MOST_MAXIMA = 32
+
+
+@kernel
+def patch_box(comp, h, w, box):
+    """Fill box (x0, x1, y0, y1) with a component's bounds and a margin that holds its skirt and some background."""
+    half = 0.5 * max(comp[X_MAX] - comp[X_MIN], comp[Y_MAX] - comp[Y_MIN])
+    margin = int(min(max(0.5 * half + 2.0, 4.0), 9.0))
+    box[0] = max(int(comp[X_MIN]) - margin, 0)
+    box[1] = min(int(comp[X_MAX]) + margin + 1, w)
+    box[2] = max(int(comp[Y_MIN]) - margin, 0)
+    box[3] = min(int(comp[Y_MAX]) + margin + 1, h)
+
+
+@kernel
+def fill_patch(image, flip, saturation, mask, box, values, use):
+    """Fill values and use (ny, nx) from the image; use is 0 for masked pixels, CLIPPED_PIXEL for clipped ones."""
+    for j in range(values.shape[0]):
+        for i in range(values.shape[1]):
+            grey = np.uint8(image[box[2] + j, box[0] + i] ^ flip)
+            values[j, i] = grey
+            free = mask.size == 0 or mask[box[2] + j, box[0] + i] != 0
+            use[j, i] = 0 if not free else 1 if grey < saturation else CLIPPED_PIXEL
+
+
+@kernel
+def leave_to(own, other, box, use):
+    """Set use to 0 where a pixel belongs to another component rather than to this one."""
+    ox = 0.5 * (own[X_MIN] + own[X_MAX])
+    oy = 0.5 * (own[Y_MIN] + own[Y_MAX])
+    ow = 0.5 * (own[X_MAX] - own[X_MIN]) + 2.0
+    oh = 0.5 * (own[Y_MAX] - own[Y_MIN]) + 2.0
+    nx = 0.5 * (other[X_MIN] + other[X_MAX])
+    ny = 0.5 * (other[Y_MIN] + other[Y_MAX])
+    nw = 0.5 * (other[X_MAX] - other[X_MIN]) + 2.0
+    nh = 0.5 * (other[Y_MAX] - other[Y_MIN]) + 2.0
+    for j in range(use.shape[0]):
+        y = box[2] + j
+        for i in range(use.shape[1]):
+            x = box[0] + i
+            mine = ((x - ox) / ow) ** 2 + ((y - oy) / oh) ** 2
+            theirs = ((x - nx) / nw) ** 2 + ((y - ny) / nh) ** 2
+            if theirs < mine:
+                use[j, i] = 0
+
+
+@kernel
+def used(use):
+    """Return how many pixels of the patch are used for what they are."""
+    n = 0
+    for j in range(use.shape[0]):
+        for i in range(use.shape[1]):
+            n += use[j, i] == 1
+    return n
+
+
+@kernel
+def shape_of(values, use, comp, box, level, background, shape):
+    """Fill shape (8,): centre, second moments xx, xy, yy above level; the same about half height, unweighted: 5..7."""
+    half = background + 0.5 * (comp[PEAK] - background)
+    s = np.zeros(6)
+    a = np.zeros(6)
+    for j in range(values.shape[0]):
+        y = float(box[2] + j)
+        if y < comp[Y_MIN] or y > comp[Y_MAX]:
+            continue
+        for i in range(values.shape[1]):
+            x = float(box[0] + i)
+            v = values[j, i] - level
+            if v <= 0.0 or x < comp[X_MIN] or x > comp[X_MAX]:
+                continue
+            s[0] += v
+            s[1] += v * x
+            s[2] += v * y
+            s[3] += v * x * x
+            s[4] += v * x * y
+            s[5] += v * y * y
+            if values[j, i] > half:
+                a[0] += 1.0
+                a[1] += x
+                a[2] += y
+                a[3] += x * x
+                a[4] += x * y
+                a[5] += y * y
+    for k in range(2):
+        m = s if k == 0 else a
+        total = max(m[0], 1e-9)
+        cx = m[1] / total
+        cy = m[2] / total
+        if k == 0:
+            shape[0] = cx
+            shape[1] = cy
+        shape[2 + 3 * k] = max(m[3] / total - cx * cx, 0.1)
+        shape[3 + 3 * k] = m[4] / total - cx * cy
+        shape[4 + 3 * k] = max(m[5] / total - cy * cy, 0.1)
+
+
+@kernel
+def smoothed(values, use, j, i):
+    """Return the mean of the 3 x 3 pixels around (j, i), or -1 where one of them is not used."""
+    if j < 1 or i < 1 or j > values.shape[0] - 2 or i > values.shape[1] - 2:
+        return -1.0
+    total = 0.0
+    for a in range(j - 1, j + 2):
+        for b in range(i - 1, i + 2):
+            if use[a, b] == 0:
+                return -1.0
+            total += values[a, b]
+    return total / 9.0
+
+
+@kernel
+def valley(values, use, x0, y0, a, b):
+    """Return the lowest smoothed value on the straight line between two peaks (x, y, height)."""
+    steps = int(max(abs(a[0] - b[0]), abs(a[1] - b[1]))) + 1
+    low = 1e9
+    for k in range(steps + 1):
+        x = a[0] + (b[0] - a[0]) * k / steps
+        y = a[1] + (b[1] - a[1]) * k / steps
+        v = smoothed(values, use, int(y + 0.5) - y0, int(x + 0.5) - x0)
+        if v >= 0.0:
+            low = min(low, v)
+    return low
+
+
+@kernel
+def find_peaks(values, use, level, noise, x0, y0, peaks):
+    """Fill peaks (.., 3: x, y, height) with the maxima that a valley parts from all higher ones; return how many."""
+    found = np.empty((MOST_MAXIMA, 3))
+    means = np.empty(values.shape)
+    for j in range(values.shape[0]):
+        for i in range(values.shape[1]):
+            means[j, i] = smoothed(values, use, j, i)
+    n = 0
+    for j in range(1, values.shape[0] - 1):
+        for i in range(1, values.shape[1] - 1):
+            v = means[j, i]
+            if v <= level or n == MOST_MAXIMA:
+                continue
+            top = True
+            for a in range(-1, 2):
+                for b in range(-1, 2):
+                    other = means[j + a, i + b]
+                    if other > v or (other == v and (a < 0 or (a == 0 and b < 0))):
+                        top = False
+            if top:
+                k = n
+                while k > 0 and found[k - 1, 2] < v:
+                    copy_to(found[k - 1], found[k])
+                    k -= 1
+                found[k, 0] = x0 + i
+                found[k, 1] = y0 + j
+                found[k, 2] = v
+                n += 1
+    count = np.int64(0)
+    depth = max(DEEP * sqrt(noise), SHALLOW * (found[0, 2] - level)) if n > 0 else 0.0
+    for k in range(n):
+        parted = count < peaks.shape[0]
+        for m in range(count):
+            if valley(values, use, x0, y0, found[k], peaks[m]) > found[k, 2] - depth:
+                parted = False
+        if parted:
+            copy_to(found[k], peaks[count])
+            count += 1
+    return count
+
+
+@kernel
+def principal(xx, xy, yy):
+    """Return the larger and the smaller second moment, and the angle of the larger."""
+    mean = 0.5 * (xx + yy)
+    root = sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
+    return mean + root, max(mean - root, 0.05), 0.5 * atan2(2.0 * xy, xx - yy)
+
+
+@kernel
+def make_patch(image, flip, saturation, mask, comps, state, i, hot, n_hot, subtract, box, values, use):
+    """Fill the patch of component i: pixels of hot pixels and of neighbours left out (all, or those not subtracted)."""
+    fill_patch(image, flip, saturation, mask, box, values, use)
+    for k in range(n_hot):
+        x = hot[k, 0] - box[0]
+        y = hot[k, 1] - box[2]
+        if 0 <= x < use.shape[1] and 0 <= y < use.shape[0]:
+            use[y, x] = 0
+    for j in range(comps.shape[0]):
+        status = state[j, STATUS]
+        if j == i or status in (HOT, SMALL) or (subtract > 0 and status == ACCEPTED):
+            continue
+        if near(comps[i], comps[j], skirt(comps[i]) + 2.0):
+            leave_to(comps[i], comps[j], box, use)
