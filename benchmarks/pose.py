@@ -146,8 +146,8 @@ def rendered(repeats: int) -> None:
     rows = []
     for name, cell in (
         ("webcams, LEDs of 2 px", led_cell(3, repeats, **DARK)),
-        ("webcams, LEDs of 2 px, nothing goes wrong", led_cell(4, repeats, mishaps=False, **DARK)),
-        ("webcams, flat lights of 12 mm", led_cell(5, max(repeats // 4, 50), diameter_m=0.012, mishaps=False, **DARK)),
+        ("webcams, LEDs of 2 px, nothing goes wrong", led_cell(4, repeats, faults=False, **DARK)),
+        ("webcams, flat lights of 12 mm", led_cell(5, max(repeats // 4, 50), diameter_m=0.012, faults=False, **DARK)),
     ):
         setup = Setup(rig_from_mapping(cell.rig), target_of(cell.target))
         for tracking in (True, False):
@@ -201,7 +201,7 @@ def ratios(ours: list[Array], theirs: list[Array]) -> list[float]:
 
 def time(repeats: int) -> None:
     """Time from two frames in memory to pose, and of the parts."""
-    cell = led_cell(1, 12, mishaps=False, **DARK)
+    cell = led_cell(1, 12, faults=False, **DARK)
     rig, target = rig_from_mapping(cell.rig), target_of(cell.target)
     setup, model = Setup(rig, target), np.array(list(target.xyz_m))
     pairs = [cell.pair(i) for i in range(12)]

@@ -18,7 +18,8 @@ import yaml
 
 import bench
 from armsight.sim import Cell, Sensor, ambient, led_cell
-from armsight.sim.scenario import Scenario
+from armsight.sim.scenario_builder import build_world
+from armsight.sim.scenario_schema import Scenario
 
 TARGETS_MS = {"dark": 8.0, "workshop, machine": 15.0, "workshop, webcam": 40.0}
 """A 1280x720 pair with six spots on one core, by room and pipeline."""
@@ -35,7 +36,7 @@ HEXAGON_M = {
 
 def six_lights(**options: object) -> Cell:
     """Return the webcam cell with six lights on a circle of 100 mm instead of three."""
-    cell = led_cell(0, 1000, mishaps=False, **{"room": "dark", "pipeline": "ideal"} | options)  # type: ignore[arg-type]
+    cell = led_cell(0, 1000, faults=False, **{"room": "dark", "pipeline": "ideal"} | options)  # type: ignore[arg-type]
     return replace(cell, lights=tuple(replace(cell.lights[0], name=n, xyz_m=xyz) for n, xyz in HEXAGON_M.items()))
 
 
@@ -43,9 +44,9 @@ def moving_rig() -> Callable[[], object]:
     """Return what takes the complex images of a mirror rig that a robot carries through a workshop."""
     text = (files("armsight") / "sim/scenarios/pachidis2005-static.yaml").read_text()
     keys = yaml.safe_load(text) | {"room": "workshop"}
-    stage = Scenario.model_validate(keys).cell(frames=50)
+    world = build_world(Scenario.model_validate(keys), frames=50)
     index = iter(range(10**9))
-    return lambda: stage.frame(next(index) % 50, "image")
+    return lambda: world.frame(next(index) % 50, "image")
 
 
 def numpy_noise(light: np.ndarray, rng: np.random.Generator) -> np.ndarray:

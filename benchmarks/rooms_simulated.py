@@ -25,12 +25,13 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from armsight.app.scenarios import load_scenario
+from armsight.app.simulate.scenarios import load_scenario
 from armsight.measure.poses.outcome import Measured
 from armsight.measure.poses.pipeline import Setup, measure_pair, warm_up
 from armsight.records import Frame, PoseStatus, unmeasured_target
 from armsight.sim import beacon_cell, led_cell
 from armsight.sim.cell import Cell
+from armsight.sim.scenario_builder import build_world
 from armsight.sim.scene import SmoothTrajectory
 from armsight.store import read_poses, rig_from_mapping, target_from_mapping, write_rig, write_target
 from bench import machine, table
@@ -100,12 +101,12 @@ def complex_images(seed: int, pipeline: str) -> Iterator[tuple[int, Verdict]]:
     keys = model.model_dump()
     keys["room"] = {"preset": ROOMS[seed % len(ROOMS)], "level": 120.0}
     keys["cameras"]["pipeline"] = {"preset": pipeline}
-    stage = type(model).model_validate(keys).cell(seed=seed)
-    rig, target = rig_from_mapping(stage.rig, "rig"), target_from_mapping(stage.target, "target")
+    world = build_world(type(model).model_validate(keys), seed=seed)
+    rig, target = rig_from_mapping(world.rig, "rig"), target_from_mapping(world.target, "target")
     setup = Setup(rig, target, overlaid=True)
-    for index in np.linspace(0, stage.n_frames - 1, FRAMES).astype(int).tolist():
-        frame = stage.frame(index, "image")
-        T = pose_matrix(*stage.truth[index][1:])
+    for index in np.linspace(0, world.n_frames - 1, FRAMES).astype(int).tolist():
+        frame = world.frame(index, "image")
+        T = pose_matrix(*world.truth[index][1:])
         uv = rig.project(target.xyz_m @ T[:3, :3].T + T[:3, 3])
         lights = {(side, name): uv[s][i] for s, side in enumerate(SIDES) for i, name in enumerate(target.names)}
         yield seed, judge(setup, (frame, frame), T, lights, reach_px=REACH_PX)
@@ -266,7 +267,7 @@ def unknown(count: int) -> None:
 
 def unknown_pair(seed: int, room: str) -> tuple[Measured, float]:
     """Measure a pair as if nothing were known of the target; the number is its largest error of a light in mm, or 0."""
-    cell = led_cell(seed, 1, mishaps=False, hot_pixels=0, room=room, pipeline=PIPELINES[seed % 2])
+    cell = led_cell(seed, 1, faults=False, hot_pixels=0, room=room, pipeline=PIPELINES[seed % 2])
     measured = measure_pair(Setup(rig_from_mapping(cell.rig, "rig"), unmeasured_target()), *cell.pair(0))
     T = pose_matrix(*cell.truth[0][1:])
     places = np.array([light.xyz_m for light in cell.lights]) @ T[:3, :3].T + T[:3, 3]
@@ -292,7 +293,7 @@ def moving_run(seconds: float) -> None:
 
 def moving_cell(frames: int, light: Mapping[str, Any]) -> Cell:
     """Return a cell whose target moves at 0.2 to 0.5 m/s all the time."""
-    cell = led_cell(1, frames, fps=FPS, mishaps=False, room="workshop", pipeline="webcam", **light)
+    cell = led_cell(1, frames, fps=FPS, faults=False, room="workshop", pipeline="webcam", **light)
     circling = SmoothTrajectory(
         centre_m=np.array([0.06, 0.0, 0.80]),
         tilt=Rotation.identity(),
@@ -349,7 +350,7 @@ def run_rows(title: str, cell: Cell, folder: Path) -> None:
 
 
 def slashed(values: Sequence[float] | Array) -> str:
-    """Return numbers with a stroke between them."""
+    """Return numbers with a source between them."""
     return " / ".join(f"{value:.3f}" for value in values)
 
 

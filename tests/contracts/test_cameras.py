@@ -34,8 +34,9 @@ from armsight.drivers import (
 from armsight.errors import DeviceFailed, DeviceNotFound, Inconsistent, StaleData, UsageError
 from armsight.records import Frame, Motion
 from armsight.sim.devices import SimCameraView, SimPairs
-from armsight.sim.scenario import Scenario
-from armsight.sim.stage import Stage
+from armsight.sim.scenario_builder import build_world
+from armsight.sim.scenario_schema import Scenario
+from armsight.sim.world import World
 from armsight.testing import CameraCase, CameraContract, RobotCase, RobotReadingContract, contract_tests
 
 COUNT = 9
@@ -54,10 +55,10 @@ def folder(where: Path) -> ImageFolder:
 
 
 @cache
-def small_stage(name: str, frames: int = COUNT) -> Stage:
+def small_stage(name: str, frames: int = COUNT) -> World:
     content = yaml.safe_load((files("armsight") / "sim" / "scenarios" / f"{name}.yaml").read_text())
-    stage: Stage = Scenario.model_validate(content).cell(frames=frames)
-    return stage
+    world: World = build_world(Scenario.model_validate(content), frames=frames)
+    return world
 
 
 class FakeCapture:

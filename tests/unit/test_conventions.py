@@ -28,7 +28,7 @@ from armsight.records import (
 )
 from armsight.records.target import BLUE, RED
 from armsight.report.residuals import distance_rms
-from armsight.sim.paint import PointStroke, paint
+from armsight.sim.render import PointSource, render_sources
 from armsight.store import tracks
 from armsight.store.foreign import rig_from_kalibr
 from armsight.units import DEG, MM
@@ -166,8 +166,8 @@ def test_line_pixel():
     found = find_spots(image, SpotSettings())
     assert sorted(np.round(found.uv_px, 2).tolist()) == [[10.0, 5.0], [30.25, 20.0]]
     # the simulated world renders by the same rule
-    stroke = PointStroke(uv_px=np.array([[10.0, 5.0]]), flux=np.array([2000.0]), sigma_px=1.5, bgr=np.ones(1))
-    patch = paint(np.zeros((40, 60, 1), np.float32), [stroke])
+    source = PointSource(uv_px=np.array([[10.0, 5.0]]), flux=np.array([2000.0]), sigma_px=1.5, bgr=np.ones(1))
+    patch = render_sources(np.zeros((40, 60, 1), np.float32), [source])
     row, column = np.unravel_index(patch.light[:, :, 0].argmax(), patch.light.shape[:2])
     assert (row + patch.row, column + patch.column) == (5, 10)
 

@@ -10,9 +10,9 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.api.arrays import Array, Image
-from armsight.app.cells import load_cell, room_choice
-from armsight.app.scenarios import build_cell, load_scenario, scenario_names
-from armsight.app.simulate import CELL_FRAMES
+from armsight.app.simulate.cells import load_cell, room_choice
+from armsight.app.simulate.run import CELL_FRAMES
+from armsight.app.simulate.scenarios import build_world, load_scenario, scenario_names
 from armsight.drivers import CELLS, known
 from armsight.errors import Inconsistent
 from armsight.optics import Rig
@@ -66,7 +66,7 @@ def simulate(
         return Simulation(load_cell(scenario, seed=seed or 0, frames=frames or CELL_FRAMES, room=room), scenario)
     model = load_scenario(scenario)[0]
     chosen = None if room is None else room_choice(room)
-    return Simulation(build_cell(scenario, model, seed=seed, frames=frames, room=chosen), scenario)
+    return Simulation(build_world(scenario, model, seed=seed, frames=frames, room=chosen), scenario)
 
 
 def scenarios() -> tuple[str, ...]:

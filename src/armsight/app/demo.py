@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.cells import CellPairs, load_cell, write_cell_files
 from armsight.app.measure.collector import About
 from armsight.app.measure.outputs import Summary
 from armsight.app.measure.run import run
 from armsight.app.measure.warm_up import prepare
+from armsight.app.simulate.cells import CellPairs, load_cell, write_cell_files
 from armsight.geometry import pose_from_quat
 from armsight.measure.poses.pipeline import Setup
 from armsight.measure.settings import SpotSettings

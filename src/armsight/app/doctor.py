@@ -14,7 +14,7 @@ from typing import Any
 import cv2
 
 from armsight._version import __version__
-from armsight.app.scenarios import scenario_names
+from armsight.app.simulate.scenarios import scenario_names
 from armsight.drivers import CAMERAS, CELLS, ROBOTS, cameras_there, cores, known
 from armsight.optics import Rig, resolution
 from armsight.optics.resolution import CENTROID_SIGMA_PX

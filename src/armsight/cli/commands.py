@@ -175,7 +175,7 @@ def simulate(
 ) -> None:
     """Write the frames of a simulated cell, its files and the truth into a folder."""
     with CommandUI(as_json=json) as face:
-        from armsight.app.simulate import simulate as run
+        from armsight.app.simulate.run import simulate as run
 
         content = run(scenario, out, seed=seed, frames=frames, room=room, progress=face.progress("simulating"))
         face.say(f"{content['n_frames']} frames of each view and the truth are in {out}")

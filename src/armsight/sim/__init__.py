@@ -5,7 +5,7 @@ from armsight.sim.camera import SimCamera
 from armsight.sim.cell import BoardCell, Cell
 from armsight.sim.cells import beacon_cell, board_cell, cells, hand_cell, led_cell, warm_up
 from armsight.sim.lens import Lens
-from armsight.sim.paint import Patch, PointStroke, RegionStroke, Stroke, paint
+from armsight.sim.render import LightSource, Patch, PointSource, RegionSource, render_sources
 from armsight.sim.scene import Event, Ghost, Light, Path, Rest, SmoothTrajectory
 from armsight.sim.sensor import Sensor, ambient, with_clutter, with_hot_pixels
 
@@ -17,15 +17,15 @@ __all__ = [
     "Ghost",
     "Lens",
     "Light",
+    "LightSource",
     "Patch",
     "Path",
-    "PointStroke",
-    "RegionStroke",
+    "PointSource",
+    "RegionSource",
     "Rest",
     "Sensor",
     "SimCamera",
     "SmoothTrajectory",
-    "Stroke",
     "ambient",
     "beacon_cell",
     "board_cell",
@@ -34,8 +34,8 @@ __all__ = [
     "corner_rays",
     "hand_cell",
     "led_cell",
-    "paint",
     "random_board_pose",
+    "render_sources",
     "warm_up",
     "with_clutter",
     "with_hot_pixels",

@@ -16,8 +16,8 @@ from armsight.errors import Inconsistent
 from armsight.sim.camera import SimCamera
 from armsight.sim.lens import Lens
 from armsight.sim.mirror import MirrorLens, Mirrors
-from armsight.sim.paint import LightImage, Patch
-from armsight.sim.room_keys import OccluderKeys, PanelKeys, RoomKeys
+from armsight.sim.render import LightImage, Patch
+from armsight.sim.room_schema import OccluderKeys, PanelKeys, RoomKeys
 from armsight.sim.rooms import textures as tx
 from armsight.sim.rooms.occluders import Occluder, make_occluder
 from armsight.sim.rooms.room import MOVING_STEP, Room, eye_of, furnished, layout_about, room_of, view_of
@@ -145,8 +145,8 @@ class Onlooker:
         light = self.room.light(view_of(lens, step), T_room_camera, channels, samples=4 if step == 1 else 1)
         seen = self.room.seen_indicators(T_room_camera.apply(eye_of(lens)))
         rest = Rest(T_world_target=T_room_rig.inv())
-        for stroke in self.camera.strokes(seen, rest, 0.0, frozenset(), ()):
-            stroke.add_to(Patch(row=0, column=0, light=light))
+        for source in self.camera.sources(seen, rest, 0.0, frozenset(), ()):
+            source.add_to(Patch(row=0, column=0, light=light))
         return light
 
 
@@ -173,8 +173,8 @@ def room_backdrop(room: Room, camera: SimCamera, T_room_rig: RigidTransform) -> 
     light = _standing(room, *_fields(camera.lens), pose, camera.backdrop.shape[2]).copy()
     onlooker = Onlooker.of(room, camera)
     seen = room.seen_indicators(T_room_camera.apply(eye_of(camera.lens)))
-    for stroke in onlooker.camera.strokes(seen, Rest(T_world_target=T_room_rig.inv()), 0.0, frozenset(), ()):
-        stroke.add_to(Patch(row=0, column=0, light=light))
+    for source in onlooker.camera.sources(seen, Rest(T_world_target=T_room_rig.inv()), 0.0, frozenset(), ()):
+        source.add_to(Patch(row=0, column=0, light=light))
     return light
 
 

@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.errors import Inconsistent, UsageError
 from armsight.sim.kernels import cast_board
 from armsight.sim.lens import Lens
-from armsight.sim.paint import LightImage
+from armsight.sim.render import LightImage
 
 Array = NDArray[np.float64]
 

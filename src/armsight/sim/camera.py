@@ -13,8 +13,8 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import Inconsistent
 from armsight.sim.lens import Lens
-from armsight.sim.paint import LightImage, Patch, PointStroke, RegionStroke, Stroke, paint
 from armsight.sim.pipeline import IDEAL, LensLosses, Picture, Pipeline
+from armsight.sim.render import LightImage, LightSource, Patch, PointSource, RegionSource, render_sources
 from armsight.sim.rooms.occluders import Occluder
 from armsight.sim.scene import Ghost, Light, Path
 from armsight.sim.sensor import Sensor
@@ -82,7 +82,7 @@ class SimCamera:
         ghosts: Sequence[Ghost] = (),
     ) -> LightImage:
         """Return the light (h, w, c) on the sensor, in grey levels without noise, of an exposure about t_s."""
-        patch = self._on_sensor(self.backdrop, self.still, self.strokes(lights, path, t_s, hidden, ghosts))
+        patch = self._on_sensor(self.backdrop, self.still, self.sources(lights, path, t_s, hidden, ghosts))
         image = self.still.copy()
         height, width = patch.light.shape[:2]
         image[patch.row : patch.row + height, patch.column : patch.column + width] = patch.light
@@ -99,30 +99,30 @@ class SimCamera:
         ghosts: Sequence[Ghost] = (),
     ) -> Picture:
         """Return the 8-bit image (h, w) or (h, w, 3) of an exposure whose middle is t_s."""
-        return self.develop(self.strokes(lights, path, t_s, hidden, ghosts), rng)
+        return self.develop(self.sources(lights, path, t_s, hidden, ghosts), rng)
 
     def develop(
-        self, strokes: Sequence[Stroke], rng: np.random.Generator, backdrop: LightImage | None = None
+        self, sources: Sequence[LightSource], rng: np.random.Generator, backdrop: LightImage | None = None
     ) -> Picture:
-        """Return the 8-bit image of strokes of light over the backdrop, or over another one (of a moving camera)."""
+        """Return the 8-bit image of sources of light over the backdrop, or over another one (of a moving camera)."""
         before = self.backdrop if backdrop is None else backdrop
         still = self.still if backdrop is None else self.losses.through(backdrop)
-        patch = self._on_sensor(before, still, strokes)
+        patch = self._on_sensor(before, still, sources)
         return self.pipeline.develop(still, self.sensor, rng, patch, grey=self.grey)
 
-    def _on_sensor(self, before: LightImage, still: LightImage, strokes: Sequence[Stroke]) -> Patch:
-        """Return what strokes change of the light `still` that the sensor gets of the light `before` the lens."""
-        return self.losses.patched(before, still, paint(before, strokes))
+    def _on_sensor(self, before: LightImage, still: LightImage, sources: Sequence[LightSource]) -> Patch:
+        """Return what sources change of the light `still` that the sensor gets of the light `before` the lens."""
+        return self.losses.patched(before, still, render_sources(before, sources))
 
-    def strokes(
+    def sources(
         self, lights: Sequence[Light], path: Path, t_s: float, hidden: frozenset[str], ghosts: Sequence[Ghost]
-    ) -> list[Stroke]:
+    ) -> list[LightSource]:
         """Return the light that the lights not hidden and the ghosts put on the sensor."""
-        strokes: list[Stroke] = [
+        sources: list[LightSource] = [
             self._point(np.array([ghost.uv_px]), np.ones(1), ghost.level, ghost.sigma_px, ghost.bgr) for ghost in ghosts
         ]
         before, behind = self._covers(lights, path, t_s)
-        strokes = [*behind, *strokes]
+        sources = [*behind, *sources]
         shown = [light for light in lights if light.name not in hidden]
         groups = (
             [(shown, t_s)]
@@ -133,10 +133,10 @@ class SimCamera:
             poses, tracks, share = self._exposed(group, path, at_s)
             for i, light in enumerate(group):
                 if light.diameter_m is not None:
-                    strokes.append(self._disc(light, poses, tracks[:, i], share))
+                    sources.append(self._disc(light, poses, tracks[:, i], share))
                 else:
-                    strokes.append(self._point(tracks[:, i], share, light.level, light.sigma_px, light.bgr))
-        return [*strokes, *before]
+                    sources.append(self._point(tracks[:, i], share, light.level, light.sigma_px, light.bgr))
+        return [*sources, *before]
 
     def covered(self, lights: Sequence[Light], path: Path, t_s: float) -> frozenset[str]:
         """Return the names of the lights whose centres an occluder hides at a time."""
@@ -148,20 +148,20 @@ class SimCamera:
             hidden |= occluder.covers(self.lens, self.T_world_camera, places, t_s)
         return frozenset(light.name for light, covered in zip(lights, hidden, strict=True) if covered)
 
-    def _covers(self, lights: Sequence[Light], path: Path, t_s: float) -> tuple[list[Stroke], list[Stroke]]:
+    def _covers(self, lights: Sequence[Light], path: Path, t_s: float) -> tuple[list[LightSource], list[LightSource]]:
         """Return what occluders cover, of those before the nearest light and of those behind it."""
-        before: list[Stroke] = []
-        behind: list[Stroke] = []
+        before: list[LightSource] = []
+        behind: list[LightSource] = []
         for occluder in self.occluders:
             pose = occluder.pose(t_s)
-            stroke = occluder.stroke(self.lens, self.T_world_camera, t_s, self.backdrop.shape[2])
-            if pose is None or stroke is None:
+            source = occluder.source(self.lens, self.T_world_camera, t_s, self.backdrop.shape[2])
+            if pose is None or source is None:
                 continue
             T_camera_world = self.T_world_camera.inv()
             target = T_camera_world * path(np.array([t_s]))[0]
             depths = [float(target.apply(light.xyz_m)[2]) for light in lights]
             nearer = float((T_camera_world * pose).translation[2]) < min(depths, default=np.inf)
-            (before if nearer else behind).append(stroke)
+            (before if nearer else behind).append(source)
         return before, behind
 
     def _row_time(self, light: Light, path: Path, t_s: float) -> float:
@@ -214,19 +214,19 @@ class SimCamera:
 
     def _point(
         self, track_px: Array, share: Array, level: float, sigma_px: float, bgr: tuple[float, float, float]
-    ) -> PointStroke:
+    ) -> PointSource:
         """Return a Gaussian that spends a share (n,) of the exposure at each place of track_px (n, 2)."""
         flux = 2.0 * math.pi * sigma_px**2 * level * share
-        return PointStroke(uv_px=track_px, flux=flux, sigma_px=sigma_px, bgr=self._channels(bgr))
+        return PointSource(uv_px=track_px, flux=flux, sigma_px=sigma_px, bgr=self._channels(bgr))
 
-    def _disc(self, light: Light, poses: tuple[Array, Array], track_px: Array, share: Array) -> RegionStroke:
+    def _disc(self, light: Light, poses: tuple[Array, Array], track_px: Array, share: Array) -> RegionSource:
         """Return a flat disc, its outline traced through the lens, at each pose for its share of the exposure."""
         seen = np.isfinite(track_px).all(axis=1)
         R, t = poses[0][seen], poses[1][seen]
         nearest_m = float(np.min((R @ np.asarray(light.xyz_m) + t)[:, 2], initial=np.inf))
         round_px = math.pi * max(self.lens.focal_px) * (light.diameter_m or 0.0) / nearest_m
         nodes = int(np.clip(round_px / (EDGE_STEP_SIGMA * light.sigma_px) + 1.0, EDGE_NODES[0], EDGE_NODES[1]))
-        return RegionStroke(
+        return RegionSource(
             outlines_px=self.lens.project(light.edge_m(nodes) @ R.transpose(0, 2, 1) + t[:, None, :]),
             share=share[seen],
             sigma_px=light.sigma_px,

@@ -17,7 +17,7 @@ from armsight.geometry import xyz_quat
 from armsight.records import Frame
 from armsight.sim.boards import Board, board_light, corner_rays
 from armsight.sim.camera import SimCamera
-from armsight.sim.paint import LightImage
+from armsight.sim.render import LightImage
 from armsight.sim.rigs import SIDES, rig_mapping
 from armsight.sim.scene import Event, Light, Path, ghosts_seen, hidden_lights
 

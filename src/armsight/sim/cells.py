@@ -21,7 +21,7 @@ from armsight.sim.cell import SEED_BACKDROP, SEED_BOARD, SEED_PATH, BoardCell, C
 from armsight.sim.faults import planned_events
 from armsight.sim.pipeline import IDEAL, Pipeline
 from armsight.sim.rigs import SIDES, converging_webcams, parallel_pair
-from armsight.sim.room_keys import RoomKeys, checked_pipeline, checked_room
+from armsight.sim.room_schema import RoomKeys, checked_pipeline, checked_room
 from armsight.sim.scene import Light, SmoothTrajectory
 from armsight.sim.sensor import Sensor, ambient, with_clutter, with_hot_pixels
 
@@ -57,14 +57,14 @@ def led_cell(
     diameter_m: float | None = None,
     sensor: Sensor | None = None,
     hot_pixels: int = 12,
-    mishaps: bool = True,
+    faults: bool = True,
     room: Any = ROOM,
     pipeline: Any = PIPELINE,
 ) -> Cell:
     """Return a cell of two converging webcams and three LEDs on an isosceles triangle.
 
     The view stays the same for every width (the focal length follows). level, sigma_px, diameter_m: of the lights
-    as in Light; a diameter makes them flat discs. mishaps: whether planned_events happen. room, pipeline: by name or
+    as in Light; a diameter makes them flat discs. faults: whether planned_events happen. room, pipeline: by name or
     as in a scenario's keys. Raises UsageError for less than one frame, a negative seed or an unknown room or pipeline.
     """
     _check(seed, frames)
@@ -81,7 +81,7 @@ def led_cell(
     target: dict[str, Any] = {"kind": "spots", "spots_m": {key: list(xyz) for key, xyz in TRIANGLE_M.items()}}
     if diameter_m is not None:
         target["diameter_m"] = diameter_m
-    events = planned_events(frames, tuple(TRIANGLE_M), (width, height), sigma_px) if mishaps else ()
+    events = planned_events(frames, tuple(TRIANGLE_M), (width, height), sigma_px) if faults else ()
     return Cell(
         name=name,
         seed=seed,
@@ -103,7 +103,7 @@ def led_cell(
             _room_chosen(keys, "9 grey levels with a slope of 5 across and -3 down"),
             f"{hot_pixels} hot pixels of 20 to 120 levels",
             _pipeline_chosen(camera_pipeline),
-            *(f"mishap in frames {e.first} to {e.last - 1}: {e.note}" for e in events),
+            *(f"fault in frames {e.first} to {e.last - 1}: {e.note}" for e in events),
         ),
     )
 

@@ -11,33 +11,33 @@ from armsight.drivers import Skew
 from armsight.errors import DeviceFailed
 from armsight.records import Frame
 from armsight.sim.robot import SimRobot
-from armsight.sim.scenario import Scenario
-from armsight.sim.stage import Stage
+from armsight.sim.scenario_builder import build_robot
+from armsight.sim.scenario_schema import Scenario
+from armsight.sim.world import World
 
 
 def sim_robot(device: str, *, settings: Mapping[str, Any], clock: Clock | None = None) -> SimRobot:
     """Return the robot of a scenario, whose file's content is in settings."""
-    robot: SimRobot = Scenario.model_validate(dict(settings)).robot(device, clock or SystemClock())
-    return robot
+    return build_robot(Scenario.model_validate(dict(settings)), device, clock or SystemClock())
 
 
 class _OnClock:
-    """A stage's frames, each handed out when it would have arrived; the clock is waited for, never hurried."""
+    """A world's frames, each handed out when it would have arrived; the clock is waited for, never hurried."""
 
-    def __init__(self, stage: Stage, clock: Clock) -> None:
-        self._stage = stage
+    def __init__(self, world: World, clock: Clock) -> None:
+        self._world = world
         self._clock = clock
         self._start_s: float | None = None
 
     @property
     def name(self) -> str:
         """The scenario's name."""
-        return self._stage.name
+        return self._world.name
 
     @property
     def total(self) -> int | None:
         """How many frames arrive."""
-        return len(self._stage.kept)
+        return len(self._world.kept)
 
     @property
     def opened(self) -> bool:
@@ -55,10 +55,10 @@ class _OnClock:
 
     def _indices(self) -> Iterator[int]:
         """Yield the numbers of the frames as they arrive."""
-        for index in self._stage.kept:
+        for index in self._world.kept:
             if self._start_s is None:
                 raise DeviceFailed(f"{self.name} is not open", consequence="There are no frames", cure="Open it first")
-            self._clock.sleep_until(self._start_s + index / self._stage.fps + self._stage.timing.latency_s)
+            self._clock.sleep_until(self._start_s + index / self._world.fps + self._world.timing.latency_s)
             yield index
 
 
@@ -72,21 +72,21 @@ class SimPairs(_OnClock):
 
     def __iter__(self) -> Iterator[tuple[Frame, Frame]]:
         for index in self._indices():
-            yield self._stage.frame(index, "left"), self._stage.frame(index, "right")
+            yield self._world.frame(index, "left"), self._world.frame(index, "right")
 
 
 class SimCameraView(_OnClock):
     """One simulated camera, 'left', 'right', or the 'image' of a mirror rig: a FrameSource."""
 
-    def __init__(self, stage: Stage, clock: Clock, view: str) -> None:
-        super().__init__(stage, clock)
+    def __init__(self, world: World, clock: Clock, view: str) -> None:
+        super().__init__(world, clock)
         self._view = view
 
     @property
     def name(self) -> str:
         """The scenario's name and the view's."""
-        return f"{self._stage.name}/{self._view}"
+        return f"{self._world.name}/{self._view}"
 
     def __iter__(self) -> Iterator[Frame]:
         for index in self._indices():
-            yield self._stage.frame(index, self._view)
+            yield self._world.frame(index, self._view)

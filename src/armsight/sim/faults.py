@@ -5,11 +5,11 @@ from __future__ import annotations
 from armsight.sim.scene import Event, Ghost
 
 LEAST_FRAMES = 25
-"""Below this nothing goes wrong: the shortest mishap would be a large part of the run."""
+"""Below this nothing goes wrong: the shortest fault would be a large part of the run."""
 
 
 def planned_events(frames: int, names: tuple[str, ...], size_px: tuple[int, int], sigma_px: float) -> tuple[Event, ...]:
-    """Return the mishaps of a run over a target of three lights or more; none in runs below LEAST_FRAMES.
+    """Return the faults of a run over a target of three lights or more; none in runs below LEAST_FRAMES.
 
     At 15 % of the run the third light is covered in the left view for 3 % of the frames (two lights left: position
     only), at 35 % the second in both for 2 %, at 50 % all in both for 2 % (lost), at 65 % the first two in the

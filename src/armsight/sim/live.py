@@ -18,7 +18,9 @@ from armsight.records import Frame
 from armsight.sim.cell import SEED_NOISE
 from armsight.sim.rigs import SIDES
 from armsight.sim.robot import SimRobot
-from armsight.sim.stage import Stage, behind_arm
+from armsight.sim.scenario_builder import build_robot, build_world
+from armsight.sim.scenario_schema import Scenario
+from armsight.sim.world import World, behind_arm
 
 Array = NDArray[np.float64]
 
@@ -50,18 +52,18 @@ class LiveView:
     skew: Skew | None = None
     total: int | None = None
 
-    def __init__(self, stage: Stage, robot: SimRobot, clock: Clock) -> None:
-        if stage.T_base_rig is None or stage.views != SIDES:
+    def __init__(self, world: World, robot: SimRobot, clock: Clock) -> None:
+        if world.T_base_rig is None or world.views != SIDES:
             raise Inconsistent(
-                f"{stage.name} has no two cameras beside the robot", consequence="They cannot watch it",
+                f"{world.name} has no two cameras beside the robot", consequence="They cannot watch it",
                 cure="Take a scenario with cameras.mount base and a right camera",
             )  # fmt: skip
-        self.name = f"{stage.name}/left + {stage.name}/right"
-        self._stage = stage
+        self.name = f"{world.name}/left + {world.name}/right"
+        self._world = world
         self._robot = robot
         self._clock = clock
-        self._T_base_rig = stage.T_base_rig
-        self._fps = max(stage.fps, LEAST_FPS)
+        self._T_base_rig = world.T_base_rig
+        self._fps = max(world.fps, LEAST_FPS)
         self._path: FollowedTarget | None = None
         self._covered = False
 
@@ -73,7 +75,7 @@ class LiveView:
         self._path = FollowedTarget(
             robot=self._robot,
             T_rig_base=self._T_base_rig.inv(),
-            T_flange_target=self._stage.T_flange_tool,
+            T_flange_target=self._world.T_flange_tool,
             origin_s=self._clock.now_s(),
         )
         return self
@@ -89,26 +91,26 @@ class LiveView:
             path = self._path
             if path is None:
                 raise DeviceFailed(f"{self.name} is not open", consequence="There are no frames", cure="Open it first")
-            passed_s = self._clock.now_s() - path.origin_s - self._stage.timing.latency_s
+            passed_s = self._clock.now_s() - path.origin_s - self._world.timing.latency_s
             index = max(index + 1, int(np.ceil(passed_s * self._fps - 1e-9)))
             t_s = index / self._fps
-            self._clock.sleep_until(path.origin_s + t_s + self._stage.timing.latency_s)
+            self._clock.sleep_until(path.origin_s + t_s + self._world.timing.latency_s)
             yield self._frame(index, t_s, "left", path), self._frame(index, t_s, "right", path)
 
     def _frame(self, index: int, t_s: float, side: str, path: FollowedTarget) -> Frame:
-        camera = self._stage.cameras[side]
-        noise = np.random.default_rng([self._stage.seed, SEED_NOISE, SIDES.index(side), index])
-        image = camera.expose(self._stage.lights, path, t_s, noise, hidden=self._hidden(t_s, side, path))
+        camera = self._world.cameras[side]
+        noise = np.random.default_rng([self._world.seed, SEED_NOISE, SIDES.index(side), index])
+        image = camera.expose(self._world.lights, path, t_s, noise, hidden=self._hidden(t_s, side, path))
         return Frame(
-            image=image, t_s=t_s, sequence=index, source=f"{self._stage.name}/{side}", exposure_s=camera.exposure_s
+            image=image, t_s=t_s, sequence=index, source=f"{self._world.name}/{side}", exposure_s=camera.exposure_s
         )
 
     def _hidden(self, t_s: float, side: str, path: FollowedTarget) -> frozenset[str]:
         """Return the names of the lights that are covered: on command, or by the arm."""
         if self._covered:
-            return frozenset(light.name for light in self._stage.lights)
+            return frozenset(light.name for light in self._world.lights)
         frames = self._robot.true.frames(self._robot.true_joints(path.origin_s + t_s))
-        return behind_arm(self._stage, side, frames, path(np.array([t_s]))[0])
+        return behind_arm(self._world, side, frames, path(np.array([t_s]))[0])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -121,6 +123,10 @@ class LiveCell:
     target: Mapping[str, Any]
 
 
-def live_cell(stage: Stage, robot: SimRobot, clock: Clock) -> LiveCell:
-    """Return a stage's cameras before its robot, on one clock. Raises Inconsistent for a rig that the robot carries."""
-    return LiveCell(robot=robot, pairs=LiveView(stage, robot, clock), rig=stage.rig, target=stage.target)
+def live_cell(scenario: Scenario, clock: Clock) -> LiveCell:
+    """Return a scenario's robot and the cameras that watch it, on one clock; its motion is not played.
+
+    Raises Inconsistent for a rig that the robot carries.
+    """
+    world, robot = build_world(scenario, frames=1), build_robot(scenario, "", clock)
+    return LiveCell(robot=robot, pairs=LiveView(world, robot, clock), rig=world.rig, target=world.target)

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from armsight.errors import Inconsistent
 from armsight.sim.kernels import apply_curve
-from armsight.sim.paint import LightImage, Patch
+from armsight.sim.render import LightImage, Patch
 from armsight.sim.sensor import RAW_STEPS, Sensor
 
 Array = NDArray[np.float64]

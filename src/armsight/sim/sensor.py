@@ -11,7 +11,7 @@ from scipy.special import ndtri
 
 from armsight.errors import Inconsistent
 from armsight.sim.kernels import develop, develop_raw
-from armsight.sim.paint import LightImage, Patch
+from armsight.sim.render import LightImage, Patch
 
 TABLE_SIZE = 4096
 """Entries of the table of normal quantiles; 16 kB stay in the first-level cache. A sum of two entries has unit

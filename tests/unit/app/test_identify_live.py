@@ -12,12 +12,14 @@ import numpy as np
 import pytest
 
 from armsight.app.identify.live import LiveJob, OperatorCallbacks, open_devices, read_limits, run_identify_live
-from armsight.app.scenarios import load_scenario
+from armsight.app.simulate.scenarios import load_scenario
 from armsight.clock import ManualClock
 from armsight.control.joint_sweep import Pace
 from armsight.drivers import RobotState
 from armsight.errors import BadFile, Cancelled, DeviceFailed, DeviceLost, Inconsistent, NotEnoughData, UsageError
 from armsight.records import Frame
+from armsight.sim.live import live_cell
+from armsight.sim.scenario_builder import build_world
 from armsight.store import rig_from_mapping, target_from_mapping, write_rig, write_target
 from armsight.store.arm_file import read_arm
 from armsight.store.sweeps import read_sweeps
@@ -48,12 +50,12 @@ class Cell:
         keys["cameras"]["sensor"] |= {"read_noise_level": 4.0, "ambient_level": 12.0}
         model = type(model).model_validate(keys)
         self.clock = ManualClock(10.0)
-        cell = model.live(self.clock)
+        cell = live_cell(model, self.clock)
         self.robot, self.pairs = cell.robot, cell.pairs
         write_rig(folder / "rig.yaml", rig_from_mapping(cell.rig, "rig"))
         write_target(folder / "target.yaml", target_from_mapping(cell.target, "target"))
-        stage = model.cell(frames=1)
-        write_world(folder / "world.yaml", World(parent="world", T_parent_rig=stage.T_base_rig))
+        world = build_world(model, frames=1)
+        write_world(folder / "world.yaml", World(parent="world", T_parent_rig=world.T_base_rig))
         self.folder = folder
         self.asked: list[np.ndarray] = []
         self.moved_at_once = 0
@@ -307,11 +309,11 @@ def test_the_frames_show_where_the_robot_is_now(tmp_path: Path) -> None:
 def test_the_command_line_asks_and_moves_nothing_without_an_answer(tmp_path: Path) -> None:
     from typer.testing import CliRunner
 
-    from armsight.app.simulate import write_stage_files
+    from armsight.app.simulate.run import write_world_files
     from armsight.cli.commands import app
 
     model = load_scenario("kapucu2005-rrp")[0]
-    write_stage_files(model.cell(frames=1), tmp_path)
+    write_world_files(build_world(model, frames=1), tmp_path)
     name = "sim:kapucu2005-rrp"
     words = ["identify", "--live", name, "--left", f"camera:{name}:left", "--right", f"camera:{name}:right"]
     words += ["--rig", str(tmp_path / "rig.yaml"), "--target", str(tmp_path / "target.yaml")]

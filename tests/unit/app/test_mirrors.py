@@ -16,7 +16,7 @@ from scipy.special import erf
 from typer.testing import CliRunner
 
 from armsight.app.measure.run import MeasureJob, Summary, measure
-from armsight.app.simulate import simulate
+from armsight.app.simulate.run import simulate
 from armsight.app.sources.complex_images import complex_pairs
 from armsight.app.sources.frames import open_source
 from armsight.cli.commands import app

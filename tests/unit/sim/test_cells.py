@@ -1,4 +1,4 @@
-"""Simulated cells: truth, seeds, mishaps, and boards, checked with OpenCV's projection and detectors."""
+"""Simulated cells: truth, seeds, faults, and boards, checked with OpenCV's projection and detectors."""
 
 import cv2
 import numpy as np
@@ -93,7 +93,7 @@ def test_a_frame_depends_on_its_seed_and_index_only():
     np.testing.assert_array_equal(longer.truth[3][1], cell.truth[3][1])
 
 
-def test_mishaps_happen_when_they_are_planned():
+def test_faults_happen_when_they_are_planned():
     cell = small(frames=200, sensor=QUIET, hot_pixels=0)
     covered = {side: [3 - len(cell.centres_px(k, side)) for k in range(200)] for side in ("left", "right")}
     both = np.array(covered["left"]) + np.array(covered["right"])
@@ -107,7 +107,7 @@ def test_mishaps_happen_when_they_are_planned():
     assert cell.pair(ghost.first)[1].image[v, u] > 100
     assert cell.pair(ghost.last)[1].image[v, u] < 15
     assert all(any(e.note in text for text in cell.assumptions) for e in cell.events)
-    assert small(frames=200, mishaps=False).events == ()
+    assert small(frames=200, faults=False).events == ()
     assert small(frames=10).events == ()
 
 

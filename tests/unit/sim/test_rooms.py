@@ -13,12 +13,12 @@ import pytest
 import yaml
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.scenarios import load_scenario, scenario_names, settled_text
+from armsight.app.simulate.scenarios import load_scenario, scenario_names, settled_text
 from armsight.errors import Inconsistent, UsageError
 from armsight.sim import Cell, Lens, Sensor, board_cell, led_cell
 from armsight.sim.mirror import Mirrors, mirror_views
 from armsight.sim.pipeline import IDEAL
-from armsight.sim.room_keys import checked_room, pipeline_of
+from armsight.sim.room_schema import checked_room, pipeline_of
 from armsight.sim.rooms import textures as tx
 from armsight.sim.rooms.furniture import AHEAD, Furnisher
 from armsight.sim.rooms.occluders import make_occluder
@@ -26,13 +26,14 @@ from armsight.sim.rooms.presets import Layout
 from armsight.sim.rooms.room import furnished, layout_about, upright
 from armsight.sim.rooms.scene import Panel, Scene, Texture
 from armsight.sim.rooms.view import View
-from armsight.sim.scenario import Scenario
+from armsight.sim.scenario_builder import build_world
+from armsight.sim.scenario_schema import Scenario
 
 QUIET = Sensor(electrons_per_level=np.inf, read_noise_level=0.0)
 
 
 def small(seed: int, frames: int, **options: Any) -> Cell:
-    plain = {"width": 160, "height": 90, "sigma_px": 1.0, "mishaps": False, "room": "dark", "pipeline": "ideal"}
+    plain = {"width": 160, "height": 90, "sigma_px": 1.0, "faults": False, "room": "dark", "pipeline": "ideal"}
     return led_cell(seed, frames, **(plain | options))
 
 
@@ -176,14 +177,14 @@ def test_an_occluder_covers_half_a_light_at_its_edge() -> None:
         "card", size_m=0.2, from_m=np.array([-0.1, 0.0, 0.5]), to_m=np.array([-0.1, 0.0, 0.5]),
         first_s=0.0, last_s=1.0, level=80.0, seed=1,
     )  # fmt: skip
-    stroke = card.stroke(lens, RigidTransform.identity(), 0.5, 1)
-    assert stroke is not None
+    source = card.source(lens, RigidTransform.identity(), 0.5, 1)
+    assert source is not None
     places = np.array([[-0.05, 0.0, 1.0], [0.05, 0.0, 1.0], [-0.05, 0.0, 0.4]])
     assert card.covers(lens, RigidTransform.identity(), places, 0.5).tolist() == [True, False, False]
-    row = stroke.share[stroke.share.shape[0] // 2]  # the card ends at x = 0, in the middle of pixel 99.5
+    row = source.share[source.share.shape[0] // 2]  # the card ends at x = 0, in the middle of pixel 99.5
     assert row.sum() == pytest.approx(200.0 * 0.2 / 0.5, abs=0.6)
-    assert row[95 - stroke.column] == pytest.approx(1.0, abs=1e-3)
-    assert row[103 - stroke.column :].max(initial=0.0) < 0.02
+    assert row[95 - source.column] == pytest.approx(1.0, abs=1e-3)
+    assert row[103 - source.column :].max(initial=0.0) < 0.02
 
 
 def test_boards_stand_before_the_room() -> None:
@@ -225,14 +226,14 @@ def test_a_robot_that_carries_its_rig_sees_the_room_move() -> None:
     mark = {"surface": "paint", "colour": [1.0, 1.0, 1.0], "glow": 8.0, "size_m": [0.02, 0.02]}
     mapping = scenario("pachidis2005-circle", frames=200, fps=5.0)
     mapping["arm"]["vibration"]["amplitude_m"] = 0.0
-    plain = Scenario.model_validate(mapping).cell()
+    plain = build_world(Scenario.model_validate(mapping))
     start = plain.target_path(np.zeros(1))[0]
     T_world_room = upright(plain.rig_path(np.zeros(1))[0], (0.0, 0.0, 1.0))
     place = (T_world_room.inv() * start).apply([0.0, 0.03, 0.05])
     turn = ((T_world_room.inv() * start).rotation * ASLANT).as_euler("xyz", degrees=True)
     mark["T_room_panel"] = {"xyz_m": place.tolist(), "turn_deg": turn.tolist()}
     mapping["room"] = {"preset": "plain", "panels": [mark], "floor_m": 2.0}
-    made = Scenario.model_validate(mapping).cell()
+    made = build_world(Scenario.model_validate(mapping))
     assert made.moving is not None
     found = []
     for t_s in (0.0, 4.0):

@@ -15,11 +15,12 @@ import numpy as np
 import pytest
 import yaml
 
-from armsight.app.scenarios import load_scenario, scenario_names
-from armsight.app.simulate import simulate
+from armsight.app.simulate.run import simulate
+from armsight.app.simulate.scenarios import load_scenario, scenario_names
 from armsight.errors import ArmsightError, BadFile, DeviceNotFound, Inconsistent
-from armsight.sim.scenario import Scenario
-from armsight.sim.stage import Stage
+from armsight.sim.scenario_builder import build_world
+from armsight.sim.scenario_schema import Scenario
+from armsight.sim.world import World
 from armsight.store import read_rig, read_target
 from armsight.store.arm_file import read_arm
 from armsight.store.tracks import read_joints, read_poses
@@ -43,11 +44,11 @@ def content(name: str) -> dict[str, Any]:
     return found
 
 
-def stage(name: str, frames: int | None = None, change: Callable[[dict[str, Any]], None] | None = None) -> Stage:
+def world(name: str, frames: int | None = None, change: Callable[[dict[str, Any]], None] | None = None) -> World:
     mapping = copy.deepcopy(content(name))
     if change is not None:
         change(mapping)
-    made: Stage = Scenario.model_validate(mapping).cell(frames=frames)
+    made: World = build_world(Scenario.model_validate(mapping), frames=frames)
     return made
 
 
@@ -87,7 +88,7 @@ def test_every_number_says_where_it_is_from(name: str) -> None:
 
 
 def test_korayem_turns_a_quarter_at_half_a_metre() -> None:
-    made = stage("korayem2018-circle", change=lambda m: m["arm"].update(error={}))
+    made = world("korayem2018-circle", change=lambda m: m["arm"].update(error={}))
     xyz = places(made.world_truth)
     assert len(xyz) == 40
     radius = np.hypot(xyz[:, 0], xyz[:, 1])
@@ -98,7 +99,7 @@ def test_korayem_turns_a_quarter_at_half_a_metre() -> None:
 
 
 def test_kapucu_moves_one_joint_at_a_time() -> None:
-    made = stage("kapucu2005-rrp")
+    made = world("kapucu2005-rrp")
     xyz = places(made.world_truth)
     assert [joint for _, joint in made.sweeps] == [1] * 10 + [2] * 10 + [3] * 10
     first, second, third = xyz[:10], xyz[10:20], xyz[20:]
@@ -114,7 +115,7 @@ def test_kapucu_moves_one_joint_at_a_time() -> None:
 
 
 def test_pachidis_follows_a_circle_at_dz_within_its_speeds() -> None:
-    made = stage("pachidis2005-circle", frames=30)
+    made = world("pachidis2005-circle", frames=30)
     arm = places(made.world_truth) - [0.1475, 1.3785, 0.448]
     assert np.hypot(arm[:, 0], arm[:, 1]) == pytest.approx(np.full(30, 0.246), abs=1e-3)
     seen = places(made.truth)
@@ -129,7 +130,7 @@ def test_a_complex_image_holds_both_views_where_the_rays_say() -> None:
     def still(mapping: dict[str, Any]) -> None:
         mapping["arm"]["vibration"]["amplitude_m"] = 0.0
 
-    made = stage("pachidis2005-static", frames=1, change=still)
+    made = world("pachidis2005-static", frames=1, change=still)
     spots = centroids(made.frame(0, "image").image, level=40)
     expected = np.vstack([made.cameras[s].centres_px(made.lights, made.path, 0.0) for s in ("left", "right")])
     expected = expected[np.argsort(expected[:, 0])]
@@ -145,7 +146,7 @@ def shutter(mapping: dict[str, Any]) -> None:
 
 
 def test_a_rolling_shutter_sees_each_row_at_its_own_time() -> None:
-    made = stage("webcam-cell", frames=5, change=shutter)
+    made = world("webcam-cell", frames=5, change=shutter)
     camera = made.cameras["left"]
     t_s = 3 / made.fps
     spots = centroids(made.frame(3, "left").image)
@@ -169,7 +170,7 @@ def with_event(**event: Any) -> Callable[[dict[str, Any]], None]:
 
 
 def test_a_frozen_camera_repeats_its_picture() -> None:
-    made = stage("webcam-cell", frames=12, change=with_event(kind="frozen", side="left"))
+    made = world("webcam-cell", frames=12, change=with_event(kind="frozen", side="left"))
     images = [made.frame(k, "left").image for k in (3, 5, 9)]
     assert np.array_equal(images[0], images[1])
     assert not np.array_equal(images[0], images[2])
@@ -178,39 +179,39 @@ def test_a_frozen_camera_repeats_its_picture() -> None:
 
 
 def test_dropped_frames_leave_gaps_in_the_numbers() -> None:
-    made = stage("webcam-cell", frames=12, change=with_event(kind="dropped", side="right"))
+    made = world("webcam-cell", frames=12, change=with_event(kind="dropped", side="right"))
     assert made.kept == (0, 1, 2, 9, 10, 11)
     assert [f[0].sequence for f in made.frames()] == [0, 1, 2, 9, 10, 11]
 
     def busy(mapping: dict[str, Any]) -> None:
         mapping["cameras"]["drop"] = 0.1
 
-    lost = 1.0 - len(stage("webcam-cell", frames=300, change=busy).kept) / 300
+    lost = 1.0 - len(world("webcam-cell", frames=300, change=busy).kept) / 300
     assert lost == pytest.approx(1.0 - 0.9**2, abs=0.07)
 
 
 def test_a_lost_link_leaves_no_readings_and_a_late_cycle_moves_later() -> None:
-    made = stage("webcam-cell", frames=12, change=with_event(kind="link_lost"))
+    made = world("webcam-cell", frames=12, change=with_event(kind="link_lost"))
     assert len(made.joints) == 6
     assert len(made.kept) == 12
-    prompt, late = stage("webcam-cell", 12), stage("webcam-cell", 12, with_event(kind="late_cycle"))
+    prompt, late = world("webcam-cell", 12), world("webcam-cell", 12, with_event(kind="late_cycle"))
     moved = np.abs(late.servo.at(np.array([0.02, 0.1])) - prompt.servo.at(np.array([0.02, 0.1]))).max(axis=1)
     assert moved[0] == 0.0
     assert moved[1] > 1e-5
 
 
 def test_a_jump_moves_the_target_and_its_truth() -> None:
-    made = stage("webcam-cell", 12, with_event(kind="jump", by_m=[0.02, 0.0, 0.0]))
+    made = world("webcam-cell", 12, with_event(kind="jump", by_m=[0.02, 0.0, 0.0]))
     steps = np.linalg.norm(np.diff(places(made.truth), axis=0), axis=1)
     assert sorted(np.argsort(steps)[-2:].tolist()) == [2, 8]
 
 
 def test_lights_are_covered_and_reflections_appear_on_command() -> None:
-    plain = stage("webcam-cell", 12)
-    covered = stage("webcam-cell", 12, with_event(kind="occluded", lights=["B"], side="left"))
+    plain = world("webcam-cell", 12)
+    covered = world("webcam-cell", 12, with_event(kind="occluded", lights=["B"], side="left"))
     assert covered.hidden(5, "left") == {"B"}
     assert covered.hidden(5, "right") == frozenset()
-    ghost = stage("webcam-cell", 12, with_event(kind="reflection", uv_px=[100.0, 200.0], side="left"))
+    ghost = world("webcam-cell", 12, with_event(kind="reflection", uv_px=[100.0, 200.0], side="left"))
     assert ghost.frame(5, "left").image[200, 100] > 100 > plain.frame(5, "left").image[200, 100]
 
 
@@ -219,16 +220,16 @@ def test_the_arm_covers_what_is_behind_it() -> None:
         mapping["cameras"]["T_mount_rig"] = {"xyz_m": [1.5, -0.2, 0.3], "turn_deg": [-90.0, 0.0, 90.0]}
         mapping["target"]["everywhere"] = True
 
-    made = stage("webcam-cell", 3, other_side)
+    made = world("webcam-cell", 3, other_side)
     assert made.hidden(0, "left") | made.hidden(0, "right")
-    assert stage("webcam-cell", 3).hidden(0, "left") == frozenset()
+    assert world("webcam-cell", 3).hidden(0, "left") == frozenset()
 
 
 def test_jitter_moves_the_right_picture_and_not_the_truth() -> None:
     def free_running(mapping: dict[str, Any]) -> None:
         mapping["cameras"]["jitter_s"] = 0.004
 
-    plain, loose = stage("webcam-cell", 3), stage("webcam-cell", 3, free_running)
+    plain, loose = world("webcam-cell", 3), world("webcam-cell", 3, free_running)
     assert np.array_equal(plain.frame(2, "left").image, loose.frame(2, "left").image)
     assert not np.array_equal(plain.frame(2, "right").image, loose.frame(2, "right").image)
     assert np.array_equal(places(plain.truth), places(loose.truth))
@@ -324,9 +325,9 @@ def test_simulate_writes_files_that_the_readers_take_and_that_make_the_run_again
     assert read_rig(first / "rig.yaml").kind == "stereo"
     assert read_target(first / "target.yaml").names == ("A", "B", "C")
     assert read_joints(first / "joints.csv").q.shape == (2, 6)
-    world = read_world(first / "world.yaml")
+    written = read_world(first / "world.yaml")
     for pose, there in zip(read_poses(first / "truth.csv"), read_poses(first / "truth_world.csv"), strict=True):
-        moved = world.T_parent_rig * pose.pose
+        moved = written.T_parent_rig * pose.pose
         assert np.abs(moved.as_matrix() - there.pose.as_matrix()).max() < 1e-9
     assert read_arm(first / "arm.yaml").n == read_arm(first / "arm_true.yaml").n == 6
     simulate(str(first / "scenario.yaml"), second)
@@ -366,4 +367,4 @@ def test_the_text_of_a_scenario_keeps_its_notes() -> None:
     _, text = load_scenario("korayem2018-circle")
     assert "# paper: Table 2" in text
     with pytest.raises(Inconsistent):
-        stage("kapucu2005-rrp", 1, lambda m: m["cameras"]["T_mount_rig"].update(xyz_m=[50.0, 0.0, 0.0]))
+        world("kapucu2005-rrp", 1, lambda m: m["cameras"]["T_mount_rig"].update(xyz_m=[50.0, 0.0, 0.0]))

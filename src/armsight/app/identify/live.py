@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from armsight.app.identify.beacon_observer import StereoBeaconObserver
 from armsight.app.identify.sweep_files import IdentifyJob, identified
 from armsight.app.measure.run import target_of
-from armsight.app.scenarios import load_scenario
+from armsight.app.simulate.scenarios import live_cell
 from armsight.app.sources.frames import open_pairs
 from armsight.calibrate.identify import Identification, Sweeps, identify
 from armsight.calibrate.identify.plan import (
@@ -158,7 +158,7 @@ def open_devices(job: LiveJob, target: Target, clock: Clock) -> tuple[Robot, Pai
                 raise UsageError(
                     f"{text} does not see the simulated robot {job.robot}", cure=f"Give camera:sim:{name}:{view}"
                 )
-        cell = load_scenario(name)[0].live(clock)
+        cell = live_cell(name, clock)
         return cell.robot, cell.pairs
     if not (is_live(job.left) and is_live(job.right)):
         raise UsageError("a robot that moves needs live cameras", cure="Give camera:NAME for --left and --right")

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 import armsight.measure
-from armsight.app.cells import load_cell
+from armsight.app.simulate.cells import load_cell
 from armsight.measure.poses.pipeline import Setup, measure_spots, warm_up
 from armsight.optics import Camera, parallel_rig
 from armsight.records import Progress, Spots, spot_target

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import cv2
 
-from armsight.app.cells import PNG
 from armsight.app.record.record import RIG_NAME, TARGET_NAME
+from armsight.app.simulate.cells import PNG
 from armsight.drivers import ordered_map
 from armsight.errors import Cancelled, DeviceFailed, Inconsistent, UsageError
 from armsight.records import Frame, Progress, Silent

@@ -11,8 +11,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from armsight.app.cells import CellPairs, load_cell, write_cell_files
 from armsight.app.record.recorder import Recorder
+from armsight.app.simulate.cells import CellPairs, load_cell, write_cell_files
 from armsight.app.sources.frames import is_recording, open_pairs, recording_path
 from armsight.clock import Clock, SystemClock
 from armsight.drivers import PairSource, Skew, is_live

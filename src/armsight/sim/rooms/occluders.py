@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.errors import Inconsistent
 from armsight.records import frozen_array
 from armsight.sim.lens import Lens
-from armsight.sim.paint import Patch
+from armsight.sim.render import Patch
 from armsight.sim.rooms import textures as tx
 from armsight.sim.rooms.kernels import meet_scene
 from armsight.sim.rooms.room import eye_of, view_of
@@ -30,7 +30,7 @@ OUTLINE = 9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CoverStroke:
+class CoverSource:
     """Light (h, w, c) that replaces a share (h, w) of what lies behind it, with its corner at [row, column]."""
 
     row: int
@@ -85,7 +85,7 @@ class Occluder:
         share = (t_s - self.first_s) / (self.last_s - self.first_s)
         return RigidTransform.from_translation(self.from_m + share * (self.to_m - self.from_m))
 
-    def stroke(self, lens: Lens, T_world_camera: RigidTransform, t_s: float, channels: int) -> CoverStroke | None:
+    def source(self, lens: Lens, T_world_camera: RigidTransform, t_s: float, channels: int) -> CoverSource | None:
         """Return what it covers in a camera's image; None where it is not seen."""
         pose = self.pose(t_s)
         if pose is None:
@@ -97,7 +97,7 @@ class Occluder:
         seen = view_of(lens, 1).cast(self.scene, T_camera_card.inv(), samples=1, region=region)
         seen[:] = cv2.GaussianBlur(seen, (0, 0), EDGE_BLUR_PX, borderType=cv2.BORDER_REPLICATE)
         light = seen[:, :, :3] if channels == 3 else seen[:, :, :3].mean(axis=2, keepdims=True)
-        return CoverStroke(
+        return CoverSource(
             row=region[0],
             column=region[2],
             light=np.asarray(self.level * light, dtype=np.float32),

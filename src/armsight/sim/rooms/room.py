@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.errors import Inconsistent
 from armsight.sim.lens import Lens
 from armsight.sim.mirror import MirrorLens
-from armsight.sim.paint import LightImage
+from armsight.sim.render import LightImage
 from armsight.sim.rooms.kernels import meet_scene
 from armsight.sim.rooms.presets import PRESETS, Layout
 from armsight.sim.rooms.scene import Panel, Scene

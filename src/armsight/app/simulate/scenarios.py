@@ -16,7 +16,7 @@ from armsight.store.schema import named, validated
 from armsight.store.yamls import MAX_BYTES, parse_yaml
 
 MODEL = "scenario"
-VIEW = "view"
+WORLD, LIVE, VIEW = "world", "live", "view"
 VIEWS = ("left", "right", "image")
 
 ROOM_BLOCK = re.compile(r"^room:.*\n(?:[ \t]+.*\n|#.*\n(?=[ \t]))*", re.MULTILINE)
@@ -55,13 +55,18 @@ def load_scenario(name: str) -> tuple[Any, str]:
     return model, data.decode("utf-8")
 
 
-def build_cell(name: str, model: Any, *, seed: int | None, frames: int | None, room: Any = None) -> Any:
-    """Return a scenario's stage; BadFile, naming the scenario and the key, for a geometry that cannot be.
+def build_world(name: str, model: Any, *, seed: int | None, frames: int | None, room: Any = None) -> Any:
+    """Return a scenario's world; BadFile, naming the scenario and the key, for a geometry that cannot be.
 
     room: instead of the scenario's own, as its key takes it.
     """
     with named(f"the scenario {name}"):
-        return model.cell(seed=seed, frames=frames, room=room)
+        return load(SCENARIOS, WORLD)(model, seed=seed, frames=frames, room=room)
+
+
+def live_cell(name: str, clock: Clock) -> Any:
+    """Return the robot of a scenario and the cameras that watch it, on one clock."""
+    return load(SCENARIOS, LIVE)(load_scenario(name)[0], clock)
 
 
 def sim_camera(device: str, *, colour: bool, clock: Clock | None, origin_s: float | None) -> FrameSource:
@@ -76,13 +81,13 @@ def sim_camera(device: str, *, colour: bool, clock: Clock | None, origin_s: floa
             consequence="There is no frame to read",
             cure=f"Write camera:sim:SCENARIO:VIEW, with one of {', '.join(VIEWS)}",
         )
-    stage = build_cell(name, load_scenario(name)[0], seed=None, frames=None)
-    if view not in stage.views:
+    world = build_world(name, load_scenario(name)[0], seed=None, frames=None)
+    if view not in world.views:
         raise DeviceNotFound(
             f"{name} has no view {view!r}", consequence="There is no frame to read",
-            cure=f"It has {', '.join(stage.views)}",
+            cure=f"It has {', '.join(world.views)}",
         )  # fmt: skip
-    source: FrameSource = load(SCENARIOS, VIEW)(stage, clock or SystemClock(), view)
+    source: FrameSource = load(SCENARIOS, VIEW)(world, clock or SystemClock(), view)
     return source
 
 

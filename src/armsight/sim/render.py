@@ -1,4 +1,4 @@
-"""Light on the sensor: strokes of spread light, integrated over every pixel, painted over a backdrop."""
+"""Light on the sensor: sources of spread light, integrated over every pixel, painted over a backdrop."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Patch:
     light: LightImage
 
 
-class Stroke(Protocol):
+class LightSource(Protocol):
     """Something that puts light on the sensor."""
 
     @property
@@ -43,7 +43,7 @@ class Stroke(Protocol):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PointStroke:
+class PointSource:
     """A Gaussian of sigma_px at each of uv_px (n, 2), with flux (n,) in grey levels x px^2; bgr (c,) per channel."""
 
     uv_px: Array
@@ -62,7 +62,7 @@ class PointStroke:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RegionStroke:
+class RegionSource:
     """Uniformly lit regions with edges blurred by sigma_px.
 
     outlines_px: (m, n, 2), n nodes each of a smooth closed curve, evenly spaced in its parameter. share: (m,)
@@ -87,20 +87,20 @@ class RegionStroke:
         add_regions(patch.light, outlines, dv, self.share, self.sigma_px, self.bgr)
 
 
-def paint(backdrop: LightImage, strokes: Sequence[Stroke]) -> Patch:
-    """Return the part of the backdrop (h, w, c) that the strokes reach, with their light added."""
+def render_sources(backdrop: LightImage, sources: Sequence[LightSource]) -> Patch:
+    """Return the part of the backdrop (h, w, c) that the sources reach, with their light added."""
     height, width = backdrop.shape[:2]
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
-    for stroke in strokes:
-        places = stroke.places_px()
+    for source in sources:
+        places = source.places_px()
         places = places[np.isfinite(places).all(axis=1)]
-        reach = REACH_SIGMA * stroke.sigma_px + 2.0
+        reach = REACH_SIGMA * source.sigma_px + 2.0
         low = np.minimum(low, places.min(axis=0, initial=np.inf) - reach)
         high = np.maximum(high, places.max(axis=0, initial=-np.inf) + reach)
     i0, j0 = np.floor(np.clip(low, 0, (width, height))).astype(int).tolist()
     i1, j1 = np.ceil(np.clip(high + 1.0, (i0, j0), (max(width, i0), max(height, j0)))).astype(int).tolist()
     patch = Patch(row=j0, column=i0, light=backdrop[j0:j1, i0:i1].copy())
     if patch.light.size:
-        for stroke in strokes:
-            stroke.add_to(patch)
+        for source in sources:
+            source.add_to(patch)
     return patch

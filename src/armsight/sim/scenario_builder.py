@@ -1,4 +1,4 @@
-"""From a checked scenario to the stage, its robot and its cameras."""
+"""From a checked scenario to the world, its robot and its cameras."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ from armsight.sim.cell import SEED_PATH
 from armsight.sim.motions import Drawn, HandJitter, JointMotion, Jumping, Swing, Turntable, Vibration, Waypoints
 from armsight.sim.rigs import SIDES
 from armsight.sim.robot import SimRobot
-from armsight.sim.scenario import (
+from armsight.sim.room_schema import checked_room
+from armsight.sim.scenario_cameras import make_cameras, set_room
+from armsight.sim.scenario_schema import (
     ArcKeys,
     EdgeKeys,
     EventKeys,
@@ -28,8 +30,7 @@ from armsight.sim.scenario import (
 )
 from armsight.sim.scene import Event, Ghost, Light, Path, Rest
 from armsight.sim.servo import Drive, Servo
-from armsight.sim.stage import Carried, Stage, Timing
-from armsight.sim.viewing import make_cameras, set_room
+from armsight.sim.world import Carried, Timing, World
 
 Array = NDArray[np.float64]
 
@@ -110,8 +111,15 @@ def build_robot(scenario: Scenario, device: str, clock: Clock) -> SimRobot:
     )
 
 
-def build_stage(scenario: Scenario, seed: int, frames: int) -> Stage:
-    """Return the stage of a scenario. Raises Inconsistent, naming the key, for a motion that the arm cannot make."""
+def build_world(scenario: Scenario, *, seed: int | None = None, frames: int | None = None, room: Any = None) -> World:
+    """Return the world of a scenario; seed, frames and room (as the file's key takes it) are the file's if not given.
+
+    Raises Inconsistent, naming the key, for a motion that the arm cannot make; UsageError for what is no room.
+    """
+    if room is not None:
+        scenario = scenario.model_copy(update={"room": checked_room(room)})
+    seed = scenario.seed if seed is None else seed
+    frames = frames or scenario.frames
     if frames < 1 or seed < 0:
         raise UsageError(f"{frames} frames with the seed {seed} cannot be", cure="Ask for one or more, and a seed >= 0")
     arm = robotics(scenario, seed)
@@ -122,7 +130,7 @@ def build_stage(scenario: Scenario, seed: int, frames: int) -> Stage:
     T_mount_rig = scenario.cameras.T_mount_rig.pose()
     servo, T_flange_tool, rig_path, target = _moving(scenario, arm, T_mount_rig, seed, until_s)
     fixed = scenario.cameras.mount == "base"
-    stage = Stage(
+    world = World(
         name=scenario.name,
         seed=seed,
         n_frames=frames,
@@ -154,11 +162,11 @@ def build_stage(scenario: Scenario, seed: int, frames: int) -> Stage:
         sweeps=_sweep_rows(scenario, frames),
         assumptions=("every number is told in the scenario's file, with its source or why it was chosen",),
     )
-    _check_seen(stage)
+    _check_seen(world)
     cameras, moving = set_room(
         scenario.room, cameras, lights, (rig_path, target), seed=seed, until_s=until_s - AHEAD_S, stands=fixed
     )
-    return replace(stage, cameras=cameras, moving=moving)
+    return replace(world, cameras=cameras, moving=moving)
 
 
 def _moving(
@@ -354,10 +362,10 @@ def _sweep_rows(scenario: Scenario, frames: int) -> tuple[tuple[int, int], ...]:
     return tuple((round(i * every), joint) for i, joint in enumerate(joints) if round(i * every) < frames)
 
 
-def _check_seen(stage: Stage) -> None:
+def _check_seen(world: World) -> None:
     """Raise Inconsistent where no light of the target is in a view at the beginning."""
-    for side, camera in stage.cameras.items():
-        uv = camera.centres_px(stage.lights, stage.path, 0.0)
+    for side, camera in world.cameras.items():
+        uv = camera.centres_px(world.lights, world.path, 0.0)
         inside = ((uv >= 0.0) & (uv <= [camera.lens.width - 1, camera.lens.height - 1])).all(axis=1)
         if not inside.any():
             raise Inconsistent(

@@ -1,7 +1,7 @@
 """A robot, a target and a rig together: what the cameras see and what the encoders read, frame by frame.
 
-Reached through a scenario (sim.scenario). The axes of all poses that leave here are those of the rig, unless they say
-world. A frame depends on the seed and its own index only.
+Reached through a scenario (sim.scenario_schema). The axes of all poses that leave here are those of the rig, unless they
+say world. A frame depends on the seed and its own index only.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from armsight.sim.backdrops import MovingBackdrops
 from armsight.sim.camera import SimCamera
 from armsight.sim.cell import SEED_NOISE, Truth
 from armsight.sim.motions import Vibration
-from armsight.sim.paint import LightImage
+from armsight.sim.render import LightImage
 from armsight.sim.rigs import SIDES
 from armsight.sim.scene import Event, Light, Path, ghosts_seen, hidden_lights
 from armsight.sim.servo import Servo
@@ -74,7 +74,7 @@ class Timing:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Stage:
+class World:
     """A simulated cell with a robot, with the face of sim.cell.Cell.
 
     views: ('left', 'right'), or ('image',) for the complex images of a mirror rig. servo: the arm's motion, worked out
@@ -163,10 +163,10 @@ class Stage:
 
     def _single(self, index: int, side: str) -> NDArray[np.uint8]:
         camera, t_s = self.cameras[side], self._moment(index, side)
-        strokes = camera.strokes(
+        sources = camera.sources(
             self.lights, self.path, t_s, self.hidden(index, side), ghosts_seen(self.events, index, side)
         )
-        return camera.develop(strokes, self._noise(index, side), self._backdrop(side, t_s))
+        return camera.develop(sources, self._noise(index, side), self._backdrop(side, t_s))
 
     def _backdrop(self, view: str, t_s: float) -> LightImage | None:
         """Return the room as a camera that moves sees it; None where the camera's own backdrop holds it."""
@@ -176,14 +176,14 @@ class Stage:
         """Return both views on one sensor."""
         t_s = index / self.fps
         left = self.cameras["left"]
-        strokes = [
-            stroke
+        sources = [
+            source
             for side in SIDES
-            for stroke in self.cameras[side].strokes(
+            for source in self.cameras[side].sources(
                 self.lights, self.path, t_s, self.hidden(index, side), ghosts_seen(self.events, index, side)
             )
         ]
-        return left.develop(strokes, self._noise(index, "left"), self._backdrop("image", t_s))
+        return left.develop(sources, self._noise(index, "left"), self._backdrop("image", t_s))
 
     def _noise(self, index: int, side: str) -> np.random.Generator:
         return np.random.default_rng([self.seed, SEED_NOISE, SIDES.index(side), index])
@@ -204,16 +204,16 @@ class Stage:
         return bool((lots < self.timing.drop).any())
 
 
-def behind_arm(stage: Stage, side: str, frames: Array, T_rig_target: RigidTransform) -> frozenset[str]:
+def behind_arm(world: World, side: str, frames: Array, T_rig_target: RigidTransform) -> frozenset[str]:
     """Return the names of the lights that an arm with frames (n + 1, 4, 4) in base axes hides from a fixed camera."""
-    if not any(stage.radii_m) or stage.T_base_rig is None:
+    if not any(world.radii_m) or world.T_base_rig is None:
         return frozenset()
-    eye = (stage.T_base_rig * stage.cameras[side].T_world_camera).translation
-    T_base_target = stage.T_base_rig * T_rig_target
+    eye = (world.T_base_rig * world.cameras[side].T_world_camera).translation
+    T_base_target = world.T_base_rig * T_rig_target
     return frozenset(
         light.name
-        for light in stage.lights
-        if covered(frames, stage.radii_m, np.asarray(eye), np.asarray(T_base_target.apply(light.xyz_m)))
+        for light in world.lights
+        if covered(frames, world.radii_m, np.asarray(eye), np.asarray(T_base_target.apply(light.xyz_m)))
     )
 
 

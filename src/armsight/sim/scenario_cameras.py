@@ -16,9 +16,9 @@ from armsight.sim.cell import SEED_BACKDROP
 from armsight.sim.lens import Lens
 from armsight.sim.mirror import MirrorLens, Mirrors, mirror_rig, mirror_views
 from armsight.sim.rigs import SIDES, rig_mapping
-from armsight.sim.room_keys import RoomKeys, pipeline_of
+from armsight.sim.room_schema import RoomKeys, pipeline_of
 from armsight.sim.rooms.room import upright
-from armsight.sim.scenario import CameraKeys, LensKeys
+from armsight.sim.scenario_schema import CameraKeys, LensKeys
 from armsight.sim.scene import Light, Path
 from armsight.sim.sensor import Sensor, ambient, with_hot_pixels
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from armsight.app.cells import CellPairs, load_cell, room_choice, write_cell_files, write_png
-from armsight.app.scenarios import build_cell, load_scenario, scenario_names, settled_text
+from armsight.app.simulate.cells import CellPairs, load_cell, room_choice, write_cell_files, write_png
+from armsight.app.simulate.scenarios import build_world, load_scenario, scenario_names, settled_text
 from armsight.drivers import CELLS, known
 from armsight.errors import Cancelled
 from armsight.records import Motion, Progress, Silent
@@ -44,51 +44,51 @@ def simulate(
         return _simulate_cell(scenario, out, 1 if seed is None else seed, frames or CELL_FRAMES, room, progress)
     model, text = load_scenario(scenario)
     chosen = None if room is None else room_choice(room)
-    stage = build_cell(scenario, model, seed=seed, frames=frames, room=chosen)
-    write_text(out / "scenario.yaml", settled_text(text, seed=stage.seed, frames=stage.n_frames, room=chosen))
-    write_stage_files(stage, out)
-    for view in stage.views:
+    world = build_world(scenario, model, seed=seed, frames=frames, room=chosen)
+    write_text(out / "scenario.yaml", settled_text(text, seed=world.seed, frames=world.n_frames, room=chosen))
+    write_world_files(world, out)
+    for view in world.views:
         (out / view).mkdir(parents=True, exist_ok=True)
-    done, total = 0, len(stage.kept)
-    for done, seen in enumerate(stage.frames(), start=1):
-        for view, frame in zip(stage.views, seen, strict=True):
+    done, total = 0, len(world.kept)
+    for done, seen in enumerate(world.frames(), start=1):
+        for view, frame in zip(world.views, seen, strict=True):
             write_png(out / view / f"{frame.sequence:06d}.png", frame)
         progress.update(done, total)
         if progress.cancelled():
             raise Cancelled(f"stopped after {done} frames", consequence=f"They are in {out}")
     return {
         "scenario": model.name,
-        "seed": stage.seed,
+        "seed": world.seed,
         "n_frames": done,
-        "n_dropped": stage.n_frames - total,
-        "views": list(stage.views),
+        "n_dropped": world.n_frames - total,
+        "views": list(world.views),
         "out": str(out),
     }
 
 
-def write_stage_files(stage: Any, out: Path) -> None:
-    """Write what is known of a stage besides its frames."""
-    write_rig(out / "rig.yaml", rig_from_mapping(stage.rig, f"{stage.name}'s rig"))
-    write_target(out / "target.yaml", target_from_mapping(stage.target, f"{stage.name}'s target"))
-    for name, arm in (("arm.yaml", stage.nominal), ("arm_true.yaml", stage.true)):
-        content = {"format": "armsight/arm", "version": 1, **arm.mapping(stage.T_flange_tool)}
-        write_arm(out / name, arm_from_mapping(content, f"{stage.name}'s arm"))
-    _write_truth(out / "truth.csv", stage.truth)
-    _write_truth(out / "truth_world.csv", stage.world_truth)
-    write_text(out / "times.csv", "\n".join(["t_s", *(number(t_s) for t_s, _, _ in stage.truth)]) + "\n")
-    readings = stage.joints
+def write_world_files(world: Any, out: Path) -> None:
+    """Write what is known of a world besides its frames."""
+    write_rig(out / "rig.yaml", rig_from_mapping(world.rig, f"{world.name}'s rig"))
+    write_target(out / "target.yaml", target_from_mapping(world.target, f"{world.name}'s target"))
+    for name, arm in (("arm.yaml", world.nominal), ("arm_true.yaml", world.true)):
+        content = {"format": "armsight/arm", "version": 1, **arm.mapping(world.T_flange_tool)}
+        write_arm(out / name, arm_from_mapping(content, f"{world.name}'s arm"))
+    _write_truth(out / "truth.csv", world.truth)
+    _write_truth(out / "truth_world.csv", world.world_truth)
+    write_text(out / "times.csv", "\n".join(["t_s", *(number(t_s) for t_s, _, _ in world.truth)]) + "\n")
+    readings = world.joints
     if readings:
         motion = Motion(t_s=np.array([t_s for t_s, _ in readings]), q=np.array([q for _, q in readings]))
         write_joints(out / "joints.csv", motion)
-    if stage.T_base_rig is not None:
-        T_world_rig = stage.true.T_world_base * stage.T_base_rig
+    if world.T_base_rig is not None:
+        T_world_rig = world.true.T_world_base * world.T_base_rig
         write_world(out / "world.yaml", World(parent="world", T_parent_rig=T_world_rig))
-    if stage.sweeps:
-        n = stage.nominal.n
-        place = {index: row for row, index in enumerate(stage.kept)}
+    if world.sweeps:
+        n = world.nominal.n
+        place = {index: row for row, index in enumerate(world.kept)}
         rows = [
-            f"{place[frame]},{joint},{cells(stage.servo.read(frame / stage.fps)[0])}"
-            for frame, joint in stage.sweeps
+            f"{place[frame]},{joint},{cells(world.servo.read(frame / world.fps)[0])}"
+            for frame, joint in world.sweeps
             if frame in place
         ]
         header = ",".join(["frame", "joint", *(f"q{i + 1}" for i in range(n))])

@@ -10,14 +10,14 @@ from armsight.sim import (
     Ghost,
     Lens,
     Light,
-    PointStroke,
+    PointSource,
     Rest,
     Sensor,
     SimCamera,
     SmoothTrajectory,
     ambient,
     kernels,
-    paint,
+    render_sources,
 )
 
 
@@ -203,12 +203,12 @@ def test_a_reflection_adds_to_the_spots():
 
 def test_painting_touches_only_what_the_light_reaches():
     backdrop = ambient(1000, 800, 5.0)
-    stroke = PointStroke(uv_px=np.array([[300.0, 200.0]]), flux=np.ones(1), sigma_px=1.0, bgr=np.ones(1))
-    patch = paint(backdrop, [stroke])
+    source = PointSource(uv_px=np.array([[300.0, 200.0]]), flux=np.ones(1), sigma_px=1.0, bgr=np.ones(1))
+    patch = render_sources(backdrop, [source])
     assert max(patch.light.shape) < 22
-    assert paint(backdrop, []).light.size == 0
-    lost = PointStroke(uv_px=np.array([[np.nan, 200.0]]), flux=np.ones(1), sigma_px=1.0, bgr=np.ones(1))
-    assert paint(backdrop, [lost]).light.size == 0
+    assert render_sources(backdrop, []).light.size == 0
+    lost = PointSource(uv_px=np.array([[np.nan, 200.0]]), flux=np.ones(1), sigma_px=1.0, bgr=np.ones(1))
+    assert render_sources(backdrop, [lost]).light.size == 0
 
 
 def test_what_cannot_be_is_refused():

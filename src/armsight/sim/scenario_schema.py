@@ -1,17 +1,17 @@
 """A scenario file's structure, checked: what each key means and what it may be.
 
 Lengths in m, angles in degrees, times in s. Reached by name through the entry points `armsight.scenarios`: the text is
-read elsewhere, this takes the mapping. `sim.building` makes the stage.
+read elsewhere, this takes the mapping. `sim.scenario_builder` makes the world.
 """
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from armsight.sim.room_keys import (
+from armsight.sim.room_schema import (
     Finite,
     Keys,
     NotNegative,
@@ -22,7 +22,6 @@ from armsight.sim.room_keys import (
     RoomChoice,
     RoomKeys,
     Vector3,
-    checked_room,
 )
 
 Share = Annotated[float, Field(ge=0.0, lt=1.0)]
@@ -337,29 +336,6 @@ class Scenario(Keys):
             if unknown:
                 raise ValueError(f"events: lights {', '.join(unknown)} are not among target.spots_m")
         return self
-
-    def cell(self, *, seed: int | None = None, frames: int | None = None, room: Any = None) -> Any:
-        """Return the stage; seed, frames and room of the file where not given. Raises Inconsistent for what cannot be.
-
-        room: as the file's key; UsageError for what is none.
-        """
-        from armsight.sim.building import build_stage
-
-        changed = self if room is None else self.model_copy(update={"room": checked_room(room)})
-        return build_stage(changed, self.seed if seed is None else seed, frames or self.frames)
-
-    def robot(self, device: str, clock: Any) -> Any:
-        """Return the scenario's robot alone, on a clock."""
-        from armsight.sim.building import build_robot
-
-        return build_robot(self, device, clock)
-
-    def live(self, clock: Any) -> Any:
-        """Return the scenario's robot and the cameras that watch it, on a clock; its motion is not played."""
-        from armsight.sim.building import build_robot, build_stage
-        from armsight.sim.live import live_cell
-
-        return live_cell(build_stage(self, self.seed, 1), build_robot(self, "", clock), clock)
 
 
 def _joint_rows(motion: RobotMotion | FollowedMotion) -> list[tuple[str, list[float]]]:
