@@ -1,7 +1,7 @@
 """A robot, a target and a rig together: what the cameras see and what the encoders read, frame by frame.
 
-Reached through a scenario (sim.scenario_schema). The axes of all poses that leave here are those of the rig, unless they
-say world. A frame depends on the seed and its own index only.
+Reached through a scenario (sim.scenario_schema). The axes of all poses that leave here are those of the rig, unless
+they say world. A frame depends on the seed and its own index only.
 """
 
 from __future__ import annotations
