@@ -146,10 +146,13 @@ def test_a_lamp_is_not_taken_for_a_beacon_that_is_hidden() -> None:
     assert found(seen(lamp, target=COLOUR_ALONE, settings=masked))
 
 
-def test_the_diameter_tells_the_beacon_from_a_larger_light() -> None:
-    large = (np.array([-0.2, 0.1, 1.2]), LED, 200.0, 12.0)
-    assert not found(seen((PLACE, LED, 170.0, 3.0), large, target=COLOUR_ALONE))
-    assert found(seen((PLACE, LED, 170.0, 3.0), large, target=replace(BEACON, diameter_m=0.010)))
+@pytest.mark.parametrize("sigma", [1.3, 12.0])
+@pytest.mark.parametrize("xy_m", [(-0.2, 0.1), (0.2, -0.2)])
+def test_the_diameter_tells_the_beacon_from_other_lights(sigma: float, xy_m: tuple[float, float]) -> None:
+    """Wherever the other light stands in the order in which lights are found."""
+    other = (np.array([*xy_m, 1.2]), LED, 200.0, sigma)
+    assert not found(seen((PLACE, LED, 170.0, 3.0), other, target=COLOUR_ALONE))
+    assert found(seen((PLACE, LED, 170.0, 3.0), other))
 
 
 def test_a_beacon_cut_by_the_border_is_refused() -> None:

@@ -34,17 +34,19 @@ def match_beacon(
         return Match(best=None, why=_nothing(left, right))
     sizes = np.array([_radius_px(spots, pairs.index[:, side]) for side, spots in enumerate((left, right))])
     known = setup.model.radius_m > 0.0
+    kept = np.arange(len(pairs.index))
     if known:
         wanted = _wanted_px(setup, pairs)
         fits = np.all((sizes >= wanted / SMALLER - LESS_PX) & (sizes <= LARGER * wanted + MORE_PX), axis=0)
         if not fits.any():
             return Match(best=None, why=f"{_lights(pairs)} seen, not of the size that diameter_m in target.yaml says")
-        pairs, wanted = _only(pairs, fits), wanted[:, fits]
+        pairs, wanted, kept = _only(pairs, fits), wanted[:, fits], np.flatnonzero(fits)
     match = match_few(setup.model, pairs, known=setup.target.model_known, prediction=prediction)
     if match.best is None or len(match.best.pair) > 1:
         of_size = " and of its diameter_m" if known else ""
         cure = "cover or mask the others (--mask)" + ("" if known else ", or give diameter_m in target.yaml")
         return Match(best=None, why=f"{_lights(pairs)} seen{of_size}, and any could be the beacon: {cure}")
+    match = replace(match, best=replace(match.best, pair=kept[match.best.pair]))
     if alone or match.predicted or setup.settings.mask is not None or setup.settings.threshold is not None:
         return match
     if not known:
@@ -53,7 +55,7 @@ def match_beacon(
             why="one light of the beacon's colour is seen, and a lamp of the room would look the same: give "
             "diameter_m in target.yaml, or mask what is not the beacon (--mask)",
         )
-    smallest_px = float(wanted.min())
+    smallest_px = float(wanted.min())  # of the one pair that is left
     if smallest_px < MIN_RADIUS_PX:
         return Match(
             best=None,
