@@ -194,3 +194,17 @@ def test_claimed_ellipses_hold_before_uneven_grounds() -> None:
         d = spots.uv_px[int(away.argmin())] - uv
         inside += bool(d @ np.linalg.solve(spots.covariance_px2[int(away.argmin())], d) < 5.99)
     assert inside >= 52
+
+
+@pytest.mark.parametrize("quality", [None, 80])
+def test_a_light_across_the_edge_of_something_nearly_white_is_refused(quality: int | None) -> None:
+    """Where the wall leaves its red no room, only the other half of it is coloured."""
+    image = ground(1, level=60.0, room=False)
+    image[:, 300:340] = (190.0, 205.0, 235.0)
+    for u, shown in ((297.0, False), (302.0, False), (240.0, True)):
+        picture = image.copy()
+        light(picture, np.array([u, 200.0]), LED, 300.0, 3.0)
+        spots = find_spots(stored(picture, 3, quality), SpotSettings(colour=RED))
+        assert (len(spots) == 1) == shown
+        if quality is None:  # compression leaves too little of its colour to say so
+            assert any("edge of something nearly white" in why for *_, why in spots.rejected) != shown

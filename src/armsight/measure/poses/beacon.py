@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from armsight.measure.poses.correspondence import Match, Pairs, Prediction, match_few
 from armsight.measure.poses.setup import Setup
-from armsight.measure.spots.colour import PAINTED
+from armsight.measure.spots.colour import CUT, PAINTED
 from armsight.records import Spots
 
 GAUSSIAN_RADIUS = 1.18
@@ -77,6 +77,11 @@ def _nothing(left: Spots, right: Spots) -> str:
         return (
             f"no light of the beacon's colour in {where}: what has its colour is no brighter than things that the room "
             "lights; a beacon must glow (light it, or lower the exposure), or tell its grey level with --threshold"
+        )
+    if any(why == CUT for spots in (left, right) for _, _, why in spots.rejected):
+        return (
+            f"the light of the beacon's colour in {where} lies across the edge of something nearly white, of which no "
+            "colour is left: move the beacon or the cameras, or lower the exposure"
         )
     return f"no light of the beacon's colour in {where}"
 

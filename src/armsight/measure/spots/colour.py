@@ -92,6 +92,12 @@ ROOM_SHARE = 0.9
 DARK = 50.0
 """Grey level of nine tenths of an image that shows little else than lights."""
 PAINTED = "of the beacon's colour, but no brighter than things that the room lights"
+CUT = "of the beacon's colour, but cut by the edge of something nearly white"
+HEADROOM_SHARE = 0.25
+"""What a clipped light can still add on the brighter side of an edge, as a share of what it can on the darker one,
+below which one half of it is taken for the whole."""
+RIM_PX = 3.0
+RING = 0.125 * np.pi * np.arange(16)
 SMOOTH = 0.8
 """Mean step to the next pixel over that to the one after it, below which colours were interpolated; 1: white noise."""
 INTERPOLATED_PX = 0.06
@@ -125,12 +131,12 @@ def coloured_candidates(image: Image, settings: SpotSettings) -> Candidates:
         areas, complete = _coloured_blobs(signal, plain)
         state = fresh_state(len(areas))
     interpolated = _interpolated(signal)
-    painted = _leave_lights(bgr, signal, areas, state, settings, room_level, interpolated)
+    refused = _leave_lights(bgr, signal, areas, state, settings, room_level, interpolated)
 
     def fit(chosen: Index, others: int) -> Spots:
         own = state.copy() if quiet else only(state, chosen, others)
         spots = _widened(record(*measured(signal, plain, areas, own, survey)), signal, interpolated)
-        return dataclasses.replace(spots, rejected=spots.rejected + painted) if painted else spots
+        return dataclasses.replace(spots, rejected=spots.rejected + refused) if refused else spots
 
     return Candidates(areas=areas, state=state, fit=fit, quiet=quiet, complete=complete)
 
@@ -272,19 +278,24 @@ def _leave_lights(
     interpolated: bool,
 ) -> tuple[tuple[float, float, str], ...]:
     """Take out the areas that are no lights of the colour; return those of them that are of the colour, as refused."""
-    painted = []
+    refused = []
     for i, area in enumerate(areas):
         box = area[[X_MIN, X_MAX, Y_MIN, Y_MAX]].astype(np.int64)
         seen = _look(bgr, signal, box, float(area[LEVEL]), settings) if area[PEAK] >= LEAST_SIGNAL else None
-        coloured = seen is not None and _is_coloured(bgr, box, seen, settings)
-        if coloured and seen is not None and _glows(seen, settings, room_level, interpolated):
-            continue
+        why = ""
+        if seen is not None and _is_coloured(bgr, box, seen, settings):
+            if not _glows(seen, settings, room_level, interpolated):
+                why = PAINTED
+            elif _cut(bgr, box, seen):
+                why = CUT
+            else:
+                continue
         state[i, OWNER] = -1
         if state[i, STATUS] == ACCEPTED:
             state[i, STATUS] = UNUSED
-            if coloured:
-                painted.append((float(area[SUM_X] / area[WEIGHT]), float(area[SUM_Y] / area[WEIGHT]), PAINTED))
-    return tuple(painted)
+            if why:
+                refused.append((float(area[SUM_X] / area[WEIGHT]), float(area[SUM_Y] / area[WEIGHT]), why))
+    return tuple(refused)
 
 
 def _is_light(
@@ -298,7 +309,20 @@ def _is_light(
     """Tell whether what is in box is a light of the colour."""
     part = signal[box[2] : box[3] + 1, box[0] : box[1] + 1]
     seen = _look(bgr, signal, box, 0.5 * (FLOOR + float(part.max())), settings)
-    return _is_coloured(bgr, box, seen, settings) and _glows(seen, settings, room_level, interpolated)
+    light = _is_coloured(bgr, box, seen, settings) and _glows(seen, settings, room_level, interpolated)
+    return light and not _cut(bgr, box, seen)
+
+
+def _cut(bgr: Image, box: NDArray[np.int64], seen: Array) -> bool:
+    """Tell whether a clipped light lies across the edge of what is nearly as bright: one side of it hardly shows."""
+    if seen[BRIGHT] < CLIPPED_FROM:
+        return False
+    centre, reach = 0.5 * np.array([box[0] + box[1], box[2] + box[3]]), 0.5 * np.hypot(*(box[[1, 3]] - box[[0, 2]]))
+    x, y = centre[:, None] + (reach + RIM_PX) * np.array([np.cos(RING), np.sin(RING)])
+    columns, rows = np.clip(np.rint(x), 0, bgr.shape[1] - 1), np.clip(np.rint(y), 0, bgr.shape[0] - 1)
+    headroom = 255.0 - bgr[rows.astype(int), columns.astype(int)].max(axis=1)
+    low, high = np.quantile(headroom, (0.25, 0.75))
+    return bool(low < HEADROOM_SHARE * high)
 
 
 def _box_of(spots: Spots, i: int, signal: Image) -> NDArray[np.int64]:
