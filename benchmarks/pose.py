@@ -228,7 +228,7 @@ def time(repeats: int) -> None:
     packed, n = setup.packed, len(model)
     uv = np.ascontiguousarray(np.stack([seen.left.uv_px, seen.right.uv_px], axis=1))
     cov = np.ascontiguousarray(np.stack([seen.left.covariance_px2, seen.right.covariance_px2], axis=1))
-    R, t, P = np.empty((3, 3)), np.empty(3), projections(RIG)
+    P = projections(RIG)
     room = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((4, 4)), np.empty((6, 6)), np.zeros((n, 2, 2))
     flat, normal = np.zeros((n, 2)), np.array([0.0, 0.0, 1.0])
     times = interleaved_ms(
@@ -238,9 +238,6 @@ def time(repeats: int) -> None:
             "match and pose of spots found": lambda: measure_spots(setup, 0.0, seen.left_seen, seen.right_seen),
             "compiled: points, maximum likelihood, covariance": lambda: kernels.solve_named(
                 packed.k, packed.R, packed.t, uv, cov, 0.06, setup.model.xyz_m, flat, normal, *room
-            ),
-            "compiled: Kabsch only": lambda: kernels.kabsch_pose(
-                packed.k, packed.R, packed.t, uv, cov, setup.model.xyz_m, R, t
             ),
             "peer: OpenCV triangulation + Kabsch (matched, no covariance)": lambda: peer(
                 seen.left.uv_px, seen.right.uv_px, model, P

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.calibrate.rotary import calibrate_rotary
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
 from armsight.geometry import pose_difference
-from armsight.optics import Camera, RotaryBase, parallel_rig, rig_on_base, rotary_from_mount
+from armsight.optics import Camera, parallel_rig
+from armsight.papers.korayem2018.rotary_base import RotaryBase, rig_on_base, rotary_from_mount
+from armsight.papers.korayem2018.rotary_calibration import calibrate_rotary
 from armsight.records import PoseStatus, TargetPose
 
 AXIS = Rotation.from_rotvec([0.05, -0.03, 0.0]).apply([0.0, 1.0, 0.0])

@@ -7,7 +7,6 @@ from armsight.optics.parallelism import Parallelism, moved_rig, parallelism
 from armsight.optics.resolution import Resolution, mean_axes, resolution
 from armsight.optics.rig import RIG_PARAMETERS, RIGHT_POSE, SIDES, Rig, RigKind
 from armsight.optics.rigs import converged_rig, look_at, parallel_rig
-from armsight.optics.rotary import RotaryBase, rig_on_base, rotary_from_mount
 from armsight.optics.triangulate import Triangulation, Verdict, triangulate, triangulate_closed
 
 __all__ = [
@@ -22,7 +21,6 @@ __all__ = [
     "Resolution",
     "Rig",
     "RigKind",
-    "RotaryBase",
     "Triangulation",
     "Verdict",
     "converged_rig",
@@ -35,8 +33,6 @@ __all__ = [
     "parallel_rig",
     "parallelism",
     "resolution",
-    "rig_on_base",
-    "rotary_from_mount",
     "triangulate",
     "triangulate_closed",
 ]

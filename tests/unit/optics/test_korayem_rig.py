@@ -7,7 +7,12 @@ import pytest
 
 from armsight.errors import Degenerate, Inconsistent
 from armsight.optics import Camera, converged_rig, parallel_rig, triangulate
-from armsight.optics.korayem import SensorView, converged_pinholes, triangulate_converged, triangulate_parallel
+from armsight.papers.korayem2018.converged_rig import (
+    SensorView,
+    converged_pinholes,
+    triangulate_converged,
+    triangulate_parallel,
+)
 
 PIXEL_M = 3e-6
 CAMERA = Camera.pinhole(1296, 810, 1.0, 1.0, 648.0, 405.0)

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from armsight.calibrate.cameras.kernels.move_poses import move_poses
 from armsight.calibrate.cameras.kernels.normal_equations import view_normal_equations
-from armsight.calibrate.cameras.kernels.reprojection import move_poses
 from armsight.calibrate.cameras.observations import Observations
 from armsight.fitting import EvaluatedNormalEquations, Evaluation, Fit, Problem, Settings, solve
 from armsight.fitting.normal import NormalEquations

@@ -14,7 +14,7 @@ from armsight.fitting.kernels import invert_spd, solve_damped
 from armsight.geometry.kernels import rotate_left
 from armsight.measure.poses.kernels.light_image import see_light
 from armsight.optics.kernels.camera import see_point
-from armsight.optics.kernels.triangulation import FOUND, invert_2, triangulate_linear_point, triangulate_ml_point
+from armsight.optics.kernels.triangulation import FOUND, invert_2, triangulate_ml_point
 
 SOLVED, NO_WEIGHT, NO_POINT, BEHIND_CAMERA, OPEN, ENDLESS = 0, 1, 2, 3, 4, 5
 
@@ -293,18 +293,6 @@ def largest_innovation(uv_left, expected_left, uv_right, expected_right):
                 innovation, abs(uv_left[n, i] - expected_left[n, i]), abs(uv_right[n, i] - expected_right[n, i])
             )
     return innovation
-
-
-@kernel
-def kabsch_pose(k, R, t, uv, cov, X, Rp, tp):
-    """Fill Rp, tp with Kabsch on linearly triangulated points: the closed form, without likelihood."""
-    P = np.empty((uv.shape[0], 3))
-    S = np.empty((3, 3))
-    for n in range(uv.shape[0]):
-        if triangulate_linear_point(k, R, t, uv[n], cov[n], P[n], S) != FOUND:
-            return False
-    kabsch(X.copy(), P, Rp, tp)
-    return True
 
 
 @kernel

@@ -14,7 +14,7 @@ from armsight.errors import Degenerate, Inconsistent, NotEnoughData
 from armsight.fitting import Evaluation, Fit, Problem, Settings, solve
 from armsight.geometry import pose_difference
 from armsight.geometry.poses import cross_matrix
-from armsight.optics import RotaryBase
+from armsight.papers.korayem2018.rotary_base import RotaryBase
 from armsight.records import NamedCovariance, PoseStatus, TargetPose
 
 Array = NDArray[np.float64]
