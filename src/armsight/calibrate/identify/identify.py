@@ -123,8 +123,8 @@ def _at_once(
     if whole.scale2 > AT_ODDS:
         notes.append(
             f"the readings miss the arm by {np.sqrt(whole.scale2):.1f} times their noise about single paths: the "
-            "commanded values are not exact, or a joint gave way; standard deviations are widened accordingly, which may "
-            "not be "
+            "commanded values are not exact, or a joint gave way; standard deviations are widened accordingly, which "
+            "may not be "
             "enough: with values that are not exact use only their order (--increments order)"
         )
     widen = whole.scale2 if sigma is None else max(whole.scale2, 1.0)
