@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 import os
 import signal
 import sys
@@ -14,7 +12,7 @@ import traceback
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import FrameType, TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import typer
 from rich.console import Console
@@ -22,6 +20,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from rich.table import Table
 
 from armsight.errors import ArmsightError, Cancelled
+
+if TYPE_CHECKING:
+    from armsight.app.schemas.base import Output
 
 UNFORESEEN = 1
 LINE_EVERY_S = 5.0
@@ -63,11 +64,14 @@ class CommandUI:
             table.add_row(*row)
         self.console.print(table)
 
-    def result(self, content: Mapping[str, Any]) -> None:
+    def result(self, result: Output | Mapping[str, Any]) -> None:
         """Give the command's result; printed only with --json."""
         self._end_bar()
         if self._as_json:
-            sys.stdout.write(json.dumps(_finite(content), ensure_ascii=False, allow_nan=False) + "\n")
+            from armsight.store.atomic import json_text
+
+            text = json_text(result, indent=None) if isinstance(result, Mapping) else result.to_json()
+            sys.stdout.write(text + "\n")
             sys.stdout.flush()
 
     def __enter__(self) -> Self:
@@ -98,17 +102,8 @@ class CommandUI:
         head = "stopped" if isinstance(error, Cancelled) else "error"
         self.console.print(f"{head}: {error}", style="bold red" if self.console.is_terminal else "", markup=False,
                            soft_wrap=True)  # fmt: skip
-        self.result(
-            {
-                "error": {
-                    "kind": type(error).__name__,
-                    "cause": error.cause,
-                    "consequence": error.consequence,
-                    "cure": error.cure,
-                    "exit_code": error.exit_code,
-                }
-            }
-        )
+        if self._as_json:
+            self.result(_refusal(error))
 
     def _interrupt(self, number: int, frame: FrameType | None) -> None:
         if self._stopped.is_set():
@@ -193,6 +188,19 @@ class Bar:
         return done / passed_s if passed_s > 0.2 else 0.0
 
 
+def _refusal(error: ArmsightError) -> Output:
+    from armsight.app.schemas.base import Refusal, RefusalOutput
+
+    refusal = Refusal(
+        kind=type(error).__name__,
+        cause=error.cause,
+        consequence=error.consequence,
+        cure=error.cure,
+        exit_code=error.exit_code,
+    )
+    return RefusalOutput(error=refusal)
+
+
 def unforeseen(error: Exception) -> ArmsightError:
     """Write the traceback to a log file and return one line that says where."""
     path = log_path()
@@ -215,14 +223,3 @@ def log_path() -> Path:
     if not given and not os.access(next(path for path in (folder, *folder.parents) if path.exists()), os.W_OK):
         folder = Path(tempfile.gettempdir())
     return folder / f"armsight-{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}.log"
-
-
-def _finite(value: Any) -> Any:
-    """Return value fit for strict JSON: what is not finite (no data) becomes null."""
-    if isinstance(value, Mapping):
-        return {str(key): _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else None
-    return value

@@ -126,7 +126,7 @@ def measure(
         )
         summary = run(job, face.progress("measuring"))
         measure_tables(face, summary, out)
-        face.result(summary.content())
+        face.result(summary)
 
 
 @app.command()
@@ -156,7 +156,7 @@ def demo(
             progress=face.progress("demo"),
         )
         demo_tables(face, result, out)
-        face.result(result.content())
+        face.result(result)
 
 
 @app.command()
