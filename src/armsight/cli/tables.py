@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING
 from armsight.cli.command_ui import CommandUI
 
 if TYPE_CHECKING:
-    from armsight.app.doctor import Diagnosis
-    from armsight.app.schemas.base import RejectedFile
+    from armsight.app.schemas.base import PointStd, PoseOutput, PoseStd, RejectedFile
     from armsight.app.schemas.cameras import CameraNoise, CameraOutput, StereoOutput
+    from armsight.app.schemas.machine import DoctorOutput
     from armsight.app.schemas.measure import DemoOutput, MeasureOutput, PoseErrors
 
+MM, DEG = 1e3, 57.29577951308232
 REJECTED_SHOWN = 8
 
 
@@ -26,6 +27,21 @@ def figure(value: float | None, digits: int = 3) -> str:
         return "0"
     places = max(0, digits - 1 - math.floor(math.log10(abs(value))))
     return f"{value:.{min(places, 9)}f}"
+
+
+def tip_rows(tip_m: Sequence[float], std: PointStd) -> list[list[str]]:
+    """Return the rows of a point: axis, place and standard deviation in mm."""
+    named = zip("xyz", tip_m, std.translation_m, strict=True)
+    return [[axis, figure(MM * value, 6), figure(MM * deviation, 2)] for axis, value, deviation in named]
+
+
+def pose_rows(pose: PoseOutput, std: PoseStd) -> list[list[str]]:
+    """Return the rows of a pose: place with standard deviation in mm, that of the rotation in degrees."""
+    turns = zip("xyz", std.rotation_rad, strict=True)
+    return [
+        *tip_rows(pose.xyz_m, std),
+        *([f"about {axis}", "", f"{figure(DEG * deviation, 2)} deg"] for axis, deviation in turns),
+    ]
 
 
 def measure_tables(face: CommandUI, summary: MeasureOutput, out: Path) -> None:
@@ -115,27 +131,27 @@ def stereo_tables(face: CommandUI, done: StereoOutput, out: Path) -> None:
     face.say(f"Written: {out}")
 
 
-def doctor_tables(face: CommandUI, found: Diagnosis) -> None:
+def doctor_tables(face: CommandUI, found: DoctorOutput) -> None:
     """Print what the machine can do."""
     rows = [[name, text] for name, text in found.versions.items()]
-    rows += [["system", str(found.machine["system"])], ["cores for armsight", str(found.machine["cores"])]]
+    rows += [["system", found.machine.system], ["cores for armsight", str(found.machine.cores)]]
     rows += [["cameras there", ", ".join(found.cameras) or "none"]]
     rows += [[f"registered {group}", ", ".join(names) or "none"] for group, names in found.drivers.items()]
-    rows += [["compiled kernels kept", str(found.kernels["compiled"])]]
+    rows += [["compiled kernels kept", str(found.kernels.compiled)]]
     face.table("This machine", ["", ""], rows)
     if found.rig is not None:
         distances = [
             [
-                figure(row["depth_m"]),
-                figure(row["sigma_depth_m"] * 1e3),
-                figure(max(row["sigma_lateral_m"]) * 1e3),
-                "yes" if row["in_view"] else "no",
+                figure(row.depth_m),
+                figure(row.sigma_depth_m * 1e3),
+                figure(max(row.sigma_lateral_m) * 1e3),
+                "yes" if row.in_view else "no",
             ]
-            for row in found.rig["distances"]
+            for row in found.rig.distances
         ]
         face.table(
-            f"A spot known to {figure(found.rig['sigma_px'], 2)} px by a rig of "
-            f"{figure(found.rig['baseline_m'] * 1e3, 4)} mm baseline",
+            f"A spot known to {figure(found.rig.sigma_px, 2)} px by a rig of "
+            f"{figure(found.rig.baseline_m * 1e3, 4)} mm baseline",
             ["distance, m", "+- along it, mm", "+- across, mm", "in both views"],
             distances,
         )
@@ -156,10 +172,9 @@ def demo_tables(face: CommandUI, result: DemoOutput, out: Path) -> None:
 
 def _truth_rows(truth: PoseErrors) -> list[list[str]]:
     """Return name, RMS, largest and claimed deviation (RMS) of each coordinate, in mm and degrees."""
-    named = [(f"{name.removesuffix('_m')}, mm", getattr(truth, name), 1e3) for name in ("x_m", "y_m", "z_m")]
+    named = [(f"{name.removesuffix('_m')}, mm", getattr(truth, name), MM) for name in ("x_m", "y_m", "z_m")]
     named += [
-        (f"{name.removesuffix('_rad')}, deg", getattr(truth, name), 180.0 / math.pi)
-        for name in ("rx_rad", "ry_rad", "rz_rad")
+        (f"{name.removesuffix('_rad')}, deg", getattr(truth, name), DEG) for name in ("rx_rad", "ry_rad", "rz_rad")
     ]
     return [
         [name, *(figure(factor * value) for value in (error.rms, error.max, error.claimed))]

@@ -63,7 +63,9 @@ class MeasuredNoise(CameraNoise):
 class NoiseOutput(Output):
     """armsight calibrate camera --noise, without a board."""
 
-    noise: MeasuredNoise | CameraNoise = Field(description="The camera's noise.")
+    noise: MeasuredNoise | CameraNoise = Field(
+        description="The camera's noise; the keys from n_given on of still frames, not of a file."
+    )
 
 
 class CameraOutput(Output):
@@ -81,7 +83,11 @@ class CameraOutput(Output):
     std: dict[str, float] = Field(description="Standard deviations by name: fx_px, fy_px, cx_px, cy_px, k1 ... k3.")
     holdout_rms_px: float | None = Field(description="Reprojection residual on images left out of the fit, RMS, px.")
     advice: list[str] = Field(description="What would make the result surer.")
-    noise: MeasuredNoise | CameraNoise | None = Field(None, exclude_if=absent, description="Its noise, with --noise.")
+    noise: MeasuredNoise | CameraNoise | None = Field(
+        None,
+        exclude_if=absent,
+        description="The camera's noise, with --noise; the keys from n_given on of still frames, not of a file.",
+    )
 
 
 class AlignmentOutput(Output):
