@@ -9,7 +9,7 @@ import tempfile
 import threading
 import time
 import traceback
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Any, Self
@@ -64,14 +64,11 @@ class CommandUI:
             table.add_row(*row)
         self.console.print(table)
 
-    def result(self, result: Output | Mapping[str, Any]) -> None:
+    def result(self, result: Output) -> None:
         """Give the command's result; printed only with --json."""
         self._end_bar()
         if self._as_json:
-            from armsight.store.atomic import json_text
-
-            text = json_text(result, indent=None) if isinstance(result, Mapping) else result.to_json()
-            sys.stdout.write(text + "\n")
+            sys.stdout.write(result.to_json() + "\n")
             sys.stdout.flush()
 
     def __enter__(self) -> Self:
