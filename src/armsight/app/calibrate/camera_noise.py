@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,7 +97,7 @@ def find_noise(job: NoiseJob, progress: Progress | None = None) -> FoundNoise:
 def noise_output(found: NoiseCalibration) -> MeasuredNoise:
     """Return a camera's noise and how it was found as --json gives it."""
     return MeasuredNoise(
-        **_noise_keys(found.noise),
+        **dict(_as_in_files(found.noise)),
         n_given=found.n_frames,
         n_copies=found.n_copies,
         brightness_rms=found.brightness_rms,
@@ -132,9 +131,9 @@ def input_files(text: str) -> Sequence[Path]:
     return [Path(text)] if Path(text).suffix.lower() in VIDEO_SUFFIXES else list_images(text)
 
 
-def _noise_keys(noise: NoiseModel) -> dict[str, Any]:
+def _as_in_files(noise: NoiseModel) -> CameraNoise:
     """Return what files hold of a noise, the line always there, and the widening of wide lights."""
-    return {"linear": None, **noise_mapping(noise), "widening": noise.widening().tolist()}
+    return CameraNoise(**{"linear": None, **noise_mapping(noise)}, widening=noise.widening().tolist())
 
 
 def _sides(job: NoiseJob) -> dict[str, tuple[int, int] | None]:
@@ -187,4 +186,4 @@ def _from_file(path: Path, side: str | None) -> FoundNoise:
         noise, camera = file.noise, file.camera
     if noise is None:
         raise BadFile(f"{path}: holds no noise", consequence="Nothing was written", cure="Give still frames instead")
-    return FoundNoise(noise=noise, size=_size(camera), output=CameraNoise(**_noise_keys(noise)), inputs=[path])
+    return FoundNoise(noise=noise, size=_size(camera), output=_as_in_files(noise), inputs=[path])
