@@ -177,7 +177,7 @@ def _tell(done: IdentifyOutput, out: Path, face: CommandUI) -> None:
         rows.append([*cells, figure(MM * joint.residual_rms_m)])
     face.table("Arm, mm and degrees", ["joint", "type", "a", "alpha", "d", "theta", "residual"], rows)
     if any(std is not None for joint in done.joints for std in (*_entries(joint.std), joint.std.beta_rad)):
-        face.say("Entries without a deviation are chosen, not measured.")
+        face.say("Entries without a standard deviation are chosen, not measured.")
     for note in done.notes:
         face.say(f"- {note}")
     face.say(f"Result: {out}; open {out.with_suffix('.report.html')}")

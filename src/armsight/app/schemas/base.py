@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from armsight.store.atomic import json_text, write_text
+from armsight.store.atomic import json_text, write_json
 
 
 def absent(value: object) -> bool:
@@ -28,13 +28,13 @@ class Output(BaseModel):
         """Return it as plain numbers, texts, lists and dictionaries, keys as in the JSON object."""
         return self.model_dump(mode="json", by_alias=True)
 
-    def to_json(self, *, indent: int | None = None) -> str:
-        """Return it as strict JSON text; a number that is not finite (no data) becomes null."""
-        return json_text(self.to_dict(), indent=indent)
+    def to_json(self) -> str:
+        """Return it as strict JSON text in one line; a number that is not finite (no data) becomes null."""
+        return json_text(self.to_dict(), indent=None)
 
     def write(self, path: Path) -> None:
         """Replace the file with it as JSON, in one step."""
-        write_text(path, self.to_json(indent=2) + "\n")
+        write_json(path, self.to_dict())
 
 
 class PoseOutput(Output):

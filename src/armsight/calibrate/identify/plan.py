@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armsight.calibrate.identify.chain import Axis, ChainModel
-from armsight.calibrate.identify.curves import skew
 from armsight.calibrate.identify.kernels import see_many
 from armsight.calibrate.identify.result import Identification
 from armsight.calibrate.identify.table import KEYS, degeneracy_notes, deviations, place_frames, propagate_covariance
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData, UsageError
+from armsight.geometry.lie import skew
 from armsight.kinematics import Arm, JointType, link_frames
 from armsight.optics import PackedRig, Rig
 from armsight.records import frozen_array
