@@ -1,0 +1,170 @@
+"""From named spots of single views to poses and velocities: causal, or smoothed over a whole recording.
+
+The strength of the jerk that drives the motion is taken from the data: filters of several levels run side by side, and
+a hidden Markov chain tells how likely each level is at each moment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d
+
+from armsight.errors import Inconsistent
+from armsight.measure.motion import kernels
+from armsight.measure.motion.states import MotionState, View, state_of
+from armsight.optics import PackedRig
+
+Array = NDArray[np.float64]
+
+JERK_LEVELS = 10.0 ** np.arange(-3.0, 4.1)
+"""m^2/s^5: from a target at rest to one that is knocked."""
+ANGULAR_RATIO = 30.0
+"""Angular jerk (rad^2/s^5) over jerk: a hand turns a target about a point some 0.2 m away."""
+LEVEL_CHANGE = 0.02
+"""Chance that the level changes from one view to the next."""
+ONSET_VIEWS = 4
+"""Views before and after one whose level it shares at the least: a start is not seen in the view it happens in."""
+MAX_GAP_S = 0.5
+"""Beyond this nothing is said of where the target went."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Start:
+    """A pose T (4, 4) with covariance (6, 6) from which a track begins with the view of this number."""
+
+    view: int
+    T: Array
+    covariance: Array
+
+
+def smooth(
+    packed: PackedRig, places_m: Array, views: Sequence[View], starts: Sequence[Start], at_s: Array
+) -> list[MotionState | None]:
+    """Return the states at times at_s (k,), growing, from all views before and after; None where no track is near.
+
+    places_m (m, 3): of the lights in the target's frame. views: in the order of time. starts: in the order of views;
+    the first one is of the first view. Raises Inconsistent for views out of order.
+    """
+    t = np.array([view.t_s for view in views])
+    if len(starts) == 0 or starts[0].view != 0 or np.any(np.diff(t) < 0.0):
+        raise Inconsistent("views come in the order of time, and a track begins with the first of them")
+    columns, order = _columns(views, t, at_s)
+    n, K = len(columns.t), len(JERK_LEVELS)
+    begin, C0, fresh = np.zeros((n, kernels.STATE)), np.zeros((n, kernels.N, kernels.N)), np.zeros(n, np.bool_)
+    for start in starts:
+        row = order[start.view]
+        begin[row], C0[row] = state_of(t[start.view], start.T, start.covariance)
+        fresh[row] = True
+    lead = int(np.argmax(fresh))  # times before the first view are told backwards from it
+    rows = columns.after(lead)
+    begin, C0, fresh = begin[lead:], C0[lead:], fresh[lead:]
+    seen: tuple[Any, ...] = (*rows.arrays, packed.k, packed.R, packed.t, np.ascontiguousarray(places_m))
+    logs, weight, post = (np.empty((n - lead, K)) for _ in range(3))
+    kernels.run_filters(*seen, JERK_LEVELS, ANGULAR_RATIO, LEVEL_CHANGE, begin, C0, fresh, logs, weight)
+    kernels.levels_of_all(logs, weight, fresh, LEVEL_CHANGE, post)
+    jerk = maximum_filter1d(post @ JERK_LEVELS, 2 * ONSET_VIEWS + 1)
+    xs, xp = (np.empty((n - lead, kernels.STATE)) for _ in range(2))
+    Cs, Cp, Fs = (np.empty((n - lead, kernels.N, kernels.N)) for _ in range(3))
+    kernels.run_filter(*seen, jerk, ANGULAR_RATIO, begin, C0, fresh, xs, Cs, xp, Cp, Fs)
+    kernels.smooth(xs, Cs, xp, Cp, Fs)
+    return [
+        _told(int(row) - lead, rows.t, xs, Cs, jerk, t, time) for row, time in zip(columns.asked, at_s, strict=True)
+    ]
+
+
+def _told(row: int, times: Array, xs: Array, Cs: Array, jerk: Array, seen_s: Array, t_s: float) -> MotionState | None:
+    if np.abs(seen_s - t_s).min() > MAX_GAP_S:
+        return None
+    if row >= 0:
+        return MotionState(t_s=t_s, x=xs[row], C=Cs[row], jerk=float(jerk[row]))
+    return MotionState(t_s=float(times[0]), x=xs[0], C=Cs[0], jerk=float(jerk[0])).at(t_s, ANGULAR_RATIO)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Columns:
+    """Views and asked times together, in the order of time, as the kernels want them. asked: rows of at_s."""
+
+    t: Array
+    side: NDArray[np.int64]
+    first: NDArray[np.int64]
+    light: NDArray[np.int64]
+    uv: Array
+    cov: Array
+    tau: Array
+    asked: NDArray[np.int64]
+
+    @property
+    def arrays(self) -> tuple[Any, ...]:
+        """All but the asked rows."""
+        return self.t, self.side, self.first, self.light, self.uv, self.cov, self.tau
+
+    def after(self, lead: int) -> _Columns:
+        """Return the rows from lead on."""
+        return _Columns(
+            t=self.t[lead:], side=self.side[lead:], first=self.first[lead:], light=self.light, uv=self.uv,
+            cov=self.cov, tau=self.tau, asked=self.asked - lead,
+        )  # fmt: skip
+
+
+def _columns(views: Sequence[View], t: Array, at_s: Array) -> tuple[_Columns, NDArray[np.int64]]:
+    """Return the columns, and the row of each view."""
+    times = np.concatenate([t, at_s])
+    rank = np.argsort(times, kind="stable")
+    row = np.empty(len(times), np.int64)
+    row[rank] = np.arange(len(times))
+    counts = np.zeros(len(times), np.int64)
+    counts[row[: len(t)]] = [len(view.lights) for view in views]
+    side = np.zeros(len(times), np.int64)
+    side[row[: len(t)]] = [view.side for view in views]
+    columns = _Columns(
+        t=times[rank], side=side, first=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+        light=np.concatenate([view.lights for view in views]).astype(np.int64),
+        uv=np.concatenate([view.uv_px for view in views]), cov=np.concatenate([view.cov_px2 for view in views]),
+        tau=np.concatenate([view.tau_s for view in views]), asked=row[len(t) :],
+    )  # fmt: skip
+    return columns, row[: len(t)]
+
+
+class MotionFilter:
+    """Follows a target view by view: the state so far, and where it will be. Not for views out of order."""
+
+    def __init__(self, packed: PackedRig, places_m: Array, t_s: float, T: Array, covariance: Array) -> None:
+        self._packed, self._places = packed, np.ascontiguousarray(places_m, dtype=np.float64)
+        K = len(JERK_LEVELS)
+        x, C = state_of(t_s, T, covariance)
+        self._xs, self._Cs = np.tile(x, (K, 1)), np.tile(C, (K, 1, 1))
+        self._w, self._log = np.full(K, 1.0 / K), np.empty(K)
+        self.t_s, self.seen_s, self._best = t_s, t_s, K - 1
+
+    @property
+    def state(self) -> MotionState:
+        """The state at the time of the latest view."""
+        return MotionState(
+            t_s=self.t_s, x=self._xs[self._best], C=self._Cs[self._best], jerk=float(JERK_LEVELS[self._best])
+        )
+
+    def at(self, t_s: float) -> MotionState:
+        """Return the state expected at t_s."""
+        return self.state.at(t_s, ANGULAR_RATIO)
+
+    def add(self, view: View) -> MotionState:
+        """Bring in a view and return the state at its time. Raises Inconsistent where it is older than the last one."""
+        if not view.t_s >= self.t_s:
+            raise Inconsistent(
+                f"a view of {view.t_s:g} s comes after one of {self.t_s:g} s", cure="Give views in the order of time"
+            )
+        s, packed = view.side, self._packed
+        places = np.ascontiguousarray(self._places[view.lights])
+        self._best = kernels.step_filters(
+            self._xs, self._Cs, self._w, view.t_s - self.t_s, JERK_LEVELS, ANGULAR_RATIO, LEVEL_CHANGE,
+            packed.k[s], packed.R[s], packed.t[s], places, view.tau_s, view.uv_px, view.cov_px2, self._log,
+        )  # fmt: skip
+        self.t_s = view.t_s
+        if len(view.lights):
+            self.seen_s = view.t_s
+        return self.state

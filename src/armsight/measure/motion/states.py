@@ -1,0 +1,107 @@
+"""What the estimator of a moving target takes and gives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.measure.motion import kernels
+from armsight.records import frozen_array
+
+Array = NDArray[np.float64]
+
+BEGIN_POSITION_M, BEGIN_ROTATION_RAD = 0.02, 0.15
+"""Standard deviations added to the pose with which a track begins: its views may not be of one moment."""
+BEGIN_SPEED_M_S, BEGIN_TURN_RAD_S = 1.0, 4.0
+BEGIN_ACCELERATION_M_S2, BEGIN_ANGULAR_ACCELERATION_RAD_S2 = 10.0, 40.0
+"""Standard deviations of the motion with which a track begins: what a hand does."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class View:
+    """The named spots of one frame of one camera.
+
+    t_s: the rig's time of the frame (middle line). side: 0 left, 1 right. lights (n,): rows of the target's places;
+    uv_px (n, 2), cov_px2 (n, 2, 2); tau_s (n,): each spot's line after the middle one.
+    """
+
+    t_s: float
+    side: int
+    lights: NDArray[np.intp]
+    uv_px: Array
+    cov_px2: Array
+    tau_s: Array
+
+    def __post_init__(self) -> None:
+        n = len(self.lights)
+        for name, shape in (("uv_px", (n, 2)), ("cov_px2", (n, 2, 2)), ("tau_s", (n,))):
+            object.__setattr__(self, name, frozen_array(name, getattr(self, name), shape))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MotionState:
+    """Pose and motion of a target at t_s, in rig axes.
+
+    x (24,), C (18, 18): as measure.motion.kernels orders them. jerk: level in m^2/s^5 that the data set.
+    """
+
+    t_s: float
+    x: Array
+    C: Array
+    jerk: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "x", frozen_array("x", self.x, (kernels.STATE,)))
+        object.__setattr__(self, "C", frozen_array("C", self.C, (kernels.N, kernels.N)))
+
+    @property
+    def T_rig_target(self) -> Array:
+        """The pose (4, 4)."""
+        T = np.eye(4)
+        T[:3, :3] = self.x[kernels.R : kernels.V].reshape(3, 3)
+        T[:3, 3] = self.x[kernels.P : kernels.R]
+        return T
+
+    @property
+    def covariance(self) -> Array:
+        """Of the pose (6, 6): translation (m), rotation vector (rad)."""
+        return np.array(self.C[:6, :6])
+
+    @property
+    def velocity(self) -> Array:
+        """Velocity (3,) in m/s of the target's origin and angular velocity (3,) in rad/s."""
+        return np.array(self.x[kernels.V : kernels.A])
+
+    @property
+    def velocity_covariance(self) -> Array:
+        """Of velocity (6, 6)."""
+        return np.array(self.C[6:12, 6:12])
+
+    def at(self, t_s: float, angular_ratio: float) -> MotionState:
+        """Return the state expected at another time, later or a little earlier, with what jerk leaves open by then."""
+        out, D, F = np.empty(kernels.STATE), np.empty((kernels.N, kernels.N)), np.empty((kernels.N, kernels.N))
+        tau = t_s - self.t_s
+        if tau >= 0.0:
+            kernels.predict(self.x, self.C, tau, self.jerk, angular_ratio * self.jerk, out, D, F)
+        else:
+            kernels.transition(self.x, tau, F)
+            kernels.state_at(self.x, tau, out)
+            D = F @ self.C @ F.T
+            kernels.add_jerk(D, -tau, self.jerk, angular_ratio * self.jerk)
+        return MotionState(t_s=t_s, x=out, C=D, jerk=self.jerk)
+
+
+def state_of(t_s: float, T: Array, covariance: Array) -> tuple[Array, Array]:
+    """Return x (24,) and C (18, 18) of a target at the pose T (4, 4), of whose motion nothing is known."""
+    x = np.zeros(kernels.STATE)
+    x[kernels.P : kernels.R] = T[:3, 3]
+    x[kernels.R : kernels.V] = T[:3, :3].ravel()
+    spread = (
+        BEGIN_POSITION_M, BEGIN_ROTATION_RAD, BEGIN_SPEED_M_S, BEGIN_TURN_RAD_S,
+        BEGIN_ACCELERATION_M_S2, BEGIN_ANGULAR_ACCELERATION_RAD_S2,
+    )  # fmt: skip
+    C = np.diag(np.repeat(np.square(spread), 3))
+    C[:6, :6] += covariance
+    return x, C
