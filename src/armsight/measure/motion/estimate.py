@@ -65,12 +65,14 @@ def smooth(
     begin, C0, fresh = begin[lead:], C0[lead:], fresh[lead:]
     seen: tuple[Any, ...] = (*rows.arrays, packed.k, packed.R, packed.t, np.ascontiguousarray(places_m))
     logs, weight, post = (np.empty((n - lead, K)) for _ in range(3))
-    kernels.run_filters(*seen, JERK_LEVELS, ANGULAR_RATIO, LEVEL_CHANGE, begin, C0, fresh, logs, weight)
+    run_filters: Any = kernels.run_filters  # many columns by one star
+    run_filter: Any = kernels.run_filter
+    run_filters(*seen, JERK_LEVELS, ANGULAR_RATIO, LEVEL_CHANGE, begin, C0, fresh, logs, weight)
     kernels.levels_of_all(logs, weight, fresh, LEVEL_CHANGE, post)
     jerk = maximum_filter1d(post @ JERK_LEVELS, 2 * ONSET_VIEWS + 1)
     xs, xp = (np.empty((n - lead, kernels.STATE)) for _ in range(2))
     Cs, Cp, Fs = (np.empty((n - lead, kernels.N, kernels.N)) for _ in range(3))
-    kernels.run_filter(*seen, jerk, ANGULAR_RATIO, begin, C0, fresh, xs, Cs, xp, Cp, Fs)
+    run_filter(*seen, jerk, ANGULAR_RATIO, begin, C0, fresh, xs, Cs, xp, Cp, Fs)
     kernels.smooth(xs, Cs, xp, Cp, Fs)
     return [
         _told(int(row) - lead, rows.t, xs, Cs, jerk, t, time) for row, time in zip(columns.asked, at_s, strict=True)
