@@ -21,6 +21,7 @@ from armsight.sim.cell import SEED_BACKDROP, SEED_BOARD, SEED_PATH, BoardCell, C
 from armsight.sim.cell_notes import cameras_chosen, light_chosen, pipeline_chosen, room_chosen, sensor_chosen
 from armsight.sim.faults import planned_events
 from armsight.sim.pipeline import Pipeline
+from armsight.sim.render import LightImage
 from armsight.sim.rigs import SIDES, Pair, converging_webcams, parallel_pair
 from armsight.sim.room_schema import RoomKeys, checked_pipeline, checked_room
 from armsight.sim.scene import Event, Light, SmoothTrajectory
@@ -247,7 +248,7 @@ def board_cell(
 
 def _behind(
     board: Board, poses: Sequence[RigidTransform], cameras: Mapping[str, SimCamera], around: Surroundings
-) -> dict[str, Array]:
+) -> dict[str, LightImage]:
     """Return what each camera sees of the room where the board at its poses does not hide it."""
     empty = {side: replace(camera, backdrop=np.zeros_like(camera.backdrop)) for side, camera in cameras.items()}
     corners = np.concatenate([pose.apply(board.corners_m()) for pose in poses])

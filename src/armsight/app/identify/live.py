@@ -18,16 +18,8 @@ from armsight.app.measure.run import target_of
 from armsight.app.simulate.scenarios import live_cell
 from armsight.app.sources.frames import open_pairs
 from armsight.calibrate.identify import Identification, Sweeps, identify
-from armsight.calibrate.identify.plan import (
-    PROBE_SHARE,
-    Plan,
-    RoughArm,
-    checked_limits,
-    known_arm,
-    probe,
-    propose_sweeps,
-    rough_arm,
-)
+from armsight.calibrate.identify.plan import PROBE_SHARE, Plan, checked_limits, probe, propose_sweeps
+from armsight.calibrate.identify.rough_arm import RoughArm, known_arm, rough_arm
 from armsight.clock import Clock, SystemClock
 from armsight.control.joint_sweep import Pace, Sweeper
 from armsight.drivers import ROBOTS, PairSource, Robot, is_live, load

@@ -98,16 +98,8 @@ def solve_pairs(
     flange, which reaches the target through its lever; the camera's by N(0, c_t) m and N(0, c_r) rad; s_t and c_t
     act alike and only their sum is known.
     """
-    n = len(arrays[0])
-    keep = np.ones(n, bool) if keep is None else keep
-    gamma = 1.0
-    if start is None:
-        RX, RZ = starts.shah_rotations(arrays[0], arrays[2], keep)
-        ok, tX, tZ, gamma = starts.translations(RX, arrays[0], arrays[1], arrays[3], keep, free_scale)
-        if not ok:
-            raise _not_converged("the translations are not determined")
-    else:
-        RX, tX, RZ, tZ = start
+    keep = np.ones(len(arrays[0]), bool) if keep is None else keep
+    (RX, tX, RZ, tZ), gamma = _closed_form(arrays, keep, free_scale) if start is None else (start, 1.0)
     X, Z = (RX, tX), (RZ, tZ)
     floor = FLOOR.copy()
     if variances is None:
@@ -138,6 +130,17 @@ def solve_pairs(
         log_likelihood=likelihood,
         iterations=iterations,
     )
+
+
+def _closed_form(
+    arrays: Arrays, keep: NDArray[np.bool_], free_scale: bool
+) -> tuple[tuple[Array, Array, Array, Array], float]:
+    """Return RX, tX, RZ, tZ by Shah's closed form, and gamma: 1 unless free."""
+    RX, RZ = starts.shah_rotations(arrays[0], arrays[2], keep)
+    ok, tX, tZ, gamma = starts.translations(RX, arrays[0], arrays[1], arrays[3], keep, free_scale)
+    if not ok:
+        raise _not_converged("the translations are not determined")
+    return (RX, tX, RZ, tZ), gamma
 
 
 def residuals(arrays: Arrays, RX: Array, tX: Array, RZ: Array, tZ: Array, gamma: float = 1.0) -> Array:
