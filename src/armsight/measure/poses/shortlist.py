@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.measure.poses.correspondence import GATE
 from armsight.measure.poses.kernels import correspondence as kernels
+from armsight.measure.poses.pairs import GATE
 from armsight.measure.poses.setup import Setup
 from armsight.measure.spots import Candidates
 from armsight.optics import SIDES
@@ -145,9 +145,19 @@ def _paired(setup: Setup, left: Candidates, right: Candidates, at_left: Index, a
     packed, slack2 = setup.packed, setup.slack_px**2
     cov = [c.sigma_px[at, None, None] ** 2 * np.eye(2) for c, at in ((left, at_left), (right, at_right))]
     index, uv, cov_px2, P, S, _ = kernels.candidate_pairs(
-        packed.k, packed.R, packed.t, packed.baseline, left.uv_px[at_left], cov[0], right.uv_px[at_right], cov[1],
-        slack2, GATE, setup.overlaid, kernels.MANY_PAIRS,
-    )  # fmt: skip
+        packed.k,
+        packed.R,
+        packed.t,
+        packed.baseline,
+        left.uv_px[at_left],
+        cov[0],
+        right.uv_px[at_right],
+        cov[1],
+        slack2,
+        GATE,
+        setup.overlaid,
+        kernels.MANY_PAIRS,
+    )
     alike = _alike(left, right, at_left[index[:, 0]], at_right[index[:, 1]])
     alike &= _sized(setup, left, right, at_left[index[:, 0]], at_right[index[:, 1]], P)
     return _CoarsePairs(index=index[alike], uv_px=uv[alike], cov_px2=cov_px2[alike], xyz_m=P[alike], cov_m2=S[alike])
@@ -189,11 +199,30 @@ def _arranged(setup: Setup, pairs: _CoarsePairs, at_left: Index, at_right: Index
     m = len(model)
     rows, chi2, poses = np.empty((ROOM, m), np.intp), np.empty(ROOM), np.empty((ROOM, 3, 4))
     found, passed, cut = kernels.search(
-        packed.k, packed.R, packed.t, model.xyz_m, model.distance_m, 0.0, model.normal,
-        np.zeros((2, max(len(at_left), len(at_right))), np.bool_), pairs.index, pairs.uv_px, pairs.cov_px2,
-        pairs.xyz_m, pairs.cov_m2, setup.slack_px**2, GATE, model.limits, np.inf, setup.overlaid, True, MOST_NODES,
-        rows, chi2, poses,
-    )  # fmt: skip
+        packed.k,
+        packed.R,
+        packed.t,
+        model.xyz_m,
+        model.distance_m,
+        0.0,
+        model.normal,
+        np.zeros((2, max(len(at_left), len(at_right))), np.bool_),
+        pairs.index,
+        pairs.uv_px,
+        pairs.cov_px2,
+        pairs.xyz_m,
+        pairs.cov_m2,
+        setup.slack_px**2,
+        GATE,
+        model.limits,
+        np.inf,
+        setup.overlaid,
+        True,
+        MOST_NODES,
+        rows,
+        chi2,
+        poses,
+    )
     at = (at_left, at_right)
     every = _used(pairs, rows[:found], at)
     likely = int(np.count_nonzero(chi2[:found] <= chi2[0] + LIKELY)) if found else 0
