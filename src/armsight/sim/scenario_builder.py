@@ -116,12 +116,7 @@ def build_world(scenario: Scenario, *, seed: int | None = None, frames: int | No
 
     Raises Inconsistent, naming the key, for a motion that the arm cannot make; UsageError for what is no room.
     """
-    if room is not None:
-        scenario = scenario.model_copy(update={"room": checked_room(room)})
-    seed = scenario.seed if seed is None else seed
-    frames = frames or scenario.frames
-    if frames < 1 or seed < 0:
-        raise UsageError(f"{frames} frames with the seed {seed} cannot be", cure="Ask for one or more, and a seed >= 0")
+    scenario, seed, frames = _as_asked(scenario, seed, frames, room)
     arm = robotics(scenario, seed)
     lights = _lights(scenario)
     ambient_level = scenario.cameras.sensor.ambient_level if scenario.room.dark else 0.0
@@ -134,12 +129,7 @@ def build_world(scenario: Scenario, *, seed: int | None = None, frames: int | No
         name=scenario.name,
         seed=seed,
         n_frames=frames,
-        timing=Timing(
-            fps=scenario.fps,
-            jitter_s=scenario.cameras.jitter_s,
-            latency_s=scenario.cameras.latency_s,
-            drop=scenario.cameras.drop,
-        ),
+        timing=_timing(scenario),
         views=("image",) if scenario.cameras.mirrors else SIDES,
         cameras=cameras,
         lights=lights,
@@ -167,6 +157,23 @@ def build_world(scenario: Scenario, *, seed: int | None = None, frames: int | No
         scenario.room, cameras, lights, (rig_path, target), seed=seed, until_s=until_s - AHEAD_S, stands=fixed
     )
     return replace(world, cameras=cameras, moving=moving)
+
+
+def _as_asked(scenario: Scenario, seed: int | None, frames: int | None, room: Any) -> tuple[Scenario, int, int]:
+    """Return the scenario with the room, the seed and the number of frames, each the file's if not given."""
+    if room is not None:
+        scenario = scenario.model_copy(update={"room": checked_room(room)})
+    seed = scenario.seed if seed is None else seed
+    frames = frames or scenario.frames
+    if frames < 1 or seed < 0:
+        raise UsageError(f"{frames} frames with the seed {seed} cannot be", cure="Ask for one or more, and a seed >= 0")
+    return scenario, seed, frames
+
+
+def _timing(scenario: Scenario) -> Timing:
+    """Return when the cameras expose, and what becomes of their frames on the way."""
+    keys = scenario.cameras
+    return Timing(fps=scenario.fps, jitter_s=keys.jitter_s, latency_s=keys.latency_s, drop=keys.drop)
 
 
 def _moving(

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from armsight.kinematics import Arm, Joint, Stop, fk, ik, preset, solve_numeric, solve_numeric_many
+from armsight.kinematics import Arm, Effort, Joint, Stop, fk, ik, preset, solve_numeric, solve_numeric_many
 from armsight.kinematics.presets import PRESETS
 
 
@@ -38,7 +38,9 @@ def test_newton_raphson_solves_the_rrp_arm_of_kapucu() -> None:
 
 def test_newton_says_that_the_jacobian_is_singular() -> None:
     arm = preset("stanford-rrp")
-    attempt = solve_numeric(arm, fk(arm, [0.4, 1.1, 0.8]), [0.4, np.pi / 2, 0.0], method="newton", max_steps=5)
+    attempt = solve_numeric(
+        arm, fk(arm, [0.4, 1.1, 0.8]), [0.4, np.pi / 2, 0.0], method="newton", effort=Effort(max_steps=5)
+    )
     target = fk(arm, [0.4, 1.1, 0.8])
     straight = preset("korayem6r")
     stretched = solve_numeric(straight, fk(straight, [0, 0.5, 0.5, 0, 1, 0]), np.zeros(6), method="newton")
@@ -67,7 +69,7 @@ def test_limits_are_kept_and_named_as_the_reason() -> None:
     assert attempt.converged
     assert arm.within_limits(attempt.q)
     tight = limited(2.9)  # 0.1 rad of room for each joint
-    blocked = solve_numeric(tight, T, restarts=2)
+    blocked = solve_numeric(tight, T, effort=Effort(restarts=2))
     assert blocked.stopped is Stop.LIMITS
     assert tight.within_limits(blocked.closest_q)
 
