@@ -173,15 +173,20 @@ def beacon_cell(
             "colour": "red",
         },
         events=(),
-        assumptions=(
-            *cameras_chosen(cameras),
-            "the baseline is Kapucu's, and the image size at the default width; all else is chosen",
-            "beacon: red, 210 grey levels in R, 17 in G, 10 in B, Gaussian of sigma 3 px; 1.5 m away on sines of 350, "
-            "250, 150 mm, periods 5 to 9 s, phases from the seed; the exposure is an instant",
-            sensor_chosen(Sensor()),
-            room_chosen(around.keys, f"30 grey levels, {clutter} soft coloured patches of 20 to 90 levels"),
-            pipeline_chosen(around.pipeline),
-        ),
+        assumptions=_beacon_assumptions(around, cameras, clutter),
+    )
+
+
+def _beacon_assumptions(around: Surroundings, cameras: Mapping[str, SimCamera], clutter: int) -> tuple[str, ...]:
+    """Return what was chosen about the cell of one beacon, a line each."""
+    return (
+        *cameras_chosen(cameras),
+        "the baseline is Kapucu's, and the image size at the default width; all else is chosen",
+        "beacon: red, 210 grey levels in R, 17 in G, 10 in B, Gaussian of sigma 3 px; 1.5 m away on sines of 350, "
+        "250, 150 mm, periods 5 to 9 s, phases from the seed; the exposure is an instant",
+        sensor_chosen(Sensor()),
+        room_chosen(around.keys, f"30 grey levels, {clutter} soft coloured patches of 20 to 90 levels"),
+        pipeline_chosen(around.pipeline),
     )
 
 
@@ -233,16 +238,21 @@ def board_cell(
         printed=board,
         poses=poses,
         behind=None if around.keys.dark else _behind(board, poses, cameras, around),
-        assumptions=(
-            *cameras_chosen(cameras),
-            f"board: {board.columns}x{board.rows} inner corners, squares of {1e3 * board.square_m:g} mm, flat, black "
-            f"{board.black:g}, white {board.white:g} levels, lens blur sigma {board.blur_px:g} px",
-            "poses: random within both views, 0.4 to 0.75 m away, tilted up to 40 deg, turned up to 20 deg",
-            sensor_chosen(Sensor()),
-            "lamps: uneven by 16 % across and 10 % down",
-            room_chosen(around.keys, f"{board.room:g} grey levels"),
-            pipeline_chosen(around.pipeline),
-        ),
+        assumptions=_board_assumptions(around, cameras, board),
+    )
+
+
+def _board_assumptions(around: Surroundings, cameras: Mapping[str, SimCamera], board: Board) -> tuple[str, ...]:
+    """Return what was chosen about the cell of a board, a line each."""
+    return (
+        *cameras_chosen(cameras),
+        f"board: {board.columns}x{board.rows} inner corners, squares of {1e3 * board.square_m:g} mm, flat, black "
+        f"{board.black:g}, white {board.white:g} levels, lens blur sigma {board.blur_px:g} px",
+        "poses: random within both views, 0.4 to 0.75 m away, tilted up to 40 deg, turned up to 20 deg",
+        sensor_chosen(Sensor()),
+        "lamps: uneven by 16 % across and 10 % down",
+        room_chosen(around.keys, f"{board.room:g} grey levels"),
+        pipeline_chosen(around.pipeline),
     )
 
 

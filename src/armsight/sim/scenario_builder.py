@@ -42,6 +42,9 @@ AHEAD_S = 0.5
 DWELL = 0.5
 """Share of a reading's time that a swept joint rests before it is read: five time constants of a lag of a tenth."""
 
+TOLD = "every number is told in the scenario's file, with its source or why it was chosen"
+"""All that is to be said of a world's assumptions."""
+
 BGR = {"red": (0.05, 0.08, 1.0), "green": (0.08, 1.0, 0.10), "blue": (1.0, 0.10, 0.05)}
 """What a coloured light gives each channel: the filters of real sensors overlap by 5 to 10 %."""
 
@@ -119,8 +122,8 @@ def build_world(scenario: Scenario, *, seed: int | None = None, frames: int | No
     scenario, seed, frames = _as_asked(scenario, seed, frames, room)
     arm = robotics(scenario, seed)
     lights = _lights(scenario)
-    ambient_level = scenario.cameras.sensor.ambient_level if scenario.room.dark else 0.0
-    cameras, rig = make_cameras(scenario.cameras, seed, ambient_level=ambient_level)
+    ambient = scenario.cameras.sensor.ambient_level if scenario.room.dark else 0.0
+    cameras, rig = make_cameras(scenario.cameras, seed, ambient_level=ambient)
     until_s = frames / scenario.fps + AHEAD_S
     T_mount_rig = scenario.cameras.T_mount_rig.pose()
     servo, T_flange_tool, rig_path, target = _moving(scenario, arm, T_mount_rig, seed, until_s)
@@ -150,11 +153,18 @@ def build_world(scenario: Scenario, *, seed: int | None = None, frames: int | No
         dropped=_events(scenario, ("dropped",)),
         cut_off=_events(scenario, ("link_lost",)),
         sweeps=_sweep_rows(scenario, frames),
-        assumptions=("every number is told in the scenario's file, with its source or why it was chosen",),
+        assumptions=(TOLD,),
     )
     _check_seen(world)
+    return _in_room(world, scenario, until_s - AHEAD_S)
+
+
+def _in_room(world: World, scenario: Scenario, until_s: float) -> World:
+    """Return the world with the scenario's room behind what the cameras see until then."""
+    paths = (world.rig_path, world.target_path)
+    stands = scenario.cameras.mount == "base"
     cameras, moving = set_room(
-        scenario.room, cameras, lights, (rig_path, target), seed=seed, until_s=until_s - AHEAD_S, stands=fixed
+        scenario.room, world.cameras, world.lights, paths, seed=world.seed, until_s=until_s, stands=stands
     )
     return replace(world, cameras=cameras, moving=moving)
 

@@ -101,12 +101,7 @@ def solve_pairs(
     keep = np.ones(len(arrays[0]), bool) if keep is None else keep
     (RX, tX, RZ, tZ), gamma = _closed_form(arrays, keep, free_scale) if start is None else (start, 1.0)
     X, Z = (RX, tX), (RZ, tZ)
-    floor = FLOOR.copy()
-    if variances is None:
-        theta = kernels.first_variances(X, Z, gamma, arrays, keep, FLOOR)
-        floor[0] = max(floor[0], LEAST_OWN * theta[0])
-    else:
-        theta = np.maximum(variances, FLOOR)
+    theta, floor = _first_variances(X, Z, gamma, arrays, keep) if variances is None else _held(variances)
     m = 13 if free_scale else 12
     to_hand = setup is Setup.EYE_TO_HAND
     done = kernels.fit_pairs(X, Z, gamma, arrays, theta, variances is None, floor, to_hand, keep, m, TOLERANCE, LIMIT)
@@ -141,6 +136,20 @@ def _closed_form(
     if not ok:
         raise _not_converged("the translations are not determined")
     return (RX, tX, RZ, tZ), gamma
+
+
+def _first_variances(
+    X: tuple[Array, Array], Z: tuple[Array, Array], gamma: float, arrays: Arrays, keep: NDArray[np.bool_]
+) -> tuple[Array, Array]:
+    """Return the variances (3,) that the residuals at the start show, and the least they may become."""
+    theta, floor = kernels.first_variances(X, Z, gamma, arrays, keep, FLOOR), FLOOR.copy()
+    floor[0] = max(floor[0], LEAST_OWN * theta[0])
+    return theta, floor
+
+
+def _held(variances: Array) -> tuple[Array, Array]:
+    """Return known variances (3,) and the least they may be."""
+    return np.maximum(variances, FLOOR), FLOOR.copy()
 
 
 def residuals(arrays: Arrays, RX: Array, tX: Array, RZ: Array, tZ: Array, gamma: float = 1.0) -> Array:

@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.measure.poses.arrangements import Scope, search_arrangements
 from armsight.measure.poses.assignment import Assignment, Match, Prediction
 from armsight.measure.poses.kernels import correspondence as kernels
-from armsight.measure.poses.pairs import GATE, SLACK_PX, Pairs
+from armsight.measure.poses.pairs import SLACK_PX, Pairs
 from armsight.measure.poses.target_model import TargetModel
 from armsight.optics import PackedRig
 from armsight.records import Spots
@@ -22,6 +23,8 @@ MARGIN = 16.0
 
 ROOM = 16
 """Hypotheses kept; a hexagon has 12."""
+
+SCOPE = Scope(room=ROOM, margin=MARGIN, most_nodes=kernels.MAX_NODES)
 
 RIVAL = 14.0
 """Fall of -2 log likelihood by which one set of spots must beat another (odds of 1000 to 1). What the calibration adds
@@ -102,41 +105,23 @@ def _search(
     packed: PackedRig, model: TargetModel, left: Spots, right: Spots, pairs: Pairs, slack_px: float
 ) -> tuple[list[Assignment] | str, int]:
     """Return all assignments within MARGIN of the best, or why there is none; and how many fit at all."""
-    m = len(model)
     if not pairs.complete:
         return f"more than {kernels.MAX_PAIRS} pairs of spots could belong together: {_FEWER}", 0
-    rows, chi2 = np.empty((ROOM, m), np.intp), np.empty(ROOM)
-    poses = np.empty((ROOM, 3, 4))
-    found, passed, cut = kernels.search(
-        packed.k,
-        packed.R,
-        packed.t,
-        model.xyz_m,
-        model.distance_m,
-        model.radius_m,
-        model.normal,
+    found = search_arrangements(
+        packed,
+        model,
+        pairs,
         _outlines(model, left, right),
-        pairs.index,
-        pairs.uv_px,
-        pairs.cov_px2,
-        pairs.xyz_m,
-        pairs.cov_m2,
-        slack_px**2,
-        GATE,
-        model.limits,
-        MARGIN,
-        pairs.overlaid,
-        False,
-        kernels.MAX_NODES,
-        rows,
-        chi2,
-        poses,
+        radius_m=model.radius_m,
+        slack_px=slack_px,
+        scope=SCOPE,
     )
-    if cut:
+    if found.cut:
         return f"too many arrangements of the spots are possible: {_FEWER}", 0
-    if not found:
+    if not len(found.rows):
         return f"no arrangement of the {len(left)} and {len(right)} spots seen is the target's", 0
-    return [_assignment(model, rows[h], float(chi2[h]), poses[h]) for h in range(found)], int(passed)
+    every = zip(found.rows, found.chi2.tolist(), found.poses, strict=True)
+    return [_assignment(model, rows, chi2, pose) for rows, chi2, pose in every], found.passed
 
 
 def _outlines(model: TargetModel, left: Spots, right: Spots) -> NDArray[np.bool_]:

@@ -110,11 +110,8 @@ def solve_pose(
     state, wide, chi2 = kernels.solve_named(
         packed.k, packed.R, packed.t, uv_px, cov_px2, slack_px**2, xyz_m, radius_m, normal, P, S, T, C, residual
     )
-    if state in (kernels.NO_WEIGHT, kernels.NO_POINT):
-        return Solved(pose=lost(t_s, _WHY[state]), points=no_points(), fits=False)
     if state != kernels.SOLVED:
-        seen = _placed(packed, names, P, S, cov_px2, residual)
-        return Solved(pose=position_only(t_s, seen, _WHY[state]), points=seen.points, fits=state == kernels.OPEN)
+        return _unsolved(state, packed, t_s, spots, P, S, residual)
     if not wide <= limit:
         return Solved(pose=lost(t_s, _not_the_target(residual)), points=no_points(), fits=False)
     carried = packed.covariance if covariance is None else covariance
@@ -135,6 +132,16 @@ def solve_pose(
         A = _slopes(packed, cov_px2, P, S)
         S += A @ packed.covariance @ A.transpose(0, 2, 1)
     return _whole(t_s, trusted(Points, names=names, xyz_m=P, covariance_m2=S), T, C, residual, systematic)
+
+
+def _unsolved(
+    state: int, packed: PackedRig, t_s: float, spots: NamedSpots, P: Array, S: Array, residual: Array
+) -> Solved:
+    """Return what is left where the fit did not come to a pose: the position of the points, if there are any."""
+    if state in (kernels.NO_WEIGHT, kernels.NO_POINT):
+        return Solved(pose=lost(t_s, _WHY[state]), points=no_points(), fits=False)
+    seen = _placed(packed, spots.names, P, S, spots.cov_px2, residual)
+    return Solved(pose=position_only(t_s, seen, _WHY[state]), points=seen.points, fits=state == kernels.OPEN)
 
 
 def _not_the_target(residual: Array) -> str:
