@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import pickle
+import re
 
 import pytest
 
@@ -12,11 +13,24 @@ from armsight import errors
 CLASSES = [c for _, c in inspect.getmembers(errors, inspect.isclass) if c.__module__ == errors.__name__]
 
 
-def test_the_drawing_names_every_class() -> None:
-    drawn = {line.split()[-1] if line.strip().endswith("Error") else line for line in errors.__doc__.splitlines()}
-    text = "\n".join(drawn)
-    assert all(cls.__name__ in text for cls in CLASSES)
-    assert all(issubclass(cls, errors.ArmsightError) for cls in CLASSES)
+def drawn() -> dict[str, tuple[str, int]]:
+    """Parent and exit code of every class as errors.py draws them; a code stands for the branch below it."""
+    parents: list[tuple[int, str, int]] = []
+    found: dict[str, tuple[str, int]] = {}
+    for line in (errors.__doc__ or "").splitlines():
+        match = re.match(r"([│├└─ ]*)([A-Z]\w+)(?: +exit code (\d+))?", line)
+        if match is None or match[2] not in {cls.__name__ for cls in CLASSES}:
+            continue
+        depth = len(match[1])
+        parents = [row for row in parents if row[0] < depth]
+        code = int(match[3]) if match[3] else parents[-1][2]
+        found[match[2]] = (parents[-1][1] if parents else "Exception", code)
+        parents.append((depth, match[2], code))
+    return found
+
+
+def test_the_drawing_is_the_tree() -> None:
+    assert drawn() == {cls.__name__: (cls.__bases__[0].__name__, cls.exit_code) for cls in CLASSES}
 
 
 @pytest.mark.parametrize(

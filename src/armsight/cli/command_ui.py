@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 import os
 import signal
 import sys
@@ -67,7 +65,9 @@ class CommandUI:
         """Give the command's result; printed only with --json."""
         self._end_bar()
         if self._as_json:
-            sys.stdout.write(json.dumps(_finite(content), ensure_ascii=False, allow_nan=False) + "\n")
+            from armsight.store.atomic import json_text  # imported here: --help needs no files
+
+            sys.stdout.write(json_text(content, indent=None) + "\n")
             sys.stdout.flush()
 
     def __enter__(self) -> Self:
@@ -215,14 +215,3 @@ def log_path() -> Path:
     if not given and not os.access(next(path for path in (folder, *folder.parents) if path.exists()), os.W_OK):
         folder = Path(tempfile.gettempdir())
     return folder / f"armsight-{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}.log"
-
-
-def _finite(value: Any) -> Any:
-    """Return value fit for strict JSON: what is not finite (no data) becomes null."""
-    if isinstance(value, Mapping):
-        return {str(key): _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else None
-    return value

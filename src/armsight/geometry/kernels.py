@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import cos, sin, sqrt
+from math import atan2, cos, sin, sqrt
 
 import numpy as np
 
@@ -30,6 +30,31 @@ def rotation_from_rotvec(w, R):
     R[2, 0] = b * x * z - a * y
     R[2, 1] = b * y * z + a * x
     R[2, 2] = 1.0 - b * (x * x + y * y)
+
+
+@kernel
+def rotvec_of(R, w):
+    """Fill w (3,) with the rotation vector of R (3, 3), by the largest entry of the quaternion (Shepperd 1978)."""
+    trace = R[0, 0] + R[1, 1] + R[2, 2]
+    best, index = trace, 3
+    for i in range(3):
+        if R[i, i] > best:
+            best, index = R[i, i], i
+    q = np.empty(4)
+    if index == 3:
+        q[0], q[1], q[2] = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
+        q[3] = 1.0 + trace
+    else:
+        i, j, k = index, (index + 1) % 3, (index + 2) % 3
+        q[i] = 1.0 + 2.0 * R[i, i] - trace
+        q[j] = R[j, i] + R[i, j]
+        q[k] = R[k, i] + R[i, k]
+        q[3] = R[k, j] - R[j, k]
+    s = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2])
+    angle = 2.0 * atan2(s, abs(q[3]))
+    f = (angle / s if s > 0.0 else 0.0) * (1.0 if q[3] >= 0.0 else -1.0)
+    for m in range(3):
+        w[m] = f * q[m]
 
 
 @kernel

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.errors import Inconsistent
+from armsight.geometry.lie import skew
 
 Array = NDArray[np.float64]
 
@@ -102,12 +103,6 @@ def is_close(a: RigidTransform, b: RigidTransform, *, tol_m: float, tol_rad: flo
     return bool(np.linalg.norm(difference[:3]) <= tol_m and np.linalg.norm(difference[3:]) <= tol_rad)
 
 
-def cross_matrix(v: ArrayLike) -> Array:
-    """Return the (3, 3) matrix that takes the cross product with v (3,) from the left."""
-    x, y, z = np.asarray(v, float)
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-
-
 def moved_parent_covariance(T_a_b: RigidTransform, covariance_b_c: Array) -> Array:
     """Return the covariance (6, 6) of T_a_c = T_a_b * T_b_c for an exact T_a_b."""
     A = np.kron(np.eye(2), T_a_b.rotation.as_matrix())  # (6, 6)
@@ -120,7 +115,7 @@ def compose_covariance(
     """Return the covariance (6, 6) of T_a_c = T_a_b * T_b_c, first order, both factors independent."""
     R = T_a_b.rotation.as_matrix()  # (3, 3)
     lever = np.eye(6)
-    lever[:3, 3:] = -cross_matrix(R @ np.asarray(T_b_c.translation))  # dw x (R t)
+    lever[:3, 3:] = -skew(R @ np.asarray(T_b_c.translation))  # dw x (R t)
     return np.asarray(lever @ covariance_a_b @ lever.T) + moved_parent_covariance(T_a_b, covariance_b_c)
 
 
@@ -129,6 +124,6 @@ def inverse_covariance(T_a_b: RigidTransform, covariance_a_b: Array) -> Array:
     Rt = T_a_b.rotation.as_matrix().T  # (3, 3)
     A = np.zeros((6, 6))
     A[:3, :3] = -Rt
-    A[:3, 3:] = -Rt @ cross_matrix(np.asarray(T_a_b.translation))
+    A[:3, 3:] = -Rt @ skew(np.asarray(T_a_b.translation))
     A[3:, 3:] = -Rt
     return np.asarray(A @ covariance_a_b @ A.T)

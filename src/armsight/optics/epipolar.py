@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armsight.geometry.poses import cross_matrix
+from armsight.geometry.lie import skew
 from armsight.optics.kernels import rays as kernels
 from armsight.optics.packed import PackedRig
 from armsight.optics.rig import Rig
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 def fundamental_matrix(rig: Rig) -> Array:
     """Return F (3, 3), of unit norm, with (u, v, 1)_right F (u, v, 1)_left = 0 for undistorted pixels."""
     T_right_left = rig.T_rig_right.inv() * rig.T_rig_left
-    E = cross_matrix(T_right_left.translation) @ T_right_left.rotation.as_matrix()  # (3, 3) essential
+    E = skew(T_right_left.translation) @ T_right_left.rotation.as_matrix()  # (3, 3) essential
     F = np.linalg.inv(rig.right.matrix).T @ E @ np.linalg.inv(rig.left.matrix)
     return np.asarray(F / np.linalg.norm(F))
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from armsight.kinematics import Arm, Effort, Joint, Stop, fk, ik, preset, solve_numeric, solve_numeric_many
+from armsight.kinematics.forward_kinematics import ALL_CORES_FROM
 from armsight.kinematics.presets import PRESETS
 
 
@@ -37,16 +38,29 @@ def test_newton_raphson_solves_the_rrp_arm_of_kapucu() -> None:
 
 
 def test_newton_says_that_the_jacobian_is_singular() -> None:
-    arm = preset("stanford-rrp")
-    attempt = solve_numeric(
-        arm, fk(arm, [0.4, 1.1, 0.8]), [0.4, np.pi / 2, 0.0], method="newton", effort=Effort(max_steps=5)
-    )
-    target = fk(arm, [0.4, 1.1, 0.8])
     straight = preset("korayem6r")
     stretched = solve_numeric(straight, fk(straight, [0, 0.5, 0.5, 0, 1, 0]), np.zeros(6), method="newton")
     assert stretched.stopped is Stop.SINGULAR  # elbow and wrist straight at the start
-    assert np.isfinite(attempt.closest_q).all()
-    assert target.shape == (4, 4)
+
+
+def test_newton_gives_the_closest_values_where_its_steps_run_out() -> None:
+    """From afar the first steps overshoot: what comes nearest is kept, and it is told."""
+    arm = preset("stanford-rrp")
+    target, start = fk(arm, [0.4, 1.1, 0.8]), np.array([1.4, 0.3, 0.1])
+    attempt = solve_numeric(arm, target, start, method="newton", effort=Effort(max_steps=2))
+    assert not attempt.converged and attempt.stopped is not Stop.SINGULAR
+
+    def away_m(q: np.ndarray) -> float:
+        return float(np.linalg.norm(fk(arm, q)[:3, 3] - target[:3, 3]))
+
+    assert away_m(attempt.closest_q) <= away_m(start)
+
+
+def test_batches_on_all_cores_are_those_on_one() -> None:
+    """Also where the last chunk is a single row."""
+    arm = preset("puma761")
+    q = np.random.default_rng(3).uniform(-1.0, 1.0, (ALL_CORES_FROM + 1, arm.n))
+    np.testing.assert_array_equal(fk(arm, q), fk(arm, q, all_cores=False))
 
 
 def test_the_position_alone_leaves_the_orientation_free() -> None:

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from armsight.calibrate.handeye.kernels import closed_forms as starts
 from armsight.calibrate.handeye.pairs import Array, Arrays, Setup
 from armsight.errors import Inconsistent
+from armsight.geometry.kernels import rotvec_of
 from armsight.units import DEG
 
 SAMPLE = 4
@@ -238,7 +239,7 @@ def _turns(R: Array) -> Array:
     U, _, Vt = np.linalg.svd(R.mean(axis=0))
     middle = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
     for i, turn in enumerate(R @ middle.T):
-        starts.log_rotation(turn, out[i])
+        rotvec_of(turn, out[i])
     return out
 
 

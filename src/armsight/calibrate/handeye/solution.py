@@ -14,6 +14,7 @@ from armsight.calibrate.handeye.kernels import fit as kernels
 from armsight.calibrate.handeye.kernels import noise as noise_kernels
 from armsight.calibrate.handeye.pairs import Array, Arrays, Setup
 from armsight.errors import NotConverged
+from armsight.geometry.kernels import rotvec_of
 
 FLOOR = np.array([1e-22, 1e-22, 1e-24])
 """Variances are kept above (0.01 nm)^2 and (1e-11 rad)^2, so that exact data can be fitted as well."""
@@ -161,7 +162,7 @@ def residuals(arrays: Arrays, RX: Array, tX: Array, RZ: Array, tZ: Array, gamma:
     out[:, :3] = tB - gamma * t
     turn = RB @ (P @ RZ).transpose(0, 2, 1)
     for i in range(len(RF)):
-        starts.log_rotation(turn[i], out[i, 3:])
+        rotvec_of(turn[i], out[i, 3:])
     return out
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.calibrate.identify.kernels import arc_places
+from armsight.geometry.lie import skew
 
 Array = NDArray[np.float64]
 
@@ -19,11 +20,6 @@ def basis(direction: Array) -> Array:
     x = x - (x @ z) * z
     x /= np.linalg.norm(x)
     return np.stack([x, skew(z) @ x, z], axis=1)
-
-
-def skew(a: Array) -> Array:
-    """Return the matrix (3, 3) of the cross product with a."""
-    return np.array([[0.0, -a[2], a[1]], [a[2], 0.0, -a[0]], [-a[1], a[0], 0.0]])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, chdtri
 
-from armsight.calibrate.identify.curves import ARC, CIRCLE, LINE, Tilt, arc, basis, circle_of, line, skew
+from armsight.calibrate.identify.curves import ARC, CIRCLE, LINE, Tilt, arc, basis, circle_of, line
 from armsight.calibrate.identify.residuals import SweepResiduals
 from armsight.errors import NotConverged
 from armsight.fitting import Evaluation, Fit, Loss, LossKind, Problem, Settings, solve
+from armsight.geometry.lie import skew
 from armsight.records import NamedCovariance
 
 Array = NDArray[np.float64]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.calibrate.identify.chain import Axis
-from armsight.calibrate.identify.curves import skew
+from armsight.geometry.lie import skew
 from armsight.kinematics import Arm, Joint, JointType, link_to_line
 from armsight.records import NamedCovariance
 

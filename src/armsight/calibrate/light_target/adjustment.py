@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from armsight.calibrate.light_target.align import hat
 from armsight.calibrate.light_target.kernels import projection as kernels
 from armsight.calibrate.light_target.layout import Layout
 from armsight.fitting import Evaluation, Fit, Problem, solve
+from armsight.geometry.lie import skew
 from armsight.optics import RIG_PARAMETERS, PackedRig, Rig
 from armsight.optics.parallelism import moved_rig
 
@@ -92,7 +92,7 @@ def _evaluate(
     turned, uv, J = _project(packed, layout, shared, local)
     WJ = whiten @ J  # (g, n, 2, 2, 3)
     residuals = (whiten @ (uv - sightings.uv_px)[..., None]).reshape(g, -1)
-    own = np.concatenate([WJ, -WJ @ hat(turned)[:, :, None]], axis=-1).reshape(g, 4 * n, 6)
+    own = np.concatenate([WJ, -WJ @ skew(turned)[:, :, None]], axis=-1).reshape(g, 4 * n, 6)
     R = _rotations(local)
     shape = (WJ @ R[:, None, None] @ layout.basis.reshape(1, n, 1, 3, -1)).reshape(g, 4 * n, -1)
     if layout.on_line:  # a row without residual that holds the turn about the line

@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from armsight.geometry.lie import skew
+
 Array = NDArray[np.float64]
 
 STEPS = 6
@@ -25,7 +27,7 @@ def align(X: Array, P: Array, W: Array) -> tuple[Array, Array, Array]:
     for _ in range(STEPS):
         q = np.einsum("bij,bnj->bni", R, X)
         e = P - q - t[:, None]
-        J = np.concatenate([np.broadcast_to(np.eye(3), (*q.shape, 3)), -hat(q)], axis=-1)  # (b, n, 3, 6)
+        J = np.concatenate([np.broadcast_to(np.eye(3), (*q.shape, 3)), -skew(q)], axis=-1)  # (b, n, 3, 6)
         WJ = W @ J
         H = np.einsum("bnia,bnic->bac", J, WJ)
         g = np.einsum("bnia,bni->ba", WJ, e)
@@ -36,13 +38,6 @@ def align(X: Array, P: Array, W: Array) -> tuple[Array, Array, Array]:
         t = t + step[:, :3]
     e = P - np.einsum("bij,bnj->bni", R, X) - t[:, None]
     return R, t, np.einsum("bni,bnij,bnj->b", e, W, e)
-
-
-def hat(v: Array) -> Array:
-    """Return (..., 3, 3): hat(v) w = v x w."""
-    x, y, z = np.moveaxis(v, -1, 0)
-    o = np.zeros_like(x)
-    return np.moveaxis(np.array([[o, -z, y], [z, o, -x], [-y, x, o]]), (0, 1), (-2, -1))
 
 
 def _kabsch(X: Array, P: Array) -> tuple[Array, Array]:

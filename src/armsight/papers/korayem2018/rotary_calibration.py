@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
 from armsight.fitting import Evaluation, Fit, Problem, Settings, solve
 from armsight.geometry import pose_difference
-from armsight.geometry.poses import cross_matrix
+from armsight.geometry.lie import skew
 from armsight.papers.korayem2018.rotary_base import RotaryBase
 from armsight.records import NamedCovariance, PoseStatus, TargetPose
 
@@ -200,7 +200,7 @@ def _slope(base: RotaryBase, predicted: RigidTransform, angle: float, e1: Array,
     J = np.zeros((6, 10))
     turns = D @ np.column_stack([np.cross(base.direction, e1), np.cross(base.direction, e2)])
     arm = np.asarray(predicted.translation) - base.point_m
-    J[:3, :2] = -cross_matrix(arm) @ turns
+    J[:3, :2] = -skew(arm) @ turns
     J[3:, :2] = turns
     J[:3, 2:4] = D @ E
     J[:3, 4:7] = Q

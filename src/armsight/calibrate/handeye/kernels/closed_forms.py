@@ -5,12 +5,13 @@ F_i X B_i = Z, with F the robot's pose as the fit sees it (see kernels.fit), rot
 
 from __future__ import annotations
 
-from math import atan2, sqrt
+from math import sqrt
 
 import numpy as np
 
 from armsight._numba import kernel
 from armsight.fitting.kernels import solve_damped
+from armsight.geometry.kernels import rotvec_of
 
 MEDIAN_NORM = 1.538
 """Median length of a vector of three standard normals."""
@@ -33,36 +34,6 @@ def multiply_t(A, B, out):
     for i in range(3):
         for j in range(3):
             out[i, j] = A[i, 0] * B[j, 0] + A[i, 1] * B[j, 1] + A[i, 2] * B[j, 2]
-
-
-@kernel
-def log_rotation(R, w):
-    """Fill w (3,) with the rotation vector of R (3, 3), at any angle; through the quaternion's largest entry."""
-    trace = R[0, 0] + R[1, 1] + R[2, 2]
-    if trace > 0.0:
-        qw = 0.5 * sqrt(1.0 + trace)
-        f = 0.25 / qw
-        x, y, z = (R[2, 1] - R[1, 2]) * f, (R[0, 2] - R[2, 0]) * f, (R[1, 0] - R[0, 1]) * f
-    else:
-        i = 0
-        if R[1, 1] > R[0, 0]:
-            i = 1
-        if R[2, 2] > R[i, i]:
-            i = 2
-        j, k = (i + 1) % 3, (i + 2) % 3
-        big = 0.5 * sqrt(max(1.0 + R[i, i] - R[j, j] - R[k, k], 1e-300))
-        f = 0.25 / big
-        q = np.empty(3)
-        q[i] = big
-        q[j] = (R[j, i] + R[i, j]) * f
-        q[k] = (R[k, i] + R[i, k]) * f
-        qw = (R[k, j] - R[j, k]) * f
-        x, y, z = q[0], q[1], q[2]
-    if qw < 0.0:
-        x, y, z, qw = -x, -y, -z, -qw
-    s = sqrt(x * x + y * y + z * z)
-    f = 2.0 if s < 1e-12 else 2.0 * atan2(s, qw) / s
-    w[0], w[1], w[2] = x * f, y * f, z * f
 
 
 @kernel
@@ -157,9 +128,9 @@ def sample_rotation(Rf, Rb, index):
         for j in range(i):
             p, q = index[i], index[j]
             multiply(Rf[q].T, Rf[p], R)
-            log_rotation(R, a)
+            rotvec_of(R, a)
             multiply_t(Rb[q], Rb[p], R)
-            log_rotation(R, b)
+            rotvec_of(R, b)
             for r in range(3):
                 for c in range(3):
                     M[r, c] += a[r] * b[c]
@@ -179,7 +150,7 @@ def rotation_errors(RX, RZ, Rf, Rb, out):
         multiply(Rf[i], RX, P)
         multiply(P, Rb[i], Q)
         multiply_t(Q, RZ, P)
-        log_rotation(P, w)
+        rotvec_of(P, w)
         out[i] = sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
 
 

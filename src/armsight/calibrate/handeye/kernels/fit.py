@@ -14,7 +14,7 @@ from math import sqrt
 import numpy as np
 
 from armsight._numba import kernel
-from armsight.calibrate.handeye.kernels.closed_forms import log_rotation, multiply, multiply_t
+from armsight.calibrate.handeye.kernels.closed_forms import multiply, multiply_t
 from armsight.calibrate.handeye.kernels.noise import (
     factor_invert,
     lever_frame,
@@ -24,7 +24,7 @@ from armsight.calibrate.handeye.kernels.noise import (
     whitener,
 )
 from armsight.fitting.kernels import solve_damped
-from armsight.geometry.kernels import rotate_left
+from armsight.geometry.kernels import rotate_left, rotvec_of
 
 LINEAR = 30.0
 """Within so many standard deviations of the answer the residuals follow the parameters linearly, to a share of the
@@ -47,7 +47,7 @@ def residual(Rx, tx, Rz, tz, gamma, Rf, tf, Rb, tb, e, P, t_hat, work):
         e[i] = tb[i] - gamma * t_hat[i]
     multiply(P, Rz, work[0])
     multiply_t(Rb, work[0], work[1])
-    log_rotation(work[1], e[3:])
+    rotvec_of(work[1], e[3:])
 
 
 @kernel
