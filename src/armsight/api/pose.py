@@ -32,6 +32,15 @@ if TYPE_CHECKING:
 
 POSE_NAMES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 
+BAND: dict[str, Any] = {
+    "mode": "lines",
+    "line": {"width": 0},
+    "fillcolor": "rgba(31,119,180,0.25)",
+    "hoverinfo": "skip",
+    "showlegend": False,
+}
+"""How the edges of a plot's band of deviations look."""
+
 
 def LightTarget(
     lights_m: dict[str, tuple[float, float, float]],
@@ -173,9 +182,10 @@ class PoseTracker:
         """
         if not np.isfinite(t_s) or (self._poses and not t_s > self._poses[-1].t_s):
             raise Inconsistent(
-                f"the time {t_s:g} s does not come after the one before", consequence="The pair cannot be tracked",
+                f"the time {t_s:g} s does not come after the one before",
+                consequence="The pair cannot be tracked",
                 cure="Give the times of the exposures in seconds, in order; reset() for another recording",
-            )  # fmt: skip
+            )
         if self._setup is None or self._check is None or self._setup.overlaid != (right is None):
             self._setup = _setup(self._rig, self._target, self._settings, right is None)
             self._check = RunCheck(self._setup)
@@ -285,12 +295,8 @@ class PoseTrack(Result):
             band = scale * 1.96 * table[f"s{name}"]
             value = scale * table[name]
             for sign, fill in ((-1.0, None), (1.0, "tonexty")):
-                figure.add_trace(
-                    go.Scatter(
-                        x=table["t_s"], y=value + sign * band, mode="lines", line={"width": 0}, fill=fill,
-                        fillcolor="rgba(31,119,180,0.25)", hoverinfo="skip", showlegend=False,
-                    ), row=i, col=1,
-                )  # fmt: skip
+                edge = go.Scatter(x=table["t_s"], y=value + sign * band, fill=fill, **BAND)
+                figure.add_trace(edge, row=i, col=1)
             figure.add_trace(go.Scatter(x=table["t_s"], y=value, name=label, mode="lines+markers"), row=i, col=1)
             figure.update_yaxes(title_text=f"{label}, {unit}", row=i, col=1)
         figure.update_xaxes(title_text="t, s", row=6, col=1)
@@ -301,9 +307,10 @@ class PoseTrack(Result):
 def _setup(rig: Rig, target: Target, settings: SpotSettings, one_image: bool) -> Setup:
     if one_image and rig.kind is not RigKind.MIRROR:
         raise Inconsistent(
-            "there is no right image, and the rig has two cameras", consequence="There is nothing to triangulate with",
+            "there is no right image, and the rig has two cameras",
+            consequence="There is nothing to triangulate with",
             cure="Give both images; one image holds both views only of a mirror rig",
-        )  # fmt: skip
+        )
     return Setup(rig, target, settings, overlaid=one_image)
 
 

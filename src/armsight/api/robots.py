@@ -183,9 +183,10 @@ def calibrate_tool_tip(
     given = None if covariances is None else np.asarray(covariances, float)
     if given is not None and given.shape != (len(poses), 6, 6):
         raise Inconsistent(
-            f"{len(poses)} poses and covariances of shape {given.shape}", consequence="They do not belong together",
+            f"{len(poses)} poses and covariances of shape {given.shape}",
+            consequence="They do not belong together",
             cure="Give covariances (n, 6, 6)",
-        )  # fmt: skip
+        )
     point = None
     if point_m is not None:
         point = MeasuredPoint(xyz_m=as_vectors(point_m, 3, "point_m", single=True), sigma_m=point_std_m)
@@ -254,9 +255,10 @@ def identify_arm(
     moving = _joint_numbers(joint, len(places))
     if len(readings) != len(places):
         raise Inconsistent(
-            f"{len(readings)} rows of q and {len(places)} of xyz_m", consequence="Nobody knows which belong together",
+            f"{len(readings)} rows of q and {len(places)} of xyz_m",
+            consequence="Nobody knows which belong together",
             cure="Give one row of each per reading",
-        )  # fmt: skip
+        )
     pixels = None if uv_px is None else np.asarray(uv_px, float)
     sweeps = Sweeps(joint=moving - 1, q=readings, xyz_m=places, uv_px=pixels)
     return ArmIdentification(detail=identify(sweeps, rig=rig if pixels is not None else None, name=name))

@@ -171,10 +171,18 @@ def write_joint_path(
     if len(track.q):
         write_joints(out, Motion(t_s=t_s[: len(track.q)], q=model.readings(track.q)))
     issues = [
-        {"kind": i.trouble.value, "first": i.first, "last": i.last, "worst": i.worst, "joint": i.joint,
-         "value": i.value, "limit": i.limit, "text": i.text}
+        {
+            "kind": i.trouble.value,
+            "first": i.first,
+            "last": i.last,
+            "worst": i.worst,
+            "joint": i.joint,
+            "value": i.value,
+            "limit": i.limit,
+            "text": i.text,
+        }
         for i in track.issues
-    ]  # fmt: skip
+    ]
     return {
         "arm": model.name,
         "n": len(targets),

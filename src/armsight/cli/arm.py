@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -45,30 +45,7 @@ def arm(
             world=world,
         )
         content = run_calibrate_arm(job)
-        named = [("rows used", content), ("rows left out by cross-validation", content["crossval"])]
-        named += [("rows of the holdout", content["holdout"])] if "holdout" in content else []
-        errors = [(name, part["before"], part["after"]) for name, part in named]
-        rows = [
-            [name, *(figure(MM * part[key], 4) for part in (before, after) for key in ("mean_m", "max_m"))]
-            for name, before, after in errors
-        ]
-        face.table("Error at the tool's point, mm", ["", "before: mean", "max", "after: mean", "max"], rows)
-        freed = [[name, _shown(name, content["corrections"][name]), _shown(name, content["std"][name])]
-                 for name in content["free"]]  # fmt: skip
-        if freed:
-            face.table("Corrections", ["", "mm, deg or share", "+-"], freed)
-        face.say(content["verdict"])
-        if content["still"]:
-            face.say("Did not move: " + ", ".join(content["still"]) + ". Nothing of them is corrected by these rows.")
-        for item in content["outliers"][:8]:
-            face.say(f"  row {item['row']} misses by {figure(MM * item['error_m'])} mm")
-        for q in content.get("proposals", ()):
-            face.say("  measure at " + ", ".join(f"{value:.4f}" for value in q))
-        if "expected_std" in content:
-            expected = [[name, _shown(name, value)] for name, value in content["expected_std"].items()]
-            face.table("Deviations to expect with those measured too", ["", "mm, deg or share: +-"], expected)
-        face.say(f"Result: {out}; open {out.with_suffix('.report.html')}")
-        face.result(content)
+        _tell(content, out, face)
 
 
 def robot_world(
@@ -90,6 +67,34 @@ def robot_world(
         for item in content["rejected"][:8]:
             face.say(f"  left out: row {item['row']}: {item['why']}")
         face.result(content)
+
+
+def _tell(content: dict[str, Any], out: Path, face: CommandUI) -> None:
+    """Print what was corrected, how well it does, and what to measure next."""
+    named = [("rows used", content), ("rows left out by cross-validation", content["crossval"])]
+    named += [("rows of the holdout", content["holdout"])] if "holdout" in content else []
+    errors = [(name, part["before"], part["after"]) for name, part in named]
+    rows = [
+        [name, *(figure(MM * part[key], 4) for part in (before, after) for key in ("mean_m", "max_m"))]
+        for name, before, after in errors
+    ]
+    face.table("Error at the tool's point, mm", ["", "before: mean", "max", "after: mean", "max"], rows)
+    corrections, std = content["corrections"], content["std"]
+    freed = [[name, _shown(name, corrections[name]), _shown(name, std[name])] for name in content["free"]]
+    if freed:
+        face.table("Corrections", ["", "mm, deg or share", "+-"], freed)
+    face.say(content["verdict"])
+    if content["still"]:
+        face.say("Did not move: " + ", ".join(content["still"]) + ". Nothing of them is corrected by these rows.")
+    for item in content["outliers"][:8]:
+        face.say(f"  row {item['row']} misses by {figure(MM * item['error_m'])} mm")
+    for q in content.get("proposals", ()):
+        face.say("  measure at " + ", ".join(f"{value:.4f}" for value in q))
+    if "expected_std" in content:
+        expected = [[name, _shown(name, value)] for name, value in content["expected_std"].items()]
+        face.table("Deviations to expect with those measured too", ["", "mm, deg or share: +-"], expected)
+    face.say(f"Result: {out}; open {out.with_suffix('.report.html')}")
+    face.result(content)
 
 
 def add_to(calibrate: typer.Typer) -> None:

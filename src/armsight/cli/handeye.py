@@ -117,8 +117,8 @@ def pivot(
             sigma_m=point_sigma,
         )
         content = run_pivot(job, face.progress("pivoting"))
-        rows = [[a, figure(MM * content["tip_m"][i], 6), figure(MM * content["std"][f"{a}_m"], 2)]
-                for i, a in enumerate("xyz")]  # fmt: skip
+        tip, std = content["tip_m"], content["std"]
+        rows = [[a, figure(MM * tip[i], 6), figure(MM * std[f"{a}_m"], 2)] for i, a in enumerate("xyz")]
         face.table("Tip", ["", "mm", "+-"], rows)
         said = "good enough" if content["reached"] else "not yet as good as wanted: pivot on, or lower the goal"
         face.say(f"{content['n_used']} poses, {said}. Result: {out}")

@@ -113,15 +113,22 @@ def run_identify_live(
             return {"plan": content, "notes": content["notes"]}
         _ask(person, f"Move {robot.name} along {len(plan.sweeps)} sweeps as planned?")
         sweeps = _swept(job, plan, robot, sweeper)
-    file = job.out.with_suffix(".sweep.csv")
-    done = identified(
-        IdentifyJob(
-            out=job.out, sweep=file, rig=job.rig, target=job.target, world=job.world, method=job.method,
-            sigma=job.sigma, nominal=job.nominal,
-        ),
-        sweeps, rig,
-    )  # fmt: skip
+    done = identified(_from_sweeps(job), sweeps, rig)
     return {**done, "plan": content}
+
+
+def _from_sweeps(job: LiveJob) -> IdentifyJob:
+    """Return what is left to do once the sweeps are read: the same as from their file."""
+    return IdentifyJob(
+        out=job.out,
+        sweep=job.out.with_suffix(".sweep.csv"),
+        rig=job.rig,
+        target=job.target,
+        world=job.world,
+        method=job.method,
+        sigma=job.sigma,
+        nominal=job.nominal,
+    )
 
 
 def read_limits(text: str) -> Array:
@@ -164,9 +171,14 @@ def plan_content(plan: Plan, notes: Sequence[str] = ()) -> dict[str, Any]:
     return {
         "sweeps": [
             {
-                "joint": sweep.joint + 1, "from": float(sweep.q[0, sweep.joint]), "to": float(sweep.q[-1, sweep.joint]),
-                "readings": len(sweep.q), "rest": sweep.q[0].tolist(), "way": sweep.way.tolist(),
-                "radius_m": sweep.radius_m, "ended_by": list(sweep.ends),
+                "joint": sweep.joint + 1,
+                "from": float(sweep.q[0, sweep.joint]),
+                "to": float(sweep.q[-1, sweep.joint]),
+                "readings": len(sweep.q),
+                "rest": sweep.q[0].tolist(),
+                "way": sweep.way.tolist(),
+                "radius_m": sweep.radius_m,
+                "ended_by": list(sweep.ends),
             }
             for sweep in plan.sweeps
         ],
@@ -175,15 +187,16 @@ def plan_content(plan: Plan, notes: Sequence[str] = ()) -> dict[str, Any]:
         ],
         "noise_px": plan.sigma_px,
         "notes": [*notes, *plan.notes],
-    }  # fmt: skip
+    }
 
 
 def _check(job: LiveJob, target: Target) -> None:
     if len(target.names) != 1:
         raise UsageError(
-            f"the target has {len(target.names)} points", consequence="Which is the beacon is open",
+            f"the target has {len(target.names)} points",
+            consequence="Which is the beacon is open",
             cure="Give a target of one light (--target)",
-        )  # fmt: skip
+        )
     if job.model is not None and job.world is None:
         raise UsageError("a model needs the rig's place", cure="Give --world beside --model")
     if not 0.0 < job.pace.speed <= 1.0 or job.readings < 4 or job.pace.frames < 1:

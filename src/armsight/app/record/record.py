@@ -115,10 +115,7 @@ def record_pairs(
         recorder = Recorder(writer, job.kind, live=live)
         try:
             with writer:
-                for name, path in (files or {}).items():
-                    writer.attach(name, path.read_bytes())
-                if rig is not None:
-                    writer.rig(start_s, rig)
+                _attach(writer, files or {}, rig, start_s)
                 with recorder:
                     _pump(job, chain([first], source), recorder, tally, progress or Silent(), clock or SystemClock())
         except ArmsightError as error:
@@ -136,6 +133,14 @@ def record_pairs(
         size=job.out.stat().st_size,
         skew=skew,
     )
+
+
+def _attach(writer: RecordingWriter, files: Mapping[str, Path], rig: Rig | None, start_s: float) -> None:
+    """Write what goes into the recording before the frames."""
+    for name, path in files.items():
+        writer.attach(name, path.read_bytes())
+    if rig is not None:
+        writer.rig(start_s, rig)
 
 
 @dataclass(slots=True)
