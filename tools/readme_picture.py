@@ -43,7 +43,7 @@ def main() -> None:
         rig, target = armsight.read_rig(folder / "rig.yaml"), armsight.read_target(folder / "target.yaml")
         T_base_rig = read_world(folder / "world.yaml").T_parent_rig.as_matrix()
         images = [cv2.imread(str(folder / side / f"{FRAME:06d}.png")) for side in ("left", "right")]
-    left, right = (image for image in images if image is not None)
+    left, right = (np.asarray(image, np.uint8) for image in images)
     result = armsight.estimate_pose(left, right, rig, target)
     if result.T_rig_target is None:
         raise SystemExit(f"choose another frame: {result.why}")
@@ -117,7 +117,9 @@ def drawn_target(T: Array, lights_m: Array) -> list[str]:
     return axes + [f'<circle class="light" cx="{u:.1f}" cy="{v:.1f}" r="4"/>' for u, v in on_paper(lights_m)]
 
 
-def picture(image: Array, spots_px: Array, lights_px: Array, names: tuple[str, ...], n: int, side: str) -> list[str]:
+def picture(
+    image: NDArray[np.uint8], spots_px: Array, lights_px: Array, names: tuple[str, ...], n: int, side: str
+) -> list[str]:
     """Return a camera's picture about the target: its lights by name, and what else was found."""
     w, h = CROP
     x, y = np.rint(lights_px.mean(axis=0) - [0.5 * w, 0.5 * h]).astype(int)

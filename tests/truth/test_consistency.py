@@ -171,7 +171,7 @@ def test_planted_fault_is_named_with_its_size_and_effect(fault: str) -> None:
     assert found.findings[0].cause.key == fault, sentence(found)
     words = sentence(found)
     assert fault == "timing" or found.findings[0].cause.words[:10].lower() in words.lower()
-    assert "times the claimed deviation" in words and advice(found)
+    assert "times the claimed standard deviation" in words and advice(found)
     if fault == "moved":
         assert abs(found.findings[0].since_s - 1.4) < 0.3 and "from about 1." in words
     told = content(found)

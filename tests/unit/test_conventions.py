@@ -18,6 +18,7 @@ from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import find_spots
 from armsight.optics import Camera, Rig, RigKind
 from armsight.records import (
+    CameraTiming,
     Frame,
     Points,
     PoseStatus,
@@ -254,3 +255,10 @@ def test_line_joint_value():
     assert np.allclose(fk(turning, [0.1])[:3, :3], Rotation.from_rotvec([0, 0, 0.15]).as_matrix())
     sliding = Arm(name="p", joints=(Joint(name="j", type=JointType.PRISMATIC, d_m=0.25, sign=-1.0),))
     assert np.allclose(fk(sliding, [0.1])[:3, 3], [0, 0, 0.15])
+
+
+def test_line_frame_time():
+    timing = CameraTiming(readout_s=0.02, delay_s=0.5, drift_ppm=100.0)
+    assert timing.line_time([0.0, 239.0], 240) == pytest.approx([-0.01, 0.01])
+    assert timing.line_time(119.5, 240) == pytest.approx(0.0)
+    assert timing.rig_time([0.0, 1000.0]) == pytest.approx([0.5, 1000.6])

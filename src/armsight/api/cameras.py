@@ -133,9 +133,28 @@ class RigResult(_BoardResult):
 def calibrate_camera(images: Images, board: str | Target, *, options: BoardOptions | None = None) -> CameraResult:
     """Return the camera that took the images of a printed board.
 
-    images: arrays, paths, or a folder. board: 'checkerboard:9x6:0.025' (inner corners, square in m),
-    'circles:CxR:PITCH', 'acircles:CxR:PITCH', 'charuco:CxR:SQUARE:MARKER:DICTIONARY', or a Target. Raises
-    NotEnoughData, Degenerate, Undetermined, Inconsistent, NotConverged; BadImage for what is no image.
+    Parameters
+    ----------
+    images
+        uint8 arrays (h, w) or (h, w, 3), paths, or a folder; ten or more, the board tilted differently in each.
+    board
+        'checkerboard:9x6:0.025' (inner corners, side of a square in m), 'circles:CxR:PITCH', 'acircles:CxR:PITCH',
+        'charuco:CxR:SQUARE:MARKER:DICTIONARY', or a Target.
+    options
+        What is held fixed, and how outliers are rejected.
+
+    Raises
+    ------
+    NotEnoughData
+        The board is seen in too few images.
+    Degenerate, Undetermined
+        The views leave something open; the message names it.
+    Inconsistent
+        Images of different sizes.
+    NotConverged
+        The fit found no answer.
+    BadImage
+        One of them is no image.
     """
     target = _board(board)
     seen = _seen(as_images(images, "image"), target)
@@ -152,8 +171,21 @@ def calibrate_stereo(
 ) -> RigResult:
     """Return the rig of two cameras that took images of a printed board at the same moments.
 
-    left_images, right_images: as many, in the same order; see calibrate_camera for both and for board, and for what is
-    raised.
+    Parameters
+    ----------
+    left_images
+        As calibrate_camera takes them.
+    right_images
+        As many, in the same order.
+    board
+        As calibrate_camera takes it.
+    options
+        What is held fixed, and how outliers are rejected.
+
+    Raises
+    ------
+    Inconsistent
+        Not as many left as right images; else as calibrate_camera.
     """
     target = _board(board)
     pairs = _paired(as_images(left_images, "left image"), as_images(right_images, "right image"))
@@ -173,7 +205,21 @@ def calibrate_mirrors(
 ) -> RigResult:
     """Return the mirror rig whose complex images show the board in both views.
 
-    thickness_m: of the glass plate; None to find it, 0 for none. See calibrate_camera for the rest.
+    Parameters
+    ----------
+    images
+        As calibrate_camera takes them, each of both views over each other.
+    board
+        As calibrate_camera takes it.
+    thickness_m
+        Of the glass plate in m; None to find it, 0 for none.
+    options
+        What is held fixed, and how outliers are rejected.
+
+    Raises
+    ------
+    NotEnoughData
+        The board is seen twice in too few images; else as calibrate_camera.
     """
     target = _board(board)
     seen = list(in_parallel(lambda item: (item[0], _two(item[1], target)), as_images(images, "image")))

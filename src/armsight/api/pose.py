@@ -49,10 +49,23 @@ def LightTarget(
     colour: Colour | None = None,
     covariance: Array | None = None,
 ) -> Target:
-    """Return a target of lights from the named places (x, y, z) of its lights in m, in the target's own frame.
+    """Return a target of lights.
 
-    diameter_m: of flat round lights, where known. colour: of a beacon that is found by its colour. covariance:
-    (3 n, 3 n) m^2 of the places in the order of their names. Raises Inconsistent for places that are no target.
+    Parameters
+    ----------
+    lights_m
+        By name, the place (x, y, z) of each light in m, in the target's own frame.
+    diameter_m
+        Of flat round lights in m, where known.
+    colour
+        Of a beacon that is found by its colour.
+    covariance
+        (3 n, 3 n) in m^2 of the places, in the order of their names.
+
+    Raises
+    ------
+    Inconsistent
+        The places are no target.
     """
     return spot_target(dict(lights_m), diameter_m=diameter_m, colour=colour, covariance=covariance)
 
@@ -60,9 +73,25 @@ def LightTarget(
 def find_spots(image: ImageLike, settings: SpotSettings = DEFAULTS) -> Spots:
     """Return all spots of light in an image, searched without prior.
 
-    image: uint8 (h, w) grey or (h, w, 3) BGR, or an image file's path. uv_px (n, 2): centres, the centre of the
-    top-left pixel being (0, 0); covariance_px2 (n, 2, 2). What was seen and not accepted is in `rejected`, with the
-    reason. Raises BadImage, and Inconsistent where the settings' mask has another size.
+    Parameters
+    ----------
+    image
+        uint8 (h, w) grey or (h, w, 3) BGR, or an image file's path.
+    settings
+        Threshold, mask, colour and sizes of the search.
+
+    Returns
+    -------
+    Spots
+        uv_px (n, 2), centres in px, that of the top-left pixel being (0, 0); covariance_px2 (n, 2, 2). What was seen
+        and not accepted is in `rejected`, with the reason.
+
+    Raises
+    ------
+    BadImage
+        It is no such image.
+    Inconsistent
+        The settings' mask has another size.
     """
     return detection.find_spots(as_image(image), settings)
 
@@ -149,10 +178,38 @@ def estimate_pose(
 ) -> PoseEstimate:
     """Return the target's pose from one pair of images, taken by itself.
 
-    left, right: uint8 (h, w) grey or (h, w, 3) BGR, or paths; right is None for a mirror rig whose one image holds both
-    views. What a good recording may show (a hidden light, a reflection, nothing at all) raises nothing: status and why
-    say it. Raises BadImage; Inconsistent where an image has not the size of the rig's camera, or where left and right
-    are swapped; Degenerate for lights on one line.
+    What a good recording may show (a hidden light, a reflection, nothing at all) raises nothing: `status` and `why` say
+    it.
+
+    Parameters
+    ----------
+    left
+        uint8 (h, w) grey or (h, w, 3) BGR, or a path: the left camera's image, or a mirror rig's one image of both
+        views.
+    right
+        The right camera's image; None for a mirror rig.
+    rig
+        The calibrated cameras.
+    target
+        Its lights, or a printed board.
+    settings
+        Threshold, mask and sizes of the search for lights.
+    t_s
+        Time of the exposure in s; it is handed on.
+
+    Returns
+    -------
+    PoseEstimate
+        T_rig_target (4, 4), in m, with covariance (6, 6) in m and rad, or the reason why there is none.
+
+    Raises
+    ------
+    BadImage
+        An image cannot be read, or is none.
+    Inconsistent
+        An image has not the size of its camera, or left and right are swapped.
+    Degenerate
+        The target's lights are on one line.
     """
     return _estimate(_measure(_setup(rig, target, settings, right is None), left, right, t_s, None))
 
@@ -176,9 +233,21 @@ class PoseTracker:
         self._poses: list[TargetPose] = []
 
     def update(self, left: ImageLike, right: ImageLike | None, t_s: float) -> PoseEstimate:
-        """Return the pose at t_s (s, growing from call to call); see estimate_pose.
+        """Return the pose at t_s.
 
-        Raises as estimate_pose, and Inconsistent where time does not grow.
+        Parameters
+        ----------
+        left
+            As estimate_pose takes it.
+        right
+            Alike; None for a mirror rig.
+        t_s
+            Time of the exposure in s, growing from call to call.
+
+        Raises
+        ------
+        Inconsistent
+            Time does not grow; else as estimate_pose.
         """
         if not np.isfinite(t_s) or (self._poses and not t_s > self._poses[-1].t_s):
             raise Inconsistent(

@@ -113,11 +113,29 @@ def calibrate_hand_eye(
     setup: Literal["eye-in-hand", "eye-to-hand"] = "eye-in-hand",
     names: Sequence[str] | None = None,
 ) -> HandEyeResult:
-    """Return where the camera is, from poses of the robot and of the target seen at the same moments, row by row.
+    """Return where the camera is, from poses of the robot and of the target at the same moments, row by row.
 
-    T_base_flange, T_camera_target: n poses each, (n, 4, 4) or RigidTransform, m. setup: the camera is on the arm
-    ('eye-in-hand') or beside it. names: of the rows, for messages. Raises NotEnoughData, Degenerate (too little
-    turning), Inconsistent (wrong units, inverted or wrongly paired poses), NotConverged.
+    Parameters
+    ----------
+    T_base_flange
+        N poses (n, 4, 4) in m, or RigidTransform: the flange in the robot's base, as its controller says.
+    T_camera_target
+        N poses alike: the target in the camera's frame.
+    setup
+        The camera is on the arm ('eye-in-hand') or beside it ('eye-to-hand').
+    names
+        Of the rows, for messages.
+
+    Raises
+    ------
+    NotEnoughData
+        Fewer rows than the answer has directions.
+    Degenerate
+        Too little turning, or about one axis only.
+    Inconsistent
+        Wrong units, inverted poses, or rows that do not belong together.
+    NotConverged
+        The fit found no answer.
     """
     robot, camera = as_poses(T_base_flange, "T_base_flange"), as_poses(T_camera_target, "T_camera_target")
     rows = tuple(names) if names is not None else tuple(f"row {i}" for i in range(len(robot)))
@@ -174,10 +192,27 @@ def calibrate_tool_tip(
     point_m: ArrayLike | None = None,
     point_std_m: float = 0.0,
 ) -> ToolTipResult:
-    """Return the tool's tip from n poses of a frame that was turned about it while it rested on one point.
+    """Return the tool's tip from poses of a frame that was turned about it while it rested on one point.
 
-    T_world_target: (n, 4, 4). covariances: (n, 6, 6), where known. point_m (3,), point_std_m: where it rests, if
-    measured. Raises NotEnoughData, Degenerate (too little turning), Inconsistent (no common point).
+    Parameters
+    ----------
+    T_world_target
+        N poses (n, 4, 4) in m, or RigidTransform.
+    covariances
+        (n, 6, 6) in m and rad, where known.
+    point_m
+        (3,) in m, where the tip rests in the world, if that was measured.
+    point_std_m
+        Standard deviation in m of one coordinate of point_m.
+
+    Raises
+    ------
+    NotEnoughData
+        Too few poses.
+    Degenerate
+        Too little turning.
+    Inconsistent
+        The poses have no common point.
     """
     poses = as_poses(T_world_target, "T_world_target")
     given = None if covariances is None else np.asarray(covariances, float)
@@ -246,10 +281,29 @@ def identify_arm(
     uv_px: ArrayLike | None = None,
     name: str = "identified",
 ) -> ArmIdentification:
-    """Return the arm whose beacon was at xyz_m (m, 3) while the joints stood at q (m, n), one joint moved at a time.
+    """Return the arm whose beacon was seen while one joint after the other moved (Kapucu and Baysec 2005).
 
-    joint: (m,) the one that moves in each row, counted from 1. With rig and uv_px (m, 2, 2; [row, side]) the fit is of
-    pixels. q in rad and m, xyz_m in m, in any fixed frame. Raises NotEnoughData, Inconsistent. Kapucu and Baysec 2005.
+    Parameters
+    ----------
+    joint
+        (m,) which joint moves in each row, counted from 1.
+    q
+        (m, n) joint values in rad and m.
+    xyz_m
+        (m, 3) where the beacon was, in m, in any fixed frame.
+    rig
+        The cameras; with uv_px the fit is of pixels.
+    uv_px
+        (m, 2, 2) the beacon's places in both images, [row, side].
+    name
+        Of the arm.
+
+    Raises
+    ------
+    NotEnoughData
+        Too few readings of a joint, or too short a sweep.
+    Inconsistent
+        Rows that do not belong together.
     """
     places, readings = as_vectors(xyz_m, 3, "xyz_m"), as_vectors(q, None, "q")
     moving = _joint_numbers(joint, len(places))
@@ -309,11 +363,27 @@ def calibrate_arm(
     rotation: ArrayLike | None = None,
     point: Sequence[str] = (),
 ) -> ArmResult:
-    """Return the arm corrected from the tool's places xyz_m (m, 3) at the controller's readings q (m, n).
+    """Return the arm corrected from the tool's measured places at the controller's readings.
 
-    rotation: (m, 3, 3) of the tool, where measured. point: (m,) names which of the tool's points a row is of. Places
-    are in m, in any fixed frame; q in rad and m. Raises NotEnoughData; Inconsistent for measurements that are not of
-    this arm.
+    Parameters
+    ----------
+    nominal
+        The arm as its data sheet says.
+    q
+        (m, n) joint readings in rad and m.
+    xyz_m
+        (m, 3) where the tool's point was, in m, in any fixed frame.
+    rotation
+        (m, 3, 3) of the tool in that frame, where measured.
+    point
+        (m,) names which of the tool's points a row is of.
+
+    Raises
+    ------
+    NotEnoughData
+        Too few measurements for anything to be freed.
+    Inconsistent
+        The measurements are not of this arm.
     """
     places, readings = as_vectors(xyz_m, 3, "xyz_m"), as_vectors(q, nominal.n, "q")
     turned = None if rotation is None else np.asarray(rotation, float)

@@ -55,10 +55,27 @@ class Simulation:
 def simulate(
     scenario: str = "webcam-cell", *, frames: int | None = None, seed: int | None = None, room: str | None = None
 ) -> Simulation:
-    """Return a built-in scenario or cell (see `scenarios`), or that of a scenario file (.yaml), to be iterated over.
+    """Return a simulated cell, to be iterated over for its frames.
 
-    frames, seed, room ('workshop', 'office', 'plain', 'dark', or a picture's path): instead of its own. Raises
-    DeviceNotFound with the known names, BadFile naming the key, Inconsistent for a number of frames below 1.
+    Parameters
+    ----------
+    scenario
+        A built-in scenario or cell (see `scenarios`), or a scenario file (.yaml).
+    frames
+        How many; its own number if not given.
+    seed
+        Of everything random in it; its own if not given.
+    room
+        'workshop', 'office', 'plain', 'dark', or a picture's path; its own if not given.
+
+    Raises
+    ------
+    DeviceNotFound
+        There is no such scenario; the message names those that are.
+    BadFile
+        A scenario file's key cannot be as it is.
+    Inconsistent
+        A number of frames below 1.
     """
     if frames is not None and frames < 1:
         raise Inconsistent(f"{frames} frames cannot be simulated", cure="Give at least one")

@@ -61,7 +61,8 @@ class MeasuredPoint:
         object.__setattr__(self, "xyz_m", frozen_array("xyz_m", self.xyz_m, (3,)))
         if not self.sigma_m > 0.0:
             raise Inconsistent(
-                f"a point measured to {self.sigma_m} m is not believed", cure="Give the deviation of one coordinate"
+                f"a point measured to {self.sigma_m} m is not believed",
+                cure="Give the standard deviation of one coordinate",
             )
 
 

@@ -94,7 +94,7 @@ def pivot(
     out: Annotated[Path, typer.Option("-o", "--out", help="tip.yaml to write.")],
     right: Annotated[str | None, typer.Option(metavar="SRC", help="Right frames, in step with the left ones.")] = None,
     goal: Annotated[
-        float, typer.Option(min=1e-6, help="Stop where the tip is known so well (m, one deviation).")
+        float, typer.Option(min=1e-6, help="Stop where the tip is known so well (m, one standard deviation).")
     ] = 1e-4,
     point: Annotated[str | None, typer.Option(metavar="X,Y,Z", help="The point in m in rig axes, if measured.")] = None,
     point_sigma: Annotated[

@@ -176,7 +176,7 @@ def _tell(content: dict[str, Any], out: Path, face: CommandUI) -> None:
         rows.append([*cells, figure(MM * joint["residual_rms_m"])])
     face.table("Arm, mm and degrees", ["joint", "type", "a", "alpha", "d", "theta", "residual"], rows)
     if any(value is not None for joint in content["joints"] for value in joint["std"].values()):
-        face.say("Entries without a deviation are chosen, not measured.")
+        face.say("Entries without a standard deviation are chosen, not measured.")
     for note in content["notes"]:
         face.say(f"- {note}")
     face.say(f"Result: {out}; open {out.with_suffix('.report.html')}")

@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.optics.camera import INTRINSICS, Camera
 from armsight.optics.kernels.camera import project_many
-from armsight.records import NamedCovariance, NoiseModel, Saveable
+from armsight.records import CameraTiming, NamedCovariance, NoiseModel, Saveable
 
 Array = NDArray[np.float64]
 
@@ -37,7 +37,8 @@ class Rig(Saveable):
 
     covariance: of the calibration, named '<side>.<intrinsic>' (px) and 'right.tx|ty|tz' (m), 'right.rx|ry|rz'
     (rad) for the pose T_rig_right of a rig whose reference is the left camera; None where not known. noise: of the grey
-    levels of the left and the right camera, where known; optics makes no use of it.
+    levels of the left and the right camera, where known; timing: when their lines are exposed. Optics makes no use of
+    either.
     """
 
     kind: RigKind
@@ -48,6 +49,7 @@ class Rig(Saveable):
     covariance: NamedCovariance | None = None
     rms_px: float | None = None
     noise: tuple[NoiseModel | None, NoiseModel | None] = (None, None)
+    timing: tuple[CameraTiming | None, CameraTiming | None] = (None, None)
 
     @property
     def baseline_m(self) -> float:

@@ -10,9 +10,12 @@ from armsight.records.noise import LinearNoise, NoiseModel
 from armsight.records.progress import Progress, Silent
 from armsight.records.saving import Saveable
 from armsight.records.target import Colour, Target, TargetKind, board_target, spot_target, unmeasured_target
+from armsight.records.timing import AT_ONCE, CameraTiming
 
 __all__ = [
+    "AT_ONCE",
     "BoardView",
+    "CameraTiming",
     "Colour",
     "Frame",
     "JointReading",

@@ -14,8 +14,8 @@ from armsight.errors import BadImage
 class Frame:
     """An 8-bit image, grey (h, w) or BGR (h, w, 3), with time, number and origin.
 
-    t_s is the middle of the exposure on the recording's clock. The image is not copied (a frame is large);
-    it is made read-only instead. Centre of the top-left pixel: (0, 0); image[row, column].
+    t_s is the middle of the exposure of the middle line, on the recording's clock. The image is not
+    copied (a frame is large); it is made read-only instead. Centre of the top-left pixel: (0, 0); image[row, column].
     """
 
     image: NDArray[np.uint8]

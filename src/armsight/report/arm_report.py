@@ -46,7 +46,7 @@ def arm_report(
         page.add("Corrections", "Changes to the nominal arm, with standard deviations.", _corrections(result))
     page.add(
         "Where the tool's place is how certain",
-        "The deviation that the arm's parameters leave at the tool, at random positions between those measured.",
+        "Standard deviation that the arm's parameters leave at the tool, at random positions between those measured.",
         page.plot(workspace_figure(result, points)),
     )
     if result.fixed:

@@ -56,7 +56,7 @@ def identify_report(
     if result.doubt is not None:
         page.add(
             "Where the beacon's place is how certain",
-            "The deviation that the identified arm leaves at the beacon, at random positions between those swept.",
+            "Standard deviation that the identified arm leaves at the beacon, at random positions between those swept.",
             page.plot(workspace_figure(result, xyz)),
         )
     if inputs:

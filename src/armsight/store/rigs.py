@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from armsight.errors import BadFile
 from armsight.optics import SIDES, Camera, Plate, Rig, RigKind
-from armsight.records import NamedCovariance, NoiseModel
+from armsight.records import CameraTiming, NamedCovariance, NoiseModel
 from armsight.store.noise import NoiseKey, noise_mapping
 from armsight.store.schema import (
     Count,
@@ -26,6 +26,7 @@ from armsight.store.schema import (
     validated,
     write_document,
 )
+from armsight.store.timing import TimingKey, timing_mapping
 
 RIG_FORMAT = "armsight/rig"
 CAMERA_FORMAT = "armsight/camera"
@@ -66,6 +67,7 @@ class RigCameraModel(IntrinsicsModel):
     T_rig_camera: PoseModel
     noise: NoiseKey | None = None
     plate: PlateModel | None = None
+    timing: TimingKey | None = None
 
     def camera(self) -> Camera:
         """Return the record; Inconsistent where no camera can be like this."""
@@ -97,6 +99,7 @@ class CameraModel(Origin, IntrinsicsModel):
     rms_px: Finite | None = None
     covariance: CovarianceModel | None = None
     noise: NoiseKey | None = None
+    timing: TimingKey | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -107,6 +110,7 @@ class CameraFile:
     covariance: NamedCovariance | None = None
     rms_px: float | None = None
     noise: NoiseModel | None = None
+    timing: CameraTiming | None = None
 
 
 def rig_from_mapping(content: Mapping[str, Any], where: str = "rig") -> Rig:
@@ -123,6 +127,7 @@ def rig_from_mapping(content: Mapping[str, Any], where: str = "rig") -> Rig:
             covariance=model.covariance.covariance() if model.covariance else None,
             rms_px=model.rms_px,
             noise=(_noise(left), _noise(right)),
+            timing=(_timing(left), _timing(right)),
         )
     if not rig.baseline_m >= SMALLEST_BASELINE_M:
         raise BadFile(
@@ -142,8 +147,9 @@ def rig_mapping(rig: Rig) -> dict[str, Any]:
                 **camera_mapping(rig.camera(side)),
                 "T_rig_camera": pose_mapping(rig.T_rig_camera(side)),
                 **({} if noise is None else {"noise": noise_mapping(noise)}),
+                **({} if timing is None else {"timing": timing_mapping(timing)}),
             }
-            for side, noise in zip(SIDES, rig.noise, strict=True)
+            for side, noise, timing in zip(SIDES, rig.noise, rig.timing, strict=True)
         },
         "rms_px": rig.rms_px,
         "covariance": covariance_mapping(rig.covariance) if rig.covariance else None,
@@ -186,11 +192,16 @@ def read_camera_file(path: Path) -> CameraFile:
             covariance=model.covariance.covariance() if model.covariance else None,
             rms_px=model.rms_px,
             noise=_noise(model),
+            timing=_timing(model),
         )
 
 
 def _noise(model: CameraModel | RigCameraModel) -> NoiseModel | None:
     return None if model.noise is None else model.noise.noise()
+
+
+def _timing(model: CameraModel | RigCameraModel) -> CameraTiming | None:
+    return None if model.timing is None else model.timing.timing()
 
 
 def read_camera(path: Path) -> Camera:
@@ -205,6 +216,7 @@ def write_camera(
     covariance: NamedCovariance | None = None,
     rms_px: float | None = None,
     noise: NoiseModel | None = None,
+    timing: CameraTiming | None = None,
     inputs: Sequence[Path] = (),
 ) -> None:
     """Write camera.yaml with the hashes of the files it was made from."""
@@ -213,5 +225,6 @@ def write_camera(
         "rms_px": rms_px,
         "covariance": covariance_mapping(covariance) if covariance else None,
         "noise": noise_mapping(noise) if noise else None,
+        **({} if timing is None else {"timing": timing_mapping(timing)}),
     }
     write_document(path, CAMERA_FORMAT, content, inputs)

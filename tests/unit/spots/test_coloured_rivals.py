@@ -148,11 +148,19 @@ def test_a_lamp_is_not_taken_for_a_beacon_that_is_hidden() -> None:
 
 @pytest.mark.parametrize("sigma", [1.3, 12.0])
 @pytest.mark.parametrize("xy_m", [(-0.2, 0.1), (0.2, -0.2)])
-def test_the_diameter_tells_the_beacon_from_other_lights(sigma: float, xy_m: tuple[float, float]) -> None:
+def test_the_diameter_tells_the_beacon_from_other_lights_where_lamps_are_masked(
+    sigma: float, xy_m: tuple[float, float]
+) -> None:
     """Wherever the other light stands in the order in which lights are found."""
-    other = (np.array([*xy_m, 1.2]), LED, 200.0, sigma)
-    assert not found(seen((PLACE, LED, 170.0, 3.0), other, target=COLOUR_ALONE))
-    assert found(seen((PLACE, LED, 170.0, 3.0), other))
+    both = ((PLACE, LED, 170.0, 3.0), (np.array([*xy_m, 1.2]), LED, 200.0, sigma))
+    masked = SpotSettings(mask=np.ones((HEIGHT, WIDTH), np.bool_))
+    assert found(seen(*both, settings=masked))
+    assert not found(seen(*both, settings=masked, target=COLOUR_ALONE))
+    before_a_room = seen(*both)
+    if sigma > 5.0:  # larger than any light of the target: no rival
+        assert found(before_a_room)
+        return
+    assert before_a_room.pose.status is PoseStatus.LOST and "2 lights of the beacon's colour" in before_a_room.pose.why
 
 
 def test_a_beacon_cut_by_the_border_is_refused() -> None:

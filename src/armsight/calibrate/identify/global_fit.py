@@ -185,7 +185,9 @@ def _fit_from(seen: SweepResiduals, model: ChainModel, rows: NDArray[np.intp]) -
         bad = size > GROSS * scale
         if not bad.any() or len(dropped) > LOST_SHARE * len(rows):
             return GlobalFit(model=model, fit=fit, rows=rows, dropped=tuple(dropped))
-        dropped += [(int(r), f"off the arm by {s:.0f} deviations") for r, s in zip(rows[bad], size[bad], strict=True)]
+        dropped += [
+            (int(r), f"off the arm by {s:.0f} standard deviations") for r, s in zip(rows[bad], size[bad], strict=True)
+        ]
         rows = rows[~bad]
 
 

@@ -123,7 +123,8 @@ def _at_once(
     if whole.scale2 > AT_ODDS:
         notes.append(
             f"the readings miss the arm by {np.sqrt(whole.scale2):.1f} times their noise about single paths: the "
-            "commanded values are not exact, or a joint gave way; deviations are widened accordingly, which may not be "
+            "commanded values are not exact, or a joint gave way; standard deviations are widened accordingly, which "
+            "may not be "
             "enough: with values that are not exact use only their order (--increments order)"
         )
     widen = whole.scale2 if sigma is None else max(whole.scale2, 1.0)
@@ -170,7 +171,8 @@ def _with_rivals(whole: GlobalFit, table: Array, covariance: Array, base: Array)
         return covariance, []
     stretch = np.divide(wide, std, out=np.ones_like(std), where=std > 0.0).ravel()
     return covariance * np.outer(stretch, stretch), [
-        "another arm explains the readings as well; the deviations cover both. Longer arcs, or a sweep seen from "
+        "another arm explains the readings as well; the standard deviations cover both. Longer arcs, or a sweep seen "
+        "from "
         "elsewhere, would tell"
     ]
 

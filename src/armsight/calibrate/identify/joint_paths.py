@@ -61,7 +61,7 @@ def find_paths(seen: SweepResiduals, sigma: float | None) -> tuple[list[JointPat
         if not known:
             raise NotEnoughData(
                 "three readings of every joint leave nothing to find the noise by",
-                consequence="No deviations can be given",
+                consequence="No standard deviations can be given",
                 cure="Give the noise (sigma), or take more readings",
             )
         seen = seen.at(seen.sigma * max(float(np.median(known)), 1e-9))
@@ -127,7 +127,8 @@ def _one_path(seen: SweepResiduals, joint: int, rows: NDArray[np.intp], near: Pa
             break
         worst = bad & (size >= size.max() * 0.5)
         out += [
-            (int(row), f"off its path by {s:.0f} deviations") for row, s in zip(rows[worst], size[worst], strict=True)
+            (int(row), f"off its path by {s:.0f} standard deviations")
+            for row, s in zip(rows[worst], size[worst], strict=True)
         ]
         rows = rows[~worst]
     if len(out) > LOST_SHARE * count or (path.dof > 0 and path.p < POOR):

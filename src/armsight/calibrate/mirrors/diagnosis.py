@@ -164,7 +164,7 @@ def _as_pair(used: Observations, fit: Fit) -> StereoCalibration:
     residual, seen = residuals_px(used, fit), used.weight > 0.0
     overall = rms(residual, seen)
     rig = rig_of(bundle_of(fit, 2), used.sizes, covariance=fit.covariance, rms_px=overall)
-    advice = ["the lens and the plate are taken as they were given: an error in them is not in the deviations"]
+    advice = ["the lens and the plate are taken as they were given: an error in them is not in the standard deviations"]
     if used.n_views < GOOD_LIT:
         advice.append(f"{used.n_views} images were used: {GOOD_LIT} and more tell wrong ones better")
     if baseline_std(rig) > VAGUE * rig.baseline_m:

@@ -128,8 +128,8 @@ def _consequence(found: Consistency, f: Finding) -> str:
     text = f"positions are wrong by about {_plain(f.effect_m / MM)} mm"
     turns = f.effect_rad / found.claimed_rad
     if turns > max(2.0, times):
-        return f"{text} and rotations by {_plain(f.effect_rad / DEG)}°, {_plain(turns)} times the claimed deviation"
-    return f"{text}, {_plain(times)} times the claimed deviation"
+        text, times = f"{text} and rotations by {_plain(f.effect_rad / DEG)}°", turns
+    return f"{text}, {_plain(times)} times the claimed standard deviation"
 
 
 def _plain(value: float) -> str:
@@ -142,4 +142,4 @@ def _noise(found: Consistency) -> str:
         return ""
     text = f"The residuals are {found.noise_scale:.1f} times the spots' noise, without a pattern"
     much = ": more than a camera's noise explains" if found.noise_scale > VERY_NOISY else ""
-    return f"{text}{much}; the poses' deviations are widened by it."
+    return f"{text}{much}; the poses' standard deviations are widened by it."

@@ -27,13 +27,14 @@ def match_beacon(
 ) -> Match:
     """Return the one pair that may be the beacon before a room; else none, with cause and cure.
 
-    Of several lights of the colour, one is taken where a track expects it, or where it alone is of the beacon's size.
-    The only light of the colour is taken where something besides its colour tells it: a size that can be seen, a track,
-    or a mask or a threshold of the caller's; where the beacon is hidden, a room's lamp would be the only one. alone:
-    nothing but lights is bright, or the caller has chosen the spots.
+    alone: nothing but lights is bright, or the caller has chosen the spots. There, and with a mask or a threshold of
+    the caller's, of several lights of the colour the one of the beacon's size is taken. Else a light is taken where a
+    track expects it, or where it is the only one of the colour and has a size that can be seen: where the beacon is
+    hidden a room's lamp would be the only one, and where there is one lamp of its colour there may be one of its size.
     """
     if not len(pairs.index):
         return Match(best=None, why=_nothing(left, right))
+    chosen = alone or setup.settings.mask is not None or setup.settings.threshold is not None
     sizes = np.array([_radius_px(spots, pairs.index[:, side]) for side, spots in enumerate((left, right))])
     known = setup.model.radius_m > 0.0
     kept = np.arange(len(pairs.index))
@@ -48,24 +49,32 @@ def match_beacon(
         of_size = " and of its diameter_m" if known else ""
         cure = "cover or mask the others (--mask)" + ("" if known else ", or give diameter_m in target.yaml")
         return Match(best=None, why=f"{_lights(pairs)} seen{of_size}, and any could be the beacon: {cure}")
-    match = replace(match, best=replace(match.best, pair=kept[match.best.pair]))
-    if alone or match.predicted or setup.settings.mask is not None or setup.settings.threshold is not None:
-        return match
-    if not known:
-        return Match(
-            best=None,
-            why="one light of the beacon's colour is seen, and a lamp of the room would look the same: give "
-            "diameter_m in target.yaml, or mask what is not the beacon (--mask)",
+    if not (chosen or match.predicted):
+        why = _untold(max(len(left), len(right)), float(wanted.min()) if known else None)
+        if why:
+            return Match(best=None, why=why)
+    return replace(match, best=replace(match.best, pair=kept[match.best.pair]))
+
+
+def _untold(lights: int, radius_px: float | None) -> str:
+    """Return why nothing tells the only light of its size from a room's lamp; empty where something does."""
+    if lights > 1:
+        return (
+            f"{lights} lights of the beacon's colour are seen, and where there is one lamp of its colour there may be "
+            "one of its size: cover or mask the others (--mask)"
         )
-    smallest_px = float(wanted.min())  # of the one pair that is left
-    if smallest_px < MIN_RADIUS_PX:
-        return Match(
-            best=None,
-            why=f"one light of the beacon's colour is seen; with a radius of {smallest_px:.1f} px a lamp of the room "
-            f"would look the same: bring it nearer (from {MIN_RADIUS_PX:g} px on its diameter_m tells it), or mask "
-            "what is not the beacon (--mask)",
+    if radius_px is None:
+        return (
+            "one light of the beacon's colour is seen, and a lamp of the room would look the same: give diameter_m in "
+            "target.yaml, or mask what is not the beacon (--mask)"
         )
-    return match
+    if radius_px < MIN_RADIUS_PX:
+        return (
+            f"one light of the beacon's colour is seen; with a radius of {radius_px:.1f} px a lamp of the room would "
+            f"look the same: bring it nearer (from {MIN_RADIUS_PX:g} px on its diameter_m tells it), or mask what is "
+            "not the beacon (--mask)"
+        )
+    return ""
 
 
 def _nothing(left: Spots, right: Spots) -> str:

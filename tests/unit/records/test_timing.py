@@ -1,0 +1,60 @@
+"""A camera's timing: stamps to times, what is not known of them, and what cannot be."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from armsight.errors import BadFile, Inconsistent
+from armsight.optics import Camera, parallel_rig
+from armsight.records import CameraTiming, NamedCovariance
+from armsight.store import read_camera_file, read_rig, write_camera, write_rig
+
+CAMERA = Camera.pinhole(640, 480, 800.0, 800.0, 319.5, 239.5)
+
+
+def test_the_clocks_uncertainty_grows_with_the_drifts() -> None:
+    C = np.array([[4e-8, -3e-5], [-3e-5, 0.09]])
+    timing = CameraTiming(covariance=NamedCovariance(names=("delay_s", "drift_ppm"), matrix=C))
+    for t in (0.0, 100.0, 1000.0):
+        J = np.array([1.0, 1e-6 * t])
+        assert timing.clock_std_s(t) == pytest.approx(np.sqrt(J @ C @ J))
+    assert CameraTiming(delay_s=1.0).clock_std_s([0.0, 5.0]).tolist() == [0.0, 0.0]
+
+
+def test_timing_survives_its_files(tmp_path: Path) -> None:
+    C = NamedCovariance(names=("delay_s", "readout_s"), matrix=np.array([[4e-8, 1e-8], [1e-8, 9e-8]]))
+    timing = CameraTiming(readout_s=0.021, exposure_s=0.004, delay_s=-0.3, drift_ppm=7.5, jitter_s=2e-4, covariance=C)
+    write_camera(tmp_path / "camera.yaml", CAMERA, timing=timing)
+    rig = replace(parallel_rig(CAMERA, 0.1), timing=(CameraTiming(readout_s=0.02), timing))
+    write_rig(tmp_path / "rig.yaml", rig)
+    back = read_rig(tmp_path / "rig.yaml").timing
+    for found in (read_camera_file(tmp_path / "camera.yaml").timing, back[1]):
+        assert found is not None and found.covariance is not None
+        assert (found.readout_s, found.exposure_s, found.delay_s, found.drift_ppm, found.jitter_s) == (
+            0.021, 0.004, -0.3, 7.5, 2e-4,
+        )  # fmt: skip
+        assert found.covariance.names == C.names and np.array_equal(found.covariance.matrix, C.matrix)
+    assert back[0] is not None and back[0].readout_s == 0.02 and back[0].covariance is None
+
+
+@pytest.mark.parametrize(
+    "keys", [{"readout_s": 2.0}, {"exposure_s": -1.0}, {"jitter_s": np.nan}, {"drift_ppm": 1e7}, {"delay_s": np.inf}]
+)
+def test_what_no_camera_does_is_refused(keys: dict[str, float]) -> None:
+    with pytest.raises(Inconsistent):
+        CameraTiming(**keys)
+
+
+def test_a_file_says_which_key_is_wrong(tmp_path: Path) -> None:
+    path = tmp_path / "camera.yaml"
+    write_camera(path, CAMERA, timing=CameraTiming(readout_s=0.02))
+    path.write_text(path.read_text().replace("readout_s: 0.02", "readout: 0.02"))
+    with pytest.raises(BadFile, match="readout"):
+        read_camera_file(path)
+    path.write_text(path.read_text().replace("readout: 0.02", "readout_s: 20"))
+    with pytest.raises(BadFile, match="read out"):
+        read_camera_file(path)
