@@ -138,6 +138,18 @@ def as_vectors(values: ArrayLike, columns: int | None, name: str, *, single: boo
     return array
 
 
+def as_joint_numbers(joint: ArrayLike, rows: int) -> NDArray[np.intp]:
+    """Return which joint moves in each row, counted from 1, as (rows,); raises Inconsistent for anything else."""
+    numbers = np.asarray(joint)
+    if numbers.shape != (rows,) or not np.issubdtype(numbers.dtype, np.integer):
+        raise Inconsistent(
+            f"joint has the shape {numbers.shape} and the type {numbers.dtype}",
+            consequence="Nobody knows which joint moves in which row",
+            cure=f"Give {rows} whole numbers, one per row, counted from 1",
+        )
+    return numbers.astype(np.intp)
+
+
 def _stacked(poses: Any, name: str) -> Array:
     try:
         if isinstance(poses, RigidTransform):
