@@ -136,9 +136,9 @@ def rates(folder: Path, seconds_s: float) -> None:
         rows.append(
             [
                 f"{kind.value}, {rate:.0f} asked",
-                f"{done.n_pairs / done.seconds_s:.1f}",
+                f"{done.n_pairs / done.duration_s:.1f}",
                 done.n_dropped,
-                f"{done.size / done.seconds_s / 1e6:.1f}",
+                f"{done.size_bytes / done.duration_s / 1e6:.1f}",
                 f"{memory.cores:.2f}",
                 f"{min(settled):.0f} to {max(settled):.0f}",
                 same,

@@ -10,10 +10,11 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import chi2 as chi2_law
 
+from armsight.app.measure.consistency import consistency_output
 from armsight.geometry import pose_difference
 from armsight.measure.consistency.check import RunCheck
 from armsight.measure.consistency.diagnosis import Consistency
-from armsight.measure.consistency.explain import advice, content, sentence
+from armsight.measure.consistency.explain import advice, sentence
 from armsight.measure.poses.pipeline import Measured, Setup, measure_spots
 from armsight.measure.poses.pose import misfit_factor
 from armsight.optics import RIG_PARAMETERS, Camera, Rig, converged_rig
@@ -174,8 +175,8 @@ def test_planted_fault_is_named_with_its_size_and_effect(fault: str) -> None:
     assert "times the claimed standard deviation" in words and advice(found)
     if fault == "moved":
         assert abs(found.findings[0].since_s - 1.4) < 0.3 and "from about 1." in words
-    told = content(found)
-    assert told["cause"] == fault and told["estimate"] == found.findings[0].size
+    told = consistency_output(found)
+    assert told.cause == fault and told.estimate == found.findings[0].size
     errors = [
         pose_difference(measured.pose.pose, T)[:3] for T, measured in poses if measured.pose.status is PoseStatus.OK
     ]

@@ -13,8 +13,9 @@ import numpy as np
 from armsight.api.arrays import Image, ImageLike, as_images
 from armsight.api.results import Result, Row, with_std
 from armsight.app.calibrate.board_images import in_parallel, see_board
-from armsight.app.calibrate.cameras import camera_content, stereo_content
-from armsight.app.calibrate.mirrors import mirrors_content
+from armsight.app.calibrate.cameras import camera_output, stereo_output
+from armsight.app.calibrate.mirrors import mirrors_output
+from armsight.app.schemas.cameras import CameraOutput, StereoOutput
 from armsight.calibrate import cameras as solvers
 from armsight.calibrate.cameras import BoardOptions, CameraCalibration, StereoCalibration
 from armsight.calibrate.mirrors import calibration as mirror_solver
@@ -37,32 +38,31 @@ class _BoardResult(Result):
     """What calibrations from boards share: `rejected` names each image left out, and why."""
 
     rejected: Rejected
-    content: Mapping[str, Any]
+    output: CameraOutput | StereoOutput
 
     @property
     def rms_px(self) -> float:
         """Root mean square reprojection residual in px."""
-        return float(self.content["rms_px"])
+        return self.output.rms_px
 
     @property
     def holdout_rms_px(self) -> float | None:
         """The same on images left out of the fit; None where there were too few."""
-        value = self.content["holdout_rms_px"]
-        return None if value is None else float(value)
+        return self.output.holdout_rms_px
 
     @property
     def std(self) -> dict[str, float]:
         """Standard deviations by name, the unit in the name."""
-        return dict(self.content["std"])
+        return dict(self.output.std)
 
     @property
     def advice(self) -> tuple[str, ...]:
         """What would make the result surer."""
-        return tuple(self.content["advice"])
+        return tuple(self.output.advice)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the figures as `armsight calibrate ... --json` gives them."""
-        return dict(self.content)
+        return self.output.to_dict()
 
     def _fit_rows(self) -> list[Row]:
         left_out = "" if self.holdout_rms_px is None else f"; {self.holdout_rms_px:.3g} px on images left out"
@@ -76,6 +76,7 @@ class CameraResult(_BoardResult):
 
     camera: Camera
     detail: CameraCalibration
+    output: CameraOutput
 
     @property
     def title(self) -> str:
@@ -105,6 +106,7 @@ class RigResult(_BoardResult):
 
     rig: Rig
     detail: StereoCalibration
+    output: StereoOutput
 
     @property
     def title(self) -> str:
@@ -118,7 +120,7 @@ class RigResult(_BoardResult):
         for side in ("left", "right"):
             values = zip(("fx", "fy", "cx", "cy"), self.rig.camera(side).intrinsics[:4].tolist(), strict=True)
             rows += [(f"{side} {name}", with_std(v, std.get(f"{side}.{name}_px"), "px")) for name, v in values]
-        return [*rows, ("epipolar", f"{self.content['epipolar_rms_px']:.3g} px RMS"), *self._fit_rows()]
+        return [*rows, ("epipolar", f"{self.output.epipolar_rms_px:.3g} px RMS"), *self._fit_rows()]
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write rig.yaml with the covariance."""
@@ -162,8 +164,8 @@ def calibrate_camera(images: Images, board: str | Target, *, options: BoardOptio
     missed = tuple((name, view) for name, view in seen if isinstance(view, str))
     _require(views, missed)
     done = solvers.calibrate_camera(views, target, options)
-    content = camera_content(done, missed)
-    return CameraResult(camera=done.camera, detail=done, rejected=(*missed, *done.rejected), content=content)
+    output = camera_output(done, missed)
+    return CameraResult(camera=done.camera, detail=done, rejected=(*missed, *done.rejected), output=output)
 
 
 def calibrate_stereo(
@@ -192,8 +194,8 @@ def calibrate_stereo(
     left, right, missed = _both(_seen(pairs[0], target), _seen(pairs[1], target))
     _require(left, missed)
     done = solvers.calibrate_stereo(left, right, target, options)
-    content = stereo_content(done, missed, n_pairs=len(pairs[0]))
-    return RigResult(rig=done.rig, detail=done, rejected=(*missed, *done.rejected), content=content)
+    output = stereo_output(done, missed, n_pairs=len(pairs[0]))
+    return RigResult(rig=done.rig, detail=done, rejected=(*missed, *done.rejected), output=output)
 
 
 def calibrate_mirrors(
@@ -229,8 +231,8 @@ def calibrate_mirrors(
     done: MirrorCalibration = mirror_solver.calibrate_mirrors(
         [left for left, _ in found], [right for _, right in found], target, thickness_m=thickness_m, options=options
     )
-    content = mirrors_content(done, missed, n_pairs=len(seen))
-    return RigResult(rig=done.rig, detail=done.pair, rejected=(*missed, *done.pair.rejected), content=content)
+    output = mirrors_output(done, missed, n_pairs=len(seen))
+    return RigResult(rig=done.rig, detail=done.pair, rejected=(*missed, *done.pair.rejected), output=output)
 
 
 def _board(board: str | Target) -> Target:

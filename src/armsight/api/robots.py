@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike
 
 from armsight.api.arrays import Array, Poses, as_joint_numbers, as_poses, as_vectors
 from armsight.api.results import Result, Row, pose_rows, with_std
-from armsight.app.calibrate.arm import arm_content
-from armsight.app.calibrate.handeye import handeye_content, tip_content
-from armsight.app.identify.sweep_files import identified_content
+from armsight.app.calibrate.arm import arm_output
+from armsight.app.calibrate.handeye import handeye_output, tip_output
+from armsight.app.identify.sweep_files import identify_output
 from armsight.calibrate.arm import ArmCalibration, ArmPoints
 from armsight.calibrate.arm import calibrate_arm as solve_arm
 from armsight.calibrate.handeye import HandEye, PosePairs, Setup, calibrate_eye_in_hand, calibrate_eye_to_hand, verdict
@@ -90,7 +90,7 @@ class HandEyeResult(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the figures as `armsight calibrate handeye --json` gives them."""
-        return handeye_content(self.detail)
+        return handeye_output(self.detail).to_dict()
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write handeye.yaml."""
@@ -178,7 +178,7 @@ class ToolTipResult(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the figures as `armsight calibrate tooltip --json` gives them."""
-        return tip_content(self.detail)
+        return tip_output(self.detail).to_dict()
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write tip.yaml."""
@@ -265,7 +265,7 @@ class ArmIdentification(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the figures as `armsight identify --json` gives them."""
-        return identified_content(self.detail)
+        return identify_output(self.detail).to_dict()
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write arm.yaml."""
@@ -348,7 +348,7 @@ class ArmResult(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the figures as `armsight calibrate arm --json` gives them."""
-        return arm_content(self.detail)
+        return arm_output(self.detail).to_dict()
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write arm.yaml."""

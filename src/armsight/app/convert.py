@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from armsight.app.schemas.files import ConvertOutput
 from armsight.errors import BadFile, UsageError
 from armsight.optics import Camera, Rig
 from armsight.optics.mirrors import pinhole_pair
@@ -42,18 +42,9 @@ KINDS = ("armsight", "ros", "opencv", "kalibr")
 TUM_SUFFIXES = (".tum", ".txt")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Converted:
-    """From which kind to which, the files written, and what the new kind could not carry."""
-
-    source: str
-    target: str
-    files: tuple[Path, ...]
-    rows: int | None = None
-    note: str = ""
-
-
-def convert_camera(source: Path, out: Path, *, to: str | None = None, size: tuple[int, int] | None = None) -> Converted:
+def convert_camera(
+    source: Path, out: Path, *, to: str | None = None, size: tuple[int, int] | None = None
+) -> ConvertOutput:
     """Convert a camera's file; to: one of KINDS, default armsight. Raises DataRefused or UsageError."""
     kind = _kind(source, "armsight/camera")
     to = _wanted(kind, to)
@@ -71,7 +62,7 @@ def convert_camera(source: Path, out: Path, *, to: str | None = None, size: tupl
         "kalibr": lambda: camera_to_kalibr(out, camera),
     }
     write[to]()
-    return Converted(source=kind, target=to, files=(out,))
+    return _done(kind, to, [out])
 
 
 def convert_rig(
@@ -81,7 +72,7 @@ def convert_rig(
     to: str | None = None,
     size: tuple[int, int] | None = None,
     unit_m: float = 1.0,
-) -> Converted:
+) -> ConvertOutput:
     """Convert a rig's file, or its two files (ROS: left, right; OpenCV: intrinsics, extrinsics).
 
     to: one of KINDS, default armsight; ROS wants two outs, the others one. size (width, height) and unit_m are for
@@ -108,10 +99,10 @@ def convert_rig(
         "kalibr": lambda: rig_to_kalibr(outs[0], rig),
     }
     write[to]()
-    return Converted(source=kind, target=to, files=tuple(outs), note=note)
+    return _done(kind, to, outs, note=note)
 
 
-def convert_poses(source: Path, out: Path) -> Converted:
+def convert_poses(source: Path, out: Path) -> ConvertOutput:
     """Convert poses.csv to TUM (.tum, .txt) or TUM to poses.csv, by the names' endings."""
     from_tum, to_tum = (path.suffix.lower() in TUM_SUFFIXES for path in (source, out))
     if from_tum == to_tum or not all(path.suffix.lower() in (*TUM_SUFFIXES, ".csv") for path in (source, out)):
@@ -120,14 +111,18 @@ def convert_poses(source: Path, out: Path) -> Converted:
             cure="One name must end in .csv, the other in .tum or .txt",
         )
     if to_tum:
-        return Converted(source="poses.csv", target="tum", files=(out,), rows=write_tum(out, read_poses(source)))
+        return _done("poses.csv", "tum", [out], rows=write_tum(out, read_poses(source)))
     track = read_tum(source)
     poses = [
         TargetPose(t_s=float(t_s), status=PoseStatus.OK, parent="world", T_parent_target=T, covariance=np.zeros((6, 6)))
         for t_s, T in zip(track.t_s, track.pose.as_matrix(), strict=True)
     ]
     write_poses(out, poses)
-    return Converted(source="tum", target="poses.csv", files=(out,), rows=len(poses))
+    return _done("tum", "poses.csv", [out], rows=len(poses))
+
+
+def _done(source: str, target: str, files: Sequence[Path], *, rows: int | None = None, note: str = "") -> ConvertOutput:
+    return ConvertOutput(source=source, target=target, files=[str(path) for path in files], n=rows, note=note)
 
 
 def _kind(path: Path, own: str) -> str:

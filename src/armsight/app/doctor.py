@@ -6,18 +6,17 @@ import os
 import platform
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
 
 import cv2
 
 from armsight._version import __version__
+from armsight.app.schemas.machine import DoctorOutput, KernelCache, Machine, ResolutionAt, RigResolution
 from armsight.app.simulate.scenarios import scenario_names
 from armsight.drivers import CAMERAS, CELLS, ROBOTS, cameras_there, cores, known
 from armsight.optics import Rig, resolution
-from armsight.optics.resolution import CENTROID_SIGMA_PX
+from armsight.optics.resolution import CENTROID_SIGMA_PX, Resolution
 from armsight.store import read_rig
 
 PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless", "pydantic", "plotly", "typer")
@@ -25,30 +24,17 @@ DEPTHS_IN_BASELINES = (2.0, 5.0, 10.0, 20.0, 50.0)
 """Distances of the table: below two baselines views hardly overlap, beyond fifty depth is a guess."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Diagnosis:
-    """What was found, in plain values ready for JSON; problems are sentences with a cure."""
-
-    versions: Mapping[str, str]
-    machine: Mapping[str, Any]
-    cameras: Sequence[str]
-    drivers: Mapping[str, Sequence[str]]
-    kernels: Mapping[str, Any]
-    problems: Sequence[str]
-    rig: Mapping[str, Any] | None = None
-
-
 def doctor(
     rig: Path | None = None, *, depths_m: Sequence[float] = (), sigma_px: float = CENTROID_SIGMA_PX
-) -> Diagnosis:
+) -> DoctorOutput:
     """Look at the machine and, where given, at a rig's resolution at distances (default: multiples of its baseline)."""
-    drivers = {group.removeprefix("armsight."): known(group) for group in (CAMERAS, ROBOTS, CELLS)}
-    drivers["scenarios"] = scenario_names()
+    drivers = {group.removeprefix("armsight."): list(known(group)) for group in (CAMERAS, ROBOTS, CELLS)}
+    drivers["scenarios"] = list(scenario_names())
     kernels = kernel_cache(Path(__file__).parent.parent)
-    return Diagnosis(
+    return DoctorOutput(
         versions={"armsight": __version__, "python": platform.python_version(), **_versions()},
-        machine={"system": platform.platform(), "cores": cores(), "cores_there": os.cpu_count() or 1},
-        cameras=cameras_there(),
+        machine=Machine(system=platform.platform(), cores=cores(), cores_there=os.cpu_count() or 1),
+        cameras=list(cameras_there()),
         drivers=drivers,
         kernels=kernels,
         problems=_problems(drivers, kernels),
@@ -56,34 +42,34 @@ def doctor(
     )
 
 
-def rig_resolution(rig: Rig, depths_m: Sequence[float], sigma_px: float) -> dict[str, Any]:
-    """Return baseline_m, sigma_px and rows of depth and lateral deviation at each distance."""
+def rig_resolution(rig: Rig, depths_m: Sequence[float], sigma_px: float) -> RigResolution:
+    """Return what the rig can tell apart at distances, for spots known to sigma_px."""
     depths = list(depths_m) or [factor * rig.baseline_m for factor in DEPTHS_IN_BASELINES]
-    rows = [resolution(rig, depth_m, sigma_px) for depth_m in depths]
-    return {
-        "baseline_m": rig.baseline_m,
-        "rms_px": rig.rms_px,
-        "sigma_px": sigma_px,
-        "distances": [
-            {
-                "depth_m": row.depth_m,
-                "sigma_depth_m": row.sigma_depth_m,
-                "sigma_lateral_m": row.sigma_lateral_m.tolist(),
-                "depth_per_px_m": row.depth_per_px_m,
-                "lateral_per_px_m": row.lateral_per_px_m,
-                "in_view": row.in_view,
-            }
-            for row in rows
-        ],
-    }
+    return RigResolution(
+        baseline_m=rig.baseline_m,
+        rms_px=rig.rms_px,
+        sigma_px=sigma_px,
+        distances=[_resolution_at(resolution(rig, depth_m, sigma_px)) for depth_m in depths],
+    )
 
 
-def kernel_cache(package: Path) -> dict[str, Any]:
+def _resolution_at(row: Resolution) -> ResolutionAt:
+    return ResolutionAt(
+        depth_m=row.depth_m,
+        sigma_depth_m=row.sigma_depth_m,
+        sigma_lateral_m=row.sigma_lateral_m.tolist(),
+        depth_per_px_m=row.depth_per_px_m,
+        lateral_per_px_m=row.lateral_per_px_m,
+        in_view=row.in_view,
+    )
+
+
+def kernel_cache(package: Path) -> KernelCache:
     """Return how many compiled kernels are kept on disk, where, and whether more can be added."""
     given = os.environ.get("NUMBA_CACHE_DIR")
     folder = Path(given) if given else package
     kept = sum(1 for _ in folder.rglob("*.nbc")) if folder.is_dir() else 0
-    return {"folder": str(folder), "compiled": kept, "writable": os.access(folder, os.W_OK)}
+    return KernelCache(folder=str(folder), compiled=kept, writable=os.access(folder, os.W_OK))
 
 
 def _versions() -> dict[str, str]:
@@ -97,13 +83,13 @@ def _versions() -> dict[str, str]:
     return found
 
 
-def _problems(drivers: Mapping[str, Sequence[str]], kernels: Mapping[str, Any]) -> list[str]:
+def _problems(drivers: Mapping[str, Sequence[str]], kernels: KernelCache) -> list[str]:
     problems = []
     if not drivers["cameras"]:
         problems.append("No camera driver is registered: the installation is incomplete. Run `make install`.")
-    if not kernels["writable"]:
+    if not kernels.writable:
         problems.append(
-            f"{kernels['folder']} cannot be written, so every start compiles anew. Set NUMBA_CACHE_DIR to a folder."
+            f"{kernels.folder} cannot be written, so every start compiles anew. Set NUMBA_CACHE_DIR to a folder."
         )
     if cv2.__version__.startswith("5.") or sys.version_info < (3, 11):
         problems.append("OpenCV 5 or an old Python is installed; run in the environment that `make install` builds.")

@@ -5,11 +5,21 @@ from __future__ import annotations
 import re
 from collections import Counter
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.app.schemas.kinematics import (
+    ConvertArmOutput,
+    FkOutput,
+    FormulasOutput,
+    IkOutput,
+    JacobianOutput,
+    PathIssue,
+    PathOutput,
+    ShowOutput,
+    UnsolvedPose,
+)
 from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics import (
     PRESETS,
@@ -25,6 +35,7 @@ from armsight.kinematics import (
     preset,
     track_path,
 )
+from armsight.kinematics.path import Issue
 from armsight.kinematics.target import start_values, task_of
 from armsight.records import Motion, PoseStatus, TargetPose
 from armsight.report.arm_view import arm_report
@@ -60,7 +71,7 @@ def read_values(arm: Arm, path: Path) -> Motion:
     return Motion(t_s=motion.t_s, q=arm.values(motion.q))
 
 
-def write_poses_of_joints(arm: str, joints: Path, out: Path) -> dict[str, Any]:
+def write_poses_of_joints(arm: str, joints: Path, out: Path) -> FkOutput:
     """Write poses.csv, T_world_tool at each row of joints.csv."""
     model = load_arm(arm)
     motion = read_values(model, joints)
@@ -74,10 +85,11 @@ def write_poses_of_joints(arm: str, joints: Path, out: Path) -> dict[str, Any]:
             for t, T in zip(motion.t_s, poses.as_matrix(), strict=True)
         ),
     )
-    return {"arm": model.name, "n": len(motion.t_s), "n_beyond_limits": int((~model.within_limits(motion.q)).sum())}
+    beyond = int((~model.within_limits(motion.q)).sum())
+    return FkOutput(arm=model.name, n=len(motion.t_s), n_beyond_limits=beyond)
 
 
-def write_jacobians(arm: str, joints: Path, out: Path, *, axes: str = "world") -> dict[str, Any]:
+def write_jacobians(arm: str, joints: Path, out: Path, *, axes: str = "world") -> JacobianOutput:
     """Write the geometric Jacobian at each row of joints.csv: t_s, then J11..J6n row by row."""
     model = load_arm(arm)
     motion = read_values(model, joints)
@@ -88,12 +100,12 @@ def write_jacobians(arm: str, joints: Path, out: Path, *, axes: str = "world") -
     header = ["t_s", *(f"J{r + 1}{c + 1}" for r in range(6) for c in range(model.n))]
     rows = (f"{number(t)},{cells(row.ravel().tolist())}" for t, row in zip(motion.t_s, J, strict=True))
     write_text(out, "\n".join([",".join(header), *rows]) + "\n")
-    return {"arm": model.name, "n": len(J), "axes": axes}
+    return JacobianOutput(arm=model.name, n=len(J), axes=axes)
 
 
 def write_joints_of_poses(
     arm: str, poses: Path, out: Path, *, near: Path | None = None, every: bool = False, task: str | None = None
-) -> dict[str, Any]:
+) -> IkOutput:
     """Write solutions.csv: pose, solution, q1..qn, error_m, error_rad, status; one row per pose, or all of them.
 
     near: joints.csv with one row, or one per pose. Without it each pose is solved near the one before. Poses without a
@@ -110,13 +122,13 @@ def write_joints_of_poses(
         answer = _solve(model, target, here, aim)
         counts[answer.status.value] += 1
         if answer.why and answer.status not in (Status.OK, Status.SINGULAR):
-            told.append({"pose": k, "status": answer.status.value, "why": answer.why})
+            told.append(UnsolvedPose(pose=k, status=answer.status.value, why=answer.why))
         rows += _rows(model, k, answer, every)
         if answer.solutions:
             here = answer.solutions[0].q
     header = ["pose", "solution", *(f"q{i + 1}" for i in range(model.n)), "error_m", "error_rad", "status"]
     write_text(out, "\n".join([",".join(header), *rows]) + "\n")
-    return {"arm": model.name, "n": len(targets), "status": dict(counts), "unsolved": told}
+    return IkOutput(arm=model.name, n=len(targets), status=dict(counts), unsolved=told)
 
 
 def _starts(arm: Arm, near: Path | None, poses: int) -> Array | None:
@@ -153,7 +165,7 @@ def _rows(arm: Arm, k: int, answer: Inverse, every: bool) -> list[str]:
 
 def write_joint_path(
     arm: str, poses: Path, out: Path, *, start: Path | None = None, task: str | None = None
-) -> dict[str, Any]:
+) -> PathOutput:
     """Write joints.csv, a continuous track along poses.csv, as far as it goes; tell what is wrong with it where."""
     model = load_arm(arm)
     targets = read_poses(poses, parent="world")
@@ -170,29 +182,29 @@ def write_joint_path(
     track = track_path(model, T, t_s=t_s, start=first, task=task)
     if len(track.q):
         write_joints(out, Motion(t_s=t_s[: len(track.q)], q=model.readings(track.q)))
-    issues = [
-        {
-            "kind": i.trouble.value,
-            "first": i.first,
-            "last": i.last,
-            "worst": i.worst,
-            "joint": i.joint,
-            "value": i.value,
-            "limit": i.limit,
-            "text": i.text,
-        }
-        for i in track.issues
-    ]
-    return {
-        "arm": model.name,
-        "n": len(targets),
-        "n_reached": len(track.q),
-        "branch": list(track.branch),
-        "issues": issues,
-    }
+    return PathOutput(
+        arm=model.name,
+        n=len(targets),
+        n_reached=len(track.q),
+        branch=list(track.branch),
+        issues=[_issue(issue) for issue in track.issues],
+    )
 
 
-def write_formulas(arm: str, out: Path) -> dict[str, Any]:
+def _issue(issue: Issue) -> PathIssue:
+    return PathIssue(
+        kind=issue.trouble.value,
+        first=issue.first,
+        last=issue.last,
+        worst=issue.worst,
+        joint=issue.joint,
+        value=issue.value,
+        limit=issue.limit,
+        text=issue.text,
+    )
+
+
+def write_formulas(arm: str, out: Path) -> FormulasOutput:
     """Write forward kinematics and Jacobian as formulas: Python for a name that ends in .py, LaTeX for .tex."""
     from armsight.kinematics.symbolic import latex_source, python_source  # sympy takes a third of a second to load
 
@@ -207,16 +219,16 @@ def write_formulas(arm: str, out: Path) -> dict[str, Any]:
             cure="Leave `coupled` out of a copy of the arm file, and give the formulas the joints' own values",
         )
     write_text(out, python_source(model) if suffix == ".py" else latex_source(model))
-    return {"arm": model.name, "file": str(out)}
+    return FormulasOutput(arm=model.name, file=str(out))
 
 
-def draw_arm(arm: str, out: Path, *, joints: str | None = None) -> dict[str, Any]:
+def draw_arm(arm: str, out: Path, *, joints: str | None = None) -> ShowOutput:
     """Write a page with the arm in 3-D at joint values: a joints.csv, numbers separated by commas, or the middle."""
     model = load_arm(arm)
     q = start_values(model, None) if joints is None else _joint_values(model, joints)
     write_text(out, arm_report(model, q))
     T = fk(model, np.atleast_2d(q)[0])
-    return {"arm": model.name, "file": str(out), "tool_xyz_m": T[:3, 3].tolist()}
+    return ShowOutput(arm=model.name, file=str(out), tool_xyz_m=T[:3, 3].tolist())
 
 
 def _joint_values(arm: Arm, text: str) -> Array:
@@ -228,7 +240,7 @@ def _joint_values(arm: Arm, text: str) -> Array:
     return read_values(arm, Path(text)).q
 
 
-def convert_arm(source: str, out: Path, *, convention: str | None = None, tip: str | None = None) -> dict[str, Any]:
+def convert_arm(source: str, out: Path, *, convention: str | None = None, tip: str | None = None) -> ConvertArmOutput:
     """Write the arm as arm.yaml or URDF, by the name's ending; convention: standard or craig (arm.yaml only)."""
     model = load_arm(source, tip=tip)
     suffix = out.suffix.lower()
@@ -242,4 +254,4 @@ def convert_arm(source: str, out: Path, *, convention: str | None = None, tip: s
         write_arm(out, model, inputs=[Path(source)] if Path(source).exists() else [])
     else:
         raise UsageError(f"{out.name} ends in neither .yaml nor .urdf", cure="Choose one of them")
-    return {"arm": model.name, "file": str(out), "joints": model.n, "convention": model.convention.value}
+    return ConvertArmOutput(arm=model.name, file=str(out), joints=model.n, convention=model.convention.value)

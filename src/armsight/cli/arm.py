@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.options import AsJson
-from armsight.cli.tables import figure
+from armsight.cli.tables import figure, pose_rows
+
+if TYPE_CHECKING:
+    from armsight.app.schemas.arm import ArmOutput
 
 MM, DEG = 1e3, 57.29577951308232
 TOLERANCE_MM, TOLERANCE_DEG = 2.0, 1.72
@@ -44,8 +47,35 @@ def arm(
             rig=rig,
             world=world,
         )
-        content = run_calibrate_arm(job)
-        _tell(content, out, face)
+        done = run_calibrate_arm(job)
+        arm_tables(face, done, out)
+        face.result(done)
+
+
+def arm_tables(face: CommandUI, done: ArmOutput, out: Path) -> None:
+    """Print an arm's calibration."""
+    named = [("rows used", done.before, done.after)]
+    named += [("rows left out by cross-validation", done.crossval.before, done.crossval.after)]
+    named += [("rows of the holdout", done.holdout.before, done.holdout.after)] if done.holdout is not None else []
+    rows = [
+        [name, *(figure(MM * value, 4) for part in (before, after) for value in (part.mean_m, part.max_m))]
+        for name, before, after in named
+    ]
+    face.table("Error at the tool's point, mm", ["", "before: mean", "max", "after: mean", "max"], rows)
+    freed = [[name, _shown(name, done.corrections[name]), _shown(name, done.std[name])] for name in done.free]
+    if freed:
+        face.table("Corrections", ["", "mm, deg or share", "+-"], freed)
+    face.say(done.verdict)
+    if done.still:
+        face.say("Did not move: " + ", ".join(done.still) + ". Nothing of them is corrected by these rows.")
+    for item in done.outliers[:8]:
+        face.say(f"  row {item.row} misses by {figure(MM * item.error_m)} mm")
+    for q in done.proposals or ():
+        face.say("  measure at " + ", ".join(f"{value:.4f}" for value in q))
+    if done.expected_std is not None:
+        expected = [[name, _shown(name, value)] for name, value in done.expected_std.items()]
+        face.table("Deviations to expect with those measured too", ["", "mm, deg or share: +-"], expected)
+    face.say(f"Result: {out}; open {out.with_suffix('.report.html')}")
 
 
 def robot_world(
@@ -58,43 +88,12 @@ def robot_world(
     with CommandUI(as_json=json) as face:
         from armsight.app.calibrate.arm import run_calibrate_world
 
-        content = run_calibrate_world(arm, points, out)
-        std, xyz = content["std"], content["T_base_rig"]["xyz_m"]
-        rows = [[a, figure(MM * xyz[i], 6), figure(MM * std[f"{a}_m"], 2)] for i, a in enumerate("xyz")]
-        rows += [[f"about {a}", "", f"{figure(DEG * std[f'r{a}_rad'], 2)} deg"] for a in "xyz"]
-        face.table("T_base_rig", ["", "mm", "+-"], rows)
-        face.say(f"{content['n_used']} points, residual {figure(MM * content['residual_rms_m'])} mm RMS. Result: {out}")
-        for item in content["rejected"][:8]:
-            face.say(f"  left out: row {item['row']}: {item['why']}")
-        face.result(content)
-
-
-def _tell(content: dict[str, Any], out: Path, face: CommandUI) -> None:
-    """Print what was corrected, how well it does, and what to measure next."""
-    named = [("rows used", content), ("rows left out by cross-validation", content["crossval"])]
-    named += [("rows of the holdout", content["holdout"])] if "holdout" in content else []
-    errors = [(name, part["before"], part["after"]) for name, part in named]
-    rows = [
-        [name, *(figure(MM * part[key], 4) for part in (before, after) for key in ("mean_m", "max_m"))]
-        for name, before, after in errors
-    ]
-    face.table("Error at the tool's point, mm", ["", "before: mean", "max", "after: mean", "max"], rows)
-    corrections, std = content["corrections"], content["std"]
-    freed = [[name, _shown(name, corrections[name]), _shown(name, std[name])] for name in content["free"]]
-    if freed:
-        face.table("Corrections", ["", "mm, deg or share", "+-"], freed)
-    face.say(content["verdict"])
-    if content["still"]:
-        face.say("Did not move: " + ", ".join(content["still"]) + ". Nothing of them is corrected by these rows.")
-    for item in content["outliers"][:8]:
-        face.say(f"  row {item['row']} misses by {figure(MM * item['error_m'])} mm")
-    for q in content.get("proposals", ()):
-        face.say("  measure at " + ", ".join(f"{value:.4f}" for value in q))
-    if "expected_std" in content:
-        expected = [[name, _shown(name, value)] for name, value in content["expected_std"].items()]
-        face.table("Deviations to expect with those measured too", ["", "mm, deg or share: +-"], expected)
-    face.say(f"Result: {out}; open {out.with_suffix('.report.html')}")
-    face.result(content)
+        done = run_calibrate_world(arm, points, out)
+        face.table("T_base_rig", ["", "mm", "+-"], pose_rows(done.T_base_rig, done.std))
+        face.say(f"{done.n_used} points, residual {figure(MM * done.residual_rms_m)} mm RMS. Result: {out}")
+        for item in done.rejected[:8]:
+            face.say(f"  left out: row {item.row}: {item.why}")
+        face.result(done)
 
 
 def add_to(calibrate: typer.Typer) -> None:

@@ -54,9 +54,9 @@ def camera(
 
         if noise is not None and source is None and board is None:
             alone = NoiseJob(frames=noise, out=out, side=side, every=every, limit=frames)
-            content = run_noise(alone, face.progress("calibrating"))
-            noise_tables(face, content["noise"], out)
-            face.result(content)
+            found = run_noise(alone, face.progress("calibrating"))
+            noise_tables(face, found.noise, out)
+            face.result(found)
             return
         _require_board(source, board, side)
         job = CalibrateJob(
@@ -69,11 +69,11 @@ def camera(
             detector=detector,
             noise=noise,
         )
-        content = calibrate_camera(job, face.progress("calibrating"))
-        camera_tables(face, content, out)
-        if noise is not None:
-            noise_tables(face, content["noise"], out)
-        face.result(content)
+        done = calibrate_camera(job, face.progress("calibrating"))
+        camera_tables(face, done, out)
+        if done.noise is not None:
+            noise_tables(face, done.noise, out)
+        face.result(done)
 
 
 def _require_board(source: str | None, board: str | None, side: str | None) -> None:
@@ -115,6 +115,6 @@ def stereo(
             workers=workers if workers is not None else load_settings().workers,
             detector=detector,
         )
-        content = calibrate_stereo(job, face.progress("calibrating"))
-        stereo_tables(face, content, out)
-        face.result(content)
+        done = calibrate_stereo(job, face.progress("calibrating"))
+        stereo_tables(face, done, out)
+        face.result(done)

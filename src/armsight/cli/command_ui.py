@@ -9,10 +9,10 @@ import tempfile
 import threading
 import time
 import traceback
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType, TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import typer
 from rich.console import Console
@@ -20,6 +20,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from rich.table import Table
 
 from armsight.errors import ArmsightError, Cancelled
+
+if TYPE_CHECKING:
+    from armsight.app.schemas.base import Output
 
 UNFORESEEN = 1
 LINE_EVERY_S = 5.0
@@ -61,13 +64,11 @@ class CommandUI:
             table.add_row(*row)
         self.console.print(table)
 
-    def result(self, content: Mapping[str, Any]) -> None:
+    def result(self, result: Output) -> None:
         """Give the command's result; printed only with --json."""
         self._end_bar()
         if self._as_json:
-            from armsight.store.atomic import json_text  # imported here: --help needs no files
-
-            sys.stdout.write(json_text(content, indent=None) + "\n")
+            sys.stdout.write(result.to_json() + "\n")
             sys.stdout.flush()
 
     def __enter__(self) -> Self:
@@ -98,17 +99,8 @@ class CommandUI:
         head = "stopped" if isinstance(error, Cancelled) else "error"
         style = "bold red" if self.console.is_terminal else ""
         self.console.print(f"{head}: {error}", style=style, markup=False, soft_wrap=True)
-        self.result(
-            {
-                "error": {
-                    "kind": type(error).__name__,
-                    "cause": error.cause,
-                    "consequence": error.consequence,
-                    "cure": error.cure,
-                    "exit_code": error.exit_code,
-                }
-            }
-        )
+        if self._as_json:
+            self.result(_refusal(error))
 
     def _interrupt(self, number: int, frame: FrameType | None) -> None:
         if self._stopped.is_set():
@@ -191,6 +183,19 @@ class Bar:
     def _rate(self, done: float) -> float:
         passed_s = time.monotonic() - self._begun_s
         return done / passed_s if passed_s > 0.2 else 0.0
+
+
+def _refusal(error: ArmsightError) -> Output:
+    from armsight.app.schemas.base import Refusal, RefusalOutput
+
+    refusal = Refusal(
+        kind=type(error).__name__,
+        cause=error.cause,
+        consequence=error.consequence,
+        cure=error.cure,
+        exit_code=error.exit_code,
+    )
+    return RefusalOutput(error=refusal)
 
 
 def unforeseen(error: Exception) -> ArmsightError:

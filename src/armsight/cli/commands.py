@@ -6,7 +6,7 @@ Imports of the program itself stand inside the commands, so that `armsight --hel
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -126,7 +126,7 @@ def measure(
         )
         summary = run(job, face.progress("measuring"))
         measure_tables(face, summary, out)
-        face.result(summary.content())
+        face.result(summary)
 
 
 @app.command()
@@ -156,7 +156,7 @@ def demo(
             progress=face.progress("demo"),
         )
         demo_tables(face, result, out)
-        face.result(result.content())
+        face.result(result)
 
 
 @app.command()
@@ -177,9 +177,9 @@ def simulate(
     with CommandUI(as_json=json) as face:
         from armsight.app.simulate.run import simulate as run
 
-        content = run(scenario, out, seed=seed, frames=frames, room=room, progress=face.progress("simulating"))
-        face.say(f"{content['n_frames']} frames of each view and the truth are in {out}")
-        face.result(content)
+        done = run(scenario, out, seed=seed, frames=frames, room=room, progress=face.progress("simulating"))
+        face.say(f"{done.n_frames} frames of each view and the truth are in {out}")
+        face.result(done)
 
 
 @app.command()
@@ -195,12 +195,9 @@ def doctor(
 ) -> None:
     """Tell what this machine can do: versions, cameras, drivers, compiled kernels; and a rig's resolution."""
     with CommandUI(as_json=json) as face:
-        from dataclasses import asdict
-
         from armsight.app.doctor import doctor as run
         from armsight.optics.resolution import CENTROID_SIGMA_PX
 
         found = run(rig, depths_m=depth or (), sigma_px=sigma or CENTROID_SIGMA_PX)
         doctor_tables(face, found)
-        content: dict[str, Any] = asdict(found)
-        face.result(content)
+        face.result(found)

@@ -12,7 +12,7 @@ from armsight.cli.options import AsJson, parse_size
 from armsight.cli.record import recording
 
 if TYPE_CHECKING:
-    from armsight.app.convert import Converted
+    from armsight.app.schemas.files import ConvertOutput
 
 convert = typer.Typer(help="Convert between armsight's files and those of other programs.", no_args_is_help=True)
 convert.command("recording")(recording)
@@ -67,18 +67,9 @@ def poses(
         _tell(face, convert_poses(source, out))
 
 
-def _tell(face: CommandUI, done: Converted) -> None:
-    files = ", ".join(str(path) for path in done.files)
-    rows = f", {done.rows} poses" if done.rows is not None else ""
-    face.say(f"{done.source} to {done.target}{rows}: {files}")
+def _tell(face: CommandUI, done: ConvertOutput) -> None:
+    poses = f", {done.n} poses" if done.n is not None else ""
+    face.say(f"{done.source} to {done.target}{poses}: {', '.join(done.files)}")
     if done.note:
         face.say(f"- {done.note}")
-    face.result(
-        {
-            "from": done.source,
-            "to": done.target,
-            "files": [str(path) for path in done.files],
-            "n": done.rows,
-            "note": done.note,
-        }
-    )
+    face.result(done)

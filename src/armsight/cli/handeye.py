@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.options import BOARD, SRC, AsJson, Workers
-from armsight.cli.tables import figure
+from armsight.cli.tables import figure, pose_rows, tip_rows
 from armsight.errors import UsageError
 
-MM, DEG = 1e3, 57.29577951308232
+if TYPE_CHECKING:
+    from armsight.app.schemas.handeye import HandEyeOutput
+
+MM = 1e3
 POINT_SIGMA_MM = 0.2
 """Deviation believed of a measured point unless another is given: a dot measured by two cameras at 0.6 m."""
 
@@ -56,9 +58,9 @@ def handeye(
             propose=propose,
             workers=workers,
         )
-        content = calibrate_handeye(job, face.progress("calibrating"))
-        handeye_tables(face, content, out)
-        face.result(content)
+        done = calibrate_handeye(job, face.progress("calibrating"))
+        handeye_tables(face, done, out)
+        face.result(done)
 
 
 def tooltip(
@@ -74,17 +76,12 @@ def tooltip(
     with CommandUI(as_json=json) as face:
         from armsight.app.calibrate.handeye import calibrate_tip
 
-        content = calibrate_tip(poses, out, point=_point(point), sigma_m=point_sigma)
-        std = content["std"]
-        rows = [
-            [axis, figure(MM * content["tip_m"][i], 6), figure(MM * std[f"{axis}_m"], 2)]
-            for i, axis in enumerate("xyz")
-        ]
-        face.table("Tip", ["", "mm", "+-"], rows)
-        face.say(f"{content['n_used']} poses, residual {figure(MM * content['residual_rms_m'])} mm RMS. Result: {out}")
-        for item in content["rejected"]:
-            face.say(f"  left out: row {item['row']}: {item['why']}")
-        face.result(content)
+        done = calibrate_tip(poses, out, point=_point(point), sigma_m=point_sigma)
+        face.table("Tip", ["", "mm", "+-"], tip_rows(done.tip_m, done.std))
+        face.say(f"{done.n_used} poses, residual {figure(MM * done.residual_rms_m)} mm RMS. Result: {out}")
+        for item in done.rejected:
+            face.say(f"  left out: row {item.row}: {item.why}")
+        face.result(done)
 
 
 def pivot(
@@ -116,31 +113,33 @@ def pivot(
             point=_point(point),
             sigma_m=point_sigma,
         )
-        content = run_pivot(job, face.progress("pivoting"))
-        tip, std = content["tip_m"], content["std"]
-        rows = [[a, figure(MM * tip[i], 6), figure(MM * std[f"{a}_m"], 2)] for i, a in enumerate("xyz")]
-        face.table("Tip", ["", "mm", "+-"], rows)
-        said = "good enough" if content["reached"] else "not yet as good as wanted: pivot on, or lower the goal"
-        face.say(f"{content['n_used']} poses, {said}. Result: {out}")
-        face.result(content)
+        done = run_pivot(job, face.progress("pivoting"))
+        face.table("Tip", ["", "mm", "+-"], tip_rows(done.tip_m, done.std))
+        said = "good enough" if done.reached else "not yet as good as wanted: pivot on, or lower the goal"
+        face.say(f"{done.n_used} poses, {said}. Result: {out}")
+        face.result(done)
 
 
-def handeye_tables(face: CommandUI, content: Mapping[str, Any], out: Path) -> None:
+def handeye_tables(face: CommandUI, done: HandEyeOutput, out: Path) -> None:
     """Print a hand-eye calibration."""
-    for name in (key for key in content if key.startswith("T_")):
-        std = content["std" if name.endswith("camera") else "std_target"]
-        xyz = content[name]["xyz_m"]
-        rows = [[a, figure(MM * xyz[i], 6), figure(MM * std[f"{a}_m"], 2)] for i, a in enumerate("xyz")]
-        rows += [[f"about {a}", "", f"{figure(DEG * std[f'r{a}_rad'], 2)} deg"] for a in "xyz"]
-        face.table(name, ["", "mm", "+-"], rows)
-    face.say(content["verdict"])
-    for text in content["advice"]:
+    poses = {
+        "T_flange_camera": (done.T_flange_camera, done.std),
+        "T_base_target": (done.T_base_target, done.std_target),
+        "T_base_camera": (done.T_base_camera, done.std),
+        "T_flange_target": (done.T_flange_target, done.std_target),
+    }
+    for name, (pose, std) in poses.items():
+        if pose is not None:
+            face.table(name, ["", "mm", "+-"], pose_rows(pose, std))
+    face.say(done.verdict)
+    for text in done.advice:
         face.say(f"- {text}")
-    for item in content["rejected"][:8]:
-        face.say(f"  left out: {item['name']}: {item['why']}")
-    for item in content.get("proposals", ()):
-        xyz, quat = (", ".join(f"{v:.4f}" for v in values) for values in item["T_base_flange"].values())
-        face.say(f"  propose T_base_flange ({xyz}) m, ({quat}): then {figure(MM * item['expected_std_m'], 2)} mm")
+    for item in done.rejected[:8]:
+        face.say(f"  left out: {item.name}: {item.why}")
+    for proposed in done.proposals or ():
+        pose = proposed.T_base_flange
+        xyz, quat = (", ".join(f"{v:.4f}" for v in values) for values in (pose.xyz_m, pose.quat_xyzw))
+        face.say(f"  propose T_base_flange ({xyz}) m, ({quat}): then {figure(MM * proposed.expected_std_m, 2)} mm")
     face.say(f"Result: {out}; open {out.with_suffix('.report.html')}")
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -14,9 +14,11 @@ from armsight.errors import UsageError
 
 if TYPE_CHECKING:
     from armsight.app.identify.live import LiveJob
+    from armsight.app.schemas.arm import IdentifiedJoint, IdentifyOutput, JointStd, PlanOutput
 
 MM, DEG = 1e3, 57.29577951308232
-ENTRIES = (("a_m", MM), ("alpha_rad", DEG), ("d_m", MM), ("theta_rad", DEG))
+FACTORS = (MM, DEG, MM, DEG)
+"""How people read a, alpha, d and theta: millimetres and degrees."""
 
 
 def identify(
@@ -123,13 +125,13 @@ def identify(
             sigma=sigma,
             nominal=nominal,
         )
-        content = run_identify(job, face.progress("identifying"))
-        _tell(content, out, face)
+        _tell(run_identify(job, face.progress("identifying")), out, face)
 
 
 def _live(job: LiveJob, face: CommandUI, yes: bool) -> None:
     """Identify online; ask before the robot moves."""
     from armsight.app.identify.live import OperatorCallbacks, run_identify_live
+    from armsight.app.schemas.arm import IdentifyOutput
 
     def confirm(question: str) -> bool:
         try:
@@ -137,47 +139,50 @@ def _live(job: LiveJob, face: CommandUI, yes: bool) -> None:
         except typer.Abort:  # nobody there to ask
             return False
 
-    def show(plan: dict[str, Any]) -> None:
+    def show(plan: PlanOutput) -> None:
         _tell_plan(plan, face)
 
-    content = run_identify_live(job, OperatorCallbacks(confirm=confirm, show=show), face.progress("identifying"))
-    if job.propose:
-        face.result(content)
+    done = run_identify_live(job, OperatorCallbacks(confirm=confirm, show=show), face.progress("identifying"))
+    if isinstance(done, IdentifyOutput):
+        _tell(done, job.out, face)
     else:
-        _tell(content, job.out, face)
+        face.result(done)
 
 
-def _tell_plan(plan: dict[str, Any], face: CommandUI) -> None:
+def _tell_plan(plan: PlanOutput, face: CommandUI) -> None:
     rows = []
-    for sweep in plan["sweeps"]:
-        rest = ", ".join(figure(value, 3) for k, value in enumerate(sweep["rest"], 1) if k != sweep["joint"])
-        way = (figure(sweep["from"], 4), figure(sweep["to"], 4))
-        rows.append([f"{sweep['joint']}", *way, f"{sweep['readings']}", rest])
+    for sweep in plan.sweeps:
+        rest = ", ".join(figure(value, 3) for k, value in enumerate(sweep.rest, 1) if k != sweep.joint)
+        rows.append([f"{sweep.joint}", figure(sweep.start, 4), figure(sweep.end, 4), f"{sweep.readings}", rest])
     face.table("Sweeps, rad or m", ["joint", "from", "to", "readings", "others rest at"], rows)
     rows = []
-    for number, std in enumerate(plan["expected_std"], 1):
-        shown = ((std[key], factor) for key, factor in ENTRIES)
+    for number, std in enumerate(plan.expected_std, 1):
+        shown = zip(_entries(std), FACTORS, strict=True)
         rows.append(
             [f"{number}", *("" if value is None else f"+- {figure(factor * value, 2)}" for value, factor in shown)]
         )
     face.table("Accuracy to expect, mm and degrees", ["joint", "a", "alpha", "d", "theta"], rows)
-    for note in plan["notes"]:
+    for note in plan.notes:
         face.say(f"- {note}")
 
 
-def _tell(content: dict[str, Any], out: Path, face: CommandUI) -> None:
+def _tell(done: IdentifyOutput, out: Path, face: CommandUI) -> None:
     rows = []
-    for joint in content["joints"]:
-        cells = [f"{joint['index']}", joint["type"]]
-        for key, factor in ENTRIES:
-            doubt = joint["std"][key]
-            shown = figure(factor * joint[key], 5)
-            cells.append(shown if doubt is None else f"{shown} +- {figure(factor * doubt, 2)}")
-        rows.append([*cells, figure(MM * joint["residual_rms_m"])])
+    for joint in done.joints:
+        cells = [f"{joint.index}", joint.type]
+        for factor, value, std in zip(FACTORS, _entries(joint), _entries(joint.std), strict=True):
+            shown = figure(None if value is None else factor * value, 5)
+            cells.append(shown if std is None else f"{shown} +- {figure(factor * std, 2)}")
+        rows.append([*cells, figure(MM * joint.residual_rms_m)])
     face.table("Arm, mm and degrees", ["joint", "type", "a", "alpha", "d", "theta", "residual"], rows)
-    if any(value is not None for joint in content["joints"] for value in joint["std"].values()):
+    if any(std is not None for joint in done.joints for std in (*_entries(joint.std), joint.std.beta_rad)):
         face.say("Entries without a standard deviation are chosen, not measured.")
-    for note in content["notes"]:
+    for note in done.notes:
         face.say(f"- {note}")
     face.say(f"Result: {out}; open {out.with_suffix('.report.html')}")
-    face.result(content)
+    face.result(done)
+
+
+def _entries(row: IdentifiedJoint | JointStd) -> tuple[float | None, float | None, float | None, float | None]:
+    """Return a, alpha, d and theta of a joint, or their standard deviations, in the order of FACTORS."""
+    return row.a_m, row.alpha_rad, row.d_m, row.theta_rad

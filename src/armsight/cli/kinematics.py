@@ -28,10 +28,10 @@ def fk(arm: ArmFile, joints: Joints, out: Out, json: AsJson = False) -> None:
     with CommandUI(as_json=json) as face:
         from armsight.app.kinematics import write_poses_of_joints as run
 
-        content = run(arm, joints, out)
-        beyond = f", {content['n_beyond_limits']} of them beyond limits" if content["n_beyond_limits"] else ""
-        face.say(f"{content['n']} poses of {content['arm']}{beyond}: {out}")
-        face.result(content)
+        done = run(arm, joints, out)
+        beyond = f", {done.n_beyond_limits} of them beyond limits" if done.n_beyond_limits else ""
+        face.say(f"{done.n} poses of {done.arm}{beyond}: {out}")
+        face.result(done)
 
 
 @kinematics.command("ik")
@@ -48,12 +48,12 @@ def ik(
     with CommandUI(as_json=json) as face:
         from armsight.app.kinematics import write_joints_of_poses as run
 
-        content = run(arm, poses, out, near=near, every=every, task=task)
-        counts = ", ".join(f"{count} {status}" for status, count in content["status"].items())
-        face.say(f"{content['n']} poses of {content['arm']} ({counts}): {out}")
-        for entry in content["unsolved"][:5]:
-            face.say(f"  pose {entry['pose']}: {entry['status']}, {entry['why']}")
-        face.result(content)
+        done = run(arm, poses, out, near=near, every=every, task=task)
+        counts = ", ".join(f"{count} {status}" for status, count in done.status.items())
+        face.say(f"{done.n} poses of {done.arm} ({counts}): {out}")
+        for entry in done.unsolved[:5]:
+            face.say(f"  pose {entry.pose}: {entry.status}, {entry.why}")
+        face.result(done)
 
 
 @kinematics.command("jacobian")
@@ -68,9 +68,9 @@ def jacobian(
     with CommandUI(as_json=json) as face:
         from armsight.app.kinematics import write_jacobians as run
 
-        content = run(arm, joints, out, axes=axes)
-        face.say(f"{content['n']} Jacobians of {content['arm']} in {content['axes']} axes: {out}")
-        face.result(content)
+        done = run(arm, joints, out, axes=axes)
+        face.say(f"{done.n} Jacobians of {done.arm} in {done.axes} axes: {out}")
+        face.result(done)
 
 
 @kinematics.command("path")
@@ -86,12 +86,12 @@ def path(
     with CommandUI(as_json=json) as face:
         from armsight.app.kinematics import write_joint_path as run
 
-        content = run(arm, poses, out, start=start, task=task)
-        branch = f" on the branch {', '.join(content['branch'])}" if content["branch"] else ""
-        face.say(f"{content['n_reached']} of {content['n']} poses of {content['arm']} reached{branch}: {out}")
-        for issue in content["issues"]:
-            face.say(f"  {issue['text']}")
-        face.result(content)
+        done = run(arm, poses, out, start=start, task=task)
+        branch = f" on the branch {', '.join(done.branch)}" if done.branch else ""
+        face.say(f"{done.n_reached} of {done.n} poses of {done.arm} reached{branch}: {out}")
+        for issue in done.issues:
+            face.say(f"  {issue.text}")
+        face.result(done)
 
 
 @kinematics.command("formulas")
@@ -100,9 +100,9 @@ def formulas(arm: ArmFile, out: Out, json: AsJson = False) -> None:
     with CommandUI(as_json=json) as face:
         from armsight.app.kinematics import write_formulas
 
-        content = write_formulas(arm, out)
-        face.say(f"formulas of {content['arm']}: {out}")
-        face.result(content)
+        done = write_formulas(arm, out)
+        face.say(f"formulas of {done.arm}: {out}")
+        face.result(done)
 
 
 @kinematics.command("show")
@@ -118,9 +118,9 @@ def show(
     with CommandUI(as_json=json) as face:
         from armsight.app.kinematics import draw_arm as run
 
-        content = run(arm, out, joints=joints)
-        face.say(f"{content['arm']}: {out}")
-        face.result(content)
+        done = run(arm, out, joints=joints)
+        face.say(f"{done.arm}: {out}")
+        face.result(done)
 
 
 def convert_arm(
@@ -134,6 +134,6 @@ def convert_arm(
     with CommandUI(as_json=json) as face:
         from armsight.app.kinematics import convert_arm as run
 
-        content = run(source, out, convention=convention, tip=tip)
-        face.say(f"{content['arm']}, {content['joints']} joints: {out}")
-        face.result(content)
+        done = run(source, out, convention=convention, tip=tip)
+        face.say(f"{done.arm}, {done.joints} joints: {out}")
+        face.result(done)

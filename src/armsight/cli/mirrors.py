@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.options import BOARD, SRC, AsJson, Every, Limit, Workers
 from armsight.cli.tables import figure, stereo_tables
+
+if TYPE_CHECKING:
+    from armsight.app.schemas.cameras import CheckedAlignment, MirrorAlignment, MirrorCheckOutput, MirrorsOutput
 
 MM, MRAD = 1e3, 1e3
 REASONS_SHOWN = 8
@@ -71,57 +73,65 @@ def mirrors(
             workers=workers if workers is not None else load_settings().workers,
         )
         if check:
-            content = run_check(job, face.progress("checking"))
-            check_tables(face, content)
-        else:
-            content = run_mirrors(job, face.progress("calibrating"))
-            if out is not None:
-                stereo_tables(face, content, out) if target is None else lit_table(face, content)
-                check_tables(face, content)
-                face.say(f"Written: {out}; open {report_path(out)}")
-        face.result(content)
+            found = run_check(job, face.progress("checking"))
+            check_tables(face, found)
+            face.result(found)
+            return
+        done = run_mirrors(job, face.progress("calibrating"))
+        if out is not None:
+            stereo_tables(face, done, out) if target is None else lit_table(face, done)
+            alignment_tables(face, done)
+            face.say(f"Written: {out}; open {report_path(out)}")
+        face.result(done)
 
 
-def lit_table(face: CommandUI, content: Mapping[str, Any]) -> None:
+def lit_table(face: CommandUI, done: MirrorsOutput) -> None:
     """Print a rig's calibration from the lit target, with the commonest reasons of images left out."""
     from armsight.app.calibrate.mirrors_lit_target import reasons
 
     rows = [
-        ["baseline, mm", figure(MM * content["baseline_m"], 6)],
-        ["baseline +-, mm", figure(MM * content["std"]["baseline_m"], 2)],
-        ["reprojection, px RMS", figure(content["rms_px"])],
-        ["epipolar, px RMS", figure(content["epipolar_rms_px"])],
+        ["baseline, mm", figure(MM * done.baseline_m, 6)],
+        ["baseline +-, mm", figure(MM * done.std["baseline_m"], 2)],
+        ["reprojection, px RMS", figure(done.rms_px)],
+        ["epipolar, px RMS", figure(done.epipolar_rms_px)],
     ]
-    face.table(f"Rig, {content['n_used']} of {content['n_pairs']} images", ["", ""], rows)
-    for why, count in reasons([(one["file"], one["why"]) for one in content["rejected"]])[:REASONS_SHOWN]:
+    face.table(f"Rig, {done.n_used} of {done.n_pairs} images", ["", ""], rows)
+    for why, count in reasons([(one.file, one.why) for one in done.rejected])[:REASONS_SHOWN]:
         face.say(f"  {count} left out: {why}")
 
 
-def check_tables(face: CommandUI, content: Mapping[str, Any]) -> None:
-    """Print how the virtual cameras stand to each other, and what to do."""
-    found = content["alignment"]
+def alignment_tables(face: CommandUI, done: MirrorsOutput) -> None:
+    """Print how the virtual cameras of a calibrated rig stand to each other, its plate, and what to do."""
+    plate = done.alignment.plate
     rows = [
-        ["axes turn towards each other, mrad", figure(MRAD * found["convergence_rad"])],
-        ["right image lower, px", figure(found["vertical_px"])],
-        ["right image turned, mrad", figure(MRAD * found["roll_rad"])],
+        *_alignment_rows(done.alignment),
+        ["plate, mm", figure(MM * plate.thickness_m)],
+        ["its shift m = l, mm", figure(MM * plate.m_m)],
     ]
-    if "plate" in found:
-        rows.append(["plate, mm", figure(MM * found["plate"]["thickness_m"])])
-        rows.append(["its shift m = l, mm", figure(MM * found["plate"]["m_m"])])
     face.table("Alignment", ["", ""], rows)
-    if content.get("suspects"):
+    for line in done.advice:
+        face.say(f"- {line}")
+
+
+def check_tables(face: CommandUI, found: MirrorCheckOutput) -> None:
+    """Print how the virtual cameras stand to each other now, and which mirror to turn."""
+    face.table("Alignment", ["", ""], _alignment_rows(found.alignment))
+    if found.suspects:
         rows = [
-            [
-                f"mirror {one['mirror']}",
-                figure(MRAD * one["turn_rad"]),
-                figure(MRAD * one["tilt_rad"]),
-                figure(one["chi2"]),
-            ]
-            for one in content["suspects"]
+            [f"mirror {one.mirror}", figure(MRAD * one.turn_rad), figure(MRAD * one.tilt_rad), figure(one.chi2)]
+            for one in found.suspects
         ]
         face.table("Which mirror has moved", ["", "about the vertical, mrad", "across, mrad", "chi-square left"], rows)
-    for line in content["advice"]:
+    for line in found.advice:
         face.say(f"- {line}")
+
+
+def _alignment_rows(found: MirrorAlignment | CheckedAlignment) -> list[list[str]]:
+    return [
+        ["axes turn towards each other, mrad", figure(MRAD * found.convergence_rad)],
+        ["right image lower, px", figure(found.vertical_px)],
+        ["right image turned, mrad", figure(MRAD * found.roll_rad)],
+    ]
 
 
 def add_to(calibrate: typer.Typer) -> None:

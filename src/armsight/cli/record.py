@@ -72,9 +72,9 @@ def record(
         done = run(job, face.progress("recording"))
         lost = f", {done.n_dropped} dropped because the disk or the processor is too slow" if done.n_dropped else ""
         lost += f", {done.n_missed} missed by the cameras" if done.n_missed else ""
-        size = f"{done.size / 1e6:.1f} MB as {done.kind.value}"
-        face.say(f"{done.n_pairs} pairs in {done.seconds_s:.1f} s{lost}; {size} in {done.path}")
-        face.result(done.content())
+        size = f"{done.size_bytes / 1e6:.1f} MB as {done.format}"
+        face.say(f"{done.n_pairs} pairs in {done.duration_s:.1f} s{lost}; {size} in {done.file}")
+        face.result(done)
 
 
 def recording(
@@ -87,8 +87,8 @@ def recording(
         from armsight.app.record.export import export
 
         done = export(source, out, progress=face.progress("exporting"))
-        face.say(", ".join(f"{name}: {count}" for name, count in done.items()) + f" in {out}")
-        face.result({"from": str(source), "out": str(out), "n": done})
+        face.say(", ".join(f"{name}: {count}" for name, count in done.n.items()) + f" in {out}")
+        face.result(done)
 
 
 def _mend(face: CommandUI, path: Path, out: Path | None, overwrite: bool) -> None:
@@ -97,16 +97,8 @@ def _mend(face: CommandUI, path: Path, out: Path | None, overwrite: bool) -> Non
     done = mend(path, out, overwrite=overwrite)
     total = sum(done.messages.values())
     lost = f"{done.lost_bytes} bytes were not whole" if done.lost_bytes else "nothing was lost"
-    face.say(f"{total} messages over {done.seconds_s:.1f} s are in {done.path}; {lost}")
-    face.result(
-        {
-            "file": str(done.path),
-            "messages": done.messages,
-            "duration_s": done.seconds_s,
-            "lost_bytes": done.lost_bytes,
-            "damaged_chunks": done.damaged_chunks,
-        }
-    )
+    face.say(f"{total} messages over {done.duration_s:.1f} s are in {done.file}; {lost}")
+    face.result(done)
 
 
 def _format(text: str) -> ImageFormat:

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from armsight.cli.command_ui import CommandUI
 
 if TYPE_CHECKING:
-    from armsight.app.demo import DemoResult
-    from armsight.app.doctor import Diagnosis
-    from armsight.app.measure.outputs import Summary
+    from armsight.app.schemas.base import PointStd, PoseOutput, PoseStd, RejectedFile
+    from armsight.app.schemas.cameras import CameraNoise, CameraOutput, StereoOutput
+    from armsight.app.schemas.machine import DoctorOutput
+    from armsight.app.schemas.measure import DemoOutput, MeasureOutput, PoseErrors
 
+MM, DEG = 1e3, 57.29577951308232
 REJECTED_SHOWN = 8
 
 
@@ -27,18 +29,31 @@ def figure(value: float | None, digits: int = 3) -> str:
     return f"{value:.{min(places, 9)}f}"
 
 
-def measure_tables(face: CommandUI, summary: Summary, out: Path) -> None:
-    """Print what a measurement came to."""
-    from armsight.measure.consistency.explain import advice, sentence
+def tip_rows(tip_m: Sequence[float], std: PointStd) -> list[list[str]]:
+    """Return the rows of a point: axis, place and standard deviation in mm."""
+    named = zip("xyz", tip_m, std.translation_m, strict=True)
+    return [[axis, figure(MM * value, 6), figure(MM * deviation, 2)] for axis, value, deviation in named]
 
+
+def pose_rows(pose: PoseOutput, std: PoseStd) -> list[list[str]]:
+    """Return the rows of a pose: place with standard deviation in mm, that of the rotation in degrees."""
+    turns = zip("xyz", std.rotation_rad, strict=True)
+    return [
+        *tip_rows(pose.xyz_m, std),
+        *([f"about {axis}", "", f"{figure(DEG * deviation, 2)} deg"] for axis, deviation in turns),
+    ]
+
+
+def measure_tables(face: CommandUI, summary: MeasureOutput, out: Path) -> None:
+    """Print what a measurement came to."""
     rows = [
         ["pairs of frames", str(summary.n_frames)],
         ["pose", str(summary.n_ok)],
         ["position only", str(summary.n_position_only)],
         ["lost", str(summary.n_lost)],
         ["reprojection, px RMS", figure(summary.reprojection_rms_px)],
-        ["ms per pair, median", figure(summary.median_ms)],
-        ["ms per pair, 99 %", figure(summary.p99_ms)],
+        ["ms per pair, median", figure(summary.ms_per_frame.median)],
+        ["ms per pair, 99 %", figure(summary.ms_per_frame.p99)],
     ]
     if summary.skew is not None:
         rows += [
@@ -49,98 +64,94 @@ def measure_tables(face: CommandUI, summary: Summary, out: Path) -> None:
     face.table("Measured", ["", ""], rows)
     for reason, count in list(summary.reasons.items())[:REJECTED_SHOWN]:
         face.say(f"  {count} x {reason}")
-    if summary.consistency is not None and (told := sentence(summary.consistency)):
-        loud = summary.consistency.verdict == "inconsistent"
-        face.say(f"{'INCONSISTENT: the poses are not to be trusted. ' if loud else 'Note: '}{told}")
-        face.say(f"  {advice(summary.consistency)}".rstrip())
+    found = summary.consistency
+    if found is not None and found.sentence:
+        loud = found.verdict == "inconsistent"
+        face.say(f"{'INCONSISTENT: the poses are not to be trusted. ' if loud else 'Note: '}{found.sentence}")
+        face.say(f"  {found.advice}".rstrip())
     face.say(f"Results: {out}; open {out / 'report.html'}")
 
 
-def camera_tables(face: CommandUI, content: Mapping[str, Any], out: Path) -> None:
+def camera_tables(face: CommandUI, done: CameraOutput, out: Path) -> None:
     """Print a camera's calibration."""
-    std = content["std"]
+    values = {"fx_px": done.fx_px, "fy_px": done.fy_px, "cx_px": done.cx_px, "cy_px": done.cy_px}
     rows = [
-        [name.removesuffix("_px"), figure(content[name], 6), figure(std.get(name), 2)]
-        for name in ("fx_px", "fy_px", "cx_px", "cy_px")
+        [name.removesuffix("_px"), figure(value, 6), figure(done.std.get(name), 2)] for name, value in values.items()
     ]
     rows += [
-        [name, figure(value, 4), figure(std.get(name), 2)]
-        for name, value in zip(("k1", "k2", "p1", "p2", "k3"), content["distortion"], strict=True)
+        [name, figure(value, 4), figure(done.std.get(name), 2)]
+        for name, value in zip(("k1", "k2", "p1", "p2", "k3"), done.distortion, strict=True)
     ]
-    face.table(f"Camera, {content['n_used']} of {content['n_images']} images", ["", "value", "+-"], rows)
-    face.say(
-        f"Reprojection {figure(content['rms_px'])} px RMS; {figure(content['holdout_rms_px'])} px on left-out images"
-    )
-    _rejected(face, content["rejected"])
+    face.table(f"Camera, {done.n_used} of {done.n_images} images", ["", "value", "+-"], rows)
+    face.say(f"Reprojection {figure(done.rms_px)} px RMS; {figure(done.holdout_rms_px)} px on left-out images")
+    _rejected(face, done.rejected)
     face.say(f"Written: {out}")
 
 
-def noise_tables(face: CommandUI, content: Mapping[str, Any], out: Path) -> None:
+def noise_tables(face: CommandUI, noise: CameraNoise, out: Path) -> None:
     """Print a camera's noise."""
     rows = [
         [figure(level), figure(math.sqrt(variance)), figure(std / (2.0 * math.sqrt(variance)) if variance else None, 2)]
-        for level, variance, std in zip(
-            content["levels"], content["variance_levels2"], content["std_levels2"], strict=True
-        )
+        for level, variance, std in zip(noise.levels, noise.variance_levels2, noise.std_levels2, strict=True)
     ]
-    face.table(f"Noise, {content['n_frames']} frames", ["at grey level", "noise, grey levels", "+-"], rows)
-    near = content["correlation"]
+    face.table(f"Noise, {noise.n_frames} frames", ["at grey level", "noise, grey levels", "+-"], rows)
+    near = noise.correlation
     face.say(
-        f"Correlation with the next pixel: {near['x'][0]:.3f} along x, {near['y'][0]:.3f} along y, "
-        f"{near['diagonal']:.3f} along diagonals; the one after it: {near['x'][1]:.3f}, {near['y'][1]:.3f}"
+        f"Correlation with the next pixel: {near.x[0]:.3f} along x, {near.y[0]:.3f} along y, "
+        f"{near.diagonal:.3f} along diagonals; the one after it: {near.x[1]:.3f}, {near.y[1]:.3f}"
     )
-    line = content["linear"]
+    line = noise.linear
     if line is None:
         face.say("The variance is no line over the grey level: a transfer curve or compression; the table holds")
     else:
         face.say(
-            f"Linear camera: read noise {figure(line['read_noise_levels'])} grey levels, "
-            f"{figure(line['gain_levels'])} grey levels for each electron"
+            f"Linear camera: read noise {figure(line.read_noise_levels)} grey levels, "
+            f"{figure(line.gain_levels)} grey levels for each electron"
         )
-    for text in content.get("advice", ()):
+    for text in getattr(noise, "advice", ()):  # of noise that a file held there is none
         face.say(f"  {text}")
     face.say(f"Written: {out}")
 
 
-def stereo_tables(face: CommandUI, content: Mapping[str, Any], out: Path) -> None:
+def stereo_tables(face: CommandUI, done: StereoOutput, out: Path) -> None:
     """Print a rig's calibration."""
-    metric = content["metric"]
+    metric = done.metric
     rows = [
-        ["baseline, mm", figure(content["baseline_m"] * 1e3, 5)],
-        ["baseline +-, mm", figure(_mm(content["std"].get("baseline_m")), 2)],
-        ["reprojection, px RMS", figure(content["rms_px"])],
-        ["... on left-out pairs", figure(content["holdout_rms_px"])],
-        ["epipolar, px RMS", figure(content["epipolar_rms_px"])],
+        ["baseline, mm", figure(done.baseline_m * 1e3, 5)],
+        ["baseline +-, mm", figure(_mm(done.std.get("baseline_m")), 2)],
+        ["reprojection, px RMS", figure(done.rms_px)],
+        ["... on left-out pairs", figure(done.holdout_rms_px)],
+        ["epipolar, px RMS", figure(done.epipolar_rms_px)],
         ["neighbouring corners, mm expected", figure(_mm(metric.get("expected_m")), 5)],
         ["... mean on left-out pairs", figure(_mm(metric.get("mean_m")), 5)],
         ["... RMS error", figure(_mm(metric.get("rms_m")))],
     ]
-    face.table(f"Rig, {content['n_used']} of {content['n_pairs']} pairs", ["", ""], rows)
-    _rejected(face, content["rejected"])
+    face.table(f"Rig, {done.n_used} of {done.n_pairs} pairs", ["", ""], rows)
+    _rejected(face, done.rejected)
     face.say(f"Written: {out}")
 
 
-def doctor_tables(face: CommandUI, found: Diagnosis) -> None:
+def doctor_tables(face: CommandUI, found: DoctorOutput) -> None:
     """Print what the machine can do."""
     rows = [[name, text] for name, text in found.versions.items()]
-    rows += [["system", str(found.machine["system"])], ["cores for armsight", str(found.machine["cores"])]]
+    rows += [["system", found.machine.system], ["cores for armsight", str(found.machine.cores)]]
     rows += [["cameras there", ", ".join(found.cameras) or "none"]]
     rows += [[f"registered {group}", ", ".join(names) or "none"] for group, names in found.drivers.items()]
-    rows += [["compiled kernels kept", str(found.kernels["compiled"])]]
+    rows += [["compiled kernels kept", str(found.kernels.compiled)]]
     face.table("This machine", ["", ""], rows)
     if found.rig is not None:
         distances = [
             [
-                figure(row["depth_m"]),
-                figure(row["sigma_depth_m"] * 1e3),
-                figure(max(row["sigma_lateral_m"]) * 1e3),
-                "yes" if row["in_view"] else "no",
+                figure(row.depth_m),
+                figure(row.sigma_depth_m * 1e3),
+                figure(max(row.sigma_lateral_m) * 1e3),
+                "yes" if row.in_view else "no",
             ]
-            for row in found.rig["distances"]
+            for row in found.rig.distances
         ]
         face.table(
-            f"A spot known to {figure(found.rig['sigma_px'], 2)} px by a rig of "
-            f"{figure(found.rig['baseline_m'] * 1e3, 4)} mm baseline",
+            f"A spot known to {figure(found.rig.sigma_px, 2)} px by a rig of "
+            f"{figure(found.rig.baseline_m * 1e3, 4)} mm baseline",
             ["distance, m", "+- along it, mm", "+- across, mm", "in both views"],
             distances,
         )
@@ -150,19 +161,30 @@ def doctor_tables(face: CommandUI, found: Diagnosis) -> None:
         face.say("No problem found.")
 
 
-def demo_tables(face: CommandUI, result: DemoResult, out: Path) -> None:
+def demo_tables(face: CommandUI, result: DemoOutput, out: Path) -> None:
     """Print how far the demo's poses are from the truth."""
-    measure_tables(face, result.summary, out)
-    rows = [[name, figure(rms), figure(largest), figure(claimed)] for name, rms, largest, claimed in result.rows()]
-    face.table("Error against the truth", ["", "RMS", "largest", "claimed +-"], rows)
+    measure_tables(face, result, out)
+    face.table("Error against the truth", ["", "RMS", "largest", "claimed +-"], _truth_rows(result.truth))
     if result.inside_95 is not None:
         face.say(f"{figure(100.0 * result.inside_95, 3)} % of the poses lie inside their own 95 % ellipsoid.")
-    face.say(f"All in {figure(result.seconds, 2)} s.")
+    face.say(f"All in {figure(result.seconds_s, 2)} s.")
 
 
-def _rejected(face: CommandUI, rejected: Sequence[Mapping[str, str]]) -> None:
+def _truth_rows(truth: PoseErrors) -> list[list[str]]:
+    """Return name, RMS, largest and claimed deviation (RMS) of each coordinate, in mm and degrees."""
+    named = [(f"{name.removesuffix('_m')}, mm", getattr(truth, name), MM) for name in ("x_m", "y_m", "z_m")]
+    named += [
+        (f"{name.removesuffix('_rad')}, deg", getattr(truth, name), DEG) for name in ("rx_rad", "ry_rad", "rz_rad")
+    ]
+    return [
+        [name, *(figure(factor * value) for value in (error.rms, error.max, error.claimed))]
+        for name, error, factor in named
+    ]
+
+
+def _rejected(face: CommandUI, rejected: Sequence[RejectedFile]) -> None:
     for item in rejected[:REJECTED_SHOWN]:
-        face.say(f"  left out {item['file']}: {item['why']}")
+        face.say(f"  left out {item.file}: {item.why}")
     if len(rejected) > REJECTED_SHOWN:
         face.say(f"  ... and {len(rejected) - REJECTED_SHOWN} more")
 

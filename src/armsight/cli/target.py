@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.options import SRC, AsJson, Limit
 from armsight.cli.tables import figure
+
+if TYPE_CHECKING:
+    from armsight.app.schemas.handeye import LightTargetOutput
 
 MM = 1e3
 
@@ -47,29 +49,27 @@ def target(
             threshold=threshold,
             inverted=inverted,
         )
-        content = calibrate_lit_target(job, face.progress("calibrating"))
-        target_tables(face, content, out)
-        face.result(content)
+        done = calibrate_lit_target(job, face.progress("calibrating"))
+        target_tables(face, done, out)
+        face.result(done)
 
 
-def target_tables(face: CommandUI, content: Mapping[str, Any], out: Path) -> None:
+def target_tables(face: CommandUI, done: LightTargetOutput, out: Path) -> None:
     """Print a target's geometry."""
     rows = [
-        [name, *(figure(MM * x, 6) for x in xyz), " ".join(figure(MM * s, 2) for s in content["std"][name])]
-        for name, xyz in content["spots_m"].items()
+        [name, *(figure(MM * x, 6) for x in xyz), " ".join(figure(MM * s, 2) for s in done.std[name])]
+        for name, xyz in done.spots_m.items()
     ]
     face.table("Lights in the target's frame", ["", "x mm", "y mm", "z mm", "+- mm"], rows)
-    rows = [
-        [name, figure(MM * d["value_m"], 6), figure(MM * d["std_m"], 2)] for name, d in content["distances_m"].items()
-    ]
+    rows = [[name, figure(MM * d.value_m, 6), figure(MM * d.std_m, 2)] for name, d in done.distances_m.items()]
     face.table("Distances", ["", "mm", "+-"], rows)
     face.say(
-        f"{content['n_used']} of {content['n_frames']} frames, residual {figure(content['residual_rms_px'])} px RMS, "
-        f"left-out frames {figure(content['loo_rms_px'])} px"
+        f"{done.n_used} of {done.n_frames} frames, residual {figure(done.residual_rms_px)} px RMS, "
+        f"left-out frames {figure(done.loo_rms_px)} px"
     )
-    for item in content["rejected"][:SHOWN]:
-        face.say(f"  left out: {item['frame']}: {item['why']}")
-    for text in content["advice"]:
+    for item in done.rejected[:SHOWN]:
+        face.say(f"  left out: {item.frame}: {item.why}")
+    for text in done.advice:
         face.say(f"- {text}")
     face.say(f"Result: {out}")
 

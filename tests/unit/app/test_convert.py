@@ -33,7 +33,7 @@ def test_a_camera_goes_out_and_comes_back(tmp_path: Path, kind: str) -> None:
     write_camera(own, CAMERA)
     assert convert_camera(own, foreign, to=kind).target == kind
     done = convert_camera(foreign, back)
-    assert (done.source, done.target, done.files) == (kind, "armsight", (back,))
+    assert (done.source, done.target, done.files) == (kind, "armsight", [str(back)])
     assert read_camera(back).is_close(CAMERA, tol=1e-9)
 
 
@@ -82,8 +82,8 @@ def test_what_cannot_be_converted_is_said(tmp_path: Path) -> None:
 def test_poses_go_to_tum_and_back(tmp_path: Path) -> None:
     source, tum, back = tmp_path / "poses.csv", tmp_path / "poses.tum", tmp_path / "back.csv"
     source.write_text("t_s,x_m,y_m,z_m,qx,qy,qz,qw\n0.5,1,2,3,0,0,0,1\n0.75,1,2,3.5,0,0,0.6,0.8\n")
-    assert convert_poses(source, tum).rows == 2
-    assert convert_poses(tum, back).rows == 2
+    assert convert_poses(source, tum).n == 2
+    assert convert_poses(tum, back).n == 2
     for one, two in zip(read_poses(source), read_poses(back), strict=True):
         assert one.t_s == two.t_s
         np.testing.assert_array_equal(one.pose.as_matrix(), two.pose.as_matrix())

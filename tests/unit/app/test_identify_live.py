@@ -75,7 +75,7 @@ class Cell:
         given: dict[str, Any] = {"limits": TEXT, "pace": Pace(speed=1.0, frames=1), "out": self.folder / "arm.yaml"}
         return LiveJob(robot="here", left="here", right="here", **files, **(given | more))
 
-    def run(self, person: OperatorCallbacks = YES, progress: Any = None, **more: Any) -> dict[str, Any]:
+    def run(self, person: OperatorCallbacks = YES, progress: Any = None, **more: Any) -> Any:
         """Identify."""
         devices = (self.robot, self.pairs)
         return run_identify_live(self.job(**more), person, progress, clock=self.clock, devices=devices)
@@ -99,8 +99,10 @@ def complete(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Cell, d
     """One complete identification: cell, result, the plan as it was shown, commands sent until then."""
     cell = Cell(tmp_path_factory.mktemp("live"))
     shown: list[tuple[dict[str, Any], int]] = []
-    person = OperatorCallbacks(confirm=lambda _: True, show=lambda plan: shown.append((plan, len(cell.asked))))
-    content = cell.run(person)
+    person = OperatorCallbacks(
+        confirm=lambda _: True, show=lambda plan: shown.append((plan.to_dict(), len(cell.asked)))
+    )
+    content = cell.run(person).to_dict()
     assert len(shown) == 1
     yield cell, content, *shown[0]
 
@@ -227,8 +229,8 @@ def test_frames_older_than_they_say_are_not_taken_for_the_present(tmp_path: Path
     cell = Cell(tmp_path, lag_s=0.0)
     job = cell.job(model=nearly_right(tmp_path), readings=20)  # each way takes a twentieth of a second
     content = run_identify_live(job, YES, clock=cell.clock, devices=(cell.robot, Late(cell)))
-    assert max(joint["residual_rms_px"] for joint in content["joints"]) < 0.1
-    assert not any(joint["discarded"] for joint in content["joints"])
+    assert max(joint.residual_rms_px for joint in content.joints) < 0.1
+    assert not any(joint.discarded for joint in content.joints)
 
 
 def test_a_limit_of_the_robot_s_own_is_told(tmp_path: Path) -> None:
@@ -246,8 +248,8 @@ def test_nothing_moves_unless_confirmed_or_where_it_cannot(tmp_path: Path) -> No
         cell.run(limits="-0.5:5.2,-0.4:1.2,0.3:1.1")
     with pytest.raises(UsageError, match="limits do not give 3 joints"):
         cell.run(limits="-0.5:5.2,-0.4:1.9")
-    plan = cell.run(OperatorCallbacks(), model=nearly_right(tmp_path), propose=True)["plan"]
-    assert len(plan["sweeps"]) == 3 and plan["expected_std"][1]["a_m"] < 2e-3
+    plan = cell.run(OperatorCallbacks(), model=nearly_right(tmp_path), propose=True).plan
+    assert len(plan.sweeps) == 3 and plan.expected_std[1].a_m < 2e-3
     assert not cell.asked, "a command was sent"
 
 

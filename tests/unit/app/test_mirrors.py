@@ -15,7 +15,8 @@ from scipy.spatial.transform import Rotation
 from scipy.special import erf
 from typer.testing import CliRunner
 
-from armsight.app.measure.run import MeasureJob, Summary, measure
+from armsight.app.measure.run import MeasureJob, measure
+from armsight.app.schemas.measure import MeasureOutput
 from armsight.app.simulate.run import simulate
 from armsight.app.sources.complex_images import complex_pairs
 from armsight.app.sources.frames import open_source
@@ -160,7 +161,7 @@ def test_what_cannot_be_calibrated_is_refused(rig: Path, tmp_path: Path) -> None
     assert code == 2 and "--board" in content["error"]["cure"]
 
 
-def measured_complex(folder: Path, method: str) -> tuple[Summary, Any]:
+def measured_complex(folder: Path, method: str) -> tuple[MeasureOutput, Any]:
     """The summary of twelve complex frames, and the root mean square errors of their positions."""
     job = MeasureJob(
         rig=folder / "rig.yaml", target=folder / "target.yaml", out=folder / method, image=str(folder / "image"),
@@ -186,7 +187,8 @@ def test_complex_frames_of_a_room_are_measured(tmp_path: Path) -> None:
     """The same before a workshop: as well as is claimed, and the paper's threshold gives nothing instead of a place."""
     simulate("pachidis2005-static", tmp_path, seed=3, frames=12)
     summary, errors = measured_complex(tmp_path, "likelihood")
-    claimed = np.array([summary.std["total"][key] for key in ("x_m", "y_m", "z_m")])
+    assert summary.std is not None
+    claimed = np.array(summary.std.total.translation_m)
     assert (errors < 2.5 * claimed).all()  # the room behind the target, and what it does, is the same in all frames
     assert claimed[2] < 3e-4
     with pytest.raises(NotEnoughData, match="no arrangement of them is the target's"):

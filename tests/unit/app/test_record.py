@@ -66,7 +66,7 @@ def test_pairs_recorded_and_replayed_are_the_same(tmp_path: Path, kind: ImageFor
     pairs = fakes(30)
     done = record_pairs(RecordJob(out=path, kind=kind), Fake(pairs), live=False)
     assert (done.n_pairs, done.n_dropped) == (30, 0)
-    assert done.content()["pairs_per_s"] == pytest.approx(60.0)
+    assert done.pairs_per_s == pytest.approx(60.0)
     with open_pairs(str(path), None) as back:
         assert (back.name, back.total) == (str(path), 30)
         replayed = list(back)
@@ -80,7 +80,7 @@ def test_a_cell_is_recorded_with_its_rig_and_target_and_exported(tmp_path: Path)
     path = tmp_path / "cell.mcap"
     record(RecordJob(out=path, cell="hand-cell", seed=3, limit=3))
     done = export(path, tmp_path / "out")
-    assert done == {"rig.yaml": 1, "target.yaml": 1, "left": 3, "right": 3, "times.csv": 3}
+    assert done.n == {"rig.yaml": 1, "target.yaml": 1, "left": 3, "right": 3, "times.csv": 3}
     assert read_rig(tmp_path / "out" / "rig.yaml").left.width == 1280
     assert not read_target(tmp_path / "out" / "target.yaml").is_board
     assert len(read_times(tmp_path / "out" / "times.csv")) == 3
@@ -227,5 +227,5 @@ def test_a_recording_without_frames_is_refused(tmp_path: Path) -> None:
     with pytest.raises(NotEnoughData, match="no channel /target/measured"):
         export(path, tmp_path / "poses.csv")
     assert not (tmp_path / "poses.csv").exists()
-    assert export(path, tmp_path / "out") == {"joints.csv": 1}
+    assert export(path, tmp_path / "out").n == {"joints.csv": 1}
     assert (tmp_path / "out" / "joints.csv").read_text() == "t_s,q1,q2\n0.5,0.0,0.0\n"

@@ -16,6 +16,7 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from armsight import errors
+from armsight.app.schemas.base import Output
 from armsight.cli.command_ui import Bar, CommandUI
 from armsight.cli.commands import app
 
@@ -111,8 +112,13 @@ def test_a_log_that_cannot_be_written_does_not_hide_the_error(monkeypatch: pytes
 
 
 def test_no_number_that_is_not_finite_gets_into_json(capsys: pytest.CaptureFixture[str]) -> None:
+    class Sample(Output):
+        a_m: float
+        b: list[float]
+        c: dict[str, tuple[int, int | None]]
+
     with CommandUI(as_json=True) as face:
-        face.result({"a_m": float("nan"), "b": [1.0, float("inf")], "c": {"d": (1, None)}})
+        face.result(Sample(a_m=float("nan"), b=[1.0, float("inf")], c={"d": (1, None)}))
     assert json.loads(capsys.readouterr().out) == {"a_m": None, "b": [1.0, None], "c": {"d": [1, None]}}
 
 

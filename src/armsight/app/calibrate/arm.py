@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +12,23 @@ from numpy.typing import NDArray
 
 from armsight.app.calibrate.cameras import report_path
 from armsight.app.kinematics import load_arm
+from armsight.app.schemas.arm import (
+    ArmCalibrationOutput,
+    ArmNoise,
+    ArmOutput,
+    BeforeAfter,
+    CouplingOutput,
+    FixedParameter,
+    Outlier,
+    RobotWorldOutput,
+    ToolErrors,
+)
+from armsight.app.schemas.base import PoseOutput, PoseStd, RejectedRow
 from armsight.calibrate.arm import (
     ArmCalibration,
     ArmPoints,
+    Errors,
+    Proposal,
     Tolerance,
     calibrate_arm,
     calibrate_world,
@@ -51,7 +65,7 @@ class ArmJob:
     world: Path | None = None
 
 
-def run_calibrate_arm(job: ArmJob) -> dict[str, Any]:
+def run_calibrate_arm(job: ArmJob) -> ArmOutput:
     """Calibrate; write arm.yaml, the URDF and the table of corrections beside it, and the report; return the figures.
 
     Raises UsageError, DataRefused.
@@ -63,25 +77,39 @@ def run_calibrate_arm(job: ArmJob) -> dict[str, Any]:
     holdout = None if job.holdout is None else _measurements(nominal, job.holdout)
     tolerance = Tolerance(length_m=job.tolerance_m, angle_rad=job.tolerance_rad)
     result = calibrate_arm(nominal, points, holdout=holdout, tolerance=tolerance, scale=job.scale)
-    content = arm_content(result)
-    if job.propose:
-        seen = None if job.rig is None or job.world is None else _in_view(read_rig(job.rig), read_world(job.world))
-        told = propose(result.model, result.fitted, points, job.propose, tolerance=tolerance, visible=seen)
-        content["proposals"] = nominal.readings(told.q).tolist()
-        content["expected_std"] = told.expected_std
-        rows = [",".join(f"q{i + 1}" for i in range(nominal.n)), *(cells(row) for row in content["proposals"])]
-        write_text(job.out.with_suffix(".proposed.csv"), "\n".join(rows) + "\n")
+    proposal = _proposal(job, result, points) if job.propose else None
     inputs = [job.points] if job.holdout is None else [job.points, job.holdout]
     write_arm(job.out, result.arm, inputs=inputs)
     write_text(job.out.with_suffix(".corrections.csv"), corrections(result))
-    try:
-        write_text(job.out.with_suffix(".urdf"), urdf_text(result.arm))
-        content["urdf"] = str(job.out.with_suffix(".urdf"))
-    except Inconsistent:  # joint scales and couplings have no place in a URDF
-        content["urdf"] = None
+    urdf = _write_urdf(job.out.with_suffix(".urdf"), result.arm)
     files = [("model", job.model), *(("measurements", path.name) for path in inputs)]
     write_text(report_path(job.out), arm_report(result, points, inputs=files))
-    return content
+    return ArmOutput(
+        **dict(arm_output(result)),
+        proposals=None if proposal is None else nominal.readings(proposal.q).tolist(),
+        expected_std=None if proposal is None else proposal.expected_std,
+        urdf=None if urdf is None else str(urdf),
+    )
+
+
+def _proposal(job: ArmJob, result: ArmCalibration, points: ArmPoints) -> Proposal:
+    """Return further joint positions to measure at, written beside the arm."""
+    seen = None if job.rig is None or job.world is None else _in_view(read_rig(job.rig), read_world(job.world))
+    tolerance = Tolerance(length_m=job.tolerance_m, angle_rad=job.tolerance_rad)
+    told = propose(result.model, result.fitted, points, job.propose, tolerance=tolerance, visible=seen)
+    nominal = result.nominal
+    rows = [",".join(f"q{i + 1}" for i in range(nominal.n)), *(cells(row) for row in nominal.readings(told.q).tolist())]
+    write_text(job.out.with_suffix(".proposed.csv"), "\n".join(rows) + "\n")
+    return told
+
+
+def _write_urdf(path: Path, arm: Arm) -> Path | None:
+    """Write the arm as a URDF; return its path, None where joint scales or couplings have no place in one."""
+    try:
+        write_text(path, urdf_text(arm))
+    except Inconsistent:
+        return None
+    return path
 
 
 def _measurements(arm: Arm, path: Path) -> ArmPoints:
@@ -106,29 +134,36 @@ def _in_view(rig: Rig, world: World) -> Any:
     return seen
 
 
-def arm_content(result: ArmCalibration) -> dict[str, Any]:
-    """Return an arm's calibration as --json gives it."""
-    cross = {"before": asdict(result.cross_before), "after": asdict(result.cross_after)}
-    held = {"holdout": {"before": asdict(result.left_before), "after": asdict(result.left_after)}}
-    return {
-        "n": len(result.error_m),
-        "before": asdict(result.before),
-        "after": asdict(result.after),
-        "crossval": cross,
-        **(held if result.held else {}),
-        "free": list(result.free),
-        "fixed": [{"name": name, "why": why} for name, why in result.fixed],
-        "std": result.std(),
-        "corrections": {name: result.change(name) for name in result.free},
-        "condition": result.condition,
-        "outliers": [{"row": row + 1, "error_m": error} for row, error in result.outliers],
-        "still": list(result.still),
-        "couplings": [{"joint": a, "by": b, "share": share} for a, b, share in result.couplings],
-        "noise": {"place_m": result.fitted.sigma_m, "rotation_rad": _rotation_noise(result)},
-        "model": result.level,
-        "verdict": result.verdict,
-        "gain": result.gain,
-    }
+def arm_output(result: ArmCalibration) -> ArmCalibrationOutput:
+    """Return an arm's calibration as --json gives it, without what the command adds."""
+    held = _before_after(result.left_before, result.left_after) if result.held else None
+    return ArmCalibrationOutput(
+        n=len(result.error_m),
+        before=_errors(result.before),
+        after=_errors(result.after),
+        crossval=_before_after(result.cross_before, result.cross_after),
+        holdout=held,
+        free=list(result.free),
+        fixed=[FixedParameter(name=name, why=why) for name, why in result.fixed],
+        std=result.std(),
+        corrections={name: result.change(name) for name in result.free},
+        condition=result.condition,
+        outliers=[Outlier(row=row + 1, error_m=error) for row, error in result.outliers],
+        still=list(result.still),
+        couplings=[CouplingOutput(joint=a, by=b, share=share) for a, b, share in result.couplings],
+        noise=ArmNoise(place_m=result.fitted.sigma_m, rotation_rad=_rotation_noise(result)),
+        model=result.level,
+        verdict=result.verdict,
+        gain=result.gain,
+    )
+
+
+def _before_after(before: Errors, after: Errors) -> BeforeAfter:
+    return BeforeAfter(before=_errors(before), after=_errors(after))
+
+
+def _errors(errors: Errors) -> ToolErrors:
+    return ToolErrors(mean_m=errors.mean_m, rms_m=errors.rms_m, max_m=errors.max_m)
 
 
 def _rotation_noise(result: ArmCalibration) -> float | None:
@@ -165,7 +200,7 @@ def _zero_covariance(result: ArmCalibration, names: Sequence[str]) -> Array:
     return C
 
 
-def run_calibrate_world(arm: str, points: Path, out: Path) -> dict[str, Any]:
+def run_calibrate_world(arm: str, points: Path, out: Path) -> RobotWorldOutput:
     """Find where the rig stands to the arm's base, write world.yaml; return the figures. Raises DataRefused."""
     model = load_arm(arm)
     result = calibrate_world(model, _measurements(model, points))
@@ -178,11 +213,10 @@ def run_calibrate_world(arm: str, points: Path, out: Path) -> dict[str, Any]:
         n_used=n_used,
     )
     write_world(out, world, inputs=[points])
-    std: Mapping[str, float] = result.covariance.std()
-    return {
-        "T_base_rig": pose_mapping(result.T_base_rig),
-        "std": dict(std),
-        "residual_rms_m": result.residual_rms_m,
-        "n_used": n_used,
-        "rejected": [{"row": row + 1, "why": why} for row, why in result.rejected],
-    }
+    return RobotWorldOutput(
+        T_base_rig=PoseOutput(**pose_mapping(result.T_base_rig)),
+        std=PoseStd(**result.covariance.std()),
+        residual_rms_m=result.residual_rms_m,
+        n_used=n_used,
+        rejected=[RejectedRow(row=row + 1, why=why) for row, why in result.rejected],
+    )

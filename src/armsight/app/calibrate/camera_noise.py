@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.app.schemas.cameras import CameraNoise, MeasuredNoise, NoiseOutput
 from armsight.app.sources.frames import is_recording, open_source, recording_path
 from armsight.calibrate.camera_noise.photon_transfer import NoiseCalibration, calibrate_noise
 from armsight.drivers import is_live, list_images
@@ -51,11 +51,11 @@ class FoundNoise:
 
     noise: NoiseModel
     size: tuple[int, int]
-    content: Mapping[str, Any]
+    output: CameraNoise
     inputs: Sequence[Path]
 
 
-def run_noise(job: NoiseJob, progress: Progress | None = None) -> dict[str, Any]:
+def run_noise(job: NoiseJob, progress: Progress | None = None) -> NoiseOutput:
     """Find a camera's noise and add it to its file; return the figures as --json gives them.
 
     Raises UsageError, DataRefused or DeviceFailed, Cancelled.
@@ -66,7 +66,7 @@ def run_noise(job: NoiseJob, progress: Progress | None = None) -> dict[str, Any]
         if size is not None:
             require_size(found, size, str(job.out))
     add_noise(job.out, dict.fromkeys(sides, found.noise), inputs=found.inputs)
-    return {"noise": dict(found.content)}
+    return NoiseOutput(noise=found.output)
 
 
 def find_noise(job: NoiseJob, progress: Progress | None = None) -> FoundNoise:
@@ -91,24 +91,24 @@ def find_noise(job: NoiseJob, progress: Progress | None = None) -> FoundNoise:
 
     found = calibrate_noise(images())
     inputs = list(input_files(job.frames))
-    return FoundNoise(noise=found.noise, size=size[0], content=noise_content(found), inputs=inputs)
+    return FoundNoise(noise=found.noise, size=size[0], output=noise_output(found), inputs=inputs)
 
 
-def noise_content(found: NoiseCalibration) -> dict[str, Any]:
+def noise_output(found: NoiseCalibration) -> MeasuredNoise:
     """Return a camera's noise and how it was found as --json gives it."""
-    return {
-        **_noise_keys(found.noise),
-        "n_given": found.n_frames,
-        "n_copies": found.n_copies,
-        "brightness_rms": found.brightness_rms,
-        "shift_px_rms": found.shift_px_rms,
-        "moving": found.moving,
-        "frozen": found.frozen,
-        "unusable": found.unusable,
-        "frame_ratio": found.frame_ratio,
-        "line_deviation": found.line_deviation,
-        "advice": list(found.advice),
-    }
+    return MeasuredNoise(
+        **dict(_as_in_files(found.noise)),
+        n_given=found.n_frames,
+        n_copies=found.n_copies,
+        brightness_rms=found.brightness_rms,
+        shift_px_rms=found.shift_px_rms,
+        moving=found.moving,
+        frozen=found.frozen,
+        unusable=found.unusable,
+        frame_ratio=found.frame_ratio,
+        line_deviation=found.line_deviation,
+        advice=list(found.advice),
+    )
 
 
 def require_size(found: FoundNoise, size: tuple[int, int], where: str) -> None:
@@ -131,9 +131,9 @@ def input_files(text: str) -> Sequence[Path]:
     return [Path(text)] if Path(text).suffix.lower() in VIDEO_SUFFIXES else list_images(text)
 
 
-def _noise_keys(noise: NoiseModel) -> dict[str, Any]:
+def _as_in_files(noise: NoiseModel) -> CameraNoise:
     """Return what files hold of a noise, the line always there, and the widening of wide lights."""
-    return {"linear": None, **noise_mapping(noise), "widening": noise.widening().tolist()}
+    return CameraNoise(**{"linear": None, **noise_mapping(noise)}, widening=noise.widening().tolist())
 
 
 def _sides(job: NoiseJob) -> dict[str, tuple[int, int] | None]:
@@ -186,4 +186,4 @@ def _from_file(path: Path, side: str | None) -> FoundNoise:
         noise, camera = file.noise, file.camera
     if noise is None:
         raise BadFile(f"{path}: holds no noise", consequence="Nothing was written", cure="Give still frames instead")
-    return FoundNoise(noise=noise, size=_size(camera), content=_noise_keys(noise), inputs=[path])
+    return FoundNoise(noise=noise, size=_size(camera), output=_as_in_files(noise), inputs=[path])

@@ -6,11 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 from armsight.app.calibrate.board_images import Seen, in_parallel, see_board
 from armsight.app.calibrate.camera_noise import NoiseJob, find_noise, input_files, require_size
 from armsight.app.calibrate.reports import RigData, write_camera_report, write_stereo_report
+from armsight.app.schemas.base import RejectedFile
+from armsight.app.schemas.cameras import AlignmentOutput, CameraNoise, CameraOutput, StereoOutput
 from armsight.app.sources.frames import open_pairs, open_source
 from armsight.calibrate.cameras import BoardOptions, CameraCalibration, StereoCalibration
 from armsight.calibrate.cameras import calibrate_camera as solve_camera
@@ -54,7 +55,7 @@ class CalibrateJob:
     noise: str | None = None
 
 
-def calibrate_camera(job: CalibrateJob, progress: Progress | None = None) -> dict[str, Any]:
+def calibrate_camera(job: CalibrateJob, progress: Progress | None = None) -> CameraOutput:
     """Calibrate one camera and write its camera.yaml; return the figures as --json gives them.
 
     Raises UsageError, DataRefused or DeviceFailed, Cancelled.
@@ -86,10 +87,10 @@ def calibrate_camera(job: CalibrateJob, progress: Progress | None = None) -> dic
         inputs=[*input_files(job.source), *(found.inputs if found else ())],
     )
     write_camera_report(report_path(job.out), done, board=job.board, rejected=rejected)
-    return {**camera_content(done, rejected), **({"noise": found.content} if found else {})}
+    return camera_output(done, rejected, noise=found.output if found else None)
 
 
-def calibrate_stereo(job: CalibrateJob, progress: Progress | None = None) -> dict[str, Any]:
+def calibrate_stereo(job: CalibrateJob, progress: Progress | None = None) -> StereoOutput:
     """Calibrate a pair of cameras and write its rig.yaml; return the figures as --json gives them.
 
     Raises UsageError, DataRefused or DeviceFailed, Cancelled.
@@ -120,52 +121,54 @@ def calibrate_stereo(job: CalibrateJob, progress: Progress | None = None) -> dic
     result = solve_stereo(views[0], views[1], board, BoardOptions(folds=job.folds), progress)
     write_rig(job.out, result.rig, inputs=[*input_files(job.left), *input_files(job.right)])
     write_stereo_report(report_path(job.out), result, RigData(board=job.board, n_pairs=done, rejected=rejected))
-    return stereo_content(result, rejected, n_pairs=done)
+    return stereo_output(result, rejected, n_pairs=done)
 
 
-def camera_content(done: CameraCalibration, rejected: Sequence[Rejected]) -> dict[str, Any]:
+def camera_output(
+    done: CameraCalibration, rejected: Sequence[Rejected], *, noise: CameraNoise | None = None
+) -> CameraOutput:
     """Return a camera's calibration as --json gives it."""
     fx, fy, cx, cy = done.camera.intrinsics[:4].tolist()
     everything = [*rejected, *done.rejected]
-    return {
-        "rms_px": done.rms_px,
-        "n_images": done.n_used + len(everything),
-        "n_used": done.n_used,
-        "rejected": _rejected(everything),
-        "fx_px": fx,
-        "fy_px": fy,
-        "cx_px": cx,
-        "cy_px": cy,
-        "distortion": done.camera.distortion.tolist(),
-        "std": _std(done.covariance),
-        "holdout_rms_px": done.holdout_rms_px,
-        "advice": list(done.advice),
-    }
+    return CameraOutput(
+        rms_px=done.rms_px,
+        n_images=done.n_used + len(everything),
+        n_used=done.n_used,
+        rejected=_rejected(everything),
+        fx_px=fx,
+        fy_px=fy,
+        cx_px=cx,
+        cy_px=cy,
+        distortion=done.camera.distortion.tolist(),
+        std=_std(done.covariance),
+        holdout_rms_px=done.holdout_rms_px,
+        advice=list(done.advice),
+        noise=noise,
+    )
 
 
-def stereo_content(result: StereoCalibration, rejected: Sequence[Rejected], *, n_pairs: int) -> dict[str, Any]:
+def stereo_output(result: StereoCalibration, rejected: Sequence[Rejected], *, n_pairs: int) -> StereoOutput:
     """Return a rig's calibration as --json gives it."""
-    return {
-        "rms_px": result.rms_px,
-        "epipolar_rms_px": result.epipolar_rms_px,
-        "baseline_m": result.rig.baseline_m,
-        "n_pairs": n_pairs,
-        "n_used": result.n_used,
-        "rejected": _rejected([*rejected, *result.rejected]),
-        "std": {**_std(result.rig.covariance), "baseline_m": result.baseline_std_m},
-        "holdout_rms_px": result.holdout_rms_px,
-        "holdout_epipolar_rms_px": result.holdout_epipolar_rms_px,
-        "metric": dict(result.metric),
-        "metric_is_left_out": result.metric_is_left_out,
-        "alignment": alignment_content(result),
-        "advice": list(result.advice),
-    }
+    return StereoOutput(
+        rms_px=result.rms_px,
+        epipolar_rms_px=result.epipolar_rms_px,
+        baseline_m=result.rig.baseline_m,
+        n_pairs=n_pairs,
+        n_used=result.n_used,
+        rejected=_rejected([*rejected, *result.rejected]),
+        std={**_std(result.rig.covariance), "baseline_m": result.baseline_std_m},
+        holdout_rms_px=result.holdout_rms_px,
+        holdout_epipolar_rms_px=result.holdout_epipolar_rms_px,
+        metric=dict(result.metric),
+        metric_is_left_out=result.metric_is_left_out,
+        alignment=alignment_output(result),
+        advice=list(result.advice),
+    )
 
 
-def alignment_content(result: StereoCalibration) -> dict[str, float]:
+def alignment_output(result: StereoCalibration) -> AlignmentOutput:
     """Return how parallel the pair stands, as --json gives it."""
-    names = ("convergence_rad", "vertical_rad", "vertical_px", "roll_rad", "height_m", "advance_m")
-    return {name: getattr(result.parallelism, name) for name in names}
+    return AlignmentOutput(**{name: getattr(result.parallelism, name) for name in AlignmentOutput.model_fields})
 
 
 def report_path(out: Path) -> Path:
@@ -210,8 +213,8 @@ def _total(total: int | None, job: CalibrateJob) -> int:
     return -(-min(total, stop or total) // job.every)
 
 
-def _rejected(items: Sequence[Rejected]) -> list[dict[str, str]]:
-    return [{"file": file, "why": why} for file, why in items]
+def _rejected(items: Sequence[Rejected]) -> list[RejectedFile]:
+    return [RejectedFile(file=file, why=why) for file, why in items]
 
 
 def _std(covariance: NamedCovariance | None) -> dict[str, float]:

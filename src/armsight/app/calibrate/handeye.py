@@ -5,18 +5,28 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.calibrate.board_images import in_parallel, see_board
 from armsight.app.calibrate.cameras import report_path
+from armsight.app.schemas.base import PointStd, PoseOutput, PoseStd, RejectedRow
+from armsight.app.schemas.handeye import (
+    HandEyeNoise,
+    HandEyeOutput,
+    NoisePart,
+    ProposedPose,
+    RejectedPair,
+    TargetScale,
+    TipOutput,
+)
 from armsight.calibrate.handeye import (
     HandEye,
     HandEyeOptions,
     Noise,
     PosePairs,
+    Proposal,
     Setup,
     TimeOffset,
     calibrate_eye_in_hand,
@@ -71,7 +81,7 @@ class _Solved:
     offset: TimeOffset | None = None
 
 
-def calibrate_handeye(job: HandEyeJob, progress: Progress | None = None) -> dict[str, Any]:
+def calibrate_handeye(job: HandEyeJob, progress: Progress | None = None) -> HandEyeOutput:
     """Calibrate, write handeye.yaml and its report; return the figures as --json gives them.
 
     Raises UsageError for a call with none or several kinds of input, DataRefused for data that cannot carry the answer,
@@ -89,62 +99,72 @@ def calibrate_handeye(job: HandEyeJob, progress: Progress | None = None) -> dict
         solved = _from_images(job, progress)
     else:
         solved = _from_streams(job)
-    content = handeye_content(solved.result, solved.unseen)
-    if solved.offset is not None:
-        content["time_offset_s"], content["time_offset_std_s"] = solved.offset.offset_s, solved.offset.std_s
-    if job.propose:
-        content["proposals"] = [
-            {"T_base_flange": pose_mapping(p.T_base_flange), "expected_std_m": p.expected_std_m}
-            for p in propose(solved.result, job.propose)
-        ]
+    proposed = propose(solved.result, job.propose) if job.propose else None
     write_handeye(job.out, solved.result, verdict(solved.result), inputs=solved.inputs)
     files = [("file", item.name) for item in solved.inputs[:20]]
     write_text(report_path(job.out), handeye_report(solved.result, inputs=files))
-    return content
+    return handeye_output(solved.result, solved.unseen, offset=solved.offset, proposed=proposed)
 
 
-def handeye_content(result: HandEye, unseen: Sequence[tuple[str, str]] = ()) -> dict[str, Any]:
-    """Return a hand-eye calibration as --json gives it; unseen: images and poses that made no pair, with the reason."""
+def handeye_output(
+    result: HandEye,
+    unseen: Sequence[tuple[str, str]] = (),
+    *,
+    offset: TimeOffset | None = None,
+    proposed: Sequence[Proposal] | None = None,
+) -> HandEyeOutput:
+    """Return a hand-eye calibration as --json gives it; unseen: images and poses that made no pair, with the reason.
+
+    offset: between the clocks of two streams. proposed: further poses; None where none were asked for.
+    """
     row = {name: i + 1 for i, name in enumerate(result.pairs.names)}
-    rejected = [{"row": row[name], "name": name, "why": why} for name, why in result.rejected]
-    rejected += [{"row": None, "name": name, "why": why} for name, why in unseen]
-    content: dict[str, Any] = {
-        "setup": str(result.setup),
-        **{name: pose_mapping(pose) for name, pose in named_poses(result).items()},
-        "std": result.std("camera"),
-        "std_target": result.std("target"),
-        "n_pairs": len(result.pairs) + len(unseen),
-        "n_used": result.n_used,
-        "rejected": rejected,
-        "residual_rms_m": result.residual_rms_m,
-        "residual_rms_rad": result.residual_rms_rad,
-        "loo_rms_m": result.loo_rms_m,
-        "loo_rms_rad": result.loo_rms_rad,
-        "noise": noise_content(result.noise),
-        "turning_rms_rad": result.rotation_excitation.rms_rad.tolist(),
-        "verdict": verdict(result),
-        "advice": list(result.advice),
-    }
-    if result.scale is not None:
-        content["target_scale"] = {"factor": result.scale.factor, "std": result.scale.std, "p": result.scale.p}
-    if result.reprojection_rms_px is not None:
-        content["reprojection_rms_px"] = result.reprojection_rms_px
-    return content
+    rejected = [RejectedPair(row=row[name], name=name, why=why) for name, why in result.rejected]
+    rejected += [RejectedPair(row=None, name=name, why=why) for name, why in unseen]
+    scale = result.scale
+    return HandEyeOutput(
+        setup=str(result.setup),
+        **{name: _pose(pose) for name, pose in named_poses(result).items()},
+        std=PoseStd(**result.std("camera")),
+        std_target=PoseStd(**result.std("target")),
+        n_pairs=len(result.pairs) + len(unseen),
+        n_used=result.n_used,
+        rejected=rejected,
+        residual_rms_m=result.residual_rms_m,
+        residual_rms_rad=result.residual_rms_rad,
+        loo_rms_m=result.loo_rms_m,
+        loo_rms_rad=result.loo_rms_rad,
+        noise=noise_output(result.noise),
+        turning_rms_rad=result.rotation_excitation.rms_rad.tolist(),
+        verdict=verdict(result),
+        advice=list(result.advice),
+        target_scale=None if scale is None else TargetScale(factor=scale.factor, std=scale.std, p=scale.p),
+        reprojection_rms_px=result.reprojection_rms_px,
+        time_offset_s=None if offset is None else offset.offset_s,
+        time_offset_std_s=None if offset is None else offset.std_s,
+        proposals=None if proposed is None else [_proposed(item) for item in proposed],
+    )
 
 
-def noise_content(noise: Noise) -> dict[str, Any]:
+def _pose(pose: RigidTransform) -> PoseOutput:
+    return PoseOutput(**pose_mapping(pose))
+
+
+def _proposed(item: Proposal) -> ProposedPose:
+    return ProposedPose(T_base_flange=_pose(item.T_base_flange), expected_std_m=item.expected_std_m)
+
+
+def noise_output(noise: Noise) -> HandEyeNoise:
     """Return the noises with their deviations; null where the data cannot tell them apart."""
-    names = ("translation_m", "robot_m", "camera_m", "robot_rad", "camera_rad")
-    parts = {name: getattr(noise, name) for name in names}
-    return {
-        name: {"value": part.value, "std": part.std} if part.known else {"value": None, "at_most": part.value}
-        for name, part in parts.items()
-    }
+    parts = {name: getattr(noise, name) for name in HandEyeNoise.model_fields}
+    return HandEyeNoise(
+        **{
+            name: NoisePart(value=part.value, std=part.std) if part.known else NoisePart(value=None, at_most=part.value)
+            for name, part in parts.items()
+        }
+    )
 
 
-def calibrate_tip(
-    poses: Path, out: Path, *, point: Sequence[float] | None = None, sigma_m: float = 0.0
-) -> dict[str, Any]:
+def calibrate_tip(poses: Path, out: Path, *, point: Sequence[float] | None = None, sigma_m: float = 0.0) -> TipOutput:
     """Find the tip from a poses.csv, write tip.yaml; return the figures as --json gives them.
 
     point (3,) in m, sigma_m: where it rests, if measured, and how well. Raises DataRefused.
@@ -157,23 +177,22 @@ def calibrate_tip(
     measured = None if point is None else MeasuredPoint(xyz_m=np.asarray(point, float), sigma_m=sigma_m)
     result = calibrate_tooltip([p.pose for p in read if p.pose is not None], _covariances(read), measured)
     write_tip(out, result, inputs=[poses])
-    return tip_content(result)
+    return tip_output(result)
 
 
-def tip_content(result: TipCalibration) -> dict[str, Any]:
+def tip_output(result: TipCalibration) -> TipOutput:
     """Return a tool-tip calibration as --json gives it."""
-    content: dict[str, Any] = {
-        "tip_m": result.tip_m.tolist(),
-        "point_m": result.point_m.tolist(),
-        "std": result.std(),
-        "residual_rms_m": result.residual_rms_m,
-        "n_used": result.n_used,
-        "rejected": [{"row": row + 1, "why": why} for row, why in result.rejected],
-        "turning_rms_rad": result.turn_rms_rad.tolist(),
-    }
-    if result.paper_tip_m is not None:
-        content["mean_tip_m"] = result.paper_tip_m.tolist()
-    return content
+    paper = result.paper_tip_m
+    return TipOutput(
+        tip_m=result.tip_m.tolist(),
+        point_m=result.point_m.tolist(),
+        std=PointStd(**result.std()),
+        residual_rms_m=result.residual_rms_m,
+        n_used=result.n_used,
+        rejected=[RejectedRow(row=row + 1, why=why) for row, why in result.rejected],
+        turning_rms_rad=result.turn_rms_rad.tolist(),
+        mean_tip_m=None if paper is None else paper.tolist(),
+    )
 
 
 def _solve(pairs: PosePairs, setup: Setup, options: HandEyeOptions | None = None) -> HandEye:

@@ -6,14 +6,23 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from armsight.app.calibrate.board_images import in_parallel, see_board
-from armsight.app.calibrate.cameras import report_path, stereo_content
+from armsight.app.calibrate.cameras import report_path, stereo_output
 from armsight.app.calibrate.mirrors_lit_target import calibrate_lit, reasons
 from armsight.app.calibrate.reports import RigData, write_stereo_report
+from armsight.app.schemas.cameras import (
+    CheckedAlignment,
+    FormOutput,
+    MirrorAlignment,
+    MirrorCheckOutput,
+    MirrorsOutput,
+    PlateOutput,
+    PoseChange,
+    SuspectMirror,
+)
 from armsight.app.sources.frames import open_source
 from armsight.calibrate.cameras import BoardOptions
 from armsight.calibrate.mirrors.calibration import GLASS, MirrorCalibration, calibrate_mirrors
@@ -76,7 +85,7 @@ class MirrorsJob:
     folds: int = BoardOptions().folds
 
 
-def run_mirrors(job: MirrorsJob, progress: Progress | None = None) -> dict[str, Any]:
+def run_mirrors(job: MirrorsJob, progress: Progress | None = None) -> MirrorsOutput:
     """Calibrate a mirror rig and write its rig.yaml; return the figures as --json gives them.
 
     Raises UsageError, DataRefused or DeviceFailed, Cancelled.
@@ -108,7 +117,7 @@ def run_mirrors(job: MirrorsJob, progress: Progress | None = None) -> dict[str, 
         done.pair,
         RigData(board=job.board, n_pairs=n_pairs, rejected=rejected, title=TITLE, results=_results(done, forms)),
     )
-    return mirrors_content(done, rejected, n_pairs=n_pairs, forms=forms)
+    return mirrors_output(done, rejected, n_pairs=n_pairs, forms=forms)
 
 
 def _too_few(job: MirrorsJob, n: int, rejected: Sequence[tuple[str, str]]) -> NotEnoughData:
@@ -125,7 +134,7 @@ def _too_few(job: MirrorsJob, n: int, rejected: Sequence[tuple[str, str]]) -> No
     )
 
 
-def run_check(job: MirrorsJob, progress: Progress | None = None) -> dict[str, Any]:
+def run_check(job: MirrorsJob, progress: Progress | None = None) -> MirrorCheckOutput:
     """Tell how the mirrors stand against the rig as it was calibrated, frame by frame, and which is to be turned how.
 
     Goes on until the frames end, job.limit is reached or it is cancelled; the answer is of the last frames. Raises
@@ -163,7 +172,7 @@ def run_check(job: MirrorsJob, progress: Progress | None = None) -> dict[str, An
             consequence="The alignment is not known",
             cure="Show the whole board in both views",
         )
-    return check_content(last, missed)
+    return check_output(last, missed)
 
 
 def _line(found: Alignment) -> str:
@@ -174,53 +183,52 @@ def _line(found: Alignment) -> str:
     )
 
 
-def check_content(found: Alignment, missed: Sequence[str]) -> dict[str, Any]:
+def check_output(found: Alignment, missed: Sequence[str]) -> MirrorCheckOutput:
     """Return a check of the alignment as --json gives it."""
-    names = ("dx_m", "dy_m", "dz_m", "drx_rad", "dry_rad", "drz_rad")
-    return {
-        "alignment": {
-            "convergence_rad": found.now.convergence_rad,
-            "vertical_px": found.now.vertical_px,
-            "vertical_rad": found.now.vertical_rad,
-            "roll_rad": found.now.roll_rad,
-            "std": found.now.std,
-        },
-        "change": dict(zip(names, found.change.tolist(), strict=True)),
-        "change_std": dict(zip(names, found.std.tolist(), strict=True)),
-        "moved": found.moved,
-        "certain": found.certain,
-        "suspects": [
-            {"mirror": one.mirror, "turn_rad": one.turn_rad, "tilt_rad": one.tilt_rad, "chi2": one.chi2}
+    names = PoseChange.model_fields
+    return MirrorCheckOutput(
+        alignment=CheckedAlignment(**{name: getattr(found.now, name) for name in CheckedAlignment.model_fields}),
+        change=PoseChange(**dict(zip(names, found.change.tolist(), strict=True))),
+        change_std=PoseChange(**dict(zip(names, found.std.tolist(), strict=True))),
+        moved=found.moved,
+        certain=found.certain,
+        suspects=[
+            SuspectMirror(mirror=one.mirror, turn_rad=one.turn_rad, tilt_rad=one.tilt_rad, chi2=one.chi2)
             for one in found.suspects
         ],
-        "advice": [found.advice()],
-        "n_views": found.n_views,
-        "missed": list(missed),
-    }
+        advice=[found.advice()],
+        n_views=found.n_views,
+        missed=list(missed),
+    )
 
 
-def mirrors_content(
+def mirrors_output(
     done: MirrorCalibration, rejected: Sequence[tuple[str, str]], *, n_pairs: int, forms: Sequence[FormError] = ()
-) -> dict[str, Any]:
+) -> MirrorsOutput:
     """Return a mirror rig's calibration as --json gives it."""
-    content = stereo_content(done.pair, rejected, n_pairs=n_pairs)
+    pair = dict(stereo_output(done.pair, rejected, n_pairs=n_pairs))
     plate = done.rig.left.plate
-    content["alignment"]["plate"] = {
-        "m_m": done.shift_m,
-        "l_m": done.shift_m,
-        "thickness_m": 0.0 if plate is None else plate.thickness_m,
-        "index": None if plate is None else plate.index,
-        "seen_thickness_m": done.seen_m,
-        "seen_thickness_std_m": done.seen_std_m,
-    }
+    pair["alignment"] = MirrorAlignment(
+        **dict(pair["alignment"]),
+        plate=PlateOutput(
+            m_m=done.shift_m,
+            l_m=done.shift_m,
+            thickness_m=0.0 if plate is None else plate.thickness_m,
+            index=None if plate is None else plate.index,
+            seen_thickness_m=done.seen_m,
+            seen_thickness_std_m=done.seen_std_m,
+        ),
+    )
     if not done.pair.metric:
-        content["metric"] = dict.fromkeys(("expected_m", "mean_m", "rms_m"))
-    content["one_lens"] = done.one_lens
-    content["forms"] = [
-        {"name": one.name, "x_m": one.x_m, "y_m": one.y_m, "z_m": one.z_m, "epipolar_px": one.epipolar_px}
-        for one in forms
-    ]
-    return content
+        pair["metric"] = dict.fromkeys(("expected_m", "mean_m", "rms_m"))
+    return MirrorsOutput(
+        **pair,
+        one_lens=done.one_lens,
+        forms=[
+            FormOutput(name=one.name, x_m=one.x_m, y_m=one.y_m, z_m=one.z_m, epipolar_px=one.epipolar_px)
+            for one in forms
+        ],
+    )
 
 
 def _board(job: MirrorsJob) -> str:
@@ -295,7 +303,7 @@ def _covered(job: MirrorsJob, board: Target) -> Iterator[tuple[str, Pair | str]]
             yield left.source, "; ".join(lost) if lost else (both[0], both[1])
 
 
-def _from_target(job: MirrorsJob, out: Path, progress: Progress) -> dict[str, Any]:
+def _from_target(job: MirrorsJob, out: Path, progress: Progress) -> MirrorsOutput:
     """Calibrate the mirrors from complex images of the lit target; the lens comes from camera.yaml."""
     if job.board:
         raise UsageError("--target and --board are both given", cure="Give the one that the images show")
@@ -322,7 +330,7 @@ def _from_target(job: MirrorsJob, out: Path, progress: Progress) -> dict[str, An
         facts=[("camera's file", str(job.camera)), ("baseline as designed", f"{1e3 * job.baseline_m:g} mm")],
     )
     write_stereo_report(report_path(out), done.pair, data)
-    return mirrors_content(done, rejected, n_pairs=n_images, forms=forms)
+    return mirrors_output(done, rejected, n_pairs=n_images, forms=forms)
 
 
 def _incomplete(job: MirrorsJob) -> UsageError:

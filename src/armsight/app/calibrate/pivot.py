@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.calibrate.handeye import tip_content
+from armsight.app.calibrate.handeye import tip_output
 from armsight.app.measure.run import target_of
+from armsight.app.schemas.handeye import PivotOutput
 from armsight.app.sources.frames import open_pairs
 from armsight.calibrate.tooltip import GOOD_ENOUGH_M, MeasuredPoint, TipRecording
 from armsight.drivers import PairSource
@@ -40,7 +40,7 @@ class PivotJob:
     sigma_m: float = 0.0
 
 
-def run_pivot(job: PivotJob, progress: Progress | None = None) -> dict[str, Any]:
+def run_pivot(job: PivotJob, progress: Progress | None = None) -> PivotOutput:
     """Measure while the tool pivots; write tip.yaml, and the poses beside it; return the figures as --json gives them.
 
     Stops where every coordinate's deviation is below the goal, at the end of the frames, or when cancelled. Raises
@@ -62,7 +62,8 @@ def run_pivot(job: PivotJob, progress: Progress | None = None) -> dict[str, Any]
         )
     write_poses(job.out.with_suffix(".poses.csv"), taken)
     write_tip(job.out, recording.latest, inputs=[job.rig])
-    return {**tip_content(recording.latest), "goal_m": job.goal_m, "reached": recording.good_enough}
+    tip = tip_output(recording.latest)
+    return PivotOutput(**dict(tip), goal_m=job.goal_m, reached=recording.good_enough)
 
 
 def _poses(setup: Setup, pairs: PairSource) -> Iterator[TargetPose]:

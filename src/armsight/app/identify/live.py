@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -13,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.identify.beacon_observer import StereoBeaconObserver
-from armsight.app.identify.sweep_files import IdentifyJob, identified
+from armsight.app.identify.sweep_files import IdentifyJob, identified, joint_std
 from armsight.app.measure.run import target_of
+from armsight.app.schemas.arm import IdentifyOutput, PlannedSweepOutput, PlanOutput, ProposedPlanOutput
 from armsight.app.simulate.scenarios import live_cell
 from armsight.app.sources.frames import open_pairs
 from armsight.calibrate.identify import Identification, Sweeps, identify
@@ -72,7 +72,7 @@ class OperatorCallbacks:
     """Who watches the robot: confirm is asked before it moves, show is given the plan before the sweeps."""
 
     confirm: Callable[[str], bool] = lambda _: False
-    show: Callable[[dict[str, Any]], None] = lambda _: None
+    show: Callable[[PlanOutput], None] = lambda _: None
 
 
 def run_identify_live(
@@ -82,7 +82,7 @@ def run_identify_live(
     *,
     clock: Clock | None = None,
     devices: tuple[Robot, PairSource] | None = None,
-) -> dict[str, Any]:
+) -> IdentifyOutput | ProposedPlanOutput:
     """Probe, plan, sweep and identify; write arm.yaml and its report; return the figures as --json gives them.
 
     The robot moves only where the person confirms, and is stopped on every error; what was read until then is beside
@@ -107,14 +107,13 @@ def run_identify_live(
         if not (job.model is not None and job.propose):
             start = sweeper.standing
         plan = propose_sweeps(arm, rig, low_high, start, readings=job.readings, base=base)
-        content = plan_content(plan, notes)
-        person.show(content)
+        told = plan_output(plan, notes)
+        person.show(told)
         if job.propose:
-            return {"plan": content, "notes": content["notes"]}
+            return ProposedPlanOutput(plan=told, notes=told.notes)
         _ask(person, f"Move {robot.name} along {len(plan.sweeps)} sweeps as planned?")
         sweeps = _swept(job, plan, robot, sweeper)
-    done = identified(_from_sweeps(job), sweeps, rig)
-    return {**done, "plan": content}
+    return identified(_from_sweeps(job), sweeps, rig, plan=told)
 
 
 def _from_sweeps(job: LiveJob) -> IdentifyJob:
@@ -166,28 +165,26 @@ def open_devices(job: LiveJob, target: Target, clock: Clock) -> tuple[Robot, Pai
     return robot, open_pairs(job.left, job.right, colour=target.colour is not None)
 
 
-def plan_content(plan: Plan, notes: Sequence[str] = ()) -> dict[str, Any]:
+def plan_output(plan: Plan, notes: Sequence[str] = ()) -> PlanOutput:
     """Return a plan as --json gives it; joints count from 1, a deviation that means nothing is null."""
-    return {
-        "sweeps": [
-            {
-                "joint": sweep.joint + 1,
-                "from": float(sweep.q[0, sweep.joint]),
-                "to": float(sweep.q[-1, sweep.joint]),
-                "readings": len(sweep.q),
-                "rest": sweep.q[0].tolist(),
-                "way": sweep.way.tolist(),
-                "radius_m": sweep.radius_m,
-                "ended_by": list(sweep.ends),
-            }
+    return PlanOutput(
+        sweeps=[
+            PlannedSweepOutput(
+                joint=sweep.joint + 1,
+                start=float(sweep.q[0, sweep.joint]),
+                end=float(sweep.q[-1, sweep.joint]),
+                readings=len(sweep.q),
+                rest=sweep.q[0].tolist(),
+                way=sweep.way.tolist(),
+                radius_m=sweep.radius_m,
+                ended_by=sweep.ends,
+            )
             for sweep in plan.sweeps
         ],
-        "expected_std": [
-            {key: value if math.isfinite(value) else None for key, value in one.items()} for one in plan.expected
-        ],
-        "noise_px": plan.sigma_px,
-        "notes": [*notes, *plan.notes],
-    }
+        expected_std=[joint_std(one) for one in plan.expected],
+        noise_px=plan.sigma_px,
+        notes=[*notes, *plan.notes],
+    )
 
 
 def _check(job: LiveJob, target: Target) -> None:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +13,13 @@ from numpy.typing import NDArray
 from armsight.app.calibrate.cameras import report_path
 from armsight.app.kinematics import load_arm
 from armsight.app.measure.run import target_of
+from armsight.app.schemas.arm import IdentifiedJoint, IdentifyOutput, JointAxis, JointStd, PlanOutput
+from armsight.app.schemas.base import RejectedRow
 from armsight.app.sources.frames import open_pairs
 from armsight.calibrate.identify import Identification, Sweeps, identify
+from armsight.calibrate.identify.result import JointFound
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
+from armsight.kinematics import Joint
 from armsight.measure.poses.pipeline import Setup, check_sizes, measure_spots
 from armsight.measure.poses.stationary_lights import without_standing
 from armsight.measure.settings import SpotSettings
@@ -54,7 +57,7 @@ class IdentifyJob:
     nominal: str | None = None
 
 
-def run_identify(job: IdentifyJob, progress: Progress | None = None) -> dict[str, Any]:
+def run_identify(job: IdentifyJob, progress: Progress | None = None) -> IdentifyOutput:
     """Identify the arm, write arm.yaml and its report; return the figures as --json gives them.
 
     A sweep made from frames is written beside the arm. Raises UsageError, DataRefused, DeviceFailed.
@@ -75,8 +78,13 @@ def run_identify(job: IdentifyJob, progress: Progress | None = None) -> dict[str
     return identified(job, sweeps, rig, notes)
 
 
-def identified(job: IdentifyJob, sweeps: Sweeps, rig: Rig | None, notes: Sequence[str] = ()) -> dict[str, Any]:
-    """Identify the arm that made these sweeps, write arm.yaml and its report; return the figures. notes go first."""
+def identified(
+    job: IdentifyJob, sweeps: Sweeps, rig: Rig | None, notes: Sequence[str] = (), *, plan: PlanOutput | None = None
+) -> IdentifyOutput:
+    """Identify the arm that made these sweeps, write arm.yaml and its report; return the figures. notes go first.
+
+    plan: of the sweeps, for the figures.
+    """
     nominal = None if job.nominal is None else load_arm(job.nominal)
     if nominal is not None and len(nominal.joints) != sweeps.n:
         raise Inconsistent(
@@ -99,11 +107,9 @@ def identified(job: IdentifyJob, sweeps: Sweeps, rig: Rig | None, notes: Sequenc
     if job.world is not None:  # found in the rig's axes
         arm = replace(arm, T_world_base=read_world(job.world).T_parent_rig * arm.T_world_base)
     write_arm(job.out, arm, inputs=inputs)
-    content = identified_content(result)
-    content["notes"] = [*notes, *content["notes"]]
     files = [("file", path.name) for path in inputs]
     write_text(report_path(job.out), identify_report(result, sweeps, rig, nominal=nominal, inputs=files))
-    return content
+    return identify_output(result, notes=notes, plan=plan)
 
 
 def seen_in_frames(job: IdentifyJob, rig: Rig, progress: Progress) -> tuple[Sweeps, list[str]]:
@@ -158,31 +164,46 @@ def _beacons(setup: Setup, spots: list[tuple[int, Spots, Spots]]) -> tuple[dict[
     return seen, notes
 
 
-def identified_content(result: Identification) -> dict[str, Any]:
-    """Return an identification as --json gives it; a deviation that means nothing is null."""
-    joints = []
-    for number, (joint, found) in enumerate(zip(result.arm.joints, result.joints, strict=True), 1):
-        joints.append(
-            {
-                "index": number,
-                "type": str(joint.type),
-                "a_m": joint.a_m,
-                "alpha_rad": joint.alpha_rad,
-                "d_m": joint.d_m,
-                "theta_rad": joint.theta_rad,
-                "beta_rad": joint.beta_rad,
-                "lower": found.travel[0],
-                "upper": found.travel[1],
-                "sign": joint.sign,
-                "std": {key: value if math.isfinite(value) else None for key, value in found.std.items()},
-                "n": len(found.rows) + len(found.discarded),
-                "discarded": [{"row": row + 1, "why": why} for row, why in found.discarded],
-                "residual_rms_m": found.residual_rms_m,
-                "residual_rms_px": found.residual_rms_px,
-                "p_line": found.p_line,
-                "decided": found.decided,
-                "radius_m": found.radius_m,
-                "axis": {"point_m": found.axis.point_m.tolist(), "direction": found.axis.direction.tolist()},
-            }
-        )
-    return {"joints": joints, "method": result.method, "notes": list(result.notes), "noise": result.sigma}
+def identify_output(
+    result: Identification, *, notes: Sequence[str] = (), plan: PlanOutput | None = None
+) -> IdentifyOutput:
+    """Return an identification as --json gives it. notes go first; plan: of the sweeps, where armsight made them."""
+    return IdentifyOutput(
+        joints=[
+            _joint(number, joint, found)
+            for number, (joint, found) in enumerate(zip(result.arm.joints, result.joints, strict=True), 1)
+        ],
+        method=result.method,
+        notes=[*notes, *result.notes],
+        noise=result.sigma,
+        plan=plan,
+    )
+
+
+def _joint(number: int, joint: Joint, found: JointFound) -> IdentifiedJoint:
+    return IdentifiedJoint(
+        index=number,
+        type=str(joint.type),
+        a_m=joint.a_m,
+        alpha_rad=joint.alpha_rad,
+        d_m=joint.d_m,
+        theta_rad=joint.theta_rad,
+        beta_rad=joint.beta_rad,
+        lower=found.travel[0],
+        upper=found.travel[1],
+        sign=joint.sign,
+        std=joint_std(found.std),
+        n=len(found.rows) + len(found.discarded),
+        discarded=[RejectedRow(row=row + 1, why=why) for row, why in found.discarded],
+        residual_rms_m=found.residual_rms_m,
+        residual_rms_px=found.residual_rms_px,
+        p_line=found.p_line,
+        decided=found.decided,
+        radius_m=found.radius_m,
+        axis=JointAxis(point_m=found.axis.point_m.tolist(), direction=found.axis.direction.tolist()),
+    )
+
+
+def joint_std(std: Mapping[str, float]) -> JointStd:
+    """Return the deviations of a joint's entries; one that means nothing is None."""
+    return JointStd(**{key: value if math.isfinite(value) else None for key, value in std.items()})

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.measure.outputs import Summary
-from armsight.measure.consistency.explain import content
+from armsight.app.schemas.measure import MeasureOutput
 from armsight.measure.poses.pipeline import Measured, Setup
 from armsight.optics import SIDES
 from armsight.records import Frame, PoseStatus, TargetPose
@@ -66,7 +65,7 @@ class Collector:
             self._keep_residuals(number, pose)
         self._keep_sample(number, (left, right), measured, pose)
 
-    def write(self, path: Path, summary: Summary, about: About) -> None:
+    def write(self, path: Path, summary: MeasureOutput, about: About) -> None:
         """Write the report of the pairs so far."""
         run = MeasureRun(
             poses=self._poses,
@@ -75,14 +74,14 @@ class Collector:
             residuals={side: np.vstack(rows) for side, rows in self._residuals.items() if rows},
             samples=[sample for pair in self._samples.values() for sample in pair],
             truth=None if about.truth is None else about.truth[: len(self._poses)],
-            median_ms=summary.median_ms,
-            p99_ms=summary.p99_ms,
+            median_ms=summary.ms_per_frame.median,
+            p99_ms=summary.ms_per_frame.p99,
             parent=self._parent,
             title=about.title,
             facts=about.facts,
             assumptions=about.assumptions,
-            error=summary.error,
-            consistency={} if summary.consistency is None else content(summary.consistency),
+            error=summary.error or "",
+            consistency={} if summary.consistency is None else summary.consistency.to_dict(),
         )
         write_text(path, measure_report(run))
 

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 from array import array
 from collections import Counter
-from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.app.measure.consistency import consistency_output
+from armsight.app.schemas.base import PoseStd
+from armsight.app.schemas.measure import Candidates, FrameTime, MeasureOutput, PoseDeviations, SkewOutput
 from armsight.drivers import Skew
 from armsight.geometry import moved_parent_covariance, quat_of_matrix
 from armsight.measure.consistency.diagnosis import Consistency
-from armsight.measure.consistency.explain import content
 from armsight.measure.poses.pipeline import Measured
 from armsight.records import PoseStatus, TargetPose
 from armsight.store import PointsWriter, PosesWriter, SpotsWriter
@@ -34,57 +34,6 @@ FILES = (POSES, POINTS, SPOTS, TUM, SUMMARY, REPORT)
 
 REASONS_KEPT = 20
 """Different reasons for lost frames that are counted apart; the rest is summed."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Summary:
-    """What a measurement came to. reasons: how often each cause took a pose or its rotation away.
-
-    std: median standard deviations of the full poses by coordinate: 'total', 'random' (the spots, anew in each frame)
-    and 'systematic' (rig and target, the same in all). consistency: whether the residuals agree with all of these.
-    candidates: bright things in all images: seen, fitted, matched to a light.
-    """
-
-    n_frames: int
-    n_ok: int
-    n_position_only: int
-    n_lost: int
-    reprojection_rms_px: float | None
-    median_ms: float | None
-    p99_ms: float | None
-    reasons: Mapping[str, int] = field(default_factory=dict)
-    skew: Skew | None = None
-    error: str = ""
-    std: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    consistency: Consistency | None = None
-    candidates: Mapping[str, int] = field(default_factory=dict)
-
-    def content(self) -> dict[str, Any]:
-        """Return it as measure.json and --json hold it."""
-        out: dict[str, Any] = {
-            "n_frames": self.n_frames,
-            "n_ok": self.n_ok,
-            "n_position_only": self.n_position_only,
-            "n_lost": self.n_lost,
-            "reprojection_rms_px": self.reprojection_rms_px,
-            "ms_per_frame": {"median": self.median_ms, "p99": self.p99_ms},
-            "reasons": dict(self.reasons),
-        }
-        if self.candidates:
-            out["candidates"] = dict(self.candidates)
-        if self.std:
-            out["std"] = {name: dict(values) for name, values in self.std.items()}
-        if self.consistency is not None:
-            out["consistency"] = content(self.consistency)
-        if self.skew is not None:
-            out["skew"] = {
-                "mean_s": self.skew.mean_s,
-                "largest_s": self.skew.largest_s,
-                "n_dropped": self.skew.n_dropped,
-            }
-        if self.error:
-            out["error"] = self.error
-        return out
 
 
 class Outputs:
@@ -159,35 +108,44 @@ class Outputs:
         self._residuals += len(pose.residual_px)
         return pose
 
-    def summary(self, *, skew: Skew | None = None, error: str = "", consistency: Consistency | None = None) -> Summary:
+    def summary(
+        self, *, skew: Skew | None = None, error: str = "", consistency: Consistency | None = None
+    ) -> MeasureOutput:
         """Return the figures so far. The reprojection RMS is of the 2-D residual per point, pooled over all frames."""
         ms = np.array(self._ms)
-        return Summary(
+        return MeasureOutput(
             n_frames=self.n_frames,
             n_ok=self._counts[PoseStatus.OK],
             n_position_only=self._counts[PoseStatus.POSITION_ONLY],
             n_lost=self._counts[PoseStatus.LOST],
             reprojection_rms_px=float(np.sqrt(2.0 * self._squares_px2 / self._residuals)) if self._residuals else None,
-            median_ms=float(np.median(ms)) if len(ms) else None,
-            p99_ms=float(np.percentile(ms, 99)) if len(ms) else None,
+            ms_per_frame=FrameTime(
+                median=float(np.median(ms)) if len(ms) else None,
+                p99=float(np.percentile(ms, 99)) if len(ms) else None,
+            ),
             reasons=dict(self._reasons.most_common()),
-            skew=skew,
-            error=error,
-            candidates=dict(self._candidates),
+            candidates=Candidates(**self._candidates) if self._candidates else None,
             std=_medians(np.array(self._std).reshape(-1, 2, 6)),
-            consistency=consistency,
+            consistency=None if consistency is None else consistency_output(consistency),
+            skew=None if skew is None else _skew(skew),
+            error=error or None,
         )
 
 
-def _medians(std: Array) -> dict[str, dict[str, float]]:
-    """Return the median deviations by part and coordinate of poses (n, [total, systematic], 6); empty for none."""
+def _medians(std: Array) -> PoseDeviations | None:
+    """Return the median deviations of poses (n, [total, systematic], 6) by part and coordinate; None for none."""
     if not len(std):
-        return {}
+        return None
     random = np.sqrt(np.maximum(std[:, 0] ** 2 - std[:, 1] ** 2, 0.0))
-    parts = {"total": std[:, 0], "random": random, "systematic": std[:, 1]}
-    return {
-        name: dict(zip(COORDINATES, np.median(values, axis=0).tolist(), strict=True)) for name, values in parts.items()
-    }
+
+    def median(values: Array) -> PoseStd:
+        return PoseStd(**dict(zip(COORDINATES, np.median(values, axis=0).tolist(), strict=True)))
+
+    return PoseDeviations(total=median(std[:, 0]), random=median(random), systematic=median(std[:, 1]))
+
+
+def _skew(skew: Skew) -> SkewOutput:
+    return SkewOutput(mean_s=skew.mean_s, largest_s=skew.largest_s, n_dropped=skew.n_dropped)
 
 
 def candidates_of(measured: Measured) -> dict[str, int]:

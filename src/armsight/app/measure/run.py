@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.measure.collector import About, Collector
-from armsight.app.measure.outputs import REPORT, SUMMARY, Outputs, Summary
+from armsight.app.measure.outputs import REPORT, SUMMARY, Outputs
 from armsight.app.measure.warm_up import prepare
+from armsight.app.schemas.measure import MeasureOutput
 from armsight.app.sources.complex_images import complex_pairs
 from armsight.app.sources.frames import is_recording, open_pairs, open_source
 from armsight.drivers import PairSource, ordered_map, read_image
@@ -28,7 +29,7 @@ from armsight.measure.poses.pipeline import Measured, Setup, Track, measure_pair
 from armsight.measure.settings import METHODS, SpotSettings
 from armsight.optics import SIDES, Rig, RigKind
 from armsight.records import Frame, Points, PoseStatus, Progress, Silent, Spots, Target, TargetPose
-from armsight.store import World, parse_board, read_rig, read_target, read_times, read_world, write_json
+from armsight.store import World, parse_board, read_rig, read_target, read_times, read_world
 
 Pair = tuple[Frame, Frame]
 
@@ -80,7 +81,7 @@ def target_of(named: Path) -> Target:
     return parse_board(str(named)) if ":" in named.name and not named.exists() else read_target(named)
 
 
-def measure(job: MeasureJob, progress: Progress | None = None) -> Summary:
+def measure(job: MeasureJob, progress: Progress | None = None) -> MeasureOutput:
     """Measure every pair of frames; write poses.csv, points.csv, spots.csv, poses.tum, measure.json, report.html.
 
     What was measured before a failure or a cancel is in the files when the error is raised. Raises UsageError,
@@ -116,7 +117,7 @@ def run(
     limit: int | None = None,
     about: About | None = None,
     stills: bool = False,
-) -> tuple[Summary, Sequence[TargetPose]]:
+) -> tuple[MeasureOutput, Sequence[TargetPose]]:
     """Measure the pairs of a source not yet open into the folder out; return the figures and all poses. See measure."""
     parent, T_parent_rig = (world.parent, world.T_parent_rig) if world else ("rig", None)
     report, check = Collector(setup, parent), RunCheck(setup)
@@ -140,7 +141,7 @@ def run(
     summary = outputs.summary(skew=pairs.skew, error=str(failure) if failure else "", consistency=consistency)
     progress.update(0, 0, "writing the report")
     report.write(out / REPORT, summary, about or About())
-    write_json(out / SUMMARY, summary.content())
+    summary.write(out / SUMMARY)
     if failure is not None:
         raise _with_place(failure, outputs, out)
     return summary, report.poses

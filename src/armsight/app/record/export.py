@@ -9,6 +9,7 @@ from pathlib import Path
 import cv2
 
 from armsight.app.record.record import RIG_NAME, TARGET_NAME
+from armsight.app.schemas.files import ExportOutput
 from armsight.app.simulate.cells import PNG
 from armsight.drivers import ordered_map
 from armsight.errors import Cancelled, DeviceFailed, Inconsistent, UsageError
@@ -22,7 +23,7 @@ Export = tuple[str, int]
 """A file or folder and how many rows or frames it has."""
 
 
-def export(source: Path, out: Path, *, progress: Progress | None = None) -> dict[str, int]:
+def export(source: Path, out: Path, *, progress: Progress | None = None) -> ExportOutput:
     """Write what a recording holds; return rows or frames by file.
 
     out ending in .tum: its whole poses; in .csv: its poses; else a folder: CAMERA/000000.png and times.csv for frames,
@@ -35,12 +36,14 @@ def export(source: Path, out: Path, *, progress: Progress | None = None) -> dict
         raise UsageError(f"{out.name}: a recording is not exported to {suffix}", cure="Give a folder, a .csv or a .tum")
     with Recording(source) as recording:
         if suffix == ".tum":
-            return {out.name: write_tum(out, recording.poses())}
-        if suffix == ".csv":
-            return {out.name: _poses(recording, out)}
-        with disk_errors(out):
-            out.mkdir(parents=True, exist_ok=True)
-        return _folder(recording, out, progress)
+            done = {out.name: write_tum(out, recording.poses())}
+        elif suffix == ".csv":
+            done = {out.name: _poses(recording, out)}
+        else:
+            with disk_errors(out):
+                out.mkdir(parents=True, exist_ok=True)
+            done = _folder(recording, out, progress)
+    return ExportOutput(source=str(source), out=str(out), n=done)
 
 
 def _folder(recording: Recording, out: Path, progress: Progress) -> dict[str, int]:

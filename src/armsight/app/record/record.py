@@ -5,13 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Generator, Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 from armsight.app.record.recorder import Recorder
+from armsight.app.schemas.files import RecordedSkew, RecordOutput, RepairOutput
 from armsight.app.simulate.cells import CellPairs, load_cell, write_cell_files
 from armsight.app.sources.frames import is_recording, open_pairs, recording_path
 from armsight.clock import Clock, SystemClock
@@ -55,35 +55,7 @@ class RecordJob:
     overwrite: bool = False
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RecordSummary:
-    """What was recorded: n_dropped found no room, n_missed were lost by the camera or had no partner."""
-
-    path: Path
-    kind: ImageFormat
-    n_pairs: int
-    n_dropped: int
-    n_missed: int
-    seconds_s: float
-    size: int
-    skew: Skew | None
-
-    def content(self) -> dict[str, Any]:
-        """Return it as --json gives it."""
-        return {
-            "file": str(self.path),
-            "format": self.kind.value,
-            "n_pairs": self.n_pairs,
-            "n_dropped": self.n_dropped,
-            "n_missed": self.n_missed,
-            "duration_s": self.seconds_s,
-            "pairs_per_s": (self.n_pairs - 1) / self.seconds_s if self.seconds_s > 0.0 else None,
-            "size_bytes": self.size,
-            "skew_s": {"mean": self.skew.mean_s, "largest": self.skew.largest_s} if self.skew else None,
-        }
-
-
-def record(job: RecordJob, progress: Progress | None = None, *, clock: Clock | None = None) -> RecordSummary:
+def record(job: RecordJob, progress: Progress | None = None, *, clock: Clock | None = None) -> RecordOutput:
     """Record pairs until the source ends, the limit is reached or the person stops, which is no error here.
 
     Raises UsageError, DataRefused and DeviceFailed; what was recorded until then is readable.
@@ -102,7 +74,7 @@ def record_pairs(
     rig: Rig | None = None,
     progress: Progress | None = None,
     clock: Clock | None = None,
-) -> RecordSummary:
+) -> RecordOutput:
     """Record the pairs of a source not yet open; live: what finds no room is dropped. See record."""
     tally = Tally()
     with pairs, closing(_generator(pairs)) as source:
@@ -122,16 +94,22 @@ def record_pairs(
             kept = f"What was recorded until then is in {job.out}"
             error.consequence = ". ".join(part.rstrip(".") for part in (error.consequence, kept) if part)
             raise
-    skew = pairs.skew
-    return RecordSummary(
-        path=job.out,
-        kind=job.kind,
+    return _output(job, recorder, tally, pairs.skew, live=live)
+
+
+def _output(job: RecordJob, recorder: Recorder, tally: Tally, skew: Skew | None, *, live: bool) -> RecordOutput:
+    """Return what was recorded: what found no room, and what the cameras lost or had no partner, is counted apart."""
+    duration_s = tally.last_s - tally.first_s
+    return RecordOutput(
+        file=str(job.out),
+        format=job.kind.value,
         n_pairs=recorder.written,
         n_dropped=recorder.dropped,
         n_missed=tally.missed + (skew.n_dropped if skew else 0) if live else 0,
-        seconds_s=tally.last_s - tally.first_s,
-        size=job.out.stat().st_size,
-        skew=skew,
+        duration_s=duration_s,
+        pairs_per_s=(recorder.written - 1) / duration_s if duration_s > 0.0 else None,
+        size_bytes=job.out.stat().st_size,
+        skew_s=RecordedSkew(mean=skew.mean_s, largest=skew.largest_s) if skew else None,
     )
 
 
@@ -216,7 +194,7 @@ def _generator(pairs: PairSource) -> Generator[tuple[Frame, Frame], None, None]:
     yield from pairs
 
 
-def mend(source: Path, out: Path | None = None, *, overwrite: bool = False) -> Repaired:
+def mend(source: Path, out: Path | None = None, *, overwrite: bool = False) -> RepairOutput:
     """Make a readable file of a broken recording: in out, or in its own place with the broken one kept beside it.
 
     Raises BadFile, NotEnoughData, UsageError, DeviceFailed; then source is as it was.
@@ -224,7 +202,7 @@ def mend(source: Path, out: Path | None = None, *, overwrite: bool = False) -> R
     if out is not None:
         if out.resolve() == source.resolve():
             raise UsageError(f"{out} is both source and result", cure="Leave -o away to mend a file in its place")
-        return repair(source, out, overwrite=overwrite)
+        return _repair_output(repair(source, out, overwrite=overwrite), out)
     made = source.with_name(f".{source.name}.part")
     kept = source.with_name(f"{source.stem}.broken{source.suffix}")
     if kept.exists():
@@ -236,4 +214,14 @@ def mend(source: Path, out: Path | None = None, *, overwrite: bool = False) -> R
             made.rename(source)
     finally:
         made.unlink(missing_ok=True)
-    return replace(done, path=source)
+    return _repair_output(done, source)
+
+
+def _repair_output(done: Repaired, path: Path) -> RepairOutput:
+    return RepairOutput(
+        file=str(path),
+        messages=done.messages,
+        duration_s=done.seconds_s,
+        lost_bytes=done.lost_bytes,
+        damaged_chunks=done.damaged_chunks,
+    )

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from armsight.app.schemas.files import SimulateOutput
 from armsight.app.simulate.cells import CellPairs, load_cell, room_choice, write_cell_files, write_png
 from armsight.app.simulate.scenarios import build_world, load_scenario, scenario_names, settled_text
 from armsight.drivers import CELLS, known
@@ -30,7 +31,7 @@ def simulate(
     frames: int | None = None,
     room: str | None = None,
     progress: Progress | None = None,
-) -> dict[str, Any]:
+) -> SimulateOutput:
     """Simulate a scenario, by name or file, or a built-in cell, into the folder out.
 
     Writes left/*.png and right/*.png (image/*.png for a mirror rig), rig.yaml, target.yaml, times.csv, truth.csv and
@@ -56,14 +57,14 @@ def simulate(
         progress.update(done, total)
         if progress.cancelled():
             raise Cancelled(f"stopped after {done} frames", consequence=f"They are in {out}")
-    return {
-        "scenario": model.name,
-        "seed": world.seed,
-        "n_frames": done,
-        "n_dropped": world.n_frames - total,
-        "views": list(world.views),
-        "out": str(out),
-    }
+    return SimulateOutput(
+        scenario=model.name,
+        seed=world.seed,
+        n_frames=done,
+        n_dropped=world.n_frames - total,
+        views=list(world.views),
+        out=str(out),
+    )
 
 
 def write_world_files(world: Any, out: Path) -> None:
@@ -104,7 +105,7 @@ def _write_truth(path: Path, truth: Any) -> None:
 
 def _simulate_cell(
     name: str, out: Path, seed: int, frames: int, room: str | None, progress: Progress
-) -> dict[str, Any]:
+) -> SimulateOutput:
     """Simulate a built-in cell without a robot."""
     cell = load_cell(name, seed=seed, frames=frames, room=room)
     write_cell_files(cell, out, seed=seed, frames=frames)
@@ -115,4 +116,4 @@ def _simulate_cell(
             progress.update(done, frames)
             if progress.cancelled():
                 raise Cancelled(f"stopped after {done} pairs", consequence=f"They are in {out}")
-    return {"scenario": name, "seed": seed, "n_frames": done, "out": str(out)}
+    return SimulateOutput(scenario=name, seed=seed, n_frames=done, out=str(out))

@@ -1,9 +1,8 @@
-"""A run's consistency in words and as measure.json holds it: cause, consequence, cure."""
+"""A run's consistency in words: cause, consequence, cure."""
 
 from __future__ import annotations
 
 import math
-from typing import Any
 
 from armsight.measure.consistency.causes import RECALIBRATE, REMEASURE
 from armsight.measure.consistency.diagnosis import NOISY, VERY_NOISY, Consistency, Finding
@@ -14,9 +13,6 @@ SHOWN = {"1": (100.0, " %"), "m": (1.0 / MM, " mm"), "rad": (1.0 / DEG, "°"), "
 
 ONE_SIGNED = ("scale", "timing")
 """Causes of one number, whose sign means something."""
-
-LISTED = 4
-"""Causes that are told in all."""
 
 
 def sentence(found: Consistency) -> str:
@@ -49,53 +45,6 @@ def advice(found: Consistency) -> str:
     for f in found.findings[: found.equal]:
         told += [f.cause.advice] if f.cause.advice not in told else []
     return ". Or: ".join(told) + "."
-
-
-def content(found: Consistency) -> dict[str, Any]:
-    """Return it as measure.json holds it; figures that there is no data for are None."""
-    first = found.findings[0] if found.findings else None
-    return {
-        "verdict": found.verdict,
-        "cause": first.cause.key if first else None,
-        "estimate": first.size if first and first.cause.unit else None,
-        "std": first.std if first and first.cause.unit else None,
-        "unit": first.cause.unit if first else None,
-        "effect_m": first.effect_m if first else None,
-        "effect_rad": first.effect_rad if first else None,
-        "since_s": first.since_s if first else None,
-        "equally_likely": [f.cause.key for f in found.findings[1 : found.equal]],
-        "others": [_entry(f, found.findings[0]) for f in found.findings[1:LISTED]],
-        "components": _components(first) if first else {},
-        "chi2_per_dof": _number(found.chi2_per_dof),
-        "noise_scale": found.noise_scale,
-        "refused": found.refused,
-        "claimed_m": _number(found.claimed_m),
-        "n_frames": found.frames,
-        "undetected_m": dict(found.undetected),
-        "sentence": sentence(found),
-        "advice": advice(found),
-    }
-
-
-def _entry(f: Finding, best: Finding) -> dict[str, Any]:
-    return {
-        "cause": f.cause.key,
-        "estimate": f.size if f.cause.unit else None,
-        "std": f.std if f.cause.unit else None,
-        "unit": f.cause.unit,
-        "effect_m": f.effect_m,
-        "log_odds": f.evidence - best.evidence,
-    }
-
-
-def _components(f: Finding) -> dict[str, dict[str, float]]:
-    deviations = f.covariance.diagonal().clip(min=0.0) ** 0.5
-    rows = zip(f.cause.labels, f.estimate.tolist(), deviations.tolist(), strict=True)
-    return {label: {"estimate": value, "std": std} for label, value, std in rows}
-
-
-def _number(value: float) -> float | None:
-    return value if math.isfinite(value) else None
 
 
 def _what(f: Finding) -> str:

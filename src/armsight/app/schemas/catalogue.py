@@ -1,0 +1,58 @@
+"""All results for programs by the command that gives them; the documentation and its JSON schemas are made of this."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from armsight.app.schemas.arm import ArmOutput, IdentifyOutput, ProposedPlanOutput, RobotWorldOutput
+from armsight.app.schemas.base import Output, RefusalOutput
+from armsight.app.schemas.cameras import CameraOutput, MirrorCheckOutput, MirrorsOutput, NoiseOutput, StereoOutput
+from armsight.app.schemas.files import ConvertOutput, ExportOutput, RecordOutput, RepairOutput, SimulateOutput
+from armsight.app.schemas.handeye import HandEyeOutput, LightTargetOutput, PivotOutput, TipOutput
+from armsight.app.schemas.kinematics import (
+    ConvertArmOutput,
+    FkOutput,
+    FormulasOutput,
+    IkOutput,
+    JacobianOutput,
+    PathOutput,
+    ShowOutput,
+)
+from armsight.app.schemas.machine import DoctorOutput
+from armsight.app.schemas.measure import DemoOutput, MeasureOutput
+
+OUTPUTS: Mapping[str, type[Output]] = MappingProxyType(
+    {
+        "measure": MeasureOutput,
+        "demo": DemoOutput,
+        "calibrate-camera": CameraOutput,
+        "calibrate-camera-noise": NoiseOutput,
+        "calibrate-stereo": StereoOutput,
+        "calibrate-mirrors": MirrorsOutput,
+        "calibrate-mirrors-check": MirrorCheckOutput,
+        "calibrate-target": LightTargetOutput,
+        "calibrate-handeye": HandEyeOutput,
+        "calibrate-tooltip": TipOutput,
+        "calibrate-pivot": PivotOutput,
+        "calibrate-arm": ArmOutput,
+        "calibrate-robot-world": RobotWorldOutput,
+        "identify": IdentifyOutput,
+        "identify-propose": ProposedPlanOutput,
+        "record": RecordOutput,
+        "record-repair": RepairOutput,
+        "convert-recording": ExportOutput,
+        "convert": ConvertOutput,
+        "convert-arm": ConvertArmOutput,
+        "simulate": SimulateOutput,
+        "kinematics-fk": FkOutput,
+        "kinematics-ik": IkOutput,
+        "kinematics-jacobian": JacobianOutput,
+        "kinematics-path": PathOutput,
+        "kinematics-formulas": FormulasOutput,
+        "kinematics-show": ShowOutput,
+        "doctor": DoctorOutput,
+        "error": RefusalOutput,
+    }
+)
+"""Name of the JSON schema -> model. The first line of a model's docstring is the command."""

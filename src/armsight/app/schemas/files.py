@@ -1,0 +1,67 @@
+"""record, convert, simulate."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from armsight.app.schemas.base import Output, absent
+
+
+class RecordedSkew(Output):
+    """Time between the frames of pairs, right minus left."""
+
+    mean: float = Field(description="Mean, s.")
+    largest: float = Field(description="Largest, s.")
+
+
+class RecordOutput(Output):
+    """armsight record."""
+
+    file: str = Field(description="The recording.")
+    format: str = Field(description="How frames are kept: png, raw or jpeg.")
+    n_pairs: int = Field(description="Pairs recorded.")
+    n_dropped: int = Field(description="Pairs that found no room: the disk or the processor is too slow.")
+    n_missed: int = Field(description="Frames lost by the cameras or without a partner.")
+    duration_s: float = Field(description="From the first pair to the last, s.")
+    pairs_per_s: float | None = Field(description="Pairs a second.", json_schema_extra={"unit": "1/s"})
+    size_bytes: int = Field(description="Size of the file, bytes.")
+    skew_s: RecordedSkew | None = Field(description="Time between the frames of live pairs; null of other sources.")
+
+
+class RepairOutput(Output):
+    """armsight record --repair."""
+
+    file: str = Field(description="The mended recording.")
+    messages: dict[str, int] = Field(description="Messages saved by topic.")
+    duration_s: float = Field(description="From the first message to the last, s.")
+    lost_bytes: int = Field(description="Bytes that were not whole.")
+    damaged_chunks: int = Field(description="Chunks whose checksum does not fit.")
+
+
+class ExportOutput(Output):
+    """armsight convert recording."""
+
+    source: str = Field(alias="from", description="The recording.")
+    out: str = Field(description="The folder or file written.")
+    n: dict[str, int] = Field(description="Rows or frames by file.")
+
+
+class ConvertOutput(Output):
+    """armsight convert camera, convert rig, convert poses."""
+
+    source: str = Field(alias="from", description="Kind of the file read: armsight, ros, opencv, kalibr; or of poses.")
+    target: str = Field(alias="to", description="Kind of the files written.")
+    files: list[str] = Field(description="The files written.")
+    n: int | None = Field(description="Poses; null for cameras and rigs.")
+    note: str = Field(description="What the new kind could not carry; may be empty.")
+
+
+class SimulateOutput(Output):
+    """armsight simulate."""
+
+    scenario: str = Field(description="The scenario's or cell's name.")
+    seed: int = Field(description="The seed, which gives the same run again.")
+    n_frames: int = Field(description="Frames of each view written.")
+    n_dropped: int | None = Field(None, exclude_if=absent, description="Frames left out by the scenario's faults.")
+    views: list[str] | None = Field(None, exclude_if=absent, description="The views: left, right or image.")
+    out: str = Field(description="The folder.")

@@ -1,0 +1,180 @@
+"""The keys that other programs rely on: as the contract names them, described, and left out or null as promised."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from math import inf, nan
+from pathlib import Path
+
+import pytest
+from pydantic import ValidationError
+
+from armsight.app.schemas import arm, cameras, files, handeye, kinematics, machine, measure
+from armsight.app.schemas.base import Output, PointStd, PoseOutput, PoseStd, absent
+from armsight.app.schemas.catalogue import OUTPUTS
+
+MEASURE = "n_frames n_ok n_position_only n_lost reprojection_rms_px ms_per_frame reasons"
+MEASURE_MAYBE = "candidates std consistency skew error"
+STEREO = (
+    "rms_px epipolar_rms_px baseline_m n_pairs n_used rejected std holdout_rms_px holdout_epipolar_rms_px metric "
+    "metric_is_left_out alignment advice"
+)
+HANDEYE = (
+    "setup std std_target n_pairs n_used rejected residual_rms_m residual_rms_rad loo_rms_m loo_rms_rad noise "
+    "turning_rms_rad verdict advice"
+)
+HANDEYE_MAYBE = (
+    "T_flange_camera T_base_target T_base_camera T_flange_target target_scale reprojection_rms_px time_offset_s "
+    "time_offset_std_s proposals"
+)
+TIP = "tip_m point_m std residual_rms_m n_used rejected turning_rms_rad"
+ARM = (
+    "n before after crossval free fixed std corrections condition outliers still couplings "
+    "noise model verdict gain urdf"
+)
+PLACE, TURN = "x_m y_m z_m", "rx_rad ry_rad rz_rad"
+NOISE = "linear levels variance_levels2 std_levels2 correlation n_frames widening"
+
+KEYS: dict[type[Output], tuple[str, str]] = {
+    OUTPUTS["measure"]: (MEASURE, MEASURE_MAYBE),
+    measure.FrameTime: ("median p99", ""),
+    measure.PoseDeviations: ("total random systematic", ""),
+    measure.SkewOutput: ("mean_s largest_s n_dropped", ""),
+    measure.ConsistencyOutput: (
+        "verdict cause estimate std unit effect_m effect_rad since_s equally_likely others components chi2_per_dof "
+        "noise_scale refused claimed_m n_frames undetected_m sentence advice",
+        "",
+    ),
+    OUTPUTS["demo"]: (f"{MEASURE} truth inside_95 seconds_s assumptions", MEASURE_MAYBE),
+    measure.TruthError: ("rms max claimed", ""),
+    OUTPUTS["calibrate-camera"]: (
+        "rms_px n_images n_used rejected fx_px fy_px cx_px cy_px distortion std holdout_rms_px advice",
+        "noise",
+    ),
+    OUTPUTS["calibrate-camera-noise"]: ("noise", ""),
+    cameras.CameraNoise: (NOISE, ""),
+    cameras.MeasuredNoise: (
+        f"{NOISE} n_given n_copies brightness_rms shift_px_rms moving frozen unusable frame_ratio line_deviation "
+        "advice",
+        "",
+    ),
+    OUTPUTS["calibrate-stereo"]: (STEREO, ""),
+    cameras.AlignmentOutput: ("convergence_rad vertical_rad vertical_px roll_rad height_m advance_m", ""),
+    OUTPUTS["calibrate-mirrors"]: (f"{STEREO} one_lens forms", ""),
+    cameras.MirrorAlignment: ("convergence_rad vertical_rad vertical_px roll_rad height_m advance_m plate", ""),
+    cameras.PlateOutput: ("m_m l_m thickness_m index seen_thickness_m seen_thickness_std_m", ""),
+    cameras.FormOutput: ("name x_m y_m z_m epipolar_px", ""),
+    OUTPUTS["calibrate-mirrors-check"]: (
+        "alignment change change_std moved certain suspects advice n_views missed",
+        "",
+    ),
+    cameras.SuspectMirror: ("mirror turn_rad tilt_rad chi2", ""),
+    OUTPUTS["calibrate-target"]: (
+        "spots_m std distances_m n_frames n_used rejected residual_rms_px loo_rms_px advice",
+        "",
+    ),
+    OUTPUTS["calibrate-handeye"]: (HANDEYE, HANDEYE_MAYBE),
+    handeye.RejectedPair: ("row name why", ""),
+    handeye.NoisePart: ("value", "std at_most"),
+    handeye.HandEyeNoise: ("translation_m robot_m camera_m robot_rad camera_rad", ""),
+    PoseOutput: ("xyz_m quat_xyzw", ""),
+    PointStd: (PLACE, ""),
+    PoseStd: (f"{PLACE} {TURN}", ""),
+    OUTPUTS["calibrate-tooltip"]: (TIP, "mean_tip_m"),
+    OUTPUTS["calibrate-pivot"]: (f"{TIP} goal_m reached", "mean_tip_m"),
+    OUTPUTS["calibrate-arm"]: (ARM, "holdout proposals expected_std"),
+    arm.ToolErrors: ("mean_m rms_m max_m", ""),
+    arm.BeforeAfter: ("before after", ""),
+    arm.Outlier: ("row error_m", ""),
+    OUTPUTS["calibrate-robot-world"]: ("T_base_rig std residual_rms_m n_used rejected", ""),
+    OUTPUTS["identify"]: ("joints method notes noise", "plan"),
+    arm.IdentifiedJoint: (
+        "index type a_m alpha_rad d_m theta_rad beta_rad lower upper sign std n discarded residual_rms_m "
+        "residual_rms_px p_line decided radius_m axis",
+        "",
+    ),
+    arm.JointAxis: ("point_m direction", ""),
+    OUTPUTS["identify-propose"]: ("plan notes", ""),
+    arm.PlanOutput: ("sweeps expected_std noise_px notes", ""),
+    arm.PlannedSweepOutput: ("joint from to readings rest way radius_m ended_by", ""),
+    OUTPUTS["record"]: (
+        "file format n_pairs n_dropped n_missed duration_s pairs_per_s size_bytes skew_s",
+        "",
+    ),
+    OUTPUTS["record-repair"]: ("file messages duration_s lost_bytes damaged_chunks", ""),
+    OUTPUTS["convert-recording"]: ("from out n", ""),
+    OUTPUTS["convert"]: ("from to files n note", ""),
+    OUTPUTS["convert-arm"]: ("arm file joints convention", ""),
+    OUTPUTS["simulate"]: ("scenario seed n_frames out", "n_dropped views"),
+    OUTPUTS["kinematics-fk"]: ("arm n n_beyond_limits", ""),
+    OUTPUTS["kinematics-ik"]: ("arm n status unsolved", ""),
+    kinematics.UnsolvedPose: ("pose status why", ""),
+    OUTPUTS["kinematics-jacobian"]: ("arm n axes", ""),
+    OUTPUTS["kinematics-path"]: ("arm n n_reached branch issues", ""),
+    kinematics.PathIssue: ("kind first last worst joint value limit text", ""),
+    OUTPUTS["kinematics-formulas"]: ("arm file", ""),
+    OUTPUTS["kinematics-show"]: ("arm file tool_xyz_m", ""),
+    OUTPUTS["doctor"]: ("versions machine cameras drivers kernels problems rig", ""),
+    machine.RigResolution: ("baseline_m rms_px sigma_px distances", ""),
+    OUTPUTS["error"]: ("error", ""),
+}
+"""Keys that are always there, and those left out where they do not apply."""
+
+
+def models(base: type[Output] = Output) -> Iterator[type[Output]]:
+    """Every model of the package."""
+    for model in base.__subclasses__():
+        if model.__module__.startswith("armsight."):
+            yield model
+            yield from models(model)
+
+
+@pytest.mark.parametrize("model", KEYS, ids=lambda model: model.__name__)
+def test_the_keys_are_those_that_programs_rely_on(model: type[Output]) -> None:
+    always, maybe = KEYS[model]
+    schema = model.model_json_schema(mode="serialization")
+    assert set(schema["properties"]) == set(f"{always} {maybe}".split())
+    assert set(schema["required"]) == set(always.split())
+
+
+def test_every_command_has_its_keys_written_down() -> None:
+    assert set(OUTPUTS.values()) <= set(KEYS)
+
+
+@pytest.mark.parametrize("model", sorted(set(models()), key=lambda model: model.__name__), ids=lambda m: m.__name__)
+def test_every_key_is_described_in_one_line(model: type[Output]) -> None:
+    for name, field in model.model_fields.items():
+        assert field.description and field.description.endswith("."), name
+        assert "\n" not in field.description and len(field.description) < 170, name
+        # what has a default is left out where it is None, what has none is always there
+        assert field.is_required() == (field.exclude_if is None), name
+        assert field.is_required() or (field.default is None and field.exclude_if is absent), name
+
+
+def test_a_key_that_does_not_apply_is_left_out_and_a_figure_without_data_is_null() -> None:
+    known, unknown = handeye.NoisePart(value=1e-3, std=1e-4), handeye.NoisePart(value=None, at_most=2e-3)
+    assert known.to_dict() == {"value": 1e-3, "std": 1e-4}
+    assert unknown.to_dict() == {"value": None, "at_most": 2e-3}
+
+
+def test_a_number_that_is_not_finite_becomes_null_in_text_only(tmp_path: Path) -> None:
+    error = measure.TruthError(rms=nan, max=inf, claimed=1.0)
+    assert error.to_dict()["max"] == inf
+    assert json.loads(error.to_json()) == {"rms": None, "max": None, "claimed": 1.0}
+    error.write(tmp_path / "out" / "error.json")
+    assert json.loads((tmp_path / "out" / "error.json").read_text()) == {"rms": None, "max": None, "claimed": 1.0}
+
+
+def test_words_of_python_are_no_obstacle_to_keys() -> None:
+    done = files.ExportOutput(source="a.mcap", out="b", n={"times.csv": 3})
+    assert done.to_dict() == {"from": "a.mcap", "out": "b", "n": {"times.csv": 3}}
+
+
+def test_a_result_cannot_be_changed_and_takes_no_unknown_key() -> None:
+    std = PointStd(x_m=1.0, y_m=2.0, z_m=3.0)
+    assert std.translation_m == (1.0, 2.0, 3.0)
+    with pytest.raises(ValidationError):
+        std.x_m = 0.0  # type: ignore[misc]
+    with pytest.raises(ValidationError):
+        PointStd(x_m=1.0, y_m=2.0, z_m=3.0, w_m=4.0)  # type: ignore[call-arg]
