@@ -16,6 +16,7 @@ check: install
 	$(BIN)/ruff check src tests benchmarks tools examples
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python tools/structure.py
 
 install: $(READY)
 

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.calibrate.identify import Sweeps, identify
-from armsight.calibrate.identify.plan import expected_deviations, known_arm, probe, propose_sweeps, rough_arm
+from armsight.calibrate.identify.plan import expected_deviations, probe, propose_sweeps
+from armsight.calibrate.identify.rough_arm import known_arm, rough_arm
 from armsight.errors import DataRefused
 from armsight.kinematics import preset
 from bench import machine, table

@@ -21,7 +21,7 @@ from armsight.measure.poses.kernels import pose as kernels
 from armsight.measure.poses.pipeline import Measured, Setup, measure_pair, measure_spots, warm_up
 from armsight.optics import SIDES, Camera, PackedRig, Rig, converged_rig
 from armsight.records import PoseStatus, Spots, Target, spot_target, unmeasured_target
-from armsight.sim.cells import led_cell
+from armsight.sim.cells import LedCellOptions, led_cell
 from armsight.store import rig_from_mapping
 from bench import interleaved_ms, machine, table
 
@@ -146,8 +146,11 @@ def rendered(repeats: int) -> None:
     rows = []
     for name, cell in (
         ("webcams, LEDs of 2 px", led_cell(3, repeats, **DARK)),
-        ("webcams, LEDs of 2 px, nothing goes wrong", led_cell(4, repeats, faults=False, **DARK)),
-        ("webcams, flat lights of 12 mm", led_cell(5, max(repeats // 4, 50), diameter_m=0.012, faults=False, **DARK)),
+        ("webcams, LEDs of 2 px, nothing goes wrong", led_cell(4, repeats, LedCellOptions(faults=False), **DARK)),
+        (
+            "webcams, flat lights of 12 mm",
+            led_cell(5, max(repeats // 4, 50), LedCellOptions(diameter_m=0.012, faults=False), **DARK),
+        ),
     ):
         setup = Setup(rig_from_mapping(cell.rig), target_of(cell.target))
         for tracking in (True, False):
@@ -201,7 +204,7 @@ def ratios(ours: list[Array], theirs: list[Array]) -> list[float]:
 
 def time(repeats: int) -> None:
     """Time from two frames in memory to pose, and of the parts."""
-    cell = led_cell(1, 12, faults=False, **DARK)
+    cell = led_cell(1, 12, LedCellOptions(faults=False), **DARK)
     rig, target = rig_from_mapping(cell.rig), target_of(cell.target)
     setup, model = Setup(rig, target), np.array(list(target.xyz_m))
     pairs = [cell.pair(i) for i in range(12)]

@@ -11,13 +11,14 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from importlib.resources import files
+from typing import Any
 
 import cv2
 import numpy as np
 import yaml
 
 import bench
-from armsight.sim import Cell, Sensor, ambient, led_cell
+from armsight.sim import Cell, LedCellOptions, Sensor, ambient, led_cell
 from armsight.sim.scenario_builder import build_world
 from armsight.sim.scenario_schema import Scenario
 
@@ -34,9 +35,9 @@ HEXAGON_M = {
 }
 
 
-def six_lights(**options: object) -> Cell:
+def six_lights(room: Any = "dark", pipeline: str = "ideal", **options: Any) -> Cell:
     """Return the webcam cell with six lights on a circle of 100 mm instead of three."""
-    cell = led_cell(0, 1000, faults=False, **{"room": "dark", "pipeline": "ideal"} | options)  # type: ignore[arg-type]
+    cell = led_cell(0, 1000, LedCellOptions(faults=False, **options), room=room, pipeline=pipeline)
     return replace(cell, lights=tuple(replace(cell.lights[0], name=n, xyz_m=xyz) for n, xyz in HEXAGON_M.items()))
 
 

@@ -29,7 +29,7 @@ from armsight.app.simulate.scenarios import load_scenario
 from armsight.measure.poses.outcome import Measured
 from armsight.measure.poses.pipeline import Setup, measure_pair, warm_up
 from armsight.records import Frame, PoseStatus, unmeasured_target
-from armsight.sim import beacon_cell, led_cell
+from armsight.sim import LedCellOptions, beacon_cell, led_cell
 from armsight.sim.cell import Cell
 from armsight.sim.scenario_builder import build_world
 from armsight.sim.scene import SmoothTrajectory
@@ -267,7 +267,7 @@ def unknown(count: int) -> None:
 
 def unknown_pair(seed: int, room: str) -> tuple[Measured, float]:
     """Measure a pair as if nothing were known of the target; the number is its largest error of a light in mm, or 0."""
-    cell = led_cell(seed, 1, faults=False, hot_pixels=0, room=room, pipeline=PIPELINES[seed % 2])
+    cell = led_cell(seed, 1, LedCellOptions(faults=False, hot_pixels=0), room=room, pipeline=PIPELINES[seed % 2])
     measured = measure_pair(Setup(rig_from_mapping(cell.rig, "rig"), unmeasured_target()), *cell.pair(0))
     T = pose_matrix(*cell.truth[0][1:])
     places = np.array([light.xyz_m for light in cell.lights]) @ T[:3, :3].T + T[:3, 3]
@@ -293,7 +293,7 @@ def moving_run(seconds: float) -> None:
 
 def moving_cell(frames: int, light: Mapping[str, Any]) -> Cell:
     """Return a cell whose target moves at 0.2 to 0.5 m/s all the time."""
-    cell = led_cell(1, frames, fps=FPS, faults=False, room="workshop", pipeline="webcam", **light)
+    cell = led_cell(1, frames, LedCellOptions(fps=FPS, faults=False, **light), room="workshop", pipeline="webcam")
     circling = SmoothTrajectory(
         centre_m=np.array([0.06, 0.0, 0.80]),
         tilt=Rotation.identity(),

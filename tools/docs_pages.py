@@ -75,7 +75,8 @@ def public_names() -> dict[str, tuple[str, ...]]:
 
 
 HEADINGS = {
-    "armsight.api.pose": "Spots, poses and tracks",
+    "armsight.api.pose": "Spots and poses",
+    "armsight.api.tracks": "Tracks",
     "armsight.api.cameras": "Cameras and rigs",
     "armsight.api.robots": "Hand-eye, tool tip and arms",
     "armsight.api.files": "Files",

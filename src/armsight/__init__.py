@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from armsight.api.files import read_target as read_target
     from armsight.api.pose import LightTarget as LightTarget
     from armsight.api.pose import PoseEstimate as PoseEstimate
-    from armsight.api.pose import PoseTrack as PoseTrack
     from armsight.api.pose import PoseTracker as PoseTracker
     from armsight.api.pose import estimate_pose as estimate_pose
     from armsight.api.pose import find_spots as find_spots
@@ -42,6 +41,7 @@ if TYPE_CHECKING:
     from armsight.api.simulation import Simulation as Simulation
     from armsight.api.simulation import scenarios as scenarios
     from armsight.api.simulation import simulate as simulate
+    from armsight.api.tracks import PoseTrack as PoseTrack
     from armsight.errors import ArmsightError as ArmsightError
     from armsight.errors import DataRefused as DataRefused
     from armsight.errors import UsageError as UsageError
@@ -61,11 +61,11 @@ _MODULES: dict[str, tuple[str, ...]] = {
     "armsight.api.pose": (
         "LightTarget",
         "PoseEstimate",
-        "PoseTrack",
         "PoseTracker",
         "estimate_pose",
         "find_spots",
     ),
+    "armsight.api.tracks": ("PoseTrack",),
     "armsight.api.cameras": (
         "CameraResult",
         "RigResult",

@@ -100,9 +100,10 @@ def as_matrices(poses: Poses, name: str) -> Array:
         T = T[None]
     if T.ndim != 3 or T.shape[1:] != (4, 4):
         raise Inconsistent(
-            f"{name} has the shape {T.shape}", consequence="It is read as no pose",
+            f"{name} has the shape {T.shape}",
+            consequence="It is read as no pose",
             cure="Give 4x4 matrices (n, 4, 4), or a scipy RigidTransform",
-        )  # fmt: skip
+        )
     if not len(T):
         raise Inconsistent(f"{name} is empty", consequence="There is nothing to work on", cure="Give at least one pose")
     _require_rigid(T, name)
@@ -123,16 +124,30 @@ def as_vectors(values: ArrayLike, columns: int | None, name: str, *, single: boo
     if array.ndim != wanted or (columns is not None and array.shape[-1] != columns):
         text = f"({columns or 'n'},)" if single else f"(n, {columns or 'm'})"
         raise Inconsistent(
-            f"{name} has the shape {array.shape}, not {text}", consequence="It cannot be used",
+            f"{name} has the shape {array.shape}, not {text}",
+            consequence="It cannot be used",
             cure="Give one row per reading" if not single else "Give one vector",
-        )  # fmt: skip
+        )
     if not np.isfinite(array).all():
         row = int(np.argwhere(~np.isfinite(array))[0][0])
         raise Inconsistent(
-            f"{name} holds a value that is not finite at row {row}", consequence="It cannot be used",
+            f"{name} holds a value that is not finite at row {row}",
+            consequence="It cannot be used",
             cure="Leave out the rows in which nothing was measured",
-        )  # fmt: skip
+        )
     return array
+
+
+def as_joint_numbers(joint: ArrayLike, rows: int) -> NDArray[np.intp]:
+    """Return which joint moves in each row, counted from 1, as (rows,); raises Inconsistent for anything else."""
+    numbers = np.asarray(joint)
+    if numbers.shape != (rows,) or not np.issubdtype(numbers.dtype, np.integer):
+        raise Inconsistent(
+            f"joint has the shape {numbers.shape} and the type {numbers.dtype}",
+            consequence="Nobody knows which joint moves in which row",
+            cure=f"Give {rows} whole numbers, one per row, counted from 1",
+        )
+    return numbers.astype(np.intp)
 
 
 def _stacked(poses: Any, name: str) -> Array:
@@ -154,9 +169,10 @@ def _require_rigid(T: Array, name: str) -> None:
     finite = np.isfinite(T).all(axis=(1, 2))
     if not finite.all():
         raise Inconsistent(
-            f"pose {int(np.argmin(finite))} of {name} is not finite", consequence="It says no place",
+            f"pose {int(np.argmin(finite))} of {name} is not finite",
+            consequence="It says no place",
             cure="Leave out the poses in which nothing was measured",
-        )  # fmt: skip
+        )
     R = T[:, :3, :3]
     off = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2))
     off = np.maximum(off, np.abs(T[:, 3] - [0.0, 0.0, 0.0, 1.0]).max(axis=1))

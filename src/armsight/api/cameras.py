@@ -283,9 +283,10 @@ def _require(views: list[BoardView], missed: Rejected) -> None:
     if not views:
         first = f"; in the first, {missed[0][0]}: {missed[0][1]}" if missed else ": there are none"
         raise NotEnoughData(
-            f"the board was found in none of the images{first}", consequence="Nothing was calibrated",
+            f"the board was found in none of the images{first}",
+            consequence="Nothing was calibrated",
             cure="Count the inner corners, where four squares meet, and check that the whole board is in the images",
-        )  # fmt: skip
+        )
 
 
 def _residual_figure(views: Mapping[str, tuple[Any, Any]], title: str) -> go.Figure:

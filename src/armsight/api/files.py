@@ -10,7 +10,7 @@ import numpy as np
 
 from armsight import store
 from armsight.api.arrays import Array
-from armsight.api.pose import PoseTrack
+from armsight.api.tracks import PoseTrack
 from armsight.store import arm_file
 from armsight.store.urdf import read_urdf
 

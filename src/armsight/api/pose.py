@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
-from os import PathLike
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.api.arrays import Array, ImageLike, as_frame, as_image
-from armsight.api.results import Result, Row, pose_rows
+from armsight.api.results import POSE_NAMES, Result, Row, pose_rows
+from armsight.api.tracks import PoseTrack
 from armsight.errors import Inconsistent
 from armsight.geometry import euler_rad
 from armsight.measure import spots as detection
@@ -25,12 +22,6 @@ from armsight.measure.settings import DEFAULTS, SpotSettings
 from armsight.optics import Rig, RigKind
 from armsight.records import PoseStatus, Spots, Target, TargetPose, spot_target
 from armsight.records.target import Colour
-from armsight.units import DEG
-
-if TYPE_CHECKING:
-    import plotly.graph_objects as go
-
-POSE_NAMES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 
 
 def LightTarget(
@@ -242,9 +233,10 @@ class PoseTracker:
         """
         if not np.isfinite(t_s) or (self._poses and not t_s > self._poses[-1].t_s):
             raise Inconsistent(
-                f"the time {t_s:g} s does not come after the one before", consequence="The pair cannot be tracked",
+                f"the time {t_s:g} s does not come after the one before",
+                consequence="The pair cannot be tracked",
                 cure="Give the times of the exposures in seconds, in order; reset() for another recording",
-            )  # fmt: skip
+            )
         if self._setup is None or self._check is None or self._setup.overlaid != (right is None):
             self._setup = _setup(self._rig, self._target, self._settings, right is None)
             self._check = RunCheck(self._setup)
@@ -265,114 +257,13 @@ class PoseTracker:
         return None if self._check is None else self._check.finish()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
-class PoseTrack(Result):
-    """Poses of the target in the order of time."""
-
-    poses: tuple[TargetPose, ...] = field(default_factory=tuple)
-
-    def __len__(self) -> int:
-        return len(self.poses)
-
-    def __iter__(self) -> Iterator[TargetPose]:
-        return iter(self.poses)
-
-    @property
-    def t_s(self) -> Array:
-        """Times (n,) in s."""
-        return np.array([pose.t_s for pose in self.poses])
-
-    @property
-    def ok(self) -> NDArray[np.bool_]:
-        """Which poses are known as a whole (n,)."""
-        return np.array([pose.status is PoseStatus.OK for pose in self.poses], dtype=bool)
-
-    @property
-    def T_parent_target(self) -> Array:
-        """Poses (n, 4, 4) in the rig's frame (or the file's); NaN where lost."""
-        none = np.full((4, 4), np.nan)
-        found = [none if pose.T_parent_target is None else pose.T_parent_target for pose in self.poses]
-        return np.array(found).reshape(-1, 4, 4)
-
-    @property
-    def title(self) -> str:
-        """What it is, in a few words."""
-        return f"{len(self)} poses of the target, {int(self.ok.sum())} of them whole"
-
-    def rows(self) -> list[Row]:
-        """Return the figures of the track."""
-        if not len(self):
-            return []
-        counts = [(str(status), str(sum(pose.status is status for pose in self.poses))) for status in PoseStatus]
-        xyz = self.T_parent_target[:, :3, 3]
-        seen = xyz[np.isfinite(xyz).all(axis=1)]
-        spans = np.ptp(seen, axis=0) if len(seen) else np.zeros(3)
-        times = [("time", f"{self.t_s[0]:.3f} to {self.t_s[-1]:.3f} s")]
-        return (
-            times + counts + [(f"moved in {axis}", f"{1e3 * d:.3f} mm") for axis, d in zip("xyz", spans, strict=True)]
-        )
-
-    def table(self) -> dict[str, Any]:
-        """Return columns (n,): t_s, status, x_m ... rz_rad (R = Rz Ry Rx), sx_m ... srz_rad; NaN where not known."""
-        values = np.full((len(self), 12), np.nan)
-        for row, pose in zip(values, self.poses, strict=True):
-            if pose.T_parent_target is not None and pose.covariance is not None:
-                n = len(pose.covariance)
-                row[:3] = pose.T_parent_target[:3, 3]
-                if n == len(POSE_NAMES):
-                    row[3:6] = euler_rad(RigidTransform.from_matrix(pose.T_parent_target).rotation)
-                row[6 : 6 + n] = np.sqrt(np.diag(pose.covariance))
-        names = (*POSE_NAMES, *(f"s{name}" for name in POSE_NAMES))
-        columns = dict(zip(names, values.T, strict=True))
-        return {"t_s": self.t_s, "status": [str(pose.status) for pose in self.poses], **columns}
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the table with lists; None where a number is not known."""
-        content = {}
-        for name, column in self.table().items():
-            values = column if isinstance(column, list) else column.tolist()
-            content[name] = [None if value != value else value for value in values]
-        return content
-
-    def save(self, path: str | PathLike[str]) -> Path:
-        """Write poses.csv and return its path."""
-        from armsight.store import write_poses
-
-        write_poses(Path(path), self.poses)
-        return Path(path)
-
-    def plot(self) -> go.Figure:
-        """Return a plotly figure: position (mm) and orientation (deg) over time with their 95 % bands."""
-        import plotly.graph_objects as go
-        from plotly.subplots import make_subplots
-
-        table = self.table()
-        figure = make_subplots(rows=6, cols=1, shared_xaxes=True, vertical_spacing=0.02)
-        for i, name in enumerate(POSE_NAMES, 1):
-            scale, unit = (1e3, "mm") if name.endswith("_m") else (1.0 / DEG, "deg")
-            label = name.rpartition("_")[0]
-            band = scale * 1.96 * table[f"s{name}"]
-            value = scale * table[name]
-            for sign, fill in ((-1.0, None), (1.0, "tonexty")):
-                figure.add_trace(
-                    go.Scatter(
-                        x=table["t_s"], y=value + sign * band, mode="lines", line={"width": 0}, fill=fill,
-                        fillcolor="rgba(31,119,180,0.25)", hoverinfo="skip", showlegend=False,
-                    ), row=i, col=1,
-                )  # fmt: skip
-            figure.add_trace(go.Scatter(x=table["t_s"], y=value, name=label, mode="lines+markers"), row=i, col=1)
-            figure.update_yaxes(title_text=f"{label}, {unit}", row=i, col=1)
-        figure.update_xaxes(title_text="t, s", row=6, col=1)
-        figure.update_layout(title=self.title, height=900, showlegend=False)
-        return figure
-
-
 def _setup(rig: Rig, target: Target, settings: SpotSettings, one_image: bool) -> Setup:
     if one_image and rig.kind is not RigKind.MIRROR:
         raise Inconsistent(
-            "there is no right image, and the rig has two cameras", consequence="There is nothing to triangulate with",
+            "there is no right image, and the rig has two cameras",
+            consequence="There is nothing to triangulate with",
             cure="Give both images; one image holds both views only of a mirror rig",
-        )  # fmt: skip
+        )
     return Setup(rig, target, settings, overlaid=one_image)
 
 

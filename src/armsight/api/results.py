@@ -8,6 +8,9 @@ from typing import Any
 
 Row = tuple[str, str]
 
+POSE_NAMES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
+"""What a pose's six numbers are called."""
+
 
 class Result:
     """A result that prints itself. Subclasses give `title`, `rows` and `to_dict`."""

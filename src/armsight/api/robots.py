@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from armsight.api.arrays import Array, Poses, as_poses, as_vectors
+from armsight.api.arrays import Array, Poses, as_joint_numbers, as_poses, as_vectors
 from armsight.api.results import Result, Row, pose_rows, with_std
 from armsight.app.calibrate.arm import arm_output
 from armsight.app.calibrate.handeye import handeye_output, tip_output
@@ -218,9 +218,10 @@ def calibrate_tool_tip(
     given = None if covariances is None else np.asarray(covariances, float)
     if given is not None and given.shape != (len(poses), 6, 6):
         raise Inconsistent(
-            f"{len(poses)} poses and covariances of shape {given.shape}", consequence="They do not belong together",
+            f"{len(poses)} poses and covariances of shape {given.shape}",
+            consequence="They do not belong together",
             cure="Give covariances (n, 6, 6)",
-        )  # fmt: skip
+        )
     point = None
     if point_m is not None:
         point = MeasuredPoint(xyz_m=as_vectors(point_m, 3, "point_m", single=True), sigma_m=point_std_m)
@@ -305,12 +306,13 @@ def identify_arm(
         Rows that do not belong together.
     """
     places, readings = as_vectors(xyz_m, 3, "xyz_m"), as_vectors(q, None, "q")
-    moving = _joint_numbers(joint, len(places))
+    moving = as_joint_numbers(joint, len(places))
     if len(readings) != len(places):
         raise Inconsistent(
-            f"{len(readings)} rows of q and {len(places)} of xyz_m", consequence="Nobody knows which belong together",
+            f"{len(readings)} rows of q and {len(places)} of xyz_m",
+            consequence="Nobody knows which belong together",
             cure="Give one row of each per reading",
-        )  # fmt: skip
+        )
     pixels = None if uv_px is None else np.asarray(uv_px, float)
     sweeps = Sweeps(joint=moving - 1, q=readings, xyz_m=places, uv_px=pixels)
     return ArmIdentification(detail=identify(sweeps, rig=rig if pixels is not None else None, name=name))
@@ -387,14 +389,3 @@ def calibrate_arm(
     turned = None if rotation is None else np.asarray(rotation, float)
     points = ArmPoints(q=nominal.values(readings), xyz_m=places, rotation=turned, point=tuple(point))
     return ArmResult(detail=solve_arm(nominal, points))
-
-
-def _joint_numbers(joint: ArrayLike, rows: int) -> NDArray[np.intp]:
-    numbers = np.asarray(joint)
-    if numbers.shape != (rows,) or not np.issubdtype(numbers.dtype, np.integer):
-        raise Inconsistent(
-            f"joint has the shape {numbers.shape} and the type {numbers.dtype}",
-            consequence="Nobody knows which joint moves in which row",
-            cure=f"Give {rows} whole numbers, one per row, counted from 1",
-        )
-    return numbers.astype(np.intp)

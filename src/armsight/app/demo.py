@@ -44,11 +44,8 @@ def demo(
     progress = progress or Silent()
     made = load_cell(cell, seed=seed, frames=frames, room=room)
     prepare(progress, cell=cell)
-    setup = Setup(
-        rig=rig_from_mapping(made.rig, f"{cell}'s rig"),
-        target=target_from_mapping(made.target, f"{cell}'s target"),
-        settings=SpotSettings(),
-    )
+    rig, target = rig_from_mapping(made.rig, f"{cell}'s rig"), target_from_mapping(made.target, f"{cell}'s target")
+    setup = Setup(rig=rig, target=target, settings=SpotSettings())
     write_cell_files(made, out, seed=seed, frames=frames)
     truth = [pose_from_quat(xyz_m, quat_xyzw) for _, xyz_m, quat_xyzw in made.truth]
     about = About(

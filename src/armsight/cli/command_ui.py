@@ -97,8 +97,8 @@ class CommandUI:
 
     def _tell(self, error: ArmsightError) -> None:
         head = "stopped" if isinstance(error, Cancelled) else "error"
-        self.console.print(f"{head}: {error}", style="bold red" if self.console.is_terminal else "", markup=False,
-                           soft_wrap=True)  # fmt: skip
+        style = "bold red" if self.console.is_terminal else ""
+        self.console.print(f"{head}: {error}", style=style, markup=False, soft_wrap=True)
         if self._as_json:
             self.result(_refusal(error))
 
@@ -150,8 +150,8 @@ class Bar:
 
     def _draw(self, label: str, done: float, total: float) -> None:
         if self._bar is None:
-            columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
-                       TextColumn("{task.fields[rate]}"), TimeRemainingColumn())  # fmt: skip
+            name, speed = TextColumn("{task.description}"), TextColumn("{task.fields[rate]}")
+            columns = (name, BarColumn(), MofNCompleteColumn(), speed, TimeRemainingColumn())
             self._bar = Progress(*columns, console=self._console)
             self._task = self._bar.add_task(label, total=total or None, rate="")
             self._bar.start()

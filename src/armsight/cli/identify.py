@@ -150,11 +150,10 @@ def _live(job: LiveJob, face: CommandUI, yes: bool) -> None:
 
 
 def _tell_plan(plan: PlanOutput, face: CommandUI) -> None:
-    rows = [
-        [f"{sweep.joint}", figure(sweep.start, 4), figure(sweep.end, 4), f"{sweep.readings}",
-         ", ".join(figure(value, 3) for k, value in enumerate(sweep.rest, 1) if k != sweep.joint)]
-        for sweep in plan.sweeps
-    ]  # fmt: skip
+    rows = []
+    for sweep in plan.sweeps:
+        rest = ", ".join(figure(value, 3) for k, value in enumerate(sweep.rest, 1) if k != sweep.joint)
+        rows.append([f"{sweep.joint}", figure(sweep.start, 4), figure(sweep.end, 4), f"{sweep.readings}", rest])
     face.table("Sweeps, rad or m", ["joint", "from", "to", "readings", "others rest at"], rows)
     rows = []
     for number, std in enumerate(plan.expected_std, 1):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -139,11 +140,7 @@ class Sweeper:
             sent = self._robot.step_joints(step)
             stuck = stuck + 1 if abs(sent.q[joint] - at[joint]) < 1e-3 * abs(step[joint]) else 0
             if stuck >= STUCK:
-                raise DeviceFailed(
-                    f"joint {joint + 1} does not go from {at[joint]:.4g} to {goal[joint]:.4g}"
-                    f"{': ' if sent.limited else ''}{', '.join(sent.limited)}",
-                    consequence="The robot was stopped", cure="Give limits inside the robot's own",
-                )  # fmt: skip
+                raise _does_not_go(joint, at, goal, sent.limited)
             at = self._at = sent.q
             self._clock.sleep_until(self._clock.now_s() + self._robot.cycle_s)
             if self._clock.now_s() - looked_s >= LOOK_S:
@@ -164,8 +161,9 @@ class Sweeper:
             raise Inconsistent(
                 f"joint {j + 1} would go to {goal[j]:.4g}, its limits are {self.limits[j, 0]:g} to "
                 f"{self.limits[j, 1]:g}",
-                consequence="It was not sent there", cure="Give other limits or another plan",
-            )  # fmt: skip
+                consequence="It was not sent there",
+                cure="Give other limits or another plan",
+            )
         if (np.abs(goal - at) > SLACK).sum() > 1:
             raise Inconsistent("more than one joint would move at once", consequence="Nothing was sent")
 
@@ -176,9 +174,10 @@ class Sweeper:
         if state not in (RobotState.READY, RobotState.MOVING):
             kind = DeviceLost if state is RobotState.LOST else DeviceFailed
             raise kind(
-                f"{self._robot.name} is {state} {when}", consequence="The sweeps are not complete",
-                cure="Observation at the robot and its controller, then begin anew",
-            )  # fmt: skip
+                f"{self._robot.name} is {state} {when}",
+                consequence="The sweeps are not complete",
+                cure="Look at the robot and its controller, then begin anew",
+            )
 
     def _rest(self, joint: int) -> None:
         """Return when joints and beacon keep still. Raises DeviceFailed where they do not, or stand elsewhere."""
@@ -189,9 +188,10 @@ class Sweeper:
             self._check_going(when)
             if self._clock.now_s() - arrived_s > REST_TIMEOUT_S:
                 raise DeviceFailed(
-                    f"joint {joint + 1} did not come to rest in {REST_TIMEOUT_S:g} s", consequence="It was stopped",
-                    cure="Observation for vibration, a slipping brake, or a camera that shakes",
-                )  # fmt: skip
+                    f"joint {joint + 1} did not come to rest in {REST_TIMEOUT_S:g} s",
+                    consequence="It was stopped",
+                    cure="Look for vibration, a slipping brake, or a camera that shakes",
+                )
             look, reading = self._observer.observe(when), self._robot.read()
             fresh = look.taken_s >= arrived_s + HELD_BACK_S
             still = still + 1 if fresh and _same(before, reading, seen, look) else 0
@@ -204,8 +204,9 @@ class Sweeper:
         if off[j] > FOLLOW_SHARE * self.travel[j]:
             raise DeviceFailed(
                 f"joint {j + 1} was sent to {self._sent()[j]:.4g} and stands at {q[j]:.4g}",
-                consequence="The robot was stopped", cure="Observation for an obstacle, a brake, or a broken encoder",
-            )  # fmt: skip
+                consequence="The robot was stopped",
+                cure="Look for an obstacle, a brake, or a broken encoder",
+            )
 
     def _read(self, joint: int) -> None:
         """Add the mean of some frames, and of the joint readings beside them, to the rows."""
@@ -221,6 +222,16 @@ class Sweeper:
         xyz = np.mean([look.xyz_m for look in looks if look.xyz_m is not None], axis=0)
         self._joint.append(joint)
         self._rows.append((np.mean(readings, axis=0), uv, xyz))
+
+
+def _does_not_go(joint: int, at: Array, goal: Array, limited: Sequence[str]) -> DeviceFailed:
+    """Return the refusal of a joint that is sent and stays, with what the robot says is limiting it."""
+    said = f": {', '.join(limited)}" if limited else ""
+    return DeviceFailed(
+        f"joint {joint + 1} does not go from {at[joint]:.4g} to {goal[joint]:.4g}{said}",
+        consequence="The robot was stopped",
+        cure="Give limits inside the robot's own",
+    )
 
 
 def _same(before: JointReading, now: JointReading, seen: Observation, look: Observation) -> bool:

@@ -186,8 +186,8 @@ def check_partners(left: Sequence[Path], right: Sequence[Path]) -> None:
     lefts, rights = _numbers(left), _numbers(right)
     common = lefts.keys() & rights.keys()
     numbered_alike = 2 * len(common) >= min(len(left), len(right))
-    alone = [(number, path) for here, there in ((lefts, rights), (rights, lefts)) for number, path in here.items()
-             if number not in there]  # fmt: skip
+    alone = [(number, path) for number, path in lefts.items() if number not in rights]
+    alone += [(number, path) for number, path in rights.items() if number not in lefts]
     if len(left) == len(right) and not (numbered_alike and alone):
         return
     if numbered_alike and alone:

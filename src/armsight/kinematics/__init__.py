@@ -7,7 +7,7 @@ from armsight.kinematics.derivatives import moved, parameter_jacobian, parameter
 from armsight.kinematics.forward_kinematics import fk, fk_jacobian, in_convention, jacobian, link_frames, pose
 from armsight.kinematics.inverse_kinematics import Inverse, Solution, Status, branch_names, ik, ik_many, singular_names
 from armsight.kinematics.lines import Link, link_to_line
-from armsight.kinematics.numeric import Attempt, Method, Stop, solve_numeric, solve_numeric_many
+from armsight.kinematics.numeric import Attempt, Effort, Method, Stop, solve_numeric, solve_numeric_many
 from armsight.kinematics.path import Issue, JointPath, Trouble, track_path
 from armsight.kinematics.presets import PRESETS, preset
 from armsight.kinematics.singular import (
@@ -25,6 +25,7 @@ __all__ = [
     "Attempt",
     "Convention",
     "Coupling",
+    "Effort",
     "Family",
     "Inverse",
     "Issue",

@@ -68,27 +68,30 @@ def arm_from_axes(
         else:
             theta, d, a, alpha, T_flange_tool = _last_link(frame, here @ T_last_flange, T_flange_tool)
             beta = 0.0
-        rows.append(
-            Joint(
-                name=joint.name,
-                type=joint.type,
-                a_m=_clean(a),
-                alpha_rad=_clean(alpha),
-                d_m=_clean(d),
-                theta_rad=_clean(theta),
-                beta_rad=_clean(beta),
-                lower=joint.lower,
-                upper=joint.upper,
-                sign=sign,
-                max_speed=joint.max_speed,
-                stall_effort=joint.stall_effort,
-            )
-        )
+        rows.append(_row(joint, sign, a, alpha, d, theta, beta))
     return Arm(
         name=name,
         joints=tuple(rows),
         T_world_base=RigidTransform.from_matrix(base),
         T_flange_tool=RigidTransform.from_matrix(T_flange_tool),
+    )
+
+
+def _row(joint: AxisJoint, sign: float, a: float, alpha: float, d: float, theta: float, beta: float) -> Joint:
+    """Return a joint with its parameters (m, rad) in the table, zero where they are zero but for rounding."""
+    return Joint(
+        name=joint.name,
+        type=joint.type,
+        a_m=_clean(a),
+        alpha_rad=_clean(alpha),
+        d_m=_clean(d),
+        theta_rad=_clean(theta),
+        beta_rad=_clean(beta),
+        lower=joint.lower,
+        upper=joint.upper,
+        sign=sign,
+        max_speed=joint.max_speed,
+        stall_effort=joint.stall_effort,
     )
 
 

@@ -26,7 +26,7 @@ from armsight.kinematics.kernels.closed import (
     solve_closed_many,
 )
 from armsight.kinematics.kernels.numeric import solve_damped_least_squares
-from armsight.kinematics.numeric import MAX_STEPS, Attempt, Stop, search_starts, solve_numeric
+from armsight.kinematics.numeric import FROM_START_ONLY, MAX_STEPS, Attempt, Stop, search_starts, solve_numeric
 from armsight.kinematics.singular import near_singularities
 from armsight.kinematics.target import Task, Tolerance, start_values, target_matrices, task_of
 from armsight.records import frozen_array
@@ -240,11 +240,11 @@ def _searched(arm: Arm, T: Array, q_seed: Array, task: Task, tolerance: Toleranc
     found: list[Solution] = []
     closest: Attempt | None = None
     for start in search_starts(arm, q_seed, NUMERIC_SEARCHES, seed=0):
-        attempt = solve_numeric(arm, T, start, task=task, tolerance=tolerance, restarts=0)
+        attempt = solve_numeric(arm, T, start, task=task, tolerance=tolerance, effort=FROM_START_ONLY)
         if not attempt.converged:
             closest = attempt if closest is None or attempt.error_m < closest.error_m else closest
             continue
-        finer = solve_numeric(arm, T, attempt.q, task=task, tolerance=fine, restarts=0)
+        finer = solve_numeric(arm, T, attempt.q, task=task, tolerance=fine, effort=FROM_START_ONLY)
         attempt = finer if finer.error_m <= attempt.error_m and finer.error_rad <= tolerance.rad else attempt
         q = in_range(arm, attempt.closest_q.copy(), q_seed)
         if any(_gap(arm, q, other.q) < SAME_SOLUTION for other in found):

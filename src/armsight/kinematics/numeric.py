@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -63,6 +63,19 @@ class Method(StrEnum):
     NEWTON = "newton"
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Effort:
+    """How long a search may take: steps from each start, fresh starts after the first; the same seed draws the same."""
+
+    max_steps: int = MAX_STEPS
+    restarts: int = RESTARTS
+    seed: int = 0
+
+
+FROM_START_ONLY = Effort(restarts=0)
+"""No start but the one that is given."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Attempt:
     """What a numeric run came to: closest_q (n,), where it stopped, with its error; q, only where it is a solution."""
@@ -103,16 +116,14 @@ def solve_numeric(
     method: Method | str = Method.DAMPED,
     task: Task | str | None = None,
     tolerance: Tolerance | None = None,
-    max_steps: int = MAX_STEPS,
-    restarts: int = RESTARTS,
-    seed: int = 0,
+    effort: Effort | None = None,
 ) -> Attempt:
     """Search joint values for one pose, from start (n,) and then from random places within the limits.
 
     Newton takes full steps from the start alone and knows no limits (Kapucu 2005, sections 1 and 3); the damped method
     keeps to the limits (Levenberg-Marquardt, Sugihara 2011). task: see `task_of`. The same seed gives the same answer.
     """
-    tolerance = tolerance or Tolerance()
+    tolerance, effort = tolerance or Tolerance(), effort or Effort()
     T = target_matrices(arm, T_world_tool)
     if len(T) != 1:
         raise UsageError("give one pose; `solve_numeric_many` takes many")
@@ -120,16 +131,32 @@ def solve_numeric(
         newton = Method(method) is Method.NEWTON
     except ValueError:
         raise UsageError(f"the method {method!r} is not known", cure=f"Use one of: {', '.join(Method)}") from None
-    first = start_values(arm, start)
-    starts = iter([first]) if newton else search_starts(arm, first, restarts, seed)
-    solver = solve_newton if newton else solve_damped_least_squares
     rows = 6 if task_of(arm, task) is Task.POSE else 3
     weight = arm.length_m**-2
     best: Attempt | None = None
+    starts = 0
+    for found in _attempts(arm, T[0], start_values(arm, start), newton, rows, tolerance, effort):
+        if found.converged:
+            return found
+        starts = found.starts
+        if best is None or _cost(found, weight) < _cost(best, weight):
+            best = found
+    if best is None:
+        raise UsageError("at least one start is needed")
+    return replace(best, starts=starts)
+
+
+def _attempts(
+    arm: Arm, T: Array, first: Array, newton: bool, rows: int, tolerance: Tolerance, effort: Effort
+) -> Iterator[Attempt]:
+    """Yield what the search for T (4, 4) came to from the first start (n,), then from further ones; Newton has none."""
+    solver = solve_newton if newton else solve_damped_least_squares
+    weight = arm.length_m**-2
+    starts = iter([first]) if newton else search_starts(arm, first, effort.restarts, effort.seed)
     for count, q in enumerate(starts, start=1):
         errors = np.empty(2)
-        reason, steps = solver(arm.chain, T[0], rows, weight, tolerance.m, tolerance.rad, max_steps, q, errors)
-        found = Attempt(
+        reason, steps = solver(arm.chain, T, rows, weight, tolerance.m, tolerance.rad, effort.max_steps, q, errors)
+        yield Attempt(
             stopped=STOPS[reason],
             closest_q=np.where(np.isfinite(q), q, first),
             error_m=float(errors[0]),
@@ -137,20 +164,6 @@ def solve_numeric(
             steps=int(steps),
             starts=count,
         )
-        if found.converged:
-            return found
-        if best is None or _cost(found, weight) < _cost(best, weight):
-            best = found
-    if best is None:
-        raise UsageError("at least one start is needed")
-    return Attempt(
-        stopped=best.stopped,
-        closest_q=best.closest_q,
-        error_m=best.error_m,
-        error_rad=best.error_rad,
-        steps=best.steps,
-        starts=count,
-    )
 
 
 def solve_numeric_many(

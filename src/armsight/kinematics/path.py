@@ -15,7 +15,7 @@ from armsight.kinematics.arm import LIMIT_SLACK, Arm
 from armsight.kinematics.closed_form import Family, family_of
 from armsight.kinematics.inverse_kinematics import branch_names, dh_angles, ik, in_range
 from armsight.kinematics.kernels.closed import DOWN, FLIP, LEFT, solve_closed
-from armsight.kinematics.numeric import solve_numeric
+from armsight.kinematics.numeric import FROM_START_ONLY, solve_numeric
 from armsight.kinematics.singular import NEAR, UNNAMED, singular_values, singularity_measures
 from armsight.kinematics.target import Task, Tolerance, start_values, target_matrices, task_of
 from armsight.records import Motion, frozen_array
@@ -137,7 +137,7 @@ def _track(arm: Arm, T: Array, q0: Array, times: Array | None, task: Task, toler
         if family is not None and family.exact:
             q, code = _nearest_closed(arm, family, target, rows[-1])
         else:
-            attempt = solve_numeric(arm, target, rows[-1], task=task, tolerance=tolerance, restarts=0)
+            attempt = solve_numeric(arm, target, rows[-1], task=task, tolerance=tolerance, effort=FROM_START_ONLY)
             if not attempt.converged:
                 attempt = solve_numeric(arm, target, rows[-1], task=task, tolerance=tolerance)
             q = attempt.q if attempt.converged else None

@@ -51,9 +51,12 @@ class Mirrors:
         """Return the rig that the mirrors make of a camera: exact per ray (MATH 3.1)."""
         poses = {side: self.pose(side) for side in SIDES}
         return Rig(
-            kind=RigKind.MIRROR, left=replace(camera, plate=self.plate), right=replace(camera, plate=None),
-            T_rig_left=poses["left"], T_rig_right=poses["right"],
-        )  # fmt: skip
+            kind=RigKind.MIRROR,
+            left=replace(camera, plate=self.plate),
+            right=replace(camera, plate=None),
+            T_rig_left=poses["left"],
+            T_rig_right=poses["right"],
+        )
 
     def pose(self, side: str) -> RigidTransform:
         """Return T_rig_left or T_rig_right: the camera reflected by two mirrors, the left one shifted by the plate."""

@@ -27,9 +27,10 @@ def frozen_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> 
         raise Inconsistent(f"{name} has shape {array.shape}, not ({wanted})", consequence="It cannot be used")
     if not (isfinite(np.vdot(array, array)) or np.isfinite(array).all()):  # the first is three times as fast
         raise Inconsistent(
-            f"{name} holds a value that is not finite", consequence="It cannot be used",
+            f"{name} holds a value that is not finite",
+            consequence="It cannot be used",
             cure="Leave out what was not measured",
-        )  # fmt: skip
+        )
     array.setflags(write=False)
     return array
 

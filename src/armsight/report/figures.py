@@ -148,16 +148,17 @@ def band(x: Array, low: Array, high: Array, **more: Any) -> dict[str, Any]:
     }
 
 
+def points_in_space(name: str, xyz: Array, marker: Mapping[str, Any], mode: str = "markers") -> dict[str, Any]:
+    """Return the trace of points (n, 3), in the units of the axes."""
+    x, y, z = xyz.T
+    return {"type": "scatter3d", "mode": mode, "name": name, "x": x, "y": y, "z": z, "marker": marker}
+
+
 def cloud_figure(xyz_m: Array, sigma_m: Array, measured_m: Array) -> Figure:
     """Return places (m, 3) coloured by their deviations (m,), and the places measured (k, 3)."""
     xyz, seen, shown = 1e3 * xyz_m, 1e3 * measured_m, np.where(np.isfinite(sigma_m), 1e3 * sigma_m, np.nan)
-    cloud = {
-        "type": "scatter3d", "mode": "markers", "name": "tool", "x": xyz[:, 0], "y": xyz[:, 1], "z": xyz[:, 2],
-        "marker": {"size": 3, "color": shown, "colorscale": "Viridis", "colorbar": {"title": {"text": "mm"}}},
-    }  # fmt: skip
-    measured = {
-        "type": "scatter3d", "mode": "markers", "name": "measured", "x": seen[:, 0], "y": seen[:, 1], "z": seen[:, 2],
-        "marker": {"size": 2, "color": INK, "symbol": "cross"},
-    }  # fmt: skip
+    colours = {"color": shown, "colorscale": "Viridis", "colorbar": {"title": {"text": "mm"}}}
+    cloud = points_in_space("tool", xyz, {"size": 3, **colours})
+    measured = points_in_space("measured", seen, {"size": 2, "color": INK, "symbol": "cross"})
     scene = {"aspectmode": "data", **{f"{a}axis": {"title": {"text": f"{a}, mm"}} for a in "xyz"}}
     return Figure(data=[cloud, measured], layout=layout(scene=scene), height_px=520)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from armsight.calibrate.identify import Identification, Sweeps
 from armsight.kinematics import Arm
 from armsight.optics import Rig, triangulate
-from armsight.report.figures import BLUE, GREEN, GREY, ORANGE, RED, Figure, axis, cloud_figure, layout
+from armsight.report.figures import BLUE, GREEN, GREY, ORANGE, RED, Figure, axis, cloud_figure, layout, points_in_space
 from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table, with_deviation
 from armsight.units import DEG, MM
 
@@ -40,18 +40,7 @@ def identify_report(
     nominal: an arm to put beside the table. inputs: (what, which) lines for the end of the page.
     """
     xyz = _places(sweeps, rig)
-    sure = all(joint.decided for joint in result.joints)
-    kinds = "".join("R" if joint.axis.revolute else "P" for joint in result.joints)
-    page = Page(
-        title=f"Identified arm: {kinds}",
-        subtitle=f"{len(sweeps)} readings, method {result.method}",
-        verdict=Verdict(
-            level="good" if sure else "warn",
-            word="Types decided" if sure else "A type is not decided",
-            sentence=_sentence(result),
-        ),
-        cards=_cards(result, rig),
-    )
+    page = _head(result, len(sweeps), rig)
     if result.notes:
         page.add("What to know", "", bullets(result.notes))
     page.add("Table", "Denavit-Hartenberg parameters with standard deviations.", _table(result))
@@ -73,6 +62,22 @@ def identify_report(
     if inputs:
         page.add("What went in", "", table(["", ""], [list(item) for item in inputs]))
     return page.html(created=created or datetime.now())
+
+
+def _head(result: Identification, readings: int, rig: Rig | None) -> Page:
+    """Return the page with its title, verdict and figures, as yet without sections."""
+    sure = all(joint.decided for joint in result.joints)
+    kinds = "".join("R" if joint.axis.revolute else "P" for joint in result.joints)
+    return Page(
+        title=f"Identified arm: {kinds}",
+        subtitle=f"{readings} readings, method {result.method}",
+        verdict=Verdict(
+            level="good" if sure else "warn",
+            word="Types decided" if sure else "A type is not decided",
+            sentence=_sentence(result),
+        ),
+        cards=_cards(result, rig),
+    )
 
 
 def _sentence(result: Identification) -> str:
@@ -165,10 +170,7 @@ def path_figure(result: Identification, sweeps: Sweeps, xyz_m: Array) -> Figure:
 
 
 def _cloud(name: str, xyz: Array, mode: str, marker: dict[str, Any]) -> dict[str, Any]:
-    return {
-        "type": "scatter3d", "mode": mode, "name": name, "x": xyz[:, 0], "y": xyz[:, 1], "z": xyz[:, 2],
-        "marker": marker, "line": {"color": marker["color"], "width": 3},
-    }  # fmt: skip
+    return points_in_space(name, xyz, marker, mode) | {"line": {"color": marker["color"], "width": 3}}
 
 
 def residual_figure(result: Identification, sweeps: Sweeps, xyz_m: Array) -> Figure:
@@ -177,8 +179,7 @@ def residual_figure(result: Identification, sweeps: Sweeps, xyz_m: Array) -> Fig
     off = np.linalg.norm(result.predicted_m - xyz_m, axis=1) / MM
     for j in range(sweeps.n):
         rows = sweeps.rows(j)
-        traces.append(
-            {"type": "scatter", "mode": "markers", "name": f"joint {j + 1}", "x": rows + 1, "y": off[rows],
-             "marker": {"color": COLOURS[j % len(COLOURS)]}}
-        )  # fmt: skip
+        marker = {"color": COLOURS[j % len(COLOURS)]}
+        dots = {"type": "scatter", "mode": "markers", "x": rows + 1, "y": off[rows], "marker": marker}
+        traces.append({"name": f"joint {j + 1}", **dots})
     return Figure(data=traces, layout=layout(xaxis=axis("reading"), yaxis=axis("distance, mm")))

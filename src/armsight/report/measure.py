@@ -147,16 +147,12 @@ def _cards(run: MeasureRun, series: Series, errors: Errors | None) -> list[Card]
             note=f"median; 99 % below {figure_of(run.p99_ms, 'ms')}" if run.p99_ms is not None else "median",
         ),
     ]
-    if errors is not None:
-        cards.insert(
-            1,
-            Card(
-                name="position error",
-                value=figure_of(float(np.sqrt(np.nansum(_rms_columns(errors.values)[:3] ** 2))), "mm"),
-                note="against the truth, 3-D RMS",
-            ),
-        )
-    return cards
+    return cards if errors is None else [cards[0], _error_card(errors), *cards[1:]]
+
+
+def _error_card(errors: Errors) -> Card:
+    rms = float(np.sqrt(np.nansum(_rms_columns(errors.values)[:3] ** 2)))
+    return Card(name="position error", value=figure_of(rms, "mm"), note="against the truth, 3-D RMS")
 
 
 def _add_truth(page: Page, errors: Errors | None) -> None:

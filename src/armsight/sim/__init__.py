@@ -3,7 +3,7 @@
 from armsight.sim.boards import Board, board_light, corner_rays, random_board_pose
 from armsight.sim.camera import SimCamera
 from armsight.sim.cell import BoardCell, Cell
-from armsight.sim.cells import beacon_cell, board_cell, cells, hand_cell, led_cell, warm_up
+from armsight.sim.cells import LedCellOptions, beacon_cell, board_cell, cells, hand_cell, led_cell, warm_up
 from armsight.sim.lens import Lens
 from armsight.sim.render import LightSource, Patch, PointSource, RegionSource, render_sources
 from armsight.sim.scene import Event, Ghost, Light, Path, Rest, SmoothTrajectory
@@ -15,6 +15,7 @@ __all__ = [
     "Cell",
     "Event",
     "Ghost",
+    "LedCellOptions",
     "Lens",
     "Light",
     "LightSource",

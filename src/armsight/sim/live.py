@@ -55,9 +55,10 @@ class LiveView:
     def __init__(self, world: World, robot: SimRobot, clock: Clock) -> None:
         if world.T_base_rig is None or world.views != SIDES:
             raise Inconsistent(
-                f"{world.name} has no two cameras beside the robot", consequence="They cannot watch it",
+                f"{world.name} has no two cameras beside the robot",
+                consequence="They cannot watch it",
                 cure="Take a scenario with cameras.mount base and a right camera",
-            )  # fmt: skip
+            )
         self.name = f"{world.name}/left + {world.name}/right"
         self._world = world
         self._robot = robot

@@ -95,7 +95,7 @@ class Drawn:
 
     def __init__(
         self, corners_m: ArrayLike, R_world_target: Rotation, speed_m_s: float, smooth_s: float, start_s: float
-    ):
+    ) -> None:
         corners = np.asarray(corners_m, dtype=float)
         lengths = np.linalg.norm(np.diff(corners, axis=0), axis=1)
         at_s = start_s + np.concatenate([[0.0], np.cumsum(lengths)]) / speed_m_s

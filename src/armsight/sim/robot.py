@@ -145,9 +145,10 @@ class SimRobot:
         self._check_motion()
         if not self.takes_poses:
             raise UsageError(
-                f"{self.name} has {self.n_joints} joints and takes no poses", consequence="Nothing was sent",
+                f"{self.name} has {self.n_joints} joints and takes no poses",
+                consequence="Nothing was sent",
                 cure="Send joint steps",
-            )  # fmt: skip
+            )
         if not np.isfinite(T_base_flange.as_matrix()).all():
             raise Inconsistent(f"{self.name}: a pose is not finite", consequence="Nothing was sent")
         self._begin_cycle()

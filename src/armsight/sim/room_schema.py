@@ -18,8 +18,17 @@ Vector3 = Annotated[list[Finite], Field(min_length=3, max_length=3)]
 Size2 = Annotated[list[Positive], Field(min_length=2, max_length=2)]
 Preset = Literal["dark", "workshop", "office", "plain"]
 Surface = Literal[
-    "plaster", "brick", "concrete", "wood", "metal", "paint", "cardboard", "poster", "checkerboard", "screen"
-]  # fmt: skip
+    "plaster",
+    "brick",
+    "concrete",
+    "wood",
+    "metal",
+    "paint",
+    "cardboard",
+    "poster",
+    "checkerboard",
+    "screen",
+]
 
 ROOM_LEVELS: Mapping[str, float] = {"workshop": 80.0, "office": 110.0, "plain": 70.0}
 """Grey levels of white in a room's mean light. Chosen: walls at a sixth of the range of a linear picture, which the

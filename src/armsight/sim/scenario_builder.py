@@ -42,6 +42,9 @@ AHEAD_S = 0.5
 DWELL = 0.5
 """Share of a reading's time that a swept joint rests before it is read: five time constants of a lag of a tenth."""
 
+TOLD = "every number is told in the scenario's file, with its source or why it was chosen"
+"""All that is to be said of a world's assumptions."""
+
 BGR = {"red": (0.05, 0.08, 1.0), "green": (0.08, 1.0, 0.10), "blue": (1.0, 0.10, 0.05)}
 """What a coloured light gives each channel: the filters of real sensors overlap by 5 to 10 %."""
 
@@ -116,16 +119,11 @@ def build_world(scenario: Scenario, *, seed: int | None = None, frames: int | No
 
     Raises Inconsistent, naming the key, for a motion that the arm cannot make; UsageError for what is no room.
     """
-    if room is not None:
-        scenario = scenario.model_copy(update={"room": checked_room(room)})
-    seed = scenario.seed if seed is None else seed
-    frames = frames or scenario.frames
-    if frames < 1 or seed < 0:
-        raise UsageError(f"{frames} frames with the seed {seed} cannot be", cure="Ask for one or more, and a seed >= 0")
+    scenario, seed, frames = _as_asked(scenario, seed, frames, room)
     arm = robotics(scenario, seed)
     lights = _lights(scenario)
-    ambient_level = scenario.cameras.sensor.ambient_level if scenario.room.dark else 0.0
-    cameras, rig = make_cameras(scenario.cameras, seed, ambient_level=ambient_level)
+    ambient = scenario.cameras.sensor.ambient_level if scenario.room.dark else 0.0
+    cameras, rig = make_cameras(scenario.cameras, seed, ambient_level=ambient)
     until_s = frames / scenario.fps + AHEAD_S
     T_mount_rig = scenario.cameras.T_mount_rig.pose()
     servo, T_flange_tool, rig_path, target = _moving(scenario, arm, T_mount_rig, seed, until_s)
@@ -134,12 +132,7 @@ def build_world(scenario: Scenario, *, seed: int | None = None, frames: int | No
         name=scenario.name,
         seed=seed,
         n_frames=frames,
-        timing=Timing(
-            fps=scenario.fps,
-            jitter_s=scenario.cameras.jitter_s,
-            latency_s=scenario.cameras.latency_s,
-            drop=scenario.cameras.drop,
-        ),
+        timing=_timing(scenario),
         views=("image",) if scenario.cameras.mirrors else SIDES,
         cameras=cameras,
         lights=lights,
@@ -160,13 +153,37 @@ def build_world(scenario: Scenario, *, seed: int | None = None, frames: int | No
         dropped=_events(scenario, ("dropped",)),
         cut_off=_events(scenario, ("link_lost",)),
         sweeps=_sweep_rows(scenario, frames),
-        assumptions=("every number is told in the scenario's file, with its source or why it was chosen",),
+        assumptions=(TOLD,),
     )
     _check_seen(world)
+    return _in_room(world, scenario, until_s - AHEAD_S)
+
+
+def _in_room(world: World, scenario: Scenario, until_s: float) -> World:
+    """Return the world with the scenario's room behind what the cameras see until then."""
+    paths = (world.rig_path, world.target_path)
+    stands = scenario.cameras.mount == "base"
     cameras, moving = set_room(
-        scenario.room, cameras, lights, (rig_path, target), seed=seed, until_s=until_s - AHEAD_S, stands=fixed
+        scenario.room, world.cameras, world.lights, paths, seed=world.seed, until_s=until_s, stands=stands
     )
     return replace(world, cameras=cameras, moving=moving)
+
+
+def _as_asked(scenario: Scenario, seed: int | None, frames: int | None, room: Any) -> tuple[Scenario, int, int]:
+    """Return the scenario with the room, the seed and the number of frames, each the file's if not given."""
+    if room is not None:
+        scenario = scenario.model_copy(update={"room": checked_room(room)})
+    seed = scenario.seed if seed is None else seed
+    frames = frames or scenario.frames
+    if frames < 1 or seed < 0:
+        raise UsageError(f"{frames} frames with the seed {seed} cannot be", cure="Ask for one or more, and a seed >= 0")
+    return scenario, seed, frames
+
+
+def _timing(scenario: Scenario) -> Timing:
+    """Return when the cameras expose, and what becomes of their frames on the way."""
+    keys = scenario.cameras
+    return Timing(fps=scenario.fps, jitter_s=keys.jitter_s, latency_s=keys.latency_s, drop=keys.drop)
 
 
 def _moving(

@@ -6,6 +6,7 @@ read elsewhere, this takes the mapping. `sim.scenario_builder` makes the world.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -305,7 +306,17 @@ class Scenario(Keys):
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
-        n = len(self.arm.joints)
+        self._check_who_moves()
+        for key, values in _joint_rows(self.motion):
+            self._check_row(key, values)
+        for event in self.events:
+            unknown = [name for name in event.lights if name not in self.target.spots_m]
+            if unknown:
+                raise ValueError(f"events: lights {', '.join(unknown)} are not among target.spots_m")
+        return self
+
+    def _check_who_moves(self) -> None:
+        """Raise ValueError where target and rig are not held by what the motion says."""
         motion = self.motion
         if isinstance(motion, RobotMotion):
             if self.target.T_flange_target is None:
@@ -321,21 +332,17 @@ class Scenario(Keys):
                 raise ValueError(
                     f"cameras.mount is base, but with motion.kind {motion.kind} the arm follows with the rig"
                 )
-            if n != 6:
-                raise ValueError(f"motion.follow needs an arm of six joints, not {n}")
-        for key, values in _joint_rows(motion):
-            if len(values) != n:
-                raise ValueError(f"motion.{key} has {len(values)} values for {n} joints")
-            for joint, value in zip(self.arm.joints, values, strict=True):
-                if (joint.lower is not None and value < joint.lower) or (
-                    joint.upper is not None and value > joint.upper
-                ):
-                    raise ValueError(f"motion.{key} takes joint {joint.name} to {value:g}, beyond its range")
-        for event in self.events:
-            unknown = [name for name in event.lights if name not in self.target.spots_m]
-            if unknown:
-                raise ValueError(f"events: lights {', '.join(unknown)} are not among target.spots_m")
-        return self
+            if len(self.arm.joints) != 6:
+                raise ValueError(f"motion.follow needs an arm of six joints, not {len(self.arm.joints)}")
+
+    def _check_row(self, key: str, values: Sequence[float]) -> None:
+        """Raise ValueError for joint values that the arm has not, or beyond the range of a joint."""
+        if len(values) != len(self.arm.joints):
+            raise ValueError(f"motion.{key} has {len(values)} values for {len(self.arm.joints)} joints")
+        for joint, value in zip(self.arm.joints, values, strict=True):
+            below = joint.lower is not None and value < joint.lower
+            if below or (joint.upper is not None and value > joint.upper):
+                raise ValueError(f"motion.{key} takes joint {joint.name} to {value:g}, beyond its range")
 
 
 def _joint_rows(motion: RobotMotion | FollowedMotion) -> list[tuple[str, list[float]]]:

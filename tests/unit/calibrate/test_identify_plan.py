@@ -10,16 +10,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.identify import Sweeps, identify
-from armsight.calibrate.identify.plan import (
-    Plan,
-    RoughArm,
-    checked_limits,
-    expected_deviations,
-    known_arm,
-    probe,
-    propose_sweeps,
-    rough_arm,
-)
+from armsight.calibrate.identify.plan import Plan, checked_limits, expected_deviations, probe, propose_sweeps
+from armsight.calibrate.identify.rough_arm import RoughArm, known_arm, rough_arm
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import fk, preset
 from armsight.optics import Camera, parallel_rig

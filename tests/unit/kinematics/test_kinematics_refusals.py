@@ -8,6 +8,7 @@ import pytest
 from armsight.errors import ArmsightError, Inconsistent, NotConverged, UsageError
 from armsight.kinematics import (
     Arm,
+    Effort,
     Joint,
     dh_arm,
     fk,
@@ -123,7 +124,7 @@ def test_no_closed_form_is_told() -> None:
 def test_a_numeric_run_that_misses_is_not_a_solution() -> None:
     T = fk(ARM, HOME)
     T[:3, 3] = [0.75, 0.0, 0.4]
-    attempt = solve_numeric(ARM, T, HOME, restarts=3)
+    attempt = solve_numeric(ARM, T, HOME, effort=Effort(restarts=3))
     assert not attempt.converged
     assert attempt.error_m > 1e-3
     with pytest.raises(NotConverged, match=r"after 4 starts: local minimum .* no solution"):

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from armsight.kinematics import Arm, Joint, Stop, fk, ik, preset, solve_numeric, solve_numeric_many
+from armsight.kinematics import Arm, Effort, Joint, Stop, fk, ik, preset, solve_numeric, solve_numeric_many
 from armsight.kinematics.forward_kinematics import ALL_CORES_FROM
 from armsight.kinematics.presets import PRESETS
 
@@ -47,7 +47,7 @@ def test_newton_gives_the_closest_values_where_its_steps_run_out() -> None:
     """From afar the first steps overshoot: what comes nearest is kept, and it is told."""
     arm = preset("stanford-rrp")
     target, start = fk(arm, [0.4, 1.1, 0.8]), np.array([1.4, 0.3, 0.1])
-    attempt = solve_numeric(arm, target, start, method="newton", max_steps=2)
+    attempt = solve_numeric(arm, target, start, method="newton", effort=Effort(max_steps=2))
     assert not attempt.converged and attempt.stopped is not Stop.SINGULAR
 
     def away_m(q: np.ndarray) -> float:
@@ -83,7 +83,7 @@ def test_limits_are_kept_and_named_as_the_reason() -> None:
     assert attempt.converged
     assert arm.within_limits(attempt.q)
     tight = limited(2.9)  # 0.1 rad of room for each joint
-    blocked = solve_numeric(tight, T, restarts=2)
+    blocked = solve_numeric(tight, T, effort=Effort(restarts=2))
     assert blocked.stopped is Stop.LIMITS
     assert tight.within_limits(blocked.closest_q)
 

@@ -8,6 +8,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from armsight.errors import Inconsistent, UsageError
 from armsight.sim import (
     Board,
+    LedCellOptions,
     Lens,
     Sensor,
     beacon_cell,
@@ -27,7 +28,8 @@ DARK = {"room": "dark", "pipeline": "ideal"}
 
 
 def small(seed=3, frames=4, **options):
-    return led_cell(seed, frames, **({"width": 320, "height": 180, "sigma_px": 1.2} | DARK | options))
+    chosen = LedCellOptions(**{"width": 320, "height": 180, "sigma_px": 1.2} | options)
+    return led_cell(seed, frames, chosen, **DARK)
 
 
 def opencv_pixels(rig, side, points_m):

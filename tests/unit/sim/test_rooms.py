@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.app.simulate.scenarios import load_scenario, scenario_names, settled_text
 from armsight.errors import Inconsistent, UsageError
-from armsight.sim import Cell, Lens, Sensor, board_cell, led_cell
+from armsight.sim import Cell, LedCellOptions, Lens, Sensor, board_cell, led_cell
 from armsight.sim.mirror import Mirrors, mirror_views
 from armsight.sim.pipeline import IDEAL
 from armsight.sim.room_schema import checked_room, pipeline_of
@@ -32,9 +32,9 @@ from armsight.sim.scenario_schema import Scenario
 QUIET = Sensor(electrons_per_level=np.inf, read_noise_level=0.0)
 
 
-def small(seed: int, frames: int, **options: Any) -> Cell:
-    plain = {"width": 160, "height": 90, "sigma_px": 1.0, "faults": False, "room": "dark", "pipeline": "ideal"}
-    return led_cell(seed, frames, **(plain | options))
+def small(seed: int, frames: int, *, room: Any = "dark", pipeline: Any = "ideal", **options: Any) -> Cell:
+    chosen = LedCellOptions(**{"width": 160, "height": 90, "sigma_px": 1.0, "faults": False} | options)
+    return led_cell(seed, frames, chosen, room=room, pipeline=pipeline)
 
 
 def white(size: int = 8) -> Texture:
@@ -291,7 +291,7 @@ def test_what_is_built_in_stands_in_a_room_before_real_cameras() -> None:
         model = load_scenario(name)[0]
         assert not model.room.dark, name
         assert pipeline_of(model.cameras.pipeline) != IDEAL, name
-    told = "\n".join(led_cell(5, 1, width=32, height=18).assumptions)
+    told = "\n".join(led_cell(5, 1, LedCellOptions(width=32, height=18)).assumptions)
     assert "room: workshop" in told
     assert "JPEG of quality 88" in told
 

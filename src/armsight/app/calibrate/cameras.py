@@ -9,7 +9,7 @@ from pathlib import Path
 
 from armsight.app.calibrate.board_images import Seen, in_parallel, see_board
 from armsight.app.calibrate.camera_noise import NoiseJob, find_noise, input_files, require_size
-from armsight.app.calibrate.reports import write_camera_report, write_stereo_report
+from armsight.app.calibrate.reports import RigData, write_camera_report, write_stereo_report
 from armsight.app.schemas.base import RejectedFile
 from armsight.app.schemas.cameras import AlignmentOutput, CameraNoise, CameraOutput, StereoOutput
 from armsight.app.sources.frames import open_pairs, open_source
@@ -120,7 +120,7 @@ def calibrate_stereo(job: CalibrateJob, progress: Progress | None = None) -> Ste
     progress.update(0, 0, "solving")
     result = solve_stereo(views[0], views[1], board, BoardOptions(folds=job.folds), progress)
     write_rig(job.out, result.rig, inputs=[*input_files(job.left), *input_files(job.right)])
-    write_stereo_report(report_path(job.out), result, board=job.board, n_pairs=done, rejected=rejected)
+    write_stereo_report(report_path(job.out), result, RigData(board=job.board, n_pairs=done, rejected=rejected))
     return stereo_output(result, rejected, n_pairs=done)
 
 

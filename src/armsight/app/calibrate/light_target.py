@@ -14,7 +14,7 @@ from armsight.app.sources.frames import open_pairs, open_source
 from armsight.calibrate.light_target import LitFrame, TargetCalibration, calibrate_target
 from armsight.drivers import PairSource
 from armsight.errors import Cancelled, Inconsistent, UsageError
-from armsight.measure.poses.correspondence import pair_spots
+from armsight.measure.poses.pairs import pair_spots
 from armsight.measure.poses.stationary_lights import without_standing
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import find_spots

@@ -12,7 +12,7 @@ import numpy as np
 from armsight.app.calibrate.board_images import in_parallel, see_board
 from armsight.app.calibrate.cameras import report_path, stereo_output
 from armsight.app.calibrate.mirrors_lit_target import calibrate_lit, reasons
-from armsight.app.calibrate.reports import write_stereo_report
+from armsight.app.calibrate.reports import RigData, write_stereo_report
 from armsight.app.schemas.cameras import (
     CheckedAlignment,
     FormOutput,
@@ -34,6 +34,8 @@ from armsight.optics import Plate
 from armsight.optics.mirrors import FormError, Mirrors, form_errors
 from armsight.records import BoardView, Frame, Progress, Silent, Target
 from armsight.store import parse_board, read_camera, read_rig, read_target, write_rig
+
+TITLE = "Calibration of a mirror rig"
 
 DEPTHS_M = (0.4, 0.5, 0.6, 0.7, 0.8)
 LEAST_BOARDS = 3
@@ -99,16 +101,22 @@ def run_mirrors(job: MirrorsJob, progress: Progress | None = None) -> MirrorsOut
         raise _too_few(job, len(views), rejected)
     progress.update(0, 0, "solving")
     done = calibrate_mirrors(
-        [left for left, _ in views], [right for _, right in views], board, thickness_m=job.thickness_m,
-        index=job.index, options=BoardOptions(folds=job.folds), progress=progress,
-    )  # fmt: skip
+        [left for left, _ in views],
+        [right for _, right in views],
+        board,
+        thickness_m=job.thickness_m,
+        index=job.index,
+        options=BoardOptions(folds=job.folds),
+        progress=progress,
+    )
     write_rig(job.out, done.rig, inputs=_inputs(job))
     forms = _forms(done)
     n_pairs = len(views) + len(rejected)
     write_stereo_report(
-        report_path(job.out), done.pair, board=job.board, n_pairs=n_pairs, rejected=rejected,
-        title="Calibration of a mirror rig", results=_results(done, forms),
-    )  # fmt: skip
+        report_path(job.out),
+        done.pair,
+        RigData(board=job.board, n_pairs=n_pairs, rejected=rejected, title=TITLE, results=_results(done, forms)),
+    )
     return mirrors_output(done, rejected, n_pairs=n_pairs, forms=forms)
 
 
@@ -142,9 +150,7 @@ def run_check(job: MirrorsJob, progress: Progress | None = None) -> MirrorCheckO
         )
     rig, board = read_rig(job.rig), parse_board(_board(job))
     plate = rig.left.plate or Plate(thickness_m=job.thickness_m or 1e-3, index=job.index)
-    design = Mirrors(
-        baseline_m=job.baseline_m or rig.baseline_m, plate=plate, near_m=job.near_m, gap_m=job.gap_m
-    )  # fmt: skip
+    design = Mirrors(baseline_m=job.baseline_m or rig.baseline_m, plate=plate, near_m=job.near_m, gap_m=job.gap_m)
     kept: list[Pair] = []
     missed: list[str] = []
     last: Alignment | None = None
@@ -163,8 +169,9 @@ def run_check(job: MirrorsJob, progress: Progress | None = None) -> MirrorCheckO
     if last is None:
         raise NotEnoughData(
             f"the board was found in both views of none of the images; {missed[0] if missed else 'there are none'}",
-            consequence="The alignment is not known", cure="Show the whole board in both views",
-        )  # fmt: skip
+            consequence="The alignment is not known",
+            cure="Show the whole board in both views",
+        )
     return check_output(last, missed)
 
 
@@ -284,8 +291,9 @@ def _covered(job: MirrorsJob, board: Target) -> Iterator[tuple[str, Pair | str]]
         if lefts.total != rights.total:
             raise Inconsistent(
                 f"{lefts.total} images of the left view and {rights.total} of the right one do not pair up",
-                consequence="Nothing was calibrated", cure="Cover one path after the other at every place of the board",
-            )  # fmt: skip
+                consequence="Nothing was calibrated",
+                cure="Cover one path after the other at every place of the board",
+            )
         for left, right in zip(lefts, rights, strict=True):
             seen = [see_board(frame, board) for frame in (left, right)]
             lost = [
@@ -308,17 +316,20 @@ def _from_target(job: MirrorsJob, out: Path, progress: Progress) -> MirrorsOutpu
     design = Mirrors(baseline_m=job.baseline_m, near_m=job.near_m, gap_m=job.gap_m, plate=plate).rig(camera)
     if job.thickness_m == 0.0:
         design = replace(design, left=replace(design.left, plate=None))
-    done, rejected = calibrate_lit(
-        design, target, job.image, every=job.every, limit=job.limit, progress=progress
-    )  # fmt: skip
+    done, rejected = calibrate_lit(design, target, job.image, every=job.every, limit=job.limit, progress=progress)
     write_rig(out, done.rig, inputs=[job.camera, job.target, *_inputs(job)])
     forms = _forms(done)
     n_images = done.pair.n_used + len(rejected)
-    write_stereo_report(
-        report_path(out), done.pair, board=str(job.target), thing="lit target", n_pairs=n_images, rejected=rejected,
-        title="Calibration of a mirror rig", results=_results(done, forms),
+    data = RigData(
+        board=str(job.target),
+        thing="lit target",
+        n_pairs=n_images,
+        rejected=rejected,
+        title=TITLE,
+        results=_results(done, forms),
         facts=[("camera's file", str(job.camera)), ("baseline as designed", f"{1e3 * job.baseline_m:g} mm")],
-    )  # fmt: skip
+    )
+    write_stereo_report(report_path(out), done.pair, data)
     return mirrors_output(done, rejected, n_pairs=n_images, forms=forms)
 
 

@@ -14,7 +14,7 @@ from armsight.app.sources.frames import open_source
 from armsight.calibrate.mirrors.calibration import MirrorCalibration
 from armsight.calibrate.mirrors.diagnosis import LEAST_LIT, mirrors_from_target
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
-from armsight.measure.poses.correspondence import SLACK_PX
+from armsight.measure.poses.pairs import SLACK_PX
 from armsight.measure.poses.pipeline import Setup, measure_spots
 from armsight.measure.spots import find_spots
 from armsight.optics import Camera, Rig

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -38,30 +39,33 @@ def write_camera_report(
     write_text(path, calibration_report(run))
 
 
-def write_stereo_report(
-    path: Path,
-    done: StereoCalibration,
-    *,
-    board: str,
-    n_pairs: int,
-    rejected: Sequence[tuple[str, str]],
-    title: str = "Calibration of a pair of cameras",
-    thing: str = "board",
-    results: Sequence[tuple[str, str]] = (),
-    facts: Sequence[tuple[str, str]] = (),
-) -> None:
-    """Write the report of a rig's calibration.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RigData:
+    """What went into a rig's calibration, and what its report says beside the figures.
 
-    thing: what the images show, if not a board. results: lines beside the alignment. facts: for the end of the page.
+    n_pairs: all that were given; rejected: name of each that was left out before the fit, and why. thing: what the
+    images show, if not a board. results: lines beside the alignment. facts: for the end of the page.
     """
+
+    board: str
+    n_pairs: int
+    rejected: Sequence[tuple[str, str]]
+    title: str = "Calibration of a pair of cameras"
+    thing: str = "board"
+    results: Sequence[tuple[str, str]] = ()
+    facts: Sequence[tuple[str, str]] = ()
+
+
+def write_stereo_report(path: Path, done: StereoCalibration, data: RigData) -> None:
+    """Write the report of a rig's calibration."""
     rig = done.rig
     parameters = [Parameter(name="baseline", value=rig.baseline_m * 1e3, std=done.baseline_std_m * 1e3, unit="mm")]
     for side in SIDES:
         parameters += _parameters(f"{side}.", rig.camera(side), rig.covariance)
     run = CalibrationRun(
-        title=title,
-        board=board,
-        thing=thing,
+        title=data.title,
+        board=data.board,
+        thing=data.thing,
         cameras=[
             _fit(
                 side,
@@ -74,7 +78,7 @@ def write_stereo_report(
             for i, side in enumerate(SIDES)
         ],
         parameters=parameters,
-        n_images=n_pairs,
+        n_images=data.n_pairs,
         n_used=done.n_used,
         rms_px=done.rms_px,
         holdout_rms_px=done.holdout_rms_px,
@@ -82,9 +86,9 @@ def write_stereo_report(
         holdout_epipolar_rms_px=done.holdout_epipolar_rms_px,
         baseline_m=rig.baseline_m,
         metric=done.metric if done.metric_is_left_out else {},
-        rejected=(*rejected, *done.rejected),
-        alignment=[*alignment_lines(done), *results],
-        facts=facts,
+        rejected=(*data.rejected, *done.rejected),
+        alignment=[*alignment_lines(done), *data.results],
+        facts=data.facts,
         advice=done.advice,
     )
     write_text(path, calibration_report(run))

@@ -42,7 +42,8 @@ class StereoBeaconObserver:
         why = found.pose.why or "it is not in both images"
         if self._lost >= LOST_FRAMES:
             raise NotEnoughData(
-                f"the beacon is lost {while_}: {why}", consequence="The robot was stopped",
+                f"the beacon is lost {while_}: {why}",
+                consequence="The robot was stopped",
                 cure="Free the view of it, or narrow the limits to where both cameras see it",
-            )  # fmt: skip
+            )
         return Observation(taken_s=t_s + self._ahead_s, why=why)

@@ -18,16 +18,8 @@ from armsight.app.schemas.arm import IdentifyOutput, PlannedSweepOutput, PlanOut
 from armsight.app.simulate.scenarios import live_cell
 from armsight.app.sources.frames import open_pairs
 from armsight.calibrate.identify import Identification, Sweeps, identify
-from armsight.calibrate.identify.plan import (
-    PROBE_SHARE,
-    Plan,
-    RoughArm,
-    checked_limits,
-    known_arm,
-    probe,
-    propose_sweeps,
-    rough_arm,
-)
+from armsight.calibrate.identify.plan import PROBE_SHARE, Plan, checked_limits, probe, propose_sweeps
+from armsight.calibrate.identify.rough_arm import RoughArm, known_arm, rough_arm
 from armsight.clock import Clock, SystemClock
 from armsight.control.joint_sweep import Pace, Sweeper
 from armsight.drivers import ROBOTS, PairSource, Robot, is_live, load
@@ -121,14 +113,21 @@ def run_identify_live(
             return ProposedPlanOutput(plan=told, notes=told.notes)
         _ask(person, f"Move {robot.name} along {len(plan.sweeps)} sweeps as planned?")
         sweeps = _swept(job, plan, robot, sweeper)
-    file = job.out.with_suffix(".sweep.csv")
-    return identified(
-        IdentifyJob(
-            out=job.out, sweep=file, rig=job.rig, target=job.target, world=job.world, method=job.method,
-            sigma=job.sigma, nominal=job.nominal,
-        ),
-        sweeps, rig, plan=told,
-    )  # fmt: skip
+    return identified(_from_sweeps(job), sweeps, rig, plan=told)
+
+
+def _from_sweeps(job: LiveJob) -> IdentifyJob:
+    """Return what is left to do once the sweeps are read: the same as from their file."""
+    return IdentifyJob(
+        out=job.out,
+        sweep=job.out.with_suffix(".sweep.csv"),
+        rig=job.rig,
+        target=job.target,
+        world=job.world,
+        method=job.method,
+        sigma=job.sigma,
+        nominal=job.nominal,
+    )
 
 
 def read_limits(text: str) -> Array:
@@ -191,9 +190,10 @@ def plan_output(plan: Plan, notes: Sequence[str] = ()) -> PlanOutput:
 def _check(job: LiveJob, target: Target) -> None:
     if len(target.names) != 1:
         raise UsageError(
-            f"the target has {len(target.names)} points", consequence="Which is the beacon is open",
+            f"the target has {len(target.names)} points",
+            consequence="Which is the beacon is open",
             cure="Give a target of one light (--target)",
-        )  # fmt: skip
+        )
     if job.model is not None and job.world is None:
         raise UsageError("a model needs the rig's place", cure="Give --world beside --model")
     if not 0.0 < job.pace.speed <= 1.0 or job.readings < 4 or job.pace.frames < 1:

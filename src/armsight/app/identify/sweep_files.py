@@ -89,13 +89,19 @@ def identified(
     if nominal is not None and len(nominal.joints) != sweeps.n:
         raise Inconsistent(
             f"the nominal arm has {len(nominal.joints)} joints, the sweep {sweeps.n}",
-            consequence="They cannot be compared", cure="Give the arm that was swept, or none",
-        )  # fmt: skip
+            consequence="They cannot be compared",
+            cure="Give the arm that was swept, or none",
+        )
     base = None if job.world is None else read_world(job.world).T_parent_rig.inv().as_matrix()
     result = identify(
-        sweeps, rig=rig if sweeps.uv_px is not None else None, sigma=job.sigma, method=job.method,
-        increments=job.increments, base=base, name=job.out.stem,
-    )  # fmt: skip
+        sweeps,
+        rig=rig if sweeps.uv_px is not None else None,
+        sigma=job.sigma,
+        method=job.method,
+        increments=job.increments,
+        base=base,
+        name=job.out.stem,
+    )
     inputs = [path for path in (job.sweep, job.joints, job.rig, job.target, job.world) if path is not None]
     arm = result.arm
     if job.world is not None:  # found in the rig's axes
@@ -129,8 +135,9 @@ def seen_in_frames(job: IdentifyJob, rig: Rig, progress: Progress) -> tuple[Swee
     if not rows:
         raise NotEnoughData(
             f"the beacon is seen in none of the {len(frames)} frames; {notes[0] if notes else 'there are none'}",
-            consequence="The arm is not identified", cure="Look at the frames: one light, on, in both views",
-        )  # fmt: skip
+            consequence="The arm is not identified",
+            cure="Look at the frames: one light, on, in both views",
+        )
     return Sweeps(
         joint=joint[rows],
         q=q[rows],

@@ -87,10 +87,7 @@ def record_pairs(
         recorder = Recorder(writer, job.kind, live=live)
         try:
             with writer:
-                for name, path in (files or {}).items():
-                    writer.attach(name, path.read_bytes())
-                if rig is not None:
-                    writer.rig(start_s, rig)
+                _attach(writer, files or {}, rig, start_s)
                 with recorder:
                     _pump(job, chain([first], source), recorder, tally, progress or Silent(), clock or SystemClock())
         except ArmsightError as error:
@@ -114,6 +111,14 @@ def _output(job: RecordJob, recorder: Recorder, tally: Tally, skew: Skew | None,
         size_bytes=job.out.stat().st_size,
         skew_s=RecordedSkew(mean=skew.mean_s, largest=skew.largest_s) if skew else None,
     )
+
+
+def _attach(writer: RecordingWriter, files: Mapping[str, Path], rig: Rig | None, start_s: float) -> None:
+    """Write what goes into the recording before the frames."""
+    for name, path in files.items():
+        writer.attach(name, path.read_bytes())
+    if rig is not None:
+        writer.rig(start_s, rig)
 
 
 @dataclass(slots=True)

@@ -84,9 +84,10 @@ def sim_camera(device: str, *, colour: bool, clock: Clock | None, origin_s: floa
     world = build_world(name, load_scenario(name)[0], seed=None, frames=None)
     if view not in world.views:
         raise DeviceNotFound(
-            f"{name} has no view {view!r}", consequence="There is no frame to read",
+            f"{name} has no view {view!r}",
+            consequence="There is no frame to read",
             cure=f"It has {', '.join(world.views)}",
-        )  # fmt: skip
+        )
     source: FrameSource = load(SCENARIOS, VIEW)(world, clock or SystemClock(), view)
     return source
 

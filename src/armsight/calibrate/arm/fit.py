@@ -78,10 +78,16 @@ def fit_arm(
     p = guess
     for _ in range(1 if noise else ROUNDS):
         problem = Problem(
-            names=model.names, guess=p, n_residuals=rows * len(points), fixed=fixed, priors=priors, loss=loss,
+            names=model.names,
+            guess=p,
+            n_residuals=rows * len(points),
+            fixed=fixed,
+            priors=priors,
+            loss=loss,
             evaluate=lambda q, _, s=sigma: model.evaluate(q, points, *s),  # type: ignore[misc]
-            retract=model.retract, local_guess=np.zeros((1, 0)),
-        )  # fmt: skip
+            retract=model.retract,
+            local_guess=np.zeros((1, 0)),
+        )
         fit = solve(problem, Settings(allow_undetermined=True, max_iterations=200))
         p = fit.shared
         before, sigma = sigma, noise or _noise(model, p, points, len(free) + len(mounts))

@@ -82,6 +82,5 @@ def _by_turns(F: Array, xyz_m: Array, which: NDArray[np.intp], at: Array) -> tup
 def _point(R: Array, wanted: Array, before: Array) -> Array:
     """Return the point x with R x nearest to wanted; what is not told stays as before."""
     A = R.reshape(-1, 3)
-    return np.asarray(before + np.linalg.lstsq(
-        np.vstack([A, RIDGE_M * np.eye(3)]), np.append((wanted - R @ before).ravel(), np.zeros(3)), rcond=None
-    )[0])  # fmt: skip
+    off = np.append((wanted - R @ before).ravel(), np.zeros(3))
+    return np.asarray(before + np.linalg.lstsq(np.vstack([A, RIDGE_M * np.eye(3)]), off, rcond=None)[0])

@@ -53,39 +53,51 @@ def propose(
     the information on what positions at all candidates could tell. Raises NotEnoughData where no candidate is seen.
     """
     tolerance = tolerance or Tolerance()
-    rng = np.random.default_rng(SEED)
-    low, high = _ranges(model, points)
-    q = rng.uniform(low, high, (CANDIDATES, model.arm.n))
-    at = ArmPoints(q=q, xyz_m=np.zeros((len(q), 3)), point=(points.point[0],) * len(q))
-    place, _ = model.errors(fitted.p, at)
-    if visible is not None:
-        seen = np.flatnonzero(visible(place))
-        if not len(seen):
-            raise NotEnoughData(
-                "no joint position within the limits puts the tool where both cameras see it",
-                consequence="No measurement is proposed",
-                cure="Check the rig's place (world.yaml), or move the cameras",
-            )
-        at, place, q = at.take(seen), place[seen], q[seen]
-    there = ArmPoints(q=q, xyz_m=place, point=at.point)
+    there = _candidates(model, fitted, points, visible)
     noise = fitted.sigma_m, fitted.sigma_rad
     plain = ArmModel(arm=model.arm, labels=model.labels, turned=False)
     names = choose(plain, there, fitted.p, model.geometry, tolerance, noise).free
     wanted = (*names, *(name for name in plain.mounts if not _turn_of_tool(name)))
     index = [plain.names.index(name) for name in wanted]
     scale = np.array([tolerance.of(name) if name in names else 1.0 for name in wanted])
-    J = plain.evaluate(fitted.p, there, *noise).shared[0][:, index].reshape(len(q), 3, -1) * scale
+    J = plain.evaluate(fitted.p, there, *noise).shared[0][:, index].reshape(len(there.q), 3, -1) * scale
     seen_J = model.evaluate(fitted.p, points, *noise).shared[0][:, index] * scale
     H = seen_J.T @ seen_J + np.diag([1.0 if name in names else 1e-6 for name in wanted])
-    now = _std(H, wanted, scale)
+    order, H_then = _most_telling(J, H, n)
+    expected = _std(H_then, wanted, scale)
+    return Proposal(q=there.q[order], expected_std=expected, std_now=_std(H, wanted, scale))
+
+
+def _candidates(model: ArmModel, fitted: ArmFit, points: ArmPoints, visible: Visible | None) -> ArmPoints:
+    """Return random joint positions within the limits, with the places to expect there; only those that are seen."""
+    rng = np.random.default_rng(SEED)
+    low, high = _ranges(model, points)
+    q = rng.uniform(low, high, (CANDIDATES, model.arm.n))
+    at = ArmPoints(q=q, xyz_m=np.zeros((len(q), 3)), point=(points.point[0],) * len(q))
+    place, _ = model.errors(fitted.p, at)
+    there = ArmPoints(q=q, xyz_m=place, point=at.point)
+    if visible is None:
+        return there
+    seen = np.flatnonzero(visible(place))
+    if not len(seen):
+        raise NotEnoughData(
+            "no joint position within the limits puts the tool where both cameras see it",
+            consequence="No measurement is proposed",
+            cure="Check the rig's place (world.yaml), or move the cameras",
+        )
+    return there.take(seen)
+
+
+def _most_telling(J: Array, H: Array, n: int) -> tuple[list[int], Array]:
+    """Return the candidates, J (m, 3, P), in the order of what they add to H (P, P), and H with all of them."""
     order: list[int] = []
-    for _ in range(min(n, len(q))):
+    for _ in range(min(n, len(J))):
         gain = np.linalg.slogdet(np.eye(3) + J @ np.linalg.solve(H, J.transpose(0, 2, 1)))[1]
         gain[order] = -np.inf
         best = int(gain.argmax())
         order.append(best)
         H = H + J[best].T @ J[best]
-    return Proposal(q=q[order], expected_std=_std(H, wanted, scale), std_now=now)
+    return order, H
 
 
 def _ranges(model: ArmModel, points: ArmPoints) -> tuple[Array, Array]:

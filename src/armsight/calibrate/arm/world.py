@@ -145,9 +145,13 @@ def _refine(T: RigidTransform, rig_m: Array, base_m: Array) -> tuple[RigidTransf
         return np.append(p[:3] + step[:3], turn.as_rotvec()), local + step_local
 
     problem = Problem(
-        names=NAMES, guess=np.append(T.translation, T.rotation.as_rotvec()), evaluate=evaluate, retract=retract,
-        n_residuals=3 * len(rig_m), loss=Loss(kind=LossKind.HUBER, scale=3.0, block=3),
-    )  # fmt: skip
+        names=NAMES,
+        guess=np.append(T.translation, T.rotation.as_rotvec()),
+        evaluate=evaluate,
+        retract=retract,
+        n_residuals=3 * len(rig_m),
+        loss=Loss(kind=LossKind.HUBER, scale=3.0, block=3),
+    )
     fit = solve(problem, Settings(estimate_noise=True))
     if fit.covariance is None:
         raise Degenerate("the places leave the rig's pose open", cure="Move at least two joints")

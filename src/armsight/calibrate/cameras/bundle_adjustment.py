@@ -52,23 +52,44 @@ def problem_of(observations: Observations, start: Bundle, fixed: frozenset[str])
 
     Views of one lens share the left one's intrinsics, and the right ones' are held at them.
     """
-    tied = observations.one_lens and observations.n_cameras == 2
-    n_cameras, G, n = observations.n_cameras, observations.n_views, len(observations.X)
-    names = names_of(n_cameras)
-    split = len(INTRINSICS) * n_cameras
+    equations = _BoardEquations(observations)
+    tied, pair = equations.tied, observations.n_cameras == 2
     k0 = np.tile(start.k.mean(axis=0), (2, 1)) if tied else start.k
+    return Problem(
+        names=names_of(observations.n_cameras),
+        guess=np.concatenate([k0.ravel(), start.side_pose]) if pair else k0.ravel(),
+        evaluate=equations.evaluate,
+        n_residuals=2 * observations.n_points,
+        local_names=POSE,
+        local_guess=start.poses,
+        fixed=fixed | RIGHT if tied else fixed,
+        retract=equations.retract,
+    )
 
-    def evaluate(shared: Array, local: Array) -> Evaluation:
-        S, L = len(names), len(POSE)
-        r, A, b = np.empty((G, 2 * n * n_cameras)), np.empty((S, S)), np.empty(S)
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _BoardEquations:
+    """Residuals and normal equations of boards seen by one camera or two, and how its parameters move."""
+
+    observations: Observations
+
+    @property
+    def tied(self) -> bool:
+        """Whether two views share the left one's intrinsics."""
+        return self.observations.one_lens and self.observations.n_cameras == 2
+
+    def evaluate(self, shared: Array, local: Array) -> Evaluation:
+        """Return the normal equations at intrinsics and pair pose (shared), and the boards' poses (local)."""
+        seen, n_cameras, G = self.observations, self.observations.n_cameras, self.observations.n_views
+        S, L, split = len(shared), len(POSE), len(INTRINSICS) * n_cameras
+        r, A, b = np.empty((G, 2 * len(seen.X) * n_cameras)), np.empty((S, S)), np.empty(S)
         C, c, W = np.empty((G, L, L)), np.empty((G, L)), np.empty((G, S, L))
         k = shared[:split].reshape(n_cameras, -1)
-        if tied:
+        if self.tied:
             k = np.ascontiguousarray(k[[0, 0]])
         side = shared[split:] if n_cameras == 2 else np.zeros(6)
-        X, radius, uv, weight = observations.X, observations.radius_m, observations.uv, observations.weight
-        fine = view_normal_equations(k, side, local, X, radius, uv, weight, r, A, b, C, c, W)
-        if tied:
+        fine = view_normal_equations(k, side, local, seen.X, seen.radius_m, seen.uv, seen.weight, r, A, b, C, c, W)
+        if self.tied:
             _tie(A, b, W)
         return Evaluation(
             residuals=r if fine else np.full_like(r, np.nan),
@@ -77,25 +98,16 @@ def problem_of(observations: Observations, start: Bundle, fixed: frozenset[str])
             condensed=EvaluatedNormalEquations(A=A, b=b, C=C, c=c, W=W),
         )
 
-    def retract(shared: Array, local: Array, step_shared: Array, step_local: Array) -> tuple[Array, Array]:
+    def retract(self, shared: Array, local: Array, step_shared: Array, step_local: Array) -> tuple[Array, Array]:
+        """Return both after a step; poses are turned, and a shared lens moves in both views."""
+        split = len(INTRINSICS) * self.observations.n_cameras
         moved, poses = shared + step_shared, np.empty_like(local)
         move_poses(local, step_local, poses)
-        if tied:
+        if self.tied:
             moved[split // 2 : split] = moved[: split // 2]
-        if n_cameras == 2:
+        if self.observations.n_cameras == 2:
             move_poses(shared[None, split:], step_shared[None, split:], moved[None, split:])
         return moved, poses
-
-    return Problem(
-        names=names,
-        guess=np.concatenate([k0.ravel(), start.side_pose]) if n_cameras == 2 else k0.ravel(),
-        evaluate=evaluate,
-        n_residuals=2 * observations.n_points,
-        local_names=POSE,
-        local_guess=start.poses,
-        fixed=fixed | RIGHT if tied else fixed,
-        retract=retract,
-    )
 
 
 def _tie(A: Array, b: Array, W: Array) -> None:

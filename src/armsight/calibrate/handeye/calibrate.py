@@ -74,12 +74,7 @@ def _calibrate(pairs: PosePairs, setup: Setup, options: HandEyeOptions) -> HandE
     rows = np.array([i for i in range(len(pairs)) if i not in repeated], dtype=np.intp)
     chosen = pairs.take(rows) if repeated else pairs
     require_turning(rotation_excitation(chosen.T_base_flange.rotation))
-    order = chosen.canonical_order()
-    in_order = chosen.arrays(setup)
-    arrays: Arrays = tuple(np.ascontiguousarray(a[order]) for a in in_order)  # type: ignore[assignment]  # four stay four
-    given = consensus(arrays)
-    check_reading(arrays, setup, given, in_order)
-    solution, left_out = settle(arrays, setup, given)
+    solution, left_out, order = _solve_in_order(chosen, setup)
     used = np.zeros(len(pairs), bool)
     used[rows[order[solution.keep]]] = True
     turned = rotation_excitation(pairs.T_base_flange[np.flatnonzero(used)].rotation)
@@ -89,27 +84,38 @@ def _calibrate(pairs: PosePairs, setup: Setup, options: HandEyeOptions) -> HandE
     errors = found.copy()
     errors[rows[order]] = left_out
     widen = doubts.std / np.sqrt(np.diag(solution.C))
-    rejected = _rejected(pairs, repeated, used, errors)
-    scale = true_scale(solution)
     lever = float(solution.lever[solution.keep].mean())
-    noise = noise_of_pairs(solution.variances, doubts.variance_covariance, lever)
     finished = HandEye(
         setup=setup,
         T_mount_camera=pose(solution.R_X, solution.t_x),
         T_seat_target=pose(solution.R_Z, solution.t_z),
         covariance=NamedCovariance(names=NAMES, matrix=solution.C * np.outer(widen, widen)),
         dof=float(doubts.dof[:6].min()),
-        noise=noise,
-        scale=scale,
+        noise=noise_of_pairs(solution.variances, doubts.variance_covariance, lever),
+        scale=true_scale(solution),
         rotation_excitation=turned,
         pairs=pairs,
         used=used,
-        rejected=rejected,
+        rejected=_rejected(pairs, repeated, used, errors),
         residuals=found,
         left_out=errors,
         advice=(),
     )
     return advise(finished, options.target_pitch_m)
+
+
+def _solve_in_order(pairs: PosePairs, setup: Setup) -> tuple[Solution, Array, NDArray[np.intp]]:
+    """Return the fit to pairs in an order of their own, the left-out error (n, 6) of each in it, and that order (n,).
+
+    The answer so does not depend on the order in which the pairs are given.
+    """
+    order = pairs.canonical_order()
+    as_given = pairs.arrays(setup)
+    arrays: Arrays = tuple(np.ascontiguousarray(a[order]) for a in as_given)  # type: ignore[assignment]  # four stay four
+    given = consensus(arrays)
+    check_reading(arrays, setup, given, as_given)
+    solution, left_out = settle(arrays, setup, given)
+    return solution, left_out, order
 
 
 def settle(arrays: Arrays, setup: Setup, given: Consensus) -> tuple[Solution, Array]:

@@ -150,27 +150,12 @@ class _Model:
             e, J, by_pose = self._at(shared, local, F, sightings.middle)
             e = np.einsum("nij,nj->ni", whiten, e)
             J, by_pose = whiten @ J, whiten @ by_pose
-            A, b, W = np.zeros((22, 22)), np.zeros(22), np.zeros((G, 22, 6))
-            A[:12, :12], A[12:, 12:] = np.einsum("nia,nib->ab", J, J), by_corners.A
-            b[:12], b[12:] = np.einsum("nia,ni->a", J, e), by_corners.b
-            W[:, :12], W[:, 12:] = J.transpose(0, 2, 1) @ by_pose, by_corners.W
-            condensed = EvaluatedNormalEquations(
-                A=A,
-                b=b,
-                C=by_corners.C + by_pose.transpose(0, 2, 1) @ by_pose,
-                c=by_corners.c + np.einsum("nia,ni->na", by_pose, e),
-                W=W,
-            )
+            condensed = _with_robot(by_corners, e, J, by_pose)
             residuals = np.concatenate([corners.residuals, e], axis=1)
             return Evaluation(residuals=residuals, shared=EMPTY, local=EMPTY, condensed=condensed)
 
         def retract(shared: Array, local: Array, ds: Array, dl: Array) -> tuple[Array, Array]:
-            moved = shared + ds
-            for at in (3, 9):
-                moved[at : at + 3] = (
-                    Rotation.from_rotvec(ds[at : at + 3]) * Rotation.from_rotvec(np.array(shared[at : at + 3]))
-                ).as_rotvec()
-            return moved, boards.retract(shared[12:], local, ds[12:], dl)[1]
+            return _stepped(shared, ds), boards.retract(shared[12:], local, ds[12:], dl)[1]
 
         RX, tX, RZ, tZ = self.start
         rotvecs = [Rotation.from_matrix(R).as_rotvec() for R in (RX, RZ)]
@@ -196,6 +181,33 @@ class _Model:
         by_pose[:, :3, 3:] = cross(lever)
         by_pose[:, 3:, 3:] = _left_inverse(e[:, 3:])
         return e, J, by_pose
+
+
+def _with_robot(corners: EvaluatedNormalEquations, e: Array, J: Array, by_pose: Array) -> EvaluatedNormalEquations:
+    """Return the normal equations of X, Z, camera and poses: the corners' and the robot's whitened errors e (n, 6).
+
+    J (n, 6, 12), by_pose (n, 6, 6): derivatives of e by X and Z and by the poses.
+    """
+    A, b, W = np.zeros((22, 22)), np.zeros(22), np.zeros((len(e), 22, 6))
+    A[:12, :12], A[12:, 12:] = np.einsum("nia,nib->ab", J, J), corners.A
+    b[:12], b[12:] = np.einsum("nia,ni->a", J, e), corners.b
+    W[:, :12], W[:, 12:] = J.transpose(0, 2, 1) @ by_pose, corners.W
+    return EvaluatedNormalEquations(
+        A=A,
+        b=b,
+        C=corners.C + by_pose.transpose(0, 2, 1) @ by_pose,
+        c=corners.c + np.einsum("nia,ni->na", by_pose, e),
+        W=W,
+    )
+
+
+def _stepped(shared: Array, step: Array) -> Array:
+    """Return X, Z and the camera after a step; the rotations of X and Z (rotvecs at 3 and 9) turn by theirs."""
+    moved = shared + step
+    for at in (3, 9):
+        turn, before = Rotation.from_rotvec(step[at : at + 3]), Rotation.from_rotvec(np.array(shared[at : at + 3]))
+        moved[at : at + 3] = (turn * before).as_rotvec()
+    return moved
 
 
 def _refined(result: HandEye, seen: ViewPoses, model: _Model, restricted: Restricted, fit: Fit) -> HandEye:

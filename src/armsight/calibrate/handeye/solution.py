@@ -99,23 +99,10 @@ def solve_pairs(
     flange, which reaches the target through its lever; the camera's by N(0, c_t) m and N(0, c_r) rad; s_t and c_t
     act alike and only their sum is known.
     """
-    n = len(arrays[0])
-    keep = np.ones(n, bool) if keep is None else keep
-    gamma = 1.0
-    if start is None:
-        RX, RZ = starts.shah_rotations(arrays[0], arrays[2], keep)
-        ok, tX, tZ, gamma = starts.translations(RX, arrays[0], arrays[1], arrays[3], keep, free_scale)
-        if not ok:
-            raise _not_converged("the translations are not determined")
-    else:
-        RX, tX, RZ, tZ = start
+    keep = np.ones(len(arrays[0]), bool) if keep is None else keep
+    (RX, tX, RZ, tZ), gamma = _closed_form(arrays, keep, free_scale) if start is None else (start, 1.0)
     X, Z = (RX, tX), (RZ, tZ)
-    floor = FLOOR.copy()
-    if variances is None:
-        theta = kernels.first_variances(X, Z, gamma, arrays, keep, FLOOR)
-        floor[0] = max(floor[0], LEAST_OWN * theta[0])
-    else:
-        theta = np.maximum(variances, FLOOR)
+    theta, floor = _first_variances(X, Z, gamma, arrays, keep) if variances is None else _held(variances)
     m = 13 if free_scale else 12
     to_hand = setup is Setup.EYE_TO_HAND
     done = kernels.fit_pairs(X, Z, gamma, arrays, theta, variances is None, floor, to_hand, keep, m, TOLERANCE, LIMIT)
@@ -139,6 +126,31 @@ def solve_pairs(
         log_likelihood=likelihood,
         iterations=iterations,
     )
+
+
+def _closed_form(
+    arrays: Arrays, keep: NDArray[np.bool_], free_scale: bool
+) -> tuple[tuple[Array, Array, Array, Array], float]:
+    """Return RX, tX, RZ, tZ by Shah's closed form, and gamma: 1 unless free."""
+    RX, RZ = starts.shah_rotations(arrays[0], arrays[2], keep)
+    ok, tX, tZ, gamma = starts.translations(RX, arrays[0], arrays[1], arrays[3], keep, free_scale)
+    if not ok:
+        raise _not_converged("the translations are not determined")
+    return (RX, tX, RZ, tZ), gamma
+
+
+def _first_variances(
+    X: tuple[Array, Array], Z: tuple[Array, Array], gamma: float, arrays: Arrays, keep: NDArray[np.bool_]
+) -> tuple[Array, Array]:
+    """Return the variances (3,) that the residuals at the start show, and the least they may become."""
+    theta, floor = kernels.first_variances(X, Z, gamma, arrays, keep, FLOOR), FLOOR.copy()
+    floor[0] = max(floor[0], LEAST_OWN * theta[0])
+    return theta, floor
+
+
+def _held(variances: Array) -> tuple[Array, Array]:
+    """Return known variances (3,) and the least they may be."""
+    return np.maximum(variances, FLOOR), FLOOR.copy()
 
 
 def residuals(arrays: Arrays, RX: Array, tX: Array, RZ: Array, tZ: Array, gamma: float = 1.0) -> Array:

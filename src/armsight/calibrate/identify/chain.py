@@ -87,9 +87,12 @@ def fit_chain(seen: SweepResiduals, model: ChainModel, *, robust: float) -> Fit:
         return Evaluation(residuals=r.reshape(1, -1), shared=J.reshape(1, -1, len(p)), local=np.empty((1, r.size, 0)))
 
     problem = Problem(
-        names=model.names, guess=np.zeros(len(model.names)), evaluate=evaluate, n_residuals=seen.rows * len(q),
+        names=model.names,
+        guess=np.zeros(len(model.names)),
+        evaluate=evaluate,
+        n_residuals=seen.rows * len(q),
         loss=Loss(kind=LossKind.HUBER, scale=robust, block=seen.rows),
-    )  # fmt: skip
+    )
     return solve(problem, Settings(max_iterations=100, allow_undetermined=True, cost_tolerance=1e-9))
 
 

@@ -21,9 +21,15 @@ from armsight.records import NamedCovariance
 
 Array = NDArray[np.float64]
 
-SLOPES = {1.0: "", np.pi / 180.0: "degrees given as radians", 180.0 / np.pi: "radians given as degrees",
-          0.01: "centimetres given as metres", 100.0: "metres given as centimetres",
-          0.001: "millimetres given as metres", 1000.0: "metres given as millimetres"}  # fmt: skip
+SLOPES = {
+    1.0: "",
+    np.pi / 180.0: "degrees given as radians",
+    180.0 / np.pi: "radians given as degrees",
+    0.01: "centimetres given as metres",
+    100.0: "metres given as centimetres",
+    0.001: "millimetres given as metres",
+    1000.0: "metres given as millimetres",
+}
 SLOPE_NEAR = 0.25
 WORTH = 8.0
 """Half chi-square by which a turning joint must be better than a sliding one where the path alone does not decide."""
@@ -102,9 +108,10 @@ def fit_globally(seen: SweepResiduals, found: Sequence[JointPath]) -> GlobalFit:
         _check_dropped(found, best)
     if best is None:
         raise NotConverged(
-            "no arm explains the sweeps", consequence="The arm is not identified",
+            "no arm explains the sweeps",
+            consequence="The arm is not identified",
             cure="Sweep again, slower and over longer arcs",
-        )  # fmt: skip
+        )
     return replace(best, alternatives=tuple(one for one in tried if _rivals(one, best)))
 
 

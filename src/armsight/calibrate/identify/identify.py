@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -140,11 +140,18 @@ def _at_once(
 
     covariance, doubtful = _with_rivals(whole, table, propagate_covariance(entries, p, covariance), base)
     notes += doubtful
-    predicted = model.predict(p, seen.sweeps.q)[0]
-    seen = seen.at(seen.sigma * float(np.sqrt(widen)))
-    result = _finish(
-        seen, found, axes, beacon, table, covariance, (first, tool), predicted, notes, name, "ml", whole.dropped
+    placed_frames = _PlacedFrames(
+        axes=axes,
+        beacon=beacon,
+        table=table,
+        first=first,
+        tool=tool,
+        covariance=covariance,
+        predicted=model.predict(p, seen.sweeps.q)[0],
+        dropped=whole.dropped,
     )
+    seen = seen.at(seen.sigma * float(np.sqrt(widen)))
+    result = _finish(seen, found, placed_frames, notes, name)
     kept = seen.take(whole.rows)
     _, slopes = kept.residuals(*model.predict(p, kept.sweeps.q))
     A = slopes.reshape(-1, len(p))
@@ -196,7 +203,10 @@ def _joint_by_joint(
     predicted = sweeps.xyz_m.copy()
     for item in found:
         predicted[item.main] = item.path.nearest(sweeps.xyz_m[item.main])
-    result = _finish(seen, found, axes, beacon, table, covariance, (first, tool), predicted, notes, name, "ml", [])
+    placed_frames = _PlacedFrames(
+        axes=axes, beacon=beacon, table=table, first=first, tool=tool, covariance=covariance, predicted=predicted
+    )
+    result = _finish(seen, found, placed_frames, notes, name)
     joints = tuple(
         replace(joint, lower=joint.lower - rest, upper=joint.upper - rest)
         for joint, rest in zip(result.arm.joints, home.tolist(), strict=True)
@@ -274,50 +284,78 @@ def _from_paper(
     X = np.tile(beacon, (len(sweeps), 1))
     for axis, q in zip(axes[::-1], sweeps.q.T[::-1], strict=True):
         X = moved_by(axis, q, X)
-    return _finish(seen, found, axes, beacon, table, None, (first, tool), X, notes, name, "paper", [])
+    placed_frames = _PlacedFrames(axes=axes, beacon=beacon, table=table, first=first, tool=tool, predicted=X)
+    return _finish(seen, found, placed_frames, notes, name, "paper")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _PlacedFrames:
+    """The frames placed on the axes: table (n, 5), first (4, 4) in rig axes, tool (4, 4), the beacon (3,) at zero.
+
+    covariance (5 n, 5 n): of the table's entries, None where the method gives none. predicted (m, 3): the beacon at
+    each reading. dropped: readings that the whole arm's fit left out, with why.
+    """
+
+    axes: Sequence[Axis]
+    beacon: Array
+    table: Array
+    first: Array
+    tool: Array
+    predicted: Array
+    covariance: Array | None = None
+    dropped: Sequence[tuple[int, str]] = ()
 
 
 def _finish(
     seen: SweepResiduals,
     found: Sequence[JointPath],
-    axes: Sequence[Axis],
-    beacon: Array,
-    table: Array,
-    covariance: Array | None,
-    ends: tuple[Array, Array],
-    predicted: Array,
+    frames: _PlacedFrames,
     notes: list[str],
     name: str,
-    method: str,
-    dropped: Sequence[tuple[int, str]],
+    method: str = "ml",
 ) -> Identification:
-    sweeps = seen.sweeps
-    cases, known = (
-        ([], np.full(table.shape, np.nan))
-        if covariance is None
-        else degeneracy_notes(axes, table, deviations(covariance))
-    )
+    """Return the arm with its deviations, and what each joint's readings say of it."""
+    sweeps, covariance = seen.sweeps, frames.covariance
     travel = np.array([[sweeps.q[sweeps.rows(j), j].min(), sweeps.q[sweeps.rows(j), j].max()] for j in range(sweeps.n)])
-    arm = arm_of(name, axes, table, ends[0], ends[1], travel)
+    arm = arm_of(name, frames.axes, frames.table, frames.first, frames.tool, travel)
+    cases: list[str] = []
+    std = np.full(frames.table.shape, np.nan)
     if covariance is not None:
-        arm = replace(arm, covariance=measured_entries(covariance, known))
+        cases, std = degeneracy_notes(frames.axes, frames.table, deviations(covariance))
+        arm = replace(arm, covariance=measured_entries(covariance, std))
+    return Identification(
+        arm=arm,
+        joints=_joints_found(seen, found, frames, std, travel),
+        method=method,
+        notes=(*notes, *cases),
+        sigma=seen.sigma,
+        predicted_m=frames.predicted,
+        beacon_m=frames.beacon,
+    )
+
+
+def _joints_found(
+    seen: SweepResiduals, found: Sequence[JointPath], frames: _PlacedFrames, std: Array, travel: Array
+) -> tuple[JointFound, ...]:
+    """Return what each joint's readings say of it; std (n, 5) of its entries, travel (n, 2) in its sweep."""
+    sweeps = seen.sweeps
     pixels = None
     if seen.rig is not None:
-        r, _ = seen.residuals(predicted, np.zeros((len(sweeps), 3, 1)))
+        r, _ = seen.residuals(frames.predicted, np.zeros((len(sweeps), 3, 1)))
         pixels = r * seen.sigma
     joints = []
     for j, item in enumerate(found):
-        more = tuple((row, why) for row, why in dropped if row in item.rows)
+        more = tuple((row, why) for row, why in frames.dropped if row in item.rows)
         rows = np.setdiff1d(item.rows, [row for row, _ in more])
-        off = np.linalg.norm(predicted[rows] - sweeps.xyz_m[rows], axis=1)
+        off = np.linalg.norm(frames.predicted[rows] - sweeps.xyz_m[rows], axis=1)
         joints.append(
             JointFound(
-                axis=axes[j],
+                axis=frames.axes[j],
                 measured=measured(item, sweeps),
                 radius_m=item.path.radius_m,
                 p_line=item.p_line,
                 decided=item.decided,
-                std=dict(zip(KEYS, known[j].tolist(), strict=True)),
+                std=dict(zip(KEYS, std[j].tolist(), strict=True)),
                 travel=(float(travel[j, 0]), float(travel[j, 1])),
                 rows=rows,
                 discarded=(*item.discarded, *more),
@@ -325,7 +363,4 @@ def _finish(
                 residual_rms_px=None if pixels is None else float(np.sqrt(np.mean(pixels[rows] ** 2))),
             )
         )
-    return Identification(
-        arm=arm, joints=tuple(joints), method=method, notes=(*notes, *cases), sigma=seen.sigma,
-        predicted_m=predicted, beacon_m=beacon,
-    )  # fmt: skip
+    return tuple(joints)

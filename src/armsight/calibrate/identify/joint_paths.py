@@ -61,8 +61,9 @@ def find_paths(seen: SweepResiduals, sigma: float | None) -> tuple[list[JointPat
         if not known:
             raise NotEnoughData(
                 "three readings of every joint leave nothing to find the noise by",
-                consequence="No standard deviations can be given", cure="Give the noise (sigma), or take more readings",
-            )  # fmt: skip
+                consequence="No standard deviations can be given",
+                cure="Give the noise (sigma), or take more readings",
+            )
         seen = seen.at(seen.sigma * max(float(np.median(known)), 1e-9))
     each = [_one_path(seen, j, rows, start) for (j, rows), start in zip(parts, near, strict=True)]
     if sigma is None:  # once more with the noise of the shapes that were chosen

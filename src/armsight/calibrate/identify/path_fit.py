@@ -85,9 +85,14 @@ def fit_line(seen: SweepResiduals, order: Array, *, coarse: bool = False) -> Pat
         return _evaluation(seen, X, J, Jt)
 
     problem = Problem(
-        names=LINE, guess=np.zeros(4), evaluate=evaluate, n_residuals=seen.rows * len(xyz), local_names=("t_m",),
-        local_guess=((xyz - middle) @ direction)[:, None], loss=_loss(seen),
-    )  # fmt: skip
+        names=LINE,
+        guess=np.zeros(4),
+        evaluate=evaluate,
+        n_residuals=seen.rows * len(xyz),
+        local_names=("t_m",),
+        local_guess=((xyz - middle) @ direction)[:, None],
+        loss=_loss(seen),
+    )
     fit = solve(problem, COARSE if coarse else ROUGH)
     d, _ = tilt.direction(fit.shared[2:])
     point, t = middle + tilt.B[:, :2] @ fit.shared[:2], fit.local[:, 0]
@@ -202,9 +207,14 @@ def _circle_from(
         return _evaluation(seen, X, J, Js)
 
     problem = Problem(
-        names=ARC, guess=np.array([0.0, 0.0, 0.0, 0.0, *(-tilt.B[:, :2].T @ point / radius**2)]), evaluate=evaluate,
-        n_residuals=seen.rows * len(xyz), local_names=("s_m",), local_guess=radius * phi[:, None], loss=_loss(seen),
-    )  # fmt: skip
+        names=ARC,
+        guess=np.array([0.0, 0.0, 0.0, 0.0, *(-tilt.B[:, :2].T @ point / radius**2)]),
+        evaluate=evaluate,
+        n_residuals=seen.rows * len(xyz),
+        local_names=("s_m",),
+        local_guess=radius * phi[:, None],
+        loss=_loss(seen),
+    )
     fit = solve(problem, settings)
     centre, axis, radius, D = circle_of(tilt, middle, fit.shared)
     phase = np.unwrap(fit.local[index, 0] / radius)
@@ -236,14 +246,29 @@ def _evaluation(seen: SweepResiduals, X: Array, J: Array, Jt: Array) -> Evaluati
 
 
 def _path(
-    kind: str, fit: Fit, point: Array, direction: Array, radius: float, phase: Array, names: tuple[str, ...],
+    kind: str,
+    fit: Fit,
+    point: Array,
+    direction: Array,
+    radius: float,
+    phase: Array,
+    names: tuple[str, ...],
     covariance: NamedCovariance | None,
-) -> PathFit:  # fmt: skip
+) -> PathFit:
     r = fit.residuals
     return PathFit(
-        kind=kind, point_m=point, direction=direction, radius_m=radius, phase=phase, chi2=float((r**2).sum()),
-        dof=r.size - len(names) - len(r), residual=r, cost=fit.cost, names=names, covariance=covariance,
-    )  # fmt: skip
+        kind=kind,
+        point_m=point,
+        direction=direction,
+        radius_m=radius,
+        phase=phase,
+        chi2=float((r**2).sum()),
+        dof=r.size - len(names) - len(r),
+        residual=r,
+        cost=fit.cost,
+        names=names,
+        covariance=covariance,
+    )
 
 
 def _sense(t: Array, order: Array) -> float:

@@ -14,13 +14,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armsight.calibrate.identify.chain import Axis, ChainModel
-from armsight.calibrate.identify.kernels import see_many
-from armsight.calibrate.identify.result import Identification
+from armsight.calibrate.identify.rough_arm import RoughArm, View, pixel_slopes, prior_information
 from armsight.calibrate.identify.table import KEYS, degeneracy_notes, deviations, place_frames, propagate_covariance
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData, UsageError
 from armsight.geometry.lie import skew
-from armsight.kinematics import Arm, JointType, link_frames
 from armsight.optics import PackedRig, Rig
 from armsight.records import frozen_array
 
@@ -28,38 +25,14 @@ Array = NDArray[np.float64]
 
 PROBE_SHARE = 0.05
 """Share of a joint's travel that a probe moves it: small beside what a free working place allows."""
-PRIOR_RAD, PRIOR_M = 1.0, 3.0
-"""Deviations before any reading: an axis may point anywhere, within metres. Keeps every information invertible."""
-SURE = 3.0
-"""Deviations by which the beacon must be inside both images for a pose to count as seen."""
-MARGIN_PX = 10.0
-"""A spot nearer to the border may be cut off."""
-RESTS, GRID, ROUNDS, WAY = 150, 41, 4, 9
-"""Rest poses tried a joint, values of its range, rounds of exchange, poses looked at on each way."""
+RESTS, GRID, ROUNDS = 150, 41, 4
+"""Rest poses tried a joint, values of its range, rounds of exchange."""
 SEED = 1
 POOR_M, POOR_RAD = 0.005, np.deg2rad(1.0)
 """Expected deviations beyond these are named: an arm known worse is of no use to a controller."""
 
 NEARLY_PARALLEL = 0.1
 """Sine between axes below which an offset along them is told ten times worse than a distance, and more."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RoughArm:
-    """An arm as far as it is known: axes and beacon in rig axes, all joints at zero; noise of a reading in px.
-
-    covariance (P, P): of ChainModel's parameters, None where the arm is taken as known.
-    """
-
-    axes: tuple[Axis, ...]
-    beacon_m: Array
-    sigma_px: float
-    covariance: Array | None = None
-
-    @property
-    def model(self) -> ChainModel:
-        """The arm as a model about itself."""
-        return ChainModel(axes=self.axes, beacon_m=self.beacon_m)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -125,26 +98,6 @@ def probe(limits: Array, start: Array, joint: int, *, share: float = PROBE_SHARE
     return q
 
 
-def rough_arm(found: Identification, q: Array, rig: Rig) -> RoughArm:
-    """Return the arm that readings at q (m, n) identified, with the covariance that they leave."""
-    axes = tuple(joint.axis for joint in found.joints)
-    arm = RoughArm(axes=axes, beacon_m=found.beacon_m, sigma_px=found.sigma)
-    G = _slopes(arm.model, PackedRig.of(rig), q)[1] / found.sigma
-    G = G[np.isfinite(G).all(axis=(1, 2))]
-    information = np.einsum("mia,mib->ab", G, G) + _prior(arm.model)
-    return RoughArm(axes=axes, beacon_m=found.beacon_m, sigma_px=found.sigma, covariance=np.linalg.inv(information))
-
-
-def known_arm(arm: Arm, T_rig_world: Array, sigma_px: float) -> RoughArm:
-    """Return a modelled arm, its tool's origin the beacon, as a rig at T_rig_world (4, 4) sees it."""
-    frames = T_rig_world @ link_frames(arm, np.zeros(arm.n))
-    axes = tuple(
-        Axis(point_m=T[:3, 3].copy(), direction=joint.sign * T[:3, 2], revolute=joint.type is JointType.REVOLUTE)
-        for joint, T in zip(arm.joints, frames, strict=False)
-    )
-    return RoughArm(axes=axes, beacon_m=frames[-1, :3, 3].copy(), sigma_px=sigma_px)
-
-
 def propose_sweeps(
     arm: RoughArm, rig: Rig, limits: ArrayLike, start: ArrayLike, *, readings: int = 10, base: Array | None = None
 ) -> Plan:
@@ -166,7 +119,7 @@ def propose_sweeps(
         )
     rng = np.random.default_rng(SEED)
     candidates = [_candidates(view, low_high, q0, j, readings, rng) for j in range(len(q0))]
-    chosen = _exchange(candidates, _prior(arm.model))
+    chosen = _exchange(candidates, prior_information(arm.model))
     sweeps = _ordered(view, [found[k] for found, k in zip(candidates, chosen, strict=True)], q0)
     expected, notes = expected_deviations(arm, rig, np.concatenate([sweep.q for sweep in sweeps]), base)
     return Plan(
@@ -179,8 +132,8 @@ def expected_deviations(
 ) -> tuple[tuple[dict[str, float], ...], list[str]]:
     """Return the deviations that readings at q (m, n) will leave of each joint's entries, and notes on odd cases."""
     model, frame = arm.model, np.eye(4) if base is None else base
-    G = _slopes(model, PackedRig.of(rig), q)[1] / arm.sigma_px
-    covariance = np.linalg.inv(np.einsum("mia,mib->ab", G, G) + _prior(model))
+    G = pixel_slopes(model, PackedRig.of(rig), q)[1] / arm.sigma_px
+    covariance = np.linalg.inv(np.einsum("mia,mib->ab", G, G) + prior_information(model))
     at = np.zeros(len(covariance))
     if arm.covariance is None:  # a model may say exactly parallel; what will be found is off that by its deviations
         at = np.linalg.cholesky(covariance) @ np.random.default_rng(SEED).normal(size=len(at))
@@ -202,57 +155,6 @@ class Candidate(NamedTuple):
     q: Array
     ends: tuple[str, str]
     information: Array
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class View:
-    """Where both cameras see a roughly known arm's beacon."""
-
-    arm: RoughArm
-    rig: PackedRig
-    sizes: Array
-
-    def seen(self, q: Array) -> NDArray[np.bool_]:
-        """Return for poses (m, n) whether the beacon is surely in both images: by SURE deviations of what is known."""
-        uv, G = _slopes(self.arm.model, self.rig, q)
-        spread = np.zeros(uv.shape)
-        if self.arm.covariance is not None:
-            C = self.arm.covariance
-            spread = np.sqrt(np.maximum(np.einsum("mia,ab,mib->mi", G, C, G, optimize=True), 0.0)).reshape(uv.shape)
-        edge = SURE * spread + MARGIN_PX
-        with np.errstate(invalid="ignore"):
-            inside = (uv > edge) & (uv < self.sizes - 1.0 - edge)
-        return np.asarray(inside.all(axis=(1, 2)))
-
-    def way(self, a: Array, b: Array) -> Array | None:
-        """Return poses (k, n) from a to b, each a move of one joint, all in view; None where none of two orders is."""
-        moved = np.flatnonzero(a != b)
-        if not len(moved):
-            return np.empty((0, len(a)))
-        for order in (moved, moved[::-1]):
-            poses, at = [], a.copy()
-            for j in order:
-                at = at.copy()
-                at[j] = b[j]
-                poses.append(at)
-            corners = np.array([a, *poses])
-            between = np.linspace(0.0, 1.0, WAY)[1:, None, None]
-            if self.seen((corners[:-1] + between * np.diff(corners, axis=0)).reshape(-1, len(a))).all():
-                return np.array(poses)
-        return None
-
-
-def _slopes(model: ChainModel, rig: PackedRig, q: Array) -> tuple[Array, Array]:
-    """Return pixels (m, 2, 2) of the beacon at q (m, n), and their derivatives (m, 4, P); NaN behind a camera."""
-    X, J = model.predict(np.zeros(len(model.names)), q)
-    uv, D = np.empty((len(q), 2, 2)), np.empty((len(q), 2, 2, 3))
-    see_many(rig.k, rig.R, rig.t, X, uv, D)
-    return uv, D.reshape(len(q), 4, 3) @ J
-
-
-def _prior(model: ChainModel) -> Array:
-    """Return the information (P, P) there is before any reading."""
-    return np.diag([(PRIOR_RAD if "tilt" in name else PRIOR_M) ** -2.0 for name in model.names])
 
 
 def _sizes(rig: Rig) -> Array:
@@ -277,7 +179,7 @@ def _candidates(
         poses[:, joint] = np.linspace(values[first], values[last], readings)
         if view.way(start, poses[0]) is None and view.way(start, poses[-1]) is None:
             continue
-        G = _slopes(view.arm.model, view.rig, poses)[1] / view.arm.sigma_px
+        G = pixel_slopes(view.arm.model, view.rig, poses)[1] / view.arm.sigma_px
         ends = ("limit" if first == 0 else "view", "limit" if last == GRID - 1 else "view")
         out.append(Candidate(joint, poses, ends, np.einsum("mia,mib->ab", G, G)))
     if not out:
@@ -323,8 +225,8 @@ def _ordered(view: View, chosen: Sequence[Candidate], start: Array) -> list[Plan
     left, at, begun, out = list(chosen), start, start, []
     travel = np.maximum(np.ptp(np.concatenate([one.q for one in chosen]), axis=0), 1e-9)
     while left:
-        turns = [(float(np.abs((q[0] - at) / travel).sum()), i, q) for i, one in enumerate(left)
-                 for q in (one.q, one.q[::-1])]  # fmt: skip
+        both_ways = [(i, q) for i, one in enumerate(left) for q in (one.q, one.q[::-1])]
+        turns = [(float(np.abs((q[0] - at) / travel).sum()), i, q) for i, q in both_ways]
         turns.sort(key=lambda turn: turn[0])
         found = next(((i, q, way) for _, i, q in turns if (way := view.way(at, q[0])) is not None), None)
         if found is None:
@@ -349,9 +251,10 @@ def _home(view: View, at: Array, begun: Array, start: Array) -> Array:
     back = view.way(begun, start)
     if back is None:
         raise Degenerate(
-            "the sweeps cannot be joined with the beacon in view", consequence="No sweep is proposed",
+            "the sweeps cannot be joined with the beacon in view",
+            consequence="No sweep is proposed",
             cure="Narrow the limits",
-        )  # fmt: skip
+        )
     return np.vstack([begun, back])
 
 
@@ -366,8 +269,7 @@ def _radius(arm: RoughArm, joint: int, q: Array) -> float:
 
 def _poor(expected: Sequence[dict[str, float]], sweeps: Sequence[PlannedSweep], arm: RoughArm) -> list[str]:
     """Return a note on every entry that will be known badly, with the sweep that is to blame."""
-    reach = {sweep.joint: (min(sweep.span, 1.0) * sweep.radius_m if arm.axes[sweep.joint].revolute else sweep.span)
-             for sweep in sweeps}  # fmt: skip
+    reach = {sweep.joint: _reach(sweep, arm) for sweep in sweeps}
     by_joint = {sweep.joint: sweep for sweep in sweeps}
     notes = []
     for i, entries in enumerate(expected):
@@ -380,6 +282,11 @@ def _poor(expected: Sequence[dict[str, float]], sweeps: Sequence[PlannedSweep], 
             why = (_parallel_said(i, arm) if key == "d_m" else "") or _sweep_said(weak, arm)
             notes.append(f"joint {i + 1}, {key}: only to {shown} is to be expected; {why}")
     return notes
+
+
+def _reach(sweep: PlannedSweep, arm: RoughArm) -> float:
+    """Return how far a sweep carries the beacon, in m: of a turn the chord, as far as it grows with the angle."""
+    return min(sweep.span, 1.0) * sweep.radius_m if arm.axes[sweep.joint].revolute else sweep.span
 
 
 def _parallel_said(joint: int, arm: RoughArm) -> str:

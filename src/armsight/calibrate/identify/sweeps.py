@@ -79,9 +79,10 @@ def placed(sweeps: Sweeps, rig: Rig, sigma_px: float) -> Sweeps:
     """Return the sweeps with places and covariances triangulated from their pixels; Inconsistent without pixels."""
     if sweeps.uv_px is None:
         raise Inconsistent(
-            "the sweep has no pixel columns", consequence="The rig cannot be used",
+            "the sweep has no pixel columns",
+            consequence="The rig cannot be used",
             cure="Give left_u_px, left_v_px, right_u_px, right_v_px, or leave the rig out",
-        )  # fmt: skip
+        )
     noise = np.tile(sigma_px**2 * np.eye(2), (len(sweeps), 1, 1))
     found = triangulate(rig, sweeps.uv_px[:, 0], sweeps.uv_px[:, 1], noise, noise)
     return Sweeps(

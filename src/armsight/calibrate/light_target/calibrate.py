@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,14 +66,15 @@ def calibrate_target(
     where a symmetric arrangement leaves the names open, Inconsistent where the frames share no rigid shape.
     """
     require_lights(lights)
-    named, numbers, rejected = _name(rig, frames, lights, overlaid)
+    labelled = _name(rig, frames, lights, overlaid)
+    named, numbers = labelled.named, labelled.numbers
     flat = on_one_line(named)
-    keep = np.ones(len(numbers), bool) if flat else _clear(named, numbers, rejected)
+    keep = np.ones(len(numbers), bool) if flat else _clear(labelled)
     seen = _observations(frames, numbers, named)
     order = _order(named, seen, keep, flat)
     layout = line_layout(lights) if flat else plane_layout(lights)
     seen = LightObservations(uv_px=seen.uv_px[:, order], cov_px2=seen.cov_px2[:, order])
-    bundle, used = _fit(rig, layout, seen, named, order, keep, numbers, rejected, overlaid)
+    bundle, used = _fit(rig, layout, seen, labelled, order, keep)
     require_rigid(bundle, _epipolar(rig, seen.take(used)), lights, int(used.sum()))
     covariance = _covariance(layout, bundle)
     X, names = layout.spots(bundle.values), tuple(LETTERS[:lights])
@@ -85,7 +87,7 @@ def calibrate_target(
             covariance=NamedCovariance(names=tuple(f"{n}.{a}_m" for n in names for a in "xyz"), matrix=covariance),
             n_frames=len(frames),
             used=tuple(frames[i].name for i in numbers[used]),
-            rejected=tuple((frames[i].name, why) for i, why in sorted(rejected)),
+            rejected=tuple((frames[i].name, why) for i, why in sorted(labelled.rejected)),
             residual_px=bundle.residual_px,
             left_out_px=bundle.left_out_px,
             scale=float(np.sqrt(bundle.scale2)),
@@ -95,10 +97,21 @@ def calibrate_target(
     )
 
 
-def _name(
-    rig: Rig, frames: Sequence[LitFrame], lights: int, overlaid: bool
-) -> tuple[Named, NDArray[np.intp], Rejected]:
-    """Return the shape that the frames share with their lights named by it, the frames' numbers, and the others."""
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _LabelledFrames:
+    """The shape that frames share with their lights named by it, and the frames' numbers (n,).
+
+    rejected: number of each other frame, and why; grows while more are left out. overlaid: as in calibrate_target.
+    """
+
+    named: Named
+    numbers: NDArray[np.intp]
+    rejected: Rejected
+    overlaid: bool
+
+
+def _name(rig: Rig, frames: Sequence[LitFrame], lights: int, overlaid: bool) -> _LabelledFrames:
+    """Return the frames that share one shape, with their lights named."""
     sights, rejected = sights_of(rig, frames, lights)
     if len(sights) < MIN_FRAMES:
         raise few_frames(len(sights), len(frames), lights, rejected, overlaid=overlaid)
@@ -109,11 +122,13 @@ def _name(
     ]
     if len(named.number) < max(MIN_FRAMES, LEAST_SHARE * len(sights)):
         raise not_rigid(len(named.number), len(sights), named, overlaid=overlaid)
-    return named, np.array([sights[s].frame for s in named.number], dtype=np.intp), rejected
+    numbers = np.array([sights[s].frame for s in named.number], dtype=np.intp)
+    return _LabelledFrames(named=named, numbers=numbers, rejected=rejected, overlaid=overlaid)
 
 
-def _clear(named: Named, numbers: NDArray[np.intp], rejected: Rejected) -> Flags:
+def _clear(labelled: _LabelledFrames) -> Flags:
     """Return the frames whose lights can be named, and say of the others why not."""
+    named = labelled.named
     told, other = told_apart(named)
     require_names(named, told, other)
     require_side(named)
@@ -125,7 +140,7 @@ def _clear(named: Named, numbers: NDArray[np.intp], rejected: Rejected) -> Flags
             if reversed_[i]
             else "its lights cannot be told apart from this side"
         )
-        rejected.append((int(numbers[i]), why))
+        labelled.rejected.append((int(labelled.numbers[i]), why))
     return np.asarray(told & ~reversed_)
 
 
@@ -159,14 +174,12 @@ def _fit(
     rig: Rig,
     layout: Layout,
     seen: LightObservations,
-    named: Named,
+    labelled: _LabelledFrames,
     order: NDArray[np.intp],
     keep: Flags,
-    numbers: NDArray[np.intp],
-    rejected: Rejected,
-    overlaid: bool,
 ) -> tuple[LightBundle, Flags]:
     """Return the bundle of the frames that agree, and which these are; the worst are left out one after the other."""
+    named = labelled.named
     X = named.X[order]
     axes, origin = (line_frame if layout.on_line else plane_frame)(X)
     own = (X - origin) @ axes
@@ -176,7 +189,7 @@ def _fit(
     total = int(used.sum())
     for _ in range(total):
         if used.sum() < MIN_FRAMES or used.sum() < LEAST_SHARE * total:
-            raise not_rigid(int(used.sum()), total, named, overlaid=overlaid)
+            raise not_rigid(int(used.sum()), total, named, overlaid=labelled.overlaid)
         bundle = fit_bundle(rig, layout, seen.take(used), values, R[used], t[used])
         dof = 4 * n - (5 if layout.on_line else 6)
         middle = max(float(np.median(bundle.frame_chi2)) / float(chi2_law.median(dof)), 1.0)
@@ -186,7 +199,8 @@ def _fit(
             break
         number = int(np.flatnonzero(used)[worst])
         rms = float(np.sqrt(np.mean(bundle.residual_px[worst] ** 2)))
-        rejected.append((int(numbers[number]), f"residuals of {rms:.2g} px: a reflection, a wrong pair or a blur"))
+        why = f"residuals of {rms:.2g} px: a reflection, a wrong pair or a blur"
+        labelled.rejected.append((int(labelled.numbers[number]), why))
         used[number] = False
     return bundle, used
 

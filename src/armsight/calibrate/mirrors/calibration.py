@@ -134,23 +134,7 @@ def _calibrated(
     free, rejected, advice = fit_pairs(left, right, board, options, progress)
     _refuse_swapped(free)
     seen, seen_std = _thickness(free, index, options)
-    if thickness_m is None and seen > THICKEST_M:
-        raise Inconsistent(
-            f"the two views would need a glass plate {1e3 * seen:.0f} mm thick between them",
-            consequence="Nothing was calibrated: these are not the two views of one camera through four mirrors",
-            cure="Check that the images are complex ones of this rig, and the board's squares; or give --plate-mm",
-        )
-    used = seen if thickness_m is None else thickness_m
-    notes = []
-    if thickness_m is None and seen < SEEN * seen_std:
-        used = 0.0
-        notes.append(
-            f"the views do not show a glass plate ({1e3 * seen:.2f} +- {1e3 * seen_std:.2f} mm): none is taken"
-        )
-    elif thickness_m is not None and abs(seen - thickness_m) > AT_ODDS * seen_std:
-        notes.append(
-            f"the plate looks {1e3 * seen:.2f} +- {1e3 * seen_std:.2f} mm thick, {1e3 * thickness_m:g} mm was given"
-        )
+    used, notes = _plate_used(seen, seen_std, thickness_m)
     plate = Plate(thickness_m=used, index=index) if used > 0.0 else None
     tied = _refit(free, plate, options)
     one_lens = _as_good(tied, free)
@@ -161,9 +145,34 @@ def _calibrated(
     pair = judged(chosen, options, n_pairs=len(left), rejected=rejected, advice=[*advice, *notes])
     rig = replace(pair.rig, kind=RigKind.MIRROR, left=replace(pair.rig.left, plate=plate))
     return MirrorCalibration(
-        rig=in_frame(rig, _camera_frame(rig)), pair=pair, seen_m=seen, seen_std_m=seen_std, one_lens=one_lens,
+        rig=in_frame(rig, _camera_frame(rig)),
+        pair=pair,
+        seen_m=seen,
+        seen_std_m=seen_std,
+        one_lens=one_lens,
         advice=pair.advice,
-    )  # fmt: skip
+    )
+
+
+def _plate_used(seen: float, seen_std: float, thickness_m: float | None) -> tuple[float, list[str]]:
+    """Return the thickness of the plate to take, given or seen (m, with its deviation), and what is to be said of it.
+
+    Raises Inconsistent where none is given and the views would need one that is in no rig.
+    """
+    if thickness_m is None and seen > THICKEST_M:
+        raise Inconsistent(
+            f"the two views would need a glass plate {1e3 * seen:.0f} mm thick between them",
+            consequence="Nothing was calibrated: these are not the two views of one camera through four mirrors",
+            cure="Check that the images are complex ones of this rig, and the board's squares; or give --plate-mm",
+        )
+    looks = f"{1e3 * seen:.2f} +- {1e3 * seen_std:.2f} mm"
+    if thickness_m is None:
+        if seen < SEEN * seen_std:
+            return 0.0, [f"the views do not show a glass plate ({looks}): none is taken"]
+        return seen, []
+    if abs(seen - thickness_m) > AT_ODDS * seen_std:
+        return thickness_m, [f"the plate looks {looks} thick, {1e3 * thickness_m:g} mm was given"]
+    return thickness_m, []
 
 
 def without_plate(observations: Observations, state: Bundle, plate: Plate) -> Observations:

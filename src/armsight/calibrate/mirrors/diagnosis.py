@@ -119,9 +119,14 @@ def check_alignment(
         found = [_suspect(design, mirror, change, W) for mirror in range(MIRRORS)]
         suspects = tuple(sorted(found, key=lambda one: one.chi2))
     return Alignment(
-        now=parallelism(now), rig=now, change=change, std=np.sqrt(np.diag(C)), chi2=chi2, suspects=suspects,
+        now=parallelism(now),
+        rig=now,
+        change=change,
+        std=np.sqrt(np.diag(C)),
+        chi2=chi2,
+        suspects=suspects,
         n_views=len(left),
-    )  # fmt: skip
+    )
 
 
 def mirrors_from_target(
@@ -135,8 +140,9 @@ def mirrors_from_target(
     if len(views) < LEAST_LIT:
         raise NotEnoughData(
             f"the target is seen in {len(views)} images, {LEAST_LIT} are needed",
-            consequence="Nothing was calibrated", cure="Turn the target, and show it near and far, left and right",
-        )  # fmt: skip
+            consequence="Nothing was calibrated",
+            cure="Turn the target, and show it near and far, left and right",
+        )
     observations = pack([[left for left, _ in views], [right for _, right in views]], target)
     T_target_middle = RigidTransform.from_translation(observations.middle)
     local = []

@@ -104,9 +104,8 @@ def _scale(setup: Setup, basis: Array, q: int) -> Cause:
     """Target against baseline: a larger target and a shorter baseline leave the same residuals."""
     target, baseline = _zeros(q, 1), _zeros(q, 1)
     m, p = basis.shape[0], basis.shape[2]
-    target[TARGET : TARGET + p, 0] = np.linalg.lstsq(
-        basis.reshape(3 * m, p), setup.model.xyz_m.ravel(), rcond=None
-    )[0]  # fmt: skip
+    larger, *_ = np.linalg.lstsq(basis.reshape(3 * m, p), setup.model.xyz_m.ravel(), rcond=None)
+    target[TARGET : TARGET + p, 0] = larger
     baseline[PLACE : PLACE + 3, 0] = -setup.packed.baseline
     return Cause(
         key="scale",

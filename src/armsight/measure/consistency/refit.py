@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from armsight.measure.consistency.evidence import stacked
-from armsight.measure.poses.correspondence import match_known, pair_spots
+from armsight.measure.poses.correspondence import match_known
 from armsight.measure.poses.outcome import Measured
-from armsight.measure.poses.pose import solve_pose
+from armsight.measure.poses.pairs import pair_spots
+from armsight.measure.poses.pose import NamedSpots, solve_pose
 from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.tracking import expected
 from armsight.records import PoseStatus
@@ -41,8 +42,8 @@ def refit(setup: Setup, measured: Measured) -> Measured | None:
         at_left, at_right = left.take(index[:, 0]), right.take(index[:, 1])
         uv, cov = stacked(at_left, at_right)
         X = model.xyz_m[[model.names.index(name) for name in best.names]]
-        flat = np.zeros((len(X), 2))
-        solved = solve_pose(setup.packed, t_s, best.names, X, uv, cov, flat, model.normal, limit=np.inf)
+        spots = NamedSpots(best.names, X, uv, cov, radius_m=np.zeros((len(X), 2)), normal=model.normal)
+        solved = solve_pose(setup.packed, t_s, spots, limit=np.inf)
         if solved.pose.status is PoseStatus.OK:
             return replace(measured, pose=solved.pose, left=at_left, right=at_right, names=best.names)
     return None

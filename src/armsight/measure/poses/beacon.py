@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.measure.poses.correspondence import Match, Pairs, Prediction, match_few
+from armsight.measure.poses.assignment import Match, Prediction
+from armsight.measure.poses.few_lights import match_few
+from armsight.measure.poses.pairs import Pairs
 from armsight.measure.poses.setup import Setup
 from armsight.measure.spots.colour import CUT, PAINTED
 from armsight.records import Spots

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from armsight.errors import BadImage, Inconsistent
 from armsight.measure.boards import find_board, find_two_boards
 from armsight.measure.poses.outcome import Measured
-from armsight.measure.poses.pose import lost, no_points, solve_pose
+from armsight.measure.poses.pose import NamedSpots, lost, no_points, solve_pose
 from armsight.measure.poses.setup import Setup
 from armsight.records import BoardView, Frame, PoseStatus, Spots, TargetKind
 
@@ -65,12 +65,14 @@ def _fit(setup: Setup, t_s: float, index: NDArray[np.intp], uv: Array, cov: Arra
         solved = solve_pose(
             setup.packed,
             t_s,
-            names,
-            np.ascontiguousarray(setup.target.xyz_m[index[kept]]),
-            uv[kept],
-            cov[kept],
-            _radius(setup, len(kept)),
-            setup.model.normal,
+            NamedSpots(
+                names,
+                np.ascontiguousarray(setup.target.xyz_m[index[kept]]),
+                uv[kept],
+                cov[kept],
+                _radius(setup, len(kept)),
+                setup.model.normal,
+            ),
             limit=np.inf,  # judged point by point
             slack_px=setup.slack_px,
         )

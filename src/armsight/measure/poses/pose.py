@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.measure.poses.correspondence import SLACK_PX
 from armsight.measure.poses.kernels import folds, rig_covariance
 from armsight.measure.poses.kernels import pose as kernels
+from armsight.measure.poses.pairs import SLACK_PX
 from armsight.optics import PackedRig
 from armsight.records import Points, PoseStatus, TargetPose, trusted
 
@@ -69,15 +70,25 @@ class Placed:
     systematic_m2: Array | None = None
 
 
+class NamedSpots(NamedTuple):
+    """n >= 3 lights of a target and their spots in both views; a tuple, made anew for every frame within a microsecond.
+
+    xyz_m: (n, 3) in target axes. uv_px: (n, 2, 2), cov_px2: (n, 2, 2, 2) as [spot, side]. radius_m: (n, 2) of the
+    flat light where the spot is the outline of one, else 0; normal: (3,) of the lights' plane in target axes.
+    """
+
+    names: tuple[str, ...]
+    xyz_m: Array
+    uv_px: Array
+    cov_px2: Array
+    radius_m: Array
+    normal: Array
+
+
 def solve_pose(
     packed: PackedRig,
     t_s: float,
-    names: tuple[str, ...],
-    xyz_m: Array,
-    uv_px: Array,
-    cov_px2: Array,
-    radius_m: Array,
-    normal: Array,
+    spots: NamedSpots,
     *,
     limit: float,
     slack_px: float = SLACK_PX,
@@ -85,14 +96,13 @@ def solve_pose(
 ) -> Solved:
     """Return the pose of greatest likelihood on both images from n >= 3 named spots, started by Kabsch.
 
-    xyz_m: (n, 3) in target axes. uv_px: (n, 2, 2), cov_px2: (n, 2, 2, 2) as [spot, side]. radius_m: (n, 2) of the
-    flat light where the spot is the outline of one, else 0; normal: (3,) of the lights' plane in target axes.
     limit: largest chi-square, slack included, that is believed (fit_limit).
     covariance (26 + m, 26 + m): of the rig's parameters and, m = 3 n or 0, of xyz_m; that of the rig where None.
     Status LOST, with the reason, where the spots do not fit the target; POSITION_ONLY where they fit but leave
     the rotation open. Covariances hold the spots' noise, widened where the residuals are larger (misfit_factor), and
     what rig and target bring, which is the same in every frame: systematic_covariance.
     """
+    names, xyz_m, uv_px, cov_px2, radius_m, normal = spots
     n, xyz_m = len(names), xyz_m[:]
     xyz_m.setflags(write=False)  # lights left out or not: one compilation serves both
     P, S, residual = np.empty((n, 3)), np.empty((n, 3, 3)), np.zeros((n, 2, 2))
@@ -100,18 +110,10 @@ def solve_pose(
     state, wide, chi2 = kernels.solve_named(
         packed.k, packed.R, packed.t, uv_px, cov_px2, slack_px**2, xyz_m, radius_m, normal, P, S, T, C, residual
     )
-    if state in (kernels.NO_WEIGHT, kernels.NO_POINT):
-        return Solved(pose=lost(t_s, _WHY[state]), points=no_points(), fits=False)
     if state != kernels.SOLVED:
-        seen = _placed(packed, names, P, S, cov_px2, residual)
-        return Solved(pose=position_only(t_s, seen, _WHY[state]), points=seen.points, fits=state == kernels.OPEN)
+        return _unsolved(state, packed, t_s, spots, P, S, residual)
     if not wide <= limit:
-        rms = float(np.sqrt(np.mean(residual**2)))
-        why = (
-            f"the spots do not fit the target: residuals of {rms:.2f} px; "
-            "the target's measures, the calibration or the moment of the two exposures is off"
-        )
-        return Solved(pose=lost(t_s, why), points=no_points(), fits=False)
+        return Solved(pose=lost(t_s, _not_the_target(residual)), points=no_points(), fits=False)
     carried = packed.covariance if covariance is None else covariance
     systematic = None
     if carried.size:
@@ -119,17 +121,9 @@ def solve_pose(
         chi2 = rig_covariance.carry_to_pose(
             packed.k, packed.R, packed.t, cov_px2, xyz_m, T, carried, C, residual, systematic
         )
-    factor = misfit_factor(chi2, n)
-    C *= factor
-    if factor > 1.0:
-        folds.one_astray(packed.k, packed.R, packed.t, xyz_m, radius_m, normal, uv_px, cov_px2, T, chi2, C)
-    folded = 1.0
-    if folds.depth_chi2(P, S) < folds.PLAIN * factor:
-        plane = _plane(xyz_m, normal)
-        folded = folds.fold(packed.k, packed.R, packed.t, xyz_m, radius_m, normal, plane, uv_px, cov_px2, T, factor, C)
+    in_doubt = _widen(packed, spots, xyz_m, folds.depth_chi2(P, S), T, chi2, C)
     if systematic is not None:
         C += systematic
-    in_doubt = _MISFIT if factor > 1.0 else _FOLDED if folded > FOLDED else ""
     if not _certain(C, MAX_DOUBTFUL_SIGMA if in_doubt else MAX_ROTATION_SIGMA):
         seen = _placed(packed, names, P, S, cov_px2, residual)
         why = in_doubt or _WHY[kernels.OPEN]
@@ -140,10 +134,48 @@ def solve_pose(
     return _whole(t_s, trusted(Points, names=names, xyz_m=P, covariance_m2=S), T, C, residual, systematic)
 
 
+def _unsolved(
+    state: int, packed: PackedRig, t_s: float, spots: NamedSpots, P: Array, S: Array, residual: Array
+) -> Solved:
+    """Return what is left where the fit did not come to a pose: the position of the points, if there are any."""
+    if state in (kernels.NO_WEIGHT, kernels.NO_POINT):
+        return Solved(pose=lost(t_s, _WHY[state]), points=no_points(), fits=False)
+    seen = _placed(packed, spots.names, P, S, spots.cov_px2, residual)
+    return Solved(pose=position_only(t_s, seen, _WHY[state]), points=seen.points, fits=state == kernels.OPEN)
+
+
+def _not_the_target(residual: Array) -> str:
+    """Return why there is no pose with such residuals (n, 2, 2) in px."""
+    return (
+        f"the spots do not fit the target: residuals of {float(np.sqrt(np.mean(residual**2))):.2f} px; "
+        "the target's measures, the calibration or the moment of the two exposures is off"
+    )
+
+
+def _widen(
+    packed: PackedRig, spots: NamedSpots, xyz_m: Array, depth_chi2: float, T: Array, chi2: float, C: Array
+) -> str:
+    """Widen the covariance C (6, 6) of a pose T (4, 4), in place, for large residuals, and for tilts that fit as well.
+
+    xyz_m: of the spots, not writeable. depth_chi2: how surely the points by themselves tell the tilt. Returns what is
+    in doubt, or nothing.
+    """
+    _, _, uv_px, cov_px2, radius_m, normal = spots
+    factor = misfit_factor(chi2, len(xyz_m))
+    C *= factor
+    if factor > 1.0:
+        folds.one_astray(packed.k, packed.R, packed.t, xyz_m, radius_m, normal, uv_px, cov_px2, T, chi2, C)
+    folded = 1.0
+    if depth_chi2 < folds.PLAIN * factor:
+        plane = _plane(xyz_m, normal)
+        folded = folds.fold(packed.k, packed.R, packed.t, xyz_m, radius_m, normal, plane, uv_px, cov_px2, T, factor, C)
+    return _MISFIT if factor > 1.0 else _FOLDED if folded > FOLDED else ""
+
+
 def solve_frame(packed: PackedRig, t_s: float, names: tuple[str, ...], uv_px: Array, cov_px2: Array) -> Solved:
     """Return the frame of three lights A, B, C nobody has measured (Pachidis 2005, eqs. 7-8), with its covariance.
 
-    Arguments as solve_pose. The lights' own triangle is not assumed to keep its shape.
+    uv_px, cov_px2: as in NamedSpots. The lights' own triangle is not assumed to keep its shape.
     """
     seen = solve_points(packed, names, uv_px, cov_px2)
     if isinstance(seen, str):
@@ -159,7 +191,7 @@ def solve_frame(packed: PackedRig, t_s: float, names: tuple[str, ...], uv_px: Ar
 
 
 def solve_points(packed: PackedRig, names: tuple[str, ...], uv_px: Array, cov_px2: Array) -> Placed | str:
-    """Return the points by themselves, or why there are none; arguments as solve_pose."""
+    """Return the points by themselves, or why there are none; arguments as solve_frame."""
     n = len(names)
     P, S, residual = np.empty((n, 3)), np.empty((n, 3, 3)), np.zeros((n, 2, 2))
     if not kernels.triangulate_all(packed.k, packed.R, packed.t, uv_px, cov_px2, P, S):

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.measure.poses.correspondence import SLACK_PX
+from armsight.measure.poses.pairs import SLACK_PX
 from armsight.measure.poses.target_model import TargetModel
 from armsight.measure.settings import SpotSettings
 from armsight.optics import RIG_PARAMETERS, PackedRig, Rig

@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.measure.poses.correspondence import GATE
+from armsight.measure.poses.arrangements import Scope, search_arrangements
 from armsight.measure.poses.kernels import correspondence as kernels
+from armsight.measure.poses.pairs import GATE, Pairs
 from armsight.measure.poses.setup import Setup
 from armsight.measure.spots import Candidates
 from armsight.optics import SIDES
@@ -23,6 +24,7 @@ MOST_NODES = 2_000_000
 """Pairs looked at in the search; about 20 ms."""
 ROOM = 32
 """Arrangements whose lights are measured, best first."""
+SCOPE = Scope(room=ROOM, margin=np.inf, most_nodes=MOST_NODES, smaller=True)
 LIKELY = 1.5
 """Arrangements are measured at first whose coarse chi-square (slack included) is within this of the best one's; the
 others follow where these do not settle it. On ray-traced rooms the target's is 0.1-0.2."""
@@ -131,26 +133,36 @@ def likeness(setup: Setup, left: Candidates, right: Candidates, at_left: Spots, 
     return shapes * max(alike, ALL_ALIKE)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _CoarsePairs:
-    index: Index
-    uv_px: Array
-    cov_px2: Array
-    xyz_m: Array
-    cov_m2: Array
-
-
-def _paired(setup: Setup, left: Candidates, right: Candidates, at_left: Index, at_right: Index) -> _CoarsePairs:
+def _paired(setup: Setup, left: Candidates, right: Candidates, at_left: Index, at_right: Index) -> Pairs:
     """Return the pairs of coarse centres that meet in space and are alike in size and height."""
     packed, slack2 = setup.packed, setup.slack_px**2
     cov = [c.sigma_px[at, None, None] ** 2 * np.eye(2) for c, at in ((left, at_left), (right, at_right))]
-    index, uv, cov_px2, P, S, _ = kernels.candidate_pairs(
-        packed.k, packed.R, packed.t, packed.baseline, left.uv_px[at_left], cov[0], right.uv_px[at_right], cov[1],
-        slack2, GATE, setup.overlaid, kernels.MANY_PAIRS,
-    )  # fmt: skip
+    index, uv, cov_px2, P, S, behind = kernels.candidate_pairs(
+        packed.k,
+        packed.R,
+        packed.t,
+        packed.baseline,
+        left.uv_px[at_left],
+        cov[0],
+        right.uv_px[at_right],
+        cov[1],
+        slack2,
+        GATE,
+        setup.overlaid,
+        kernels.MANY_PAIRS,
+    )
     alike = _alike(left, right, at_left[index[:, 0]], at_right[index[:, 1]])
     alike &= _sized(setup, left, right, at_left[index[:, 0]], at_right[index[:, 1]], P)
-    return _CoarsePairs(index=index[alike], uv_px=uv[alike], cov_px2=cov_px2[alike], xyz_m=P[alike], cov_m2=S[alike])
+    return Pairs(
+        index=index[alike],
+        uv_px=uv[alike],
+        cov_px2=cov_px2[alike],
+        xyz_m=P[alike],
+        cov_m2=S[alike],
+        behind=behind,
+        complete=True,
+        overlaid=setup.overlaid,
+    )
 
 
 def _alike(left: Candidates, right: Candidates, i: Index, j: Index) -> NDArray[np.bool_]:
@@ -183,33 +195,27 @@ def _partners(index: Index, at_left: Index, at_right: Index) -> Shortlist:
     )
 
 
-def _arranged(setup: Setup, pairs: _CoarsePairs, at_left: Index, at_right: Index) -> Shortlist:
+def _arranged(setup: Setup, pairs: Pairs, at_left: Index, at_right: Index) -> Shortlist:
     """Return the candidates of all arrangements of three names and more that fit the target coarsely."""
     model, packed = setup.model, setup.packed
-    m = len(model)
-    rows, chi2, poses = np.empty((ROOM, m), np.intp), np.empty(ROOM), np.empty((ROOM, 3, 4))
-    found, passed, cut = kernels.search(
-        packed.k, packed.R, packed.t, model.xyz_m, model.distance_m, 0.0, model.normal,
-        np.zeros((2, max(len(at_left), len(at_right))), np.bool_), pairs.index, pairs.uv_px, pairs.cov_px2,
-        pairs.xyz_m, pairs.cov_m2, setup.slack_px**2, GATE, model.limits, np.inf, setup.overlaid, True, MOST_NODES,
-        rows, chi2, poses,
-    )  # fmt: skip
+    nothing_flat = np.zeros((2, max(len(at_left), len(at_right))), np.bool_)
+    found = search_arrangements(packed, model, pairs, nothing_flat, radius_m=0.0, slack_px=setup.slack_px, scope=SCOPE)
     at = (at_left, at_right)
-    every = _used(pairs, rows[:found], at)
-    likely = int(np.count_nonzero(chi2[:found] <= chi2[0] + LIKELY)) if found else 0
-    best = _used(pairs, rows[:likely], at)
-    why = "too many bright spots could be the target's: not all of their arrangements were looked at" if cut else ""
+    every = _used(pairs, found.rows, at)
+    likely = int(np.count_nonzero(found.chi2 <= found.chi2[0] + LIKELY)) if len(found.chi2) else 0
+    best = _used(pairs, found.rows[:likely], at)
+    cut = "too many bright spots could be the target's: not all of their arrangements were looked at"
     return Shortlist(
         bright=0,
         left=every[0],
         right=every[1],
-        first=best if found > likely else None,
-        arrangements=int(passed),
-        why=why,
+        first=best if len(found.rows) > likely else None,
+        arrangements=found.passed,
+        why=cut if found.cut else "",
     )
 
 
-def _used(pairs: _CoarsePairs, rows: Index, at: tuple[Index, Index]) -> tuple[Index, Index]:
+def _used(pairs: Pairs, rows: Index, at: tuple[Index, Index]) -> tuple[Index, Index]:
     """Return the candidates of both images that the arrangements rows (n, m) make use of."""
     index = pairs.index[np.unique(rows[rows >= 0])]
     return np.unique(at[0][index[:, 0]]), np.unique(at[1][index[:, 1]])

@@ -7,7 +7,7 @@ from math import ceil
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.measure.poses.correspondence import Prediction
+from armsight.measure.poses.assignment import Prediction
 from armsight.measure.poses.kernels import pose as kernels
 from armsight.measure.poses.outcome import Track
 from armsight.measure.poses.pose import Solved

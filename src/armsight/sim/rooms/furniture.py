@@ -125,16 +125,22 @@ class Furnisher:
         frame = tx.paint(self.rng, (0.62, 0.64, 0.65), 48)
         away = turn[:, 2]
         self._flush(xyz_m, turn, (0.0, 0.0), size_m, tx.daylight(self.rng), -0.004 * away, glow=glow, lamp=True)
-        for x, y, size in (
-            (-0.5 * w, 0.0, (0.06, h + 0.06)), (0.5 * w, 0.0, (0.06, h + 0.06)), (0.0, -0.5 * h, (w, 0.06)),
-            (0.0, 0.5 * h, (w + 0.1, 0.08)), (0.0, 0.0, (0.045, h)), (0.0, -0.2 * h, (w, 0.03)),
-        ):  # fmt: skip
+        sides = [(x, 0.0, (0.06, h + 0.06)) for x in (-0.5 * w, 0.5 * w)]
+        lintel, sill = (0.0, -0.5 * h, (w, 0.06)), (0.0, 0.5 * h, (w + 0.1, 0.08))
+        bars = [(0.0, 0.0, (0.045, h)), (0.0, -0.2 * h, (w, 0.03))]
+        for x, y, size in (*sides, lintel, sill, *bars):
             self._flush(xyz_m, turn, (x, y), size, frame, -0.02 * away)
 
     def _flush(
-        self, xyz_m: Place, turn: Array, at_m: tuple[float, float], size_m: tuple[float, float], texture: Texture,
-        lift_m: Array, **look: object,
-    ) -> None:  # fmt: skip
+        self,
+        xyz_m: Place,
+        turn: Array,
+        at_m: tuple[float, float],
+        size_m: tuple[float, float],
+        texture: Texture,
+        lift_m: Array,
+        **look: object,
+    ) -> None:
         """Add a panel at a place of another one's face."""
         x, y, z = np.asarray(xyz_m) + turn[:, 0] * at_m[0] + turn[:, 1] * at_m[1] + lift_m
         self.panel((x, y, z), turn, size_m, texture, **look)

@@ -148,9 +148,27 @@ def _add_gloss(geometry, look, lamps, k, a, b, dx, dy, dz, out):
 
 @inline_kernel
 def _radiance(
-    geometry, size, texture, density, look, place, texels, levels, light, lamps,
-    k, along, a, b, dx, dy, dz, spread, colour, fallen,
-):  # fmt: skip
+    geometry,
+    size,
+    texture,
+    density,
+    look,
+    place,
+    texels,
+    levels,
+    light,
+    lamps,
+    k,
+    along,
+    a,
+    b,
+    dx,
+    dy,
+    dz,
+    spread,
+    colour,
+    fallen,
+):
     """Fill colour (3,) with the light that leaves rectangle k at (a, b) m against a ray of the given direction."""
     length = np.sqrt(dx * dx + dy * dy + dz * dz)
     slant = max((dx * geometry[k, 9] + dy * geometry[k, 10] + dz * geometry[k, 11]) / length, 0.15)
@@ -277,14 +295,48 @@ def cast_scene(scene, R, t, rays, origins, lattice, spread, out):
                     dz = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z
                     pace = dx * forward[0] + dy * forward[1] + dz * forward[2]
                     k, along, a, b = _nearest(
-                        geometry, size, texture, density, look, texels, levels,
-                        candidates, depths, count, pace, ox, oy, oz, dx, dy, dz, False,
-                    )  # fmt: skip
+                        geometry,
+                        size,
+                        texture,
+                        density,
+                        look,
+                        texels,
+                        levels,
+                        candidates,
+                        depths,
+                        count,
+                        pace,
+                        ox,
+                        oy,
+                        oz,
+                        dx,
+                        dy,
+                        dz,
+                        False,
+                    )
                     if k >= 0:
                         _radiance(
-                            geometry, size, texture, density, look, place, texels, levels, light, lamps,
-                            k, along, a, b, dx, dy, dz, spread, colour, fallen,
-                        )  # fmt: skip
+                            geometry,
+                            size,
+                            texture,
+                            density,
+                            look,
+                            place,
+                            texels,
+                            levels,
+                            light,
+                            lamps,
+                            k,
+                            along,
+                            a,
+                            b,
+                            dx,
+                            dy,
+                            dz,
+                            spread,
+                            colour,
+                            fallen,
+                        )
                         blue, green, red, covered = blue + colour[0], green + colour[1], red + colour[2], covered + 1.0
                 out[j, i, 0], out[j, i, 1] = np.float32(blue / samples), np.float32(green / samples)
                 out[j, i, 2], out[j, i, 3] = np.float32(red / samples), np.float32(covered / samples)
@@ -298,9 +350,25 @@ def meet_scene(scene, origin, ends, out):
     for i in range(ends.shape[0]):
         dx, dy, dz = ends[i, 0] - origin[0], ends[i, 1] - origin[1], ends[i, 2] - origin[2]
         k, along, _, _ = _nearest(
-            geometry, size, texture, density, look, texels, levels,
-            everything, nothing, everything.size, 0.0, origin[0], origin[1], origin[2], dx, dy, dz, True,
-        )  # fmt: skip
+            geometry,
+            size,
+            texture,
+            density,
+            look,
+            texels,
+            levels,
+            everything,
+            nothing,
+            everything.size,
+            0.0,
+            origin[0],
+            origin[1],
+            origin[2],
+            dx,
+            dy,
+            dz,
+            True,
+        )
         out[i] = k if along < 1.0 - 1e-6 else -1
 
 
@@ -332,9 +400,25 @@ def _indirect(
         dy = p * helper[0, 1] + r * helper[1, 1] - s * normal[1]
         dz = p * helper[0, 2] + r * helper[1, 2] - s * normal[2]
         k, along, _, _ = _nearest(
-            geometry, size, texture, density, look, texels, levels,
-            everything, nothing, everything.size, 0.0, x, y, z, dx, dy, dz, True,
-        )  # fmt: skip
+            geometry,
+            size,
+            texture,
+            density,
+            look,
+            texels,
+            levels,
+            everything,
+            nothing,
+            everything.size,
+            0.0,
+            x,
+            y,
+            z,
+            dx,
+            dy,
+            dz,
+            True,
+        )
         near = min(1.0, 0.25 + along / 0.8)
         for c in range(3):
             seen = mean[k, c] if k >= 0 else 0.7
@@ -354,9 +438,25 @@ def _direct(
         if here <= 0.0 or there <= 0.0 or rr < 1e-6:
             continue
         k, along, _, _ = _nearest(
-            geometry, size, texture, density, look, texels, levels,
-            everything, nothing, everything.size, 0.0, x, y, z, dx, dy, dz, True,
-        )  # fmt: skip
+            geometry,
+            size,
+            texture,
+            density,
+            look,
+            texels,
+            levels,
+            everything,
+            nothing,
+            everything.size,
+            0.0,
+            x,
+            y,
+            z,
+            dx,
+            dy,
+            dz,
+            True,
+        )
         if along < 0.999 and k != int(emitters[s, 9]):
             continue
         for c in range(3):

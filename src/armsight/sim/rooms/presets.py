@@ -67,8 +67,14 @@ def workshop(layout: Layout, rng: Rng) -> Furnisher:
         x = mirror * (0.93 + 0.05 * n) * view
         made.pipe((x, floor - 0.5 * (floor - layout.top_m), depth - 0.07), 0.018, floor - layout.top_m, steel)
     grey = tx.paint(rng, (0.36, 0.38, 0.36))
-    made.box((-mirror * 0.15 * view, floor - 0.75, depth - 0.28), (0.5, 1.5, 0.45), grey,
-             front=tx.cabinet(rng), gloss=0.15, exponent=40.0)  # fmt: skip
+    made.box(
+        (-mirror * 0.15 * view, floor - 0.75, depth - 0.28),
+        (0.5, 1.5, 0.45),
+        grey,
+        front=tx.cabinet(rng),
+        gloss=0.15,
+        exponent=40.0,
+    )
     for n in range(4):
         made.indicator((-mirror * 0.15 * view - 0.15 + 0.1 * n, floor - 1.3, depth - 0.508))
     _tape(made, layout)

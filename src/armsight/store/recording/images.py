@@ -24,8 +24,9 @@ class ImageFormat(StrEnum):
     JPEG = "jpeg"
 
 
-PNG = (cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_SUB, cv2.IMWRITE_PNG_STRATEGY,
-       cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY)  # fmt: skip
+_PNG_FILTER = (cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_SUB)
+_PNG_STRATEGY = (cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY)
+PNG = (*_PNG_FILTER, *_PNG_STRATEGY)
 """A camera's noise leaves nothing to find for the search of repetitions: half the time of it, for the same size."""
 
 JPEG_QUALITY = 95

@@ -159,9 +159,30 @@ def _judge(k, R, t, chosen, count, X, radius, normal, ellipse, pairs, uv, W, P, 
 
 @kernel
 def search(
-    k, R, t, X, D, radius, normal, ellipse, pairs, uv, cov, P, S, slack2, gate, limits, margin, overlaid,
-    smaller, most_nodes, names, chi2s, poses
-):  # fmt: skip
+    k,
+    R,
+    t,
+    X,
+    D,
+    radius,
+    normal,
+    ellipse,
+    pairs,
+    uv,
+    cov,
+    P,
+    S,
+    slack2,
+    gate,
+    limits,
+    margin,
+    overlaid,
+    smaller,
+    most_nodes,
+    names,
+    chi2s,
+    poses,
+):
     """Fill the best hypotheses and return (how many, how many passed in all, whether the search was cut short).
 
     X (m, 3) and D (m, m): the model and its distances. ellipse (2, n): which spots of each side are outlines of

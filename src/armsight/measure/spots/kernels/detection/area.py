@@ -37,9 +37,8 @@ AS_GAUSSIAN, AS_ELLIPSE, AS_JOINT, AS_STREAK, AS_CENTROID = range(5)
 AUTO, ONLY_GAUSSIAN, ONLY_ELLIPSE = range(3)
 
 # columns of a measured spot; 2..4 and 5..7 are C_H and C_G (see round.uncertainty); S_FLOOR: variance (px^2) added
-S_U, S_V, S_CH, S_CG, S_PEAK, S_SIZE, S_MODEL, S_DOF, S_RSS, S_SIGNAL, S_FOURTH, S_SQUARE, S_B, S_OF, S_FLOOR = (
-    0, 1, 2, 5, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18,
-)  # fmt: skip
+S_U, S_V, S_CH, S_CG = 0, 1, 2, 5
+S_PEAK, S_SIZE, S_MODEL, S_DOF, S_RSS, S_SIGNAL, S_FOURTH, S_SQUARE, S_B, S_OF, S_FLOOR = range(8, 19)
 SPOT = 19
 MOST_LIGHTS = 6
 """Lights that are told apart within one bright area."""

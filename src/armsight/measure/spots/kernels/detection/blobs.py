@@ -213,9 +213,25 @@ def known(table, n, row):
 
 @kernel
 def blob_at(
-    image, flip, saturation, mask, x, y, top, radius, contrast, min_pixels, widest, stamp, labels, left, top_row, stack,
-    ring, row,
-):  # fmt: skip
+    image,
+    flip,
+    saturation,
+    mask,
+    x,
+    y,
+    top,
+    radius,
+    contrast,
+    min_pixels,
+    widest,
+    stamp,
+    labels,
+    left,
+    top_row,
+    stack,
+    ring,
+    row,
+):
     """Fill row (COLUMNS,) with the blob of the peak at (x, y); return its roundness, 0 where it is none.
 
     It is cut at half its height above the ring of the given radius; one of a pixel or two, lower. widest: how far (px)
@@ -268,9 +284,25 @@ def grow_blobs(image, flip, saturation, mask, peaks, contrast, min_pixels, max_r
             continue
         row[AREA] = 0.0
         fine = blob_at(
-            image, flip, saturation, mask, x, y, top, RING * peaks[k, 2], contrast, min_pixels, 2.0 * max_radius,
-            k + 1, labels, np.int64(0), np.int64(0), stack, ring, row,
-        )  # fmt: skip
+            image,
+            flip,
+            saturation,
+            mask,
+            x,
+            y,
+            top,
+            RING * peaks[k, 2],
+            contrast,
+            min_pixels,
+            2.0 * max_radius,
+            k + 1,
+            labels,
+            np.int64(0),
+            np.int64(0),
+            stack,
+            ring,
+            row,
+        )
         spent += int(row[AREA])
         if fine == 0.0 or max(row[X_MAX] - row[X_MIN], row[Y_MAX] - row[Y_MIN]) > 2.0 * max_radius:
             continue
@@ -341,10 +373,27 @@ def blob_near(image, flip, saturation, mask, u, v, box, contrast, min_pixels, ma
                 reach = np.int64(REACH * RING * scale) + 1
                 labels = np.zeros((2 * reach + 3, 2 * reach + 3), np.int32)
                 stack = np.empty(labels.size, np.int64)
-            if blob_at(
-                image, flip, saturation, mask, x, y, top, RING * scale, contrast, min_pixels, 2.0 * max_radius,
-                stamp, labels, x - reach - 1, y - reach - 1, stack, ring, row,
-            ) > 0.0:  # fmt: skip
+            fine = blob_at(
+                image,
+                flip,
+                saturation,
+                mask,
+                x,
+                y,
+                top,
+                RING * scale,
+                contrast,
+                min_pixels,
+                2.0 * max_radius,
+                stamp,
+                labels,
+                x - reach - 1,
+                y - reach - 1,
+                stack,
+                ring,
+                row,
+            )
+            if fine > 0.0:
                 return True
             scale *= 2
     return False

@@ -324,9 +324,18 @@ def locate_near(image, mask, options, predicted, half):
         i = nearest(table, count, u, v, box, options, w, h, margin)
         if options[O_THRESHOLD] < 0.0 and crowded_window(table, count, box):
             if blob_near(
-                image, flip, saturation, mask, u, v, box, WINDOW_CONTRAST, options[O_MIN_PIXELS],
-                options[O_MAX_RADIUS], seen[n],
-            ):  # fmt: skip
+                image,
+                flip,
+                saturation,
+                mask,
+                u,
+                v,
+                box,
+                WINDOW_CONTRAST,
+                options[O_MIN_PIXELS],
+                options[O_MAX_RADIUS],
+                seen[n],
+            ):
                 if classify(seen[n], w, h, box, options[O_MIN_PIXELS], options[O_MAX_RADIUS], margin) == BEYOND:
                     cut[n_cut, 0] = seen[n, SUM_X] / seen[n, WEIGHT]
                     cut[n_cut, 1] = seen[n, SUM_Y] / seen[n, WEIGHT]

@@ -1,0 +1,180 @@
+"""From all spots found in both views to the target's pose: name them, solve, and doubt the answer."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import inf
+
+from armsight.measure.poses.assignment import Assignment, Match, Prediction
+from armsight.measure.poses.beacon import match_beacon
+from armsight.measure.poses.board_pose import swapped
+from armsight.measure.poses.correspondence import AS_FOUND, match_known
+from armsight.measure.poses.explanations import explain, left_out_notes
+from armsight.measure.poses.few_lights import match_by_place, match_few
+from armsight.measure.poses.outcome import Measured, Track
+from armsight.measure.poses.pairs import Pairs, pair_spots
+from armsight.measure.poses.plausibility import impossible
+from armsight.measure.poses.pose import lost, no_points, position_only, solve_points
+from armsight.measure.poses.setup import Setup
+from armsight.measure.poses.shortlist import Shortlist
+from armsight.measure.poses.solving import misfit_chi2, solve_assignment, solve_spots, take_spots
+from armsight.measure.poses.tracking import expected, next_track
+from armsight.records import PoseStatus, Spots, TargetPose
+
+SWAP_RATIO = 0.1
+"""Exchanged views are believed where they bring chi-square below this share of what it is."""
+
+
+def measure_spots(setup: Setup, t_s: float, left: Spots, right: Spots, track: Track | None = None) -> Measured:
+    """Return the pose from all spots found in both views at t_s; see measure_pair."""
+    return measure_among(setup, t_s, left, right, track, None)[0]
+
+
+def measure_among(
+    setup: Setup, t_s: float, left: Spots, right: Spots, track: Track | None, among: Shortlist | None
+) -> tuple[Measured, float]:
+    """As measure_spots; among: what the spots were chosen from, where they are not all that is bright.
+
+    The number is how many other arrangements are expected to fit as well by chance.
+    """
+    pairs = pair_spots(setup.packed, left, right, setup.slack_px, overlaid=setup.overlaid)
+    match = _match(setup, left, right, pairs, expected(setup, track, t_s), among)
+    if match.best is None and match.alternatives:
+        return _ambiguous(setup, t_s, left, right, pairs, match, track), match.chance
+    picked = among is not None and among.arrangements != AS_FOUND  # for this order of the views
+    if match.best is None:
+        if track is None and not picked:
+            _refuse_swapped(setup, left, right)
+        chosen = picked or setup.settings.colour is not None
+        why = match.why if chosen and match.why else explain(setup, left, right, pairs, match.why)
+        return lost_moment(t_s, left, right, why, track), 1.0
+    index = pairs.index[match.best.pair]
+    matched = take_spots(left, index[:, 0]), take_spots(right, index[:, 1])
+    solved = solve_spots(setup, t_s, match.best.names, *matched)
+    if solved.pose.status is PoseStatus.LOST:
+        return lost_moment(t_s, left, right, solved.pose.why, track), 1.0
+    against = impossible(setup, match.best.names, solved, *matched)
+    if against:
+        return lost_moment(t_s, left, right, against, track), 1.0
+    misfit = 0.0 if setup.overlaid or picked else misfit_chi2(solved, *matched)
+    if misfit > float(setup.model.limits[min(len(matched[0]), len(setup.model))]):
+        _refuse_swapped(setup, left, right, misfit)
+    measured = Measured(
+        pose=solved.pose,
+        points=solved.points,
+        left=matched[0],
+        right=matched[1],
+        names=match.best.names,
+        left_seen=left,
+        right_seen=right,
+        track=next_track(setup, t_s, solved, left, right, track),
+        notes=left_out_notes(setup, solved, left, right),
+    )
+    return measured, match.chance
+
+
+def _match(
+    setup: Setup, left: Spots, right: Spots, pairs: Pairs, prediction: Prediction | None, among: Shortlist | None
+) -> Match:
+    """Name the spots: by the target's geometry, by their order in the image, or as far as one or two lights go."""
+    known, model = setup.target.model_known, setup.model
+    if setup.settings.colour is not None and len(model) == 1:
+        return match_beacon(setup, left, right, pairs, prediction, alone=among is None)
+    if not len(pairs.index):
+        return Match(best=None, why="" if among is None else among.nothing)
+    match = Match(best=None)
+    if known and len(model) >= 3:
+        match = match_known(
+            setup.packed,
+            model,
+            left,
+            right,
+            pairs,
+            prediction=prediction,
+            slack_px=setup.slack_px,
+            arrangements=among.arrangements if among else 0,
+        )
+    elif len(model) >= 3:
+        match = match_by_place(left, right, pairs)
+    if match.best is None and not match.alternatives and (len(model) < 3 or pairs.few):
+        few = match_few(model, pairs, known=known, prediction=prediction)
+        if (
+            among is None
+            or among.few_are_lights
+            or among.arrangements == AS_FOUND
+            or few.best is None
+            or (prediction and few.predicted)
+        ):
+            return few
+        return Match(best=None, why=f"{among.bright} bright spots, and too few lights to tell which of them they are")
+    return match
+
+
+def _poses(
+    setup: Setup, t_s: float, left: Spots, right: Spots, pairs: Pairs, others: tuple[Assignment, ...]
+) -> tuple[TargetPose, ...]:
+    return tuple(solve_assignment(setup, t_s, left, right, pairs, other).pose for other in others)
+
+
+def _ambiguous(
+    setup: Setup, t_s: float, left: Spots, right: Spots, pairs: Pairs, match: Match, track: Track | None
+) -> Measured:
+    """Return all hypotheses, and the position where they agree on the lights and differ only in the names."""
+    first = match.alternatives[0]
+    alternatives = _poses(setup, t_s, left, right, pairs, match.alternatives)
+    same = all(set(a.pair.tolist()) == set(first.pair.tolist()) for a in match.alternatives)
+    if not same:
+        return replace(lost_moment(t_s, left, right, match.why, track), alternatives=alternatives)
+    names = ("?",) * len(first.pair)
+    seen = solve_points(setup.packed, names, pairs.uv_px[first.pair], pairs.cov_px2[first.pair])
+    if isinstance(seen, str):
+        return replace(lost_moment(t_s, left, right, match.why, track), alternatives=alternatives)
+    index = pairs.index[first.pair]
+    return Measured(
+        pose=position_only(t_s, seen, match.why),
+        points=seen.points,
+        left=take_spots(left, index[:, 0]),
+        right=take_spots(right, index[:, 1]),
+        names=names,
+        left_seen=left,
+        right_seen=right,
+        track=track,
+        alternatives=alternatives,
+    )
+
+
+def lost_moment(t_s: float, left: Spots, right: Spots, why: str, track: Track | None) -> Measured:
+    """Return a lost moment; the track, as old as it is, may still help the next one."""
+    none = Spots.none()
+    return Measured(
+        pose=lost(t_s, why),
+        points=no_points(),
+        left=none,
+        right=none,
+        names=(),
+        left_seen=left,
+        right_seen=right,
+        track=track,
+    )
+
+
+def _refuse_swapped(setup: Setup, left: Spots, right: Spots, misfit: float = inf) -> None:
+    """Raise Inconsistent where the target is found with left and right exchanged, and fits better than as it is.
+
+    With parallel cameras the exchange puts all behind them. With cameras that look at one point it turns the depths
+    about that point, which a triangle survives: only the residuals tell, hence misfit.
+    """
+    if setup.overlaid or len(setup.model) < 3 or min(len(left), len(right)) < 3:
+        return  # within one image the order of the two spots says which view each is of
+    pairs = pair_spots(setup.packed, right, left, setup.slack_px)
+    match = _match(setup, right, left, pairs, None, None)
+    if match.alternatives and match.best is None and misfit == inf:
+        raise swapped()
+    if match.best is None or len(match.best.names) < 3:
+        return
+    index = pairs.index[match.best.pair]
+    matched = take_spots(right, index[:, 0]), take_spots(left, index[:, 1])
+    solved = solve_spots(setup, 0.0, match.best.names, *matched)
+    other = misfit_chi2(solved, *matched)
+    if solved.fits and solved.T is not None and (misfit == inf or other < SWAP_RATIO * misfit):
+        raise swapped()

@@ -1,0 +1,109 @@
+"""Which spot of the left view may be the same light as which of the right one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations, islice
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.measure.poses.kernels import correspondence as kernels
+from armsight.optics import PackedRig
+from armsight.records import Spots
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+SLACK_PX = 0.25
+"""What calibration, the target's measures and the shutters' skew may add to a spot's own deviation, in each
+coordinate, before a match is doubted. Real pairs calibrated with printed boards show 0.1-0.2 px. It decides what
+belongs together, not the covariance that is handed out."""
+
+GATE = 16.0
+"""Squared deviations allowed to an epipolar distance and to a distance between two lights (4 sigma)."""
+
+MOST_FREE = 12
+"""Pairs among which the ways to combine them are counted."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Pairs:
+    """Spots of both views that agree with the epipolar constraint and meet in front of both cameras.
+
+    index: (c, 2) position in the left and right spots; overlaid: both are those of one image with both views.
+    uv_px (c, 2, 2), cov_px2 (c, 2, 2, 2): [pair, side].
+    xyz_m (c, 3), cov_m2 (c, 3, 3): closed form, slack included. behind: how many met behind the cameras.
+    complete: False where there were more pairs than can be searched.
+    """
+
+    index: Index
+    uv_px: Array
+    cov_px2: Array
+    xyz_m: Array
+    cov_m2: Array
+    behind: int
+    complete: bool
+    overlaid: bool = False
+
+    def disjoint(self, i: int, j: int) -> bool:
+        """Whether two pairs use no spot twice."""
+        a, b = self.index[i], self.index[j]
+        return bool((a != b).all()) and not (self.overlaid and bool((a == b[::-1]).any()))
+
+    @property
+    def few(self) -> bool:
+        """Whether there cannot be three lights among them."""
+        if self.overlaid:
+            return not overlaid_triples(self)
+        return min(len(np.unique(self.index[:, side])) for side in range(2)) <= 2
+
+
+def pair_spots(
+    packed: PackedRig, left: Spots, right: Spots, slack_px: float = SLACK_PX, *, overlaid: bool = False
+) -> Pairs:
+    """Return the pairs of spots that could be one light: epipolar distance, whitened by the spots' covariances.
+
+    overlaid: left and right are the same spots, of one image that holds both views; which of two spots is the left
+    view's, their order tells: the other way round they would meet behind the cameras.
+    """
+    index, uv, cov, P, S, behind = kernels.candidate_pairs(
+        packed.k,
+        packed.R,
+        packed.t,
+        packed.baseline,
+        left.uv_px,
+        left.covariance_px2,
+        right.uv_px,
+        right.covariance_px2,
+        slack_px**2,
+        GATE,
+        overlaid,
+        kernels.MAX_PAIRS,
+    )
+    complete = len(index) + behind < kernels.MAX_PAIRS
+    return Pairs(
+        index=index, uv_px=uv, cov_px2=cov, xyz_m=P, cov_m2=S, behind=behind, complete=complete, overlaid=overlaid
+    )
+
+
+def overlaid_triples(pairs: Pairs) -> list[tuple[int, ...]]:
+    """Return the ways to make three pairs that use no spot twice; at most two are looked for."""
+    if len(pairs.index) > MOST_FREE:
+        return [(), ()]
+    triples = combinations(range(len(pairs.index)), 3)
+    found = (rows for rows in triples if all(pairs.disjoint(i, j) for i, j in combinations(rows, 2)))
+    return list(islice(found, 2))
+
+
+def disjoint_sets(pairs: Pairs) -> list[tuple[int, ...]]:
+    """Return the largest sets of pairs that use no spot twice; for more than a few pairs only whether all are apart."""
+    c = len(pairs.index)
+    if pairs.overlaid:
+        apart = len(np.unique(pairs.index)) == 2 * c
+    else:
+        apart = all(len(np.unique(pairs.index[:, side])) == c for side in range(2))
+    if apart or c > (MOST_FREE if pairs.overlaid else 4):
+        return [tuple(range(c))] * (1 if apart else 2)
+    two = [(i, j) for i in range(c) for j in range(i) if pairs.disjoint(i, j)]
+    return list(two) or [(i,) for i in range(c)]

@@ -1,0 +1,65 @@
+"""The source keeps its limits of size, and what is planted beyond them is seen."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+LONG = "def planted() -> int:\n" + "    x = 1\n" * 45 + "    return x\n"
+WIDE = "def planted(" + ", ".join(f"a{i}: int" for i in range(9)) + ") -> int:\n    return a0\n"
+PLANTED = {
+    "a long function": ("planted.py", LONG, "planted.py:planted: 47 lines"),
+    "many arguments": ("planted.py", WIDE, "planted.py:planted: 9 arguments"),
+    "no types": ("planted.py", "def planted(a):\n    return a\n", "planted.py:planted"),
+    "a long file": ("planted.py", "X = 1\n" * 401, "planted.py: 401"),
+    "lines kept from the formatter": ("planted.py", "X = (1,\n     2)  # fmt: skip\n", "planted.py: 1"),
+}
+
+
+@pytest.fixture(scope="module")
+def structure() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("structure", ROOT / "tools" / "structure.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def over(structure: ModuleType, root: Path, exceptions: dict[str, dict[str, str]]) -> list[str]:
+    return [text for figure in structure.figures(root, exceptions) for text in figure.unlisted()]
+
+
+def test_the_source_keeps_its_limits(structure: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+    assert structure.main([]) == 0, capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", PLANTED)
+def test_what_is_planted_beyond_a_limit_is_seen(structure: ModuleType, tmp_path: Path, name: str) -> None:
+    path, text, told = PLANTED[name]
+    (tmp_path / "clean.py").write_text('"""Nothing."""\n')
+    assert over(structure, tmp_path, {}) == []
+    (tmp_path / path).write_text(text)
+    assert any(one.startswith(told) for one in over(structure, tmp_path, {}))
+
+
+def test_kernels_are_listed_too(structure: ModuleType, tmp_path: Path) -> None:
+    (tmp_path / "kernels").mkdir()
+    (tmp_path / "kernels" / "planted.py").write_text(LONG)
+    assert over(structure, tmp_path, {}) == ["kernels/planted.py:planted: 47 lines"]
+    assert over(structure, tmp_path, {"long kernels": {"*": "compiled"}}) == []
+
+
+def test_an_exception_that_nothing_needs_is_seen(structure: ModuleType, tmp_path: Path) -> None:
+    exceptions = {"long": {"planted.py:planted": "a reason"}}
+    (tmp_path / "planted.py").write_text(LONG)
+    assert over(structure, tmp_path, exceptions) == []
+    (tmp_path / "planted.py").write_text("X = 1\n")
+    assert over(structure, tmp_path, exceptions) == ["planted.py:planted: no exception is needed any more"]

@@ -1,0 +1,99 @@
+"""What the pages show: deviations of angles, thinned curves and bands, numbers for people, JSON."""
+
+import json
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from armsight.records import PoseStatus, TargetPose
+from armsight.report.figures import MAX_PLOTTED, band, json_text, spread, thinned
+from armsight.report.html import figure_of, with_deviation
+from armsight.report.series import series_of
+
+STD = np.array([2e-5, 2e-5, 1e-4, 3e-4, 2e-4, 1e-4])
+
+
+def test_bands_of_the_angles_by_finite_differences():
+    """Deviations of rx, ry, rz from a correlated covariance of the rotation vector, against numeric derivatives."""
+    rng = np.random.default_rng(3)
+    A = 1e-3 * rng.standard_normal((6, 6))
+    covariance = A @ A.T
+    R = Rotation.from_euler("xyz", [0.4, -0.9, 2.2])
+    pose = TargetPose(
+        t_s=0.0,
+        status=PoseStatus.OK,
+        parent="rig",
+        T_parent_target=RigidTransform.from_components([0.1, 0.2, 0.3], R).as_matrix(),
+        covariance=covariance,
+    )
+    series = series_of([pose])
+    h = 1e-6
+    J = np.column_stack(
+        [
+            (
+                (Rotation.from_rotvec(h * axis) * R).as_euler("xyz")
+                - (Rotation.from_rotvec(-h * axis) * R).as_euler("xyz")
+            )
+            / (2 * h)
+            for axis in np.eye(3)
+        ]
+    )
+    want = np.sqrt(np.diag(J @ covariance[3:, 3:] @ J.T))
+    assert np.allclose(np.deg2rad(series.std[0, 3:]), want, rtol=1e-6)
+    assert np.allclose(series.std[0, :3], 1e3 * np.sqrt(np.diag(covariance))[:3])
+    assert np.allclose(np.deg2rad(series.values[0, 3:]), [0.4, -0.9, 2.2])
+
+
+def test_angles_run_on_and_gimbal_lock_has_no_band():
+    def turned(angles):
+        return TargetPose(
+            t_s=0.0,
+            status=PoseStatus.OK,
+            parent="rig",
+            T_parent_target=RigidTransform.from_rotation(Rotation.from_euler("xyz", angles, degrees=True)).as_matrix(),
+            covariance=np.diag(STD**2),
+        )
+
+    track = series_of([turned([0, 0, angle]) for angle in (170, 179, 188, 197)])
+    assert np.allclose(track.values[:, 5], (170, 179, 188, 197))
+    assert np.isnan(series_of([turned([0, 90, 0])]).std[0, 3:]).any()
+
+
+def test_thinning_keeps_extremes_and_ends():
+    values = np.sin(np.arange(100_000) / 1000.0)
+    values[[31_415, 77_777]] = 9.0, -9.0
+    values[500:600] = np.nan
+    keep = thinned(values)
+    assert len(keep) <= MAX_PLOTTED + 2
+    assert {0, 31_415, 77_777, 99_999} <= set(keep.tolist())
+    points = np.zeros((50_000, 2))
+    points[123] = 0.0, 7.0
+    assert 123 in spread(points)
+    assert len(spread(points)) <= 3000
+    assert thinned(np.full(100_000, np.nan)).tolist() == [0, 99_999]
+
+
+def test_a_band_has_one_polygon_per_stretch():
+    low = np.array([0.0, 1.0, np.nan, 3.0, 4.0])
+    trace = band(np.arange(5.0), low, low + 1.0)
+    assert trace["x"] == [0.0, 1.0, 1.0, 0.0, None, 3.0, 4.0, 4.0, 3.0, None]
+    assert trace["y"] == [1.0, 2.0, 1.0, 0.0, None, 4.0, 5.0, 4.0, 3.0, None]
+
+
+def test_numbers_for_people():
+    assert figure_of(0.0, "px") == "0 px"
+    assert figure_of(123.456) == "123"
+    assert figure_of(0.0312345, "mm") == "0.0312 mm"
+    assert figure_of(0.02, "°", digits=2) == "0.020°"
+    assert figure_of(None) == figure_of(float("nan")) == "–"
+    assert figure_of(3.2e-7) == "3.20e-07"
+    assert with_deviation(533.47509, 0.4123) == ("533.48", "0.41")
+    assert with_deviation(1234.5, 23.0) == ("1234", "23")
+    assert with_deviation(0.1, None) == ("0.1000000", "–")
+    assert with_deviation(0.5, 1e-14) == ("5.000e-01", "1.0e-14")
+
+
+def test_json_cannot_leave_its_script():
+    text = json_text({"a": ["</script>&", np.float64(np.nan), np.arange(2.0) / 3]})
+    assert not set("<>&") & set(text)
+    assert json.loads(text) == {"a": ["</script>&", None, [0.0, 0.33333333]]}
