@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
 from armsight.errors import Inconsistent
-from armsight.measure.motion import kernels
+from armsight.measure.motion.kernels import levels
+from armsight.measure.motion.kernels import views as view_kernels
+from armsight.measure.motion.kernels.state import STATE, N
 from armsight.measure.motion.states import MotionState, View, state_of
 from armsight.optics import PackedRig
 
@@ -55,7 +57,7 @@ def smooth(
         raise Inconsistent("views come in the order of time, and a track begins with the first of them")
     columns, order = _columns(views, t, at_s)
     n, K = len(columns.t), len(JERK_LEVELS)
-    begin, C0, fresh = np.zeros((n, kernels.STATE)), np.zeros((n, kernels.N, kernels.N)), np.zeros(n, np.bool_)
+    begin, C0, fresh = np.zeros((n, STATE)), np.zeros((n, N, N)), np.zeros(n, np.bool_)
     for start in starts:
         row = order[start.view]
         begin[row], C0[row] = state_of(t[start.view], start.T, start.covariance)
@@ -65,15 +67,15 @@ def smooth(
     begin, C0, fresh = begin[lead:], C0[lead:], fresh[lead:]
     seen: tuple[Any, ...] = (*rows.arrays, packed.k, packed.R, packed.t, np.ascontiguousarray(places_m))
     logs, weight, post = (np.empty((n - lead, K)) for _ in range(3))
-    run_filters: Any = kernels.run_filters  # many columns by one star
-    run_filter: Any = kernels.run_filter
+    run_filters: Any = levels.run_filters  # many columns by one star
+    run_filter: Any = levels.run_filter
     run_filters(*seen, JERK_LEVELS, ANGULAR_RATIO, LEVEL_CHANGE, begin, C0, fresh, logs, weight)
-    kernels.levels_of_all(logs, weight, fresh, LEVEL_CHANGE, post)
+    levels.levels_of_all(logs, weight, fresh, LEVEL_CHANGE, post)
     jerk = maximum_filter1d(post @ JERK_LEVELS, 2 * ONSET_VIEWS + 1)
-    xs, xp = (np.empty((n - lead, kernels.STATE)) for _ in range(2))
-    Cs, Cp, Fs = (np.empty((n - lead, kernels.N, kernels.N)) for _ in range(3))
+    xs, xp = (np.empty((n - lead, STATE)) for _ in range(2))
+    Cs, Cp, Fs = (np.empty((n - lead, N, N)) for _ in range(3))
     run_filter(*seen, jerk, ANGULAR_RATIO, begin, C0, fresh, xs, Cs, xp, Cp, Fs)
-    kernels.smooth(xs, Cs, xp, Cp, Fs)
+    view_kernels.smooth(xs, Cs, xp, Cp, Fs)
     return [
         _told(int(row) - lead, rows.t, xs, Cs, jerk, t, time) for row, time in zip(columns.asked, at_s, strict=True)
     ]
@@ -108,9 +110,15 @@ class _Columns:
     def after(self, lead: int) -> _Columns:
         """Return the rows from lead on."""
         return _Columns(
-            t=self.t[lead:], side=self.side[lead:], first=self.first[lead:], light=self.light, uv=self.uv,
-            cov=self.cov, tau=self.tau, asked=self.asked - lead,
-        )  # fmt: skip
+            t=self.t[lead:],
+            side=self.side[lead:],
+            first=self.first[lead:],
+            light=self.light,
+            uv=self.uv,
+            cov=self.cov,
+            tau=self.tau,
+            asked=self.asked - lead,
+        )
 
 
 def _columns(views: Sequence[View], t: Array, at_s: Array) -> tuple[_Columns, NDArray[np.int64]]:
@@ -124,11 +132,15 @@ def _columns(views: Sequence[View], t: Array, at_s: Array) -> tuple[_Columns, ND
     side = np.zeros(len(times), np.int64)
     side[row[: len(t)]] = [view.side for view in views]
     columns = _Columns(
-        t=times[rank], side=side, first=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+        t=times[rank],
+        side=side,
+        first=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
         light=np.concatenate([view.lights for view in views]).astype(np.int64),
-        uv=np.concatenate([view.uv_px for view in views]), cov=np.concatenate([view.cov_px2 for view in views]),
-        tau=np.concatenate([view.tau_s for view in views]), asked=row[len(t) :],
-    )  # fmt: skip
+        uv=np.concatenate([view.uv_px for view in views]),
+        cov=np.concatenate([view.cov_px2 for view in views]),
+        tau=np.concatenate([view.tau_s for view in views]),
+        asked=row[len(t) :],
+    )
     return columns, row[: len(t)]
 
 
@@ -162,10 +174,23 @@ class MotionFilter:
             )
         s, packed = view.side, self._packed
         places = np.ascontiguousarray(self._places[view.lights])
-        self._best = kernels.step_filters(
-            self._xs, self._Cs, self._w, view.t_s - self.t_s, JERK_LEVELS, ANGULAR_RATIO, LEVEL_CHANGE,
-            packed.k[s], packed.R[s], packed.t[s], places, view.tau_s, view.uv_px, view.cov_px2, self._log,
-        )  # fmt: skip
+        self._best = levels.step_filters(
+            self._xs,
+            self._Cs,
+            self._w,
+            view.t_s - self.t_s,
+            JERK_LEVELS,
+            ANGULAR_RATIO,
+            LEVEL_CHANGE,
+            packed.k[s],
+            packed.R[s],
+            packed.t[s],
+            places,
+            view.tau_s,
+            view.uv_px,
+            view.cov_px2,
+            self._log,
+        )
         self.t_s = view.t_s
         if len(view.lights):
             self.seen_s = view.t_s

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.measure.motion import kernels
+from armsight.measure.motion.kernels import state as kernels
 from armsight.records import frozen_array
 
 Array = NDArray[np.float64]
@@ -99,9 +99,13 @@ def state_of(t_s: float, T: Array, covariance: Array) -> tuple[Array, Array]:
     x[kernels.P : kernels.R] = T[:3, 3]
     x[kernels.R : kernels.V] = T[:3, :3].ravel()
     spread = (
-        BEGIN_POSITION_M, BEGIN_ROTATION_RAD, BEGIN_SPEED_M_S, BEGIN_TURN_RAD_S,
-        BEGIN_ACCELERATION_M_S2, BEGIN_ANGULAR_ACCELERATION_RAD_S2,
-    )  # fmt: skip
+        BEGIN_POSITION_M,
+        BEGIN_ROTATION_RAD,
+        BEGIN_SPEED_M_S,
+        BEGIN_TURN_RAD_S,
+        BEGIN_ACCELERATION_M_S2,
+        BEGIN_ANGULAR_ACCELERATION_RAD_S2,
+    )
     C = np.diag(np.repeat(np.square(spread), 3))
     C[:6, :6] += covariance
     return x, C

@@ -1,0 +1,1 @@
+"""Compiled filter of a moving target."""

@@ -1,0 +1,150 @@
+"""Compiled: filters of different jerk side by side, and how likely each level is at each moment."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from armsight._numba import kernel
+from armsight.measure.motion.kernels.state import STATE, N, predict
+from armsight.measure.motion.kernels.views import update
+
+IMPOSSIBLE = -1e6
+"""Log likelihood of a view that a state cannot explain at all."""
+LOST_WEIGHT = 1e-4
+"""Probability of a level below which its filter goes on from the likeliest one's state."""
+
+
+@kernel
+def select(X, light, out):
+    """Fill out (n, 3) with the rows light (n,) of X."""
+    for i in range(light.shape[0]):
+        for c in range(3):
+            out[i, c] = X[light[i], c]
+
+
+@kernel
+def mixed(w, m, stick):
+    """Return the probability of level m before the next view: levels change to a neighbour now and then."""
+    last = w.shape[0] - 1
+    lower = w[m - 1] if m > 0 else w[m]
+    upper = w[m + 1] if m < last else w[m]
+    return (1.0 - stick) * w[m] + 0.5 * stick * (lower + upper)
+
+
+@kernel
+def step_filters(xs, Cs, w, dt, jerk, ratio, stick, k, Rc, tc, X, tau, uv, cov, log):
+    """Bring a view into filters of different jerk, side by side; return the number of the likeliest.
+
+    xs (K, 24), Cs, and w (K,), the levels' probabilities, are changed in place. dt: s since the view before; X (n, 3),
+    tau (n,), uv (n, 2), cov: its spots, of none (n = 0) where only time passes. jerk (K,): levels, m^2/s^5; angular
+    ones are ratio times them. stick: chance that the level changes. log (K,): the view's log likelihood under each.
+    """
+    K = jerk.shape[0]
+    y = np.empty(STATE)
+    D = np.empty((N, N))
+    F = np.empty((N, N))
+    residual = np.empty((X.shape[0], 2))
+    v = np.empty(K)
+    top = -1e300
+    for m in range(K):
+        if dt > 0.0:
+            predict(xs[m], Cs[m], dt, jerk[m], ratio * jerk[m], y, D, F)
+            xs[m] = y
+            Cs[m] = D
+        log[m] = 0.0
+        if X.shape[0]:
+            chi2, logdet = update(xs[m], Cs[m], k, Rc, tc, X, tau, uv, cov, residual)
+            log[m] = -0.5 * (chi2 + logdet) if chi2 >= 0.0 else IMPOSSIBLE
+        top = max(top, log[m])
+    total = 0.0
+    best = 0
+    for m in range(K):
+        v[m] = mixed(w, m, stick) * np.exp(max(log[m] - top, -300.0))
+        total += v[m]
+        if v[m] > v[best]:
+            best = m
+    for m in range(K):
+        w[m] = v[m] / total
+        if w[m] < LOST_WEIGHT:  # has lost its way: goes on from the likeliest
+            xs[m] = xs[best]
+            Cs[m] = Cs[best]
+            w[m] = LOST_WEIGHT
+    return best
+
+
+@kernel
+def run_filters(t, side, first, light, uv, cov, tau, k, Rc, tc, X, jerk, ratio, stick, begin, C0, fresh, logs, weight):
+    """Filters of different jerk over all views: fill logs, weight (n, K) with each view's likelihoods and the levels'.
+
+    t (n,), side (n,), first (n + 1,): views in the order of time, and which spots are theirs; light, uv (m, 2), cov,
+    tau (m,): spots. begin (n, 24), C0 (n, 18, 18): states with which the rows of fresh (n,) start anew.
+    """
+    n, K = logs.shape
+    xs = np.empty((K, STATE))
+    Cs = np.empty((K, N, N))
+    w = np.empty(K)
+    for i in range(n):
+        a, b = first[i], first[i + 1]
+        at = np.empty((b - a, 3))
+        select(X, light[a:b], at)
+        dt = 0.0
+        if fresh[i]:
+            w[:] = 1.0 / K
+            for m in range(K):
+                xs[m] = begin[i]
+                Cs[m] = C0[i]
+        else:
+            dt = t[i] - t[i - 1]
+        s = side[i]
+        step_filters(xs, Cs, w, dt, jerk, ratio, stick, k[s], Rc[s], tc[s], at, tau[a:b], uv[a:b], cov[a:b], logs[i])
+        weight[i] = w
+
+
+@kernel
+def levels_of_all(logs, weight, fresh, stick, post):
+    """Fill post (n, K) with the levels' probabilities given all views (forward-backward, within each stretch)."""
+    n, K = logs.shape
+    back = np.ones(K)
+    e = np.empty(K)
+    for i in range(n - 1, -1, -1):
+        total = 0.0
+        for m in range(K):
+            post[i, m] = weight[i, m] * back[m]
+            total += post[i, m]
+        for m in range(K):
+            post[i, m] /= total
+        if fresh[i]:
+            back[:] = 1.0
+            continue
+        top = -1e300
+        for m in range(K):
+            top = max(top, logs[i, m])
+        for m in range(K):
+            e[m] = np.exp(max(logs[i, m] - top, -300.0)) * back[m]
+        total = 0.0
+        for m in range(K):
+            back[m] = mixed(e, m, stick)
+            total += back[m]
+        for m in range(K):
+            back[m] /= total
+
+
+@kernel
+def run_filter(t, side, first, light, uv, cov, tau, k, Rc, tc, X, jerk, ratio, begin, C0, fresh, xs, Cs, xp, Cp, Fs):
+    """One filter with its own jerk (n,) at each view: fill filtered and predicted states as smooth wants them."""
+    for i in range(t.shape[0]):
+        a, b = first[i], first[i + 1]
+        if fresh[i]:
+            xp[i] = begin[i]
+            Cp[i] = C0[i]
+            Fs[i] = 0.0
+        else:
+            predict(xs[i - 1], Cs[i - 1], t[i] - t[i - 1], jerk[i], ratio * jerk[i], xp[i], Cp[i], Fs[i])
+        xs[i] = xp[i]
+        Cs[i] = Cp[i]
+        if b > a:
+            at = np.empty((b - a, 3))
+            select(X, light[a:b], at)
+            s = side[i]
+            residual = np.empty((b - a, 2))
+            update(xs[i], Cs[i], k[s], Rc[s], tc[s], at, tau[a:b], uv[a:b], cov[a:b], residual)

@@ -1,0 +1,221 @@
+"""Compiled: what one view tells of a state, and what all views together tell of each (smoothing)."""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+
+from armsight._numba import kernel
+from armsight.fitting.kernels import invert_spd
+from armsight.measure.motion.kernels.state import (
+    STATE,
+    A,
+    N,
+    P,
+    R,
+    V,
+    difference,
+    move,
+    multiply,
+    multiply_t,
+    turned,
+)
+from armsight.optics.kernels.camera import see_point
+
+ROUNDS = 4
+"""Gauss-Newton steps of an update at the most; two are enough unless the state was a guess."""
+SETTLED2 = 1e-4
+"""Square of a step over its own uncertainty below which an update has settled."""
+
+
+@kernel
+def observe(x, k, Rc, tc, X, tau, uv, H):
+    """Fill uv (2,) and H (2, 18): where a light at X of the target is seen tau after the state's time.
+
+    False where it is behind the camera. k, Rc, tc: of the camera, p_camera = Rc p_rig + tc.
+    """
+    E = np.empty((3, 3))
+    turned(x, tau, E)
+    r = np.empty(3)
+    y = np.empty(3)
+    for i in range(3):
+        r[i] = x[R + 3 * i] * X[0] + x[R + 3 * i + 1] * X[1] + x[R + 3 * i + 2] * X[2]
+    for i in range(3):
+        y[i] = E[i, 0] * r[0] + E[i, 1] * r[1] + E[i, 2] * r[2]
+    place = np.empty(3)
+    for i in range(3):
+        place[i] = x[P + i] + tau * x[V + i] + 0.5 * tau * tau * x[A + i] + y[i]
+    J = np.empty((2, 3))
+    if not see_point(k, Rc, tc, place, uv, J):
+        return False
+    h = 0.5 * tau * tau
+    for m in range(2):
+        # J . (w x y) = w . (y x J); before the turn E: w . (r x E'J)
+        c0 = y[1] * J[m, 2] - y[2] * J[m, 1]
+        c1 = y[2] * J[m, 0] - y[0] * J[m, 2]
+        c2 = y[0] * J[m, 1] - y[1] * J[m, 0]
+        e0 = E[0, 0] * J[m, 0] + E[1, 0] * J[m, 1] + E[2, 0] * J[m, 2]
+        e1 = E[0, 1] * J[m, 0] + E[1, 1] * J[m, 1] + E[2, 1] * J[m, 2]
+        e2 = E[0, 2] * J[m, 0] + E[1, 2] * J[m, 1] + E[2, 2] * J[m, 2]
+        H[m, 3] = r[1] * e2 - r[2] * e1
+        H[m, 4] = r[2] * e0 - r[0] * e2
+        H[m, 5] = r[0] * e1 - r[1] * e0
+        H[m, 9], H[m, 10], H[m, 11] = tau * c0, tau * c1, tau * c2
+        H[m, 15], H[m, 16], H[m, 17] = h * c0, h * c1, h * c2
+        for i in range(3):
+            H[m, i] = J[m, i]
+            H[m, 6 + i] = tau * J[m, i]
+            H[m, 12 + i] = h * J[m, i]
+    return True
+
+
+@kernel
+def update(x, C, k, Rc, tc, X, tau, uv, cov, residual):
+    """Bring spots uv (n, 2), cov (n, 2, 2), of lights X (n, 3) in one view into it, tau (n,) after the state's time.
+
+    Iterated: linearised anew at the answer (Bell and Cathey 1993). x, C are changed in place; residual (n, 2): spots
+    less prediction. Returns (chi-square of the innovation, log of its determinant); -1 where something is behind the
+    camera or nothing can be solved; the state is then as it was.
+    """
+    n = uv.shape[0]
+    m = 2 * n
+    H = np.empty((m, N))
+    G = np.empty((m, N))
+    S = np.empty((m, m))
+    T = np.empty((m, m))
+    r = np.empty(m)
+    e = np.empty(m)
+    d = np.zeros(N)
+    step = np.empty(N)
+    px = np.empty(2)
+    z = x.copy()
+    chi2 = -1.0
+    logdet = 0.0
+    for turn in range(ROUNDS):
+        for i in range(n):
+            if not observe(z, k, Rc, tc, X[i], tau[i], px, H[2 * i : 2 * i + 2]):
+                return -1.0, 0.0
+            r[2 * i] = uv[i, 0] - px[0]
+            r[2 * i + 1] = uv[i, 1] - px[1]
+        if turn == 0:
+            for i in range(n):
+                residual[i, 0] = r[2 * i]
+                residual[i, 1] = r[2 * i + 1]
+        multiply(H, C, G)
+        multiply_t(G, H, S)
+        for i in range(n):
+            for a in range(2):
+                for b in range(2):
+                    S[2 * i + a, 2 * i + b] += cov[i, a, b]
+        if not invert_spd(S, T):
+            return -1.0, 0.0
+        for i in range(m):  # innovation about the first prediction: r + H d
+            s = r[i]
+            for j in range(N):
+                s += H[i, j] * d[j]
+            e[i] = s
+        if turn == 0:
+            chi2 = 0.0
+            for i in range(m):
+                for j in range(m):
+                    chi2 += e[i] * T[i, j] * e[j]
+            logdet = log_determinant(S)
+        change = 0.0
+        for j in range(N):
+            s = 0.0
+            for i in range(m):
+                t = 0.0
+                for q in range(m):
+                    t += T[i, q] * e[q]
+                s += G[i, j] * t
+            step[j] = s - d[j]
+            change += step[j] * step[j] / C[j, j]
+            d[j] = s
+        for j in range(STATE):
+            z[j] = x[j]
+        move(z, d)
+        if change < SETTLED2:
+            break
+    D = np.empty((m, N))
+    multiply(T, G, D)
+    for i in range(N):
+        for j in range(i + 1):
+            s = C[i, j]
+            for q in range(m):
+                s -= G[q, i] * D[q, j]
+            C[i, j] = s
+            C[j, i] = s
+    for j in range(STATE):
+        x[j] = z[j]
+    return chi2, logdet
+
+
+@kernel
+def log_determinant(S):
+    """Return the logarithm of the determinant of S (n, n), symmetric and positive."""
+    n = S.shape[0]
+    L = np.empty((n, n))
+    total = 0.0
+    for i in range(n):
+        for j in range(i + 1):
+            s = S[i, j]
+            for q in range(j):
+                s -= L[i, q] * L[j, q]
+            if i == j:
+                L[i, i] = sqrt(max(s, 1e-300))
+                total += 2.0 * np.log(L[i, i])
+            else:
+                L[i, j] = s / L[j, j]
+    return total
+
+
+@kernel
+def smooth(xs, Cs, xp, Cp, Fs):
+    """Smooth the filtered states xs (n, 24), Cs (n, 18, 18) in place, backwards (Rauch, Tung and Striebel 1965).
+
+    xp, Cp: predictions of each before its own spots; Fs: how errors got there from the one before. A row whose Fs is
+    zero begins anew: nothing goes over it. False where a covariance cannot be inverted.
+    """
+    n = xs.shape[0]
+    G = np.empty((N, N))
+    inverse = np.empty((N, N))
+    K = np.empty((N, N))
+    D = np.empty((N, N))
+    E = np.empty((N, N))
+    d = np.empty(N)
+    g = np.empty(N)
+    scaled = np.empty((N, N))
+    s = np.empty(N)
+    for k in range(n - 2, -1, -1):
+        F = Fs[k + 1]
+        if F[0, 0] == 0.0:
+            continue
+        for i in range(N):
+            s[i] = 1.0 / sqrt(Cp[k + 1, i, i])
+        for i in range(N):
+            for j in range(N):
+                scaled[i, j] = Cp[k + 1, i, j] * s[i] * s[j]
+        if not invert_spd(scaled, inverse):
+            return False
+        for i in range(N):
+            for j in range(N):
+                inverse[i, j] *= s[i] * s[j]
+        multiply_t(Cs[k], F, G)
+        multiply(G, inverse, K)
+        difference(xs[k + 1], xp[k + 1], d)
+        for i in range(N):
+            t = 0.0
+            for j in range(N):
+                t += K[i, j] * d[j]
+            g[i] = t
+        move(xs[k], g)
+        for i in range(N):
+            for j in range(N):
+                D[i, j] = Cs[k + 1, i, j] - Cp[k + 1, i, j]
+        multiply(K, D, E)
+        multiply_t(E, K, D)
+        for i in range(N):
+            for j in range(N):
+                Cs[k, i, j] += D[i, j]
+    return True
