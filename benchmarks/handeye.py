@@ -180,7 +180,7 @@ def honesty(trials: int) -> None:
                 result = calibrate_eye_in_hand(pairs_of(A, B))
                 std = np.sqrt(np.diag(result.covariance.matrix))
                 off = []
-                for got, true in ((result.T_mount_camera, X), (result.T_seat_target, Z)):
+                for got, true in ((result.T_parent_camera, X), (result.T_parent_target, Z)):
                     off += [got.translation - true.translation, (got.rotation * true.rotation.inv()).as_rotvec()]
                 inside.append(np.abs(np.concatenate(off)) < 1.96 * std)
                 noise.append(
@@ -321,7 +321,7 @@ def real() -> None:
     scale = ours.scale
     if scale is None:
         raise RuntimeError("this recording's scale was always seen")
-    pitch, doubt = 25.4 * scale.factor, 25.4 * scale.std
+    pitch, uncertainty = 25.4 * scale.factor, 25.4 * scale.std
     M = B.as_matrix().copy()
     M[:, :3, 3] *= scale.factor
     scaled = calibrate_eye_in_hand(pairs_of(A, RigidTransform.from_matrix(M)))
@@ -338,10 +338,10 @@ def real() -> None:
 
         rows.append([name, *left_out(A, B, solve)])
     rows.append(
-        ["robot taken as exact, reprojection only", *robot_exact(views, board, camera, A, B, ours.T_mount_camera)]
+        ["robot taken as exact, reprojection only", *robot_exact(views, board, camera, A, B, ours.T_parent_camera)]
     )
     bench.table("Real recording, 15 poses: left-out error at the target", ["method", "mm RMS", "degrees RMS"], rows)
-    print(f"\nscale: {scale.factor:.5f} +- {scale.std:.5f}, a pitch of {pitch:.2f} +- {doubt:.2f} mm")
+    print(f"\nscale: {scale.factor:.5f} +- {scale.std:.5f}, a pitch of {pitch:.2f} +- {uncertainty:.2f} mm")
     print(verdict(ours), *ours.advice, sep="\n")
 
 

@@ -169,11 +169,11 @@ def random_arms(count: int) -> None:
         same = [one.axis.revolute == bool(t) for one, t in zip(found.joints, turns, strict=True)]
         decided += sum(one.decided for one in found.joints)
         right += sum(one.decided and ok for one, ok in zip(found.joints, same, strict=True))
-        if not all(same) or found.doubt is None:
+        if not all(same) or found.uncertainty is None:
             continue
         further = rng.uniform(low, high, (20, n))
         off = fk(found.arm, further)[:, :3, 3] - tip(rows, turns, further)
-        _, C = found.doubt.places(further)
+        _, C = found.uncertainty.places(further)
         ratios.append(np.linalg.norm(off, axis=1).max() / 2e-4)
         single.append(np.mean(np.abs(off) <= 3.0 * np.sqrt(np.einsum("mii->mi", C))))
         finite = np.isfinite(C[:, 0, 0])

@@ -70,7 +70,7 @@ def cell(
 def off(result: HandEye) -> np.ndarray:
     """Errors (12,) of both poses, translation then rotation vector, in the parent's axes."""
     out = []
-    for got, true in ((result.T_mount_camera, X), (result.T_seat_target, Z)):
+    for got, true in ((result.T_parent_camera, X), (result.T_parent_target, Z)):
         out += [got.translation - true.translation, (got.rotation * true.rotation.inv()).as_rotvec()]
     return np.concatenate(out)
 
@@ -102,7 +102,7 @@ def test_the_order_of_the_rows_does_not_matter() -> None:
     given = cell(3)
     order = np.random.default_rng(0).permutation(len(given))
     one, other = calibrate_eye_in_hand(given), calibrate_eye_in_hand(given.take(order))
-    assert np.array_equal(one.T_mount_camera.as_matrix(), other.T_mount_camera.as_matrix())
+    assert np.array_equal(one.T_parent_camera.as_matrix(), other.T_parent_camera.as_matrix())
     assert np.abs(one.left_out[order] - other.left_out).max() < 1e-12
 
 

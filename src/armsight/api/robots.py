@@ -78,7 +78,7 @@ class HandEyeResult(Result):
     def rows(self) -> list[Row]:
         """Return the camera's pose with standard deviations, residuals and the verdict."""
         found = self.detail
-        T = found.T_mount_camera
+        T = found.T_parent_camera
         values = [*np.asarray(T.translation).tolist(), *euler_rad(T.rotation).tolist()]
         return [
             *pose_rows(dict(zip(self.std, values, strict=True)), self.std),
@@ -103,7 +103,7 @@ class HandEyeResult(Result):
                 cure="Give setup='eye-to-hand' for a camera beside the arm, 'eye-in-hand' for one on it",
             )
         camera = name.endswith("camera")
-        return np.asarray((self.detail.T_mount_camera if camera else self.detail.T_seat_target).as_matrix())
+        return np.asarray((self.detail.T_parent_camera if camera else self.detail.T_parent_target).as_matrix())
 
 
 def calibrate_hand_eye(

@@ -38,8 +38,8 @@ UNRELATED = 0.25
 
 LOOSE_M = 2.0 * MM
 
-ROUNDS = 20
-SETTLED = 1e-10
+TIP_ROUNDS = 20
+TIP_SETTLED = 1e-10
 """Weights follow the tip's place; the fit is settled when it moves by less (m)."""
 
 NOISE_M = 0.1 * MM
@@ -121,7 +121,7 @@ def calibrate_tooltip(
     turn = _turns(R)
     _require_turning(turn)
     keep = _consensus(R, t)
-    for _ in range(ROUNDS):
+    for _ in range(TIP_ROUNDS):
         x, cov, e, V, scale2, dof = _fit(R, t, C, keep, point)
         q = _distance(R, e, V, cov, keep, scale2)
         limit = 3.0 * float(fisher.isf(FALSE_ALARM / n, 3, dof))
@@ -224,7 +224,7 @@ def _fit(
     J = np.concatenate([R, np.tile(-np.eye(3), (n, 1, 1))], axis=2)  # (n, 3, 6)
     x = np.linalg.lstsq(J[keep].reshape(-1, 6), -t[keep].reshape(-1), rcond=None)[0]
     dof = max(3 * int(keep.sum()) - 6, 1)
-    for _ in range(ROUNDS):
+    for _ in range(TIP_ROUNDS):
         lever = np.einsum("nij,j->ni", R, x[:3])  # (n, 3)
         A = np.concatenate([np.tile(np.eye(3), (n, 1, 1)), _minus_cross(lever)], axis=2)  # (n, 3, 6): dt + dw x lever
         V = A @ C @ A.transpose(0, 2, 1)
@@ -243,7 +243,7 @@ def _fit(
             e = np.einsum("nia,a->ni", J, new) + t
         moved = float(np.abs(new - x).max())
         x = new
-        if moved < SETTLED:
+        if moved < TIP_SETTLED:
             break
     return x, np.linalg.inv(H) * scale2, e, V, scale2, dof
 

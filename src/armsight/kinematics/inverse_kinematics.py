@@ -120,7 +120,7 @@ def singular_names(code: int) -> tuple[str, ...]:
 def ik(
     arm: Arm,
     T_world_tool: RigidTransform | ArrayLike,
-    near: ArrayLike | None = None,
+    q_seed: ArrayLike | None = None,
     *,
     task: Task | str | None = None,
     tolerance: Tolerance | None = None,
@@ -136,7 +136,7 @@ def ik(
     T = target_matrices(arm, T_world_tool)
     if len(T) != 1:
         raise UsageError("give one pose; `ik_many` takes many")
-    q_seed = start_values(arm, near)
+    q_seed = start_values(arm, q_seed)
     task = task_of(arm, task)
     distance = float(np.linalg.norm(T[0, :3, 3] - arm.chain[0, [3, 7, 11]]))
     if distance > arm.reach_m:
@@ -152,7 +152,7 @@ def ik(
 
 
 def ik_many(
-    arm: Arm, poses: RigidTransform | ArrayLike, near: ArrayLike | None = None
+    arm: Arm, poses: RigidTransform | ArrayLike, q_seed: ArrayLike | None = None
 ) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
     """Return all closed-form solutions of many poses: q (m, 8, 6), code (m, 8), count (m,).
 
@@ -166,7 +166,7 @@ def ik_many(
     T = target_matrices(arm, poses)
     Q = np.full((len(T), 8, 6), np.nan)
     code, count = np.zeros((len(T), 8), dtype=np.int64), np.empty(len(T), dtype=np.int64)
-    theta = dh_angles(arm, start_values(arm, near))
+    theta = dh_angles(arm, start_values(arm, q_seed))
     solve_closed_many(family.numbers, family.T_base_world, family.T_tool_six, T, theta, Q, code, count)
     return Q, code, count
 

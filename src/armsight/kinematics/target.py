@@ -105,10 +105,10 @@ def target_matrices(arm: Arm, poses: RigidTransform | ArrayLike) -> Array:
     return T
 
 
-def start_values(arm: Arm, near: ArrayLike | None) -> Array:
+def start_values(arm: Arm, q_seed: ArrayLike | None) -> Array:
     """Return near (n,) checked, or the middle of each joint's range (zero where it has none)."""
-    if near is not None:
-        values = arm.checked(near)
+    if q_seed is not None:
+        values = arm.checked(q_seed)
         if values.ndim != 1:
             raise UsageError("give one joint vector as the place to be near")
         return values

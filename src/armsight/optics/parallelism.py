@@ -14,7 +14,7 @@ from armsight.records import NamedCovariance, frozen_array
 
 Array = NDArray[np.float64]
 
-STEPS = (1e-3,) * 5 + (1e-6,) * 5
+DERIVATIVE_STEPS = (1e-3,) * 5 + (1e-6,) * 5
 """Steps of the central differences by INTRINSICS, in px and without unit."""
 
 POSE_STEP = 1e-6
@@ -107,7 +107,7 @@ def _deviations(rig: Rig, covariance: NamedCovariance, depths: Array) -> Array:
     for name in names:
         step = np.zeros(len(RIG_PARAMETERS))
         i = RIG_PARAMETERS.index(name)
-        step[i] = POSE_STEP if name in RIGHT_POSE else STEPS[INTRINSICS.index(name.split(".")[1])]
+        step[i] = POSE_STEP if name in RIGHT_POSE else DERIVATIVE_STEPS[INTRINSICS.index(name.split(".")[1])]
         plus, minus = (_measures(moved_rig(rig, sign * step), depths) for sign in (1.0, -1.0))
         columns.append((plus - minus) / (2.0 * step[i]))
     J = np.column_stack(columns)  # (6 + n, p)

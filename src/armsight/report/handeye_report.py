@@ -106,8 +106,8 @@ def _cards(result: HandEye) -> list[Card]:
 def _poses(result: HandEye) -> list[str]:
     out = []
     poses = (
-        (f"T_{result.mount}_camera", result.T_mount_camera, "camera"),
-        (f"T_{result.seat}_target", result.T_seat_target, "target"),
+        (f"T_{result.camera_parent}_camera", result.T_parent_camera, "camera"),
+        (f"T_{result.target_parent}_target", result.T_parent_target, "target"),
     )
     for name, pose, who in poses:
         std = result.std(who)
@@ -115,8 +115,8 @@ def _poses(result: HandEye) -> list[str]:
         rows = []
         for (key, deviation), value in zip(std.items(), values, strict=True):
             unit, factor = ("mm", MM) if key.endswith("_m") else ("°", DEG)
-            shown, doubt = with_deviation(float(value), deviation / factor)
-            rows.append([key.rpartition("_")[0], shown, doubt, unit])
+            shown, uncertainty = with_deviation(float(value), deviation / factor)
+            rows.append([key.rpartition("_")[0], shown, uncertainty, unit])
         out.append(table([name, "value", "+-", "unit"], rows, numbers=(1, 2)))
     return out
 
@@ -142,10 +142,10 @@ def _noise(result: HandEye) -> str:
 def scene_figure(result: HandEye) -> Figure:
     """Return flanges, cameras and targets in the base's axes."""
     flange = result.pairs.T_base_flange
-    if result.mount == "flange":
-        camera, target = flange * result.T_mount_camera, _stacked(result.T_seat_target)
+    if result.camera_parent == "flange":
+        camera, target = flange * result.T_parent_camera, _stacked(result.T_parent_target)
     else:
-        camera, target = _stacked(result.T_mount_camera), flange * result.T_seat_target
+        camera, target = _stacked(result.T_parent_camera), flange * result.T_parent_target
     everything = np.concatenate([flange.translation, camera.translation, target.translation])
     size = float(np.linalg.norm(np.ptp(everything, axis=0))) or 1.0
     data: list[dict[str, Any]] = []

@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 SLANT = np.sqrt(0.5)
 
-ROUNDS = 12
+MIRROR_ROUNDS = 12
 """Steps of the search for the ray that meets a point: each gains a factor of 300 (the plate's shift over the depth)."""
 
 
@@ -115,7 +115,7 @@ class Mirrors:
         depth = np.where(seen, depth, 1.0)
         towards = half if side == "right" else -half
         uv = np.column_stack([(X[:, 0] - towards) / depth, X[:, 1] / depth])
-        for _ in range(ROUNDS):
+        for _ in range(MIRROR_ROUNDS):
             place, ray = self.trace(side, np.where(seen[:, None], uv, 0.0))
             at = place + ((X[:, 2] - place[:, 2]) / ray[:, 2])[:, None] * ray
             miss = (at[:, :2] - X[:, :2]) / depth[:, None]

@@ -76,8 +76,8 @@ class HandEyeFile:
     T_flange_target; covariance (12, 12) of both."""
 
     setup: Setup
-    T_mount_camera: RigidTransform
-    T_seat_target: RigidTransform
+    T_parent_camera: RigidTransform
+    T_parent_target: RigidTransform
     covariance: NamedCovariance | None
 
 
@@ -138,7 +138,10 @@ def write_handeye(path: Path, result: HandEye, verdict: str, *, inputs: Sequence
 
 def named_poses(result: HandEye) -> dict[str, RigidTransform]:
     """Return the two poses under the names that their setup gives them."""
-    return {f"T_{result.mount}_camera": result.T_mount_camera, f"T_{result.seat}_target": result.T_seat_target}
+    return {
+        f"T_{result.camera_parent}_camera": result.T_parent_camera,
+        f"T_{result.target_parent}_target": result.T_parent_target,
+    }
 
 
 def read_handeye(path: Path) -> HandEyeFile:
@@ -155,8 +158,8 @@ def read_handeye(path: Path) -> HandEyeFile:
     with named(str(path)):
         return HandEyeFile(
             setup=setup,
-            T_mount_camera=camera.pose(),
-            T_seat_target=target.pose(),
+            T_parent_camera=camera.pose(),
+            T_parent_target=target.pose(),
             covariance=model.covariance.covariance() if model.covariance else None,
         )
 

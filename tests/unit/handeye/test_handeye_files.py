@@ -66,7 +66,7 @@ def test_the_contract(tmp_path: Path, to_hand: bool) -> None:
     assert len(content["proposals"]) == 2
     file = read_handeye(out)
     assert file.setup is Setup(setup)
-    assert file.T_mount_camera.translation == pytest.approx(content[poses[0]]["xyz_m"], abs=1e-15)
+    assert file.T_parent_camera.translation == pytest.approx(content[poses[0]]["xyz_m"], abs=1e-15)
     assert file.covariance is not None
     page = (tmp_path / "handeye.report.html").read_text(encoding="utf-8")
     for part in ("Poses in space", "Residuals", "Turns of the hand", "Whose noise it is", "known to"):

@@ -10,7 +10,7 @@ from armsight.calibrate.handeye import PosePairs, Setup, expected_deviation, sol
 from armsight.calibrate.handeye.closed_forms import CLOSED_FORMS
 from armsight.calibrate.handeye.kernels import fit as kernels
 from armsight.calibrate.handeye.kernels import noise as noise_kernels
-from armsight.calibrate.handeye.solution import doubt
+from armsight.calibrate.handeye.solution import uncertainty
 from armsight.calibrate.handeye.variances import restricted_variances
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
 from armsight.fitting import Evaluation, Problem, solve
@@ -213,10 +213,10 @@ def test_doubt_widens_by_what_few_pairs_leave_open() -> None:
     setup = Setup.EYE_IN_HAND
     few, many = (solve_pairs(world(rng, n, setup, 3e-4, 1e-3).arrays(setup), setup) for n in (6, 60))
     for s, least, most in ((few, 1.03, 1.3), (many, 1.0, 1.02)):
-        d = doubt(s)
+        d = uncertainty(s)
         factor = d.std / np.sqrt(np.diag(s.C))
         assert least < np.median(factor) < most
-    assert doubt(few).dof.max() < 36 < doubt(many).dof.min()
+    assert uncertainty(few).dof.max() < 36 < uncertainty(many).dof.min()
 
 
 def test_expected_deviations_need_no_residuals() -> None:

@@ -184,9 +184,9 @@ def corrections(result: ArmCalibration) -> str:
     rows = ["joint,zero_correction,unit,std,scale"]
     for joint, zero, std in zip(joints, zeros.tolist(), doubts.tolist(), strict=True):
         factor, unit = (np.rad2deg(1.0), "deg") if joint.type is JointType.REVOLUTE else (1e3, "mm")
-        doubt = f"{std * factor:.6g}" if std > 0.0 else ""
+        uncertainty = f"{std * factor:.6g}" if std > 0.0 else ""
         scale = 1.0 + result.change(f"{joint.name}.scale")
-        rows.append(f"{joint.name},{zero * factor + 0.0:.6g},{unit},{doubt},{scale:.8g}")
+        rows.append(f"{joint.name},{zero * factor + 0.0:.6g},{unit},{uncertainty},{scale:.8g}")
     return "\n".join(rows) + "\n"
 
 

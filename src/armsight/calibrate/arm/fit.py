@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 MEDIAN_3 = float(chi2.median(3))
 """Median of a squared length of three unit normals: the noise comes from the median, which gross errors leave alone."""
-ROUNDS = 4
+FIT_ROUNDS = 4
 """Fits with the noise of the one before; the ratio of the two noises settles in two or three."""
 LEAST_SIGMA = 1e-9
 """Noise (m, rad) of data without any; a test's, never a measurement's."""
@@ -76,7 +76,7 @@ def fit_arm(
     loss = Loss(kind=LossKind.HUBER, scale=float(np.sqrt(chi2.ppf(0.99, rows))), block=rows)
     sigma = noise or _noise(model, guess, points, 0)
     p = guess
-    for _ in range(1 if noise else ROUNDS):
+    for _ in range(1 if noise else FIT_ROUNDS):
         problem = Problem(
             names=model.names,
             guess=p,

@@ -19,7 +19,7 @@ MOST_SHARE = 0.1
 """Errors of a larger share of how far the tool moved are not of this arm: 2 degrees of all zeros give 0.02 to 0.04."""
 WRONG = 0.2
 """Share of rows with such errors that is borne, as outliers by name; a robust fit goes astray at about a third."""
-TRIES = 60
+PLAUSIBILITY_TRIES = 60
 """Draws of joint positions: at half the rows wrong, one draw of four without a wrong one is missed once in 48."""
 AGREEING = 0.4
 """Share of the rows that must agree before the others are named: half of them swapped leaves a half, and the nominal
@@ -28,7 +28,7 @@ DRAWN = 4
 """Joint positions per draw: the fewest that base and one tool point do not fit whatever they are."""
 REFITS = 4
 """Fits to the rows that agree, and counts again."""
-SEED = 7
+PLAUSIBILITY_SEED = 7
 """The same measurements give the same answer."""
 
 
@@ -70,11 +70,11 @@ def ranges(rows: Sequence[int] | NDArray[np.intp]) -> str:
 
 def _disagreeing(model: ArmModel, points: ArmPoints, limit_m: float) -> list[int]:
     """Return the rows that miss by more than a limit what the most rows agree on; none where too few do."""
-    rng = np.random.default_rng(SEED)
+    rng = np.random.default_rng(PLAUSIBILITY_SEED)
     position = points.position
     like = model.vector(RigidTransform.identity(), [model.arm.T_flange_tool] * len(model.labels))
     best = np.zeros(len(points), bool)
-    for _ in range(TRIES):
+    for _ in range(PLAUSIBILITY_TRIES):
         drawn = rng.choice(position.max() + 1, DRAWN, replace=False)
         rows = np.flatnonzero(np.isin(position, drawn))
         try:

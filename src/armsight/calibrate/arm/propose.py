@@ -22,7 +22,7 @@ OPEN_RAD = np.pi
 """Range of a joint without limits, to either side."""
 OPEN_M = 0.3
 """Range of a slide without limits, to either side."""
-SEED = 5
+PROPOSAL_SEED = 5
 """The same measurements give the same proposal."""
 
 Visible = Callable[[Array], NDArray[np.bool_]]
@@ -70,7 +70,7 @@ def propose(
 
 def _candidates(model: ArmModel, fitted: ArmFit, points: ArmPoints, visible: Visible | None) -> ArmPoints:
     """Return random joint positions within the limits, with the places to expect there; only those that are seen."""
-    rng = np.random.default_rng(SEED)
+    rng = np.random.default_rng(PROPOSAL_SEED)
     low, high = _ranges(model, points)
     q = rng.uniform(low, high, (CANDIDATES, model.arm.n))
     at = ArmPoints(q=q, xyz_m=np.zeros((len(q), 3)), point=(points.point[0],) * len(q))

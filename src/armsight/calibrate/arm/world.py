@@ -23,9 +23,9 @@ Array = NDArray[np.float64]
 NAMES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 GROSS = float(np.sqrt(chi2.ppf(1.0 - 1e-7, 3)))
 """Errors beyond so many deviations are gross, and left out."""
-TRIES = 300
+WORLD_FIT_TRIES = 300
 """Draws of three places: with half of the rows wrong, one draw in eight is without a wrong one."""
-SEED = 11
+WORLD_FIT_SEED = 11
 """The same measurements give the same answer."""
 LEAST_LEFT = 4
 """Rows that must be left: six unknowns, and something to judge them by."""
@@ -95,10 +95,10 @@ def _majority(base_m: Array, rig_m: Array) -> tuple[RigidTransform, NDArray[np.i
 
 def _consensus(base_m: Array, rig_m: Array) -> RigidTransform:
     """Return the pose from the triple of places that half of all places miss by least."""
-    rng = np.random.default_rng(SEED)
+    rng = np.random.default_rng(WORLD_FIT_SEED)
     half = (len(rig_m) + 1) // 2 - 1
     best, least = placed(base_m, rig_m), np.inf  # raises where all places are on one line
-    for _ in range(TRIES):
+    for _ in range(WORLD_FIT_TRIES):
         rows = rng.choice(len(rig_m), 3, replace=False)
         try:
             T = placed(base_m[rows], rig_m[rows])

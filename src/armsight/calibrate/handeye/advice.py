@@ -32,8 +32,9 @@ def verdict(result: HandEye) -> str:
     place = 1.96 * max(std[name] for name in ("x_m", "y_m", "z_m")) / MM
     turn = 1.96 * max(std[name] for name in ("rx_rad", "ry_rad", "rz_rad")) / DEG
     text = (
-        f"The camera's place in the {result.mount} is known to {place:.2g} mm and {turn:.2g} degrees (95 %) from "
-        f"{result.n_used} of {len(result.pairs)} poses; a pose left out is predicted to {result.loo_rms_m / MM:.2g} mm "
+        f"The camera's place in the {result.camera_parent} is known to {place:.2g} mm and {turn:.2g} degrees (95 %) "
+        f"from {result.n_used} of {len(result.pairs)} poses; a pose left out is predicted to "
+        f"{result.loo_rms_m / MM:.2g} mm "
         f"and {result.loo_rms_rad / DEG:.2g} degrees"
     )
     if scale_is_wrong(result):
@@ -52,8 +53,8 @@ def _scale(result: HandEye, pitch_m: float | None) -> list[str]:
     if scale is None or not scale_is_wrong(result):
         return []
     percent = 100.0 * (scale.factor - 1.0)
-    doubt = 100.0 * scale.std
-    text = f"The robot's motion says that the target is {abs(percent):.2f} +- {doubt:.2f} % "
+    uncertainty = 100.0 * scale.std
+    text = f"The robot's motion says that the target is {abs(percent):.2f} +- {uncertainty:.2f} % "
     text += "smaller than given" if percent < 0.0 else "larger than given"
     if pitch_m is not None:
         given, true = pitch_m / MM, pitch_m * scale.factor / MM

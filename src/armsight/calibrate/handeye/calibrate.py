@@ -15,7 +15,7 @@ from armsight.calibrate.handeye.noise import noise_of_pairs
 from armsight.calibrate.handeye.pairs import MIN_PAIRS, Array, Arrays, PosePairs, Setup, pose
 from armsight.calibrate.handeye.result import NAMES, HandEye, Scale
 from armsight.calibrate.handeye.rotation_excitation import require_metres, require_turning, rotation_excitation
-from armsight.calibrate.handeye.solution import Solution, doubt, residuals, solve_pairs
+from armsight.calibrate.handeye.solution import Solution, residuals, solve_pairs, uncertainty
 from armsight.errors import DataRefused, Inconsistent
 from armsight.records import NamedCovariance
 from armsight.units import DEG, MM
@@ -27,7 +27,7 @@ MASKED = 2.5
 """Outliers that hide each other raise the fitted noise above what most pairs show by more than this factor; of ten
 good pairs the two differ by less than 2."""
 
-ROUNDS = 10
+REJECTION_ROUNDS = 10
 """Rounds of naming outliers and fitting again; two or three settle it."""
 
 
@@ -79,7 +79,7 @@ def _calibrate(pairs: PosePairs, setup: Setup, options: HandEyeOptions) -> HandE
     used[rows[order[solution.keep]]] = True
     turned = rotation_excitation(pairs.T_base_flange[np.flatnonzero(used)].rotation)
     require_turning(turned)
-    doubts = doubt(solution)
+    doubts = uncertainty(solution)
     found = residuals(pairs.arrays(setup), solution.R_X, solution.t_x, solution.R_Z, solution.t_z)
     errors = found.copy()
     errors[rows[order]] = left_out
@@ -87,8 +87,8 @@ def _calibrate(pairs: PosePairs, setup: Setup, options: HandEyeOptions) -> HandE
     lever = float(solution.lever[solution.keep].mean())
     finished = HandEye(
         setup=setup,
-        T_mount_camera=pose(solution.R_X, solution.t_x),
-        T_seat_target=pose(solution.R_Z, solution.t_z),
+        T_parent_camera=pose(solution.R_X, solution.t_x),
+        T_parent_target=pose(solution.R_Z, solution.t_z),
         covariance=NamedCovariance(names=NAMES, matrix=solution.C * np.outer(widen, widen)),
         dof=float(doubts.dof[:6].min()),
         noise=noise_of_pairs(solution.variances, doubts.variance_covariance, lever),
@@ -130,7 +130,7 @@ def settle(arrays: Arrays, setup: Setup, given: Consensus) -> tuple[Solution, Ar
     if whole is not None:
         return whole
     keep, start = given.keep, given.start
-    for _ in range(ROUNDS):
+    for _ in range(REJECTION_ROUNDS):
         solution = solve_pairs(arrays, setup, keep=keep, start=start)
         start = (solution.R_X, solution.t_x, solution.R_Z, solution.t_z)
         errors, q = solution.left_out()
@@ -181,7 +181,7 @@ def true_scale(solution: Solution) -> Scale | None:
         )
     except DataRefused:
         return None
-    doubts = doubt(free)
+    doubts = uncertainty(free)
     std = float(np.sqrt(free.C[12, 12]))
     if not (free.gamma > 0.0 and std < 0.2):
         return None

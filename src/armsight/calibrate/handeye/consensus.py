@@ -22,7 +22,7 @@ SAMPLE = 4
 N_SAMPLES = 80
 """With 20 % gross errors no sample of four is clean once in 10^18 draws, with 40 % once in 10^5."""
 
-SEED = 20051
+CONSENSUS_SEED = 20051
 """Samples are drawn the same way every time."""
 
 CLEARLY_RIGHT = 0.01
@@ -187,7 +187,7 @@ def _samples(n: int) -> NDArray[np.int64]:
     """Return (S, 4) samples, all of them where they are few."""
     if comb(n, SAMPLE) <= N_SAMPLES:
         return np.array(list(combinations(range(n), SAMPLE)))
-    rng = np.random.default_rng(SEED)
+    rng = np.random.default_rng(CONSENSUS_SEED)
     return np.argsort(rng.random((N_SAMPLES, n)), axis=1)[:, :SAMPLE].astype(np.int64)
 
 

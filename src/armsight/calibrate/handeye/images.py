@@ -92,8 +92,8 @@ class _Model:
 
     @classmethod
     def of(cls, result: HandEye, seen: ViewPoses) -> _Model:
-        RX, tX = components(result.T_mount_camera)
-        RZ, tZ = components(result.T_seat_target)
+        RX, tX = components(result.T_parent_camera)
+        RZ, tZ = components(result.T_parent_target)
         return cls(
             setup=result.setup,
             arrays=result.pairs.arrays(result.setup),
@@ -218,8 +218,8 @@ def _refined(result: HandEye, seen: ViewPoses, model: _Model, restricted: Restri
     widen = result.coverage_factor**2
     return replace(
         result,
-        T_mount_camera=pose(RX, fit.shared[:3]),
-        T_seat_target=pose(RZ, fit.shared[6:9]),
+        T_parent_camera=pose(RX, fit.shared[:3]),
+        T_parent_target=pose(RZ, fit.shared[6:9]),
         covariance=NamedCovariance(names=NAMES, matrix=covariance * widen),
         noise=_noise(result, seen, restricted),
         residuals=residuals(model.arrays, *at),
@@ -253,15 +253,15 @@ def _left_out(model: _Model, at: tuple[Array, Array, Array, Array], S: Array) ->
 def _noise(result: HandEye, seen: ViewPoses, restricted: Restricted) -> Noise:
     """Return the noises with the corners' share known."""
     corners = np.einsum("nii->ni", seen.covariance[result.used]).mean(axis=0)
-    doubt = restricted.covariance
-    robot_m = part(restricted.variances[0], doubt[0, 0])
+    uncertainty = restricted.covariance
+    robot_m = part(restricted.variances[0], uncertainty[0, 0])
     corner_m = float(corners[:3].mean())
-    camera_rad = part(restricted.variances[1] + corners[3:].mean(), doubt[1, 1])
+    camera_rad = part(restricted.variances[1] + corners[3:].mean(), uncertainty[1, 1])
     return Noise(
-        translation_m=part(restricted.variances[0] + corner_m, doubt[0, 0]),
+        translation_m=part(restricted.variances[0] + corner_m, uncertainty[0, 0]),
         robot_m=robot_m,
         camera_m=part(corner_m, 0.0),
-        robot_rad=part(restricted.variances[2], doubt[2, 2]),
+        robot_rad=part(restricted.variances[2], uncertainty[2, 2]),
         camera_rad=camera_rad,
         lever_m=result.noise.lever_m,
     )

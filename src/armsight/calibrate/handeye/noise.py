@@ -46,9 +46,11 @@ class Noise:
         """Return one sentence on whether robot or camera explains the residuals."""
         total = self.robot_rad.value**2 + self.camera_rad.value**2
         share = self.robot_rad.value**2 / total if total > 0.0 else 0.0
-        doubt = 2.0 * np.hypot(self.robot_rad.value * self.robot_rad.std, self.camera_rad.value * self.camera_rad.std)
+        uncertainty = 2.0 * np.hypot(
+            self.robot_rad.value * self.robot_rad.std, self.camera_rad.value * self.camera_rad.std
+        )
         size = f"{np.sqrt(total) / DEG:.2g} degrees"
-        if total > 0.0 and doubt > 0.3 * total:
+        if total > 0.0 and uncertainty > 0.3 * total:
             turn = f"The data cannot yet tell whether robot or camera causes the {size} in orientation"
         elif share > 0.7:
             turn = f"The robot explains most of the {size} in orientation"
@@ -80,5 +82,7 @@ def noise_of_pairs(variances: Array, covariance: Array, lever_m: float) -> Noise
 def part(variance: float, spread: float) -> Part:
     """Return the deviation of a variance; near zero its doubt is that of the variance itself, not of its slope."""
     value = float(np.sqrt(max(variance, 0.0)))
-    doubt = float(np.sqrt(max(spread, 0.0)))
-    return Part(value=value, std=float(min(doubt / (2.0 * value) if value > 0.0 else np.inf, np.sqrt(doubt))))
+    uncertainty = float(np.sqrt(max(spread, 0.0)))
+    return Part(
+        value=value, std=float(min(uncertainty / (2.0 * value) if value > 0.0 else np.inf, np.sqrt(uncertainty)))
+    )

@@ -15,7 +15,7 @@ from armsight.errors import Inconsistent
 from armsight.units import DEG
 
 N_CANDIDATES = 600
-SEED = 1994
+PROPOSAL_SEED = 1994
 TILT_RAD = 35.0 * DEG
 """Candidates are tilted up to this far from the mean view: further, the corners of a flat target get poor."""
 
@@ -73,7 +73,7 @@ def _candidates(
     result: HandEye, reachable: Callable[[RigidTransform], bool] | None
 ) -> tuple[RigidTransform, RigidTransform]:
     """Return stacks of T_base_flange and T_camera_target."""
-    rng = np.random.default_rng(SEED)
+    rng = np.random.default_rng(PROPOSAL_SEED)
     seen = result.pairs.T_camera_target[np.flatnonzero(result.used)]
     t = seen.translation
     slope = np.abs(t[:, :2] / t[:, 2:]).max(axis=0)
@@ -87,9 +87,9 @@ def _candidates(
     rolls = Rotation.from_rotvec(np.outer(rng.uniform(-ROLL_RAD, ROLL_RAD, N_CANDIDATES), [0.0, 0.0, 1.0]))
     camera = RigidTransform.from_components(place, tilts * seen.rotation.mean() * rolls)
     if result.setup is Setup.EYE_IN_HAND:
-        flange = result.T_seat_target * camera.inv() * result.T_mount_camera.inv()
+        flange = result.T_parent_target * camera.inv() * result.T_parent_camera.inv()
     else:
-        flange = result.T_mount_camera * camera * result.T_seat_target.inv()
+        flange = result.T_parent_camera * camera * result.T_parent_target.inv()
     if reachable is None:
         visited = result.pairs.T_base_flange.translation
         low, high = visited.min(axis=0), visited.max(axis=0)
@@ -118,8 +118,8 @@ def _whitened(result: HandEye, arrays: Arrays) -> Array:
     e, J, lever = np.empty((n, 6)), np.empty((n, 6, 12)), np.empty(n)
     noise = result.noise
     theta = np.array([noise.translation_m.value**2, noise.camera_rad.value**2, noise.robot_rad.value**2])
-    RX, tX = components(result.T_mount_camera)
-    RZ, tZ = components(result.T_seat_target)
+    RX, tX = components(result.T_parent_camera)
+    RZ, tZ = components(result.T_parent_target)
     kernels.weigh(
         (RX, tX),
         (RZ, tZ),

@@ -33,7 +33,7 @@ class Scale:
 class HandEye:
     """Where the camera and the target are, and how far to believe it.
 
-    setup: EYE_IN_HAND: T_mount_camera is T_flange_camera and T_seat_target is T_base_target. EYE_TO_HAND: they are
+    setup: EYE_IN_HAND: T_parent_camera is T_flange_camera and T_parent_target is T_base_target. EYE_TO_HAND: they are
     T_base_camera and T_flange_target. covariance (12, 12): of both, translation then rotation vector, in mount's
     and seat's axes, widened for the noise being estimated: +- 1.96 std holds 95 %. pairs: as given. used (n,): which
     pairs the answer rests on. rejected: (name, why) of the others. residuals (n, 6), left_out (n, 6): measured
@@ -41,8 +41,8 @@ class HandEye:
     """
 
     setup: Setup
-    T_mount_camera: RigidTransform
-    T_seat_target: RigidTransform
+    T_parent_camera: RigidTransform
+    T_parent_target: RigidTransform
     covariance: NamedCovariance
     dof: float
     noise: Noise
@@ -62,12 +62,12 @@ class HandEye:
         object.__setattr__(self, "left_out", frozen_array("left_out", self.left_out, (n, 6)))
 
     @property
-    def mount(self) -> str:
+    def camera_parent(self) -> str:
         """The frame that carries the camera."""
         return "flange" if self.setup is Setup.EYE_IN_HAND else "base"
 
     @property
-    def seat(self) -> str:
+    def target_parent(self) -> str:
         """The frame that carries the target."""
         return "base" if self.setup is Setup.EYE_IN_HAND else "flange"
 

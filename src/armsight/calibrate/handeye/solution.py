@@ -167,7 +167,7 @@ def residuals(arrays: Arrays, RX: Array, tX: Array, RZ: Array, tZ: Array, gamma:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Doubt:
+class VarianceUncertainty:
     """What the estimated noises leave in doubt.
 
     variance_covariance (3, 3): of the variances. dof (m,): effective degrees of freedom behind each parameter's
@@ -180,7 +180,7 @@ class Doubt:
     std: Array
 
 
-def doubt(solution: Solution) -> Doubt:
+def uncertainty(solution: Solution) -> VarianceUncertainty:
     """Return the doubt of a fit whose noises were estimated from its own residuals."""
     Q = _shapes(solution)  # (3, n, 6, 6) whitened derivative of the noise by each variance
     J, C = solution.J, solution.C
@@ -200,7 +200,7 @@ def doubt(solution: Solution) -> Doubt:
     grown = variance + 2.0 * np.maximum(np.diag(C @ lost @ C), 0.0)
     dof = np.clip(2.0 * variance**2 / np.maximum(spread, 1e-300), 1.0, 1e6)
     factor = student.ppf(0.975, dof) / NORMAL_95
-    return Doubt(variance_covariance=covariance, dof=dof, std=np.sqrt(grown) * factor)
+    return VarianceUncertainty(variance_covariance=covariance, dof=dof, std=np.sqrt(grown) * factor)
 
 
 def warm_up() -> None:

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-ROUNDS = 60
-SETTLED = 1e-3
+VARIANCE_ROUNDS = 60
+VARIANCE_SETTLED = 1e-3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -33,7 +33,7 @@ def restricted_variances(
     theta = _first(e[used], Q[:, used])
     theta = np.maximum(theta, floor)
     best, value = theta, -np.inf
-    for _ in range(ROUNDS):
+    for _ in range(VARIANCE_ROUNDS):
         likelihood, score, information = _step(e[used], J[used], known[used], Q[:, used], theta)
         if likelihood < value - 1e-9:
             theta = 0.5 * (theta + best)
@@ -43,7 +43,7 @@ def restricted_variances(
         step = np.zeros_like(theta)
         step[free] = np.linalg.solve(information[np.ix_(free, free)], score[free])
         new = np.maximum(np.maximum(theta + step, floor), 0.05 * theta * (floor > 0.0))
-        settled = np.abs(new - theta).max(initial=0.0, where=free) <= SETTLED * theta.max()
+        settled = np.abs(new - theta).max(initial=0.0, where=free) <= VARIANCE_SETTLED * theta.max()
         theta = new
         if settled:
             break

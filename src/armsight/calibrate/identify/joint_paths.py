@@ -29,7 +29,7 @@ POOR = 1e-12
 """Probability of a path's misfit below which it is neither line nor circle."""
 PLAINLY = 0.01
 """A path is plainly bent where a circle leaves less than this share of the misfit a line leaves."""
-LOOSE = 1e3
+LOOSE_PRIOR = 1e3
 """Factor on the noise with which nothing counts as gross, while the noise itself is looked for."""
 
 
@@ -96,7 +96,7 @@ def _judged(item: JointPath, factor: float, dof: int) -> JointPath:
 
 def _noise(seen: SweepResiduals, order: Array) -> tuple[float, PathFit | None]:
     """Return the noise of one sweep over the assumed one, by the median of the better shape's residuals; the shape."""
-    loose = seen.at(LOOSE * seen.sigma if seen.rig is not None else LOOSE)
+    loose = seen.at(LOOSE_PRIOR * seen.sigma if seen.rig is not None else LOOSE_PRIOR)
     starts = circle_starts(loose)
     bent = starts[0][0]
     path = None if bent < PLAINLY * line_misfit(loose) else fit_line(loose, order)

@@ -27,7 +27,7 @@ PROBE_SHARE = 0.05
 """Share of a joint's travel that a probe moves it: small beside what a free working place allows."""
 RESTS, GRID, ROUNDS = 150, 41, 4
 """Rest poses tried a joint, values of its range, rounds of exchange."""
-SEED = 1
+PLAN_SEED = 1
 POOR_M, POOR_RAD = 0.005, np.deg2rad(1.0)
 """Expected deviations beyond these are named: an arm known worse is of no use to a controller."""
 
@@ -117,7 +117,7 @@ def propose_sweeps(
             consequence="No sweep is proposed",
             cure="Start where both cameras see the beacon, well inside the image",
         )
-    rng = np.random.default_rng(SEED)
+    rng = np.random.default_rng(PLAN_SEED)
     candidates = [_candidates(view, low_high, q0, j, readings, rng) for j in range(len(q0))]
     chosen = _exchange(candidates, prior_information(arm.model))
     sweeps = _ordered(view, [found[k] for found, k in zip(candidates, chosen, strict=True)], q0)
@@ -136,7 +136,7 @@ def expected_deviations(
     covariance = np.linalg.inv(np.einsum("mia,mib->ab", G, G) + prior_information(model))
     at = np.zeros(len(covariance))
     if arm.covariance is None:  # a model may say exactly parallel; what will be found is off that by its deviations
-        at = np.linalg.cholesky(covariance) @ np.random.default_rng(SEED).normal(size=len(at))
+        at = np.linalg.cholesky(covariance) @ np.random.default_rng(PLAN_SEED).normal(size=len(at))
     axes, beacon = model.axes_at(at)
 
     def entries(x: Array) -> Array:

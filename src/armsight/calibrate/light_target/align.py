@@ -10,7 +10,7 @@ from armsight.geometry.lie import skew
 
 Array = NDArray[np.float64]
 
-STEPS = 6
+ALIGN_STEPS = 6
 """Gauss-Newton steps from the unweighted answer; each gains two digits."""
 
 HELD = 1e-9
@@ -24,7 +24,7 @@ def align(X: Array, P: Array, W: Array) -> tuple[Array, Array, Array]:
     """
     X = np.broadcast_to(X, P.shape)
     R, t = _kabsch(X, P)
-    for _ in range(STEPS):
+    for _ in range(ALIGN_STEPS):
         q = np.einsum("bij,bnj->bni", R, X)
         e = P - q - t[:, None]
         J = np.concatenate([np.broadcast_to(np.eye(3), (*q.shape, 3)), -skew(q)], axis=-1)  # (b, n, 3, 6)

@@ -36,7 +36,7 @@ the turn about it."""
 SIDES_SHARE = 1.0 / 3.0
 """Frames in which the lights run the other way round: more than this share leave the sense of w open."""
 
-LOOSE = 3.0
+SHAPE_LOOSE = 3.0
 """Residuals of the shape may exceed those of the epipolar lines, or the spots' noise, so many times ..."""
 
 LOOSE_PX = 0.15
@@ -164,7 +164,7 @@ def require_rigid(bundle: LightBundle, epipolar: tuple[float, int], n: int, fram
         return
     noise = max(epipolar[0] / max(epipolar[1], 1), 1.0)
     rms = float(np.sqrt(np.mean(bundle.residual_px**2)))
-    limit = max(LOOSE**2, float(chi2_law.isf(FALSE_ALARM, dof)) / dof)
+    limit = max(SHAPE_LOOSE**2, float(chi2_law.isf(FALSE_ALARM, dof)) / dof)
     if chi2 / dof > limit * noise and rms > LOOSE_PX:
         raise Inconsistent(
             f"the lengths change more than noise: no one shape of {n} lights fits {frames} frames better than "

@@ -20,7 +20,7 @@ HYPOTHESES = 600
 """Shapes tried, each what one choice in one frame shows; every one is held against all frames. All choices of a frame
 are tried or none: of many only one is right."""
 
-GATE = 1e-5
+NAMING_GATE = 1e-5
 """Chance that a frame's true distances are called foreign (with SLACK_PX, so in truth rarer)."""
 
 WIDE = 400.0
@@ -30,7 +30,7 @@ BEHIND = 60.0
 """Added to chi-square where the lights would be seen from behind: isosceles lights turned over fit as well, but lights
 shine to one side. A naming that is wrong by its distances is off by hundreds."""
 
-ROUNDS = 4
+NAMING_ROUNDS = 4
 """Of naming all frames by the shape, and taking the shape from all frames."""
 
 
@@ -70,9 +70,9 @@ def find_shape(sights: Sequence[Sight]) -> Named:
     n = sights[0].rows.shape[1]
     perms = np.array(list(permutations(range(n))), dtype=np.intp)
     X, variances = _best_hypothesis(sights, perms)
-    for last in range(ROUNDS):
+    for last in range(NAMING_ROUNDS):
         named = _name_all(sights, X, variances, perms)
-        if last == ROUNDS - 1 or len(named.number) == 0:
+        if last == NAMING_ROUNDS - 1 or len(named.number) == 0:
             break
         X = _mean_shape(sights, named)
         variances = np.zeros(len(variances))
@@ -99,7 +99,7 @@ def _orders(perms: Index) -> Index:
 def _best_hypothesis(sights: Sequence[Sight], perms: Index) -> tuple[Array, Array]:
     """Return the shape (n, 3) of one choice of one frame that most frames share, and its distances' variances."""
     order = _orders(perms)
-    gate = float(chi2_law.isf(GATE, order.shape[1]))
+    gate = float(chi2_law.isf(NAMING_GATE, order.shape[1]))
     xyz, cov = (np.concatenate([getattr(s, name) for s in sights]) for name in ("xyz_m", "cov_m2"))
     first = np.cumsum([0] + [len(s.rows) for s in sights[:-1]])  # each frame's first choice
     D, V = distances(xyz)[:, order], _variances(xyz, cov)[:, order]  # (c, p, m)
@@ -150,7 +150,7 @@ def _near(
     sights: Sequence[Sight], d: Array, variances: Array, perms: Index
 ) -> tuple[list[tuple[int, int, int]], tuple[tuple[int, float], ...]]:
     """Return (sight, choice, naming) whose distances come near d (m,), and for sights without any by how much not."""
-    order, gate = _orders(perms), float(chi2_law.isf(GATE, len(d)))
+    order, gate = _orders(perms), float(chi2_law.isf(NAMING_GATE, len(d)))
     tried: list[tuple[int, int, int]] = []
     misfit: list[tuple[int, float]] = []
     for s, sight in enumerate(sights):

@@ -32,7 +32,7 @@ VAGUE = 0.01
 """Deviation of the baseline, by itself, from which the views are too much alike."""
 MIRRORS = 4
 STEP_RAD = 1e-6
-ROUNDS = 4
+DIAGNOSIS_ROUNDS = 4
 STILL = 25.0
 """Chi-square of six numbers (3e-4 by chance) below which nothing has moved."""
 APART = 9.0
@@ -247,7 +247,7 @@ def _in_left_axes(rig: Rig) -> Array:
 def _suspect(design: Mirrors, mirror: int, change: Array, W: Array) -> Suspect:
     """Return the turn of one mirror that explains the change best."""
     tilt = np.zeros(2)
-    for _ in range(ROUNDS):
+    for _ in range(DIAGNOSIS_ROUNDS):
         r = _predicted(design, mirror, tilt) - change
         J = np.column_stack(
             [

@@ -31,7 +31,7 @@ PART_SHARE = 0.25
 
 START_BLUR_PX = 1.0
 
-ROUNDS = 12
+LAYER_ROUNDS = 12
 """Each board is fitted with the other taken off, in turn; this often at most."""
 
 SETTLED_PX = 1e-3
@@ -48,7 +48,7 @@ OUTWARD = np.linspace(0.15, 1.5, 55)
 INNER = 5
 """... the first of which are inside for certain."""
 
-LOOSE = 3.0
+LAYER_LOOSE = 3.0
 """Where the other board's map is extrapolated until its variance is this many times a corner's, no corner is fitted
 that has one of its corners in the window: what is taken off there may be off by more than the noise."""
 
@@ -109,7 +109,7 @@ def first_layer(grid: Grid, board: Target) -> Layer:
 def separate_layers(light: Array, board: Target, layers: tuple[Layer, Layer]) -> tuple[Layer, Layer]:
     """Return both boards fitted, each in the image without the other, until they rest."""
     one, two = (measure_layer(light, layer, None, board) for layer in layers)
-    for _ in range(ROUNDS):
+    for _ in range(LAYER_ROUNDS):
         before = np.concatenate([one.uv[one.good], two.uv[two.good]])
         kept = one.good, two.good
         one = measure_layer(light, one, two, board)
@@ -202,7 +202,7 @@ def _good(layer: Layer, other: Layer, board: Target, uv: Array, quality: Array, 
     good &= quality[:, 3] < RESTLESS * np.median(quality[good, 3])
     rim = np.clip(with_rim(board), *other.rim)
     gap = np.linalg.norm(layer.smooth(grid)[:, None] - other.smooth(rim)[None], axis=2)  # (n, rim)
-    loose = _leverage(grid[other.good], rim) > LOOSE
+    loose = _leverage(grid[other.good], rim) > LAYER_LOOSE
     limit = np.where(loose, REACH * size[:, None], max(NEAR_PX, NEAR_BLURS * layer.blur_px))
     return np.asarray(good & (gap > limit).all(axis=1))
 

@@ -28,7 +28,7 @@ LOUD = 6.0
 """... and so many deviations of the noise: among half a million pixels of noise the largest has five."""
 STRONG = 40
 """How many of the strongest maxima set what is usual."""
-MANY = 800
+MANY_CORNERS = 800
 """More maxima than this are not looked at, the weakest first."""
 BINS = 180
 SMOOTH_BINS = 4.0
@@ -38,14 +38,14 @@ AIM = 0.95
 """Cosine between a step along the grid and its edge direction: perspective turns it by some degrees."""
 LEAST_STEP_PX = 8.0
 SLENDER = 4.0
-FLAT = 0.3
+FLAT_RESPONSE = 0.3
 """Sine of the angle between a square's sides below which it is no square."""
 NEIGHBOURS = 6
 """Along each direction so many maxima are tried as the next corner: those of the other board lie between."""
 NEAR = 0.08
 NEAR_PX = (2.0, 5.0)
 """A corner is this near to where the grid predicts it: in squares, but in px not less than and no more than that."""
-SETTLED = 16
+SETTLED_CORNERS = 16
 """A grid of so many corners predicts the next ones twice as well."""
 SEEDS = 80
 """Corners tried as the first of a grid, the strongest first."""
@@ -125,7 +125,7 @@ def find_saddles(image: Array) -> Saddles:
     peak = (strength == maximum_filter(strength, 2 * APART_PX + 1)) & (strength > 0.0)
     peak[:2] = peak[-2:] = peak[:, :2] = peak[:, -2:] = False
     row, col = np.nonzero(peak)
-    order = np.argsort(-strength[row, col])[:MANY]
+    order = np.argsort(-strength[row, col])[:MANY_CORNERS]
     row, col = row[order], col[order]
     if len(row) == 0:
         return Saddles(uv=np.empty((0, 2)), response=np.empty(0), axes=axes)
@@ -195,7 +195,7 @@ def _starts(saddles: Saddles) -> Iterator[NDArray[np.intp]]:
         for q in ahead[0]:
             for r in ahead[1]:
                 a, b = step[q], step[r]
-                open_enough = abs(a[0] * b[1] - a[1] * b[0]) > FLAT * length[q] * length[r]
+                open_enough = abs(a[0] * b[1] - a[1] * b[0]) > FLAT_RESPONSE * length[q] * length[r]
                 if not (1.0 / SLENDER < length[q] / length[r] < SLENDER and open_enough):
                     continue
                 gap = np.linalg.norm(uv - (uv[q] + uv[r] - uv[p]), axis=1)
@@ -233,7 +233,7 @@ def _grow(
         gap[sign[None] != wanted[:, None]] = np.inf
         gap[:, places] = np.inf
         near = np.argmin(gap, axis=1)
-        tight = 1.0 if len(cells) < SETTLED else 0.5
+        tight = 1.0 if len(cells) < SETTLED_CORNERS else 0.5
         met = gap[np.arange(len(new)), near] < tight * _near(size)
         _, once = np.unique(near[met], return_index=True)
         if len(once) == 0:

@@ -15,7 +15,7 @@ from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.tracking import expected
 from armsight.records import PoseStatus
 
-LOOSE = (8.0, 32.0)
+REFIT_SLACKS = (8.0, 32.0)
 """Factors on the slack, one after the other: residuals of 2 px, and of 8 px as of a camera knocked by half a degree."""
 
 
@@ -29,7 +29,7 @@ def refit(setup: Setup, measured: Measured) -> Measured | None:
     if measured.busy or whole < 3 or setup.target.is_board or not setup.target.model_known:
         return None
     t_s = measured.pose.t_s
-    for loose in LOOSE:
+    for loose in REFIT_SLACKS:
         slack = loose * setup.slack_px
         pairs = pair_spots(setup.packed, left, right, slack, overlaid=setup.overlaid)
         if len(pairs.index) < whole:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.measure.poses.kernels import correspondence as kernels
-from armsight.measure.poses.pairs import GATE, Pairs
+from armsight.measure.poses.pairs import PAIR_GATE, Pairs
 from armsight.measure.poses.target_model import TargetModel
 from armsight.optics import PackedRig
 
@@ -76,7 +76,7 @@ def search_arrangements(
         pairs.xyz_m,
         pairs.cov_m2,
         slack_px**2,
-        GATE,
+        PAIR_GATE,
         model.limits,
         scope.margin,
         pairs.overlaid,

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from armsight.measure.poses.assignment import PREDICTION_RATIO, Assignment, Match, Prediction
 from armsight.measure.poses.kernels import correspondence as kernels
-from armsight.measure.poses.pairs import GATE, Pairs, disjoint_sets, overlaid_triples
+from armsight.measure.poses.pairs import PAIR_GATE, Pairs, disjoint_sets, overlaid_triples
 from armsight.measure.poses.target_model import TargetModel
 from armsight.records import Spots
 
@@ -76,7 +76,7 @@ def match_few(model: TargetModel, pairs: Pairs, *, known: bool, prediction: Pred
         fitting = [
             o
             for o in options
-            if any(kernels.distance_fits(pairs.xyz_m, pairs.cov_m2, o[0], o[1], d, GATE) for d in gap)
+            if any(kernels.distance_fits(pairs.xyz_m, pairs.cov_m2, o[0], o[1], d, PAIR_GATE) for d in gap)
         ]
         if not fitting:
             return Match(best=None, why="two lights are seen, but no two of the target's are that far apart")

@@ -20,7 +20,7 @@ SLACK_PX = 0.25
 coordinate, before a match is doubted. Real pairs calibrated with printed boards show 0.1-0.2 px. It decides what
 belongs together, not the covariance that is handed out."""
 
-GATE = 16.0
+PAIR_GATE = 16.0
 """Squared deviations allowed to an epipolar distance and to a distance between two lights (4 sigma)."""
 
 MOST_FREE = 12
@@ -77,7 +77,7 @@ def pair_spots(
         right.uv_px,
         right.covariance_px2,
         slack_px**2,
-        GATE,
+        PAIR_GATE,
         overlaid,
         kernels.MAX_PAIRS,
     )

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from armsight.measure.poses.arrangements import Scope, search_arrangements
 from armsight.measure.poses.kernels import correspondence as kernels
-from armsight.measure.poses.pairs import GATE, Pairs
+from armsight.measure.poses.pairs import PAIR_GATE, Pairs
 from armsight.measure.poses.setup import Setup
 from armsight.measure.spots import Candidates
 from armsight.optics import SIDES
@@ -18,7 +18,7 @@ from armsight.records import Spots
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-STEPS = (96, 384)
+SHORTLIST_STEPS = (96, 384)
 """Candidates of each image among which arrangements are searched, strongest first; the next number where none is."""
 MOST_NODES = 2_000_000
 """Pairs looked at in the search; about 20 ms."""
@@ -85,7 +85,7 @@ def shortlist(setup: Setup, left: Candidates, right: Candidates) -> Shortlist:
     found = Shortlist(left=np.empty(0, np.intp), right=np.empty(0, np.intp), bright=sum(bright))
     stopped = _stopped(left, right)
     few = (bright[0] + left.others) * (bright[1] + right.others) * PAIRED_SHARE < FEW_BY_CHANCE
-    for most in STEPS:
+    for most in SHORTLIST_STEPS:
         at_left, at_right = left.positions(most), right.positions(most)
         pairs = _paired(setup, left, right, at_left, at_right)
         if not len(pairs.index):
@@ -147,7 +147,7 @@ def _paired(setup: Setup, left: Candidates, right: Candidates, at_left: Index, a
         right.uv_px[at_right],
         cov[1],
         slack2,
-        GATE,
+        PAIR_GATE,
         setup.overlaid,
         kernels.MANY_PAIRS,
     )

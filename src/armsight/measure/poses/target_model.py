@@ -18,7 +18,7 @@ COLLINEAR = 0.02
 """Second principal spread over the first below which spots count as lying on one line: the turn about it would be
 50 times as uncertain as the others."""
 
-FLAT = 0.05
+FLAT_SHARE = 0.05
 """Third principal spread over the first below which the lights share a plane, whose normal is then theirs."""
 
 FIT_SIGMA = 5.0
@@ -61,7 +61,7 @@ class TargetModel:
                     consequence="Its turn about that line cannot be known",
                     cure="Use a target whose spots form a triangle",
                 )
-            normal, flat = axes[2], bool(spread[2] <= FLAT * spread[0])
+            normal, flat = axes[2], bool(spread[2] <= FLAT_SHARE * spread[0])
             one_sided = flat and bool(abs(normal[2]) >= FACING)
         return cls(
             names=target.names,

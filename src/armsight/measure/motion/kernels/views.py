@@ -23,7 +23,7 @@ from armsight.measure.motion.kernels.state import (
 )
 from armsight.optics.kernels.camera import see_point
 
-ROUNDS = 4
+UPDATE_ROUNDS = 4
 """Gauss-Newton steps of an update at the most; two are enough unless the state was a guess."""
 SETTLED2 = 1e-4
 """Square of a step over its own uncertainty below which an update has settled."""
@@ -92,7 +92,7 @@ def update(x, C, k, Rc, tc, X, tau, uv, cov, residual):
     z = x.copy()
     chi2 = -1.0
     logdet = 0.0
-    for turn in range(ROUNDS):
+    for turn in range(UPDATE_ROUNDS):
         for i in range(n):
             if not observe(z, k, Rc, tc, X[i], tau[i], px, H[2 * i : 2 * i + 2]):
                 return -1.0, 0.0
