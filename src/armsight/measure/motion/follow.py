@@ -1,0 +1,189 @@
+"""Frames of two cameras that no wire joins -> named views of a target: each frame by itself, at its own time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from armsight.measure.motion.estimate import MAX_GAP_S, MotionFilter, Start
+from armsight.measure.motion.kernels import state as kernels
+from armsight.measure.motion.kernels.views import observe
+from armsight.measure.motion.states import MotionState, View
+from armsight.measure.poses.pipeline import measure_pair
+from armsight.measure.poses.setup import Setup
+from armsight.measure.spots import track_spots
+from armsight.records import AT_ONCE, CameraTiming, Frame, PoseStatus, Spots
+
+Array = NDArray[np.float64]
+
+BEGIN_SLACKS_PX = (1.0, 3.0)
+"""What views of two moments may add to a spot's deviation when a track begins, tried after the setup's own slack:
+0.1 and 0.3 m/s for 8 ms at 0.8 m."""
+BEGIN_APART_S = 0.1
+"""Frames further apart than this do not begin a track."""
+LEAST_WINDOW_PX, MOST_WINDOW_PX = 8.0, 64.0
+SPOT_REACH = 4.0
+"""A spot's light reaches about this many of its sigmas."""
+GATE_SIGMA = 5.0
+"""Deviations of where a spot is expected beyond which it is another one."""
+VIEW_CHANCE = 1e-6
+"""Chance below which a view that fits so badly is not of the target as it moves."""
+LOST_VIEWS = 6
+"""Views in a row that do not fit, or in which nothing is seen, after which the target is looked for anew."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Expected:
+    """Where lights are expected in one view: uv_px (m, 2), H (2 m, 18), S (2 m, 2 m), and their lines' tau_s (m,)."""
+
+    uv_px: Array
+    H: Array
+    S: Array
+    tau_s: Array
+
+
+@dataclass(slots=True, kw_only=True, eq=False)
+class Follower:
+    """Takes frames in the order of the rig's time and names their spots; keeps views and starts for smoothing.
+
+    timing: of the left and the right camera. views, starts: what was found so far.
+    """
+
+    setup: Setup
+    timing: tuple[CameraTiming, CameraTiming] = (AT_ONCE, AT_ONCE)
+    views: list[View] = field(default_factory=list)
+    starts: list[Start] = field(default_factory=list)
+    why: str = "no frame of both cameras yet"
+    _filter: MotionFilter | None = None
+    _latest: list[Frame | None] = field(default_factory=lambda: [None, None])
+    _missed: int = 0
+
+    def time_of(self, frame: Frame, side: int) -> float:
+        """Return the rig's time of a frame."""
+        return float(self.timing[side].rig_time(frame.t_s))
+
+    def add(self, frame: Frame, side: int) -> MotionState | None:
+        """Return the state after a frame of the left (0) or right (1) camera; None while the target is not followed."""
+        t_s = self.time_of(frame, side)
+        if self._filter is not None and t_s - self._filter.seen_s > MAX_GAP_S:
+            self._filter, self.why = None, "the target was out of sight"
+        if self._filter is None:
+            self._latest[side] = frame
+            return self._begin(t_s)
+        view = self._look(frame, side, t_s, self._filter.at(t_s))
+        self._missed = 0 if view is not None else self._missed + 1
+        if self._missed >= LOST_VIEWS:
+            self._filter, self._latest, self.why = None, [None, None], "what is seen no longer moves as the target did"
+            return None
+        if view is None:
+            return self._filter.at(t_s)
+        self.views.append(view)
+        return self._filter.add(view)
+
+    def _begin(self, t_s: float) -> MotionState | None:
+        """Look for the target in the latest frames of both cameras; a track begins with the older of them."""
+        left, right = self._latest
+        if left is None or right is None:
+            return None
+        times = self.time_of(left, 0), self.time_of(right, 1)
+        if abs(times[0] - times[1]) > BEGIN_APART_S:
+            return None
+        measured = measure_pair(self.setup, left, right)
+        for slack_px in BEGIN_SLACKS_PX:
+            if measured.pose.status is PoseStatus.OK:
+                break
+            measured = measure_pair(replace(self.setup, slack_px=slack_px), left, right)
+        if measured.pose.status is not PoseStatus.OK or measured.pose.T_parent_target is None:
+            self.why = measured.pose.why
+            return None
+        names = measured.names
+        pair = [self._view(measured.left, names, 0, left), self._view(measured.right, names, 1, right)]
+        pair.sort(key=lambda view: view.t_s)
+        if self.views and pair[0].t_s < self.views[-1].t_s:
+            return None
+        T, C = np.asarray(measured.pose.T_parent_target), np.asarray(measured.pose.covariance)
+        self.starts.append(Start(view=len(self.views), T=T, covariance=C))
+        self._filter = MotionFilter(self.setup.packed, self.setup.model.xyz_m, pair[0].t_s, T, C)
+        self._missed = 0
+        state = None
+        for view in pair:
+            self.views.append(view)
+            state = self._filter.add(view)
+        return state
+
+    def _view(self, spots: Spots, names: tuple[str, ...], side: int, frame: Frame) -> View:
+        lights = np.array([self.setup.model.names.index(name) for name in names], dtype=np.intp)
+        tau = self.timing[side].line_time(spots.uv_px[:, 1], frame.height)
+        return View(
+            t_s=self.time_of(frame, side),
+            side=side,
+            lights=lights,
+            uv_px=spots.uv_px,
+            cov_px2=spots.covariance_px2,
+            tau_s=tau,
+        )
+
+    def _look(self, frame: Frame, side: int, t_s: float, state: MotionState) -> View | None:
+        """Return the target's spots in a frame, looked for where they are expected; None where they are not there."""
+        expected = expect(self.setup, state, side, self.timing[side], frame.height)
+        if expected is None:
+            return None
+        h, w = frame.height, frame.width
+        inside = ((expected.uv_px >= 0.0) & (expected.uv_px <= (w - 1.0, h - 1.0))).all(axis=1)
+        if not inside.any():
+            return None
+        spread = np.sqrt(np.diag(expected.S).reshape(-1, 2).max(axis=1))
+        half = float(np.clip(GATE_SIGMA * spread[inside].max() + LEAST_WINDOW_PX, LEAST_WINDOW_PX, MOST_WINDOW_PX))
+        spots, of = track_spots(frame.image, expected.uv_px[inside], half, self.setup.sides[side])
+        chosen = _choose(expected, np.flatnonzero(inside)[of], spots)
+        if not len(chosen):
+            return None
+        light = np.flatnonzero(inside)[of][chosen]
+        uv, cov = spots.uv_px[chosen], spots.covariance_px2[chosen]
+        if not _plausible(expected, light, uv, cov):
+            return None
+        tau = self.timing[side].line_time(uv[:, 1], h)
+        return View(t_s=t_s, side=side, lights=light.astype(np.intp), uv_px=uv, cov_px2=cov, tau_s=tau)
+
+
+def expect(setup: Setup, state: MotionState, side: int, timing: CameraTiming, height: int) -> Expected | None:
+    """Return where the lights will be seen; None where one of them would be behind the camera."""
+    packed, X = setup.packed, setup.model.xyz_m
+    m = len(X)
+    uv, H, tau = np.empty((m, 2)), np.empty((2 * m, kernels.N)), np.zeros(m)
+    for _ in range(2 if timing.rolling else 1):
+        for i in range(m):
+            if not observe(
+                state.x, packed.k[side], packed.R[side], packed.t[side], X[i], tau[i], uv[i], H[2 * i : 2 * i + 2]
+            ):
+                return None
+        tau = timing.line_time(uv[:, 1], height)
+    return Expected(uv_px=uv, H=H, S=H @ state.C @ H.T, tau_s=tau)
+
+
+def _choose(expected: Expected, light: NDArray[np.intp], spots: Spots) -> NDArray[np.intp]:
+    """Return the spots that are within the gate of their light, and the only ones that are."""
+    kept = []
+    for n in np.unique(light):
+        rows = np.flatnonzero(light == n)
+        block = expected.S[2 * n : 2 * n + 2, 2 * n : 2 * n + 2]
+        off = spots.uv_px[rows] - expected.uv_px[n]
+        total = block + spots.covariance_px2[rows]
+        d2 = np.einsum("ni,nij,nj->n", off, np.linalg.inv(total), off)
+        near = rows[d2 < GATE_SIGMA**2]
+        if len(near) == 1:
+            kept.append(int(near[0]))
+    return np.array(kept, dtype=np.intp)
+
+
+def _plausible(expected: Expected, light: NDArray[np.intp], uv: Array, cov: Array) -> bool:
+    """Tell whether spots agree together with where they are expected."""
+    rows = np.stack([2 * light, 2 * light + 1], axis=1).ravel()
+    S = expected.S[np.ix_(rows, rows)].copy()
+    for i in range(len(light)):
+        S[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += cov[i]
+    r = (uv - expected.uv_px[light]).ravel()
+    return bool(r @ np.linalg.solve(S, r) < chi2.isf(VIEW_CHANCE, len(r)))
