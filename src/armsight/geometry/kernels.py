@@ -6,10 +6,10 @@ from math import cos, sin, sqrt
 
 import numpy as np
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel
 
 
-@kernel
+@inner_kernel
 def rotation_from_rotvec(w, R):
     """Fill R (3, 3) with Exp of the rotation vector w (3,) in radians (Rodrigues)."""
     t2 = w[0] * w[0] + w[1] * w[1] + w[2] * w[2]
@@ -32,7 +32,7 @@ def rotation_from_rotvec(w, R):
     R[2, 2] = 1.0 - b * (x * x + y * y)
 
 
-@kernel
+@inner_kernel
 def rotate_left(dw, R, out):
     """Fill out (3, 3) with Exp(dw) R: the rotation part of the project's pose perturbation."""
     E = np.empty((3, 3))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel, kernel
 from armsight.fitting.kernels import invert_spd
 from armsight.optics.kernels.camera import see_point
 
@@ -19,7 +19,7 @@ def see_many(k, R, t, X, uv, D):
                 D[i, side, :, :] = np.nan
 
 
-@kernel
+@inner_kernel
 def tilted(B, u, v, d, dd):
     """Fill d (3,) = normalise(B (u, v, 1)) and dd (3, 2) = d d / d (u, v)."""
     size = 0.0
@@ -82,7 +82,7 @@ def arc_places(B, middle, p, s, X, J, Js):
                     J[i, r, 2 + k] += dt[r, k] * S
 
 
-@kernel
+@inner_kernel
 def turn(d, angle, x, out):
     """Fill out (3,) with x turned about the unit direction d."""
     s, c = np.sin(angle), np.cos(angle)
@@ -153,7 +153,7 @@ def chain_beacon(revolute, B, points, beacon, p, q, X, J):
                 x[r] += at[j, r]
 
 
-@kernel
+@inner_kernel
 def axis_cost(revolute, direction, xyz, W, q, p):
     """Return the misfit of a sweep for an axis of given direction, all else eliminated (or infinity); fill p.
 

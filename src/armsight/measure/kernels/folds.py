@@ -11,7 +11,7 @@ from math import acos, exp, log, pi, sin, sqrt
 
 import numpy as np
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel, kernel
 from armsight.fitting.kernels import invert_spd, solve_damped
 from armsight.geometry.kernels import rotate_left
 from armsight.measure.kernels.pose import SOLVED, pose_normal, refine_pose, weights
@@ -35,7 +35,7 @@ LEAST_TURN = 1e-3
 """Turn (rad) from a tilt to its mirror image below which they are one."""
 
 
-@kernel
+@inner_kernel
 def mirrored_turn(R, t, Rp, centre, normal, turn):
     """Fill turn (3,) with the rotation vector from the tilt Rp to its mirror image about a camera's line of sight.
 
@@ -54,7 +54,7 @@ def mirrored_turn(R, t, Rp, centre, normal, turn):
     turn[:] = 2.0 * acos(min(np.dot(n, u), 1.0)) / length * axis
 
 
-@kernel
+@inner_kernel
 def settle_beside(k, R, t, X, radius, normal, uv, W, free, Rp, tp, residual):
     """Move Rp, tp along the columns of free (6, m) towards the least chi-square; return it (infinite: none)."""
     m = free.shape[1]
@@ -82,7 +82,7 @@ def settle_beside(k, R, t, X, radius, normal, uv, W, free, Rp, tp, residual):
     return chi2
 
 
-@kernel
+@inner_kernel
 def turned_about(Rp, tp, centre, turn, R2, t2):
     """Fill R2, t2 with the pose turned by the rotation vector about the centre (3,) of the lights."""
     rotate_left(turn, Rp, R2)
@@ -90,7 +90,7 @@ def turned_about(Rp, tp, centre, turn, R2, t2):
     t2[:] = centre + E @ (tp - centre)
 
 
-@kernel
+@inner_kernel
 def difference(Rp, tp, R2, t2, d):
     """Fill d (6,) with the way from the pose Rp, tp to R2, t2: translation, rotation vector."""
     d[:3] = t2 - tp
@@ -100,7 +100,7 @@ def difference(Rp, tp, R2, t2, d):
     d[3:] = w * (0.5 if angle < 1e-6 else angle / (2.0 * sin(min(angle, pi - 1e-6))))
 
 
-@kernel
+@inner_kernel
 def reach_out(C, d, rise):
     """Widen C (6, 6) so that d (6,) lies no more deviations out than the root of rise; return by how much it did."""
     inverse = np.empty((6, 6))
@@ -114,7 +114,7 @@ def reach_out(C, d, rise):
     return out / rise
 
 
-@kernel
+@inner_kernel
 def free_beside(axis):
     """Return (6, 5): the changes of a pose that do not turn it about the axis (3,)."""
     free = np.zeros((6, 5))
@@ -133,7 +133,7 @@ def free_beside(axis):
     return free
 
 
-@kernel
+@inner_kernel
 def looks(R, t, Rp, centre, plane, C):
     """Return turns (3, 3) from the tilt Rp and shares (3, m) of each to look at.
 

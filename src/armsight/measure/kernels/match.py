@@ -11,7 +11,7 @@ from math import log
 
 import numpy as np
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel, kernel
 from armsight.measure.kernels.pose import SOLVED, kabsch, pose_normal, refine_pose, weights
 from armsight.optics.kernels.rays import epipolar_residual, quadratic_form_2, rays_in_rig
 from armsight.optics.kernels.triangulation import BEHIND, FOUND, triangulate_linear_point
@@ -92,14 +92,14 @@ def distance_fits(P, S, a, b, distance, gate):
     return (np.sqrt(length2) - distance) ** 2 * length2 <= gate * variance
 
 
-@kernel
+@inner_kernel
 def _spreads(S, gate, spread):
     """Fill spread (c,) with how far each point may be off in any direction: at least what `distance_fits` allows."""
     for c in range(S.shape[0]):
         spread[c] = np.sqrt(gate * (S[c, 0, 0] + S[c, 1, 1] + S[c, 2, 2]))
 
 
-@kernel
+@inner_kernel
 def _near(P, spread, a, b, distance):
     """Tell, cheaply, whether the points a and b could be `distance` apart."""
     x = P[a, 0] - P[b, 0]
@@ -111,7 +111,7 @@ def _near(P, spread, a, b, distance):
     return low * low <= length2 <= (distance + slack) ** 2
 
 
-@kernel
+@inner_kernel
 def _allowed(name, candidate, chosen, pairs, P, S, spread, D, gate, overlaid):
     """Tell whether the candidate may be `name` beside the names already chosen: no spot serves twice."""
     for other in range(name):
@@ -129,7 +129,7 @@ def _allowed(name, candidate, chosen, pairs, P, S, spread, D, gate, overlaid):
     return True
 
 
-@kernel
+@inner_kernel
 def _judge(k, R, t, chosen, count, X, radius, normal, ellipse, pairs, uv, W, P, limit, Rp, tp):
     """Fit the pose to the chosen pairs; return chi-square, infinite where there is none or far above the limit."""
     x = np.empty((count, 3))
@@ -265,7 +265,7 @@ def surprise(k, R, t, X, radius, normal, uv, cov, Rp, tp):
     return best
 
 
-@kernel
+@inner_kernel
 def _keep(found, room, margin, chosen, chi2, Rp, tp, names, chi2s, poses):
     """Insert a hypothesis in ascending order of chi-square; return how many are kept."""
     if found and chi2 > chi2s[0] + margin:

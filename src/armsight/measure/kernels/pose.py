@@ -9,7 +9,7 @@ from math import sqrt
 
 import numpy as np
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel, kernel
 from armsight.fitting.kernels import invert_spd, solve_damped
 from armsight.geometry.kernels import rotate_left
 from armsight.measure.kernels.lights import see_light
@@ -22,7 +22,7 @@ MAX_STEPS = 200  # five or fewer where residuals are noise; a target seen straig
 SETTLED = 1e-8  # fall of chi-square, relative and absolute, that counts as none: 1e-4 of a deviation
 
 
-@kernel
+@inner_kernel
 def kabsch(X, P, R, t):
     """Fill R (3, 3), t (3,) so that P ~ R X + t for X, P (n, 3) in least squares (Horn's quaternion)."""
     n = X.shape[0]
@@ -65,7 +65,7 @@ def kabsch(X, P, R, t):
         t[a] = mp[a] - (R[a, 0] * mx[0] + R[a, 1] * mx[1] + R[a, 2] * mx[2])
 
 
-@kernel
+@inner_kernel
 def pose_normal(k, R, t, X, radius, normal, uv, W, Rp, tp, H, g, residual):
     """Fill H (6, 6), g (6,), residual (n, 2, 2) of chi-square / 2 at the pose Rp, tp; return chi-square.
 
@@ -117,7 +117,7 @@ def pose_normal(k, R, t, X, radius, normal, uv, W, Rp, tp, H, g, residual):
     return chi2
 
 
-@kernel
+@inner_kernel
 def refine_pose(k, R, t, X, radius, normal, uv, W, Rp, tp, H, residual):
     """Move Rp, tp to the least chi-square from where they are; return (state, chi-square).
 
@@ -165,7 +165,7 @@ def refine_pose(k, R, t, X, radius, normal, uv, W, Rp, tp, H, residual):
     return ENDLESS, np.inf
 
 
-@kernel
+@inner_kernel
 def weights(cov, slack2, W):
     """Fill W (n, 2, 2, 2) with the inverse of cov + slack2 I; False where one is not positive."""
     S = np.empty((2, 2))
@@ -295,7 +295,7 @@ def largest_innovation(uv_left, expected_left, uv_right, expected_right):
     return innovation
 
 
-@kernel
+@inner_kernel
 def kabsch_pose(k, R, t, uv, cov, X, Rp, tp):
     """Fill Rp, tp with Kabsch on linearly triangulated points: the closed form, without likelihood."""
     P = np.empty((uv.shape[0], 3))

@@ -11,14 +11,14 @@ from math import sqrt
 
 import numpy as np
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel, kernel
 from armsight.optics.kernels.camera import intrinsics_jacobian, see_point
 from armsight.optics.kernels.triangulation import centre_of, invert_2
 
 PARAMETERS = 26
 
 
-@kernel
+@inner_kernel
 def pixel_slopes(k, R, t, p, s, uv, J, D):
     """Fill J (2, 3) = d pixel / d point and D (2, 26) = d pixel / d parameters of side s; False behind the camera."""
     if not see_point(k[s], R[s], t[s], p, uv, J):
@@ -42,7 +42,7 @@ def pixel_slopes(k, R, t, p, s, uv, J, D):
     return True
 
 
-@kernel
+@inner_kernel
 def light_slopes(k, R, t, T, X, p, s, uv, J, D, G):
     """Fill D (2, 26) as pixel_slopes and G (2, 6) = d pixel / d pose for the light X (3,) under T (4, 4); p (3,) too.
 
@@ -62,7 +62,7 @@ def light_slopes(k, R, t, T, X, p, s, uv, J, D, G):
     return True
 
 
-@kernel
+@inner_kernel
 def place_slopes(J, T, E):
     """Fill E (2, 3) = d pixel / d the light's place in target axes, from J (2, 3) by its place in rig axes."""
     for i in range(2):
@@ -108,7 +108,7 @@ def carry_to_pose(k, R, t, cov, X, T, covariance, C, residual, systematic):
     return marginal_chi2(chi2, N - B.T @ A, b, covariance)
 
 
-@kernel
+@inner_kernel
 def add_information(D, W, G, r, B, N, b):
     """Add one pixel's rows D (2, q), G (2, 6), residual r (2,), weight W (2, 2) to B = G'WD, N = D'WD, b = D'Wr."""
     for j in range(D.shape[1]):
@@ -123,7 +123,7 @@ def add_information(D, W, G, r, B, N, b):
             N[i, j] += D[0, i] * x + D[1, i] * y
 
 
-@kernel
+@inner_kernel
 def marginal_chi2(chi2, N, b, covariance):
     """Return chi-square with the parameters free within their covariance: chi2 - b' (covariance^-1 + N)^-1 b.
 

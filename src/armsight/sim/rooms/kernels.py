@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from armsight._numba import inline_kernel, kernel
+from armsight._numba import inner_kernel, kernel
 
 LEVELS = 10
 """Most levels of a texture, each half as fine as the one before."""
@@ -29,7 +29,7 @@ MOSTLY = 128
 """Coverage from which a cut-out stops a ray."""
 
 
-@inline_kernel
+@inner_kernel
 def _covers(texture, density, texels, levels, k, a, b):
     """Tell whether a cut-out covers its own point (a, b) m."""
     first, columns, rows = levels[texture[k], 0, 0], levels[texture[k], 0, 1], levels[texture[k], 0, 2]
@@ -37,7 +37,7 @@ def _covers(texture, density, texels, levels, k, a, b):
     return texels[first + j * columns + i, 3] >= MOSTLY
 
 
-@inline_kernel
+@inner_kernel
 def _nearest(
     geometry,
     size,
@@ -87,7 +87,7 @@ def _nearest(
     return best, along, at_a, at_b
 
 
-@inline_kernel
+@inner_kernel
 def _reflectance(texture, density, texels, levels, k, a, b, footprint_m, out):
     """Fill out (3,) with the texture of rectangle k at (a, b) m, of the level that a footprint asks for."""
     number, level = texture[k], 0
@@ -112,7 +112,7 @@ def _reflectance(texture, density, texels, levels, k, a, b, footprint_m, out):
         out[c] = (one - ft) * upper + ft * lower
 
 
-@inline_kernel
+@inner_kernel
 def _fallen(size, place, light, k, a, b, out):
     """Fill out (3,) with the light that falls on rectangle k at (a, b) m."""
     first, columns, rows = place[k, 0], place[k, 1], place[k, 2]
@@ -128,7 +128,7 @@ def _fallen(size, place, light, k, a, b, out):
         out[c] = (one - ft) * upper + ft * lower
 
 
-@kernel
+@inner_kernel
 def _add_gloss(geometry, look, lamps, k, a, b, dx, dy, dz, out):
     """Add the lamps' highlights on rectangle k to out (3,): Phong's lobe about the ray that leaves a mirror."""
     g = geometry[k]
@@ -146,7 +146,7 @@ def _add_gloss(geometry, look, lamps, k, a, b, dx, dy, dz, out):
                 out[c] += np.float32(lobe * lamps[lamp, 3 + c])
 
 
-@inline_kernel
+@inner_kernel
 def _radiance(
     geometry, size, texture, density, look, place, texels, levels, light, lamps,
     k, along, a, b, dx, dy, dz, spread, colour, fallen,
@@ -166,7 +166,7 @@ def _radiance(
         _add_gloss(geometry, look, lamps, k, a, b, dx, dy, dz, colour)
 
 
-@kernel
+@inner_kernel
 def _sort_out(geometry, size, R, t, rays, origins, j0, j1, i0, i1, candidates, depths, forward):
     """Fill candidates with the rectangles that a tile's rays may meet, nearest first; return how many there are.
 
@@ -304,7 +304,7 @@ def meet_scene(scene, origin, ends, out):
         out[i] = k if along < 1.0 - 1e-6 else -1
 
 
-@kernel
+@inner_kernel
 def _indirect(
     geometry,
     size,
@@ -341,7 +341,7 @@ def _indirect(
             total[c] += ambient * near * (0.3 + 0.7 * seen) / directions.shape[0]
 
 
-@kernel
+@inner_kernel
 def _direct(
     geometry, size, texture, density, look, texels, levels, everything, nothing, x, y, z, normal, emitters, total
 ):

@@ -6,7 +6,7 @@ from math import atan2, sqrt
 
 import numpy as np
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel, kernel
 from armsight.geometry.kernels import rotation_from_rotvec
 from armsight.optics.kernels.camera import intrinsics_jacobian, project_point
 
@@ -14,14 +14,14 @@ N_INTRINSICS = 10
 N_POSE = 6
 
 
-@kernel
+@inner_kernel
 def _turn(R, X, i, a):
     """Fill a (3,) with R X[i]."""
     for m in range(3):
         a[m] = R[m, 0] * X[i, 0] + R[m, 1] * X[i, 1] + R[m, 2] * X[i, 2]
 
 
-@kernel
+@inner_kernel
 def _outline_centre(p, R, radius):
     """Move p (3,) from a circle's centre to the space point seen at the centre of its image's outline.
 
@@ -40,7 +40,7 @@ def _outline_centre(p, R, radius):
     p[2] = z / p[2]
 
 
-@kernel
+@inner_kernel
 def _lever(a, j, out, at):
     """Fill out[at : at + 3] with a x j: the derivative by a rotation dw of j . (dw x a)."""
     out[at] = a[1] * j[2] - a[2] * j[1]
@@ -48,7 +48,7 @@ def _lever(a, j, out, at):
     out[at + 2] = a[0] * j[1] - a[1] * j[0]
 
 
-@kernel
+@inner_kernel
 def evaluate_views(k, side_pose, poses, X, radius, uv, weight, r, Js, Jl):
     """Fill whitened residuals and their derivatives for all views; False where a point lies behind a camera.
 
@@ -141,7 +141,7 @@ def move_poses(poses, steps, out):
         out[g, 5] = f * z
 
 
-@kernel
+@inner_kernel
 def _quaternion(w, q):
     """Fill q (4,), scalar last, with the quaternion of the rotation vector w (3,)."""
     t = sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])

@@ -9,7 +9,7 @@ from math import atan2, sqrt
 
 import numpy as np
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel, kernel
 from armsight.fitting.kernels import solve_damped
 
 MEDIAN_NORM = 1.538
@@ -19,7 +19,7 @@ GENEROUS = 6.0
 """Robust deviations up to which a pair joins the consensus: with ten pairs the deviation is known to a quarter."""
 
 
-@kernel
+@inner_kernel
 def multiply(A, B, out):
     """Fill out (3, 3) with A B."""
     for i in range(3):
@@ -27,7 +27,7 @@ def multiply(A, B, out):
             out[i, j] = A[i, 0] * B[0, j] + A[i, 1] * B[1, j] + A[i, 2] * B[2, j]
 
 
-@kernel
+@inner_kernel
 def multiply_t(A, B, out):
     """Fill out (3, 3) with A B'."""
     for i in range(3):
@@ -65,7 +65,7 @@ def log_rotation(R, w):
     w[0], w[1], w[2] = x * f, y * f, z * f
 
 
-@kernel
+@inner_kernel
 def project_rotation(M):
     """Return the rotation (3, 3) nearest to M, or to -M where that has the positive determinant."""
     U, _, Vt = np.linalg.svd(M)
@@ -134,7 +134,7 @@ def translations(RX, Rf, tf, tb, keep, free_scale):
     return ok, x[3:6] / x[6], x[0:3] / x[6], x[6]
 
 
-@kernel
+@inner_kernel
 def robust_sigma(errors):
     """Return the deviation of one component from the lengths of residuals (n,), most of them good.
 
@@ -145,7 +145,7 @@ def robust_sigma(errors):
     return max(np.median(errors) / MEDIAN_NORM * (1.0 + 5.0 / max(n - 3, 1)), 1e-15)
 
 
-@kernel
+@inner_kernel
 def sample_rotation(Rf, Rb, index):
     """Return RX from the motions within a few pairs: their rotation vectors turned onto each other (Kabsch)."""
     M = np.zeros((3, 3))
@@ -169,7 +169,7 @@ def sample_rotation(Rf, Rb, index):
     return U @ Vt
 
 
-@kernel
+@inner_kernel
 def rotation_errors(RX, RZ, Rf, Rb, out):
     """Fill out (n,) with the angle between RF RX RB and RZ."""
     P = np.empty((3, 3))
@@ -183,7 +183,7 @@ def rotation_errors(RX, RZ, Rf, Rb, out):
         out[i] = sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
 
 
-@kernel
+@inner_kernel
 def translation_errors(RX, tX, tZ, gamma, Rf, tf, tb, out):
     """Fill out (n,) with the distance between tB and its prediction, in the camera's unit."""
     y = np.empty(3)

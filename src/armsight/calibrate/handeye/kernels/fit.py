@@ -13,7 +13,7 @@ from math import sqrt
 
 import numpy as np
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel, kernel
 from armsight.calibrate.handeye.kernels.closed_forms import log_rotation, multiply, multiply_t
 from armsight.calibrate.handeye.kernels.noise import (
     factor_invert,
@@ -119,7 +119,7 @@ def weigh(X, Z, gamma, pairs, theta, to_hand, keep, e, J, lever):
     return total
 
 
-@kernel
+@inner_kernel
 def normal_equations(e, J, H, g):
     """Fill H (m, m) = sum J'J and g (m,) = sum J'e; return sum e'e."""
     n, _, m = J.shape
@@ -138,7 +138,7 @@ def normal_equations(e, J, H, g):
     return cost
 
 
-@kernel
+@inner_kernel
 def move(X, Z, gamma, step, n_free):
     """Return X, Z, gamma moved by the step (n_free,)."""
     Rx, tx = X
