@@ -20,9 +20,9 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.dispatcher import _FunctionCompiler
 from numba.core.registry import CPUDispatcher
 
-RULES = {"nogil": True, "error_model": "numpy"}
-FUSED = {"contract"}
-REORDERED = {"contract", "reassoc", "nsz"}
+RULES: Any = {"nogil": True, "error_model": "numpy"}
+FUSED: Any = {"contract"}
+REORDERED: Any = {"contract", "reassoc", "nsz"}
 
 
 class _BitcodeLibrary(JITCodeLibrary):

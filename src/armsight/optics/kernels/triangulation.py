@@ -6,6 +6,7 @@ import numpy as np
 
 from armsight._numba import inner_kernel, kernel
 from armsight.fitting.kernels import invert_spd, solve_damped
+from armsight.geometry.kernels import copy_1, dot
 from armsight.optics.kernels.camera import see_point, undistort_point
 
 # What became of a pair of pixels; armsight.optics.triangulate.Verdict gives the names.
@@ -160,16 +161,18 @@ def triangulate_ml_point(k, R, t, uv, cov, X, S):
     H2 = np.empty((3, 3))
     g2 = np.empty(3)
     step = np.empty(3)
+    trial = np.empty(3)
     cost = _point_normal(k, R, t, uv, W, X, H, g)
     damping = 0.0
     for _ in range(TRIANGULATE_STEPS):
         if not solve_damped(H, g, damping, step):
             return PARALLEL, np.nan
-        trial = X + step
+        for i in range(3):
+            trial[i] = X[i] + step[i]
         new = _point_normal(k, R, t, uv, W, trial, H2, g2)
         if new <= cost:
             settled = cost - new <= SETTLED * (1.0 + new)
-            X[:] = trial
+            copy_1(trial, X)
             cost = new
             H, H2 = H2, H
             g, g2 = g2, g
@@ -177,7 +180,7 @@ def triangulate_ml_point(k, R, t, uv, cov, X, S):
             if settled:
                 break
         else:
-            if abs(np.dot(step, g)) <= SETTLED * (1.0 + cost):
+            if abs(dot(step, g)) <= SETTLED * (1.0 + cost):
                 break
             damping = max(10.0 * damping, 1e-4)
     centre = np.empty(3)
