@@ -12,6 +12,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from armsight._numba import inner_kernel, kernel
+from armsight.geometry.kernels import copy_1
 
 REACH_SIGMA = 5.5
 """The spread function is drawn this many sigma (and a pixel) far: less than 1e-7 of its flux lies outside."""
@@ -285,7 +286,7 @@ def develop(light, patch, row, column, levels_per_electron, read_noise, saturati
         _draw_bits(state[0], state[1], state[2], state[3], bits)
         _draw_normals(halves, table, z)
         if row <= j < row + patch.shape[0]:
-            mixed[:] = light[j]
+            copy_1(light[j], mixed)
             mixed[column : column + patch.shape[1]] = patch[j - row]
             _digitise(mixed, z, levels_per_electron, read_noise, saturation, out[j])
         else:
@@ -335,9 +336,9 @@ def develop_raw(
                 for i in range(wide):
                     mixed[column + i] = patch[j - row, i, even if (column + i) % 2 == 0 else odd]
         else:
-            mixed[:] = light[j].ravel()
+            copy_1(light[j].ravel(), mixed)
             if inside:
-                mixed[column * channels : (column + wide) * channels] = patch[j - row].ravel()
+                copy_1(patch[j - row].ravel(), mixed[column * channels : (column + wide) * channels])
         _count(mixed, z, levels_per_electron, read_noise, steps, steps * saturation, out[j])
 
 

@@ -67,7 +67,8 @@ def problem_of(observations: Observations, start: Bundle, fixed: frozenset[str])
             k = np.ascontiguousarray(k[[0, 0]])
         side = shared[split:] if n_cameras == 2 else np.zeros(6)
         X, radius, uv, weight = observations.X, observations.radius_m, observations.uv, observations.weight
-        fine = view_normal_equations(k, side, local, X, radius, uv, weight, r, A, b, C, c, W)
+        shared_k, sides, poses = np.array(k), np.array(side), np.array(local)  # writable: one compilation serves all
+        fine = view_normal_equations(shared_k, sides, poses, X, radius, uv, weight, r, A, b, C, c, W)
         if tied:
             _tie(A, b, W)
         return Evaluation(
@@ -79,11 +80,11 @@ def problem_of(observations: Observations, start: Bundle, fixed: frozenset[str])
 
     def retract(shared: Array, local: Array, step_shared: Array, step_local: Array) -> tuple[Array, Array]:
         moved, poses = shared + step_shared, np.empty_like(local)
-        move_poses(local, step_local, poses)
+        move_poses(np.array(local), np.array(step_local), poses)
         if tied:
             moved[split // 2 : split] = moved[: split // 2]
         if n_cameras == 2:
-            move_poses(shared[None, split:], step_shared[None, split:], moved[None, split:])
+            move_poses(np.array(shared[None, split:]), np.array(step_shared[None, split:]), moved[None, split:])
         return moved, poses
 
     return Problem(

@@ -6,6 +6,7 @@ import numpy as np
 
 from armsight._numba import inner_kernel, kernel
 from armsight.fitting.kernels import invert_spd
+from armsight.geometry.kernels import copy_1
 from armsight.optics.kernels.camera import see_point
 
 
@@ -248,8 +249,8 @@ def settle_axis(revolute, direction, step, xyz, W, q, p):
             cost = axis_cost(revolute, d, xyz, W, q, trial)
             if cost < best:
                 best, moved = cost, True
-                direction[:] = d
-                p[:] = trial
+                copy_1(d, direction)
+                copy_1(trial, p)
                 break
         if not moved:
             step *= 0.5

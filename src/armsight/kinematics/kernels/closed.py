@@ -231,7 +231,7 @@ def _solve(family, base, tool, T, near, Q, code, W, work):
             return 0
         sides, bits, g2 = 1, AT_SHOULDER, 0.0
     root = sqrt(max(g2, 0.0))
-    k = 0
+    k = np.int64(0)  # typed: a bare 0 would have every callee compiled once more for the literal
     for side in range(sides):
         g = root if side == 0 else -root
         if rho2 < free * free and abs(offset) < free:
@@ -291,4 +291,4 @@ def settle(chain, T, count, here, slack, Q, errors, inside):
     e = np.empty(6)
     for k in range(count):
         inside[k] = nearest_turns(chain, Q[k], here, slack)
-        errors[k, 0], errors[k, 1] = pose_error(chain, T, Q[k], 6, F, e)
+        errors[k, 0], errors[k, 1] = pose_error(chain, T, Q[k], np.int64(6), F, e)

@@ -13,6 +13,7 @@ import numpy as np
 
 from armsight._numba import inner_kernel, kernel
 from armsight.fitting.kernels import invert_spd, solve_damped
+from armsight.geometry.kernels import copy_1, copy_2
 
 N_CORNER = 10
 """x, y, direction of the two edges (rad), their blur (px), level, its slope along x and y, half contrast."""
@@ -173,9 +174,9 @@ def _descend(kind, x, y, v, n, p, reach, H):
             return cost
         settled = cost - new <= SETTLED * cost
         cost = new
-        p[:] = trial
-        g[:] = g_trial
-        H[:] = H_trial
+        copy_1(trial, p)
+        copy_1(g_trial, g)
+        copy_2(H_trial, H)
         damping = max(damping * 0.1, 1e-9)
         if (settled or abs(step[0]) + abs(step[1]) < SMALL_STEP_PX) and damping < 1.0:
             return cost
@@ -278,8 +279,11 @@ def _start_dot(x, y, v, n, E, p):
     n_inside = 0
     outside = 0.0
     n_outside = 0
-    A = np.linalg.inv(E)
-    M = A.T @ A
+    det = E[0, 0] * E[1, 1] - E[0, 1] * E[1, 0]
+    M = np.empty((2, 2))  # (E E')^-1
+    M[0, 0] = (E[1, 0] ** 2 + E[1, 1] ** 2) / det**2
+    M[1, 1] = (E[0, 0] ** 2 + E[0, 1] ** 2) / det**2
+    M[0, 1] = -(E[0, 0] * E[1, 0] + E[0, 1] * E[1, 1]) / det**2
     for k in range(n):
         q = M[0, 0] * x[k] * x[k] + 2.0 * M[0, 1] * x[k] * y[k] + M[1, 1] * y[k] * y[k]
         if q < 0.7:

@@ -242,6 +242,7 @@ def fold(k, R, t, X, radius, normal, plane, uv, cov, T, factor, C):
     The number is the largest ratio of squared deviations to the rise of chi-square, 1 where first order holds.
     """
     W = np.empty_like(cov)
+    X = X.copy()  # writable as in the search: one compilation serves both
     residual = np.empty((X.shape[0], 2, 2))
     Rp, tp = np.empty((3, 3)), np.empty(3)
     split(T, Rp, tp)

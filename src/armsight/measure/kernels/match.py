@@ -249,7 +249,8 @@ def surprise(k, R, t, X, radius, normal, uv, cov, Rp, tp):
     W = np.empty_like(cov)
     if not weights(cov, 0.0, W):
         return np.inf
-    if not np.isfinite(pose_normal(k, R, t, X, radius, normal, uv, W, Rp, tp, np.empty((6, 6)), np.empty(6), residual)):
+    H, g = np.empty((6, 6)), np.empty(6)
+    if not np.isfinite(pose_normal(k, R, t, X.copy(), radius, normal, uv, W, Rp.copy(), tp.copy(), H, g, residual)):
         return np.inf
     best = np.inf
     for slack in SLACKS:

@@ -14,6 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from armsight._numba import inner_kernel, kernel
+from armsight.geometry.kernels import cross, dot
 
 LEVELS = 10
 """Most levels of a texture, each half as fine as the one before."""
@@ -182,16 +183,21 @@ def _sort_out(geometry, size, R, t, rays, origins, j0, j1, i0, i1, candidates, d
             for c in range(3):
                 corner[q, r] += R[r, c] * rays[jj[q], ii[q], c]
                 o[r] += 0.25 * R[r, c] * (origins[jj[q], ii[q], c] if several else origins[0, 0, c])
-    middle = corner[0] + corner[1] + corner[2] + corner[3]
+    middle = np.empty(3)
+    for r in range(3):
+        middle[r] = corner[0, r] + corner[1, r] + corner[2, r] + corner[3, r]
+        o[r] += t[r]
     planes = np.empty((5, 3))
     for q in range(4):
-        planes[q] = np.cross(corner[q], corner[(q + 1) % 4])
-        planes[q] /= np.sqrt((planes[q] ** 2).sum())
-        if (planes[q] * middle).sum() < 0.0:
-            planes[q] = -planes[q]
-    planes[4] = middle / np.sqrt((middle**2).sum())
-    forward[:] = planes[4]
-    o += t
+        cross(corner[q], corner[(q + 1) % 4], planes[q])
+        length = np.sqrt(dot(planes[q], planes[q]))
+        sign = -1.0 if dot(planes[q], middle) < 0.0 else 1.0
+        for r in range(3):
+            planes[q, r] = sign * (planes[q, r] / length)
+    length = np.sqrt(dot(middle, middle))
+    for r in range(3):
+        planes[4, r] = middle[r] / length
+        forward[r] = planes[4, r]
     count = 0
     for k in range(geometry.shape[0]):
         g = geometry[k]

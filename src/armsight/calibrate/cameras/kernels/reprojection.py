@@ -7,7 +7,7 @@ from math import atan2, sqrt
 import numpy as np
 
 from armsight._numba import inner_kernel, kernel
-from armsight.geometry.kernels import rotation_from_rotvec
+from armsight.geometry.kernels import copy_1, rotation_from_rotvec
 from armsight.optics.kernels.camera import intrinsics_jacobian, project_point
 
 N_INTRINSICS = 10
@@ -92,7 +92,7 @@ def evaluate_views(k, side_pose, poses, X, radius, uv, weight, r, Js, Jl):
                     for m in range(3):
                         q[m] = S[0, m] * b[0] + S[1, m] * b[1] + S[2, m] * b[2]
                 else:
-                    q[:] = p
+                    copy_1(p, q)
                 if not project_point(k[c], q[0], q[1], q[2], px, J):
                     return False
                 intrinsics_jacobian(k[c], q[0], q[1], q[2], D)

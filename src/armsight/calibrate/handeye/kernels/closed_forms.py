@@ -11,6 +11,7 @@ import numpy as np
 
 from armsight._numba import inner_kernel, kernel
 from armsight.fitting.kernels import solve_damped
+from armsight.geometry.kernels import copy_1
 
 MEDIAN_NORM = 1.538
 """Median length of a vector of three standard normals."""
@@ -66,12 +67,25 @@ def log_rotation(R, w):
 
 
 @inner_kernel
+def det_3(M):
+    """Return the determinant of M (3, 3)."""
+    return (
+        M[0, 0] * (M[1, 1] * M[2, 2] - M[1, 2] * M[2, 1])
+        - M[0, 1] * (M[1, 0] * M[2, 2] - M[1, 2] * M[2, 0])
+        + M[0, 2] * (M[1, 0] * M[2, 1] - M[1, 1] * M[2, 0])
+    )
+
+
+@inner_kernel
 def project_rotation(M):
     """Return the rotation (3, 3) nearest to M, or to -M where that has the positive determinant."""
     U, _, Vt = np.linalg.svd(M)
-    R = U @ Vt
-    if np.linalg.det(R) < 0.0:
-        R = -R
+    R = np.empty((3, 3))
+    multiply(U, Vt, R)
+    if det_3(R) < 0.0:
+        for i in range(3):
+            for j in range(3):
+                R[i, j] = -R[i, j]
     return R
 
 
@@ -88,7 +102,11 @@ def shah_rotations(Rf, Rb, keep):
                         for m in range(3):
                             K[3 * i + j, 3 * k + m] += f * Rb[n, m, j]
     Vt = np.linalg.svd(K)[2]
-    RX = project_rotation(np.ascontiguousarray(Vt[0]).reshape(3, 3))
+    M = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            M[i, j] = Vt[0, 3 * i + j]
+    RX = project_rotation(M)
     return RX, mean_target(RX, Rf, Rb, keep)
 
 
@@ -102,7 +120,9 @@ def mean_target(RX, Rf, Rb, keep):
         if keep[n]:
             multiply(Rf[n], RX, a)
             multiply(a, Rb[n], b)
-            total += b
+            for i in range(3):
+                for j in range(3):
+                    total[i, j] += b[i, j]
     return project_rotation(total)
 
 
@@ -131,7 +151,11 @@ def translations(RX, Rf, tf, tb, keep, free_scale):
     x = np.zeros(7)
     x[6] = 1.0
     ok = solve_damped(H, g, 1e-13, x[:m])
-    return ok, x[3:6] / x[6], x[0:3] / x[6], x[6]
+    tX, tZ = np.empty(3), np.empty(3)
+    for i in range(3):
+        tX[i] = x[3 + i] / x[6]
+        tZ[i] = x[i] / x[6]
+    return ok, tX, tZ, x[6]
 
 
 @inner_kernel
@@ -150,13 +174,17 @@ def sample_rotation(Rf, Rb, index):
     """Return RX from the motions within a few pairs: their rotation vectors turned onto each other (Kabsch)."""
     M = np.zeros((3, 3))
     R = np.empty((3, 3))
+    RT = np.empty((3, 3))
     a = np.empty(3)
     b = np.empty(3)
     count = index.shape[0]
     for i in range(count):
         for j in range(i):
             p, q = index[i], index[j]
-            multiply(Rf[q].T, Rf[p], R)
+            for r in range(3):
+                for c in range(3):
+                    RT[r, c] = Rf[q, c, r]
+            multiply(RT, Rf[p], R)
             log_rotation(R, a)
             multiply_t(Rb[q], Rb[p], R)
             log_rotation(R, b)
@@ -164,9 +192,12 @@ def sample_rotation(Rf, Rb, index):
                 for c in range(3):
                     M[r, c] += a[r] * b[c]
     U, _, Vt = np.linalg.svd(M)
-    if np.linalg.det(U @ Vt) < 0.0:
-        U[:, 2] *= -1.0
-    return U @ Vt
+    multiply(U, Vt, R)
+    if det_3(R) < 0.0:
+        for i in range(3):
+            U[i, 2] = -U[i, 2]
+        multiply(U, Vt, R)
+    return R
 
 
 @inner_kernel
@@ -199,6 +230,13 @@ def translation_errors(RX, tX, tZ, gamma, Rf, tf, tb, out):
         out[n] = sqrt(total)
 
 
+@inner_kernel
+def agreeing(errors, sigma, keep):
+    """Fill keep (n,): which errors (n,) are not gross beside the robust deviation sigma."""
+    for i in range(errors.shape[0]):
+        keep[i] = errors[i] < GENEROUS * sigma
+
+
 @kernel
 def rotation_consensus(Rf, Rb, samples, keep, errors):
     """Return RX, RZ that most pairs agree on, and the robust deviation of one component in rad; fill keep, errors.
@@ -222,11 +260,11 @@ def rotation_consensus(Rf, Rb, samples, keep, errors):
     rotation_errors(RX, RZ, Rf, Rb, errors)
     for _ in range(3):
         sigma = robust_sigma(errors)
-        keep[:] = errors < GENEROUS * sigma
+        agreeing(errors, sigma, keep)
         RX, RZ = shah_rotations(Rf, Rb, keep)
         rotation_errors(RX, RZ, Rf, Rb, errors)
     sigma = robust_sigma(errors)
-    keep[:] = errors < GENEROUS * sigma
+    agreeing(errors, sigma, keep)
     return RX, RZ, sigma
 
 
@@ -240,7 +278,7 @@ def translation_consensus(RX, Rf, tf, tb, samples, free_scale, keep, errors):
     ok, tX, tZ, gamma = translations(RX, Rf, tf, tb, keep, free_scale)
     for s in range(-1, samples.shape[0]):
         if s < 0:
-            mask[:] = keep
+            copy_1(keep, mask)
         else:
             mask[:] = False
             whole = True
@@ -262,9 +300,11 @@ def translation_consensus(RX, Rf, tf, tb, samples, free_scale, keep, errors):
     for _ in range(3):
         translation_errors(RX, tX, tZ, gamma, Rf, tf, tb, errors)
         sigma = robust_sigma(errors[keep])
-        agreed[:] = keep & (errors < GENEROUS * sigma)
+        agreeing(errors, sigma, agreed)
+        for i in range(n):
+            agreed[i] = agreed[i] and keep[i]
         good, x, z, c = translations(RX, Rf, tf, tb, agreed, free_scale)
         if good:
             tX, tZ, gamma = x, z, c
-    keep[:] = agreed
+    copy_1(agreed, keep)
     return True, tX, tZ, gamma, sigma

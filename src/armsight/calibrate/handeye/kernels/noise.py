@@ -12,6 +12,7 @@ import numpy as np
 
 from armsight._numba import inner_kernel, kernel
 from armsight.fitting.kernels import solve_damped
+from armsight.geometry.kernels import copy_1
 
 
 @kernel
@@ -32,7 +33,9 @@ def lever_frame(Rx, tx, gamma, Rf, tf, t_hat, to_hand, E):
             z[j] -= Rx[i, j] * o
     length = sqrt(z[0] * z[0] + z[1] * z[1] + z[2] * z[2])
     if length < 1e-12:
-        E[:] = np.eye(3)
+        E[:] = 0.0
+        for i in range(3):
+            E[i, i] = 1.0
         return 0.0
     for j in range(3):
         E[2, j] = z[j] / length
@@ -141,7 +144,7 @@ def variance_step(e, J, C, lever, theta, keep, score, information):
 @inner_kernel
 def scoring_step(theta, score, information, floor, out):
     """Fill out (3,) with the scoring step of the variances; those at their floor that would fall stay."""
-    out[:] = theta
+    copy_1(theta, out)
     index = np.empty(3, np.int64)
     count = 0
     for k in range(3):

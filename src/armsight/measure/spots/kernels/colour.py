@@ -200,9 +200,9 @@ def look(image, signal, box, level, floor, saturation, seen):
     counts = _frame_levels(image, x0, x1, y0, y1)
     for c in range(3):
         seen[OWN + c] = sums[0, c] / max(sums[0, 3], 1.0)
-        seen[c] = seen[OWN + c] - level_below(counts[c], 256, 0.5)
+        seen[c] = seen[OWN + c] - level_below(counts[c], np.int64(256), 0.5)
     seen[BRIGHT] = bright / max(n_bright, 1.0)
-    seen[LOCAL] = level_below(_levels_about(image, x0, x1, y0, y1), CLIPPED_FROM, LOCAL_SHARE)
+    seen[LOCAL] = level_below(_levels_about(image, x0, x1, y0, y1), np.int64(CLIPPED_FROM), LOCAL_SHARE)
 
 
 @inner_kernel
