@@ -17,37 +17,43 @@ from typing import Any
 from numba import njit, prange
 from numba.core import compiler, event
 from numba.core.codegen import JITCodeLibrary
-from numba.core.dispatcher import _FunctionCompiler
+from numba.core.dispatcher import _FunctionCompiler  # type: ignore[attr-defined]
 from numba.core.registry import CPUDispatcher
 
 RULES: Any = {"nogil": True, "error_model": "numpy"}
 FUSED: Any = {"contract"}
 REORDERED: Any = {"contract", "reassoc", "nsz"}
+DEFAULTS: dict[str, Any] = compiler.Flags().values()
 
 
 class _BitcodeLibrary(JITCodeLibrary):
     """A kernel's bitcode for its callers, with no machine code of its own.
 
     numba optimises a callee, makes machine code of it, then links its bitcode into every caller and does it all once
-    more there: here it is left to the callers. The cheap passes go first, so that what is linked is small.
+    more there: here it is left to the callers.
     """
 
     def _optimize_final_module(self) -> None:
-        passes, builder = self._codegen._module_pass_manager(
-            loop_vectorize=False, slp_vectorize=False, opt=0, cost="cheap"
-        )
-        passes.run(self._final_module, builder)
+        """Leave it to the callers."""
 
     def _finalize_final_module(self) -> None:
         self._finalize_dynamic_globals()
         self._finalized = True
 
 
-class _InnerCompiler(_FunctionCompiler):
+class _Flags(compiler.Flags):
+    """As numba's own, compared quickly: that is asked a hundred thousand times, option by option."""
+
+    def values(self) -> dict[str, Any]:
+        """Return all options with their values."""
+        return DEFAULTS | self._values
+
+
+class _InnerCompiler(_FunctionCompiler):  # type: ignore[misc]
     """As numba's own, into a _BitcodeLibrary and without the wrappers for Python and C."""
 
     def _compile_core(self, args: Any, return_type: Any) -> Any:
-        flags = compiler.Flags()
+        flags: Any = _Flags()
         self.targetdescr.options.parse_as_flags(flags, self.targetoptions)
         flags.no_compile = flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
         context = self.targetdescr.target_context

@@ -65,7 +65,7 @@ def grey_image(image: NDArray[np.uint8], source: str) -> NDArray[np.uint8]:
             cure="Give 8-bit grey or BGR images",
         )
     grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
-    contiguous = np.ascontiguousarray(grey).view()
+    contiguous: NDArray[np.uint8] = np.ascontiguousarray(grey, dtype=np.uint8).view()
     contiguous.setflags(write=False)  # as a frame's image is: one compilation serves all
     return contiguous
 
