@@ -22,6 +22,7 @@ install: $(READY)
 
 $(READY): pyproject.toml requirements.lock tools/make_environment.py
 	$(PYTHON) tools/make_environment.py .venv
+	$(BIN)/python -m armsight.app.compilation
 	@touch $@
 
 docs: install

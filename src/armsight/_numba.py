@@ -3,23 +3,157 @@
 error_model numpy: a division by zero gives inf or NaN, which callers test for, in place of a branch that raises: exact
 data must never raise from within compiled code, and the branches cost half of the time to compile. cache: compiled
 once per machine. nogil: threads may run beside each other.
+
+A kernel that Python calls is a `kernel`. One that only other kernels call is an `inner_kernel`, which compiles in half
+the time: see InnerKernel and decision 0017. Both give the same machine code where they are called from a kernel.
 """
 
-from numba import njit, prange
+from __future__ import annotations
 
-kernel = njit(cache=True, nogil=True, error_model="numpy")
+import gc
+from collections.abc import Callable
+from typing import Any
+
+from numba import njit, prange
+from numba.core import compiler, event
+from numba.core.codegen import JITCodeLibrary
+from numba.core.dispatcher import _FunctionCompiler  # type: ignore[attr-defined]
+from numba.core.registry import CPUDispatcher
+
+RULES: Any = {"nogil": True, "error_model": "numpy"}
+FUSED: Any = {"contract"}
+REORDERED: Any = {"contract", "reassoc", "nsz"}
+DEFAULTS: dict[str, Any] = compiler.Flags().values()
+
+
+class _BitcodeLibrary(JITCodeLibrary):
+    """A kernel's bitcode for its callers, with no machine code of its own.
+
+    numba optimises a callee, makes machine code of it, then links its bitcode into every caller and does it all once
+    more there: here it is left to the callers.
+    """
+
+    def _optimize_final_module(self) -> None:
+        """Leave it to the callers."""
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+
+class _Flags(compiler.Flags):
+    """As numba's own, compared quickly: that is asked a hundred thousand times, option by option."""
+
+    def values(self) -> dict[str, Any]:
+        """Return all options with their values."""
+        return DEFAULTS | self._values
+
+
+class _InnerCompiler(_FunctionCompiler):  # type: ignore[misc]
+    """As numba's own, into a _BitcodeLibrary and without the wrappers for Python and C."""
+
+    def _compile_core(self, args: Any, return_type: Any) -> Any:
+        flags: Any = _Flags()
+        self.targetdescr.options.parse_as_flags(flags, self.targetoptions)
+        flags.no_compile = flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
+        context = self.targetdescr.target_context
+        library = _BitcodeLibrary(context.codegen(), self.py_func.__qualname__)
+        result = compiler.compile_extra(
+            self.targetdescr.typing_context,
+            context,
+            self.py_func,
+            args=args,
+            return_type=return_type,
+            flags=flags,
+            locals=self.locals,
+            library=library,
+            pipeline_class=self.pipeline_class,
+        )
+        if result.typing_error is not None:
+            raise result.typing_error
+        key = object()  # what callers find the function by, where numba has the wrapper for Python
+        context.insert_user_function(key, result.fndesc, [library])
+        return result._replace(entry_point=key)
+
+
+class InnerKernel(CPUDispatcher):
+    """A kernel for other kernels: not cached, as its callers are, with all that they call.
+
+    From Python (tests do) it is called through a kernel made for the purpose. It may not call itself.
+    """
+
+    def __init__(self, py_func: Callable[..., Any], targetoptions: dict[str, Any]) -> None:
+        super().__init__(py_func, None, targetoptions)
+        self._compiler = _InnerCompiler(py_func, self.targetdescr, targetoptions, self.locals, compiler.Compiler)
+        self._from_python: Callable[..., Any] | None = None
+
+    def add_overload(self, cres: Any) -> None:
+        """Keep a compiled signature; unlike numba's own, out of Python's reach."""
+        self.overloads[tuple(cres.signature.args)] = cres
+
+    def __call__(self, *args: Any) -> Any:
+        """Call it from Python."""
+        if self._from_python is None:
+            inner = self
+            self._from_python = njit(lambda *args: inner(*args), **RULES)
+        return self._from_python(*args)
+
+
+class _NoGarbageCollection(event.Listener):
+    """The compiler makes millions of small objects that live until it ends: looking for garbage costs a tenth of it."""
+
+    def __init__(self) -> None:
+        self.depth = 0
+        self.was_on = False
+
+    def on_start(self, _: event.Event) -> None:
+        if self.depth == 0:
+            self.was_on = gc.isenabled()
+            gc.disable()
+        self.depth += 1
+
+    def on_end(self, _: event.Event) -> None:
+        self.depth -= 1
+        if self.depth == 0 and self.was_on:
+            gc.enable()
+
+
+event.register("numba:compile", _NoGarbageCollection())  # called with the compiler's lock held
+
+
+def _inner(**options: Any) -> Callable[[Callable[..., Any]], InnerKernel]:
+    return lambda function: InnerKernel(function, {"nopython": True, **RULES, **options})
+
+
+kernel = njit(cache=True, **RULES)
 """For everything: results are the same on every machine with the same numba."""
 
-fast_kernel = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+fast_kernel = njit(cache=True, fastmath=FUSED, **RULES)
 """Products and sums may be fused: for the hottest paths, where the last digit does not matter."""
 
-sum_kernel = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
+sum_kernel = njit(cache=True, fastmath=REORDERED, **RULES)
 """Sums may also be reordered into vector lanes: for sums over pixels and residuals."""
 
-inline_kernel = njit(cache=True, nogil=True, error_model="numpy", inline="always")
-"""Put into its callers whole: for functions of a few lines in the innermost loop."""
+inner_kernel = _inner()
+"""A kernel that only kernels call."""
 
-parallel_kernel = njit(cache=True, nogil=True, error_model="numpy", parallel=True)
+inner_fast_kernel = _inner(fastmath=FUSED)
+"""A fast_kernel that only kernels call."""
+
+inner_sum_kernel = _inner(fastmath=REORDERED)
+"""A sum_kernel that only kernels call."""
+
+parallel_kernel = njit(cache=True, parallel=True, **RULES)
 """Runs on all cores, with prange."""
 
-__all__ = ["fast_kernel", "inline_kernel", "kernel", "parallel_kernel", "prange", "sum_kernel"]
+__all__ = [
+    "InnerKernel",
+    "fast_kernel",
+    "inner_fast_kernel",
+    "inner_kernel",
+    "inner_sum_kernel",
+    "kernel",
+    "parallel_kernel",
+    "prange",
+    "sum_kernel",
+]

@@ -6,10 +6,10 @@ from math import sqrt
 
 import numpy as np
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel, kernel
 
 
-@kernel
+@inner_kernel
 def solve_damped(H, g, damping, step):
     """Solve (H + damping diag H) step = -g by Cholesky for small dense H (n, n); return False where not SPD."""
     n = g.shape[0]
@@ -40,7 +40,7 @@ def solve_damped(H, g, damping, step):
     return True
 
 
-@kernel
+@inner_kernel
 def invert_spd(H, out):
     """Fill out (n, n) with the inverse of the symmetric positive definite H; return False where it is not."""
     n = H.shape[0]

@@ -11,7 +11,8 @@ from math import floor, isfinite
 import numpy as np
 from scipy.special import ndtr
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel, kernel
+from armsight.geometry.kernels import copy_1
 
 REACH_SIGMA = 5.5
 """The spread function is drawn this many sigma (and a pixel) far: less than 1e-7 of its flux lies outside."""
@@ -43,7 +44,7 @@ def _tabulate():
 _STEP, _RAMP = _tabulate()
 
 
-@kernel
+@inner_kernel
 def bend(p, x, y):
     """Return the distorted image (xd, yd) of the ray (x, y, 1): Brown's radial series and decentring terms."""
     rr = x * x + y * y
@@ -97,7 +98,7 @@ def trace_rays(p, uv, rays):
         rays[i, 1] = y if error < 1e-9 else np.nan
 
 
-@kernel
+@inner_kernel
 def _gauss_step(t):
     """Return the integral of the unit Gaussian from minus infinity to t."""
     if t <= -TABLE_REACH:
@@ -110,7 +111,7 @@ def _gauss_step(t):
     return _STEP[0, k] + s * (_STEP[1, k] + s * (_STEP[2, k] + s * _STEP[3, k]))
 
 
-@kernel
+@inner_kernel
 def _gauss_ramp(t):
     """Return the integral of _gauss_step from minus infinity to t."""
     if t <= -TABLE_REACH:
@@ -123,13 +124,13 @@ def _gauss_ramp(t):
     return _RAMP[0, k] + s * (_RAMP[1, k] + s * (_RAMP[2, k] + s * _RAMP[3, k]))
 
 
-@kernel
+@inner_kernel
 def _span(low, high, size):
     """Return the first pixel and one past the last that touch [low, high] in an image of size pixels."""
     return int(min(max(np.floor(low), 0.0), size)), int(min(max(np.ceil(high) + 1.0, 0.0), size))
 
 
-@kernel
+@inner_kernel
 def _fill_steps(out, first, last, centre, sigma, factor):
     """Fill out[:last-first] with factor times the share of a Gaussian that falls on each of the pixels."""
     before = _gauss_step((first - 0.5 - centre) / sigma)
@@ -139,7 +140,7 @@ def _fill_steps(out, first, last, centre, sigma, factor):
         before = after
 
 
-@kernel
+@inner_kernel
 def _fill_ramps(out, first, last, centre, sigma):
     """Fill out[:last-first] with the mean over each of the pixels of the Gaussian's integral from the left."""
     before = _gauss_ramp((first - 0.5 - centre) / sigma)
@@ -173,7 +174,7 @@ def add_gaussians(light, uv, weight, sigma, bgr):
                     light[j, i, c] += np.float32(bgr[c] * wy[j - j0] * wx[i - i0])
 
 
-@kernel
+@inner_kernel
 def _add_cover(cover, i0, j0, outline, dv, sigma, factor):
     """Add factor times the share of each pixel that a blurred region covers to cover (h, w), whose corner is i0, j0."""
     height, width = cover.shape
@@ -222,7 +223,7 @@ def add_regions(light, outlines, dv, share, sigma, bgr):
                     light[j, i, c] += np.float32(bgr[c] * cover[j - j0, i - i0])
 
 
-@kernel
+@inner_kernel
 def _draw_bits(s0, s1, s2, s3, bits):
     """Fill bits (n,) uint64 with one step of n generators xoshiro256++ (Blackman, Vigna 2019) side by side.
 
@@ -242,7 +243,7 @@ def _draw_bits(s0, s1, s2, s3, bits):
         s3[i] = (d << np.uint64(45)) | (d >> np.uint64(19))
 
 
-@kernel
+@inner_kernel
 def _draw_normals(bits, table, z):
     """Fill z (n,) with standard normals: each the sum of two entries of table (4096,), chosen by 24 of 32 bits."""
     low, shift = np.uint32(0xFFF), np.uint32(12)
@@ -251,7 +252,7 @@ def _draw_normals(bits, table, z):
         z[i] = table[r & low] + table[(r >> shift) & low]
 
 
-@kernel
+@inner_kernel
 def _digitise(light, z, levels_per_electron, read_noise, saturation, out):
     """Fill out (n,) uint8 with the grey levels of light (n,) under the standard normals z (n,).
 
@@ -285,14 +286,14 @@ def develop(light, patch, row, column, levels_per_electron, read_noise, saturati
         _draw_bits(state[0], state[1], state[2], state[3], bits)
         _draw_normals(halves, table, z)
         if row <= j < row + patch.shape[0]:
-            mixed[:] = light[j]
+            copy_1(light[j], mixed)
             mixed[column : column + patch.shape[1]] = patch[j - row]
             _digitise(mixed, z, levels_per_electron, read_noise, saturation, out[j])
         else:
             _digitise(light[j], z, levels_per_electron, read_noise, saturation, out[j])
 
 
-@kernel
+@inner_kernel
 def _count(light, z, levels_per_electron, read_noise, steps, top, out):
     """Fill out (n,) uint16 as _digitise does, in `steps` steps a grey level, up to `top` steps."""
     gain, variance0 = np.float32(levels_per_electron), np.float32(read_noise * read_noise + 1e-12)
@@ -335,9 +336,9 @@ def develop_raw(
                 for i in range(wide):
                     mixed[column + i] = patch[j - row, i, even if (column + i) % 2 == 0 else odd]
         else:
-            mixed[:] = light[j].ravel()
+            copy_1(light[j].ravel(), mixed)
             if inside:
-                mixed[column * channels : (column + wide) * channels] = patch[j - row].ravel()
+                copy_1(patch[j - row].ravel(), mixed[column * channels : (column + wide) * channels])
         _count(mixed, z, levels_per_electron, read_noise, steps, steps * saturation, out[j])
 
 
@@ -348,7 +349,7 @@ def apply_curve(raw, curve, out):
         out[i] = curve[raw[i]]
 
 
-@kernel
+@inner_kernel
 def _cell(H, x, y, columns, rows):
     """Return column and row of the board's square that the ray (x, y, 1) meets, both clamped to one beyond the edge."""
     w = H[2, 0] * x + H[2, 1] * y + H[2, 2]
@@ -359,7 +360,7 @@ def _cell(H, x, y, columns, rows):
     return floor(min(max(a, -3.0), columns + 2.0)), floor(min(max(b, -3.0), rows + 2.0))
 
 
-@kernel
+@inner_kernel
 def _shade(a, b, columns, rows, shades):
     """Return the shade of square (a, b): black, white (also one square of margin round the board), or beyond."""
     if a < -2 or b < -2 or a > columns or b > rows:

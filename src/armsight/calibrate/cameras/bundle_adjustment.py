@@ -88,7 +88,10 @@ class _BoardEquations:
         if self.tied:
             k = np.ascontiguousarray(k[[0, 0]])
         side = shared[split:] if n_cameras == 2 else np.zeros(6)
-        fine = view_normal_equations(k, side, local, seen.X, seen.radius_m, seen.uv, seen.weight, r, A, b, C, c, W)
+        shared_k, sides, poses = np.array(k), np.array(side), np.array(local)  # writable: one compilation serves all
+        fine = view_normal_equations(
+            shared_k, sides, poses, seen.X, seen.radius_m, seen.uv, seen.weight, r, A, b, C, c, W
+        )
         if self.tied:
             _tie(A, b, W)
         return Evaluation(
@@ -102,11 +105,11 @@ class _BoardEquations:
         """Return both after a step; poses are turned, and a shared lens moves in both views."""
         split = len(INTRINSICS) * self.observations.n_cameras
         moved, poses = shared + step_shared, np.empty_like(local)
-        move_poses(local, step_local, poses)
+        move_poses(np.array(local), np.array(step_local), poses)
         if self.tied:
             moved[split // 2 : split] = moved[: split // 2]
         if self.observations.n_cameras == 2:
-            move_poses(shared[None, split:], step_shared[None, split:], moved[None, split:])
+            move_poses(np.array(shared[None, split:]), np.array(step_shared[None, split:]), moved[None, split:])
         return moved, poses
 
 

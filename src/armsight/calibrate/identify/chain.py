@@ -74,7 +74,7 @@ class ChainModel:
         X, J = np.empty((len(q), 3)), np.empty((len(q), 3, len(p)))
         revolute = np.array([axis.revolute for axis in self.axes])
         points = np.stack([axis.point_m for axis in self.axes])
-        chain_beacon(revolute, self.bases, points, self.beacon_m, p, np.ascontiguousarray(q), X, J)
+        chain_beacon(revolute, self.bases, points, self.beacon_m, np.array(p), np.array(q), X, J)
         return X, J
 
 

@@ -51,7 +51,7 @@ def arc(tilt: Tilt, middle: Array, p: Array, s: Array) -> tuple[Array, Array, Ar
     """
     n = len(s)
     X, J, Js = np.empty((n, 3)), np.empty((n, 3, 6)), np.empty((n, 3))
-    arc_places(tilt.B, middle, p, s, X, J, Js)
+    arc_places(tilt.B, middle, np.array(p), np.array(s), X, J, Js)
     return X, J, Js
 
 

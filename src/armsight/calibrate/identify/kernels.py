@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel, kernel
 from armsight.fitting.kernels import invert_spd
+from armsight.geometry.kernels import copy_1
 from armsight.optics.kernels.camera import see_point
 
 
@@ -19,7 +20,7 @@ def see_many(k, R, t, X, uv, D):
                 D[i, side, :, :] = np.nan
 
 
-@kernel
+@inner_kernel
 def tilted(B, u, v, d, dd):
     """Fill d (3,) = normalise(B (u, v, 1)) and dd (3, 2) = d d / d (u, v)."""
     size = 0.0
@@ -82,7 +83,7 @@ def arc_places(B, middle, p, s, X, J, Js):
                     J[i, r, 2 + k] += dt[r, k] * S
 
 
-@kernel
+@inner_kernel
 def turn(d, angle, x, out):
     """Fill out (3,) with x turned about the unit direction d."""
     s, c = np.sin(angle), np.cos(angle)
@@ -153,7 +154,7 @@ def chain_beacon(revolute, B, points, beacon, p, q, X, J):
                 x[r] += at[j, r]
 
 
-@kernel
+@inner_kernel
 def axis_cost(revolute, direction, xyz, W, q, p):
     """Return the misfit of a sweep for an axis of given direction, all else eliminated (or infinity); fill p.
 
@@ -248,8 +249,8 @@ def settle_axis(revolute, direction, step, xyz, W, q, p):
             cost = axis_cost(revolute, d, xyz, W, q, trial)
             if cost < best:
                 best, moved = cost, True
-                direction[:] = d
-                p[:] = trial
+                copy_1(d, direction)
+                copy_1(trial, p)
                 break
         if not moved:
             step *= 0.5

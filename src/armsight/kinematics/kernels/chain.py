@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from armsight._numba import fast_kernel, kernel
+from armsight._numba import fast_kernel, inner_fast_kernel, inner_kernel
 from armsight.kinematics.kernels.trig import sin_cos
 
 BLOCK = 32
@@ -59,7 +59,7 @@ def joint_frames(chain, q, F):
             F[n + 1, 3 * c + r] = v + F[n, 9 + r] if c == 3 else v
 
 
-@fast_kernel
+@inner_fast_kernel
 def frames_jacobian(chain, F, J):
     """Fill J (6, n), linear over angular velocity of the tool in world axes, from the frames F (n + 2, 12)."""
     n = chain.shape[0] - 2
@@ -94,7 +94,7 @@ def one_pose(chain, q, T):
     frame_matrix(F[n + 1], T)
 
 
-@kernel
+@inner_kernel
 def frame_matrix(frame, T):
     """Fill T (4, 4) from one frame (12,): columns x, y, z, origin."""
     for c in range(4):
@@ -114,7 +114,7 @@ def one_pose_jacobian(chain, q, T, J):
     frames_jacobian(chain, F, J)
 
 
-@fast_kernel
+@inner_fast_kernel
 def _start_block(chain, w):
     """Set every pose of the block to T_world_base."""
     for c in range(4):
@@ -125,7 +125,7 @@ def _start_block(chain, w):
                 w[at + b] = value
 
 
-@fast_kernel
+@inner_fast_kernel
 def _joint_block(row, q, first, count, i, w):
     """Carry the block over joint i, whose values are q[first : first + count, i]."""
     for b in range(BLOCK):
@@ -168,7 +168,7 @@ def _joint_block(row, q, first, count, i, w):
                 w[(Z + r) * BLOCK + b] = x * sb + z * cb
 
 
-@fast_kernel
+@inner_fast_kernel
 def _tool_block(tool, w):
     """Carry the block over the fixed T_flange_tool, given as row (12,) of the chain."""
     for r in range(3):
@@ -182,7 +182,7 @@ def _tool_block(tool, w):
             w[(P + r) * BLOCK + b] += x * tool[3] + y * tool[7] + z * tool[11]
 
 
-@kernel
+@inner_kernel
 def is_identity(frame):
     """Tell whether a fixed transform, given as row (12,) of the chain, does nothing."""
     different = 0
@@ -191,7 +191,7 @@ def is_identity(frame):
     return different == 0
 
 
-@kernel
+@inner_kernel
 def _write_block(w, first, count, T):
     """Store the block's poses in T[first : first + count] (., 4, 4)."""
     for b in range(count):
@@ -221,7 +221,7 @@ def many_poses(chain, q, T):
         _write_block(w, first, count, T)
 
 
-@fast_kernel
+@inner_fast_kernel
 def _jacobian_block(prismatic, g, w):
     """Fill the slots V, W with one joint's column for each pose, from its axis in the slots A (z), B (origin)."""
     if prismatic:

@@ -21,7 +21,7 @@ from math import sqrt
 
 import numpy as np
 
-from armsight._numba import fast_kernel, kernel
+from armsight._numba import fast_kernel, inner_fast_kernel, kernel
 from armsight.kinematics.kernels.numeric import pose_error
 from armsight.kinematics.kernels.trig import TWO_PI, arc_tangent, sin_cos, wrap
 
@@ -41,7 +41,7 @@ LEFT, DOWN, FLIP, AT_SHOULDER, AT_ELBOW, AT_WRIST = 1, 2, 4, 8, 16, 32
 """Bits of a solution's code: branches, and which singularity it stands in."""
 
 
-@fast_kernel
+@inner_fast_kernel
 def wrist_pose(family, base, tool, T, W):
     """Fill W (12,) with the axes x, y, z and the origin of frame 6 before its own d, a, alpha, in base axes.
 
@@ -64,7 +64,7 @@ def wrist_pose(family, base, tool, T, W):
                 W[3 * c + r] = v + base[4 * r + 3] if c == 3 else v
 
 
-@fast_kernel
+@inner_fast_kernel
 def _store(family, Q, code, k, t1, t2, t3, t4, t5, t6, bits):
     """Store one solution as joint values, each turned into [-pi, pi] (over the joint's scale)."""
     Q[k, 0] = wrap(t1 - family[14]) * family[20]
@@ -76,7 +76,7 @@ def _store(family, Q, code, k, t1, t2, t3, t4, t5, t6, bits):
     code[k] = bits
 
 
-@fast_kernel
+@inner_fast_kernel
 def _elbow(a2, link, x, y, out):
     """Solve the plane arm for (x, y): out = (theta2 base, its bend, elbow angle); return 0, 1 or 2 branches.
 
@@ -99,7 +99,7 @@ def _elbow(a2, link, x, y, out):
     return 1 if s3 < ELBOW_MERGED else 2
 
 
-@fast_kernel
+@inner_fast_kernel
 def _offset_wrist(family, W, near, C1, S1, t1, bits, k, Q, code, work):
     """Add the solutions of an arm with offset wrist for one theta 1; return their number so far."""
     sa1, k2, k23 = family[1], family[2], family[2] * family[3]
@@ -156,7 +156,7 @@ def _offset_wrist(family, W, near, C1, S1, t1, bits, k, Q, code, work):
     return k
 
 
-@fast_kernel
+@inner_fast_kernel
 def _spherical_wrist(family, W, near, C1, S1, t1, bits, k, Q, code, work):
     """Add the solutions of an arm with spherical wrist for one theta 1; return their number so far."""
     sa1, k2, sa4, sa5 = family[1], family[2], family[4], family[5]
@@ -213,7 +213,7 @@ def solve_closed(family, base, tool, T, near, Q, code):
     return _solve(family, base, tool, T, near, Q, code, np.empty(12), np.empty(3))
 
 
-@fast_kernel
+@inner_fast_kernel
 def _solve(family, base, tool, T, near, Q, code, W, work):
     """Do what `solve_closed` says, with room to work in: W (12,), work (3,)."""
     wrist_pose(family, base, tool, T, W)
@@ -231,7 +231,7 @@ def _solve(family, base, tool, T, near, Q, code, W, work):
             return 0
         sides, bits, g2 = 1, AT_SHOULDER, 0.0
     root = sqrt(max(g2, 0.0))
-    k = 0
+    k = np.int64(0)  # typed: a bare 0 would have every callee compiled once more for the literal
     for side in range(sides):
         g = root if side == 0 else -root
         if rho2 < free * free and abs(offset) < free:
@@ -291,4 +291,4 @@ def settle(chain, T, count, here, slack, Q, errors, inside):
     e = np.empty(6)
     for k in range(count):
         inside[k] = nearest_turns(chain, Q[k], here, slack)
-        errors[k, 0], errors[k, 1] = pose_error(chain, T, Q[k], 6, F, e)
+        errors[k, 0], errors[k, 1] = pose_error(chain, T, Q[k], np.int64(6), F, e)

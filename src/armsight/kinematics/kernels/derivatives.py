@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel, kernel
 from armsight.kinematics.kernels.chain import frame_matrix, joint_frames
 
 PER_JOINT = 5
 """a, alpha, d, theta, beta."""
 
 
-@kernel
+@inner_kernel
 def _turn(ux, uy, uz, frame, at, T, J, column):
     """Fill one column of J (6, .) with the motion of the tool by a turn about the axis u through frame[at : at + 3]."""
     px = T[0, 3] - frame[at]
@@ -25,7 +25,7 @@ def _turn(ux, uy, uz, frame, at, T, J, column):
     J[5, column] = uz
 
 
-@kernel
+@inner_kernel
 def _shift(ux, uy, uz, J, column):
     """Fill one column of J (6, .) with a shift along u."""
     J[0, column] = ux
@@ -36,7 +36,7 @@ def _shift(ux, uy, uz, J, column):
     J[5, column] = 0.0
 
 
-@kernel
+@inner_kernel
 def parameter_columns(chain, q, T, J):
     """Fill T (4, 4) and J (6, 5 n + 12), the derivative (dt, dw) in world axes of the tool's pose.
 

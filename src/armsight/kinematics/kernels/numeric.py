@@ -6,7 +6,7 @@ from math import pi, sqrt
 
 import numpy as np
 
-from armsight._numba import fast_kernel, kernel
+from armsight._numba import inner_fast_kernel, inner_kernel, kernel
 from armsight.kinematics.kernels.chain import frames_jacobian, joint_frames
 from armsight.kinematics.kernels.trig import arc_tangent
 
@@ -30,7 +30,7 @@ DAMPING_SHARE = 0.3
 NEARLY_HALF_TURN = 1e-6
 
 
-@kernel
+@inner_kernel
 def rotation_error(T, frame, e):
     """Fill e[3:6] with the rotation vector, in world axes, from the frame (12,) to T (4, 4)."""
     # E = R_target R_now^T
@@ -63,7 +63,7 @@ def rotation_error(T, frame, e):
     e[5] = z * scale
 
 
-@kernel
+@inner_kernel
 def pose_error(chain, T, q, rows, F, e):
     """Fill F and e (6,) with the error of T_world_tool at q; return its size in m and in rad (0 where rows is 3)."""
     n = chain.shape[0] - 2
@@ -77,7 +77,7 @@ def pose_error(chain, T, q, rows, F, e):
     return m, sqrt(e[3] * e[3] + e[4] * e[4] + e[5] * e[5])
 
 
-@fast_kernel
+@inner_fast_kernel
 def _normal_equations(J, e, rows, weight, H, g):
     """Fill H (n, n) = J^T W J and g (n,) = J^T W e, W = weight on the first three rows."""
     n = J.shape[1]
@@ -93,7 +93,7 @@ def _normal_equations(J, e, rows, weight, H, g):
             H[i, j] = s
 
 
-@fast_kernel
+@inner_fast_kernel
 def _damped_step(H, g, damping, held, L, step):
     """Solve (H + damping) step = g over the joints that are not held; return False where that has no answer."""
     n = g.shape[0]
@@ -135,7 +135,7 @@ def _damped_step(H, g, damping, held, L, step):
     return True
 
 
-@kernel
+@inner_kernel
 def _hold_joints(chain, q, g, held):
     """Hold the joints that stand at a limit and are pulled beyond it; return whether any is."""
     any_held = False
@@ -146,7 +146,7 @@ def _hold_joints(chain, q, g, held):
     return any_held
 
 
-@kernel
+@inner_kernel
 def _trial_values(chain, q, step, trial):
     """Fill trial with q + step, cut to LARGEST_STEP and to the limits."""
     longest = 0.0

@@ -10,7 +10,7 @@ from math import pi
 
 import numpy as np
 
-from armsight._numba import fast_kernel, kernel
+from armsight._numba import inner_fast_kernel, inner_kernel
 
 TWO_PI = 2.0 * pi
 PER_TURN = 1.0 / TWO_PI
@@ -19,7 +19,7 @@ QUARTER = 0.25 * pi
 HALF = 0.5 * pi
 
 
-@fast_kernel
+@inner_fast_kernel
 def sin_cos(x):
     """Return (sin x, cos x) of a finite angle in radians."""
     k = np.floor(x * 0.6366197723675814 + 0.5)
@@ -44,7 +44,7 @@ def sin_cos(x):
     return sine, cosine
 
 
-@fast_kernel
+@inner_fast_kernel
 def arc_tangent(y, x):
     """Return the angle of the direction (x, y) in (-pi, pi]; zero where both are zero."""
     ax = abs(x)
@@ -71,7 +71,7 @@ def arc_tangent(y, x):
     return -angle if y < 0.0 else angle
 
 
-@kernel
+@inner_kernel
 def wrap(x):
     """Return the angle x brought into [-pi, pi]."""
     return x - TWO_PI * np.floor(x * PER_TURN + 0.5)

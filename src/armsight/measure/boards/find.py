@@ -49,7 +49,7 @@ def find_board(image: NDArray[np.uint8], board: Target, *, source: str = "", det
 
 def warm_up() -> None:
     """Compile the fits, or load them from the cache, so that the first image does not wait for it."""
-    image = np.zeros((SMALLEST_PX, SMALLEST_PX), np.uint8)
+    image = grey_image(np.zeros((SMALLEST_PX, SMALLEST_PX), np.uint8), "")
     middle, axes, one = np.full((1, 2), 16.0), np.eye(2)[None] * 4.0, np.ones(1)
     uv, covariance, quality = np.empty((1, 2)), np.empty((1, 2, 2)), np.empty((1, 4))
     fit_corners(image, middle, axes, np.zeros((1, 2, 3)), one, one, uv, covariance, quality)
@@ -65,7 +65,9 @@ def grey_image(image: NDArray[np.uint8], source: str) -> NDArray[np.uint8]:
             cure="Give 8-bit grey or BGR images",
         )
     grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
-    return np.ascontiguousarray(grey)
+    contiguous: NDArray[np.uint8] = np.ascontiguousarray(grey, dtype=np.uint8).view()
+    contiguous.setflags(write=False)  # as a frame's image is: one compilation serves all
+    return contiguous
 
 
 def check_exposure(grey: NDArray[np.uint8], source: str) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 
 from armsight._numba import kernel
 from armsight.fitting.kernels import invert_spd
+from armsight.geometry.kernels import copy_2, multiply
 from armsight.measure.poses.kernels.rig_covariance import PARAMETERS, add_information, light_slopes, place_slopes
 from armsight.optics.kernels.triangulation import invert_2
 
@@ -47,11 +48,12 @@ def frame_evidence(k, R, t, cov, X, T, basis, velocity, residual, N, b, S, C):
             if not (light_slopes(k, R, t, T, X[light], p, s, uv, J, D, G) and invert_2(cov[light, s], W)):
                 return -1.0
             place_slopes(J, T, E)
-            row[:, :PARAMETERS] = D
+            copy_2(D, row)
             for i in range(2):
                 for j in range(m):
-                    a = basis[light, :, j]
-                    row[i, PARAMETERS + j] = E[i, 0] * a[0] + E[i, 1] * a[1] + E[i, 2] * a[2]
+                    row[i, PARAMETERS + j] = 0.0
+                    for a in range(3):
+                        row[i, PARAMETERS + j] += E[i, a] * basis[light, a, j]
                 v = velocity[light]
                 row[i, DELAY] = J[i, 0] * v[0] + J[i, 1] * v[1] + J[i, 2] * v[2] if s == 1 else 0.0
             r = residual[light, s]
@@ -67,7 +69,13 @@ def frame_evidence(k, R, t, cov, X, T, basis, velocity, residual, N, b, S, C):
             add_information(row, W, G, r, B, N, b)
     if not invert_spd(H, C):
         return -1.0
-    S[:] = -(C @ B)
-    N += B.T @ S
-    b += S.T @ g  # nothing at the minimum
+    multiply(C, B, S)
+    for i in range(6):
+        for j in range(q):
+            S[i, j] = -S[i, j]
+    for j in range(q):
+        for i in range(6):
+            b[j] += S[i, j] * g[i]  # nothing at the minimum
+            for a in range(q):
+                N[j, a] += B[i, j] * S[i, a]
     return chi2

@@ -136,15 +136,18 @@ def likeness(setup: Setup, left: Candidates, right: Candidates, at_left: Spots, 
 def _paired(setup: Setup, left: Candidates, right: Candidates, at_left: Index, at_right: Index) -> Pairs:
     """Return the pairs of coarse centres that meet in space and are alike in size and height."""
     packed, slack2 = setup.packed, setup.slack_px**2
+    uv = [c.uv_px[at] for c, at in ((left, at_left), (right, at_right))]
     cov = [c.sigma_px[at, None, None] ** 2 * np.eye(2) for c, at in ((left, at_left), (right, at_right))]
-    index, uv, cov_px2, P, S, behind = kernels.candidate_pairs(
+    for array in (*uv, *cov):
+        array.setflags(write=False)  # as those of Spots: one compilation serves both
+    index, uv_px, cov_px2, P, S, behind = kernels.candidate_pairs(
         packed.k,
         packed.R,
         packed.t,
         packed.baseline,
-        left.uv_px[at_left],
+        uv[0],
         cov[0],
-        right.uv_px[at_right],
+        uv[1],
         cov[1],
         slack2,
         PAIR_GATE,
@@ -155,7 +158,7 @@ def _paired(setup: Setup, left: Candidates, right: Candidates, at_left: Index, a
     alike &= _sized(setup, left, right, at_left[index[:, 0]], at_right[index[:, 1]], P)
     return Pairs(
         index=index[alike],
-        uv_px=uv[alike],
+        uv_px=uv_px[alike],
         cov_px2=cov_px2[alike],
         xyz_m=P[alike],
         cov_m2=S[alike],

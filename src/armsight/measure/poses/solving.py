@@ -77,7 +77,7 @@ def misfit_chi2(solved: Solved, left: Spots, right: Spots) -> float:
         return 0.0
     uv, cov = np.empty((len(left), 2, 2)), np.empty((len(left), 2, 2, 2))
     kernels.stack_views(left.uv_px, left.covariance_px2, right.uv_px, right.covariance_px2, uv, cov)
-    return float(kernels.slack_chi2(solved.pose.residual_px.reshape(uv.shape), cov, TIGHT_PX**2))
+    return float(kernels.slack_chi2(np.array(solved.pose.residual_px).reshape(uv.shape), cov, TIGHT_PX**2))
 
 
 def take_spots(spots: Spots, index: NDArray[np.intp]) -> Spots:

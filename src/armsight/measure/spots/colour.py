@@ -154,8 +154,9 @@ def track_coloured(
         high = np.clip(np.rint([v + reach + 1.0, u + reach + 1.0]), 0, signal.shape).astype(int)
         box = np.s_[low[0] : high[0], low[1] : high[1]]
         if min(high - low) > 0:
-            signal[box] = hue_signal(bgr[box], settings)[0]
+            signal[box] = hue_signal(np.ascontiguousarray(bgr[box]), settings)[0]
             boxes.append(box)
+    signal.setflags(write=False)  # as in coloured_candidates: one compilation serves both
     spots, of = track_grey(signal, predicted, half_window_px, _plain(settings))
     interpolated = any(_interpolated(signal[box]) for box in boxes)
     spots = _widened(spots, signal, interpolated)

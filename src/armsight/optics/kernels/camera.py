@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel, kernel
 
 UNDISTORT_STEPS = 30
 UNDISTORT_TOLERANCE = 1e-13
 
 
-@kernel
+@inner_kernel
 def distort(k, x, y):
     """Return the distorted normalised point and its derivative (xx, xy, yy) by (x, y); xy is symmetric."""
     k1, k2, p1, p2, k3 = k[5], k[6], k[7], k[8], k[9]
@@ -40,7 +40,7 @@ def plate_shift(thickness, index, U, V):
     return thickness * np.sqrt(0.5) * (1.0 - c / np.sqrt(index * index - 1.0 + c * c))
 
 
-@kernel
+@inner_kernel
 def behind_plate(thickness, index, x, y, z):
     """Return x and z of a point as a pinhole without the plate would have it, whose centre the chief ray points to."""
     chief = plate_shift(thickness, index, 0.0, 0.0)
@@ -51,7 +51,7 @@ def behind_plate(thickness, index, x, y, z):
     return x + shift, z - shift
 
 
-@kernel
+@inner_kernel
 def project_point(k, x, y, z, uv, J):
     """Fill uv (2,) and J (2, 3) = d uv / d (x, y, z) for a point in camera axes; False where z <= 0.
 
@@ -81,7 +81,7 @@ def project_point(k, x, y, z, uv, J):
     return True
 
 
-@kernel
+@inner_kernel
 def intrinsics_jacobian(k, x, y, z, D):
     """Fill D (2, 10) = d uv / d intrinsics for a point in camera axes with z > 0."""
     a = x / z
@@ -108,7 +108,7 @@ def intrinsics_jacobian(k, x, y, z, D):
     D[1, 8] = fy * py
 
 
-@kernel
+@inner_kernel
 def undistort_point(k, u, v, xy, J):
     """Fill xy (2,) with the normalised ray (x/z, y/z) of a pixel and J (2, 2) = d xy / d (u, v).
 
@@ -174,7 +174,7 @@ def undistort_many(k, uv, xy):
             xy[i, 1] = np.nan
 
 
-@kernel
+@inner_kernel
 def see_point(k, R, t, X, uv, J):
     """Fill uv (2,) and J (2, 3) = d uv / d X for a point X (3,) in rig axes, p_camera = R X + t; False behind it."""
     x = R[0, 0] * X[0] + R[0, 1] * X[1] + R[0, 2] * X[2] + t[0]

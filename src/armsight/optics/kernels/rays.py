@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel, kernel
 from armsight.optics.kernels.camera import undistort_point
 
 
@@ -28,7 +28,7 @@ def rays_in_rig(k, R, uv, d, D, ok):
                 D[i, r, c] = R[0, r] * J[0, c] + R[1, r] * J[1, c]
 
 
-@kernel
+@inner_kernel
 def epipolar_residual(d_left, D_left, d_right, D_right, baseline, g_left, g_right):
     """Return baseline . (d_left x d_right) of one pair of rays and fill its gradients (2,) by the two pixels."""
     a = d_right[1] * baseline[2] - d_right[2] * baseline[1]  # d e / d d_left = d_right x baseline
@@ -44,7 +44,7 @@ def epipolar_residual(d_left, D_left, d_right, D_right, baseline, g_left, g_righ
     return e
 
 
-@kernel
+@inner_kernel
 def quadratic_form_2(S, g):
     """Return g' S g for S (2, 2), g (2,)."""
     return g[0] * (S[0, 0] * g[0] + S[0, 1] * g[1]) + g[1] * (S[1, 0] * g[0] + S[1, 1] * g[1])

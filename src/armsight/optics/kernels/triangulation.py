@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel, kernel
 from armsight.fitting.kernels import invert_spd, solve_damped
+from armsight.geometry.kernels import copy_1, dot
 from armsight.optics.kernels.camera import see_point, undistort_point
 
 # What became of a pair of pixels; armsight.optics.triangulate.Verdict gives the names.
@@ -21,7 +22,7 @@ TRIANGULATE_STEPS = 30
 SETTLED = 1e-9  # fall of chi-square, relative and absolute, that counts as none: 3e-5 of a deviation
 
 
-@kernel
+@inner_kernel
 def _undetermined(X, S, centre):
     """Tell whether the deviation along the sight line exceeds DEPTH_DEVIATION of the distance."""
     s2 = 0.0
@@ -33,14 +34,14 @@ def _undetermined(X, S, centre):
     return not s2 <= DEPTH_DEVIATION * DEPTH_DEVIATION * n2 * n2
 
 
-@kernel
+@inner_kernel
 def centre_of(R, t, c):
     """Fill c (3,) with the centre of projection -R' t in rig axes."""
     for i in range(3):
         c[i] = -(R[0, i] * t[0] + R[1, i] * t[1] + R[2, i] * t[2])
 
 
-@kernel
+@inner_kernel
 def _parallel(rays):
     """Tell whether two rays (2, 3) are parallel to rounding."""
     cross2 = (
@@ -53,7 +54,7 @@ def _parallel(rays):
     return not cross2 > PARALLEL_SINE**2 * a2 * b2
 
 
-@kernel
+@inner_kernel
 def triangulate_linear_point(k, R, t, uv, cov, X, S):
     """Fill X (3,), S (3, 3) from the pixels uv (2, 2) of both sides with cov (2, 2, 2); return the verdict.
 
@@ -108,7 +109,7 @@ def triangulate_linear_point(k, R, t, uv, cov, X, S):
     return BEHIND if behind else FOUND
 
 
-@kernel
+@inner_kernel
 def _point_normal(k, R, t, uv, W, X, H, g):
     """Fill H (3, 3) and g (3,) of the whitened reprojection of X; return the squared sum, infinite behind a camera."""
     H[:] = 0.0
@@ -133,7 +134,7 @@ def _point_normal(k, R, t, uv, W, X, H, g):
     return cost
 
 
-@kernel
+@inner_kernel
 def invert_2(S, out):
     """Fill out (2, 2) with the inverse of the symmetric positive S; False where it is not positive."""
     det = S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0]
@@ -146,7 +147,7 @@ def invert_2(S, out):
     return True
 
 
-@kernel
+@inner_kernel
 def triangulate_ml_point(k, R, t, uv, cov, X, S):
     """Fill X (3,), S (3, 3) at the least whitened reprojection error; return (verdict, chi-square, 1 dof)."""
     verdict = triangulate_linear_point(k, R, t, uv, cov, X, S)
@@ -160,16 +161,18 @@ def triangulate_ml_point(k, R, t, uv, cov, X, S):
     H2 = np.empty((3, 3))
     g2 = np.empty(3)
     step = np.empty(3)
+    trial = np.empty(3)
     cost = _point_normal(k, R, t, uv, W, X, H, g)
     damping = 0.0
     for _ in range(TRIANGULATE_STEPS):
         if not solve_damped(H, g, damping, step):
             return PARALLEL, np.nan
-        trial = X + step
+        for i in range(3):
+            trial[i] = X[i] + step[i]
         new = _point_normal(k, R, t, uv, W, trial, H2, g2)
         if new <= cost:
             settled = cost - new <= SETTLED * (1.0 + new)
-            X[:] = trial
+            copy_1(trial, X)
             cost = new
             H, H2 = H2, H
             g, g2 = g2, g
@@ -177,7 +180,7 @@ def triangulate_ml_point(k, R, t, uv, cov, X, S):
             if settled:
                 break
         else:
-            if abs(np.dot(step, g)) <= SETTLED * (1.0 + cost):
+            if abs(dot(step, g)) <= SETTLED * (1.0 + cost):
                 break
             damping = max(10.0 * damping, 1e-4)
     centre = np.empty(3)

@@ -13,7 +13,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from armsight._numba import inline_kernel, kernel
+from armsight._numba import inner_kernel, kernel
+from armsight.geometry.kernels import cross, dot
 
 LEVELS = 10
 """Most levels of a texture, each half as fine as the one before."""
@@ -29,7 +30,7 @@ MOSTLY = 128
 """Coverage from which a cut-out stops a ray."""
 
 
-@inline_kernel
+@inner_kernel
 def _covers(texture, density, texels, levels, k, a, b):
     """Tell whether a cut-out covers its own point (a, b) m."""
     first, columns, rows = levels[texture[k], 0, 0], levels[texture[k], 0, 1], levels[texture[k], 0, 2]
@@ -37,7 +38,7 @@ def _covers(texture, density, texels, levels, k, a, b):
     return texels[first + j * columns + i, 3] >= MOSTLY
 
 
-@inline_kernel
+@inner_kernel
 def _nearest(
     geometry,
     size,
@@ -87,7 +88,7 @@ def _nearest(
     return best, along, at_a, at_b
 
 
-@inline_kernel
+@inner_kernel
 def _reflectance(texture, density, texels, levels, k, a, b, footprint_m, out):
     """Fill out (3,) with the texture of rectangle k at (a, b) m, of the level that a footprint asks for."""
     number, level = texture[k], 0
@@ -112,7 +113,7 @@ def _reflectance(texture, density, texels, levels, k, a, b, footprint_m, out):
         out[c] = (one - ft) * upper + ft * lower
 
 
-@inline_kernel
+@inner_kernel
 def _fallen(size, place, light, k, a, b, out):
     """Fill out (3,) with the light that falls on rectangle k at (a, b) m."""
     first, columns, rows = place[k, 0], place[k, 1], place[k, 2]
@@ -128,7 +129,7 @@ def _fallen(size, place, light, k, a, b, out):
         out[c] = (one - ft) * upper + ft * lower
 
 
-@kernel
+@inner_kernel
 def _add_gloss(geometry, look, lamps, k, a, b, dx, dy, dz, out):
     """Add the lamps' highlights on rectangle k to out (3,): Phong's lobe about the ray that leaves a mirror."""
     g = geometry[k]
@@ -146,7 +147,7 @@ def _add_gloss(geometry, look, lamps, k, a, b, dx, dy, dz, out):
                 out[c] += np.float32(lobe * lamps[lamp, 3 + c])
 
 
-@inline_kernel
+@inner_kernel
 def _radiance(
     geometry,
     size,
@@ -184,7 +185,7 @@ def _radiance(
         _add_gloss(geometry, look, lamps, k, a, b, dx, dy, dz, colour)
 
 
-@kernel
+@inner_kernel
 def _sort_out(geometry, size, R, t, rays, origins, j0, j1, i0, i1, candidates, depths, forward):
     """Fill candidates with the rectangles that a tile's rays may meet, nearest first; return how many there are.
 
@@ -200,16 +201,21 @@ def _sort_out(geometry, size, R, t, rays, origins, j0, j1, i0, i1, candidates, d
             for c in range(3):
                 corner[q, r] += R[r, c] * rays[jj[q], ii[q], c]
                 o[r] += 0.25 * R[r, c] * (origins[jj[q], ii[q], c] if several else origins[0, 0, c])
-    middle = corner[0] + corner[1] + corner[2] + corner[3]
+    middle = np.empty(3)
+    for r in range(3):
+        middle[r] = corner[0, r] + corner[1, r] + corner[2, r] + corner[3, r]
+        o[r] += t[r]
     planes = np.empty((5, 3))
     for q in range(4):
-        planes[q] = np.cross(corner[q], corner[(q + 1) % 4])
-        planes[q] /= np.sqrt((planes[q] ** 2).sum())
-        if (planes[q] * middle).sum() < 0.0:
-            planes[q] = -planes[q]
-    planes[4] = middle / np.sqrt((middle**2).sum())
-    forward[:] = planes[4]
-    o += t
+        cross(corner[q], corner[(q + 1) % 4], planes[q])
+        length = np.sqrt(dot(planes[q], planes[q]))
+        sign = -1.0 if dot(planes[q], middle) < 0.0 else 1.0
+        for r in range(3):
+            planes[q, r] = sign * (planes[q, r] / length)
+    length = np.sqrt(dot(middle, middle))
+    for r in range(3):
+        planes[4, r] = middle[r] / length
+        forward[r] = planes[4, r]
     count = 0
     for k in range(geometry.shape[0]):
         g = geometry[k]
@@ -372,7 +378,7 @@ def meet_scene(scene, origin, ends, out):
         out[i] = k if along < 1.0 - 1e-6 else -1
 
 
-@kernel
+@inner_kernel
 def _indirect(
     geometry,
     size,
@@ -425,7 +431,7 @@ def _indirect(
             total[c] += ambient * near * (0.3 + 0.7 * seen) / directions.shape[0]
 
 
-@kernel
+@inner_kernel
 def _direct(
     geometry, size, texture, density, look, texels, levels, everything, nothing, x, y, z, normal, emitters, total
 ):

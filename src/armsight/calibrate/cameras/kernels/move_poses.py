@@ -6,7 +6,7 @@ from math import atan2, sqrt
 
 import numpy as np
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel, kernel
 
 
 @kernel
@@ -32,7 +32,7 @@ def move_poses(poses, steps, out):
         out[g, 5] = f * z
 
 
-@kernel
+@inner_kernel
 def _quaternion(w, q):
     """Fill q (4,), scalar last, with the quaternion of the rotation vector w (3,)."""
     t = sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])

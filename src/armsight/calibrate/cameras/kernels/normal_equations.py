@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from armsight._numba import kernel, sum_kernel
+from armsight._numba import inner_kernel, inner_sum_kernel, sum_kernel
 from armsight.geometry.kernels import rotation_from_rotvec
 from armsight.optics.kernels.camera import distort
 
@@ -15,7 +15,7 @@ N_COLUMNS = RESIDUAL + 1 + N_POSE
 """Columns of one view: intrinsics, pose of the board, residual, and for the right camera its pose."""
 
 
-@sum_kernel
+@inner_sum_kernel
 def _inner(columns, m, n, H):
     """Fill the lower half of H[:m, :m] with the inner products of columns[:m, :n]."""
     for a in range(m):
@@ -122,7 +122,7 @@ def view_normal_equations(k, side, poses, X, radius, uv, weight, r, A, b, C, c_l
     return True
 
 
-@kernel
+@inner_kernel
 def _scatter(H, c, g, A, b, C, c_local, W):
     """Add the lower half of one view's H (23, 23) where its parameters belong; A gets its lower half only."""
     k0, pose, side = c * N_INTRINSICS, N_INTRINSICS, RESIDUAL + 1

@@ -9,9 +9,9 @@ from math import sqrt
 
 import numpy as np
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel, kernel
 from armsight.fitting.kernels import solve_damped
-from armsight.geometry.kernels import rotvec_of
+from armsight.geometry.kernels import copy_1, rotvec_of
 
 MEDIAN_NORM = 1.538
 """Median length of a vector of three standard normals."""
@@ -20,7 +20,7 @@ GENEROUS = 6.0
 """Robust deviations up to which a pair joins the consensus: with ten pairs the deviation is known to a quarter."""
 
 
-@kernel
+@inner_kernel
 def multiply(A, B, out):
     """Fill out (3, 3) with A B."""
     for i in range(3):
@@ -28,7 +28,7 @@ def multiply(A, B, out):
             out[i, j] = A[i, 0] * B[0, j] + A[i, 1] * B[1, j] + A[i, 2] * B[2, j]
 
 
-@kernel
+@inner_kernel
 def multiply_t(A, B, out):
     """Fill out (3, 3) with A B'."""
     for i in range(3):
@@ -36,13 +36,26 @@ def multiply_t(A, B, out):
             out[i, j] = A[i, 0] * B[j, 0] + A[i, 1] * B[j, 1] + A[i, 2] * B[j, 2]
 
 
-@kernel
+@inner_kernel
+def det_3(M):
+    """Return the determinant of M (3, 3)."""
+    return (
+        M[0, 0] * (M[1, 1] * M[2, 2] - M[1, 2] * M[2, 1])
+        - M[0, 1] * (M[1, 0] * M[2, 2] - M[1, 2] * M[2, 0])
+        + M[0, 2] * (M[1, 0] * M[2, 1] - M[1, 1] * M[2, 0])
+    )
+
+
+@inner_kernel
 def project_rotation(M):
     """Return the rotation (3, 3) nearest to M, or to -M where that has the positive determinant."""
     U, _, Vt = np.linalg.svd(M)
-    R = U @ Vt
-    if np.linalg.det(R) < 0.0:
-        R = -R
+    R = np.empty((3, 3))
+    multiply(U, Vt, R)
+    if det_3(R) < 0.0:
+        for i in range(3):
+            for j in range(3):
+                R[i, j] = -R[i, j]
     return R
 
 
@@ -59,7 +72,11 @@ def shah_rotations(Rf, Rb, keep):
                         for m in range(3):
                             K[3 * i + j, 3 * k + m] += f * Rb[n, m, j]
     Vt = np.linalg.svd(K)[2]
-    RX = project_rotation(np.ascontiguousarray(Vt[0]).reshape(3, 3))
+    M = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            M[i, j] = Vt[0, 3 * i + j]
+    RX = project_rotation(M)
     return RX, mean_target(RX, Rf, Rb, keep)
 
 
@@ -73,7 +90,9 @@ def mean_target(RX, Rf, Rb, keep):
         if keep[n]:
             multiply(Rf[n], RX, a)
             multiply(a, Rb[n], b)
-            total += b
+            for i in range(3):
+                for j in range(3):
+                    total[i, j] += b[i, j]
     return project_rotation(total)
 
 
@@ -102,10 +121,14 @@ def translations(RX, Rf, tf, tb, keep, free_scale):
     x = np.zeros(7)
     x[6] = 1.0
     ok = solve_damped(H, g, 1e-13, x[:m])
-    return ok, x[3:6] / x[6], x[0:3] / x[6], x[6]
+    tX, tZ = np.empty(3), np.empty(3)
+    for i in range(3):
+        tX[i] = x[3 + i] / x[6]
+        tZ[i] = x[i] / x[6]
+    return ok, tX, tZ, x[6]
 
 
-@kernel
+@inner_kernel
 def robust_sigma(errors):
     """Return the deviation of one component from the lengths of residuals (n,), most of them good.
 
@@ -116,18 +139,22 @@ def robust_sigma(errors):
     return max(np.median(errors) / MEDIAN_NORM * (1.0 + 5.0 / max(n - 3, 1)), 1e-15)
 
 
-@kernel
+@inner_kernel
 def sample_rotation(Rf, Rb, index):
     """Return RX from the motions within a few pairs: their rotation vectors turned onto each other (Kabsch)."""
     M = np.zeros((3, 3))
     R = np.empty((3, 3))
+    RT = np.empty((3, 3))
     a = np.empty(3)
     b = np.empty(3)
     count = index.shape[0]
     for i in range(count):
         for j in range(i):
             p, q = index[i], index[j]
-            multiply(Rf[q].T, Rf[p], R)
+            for r in range(3):
+                for c in range(3):
+                    RT[r, c] = Rf[q, c, r]
+            multiply(RT, Rf[p], R)
             rotvec_of(R, a)
             multiply_t(Rb[q], Rb[p], R)
             rotvec_of(R, b)
@@ -135,12 +162,15 @@ def sample_rotation(Rf, Rb, index):
                 for c in range(3):
                     M[r, c] += a[r] * b[c]
     U, _, Vt = np.linalg.svd(M)
-    if np.linalg.det(U @ Vt) < 0.0:
-        U[:, 2] *= -1.0
-    return U @ Vt
+    multiply(U, Vt, R)
+    if det_3(R) < 0.0:
+        for i in range(3):
+            U[i, 2] = -U[i, 2]
+        multiply(U, Vt, R)
+    return R
 
 
-@kernel
+@inner_kernel
 def rotation_errors(RX, RZ, Rf, Rb, out):
     """Fill out (n,) with the angle between RF RX RB and RZ."""
     P = np.empty((3, 3))
@@ -154,7 +184,7 @@ def rotation_errors(RX, RZ, Rf, Rb, out):
         out[i] = sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
 
 
-@kernel
+@inner_kernel
 def translation_errors(RX, tX, tZ, gamma, Rf, tf, tb, out):
     """Fill out (n,) with the distance between tB and its prediction, in the camera's unit."""
     y = np.empty(3)
@@ -168,6 +198,13 @@ def translation_errors(RX, tX, tZ, gamma, Rf, tf, tb, out):
             d = tb[n, i] - gamma * (RX[0, i] * y[0] + RX[1, i] * y[1] + RX[2, i] * y[2])
             total += d * d
         out[n] = sqrt(total)
+
+
+@inner_kernel
+def agreeing(errors, sigma, keep):
+    """Fill keep (n,): which errors (n,) are not gross beside the robust deviation sigma."""
+    for i in range(errors.shape[0]):
+        keep[i] = errors[i] < GENEROUS * sigma
 
 
 @kernel
@@ -193,11 +230,11 @@ def rotation_consensus(Rf, Rb, samples, keep, errors):
     rotation_errors(RX, RZ, Rf, Rb, errors)
     for _ in range(3):
         sigma = robust_sigma(errors)
-        keep[:] = errors < GENEROUS * sigma
+        agreeing(errors, sigma, keep)
         RX, RZ = shah_rotations(Rf, Rb, keep)
         rotation_errors(RX, RZ, Rf, Rb, errors)
     sigma = robust_sigma(errors)
-    keep[:] = errors < GENEROUS * sigma
+    agreeing(errors, sigma, keep)
     return RX, RZ, sigma
 
 
@@ -211,7 +248,7 @@ def translation_consensus(RX, Rf, tf, tb, samples, free_scale, keep, errors):
     ok, tX, tZ, gamma = translations(RX, Rf, tf, tb, keep, free_scale)
     for s in range(-1, samples.shape[0]):
         if s < 0:
-            mask[:] = keep
+            copy_1(keep, mask)
         else:
             mask[:] = False
             whole = True
@@ -233,9 +270,11 @@ def translation_consensus(RX, Rf, tf, tb, samples, free_scale, keep, errors):
     for _ in range(3):
         translation_errors(RX, tX, tZ, gamma, Rf, tf, tb, errors)
         sigma = robust_sigma(errors[keep])
-        agreed[:] = keep & (errors < GENEROUS * sigma)
+        agreeing(errors, sigma, agreed)
+        for i in range(n):
+            agreed[i] = agreed[i] and keep[i]
         good, x, z, c = translations(RX, Rf, tf, tb, agreed, free_scale)
         if good:
             tX, tZ, gamma = x, z, c
-    keep[:] = agreed
+    copy_1(agreed, keep)
     return True, tX, tZ, gamma, sigma

@@ -13,7 +13,7 @@ from math import sqrt
 
 import numpy as np
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel, kernel
 from armsight.calibrate.handeye.kernels.closed_forms import multiply, multiply_t
 from armsight.calibrate.handeye.kernels.noise import (
     factor_invert,
@@ -24,7 +24,7 @@ from armsight.calibrate.handeye.kernels.noise import (
     whitener,
 )
 from armsight.fitting.kernels import solve_damped
-from armsight.geometry.kernels import rotate_left, rotvec_of
+from armsight.geometry.kernels import copy_1, rotate_left, rotvec_of, sandwich
 
 LINEAR = 30.0
 """Within so many standard deviations of the answer the residuals follow the parameters linearly, to a share of the
@@ -98,6 +98,7 @@ def weigh(X, Z, gamma, pairs, theta, to_hand, keep, e, J, lever):
     E = np.empty((3, 3))
     work = np.empty((2, 3, 3))
     t_hat = np.empty(3)
+    plain = np.empty(6)
     raw = np.empty((6, 1))
     one = np.empty((6, 1))
     full = np.empty((6, 13))
@@ -109,17 +110,20 @@ def weigh(X, Z, gamma, pairs, theta, to_hand, keep, e, J, lever):
             J[i] = 0.0
             lever[i] = 0.0
             continue
-        residual(Rx, tx, Rz, tz, gamma, Rf[i], tf[i], Rb[i], tb[i], raw[:, 0], P, t_hat, work)
-        jacobian(Rx, gamma, raw[:, 0], P, t_hat, full)
+        residual(Rx, tx, Rz, tz, gamma, Rf[i], tf[i], Rb[i], tb[i], plain, P, t_hat, work)
+        jacobian(Rx, gamma, plain, P, t_hat, full)
+        for a in range(6):
+            raw[a, 0] = plain[a]
         lever[i] = lever_frame(Rx, tx, gamma, Rf[i], tf[i], t_hat, to_hand, E)
         total += whitener(lever[i], theta, w)
         to_lever(E, w, raw, one)
-        e[i] = one[:, 0]
+        for a in range(6):
+            e[i, a] = one[a, 0]
         to_lever(E, w, full, J[i])
     return total
 
 
-@kernel
+@inner_kernel
 def normal_equations(e, J, H, g):
     """Fill H (m, m) = sum J'J and g (m,) = sum J'e; return sum e'e."""
     n, _, m = J.shape
@@ -138,7 +142,7 @@ def normal_equations(e, J, H, g):
     return cost
 
 
-@kernel
+@inner_kernel
 def move(X, Z, gamma, step, n_free):
     """Return X, Z, gamma moved by the step (n_free,)."""
     Rx, tx = X
@@ -148,7 +152,11 @@ def move(X, Z, gamma, step, n_free):
     rotate_left(step[9:12], Rz, Rz2)
     if n_free > 12:
         gamma = gamma + step[12]
-    return (Rx2, tx + step[0:3]), (Rz2, tz + step[6:9]), gamma
+    tx2, tz2 = np.empty(3), np.empty(3)
+    for i in range(3):
+        tx2[i] = tx[i] + step[i]
+        tz2[i] = tz[i] + step[6 + i]
+    return (Rx2, tx2), (Rz2, tz2), gamma
 
 
 @kernel
@@ -203,7 +211,7 @@ def fit_pairs(X, Z, gamma, pairs, theta, estimate, floor, to_hand, keep, m, tole
                 for k in range(3):
                     new[k] = 0.5 * (theta[k] + best[k])
             else:
-                best[:] = theta
+                copy_1(theta, best)
                 best_likelihood = likelihood
                 variance_step(e, J, C, lever, theta, keep, score, information)
                 scoring_step(theta, score, information, floor, new)
@@ -228,7 +236,7 @@ def fit_pairs(X, Z, gamma, pairs, theta, estimate, floor, to_hand, keep, m, tole
             change = 1.0
             near = False
         X, Z, gamma = move(X, Z, gamma, step, m)
-        theta[:] = new
+        copy_1(new, theta)
         if size < tolerance and change < tolerance:
             return True, X, Z, gamma, theta, C, e, J, lever, likelihood, iteration + 1
     return False, X, Z, gamma, theta, C, e, J, lever, likelihood, limit
@@ -252,7 +260,8 @@ def first_variances(X, Z, gamma, pairs, keep, floor):
             for a in range(3):
                 sums[0] += e[a] ** 2
                 sums[1] += e[3 + a] ** 2
-    sums /= max(3 * used - 6, 1)
+    for a in range(2):
+        sums[a] /= max(3 * used - 6, 1)
     theta = np.empty(3)
     theta[0] = max(sums[0], floor[0])
     theta[1] = max(0.7 * sums[1], floor[1])
@@ -276,6 +285,7 @@ def left_out(X, Z, gamma, pairs, theta, to_hand, keep, C, out):
     weigh(X, Z, gamma, pairs, theta, to_hand, everything, e, J, lever)
     q = np.empty(n)
     S = np.empty((6, 6))
+    M = np.empty((6, 6))
     rhs = np.empty(6)
     y = np.empty(6)
     step = np.zeros(13)
@@ -283,7 +293,7 @@ def left_out(X, Z, gamma, pairs, theta, to_hand, keep, C, out):
     t_hat = np.empty(3)
     work = np.empty((2, 3, 3))
     for i in range(n):
-        M = J[i] @ C @ J[i].T
+        sandwich(J[i], C, M)
         for a in range(6):
             rhs[a] = -e[i, a]
             for b in range(6):

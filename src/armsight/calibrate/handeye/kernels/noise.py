@@ -10,8 +10,9 @@ from math import log, sqrt
 
 import numpy as np
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel, kernel
 from armsight.fitting.kernels import solve_damped
+from armsight.geometry.kernels import copy_1
 
 
 @kernel
@@ -32,7 +33,9 @@ def lever_frame(Rx, tx, gamma, Rf, tf, t_hat, to_hand, E):
             z[j] -= Rx[i, j] * o
     length = sqrt(z[0] * z[0] + z[1] * z[1] + z[2] * z[2])
     if length < 1e-12:
-        E[:] = np.eye(3)
+        E[:] = 0.0
+        for i in range(3):
+            E[i, i] = 1.0
         return 0.0
     for j in range(3):
         E[2, j] = z[j] / length
@@ -49,7 +52,7 @@ def lever_frame(Rx, tx, gamma, Rf, tf, t_hat, to_hand, E):
     return gamma * length
 
 
-@kernel
+@inner_kernel
 def to_lever(E, w, v, out):
     """Fill out (6, m) with the columns of v (6, m) turned into the lever's axes and whitened by w of `whitener`."""
     for c in range(out.shape[1]):
@@ -61,7 +64,7 @@ def to_lever(E, w, v, out):
         out[5, c] = (E[2, 0] * v[3, c] + E[2, 1] * v[4, c] + E[2, 2] * v[5, c]) * w[4]
 
 
-@kernel
+@inner_kernel
 def whitener(length, theta, w):
     """Fill w (5,): the inverse Cholesky factor of the noise in the lever's axes; return log det of the noise.
 
@@ -92,7 +95,7 @@ def shapes(length, theta, w, q):
         q[k, 4] = 0.0 if k == 0 else w[4] * w[4]
 
 
-@kernel
+@inner_kernel
 def variance_step(e, J, C, lever, theta, keep, score, information):
     """Fill score (3,) and expected information (3, 3) of the restricted likelihood by the variances.
 
@@ -138,10 +141,10 @@ def variance_step(e, J, C, lever, theta, keep, score, information):
             information[j, k] = information[k, j]
 
 
-@kernel
+@inner_kernel
 def scoring_step(theta, score, information, floor, out):
     """Fill out (3,) with the scoring step of the variances; those at their floor that would fall stay."""
-    out[:] = theta
+    copy_1(theta, out)
     index = np.empty(3, np.int64)
     count = 0
     for k in range(3):
@@ -167,7 +170,7 @@ def scoring_step(theta, score, information, floor, out):
         out[1], out[2] = 0.1 * theta[1], 0.1 * theta[2]
 
 
-@kernel
+@inner_kernel
 def factor_invert(H, L, C):
     """Fill L (m, m) with the Cholesky factor of H and C with its inverse; return log det H, NaN where not SPD."""
     m = H.shape[0]

@@ -6,7 +6,7 @@ from math import erf, sqrt
 
 import numpy as np
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel, kernel
 
 SQRT_HALF = 0.7071067811865476
 STEPS = 3
@@ -16,7 +16,7 @@ REACH = 1.6
 """Squares round the corners that are drawn: the board ends one square beyond them, and its blur a little later."""
 
 
-@kernel
+@inner_kernel
 def map_point(H, cubic, centre, half, s, t, uv, slope):
     """Fill uv (2,) and slope (2, 2), px and px per square, of a GridMap at grid coordinates (s, t)."""
     x, y = (s - centre[0]) / half, (t - centre[1]) / half
@@ -37,7 +37,7 @@ def map_point(H, cubic, centre, half, s, t, uv, slope):
         slope[a, 1] = dy / half
 
 
-@kernel
+@inner_kernel
 def _stripes(s, px, n, low, high, blur):
     """Return how far inside the board (0..1) and on which stripe (-1..1) a point lies along one axis.
 

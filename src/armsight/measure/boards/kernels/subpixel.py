@@ -11,8 +11,9 @@ from math import atan2, cos, erf, exp, sin, sqrt
 
 import numpy as np
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel, kernel
 from armsight.fitting.kernels import invert_spd, solve_damped
+from armsight.geometry.kernels import copy_1, copy_2
 
 N_CORNER = 10
 """x, y, direction of the two edges (rad), their blur (px), level, its slope along x and y, half contrast."""
@@ -34,7 +35,7 @@ QUANTISATION = 1.0 / 12.0
 """Variance that rounding to whole grey levels leaves; the noise is never believed to be below it."""
 
 
-@kernel
+@inner_kernel
 def _edge(d, s):
     """Return erf(d / (sqrt(2) s)) and its slope by d; beyond FLAT deviations exactly flat."""
     z = d / s
@@ -45,7 +46,7 @@ def _edge(d, s):
     return erf(z * SQRT_HALF), PEAK / s * exp(-0.5 * z * z)
 
 
-@kernel
+@inner_kernel
 def corner_model(p, x, y, j):
     """Return the grey level of a corner at (x, y) relative to the window's centre; fill j (10,) with its derivative.
 
@@ -74,14 +75,14 @@ def corner_model(p, x, y, j):
     return p[6] + p[7] * x + p[8] * y + a * e1 * e2
 
 
-@kernel
+@inner_kernel
 def prepare(p):
     """Fill p[10:14] with cosine and sine of the two edges' directions p[2], p[3]."""
     p[10], p[11] = cos(p[2]), sin(p[2])
     p[12], p[13] = cos(p[3]), sin(p[3])
 
 
-@kernel
+@inner_kernel
 def dot_model(p, x, y, j):
     """Return the grey level of a dot at (x, y) relative to the window's centre; fill j (10,) with its derivative.
 
@@ -116,7 +117,7 @@ def dot_model(p, x, y, j):
     return p[6] + p[7] * x + p[8] * y + a * e
 
 
-@kernel
+@inner_kernel
 def _accumulate(kind, x, y, v, n, p, j, H, g):
     """Fill H = J'J (lower half) and g = J'r of the model in the window; return the sum of squares."""
     m = g.shape[0]
@@ -135,7 +136,7 @@ def _accumulate(kind, x, y, v, n, p, j, H, g):
     return total
 
 
-@kernel
+@inner_kernel
 def _possible(kind, p, reach):
     """Tell whether the parameters describe anything: blur in range, centre in the window, a true ellipse."""
     if not (abs(p[0]) < reach and abs(p[1]) < reach):
@@ -145,7 +146,7 @@ def _possible(kind, p, reach):
     return BLUR_MIN_PX <= p[5] <= BLUR_MAX_PX and p[2] > 0.0 and p[2] * p[4] - p[3] * p[3] > 0.0
 
 
-@kernel
+@inner_kernel
 def _descend(kind, x, y, v, n, p, reach, H):
     """Improve p (10,) by Levenberg-Marquardt on n samples; H receives J'J (lower half); return the sum of squares."""
     m = H.shape[0]
@@ -173,16 +174,16 @@ def _descend(kind, x, y, v, n, p, reach, H):
             return cost
         settled = cost - new <= SETTLED * cost
         cost = new
-        p[:] = trial
-        g[:] = g_trial
-        H[:] = H_trial
+        copy_1(trial, p)
+        copy_1(g_trial, g)
+        copy_2(H_trial, H)
         damping = max(damping * 0.1, 1e-9)
         if (settled or abs(step[0]) + abs(step[1]) < SMALL_STEP_PX) and damping < 1.0:
             return cost
     return cost
 
 
-@kernel
+@inner_kernel
 def _levels(v, n):
     """Return the mean and standard deviation of n samples."""
     mean = 0.0
@@ -195,7 +196,7 @@ def _levels(v, n):
     return mean, sqrt(var / n)
 
 
-@kernel
+@inner_kernel
 def _sample(image, u, v, E, Q, reach_s, reach_t, hole, X, Y, V):
     """Collect the pixels of a window in the board's own axes; return how many.
 
@@ -271,15 +272,18 @@ def fit_corners(image, guess, basis, bend, reach, sign, uv, cov, quality):
             cov[i] = C[:2, :2] * max(noise2, QUANTISATION)
 
 
-@kernel
+@inner_kernel
 def _start_dot(x, y, v, n, E, p):
     """Fill p with the ellipse of half axes E and the grey levels met inside and outside; False where one is empty."""
     inside = 0.0
     n_inside = 0
     outside = 0.0
     n_outside = 0
-    A = np.linalg.inv(E)
-    M = A.T @ A
+    det = E[0, 0] * E[1, 1] - E[0, 1] * E[1, 0]
+    M = np.empty((2, 2))  # (E E')^-1
+    M[0, 0] = (E[1, 0] ** 2 + E[1, 1] ** 2) / det**2
+    M[1, 1] = (E[0, 0] ** 2 + E[0, 1] ** 2) / det**2
+    M[0, 1] = -(E[0, 0] * E[1, 0] + E[0, 1] * E[1, 1]) / det**2
     for k in range(n):
         q = M[0, 0] * x[k] * x[k] + 2.0 * M[0, 1] * x[k] * y[k] + M[1, 1] * y[k] * y[k]
         if q < 0.7:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel, kernel
 
 RINGS = 5
 """The legs of the 11 x 11 template are five pixels long."""
 
 
-@kernel
+@inner_kernel
 def _matches(labels, own, u, v, legs, rings):
     """Return how many of the legs' pixels have the right colour: the first leg the square's, the other three not."""
     h, w = labels.shape
@@ -25,7 +25,7 @@ def _matches(labels, own, u, v, legs, rings):
     return right
 
 
-@kernel
+@inner_kernel
 def _aim(quad, corner, legs):
     """Fill legs (4, 2): from the corner into the square, then through the three sectors outside; largest entry 1.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel, kernel
 from armsight.measure.motion.kernels.state import STATE, N, predict
 from armsight.measure.motion.kernels.views import update
 
@@ -14,7 +14,7 @@ LOST_WEIGHT = 1e-4
 """Probability of a level below which its filter goes on from the likeliest one's state."""
 
 
-@kernel
+@inner_kernel
 def select(X, light, out):
     """Fill out (n, 3) with the rows light (n,) of X."""
     for i in range(light.shape[0]):
@@ -22,7 +22,7 @@ def select(X, light, out):
             out[i, c] = X[light[i], c]
 
 
-@kernel
+@inner_kernel
 def mixed(w, m, stick):
     """Return the probability of level m before the next view: levels change to a neighbour now and then."""
     last = w.shape[0] - 1

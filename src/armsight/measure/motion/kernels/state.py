@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel, kernel
 from armsight.geometry.kernels import rotation_from_rotvec, rotvec_of
 
 N = 18
@@ -22,7 +22,7 @@ P, R, V, W, A, B = 0, 3, 12, 15, 18, 21
 """Where each part of a state begins."""
 
 
-@kernel
+@inner_kernel
 def turned(x, tau, E):
     """Fill E (3, 3) with the turn that the state makes in tau."""
     phi = np.empty(3)
@@ -76,7 +76,7 @@ def transition(x, tau, F):
             F[3 + i, 15 + c] = 0.5 * tau * F[3 + i, 9 + c]
 
 
-@kernel
+@inner_kernel
 def multiply(X, Y, out):
     """Fill out with X Y, leaving out what is zero in X."""
     n, m, p = X.shape[0], Y.shape[1], X.shape[1]
@@ -90,7 +90,7 @@ def multiply(X, Y, out):
                     out[i, j] += f * Y[k, j]
 
 
-@kernel
+@inner_kernel
 def multiply_t(X, Y, out):
     """Fill out with X Y'."""
     n, m, p = X.shape[0], Y.shape[0], X.shape[1]
@@ -132,7 +132,7 @@ def predict(x, C, tau, jerk, angular_jerk, out, D, F):
     state_at(x, tau, out)
 
 
-@kernel
+@inner_kernel
 def move(x, d):
     """Move a state by an error (18,)."""
     E = np.empty((3, 3))

@@ -6,7 +6,7 @@ from math import sqrt
 
 import numpy as np
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel, kernel
 from armsight.fitting.kernels import invert_spd
 from armsight.measure.motion.kernels.state import (
     STATE,
@@ -151,7 +151,7 @@ def update(x, C, k, Rc, tc, X, tau, uv, cov, residual):
     return chi2, logdet
 
 
-@kernel
+@inner_kernel
 def log_determinant(S):
     """Return the logarithm of the determinant of S (n, n), symmetric and positive."""
     n = S.shape[0]

@@ -11,7 +11,8 @@ from math import log
 
 import numpy as np
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel, kernel
+from armsight.geometry.kernels import copy_1, copy_2
 from armsight.measure.poses.kernels.pose import SOLVED, kabsch, pose_normal, refine_pose, weights
 from armsight.optics.kernels.rays import epipolar_residual, quadratic_form_2, rays_in_rig
 from armsight.optics.kernels.triangulation import BEHIND, FOUND, triangulate_linear_point
@@ -61,12 +62,12 @@ def candidate_pairs(k, R, t, baseline, uv_left, cov_left, uv_right, cov_right, s
             variance += slack2 * (g_left[0] ** 2 + g_left[1] ** 2 + g_right[0] ** 2 + g_right[1] ** 2)
             if not e * e <= gate * variance:
                 continue
-            uv[count, 0] = uv_left[i]
-            uv[count, 1] = uv_right[j]
-            cov[count, 0] = cov_left[i]
-            cov[count, 1] = cov_right[j]
-            wide[:] = cov[count]
+            copy_1(uv_left[i], uv[count, 0])
+            copy_1(uv_right[j], uv[count, 1])
+            copy_2(cov_left[i], cov[count, 0])
+            copy_2(cov_right[j], cov[count, 1])
             for s in range(2):
+                copy_2(cov[count, s], wide[s])
                 wide[s, 0, 0] += slack2
                 wide[s, 1, 1] += slack2
             verdict = triangulate_linear_point(k, R, t, uv[count], wide, P[count], S[count])
@@ -92,14 +93,14 @@ def distance_fits(P, S, a, b, distance, gate):
     return (np.sqrt(length2) - distance) ** 2 * length2 <= gate * variance
 
 
-@kernel
+@inner_kernel
 def _spreads(S, gate, spread):
     """Fill spread (c,) with how far each point may be off in any direction: at least what `distance_fits` allows."""
     for c in range(S.shape[0]):
         spread[c] = np.sqrt(gate * (S[c, 0, 0] + S[c, 1, 1] + S[c, 2, 2]))
 
 
-@kernel
+@inner_kernel
 def _near(P, spread, a, b, distance):
     """Tell, cheaply, whether the points a and b could be `distance` apart."""
     x = P[a, 0] - P[b, 0]
@@ -111,7 +112,7 @@ def _near(P, spread, a, b, distance):
     return low * low <= length2 <= (distance + slack) ** 2
 
 
-@kernel
+@inner_kernel
 def _allowed(name, candidate, chosen, pairs, P, S, spread, D, gate, overlaid):
     """Tell whether the candidate may be `name` beside the names already chosen: no spot serves twice."""
     for other in range(name):
@@ -129,7 +130,7 @@ def _allowed(name, candidate, chosen, pairs, P, S, spread, D, gate, overlaid):
     return True
 
 
-@kernel
+@inner_kernel
 def _judge(k, R, t, chosen, count, X, radius, normal, ellipse, pairs, uv, W, P, limit, Rp, tp):
     """Fit the pose to the chosen pairs; return chi-square, infinite where there is none or far above the limit."""
     x = np.empty((count, 3))
@@ -141,12 +142,13 @@ def _judge(k, R, t, chosen, count, X, radius, normal, ellipse, pairs, uv, W, P, 
     for name in range(chosen.shape[0]):
         c = chosen[name]
         if c >= 0:
-            x[n] = X[name]
-            p[n] = P[c]
+            copy_1(X[name], x[n])
+            copy_1(P[c], p[n])
             r[n, 0] = radius if ellipse[0, pairs[c, 0]] else 0.0
             r[n, 1] = radius if ellipse[1, pairs[c, 1]] else 0.0
-            z[n] = uv[c]
-            w[n] = W[c]
+            copy_2(uv[c], z[n])
+            copy_2(W[c, 0], w[n, 0])
+            copy_2(W[c, 1], w[n, 1])
             n += 1
     kabsch(x, p, Rp, tp)
     H = np.empty((6, 6))
@@ -268,7 +270,8 @@ def surprise(k, R, t, X, radius, normal, uv, cov, Rp, tp):
     W = np.empty_like(cov)
     if not weights(cov, 0.0, W):
         return np.inf
-    if not np.isfinite(pose_normal(k, R, t, X, radius, normal, uv, W, Rp, tp, np.empty((6, 6)), np.empty(6), residual)):
+    H, g = np.empty((6, 6)), np.empty(6)
+    if not np.isfinite(pose_normal(k, R, t, X.copy(), radius, normal, uv, W, Rp.copy(), tp.copy(), H, g, residual)):
         return np.inf
     best = np.inf
     for slack in SLACKS:
@@ -286,7 +289,7 @@ def surprise(k, R, t, X, radius, normal, uv, cov, Rp, tp):
     return best
 
 
-@kernel
+@inner_kernel
 def _keep(found, room, margin, chosen, chi2, Rp, tp, names, chi2s, poses):
     """Insert a hypothesis in ascending order of chi-square; return how many are kept."""
     if found and chi2 > chi2s[0] + margin:
@@ -298,13 +301,14 @@ def _keep(found, room, margin, chosen, chi2, Rp, tp, names, chi2s, poses):
     if at > last:
         return found
     for i in range(last, at, -1):
-        names[i] = names[i - 1]
+        copy_1(names[i - 1], names[i])
         chi2s[i] = chi2s[i - 1]
-        poses[i] = poses[i - 1]
-    names[at] = chosen
+        copy_2(poses[i - 1], poses[i])
+    copy_1(chosen, names[at])
     chi2s[at] = chi2
-    poses[at, :, :3] = Rp
-    poses[at, :, 3] = tp
+    copy_2(Rp, poses[at])
+    for a in range(3):
+        poses[at, a, 3] = tp[a]
     found = last + 1
     while chi2s[found - 1] > chi2s[0] + margin:
         found -= 1

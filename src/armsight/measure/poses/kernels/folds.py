@@ -11,9 +11,9 @@ from math import acos, exp, log, pi, sin, sqrt
 
 import numpy as np
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel, kernel
 from armsight.fitting.kernels import invert_spd, solve_damped
-from armsight.geometry.kernels import rotate_left
+from armsight.geometry.kernels import copy_1, copy_2, cross, dot, rotate_left
 from armsight.measure.poses.kernels.pose import SOLVED, pose_normal, refine_pose, weights
 from armsight.optics.kernels.triangulation import invert_2
 
@@ -35,86 +35,140 @@ LEAST_TURN = 1e-3
 """Turn (rad) from a tilt to its mirror image below which they are one."""
 
 
-@kernel
+@inner_kernel
+def scale(a, factor):
+    """Multiply a vector by a number, in place."""
+    for i in range(a.shape[0]):
+        a[i] *= factor
+
+
+@inner_kernel
+def split(T, R, t):
+    """Fill R (3, 3) and t (3,) from the pose T (4, 4)."""
+    for i in range(3):
+        for j in range(3):
+            R[i, j] = T[i, j]
+        t[i] = T[i, 3]
+
+
+@inner_kernel
+def det_2(S):
+    """Return the determinant of S (2, 2)."""
+    return S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0]
+
+
+@inner_kernel
 def mirrored_turn(R, t, Rp, centre, normal, turn):
     """Fill turn (3,) with the rotation vector from the tilt Rp to its mirror image about a camera's line of sight.
 
     centre (3,): of the lights in rig axes; normal (3,): of the lights' plane in target axes.
     """
-    u = centre + np.ascontiguousarray(R.T) @ t  # from the camera's centre, -R' t
-    u /= np.linalg.norm(u)
-    n = Rp @ normal
-    if np.dot(n, u) < 0.0:
-        n = -n
-    axis = np.cross(n, u)
-    length = np.linalg.norm(axis)
-    if length < 0.5 * LEAST_TURN:
-        turn[:] = 0.0
-        return
-    turn[:] = 2.0 * acos(min(np.dot(n, u), 1.0)) / length * axis
+    u, n = np.empty(3), np.empty(3)
+    for i in range(3):  # from the camera's centre, -R' t
+        u[i] = centre[i] + R[0, i] * t[0] + R[1, i] * t[1] + R[2, i] * t[2]
+        n[i] = dot(Rp[i], normal)
+    scale(u, 1.0 / sqrt(dot(u, u)))
+    if dot(n, u) < 0.0:
+        scale(n, -1.0)
+    cross(n, u, turn)
+    length = sqrt(dot(turn, turn))
+    scale(turn, 0.0 if length < 0.5 * LEAST_TURN else 2.0 * acos(min(dot(n, u), 1.0)) / length)
 
 
-@kernel
+@inner_kernel
 def settle_beside(k, R, t, X, radius, normal, uv, W, free, Rp, tp, residual):
     """Move Rp, tp along the columns of free (6, m) towards the least chi-square; return it (infinite: none)."""
     m = free.shape[1]
     H = np.empty((6, 6))
     g = np.empty(6)
     small = np.empty(m)
-    across = np.ascontiguousarray(free.T)
+    slope = np.empty(m)
+    bend = np.empty((m, m))
+    step = np.empty(6)
     R2 = np.empty((3, 3))
+    t2 = np.empty(3)
     chi2 = pose_normal(k, R, t, X, radius, normal, uv, W, Rp, tp, H, g, residual)
     for _ in range(SETTLE_STEPS):
-        if not np.isfinite(chi2) or not solve_damped(across @ H @ free, across @ g, 0.0, small):
+        for i in range(m):  # bend = free' H free, slope = free' g
+            slope[i] = 0.0
+            for a in range(6):
+                step[a] = 0.0
+                for b in range(6):
+                    step[a] += H[a, b] * free[b, i]
+                slope[i] += free[a, i] * g[a]
+            for j in range(m):
+                bend[i, j] = 0.0
+                for a in range(6):
+                    bend[i, j] += step[a] * free[a, j]
+        if not np.isfinite(chi2) or not solve_damped(bend, slope, 0.0, small):
             return np.inf
-        step = free @ small
+        for i in range(6):
+            step[i] = dot(free[i], small)
         rotate_left(step[3:], Rp, R2)
-        t2 = tp + step[:3]
+        for i in range(3):
+            t2[i] = tp[i] + step[i]
         new = pose_normal(k, R, t, X, radius, normal, uv, W, R2, t2, H, g, residual)
         if not new < chi2:
             break
         fell = chi2 - new
         chi2 = new
-        Rp[:] = R2
-        tp[:] = t2
+        copy_2(R2, Rp)
+        copy_1(t2, tp)
         if fell < 0.01:
             break
     return chi2
 
 
-@kernel
+@inner_kernel
 def turned_about(Rp, tp, centre, turn, R2, t2):
     """Fill R2, t2 with the pose turned by the rotation vector about the centre (3,) of the lights."""
     rotate_left(turn, Rp, R2)
-    E = R2 @ np.ascontiguousarray(Rp.T)
-    t2[:] = centre + E @ (tp - centre)
+    for i in range(3):  # R2 Rp' (tp - centre), of which Exp(turn) = R2 Rp'
+        t2[i] = centre[i]
+        for j in range(3):
+            t2[i] += dot(R2[i], Rp[j]) * (tp[j] - centre[j])
 
 
-@kernel
+@inner_kernel
 def difference(Rp, tp, R2, t2, d):
     """Fill d (6,) with the way from the pose Rp, tp to R2, t2: translation, rotation vector."""
-    d[:3] = t2 - tp
-    E = R2 @ np.ascontiguousarray(Rp.T)
-    w = np.array([E[2, 1] - E[1, 2], E[0, 2] - E[2, 0], E[1, 0] - E[0, 1]])
+    E = np.empty((3, 3))
+    for i in range(3):
+        d[i] = t2[i] - tp[i]
+        for j in range(3):
+            E[i, j] = dot(R2[i], Rp[j])
     angle = acos(min(max(0.5 * (E[0, 0] + E[1, 1] + E[2, 2] - 1.0), -1.0), 1.0))
-    d[3:] = w * (0.5 if angle < 1e-6 else angle / (2.0 * sin(min(angle, pi - 1e-6))))
+    factor = 0.5 if angle < 1e-6 else angle / (2.0 * sin(min(angle, pi - 1e-6)))
+    d[3] = factor * (E[2, 1] - E[1, 2])
+    d[4] = factor * (E[0, 2] - E[2, 0])
+    d[5] = factor * (E[1, 0] - E[0, 1])
 
 
-@kernel
+@inner_kernel
+def add_outer(d, factor, C):
+    """Add factor d d' to C (n, n)."""
+    for i in range(d.shape[0]):
+        for j in range(d.shape[0]):
+            C[i, j] += factor * d[i] * d[j]
+
+
+@inner_kernel
 def reach_out(C, d, rise):
     """Widen C (6, 6) so that d (6,) lies no more deviations out than the root of rise; return by how much it did."""
     inverse = np.empty((6, 6))
     if not invert_spd(C, inverse):
         return 1.0
-    out = np.dot(d, inverse @ d)
+    out = 0.0
+    for i in range(6):
+        out += d[i] * dot(inverse[i], d)
     rise = max(rise, 1.0)
     if out <= rise:
         return 1.0
-    C += (1.0 / rise - 1.0 / out) * np.outer(d, d)
+    add_outer(d, 1.0 / rise - 1.0 / out, C)
     return out / rise
 
 
-@kernel
+@inner_kernel
 def free_beside(axis):
     """Return (6, 5): the changes of a pose that do not turn it about the axis (3,)."""
     free = np.zeros((6, 5))
@@ -126,14 +180,17 @@ def free_beside(axis):
             least = i
     other = np.zeros(3)
     other[least] = 1.0
-    first = np.cross(axis, other)
-    first /= np.linalg.norm(first)
-    free[3:, 3] = first
-    free[3:, 4] = np.cross(axis, first)
+    first, second = np.empty(3), np.empty(3)
+    cross(axis, other, first)
+    scale(first, 1.0 / sqrt(dot(first, first)))
+    cross(axis, first, second)
+    for i in range(3):
+        free[3 + i, 3] = first[i]
+        free[3 + i, 4] = second[i]
     return free
 
 
-@kernel
+@inner_kernel
 def looks(R, t, Rp, centre, plane, C):
     """Return turns (3, 3) from the tilt Rp and shares (3, m) of each to look at.
 
@@ -145,8 +202,11 @@ def looks(R, t, Rp, centre, plane, C):
         mirrored_turn(R[s], t[s], Rp, centre, plane, turns[s])
         for j in range(LOOK_STEPS):
             shares[s, j] = 1.0 if j == 0 else 1.25 * j / (LOOK_STEPS - 1)
-    values, vectors = np.linalg.eigh(np.ascontiguousarray(C[3:, 3:]))
-    turns[2] = sqrt(max(values[2], 0.0)) * vectors[:, 2]
+    tilts = np.empty((3, 3))
+    copy_2(C[3:, 3:], tilts)
+    values, vectors = np.linalg.eigh(tilts)
+    for i in range(3):
+        turns[2, i] = sqrt(max(values[2], 0.0)) * vectors[i, 2]
     for j in range(LOOK_STEPS):  # from half way outwards, then from there inwards
         step = (j // 2 + LOOK_STEPS // 4) % (LOOK_STEPS // 2) + 1
         shares[2, j] = FARTHEST * (2.0 * step / LOOK_STEPS) * (1.0 if j % 2 == 0 else -1.0)
@@ -162,11 +222,15 @@ def depth_chi2(P, S):
     n = P.shape[0]
     centre = np.zeros(3)
     for i in range(n):
-        centre += P[i] / n
-    u = centre / np.linalg.norm(centre)
+        for a in range(3):
+            centre[a] += P[i, a] / n
+    far = sqrt(dot(centre, centre))
     chi2 = 0.0
     for i in range(n):
-        chi2 += 4.0 * np.dot(P[i] - centre, u) ** 2 / max(np.dot(u, np.ascontiguousarray(S[i]) @ u), 1e-30)
+        variance = 0.0
+        for a in range(3):
+            variance += centre[a] * dot(S[i, a], centre) / far**2
+        chi2 += 4.0 * ((dot(P[i], centre) - far * far) / far) ** 2 / max(variance, 1e-30)
     return chi2
 
 
@@ -178,26 +242,32 @@ def fold(k, R, t, X, radius, normal, plane, uv, cov, T, factor, C):
     The number is the largest ratio of squared deviations to the rise of chi-square, 1 where first order holds.
     """
     W = np.empty_like(cov)
+    X = X.copy()  # writable as in the search: one compilation serves both
     residual = np.empty((X.shape[0], 2, 2))
-    Rp = np.ascontiguousarray(T[:3, :3])
-    tp = np.ascontiguousarray(T[:3, 3])
-    R2, t2 = np.empty((3, 3)), np.empty(3)
+    Rp, tp = np.empty((3, 3)), np.empty(3)
+    split(T, Rp, tp)
+    R2, t2, turn = np.empty((3, 3)), np.empty(3), np.empty(3)
     d, H = np.empty(6), np.empty((6, 6))
     centre = np.zeros(3)
     for i in range(X.shape[0]):
-        centre += (Rp @ X[i] + tp) / X.shape[0]
+        for a in range(3):
+            centre[a] += (dot(Rp[a], X[i]) + tp[a]) / X.shape[0]
     if not weights(cov, 0.0, W):
         return 1.0
     base = pose_normal(k, R, t, X, radius, normal, uv, W, Rp, tp, H, np.empty(6), residual)
     most = 1.0
     turns, shares = looks(R, t, Rp, centre, plane, C)
     for s in range(3):
-        angle = np.linalg.norm(turns[s])
+        angle = sqrt(dot(turns[s], turns[s]))
         if angle < LEAST_TURN:
             continue
-        free = free_beside(turns[s] / angle)
+        copy_1(turns[s], turn)
+        scale(turn, 1.0 / angle)
+        free = free_beside(turn)
         for j in range(shares.shape[1]):
-            turned_about(Rp, tp, centre, shares[s, j] * turns[s], R2, t2)
+            copy_1(turns[s], turn)
+            scale(turn, shares[s, j])
+            turned_about(Rp, tp, centre, turn, R2, t2)
             if s < 2 and j == 0:  # the mirrored tilt: to the least chi-square near it
                 state, least = refine_pose(k, R, t, X, radius, normal, uv, W, R2, t2, H, residual)
                 rise = least - base if state == SOLVED else np.inf
@@ -227,22 +297,33 @@ def one_astray(k, R, t, X, radius, normal, uv, cov, T, chi2, C):
     cost = np.full(2 * n, np.inf)
     spread = np.zeros((2 * n, 6, 6))
     H, residual, d = np.empty((6, 6)), np.empty((n, 2, 2)), np.empty(6)
-    R0, t0 = np.ascontiguousarray(T[:3, :3]), np.ascontiguousarray(T[:3, 3])
+    R0, t0 = np.empty((3, 3)), np.empty(3)
+    R2, t2, wide = np.empty((3, 3)), np.empty(3), np.empty((2, 2))
+    split(T, R0, t0)
     for j in range(2 * n):
         i, s = j // 2, j % 2
-        R2, t2 = R0.copy(), t0.copy()
-        W2[:] = W[i, s]
-        wide = cov[i, s] + ASTRAY_PX**2 * np.eye(2)
+        copy_2(R0, R2)
+        copy_1(t0, t2)
+        copy_2(W[i, s], W2)
+        copy_2(cov[i, s], wide)
+        wide[0, 0] += ASTRAY_PX**2
+        wide[1, 1] += ASTRAY_PX**2
         invert_2(wide, W[i, s])
         state, least = refine_pose(k, R, t, X, radius, normal, uv, W, R2, t2, H, residual)
-        W[i, s] = W2
+        copy_2(W2, W[i, s])
         if state != SOLVED or not invert_spd(H, spread[j]):
             continue
-        cost[j] = least - log(np.linalg.det(cov[i, s]) / np.linalg.det(wide)) - 2.0 * log(ASTRAY_ODDS)
+        cost[j] = least - log(det_2(cov[i, s]) / det_2(wide)) - 2.0 * log(ASTRAY_ODDS)
         difference(R0, t0, R2, t2, d)
-        spread[j] += np.outer(d, d)
-    best = min(cost.min(), chi2)
-    odds = np.exp(-0.5 * (cost - best))
-    total = odds.sum() + exp(-0.5 * (chi2 - best))
+        add_outer(d, 1.0, spread[j])
+    best = chi2
     for j in range(2 * n):
-        C += odds[j] / total * spread[j]
+        best = min(best, cost[j])
+    total = exp(-0.5 * (chi2 - best))
+    for j in range(2 * n):
+        total += exp(-0.5 * (cost[j] - best))
+    for j in range(2 * n):
+        odds = exp(-0.5 * (cost[j] - best)) / total
+        for a in range(6):
+            for b in range(6):
+                C[a, b] += odds * spread[j, a, b]

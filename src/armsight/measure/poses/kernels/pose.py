@@ -9,9 +9,9 @@ from math import sqrt
 
 import numpy as np
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel, kernel
 from armsight.fitting.kernels import invert_spd, solve_damped
-from armsight.geometry.kernels import rotate_left
+from armsight.geometry.kernels import copy_1, copy_2, copy_3, cross, dot, rotate_left, sandwich
 from armsight.measure.poses.kernels.light_image import see_light
 from armsight.optics.kernels.camera import see_point
 from armsight.optics.kernels.triangulation import FOUND, invert_2, triangulate_ml_point
@@ -22,15 +22,16 @@ MAX_STEPS = 200  # five or fewer where residuals are noise; a target seen straig
 SETTLED = 1e-8  # fall of chi-square, relative and absolute, that counts as none: 1e-4 of a deviation
 
 
-@kernel
+@inner_kernel
 def kabsch(X, P, R, t):
     """Fill R (3, 3), t (3,) so that P ~ R X + t for X, P (n, 3) in least squares (Horn's quaternion)."""
     n = X.shape[0]
     mx = np.zeros(3)
     mp = np.zeros(3)
     for i in range(n):
-        mx += X[i] / n
-        mp += P[i] / n
+        for a in range(3):
+            mx[a] += X[i, a] / n
+            mp[a] += P[i, a] / n
     M = np.zeros((3, 3))
     for i in range(n):
         for a in range(3):
@@ -65,7 +66,7 @@ def kabsch(X, P, R, t):
         t[a] = mp[a] - (R[a, 0] * mx[0] + R[a, 1] * mx[1] + R[a, 2] * mx[2])
 
 
-@kernel
+@inner_kernel
 def pose_normal(k, R, t, X, radius, normal, uv, W, Rp, tp, H, g, residual):
     """Fill H (6, 6), g (6,), residual (n, 2, 2) of chi-square / 2 at the pose Rp, tp; return chi-square.
 
@@ -117,7 +118,7 @@ def pose_normal(k, R, t, X, radius, normal, uv, W, Rp, tp, H, g, residual):
     return chi2
 
 
-@kernel
+@inner_kernel
 def refine_pose(k, R, t, X, radius, normal, uv, W, Rp, tp, H, residual):
     """Move Rp, tp to the least chi-square from where they are; return (state, chi-square).
 
@@ -138,7 +139,7 @@ def refine_pose(k, R, t, X, radius, normal, uv, W, Rp, tp, H, residual):
     for _ in range(MAX_STEPS):
         if not solve_damped(H, g, damping, step):
             return OPEN, np.inf
-        promised = -np.dot(step, g)  # fall of chi-square, more where damped
+        promised = -dot(step, g)  # fall of chi-square, more where damped
         rotate_left(step[3:], Rp, R2)
         for i in range(3):
             t2[i] = tp[i] + step[i]
@@ -147,11 +148,11 @@ def refine_pose(k, R, t, X, radius, normal, uv, W, Rp, tp, H, residual):
             settled = chi2 - new <= SETTLED * (1.0 + chi2)
             share = 2.0 * (chi2 - new) / promised - 1.0
             chi2 = new
-            Rp[:] = R2
-            tp[:] = t2
-            H[:] = H2
-            g[:] = g2
-            residual[:] = residual2
+            copy_2(R2, Rp)
+            copy_1(t2, tp)
+            copy_2(H2, H)
+            copy_1(g2, g)
+            copy_3(residual2, residual)
             if settled or promised <= SETTLED * (1.0 + chi2):
                 return SOLVED, chi2
             # less damping the better the promise was kept; where foreshortening bends the residuals it is not
@@ -165,13 +166,13 @@ def refine_pose(k, R, t, X, radius, normal, uv, W, Rp, tp, H, residual):
     return ENDLESS, np.inf
 
 
-@kernel
+@inner_kernel
 def weights(cov, slack2, W):
     """Fill W (n, 2, 2, 2) with the inverse of cov + slack2 I; False where one is not positive."""
     S = np.empty((2, 2))
     for n in range(cov.shape[0]):
         for s in range(2):
-            S[:] = cov[n, s]
+            copy_2(cov[n, s], S)
             S[0, 0] += slack2
             S[1, 1] += slack2
             if not invert_2(S, W[n, s]):
@@ -187,7 +188,7 @@ def slack_chi2(residual, cov, slack2):
     total = 0.0
     for n in range(residual.shape[0]):
         for s in range(2):
-            S[:] = cov[n, s]
+            copy_2(cov[n, s], S)
             S[0, 0] += slack2
             S[1, 1] += slack2
             if not invert_2(S, W):
@@ -254,9 +255,11 @@ def solve_named(k, R, t, uv, cov, slack2, X, radius, normal, P, S, T, C, residua
     state, chi2 = refine_pose(k, R, t, model, radius, normal, uv, W, Rp, tp, H, residual)
     if state == SOLVED and not invert_spd(H, C):
         state = OPEN
-    T[:3, :3] = Rp
-    T[:3, 3] = tp
-    T[3, :3] = 0.0
+    for i in range(3):
+        for j in range(3):
+            T[i, j] = Rp[i, j]
+        T[i, 3] = tp[i]
+        T[3, i] = 0.0
     T[3, 3] = 1.0
     return state, slack_chi2(residual, cov, slack2), chi2
 
@@ -308,21 +311,24 @@ def pachidis_frame(P, S, T, C):
         T[i, 3] = (P[0, i] + P[1, i] + P[2, i]) / 3.0
         a[i] = P[0, i] - T[i, 3]
         b[i] = P[1, i] - T[i, 3]
-    w = np.cross(b, a)
-    na = sqrt(np.dot(a, a))
-    nw = sqrt(np.dot(w, w))
+    u, v, w = np.empty(3), np.empty(3), np.empty(3)
+    cross(b, a, w)
+    na = sqrt(dot(a, a))
+    nw = sqrt(dot(w, w))
     if not (na > 0.0 and nw > 1e-6 * na * na):
         return False
-    u = -a / na
-    w /= nw
-    v = np.cross(w, u)
-    T[:3, 0] = u
-    T[:3, 1] = v
-    T[:3, 2] = w
+    for i in range(3):
+        u[i] = -a[i] / na
+        w[i] /= nw
+    cross(w, u, v)
+    for i in range(3):
+        T[i, 0] = u[i]
+        T[i, 1] = v[i]
+        T[i, 2] = w[i]
     # turn about v: -w . du; about w: v . du; about u: -v . dw
     J = np.zeros((6, 9))
-    ba = np.dot(b, u)  # b = ba u + bv v in the plane
-    bv = np.dot(b, v)
+    ba = dot(b, u)  # b = ba u + bv v in the plane
+    bv = dot(b, v)
     for point in range(3):
         da = (2.0 if point == 0 else -1.0) / 3.0  # d a / d P_point
         db = (2.0 if point == 1 else -1.0) / 3.0
@@ -335,5 +341,5 @@ def pachidis_frame(P, S, T, C):
             about_u = (db * w[i] + about_v * ba) / bv
             for j in range(3):
                 J[3 + j, c] = about_u * u[j] + about_v * v[j] + about_w * w[j]
-    C[:] = J @ np.ascontiguousarray(S) @ J.T
+    sandwich(J, S, C)
     return True

@@ -11,14 +11,15 @@ from math import sqrt
 
 import numpy as np
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel, kernel
+from armsight.geometry.kernels import copy_2, dot, multiply, sandwich
 from armsight.optics.kernels.camera import intrinsics_jacobian, see_point
 from armsight.optics.kernels.triangulation import centre_of, invert_2
 
 PARAMETERS = 26
 
 
-@kernel
+@inner_kernel
 def pixel_slopes(k, R, t, p, s, uv, J, D):
     """Fill J (2, 3) = d pixel / d point and D (2, 26) = d pixel / d parameters of side s; False behind the camera."""
     if not see_point(k[s], R[s], t[s], p, uv, J):
@@ -31,7 +32,8 @@ def pixel_slopes(k, R, t, p, s, uv, J, D):
     if s == 1:
         q = np.empty(3)
         centre_of(R[s], t[s], q)
-        q = p - q
+        for i in range(3):
+            q[i] = p[i] - q[i]
         for i in range(2):
             for j in range(3):
                 D[i, 20 + j] = -J[i, j]
@@ -42,7 +44,7 @@ def pixel_slopes(k, R, t, p, s, uv, J, D):
     return True
 
 
-@kernel
+@inner_kernel
 def light_slopes(k, R, t, T, X, p, s, uv, J, D, G):
     """Fill D (2, 26) as pixel_slopes and G (2, 6) = d pixel / d pose for the light X (3,) under T (4, 4); p (3,) too.
 
@@ -55,14 +57,15 @@ def light_slopes(k, R, t, T, X, p, s, uv, J, D, G):
     if not pixel_slopes(k, R, t, p, s, uv, J, D):
         return False
     for i in range(2):
-        G[i, :3] = J[i]
+        for j in range(3):
+            G[i, j] = J[i, j]
         G[i, 3] = q[1] * J[i, 2] - q[2] * J[i, 1]
         G[i, 4] = q[2] * J[i, 0] - q[0] * J[i, 2]
         G[i, 5] = q[0] * J[i, 1] - q[1] * J[i, 0]
     return True
 
 
-@kernel
+@inner_kernel
 def place_slopes(J, T, E):
     """Fill E (2, 3) = d pixel / d the light's place in target axes, from J (2, 3) by its place in rig axes."""
     for i in range(2):
@@ -96,19 +99,24 @@ def carry_to_pose(k, R, t, cov, X, T, covariance, C, residual, systematic):
             if not (light_slopes(k, R, t, T, X[light], p, s, uv, J, D, G) and invert_2(cov[light, s], W)):
                 continue
             row[:] = 0.0
-            row[:, :PARAMETERS] = D
+            copy_2(D, row)
             if size > PARAMETERS:
                 place_slopes(J, T, E)
-                row[:, PARAMETERS + 3 * light : PARAMETERS + 3 * light + 3] = E
+                copy_2(E, row[:, PARAMETERS + 3 * light :])
             r = residual[light, s]
             chi2 += r[0] * (W[0, 0] * r[0] + W[0, 1] * r[1]) + r[1] * (W[1, 0] * r[0] + W[1, 1] * r[1])
             add_information(row, W, G, r, B, N, b)
-    A = C @ B
-    systematic[:] = A @ covariance @ A.T
-    return marginal_chi2(chi2, N - B.T @ A, b, covariance)
+    A = np.empty((6, size))
+    multiply(C, B, A)
+    sandwich(A, covariance, systematic)
+    for i in range(size):  # N - B' A
+        for j in range(size):
+            for a in range(6):
+                N[i, j] -= B[a, i] * A[a, j]
+    return marginal_chi2(chi2, N, b, covariance)
 
 
-@kernel
+@inner_kernel
 def add_information(D, W, G, r, B, N, b):
     """Add one pixel's rows D (2, q), G (2, 6), residual r (2,), weight W (2, 2) to B = G'WD, N = D'WD, b = D'Wr."""
     for j in range(D.shape[1]):
@@ -123,19 +131,19 @@ def add_information(D, W, G, r, B, N, b):
             N[i, j] += D[0, i] * x + D[1, i] * y
 
 
-@kernel
+@inner_kernel
 def marginal_chi2(chi2, N, b, covariance):
     """Return chi-square with the parameters free within their covariance: chi2 - b' (covariance^-1 + N)^-1 b.
 
     Written as chi2 - b' C (I + N C)^-1 b, which a covariance of less than full rank allows as well.
     """
     size = b.shape[0]
-    one = np.eye(size)
     scale = np.empty(size)
     for i in range(size):  # parameters in units of their own deviation: px beside metres
         scale[i] = sqrt(max(covariance[i, i], 0.0))
     M = np.empty((size, size))
     Q = np.empty((size, size))
+    K = np.empty((size, size))
     g = np.empty(size)
     for i in range(size):
         g[i] = scale[i] * b[i]
@@ -143,7 +151,13 @@ def marginal_chi2(chi2, N, b, covariance):
             M[i, j] = scale[i] * N[i, j] * scale[j]
             product = scale[i] * scale[j]
             Q[i, j] = covariance[i, j] / product if product > 0.0 else 0.0
-    return max(chi2 - np.dot(g, Q @ np.linalg.solve(one + M @ Q, g)), 0.0)
+    multiply(M, Q, K)
+    for i in range(size):
+        K[i, i] += 1.0
+    x = np.linalg.solve(K, g)
+    for i in range(size):
+        scale[i] = dot(Q[i], x)
+    return max(chi2 - dot(g, scale), 0.0)
 
 
 @kernel
@@ -153,9 +167,14 @@ def point_slopes(k, R, t, cov, P, S, A):
     J = np.empty((2, 3))
     D = np.empty((2, PARAMETERS))
     W = np.empty((2, 2))
+    B = np.empty((3, PARAMETERS))
     for n in range(P.shape[0]):
-        B = np.zeros((3, PARAMETERS))
+        B[:] = 0.0
         for s in range(2):
             if pixel_slopes(k, R, t, P[n], s, uv, J, D) and invert_2(cov[n, s], W):
-                B += J.T @ (W @ D)
-        A[n] = -(np.ascontiguousarray(S[n]) @ B)
+                for j in range(PARAMETERS):
+                    x = W[0, 0] * D[0, j] + W[0, 1] * D[1, j]
+                    y = W[1, 0] * D[0, j] + W[1, 1] * D[1, j]
+                    for i in range(3):
+                        B[i, j] -= J[0, i] * x + J[1, i] * y
+        multiply(S[n], B, A[n])

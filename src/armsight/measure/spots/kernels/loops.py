@@ -5,17 +5,17 @@ Constants and first values of counters are passed on as np.int64: a plain 0 woul
 that value.
 """
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel
 
 
-@kernel
+@inner_kernel
 def copy_to(a, b):
     """Copy a (n,) to the first n entries of b."""
     for i in range(a.shape[0]):
         b[i] = a[i]
 
 
-@kernel
+@inner_kernel
 def insertion_sort(a, n):
     """Sort the first n entries of a in place (short lists only)."""
     for i in range(1, n):

@@ -6,7 +6,7 @@ from math import exp, log, pi, sqrt
 
 import numpy as np
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel
 from armsight.measure.spots.kernels.detection.scan import (
     AREA,
     CLIPPED,
@@ -55,7 +55,7 @@ CROWDED_SIGMA = 0.35
 """A touching spot's centre must be known to this share of the width, or it is not told apart."""
 
 
-@kernel
+@inner_kernel
 def classify(comp, w, h, window, min_pixels, max_radius, margin):
     """Return ACCEPTED or why a component is refused before any fit. window (4,): x0, x1, y0, y1 that were searched."""
     if comp[AREA] < min_pixels:
@@ -71,7 +71,7 @@ def classify(comp, w, h, window, min_pixels, max_radius, margin):
     return ACCEPTED
 
 
-@kernel
+@inner_kernel
 def near(a, b, reach):
     """Tell whether the bounds of component b, widened by reach, meet those of a."""
     return (
@@ -82,13 +82,13 @@ def near(a, b, reach):
     )
 
 
-@kernel
+@inner_kernel
 def skirt(comp):
     """Return how far beyond a component's bounds its fit looks, in px."""
     return 0.9 * max(comp[X_MAX] - comp[X_MIN], comp[Y_MAX] - comp[Y_MIN]) / 2.0 + 4.0
 
 
-@kernel
+@inner_kernel
 def round_start(comp, background, saturation, start):
     """Fill start (u, v, A, q, b) for a round Gaussian from a component's sums.
 
@@ -110,7 +110,7 @@ def round_start(comp, background, saturation, start):
     start[4] = background
 
 
-@kernel
+@inner_kernel
 def verdict(comp, rows, lights, saturated, noise):
     """Return ACCEPTED, or why these lights of one component are refused."""
     for k in range(lights):
@@ -131,7 +131,7 @@ def verdict(comp, rows, lights, saturated, noise):
     return ACCEPTED
 
 
-@kernel
+@inner_kernel
 def hot_pixels(comps, state, hot):
     """Fill hot (2 n, 2) with the pixels x, y of the areas that are hot pixels; return how many."""
     n = np.int64(0)

@@ -6,7 +6,7 @@ from math import pi, sqrt
 
 import numpy as np
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel, kernel
 from armsight.measure.spots.kernels.detection.scan import (
     AREA,
     CLIPPED,
@@ -47,7 +47,7 @@ LEAST_AXES = 0.2
 """Ratio of the axes: below it is a line. A light that moves five of its widths within the exposure is still kept."""
 
 
-@kernel
+@inner_kernel
 def ring_level(image, flip, x0, y0, radius, ring):
     """Fill ring with the sorted grey levels on a circle about (x0, y0); return how many lie within the image."""
     h, w = image.shape
@@ -62,7 +62,7 @@ def ring_level(image, flip, x0, y0, radius, ring):
     return n
 
 
-@kernel
+@inner_kernel
 def stands_out(image, flip, x0, y0, radius, top, contrast):
     """Tell whether a peak of level top is `contrast` above the ground that ring_level's samples tell (see blob_at).
 
@@ -81,7 +81,7 @@ def stands_out(image, flip, x0, y0, radius, top, contrast):
     return n >= FEWEST_SAMPLES and below > min(int(GROUND_SHARE * n), n - 1)
 
 
-@kernel
+@inner_kernel
 def grow(image, flip, saturation, mask, x0, y0, level, reach, stamp, labels, left, top_row, stack, row):
     """Fill row (COLUMNS,) with the sums of the pixels above level that hang together with (x0, y0) by their sides.
 
@@ -135,7 +135,7 @@ def grow(image, flip, saturation, mask, x0, y0, level, reach, stamp, labels, lef
     return 0
 
 
-@kernel
+@inner_kernel
 def roundness(labels, left, top_row, stamp, row):
     """Return fill times ratio of the axes of a blob (1 for a filled circle), 0 where it is a line or ragged."""
     n = 0.0
@@ -168,7 +168,7 @@ def roundness(labels, left, top_row, stamp, row):
     return fill * axes if axes > LEAST_AXES and fill > LEAST_FILL else 0.0
 
 
-@kernel
+@inner_kernel
 def brightest_near(image, flip, x0, y0, r):
     """Return place and level of the brightest pixel within r of (x0, y0) along each axis, the nearest of equals."""
     h, w = image.shape
@@ -198,7 +198,7 @@ def brightest_near(image, flip, x0, y0, r):
     return bx, by, best
 
 
-@kernel
+@inner_kernel
 def known(table, n, row):
     """Return which of the n blobs has its centre within half the larger one's radius of row's; -1 for none."""
     x = row[SUM_X] / row[WEIGHT]
@@ -211,7 +211,7 @@ def known(table, n, row):
     return -1
 
 
-@kernel
+@inner_kernel
 def blob_at(
     image,
     flip,
@@ -317,7 +317,7 @@ def grow_blobs(image, flip, saturation, mask, peaks, contrast, min_pixels, max_r
     return n, looked, spent
 
 
-@kernel
+@inner_kernel
 def is_peak(image, flip, x, y, grey):
     """Tell whether no pixel within two of (x, y) is brighter, nor as bright and earlier in reading order."""
     h, w = image.shape
@@ -329,7 +329,7 @@ def is_peak(image, flip, x, y, grey):
     return True
 
 
-@kernel
+@inner_kernel
 def blob_near(image, flip, saturation, mask, u, v, box, contrast, min_pixels, max_radius, row):
     """Fill row (COLUMNS,) with the blob nearest to (u, v) whose peak lies in box (x0, x1, y0, y1); False for none."""
     ring = np.empty(RING_SAMPLES)

@@ -6,7 +6,7 @@ from math import sqrt
 
 import numpy as np
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel, kernel
 from armsight.measure.spots.kernels.detection.scan import brightest
 
 # a colour as the kernels see it: hue from, to (degrees, wrapping), least saturation (0..1), least value (0..255)
@@ -151,7 +151,7 @@ def fill_white(image, saturation, box, signal):
     return True
 
 
-@kernel
+@inner_kernel
 def _pale(image, y, x, saturation):
     b = image[y, x, 0]
     g = image[y, x, 1]
@@ -200,12 +200,12 @@ def look(image, signal, box, level, floor, saturation, seen):
     counts = _frame_levels(image, x0, x1, y0, y1)
     for c in range(3):
         seen[OWN + c] = sums[0, c] / max(sums[0, 3], 1.0)
-        seen[c] = seen[OWN + c] - level_below(counts[c], 256, 0.5)
+        seen[c] = seen[OWN + c] - level_below(counts[c], np.int64(256), 0.5)
     seen[BRIGHT] = bright / max(n_bright, 1.0)
-    seen[LOCAL] = level_below(_levels_about(image, x0, x1, y0, y1), CLIPPED_FROM, LOCAL_SHARE)
+    seen[LOCAL] = level_below(_levels_about(image, x0, x1, y0, y1), np.int64(CLIPPED_FROM), LOCAL_SHARE)
 
 
-@kernel
+@inner_kernel
 def _frame_levels(image, x0, x1, y0, y1):
     """Return how often each channel has each level (3, 256) in the outer two pixels of a box."""
     counts = np.zeros((3, 256), np.int64)
@@ -217,7 +217,7 @@ def _frame_levels(image, x0, x1, y0, y1):
     return counts
 
 
-@kernel
+@inner_kernel
 def _levels_about(image, x0, x1, y0, y1):
     """Return how often the brightest channel has each level (256,) about a box."""
     counts = np.zeros(256, np.int64)

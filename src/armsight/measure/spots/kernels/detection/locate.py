@@ -6,7 +6,7 @@ from math import sqrt
 
 import numpy as np
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel, kernel
 from armsight.measure.spots.kernels.detection.area import (
     ACCEPTED,
     BEYOND,
@@ -79,7 +79,7 @@ NOISE, NUMBER, PROCESSED = 0, 1, 2
 SURVEY = 2 * GRID + 1
 
 
-@kernel
+@inner_kernel
 def survey_image(image, flip, mask, survey, thresholds):
     """Fill the survey and the tiles' thresholds; return the margin above the background, lowest, highest threshold."""
     noise, processed = sense(image, flip, mask, survey)
@@ -93,7 +93,7 @@ def survey_image(image, flip, mask, survey, thresholds):
     return margin, low, high
 
 
-@kernel
+@inner_kernel
 def edges(flat, flip, w, h, thresholds, mapped, blocks, n_blocks, most):
     """Return how often the grey rises above the threshold within the blocks; stops counting beyond most."""
     level = np.uint8(thresholds[0, 0])
@@ -114,7 +114,7 @@ def edges(flat, flip, w, h, thresholds, mapped, blocks, n_blocks, most):
     return count
 
 
-@kernel
+@inner_kernel
 def label(image, flip, mask, saturation, thresholds, mapped, blocks, n_blocks, likely, most):
     """Return the components' table and how many there are (-1: more than `most` runs; likely: about how many runs)."""
     runs_most = FEW_RUNS if likely < FEW_RUNS else min(8 * FEW_RUNS, most)
@@ -128,7 +128,7 @@ def label(image, flip, mask, saturation, thresholds, mapped, blocks, n_blocks, l
         runs_most *= 8
 
 
-@kernel
+@inner_kernel
 def settle_state(comps, state, options, w, h, window, margin):
     """Fill STATUS of all areas: what is refused before any fit."""
     for i in range(comps.shape[0]):
@@ -138,7 +138,7 @@ def settle_state(comps, state, options, w, h, window, margin):
         state[i, STATUS] = what
 
 
-@kernel
+@inner_kernel
 def tell_background(image, flip, comps, survey, w, h):
     """Fill GROUND and SLOPE of areas of a processed picture, whose lights are then judged as those before a room."""
     if survey[2 * GRID, PROCESSED] == 0.0:
@@ -158,7 +158,7 @@ def tell_background(image, flip, comps, survey, w, h):
         comps[k, SLOPE] = max(step, 0.0) / (half + RING_GAP)
 
 
-@kernel
+@inner_kernel
 def whole_window(w, h, window):
     """Fill window (x0, x1, y0, y1) so that nothing reaches beyond it."""
     window[0] = -1
@@ -221,7 +221,7 @@ def locate(image, mask, options):
     return comps, state, survey, FULL
 
 
-@kernel
+@inner_kernel
 def nearest(comps, n, u, v, window, options, w, h, margin):
     """Return the component whose centre is nearest to (u, v), fit for measuring if there is one; -1 where none is."""
     best = -1
@@ -239,7 +239,7 @@ def nearest(comps, n, u, v, window, options, w, h, margin):
     return best
 
 
-@kernel
+@inner_kernel
 def settle(seen, owner, n, predicted):
     """Leave each component to the nearest of the predictions that chose it, once; return how many are left."""
     left = 0
@@ -260,7 +260,7 @@ def settle(seen, owner, n, predicted):
     return left
 
 
-@kernel
+@inner_kernel
 def distance(comp, uv):
     """Return the squared distance in px^2 of a component's centre from uv (2,)."""
     dx = comp[SUM_X] / comp[WEIGHT] - uv[0]
@@ -268,7 +268,7 @@ def distance(comp, uv):
     return dx * dx + dy * dy
 
 
-@kernel
+@inner_kernel
 def crowded_window(table, count, box):
     """Tell whether what is bright in a window (x0, x1, y0, y1) is more than a light and some specks."""
     if count < 0 or count > MOST_SEEN:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from armsight._numba import kernel, sum_kernel
+from armsight._numba import inner_kernel, inner_sum_kernel
 from armsight.measure.spots.kernels.loops import insertion_sort
 
 BLOCK = 64
@@ -39,7 +39,7 @@ COLUMNS = 13
 change per px; negative where the tiles of the survey tell both."""
 
 
-@sum_kernel
+@inner_sum_kernel
 def sample_line(image, flip, y, x, n, parts):
     """Return level and noise variance of n pixels from (x, y), and the sums of products of their steps.
 
@@ -66,7 +66,7 @@ def sample_line(image, flip, y, x, n, parts):
     return parts[1], 0.5 * steps / max(m * GROUPS - 2, 1), steps, products
 
 
-@kernel
+@inner_kernel
 def hidden_pixels(mask, y, x, n):
     """Return how many of the line's pixels are masked out."""
     count = 0
@@ -75,7 +75,7 @@ def hidden_pixels(mask, y, x, n):
     return count
 
 
-@kernel
+@inner_kernel
 def sense(image, flip, mask, levels):
     """Fill levels (GRID, GRID) with the background of the tiles (-1 unknown); return the median noise variance.
 
@@ -112,7 +112,7 @@ def sense(image, flip, mask, levels):
     return noise[known // 2], noise[known // 2] < LEAST_NOISE or abs(middle + 0.5) > WHITE
 
 
-@kernel
+@inner_kernel
 def histogram_median(image, flip, mask):
     """Return the median grey of the unmasked pixels (slow; for masks and images too small to be sampled)."""
     counts = np.zeros(256, np.int64)
@@ -130,7 +130,7 @@ def histogram_median(image, flip, mask):
     return 0.0
 
 
-@kernel
+@inner_kernel
 def level_at(levels, i, j):
     """Return the level of a tile, of one row or column beyond the image by linear continuation; -1 where unknown."""
     if i < 0 or i >= GRID:
@@ -141,7 +141,7 @@ def level_at(levels, i, j):
     return level_at_column(levels, i, j)
 
 
-@kernel
+@inner_kernel
 def level_at_column(levels, i, j):
     """As level_at, for a row within the image."""
     if j < 0 or j >= GRID:
@@ -151,7 +151,7 @@ def level_at_column(levels, i, j):
     return levels[i, j]
 
 
-@kernel
+@inner_kernel
 def threshold_map(levels, margin, thresholds):
     """Fill thresholds (GRID, GRID): the upper third of the 3 x 3 tiles around, plus margin; return lowest, highest.
 
@@ -195,7 +195,7 @@ def threshold_map(levels, margin, thresholds):
     return lowest, highest
 
 
-@kernel
+@inner_kernel
 def brightest(flat, flip, start, n):
     """Return the highest grey of n pixels from start (unsigned: the test for negative indices forbids vector code)."""
     at = np.uint64(start)
@@ -206,7 +206,7 @@ def brightest(flat, flip, start, n):
     return top
 
 
-@kernel
+@inner_kernel
 def bright_blocks(flat, flip, threshold, hits):
     """Fill hits with the numbers of the 64-pixel blocks of flat that hold a pixel above threshold; return how many."""
     t = np.uint8(threshold)
@@ -225,7 +225,7 @@ def bright_blocks(flat, flip, threshold, hits):
     return n
 
 
-@kernel
+@inner_kernel
 def block_threshold(thresholds, i, h, w):
     """Return the higher one of the thresholds at the first and the last pixel of the block from flat index i."""
     j = min(i + BLOCK - 1, h * w - 1)
@@ -233,7 +233,7 @@ def block_threshold(thresholds, i, h, w):
     return max(a, thresholds[(j // w) * GRID // h, (j % w) * GRID // w])
 
 
-@kernel
+@inner_kernel
 def lowest_threshold(thresholds, i, j):
     """Return the lowest threshold of the rows of tiles i to j."""
     least = 255.0
@@ -243,7 +243,7 @@ def lowest_threshold(thresholds, i, j):
     return np.uint8(least)
 
 
-@kernel
+@inner_kernel
 def bright_blocks_mapped(flat, flip, h, w, thresholds, hits):
     """As bright_blocks, the threshold being block_threshold's.
 
@@ -272,7 +272,7 @@ def bright_blocks_mapped(flat, flip, h, w, thresholds, hits):
     return n
 
 
-@kernel
+@inner_kernel
 def root_of(parent, i):
     """Return the root of run i, shortening the path."""
     while parent[i] != i:
@@ -281,7 +281,7 @@ def root_of(parent, i):
     return i
 
 
-@kernel
+@inner_kernel
 def add_run(image, flip, saturation, y, start, stop, level, k, table):
     """Write the sums of the run of row y, columns start..stop-1, into row k of table; weights are above level."""
     weight = 0.0
@@ -311,7 +311,7 @@ def add_run(image, flip, saturation, y, start, stop, level, k, table):
     table[k, SLOPE] = -1.0
 
 
-@kernel
+@inner_kernel
 def link(runs, parent, first, last, k):
     """Join run k with the runs first..last-1 of the row above that touch it (diagonals count)."""
     q = first
@@ -329,7 +329,7 @@ def link(runs, parent, first, last, k):
     return first
 
 
-@kernel
+@inner_kernel
 def merge(parent, n, table):
     """Add the runs' sums into their roots and move the roots to the front of table; return how many components."""
     count = 0
@@ -352,7 +352,7 @@ def merge(parent, n, table):
     return count
 
 
-@kernel
+@inner_kernel
 def components(image, flip, mask, saturation, thresholds, mapped, blocks, n_blocks, runs, parent, table):
     """Fill table (.., COLUMNS) with the connected bright areas of the given blocks; -1 where the runs do not fit.
 
@@ -403,7 +403,7 @@ def components(image, flip, mask, saturation, thresholds, mapped, blocks, n_bloc
     return merge(parent, n, table)
 
 
-@kernel
+@inner_kernel
 def window_components(image, flip, mask, saturation, level, box, runs, parent, table):
     """As components, within the window box (x0, x1, y0, y1; ends excluded) of an image.
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel, kernel
 from armsight.measure.spots.kernels.detection.area import (
     ACCEPTED,
     CROWDED,
@@ -45,7 +45,7 @@ HALF_SHARE = 0.6
 """Radius at half height over that above the threshold, of round lights of ordinary height."""
 
 
-@kernel
+@inner_kernel
 def ground_variance(residuals, use, u, v, radius, noise):
     """Return the variance of boxes of 3 x 3 round a light at (u, v) of the patch, noise taken off."""
     total = 0.0
@@ -70,7 +70,7 @@ def ground_variance(residuals, use, u, v, radius, noise):
     return max(squares / count - (total / count) ** 2 - BOX_NOISE * noise, 0.0)
 
 
-@kernel
+@inner_kernel
 def ground_floor(image, flip, comp, row, noise):
     """Return the variance of a light's centre for what stands out of the noise on a ring outside of its skirt.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import erf, exp, pi, sqrt
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel
 
 PIXEL_VARIANCE = 1.0 / 12.0
 NARROW = 0.9
@@ -13,7 +13,7 @@ P = 5
 """Parameters of a round light: u, v, A, 1/q, b."""
 
 
-@kernel
+@inner_kernel
 def profile(centre, q, start, n, f):
     """Fill f (3, n): profile, its derivative by the centre and by 1/q, at pixels start..start+n-1."""
     if q < NARROW:
@@ -52,7 +52,7 @@ def profile(centre, q, start, n, f):
         ratio *= shrink
 
 
-@kernel
+@inner_kernel
 def gram(f, n, power, g):
     """Fill g (4, 4) with the sums of products of 1, f0, f1, f2 over n pixels, each times f0**power.
 
@@ -81,7 +81,7 @@ def gram(f, n, power, g):
     g[3, 2] = g[2, 3]
 
 
-@kernel
+@inner_kernel
 def assemble(gx, gy, a, H):
     """Fill H (5, 5) = sum of J'J from the axes' sums gx, gy (4, 4) and the height a."""
     H[0, 0] = a * a * gx[2, 2] * gy[1, 1]
@@ -104,7 +104,7 @@ def assemble(gx, gy, a, H):
             H[i, j] = H[j, i]
 
 
-@kernel
+@inner_kernel
 def tilt_sums(fx, fy, nx, ny, x0, y0, p, sums, tilt):
     """Fill rows 0..6 of tilt (8, 2) for a window (see uncertainty). sums (4, 4): work.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from armsight._numba import kernel, sum_kernel
+from armsight._numba import inner_kernel, inner_sum_kernel
 from armsight.fitting.kernels import solve_damped
 from armsight.measure.spots.kernels.fitting.light_models import (
     CLIPPED_PIXEL,
@@ -21,7 +21,7 @@ CLOSE = 3e-3
 """Stop where a step lowers chi-square by less than this share of the noise variance."""
 
 
-@sum_kernel
+@inner_sum_kernel
 def dot(a, b):
     """Return the sum of the products of a and b."""
     total = 0.0
@@ -30,21 +30,21 @@ def dot(a, b):
     return total
 
 
-@sum_kernel
+@inner_sum_kernel
 def less(values, background, m, r):
     """Fill r with values less background and light m."""
     for i in range(r.shape[0]):
         r[i] = values[i] - background - m[i]
 
 
-@sum_kernel
+@inner_sum_kernel
 def products(a, b, ab):
     """Fill ab with the products of a and b."""
     for i in range(a.shape[0]):
         ab[i] = a[i] * b[i]
 
 
-@kernel
+@inner_kernel
 def unused(use):
     """Return the positions of the pixels of a patch (ny, nx) that are not used for what they are."""
     nx = use.shape[1]
@@ -62,7 +62,7 @@ def unused(use):
     return out
 
 
-@kernel
+@inner_kernel
 def evaluate(kind, p, n, values, use, special, grid, J, m, r):
     """Fill light m, derivatives J (n, pixels) and residuals r of a patch (values less model).
 
@@ -80,7 +80,7 @@ def evaluate(kind, p, n, values, use, special, grid, J, m, r):
                 J[a, k] = 0.0
 
 
-@sum_kernel
+@inner_sum_kernel
 def four_dots(a0, a1, b0, b1):
     """Return the sums of the products of a0 and b0, a0 and b1, a1 and b0, a1 and b1."""
     t00 = 0.0
@@ -95,7 +95,7 @@ def four_dots(a0, a1, b0, b1):
     return t00, t01, t10, t11
 
 
-@kernel
+@inner_kernel
 def gram(J, n, H):
     """Fill H (n, n) = J J', in blocks of two rows and two columns: each number is loaded half as often."""
     for a in range(0, n - 1, 2):
@@ -116,7 +116,7 @@ def gram(J, n, H):
             H[b, n - 1] = H[n - 1, b]
 
 
-@kernel
+@inner_kernel
 def normal_equations(J, r, n, H, g):
     """Fill H (n, n), g (n,) of a patch that was evaluated; return the sum of squares."""
     gram(J, n, H)
@@ -125,7 +125,7 @@ def normal_equations(J, r, n, H, g):
     return dot(r, r)
 
 
-@kernel
+@inner_kernel
 def fit_model(kind, p, n, values, use, x0, y0, count, residuals):
     """Fit p (n,) in place by Levenberg-Marquardt; return the sum of squares, or -1 where it does not converge.
 
@@ -183,7 +183,7 @@ def fit_model(kind, p, n, values, use, x0, y0, count, residuals):
     return rss - extra if kind == ELLIPSE else -1.0  # its centre is settled long before what clipping hides
 
 
-@kernel
+@inner_kernel
 def evaluated(kind, p, n, values, use, x0, y0, residuals):
     """Return light and derivatives of a patch, and its pixels; fill residuals (ny, nx). See evaluate."""
     grid = grid_of(x0, y0, values.shape[1], values.shape[0])
@@ -193,7 +193,7 @@ def evaluated(kind, p, n, values, use, x0, y0, residuals):
     return J, m, grid
 
 
-@kernel
+@inner_kernel
 def weighted_information(J, m, grid, residuals, n, u, v, G, tilt, out3):
     """Fill G (n, n) = sum of m J'J, and out3 = sums of m, r^2 m, m^2, of an evaluated patch.
 
@@ -226,7 +226,7 @@ def weighted_information(J, m, grid, residuals, n, u, v, G, tilt, out3):
     tilt[n + 2, 1] = dot(r, dy)
 
 
-@kernel
+@inner_kernel
 def light_of(kind, p, n, x0, y0, values, sign):
     """Add sign times the model's light to the patch values (ny, nx)."""
     m = np.empty(values.size)

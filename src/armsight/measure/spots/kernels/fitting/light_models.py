@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from armsight._numba import kernel, sum_kernel
+from armsight._numba import inner_kernel, inner_sum_kernel
 from armsight.measure.spots.kernels.fitting.gaussian_axes import PIXEL_VARIANCE
 from armsight.measure.spots.kernels.fitting.normal_table import normal
 
@@ -53,7 +53,7 @@ class Grid(NamedTuple):
     work: Any  # (WORK, nx ny)
 
 
-@kernel
+@inner_kernel
 def grid_of(x0, y0, nx, ny):
     """Return the pixels of a patch."""
     x = np.empty(nx * ny)
@@ -65,7 +65,7 @@ def grid_of(x0, y0, nx, ny):
     return Grid(float(x0), float(y0), nx, ny, x, y, np.empty((WORK, nx * ny)))
 
 
-@sum_kernel
+@inner_sum_kernel
 def outer(ex, ey, nx, ny, e):
     """Fill e (nx ny,) with the products of ex (nx,) and ey (ny,)."""
     for j in range(ny):
@@ -74,35 +74,35 @@ def outer(ex, ey, nx, ny, e):
             row[i] = ey[j] * ex[i]
 
 
-@sum_kernel
+@inner_sum_kernel
 def add_scaled(a, b, factor):
     """Add factor times a to b."""
     for i in range(a.shape[0]):
         b[i] += factor * a[i]
 
 
-@sum_kernel
+@inner_sum_kernel
 def scaled(a, factor, b):
     """Fill b with factor times a."""
     for i in range(a.shape[0]):
         b[i] = factor * a[i]
 
 
-@sum_kernel
+@inner_sum_kernel
 def moved_round(e, x, u, scale, by_u):
     """Fill by_u with the derivative of a Gaussian's light e by its centre: scale (x - u) e."""
     for i in range(e.shape[0]):
         by_u[i] = scale * (x[i] - u) * e[i]
 
 
-@sum_kernel
+@inner_sum_kernel
 def wider_round(e, x, y, u, v, height, by_width):
     """Add the derivative of a Gaussian's light by 1 / variance."""
     for i in range(e.shape[0]):
         by_width[i] -= 0.5 * height * ((x[i] - u) ** 2 + (y[i] - v) ** 2) * e[i]
 
 
-@kernel
+@inner_kernel
 def joint_light(p, n, grid, J, m):
     """Fill m (pixels,) with the light of (n - 2) / 3 Gaussians, and J (n, pixels)."""
     for i in range(m.shape[0]):
@@ -125,7 +125,7 @@ def joint_light(p, n, grid, J, m):
         add_scaled(e, m, height)
 
 
-@sum_kernel
+@inner_sum_kernel
 def streak_axes(x, y, u, v, c, s_, s, h, across, a, b):
     """Fill the distance across the streak, and those along it from its two ends, in widths."""
     for i in range(x.shape[0]):
@@ -136,7 +136,7 @@ def streak_axes(x, y, u, v, c, s_, s, h, across, a, b):
         b[i] = a[i] - 2.0 * h / s
 
 
-@sum_kernel
+@inner_sum_kernel
 def streak_ends(fa, to_a, fb, to_b, a, b, scale):
     """Replace fa by fa - fb, to_a by the profile along, fb by fa + fb and to_b by a fa - b fb, all scaled."""
     for i in range(a.shape[0]):
@@ -148,14 +148,14 @@ def streak_ends(fa, to_a, fb, to_b, a, b, scale):
         to_b[i] = a[i] * first - b[i] * last
 
 
-@sum_kernel
+@inner_sum_kernel
 def streak_moved(across, z, along, ends, height, s, c, s_, by_u):
     """Fill the derivative by a coordinate of the centre, of which c and s_ are the direction along and across."""
     for i in range(z.shape[0]):
         by_u[i] = height * across[i] / s * (z[i] * along[i] * s_ - ends[i] * c)
 
 
-@sum_kernel
+@inner_sum_kernel
 def streak_turned(across, z, a, along, ends, height, s, h, by_angle):
     """Fill the derivative by the angle."""
     for i in range(z.shape[0]):
@@ -163,21 +163,21 @@ def streak_turned(across, z, a, along, ends, height, s, h, by_angle):
         by_angle[i] = height * across[i] * z[i] * (ends[i] + t * along[i])
 
 
-@sum_kernel
+@inner_sum_kernel
 def streak_wider(across, z, along, moments, height, s, by_s):
     """Fill the derivative by the width."""
     for i in range(z.shape[0]):
         by_s[i] = height * across[i] / s * (z[i] * z[i] * along[i] + along[i] - moments[i])
 
 
-@sum_kernel
+@inner_sum_kernel
 def streak_longer(across, along, both, height, s, h, by_h):
     """Fill the derivative by half the length."""
     for i in range(along.shape[0]):
         by_h[i] = height * across[i] * (both[i] / s - along[i] / h)
 
 
-@kernel
+@inner_kernel
 def streak_light(p, grid, J, m):
     """Fill m (pixels,) with the light of a streak, and J (7, pixels)."""
     c = cos(p[5])
@@ -208,7 +208,7 @@ def streak_light(p, grid, J, m):
     scaled(J[3], p[3], m)
 
 
-@sum_kernel
+@inner_sum_kernel
 def edge_form(x, y, u, v, m0, m1, m2, Q, G):
     """Fill Q = S + CORE_VARIANCE tr M and G = g^2 of an ellipse; see ellipse_light."""
     k = CORE_VARIANCE
@@ -223,7 +223,7 @@ def edge_form(x, y, u, v, m0, m1, m2, Q, G):
         G[i] = (n0 * dx * dx + 2.0 * n1 * dx * dy + n2 * dy * dy + k * (n0 + n2)) / q
 
 
-@sum_kernel
+@inner_sum_kernel
 def edge_distance(Q, G, core, s, d, h):
     """Fill the distance d to the edge, and h = sqrt(S + s^2 g^2)."""
     for i in range(Q.shape[0]):
@@ -232,7 +232,7 @@ def edge_distance(Q, G, core, s, d, h):
         d[i] = (1.0 - S) / (np.sqrt(G[i]) * (1.0 + h[i]))
 
 
-@sum_kernel
+@inner_sum_kernel
 def edge_cut(d, s, height, share, slope):
     """Fill slope = dm / dd by the density that it holds; beyond FAR it is zero, and the share one or zero."""
     for i in range(d.shape[0]):
@@ -241,14 +241,14 @@ def edge_cut(d, s, height, share, slope):
         slope[i] = 0.0 if far else slope[i] * (height / s)
 
 
-@sum_kernel
+@inner_sum_kernel
 def edge_blur(slope, d, h, G, s, by_s):
     """Fill the derivative by the blur s."""
     for i in range(d.shape[0]):
         by_s[i] = -slope[i] * d[i] * (1.0 / s + s * G[i] / (h[i] * (1.0 + h[i])))
 
 
-@sum_kernel
+@inner_sum_kernel
 def edge_factors(slope, Q, G, s, d, h):
     """Replace h and d by a and b: the light's change is -a dS - b (dP - G dQ), P = x'M^2x + CORE_VARIANCE tr M^2."""
     for i in range(d.shape[0]):
@@ -258,7 +258,7 @@ def edge_factors(slope, Q, G, s, d, h):
         h[i] = a
 
 
-@sum_kernel
+@inner_sum_kernel
 def edge_moved(x, y, u, v, a, b, G, mx, my, nx, ny, by_u):
     """Fill the derivative by a coordinate of the centre, for that row (mx, my) of M and (nx, ny) of M^2."""
     for i in range(x.shape[0]):
@@ -268,7 +268,7 @@ def edge_moved(x, y, u, v, a, b, G, mx, my, nx, ny, by_u):
         by_u[i] = 2.0 * (a[i] * by_S + b[i] * (nx * dx + ny * dy - G[i] * by_S))
 
 
-@sum_kernel
+@inner_sum_kernel
 def edge_formed(x, y, u, v, a, b, G, m, m1, by_m):
     """Fill the derivative by the entry m of M's diagonal that goes with x; m1: M's other entry."""
     k = CORE_VARIANCE
@@ -279,7 +279,7 @@ def edge_formed(x, y, u, v, a, b, G, m, m1, by_m):
         by_m[i] = -a[i] * xx - b[i] * (2.0 * (m * (xx + k) + m1 * dx * dy) - G[i] * (xx + k))
 
 
-@sum_kernel
+@inner_sum_kernel
 def edge_turned(x, y, u, v, a, b, G, m0, m1, m2, by_m):
     """Fill the derivative by m1."""
     k = CORE_VARIANCE
@@ -291,7 +291,7 @@ def edge_turned(x, y, u, v, a, b, G, m0, m1, m2, by_m):
         by_m[i] = -a[i] * xy - b[i] * (by_P - G[i] * xy)
 
 
-@kernel
+@inner_kernel
 def ellipse_light(p, grid, J, m):
     """Fill m (pixels,) with the light of an edge-blurred ellipse, and J (8, pixels).
 
@@ -328,7 +328,7 @@ def ellipse_light(p, grid, J, m):
     scaled(J[3], p[3], m)
 
 
-@kernel
+@inner_kernel
 def light_and_slopes(kind, p, n, grid, J, m):
     """Fill m (pixels,) with the light of the model (without background), and J (n, pixels) with its derivatives."""
     for i in range(m.shape[0]):
@@ -341,7 +341,7 @@ def light_and_slopes(kind, p, n, grid, J, m):
         ellipse_light(p, grid, J, m)
 
 
-@kernel
+@inner_kernel
 def legal(kind, p, n):
     """Tell whether parameters may be evaluated at all."""
     if kind == JOINT:
@@ -353,7 +353,7 @@ def legal(kind, p, n):
     return p[5] > 0.0 and p[5] * p[7] - p[6] * p[6] > 1e-9 and p[5] + p[7] < 16.0
 
 
-@kernel
+@inner_kernel
 def prior_weight(kind, i, height):
     """Return the weight of parameter i's prior: weak, only there for what clipping hides (the height, the blur)."""
     variance = max(PIXEL_VARIANCE, (PRIOR_NOISE * height) ** 2)
@@ -364,7 +364,7 @@ def prior_weight(kind, i, height):
     return variance / (PRIOR_BLUR * PRIOR_BLUR) if i == 4 else 0.0
 
 
-@kernel
+@inner_kernel
 def add_prior(kind, p, start, n, H, g):
     """Add the priors about start (n,) to H (n, n) and g (n,); return what they add to the sum of squares."""
     total = 0.0

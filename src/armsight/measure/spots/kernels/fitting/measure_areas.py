@@ -6,7 +6,7 @@ from math import pi, sqrt
 
 import numpy as np
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel, kernel
 from armsight.measure.spots.kernels.detection.area import (
     ACCEPTED,
     AS_CENTROID,
@@ -108,7 +108,7 @@ CROWD_SWEEPS = 2
 """Times that crowded spots are refitted with their neighbours' light subtracted."""
 
 
-@kernel
+@inner_kernel
 def copy_round(result, source, row):
     """Write the result of a round fit into a spot's row."""
     row[S_U] = result[U]
@@ -128,7 +128,7 @@ def copy_round(result, source, row):
     row[S_FLOOR] = 0.0
 
 
-@kernel
+@inner_kernel
 def keep_fit(result, p):
     """Write the result of a round fit into p as a joint model of one light."""
     p[0] = result[B]
@@ -138,7 +138,7 @@ def keep_fit(result, p):
     p[4] = result[A]
 
 
-@kernel
+@inner_kernel
 def background_of(comp, survey, w, h):
     """Return the background level beside a component: its ring's where it has one, else that of its tile."""
     if comp[SLOPE] >= 0.0:
@@ -148,7 +148,7 @@ def background_of(comp, survey, w, h):
     return min(survey[GRID + i, j], comp[LEVEL])
 
 
-@kernel
+@inner_kernel
 def is_hot_near(comp, hot, n_hot):
     """Tell whether a hot pixel may lie in the component's window."""
     reach = 1.5 * skirt(comp)
@@ -160,7 +160,7 @@ def is_hot_near(comp, hot, n_hot):
     return False
 
 
-@kernel
+@inner_kernel
 def mark_crowded(comps, state):
     """Set CROWDED where another area's bounds meet a component's skirt."""
     n = comps.shape[0]
@@ -280,7 +280,7 @@ def measure_others(image, mask, options, comps, state, survey, fits, rows):
                 refine(image, flip, saturation, mask, comps, state, i, hot, n_hot, noise, fits, rows)
 
 
-@kernel
+@inner_kernel
 def as_centroid(comp, row, source):
     """Write into a spot's row the centroid of a blob that no model fits: its pixels above half height, weighted."""
     radius = sqrt(comp[AREA] / pi)
@@ -300,7 +300,7 @@ def as_centroid(comp, row, source):
     row[S_OF] = source
 
 
-@kernel
+@inner_kernel
 def refine(image, flip, saturation, mask, comps, state, i, hot, n_hot, noise, fits, rows):
     """Refit a crowded component with its neighbours' light subtracted, in place."""
     box = np.empty(4, np.int64)
@@ -328,7 +328,7 @@ def refine(image, flip, saturation, mask, comps, state, i, hot, n_hot, noise, fi
             copy_to(trial[k], rows[i, k])
 
 
-@kernel
+@inner_kernel
 def shot_gain(spots, n):
     """Return the gain (grey levels of variance per grey level of light) that the residuals of all spots prove.
 
@@ -354,7 +354,7 @@ def shot_gain(spots, n):
     return max((top - DOUBT * sqrt(spread)) / bottom, 0.0)
 
 
-@kernel
+@inner_kernel
 def noise_of(row, g):
     """Return the constant part of a spot's noise variance, given the shot noise's gain g.
 

@@ -6,7 +6,7 @@ from math import erf, exp, log, pi, sqrt
 
 import numpy as np
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel
 from armsight.measure.spots.kernels.detection.area import (
     AS_ELLIPSE,
     AS_GAUSSIAN,
@@ -66,7 +66,7 @@ DOMINANT = 0.2
 """Share of all squares in one pixel that marks it as hot; no wrong model puts so much into a single one."""
 
 
-@kernel
+@inner_kernel
 def start_model(kind, lights, comp, shape, background, peaks, p):
     """Fill p with a start from the moments, or from the peaks (.., 3) for three lights and more; return its length."""
     large, small, angle = principal(shape[2], shape[3], shape[4])
@@ -107,7 +107,7 @@ def start_model(kind, lights, comp, shape, background, peaks, p):
     return 8
 
 
-@kernel
+@inner_kernel
 def neighbours(residuals):
     """Return the sum of products of neighbouring residuals, and that over its own deviation (round.residual_sums)."""
     products = 0.0
@@ -122,7 +122,7 @@ def neighbours(residuals):
     return products, products / sqrt(spread) if spread > 0.0 else 0.0
 
 
-@kernel
+@inner_kernel
 def odd_part(residuals, use, u, v, odd):
     """Fill odd with the part of the residuals that changes sign under reflection at (u, v), times root 2; return sums.
 
@@ -145,7 +145,7 @@ def odd_part(residuals, use, u, v, odd):
     return squares, count
 
 
-@kernel
+@inner_kernel
 def drop_worst(residuals, use, rss, noise):
     """Set use to 0 at the pixel that holds a dominant share of all squares; tell whether there was one."""
     worst = 0.0
@@ -163,7 +163,7 @@ def drop_worst(residuals, use, rss, noise):
     return True
 
 
-@kernel
+@inner_kernel
 def add_light(residuals, x0, y0, p, n):
     """Extend a joint model by a light where the residuals, summed over 3 x 3 pixels, are largest; return the new n."""
     best = -1.0
@@ -181,13 +181,13 @@ def add_light(residuals, x0, y0, p, n):
     return n + 3
 
 
-@kernel
+@inner_kernel
 def criterion(rss, count, n):
     """Return Schwarz's criterion for n parameters."""
     return count * log(max(rss / count, PIXEL_VARIANCE)) + n * log(float(count))
 
 
-@kernel
+@inner_kernel
 def order_of_trial(comp, shape, n_peaks, only, order):
     """Fill order with the kinds to try after the round Gaussian, likeliest first; return how many."""
     if only == ONLY_GAUSSIAN:
@@ -210,7 +210,7 @@ def order_of_trial(comp, shape, n_peaks, only, order):
     return 3
 
 
-@kernel
+@inner_kernel
 def attempt(kind, lights, comp, shape, background, peaks, values, use, x0, y0, count, p, residuals):
     """Start and fit one model into p; return n, sum of squares (-1: failed), run of the residuals."""
     n = start_model(kind, lights, comp, shape, background, peaks, p)
@@ -218,7 +218,7 @@ def attempt(kind, lights, comp, shape, background, peaks, values, use, x0, y0, c
     return n, rss, run
 
 
-@kernel
+@inner_kernel
 def refit(kind, n, values, use, x0, y0, count, p, residuals):
     """Fit one model from p in place; return sum of squares (-1: failed) and run of the residuals."""
     rss = fit_model(kind, p, n, values, use, x0, y0, count, residuals)
@@ -227,7 +227,7 @@ def refit(kind, n, values, use, x0, y0, count, p, residuals):
     return rss, neighbours(residuals)[1]
 
 
-@kernel
+@inner_kernel
 def choose(comp, background, box, values, use, noise, only, best):
     """Fit the models that the shape suggests; fill best; return kind, n (0: none), squares, run."""
     x0 = box[0]
@@ -286,7 +286,7 @@ def choose(comp, background, box, values, use, noise, only, best):
     return kind, n_best, rss_best, run_best
 
 
-@kernel
+@inner_kernel
 def describe(kind, n, p, values, use, box, rss, rows, source):
     """Write the lights of a fitted model into rows (.., SPOT); return how many (0: no covariance)."""
     H = np.empty((n, n))

@@ -6,7 +6,7 @@ from math import erf, exp, pi, sqrt
 
 import numpy as np
 
-from armsight._numba import sum_kernel
+from armsight._numba import inner_sum_kernel
 
 NODES = 64
 """Nodes of the normal distribution's table per deviation: its series from the nearest one is exact to 1e-16."""
@@ -16,7 +16,7 @@ DENSITY = np.array([exp(-0.5 * (i / NODES) ** 2) / sqrt(2.0 * pi) for i in range
 PROBABILITY = np.array([0.5 * (1.0 + erf(i / NODES / sqrt(2.0))) for i in range(-LAST_NODE, LAST_NODE + 1)])
 
 
-@sum_kernel
+@inner_sum_kernel
 def normal(z, density, probability):
     """Fill density and probability of the standard normal distribution at z; NaN gives any number."""
     for i in range(z.shape[0]):

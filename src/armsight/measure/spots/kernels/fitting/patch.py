@@ -6,7 +6,7 @@ from math import atan2, sqrt
 
 import numpy as np
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel
 from armsight.measure.spots.kernels.detection.area import ACCEPTED, HOT, SMALL, STATUS, near, skirt
 from armsight.measure.spots.kernels.detection.scan import PEAK, X_MAX, X_MIN, Y_MAX, Y_MIN
 from armsight.measure.spots.kernels.fitting.light_models import CLIPPED_PIXEL
@@ -19,7 +19,7 @@ SHALLOW = 0.04
 MOST_MAXIMA = 32
 
 
-@kernel
+@inner_kernel
 def patch_box(comp, h, w, box):
     """Fill box (x0, x1, y0, y1) with a component's bounds and a margin that holds its skirt and some background."""
     half = 0.5 * max(comp[X_MAX] - comp[X_MIN], comp[Y_MAX] - comp[Y_MIN])
@@ -30,7 +30,7 @@ def patch_box(comp, h, w, box):
     box[3] = min(int(comp[Y_MAX]) + margin + 1, h)
 
 
-@kernel
+@inner_kernel
 def fill_patch(image, flip, saturation, mask, box, values, use):
     """Fill values and use (ny, nx) from the image; use is 0 for masked pixels, CLIPPED_PIXEL for clipped ones."""
     for j in range(values.shape[0]):
@@ -41,7 +41,7 @@ def fill_patch(image, flip, saturation, mask, box, values, use):
             use[j, i] = 0 if not free else 1 if grey < saturation else CLIPPED_PIXEL
 
 
-@kernel
+@inner_kernel
 def leave_to(own, other, box, use):
     """Set use to 0 where a pixel belongs to another component rather than to this one."""
     ox = 0.5 * (own[X_MIN] + own[X_MAX])
@@ -62,7 +62,7 @@ def leave_to(own, other, box, use):
                 use[j, i] = 0
 
 
-@kernel
+@inner_kernel
 def used(use):
     """Return how many pixels of the patch are used for what they are."""
     n = 0
@@ -72,7 +72,7 @@ def used(use):
     return n
 
 
-@kernel
+@inner_kernel
 def shape_of(values, use, comp, box, level, background, shape):
     """Fill shape (8,): centre, second moments xx, xy, yy above level; the same about half height, unweighted: 5..7."""
     half = background + 0.5 * (comp[PEAK] - background)
@@ -113,7 +113,7 @@ def shape_of(values, use, comp, box, level, background, shape):
         shape[4 + 3 * k] = max(m[5] / total - cy * cy, 0.1)
 
 
-@kernel
+@inner_kernel
 def smoothed(values, use, j, i):
     """Return the mean of the 3 x 3 pixels around (j, i), or -1 where one of them is not used."""
     if j < 1 or i < 1 or j > values.shape[0] - 2 or i > values.shape[1] - 2:
@@ -127,7 +127,7 @@ def smoothed(values, use, j, i):
     return total / 9.0
 
 
-@kernel
+@inner_kernel
 def valley(values, use, x0, y0, a, b):
     """Return the lowest smoothed value on the straight line between two peaks (x, y, height)."""
     steps = int(max(abs(a[0] - b[0]), abs(a[1] - b[1]))) + 1
@@ -141,7 +141,7 @@ def valley(values, use, x0, y0, a, b):
     return low
 
 
-@kernel
+@inner_kernel
 def find_peaks(values, use, level, noise, x0, y0, peaks):
     """Fill peaks (.., 3: x, y, height) with the maxima that a valley parts from all higher ones; return how many."""
     found = np.empty((MOST_MAXIMA, 3))
@@ -183,7 +183,7 @@ def find_peaks(values, use, level, noise, x0, y0, peaks):
     return count
 
 
-@kernel
+@inner_kernel
 def principal(xx, xy, yy):
     """Return the larger and the smaller second moment, and the angle of the larger."""
     mean = 0.5 * (xx + yy)
@@ -191,7 +191,7 @@ def principal(xx, xy, yy):
     return mean + root, max(mean - root, 0.05), 0.5 * atan2(2.0 * xy, xx - yy)
 
 
-@kernel
+@inner_kernel
 def make_patch(image, flip, saturation, mask, comps, state, i, hot, n_hot, subtract, box, values, use):
     """Fill the patch of component i: pixels of hot pixels and of neighbours left out (all, or those not subtracted)."""
     fill_patch(image, flip, saturation, mask, box, values, use)

@@ -12,7 +12,7 @@ from math import pi, sqrt
 
 import numpy as np
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel
 from armsight.fitting.kernels import invert_spd
 from armsight.measure.spots.kernels.detection.area import (
     S_CG,
@@ -47,7 +47,7 @@ TINY_PX = 1.2
 """Radius at which these are twice as large: a rim of a few pixels is not averaged over."""
 
 
-@kernel
+@inner_kernel
 def pulls(kind, n, p, J, use, psi):
     """Fill psi (2, ny, nx) with the shift of the centre in px per grey level at each pixel; False for none."""
     H = np.empty((n, n))
@@ -69,7 +69,7 @@ def pulls(kind, n, p, J, use, psi):
     return True
 
 
-@kernel
+@inner_kernel
 def sandwich(odd, psi, out):
     """Write into out (3,) the sums of psi psi' odd^2: uu, uv, vv."""
     for k in range(3):
@@ -83,7 +83,7 @@ def sandwich(odd, psi, out):
             out[2] += b * b
 
 
-@kernel
+@inner_kernel
 def from_centroid(comp, row):
     """Return the squared distance (px^2) of a spot's centre from the centroid of its area."""
     dx = row[S_U] - comp[SUM_X] / comp[WEIGHT]
@@ -91,13 +91,13 @@ def from_centroid(comp, row):
     return dx * dx + dy * dy
 
 
-@kernel
+@inner_kernel
 def astray(comp, row):
     """Tell whether a fit has followed something else than its area."""
     return not from_centroid(comp, row) < (ASTRAY + ASTRAY_SHARE * sqrt(comp[AREA] / pi)) ** 2
 
 
-@kernel
+@inner_kernel
 def settle_centre(kind, n, p, values, use, box, comp, noise, row):
     """Replace the covariance of a spot's row by that of its odd residuals; False where these are too few."""
     radius = sqrt(comp[AREA] / pi)

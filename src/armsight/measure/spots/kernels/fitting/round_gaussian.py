@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from armsight._numba import kernel, sum_kernel
+from armsight._numba import inner_kernel, inner_sum_kernel
 from armsight.fitting.kernels import solve_damped
 from armsight.measure.spots.kernels.fitting.gaussian_axes import PIXEL_VARIANCE, P, assemble, gram, profile, tilt_sums
 from armsight.measure.spots.kernels.fitting.uncertainty import inflation, remaining_square, uncertainty
@@ -61,7 +61,7 @@ class Work(NamedTuple):
     residuals: Any  # (MOST + 1, MOST + 1), first row and column zero
 
 
-@kernel
+@inner_kernel
 def new_work():
     """Return fresh work arrays."""
     return Work(
@@ -86,7 +86,7 @@ def new_work():
     )
 
 
-@sum_kernel
+@inner_sum_kernel
 def project(image, flip, x0, y0, nx, ny, fx, fy, d):
     """Fill d (6,) with the sums over the window of v X'Y, v X Y', v X Y, v (X" Y + X Y"), v and v^2."""
     d0 = 0.0
@@ -120,7 +120,7 @@ def project(image, flip, x0, y0, nx, ny, fx, fy, d):
     d[5] = square
 
 
-@kernel
+@inner_kernel
 def pixel_jacobian(fx, fy, i, j, a, J):
     """Fill J (5,) at the window's pixel (i, j) and return the light's part of the model there."""
     x = fx[0, i]
@@ -133,7 +133,7 @@ def pixel_jacobian(fx, fy, i, j, a, J):
     return a * x * y
 
 
-@kernel
+@inner_kernel
 def take_out(image, flip, n, full, w):
     """Subtract the n dropped pixels from H and g; with full also from G and tilt, with their light into w.light.
 
@@ -171,7 +171,7 @@ def take_out(image, flip, n, full, w):
     return squares
 
 
-@kernel
+@inner_kernel
 def collect_dropped(image, flip, saturation, mask, hot, n_hot, box, dropped):
     """Fill dropped with the pixels of box (x0, x1, y0, y1) that are clipped, masked out or hot; return how many."""
     n = 0
@@ -195,7 +195,7 @@ def collect_dropped(image, flip, saturation, mask, hot, n_hot, box, dropped):
     return n
 
 
-@kernel
+@inner_kernel
 def set_box(u, v, q, h, w, box):
     """Fill box (x0, x1, y0, y1) with the fit's window, cut at the image; False where it is too large."""
     r = int(REACH * sqrt(q) + 1.5)
@@ -210,7 +210,7 @@ def set_box(u, v, q, h, w, box):
     return True
 
 
-@sum_kernel
+@inner_sum_kernel
 def residual_sums(image, flip, n_dropped, w, out):
     """Write into out what the residuals r say: FOURTH (sum of r^2 m), RUN, and TILT (of r dx, r dy).
 
@@ -263,7 +263,7 @@ def residual_sums(image, flip, n_dropped, w, out):
     out[TILT_Y] = tilt_y
 
 
-@kernel
+@inner_kernel
 def step_length(step, p):
     """Return the factor 0..1 that keeps a step's width change within a factor 1.6 and its shift within a sigma."""
     s = 1.0 / sqrt(p[3])
@@ -276,7 +276,7 @@ def step_length(step, p):
     return length
 
 
-@kernel
+@inner_kernel
 def normal_equations(image, flip, n_dropped, w):
     """Fill w.H and the gradient w.g at w.p over the window w.box; return the sum of squared residuals."""
     p = w.p
@@ -306,7 +306,7 @@ def normal_equations(image, flip, n_dropped, w):
     return rss
 
 
-@kernel
+@inner_kernel
 def fit_round(image, flip, saturation, mask, hot, n_hot, clipped, start, prior, w, out):
     """Fit one round Gaussian from start (u, v, A, q, b) into out (RESULT,); False where it does not converge.
 
@@ -345,7 +345,7 @@ def fit_round(image, flip, saturation, mask, hot, n_hot, clipped, start, prior, 
     return False
 
 
-@kernel
+@inner_kernel
 def finish(image, flip, n_dropped, dof, rss, prior, w, out):
     """Write the result into out: w.p plus the last, small w.step, the sums being those at w.p.
 

@@ -6,12 +6,12 @@ from math import sqrt
 
 import numpy as np
 
-from armsight._numba import kernel
+from armsight._numba import inner_kernel
 from armsight.fitting.kernels import invert_spd
 from armsight.measure.spots.kernels.detection.scan import GRID
 
 
-@kernel
+@inner_kernel
 def slope_prior(levels, y, x, w, h, noise, prior):
     """Fill prior (4,): slope of the background per px along x and y at pixel (x, y), and how well it is known.
 
@@ -55,7 +55,7 @@ LEAST_SLOPE = 0.05
 """Slope (grey levels per px) that a background before which nothing is seen to change may still have."""
 
 
-@kernel
+@inner_kernel
 def ring_prior(slope, prior):
     """Fill prior (4,) as slope_prior does where a ring about the light tells how much the background changes."""
     prior[0] = 0.0
@@ -71,7 +71,7 @@ LEVERAGE = 1.3
 """What a round fit takes of the sum of m^2, over what it takes of the sum of m; 1.295-1.30 for sigma 1.5-4 px."""
 
 
-@kernel
+@inner_kernel
 def inflation(run, products, squares):
     """Return the factor of the covariance for residuals that hang together: wrong model, or noise that is not white.
 
@@ -84,13 +84,13 @@ def inflation(run, products, squares):
     return ((1.0 + rho) / (1.0 - rho)) ** 2
 
 
-@kernel
+@inner_kernel
 def remaining_square(square, signal, left):
     """Return the sum of m^2 less the fit's take, from that of the sum of m (signal, of which `left` is left)."""
     return square * max(1.0 - LEVERAGE * (1.0 - left / signal), 0.1) if signal > 0.0 else 0.0
 
 
-@kernel
+@inner_kernel
 def uncertainty(H, G, tilt, prior, noise, signal, out):
     """Write C_H, C_G into out (6,), correct the centre for the background's slope; return signal less the fit's take.
 

@@ -1,0 +1,278 @@
+"""The compiler's work for every command, done ahead: at the installation, or whenever `python -m` calls this module.
+
+Numba compiles a kernel when it is first called and keeps it on disk. GROUPS calls each once, on the smallest problem
+that reaches it, as its command does. Two processes share the work; no kernel belongs to both, for numba's index of a
+kernel is one file, which two writers at once would spoil.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from threading import Lock
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from armsight.app.measure.warm_up import compile_beside
+from armsight.drivers import CELLS, load
+from armsight.records import BoardView, Progress, Silent, Spots
+
+COMPILING = "compiling"
+SIZE = (640, 480)
+SEED = 1
+
+
+def spots() -> None:
+    """Compile the search for spots, of any kind, grey and in colour."""
+    from armsight.measure.settings import SpotSettings
+    from armsight.measure.spots import find_spots, track_spots, warm_up
+    from armsight.records import Colour
+
+    warm_up()
+    y, x = np.mgrid[0:96, 0:128]
+    grey = (10.0 + 150.0 * np.exp(-((x - 60.3) ** 2 + (y - 50.2) ** 2) / 8.0)).astype(np.uint8)
+    red = np.stack([0 * grey, 0 * grey, grey], axis=2)
+    find_spots(red)
+    find_spots(grey, SpotSettings(method="seed"))
+    coloured = SpotSettings(colour=Colour(hue_deg=(340.0, 20.0)), threshold=60)
+    find_spots(red, coloured)
+    track_spots(red, [[60.0, 50.0]], 16.0, coloured)
+
+
+def poses() -> None:
+    """Compile what comes after the spots: pairs, names, poses and the check of a run."""
+    from armsight.optics import Camera, PackedRig, epipolar_distance, parallel_rig, triangulate, triangulate_closed
+    from armsight.optics.epipolar import epipolar_chi2
+
+    compile_beside()
+    camera = Camera.pinhole(*SIZE, 500.0, 500.0, 320.0, 240.0)
+    rig = parallel_rig(camera, 0.1)
+    left, right = rig.project(np.array([[0.0, 0.0, 0.5], [0.1, 0.1, 0.6]]))
+    camera.rays(left)
+    noise = np.tile(np.eye(2), (2, 1, 1))
+    triangulate(rig, left, right, noise, noise)
+    triangulate_closed(rig, left, right, noise, noise)
+    epipolar_distance(rig, left, right)
+    epipolar_chi2(PackedRig.of(rig), left, noise, right, noise)
+
+
+def boards() -> None:
+    """Compile the fits of a board's corners and dots, and the detector of overlaid boards."""
+    from armsight.measure.boards import warm_up
+
+    warm_up()
+
+
+def cameras() -> None:
+    """Compile the bundle adjustment of cameras and pairs."""
+    from armsight.calibrate.cameras import calibrate_stereo
+    from armsight.optics import Camera, parallel_rig
+    from armsight.store import parse_board
+
+    rng = np.random.default_rng(SEED)
+    board = parse_board("checkerboard:7x5:0.03")
+    rig = parallel_rig(Camera.pinhole(*SIZE, 500.0, 500.0, 320.0, 240.0), 0.1)
+    seen: tuple[list[BoardView], list[BoardView]] = ([], [])
+    for number in range(12):
+        turn = Rotation.from_rotvec(rng.uniform(-0.5, 0.5, 3))
+        middle = [rng.uniform(-0.05, 0.15), rng.uniform(-0.1, 0.1), rng.uniform(0.45, 0.6)]
+        xyz_m = turn.apply(board.xyz_m - board.xyz_m.mean(0)) + middle
+        for side, uv_px in enumerate(rig.project(xyz_m)):
+            noisy = uv_px + rng.normal(0.0, 0.05, uv_px.shape)
+            seen[side].append(
+                BoardView(
+                    uv_px=noisy,
+                    index=np.arange(len(noisy)),
+                    sigma_px=0.05,
+                    width=SIZE[0],
+                    height=SIZE[1],
+                    source=str(number),
+                )
+            )
+    calibrate_stereo(*seen, board)
+
+
+def light_target() -> None:
+    """Compile the calibration of a lit target."""
+    from armsight.calibrate.light_target import LitFrame, calibrate_target
+    from armsight.optics import Camera, parallel_rig
+
+    rng = np.random.default_rng(SEED)
+    rig = parallel_rig(Camera.pinhole(*SIZE, 500.0, 500.0, 320.0, 240.0), 0.1)
+    lights = np.array([[-0.045, 0.0, 0.0], [0.03, 0.03, 0.0], [0.015, -0.03, 0.0]])
+    frames = []
+    for number in range(12):
+        xyz_m = Rotation.from_rotvec(rng.normal(0.0, 0.3, 3)).apply(lights)
+        xyz_m += np.array([0.05, 0.0, rng.uniform(0.4, 0.6)])
+        left, right = (_spots(uv_px + rng.normal(0.0, 0.05, uv_px.shape)) for uv_px in rig.project(xyz_m))
+        frames.append(LitFrame(name=str(number), left=left, right=right))
+    calibrate_target(rig, frames)
+
+
+def handeye() -> None:
+    """Compile the hand-eye calibration."""
+    from armsight.calibrate.handeye import PosePairs, calibrate_eye_in_hand, warm_up
+
+    warm_up()
+    rng = np.random.default_rng(SEED)
+    X = RigidTransform.from_components([0.02, 0.05, 0.11], Rotation.from_euler("z", 1.5))
+    Z = RigidTransform.from_components([0.6, 0.1, 0.05], Rotation.from_euler("x", 3.0))
+    robot, camera = [], []
+    for _ in range(12):
+        turn = Rotation.from_euler("x", 3.14) * Rotation.from_rotvec(rng.normal(0.0, 0.35, 3))
+        flange = RigidTransform.from_components(rng.normal([0.6, 0.1, 0.5], 0.08), turn)
+        noise = RigidTransform.from_components(rng.normal(0.0, 2e-4, 3), Rotation.from_rotvec(rng.normal(0, 5e-4, 3)))
+        robot.append(flange.as_matrix())
+        camera.append(((flange * X).inv() * Z * noise).as_matrix())
+    pairs = PosePairs(
+        T_base_flange=RigidTransform.from_matrix(np.array(robot)),
+        T_camera_target=RigidTransform.from_matrix(np.array(camera)),
+        names=tuple(str(i) for i in range(12)),
+    )
+    calibrate_eye_in_hand(pairs)
+
+
+def kinematics() -> None:
+    """Compile forward and inverse kinematics, on one core and on all."""
+    from armsight.kinematics import fk, fk_jacobian, presets, warm_up
+    from armsight.kinematics.forward_kinematics import ALL_CORES_FROM
+
+    warm_up()
+    many = np.zeros((ALL_CORES_FROM, 6))
+    fk(presets.ur10(), many, all_cores=True)
+    fk_jacobian(presets.ur10(), many, all_cores=True)
+
+
+def arm() -> None:
+    """Compile the calibration of a known arm."""
+    from armsight.calibrate.arm import ArmPoints, calibrate_arm
+    from armsight.kinematics import fk, presets
+
+    rng = np.random.default_rng(SEED)
+    nominal = presets.ur10()
+    q = rng.uniform(-1.5, 1.5, (30, 6))
+    xyz_m = fk(nominal, q)[:, :3, 3] + rng.normal(0.0, 1e-4, (30, 3))
+    calibrate_arm(nominal, ArmPoints(q=nominal.values(q), xyz_m=xyz_m))
+
+
+def identify() -> None:
+    """Compile the identification of an unknown arm, from places and from pixels."""
+    from armsight.calibrate.identify import Sweeps
+    from armsight.calibrate.identify import identify as identify_arm
+    from armsight.kinematics import fk, presets
+    from armsight.optics import Camera, parallel_rig
+
+    rng = np.random.default_rng(SEED)
+    rig = parallel_rig(Camera.pinhole(*SIZE, 500.0, 500.0, 320.0, 240.0), 0.5)
+    home, n = np.array([0.2, 0.3, 0.5]), 25
+    joint, q = np.repeat([0, 1, 2], n), np.tile(home, (3 * n, 1))
+    for number, travel in enumerate((1.2, 1.0, 0.4)):
+        q[joint == number, number] += np.linspace(-0.5, 0.5, n) * travel
+    xyz_m = fk(presets.stanford_rrp(), q)[:, :3, 3]
+    xyz_m += [0.25, 0.0, 1.5] - xyz_m.mean(0)
+    uv_px = np.stack(rig.project(xyz_m), axis=1) + rng.normal(0.0, 0.05, (3 * n, 2, 2))
+    xyz_m += rng.normal(0.0, 2e-4, xyz_m.shape)
+    identify_arm(Sweeps(joint=joint, q=q, xyz_m=xyz_m))
+    identify_arm(Sweeps(joint=joint, q=q, xyz_m=xyz_m, uv_px=uv_px), rig=rig)
+
+
+def simulator() -> None:
+    """Compile the renderers of the simulated cells: lights, boards and rooms."""
+    makers = {name: load(CELLS, name) for name in ("led-cell", "board-cell", "hand-cell", "beacon-cell")}
+    small = {"width": 320, "height": 180}
+    for cell in (
+        makers["led-cell"](0, 1, **small),
+        makers["led-cell"](0, 1, diameter_m=0.01, **small),
+        makers["board-cell"](0, 1, **small),
+        makers["beacon-cell"](0, 1, **small),
+        makers["hand-cell"](0, 1),
+    ):
+        next(iter(cell.frames()))
+
+
+def together() -> None:
+    """Measure pairs of images from end to end: what is left of `armsight measure`, and a check that it works."""
+    from armsight.measure.poses.pipeline import warm_up
+
+    warm_up()
+
+
+GROUPS: Mapping[str, Callable[[], None]] = {
+    "spots": spots,
+    "poses": poses,
+    "boards": boards,
+    "cameras": cameras,
+    "light target": light_target,
+    "hand-eye": handeye,
+    "kinematics": kinematics,
+    "arm": arm,
+    "identify": identify,
+    "simulator": simulator,
+    "measure": together,
+}
+"""What is compiled, by command; each alone, or in this order."""
+
+SHARES = (
+    ("spots", "boards", "simulator"),
+    ("poses", "cameras", "light target", "hand-eye", "kinematics", "arm", "identify"),
+)
+"""The groups of each process, of like length; the rest follows when both are done. No kernel that Python calls belongs
+to both: tests/unit/app/test_compilation.py."""
+
+
+def compile_all(progress: Progress | None = None) -> None:
+    """Compile everything that is not compiled yet, in two processes; a minute, or seconds where all is there."""
+    told, lock, done = progress or Silent(), Lock(), [0]
+
+    def run(names: tuple[str, ...]) -> None:
+        command = [sys.executable, "-m", "armsight.app.compilation", *names]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+            for line in process.stdout or ():
+                with lock:
+                    done[0] += 1
+                    told.update(done[0], len(GROUPS), f"{COMPILING}: {line.strip()}")
+
+    told.update(0, len(GROUPS), COMPILING)
+    with ThreadPoolExecutor(len(SHARES)) as pool:
+        list(pool.map(run, SHARES))
+    run(tuple(name for name in GROUPS if not any(name in share for share in SHARES)))
+
+
+def main(names: list[str]) -> int:
+    """Compile the named groups in turn and print the name of each when done; without names all, in two processes."""
+    if not names:
+        compile_all(_Lines())
+        return 0
+    for name in names:
+        GROUPS[name]()
+        sys.stdout.write(name + "\n")
+        sys.stdout.flush()
+    return 0
+
+
+class _Lines(Silent):
+    """Tells of progress in one line that is written over."""
+
+    def update(self, done: float, total: float, note: str = "") -> None:
+        """Print the line, and end it with the last group."""
+        end = "\n" if done == total else ""
+        sys.stdout.write(f"\r\033[K{note} ({done:g} of {total:g} groups of kernels){end}")
+        sys.stdout.flush()
+
+
+def _spots(uv_px: np.ndarray) -> Spots:
+    n = len(uv_px)
+    return Spots(
+        uv_px=uv_px,
+        covariance_px2=np.tile(0.01 * np.eye(2), (n, 1, 1)),
+        peak=np.full(n, 100.0),
+        size_px=np.full(n, 2.0),
+        model=("gaussian",) * n,
+    )
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1:]))
