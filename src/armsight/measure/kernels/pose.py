@@ -298,7 +298,7 @@ def largest_innovation(uv_left, expected_left, uv_right, expected_right):
     return innovation
 
 
-@inner_kernel
+@kernel
 def kabsch_pose(k, R, t, uv, cov, X, Rp, tp):
     """Fill Rp, tp with Kabsch on linearly triangulated points: the closed form, without likelihood."""
     P = np.empty((uv.shape[0], 3))
