@@ -2,11 +2,31 @@
 
 from __future__ import annotations
 
+import ast
+import importlib
+import pkgutil
 import re
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+import armsight
+from armsight._numba import InnerKernel, inner_kernel, kernel
 
 ROOT = Path(__file__).resolve().parents[2]
 BARE = re.compile(r"\b(njit|numba\.jit|guvectorize)\b")
+
+
+@inner_kernel
+def doubled(x: Any) -> Any:
+    return 2.0 * x
+
+
+@kernel
+def quadrupled(x: Any) -> Any:
+    return doubled(doubled(x))
 
 
 def named_outside(folder: Path) -> list[str]:
@@ -14,7 +34,35 @@ def named_outside(folder: Path) -> list[str]:
     return [path.name for path in files if BARE.search(path.read_text(encoding="utf-8"))]
 
 
+def inner_kernels_of(module: ModuleType | SimpleNamespace, source: str) -> list[str]:
+    """Return the inner kernels that a module which is no kernel names."""
+    named = {node.id for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Name)}
+    found = [name for name in named if isinstance(getattr(module, name, None), InnerKernel)]
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+            value = getattr(getattr(module, node.value.id, None), node.attr, None)
+            if isinstance(value, InnerKernel):
+                found.append(node.attr)
+    return found
+
+
 def test_only_one_file_says_how_kernels_are_compiled(tmp_path: Path) -> None:
     assert not named_outside(ROOT / "src")
     (tmp_path / "planted.py").write_text("from numba import njit\n")
     assert named_outside(tmp_path) == ["planted.py"]
+
+
+def test_the_program_calls_no_inner_kernel_from_python() -> None:
+    for info in pkgutil.walk_packages(armsight.__path__, "armsight."):
+        if "kernels" in info.name.split(".") or info.name == "armsight.__main__":
+            continue
+        module = importlib.import_module(info.name)
+        assert not inner_kernels_of(module, Path(str(module.__file__)).read_text(encoding="utf-8")), info.name
+    planted = SimpleNamespace(kernels=SimpleNamespace(doubled=doubled))
+    assert inner_kernels_of(planted, "kernels.doubled(1.0)") == ["doubled"]
+
+
+def test_an_inner_kernel_gives_the_same_from_kernels_and_from_python() -> None:
+    assert quadrupled(1.5) == 6.0
+    assert doubled(1.5) == 3.0
+    assert np.array_equal(doubled(np.ones(2)), [2.0, 2.0])

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from threading import Lock
 
 import numpy as np
@@ -48,6 +50,7 @@ def poses() -> None:
     from armsight.optics.epipolar import epipolar_chi2
 
     compile_beside()
+    _far_away()
     camera = Camera.pinhole(*SIZE, 500.0, 500.0, 320.0, 240.0)
     rig = parallel_rig(camera, 0.1)
     left, right = rig.project(np.array([[0.0, 0.0, 0.5], [0.1, 0.1, 0.6]]))
@@ -184,7 +187,7 @@ def simulator() -> None:
     makers = {name: load(CELLS, name) for name in ("led-cell", "board-cell", "hand-cell", "beacon-cell")}
     small = {"width": 320, "height": 180}
     for cell in (
-        makers["led-cell"](0, 1, **small),
+        makers["led-cell"](0, 1, pipeline="ideal", **small),
         makers["led-cell"](0, 1, diameter_m=0.01, **small),
         makers["board-cell"](0, 1, **small),
         makers["beacon-cell"](0, 1, **small),
@@ -194,10 +197,13 @@ def simulator() -> None:
 
 
 def together() -> None:
-    """Measure pairs of images from end to end: what is left of `armsight measure`, and a check that it works."""
+    """Measure simulated frames from end to end: what is left of `armsight measure`, and a check that it works."""
+    from armsight.app.demo import demo
     from armsight.measure.poses.pipeline import warm_up
 
     warm_up()
+    with tempfile.TemporaryDirectory() as folder:
+        demo(Path(folder), seed=0, frames=4, cell="hand-cell")
 
 
 GROUPS: Mapping[str, Callable[[], None]] = {
@@ -251,6 +257,22 @@ def main(names: list[str]) -> int:
         sys.stdout.write(name + "\n")
         sys.stdout.flush()
     return 0
+
+
+def _far_away() -> None:
+    """Measure a target so far away that its tilt has a mirror image that fits, then with a spot that is off."""
+    from armsight.measure.pair import Setup, measure_spots
+    from armsight.optics import Camera, parallel_rig
+    from armsight.records import spot_target
+
+    xyz_m = {"A": (-0.05, 0.0, 0.0), "B": (0.05, 0.04, 0.0), "C": (0.03, -0.04, 0.0)}
+    rig = parallel_rig(Camera.pinhole(*SIZE, 500.0, 500.0, 320.0, 240.0), 0.1)
+    setup = Setup(rig, spot_target(xyz_m))
+    turn = Rotation.from_rotvec([0.5, 0.2, 0.0])
+    left, right = rig.project(turn.apply(np.array(list(xyz_m.values()))) + np.array([0.05, 0.0, 3.0]))
+    for off_px in (0.0, 1.0):
+        left[0, 1] += off_px
+        measure_spots(setup, 0.0, _spots(left), _spots(right))
 
 
 class _Lines(Silent):
