@@ -182,13 +182,36 @@ def identify() -> None:
     identify_arm(Sweeps(joint=joint, q=q, xyz_m=xyz_m, uv_px=uv_px), rig=rig)
 
 
+def motion() -> None:
+    """Compile the filter of a moving target and its smoother."""
+    from armsight.measure.motion.estimate import MotionFilter, Start, smooth
+    from armsight.measure.motion.states import View
+    from armsight.optics import Camera, PackedRig, parallel_rig
+
+    rig = parallel_rig(Camera.pinhole(*SIZE, 500.0, 500.0, 320.0, 240.0), 0.1)
+    lights = np.array([[-0.05, 0.0, 0.0], [0.05, 0.04, 0.0], [0.03, -0.04, 0.0]])
+    T = np.eye(4)
+    T[2, 3] = 0.6
+    seen = rig.project(lights + T[:3, 3])
+    cov = np.tile(0.01 * np.eye(2), (3, 1, 1))
+    views = [
+        View(t_s=0.01 * n, side=n % 2, lights=np.arange(3), uv_px=seen[n % 2], cov_px2=cov, tau_s=np.zeros(3))
+        for n in range(4)
+    ]
+    packed, covariance = PackedRig.of(rig), 1e-6 * np.eye(6)
+    smooth(packed, lights, views, [Start(view=0, T=T, covariance=covariance)], np.array([-0.01, 0.015]))
+    follower = MotionFilter(packed, lights, 0.0, T, covariance)
+    for view in views:
+        follower.add(view).at(view.t_s - 0.001)
+
+
 def simulator() -> None:
     """Compile the renderers of the simulated cells: lights, boards and rooms."""
     makers = {name: load(CELLS, name) for name in ("led-cell", "board-cell", "hand-cell", "beacon-cell")}
     small = {"width": 320, "height": 180}
     for cell in (
-        makers["led-cell"](0, 1, pipeline="ideal", **small),
-        makers["led-cell"](0, 1, diameter_m=0.01, **small),
+        makers["led-cell"](0, 1, small, pipeline="ideal"),
+        makers["led-cell"](0, 1, {"diameter_m": 0.01, **small}),
         makers["board-cell"](0, 1, **small),
         makers["beacon-cell"](0, 1, **small),
         makers["hand-cell"](0, 1),
@@ -216,6 +239,7 @@ GROUPS: Mapping[str, Callable[[], None]] = {
     "kinematics": kinematics,
     "arm": arm,
     "identify": identify,
+    "motion": motion,
     "simulator": simulator,
     "measure": together,
 }
@@ -223,7 +247,7 @@ GROUPS: Mapping[str, Callable[[], None]] = {
 
 SHARES = (
     ("spots", "boards", "simulator"),
-    ("poses", "cameras", "light target", "hand-eye", "kinematics", "arm", "identify"),
+    ("poses", "cameras", "light target", "hand-eye", "kinematics", "arm", "identify", "motion"),
 )
 """The groups of each process, of like length; the rest follows when both are done. No kernel that Python calls belongs
 to both: tests/unit/app/test_compilation.py."""
@@ -261,7 +285,7 @@ def main(names: list[str]) -> int:
 
 def _far_away() -> None:
     """Measure a target so far away that its tilt has a mirror image that fits, then with a spot that is off."""
-    from armsight.measure.pair import Setup, measure_spots
+    from armsight.measure.poses.pipeline import Setup, measure_spots
     from armsight.optics import Camera, parallel_rig
     from armsight.records import spot_target
 

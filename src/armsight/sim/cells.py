@@ -81,15 +81,20 @@ def hand_cell(seed: int, frames: int, *, room: Any = ROOM, pipeline: Any = PIPEL
 
 
 def led_cell(
-    seed: int, frames: int, options: LedCellOptions | None = None, *, room: Any = ROOM, pipeline: Any = PIPELINE
+    seed: int,
+    frames: int,
+    options: LedCellOptions | Mapping[str, Any] | None = None,
+    *,
+    room: Any = ROOM,
+    pipeline: Any = PIPELINE,
 ) -> Cell:
     """Return a cell of two converging webcams and three LEDs on an isosceles triangle.
 
-    room, pipeline: by name or as in a scenario's keys. Raises UsageError for less than one frame, a negative seed or an
-    unknown room or pipeline.
+    options: a record, or by name where the cell itself is reached by name. room, pipeline: by name or as in a
+    scenario's keys. Raises UsageError for less than one frame, a negative seed or an unknown room or pipeline.
     """
     around = _surroundings(seed, frames, room, pipeline)
-    options = options or LedCellOptions()
+    options = options if isinstance(options, LedCellOptions) else LedCellOptions(**(options or {}))
     path = _in_a_hand(seed)
     lights = tuple(
         Light(name=key, xyz_m=xyz, level=options.level, sigma_px=options.sigma_px, diameter_m=options.diameter_m)
