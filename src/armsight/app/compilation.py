@@ -202,7 +202,8 @@ def motion() -> None:
     smooth(packed, lights, views, [Start(view=0, T=T, covariance=covariance)], np.array([-0.01, 0.015]))
     follower = MotionFilter(packed, lights, 0.0, T, covariance)
     for view in views:
-        follower.add(view).at(view.t_s - 0.001)
+        follower.add(view)
+        follower.at(view.t_s - 0.001)
 
 
 def simulator() -> None:
