@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
+from armsight.units import DEG, MM
+
 Row = tuple[str, str]
 
 POSE_NAMES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
@@ -53,12 +55,12 @@ def with_std(value: float, std: float | None, unit: str, *, scale: float = 1.0) 
 
 
 POSE_UNITS: Mapping[str, tuple[str, float]] = {
-    "x_m": ("mm", 1e3),
-    "y_m": ("mm", 1e3),
-    "z_m": ("mm", 1e3),
-    "rx_rad": ("deg", 57.29577951308232),
-    "ry_rad": ("deg", 57.29577951308232),
-    "rz_rad": ("deg", 57.29577951308232),
+    "x_m": ("mm", 1.0 / MM),
+    "y_m": ("mm", 1.0 / MM),
+    "z_m": ("mm", 1.0 / MM),
+    "rx_rad": ("deg", 1.0 / DEG),
+    "ry_rad": ("deg", 1.0 / DEG),
+    "rz_rad": ("deg", 1.0 / DEG),
 }
 
 

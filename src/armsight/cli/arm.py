@@ -10,11 +10,11 @@ import typer
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.options import AsJson
 from armsight.cli.tables import figure, pose_rows
+from armsight.units import DEG, MM
 
 if TYPE_CHECKING:
     from armsight.app.schemas.arm import ArmOutput
 
-MM, DEG = 1e3, 57.29577951308232
 TOLERANCE_MM, TOLERANCE_DEG = 2.0, 1.72
 
 
@@ -41,8 +41,8 @@ def arm(
             out=out,
             holdout=holdout,
             scale=scale,
-            tolerance_m=tolerance_mm / MM,
-            tolerance_rad=tolerance_deg / DEG,
+            tolerance_m=tolerance_mm * MM,
+            tolerance_rad=tolerance_deg * DEG,
             propose=propose,
             rig=rig,
             world=world,
@@ -58,7 +58,7 @@ def arm_tables(face: CommandUI, done: ArmOutput, out: Path) -> None:
     named += [("rows left out by cross-validation", done.crossval.before, done.crossval.after)]
     named += [("rows of the holdout", done.holdout.before, done.holdout.after)] if done.holdout is not None else []
     rows = [
-        [name, *(figure(MM * value, 4) for part in (before, after) for value in (part.mean_m, part.max_m))]
+        [name, *(figure(value / MM, 4) for part in (before, after) for value in (part.mean_m, part.max_m))]
         for name, before, after in named
     ]
     face.table("Error at the tool's point, mm", ["", "before: mean", "max", "after: mean", "max"], rows)
@@ -69,7 +69,7 @@ def arm_tables(face: CommandUI, done: ArmOutput, out: Path) -> None:
     if done.still:
         face.say("Did not move: " + ", ".join(done.still) + ". Nothing of them is corrected by these rows.")
     for item in done.outliers[:8]:
-        face.say(f"  row {item.row} misses by {figure(MM * item.error_m)} mm")
+        face.say(f"  row {item.row} misses by {figure(item.error_m / MM)} mm")
     for q in done.proposals or ():
         face.say("  measure at " + ", ".join(f"{value:.4f}" for value in q))
     if done.expected_std is not None:
@@ -90,7 +90,7 @@ def robot_world(
 
         done = run_calibrate_world(arm, points, out)
         face.table("T_base_rig", ["", "mm", "+-"], pose_rows(done.T_base_rig, done.std))
-        face.say(f"{done.n_used} points, residual {figure(MM * done.residual_rms_m)} mm RMS. Result: {out}")
+        face.say(f"{done.n_used} points, residual {figure(done.residual_rms_m / MM)} mm RMS. Result: {out}")
         for item in done.rejected[:8]:
             face.say(f"  left out: row {item.row}: {item.why}")
         face.result(done)
@@ -104,5 +104,5 @@ def add_to(calibrate: typer.Typer) -> None:
 
 def _shown(name: str, value: float) -> str:
     if name.endswith("_m"):
-        return figure(MM * value, 4)
-    return figure(DEG * value, 4) if name.endswith("_rad") else figure(value, 4)
+        return figure(value / MM, 4)
+    return figure(value / DEG, 4) if name.endswith("_rad") else figure(value, 4)

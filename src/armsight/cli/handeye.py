@@ -11,11 +11,11 @@ from armsight.cli.command_ui import CommandUI
 from armsight.cli.options import BOARD, SRC, AsJson, Workers
 from armsight.cli.tables import figure, pose_rows, tip_rows
 from armsight.errors import UsageError
+from armsight.units import MM
 
 if TYPE_CHECKING:
     from armsight.app.schemas.handeye import HandEyeOutput
 
-MM = 1e3
 POINT_SIGMA_MM = 0.2
 """Deviation believed of a measured point unless another is given: a dot measured by two cameras at 0.6 m."""
 
@@ -69,7 +69,7 @@ def tooltip(
     point: Annotated[str | None, typer.Option(metavar="X,Y,Z", help="The point in m, if it was measured.")] = None,
     point_sigma: Annotated[
         float, typer.Option(min=1e-9, help="Standard deviation in m of one coordinate of the measured point.")
-    ] = POINT_SIGMA_MM / MM,
+    ] = POINT_SIGMA_MM * MM,
     json: AsJson = False,
 ) -> None:
     """Find where the end of a tool is, from poses recorded while it was turned about its end."""
@@ -78,7 +78,7 @@ def tooltip(
 
         done = calibrate_tip(poses, out, point=_point(point), sigma_m=point_sigma)
         face.table("Tip", ["", "mm", "+-"], tip_rows(done.tip_m, done.std))
-        face.say(f"{done.n_used} poses, residual {figure(MM * done.residual_rms_m)} mm RMS. Result: {out}")
+        face.say(f"{done.n_used} poses, residual {figure(done.residual_rms_m / MM)} mm RMS. Result: {out}")
         for item in done.rejected:
             face.say(f"  left out: row {item.row}: {item.why}")
         face.result(done)
@@ -96,7 +96,7 @@ def pivot(
     point: Annotated[str | None, typer.Option(metavar="X,Y,Z", help="The point in m in rig axes, if measured.")] = None,
     point_sigma: Annotated[
         float, typer.Option(min=1e-9, help="Standard deviation in m of one coordinate of the measured point.")
-    ] = POINT_SIGMA_MM / MM,
+    ] = POINT_SIGMA_MM * MM,
     json: AsJson = False,
 ) -> None:
     """Find a tool's tip while you pivot it before the cameras; tells its deviation until it is small enough."""
@@ -139,7 +139,7 @@ def handeye_tables(face: CommandUI, done: HandEyeOutput, out: Path) -> None:
     for proposed in done.proposals or ():
         pose = proposed.T_base_flange
         xyz, quat = (", ".join(f"{v:.4f}" for v in values) for values in (pose.xyz_m, pose.quat_xyzw))
-        face.say(f"  propose T_base_flange ({xyz}) m, ({quat}): then {figure(MM * proposed.expected_std_m, 2)} mm")
+        face.say(f"  propose T_base_flange ({xyz}) m, ({quat}): then {figure(proposed.expected_std_m / MM, 2)} mm")
     face.say(f"Result: {out}; open {out.with_suffix('.report.html')}")
 
 

@@ -11,13 +11,13 @@ from armsight.cli.command_ui import CommandUI
 from armsight.cli.options import SRC, AsJson
 from armsight.cli.tables import figure
 from armsight.errors import UsageError
+from armsight.units import DEG, MM
 
 if TYPE_CHECKING:
     from armsight.app.identify.live import LiveJob
     from armsight.app.schemas.arm import IdentifiedJoint, IdentifyOutput, JointStd, PlanOutput
 
-MM, DEG = 1e3, 57.29577951308232
-FACTORS = (MM, DEG, MM, DEG)
+UNITS = (MM, DEG, MM, DEG)
 """How people read a, alpha, d and theta: millimetres and degrees."""
 
 
@@ -157,10 +157,8 @@ def _tell_plan(plan: PlanOutput, face: CommandUI) -> None:
     face.table("Sweeps, rad or m", ["joint", "from", "to", "readings", "others rest at"], rows)
     rows = []
     for number, std in enumerate(plan.expected_std, 1):
-        shown = zip(_entries(std), FACTORS, strict=True)
-        rows.append(
-            [f"{number}", *("" if value is None else f"+- {figure(factor * value, 2)}" for value, factor in shown)]
-        )
+        shown = zip(_entries(std), UNITS, strict=True)
+        rows.append([f"{number}", *("" if value is None else f"+- {figure(value / unit, 2)}" for value, unit in shown)])
     face.table("Accuracy to expect, mm and degrees", ["joint", "a", "alpha", "d", "theta"], rows)
     for note in plan.notes:
         face.say(f"- {note}")
@@ -170,10 +168,10 @@ def _tell(done: IdentifyOutput, out: Path, face: CommandUI) -> None:
     rows = []
     for joint in done.joints:
         cells = [f"{joint.index}", joint.type]
-        for factor, value, std in zip(FACTORS, _entries(joint), _entries(joint.std), strict=True):
-            shown = figure(None if value is None else factor * value, 5)
-            cells.append(shown if std is None else f"{shown} +- {figure(factor * std, 2)}")
-        rows.append([*cells, figure(MM * joint.residual_rms_m)])
+        for unit, value, std in zip(UNITS, _entries(joint), _entries(joint.std), strict=True):
+            shown = figure(None if value is None else value / unit, 5)
+            cells.append(shown if std is None else f"{shown} +- {figure(std / unit, 2)}")
+        rows.append([*cells, figure(joint.residual_rms_m / MM)])
     face.table("Arm, mm and degrees", ["joint", "type", "a", "alpha", "d", "theta", "residual"], rows)
     if any(std is not None for joint in done.joints for std in (*_entries(joint.std), joint.std.beta_rad)):
         face.say("Entries without a standard deviation are chosen, not measured.")
@@ -184,5 +182,5 @@ def _tell(done: IdentifyOutput, out: Path, face: CommandUI) -> None:
 
 
 def _entries(row: IdentifiedJoint | JointStd) -> tuple[float | None, float | None, float | None, float | None]:
-    """Return a, alpha, d and theta of a joint, or their standard deviations, in the order of FACTORS."""
+    """Return a, alpha, d and theta of a joint, or their standard deviations, in the order of UNITS."""
     return row.a_m, row.alpha_rad, row.d_m, row.theta_rad

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from armsight.cli.command_ui import CommandUI
+from armsight.units import DEG, MM, MS
 
 if TYPE_CHECKING:
     from armsight.app.schemas.base import PointStd, PoseOutput, PoseStd, RejectedFile
@@ -15,7 +16,6 @@ if TYPE_CHECKING:
     from armsight.app.schemas.machine import DoctorOutput
     from armsight.app.schemas.measure import DemoOutput, MeasureOutput, PoseErrors
 
-MM, DEG = 1e3, 57.29577951308232
 REJECTED_SHOWN = 8
 
 
@@ -32,7 +32,7 @@ def figure(value: float | None, digits: int = 3) -> str:
 def tip_rows(tip_m: Sequence[float], std: PointStd) -> list[list[str]]:
     """Return the rows of a point: axis, place and standard deviation in mm."""
     named = zip("xyz", tip_m, std.translation_m, strict=True)
-    return [[axis, figure(MM * value, 6), figure(MM * deviation, 2)] for axis, value, deviation in named]
+    return [[axis, figure(value / MM, 6), figure(deviation / MM, 2)] for axis, value, deviation in named]
 
 
 def pose_rows(pose: PoseOutput, std: PoseStd) -> list[list[str]]:
@@ -40,7 +40,7 @@ def pose_rows(pose: PoseOutput, std: PoseStd) -> list[list[str]]:
     turns = zip("xyz", std.rotation_rad, strict=True)
     return [
         *tip_rows(pose.xyz_m, std),
-        *([f"about {axis}", "", f"{figure(DEG * deviation, 2)} deg"] for axis, deviation in turns),
+        *([f"about {axis}", "", f"{figure(deviation / DEG, 2)} deg"] for axis, deviation in turns),
     ]
 
 
@@ -57,8 +57,8 @@ def measure_tables(face: CommandUI, summary: MeasureOutput, out: Path) -> None:
     ]
     if summary.skew is not None:
         rows += [
-            ["right after left, ms mean", figure(summary.skew.mean_s * 1e3)],
-            ["right after left, ms largest", figure(summary.skew.largest_s * 1e3)],
+            ["right after left, ms mean", figure(summary.skew.mean_s / MS)],
+            ["right after left, ms largest", figure(summary.skew.largest_s / MS)],
             ["frames without a partner", str(summary.skew.n_dropped)],
         ]
     face.table("Measured", ["", ""], rows)
@@ -117,7 +117,7 @@ def stereo_tables(face: CommandUI, done: StereoOutput, out: Path) -> None:
     """Print a rig's calibration."""
     metric = done.metric
     rows = [
-        ["baseline, mm", figure(done.baseline_m * 1e3, 5)],
+        ["baseline, mm", figure(done.baseline_m / MM, 5)],
         ["baseline +-, mm", figure(_mm(done.std.get("baseline_m")), 2)],
         ["reprojection, px RMS", figure(done.rms_px)],
         ["... on left-out pairs", figure(done.holdout_rms_px)],
@@ -143,15 +143,15 @@ def doctor_tables(face: CommandUI, found: DoctorOutput) -> None:
         distances = [
             [
                 figure(row.depth_m),
-                figure(row.sigma_depth_m * 1e3),
-                figure(max(row.sigma_lateral_m) * 1e3),
+                figure(row.sigma_depth_m / MM),
+                figure(max(row.sigma_lateral_m) / MM),
                 "yes" if row.in_view else "no",
             ]
             for row in found.rig.distances
         ]
         face.table(
             f"A spot known to {figure(found.rig.sigma_px, 2)} px by a rig of "
-            f"{figure(found.rig.baseline_m * 1e3, 4)} mm baseline",
+            f"{figure(found.rig.baseline_m / MM, 4)} mm baseline",
             ["distance, m", "+- along it, mm", "+- across, mm", "in both views"],
             distances,
         )
@@ -177,8 +177,8 @@ def _truth_rows(truth: PoseErrors) -> list[list[str]]:
         (f"{name.removesuffix('_rad')}, deg", getattr(truth, name), DEG) for name in ("rx_rad", "ry_rad", "rz_rad")
     ]
     return [
-        [name, *(figure(factor * value) for value in (error.rms, error.max, error.claimed))]
-        for name, error, factor in named
+        [name, *(figure(value / unit) for value in (error.rms, error.max, error.claimed))]
+        for name, error, unit in named
     ]
 
 
@@ -190,4 +190,4 @@ def _rejected(face: CommandUI, rejected: Sequence[RejectedFile]) -> None:
 
 
 def _mm(value_m: float | None) -> float | None:
-    return None if value_m is None else value_m * 1e3
+    return None if value_m is None else value_m / MM

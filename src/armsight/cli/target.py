@@ -10,11 +10,11 @@ import typer
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.options import SRC, AsJson, Limit
 from armsight.cli.tables import figure
+from armsight.units import MM
 
 if TYPE_CHECKING:
     from armsight.app.schemas.handeye import LightTargetOutput
 
-MM = 1e3
 
 SHOWN = 8
 """Frames left out that are listed; the rest is in --json."""
@@ -57,11 +57,11 @@ def target(
 def target_tables(face: CommandUI, done: LightTargetOutput, out: Path) -> None:
     """Print a target's geometry."""
     rows = [
-        [name, *(figure(MM * x, 6) for x in xyz), " ".join(figure(MM * s, 2) for s in done.std[name])]
+        [name, *(figure(x / MM, 6) for x in xyz), " ".join(figure(s / MM, 2) for s in done.std[name])]
         for name, xyz in done.spots_m.items()
     ]
     face.table("Lights in the target's frame", ["", "x mm", "y mm", "z mm", "+- mm"], rows)
-    rows = [[name, figure(MM * d.value_m, 6), figure(MM * d.std_m, 2)] for name, d in done.distances_m.items()]
+    rows = [[name, figure(d.value_m / MM, 6), figure(d.std_m / MM, 2)] for name, d in done.distances_m.items()]
     face.table("Distances", ["", "mm", "+-"], rows)
     face.say(
         f"{done.n_used} of {done.n_frames} frames, residual {figure(done.residual_rms_px)} px RMS, "
