@@ -22,6 +22,7 @@ from armsight.store.targets import (
     target_mapping,
     write_target,
 )
+from armsight.store.spots_csv import read_spot_track
 from armsight.store.tracks import (
     PointsWriter,
     PosesWriter,
@@ -59,6 +60,7 @@ __all__ = [
     "read_points",
     "read_poses",
     "read_rig",
+    "read_spot_track",
     "read_spots",
     "read_table",
     "read_target",
