@@ -83,10 +83,8 @@ def record(truth: Truth, rng: np.random.Generator, path: Path | None = None) -> 
 def _track(truth: Truth, rig: Rig, way: Path, side: int, rng: np.random.Generator) -> SpotTrack:
     n = int(truth.seconds * truth.rates[side])
     t = rng.uniform(0.0, 1.0 / truth.rates[side]) + np.arange(n) / truth.rates[side]  # by the left clock
-    if side == 0:
-        stamp = t + truth.start_s
-    else:
-        stamp = (t + truth.start_s - truth.delay_s) / (1.0 + 1e-6 * truth.drift_ppm)
+    delay, rate = (truth.delay_s, 1.0 + 1e-6 * truth.drift_ppm) if side else (0.0, 1.0)
+    stamp = (t + truth.start_s - delay) / rate
     kept = rng.random(n) >= truth.lost
     kept[[0, -1]] = True
     t, stamp = t[kept], stamp[kept]

@@ -37,7 +37,7 @@ class SpotTrack:
         frame.setflags(write=False)
         object.__setattr__(self, "frame", frame)
         if frame.shape != (m,) or (
-            m and not (0 <= frame[0] and frame[-1] < len(self.t_s) and (np.diff(frame) >= 0).all())
+            m and not (frame[0] >= 0 and frame[-1] < len(self.t_s) and (np.diff(frame) >= 0).all())
         ):
             raise Inconsistent("each spot belongs to one of the frames, and spots come in the order of frames")
         if (np.diff(self.t_s) <= 0.0).any():

@@ -12,6 +12,7 @@ from armsight.store.rigs import (
     write_camera,
     write_rig,
 )
+from armsight.store.spots_csv import read_spot_track
 from armsight.store.tables import Table, read_table
 from armsight.store.targets import (
     BOARD_FORMS,
@@ -22,7 +23,6 @@ from armsight.store.targets import (
     target_mapping,
     write_target,
 )
-from armsight.store.spots_csv import read_spot_track
 from armsight.store.tracks import (
     PointsWriter,
     PosesWriter,

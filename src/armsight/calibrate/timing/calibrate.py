@@ -182,6 +182,6 @@ def _result(
         lost=(left.lost, right.lost),
         mid_s=mid_s,
         common_s=float(common.max() - common.min()),
-        residual_rms_px=solved.scale,
+        residual=solved.scale,
         lights=views.names,
     )

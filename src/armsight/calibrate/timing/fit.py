@@ -88,8 +88,7 @@ class PathModel:
 
     def smooth(self) -> Rows:
         """Return the equations that hold the jerk within what a hand can do."""
-        middle = self.grid.begin_s + (np.arange(self.grid.n_cells) + 0.5) * self.grid.spacing_s
-        first, weight = self.grid.basis(middle, 3)
+        first, weight = self.grid.basis(self.grid.middles, 3)
         columns = np.concatenate([self._columns(first, np.full(len(first), i)) for i in range(self.n_lights)])
         n = len(columns)
         values = np.zeros((n, 3, ORDER, 3))
@@ -99,8 +98,7 @@ class PathModel:
 
     def rigid(self, c: Array, distances: Array) -> Rows:
         """Return the equations that hold the lights' distances (p,), linear about paths c."""
-        middle = self.grid.begin_s + (np.arange(self.grid.n_cells) + 0.5) * self.grid.spacing_s
-        first, weight = self.grid.basis(middle)
+        first, weight = self.grid.basis(self.grid.middles)
         columns, values = [], []
         for a, b in self.views.pairs:
             both = np.stack(
@@ -127,7 +125,7 @@ class PathModel:
         t, _ = self.times_s(x)
         fixed = (self.seen(t), self.smooth())
         c, width = self.c, ORDER * self.n_lights * 3 - 1
-        parts = fixed
+        parts: tuple[Rows, ...] = fixed
         if not len(self.views.pairs):
             band = Band(parts, self.size, width)
             c = band.solution()
@@ -203,7 +201,7 @@ def depths(model: PathModel, x: Array) -> Array:
             consequence="No timing is given",
             cure="Check that left and right are not swapped, and that rig.yaml is of these cameras",
         )
-    return np.clip(depth, 0.2 * middle, 5.0 * middle)
+    return np.asarray(np.clip(depth, 0.2 * middle, 5.0 * middle))
 
 
 def distances_along(model: PathModel) -> Array:

@@ -20,8 +20,8 @@ GOOD_READOUT_S = 1e-3
 class TimingCalibration:
     """Timing of the left and right camera: t_left = t_right + delay_s + 1e-6 drift_ppm t_right.
 
-    covariance: of delay_s, drift_ppm, left.readout_s, right.readout_s, left.jitter_s, right.jitter_s. mid_s: right stamp
-    in the middle of what both saw, common_s: how long that was. residual_rms_px: of a coordinate, as many times the
+    covariance: of delay_s, drift_ppm, left.readout_s, right.readout_s, left.jitter_s, right.jitter_s. mid_s: right
+    stamp in the middle of what both saw, common_s: how long that was. residual: of a coordinate, as many times the
     standard deviation given for the spots. lost: frames missing between the first and the last one.
     """
 
@@ -35,7 +35,7 @@ class TimingCalibration:
     lost: tuple[int, int]
     mid_s: float
     common_s: float
-    residual_rms_px: Pair
+    residual: Pair
     lights: tuple[str, ...]
 
     @property
@@ -70,15 +70,16 @@ class TimingCalibration:
         std, out = self.std, []
         if self.delay_std_s > GOOD_DELAY_S:
             out.append(
-                f"the delay is known to {1e3 * self.delay_std_s:.2g} ms only: wave faster and up and down as well, for 20 s"
+                f"the delay is known to {1e3 * self.delay_std_s:.2g} ms only: wave faster, and up and down as well, "
+                "for 20 s"
             )
         if max(std["left.readout_s"], std["right.readout_s"]) > GOOD_READOUT_S:
             difference = self.covariance.block(("left.readout_s", "right.readout_s"))
             apart = float(np.sqrt(max(difference[0, 0] + difference[1, 1] - 2.0 * difference[0, 1], 0.0)))
             firm = "; their difference is firm" if apart <= GOOD_READOUT_S else ""
             out.append(
-                f"the read-outs are known to {1e3 * std['left.readout_s']:.2g} and {1e3 * std['right.readout_s']:.2g} ms "
-                f"only{firm}: wave a target of three lights or more, up and down, over the whole height of both images"
+                f"the read-outs are known to {1e3 * std['left.readout_s']:.2g} and "
+                f"{1e3 * std['right.readout_s']:.2g} ms only{firm}: wave a target of three lights or more, up and down, over the whole height of both images"
             )
         return tuple(out)
 

@@ -53,6 +53,11 @@ class Grid:
         """For each coordinate."""
         return self.n_cells + DEGREE
 
+    @property
+    def middles(self) -> Array:
+        """Middles of the cells in s."""
+        return np.asarray(self.begin_s + (np.arange(self.n_cells) + 0.5) * self.spacing_s, dtype=np.float64)
+
     def inside(self, t_s: Array) -> bool:
         """Tell whether all times lie on it."""
         return bool(((t_s >= self.begin_s) & (t_s <= self.begin_s + self.n_cells * self.spacing_s)).all())

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import isotonic_regression
 
 from armsight.errors import Inconsistent, NotEnoughData
 from armsight.records import frozen_array
@@ -19,6 +20,11 @@ TUKEY = 4.685
 """Where Tukey's weight ends, in standard deviations: 95 % efficient for normal noise."""
 EFFICIENCY = 0.95
 ROUNDS_OF_WEIGHTS = 20
+ROUNDS_OF_NUMBERS = 10
+MAX_JITTER = 0.25
+"""Of a period: stamps that scatter more do not tell which frame is which."""
+FOLLOW, FOLLOW_PERIOD = 0.1, 0.002
+"""Shares of a stamp's offset by which the clock and its period follow while frames are counted."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -65,18 +71,16 @@ def steady(stamps_s: Array, side: str) -> SteadyStamps:
             cure="Record 10 to 20 s",
         )
     number = _numbers(s)
-    for _ in range(3):
+    for _ in range(ROUNDS_OF_NUMBERS):
         offset, period, weight, jitter = _line(number, s)
-        if not period > 0.0:
-            break
-        again = np.rint((s - offset) / period).astype(np.int64)
-        again -= again[0]
+        again = _growing((s - offset) / period) if period > 0.0 else number
         if np.array_equal(again, number):
             break
         number = again
-    if not period > 0.0 or (np.diff(number) <= 0).any():
+    if not (period > 0.0 and jitter < MAX_JITTER * period):
         raise Inconsistent(
-            f"the stamps of the {side} camera follow no steady rate: frames are not a period apart",
+            f"the stamps of the {side} camera follow no steady rate: they scatter by {1e3 * jitter:.2g} ms about "
+            f"frames {1e3 * period:.3g} ms apart",
             consequence="Lost frames cannot be told from late ones; no timing is given",
             cure="Hold the frame rate fixed (no automatic exposure that changes it), and use the camera's own stamps",
         )
@@ -84,12 +88,27 @@ def steady(stamps_s: Array, side: str) -> SteadyStamps:
 
 
 def _numbers(s: Array) -> NDArray[np.int64]:
-    """Return frame numbers from the spacing of the stamps."""
+    """Return frame numbers from the spacing of the stamps, by a clock that follows them slowly."""
     step = np.diff(s)
     period = float(np.median(step))
     near = step[np.abs(step - period) < 0.5 * period]
     period = float(near.mean())  # jitter cancels
-    return np.concatenate([[0], np.cumsum(np.maximum(np.rint(step / period), 0.0))]).astype(np.int64)
+    number = np.zeros(len(s), np.int64)
+    expected = float(s[0])
+    for k in range(1, len(s)):
+        n = max(round((s[k] - expected) / period), 0)
+        off = s[k] - expected - n * period
+        expected += n * period + FOLLOW * off
+        period += FOLLOW_PERIOD * off / max(n, 1)
+        number[k] = number[k - 1] + n
+    return number
+
+
+def _growing(x: Array) -> NDArray[np.int64]:
+    """Return the growing whole numbers nearest to x (n,), the first one 0."""
+    k = np.arange(len(x))
+    number = np.rint(isotonic_regression(x - k).x).astype(np.int64) + k
+    return np.asarray(number - number[0])
 
 
 def _line(number: NDArray[np.int64], s: Array) -> tuple[float, float, Array, float]:
@@ -113,7 +132,7 @@ def _line(number: NDArray[np.int64], s: Array) -> tuple[float, float, Array, flo
 def _steady(
     s: Array, number: NDArray[np.int64], weight: Array, period: float, offset: float, jitter: float
 ) -> SteadyStamps:
-    fitted = offset + period * number
+    fitted = np.asarray(offset + period * number, dtype=np.float64)
     r = s - fitted
     kept = np.abs(r) <= TUKEY * jitter if jitter > 0.0 else np.ones(len(s), bool)
     n = int(kept.sum())

@@ -45,9 +45,9 @@ class Views:
         rows = ("side", "light", "stamp_s", "line", "A", "b", "depth_row", "depth_off")
         return Views(**{name: getattr(self, name)[kept] for name in rows}, names=self.names, pairs=self.pairs)
 
-    def scaled(self, std: Sequence[float]) -> Views:
+    def scaled(self, std: Array) -> Views:
         """Return them with the standard deviations of the left and the right spots multiplied by these."""
-        factor = 1.0 / np.asarray(std)[self.side]
+        factor = 1.0 / std[self.side]
         A, b = self.A * factor[:, None, None], self.b * factor[:, None]
         rows = ("side", "light", "stamp_s", "line", "depth_row", "depth_off", "names", "pairs")
         return Views(**{name: getattr(self, name) for name in rows}, A=A, b=b)
@@ -78,7 +78,7 @@ def views_of(rig: Rig, tracks: Sequence[SpotTrack], clocks: Sequence[SteadyStamp
         parts.setdefault("stamp_s", []).append(clock.t_s[track.frame[kept]])
         parts.setdefault("line", []).append(track.uv_px[kept, 1] / (rig.camera(side).height - 1) - 0.5)
     columns = {key: np.concatenate(values) for key, values in parts.items()}
-    seen = np.isfinite(columns["A"]).all(axis=(1, 2))
+    seen = np.asarray(np.isfinite(columns["A"]).all(axis=(1, 2)))
     return Views(
         side=columns["side"].astype(np.intp),
         light=columns["light"].astype(np.intp),
