@@ -77,9 +77,10 @@ class TimingCalibration:
             difference = self.covariance.block(("left.readout_s", "right.readout_s"))
             apart = float(np.sqrt(max(difference[0, 0] + difference[1, 1] - 2.0 * difference[0, 1], 0.0)))
             firm = "; their difference is firm" if apart <= GOOD_READOUT_S else ""
+            known = " and ".join(f"{1e3 * std[f'{side}.readout_s']:.2g}" for side in ("left", "right"))
             out.append(
-                f"the read-outs are known to {1e3 * std['left.readout_s']:.2g} and "
-                f"{1e3 * std['right.readout_s']:.2g} ms only{firm}: wave a target of three lights or more, up and down, over the whole height of both images"
+                f"the read-outs are known to {known} ms only{firm}: wave a target of three lights, up and down, "
+                "over the whole height of both images"
             )
         return tuple(out)
 
