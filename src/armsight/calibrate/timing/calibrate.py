@@ -20,6 +20,7 @@ from armsight.calibrate.timing.fit import (
     distances_along,
     solve_model,
 )
+from armsight.calibrate.timing.naming import named_by_motion, only_light, usual_count
 from armsight.calibrate.timing.result import TimingCalibration
 from armsight.calibrate.timing.stamps import SteadyStamps, steady
 from armsight.calibrate.timing.views import Views, common_lights, views_of
@@ -52,12 +53,13 @@ def calibrate_timing(
 ) -> TimingCalibration:
     """Return the timing of both cameras of a rig, from the spots of waved lights in frames with their own stamps.
 
-    places_m: of a target's lights by name, where known. Raises Inconsistent (mirror rig, stamps without a steady rate,
-    views that never agree), NotEnoughData, Degenerate (too little motion), Ambiguous (periodic motion).
+    places_m: of a target's lights by name, where known. Lights without names are told apart by their motion. Raises
+    Inconsistent (mirror rig, stamps without a steady rate, views that never agree), NotEnoughData, Degenerate (too
+    little motion), Ambiguous (periodic motion).
     """
     _require_two_cameras(rig)
-    tracks = _named(left, right)
-    clocks = tuple(steady(track.t_s, side) for track, side in zip(tracks, SIDES, strict=True))
+    clocks = (steady(left.t_s, SIDES[0]), steady(right.t_s, SIDES[1]))
+    tracks = _named(rig, (left, right), clocks, len(places_m) if places_m else None)
     names = common_lights(*tracks)
     coarse = coarse_delay(rig, tracks, (clocks[0].t_s, clocks[1].t_s), names[0])
     views = _in_common(views_of(rig, tracks, clocks, names), coarse.delay_s)
@@ -75,22 +77,26 @@ def _require_two_cameras(rig: Rig) -> None:
         )
 
 
-def _named(left: SpotTrack, right: SpotTrack) -> tuple[SpotTrack, SpotTrack]:
-    """Return tracks whose lights have names."""
-    out = []
-    for side, track, other in ((SIDES[0], left, right), (SIDES[1], right, left)):
-        if any(track.names) or not len(track.names):
-            out.append(track)
-            continue
-        if not track.alone:
+def _named(
+    rig: Rig, tracks: tuple[SpotTrack, SpotTrack], clocks: tuple[SteadyStamps, SteadyStamps], n_lights: int | None
+) -> tuple[SpotTrack, SpotTrack]:
+    """Return tracks whose lights have names: as given, of the only light, or found from the motion."""
+    named = [any(track.names) for track in tracks]
+    if all(named):
+        return tracks
+    if any(named):
+        theirs = sorted(set(tracks[named.index(True)].names))
+        if len(theirs) > 1:
             raise NotEnoughData(
-                f"the {side} camera has frames with several spots, and they have no names",
-                consequence="Nobody can say which spot is which light from frame to frame",
-                cure="Name the lights in the column spot, or wave a single light before a dark ground",
+                f"the {SIDES[named.index(False)]} camera's spots have no names, the other one's have",
+                consequence="Nobody can say which spot is which light",
+                cure="Name the lights in both tables, or in none",
             )
-        theirs = sorted(set(other.names) - {""})
-        out.append(track.renamed(theirs[0] if len(theirs) == 1 else LIGHT))
-    return out[0], out[1]
+        tracks = (tracks[0].renamed(""), tracks[1].renamed(""))
+    count = n_lights or usual_count(tracks)
+    if count > 1:
+        return named_by_motion(rig, tracks, (clocks[0].t_s, clocks[1].t_s), count)
+    return only_light(tracks[0], LIGHT), only_light(tracks[1], LIGHT)
 
 
 def _in_common(views: Views, delay_s: float) -> Views:
