@@ -221,6 +221,42 @@ def test_recordings_of_different_times_are_refused() -> None:
     refused(Inconsistent, "in common", rig, left, later)
 
 
+def test_a_rig_of_other_cameras_is_refused() -> None:
+    rig, left, right = record(Truth(), np.random.default_rng(1))
+    for angle, match in ((0.008, "do not fit"), (0.1, "no delay")):
+        turned = RigidTransform.from_components(rig.T_rig_right.translation, Rotation.from_euler("x", angle))
+        refused(Inconsistent, match, replace(rig, T_rig_right=turned), left, right)
+
+
+def test_one_recording_given_twice_is_refused() -> None:
+    rig, left, _ = record(Truth(), np.random.default_rng(1))
+    refused(Inconsistent, "the same", rig, left, left)
+
+
+def test_lights_without_names_are_told_apart_by_their_motion() -> None:
+    truth = CASES["25 and 50"]
+    rng = np.random.default_rng(8)
+    rig, left, right = record(truth, rng)
+    found = calibrate_timing(rig, _unnamed(left, rng), _unnamed(right, rng))
+    e, s = off(truth, found)
+    assert found.lights == ("1", "2", "3")
+    assert (np.abs(e) < 4.0 * s).all() and abs(e[0]) < 2e-4
+    with pytest.raises(NotEnoughData, match="no names"):
+        calibrate_timing(rig, left, _unnamed(right, rng))
+
+
+def _unnamed(track: SpotTrack, rng: np.random.Generator) -> SpotTrack:
+    """The spots of each frame in any order, without names."""
+    order = np.lexsort((rng.random(len(track.frame)), track.frame))
+    return replace(
+        track,
+        frame=track.frame[order],
+        names=("",) * len(order),
+        uv_px=track.uv_px[order],
+        covariance_px2=track.covariance_px2[order],
+    )
+
+
 def test_a_mirror_rig_is_refused() -> None:
     rig, left, right = record(Truth(), np.random.default_rng(1))
     refused(Inconsistent, "mirror", replace(rig, kind=RigKind.MIRROR), left, right)
@@ -236,6 +272,12 @@ def test_stamps_without_a_rate_are_refused() -> None:
 def test_too_few_frames_and_no_common_light_are_refused() -> None:
     rig, left, right = record(Truth(seconds=0.6), np.random.default_rng(1))
     refused(NotEnoughData, "frames", rig, left, right)
+    rig, left, right = record(Truth(lights=1), np.random.default_rng(1))
+    few = left.frame < 20
+    names = ("",) * int(few.sum())
+    kept = {"uv_px": left.uv_px[few], "covariance_px2": left.covariance_px2[few]}
+    seen = replace(left, frame=left.frame[few], names=names, **kept)
+    refused(NotEnoughData, "20 left", rig, seen, right)
     rig, left, right = record(Truth(), np.random.default_rng(1))
     refused(NotEnoughData, "both cameras", rig, left, right.renamed("X") if right.alone else _other(right))
 

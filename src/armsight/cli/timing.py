@@ -80,6 +80,7 @@ def timing_tables(face: CommandUI, done: TimingOutput, out: Path) -> None:
     ]
     face.table("Right stamps to left ones", ["", "", "+-"], rows)
     face.say(f"{done.n_frames} frames, {done.common_s:.1f} s seen by both cameras, lights: {', '.join(done.lights)}")
+    face.say(f"Residual {figure(done.residual_px.left)} and {figure(done.residual_px.right)} px RMS")
     face.say(f"Verdict: {done.verdict}")
     face.say(f"Result: {out}")
 

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.schemas.timing import BothCounts, BothScales, BothSeconds, TimingOutput
+from armsight.app.schemas.timing import BothCounts, BothPixels, BothSeconds, TimingOutput
 from armsight.app.sources.frames import RecordedFrames, is_recording, open_source
 from armsight.calibrate.timing import TimingCalibration, calibrate_timing
-from armsight.drivers import FrameSource
+from armsight.drivers import FrameSource, is_live
 from armsight.errors import Cancelled, Inconsistent, UsageError
 from armsight.measure.poses.stationary_lights import without_standing
 from armsight.measure.settings import SpotSettings
@@ -72,7 +72,7 @@ def timing_output(done: TimingCalibration) -> TimingOutput:
         lost=BothCounts(left=done.lost[0], right=done.lost[1]),
         common_s=done.common_s,
         lights=list(done.lights),
-        residual=BothScales(left=done.residual[0], right=done.residual[1]),
+        residual_px=BothPixels(left=done.residual_px[0], right=done.residual_px[1]),
         verdict=done.verdict,
         advice=list(done.advice()),
     )
@@ -91,6 +91,7 @@ def _places(target: Target | None) -> dict[str, Array] | None:
 def _tracks(job: TimingJob, rig: Rig, progress: Progress) -> tuple[SpotTrack, SpotTrack]:
     frames, tables = (job.left, job.right), (job.left_spots, job.right_spots)
     if all(frames) and not any(tables):
+        _require_recorded(*frames)
         sides = [_seen(job, rig, side, text or "", progress) for side, text in zip(SIDES, frames, strict=True)]
         return sides[0], sides[1]
     if all(tables) and not any(frames):
@@ -99,6 +100,16 @@ def _tracks(job: TimingJob, rig: Rig, progress: Progress) -> tuple[SpotTrack, Sp
     raise UsageError(
         "which frames?", cure="Give --left and --right, or --left-spots and --right-spots, one of each camera"
     )
+
+
+def _require_recorded(*sources: str | None) -> None:
+    live = [text for text in sources if text is not None and is_live(text)]
+    if live:
+        raise UsageError(
+            f"{live[0]} is a live camera, and the cameras are read one after the other here",
+            cure="Record both first: armsight record --left ... --right ... -o wave.mcap, and give --left wave.mcap "
+            "--right wave.mcap",
+        )
 
 
 def _seen(job: TimingJob, rig: Rig, side: str, text: str, progress: Progress) -> SpotTrack:

@@ -21,11 +21,11 @@ class BothCounts(Output):
     right: int = Field(description="Of the right camera.")
 
 
-class BothScales(Output):
-    """A number of each camera."""
+class BothPixels(Output):
+    """A distance in the image of each camera."""
 
-    left: float = Field(description="Of the left camera.")
-    right: float = Field(description="Of the right camera.")
+    left: float = Field(description="Of the left camera, px.", json_schema_extra={"unit": "px"})
+    right: float = Field(description="Of the right camera, px.", json_schema_extra={"unit": "px"})
 
 
 class TimingOutput(Output):
@@ -48,8 +48,6 @@ class TimingOutput(Output):
     lost: BothCounts = Field(description="Frames missing, recognised from the spacing of the stamps.")
     common_s: float = Field(description="How long both cameras saw the lights, s.")
     lights: list[str] = Field(description="Lights used.")
-    residual: BothScales = Field(
-        description="RMS residual of a spot's coordinate over the standard deviation given for it."
-    )
+    residual_px: BothPixels = Field(description="RMS residual of a spot's coordinate.")
     verdict: str = Field(description="Whether the result can be trusted, in words.")
     advice: list[str] = Field(description="What would make the result surer.")

@@ -33,6 +33,10 @@ Array = NDArray[np.float64]
 
 OUTLIER = 6.0
 """Whitened residuals beyond this many times the robust scale are other lights or touched spots."""
+COARSE_PERIODS = 2.0
+"""By how many frames the fine delay may differ from the coarse one: line times and drift shift it by half a frame."""
+MAX_RESIDUAL_PX = 2.0
+"""Forty times a spot's noise: another rig, or other lights."""
 LIGHT = "light"
 """Name of the only light, where nobody named it."""
 FIRST_SPACING = 3.0
@@ -45,7 +49,7 @@ DISTANCE_STD_M = 1e-3
 class _Solved:
     fit: Fit
     model: PathModel
-    scale: tuple[float, float]
+    rms_px: tuple[float, float]
 
 
 def calibrate_timing(
@@ -58,13 +62,16 @@ def calibrate_timing(
     little motion), Ambiguous (periodic motion).
     """
     _require_two_cameras(rig)
+    _require_two_recordings(left, right)
     clocks = (steady(left.t_s, SIDES[0]), steady(right.t_s, SIDES[1]))
     tracks = _named(rig, (left, right), clocks, len(places_m) if places_m else None)
     names = common_lights(*tracks)
     coarse = coarse_delay(rig, tracks, (clocks[0].t_s, clocks[1].t_s), names[0])
     views = _in_common(views_of(rig, tracks, clocks, names), coarse.delay_s)
     mid_s = float(np.mean(views.stamp_s[views.side == 1]))
-    solved = _solve(views, coarse.delay_s, mid_s, max(clock.period_s for clock in clocks), places_m or {})
+    period_s = max(clock.period_s for clock in clocks)
+    solved = _solve(views, coarse.delay_s, mid_s, period_s, places_m or {})
+    _require_fit(solved, coarse.delay_s, period_s)
     return _result(solved, mid_s, clocks, (left, right))
 
 
@@ -74,6 +81,15 @@ def _require_two_cameras(rig: Rig) -> None:
             "a mirror rig has one camera: both views are of one exposure",
             consequence="There is no delay to be found",
             cure="Calibrate the timing of rigs with two cameras",
+        )
+
+
+def _require_two_recordings(left: SpotTrack, right: SpotTrack) -> None:
+    if np.array_equal(left.uv_px, right.uv_px):
+        raise Inconsistent(
+            "left and right are the same spots",
+            consequence="There is no delay to be found",
+            cure="Give the recording of each camera once",
         )
 
 
@@ -93,10 +109,23 @@ def _named(
                 cure="Name the lights in both tables, or in none",
             )
         tracks = (tracks[0].renamed(""), tracks[1].renamed(""))
-    count = n_lights or usual_count(tracks)
+    count = 1 if all(track.alone for track in tracks) else n_lights or usual_count(tracks)
     if count > 1:
         return named_by_motion(rig, tracks, (clocks[0].t_s, clocks[1].t_s), count)
     return only_light(tracks[0], LIGHT), only_light(tracks[1], LIGHT)
+
+
+def _require_fit(solved: _Solved, coarse_s: float, period_s: float) -> None:
+    """Raise Inconsistent where the fit contradicts the delay it started from, or leaves more than any spot's noise."""
+    moved = abs(float(solved.fit.shared[0]) - coarse_s)
+    if moved > COARSE_PERIODS * period_s or max(solved.rms_px) > MAX_RESIDUAL_PX:
+        raise Inconsistent(
+            f"the paths of the lights do not fit both views: {max(solved.rms_px):.2g} px remain, and the delay moved "
+            f"by {1e3 * moved:.0f} ms",
+            consequence="No timing is given",
+            cure="Check that left and right are recordings of two cameras, not swapped or the same, and that rig.yaml "
+            "is of these cameras",
+        )
 
 
 def _in_common(views: Views, delay_s: float) -> Views:
@@ -121,7 +150,7 @@ def _solve(views: Views, delay_s: float, mid_s: float, period_s: float, places_m
     for _ in range(2):
         depth = depths(build(views, spacing, mid_s, x, depth), x[:4])
     x[4:] = distances_along(build(views, spacing, mid_s, x, depth))
-    total = np.ones(2)
+    total, given = np.ones(2), [float(np.median(views.std_px[views.side == s])) for s in (0, 1)]
     for final in (False, True):
         model = build(views, spacing, mid_s, x, depth)
         scale = np.array(model.side_scales(model.fit_paths(x)))
@@ -134,7 +163,8 @@ def _solve(views: Views, delay_s: float, mid_s: float, period_s: float, places_m
             views, depth = views.take(kept), depth[kept]
             spacing, _ = best_spacing(views, period_s, mid_s, x, depth)
             depth = depths(build(views, spacing, mid_s, x, depth), x)
-    return _Solved(fit=fit, model=model, scale=(float(total[0] * fit.scale), float(total[1] * fit.scale)))
+    left, right = (total * fit.scale).tolist()
+    return _Solved(fit=fit, model=model, rms_px=(left * given[0], right * given[1]))
 
 
 def _kept(model: PathModel, x: Array) -> NDArray[np.bool_]:
@@ -188,6 +218,6 @@ def _result(
         lost=(left.lost, right.lost),
         mid_s=mid_s,
         common_s=float(common.max() - common.min()),
-        residual=solved.scale,
+        residual_px=solved.rms_px,
         lights=views.names,
     )

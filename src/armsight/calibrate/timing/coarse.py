@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import argrelmin
 
-from armsight.errors import Ambiguous, Degenerate, Inconsistent
+from armsight.errors import Ambiguous, Degenerate, Inconsistent, NotEnoughData
 from armsight.optics import SIDES, Rig
 from armsight.records import SpotTrack
 
@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 
 MAX_DELAY_S = 30.0
 STEP_S = 0.01
+FEWEST_SPOTS = 30
 MIN_COMMON_S = 4.0
 """Of motion seen by both cameras."""
 RATE_HZ = 20.0
@@ -44,11 +45,17 @@ class Coarse:
 def coarse_delay(rig: Rig, tracks: tuple[SpotTrack, SpotTrack], times_s: tuple[Array, Array], name: str) -> Coarse:
     """Return the delay that turns the right camera's times into the left one's, from the light of this name.
 
-    times_s: of the frames of each camera. Raises Inconsistent where no delay up to MAX_DELAY_S brings the views
-    together, Degenerate where the light hardly moves, Ambiguous where several delays fit.
+    times_s: of the frames of each camera. Raises NotEnoughData, Inconsistent where no delay up to MAX_DELAY_S brings
+    the views together, Degenerate where the light hardly moves, Ambiguous where several delays fit.
     """
     rows = [track.light(name) for track in tracks]
     t = [time[track.frame[i]] for track, time, i in zip(tracks, times_s, rows, strict=True)]
+    if min(len(each) for each in t) < FEWEST_SPOTS:
+        raise NotEnoughData(
+            f"the light was seen in {len(t[0])} left and {len(t[1])} right frames",
+            consequence="No timing is given",
+            cure="Wave the target for 10 to 20 s where both cameras see it; set --threshold where lights are not found",
+        )
     d = [_directions(rig, side, track.uv_px[i]) for side, track, i in zip(SIDES, tracks, rows, strict=True)]
     thin = max(1, round(len(t[0]) / max(float(np.ptp(t[0])) * RATE_HZ, 1.0)))
     normal = np.cross(rig.T_rig_right.translation - rig.T_rig_left.translation, d[0][::thin])
@@ -118,6 +125,6 @@ def _chosen(delays: Array, rms: Array) -> Coarse:
         raise Ambiguous(
             f"the motion repeats itself: delays of {delays[best]:.2f} s and {other:.2f} s both fit",
             consequence="A delay of whole periods fits as well as the right one; no timing is given",
-            cure="Wave irregularly, with changes of direction and pace",
+            cure="Wave irregularly, with changes of direction and pace; check that rig.yaml is of these cameras",
         )
     return Coarse(delay_s=float(delays[best]), rms_px=least, typical_px=typical)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from armsight.calibrate.timing.splines import ORDER, Band, Grid, Rows, times, transposed_times
 from armsight.calibrate.timing.views import Views
-from armsight.errors import NotEnoughData
+from armsight.errors import Inconsistent
 from armsight.fitting import Evaluation, Fit, Prior, Problem, Settings, solve
 
 Array = NDArray[np.float64]
@@ -190,13 +190,13 @@ def build(views: Views, spacing_s: float, mid_s: float, x: Array, depth: Array) 
 
 
 def depths(model: PathModel, x: Array) -> Array:
-    """Return the depth (m,) of each view along the model's paths. Raises NotEnoughData where they lie behind."""
+    """Return the depth (m,) of each view along the model's paths. Raises Inconsistent where they lie behind."""
     first, weight = model.grid.basis(model.times_s(x)[0])
     X = np.einsum("mj,mjk->mk", weight, model.c[model._columns(first, model.views.light)].reshape(-1, ORDER, 3))
     depth = np.einsum("mk,mk->m", model.views.depth_row, X) + model.views.depth_off
     middle = float(np.median(depth))
     if not middle > 0.0:
-        raise NotEnoughData(
+        raise Inconsistent(
             "the lights seem to lie behind the cameras",
             consequence="No timing is given",
             cure="Check that left and right are not swapped, and that rig.yaml is of these cameras",

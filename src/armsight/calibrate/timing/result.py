@@ -14,6 +14,8 @@ Pair = tuple[float, float]
 GOOD_DELAY_S = 1e-3
 """At 0.5 m/s this is half a millimetre."""
 GOOD_READOUT_S = 1e-3
+LARGE_RESIDUAL_PX = 0.5
+"""Lights are found to 0.02 to 0.1 px."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -21,8 +23,8 @@ class TimingCalibration:
     """Timing of the left and right camera: t_left = t_right + delay_s + 1e-6 drift_ppm t_right.
 
     covariance: of delay_s, drift_ppm, left.readout_s, right.readout_s, left.jitter_s, right.jitter_s. mid_s: right
-    stamp in the middle of what both saw, common_s: how long that was. residual: of a coordinate, as many times the
-    standard deviation given for the spots. lost: frames missing between the first and the last one.
+    stamp in the middle of what both saw, common_s: how long that was. residual_px: of a coordinate, RMS. lost: frames
+    missing between the first and the last one.
     """
 
     delay_s: float
@@ -35,7 +37,7 @@ class TimingCalibration:
     lost: tuple[int, int]
     mid_s: float
     common_s: float
-    residual: Pair
+    residual_px: Pair
     lights: tuple[str, ...]
 
     @property
@@ -68,6 +70,11 @@ class TimingCalibration:
     def advice(self) -> tuple[str, ...]:
         """Return what would make the result surer; empty where nothing is needed."""
         std, out = self.std, []
+        if max(self.residual_px) > LARGE_RESIDUAL_PX:
+            out.append(
+                f"{max(self.residual_px):.2g} px RMS remain: check that rig.yaml is of these cameras as they stand "
+                "now, and that exposures are short"
+            )
         if self.delay_std_s > GOOD_DELAY_S:
             out.append(
                 f"the delay is known to {1e3 * self.delay_std_s:.2g} ms only: wave faster, and up and down as well, "

@@ -22,14 +22,15 @@ STEP_PX = 0.5
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Views:
     """Spots (m,) of both cameras: side 0 left, 1 right; light; frame time by the camera's own steady clock; line from
-    -0.5 to 0.5; equations A (m, 2, 3) X = b (m, 2) of a point in rig axes, whitened but for its depth, which is
-    depth_row (m, 3) X + depth_off (m,). pairs (p, 2): lights whose distance is one and the same at all times.
+    -0.5 to 0.5; std_px as given; equations A (m, 2, 3) X = b (m, 2) of a point in rig axes, whitened but for its depth,
+    which is depth_row (m, 3) X + depth_off (m,). pairs (p, 2): lights whose distance is one and the same at all times.
     """
 
     side: NDArray[np.intp]
     light: NDArray[np.intp]
     stamp_s: Array
     line: Array
+    std_px: Array
     A: Array
     b: Array
     depth_row: Array
@@ -42,14 +43,14 @@ class Views:
 
     def take(self, kept: NDArray[np.bool_]) -> Views:
         """Return some of them."""
-        rows = ("side", "light", "stamp_s", "line", "A", "b", "depth_row", "depth_off")
+        rows = ("side", "light", "stamp_s", "line", "std_px", "A", "b", "depth_row", "depth_off")
         return Views(**{name: getattr(self, name)[kept] for name in rows}, names=self.names, pairs=self.pairs)
 
     def scaled(self, std: Array) -> Views:
         """Return them with the standard deviations of the left and the right spots multiplied by these."""
         factor = 1.0 / std[self.side]
         A, b = self.A * factor[:, None, None], self.b * factor[:, None]
-        rows = ("side", "light", "stamp_s", "line", "depth_row", "depth_off", "names", "pairs")
+        rows = ("side", "light", "stamp_s", "line", "std_px", "depth_row", "depth_off", "names", "pairs")
         return Views(**{name: getattr(self, name) for name in rows}, A=A, b=b)
 
 
@@ -76,13 +77,15 @@ def views_of(rig: Rig, tracks: Sequence[SpotTrack], clocks: Sequence[SteadyStamp
         parts.setdefault("side", []).append(np.full(len(kept), s))
         parts.setdefault("light", []).append(np.array([names.index(track.names[i]) for i in kept]))
         parts.setdefault("stamp_s", []).append(clock.t_s[track.frame[kept]])
+        spread = np.sqrt(np.trace(track.covariance_px2[kept], axis1=1, axis2=2) / 2.0)
+        parts.setdefault("std_px", []).append(spread)
         parts.setdefault("line", []).append(track.uv_px[kept, 1] / (rig.camera(side).height - 1) - 0.5)
     columns = {key: np.concatenate(values) for key, values in parts.items()}
     seen = np.asarray(np.isfinite(columns["A"]).all(axis=(1, 2)))
     return Views(
         side=columns["side"].astype(np.intp),
         light=columns["light"].astype(np.intp),
-        **{key: columns[key] for key in ("stamp_s", "line", "A", "b", "depth_row", "depth_off")},
+        **{key: columns[key] for key in ("stamp_s", "line", "std_px", "A", "b", "depth_row", "depth_off")},
         names=names,
         pairs=rigid_pairs(len(names)),
     ).take(seen)
