@@ -167,6 +167,15 @@ def test_lost_frames_are_counted_and_jitter_is_measured() -> None:
         assert abs(got - true) < 4.0 * found.std[name] + 0.02 * true
 
 
+def test_stamps_that_come_late_now_and_then_do_no_harm() -> None:
+    truth = Truth(jitter_s=(5e-4, 5e-4))
+    rng = np.random.default_rng(9)
+    rig, left, right = record(truth, rng)
+    late = np.where(rng.random(len(left)) < 0.02, rng.uniform(0.0, 0.03, len(left)), 0.0)
+    e, s = off(truth, calibrate_timing(rig, replace(left, t_s=left.t_s + late), right, PLACES))
+    assert (np.abs(e) < 4.0 * s).all() and abs(e[0]) < 2e-4
+
+
 def test_one_beacon_before_parallel_cameras_tells_the_difference_of_the_read_outs_only() -> None:
     truth = Truth(lights=1, readout_s=(0.02, 0.014))
     found = calibrate_timing(*record(truth, np.random.default_rng(4)))
