@@ -278,6 +278,11 @@ def test_stamps_without_a_rate_are_refused() -> None:
     refused(Inconsistent, "no steady rate", rig, wild, right)
 
 
+def test_stamps_that_count_from_1970_are_refused() -> None:
+    rig, left, right = record(Truth(start_s=1.7e9), np.random.default_rng(1))
+    refused(Inconsistent, "days ago", rig, left, right)
+
+
 def test_too_few_frames_and_no_common_light_are_refused() -> None:
     rig, left, right = record(Truth(seconds=0.6), np.random.default_rng(1))
     refused(NotEnoughData, "frames", rig, left, right)

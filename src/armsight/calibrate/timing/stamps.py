@@ -20,6 +20,8 @@ TUKEY = 4.685
 """Where Tukey's weight ends, in standard deviations: 95 % efficient for normal noise."""
 EFFICIENCY = 0.95
 ROUNDS_OF_WEIGHTS = 20
+MAX_STAMP_S = 1e7
+"""Stamps that count from 1970 would give a delay of hours, known to hours, that no double can hold to a millisecond."""
 ROUNDS_OF_NUMBERS = 10
 MAX_JITTER = 0.25
 """Of a period: stamps that scatter more do not tell which frame is which."""
@@ -61,7 +63,8 @@ class SteadyStamps:
 def steady(stamps_s: Array, side: str) -> SteadyStamps:
     """Return the steady clock behind the stamps (n,) of a camera, by a robust line of stamp over frame number.
 
-    Raises NotEnoughData for fewer than FEWEST_FRAMES, Inconsistent where no steady clock explains the stamps.
+    Raises NotEnoughData for fewer than FEWEST_FRAMES, Inconsistent for stamps beyond MAX_STAMP_S, and where no steady
+    clock explains the stamps.
     """
     s = np.asarray(stamps_s, float)
     if len(s) < FEWEST_FRAMES:
@@ -69,6 +72,12 @@ def steady(stamps_s: Array, side: str) -> SteadyStamps:
             f"the {side} camera has {len(s)} frames",
             consequence="Its clock cannot be told from the jitter of its stamps",
             cure="Record 10 to 20 s",
+        )
+    if np.abs(s).max() > MAX_STAMP_S:
+        raise Inconsistent(
+            f"the stamps of the {side} camera count from {np.abs(s).max() / 86400.0:.0f} days ago",
+            consequence="The delay at stamp 0 and the drift since then cannot be told apart; no timing is given",
+            cure="Take the same number off all stamps of both cameras, here and when measuring, to begin near 0",
         )
     number = _numbers(s)
     for _ in range(ROUNDS_OF_NUMBERS):
