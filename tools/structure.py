@@ -46,6 +46,7 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
         "cli/mirrors.py:mirrors": FLAGS,
         "cli/record.py:record": FLAGS,
         "cli/target.py:target": FLAGS,
+        "cli/timing.py:timing": FLAGS,
     },
     "long kernels": {"*": LOOPS},
     "kernels' arguments": {"*": COMPILED},

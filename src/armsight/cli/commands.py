@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from armsight.cli import arm, handeye, mirrors, target
+from armsight.cli import arm, handeye, mirrors, target, timing
 from armsight.cli.calibrate import calibrate
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.convert import convert
@@ -32,6 +32,7 @@ handeye.add_to(calibrate)
 arm.add_to(calibrate)
 mirrors.add_to(calibrate)
 target.add_to(calibrate)
+timing.add_to(calibrate)
 convert.command("arm")(convert_arm)
 app.add_typer(convert, name="convert")
 app.command()(record)

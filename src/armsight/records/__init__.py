@@ -11,6 +11,7 @@ from armsight.records.progress import Progress, Silent
 from armsight.records.saving import Saveable
 from armsight.records.target import Colour, Target, TargetKind, board_target, spot_target, unmeasured_target
 from armsight.records.timing import AT_ONCE, CameraTiming
+from armsight.records.tracks import SpotTrack
 
 __all__ = [
     "AT_ONCE",
@@ -28,6 +29,7 @@ __all__ = [
     "Progress",
     "Saveable",
     "Silent",
+    "SpotTrack",
     "Spots",
     "Target",
     "TargetKind",

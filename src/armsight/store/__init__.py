@@ -12,6 +12,7 @@ from armsight.store.rigs import (
     write_camera,
     write_rig,
 )
+from armsight.store.spots_csv import read_spot_track
 from armsight.store.tables import Table, read_table
 from armsight.store.targets import (
     BOARD_FORMS,
@@ -59,6 +60,7 @@ __all__ = [
     "read_points",
     "read_poses",
     "read_rig",
+    "read_spot_track",
     "read_spots",
     "read_table",
     "read_target",

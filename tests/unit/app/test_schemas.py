@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-from armsight.app.schemas import arm, cameras, files, handeye, kinematics, machine, measure
+from armsight.app.schemas import arm, cameras, files, handeye, kinematics, machine, measure, timing
 from armsight.app.schemas.base import Output, PointStd, PoseOutput, PoseStd, absent
 from armsight.app.schemas.catalogue import OUTPUTS
 
@@ -74,6 +74,12 @@ KEYS: dict[type[Output], tuple[str, str]] = {
         "spots_m std distances_m n_frames n_used rejected residual_rms_px loo_rms_px advice",
         "",
     ),
+    OUTPUTS["calibrate-timing"]: (
+        "delay_s drift_ppm readout_s jitter_s std middle_s std_middle_s period_s n_frames lost common_s lights "
+        "residual_px verdict advice",
+        "",
+    ),
+    timing.BothSeconds: ("left right", ""),
     OUTPUTS["calibrate-handeye"]: (HANDEYE, HANDEYE_MAYBE),
     handeye.RejectedPair: ("row name why", ""),
     handeye.NoisePart: ("value", "std at_most"),

@@ -12,6 +12,7 @@ from armsight.store.foreign.format_detection import kind_of_mapping
 from armsight.store.foreign.kalibr import kalibr_rig
 from armsight.store.foreign.opencv import opencv_camera, opencv_rig
 from armsight.store.foreign.ros import ros_camera, ros_rig
+from armsight.store.spots_csv import parse_spot_track
 from armsight.store.tracks import POSE_COLUMNS, parse_joints, parse_poses, parse_times, parse_tum
 from armsight.store.worlds import world_from_mapping
 from armsight.store.yamls import dump_yaml, parse_yaml
@@ -28,7 +29,7 @@ def read(reader, *args):
     return None
 
 
-TABLES = (parse_poses, parse_joints, parse_times, parse_tum)
+TABLES = (parse_poses, parse_joints, parse_times, parse_tum, parse_spot_track)
 MAPPINGS = {
     "rig": store.rig_from_mapping,
     "target": store.target_from_mapping,
@@ -169,6 +170,7 @@ def test_any_bytes_as_table(data):
     for reader in TABLES:
         read(reader, data, "x.csv")
         read(reader, b"t_s,q1\n" + data, "x.csv")
+        read(reader, b"t_s,u_px,v_px\n" + data, "x.csv")
 
 
 cells = st.sampled_from(["0", "1", "", "-1", "1e308", "0.5", " ", "nan", "ok", "lost", "position_only", '"', "x"])
@@ -180,6 +182,17 @@ def test_any_cells_as_poses(rows):
     text = "\n".join([",".join(POSE_COLUMNS), *(",".join(row) for row in rows)])
     for pose in read(parse_poses, text.encode(), "poses.csv") or ():
         assert pose.covariance is None or np.isfinite(pose.covariance).all()
+
+
+@fuzz
+@given(st.lists(st.lists(cells, min_size=6, max_size=6), min_size=1, max_size=5))
+def test_any_cells_as_spots_of_a_camera(rows):
+    text = "\n".join(["t_s,u_px,v_px,su_px,sv_px,spot", *(",".join(row) for row in rows)])
+    track = read(parse_spot_track, text.encode(), "left.csv")
+    if track is not None:
+        assert len(track.names) == len(rows)
+        assert (np.diff(track.t_s) > 0.0).all()
+        assert (np.linalg.det(track.covariance_px2) > 0.0).all()
 
 
 @fuzz

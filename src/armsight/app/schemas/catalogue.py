@@ -21,6 +21,7 @@ from armsight.app.schemas.kinematics import (
 )
 from armsight.app.schemas.machine import DoctorOutput
 from armsight.app.schemas.measure import DemoOutput, MeasureOutput
+from armsight.app.schemas.timing import TimingOutput
 
 OUTPUTS: Mapping[str, type[Output]] = MappingProxyType(
     {
@@ -32,6 +33,7 @@ OUTPUTS: Mapping[str, type[Output]] = MappingProxyType(
         "calibrate-mirrors": MirrorsOutput,
         "calibrate-mirrors-check": MirrorCheckOutput,
         "calibrate-target": LightTargetOutput,
+        "calibrate-timing": TimingOutput,
         "calibrate-handeye": HandEyeOutput,
         "calibrate-tooltip": TipOutput,
         "calibrate-pivot": PivotOutput,

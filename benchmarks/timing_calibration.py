@@ -1,0 +1,86 @@
+"""Timing of two free-running cameras from a waved target: errors, claims, how often 95 % intervals hold, and time.
+
+Run with --quick for a tenth of the runs. A target of three lights (or one beacon) is waved irregularly at 0.5 m/s, RMS,
+0.8 m before 1280x720 cameras (f = 950 px) for 15 s; spots have 0.05 px, 2 % of the frames are lost, stamps jitter. The
+delay's error is that in the middle of the recording. The recordings are made in tests/truth/test_timing_calibration.py.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+
+import bench
+from armsight.calibrate.timing import calibrate_timing
+from armsight.errors import DataRefused
+from armsight.units import MS
+
+SCENE = Path(__file__).resolve().parents[1] / "tests" / "truth" / "test_timing_calibration.py"
+
+
+def scene() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("timing_scene", SCENE)
+    if spec is None or spec.loader is None:
+        raise SystemExit(f"no {SCENE}")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="a tenth of the runs")
+    runs = 20 if parser.parse_args().quick else 200
+    made = scene()
+    base = made.Truth(jitter_s=(1e-3, 5e-4), drift_ppm=80.0)
+    cases = {
+        "30 and 30": replace(base, delay_s=3.217),
+        "25 and 50": replace(base, rates=(25.0, 50.0), readout_s=(0.03, 0.012), delay_s=-7.3),
+        "29.97 and 60, left global": replace(base, rates=(29.97, 60.0), readout_s=(0.0, 0.014), delay_s=0.4),
+        "30 and 30, no jitter": replace(base, jitter_s=(0.0, 0.0)),
+        "30 and 30, 0.2 m/s": replace(base, speed=0.2),
+        "30 and 30, one beacon, right camera on its side": replace(
+            base, lights=1, portrait=True, baseline_m=0.3, turned_rad=0.3
+        ),
+        "30 and 30, one beacon, parallel cameras": replace(base, lights=1),
+    }
+    print(bench.machine())
+    errors, holds = [], []
+    for name, truth in cases.items():
+        off, claims, refused, lost, begin = [], [], 0, 0, time.perf_counter()
+        for seed in range(runs):
+            rig, left, right = made.record(truth, np.random.default_rng(seed))
+            try:
+                found = calibrate_timing(rig, left, right, made.PLACES)
+            except DataRefused:
+                refused += 1
+                continue
+            e, s = made.off(truth, found)
+            off.append(e)
+            claims.append(s)
+            frames = [int(truth.seconds * rate) for rate in truth.rates]
+            lost += found.lost == (frames[0] - len(left), frames[1] - len(right))
+        took_s = (time.perf_counter() - begin) / runs
+        e, s = np.abs(off), np.array(claims)
+        unit = np.array([MS, 1.0, MS, MS])
+        p95 = np.percentile(e, 95, axis=0) / unit
+        errors.append([name, *(float(x) for x in np.median(e, axis=0) / unit), *(float(x) for x in p95), took_s])
+        inside = 100.0 * np.mean(e < 1.96 * s, axis=0)
+        holds.append([name, *(float(x) for x in inside), f"{lost} of {runs - refused}", refused])
+    figures = ["delay ms", "drift ppm", "left read-out ms", "right read-out ms"]
+    head = ["rates, Hz", *(f"{f}, median" for f in figures), *(f"{f}, 95th percentile" for f in figures), "s a run"]
+    bench.table(f"Absolute errors, {runs} runs of 15 s", head, errors)
+    head = ["rates, Hz", *figures, "lost frames counted right", "refused"]
+    bench.table("How often 95 % intervals hold, %", head, holds)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,154 @@
+"""A waved target of lights in, the timing of both cameras out: rig.yaml with `timing`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.app.schemas.timing import BothCounts, BothPixels, BothSeconds, TimingOutput
+from armsight.app.sources.frames import RecordedFrames, is_recording, open_source
+from armsight.calibrate.timing import TimingCalibration, calibrate_timing
+from armsight.drivers import FrameSource, is_live
+from armsight.errors import Cancelled, Inconsistent, UsageError
+from armsight.measure.poses.stationary_lights import without_standing
+from armsight.measure.settings import SpotSettings
+from armsight.measure.spots import find_spots
+from armsight.optics import SIDES, Rig
+from armsight.records import Progress, Silent, Spots, SpotTrack, Target
+from armsight.store import read_rig, read_spot_track, read_target, write_rig
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TimingJob:
+    """Sources of frames as on the command line, or tables of spots; for each camera by itself."""
+
+    rig: Path
+    out: Path
+    target: Path | None = None
+    left: str | None = None
+    right: str | None = None
+    left_spots: Path | None = None
+    right_spots: Path | None = None
+    fps: float | None = None
+    limit: int | None = None
+    threshold: float | None = None
+    inverted: bool = False
+
+
+def calibrate_cameras_timing(job: TimingJob, progress: Progress | None = None) -> TimingOutput:
+    """Find the timing, write rig.yaml with it, and return the figures as --json gives them.
+
+    Raises UsageError, DataRefused (as calibrate_timing, and frames of another size), DeviceFailed, Cancelled.
+    """
+    rig = read_rig(job.rig)
+    target = None if job.target is None else read_target(job.target)
+    left, right = _tracks(job, rig, progress or Silent())
+    done = calibrate_timing(rig, left, right, _places(target))
+    timing = tuple(
+        found if before is None else replace(found, exposure_s=before.exposure_s)
+        for found, before in zip(done.cameras(), rig.timing, strict=True)
+    )
+    write_rig(job.out, replace(rig, timing=(timing[0], timing[1])), inputs=[job.rig])
+    return timing_output(done)
+
+
+def timing_output(done: TimingCalibration) -> TimingOutput:
+    """Return the figures of a timing's calibration as --json gives them."""
+    return TimingOutput(
+        delay_s=done.delay_s,
+        drift_ppm=done.drift_ppm,
+        readout_s=_both(done.readout_s),
+        jitter_s=_both(done.jitter_s),
+        std=done.std,
+        middle_s=done.mid_s,
+        std_middle_s=done.delay_std_s,
+        period_s=_both(done.period_s),
+        n_frames=sum(done.n_frames),
+        lost=BothCounts(left=done.lost[0], right=done.lost[1]),
+        common_s=done.common_s,
+        lights=list(done.lights),
+        residual_px=BothPixels(left=done.residual_px[0], right=done.residual_px[1]),
+        verdict=done.verdict,
+        advice=list(done.advice()),
+    )
+
+
+def _both(values: tuple[float, float]) -> BothSeconds:
+    return BothSeconds(left=values[0], right=values[1])
+
+
+def _places(target: Target | None) -> dict[str, Array] | None:
+    if target is None or not target.model_known:
+        return None
+    return dict(zip(target.names, target.xyz_m, strict=True))
+
+
+def _tracks(job: TimingJob, rig: Rig, progress: Progress) -> tuple[SpotTrack, SpotTrack]:
+    frames, tables = (job.left, job.right), (job.left_spots, job.right_spots)
+    if all(frames) and not any(tables):
+        _require_recorded(*frames)
+        sides = [_seen(job, rig, side, text or "", progress) for side, text in zip(SIDES, frames, strict=True)]
+        return sides[0], sides[1]
+    if all(tables) and not any(frames):
+        read = [read_spot_track(path) for path in tables if path is not None]
+        return read[0], read[1]
+    raise UsageError(
+        "which frames?", cure="Give --left and --right, or --left-spots and --right-spots, one of each camera"
+    )
+
+
+def _require_recorded(*sources: str | None) -> None:
+    live = [text for text in sources if text is not None and is_live(text)]
+    if live:
+        raise UsageError(
+            f"{live[0]} is a live camera, and the cameras are read one after the other here",
+            cure="Record both first: armsight record --left ... --right ... -o wave.mcap, and give --left wave.mcap "
+            "--right wave.mcap",
+        )
+
+
+def _seen(job: TimingJob, rig: Rig, side: str, text: str, progress: Progress) -> SpotTrack:
+    """Return the spots of one camera's frames, those that stand still left out."""
+    settings = SpotSettings(threshold=job.threshold, inverted=job.inverted)
+    stamps, found = [], []
+    with _source(text, side, job.fps) as source:
+        for frame in source:
+            camera = rig.camera(side)
+            if (frame.width, frame.height) != (camera.width, camera.height):
+                raise Inconsistent(
+                    f"{frame.source} is {frame.width}x{frame.height} px, the rig's {side} camera "
+                    f"{camera.width}x{camera.height} px",
+                    consequence="No timing is given",
+                    cure="Record at the resolution of the calibration, or calibrate at this one",
+                )
+            stamps.append(frame.t_s)
+            found.append(find_spots(frame.image, settings))
+            progress.update(len(found), source.total or 0, f"looking for lights, {side}")
+            if progress.cancelled():
+                raise Cancelled(f"stopped after {len(found)} frames", consequence="Nothing was written")
+            if job.limit is not None and len(found) >= job.limit:
+                break
+    return spot_track(np.array(stamps), without_standing(found))
+
+
+def _source(text: str, side: str, fps: float | None) -> FrameSource:
+    if is_recording(text):
+        return RecordedFrames(text, side if text.lower().endswith(".mcap") else None)
+    return open_source(text, fps=fps)
+
+
+def spot_track(stamps_s: Array, found: list[Spots]) -> SpotTrack:
+    """Return the spots of frames without names."""
+    counts = [len(spots) for spots in found]
+    return SpotTrack(
+        t_s=stamps_s,
+        frame=np.repeat(np.arange(len(found)), counts),
+        names=("",) * sum(counts),
+        uv_px=np.concatenate([spots.uv_px for spots in found]) if found else np.empty((0, 2)),
+        covariance_px2=np.concatenate([spots.covariance_px2 for spots in found]) if found else np.empty((0, 2, 2)),
+    )

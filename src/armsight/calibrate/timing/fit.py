@@ -1,0 +1,232 @@
+"""Delay, drift and read-outs by least squares, with the paths of the lights eliminated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.calibrate.timing.splines import ORDER, Band, Grid, Rows, times, transposed_times
+from armsight.calibrate.timing.views import Views
+from armsight.errors import Inconsistent
+from armsight.fitting import Evaluation, Fit, Prior, Problem, Settings, solve
+
+Array = NDArray[np.float64]
+
+PPM = 1e-6
+TIMES = ("delay_s", "drift_ppm", "left.readout_s", "right.readout_s")
+JERK_M_S3 = 3e3
+"""Standard deviation of the jerk that ties a path together where no camera sees it: a hand waves with 10 to 500."""
+RIGID_M = 1e-5
+"""How well the distances of a target's lights are held: 0.01 px at 1 m."""
+DRIFT_PPM = 1000.0
+DISTANCE_M = 0.3
+"""Standard deviations known beforehand: of clocks, and of the lights' distances where nothing is known of them."""
+RIGID_ROUNDS = 2
+SPACINGS = (4.0, 3.0, 2.5, 2.0, 1.5, 1.2, 1.0)
+"""Grids tried, in periods of the slower camera."""
+MARGIN_S = 0.1
+"""By which the grid reaches beyond the time that both cameras saw."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PathFit:
+    """The paths' best coefficients (size,) at given times, with what led there."""
+
+    c: Array
+    band: Band
+    parts: tuple[Rows, ...]
+    residuals: tuple[Array, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PathModel:
+    """Views on a grid. mid_s: the right stamp at which the delay is taken. depth (m,): of each view, nearly.
+
+    c (size,): paths that are near, about which rigid distances are taken as linear.
+    """
+
+    views: Views
+    grid: Grid
+    mid_s: float
+    depth: Array
+    c: Array
+
+    @property
+    def size(self) -> int:
+        """Number of coefficients."""
+        return self.grid.n_coefficients * self.n_lights * 3
+
+    @property
+    def n_lights(self) -> int:
+        """Number of lights."""
+        return len(self.views.names)
+
+    def times_s(self, x: Array) -> tuple[Array, Array]:
+        """Return when each view was exposed (m,) by the left clock, and its derivatives (m, 4) by TIMES."""
+        v = self.views
+        right = v.side == 1
+        J = np.zeros((len(v), 4))
+        J[right, 0] = 1.0
+        J[right, 1] = PPM * (v.stamp_s[right] - self.mid_s)
+        J[~right, 2] = v.line[~right]
+        J[right, 3] = v.line[right]
+        return v.stamp_s + J @ x[:4], J
+
+    def seen(self, t_s: Array, derivative: int = 0) -> Rows:
+        """Return the equations (2 m,) of all views, or their derivatives by time."""
+        first, weight = self.grid.basis(t_s, derivative)
+        columns = self._columns(first, self.views.light)  # (m, 18)
+        A = self.views.A / self.depth[:, None, None]
+        values = np.einsum("mj,mrk->mrjk", weight, A).reshape(-1, ORDER * 3)
+        return Rows(
+            columns=np.repeat(columns, 2, axis=0),
+            values=values,
+            right=(self.views.b / self.depth[:, None]).ravel(),
+        )
+
+    def smooth(self) -> Rows:
+        """Return the equations that hold the jerk within what a hand can do."""
+        first, weight = self.grid.basis(self.grid.middles, 3)
+        columns = np.concatenate([self._columns(first, np.full(len(first), i)) for i in range(self.n_lights)])
+        n = len(columns)
+        values = np.zeros((n, 3, ORDER, 3))
+        for k in range(3):
+            values[:, k, :, k] = np.tile(weight, (self.n_lights, 1)) / JERK_M_S3
+        return Rows(columns=np.repeat(columns, 3, axis=0), values=values.reshape(-1, ORDER * 3), right=np.zeros(3 * n))
+
+    def rigid(self, c: Array, distances: Array) -> Rows:
+        """Return the equations that hold the lights' distances (p,), linear about paths c."""
+        first, weight = self.grid.basis(self.grid.middles)
+        columns, values = [], []
+        for a, b in self.views.pairs:
+            both = np.stack(
+                [self._columns(first, np.full(len(first), i)).reshape(-1, ORDER, 3) for i in (a, b)], axis=2
+            )
+            apart = np.einsum("mj,mjk->mk", weight, c[both[:, :, 1]] - c[both[:, :, 0]])
+            n = apart / np.maximum(np.linalg.norm(apart, axis=1, keepdims=True), 1e-9)
+            each = np.einsum("mj,s,mk->mjsk", weight, [-1.0, 1.0], n) / RIGID_M
+            columns.append(both.reshape(len(first), -1))
+            values.append(each.reshape(len(first), -1))
+        return Rows(
+            columns=np.concatenate(columns),
+            values=np.concatenate(values),
+            right=np.repeat(distances, len(first)) / RIGID_M,
+        )
+
+    def _columns(self, first: NDArray[np.intp], light: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return the unknowns (m, 18) of the lights' coordinates from their first coefficients on."""
+        start = ((first[:, None] + np.arange(ORDER)) * self.n_lights + light[:, None]) * 3  # (m, 6)
+        return np.asarray((start[:, :, None] + np.arange(3)).reshape(len(first), -1))
+
+    def fit_paths(self, x: Array) -> PathFit:
+        """Return the paths for times and distances x (4 + p,)."""
+        t, _ = self.times_s(x)
+        fixed = (self.seen(t), self.smooth())
+        c, width = self.c, ORDER * self.n_lights * 3 - 1
+        parts: tuple[Rows, ...] = fixed
+        if not len(self.views.pairs):
+            band = Band(parts, self.size, width)
+            c = band.solution()
+        else:
+            for _ in range(RIGID_ROUNDS):
+                parts = (*fixed, self.rigid(c, x[4:]))
+                band = Band(parts, self.size, width)
+                c = band.solution()
+        residuals = tuple(times(rows, c[:, None])[:, 0] - rows.right for rows in parts)
+        return PathFit(c=c, band=band, parts=parts, residuals=residuals)
+
+    def evaluate(self, x: Array, local: Array) -> Evaluation:
+        """Return residuals and derivatives by x (4 + p,), both with the paths eliminated (variable projection)."""
+        del local
+        n_seen, p = 2 * len(self.views), len(self.views.pairs)
+        t, Jt = self.times_s(x)
+        if not self.grid.inside(t):
+            nothing = np.full((1, n_seen), np.nan)
+            return Evaluation(residuals=nothing, shared=np.zeros((1, n_seen, 4 + p)), local=np.zeros((1, n_seen, 0)))
+        paths = self.fit_paths(x)
+        speed = times(self.seen(t, 1), paths.c[:, None])  # (2 m, 1)
+        J = [np.zeros((len(r), 4 + p)) for r in paths.residuals]
+        J[0][:, :4] = speed * np.repeat(Jt, 2, axis=0)
+        if p:
+            cells = self.grid.n_cells
+            for k in range(p):
+                J[2][k * cells : (k + 1) * cells, 4 + k] = -1.0 / RIGID_M
+        pull = paths.band.solve(transposed_times(paths.parts, J, self.size))
+        J = [own - times(rows, pull) for own, rows in zip(J, paths.parts, strict=True)]
+        shared = np.concatenate(J)[None]
+        return Evaluation(
+            residuals=np.concatenate(paths.residuals)[None], shared=shared, local=np.zeros((1, shared.shape[1], 0))
+        )
+
+    @property
+    def dof(self) -> int:
+        """Number of equations less that of coefficients."""
+        return 2 * len(self.views) + len(self.views.pairs) * self.grid.n_cells - self.size
+
+    def scale(self, paths: PathFit) -> float:
+        """Return the standard deviation of the whitened residuals."""
+        return float(np.sqrt(paths.residuals[0] @ paths.residuals[0] / max(self.dof, 1)))
+
+    def side_scales(self, paths: PathFit) -> tuple[float, float]:
+        """Return the same for the left and the right views alone."""
+        r = (paths.residuals[0] ** 2).reshape(-1, 2).sum(axis=1)
+        share = 2.0 * len(self.views) / max(self.dof, 1)
+        left, right = (float(np.sqrt(share * r[self.views.side == s].mean() / 2.0)) for s in (0, 1))
+        return left, right
+
+
+def build(views: Views, spacing_s: float, mid_s: float, x: Array, depth: Array) -> PathModel:
+    """Return the model on a grid of this spacing, about paths without rigid distances at x (4 + p,)."""
+    v = views
+    plain = Views(**{**{name: getattr(v, name) for name in v.__slots__}, "pairs": v.pairs[:0]})
+    ends = v.stamp_s + np.where(v.side == 1, x[0] + PPM * x[1] * (v.stamp_s - mid_s), 0.0)
+    grid = Grid.over(float(ends.min()) - MARGIN_S, float(ends.max()) + MARGIN_S, spacing_s)
+    empty = np.zeros(grid.n_coefficients * len(v.names) * 3)
+    model = PathModel(views=plain, grid=grid, mid_s=mid_s, depth=depth, c=empty)
+    c = model.fit_paths(x[:4]).c
+    return PathModel(views=v, grid=grid, mid_s=mid_s, depth=depth, c=c)
+
+
+def depths(model: PathModel, x: Array) -> Array:
+    """Return the depth (m,) of each view along the model's paths. Raises Inconsistent where they lie behind."""
+    first, weight = model.grid.basis(model.times_s(x)[0])
+    X = np.einsum("mj,mjk->mk", weight, model.c[model._columns(first, model.views.light)].reshape(-1, ORDER, 3))
+    depth = np.einsum("mk,mk->m", model.views.depth_row, X) + model.views.depth_off
+    middle = float(np.median(depth))
+    if not middle > 0.0:
+        raise Inconsistent(
+            "the lights seem to lie behind the cameras",
+            consequence="No timing is given",
+            cure="Check that left and right are not swapped, and that rig.yaml is of these cameras",
+        )
+    return np.asarray(np.clip(depth, 0.2 * middle, 5.0 * middle))
+
+
+def distances_along(model: PathModel) -> Array:
+    """Return the median distances (p,) of the lights along the paths."""
+    c = model.c.reshape(-1, model.n_lights, 3)
+    return np.array([np.median(np.linalg.norm(c[:, b] - c[:, a], axis=1)) for a, b in model.views.pairs])
+
+
+def solve_model(model: PathModel, guess: Array, priors: dict[str, Prior]) -> Fit:
+    """Return the fit of TIMES and of the lights' distances from a guess (4 + p,)."""
+    names = (*TIMES, *(f"distance_{a}_{b}_m" for a, b in model.views.pairs))
+    problem = Problem(names=names, guess=guess, evaluate=model.evaluate, n_residuals=model.dof, priors=priors)
+    return solve(problem, Settings(estimate_noise=True, cost_tolerance=1e-8, step_tolerance=1e-6))
+
+
+def best_spacing(views: Views, period_s: float, mid_s: float, x: Array, depth: Array) -> tuple[float, float]:
+    """Return the grid's spacing in s with the least generalised cross-validation error, and the residuals' scale."""
+    least, chosen, scale = np.inf, SPACINGS[-1] * period_s, 1.0
+    for factor in SPACINGS:
+        model = build(views, factor * period_s, mid_s, x, depth)
+        n = model.dof + model.size
+        if model.dof < 0.1 * n:
+            break
+        own = model.scale(model.fit_paths(x))
+        score = own / np.sqrt(model.dof / n)
+        if score < least:
+            least, chosen, scale = score, factor * period_s, own
+    return chosen, scale

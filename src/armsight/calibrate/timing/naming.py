@@ -1,0 +1,228 @@
+"""Which spot is which light, in both cameras, where several lights have no names.
+
+In each camera spots are followed from frame to frame; a stretch ends where two ways to go on are nearly as short. The
+delay comes from the lights' mean, which needs no names. Stretches of both cameras that overlap are then tied together
+by their distance from the epipolar lines over all that time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import permutations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from armsight.calibrate.timing.coarse import MAX_GAP, coarse_delay
+from armsight.errors import NotEnoughData
+from armsight.optics import Rig
+from armsight.optics.epipolar import epipolar_distance
+from armsight.records import SpotTrack
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+MEAN = "mean"
+MOST_LIGHTS = 6
+CLEAR = 3.0
+"""The second shortest way on must be this many times as long as the shortest, or the stretch ends."""
+SHORTEST = 5
+"""Frames of a stretch that is used."""
+FEWEST_IN_COMMON = 5
+CLEAR_EPIPOLAR = 1.5
+
+
+@dataclass(slots=True)
+class _Stretch:
+    """Frames (n,) of one camera, times (n,), and spots rows (n, k): column = light within the stretch."""
+
+    t_s: Array
+    rows: Index
+
+
+def named_by_motion(
+    rig: Rig, tracks: tuple[SpotTrack, SpotTrack], times_s: tuple[Array, Array], k: int
+) -> tuple[SpotTrack, SpotTrack]:
+    """Return the tracks with the lights named 1, 2, ...; frames in which they cannot be told apart lose their spots.
+
+    times_s: of the frames of each camera. k: how many lights there are; frames that hold another number of spots are
+    not used. Raises NotEnoughData, and as coarse_delay.
+    """
+    if k > MOST_LIGHTS:
+        raise NotEnoughData(
+            f"{k} lights are more than can be told apart",
+            consequence="The lights cannot be named",
+            cure=f"Wave a target of up to {MOST_LIGHTS} lights before a dark ground, or give --threshold",
+        )
+    whole = [_whole_frames(track, k) for track in tracks]
+    mean = (_mean_track(tracks[0], whole[0]), _mean_track(tracks[1], whole[1]))
+    delay = coarse_delay(rig, mean, times_s, MEAN).delay_s
+    stretches = [
+        _stretches(track, time + side * delay, frames)
+        for side, (track, time, frames) in enumerate(zip(tracks, times_s, whole, strict=True))
+    ]
+    ties = _ties(rig, tracks, stretches)
+    names = _spread(ties, [len(each) for each in stretches], [[len(s.t_s) for s in each] for each in stretches], k)
+    return _renamed(tracks[0], stretches[0], names[0]), _renamed(tracks[1], stretches[1], names[1])
+
+
+def only_light(track: SpotTrack, name: str) -> SpotTrack:
+    """Return the spots of frames that hold but one, with this name."""
+    rows = _whole_frames(track, 1)[:, 0]
+    return SpotTrack(
+        t_s=track.t_s,
+        frame=track.frame[rows],
+        names=(name,) * len(rows),
+        uv_px=track.uv_px[rows],
+        covariance_px2=track.covariance_px2[rows],
+    )
+
+
+def usual_count(tracks: tuple[SpotTrack, SpotTrack]) -> int:
+    """Return how many spots most frames hold that hold any."""
+    counts = np.concatenate([np.bincount(track.frame, minlength=len(track)) for track in tracks])
+    return int(np.argmax(np.bincount(counts[counts > 0]))) if counts.any() else 0
+
+
+def _whole_frames(track: SpotTrack, k: int) -> Index:
+    """Return the rows (n, k) of the spots of frames that hold just k of them."""
+    counts = np.bincount(track.frame, minlength=len(track))
+    first = np.concatenate([[0], np.cumsum(counts)])[:-1]
+    return np.asarray(first[counts == k][:, None] + np.arange(k), dtype=np.intp)
+
+
+def _mean_track(track: SpotTrack, rows: Index) -> SpotTrack:
+    return SpotTrack(
+        t_s=track.t_s,
+        frame=track.frame[rows[:, 0]],
+        names=(MEAN,) * len(rows),
+        uv_px=track.uv_px[rows].mean(axis=1),
+        covariance_px2=track.covariance_px2[rows].mean(axis=1) / rows.shape[1],
+    )
+
+
+def _stretches(track: SpotTrack, times_s: Array, rows: Index) -> list[_Stretch]:
+    """Return the stretches over which each light can be followed."""
+    t = times_s[track.frame[rows[:, 0]]]
+    period = float(np.median(np.diff(t)))
+    out: list[_Stretch] = []
+    begin, order = 0, rows.copy()
+    for n in range(1, len(rows)):
+        before = order[max(begin, n - 2) : n]
+        step = _step(track.uv_px, before, t[max(begin, n - 2) : n], rows[n], float(t[n]))
+        if step is None or t[n] - t[n - 1] > MAX_GAP * period:
+            out.append(_Stretch(t[begin:n], order[begin:n]))
+            begin = n
+        else:
+            order[n] = rows[n][step]
+    out.append(_Stretch(t[begin:], order[begin:]))
+    return [each for each in out if len(each.t_s) >= SHORTEST]
+
+
+def _step(uv: Array, before: Index, t_before: Array, rows: Index, t: float) -> Index | None:
+    """Return which spot each light went to; None where another way is nearly as short."""
+    last = uv[before[-1]]
+    ahead = last
+    if len(before) == 2:
+        ahead = last + (last - uv[before[0]]) * (t - t_before[-1]) / (t_before[-1] - t_before[0])
+    cost = np.sum((ahead[:, None] - uv[rows][None]) ** 2, axis=2)
+    own, to = linear_sum_assignment(cost)
+    least = cost[own, to].sum()
+    for i in range(len(own)):  # the second best way avoids one of the best one's steps
+        other = cost.copy()
+        other[own[i], to[i]] = 1e12
+        if other[linear_sum_assignment(other)].sum() < CLEAR**2 * least + 1.0:
+            return None
+    return np.asarray(to, dtype=np.intp)
+
+
+def _ties(
+    rig: Rig, tracks: tuple[SpotTrack, SpotTrack], stretches: list[list[_Stretch]]
+) -> list[tuple[int, int, Index]]:
+    """Return (left stretch, right stretch, right column of each left light) where this is clear, the longest first."""
+    found = []
+    for a, left in enumerate(stretches[0]):
+        for b, right in enumerate(stretches[1]):
+            inside = np.flatnonzero((left.t_s >= right.t_s[0]) & (left.t_s <= right.t_s[-1]))
+            if len(inside) < FEWEST_IN_COMMON:
+                continue
+            tie = _tie(rig, tracks, left, right, inside)
+            if tie is not None:
+                found.append((len(inside), a, b, tie))
+    return [(a, b, tie) for _, a, b, tie in sorted(found, key=lambda each: -each[0])]
+
+
+def _tie(rig: Rig, tracks: tuple[SpotTrack, SpotTrack], left: _Stretch, right: _Stretch, inside: Index) -> Index | None:
+    k = left.rows.shape[1]
+    cost = np.empty((k, k))
+    theirs = tracks[1].uv_px[right.rows]  # (n, k, 2)
+    for j in range(k):
+        at = np.stack([np.interp(left.t_s[inside], right.t_s, theirs[:, j, axis]) for axis in (0, 1)], axis=1)
+        for i in range(k):
+            apart = epipolar_distance(rig, tracks[0].uv_px[left.rows[inside, i]], at)
+            cost[i, j] = np.mean(np.square(apart))
+    if not np.isfinite(cost).all():
+        return None
+    ways = [(sum(cost[i, j] for i, j in enumerate(way)), way) for way in permutations(range(k))]
+    ways.sort()
+    if ways[1][0] < CLEAR_EPIPOLAR**2 * ways[0][0]:
+        return None
+    return np.array(ways[0][1], dtype=np.intp)
+
+
+def _spread(
+    ties: list[tuple[int, int, Index]], counts: list[int], lengths: list[list[int]], k: int
+) -> tuple[list[Index | None], list[Index | None]]:
+    """Return the light of each column of each stretch, from the longest tied stretch on; None where none is tied."""
+    names: tuple[list[Index | None], list[Index | None]] = ([None] * counts[0], [None] * counts[1])
+    best, most = names, 0
+    started: set[int] = set()
+    for a, _, _ in ties:
+        if a in started:
+            continue
+        names = ([None] * counts[0], [None] * counts[1])
+        names[0][a] = np.arange(k)
+        _follow(ties, names)
+        started |= {i for i, each in enumerate(names[0]) if each is not None}
+        size = sum(n for side in (0, 1) for n, each in zip(lengths[side], names[side], strict=True) if each is not None)
+        if size > most:
+            best, most = names, size
+    if not most:
+        raise NotEnoughData(
+            "the lights cannot be told apart by their motion",
+            consequence="No timing is given",
+            cure="Wave a single light, or turn the target so that its lights neither cross nor share rows; or name "
+            "them in tables of spots",
+        )
+    return best
+
+
+def _follow(ties: list[tuple[int, int, Index]], names: tuple[list[Index | None], list[Index | None]]) -> None:
+    changed = True
+    while changed:
+        changed = False
+        for a, b, tie in ties:
+            left, right = names[0][a], names[1][b]
+            if left is not None and right is None:
+                names[1][b] = np.empty_like(left)
+                names[1][b][tie] = left  # type: ignore[index]
+                changed = True
+            elif right is not None and left is None:
+                names[0][a] = right[tie]
+                changed = True
+
+
+def _renamed(track: SpotTrack, stretches: list[_Stretch], names: list[Index | None]) -> SpotTrack:
+    light = np.full(len(track.names), -1)
+    for stretch, name in zip(stretches, names, strict=True):
+        if name is not None:
+            light[stretch.rows] = name
+    kept = np.flatnonzero(light >= 0)
+    return SpotTrack(
+        t_s=track.t_s,
+        frame=track.frame[kept],
+        names=tuple(str(light[i] + 1) for i in kept),
+        uv_px=track.uv_px[kept],
+        covariance_px2=track.covariance_px2[kept],
+    )

@@ -1,0 +1,159 @@
+"""A camera's stamps against the steady clock that takes its frames: period, lost frames, jitter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import isotonic_regression
+
+from armsight.errors import Inconsistent, NotEnoughData
+from armsight.records import frozen_array
+
+Array = NDArray[np.float64]
+
+FEWEST_FRAMES = 30
+MAD = 1.4826
+"""Standard deviation over median absolute deviation of a normal distribution."""
+TUKEY = 4.685
+"""Where Tukey's weight ends, in standard deviations: 95 % efficient for normal noise."""
+EFFICIENCY = 0.95
+ROUNDS_OF_WEIGHTS = 20
+MAX_STAMP_S = 1e7
+"""Stamps that count from 1970 would give a delay of hours, known to hours, that no double can hold to a millisecond."""
+ROUNDS_OF_NUMBERS = 10
+MAX_JITTER = 0.25
+"""Of a period: stamps that scatter more do not tell which frame is which."""
+FOLLOW, FOLLOW_PERIOD = 0.1, 0.002
+"""Shares of a stamp's offset by which the clock and its period follow while frames are counted."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SteadyStamps:
+    """The stamps (n,) in s freed of jitter, and the clock they follow.
+
+    number (n,): of each frame, from 0, lost ones counted. covariance (2, 2): of the clock's offset (s) at mid_s and its
+    rate (ppm).
+    """
+
+    t_s: Array
+    number: NDArray[np.int64]
+    period_s: float
+    jitter_s: float
+    jitter_std_s: float
+    mid_s: float
+    covariance: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "t_s", frozen_array("t_s", self.t_s, (None,)))
+        object.__setattr__(self, "covariance", frozen_array("covariance", self.covariance, (2, 2)))
+
+    @property
+    def lost(self) -> int:
+        """Frames between the first and the last one that are not there."""
+        return int(self.number[-1]) + 1 - len(self.number)
+
+    def clock_covariance(self, at_s: float) -> Array:
+        """Return the covariance (2, 2) of the clock's offset (s) at a stamp, and its rate (ppm)."""
+        move = np.array([[1.0, 1e-6 * (at_s - self.mid_s)], [0.0, 1.0]])
+        return np.asarray(move @ self.covariance @ move.T)
+
+
+def steady(stamps_s: Array, side: str) -> SteadyStamps:
+    """Return the steady clock behind the stamps (n,) of a camera, by a robust line of stamp over frame number.
+
+    Raises NotEnoughData for fewer than FEWEST_FRAMES, Inconsistent for stamps beyond MAX_STAMP_S, and where no steady
+    clock explains the stamps.
+    """
+    s = np.asarray(stamps_s, float)
+    if len(s) < FEWEST_FRAMES:
+        raise NotEnoughData(
+            f"the {side} camera has {len(s)} frames",
+            consequence="Its clock cannot be told from the jitter of its stamps",
+            cure="Record 10 to 20 s",
+        )
+    if np.abs(s).max() > MAX_STAMP_S:
+        raise Inconsistent(
+            f"the stamps of the {side} camera count from {np.abs(s).max() / 86400.0:.0f} days ago",
+            consequence="The delay at stamp 0 and the drift since then cannot be told apart; no timing is given",
+            cure="Take the same number off all stamps of both cameras, here and when measuring, to begin near 0",
+        )
+    number = _numbers(s)
+    for _ in range(ROUNDS_OF_NUMBERS):
+        offset, period, weight, jitter = _line(number, s)
+        again = _growing((s - offset) / period) if period > 0.0 else number
+        if np.array_equal(again, number):
+            break
+        number = again
+    if not (period > 0.0 and jitter < MAX_JITTER * period):
+        raise Inconsistent(
+            f"the stamps of the {side} camera follow no steady rate: they scatter by {1e3 * jitter:.2g} ms about "
+            f"frames {1e3 * period:.3g} ms apart",
+            consequence="Lost frames cannot be told from late ones; no timing is given",
+            cure="Hold the frame rate fixed (no automatic exposure that changes it), and use the camera's own stamps",
+        )
+    return _steady(s, number, weight, period, offset, jitter)
+
+
+def _numbers(s: Array) -> NDArray[np.int64]:
+    """Return frame numbers from the spacing of the stamps, by a clock that follows them slowly."""
+    step = np.diff(s)
+    period = float(np.median(step))
+    near = step[np.abs(step - period) < 0.5 * period]
+    period = float(near.mean())  # jitter cancels
+    number = np.zeros(len(s), np.int64)
+    expected = float(s[0])
+    for k in range(1, len(s)):
+        n = max(round((s[k] - expected) / period), 0)
+        off = s[k] - expected - n * period
+        expected += n * period + FOLLOW * off
+        period += FOLLOW_PERIOD * off / max(n, 1)
+        number[k] = number[k - 1] + n
+    return number
+
+
+def _growing(x: Array) -> NDArray[np.int64]:
+    """Return the growing whole numbers nearest to x (n,), the first one 0."""
+    k = np.arange(len(x))
+    number = np.rint(isotonic_regression(x - k).x).astype(np.int64) + k
+    return np.asarray(number - number[0])
+
+
+def _line(number: NDArray[np.int64], s: Array) -> tuple[float, float, Array, float]:
+    """Return offset, slope, weights (n,) and the residuals' robust deviation of stamp over number."""
+    x = number - number.mean()
+    y = s - s.mean()
+    w = np.ones_like(y)
+    slope = intercept = sigma = 0.0
+    for _ in range(ROUNDS_OF_WEIGHTS):
+        mean_x, mean_y = np.average(x, weights=w), np.average(y, weights=w)
+        slope = float((w * (x - mean_x)) @ (y - mean_y) / max(float((w * (x - mean_x)) @ (x - mean_x)), 1e-300))
+        intercept = float(mean_y - slope * mean_x)
+        r = y - intercept - slope * x
+        sigma = MAD * float(np.median(np.abs(r)))
+        if not sigma > 0.0:
+            break
+        w = np.clip(1.0 - (r / (TUKEY * sigma)) ** 2, 1e-12, 1.0) ** 2
+    return float(s.mean() + intercept - slope * number.mean()), slope, w, sigma
+
+
+def _steady(
+    s: Array, number: NDArray[np.int64], weight: Array, period: float, offset: float, jitter: float
+) -> SteadyStamps:
+    fitted = np.asarray(offset + period * number, dtype=np.float64)
+    r = s - fitted
+    kept = np.abs(r) <= TUKEY * jitter if jitter > 0.0 else np.ones(len(s), bool)
+    n = int(kept.sum())
+    jitter = float(np.sqrt(r[kept] @ r[kept] / max(n - 2, 1)))
+    mid = float(fitted.mean())
+    X = np.stack([np.ones(len(s)), 1e-6 * (fitted - mid)], axis=1)
+    return SteadyStamps(
+        t_s=fitted,
+        number=number,
+        period_s=period,
+        jitter_s=jitter,
+        jitter_std_s=jitter / np.sqrt(2.0 * n),
+        mid_s=mid,
+        covariance=jitter**2 / EFFICIENCY * np.linalg.inv(X.T @ X),
+    )

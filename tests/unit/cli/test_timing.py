@@ -1,0 +1,123 @@
+"""armsight calibrate timing: from tables of spots and from drawn frames to a rig.yaml with the timing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from armsight.store import read_rig
+
+Run = Callable[..., Any]
+FOCAL, CX, CY, WIDTH, HEIGHT, BASELINE = 400.0, 160.3, 119.6, 320, 240, 0.1  # of the scene's rig
+LIGHTS = np.array([[-0.04, 0.0, 0.0], [0.03, 0.03, 0.0], [0.03, -0.03, 0.0]])
+SECONDS, RATE = 6.0, 30.0
+DELAY_S, DRIFT_PPM, READOUT_S = 1.5, 100.0, 0.015
+
+
+def place(t: float) -> np.ndarray:
+    """Where the lights (3, 3) are at a time of the left clock."""
+    x = 0.05 + 0.05 * np.sin(4.1 * t) + 0.03 * np.sin(6.7 * t + 1.0)
+    y = 0.05 * np.sin(3.3 * t + 0.4) + 0.04 * np.sin(7.3 * t + 2.0)
+    z = 0.6 + 0.04 * np.sin(2.9 * t + 0.7)
+    a = 0.4 * np.sin(3.7 * t) + 0.2
+    turn = np.array([[np.cos(a), -np.sin(a), 0.0], [np.sin(a), np.cos(a), 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray(LIGHTS @ turn.T + [x, y, z])
+
+
+def pixels(t: float, side: int, lights: int) -> np.ndarray:
+    """Where the lights (n, 2) are in a frame of the left clock's time t."""
+    uv = np.full((lights, 2), CY)
+    for _ in range(6):
+        for i in range(lights):
+            X = place(t + READOUT_S * (uv[i, 1] / (HEIGHT - 1) - 0.5))[i] - [BASELINE * side, 0.0, 0.0]
+            uv[i] = FOCAL * X[:2] / X[2] + [CX, CY]
+    return uv
+
+
+def frames(side: int, lights: int) -> list[tuple[float, np.ndarray]]:
+    """Stamp and pixels of each frame."""
+    times = (np.arange(int(SECONDS * RATE)) + 0.37 * side) / RATE
+    stamps = (times - DELAY_S * side) / (1.0 + 1e-6 * DRIFT_PPM * side)
+    return [(float(s), pixels(float(t), side, lights)) for t, s in zip(times, stamps, strict=True)]
+
+
+@pytest.fixture(scope="module")
+def tables(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("tables")
+    rng = np.random.default_rng(1)
+    for side, name in enumerate(("left", "right")):
+        rows = [
+            f"{t!r},{u!r},{v!r},0.03,0.03,{light}"
+            for t, uv in frames(side, 3)
+            for (u, v), light in zip((uv + rng.normal(0.0, 0.03, uv.shape)).tolist(), "ABC", strict=True)
+        ]
+        (folder / f"{name}.csv").write_text("t_s,u_px,v_px,su_px,sv_px,spot\n" + "\n".join(rows) + "\n")
+    return folder
+
+
+def draw(uv: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    image = rng.normal(12.0, 1.5, (HEIGHT, WIDTH))
+    rows, columns = np.arange(HEIGHT)[:, None], np.arange(WIDTH)
+    for u, v in uv:
+        image += 150.0 * np.exp(-((columns - u) ** 2) / (2.0 * 1.8**2)) * np.exp(-((rows - v) ** 2) / (2.0 * 1.8**2))
+    return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+
+def test_tables_give_the_timing_and_a_rig_with_it(armsight: Run, scene: Any, tables: Path, tmp_path: Path) -> None:
+    out = tmp_path / "timed.yaml"
+    spots = ["--left-spots", tables / "left.csv", "--right-spots", tables / "right.csv"]
+    done = armsight("calibrate", "timing", *scene.inputs, *spots, "-o", out)
+    assert done.code == 0, done.text
+    got = done.json
+    middle = got["middle_s"]
+    shift = got["delay_s"] - DELAY_S + 1e-6 * (got["drift_ppm"] - DRIFT_PPM) * middle
+    assert abs(shift) < min(2e-4, 4.0 * got["std_middle_s"])
+    assert got["n_frames"] == 2 * int(SECONDS * RATE)
+    assert got["lost"] == {"left": 0, "right": 0}
+    for side in ("left", "right"):
+        assert abs(got["readout_s"][side] - READOUT_S) < 4.0 * got["std"][f"{side}.readout_s"]
+    assert got["verdict"]
+    left, right = read_rig(out).timing
+    assert left is not None and right is not None
+    assert left.readout_s == got["readout_s"]["left"] and left.delay_s == 0.0
+    assert (right.delay_s, right.drift_ppm) == (got["delay_s"], got["drift_ppm"])
+    assert right.std["delay_s"] == pytest.approx(got["std"]["delay_s"])
+    before, after = read_rig(scene.folder / "rig.yaml"), read_rig(out)
+    assert after.left.is_close(before.left, tol=0.0)
+
+
+@pytest.mark.parametrize("lights", [1, 3])
+def test_frames_give_the_timing(armsight: Run, scene: Any, tmp_path: Path, lights: int) -> None:
+    rng = np.random.default_rng(2)
+    for side, name in enumerate(("left", "right")):
+        (tmp_path / name).mkdir()
+        for n, (_, uv) in enumerate(frames(side, lights)):
+            cv2.imwrite(str(tmp_path / name / f"frame{n:04d}.png"), draw(uv, rng))
+    sources = ["--left", tmp_path / "left", "--right", tmp_path / "right", "--fps", RATE]
+    done = armsight("calibrate", "timing", "--rig", scene.folder / "rig.yaml", *sources, "-o", tmp_path / "timed.yaml")
+    assert done.code == 0, done.text
+    got = done.json  # stamps are n / fps in both folders, so that the frames' phase is all of the delay
+    shift = got["delay_s"] + 1e-6 * got["drift_ppm"] * got["middle_s"] - 0.37 / RATE
+    assert abs(shift) < max(2e-4, 4.0 * got["std_middle_s"])
+    assert len(got["lights"]) == lights
+
+
+def test_the_call_must_say_which_frames(armsight: Run, scene: Any, tables: Path, tmp_path: Path) -> None:
+    rig = ["--rig", scene.folder / "rig.yaml", "-o", tmp_path / "x.yaml"]
+    assert armsight("calibrate", "timing", *rig).code == 2
+    assert armsight("calibrate", "timing", *rig, "--left-spots", tables / "left.csv").code == 2
+    live = armsight("calibrate", "timing", *rig, "--left", "camera:0", "--right", "camera:1")
+    assert live.code == 2 and "armsight record" in live.json["error"]["cure"]
+    assert not (tmp_path / "x.yaml").exists()
+
+
+def test_one_recording_given_twice_is_refused(armsight: Run, scene: Any, tables: Path, tmp_path: Path) -> None:
+    spots = ["--left-spots", tables / "left.csv", "--right-spots", tables / "left.csv"]
+    done = armsight("calibrate", "timing", *scene.inputs, *spots, "-o", tmp_path / "x.yaml")
+    assert done.code == 3
+    assert done.json["error"]["cure"]

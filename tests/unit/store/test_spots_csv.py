@@ -1,0 +1,74 @@
+"""Tables of one camera's spots: what is read, and what is refused by its line and column."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from armsight.errors import BadFile, Inconsistent, NotEnoughData
+from armsight.records import SpotTrack
+from armsight.store.spots_csv import STD_PX, parse_spot_track, write_spot_track_text
+
+HEAD = "t_s,u_px,v_px,su_px,sv_px,spot\n"
+
+
+def test_rows_of_one_time_are_one_frame() -> None:
+    track = parse_spot_track(f"{HEAD}0.1,10,20,0.1,0.2,A\n0.1,30,40,0.1,0.2,B\n0.2,11,21,0.1,0.2,A\n".encode(), "l.csv")
+    assert track.t_s.tolist() == [0.1, 0.2]
+    assert track.frame.tolist() == [0, 0, 1]
+    assert track.names == ("A", "B", "A")
+    assert track.light("A").tolist() == [0, 2]
+    assert not track.alone
+    np.testing.assert_allclose(track.covariance_px2[0], np.diag([0.01, 0.04]))
+
+
+def test_names_and_deviations_may_be_left_away() -> None:
+    track = parse_spot_track(b"t_s,u_px,v_px\n0.1,10,20\n0.2,11,21\n", "l.csv")
+    assert track.alone and track.names == ("", "")
+    np.testing.assert_allclose(track.covariance_px2[1], STD_PX**2 * np.eye(2))
+
+
+def test_what_is_written_comes_back() -> None:
+    rng = np.random.default_rng(0)
+    text = HEAD + "".join(f"{t},{u},{v},0.05,0.07,A\n" for t, (u, v) in enumerate(rng.uniform(0, 700, (9, 2)).tolist()))
+    first = parse_spot_track(text.encode(), "l.csv")
+    again = parse_spot_track(write_spot_track_text(first).encode(), "l.csv")
+    np.testing.assert_array_equal(again.uv_px, first.uv_px)
+    np.testing.assert_allclose(again.covariance_px2, first.covariance_px2, rtol=1e-14)
+    assert again.names == first.names
+
+
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [
+        (f"{HEAD}0.2,1,2,1,1,A\n0.1,1,2,1,1,A\n", "line 3, column t_s"),
+        (f"{HEAD}0.1,1,2,1,1,A\n0.2,1,2,1,1,A\n0.1,1,2,1,1,A\n", "line 4, column t_s"),
+        (f"{HEAD}0.1,1,2,1,1,A\n0.1,1,2,1,1,A\n", "line 3, column spot"),
+        (f"{HEAD}0.1,1,2,1,1,\n", "line 2, column spot"),
+        (f"{HEAD}0.1,1,2,-1,1,A\n", "line 2, column su_px"),
+        (f"{HEAD}0.1,1,2,1,0,A\n", "line 2, column sv_px"),
+        (f"{HEAD}0.1,nan,2,1,1,A\n", "line 2, column u_px"),
+        (f"{HEAD}0.1,1,,1,1,A\n", "line 2, column v_px"),
+        (f"{HEAD}0.1,1,1e60,1,1,A\n", "line 2, column v_px"),
+        ("t_s,u_px\n0.1,1\n", "v_px is missing"),
+        ("t_s,u_px,v_px,su_px\n0.1,1,2,1\n", "sv_px"),
+        ("t_s,u_px,v_px,w\n0.1,1,2,1\n", "'w'"),
+    ],
+)
+def test_bad_tables_are_refused_by_line_and_column(text: str, place: str) -> None:
+    with pytest.raises(BadFile) as caught:
+        parse_spot_track(text.encode(), "left.csv")
+    assert "left.csv" in str(caught.value) and place in str(caught.value)
+
+
+def test_an_empty_table_is_refused() -> None:
+    with pytest.raises(NotEnoughData):
+        parse_spot_track(HEAD.encode(), "left.csv")
+
+
+def test_the_record_refuses_frames_without_order() -> None:
+    one = np.eye(2)[None]
+    with pytest.raises(Inconsistent, match="do not grow"):
+        SpotTrack(t_s=[0.1, 0.1], frame=[0], names=("A",), uv_px=[[1.0, 2.0]], covariance_px2=one)
+    with pytest.raises(Inconsistent, match="order of frames"):
+        SpotTrack(t_s=[0.1, 0.2], frame=[2], names=("A",), uv_px=[[1.0, 2.0]], covariance_px2=one)
