@@ -30,9 +30,11 @@ print(json.dumps([used, [name for name in unused if name.rsplit(".", 1)[1] not i
 """
 
 SELDOM = {
-    "kabsch_pose",  # only the benchmarks call it
     "draw_ink",  # overlaid boards
     "place_corners",  # --detector xcorner
+    "add_rows",  # calibrate timing: small sums
+    "rows_times",
+    "transposed_times",
 }
 """Kernels that are compiled when it comes to it."""
 
