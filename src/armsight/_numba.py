@@ -143,12 +143,16 @@ inner_fast_kernel = _inner(fastmath=FUSED)
 inner_sum_kernel = _inner(fastmath=REORDERED)
 """A sum_kernel that only kernels call."""
 
+inline_kernel = _inner(forceinline=True)
+"""Put into its callers whole, by LLVM: for the innermost loop, where LLVM by itself would rather call."""
+
 parallel_kernel = njit(cache=True, parallel=True, **RULES)
 """Runs on all cores, with prange."""
 
 __all__ = [
     "InnerKernel",
     "fast_kernel",
+    "inline_kernel",
     "inner_fast_kernel",
     "inner_kernel",
     "inner_sum_kernel",
