@@ -4,8 +4,8 @@ error_model numpy: a division by zero gives inf or NaN, which callers test for, 
 data must never raise from within compiled code, and the branches cost half of the time to compile. cache: compiled
 once per machine. nogil: threads may run beside each other.
 
-A kernel that Python calls is a `kernel`. One that only other kernels call is an `inner_kernel`, which compiles in half
-the time: see InnerKernel and decision 0017. Both give the same machine code where they are called from a kernel.
+A kernel that Python calls is a `kernel`. One that only other kernels call is an `inner_kernel`, which costs the
+compiler much less: see InnerKernel and decision 0017.
 """
 
 from __future__ import annotations
@@ -143,12 +143,16 @@ inner_fast_kernel = _inner(fastmath=FUSED)
 inner_sum_kernel = _inner(fastmath=REORDERED)
 """A sum_kernel that only kernels call."""
 
+inline_kernel = _inner(forceinline=True)
+"""Put into its callers whole, by LLVM: for the innermost loop, where LLVM by itself would rather call."""
+
 parallel_kernel = njit(cache=True, parallel=True, **RULES)
 """Runs on all cores, with prange."""
 
 __all__ = [
     "InnerKernel",
     "fast_kernel",
+    "inline_kernel",
     "inner_fast_kernel",
     "inner_kernel",
     "inner_sum_kernel",

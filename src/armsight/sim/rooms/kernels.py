@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from armsight._numba import inner_kernel, kernel
+from armsight._numba import inline_kernel, inner_kernel, kernel
 from armsight.geometry.kernels import cross, dot
 
 LEVELS = 10
@@ -30,7 +30,7 @@ MOSTLY = 128
 """Coverage from which a cut-out stops a ray."""
 
 
-@inner_kernel
+@inline_kernel
 def _covers(texture, density, texels, levels, k, a, b):
     """Tell whether a cut-out covers its own point (a, b) m."""
     first, columns, rows = levels[texture[k], 0, 0], levels[texture[k], 0, 1], levels[texture[k], 0, 2]
@@ -38,7 +38,7 @@ def _covers(texture, density, texels, levels, k, a, b):
     return texels[first + j * columns + i, 3] >= MOSTLY
 
 
-@inner_kernel
+@inline_kernel
 def _nearest(
     geometry,
     size,
@@ -88,7 +88,7 @@ def _nearest(
     return best, along, at_a, at_b
 
 
-@inner_kernel
+@inline_kernel
 def _reflectance(texture, density, texels, levels, k, a, b, footprint_m, out):
     """Fill out (3,) with the texture of rectangle k at (a, b) m, of the level that a footprint asks for."""
     number, level = texture[k], 0
@@ -113,7 +113,7 @@ def _reflectance(texture, density, texels, levels, k, a, b, footprint_m, out):
         out[c] = (one - ft) * upper + ft * lower
 
 
-@inner_kernel
+@inline_kernel
 def _fallen(size, place, light, k, a, b, out):
     """Fill out (3,) with the light that falls on rectangle k at (a, b) m."""
     first, columns, rows = place[k, 0], place[k, 1], place[k, 2]
@@ -147,7 +147,7 @@ def _add_gloss(geometry, look, lamps, k, a, b, dx, dy, dz, out):
                 out[c] += np.float32(lobe * lamps[lamp, 3 + c])
 
 
-@inner_kernel
+@inline_kernel
 def _radiance(
     geometry,
     size,
