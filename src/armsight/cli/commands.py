@@ -16,7 +16,7 @@ from armsight.cli.command_ui import CommandUI
 from armsight.cli.convert import convert
 from armsight.cli.identify import identify
 from armsight.cli.kinematics import convert_arm, kinematics
-from armsight.cli.options import SRC, AsJson, Fps, Limit, OutFolder, Seed
+from armsight.cli.options import SRC, AsJson, Fps, Inverted, Limit, OutFolder, Seed, Threshold
 from armsight.cli.record import record
 from armsight.cli.tables import demo_tables, doctor_tables, measure_tables
 
@@ -79,10 +79,8 @@ def measure(
     world: Annotated[Path | None, typer.Option(help="world.yaml: give the poses in this frame.")] = None,
     fps: Fps = None,
     frames: Limit = None,
-    threshold: Annotated[
-        float | None, typer.Option(min=0.0, max=255.0, help="Grey level that counts as light. [default: automatic]")
-    ] = None,
-    inverted: Annotated[bool, typer.Option("--inverted", help="Look for dark spots on a bright ground.")] = False,
+    threshold: Threshold = None,
+    inverted: Inverted = False,
     stills: Annotated[
         bool, typer.Option("--stills", help="The frames are single shots, not a motion: measure each by itself.")
     ] = False,

@@ -22,6 +22,11 @@ Limit: TypeAlias = Annotated[int | None, typer.Option("--frames", min=1, help="S
 Fps: TypeAlias = Annotated[
     float | None, typer.Option("--fps", min=1e-6, help="Frames a second, where none brings its time. [default: 30]")
 ]
+Threshold: TypeAlias = Annotated[
+    float | None,
+    typer.Option("--threshold", min=0.0, max=255.0, help="Grey level that counts as light. [default: automatic]"),
+]
+Inverted: TypeAlias = Annotated[bool, typer.Option("--inverted", help="Look for dark spots on a bright ground.")]
 Workers: TypeAlias = Annotated[
     int | None, typer.Option("--workers", min=1, help="Threads that read and search images. [default: all cores]")
 ]

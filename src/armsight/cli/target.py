@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from armsight.cli.command_ui import CommandUI
-from armsight.cli.options import SRC, AsJson, Limit
+from armsight.cli.options import SRC, AsJson, Inverted, Limit, Threshold
 from armsight.cli.tables import figure
 from armsight.units import MM
 
@@ -28,10 +28,8 @@ def target(
     image: Annotated[str | None, typer.Option(metavar="SRC", help="Images that hold both views of the rig.")] = None,
     lights: Annotated[int, typer.Option(min=2, max=6, help="How many lights the target has.")] = 3,
     frames: Limit = None,
-    threshold: Annotated[
-        float | None, typer.Option(min=0.0, max=255.0, help="Grey level that counts as light. [default: automatic]")
-    ] = None,
-    inverted: Annotated[bool, typer.Option("--inverted", help="Look for dark spots on a bright ground.")] = False,
+    threshold: Threshold = None,
+    inverted: Inverted = False,
     json: AsJson = False,
 ) -> None:
     """Find where the lights of a target are, from frames of it turned to several sides before a calibrated rig."""

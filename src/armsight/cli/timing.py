@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from armsight.cli.command_ui import CommandUI
-from armsight.cli.options import SRC, AsJson, Fps, Limit
+from armsight.cli.options import SRC, AsJson, Fps, Inverted, Limit, Threshold
 from armsight.cli.tables import figure
 
 if TYPE_CHECKING:
@@ -32,10 +32,8 @@ def timing(
     right_spots: Annotated[Path | None, typer.Option(metavar="CSV", help="The same of the right camera.")] = None,
     fps: Fps = None,
     frames: Limit = None,
-    threshold: Annotated[
-        float | None, typer.Option(min=0.0, max=255.0, help="Grey level that counts as light. [default: automatic]")
-    ] = None,
-    inverted: Annotated[bool, typer.Option("--inverted", help="Look for dark spots on a bright ground.")] = False,
+    threshold: Threshold = None,
+    inverted: Inverted = False,
     json: AsJson = False,
 ) -> None:
     """Find delay, drift, read-outs and jitter of two free-running cameras from lights waved before them for 10-20 s."""

@@ -124,8 +124,7 @@ def _at_once(
         notes.append(
             f"the readings miss the arm by {np.sqrt(whole.scale2):.1f} times their noise about single paths: the "
             "commanded values are not exact, or a joint gave way; standard deviations are widened accordingly, which "
-            "may not be "
-            "enough: with values that are not exact use only their order (--increments order)"
+            "may not be enough: with values that are not exact use only their order (--increments order)"
         )
     widen = whole.scale2 if sigma is None else max(whole.scale2, 1.0)
     notes += [f"reading {row + 1} discarded: {why}" for row, why in whole.dropped]
@@ -172,8 +171,7 @@ def _with_rivals(whole: GlobalFit, table: Array, covariance: Array, base: Array)
     stretch = np.divide(wide, std, out=np.ones_like(std), where=std > 0.0).ravel()
     return covariance * np.outer(stretch, stretch), [
         "another arm explains the readings as well; the standard deviations cover both. Longer arcs, or a sweep seen "
-        "from "
-        "elsewhere, would tell"
+        "from elsewhere, would tell"
     ]
 
 

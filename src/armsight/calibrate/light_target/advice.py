@@ -35,13 +35,13 @@ def advise(done: TargetCalibration) -> TargetCalibration:
         advice.append("the rig's file has no covariance: an error of its baseline scales all places, unseen here")
     elif done.rig_share > RIG_RULES:
         advice.append(
-            "most of the standard deviation comes from the rig's calibration: more frames will not help, a better rig "
-            "will"
+            "most of the standard deviation comes from the rig's calibration: more frames will not help, a "
+            "better rig will"
         )
     if done.scale > LARGE_SCALE:
         advice.append(
-            f"residuals are {done.scale:.2g} times the spots' own standard deviations: the calibration, blur or shiny "
-            "lights"
+            f"residuals are {done.scale:.2g} times the spots' own standard deviations: the calibration, blur or "
+            "shiny lights"
         )
     if len(done.rejected) > MANY_REJECTED * done.n_frames:
         advice.append(
