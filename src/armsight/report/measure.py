@@ -127,12 +127,12 @@ def _cards(run: MeasureRun, series: Series, errors: Errors | None) -> list[Card]
             note=f"of {n:,}; {count[PoseStatus.POSITION_ONLY]:,} position only, {count[PoseStatus.LOST]:,} lost",
         ),
         Card(
-            name="position standard deviation",
+            name="position uncertainty",
             value=figure_of(float(np.sqrt(np.sum(rms[:3] ** 2))), "mm"),
             note="claimed, 3-D, one standard deviation",
         ),
         Card(
-            name="rotation standard deviation",
+            name="rotation uncertainty",
             value=figure_of(float(np.sqrt(np.sum(rms[3:] ** 2))), "°"),
             note="claimed, one standard deviation",
         ),
@@ -182,7 +182,7 @@ def _add_truth(page: Page, errors: Errors | None) -> None:
     page.add(
         "Errors against the truth",
         f"Measured minus true over {len(values):,} full poses; rotations as a vector in the parent's axes. "
-        f"{100 * inside:.1f} % of the errors lie inside their own 95 % ellipsoid; true deviations leave "
+        f"{100 * inside:.1f} % of the errors lie inside their own 95 % ellipsoid; true claims leave "
         f"{100 * low:.1f} to {100 * high:.1f} %. A ratio near 1 says that the claimed standard deviations are true.",
         table(
             ["", "mean", "standard deviation", "RMS", "largest", "claimed (RMS)", "RMS / claimed"],
