@@ -9,8 +9,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from armsight.measure.follow import Follower
 from armsight.measure.motion.estimate import smooth
-from armsight.measure.motion.follow import Follower
 from armsight.measure.poses.setup import Setup
 from armsight.optics import Camera, parallel_rig
 from armsight.records import CameraTiming, Frame, spot_target

@@ -141,8 +141,11 @@ def test_the_causal_filter_holds_its_claims_also_while_one_camera_is_covered() -
     way = path(rng, 0.3)
     first = start(way)
     seen = [v for v in views(way, rng, 6.0) if not (v.side == 1 and 3.0 < v.t_s < 3.5)]
-    causal = MotionFilter(PACKED, LIGHTS, 0.0, first.T, first.covariance)
-    states = [causal.add(view) for view in seen]
+    causal = MotionFilter.begin(PACKED, LIGHTS, 0.0, first.T, first.covariance)
+    states = []
+    for view in seen:
+        causal = causal.add(view)
+        states.append(causal.state)
     _, q = errors(states[60:], way)
     assert np.mean(q < 12.59) > 0.88
     covered = [s for s in states if 3.05 < s.t_s < 3.5]
@@ -175,6 +178,6 @@ def test_views_out_of_order_are_refused() -> None:
     seen = views(way, rng, 1.0)
     with pytest.raises(Inconsistent, match="order of time"):
         smooth(PACKED, LIGHTS, seen[::-1], [start(way)], np.array([0.5]))
-    causal = MotionFilter(PACKED, LIGHTS, 0.5, start(way).T, start(way).covariance)
+    causal = MotionFilter.begin(PACKED, LIGHTS, 0.5, start(way).T, start(way).covariance)
     with pytest.raises(Inconsistent, match="order of time"):
         causal.add(seen[0])

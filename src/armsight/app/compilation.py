@@ -200,9 +200,9 @@ def motion() -> None:
     ]
     packed, covariance = PackedRig.of(rig), 1e-6 * np.eye(6)
     smooth(packed, lights, views, [Start(view=0, T=T, covariance=covariance)], np.array([-0.01, 0.015]))
-    follower = MotionFilter(packed, lights, 0.0, T, covariance)
+    follower = MotionFilter.begin(packed, lights, 0.0, T, covariance)
     for view in views:
-        follower.add(view)
+        follower = follower.add(view)
         follower.at(view.t_s - 0.001)
 
 

@@ -93,6 +93,27 @@ def test_a_jump_out_of_the_windows_falls_back_to_the_whole_frame() -> None:
     assert_pose(measured, jumped)
 
 
+def test_a_turn_that_the_motion_before_rules_out_is_refused_once_and_then_believed() -> None:
+    """What a lamp beside a light looks like: three spots that fit the target, turned by 18 degrees within 1/30 s."""
+    turned = Rotation.from_rotvec([np.deg2rad(18.0), 0.0, 0.0])
+
+    def turned_at(number: int) -> RigidTransform:
+        T = pose_at(number)
+        return RigidTransform.from_components(T.translation, turned * T.rotation)
+
+    track: Track | None = None
+    poses = {n: turned_at(n) if n in (8, 12, 13) else pose_at(n) for n in range(15)}
+    told = {}
+    for number, T in poses.items():
+        measured = measure_pair(SETUP, *frames(T.apply(X), number), track)
+        told[number], track = measured.pose.status, measured.track
+        if measured.pose.status is PoseStatus.OK:
+            assert_pose(measured, T)
+        else:
+            assert "not where the target's motion puts them" in measured.pose.why
+    assert [number for number, status in told.items() if status is not PoseStatus.OK] == [8, 12, 14]
+
+
 def test_lights_exchanged_in_the_windows_are_noticed() -> None:
     """Half a turn of an arrangement whose lights land in each other's windows: the fit refuses, the search finds it."""
     first = measure_pair(SETUP, *frames(pose_at(0).apply(X), 0))

@@ -7,7 +7,7 @@ a hidden Markov chain tells how likely each level is at each moment.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from scipy.ndimage import maximum_filter1d
 from armsight.errors import Inconsistent
 from armsight.measure.motion.kernels import levels
 from armsight.measure.motion.kernels import views as view_kernels
-from armsight.measure.motion.kernels.state import STATE, N
+from armsight.measure.motion.kernels.state import STATE, N, P, R, V
 from armsight.measure.motion.states import MotionState, View, state_of
 from armsight.optics import PackedRig
 
@@ -144,40 +144,87 @@ def _columns(views: Sequence[View], t: Array, at_s: Array) -> tuple[_Columns, ND
     return columns, row[: len(t)]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MotionFilter:
-    """Follows a target view by view: the state so far, and where it will be. Not for views out of order."""
+    """Follows a target view by view: the state so far, and where it will be. Each view gives a new one.
 
-    def __init__(self, packed: PackedRig, places_m: Array, t_s: float, T: Array, covariance: Array) -> None:
-        self._packed, self._places = packed, np.ascontiguousarray(places_m, dtype=np.float64)
+    t_s: of the latest view; seen_s: of the latest in which something was seen. xs (K, 24), Cs (K, 18, 18) and
+    weights (K,): states under each level of jerk, and the levels' probabilities; best: the likeliest level's row.
+    """
+
+    packed: PackedRig
+    places_m: Array
+    t_s: float
+    seen_s: float
+    xs: Array
+    Cs: Array
+    weights: Array
+    best: int
+
+    @classmethod
+    def begin(cls, packed: PackedRig, places_m: Array, t_s: float, T: Array, covariance: Array) -> MotionFilter:
+        """Return the filter of lights at places_m (m, 3) in the target, which is at T (4, 4) with covariance (6, 6)."""
         K = len(JERK_LEVELS)
         x, C = state_of(t_s, T, covariance)
-        self._xs, self._Cs = np.tile(x, (K, 1)), np.tile(C, (K, 1, 1))
-        self._w, self._log = np.full(K, 1.0 / K), np.empty(K)
-        self.t_s, self.seen_s, self._best = t_s, t_s, K - 1
+        return cls(
+            packed=packed,
+            places_m=np.ascontiguousarray(places_m, dtype=np.float64),
+            t_s=t_s,
+            seen_s=t_s,
+            xs=np.tile(x, (K, 1)),
+            Cs=np.tile(C, (K, 1, 1)),
+            weights=np.full(K, 1.0 / K),
+            best=K - 1,
+        )
 
     @property
     def state(self) -> MotionState:
         """The state at the time of the latest view."""
-        return MotionState(
-            t_s=self.t_s, x=self._xs[self._best], C=self._Cs[self._best], jerk=float(JERK_LEVELS[self._best])
-        )
+        return MotionState(t_s=self.t_s, x=self.xs[self.best], C=self.Cs[self.best], jerk=float(JERK_LEVELS[self.best]))
 
     def at(self, t_s: float) -> MotionState:
         """Return the state expected at t_s."""
         return self.state.at(t_s, ANGULAR_RATIO)
 
-    def add(self, view: View) -> MotionState:
-        """Bring in a view and return the state at its time. Raises Inconsistent where it is older than the last one."""
+    def add_pose(self, t_s: float, T: Array, covariance: Array) -> tuple[MotionFilter, float, float]:
+        """Bring in a pose T (4, 4), covariance (6, 6), measured at t_s, after the latest view.
+
+        Returns the filter with it, and the squares of how far it was from where the motion before, and where a knock
+        just now, would put it, over their uncertainty (6 degrees of freedom).
+        """
+        seen = np.zeros(STATE)
+        seen[P:R], seen[R:V] = T[:3, 3], T[:3, :3].ravel()
+        xs, Cs, weights = np.empty_like(self.xs), np.empty_like(self.Cs), np.empty_like(self.weights)
+        best, surprise, knocked = levels.step_poses(
+            self.xs,
+            self.Cs,
+            self.weights,
+            self.best,
+            t_s - self.t_s,
+            JERK_LEVELS,
+            ANGULAR_RATIO,
+            LEVEL_CHANGE,
+            seen,
+            covariance,
+            xs,
+            Cs,
+            weights,
+        )
+        after = replace(self, t_s=t_s, seen_s=t_s, xs=xs, Cs=Cs, weights=weights, best=best)
+        return after, surprise, knocked
+
+    def add(self, view: View) -> MotionFilter:
+        """Bring in a view. Raises Inconsistent where it is older than the last one."""
         if not view.t_s >= self.t_s:
             raise Inconsistent(
                 f"a view of {view.t_s:g} s comes after one of {self.t_s:g} s", cure="Give views in the order of time"
             )
-        s, packed = view.side, self._packed
-        places = np.ascontiguousarray(self._places[view.lights])
-        self._best = levels.step_filters(
-            self._xs,
-            self._Cs,
-            self._w,
+        s, packed = view.side, self.packed
+        xs, Cs, weights = self.xs.copy(), self.Cs.copy(), self.weights.copy()
+        best = levels.step_filters(
+            xs,
+            Cs,
+            weights,
             view.t_s - self.t_s,
             JERK_LEVELS,
             ANGULAR_RATIO,
@@ -185,13 +232,11 @@ class MotionFilter:
             packed.k[s],
             packed.R[s],
             packed.t[s],
-            places,
+            np.ascontiguousarray(self.places_m[view.lights]),
             view.tau_s,
             view.uv_px,
             view.cov_px2,
-            self._log,
+            np.empty(len(JERK_LEVELS)),
         )
-        self.t_s = view.t_s
-        if len(view.lights):
-            self.seen_s = view.t_s
-        return self.state
+        seen_s = view.t_s if len(view.lights) else self.seen_s
+        return replace(self, t_s=view.t_s, seen_s=seen_s, xs=xs, Cs=Cs, weights=weights, best=best)

@@ -18,11 +18,16 @@ from armsight.measure.poses.pose import lost, no_points, position_only, solve_po
 from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.shortlist import Shortlist
 from armsight.measure.poses.solving import misfit_chi2, solve_assignment, solve_spots, take_spots
-from armsight.measure.poses.tracking import expected, next_track
+from armsight.measure.poses.tracking import continuation, doubtful, expected, next_track
 from armsight.records import PoseStatus, Spots, TargetPose
 
 SWAP_RATIO = 0.1
 """Exchanged views are believed where they bring chi-square below this share of what it is."""
+
+_DOUBTFUL = (
+    "the lights are not where the target's motion puts them: something beside a light may have been taken for it, or "
+    "the target was knocked; the next moment tells"
+)
 
 
 def measure_spots(setup: Setup, t_s: float, left: Spots, right: Spots, track: Track | None = None) -> Measured:
@@ -56,6 +61,9 @@ def measure_among(
     against = impossible(setup, match.best.names, solved, *matched)
     if against:
         return lost_moment(t_s, left, right, against, track), 1.0
+    step = continuation(setup, track, t_s, solved)
+    if track is not None and doubtful(setup, track, t_s, solved, step):
+        return lost_moment(t_s, left, right, _DOUBTFUL, replace(track, doubted=True)), 1.0
     misfit = 0.0 if setup.overlaid or picked else misfit_chi2(solved, *matched)
     if misfit > float(setup.model.limits[min(len(matched[0]), len(setup.model))]):
         _refuse_swapped(setup, left, right, misfit)
@@ -67,7 +75,7 @@ def measure_among(
         names=match.best.names,
         left_seen=left,
         right_seen=right,
-        track=next_track(setup, t_s, solved, left, right, track),
+        track=next_track(setup, t_s, solved, *matched, track, step),
         notes=left_out_notes(setup, solved, left, right),
     )
     return measured, match.chance

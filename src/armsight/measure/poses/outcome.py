@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.measure.motion.estimate import MotionFilter
 from armsight.records import Points, Spots, TargetPose, frozen_array
 
 Array = NDArray[np.float64]
@@ -18,7 +19,9 @@ class Track:
 
     names: of the lights; xyz_m, velocity_m_s (n, 3) in rig axes at t_s. whole_t_s: when all of the target's lights were
     last placed. complete: all of them were seen at t_s, so that windows around the predictions may replace the
-    search of the whole frame. half_window_px: of these windows.
+    search of the whole frame. half_window_px: of these windows. motion: what the poses before say of the next one; None
+    where there was none of a target of known geometry. doubted: the latest pose was refused because it does not go on
+    from the motion; the next one is believed.
     """
 
     t_s: float
@@ -28,6 +31,8 @@ class Track:
     velocity_m_s: Array
     half_window_px: int
     complete: bool
+    motion: MotionFilter | None = None
+    doubted: bool = False
 
     def __post_init__(self) -> None:
         n = len(self.names)

@@ -16,7 +16,7 @@ from armsight.measure.poses.outcome import Measured, Track
 from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.shortlist import Shortlist, likeness, shortlist
 from armsight.measure.poses.solving import solve_spots
-from armsight.measure.poses.tracking import MAX_GAP_S, jumped, next_track
+from armsight.measure.poses.tracking import MAX_GAP_S, continuation, jumped, next_track
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import SECOND_LOOK, Candidates, find_candidates, track_spots
 from armsight.measure.spots import warm_up as spots_warm_up
@@ -188,6 +188,9 @@ def _measure_windows(setup: Setup, left: Frame, right: Frame, t_s: float, track:
     solved = solve_spots(setup, t_s, track.names, left_seen, right_seen)
     if not solved.fits or solved.pose.status is PoseStatus.LOST or jumped(setup, track, t_s, solved):
         return None
+    step = continuation(setup, track, t_s, solved)
+    if not step.likely:
+        return None
     innovation = kernels.largest_innovation(left_seen.uv_px, at_left, right_seen.uv_px, at_right)
     return Measured(
         pose=solved.pose,
@@ -197,7 +200,7 @@ def _measure_windows(setup: Setup, left: Frame, right: Frame, t_s: float, track:
         names=track.names,
         left_seen=left_seen,
         right_seen=right_seen,
-        track=next_track(setup, t_s, solved, left_seen, right_seen, track, innovation_px=innovation),
+        track=next_track(setup, t_s, solved, left_seen, right_seen, track, step, innovation),
         tracked=True,
     )
 

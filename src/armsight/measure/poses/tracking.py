@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from math import ceil
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import distributions
 
+from armsight.measure.motion.estimate import MotionFilter
 from armsight.measure.poses.assignment import Prediction
 from armsight.measure.poses.kernels import pose as kernels
 from armsight.measure.poses.outcome import Track
@@ -37,6 +40,9 @@ FIRST_WINDOW_PX = 32
 
 LEAST_WINDOW_PX = 8
 """Half the smallest window, beside the spot itself."""
+
+MOST_SURPRISE2 = float(distributions.chi2.isf(1e-6, 6))
+"""Squared deviations of a pose from where the target's motion puts it, beyond which it is something else's."""
 
 SPOT_REACH = 4.0
 """A spot's light reaches about this many of its sigmas (or radii)."""
@@ -85,6 +91,55 @@ def jumped(setup: Setup, track: Track, t_s: float, solved: Solved) -> bool:
     return bool(np.any(apart > predicted.turned_m + turn_doubt))
 
 
+class Continuation(NamedTuple):
+    """A whole pose brought into the motion before it.
+
+    motion: the filter with it. surprise2, knocked2: squares of how far it was from where that motion, and a knock just
+    now, would put the target, over their uncertainty; 0 where no motion was known.
+    """
+
+    motion: MotionFilter | None
+    surprise2: float = 0.0
+    knocked2: float = 0.0
+
+    @property
+    def likely(self) -> bool:
+        """Whether the target moved on as it did."""
+        return self.surprise2 <= MOST_SURPRISE2
+
+    @property
+    def possible(self) -> bool:
+        """Whether a knock at the most brought it there."""
+        return self.knocked2 <= MOST_SURPRISE2
+
+
+def continuation(setup: Setup, track: Track | None, t_s: float, solved: Solved) -> Continuation:
+    """Return how a pose goes on from the motion before it; one that cannot begins a motion anew."""
+    motion, pose = track.motion if track is not None else None, solved.pose
+    if motion is not None and not 0.0 < t_s - motion.seen_s <= MAX_GAP_S:
+        motion = None
+    if solved.T is None or pose.covariance is None or not setup.target.model_known:
+        return Continuation(motion)
+    random = pose.covariance if pose.systematic_covariance is None else pose.covariance - pose.systematic_covariance
+    if motion is not None:
+        step = Continuation(*motion.add_pose(t_s, solved.T, random))
+        if step.possible:
+            return step
+    fresh = MotionFilter.begin(setup.packed, setup.model.xyz_m, t_s, solved.T, random)
+    return Continuation(fresh) if motion is None else step._replace(motion=fresh)
+
+
+def doubtful(setup: Setup, track: Track | None, t_s: float, solved: Solved, step: Continuation) -> bool:
+    """Tell whether a pose found in whole frames is near the one before, but not where even a knock would bring it.
+
+    One light of three taken for another is told by nothing else. Far from the one before it is a target that was put
+    elsewhere; and the moment after a refusal is believed.
+    """
+    if track is None or track.doubted or step.possible or t_s - track.t_s > MAX_GAP_S:
+        return False
+    return not jumped(setup, track, t_s, solved)
+
+
 def places_of(setup: Setup, T: Array) -> Array:
     """Return where the lights of the target are (m, 3) in rig axes under its pose T (4, 4)."""
     places = np.empty((len(setup.model), 3))
@@ -99,6 +154,7 @@ def next_track(
     left: Spots,
     right: Spots,
     track: Track | None,
+    step: Continuation,
     innovation_px: float | None = None,
 ) -> Track | None:
     """Return where the lights are and how fast they go; lights not seen go on as they went."""
@@ -127,6 +183,8 @@ def next_track(
         velocity_m_s=velocity,
         half_window_px=ceil(reach + innovation),
         complete=whole,
+        motion=step.motion,
+        doubted=False,
     )
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from armsight._numba import inner_kernel, kernel
-from armsight.measure.motion.kernels.state import STATE, N, predict
-from armsight.measure.motion.kernels.views import update
+from armsight.measure.motion.kernels.state import STATE, N, add_jerk, predict
+from armsight.measure.motion.kernels.views import pose_distance2, update, update_pose
 
 IMPOSSIBLE = -1e6
 """Log likelihood of a view that a state cannot explain at all."""
@@ -31,6 +31,33 @@ def mixed(w, m, stick):
     return (1.0 - stick) * w[m] + 0.5 * stick * (lower + upper)
 
 
+@inner_kernel
+def weigh(xs, Cs, w, log, stick):
+    """Bring the levels' log likelihoods log (K,) into their probabilities w (K,); return the number of the likeliest.
+
+    A level that has lost its way goes on from the likeliest one's state.
+    """
+    K = w.shape[0]
+    v = np.empty(K)
+    top = -1e300
+    for m in range(K):
+        top = max(top, log[m])
+    total = 0.0
+    best = 0
+    for m in range(K):
+        v[m] = mixed(w, m, stick) * np.exp(max(log[m] - top, -300.0))
+        total += v[m]
+        if v[m] > v[best]:
+            best = m
+    for m in range(K):
+        w[m] = v[m] / total
+        if w[m] < LOST_WEIGHT:
+            xs[m] = xs[best]
+            Cs[m] = Cs[best]
+            w[m] = LOST_WEIGHT
+    return best
+
+
 @kernel
 def step_filters(xs, Cs, w, dt, jerk, ratio, stick, k, Rc, tc, X, tau, uv, cov, log):
     """Bring a view into filters of different jerk, side by side; return the number of the likeliest.
@@ -44,8 +71,6 @@ def step_filters(xs, Cs, w, dt, jerk, ratio, stick, k, Rc, tc, X, tau, uv, cov, 
     D = np.empty((N, N))
     F = np.empty((N, N))
     residual = np.empty((X.shape[0], 2))
-    v = np.empty(K)
-    top = -1e300
     for m in range(K):
         if dt > 0.0:
             predict(xs[m], Cs[m], dt, jerk[m], ratio * jerk[m], y, D, F)
@@ -55,21 +80,35 @@ def step_filters(xs, Cs, w, dt, jerk, ratio, stick, k, Rc, tc, X, tau, uv, cov, 
         if X.shape[0]:
             chi2, logdet = update(xs[m], Cs[m], k, Rc, tc, X, tau, uv, cov, residual)
             log[m] = -0.5 * (chi2 + logdet) if chi2 >= 0.0 else IMPOSSIBLE
-        top = max(top, log[m])
-    total = 0.0
-    best = 0
+    return weigh(xs, Cs, w, log, stick)
+
+
+@kernel
+def step_poses(xs, Cs, w, best, dt, jerk, ratio, stick, x_seen, cov, xs_new, Cs_new, w_new):
+    """As step_filters for a whole pose x_seen (24,), of which only position and rotation count, with cov (6, 6).
+
+    Fills xs_new, Cs_new, w_new; best: the row of the likeliest level before. Returns the likeliest one, and the squared
+    deviations of the pose from where that level before, and a knock (the last level), expect it.
+    """
+    K = jerk.shape[0]
+    F = np.empty((N, N))
+    D = np.empty((N, N))
+    log = np.empty(K)
+    surprise = 0.0
+    knocked = 0.0
     for m in range(K):
-        v[m] = mixed(w, m, stick) * np.exp(max(log[m] - top, -300.0))
-        total += v[m]
-        if v[m] > v[best]:
-            best = m
-    for m in range(K):
-        w[m] = v[m] / total
-        if w[m] < LOST_WEIGHT:  # has lost its way: goes on from the likeliest
-            xs[m] = xs[best]
-            Cs[m] = Cs[best]
-            w[m] = LOST_WEIGHT
-    return best
+        predict(xs[m], Cs[m], dt, jerk[m], ratio * jerk[m], xs_new[m], Cs_new[m], F)
+        if m == best:
+            D[:] = Cs_new[m]
+            add_jerk(D, dt, jerk[K - 1] - jerk[m], ratio * (jerk[K - 1] - jerk[m]))
+            knocked = pose_distance2(xs_new[m], D, x_seen, cov)
+        chi2, logdet = update_pose(xs_new[m], Cs_new[m], x_seen, cov)
+        if m == best:
+            surprise = chi2
+        log[m] = -0.5 * (chi2 + logdet)
+    w_new[:] = w
+    likeliest = weigh(xs_new, Cs_new, w_new, log, stick)
+    return likeliest, surprise, knocked
 
 
 @kernel

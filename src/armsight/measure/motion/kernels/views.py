@@ -152,6 +152,60 @@ def update(x, C, k, Rc, tc, X, tau, uv, cov, residual):
 
 
 @inner_kernel
+def pose_innovation(x, C, x_seen, cov, d, S, inverse):
+    """Fill the pose's innovation d (18,), of which 6 count, its covariance S (6, 6) and inverse; return chi-square."""
+    difference(x_seen, x, d)
+    for i in range(6):
+        for j in range(6):
+            S[i, j] = C[i, j] + cov[i, j]
+    if not invert_spd(S, inverse):
+        return 1e300
+    chi2 = 0.0
+    for i in range(6):
+        for j in range(6):
+            chi2 += d[i] * inverse[i, j] * d[j]
+    return chi2
+
+
+@inner_kernel
+def pose_distance2(x, C, x_seen, cov):
+    """Return the squared deviations of a measured pose from where the state has it."""
+    return pose_innovation(x, C, x_seen, cov, np.empty(N), np.empty((6, 6)), np.empty((6, 6)))
+
+
+@inner_kernel
+def update_pose(x, C, x_seen, cov):
+    """Bring the pose of x_seen (24,) with cov (6, 6) into a state, in place; return chi-square and log determinant."""
+    d = np.empty(N)
+    S = np.empty((6, 6))
+    inverse = np.empty((6, 6))
+    chi2 = pose_innovation(x, C, x_seen, cov, d, S, inverse)
+    if chi2 == 1e300:
+        return chi2, 0.0
+    G = np.empty((N, 6))
+    K = np.empty((N, 6))
+    step = np.empty(N)
+    for i in range(N):
+        for j in range(6):
+            G[i, j] = C[i, j]
+    multiply(G, inverse, K)
+    for i in range(N):
+        s = 0.0
+        for j in range(6):
+            s += K[i, j] * d[j]
+        step[i] = s
+    for i in range(N):
+        for j in range(i + 1):
+            s = C[i, j]
+            for q in range(6):
+                s -= K[i, q] * G[j, q]
+            C[i, j] = s
+            C[j, i] = s
+    move(x, step)
+    return chi2, log_determinant(S)
+
+
+@inner_kernel
 def log_determinant(S):
     """Return the logarithm of the determinant of S (n, n), symmetric and positive."""
     n = S.shape[0]

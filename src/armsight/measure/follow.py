@@ -81,7 +81,8 @@ class Follower:
         if view is None:
             return self._filter.at(t_s)
         self.views.append(view)
-        return self._filter.add(view)
+        self._filter = self._filter.add(view)
+        return self._filter.state
 
     def _begin(self, t_s: float) -> MotionState | None:
         """Look for the target in the latest frames of both cameras; a track begins with the older of them."""
@@ -106,13 +107,12 @@ class Follower:
             return None
         T, C = np.asarray(measured.pose.T_parent_target), np.asarray(measured.pose.covariance)
         self.starts.append(Start(view=len(self.views), T=T, covariance=C))
-        self._filter = MotionFilter(self.setup.packed, self.setup.model.xyz_m, pair[0].t_s, T, C)
-        self._missed = 0
-        state = None
+        follows = MotionFilter.begin(self.setup.packed, self.setup.model.xyz_m, pair[0].t_s, T, C)
         for view in pair:
             self.views.append(view)
-            state = self._filter.add(view)
-        return state
+            follows = follows.add(view)
+        self._filter, self._missed = follows, 0
+        return follows.state
 
     def _view(self, spots: Spots, names: tuple[str, ...], side: int, frame: Frame) -> View:
         lights = np.array([self.setup.model.names.index(name) for name in names], dtype=np.intp)
