@@ -233,7 +233,7 @@ def choose(comp, background, box, values, use, noise, only, best):
     x0 = box[0]
     y0 = box[2]
     count = used(use)
-    shape = np.empty(8)
+    shape = np.empty(9)
     shape_of(values, use, comp, box, comp[LEVEL], background, shape)
     p = np.zeros(MOST_PARAMETERS)
     more = np.zeros(MOST_PARAMETERS)

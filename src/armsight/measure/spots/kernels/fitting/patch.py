@@ -74,7 +74,10 @@ def used(use):
 
 @inner_kernel
 def shape_of(values, use, comp, box, level, background, shape):
-    """Fill shape (8,): centre, second moments xx, xy, yy above level; the same about half height, unweighted: 5..7."""
+    """Fill shape (9,): centre, second moments xx, xy, yy above level; the same above half height, unweighted: 5..7.
+
+    8: how many pixels are above half height.
+    """
     half = background + 0.5 * (comp[PEAK] - background)
     s = np.zeros(6)
     a = np.zeros(6)
@@ -111,6 +114,7 @@ def shape_of(values, use, comp, box, level, background, shape):
         shape[2 + 3 * k] = max(m[3] / total - cx * cx, 0.1)
         shape[3 + 3 * k] = m[4] / total - cx * cy
         shape[4 + 3 * k] = max(m[5] / total - cy * cy, 0.1)
+    shape[8] = a[0]
 
 
 @inner_kernel
