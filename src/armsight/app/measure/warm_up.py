@@ -17,6 +17,8 @@ from armsight.records import Progress, Spots, spot_target
 
 FIRST_TIME = "compiling (only this first time, about a minute)"
 READY = "preparing"
+LAST_COMPILED = ("locate.locate_near", "pose.predict_views", "levels.step_poses")
+"""Kernels that a tracked pair needs last, in each of the parts of the measurement."""
 
 
 def prepare(progress: Progress, *, cell: str = "") -> None:
@@ -43,7 +45,7 @@ def compiled() -> bool:
     """Tell whether compiled kernels of the measurement are kept on this machine."""
     given = os.environ.get("NUMBA_CACHE_DIR")
     folder = Path(given) if given else Path(next(iter(armsight.measure.__path__)))
-    return folder.is_dir() and any(folder.rglob("*.nbi"))
+    return folder.is_dir() and all(any(folder.rglob(f"{name}-*.nbi")) for name in LAST_COMPILED)
 
 
 def compile_beside(cell: str = "") -> None:

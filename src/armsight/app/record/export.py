@@ -19,10 +19,6 @@ from armsight.store.atomic import RowFile, disk_errors, json_text
 from armsight.store.recording import Recording
 from armsight.store.tables import cells, number
 
-Export = tuple[str, int]
-"""A file or folder and how many rows or frames it has."""
-
-
 def export(source: Path, out: Path, *, progress: Progress | None = None) -> ExportOutput:
     """Write what a recording holds; return rows or frames by file.
 
