@@ -19,6 +19,7 @@ from armsight.store.atomic import RowFile, disk_errors, json_text
 from armsight.store.recording import Recording
 from armsight.store.tables import cells, number
 
+
 def export(source: Path, out: Path, *, progress: Progress | None = None) -> ExportOutput:
     """Write what a recording holds; return rows or frames by file.
 
