@@ -92,6 +92,21 @@ def measure(
         str,
         typer.Option(help="likelihood (a light's model is fitted) or seed (Pachidis 2005: threshold, cross, mean)."),
     ] = "likelihood",
+    timing: Annotated[
+        str,
+        typer.Option(
+            help="pairs: the views of a pair are of one moment. free: each view at its own time, for cameras that no "
+            "wire joins. auto: free where rig.yaml has `timing`."
+        ),
+    ] = "auto",
+    rate: Annotated[
+        float | None, typer.Option(min=1e-3, help="With free cameras: poses a second. [default: the left frames]")
+    ] = None,
+    at: Annotated[Path | None, typer.Option(help="With free cameras: poses at the t_s of this joints.csv.")] = None,
+    left_spots: Annotated[
+        Path | None, typer.Option(help="t_s,u_px,v_px[,su_px,sv_px][,spot]: spots of the left camera found elsewhere.")
+    ] = None,
+    right_spots: Annotated[Path | None, typer.Option(help="The same of the right camera.")] = None,
     json: AsJson = False,
 ) -> None:
     """Measure the target's pose in every pair of frames.
@@ -122,6 +137,11 @@ def measure(
             inverted=inverted,
             stills=stills,
             method=method,
+            timing=timing,
+            rate_hz=rate,
+            at=at,
+            left_spots=left_spots,
+            right_spots=right_spots,
         )
         summary = run(job, face.progress("measuring"))
         measure_tables(face, summary, out)

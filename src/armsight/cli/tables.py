@@ -61,6 +61,17 @@ def measure_tables(face: CommandUI, summary: MeasureOutput, out: Path) -> None:
             ["right after left, ms largest", figure(summary.skew.largest_s / MS)],
             ["frames without a partner", str(summary.skew.n_dropped)],
         ]
+    free = summary.timing
+    if free is not None:
+        rows[0][0] = "poses asked for"
+        rows += [
+            ["views, left and right", f"{free.n_views.left} and {free.n_views.right}"],
+            ["speed, mm/s RMS", figure(None if free.speed_m_s is None else free.speed_m_s / MM)],
+            [
+                "nearest pairs would be off by, mm",
+                figure(None if free.nearest_pairs_m is None else free.nearest_pairs_m / MM),
+            ],
+        ]
     face.table("Measured", ["", ""], rows)
     for reason, count in list(summary.reasons.items())[:REJECTED_SHOWN]:
         face.say(f"  {count} x {reason}")

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from armsight.errors import Inconsistent
 from armsight.measure.motion.estimate import MAX_GAP_S, MotionFilter, Start
 from armsight.measure.motion.kernels import state as kernels
 from armsight.measure.motion.kernels.views import observe
 from armsight.measure.motion.states import MotionState, View
-from armsight.measure.poses.pipeline import measure_pair
+from armsight.measure.poses.outcome import Measured
+from armsight.measure.poses.pipeline import measure_pair, measure_spots
 from armsight.measure.poses.setup import Setup
+from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import track_spots
 from armsight.records import AT_ONCE, CameraTiming, Frame, PoseStatus, Spots
 
@@ -33,6 +37,21 @@ VIEW_CHANCE = 1e-6
 """Chance below which a view that fits so badly is not of the target as it moves."""
 LOST_VIEWS = 6
 """Views in a row that do not fit, or in which nothing is seen, after which the target is looked for anew."""
+FEWEST_VIEWS = 10
+"""Views between a start and the next one below which it was none: what was followed was not the target."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SpotFrame:
+    """The spots of one frame, found elsewhere, in the camera's own pixels."""
+
+    t_s: float
+    spots: Spots
+    width: int
+    height: int
+
+
+AnyFrame: TypeAlias = Frame | SpotFrame
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -58,14 +77,14 @@ class Follower:
     starts: list[Start] = field(default_factory=list)
     why: str = "no frame of both cameras yet"
     _filter: MotionFilter | None = None
-    _latest: list[Frame | None] = field(default_factory=lambda: [None, None])
+    _latest: list[AnyFrame | None] = field(default_factory=lambda: [None, None])
     _missed: int = 0
 
-    def time_of(self, frame: Frame, side: int) -> float:
+    def time_of(self, frame: AnyFrame, side: int) -> float:
         """Return the rig's time of a frame."""
         return float(self.timing[side].rig_time(frame.t_s))
 
-    def add(self, frame: Frame, side: int) -> MotionState | None:
+    def add(self, frame: AnyFrame, side: int) -> MotionState | None:
         """Return the state after a frame of the left (0) or right (1) camera; None while the target is not followed."""
         t_s = self.time_of(frame, side)
         if self._filter is not None and t_s - self._filter.seen_s > MAX_GAP_S:
@@ -84,6 +103,18 @@ class Follower:
         self._filter = self._filter.add(view)
         return self._filter.state
 
+    def tracks(self) -> tuple[list[View], list[Start]]:
+        """Return the views and starts of all stretches that were followed for a while."""
+        views: list[View] = []
+        starts: list[Start] = []
+        ends = [start.view for start in self.starts[1:]] + [len(self.views)]
+        for start, end in zip(self.starts, ends, strict=True):
+            stretch = self.views[start.view : end]
+            if len(stretch) >= FEWEST_VIEWS and {view.side for view in stretch} == {0, 1}:
+                starts.append(replace(start, view=len(views)))
+                views += stretch
+        return views, starts
+
     def _begin(self, t_s: float) -> MotionState | None:
         """Look for the target in the latest frames of both cameras; a track begins with the older of them."""
         left, right = self._latest
@@ -92,11 +123,11 @@ class Follower:
         times = self.time_of(left, 0), self.time_of(right, 1)
         if abs(times[0] - times[1]) > BEGIN_APART_S:
             return None
-        measured = measure_pair(self.setup, left, right)
+        measured = _measured(self.setup, left, right)
         for slack_px in BEGIN_SLACKS_PX:
             if measured.pose.status is PoseStatus.OK:
                 break
-            measured = measure_pair(replace(self.setup, slack_px=slack_px), left, right)
+            measured = _measured(replace(self.setup, slack_px=slack_px), left, right)
         if measured.pose.status is not PoseStatus.OK or measured.pose.T_parent_target is None:
             self.why = measured.pose.why
             return None
@@ -114,7 +145,7 @@ class Follower:
         self._filter, self._missed = follows, 0
         return follows.state
 
-    def _view(self, spots: Spots, names: tuple[str, ...], side: int, frame: Frame) -> View:
+    def _view(self, spots: Spots, names: tuple[str, ...], side: int, frame: AnyFrame) -> View:
         lights = np.array([self.setup.model.names.index(name) for name in names], dtype=np.intp)
         tau = self.timing[side].line_time(spots.uv_px[:, 1], frame.height)
         return View(
@@ -126,7 +157,7 @@ class Follower:
             tau_s=tau,
         )
 
-    def _look(self, frame: Frame, side: int, t_s: float, state: MotionState) -> View | None:
+    def _look(self, frame: AnyFrame, side: int, t_s: float, state: MotionState) -> View | None:
         """Return the target's spots in a frame, looked for where they are expected; None where they are not there."""
         expected = expect(self.setup, state, side, self.timing[side], frame.height)
         if expected is None:
@@ -137,7 +168,7 @@ class Follower:
             return None
         spread = np.sqrt(np.diag(expected.S).reshape(-1, 2).max(axis=1))
         half = float(np.clip(GATE_SIGMA * spread[inside].max() + LEAST_WINDOW_PX, LEAST_WINDOW_PX, MOST_WINDOW_PX))
-        spots, of = track_spots(frame.image, expected.uv_px[inside], half, self.setup.sides[side])
+        spots, of = _near(frame, expected.uv_px[inside], half, self.setup.sides[side])
         chosen = _choose(expected, np.flatnonzero(inside)[of], spots)
         if not len(chosen):
             return None
@@ -147,6 +178,24 @@ class Follower:
             return None
         tau = self.timing[side].line_time(uv[:, 1], h)
         return View(t_s=t_s, side=side, lights=light.astype(np.intp), uv_px=uv, cov_px2=cov, tau_s=tau)
+
+
+def _measured(setup: Setup, left: AnyFrame, right: AnyFrame) -> Measured:
+    """Return the target's pose in two frames as if they were of one moment."""
+    if isinstance(left, Frame) and isinstance(right, Frame):
+        return measure_pair(setup, left, right)
+    if isinstance(left, SpotFrame) and isinstance(right, SpotFrame):
+        return measure_spots(setup, 0.5 * (left.t_s + right.t_s), left.spots, right.spots)
+    raise Inconsistent("one camera gives images and the other one spots", cure="Give both alike")
+
+
+def _near(frame: AnyFrame, uv_px: Array, half_px: float, settings: SpotSettings) -> tuple[Spots, NDArray[np.intp]]:
+    """Return the spots in windows about uv_px (n, 2), and the row of uv_px that each belongs to."""
+    if isinstance(frame, Frame):
+        return track_spots(frame.image, uv_px, half_px, settings)
+    off = np.abs(frame.spots.uv_px[None] - uv_px[:, None]).max(axis=2)
+    of, which = np.nonzero(off <= half_px)
+    return frame.spots.take(which), of
 
 
 def expect(setup: Setup, state: MotionState, side: int, timing: CameraTiming, height: int) -> Expected | None:

@@ -24,6 +24,7 @@ from armsight.store.targets import (
     write_target,
 )
 from armsight.store.tracks import (
+    MovingPosesWriter,
     PointsWriter,
     PosesWriter,
     PoseTrack,
@@ -43,6 +44,7 @@ from armsight.store.worlds import World, read_world, write_world
 __all__ = [
     "BOARD_FORMS",
     "CameraFile",
+    "MovingPosesWriter",
     "PointsWriter",
     "PoseTrack",
     "PosesWriter",

@@ -28,6 +28,8 @@ IDENTITY = (0.0, 0.0, 0.0, 1.0)
 DEVIATIONS = ("sx_m", "sy_m", "sz_m", "srx_rad", "sry_rad", "srz_rad")
 SYSTEMATIC = tuple(f"sys_{name}" for name in DEVIATIONS)
 POSE_COLUMNS = ("t_s", *POSITION, *QUATERNION, *DEVIATIONS, "status", "spots")
+VELOCITY = ("vx_m_s", "vy_m_s", "vz_m_s", "wx_rad_s", "wy_rad_s", "wz_rad_s")
+VELOCITY_STD = tuple(f"s{name}" for name in VELOCITY)
 POINT_COLUMNS = ("t_s", "spot", "x_m", "y_m", "z_m", "sx_m", "sy_m", "sz_m")
 SPOT_COLUMNS = ("t_s", "camera", "spot", "u_px", "v_px", "su_px", "sv_px")
 
@@ -73,6 +75,21 @@ class PosesWriter(_Writer):
     def write(self, pose: TargetPose) -> None:
         """Add one pose."""
         self._rows.add(pose_row(pose))
+
+
+class MovingPosesWriter(_Writer):
+    """poses.csv of a target in motion: after the columns of a pose, velocity and its standard deviations.
+
+    Of the target's origin in m/s, and angular in rad/s, both in the axes of the poses' frame.
+    """
+
+    columns = (*POSE_COLUMNS, *SYSTEMATIC, *VELOCITY, *VELOCITY_STD)
+
+    def write(self, pose: TargetPose, velocity: Array | None, std: Array | None) -> None:
+        """Add one pose with velocity (6,) and its standard deviations (6,); None where they are not known."""
+        known = velocity is not None and std is not None
+        values = np.concatenate([velocity, std]).tolist() if known else [math.nan] * 12
+        self._rows.add(f"{pose_row(pose)},{cells(values)}")
 
 
 class PointsWriter(_Writer):
@@ -145,9 +162,9 @@ def parse_poses(data: bytes, where: str, *, parent: str = "rig") -> tuple[Target
         data,
         where,
         POSE_COLUMNS[:8],
-        optional=(*POSE_COLUMNS[8:], *SYSTEMATIC),
+        optional=(*POSE_COLUMNS[8:], *SYSTEMATIC, *VELOCITY, *VELOCITY_STD),
         text=("status", "spots"),
-        blank=(*POSE_COLUMNS[1:14], *SYSTEMATIC),
+        blank=(*POSE_COLUMNS[1:14], *SYSTEMATIC, *VELOCITY, *VELOCITY_STD),
     )
     statuses = [_status(table, row) for row in range(len(table))]
     seen = [row for row, status in enumerate(statuses) if status is not PoseStatus.LOST]

@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.measure.collector import About, Collector
+from armsight.app.measure.free_output import measure_free
+from armsight.app.measure.free_running import require_timing, runs_free
 from armsight.app.measure.outputs import REPORT, SUMMARY, Outputs
 from armsight.app.measure.warm_up import prepare
 from armsight.app.schemas.measure import MeasureOutput
@@ -37,6 +39,7 @@ SWAPPED_ENOUGH = 3
 """Pairs at the start of a run that look exchanged before it is refused: one may do so by a reflection."""
 
 MEASURING = "measuring"
+TIMINGS = ("auto", "pairs", "free")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -55,7 +58,9 @@ class MeasureJob:
 
     left and right, or image: sources as on the command line. fps: of folders. limit: frames after which to stop.
     mask: an image that is black where no light may be looked for. stills: the frames are single shots, each measured
-    by itself.
+    by itself. left_spots, right_spots: tables of spots in place of frames. timing: pairs of frames of one moment, views
+    of cameras that run free, or auto: free where the rig's file says when its cameras expose. rate_hz, at: with free
+    cameras, the rate of the poses, or a table whose t_s they are given at; neither: the times of the left frames.
     """
 
     rig: Path
@@ -74,6 +79,11 @@ class MeasureJob:
     inverted: bool = False
     stills: bool = False
     method: str = METHODS[0]
+    left_spots: Path | None = None
+    right_spots: Path | None = None
+    timing: str = TIMINGS[0]
+    rate_hz: float | None = None
+    at: Path | None = None
 
 
 def target_of(named: Path) -> Target:
@@ -90,6 +100,8 @@ def measure(job: MeasureJob, progress: Progress | None = None) -> MeasureOutput:
     rig, target = read_rig(job.rig), target_of(job.target)
     world = read_world(job.world) if job.world else None
     settings = _settings(job, target)
+    if _free(job, rig):
+        return measure_free(job, Setup(rig=rig, target=target, settings=settings), world, progress or Silent())
     pairs, overlaid = _pairs(job, rig, target)
     setup = Setup(rig=rig, target=target, settings=settings, overlaid=overlaid)
     facts = [("frames", pairs.name), ("rig's file", str(job.rig)), ("target's file", str(job.target))]
@@ -222,6 +234,33 @@ def _sized(rig: Rig, pair: Pair) -> Pair:
                 cure="Record at the resolution of the calibration, or calibrate at this one",
             )
     return pair
+
+
+def _free(job: MeasureJob, rig: Rig) -> bool:
+    """Tell whether each view is to be taken at its own time. Raises UsageError where that cannot be."""
+    if job.timing not in TIMINGS:
+        raise UsageError(f"--timing {job.timing}", cure=f"Give one of {', '.join(TIMINGS)}")
+    tables = job.left_spots is not None or job.right_spots is not None
+    one_exposure = job.image is not None or rig.kind is RigKind.MIRROR
+    apart = not (one_exposure or job.stills or job.times is not None)
+    free = job.timing == "free" or (job.timing == "auto" and apart and (tables or runs_free(rig)))
+    if free and not apart:
+        raise UsageError(
+            "both views are one exposure"
+            if one_exposure
+            else "--stills and --times are for frames that belong in pairs",
+            cure="Leave --timing free away",
+        )
+    if free:
+        require_timing(rig)
+    elif tables or job.rate_hz is not None or job.at is not None:
+        raise UsageError(
+            "--left-spots, --right-spots, --rate and --at are for cameras that run free",
+            cure="Run armsight calibrate timing, and measure with the rig.yaml it writes",
+        )
+    if job.rate_hz is not None and job.at is not None:
+        raise UsageError("--rate and --at both say at which times poses are wanted", cure="Give one of them")
+    return free
 
 
 def _settings(job: MeasureJob, target: Target) -> SpotSettings:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from armsight.app.schemas.base import Output, PoseStd, absent
+from armsight.app.schemas.timing import BothCounts, BothSeconds
 
 
 class FrameTime(Output):
@@ -80,6 +81,21 @@ class ConsistencyOutput(Output):
     advice: str = Field(description="What to do about it; empty where nothing is to be done.")
 
 
+class FreeRunning(Output):
+    """How a moving target was measured by cameras that no wire joins."""
+
+    delay_s: float = Field(description="t_left = t_right + delay_s + 1e-6 drift_ppm t_right, s.")
+    drift_ppm: float = Field(description="How much faster the left camera's clock runs, parts in a million.")
+    readout_s: BothSeconds = Field(description="From the first line's exposure to the last one's.")
+    n_views: BothCounts = Field(description="Frames in which lights of the target were found.")
+    n_starts: int = Field(description="How often the target was found anew.")
+    chi2_per_dof: float | None = Field(description="Chi-square of the spots about the motion, per degree of freedom.")
+    speed_m_s: float | None = Field(description="RMS of the target's speed, m/s.")
+    nearest_pairs_m: float | None = Field(
+        description="RMS of how far the target moves between a left frame and the right frame nearest in time, m."
+    )
+
+
 class MeasureOutput(Output):
     """armsight measure; also OUT/measure.json."""
 
@@ -98,6 +114,9 @@ class MeasureOutput(Output):
         None, exclude_if=absent, description="Whether residuals, rig and target agree."
     )
     skew: SkewOutput | None = Field(None, exclude_if=absent, description="Time between the frames of live pairs.")
+    timing: FreeRunning | None = Field(
+        None, exclude_if=absent, description="Where each view was taken at its own time."
+    )
     error: str | None = Field(None, exclude_if=absent, description="Why the run ended early.")
 
 

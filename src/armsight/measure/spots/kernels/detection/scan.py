@@ -155,8 +155,8 @@ def level_at_column(levels, i, j):
 def threshold_map(levels, margin, thresholds):
     """Fill thresholds (GRID, GRID): the upper third of the 3 x 3 tiles around, plus margin; return lowest, highest.
 
-    The upper third lies above the level of a linear gradient in all of the tile where the gradient runs along an axis or
-    a diagonal, in most of it else, and ignores up to a third of tiles that a large light has lifted.
+    The upper third lies above the level of a linear gradient in all of the tile where the gradient runs along an axis
+    or a diagonal, in most of it else, and ignores up to a third of tiles that a large light has lifted.
     """
     lowest = 1e9
     highest = -1e9

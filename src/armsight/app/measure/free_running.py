@@ -1,0 +1,321 @@
+"""Frames or spots of two cameras that no wire joins -> poses of a moving target at any times, smoothed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from heapq import merge
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.app.schemas.measure import FreeRunning
+from armsight.app.schemas.timing import BothCounts, BothSeconds
+from armsight.app.sources.frames import RecordedFrames, is_recording, open_source
+from armsight.calibrate.timing.stamps import FEWEST_FRAMES, steady
+from armsight.drivers import FrameSource, is_live
+from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
+from armsight.measure.follow import AnyFrame, Follower, SpotFrame
+from armsight.measure.motion.estimate import MAX_GAP_S, smooth
+from armsight.measure.motion.kernels.views import observe
+from armsight.measure.motion.states import MotionState, View
+from armsight.measure.poses.setup import Setup
+from armsight.measure.systematic import systematic_covariance
+from armsight.optics import SIDES, Camera, Rig
+from armsight.records import AT_ONCE, CameraTiming, Frame, PoseStatus, Progress, Spots, SpotTrack, TargetPose
+from armsight.store import read_spot_track
+
+Array = NDArray[np.float64]
+
+FOLLOWING = "measuring"
+MAX_ROTATION_STD_RAD = 0.3
+"""A rotation less certain than this is none."""
+GONE = f"no camera saw the target move within {MAX_GAP_S:g} s"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Stream:
+    """One camera's frames: their stamps in s (n,), freed of jitter, and how to read them once, in that order."""
+
+    t_s: Array
+    read: Callable[[], Iterator[AnyFrame]]
+
+    def first(self, n: int) -> Stream:
+        """Return the stream of its first n frames."""
+        return Stream(t_s=self.t_s[:n], read=lambda: islice(self.read(), n))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MovingPose:
+    """A pose with the velocity (6,) of the target and its standard deviations; None where there is no whole pose."""
+
+    pose: TargetPose
+    velocity: Array | None = None
+    velocity_std: Array | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FreeRun:
+    """Poses at the times asked for, the views they come from, their residuals per side (m, 3): view, u, v in px."""
+
+    poses: Sequence[MovingPose]
+    views: Sequence[View]
+    residuals: dict[str, Array]
+    figures: FreeRunning
+
+
+def streams_of(
+    rig: Rig, sources: Sequence[str | None], tables: Sequence[Path | None], *, colour: bool, fps: float | None
+) -> tuple[Stream, Stream]:
+    """Return both cameras' frames, from sources as on the command line, or from tables of spots. Raises UsageError."""
+    left, right = sources
+    if all(tables) and not any(sources):
+        read = [_table(path, rig.camera(side)) for path, side in zip(tables, SIDES, strict=True) if path is not None]
+        return read[0], read[1]
+    if any(tables) or (left is None and right is None):
+        raise UsageError(
+            "which frames?", cure="Give --left and --right, or --left-spots and --right-spots, one of each camera"
+        )
+    alone = left or right or ""
+    if (left is None or right is None) and not is_recording(alone):
+        raise UsageError("one view is missing", cure="Give --left and --right, or one recording for both")
+    texts = (left or alone, right or alone)
+    live = [text for text in texts if is_live(text)]
+    if live:
+        raise UsageError(
+            f"{live[0]} is a live camera, and views of free-running cameras are put together afterwards",
+            cure="Record first: armsight record --left ... --right ... -o wave.mcap, and give --left wave.mcap",
+        )
+    read = [_images(text, side, colour=colour, fps=fps) for text, side in zip(texts, SIDES, strict=True)]
+    return read[0], read[1]
+
+
+def runs_free(rig: Rig) -> bool:
+    """Tell whether the rig's file says that its cameras do not expose at once."""
+    return any(one.rolling or one.delay_s != 0.0 or one.drift_ppm != 0.0 for one in _timing(rig))
+
+
+def _timing(rig: Rig) -> tuple[CameraTiming, CameraTiming]:
+    left, right = rig.timing
+    return left or AT_ONCE, right or AT_ONCE
+
+
+def require_timing(rig: Rig) -> None:
+    """Raise UsageError where nothing is known of when the rig's cameras expose."""
+    if all(one is None for one in rig.timing):
+        raise UsageError(
+            "the rig's file says nothing of its cameras' timing",
+            consequence="When each view was taken is not known, so views of a moving target cannot be put together",
+            cure="Run armsight calibrate timing with 15 s of a waved target, or use --timing pairs",
+        )
+
+
+def measure_free_running(
+    setup: Setup, streams: tuple[Stream, Stream], at_s: Array | None, rate_hz: float | None, progress: Progress
+) -> FreeRun:
+    """Return poses at at_s (k,) in the rig's time, at a steady rate, or (both None) at the times of the left frames.
+
+    Raises UsageError for a target that has no three known lights, NotEnoughData where it was never found, Cancelled.
+    """
+    if setup.target.is_board or not setup.target.model_known or len(setup.model) < 3:
+        raise UsageError(
+            "free-running cameras need a target of three or more lights whose places are known",
+            cure="Measure the target first (armsight calibrate target), or use --timing pairs",
+        )
+    timing = _timing(setup.rig)
+    follower = Follower(setup=setup, timing=timing)
+    times = [timing[side].rig_time(stream.t_s) for side, stream in enumerate(streams)]
+    total = sum(len(one) for one in times)
+    for done, (_, side, frame) in enumerate(
+        merge(*(_timed(one, t, s) for s, (one, t) in enumerate(zip(streams, times, strict=True))), key=_when)
+    ):
+        follower.add(frame, side)
+        progress.update(done + 1, total, FOLLOWING)
+        if progress.cancelled():
+            raise Cancelled(f"stopped after {done + 1} frames", consequence="Nothing was written")
+    views, starts = follower.tracks()
+    if not starts:
+        raise NotEnoughData(
+            f"the target was followed in none of the {total} frames: {follower.why}",
+            consequence="There is no pose",
+            cure="Begin with the target at rest, before a background that is darker than its lights",
+        )
+    if at_s is None:
+        at_s = times[0] if rate_hz is None else np.arange(times[0][0], times[0][-1] + 0.5 / rate_hz, 1.0 / rate_hz)
+    seen_s = np.array([view.t_s for view in views])
+    all_s, rows = np.unique(np.concatenate([at_s, seen_s]), return_inverse=True)
+    states = smooth(setup.packed, setup.model.xyz_m, views, starts, all_s)
+    residuals, chi2 = _residuals(setup, views, [states[k] for k in rows[len(at_s) :]])
+    asked = [states[k] for k in rows[: len(at_s)]]
+    heights = tuple(setup.rig.camera(side).height for side in SIDES)
+    wider = max(chi2 or 1.0, 1.0)
+    poses = [
+        _pose(setup, float(t), state, wider, heights, _names(setup, views, seen_s, float(t)))
+        for t, state in zip(at_s, asked, strict=True)
+    ]
+    figures = _figures(setup, views, len(starts), chi2, asked, times)
+    return FreeRun(poses=poses, views=views, residuals=residuals, figures=figures)
+
+
+def _when(item: tuple[float, int, AnyFrame]) -> tuple[float, int]:
+    return item[:2]
+
+
+def _timed(stream: Stream, t_s: Array, side: int) -> Iterator[tuple[float, int, AnyFrame]]:
+    """Yield the rig's time, the side and the frame with its steady stamp."""
+    for t, stamp, frame in zip(t_s.tolist(), stream.t_s.tolist(), stream.read(), strict=True):
+        yield t, side, replace(frame, t_s=stamp)
+
+
+def _table(path: Path, camera: Camera) -> Stream:
+    track = read_spot_track(path)
+    return Stream(t_s=_steady(track.t_s, str(path)), read=lambda: _spot_frames(track, camera))
+
+
+def _spot_frames(track: SpotTrack, camera: Camera) -> Iterator[SpotFrame]:
+    for k, t_s in enumerate(track.t_s.tolist()):
+        rows = np.flatnonzero(track.frame == k)
+        spots = Spots(
+            uv_px=track.uv_px[rows],
+            covariance_px2=track.covariance_px2[rows],
+            peak=np.zeros(len(rows)),
+            size_px=np.ones(len(rows)),
+            model=("centroid",) * len(rows),
+        )
+        yield SpotFrame(t_s=t_s, spots=spots, width=camera.width, height=camera.height)
+
+
+def _images(text: str, side: str, *, colour: bool, fps: float | None) -> Stream:
+    """Return the frames of a source that can be read again; the first time for its stamps."""
+
+    def read() -> Iterator[Frame]:
+        source: FrameSource
+        if is_recording(text):
+            source = RecordedFrames(text, side if text.lower().endswith(".mcap") else None, colour=colour)
+        else:
+            source = open_source(text, colour=colour, fps=fps)
+        with source:
+            yield from source
+
+    return Stream(t_s=_steady(np.array([frame.t_s for frame in read()]), side), read=read)
+
+
+def _steady(stamps_s: Array, where: str) -> Array:
+    """Return stamps freed of jitter, as given where they are too few to tell."""
+    back = np.flatnonzero(np.diff(stamps_s) <= 0.0)
+    if len(back):
+        raise Inconsistent(
+            f"{where}: the stamp of frame {back[0] + 1}, {stamps_s[back[0] + 1]:g} s, is not after the one before",
+            consequence="There is no time for its view",
+            cure="Give the frames in the order of time, each with a stamp of its own",
+        )
+    return stamps_s if len(stamps_s) < FEWEST_FRAMES else steady(stamps_s, where).t_s
+
+
+def _residuals(
+    setup: Setup, views: Sequence[View], states: Sequence[MotionState | None]
+) -> tuple[dict[str, Array], float | None]:
+    """Return measured minus expected spots per side (m, 3), and chi-square per degree of freedom about the motion."""
+    rows: dict[str, list[Array]] = {side: [] for side in SIDES}
+    total = count = 0.0
+    packed, uv, H = setup.packed, np.empty(2), np.zeros((2, 18))
+    for number, (view, state) in enumerate(zip(views, states, strict=True)):
+        if state is None:
+            continue
+        s = view.side
+        for i, light in enumerate(view.lights.tolist()):
+            if not observe(
+                state.x, packed.k[s], packed.R[s], packed.t[s], setup.model.xyz_m[light], view.tau_s[i], uv, H
+            ):
+                continue
+            r = view.uv_px[i] - uv
+            left_over = view.cov_px2[i] - H @ state.C @ H.T  # of a residual about what it took part in
+            rows[SIDES[s]].append(np.array([number, *r]))
+            total += float(r @ np.linalg.solve(view.cov_px2[i], r))
+            count += float(np.trace(np.linalg.solve(view.cov_px2[i], left_over)).clip(0.0))
+    return {side: np.array(one) for side, one in rows.items() if one}, total / count if count > 0.0 else None
+
+
+def _pose(
+    setup: Setup, t_s: float, state: MotionState | None, wider: float, heights: Sequence[int], names: tuple[str, ...]
+) -> MovingPose:
+    """Return the pose of a state, its uncertainty widened by what the spots do not fit the motion."""
+    if state is None:
+        return MovingPose(pose=TargetPose(t_s=t_s, status=PoseStatus.LOST, parent="rig", why=GONE))
+    systematic = systematic_covariance(setup, state, _timing(setup.rig), heights)
+    C = wider * state.covariance + (0.0 if systematic is None else systematic)
+    T = state.T_rig_target
+    if np.sqrt(np.trace(C[3:, 3:])) > MAX_ROTATION_STD_RAD:
+        T[:3, :3] = np.eye(3)
+        why = "no view for so long that only the position is known"
+        return MovingPose(
+            pose=TargetPose(
+                t_s=t_s,
+                status=PoseStatus.POSITION_ONLY,
+                parent="rig",
+                spots=names,
+                T_parent_target=T,
+                covariance=C[:3, :3],
+                why=why,
+                systematic_covariance=None if systematic is None else systematic[:3, :3],
+            )
+        )
+    pose = TargetPose(
+        t_s=t_s,
+        status=PoseStatus.OK,
+        parent="rig",
+        spots=names,
+        T_parent_target=T,
+        covariance=C,
+        systematic_covariance=systematic,
+    )
+    std = np.sqrt(wider * np.diag(state.velocity_covariance))
+    return MovingPose(pose=pose, velocity=state.velocity, velocity_std=std)
+
+
+def _names(setup: Setup, views: Sequence[View], seen_s: Array, t_s: float) -> tuple[str, ...]:
+    """Return the lights seen in the view of each side nearest in time."""
+    k = int(np.searchsorted(seen_s, t_s))
+    lights: set[int] = set()
+    for side in range(2):
+        near = [v for v in views[max(k - 4, 0) : k + 4] if v.side == side]
+        if near:
+            lights |= set(min(near, key=lambda v: abs(v.t_s - t_s)).lights.tolist())
+    return tuple(name for i, name in enumerate(setup.model.names) if i in lights)
+
+
+def _figures(
+    setup: Setup,
+    views: Sequence[View],
+    n_starts: int,
+    chi2: float | None,
+    states: Sequence[MotionState | None],
+    times: Sequence[Array],
+) -> FreeRunning:
+    left, right = _timing(setup.rig)
+    speed = [float(np.linalg.norm(state.velocity[:3])) for state in states if state is not None]
+    rms = float(np.sqrt(np.mean(np.square(speed)))) if speed else None
+    return FreeRunning(
+        delay_s=right.delay_s,
+        drift_ppm=right.drift_ppm,
+        readout_s=BothSeconds(left=left.readout_s, right=right.readout_s),
+        n_views=BothCounts(left=_of_side(views, 0), right=_of_side(views, 1)),
+        n_starts=n_starts,
+        chi2_per_dof=chi2,
+        speed_m_s=rms,
+        nearest_pairs_m=None if rms is None else rms * float(np.sqrt(np.mean(_nearest(*times) ** 2))),
+    )
+
+
+def _of_side(views: Iterable[View], side: int) -> int:
+    return sum(view.side == side for view in views)
+
+
+def _nearest(left_s: Array, right_s: Array) -> Array:
+    """Return how far each left frame is from the right frame nearest in time, s."""
+    after = np.searchsorted(right_s, left_s).clip(1, max(len(right_s) - 1, 1))
+    return np.asarray(
+        np.minimum(np.abs(right_s[after - 1] - left_s), np.abs(right_s[after.clip(max=len(right_s) - 1)] - left_s))
+    )
