@@ -93,6 +93,8 @@ class Follower:
             self._latest[side] = frame
             return self._begin(t_s)
         view = self._look(frame, side, t_s, self._filter.at(t_s))
+        if view is None:
+            view = self._look(frame, side, t_s, self._filter.after_a_knock(t_s))
         self._missed = 0 if view is not None else self._missed + 1
         if self._missed >= LOST_VIEWS:
             self._filter, self._latest, self.why = None, [None, None], "what is seen no longer moves as the target did"
@@ -108,7 +110,7 @@ class Follower:
         views: list[View] = []
         starts: list[Start] = []
         ends = [start.view for start in self.starts[1:]] + [len(self.views)]
-        for start, end in zip(self.starts, ends, strict=True):
+        for start, end in zip(self.starts, ends, strict=False):  # no start, no stretch
             stretch = self.views[start.view : end]
             if len(stretch) >= FEWEST_VIEWS and {view.side for view in stretch} == {0, 1}:
                 starts.append(replace(start, view=len(views)))

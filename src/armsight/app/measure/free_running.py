@@ -18,7 +18,7 @@ from armsight.calibrate.timing.stamps import FEWEST_FRAMES, steady
 from armsight.drivers import FrameSource, is_live
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.measure.follow import AnyFrame, Follower, SpotFrame
-from armsight.measure.motion.estimate import MAX_GAP_S, smooth
+from armsight.measure.motion.estimate import MAX_GAP_S, Start, smooth
 from armsight.measure.motion.kernels.views import observe
 from armsight.measure.motion.states import MotionState, View
 from armsight.measure.poses.setup import Setup
@@ -32,7 +32,9 @@ Array = NDArray[np.float64]
 FOLLOWING = "measuring"
 MAX_ROTATION_STD_RAD = 0.3
 """A rotation less certain than this is none."""
-GONE = f"no camera saw the target move within {MAX_GAP_S:g} s"
+BEFORE_S = 0.05
+"""How long before its first view something is said of the target."""
+GONE = f"the target was lost, or not found yet, or seen by no camera for {MAX_GAP_S:g} s"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -147,6 +149,7 @@ def measure_free_running(
     seen_s = np.array([view.t_s for view in views])
     all_s, rows = np.unique(np.concatenate([at_s, seen_s]), return_inverse=True)
     states = smooth(setup.packed, setup.model.xyz_m, views, starts, all_s)
+    states = [None if lost else one for one, lost in zip(states, _between(all_s, seen_s, starts), strict=True)]
     residuals, chi2 = _residuals(setup, views, [states[k] for k in rows[len(at_s) :]])
     asked = [states[k] for k in rows[: len(at_s)]]
     heights = tuple(setup.rig.camera(side).height for side in SIDES)
@@ -157,6 +160,14 @@ def measure_free_running(
     ]
     figures = _figures(setup, views, len(starts), chi2, asked, times)
     return FreeRun(poses=poses, views=views, residuals=residuals, figures=figures)
+
+
+def _between(t_s: Array, seen_s: Array, starts: Sequence[Start]) -> NDArray[np.bool_]:
+    """Tell of times whether they lie before the target was found, or between a stretch that was lost and the next."""
+    out = np.asarray(t_s < seen_s[0] - BEFORE_S)
+    for start in starts[1:]:
+        out |= (t_s > seen_s[start.view - 1]) & (t_s < seen_s[start.view])
+    return out
 
 
 def _when(item: tuple[float, int, AnyFrame]) -> tuple[float, int]:

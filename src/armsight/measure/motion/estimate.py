@@ -186,6 +186,10 @@ class MotionFilter:
         """Return the state expected at t_s."""
         return self.state.at(t_s, ANGULAR_RATIO)
 
+    def after_a_knock(self, t_s: float) -> MotionState:
+        """Return the state expected at t_s if the target was knocked just now."""
+        return replace(self.state, jerk=float(JERK_LEVELS[-1])).at(t_s, ANGULAR_RATIO)
+
     def add_pose(self, t_s: float, T: Array, covariance: Array) -> tuple[MotionFilter, float, float]:
         """Bring in a pose T (4, 4), covariance (6, 6), measured at t_s, after the latest view.
 
