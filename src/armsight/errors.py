@@ -21,6 +21,7 @@ ArmsightError                     exit code 1
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from enum import StrEnum
 from typing import ClassVar
 
 
@@ -75,8 +76,34 @@ class BadFile(DataRefused):
     """A file that cannot be read, or that says something impossible."""
 
 
+class Unseen(StrEnum):
+    """What kept a board or a target from being seen, as far as something of its own helps against it."""
+
+    OTHER = "other"
+    BLURRED = "blurred"
+    IN_PART = "in_part"
+    """The board is there in part, or half out of the image."""
+    BEYOND_SIZE = "beyond_size"
+    """Corners go on beyond the board's in an image of two views."""
+    ONLY_ONCE = "only_once"
+    """The board is there in one view of two."""
+    THRICE = "thrice"
+    """It is there more than once in each view."""
+    NO_SPOT = "no_spot"
+    DARK_PATH = "dark_path"
+    """There are spots, but none of both views."""
+    AMBIGUOUS = "ambiguous"
+    OVERLAPPING = "overlapping"
+    """A spot of one view may lie on one of the other's."""
+    LIGHTS_MISSING = "lights_missing"
+
+
 class BadImage(DataRefused):
-    """An image that cannot be used."""
+    """An image that cannot be used; unseen: what kept the board from being seen."""
+
+    def __init__(self, cause: str, *, consequence: str = "", cure: str = "", unseen: Unseen = Unseen.OTHER) -> None:
+        self.unseen = unseen
+        super().__init__(cause, consequence=consequence, cure=cure)
 
 
 class NotEnoughData(DataRefused):

@@ -10,7 +10,11 @@ import pytest
 
 from armsight import errors
 
-CLASSES = [c for _, c in inspect.getmembers(errors, inspect.isclass) if c.__module__ == errors.__name__]
+CLASSES = [
+    c
+    for _, c in inspect.getmembers(errors, inspect.isclass)
+    if c.__module__ == errors.__name__ and issubclass(c, BaseException)
+]
 
 
 def drawn() -> dict[str, tuple[str, int]]:
@@ -59,3 +63,5 @@ def test_errors_cross_process_borders_whole() -> None:
     assert type(twin) is errors.Undetermined
     assert twin.groups == (("fx", "tz"), ("k1",))
     assert str(twin) == str(error)
+    blurred = pickle.loads(pickle.dumps(errors.BadImage("a.png: blurred", unseen=errors.Unseen.BLURRED)))
+    assert blurred.unseen is errors.Unseen.BLURRED and errors.BadImage("dark").unseen is errors.Unseen.OTHER

@@ -12,7 +12,7 @@ import numpy as np
 
 from armsight.api.arrays import Image, ImageLike, as_images
 from armsight.api.results import Result, Row, with_std
-from armsight.app.calibrate.board_images import in_parallel, see_board
+from armsight.app.calibrate.board_images import Seen, in_parallel, see_board
 from armsight.app.calibrate.cameras import camera_output, stereo_output
 from armsight.app.calibrate.mirrors import mirrors_output
 from armsight.app.schemas.cameras import CameraOutput, StereoOutput
@@ -23,7 +23,7 @@ from armsight.calibrate.mirrors.calibration import MirrorCalibration
 from armsight.errors import BadImage, Inconsistent, NotEnoughData
 from armsight.measure.boards import find_two_boards
 from armsight.optics import Camera, Rig
-from armsight.records import BoardView, Frame, Target
+from armsight.records import BoardView, Frame, NotSeen, Target
 from armsight.store import parse_board, write_camera
 
 if TYPE_CHECKING:
@@ -161,7 +161,7 @@ def calibrate_camera(images: Images, board: str | Target, *, options: BoardOptio
     target = _board(board)
     seen = _seen(as_images(images, "image"), target)
     views = [view for _, view in seen if isinstance(view, BoardView)]
-    missed = tuple((name, view) for name, view in seen if isinstance(view, str))
+    missed = tuple((name, view.why) for name, view in seen if isinstance(view, NotSeen))
     _require(views, missed)
     done = solvers.calibrate_camera(views, target, options)
     output = camera_output(done, missed)
@@ -225,8 +225,8 @@ def calibrate_mirrors(
     """
     target = _board(board)
     seen = list(in_parallel(lambda item: (item[0], _two(item[1], target)), as_images(images, "image")))
-    missed = tuple((name, views) for name, views in seen if isinstance(views, str))
-    found = [views for _, views in seen if not isinstance(views, str)]
+    missed = tuple((name, views.why) for name, views in seen if isinstance(views, NotSeen))
+    found = [views for _, views in seen if not isinstance(views, NotSeen)]
     _require([left for left, _ in found], missed)
     done: MirrorCalibration = mirror_solver.calibrate_mirrors(
         [left for left, _ in found], [right for _, right in found], target, thickness_m=thickness_m, options=options
@@ -239,19 +239,19 @@ def _board(board: str | Target) -> Target:
     return parse_board(board) if isinstance(board, str) else board
 
 
-def _seen(images: list[tuple[str, Image]], board: Target) -> list[tuple[str, BoardView | str]]:
-    def look(item: tuple[str, Image]) -> tuple[str, BoardView | str]:
+def _seen(images: list[tuple[str, Image]], board: Target) -> list[tuple[str, Seen]]:
+    def look(item: tuple[str, Image]) -> tuple[str, Seen]:
         name, image = item
         return name, see_board(Frame(image=image.copy(), t_s=0.0, sequence=0, source=name), board)
 
     return list(in_parallel(look, images))
 
 
-def _two(image: Image, board: Target) -> tuple[BoardView, BoardView] | str:
+def _two(image: Image, board: Target) -> tuple[BoardView, BoardView] | NotSeen:
     try:
         return find_two_boards(image, board)
     except BadImage as error:
-        return error.cause
+        return NotSeen(error.cause, error.unseen)
 
 
 def _paired(
@@ -267,7 +267,7 @@ def _paired(
 
 
 def _both(
-    left: list[tuple[str, BoardView | str]], right: list[tuple[str, BoardView | str]]
+    left: list[tuple[str, Seen]], right: list[tuple[str, Seen]]
 ) -> tuple[list[BoardView], list[BoardView], Rejected]:
     views: tuple[list[BoardView], list[BoardView]] = [], []
     missed: list[tuple[str, str]] = []
@@ -275,7 +275,7 @@ def _both(
         if isinstance(a, BoardView) and isinstance(b, BoardView):
             views[0].append(a)
             views[1].append(b)
-        missed += [(name, view) for name, view in ((left_name, a), (right_name, b)) if isinstance(view, str)]
+        missed += [(name, view.why) for name, view in ((left_name, a), (right_name, b)) if isinstance(view, NotSeen)]
     return views[0], views[1], tuple(missed)
 
 

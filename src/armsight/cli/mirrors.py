@@ -88,6 +88,7 @@ def mirrors(
 def lit_table(face: CommandUI, done: MirrorsOutput) -> None:
     """Print a rig's calibration from the lit target, with the commonest reasons of images left out."""
     from armsight.app.calibrate.mirrors_lit_target import reasons
+    from armsight.records import NotSeen
 
     rows = [
         ["baseline, mm", figure(MM * done.baseline_m, 6)],
@@ -96,8 +97,8 @@ def lit_table(face: CommandUI, done: MirrorsOutput) -> None:
         ["epipolar, px RMS", figure(done.epipolar_rms_px)],
     ]
     face.table(f"Rig, {done.n_used} of {done.n_pairs} images", ["", ""], rows)
-    for why, count in reasons([(one.file, one.why) for one in done.rejected])[:REASONS_SHOWN]:
-        face.say(f"  {count} left out: {why}")
+    for seen, count in reasons([NotSeen(one.why) for one in done.rejected])[:REASONS_SHOWN]:
+        face.say(f"  {count} left out: {seen.why}")
 
 
 def alignment_tables(face: CommandUI, done: MirrorsOutput) -> None:

@@ -7,6 +7,7 @@ from armsight.records.frames import Frame
 from armsight.records.measured import Points, PoseStatus, Spots, TargetPose
 from armsight.records.motion import JointReading, Motion
 from armsight.records.noise import LinearNoise, NoiseModel
+from armsight.records.not_seen import NotSeen
 from armsight.records.progress import Progress, Silent
 from armsight.records.saving import Saveable
 from armsight.records.target import Colour, Target, TargetKind, board_target, spot_target, unmeasured_target
@@ -24,6 +25,7 @@ __all__ = [
     "Motion",
     "NamedCovariance",
     "NoiseModel",
+    "NotSeen",
     "Points",
     "PoseStatus",
     "Progress",

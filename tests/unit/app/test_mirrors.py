@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import erf
 from typer.testing import CliRunner
 
+from armsight.app.calibrate import mirrors, mirrors_lit_target
 from armsight.app.measure.run import MeasureJob, measure
 from armsight.app.schemas.measure import MeasureOutput
 from armsight.app.simulate.run import simulate
@@ -22,9 +23,9 @@ from armsight.app.sources.complex_images import complex_pairs
 from armsight.app.sources.frames import open_source
 from armsight.cli.commands import app
 from armsight.drivers import PairSource
-from armsight.errors import Inconsistent, NotEnoughData, UsageError
+from armsight.errors import Inconsistent, NotEnoughData, Unseen, UsageError
 from armsight.optics import Camera, parallel_rig
-from armsight.records import PoseStatus, spot_target
+from armsight.records import NotSeen, PoseStatus, spot_target
 from armsight.sim.lens import Lens
 from armsight.sim.mirror import MirrorLens, Mirrors, mirror_views
 from armsight.store import read_poses, read_rig, write_camera, write_rig, write_target
@@ -271,6 +272,13 @@ def test_the_lit_target_calibrates_the_mirrors(lit: Path) -> None:
     arguments = ["calibrate", "mirrors", *lit_options(lit), "--baseline-mm", "100", "-o", str(out)]
     said = CliRunner().invoke(app, arguments).output
     assert "Written:" in said and "baseline" in said and "of 14 images" in said and "as they did" not in said
+
+
+def test_every_cause_has_its_cure_and_the_commonest_reason_is_one_whatever_its_numbers() -> None:
+    cures = mirrors.CURES.keys() | mirrors_lit_target.CURES.keys()
+    assert cures == set(Unseen) - {Unseen.OTHER} and not mirrors.CURES.keys() & mirrors_lit_target.CURES.keys()
+    seen = [NotSeen("dark"), NotSeen("2 of 3 spots seen", Unseen.LIGHTS_MISSING), NotSeen("1 of 3 spots seen")]
+    assert mirrors_lit_target.reasons(seen) == [(seen[1], 2), (seen[0], 1)]
 
 
 def test_lit_images_that_cannot_be_sorted_say_why(lit: Path, tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.errors import BadImage, Inconsistent
+from armsight.errors import BadImage, Inconsistent, Unseen
 from armsight.measure.boards import find_two_boards
 from armsight.records import BoardView, TargetKind, board_target
 from armsight.sim.boards import Board, board_light, corner_rays
@@ -97,12 +97,13 @@ def test_one_three_none_and_half_are_refused_with_the_reason() -> None:
     third, _ = one_view(1, (0.3, -0.2, 0.1), (0.03, 0.013, 0.61))
     half = both((0.3, -0.2, 0.1), (-0.18, 0.0, 0.6))
     grey = np.full_like(left, 60.0) + np.random.default_rng(2).normal(0.0, 20.0, left.shape)
-    with pytest.raises(BadImage, match="only once"):
+    with pytest.raises(BadImage, match="only once") as once:
         find_two_boards(picture(left, np.full_like(left, 30.0)), BOARD)
     with pytest.raises(BadImage, match="only once"):
         find_two_boards(picture(left, left), BOARD)
-    with pytest.raises(BadImage, match="three times"):
+    with pytest.raises(BadImage, match="three times") as thrice:
         find_two_boards(picture(left, right, third), BOARD)
+    assert (once.value.unseen, thrice.value.unseen) == (Unseen.ONLY_ONCE, Unseen.THRICE)
     with pytest.raises(BadImage, match="no checkerboard of 9x6"):
         find_two_boards(picture(grey), BOARD)
     with pytest.raises(BadImage, match=r"half out|in part|a part of one"):

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from armsight.errors import BadImage, Inconsistent, UsageError
+from armsight.errors import BadImage, Inconsistent, Unseen, UsageError
 from armsight.measure.boards import find_board, same_way_up
 from armsight.measure.boards.kernels.subpixel import corner_model, dot_model, prepare
 from armsight.records import Target, TargetKind, board_target, spot_target
@@ -221,8 +221,9 @@ def test_image_without_a_picture_is_refused_with_the_reason(image: np.ndarray, w
 @pytest.mark.parametrize("blur_px", [8.5, 9.0])
 def test_blurred_board_is_refused_as_blurred(blur_px: float) -> None:
     image, _ = paint(checkerboard(9, 6), CHECKERBOARD, VIEWS[0], np.random.default_rng(7), blur_px=blur_px)
-    with pytest.raises(BadImage, match="blurred"):
+    with pytest.raises(BadImage, match="blurred") as refusal:
         find_board(image, CHECKERBOARD)
+    assert refusal.value.unseen is Unseen.BLURRED
 
 
 def test_the_rim_of_a_blurred_board_is_no_further_corner() -> None:

@@ -8,9 +8,9 @@ from typing import TypeVar
 from armsight.drivers import ordered_map
 from armsight.errors import BadImage
 from armsight.measure.boards import find_board
-from armsight.records import BoardView, Frame, Target
+from armsight.records import BoardView, Frame, NotSeen, Target
 
-Seen = BoardView | str
+Seen = BoardView | NotSeen
 """The view, or why there is none."""
 
 Item = TypeVar("Item")
@@ -22,7 +22,7 @@ def see_board(frame: Frame, board: Target, detector: str = "auto") -> Seen:
     try:
         return find_board(frame.image, board, source=frame.source, detector=detector)
     except BadImage as error:
-        return error.cause.removeprefix(f"{frame.source}: ")
+        return NotSeen(error.cause.removeprefix(f"{frame.source}: "), error.unseen)
 
 
 def in_parallel(

@@ -17,7 +17,7 @@ from armsight.calibrate.cameras import BoardOptions, CameraCalibration, StereoCa
 from armsight.calibrate.cameras import calibrate_camera as solve_camera
 from armsight.calibrate.cameras import calibrate_stereo as solve_stereo
 from armsight.errors import Cancelled, NotEnoughData
-from armsight.records import BoardView, Frame, NamedCovariance, Progress, Silent
+from armsight.records import BoardView, Frame, NamedCovariance, NotSeen, Progress, Silent
 from armsight.store import parse_board, write_camera, write_rig
 
 Rejected = tuple[str, str]
@@ -108,7 +108,7 @@ def calibrate_stereo(job: CalibrateJob, progress: Progress | None = None) -> Ste
         chosen = islice(pairs, 0, _stop(job), job.every)
         total = _total(pairs.total, job)
         for both in in_parallel(see, chosen, workers=job.workers):
-            lost = [(frame.source, seen) for frame, seen in both if isinstance(seen, str)]
+            lost = [(frame.source, seen.why) for frame, seen in both if isinstance(seen, NotSeen)]
             rejected += lost
             if not lost:
                 for side, (_, seen) in zip(views, both, strict=True):
@@ -177,8 +177,8 @@ def report_path(out: Path) -> Path:
 
 
 def _sort(frame: Frame, seen: Seen, views: list[BoardView], rejected: list[Rejected]) -> None:
-    if isinstance(seen, str):
-        rejected.append((frame.source, seen))
+    if isinstance(seen, NotSeen):
+        rejected.append((frame.source, seen.why))
     else:
         views.append(seen)
 

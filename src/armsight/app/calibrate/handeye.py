@@ -39,7 +39,7 @@ from armsight.calibrate.handeye import (
 from armsight.calibrate.tooltip import MeasuredPoint, TipCalibration, calibrate_tooltip
 from armsight.drivers import list_images, open_source
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
-from armsight.records import BoardView, PoseStatus, Progress, Silent, TargetPose
+from armsight.records import BoardView, NotSeen, PoseStatus, Progress, Silent, TargetPose
 from armsight.report.handeye_report import handeye_report
 from armsight.store import parse_board, read_camera, read_poses, write_text
 from armsight.store.handeye_file import (
@@ -215,8 +215,8 @@ def _from_images(job: HandEyeJob, progress: Progress) -> _Solved:
             met.add(name)
             if name not in robot:
                 unseen.append((name, f"no row of {job.robot.name} names this image"))
-            elif isinstance(seen, str):
-                unseen.append((name, seen))
+            elif isinstance(seen, NotSeen):
+                unseen.append((name, seen.why))
             else:
                 views.append(seen)
                 poses.append(robot[name])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -28,11 +28,11 @@ from armsight.calibrate.cameras import BoardOptions
 from armsight.calibrate.mirrors.calibration import GLASS, MirrorCalibration, calibrate_mirrors
 from armsight.calibrate.mirrors.diagnosis import Alignment, check_alignment
 from armsight.drivers import is_live, list_images
-from armsight.errors import BadImage, Cancelled, Inconsistent, NotEnoughData, UsageError
+from armsight.errors import BadImage, Cancelled, Inconsistent, NotEnoughData, Unseen, UsageError
 from armsight.measure.boards import find_two_boards
 from armsight.optics import Plate
 from armsight.optics.mirrors import FormError, Mirrors, form_errors
-from armsight.records import BoardView, Frame, Progress, Silent, Target
+from armsight.records import BoardView, Frame, NotSeen, Progress, Silent, Target
 from armsight.store import parse_board, read_camera, read_rig, read_target, write_rig
 
 TITLE = "Calibration of a mirror rig"
@@ -43,18 +43,19 @@ LEAST_BOARDS = 3
 KEPT = 8
 """Frames that a live check looks back on: a turned screw should show."""
 
-CURES = (
-    ("continue a board beyond", "Check the counts of --board, or look for a third reflection of the board"),
-    ("three times or more", "Look for a third reflection: show the board once in each view"),
-    ("only once", "Open both paths; where each image shows one view, give --left-only and --right-only"),
-    ("in part", "Show the whole board in both views"),
-    ("half out", "Show the whole board in both views"),
-    ("blurred", "Hold the board still, shorten the exposure or focus the lens"),
-)
-"""What an image's reason says, and what helps."""
+CURES: Mapping[Unseen, str] = {
+    Unseen.BEYOND_SIZE: "Check the counts of --board, or look for a third reflection of the board",
+    Unseen.THRICE: "Look for a third reflection: show the board once in each view",
+    Unseen.ONLY_ONCE: "Open both paths; where each image shows one view, give --left-only and --right-only",
+    Unseen.IN_PART: "Show the whole board in both views",
+    Unseen.BLURRED: "Hold the board still, shorten the exposure or focus the lens",
+}
+"""What helps against what kept the board from being seen."""
 OTHER_CURE = "Show the whole board in both views, lit evenly, and check the counts of --board"
 
 Pair = tuple[BoardView, BoardView]
+Missed = tuple[str, NotSeen]
+"""Which image, and why."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,9 +97,10 @@ def run_mirrors(job: MirrorsJob, progress: Progress | None = None) -> MirrorsOut
     if job.target is not None:
         return _from_target(job, job.out, progress)
     board = parse_board(_board(job))
-    views, rejected = _all_pairs(job, board, progress)
+    views, missed = _all_pairs(job, board, progress)
     if len(views) < LEAST_BOARDS:
-        raise _too_few(job, len(views), rejected)
+        raise _too_few(job, len(views), missed)
+    rejected = [(source, seen.why) for source, seen in missed]
     progress.update(0, 0, "solving")
     done = calibrate_mirrors(
         [left for left, _ in views],
@@ -120,17 +122,19 @@ def run_mirrors(job: MirrorsJob, progress: Progress | None = None) -> MirrorsOut
     return mirrors_output(done, rejected, n_pairs=n_pairs, forms=forms)
 
 
-def _too_few(job: MirrorsJob, n: int, rejected: Sequence[tuple[str, str]]) -> NotEnoughData:
+def _too_few(job: MirrorsJob, n: int, missed: Sequence[Missed]) -> NotEnoughData:
     """Return the refusal of too few images that show the board in both views, with the commonest reasons."""
-    total = n + len(rejected)
-    why = reasons(rejected)
-    said = "; ".join(f"{text} (in {count})" for text, count in why[:3])
+    total = n + len(missed)
+    found = reasons([seen for _, seen in missed])
+    said = "; ".join(f"{seen.why} (in {count})" for seen, count in found[:3])
+    cure = "Take ten to twenty images, with the board tilted in different directions"
+    if found:
+        cure = CURES.get(found[0][0].cause, OTHER_CURE)
     counted = f"{n or 'none'} of {total} image{'' if total == 1 else 's'} show{'s' if n == 1 else ''}"
-    cure = next((cure for words, cure in CURES if why and words in why[0][0]), OTHER_CURE)
     return NotEnoughData(
         f"{counted} the board {job.board} in both views, {LEAST_BOARDS} are needed" + (f": {said}" if said else ""),
         consequence="Nothing was calibrated",
-        cure=cure if rejected else "Take ten to twenty images, with the board tilted in different directions",
+        cure=cure,
     )
 
 
@@ -156,9 +160,9 @@ def run_check(job: MirrorsJob, progress: Progress | None = None) -> MirrorCheckO
     last: Alignment | None = None
     back = KEPT if is_live(job.image) else None
     for number, (source, seen) in enumerate(_complex(job, board), 1):
-        if isinstance(seen, str):
-            missed.append(f"{source}: {seen}")
-            progress.update(number, job.limit or 0, seen)
+        if isinstance(seen, NotSeen):
+            missed.append(f"{source}: {seen.why}")
+            progress.update(number, job.limit or 0, seen.why)
         else:
             kept.append(seen)
             recent = kept[-back:] if back else kept
@@ -237,25 +241,25 @@ def _board(job: MirrorsJob) -> str:
     return job.board
 
 
-def _all_pairs(job: MirrorsJob, board: Target, progress: Progress) -> tuple[list[Pair], list[tuple[str, str]]]:
-    """Return the board in both views of every image, and (source, why) where it is not."""
+def _all_pairs(job: MirrorsJob, board: Target, progress: Progress) -> tuple[list[Pair], list[Missed]]:
+    """Return the board in both views of every image, and the images in which it is not."""
     if job.image is None and (job.left_only is None or job.right_only is None):
         raise _no_images(job)
     views: list[Pair] = []
-    rejected: list[tuple[str, str]] = []
+    missed: list[Missed] = []
     sources = ([_complex(job, board)] if job.image is not None else []) + (
         [_covered(job, board)] if job.left_only is not None or job.right_only is not None else []
     )
     for source in sources:
         for name, seen in source:
-            if isinstance(seen, str):
-                rejected.append((name, seen))
+            if isinstance(seen, NotSeen):
+                missed.append((name, seen))
             else:
                 views.append(seen)
-            progress.update(len(views) + len(rejected), job.limit or 0, "finding the board")
+            progress.update(len(views) + len(missed), job.limit or 0, "finding the board")
             if progress.cancelled():
                 raise Cancelled("stopped", consequence="Nothing was written")
-    return views, rejected
+    return views, missed
 
 
 def _no_images(job: MirrorsJob) -> UsageError:
@@ -269,21 +273,21 @@ def _no_images(job: MirrorsJob) -> UsageError:
     )
 
 
-def _complex(job: MirrorsJob, board: Target) -> Iterator[tuple[str, Pair | str]]:
+def _complex(job: MirrorsJob, board: Target) -> Iterator[tuple[str, Pair | NotSeen]]:
     """Yield each complex image's name with the board in both of its views, or why there are not two."""
 
-    def see(frame: Frame) -> tuple[str, Pair | str]:
+    def see(frame: Frame) -> tuple[str, Pair | NotSeen]:
         try:
             return frame.source, find_two_boards(frame.image, board, source=frame.source)
         except BadImage as error:
-            return frame.source, error.cause.removeprefix(f"{frame.source}: ")
+            return frame.source, NotSeen(error.cause.removeprefix(f"{frame.source}: "), error.unseen)
 
     stop = None if job.limit is None else job.limit * job.every
     with open_source(job.image or "") as frames:
         yield from in_parallel(see, islice(frames, 0, stop, job.every), workers=job.workers)
 
 
-def _covered(job: MirrorsJob, board: Target) -> Iterator[tuple[str, Pair | str]]:
+def _covered(job: MirrorsJob, board: Target) -> Iterator[tuple[str, Pair | NotSeen]]:
     """Yield the pairs of images taken with one path covered after the other."""
     if job.left_only is None or job.right_only is None:
         raise _no_images(job)
@@ -297,10 +301,16 @@ def _covered(job: MirrorsJob, board: Target) -> Iterator[tuple[str, Pair | str]]
         for left, right in zip(lefts, rights, strict=True):
             seen = [see_board(frame, board) for frame in (left, right)]
             lost = [
-                f"{frame.source}: {one}" for frame, one in zip((left, right), seen, strict=True) if isinstance(one, str)
+                (frame.source, one) for frame, one in zip((left, right), seen, strict=True) if isinstance(one, NotSeen)
             ]
             both = [one for one in seen if isinstance(one, BoardView)]
-            yield left.source, "; ".join(lost) if lost else (both[0], both[1])
+            yield left.source, _joined(lost) if lost else (both[0], both[1])
+
+
+def _joined(lost: Sequence[Missed]) -> NotSeen:
+    """Return what was not seen in one image or two as one reason; its cause is the first that has a cure of its own."""
+    causes = [one.cause for _, one in lost if one.cause in CURES]
+    return NotSeen("; ".join(f"{source}: {one.why}" for source, one in lost), causes[0] if causes else Unseen.OTHER)
 
 
 def _from_target(job: MirrorsJob, out: Path, progress: Progress) -> MirrorsOutput:

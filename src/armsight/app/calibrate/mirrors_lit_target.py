@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 
@@ -13,12 +13,12 @@ import numpy as np
 from armsight.app.sources.frames import open_source
 from armsight.calibrate.mirrors.calibration import MirrorCalibration
 from armsight.calibrate.mirrors.diagnosis import LEAST_LIT, mirrors_from_target
-from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
+from armsight.errors import Cancelled, Inconsistent, NotEnoughData, Unseen, UsageError
 from armsight.measure.poses.pairs import SLACK_PX
 from armsight.measure.poses.pipeline import Setup, measure_spots
 from armsight.measure.spots import find_spots
 from armsight.optics import Camera, Rig
-from armsight.records import BoardView, Frame, PoseStatus, Progress, Spots, Target, TargetPose
+from armsight.records import BoardView, Frame, NotSeen, PoseStatus, Progress, Spots, Target, TargetPose
 
 SLACKS_PX = (0.5, 1.0, 2.0, 4.0)
 """How far the mirrors may be out of their design. Well built ones are found with the least, and only with that: at 4 px
@@ -28,14 +28,14 @@ MOST = 0.6
 FEWEST_LIGHTS = 3
 REASONS_SHOWN = 3
 
-CURES = (
-    ("no spot", "Switch the lights on, expose longer, or give the target.yaml with the lights' colour"),
-    ("one path may be dark", "Open both paths: every light must be in the image twice"),
-    ("ambiguous", "Give --baseline-mm, --near-mm and --gap-mm as the mirrors stand, or calibrate with --board"),
-    ("spot may lie on another", "Move the target a little, until the spots of the two views part"),
-    ("spots seen", "Show all lights of the target to both views"),
-)
-"""What a frame's reason says, and what helps."""
+CURES: Mapping[Unseen, str] = {
+    Unseen.NO_SPOT: "Switch the lights on, expose longer, or give the target.yaml with the lights' colour",
+    Unseen.DARK_PATH: "Open both paths: every light must be in the image twice",
+    Unseen.AMBIGUOUS: "Give --baseline-mm, --near-mm and --gap-mm as the mirrors stand, or calibrate with --board",
+    Unseen.OVERLAPPING: "Move the target a little, until the spots of the two views part",
+    Unseen.LIGHTS_MISSING: "Show all lights of the target to both views",
+}
+"""What helps against what kept the lights from being named."""
 OTHER_CURE = "Check that --target, --camera and --baseline-mm are those of the rig and the target in the images"
 
 
@@ -50,11 +50,11 @@ class Moment:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sorted:
-    """The moments whose lights are named, as views of a board with their poses; rejected: (source, why)."""
+    """The moments whose lights are named, as views of a board with their poses; rejected: the others."""
 
     views: list[tuple[BoardView, BoardView]]
     poses: list[TargetPose]
-    rejected: list[tuple[str, str]]
+    rejected: list[tuple[str, NotSeen]]
 
 
 def calibrate_lit(
@@ -72,13 +72,14 @@ def calibrate_lit(
     done = mirrors_from_target(design, first.views, first.poses, target)
     second = _sorted(done.rig, target, moments, (SLACK_PX, *SLACKS_PX))
     _require_views(second, len(moments))
-    return mirrors_from_target(done.rig, second.views, second.poses, target), second.rejected
+    rejected = [(source, seen.why) for source, seen in second.rejected]
+    return mirrors_from_target(done.rig, second.views, second.poses, target), rejected
 
 
-def reasons(rejected: Sequence[tuple[str, str]]) -> list[tuple[str, int]]:
+def reasons(missed: Sequence[NotSeen]) -> list[tuple[NotSeen, int]]:
     """Return the reasons, the commonest first, with their counts; those that differ in numbers only are one."""
-    kinds = [re.sub(r"\d+(\.\d+)?", "#", why) for _, why in rejected]
-    first = {kind: why for kind, (_, why) in reversed(list(zip(kinds, rejected, strict=True)))}
+    kinds = [re.sub(r"\d+(\.\d+)?", "#", seen.why) for seen in missed]
+    first = dict(reversed(list(zip(kinds, missed, strict=True))))
     return [(first[kind], count) for kind, count in Counter(kinds).most_common()]
 
 
@@ -140,7 +141,7 @@ def _with_slack(setup: Setup, moments: Sequence[Moment]) -> Sorted:
     for moment in moments:
         found = measure_spots(setup, moment.t_s, moment.spots, moment.spots)
         if found.pose.status is not PoseStatus.OK:
-            out.rejected.append((moment.source, found.pose.why))
+            out.rejected.append((moment.source, found.missed))
             continue
         index = np.array([names.index(name) for name in found.names])
         left, right = (
@@ -163,10 +164,10 @@ def _require_views(found: Sorted, total: int) -> None:
     """Raise NotEnoughData with the commonest reasons, and what helps against the first of them."""
     if len(found.views) >= LEAST_LIT:
         return
-    why = reasons(found.rejected)
-    said = "; ".join(f"{text} (in {count})" for text, count in why[:REASONS_SHOWN])
+    why = reasons([seen for _, seen in found.rejected])
+    said = "; ".join(f"{seen.why} (in {count})" for seen, count in why[:REASONS_SHOWN])
     if why:
-        cure = next((cure for words, cure in CURES if words in why[0][0]), OTHER_CURE)
+        cure = CURES.get(why[0][0].cause, OTHER_CURE)
     else:
         cure = f"Give {LEAST_LIT} images and more, the target turned, near and far, left and right"
     raise NotEnoughData(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from armsight.errors import Inconsistent
 from armsight.optics import SIDES, Rig, Triangulation, triangulate
-from armsight.records import Spots
+from armsight.records import NotSeen, Spots
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -62,8 +62,8 @@ def sights_of(rig: Rig, frames: Sequence[LitFrame], n: int) -> tuple[list[Sight]
     for number, (frame, end) in enumerate(zip(frames, ends.tolist(), strict=True)):
         of = slice(end - len(frame), end)
         choices = _choices(frame, points.found[of], n)
-        if isinstance(choices, str):
-            rejected.append((number, choices))
+        if isinstance(choices, NotSeen):
+            rejected.append((number, choices.why))
         else:
             xyz, cov = points.xyz_m[of], points.covariance_m2[of]
             sights.append(Sight(frame=number, rows=choices, xyz_m=xyz[choices], cov_m2=cov[choices]))
@@ -79,15 +79,15 @@ def _triangulated(rig: Rig, frames: Sequence[LitFrame]) -> Triangulation:
     return triangulate(rig, *uv, *(c + slack for c in cov))
 
 
-def _choices(frame: LitFrame, found: NDArray[np.bool_], n: int) -> Index | str:
+def _choices(frame: LitFrame, found: NDArray[np.bool_], n: int) -> Index | NotSeen:
     """Return (c, n) rows of the frame that are n different lights, or why there are none."""
     if len(frame) < n:
-        return f"{len(frame)} of {n} lights are seen in both views"
+        return NotSeen(f"{len(frame)} of {n} lights are seen in both views")
     good = _brightest(frame, np.flatnonzero(found), n)
     sides = [np.unique(s.uv_px, axis=0, return_inverse=True)[1].reshape(-1) for s in (frame.left, frame.right)]
     rows = [c for c in combinations(good, n) if all(len(set(side[list(c)].tolist())) == n for side in sides)]
     if not rows:
-        return f"{len(good)} pairs of spots, among them no {n} different lights"
+        return NotSeen(f"{len(good)} pairs of spots, among them no {n} different lights")
     return np.array(rows, dtype=np.intp)
 
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armsight.errors import BadImage
+from armsight.errors import BadImage, Unseen
 from armsight.measure.boards.gridmap import GridMap, fit_map
 from armsight.measure.boards.kernels.subpixel import fit_corners
 from armsight.measure.boards.orient import most_upright
@@ -49,11 +49,12 @@ def find_checkerboard(image: Image, board: Target, source: str, detector: str) -
     """Return all corners of the board, or those that could be verified; raises BadImage with the reason."""
     coarse = coarse_corners(image, board.columns, board.rows, detector)
     if coarse is None:
+        instead, unseen = _instead(image, board)
         raise BadImage(
-            f"{source}: no checkerboard of {board.columns}x{board.rows} inner corners was found"
-            f"{_instead(image, board)}",
+            f"{source}: no checkerboard of {board.columns}x{board.rows} inner corners was found{instead}",
             consequence="The image is not used",
             cure="Show the whole board, sharp and evenly lit, and count its inner corners",
+            unseen=unseen,
         )
     return refine_corners(image, board, number_corners(image, board, coarse), source)
 
@@ -212,6 +213,7 @@ def _refuse(
             f"{source}: blurred: the edges are {blur:.2f} of a square wide (standard deviation)",
             consequence="The corners cannot be placed and the image is not used",
             cure="Hold the board still, shorten the exposure or focus the lens",
+            unseen=Unseen.BLURRED,
         )
     for side, more in _beyond(board).items():
         uv, _, beyond = _fit(image, smooth, more, smooth(more), _sign_at(more, sign), FIRST_HALF_PX)
@@ -263,16 +265,16 @@ def _sign_at(grid: Array, sign: Array) -> Array:
     return np.asarray(np.where(np.rint(grid.sum(axis=1)).astype(int) % 2 == 0, sign[0], -sign[0]))
 
 
-def _instead(image: Image, board: Target) -> str:
+def _instead(image: Image, board: Target) -> tuple[str, Unseen]:
     """Return words on what is there instead: a board of another size, the board out of focus, or nothing."""
     wanted = max(board.columns, board.rows), min(board.columns, board.rows)
     other = _largest_grid(image)
     if other and other != wanted and other[0] >= wanted[0] and other[1] >= wanted[1]:
-        return f", but one of {other[0]}x{other[1]} was"
+        return f", but one of {other[0]}x{other[1]} was", Unseen.OTHER
     for factor in (2, 4):
         if coarse_corners(shrunk(image, factor), board.columns, board.rows, "auto") is not None:
-            return "; it is there, but blurred"
-    return f", but one of {other[0]}x{other[1]} was" if other and other != wanted else ""
+            return "; it is there, but blurred", Unseen.BLURRED
+    return f", but one of {other[0]}x{other[1]} was" if other and other != wanted else "", Unseen.OTHER
 
 
 def _largest_grid(image: Image) -> tuple[int, int] | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.errors import BadImage, Inconsistent
+from armsight.errors import BadImage, Inconsistent, Unseen
 from armsight.measure.boards.board_layers import (
     PART_SHARE,
     Layer,
@@ -92,6 +92,7 @@ def _two_layers(light: Array, board: Target, source: str) -> tuple[Layer, Layer]
             raise _refusal(
                 f"{source}: the board of {board.columns}x{board.rows} inner corners is there only once",
                 cure="Show the whole board to both views, and no other way round the mirrors",
+                unseen=Unseen.ONLY_ONCE,
             )
         layers = first, first_layer(grid, board)
         for part, other in ((grids[0], layers[1]), (grid, first)):
@@ -103,7 +104,11 @@ def _two_layers(light: Array, board: Target, source: str) -> tuple[Layer, Layer]
         rest = rest.without(layer.smooth(with_rim(board)), 2.0 * ON_PX)
     more = find_grids(rest, board.columns, board.rows)
     if more and len(more[0].cells) >= SEEN_SHARE * len(board.names):
-        raise _refusal(f"{source}: the board is there three times or more", cure="Show one board, once in each view")
+        raise _refusal(
+            f"{source}: the board is there three times or more",
+            cure="Show one board, once in each view",
+            unseen=Unseen.THRICE,
+        )
     return layers
 
 
@@ -141,6 +146,7 @@ def _check_whole(grid: Grid, board: Target, source: str) -> None:
             f"{source}: one of the two boards is there in part: {size[0]}x{size[1]} of its "
             f"{board.columns}x{board.rows} inner corners",
             cure="Show the whole board to both views",
+            unseen=Unseen.IN_PART,
         )
 
 
@@ -155,6 +161,7 @@ def _check_size(grid: Grid, other: Layer | None, board: Target, source: str) -> 
             f"{source}: {len(strange)} corners continue a board beyond {board.columns}x{board.rows} inner corners",
             cure="Count the inner corners again; where they are right, look for a third reflection, or move the board: "
             "corners of the two views may fall on one another",
+            unseen=Unseen.BEYOND_SIZE,
         )
 
 
@@ -163,14 +170,18 @@ def _check_inside(layer: Layer, light: Array, board: Target, source: str) -> Non
     uv = layer.smooth(grid_of(board))
     if (uv < 0.0).any() or (uv > [light.shape[1] - 1.0, light.shape[0] - 1.0]).any():
         raise _refusal(
-            f"{source}: one of the two boards is half out of the image", cure="Show the whole board to both views"
+            f"{source}: one of the two boards is half out of the image",
+            cure="Show the whole board to both views",
+            unseen=Unseen.IN_PART,
         )
 
 
 def _refusal(
-    cause: str, cure: str = "Show the whole board, sharp and evenly lit, and count its inner corners"
+    cause: str,
+    cure: str = "Show the whole board, sharp and evenly lit, and count its inner corners",
+    unseen: Unseen = Unseen.OTHER,
 ) -> BadImage:
-    return BadImage(cause, consequence="The image is not used", cure=cure)
+    return BadImage(cause, consequence="The image is not used", cure=cure, unseen=unseen)
 
 
 def _view(light: Array, board: Target, layer: Layer, other: Layer, source: str) -> BoardView:
@@ -189,6 +200,7 @@ def _view(light: Array, board: Target, layer: Layer, other: Layer, source: str) 
         raise _refusal(
             f"{source}: blurred: the edges are {blur:.2f} of a square wide (standard deviation)",
             cure="Hold the board still, shorten the exposure or focus the lens",
+            unseen=Unseen.BLURRED,
         )
     everywhere = np.where(layer.good[:, None], layer.uv, smooth(grid))
     numbered = number_corners(without_layer(light, other, board), board, everywhere)

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.errors import Unseen
 from armsight.measure.poses.target_model import TargetModel
+from armsight.records import NotSeen
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -69,7 +71,7 @@ class Prediction:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Match:
-    """The assignment that holds, or none and why; alternatives that fit as well.
+    """The assignment that holds, or none, why and by which cause; alternatives that fit as well.
 
     predicted: it is where it was expected. chance: expected number of others that fit as well by chance.
     """
@@ -79,3 +81,9 @@ class Match:
     why: str = ""
     predicted: bool = False
     chance: float = 0.0
+    cause: Unseen = Unseen.OTHER
+
+    @property
+    def missed(self) -> NotSeen:
+        """Why no assignment holds."""
+        return NotSeen(self.why, self.cause)

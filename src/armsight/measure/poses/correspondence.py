@@ -7,13 +7,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.errors import Unseen
 from armsight.measure.poses.arrangements import Scope, search_arrangements
 from armsight.measure.poses.assignment import Assignment, Match, Prediction
 from armsight.measure.poses.kernels import correspondence as kernels
 from armsight.measure.poses.pairs import SLACK_PX, Pairs
 from armsight.measure.poses.target_model import TargetModel
 from armsight.optics import PackedRig
-from armsight.records import Spots
+from armsight.records import NotSeen, Spots
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -74,8 +75,8 @@ def match_known(
     must fit: what is expected by chance is in the match, for the caller to judge.
     """
     found, passed = _search(packed, model, left, right, pairs, slack_px)
-    if isinstance(found, str):
-        return Match(best=None, why=found)
+    if isinstance(found, NotSeen):
+        return Match(best=None, why=found.why, cause=found.cause)
     arrangements = passed if arrangements == AS_FOUND else arrangements
     match = _decide(packed, model, left, right, pairs, found, prediction, arrangements)
     likeliest = match.best or match.alternatives[0]
@@ -103,10 +104,10 @@ def _chance(model: TargetModel, best: Assignment, others: int) -> float:
 
 def _search(
     packed: PackedRig, model: TargetModel, left: Spots, right: Spots, pairs: Pairs, slack_px: float
-) -> tuple[list[Assignment] | str, int]:
+) -> tuple[list[Assignment] | NotSeen, int]:
     """Return all assignments within MARGIN of the best, or why there is none; and how many fit at all."""
     if not pairs.complete:
-        return f"more than {kernels.MAX_PAIRS} pairs of spots could belong together: {_FEWER}", 0
+        return NotSeen(f"more than {kernels.MAX_PAIRS} pairs of spots could belong together: {_FEWER}"), 0
     found = search_arrangements(
         packed,
         model,
@@ -117,9 +118,10 @@ def _search(
         scope=SCOPE,
     )
     if found.cut:
-        return f"too many arrangements of the spots are possible: {_FEWER}", 0
+        return NotSeen(f"too many arrangements of the spots are possible: {_FEWER}"), 0
     if not len(found.rows):
-        return f"no arrangement of the {len(left)} and {len(right)} spots seen is the target's", 0
+        why = f"no arrangement of the {len(left)} and {len(right)} spots seen is the target's"
+        return NotSeen(why, Unseen.LIGHTS_MISSING), 0
     every = zip(found.rows, found.chi2.tolist(), found.poses, strict=True)
     return [_assignment(model, rows, chi2, pose) for rows, chi2, pose in every], found.passed
 
@@ -175,6 +177,7 @@ def _decide(
             best=None,
             alternatives=tuple(possible),
             why=f"ambiguous: {len(possible)} assignments of names fit equally well",
+            cause=Unseen.AMBIGUOUS,
         )
     return Match(best=best, alternatives=tuple(a for a in found if a is not best))
 

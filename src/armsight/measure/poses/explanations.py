@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from armsight.errors import Unseen
 from armsight.measure.poses.correspondence import match_known
 from armsight.measure.poses.pairs import Pairs, pair_spots
 from armsight.measure.poses.pose import Solved
@@ -12,34 +13,38 @@ from armsight.measure.poses.solving import solve_assignment
 from armsight.measure.poses.tracking import places_of
 from armsight.measure.spots import TOUCHING
 from armsight.optics import SIDES
-from armsight.records import Spots
+from armsight.records import NotSeen, Spots
 
 LOOSE_SLACK = 8.0
 """Factor on the slack with which a set of spots that does not fit is tried again, only to say by how much."""
 
 
-def explain(setup: Setup, left: Spots, right: Spots, pairs: Pairs, why: str) -> str:
-    """Return why no pose could be given, with the size of the misfit where there is one."""
+def explain(setup: Setup, left: Spots, right: Spots, pairs: Pairs, missed: NotSeen) -> NotSeen:
+    """Return why there is no pose, with the size of the misfit where there is one; missed: what is said so far."""
     if not len(left) and not len(right):
-        return "no spot in the image" if setup.overlaid else "no spot in either image"
+        return NotSeen("no spot in the image" if setup.overlaid else "no spot in either image", Unseen.NO_SPOT)
     if setup.overlaid and len(left) <= len(setup.model) and not len(pairs.index):
-        return f"{len(left)} spots, and no two of them are both views of one light: one path may be dark"
+        why = f"{len(left)} spots, and no two of them are both views of one light: one path may be dark"
+        return NotSeen(why, Unseen.DARK_PATH)
     if not len(left) or not len(right):
-        return f"no spot in the {'right' if len(left) else 'left'} image"
+        return NotSeen(f"no spot in the {'right' if len(left) else 'left'} image", Unseen.NO_SPOT)
     if not len(pairs.index) and pairs.behind:
-        return "every pair of spots lies behind the cameras: left and right may be swapped"
+        return NotSeen("every pair of spots lies behind the cameras: left and right may be swapped")
     slack = LOOSE_SLACK * setup.slack_px
     loose = pair_spots(setup.packed, left, right, slack, overlaid=setup.overlaid)
     if setup.target.model_known and len(setup.model) >= 3 and len(loose.index):
         match = match_known(setup.packed, setup.model, left, right, loose, slack_px=slack)
         if match.best is not None:
             solved = solve_assignment(setup, 0.0, left, right, loose, match.best)
-            return solved.pose.why or why
+            return solved.missed if solved.pose.why else missed
     if not len(pairs.index):
         if setup.overlaid:
-            return "no two spots agree as left and right view of one light (epipolar distance)"
-        return "no spot of the left image agrees with one of the right image (epipolar distance)"
-    return why + (_overlapping(left, 2 * len(setup.model)) if setup.overlaid else "")
+            return NotSeen("no two spots agree as left and right view of one light (epipolar distance)")
+        return NotSeen("no spot of the left image agrees with one of the right image (epipolar distance)")
+    overlapping = _overlapping(left, 2 * len(setup.model)) if setup.overlaid else ""
+    if not overlapping:
+        return missed
+    return NotSeen(missed.why + overlapping, missed.cause if missed.cause is Unseen.AMBIGUOUS else Unseen.OVERLAPPING)
 
 
 def _overlapping(spots: Spots, expected: int) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.errors import Unseen
 from armsight.measure.poses.assignment import PREDICTION_RATIO, Assignment, Match, Prediction
 from armsight.measure.poses.kernels import correspondence as kernels
 from armsight.measure.poses.pairs import PAIR_GATE, Pairs, disjoint_sets, overlaid_triples
@@ -40,7 +41,7 @@ def match_by_place(left: Spots, right: Spots, pairs: Pairs) -> Match:
     for spots, seen, name in ((left, sides[0], "left"), (right, sides[1], "right")):
         order = _order_by_place(spots.uv_px[seen])
         if order is None:
-            return Match(best=None, why=f"ambiguous: the lights have no clear order left to right in the {name} image")
+            return _ambiguous(f"the lights have no clear order left to right in the {name} image")
         orders.append(seen[order])
     rows = []
     for i, j in zip(*orders, strict=True):
@@ -59,7 +60,7 @@ def _overlaid_by_place(spots: Spots, pairs: Pairs) -> Match:
     rows = np.array(triples[0], dtype=np.intp)
     order = _order_by_place(spots.uv_px[pairs.index[rows, 0]])
     if order is None:
-        return Match(best=None, why="ambiguous: the lights have no clear order left to right in the left view")
+        return _ambiguous("the lights have no clear order left to right in the left view")
     return Match(best=Assignment(names=("A", "B", "C"), pair=rows[order], chi2=0.0))
 
 
@@ -82,12 +83,16 @@ def match_few(model: TargetModel, pairs: Pairs, *, known: bool, prediction: Pred
             return Match(best=None, why="two lights are seen, but no two of the target's are that far apart")
         options = fitting
     if len(options) > 1:
-        return Match(best=None, why="ambiguous: the lights can be paired in more than one way")
+        return _ambiguous("the lights can be paired in more than one way")
     chosen = options[0]
     if len(chosen) > min(2, len(names)):
         return Match(best=None, why=f"{len(chosen)} lights are seen and none of their arrangements is the target's")
     label = names if len(names) == 1 else ("?",) * len(chosen)
     return Match(best=Assignment(names=label, pair=np.array(chosen, dtype=np.intp), chi2=0.0))
+
+
+def _ambiguous(how: str) -> Match:
+    return Match(best=None, why=f"ambiguous: {how}", cause=Unseen.AMBIGUOUS)
 
 
 def _order_by_place(uv: Array) -> list[int] | None:
@@ -113,7 +118,7 @@ def _nearest(names: tuple[str, ...], pairs: Pairs, prediction: Prediction) -> Ma
         if not len(rivals) or rivals.min() > PREDICTION_RATIO * far[at, light]:
             chosen.append((names[light], at))
     if not chosen:
-        return Match(best=None, why="ambiguous: no light is clearly the one expected")
+        return _ambiguous("no light is clearly the one expected")
     label = tuple(name for name, _ in chosen)
     best = Assignment(names=label, pair=np.array([at for _, at in chosen], dtype=np.intp), chi2=0.0)
     return Match(best=best, predicted=True)

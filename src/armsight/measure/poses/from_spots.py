@@ -19,7 +19,7 @@ from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.shortlist import Shortlist
 from armsight.measure.poses.solving import misfit_chi2, solve_assignment, solve_spots, take_spots
 from armsight.measure.poses.tracking import continuation, doubtful, expected, next_track
-from armsight.records import PoseStatus, Spots, TargetPose
+from armsight.records import NotSeen, PoseStatus, Spots, TargetPose
 
 SWAP_RATIO = 0.1
 """Exchanged views are believed where they bring chi-square below this share of what it is."""
@@ -51,19 +51,18 @@ def measure_among(
         if track is None and not picked:
             _refuse_swapped(setup, left, right)
         chosen = picked or setup.settings.colour is not None
-        why = match.why if chosen and match.why else explain(setup, left, right, pairs, match.why)
-        return lost_moment(t_s, left, right, why, track), 1.0
+        missed = match.missed if chosen and match.why else explain(setup, left, right, pairs, match.missed)
+        return lost_moment(t_s, left, right, missed, track), 1.0
     index = pairs.index[match.best.pair]
     matched = take_spots(left, index[:, 0]), take_spots(right, index[:, 1])
     solved = solve_spots(setup, t_s, match.best.names, *matched)
     if solved.pose.status is PoseStatus.LOST:
-        return lost_moment(t_s, left, right, solved.pose.why, track), 1.0
-    against = impossible(setup, match.best.names, solved, *matched)
-    if against:
+        return lost_moment(t_s, left, right, solved.missed, track), 1.0
+    if against := impossible(setup, match.best.names, solved, *matched):
         return lost_moment(t_s, left, right, against, track), 1.0
     step = continuation(setup, track, t_s, solved)
     if track is not None and doubtful(setup, track, t_s, solved, step):
-        return lost_moment(t_s, left, right, _DOUBTFUL, replace(track, doubted=True)), 1.0
+        return lost_moment(t_s, left, right, NotSeen(_DOUBTFUL), replace(track, doubted=True)), 1.0
     misfit = 0.0 if setup.overlaid or picked else misfit_chi2(solved, *matched)
     if misfit > float(setup.model.limits[min(len(matched[0]), len(setup.model))]):
         _refuse_swapped(setup, left, right, misfit)
@@ -77,6 +76,7 @@ def measure_among(
         right_seen=right,
         track=next_track(setup, t_s, solved, *matched, track, step),
         notes=left_out_notes(setup, solved, left, right),
+        cause=solved.cause,
     )
     return measured, match.chance
 
@@ -132,11 +132,11 @@ def _ambiguous(
     alternatives = _poses(setup, t_s, left, right, pairs, match.alternatives)
     same = all(set(a.pair.tolist()) == set(first.pair.tolist()) for a in match.alternatives)
     if not same:
-        return replace(lost_moment(t_s, left, right, match.why, track), alternatives=alternatives)
+        return replace(lost_moment(t_s, left, right, match.missed, track), alternatives=alternatives)
     names = ("?",) * len(first.pair)
     seen = solve_points(setup.packed, names, pairs.uv_px[first.pair], pairs.cov_px2[first.pair])
-    if isinstance(seen, str):
-        return replace(lost_moment(t_s, left, right, match.why, track), alternatives=alternatives)
+    if isinstance(seen, NotSeen):
+        return replace(lost_moment(t_s, left, right, match.missed, track), alternatives=alternatives)
     index = pairs.index[first.pair]
     return Measured(
         pose=position_only(t_s, seen, match.why),
@@ -148,14 +148,15 @@ def _ambiguous(
         right_seen=right,
         track=track,
         alternatives=alternatives,
+        cause=match.cause,
     )
 
 
-def lost_moment(t_s: float, left: Spots, right: Spots, why: str, track: Track | None) -> Measured:
+def lost_moment(t_s: float, left: Spots, right: Spots, missed: NotSeen, track: Track | None) -> Measured:
     """Return a lost moment; the track, as old as it is, may still help the next one."""
     none = Spots.none()
     return Measured(
-        pose=lost(t_s, why),
+        pose=lost(t_s, missed.why),
         points=no_points(),
         left=none,
         right=none,
@@ -163,6 +164,7 @@ def lost_moment(t_s: float, left: Spots, right: Spots, why: str, track: Track | 
         left_seen=left,
         right_seen=right,
         track=track,
+        cause=missed.cause,
     )
 
 

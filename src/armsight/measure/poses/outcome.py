@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.errors import Unseen
 from armsight.measure.motion.estimate import MotionFilter
-from armsight.records import Points, Spots, TargetPose, frozen_array
+from armsight.records import NotSeen, Points, Spots, TargetPose, frozen_array
 
 Array = NDArray[np.float64]
 
@@ -51,7 +52,8 @@ class Measured:
     points: in rig axes, each triangulated by itself. left, right: the matched spots, in the order of names.
     left_seen, right_seen: all that were found (in the windows only, where tracked). track: for the next call.
     alternatives: the poses of all assignments that fit, where names are ambiguous. notes: what was left out, and why.
-    busy: more than lights was bright, and the spots were chosen from many candidates.
+    busy: more than lights was bright, and the spots were chosen from many candidates. cause: of a pose that is not
+    whole, as far as something of its own helps against it; the pose has the words.
     """
 
     pose: TargetPose
@@ -66,3 +68,9 @@ class Measured:
     notes: tuple[str, ...] = ()
     tracked: bool = False
     busy: bool = False
+    cause: Unseen = Unseen.OTHER
+
+    @property
+    def missed(self) -> NotSeen:
+        """Why the pose is not whole."""
+        return NotSeen(self.pose.why, self.cause)

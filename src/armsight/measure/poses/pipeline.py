@@ -21,7 +21,7 @@ from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import SECOND_LOOK, Candidates, find_candidates, track_spots
 from armsight.measure.spots import warm_up as spots_warm_up
 from armsight.optics import RIG_PARAMETERS, SIDES, Camera, parallel_rig
-from armsight.records import Frame, NamedCovariance, PoseStatus, Spots, spot_target, unmeasured_target
+from armsight.records import Frame, NamedCovariance, NotSeen, PoseStatus, Spots, spot_target, unmeasured_target
 
 __all__ = ["Measured", "Setup", "Track", "measure_pair", "measure_spots", "warm_up"]
 
@@ -123,7 +123,7 @@ def _measure_chosen(
         f"{among.bright} bright spots: {len(measured.names)} of them fit the target, but no better than some would by "
         "chance; mask the background, lower the exposure, or give the target one more light"
     )
-    return replace(lost_moment(t_s, seen_left, seen_right, why, track), busy=measured.busy)
+    return replace(lost_moment(t_s, seen_left, seen_right, NotSeen(why), track), busy=measured.busy)
 
 
 def warm_up() -> None:

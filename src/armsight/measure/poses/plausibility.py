@@ -9,7 +9,7 @@ from armsight.measure.poses.correspondence import OUTLINE
 from armsight.measure.poses.pose import Solved
 from armsight.measure.poses.setup import Setup
 from armsight.optics import PackedRig
-from armsight.records import Spots
+from armsight.records import NotSeen, Spots
 
 Array = NDArray[np.float64]
 
@@ -33,19 +33,19 @@ def add_outline_shift(packed: PackedRig, left: Spots, right: Spots, cov: Array) 
                 cov[i, side] += shift * shift * np.eye(2)
 
 
-def impossible(setup: Setup, names: tuple[str, ...], solved: Solved, left: Spots, right: Spots) -> str:
-    """Return why the lights cannot look like this at the pose that fits them; empty where they can."""
+def impossible(setup: Setup, names: tuple[str, ...], solved: Solved, left: Spots, right: Spots) -> NotSeen | None:
+    """Return why the lights cannot look like this at the pose that fits them; None where they can."""
     if solved.T is None:
-        return ""
+        return None
     model, packed = setup.model, setup.packed
     eye = -packed.R[0].T @ packed.t[0]
     if model.one_sided and solved.T[:3, 2] @ (solved.T[:3, 3] - eye) < 0.0:
-        return (
+        return NotSeen(
             "the lights fit the target seen from behind: a mirror image, or y counts upwards in target.yaml; "
             "z must point away from the cameras: change the sign of every y and z there"
         )
     if model.radius_m <= 0.0:
-        return ""
+        return None
     shares = []
     for side, spots in enumerate((left, right)):
         rows = [i for i, kind in enumerate(spots.model) if kind == OUTLINE]
@@ -55,9 +55,9 @@ def impossible(setup: Setup, names: tuple[str, ...], solved: Solved, left: Spots
         shares += [(spots.size_px[i], r) for i, r in zip(rows, whole.tolist(), strict=True)]
     off = [size < r / WRONG_SIZE - BLOOM_PX or size > WRONG_SIZE * r + BLOOM_PX for size, r in shares]
     if 2 * sum(off) <= len(off):
-        return ""
+        return None
     seen, wanted = np.median(np.array(shares), axis=0)
-    return (
+    return NotSeen(
         f"the lights are {2.0 * seen:.0f} px wide and would be {2.0 * wanted:.0f} px by diameter_m in target.yaml: "
         "correct it, or leave it out"
     )

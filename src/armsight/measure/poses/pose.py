@@ -9,11 +9,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.errors import Unseen
 from armsight.measure.poses.kernels import folds, rig_covariance
 from armsight.measure.poses.kernels import pose as kernels
 from armsight.measure.poses.pairs import SLACK_PX
 from armsight.optics import PackedRig
-from armsight.records import Points, PoseStatus, TargetPose, trusted
+from armsight.records import NotSeen, Points, PoseStatus, TargetPose, trusted
 
 Array = NDArray[np.float64]
 
@@ -48,13 +49,19 @@ _FOLDED = "the spots fit tilts to either side of the line of sight: only the pos
 class Solved:
     """A pose with the points it came from; its matrix T (4, 4), None where it is not whole.
 
-    fits: whether the residuals agree with the target, slack allowed.
+    fits: whether the residuals agree with the target, slack allowed. cause: of what the pose says is not known.
     """
 
     pose: TargetPose
     points: Points
     T: Array | None = None
     fits: bool = True
+    cause: Unseen = Unseen.OTHER
+
+    @property
+    def missed(self) -> NotSeen:
+        """Why the pose is not whole."""
+        return NotSeen(self.pose.why, self.cause)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -178,8 +185,8 @@ def solve_frame(packed: PackedRig, t_s: float, names: tuple[str, ...], uv_px: Ar
     uv_px, cov_px2: as in NamedSpots. The lights' own triangle is not assumed to keep its shape.
     """
     seen = solve_points(packed, names, uv_px, cov_px2)
-    if isinstance(seen, str):
-        return Solved(pose=lost(t_s, seen), points=no_points(), fits=False)
+    if isinstance(seen, NotSeen):
+        return Solved(pose=lost(t_s, seen.why), points=no_points(), fits=False)
     T, C = np.eye(4), np.empty((6, 6))
     if not kernels.pachidis_frame(seen.points.xyz_m, seen.joint_m2, T, C) or not _certain(C, MAX_ROTATION_SIGMA):
         return Solved(pose=position_only(t_s, seen, "the three lights lie on one line"), points=seen.points)
@@ -190,14 +197,14 @@ def solve_frame(packed: PackedRig, t_s: float, names: tuple[str, ...], uv_px: Ar
     return _whole(t_s, seen.points, T, C, seen.residual_px, systematic)
 
 
-def solve_points(packed: PackedRig, names: tuple[str, ...], uv_px: Array, cov_px2: Array) -> Placed | str:
+def solve_points(packed: PackedRig, names: tuple[str, ...], uv_px: Array, cov_px2: Array) -> Placed | NotSeen:
     """Return the points by themselves, or why there are none; arguments as solve_frame."""
     n = len(names)
     P, S, residual = np.empty((n, 3)), np.empty((n, 3, 3)), np.zeros((n, 2, 2))
     if not kernels.triangulate_all(packed.k, packed.R, packed.t, uv_px, cov_px2, P, S):
-        return _WHY[kernels.NO_POINT]
+        return NotSeen(_WHY[kernels.NO_POINT])
     if not kernels.point_residuals(packed.k, packed.R, packed.t, uv_px, P, residual):
-        return _WHY[kernels.NO_POINT]
+        return NotSeen(_WHY[kernels.NO_POINT])
     return _placed(packed, names, P, S, cov_px2, residual)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.errors import Unseen
 from armsight.measure.poses.assignment import Assignment
 from armsight.measure.poses.correspondence import OUTLINE
 from armsight.measure.poses.kernels import pose as kernels
@@ -21,7 +22,7 @@ from armsight.measure.poses.pose import (
     solve_pose,
 )
 from armsight.measure.poses.setup import Setup
-from armsight.records import Spots
+from armsight.records import NotSeen, Spots
 
 Array = NDArray[np.float64]
 
@@ -44,10 +45,15 @@ def solve_spots(setup: Setup, t_s: float, names: tuple[str, ...], left: Spots, r
         add_outline_shift(packed, left, right, cov)
     if len(names) < 3:
         seen = solve_points(packed, names, uv, cov)
-        if isinstance(seen, str):
-            return Solved(pose=lost(t_s, seen), points=no_points(), fits=False)
-        why = "a target of one or two spots" if len(names) == len(model) else f"{len(names)} of {len(model)} spots seen"
-        return Solved(pose=position_only(t_s, seen, f"{why}: only their position is known"), points=seen.points)
+        if isinstance(seen, NotSeen):
+            return Solved(pose=lost(t_s, seen.why), points=no_points(), fits=False)
+        whole = len(names) == len(model)
+        why = "a target of one or two spots" if whole else f"{len(names)} of {len(model)} spots seen"
+        return Solved(
+            pose=position_only(t_s, seen, f"{why}: only their position is known"),
+            points=seen.points,
+            cause=Unseen.OTHER if whole else Unseen.LIGHTS_MISSING,
+        )
     if not setup.target.model_known:
         return solve_frame(packed, t_s, names, uv, cov)
     rows = model.xyz_m if names == model.names else model.xyz_m[[model.names.index(name) for name in names]]
