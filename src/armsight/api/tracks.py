@@ -28,7 +28,7 @@ BAND: dict[str, Any] = {
     "hoverinfo": "skip",
     "showlegend": False,
 }
-"""How the edges of a plot's band of deviations look."""
+"""How the edges of a plot's band of standard deviations look."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)

@@ -268,9 +268,10 @@ def read_target(path: Path) -> Target:
 def write_target(
     path: Path, target: Target, *, inputs: Sequence[Path] = (), std_m: Mapping[str, Sequence[float]] | None = None
 ) -> None:
-    """Write target.yaml with the hashes of the files it was made from; std_m: deviations (3,) of each spot's place.
+    """Write target.yaml with the hashes of the files it was made from; std_m: standard deviations (3,) of each spot's
+    place.
 
-    The deviations are for people, where the target brings a covariance: that one counts when the file is read.
+    The standard deviations are for people, where the target brings a covariance: that one counts when the file is read.
     """
     write_document(path, TARGET_FORMAT, {**target_mapping(target), "std_m": std_m}, inputs)
 

@@ -171,7 +171,8 @@ def _rotation_noise(result: ArmCalibration) -> float | None:
 
 
 def corrections(result: ArmCalibration) -> str:
-    """Return a CSV text in a controller's terms: per joint the zero to add to its reading, its deviation, the scale.
+    """Return a CSV text in a controller's terms: per joint the zero to add to its reading, its standard deviation, the
+    scale.
 
     Where readings are coupled, value = gearing @ reading: zeros of the readings give those of the values by it.
     """

@@ -31,7 +31,8 @@ Visible = Callable[[Array], NDArray[np.bool_]]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Proposal:
-    """Joint values q (n, joints) in the order of their worth, and the deviations expected with all of them, by name."""
+    """Joint values q (n, joints) in the order of their worth, and the standard deviations expected with all of them, by
+    name."""
 
     q: Array
     expected_std: dict[str, float]

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 NAMES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 GROSS = float(np.sqrt(chi2.ppf(1.0 - 1e-7, 3)))
-"""Errors beyond so many deviations are gross, and left out."""
+"""Errors beyond so many standard deviations are gross, and left out."""
 WORLD_FIT_TRIES = 300
 """Draws of three places: with half of the rows wrong, one draw in eight is without a wrong one."""
 WORLD_FIT_SEED = 11

@@ -1,4 +1,4 @@
-"""Sweeps in, an arm out: types, axes, table with deviations (Kapucu and Baysec 2005; MATH 4.3, 4.5)."""
+"""Sweeps in, an arm out: types, axes, table with standard deviations (Kapucu and Baysec 2005; MATH 4.3, 4.5)."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ INCREMENTS = ("known", "order")
 AT_ODDS = 9.0
 """Variance of the whole arm's misfit over that of single paths from which it is worth a note."""
 ANOTHER = 5.0
-"""Deviations by which an entry of another solution must differ for it to be another arm."""
+"""Standard deviations by which an entry of another solution must differ for it to be another arm."""
 FAR_M = 10.0
 """A beacon on an arm hardly moves further."""
 MEETING_STEPS = 20
@@ -312,7 +312,7 @@ def _finish(
     name: str,
     method: str = "ml",
 ) -> Identification:
-    """Return the arm with its deviations, and what each joint's readings say of it."""
+    """Return the arm with its standard deviations, and what each joint's readings say of it."""
     sweeps, covariance = seen.sweeps, frames.covariance
     travel = np.array([[sweeps.q[sweeps.rows(j), j].min(), sweeps.q[sweeps.rows(j), j].max()] for j in range(sweeps.n)])
     arm = arm_of(name, frames.axes, frames.table, frames.first, frames.tool, travel)

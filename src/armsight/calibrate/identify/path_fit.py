@@ -22,7 +22,7 @@ Start = tuple[float, Array, Array, float]
 SWUNG = 8
 """Normals tried, swung about the chord: with a short arc the plane fit may be anywhere about it (MATH 4.3)."""
 GROSS = float(np.sqrt(chdtri(3, 1e-6)))
-"""Readings beyond so many deviations are discarded."""
+"""Readings beyond so many standard deviations are discarded."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -1,4 +1,5 @@
-"""How far readings are from where a model puts the beacon, in deviations: by pixels of both cameras, or by places."""
+"""How far readings are from where a model puts the beacon, in standard deviations: by pixels of both cameras, or by
+places."""
 
 from __future__ import annotations
 
@@ -51,7 +52,7 @@ class SweepResiduals:
 
     @property
     def relative(self) -> float:
-        """Deviations of the places over those of their covariances."""
+        """Standard deviations of the places over those of their covariances."""
         return self.sigma / self.unit
 
     def take(self, rows: NDArray[np.intp]) -> SweepResiduals:

@@ -30,8 +30,8 @@ LINE_SHARE = 0.02
 """Height over length of lights on one line."""
 
 LINE_SIGMA = 5.0
-"""Lights are on one line too where, in the middle frame, none is so many deviations off it: no frame then knows
-the turn about it."""
+"""Lights are on one line too where, in the middle frame, none is so many standard deviations off it: no frame then
+knows the turn about it."""
 
 SIDES_SHARE = 1.0 / 3.0
 """Frames in which the lights run the other way round: more than this share leave the sense of w open."""

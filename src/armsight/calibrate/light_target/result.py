@@ -27,8 +27,8 @@ class TargetCalibration:
 
     used: names of the frames that the answer rests on. rejected: (frame, why). residual_px (g, n, 2, 2) [frame, light,
     side, axis] predicted minus seen; left_out_px: the same, each frame by the shape that the others give. scale:
-    residuals over the spots' own deviations; above 1 the covariance is widened by it. rig_share: part of the
-    deviation that comes from the rig's calibration, None where the rig has no covariance. turn_rms_rad (3,):
+    residuals over the spots' own standard deviations; above 1 the covariance is widened by it. rig_share: part of the
+    standard deviation that comes from the rig's calibration, None where the rig has no covariance. turn_rms_rad (3,):
     root mean square turns between frames about their principal axes, falling.
     """
 
@@ -65,7 +65,7 @@ class TargetCalibration:
 
     @property
     def std_m(self) -> Array:
-        """Deviations (n, 3) of the places; zero where the frame's convention fixes a coordinate."""
+        """Standard deviations (n, 3) of the places; zero where the frame's convention fixes a coordinate."""
         return np.sqrt(np.maximum(np.diag(self.covariance.matrix), 0.0)).reshape(-1, 3)
 
     @property

@@ -29,9 +29,9 @@ GLASS = 1.5
 TRIED_M = 1e-3
 """Thickness at which the plate's part is worked out; it grows in proportion."""
 SEEN = 4.0
-"""A plate thinner than this many deviations of its thickness is not there, as far as the views tell."""
+"""A plate thinner than this many standard deviations of its thickness is not there, as far as the views tell."""
 AT_ODDS = 5.0
-"""Deviations between the thickness given and the one seen from which it is worth a word."""
+"""Standard deviations between the thickness given and the one seen from which it is worth a word."""
 THICKEST_M = 0.03
 """A thicker plate than this is in no rig: what looks like one is a wrong image or a wrong board."""
 WIDE = 2.0
@@ -155,7 +155,8 @@ def _calibrated(
 
 
 def _plate_used(seen: float, seen_std: float, thickness_m: float | None) -> tuple[float, list[str]]:
-    """Return the thickness of the plate to take, given or seen (m, with its deviation), and what is to be said of it.
+    """Return the thickness of the plate to take, given or seen (m, with its standard deviation), and what is to be said
+    of it.
 
     Raises Inconsistent where none is given and the views would need one that is in no rig.
     """
@@ -200,7 +201,8 @@ def _refit(free: RobustFit, plate: Plate | None, options: BoardOptions) -> Robus
 
 
 def _thickness(free: RobustFit, index: float, options: BoardOptions) -> tuple[float, float]:
-    """Return the plate's thickness (m) as the views show it, and its deviation: the cost's parabola over it."""
+    """Return the plate's thickness (m) as the views show it, and its standard deviation: the cost's parabola over
+    it."""
     careful = replace(options, reject=False)
     costs, dof, scale = [], 1, 1.0
     for k in range(3):

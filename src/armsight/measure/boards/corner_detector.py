@@ -25,7 +25,7 @@ APART_PX = 4
 WEAK = 0.12
 """Share of the strong corners' response below which a maximum is no corner."""
 LOUD = 6.0
-"""... and so many deviations of the noise: among half a million pixels of noise the largest has five."""
+"""... and so many standard deviations of the noise: among half a million pixels of noise the largest has five."""
 STRONG = 40
 """How many of the strongest maxima set what is usual."""
 MANY_CORNERS = 800

@@ -35,7 +35,7 @@ SEEN_SHARE = 0.5
 """A board of which fewer corners are seen than this is refused,"""
 PLACED_SHARE = 0.5
 """... and one of which fewer can be placed: what is known of the other board then comes from too few, and errors of 40
-deviations were met among 24 corners of 54."""
+standard deviations were met among 24 corners of 54."""
 FAINT = 0.3
 """What is left of a board that was taken off responds less than this share of it."""
 RIM_SHARE = 0.7

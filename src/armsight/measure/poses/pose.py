@@ -27,7 +27,7 @@ MAX_DOUBTFUL_SIGMA = 0.07
 several places, not about one."""
 
 FOLDED = 1.05
-"""Squared deviations of another tilt over what its residuals allow, from which that is the case."""
+"""Squared Mahalanobis distance of another tilt over what its residuals allow, from which that is the case."""
 
 MISFIT_SIGMA = 2.326
 """Residuals further out than this normal deviation (1 %) widen the pose: cameras' noise models are off by up to a

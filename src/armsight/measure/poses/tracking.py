@@ -30,7 +30,7 @@ MOST_ANGULAR_ACCELERATION = 300.0
 """rad/s^2, likewise: a wrist that turns by 60 degrees and back in a quarter of a second reaches a third of it."""
 
 JUMP_SIGMA = 3.0
-"""Deviations of a pose that may come on top of how far off its prediction may be."""
+"""Standard deviations of a pose that may come on top of how far off its prediction may be."""
 
 STILL_M = 0.005
 """How far off a prediction may be where nothing moves."""
@@ -42,7 +42,8 @@ LEAST_WINDOW_PX = 8
 """Half the smallest window, beside the spot itself."""
 
 MOST_SURPRISE2 = float(distributions.chi2.isf(1e-6, 6))
-"""Squared deviations of a pose from where the target's motion puts it, beyond which it is something else's."""
+"""Squared Mahalanobis distance of a pose from where the target's motion puts it, beyond which it is something
+else's."""
 
 SPOT_REACH = 4.0
 """A spot's light reaches about this many of its sigmas (or radii)."""

@@ -19,7 +19,7 @@ from armsight.optics.kernels.triangulation import FOUND, invert_2, triangulate_m
 SOLVED, NO_WEIGHT, NO_POINT, BEHIND_CAMERA, OPEN, ENDLESS = 0, 1, 2, 3, 4, 5
 
 MAX_STEPS = 200  # five or fewer where residuals are noise; a target seen straight on that does not fit takes many
-SETTLED = 1e-8  # fall of chi-square, relative and absolute, that counts as none: 1e-4 of a deviation
+SETTLED = 1e-8  # fall of chi-square, relative and absolute, that counts as none: 1e-4 of a standard deviation
 
 
 @inner_kernel

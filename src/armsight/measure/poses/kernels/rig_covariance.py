@@ -139,7 +139,7 @@ def marginal_chi2(chi2, N, b, covariance):
     """
     size = b.shape[0]
     scale = np.empty(size)
-    for i in range(size):  # parameters in units of their own deviation: px beside metres
+    for i in range(size):  # parameters in units of their own standard deviation: px beside metres
         scale[i] = sqrt(max(covariance[i, i], 0.0))
     M = np.empty((size, size))
     Q = np.empty((size, size))
