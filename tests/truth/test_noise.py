@@ -77,7 +77,7 @@ def test_the_deviations_are_true() -> None:
         noise = calibrate_noise(shots(room(np.random.default_rng(seed), shape=(160, 240)), 5, seed)).noise
         errors.append((noise.variance_levels2 - line(noise.levels)) / noise.std_levels2)
         correlations.append(noise.correlation / noise.correlation_std)
-    # about 100 and 48 errors of rms 1; the 16 % of their standard deviations and the neighbours' overlap are in the limits
+    # about 100 and 48 errors of rms 1; the 16 % of their standard deviations and neighbours' overlap are in the limits
     assert 0.75 < np.sqrt(np.mean(np.square(np.concatenate(errors)))) < 1.35
     assert 0.65 < np.sqrt(np.mean(np.square(correlations))) < 1.45
 
