@@ -174,7 +174,7 @@ def random_arms(count: int) -> None:
             continue
         further = rng.uniform(low, high, (20, n))
         off = fk(found.arm, further)[:, :3, 3] - tip(rows, turns, further)
-        _, C = found.uncertainty.places(further)
+        _, C = found.uncertainty.positions(further)
         ratios.append(np.linalg.norm(off, axis=1).max() / 2e-4)
         single.append(np.mean(np.abs(off) <= 3.0 * np.sqrt(np.einsum("mii->mi", C))))
         finite = np.isfinite(C[:, 0, 0])

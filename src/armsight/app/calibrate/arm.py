@@ -119,7 +119,7 @@ def _measurements(arm: Arm, path: Path) -> ArmPoints:
 
 
 def _in_view(rig: Rig, world: World) -> Any:
-    """Return the test whether places (m, 3) in the world's frame are in both images."""
+    """Return the test whether positions (m, 3) in the world's frame are in both images."""
 
     def seen(xyz_m: Array) -> NDArray[np.bool_]:
         local = world.T_parent_rig.inv().apply(xyz_m)

@@ -43,7 +43,7 @@ class Tolerance:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ArmFit:
-    """Parameters p, the fit they came from, and the noise of places and rotations found.
+    """Parameters p, the fit they came from, and the noise of positions and rotations found.
 
     free: names of what was fitted, base and tools included. prior_weight: 1 / tolerance^2 of each, 0 without one.
     """

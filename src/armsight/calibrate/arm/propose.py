@@ -70,7 +70,7 @@ def propose(
 
 
 def _candidates(model: ArmModel, fitted: ArmFit, points: ArmPoints, visible: Visible | None) -> ArmPoints:
-    """Return random joint positions within the limits, with the places to expect there; only those that are seen."""
+    """Return random joint positions within the limits, with the positions to expect there; only those that are seen."""
     rng = np.random.default_rng(PROPOSAL_SEED)
     low, high = _ranges(model, points)
     q = rng.uniform(low, high, (CANDIDATES, model.arm.n))

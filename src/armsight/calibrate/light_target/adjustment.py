@@ -159,9 +159,9 @@ def _project(packed: PackedRig, layout: Layout, values: Array, poses: Array) -> 
     X = layout.spots(values)
     g, n = len(poses), len(X)
     turned = np.einsum("gij,nj->gni", _rotations(poses), X)
-    places = np.ascontiguousarray(turned + poses[:, None, :3]).reshape(-1, 3)
+    positions = np.ascontiguousarray(turned + poses[:, None, :3]).reshape(-1, 3)
     uv, J = np.empty((g * n, 2, 2)), np.empty((g * n, 2, 2, 3))
-    kernels.see_both(packed.k, packed.R, packed.t, places, uv, J)
+    kernels.see_both(packed.k, packed.R, packed.t, positions, uv, J)
     return turned, uv.reshape(g, n, 2, 2), J.reshape(g, n, 2, 2, 3)
 
 

@@ -58,14 +58,14 @@ class TargetCalibration:
 
     @property
     def target(self) -> Target:
-        """The target, with places and their covariance."""
-        places = {n: (x[0], x[1], x[2]) for n, x in zip(self.names, self.xyz_m.tolist(), strict=True)}
+        """The target, with positions and their covariance."""
+        positions = {n: (x[0], x[1], x[2]) for n, x in zip(self.names, self.xyz_m.tolist(), strict=True)}
         rows = tuple(f"{name}.{axis}_m" for name in self.names for axis in "xyz")
-        return spot_target(places, covariance=self.covariance.block(rows))
+        return spot_target(positions, covariance=self.covariance.block(rows))
 
     @property
     def std_m(self) -> Array:
-        """Standard deviations (n, 3) of the places; zero where the frame's convention fixes a coordinate."""
+        """Standard deviations (n, 3) of the positions; zero where the frame's convention fixes a coordinate."""
         return np.sqrt(np.maximum(np.diag(self.covariance.matrix), 0.0)).reshape(-1, 3)
 
     @property

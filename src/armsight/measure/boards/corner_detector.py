@@ -137,7 +137,7 @@ def find_saddles(image: Array) -> Saddles:
 
 
 def _peaks(strength: Array, row: NDArray[np.intp], col: NDArray[np.intp]) -> Array:
-    """Return the places (n, 2) of maxima, by a parabola along each axis."""
+    """Return the positions (n, 2) of maxima, by a parabola along each axis."""
     out = []
     for dv, du in ((0, 1), (1, 0)):
         before, here, after = (strength[row + k * dv, col + k * du] for k in (-1, 0, 1))

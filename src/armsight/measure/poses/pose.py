@@ -46,7 +46,7 @@ _FOLDED = "the spots fit tilts to either side of the line of sight: only the pos
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Solved:
-    """A pose with the points it came from; its matrix T (4, 4), None where it is not whole.
+    """A pose with the points it came from; its matrix T (4, 4), None where it is not complete.
 
     fits: whether the residuals agree with the target, slack allowed.
     """
