@@ -1,5 +1,4 @@
-"""Blobs brighter than the annulus about them, whatever the level round about: each grown from a peak down to half its
-height."""
+"""Blobs brighter than the annulus about them, whatever the level there: each grown from a peak down to half its height."""
 
 from __future__ import annotations
 
@@ -244,14 +243,12 @@ def blob_at(
     background = ring[min(int(BACKGROUND_SHARE * count), count - 1)]
     level = int(0.5 * (top + background))
     reach = min(REACH * radius, widest)
-    outcome = grow_region(image, flip, saturation, mask, x, y, level, reach, stamp, labels, left, top_row, stack, row)
-    if outcome == 0 and row[AREA] < min_pixels:
+    code = grow_region(image, flip, saturation, mask, x, y, level, reach, stamp, labels, left, top_row, stack, row)
+    if code == 0 and row[AREA] < min_pixels:
         level = int(TINY * top + (1.0 - TINY) * background)
-        outcome = grow_region(
-            image, flip, saturation, mask, x, y, level, reach, -stamp, labels, left, top_row, stack, row
-        )
+        code = grow_region(image, flip, saturation, mask, x, y, level, reach, -stamp, labels, left, top_row, stack, row)
         stamp = -stamp
-    if outcome != 0 or row[AREA] < min_pixels:
+    if code != 0 or row[AREA] < min_pixels:
         return 0.0
     row[BACKGROUND] = background
     row[SLOPE] = (ring[(3 * count) // 4] - ring[count // 4]) / radius
