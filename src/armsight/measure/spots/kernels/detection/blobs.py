@@ -1,4 +1,4 @@
-"""Blobs brighter than the annulus about them, whatever the level there: each grown from a peak down to half its height."""
+"""Blobs brighter than the annulus about them, whatever the level: each grown from a peak down to half its height."""
 
 from __future__ import annotations
 
