@@ -1,4 +1,5 @@
-"""Stereo calibration after detection: accuracy against the Cramer-Rao bound, time, and truth of the claimed deviations.
+"""Stereo calibration after detection: accuracy against the Cramer-Rao bound, time, and truth of the claimed standard
+deviations.
 
 Synthetic: 2 cameras 1280x720, 20 boards of 9x6 corners, 0.1 px noise. The world is projected by NumPy here, apart
 from the product's code. Peer: cv2.calibrateCamera for each camera, then cv2.stereoCalibrate with free intrinsics.
@@ -153,7 +154,7 @@ def peers(n_sets: int, board: Target, X: np.ndarray) -> None:
 
 
 def claims(n: int, board: Target, X: np.ndarray) -> None:
-    """One set, n noises: spread of the answers against the deviations claimed."""
+    """One set, n noises: spread of the answers against the standard deviations claimed."""
     rng = np.random.default_rng(7)
     data = make(rng, X)
     stereo, claimed, mono, claimed_mono = [], [], [], []

@@ -68,7 +68,7 @@ def sweep(arc_deg: float) -> tuple[NDArray[np.intp], Array]:
 
 
 def bound(q: Array, sigma: float) -> Array:
-    """Return the Cramer-Rao deviations of NAMES in their units."""
+    """Return the Cramer-Rao standard deviations of NAMES in their units."""
     J = np.empty((4 * len(q), 13))
     for i in range(13):
         h = np.zeros(13)
@@ -79,7 +79,7 @@ def bound(q: Array, sigma: float) -> Array:
 
 
 def entries(found: Identification) -> tuple[Array, Array]:
-    """Return NAMES of an identified arm and their claimed deviations."""
+    """Return NAMES of an identified arm and their claimed standard deviations."""
     j, s = found.arm.joints, [one.std for one in found.joints]
     value = np.array([j[0].d_m, j[0].a_m, j[1].d_m, j[1].a_m, j[1].alpha_rad])
     claimed = np.array([s[0]["d_m"], s[0]["a_m"], s[1]["d_m"], s[1]["a_m"], s[1]["alpha_rad"]])
@@ -148,7 +148,8 @@ def tip(rows: Array, turns: NDArray[np.bool_], q: Array) -> Array:
 
 
 def random_arms(count: int) -> None:
-    """Print how random arms are told: types where decided, places at unseen joint values in claimed deviations."""
+    """Print how random arms are told: types where decided, places at unseen joint values in claimed standard
+    deviations."""
     decided, right, kept, ratios, single, joint3 = 0, 0, 0, [], [], []
     refused: Counter[str] = Counter()
     for seed in range(count):
@@ -173,7 +174,7 @@ def random_arms(count: int) -> None:
             continue
         further = rng.uniform(low, high, (20, n))
         off = fk(found.arm, further)[:, :3, 3] - tip(rows, turns, further)
-        _, C = found.uncertainty.places(further)
+        _, C = found.uncertainty.positions(further)
         ratios.append(np.linalg.norm(off, axis=1).max() / 2e-4)
         single.append(np.mean(np.abs(off) <= 3.0 * np.sqrt(np.einsum("mii->mi", C))))
         finite = np.isfinite(C[:, 0, 0])

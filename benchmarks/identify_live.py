@@ -35,7 +35,7 @@ def seen(joint: NDArray[np.intp], q: Array, sigma: float, rng: np.random.Generat
 
 
 def wanted(expected: tuple[dict[str, float], ...]) -> Array:
-    """Return the deviations of NAMES in their units."""
+    """Return the standard deviations of NAMES in their units."""
     one, two = expected[:2]
     return np.array([one["d_m"], one["a_m"], two["d_m"], two["a_m"], two["alpha_rad"]]) * UNITS
 
@@ -57,7 +57,7 @@ def probed(sigma: float, rng: np.random.Generator) -> tuple[Sweeps, float]:
 
 
 def announced(runs: int) -> None:
-    """Print expected over claimed deviations, and the errors made over the expected ones."""
+    """Print expected over claimed standard deviations, and the errors made over the expected ones."""
     rows = []
     for sigma in (0.02, 0.05, 0.2, 0.5):
         ratios, errors, shares, refused = [], [], [], 0
@@ -90,7 +90,8 @@ def announced(runs: int) -> None:
 
 
 def gained() -> None:
-    """Print deviations of planned sweeps beside those of sweeps over the same limits from where the arm stands."""
+    """Print standard deviations of planned sweeps beside those of sweeps over the same limits from where the arm
+    stands."""
     arm = known_arm(preset("stanford-rrp"), BASE, 0.2)
     planned = wanted(propose_sweeps(arm, RIG, LIMITS, POSE, base=BASE).expected)
     plain = np.concatenate([probe(LIMITS, POSE, j, share=1.0, readings=10) for j in range(3)])

@@ -38,7 +38,8 @@ from armsight.store.urdf import urdf_text
 from bench import interleaved_ms, machine, table
 
 WARM_RAD = 0.1
-"""Deviation of a warm start from the answer, per joint: what an arm moves in one cycle of a slow controller."""
+"""Standard deviation of a warm start from the answer, per joint: what an arm moves in one cycle of a slow
+controller."""
 
 
 def optional(name: str) -> ModuleType | None:

@@ -258,7 +258,7 @@ def spots_of(cases: Sequence[Case]) -> list[float]:
 
 
 def deficit(cases: Sequence[Case]) -> float:
-    """Return how surely too few spots are inside their ellipses: shortfall in binomial deviations."""
+    """Return how surely too few spots are inside their ellipses: shortfall in binomial standard deviations."""
     q = np.array(spots_of(cases))
     return float((0.95 * len(q) - (q <= chi2.ppf(0.95, 2)).sum()) / np.sqrt(len(q) * 0.95 * 0.05))
 

@@ -61,7 +61,7 @@ def disc(p: Sequence[float], n: int, fine: int = 8) -> Array:
 
 
 def bound(render: Callable[[Sequence[float], int], Array], p: Sequence[float], n: int, where: Sequence[int]) -> Array:
-    """Return the Cramer-Rao deviations of parameters `where`, all others and the background being unknown."""
+    """Return the Cramer-Rao standard deviations of parameters `where`, all others and the background being unknown."""
     q = np.asarray(p, float)
     columns = [np.ones(n * n)]
     for i in range(len(q)):

@@ -103,7 +103,7 @@ def averaged(frames: list[LitFrame]) -> np.ndarray:
 
 
 def by_edge(done: TargetCalibration) -> tuple[np.ndarray, np.ndarray]:
-    """Return distances and deviations (3,)."""
+    """Return distances and standard deviations (3,)."""
     found = done.distances().values()
     return np.array([d.value_m for d in found]), np.array([d.std_m for d in found])
 

@@ -26,7 +26,7 @@ FAR_MM, FAR_DEG = 5.0, 5.0
 """A pose further off than this is wrong, whatever it claims."""
 
 BEYOND = 6.0
-"""Deviations of the claimed covariance beyond which a pose is wrong, where it is also off by BEYOND_MM."""
+"""Standard deviations of the claimed covariance beyond which a pose is wrong, where it is also off by BEYOND_MM."""
 BEYOND_MM = 1.0
 
 MISTAKEN_PX = 5.0

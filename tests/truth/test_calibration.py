@@ -117,7 +117,7 @@ def test_camera_claims_what_it_reaches(truth: np.ndarray) -> None:
 
 
 def test_noise_that_the_detector_underrates_is_seen_in_the_residuals(truth: np.ndarray) -> None:
-    """Views that claim a tenth of their noise: the deviations must not shrink with the claim."""
+    """Views that claim a tenth of their noise: the standard deviations must not shrink with the claim."""
     rng = np.random.default_rng(34)
     clean = world(truth)
     uv = clean + rng.normal(0.0, 10.0 * SIGMA_PX, clean.shape)

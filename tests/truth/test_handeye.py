@@ -87,7 +87,7 @@ def test_the_truth_is_found_within_the_claimed_deviations(to_hand: bool) -> None
         noise.append((result.noise.translation_m.value, result.noise.camera_rad.value))
         assert result.rejected == ()
         assert not scale_is_wrong(result)
-    # deviations are widened by 2 % at 20 poses; the rms of 40 normals scatters by 11 %
+    # standard deviations are widened by 2 % at 20 poses; the rms of 40 normals scatters by 11 %
     assert np.sqrt((np.array(z) ** 2).mean()) == pytest.approx(0.98, abs=0.12)
     assert np.median(noise, axis=0) == pytest.approx([0.3 * MM, 0.05 * DEG], rel=0.08)
 

@@ -239,7 +239,7 @@ def test_several_sweeps_of_a_joint_are_pooled() -> None:
         alone.append(identify(seen.take(np.r_[0:8, 24:34])).joints[0].std["a_m"])
         assert result.doubt is not None
         further = np.random.default_rng(seed).uniform(-1.0, 1.0, (20, 2))
-        places, C = result.doubt.places(further)
+        places, C = result.doubt.positions(further)
         assert np.linalg.norm(places - tip(rows, further), axis=1).max() < 5.0 * np.sqrt(
             C.trace(axis1=1, axis2=2).max()
         )

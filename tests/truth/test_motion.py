@@ -99,7 +99,7 @@ def told(states: list[MotionState | None]) -> list[MotionState]:
 
 @pytest.mark.parametrize("speed", [0.0, 0.1, 0.5, 1.0])
 def test_smoothed_poses_are_as_good_as_claimed_at_any_speed(speed: float) -> None:
-    """Three runs of 6 s; poses share views, so that the share inside has a deviation of some 2 %."""
+    """Three runs of 6 s; poses share views, so that the share inside has a standard deviation of some 2 %."""
     inside, off = [], []
     for seed in range(3):
         rng = np.random.default_rng([seed, int(10 * speed)])

@@ -15,7 +15,7 @@ from armsight.errors import BadImage, Degenerate, Inconsistent, NotEnoughData
 H, W = 240, 320
 GAIN, READ = 0.1, 1.2
 DEVIATIONS = 4.5
-"""One of 1.5e5 normal errors is beyond; the deviations from 20 groups are themselves known to 16 %."""
+"""One of 1.5e5 normal errors is beyond; the standard deviations from 20 groups are themselves known to 16 %."""
 
 Array = np.ndarray
 
@@ -48,7 +48,7 @@ def line(levels: Array) -> Array:
 
 
 def assert_is_the_line(found: NoiseCalibration, model: float = 0.0) -> None:
-    """The knots are the true variances within their deviations, and within model of them."""
+    """The knots are the true variances within their standard deviations, and within model of them."""
     noise = found.noise
     true = line(noise.levels)
     assert (np.abs(noise.variance_levels2 - true) < DEVIATIONS * noise.std_levels2 + model * true).all()
@@ -77,7 +77,7 @@ def test_the_deviations_are_true() -> None:
         noise = calibrate_noise(shots(room(np.random.default_rng(seed), shape=(160, 240)), 5, seed)).noise
         errors.append((noise.variance_levels2 - line(noise.levels)) / noise.std_levels2)
         correlations.append(noise.correlation / noise.correlation_std)
-    # about 100 and 48 errors of rms 1; their deviations' own 16 % and the neighbours' overlap are in the limits
+    # about 100 and 48 errors of rms 1; the 16 % of their standard deviations and neighbours' overlap are in the limits
     assert 0.75 < np.sqrt(np.mean(np.square(np.concatenate(errors)))) < 1.35
     assert 0.65 < np.sqrt(np.mean(np.square(correlations))) < 1.45
 

@@ -80,7 +80,7 @@ def test_exact_spots_give_the_exact_pose() -> None:
 
 
 def test_ellipsoids_hold_the_truth_and_likelihood_beats_kabsch() -> None:
-    """600 poses: the 95 % share has a deviation of 0.9 %; four of them are allowed."""
+    """600 poses: the 95 % share has a standard deviation of 0.9 %; four of them are allowed."""
     rng, n, model = np.random.default_rng(2), 600, np.array(list(TRIANGLE.values()))
     q, ours, theirs = [], [], []
     for _ in range(n):

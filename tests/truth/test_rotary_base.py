@@ -91,7 +91,7 @@ def test_deviations_agree_with_the_spread() -> None:
         claimed.append([found.std[name] for name in ("axis.tilt1", "axis.tilt2", "axis.p1", "axis.p2")])
         scales.append(found.scale)
     spread = np.sqrt(np.mean(np.array(steps) ** 2, axis=0))
-    np.testing.assert_allclose(spread / np.mean(claimed, axis=0), 1.0, atol=0.2)  # 4 deviations of 200 repeats
+    np.testing.assert_allclose(spread / np.mean(claimed, axis=0), 1.0, atol=0.2)  # 4 standard deviations of 200 repeats
     assert np.mean(scales) == pytest.approx(1.0, abs=0.05)
 
 

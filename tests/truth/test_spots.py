@@ -64,7 +64,8 @@ def disc(p: Sequence[float], fine: int = 8) -> Array:
 
 
 def bound(render: Render, p: Sequence[float], n_lights: int) -> Array:
-    """Deviations (n_lights, 2) of the centres, all else and the background unknown; clipped pixels tell nothing."""
+    """Standard deviations (n_lights, 2) of the centres, all else and the background unknown; clipped pixels tell
+    nothing."""
     q, columns = np.asarray(p, float), [np.ones(SIZE * SIZE)]
     for i in range(len(q)):
         h = np.zeros(len(q))
@@ -156,7 +157,8 @@ def test_errors_meet_the_bound_and_covariances_are_true(
 
 
 def test_two_touching_lights_in_the_dark_are_not_taken_for_one_that_moved() -> None:
-    """Two deviations apart they look like a streak: the model of two must be tried before the streak is believed."""
+    """Two standard deviations apart they look like a streak: the model of two must be tried before the streak is
+    believed."""
     rng = np.random.default_rng(31)
     streaks = 0
     for _ in range(30):

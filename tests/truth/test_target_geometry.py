@@ -1,4 +1,5 @@
-"""A lit target's geometry against an independent world (OpenCV's projection): truth, deviations, refusals by name."""
+"""A lit target's geometry against an independent world (OpenCV's projection): truth, standard deviations, refusals by
+name."""
 
 from __future__ import annotations
 

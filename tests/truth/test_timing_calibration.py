@@ -134,7 +134,7 @@ RUNS = 6
 
 
 def off(truth: Truth, found: TimingCalibration) -> tuple[Array, Array]:
-    """Errors and claimed deviations of: delay in the middle, drift, both read-outs."""
+    """Errors and claimed standard deviations of: delay in the middle, drift, both read-outs."""
     shift = found.delay_s - truth.delay_s + 1e-6 * (found.drift_ppm - truth.drift_ppm) * found.mid_s
     read = np.subtract(found.readout_s, truth.readout_s)
     std = found.std

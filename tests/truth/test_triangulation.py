@@ -39,7 +39,9 @@ def test_errors_are_as_large_as_claimed(method) -> None:
     found = method(rig(), *noisy, *covs).require_all()
     d = found.xyz_m - points
     q = np.einsum("ni,nij,nj->n", d, np.linalg.inv(found.covariance_m2), d)
-    assert abs(q.mean() / 3.0 - 1.0) < 5.0 * np.sqrt(2.0 / (3.0 * n))  # 5 deviations of a mean of n chi-squares
+    assert abs(q.mean() / 3.0 - 1.0) < 5.0 * np.sqrt(
+        2.0 / (3.0 * n)
+    )  # 5 standard deviations of a mean of n chi-squares
     assert 0.935 < (q < chi2_law.ppf(0.95, 3)).mean() < 0.965
 
 
@@ -75,7 +77,7 @@ def test_parallel_rays(method) -> None:
 
 @pytest.mark.parametrize("method", METHODS)
 def test_too_far_for_the_noise(method) -> None:
-    """At 100 m a disparity of 1.1 px +- 1 px: infinity is within three deviations, so there is no distance."""
+    """At 100 m a disparity of 1.1 px +- 1 px: infinity is within three standard deviations, so there is no distance."""
     pair = parallel_rig(Camera.pinhole(1280, 720, 1130.0, 1130.0, 640.0, 360.0), 0.1)
     left, right = pair.project([0.0, 0.0, 100.0])
     assert method(pair, left, right, np.eye(2), np.eye(2)).verdict[0] == Verdict.PARALLEL

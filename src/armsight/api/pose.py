@@ -42,12 +42,12 @@ def LightTarget(
     colour
         Of a beacon that is found by its colour.
     covariance
-        (3 n, 3 n) in m^2 of the places, in the order of their names.
+        (3 n, 3 n) in m^2 of the positions, in the order of their names.
 
     Raises
     ------
     Inconsistent
-        The places are no target.
+        The positions are no target.
     """
     return spot_target(dict(lights_m), diameter_m=diameter_m, colour=colour, covariance=covariance)
 
@@ -98,7 +98,7 @@ class PoseEstimate(Result):
 
     @property
     def ok(self) -> bool:
-        """Whether the whole pose is known."""
+        """Whether the pose is complete: position and orientation are known."""
         return self.status is PoseStatus.OK
 
     @property
@@ -108,7 +108,7 @@ class PoseEstimate(Result):
 
     @property
     def std(self) -> dict[str, float]:
-        """Standard deviations by name: x_m, y_m, z_m and, of a whole pose, rx_rad, ry_rad, rz_rad."""
+        """Standard deviations by name: x_m, y_m, z_m and, of a complete pose, rx_rad, ry_rad, rz_rad."""
         if self.covariance is None:
             return {}
         return dict(zip(POSE_NAMES, np.sqrt(np.diag(self.covariance)).tolist(), strict=False))

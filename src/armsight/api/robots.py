@@ -294,7 +294,7 @@ def identify_arm(
     rig
         The cameras; with uv_px the fit is of pixels.
     uv_px
-        (m, 2, 2) the beacon's places in both images, [row, side].
+        (m, 2, 2) the beacon's positions in both images, [row, side].
     name
         Of the arm.
 
@@ -305,16 +305,16 @@ def identify_arm(
     Inconsistent
         Rows that do not belong together.
     """
-    places, readings = as_vectors(xyz_m, 3, "xyz_m"), as_vectors(q, None, "q")
-    moving = as_joint_numbers(joint, len(places))
-    if len(readings) != len(places):
+    positions, readings = as_vectors(xyz_m, 3, "xyz_m"), as_vectors(q, None, "q")
+    moving = as_joint_numbers(joint, len(positions))
+    if len(readings) != len(positions):
         raise Inconsistent(
-            f"{len(readings)} rows of q and {len(places)} of xyz_m",
+            f"{len(readings)} rows of q and {len(positions)} of xyz_m",
             consequence="Nobody knows which belong together",
             cure="Give one row of each per reading",
         )
     pixels = None if uv_px is None else np.asarray(uv_px, float)
-    sweeps = Sweeps(joint=moving - 1, q=readings, xyz_m=places, uv_px=pixels)
+    sweeps = Sweeps(joint=moving - 1, q=readings, xyz_m=positions, uv_px=pixels)
     return ArmIdentification(detail=identify(sweeps, rig=rig if pixels is not None else None, name=name))
 
 
@@ -363,7 +363,7 @@ def calibrate_arm(
     rotation: ArrayLike | None = None,
     point: Sequence[str] = (),
 ) -> ArmResult:
-    """Return the arm corrected from the tool's measured places at the controller's readings.
+    """Return the arm corrected from the tool's measured positions at the controller's readings.
 
     Parameters
     ----------
@@ -385,7 +385,7 @@ def calibrate_arm(
     Inconsistent
         The measurements are not of this arm.
     """
-    places, readings = as_vectors(xyz_m, 3, "xyz_m"), as_vectors(q, nominal.n, "q")
+    positions, readings = as_vectors(xyz_m, 3, "xyz_m"), as_vectors(q, nominal.n, "q")
     turned = None if rotation is None else np.asarray(rotation, float)
-    points = ArmPoints(q=nominal.values(readings), xyz_m=places, rotation=turned, point=tuple(point))
+    points = ArmPoints(q=nominal.values(readings), xyz_m=positions, rotation=turned, point=tuple(point))
     return ArmResult(detail=solve_arm(nominal, points))

@@ -28,7 +28,7 @@ BAND: dict[str, Any] = {
     "hoverinfo": "skip",
     "showlegend": False,
 }
-"""How the edges of a plot's band of deviations look."""
+"""How the edges of a plot's band of standard deviations look."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -50,7 +50,7 @@ class PoseTrack(Result):
 
     @property
     def ok(self) -> NDArray[np.bool_]:
-        """Which poses are known as a whole (n,)."""
+        """Which poses are complete, position and orientation (n,)."""
         return np.array([pose.status is PoseStatus.OK for pose in self.poses], dtype=bool)
 
     @property
@@ -63,7 +63,7 @@ class PoseTrack(Result):
     @property
     def title(self) -> str:
         """What it is, in a few words."""
-        return f"{len(self)} poses of the target, {int(self.ok.sum())} of them whole"
+        return f"{len(self)} poses of the target, {int(self.ok.sum())} of them complete"
 
     def rows(self) -> list[Row]:
         """Return the figures of the track."""

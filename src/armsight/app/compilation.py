@@ -162,7 +162,7 @@ def arm() -> None:
 
 
 def identify() -> None:
-    """Compile the identification of an unknown arm, from places and from pixels."""
+    """Compile the identification of an unknown arm, from positions and from pixels."""
     from armsight.calibrate.identify import Sweeps
     from armsight.calibrate.identify import identify as identify_arm
     from armsight.kinematics import fk, presets

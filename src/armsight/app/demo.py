@@ -70,7 +70,7 @@ def demo(
 
 
 def _pose_errors(errors: Array, claimed: Array) -> PoseErrors:
-    """Return the figures of errors (n, 6) in m and rad and of the deviations (n, 6) that the poses claim."""
+    """Return the figures of errors (n, 6) in m and rad and of the standard deviations (n, 6) that the poses claim."""
     return PoseErrors(
         **{
             name: TruthError(

@@ -98,7 +98,7 @@ class TipCalibration:
         return float(np.sqrt((self.residuals_m[self.used] ** 2).sum(axis=1).mean()))
 
     def std(self) -> dict[str, float]:
-        """Return the deviations of the tip by coordinate."""
+        """Return the standard deviations of the tip by coordinate."""
         whole = self.covariance.std()
         return {name: whole[f"tip.{name}"] for name in ("x_m", "y_m", "z_m")}
 
@@ -176,12 +176,12 @@ class TipRecording:
 
     @property
     def std_m(self) -> float:
-        """The largest deviation of the tip in m; infinite while nothing can be said."""
+        """The largest standard deviation of the tip in m; infinite while nothing can be said."""
         return float("inf") if self.latest is None else max(self.latest.std().values())
 
     @property
     def good_enough(self) -> bool:
-        """Whether the deviation has fallen below good_m."""
+        """Whether the standard deviation has fallen below good_m."""
         return self.std_m <= self.good_m
 
     def progress(self) -> str:

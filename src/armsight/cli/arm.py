@@ -24,8 +24,12 @@ def arm(
     out: Annotated[Path, typer.Option("-o", "--out", help="arm.yaml to write.")],
     holdout: Annotated[Path | None, typer.Option(help="Further points, only for judging.")] = None,
     scale: Annotated[bool, typer.Option("--scale/--no-scale", help="Try joint scales too.")] = True,
-    tolerance_mm: Annotated[float, typer.Option(min=1e-6, help="Deviation of nominal lengths.")] = TOLERANCE_MM,
-    tolerance_deg: Annotated[float, typer.Option(min=1e-6, help="Deviation of nominal angles.")] = TOLERANCE_DEG,
+    tolerance_mm: Annotated[
+        float, typer.Option(min=1e-6, help="Standard deviation of nominal lengths.")
+    ] = TOLERANCE_MM,
+    tolerance_deg: Annotated[
+        float, typer.Option(min=1e-6, help="Standard deviation of nominal angles.")
+    ] = TOLERANCE_DEG,
     propose: Annotated[int, typer.Option(min=0, help="Propose so many further joint positions.")] = 0,
     rig: Annotated[Path | None, typer.Option(help="rig.yaml, for proposals both cameras see; with --world.")] = None,
     world: Annotated[Path | None, typer.Option(help="world.yaml: where that rig stands.")] = None,
@@ -74,7 +78,7 @@ def arm_tables(face: CommandUI, done: ArmOutput, out: Path) -> None:
         face.say("  measure at " + ", ".join(f"{value:.4f}" for value in q))
     if done.expected_std is not None:
         expected = [[name, _shown(name, value)] for name, value in done.expected_std.items()]
-        face.table("Deviations to expect with those measured too", ["", "mm, deg or share: +-"], expected)
+        face.table("Standard deviations to expect with those measured too", ["", "mm, deg or share: +-"], expected)
     face.say(f"Result: {out}; open {out.with_suffix('.report.html')}")
 
 

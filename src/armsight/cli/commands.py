@@ -208,7 +208,7 @@ def doctor(
         list[float] | None, typer.Option(min=1e-6, help="Distance in m for the rig's table; may be repeated.")
     ] = None,
     sigma: Annotated[
-        float | None, typer.Option(min=1e-6, help="Deviation of a spot's centre in px. [default: 0.1]")
+        float | None, typer.Option(min=1e-6, help="Standard deviation of a spot's centre in px. [default: 0.1]")
     ] = None,
     json: AsJson = False,
 ) -> None:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from armsight.app.schemas.handeye import HandEyeOutput
 
 POINT_SIGMA_MM = 0.2
-"""Deviation believed of a measured point unless another is given: a dot measured by two cameras at 0.6 m."""
+"""Standard deviation believed of a measured point unless another is given: a dot measured by two cameras at 0.6 m."""
 
 
 def handeye(
@@ -99,7 +99,8 @@ def pivot(
     ] = POINT_SIGMA_MM * MM,
     json: AsJson = False,
 ) -> None:
-    """Find a tool's tip while you pivot it before the cameras; tells its deviation until it is small enough."""
+    """Find a tool's tip while you pivot it before the cameras; tells its standard deviation until it is small
+    enough."""
     with CommandUI(as_json=json) as face:
         from armsight.app.calibrate.pivot import PivotJob, run_pivot
 

@@ -24,7 +24,7 @@ UNITS = (MM, DEG, MM, DEG)
 def identify(
     out: Annotated[Path, typer.Option("-o", "--out", help="arm.yaml to write.")],
     sweep: Annotated[
-        Path | None, typer.Option(help="sweep.csv: joint,q1..qn and places (x_m,y_m,z_m), pixels, or both.")
+        Path | None, typer.Option(help="sweep.csv: joint,q1..qn and positions (x_m,y_m,z_m), pixels, or both.")
     ] = None,
     target: Annotated[
         Path | None, typer.Option(help="Instead of a sweep: target.yaml of the beacon, with frames.")
@@ -32,7 +32,7 @@ def identify(
     left: Annotated[str | None, typer.Option(metavar="SRC", help=f"Left frames: {SRC}.")] = None,
     right: Annotated[str | None, typer.Option(metavar="SRC", help="Right frames, in step with the left ones.")] = None,
     joints: Annotated[Path | None, typer.Option(help="sweep_joints.csv: frame,joint,q1..qn of those frames.")] = None,
-    rig: Annotated[Path | None, typer.Option(help="rig.yaml: fit pixels instead of places.")] = None,
+    rig: Annotated[Path | None, typer.Option(help="rig.yaml: fit pixels instead of positions.")] = None,
     world: Annotated[Path | None, typer.Option(help="world.yaml: where the rig stands to the arm's base.")] = None,
     method: Annotated[str, typer.Option(help="ml (maximum likelihood) or paper (triples, Chauvenet, means).")] = "ml",
     increments: Annotated[
@@ -66,7 +66,7 @@ def identify(
     yes: Annotated[bool, typer.Option("--yes", help="With --live: move without asking.")] = False,
     json: AsJson = False,
 ) -> None:
-    """Find an unknown arm's joints, axes and table from a beacon's places while one joint after the other moves."""
+    """Find an unknown arm's joints, axes and table from a beacon's positions while one joint after the other moves."""
     with CommandUI(as_json=json) as face:
         if live is not None:
             from armsight.app.identify.live import LiveJob

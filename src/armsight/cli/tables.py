@@ -182,7 +182,7 @@ def demo_tables(face: CommandUI, result: DemoOutput, out: Path) -> None:
 
 
 def _truth_rows(truth: PoseErrors) -> list[list[str]]:
-    """Return name, RMS, largest and claimed deviation (RMS) of each coordinate, in mm and degrees."""
+    """Return name, RMS, largest and claimed standard deviation (RMS) of each coordinate, in mm and degrees."""
     named = [(f"{name.removesuffix('_m')}, mm", getattr(truth, name), MM) for name in ("x_m", "y_m", "z_m")]
     named += [
         (f"{name.removesuffix('_rad')}, deg", getattr(truth, name), DEG) for name in ("rx_rad", "ry_rad", "rz_rad")

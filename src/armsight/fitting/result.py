@@ -31,7 +31,7 @@ class Fit:
     local_covariance: (G, L, L). residuals: (G, m) whitened, without the robust weights. weights: (G, m) of
     the robust loss. cost: half the (robust) sum of squares with priors. scale: standard deviation of the
     whitened residuals, sqrt(2 cost / dof); covariances are already multiplied by scale^2 where the noise was
-    estimated. undetermined: groups of names that the data cannot tell apart (their deviations are infinite).
+    estimated. undetermined: groups of names that the data cannot tell apart (their standard deviations are infinite).
     """
 
     names: tuple[str, ...]
@@ -59,13 +59,13 @@ class Fit:
         return float(self.shared[self.names.index(name)])
 
     def std(self) -> dict[str, float]:
-        """Return the deviations by name; infinite where the data cannot tell, absent for fixed ones."""
+        """Return the standard deviations by name; infinite where the data cannot tell, absent for fixed ones."""
         known = {} if self.covariance is None else self.covariance.std()
         open_ = {name for group in self.undetermined for name in group}
         return {**known, **dict.fromkeys(open_, float("inf"))}
 
     def report(self) -> str:
-        """Return a table of values and deviations with the reason for stopping, for people."""
+        """Return a table of values and standard deviations with the reason for stopping, for people."""
         std = self.std()
         lines = [
             f"{self.n_residuals} residuals, {self.dof} degrees of freedom, scale {self.scale:.4g}, "

@@ -24,15 +24,15 @@ from armsight.records import AT_ONCE, CameraTiming, Frame, PoseStatus, Spots
 Array = NDArray[np.float64]
 
 BEGIN_SLACKS_PX = (1.0, 3.0)
-"""What views of two moments may add to a spot's deviation when a track begins, tried after the setup's own slack:
-0.1 and 0.3 m/s for 8 ms at 0.8 m."""
+"""What views of two moments may add to a spot's standard deviation when a track begins, tried after the setup's own
+slack: 0.1 and 0.3 m/s for 8 ms at 0.8 m."""
 BEGIN_APART_S = 0.1
 """Frames further apart than this do not begin a track."""
 LEAST_WINDOW_PX, MOST_WINDOW_PX = 8.0, 64.0
 SPOT_REACH = 4.0
 """A spot's light reaches about this many of its sigmas."""
 GATE_SIGMA = 5.0
-"""Deviations of where a spot is expected beyond which it is another one."""
+"""Standard deviations of where a spot is expected beyond which it is another one."""
 VIEW_CHANCE = 1e-6
 """Chance below which a view that fits so badly is not of the target as it moves."""
 LOST_VIEWS = 6

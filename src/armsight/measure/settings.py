@@ -21,7 +21,7 @@ class SpotSettings:
     """How spots are searched and measured.
 
     threshold: grey level (0..255; after inversion, if inverted) that a spot's pixels exceed. None: background plus
-    five deviations of the noise, both estimated from the image tile by tile.
+    five standard deviations of the noise, both estimated from the image tile by tile.
     inverted: dark spots on light; grey then means 255 - grey, everywhere in these settings.
     mask: (h, w), True where spots may be; pixels outside count for nothing.
     min_pixels: least area above the threshold. max_radius_px: larger areas are reflections or windows.

@@ -1,4 +1,4 @@
-"""How parallel a pair of cameras stands, with deviations from its calibration (Kapucu 2005, alignment)."""
+"""How parallel a pair of cameras stands, with standard deviations from its calibration (Kapucu 2005, alignment)."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ _SCALARS = ("convergence_rad", "vertical_rad", "vertical_px", "roll_rad", "heigh
 
 
 def parallelism(rig: Rig, depths_m: ArrayLike = (0.5, 1.0, 2.0, 4.0)) -> Parallelism:
-    """Return the alignment report of a pair; deviations to first order from the rig's covariance."""
+    """Return the alignment report of a pair; standard deviations to first order from the rig's covariance."""
     depths = frozen_array("depths_m", np.atleast_1d(depths_m), (None,))
     values = _measures(rig, depths)
     std = None if rig.covariance is None else _deviations(rig, rig.covariance, depths)
@@ -101,7 +101,7 @@ def _gaps(rig: Rig, R: Array, t: Array, depths: Array) -> Array:
 
 
 def _deviations(rig: Rig, covariance: NamedCovariance, depths: Array) -> Array:
-    """Return the deviations of _measures from the rig's covariance by central differences."""
+    """Return the standard deviations of _measures from the rig's covariance by central differences."""
     names = tuple(name for name in RIG_PARAMETERS if name in covariance.names)
     columns = []
     for name in names:

@@ -14,7 +14,7 @@ from armsight.optics.triangulate import triangulate
 Array = NDArray[np.float64]
 
 CENTROID_SIGMA_PX = 0.1
-"""Deviation of a spot's centre where the caller gives none: MATH 2.3 uses it for webcams."""
+"""Standard deviation of a spot's centre where the caller gives none: MATH 2.3 uses it for webcams."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -22,7 +22,7 @@ class Resolution:
     """At point_m (3,), depth_m in front of the middle of the two centres of projection along the mean optical axis.
 
     depth_per_px_m: change of depth for one pixel of disparity. lateral_per_px_m: for one pixel across.
-    sigma_depth_m, sigma_lateral_m (2,): deviations of a triangulated point along the mean axis, and across it
+    sigma_depth_m, sigma_lateral_m (2,): standard deviations of a triangulated point along the mean axis, and across it
     (along the baseline, and square to it), for sigma_px in each coordinate of both views. in_view: whether both
     cameras have the point in their image.
     """
@@ -40,11 +40,11 @@ class Resolution:
 def resolution(rig: Rig, depth_m: float, sigma_px: float = CENTROID_SIGMA_PX) -> Resolution:
     """Return the resolution of a rig at a distance; for parallel axes Z^2 / (B f) and Z / f (MATH 2.3).
 
-    Raises Inconsistent where depth or deviation is not positive or a camera faces away from the point,
+    Raises Inconsistent where depth or standard deviation is not positive or a camera faces away from the point,
     Degenerate where the two views cannot place it.
     """
     if not (depth_m > 0.0 and sigma_px > 0.0):
-        raise Inconsistent(f"a depth of {depth_m} m and a deviation of {sigma_px} px must be positive")
+        raise Inconsistent(f"a depth of {depth_m} m and a standard deviation of {sigma_px} px must be positive")
     axes = mean_axes(rig)  # columns: along the baseline, square to it, mean optical axis
     middle = 0.5 * (np.asarray(rig.T_rig_left.translation) + np.asarray(rig.T_rig_right.translation))
     point = middle + depth_m * axes[:, 2]

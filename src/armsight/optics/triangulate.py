@@ -27,7 +27,7 @@ class Verdict(IntEnum):
 
 _WORDS = {
     Verdict.NO_RAY: "a pixel has no ray under the camera's distortion, or no covariance",
-    Verdict.PARALLEL: "the rays are parallel within their deviations",
+    Verdict.PARALLEL: "the rays are parallel within their standard deviations",
     Verdict.BEHIND: "the rays meet behind a camera (left and right swapped, or a wrong pair)",
 }
 

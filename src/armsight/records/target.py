@@ -52,8 +52,8 @@ class Target(Saveable):
     corners or circles. diameter_m: of a flat round light, where known. colour: of a beacon, where it is
     found by colour. A beacon is a target with one spot. model_known is False where the spots' arrangement has not
     been measured: then names give only their labels, xyz_m is zeros, and the frame follows
-    Pachidis eqs. (7)-(8). covariance: (3 n, 3 n) m^2 of the measured places in the order of names, x y z each; None
-    where the places are taken as exact.
+    Pachidis eqs. (7)-(8). covariance: (3 n, 3 n) m^2 of the measured positions in the order of names, x y z each; None
+    where the positions are taken as exact.
     """
 
     kind: TargetKind

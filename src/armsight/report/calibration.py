@@ -143,7 +143,7 @@ def _add_parameters(page: Page, run: CalibrationRun) -> None:
         parts.append(f'<div class="pair">{metric}</div>')
     if run.advice:
         parts.append(f"<p>What would make it better:</p>{bullets(list(run.advice))}")
-    page.add("Result", "Deviations are those of the fit: what this set of images leaves open.", *parts)
+    page.add("Result", "Standard deviations are those of the fit: what this set of images leaves open.", *parts)
 
 
 def _metric_name(name: str) -> str:

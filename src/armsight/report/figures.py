@@ -155,7 +155,7 @@ def points_in_space(name: str, xyz: Array, marker: Mapping[str, Any], mode: str 
 
 
 def cloud_figure(xyz_m: Array, sigma_m: Array, measured_m: Array) -> Figure:
-    """Return places (m, 3) coloured by their deviations (m,), and the places measured (k, 3)."""
+    """Return positions (m, 3) coloured by their standard deviations (m,), and the positions measured (k, 3)."""
     xyz, seen, shown = 1e3 * xyz_m, 1e3 * measured_m, np.where(np.isfinite(sigma_m), 1e3 * sigma_m, np.nan)
     colours = {"color": shown, "colorscale": "Viridis", "colorbar": {"title": {"text": "mm"}}}
     cloud = points_in_space("tool", xyz, {"size": 3, **colours})

@@ -35,7 +35,7 @@ def handeye_report(result: HandEye, *, inputs: Sequence[tuple[str, str]] = (), c
     page.add(
         "Result",
         "Position in mm, orientation as a rotation vector in degrees, in the axes of the frame named first. "
-        "Deviations allow for the noise being estimated: 1.96 of them hold 95 %.",
+        "Standard deviations allow for the noise being estimated: 1.96 of them hold 95 %.",
         *_poses(result),
     )
     page.add(

@@ -169,7 +169,7 @@ def figure_of(value: float | None, unit: str = "", *, digits: int = 3) -> str:
 
 
 def with_deviation(value: float, std: float | None) -> tuple[str, str]:
-    """Return a value and its standard deviation, both to the deviation's second digit."""
+    """Return a value and its standard deviation, both to the standard deviation's second digit."""
     if std is None or not math.isfinite(std) or std <= 0.0:
         return figure_of(value, digits=7), "–"
     decimals = max(0, 1 - math.floor(math.log10(std)))

@@ -39,7 +39,7 @@ def identify_report(
 
     nominal: an arm to put beside the table. inputs: (what, which) lines for the end of the page.
     """
-    xyz = _places(sweeps, rig)
+    xyz = _positions(sweeps, rig)
     page = _head(result, len(sweeps), rig)
     if result.notes:
         page.add("What to know", "", bullets(result.notes))
@@ -136,11 +136,11 @@ def workspace_figure(result: Identification, xyz_m: Array) -> Figure:
         return cloud_figure(np.empty((0, 3)), np.empty(0), xyz_m)
     travel = np.array([joint.travel for joint in result.joints])
     q = np.random.default_rng(0).uniform(travel[:, 0], travel[:, 1], (CLOUD, len(travel)))
-    places, C = result.doubt.places(q)
-    return cloud_figure(places, np.sqrt(np.einsum("mii->m", C)), xyz_m)
+    positions, C = result.doubt.positions(q)
+    return cloud_figure(positions, np.sqrt(np.einsum("mii->m", C)), xyz_m)
 
 
-def _places(sweeps: Sweeps, rig: Rig | None) -> Array:
+def _positions(sweeps: Sweeps, rig: Rig | None) -> Array:
     if rig is None or sweeps.uv_px is None:
         return sweeps.xyz_m
     noise = np.tile(np.eye(2), (len(sweeps), 1, 1))

@@ -1,4 +1,4 @@
-"""The poses of a run as columns in the units people read, with their deviations; what was lost, in groups."""
+"""The poses of a run as columns in the units people read, with their standard deviations; what was lost, in groups."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ GIMBAL = 1e-3
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Series:
-    """Columns over the n frames: t_s (n,), values and deviations (n, 6) of x, y, z in mm and rx, ry, rz in degrees.
+    """Columns over the n frames: t_s (n,), values and standard deviations (n, 6) of x, y, z in mm and rx, ry, rz in
+    degrees.
 
     NaN where a frame does not say. Angles are unwrapped: they run on beyond 180 degrees.
     """
@@ -40,7 +41,7 @@ class Series:
         return np.array([s is status for s in self.status], dtype=bool)
 
     def full(self) -> tuple[Array, Array]:
-        """Return values and deviations with NaN wherever the pose is not full.
+        """Return values and standard deviations with NaN wherever the pose is not full.
 
         A position alone is that of the mean of the spots seen, another point than the target's origin.
         """
@@ -82,7 +83,8 @@ def _covariances(poses: Sequence[TargetPose], ok: NDArray[np.intp]) -> Array:
 
 
 def _euler_std(angles: Array, covariance: Array) -> Array:
-    """Return deviations (m, 3) of rx, ry, rz from covariances (m, 3, 3) of rotation vectors in the parent's axes.
+    """Return standard deviations (m, 3) of rx, ry, rz from covariances (m, 3, 3) of rotation vectors in the parent's
+    axes.
 
     With R = Rz Ry Rx a small change turns the body by w = Rz Ry ex drx + Rz ey dry + ez drz = J d(rx, ry, rz).
     NaN where ry is within GIMBAL of a right angle.
@@ -100,7 +102,7 @@ def _euler_std(angles: Array, covariance: Array) -> Array:
 class Errors:
     """Measured minus true (n, 6), mm and degrees, rotation as a vector in the parent's axes; NaN where not ok.
 
-    std: the claimed deviations of the same. distance2: (n,) squared Mahalanobis distance of each error.
+    std: the claimed standard deviations of the same. distance2: (n,) squared Mahalanobis distance of each error.
     """
 
     values: Array

@@ -91,14 +91,14 @@ def random_board_pose(
     corners = board.corners_m()
     size = corners.max(axis=0)
     x, y = np.meshgrid([-board.square_m, size[0] + board.square_m], [-board.square_m, size[1] + board.square_m])
-    rim = np.stack([x.ravel(), y.ravel(), np.zeros(4)], axis=1)
+    edge = np.stack([x.ravel(), y.ravel(), np.zeros(4)], axis=1)
     for _ in range(BOARD_TRIES):
         axis = rng.normal(size=2)
         lean = rng.uniform(0.0, np.deg2rad(40.0)) * axis / np.linalg.norm(axis)
         R = Rotation.from_rotvec([*lean, 0.0]) * Rotation.from_rotvec([0.0, 0.0, rng.uniform(-0.35, 0.35)])
         centre = rng.uniform([-0.15, -0.12, 0.40], [0.27, 0.12, 0.75])
         pose = RigidTransform.from_components(centre - R.apply(0.5 * size), R)
-        if all(_holds(lens, (T.inv() * pose).apply(rim)) for lens, T in rig.values()):
+        if all(_holds(lens, (T.inv() * pose).apply(edge)) for lens, T in rig.values()):
             return pose
     raise UsageError(
         f"no pose was found at which both cameras see all of a board of {size[0]:.2f} x {size[1]:.2f} m",

@@ -63,8 +63,9 @@ class Between:
 class Timing:
     """When frames are taken and how they come.
 
-    fps: frames a second; jitter_s: deviation of the right camera's moment from the left one's, of which its stamp knows
-    nothing; latency_s: from the exposure's middle to the frame's arrival; drop: share of frames that are lost.
+    fps: frames a second; jitter_s: standard deviation of the right camera's moment from the left one's, of which its
+    stamp knows nothing; latency_s: from the exposure's middle to the frame's arrival; drop: share of frames that are
+    lost.
     """
 
     fps: float

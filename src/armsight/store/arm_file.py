@@ -120,7 +120,7 @@ def arm_mapping(arm: Arm) -> dict[str, Any]:
 
 
 def joint_mapping(joint: Joint, std: Mapping[str, float], couplings: Sequence[Coupling]) -> dict[str, Any]:
-    """Return one joint as arm.yaml holds it; std: deviations by '<joint>.<key>'."""
+    """Return one joint as arm.yaml holds it; std: standard deviations by '<joint>.<key>'."""
     own = {key.removeprefix(f"{joint.name}."): value for key, value in std.items() if key.startswith(f"{joint.name}.")}
     content = {
         "name": joint.name,

@@ -1,4 +1,4 @@
-"""points.csv: the tool's places, and maybe rotations, at joint readings."""
+"""points.csv: the tool's positions, and maybe rotations, at joint readings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""sweep.csv: a beacon's places, and pixels where a rig saw it, while one joint after the other moves."""
+"""sweep.csv: a beacon's positions, and pixels where a rig saw it, while one joint after the other moves."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ def read_sweeps(path: Path) -> Sweeps:
     table = read_table(path, ["joint"], optional=(*POSITION, *PIXELS), series="q")
     readings = table.series("q")
     pixels = [name for name in PIXELS if name in table.numbers]
-    places = [name for name in POSITION if name in table.numbers]
-    if not readings or 0 < len(pixels) < 4 or 0 < len(places) < 3 or not (pixels or places):
+    positions = [name for name in POSITION if name in table.numbers]
+    if not readings or 0 < len(pixels) < 4 or 0 < len(positions) < 3 or not (pixels or positions):
         raise BadFile(
             f"{path}: has the columns {', '.join(table.numbers)}",
             consequence="The file is not used",
@@ -35,7 +35,7 @@ def read_sweeps(path: Path) -> Sweeps:
     if not (joint == np.round(joint)).all():
         row = int(np.argmax(joint != np.round(joint)))
         raise BadFile(f"{table.place(row)}, column joint: {joint[row]:g} is not the number of a joint")
-    xyz = table.stacked(POSITION) if places else np.zeros((len(table), 3))
+    xyz = table.stacked(POSITION) if positions else np.zeros((len(table), 3))
     uv = table.stacked(PIXELS).reshape(-1, 2, 2) if pixels else None
     return Sweeps(joint=joint.astype(np.intp) - 1, q=table.stacked(readings), xyz_m=xyz, uv_px=uv)
 

@@ -67,7 +67,7 @@ class ColourModel(Strict):
 
 
 class LitModel(Origin):
-    """Lights: measured (spots_m), or three whose places nobody has measured (labels)."""
+    """Lights: measured (spots_m), or three whose positions nobody has measured (labels)."""
 
     format: Literal["armsight/target"] = "armsight/target"
     kind: Literal["spots"]
@@ -156,7 +156,7 @@ def _lit(model: LitModel, where: str) -> Target:
         raise BadFile(
             f"{where}: a target of kind spots needs exactly one of spots_m and labels",
             consequence="The file is not used",
-            cure="Give spots_m: {A: [x, y, z], ...} in metres, or labels: [A, B, C] for three lights whose places "
+            cure="Give spots_m: {A: [x, y, z], ...} in metres, or labels: [A, B, C] for three lights whose positions "
             "nobody has measured",
         )
     if model.std_m is not None and (model.spots_m is None or set(model.std_m) != set(model.spots_m)):
@@ -180,7 +180,7 @@ def _lit(model: LitModel, where: str) -> Target:
     if model.labels != ["A", "B", "C"]:
         raise BadFile(
             f"{where}: labels are {model.labels}, not [A, B, C]",
-            consequence="Without measured places the target's frame cannot be made",
+            consequence="Without measured positions the target's frame cannot be made",
             cure="An unmeasured target has three lights: A left, B lower right, C upper right as the camera sees them",
         )
     return unmeasured_target(diameter_m=model.diameter_m, colour=colour)
@@ -189,7 +189,7 @@ def _lit(model: LitModel, where: str) -> Target:
 def _covariance(model: LitModel, target: Target, where: str) -> Array | None:
     """Return (3 n, 3 n) in the target's order: of the key covariance, else of std_m; None where neither is there.
 
-    A target measured by `armsight calibrate target` carries both: the places depend on each other, so that the
+    A target measured by `armsight calibrate target` carries both: the positions depend on each other, so that the
     covariance counts. Raises BadFile where its names are not those of the spots, or where it has a negative variance.
     """
     names = target.covariance_names
@@ -268,9 +268,10 @@ def read_target(path: Path) -> Target:
 def write_target(
     path: Path, target: Target, *, inputs: Sequence[Path] = (), std_m: Mapping[str, Sequence[float]] | None = None
 ) -> None:
-    """Write target.yaml with the hashes of the files it was made from; std_m: deviations (3,) of each spot's place.
+    """Write target.yaml with the hashes of the files it was made from; std_m: standard deviations (3,) of each spot's
+    place.
 
-    The deviations are for people, where the target brings a covariance: that one counts when the file is read.
+    The standard deviations are for people, where the target brings a covariance: that one counts when the file is read.
     """
     write_document(path, TARGET_FORMAT, {**target_mapping(target), "std_m": std_m}, inputs)
 

@@ -124,7 +124,7 @@ def pose_row(pose: TargetPose) -> str:
     """Return one row of poses.csv: cells that mean nothing are empty, spots are separated by spaces.
 
     ok: all cells. position_only: no quaternion, no srx..srz. lost: only t_s, status, spots. The last six are the
-    deviations of what repeats from frame to frame (rig and target), empty where nothing is known of it.
+    standard deviations of what repeats from frame to frame (rig and target), empty where nothing is known of it.
     """
     values, systematic = [math.nan] * 13, [math.nan] * 6
     T = pose.T_parent_target
@@ -154,7 +154,7 @@ def read_poses(path: Path, *, parent: str = "rig") -> tuple[TargetPose, ...]:
 def parse_poses(data: bytes, where: str, *, parent: str = "rig") -> tuple[TargetPose, ...]:
     """Return the poses in the bytes of a poses.csv, in the frame parent.
 
-    The file holds standard deviations only: the covariances come back diagonal, and zero where the deviations'
+    The file holds standard deviations only: the covariances come back diagonal, and zero where the standard deviations'
     cells or columns are empty. The columns from sx_m on may be missing (status is then ok). Raises BadFile that
     names file, line and column.
     """

@@ -30,7 +30,7 @@ print(json.dumps([used, [name for name in unused if name.rsplit(".", 1)[1] not i
 """
 
 SELDOM = {
-    "draw_ink",  # overlaid boards
+    "render_pattern",  # overlaid boards
     "place_corners",  # --detector xcorner
     "add_rows",  # calibrate timing: small sums
     "rows_times",

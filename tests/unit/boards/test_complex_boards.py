@@ -76,7 +76,7 @@ def test_corners_on_the_other_boards_corners_are_left_out() -> None:
     for view, (_, own), (_, other) in zip(found, seen, seen[::-1], strict=True):
         gap = np.linalg.norm(own[:, None] - other[None], axis=2).min(axis=1)
         assert not set(view.index.tolist()) & set(np.flatnonzero(gap < 3.0).tolist())
-        assert len(view) < 54  # the other board's rim runs through some
+        assert len(view) < 54  # the other board's edge runs through some
 
 
 def test_board_with_the_same_print_both_ways_round_is_numbered_alike() -> None:

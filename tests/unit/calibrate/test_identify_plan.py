@@ -1,4 +1,5 @@
-"""Planned sweeps: expected deviations against many identifications, views and limits against projection by hand."""
+"""Planned sweeps: expected standard deviations against many identifications, views and limits against projection by
+hand."""
 
 from __future__ import annotations
 
@@ -74,7 +75,7 @@ def test_the_planned_accuracy_is_what_many_identifications_scatter_by(plan: Plan
     one, two, _ = plan.expected
     expected = [one["d_m"], one["a_m"], one["alpha_rad"], two["theta_rad"], two["d_m"], two["a_m"], two["alpha_rad"]]
     ratio = np.std(values, axis=0, ddof=1) / expected
-    # a deviation from 40 runs is known to 11 %
+    # a standard deviation from 40 runs is known to 11 %
     assert (ratio > 0.65).all() and (ratio < 1.35).all(), ratio
 
 
@@ -129,7 +130,7 @@ def test_a_probe_leads_to_nearly_the_plan_of_the_true_arm(plan: Plan) -> None:
 
 
 def test_what_is_hardly_known_is_not_sent_to_the_border(arm: RoughArm) -> None:
-    """With doubt about the arm the beacon must be inside the images by three deviations of where it may be."""
+    """With doubt about the arm the beacon must be inside the images by three standard deviations of where it may be."""
     longer = parallel_rig(Camera.pinhole(640, 480, 1.5 * FU, 1.5 * FV, CX, CY), BASELINE)
     doubt = np.diag([0.01**2] * len(arm.model.names))
     vague = RoughArm(axes=arm.axes, beacon_m=arm.beacon_m, sigma_px=SIGMA, covariance=doubt)

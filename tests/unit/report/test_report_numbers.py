@@ -1,4 +1,4 @@
-"""What the pages show: deviations of angles, thinned curves and bands, numbers for people, JSON."""
+"""What the pages show: standard deviations of angles, thinned curves and bands, numbers for people, JSON."""
 
 import json
 
@@ -14,7 +14,8 @@ STD = np.array([2e-5, 2e-5, 1e-4, 3e-4, 2e-4, 1e-4])
 
 
 def test_bands_of_the_angles_by_finite_differences():
-    """Deviations of rx, ry, rz from a correlated covariance of the rotation vector, against numeric derivatives."""
+    """Standard deviations of rx, ry, rz from a correlated covariance of the rotation vector, against numeric
+    derivatives."""
     rng = np.random.default_rng(3)
     A = 1e-3 * rng.standard_normal((6, 6))
     covariance = A @ A.T

@@ -20,7 +20,7 @@ CAMERA = Camera.pinhole(WIDTH, HEIGHT, 750.0, 750.0, 319.5, 239.5)
 RIG = parallel_rig(CAMERA, 0.12)
 COLOUR_ALONE = spot_target({"A": (0.0, 0.0, 0.0)}, colour=RED)
 BEACON = replace(COLOUR_ALONE, diameter_m=0.011)
-"""As wide as a light of 3 px deviation looks at 1.2 m."""
+"""As wide as a light of 3 px standard deviation looks at 1.2 m."""
 PLACE = np.array([0.05, -0.04, 1.2])
 LED = (0.05, 0.08, 1.0)
 AMBER = (0.05, 0.50, 1.0)

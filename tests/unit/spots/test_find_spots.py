@@ -17,7 +17,7 @@ from armsight.records import Spots
 Image = NDArray[np.uint8]
 NOISE = 2.0
 NEAR_PX = 0.15
-"""Five deviations of a light of sigma 2 px and height 150 in noise 2."""
+"""Five standard deviations of a light of sigma 2 px and height 150 in noise 2."""
 
 
 def frame(

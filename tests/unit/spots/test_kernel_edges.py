@@ -20,10 +20,10 @@ from armsight.measure.spots.kernels.detection.scan import (
     Y_MAX,
     Y_MIN,
     bright_blocks,
-    components,
-    link,
+    connected_components,
+    connected_components_in_window,
+    join_touching_runs,
     threshold_map,
-    window_components,
 )
 from armsight.measure.spots.kernels.fitting.round_gaussian import MOST, REACH, set_box
 
@@ -72,10 +72,10 @@ def test_areas_are_those_of_scipys_labels(number: int) -> None:
     hits = np.empty((most + BLOCK - 1) // BLOCK, np.int64)
     blocks = bright_blocks(image.reshape(-1), np.uint8(0), LEVEL, hits)
     level = np.full((GRID, GRID), float(LEVEL))
-    n = components(image, np.uint8(0), NO_MASK, 255, level, False, hits, blocks, runs, parent, table)
+    n = connected_components(image, np.uint8(0), NO_MASK, 255, level, False, hits, blocks, runs, parent, table)
     assert found(table, n) == expected(image)
     whole = np.array([0, w, 0, h])
-    n = window_components(image, np.uint8(0), NO_MASK, 255, LEVEL, whole, runs, parent, table)
+    n = connected_components_in_window(image, np.uint8(0), NO_MASK, 255, LEVEL, whole, runs, parent, table)
     assert found(table, n) == expected(image)
 
 
@@ -98,7 +98,7 @@ def test_runs_are_joined_over_corners_and_no_further(
 ) -> None:
     runs = np.array([[0, *above], [1, *own]], np.int32)
     parent = np.arange(2, dtype=np.int32)
-    link(runs, parent, 0, 1, 1)
+    join_touching_runs(runs, parent, 0, 1, 1)
     assert (parent[1] == 0) == joined
 
 

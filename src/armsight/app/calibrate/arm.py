@@ -119,7 +119,7 @@ def _measurements(arm: Arm, path: Path) -> ArmPoints:
 
 
 def _in_view(rig: Rig, world: World) -> Any:
-    """Return the test whether places (m, 3) in the world's frame are in both images."""
+    """Return the test whether positions (m, 3) in the world's frame are in both images."""
 
     def seen(xyz_m: Array) -> NDArray[np.bool_]:
         local = world.T_parent_rig.inv().apply(xyz_m)
@@ -171,7 +171,8 @@ def _rotation_noise(result: ArmCalibration) -> float | None:
 
 
 def corrections(result: ArmCalibration) -> str:
-    """Return a CSV text in a controller's terms: per joint the zero to add to its reading, its deviation, the scale.
+    """Return a CSV text in a controller's terms: per joint the zero to add to its reading, its standard deviation, the
+    scale.
 
     Where readings are coupled, value = gearing @ reading: zeros of the readings give those of the values by it.
     """

@@ -218,7 +218,7 @@ def _rejected(items: Sequence[Rejected]) -> list[RejectedFile]:
 
 
 def _std(covariance: NamedCovariance | None) -> dict[str, float]:
-    """Return deviations by name with the unit in the key."""
+    """Return standard deviations by name with the unit in the key."""
     out: dict[str, float] = {}
     for name, value in (covariance.std() if covariance else {}).items():
         side, _, plain = name.rpartition(".")

@@ -154,7 +154,7 @@ def _proposed(item: Proposal) -> ProposedPose:
 
 
 def noise_output(noise: Noise) -> HandEyeNoise:
-    """Return the noises with their deviations; null where the data cannot tell them apart."""
+    """Return the noises with their standard deviations; null where the data cannot tell them apart."""
     parts = {name: getattr(noise, name) for name in HandEyeNoise.model_fields}
     return HandEyeNoise(
         **{
@@ -256,6 +256,6 @@ def _from_streams(job: HandEyeJob) -> _Solved:
 
 
 def _covariances(poses: Sequence[TargetPose]) -> np.ndarray | None:
-    """Return (n, 6, 6), or None where not every pose brings deviations."""
+    """Return (n, 6, 6), or None where not every pose brings standard deviations."""
     found = [p.covariance for p in poses if p.covariance is not None and (np.diag(p.covariance) > 0.0).all()]
     return np.stack(found) if len(found) == len(poses) else None

@@ -1,4 +1,4 @@
-"""Frames of a lit target in, the places of its lights out: target.yaml."""
+"""Frames of a lit target in, the positions of its lights out: target.yaml."""
 
 from __future__ import annotations
 

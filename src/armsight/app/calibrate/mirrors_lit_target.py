@@ -88,8 +88,8 @@ def _require_target(target: Target) -> None:
         raise UsageError("--target is a board", cure="Give it as --board, or --target with the lit target")
     if not target.model_known or len(target.names) < FEWEST_LIGHTS:
         raise UsageError(
-            f"the target has {len(target.names)} lights{'' if target.model_known else ' whose places are not known'}; "
-            f"{FEWEST_LIGHTS} in known places are needed to calibrate mirrors",
+            f"the target has {len(target.names)} lights{'' if target.model_known else ' whose positions are not known'}"
+            f"; {FEWEST_LIGHTS} in known positions are needed to calibrate mirrors",
             cure="Measure the target, or calibrate with --board",
         )
 

@@ -1,4 +1,5 @@
-"""A tool's tip found while the operator pivots it: the deviation is told after every pose, until it is small enough."""
+"""A tool's tip found while the operator pivots it: the standard deviation is told after every pose, until it is small
+enough."""
 
 from __future__ import annotations
 
@@ -28,7 +29,7 @@ APART_RAD = 0.03
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PivotJob:
-    """Sources as on the command line; goal_m: largest deviation of the tip's place that is good enough."""
+    """Sources as on the command line; goal_m: largest standard deviation of the tip's place that is good enough."""
 
     rig: Path
     target: Path
@@ -43,8 +44,8 @@ class PivotJob:
 def run_pivot(job: PivotJob, progress: Progress | None = None) -> PivotOutput:
     """Measure while the tool pivots; write tip.yaml, and the poses beside it; return the figures as --json gives them.
 
-    Stops where every coordinate's deviation is below the goal, at the end of the frames, or when cancelled. Raises
-    UsageError, DataRefused (also where the poses do not tell the tip), DeviceFailed.
+    Stops where every coordinate's standard deviation is below the goal, at the end of the frames, or when cancelled.
+    Raises UsageError, DataRefused (also where the poses do not tell the tip), DeviceFailed.
     """
     target = target_of(job.target)
     setup = Setup(rig=read_rig(job.rig), target=target, settings=SpotSettings(colour=target.colour))

@@ -95,7 +95,8 @@ def write_stereo_report(path: Path, done: StereoCalibration, data: RigData) -> N
 
 
 def alignment_lines(done: StereoCalibration) -> list[tuple[str, str]]:
-    """Return how parallel the pair stands, in words (Kapucu's alignment); as many digits as the deviations allow."""
+    """Return how parallel the pair stands, in words (Kapucu's alignment); as many digits as the standard deviations
+    allow."""
     found, std = done.parallelism, done.parallelism.std or {}
 
     def line(words: str, name: str, unit: str, scale: float) -> tuple[str, str]:

@@ -48,7 +48,7 @@ def calibrate_cameras_timing(job: TimingJob, progress: Progress | None = None) -
     rig = read_rig(job.rig)
     target = None if job.target is None else read_target(job.target)
     left, right = _tracks(job, rig, progress or Silent())
-    done = calibrate_timing(rig, left, right, _places(target))
+    done = calibrate_timing(rig, left, right, _positions(target))
     timing = tuple(
         found if before is None else replace(found, exposure_s=before.exposure_s)
         for found, before in zip(done.cameras(), rig.timing, strict=True)
@@ -82,7 +82,7 @@ def _both(values: tuple[float, float]) -> BothSeconds:
     return BothSeconds(left=values[0], right=values[1])
 
 
-def _places(target: Target | None) -> dict[str, Array] | None:
+def _positions(target: Target | None) -> dict[str, Array] | None:
     if target is None or not target.model_known:
         return None
     return dict(zip(target.names, target.xyz_m, strict=True))

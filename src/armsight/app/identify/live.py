@@ -166,7 +166,7 @@ def open_devices(job: LiveJob, target: Target, clock: Clock) -> tuple[Robot, Pai
 
 
 def plan_output(plan: Plan, notes: Sequence[str] = ()) -> PlanOutput:
-    """Return a plan as --json gives it; joints count from 1, a deviation that means nothing is null."""
+    """Return a plan as --json gives it; joints count from 1, a standard deviation that means nothing is null."""
     return PlanOutput(
         sweeps=[
             PlannedSweepOutput(

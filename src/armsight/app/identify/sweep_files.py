@@ -205,5 +205,5 @@ def _joint(number: int, joint: Joint, found: JointFound) -> IdentifiedJoint:
 
 
 def joint_std(std: Mapping[str, float]) -> JointStd:
-    """Return the deviations of a joint's entries; one that means nothing is None."""
+    """Return the standard deviations of a joint's entries; one that means nothing is None."""
     return JointStd(**{key: value if math.isfinite(value) else None for key, value in std.items()})

@@ -133,7 +133,8 @@ class Outputs:
 
 
 def _medians(std: Array) -> PoseDeviations | None:
-    """Return the median deviations of poses (n, [total, systematic], 6) by part and coordinate; None for none."""
+    """Return the median standard deviations of poses (n, [total, systematic], 6) by part and coordinate; None for
+    none."""
     if not len(std):
         return None
     random = np.sqrt(np.maximum(std[:, 0] ** 2 - std[:, 1] ** 2, 0.0))

@@ -23,9 +23,9 @@ from armsight.store.tables import cells, number
 def export(source: Path, out: Path, *, progress: Progress | None = None) -> ExportOutput:
     """Write what a recording holds; return rows or frames by file.
 
-    out ending in .tum: its whole poses; in .csv: its poses; else a folder: CAMERA/000000.png and times.csv for frames,
-    poses.csv, poses.tum, joints.csv, spots.csv, commands.csv, events.csv, rig.yaml and target.yaml, of what is there.
-    Raises BadFile, NotEnoughData where what is asked for is not there, DeviceFailed, Cancelled.
+    out ending in .tum: its complete poses; in .csv: its poses; else a folder: CAMERA/000000.png and times.csv for
+    frames, poses.csv, poses.tum, joints.csv, spots.csv, commands.csv, events.csv, rig.yaml and target.yaml, of what is
+    there. Raises BadFile, NotEnoughData where what is asked for is not there, DeviceFailed, Cancelled.
     """
     progress = progress or Silent()
     suffix = out.suffix.lower()

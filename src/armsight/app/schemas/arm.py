@@ -108,7 +108,7 @@ class JointStd(Output):
 
 
 class JointAxis(Output):
-    """The axis of a joint with all joints at zero, in rig axes (or those of the places)."""
+    """The axis of a joint with all joints at zero, in rig axes (or those of the positions)."""
 
     point_m: Vector = Field(description="A point of it, m.")
     direction: Vector = Field(description="Its direction, a unit vector.")
@@ -130,7 +130,7 @@ class IdentifiedJoint(Output):
     std: JointStd = Field(description="Standard deviations of the entries.")
     n: int = Field(description="Readings of its sweep.")
     discarded: list[RejectedRow] = Field(description="Readings left out.")
-    residual_rms_m: float = Field(description="Residual of the beacon's places, RMS, m.")
+    residual_rms_m: float = Field(description="Residual of the beacon's positions, RMS, m.")
     residual_rms_px: float | None = Field(description="Residual of the beacon's pixels, RMS, px; null without a rig.")
     p_line: float = Field(description="Probability that a straight path leaves as large residuals.")
     decided: bool = Field(description="Whether the type is beyond doubt.")

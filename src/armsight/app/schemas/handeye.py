@@ -125,7 +125,7 @@ class LightTargetOutput(Output):
 
     spots_m: dict[str, Vector] = Field(description="Place of each light by name, in the target's frame, m.")
     std: dict[str, Vector] = Field(
-        description="Standard deviations of these places, m.", json_schema_extra={"unit": "m"}
+        description="Standard deviations of these positions, m.", json_schema_extra={"unit": "m"}
     )
     distances_m: dict[str, LightDistance] = Field(description="Distances of the lights by pair of names.")
     n_frames: int = Field(description="Pairs of frames read.")

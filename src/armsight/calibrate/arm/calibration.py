@@ -23,7 +23,7 @@ from armsight.records import NamedCovariance
 Array = NDArray[np.float64]
 
 GROSS = float(np.sqrt(chi2.ppf(0.99999, 3)))
-"""Errors of place beyond so many deviations are gross."""
+"""Errors of place beyond so many standard deviations are gross."""
 UNPROVED = "no gain is proved by correcting it"
 
 
@@ -78,7 +78,7 @@ class ArmCalibration:
     before_m: Array
 
     def std(self) -> dict[str, float]:
-        """Return the deviations of the freed parameters, base and tool."""
+        """Return the standard deviations of the freed parameters, base and tool."""
         return {} if self.covariance is None else self.covariance.std()
 
     def change(self, name: str) -> float:

@@ -25,7 +25,7 @@ LEAST_SIGMA = 1e-9
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tolerance:
-    """What a nominal arm is believed to: deviations of its lengths, angles, joint scales and couplings."""
+    """What a nominal arm is believed to: standard deviations of its lengths, angles, joint scales and couplings."""
 
     length_m: float = 2e-3
     angle_rad: float = 0.03
@@ -33,7 +33,7 @@ class Tolerance:
     coupling: float = 0.1
 
     def of(self, name: str) -> float:
-        """Return the deviation of a parameter by its name."""
+        """Return the standard deviation of a parameter by its name."""
         if name.endswith(".scale"):
             return self.scale
         if ".by_" in name:
@@ -43,7 +43,7 @@ class Tolerance:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ArmFit:
-    """Parameters p, the fit they came from, and the noise of places and rotations found.
+    """Parameters p, the fit they came from, and the noise of positions and rotations found.
 
     free: names of what was fitted, base and tools included. prior_weight: 1 / tolerance^2 of each, 0 without one.
     """
@@ -103,7 +103,7 @@ def _tool_turn(name: str) -> bool:
 
 
 def _noise(model: ArmModel, p: Array, points: ArmPoints, n_free: int) -> tuple[float, float]:
-    """Return the deviations of one coordinate of place and of rotation, from the medians of the residuals."""
+    """Return the standard deviations of one coordinate of place and of rotation, from the medians of the residuals."""
     place, turn = model.errors(p, points)
     m = len(points)
     rows = 6 if points.rotation is not None else 3

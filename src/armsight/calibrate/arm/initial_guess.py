@@ -23,7 +23,7 @@ RIDGE_M = 1e-9
 
 
 def start(model: ArmModel, points: ArmPoints, like: Array | None = None) -> Array:
-    """Return the parameters of the nominal geometry with base and tools put where they fit the places best.
+    """Return the parameters of the nominal geometry with base and tools put where they fit the positions best.
 
     By turns: base by Kabsch with the tool's points held, points by linear least squares with the base held; from the
     nominal tool, from the flange's origin and from points beside it, the best of all; or from the tools of `like` only.
@@ -52,12 +52,12 @@ def start(model: ArmModel, points: ArmPoints, like: Array | None = None) -> Arra
 
 
 def placed(there_m: Array, here_m: Array) -> RigidTransform:
-    """Return the pose that takes places (m, 3) to others. Raises Degenerate, in an arm's words."""
+    """Return the pose that takes positions (m, 3) to others. Raises Degenerate, in an arm's words."""
     try:
         return align_points(there_m, here_m).T_a_b
     except Degenerate:
         raise Degenerate(
-            "the tool's places lie on one line, or all in one place",
+            "the tool's positions lie on one line, or all in one place",
             consequence="The turn of the base about that line cannot be known",
             cure="Move at least two joints, or one far along an arc",
         ) from None

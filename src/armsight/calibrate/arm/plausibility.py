@@ -33,7 +33,8 @@ PLAUSIBILITY_SEED = 7
 
 
 def spread_m(xyz_m: Array) -> float:
-    """Return how far places (m, 3) typically are from their middle, in m; medians, which few wrong rows leave alone."""
+    """Return how far positions (m, 3) typically are from their middle, in m; medians, which few wrong rows leave
+    alone."""
     return float(np.median(np.linalg.norm(xyz_m - np.median(xyz_m, axis=0), axis=1)))
 
 
@@ -54,10 +55,10 @@ def senseless(error_m: Array, spread: float, rows: Sequence[int] = ()) -> Incons
     told = f": row{'s' * (len(rows) > 1)} {ranges(rows)} do not agree with the others" if len(rows) else ""
     cure = "Leave those rows out, or measure them again" if len(rows) else "Give the file of this arm"
     return Inconsistent(
-        f"the best fit misses a fifth of the places by {1e3 * exceeded(error_m):.3g} mm or more, and the tool moved by "
-        f"{1e3 * spread:.3g} mm{told}",
+        f"the best fit misses a fifth of the positions by {1e3 * exceeded(error_m):.3g} mm or more, and the tool moved "
+        f"by {1e3 * spread:.3g} mm{told}",
         consequence="The measurements are not of this arm at these readings, and nothing is written",
-        cure=f"{cure}; look for another arm's rows, readings and places out of step, places of a reflection",
+        cure=f"{cure}; look for another arm's rows, readings and positions out of step, positions of a reflection",
     )
 
 

@@ -19,7 +19,7 @@ MOST_TURNS_RAD = 40.0
 FEWEST_ROWS = 6
 """Base and one tool point alone have nine unknowns; three rows would fit anything."""
 FEWEST_POSITIONS = 4
-"""Different joint positions: of three, base and one tool point fit any places."""
+"""Different joint positions: of three, base and one tool point fit any positions."""
 LEAST_MOVE = 0.01
 """Some joint must move by so much (rad, or of the mean link): less is lost in the noise of any measurement."""
 SAME_Q = 1e-9
@@ -32,7 +32,7 @@ ABSURD = 12.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ArmPoints:
-    """Measurements: joint readings q (m, n), places xyz_m (m, 3), and where known rotations (m, 3, 3).
+    """Measurements: joint readings q (m, n), positions xyz_m (m, 3), and where known rotations (m, 3, 3).
 
     point: (m,) names which of the tool's points a row is of.
     """
@@ -50,7 +50,7 @@ class ArmPoints:
             object.__setattr__(self, "rotation", frozen_array("rotation", self.rotation, (m, 3, 3)))
         object.__setattr__(self, "point", tuple(self.point) or ("",) * m)
         if len(self.point) != m:
-            raise Inconsistent(f"{m} places, but {len(self.point)} names of points")
+            raise Inconsistent(f"{m} positions, but {len(self.point)} names of points")
 
     def __len__(self) -> int:
         return len(self.xyz_m)
@@ -116,7 +116,7 @@ def _check_moves(arm: Arm, points: ArmPoints) -> None:
         unit = "rad" if arm.revolute[most] else "m"
         raise NotEnoughData(
             f"the joints hardly moved: {arm.joints[most].name} the most, by {moved[most]:.3g} {unit}",
-            consequence="What the arm did is lost in the noise of the places",
+            consequence="What the arm did is lost in the noise of the positions",
             cure="Measure joint positions far apart, over the ranges that the arm is used in",
         )
 
@@ -132,7 +132,7 @@ def _check_units(arm: Arm, points: ArmPoints) -> None:
         return
     unit = UNITS[min(UNITS, key=lambda factor: abs(np.log(max(ratio, 1e-12) / factor)))]
     raise Inconsistent(
-        f"the places spread {ratio:.4g} times as far as {arm.name} moves its tool",
+        f"the positions spread {ratio:.4g} times as far as {arm.name} moves its tool",
         consequence="The arm is not calibrated",
         cure=f"Give metres; the numbers look like {unit}",
     )

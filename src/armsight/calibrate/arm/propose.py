@@ -31,7 +31,8 @@ Visible = Callable[[Array], NDArray[np.bool_]]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Proposal:
-    """Joint values q (n, joints) in the order of their worth, and the deviations expected with all of them, by name."""
+    """Joint values q (n, joints) in the order of their worth, and the standard deviations expected with all of them, by
+    name."""
 
     q: Array
     expected_std: dict[str, float]
@@ -69,7 +70,7 @@ def propose(
 
 
 def _candidates(model: ArmModel, fitted: ArmFit, points: ArmPoints, visible: Visible | None) -> ArmPoints:
-    """Return random joint positions within the limits, with the places to expect there; only those that are seen."""
+    """Return random joint positions within the limits, with the positions to expect there; only those that are seen."""
     rng = np.random.default_rng(PROPOSAL_SEED)
     low, high = _ranges(model, points)
     q = rng.uniform(low, high, (CANDIDATES, model.arm.n))

@@ -22,9 +22,9 @@ Array = NDArray[np.float64]
 
 NAMES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 GROSS = float(np.sqrt(chi2.ppf(1.0 - 1e-7, 3)))
-"""Errors beyond so many deviations are gross, and left out."""
+"""Errors beyond so many standard deviations are gross, and left out."""
 WORLD_FIT_TRIES = 300
-"""Draws of three places: with half of the rows wrong, one draw in eight is without a wrong one."""
+"""Draws of three positions: with half of the rows wrong, one draw in eight is without a wrong one."""
 WORLD_FIT_SEED = 11
 """The same measurements give the same answer."""
 LEAST_LEFT = 4
@@ -48,12 +48,12 @@ class WorldCalibration:
 
 
 def calibrate_world(arm: Arm, points: ArmPoints) -> WorldCalibration:
-    """Return where the rig stands in base axes, from the tool's places in rig axes at joint readings.
+    """Return where the rig stands in base axes, from the tool's positions in rig axes at joint readings.
 
-    Kabsch on the arm's forward kinematics from the triple of places that half of the rows agree with best, then robust
-    least squares with the noise estimated. Rows that do not agree are rejected. Raises as check_points, NotEnoughData
-    where too few agree, Inconsistent where fewer than half do, Ambiguous where the others agree on another place,
-    Degenerate where the places lie on one line.
+    Kabsch on the arm's forward kinematics from the triple of positions that half of the rows agree with best, then
+    robust least squares with the noise estimated. Rows that do not agree are rejected. Raises as check_points,
+    NotEnoughData where too few agree, Inconsistent where fewer than half do, Ambiguous where the others agree on
+    another place, Degenerate where the positions lie on one line.
     """
     check_points(arm, points)
     local = fk(arm, points.q)[:, :3, 3]
@@ -72,7 +72,7 @@ def calibrate_world(arm: Arm, points: ArmPoints) -> WorldCalibration:
 
 
 def _majority(base_m: Array, rig_m: Array) -> tuple[RigidTransform, NDArray[np.intp]]:
-    """Return the pose of the rig that places (m, 3) agree on, and the rows that do."""
+    """Return the pose of the rig that positions (m, 3) agree on, and the rows that do."""
     T = _consensus(base_m, rig_m)
     size = np.linalg.norm(T.apply(rig_m) - base_m, axis=1)
     kept = np.argsort(size)[: max((len(size) + 1) // 2, LEAST_LEFT)]
@@ -82,9 +82,9 @@ def _majority(base_m: Array, rig_m: Array) -> tuple[RigidTransform, NDArray[np.i
         good = np.flatnonzero(size <= GROSS * sigma)
         if len(good) < LEAST_LEFT:
             raise NotEnoughData(
-                f"only {len(good)} of {len(rig_m)} places agree with the arm",
+                f"only {len(good)} of {len(rig_m)} positions agree with the arm",
                 consequence="Where the rig stands is not given",
-                cure="Check that arm, joint readings and places belong together, row by row",
+                cure="Check that arm, joint readings and positions belong together, row by row",
             )
         T = placed(base_m[good], rig_m[good])
         if np.array_equal(good, kept):
@@ -94,10 +94,10 @@ def _majority(base_m: Array, rig_m: Array) -> tuple[RigidTransform, NDArray[np.i
 
 
 def _consensus(base_m: Array, rig_m: Array) -> RigidTransform:
-    """Return the pose from the triple of places that half of all places miss by least."""
+    """Return the pose from the triple of positions that half of all positions miss by least."""
     rng = np.random.default_rng(WORLD_FIT_SEED)
     half = (len(rig_m) + 1) // 2 - 1
-    best, least = placed(base_m, rig_m), np.inf  # raises where all places are on one line
+    best, least = placed(base_m, rig_m), np.inf  # raises where all positions are on one line
     for _ in range(WORLD_FIT_TRIES):
         rows = rng.choice(len(rig_m), 3, replace=False)
         try:
@@ -154,6 +154,6 @@ def _refine(T: RigidTransform, rig_m: Array, base_m: Array) -> tuple[RigidTransf
     )
     fit = solve(problem, Settings(estimate_noise=True))
     if fit.covariance is None:
-        raise Degenerate("the places leave the rig's pose open", cure="Move at least two joints")
+        raise Degenerate("the positions leave the rig's pose open", cure="Move at least two joints")
     p = np.array(fit.shared)
     return RigidTransform.from_components(p[:3], Rotation.from_rotvec(p[3:])), fit.covariance

@@ -37,7 +37,8 @@ SHIFTS = ((0, 0), *((0, lag) for lag in LAGS), *((lag, 0) for lag in LAGS), (1, 
 """Neighbours, rows down and columns right: the pixel itself, those along x, along y, and the diagonal ones."""
 
 GROUPS = 20
-"""Groups of blocks for the deviations (delete-a-group jackknife): their own relative deviation is 16 %."""
+"""Groups of blocks for the standard deviations (delete-a-group jackknife): their own relative standard deviation is 16
+%."""
 
 TOLD_BRIGHTNESS = 0.003
 TOLD_SHARE = 0.02
@@ -50,7 +51,7 @@ DARK_NOISE_LEVELS2 = 0.24
 
 LINE_TOLERANCE = 0.05
 LINE_DEVIATIONS = 4.0
-"""The line holds where every knot is within 5 % of it or within four of its deviations."""
+"""The line holds where every knot is within 5 % of it or within four of its standard deviations."""
 
 LINE_KNOTS = 4
 LINE_RANGE = 3.0

@@ -24,10 +24,11 @@ to place."""
 
 DRIFTS = 0.6
 """A block drifts where the mean square over two frames, relative to that over one, exceeds the median block's by this;
-1 is due to noise alone, its deviation is 0.15 from four frames."""
+1 is due to noise alone, its standard deviation is 0.15 from four frames."""
 
 SPREADS = 6.0
-"""The three limits give way to so many robust deviations of all blocks where those scatter more (compression)."""
+"""The three limits give way to so many robust standard deviations of all blocks where those scatter more
+(compression)."""
 
 CLASS_BLOCKS = 25
 MAX_CLASSES = 10

@@ -33,7 +33,7 @@ MIN_FRAMES = 4
 """Three differences: the fewest with which a block's own median tells a passing movement."""
 
 MIN_BLOCKS = 40
-"""An image needs so many blocks: deviations come from groups of them."""
+"""An image needs so many blocks: standard deviations come from groups of them."""
 
 MIN_USABLE = 0.05
 """Least share of the pixels that is neither black nor clipped."""
@@ -49,7 +49,8 @@ COLUMNS = 4
 """Parts across the image, each with a brightness of its own for every row of blocks."""
 
 OUTLIER = 4.0
-"""Differences beyond so many robust deviations do not count in the fit of the whole frame's brightness and shift."""
+"""Differences beyond so many robust standard deviations do not count in the fit of the whole frame's brightness and
+shift."""
 
 FITTED_PIXELS = 40_000
 """Of so many pixels the shift and the brightness of the whole frame are fitted."""

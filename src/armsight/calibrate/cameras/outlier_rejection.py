@@ -27,13 +27,13 @@ from armsight.records import Progress
 Array = NDArray[np.float64]
 
 POINT_LIMIT = 6.0
-"""A point further off than this many robust deviations is wrong: 1.5e-8 by chance, and real lenses and boards
+"""A point further off than this many robust standard deviations is wrong: 1.5e-8 by chance, and real lenses and boards
 scatter less."""
 VIEW_LIMIT = 4.0
 """A view that scatters this many times more than the median view moved during the exposure or is no pair."""
 MOST_ROUNDS = 5
 RAYLEIGH_MEDIAN = 1.1774
-"""Median distance of points scattered by one deviation along each axis."""
+"""Median distance of points scattered by one standard deviation along each axis."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

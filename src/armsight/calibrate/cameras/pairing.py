@@ -25,7 +25,7 @@ Index = NDArray[np.intp]
 SAME_ANGLE_RAD = 0.12
 """Relative orientations closer than this agree: starting poses without distortion are off by up to 0.05 rad."""
 SAME_SHARE = 0.12
-"""... and relative places closer than this share of the distance to the board."""
+"""... and relative positions closer than this share of the distance to the board."""
 AGREEING = 0.6
 """With fewer agreeing pairs than this share, the fault is in the whole set."""
 LARGEST_SHIFT = 3

@@ -78,7 +78,7 @@ class StereoCalibration:
 
     @property
     def parallelism(self) -> Parallelism:
-        """How parallel the two cameras stand, with deviations."""
+        """How parallel the two cameras stand, with standard deviations."""
         return parallelism(self.rig)
 
 

@@ -58,7 +58,7 @@ def calibrate_eye_to_hand(pairs: PosePairs, options: HandEyeOptions | None = Non
 def expected_deviation(
     pairs: PosePairs, setup: Setup, *, sigma_m: float = 0.3 * MM, sigma_rad: float = 0.05 * DEG
 ) -> dict[str, float]:
-    """Return the deviations that these poses can reach at best, from their geometry alone, by name.
+    """Return the standard deviations that these poses can reach at best, from their geometry alone, by name.
 
     sigma_m, sigma_rad: noise of one component of a camera pose. Where the pairs are consistent, the residuals play no
     part: the answer is the inverse of the information that such poses carry.

@@ -63,7 +63,8 @@ MIN_SHIFTED = 6
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Consensus:
-    """RX, tX, RZ, tZ, gamma of most pairs, keep (n,): which agree; robust deviations of one component, sigma_rad and
+    """RX, tX, RZ, tZ, gamma of most pairs, keep (n,): which agree; robust standard deviations of one component,
+    sigma_rad and
     sigma_m (camera's unit), and their shares of the motion."""
 
     R_X: Array
@@ -244,5 +245,5 @@ def _turns(R: Array) -> Array:
 
 
 def _spread(values: Array) -> float:
-    """Return the robust deviation of one component of vectors (n, 3) about their median."""
+    """Return the robust standard deviation of one component of vectors (n, 3) about their median."""
     return float(np.median(np.linalg.norm(values - np.median(values, axis=0), axis=1)) / starts.MEDIAN_NORM)

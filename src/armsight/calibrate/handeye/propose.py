@@ -28,8 +28,8 @@ LEAST_BOX_M = 0.05
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Proposal:
-    """T_base_flange to drive to, T_camera_target expected there, and the largest deviation of the camera's place (m)
-    expected after this pose and those before it."""
+    """T_base_flange to drive to, T_camera_target expected there, and the largest standard deviation of the camera's
+    place (m) expected after this pose and those before it."""
 
     T_base_flange: RigidTransform
     T_camera_target: RigidTransform

@@ -21,8 +21,8 @@ NAMES = tuple(f"{who}.{name}" for who in ("camera", "target") for name in POSE_N
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scale:
-    """True over assumed size of the target, as the robot's motion says, with its deviation; p: chance of seeing so
-    large a difference from 1 if there is none."""
+    """True over assumed size of the target, as the robot's motion says, with its standard deviation; p: chance of
+    seeing so large a difference from 1 if there is none."""
 
     factor: float
     std: float
@@ -98,11 +98,11 @@ class HandEye:
 
     @property
     def coverage_factor(self) -> float:
-        """Student's factor on the deviations for the noise being estimated."""
+        """Student's factor on the standard deviations for the noise being estimated."""
         return float(student.ppf(0.975, self.dof) / student.ppf(0.975, np.inf))
 
     def std(self, who: str = "camera") -> dict[str, float]:
-        """Return the deviations of the 'camera' or the 'target' pose by name."""
+        """Return the standard deviations of the 'camera' or the 'target' pose by name."""
         whole = self.covariance.std()
         return {name: whole[f"{who}.{name}"] for name in POSE_NAMES}
 

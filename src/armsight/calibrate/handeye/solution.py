@@ -24,7 +24,8 @@ LEAST_OWN = 0.1
 the target across the lever, never along it. Half a dozen poses could else be fitted with no noise of position."""
 
 TOLERANCE = 5e-3
-"""The fit is settled when parameters move by less than this share of their deviation, variances of their size."""
+"""The fit is settled when parameters move by less than this share of their standard deviation, variances of their
+size."""
 
 LIMIT = 100
 NORMAL_95 = 1.959964
@@ -171,8 +172,8 @@ class VarianceUncertainty:
     """What the estimated noises leave in doubt.
 
     variance_covariance (3, 3): of the variances. dof (m,): effective degrees of freedom behind each parameter's
-    variance (Satterthwaite 1946). std (m,): deviations with what wrong weights cost (Kenward, Roger 1997), widened by
-    Student's factor, so that +- 1.96 std holds 95 %.
+    variance (Satterthwaite 1946). std (m,): standard deviations with what wrong weights cost (Kenward, Roger 1997),
+    widened by Student's factor, so that +- 1.96 std holds 95 %.
     """
 
     variance_covariance: Array

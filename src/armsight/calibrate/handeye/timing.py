@@ -38,8 +38,8 @@ MIN_WINDOWS = 20
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TimeOffset:
-    """offset_s: add it to the camera's times to get the robot's. std_s: its deviation. correlation: at the best
-    offset, before refining."""
+    """offset_s: add it to the camera's times to get the robot's. std_s: its standard deviation. correlation: at the
+    best offset, before refining."""
 
     offset_s: float
     std_s: float
@@ -133,7 +133,8 @@ def _correlate(a: _Stream, b: _Stream, search_s: float) -> tuple[Array, Array]:
 
 
 def _refine(a: _Stream, b: _Stream, offset: float, correlation: float) -> TimeOffset:
-    """Return the offset that lets the turns themselves, not only their size, agree best; with its deviation."""
+    """Return the offset that lets the turns themselves, not only their size, agree best; with its standard
+    deviation."""
     low, high = offset - 2.0 * STEP_S, offset + 2.0 * STEP_S
     half = 0.5 * WINDOW_S
     t = b[0][(b[0] - half >= b[0][0]) & (b[0] + half <= b[0][-1])]
@@ -159,7 +160,7 @@ def _refine(a: _Stream, b: _Stream, offset: float, correlation: float) -> TimeOf
 
 
 def _deviation(turns: Callable[[float], Array], beta: Array, d: float, t: Array) -> float:
-    """Return the offset's deviation from the scatter of the gradient over blocks of time.
+    """Return the offset's standard deviation from the scatter of the gradient over blocks of time.
 
     Windows overlap and share their noise; blocks of two windows hardly do.
     """

@@ -21,7 +21,7 @@ APART_COS = np.cos(np.deg2rad(25.0))
 SAME_COS = np.cos(np.deg2rad(2.0))
 FOLLOWED = 4
 PLAUSIBLE = 60.0
-"""Chi-square above the best one's up to which an axis is worth a start: places are judged in a linearised way here."""
+"""Chi-square above the best one's up to which an axis is worth a start: positions are linearised there."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.calibrate.identify.kernels import arc_places
+from armsight.calibrate.identify.kernels import arc_positions
 from armsight.geometry.lie import skew
 
 Array = NDArray[np.float64]
@@ -44,14 +44,14 @@ LINE = ("u_m", "v_m", "tilt_u", "tilt_v")
 
 
 def arc(tilt: Tilt, middle: Array, p: Array, s: Array) -> tuple[Array, Array, Array]:
-    """Return places (N, 3) at arc lengths s, derivative (N, 3, 6) by ARC, and (N, 3) by s; see kernels.arc_places.
+    """Return positions (N, 3) at arc lengths s, derivative (N, 3, 6) by ARC, and (N, 3) by s (kernels.arc_positions).
 
     A circle told by a point, its tangent there and its curvature: what a short arc knows well. By centre and radius,
     which it hardly knows, a fit creeps along a curved valley.
     """
     n = len(s)
     X, J, Js = np.empty((n, 3)), np.empty((n, 3, 6)), np.empty((n, 3))
-    arc_places(tilt.B, middle, np.array(p), np.array(s), X, J, Js)
+    arc_positions(tilt.B, middle, np.array(p), np.array(s), X, J, Js)
     return X, J, Js
 
 
@@ -82,7 +82,7 @@ def circle_of(tilt: Tilt, middle: Array, p: Array) -> tuple[Array, Array, float,
 
 
 def line(tilt: Tilt, middle: Array, p: Array, t: Array) -> tuple[Array, Array, Array]:
-    """Return places (N, 3) at t along the line, derivative (N, 3, 4) by LINE, and (N, 3) by t.
+    """Return positions (N, 3) at t along the line, derivative (N, 3, 4) by LINE, and (N, 3) by t.
 
     The line goes through middle + B (u, v, 0) along the tilted direction.
     """

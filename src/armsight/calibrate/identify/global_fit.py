@@ -1,4 +1,4 @@
-"""The whole arm fitted at once: starts, gross readings, deviations widened by what the fit leaves."""
+"""The whole arm fitted at once: starts, gross readings, standard deviations widened by what the fit leaves."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sweeps in, an arm out: types, axes, table with deviations (Kapucu and Baysec 2005; MATH 4.3, 4.5)."""
+"""Sweeps in, an arm out: types, axes, table with standard deviations (Kapucu and Baysec 2005; MATH 4.3, 4.5)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from armsight.calibrate.identify.global_fit import (
 from armsight.calibrate.identify.joint_paths import JointPath, find_paths, measured
 from armsight.calibrate.identify.kapucu2005 import pair_line, triple_circle
 from armsight.calibrate.identify.path_fit import PathFit
-from armsight.calibrate.identify.residuals import SweepResiduals, seen_places
+from armsight.calibrate.identify.residuals import SweepResiduals, position_residuals
 from armsight.calibrate.identify.result import Identification, JointFound, ParameterUncertainty
 from armsight.calibrate.identify.sweeps import Sweeps, check_sweeps, placed
 from armsight.calibrate.identify.table import (
@@ -43,7 +43,7 @@ INCREMENTS = ("known", "order")
 AT_ODDS = 9.0
 """Variance of the whole arm's misfit over that of single paths from which it is worth a note."""
 ANOTHER = 5.0
-"""Deviations by which an entry of another solution must differ for it to be another arm."""
+"""Standard deviations by which an entry of another solution must differ for it to be another arm."""
 FAR_M = 10.0
 """A beacon on an arm hardly moves further."""
 MEETING_STEPS = 20
@@ -64,7 +64,7 @@ def identify(
 ) -> Identification:
     """Return the arm whose beacon made these paths.
 
-    rig: the fit is of pixels; without one, of places. sigma: noise of a pixel coordinate (px) or of a place (m), if
+    rig: the fit is of pixels; without one, of positions. sigma: noise of a pixel coordinate (px) or of a place (m), if
     known; else it is found. increments: 'known', the commanded values are exact, and the whole arm is fitted at once;
     'order', only their order is used, joint by joint. base (4, 4): the frame in rig axes whose foot on axis 1 is the
     first frame's origin. method 'paper': triples, Chauvenet, means. Raises NotEnoughData, Inconsistent, UsageError.
@@ -78,7 +78,7 @@ def identify(
         sweeps = placed(sweeps, rig, sigma or FIRST_PX)
         seen = SweepResiduals(sweeps=sweeps, rig=PackedRig.of(rig), sigma=sigma or FIRST_PX, unit=sigma or FIRST_PX)
     else:
-        seen = seen_places(sweeps, sigma or 1.0)
+        seen = position_residuals(sweeps, sigma or 1.0)
     found, seen = find_paths(seen, sigma)
     notes = _far(sweeps)
     frame = np.eye(4) if base is None else np.asarray(base, float)
@@ -312,7 +312,7 @@ def _finish(
     name: str,
     method: str = "ml",
 ) -> Identification:
-    """Return the arm with its deviations, and what each joint's readings say of it."""
+    """Return the arm with its standard deviations, and what each joint's readings say of it."""
     sweeps, covariance = seen.sweeps, frames.covariance
     travel = np.array([[sweeps.q[sweeps.rows(j), j].min(), sweeps.q[sweeps.rows(j), j].max()] for j in range(sweeps.n)])
     arm = arm_of(name, frames.axes, frames.table, frames.first, frames.tool, travel)

@@ -22,7 +22,7 @@ DECIDED = 1e-4
 HIDDEN_RAD = 0.3
 """A path that may be an arc of so much is not certainly a line."""
 STILL = 2.0
-"""A beacon whose places spread by less than so many deviations of the noise has not moved."""
+"""A beacon whose positions spread by less than so many standard deviations of the noise has not moved."""
 LOST_SHARE = 0.3
 """With more readings discarded the path is not that of one joint."""
 POOR = 1e-12

@@ -37,8 +37,8 @@ def tilted(B, u, v, d, dd):
 
 
 @kernel
-def arc_places(B, middle, p, s, X, J, Js):
-    """Fill X (N, 3), J (N, 3, 6), Js (N, 3): places at arc lengths s of the arc p, derivatives by p and by s.
+def arc_positions(B, middle, p, s, X, J, Js):
+    """Fill X (N, 3), J (N, 3, 6), Js (N, 3): positions at arc lengths s of the arc p, derivatives by p and by s.
 
     p: shift (2) of the arc's point along B's first columns, tilt (2) of the tangent from its third, and the curvature
     vector (2) along the first columns, of which the part c across the tangent t counts. With k = |c| and w = k s:

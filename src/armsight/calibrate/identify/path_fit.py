@@ -22,7 +22,7 @@ Start = tuple[float, Array, Array, float]
 SWUNG = 8
 """Normals tried, swung about the chord: with a short arc the plane fit may be anywhere about it (MATH 4.3)."""
 GROSS = float(np.sqrt(chdtri(3, 1e-6)))
-"""Readings beyond so many deviations are discarded."""
+"""Readings beyond so many standard deviations are discarded."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -53,7 +53,7 @@ class PathFit:
         return float(chdtrc(max(self.dof, 1), self.chi2))
 
     def nearest(self, xyz_m: Array) -> Array:
-        """Return the places (N, 3) on the path that are nearest to xyz_m (N, 3)."""
+        """Return the positions (N, 3) on the path that are nearest to xyz_m (N, 3)."""
         away = xyz_m - self.point_m
         along = np.outer(away @ self.direction, self.direction)
         if self.kind == "line":
@@ -176,10 +176,10 @@ def circle_starts(seen: SweepResiduals) -> list[Start]:
     radius = np.sqrt(np.maximum(c + (centre[:, 0] ** 2).sum(axis=1), 1e-12))
     away = x - centre
     nearest = centre + radius[:, None, None] * away / np.maximum(np.linalg.norm(away, axis=2), 1e-12)[:, :, None]
-    places, centres = middle + nearest @ E.transpose(0, 2, 1), middle + (centre @ E.transpose(0, 2, 1))[:, 0]
+    positions, centres = middle + nearest @ E.transpose(0, 2, 1), middle + (centre @ E.transpose(0, 2, 1))[:, 0]
     out, still = [], np.zeros((len(xyz), 3, 1))
     for k in range(SWUNG):
-        r, _ = seen.residuals(places[k], still)
+        r, _ = seen.residuals(positions[k], still)
         size = float((r**2).sum())
         out.append((size if np.isfinite(size) else np.inf, normals[k], centres[k], float(radius[k])))
     return sorted(out, key=lambda start: start[0])

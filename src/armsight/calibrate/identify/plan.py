@@ -2,7 +2,7 @@
 
 A small probe of every joint about the start pose tells the arm roughly. From it, rest poses and ranges are chosen,
 within limits and where both cameras surely see the beacon, that make the determinant of the information largest: this
-is the volume of the deviations, which is least for the axes' parameters and for the table's at once.
+is the volume of the standard deviations, which is least for the axes' parameters and for the table's at once.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ RESTS, GRID, ROUNDS = 150, 41, 4
 """Rest poses tried a joint, values of its range, rounds of exchange."""
 PLAN_SEED = 1
 POOR_M, POOR_RAD = 0.005, np.deg2rad(1.0)
-"""Expected deviations beyond these are named: an arm known worse is of no use to a controller."""
+"""Expected standard deviations beyond these are named: an arm known worse is of no use to a controller."""
 
 NEARLY_PARALLEL = 0.1
 """Sine between axes below which an offset along them is told ten times worse than a distance, and more."""
@@ -61,7 +61,8 @@ class PlannedSweep:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Plan:
-    """Sweeps in the order of moving; the deviations of the table's entries to expect (NaN: chosen, not measured)."""
+    """Sweeps in the order of moving; the standard deviations of the table's entries to expect (NaN: chosen, not
+    measured)."""
 
     sweeps: tuple[PlannedSweep, ...]
     expected: tuple[dict[str, float], ...]
@@ -101,7 +102,7 @@ def probe(limits: Array, start: Array, joint: int, *, share: float = PROBE_SHARE
 def propose_sweeps(
     arm: RoughArm, rig: Rig, limits: ArrayLike, start: ArrayLike, *, readings: int = 10, base: Array | None = None
 ) -> Plan:
-    """Return the sweeps that tell the arm best, and the deviations to expect of the table they give.
+    """Return the sweeps that tell the arm best, and the standard deviations to expect of the table they give.
 
     limits (n, 2), start (n,): in rad or m, joint by joint. base (4, 4): as identify takes it. Raises UsageError,
     Inconsistent, NotEnoughData where the beacon is not in both images at the start, Degenerate where a joint cannot
@@ -130,12 +131,15 @@ def propose_sweeps(
 def expected_deviations(
     arm: RoughArm, rig: Rig, q: Array, base: Array | None = None
 ) -> tuple[tuple[dict[str, float], ...], list[str]]:
-    """Return the deviations that readings at q (m, n) will leave of each joint's entries, and notes on odd cases."""
+    """Return the standard deviations that readings at q (m, n) will leave of each joint's entries, and notes on odd
+    cases."""
     model, frame = arm.model, np.eye(4) if base is None else base
     G = pixel_slopes(model, PackedRig.of(rig), q)[1] / arm.sigma_px
     covariance = np.linalg.inv(np.einsum("mia,mib->ab", G, G) + prior_information(model))
     at = np.zeros(len(covariance))
-    if arm.covariance is None:  # a model may say exactly parallel; what will be found is off that by its deviations
+    if (
+        arm.covariance is None
+    ):  # a model may say exactly parallel; what will be found is off that by its standard deviations
         at = np.linalg.cholesky(covariance) @ np.random.default_rng(PLAN_SEED).normal(size=len(at))
     axes, beacon = model.axes_at(at)
 

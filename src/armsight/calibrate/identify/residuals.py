@@ -1,4 +1,5 @@
-"""How far readings are from where a model puts the beacon, in deviations: by pixels of both cameras, or by places."""
+"""How far readings are from where a model puts the beacon, in standard deviations: by pixels of both cameras, or by
+positions."""
 
 from __future__ import annotations
 
@@ -18,8 +19,8 @@ Array = NDArray[np.float64]
 class SweepResiduals:
     """Readings, and what a residual is.
 
-    With a rig: pixels over sigma (px). Else places, whitened with their covariances times sigma^2, or over sigma (m)
-    where there are none. unit: the sigma with which the places' covariances were worked out.
+    With a rig: pixels over sigma (px). Else positions, whitened with their covariances times sigma^2, or over sigma (m)
+    where there are none. unit: the sigma with which the positions' covariances were worked out.
     """
 
     sweeps: Sweeps
@@ -34,7 +35,8 @@ class SweepResiduals:
         return 3 if self.rig is None else 4
 
     def residuals(self, xyz_m: Array, J: Array) -> tuple[Array, Array]:
-        """Return whitened residuals (m, rows) of model places (m, 3), and derivatives (m, rows, P) from J (m, 3, P)."""
+        """Return whitened residuals (m, rows) of model positions (m, 3), and derivatives (m, rows, P) from J (m, 3,
+        P)."""
         m = len(xyz_m)
         if self.rig is None:
             r = xyz_m - self.sweeps.xyz_m
@@ -51,7 +53,7 @@ class SweepResiduals:
 
     @property
     def relative(self) -> float:
-        """Deviations of the places over those of their covariances."""
+        """Standard deviations of the positions over those of their covariances."""
         return self.sigma / self.unit
 
     def take(self, rows: NDArray[np.intp]) -> SweepResiduals:
@@ -66,8 +68,8 @@ class SweepResiduals:
         return SweepResiduals(sweeps=self.sweeps, rig=self.rig, sigma=sigma, whitener=self.whitener, unit=self.unit)
 
 
-def seen_places(sweeps: Sweeps, sigma: float) -> SweepResiduals:
-    """Return readings judged by their places."""
+def position_residuals(sweeps: Sweeps, sigma: float) -> SweepResiduals:
+    """Return readings judged by their positions."""
     C = sweeps.covariance_m2
     return SweepResiduals(
         sweeps=sweeps, sigma=sigma, whitener=None if C is None else np.linalg.inv(np.linalg.cholesky(C))

@@ -50,7 +50,7 @@ class ParameterUncertainty:
     p: Array
     information: Array
 
-    def places(self, q: Array) -> tuple[Array, Array]:
+    def positions(self, q: Array) -> tuple[Array, Array]:
         """Return the beacon (m, 3) in rig axes at joint values q (m, n) and its covariance (m, 3, 3) in m^2.
 
         Infinite where the place hangs on something that the readings leave open.

@@ -16,9 +16,10 @@ from armsight.optics import PackedRig, Rig
 Array = NDArray[np.float64]
 
 PRIOR_RAD, PRIOR_M = 1.0, 3.0
-"""Deviations before any reading: an axis may point anywhere, within metres. Keeps every information invertible."""
+"""Standard deviations before any reading: an axis may point anywhere, within metres. Keeps every information
+invertible."""
 SURE = 3.0
-"""Deviations by which the beacon must be inside both images for a pose to count as seen."""
+"""Standard deviations by which the beacon must be inside both images for a pose to count as seen."""
 MARGIN_PX = 10.0
 """A spot nearer to the border may be cut off."""
 WAY = 9
@@ -72,7 +73,8 @@ class View:
     sizes: Array
 
     def seen(self, q: Array) -> NDArray[np.bool_]:
-        """Return for poses (m, n) whether the beacon is surely in both images: by SURE deviations of what is known."""
+        """Return for poses (m, n) whether the beacon is surely in both images: by SURE standard deviations of what is
+        known."""
         uv, G = pixel_slopes(self.arm.model, self.rig, q)
         spread = np.zeros(uv.shape)
         if self.arm.covariance is not None:

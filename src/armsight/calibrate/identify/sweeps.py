@@ -26,7 +26,7 @@ class Sweeps:
     """Readings row by row: joint (m,) that moves, from 0; q (m, n); xyz_m (m, 3) in rig axes.
 
     A joint may be swept several times, with the others at other places each time.
-    uv_px: (m, 2, 2) as [row, side], where a rig saw them. covariance_m2: (m, 3, 3) of the places, where known.
+    uv_px: (m, 2, 2) as [row, side], where a rig saw them. covariance_m2: (m, 3, 3) of the positions, where known.
     """
 
     joint: NDArray[np.intp]
@@ -76,7 +76,7 @@ class Sweeps:
 
 
 def placed(sweeps: Sweeps, rig: Rig, sigma_px: float) -> Sweeps:
-    """Return the sweeps with places and covariances triangulated from their pixels; Inconsistent without pixels."""
+    """Return the sweeps with positions and covariances triangulated from their pixels; Inconsistent without pixels."""
     if sweeps.uv_px is None:
         raise Inconsistent(
             "the sweep has no pixel columns",

@@ -1,4 +1,4 @@
-"""From axes to a Denavit-Hartenberg table (MATH 4.5), with deviations, and what of it means nothing."""
+"""From axes to a Denavit-Hartenberg table (MATH 4.5), with standard deviations, and what of it means nothing."""
 
 from __future__ import annotations
 
@@ -17,11 +17,12 @@ Array = NDArray[np.float64]
 
 KEYS = ("theta_rad", "d_m", "a_m", "alpha_rad", "beta_rad")
 STEP = 1e-7
-"""Of the differences by which deviations are carried over, in the axes' own parameters (m, rad)."""
+"""Of the differences by which standard deviations are carried over, in the axes' own parameters (m, rad)."""
 VAGUE = 0.05
-"""Share of the arm's size beyond which a deviation leaves open how axes lie to each other."""
+"""Share of the arm's size beyond which a standard deviation leaves open how axes lie to each other."""
 INTERSECT = 2.0
-"""Axes closer than this many deviations meet, as far as anyone can tell; the same for angles of parallel ones."""
+"""Axes closer than this many standard deviations meet, as far as anyone can tell; the same for angles of parallel
+ones."""
 
 
 def place_frames(
@@ -97,7 +98,7 @@ def propagate_covariance(make: Callable[[Array], Array], p: Array, covariance: A
 
 
 def deviations(covariance: Array) -> Array:
-    """Return the deviations (n, 5) of table entries."""
+    """Return the standard deviations (n, 5) of table entries."""
     return np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0.0)).reshape(-1, len(KEYS)))
 
 

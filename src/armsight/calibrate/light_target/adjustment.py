@@ -23,7 +23,7 @@ HOLD = 1.0
 """Information per rad^2 that holds the turn about a line of lights, of which nothing is known; pixels say 1e6."""
 
 SMALL = 1e-2
-"""Step, in deviations of the calibration, of the differences that tell how the answer follows the rig."""
+"""Step, in standard deviations of the calibration, of the differences that tell how the answer follows the rig."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -42,7 +42,7 @@ class LightObservations:
 class LightBundle:
     """The fit. values (k,): of the layout. poses (g, 6): t, rotation vector. residual_px (g, n, 2, 2) predicted minus
     seen; left_out_px: the same with the shape of the other frames. frame_chi2 (g,). covariance (k, k): from the spots'
-    deviations alone; rig_share (k, k): of the rig's calibration.
+    standard deviations alone; rig_share (k, k): of the rig's calibration.
     """
 
     values: Array
@@ -159,9 +159,9 @@ def _project(packed: PackedRig, layout: Layout, values: Array, poses: Array) -> 
     X = layout.spots(values)
     g, n = len(poses), len(X)
     turned = np.einsum("gij,nj->gni", _rotations(poses), X)
-    places = np.ascontiguousarray(turned + poses[:, None, :3]).reshape(-1, 3)
+    positions = np.ascontiguousarray(turned + poses[:, None, :3]).reshape(-1, 3)
     uv, J = np.empty((g * n, 2, 2)), np.empty((g * n, 2, 2, 3))
-    kernels.see_both(packed.k, packed.R, packed.t, places, uv, J)
+    kernels.see_both(packed.k, packed.R, packed.t, positions, uv, J)
     return turned, uv.reshape(g, n, 2, 2), J.reshape(g, n, 2, 2, 3)
 
 

@@ -32,7 +32,9 @@ def advise(done: TargetCalibration) -> TargetCalibration:
             "20 to 40 degrees to several sides, so that its depth is seen across the image"
         )
     if done.rig_share is None:
-        advice.append("the rig's file has no covariance: an error of its baseline scales all places, unseen here")
+        advice.append(
+            "the rig's file has no covariance: an error of its baseline scales all positions, and no residual shows it"
+        )
     elif done.rig_share > RIG_RULES:
         advice.append(
             "most of the standard deviation comes from the rig's calibration: more frames will not help, a "

@@ -59,9 +59,9 @@ def calibrate_target(
     """Return where the lights are in the target's own frame, from frames of a calibrated rig.
 
     The lights are named across frames by their distances, so their order in the rows does not matter; A is leftmost in
-    the mean of the left images, w points away from the camera (MATH 3.2). Deviations hold the spots' noise, widened
-    where the residuals are larger, and the rig's covariance. overlaid: both views are in one image, which only changes
-    what a refusal advises. Raises UsageError for a number of lights
+    the mean of the left images, w points away from the camera (MATH 3.2). Standard deviations hold the spots' noise,
+    widened where the residuals are larger, and the rig's covariance. overlaid: both views are in one image, which only
+    changes what a refusal advises. Raises UsageError for a number of lights
     that is not 2 to 6, NotEnoughData below three frames, Degenerate for three and more lights on one line, Ambiguous
     where a symmetric arrangement leaves the names open, Inconsistent where the frames share no rigid shape.
     """
@@ -219,7 +219,7 @@ def _covariance(layout: Layout, bundle: LightBundle) -> Array:
 
 
 def _share(layout: Layout, bundle: LightBundle, covariance: Array) -> float:
-    """Return the part of the deviation that the rig's calibration alone would make."""
+    """Return the part of the standard deviation that the rig's calibration alone would make."""
     own = np.trace(layout.basis @ bundle.rig_share @ layout.basis.T)
     return float(np.sqrt(own / max(np.trace(covariance), TINY)))
 

@@ -30,8 +30,8 @@ LINE_SHARE = 0.02
 """Height over length of lights on one line."""
 
 LINE_SIGMA = 5.0
-"""Lights are on one line too where, in the middle frame, none is so many deviations off it: no frame then knows
-the turn about it."""
+"""Lights are on one line too where, in the middle frame, none is so many standard deviations off it: no frame then
+knows the turn about it."""
 
 SIDES_SHARE = 1.0 / 3.0
 """Frames in which the lights run the other way round: more than this share leave the sense of w open."""
@@ -106,20 +106,20 @@ def on_line(lengths: Mapping[str, Distance]) -> Degenerate:
 def told_apart(named: Named) -> tuple[Flags, NDArray[np.intp] | None]:
     """Return the frames whose names another naming could not take, and the naming that is nearest to the true one.
 
-    Judged without noise: the shape, renumbered, is laid onto its own true places with each frame's information.
+    Judged without noise: the shape, renumbered, is laid onto its own true positions with each frame's information.
     """
     X, d = named.X, distances(named.X)
     spread = float(np.median(np.linalg.eigvalsh(np.linalg.inv(named.information))[..., 2]))
     n, g = len(X), len(named.R)
     told, nearest, least = np.ones(g, bool), None, np.inf
-    places = np.einsum("gij,nj->gni", named.R, X) + named.t[:, None]
+    positions = np.einsum("gij,nj->gni", named.R, X) + named.t[:, None]
     normal = np.linalg.svd(X - X.mean(axis=0))[2][2]
     own = facing(named.R, named.t, X, normal)
     for perm in list(permutations(range(n)))[1:]:
         q = np.array(perm, dtype=np.intp)
         if float(((distances(X[q]) - d) ** 2).sum()) > WIDE * spread:
             continue
-        R, t, worse = align(X[q], places, named.information)
+        R, t, worse = align(X[q], positions, named.information)
         worse = worse + BEHIND * (facing(R, t, X, normal) * own < 0.0)
         told &= worse >= TOLD
         if float(np.median(worse)) < least:

@@ -21,7 +21,8 @@ MAX_CHOICES = 150
 """Choices of lights searched in one frame: of the brightest pairs, as many as give no more; ten for three lights."""
 
 SLACK_PX = 0.1
-"""What a good calibration leaves beside a spot's own deviation; it decides what belongs together, not the answer."""
+"""What a good calibration leaves beside a spot's own standard deviation; it decides what belongs together, not the
+answer."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -1,4 +1,4 @@
-"""The target's own frame, and the names of its lights by their places in the images (MATH 3.2)."""
+"""The target's own frame, and the names of its lights by their positions in the images (MATH 3.2)."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def plane_layout(n: int) -> Layout:
 
 
 def line_layout(n: int) -> Layout:
-    """Return the frame of lights on one line: places along x from A on, their mean at the origin."""
+    """Return the frame of lights on one line: positions along x from A on, their mean at the origin."""
     names = [f"{LETTERS[i]}.along_m" for i in range(1, n)]
     basis = np.zeros((3 * n, n - 1))
     basis[3 * np.arange(1, n), np.arange(n - 1)] = 1.0

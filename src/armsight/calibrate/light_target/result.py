@@ -27,8 +27,8 @@ class TargetCalibration:
 
     used: names of the frames that the answer rests on. rejected: (frame, why). residual_px (g, n, 2, 2) [frame, light,
     side, axis] predicted minus seen; left_out_px: the same, each frame by the shape that the others give. scale:
-    residuals over the spots' own deviations; above 1 the covariance is widened by it. rig_share: part of the
-    deviation that comes from the rig's calibration, None where the rig has no covariance. turn_rms_rad (3,):
+    residuals over the spots' own standard deviations; above 1 the covariance is widened by it. rig_share: part of the
+    standard deviation that comes from the rig's calibration, None where the rig has no covariance. turn_rms_rad (3,):
     root mean square turns between frames about their principal axes, falling.
     """
 
@@ -58,14 +58,14 @@ class TargetCalibration:
 
     @property
     def target(self) -> Target:
-        """The target, with places and their covariance."""
-        places = {n: (x[0], x[1], x[2]) for n, x in zip(self.names, self.xyz_m.tolist(), strict=True)}
+        """The target, with positions and their covariance."""
+        positions = {n: (x[0], x[1], x[2]) for n, x in zip(self.names, self.xyz_m.tolist(), strict=True)}
         rows = tuple(f"{name}.{axis}_m" for name in self.names for axis in "xyz")
-        return spot_target(places, covariance=self.covariance.block(rows))
+        return spot_target(positions, covariance=self.covariance.block(rows))
 
     @property
     def std_m(self) -> Array:
-        """Deviations (n, 3) of the places; zero where the frame's convention fixes a coordinate."""
+        """Standard deviations (n, 3) of the positions; zero where the frame's convention fixes a coordinate."""
         return np.sqrt(np.maximum(np.diag(self.covariance.matrix), 0.0)).reshape(-1, 3)
 
     @property

@@ -29,9 +29,9 @@ GLASS = 1.5
 TRIED_M = 1e-3
 """Thickness at which the plate's part is worked out; it grows in proportion."""
 SEEN = 4.0
-"""A plate thinner than this many deviations of its thickness is not there, as far as the views tell."""
+"""A plate thinner than this many standard deviations of its thickness is not there, as far as the views tell."""
 AT_ODDS = 5.0
-"""Deviations between the thickness given and the one seen from which it is worth a word."""
+"""Standard deviations between the thickness given and the one seen from which it is worth a word."""
 THICKEST_M = 0.03
 """A thicker plate than this is in no rig: what looks like one is a wrong image or a wrong board."""
 WIDE = 2.0
@@ -155,7 +155,8 @@ def _calibrated(
 
 
 def _plate_used(seen: float, seen_std: float, thickness_m: float | None) -> tuple[float, list[str]]:
-    """Return the thickness of the plate to take, given or seen (m, with its deviation), and what is to be said of it.
+    """Return the thickness of the plate to take, given or seen (m, with its standard deviation), and what is to be said
+    of it.
 
     Raises Inconsistent where none is given and the views would need one that is in no rig.
     """
@@ -183,8 +184,8 @@ def without_plate(observations: Observations, state: Bundle, plate: Plate) -> Ob
     lens = Camera(width=observations.sizes[0][0], height=observations.sizes[0][1], intrinsics=state.k[0])
     R = np.empty((len(state.poses), 3, 3))
     matrices_of(np.ascontiguousarray(state.poses[:, 3:]), R)
-    places = (observations.X @ R.transpose(0, 2, 1) + state.poses[:, None, :3]).reshape(-1, 3)
-    moved = replace(lens, plate=plate).project(places) - lens.project(places)
+    positions = (observations.X @ R.transpose(0, 2, 1) + state.poses[:, None, :3]).reshape(-1, 3)
+    moved = replace(lens, plate=plate).project(positions) - lens.project(positions)
     uv = observations.uv.copy()
     uv[:, 0] -= np.nan_to_num(moved).reshape(uv[:, 0].shape)
     return replace(observations, uv=uv)
@@ -200,7 +201,8 @@ def _refit(free: RobustFit, plate: Plate | None, options: BoardOptions) -> Robus
 
 
 def _thickness(free: RobustFit, index: float, options: BoardOptions) -> tuple[float, float]:
-    """Return the plate's thickness (m) as the views show it, and its deviation: the cost's parabola over it."""
+    """Return the plate's thickness (m) as the views show it, and its standard deviation: the cost's parabola over
+    it."""
     careful = replace(options, reject=False)
     costs, dof, scale = [], 1, 1.0
     for k in range(3):

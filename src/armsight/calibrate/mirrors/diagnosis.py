@@ -29,7 +29,7 @@ LEAST_LIT = 5
 """Views of a lit target below which the mirrors' place is not asked for."""
 GOOD_LIT = 10
 VAGUE = 0.01
-"""Deviation of the baseline, by itself, from which the views are too much alike."""
+"""Standard deviation of the baseline, by itself, from which the views are too much alike."""
 MIRRORS = 4
 STEP_RAD = 1e-6
 DIAGNOSIS_ROUNDS = 4
@@ -55,7 +55,8 @@ class Suspect:
 class Alignment:
     """How the virtual cameras stand now, what has changed since the calibration, and which mirror explains it.
 
-    change: of T_left_right as (dt m, rotation vector rad) in left axes, std its deviations. chi2: of no change.
+    change: of T_left_right as (dt m, rotation vector rad) in left axes, std its standard deviations. chi2: of no
+    change.
     suspects: the best first; none where nothing has moved.
     """
 

@@ -53,24 +53,24 @@ class _Solved:
 
 
 def calibrate_timing(
-    rig: Rig, left: SpotTrack, right: SpotTrack, places_m: Mapping[str, Array] | None = None
+    rig: Rig, left: SpotTrack, right: SpotTrack, positions_m: Mapping[str, Array] | None = None
 ) -> TimingCalibration:
     """Return the timing of both cameras of a rig, from the spots of waved lights in frames with their own stamps.
 
-    places_m: of a target's lights by name, where known. Lights without names are told apart by their motion. Raises
+    positions_m: of a target's lights by name, where known. Lights without names are told apart by their motion. Raises
     Inconsistent (mirror rig, stamps without a steady rate, views that never agree), NotEnoughData, Degenerate (too
     little motion), Ambiguous (periodic motion).
     """
     _require_two_cameras(rig)
     _require_two_recordings(left, right)
     clocks = (steady(left.t_s, SIDES[0]), steady(right.t_s, SIDES[1]))
-    tracks = _named(rig, (left, right), clocks, len(places_m) if places_m else None)
+    tracks = _named(rig, (left, right), clocks, len(positions_m) if positions_m else None)
     names = common_lights(*tracks)
     coarse = coarse_delay(rig, tracks, (clocks[0].t_s, clocks[1].t_s), names[0])
     views = _in_common(views_of(rig, tracks, clocks, names), coarse.delay_s)
     mid_s = float(np.mean(views.stamp_s[views.side == 1]))
     period_s = max(clock.period_s for clock in clocks)
-    solved = _solve(views, coarse.delay_s, mid_s, period_s, places_m or {})
+    solved = _solve(views, coarse.delay_s, mid_s, period_s, positions_m or {})
     _require_fit(solved, coarse.delay_s, period_s)
     return _result(solved, mid_s, clocks, (left, right))
 
@@ -142,7 +142,7 @@ def _in_common(views: Views, delay_s: float) -> Views:
     return views.take((t >= begin) & (t <= end))
 
 
-def _solve(views: Views, delay_s: float, mid_s: float, period_s: float, places_m: Mapping[str, Array]) -> _Solved:
+def _solve(views: Views, delay_s: float, mid_s: float, period_s: float, positions_m: Mapping[str, Array]) -> _Solved:
     """Return the fit: first on a coarse grid, then on that which explains the views best, without outliers."""
     x = np.concatenate([[delay_s, 0.0, 0.0, 0.0], np.zeros(len(views.pairs))])
     spacing = FIRST_SPACING * period_s
@@ -156,7 +156,7 @@ def _solve(views: Views, delay_s: float, mid_s: float, period_s: float, places_m
         scale = np.array(model.side_scales(model.fit_paths(x)))
         views, total = views.scaled(scale), total * scale
         model = build(views, spacing, mid_s, x, depth)
-        fit = solve_model(model, x, _priors(views, delay_s, period_s, places_m))
+        fit = solve_model(model, x, _priors(views, delay_s, period_s, positions_m))
         x = fit.shared.copy()
         if not final:
             kept = _kept(model, x)
@@ -172,7 +172,7 @@ def _kept(model: PathModel, x: Array) -> NDArray[np.bool_]:
     return np.asarray(r < OUTLIER * np.median(r) / 1.177)
 
 
-def _priors(views: Views, delay_s: float, period_s: float, places_m: Mapping[str, Array]) -> dict[str, Prior]:
+def _priors(views: Views, delay_s: float, period_s: float, positions_m: Mapping[str, Array]) -> dict[str, Prior]:
     """Return what is known beforehand: a camera reads out within a frame, clocks drift little, targets have a size."""
     half = 0.5 * period_s
     priors = {
@@ -182,7 +182,7 @@ def _priors(views: Views, delay_s: float, period_s: float, places_m: Mapping[str
         TIMES[3]: Prior(mean=half, sigma=half),
     }
     for a, b in views.pairs:
-        ends = [places_m.get(views.names[i]) for i in (a, b)]
+        ends = [positions_m.get(views.names[i]) for i in (a, b)]
         known = [np.asarray(end, float) for end in ends if end is not None]
         mean = float(np.linalg.norm(known[1] - known[0])) if len(known) == 2 else DISTANCE_M
         sigma = DISTANCE_STD_M if len(known) == 2 else DISTANCE_M

@@ -121,7 +121,7 @@ def _growing(x: Array) -> NDArray[np.int64]:
 
 
 def _line(number: NDArray[np.int64], s: Array) -> tuple[float, float, Array, float]:
-    """Return offset, slope, weights (n,) and the residuals' robust deviation of stamp over number."""
+    """Return offset, slope, weights (n,) and the residuals' robust standard deviation of stamp over number."""
     x = number - number.mean()
     y = s - s.mean()
     w = np.ones_like(y)

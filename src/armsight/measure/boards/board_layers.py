@@ -19,7 +19,7 @@ from armsight.measure.boards.checkerboard import (
 )
 from armsight.measure.boards.corner_detector import Grid
 from armsight.measure.boards.gridmap import GridMap, fit_map, monomials
-from armsight.measure.boards.kernels.render_board import draw_ink
+from armsight.measure.boards.kernels.render_board import render_pattern
 from armsight.measure.boards.kernels.subpixel import fit_corners
 from armsight.records import Target
 
@@ -43,7 +43,7 @@ NEAR_PX = 3.0
 """Corners of the two boards nearer than so many blurs, and than this, cannot be told apart: neither is used."""
 
 OUTWARD = np.linspace(0.15, 1.5, 55)
-"""Squares outside the outermost corners at which the end of the ink is looked for, ..."""
+"""Squares outside the outermost corners at which the end of the printed pattern is looked for, ..."""
 
 INNER = 5
 """... the first of which are inside for certain."""
@@ -59,22 +59,22 @@ STRAIGHT = 0.005
 """... but not one this near, in squares."""
 
 RESTLESS = 1.8
-"""Residuals in a corner's window, to the usual ones, that mean an edge of neither board: paper's rim, a hand, ..."""
+"""Residuals in a corner's window, to the usual ones, that mean an edge of neither board: paper's edge, a hand, ..."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Layer:
     """One of the boards: its map, colours and light, and how its corners were last fitted.
 
-    sign (n,): +1 where the square beyond a corner is white. rim (2, 2): where the ink begins and ends along columns and
-    rows, in squares. contrast (3,): half the levels between black and white,
+    sign (n,): +1 where the square beyond a corner is white. board_edge (2, 2): where the printed pattern begins and
+    ends along columns and rows, in squares. contrast (3,): half the levels between black and white,
     and its slope along columns and rows, per square. uv (n, 2), covariance (n, 2, 2), quality (n, 4) as
     fit_corners gives them. good (n,): the corners that are kept.
     """
 
     smooth: GridMap
     sign: Array
-    rim: Array
+    board_edge: Array
     contrast: Array
     blur_px: float
     uv: Array
@@ -83,7 +83,7 @@ class Layer:
     good: Mask
 
 
-def with_rim(board: Target) -> Array:
+def with_edge(board: Target) -> Array:
     """Return the grid coordinates of the board's corners and of the black squares' ends round them."""
     s, t = np.meshgrid(np.arange(-1.0, board.columns + 1.0), np.arange(-1.0, board.rows + 1.0))
     return np.stack([s.ravel(), t.ravel()], axis=1)
@@ -96,7 +96,7 @@ def first_layer(grid: Grid, board: Target) -> Layer:
     return Layer(
         smooth=smooth,
         sign=-grid.first * parity_of(board),
-        rim=np.array([[-1.0, -1.0], [board.columns, board.rows]]),
+        board_edge=np.array([[-1.0, -1.0], [board.columns, board.rows]]),
         contrast=np.zeros(3),
         blur_px=START_BLUR_PX,
         uv=smooth(grid_of(board)),
@@ -122,16 +122,16 @@ def separate_layers(light: Array, board: Target, layers: tuple[Layer, Layer]) ->
 
 
 def take_off(light: Array, layer: Layer, board: Target) -> None:
-    """Add to an image the light that a board's ink holds back."""
+    """Add to an image the light that a board's printed pattern holds back."""
     smooth = layer.smooth
-    draw_ink(
+    render_pattern(
         np.ascontiguousarray(smooth.H),
         np.ascontiguousarray(smooth.cubic),
         smooth.centre,
         smooth.half,
         board.columns,
         board.rows,
-        layer.rim,
+        layer.board_edge,
         float(layer.sign[0]),
         -layer.contrast,
         layer.blur_px,
@@ -179,7 +179,7 @@ def measure_layer(light: Array, layer: Layer, other: Layer | None, board: Target
     return Layer(
         smooth=smooth,
         sign=layer.sign,
-        rim=_rim(rest, smooth, layer, board),
+        board_edge=_board_edge(rest, smooth, layer, board),
         contrast=_slope(grid[good], quality[good, 1]),
         blur_px=float(np.median(quality[good, 2])),
         uv=uv,
@@ -200,9 +200,9 @@ def _good(layer: Layer, other: Layer, board: Target, uv: Array, quality: Array, 
     good &= distance < np.clip(SCATTER * np.median(distance[good]), STRAIGHT * size, OFF_GRID * size)
     good &= quality[:, 1] > LOW_CONTRAST * np.median(quality[good, 1])
     good &= quality[:, 3] < RESTLESS * np.median(quality[good, 3])
-    rim = np.clip(with_rim(board), *other.rim)
-    gap = np.linalg.norm(layer.smooth(grid)[:, None] - other.smooth(rim)[None], axis=2)  # (n, rim)
-    loose = _leverage(grid[other.good], rim) > LAYER_LOOSE
+    edge = np.clip(with_edge(board), *other.board_edge)
+    gap = np.linalg.norm(layer.smooth(grid)[:, None] - other.smooth(edge)[None], axis=2)  # (n, edge)
+    loose = _leverage(grid[other.good], edge) > LAYER_LOOSE
     limit = np.where(loose, REACH * size[:, None], max(NEAR_PX, NEAR_BLURS * layer.blur_px))
     return np.asarray(good & (gap > limit).all(axis=1))
 
@@ -216,12 +216,13 @@ def _leverage(known: Array, grid: Array) -> Array:
     return np.asarray(np.einsum("ij,ij->i", B, np.linalg.solve(normal, B.T).T))
 
 
-def _rim(rest: Array, smooth: GridMap, layer: Layer, board: Target) -> Array:
-    """Return where the ink ends on the four sides, (2, 2): printed or cut boards have outer squares of any width.
+def _board_edge(rest: Array, smooth: GridMap, layer: Layer, board: Target) -> Array:
+    """Return where the printed pattern ends on the four sides, (2, 2): printed or cut boards have outer squares of any
+    width.
 
     Beyond its end the outer black squares look as the white ones between them: the difference falls by half there.
     """
-    out = layer.rim.copy()
+    out = layer.board_edge.copy()
     count = (board.columns, board.rows)
     for axis in range(2):
         beside = np.arange(-0.5, count[1 - axis])[1:-1]  # middles of the squares along the side, without the ends

@@ -229,7 +229,7 @@ def _refuse(
 
 
 def _margin(image: Image, board: Target, smooth: GridMap, more: Array, sign: Array) -> bool:
-    """Whether the squares behind one more row of corners (m, 2) do not alternate: the rim of a blurred board."""
+    """Whether the squares behind one more row of corners (m, 2) do not alternate: the edge of a blurred board."""
     grid = grid_of(board)
     outwards = np.rint(more[0] - np.clip(more[0], 0, grid.max(axis=0)))
     inner = grid[(grid < grid.max(axis=0)).all(axis=1)]

@@ -25,7 +25,7 @@ APART_PX = 4
 WEAK = 0.12
 """Share of the strong corners' response below which a maximum is no corner."""
 LOUD = 6.0
-"""... and so many deviations of the noise: among half a million pixels of noise the largest has five."""
+"""... and so many standard deviations of the noise: among half a million pixels of noise the largest has five."""
 STRONG = 40
 """How many of the strongest maxima set what is usual."""
 MANY_CORNERS = 800
@@ -52,10 +52,10 @@ SEEDS = 80
 BEYOND = 0.75
 """Response of a corner outside the board's size, to the median one, that means that the board goes on."""
 MISSING = 0.1
-RIM = 0.75
+EDGE_WORTH = 0.75
 CLIP = 1.3
-"""What a cell of a board is worth: its response by the usual one (at most CLIP) less RIM; a rim's corner has 0.5 and is
-worth less than nothing, and a cell without a corner costs MISSING."""
+"""What a cell of a board is worth: its response by the usual one (at most CLIP) less EDGE_WORTH; a corner at the
+board's edge has 0.5 and is worth less than nothing, and a cell without a corner costs MISSING."""
 PAIR_SHARE = 0.4
 """Windows worth less than this share of the best are no board."""
 GAIN = 0.3
@@ -137,7 +137,7 @@ def find_saddles(image: Array) -> Saddles:
 
 
 def _peaks(strength: Array, row: NDArray[np.intp], col: NDArray[np.intp]) -> Array:
-    """Return the places (n, 2) of maxima, by a parabola along each axis."""
+    """Return the positions (n, 2) of maxima, by a parabola along each axis."""
     out = []
     for dv, du in ((0, 1), (1, 0)):
         before, here, after = (strength[row + k * dv, col + k * du] for k in (-1, 0, 1))
@@ -248,14 +248,14 @@ def _windows(
     """Return the part of a grown grid that is the board's size, where its corners are strongest; two parts where the
     corners are those of two boards, doubled where both are.
 
-    The ends of the black squares at the rim respond too, half as much as a corner between four squares.
+    The ends of the black squares at the board's edge respond too, half as much as a corner between four squares.
     """
     cells = cells - cells.min(axis=0)
     strength = np.abs(saddles.response[places])
     usual = float(np.median(strength))
     worth = np.full(cells.max(axis=0) + 1 + 2 * max(columns, rows), -MISSING)
     pad = max(columns, rows)
-    worth[cells[:, 0] + pad, cells[:, 1] + pad] = np.minimum(strength / usual, CLIP) - RIM
+    worth[cells[:, 0] + pad, cells[:, 1] + pad] = np.minimum(strength / usual, CLIP) - EDGE_WORTH
     best: tuple[float, list[Cell], tuple[int, int]] = (-np.inf, [], (columns, rows))
     for size in {(columns, rows), (rows, columns)}:
         for value, corners in _best_windows(worth, size, pad):
@@ -301,7 +301,7 @@ def _best_windows(worth: Array, size: tuple[int, int], pad: int) -> Iterator[tup
                 value -= float(worth[low[0] : high[0], low[1] : high[1]].sum())
             if value > best and np.abs(second - first).sum() % 2 == 0:
                 best, pair = value, (first, second)
-    if best > single + GAIN * w * h * (1.0 - RIM):
+    if best > single + GAIN * w * h * (1.0 - EDGE_WORTH):
         yield best, [(int(c[0]) - pad, int(c[1]) - pad) for c in pair]
 
 

@@ -15,7 +15,7 @@ POINTS_FOR_CUBIC = 24
 STEP = 1e-3
 """Step of the numerical derivatives, in squares."""
 FAR = 4.0
-"""Points further from the map than this many robust deviations do not shape it."""
+"""Points further from the map than this many robust standard deviations do not shape it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -13,7 +13,7 @@ from armsight.measure.boards.board_layers import (
     measure_layer,
     separate_layers,
     take_off,
-    with_rim,
+    with_edge,
     without_layer,
 )
 from armsight.measure.boards.checkerboard import (
@@ -35,11 +35,11 @@ SEEN_SHARE = 0.5
 """A board of which fewer corners are seen than this is refused,"""
 PLACED_SHARE = 0.5
 """... and one of which fewer can be placed: what is known of the other board then comes from too few, and errors of 40
-deviations were met among 24 corners of 54."""
+standard deviations were met among 24 corners of 54."""
 FAINT = 0.3
 """What is left of a board that was taken off responds less than this share of it."""
 RIM_SHARE = 0.7
-"""Corners of the outer rows and columns respond as the others do; the ends of the rim's black squares by half."""
+"""Corners of the outer rows and columns respond as the others do; the ends of the edge's black squares by half."""
 ON_PX = 2.0
 """Corners this near to a board's own are not looked for again."""
 MAP_SIZE = 22
@@ -101,7 +101,7 @@ def _two_layers(light: Array, board: Target, source: str) -> tuple[Layer, Layer]
     rest = saddles
     for layer in layers:
         _check_inside(layer, light, board, source)
-        rest = rest.without(layer.smooth(with_rim(board)), 2.0 * ON_PX)
+        rest = rest.without(layer.smooth(with_edge(board)), 2.0 * ON_PX)
     more = find_grids(rest, board.columns, board.rows)
     if more and len(more[0].cells) >= SEEN_SHARE * len(board.names):
         raise _refusal(
@@ -114,12 +114,12 @@ def _two_layers(light: Array, board: Target, source: str) -> tuple[Layer, Layer]
 
 def _second(light: Array, saddles: Saddles, first: Layer, board: Target) -> Grid | None:
     """Return the board beside the one found, or a part: in the image without that one, or among the other corners."""
-    rim = first.smooth(with_rim(board))
+    edge = first.smooth(with_edge(board))
     without = light.copy()
     take_off(without, measure_layer(light, first, None, board), board)
     rest = find_saddles(without).stronger(FAINT * saddles.usual)
     found: tuple[Grid, ...] = ()
-    for others in (rest, rest.without(rim, ON_PX), saddles.without(rim, ON_PX)):
+    for others in (rest, rest.without(edge, ON_PX), saddles.without(edge, ON_PX)):
         grids = find_grids(others, board.columns, board.rows)
         if grids and (not found or len(grids[0].cells) > len(found[0].cells)):
             found = grids
@@ -154,8 +154,8 @@ def _check_size(grid: Grid, other: Layer | None, board: Target, source: str) -> 
     """Raise BadImage where a board goes on beyond its size, with corners that are not the other board's."""
     strange = grid.beyond
     if other is not None and len(strange):
-        rim = other.smooth(with_rim(board))
-        strange = strange[np.linalg.norm(strange[:, None] - rim[None], axis=2).min(axis=1) > 2.0 * ON_PX]
+        edge = other.smooth(with_edge(board))
+        strange = strange[np.linalg.norm(strange[:, None] - edge[None], axis=2).min(axis=1) > 2.0 * ON_PX]
     if len(strange) > 0.5 * min(board.columns, board.rows):
         raise _refusal(
             f"{source}: {len(strange)} corners continue a board beyond {board.columns}x{board.rows} inner corners",

@@ -51,7 +51,7 @@ SHARED: dict[Cell, tuple[tuple[int, int], ...]] = {
 NEAR = 0.25
 """A neighbour's corners are where the square's own are, to this share of its shorter side."""
 GROWTH = 3.0
-"""Neighbouring sides differ by less than this factor: the squares at the rim may be cut to less than half."""
+"""Neighbouring sides differ by less than this factor: the squares at the board's edge may be cut to less than half."""
 ALIKE = 0.85
 """Cosine between the sides of neighbours."""
 FIT = 0.8
@@ -188,7 +188,7 @@ def order_squares(squares: Squares, start: int, used: NDArray[np.bool_]) -> dict
     """Return the squares that hang together with the one to start from, by their cell on the grid.
 
     Each is looked for where the corners and slope of a square before it say (the paper's ordered segmentation; it
-    goes by the centre, which a square cut off at the board's rim does not have where it should). Gives the square's
+    goes by the centre, which a square cut off at the board's edge does not have where it should). Gives the square's
     position, and which of its corners is the first (towards lower column and row). Marks them as used.
     """
     turned = np.stack([np.roll(squares.corners, -turn, axis=1) for turn in range(4)], axis=1)  # (n, turn, corner, 2)

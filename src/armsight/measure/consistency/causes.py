@@ -23,8 +23,8 @@ PLACE_WIDTH_M = 1e-3
 FOCAL_WIDTH = 0.02
 K1_WIDTH = 0.05
 DELAY_WIDTH_S = 5e-3
-"""How large a fault of each kind usually is, one deviation. They weigh causes against each other and matter little: ten
-times the width costs a cause as much as a chi-square of 4.6."""
+"""How large a fault of each kind usually is, one standard deviation. They weigh causes against each other and matter
+little: ten times the width costs a cause as much as a chi-square of 4.6."""
 
 RECALIBRATE = "calibrate the cameras anew with `armsight calibrate stereo`"
 REMEASURE = "measure the target with `armsight calibrate target`"

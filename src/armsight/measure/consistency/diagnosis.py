@@ -39,14 +39,14 @@ is 0.5 to 2."""
 
 DOUBTFUL = 0.5
 INCONSISTENT = 5.0
-"""Effect on the poses, in claimed deviations, from which a run is doubtful, or inconsistent."""
+"""Effect on the poses, in claimed standard deviations, from which a run is doubtful, or inconsistent."""
 
 INCONSISTENT_M = 2e-4
 INCONSISTENT_RAD = 2e-3
 """... if it is also larger than this."""
 
 NOISY = 1.5
-"""Noise over the claimed one (deviations) from which it is mentioned."""
+"""Noise over the claimed one (standard deviations) from which it is mentioned."""
 
 UNMISTAKABLE = 9.0
 """Chi-square per degree of freedom from which a proven cause is told, however small its effect is beside what poses
@@ -115,8 +115,9 @@ class Consistency:
     """The verdict over a run: 'ok', 'doubtful', 'inconsistent', or 'unchecked' where there was nothing to judge by.
 
     findings: significant causes, likeliest first; equal: how many of them explain the residuals equally well.
-    noise_scale: the residuals' noise over the claimed one (deviations). chi2_per_dof: of all residuals against the
-    claimed noise. claimed_m: RMS of the claimed deviation of a position (3-D). undetected: by cause, the largest
+    noise_scale: the residuals' noise over the claimed one (standard deviations). chi2_per_dof: of all residuals against
+    the claimed noise. claimed_m: RMS of the claimed standard deviation of a position (3-D). undetected: by cause, the
+    largest
     effect (m, 3-D RMS) on the poses that the run could not have told. refused: share of the frames with enough lights
     whose residuals cannot be noise, so that they gave no pose.
     """
@@ -313,7 +314,8 @@ def _verdict(findings: list[Finding], claimed_m: float, claimed_rad: float, scal
 
 
 def _undetected(evidence: Evidence, found: list[Finding]) -> dict[str, float]:
-    """Return by cause the largest effect in m on the poses that stays within five deviations of its estimate."""
+    """Return by cause the largest effect in m on the poses that stays within five standard deviations of its
+    estimate."""
     out = {}
     for f in found:
         if not f.cause.unit or f.cause.from_change:

@@ -13,7 +13,7 @@ from armsight.measure.consistency import kernels
 from armsight.measure.poses.kernels import pose as pose_kernels
 from armsight.measure.poses.outcome import Measured
 from armsight.measure.poses.setup import Setup
-from armsight.measure.poses.tracking import places_of
+from armsight.measure.poses.tracking import positions_of
 from armsight.optics import RIG_PARAMETERS
 from armsight.records import PoseStatus, Spots
 
@@ -64,7 +64,7 @@ class Block:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Frame:
-    """One frame with a whole pose: lights (n,) as positions in the model, their pixels and residuals, places (m, 3).
+    """One frame with a complete pose: lights (n,) as rows of the model, their pixels and residuals, positions (m, 3).
 
     claimed: what the pose's covariance says, trace of the position and of the rotation.
     """
@@ -75,13 +75,13 @@ class Frame:
     uv_px: Array
     cov_px2: Array
     residual_px: Array
-    places_m: Array
+    positions_m: Array
     claimed: tuple[float, float]
 
 
 @dataclass(slots=True, eq=False)
 class Evidence:
-    """The sums. basis (m, 3, p): how the lights' places follow the target's p parameters; size q = 26 + p + 1.
+    """The sums. basis (m, 3, p): how the lights' positions follow the target's p parameters; size q = 26 + p + 1.
 
     shift_m2, shift_rad2 (q, q): x' shift x is the sum over frames of the squared move of the position (rotation) that
     an error x of the parameters makes. claimed_m2, claimed_rad2: sums of the claimed variances.
@@ -155,8 +155,8 @@ class Evidence:
         """Return the velocities (m, 3) of a frame that comes after the last one added before it."""
         before = self._before
         if before is None or not 0.0 < frame.t_s - before.t_s <= MAX_GAP_S:
-            return np.zeros_like(frame.places_m)
-        return np.asarray((frame.places_m - before.places_m) / (frame.t_s - before.t_s))
+            return np.zeros_like(frame.positions_m)
+        return np.asarray((frame.positions_m - before.positions_m) / (frame.t_s - before.t_s))
 
     def _count(self, frame: Frame, velocity: Array) -> None:
         found = self.slopes(frame, velocity)
@@ -218,7 +218,7 @@ def target_basis(setup: Setup) -> Array:
 
 
 def frame_of(setup: Setup, measured: Measured) -> Frame | None:
-    """Return what a moment with a whole pose of a measured target says; None for any other."""
+    """Return what a moment with a complete pose of a measured target says; None for any other."""
     pose = measured.pose
     if pose.status is not PoseStatus.OK or pose.T_parent_target is None or pose.covariance is None:
         return None
@@ -239,7 +239,7 @@ def frame_of(setup: Setup, measured: Measured) -> Frame | None:
         uv_px=uv,
         cov_px2=cov,
         residual_px=np.array(pose.residual_px).reshape(-1, 2, 2),
-        places_m=places_of(setup, pose.T_parent_target),
+        positions_m=positions_of(setup, pose.T_parent_target),
         claimed=(float(variances[:3].sum()), float(variances[3:].sum())),
     )
 
@@ -256,13 +256,13 @@ def velocity_of(before: Frame | None, frame: Frame, after: Frame | None) -> Arra
 
     A target that is put from place to place between frames has none: there the two differences disagree.
     """
-    none = np.zeros_like(frame.places_m)
+    none = np.zeros_like(frame.positions_m)
     if before is None or after is None:
         return none
     back, ahead = frame.t_s - before.t_s, after.t_s - frame.t_s
     if not (0.0 < back <= MAX_GAP_S and 0.0 < ahead <= MAX_GAP_S):
         return none
-    came, goes = (frame.places_m - before.places_m) / back, (after.places_m - frame.places_m) / ahead
-    middle = (after.places_m - before.places_m) / (back + ahead)
+    came, goes = (frame.positions_m - before.positions_m) / back, (after.positions_m - frame.positions_m) / ahead
+    middle = (after.positions_m - before.positions_m) / (back + ahead)
     steady = sqrt(float(((goes - came) ** 2).sum())) <= sqrt(float((middle**2).sum()))
     return np.asarray(middle) if steady else none

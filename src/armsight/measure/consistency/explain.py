@@ -66,7 +66,7 @@ def _what(f: Finding) -> str:
 
 
 def _figures(value: float, std: float, sign: str) -> str:
-    """Return value and deviation with as many digits as the deviation has two of."""
+    """Return value and standard deviation with as many digits as the standard deviation has two of."""
     places = max(0, 1 - math.floor(math.log10(std))) if std > 0.0 else 3
     return f"{value:.{min(places, 6)}f} ± {std:.{min(places, 6)}f}{sign}"
 

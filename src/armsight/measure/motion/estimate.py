@@ -45,11 +45,11 @@ class Start:
 
 
 def smooth(
-    packed: PackedRig, places_m: Array, views: Sequence[View], starts: Sequence[Start], at_s: Array
+    packed: PackedRig, positions_m: Array, views: Sequence[View], starts: Sequence[Start], at_s: Array
 ) -> list[MotionState | None]:
     """Return the states at times at_s (k,), growing, from all views before and after; None where no track is near.
 
-    places_m (m, 3): of the lights in the target's frame. views: in the order of time. starts: in the order of views;
+    positions_m (m, 3): of the lights in the target's frame. views: in the order of time. starts: in the order of views;
     the first one is of the first view. Raises Inconsistent for views out of order.
     """
     t = np.array([view.t_s for view in views])
@@ -65,7 +65,7 @@ def smooth(
     lead = int(np.argmax(fresh))  # times before the first view are told backwards from it
     rows = columns.after(lead)
     begin, C0, fresh = begin[lead:], C0[lead:], fresh[lead:]
-    seen: tuple[Any, ...] = (*rows.arrays, packed.k, packed.R, packed.t, np.ascontiguousarray(places_m))
+    seen: tuple[Any, ...] = (*rows.arrays, packed.k, packed.R, packed.t, np.ascontiguousarray(positions_m))
     logs, weight, post = (np.empty((n - lead, K)) for _ in range(3))
     run_filters: Any = levels.run_filters  # many columns by one star
     run_filter: Any = levels.run_filter
@@ -153,7 +153,7 @@ class MotionFilter:
     """
 
     packed: PackedRig
-    places_m: Array
+    positions_m: Array
     t_s: float
     seen_s: float
     xs: Array
@@ -162,13 +162,14 @@ class MotionFilter:
     best: int
 
     @classmethod
-    def begin(cls, packed: PackedRig, places_m: Array, t_s: float, T: Array, covariance: Array) -> MotionFilter:
-        """Return the filter of lights at places_m (m, 3) in the target, which is at T (4, 4) with covariance (6, 6)."""
+    def begin(cls, packed: PackedRig, positions_m: Array, t_s: float, T: Array, covariance: Array) -> MotionFilter:
+        """Return the filter of lights at positions_m (m, 3) in the target, which is at T (4, 4) with covariance (6,
+        6)."""
         K = len(JERK_LEVELS)
         x, C = state_of(t_s, T, covariance)
         return cls(
             packed=packed,
-            places_m=np.ascontiguousarray(places_m, dtype=np.float64),
+            positions_m=np.ascontiguousarray(positions_m, dtype=np.float64),
             t_s=t_s,
             seen_s=t_s,
             xs=np.tile(x, (K, 1)),
@@ -236,7 +237,7 @@ class MotionFilter:
             packed.k[s],
             packed.R[s],
             packed.t[s],
-            np.ascontiguousarray(self.places_m[view.lights]),
+            np.ascontiguousarray(self.positions_m[view.lights]),
             view.tau_s,
             view.uv_px,
             view.cov_px2,

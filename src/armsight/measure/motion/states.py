@@ -23,7 +23,7 @@ BEGIN_ACCELERATION_M_S2, BEGIN_ANGULAR_ACCELERATION_RAD_S2 = 10.0, 40.0
 class View:
     """The named spots of one frame of one camera.
 
-    t_s: the rig's time of the frame (middle line). side: 0 left, 1 right. lights (n,): rows of the target's places;
+    t_s: the rig's time of the frame (middle line). side: 0 left, 1 right. lights (n,): rows of the target's positions;
     uv_px (n, 2), cov_px2 (n, 2, 2); tau_s (n,): each spot's line after the middle one.
     """
 

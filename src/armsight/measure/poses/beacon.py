@@ -15,7 +15,7 @@ from armsight.measure.spots.colour import CUT, PAINTED
 from armsight.records import Spots
 
 GAUSSIAN_RADIUS = 1.18
-"""Radius at half of its height of a Gaussian light over its deviation."""
+"""Radius at half of its height of a Gaussian light over its standard deviation."""
 SMALLER, LESS_PX, LARGER, MORE_PX = 1.25, 0.25, 1.5, 0.5
 """Ratios and px by which a beacon may look smaller (tilt) or larger (bloom, blur) than its diameter says."""
 MIN_RADIUS_PX = 2.5

@@ -10,7 +10,7 @@ from armsight.measure.poses.pairs import Pairs, pair_spots
 from armsight.measure.poses.pose import Solved
 from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.solving import solve_assignment
-from armsight.measure.poses.tracking import places_of
+from armsight.measure.poses.tracking import positions_of
 from armsight.measure.spots import TOUCHING
 from armsight.optics import SIDES
 from armsight.records import NotSeen, Spots
@@ -64,7 +64,7 @@ def left_out_notes(setup: Setup, solved: Solved, left: Spots, right: Spots) -> t
     if solved.T is None or not setup.target.model_known or len(solved.points) == len(setup.model):
         return ()
     notes = []
-    for name, place in zip(setup.model.names, places_of(setup, solved.T), strict=True):
+    for name, place in zip(setup.model.names, positions_of(setup, solved.T), strict=True):
         if name in solved.points.names:
             continue
         words = []

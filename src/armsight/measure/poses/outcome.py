@@ -41,7 +41,7 @@ class Track:
         object.__setattr__(self, "velocity_m_s", frozen_array("velocity_m_s", self.velocity_m_s, (n, 3)))
 
     def predict(self, t_s: float) -> Array:
-        """Return the lights' places (n, 3) at t_s: constant velocity."""
+        """Return the lights' positions (n, 3) at t_s: constant velocity."""
         return np.asarray(self.xyz_m + (t_s - self.t_s) * self.velocity_m_s)
 
 

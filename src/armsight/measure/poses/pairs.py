@@ -16,12 +16,12 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 SLACK_PX = 0.25
-"""What calibration, the target's measures and the shutters' skew may add to a spot's own deviation, in each
+"""What calibration, the target's measures and the shutters' skew may add to a spot's own standard deviation, in each
 coordinate, before a match is doubted. Real pairs calibrated with printed boards show 0.1-0.2 px. It decides what
 belongs together, not the covariance that is handed out."""
 
 PAIR_GATE = 16.0
-"""Squared deviations allowed to an epipolar distance and to a distance between two lights (4 sigma)."""
+"""Square, in standard deviations, allowed to an epipolar distance and to a distance between two lights (4 sigma)."""
 
 MOST_FREE = 12
 """Pairs among which the ways to combine them are counted."""

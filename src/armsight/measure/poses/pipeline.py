@@ -34,7 +34,7 @@ def measure_pair(setup: Setup, left: Frame, right: Frame, track: Track | None = 
 
     Where setup says that one image holds both views (Pachidis 2005's complex image), it is given as left and right.
 
-    track: of the call before; the spots are then looked for in windows around their predicted places, and in the
+    track: of the call before; the spots are then looked for in windows around their predicted positions, and in the
     whole frame only where that fails. Raises Inconsistent where a frame has not the size of the rig's camera, or
     where left and right are swapped. What can happen to a good recording (a light hidden, a reflection, nobody
     there) raises nothing: the status and `why` of the pose say it.

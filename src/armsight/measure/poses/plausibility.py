@@ -49,8 +49,8 @@ def impossible(setup: Setup, names: tuple[str, ...], solved: Solved, left: Spots
     shares = []
     for side, spots in enumerate((left, right)):
         rows = [i for i, kind in enumerate(spots.model) if kind == OUTLINE]
-        places = solved.T[:3, :3] @ model.xyz_m[[model.names.index(names[i]) for i in rows]].T + solved.T[:3, 3:]
-        depth = packed.R[side][2] @ places + packed.t[side][2]
+        positions = solved.T[:3, :3] @ model.xyz_m[[model.names.index(names[i]) for i in rows]].T + solved.T[:3, 3:]
+        depth = packed.R[side][2] @ positions + packed.t[side][2]
         whole = packed.k[side][0] * model.radius_m / depth
         shares += [(spots.size_px[i], r) for i, r in zip(rows, whole.tolist(), strict=True)]
     off = [size < r / WRONG_SIZE - BLOOM_PX or size > WRONG_SIZE * r + BLOOM_PX for size, r in shares]

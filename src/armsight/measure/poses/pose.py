@@ -28,7 +28,7 @@ MAX_DOUBTFUL_SIGMA = 0.07
 several places, not about one."""
 
 FOLDED = 1.05
-"""Squared deviations of another tilt over what its residuals allow, from which that is the case."""
+"""Squared Mahalanobis distance of another tilt over what its residuals allow, from which that is the case."""
 
 MISFIT_SIGMA = 2.326
 """Residuals further out than this normal deviation (1 %) widen the pose: cameras' noise models are off by up to a
@@ -47,7 +47,7 @@ _FOLDED = "the spots fit tilts to either side of the line of sight: only the pos
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Solved:
-    """A pose with the points it came from; its matrix T (4, 4), None where it is not whole.
+    """A pose with the points it came from; its matrix T (4, 4), None where it is not complete.
 
     fits: whether the residuals agree with the target, slack allowed. cause: of what the pose says is not known.
     """

@@ -20,11 +20,11 @@ Array = NDArray[np.float64]
 class Setup:
     """The rig, the target and how spots are found.
 
-    slack_px: what calibration, the target's measures and the shutters' skew may add to a spot's deviation before a
-    match is doubted. A colour of the target is looked for unless the settings name their own. Raises Degenerate
-    for a measured target whose spots (three or more) lie on one line. overlaid: one image holds both views, one upon
-    the other (a mirror rig's complex image); it is then given as the left and as the right frame. covariance: of
-    RIG_PARAMETERS and of the target's places, (26 + 3 m, 26 + 3 m), (26, 26) where the target is taken as exact,
+    slack_px: what calibration, the target's measures and the shutters' skew may add to a spot's standard deviation
+    before a match is doubted. A colour of the target is looked for unless the settings name their own. Raises
+    Degenerate for a measured target whose spots (three or more) lie on one line. overlaid: one image holds both views,
+    one upon the other (a mirror rig's complex image); it is then given as the left and as the right frame. covariance:
+    of RIG_PARAMETERS and of the target's positions, (26 + 3 m, 26 + 3 m), (26, 26) where the target is taken as exact,
     (0, 0) where the rig is as well. Both are taken as independent. sides: the settings of each camera, with the gain of
     its noise where the rig knows it.
     """
@@ -49,7 +49,7 @@ class Setup:
         object.__setattr__(self, "sides", tuple(_with_noise(self.settings, noise) for noise in self.rig.noise))
 
     def covariance_of(self, names: tuple[str, ...]) -> Array:
-        """Return the covariance of the rig's parameters and of these lights' places, in their order."""
+        """Return the covariance of the rig's parameters and of these lights' positions, in their order."""
         n = len(RIG_PARAMETERS)
         if names == self.model.names or len(self.covariance) <= n:
             return self.covariance

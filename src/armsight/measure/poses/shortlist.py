@@ -78,7 +78,7 @@ class Shortlist:
 def shortlist(setup: Setup, left: Candidates, right: Candidates) -> Shortlist:
     """Return the candidates that take part in an arrangement that may be the target.
 
-    A target without known places, or of one or two lights, gives all that have a partner in the other image.
+    A target without known positions, or of one or two lights, gives all that have a partner in the other image.
     """
     named = setup.target.model_known and len(setup.model) >= 3
     bright = (len(left.positions()), len(right.positions()))

@@ -78,7 +78,7 @@ def _radii(radius_m: float, left: Spots, right: Spots) -> Array:
 
 
 def misfit_chi2(solved: Solved, left: Spots, right: Spots) -> float:
-    """Return chi-square of the residuals with TIGHT_PX beside the spots' own deviations."""
+    """Return chi-square of the residuals with TIGHT_PX beside the spots' own standard deviations."""
     if solved.T is None:
         return 0.0
     uv, cov = np.empty((len(left), 2, 2)), np.empty((len(left), 2, 2, 2))

@@ -26,8 +26,8 @@ def without_standing(frames: Sequence[Spots]) -> list[Spots]:
     of = np.repeat(np.arange(n), [len(spots) for spots in frames])
     if n < FEWEST_FRAMES or not len(of):
         return list(frames)
-    places = np.concatenate([spots.uv_px for spots in frames])
-    near = cKDTree(places).query_ball_point(places, REACH_PX)
+    positions = np.concatenate([spots.uv_px for spots in frames])
+    near = cKDTree(positions).query_ball_point(positions, REACH_PX)
     standing = np.array([len(set(of[others].tolist())) >= STANDING_SHARE * n for others in near])
     out = []
     for k, spots in enumerate(frames):

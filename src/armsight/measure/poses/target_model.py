@@ -1,4 +1,4 @@
-"""The target in the form the search takes it: places, distances, plane, symmetry."""
+"""The target in the form the search takes it: positions, distances, plane, symmetry."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def symmetries(target: Target, tolerance_m: float = 1e-3) -> tuple[tuple[str, ..
     """Return the renamings under which a turned target looks the same, within tolerance_m in every spot.
 
     Each is the tuple of names that take the places of target.names. Empty where the names can be told from the
-    places alone. A turn that shows the other side of a flat target square to z does not count: its lights are seen
+    positions alone. A turn that shows the other side of a flat target square to z does not count: its lights are seen
     from one side. For targets of up to eight spots; the equilateral triangle has two.
     """
     model = TargetModel.of(target)

@@ -30,7 +30,7 @@ MOST_ANGULAR_ACCELERATION = 300.0
 """rad/s^2, likewise: a wrist that turns by 60 degrees and back in a quarter of a second reaches a third of it."""
 
 JUMP_SIGMA = 3.0
-"""Deviations of a pose that may come on top of how far off its prediction may be."""
+"""Standard deviations of a pose that may come on top of how far off its prediction may be."""
 
 STILL_M = 0.005
 """How far off a prediction may be where nothing moves."""
@@ -42,14 +42,15 @@ LEAST_WINDOW_PX = 8
 """Half the smallest window, beside the spot itself."""
 
 MOST_SURPRISE2 = float(distributions.chi2.isf(1e-6, 6))
-"""Squared deviations of a pose from where the target's motion puts it, beyond which it is something else's."""
+"""Squared Mahalanobis distance of a pose from where the target's motion puts it, beyond which it is something
+else's."""
 
 SPOT_REACH = 4.0
 """A spot's light reaches about this many of its sigmas (or radii)."""
 
 
 def expected(setup: Setup, track: Track | None, t_s: float) -> Prediction | None:
-    """Return the predicted places in the order of the target's names, and how far off they may be."""
+    """Return the predicted positions in the order of the target's names, and how far off they may be."""
     if track is None:
         return None
     predicted, dt = track.predict(t_s), t_s - track.t_s
@@ -75,13 +76,13 @@ def jumped(setup: Setup, track: Track, t_s: float, solved: Solved) -> bool:
         return False
     C = solved.pose.covariance
     if solved.T is None or C is None:  # the points by themselves, in the order of the track
-        places, at = solved.points.xyz_m, track.predict(t_s)
+        positions, at = solved.points.xyz_m, track.predict(t_s)
         doubt = np.sqrt(np.trace(solved.points.covariance_m2, axis1=1, axis2=2))
     else:
-        places, at = places_of(setup, solved.T), predicted.xyz_m
+        positions, at = positions_of(setup, solved.T), predicted.xyz_m
         arm = np.linalg.norm(setup.model.xyz_m, axis=1)
         doubt = np.sqrt(np.trace(C[:3, :3])) + arm * np.sqrt(np.trace(C[3:, 3:]))
-    off = places - at
+    off = positions - at
     if np.any(np.linalg.norm(off, axis=1) > predicted.within_m + JUMP_SIGMA * doubt):
         return True
     if solved.T is None or C is None:
@@ -92,7 +93,7 @@ def jumped(setup: Setup, track: Track, t_s: float, solved: Solved) -> bool:
 
 
 class Continuation(NamedTuple):
-    """A whole pose brought into the motion before it.
+    """A complete pose brought into the motion before it.
 
     motion: the filter with it. surprise2, knocked2: squares of how far it was from where that motion, and a knock just
     now, would put the target, over their uncertainty; 0 where no motion was known.
@@ -140,11 +141,11 @@ def doubtful(setup: Setup, track: Track | None, t_s: float, solved: Solved, step
     return not jumped(setup, track, t_s, solved)
 
 
-def places_of(setup: Setup, T: Array) -> Array:
+def positions_of(setup: Setup, T: Array) -> Array:
     """Return where the lights of the target are (m, 3) in rig axes under its pose T (4, 4)."""
-    places = np.empty((len(setup.model), 3))
-    kernels.place_lights(T, setup.model.xyz_m, places)
-    return places
+    positions = np.empty((len(setup.model), 3))
+    kernels.transform_lights(T, setup.model.xyz_m, positions)
+    return positions
 
 
 def next_track(
@@ -162,14 +163,14 @@ def next_track(
         return None
     whole = len(solved.points) == len(setup.model)
     if solved.T is not None and setup.target.model_known:
-        names, places = setup.model.names, places_of(setup, solved.T)
+        names, positions = setup.model.names, positions_of(setup, solved.T)
     else:
-        names, places = solved.points.names, solved.points.xyz_m
-    velocity = np.zeros_like(places)
+        names, positions = solved.points.names, solved.points.xyz_m
+    velocity = np.zeros_like(positions)
     if track is not None and names == track.names:
-        velocity = (places - track.xyz_m) / (t_s - track.t_s)
+        velocity = (positions - track.xyz_m) / (t_s - track.t_s)
     elif track is not None:
-        names, places, velocity = _carry_on(track, t_s, names, places)
+        names, positions, velocity = _carry_on(track, t_s, names, positions)
     reach = SPOT_REACH * max(*left.size_px.tolist(), *right.size_px.tolist())
     innovation = (
         FIRST_WINDOW_PX if innovation_px is None else min(LEAST_WINDOW_PX + 2.0 * innovation_px, FIRST_WINDOW_PX)
@@ -179,7 +180,7 @@ def next_track(
         t_s=t_s,
         whole_t_s=t_s if whole or track is None else track.whole_t_s,
         names=names,
-        xyz_m=places,
+        xyz_m=positions,
         velocity_m_s=velocity,
         half_window_px=ceil(reach + innovation),
         complete=whole,
@@ -188,16 +189,22 @@ def next_track(
     )
 
 
-def _carry_on(track: Track, t_s: float, names: tuple[str, ...], places: Array) -> tuple[tuple[str, ...], Array, Array]:
-    """Return names, places and velocities of the lights seen, followed by those of the track not seen now."""
+def _carry_on(
+    track: Track, t_s: float, names: tuple[str, ...], positions: Array
+) -> tuple[tuple[str, ...], Array, Array]:
+    """Return names, positions and velocities of the lights seen, followed by those of the track not seen now."""
     dt = t_s - track.t_s
     before = dict(zip(track.names, zip(track.xyz_m, track.velocity_m_s, strict=True), strict=True))
-    velocity = np.zeros_like(places)
+    velocity = np.zeros_like(positions)
     for i, name in enumerate(names):
         if name in before:
-            velocity[i] = (places[i] - before[name][0]) / dt
+            velocity[i] = (positions[i] - before[name][0]) / dt
     if t_s - track.whole_t_s > MAX_GAP_S:
-        return names, places, velocity
+        return names, positions, velocity
     missing = [name for name in track.names if name not in names]
     gone = [before[name][0] + dt * before[name][1] for name in missing]
-    return (*names, *missing), np.vstack([places, *gone]), np.vstack([velocity, *(before[name][1] for name in missing)])
+    return (
+        (*names, *missing),
+        np.vstack([positions, *gone]),
+        np.vstack([velocity, *(before[name][1] for name in missing)]),
+    )

@@ -39,13 +39,13 @@ CONTRAST = 24.0
 """Height above its ring in grey levels that makes a peak worth a look."""
 FAINT_SIGMA = 5.0
 LEAST_CONTRAST = 8.0
-"""The same, in deviations of the image's noise and in grey levels, where nothing higher was the target."""
+"""The same, in standard deviations of the image's noise and in grey levels, where nothing higher was the target."""
 BOX_PX = 9
 """Side of the box above whose mean a peak stands, on each level of the pyramid."""
 COARSE_PX = 0.12
 COARSE_SHARE = 0.02
-"""Deviation of a coarse centre per coordinate: a part of its own and a share of the radius. On ray-traced rooms the
-root mean square is 0.036 px and the largest 0.11, radii being 2-5 px."""
+"""Standard deviation of a coarse centre per coordinate: a part of its own and a share of the radius. On ray-traced
+rooms the root mean square is 0.036 px and the largest 0.11, radii being 2-5 px."""
 
 _SQUARE = np.ones((3, 3), np.uint8)
 

@@ -44,13 +44,13 @@ from armsight.measure.spots.kernels.detection.colour import (
     ONE,
     OWN,
     SPARSE,
+    background_unevenness,
     colour_signal,
     coloured_pixels,
     fill_white,
-    level_below,
-    look,
+    histogram_quantile,
     matches,
-    uneven,
+    measure_colour,
     white_pixels,
 )
 from armsight.measure.spots.kernels.detection.locate import FULL, locate
@@ -78,7 +78,7 @@ LEAST_SIGNAL = FLOOR + 20.0
 LEAST_RISE = 10.0
 REPLACED = 0.5
 """Grey levels that a light adds in its brightest channel; what takes away more than this share of it in another one
-replaces its ground, and adds no light to it."""
+replaces its background, and adds no light to it."""
 PURE = 0.65
 """Least saturation of what a light adds: in simulated rooms beacons have 0.7 and more, red squares on screens less."""
 COLOURED_SHARE = 0.25
@@ -101,21 +101,21 @@ RING = 0.125 * np.pi * np.arange(16)
 SMOOTH = 0.8
 """Mean step to the next pixel over that to the one after it, below which colours were interpolated; 1: white noise."""
 INTERPOLATED_PX = 0.06
-"""Deviation per coordinate of a light's centre of which the fit does not know where a camera interpolated its colours
-and stored them at half size: what simulated webcams leave (compression, sharpening and mosaic)."""
+"""Standard deviation per coordinate of a light's centre of which the fit does not know where a camera interpolated its
+colours and stored them at half size: what simulated webcams leave (compression, sharpening and mosaic)."""
 UNEVEN = (0.3, 0.85)
-"""Deviation in radii for a ground as uneven as half of the light's height: where the colours are measured in each
-pixel, and where they were interpolated. With these the 95 % ellipsoids of positions before simulated rooms hold 96 % of
-121 with machine cameras and 93 % of 120 with webcams."""
+"""Standard deviation in radii for a background as uneven as half of the light's height: where the colours are measured
+in each pixel, and where they were interpolated. With these the 95 % ellipsoids of positions before simulated rooms hold
+96 % of 121 with machine cameras and 93 % of 120 with webcams."""
 HALF_HEIGHT = 1.18
-"""Radius at half of its height of a Gaussian light over its deviation."""
+"""Radius at half of its height of a Gaussian light over its standard deviation."""
 
 
 def coloured_candidates(image: Image, settings: SpotSettings) -> Candidates:
     """Return what may be a beacon of settings.colour in a BGR image (h, w, 3); see find_candidates.
 
     The signal that is searched and measured is a pixel's projection on the colour's hue, FLOOR for any grey. What
-    stands out in it is a candidate where what it adds to its ground is of the colour, and where it is a light.
+    stands out in it is a candidate where what it adds to its background is of the colour, and where it is a light.
     """
     bgr = _coloured_image(image)
     checked_mask(settings, bgr)
@@ -178,7 +178,7 @@ def hue_signal(bgr: Image, settings: SpotSettings) -> tuple[Image, float]:
     levels = np.zeros(256, np.int64)
     if colour_signal(bgr, weights.astype(np.int32), int(FLOOR), settings.saturation, signal, levels):
         _fill_cores(bgr, signal, settings)
-    return signal, level_below(levels, CLIPPED_FROM, ROOM_SHARE)
+    return signal, histogram_quantile(levels, CLIPPED_FROM, ROOM_SHARE)
 
 
 def brightest(bgr: Image) -> Image:
@@ -234,14 +234,14 @@ def _interpolated(signal: Image) -> bool:
 
 
 def _widened(spots: Spots, signal: Image, interpolated: bool) -> Spots:
-    """Return the spots with what no residual shows in their covariances: colours made up, and an uneven ground."""
+    """Return the spots with what no residual shows in their covariances: colours made up, and an uneven background."""
     if not len(spots):
         return spots
     own = INTERPOLATED_PX if interpolated else 0.0
     covariance = np.array(spots.covariance_px2)
     for i, ((u, v), size, model) in enumerate(zip(spots.uv_px, spots.size_px, spots.model, strict=True)):
         radius = float(size) * (1.0 if model in ("ellipse", "centroid") else HALF_HEIGHT)
-        shift = UNEVEN[interpolated] * radius * uneven(signal, float(u), float(v), radius)
+        shift = UNEVEN[interpolated] * radius * background_unevenness(signal, float(u), float(v), radius)
         covariance[i] += (own**2 + shift**2) * np.eye(2)
     return dataclasses.replace(spots, covariance_px2=covariance)
 
@@ -336,12 +336,12 @@ def _box_of(spots: Spots, i: int, signal: Image) -> NDArray[np.int64]:
 
 def _look(bgr: Image, signal: Image, box: NDArray[np.int64], level: float, settings: SpotSettings) -> Array:
     seen = np.empty(LOOK)
-    look(bgr, signal, box, level, FLOOR, settings.saturation, seen)
+    measure_colour(bgr, signal, box, level, FLOOR, settings.saturation, seen)
     return seen
 
 
 def _is_coloured(bgr: Image, box: NDArray[np.int64], seen: Array, settings: SpotSettings) -> bool:
-    """Tell whether something is of the colour: in what it adds to its ground, or as it is."""
+    """Tell whether something is of the colour: in what it adds to its background, or as it is."""
     definition = _definition(settings)
     if settings.threshold is not None:
         pixels = float((box[1] - box[0] + 1) * (box[3] - box[2] + 1))

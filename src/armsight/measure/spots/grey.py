@@ -27,8 +27,8 @@ from armsight.measure.spots.kernels.detection.area import (
 from armsight.measure.spots.kernels.detection.colour import whiten_clipped
 from armsight.measure.spots.kernels.detection.locate import FULL, NOISE, NOTHING_ABOVE, NUMBER, locate, locate_near
 from armsight.measure.spots.kernels.detection.scan import SUM_X, SUM_Y, WEIGHT
-from armsight.measure.spots.kernels.fitting.background import doubt_ground
-from armsight.measure.spots.kernels.fitting.measure_areas import deliver, measure_others, measure_round
+from armsight.measure.spots.kernels.fitting.background import add_background_variance
+from armsight.measure.spots.kernels.fitting.measure_areas import measure_others, measure_round, pack_results
 from armsight.records import Spots, trusted
 
 Image = NDArray[np.uint8]
@@ -117,8 +117,8 @@ def measured(
     fits, rows = np.empty((n, FIT)), np.empty((n, MOST_LIGHTS, SPOT))
     if measure_round(grey, settings.mask_bytes, settings.options, areas, state, survey, fits, rows):
         measure_others(grey, settings.mask_bytes, settings.options, areas, state, survey, fits, rows)
-    doubt_ground(grey, settings.options, areas, state, survey, rows)
-    *columns, refused = deliver(settings.options, areas, state, rows)
+    add_background_variance(grey, settings.options, areas, state, survey, rows)
+    *columns, refused = pack_results(settings.options, areas, state, rows)
     return tuple(columns), refused
 
 

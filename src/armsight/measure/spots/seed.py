@@ -86,7 +86,7 @@ def _seeded(grey: Image, settings: SpotSettings) -> Spots:
         (float(u), float(v), CUT if cut else TOO_LARGE) for (u, v), cut in zip(uv[~good], table[~good, 5], strict=True)
     )
     radius = np.sqrt(size[good] / np.pi)
-    # each pixel of the rim is in or out by chance, 1/12 px^2 across it: 1 / (12 pi r) of the mean
+    # each pixel of the edge is in or out by chance, 1/12 px^2 across it: 1 / (12 pi r) of the mean
     variance = 1.0 / (12.0 * np.pi * radius)
     return Spots(
         uv_px=uv[good],

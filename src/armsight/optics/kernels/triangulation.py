@@ -19,12 +19,12 @@ DEPTH_DEVIATION = 1.0 / 3.0
 """A distance that is less than 3 standard deviations from infinite is not one: its covariance means nothing."""
 
 TRIANGULATE_STEPS = 30
-SETTLED = 1e-9  # fall of chi-square, relative and absolute, that counts as none: 3e-5 of a deviation
+SETTLED = 1e-9  # fall of chi-square, relative and absolute, that counts as none: 3e-5 of a standard deviation
 
 
 @inner_kernel
 def _undetermined(X, S, centre):
-    """Tell whether the deviation along the sight line exceeds DEPTH_DEVIATION of the distance."""
+    """Tell whether the standard deviation along the sight line exceeds DEPTH_DEVIATION of the distance."""
     s2 = 0.0
     n2 = 0.0
     for i in range(3):

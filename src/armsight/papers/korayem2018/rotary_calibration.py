@@ -57,8 +57,8 @@ class RotaryCalibration:
     """The base (axis in rig axes of angle 0; T_world_home is the identity) and the target at angle 0.
 
     e1, e2: (3,) directions of axis.tilt1, axis.p1 and axis.tilt2, axis.p2. covariance: named. std: by name, with
-    axis.direction_rad (largest) and axis.place_m (largest). scale: deviation of the whitened residuals, 1 where poses
-    and angles are as uncertain as they say. rms_m, rms_rad: of target positions and rotations left over.
+    axis.direction_rad (largest) and axis.place_m (largest). scale: standard deviation of the whitened residuals, 1
+    where poses and angles are as uncertain as they say. rms_m, rms_rad: of target positions and rotations left over.
     """
 
     base: RotaryBase
@@ -81,9 +81,9 @@ def calibrate_rotary(
 ) -> RotaryCalibration:
     """Fit axis and target from T_rig_target of one fixed target seen at the base's angles (n,), by maximum likelihood.
 
-    sigma_angle_rad: deviation of a stated angle. Poses that are not whole are left out. Raises NotEnoughData for
-    fewer than LEAST_ANGLES different angles, Degenerate where they span less than LEAST_SPAN_RAD, Inconsistent
-    where the target does not turn as the angles say (sense, unit, or a target that moved).
+    sigma_angle_rad: standard deviation of a stated angle. Poses that are not complete are left out. Raises
+    NotEnoughData for fewer than LEAST_ANGLES different angles, Degenerate where they span less than LEAST_SPAN_RAD,
+    Inconsistent where the target does not turn as the angles say (sense, unit, or a target that moved).
     """
     angles = np.asarray(angles_rad, float)
     if angles.shape != (len(poses),) or not np.isfinite(angles).all():
@@ -154,7 +154,7 @@ def _covariances(
     out = []
     for pose, T in zip(poses, seen, strict=True):
         if pose.covariance is None:
-            raise Inconsistent("a whole pose without covariance cannot be weighed")
+            raise Inconsistent("a complete pose without covariance cannot be weighed")
         lever = np.cross(base.direction, np.asarray(T.translation) - base.point_m)
         g = -np.concatenate([lever, base.direction])  # d (t, w) / d angle
         out.append(pose.covariance + sigma_angle_rad**2 * np.outer(g, g))

@@ -24,7 +24,8 @@ def stored(reflectance: NDArray[np.floating], cover: NDArray[np.floating] | None
 
 
 def noise(size: tuple[int, int], cells: int, octaves: int, rng: Rng, *, stretch: float = 1.0) -> Array:
-    """Return noise (h, w) of mean 0 and deviation 1 that repeats without a seam; each octave half as strong and fine.
+    """Return noise (h, w) of mean 0 and standard deviation 1 that repeats without a seam; each octave half as strong
+    and fine.
 
     cells: of the coarsest octave over the width; stretch: how much longer than high its grains are.
     """

@@ -17,7 +17,8 @@ MEDIAN_NORM = 1.538
 """Median length of a vector of three standard normals."""
 
 GENEROUS = 6.0
-"""Robust deviations up to which a pair joins the consensus: with ten pairs the deviation is known to a quarter."""
+"""Robust standard deviations up to which a pair joins the consensus: with ten pairs the standard deviation is known to
+a quarter."""
 
 
 @inner_kernel
@@ -130,7 +131,7 @@ def translations(RX, Rf, tf, tb, keep, free_scale):
 
 @inner_kernel
 def robust_sigma(errors):
-    """Return the deviation of one component from the lengths of residuals (n,), most of them good.
+    """Return the standard deviation of one component from the lengths of residuals (n,), most of them good.
 
     The four pairs that made the solution fit it by themselves: the median of few is raised for that (Rousseeuw, Leroy
     1987).
@@ -202,14 +203,15 @@ def translation_errors(RX, tX, tZ, gamma, Rf, tf, tb, out):
 
 @inner_kernel
 def agreeing(errors, sigma, keep):
-    """Fill keep (n,): which errors (n,) are not gross beside the robust deviation sigma."""
+    """Fill keep (n,): which errors (n,) are not gross beside the robust standard deviation sigma."""
     for i in range(errors.shape[0]):
         keep[i] = errors[i] < GENEROUS * sigma
 
 
 @kernel
 def rotation_consensus(Rf, Rb, samples, keep, errors):
-    """Return RX, RZ that most pairs agree on, and the robust deviation of one component in rad; fill keep, errors.
+    """Return RX, RZ that most pairs agree on, and the robust standard deviation of one component in rad; fill keep,
+    errors.
 
     Least median of squares over the samples (S, 4) (Rousseeuw 1984), then Shah's closed form on those that agree.
     """
@@ -240,7 +242,7 @@ def rotation_consensus(Rf, Rb, samples, keep, errors):
 
 @kernel
 def translation_consensus(RX, Rf, tf, tb, samples, free_scale, keep, errors):
-    """Return ok, tX, tZ, gamma, robust deviation in the camera's unit; lower keep to the pairs that agree."""
+    """Return ok, tX, tZ, gamma, robust standard deviation in the camera's unit; lower keep to the pairs that agree."""
     n = Rf.shape[0]
     mask = np.zeros(n, np.bool_)
     agreed = keep.copy()

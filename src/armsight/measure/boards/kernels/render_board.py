@@ -1,4 +1,4 @@
-"""Compiled drawing of a checkerboard's ink into an image of grey levels, for taking it off again."""
+"""Compiled drawing of a checkerboard's dark pattern into an image of grey levels, for taking it off again."""
 
 from __future__ import annotations
 
@@ -51,10 +51,10 @@ def _stripes(s, px, n, low, high, blur):
 
 
 @kernel
-def draw_ink(H, cubic, centre, half, columns, rows, rim, first, contrast, blur, out):
-    """Add a board's ink to out (h, w) float64.
+def render_pattern(H, cubic, centre, half, columns, rows, edge, first, contrast, blur, out):
+    """Add a board's dark pattern to out (h, w) float64.
 
-    H, cubic, centre, half: the GridMap from squares to px. rim (2, 2): where the ink
+    H, cubic, centre, half: the GridMap from squares to px. edge (2, 2): where the pattern
     begins and ends along columns and rows, in squares. first: +1 where the square beyond the first corner is
     white, -1 where it is black. contrast (3,): half the levels between black and white, and its slope along
     columns and rows, per square. blur: of the edges, px.
@@ -92,7 +92,9 @@ def draw_ink(H, cubic, centre, half, columns, rows, rim, first, contrast, blur, 
                 t += (E[0, 0] * dv - E[1, 0] * du) / det
             warm = True
             # gradients of s and t have lengths |E's other column| / det
-            in_s, on_s = _stripes(s, abs(det) / sqrt(E[0, 1] ** 2 + E[1, 1] ** 2), columns, rim[0, 0], rim[1, 0], blur)
-            in_t, on_t = _stripes(t, abs(det) / sqrt(E[0, 0] ** 2 + E[1, 0] ** 2), rows, rim[0, 1], rim[1, 1], blur)
-            ink = in_s * in_t * 0.5 * (1.0 - first * on_s * on_t)
-            out[row, col] -= 2.0 * (contrast[0] + contrast[1] * s + contrast[2] * t) * ink
+            in_s, on_s = _stripes(
+                s, abs(det) / sqrt(E[0, 1] ** 2 + E[1, 1] ** 2), columns, edge[0, 0], edge[1, 0], blur
+            )
+            in_t, on_t = _stripes(t, abs(det) / sqrt(E[0, 0] ** 2 + E[1, 0] ** 2), rows, edge[0, 1], edge[1, 1], blur)
+            dark = in_s * in_t * 0.5 * (1.0 - first * on_s * on_t)
+            out[row, col] -= 2.0 * (contrast[0] + contrast[1] * s + contrast[2] * t) * dark

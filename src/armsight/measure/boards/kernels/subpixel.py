@@ -30,14 +30,14 @@ SQRT_HALF = 0.7071067811865476
 PEAK = 0.7978845608028654
 """sqrt(2 / pi): slope of erf(d / (sqrt(2) s)) at d = 0, times s."""
 FLAT = 5.0
-"""Beyond this many deviations an edge is taken as flat: it lacks 6e-7 of its height."""
+"""Beyond this many standard deviations an edge is taken as flat: it lacks 6e-7 of its height."""
 QUANTISATION = 1.0 / 12.0
 """Variance that rounding to whole grey levels leaves; the noise is never believed to be below it."""
 
 
 @inner_kernel
 def _edge(d, s):
-    """Return erf(d / (sqrt(2) s)) and its slope by d; beyond FLAT deviations exactly flat."""
+    """Return erf(d / (sqrt(2) s)) and its slope by d; beyond FLAT standard deviations exactly flat."""
     z = d / s
     if z > FLAT:
         return 1.0, 0.0

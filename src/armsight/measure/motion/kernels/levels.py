@@ -85,10 +85,10 @@ def step_filters(xs, Cs, w, dt, jerk, ratio, stick, k, Rc, tc, X, tau, uv, cov, 
 
 @kernel
 def step_poses(xs, Cs, w, best, dt, jerk, ratio, stick, x_seen, cov, xs_new, Cs_new, w_new):
-    """As step_filters for a whole pose x_seen (24,), of which only position and rotation count, with cov (6, 6).
+    """As step_filters for a complete pose x_seen (24,), of which only position and rotation count, with cov (6, 6).
 
     Fills xs_new, Cs_new, w_new; best: the row of the likeliest level before. Returns the likeliest one, and the squared
-    deviations of the pose from where that level before, and a knock (the last level), expect it.
+    Mahalanobis distances of the pose from where that level before, and a knock (the last level), expect it.
     """
     K = jerk.shape[0]
     F = np.empty((N, N))

@@ -169,7 +169,7 @@ def pose_innovation(x, C, x_seen, cov, d, S, inverse):
 
 @inner_kernel
 def pose_distance2(x, C, x_seen, cov):
-    """Return the squared deviations of a measured pose from where the state has it."""
+    """Return the squared Mahalanobis distance of a measured pose from where the state has it."""
     return pose_innovation(x, C, x_seen, cov, np.empty(N), np.empty((6, 6)), np.empty((6, 6)))
 
 

@@ -82,7 +82,7 @@ def candidate_pairs(k, R, t, baseline, uv_left, cov_left, uv_right, cov_right, s
 
 @kernel
 def distance_fits(P, S, a, b, distance, gate):
-    """Tell whether the points a and b are `distance` apart within gate (squared deviations)."""
+    """Tell whether the points a and b are `distance` apart within gate (squared standard deviations)."""
     d = (P[a, 0] - P[b, 0], P[a, 1] - P[b, 1], P[a, 2] - P[b, 2])  # no array: this runs a hundred thousand times
     length2 = d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
     variance = 0.0

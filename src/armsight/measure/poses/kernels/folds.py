@@ -18,14 +18,14 @@ from armsight.measure.poses.kernels.pose import SOLVED, pose_normal, refine_pose
 from armsight.optics.kernels.triangulation import invert_2
 
 POSSIBLE = 25.0
-"""Rise of chi-square (one quantity) up to which another pose is possible: five deviations."""
+"""Rise of chi-square (one quantity) up to which another pose is possible: five standard deviations."""
 PLAIN = 4.0 * POSSIBLE
 """Rise that the lights' depths alone set against the mirrored tilt from which neither it nor small tilts are looked
 for: what the other parameters can give back of it is less than half."""
 LOOK_STEPS = 12
 """Poses looked at on the way to a mirrored tilt and a quarter beyond it, and along the least certain turn."""
 FARTHEST = 5.0
-"""Deviations up to which the latter are."""
+"""Standard deviations up to which the latter are."""
 SETTLE_STEPS = 4
 ASTRAY_PX = 2.0
 """How far off a spot may be that is of something else beside its light; further off it would not fit at all."""
@@ -154,7 +154,8 @@ def add_outer(d, factor, C):
 
 @inner_kernel
 def reach_out(C, d, rise):
-    """Widen C (6, 6) so that d (6,) lies no more deviations out than the root of rise; return by how much it did."""
+    """Widen C (6, 6) so that d (6,) lies no more standard deviations out than the root of rise; return by how much it
+    did."""
     inverse = np.empty((6, 6))
     if not invert_spd(C, inverse):
         return 1.0

@@ -19,7 +19,7 @@ from armsight.optics.kernels.triangulation import FOUND, invert_2, triangulate_m
 SOLVED, NO_WEIGHT, NO_POINT, BEHIND_CAMERA, OPEN, ENDLESS = 0, 1, 2, 3, 4, 5
 
 MAX_STEPS = 200  # five or fewer where residuals are noise; a target seen straight on that does not fit takes many
-SETTLED = 1e-8  # fall of chi-square, relative and absolute, that counts as none: 1e-4 of a deviation
+SETTLED = 1e-8  # fall of chi-square, relative and absolute, that counts as none: 1e-4 of a standard deviation
 
 
 @inner_kernel
@@ -265,20 +265,21 @@ def solve_named(k, R, t, uv, cov, slack2, X, radius, normal, P, S, T, C, residua
 
 
 @kernel
-def place_lights(T, X, places):
-    """Fill places (n, 3) with the model's lights X (n, 3) under the pose T (4, 4)."""
+def transform_lights(T, X, positions):
+    """Fill positions (n, 3) with the model's lights X (n, 3) under the pose T (4, 4)."""
     for n in range(X.shape[0]):
         for i in range(3):
-            places[n, i] = T[i, 0] * X[n, 0] + T[i, 1] * X[n, 1] + T[i, 2] * X[n, 2] + T[i, 3]
+            positions[n, i] = T[i, 0] * X[n, 0] + T[i, 1] * X[n, 1] + T[i, 2] * X[n, 2] + T[i, 3]
 
 
 @kernel
-def predict_views(k, R, t, places, velocity, dt, ahead, uv_left, uv_right):
-    """Fill ahead (n, 3) with places + dt velocity, uv_left, uv_right (n, 2) with its images; False behind a camera."""
+def predict_views(k, R, t, positions, velocity, dt, ahead, uv_left, uv_right):
+    """Fill ahead (n, 3) with positions + dt velocity, uv_left, uv_right (n, 2) with its images; False behind a
+    camera."""
     J = np.empty((2, 3))
-    for n in range(places.shape[0]):
+    for n in range(positions.shape[0]):
         for i in range(3):
-            ahead[n, i] = places[n, i] + dt * velocity[n, i]
+            ahead[n, i] = positions[n, i] + dt * velocity[n, i]
         if not see_point(k[0], R[0], t[0], ahead[n], uv_left[n], J):
             return False
         if not see_point(k[1], R[1], t[1], ahead[n], uv_right[n], J):

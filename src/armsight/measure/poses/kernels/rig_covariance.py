@@ -1,7 +1,7 @@
 """Compiled share of the rig's calibration and of the target's measures in the uncertainty of poses and points.
 
 A calibration is wrong in the same way in every frame. Its 26 parameters (left and right intrinsics, then T_rig_right as
-t + dt, Exp(dw) R) and the places of the target's lights carry over to whatever is fitted to the pixels:
+t + dt, Exp(dw) R) and the positions of the target's lights carry over to whatever is fitted to the pixels:
 d fit = -H^-1 G' W D d parameters, with G and D the derivatives of the pixels by the fit and by the parameters.
 """
 
@@ -77,7 +77,7 @@ def place_slopes(J, T, E):
 def carry_to_pose(k, R, t, cov, X, T, covariance, C, residual, systematic):
     """Carry the covariance of rig and target to the pose T (4, 4) of X (n, 3), seen with cov (n, 2, 2, 2).
 
-    covariance (26 + m, 26 + m): of the rig's parameters and, m = 3 n or 0, of the places X. C (6, 6): of the spots'
+    covariance (26 + m, 26 + m): of the rig's parameters and, m = 3 n or 0, of the positions X. C (6, 6): of the spots'
     noise alone. Fills systematic (6, 6) = A covariance A' with d pose = A d parameters, A = -C G' W D, and returns
     the chi-square of residual (n, 2, 2) with these parameters free within their covariance (a Gaussian prior each).
     """
@@ -139,7 +139,7 @@ def marginal_chi2(chi2, N, b, covariance):
     """
     size = b.shape[0]
     scale = np.empty(size)
-    for i in range(size):  # parameters in units of their own deviation: px beside metres
+    for i in range(size):  # parameters in units of their own standard deviation: px beside metres
         scale[i] = sqrt(max(covariance[i, i], 0.0))
     M = np.empty((size, size))
     Q = np.empty((size, size))

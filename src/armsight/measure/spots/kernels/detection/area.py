@@ -36,7 +36,8 @@ AS_GAUSSIAN, AS_ELLIPSE, AS_JOINT, AS_STREAK, AS_CENTROID = range(5)
 # what may be tried
 AUTO, ONLY_GAUSSIAN, ONLY_ELLIPSE = range(3)
 
-# columns of a measured spot; 2..4 and 5..7 are C_H and C_G (see round.uncertainty); S_FLOOR: variance (px^2) added
+# columns of a measured spot; 2..4 and 5..7 are C_H and C_G (see uncertainty.uncertainty); S_FLOOR: variance (px^2)
+# added
 S_U, S_V, S_CH, S_CG = 0, 1, 2, 5
 S_PEAK, S_SIZE, S_MODEL, S_DOF, S_RSS, S_SIGNAL, S_FOURTH, S_SQUARE, S_B, S_OF, S_FLOOR = range(8, 19)
 SPOT = 19
@@ -72,7 +73,7 @@ def classify(comp, w, h, window, min_pixels, max_radius, margin):
 
 
 @inner_kernel
-def near(a, b, reach):
+def boxes_overlap(a, b, reach):
     """Tell whether the bounds of component b, widened by reach, meet those of a."""
     return (
         b[X_MIN] - reach <= a[X_MAX]
@@ -83,7 +84,7 @@ def near(a, b, reach):
 
 
 @inner_kernel
-def skirt(comp):
+def fit_margin(comp):
     """Return how far beyond a component's bounds its fit looks, in px."""
     return 0.9 * max(comp[X_MAX] - comp[X_MIN], comp[Y_MAX] - comp[Y_MIN]) / 2.0 + 4.0
 
@@ -111,7 +112,7 @@ def round_start(comp, background, saturation, start):
 
 
 @inner_kernel
-def verdict(comp, rows, lights, saturated, noise):
+def check_fit(comp, rows, lights, saturated, noise):
     """Return ACCEPTED, or why these lights of one component are refused."""
     for k in range(lights):
         row = rows[k]

@@ -1,4 +1,4 @@
-"""Blobs brighter than their own rim, whatever the level round about: each grown from a peak down to half its height."""
+"""Blobs brighter than the annulus about them, whatever the level: each grown from a peak down to half its height."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 from armsight._numba import inner_kernel, kernel
 from armsight.measure.spots.kernels.detection.scan import (
     AREA,
+    BACKGROUND,
     CLIPPED,
     COLUMNS,
-    GROUND,
     LEVEL,
     PEAK,
     SLOPE,
@@ -39,7 +39,7 @@ RING_X = np.cos(2.0 * pi * np.arange(RING_SAMPLES) / RING_SAMPLES)
 RING_Y = np.sin(2.0 * pi * np.arange(RING_SAMPLES) / RING_SAMPLES)
 FEWEST_SAMPLES = 12
 """Ring samples within the image without which nothing is known of the background."""
-GROUND_SHARE = 0.75
+BACKGROUND_SHARE = 0.75
 """Share of the ring that the background level lies above: a bright region may cover a quarter of it and more."""
 LEAST_FILL = 0.7
 """Area over that of the ellipse with the same second moments (1 for a filled ellipse): ragged blobs lie below."""
@@ -63,8 +63,8 @@ def ring_level(image, flip, x0, y0, radius, ring):
 
 
 @inner_kernel
-def stands_out(image, flip, x0, y0, radius, top, contrast):
-    """Tell whether a peak of level top is `contrast` above the ground that ring_level's samples tell (see blob_at).
+def has_contrast(image, flip, x0, y0, radius, top, contrast):
+    """Tell whether a peak of level top is `contrast` above the background that ring_level's samples tell (see blob_at).
 
     Most peaks do not, and need no sorted ring.
     """
@@ -78,11 +78,11 @@ def stands_out(image, flip, x0, y0, radius, top, contrast):
         if 0 <= x < w and 0 <= y < h:
             n += 1
             below += np.uint8(image[y, x] ^ flip) <= most
-    return n >= FEWEST_SAMPLES and below > min(int(GROUND_SHARE * n), n - 1)
+    return n >= FEWEST_SAMPLES and below > min(int(BACKGROUND_SHARE * n), n - 1)
 
 
 @inner_kernel
-def grow(image, flip, saturation, mask, x0, y0, level, reach, stamp, labels, left, top_row, stack, row):
+def grow_region(image, flip, saturation, mask, x0, y0, level, reach, stamp, labels, left, top_row, stack, row):
     """Fill row (COLUMNS,) with the sums of the pixels above level that hang together with (x0, y0) by their sides.
 
     Returns 0, or 1 where the blob reaches further than reach from (x0, y0), 2 where it meets the image's border.
@@ -199,7 +199,7 @@ def brightest_near(image, flip, x0, y0, r):
 
 
 @inner_kernel
-def known(table, n, row):
+def find_duplicate(table, n, row):
     """Return which of the n blobs has its centre within half the larger one's radius of row's; -1 for none."""
     x = row[SUM_X] / row[WEIGHT]
     y = row[SUM_Y] / row[WEIGHT]
@@ -237,20 +237,20 @@ def blob_at(
     It is cut at half its height above the ring of the given radius; one of a pixel or two, lower. widest: how far (px)
     it may reach.
     """
-    if not stands_out(image, flip, x, y, radius, top, contrast):
+    if not has_contrast(image, flip, x, y, radius, top, contrast):
         return 0.0
     count = ring_level(image, flip, x, y, radius, ring)
-    ground = ring[min(int(GROUND_SHARE * count), count - 1)]
-    level = int(0.5 * (top + ground))
+    background = ring[min(int(BACKGROUND_SHARE * count), count - 1)]
+    level = int(0.5 * (top + background))
     reach = min(REACH * radius, widest)
-    verdict = grow(image, flip, saturation, mask, x, y, level, reach, stamp, labels, left, top_row, stack, row)
-    if verdict == 0 and row[AREA] < min_pixels:
-        level = int(TINY * top + (1.0 - TINY) * ground)
-        verdict = grow(image, flip, saturation, mask, x, y, level, reach, -stamp, labels, left, top_row, stack, row)
+    code = grow_region(image, flip, saturation, mask, x, y, level, reach, stamp, labels, left, top_row, stack, row)
+    if code == 0 and row[AREA] < min_pixels:
+        level = int(TINY * top + (1.0 - TINY) * background)
+        code = grow_region(image, flip, saturation, mask, x, y, level, reach, -stamp, labels, left, top_row, stack, row)
         stamp = -stamp
-    if verdict != 0 or row[AREA] < min_pixels:
+    if code != 0 or row[AREA] < min_pixels:
         return 0.0
-    row[GROUND] = ground
+    row[BACKGROUND] = background
     row[SLOPE] = (ring[(3 * count) // 4] - ring[count // 4]) / radius
     return roundness(labels, left, top_row, stamp, row)
 
@@ -307,7 +307,7 @@ def grow_blobs(image, flip, saturation, mask, peaks, contrast, min_pixels, max_r
         if fine == 0.0 or max(row[X_MAX] - row[X_MIN], row[Y_MAX] - row[Y_MIN]) > 2.0 * max_radius:
             continue
         taken[k + 1] = 1
-        same = known(table, n, row)
+        same = find_duplicate(table, n, row)
         at = n if same < 0 else same
         if fine > score[at]:
             copy_to(row, table[at])
@@ -336,14 +336,14 @@ def blob_near(image, flip, saturation, mask, u, v, box, contrast, min_pixels, ma
     away = np.empty(MOST_PEAKS)
     at = np.empty((MOST_PEAKS, 2), np.int64)
     n = np.int64(0)
-    ground = 255
+    background = 255
     for y in range(box[2], box[3], 2):
         for x in range(box[0], box[1], 2):
-            ground = min(ground, int(np.uint8(image[y, x] ^ flip)))
+            background = min(background, int(np.uint8(image[y, x] ^ flip)))
     for y in range(box[2], box[3]):
         for x in range(box[0], box[1]):
             grey = np.uint8(image[y, x] ^ flip)
-            if grey < ground + contrast or not is_peak(image, flip, x, y, grey):
+            if grey < background + contrast or not is_peak(image, flip, x, y, grey):
                 continue
             d = (x - u) ** 2 + (y - v) ** 2
             k = int(n) if n < MOST_PEAKS else MOST_PEAKS - 1

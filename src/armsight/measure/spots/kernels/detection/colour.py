@@ -31,8 +31,8 @@ LOCAL_SHARE = 0.75
 CLIPPED_FROM = 250
 """Pixels about a light that tell how bright the room is there."""
 
-# what `look` sees: by how much blue, green, red are brighter than the ground; own level; level of what is round it;
-# blue, green, red as they are
+# what measure_colour sees: by how much blue, green, red are brighter than the background; own level; level of what is
+# round it; blue, green, red as they are
 BRIGHT, LOCAL, OWN = 3, 4, 5
 LOOK = 8
 
@@ -160,7 +160,7 @@ def _pale(image, y, x, saturation):
 
 
 @kernel
-def look(image, signal, box, level, floor, saturation, seen):
+def measure_colour(image, signal, box, level, floor, saturation, seen):
     """Fill seen (LOOK,) with what the pixels of box (x first, x last, y first, y last) above level of signal show.
 
     How much brighter they are than the median of a frame about the box, by channel, of the upper half of their height
@@ -200,9 +200,9 @@ def look(image, signal, box, level, floor, saturation, seen):
     counts = _frame_levels(image, x0, x1, y0, y1)
     for c in range(3):
         seen[OWN + c] = sums[0, c] / max(sums[0, 3], 1.0)
-        seen[c] = seen[OWN + c] - level_below(counts[c], np.int64(256), 0.5)
+        seen[c] = seen[OWN + c] - histogram_quantile(counts[c], np.int64(256), 0.5)
     seen[BRIGHT] = bright / max(n_bright, 1.0)
-    seen[LOCAL] = level_below(_levels_about(image, x0, x1, y0, y1), np.int64(CLIPPED_FROM), LOCAL_SHARE)
+    seen[LOCAL] = histogram_quantile(_levels_about(image, x0, x1, y0, y1), np.int64(CLIPPED_FROM), LOCAL_SHARE)
 
 
 @inner_kernel
@@ -228,7 +228,7 @@ def _levels_about(image, x0, x1, y0, y1):
 
 
 @kernel
-def level_below(counts, end, share):
+def histogram_quantile(counts, end, share):
     """Return the level that the share of all counted levels below end stays below; 0 where there are none."""
     n = np.int64(0)
     for i in range(end):
@@ -242,9 +242,9 @@ def level_below(counts, end, share):
 
 
 @kernel
-def uneven(signal, u, v, radius):
-    """Return how uneven the ground about a light at (u, v) is: deviation of the means over the OCTANTS of a frame about
-    it, over half of the light's height."""
+def background_unevenness(signal, u, v, radius):
+    """Return how uneven the background about a light at (u, v) is: standard deviation of the means over the OCTANTS of
+    a frame about it, over half of the light's height."""
     h, w = signal.shape
     x, y = int(u + 0.5), int(v + 0.5)
     inner = int(radius + 0.5)

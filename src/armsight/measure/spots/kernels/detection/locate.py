@@ -21,16 +21,16 @@ from armsight.measure.spots.kernels.detection.area import (
     SMALL,
     STATE,
     STATUS,
+    boxes_overlap,
     classify,
-    near,
 )
 from armsight.measure.spots.kernels.detection.blobs import RING_SAMPLES, blob_near, ring_level
 from armsight.measure.spots.kernels.detection.scan import (
     AREA,
+    BACKGROUND,
     BLOCK,
     COLUMNS,
     GRID,
-    GROUND,
     LEVEL,
     SLOPE,
     SUM_X,
@@ -43,15 +43,15 @@ from armsight.measure.spots.kernels.detection.scan import (
     block_threshold,
     bright_blocks,
     bright_blocks_mapped,
-    components,
-    sense,
+    connected_components,
+    connected_components_in_window,
+    estimate_background,
     threshold_map,
-    window_components,
 )
 from armsight.measure.spots.kernels.loops import copy_to
 
 SIGNIFICANT = 5.0
-"""Threshold above the background in deviations of the noise: one false pixel in three frames of 1280 x 720."""
+"""Threshold above the background in standard deviations of the noise: one false pixel in three frames of 1280 x 720."""
 LEAST_MARGIN = 6.0
 """Least threshold above the background in grey levels, where the noise is below one level."""
 LEVEL_FRAME = 2.0
@@ -65,12 +65,12 @@ WIDE_SHARE = 0.1
 RING_GAP = 4.0
 """Distance in px of the ring that shows how much the background changes from an area above a threshold."""
 RING_NOISE = 1.35
-"""Deviations of the noise that the quartiles of a ring may be apart where the background does not change."""
+"""Standard deviations of the noise that the quartiles of a ring may be apart where the background does not change."""
 MOST_SEEN = 32
 """Areas looked at in one window."""
 FULL, NOTHING_ABOVE, TOO_BRIGHT, BUSY = range(4)
 BUSY_SHARE = 0.5
-"""Share of the blocks above an automatic threshold from which the background is no ground but a picture."""
+"""Share of the blocks above an automatic threshold from which the background is no even surface but a picture."""
 BUSY_RUNS = 4096
 """Bright runs from which it is one; counted as rises above the threshold first, of which nearly each begins a run."""
 
@@ -82,7 +82,7 @@ SURVEY = 2 * GRID + 1
 @inner_kernel
 def survey_image(image, flip, mask, survey, thresholds):
     """Fill the survey and the tiles' thresholds; return the margin above the background, lowest, highest threshold."""
-    noise, processed = sense(image, flip, mask, survey)
+    noise, processed = estimate_background(image, flip, mask, survey)
     margin = max(SIGNIFICANT * sqrt(noise), LEAST_MARGIN)
     low, high = threshold_map(survey, margin, thresholds)
     for i in range(GRID):
@@ -94,7 +94,7 @@ def survey_image(image, flip, mask, survey, thresholds):
 
 
 @inner_kernel
-def edges(flat, flip, w, h, thresholds, mapped, blocks, n_blocks, most):
+def count_rising_edges(flat, flip, w, h, thresholds, mapped, blocks, n_blocks, most):
     """Return how often the grey rises above the threshold within the blocks; stops counting beyond most."""
     level = np.uint8(thresholds[0, 0])
     count = np.int64(0)
@@ -115,21 +115,23 @@ def edges(flat, flip, w, h, thresholds, mapped, blocks, n_blocks, most):
 
 
 @inner_kernel
-def label(image, flip, mask, saturation, thresholds, mapped, blocks, n_blocks, likely, most):
+def label_components(image, flip, mask, saturation, thresholds, mapped, blocks, n_blocks, likely, most):
     """Return the components' table and how many there are (-1: more than `most` runs; likely: about how many runs)."""
     runs_most = FEW_RUNS if likely < FEW_RUNS else min(8 * FEW_RUNS, most)
     while True:
         table = np.empty((runs_most, COLUMNS))
         runs = np.empty((runs_most, 3), np.int32)
         parent = np.empty(runs_most, np.int32)
-        n = components(image, flip, mask, saturation, thresholds, mapped, blocks, n_blocks, runs, parent, table)
+        n = connected_components(
+            image, flip, mask, saturation, thresholds, mapped, blocks, n_blocks, runs, parent, table
+        )
         if n >= 0 or runs_most >= most:
             return table, n
         runs_most *= 8
 
 
 @inner_kernel
-def settle_state(comps, state, options, w, h, window, margin):
+def classify_areas(comps, state, options, w, h, window, margin):
     """Fill STATUS of all areas: what is refused before any fit."""
     for i in range(comps.shape[0]):
         what = classify(comps[i], w, h, window, options[O_MIN_PIXELS], options[O_MAX_RADIUS], margin)
@@ -139,8 +141,9 @@ def settle_state(comps, state, options, w, h, window, margin):
 
 
 @inner_kernel
-def tell_background(image, flip, comps, survey, w, h):
-    """Fill GROUND and SLOPE of areas of a processed picture, whose lights are then judged as those before a room."""
+def ring_background(image, flip, comps, survey, w, h):
+    """Fill BACKGROUND and SLOPE of areas of a processed picture, whose lights are then judged as those before a
+    room."""
     if survey[2 * GRID, PROCESSED] == 0.0:
         return
     ring = np.empty(RING_SAMPLES)
@@ -149,7 +152,7 @@ def tell_background(image, flip, comps, survey, w, h):
             continue
         i = int(comps[k, SUM_Y] / comps[k, WEIGHT]) * GRID // h
         j = int(comps[k, SUM_X] / comps[k, WEIGHT]) * GRID // w
-        comps[k, GROUND] = min(survey[GRID + i, j], comps[k, LEVEL])
+        comps[k, BACKGROUND] = min(survey[GRID + i, j], comps[k, LEVEL])
         half = 0.5 * max(comps[k, X_MAX] - comps[k, X_MIN], comps[k, Y_MAX] - comps[k, Y_MIN])
         x = int(0.5 * (comps[k, X_MIN] + comps[k, X_MAX]))
         y = int(0.5 * (comps[k, Y_MIN] + comps[k, Y_MAX]))
@@ -159,7 +162,7 @@ def tell_background(image, flip, comps, survey, w, h):
 
 
 @inner_kernel
-def whole_window(w, h, window):
+def unbounded_window(w, h, window):
     """Fill window (x0, x1, y0, y1) so that nothing reaches beyond it."""
     window[0] = -1
     window[1] = w + 1
@@ -202,11 +205,13 @@ def locate(image, mask, options):
         return np.empty((0, COLUMNS)), np.empty((0, STATE), np.int64), survey, BUSY
     rises = np.int64(0)
     if automatic and mask.size == 0:
-        rises = edges(image.reshape(-1), flip, w, h, thresholds, mapped, blocks, n_blocks, np.int64(BUSY_RUNS))
+        rises = count_rising_edges(
+            image.reshape(-1), flip, w, h, thresholds, mapped, blocks, n_blocks, np.int64(BUSY_RUNS)
+        )
         if rises > BUSY_RUNS:
             return np.empty((0, COLUMNS)), np.empty((0, STATE), np.int64), survey, BUSY
     most = BUSY_RUNS if automatic else MOST_RUNS
-    table, n = label(image, flip, mask, saturation, thresholds, mapped, blocks, n_blocks, rises, most)
+    table, n = label_components(image, flip, mask, saturation, thresholds, mapped, blocks, n_blocks, rises, most)
     if n < 0:
         return np.empty((0, COLUMNS)), np.empty((0, STATE), np.int64), survey, BUSY if automatic else TOO_BRIGHT
     comps = np.empty((n, COLUMNS))
@@ -215,9 +220,9 @@ def locate(image, mask, options):
             comps[i, c] = table[i, c]
     state = np.zeros((n, STATE), np.int64)
     window = np.empty(4, np.int64)
-    whole_window(w, h, window)
-    settle_state(comps, state, options, w, h, window, margin)
-    tell_background(image, flip, comps, survey, w, h)
+    unbounded_window(w, h, window)
+    classify_areas(comps, state, options, w, h, window, margin)
+    ring_background(image, flip, comps, survey, w, h)
     return comps, state, survey, FULL
 
 
@@ -240,13 +245,13 @@ def nearest(comps, n, u, v, window, options, w, h, margin):
 
 
 @inner_kernel
-def settle(seen, owner, n, predicted):
+def remove_duplicates(seen, owner, n, predicted):
     """Leave each component to the nearest of the predictions that chose it, once; return how many are left."""
     left = 0
     for k in range(n):
         same = -1
         for j in range(left):
-            if near(seen[k], seen[j], 0.0):
+            if boxes_overlap(seen[k], seen[j], 0.0):
                 same = j
         if same < 0:
             copy_to(seen[k], seen[left])
@@ -320,7 +325,7 @@ def locate_near(image, mask, options, predicted, half):
             level = thresholds[int(v + 0.5) * GRID // h, int(u + 0.5) * GRID // w]
         count = 0
         if level < min(saturation, 255):
-            count = window_components(image, flip, mask, saturation, int(level), box, runs, parent, table)
+            count = connected_components_in_window(image, flip, mask, saturation, int(level), box, runs, parent, table)
         i = nearest(table, count, u, v, box, options, w, h, margin)
         if options[O_THRESHOLD] < 0.0 and crowded_window(table, count, box):
             if blob_near(
@@ -357,13 +362,13 @@ def locate_near(image, mask, options, predicted, half):
             copy_to(table[j], seen[n])
             owner[n] = k if j == i and what != BEYOND else -1
             n += 1
-    n = settle(seen, owner, n, predicted)
+    n = remove_duplicates(seen, owner, n, predicted)
     comps = np.empty((n, COLUMNS))
     state = np.zeros((n, STATE), np.int64)
     for i in range(n):
         copy_to(seen[i], comps[i])
         state[i, OWNER] = owner[i]
-    whole_window(w, h, box)
-    settle_state(comps, state, options, w, h, box, margin)
-    tell_background(image, flip, comps, survey, w, h)
+    unbounded_window(w, h, box)
+    classify_areas(comps, state, options, w, h, box, margin)
+    ring_background(image, flip, comps, survey, w, h)
     return comps, state, survey, cut[:n_cut].copy()

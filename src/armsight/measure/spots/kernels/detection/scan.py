@@ -26,16 +26,17 @@ LINE = 64
 LEAST_NOISE = 0.1
 """Variance (grey levels^2) below which a sensor's noise was taken away: rounding alone leaves a twelfth."""
 WHITE = 0.1
-"""How far the median tile's ratio of neighbouring steps may be from that of white noise; its deviation is 0.02."""
+"""How far the median tile's ratio of neighbouring steps may be from that of white noise; its standard deviation is
+0.02."""
 SHORT = 16
 """Fewest pixels sampled in a tile: narrower tiles share some."""
 GROUPS = 4
 """Parts of a line; the second-darkest part gives the tile's level, so that a spot on the line does not count."""
 
 # columns of the components' table
-AREA, WEIGHT, SUM_X, SUM_Y, PEAK, CLIPPED, X_MIN, X_MAX, Y_MIN, Y_MAX, LEVEL, GROUND, SLOPE = range(13)
+AREA, WEIGHT, SUM_X, SUM_Y, PEAK, CLIPPED, X_MIN, X_MAX, Y_MIN, Y_MAX, LEVEL, BACKGROUND, SLOPE = range(13)
 COLUMNS = 13
-"""LEVEL: grey level that the area's pixels exceed. GROUND: background's level. SLOPE: how far the background may
+"""LEVEL: grey level that the area's pixels exceed. BACKGROUND: background's level. SLOPE: how far the background may
 change per px; negative where the tiles of the survey tell both."""
 
 
@@ -67,7 +68,7 @@ def sample_line(image, flip, y, x, n, parts):
 
 
 @inner_kernel
-def hidden_pixels(mask, y, x, n):
+def count_masked(mask, y, x, n):
     """Return how many of the line's pixels are masked out."""
     count = 0
     for i in range(x, x + n):
@@ -76,7 +77,7 @@ def hidden_pixels(mask, y, x, n):
 
 
 @inner_kernel
-def sense(image, flip, mask, levels):
+def estimate_background(image, flip, mask, levels):
     """Fill levels (GRID, GRID) with the background of the tiles (-1 unknown); return the median noise variance.
 
     Also returned: whether the noise is that of a picture that was processed (demosaiced, sharpened, compressed).
@@ -95,7 +96,7 @@ def sense(image, flip, mask, levels):
                 continue
             x = min(max((2 * j + 1) * w // (2 * GRID) - n // 2, 0), w - n)
             y = (2 * i + 1) * h // (2 * GRID)
-            if mask.size > 0 and hidden_pixels(mask, y, x, n) > 0:
+            if mask.size > 0 and count_masked(mask, y, x, n) > 0:
                 continue
             levels[i, j], noise[known], steps, products = sample_line(image, flip, y, x, n, parts)
             ratio[known] = products / steps if steps > 0.0 else 0.0
@@ -273,7 +274,7 @@ def bright_blocks_mapped(flat, flip, h, w, thresholds, hits):
 
 
 @inner_kernel
-def root_of(parent, i):
+def find_root(parent, i):
     """Return the root of run i, shortening the path."""
     while parent[i] != i:
         parent[i] = parent[parent[i]]
@@ -307,20 +308,20 @@ def add_run(image, flip, saturation, y, start, stop, level, k, table):
     table[k, Y_MIN] = y
     table[k, Y_MAX] = y
     table[k, LEVEL] = level
-    table[k, GROUND] = 0.0
+    table[k, BACKGROUND] = 0.0
     table[k, SLOPE] = -1.0
 
 
 @inner_kernel
-def link(runs, parent, first, last, k):
+def join_touching_runs(runs, parent, first, last, k):
     """Join run k with the runs first..last-1 of the row above that touch it (diagonals count)."""
     q = first
     while q < last and runs[q, 2] < runs[k, 1] - 1:
         q += 1
     first = q
     while q < last and runs[q, 1] <= runs[k, 2] + 1:
-        a = root_of(parent, q)
-        b = root_of(parent, k)
+        a = find_root(parent, q)
+        b = find_root(parent, k)
         if a < b:
             parent[b] = a
         elif b < a:
@@ -330,11 +331,11 @@ def link(runs, parent, first, last, k):
 
 
 @inner_kernel
-def merge(parent, n, table):
+def merge_runs(parent, n, table):
     """Add the runs' sums into their roots and move the roots to the front of table; return how many components."""
     count = 0
     for i in range(n):
-        r = root_of(parent, i)
+        r = find_root(parent, i)
         if r != i:
             for c in range(AREA, PEAK):
                 table[r, c] += table[i, c]
@@ -353,7 +354,7 @@ def merge(parent, n, table):
 
 
 @inner_kernel
-def components(image, flip, mask, saturation, thresholds, mapped, blocks, n_blocks, runs, parent, table):
+def connected_components(image, flip, mask, saturation, thresholds, mapped, blocks, n_blocks, runs, parent, table):
     """Fill table (.., COLUMNS) with the connected bright areas of the given blocks; -1 where the runs do not fit.
 
     image (h, w) is contiguous. A run starts in one of the blocks and may end beyond it.
@@ -397,14 +398,14 @@ def components(image, flip, mask, saturation, thresholds, mapped, blocks, n_bloc
             runs[n, 2] = i - base - 1
             parent[n] = n
             add_run(image, flip, saturation, row, start - base, i - base, level, n, table)
-            first = link(runs, parent, first, last, n)
+            first = join_touching_runs(runs, parent, first, last, n)
             n += 1
         done = max(done, i)
-    return merge(parent, n, table)
+    return merge_runs(parent, n, table)
 
 
 @inner_kernel
-def window_components(image, flip, mask, saturation, level, box, runs, parent, table):
+def connected_components_in_window(image, flip, mask, saturation, level, box, runs, parent, table):
     """As components, within the window box (x0, x1, y0, y1; ends excluded) of an image.
 
     -1 where the runs do not fit.
@@ -431,6 +432,6 @@ def window_components(image, flip, mask, saturation, level, box, runs, parent, t
             runs[n, 2] = x - 1
             parent[n] = n
             add_run(image, flip, saturation, y, start, x, level, n, table)
-            first = link(runs, parent, first, last, n)
+            first = join_touching_runs(runs, parent, first, last, n)
             n += 1
-    return merge(parent, n, table)
+    return merge_runs(parent, n, table)

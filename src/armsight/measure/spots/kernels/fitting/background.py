@@ -25,19 +25,20 @@ from armsight.measure.spots.kernels.detection.locate import NOISE
 from armsight.measure.spots.kernels.detection.scan import GRID, SLOPE, X_MAX, X_MIN, Y_MAX, Y_MIN
 from armsight.measure.spots.kernels.loops import insertion_sort
 
-GROUND_PULL = 0.9
-"""Shift of a centre in radii at half height, over the background's deviation round the light as a share of its height.
+BACKGROUND_INFLUENCE = 0.9
+"""Shift of a centre in radii at half height, over the background's standard deviation round the light as a share of its
+height.
 A least-squares fit of a Gaussian is shifted by 2.7 by an edge through its middle, by 1.35 (root mean square) by one
 anywhere in reach, and by 1.45 by mottle of its own width. The fit's residuals tell a part of it: in simulated rooms
 0.6 held 87 % of Gaussian lights in their 95 % ellipses before plain walls, 0.9 held 94 % and 1.2 97 %."""
-GROUND_FROM = 1.9
+BACKGROUND_FROM = 1.9
 """Radii from the centre from which the residuals tell the background: a Gaussian is down to a twelfth there."""
 BOX_NOISE = 0.15
 """Share of the noise's variance left in the mean of 3 x 3 pixels: a ninth of white noise, and some more of noise that
 demosaicing has smoothed."""
 FEWEST_BOXES = 12
-GROUND_SHARE, GROUND_GAP = 1.4, 4.0
-"""Radius of the ring in half widths of an area above a threshold, and px more: a light's skirt has ended there."""
+BACKGROUND_SHARE, BACKGROUND_GAP = 1.4, 4.0
+"""Radius of the ring in half widths of an area above a threshold, and px more: a light's tails have ended there."""
 RING_NOISE = 0.22
 """Share of white noise's variance that the spread of a ring's boxes stays below: a ninth, and as much again for there
 being two dozen of them."""
@@ -46,14 +47,14 @@ HALF_SHARE = 0.6
 
 
 @inner_kernel
-def ground_variance(residuals, use, u, v, radius, noise):
+def background_variance(residuals, use, u, v, radius, noise):
     """Return the variance of boxes of 3 x 3 round a light at (u, v) of the patch, noise taken off."""
     total = 0.0
     squares = 0.0
     count = 0
     for j in range(1, residuals.shape[0] - 1):
         for i in range(1, residuals.shape[1] - 1):
-            if (j - v) ** 2 + (i - u) ** 2 < (GROUND_FROM * radius) ** 2:
+            if (j - v) ** 2 + (i - u) ** 2 < (BACKGROUND_FROM * radius) ** 2:
                 continue
             mean = 0.0
             whole = True
@@ -71,8 +72,8 @@ def ground_variance(residuals, use, u, v, radius, noise):
 
 
 @inner_kernel
-def ground_floor(image, flip, comp, row, noise):
-    """Return the variance of a light's centre for what stands out of the noise on a ring outside of its skirt.
+def background_centre_variance(image, flip, comp, row, noise):
+    """Return the variance of a light's centre for what stands out of the noise on a ring outside of its tails.
 
     comp: an area above a threshold. The middle two thirds of the ring are taken, so that hot pixels do not count.
     """
@@ -81,8 +82,8 @@ def ground_floor(image, flip, comp, row, noise):
     boxes = np.empty(RING_SAMPLES)
     n = np.int64(0)
     for k in range(RING_SAMPLES):
-        x = int(row[S_U] + (GROUND_SHARE * half + GROUND_GAP) * RING_X[k] + 0.5)
-        y = int(row[S_V] + (GROUND_SHARE * half + GROUND_GAP) * RING_Y[k] + 0.5)
+        x = int(row[S_U] + (BACKGROUND_SHARE * half + BACKGROUND_GAP) * RING_X[k] + 0.5)
+        y = int(row[S_V] + (BACKGROUND_SHARE * half + BACKGROUND_GAP) * RING_Y[k] + 0.5)
         if 1 <= x < w - 1 and 1 <= y < h - 1:
             boxes[n] = 0.0
             for b in range(y - 1, y + 2):
@@ -93,16 +94,16 @@ def ground_floor(image, flip, comp, row, noise):
         return 0.0
     insertion_sort(boxes, n)
     spread = 0.5 * (boxes[(5 * n) // 6] - boxes[n // 6])
-    ground = max(spread * spread - RING_NOISE * noise, 0.0)
+    background = max(spread * spread - RING_NOISE * noise, 0.0)
     radius = min(half, 1.0 + HALF_SHARE * half)
-    return ground * (GROUND_PULL * radius / max(row[S_PEAK], 1.0)) ** 2
+    return background * (BACKGROUND_INFLUENCE * radius / max(row[S_PEAK], 1.0)) ** 2
 
 
 @kernel
-def doubt_ground(image, options, comps, state, survey, rows):
+def add_background_variance(image, options, comps, state, survey, rows):
     """Fill S_FLOOR of the lights that stand alone above a threshold: for a background that is not even round them."""
     flip = np.uint8(options[O_FLIP])
     for i in range(comps.shape[0]):
         alone = state[i, STATUS] == ACCEPTED and state[i, CROWDED] == 0 and state[i, LIGHTS] == 1
         if alone and comps[i, SLOPE] < 0.0:
-            rows[i, 0, S_FLOOR] = ground_floor(image, flip, comps[i], rows[i, 0], survey[2 * GRID, NOISE])
+            rows[i, 0, S_FLOOR] = background_centre_variance(image, flip, comps[i], rows[i, 0], survey[2 * GRID, NOISE])

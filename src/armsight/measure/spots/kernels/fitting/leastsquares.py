@@ -11,7 +11,7 @@ from armsight.measure.spots.kernels.fitting.light_models import (
     ELLIPSE,
     add_prior,
     grid_of,
-    legal,
+    is_feasible,
     light_and_slopes,
 )
 from armsight.measure.spots.kernels.loops import copy_to
@@ -31,7 +31,7 @@ def dot(a, b):
 
 
 @inner_sum_kernel
-def less(values, background, m, r):
+def subtract_model(values, background, m, r):
     """Fill r with values less background and light m."""
     for i in range(r.shape[0]):
         r[i] = values[i] - background - m[i]
@@ -70,7 +70,7 @@ def evaluate(kind, p, n, values, use, special, grid, J, m, r):
     the value: the light is at least as bright there, and a model that is brighter costs nothing.
     """
     light_and_slopes(kind, p, n, grid, J, m)
-    less(values.reshape(-1), p[0], m, r)
+    subtract_model(values.reshape(-1), p[0], m, r)
     marks = use.reshape(-1)
     for k in special:
         if marks[k] == 0 or (marks[k] == CLIPPED_PIXEL and r[k] < 0.0):
@@ -139,7 +139,7 @@ def fit_model(kind, p, n, values, use, x0, y0, count, residuals):
     g2 = np.empty(n)
     start = np.empty(n)
     copy_to(p[:n], start)
-    if not legal(kind, p, n):
+    if not is_feasible(kind, p, n):
         return -1.0
     grid = grid_of(x0, y0, values.shape[1], values.shape[0])
     special = unused(use)
@@ -159,7 +159,7 @@ def fit_model(kind, p, n, values, use, x0, y0, count, residuals):
             trial[i] = p[i] + step[i]
         new = rss + 1.0
         new_extra = 0.0
-        if legal(kind, trial, n):
+        if is_feasible(kind, trial, n):
             evaluate(kind, trial, n, values, use, special, grid, J, m, r)
             new = normal_equations(J, r, n, H2, g2)
             new_extra = add_prior(kind, trial, start, n, H2, g2)
@@ -184,7 +184,7 @@ def fit_model(kind, p, n, values, use, x0, y0, count, residuals):
 
 
 @inner_kernel
-def evaluated(kind, p, n, values, use, x0, y0, residuals):
+def evaluate_patch(kind, p, n, values, use, x0, y0, residuals):
     """Return light and derivatives of a patch, and its pixels; fill residuals (ny, nx). See evaluate."""
     grid = grid_of(x0, y0, values.shape[1], values.shape[0])
     J = np.empty((n, values.size))
@@ -197,7 +197,7 @@ def evaluated(kind, p, n, values, use, x0, y0, residuals):
 def weighted_information(J, m, grid, residuals, n, u, v, G, tilt, out3):
     """Fill G (n, n) = sum of m J'J, and out3 = sums of m, r^2 m, m^2, of an evaluated patch.
 
-    tilt (n + 3, 2): see round.uncertainty, about (u, v).
+    tilt (n + 3, 2): see uncertainty.uncertainty, about (u, v).
     """
     work = grid.work[0]
     for a in range(n):
@@ -227,7 +227,7 @@ def weighted_information(J, m, grid, residuals, n, u, v, G, tilt, out3):
 
 
 @inner_kernel
-def light_of(kind, p, n, x0, y0, values, sign):
+def add_light_to_patch(kind, p, n, x0, y0, values, sign):
     """Add sign times the model's light to the patch values (ny, nx)."""
     m = np.empty(values.size)
     light_and_slopes(kind, p, n, grid_of(x0, y0, values.shape[1], values.shape[0]), np.empty((n, values.size)), m)

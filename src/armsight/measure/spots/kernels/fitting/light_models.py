@@ -342,7 +342,7 @@ def light_and_slopes(kind, p, n, grid, J, m):
 
 
 @inner_kernel
-def legal(kind, p, n):
+def is_feasible(kind, p, n):
     """Tell whether parameters may be evaluated at all."""
     if kind == JOINT:
         return p[1] > MOST_BLUR**-2 and p[1] < LEAST_BLUR**-2

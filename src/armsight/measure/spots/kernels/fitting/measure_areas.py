@@ -47,18 +47,18 @@ from armsight.measure.spots.kernels.detection.area import (
     SPOT,
     STATUS,
     UNRESOLVED,
+    boxes_overlap,
+    check_fit,
+    fit_margin,
     hot_pixels,
-    near,
     round_start,
-    skirt,
-    verdict,
 )
 from armsight.measure.spots.kernels.detection.locate import NOISE
 from armsight.measure.spots.kernels.detection.scan import (
     AREA,
+    BACKGROUND,
     CLIPPED,
     GRID,
-    GROUND,
     LEVEL,
     PEAK,
     SLOPE,
@@ -71,10 +71,10 @@ from armsight.measure.spots.kernels.detection.scan import (
     Y_MIN,
 )
 from armsight.measure.spots.kernels.fitting.gaussian_axes import PIXEL_VARIANCE
-from armsight.measure.spots.kernels.fitting.leastsquares import light_of
-from armsight.measure.spots.kernels.fitting.model_selection import choose, describe, refit
+from armsight.measure.spots.kernels.fitting.leastsquares import add_light_to_patch
+from armsight.measure.spots.kernels.fitting.model_selection import refit, select_model, write_spots
 from armsight.measure.spots.kernels.fitting.patch import make_patch, patch_box, shape_of
-from armsight.measure.spots.kernels.fitting.processed import astray, settle_centre
+from armsight.measure.spots.kernels.fitting.processed import is_off_centroid, robust_covariance
 from armsight.measure.spots.kernels.fitting.round_gaussian import (
     COV,
     DOF,
@@ -95,8 +95,8 @@ from armsight.measure.spots.kernels.fitting.round_gaussian import (
 from armsight.measure.spots.kernels.fitting.uncertainty import MISFIT, ring_prior, slope_prior
 from armsight.measure.spots.kernels.loops import copy_to
 
-DOUBT = 0.5
-"""Deviations by which the estimated gain is lowered."""
+GAIN_DOUBT = 0.5
+"""Standard deviations by which the estimated gain is lowered."""
 PENDING = -1
 """Status of an area that the fit of a round light did not settle."""
 CENTROID_PX = 0.1
@@ -112,7 +112,7 @@ CROWD_SWEEPS = 2
 
 
 @inner_kernel
-def copy_round(result, source, row):
+def write_round(result, source, row):
     """Write the result of a round fit into a spot's row."""
     row[S_U] = result[U]
     row[S_V] = result[V]
@@ -132,7 +132,7 @@ def copy_round(result, source, row):
 
 
 @inner_kernel
-def keep_fit(result, p):
+def store_fit(result, p):
     """Write the result of a round fit into p as a joint model of one light."""
     p[0] = result[B]
     p[1] = 1.0 / result[Q]
@@ -145,7 +145,7 @@ def keep_fit(result, p):
 def background_of(comp, survey, w, h):
     """Return the background level beside a component: its ring's where it has one, else that of its tile."""
     if comp[SLOPE] >= 0.0:
-        return comp[GROUND]
+        return comp[BACKGROUND]
     i = int(comp[SUM_Y] / comp[WEIGHT]) * GRID // h
     j = int(comp[SUM_X] / comp[WEIGHT]) * GRID // w
     return min(survey[GRID + i, j], comp[LEVEL])
@@ -154,7 +154,7 @@ def background_of(comp, survey, w, h):
 @inner_kernel
 def is_hot_near(comp, hot, n_hot):
     """Tell whether a hot pixel may lie in the component's window."""
-    reach = 1.5 * skirt(comp)
+    reach = 1.5 * fit_margin(comp)
     for k in range(n_hot):
         x = hot[k, 0]
         y = hot[k, 1]
@@ -165,7 +165,7 @@ def is_hot_near(comp, hot, n_hot):
 
 @inner_kernel
 def mark_crowded(comps, state):
-    """Set CROWDED where another area's bounds meet a component's skirt."""
+    """Set CROWDED where another area's bounds meet the window of a component's fit."""
     n = comps.shape[0]
     relevant = np.empty(n, np.int64)
     count = 0
@@ -178,9 +178,9 @@ def mark_crowded(comps, state):
         i = relevant[a]
         if state[i, STATUS] != ACCEPTED:
             continue
-        reach = skirt(comps[i])
+        reach = fit_margin(comps[i])
         for b in range(count):
-            if b != a and near(comps[i], comps[relevant[b]], reach):
+            if b != a and boxes_overlap(comps[i], comps[relevant[b]], reach):
                 state[i, CROWDED] = 1
                 break
 
@@ -220,12 +220,12 @@ def measure_round(image, mask, options, comps, state, survey, fits, rows):
             clipped = comp[CLIPPED] > 0.0 or mask.size > 0 or is_hot_near(comp, hot, n_hot)
             fine = fit_round(image, flip, saturation, mask, hot, n_hot, clipped, start, prior, work, result)
             if fine and (result[RUN] < MISFIT or only == ONLY_GAUSSIAN):
-                copy_round(result, i, rows[i, 0])
-                keep_fit(result, fits[i])
+                write_round(result, i, rows[i, 0])
+                store_fit(result, fits[i])
                 state[i, SIZE] = 5
                 state[i, KIND] = 0
                 state[i, LIGHTS] = 1
-                if verdict(comp, rows[i], state[i, LIGHTS], comp[CLIPPED] > 0.0, noise) == ACCEPTED:
+                if check_fit(comp, rows[i], state[i, LIGHTS], comp[CLIPPED] > 0.0, noise) == ACCEPTED:
                     continue
         state[i, STATUS] = PENDING
         state[i, SIZE] = 0
@@ -256,26 +256,26 @@ def measure_others(image, mask, options, comps, state, survey, fits, rows):
         use = np.empty(shape, np.uint8)
         make_patch(image, flip, saturation, mask, comps, state, i, hot, n_hot, np.int64(0), box, values, use)
         background = background_of(comp, survey, w, h)
-        kind, size, rss, run = choose(comp, background, box, values, use, noise, only, fits[i])
+        kind, size, rss, run = select_model(comp, background, box, values, use, noise, only, fits[i])
         state[i, KIND] = kind
         state[i, SIZE] = size
         state[i, STATUS] = SATURATED if comp[CLIPPED] > 0.5 * comp[AREA] else FAILED
         if size > 0:
-            lights = describe(kind, size, fits[i], values, use, box, rss, rows[i], i)
+            lights = write_spots(kind, size, fits[i], values, use, box, rss, rows[i], i)
             state[i, LIGHTS] = lights
             if lights > 0:
-                state[i, STATUS] = verdict(comp, rows[i], lights, comp[CLIPPED] > 0.0, noise)
+                state[i, STATUS] = check_fit(comp, rows[i], lights, comp[CLIPPED] > 0.0, noise)
             if lights > 1 and run > 2.0 * MISFIT:
                 state[i, STATUS] = UNRESOLVED
         single = state[i, STATUS] == ACCEPTED and state[i, LIGHTS] == 1 and comp[SLOPE] >= 0.0
         if single and (
-            astray(comp, rows[i, 0])
-            or not settle_centre(kind, size, fits[i], values, use, box, comp, noise, rows[i, 0])
+            is_off_centroid(comp, rows[i, 0])
+            or not robust_covariance(kind, size, fits[i], values, use, box, comp, noise, rows[i, 0])
         ):
             state[i, STATUS] = FAILED
         if state[i, STATUS] != ACCEPTED and comp[SLOPE] >= 0.0:
             shape_of(values, use, comp, box, comp[LEVEL], background, outline)
-            as_centroid(comp, outline, rows[i, 0], i)
+            write_centroid(comp, outline, rows[i, 0], i)
             state[i, SIZE] = 0
             state[i, LIGHTS] = 1
             state[i, STATUS] = ACCEPTED
@@ -286,7 +286,7 @@ def measure_others(image, mask, options, comps, state, survey, fits, rows):
 
 
 @inner_kernel
-def as_centroid(comp, outline, row, source):
+def write_centroid(comp, outline, row, source):
     """Write into a spot's row the centroid of a blob that no model fits: its pixels above half height, weighted.
 
     An ellipse has the least second moments of all shapes of its area: what is above them is of something beside it.
@@ -296,13 +296,13 @@ def as_centroid(comp, outline, row, source):
         row[k] = 0.0
     row[S_U] = comp[SUM_X] / comp[WEIGHT]
     row[S_V] = comp[SUM_Y] / comp[WEIGHT]
-    change = comp[SLOPE] / max(comp[PEAK] - comp[GROUND], 1.0) * radius
+    change = comp[SLOPE] / max(comp[PEAK] - comp[BACKGROUND], 1.0) * radius
     variance = (CENTROID_PX + CENTROID_SHARE * radius) ** 2 + (CENTROID_CHANGE * radius * change) ** 2
     moments2 = 16.0 * pi * pi * (outline[5] * outline[7] - outline[6] ** 2) / max(outline[8], 1.0) ** 2
     variance += (CENTROID_SHAPE * radius) ** 2 * max(moments2 - 1.0, 0.0)
     row[S_CH] = variance
     row[S_CH + 2] = variance
-    row[S_PEAK] = comp[PEAK] - comp[GROUND]
+    row[S_PEAK] = comp[PEAK] - comp[BACKGROUND]
     row[S_SIZE] = radius
     row[S_MODEL] = AS_CENTROID
     row[S_DOF] = 1.0
@@ -321,8 +321,8 @@ def refine(image, flip, saturation, mask, comps, state, i, hot, n_hot, noise, fi
     make_patch(image, flip, saturation, mask, comps, state, i, hot, n_hot, np.int64(1), box, values, use)
     for j in range(comps.shape[0]):
         known = j != i and state[j, STATUS] == ACCEPTED and state[j, SIZE] > 0
-        if known and near(comps[i], comps[j], skirt(comps[i]) + skirt(comps[j])):
-            light_of(state[j, KIND], fits[j], state[j, SIZE], box[0], box[2], values, -1.0)
+        if known and boxes_overlap(comps[i], comps[j], fit_margin(comps[i]) + fit_margin(comps[j])):
+            add_light_to_patch(state[j, KIND], fits[j], state[j, SIZE], box[0], box[2], values, -1.0)
     p = np.empty(FIT)
     copy_to(fits[i], p)
     kind = state[i, KIND]
@@ -331,8 +331,8 @@ def refine(image, flip, saturation, mask, comps, state, i, hot, n_hot, noise, fi
     if rss < 0.0:
         return
     trial = np.empty((MOST_LIGHTS, SPOT))
-    lights = describe(kind, size, p, values, use, box, rss, trial, i)
-    if lights == state[i, LIGHTS] and verdict(comps[i], trial, lights, comps[i, CLIPPED] > 0.0, noise) == ACCEPTED:
+    lights = write_spots(kind, size, p, values, use, box, rss, trial, i)
+    if lights == state[i, LIGHTS] and check_fit(comps[i], trial, lights, comps[i, CLIPPED] > 0.0, noise) == ACCEPTED:
         copy_to(p, fits[i])
         for k in range(lights):
             copy_to(trial[k], rows[i, k])
@@ -342,7 +342,8 @@ def refine(image, flip, saturation, mask, comps, state, i, hot, n_hot, noise, fi
 def shot_gain(spots, n):
     """Return the gain (grey levels of variance per grey level of light) that the residuals of all spots prove.
 
-    Regression of the squared residuals on the model, each spot with its own constant part; less DOUBT deviations,
+    Regression of the squared residuals on the model, each spot with its own constant part; less GAIN_DOUBT standard
+    deviations,
     because a gain that is only noise would widen every ellipse.
     """
     top = 0.0
@@ -361,7 +362,7 @@ def shot_gain(spots, n):
         spread += 2.0 * a * a * square
     if bottom <= 0.0:
         return 0.0
-    return max((top - DOUBT * sqrt(spread)) / bottom, 0.0)
+    return max((top - GAIN_DOUBT * sqrt(spread)) / bottom, 0.0)
 
 
 @inner_kernel
@@ -380,7 +381,7 @@ def noise_of(row, g):
 
 
 @kernel
-def deliver(options, comps, state, rows):
+def pack_results(options, comps, state, rows):
     """Return uv (n, 2), covariance (n, 2, 2), peak, size, model and owner (n,) of the spots, and refused (m, 3).
 
     A spot's owner is that of its area; refused are u, v and the number of the reason.

@@ -1,4 +1,5 @@
-"""Which light is it? Fits the models that its shape suggests and lets the data choose (Schwarz's criterion)."""
+"""Which light is it? Fits the models that its shape suggests and lets the data choose (Bayesian information
+criterion)."""
 
 from __future__ import annotations
 
@@ -40,10 +41,10 @@ from armsight.measure.spots.kernels.detection.scan import (
     WEIGHT,
 )
 from armsight.measure.spots.kernels.fitting.gaussian_axes import PIXEL_VARIANCE
-from armsight.measure.spots.kernels.fitting.leastsquares import evaluated, fit_model, gram, weighted_information
+from armsight.measure.spots.kernels.fitting.leastsquares import evaluate_patch, fit_model, gram, weighted_information
 from armsight.measure.spots.kernels.fitting.light_models import ELLIPSE, JOINT, ROOT_2, ROOT_2PI, STREAK, prior_weight
 from armsight.measure.spots.kernels.fitting.patch import find_peaks, principal, shape_of, used
-from armsight.measure.spots.kernels.fitting.uncertainty import MISFIT, inflation, remaining_square, uncertainty
+from armsight.measure.spots.kernels.fitting.uncertainty import MISFIT, remaining_square, uncertainty, variance_inflation
 from armsight.measure.spots.kernels.loops import copy_to
 
 FLAT = 0.58
@@ -53,7 +54,7 @@ ELONGATED = 1.12
 LONG = 3.5
 """Length in blurs from which two lights of one width cannot pass for a streak."""
 SURE = 10.0
-"""Fall of Schwarz's criterion that a further light must bring: odds of 150 to 1."""
+"""Fall of the Bayesian information criterion that a further light must bring: odds of 150 to 1."""
 PLAIN = 0.035
 """Residual as a share of the height up to which one ellipse of one peak is believed without other models being tried:
 what a camera's processing leaves of a flat light (transfer curve, sharpening, compression) is below it."""
@@ -108,8 +109,9 @@ def start_model(kind, lights, comp, shape, background, peaks, p):
 
 
 @inner_kernel
-def neighbours(residuals):
-    """Return the sum of products of neighbouring residuals, and that over its own deviation (round.residual_sums)."""
+def residual_autocorrelation(residuals):
+    """Return the sum of products of neighbouring residuals, and that over its own standard deviation
+    (round_gaussian.residual_sums)."""
     products = 0.0
     spread = 0.0
     for j in range(residuals.shape[0]):
@@ -123,11 +125,11 @@ def neighbours(residuals):
 
 
 @inner_kernel
-def odd_part(residuals, use, u, v, odd):
-    """Fill odd with the part of the residuals that changes sign under reflection at (u, v), times root 2; return sums.
+def antisymmetric_part(residuals, use, u, v, antisymmetric):
+    """Fill antisymmetric with the part of the residuals that changes sign under reflection at (u, v), times root 2.
 
-    Only this part moves a centre: a profile that is wrong but symmetric (a halo, a ring) leaves it alone. The sums
-    are those of the squares and of the pixels. u and v count from the patch's first pixel.
+    Only this part moves a centre: a profile that is wrong but symmetric (a halo, a ring) leaves it alone. Returns
+    the sum of its squares and how many pixels it has. u and v count from the patch's first pixel.
     """
     turn_x = int(np.round(2.0 * u))
     turn_y = int(np.round(2.0 * v))
@@ -135,12 +137,12 @@ def odd_part(residuals, use, u, v, odd):
     count = 0
     for j in range(residuals.shape[0]):
         for i in range(residuals.shape[1]):
-            odd[j, i] = 0.0
+            antisymmetric[j, i] = 0.0
             a = turn_y - j
             b = turn_x - i
             if 0 <= a < residuals.shape[0] and 0 <= b < residuals.shape[1] and use[j, i] == 1 and use[a, b] == 1:
-                odd[j, i] = (residuals[j, i] - residuals[a, b]) / ROOT_2
-                squares += odd[j, i] ** 2
+                antisymmetric[j, i] = (residuals[j, i] - residuals[a, b]) / ROOT_2
+                squares += antisymmetric[j, i] ** 2
                 count += 1
     return squares, count
 
@@ -182,8 +184,8 @@ def add_light(residuals, x0, y0, p, n):
 
 
 @inner_kernel
-def criterion(rss, count, n):
-    """Return Schwarz's criterion for n parameters."""
+def bic(rss, count, n):
+    """Return the Bayesian information criterion (Schwarz 1978) for n parameters."""
     return count * log(max(rss / count, PIXEL_VARIANCE)) + n * log(float(count))
 
 
@@ -211,7 +213,7 @@ def order_of_trial(comp, shape, n_peaks, only, order):
 
 
 @inner_kernel
-def attempt(kind, lights, comp, shape, background, peaks, values, use, x0, y0, count, p, residuals):
+def start_and_fit(kind, lights, comp, shape, background, peaks, values, use, x0, y0, count, p, residuals):
     """Start and fit one model into p; return n, sum of squares (-1: failed), run of the residuals."""
     n = start_model(kind, lights, comp, shape, background, peaks, p)
     rss, run = refit(kind, n, values, use, x0, y0, count, p, residuals)
@@ -224,11 +226,11 @@ def refit(kind, n, values, use, x0, y0, count, p, residuals):
     rss = fit_model(kind, p, n, values, use, x0, y0, count, residuals)
     if rss < 0.0:
         return rss, 0.0
-    return rss, neighbours(residuals)[1]
+    return rss, residual_autocorrelation(residuals)[1]
 
 
 @inner_kernel
-def choose(comp, background, box, values, use, noise, only, best):
+def select_model(comp, background, box, values, use, noise, only, best):
     """Fit the models that the shape suggests; fill best; return kind, n (0: none), squares, run."""
     x0 = box[0]
     y0 = box[2]
@@ -242,7 +244,7 @@ def choose(comp, background, box, values, use, noise, only, best):
     peaks = np.empty((MOST_LIGHTS, 3))
     n_peaks = np.int64(0)
     if only != ONLY_ELLIPSE:
-        n, rss, run = attempt(
+        n, rss, run = start_and_fit(
             np.int64(JOINT), np.int64(1), comp, shape, background, peaks, values, use, x0, y0, count, p, residuals
         )
         for _ in range(3):
@@ -250,7 +252,7 @@ def choose(comp, background, box, values, use, noise, only, best):
                 count -= 1
                 rss, run = refit(np.int64(JOINT), n, values, use, x0, y0, count, p, residuals)
         if rss >= 0.0:
-            n_best, rss_best, score, run_best = n, rss, criterion(rss, count, n), run
+            n_best, rss_best, score, run_best = n, rss, bic(rss, count, n), run
             copy_to(p, best)
             if run < MISFIT and not (comp[SLOPE] >= 0.0 and comp[CLIPPED] > FLAT_CLIPPED):
                 return kind, n_best, rss_best, run_best
@@ -264,19 +266,21 @@ def choose(comp, background, box, values, use, noise, only, best):
         if trial != ELLIPSE and not crowd:
             continue
         lights = max(n_peaks, 2) if trial == JOINT else 1
-        n, rss, run = attempt(trial, lights, comp, shape, background, peaks, values, use, x0, y0, count, p, residuals)
+        n, rss, run = start_and_fit(
+            trial, lights, comp, shape, background, peaks, values, use, x0, y0, count, p, residuals
+        )
         if rss < 0.0:
             continue
-        new = criterion(rss, count, n)
+        new = bic(rss, count, n)
         while trial == JOINT and run > MISFIT and n + 3 <= 2 + 3 * MOST_LIGHTS:
             copy_to(p, more)
             n_more = add_light(residuals, x0, y0, more, n)
             rss_more, run_more = refit(np.int64(JOINT), n_more, values, use, x0, y0, count, more, residuals)
-            if rss_more < 0.0 or criterion(rss_more, count, n_more) > new - SURE:
+            if rss_more < 0.0 or bic(rss_more, count, n_more) > new - SURE:
                 break
             copy_to(more, p)
             n, rss, run = n_more, rss_more, run_more
-            new = criterion(rss, count, n)
+            new = bic(rss, count, n)
         if new < score:
             kind, n_best, rss_best, score, run_best = trial, n, rss, new, run
             copy_to(p, best)
@@ -287,7 +291,7 @@ def choose(comp, background, box, values, use, noise, only, best):
 
 
 @inner_kernel
-def describe(kind, n, p, values, use, box, rss, rows, source):
+def write_spots(kind, n, p, values, use, box, rss, rows, source):
     """Write the lights of a fitted model into rows (.., SPOT); return how many (0: no covariance)."""
     H = np.empty((n, n))
     G = np.empty((n, n))
@@ -297,21 +301,21 @@ def describe(kind, n, p, values, use, box, rss, rows, source):
     count = used(use)
     noise = max(rss / max(count - n, 1), PIXEL_VARIANCE)
     lights = (n - 2) // 3 if kind == JOINT else 1
-    J, m, grid = evaluated(kind, p, n, values, use, box[0], box[2], residuals)
+    J, m, grid = evaluate_patch(kind, p, n, values, use, box[0], box[2], residuals)
     gram(J, n, H)
     height = p[4] if kind == JOINT else p[3]
     for i in range(n):
         H[i, i] += prior_weight(kind, i, height)
     first = 2 if kind == JOINT else 1
     weighted_information(J, m, grid, residuals, n, p[first], p[first + 1], G, tilt, sums)
-    products, run = neighbours(residuals)
-    wider = inflation(run, products, rss)
+    products, run = residual_autocorrelation(residuals)
+    wider = variance_inflation(run, products, rss)
     if wider > 1.0 and lights == 1:
-        odd = np.empty(values.shape)
-        squares, pixels = odd_part(residuals, use, p[first] - box[0], p[first + 1] - box[2], odd)
+        antisymmetric = np.empty(values.shape)
+        squares, pixels = antisymmetric_part(residuals, use, p[first] - box[0], p[first + 1] - box[2], antisymmetric)
         if pixels > n:
-            products, run = neighbours(odd)
-            wider = inflation(run / ROOT_2, products, squares)
+            products, run = residual_autocorrelation(antisymmetric)
+            wider = variance_inflation(run / ROOT_2, products, squares)
             rss = squares / pixels * (count - n)
             noise = max(squares / pixels, PIXEL_VARIANCE)
     order = np.empty(n, np.int64)

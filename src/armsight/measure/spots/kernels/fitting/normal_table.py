@@ -9,7 +9,8 @@ import numpy as np
 from armsight._numba import inner_sum_kernel
 
 NODES = 64
-"""Nodes of the normal distribution's table per deviation: its series from the nearest one is exact to 1e-16."""
+"""Nodes of the normal distribution's table per standard deviation: its series from the nearest one is exact to
+1e-16."""
 LAST_Z = 8.9
 LAST_NODE = 9 * NODES
 DENSITY = np.array([exp(-0.5 * (i / NODES) ** 2) / sqrt(2.0 * pi) for i in range(-LAST_NODE, LAST_NODE + 1)])

@@ -7,13 +7,14 @@ from math import atan2, sqrt
 import numpy as np
 
 from armsight._numba import inner_kernel
-from armsight.measure.spots.kernels.detection.area import ACCEPTED, HOT, SMALL, STATUS, near, skirt
+from armsight.measure.spots.kernels.detection.area import ACCEPTED, HOT, SMALL, STATUS, boxes_overlap, fit_margin
 from armsight.measure.spots.kernels.detection.scan import PEAK, X_MAX, X_MIN, Y_MAX, Y_MIN
 from armsight.measure.spots.kernels.fitting.light_models import CLIPPED_PIXEL
 from armsight.measure.spots.kernels.loops import copy_to
 
 DEEP = 2.0
-"""Depth of the valley between two lights in deviations of the noise; the smoothed values have a third of it."""
+"""Depth of the valley between two lights in standard deviations of the noise; the smoothed values have a third of
+it."""
 SHALLOW = 0.04
 """The same as a share of the higher light's height: ripples that sharpening and compression leave are below it."""
 MOST_MAXIMA = 32
@@ -21,7 +22,7 @@ MOST_MAXIMA = 32
 
 @inner_kernel
 def patch_box(comp, h, w, box):
-    """Fill box (x0, x1, y0, y1) with a component's bounds and a margin that holds its skirt and some background."""
+    """Fill box (x0, x1, y0, y1) with a component's bounds and a margin that holds its tails and some background."""
     half = 0.5 * max(comp[X_MAX] - comp[X_MIN], comp[Y_MAX] - comp[Y_MIN])
     margin = int(min(max(0.5 * half + 2.0, 4.0), 9.0))
     box[0] = max(int(comp[X_MIN]) - margin, 0)
@@ -42,7 +43,7 @@ def fill_patch(image, flip, saturation, mask, box, values, use):
 
 
 @inner_kernel
-def leave_to(own, other, box, use):
+def exclude_other_area(own, other, box, use):
     """Set use to 0 where a pixel belongs to another component rather than to this one."""
     ox = 0.5 * (own[X_MIN] + own[X_MAX])
     oy = 0.5 * (own[Y_MIN] + own[Y_MAX])
@@ -208,5 +209,5 @@ def make_patch(image, flip, saturation, mask, comps, state, i, hot, n_hot, subtr
         status = state[j, STATUS]
         if j == i or status in (HOT, SMALL) or (subtract > 0 and status == ACCEPTED):
             continue
-        if near(comps[i], comps[j], skirt(comps[i]) + 2.0):
-            leave_to(comps[i], comps[j], box, use)
+        if boxes_overlap(comps[i], comps[j], fit_margin(comps[i]) + 2.0):
+            exclude_other_area(comps[i], comps[j], box, use)

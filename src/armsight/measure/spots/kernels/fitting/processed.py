@@ -2,8 +2,8 @@
 
 Demosaicing, sharpening, a curve and compression make residuals that are neither white nor of one variance, and a room
 behind the light adds some of its own. What is symmetric about the centre moves no centre; of the rest every pixel's
-own square is taken (White 1980, "A heteroskedasticity-consistent covariance matrix estimator"), with the pull of that
-pixel on the centre.
+own square is taken (White 1980, "A heteroskedasticity-consistent covariance matrix estimator"), with the influence
+of that pixel on the centre.
 """
 
 from __future__ import annotations
@@ -25,31 +25,31 @@ from armsight.measure.spots.kernels.detection.area import (
     S_U,
     S_V,
 )
-from armsight.measure.spots.kernels.detection.scan import AREA, CLIPPED, GROUND, PEAK, SUM_X, SUM_Y, WEIGHT
-from armsight.measure.spots.kernels.fitting.background import GROUND_PULL, ground_variance
-from armsight.measure.spots.kernels.fitting.leastsquares import evaluated, gram, unused
+from armsight.measure.spots.kernels.detection.scan import AREA, BACKGROUND, CLIPPED, PEAK, SUM_X, SUM_Y, WEIGHT
+from armsight.measure.spots.kernels.fitting.background import BACKGROUND_INFLUENCE, background_variance
+from armsight.measure.spots.kernels.fitting.leastsquares import evaluate_patch, gram, unused
 from armsight.measure.spots.kernels.fitting.light_models import JOINT, add_scaled, prior_weight
-from armsight.measure.spots.kernels.fitting.model_selection import odd_part
+from armsight.measure.spots.kernels.fitting.model_selection import antisymmetric_part
 from armsight.measure.spots.kernels.fitting.patch import used
 
-ASTRAY = 0.3
-ASTRAY_SHARE = 0.35
+OFF_CENTROID_PX = 0.3
+OFF_CENTROID_SHARE = 0.35
 """Distance in px, and share of the radius, from the centroid of the pixels above half height beyond which a fit has
 followed something else: of 2,900 composites' lights four lay further, and were 1.5 to 3 px off."""
 SPREAD_SHARE = 0.14
 """Share of the squared distance between the fit and that centroid that is added to a centre's variance: two ways to
 the centre that disagree are both in doubt."""
-RIM = 1.9e-4
-RIM_CLIPPED = 2.6e-3
-"""Variance per px of radius (px^3) of what no residual shows, because all of a light's rim is sampled and processed in
+EDGE_VARIANCE = 1.9e-4
+EDGE_VARIANCE_CLIPPED = 2.6e-3
+"""Variance per px of radius (px^3) of what no residual shows, because all of a light's edge is sampled and processed in
 the same way: of any light, and of one all of whose pixels are clipped (times the clipped share squared)."""
 TINY_PX = 1.2
-"""Radius at which these are twice as large: a rim of a few pixels is not averaged over."""
+"""Radius at which these are twice as large: an edge of a few pixels is not averaged over."""
 
 
 @inner_kernel
-def pulls(kind, n, p, J, use, psi):
-    """Fill psi (2, ny, nx) with the shift of the centre in px per grey level at each pixel; False for none."""
+def centre_influence(kind, n, p, J, use, influence):
+    """Fill influence (2, ny, nx) with the shift of the centre in px per grey level at each pixel; False for none."""
     H = np.empty((n, n))
     C = np.empty((n, n))
     gram(J, n, H)
@@ -59,32 +59,32 @@ def pulls(kind, n, p, J, use, psi):
         return False
     first = 2 if kind == JOINT else 1
     for a in range(2):
-        pull = psi[a].reshape(-1)
-        for i in range(pull.shape[0]):
-            pull[i] = 0.0
+        of_pixel = influence[a].reshape(-1)
+        for i in range(of_pixel.shape[0]):
+            of_pixel[i] = 0.0
         for k in range(n):
-            add_scaled(J[k], pull, C[first + a, k])
+            add_scaled(J[k], of_pixel, C[first + a, k])
         for k in unused(use):
-            pull[k] = 0.0
+            of_pixel[k] = 0.0
     return True
 
 
 @inner_kernel
-def sandwich(odd, psi, out):
-    """Write into out (3,) the sums of psi psi' odd^2: uu, uv, vv."""
+def sandwich(antisymmetric, influence, out):
+    """Write into out (3,) the sums over the pixels of influence influence' antisymmetric^2: uu, uv, vv."""
     for k in range(3):
         out[k] = 0.0
-    for j in range(odd.shape[0]):
-        for i in range(odd.shape[1]):
-            a = psi[0, j, i] * odd[j, i]
-            b = psi[1, j, i] * odd[j, i]
+    for j in range(antisymmetric.shape[0]):
+        for i in range(antisymmetric.shape[1]):
+            a = influence[0, j, i] * antisymmetric[j, i]
+            b = influence[1, j, i] * antisymmetric[j, i]
             out[0] += a * a
             out[1] += a * b
             out[2] += b * b
 
 
 @inner_kernel
-def from_centroid(comp, row):
+def centroid_distance2(comp, row):
     """Return the squared distance (px^2) of a spot's centre from the centroid of its area."""
     dx = row[S_U] - comp[SUM_X] / comp[WEIGHT]
     dy = row[S_V] - comp[SUM_Y] / comp[WEIGHT]
@@ -92,31 +92,32 @@ def from_centroid(comp, row):
 
 
 @inner_kernel
-def astray(comp, row):
+def is_off_centroid(comp, row):
     """Tell whether a fit has followed something else than its area."""
-    return not from_centroid(comp, row) < (ASTRAY + ASTRAY_SHARE * sqrt(comp[AREA] / pi)) ** 2
+    return not centroid_distance2(comp, row) < (OFF_CENTROID_PX + OFF_CENTROID_SHARE * sqrt(comp[AREA] / pi)) ** 2
 
 
 @inner_kernel
-def settle_centre(kind, n, p, values, use, box, comp, noise, row):
-    """Replace the covariance of a spot's row by that of its odd residuals; False where these are too few."""
+def robust_covariance(kind, n, p, values, use, box, comp, noise, row):
+    """Replace the covariance of a spot's row by the sandwich of its antisymmetric residuals; False where these are too
+    few."""
     radius = sqrt(comp[AREA] / pi)
-    away2 = from_centroid(comp, row)
+    away2 = centroid_distance2(comp, row)
     residuals = np.empty(values.shape)
-    odd = np.empty(values.shape)
-    psi = np.empty((2, values.shape[0], values.shape[1]))
+    antisymmetric = np.empty(values.shape)
+    influence = np.empty((2, values.shape[0], values.shape[1]))
     out = np.empty(3)
-    J, _, _ = evaluated(kind, p, n, values, use, box[0], box[2], residuals)
-    _, pixels = odd_part(residuals, use, row[S_U] - box[0], row[S_V] - box[2], odd)
+    J, _, _ = evaluate_patch(kind, p, n, values, use, box[0], box[2], residuals)
+    _, pixels = antisymmetric_part(residuals, use, row[S_U] - box[0], row[S_V] - box[2], antisymmetric)
     count = used(use)
-    if not pixels > n + 4 or not pulls(kind, n, p, J, use, psi):
+    if not pixels > n + 4 or not centre_influence(kind, n, p, J, use, influence):
         return False
-    sandwich(odd, psi, out)
+    sandwich(antisymmetric, influence, out)
     clipped = comp[CLIPPED] / comp[AREA]
-    ground = ground_variance(residuals, use, row[S_U] - box[0], row[S_V] - box[2], radius, noise)
-    pull = GROUND_PULL * radius / max(comp[PEAK] - comp[GROUND], 1.0)
-    rim = (RIM + RIM_CLIPPED * clipped * clipped) * (1.0 + (TINY_PX / radius) ** 2) / radius
-    floor = SPREAD_SHARE * away2 + rim + pull * pull * ground
+    background = background_variance(residuals, use, row[S_U] - box[0], row[S_V] - box[2], radius, noise)
+    background_influence = BACKGROUND_INFLUENCE * radius / max(comp[PEAK] - comp[BACKGROUND], 1.0)
+    edge = (EDGE_VARIANCE + EDGE_VARIANCE_CLIPPED * clipped * clipped) * (1.0 + (TINY_PX / radius) ** 2) / radius
+    floor = SPREAD_SHARE * away2 + edge + background_influence * background_influence * background
     for k in range(3):
         row[S_CH + k] = out[k] * count / (count - n) + (0.0 if k == 1 else floor)
         row[S_CG + k] = 0.0

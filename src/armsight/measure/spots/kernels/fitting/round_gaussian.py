@@ -19,7 +19,7 @@ import numpy as np
 from armsight._numba import inner_kernel, inner_sum_kernel
 from armsight.fitting.kernels import solve_damped
 from armsight.measure.spots.kernels.fitting.gaussian_axes import PIXEL_VARIANCE, P, assemble, gram, profile, tilt_sums
-from armsight.measure.spots.kernels.fitting.uncertainty import inflation, remaining_square, uncertainty
+from armsight.measure.spots.kernels.fitting.uncertainty import remaining_square, uncertainty, variance_inflation
 from armsight.measure.spots.kernels.loops import copy_to
 
 MOST = 129
@@ -30,7 +30,8 @@ REACH = 3.2
 """Half side of the window in standard deviations: what lies beyond holds less than 0.1 % of the information."""
 STEPS = 12
 CLOSE = 0.25
-"""Stop after a step that lowered chi-square by less than this (half a deviation); the next would be a thousandth."""
+"""Stop after a step that lowered chi-square by less than this (half a standard deviation); the next would be a
+thousandth."""
 
 # columns of the fit's result
 U, V, A, Q, B, DOF, RSS, SIGNAL, FOURTH, SQUARE, RUN, TILT_X, TILT_Y, PRODUCTS = range(14)
@@ -134,7 +135,7 @@ def pixel_jacobian(fx, fy, i, j, a, J):
 
 
 @inner_kernel
-def take_out(image, flip, n, full, w):
+def exclude_pixels(image, flip, n, full, w):
     """Subtract the n dropped pixels from H and g; with full also from G and tilt, with their light into w.light.
 
     Returns their sum of squared residuals.
@@ -214,8 +215,8 @@ def set_box(u, v, q, h, w, box):
 def residual_sums(image, flip, n_dropped, w, out):
     """Write into out what the residuals r say: FOURTH (sum of r^2 m), RUN, and TILT (of r dx, r dy).
 
-    RUN: sum of products of neighbouring residuals over its own deviation; a fitting model leaves |RUN| of order 1,
-    whatever the noise level and however it varies.
+    RUN: sum of products of neighbouring residuals over its own standard deviation; a fitting model leaves |RUN| of
+    order 1, whatever the noise level and however it varies.
     """
     p = w.p
     fx = w.fx
@@ -302,7 +303,7 @@ def normal_equations(image, flip, n_dropped, w):
     rss = d[5] - 2.0 * (p[4] * d[4] + p[2] * d[2] - p[2] * p[4] * H[2, 4])
     rss += p[4] * p[4] * H[4, 4] + p[2] * p[2] * H[2, 2]
     if n_dropped > 0:
-        rss -= take_out(image, flip, n_dropped, np.int64(0), w)
+        rss -= exclude_pixels(image, flip, n_dropped, np.int64(0), w)
     return rss
 
 
@@ -366,7 +367,7 @@ def finish(image, flip, n_dropped, dof, rss, prior, w, out):
     w.light[0] = 0.0
     w.light[1] = 0.0
     if n_dropped > 0:
-        take_out(image, flip, n_dropped, np.int64(1), w)
+        exclude_pixels(image, flip, n_dropped, np.int64(1), w)
     residual_sums(image, flip, n_dropped, w, out)
     w.tilt[P + 2, 0] = out[TILT_X]
     w.tilt[P + 2, 1] = out[TILT_Y]
@@ -381,7 +382,7 @@ def finish(image, flip, n_dropped, dof, rss, prior, w, out):
     noise = max(out[RSS] / max(dof, 1.0), PIXEL_VARIANCE)
     out[SIGNAL] = uncertainty(w.H, w.G, w.tilt, prior, noise, signal - w.light[0], w.answer)
     out[SQUARE] = remaining_square(square - w.light[1], signal - w.light[0], out[SIGNAL])
-    wider = inflation(out[RUN], out[PRODUCTS], out[RSS])
+    wider = variance_inflation(out[RUN], out[PRODUCTS], out[RSS])
     for k in range(6):
         out[COV + k] = wider * w.answer[k]
     out[U] = p[0] + w.step[0] + w.answer[6]

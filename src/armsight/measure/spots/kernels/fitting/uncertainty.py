@@ -15,7 +15,7 @@ from armsight.measure.spots.kernels.detection.scan import GRID
 def slope_prior(levels, y, x, w, h, noise, prior):
     """Fill prior (4,): slope of the background per px along x and y at pixel (x, y), and how well it is known.
 
-    The middle one of three rows' (columns') central differences; its deviation is their spread plus the step's
+    The middle one of three rows' (columns') central differences; its standard deviation is their spread plus the step's
     unevenness plus the sample's own noise.
     """
     i = y * GRID // h
@@ -65,14 +65,14 @@ def ring_prior(slope, prior):
 
 
 MISFIT = 4.0
-"""Neighbouring residuals correlated by more than this many deviations say that the model is wrong."""
+"""Neighbouring residuals correlated by more than this many standard deviations say that the model is wrong."""
 MOST_CORRELATED = 0.9
 LEVERAGE = 1.3
 """What a round fit takes of the sum of m^2, over what it takes of the sum of m; 1.295-1.30 for sigma 1.5-4 px."""
 
 
 @inner_kernel
-def inflation(run, products, squares):
+def variance_inflation(run, products, squares):
     """Return the factor of the covariance for residuals that hang together: wrong model, or noise that is not white.
 
     For residuals whose neighbours correlate by rho along both axes, as of first order, the information of a smooth
@@ -96,8 +96,8 @@ def uncertainty(H, G, tilt, prior, noise, signal, out):
 
     With noise variance a + g m at a pixel of model height m, the covariance of the centre is a C_H + g C_G (C_G =
     H^-1 G H^-1), and the residuals' expectation is (1 - leverage) (a + g m). The background's slope (per px along x
-    and y) is one linear step of a fit with prior (4,): mean x, y, deviation x, y. tilt (n + 3, 2): the sums of J dx,
-    J dy (n rows), of (dx, dy)'(dx, dy) (2 rows) and of r dx, r dy. The centre's shift goes to out[6:8].
+    and y) is one linear step of a fit with prior (4,): mean x, y, standard deviation x, y. tilt (n + 3, 2): the sums of
+    J dx, J dy (n rows), of (dx, dy)'(dx, dy) (2 rows) and of r dx, r dy. The centre's shift goes to out[6:8].
     NaN where H cannot be inverted.
     """
     n = H.shape[0]
