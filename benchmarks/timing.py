@@ -29,7 +29,7 @@ from armsight.errors import DataRefused
 from armsight.measure.poses.pipeline import Setup, measure_spots
 from armsight.optics import Camera, parallel_rig
 from armsight.records import PoseStatus, Spots, spot_target
-from armsight.store import read_poses, read_rig, write_rig, write_target
+from armsight.store import read_poses, write_rig, write_target
 
 Array = NDArray[np.float64]
 Way = Callable[[float], tuple[Array, Rotation]]
@@ -83,9 +83,7 @@ def error(T: Array, way: Way, t: float) -> Array:
     return np.concatenate([T[:3, 3] - p, (Rotation.from_matrix(T[:3, :3]) * R.inv()).as_rotvec()])
 
 
-def of_pairs(
-    made: ModuleType, setup: Setup, way: Way, rng: np.random.Generator, delay_s: float, ideal: bool
-) -> Array:
+def of_pairs(made: ModuleType, setup: Setup, way: Way, rng: np.random.Generator, delay_s: float, ideal: bool) -> Array:
     """Return errors (n, 6) of poses from pairs of views; ideal: of one moment, else as far apart as they are."""
     out = []
     for n in range(int(SECONDS * RATE)):

@@ -73,6 +73,8 @@ def measure_tables(face: CommandUI, summary: MeasureOutput, out: Path) -> None:
             ],
         ]
     face.table("Measured", ["", ""], rows)
+    if free is not None and free.note:
+        face.say(f"Doubtful: {free.note}")
     for reason, count in list(summary.reasons.items())[:REJECTED_SHOWN]:
         face.say(f"  {count} x {reason}")
     found = summary.consistency

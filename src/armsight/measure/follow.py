@@ -68,17 +68,20 @@ class Expected:
 class Follower:
     """Takes frames in the order of the rig's time and names their spots; keeps views and starts for smoothing.
 
-    timing: of the left and the right camera. views, starts: what was found so far.
+    timing: of the left and the right camera. views, starts: what was found so far. unfit: frames of each camera in
+    which lights were near where the target was expected, and did not fit its motion.
     """
 
     setup: Setup
     timing: tuple[CameraTiming, CameraTiming] = (AT_ONCE, AT_ONCE)
     views: list[View] = field(default_factory=list)
     starts: list[Start] = field(default_factory=list)
+    unfit: list[int] = field(default_factory=lambda: [0, 0])
     why: str = "no frame of both cameras yet"
     _filter: MotionFilter | None = None
     _latest: list[AnyFrame | None] = field(default_factory=lambda: [None, None])
     _missed: int = 0
+    _near: bool = False
 
     def time_of(self, frame: AnyFrame, side: int) -> float:
         """Return the rig's time of a frame."""
@@ -92,9 +95,11 @@ class Follower:
         if self._filter is None:
             self._latest[side] = frame
             return self._begin(t_s)
+        self._near = False
         view = self._look(frame, side, t_s, self._filter.at(t_s))
         if view is None:
             view = self._look(frame, side, t_s, self._filter.after_a_knock(t_s))
+        self.unfit[side] += view is None and self._near
         self._missed = 0 if view is not None else self._missed + 1
         if self._missed >= LOST_VIEWS:
             self._filter, self._latest, self.why = None, [None, None], "what is seen no longer moves as the target did"
@@ -170,7 +175,8 @@ class Follower:
             return None
         spread = np.sqrt(np.diag(expected.S).reshape(-1, 2).max(axis=1))
         half = float(np.clip(GATE_SIGMA * spread[inside].max() + LEAST_WINDOW_PX, LEAST_WINDOW_PX, MOST_WINDOW_PX))
-        spots, of = _near(frame, expected.uv_px[inside], half, self.setup.sides[side])
+        spots, of = _spots_near(frame, expected.uv_px[inside], half, self.setup.sides[side])
+        self._near |= len(spots) > 0
         chosen = _choose(expected, np.flatnonzero(inside)[of], spots)
         if not len(chosen):
             return None
@@ -191,7 +197,9 @@ def _measured(setup: Setup, left: AnyFrame, right: AnyFrame) -> Measured:
     raise Inconsistent("one camera gives images and the other one spots", cure="Give both alike")
 
 
-def _near(frame: AnyFrame, uv_px: Array, half_px: float, settings: SpotSettings) -> tuple[Spots, NDArray[np.intp]]:
+def _spots_near(
+    frame: AnyFrame, uv_px: Array, half_px: float, settings: SpotSettings
+) -> tuple[Spots, NDArray[np.intp]]:
     """Return the spots in windows about uv_px (n, 2), and the row of uv_px that each belongs to."""
     if isinstance(frame, Frame):
         return track_spots(frame.image, uv_px, half_px, settings)

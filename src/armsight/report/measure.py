@@ -245,7 +245,7 @@ def _estimate(cause: Mapping[str, Any]) -> str:
 
 def _add_consistency(page: Page, run: MeasureRun) -> None:
     found = run.consistency
-    if not found or found["verdict"] == "unchecked":
+    if not found or found["verdict"] == "unchecked" or "cause" not in found:
         return
     causes = [found, *found["others"]] if found["cause"] else []
     rows = [

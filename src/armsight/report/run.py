@@ -41,7 +41,7 @@ class MeasureRun:
     poses: one per pair of frames, in order, in the frame parent. residuals: per side (m, 3): frame, and measured
     minus projected u, v in px. samples: images to show. truth: the true pose per frame, in the same frame.
     facts: more lines for the table of inputs. error: why the run ended early. consistency: what the check of the
-    residuals says, as measure.json holds it; empty where there was none.
+    residuals says, as measure.json holds it; empty where there was none, or verdict, sentence and advice alone.
     """
 
     poses: Sequence[TargetPose]

@@ -101,7 +101,7 @@ def test_tables_of_spots_of_free_running_cameras_give_poses_and_velocity_at_the_
     timed_rig(tmp_path)
     spots(tmp_path)
     summary = measure(job(tmp_path))
-    assert summary.timing is not None and summary.timing.n_starts == 1
+    assert summary.timing is not None and summary.timing.n_starts == 1 and summary.timing.note is None
     assert summary.n_frames == 120 and summary.n_ok > 105  # it is not found at once in motion
     d, sigmas = errors(tmp_path)
     assert np.sqrt(np.mean(np.sum(d[:, :3] ** 2, axis=1))) < 4e-4
@@ -233,3 +233,26 @@ def test_a_target_that_is_not_there_gives_no_pose(tmp_path: Path) -> None:
     )
     with pytest.raises(NotEnoughData, match="followed in none"):
         measure(job(tmp_path))
+
+
+@pytest.mark.parametrize("off_s", [-0.02, -0.005, 0.005, 0.01, 0.02])
+def test_cameras_out_of_step_are_refused(tmp_path: Path, off_s: float) -> None:
+    """The right camera's delay off by 5 to 20 ms: 1 to 5 mm between the views."""
+    with_delay(tmp_path, DELAY + off_s)
+    with pytest.raises(Inconsistent, match="Calibrate the timing anew"):
+        measure(job(tmp_path))
+
+
+def test_a_delay_that_is_a_little_off_makes_the_poses_doubtful(tmp_path: Path) -> None:
+    with_delay(tmp_path, DELAY + 0.001)
+    summary = measure(job(tmp_path))
+    assert summary.timing is not None and "the timing, the rig" in (summary.timing.note or "")
+    assert "Doubtful" in (tmp_path / "out" / "report.html").read_text()
+
+
+def with_delay(folder: Path, delay_s: float) -> None:
+    timed_rig(folder)
+    spots(folder)
+    rig = (folder / "rig.yaml").read_text()
+    assert f"delay_s: {DELAY}" in rig
+    (folder / "rig.yaml").write_text(rig.replace(f"delay_s: {DELAY}", f"delay_s: {delay_s}"))

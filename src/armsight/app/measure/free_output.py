@@ -162,4 +162,9 @@ def _report(
         median_ms=summary.ms_per_frame.median,
         parent="rig" if world is None else world.parent,
         facts=facts,
+        consistency={"verdict": "doubtful", "sentence": _sentence(figures.note), "advice": ""} if figures.note else {},
     )
+
+
+def _sentence(note: str) -> str:
+    return f"{note[0].upper()}{note[1:]}."

@@ -32,6 +32,18 @@ Array = NDArray[np.float64]
 FOLLOWING = "measuring"
 MAX_ROTATION_STD_RAD = 0.3
 """A rotation less certain than this is none."""
+DOUBTFUL_CHI2, MOST_CHI2 = 1.5, 4.0
+"""Chi-square per degree of freedom of the spots about the motion from which it is doubted, and refused: cameras' noise
+is off by up to a factor of two."""
+MOST_JERK = 3000.0
+"""m^2/s^5: a target that is knocked all the time is none; cameras that are out of step look like it."""
+MOST_UNFIT, FEW_UNFIT = 0.5, 20
+"""Share of one camera's frames with lights near the target that do not fit its motion, and how many of them say
+nothing."""
+DOUBTFUL = (
+    "the spots lie further from the target's motion than their noise: the timing, the rig or the target's measures are "
+    "off, and the poses may be by more than they claim"
+)
 BEFORE_S = 0.05
 """How long before its first view something is said of the target."""
 GONE = f"the target was lost, or not found yet, or seen by no camera for {MAX_GAP_S:g} s"
@@ -119,20 +131,59 @@ def measure_free_running(
 ) -> FreeRun:
     """Return poses at at_s (k,) in the rig's time, at a steady rate, or (both None) at the times of the left frames.
 
-    Raises UsageError for a target that has no three known lights, NotEnoughData where it was never found, Cancelled.
+    Raises UsageError for a target that has no three known lights, NotEnoughData where it was never found, Inconsistent
+    where the spots fit no motion of it, Cancelled.
     """
     if setup.target.is_board or not setup.target.model_known or len(setup.model) < 3:
         raise UsageError(
-            "free-running cameras need a target of three or more lights whose places are known",
+            "free-running cameras need a target of three or more lights of known positions",
             cure="Measure the target first (armsight calibrate target), or use --timing pairs",
         )
     timing = _timing(setup.rig)
-    follower = Follower(setup=setup, timing=timing)
     times = [timing[side].rig_time(stream.t_s) for side, stream in enumerate(streams)]
-    total = sum(len(one) for one in times)
-    for done, (_, side, frame) in enumerate(
-        merge(*(_timed(one, t, s) for s, (one, t) in enumerate(zip(streams, times, strict=True))), key=_when)
-    ):
+    views, starts = _follow(setup, streams, times, progress)
+    if at_s is None:
+        at_s = times[0] if rate_hz is None else np.arange(times[0][0], times[0][-1] + 0.5 / rate_hz, 1.0 / rate_hz)
+    seen_s = np.array([view.t_s for view in views])
+    all_s, rows = np.unique(np.concatenate([at_s, seen_s]), return_inverse=True)
+    states = smooth(setup.packed, setup.model.xyz_m, views, starts, all_s)
+    states = [None if lost else one for one, lost in zip(states, _between(all_s, seen_s, starts), strict=True)]
+    residuals, chi2 = _residuals(setup, views, [states[k] for k in rows[len(at_s) :]])
+    _require_fit(states, chi2)
+    asked = [states[k] for k in rows[: len(at_s)]]
+    heights = tuple(setup.rig.camera(side).height for side in SIDES)
+    poses = [
+        _pose(setup, float(t), state, max(chi2 or 1.0, 1.0), heights, _names(setup, views, seen_s, float(t)))
+        for t, state in zip(at_s, asked, strict=True)
+    ]
+    figures = _figures(setup, views, len(starts), chi2, asked, times)
+    return FreeRun(poses=poses, views=views, residuals=residuals, figures=figures)
+
+
+def _require_fit(states: Sequence[MotionState | None], chi2: float | None) -> None:
+    """Raise Inconsistent where no motion of a target explains the spots."""
+    jerk = float(np.median([state.jerk for state in states if state is not None] or [0.0]))
+    if chi2 is not None and chi2 > MOST_CHI2:
+        raise _out_of_step(f"the spots are {np.sqrt(chi2):.1f} times further from the target's motion than their noise")
+    if jerk > MOST_JERK:
+        raise _out_of_step("only a target that is knocked all the time would be seen like this")
+
+
+def _out_of_step(cause: str) -> Inconsistent:
+    return Inconsistent(
+        cause,
+        consequence="The poses would be wrong by more than they claim, and none is given",
+        cure="Calibrate the timing anew with these cameras, check the target's measures and the rig",
+    )
+
+
+def _follow(
+    setup: Setup, streams: Sequence[Stream], times: Sequence[Array], progress: Progress
+) -> tuple[list[View], list[Start]]:
+    """Return the named views of all frames, and where the target was found. See measure_free_running."""
+    follower, total = Follower(setup=setup, timing=_timing(setup.rig)), sum(len(one) for one in times)
+    sides = [_timed(stream, t_s, side) for side, (stream, t_s) in enumerate(zip(streams, times, strict=True))]
+    for done, (_, side, frame) in enumerate(merge(*sides, key=_when)):
         follower.add(frame, side)
         progress.update(done + 1, total, FOLLOWING)
         if progress.cancelled():
@@ -144,22 +195,14 @@ def measure_free_running(
             consequence="There is no pose",
             cure="Begin with the target at rest, before a background that is darker than its lights",
         )
-    if at_s is None:
-        at_s = times[0] if rate_hz is None else np.arange(times[0][0], times[0][-1] + 0.5 / rate_hz, 1.0 / rate_hz)
-    seen_s = np.array([view.t_s for view in views])
-    all_s, rows = np.unique(np.concatenate([at_s, seen_s]), return_inverse=True)
-    states = smooth(setup.packed, setup.model.xyz_m, views, starts, all_s)
-    states = [None if lost else one for one, lost in zip(states, _between(all_s, seen_s, starts), strict=True)]
-    residuals, chi2 = _residuals(setup, views, [states[k] for k in rows[len(at_s) :]])
-    asked = [states[k] for k in rows[: len(at_s)]]
-    heights = tuple(setup.rig.camera(side).height for side in SIDES)
-    wider = max(chi2 or 1.0, 1.0)
-    poses = [
-        _pose(setup, float(t), state, wider, heights, _names(setup, views, seen_s, float(t)))
-        for t, state in zip(at_s, asked, strict=True)
-    ]
-    figures = _figures(setup, views, len(starts), chi2, asked, times)
-    return FreeRun(poses=poses, views=views, residuals=residuals, figures=figures)
+    for side, name in enumerate(SIDES):
+        seen = follower.unfit[side] + _of_side(views, side)
+        if follower.unfit[side] > max(FEW_UNFIT, MOST_UNFIT * seen):
+            raise _out_of_step(
+                f"{follower.unfit[side]} of the {seen} frames of the {name} camera show lights that do not fit the "
+                "motion that the other one sees"
+            )
+    return views, starts
 
 
 def _between(t_s: Array, seen_s: Array, starts: Sequence[Start]) -> NDArray[np.bool_]:
@@ -314,6 +357,7 @@ def _figures(
         readout_s=BothSeconds(left=left.readout_s, right=right.readout_s),
         n_views=BothCounts(left=_of_side(views, 0), right=_of_side(views, 1)),
         n_starts=n_starts,
+        note=DOUBTFUL if chi2 is not None and chi2 > DOUBTFUL_CHI2 else None,
         chi2_per_dof=chi2,
         speed_m_s=rms,
         nearest_pairs_m=None if rms is None else rms * float(np.sqrt(np.mean(_nearest(*times) ** 2))),

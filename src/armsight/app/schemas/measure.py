@@ -90,6 +90,7 @@ class FreeRunning(Output):
     n_views: BothCounts = Field(description="Frames in which lights of the target were found.")
     n_starts: int = Field(description="How often the target was found anew.")
     chi2_per_dof: float | None = Field(description="Chi-square of the spots about the motion, per degree of freedom.")
+    note: str | None = Field(None, exclude_if=absent, description="Why the poses are to be doubted.")
     speed_m_s: float | None = Field(description="RMS of the target's speed, m/s.")
     nearest_pairs_m: float | None = Field(
         description="RMS of how far the target moves between a left frame and the right frame nearest in time, m."
