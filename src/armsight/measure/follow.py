@@ -37,6 +37,8 @@ VIEW_CHANCE = 1e-6
 """Chance below which a view that fits so badly is not of the target as it moves."""
 LOST_VIEWS = 6
 """Views in a row that do not fit, or in which nothing is seen, after which the target is looked for anew."""
+MAX_PARTIAL_S = 0.15
+"""Without three lights in a view for longer, how the target turns is guesswork, and it is looked for anew."""
 FEWEST_VIEWS = 10
 """Views between a start and the next one below which it was none: what was followed was not the target."""
 
@@ -82,6 +84,7 @@ class Follower:
     _latest: list[AnyFrame | None] = field(default_factory=lambda: [None, None])
     _missed: int = 0
     _near: bool = False
+    _whole_s: float = -np.inf
 
     def time_of(self, frame: AnyFrame, side: int) -> float:
         """Return the rig's time of a frame."""
@@ -106,6 +109,11 @@ class Follower:
             return None
         if view is None:
             return self._filter.at(t_s)
+        if len(view.lights) >= 3:
+            self._whole_s = t_s
+        if t_s - self._whole_s > MAX_PARTIAL_S:
+            self._filter, self._latest, self.why = None, [None, None], "too few of the target's lights are in sight"
+            return None
         self.views.append(view)
         self._filter = self._filter.add(view)
         return self._filter.state
@@ -149,7 +157,7 @@ class Follower:
         for view in pair:
             self.views.append(view)
             follows = follows.add(view)
-        self._filter, self._missed = follows, 0
+        self._filter, self._missed, self._whole_s = follows, 0, pair[1].t_s
         return follows.state
 
     def _view(self, spots: Spots, names: tuple[str, ...], side: int, frame: AnyFrame) -> View:

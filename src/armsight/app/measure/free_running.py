@@ -19,7 +19,7 @@ from armsight.drivers import FrameSource, is_live
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.measure.follow import AnyFrame, Follower, SpotFrame
 from armsight.measure.motion.estimate import MAX_GAP_S, Start, smooth
-from armsight.measure.motion.kernels.views import observe
+from armsight.measure.motion.residuals import fitting_stretches, motion_residuals
 from armsight.measure.motion.states import MotionState, View
 from armsight.measure.poses.setup import Setup
 from armsight.measure.systematic import systematic_covariance
@@ -141,15 +141,15 @@ def measure_free_running(
         )
     timing = _timing(setup.rig)
     times = [timing[side].rig_time(stream.t_s) for side, stream in enumerate(streams)]
-    views, starts = _follow(setup, streams, times, progress)
+    views, starts = _that_fit(setup, *_follow(setup, streams, times, progress))
     if at_s is None:
         at_s = times[0] if rate_hz is None else np.arange(times[0][0], times[0][-1] + 0.5 / rate_hz, 1.0 / rate_hz)
     seen_s = np.array([view.t_s for view in views])
     all_s, rows = np.unique(np.concatenate([at_s, seen_s]), return_inverse=True)
     states = smooth(setup.packed, setup.model.xyz_m, views, starts, all_s)
     states = [None if lost else one for one, lost in zip(states, _between(all_s, seen_s, starts), strict=True)]
-    residuals, chi2 = _residuals(setup, views, [states[k] for k in rows[len(at_s) :]])
-    _require_fit(states, chi2)
+    found = motion_residuals(setup.packed, setup.model.xyz_m, views, [states[k] for k in rows[len(at_s) :]])
+    chi2 = found.chi2_per_dof()
     asked = [states[k] for k in rows[: len(at_s)]]
     heights = tuple(setup.rig.camera(side).height for side in SIDES)
     poses = [
@@ -157,16 +157,26 @@ def measure_free_running(
         for t, state in zip(at_s, asked, strict=True)
     ]
     figures = _figures(setup, views, len(starts), chi2, asked, times)
+    residuals = {
+        name: np.column_stack([found.view[found.side == side], found.residual_px[found.side == side]])
+        for side, name in enumerate(SIDES)
+    }
     return FreeRun(poses=poses, views=views, residuals=residuals, figures=figures)
 
 
-def _require_fit(states: Sequence[MotionState | None], chi2: float | None) -> None:
-    """Raise Inconsistent where no motion of a target explains the spots."""
-    jerk = float(np.median([state.jerk for state in states if state is not None] or [0.0]))
-    if chi2 is not None and chi2 > MOST_CHI2:
-        raise _out_of_step(f"the spots are {np.sqrt(chi2):.1f} times further from the target's motion than their noise")
-    if jerk > MOST_JERK:
+def _that_fit(setup: Setup, views: list[View], starts: list[Start]) -> tuple[list[View], list[Start]]:
+    """Return the stretches that a target's motion explains. Raises Inconsistent where that is less than half."""
+    seen_s = np.array([view.t_s for view in views])
+    at_s, rows = np.unique(seen_s, return_inverse=True)
+    states = smooth(setup.packed, setup.model.xyz_m, views, starts, at_s)
+    found = motion_residuals(setup.packed, setup.model.xyz_m, views, [states[k] for k in rows])
+    kept, begun = fitting_stretches(found, views, starts, MOST_CHI2)
+    if len(kept) < 0.5 * len(views):
+        times = np.sqrt(found.chi2_per_dof() or np.inf)
+        raise _out_of_step(f"the spots are {times:.1f} times further from the target's motion than their noise")
+    if np.median([state.jerk for state in states if state is not None] or [0.0]) > MOST_JERK:
         raise _out_of_step("only a target that is knocked all the time would be seen like this")
+    return kept, begun
 
 
 def _out_of_step(cause: str) -> Inconsistent:
@@ -266,30 +276,6 @@ def _steady(stamps_s: Array, where: str) -> Array:
             cure="Give the frames in the order of time, each with a stamp of its own",
         )
     return stamps_s if len(stamps_s) < FEWEST_FRAMES else steady(stamps_s, where).t_s
-
-
-def _residuals(
-    setup: Setup, views: Sequence[View], states: Sequence[MotionState | None]
-) -> tuple[dict[str, Array], float | None]:
-    """Return measured minus expected spots per side (m, 3), and chi-square per degree of freedom about the motion."""
-    rows: dict[str, list[Array]] = {side: [] for side in SIDES}
-    total = count = 0.0
-    packed, uv, H = setup.packed, np.empty(2), np.zeros((2, 18))
-    for number, (view, state) in enumerate(zip(views, states, strict=True)):
-        if state is None:
-            continue
-        s = view.side
-        for i, light in enumerate(view.lights.tolist()):
-            if not observe(
-                state.x, packed.k[s], packed.R[s], packed.t[s], setup.model.xyz_m[light], view.tau_s[i], uv, H
-            ):
-                continue
-            r = view.uv_px[i] - uv
-            left_over = view.cov_px2[i] - H @ state.C @ H.T  # of a residual about what it took part in
-            rows[SIDES[s]].append(np.array([number, *r]))
-            total += float(r @ np.linalg.solve(view.cov_px2[i], r))
-            count += float(np.trace(np.linalg.solve(view.cov_px2[i], left_over)).clip(0.0))
-    return {side: np.array(one) for side, one in rows.items() if one}, total / count if count > 0.0 else None
 
 
 def _pose(

@@ -1,0 +1,82 @@
+"""How far spots lie from the motion that they gave."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.measure.motion.estimate import Start
+from armsight.measure.motion.kernels.state import N
+from armsight.measure.motion.kernels.views import observe
+from armsight.measure.motion.states import MotionState, View
+from armsight.optics import PackedRig
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MotionResiduals:
+    """Of m spots: view (m,) and side (m,) they are of, residual_px (m, 2) measured less expected, chi2 and dof (m,).
+
+    dof: of two coordinates, what the motion did not take from the spot itself.
+    """
+
+    view: NDArray[np.intp]
+    side: NDArray[np.intp]
+    residual_px: Array
+    chi2: Array
+    dof: Array
+
+    def chi2_per_dof(self, first: int = 0, end: int | None = None) -> float | None:
+        """Return chi-square per degree of freedom of the views from first up to end; None: nothing is left over."""
+        rows = (self.view >= first) & (self.view < (np.inf if end is None else end))
+        dof = float(self.dof[rows].sum())
+        return float(self.chi2[rows].sum()) / dof if dof > 0.0 else None
+
+
+def motion_residuals(
+    packed: PackedRig, positions_m: Array, views: Sequence[View], states: Sequence[MotionState | None]
+) -> MotionResiduals:
+    """Return the residuals of all spots of views about the smoothed states at their times; None: left out.
+
+    positions_m (m, 3): of the lights in the target's frame.
+    """
+    rows, residual, chi2, dof = [], [], [], []
+    uv, H = np.empty(2), np.zeros((2, N))
+    for number, (view, state) in enumerate(zip(views, states, strict=True)):
+        if state is None:
+            continue
+        s = view.side
+        for i, light in enumerate(view.lights.tolist()):
+            if not observe(state.x, packed.k[s], packed.R[s], packed.t[s], positions_m[light], view.tau_s[i], uv, H):
+                continue
+            r, weight = view.uv_px[i] - uv, np.linalg.inv(view.cov_px2[i])
+            rows.append((number, s))
+            residual.append(r)
+            chi2.append(float(r @ weight @ r))
+            dof.append(max(2.0 - float(np.trace(weight @ H @ state.C @ H.T)), 0.0))
+    at = np.array(rows, dtype=np.intp).reshape(-1, 2)
+    return MotionResiduals(
+        view=at[:, 0],
+        side=at[:, 1],
+        residual_px=np.array(residual).reshape(-1, 2),
+        chi2=np.array(chi2),
+        dof=np.array(dof),
+    )
+
+
+def fitting_stretches(
+    found: MotionResiduals, views: Sequence[View], starts: Sequence[Start], most_chi2: float
+) -> tuple[list[View], list[Start]]:
+    """Return the views and starts of the stretches whose chi-square per degree of freedom is below a limit."""
+    kept: list[View] = []
+    begun: list[Start] = []
+    for start, end in zip(starts, [*(one.view for one in starts[1:]), len(views)], strict=True):
+        chi2 = found.chi2_per_dof(start.view, end)
+        if chi2 is not None and chi2 <= most_chi2:
+            begun.append(Start(view=len(kept), T=start.T, covariance=start.covariance))
+            kept += views[start.view : end]
+    return kept, begun
