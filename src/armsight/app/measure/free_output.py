@@ -161,6 +161,8 @@ def _report(
         residuals=done.residuals,
         median_ms=summary.ms_per_frame.median,
         parent="rig" if world is None else world.parent,
+        subtitle=f"{len(moved)} poses over {moved[-1].pose.t_s - moved[0].pose.t_s:.1f} s, from "
+        f"{figures.n_views.left} left and {figures.n_views.right} right views, each at its own time",
         facts=facts,
         consistency={"verdict": "doubtful", "sentence": _sentence(figures.note), "advice": ""} if figures.note else {},
     )
