@@ -63,12 +63,13 @@ def measure_tables(face: CommandUI, summary: MeasureOutput, out: Path) -> None:
         ]
     free = summary.timing
     if free is not None:
-        rows[0][0] = "poses asked for"
+        rows[0][0], rows[5][0] = "poses asked for", "ms per view"
+        del rows[6]
         rows += [
             ["views, left and right", f"{free.n_views.left} and {free.n_views.right}"],
             ["speed, mm/s RMS", figure(None if free.speed_m_s is None else free.speed_m_s / MM)],
             [
-                "nearest pairs would be off by, mm",
+                "motion between nearest frames, mm RMS",
                 figure(None if free.nearest_pairs_m is None else free.nearest_pairs_m / MM),
             ],
         ]
