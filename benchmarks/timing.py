@@ -10,8 +10,6 @@ global shutters, pair by pair. The motion is that of tests/truth/test_motion.py.
 from __future__ import annotations
 
 import argparse
-import importlib.util
-import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -33,23 +31,12 @@ from armsight.store import read_poses, write_rig, write_target
 
 Array = NDArray[np.float64]
 Way = Callable[[float], tuple[Array, Rotation]]
-SCENE = Path(__file__).resolve().parents[1] / "tests" / "truth" / "test_motion.py"
 SPEEDS = (0.0, 0.1, 0.5, 1.0)
 SECONDS, RATE, JITTER, LOST = 15.0, 30.0, 0.002, 0.02
 CHI2_95 = 12.592
 ONSET_S = 1.0
 """The second after the target sets off, which is also told by itself."""
 BEGINS_S = 2.0
-
-
-def scene() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("motion_scene", SCENE)
-    if spec is None or spec.loader is None:
-        raise SystemExit(f"no {SCENE}")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
 
 
 def write_spots(made: ModuleType, way: Way, rng: np.random.Generator, delay_s: float, folder: Path) -> None:
@@ -95,9 +82,7 @@ def of_pairs(made: ModuleType, setup: Setup, way: Way, rng: np.random.Generator,
                 uv, _ = made.pixels(way, n / RATE + delay_s * side, side)
             uv = uv + rng.normal(0.0, made.NOISE, uv.shape)
             cov = np.tile(made.NOISE**2 * np.eye(2), (3, 1, 1))
-            seen.append(
-                Spots(uv_px=uv, covariance_px2=cov, peak=np.ones(3), size_px=np.ones(3), model=("gaussian",) * 3)
-            )
+            seen.append(Spots.of_centres(uv, cov))
         pose = measure_spots(setup, n / RATE, seen[0], seen[1]).pose
         if pose.status is PoseStatus.OK:
             out.append(error(np.asarray(pose.T_parent_target), way, n / RATE))
@@ -122,7 +107,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="two recordings a speed in place of ten")
     runs = 2 if parser.parse_args().quick else 10
-    made = scene()
+    made = bench.test_scene("test_motion")
     rig = parallel_rig(Camera.pinhole(1280, made.HEIGHT, made.F, made.F, made.CX, made.CY), made.BASE)
     target = spot_target(dict(zip("ABC", map(tuple, made.LIGHTS.tolist()), strict=True)))
     setup = Setup(rig, target)

@@ -8,12 +8,8 @@ delay's error is that in the middle of the recording. The recordings are made in
 from __future__ import annotations
 
 import argparse
-import importlib.util
-import sys
 import time
 from dataclasses import replace
-from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 
@@ -22,24 +18,12 @@ from armsight.calibrate.timing import calibrate_timing
 from armsight.errors import DataRefused
 from armsight.units import MS
 
-SCENE = Path(__file__).resolve().parents[1] / "tests" / "truth" / "test_timing_calibration.py"
-
-
-def scene() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("timing_scene", SCENE)
-    if spec is None or spec.loader is None:
-        raise SystemExit(f"no {SCENE}")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="a tenth of the runs")
     runs = 20 if parser.parse_args().quick else 200
-    made = scene()
+    made = bench.test_scene("test_timing_calibration")
     base = made.Truth(jitter_s=(1e-3, 5e-4), drift_ppm=80.0)
     cases = {
         "30 and 30": replace(base, delay_s=3.217),

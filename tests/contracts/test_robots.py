@@ -34,7 +34,7 @@ def two_and_a_slide() -> SimArm:
         joints=(
             SimJoint(name="j1", d_m=1.27, alpha_rad=QUARTER),
             SimJoint(name="j2", a_m=0.1, d_m=-0.05, alpha_rad=QUARTER),
-            SimJoint(name="j3", slides=True, lower=0.0, upper=1.2),
+            SimJoint(name="j3", prismatic=True, lower=0.0, upper=1.2),
         )
     )
 

@@ -237,9 +237,9 @@ def test_several_sweeps_of_a_joint_are_pooled() -> None:
         errors.append([result.arm.joints[0].a_m, abs(result.arm.joints[0].alpha_rad) - np.pi / 2])
         claimed.append([result.joints[0].std["a_m"], result.joints[0].std["alpha_rad"]])
         alone.append(identify(seen.take(np.r_[0:8, 24:34])).joints[0].std["a_m"])
-        assert result.doubt is not None
+        assert result.uncertainty is not None
         further = np.random.default_rng(seed).uniform(-1.0, 1.0, (20, 2))
-        places, C = result.doubt.positions(further)
+        places, C = result.uncertainty.positions(further)
         assert np.linalg.norm(places - tip(rows, further), axis=1).max() < 5.0 * np.sqrt(
             C.trace(axis1=1, axis2=2).max()
         )

@@ -181,3 +181,31 @@ def test_views_out_of_order_are_refused() -> None:
     causal = MotionFilter.begin(PACKED, LIGHTS, 0.5, start(way).T, start(way).covariance)
     with pytest.raises(Inconsistent, match="order of time"):
         causal.add(seen[0])
+
+
+def test_measured_poses_enter_the_filter_as_they_claim_and_a_turn_of_one_of_them_stands_out() -> None:
+    rng = np.random.default_rng(9)
+    way = path(rng, 0.3)
+    std = np.array([2e-4, 2e-4, 1e-3, 5e-3, 5e-3, 2e-3])
+
+    def measured(t: float) -> Array:
+        p, R = way(t)
+        T, e = np.eye(4), rng.normal(0.0, std)
+        T[:3, 3], T[:3, :3] = p + e[:3], (Rotation.from_rotvec(e[3:]) * R).as_matrix()
+        return T
+
+    C = np.diag(std**2)
+    follower = MotionFilter.begin(PACKED, LIGHTS, 0.0, measured(0.0), C)
+    states, surprises = [], []
+    for n in range(1, 240):
+        follower, surprise, knocked = follower.add_pose(n / 30.0, measured(n / 30.0), C)
+        states.append(follower.state)
+        surprises.append(surprise)
+        assert knocked <= surprise + 1e-9
+    _, q = errors(states[20:], way)
+    assert np.mean(q < 12.59) > 0.88
+    assert 3.0 < np.mean(surprises[20:]) < 9.0 and np.max(surprises[20:]) < 37.0
+    wrong = measured(8.0)
+    wrong[:3, :3] = Rotation.from_rotvec([0.35, 0.0, 0.0]).as_matrix() @ wrong[:3, :3]
+    _, surprise, knocked = follower.add_pose(8.0, wrong, C)
+    assert surprise > 200.0 and knocked > 37.0

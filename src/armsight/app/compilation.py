@@ -24,6 +24,7 @@ from armsight.records import BoardView, Progress, Silent, Spots
 
 COMPILING = "compiling"
 SIZE = (640, 480)
+VARIANCE_PX2 = 0.01 * np.eye(2)
 SEED = 1
 
 
@@ -110,7 +111,9 @@ def light_target() -> None:
     for number in range(12):
         xyz_m = Rotation.from_rotvec(rng.normal(0.0, 0.3, 3)).apply(lights)
         xyz_m += np.array([0.05, 0.0, rng.uniform(0.4, 0.6)])
-        left, right = (_spots(uv_px + rng.normal(0.0, 0.05, uv_px.shape)) for uv_px in rig.project(xyz_m))
+        left, right = (
+            Spots.of_centres(uv_px + rng.normal(0.0, 0.05, uv_px.shape), VARIANCE_PX2) for uv_px in rig.project(xyz_m)
+        )
         frames.append(LitFrame(name=str(number), left=left, right=right))
     calibrate_target(rig, frames)
 
@@ -297,7 +300,12 @@ def _far_away() -> None:
     left, right = rig.project(turn.apply(np.array(list(xyz_m.values()))) + np.array([0.05, 0.0, 3.0]))
     for off_px in (0.0, 1.0):
         left[0, 1] += off_px
-        measure_spots(setup, 0.0, _spots(left), _spots(right))
+        measure_spots(
+            setup,
+            0.0,
+            Spots.of_centres(left, VARIANCE_PX2),
+            Spots.of_centres(right, VARIANCE_PX2),
+        )
 
 
 class _Lines(Silent):
@@ -308,17 +316,6 @@ class _Lines(Silent):
         end = "\n" if done == total else ""
         sys.stdout.write(f"\r\033[K{note} ({done:g} of {total:g} groups of kernels){end}")
         sys.stdout.flush()
-
-
-def _spots(uv_px: np.ndarray) -> Spots:
-    n = len(uv_px)
-    return Spots(
-        uv_px=uv_px,
-        covariance_px2=np.tile(0.01 * np.eye(2), (n, 1, 1)),
-        peak=np.full(n, 100.0),
-        size_px=np.full(n, 2.0),
-        model=("gaussian",) * n,
-    )
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What a fit returns: values, their doubt, and why it stopped."""
+"""What a fit returns: values, their covariance, and why it stopped."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class StopReason(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Fit:
-    """The fitted parameters with their doubt.
+    """The fitted parameters with their covariance.
 
     shared (S,), local (G, L): all parameters, fixed ones at their guess. covariance: of the free shared ones.
     local_covariance: (G, L, L). residuals: (G, m) whitened, without the robust weights. weights: (G, m) of
@@ -72,6 +72,6 @@ class Fit:
             f"{self.iterations} iterations, stopped: {self.reason.value}"
         ]
         for name, value in zip(self.names, self.shared, strict=True):
-            doubt = f"+- {std[name]:.4g}" if name in std else "(fixed)"
-            lines.append(f"  {name:<24} {value:>16.9g} {doubt}")
+            uncertainty = f"+- {std[name]:.4g}" if name in std else "(fixed)"
+            lines.append(f"  {name:<24} {value:>16.9g} {uncertainty}")
         return "\n".join(lines)

@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt with the local parameters eliminated, and the doubt of its answer."""
+"""Levenberg-Marquardt with the local parameters eliminated, and the covariance of its answer."""
 
 from __future__ import annotations
 

@@ -46,25 +46,25 @@ class Link:
 
 
 def link_to_line(
-    T: ArrayLike, point_m: ArrayLike, direction: ArrayLike, *, x_hint: ArrayLike | None = None, slides: bool = False
+    T: ArrayLike, point_m: ArrayLike, direction: ArrayLike, *, x_hint: ArrayLike | None = None, prismatic: bool = False
 ) -> Link:
     """Return the link whose far z axis is the line (point, direction), seen from the frame T (4, 4) at its near axis.
 
     point_m (3,), direction (3,) of unit length and T are in the same axes. x_hint (3,): the side to which the far x
     axis should point (its sign is free) and its direction where the lines coincide; default the x axis of T.
-    slides: the far joint is prismatic, whose place is free; the line is then put through the origin of T (a = d = 0).
+    prismatic: the far joint is, whose place is free; the line is then put through the origin of T (a = d = 0).
     For parallel axes d is free and taken as that of the point. Raises Inconsistent for a direction not of unit length.
     MATH 4.5 and C7.
     """
     frame = np.asarray(T, float)
     R, o = frame[:3, :3], frame[:3, 3]
     v = R.T @ unit_direction(direction)  # (3,) in the near frame
-    p = np.zeros(3) if slides else R.T @ (np.asarray(point_m, float) - o)
+    p = np.zeros(3) if prismatic else R.T @ (np.asarray(point_m, float) - o)
     hint = np.array([1.0, 0.0, 0.0]) if x_hint is None else R.T @ np.asarray(x_hint, float)
     sine = hypot(v[0], v[1])
     if sine <= PARALLEL_SINE:
         return _parallel(p, v, hint)
-    if sine < HAYATI_SINE and not slides:
+    if sine < HAYATI_SINE and not prismatic:
         return _hayati(p, v, hint)
     n = np.array([-v[1], v[0], 0.0]) / sine  # z x v
     if n @ hint < 0.0:
@@ -74,7 +74,7 @@ def link_to_line(
     t = (p[2] * cz - p @ v) / sine**2
     a = float((p + t * v - np.array([0.0, 0.0, d])) @ n)
     alpha = atan2(v[0] * n[1] - v[1] * n[0], cz)  # (z x v) . x, z . v
-    case = "prismatic" if slides else ("intersecting" if abs(a) < SAME_LINE_M else "skew")
+    case = "prismatic" if prismatic else ("intersecting" if abs(a) < SAME_LINE_M else "skew")
     return Link(theta_rad=atan2(n[1], n[0]), d_m=float(d), a_m=a, alpha_rad=alpha, beta_rad=0.0, case=case)
 
 

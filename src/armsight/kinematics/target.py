@@ -60,8 +60,8 @@ def size_m(arm: Arm) -> float:
     if not isinstance(found, float):
         rows = arm.chain[1:-1]
         ends = np.where(np.isfinite(rows[:, 9:11]), rows[:, 9:11], 0.0)
-        slides = np.where(arm.revolute, 0.0, np.abs(ends).max(axis=1))
-        total = np.abs(rows[:, 3]).sum() + np.abs(rows[:, 4]).sum() + slides.sum()
+        prismatic = np.where(arm.revolute, 0.0, np.abs(ends).max(axis=1))
+        total = np.abs(rows[:, 3]).sum() + np.abs(rows[:, 4]).sum() + prismatic.sum()
         found = arm.found["size_m"] = float(total + np.linalg.norm(arm.chain[-1, [3, 7, 11]]))
     return found
 

@@ -55,6 +55,21 @@ class Spots:
             rejected=rejected,
         )
 
+    @classmethod
+    def of_centres(cls, uv_px: NDArray[np.float64], covariance_px2: NDArray[np.float64]) -> Spots:
+        """Return spots at uv_px (n, 2) of which only the centres are known: without height, 1 px wide.
+
+        covariance_px2: (n, 2, 2), or (2, 2) for all.
+        """
+        n = len(uv_px)
+        return cls(
+            uv_px=uv_px,
+            covariance_px2=np.broadcast_to(covariance_px2, (n, 2, 2)),
+            peak=np.zeros(n),
+            size_px=np.ones(n),
+            model=("gaussian",) * n,
+        )
+
     def take(self, index: NDArray[np.intp] | list[int]) -> Spots:
         """Return the spots at the given positions, in that order."""
         i = np.asarray(index, dtype=np.intp)

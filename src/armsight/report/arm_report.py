@@ -75,8 +75,8 @@ def _corrections(result: ArmCalibration) -> str:
     rows = []
     for name in result.free:
         unit, factor = ("mm", MM) if name.endswith("_m") else ("°", DEG) if name.endswith("_rad") else ("", 1.0)
-        shown, doubt = with_deviation(result.change(name) / factor, std[name] / factor)
-        rows.append([name, shown, doubt, unit])
+        shown, uncertainty = with_deviation(result.change(name) / factor, std[name] / factor)
+        rows.append([name, shown, uncertainty, unit])
     return table(["parameter", "change", "+-", "unit"], rows, numbers=(1, 2))
 
 

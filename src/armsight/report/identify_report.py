@@ -53,7 +53,7 @@ def identify_report(
         page.plot(path_figure(result, sweeps, xyz)),
     )
     page.add("Residuals", "Distance of each reading from the result.", page.plot(residual_figure(result, sweeps, xyz)))
-    if result.doubt is not None:
+    if result.uncertainty is not None:
         page.add(
             "Where the beacon's place is how certain",
             "Standard deviation that the identified arm leaves at the beacon, at random positions between those swept.",
@@ -103,12 +103,12 @@ def _table(result: Identification) -> str:
     for number, (joint, found) in enumerate(zip(result.arm.joints, result.joints, strict=True), 1):
         cells: list[object] = [number, str(joint.type)]
         for key, unit in ENTRIES:
-            doubt = found.std[key]
-            known = math.isfinite(doubt)
-            if doubt == 0.0:  # beta of axes that are not nearly parallel
+            uncertainty = found.std[key]
+            known = math.isfinite(uncertainty)
+            if uncertainty == 0.0:  # beta of axes that are not nearly parallel
                 cells.append("0")
                 continue
-            shown, plus = with_deviation(getattr(joint, key) / unit, doubt / unit if known else None)
+            shown, plus = with_deviation(getattr(joint, key) / unit, uncertainty / unit if known else None)
             cells.append(f"{shown} ± {plus}" if known else f"{shown} (chosen)")
         rows.append(cells)
     return table(["joint", "type", *TITLES], rows, numbers=(2, 3, 4, 5, 6))
@@ -132,11 +132,11 @@ def _beside(result: Identification, nominal: Arm) -> str:
 
 def workspace_figure(result: Identification, xyz_m: Array) -> Figure:
     """Return the beacon's place at random joint positions within the travel, coloured by its standard deviation."""
-    if result.doubt is None:
+    if result.uncertainty is None:
         return cloud_figure(np.empty((0, 3)), np.empty(0), xyz_m)
     travel = np.array([joint.travel for joint in result.joints])
     q = np.random.default_rng(0).uniform(travel[:, 0], travel[:, 1], (CLOUD, len(travel)))
-    positions, C = result.doubt.positions(q)
+    positions, C = result.uncertainty.positions(q)
     return cloud_figure(positions, np.sqrt(np.einsum("mii->m", C)), xyz_m)
 
 

@@ -87,9 +87,9 @@ def _verdict(run: MeasureRun, series: Series, errors: Errors | None) -> Verdict:
         sentence += f" Against the truth: {position} RMS; {100 * inside:.1f} % inside their own 95 % ellipsoid."
         if not low <= inside <= high:
             level, word = "warn", "Claim doubted"
-    doubt = VERDICTS.get(run.consistency.get("verdict", ""))
-    if doubt is not None:
-        level, word = doubt
+    uncertainty = VERDICTS.get(run.consistency.get("verdict", ""))
+    if uncertainty is not None:
+        level, word = uncertainty
         sentence = f"{run.consistency['sentence']} {run.consistency['advice']} By what they claim: {sentence}"
     if run.error:
         level, word, sentence = "bad", "Broken off", f"{run.error.rstrip('.')}. Until then: {sentence}"

@@ -29,13 +29,13 @@ LARGEST_STEP = 0.3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimJoint:
-    """One joint and the link behind it, standard Denavit-Hartenberg; slides: along z instead of turning about it.
+    """One joint and the link behind it, standard Denavit-Hartenberg; prismatic: along z instead of turning about it.
 
     lower, upper, max_speed: of the joint value, in rad or m and per s.
     """
 
     name: str
-    slides: bool = False
+    prismatic: bool = False
     a_m: float = 0.0
     alpha_rad: float = 0.0
     d_m: float = 0.0
@@ -46,10 +46,10 @@ class SimJoint:
 
     def matrix(self, q: float) -> Array:
         """Return Rz(theta) Tz(d) Tx(a) Rx(alpha) (4, 4): the frame behind the joint in the one before it."""
-        theta = self.theta_rad + (0.0 if self.slides else q)
+        theta = self.theta_rad + (0.0 if self.prismatic else q)
         c, s = math.cos(theta), math.sin(theta)
         ca, sa = math.cos(self.alpha_rad), math.sin(self.alpha_rad)
-        d = self.d_m + (q if self.slides else 0.0)
+        d = self.d_m + (q if self.prismatic else 0.0)
         return np.array(
             [
                 [c, -s * ca, s * sa, self.a_m * c],
@@ -96,8 +96,8 @@ class SimArm:
         z, p = frames[:-1, :3, 2], frames[:-1, :3, 3]
         arm = frames[-1, :3, 3] - p
         turning = z[:, [1, 2, 0]] * arm[:, [2, 0, 1]] - z[:, [2, 0, 1]] * arm[:, [1, 2, 0]]  # z x arm, (n, 3)
-        slides = np.array([[joint.slides] for joint in self.joints])
-        return np.vstack([np.where(slides, z, turning).T, np.where(slides, 0.0, z).T])
+        prismatic = np.array([[joint.prismatic] for joint in self.joints])
+        return np.vstack([np.where(prismatic, z, turning).T, np.where(prismatic, 0.0, z).T])
 
     def reach(self, T_base_flange: Array, near: ArrayLike) -> Array:
         """Return joint values (n,) that bring the flange to a pose (4, 4), on the branch of near (n,).
@@ -136,7 +136,7 @@ class SimArm:
                     a_m=joint.a_m + length_m * a,
                     alpha_rad=joint.alpha_rad + angle_rad * alpha,
                     d_m=joint.d_m + (length_m * d if i else 0.0),
-                    theta_rad=joint.theta_rad + (angle_rad * theta if i and not joint.slides else 0.0),
+                    theta_rad=joint.theta_rad + (angle_rad * theta if i and not joint.prismatic else 0.0),
                 )
             )
         return replace(self, joints=tuple(joints))
@@ -150,7 +150,7 @@ class SimArm:
             "joints": [
                 {
                     "name": joint.name,
-                    "type": "prismatic" if joint.slides else "revolute",
+                    "type": "prismatic" if joint.prismatic else "revolute",
                     "a_m": joint.a_m,
                     "alpha_rad": joint.alpha_rad,
                     "d_m": joint.d_m,

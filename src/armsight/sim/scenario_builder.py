@@ -67,7 +67,7 @@ def robotics(scenario: Scenario, seed: int) -> Robotics:
     joints = tuple(
         SimJoint(
             name=joint.name,
-            slides=joint.type == "prismatic",
+            prismatic=joint.type == "prismatic",
             a_m=joint.a_m,
             alpha_rad=np.deg2rad(joint.alpha_deg),
             d_m=joint.d_m,
@@ -80,7 +80,7 @@ def robotics(scenario: Scenario, seed: int) -> Robotics:
     )
     nominal = SimArm(joints=joints, T_world_base=keys.T_world_base.pose())
     rng = np.random.default_rng([seed, SEED_ARM])
-    step = np.array([(1.0 if joint.slides else 2.0 * np.pi) / keys.steps for joint in joints])
+    step = np.array([(1.0 if joint.prismatic else 2.0 * np.pi) / keys.steps for joint in joints])
     return Robotics(
         nominal=nominal,
         true=nominal.with_errors(rng, keys.error.length_m, np.deg2rad(keys.error.angle_deg)),

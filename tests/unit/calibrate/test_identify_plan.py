@@ -132,8 +132,8 @@ def test_a_probe_leads_to_nearly_the_plan_of_the_true_arm(plan: Plan) -> None:
 def test_what_is_hardly_known_is_not_sent_to_the_border(arm: RoughArm) -> None:
     """With doubt about the arm the beacon must be inside the images by three standard deviations of where it may be."""
     longer = parallel_rig(Camera.pinhole(640, 480, 1.5 * FU, 1.5 * FV, CX, CY), BASELINE)
-    doubt = np.diag([0.01**2] * len(arm.model.names))
-    vague = RoughArm(axes=arm.axes, beacon_m=arm.beacon_m, sigma_px=SIGMA, covariance=doubt)
+    uncertainty = np.diag([0.01**2] * len(arm.model.names))
+    vague = RoughArm(axes=arm.axes, beacon_m=arm.beacon_m, sigma_px=SIGMA, covariance=uncertainty)
     room = []
     for one in (arm, vague):
         uv = 1.5 * (pixels(rows(propose_sweeps(one, longer, LIMITS, START))[1]) - [CX, CY]) + [CX, CY]

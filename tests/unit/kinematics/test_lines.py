@@ -80,7 +80,7 @@ def test_a_slide_may_stand_anywhere_and_is_put_through_the_origin() -> None:
     rng = np.random.default_rng(5)
     T = frame(rng)
     direction = Rotation.random(rng=rng).as_matrix()[:, 0]
-    link = link_to_line(T, rng.normal(size=3), direction, slides=True)
+    link = link_to_line(T, rng.normal(size=3), direction, prismatic=True)
     assert link.a_m == pytest.approx(0.0, abs=1e-12)
     assert link.d_m == pytest.approx(0.0, abs=1e-12)
     np.testing.assert_allclose((T @ link.matrix())[:3, 2], direction, atol=1e-12)

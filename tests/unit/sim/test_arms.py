@@ -67,7 +67,9 @@ def test_reach_comes_back_to_the_pose_and_refuses_what_is_too_far() -> None:
 
 
 def test_errors_leave_alone_what_the_base_takes_up() -> None:
-    nominal = SimArm(joints=(SimJoint(name="a", a_m=0.1), SimJoint(name="b", a_m=0.2), SimJoint(name="c", slides=True)))
+    nominal = SimArm(
+        joints=(SimJoint(name="a", a_m=0.1), SimJoint(name="b", a_m=0.2), SimJoint(name="c", prismatic=True))
+    )
     draws = [nominal.with_errors(np.random.default_rng(s), 1e-3, 1e-2).joints for s in range(400)]
     assert {(j[0].d_m, j[0].theta_rad, j[2].theta_rad) for j in draws} == {(0.0, 0.0, 0.0)}
     assert np.std([j[1].a_m for j in draws]) == pytest.approx(1e-3, rel=0.15)

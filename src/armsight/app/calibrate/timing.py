@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.schemas.timing import BothCounts, BothPixels, BothSeconds, TimingOutput
-from armsight.app.sources.frames import RecordedFrames, is_recording, open_source
+from armsight.app.sources.frames import camera_source, require_size
 from armsight.calibrate.timing import TimingCalibration, calibrate_timing
-from armsight.drivers import FrameSource, is_live
-from armsight.errors import Cancelled, Inconsistent, UsageError
+from armsight.drivers import is_live
+from armsight.errors import Cancelled, UsageError
 from armsight.measure.poses.stationary_lights import without_standing
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import find_spots
@@ -116,16 +116,9 @@ def _seen(job: TimingJob, rig: Rig, side: str, text: str, progress: Progress) ->
     """Return the spots of one camera's frames, those that stand still left out."""
     settings = SpotSettings(threshold=job.threshold, inverted=job.inverted)
     stamps, found = [], []
-    with _source(text, side, job.fps) as source:
+    with camera_source(text, side, fps=job.fps) as source:
         for frame in source:
-            camera = rig.camera(side)
-            if (frame.width, frame.height) != (camera.width, camera.height):
-                raise Inconsistent(
-                    f"{frame.source} is {frame.width}x{frame.height} px, the rig's {side} camera "
-                    f"{camera.width}x{camera.height} px",
-                    consequence="No timing is given",
-                    cure="Record at the resolution of the calibration, or calibrate at this one",
-                )
+            require_size(rig, side, frame, "No timing is given")
             stamps.append(frame.t_s)
             found.append(find_spots(frame.image, settings))
             progress.update(len(found), source.total or 0, f"looking for lights, {side}")
@@ -134,12 +127,6 @@ def _seen(job: TimingJob, rig: Rig, side: str, text: str, progress: Progress) ->
             if job.limit is not None and len(found) >= job.limit:
                 break
     return spot_track(np.array(stamps), without_standing(found))
-
-
-def _source(text: str, side: str, fps: float | None) -> FrameSource:
-    if is_recording(text):
-        return RecordedFrames(text, side if text.lower().endswith(".mcap") else None)
-    return open_source(text, fps=fps)
 
 
 def spot_track(stamps_s: Array, found: list[Spots]) -> SpotTrack:

@@ -19,7 +19,6 @@ from armsight.app.measure.warm_up import prepare
 from armsight.app.schemas.measure import FrameTime, MeasureOutput
 from armsight.errors import NotEnoughData
 from armsight.geometry import quat_of_matrix
-from armsight.measure.motion.states import View
 from armsight.measure.poses.setup import Setup
 from armsight.optics import SIDES
 from armsight.records import Points, PoseStatus, Progress, Spots, TargetPose
@@ -90,7 +89,7 @@ def _write(out: Path, setup: Setup, moved: Sequence[MovingPose], done: FreeRun) 
                 points.write(pose.t_s, _points(setup, rig_pose.pose))
         for view in done.views:
             names = [setup.model.names[k] for k in view.lights.tolist()]
-            spots.write(view.t_s, SIDES[view.side], names, _spots(view))
+            spots.write(view.t_s, SIDES[view.side], names, Spots.of_centres(view.uv_px, view.cov_px2))
 
 
 def _points(setup: Setup, pose: TargetPose) -> Points:
@@ -102,17 +101,6 @@ def _points(setup: Setup, pose: TargetPose) -> Points:
         J = np.hstack([np.eye(3), np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])])
         covariance.append(J @ C @ J.T)
     return Points(names=setup.model.names, xyz_m=arm + T[:3, 3], covariance_m2=np.array(covariance))
-
-
-def _spots(view: View) -> Spots:
-    n = len(view.lights)
-    return Spots(
-        uv_px=view.uv_px,
-        covariance_px2=view.cov_px2,
-        peak=np.zeros(n),
-        size_px=np.ones(n),
-        model=("centroid",) * n,
-    )
 
 
 def _summary(done: FreeRun, poses: Sequence[TargetPose], ms: float) -> MeasureOutput:

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from armsight.app.schemas.measure import FreeRunning
 from armsight.app.schemas.timing import BothCounts, BothSeconds
-from armsight.app.sources.frames import RecordedFrames, is_recording, open_source
+from armsight.app.sources.frames import camera_source, is_recording
 from armsight.calibrate.timing.stamps import FEWEST_FRAMES, steady
-from armsight.drivers import FrameSource, is_live
+from armsight.drivers import is_live
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.measure.follow import AnyFrame, Follower, SpotFrame
 from armsight.measure.motion.estimate import MAX_GAP_S, Start, smooth
@@ -241,13 +241,7 @@ def _table(path: Path, camera: Camera) -> Stream:
 def _spot_frames(track: SpotTrack, camera: Camera) -> Iterator[SpotFrame]:
     for k, t_s in enumerate(track.t_s.tolist()):
         rows = np.flatnonzero(track.frame == k)
-        spots = Spots(
-            uv_px=track.uv_px[rows],
-            covariance_px2=track.covariance_px2[rows],
-            peak=np.zeros(len(rows)),
-            size_px=np.ones(len(rows)),
-            model=("centroid",) * len(rows),
-        )
+        spots = Spots.of_centres(track.uv_px[rows], track.covariance_px2[rows])
         yield SpotFrame(t_s=t_s, spots=spots, width=camera.width, height=camera.height)
 
 
@@ -255,12 +249,7 @@ def _images(text: str, side: str, *, colour: bool, fps: float | None) -> Stream:
     """Return the frames of a source that can be read again; the first time for its stamps."""
 
     def read() -> Iterator[Frame]:
-        source: FrameSource
-        if is_recording(text):
-            source = RecordedFrames(text, side if text.lower().endswith(".mcap") else None, colour=colour)
-        else:
-            source = open_source(text, colour=colour, fps=fps)
-        with source:
+        with camera_source(text, side, colour=colour, fps=fps) as source:
             yield from source
 
     return Stream(t_s=_steady(np.array([frame.t_s for frame in read()]), side), read=read)

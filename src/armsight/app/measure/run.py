@@ -20,7 +20,7 @@ from armsight.app.measure.outputs import REPORT, SUMMARY, Outputs
 from armsight.app.measure.warm_up import prepare
 from armsight.app.schemas.measure import MeasureOutput
 from armsight.app.sources.complex_images import complex_pairs
-from armsight.app.sources.frames import is_recording, open_pairs, open_source
+from armsight.app.sources.frames import is_recording, open_pairs, open_source, require_size
 from armsight.drivers import PairSource, ordered_map, read_image
 from armsight.drivers.live import MAX_SKEW_S
 from armsight.errors import ArmsightError, Cancelled, Inconsistent, NotEnoughData, UsageError
@@ -225,14 +225,7 @@ def lost_pair(pair: Pair, why: str) -> Measured:
 def _sized(rig: Rig, pair: Pair) -> Pair:
     """Return the pair, or raise Inconsistent where a frame's size is not its camera's."""
     for side, frame in zip(SIDES, pair, strict=True):
-        camera = rig.camera(side)
-        if (frame.width, frame.height) != (camera.width, camera.height):
-            raise Inconsistent(
-                f"{frame.source} is {frame.width}x{frame.height} px, the rig's {side} camera "
-                f"{camera.width}x{camera.height} px",
-                consequence="The calibration says nothing about such frames, so measuring stops here",
-                cure="Record at the resolution of the calibration, or calibrate at this one",
-            )
+        require_size(rig, side, frame, "The calibration says nothing about such frames, so measuring stops here")
     return pair
 
 

@@ -52,20 +52,10 @@ def compile_beside(cell: str = "") -> None:
     """Compile what comes after the spots; see prepare."""
     xyz_m = {"A": (-0.05, 0.0, 0.0), "B": (0.05, 0.04, 0.0), "C": (0.03, -0.04, 0.0)}
     rig = parallel_rig(Camera.pinhole(640, 480, 500.0, 500.0, 320.0, 240.0), 0.1)
-    seen = [_spots_at(uv_px) for uv_px in rig.project(np.array(list(xyz_m.values())) + np.array([0.05, 0.0, 0.5]))]
+    views = rig.project(np.array(list(xyz_m.values())) + np.array([0.05, 0.0, 0.5]))
+    seen = [Spots.of_centres(uv_px, 0.01 * np.eye(2)) for uv_px in views]
     setup = Setup(rig, spot_target(xyz_m))
     track = measure_spots(setup, 0.0, seen[0], seen[1]).track
     measure_spots(setup, 0.01, seen[0], seen[1], track)
     if cell:
         next(load_cell(cell, seed=0, frames=1).frames())
-
-
-def _spots_at(uv_px: np.ndarray) -> Spots:
-    n = len(uv_px)
-    return Spots(
-        uv_px=uv_px,
-        covariance_px2=np.tile(0.01 * np.eye(2), (n, 1, 1)),
-        peak=np.full(n, 100.0),
-        size_px=np.full(n, 2.0),
-        model=("gaussian",) * n,
-    )

@@ -20,6 +20,7 @@ from armsight.clock import Clock
 from armsight.drivers import FrameSource, LivePairs, PairSource, Skew
 from armsight.drivers.live import MAX_SKEW_S
 from armsight.errors import DeviceFailed, Inconsistent, UsageError
+from armsight.optics import Rig
 from armsight.records import Frame
 from armsight.store.recording import Recording
 
@@ -143,6 +144,25 @@ def open_source(
         _no_times(text, fps, times_s)
         return RecordedFrames(text, colour=colour)
     return drivers.open_source(text, colour=colour, fps=fps, times_s=times_s, clock=clock, origin_s=origin_s)
+
+
+def camera_source(text: str, side: str, *, colour: bool = False, fps: float | None = None) -> FrameSource:
+    """Return the frames of the camera on one side; of a recording that names no camera, of the one on this side."""
+    if is_recording(text):
+        return RecordedFrames(text, side if text.lower().endswith(".mcap") else None, colour=colour)
+    return open_source(text, colour=colour, fps=fps)
+
+
+def require_size(rig: Rig, side: str, frame: Frame, consequence: str) -> None:
+    """Raise Inconsistent, with the consequence, where a frame is not of the size of the rig's camera."""
+    camera = rig.camera(side)
+    if (frame.width, frame.height) != (camera.width, camera.height):
+        raise Inconsistent(
+            f"{frame.source} is {frame.width}x{frame.height} px, the rig's {side} camera "
+            f"{camera.width}x{camera.height} px",
+            consequence=consequence,
+            cure="Record at the resolution of the calibration, or calibrate at this one",
+        )
 
 
 def open_pairs(

@@ -12,7 +12,15 @@ from scipy.stats import chi2
 from armsight.calibrate.arm.fit import ArmFit, Tolerance, fit_arm
 from armsight.calibrate.arm.initial_guess import start
 from armsight.calibrate.arm.model import ArmModel
-from armsight.calibrate.arm.model_selection import Couplings, Level, candidates, coupled, level, plain_level, proved
+from armsight.calibrate.arm.model_selection import (
+    Couplings,
+    Level,
+    candidates,
+    coupled,
+    level,
+    plain_level,
+    significant_gain,
+)
 from armsight.calibrate.arm.parameter_selection import still
 from armsight.calibrate.arm.plausibility import check_fit, exceeded
 from armsight.calibrate.arm.points import ArmPoints, check_points
@@ -96,10 +104,10 @@ def calibrate_arm(
 ) -> ArmCalibration:
     """Return the arm whose left-out errors are smallest: nominal, or with zeros, geometry, joint scales corrected.
 
-    Each richer model is taken only where left-out errors fall beyond their own doubt, in cross-validation and, where a
-    holdout is given, there too. Base and tool points are fitted always. Couplings of one (an elbow's reading that is
-    absolute) are a kind of model of their own, tried where they halve the error. Raises NotEnoughData, Inconsistent for
-    measurements that cannot be of this arm.
+    Each richer model is taken only where left-out errors fall beyond their own uncertainty, in cross-validation
+    and, where a holdout is given, there too. Base and tool points are fitted always. Couplings of one (an elbow's
+    reading that is absolute) are a kind of model of their own, tried where they halve the error. Raises
+    NotEnoughData, Inconsistent for measurements that cannot be of this arm.
     """
     tolerance = tolerance or Tolerance()
     check_points(nominal, points)
@@ -112,7 +120,7 @@ def calibrate_arm(
     check_fit(model, points, min(errors, key=exceeded))
     best = levels[0]
     for richer in levels[1:]:
-        if proved(best.left_m, richer.left_m, points.position):
+        if significant_gain(best.left_m, richer.left_m, points.position):
             best = richer
     return _result(model, points, holdout, levels, best)
 
@@ -161,7 +169,7 @@ def _result(
     held: tuple[Array, Array] | None = None
     if holdout is not None:
         held = _size(model, first, holdout), _size(model, chosen, holdout)
-        if chosen is not first and not proved(*held, holdout.position):
+        if chosen is not first and not significant_gain(*held, holdout.position):
             best = first
     gain = best is not first
     cross = Errors.of(first.left_m), Errors.of(best.left_m)

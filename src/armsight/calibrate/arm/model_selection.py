@@ -135,13 +135,13 @@ def left_out(model: ArmModel, points: ArmPoints, fitted: ArmFit) -> Array:
     return out
 
 
-def proved(before_m: Array, after_m: Array, position: NDArray[np.intp]) -> bool:
-    """Whether errors (m,) fall beyond their own doubt, joint position by joint position: its rows hang together.
+def significant_gain(before_m: Array, after_m: Array, position: NDArray[np.intp]) -> bool:
+    """Whether errors (m,) fall beyond their own uncertainty, joint position by joint position: its rows hang together.
 
     Gross rows are levelled so that none decides alone.
     """
     cap = 5.0 * float(np.median(before_m))
     fall = np.minimum(before_m, cap) - np.minimum(after_m, cap)
     fall = np.bincount(position, fall) / np.bincount(position)
-    doubt = float(fall.std(ddof=1)) / np.sqrt(len(fall))
-    return bool(fall.mean() > PROVED * doubt and fall.mean() > 1e-3 * before_m.mean())
+    uncertainty = float(fall.std(ddof=1)) / np.sqrt(len(fall))
+    return bool(fall.mean() > PROVED * uncertainty and fall.mean() > 1e-3 * before_m.mean())

@@ -1,4 +1,4 @@
-"""Which joint positions to measure next: those that shrink the doubt of the arm most (D-optimal, greedy)."""
+"""Which joint positions to measure next: those that shrink the uncertainty of the arm most (D-optimal, greedy)."""
 
 from __future__ import annotations
 

@@ -86,7 +86,7 @@ def _poses(result: HandEye) -> list[str]:
             "(T_flange_base and T_target_camera), and the two results have changed places."
         )
     if result.n_used < FEW_PAIRS:
-        out.append(f"{result.n_used} poses are few: {FEW_PAIRS} to 30 make the answer and its doubt trustworthy.")
+        out.append(f"{result.n_used} poses are few: {FEW_PAIRS} to 30 make the answer and its uncertainty trustworthy.")
     second = float(result.rotation_excitation.rms_rad[1])
     if second < WEAK_TURN_RAD:
         x, y, z = result.rotation_excitation.axes[1]

@@ -1,4 +1,4 @@
-"""Hand-eye calibration from pose pairs: check, solve, doubt, advise."""
+"""Hand-eye calibration from pose pairs: check, solve, uncertainty, advice."""
 
 from __future__ import annotations
 

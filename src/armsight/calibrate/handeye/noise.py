@@ -80,7 +80,7 @@ def noise_of_pairs(variances: Array, covariance: Array, lever_m: float) -> Noise
 
 
 def part(variance: float, spread: float) -> Part:
-    """Return the standard deviation of a variance; near zero its doubt is that of the variance itself, not of its
+    """Return the standard deviation of a variance; near zero its uncertainty is that of the variance itself, not of its
     slope."""
     value = float(np.sqrt(max(variance, 0.0)))
     uncertainty = float(np.sqrt(max(spread, 0.0)))

@@ -1,4 +1,4 @@
-"""Which poses to add: those that would lower the doubt most, within reach and with the target in view."""
+"""Which poses to add: those that would lower the uncertainty most, within reach and with the target in view."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Proposal:
 
 
 def propose(result: HandEye, n: int, reachable: Callable[[RigidTransform], bool] | None = None) -> tuple[Proposal, ...]:
-    """Return the n next poses that lower the doubt of the camera's place most, one after the other (greedy).
+    """Return the n next poses that lower the uncertainty of the camera's place most, one after the other (greedy).
 
     reachable: tells whether the robot can go to T_base_flange; without it the box of the poses so far, a little wider,
     stands for its reach. The target stays where the camera has seen it: between the nearest and furthest distance, and

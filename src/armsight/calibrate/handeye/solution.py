@@ -169,7 +169,7 @@ def residuals(arrays: Arrays, RX: Array, tX: Array, RZ: Array, tZ: Array, gamma:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class VarianceUncertainty:
-    """What the estimated noises leave in doubt.
+    """What the estimated noises leave uncertain.
 
     variance_covariance (3, 3): of the variances. dof (m,): effective degrees of freedom behind each parameter's
     variance (Satterthwaite 1946). std (m,): standard deviations with what wrong weights cost (Kenward, Roger 1997),
@@ -182,7 +182,7 @@ class VarianceUncertainty:
 
 
 def uncertainty(solution: Solution) -> VarianceUncertainty:
-    """Return the doubt of a fit whose noises were estimated from its own residuals."""
+    """Return the uncertainty of a fit whose noises were estimated from its own residuals."""
     Q = _shapes(solution)  # (3, n, 6, 6) whitened derivative of the noise by each variance
     J, C = solution.J, solution.C
     M = J @ C @ J.transpose(0, 2, 1)  # (n, 6, 6)

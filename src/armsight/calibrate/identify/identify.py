@@ -154,7 +154,7 @@ def _at_once(
     kept = seen.take(whole.rows)
     _, slopes = kept.residuals(*model.predict(p, kept.sweeps.q))
     A = slopes.reshape(-1, len(p))
-    return replace(result, doubt=ParameterUncertainty(model=model, p=p, information=A.T @ A))
+    return replace(result, uncertainty=ParameterUncertainty(model=model, p=p, information=A.T @ A))
 
 
 def _with_rivals(whole: GlobalFit, table: Array, covariance: Array, base: Array) -> tuple[Array, list[str]]:

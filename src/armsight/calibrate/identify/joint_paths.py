@@ -176,13 +176,13 @@ def _decided(straight: PathFit, seen: SweepResiduals) -> bool:
     A = np.stack([np.ones_like(t), t, t**2], axis=1)
     if len(t) < 4:
         return False
-    bend, doubt = 0.0, 0.0
+    bend, uncertainty = 0.0, 0.0
     for e in across.T:
         w = 1.0 / np.sqrt(np.einsum("i,mij,j->m", e, variance, e))
         H = np.linalg.inv((A * w[:, None]).T @ (A * w[:, None]))
         b = H @ (A * (w**2)[:, None]).T @ (xyz @ e - xyz.mean(axis=0) @ e)
-        bend, doubt = np.hypot(bend, b[2]), np.hypot(doubt, np.sqrt(H[2, 2]))
-    return bool(2.0 * (bend + 3.0 * doubt) * np.ptp(t) < HIDDEN_RAD)
+        bend, uncertainty = np.hypot(bend, b[2]), np.hypot(uncertainty, np.sqrt(H[2, 2]))
+    return bool(2.0 * (bend + 3.0 * uncertainty) * np.ptp(t) < HIDDEN_RAD)
 
 
 def measured(item: JointPath, sweeps: Sweeps) -> Axis:

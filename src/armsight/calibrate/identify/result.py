@@ -71,8 +71,8 @@ class Identification:
     """The arm, its joints, and what to know about them.
 
     sigma: noise found, px with a rig, else m (or a factor on the given covariances). predicted_m: (m, 3) where the
-    result puts the beacon at each reading. beacon_m: with all joints at zero, in rig axes. doubt: of the beacon's place
-    anywhere, where the whole arm was fitted at once.
+    result puts the beacon at each reading. beacon_m: with all joints at zero, in rig axes. uncertainty: of the beacon's
+    place anywhere, where the whole arm was fitted at once.
     """
 
     arm: Arm
@@ -82,4 +82,4 @@ class Identification:
     sigma: float
     predicted_m: Array
     beacon_m: Array
-    doubt: ParameterUncertainty | None = None
+    uncertainty: ParameterUncertainty | None = None

@@ -41,7 +41,7 @@ def place_frames(
             axis = axes[i]
             last_slide = not axis.revolute and i == len(axes) - 1
             point = beacon_m if last_slide and slide_at_beacon else axis.point_m
-            link = link_to_line(T, point, axis.direction, slides=not axis.revolute and not last_slide)
+            link = link_to_line(T, point, axis.direction, prismatic=not axis.revolute and not last_slide)
             rows[i - 1] = link.theta_rad, link.d_m, link.a_m, link.alpha_rad, link.beta_rad
             T = T @ link.matrix()
     tool = np.eye(4)

@@ -106,7 +106,7 @@ def _evaluate(
 def _judge(
     rig: Rig, layout: Layout, sightings: LightObservations, fit: Fit, at: Evaluation, whiten: Array
 ) -> LightBundle:
-    """Return the bundle with its doubt, the rig's share and the left-out residuals."""
+    """Return the bundle with its uncertainty, the rig's share and the left-out residuals."""
     g, n = sightings.uv_px.shape[:2]
     Js, Jl, r = at.shared, at.local, at.residuals
     # residuals and shape as they are once each frame's pose has followed

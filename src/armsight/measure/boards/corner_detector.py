@@ -169,10 +169,10 @@ def find_grids(saddles: Saddles, columns: int, rows: int) -> tuple[Grid, ...]:
     best: tuple[Grid, ...] = ()
     most = 0
     for start in _starts(saddles):
-        cells, places = _grow(saddles, start, columns, rows)
+        cells, members = _grow(saddles, start, columns, rows)
         if min(len(cells), columns * rows) <= most:
             continue
-        grids = _windows(saddles, cells, places, columns, rows)
+        grids = _windows(saddles, cells, members, columns, rows)
         held = max(len(grid.cells) for grid in grids) if len(grids) == 1 else columns * rows
         if held > most:
             best, most = grids, held
@@ -216,34 +216,34 @@ def _grow(
     """Return the cells (n, 2) and the saddles (n,) of the grid that one square grows into, each step by prediction."""
     uv, sign = saddles.uv, np.sign(saddles.response)
     cells = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
-    places = start
+    members = start
     longest = 2 * max(columns, rows) + 2  # of two boards that fall on one another
     around = np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
     while True:
-        smooth = fit_map(cells.astype(float), uv[places])[0]
+        smooth = fit_map(cells.astype(float), uv[members])[0]
         new = np.unique((cells[:, None] + around[None]).reshape(-1, 2), axis=0)
         new = new[~(new[:, None] == cells[None]).all(axis=2).any(axis=1)]
         new = new[(np.maximum(new, cells.max(axis=0)) - np.minimum(new, cells.min(axis=0)) < longest).all(axis=1)]
         if len(new) == 0:
-            return cells, places
+            return cells, members
         grid = new.astype(float)
         size = np.linalg.norm(smooth.derivatives(grid)[0], axis=1).min(axis=1)
         gap = np.linalg.norm(uv[None] - smooth(grid)[:, None], axis=2)
         wanted = np.where(new.sum(axis=1) % 2 == 0, 1.0, -1.0) * sign[start[0]]
         gap[sign[None] != wanted[:, None]] = np.inf
-        gap[:, places] = np.inf
+        gap[:, members] = np.inf
         near = np.argmin(gap, axis=1)
         tight = 1.0 if len(cells) < SETTLED_CORNERS else 0.5
         met = gap[np.arange(len(new)), near] < tight * _near(size)
         _, once = np.unique(near[met], return_index=True)
         if len(once) == 0:
-            return cells, places
+            return cells, members
         cells = np.concatenate([cells, new[met][once]])
-        places = np.concatenate([places, near[met][once]])
+        members = np.concatenate([members, near[met][once]])
 
 
 def _windows(
-    saddles: Saddles, cells: NDArray[np.intp], places: NDArray[np.intp], columns: int, rows: int
+    saddles: Saddles, cells: NDArray[np.intp], members: NDArray[np.intp], columns: int, rows: int
 ) -> tuple[Grid, ...]:
     """Return the part of a grown grid that is the board's size, where its corners are strongest; two parts where the
     corners are those of two boards, doubled where both are.
@@ -251,7 +251,7 @@ def _windows(
     The ends of the black squares at the board's edge respond too, half as much as a corner between four squares.
     """
     cells = cells - cells.min(axis=0)
-    strength = np.abs(saddles.response[places])
+    strength = np.abs(saddles.response[members])
     usual = float(np.median(strength))
     worth = np.full(cells.max(axis=0) + 1 + 2 * max(columns, rows), -MISSING)
     pad = max(columns, rows)
@@ -268,11 +268,11 @@ def _windows(
         either = masks[0] ^ masks[1]
         if not both.any() or np.median(strength[both]) > DOUBLED * np.median(strength[either]):
             return tuple(
-                _grid(saddles, cells, places, mask & ~both, ~(both | either), corner, size, size == (columns, rows))
+                _grid(saddles, cells, members, mask & ~both, ~(both | either), corner, size, size == (columns, rows))
                 for mask, corner in zip(masks, corners, strict=True)
             )
         masks, corners = masks[:1], corners[:1]
-    return (_grid(saddles, cells, places, masks[0], ~masks[0], corners[0], size, size == (columns, rows)),)
+    return (_grid(saddles, cells, members, masks[0], ~masks[0], corners[0], size, size == (columns, rows)),)
 
 
 def _inside(cells: NDArray[np.intp], corner: Cell, size: tuple[int, int]) -> NDArray[np.bool_]:
@@ -308,7 +308,7 @@ def _best_windows(worth: Array, size: tuple[int, int], pad: int) -> Iterator[tup
 def _grid(
     saddles: Saddles,
     cells: NDArray[np.intp],
-    places: NDArray[np.intp],
+    members: NDArray[np.intp],
     inside: NDArray[np.bool_],
     outside: NDArray[np.bool_],
     corner: Cell,
@@ -317,7 +317,7 @@ def _grid(
 ) -> Grid:
     """Return the corners inside a window, counted from its own corner along the board's columns and rows."""
     place = cells[inside] - corner
-    response = saddles.response[places]
+    response = saddles.response[members]
     sign = float(np.sign(np.sum(np.where(place.sum(axis=1) % 2 == 0, 1.0, -1.0) * response[inside])))
     beyond = outside & (np.abs(response) > BEYOND * np.median(np.abs(response[inside])))
     if not upright:  # a quarter turn: rows become columns, the other way round; the other two sectors come first
@@ -325,8 +325,8 @@ def _grid(
         sign = -sign if size[1] % 2 == 1 else sign
     return Grid(
         cells=place,
-        uv=saddles.uv[places[inside]],
+        uv=saddles.uv[members[inside]],
         strength=np.abs(response[inside]),
         first=sign,
-        beyond=saddles.uv[places[beyond]],
+        beyond=saddles.uv[members[beyond]],
     )

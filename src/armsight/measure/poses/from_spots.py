@@ -1,4 +1,4 @@
-"""From all spots found in both views to the target's pose: name them, solve, and doubt the answer."""
+"""From all spots found in both views to the target's pose: name them, solve, and check the answer."""
 
 from __future__ import annotations
 

@@ -132,8 +132,8 @@ def warm_up() -> None:
     Raises NotConverged where the code does not find a target that is plainly there.
     """
     spots_warm_up()
-    doubt = NamedCovariance(names=RIG_PARAMETERS, matrix=1e-12 * np.eye(len(RIG_PARAMETERS)))
-    rig = replace(parallel_rig(Camera.pinhole(320, 240, 250.0, 250.0, 160.0, 120.0), 0.1), covariance=doubt)
+    uncertainty = NamedCovariance(names=RIG_PARAMETERS, matrix=1e-12 * np.eye(len(RIG_PARAMETERS)))
+    rig = replace(parallel_rig(Camera.pinhole(320, 240, 250.0, 250.0, 160.0, 120.0), 0.1), covariance=uncertainty)
     xyz = np.array([[-0.05, 0.0, 0.0], [0.05, 0.04, 0.0], [0.03, -0.04, 0.0]])
     y, x = np.mgrid[0:240, 0:320]
     images = [
@@ -169,10 +169,10 @@ def check_sizes(setup: Setup, left: Frame, right: Frame) -> None:
 def _measure_windows(setup: Setup, left: Frame, right: Frame, t_s: float, track: Track) -> Measured | None:
     """Return the pose from windows around the predicted spots; None where not every one of them is found and fits."""
     n, packed = len(track.names), setup.packed
-    ahead, at_left, at_right = np.empty((n, 3)), np.empty((n, 2)), np.empty((n, 2))
+    predicted, at_left, at_right = np.empty((n, 3)), np.empty((n, 2)), np.empty((n, 2))
     dt = t_s - track.t_s
     if not kernels.predict_views(
-        packed.k, packed.R, packed.t, track.xyz_m, track.velocity_m_s, dt, ahead, at_left, at_right
+        packed.k, packed.R, packed.t, track.xyz_m, track.velocity_m_s, dt, predicted, at_left, at_right
     ):
         return None
     if setup.overlaid:
@@ -186,10 +186,10 @@ def _measure_windows(setup: Setup, left: Frame, right: Frame, t_s: float, track:
     if left_seen is None or right_seen is None:
         return None
     solved = solve_spots(setup, t_s, track.names, left_seen, right_seen)
-    if not solved.fits or solved.pose.status is PoseStatus.LOST or jumped(setup, track, t_s, solved):
+    if not solved.fits or solved.pose.status is PoseStatus.LOST:
         return None
     step = continuation(setup, track, t_s, solved)
-    if not step.likely:
+    if not step.likely or (track.motion is None and jumped(setup, track, t_s, solved)):
         return None
     innovation = kernels.largest_innovation(left_seen.uv_px, at_left, right_seen.uv_px, at_right)
     return Measured(

@@ -77,13 +77,13 @@ def jumped(setup: Setup, track: Track, t_s: float, solved: Solved) -> bool:
     C = solved.pose.covariance
     if solved.T is None or C is None:  # the points by themselves, in the order of the track
         positions, at = solved.points.xyz_m, track.predict(t_s)
-        doubt = np.sqrt(np.trace(solved.points.covariance_m2, axis1=1, axis2=2))
+        uncertainty = np.sqrt(np.trace(solved.points.covariance_m2, axis1=1, axis2=2))
     else:
         positions, at = positions_of(setup, solved.T), predicted.xyz_m
         arm = np.linalg.norm(setup.model.xyz_m, axis=1)
-        doubt = np.sqrt(np.trace(C[:3, :3])) + arm * np.sqrt(np.trace(C[3:, 3:]))
+        uncertainty = np.sqrt(np.trace(C[:3, :3])) + arm * np.sqrt(np.trace(C[3:, 3:]))
     off = positions - at
-    if np.any(np.linalg.norm(off, axis=1) > predicted.within_m + JUMP_SIGMA * doubt):
+    if np.any(np.linalg.norm(off, axis=1) > predicted.within_m + JUMP_SIGMA * uncertainty):
         return True
     if solved.T is None or C is None:
         return False

@@ -150,7 +150,7 @@ def _start(angles: Array, seen: list[RigidTransform]) -> tuple[RotaryBase, Rigid
 def _covariances(
     base: RotaryBase, angles: Array, poses: list[TargetPose], seen: list[RigidTransform], sigma_angle_rad: float
 ) -> list[Array]:
-    """Return the covariance (6, 6) of each measured pose with the angle's own doubt added."""
+    """Return the covariance (6, 6) of each measured pose with the angle's own uncertainty added."""
     out = []
     for pose, T in zip(poses, seen, strict=True):
         if pose.covariance is None:

@@ -28,7 +28,7 @@ from armsight.geometry.kernels import copy_1, rotate_left, rotvec_of, sandwich
 
 LINEAR = 30.0
 """Within so many standard deviations of the answer the residuals follow the parameters linearly, to a share of the
-noise that is far below its own doubt; the noises are judged only there."""
+noise that is far below its own uncertainty; the noises are judged only there."""
 
 
 @kernel

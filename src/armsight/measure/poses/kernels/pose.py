@@ -273,16 +273,16 @@ def transform_lights(T, X, positions):
 
 
 @kernel
-def predict_views(k, R, t, positions, velocity, dt, ahead, uv_left, uv_right):
+def predict_views(k, R, t, positions, velocity, dt, predicted, uv_left, uv_right):
     """Fill ahead (n, 3) with positions + dt velocity, uv_left, uv_right (n, 2) with its images; False behind a
     camera."""
     J = np.empty((2, 3))
     for n in range(positions.shape[0]):
         for i in range(3):
-            ahead[n, i] = positions[n, i] + dt * velocity[n, i]
-        if not see_point(k[0], R[0], t[0], ahead[n], uv_left[n], J):
+            predicted[n, i] = positions[n, i] + dt * velocity[n, i]
+        if not see_point(k[0], R[0], t[0], predicted[n], uv_left[n], J):
             return False
-        if not see_point(k[1], R[1], t[1], ahead[n], uv_right[n], J):
+        if not see_point(k[1], R[1], t[1], predicted[n], uv_right[n], J):
             return False
     return True
 
