@@ -72,7 +72,7 @@ def followed(*, covered: tuple[float, float] = (9.0, 9.0), seconds: float = 2.5)
 
 def check(follower: Follower, at: Array) -> None:
     """Poses at all times, within their claims and a millimetre."""
-    states = smooth(follower.setup.packed, follower.setup.model.xyz_m, follower.views, follower.starts, at)
+    states = smooth(follower.setup.packed, follower.setup.model.xyz_m, follower.views, follower.starts, at).states
     q = []
     for state in states:
         assert state is not None

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from armsight.errors import Inconsistent
 from armsight.measure.motion.estimate import MotionFilter, Start, smooth
 from armsight.measure.motion.states import MotionState, View
+from armsight.measure.motion.timing import TimingEstimate, TimingPrior
 from armsight.optics import Camera, PackedRig, parallel_rig
 
 Array = NDArray[np.float64]
@@ -91,7 +93,7 @@ def errors(states: list[MotionState], way: Path) -> tuple[Array, Array]:
     return np.array(d), np.array(q)
 
 
-def told(states: list[MotionState | None]) -> list[MotionState]:
+def told(states: Sequence[MotionState | None]) -> list[MotionState]:
     """The states, all of which there are."""
     assert all(state is not None for state in states)
     return [state for state in states if state is not None]
@@ -105,7 +107,7 @@ def test_smoothed_poses_are_as_good_as_claimed_at_any_speed(speed: float) -> Non
         rng = np.random.default_rng([seed, int(10 * speed)])
         way = path(rng, speed)
         at = np.arange(0.5, 5.5, 1.0 / 30.0)
-        states = told(smooth(PACKED, LIGHTS, views(way, rng, 6.0), [start(way)], at))
+        states = told(smooth(PACKED, LIGHTS, views(way, rng, 6.0), [start(way)], at).states)
         d, q = errors(states, way)
         inside.append(np.mean(q < 12.59))
         off.append(np.linalg.norm(d[:, :3], axis=1))
@@ -118,7 +120,9 @@ def test_the_onset_of_a_motion_is_covered() -> None:
     for seed in range(4):
         rng = np.random.default_rng(seed)
         way = path(rng, 0.5, begins_s=2.0)
-        states = told(smooth(PACKED, LIGHTS, views(way, rng, 4.0), [start(way)], np.arange(1.8, 3.0, 1.0 / 30.0)))
+        states = told(
+            smooth(PACKED, LIGHTS, views(way, rng, 4.0), [start(way)], np.arange(1.8, 3.0, 1.0 / 30.0)).states
+        )
         inside.append(np.mean(errors(states, way)[1] < 12.59))
     assert np.mean(inside) > 0.85
 
@@ -126,7 +130,7 @@ def test_the_onset_of_a_motion_is_covered() -> None:
 def test_velocities_are_as_good_as_claimed() -> None:
     rng = np.random.default_rng(5)
     way = path(rng, 0.5)
-    states = told(smooth(PACKED, LIGHTS, views(way, rng, 6.0), [start(way)], np.arange(0.5, 5.5, 1.0 / 30.0)))
+    states = told(smooth(PACKED, LIGHTS, views(way, rng, 6.0), [start(way)], np.arange(0.5, 5.5, 1.0 / 30.0)).states)
     q = []
     for s in states:
         h = 1e-4
@@ -152,7 +156,7 @@ def test_the_causal_filter_holds_its_claims_also_while_one_camera_is_covered() -
     d, q = errors(covered, way)
     assert len(covered) > 10 and np.mean(q < 16.8) > 0.9
     assert np.abs(d[:, :3]).max() < 0.02
-    smoothed = told(smooth(PACKED, LIGHTS, seen, [first], np.arange(3.0, 3.5, 0.02)))
+    smoothed = told(smooth(PACKED, LIGHTS, seen, [first], np.arange(3.0, 3.5, 0.02)).states)
     assert np.linalg.norm(errors(smoothed, way)[0][:, :3], axis=1).max() < np.linalg.norm(d[:, :3], axis=1).max()
 
 
@@ -166,7 +170,7 @@ def test_nothing_is_said_far_from_any_view_and_a_track_may_begin_anew() -> None:
     T[:3, :3], T[:3, 3] = R.as_matrix(), p + 0.004
     starts = [start(way), Start(view=again, T=T, covariance=1e-6 * np.eye(6))]
     at = np.array([1.0, 3.5, 6.0, 7.0])
-    states = smooth(PACKED, LIGHTS, seen, starts, at)
+    states = smooth(PACKED, LIGHTS, seen, starts, at).states
     assert states[1] is None
     _, q = errors([s for s in states if s is not None], way)
     assert (q < 25.0).all()
@@ -209,3 +213,68 @@ def test_measured_poses_enter_the_filter_as_they_claim_and_a_turn_of_one_of_them
     wrong[:3, :3] = Rotation.from_rotvec([0.35, 0.0, 0.0]).as_matrix() @ wrong[:3, :3]
     _, surprise, knocked = follower.add_pose(8.0, wrong, C)
     assert surprise > 200.0 and knocked > 37.0
+
+
+PRIOR_S = 2e-4
+PRIOR = TimingPrior(mid_s=4.0, covariance=np.diag([PRIOR_S**2, 20.0**2, 1e-8, 1e-8]), readout_s=(READOUT, READOUT))
+
+
+def believed(seen: list[View], off: Array) -> list[View]:
+    """The views as somebody has them whose delay, drift and read-outs are off by (4,)."""
+    late = PRIOR.lines(seen) @ off
+    ends = np.concatenate([[0], np.cumsum([len(view.lights) for view in seen])]).tolist()
+    return [replace(view, tau_s=view.tau_s - late[a:b]) for view, a, b in zip(seen, ends, ends[1:], strict=False)]
+
+
+def found(seed: int, speed: float) -> tuple[Array, TimingEstimate, Array, Array]:
+    """What was off, the estimate, and the squares of the poses' errors over claims with and without the timing's."""
+    rng = np.random.default_rng([seed, 14])
+    way = path(rng, speed)
+    off = rng.multivariate_normal(np.zeros(4), PRIOR.covariance)
+    at = np.arange(0.5, 7.5, 0.1)
+    done = smooth(PACKED, LIGHTS, believed(views(way, rng, 8.0), off), [start(way)], at, PRIOR)
+    assert done.timing is not None
+    states = told(done.states)
+    d, _ = errors(states, way)
+    claimed = [s.covariance + s.by_timing[:6] @ done.timing.covariance @ s.by_timing[:6].T for s in states]
+    q = np.einsum("ni,ni->n", d, np.linalg.solve(np.array(claimed), d[..., None])[..., 0])
+    return off, done.timing, q, d
+
+
+def test_a_moving_target_tells_the_timing_as_well_as_claimed() -> None:
+    """Twenty estimates of four unknowns: the mean of chi-square 4 over 20 has a standard deviation of 0.63."""
+    surprise, gain = [], []
+    for seed in range(20):
+        off, timing, _, _ = found(seed, 0.5)
+        error = timing.change - off
+        surprise.append(error @ np.linalg.solve(timing.covariance, error))
+        gain.append(np.sqrt(timing.covariance[0, 0]) / PRIOR_S)
+    assert 4.0 - 4 * 0.63 < np.mean(surprise) < 4.0 + 4 * 0.63
+    assert np.median(gain) < 0.2
+
+
+def test_poses_are_as_good_as_claimed_with_the_timing_they_told() -> None:
+    """Depth is 7 times as sensitive as the sides: 0.2 ms would be 0.7 mm at 0.5 m/s."""
+    inside, depth = [], []
+    for seed in range(3):
+        _, _, q, d = found(seed, 0.5)
+        inside.append(np.mean(q < 12.59))
+        depth.append(d[:, 2])
+    assert np.mean(inside) > 0.88
+    assert np.sqrt(np.mean(np.square(depth))) < 2.5e-4
+
+
+def test_a_target_at_rest_tells_nothing_of_the_timing() -> None:
+    _, timing, _, _ = found(0, 0.0)
+    assert np.sqrt(timing.covariance[0, 0]) > 0.95 * PRIOR_S
+    assert np.abs(timing.change[0]) < PRIOR_S
+
+
+def test_what_is_exact_stays_so() -> None:
+    rng = np.random.default_rng(3)
+    way = path(rng, 0.5)
+    prior = replace(PRIOR, covariance=np.diag([PRIOR_S**2, 0.0, 0.0, 0.0]))
+    done = smooth(PACKED, LIGHTS, views(way, rng, 3.0), [start(way)], np.array([1.0]), prior)
+    assert done.timing is not None
+    np.testing.assert_array_equal(done.timing.change[1:], 0.0)
+    np.testing.assert_array_equal(done.timing.covariance[1:], 0.0)

@@ -23,9 +23,9 @@ from armsight.records import AT_ONCE, CameraTiming, Frame, PoseStatus, Spots
 
 Array = NDArray[np.float64]
 
-BEGIN_SLACKS_PX = (1.0, 3.0)
+BEGIN_SLACKS_PX = (1.0, 3.0, 10.0)
 """What views of two moments may add to a spot's standard deviation when a track begins, tried after the setup's own
-slack: 0.1 and 0.3 m/s for 8 ms at 0.8 m."""
+slack: 0.1, 0.3 and 1 m/s for 8 ms at 0.8 m."""
 BEGIN_APART_S = 0.1
 """Frames further apart than this do not begin a track."""
 LEAST_WINDOW_PX, MOST_WINDOW_PX = 8.0, 64.0

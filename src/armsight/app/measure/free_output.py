@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.measure.free_running import FreeRun, MovingPose, measure_free_running, streams_of
+from armsight.app.measure.free_running import FreeRun, MovingPose, measure_free_running
 from armsight.app.measure.outputs import POINTS, POSES, REPORT, SPOTS, SUMMARY, TUM, moved_pose
+from armsight.app.measure.streams import streams_of
 from armsight.app.measure.warm_up import prepare
 from armsight.app.schemas.measure import FrameTime, MeasureOutput
 from armsight.errors import NotEnoughData

@@ -5,33 +5,32 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from heapq import merge
-from itertools import islice
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2 as chi2_distribution
 
+from armsight.app.measure.streams import Stream, timing_of
 from armsight.app.schemas.measure import FreeRunning
 from armsight.app.schemas.timing import BothCounts, BothSeconds
-from armsight.app.sources.frames import camera_source, is_recording
-from armsight.calibrate.timing.stamps import FEWEST_FRAMES, steady
-from armsight.drivers import is_live
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
-from armsight.measure.follow import AnyFrame, Follower, SpotFrame
+from armsight.measure.follow import AnyFrame, Follower
 from armsight.measure.motion.estimate import MAX_GAP_S, Start, smooth
 from armsight.measure.motion.residuals import fitting_stretches, motion_residuals
 from armsight.measure.motion.states import MotionState, View
+from armsight.measure.motion.timing import TimingEstimate, TimingPrior
 from armsight.measure.poses.setup import Setup
 from armsight.measure.systematic import systematic_covariance
-from armsight.optics import SIDES, Camera, Rig
-from armsight.records import AT_ONCE, CameraTiming, Frame, PoseStatus, Progress, Spots, SpotTrack, TargetPose
-from armsight.store import read_spot_track
+from armsight.optics import SIDES
+from armsight.records import CameraTiming, PoseStatus, Progress, TargetPose
+from armsight.records.timing import PPM
+from armsight.units import MS
 
 Array = NDArray[np.float64]
 
 FOLLOWING = "measuring"
-MAX_ROTATION_STD_RAD = 0.3
-"""A rotation less certain than this is none."""
+MAX_POSITION_STD_M, MAX_ROTATION_STD_RAD = 0.05, 0.3
+"""A position or a rotation less certain than this is none."""
 DOUBTFUL_CHI2, MOST_CHI2 = 1.5, 4.0
 """Chi-square per degree of freedom of the spots about the motion from which it is doubted, and refused: cameras' noise
 is off by up to a factor of two."""
@@ -44,21 +43,16 @@ DOUBTFUL = (
     "the spots lie further from the target's motion than their noise: the timing, the rig or the target's measures are "
     "off, and the poses may be by more than they claim"
 )
+OTHER_TIMING = (
+    "the delay between the cameras is no longer what was calibrated, and the poses may be off by more than they claim; "
+    "calibrate the timing anew: this recording's own differs"
+)
+TIMING_CHANCE = 1e-5
+"""Chance below which what a recording says of its timing is not what was calibrated."""
 BEFORE_S = 0.05
 """How long before its first view something is said of the target."""
+TOO_LITTLE = "too few lights were seen about that time to say where the target was"
 GONE = f"the target was lost, or not found yet, or seen by no camera for {MAX_GAP_S:g} s"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Stream:
-    """One camera's frames: their stamps in s (n,), freed of jitter, and how to read them once, in that order."""
-
-    t_s: Array
-    read: Callable[[], Iterator[AnyFrame]]
-
-    def first(self, n: int) -> Stream:
-        """Return the stream of its first n frames."""
-        return Stream(t_s=self.t_s[:n], read=lambda: islice(self.read(), n))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -80,52 +74,6 @@ class FreeRun:
     figures: FreeRunning
 
 
-def streams_of(
-    rig: Rig, sources: Sequence[str | None], tables: Sequence[Path | None], *, colour: bool, fps: float | None
-) -> tuple[Stream, Stream]:
-    """Return both cameras' frames, from sources as on the command line, or from tables of spots. Raises UsageError."""
-    left, right = sources
-    if all(tables) and not any(sources):
-        read = [_table(path, rig.camera(side)) for path, side in zip(tables, SIDES, strict=True) if path is not None]
-        return read[0], read[1]
-    if any(tables) or (left is None and right is None):
-        raise UsageError(
-            "which frames?", cure="Give --left and --right, or --left-spots and --right-spots, one of each camera"
-        )
-    alone = left or right or ""
-    if (left is None or right is None) and not is_recording(alone):
-        raise UsageError("one view is missing", cure="Give --left and --right, or one recording for both")
-    texts = (left or alone, right or alone)
-    live = [text for text in texts if is_live(text)]
-    if live:
-        raise UsageError(
-            f"{live[0]} is a live camera, and views of free-running cameras are put together afterwards",
-            cure="Record first: armsight record --left ... --right ... -o wave.mcap, and give --left wave.mcap",
-        )
-    read = [_images(text, side, colour=colour, fps=fps) for text, side in zip(texts, SIDES, strict=True)]
-    return read[0], read[1]
-
-
-def runs_free(rig: Rig) -> bool:
-    """Tell whether the rig's file says that its cameras do not expose at once."""
-    return any(one.rolling or one.delay_s != 0.0 or one.drift_ppm != 0.0 for one in _timing(rig))
-
-
-def _timing(rig: Rig) -> tuple[CameraTiming, CameraTiming]:
-    left, right = rig.timing
-    return left or AT_ONCE, right or AT_ONCE
-
-
-def require_timing(rig: Rig) -> None:
-    """Raise UsageError where nothing is known of when the rig's cameras expose."""
-    if all(one is None for one in rig.timing):
-        raise UsageError(
-            "the rig's file says nothing of its cameras' timing",
-            consequence="When each view was taken is not known, so views of a moving target cannot be put together",
-            cure="Run armsight calibrate timing with 15 s of a waved target, or use --timing pairs",
-        )
-
-
 def measure_free_running(
     setup: Setup, streams: tuple[Stream, Stream], at_s: Array | None, rate_hz: float | None, progress: Progress
 ) -> FreeRun:
@@ -139,24 +87,27 @@ def measure_free_running(
             "free-running cameras need a target of three or more lights of known positions",
             cure="Measure the target first (armsight calibrate target), or use --timing pairs",
         )
-    timing = _timing(setup.rig)
+    timing = timing_of(setup.rig)
     times = [timing[side].rig_time(stream.t_s) for side, stream in enumerate(streams)]
     views, starts = _that_fit(setup, *_follow(setup, streams, times, progress))
     if at_s is None:
         at_s = times[0] if rate_hz is None else np.arange(times[0][0], times[0][-1] + 0.5 / rate_hz, 1.0 / rate_hz)
     seen_s = np.array([view.t_s for view in views])
     all_s, rows = np.unique(np.concatenate([at_s, seen_s]), return_inverse=True)
-    states = smooth(setup.packed, setup.model.xyz_m, views, starts, all_s)
-    states = [None if lost else one for one, lost in zip(states, _between(all_s, seen_s, starts), strict=True)]
+    smoothed = smooth(setup.packed, setup.model.xyz_m, views, starts, all_s, _prior(timing, streams, times))
+    views = smoothed.timing.retimed(views) if smoothed.timing else views
+    lost = _between(all_s, seen_s, starts)
+    states = [None if gone else one for one, gone in zip(smoothed.states, lost, strict=True)]
     found = motion_residuals(setup.packed, setup.model.xyz_m, views, [states[k] for k in rows[len(at_s) :]])
     chi2 = found.chi2_per_dof()
     asked = [states[k] for k in rows[: len(at_s)]]
-    heights = tuple(setup.rig.camera(side).height for side in SIDES)
+    told = _Told(
+        setup=setup, wider=max(chi2 or 1.0, 1.0), timing=smoothed.timing, left_clock=streams[0].clock_covariance
+    )
     poses = [
-        _pose(setup, float(t), state, max(chi2 or 1.0, 1.0), heights, _names(setup, views, seen_s, float(t)))
-        for t, state in zip(at_s, asked, strict=True)
+        told.pose(float(t), state, _names(setup, views, seen_s, float(t))) for t, state in zip(at_s, asked, strict=True)
     ]
-    figures = _figures(setup, views, len(starts), chi2, asked, times)
+    figures = _figures(timing, smoothed.timing, views, len(starts), chi2, asked, times)
     residuals = {
         name: np.column_stack([found.view[found.side == side], found.residual_px[found.side == side]])
         for side, name in enumerate(SIDES)
@@ -168,7 +119,7 @@ def _that_fit(setup: Setup, views: list[View], starts: list[Start]) -> tuple[lis
     """Return the stretches that a target's motion explains. Raises Inconsistent where that is less than half."""
     seen_s = np.array([view.t_s for view in views])
     at_s, rows = np.unique(seen_s, return_inverse=True)
-    states = smooth(setup.packed, setup.model.xyz_m, views, starts, at_s)
+    states = smooth(setup.packed, setup.model.xyz_m, views, starts, at_s).states
     found = motion_residuals(setup.packed, setup.model.xyz_m, views, [states[k] for k in rows])
     kept, begun = fitting_stretches(found, views, starts, MOST_CHI2)
     if len(kept) < 0.5 * len(views):
@@ -191,7 +142,7 @@ def _follow(
     setup: Setup, streams: Sequence[Stream], times: Sequence[Array], progress: Progress
 ) -> tuple[list[View], list[Start]]:
     """Return the named views of all frames, and where the target was found. See measure_free_running."""
-    follower, total = Follower(setup=setup, timing=_timing(setup.rig)), sum(len(one) for one in times)
+    follower, total = Follower(setup=setup, timing=timing_of(setup.rig)), sum(len(one) for one in times)
     sides = [_timed(stream, t_s, side) for side, (stream, t_s) in enumerate(zip(streams, times, strict=True))]
     for done, (_, side, frame) in enumerate(merge(*sides, key=_when)):
         follower.add(frame, side)
@@ -233,75 +184,67 @@ def _timed(stream: Stream, t_s: Array, side: int) -> Iterator[tuple[float, int, 
         yield t, side, replace(frame, t_s=stamp)
 
 
-def _table(path: Path, camera: Camera) -> Stream:
-    track = read_spot_track(path)
-    return Stream(t_s=_steady(track.t_s, str(path)), read=lambda: _spot_frames(track, camera))
+def _prior(timing: Sequence[CameraTiming], streams: Sequence[Stream], times: Sequence[Array]) -> TimingPrior:
+    """Return what is known of the timing in the middle of what both cameras saw."""
+    mid_s = 0.5 * (max(t[0] for t in times) + min(t[-1] for t in times))
+    return TimingPrior.of(timing, mid_s, [stream.clock_covariance(mid_s) for stream in streams])
 
 
-def _spot_frames(track: SpotTrack, camera: Camera) -> Iterator[SpotFrame]:
-    for k, t_s in enumerate(track.t_s.tolist()):
-        rows = np.flatnonzero(track.frame == k)
-        spots = Spots.of_centres(track.uv_px[rows], track.covariance_px2[rows])
-        yield SpotFrame(t_s=t_s, spots=spots, width=camera.width, height=camera.height)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Told:
+    """Turns states into poses: their uncertainty widened by what the spots do not fit the motion, and with what rig,
+    target and timing leave open. left_clock: covariance of the clock that the poses' times are of."""
 
+    setup: Setup
+    wider: float
+    timing: TimingEstimate | None
+    left_clock: Callable[[float], Array]
 
-def _images(text: str, side: str, *, colour: bool, fps: float | None) -> Stream:
-    """Return the frames of a source that can be read again; the first time for its stamps."""
-
-    def read() -> Iterator[Frame]:
-        with camera_source(text, side, colour=colour, fps=fps) as source:
-            yield from source
-
-    return Stream(t_s=_steady(np.array([frame.t_s for frame in read()]), side), read=read)
-
-
-def _steady(stamps_s: Array, where: str) -> Array:
-    """Return stamps freed of jitter, as given where they are too few to tell."""
-    back = np.flatnonzero(np.diff(stamps_s) <= 0.0)
-    if len(back):
-        raise Inconsistent(
-            f"{where}: the stamp of frame {back[0] + 1}, {stamps_s[back[0] + 1]:g} s, is not after the one before",
-            consequence="There is no time for its view",
-            cure="Give the frames in the order of time, each with a stamp of its own",
-        )
-    return stamps_s if len(stamps_s) < FEWEST_FRAMES else steady(stamps_s, where).t_s
-
-
-def _pose(
-    setup: Setup, t_s: float, state: MotionState | None, wider: float, heights: Sequence[int], names: tuple[str, ...]
-) -> MovingPose:
-    """Return the pose of a state, its uncertainty widened by what the spots do not fit the motion."""
-    if state is None:
-        return MovingPose(pose=TargetPose(t_s=t_s, status=PoseStatus.LOST, parent="rig", why=GONE))
-    systematic = systematic_covariance(setup, state, _timing(setup.rig), heights)
-    C = wider * state.covariance + (0.0 if systematic is None else systematic)
-    T = state.T_rig_target
-    if np.sqrt(np.trace(C[3:, 3:])) > MAX_ROTATION_STD_RAD:
-        T[:3, :3] = np.eye(3)
-        why = "no view for so long that only the position is known"
-        return MovingPose(
-            pose=TargetPose(
-                t_s=t_s,
-                status=PoseStatus.POSITION_ONLY,
-                parent="rig",
-                spots=names,
-                T_parent_target=T,
-                covariance=C[:3, :3],
-                why=why,
-                systematic_covariance=None if systematic is None else systematic[:3, :3],
+    def pose(self, t_s: float, state: MotionState | None, names: tuple[str, ...]) -> MovingPose:
+        """Return the pose of a state at t_s, seen by the lights of these names."""
+        if state is None:
+            return MovingPose(pose=TargetPose(t_s=t_s, status=PoseStatus.LOST, parent="rig", why=GONE))
+        systematic = self._systematic(state)
+        C = self.wider * state.covariance + systematic
+        T = state.T_rig_target
+        if np.sqrt(np.trace(C[:3, :3])) > MAX_POSITION_STD_M:
+            return MovingPose(pose=TargetPose(t_s=t_s, status=PoseStatus.LOST, parent="rig", why=TOO_LITTLE))
+        if np.sqrt(np.trace(C[3:, 3:])) > MAX_ROTATION_STD_RAD:
+            T[:3, :3] = np.eye(3)
+            why = "no view for so long that only the position is known"
+            return MovingPose(
+                pose=TargetPose(
+                    t_s=t_s,
+                    status=PoseStatus.POSITION_ONLY,
+                    parent="rig",
+                    spots=names,
+                    T_parent_target=T,
+                    covariance=C[:3, :3],
+                    why=why,
+                    systematic_covariance=systematic[:3, :3],
+                )
             )
+        pose = TargetPose(
+            t_s=t_s,
+            status=PoseStatus.OK,
+            parent="rig",
+            spots=names,
+            T_parent_target=T,
+            covariance=C,
+            systematic_covariance=systematic,
         )
-    pose = TargetPose(
-        t_s=t_s,
-        status=PoseStatus.OK,
-        parent="rig",
-        spots=names,
-        T_parent_target=T,
-        covariance=C,
-        systematic_covariance=systematic,
-    )
-    std = np.sqrt(wider * np.diag(state.velocity_covariance))
-    return MovingPose(pose=pose, velocity=state.velocity, velocity_std=std)
+        std = np.sqrt(self.wider * np.diag(state.velocity_covariance))
+        return MovingPose(pose=pose, velocity=state.velocity, velocity_std=std)
+
+    def _systematic(self, state: MotionState) -> Array:
+        """Return the covariance (6, 6) of what repeats from pose to pose."""
+        v = state.velocity
+        out = float(self.left_clock(state.t_s)[0, 0]) * np.outer(v, v)
+        if self.timing is not None:
+            D = state.by_timing[:6]
+            out += D @ self.timing.covariance @ D.T
+        fixed = systematic_covariance(self.setup, state)
+        return out if fixed is None else out + fixed
 
 
 def _names(setup: Setup, views: Sequence[View], seen_s: Array, t_s: float) -> tuple[str, ...]:
@@ -316,23 +259,32 @@ def _names(setup: Setup, views: Sequence[View], seen_s: Array, t_s: float) -> tu
 
 
 def _figures(
-    setup: Setup,
+    cameras: Sequence[CameraTiming],
+    timing: TimingEstimate | None,
     views: Sequence[View],
     n_starts: int,
     chi2: float | None,
     states: Sequence[MotionState | None],
     times: Sequence[Array],
 ) -> FreeRunning:
-    left, right = _timing(setup.rig)
+    left, right = cameras
     speed = [float(np.linalg.norm(state.velocity[:3])) for state in states if state is not None]
     rms = float(np.sqrt(np.mean(np.square(speed)))) if speed else None
+    note = DOUBTFUL if chi2 is not None and chi2 > DOUBTFUL_CHI2 else None
+    change, std_s, mid_s = np.zeros(4), None, 0.0
+    if timing is not None:
+        change, std_s, mid_s = timing.change, float(np.sqrt(timing.covariance[0, 0])), timing.prior.mid_s
+        if note is None and timing.surprise > chi2_distribution.isf(TIMING_CHANCE, len(change)):
+            note = f"{OTHER_TIMING} by {change[0] / MS:+.2f} ms"
     return FreeRunning(
-        delay_s=right.delay_s,
-        drift_ppm=right.drift_ppm,
-        readout_s=BothSeconds(left=left.readout_s, right=right.readout_s),
+        delay_s=float(right.delay_s + change[0] - PPM * change[1] * mid_s),
+        drift_ppm=float(right.drift_ppm + change[1]),
+        readout_s=BothSeconds(left=float(left.readout_s + change[2]), right=float(right.readout_s + change[3])),
+        delay_change_s=float(change[0]),
+        delay_std_s=std_s,
         n_views=BothCounts(left=_of_side(views, 0), right=_of_side(views, 1)),
         n_starts=n_starts,
-        note=DOUBTFUL if chi2 is not None and chi2 > DOUBTFUL_CHI2 else None,
+        note=note,
         chi2_per_dof=chi2,
         speed_m_s=rms,
         nearest_pairs_m=None if rms is None else rms * float(np.sqrt(np.mean(_nearest(*times) ** 2))),

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from armsight.app.measure.collector import About, Collector
 from armsight.app.measure.free_output import measure_free
-from armsight.app.measure.free_running import require_timing, runs_free
 from armsight.app.measure.outputs import REPORT, SUMMARY, Outputs
+from armsight.app.measure.streams import require_timing, runs_free
 from armsight.app.measure.warm_up import prepare
 from armsight.app.schemas.measure import MeasureOutput
 from armsight.app.sources.complex_images import complex_pairs

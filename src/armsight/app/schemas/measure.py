@@ -87,6 +87,8 @@ class FreeRunning(Output):
     delay_s: float = Field(description="t_left = t_right + delay_s + 1e-6 drift_ppm t_right, s.")
     drift_ppm: float = Field(description="How much faster the left camera's clock runs, parts in a million.")
     readout_s: BothSeconds = Field(description="From the first line's exposure to the last one's.")
+    delay_change_s: float = Field(description="By how much this recording itself moved the calibrated delay.")
+    delay_std_s: float | None = Field(description="Standard deviation of the delay in the middle of the recording.")
     n_views: BothCounts = Field(description="Frames in which lights of the target were found.")
     n_starts: int = Field(description="How often the target was found anew.")
     chi2_per_dof: float | None = Field(description="Chi-square of the spots about the motion, per degree of freedom.")

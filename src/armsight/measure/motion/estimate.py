@@ -19,6 +19,7 @@ from armsight.measure.motion.kernels import levels
 from armsight.measure.motion.kernels import views as view_kernels
 from armsight.measure.motion.kernels.state import STATE, N, P, R, V
 from armsight.measure.motion.states import MotionState, View, state_of
+from armsight.measure.motion.timing import TimingEstimate, TimingPrior, estimate_timing
 from armsight.optics import PackedRig
 
 Array = NDArray[np.float64]
@@ -31,6 +32,9 @@ LEVEL_CHANGE = 0.02
 """Chance that the level changes from one view to the next."""
 ONSET_VIEWS = 4
 """Views before and after one whose level it shares at the least: a start is not seen in the view it happens in."""
+TIMING_ROUNDS = 4
+TIMING_SETTLED_S = 3e-6
+"""A change of the timing that no longer counts: 3 um at 1 m/s."""
 MAX_GAP_S = 0.5
 """Beyond this nothing is said of where the target went."""
 
@@ -44,13 +48,27 @@ class Start:
     covariance: Array
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Smoothed:
+    """States at the times asked for, None where no track is near; the views' timing, where a prior of it was given."""
+
+    states: Sequence[MotionState | None]
+    timing: TimingEstimate | None = None
+
+
 def smooth(
-    packed: PackedRig, positions_m: Array, views: Sequence[View], starts: Sequence[Start], at_s: Array
-) -> list[MotionState | None]:
-    """Return the states at times at_s (k,), growing, from all views before and after; None where no track is near.
+    packed: PackedRig,
+    positions_m: Array,
+    views: Sequence[View],
+    starts: Sequence[Start],
+    at_s: Array,
+    prior: TimingPrior | None = None,
+) -> Smoothed:
+    """Return the states at times at_s (k,), growing, from all views before and after.
 
     positions_m (m, 3): of the lights in the target's frame. views: in the order of time. starts: in the order of views;
-    the first one is of the first view. Raises Inconsistent for views out of order.
+    the first one is of the first view. prior: of the timing, which is then estimated as well.
+    Raises Inconsistent for views out of order.
     """
     t = np.array([view.t_s for view in views])
     if len(starts) == 0 or starts[0].view != 0 or np.any(np.diff(t) < 0.0):
@@ -65,28 +83,68 @@ def smooth(
     lead = int(np.argmax(fresh))  # times before the first view are told backwards from it
     rows = columns.after(lead)
     begin, C0, fresh = begin[lead:], C0[lead:], fresh[lead:]
-    seen: tuple[Any, ...] = (*rows.arrays, packed.k, packed.R, packed.t, np.ascontiguousarray(positions_m))
+    cameras: tuple[Any, ...] = (packed.k, packed.R, packed.t, np.ascontiguousarray(positions_m))
     logs, weight, post = (np.empty((n - lead, K)) for _ in range(3))
     run_filters: Any = levels.run_filters  # many columns by one star
-    run_filter: Any = levels.run_filter
-    run_filters(*seen, JERK_LEVELS, ANGULAR_RATIO, LEVEL_CHANGE, begin, C0, fresh, logs, weight)
+    run_filters(*rows.arrays, *cameras, JERK_LEVELS, ANGULAR_RATIO, LEVEL_CHANGE, begin, C0, fresh, logs, weight)
     levels.levels_of_all(logs, weight, fresh, LEVEL_CHANGE, post)
     jerk = maximum_filter1d(post @ JERK_LEVELS, 2 * ONSET_VIEWS + 1)
-    xs, xp = (np.empty((n - lead, STATE)) for _ in range(2))
-    Cs, Cp, Fs = (np.empty((n - lead, N, N)) for _ in range(3))
-    run_filter(*seen, jerk, ANGULAR_RATIO, begin, C0, fresh, xs, Cs, xp, Cp, Fs)
-    view_kernels.smooth(xs, Cs, xp, Cp, Fs)
-    return [
-        _told(int(row) - lead, rows.t, xs, Cs, jerk, t, time) for row, time in zip(columns.asked, at_s, strict=True)
-    ]
+    lines = np.zeros((len(rows.tau), 0)) if prior is None else prior.lines(views)
+    track, timing = _track(rows, cameras, jerk, (begin, C0, fresh), lines, prior)
+    states = [track.told(int(row) - lead, t, time) for row, time in zip(columns.asked, at_s, strict=True)]
+    return Smoothed(states=states, timing=timing)
 
 
-def _told(row: int, times: Array, xs: Array, Cs: Array, jerk: Array, seen_s: Array, t_s: float) -> MotionState | None:
-    if np.abs(seen_s - t_s).min() > MAX_GAP_S:
-        return None
-    if row >= 0:
-        return MotionState(t_s=t_s, x=xs[row], C=Cs[row], jerk=float(jerk[row]))
-    return MotionState(t_s=float(times[0]), x=xs[0], C=Cs[0], jerk=float(jerk[0])).at(t_s, ANGULAR_RATIO)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Track:
+    """Smoothed states of all rows, and how they depend on the timing's unknowns: xs, Cs, ds; with jerk, of times t."""
+
+    t: Array
+    xs: Array
+    Cs: Array
+    ds: Array
+    jerk: Array
+
+    def told(self, row: int, seen_s: Array, t_s: float) -> MotionState | None:
+        """Return the state of a row, or (negative) that at a time before the first one; None far from all views."""
+        if np.abs(seen_s[np.searchsorted(seen_s, t_s).clip(1, len(seen_s) - 1) - [1, 0]] - t_s).min() > MAX_GAP_S:
+            return None
+        k = max(row, 0)
+        state = MotionState(
+            t_s=float(self.t[k]), x=self.xs[k], C=self.Cs[k], jerk=float(self.jerk[k]), by_timing=self.ds[k]
+        )
+        return state if row >= 0 else state.at(t_s, ANGULAR_RATIO)
+
+
+def _track(
+    rows: _Columns,
+    cameras: tuple[Any, ...],
+    jerk: Array,
+    begin: tuple[Array, Array, NDArray[np.bool_]],
+    lines: Array,
+    prior: TimingPrior | None,
+) -> tuple[_Track, TimingEstimate | None]:
+    """Filter and smooth with a given jerk, and with the timing that this itself finds where there is a prior of it."""
+    n, q = len(rows.t), lines.shape[1]
+    xs, xp = (np.empty((n, STATE)) for _ in range(2))
+    Cs, Cp, Fs = (np.empty((n, N, N)) for _ in range(3))
+    ds, dp = (np.empty((n, N, q)) for _ in range(2))
+    run_filter: Any = levels.run_filter
+    change, timing = np.zeros(q), None
+    for _ in range(TIMING_ROUNDS):
+        L, g = np.zeros((q, q)), np.zeros(q)
+        t, side, first, light, uv, cov, tau = rows.arrays
+        seen = (t, side, first, light, uv, cov, tau + lines @ change, lines)
+        run_filter(*seen, *cameras, jerk, ANGULAR_RATIO, *begin, xs, Cs, ds, xp, Cp, dp, Fs, L, g)
+        if prior is None:
+            break
+        timing = estimate_timing(prior, L, g, change)
+        moved = timing.change - change
+        change = np.array(timing.change)
+        if np.abs(lines @ moved).max(initial=0.0) < TIMING_SETTLED_S:
+            break
+    view_kernels.smooth(xs, Cs, ds, xp, Cp, dp, Fs)
+    return _Track(t=rows.t, xs=xs, Cs=Cs, ds=ds, jerk=jerk), timing
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,21 +40,28 @@ class View:
             object.__setattr__(self, name, frozen_array(name, getattr(self, name), shape))
 
 
+def _no_timing() -> Array:
+    return np.zeros((kernels.N, 0))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MotionState:
     """Pose and motion of a target at t_s, in rig axes.
 
-    x (24,), C (18, 18): as measure.motion.kernels orders them. jerk: level in m^2/s^5 that the data set.
+    x (24,), C (18, 18): as measure.motion.kernels orders them. jerk: level in m^2/s^5 that the data set. by_timing
+    (18, q): how the state depends on q unknowns of the cameras' timing, whose uncertainty C leaves out.
     """
 
     t_s: float
     x: Array
     C: Array
     jerk: float
+    by_timing: Array = field(default_factory=_no_timing)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "x", frozen_array("x", self.x, (kernels.STATE,)))
         object.__setattr__(self, "C", frozen_array("C", self.C, (kernels.N, kernels.N)))
+        object.__setattr__(self, "by_timing", frozen_array("by_timing", self.by_timing, (kernels.N, None)))
 
     @property
     def T_rig_target(self) -> Array:
@@ -90,7 +97,7 @@ class MotionState:
             kernels.state_at(self.x, tau, out)
             D = F @ self.C @ F.T
             kernels.add_jerk(D, -tau, self.jerk, angular_ratio * self.jerk)
-        return MotionState(t_s=t_s, x=out, C=D, jerk=self.jerk)
+        return MotionState(t_s=t_s, x=out, C=D, jerk=self.jerk, by_timing=F @ self.by_timing)
 
 
 def state_of(t_s: float, T: Array, covariance: Array) -> tuple[Array, Array]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from armsight._numba import inner_kernel, kernel
-from armsight.measure.motion.kernels.state import STATE, N, add_jerk, predict
-from armsight.measure.motion.kernels.views import pose_distance2, update, update_pose
+from armsight.measure.motion.kernels.state import STATE, N, add_jerk, multiply, predict
+from armsight.measure.motion.kernels.views import by_timing, pose_distance2, update, update_pose
 
 IMPOSSIBLE = -1e6
 """Log likelihood of a view that a state cannot explain at all."""
@@ -169,21 +169,74 @@ def levels_of_all(logs, weight, fresh, stick, post):
 
 
 @kernel
-def run_filter(t, side, first, light, uv, cov, tau, k, Rc, tc, X, jerk, ratio, begin, C0, fresh, xs, Cs, xp, Cp, Fs):
-    """One filter with its own jerk (n,) at each view: fill filtered and predicted states as smooth wants them."""
+def run_filter(
+    t,
+    side,
+    first,
+    light,
+    uv,
+    cov,
+    tau,
+    line,
+    k,
+    Rc,
+    tc,
+    X,
+    jerk,
+    ratio,
+    begin,
+    C0,
+    fresh,
+    xs,
+    Cs,
+    ds,
+    xp,
+    Cp,
+    dp,
+    Fs,
+    L,
+    g,
+):
+    """One filter with its own jerk (n,) at each view: fill filtered and predicted states as smooth wants them.
+
+    line (m, q): how much later each spot is for each of q unknowns of the timing. ds, dp (n, 18, q): how the filtered
+    and the predicted states depend on them. The innovations' least-squares equations for them are added to L (q, q) and
+    g (q,).
+    """
     for i in range(t.shape[0]):
         a, b = first[i], first[i + 1]
         if fresh[i]:
             xp[i] = begin[i]
             Cp[i] = C0[i]
+            dp[i] = 0.0
             Fs[i] = 0.0
         else:
             predict(xs[i - 1], Cs[i - 1], t[i] - t[i - 1], jerk[i], ratio * jerk[i], xp[i], Cp[i], Fs[i])
+            multiply(Fs[i], ds[i - 1], dp[i])
         xs[i] = xp[i]
         Cs[i] = Cp[i]
+        ds[i] = dp[i]
         if b > a:
             at = np.empty((b - a, 3))
             select(X, light[a:b], at)
             s = side[i]
             residual = np.empty((b - a, 2))
-            update(xs[i], Cs[i], k[s], Rc[s], tc[s], at, tau[a:b], uv[a:b], cov[a:b], residual)
+            chi2, _ = update(xs[i], Cs[i], k[s], Rc[s], tc[s], at, tau[a:b], uv[a:b], cov[a:b], residual)
+            if chi2 >= 0.0 and line.shape[1]:
+                by_timing(
+                    xp[i],
+                    xs[i],
+                    Cp[i],
+                    Cs[i],
+                    k[s],
+                    Rc[s],
+                    tc[s],
+                    at,
+                    tau[a:b],
+                    line[a:b],
+                    cov[a:b],
+                    residual,
+                    ds[i],
+                    L,
+                    g,
+                )

@@ -25,6 +25,12 @@ from armsight.optics.kernels.camera import see_point
 
 UPDATE_ROUNDS = 4
 """Gauss-Newton steps of an update at the most; two are enough unless the state was a guess."""
+MOMENT_S = 1e-5
+"""Over which the speed of a spot in the image is taken."""
+MAX_RATE_PX_S = 2e4
+"""Dependence on time beyond which a view says nothing of the timing: five times that of 2 m/s at half a metre."""
+MIN_SPEED2 = 9.0
+"""Square of a spot's speed over its variance below which a view says nothing of the timing."""
 SETTLED2 = 1e-4
 """Square of a step over its own uncertainty below which an update has settled."""
 
@@ -152,6 +158,90 @@ def update(x, C, k, Rc, tc, X, tau, uv, cov, residual):
 
 
 @inner_kernel
+def speed_uncertainty2(H, C):
+    """Return the sum of the variances of the speeds in the image that a state with C (18, 18) gives spots, px^2/s^2."""
+    s = 0.0
+    for i in range(H.shape[0]):
+        for a in range(6):
+            for b in range(6):
+                s += H[i, a] * C[6 + a, 6 + b] * H[i, b]
+    return s
+
+
+@inner_kernel
+def by_timing(x, x_after, C, C_after, k, Rc, tc, X, tau, line, cov, residual, d, L, g):
+    """Carry through an update how a state depends on unknowns of the timing, d (18, q) in place.
+
+    x, C: the state before spots X (n, 3), cov (n, 2, 2), which lay residual (n, 2) off; x_after, C_after: after them;
+    line (n, q): how much later each spot is for each unknown. Adds to L (q, q) and g (q,) the equations of these spots.
+    """
+    n, q = line.shape
+    m = 2 * n
+    H = np.zeros((m, N))
+    here = np.empty(2)
+    later = np.empty(2)
+    scratch = np.zeros((2, N))
+    A = np.empty((m, q))
+    S = np.empty((m, m))
+    inverse = np.empty((m, m))
+    G = np.empty((m, N))
+    speed2 = 0.0
+    for i in range(n):
+        # speeds from before, which are independent of the residual; slopes where the gain has them
+        if not observe(x, k, Rc, tc, X[i], tau[i], here, scratch):
+            return
+        if not observe(x, k, Rc, tc, X[i], tau[i] + MOMENT_S, later, scratch):
+            return
+        for a in range(2):
+            speed2 += ((later[a] - here[a]) / MOMENT_S) ** 2
+            for p in range(q):
+                A[2 * i + a, p] = (later[a] - here[a]) / MOMENT_S * line[i, p]
+        if not observe(x_after, k, Rc, tc, X[i], tau[i], here, H[2 * i : 2 * i + 2]):
+            return
+    multiply(H, C, G)
+    multiply_t(G, H, S)
+    for i in range(n):
+        for a in range(2):
+            for b in range(2):
+                S[2 * i + a, 2 * i + b] += cov[i, a, b]
+    if not invert_spd(S, inverse):
+        return
+    for i in range(m):
+        for p in range(q):
+            for j in range(N):
+                A[i, p] += H[i, j] * d[j, p]
+    top = 0.0
+    for i in range(m):
+        for p in range(q):
+            top = max(top, abs(A[i, p]))
+    # hardly anything holds the state, and it is not linear over its uncertainty; or its speed is but noise
+    told = top < MAX_RATE_PX_S and speed2 > MIN_SPEED2 * speed_uncertainty2(H, C)
+    for p in range(q):
+        for i in range(m):
+            if not told:
+                break
+            w = 0.0
+            for j in range(m):
+                w += inverse[i, j] * A[j, p]
+            g[p] += w * residual[i // 2, i % 2]
+            for r in range(q):
+                L[p, r] += w * A[i, r]
+    for i in range(n):  # the gain is C_after H' / cov
+        det = cov[i, 0, 0] * cov[i, 1, 1] - cov[i, 0, 1] * cov[i, 1, 0]
+        for p in range(q):
+            u, v = A[2 * i, p], A[2 * i + 1, p]
+            a = (cov[i, 1, 1] * u - cov[i, 0, 1] * v) / det
+            b = (cov[i, 0, 0] * v - cov[i, 1, 0] * u) / det
+            for j in range(N):
+                G[0, j] = a * H[2 * i, j] + b * H[2 * i + 1, j]
+            for j in range(N):
+                s = 0.0
+                for c in range(N):
+                    s += C_after[j, c] * G[0, c]
+                d[j, p] -= s
+
+
+@inner_kernel
 def pose_innovation(x, C, x_seen, cov, d, S, inverse):
     """Fill the pose's innovation d (18,), of which 6 count, its covariance S (6, 6) and inverse; return chi-square."""
     difference(x_seen, x, d)
@@ -225,11 +315,12 @@ def log_determinant(S):
 
 
 @kernel
-def smooth(xs, Cs, xp, Cp, Fs):
+def smooth(xs, Cs, ds, xp, Cp, dp, Fs):
     """Smooth the filtered states xs (n, 24), Cs (n, 18, 18) in place, backwards (Rauch, Tung and Striebel 1965).
 
-    xp, Cp: predictions of each before its own spots; Fs: how errors got there from the one before. A row whose Fs is
-    zero begins anew: nothing goes over it. False where a covariance cannot be inverted.
+    xp, Cp: predictions of each before its own spots; Fs: how errors got there from the one before; ds, dp (n, 18, q):
+    how filtered (smoothed in place) and predicted states depend on unknowns of the timing. A row whose Fs is zero
+    begins anew: nothing goes over it. False where a covariance cannot be inverted.
     """
     n = xs.shape[0]
     G = np.empty((N, N))
@@ -264,6 +355,12 @@ def smooth(xs, Cs, xp, Cp, Fs):
                 t += K[i, j] * d[j]
             g[i] = t
         move(xs[k], g)
+        for i in range(N):
+            for p in range(ds.shape[2]):
+                t = 0.0
+                for j in range(N):
+                    t += K[i, j] * (ds[k + 1, j, p] - dp[k + 1, j, p])
+                ds[k, i, p] += t
         for i in range(N):
             for j in range(N):
                 D[i, j] = Cs[k + 1, i, j] - Cp[k + 1, i, j]

@@ -1,0 +1,122 @@
+"""Both cameras' frames or spots in the order of time, with stamps freed of jitter."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.app.sources.frames import camera_source, is_recording
+from armsight.calibrate.timing.stamps import FEWEST_FRAMES, steady
+from armsight.drivers import is_live
+from armsight.errors import Inconsistent, UsageError
+from armsight.measure.follow import AnyFrame, SpotFrame
+from armsight.optics import SIDES, Camera, Rig
+from armsight.records import AT_ONCE, CameraTiming, Frame, Spots, SpotTrack
+from armsight.store import read_spot_track
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Stream:
+    """One camera's frames: their stamps in s (n,), freed of jitter, and how to read them once, in that order.
+
+    clock_covariance: of what jitter leaves open of the offset (s) and the rate (ppm) of its clock at a stamp.
+    """
+
+    t_s: Array
+    read: Callable[[], Iterator[AnyFrame]]
+    clock_covariance: Callable[[float], Array]
+
+    def first(self, n: int) -> Stream:
+        """Return the stream of its first n frames."""
+        return replace(self, t_s=self.t_s[:n], read=lambda: islice(self.read(), n))
+
+
+def streams_of(
+    rig: Rig, sources: Sequence[str | None], tables: Sequence[Path | None], *, colour: bool, fps: float | None
+) -> tuple[Stream, Stream]:
+    """Return both cameras' frames, from sources as on the command line, or from tables of spots. Raises UsageError."""
+    left, right = sources
+    if all(tables) and not any(sources):
+        read = [_table(path, rig.camera(side)) for path, side in zip(tables, SIDES, strict=True) if path is not None]
+        return read[0], read[1]
+    if any(tables) or (left is None and right is None):
+        raise UsageError(
+            "which frames?", cure="Give --left and --right, or --left-spots and --right-spots, one of each camera"
+        )
+    alone = left or right or ""
+    if (left is None or right is None) and not is_recording(alone):
+        raise UsageError("one view is missing", cure="Give --left and --right, or one recording for both")
+    texts = (left or alone, right or alone)
+    live = [text for text in texts if is_live(text)]
+    if live:
+        raise UsageError(
+            f"{live[0]} is a live camera, and views of free-running cameras are put together afterwards",
+            cure="Record first: armsight record --left ... --right ... -o wave.mcap, and give --left wave.mcap",
+        )
+    read = [_images(text, side, colour=colour, fps=fps) for text, side in zip(texts, SIDES, strict=True)]
+    return read[0], read[1]
+
+
+def runs_free(rig: Rig) -> bool:
+    """Tell whether the rig's file says that its cameras do not expose at once."""
+    return any(one.rolling or one.delay_s != 0.0 or one.drift_ppm != 0.0 for one in timing_of(rig))
+
+
+def timing_of(rig: Rig) -> tuple[CameraTiming, CameraTiming]:
+    """Return the timing of the left and the right camera; one of which nothing is known exposes at once."""
+    left, right = rig.timing
+    return left or AT_ONCE, right or AT_ONCE
+
+
+def require_timing(rig: Rig) -> None:
+    """Raise UsageError where nothing is known of when the rig's cameras expose."""
+    if all(one is None for one in rig.timing):
+        raise UsageError(
+            "the rig's file says nothing of its cameras' timing",
+            consequence="When each view was taken is not known, so views of a moving target cannot be put together",
+            cure="Run armsight calibrate timing with 15 s of a waved target, or use --timing pairs",
+        )
+
+
+def _table(path: Path, camera: Camera) -> Stream:
+    track = read_spot_track(path)
+    return _steady(track.t_s, str(path), lambda: _spot_frames(track, camera))
+
+
+def _spot_frames(track: SpotTrack, camera: Camera) -> Iterator[SpotFrame]:
+    for k, t_s in enumerate(track.t_s.tolist()):
+        rows = np.flatnonzero(track.frame == k)
+        spots = Spots.of_centres(track.uv_px[rows], track.covariance_px2[rows])
+        yield SpotFrame(t_s=t_s, spots=spots, width=camera.width, height=camera.height)
+
+
+def _images(text: str, side: str, *, colour: bool, fps: float | None) -> Stream:
+    """Return the frames of a source that can be read again; the first time for its stamps."""
+
+    def read() -> Iterator[Frame]:
+        with camera_source(text, side, colour=colour, fps=fps) as source:
+            yield from source
+
+    return _steady(np.array([frame.t_s for frame in read()]), side, read)
+
+
+def _steady(stamps_s: Array, where: str, read: Callable[[], Iterator[AnyFrame]]) -> Stream:
+    """Return the stream of stamps freed of jitter, as given where they are too few to tell."""
+    back = np.flatnonzero(np.diff(stamps_s) <= 0.0)
+    if len(back):
+        raise Inconsistent(
+            f"{where}: the stamp of frame {back[0] + 1}, {stamps_s[back[0] + 1]:g} s, is not after the one before",
+            consequence="There is no time for its view",
+            cure="Give the frames in the order of time, each with a stamp of its own",
+        )
+    if len(stamps_s) < FEWEST_FRAMES:
+        return Stream(t_s=stamps_s, read=read, clock_covariance=lambda at_s: np.zeros((2, 2)))
+    clock = steady(stamps_s, where)
+    return Stream(t_s=clock.t_s, read=read, clock_covariance=clock.clock_covariance)
