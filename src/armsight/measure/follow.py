@@ -2,32 +2,26 @@
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from armsight.errors import Inconsistent
+from armsight.measure.begin import AnyFrame, Beginner, Beginning
 from armsight.measure.motion.estimate import MAX_GAP_S, MotionFilter, Start
 from armsight.measure.motion.kernels import state as kernels
 from armsight.measure.motion.kernels.views import observe
 from armsight.measure.motion.states import MotionState, View
-from armsight.measure.poses.outcome import Measured
-from armsight.measure.poses.pipeline import measure_pair, measure_spots
 from armsight.measure.poses.setup import Setup
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import track_spots
-from armsight.records import AT_ONCE, CameraTiming, Frame, PoseStatus, Spots
+from armsight.records import AT_ONCE, CameraTiming, Frame, Spots
 
 Array = NDArray[np.float64]
 
-BEGIN_SLACKS_PX = (1.0, 3.0, 10.0)
-"""What views of two moments may add to a spot's standard deviation when a track begins, tried after the setup's own
-slack: 0.1, 0.3 and 1 m/s for 8 ms at 0.8 m."""
-BEGIN_APART_S = 0.1
-"""Frames further apart than this do not begin a track."""
 LEAST_WINDOW_PX, MOST_WINDOW_PX = 8.0, 64.0
 SPOT_REACH = 4.0
 """A spot's light reaches about this many of its sigmas."""
@@ -35,25 +29,14 @@ GATE_SIGMA = 5.0
 """Standard deviations of where a spot is expected beyond which it is another one."""
 VIEW_CHANCE = 1e-6
 """Chance below which a view that fits so badly is not of the target as it moves."""
+WAITING_FRAMES = 60
+"""Frames before a beginning through which the target is followed backwards: a second of both cameras."""
 LOST_VIEWS = 6
 """Views in a row that do not fit, or in which nothing is seen, after which the target is looked for anew."""
 MAX_PARTIAL_S = 0.15
 """Without three lights in a view for longer, how the target turns is guesswork, and it is looked for anew."""
 FEWEST_VIEWS = 10
 """Views between a start and the next one below which it was none: what was followed was not the target."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SpotFrame:
-    """The spots of one frame, found elsewhere, in the camera's own pixels."""
-
-    t_s: float
-    spots: Spots
-    width: int
-    height: int
-
-
-AnyFrame: TypeAlias = Frame | SpotFrame
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -79,12 +62,18 @@ class Follower:
     views: list[View] = field(default_factory=list)
     starts: list[Start] = field(default_factory=list)
     unfit: list[int] = field(default_factory=lambda: [0, 0])
-    why: str = "no frame of both cameras yet"
     _filter: MotionFilter | None = None
-    _latest: list[AnyFrame | None] = field(default_factory=lambda: [None, None])
+    _beginner: Beginner | None = None
+    _waiting: deque[tuple[AnyFrame, int]] = field(default_factory=lambda: deque(maxlen=WAITING_FRAMES))
+    _lost: str = ""
     _missed: int = 0
     _near: bool = False
     _whole_s: float = -np.inf
+
+    @property
+    def why(self) -> str:
+        """Why the target is not followed."""
+        return self._lost if self._beginner is None else self._beginner.why
 
     def time_of(self, frame: AnyFrame, side: int) -> float:
         """Return the rig's time of a frame."""
@@ -94,29 +83,28 @@ class Follower:
         """Return the state after a frame of the left (0) or right (1) camera; None while the target is not followed."""
         t_s = self.time_of(frame, side)
         if self._filter is not None and t_s - self._filter.seen_s > MAX_GAP_S:
-            self._filter, self.why = None, "the target was out of sight"
+            self._lose("the target was out of sight")
         if self._filter is None:
-            self._latest[side] = frame
-            return self._begin(t_s)
-        self._near = False
-        view = self._look(frame, side, t_s, self._filter.at(t_s))
-        if view is None:
-            view = self._look(frame, side, t_s, self._filter.after_a_knock(t_s))
-        self.unfit[side] += view is None and self._near
+            return self._begin(frame, side)
+        view = self._find(self._filter, frame, side, t_s)
         self._missed = 0 if view is not None else self._missed + 1
         if self._missed >= LOST_VIEWS:
-            self._filter, self._latest, self.why = None, [None, None], "what is seen no longer moves as the target did"
+            self._lose("what is seen no longer moves as the target did")
             return None
         if view is None:
             return self._filter.at(t_s)
         if len(view.lights) >= 3:
             self._whole_s = t_s
         if t_s - self._whole_s > MAX_PARTIAL_S:
-            self._filter, self._latest, self.why = None, [None, None], "too few of the target's lights are in sight"
+            self._lose("too few of the target's lights are in sight")
             return None
         self.views.append(view)
         self._filter = self._filter.add(view)
         return self._filter.state
+
+    def _lose(self, why: str) -> None:
+        self._filter, self._beginner, self._lost = None, None, why
+        self._waiting.clear()
 
     def tracks(self) -> tuple[list[View], list[Start]]:
         """Return the views and starts of all stretches that were followed for a while."""
@@ -130,47 +118,63 @@ class Follower:
                 views += stretch
         return views, starts
 
-    def _begin(self, t_s: float) -> MotionState | None:
-        """Look for the target in the latest frames of both cameras; a track begins with the older of them."""
-        left, right = self._latest
-        if left is None or right is None:
+    def _begin(self, frame: AnyFrame, side: int) -> MotionState | None:
+        """Look for the target; a track that begins also goes back through the frames in which it was not yet found."""
+        if self._beginner is None:
+            self._beginner = Beginner(setup=self.setup, timing=self.timing)
+        found = self._beginner.add(frame, side)
+        last_s = self.views[-1].t_s if self.views else -np.inf
+        if found is None or found.views[0].t_s < last_s:
+            self._waiting.append((frame, side))
             return None
-        times = self.time_of(left, 0), self.time_of(right, 1)
-        if abs(times[0] - times[1]) > BEGIN_APART_S:
-            return None
-        measured = _measured(self.setup, left, right)
-        for slack_px in BEGIN_SLACKS_PX:
-            if measured.pose.status is PoseStatus.OK:
-                break
-            measured = _measured(replace(self.setup, slack_px=slack_px), left, right)
-        if measured.pose.status is not PoseStatus.OK or measured.pose.T_parent_target is None:
-            self.why = measured.pose.why
-            return None
-        names = measured.names
-        pair = [self._view(measured.left, names, 0, left), self._view(measured.right, names, 1, right)]
-        pair.sort(key=lambda view: view.t_s)
-        if self.views and pair[0].t_s < self.views[-1].t_s:
-            return None
-        T, C = np.asarray(measured.pose.T_parent_target), np.asarray(measured.pose.covariance)
-        self.starts.append(Start(view=len(self.views), T=T, covariance=C))
-        follows = MotionFilter.begin(self.setup.packed, self.setup.model.xyz_m, pair[0].t_s, T, C)
-        for view in pair:
-            self.views.append(view)
-            follows = follows.add(view)
-        self._filter, self._missed, self._whole_s = follows, 0, pair[1].t_s
-        return follows.state
+        earlier = self._before(found, last_s)
+        self._start(found if earlier is None else earlier)
+        if earlier is not None:
+            self.views += found.views
+        self._filter = self._filter_from(found)
+        self._missed, self._whole_s = 0, found.views[-1].t_s
+        self._waiting.clear()
+        self._beginner = None
+        is_used = any(view.side == side and view.t_s == self.time_of(frame, side) for view in found.views)
+        return self._filter.state if is_used else self.add(frame, side)
 
-    def _view(self, spots: Spots, names: tuple[str, ...], side: int, frame: AnyFrame) -> View:
-        lights = np.array([self.setup.model.names.index(name) for name in names], dtype=np.intp)
-        tau = self.timing[side].line_time(spots.uv_px[:, 1], frame.height)
-        return View(
-            t_s=self.time_of(frame, side),
-            side=side,
-            lights=lights,
-            uv_px=spots.uv_px,
-            cov_px2=spots.covariance_px2,
-            tau_s=tau,
-        )
+    def _start(self, found: Beginning) -> None:
+        self.starts.append(Start(view=len(self.views), T=found.T, covariance=found.covariance))
+        self.views += found.views
+
+    def _filter_from(self, found: Beginning) -> MotionFilter:
+        first_s = found.views[0].t_s
+        after = MotionFilter.begin(self.setup.packed, self.setup.model.xyz_m, first_s, found.T, found.covariance)
+        for view in found.views:
+            after = after.add(view)
+        return after
+
+    def _before(self, found: Beginning, last_s: float) -> Beginning | None:
+        """Return what is seen of the target before a beginning: time runs backwards, and the target is followed."""
+        back = Follower(setup=self.setup, timing=(_reversed(self.timing[0]), _reversed(self.timing[1])))
+        back._filter = back._filter_from(replace(found, views=tuple(_mirrored(view) for view in found.views[::-1])))
+        back._whole_s = -found.views[0].t_s
+        earliest, whole = None, 0
+        for frame, side in reversed(self._waiting):
+            if not last_s < self.time_of(frame, side) < found.views[0].t_s:
+                continue
+            n = len(back.views)
+            state = back.add(replace(frame, t_s=-frame.t_s), side)
+            if back._filter is None:
+                break
+            if len(back.views) > n and _firm(back.views[-2:]):
+                earliest, whole = state, len(back.views)
+        if earliest is None:
+            return None
+        views = tuple(_mirrored(view) for view in back.views[:whole][::-1])
+        return Beginning(views=views, T=earliest.T_rig_target, covariance=earliest.covariance)
+
+    def _find(self, follows: MotionFilter, frame: AnyFrame, side: int, t_s: float) -> View | None:
+        """Return the target's spots in a frame: where it is expected, or where a knock would have put it."""
+        self._near = False
+        view = self._look(frame, side, t_s, follows.at(t_s)) or self._look(frame, side, t_s, follows.after_a_knock(t_s))
+        self.unfit[side] += view is None and self._near
+        return view
 
     def _look(self, frame: AnyFrame, side: int, t_s: float, state: MotionState) -> View | None:
         """Return the target's spots in a frame, looked for where they are expected; None where they are not there."""
@@ -194,15 +198,6 @@ class Follower:
             return None
         tau = self.timing[side].line_time(uv[:, 1], h)
         return View(t_s=t_s, side=side, lights=light.astype(np.intp), uv_px=uv, cov_px2=cov, tau_s=tau)
-
-
-def _measured(setup: Setup, left: AnyFrame, right: AnyFrame) -> Measured:
-    """Return the target's pose in two frames as if they were of one moment."""
-    if isinstance(left, Frame) and isinstance(right, Frame):
-        return measure_pair(setup, left, right)
-    if isinstance(left, SpotFrame) and isinstance(right, SpotFrame):
-        return measure_spots(setup, 0.5 * (left.t_s + right.t_s), left.spots, right.spots)
-    raise Inconsistent("one camera gives images and the other one spots", cure="Give both alike")
 
 
 def _spots_near(
@@ -254,3 +249,18 @@ def _plausible(expected: Expected, light: NDArray[np.intp], uv: Array, cov: Arra
         S[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += cov[i]
     r = (uv - expected.uv_px[light]).ravel()
     return bool(r @ np.linalg.solve(S, r) < chi2.isf(VIEW_CHANCE, len(r)))
+
+
+def _firm(views: Sequence[View]) -> bool:
+    """Tell whether views are of both cameras and show three lights each: a smoother may begin with them."""
+    return {view.side for view in views} == {0, 1} and all(len(view.lights) >= 3 for view in views)
+
+
+def _reversed(timing: CameraTiming) -> CameraTiming:
+    """Return the timing of a camera whose stamps count backwards."""
+    return replace(timing, delay_s=-timing.delay_s, readout_s=-timing.readout_s)
+
+
+def _mirrored(view: View) -> View:
+    """Return a view as it is where time runs backwards."""
+    return replace(view, t_s=-view.t_s, tau_s=-view.tau_s)

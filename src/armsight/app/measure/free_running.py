@@ -14,9 +14,10 @@ from armsight.app.measure.streams import Stream, timing_of
 from armsight.app.schemas.measure import FreeRunning
 from armsight.app.schemas.timing import BothCounts, BothSeconds
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
-from armsight.measure.follow import AnyFrame, Follower
+from armsight.measure.begin import AnyFrame
+from armsight.measure.follow import Follower
 from armsight.measure.motion.estimate import MAX_GAP_S, Start, smooth
-from armsight.measure.motion.residuals import fitting_stretches, motion_residuals
+from armsight.measure.motion.residuals import fitting_stretches, motion_residuals, without_outliers
 from armsight.measure.motion.states import MotionState, View
 from armsight.measure.motion.timing import TimingEstimate, TimingPrior
 from armsight.measure.poses.setup import Setup
@@ -34,7 +35,7 @@ MAX_POSITION_STD_M, MAX_ROTATION_STD_RAD = 0.05, 0.3
 DOUBTFUL_CHI2, MOST_CHI2 = 1.5, 4.0
 """Chi-square per degree of freedom of the spots about the motion from which it is doubted, and refused: cameras' noise
 is off by up to a factor of two."""
-MOST_JERK = 3000.0
+MOST_JERK = 8000.0
 """m^2/s^5: a target that is knocked all the time is none; cameras that are out of step look like it."""
 MOST_UNFIT, FEW_UNFIT = 0.5, 20
 """Share of one camera's frames with lights near the target that do not fit its motion, and how many of them say
@@ -49,10 +50,12 @@ OTHER_TIMING = (
 )
 TIMING_CHANCE = 1e-5
 """Chance below which what a recording says of its timing is not what was calibrated."""
+MISFIT_S = 0.1
+"""Nothing is said of the target this near to a view that does not fit its motion, when all that is left does."""
 BEFORE_S = 0.05
 """How long before its first view something is said of the target."""
 TOO_LITTLE = "too few lights were seen about that time to say where the target was"
-GONE = f"the target was lost, or not found yet, or seen by no camera for {MAX_GAP_S:g} s"
+GONE = f"the target was lost or not found yet, seen by no camera for {MAX_GAP_S:g} s, or its spots left its motion"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -99,8 +102,10 @@ def measure_free_running(
     lost = _between(all_s, seen_s, starts)
     states = [None if gone else one for one, gone in zip(smoothed.states, lost, strict=True)]
     found = motion_residuals(setup.packed, setup.model.xyz_m, views, [states[k] for k in rows[len(at_s) :]])
-    chi2 = found.chi2_per_dof()
-    asked = [states[k] for k in rows[: len(at_s)]]
+    off = found.outliers(len(views))
+    chi2 = found.of_views(~off).chi2_per_dof()
+    near_off = [bool(len(seen_s[off]) and np.abs(seen_s[off] - t).min() < MISFIT_S) for t in at_s]
+    asked = [None if misfit else states[k] for k, misfit in zip(rows[: len(at_s)], near_off, strict=True)]
     told = _Told(
         setup=setup, wider=max(chi2 or 1.0, 1.0), timing=smoothed.timing, left_clock=streams[0].clock_covariance
     )
@@ -117,14 +122,19 @@ def measure_free_running(
 
 def _that_fit(setup: Setup, views: list[View], starts: list[Start]) -> tuple[list[View], list[Start]]:
     """Return the stretches that a target's motion explains. Raises Inconsistent where that is less than half."""
-    seen_s = np.array([view.t_s for view in views])
-    at_s, rows = np.unique(seen_s, return_inverse=True)
-    states = smooth(setup.packed, setup.model.xyz_m, views, starts, at_s).states
-    found = motion_residuals(setup.packed, setup.model.xyz_m, views, [states[k] for k in rows])
-    kept, begun = fitting_stretches(found, views, starts, MOST_CHI2)
-    if len(kept) < 0.5 * len(views):
+    kept, begun = views, starts
+    for last in (False, False, True):
+        at_s, rows = np.unique([view.t_s for view in kept], return_inverse=True)
+        at = smooth(setup.packed, setup.model.xyz_m, kept, begun, at_s).states
+        states = [at[k] for k in rows]
+        found = motion_residuals(setup.packed, setup.model.xyz_m, kept, states)
         times = np.sqrt(found.chi2_per_dof() or np.inf)
-        raise _out_of_step(f"the spots are {times:.1f} times further from the target's motion than their noise")
+        if last:
+            kept, begun = fitting_stretches(found, kept, begun, MOST_CHI2)
+        else:
+            kept, begun = without_outliers(found, kept, begun, states)
+        if len(kept) < 0.5 * len(views):
+            raise _out_of_step(f"the spots are {times:.1f} times further from the target's motion than their noise")
     if np.median([state.jerk for state in states if state is not None] or [0.0]) > MOST_JERK:
         raise _out_of_step("only a target that is knocked all the time would be seen like this")
     return kept, begun

@@ -14,7 +14,7 @@ from armsight.app.sources.frames import camera_source, is_recording
 from armsight.calibrate.timing.stamps import FEWEST_FRAMES, steady
 from armsight.drivers import is_live
 from armsight.errors import Inconsistent, UsageError
-from armsight.measure.follow import AnyFrame, SpotFrame
+from armsight.measure.begin import AnyFrame, SpotFrame
 from armsight.optics import SIDES, Camera, Rig
 from armsight.records import AT_ONCE, CameraTiming, Frame, Spots, SpotTrack
 from armsight.store import read_spot_track

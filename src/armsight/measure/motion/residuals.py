@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+from scipy.stats import chi2 as chi2_distribution
 
 from armsight.measure.motion.estimate import Start
 from armsight.measure.motion.kernels.state import N
@@ -15,6 +17,13 @@ from armsight.measure.motion.states import MotionState, View
 from armsight.optics import PackedRig
 
 Array = NDArray[np.float64]
+
+VIEW_CHANCE = 1e-6
+"""Chance below which a view is not of the target as it moves."""
+LEAST_DOF = 1.0
+"""What a view is taken to say about itself at the least."""
+SPELL_VIEWS, SPELL_SHARE = 9, 0.5
+"""Views in a row, and how many of them lie off the motion where it was something else that was followed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -29,6 +38,24 @@ class MotionResiduals:
     residual_px: Array
     chi2: Array
     dof: Array
+
+    def outliers(self, n_views: int) -> NDArray[np.bool_]:
+        """Tell which views lie further from the motion than chance and the recording's own scatter explain."""
+        chi2 = np.bincount(self.view, self.chi2, n_views)
+        dof = np.maximum(np.bincount(self.view, self.dof, n_views), LEAST_DOF)
+        scale = max(float(np.median(chi2 / dof)), 1.0) if n_views else 1.0
+        return np.asarray(chi2_distribution.sf(chi2 / scale, dof) < VIEW_CHANCE)
+
+    def of_views(self, chosen: NDArray[np.bool_]) -> MotionResiduals:
+        """Return the residuals of the chosen views (n_views,)."""
+        rows = chosen[self.view]
+        return MotionResiduals(
+            view=self.view[rows],
+            side=self.side[rows],
+            residual_px=self.residual_px[rows],
+            chi2=self.chi2[rows],
+            dof=self.dof[rows],
+        )
 
     def chi2_per_dof(self, first: int = 0, end: int | None = None) -> float | None:
         """Return chi-square per degree of freedom of the views from first up to end; None: nothing is left over."""
@@ -66,6 +93,28 @@ def motion_residuals(
         chi2=np.array(chi2),
         dof=np.array(dof),
     )
+
+
+def without_outliers(
+    found: MotionResiduals, views: Sequence[View], starts: Sequence[Start], states: Sequence[MotionState | None]
+) -> tuple[list[View], list[Start]]:
+    """Return the views that fit the motion, and the starts; after a spell of others a track begins anew."""
+    bad = found.outliers(len(views))
+    spell = uniform_filter1d(bad.astype(float), SPELL_VIEWS, mode="nearest") > SPELL_SHARE
+    kept: list[View] = []
+    begun: list[Start] = []
+    for start, end in zip(starts, [*(one.view for one in starts[1:]), len(views)], strict=True):
+        broken = True
+        for k in range(start.view, end):
+            state = states[k]
+            if spell[k] or bad[k] or state is None:
+                broken |= bool(spell[k])
+                continue
+            if broken:
+                begun.append(Start(view=len(kept), T=state.T_rig_target, covariance=state.covariance))
+                broken = False
+            kept.append(views[k])
+    return kept, begun
 
 
 def fitting_stretches(
