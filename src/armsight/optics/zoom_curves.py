@@ -1,8 +1,8 @@
 """Smooth curves through a few settings of a zoom lens, and how far off they may be between them.
 
 A curve is a straight line plus a Gaussian process with a squared-exponential covariance: what moves in a zoom lens
-moves on cams without kinks. How quickly it bends and by how much is not known, so curves of all bend lengths and amplitudes
-are averaged by how well they explain the settings (Rasmussen, Williams 2006, chapters 2.7 and 5.2).
+moves on cams without kinks. How quickly it bends and by how much is not known, so curves of all bend lengths and
+amplitudes are averaged by how well they explain the settings (Rasmussen, Williams 2006, chapters 2.7 and 5.2).
 """
 
 from __future__ import annotations

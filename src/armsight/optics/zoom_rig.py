@@ -78,7 +78,8 @@ def _required(side: str, mounted: MountedZoom, value: float | None) -> float:
     raise UsageError(
         f"the rig's {side} camera has a zoom lens, and its zoom is not given",
         consequence="Its focal length is open",
-        cure=f"Give --zoom-{side} with the value that the lens stood at, {low:g} to {high:g}",
+        cure=f"Give --zoom-{side} with the value that the lens stood at, {low:g} to {high:g}; for a command that takes "
+        "none, make the file of one setting with armsight convert rig --zoom-left --zoom-right",
     )
 
 
