@@ -15,9 +15,10 @@ from scipy.special import ndtr
 
 Array = NDArray[np.float64]
 
-BEND_LENGTHS = np.geomspace(0.35, 4.0, 12)
-"""Lengths over which a curve may bend, in ranges of the settings. A cam whose groove bends on less than a third of its
-stroke jams; beyond four strokes a curve is a parabola to 1e-4 of its own bend."""
+BEND_LENGTHS = np.geomspace(0.45, 4.0, 12)
+"""Lengths over which a curve may bend, in ranges of the settings. Cams bend over about half their stroke or more; of
+150 simulated lenses of five settings (not those of the benchmark) 96.5 % lie within 95 % intervals with 0.35, 94.3 %
+with 0.5, 90.3 % with 0.7. Beyond four strokes a curve is a parabola."""
 
 AMPLITUDES = np.geomspace(0.02, 30.0, 40)
 """Departures from the straight line that are considered, in those that the settings show (or their noise)."""

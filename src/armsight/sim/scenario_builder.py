@@ -17,7 +17,7 @@ from armsight.sim.motions import Drawn, HandJitter, JointMotion, Jumping, Swing,
 from armsight.sim.rigs import SIDES
 from armsight.sim.robot import SimRobot
 from armsight.sim.room_schema import checked_room
-from armsight.sim.scenario_cameras import make_cameras, set_room
+from armsight.sim.scenario_cameras import make_cameras, set_room, with_zoom
 from armsight.sim.scenario_schema import (
     ArcKeys,
     EdgeKeys,
@@ -114,16 +114,25 @@ def build_robot(scenario: Scenario, device: str, clock: Clock) -> SimRobot:
     )
 
 
-def build_world(scenario: Scenario, *, seed: int | None = None, frames: int | None = None, room: Any = None) -> World:
-    """Return the world of a scenario; seed, frames and room (as the file's key takes it) are the file's if not given.
+def build_world(
+    scenario: Scenario,
+    *,
+    seed: int | None = None,
+    frames: int | None = None,
+    room: Any = None,
+    zoom: float | None = None,
+) -> World:
+    """Return a scenario's world; seed, frames, zoom and room (as the file's key takes it) are the file's if not given.
 
     Raises Inconsistent, naming the key, for a motion that the arm cannot make; UsageError for what is no room.
     """
     scenario, seed, frames = _as_asked(scenario, seed, frames, room)
+    at = scenario.zoom if zoom is None else zoom
+    keys = scenario.cameras if at is None else with_zoom(scenario.cameras, at)
     arm = robotics(scenario, seed)
     lights = _lights(scenario)
     ambient = scenario.cameras.sensor.ambient_level if scenario.room.dark else 0.0
-    cameras, rig = make_cameras(scenario.cameras, seed, ambient_level=ambient)
+    cameras, rig = make_cameras(keys, seed, ambient_level=ambient)
     until_s = frames / scenario.fps + AHEAD_S
     T_mount_rig = scenario.cameras.T_mount_rig.pose()
     servo, T_flange_tool, rig_path, target = _moving(scenario, arm, T_mount_rig, seed, until_s)

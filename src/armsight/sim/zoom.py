@@ -163,17 +163,17 @@ Pair = Mapping[str, tuple[Lens, RigidTransform]]
 
 
 def zoomed_pair(pair: Pair, zoom: float) -> dict[str, tuple[Lens, RigidTransform]]:
-    """Return a pair whose lenses are zoom lenses at a value; where it stands is of the pair's widest setting.
+    """Return a pair with zoom lenses at a value; the poses given are those of the pupils at the wide end.
 
-    Each camera's pupil moves along its axis; the pair's axes stay those of the left camera at the setting.
+    Each camera's pupil moves along its axis with the zoom, the pair's axes stay.
     """
-    out: dict[str, tuple[Lens, RigidTransform]] = {}
-    for side, (lens, T_world_camera) in pair.items():
-        made = _like(lens, side)
-        ahead = made.pupil_m(zoom) - made.pupil_m(made.zoom[0])
-        out[side] = (made.lens(zoom), T_world_camera * RigidTransform.from_translation([0.0, 0.0, ahead]))
-    T_world_left = out["left"][1]
-    return {side: (lens, T_world_left.inv() * T) for side, (lens, T) in out.items()}
+    return {side: zoomed(_like(lens, side), T, zoom) for side, (lens, T) in pair.items()}
+
+
+def zoomed(made: ZoomLens, T_world_wide: RigidTransform, zoom: float) -> tuple[Lens, RigidTransform]:
+    """Return a zoom lens at a value, and where its pupil then stands; T_world_wide: where it stands at the wide end."""
+    ahead = made.pupil_m(zoom) - made.pupil_m(made.zoom[0])
+    return made.lens(zoom), T_world_wide * RigidTransform.from_translation([0.0, 0.0, ahead])
 
 
 def _like(lens: Lens, side: str) -> ZoomLens:
