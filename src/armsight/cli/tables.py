@@ -211,17 +211,16 @@ def _accuracy_table(face: CommandUI, plan: AccuracyPlan) -> None:
     """Print which settings and which baseline reach a wanted accuracy."""
     rows = []
     for one in plan.settings:
-        zooms = " ".join(f"{value:g}" for value in (one.zoom_left, one.zoom_right) if value is not None)
+        zooms = " ".join(dict.fromkeys(f"{v:g}" for v in (one.zoom_left, one.zoom_right) if v is not None))
         now = [figure(None if value is None else value / MM) for value in (one.now.spots_m, one.now.rig_m)]
         rows.append(
             [
                 zooms or "-",
                 figure(one.focal_px, 4),
                 figure(one.now.width_m / MM),
-                f"{100.0 * one.now.common:.0f} %",
+                f"{100.0 * one.now.common:.0f}",
                 *now,
-                figure(None if one.now.total_m is None else one.now.total_m / MM),
-                "yes" if one.reached else "no",
+                figure(None if one.now.total_m is None else one.now.total_m / MM) + (" *" if one.reached else ""),
                 "none" if one.baseline_m is None else f"{one.baseline_m / MM:.0f}",
             ]
         )
@@ -229,9 +228,10 @@ def _accuracy_table(face: CommandUI, plan: AccuracyPlan) -> None:
     face.table(
         f"Wanted: +- {figure(plan.accuracy_m / MM)} mm in the worst direction at {depths} m; spots taken as known to "
         f"{figure(plan.sigma_px, 2)} px (--sigma); baseline now {figure(plan.baseline_m / MM, 4)} mm",
-        ["zoom", "f, px", "view, mm", "common", "spots, mm", "rig, mm", "total, mm", "reached", "baseline for it, mm"],
+        ["zoom", "f, px", "view", "in both, %", "spots +-", "rig +-", "total +-", "baseline for it"],
         rows,
     )
+    face.say("Lengths in mm; * reaches it with the rig's own baseline")
     for text in plan.advice:
         face.say(text)
 
