@@ -35,7 +35,7 @@ def setting(lens: SimZoomLens, zoom: float, rng: np.random.Generator | None = No
     shared = np.zeros((8, 8))
     shared[0, 1] = shared[1, 0] = 0.9 * std[0] * std[1]
     matrix = np.diag(std**2) + shared
-    error = np.zeros(10) if rng is None else np.zeros(10)
+    error = np.zeros(10)
     if rng is not None:
         error[[INTRINSICS.index(name) for name in NAMES]] = rng.multivariate_normal(np.zeros(8), matrix)
     return ZoomSetting(

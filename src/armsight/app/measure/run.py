@@ -28,7 +28,9 @@ from armsight.errors import ArmsightError, Cancelled, Inconsistent, NotEnoughDat
 from armsight.measure.consistency.check import RunCheck
 from armsight.measure.consistency.diagnosis import Consistency
 from armsight.measure.consistency.explain import advice, sentence
+from armsight.measure.poses.pairs import SLACK_PX
 from armsight.measure.poses.pipeline import Measured, Setup, Track, measure_pair
+from armsight.measure.poses.slack import rig_slack_px
 from armsight.measure.settings import METHODS, SpotSettings
 from armsight.optics import SIDES, Rig, RigKind
 from armsight.records import Frame, Points, PoseStatus, Progress, Silent, Spots, Target, TargetPose
@@ -104,12 +106,12 @@ def measure(job: MeasureJob, progress: Progress | None = None) -> MeasureOutput:
     """
     target, (rig, zoomed) = target_of(job.target), zoomed_rig(job.rig, job.zoom)
     world = read_world(job.world) if job.world else None
-    settings = _settings(job, target)
+    settings, slack_px = _settings(job, target), rig_slack_px(rig) if zoomed else SLACK_PX
     if _free(job, rig):
-        setup = Setup(rig=rig, target=target, settings=settings)
+        setup = Setup(rig=rig, target=target, settings=settings, slack_px=slack_px)
         return with_zoom(measure_free(job, setup, world, progress or Silent()), zoomed, job.out)
     pairs, overlaid = _pairs(job, rig, target)
-    setup = Setup(rig=rig, target=target, settings=settings, overlaid=overlaid)
+    setup = Setup(rig=rig, target=target, settings=settings, overlaid=overlaid, slack_px=slack_px)
     facts = [("frames", pairs.name), ("rig's file", str(job.rig)), ("target's file", str(job.target))]
     facts += [("place of the rig", str(job.world))] if job.world else []
     facts += zoom_facts(zoomed)
