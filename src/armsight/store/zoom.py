@@ -50,11 +50,15 @@ class LensModel(Strict):
         )
 
 
-class IntrinsicsModel(LensModel):
-    """A camera's image size and intrinsics."""
+class SizeModel(Strict):
+    """The size of a camera's images in px."""
 
     width: Count
     height: Count
+
+
+class IntrinsicsModel(LensModel, SizeModel):
+    """A camera's image size and intrinsics; in errors the size comes first, as in files."""
 
     def camera(self) -> Camera:
         """Return the record; Inconsistent where no camera can be like this."""
@@ -120,8 +124,13 @@ def read_zoom_camera(path: Path) -> ZoomCameraFile:
             consequence="Nobody knows at which zoom it was calibrated",
             cure="Calibrate its settings into a file of their own: armsight calibrate camera --zoom VALUE -o FILE",
         )
-    model = validated(ZoomCameraModel, content, str(path))
-    with named(str(path)):
+    return zoom_camera_from_mapping(content, str(path))
+
+
+def zoom_camera_from_mapping(content: Mapping[str, Any], where: str) -> ZoomCameraFile:
+    """Return what the structure of a zoom lens's camera.yaml says; BadFile, with where and the key, if it cannot be."""
+    model = validated(ZoomCameraModel, content, where)
+    with named(where):
         return ZoomCameraFile(
             lens=_lens(model.zoom, model.width, model.height),
             noise=None if model.noise is None else model.noise.noise(),
