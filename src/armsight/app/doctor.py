@@ -12,12 +12,14 @@ from pathlib import Path
 import cv2
 
 from armsight._version import __version__
+from armsight.app.accuracy import accuracy_plan
 from armsight.app.schemas.machine import DoctorOutput, KernelCache, Machine, ResolutionAt, RigResolution
 from armsight.app.simulate.scenarios import scenario_names
 from armsight.drivers import CAMERAS, CELLS, ROBOTS, cameras_there, cores, known
+from armsight.errors import UsageError
 from armsight.optics import Rig, resolution
 from armsight.optics.resolution import CENTROID_SIGMA_PX, Resolution
-from armsight.store import read_rig
+from armsight.store import read_zoom_rig
 
 PACKAGES = ("numpy", "scipy", "numba", "opencv-python-headless", "pydantic", "plotly", "typer")
 DEPTHS_IN_BASELINES = (2.0, 5.0, 10.0, 20.0, 50.0)
@@ -25,9 +27,22 @@ DEPTHS_IN_BASELINES = (2.0, 5.0, 10.0, 20.0, 50.0)
 
 
 def doctor(
-    rig: Path | None = None, *, depths_m: Sequence[float] = (), sigma_px: float = CENTROID_SIGMA_PX
+    rig: Path | None = None,
+    *,
+    depths_m: Sequence[float] = (),
+    sigma_px: float = CENTROID_SIGMA_PX,
+    accuracy_m: float | None = None,
 ) -> DoctorOutput:
-    """Look at the machine and, where given, at a rig's resolution at distances (default: multiples of its baseline)."""
+    """Look at the machine and, where given, at a rig's resolution at distances (default: multiples of its baseline).
+
+    accuracy_m: tell also which settings and which baseline reach this standard deviation at the distances. Raises
+    UsageError where it is wanted without a rig or a distance.
+    """
+    if accuracy_m is not None and (rig is None or not depths_m):
+        raise UsageError(
+            "--accuracy is of a rig at a distance",
+            cure="Give --rig and --depth (in m; again for the far end of a volume)",
+        )
     drivers = {group.removeprefix("armsight."): list(known(group)) for group in (CAMERAS, ROBOTS, CELLS)}
     drivers["scenarios"] = list(scenario_names())
     kernels = kernel_cache(Path(__file__).parent.parent)
@@ -38,18 +53,21 @@ def doctor(
         drivers=drivers,
         kernels=kernels,
         problems=_problems(drivers, kernels),
-        rig=None if rig is None else rig_resolution(read_rig(rig), depths_m, sigma_px),
+        rig=None if rig is None else rig_resolution(read_zoom_rig(rig), depths_m, sigma_px, accuracy_m),
     )
 
 
-def rig_resolution(rig: Rig, depths_m: Sequence[float], sigma_px: float) -> RigResolution:
-    """Return what the rig can tell apart at distances, for spots known to sigma_px."""
+def rig_resolution(
+    rig: Rig, depths_m: Sequence[float], sigma_px: float, accuracy_m: float | None = None
+) -> RigResolution:
+    """Return what the rig can tell apart at distances, for spots known to sigma_px; with zoom, as it was calibrated."""
     depths = list(depths_m) or [factor * rig.baseline_m for factor in DEPTHS_IN_BASELINES]
     return RigResolution(
         baseline_m=rig.baseline_m,
         rms_px=rig.rms_px,
         sigma_px=sigma_px,
         distances=[_resolution_at(resolution(rig, depth_m, sigma_px)) for depth_m in depths],
+        accuracy=None if accuracy_m is None else accuracy_plan(rig, accuracy_m, depths, sigma_px),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import isfinite
 from pathlib import Path
 from typing import Annotated, TypeAlias
 
@@ -9,7 +10,7 @@ import typer
 
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.options import BOARD, SRC, AsJson, Board, Every, Limit, Workers
-from armsight.cli.tables import camera_tables, noise_tables, stereo_tables
+from armsight.cli.tables import camera_tables, noise_tables, stereo_tables, zoom_rig_tables, zoom_tables
 from armsight.errors import UsageError
 
 Detector: TypeAlias = Annotated[
@@ -37,6 +38,16 @@ def camera(
     side: Annotated[
         str | None, typer.Option(metavar="SIDE", help="With --noise and a rig.yaml: left or right, the frames' camera.")
     ] = None,
+    zoom: Annotated[
+        float | None,
+        typer.Option(help="A zoom lens's setting at which the images were taken: -o keeps its other settings."),
+    ] = None,
+    pupil: Annotated[
+        float | None,
+        typer.Option(metavar="M", help="With --zoom: where the centre of projection stands along the axis, m forward."),
+    ] = None,
+    pupil_std: Annotated[float, typer.Option(metavar="M", min=0.0, help="Its standard deviation, m.")] = 0.0,
+    set_zoom: Annotated[bool, typer.Option("--set-zoom", help="Set the live camera SRC to --zoom first.")] = False,
     every: Every = 1,
     frames: Limit = None,
     workers: Workers = None,
@@ -50,9 +61,11 @@ def camera(
     with CommandUI(as_json=json) as face:
         from armsight.app.calibrate.camera_noise import NoiseJob, run_noise
         from armsight.app.calibrate.cameras import CalibrateJob, calibrate_camera
+        from armsight.app.calibrate.zoom import ZoomValue
         from armsight.config import load_settings
 
-        if noise is not None and source is None and board is None:
+        _require_zoom(zoom, pupil, pupil_std, set_zoom)
+        if noise is not None and source is None and board is None and zoom is None:
             alone = NoiseJob(frames=noise, out=out, side=side, every=every, limit=frames)
             found = run_noise(alone, face.progress("calibrating"))
             noise_tables(face, found.noise, out)
@@ -68,12 +81,30 @@ def camera(
             workers=workers if workers is not None else load_settings().workers,
             detector=detector,
             noise=noise,
+            zoom=None if zoom is None else ZoomValue(zoom=zoom, pupil_m=pupil, pupil_std_m=pupil_std),
+            set_zoom=set_zoom,
         )
         done = calibrate_camera(job, face.progress("calibrating"))
         camera_tables(face, done, out)
+        if done.zoom is not None:
+            zoom_tables(face, done.zoom)
         if done.noise is not None:
             noise_tables(face, done.noise, out)
         face.result(done)
+
+
+def _require_zoom(zoom: float | None, pupil: float | None, pupil_std: float, set_zoom: bool) -> None:
+    """Raise UsageError for what is said about a zoom without one, or that is no number."""
+    for name, value in (("zoom", zoom), ("pupil", pupil), ("pupil-std", pupil_std)):
+        if value is not None and not isfinite(value):
+            raise UsageError(f"--{name} {value} is not a finite number", cure="Give the value as the lens counts it")
+    if zoom is None and (pupil is not None or pupil_std > 0.0 or set_zoom):
+        raise UsageError(
+            "--pupil, --pupil-std and --set-zoom belong to a setting of a zoom lens, and --zoom is not given",
+            cure="Give --zoom with the value that the lens stands at",
+        )
+    if pupil is None and pupil_std > 0.0:
+        raise UsageError("--pupil-std is the standard deviation of --pupil, which is not given", cure="Give --pupil")
 
 
 def _require_board(source: str | None, board: str | None, side: str | None) -> None:
@@ -117,4 +148,28 @@ def stereo(
         )
         done = calibrate_stereo(job, face.progress("calibrating"))
         stereo_tables(face, done, out)
+        face.result(done)
+
+
+@calibrate.command("zoom-rig")
+def zoom_rig(
+    rig: Annotated[Path, typer.Option(help="rig.yaml from `armsight calibrate stereo`, at one setting of each lens.")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="rig.yaml to write.")],
+    left: Annotated[Path | None, typer.Option(help="camera.yaml with the left lens's settings.")] = None,
+    right: Annotated[Path | None, typer.Option(help="The same of the right lens.")] = None,
+    zoom_left: Annotated[float | None, typer.Option(help="Where the left lens stood for the rig.")] = None,
+    zoom_right: Annotated[float | None, typer.Option(help="Where the right lens stood.")] = None,
+    json: AsJson = False,
+) -> None:
+    """Give a calibrated rig the settings of its zoom lenses: `measure --zoom-left --zoom-right` then takes any of them.
+
+    The right camera's place, found at one setting of each lens, holds for all of them.
+    """
+    with CommandUI(as_json=json) as face:
+        from armsight.app.calibrate.zoom import ZoomRigJob
+        from armsight.app.calibrate.zoom import zoom_rig as run
+
+        job = ZoomRigJob(rig=rig, out=out, left=left, right=right, zoom_left=zoom_left, zoom_right=zoom_right)
+        done = run(job)
+        zoom_rig_tables(face, done, out)
         face.result(done)

@@ -19,6 +19,7 @@ from armsight.cli.kinematics import convert_arm, kinematics
 from armsight.cli.options import SRC, AsJson, Fps, Inverted, Limit, OutFolder, Seed, Threshold
 from armsight.cli.record import record
 from armsight.cli.tables import demo_tables, doctor_tables, measure_tables
+from armsight.units import MM
 
 app = typer.Typer(
     name="armsight",
@@ -107,6 +108,11 @@ def measure(
         Path | None, typer.Option(help="t_s,u_px,v_px[,su_px,sv_px][,spot]: spots of the left camera found elsewhere.")
     ] = None,
     right_spots: Annotated[Path | None, typer.Option(help="The same of the right camera.")] = None,
+    zoom_left: Annotated[
+        float | None, typer.Option(help="Where the left zoom lens stands, of a rig with them.")
+    ] = None,
+    zoom_right: Annotated[float | None, typer.Option(help="Where the right zoom lens stands.")] = None,
+    set_zoom: Annotated[bool, typer.Option("--set-zoom", help="Set live cameras to these first.")] = False,
     json: AsJson = False,
 ) -> None:
     """Measure the target's pose in every pair of frames.
@@ -142,6 +148,8 @@ def measure(
             at=at,
             left_spots=left_spots,
             right_spots=right_spots,
+            zoom=(zoom_left, zoom_right),
+            set_zoom=set_zoom,
         )
         summary = run(job, face.progress("measuring"))
         measure_tables(face, summary, out)
@@ -190,13 +198,16 @@ def simulate(
         str | None,
         typer.Option(help="Behind the target: dark, workshop, office, plain or a picture. [default: its own]"),
     ] = None,
+    zoom: Annotated[
+        float | None, typer.Option(help="Zoom lenses before the cameras, at this setting, 100 to 500 where not said.")
+    ] = None,
     json: AsJson = False,
 ) -> None:
     """Write the frames of a simulated cell, its files and the truth into a folder."""
     with CommandUI(as_json=json) as face:
         from armsight.app.simulate.run import simulate as run
 
-        done = run(scenario, out, seed=seed, frames=frames, room=room, progress=face.progress("simulating"))
+        done = run(scenario, out, seed=seed, frames=frames, room=room, zoom=zoom, progress=face.progress("simulating"))
         face.say(f"{done.n_frames} frames of each view and the truth are in {out}")
         face.result(done)
 
@@ -210,6 +221,12 @@ def doctor(
     sigma: Annotated[
         float | None, typer.Option(min=1e-6, help="Standard deviation of a spot's centre in px. [default: 0.1]")
     ] = None,
+    accuracy: Annotated[
+        float | None,
+        typer.Option(
+            metavar="MM", min=1e-6, help="With --rig and --depth: what reaches this standard deviation of a point."
+        ),
+    ] = None,
     json: AsJson = False,
 ) -> None:
     """Tell what this machine can do: versions, cameras, drivers, compiled kernels; and a rig's resolution."""
@@ -217,6 +234,11 @@ def doctor(
         from armsight.app.doctor import doctor as run
         from armsight.optics.resolution import CENTROID_SIGMA_PX
 
-        found = run(rig, depths_m=depth or (), sigma_px=sigma or CENTROID_SIGMA_PX)
+        found = run(
+            rig,
+            depths_m=depth or (),
+            sigma_px=sigma or CENTROID_SIGMA_PX,
+            accuracy_m=None if accuracy is None else accuracy * MM,
+        )
         doctor_tables(face, found)
         face.result(found)

@@ -10,6 +10,7 @@ import typer
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.options import AsJson, parse_size
 from armsight.cli.record import recording
+from armsight.errors import UsageError
 
 if TYPE_CHECKING:
     from armsight.app.schemas.files import ConvertOutput
@@ -29,12 +30,20 @@ def camera(
     out: Annotated[Path, typer.Option("-o", "--out", help="File to write.")],
     to: To = None,
     size: Size = None,
+    zoom: Annotated[
+        float | None, typer.Option(help="Of a zoom lens's camera.yaml: the camera at this setting.")
+    ] = None,
     json: AsJson = False,
 ) -> None:
-    """Convert the calibration of one camera."""
+    """Convert the calibration of one camera; or take one setting out of a zoom lens's."""
     with CommandUI(as_json=json) as face:
+        from armsight.app.calibrate.zoom import fix_camera
         from armsight.app.convert import convert_camera
 
+        if zoom is not None:
+            _require_ours(to, size)
+            _tell(face, fix_camera(source, out, zoom))
+            return
         _tell(face, convert_camera(source, out, to=to, size=parse_size(size)))
 
 
@@ -45,12 +54,21 @@ def rig(
     to: To = None,
     size: Size = None,
     unit: Annotated[float, typer.Option(min=1e-9, help="Length of an OpenCV file's unit in m.")] = 1.0,
+    zoom_left: Annotated[float | None, typer.Option(help="Of a rig with zoom lenses: at this setting.")] = None,
+    zoom_right: Annotated[float | None, typer.Option(help="... of the right lens.")] = None,
     json: AsJson = False,
 ) -> None:
-    """Convert the calibration of a pair of cameras."""
+    """Convert the calibration of a pair of cameras; or take one setting out of a rig with zoom lenses."""
     with CommandUI(as_json=json) as face:
+        from armsight.app.calibrate.zoom import fix_rig
         from armsight.app.convert import convert_rig
 
+        if zoom_left is not None or zoom_right is not None:
+            _require_ours(to, size)
+            if len(source) != 1 or len(out) != 1:
+                raise UsageError("one rig.yaml goes into one", cure="Give one file and one -o with --zoom-left")
+            _tell(face, fix_rig(source[0], out[0], (zoom_left, zoom_right)))
+            return
         _tell(face, convert_rig(source, out, to=to, size=parse_size(size), unit_m=unit))
 
 
@@ -65,6 +83,15 @@ def poses(
         from armsight.app.convert import convert_poses
 
         _tell(face, convert_poses(source, out))
+
+
+def _require_ours(to: str | None, size: str | None) -> None:
+    """Raise UsageError where a setting is to be taken and converted at once."""
+    if to not in (None, "armsight") or size is not None:
+        raise UsageError(
+            "a setting is taken out of armsight's own file into another one",
+            cure="Leave --to and --size away, and convert the file that is written",
+        )
 
 
 def _tell(face: CommandUI, done: ConvertOutput) -> None:

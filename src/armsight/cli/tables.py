@@ -12,8 +12,8 @@ from armsight.units import DEG, MM, MS
 
 if TYPE_CHECKING:
     from armsight.app.schemas.base import PointStd, PoseOutput, PoseStd, RejectedFile
-    from armsight.app.schemas.cameras import CameraNoise, CameraOutput, StereoOutput
-    from armsight.app.schemas.machine import DoctorOutput
+    from armsight.app.schemas.cameras import CameraNoise, CameraOutput, StereoOutput, ZoomOutput, ZoomRigOutput
+    from armsight.app.schemas.machine import AccuracyPlan, DoctorOutput
     from armsight.app.schemas.measure import DemoOutput, MeasureOutput, PoseErrors
 
 REJECTED_SHOWN = 8
@@ -102,6 +102,36 @@ def camera_tables(face: CommandUI, done: CameraOutput, out: Path) -> None:
     face.say(f"Written: {out}")
 
 
+def zoom_tables(face: CommandUI, zoom: ZoomOutput) -> None:
+    """Print the settings of a zoom lens, and how well each is predicted by the others."""
+    left_out = {one.zoom: one for one in zoom.left_out}
+    rows = []
+    for value, focal in zip(zoom.settings, zoom.focal_lengths_px, strict=True):
+        one = left_out.get(value)
+        told = ["-"] * 3 if one is None else [f"{one.focal_error_px:+.2f}", figure(one.focal_std_px), ""]
+        if one is not None:
+            told[2] = figure(one.image_rms_px)
+        rows.append([f"{value:g}", figure(focal, 6), *told])
+    header = ["zoom", "fx, px", "left out: error of fx, px", "claimed +-", "image, px RMS"]
+    face.table("Settings of the lens", header, rows)
+    if zoom.focal_error_rms is not None:
+        face.say(
+            f"Left out and predicted from the others, focal lengths are {figure(100.0 * zoom.focal_error_rms, 2)} % "
+            "off (RMS); with all settings it is less between them, and what is measured there says how much"
+        )
+    for text in zoom.advice:
+        face.say(f"  {text}")
+
+
+def zoom_rig_tables(face: CommandUI, done: ZoomRigOutput, out: Path) -> None:
+    """Print what a rig's lenses can be set to."""
+    for side, values in done.settings.items():
+        face.say(f"{side}: settings {', '.join(f'{value:g}' for value in values)}; rig calibrated at {done.at[side]:g}")
+    for text in done.advice:
+        face.say(f"Note: {text}")
+    face.say(f"Written: {out}")
+
+
 def noise_tables(face: CommandUI, noise: CameraNoise, out: Path) -> None:
     """Print a camera's noise."""
     rows = [
@@ -169,10 +199,41 @@ def doctor_tables(face: CommandUI, found: DoctorOutput) -> None:
             ["distance, m", "+- along it, mm", "+- across, mm", "in both views"],
             distances,
         )
+        if found.rig.accuracy is not None:
+            _accuracy_table(face, found.rig.accuracy)
     for problem in found.problems:
         face.say(f"Problem: {problem}")
     if not found.problems:
         face.say("No problem found.")
+
+
+def _accuracy_table(face: CommandUI, plan: AccuracyPlan) -> None:
+    """Print which settings and which baseline reach a wanted accuracy."""
+    rows = []
+    for one in plan.settings:
+        zooms = " ".join(dict.fromkeys(f"{v:g}" for v in (one.zoom_left, one.zoom_right) if v is not None))
+        now = [figure(None if value is None else value / MM) for value in (one.now.spots_m, one.now.rig_m)]
+        rows.append(
+            [
+                zooms or "-",
+                figure(one.focal_px, 4),
+                figure(one.now.width_m / MM),
+                f"{100.0 * one.now.common:.0f}",
+                *now,
+                figure(None if one.now.total_m is None else one.now.total_m / MM) + (" *" if one.reached else ""),
+                "none" if one.baseline_m is None else f"{one.baseline_m / MM:.0f}",
+            ]
+        )
+    depths = " to ".join(f"{value:g}" for value in sorted({min(plan.depths_m), max(plan.depths_m)}))
+    face.table(
+        f"Wanted: +- {figure(plan.accuracy_m / MM)} mm in the worst direction at {depths} m; spots taken as known to "
+        f"{figure(plan.sigma_px, 2)} px (--sigma); baseline now {figure(plan.baseline_m / MM, 4)} mm",
+        ["zoom", "f, px", "view", "in both, %", "spots +-", "rig +-", "total +-", "baseline for it"],
+        rows,
+    )
+    face.say("Lengths in mm; * reaches it with the rig's own baseline")
+    for text in plan.advice:
+        face.say(text)
 
 
 def demo_tables(face: CommandUI, result: DemoOutput, out: Path) -> None:

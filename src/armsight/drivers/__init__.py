@@ -11,6 +11,7 @@ from armsight.drivers.registry import CAMERAS, CELLS, ROBOTS, SCENARIOS, known, 
 from armsight.drivers.replay import Replay, ReplayRobot, check_forward
 from armsight.drivers.robot import Robot, RobotState, Sent
 from armsight.drivers.sources import FPS, Capture, ImageFolder, VideoFile
+from armsight.drivers.zoom import require_live
 
 __all__ = [
     "CAMERAS",
@@ -47,4 +48,5 @@ __all__ = [
     "open_split",
     "ordered_map",
     "read_image",
+    "require_live",
 ]

@@ -17,6 +17,7 @@ from armsight.clock import Clock, SystemClock
 from armsight.drivers.lock import DeviceLock
 from armsight.drivers.protocols import FrameSource, Skew
 from armsight.drivers.sources import Capture
+from armsight.drivers.zoom import set_zoom
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound
 from armsight.records import Frame
 
@@ -52,8 +53,8 @@ class OpenCvCamera:
     """A camera that OpenCV can open, by number (0, 1 ...) or device file; read in its own thread from opening on.
 
     t_s is the moment of arrival on the clock minus origin_s (default: the moment of opening); what the driver
-    holds back before that is not known. One process at a time may read it (DeviceFailed for a second one). clock, and
-    open_capture with the lock, can be replaced for tests.
+    holds back before that is not known. One process at a time may read it (DeviceFailed for a second one). zoom: set
+    before the first frame. clock, and open_capture with the lock, can be replaced for tests.
     """
 
     def __init__(
@@ -65,8 +66,10 @@ class OpenCvCamera:
         origin_s: float | None = None,
         open_capture: Callable[[str], Capture] = open_camera,
         lock: DeviceLock | None = None,
+        zoom: float | None = None,
     ) -> None:
         self.name = f"camera:{device}"
+        self._zoom = zoom
         self._lock = DeviceLock(self.name) if lock is None and open_capture is open_camera else lock
         self._device = device
         self._colour = colour
@@ -102,6 +105,12 @@ class OpenCvCamera:
                 consequence="There are no frames",
                 cure=f"Cameras there: {there}. Another program may hold it" if there else "No camera is connected",
             )
+        if self._zoom is not None:
+            try:
+                set_zoom(capture, self.name, self._zoom, self._clock)
+            except BaseException:
+                capture.release()
+                raise
         self._capture = capture
         self._origin_s = self._clock.now_s() if self._origin_s is None else self._origin_s
         self._stop.clear()

@@ -12,6 +12,7 @@ from armsight.drivers.pairs import FilePairs, SplitImages
 from armsight.drivers.protocols import FrameSource, PairSource
 from armsight.drivers.registry import CAMERAS, load
 from armsight.drivers.sources import FPS, VIDEO_SUFFIXES, ImageFolder, VideoFile
+from armsight.drivers.zoom import require_live, zoom_option
 from armsight.errors import UsageError
 
 CAMERA = "camera:"
@@ -31,17 +32,21 @@ def open_source(
     times_s: Sequence[float] | None = None,
     clock: Clock | None = None,
     origin_s: float | None = None,
+    zoom: float | None = None,
 ) -> FrameSource:
     """Return the source that a person's text names; nothing is opened yet.
 
     camera:0 or camera:/dev/video0 is a camera of OpenCV's, camera:DRIVER or camera:DRIVER:DEVICE one of a registered
-    driver. Raises UsageError, or DeviceNotFound for an unknown driver.
+    driver. zoom: a live camera is set to it. Raises UsageError, or DeviceNotFound for an unknown driver.
     """
     if is_live(text):
         if times_s is not None:
             raise UsageError("a live camera brings its own time stamps", cure="Leave --times away")
         driver, device = _driver(text.removeprefix(CAMERA))
-        return cast(FrameSource, load(CAMERAS, driver)(device, colour=colour, clock=clock, origin_s=origin_s))
+        make = load(CAMERAS, driver)
+        options = zoom_option(driver, make, zoom)
+        return cast(FrameSource, make(device, colour=colour, clock=clock, origin_s=origin_s, **options))
+    require_live(text, zoom)
     suffix = Path(text).suffix.lower()
     if suffix == ".mcap":
         raise UsageError(
@@ -61,8 +66,12 @@ def open_pairs(
     fps: float | None = None,
     times_s: Sequence[float] | None = None,
     max_skew_s: float = MAX_SKEW_S,
+    zoom: tuple[float | None, float | None] = (None, None),
 ) -> PairSource:
-    """Return the pairs of two sources; nothing is opened yet. Raises UsageError for one live and one not."""
+    """Return the pairs of two sources; nothing is opened yet. Raises UsageError for one live and one not.
+
+    zoom: live cameras, left and right, are set to it.
+    """
     if is_live(left) != is_live(right):
         raise UsageError(f"{left} and {right} cannot be paired: one is live, the other is not")
     if left == right:
@@ -75,13 +84,13 @@ def open_pairs(
         clock = SystemClock()
         origin_s = clock.now_s()
         return LivePairs(
-            open_source(left, colour=colour, clock=clock, origin_s=origin_s),
-            open_source(right, colour=colour, clock=clock, origin_s=origin_s),
+            open_source(left, colour=colour, clock=clock, origin_s=origin_s, zoom=zoom[0]),
+            open_source(right, colour=colour, clock=clock, origin_s=origin_s, zoom=zoom[1]),
             max_skew_s=max_skew_s,
         )
     return FilePairs(
-        open_source(left, colour=colour, fps=fps, times_s=times_s),
-        open_source(right, colour=colour, fps=fps, times_s=times_s),
+        open_source(left, colour=colour, fps=fps, times_s=times_s, zoom=zoom[0]),
+        open_source(right, colour=colour, fps=fps, times_s=times_s, zoom=zoom[1]),
     )
 
 

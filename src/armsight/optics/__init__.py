@@ -5,9 +5,11 @@ from armsight.optics.epipolar import epipolar_chi2, epipolar_distance, fundament
 from armsight.optics.packed import PackedRig
 from armsight.optics.parallelism import Parallelism, moved_rig, parallelism
 from armsight.optics.resolution import Resolution, mean_axes, resolution
-from armsight.optics.rig import RIG_PARAMETERS, RIGHT_POSE, SIDES, Rig, RigKind
+from armsight.optics.rig import RIG_PARAMETERS, RIGHT_POSE, SIDES, MountedZoom, Rig, RigKind
 from armsight.optics.rigs import converged_rig, look_at, parallel_rig
 from armsight.optics.triangulate import Triangulation, Verdict, triangulate, triangulate_closed
+from armsight.optics.zoom import LeftOut, ZoomLens, ZoomSetting, ZoomState
+from armsight.optics.zoom_rig import RigAtZoom, at_zoom, with_zoom
 
 __all__ = [
     "INTRINSICS",
@@ -15,14 +17,21 @@ __all__ = [
     "RIG_PARAMETERS",
     "SIDES",
     "Camera",
+    "LeftOut",
+    "MountedZoom",
     "PackedRig",
     "Parallelism",
     "Plate",
     "Resolution",
     "Rig",
+    "RigAtZoom",
     "RigKind",
     "Triangulation",
     "Verdict",
+    "ZoomLens",
+    "ZoomSetting",
+    "ZoomState",
+    "at_zoom",
     "converged_rig",
     "epipolar_chi2",
     "epipolar_distance",
@@ -35,4 +44,5 @@ __all__ = [
     "resolution",
     "triangulate",
     "triangulate_closed",
+    "with_zoom",
 ]

@@ -11,6 +11,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.optics.camera import INTRINSICS, Camera
 from armsight.optics.kernels.camera import project_many
+from armsight.optics.zoom import ZoomLens
 from armsight.records import CameraTiming, NamedCovariance, NoiseModel, Saveable
 
 Array = NDArray[np.float64]
@@ -32,13 +33,21 @@ class RigKind(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MountedZoom:
+    """The zoom lens of a rig's camera; at: the zoom that the rig was calibrated at and its `left` or `right` is of."""
+
+    lens: ZoomLens
+    at: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Rig(Saveable):
     """Left and right camera, each with its pose in the rig's axes.
 
     covariance: of the calibration, named '<side>.<intrinsic>' (px) and 'right.tx|ty|tz' (m), 'right.rx|ry|rz'
     (rad) for the pose T_rig_right of a rig whose reference is the left camera; None where not known. noise: of the grey
     levels of the left and the right camera, where known; timing: when their lines are exposed. Optics makes no use of
-    either.
+    either. zoom: the lenses' settings, where they zoom; optics.zoom_rig.at_zoom gives the rig at one of each.
     """
 
     kind: RigKind
@@ -50,6 +59,7 @@ class Rig(Saveable):
     rms_px: float | None = None
     noise: tuple[NoiseModel | None, NoiseModel | None] = (None, None)
     timing: tuple[CameraTiming | None, CameraTiming | None] = (None, None)
+    zoom: tuple[MountedZoom | None, MountedZoom | None] = (None, None)
 
     @property
     def baseline_m(self) -> float:

@@ -85,9 +85,12 @@ BOARD_TRIES = 200
 
 
 def random_board_pose(
-    board: Board, rig: Mapping[str, tuple[Lens, RigidTransform]], rng: np.random.Generator
+    board: Board, rig: Mapping[str, tuple[Lens, RigidTransform]], rng: np.random.Generator, reach: float = 1.0
 ) -> RigidTransform:
-    """Return a random T_world_board that both cameras see whole. Raises UsageError where none is found."""
+    """Return a random T_world_board that both cameras see whole; reach: times the usual distance, for longer lenses.
+
+    Raises UsageError where none is found.
+    """
     corners = board.corners_m()
     size = corners.max(axis=0)
     x, y = np.meshgrid([-board.square_m, size[0] + board.square_m], [-board.square_m, size[1] + board.square_m])
@@ -96,7 +99,7 @@ def random_board_pose(
         axis = rng.normal(size=2)
         lean = rng.uniform(0.0, np.deg2rad(40.0)) * axis / np.linalg.norm(axis)
         R = Rotation.from_rotvec([*lean, 0.0]) * Rotation.from_rotvec([0.0, 0.0, rng.uniform(-0.35, 0.35)])
-        centre = rng.uniform([-0.15, -0.12, 0.40], [0.27, 0.12, 0.75])
+        centre = rng.uniform([-0.15, -0.12, 0.40 * reach], [0.27, 0.12, 0.75 * reach])
         pose = RigidTransform.from_components(centre - R.apply(0.5 * size), R)
         if all(_holds(lens, (T.inv() * pose).apply(edge)) for lens, T in rig.values()):
             return pose

@@ -26,6 +26,7 @@ from armsight.sim.rigs import SIDES, Pair, converging_webcams, parallel_pair
 from armsight.sim.room_schema import RoomKeys, checked_pipeline, checked_room
 from armsight.sim.scene import Event, Light, SmoothTrajectory
 from armsight.sim.sensor import Sensor, ambient, with_clutter, with_hot_pixels
+from armsight.sim.zoom import zoomed_pair
 
 Array = NDArray[np.float64]
 
@@ -45,7 +46,8 @@ class LedCellOptions:
     """What may be chosen about led_cell.
 
     The view stays the same for every width (the focal length follows). level, sigma_px, diameter_m: of the lights
-    as in Light; a diameter makes them flat discs. faults: whether planned_events happen.
+    as in Light; a diameter makes them flat discs. faults: whether planned_events happen. zoom: zoom lenses before both
+    cameras, at this value.
     """
 
     name: str = "led-cell"
@@ -59,6 +61,7 @@ class LedCellOptions:
     sensor: Sensor = field(default_factory=Sensor)
     hot_pixels: int = 12
     faults: bool = True
+    zoom: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,9 +78,9 @@ class Surroundings:
         return (1.0, 1.0, 1.0) if self.pipeline.bayer else (1.0,)
 
 
-def hand_cell(seed: int, frames: int, *, room: Any = ROOM, pipeline: Any = PIPELINE) -> Cell:
-    """Return two 1280x720 webcams at 60 frames per second that watch three LEDs 0.8 m away."""
-    return led_cell(seed, frames, LedCellOptions(name="hand-cell"), room=room, pipeline=pipeline)
+def hand_cell(seed: int, frames: int, *, room: Any = ROOM, pipeline: Any = PIPELINE, zoom: float | None = None) -> Cell:
+    """Return two 1280x720 webcams at 60 frames per second that watch three LEDs 0.8 m away; zoom as LedCellOptions."""
+    return led_cell(seed, frames, LedCellOptions(name="hand-cell", zoom=zoom), room=room, pipeline=pipeline)
 
 
 def led_cell(
@@ -218,15 +221,17 @@ def board_cell(
     printed: Board | None = None,
     room: Any = ROOM,
     pipeline: Any = PIPELINE,
+    zoom: float | None = None,
 ) -> BoardCell:
     """Return the cameras of hand_cell with a checkerboard before them, for calibrating them from images.
 
-    frames: how many poses the board takes. Raises UsageError for less than one, or a board too large for the view.
+    frames: how many poses the board takes, further away the longer the lens. zoom: zoom lenses, at this value. Raises
+    UsageError for less than one, or a board too large for the view.
     """
     around = _surroundings(seed, frames, room, pipeline)
     board = printed or Board()
     rng = np.random.default_rng([seed, SEED_BOARD])
-    rig = converging_webcams(width, height)
+    rig, reach = _lenses(width, height, zoom)
     lamps = ambient(width, height, 1.0, across=0.16, down=-0.10, bgr=around.bgr)
     cameras = {
         side: SimCamera(
@@ -234,7 +239,7 @@ def board_cell(
         )
         for side, (lens, pose) in rig.items()
     }
-    poses = tuple(random_board_pose(board, rig, rng) for _ in range(frames))
+    poses = tuple(random_board_pose(board, rig, rng, reach) for _ in range(frames))
     return BoardCell(
         name="board-cell",
         seed=seed,
@@ -253,7 +258,8 @@ def _board_assumptions(around: Surroundings, cameras: Mapping[str, SimCamera], b
         *cameras_chosen(cameras),
         f"board: {board.columns}x{board.rows} inner corners, squares of {1e3 * board.square_m:g} mm, flat, black "
         f"{board.black:g}, white {board.white:g} levels, lens blur sigma {board.blur_px:g} px",
-        "poses: random within both views, 0.4 to 0.75 m away, tilted up to 40 deg, turned up to 20 deg",
+        "poses: random within both views, 0.4 to 0.75 m away (times the zoom lens's magnification), tilted up to "
+        "40 deg, turned up to 20 deg",
         sensor_chosen(Sensor()),
         "lamps: uneven by 16 % across and 10 % down",
         room_chosen(around.keys, f"{board.room:g} grey levels"),
@@ -323,11 +329,20 @@ def _about(seed: int) -> SmoothTrajectory:
     )
 
 
+def _lenses(width: int, height: int, zoom: float | None) -> tuple[Pair, float]:
+    """Return the converging webcams, with zoom lenses where a zoom is given; and how many times longer these are."""
+    plain = converging_webcams(width, height)
+    if zoom is None:
+        return plain, 1.0
+    pair = zoomed_pair(plain, zoom)
+    return pair, pair["left"][0].focal_px[0] / plain["left"][0].focal_px[0]
+
+
 def _webcams(options: LedCellOptions, around: Surroundings) -> dict[str, SimCamera]:
     """Return two converging webcams with hot pixels of their own, in a dim room or as yet before nothing."""
     cameras = {}
     level, across, down = (9.0, 5.0, -3.0) if around.keys.dark else (0.0, 0.0, 0.0)
-    for side, (lens, pose) in converging_webcams(options.width, options.height).items():
+    for side, (lens, pose) in _lenses(options.width, options.height, options.zoom)[0].items():
         rng = np.random.default_rng([around.seed, SEED_BACKDROP, SIDES.index(side)])
         plain = ambient(options.width, options.height, level, across=across, down=down, bgr=around.bgr)
         cameras[side] = SimCamera(

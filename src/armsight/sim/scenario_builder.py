@@ -17,7 +17,7 @@ from armsight.sim.motions import Drawn, HandJitter, JointMotion, Jumping, Swing,
 from armsight.sim.rigs import SIDES
 from armsight.sim.robot import SimRobot
 from armsight.sim.room_schema import checked_room
-from armsight.sim.scenario_cameras import make_cameras, set_room
+from armsight.sim.scenario_cameras import make_cameras, set_room, with_zoom
 from armsight.sim.scenario_schema import (
     ArcKeys,
     EdgeKeys,
@@ -114,20 +114,21 @@ def build_robot(scenario: Scenario, device: str, clock: Clock) -> SimRobot:
     )
 
 
-def build_world(scenario: Scenario, *, seed: int | None = None, frames: int | None = None, room: Any = None) -> World:
-    """Return the world of a scenario; seed, frames and room (as the file's key takes it) are the file's if not given.
+def build_world(
+    scenario: Scenario, *, seed: int | None = None, frames: int | None = None, room: Any = None, zoom: Any = None
+) -> World:
+    """Return a scenario's world; seed, frames, zoom and room (as the file's key takes it) are the file's if not given.
 
     Raises Inconsistent, naming the key, for a motion that the arm cannot make; UsageError for what is no room.
     """
-    scenario, seed, frames = _as_asked(scenario, seed, frames, room)
+    scenario, seed, frames = _as_asked(scenario, seed, frames, room, zoom)
     arm = robotics(scenario, seed)
     lights = _lights(scenario)
-    ambient = scenario.cameras.sensor.ambient_level if scenario.room.dark else 0.0
-    cameras, rig = make_cameras(scenario.cameras, seed, ambient_level=ambient)
+    sees = scenario.cameras.sensor.ambient_level if scenario.room.dark else 0.0
+    cameras, rig = make_cameras(scenario.cameras, seed, ambient_level=sees)
     until_s = frames / scenario.fps + AHEAD_S
     T_mount_rig = scenario.cameras.T_mount_rig.pose()
     servo, T_flange_tool, rig_path, target = _moving(scenario, arm, T_mount_rig, seed, until_s)
-    fixed = scenario.cameras.mount == "base"
     world = World(
         name=scenario.name,
         seed=seed,
@@ -145,8 +146,8 @@ def build_world(scenario: Scenario, *, seed: int | None = None, frames: int | No
         true=arm.true,
         T_flange_tool=T_flange_tool,
         servo=servo,
-        T_base_rig=T_mount_rig if fixed else None,
-        T_flange_rig=None if fixed else T_mount_rig,
+        T_base_rig=T_mount_rig if scenario.cameras.mount == "base" else None,
+        T_flange_rig=T_mount_rig if scenario.cameras.mount == "flange" else None,
         radii_m=tuple(joint.radius_m for joint in scenario.arm.joints),
         events=_events(scenario, ("occluded", "reflection")),
         frozen=_events(scenario, ("frozen",)),
@@ -169,10 +170,15 @@ def _in_room(world: World, scenario: Scenario, until_s: float) -> World:
     return replace(world, cameras=cameras, moving=moving)
 
 
-def _as_asked(scenario: Scenario, seed: int | None, frames: int | None, room: Any) -> tuple[Scenario, int, int]:
-    """Return the scenario with the room, the seed and the number of frames, each the file's if not given."""
+def _as_asked(
+    scenario: Scenario, seed: int | None, frames: int | None, room: Any, zoom: float | None
+) -> tuple[Scenario, int, int]:
+    """Return the scenario with room and zoom, the seed and the number of frames, each the file's if not given."""
     if room is not None:
         scenario = scenario.model_copy(update={"room": checked_room(room)})
+    zoom = scenario.zoom if zoom is None else zoom
+    if zoom is not None:
+        scenario = scenario.model_copy(update={"cameras": with_zoom(scenario.cameras, zoom)})
     seed = scenario.seed if seed is None else seed
     frames = frames or scenario.frames
     if frames < 1 or seed < 0:

@@ -21,6 +21,7 @@ from armsight.sim.rooms.room import upright
 from armsight.sim.scenario_schema import CameraKeys, LensKeys
 from armsight.sim.scene import Light, Path
 from armsight.sim.sensor import Sensor, ambient, with_hot_pixels
+from armsight.sim.zoom import Cam, ZoomLens, zoomed
 
 PLACES = 60
 """Moments of a run at which it is asked where the target is, so that no furniture stands there."""
@@ -40,19 +41,56 @@ def _lens(keys: LensKeys, cameras: CameraKeys) -> Lens:
     )
 
 
+def _placed(keys: LensKeys, cameras: CameraKeys, pose: RigidTransform) -> tuple[Lens, RigidTransform]:
+    """Return a camera's lens and where it stands; of a zoom lens, at its setting."""
+    if keys.zoom is None:
+        return _lens(keys, cameras), pose
+    content = keys.zoom.model_dump()
+    at, (low, high), cam, bend = (content.pop(name) for name in ("at", "range", "cam", "bend"))
+    wide_mm = keys.zoom.wide_mm
+    made = ZoomLens(
+        width=cameras.width,
+        height=cameras.height,
+        zoom=(low, high),
+        cam=Cam(cam),
+        bend=(bend[0], bend[1]),
+        pitch_mm=wide_mm / keys.fx,
+        aspect=keys.fy / keys.fx,
+        **content,
+    )
+    lens, placed = zoomed(made, pose, at)
+    off = [c - 0.5 * (n - 1) for c, n in zip((keys.cx, keys.cy), (cameras.width, cameras.height), strict=True)]
+    cx, cy = lens.centre_px
+    return replace(lens, centre_px=(cx + off[0], cy + off[1])), placed
+
+
+def with_zoom(keys: CameraKeys, zoom: float) -> CameraKeys:
+    """Return the cameras with every zoom lens at a value. Raises Inconsistent where there is none."""
+    changed = {}
+    for side in SIDES:
+        lens = getattr(keys, side)
+        if lens is not None and lens.zoom is not None:
+            changed[side] = lens.model_copy(update={"zoom": lens.zoom.model_copy(update={"at": zoom})})
+    if not changed:
+        raise Inconsistent("the cameras have no zoom lens", cure="Give cameras.left.zoom, or leave the zoom away")
+    return keys.model_copy(update=changed)
+
+
 def make_cameras(keys: CameraKeys, seed: int, *, ambient_level: float) -> tuple[dict[str, SimCamera], dict[str, Any]]:
     """Return the cameras of a rig in its axes, and the rig as rig.yaml has it; ambient_level: what they see so far."""
-    left = _lens(keys.left, keys)
     here = RigidTransform.identity()
     if keys.mirrors is not None:
-        views = mirror_views(left, Mirrors(**keys.mirrors.model_dump()))
+        views = mirror_views(_lens(keys.left, keys), Mirrors(**keys.mirrors.model_dump()))
         places: dict[str, tuple[Lens | MirrorLens, RigidTransform]] = {side: (views[side], here) for side in SIDES}
         rig = mirror_rig(views)
     else:
         right = keys.right
         if right is None:
             raise Inconsistent("cameras: neither right nor mirrors is given")
-        pair = {"left": (left, here), "right": (_lens(right, keys), right.T_rig_camera.pose())}
+        pair = {
+            "left": _placed(keys.left, keys, here),
+            "right": _placed(right, keys, right.T_rig_camera.pose()),
+        }
         places, rig = dict(pair), rig_mapping(pair)
     sensor = Sensor(electrons_per_level=keys.sensor.electrons_per_level, read_noise_level=keys.sensor.read_noise_level)
     pipeline = pipeline_of(keys.pipeline)

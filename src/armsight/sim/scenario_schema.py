@@ -80,14 +80,40 @@ class ArmKeys(Keys):
     max_speed_deg_s: Positive | None = None
 
 
+class ZoomKeys(Keys):
+    """A zoom lens of two thin groups (sim.zoom): its setting, the ends of its range, lengths in mm; see there."""
+
+    at: Finite = 100.0
+    range: Annotated[list[Finite], Field(min_length=2, max_length=2)] = Field(default=[100.0, 500.0])
+    wide_mm: Positive = 3.0
+    ratio: Annotated[float, Field(gt=1.0, le=30.0)] = 3.0
+    front_mm: Annotated[float, Field(lt=0.0)] = -8.0
+    rear_mm: Positive = 6.0
+    cam: Literal["distance", "focal", "log_focal"] = "log_focal"
+    bend: Vector2 = Field(default=[0.15, -0.08])
+    focus_mm: Positive = 900.0
+    barrel: Finite = -0.08
+    cushion: Finite = 0.025
+
+
 class LensKeys(Keys):
-    """A pinhole behind a lens: focal lengths and principal point in px, distortion k1, k2, p1, p2, k3."""
+    """A pinhole behind a lens: focal lengths and principal point in px, distortion k1, k2, p1, p2, k3.
+
+    With zoom the focal length is that at the wide end, and the distortion is the zoom lens's own.
+    """
 
     fx: Positive
     fy: Positive
     cx: Finite
     cy: Finite
     distortion: Vector5 = Field(default=[0.0, 0.0, 0.0, 0.0, 0.0])
+    zoom: ZoomKeys | None = None
+
+    @model_validator(mode="after")
+    def _one_lens(self) -> Self:
+        if self.zoom is not None and any(self.distortion):
+            raise ValueError("zoom brings its own distortion: leave distortion away, or give zoom.barrel and cushion")
+        return self
 
 
 class RightKeys(LensKeys):
@@ -141,6 +167,8 @@ class CameraKeys(Keys):
             raise ValueError("give either right (two cameras) or mirrors (one camera)")
         if self.right is not None and not np.linalg.norm(self.right.T_rig_camera.xyz_m) > 1e-6:
             raise ValueError("right.T_rig_camera.xyz_m puts both cameras in one place: there is no depth")
+        if self.mirrors is not None and self.left.zoom is not None:
+            raise ValueError("left.zoom: a lens behind mirrors does not zoom here")
         if self.mirrors is not None and self.mirrors.gap_m <= 2.0 * self.mirrors.plate_m:
             raise ValueError("mirrors.gap_m leaves no room for the plate of mirrors.plate_m")
         return self
@@ -288,7 +316,7 @@ FollowedMotion = RestKeys | ArcKeys | EdgeKeys
 
 
 class Scenario(Keys):
-    """A scenario file."""
+    """A scenario file; zoom: the setting of all zoom lenses, in place of their own `at`."""
 
     format: Literal["armsight/scenario"]
     version: Literal[1]
@@ -299,6 +327,7 @@ class Scenario(Keys):
     fps: Annotated[float, Field(gt=0.0, le=1000.0)]
     arm: ArmKeys
     cameras: CameraKeys
+    zoom: Finite | None = None
     target: TargetKeys
     room: RoomChoice = RoomKeys()
     motion: Annotated[RobotMotion | FollowedMotion, Field(discriminator="kind")]

@@ -7,6 +7,7 @@ from armsight.store.rigs import (
     read_camera,
     read_camera_file,
     read_rig,
+    read_zoom_rig,
     rig_from_mapping,
     rig_mapping,
     write_camera,
@@ -40,6 +41,7 @@ from armsight.store.tracks import (
     write_tum,
 )
 from armsight.store.worlds import World, read_world, write_world
+from armsight.store.zoom import ZoomCameraFile, is_zoom_camera, read_zoom_camera, write_zoom_camera
 
 __all__ = [
     "BOARD_FORMS",
@@ -51,8 +53,10 @@ __all__ = [
     "SpotsWriter",
     "Table",
     "World",
+    "ZoomCameraFile",
     "add_noise",
     "board_text",
+    "is_zoom_camera",
     "json_text",
     "noise_mapping",
     "parse_board",
@@ -69,6 +73,8 @@ __all__ = [
     "read_times",
     "read_tum",
     "read_world",
+    "read_zoom_camera",
+    "read_zoom_rig",
     "rig_from_mapping",
     "rig_mapping",
     "sha256",
@@ -84,4 +90,5 @@ __all__ = [
     "write_text",
     "write_tum",
     "write_world",
+    "write_zoom_camera",
 ]

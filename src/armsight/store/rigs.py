@@ -8,17 +8,15 @@ from pathlib import Path
 from typing import Any, Literal
 
 from armsight.errors import BadFile
-from armsight.optics import SIDES, Camera, Plate, Rig, RigKind
+from armsight.optics import SIDES, Camera, MountedZoom, Plate, Rig, RigKind, at_zoom
 from armsight.records import CameraTiming, NamedCovariance, NoiseModel
 from armsight.store.noise import NoiseKey, noise_mapping
 from armsight.store.schema import (
-    Count,
     CovarianceModel,
     Finite,
     Origin,
     PoseModel,
     Strict,
-    Vector5,
     covariance_mapping,
     named,
     pose_mapping,
@@ -27,31 +25,19 @@ from armsight.store.schema import (
     write_document,
 )
 from armsight.store.timing import TimingKey, timing_mapping
+from armsight.store.zoom import (
+    CAMERA_FORMAT,
+    IntrinsicsModel,
+    MountedZoomModel,
+    intrinsics_mapping,
+    is_zoom_camera,
+    settings_mapping,
+)
 
 RIG_FORMAT = "armsight/rig"
-CAMERA_FORMAT = "armsight/camera"
 
 SMALLEST_BASELINE_M = 1e-4
 """Two cameras nearer than this see no depth at any distance a rig is used at: a wrong file, not a rig."""
-
-
-class IntrinsicsModel(Strict):
-    """A camera's image size and intrinsics in px; distortion k1, k2, p1, p2, k3."""
-
-    width: Count
-    height: Count
-    fx: Finite
-    fy: Finite
-    cx: Finite
-    cy: Finite
-    skew: Finite = 0.0
-    distortion: Vector5
-
-    def camera(self) -> Camera:
-        """Return the record; Inconsistent where no camera can be like this."""
-        return Camera.pinhole(
-            self.width, self.height, self.fx, self.fy, self.cx, self.cy, skew=self.skew, distortion=self.distortion
-        )
 
 
 class PlateModel(Strict):
@@ -68,6 +54,7 @@ class RigCameraModel(IntrinsicsModel):
     noise: NoiseKey | None = None
     plate: PlateModel | None = None
     timing: TimingKey | None = None
+    zoom: MountedZoomModel | None = None
 
     def camera(self) -> Camera:
         """Return the record; Inconsistent where no camera can be like this."""
@@ -128,6 +115,7 @@ def rig_from_mapping(content: Mapping[str, Any], where: str = "rig") -> Rig:
             rms_px=model.rms_px,
             noise=(_noise(left), _noise(right)),
             timing=(_timing(left), _timing(right)),
+            zoom=(_zoom(left), _zoom(right)),
         )
     if not rig.baseline_m >= SMALLEST_BASELINE_M:
         raise BadFile(
@@ -148,8 +136,9 @@ def rig_mapping(rig: Rig) -> dict[str, Any]:
                 "T_rig_camera": pose_mapping(rig.T_rig_camera(side)),
                 **({} if noise is None else {"noise": noise_mapping(noise)}),
                 **({} if timing is None else {"timing": timing_mapping(timing)}),
+                **({} if zoom is None else {"zoom": {"at": zoom.at, "settings": settings_mapping(zoom.lens)}}),
             }
-            for side, noise, timing in zip(SIDES, rig.noise, rig.timing, strict=True)
+            for side, noise, timing, zoom in zip(SIDES, rig.noise, rig.timing, rig.zoom, strict=True)
         },
         "rms_px": rig.rms_px,
         "covariance": covariance_mapping(rig.covariance) if rig.covariance else None,
@@ -158,23 +147,20 @@ def rig_mapping(rig: Rig) -> dict[str, Any]:
 
 def camera_mapping(camera: Camera) -> dict[str, Any]:
     """Return a camera's size and intrinsics as files hold them."""
-    fx, fy, cx, cy, skew = camera.intrinsics[:5].tolist()
     plate = {} if camera.plate is None else {"plate": asdict(camera.plate)}
-    return {
-        "width": camera.width,
-        "height": camera.height,
-        "fx": fx,
-        "fy": fy,
-        "cx": cx,
-        "cy": cy,
-        "skew": skew,
-        "distortion": camera.distortion.tolist(),
-        **plate,
-    }
+    return {"width": camera.width, "height": camera.height, **intrinsics_mapping(camera), **plate}
 
 
-def read_rig(path: Path) -> Rig:
-    """Return the rig in a rig.yaml; BadFile where it is none."""
+def read_rig(path: Path, zoom: tuple[float | None, float | None] = (None, None)) -> Rig:
+    """Return the rig in a rig.yaml, at these zooms of the left and right camera where they have zoom lenses.
+
+    Raises BadFile where it is none; UsageError, NotEnoughData where the zooms do not fit, see optics.at_zoom.
+    """
+    return at_zoom(read_zoom_rig(path), zoom).rig
+
+
+def read_zoom_rig(path: Path) -> Rig:
+    """Return the rig in a rig.yaml with all zoom settings it has; BadFile where it is none."""
     return rig_from_mapping(read_document(path, RIG_FORMAT), str(path))
 
 
@@ -184,8 +170,15 @@ def write_rig(path: Path, rig: Rig, *, inputs: Sequence[Path] = ()) -> None:
 
 
 def read_camera_file(path: Path) -> CameraFile:
-    """Return all that a camera.yaml says; BadFile where it is none."""
-    model = validated(CameraModel, read_document(path, CAMERA_FORMAT), str(path))
+    """Return all that a camera.yaml says; BadFile where it is none, or holds the settings of a zoom lens."""
+    content = read_document(path, CAMERA_FORMAT)
+    if is_zoom_camera(content):
+        raise BadFile(
+            f"{path}: holds the settings of a zoom lens, and one camera is wanted",
+            consequence="It is open which of them is meant",
+            cure="Make the file of one setting: armsight convert camera FILE --zoom VALUE -o fixed.yaml",
+        )
+    model = validated(CameraModel, content, str(path))
     with named(str(path)):
         return CameraFile(
             camera=model.camera(),
@@ -202,6 +195,12 @@ def _noise(model: CameraModel | RigCameraModel) -> NoiseModel | None:
 
 def _timing(model: CameraModel | RigCameraModel) -> CameraTiming | None:
     return None if model.timing is None else model.timing.timing()
+
+
+def _zoom(model: RigCameraModel) -> MountedZoom | None:
+    if model.zoom is None:
+        return None
+    return MountedZoom(lens=model.zoom.lens(model.width, model.height), at=model.zoom.at)
 
 
 def read_camera(path: Path) -> Camera:

@@ -15,7 +15,7 @@ from armsight.app.schemas.base import Output, PointStd, PoseOutput, PoseStd, abs
 from armsight.app.schemas.catalogue import OUTPUTS
 
 MEASURE = "n_frames n_ok n_position_only n_lost reprojection_rms_px ms_per_frame reasons"
-MEASURE_MAYBE = "candidates std consistency skew timing error"
+MEASURE_MAYBE = "candidates std consistency skew timing error zoom"
 STEREO = (
     "rms_px epipolar_rms_px baseline_m n_pairs n_used rejected std holdout_rms_px holdout_epipolar_rms_px metric "
     "metric_is_left_out alignment advice"
@@ -50,8 +50,12 @@ KEYS: dict[type[Output], tuple[str, str]] = {
     measure.TruthError: ("rms max claimed", ""),
     OUTPUTS["calibrate-camera"]: (
         "rms_px n_images n_used rejected fx_px fy_px cx_px cy_px distortion std holdout_rms_px advice",
-        "noise",
+        "noise zoom",
     ),
+    cameras.ZoomOutput: ("zoom settings focal_lengths_px left_out focal_error_rms advice", ""),
+    cameras.LeftOutSetting: ("zoom focal_error_px focal_std_px image_rms_px", ""),
+    OUTPUTS["calibrate-zoom-rig"]: ("settings at pupils advice", ""),
+    measure.ZoomAt: ("zoom interpolated fx_px fx_std_px fx_interpolation_px pupil_m", ""),
     OUTPUTS["calibrate-camera-noise"]: ("noise", ""),
     cameras.CameraNoise: (NOISE, ""),
     cameras.MeasuredNoise: (
@@ -122,7 +126,10 @@ KEYS: dict[type[Output], tuple[str, str]] = {
     OUTPUTS["kinematics-formulas"]: ("arm file", ""),
     OUTPUTS["kinematics-show"]: ("arm file tool_xyz_m", ""),
     OUTPUTS["doctor"]: ("versions machine cameras drivers kernels problems rig", ""),
-    machine.RigResolution: ("baseline_m rms_px sigma_px distances", ""),
+    machine.RigResolution: ("baseline_m rms_px sigma_px distances", "accuracy"),
+    machine.AccuracyPlan: ("accuracy_m depths_m sigma_px baseline_m settings advice", ""),
+    machine.SettingPlan: ("zoom_left zoom_right focal_px now reached baseline_m at_baseline", ""),
+    machine.ReachedAccuracy: ("spots_m rig_m total_m common width_m", ""),
     OUTPUTS["error"]: ("error", ""),
 }
 """Keys that are always there, and those left out where they do not apply."""

@@ -12,6 +12,7 @@ from armsight.store.targets import target_from_mapping
 from armsight.store.tracks import POINT_COLUMNS, SPOT_COLUMNS, parse_joints, parse_poses, parse_times
 from armsight.store.worlds import world_from_mapping
 from armsight.store.yamls import parse_yaml
+from armsight.store.zoom import is_zoom_camera, zoom_camera_from_mapping
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "file-formats.md"
 BLOCKS = re.findall(r"^```(yaml|csv)\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
@@ -19,6 +20,7 @@ BLOCKS = re.findall(r"^```(yaml|csv)\n(.*?)^```$", PAGE.read_text(encoding="utf-
 READERS = {
     "armsight/rig": rig_from_mapping,
     "armsight/camera": lambda content: validated(CameraModel, content, "x").camera(),
+    "zoom": lambda content: zoom_camera_from_mapping(content, "x"),
     "armsight/target": target_from_mapping,
     "armsight/world": world_from_mapping,
     "t_s,x_m": lambda data: parse_poses(data, "x"),
@@ -32,7 +34,7 @@ READERS = {
 def reader_of(kind, text):
     if kind == "yaml":
         content = parse_yaml(text.encode(), "x")
-        return READERS[content["format"]], content
+        return READERS["zoom" if is_zoom_camera(content) else content["format"]], content
     header = ",".join(text.splitlines()[0].split(",")[:2])
     return READERS[header], text.encode()
 

@@ -18,9 +18,10 @@ from armsight.drivers.sources import VIDEO_SUFFIXES
 from armsight.errors import BadFile, Cancelled, Inconsistent, UsageError
 from armsight.optics import SIDES, Camera, RigKind
 from armsight.records import NoiseModel, Progress, Silent
-from armsight.store import add_noise, noise_mapping, read_camera_file, read_rig
-from armsight.store.rigs import CAMERA_FORMAT, RIG_FORMAT
+from armsight.store import add_noise, is_zoom_camera, noise_mapping, read_camera_file, read_zoom_camera, read_zoom_rig
+from armsight.store.rigs import RIG_FORMAT
 from armsight.store.yamls import read_yaml
+from armsight.store.zoom import CAMERA_FORMAT
 
 FRAMES = 50
 """Frames taken where nothing else is said: with 20 the variance is known to 1 %, more are not needed."""
@@ -144,18 +145,20 @@ def _sides(job: NoiseJob) -> dict[str, tuple[int, int] | None]:
             consequence="Nothing was done",
             cure="Give the camera.yaml or rig.yaml of the camera with -o; SRC and --board make one",
         )
-    format_ = read_yaml(job.out).get("format")
+    content = read_yaml(job.out)
+    format_ = content.get("format")
     if format_ == CAMERA_FORMAT:
         if job.side is not None:
             raise UsageError(f"{job.out} holds one camera", cure="Leave --side away")
-        return {"": _size(read_camera_file(job.out).camera)}
+        of_lens = is_zoom_camera(content)
+        return {"": read_zoom_camera(job.out).lens.size if of_lens else _size(read_camera_file(job.out).camera)}
     if format_ != RIG_FORMAT:
         raise BadFile(
             f"{job.out}: says format {str(format_)[:60]!r}, which is no camera's and no rig's",
             consequence="Nothing was written",
             cure="Give a camera.yaml or a rig.yaml",
         )
-    rig = read_rig(job.out)
+    rig = read_zoom_rig(job.out)
     if rig.kind is RigKind.MIRROR:  # one camera, seen twice; a view may be a part of its image
         return dict.fromkeys(SIDES)
     if job.side not in SIDES:
@@ -172,18 +175,22 @@ def _size(camera: Camera) -> tuple[int, int]:
 
 def _from_file(path: Path, side: str | None) -> FoundNoise:
     """Return the noise that a camera.yaml, or the side of a rig.yaml, holds. Raises BadFile."""
-    if read_yaml(path).get("format") == RIG_FORMAT:
-        rig = read_rig(path)
+    content = read_yaml(path)
+    if content.get("format") == RIG_FORMAT:
+        rig = read_zoom_rig(path)
         if rig.kind is not RigKind.MIRROR and side not in SIDES:
             raise UsageError(
                 f"{path} holds two cameras, and it is not said whose noise is meant",
                 cure="Add --side where the noise goes into a rig.yaml; for a camera.yaml give still frames",
             )
         at = SIDES.index(side) if side in SIDES else 0
-        noise, camera = rig.noise[at], rig.camera(SIDES[at])
+        noise, size = rig.noise[at], _size(rig.camera(SIDES[at]))
+    elif is_zoom_camera(content):
+        zoomed = read_zoom_camera(path)
+        noise, size = zoomed.noise, zoomed.lens.size
     else:
         file = read_camera_file(path)
-        noise, camera = file.noise, file.camera
+        noise, size = file.noise, _size(file.camera)
     if noise is None:
         raise BadFile(f"{path}: holds no noise", consequence="Nothing was written", cure="Give still frames instead")
-    return FoundNoise(noise=noise, size=_size(camera), output=_as_in_files(noise), inputs=[path])
+    return FoundNoise(noise=noise, size=size, output=_as_in_files(noise), inputs=[path])

@@ -8,10 +8,11 @@ from itertools import islice
 from pathlib import Path
 
 from armsight.app.calibrate.board_images import Seen, in_parallel, see_board
-from armsight.app.calibrate.camera_noise import NoiseJob, find_noise, input_files, require_size
+from armsight.app.calibrate.camera_noise import FoundNoise, NoiseJob, find_noise, input_files, require_size
 from armsight.app.calibrate.reports import RigData, write_camera_report, write_stereo_report
+from armsight.app.calibrate.zoom import ZoomValue, add_setting, zoom_file, zoom_output
 from armsight.app.schemas.base import RejectedFile
-from armsight.app.schemas.cameras import AlignmentOutput, CameraNoise, CameraOutput, StereoOutput
+from armsight.app.schemas.cameras import AlignmentOutput, CameraNoise, CameraOutput, StereoOutput, ZoomOutput
 from armsight.app.sources.frames import open_pairs, open_source
 from armsight.calibrate.cameras import BoardOptions, CameraCalibration, StereoCalibration
 from armsight.calibrate.cameras import calibrate_camera as solve_camera
@@ -39,7 +40,8 @@ class CalibrateJob:
     """Board as text, where to put the result, every how manyth frame to use (videos), folds of the left-out error.
 
     detector: one of armsight.measure.boards.DETECTORS, for checkerboards. noise: still frames of the camera, or a file
-    that holds its noise.
+    that holds its noise. zoom: of a zoom lens, the setting at which the images were taken; out then keeps its other
+    settings. set_zoom: a live camera is set to it.
     """
 
     board: str
@@ -53,10 +55,12 @@ class CalibrateJob:
     right: str = ""
     detector: str = "auto"
     noise: str | None = None
+    zoom: ZoomValue | None = None
+    set_zoom: bool = False
 
 
 def calibrate_camera(job: CalibrateJob, progress: Progress | None = None) -> CameraOutput:
-    """Calibrate one camera and write its camera.yaml; return the figures as --json gives them.
+    """Calibrate one camera and write its camera.yaml, or one setting of it; return the figures as --json gives them.
 
     Raises UsageError, DataRefused or DeviceFailed, Cancelled.
     """
@@ -64,8 +68,10 @@ def calibrate_camera(job: CalibrateJob, progress: Progress | None = None) -> Cam
     progress = progress or Silent()
     views: list[BoardView] = []
     rejected: list[Rejected] = []
+    if job.zoom is not None:
+        zoom_file(job.out)
     found = None if job.noise is None else find_noise(NoiseJob(frames=job.noise, out=job.out), progress)
-    with open_source(job.source) as source:
+    with open_source(job.source, zoom=job.zoom.zoom if job.zoom and job.set_zoom else None) as source:
         frames = islice(source, 0, _stop(job), job.every)
         total = _total(source.total, job)
         for frame, seen in in_parallel(
@@ -78,16 +84,27 @@ def calibrate_camera(job: CalibrateJob, progress: Progress | None = None) -> Cam
         require_size(found, (views[0].width, views[0].height), job.source)
     progress.update(0, 0, "solving")
     done = solve_camera(views, board, BoardOptions(folds=job.folds), progress)
-    write_camera(
-        job.out,
-        done.camera,
-        covariance=done.covariance,
-        rms_px=done.rms_px,
-        noise=None if found is None else found.noise,
-        inputs=[*input_files(job.source), *(found.inputs if found else ())],
-    )
-    write_camera_report(report_path(job.out), done, board=job.board, rejected=rejected)
-    return camera_output(done, rejected, noise=found.output if found else None)
+    zoom = _write(job, done, found)
+    write_camera_report(_report_of(job), done, board=job.board, rejected=rejected)
+    return camera_output(done, rejected, noise=found.output if found else None, zoom=zoom)
+
+
+def _write(job: CalibrateJob, done: CameraCalibration, found: FoundNoise | None) -> ZoomOutput | None:
+    """Write camera.yaml; of a zoom lens return all its settings."""
+    noise = None if found is None else found.noise
+    inputs = [*input_files(job.source), *(found.inputs if found else ())]
+    if job.zoom is None:
+        write_camera(job.out, done.camera, covariance=done.covariance, rms_px=done.rms_px, noise=noise, inputs=inputs)
+        return None
+    lens = add_setting(job.out, job.zoom, done, noise=noise, inputs=inputs)
+    return zoom_output(lens, job.zoom.zoom)
+
+
+def _report_of(job: CalibrateJob) -> Path:
+    """Return where the report goes: each setting of a zoom lens has one of its own."""
+    if job.zoom is None:
+        return report_path(job.out)
+    return job.out.with_name(f"{job.out.stem}.zoom-{job.zoom.zoom:g}.report.html")
 
 
 def calibrate_stereo(job: CalibrateJob, progress: Progress | None = None) -> StereoOutput:
@@ -125,7 +142,11 @@ def calibrate_stereo(job: CalibrateJob, progress: Progress | None = None) -> Ste
 
 
 def camera_output(
-    done: CameraCalibration, rejected: Sequence[Rejected], *, noise: CameraNoise | None = None
+    done: CameraCalibration,
+    rejected: Sequence[Rejected],
+    *,
+    noise: CameraNoise | None = None,
+    zoom: ZoomOutput | None = None,
 ) -> CameraOutput:
     """Return a camera's calibration as --json gives it."""
     fx, fy, cx, cy = done.camera.intrinsics[:4].tolist()
@@ -144,6 +165,7 @@ def camera_output(
         holdout_rms_px=done.holdout_rms_px,
         advice=list(done.advice),
         noise=noise,
+        zoom=zoom,
     )
 
 

@@ -18,6 +18,7 @@ from armsight.app.measure.free_output import measure_free
 from armsight.app.measure.outputs import REPORT, SUMMARY, Outputs
 from armsight.app.measure.streams import require_timing, runs_free
 from armsight.app.measure.warm_up import prepare
+from armsight.app.measure.zoom import with_zoom, zoom_facts, zoomed_rig
 from armsight.app.schemas.measure import MeasureOutput
 from armsight.app.sources.complex_images import complex_pairs
 from armsight.app.sources.frames import is_recording, open_pairs, open_source, require_size
@@ -27,11 +28,13 @@ from armsight.errors import ArmsightError, Cancelled, Inconsistent, NotEnoughDat
 from armsight.measure.consistency.check import RunCheck
 from armsight.measure.consistency.diagnosis import Consistency
 from armsight.measure.consistency.explain import advice, sentence
+from armsight.measure.poses.pairs import SLACK_PX
 from armsight.measure.poses.pipeline import Measured, Setup, Track, measure_pair
+from armsight.measure.poses.slack import rig_slack_px
 from armsight.measure.settings import METHODS, SpotSettings
 from armsight.optics import SIDES, Rig, RigKind
 from armsight.records import Frame, Points, PoseStatus, Progress, Silent, Spots, Target, TargetPose
-from armsight.store import World, parse_board, read_rig, read_target, read_times, read_world
+from armsight.store import World, parse_board, read_target, read_times, read_world
 
 Pair = tuple[Frame, Frame]
 
@@ -61,6 +64,8 @@ class MeasureJob:
     by itself. left_spots, right_spots: tables of spots in place of frames. timing: pairs of frames of one moment, views
     of cameras that run free, or auto: free where the rig's file says when its cameras expose. rate_hz, at: with free
     cameras, the rate of the poses, or a table whose t_s they are given at; neither: the times of the left frames.
+    zoom: where the lenses of the left and right camera stand, of a rig with zoom settings; set_zoom: live cameras are
+    set to it.
     """
 
     rig: Path
@@ -84,6 +89,8 @@ class MeasureJob:
     timing: str = TIMINGS[0]
     rate_hz: float | None = None
     at: Path | None = None
+    zoom: tuple[float | None, float | None] = (None, None)
+    set_zoom: bool = False
 
 
 def target_of(named: Path) -> Target:
@@ -97,15 +104,17 @@ def measure(job: MeasureJob, progress: Progress | None = None) -> MeasureOutput:
     What was measured before a failure or a cancel is in the files when the error is raised. Raises UsageError,
     DataRefused or DeviceFailed, Cancelled.
     """
-    rig, target = read_rig(job.rig), target_of(job.target)
+    target, (rig, zoomed) = target_of(job.target), zoomed_rig(job.rig, job.zoom)
     world = read_world(job.world) if job.world else None
-    settings = _settings(job, target)
+    settings, slack_px = _settings(job, target), rig_slack_px(rig) if zoomed else SLACK_PX
     if _free(job, rig):
-        return measure_free(job, Setup(rig=rig, target=target, settings=settings), world, progress or Silent())
+        setup = Setup(rig=rig, target=target, settings=settings, slack_px=slack_px)
+        return with_zoom(measure_free(job, setup, world, progress or Silent()), zoomed, job.out)
     pairs, overlaid = _pairs(job, rig, target)
-    setup = Setup(rig=rig, target=target, settings=settings, overlaid=overlaid)
+    setup = Setup(rig=rig, target=target, settings=settings, overlaid=overlaid, slack_px=slack_px)
     facts = [("frames", pairs.name), ("rig's file", str(job.rig)), ("target's file", str(job.target))]
     facts += [("place of the rig", str(job.world))] if job.world else []
+    facts += zoom_facts(zoomed)
     summary, _ = run(
         setup,
         pairs,
@@ -116,7 +125,7 @@ def measure(job: MeasureJob, progress: Progress | None = None) -> MeasureOutput:
         about=About(facts=facts),
         stills=job.stills,
     )
-    return summary
+    return with_zoom(summary, zoomed, job.out)
 
 
 def run(
@@ -284,7 +293,15 @@ def _pairs(job: MeasureJob, rig: Rig, target: Target) -> tuple[PairSource, bool]
         raise UsageError(
             "there are no frames to measure", cure="Give --left and --right, one recording as --left, or --image"
         )
-    pairs = open_pairs(job.left, job.right, colour=colour, fps=job.fps, times_s=times_s, max_skew_s=job.max_skew_s)
+    pairs = open_pairs(
+        job.left,
+        job.right,
+        colour=colour,
+        fps=job.fps,
+        times_s=times_s,
+        max_skew_s=job.max_skew_s,
+        zoom=job.zoom if job.set_zoom else (None, None),
+    )
     return pairs, False
 
 

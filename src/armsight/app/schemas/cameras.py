@@ -68,6 +68,28 @@ class NoiseOutput(Output):
     )
 
 
+class LeftOutSetting(Output):
+    """A setting of a zoom lens predicted from all others."""
+
+    zoom: float = Field(description="The setting.")
+    focal_error_px: float = Field(description="Focal length along x, predicted minus calibrated, px.")
+    focal_std_px: float | None = Field(description="What was claimed for it, px; null where two others are left.")
+    image_rms_px: float = Field(description="Distance of the pixels of equal rays over the image, RMS, px.")
+
+
+class ZoomOutput(Output):
+    """The zoom lens whose setting was calibrated."""
+
+    zoom: float = Field(description="The setting that was calibrated.")
+    settings: list[float] = Field(description="All settings in the file, increasing.")
+    focal_lengths_px: list[float] = Field(description="Focal length along x at these, px.")
+    left_out: list[LeftOutSetting] = Field(
+        description="Each setting but the first and last, predicted from the others; empty with fewer than three."
+    )
+    focal_error_rms: float | None = Field(description="RMS of the relative errors of these focal lengths.")
+    advice: list[str] = Field(description="What to know about the curve between the settings.")
+
+
 class CameraOutput(Output):
     """armsight calibrate camera."""
 
@@ -88,6 +110,16 @@ class CameraOutput(Output):
         exclude_if=absent,
         description="The camera's noise, with --noise; the keys from n_given on of still frames, not of a file.",
     )
+    zoom: ZoomOutput | None = Field(None, exclude_if=absent, description="The zoom lens, with --zoom.")
+
+
+class ZoomRigOutput(Output):
+    """armsight calibrate zoom-rig."""
+
+    settings: dict[str, list[float]] = Field(description="Settings of each camera that zooms, by left and right.")
+    at: dict[str, float] = Field(description="The zoom at which the rig was calibrated, by left and right.")
+    pupils: bool = Field(description="Whether all settings say where the pupil stands.")
+    advice: list[str] = Field(description="What to know about the rig at other settings.")
 
 
 class AlignmentOutput(Output):

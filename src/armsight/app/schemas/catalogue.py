@@ -7,7 +7,14 @@ from types import MappingProxyType
 
 from armsight.app.schemas.arm import ArmOutput, IdentifyOutput, ProposedPlanOutput, RobotWorldOutput
 from armsight.app.schemas.base import Output, RefusalOutput
-from armsight.app.schemas.cameras import CameraOutput, MirrorCheckOutput, MirrorsOutput, NoiseOutput, StereoOutput
+from armsight.app.schemas.cameras import (
+    CameraOutput,
+    MirrorCheckOutput,
+    MirrorsOutput,
+    NoiseOutput,
+    StereoOutput,
+    ZoomRigOutput,
+)
 from armsight.app.schemas.files import ConvertOutput, ExportOutput, RecordOutput, RepairOutput, SimulateOutput
 from armsight.app.schemas.handeye import HandEyeOutput, LightTargetOutput, PivotOutput, TipOutput
 from armsight.app.schemas.kinematics import (
@@ -30,6 +37,7 @@ OUTPUTS: Mapping[str, type[Output]] = MappingProxyType(
         "calibrate-camera": CameraOutput,
         "calibrate-camera-noise": NoiseOutput,
         "calibrate-stereo": StereoOutput,
+        "calibrate-zoom-rig": ZoomRigOutput,
         "calibrate-mirrors": MirrorsOutput,
         "calibrate-mirrors-check": MirrorCheckOutput,
         "calibrate-target": LightTargetOutput,

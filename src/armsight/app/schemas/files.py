@@ -53,7 +53,7 @@ class ConvertOutput(Output):
     target: str = Field(alias="to", description="Kind of the files written.")
     files: list[str] = Field(description="The files written.")
     n: int | None = Field(description="Poses; null for cameras and rigs.")
-    note: str = Field(description="What the new kind could not carry; may be empty.")
+    note: str = Field(description="What the new kind could not carry, or which zoom it is of; may be empty.")
 
 
 class SimulateOutput(Output):

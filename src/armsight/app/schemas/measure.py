@@ -99,6 +99,17 @@ class FreeRunning(Output):
     )
 
 
+class ZoomAt(Output):
+    """The camera of a zoom lens at the setting that was measured with."""
+
+    zoom: float = Field(description="The setting.")
+    interpolated: bool = Field(description="Whether it lies between calibrated settings.")
+    fx_px: float = Field(description="Focal length along x, px.")
+    fx_std_px: float = Field(description="Its standard deviation, calibration and interpolation, px.")
+    fx_interpolation_px: float = Field(description="The part of it that the interpolation brings, px.")
+    pupil_m: float = Field(description="Where the centre of projection stands; 0 where the settings do not say it, m.")
+
+
 class MeasureOutput(Output):
     """armsight measure; also OUT/measure.json."""
 
@@ -121,6 +132,9 @@ class MeasureOutput(Output):
         None, exclude_if=absent, description="Where each view was taken at its own time."
     )
     error: str | None = Field(None, exclude_if=absent, description="Why the run ended early.")
+    zoom: dict[str, ZoomAt] | None = Field(
+        None, exclude_if=absent, description="The cameras that zoom, by left and right."
+    )
 
 
 class TruthError(Output):

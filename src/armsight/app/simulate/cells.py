@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -10,7 +11,7 @@ from typing import Any, Protocol, Self, cast
 import cv2
 
 from armsight.drivers import CELLS, Skew, load
-from armsight.errors import DeviceFailed
+from armsight.errors import DeviceFailed, UsageError
 from armsight.records import Frame
 from armsight.store import rig_from_mapping, target_from_mapping, write_rig, write_target, write_text
 from armsight.store.tables import cells, number
@@ -42,13 +43,21 @@ class Cell(Protocol):
         ...
 
 
-def load_cell(name: str, *, seed: int, frames: int, room: str | None = None) -> Cell:
+def load_cell(name: str, *, seed: int, frames: int, room: str | None = None, zoom: float | None = None) -> Cell:
     """Return the cell registered under a name; DeviceNotFound, with the known names, where there is none.
 
     room: instead of the cell's own, see room_choice; UsageError for one that is unknown.
+    zoom: zoom lenses before the cameras, at this setting; UsageError for a cell that knows none.
     """
-    chosen = {} if room is None else {"room": room_choice(room)}
-    return cast(Cell, load(CELLS, name)(seed=seed, frames=frames, **chosen))
+    make = load(CELLS, name)
+    chosen: dict[str, Any] = {} if room is None else {"room": room_choice(room)}
+    if zoom is not None:
+        if "zoom" not in inspect.signature(make).parameters:
+            raise UsageError(
+                f"the cell {name} has no zoom lenses", cure="hand-cell and board-cell have; or leave it away"
+            )
+        chosen["zoom"] = zoom
+    return cast(Cell, make(seed=seed, frames=frames, **chosen))
 
 
 def room_choice(room: str) -> Any:

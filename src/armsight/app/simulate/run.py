@@ -30,6 +30,7 @@ def simulate(
     seed: int | None = None,
     frames: int | None = None,
     room: str | None = None,
+    zoom: float | None = None,
     progress: Progress | None = None,
 ) -> SimulateOutput:
     """Simulate a scenario, by name or file, or a built-in cell, into the folder out.
@@ -38,15 +39,17 @@ def simulate(
     scenario.yaml; of a scenario with a robot also arm.yaml (nominal, the target or rig as its tool), arm_true.yaml,
     joints.csv (encoders), truth_world.csv, world.yaml (of a fixed rig) and sweep_joints.csv (of sweeps). seed, frames
     and room (a name, or a picture's path) default to the scenario's own. Raises DeviceNotFound for an unknown scenario,
-    UsageError for an unknown room, BadFile for what cannot be, DeviceFailed where the disk refuses, Cancelled.
+    UsageError for an unknown room; zoom: of the zoom lenses of the scenario, or of those that a
+    cell's cameras then get. BadFile for what cannot be, DeviceFailed where the disk refuses, Cancelled.
     """
     progress = progress or Silent()
     if scenario in known(CELLS) and scenario not in scenario_names():
-        return _simulate_cell(scenario, out, 1 if seed is None else seed, frames or CELL_FRAMES, room, progress)
+        return _simulate_cell(scenario, out, 1 if seed is None else seed, frames or CELL_FRAMES, room, zoom, progress)
     model, text = load_scenario(scenario)
     chosen = None if room is None else room_choice(room)
-    world = build_world(scenario, model, seed=seed, frames=frames, room=chosen)
-    write_text(out / "scenario.yaml", settled_text(text, seed=world.seed, frames=world.n_frames, room=chosen))
+    world = build_world(scenario, model, seed=seed, frames=frames, room=chosen, zoom=zoom)
+    settled = settled_text(text, seed=world.seed, frames=world.n_frames, room=chosen, zoom=zoom)
+    write_text(out / "scenario.yaml", settled)
     write_world_files(world, out)
     for view in world.views:
         (out / view).mkdir(parents=True, exist_ok=True)
@@ -104,10 +107,10 @@ def _write_truth(path: Path, truth: Any) -> None:
 
 
 def _simulate_cell(
-    name: str, out: Path, seed: int, frames: int, room: str | None, progress: Progress
+    name: str, out: Path, seed: int, frames: int, room: str | None, zoom: float | None, progress: Progress
 ) -> SimulateOutput:
     """Simulate a built-in cell without a robot."""
-    cell = load_cell(name, seed=seed, frames=frames, room=room)
+    cell = load_cell(name, seed=seed, frames=frames, room=room, zoom=zoom)
     write_cell_files(cell, out, seed=seed, frames=frames)
     done = 0
     with CellPairs(cell, frames, folder=out) as pairs:

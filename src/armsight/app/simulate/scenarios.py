@@ -55,13 +55,15 @@ def load_scenario(name: str) -> tuple[Any, str]:
     return model, data.decode("utf-8")
 
 
-def build_world(name: str, model: Any, *, seed: int | None, frames: int | None, room: Any = None) -> Any:
+def build_world(
+    name: str, model: Any, *, seed: int | None, frames: int | None, room: Any = None, zoom: float | None = None
+) -> Any:
     """Return a scenario's world; BadFile, naming the scenario and the key, for a geometry that cannot be.
 
-    room: instead of the scenario's own, as its key takes it.
+    room: instead of the scenario's own, as its key takes it. zoom: of its zoom lenses.
     """
     with named(f"the scenario {name}"):
-        return load(SCENARIOS, WORLD)(model, seed=seed, frames=frames, room=room)
+        return load(SCENARIOS, WORLD)(model, seed=seed, frames=frames, room=room, zoom=zoom)
 
 
 def live_cell(name: str, clock: Clock) -> Any:
@@ -69,10 +71,13 @@ def live_cell(name: str, clock: Clock) -> Any:
     return load(SCENARIOS, LIVE)(load_scenario(name)[0], clock)
 
 
-def sim_camera(device: str, *, colour: bool, clock: Clock | None, origin_s: float | None) -> FrameSource:
+def sim_camera(
+    device: str, *, colour: bool, clock: Clock | None, origin_s: float | None, zoom: float | None = None
+) -> FrameSource:
     """Return one camera of a scenario, live; device: SCENARIO:left, SCENARIO:right, or of a mirror rig SCENARIO:image.
 
-    Its stamps are the scenario's own, so that left and right agree. Raises DeviceNotFound, BadFile as load_scenario.
+    Its stamps are the scenario's own, so that left and right agree. zoom: its lens is set to it. Raises DeviceNotFound,
+    BadFile as load_scenario.
     """
     name, _, view = device.rpartition(":")
     if view not in VIEWS or not name:
@@ -81,7 +86,7 @@ def sim_camera(device: str, *, colour: bool, clock: Clock | None, origin_s: floa
             consequence="There is no frame to read",
             cure=f"Write camera:sim:SCENARIO:VIEW, with one of {', '.join(VIEWS)}",
         )
-    world = build_world(name, load_scenario(name)[0], seed=None, frames=None)
+    world = build_world(name, load_scenario(name)[0], seed=None, frames=None, zoom=zoom)
     if view not in world.views:
         raise DeviceNotFound(
             f"{name} has no view {view!r}",
@@ -92,11 +97,11 @@ def sim_camera(device: str, *, colour: bool, clock: Clock | None, origin_s: floa
     return source
 
 
-def settled_text(text: str, *, seed: int, frames: int, room: Any = None) -> str:
-    """Return a scenario's text with this seed, number of frames and room, so that it makes the same run again."""
+def settled_text(text: str, *, seed: int, frames: int, room: Any = None, zoom: float | None = None) -> str:
+    """Return a scenario's text with this seed, number of frames, room and zoom, so that it makes the same run again."""
     if room is not None:
         text = ROOM_BLOCK.sub("", text).rstrip("\n") + f"\nroom: {json.dumps(room)}\n"
-    for key, value in (("seed", seed), ("frames", frames)):
+    for key, value in (("seed", seed), ("frames", frames), *((("zoom", zoom),) if zoom is not None else ())):
         line = re.compile(rf"^{key}:[ \t]*[^\s#]+", re.MULTILINE)
         if line.search(text):
             text = line.sub(f"{key}: {value}", text, count=1)

@@ -138,12 +138,14 @@ def open_source(
     times_s: Sequence[float] | None = None,
     clock: Clock | None = None,
     origin_s: float | None = None,
+    zoom: float | None = None,
 ) -> FrameSource:
     """Return the source that a text names as drivers.open_source does, or one camera of a recording."""
     if is_recording(text):
         _no_times(text, fps, times_s)
+        drivers.require_live(text, zoom)
         return RecordedFrames(text, colour=colour)
-    return drivers.open_source(text, colour=colour, fps=fps, times_s=times_s, clock=clock, origin_s=origin_s)
+    return drivers.open_source(text, colour=colour, fps=fps, times_s=times_s, clock=clock, origin_s=origin_s, zoom=zoom)
 
 
 def camera_source(text: str, side: str, *, colour: bool = False, fps: float | None = None) -> FrameSource:
@@ -173,11 +175,13 @@ def open_pairs(
     fps: float | None = None,
     times_s: Sequence[float] | None = None,
     max_skew_s: float = MAX_SKEW_S,
+    zoom: tuple[float | None, float | None] = (None, None),
 ) -> PairSource:
     """Return the pairs of two sources as drivers.open_pairs does, or of one recording. Raises UsageError."""
     recorded = [text for text in (left, right) if text is not None and is_recording(text)]
     if recorded and (left is None or right is None or len(recorded) == 2):
         _no_times(recorded[0], fps, times_s)
+        drivers.require_live(recorded[0], zoom[0] if zoom[0] is not None else zoom[1])
         return RecordedPairs(
             RecordedFrames(recorded[0], "left", colour=colour),
             RecordedFrames(recorded[-1], "right", colour=colour),
@@ -187,7 +191,7 @@ def open_pairs(
         raise UsageError("one view is missing", cure="Give --left and --right, or one recording for both")
     if recorded:
         raise UsageError(f"{left} and {right} cannot be paired: one is a recording, the other is not")
-    return drivers.open_pairs(left, right, colour=colour, fps=fps, times_s=times_s, max_skew_s=max_skew_s)
+    return drivers.open_pairs(left, right, colour=colour, fps=fps, times_s=times_s, max_skew_s=max_skew_s, zoom=zoom)
 
 
 def _no_times(text: str, fps: float | None, times_s: Sequence[float] | None) -> None:

@@ -1,0 +1,74 @@
+"""Which settings and which baseline of a rig reach a wanted accuracy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import isfinite
+
+from armsight.app.schemas.machine import AccuracyPlan, ReachedAccuracy, SettingPlan
+from armsight.measure.planning import LEAST_COMMON, Accuracy, Choice, plan
+from armsight.optics import Rig
+from armsight.units import MM
+
+
+def accuracy_plan(rig: Rig, accuracy_m: float, depths_m: Sequence[float], sigma_px: float) -> AccuracyPlan:
+    """Return the plan as --json gives it. Raises as measure.planning.plan."""
+    choices = plan(rig, accuracy_m, depths_m, sigma_px)
+    return AccuracyPlan(
+        accuracy_m=accuracy_m,
+        depths_m=list(depths_m),
+        sigma_px=sigma_px,
+        baseline_m=rig.baseline_m,
+        settings=[
+            SettingPlan(
+                zoom_left=one.zoom[0],
+                zoom_right=one.zoom[1],
+                focal_px=one.focal_px,
+                now=_told(one.now),
+                reached=one.reached,
+                baseline_m=one.baseline_m,
+                at_baseline=None if one.at_baseline is None else _told(one.at_baseline),
+            )
+            for one in choices
+        ],
+        advice=_advice(rig, choices, accuracy_m),
+    )
+
+
+def _told(found: Accuracy) -> ReachedAccuracy:
+    parts = {name: getattr(found, name) for name in ("spots_m", "rig_m", "total_m")}
+    finite = {name: value if isfinite(value) else None for name, value in parts.items()}
+    return ReachedAccuracy(**finite, common=found.common, width_m=found.width_m)
+
+
+def _advice(rig: Rig, choices: Sequence[Choice], accuracy_m: float) -> list[str]:
+    """Return what to do: what is there, the least to change, or why nothing helps."""
+    out = []
+    if rig.covariance is None:
+        out.append(
+            "The rig's file tells no covariance of the cameras' places: what these bring comes on top of the figures"
+        )
+    reached = [one for one in choices if one.reached]
+    if reached:
+        widest = max(reached, key=lambda one: one.now.width_m)
+        return [*out, f"The rig as it stands reaches {accuracy_m / MM:g} mm{_at(widest)}; that has the widest view"]
+    able = [one for one in choices if one.baseline_m is not None]
+    if able:
+        least = min(able, key=lambda one: one.baseline_m or 0.0)
+        return [
+            *out,
+            f"Move the cameras {(least.baseline_m or 0.0) / MM:.0f} mm apart{_at(least)} and calibrate the rig anew",
+        ]
+    seen = [one for one in choices if one.now.common >= LEAST_COMMON and isfinite(one.now.total_m)]
+    if not seen:
+        return [*out, "The cameras have no common view there: turn them towards it, or take a shorter focal length"]
+    best = min(seen, key=lambda one: one.now.total_m)
+    if best.now.rig_m > best.now.spots_m:
+        return [*out, f"The calibration is what limits it ({best.now.rig_m / MM:.2g} mm{_at(best)}): take more views"]
+    return [*out, "No baseline that was tried reaches it: come closer, take longer lenses, or place spots more surely"]
+
+
+def _at(one: Choice) -> str:
+    named = zip(("left", "right"), one.zoom, strict=True)
+    values = [f"--zoom-{side} {value:g}" for side, value in named if value is not None]
+    return f" at {' '.join(values)}" if values else ""

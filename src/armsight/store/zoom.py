@@ -1,0 +1,190 @@
+"""The settings of zoom lenses in camera.yaml and rig.yaml."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from armsight.errors import BadFile
+from armsight.optics import Camera, ZoomLens, ZoomSetting
+from armsight.records import CameraTiming, NoiseModel
+from armsight.store.noise import NoiseKey, noise_mapping
+from armsight.store.schema import (
+    Count,
+    CovarianceModel,
+    Finite,
+    Origin,
+    Strict,
+    Vector5,
+    covariance_mapping,
+    named,
+    read_document,
+    validated,
+    write_document,
+)
+from armsight.store.timing import TimingKey, timing_mapping
+
+CAMERA_FORMAT = "armsight/camera"
+
+NotNegative = Annotated[Finite, Field(ge=0.0)]
+
+
+class LensModel(Strict):
+    """Intrinsics in px; distortion k1, k2, p1, p2, k3."""
+
+    fx: Finite
+    fy: Finite
+    cx: Finite
+    cy: Finite
+    skew: Finite = 0.0
+    distortion: Vector5
+
+    def of_size(self, width: int, height: int) -> Camera:
+        """Return the record; Inconsistent where no camera can be like this."""
+        return Camera.pinhole(
+            width, height, self.fx, self.fy, self.cx, self.cy, skew=self.skew, distortion=self.distortion
+        )
+
+
+class SizeModel(Strict):
+    """The size of a camera's images in px."""
+
+    width: Count
+    height: Count
+
+
+class IntrinsicsModel(LensModel, SizeModel):
+    """A camera's image size and intrinsics; in errors the size comes first, as in files."""
+
+    def camera(self) -> Camera:
+        """Return the record; Inconsistent where no camera can be like this."""
+        return self.of_size(self.width, self.height)
+
+
+class ZoomSettingModel(LensModel):
+    """A camera calibrated at one value of its zoom."""
+
+    zoom: Finite
+    pupil_m: Finite | None = None
+    pupil_std_m: NotNegative = 0.0
+    rms_px: Finite | None = None
+    covariance: CovarianceModel | None = None
+
+
+Settings = Annotated[list[ZoomSettingModel], Field(min_length=1, max_length=100)]
+
+
+class MountedZoomModel(Strict):
+    """The settings of a rig's camera; at: the zoom at which the rig was calibrated."""
+
+    at: Finite
+    settings: Settings
+
+    def lens(self, width: int, height: int) -> ZoomLens:
+        """Return the record; Inconsistent where these are not settings of one camera."""
+        return _lens(self.settings, width, height)
+
+
+class ZoomCameraModel(Origin):
+    """camera.yaml of a zoom lens: the settings in place of one camera's intrinsics."""
+
+    format: Literal["armsight/camera"] = "armsight/camera"
+    width: Count
+    height: Count
+    zoom: Settings
+    noise: NoiseKey | None = None
+    timing: TimingKey | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ZoomCameraFile:
+    """What the camera.yaml of a zoom lens holds; noise and timing are of the sensor, at all settings."""
+
+    lens: ZoomLens
+    noise: NoiseModel | None = None
+    timing: CameraTiming | None = None
+    inputs: Sequence[Mapping[str, str]] = ()
+
+
+def is_zoom_camera(content: Mapping[str, Any]) -> bool:
+    """Tell whether a camera.yaml's structure is that of a zoom lens."""
+    return "zoom" in content
+
+
+def read_zoom_camera(path: Path) -> ZoomCameraFile:
+    """Return the settings of a zoom lens; BadFile where the file holds none."""
+    content = read_document(path, CAMERA_FORMAT)
+    if not is_zoom_camera(content):
+        raise BadFile(
+            f"{path}: holds a camera without zoom settings",
+            consequence="Nobody knows at which zoom it was calibrated",
+            cure="Calibrate its settings into a file of their own: armsight calibrate camera --zoom VALUE -o FILE",
+        )
+    return zoom_camera_from_mapping(content, str(path))
+
+
+def zoom_camera_from_mapping(content: Mapping[str, Any], where: str) -> ZoomCameraFile:
+    """Return what the structure of a zoom lens's camera.yaml says; BadFile, with where and the key, if it cannot be."""
+    model = validated(ZoomCameraModel, content, where)
+    with named(where):
+        return ZoomCameraFile(
+            lens=_lens(model.zoom, model.width, model.height),
+            noise=None if model.noise is None else model.noise.noise(),
+            timing=None if model.timing is None else model.timing.timing(),
+            inputs=[item.model_dump() for item in model.inputs],
+        )
+
+
+def write_zoom_camera(path: Path, file: ZoomCameraFile, *, inputs: Sequence[Path] = ()) -> None:
+    """Write the camera.yaml of a zoom lens; inputs come behind those that the file held before."""
+    width, height = file.lens.size
+    content = {
+        "width": width,
+        "height": height,
+        "zoom": settings_mapping(file.lens),
+        "noise": noise_mapping(file.noise) if file.noise else None,
+        "timing": timing_mapping(file.timing) if file.timing else None,
+    }
+    write_document(path, CAMERA_FORMAT, content, inputs, earlier=file.inputs)
+
+
+def settings_mapping(lens: ZoomLens) -> list[dict[str, Any]]:
+    """Return a lens's settings as files hold them."""
+    return [_setting_mapping(one) for one in lens.settings]
+
+
+def intrinsics_mapping(camera: Camera) -> dict[str, Any]:
+    """Return a camera's intrinsics, without its size, as files hold them."""
+    fx, fy, cx, cy, skew = camera.intrinsics[:5].tolist()
+    return {"fx": fx, "fy": fy, "cx": cx, "cy": cy, "skew": skew, "distortion": camera.distortion.tolist()}
+
+
+def _setting_mapping(one: ZoomSetting) -> dict[str, Any]:
+    out: dict[str, Any] = {"zoom": one.zoom, **intrinsics_mapping(one.camera)}
+    if one.pupil_m is not None:
+        out |= {"pupil_m": one.pupil_m, "pupil_std_m": one.pupil_std_m}
+    if one.rms_px is not None:
+        out["rms_px"] = one.rms_px
+    if one.covariance is not None:
+        out["covariance"] = covariance_mapping(one.covariance)
+    return out
+
+
+def _lens(settings: Sequence[ZoomSettingModel], width: int, height: int) -> ZoomLens:
+    return ZoomLens(
+        settings=tuple(
+            ZoomSetting(
+                zoom=one.zoom,
+                camera=one.of_size(width, height),
+                covariance=one.covariance.covariance() if one.covariance else None,
+                rms_px=one.rms_px,
+                pupil_m=one.pupil_m,
+                pupil_std_m=one.pupil_std_m,
+            )
+            for one in settings
+        )
+    )
