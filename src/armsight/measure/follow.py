@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -248,7 +249,12 @@ def _plausible(expected: Expected, light: NDArray[np.intp], uv: Array, cov: Arra
     for i in range(len(light)):
         S[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += cov[i]
     r = (uv - expected.uv_px[light]).ravel()
-    return bool(r @ np.linalg.solve(S, r) < chi2.isf(VIEW_CHANCE, len(r)))
+    return bool(r @ np.linalg.solve(S, r) < _most_chi2(len(r)))
+
+
+@cache
+def _most_chi2(dof: int) -> float:
+    return float(chi2.isf(VIEW_CHANCE, dof))
 
 
 def _firm(views: Sequence[View]) -> bool:

@@ -124,17 +124,21 @@ def _that_fit(setup: Setup, views: list[View], starts: list[Start]) -> tuple[lis
     """Return the stretches that a target's motion explains. Raises Inconsistent where that is less than half."""
     kept, begun = views, starts
     for last in (False, False, True):
+        n = len(kept)
         at_s, rows = np.unique([view.t_s for view in kept], return_inverse=True)
         at = smooth(setup.packed, setup.model.xyz_m, kept, begun, at_s).states
         states = [at[k] for k in rows]
         found = motion_residuals(setup.packed, setup.model.xyz_m, kept, states)
         times = np.sqrt(found.chi2_per_dof() or np.inf)
+        if not last:
+            kept, begun = without_outliers(found, kept, begun, states)
+        last |= len(kept) == n
         if last:
             kept, begun = fitting_stretches(found, kept, begun, MOST_CHI2)
-        else:
-            kept, begun = without_outliers(found, kept, begun, states)
         if len(kept) < 0.5 * len(views):
             raise _out_of_step(f"the spots are {times:.1f} times further from the target's motion than their noise")
+        if last:
+            break
     if np.median([state.jerk for state in states if state is not None] or [0.0]) > MOST_JERK:
         raise _out_of_step("only a target that is knocked all the time would be seen like this")
     return kept, begun

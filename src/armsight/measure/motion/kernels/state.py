@@ -102,6 +102,14 @@ def multiply_t(X, Y, out):
             out[i, j] = s
 
 
+@inner_kernel
+def transposed(X, out):
+    """Fill out with X'."""
+    for i in range(X.shape[0]):
+        for j in range(X.shape[1]):
+            out[j, i] = X[i, j]
+
+
 @kernel
 def add_jerk(C, tau, jerk, angular_jerk):
     """Add to C (18, 18) what jerk (m^2/s^5) and angular jerk (rad^2/s^5) leave open over tau."""
@@ -125,9 +133,11 @@ def add_jerk(C, tau, jerk, angular_jerk):
 def predict(x, C, tau, jerk, angular_jerk, out, D, F):
     """Fill the state out, its covariance D (18, 18) tau later, and F, how errors got there."""
     G = np.empty((N, N))
+    E = np.empty((N, N))
     transition(x, tau, F)
     multiply(F, C, G)
-    multiply_t(G, F, D)
+    transposed(G, E)
+    multiply(F, E, D)  # F (F C)' = F C F', and F is mostly zeros
     add_jerk(D, tau, jerk, angular_jerk)
     state_at(x, tau, out)
 

@@ -19,6 +19,7 @@ from armsight.measure.motion.kernels.state import (
     move,
     multiply,
     multiply_t,
+    transposed,
     turned,
 )
 from armsight.optics.kernels.camera import see_point
@@ -346,7 +347,8 @@ def smooth(xs, Cs, ds, xp, Cp, dp, Fs):
         for i in range(N):
             for j in range(N):
                 inverse[i, j] *= s[i] * s[j]
-        multiply_t(Cs[k], F, G)
+        multiply(F, Cs[k], E)
+        transposed(E, G)
         multiply(G, inverse, K)
         difference(xs[k + 1], xp[k + 1], d)
         for i in range(N):
