@@ -114,6 +114,8 @@ class Follower:
         ends = [start.view for start in self.starts[1:]] + [len(self.views)]
         for start, end in zip(self.starts, ends, strict=False):  # no start, no stretch
             stretch = self.views[start.view : end]
+            while stretch and len(stretch[-1].lights) < 3:  # nothing holds how the target turned from there on
+                stretch.pop()
             if len(stretch) >= FEWEST_VIEWS and {view.side for view in stretch} == {0, 1}:
                 starts.append(replace(start, view=len(views)))
                 views += stretch

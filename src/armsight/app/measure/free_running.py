@@ -16,7 +16,7 @@ from armsight.app.schemas.timing import BothCounts, BothSeconds
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.measure.begin import AnyFrame
 from armsight.measure.follow import Follower
-from armsight.measure.motion.estimate import MAX_GAP_S, Start, smooth
+from armsight.measure.motion.estimate import Start, smooth
 from armsight.measure.motion.residuals import fitting_stretches, motion_residuals, without_outliers
 from armsight.measure.motion.states import MotionState, View
 from armsight.measure.motion.timing import TimingEstimate, TimingPrior
@@ -52,10 +52,12 @@ TIMING_CHANCE = 1e-5
 """Chance below which what a recording says of its timing is not what was calibrated."""
 MISFIT_S = 0.1
 """Nothing is said of the target this near to a view that does not fit its motion, when all that is left does."""
+MAX_WITHOUT_WHOLE_S = 0.05
+"""Nothing is said of the target further from a view of three lights: how it turns about two is guesswork."""
 BEFORE_S = 0.05
 """How long before its first view something is said of the target."""
 TOO_LITTLE = "too few lights were seen about that time to say where the target was"
-GONE = f"the target was lost or not found yet, seen by no camera for {MAX_GAP_S:g} s, or its spots left its motion"
+GONE = "the target was lost or not found yet, no camera saw three of its lights, or its spots left its motion"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -104,8 +106,9 @@ def measure_free_running(
     found = motion_residuals(setup.packed, setup.model.xyz_m, views, [states[k] for k in rows[len(at_s) :]])
     off = found.outliers(len(views))
     chi2 = found.of_views(~off).chi2_per_dof()
-    near_off = [bool(len(seen_s[off]) and np.abs(seen_s[off] - t).min() < MISFIT_S) for t in at_s]
-    asked = [None if misfit else states[k] for k, misfit in zip(rows[: len(at_s)], near_off, strict=True)]
+    whole = np.array([len(view.lights) >= 3 for view in views])
+    unsure = (_from(seen_s[off], at_s) < MISFIT_S) | (_from(seen_s[whole & ~off], at_s) > MAX_WITHOUT_WHOLE_S)
+    asked = [None if refused else states[k] for k, refused in zip(rows[: len(at_s)], unsure, strict=True)]
     told = _Told(
         setup=setup, wider=max(chi2 or 1.0, 1.0), timing=smoothed.timing, left_clock=streams[0].clock_covariance
     )
@@ -186,6 +189,15 @@ def _between(t_s: Array, seen_s: Array, starts: Sequence[Start]) -> NDArray[np.b
     for start in starts[1:]:
         out |= (t_s > seen_s[start.view - 1]) & (t_s < seen_s[start.view])
     return out
+
+
+def _from(seen_s: Array, t_s: Array) -> Array:
+    """Return how far each of t_s (k,) is from the nearest of seen_s (n,), growing; infinite where there is none."""
+    if not len(seen_s):
+        return np.full(len(t_s), np.inf)
+    after = np.searchsorted(seen_s, t_s)
+    near = np.stack([seen_s[(after - 1).clip(0)], seen_s[after.clip(max=len(seen_s) - 1)]])
+    return np.asarray(np.abs(near - t_s).min(axis=0))
 
 
 def _when(item: tuple[float, int, AnyFrame]) -> tuple[float, int]:

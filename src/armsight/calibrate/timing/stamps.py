@@ -1,4 +1,4 @@
-"""A camera's stamps against the steady clock that takes its frames: period, lost frames, jitter."""
+"""A camera's stamps against the steady clock that takes its frames: period, lost frames, jitter, lateness."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
 
+from armsight.calibrate.timing.lateness import LateStamps, fit_lateness
 from armsight.errors import Inconsistent, NotEnoughData
 from armsight.records import frozen_array
 
@@ -34,7 +35,7 @@ class SteadyStamps:
     """The stamps (n,) in s freed of jitter, and the clock they follow.
 
     number (n,): of each frame, from 0, lost ones counted. covariance (2, 2): of the clock's offset (s) at mid_s and its
-    rate (ppm).
+    rate (ppm). late_s: how late a stamp is in the mean, where transport only delays; the clock is then the lower edge.
     """
 
     t_s: Array
@@ -44,6 +45,7 @@ class SteadyStamps:
     jitter_std_s: float
     mid_s: float
     covariance: Array
+    late_s: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "t_s", frozen_array("t_s", self.t_s, (None,)))
@@ -138,11 +140,33 @@ def _line(number: NDArray[np.int64], s: Array) -> tuple[float, float, Array, flo
     return float(s.mean() + intercept - slope * number.mean()), slope, w, sigma
 
 
+def _under(number: NDArray[np.int64], period: float, offset: float, half: float, late: LateStamps) -> SteadyStamps:
+    """Return the clock at the lower edge of late stamps, about which a robust line (offset, period) had been laid."""
+    slope = late.slope_s / half
+    fitted = offset + period * number + late.offset_s + slope * (number - number.mean())
+    per_ppm = np.diag([1.0, 1e6 / (period * half)])
+    jitter = float(np.hypot(late.sigma_s, late.late_s))
+    return SteadyStamps(
+        t_s=fitted,
+        number=number,
+        period_s=period + slope,
+        jitter_s=jitter,
+        jitter_std_s=jitter / np.sqrt(len(number)),
+        mid_s=float(fitted.mean()),
+        covariance=per_ppm @ late.covariance @ per_ppm,
+        late_s=late.late_s,
+    )
+
+
 def _steady(
     s: Array, number: NDArray[np.int64], weight: Array, period: float, offset: float, jitter: float
 ) -> SteadyStamps:
     fitted = np.asarray(offset + period * number, dtype=np.float64)
     r = s - fitted
+    half = 0.5 * float(number[-1] - number[0])
+    late = fit_lateness((number - number.mean()) / half, r) if half > 0.0 else None
+    if late is not None:
+        return _under(number, period, offset, half, late)
     kept = np.abs(r) <= TUKEY * jitter if jitter > 0.0 else np.ones(len(s), bool)
     n = int(kept.sum())
     jitter = float(np.sqrt(r[kept] @ r[kept] / max(n - 2, 1)))
