@@ -12,6 +12,7 @@ import typer
 
 from armsight.cli import arm, handeye, mirrors, target, timing
 from armsight.cli.calibrate import calibrate
+from armsight.cli.camera_options import NONE_GIVEN, CameraOptions, takes_cameras
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.convert import convert
 from armsight.cli.identify import identify
@@ -58,6 +59,7 @@ def root(
 
 
 @app.command()
+@takes_cameras
 def measure(
     rig: Annotated[Path, typer.Option(help="rig.yaml of the two cameras, from `armsight calibrate stereo`.")],
     target: Annotated[
@@ -108,6 +110,7 @@ def measure(
     ] = None,
     right_spots: Annotated[Path | None, typer.Option(help="The same of the right camera.")] = None,
     json: AsJson = False,
+    camera_options: CameraOptions = NONE_GIVEN,
 ) -> None:
     """Measure the target's pose in every pair of frames.
 
@@ -142,6 +145,7 @@ def measure(
             at=at,
             left_spots=left_spots,
             right_spots=right_spots,
+            camera_settings=camera_options.settings(),
         )
         summary = run(job, face.progress("measuring"))
         measure_tables(face, summary, out)

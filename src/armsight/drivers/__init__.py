@@ -1,5 +1,6 @@
 """The only place that touches hardware: cameras, robots, files as cameras."""
 
+from armsight.drivers.camera_settings import AUTOMATIC, CameraSettings
 from armsight.drivers.images import list_images, read_image
 from armsight.drivers.live import LivePairs, OpenCvCamera, cameras_there
 from armsight.drivers.lock import DeviceLock
@@ -13,11 +14,13 @@ from armsight.drivers.robot import Robot, RobotState, Sent
 from armsight.drivers.sources import FPS, Capture, ImageFolder, VideoFile
 
 __all__ = [
+    "AUTOMATIC",
     "CAMERAS",
     "CELLS",
     "FPS",
     "ROBOTS",
     "SCENARIOS",
+    "CameraSettings",
     "Capture",
     "DeviceLock",
     "FilePairs",

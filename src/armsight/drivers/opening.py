@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from inspect import Parameter, signature
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 from armsight.clock import Clock, SystemClock
+from armsight.drivers.camera_settings import AUTOMATIC, CameraSettings
 from armsight.drivers.live import MAX_SKEW_S, LivePairs
 from armsight.drivers.pairs import FilePairs, SplitImages
 from armsight.drivers.protocols import FrameSource, PairSource
@@ -31,17 +33,21 @@ def open_source(
     times_s: Sequence[float] | None = None,
     clock: Clock | None = None,
     origin_s: float | None = None,
+    settings: CameraSettings = AUTOMATIC,
 ) -> FrameSource:
     """Return the source that a person's text names; nothing is opened yet.
 
     camera:0 or camera:/dev/video0 is a camera of OpenCV's, camera:DRIVER or camera:DRIVER:DEVICE one of a registered
-    driver. Raises UsageError, or DeviceNotFound for an unknown driver.
+    driver; settings: what is asked of it. Raises UsageError, or DeviceNotFound for an unknown driver.
     """
     if is_live(text):
         if times_s is not None:
             raise UsageError("a live camera brings its own time stamps", cure="Leave --times away")
         driver, device = _driver(text.removeprefix(CAMERA))
-        return cast(FrameSource, load(CAMERAS, driver)(device, colour=colour, clock=clock, origin_s=origin_s))
+        make = load(CAMERAS, driver)
+        asked = _asked(make, settings, text)
+        return cast(FrameSource, make(device, colour=colour, clock=clock, origin_s=origin_s, **asked))
+    settings.require_none(text)
     suffix = Path(text).suffix.lower()
     if suffix == ".mcap":
         raise UsageError(
@@ -61,6 +67,7 @@ def open_pairs(
     fps: float | None = None,
     times_s: Sequence[float] | None = None,
     max_skew_s: float = MAX_SKEW_S,
+    settings: CameraSettings = AUTOMATIC,
 ) -> PairSource:
     """Return the pairs of two sources; nothing is opened yet. Raises UsageError for one live and one not."""
     if is_live(left) != is_live(right):
@@ -75,10 +82,11 @@ def open_pairs(
         clock = SystemClock()
         origin_s = clock.now_s()
         return LivePairs(
-            open_source(left, colour=colour, clock=clock, origin_s=origin_s),
-            open_source(right, colour=colour, clock=clock, origin_s=origin_s),
+            open_source(left, colour=colour, clock=clock, origin_s=origin_s, settings=settings),
+            open_source(right, colour=colour, clock=clock, origin_s=origin_s, settings=settings),
             max_skew_s=max_skew_s,
         )
+    settings.require_none(f"{left} + {right}")
     return FilePairs(
         open_source(left, colour=colour, fps=fps, times_s=times_s),
         open_source(right, colour=colour, fps=fps, times_s=times_s),
@@ -103,3 +111,13 @@ def _driver(text: str) -> tuple[str, str]:
         return DEFAULT_CAMERA, text
     driver, _, device = text.partition(":")
     return driver, device
+
+
+def _asked(make: Any, settings: CameraSettings, text: str) -> dict[str, CameraSettings]:
+    """Return the driver's argument for the settings; none where nothing is asked, so that simple drivers need none."""
+    if settings == AUTOMATIC:
+        return {}
+    parameters = signature(make).parameters
+    if "settings" not in parameters and all(one.kind is not Parameter.VAR_KEYWORD for one in parameters.values()):
+        settings.require_only((), text)
+    return {"settings": settings}

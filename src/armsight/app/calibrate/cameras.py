@@ -8,7 +8,7 @@ from itertools import islice
 from pathlib import Path
 
 from armsight.app.calibrate.board_images import Seen, in_parallel, see_board
-from armsight.app.calibrate.camera_noise import NoiseJob, find_noise, input_files, require_size
+from armsight.app.calibrate.camera_noise import FoundNoise, NoiseJob, find_noise, input_files, require_size
 from armsight.app.calibrate.reports import RigData, write_camera_report, write_stereo_report
 from armsight.app.schemas.base import RejectedFile
 from armsight.app.schemas.cameras import AlignmentOutput, CameraNoise, CameraOutput, StereoOutput
@@ -16,6 +16,7 @@ from armsight.app.sources.frames import open_pairs, open_source
 from armsight.calibrate.cameras import BoardOptions, CameraCalibration, StereoCalibration
 from armsight.calibrate.cameras import calibrate_camera as solve_camera
 from armsight.calibrate.cameras import calibrate_stereo as solve_stereo
+from armsight.drivers import AUTOMATIC, CameraSettings, is_live
 from armsight.errors import Cancelled, NotEnoughData
 from armsight.records import BoardView, Frame, NamedCovariance, NotSeen, Progress, Silent
 from armsight.store import parse_board, write_camera, write_rig
@@ -53,6 +54,7 @@ class CalibrateJob:
     right: str = ""
     detector: str = "auto"
     noise: str | None = None
+    camera_settings: CameraSettings = AUTOMATIC
 
 
 def calibrate_camera(job: CalibrateJob, progress: Progress | None = None) -> CameraOutput:
@@ -64,8 +66,8 @@ def calibrate_camera(job: CalibrateJob, progress: Progress | None = None) -> Cam
     progress = progress or Silent()
     views: list[BoardView] = []
     rejected: list[Rejected] = []
-    found = None if job.noise is None else find_noise(NoiseJob(frames=job.noise, out=job.out), progress)
-    with open_source(job.source) as source:
+    found = None if job.noise is None else _noise(job, job.noise, progress)
+    with open_source(job.source, settings=job.camera_settings) as source:
         frames = islice(source, 0, _stop(job), job.every)
         total = _total(source.total, job)
         for frame, seen in in_parallel(
@@ -90,6 +92,11 @@ def calibrate_camera(job: CalibrateJob, progress: Progress | None = None) -> Cam
     return camera_output(done, rejected, noise=found.output if found else None)
 
 
+def _noise(job: CalibrateJob, frames: str, progress: Progress) -> FoundNoise:
+    asked = job.camera_settings if is_live(frames) else AUTOMATIC  # still frames may be files beside a live camera
+    return find_noise(NoiseJob(frames=frames, out=job.out, camera_settings=asked), progress)
+
+
 def calibrate_stereo(job: CalibrateJob, progress: Progress | None = None) -> StereoOutput:
     """Calibrate a pair of cameras and write its rig.yaml; return the figures as --json gives them.
 
@@ -104,7 +111,7 @@ def calibrate_stereo(job: CalibrateJob, progress: Progress | None = None) -> Ste
     def see(pair: tuple[Frame, Frame]) -> tuple[tuple[Frame, Seen], ...]:
         return tuple((frame, see_board(frame, board, job.detector)) for frame in pair)
 
-    with open_pairs(job.left, job.right) as pairs:
+    with open_pairs(job.left, job.right, settings=job.camera_settings) as pairs:
         chosen = islice(pairs, 0, _stop(job), job.every)
         total = _total(pairs.total, job)
         for both in in_parallel(see, chosen, workers=job.workers):

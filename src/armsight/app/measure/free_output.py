@@ -17,13 +17,14 @@ from armsight.app.measure.free_running import FreeRun, MovingPose, measure_free_
 from armsight.app.measure.outputs import POINTS, POSES, REPORT, SPOTS, SUMMARY, TUM, moved_pose
 from armsight.app.measure.warm_up import prepare
 from armsight.app.schemas.measure import FrameTime, MeasureOutput
+from armsight.app.sources.bags import read_motion
 from armsight.errors import NotEnoughData
 from armsight.geometry import quat_of_matrix
 from armsight.measure.poses.setup import Setup
 from armsight.optics import SIDES
 from armsight.records import Points, PoseStatus, Progress, Spots, TargetPose
 from armsight.report import MeasureRun, measure_report
-from armsight.store import MovingPosesWriter, PointsWriter, SpotsWriter, World, read_joints, write_text
+from armsight.store import MovingPosesWriter, PointsWriter, SpotsWriter, World, write_text
 from armsight.store.atomic import RowFile
 from armsight.units import MM, MS
 
@@ -41,7 +42,7 @@ def measure_free(job: MeasureJob, setup: Setup, world: World | None, progress: P
     )
     if job.limit is not None:
         streams = (streams[0].first(job.limit), streams[1].first(job.limit))
-    at_s = None if job.at is None else read_joints(job.at).t_s
+    at_s = None if job.at is None else read_motion(job.at, origin_of=job.left or job.right).t_s
     prepare(progress)
     start_s = time.perf_counter()
     done = measure_free_running(setup, streams, at_s, job.rate_hz, progress)

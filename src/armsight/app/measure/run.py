@@ -19,9 +19,10 @@ from armsight.app.measure.free_running import require_timing, runs_free
 from armsight.app.measure.outputs import REPORT, SUMMARY, Outputs
 from armsight.app.measure.warm_up import prepare
 from armsight.app.schemas.measure import MeasureOutput
+from armsight.app.sources.bags import origin_ns
 from armsight.app.sources.complex_images import complex_pairs
 from armsight.app.sources.frames import is_recording, open_pairs, open_source, require_size
-from armsight.drivers import PairSource, ordered_map, read_image
+from armsight.drivers import AUTOMATIC, CameraSettings, PairSource, ordered_map, read_image
 from armsight.drivers.live import MAX_SKEW_S
 from armsight.errors import ArmsightError, Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.measure.consistency.check import RunCheck
@@ -61,6 +62,7 @@ class MeasureJob:
     by itself. left_spots, right_spots: tables of spots in place of frames. timing: pairs of frames of one moment, views
     of cameras that run free, or auto: free where the rig's file says when its cameras expose. rate_hz, at: with free
     cameras, the rate of the poses, or a table whose t_s they are given at; neither: the times of the left frames.
+    camera_settings: what is asked of live cameras.
     """
 
     rig: Path
@@ -84,6 +86,7 @@ class MeasureJob:
     timing: str = TIMINGS[0]
     rate_hz: float | None = None
     at: Path | None = None
+    camera_settings: CameraSettings = AUTOMATIC
 
 
 def target_of(named: Path) -> Target:
@@ -106,6 +109,8 @@ def measure(job: MeasureJob, progress: Progress | None = None) -> MeasureOutput:
     setup = Setup(rig=rig, target=target, settings=settings, overlaid=overlaid)
     facts = [("frames", pairs.name), ("rig's file", str(job.rig)), ("target's file", str(job.target))]
     facts += [("place of the rig", str(job.world))] if job.world else []
+    zero_ns = origin_ns(job.left or job.image)
+    facts += [("t_s = 0 is the bag's start, Unix time in s", f"{zero_ns / 1e9:.6f}")] if zero_ns is not None else []
     summary, _ = run(
         setup,
         pairs,
@@ -272,7 +277,9 @@ def _pairs(job: MeasureJob, rig: Rig, target: Target) -> tuple[PairSource, bool]
     if job.image is not None:
         if job.left is not None or job.right is not None:
             raise UsageError("--image goes with neither --left nor --right", cure="Give the one or the others")
-        source = partial(open_source, job.image, colour=colour, fps=job.fps, times_s=times_s)
+        source = partial(
+            open_source, job.image, colour=colour, fps=job.fps, times_s=times_s, settings=job.camera_settings
+        )
         return complex_pairs(source, rig)
     if rig.kind is RigKind.MIRROR and job.left is not None and job.left == job.right:
         raise UsageError(
@@ -284,7 +291,15 @@ def _pairs(job: MeasureJob, rig: Rig, target: Target) -> tuple[PairSource, bool]
         raise UsageError(
             "there are no frames to measure", cure="Give --left and --right, one recording as --left, or --image"
         )
-    pairs = open_pairs(job.left, job.right, colour=colour, fps=job.fps, times_s=times_s, max_skew_s=job.max_skew_s)
+    pairs = open_pairs(
+        job.left,
+        job.right,
+        colour=colour,
+        fps=job.fps,
+        times_s=times_s,
+        max_skew_s=job.max_skew_s,
+        settings=job.camera_settings,
+    )
     return pairs, False
 
 
