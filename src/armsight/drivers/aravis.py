@@ -110,6 +110,13 @@ class AravisCamera(LiveCamera):
         api = self._load()
         camera = self._found(api)
         try:
+            self._start(api, camera)
+        except BaseException:
+            _release(api, camera)  # an error's traceback keeps the camera alive, and with it the control of it
+            raise
+
+    def _start(self, api: Any, camera: Any) -> None:
+        try:
             self._require_control(api, camera)
             self._set_up(api, camera)
             self._layout = _layout_of(camera, self.name)
@@ -177,6 +184,7 @@ class AravisCamera(LiveCamera):
         if self._camera is not None:
             with suppress(*_errors()):  # a camera that has gone cannot be told to stop
                 self._camera.stop_acquisition()
+            _release(self._load(), self._camera)
         self._stream = self._camera = None  # Aravis closes what nobody holds
 
     def _read_frames(self) -> None:
@@ -266,6 +274,14 @@ def _formats(camera: Any) -> list[str]:
 def _devices(api: Any) -> list[str]:
     api.update_device_list()
     return [str(api.get_device_id(i)) for i in range(api.get_n_devices())]
+
+
+def _release(api: Any, camera: Any) -> None:
+    """Let others control a camera of the network; Aravis lets go of those of USB when nobody holds them."""
+    device = camera.get_device()
+    if isinstance(device, api.GvDevice) and device.is_controller():
+        with suppress(*_errors()):
+            device.leave_control()
 
 
 def _require_known(name: str, setting: str, asked: str, known: list[str]) -> None:

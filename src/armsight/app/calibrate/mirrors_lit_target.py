@@ -69,7 +69,8 @@ def calibrate_lit(
     """Return the mirror rig that took the complex images of the lit target, and (source, why) of those left out.
 
     design: as built, the lens known. open_images: returns the complex images, in colour or not. The spots are sorted by
-    the design, and again by the rig that this gives. Raises UsageError for a target that cannot serve, NotEnoughData, Inconsistent (sizes), Cancelled.
+    the design, and again by the rig that this gives. Raises UsageError for a target that cannot
+    serve, NotEnoughData, Inconsistent (sizes), Cancelled.
     """
     _require_target(target)
     moments = _moments(design, target, open_images, every, limit, progress)
