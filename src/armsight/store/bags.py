@@ -194,18 +194,17 @@ def _open(path: Path) -> Any:
 
 
 def _decoded(reader: Any, connections: list[Any], name: str) -> Iterator[tuple[Any, int]]:
-    """Yield messages and the times in ns at which they were written. Raises BadFile where one cannot be read."""
+    """Yield messages and the times in ns at which they were written. Raises BadFile where one cannot be read, or lacks."""
     if not connections:
         return
     messages = reader.messages(connections=connections)
-    number = 0
-    while True:
-        number += 1
+    said = sum(one.msgcount for one in connections)
+    for number in range(1, said + 1):
         try:
             connection, written_ns, data = next(messages)
             message = reader.deserialize(data, connection.msgtype)
         except StopIteration:
-            return
+            raise _unreadable(f"{name} message {number} of {said}", EOFError("the bag ends before it")) from None
         except Exception as error:
             raise _unreadable(f"{name} message {number}", error) from error
         yield message, written_ns
