@@ -194,7 +194,7 @@ def _open(path: Path) -> Any:
 
 
 def _decoded(reader: Any, connections: list[Any], name: str) -> Iterator[tuple[Any, int]]:
-    """Yield messages and the times in ns at which they were written. Raises BadFile where one cannot be read, or lacks."""
+    """Yield messages and the times in ns at which they were written. BadFile where one is not whole or not there."""
     if not connections:
         return
     messages = reader.messages(connections=connections)
