@@ -104,7 +104,9 @@ def measure(
     rate: Annotated[
         float | None, typer.Option(min=1e-3, help="With free cameras: poses a second. [default: the left frames]")
     ] = None,
-    at: Annotated[Path | None, typer.Option(help="With free cameras: poses at the t_s of this joints.csv.")] = None,
+    at: Annotated[
+        Path | None, typer.Option(help="With free cameras: poses at the t_s of this joints.csv, or of bag:FILE:/topic.")
+    ] = None,
     left_spots: Annotated[
         Path | None, typer.Option(help="t_s,u_px,v_px[,su_px,sv_px][,spot]: spots of the left camera found elsewhere.")
     ] = None,

@@ -43,7 +43,7 @@ def list_images(text: str) -> tuple[Path, ...]:
         raise BadFile(
             f"{text} is neither a folder, nor a pattern, nor a file that can be read",
             consequence="There are no frames",
-            cure="Give a folder of images, a quoted pattern ('left*.png'), a video file or camera:0",
+            cure="Give a folder of images, a quoted pattern ('left*.png'), a video file, bag:FILE:/topic or camera:0",
         )
     if not files:
         raise NotEnoughData(
