@@ -82,6 +82,8 @@ class AravisCamera(LiveCamera):
     trigger it waits as long as it takes. Raises DeviceNotFound, DeviceFailed, DeviceLost. load: for tests.
     """
 
+    cure = "Check plug, cable and network, and start again; a camera that is set to wait for a trigger needs --trigger"
+
     def __init__(
         self,
         device: str = "",
@@ -176,7 +178,8 @@ class AravisCamera(LiveCamera):
             camera.set_gain(asked.gain)
             require_read_back(self.name, "gain", asked.gain, camera.get_gain(), step=0.5)
         if asked.trigger is not None:
-            _require_known(self.name, "trigger", asked.trigger, camera.dup_available_trigger_sources())
+            inputs = [source for source in camera.dup_available_trigger_sources() if source != "Software"]
+            _require_known(self.name, "trigger", asked.trigger, inputs)  # nobody would send it triggers by software
             camera.set_trigger(asked.trigger)
         self._exposure_s = camera.get_exposure_time() * US if camera.is_exposure_time_available() else 0.0
 
@@ -184,6 +187,8 @@ class AravisCamera(LiveCamera):
         if self._camera is not None:
             with suppress(*_errors()):  # a camera that has gone cannot be told to stop
                 self._camera.stop_acquisition()
+                if self._settings.trigger is not None:
+                    self._camera.clear_triggers()  # the next program may want frames without one
             _release(self._load(), self._camera)
         self._stream = self._camera = None  # Aravis closes what nobody holds
 

@@ -59,10 +59,11 @@ class LiveCamera(ABC):
 
     A driver opens its device in _open_device, reads it in _read_frames until _stop is set, handing out what comes with
     _put, and closes it in _close_device. One process at a time may read it (DeviceFailed for a second one).
-    waits: silence is no failure, because a trigger decides when frames come.
+    waits: silence is no failure, because a trigger decides when frames come. cure: what to do where it is lost.
     """
 
     waits = False
+    cure = "Check the plug and the cable, and start again"
 
     def __init__(self, name: str, *, clock: Clock | None, origin_s: float | None, lock: DeviceLock | None) -> None:
         self.name = name
@@ -157,7 +158,7 @@ class LiveCamera(ABC):
         return DeviceLost(
             f"{self.name} {what}",
             consequence="No frame can be measured from here on; what was measured until then is kept",
-            cure="Check the plug and the cable, and start again",
+            cure=self.cure,
         )
 
 

@@ -70,6 +70,7 @@ def test_what_the_camera_has_not_is_refused_with_what_it_has(stock: object) -> N
         ({"pixel_format": "Mono16"}, "Mono8"),
         ({"pixel_format": "Nosuch"}, "Mono8"),
         ({"trigger": "Line7"}, "Line0"),
+        ({"trigger": "Software"}, "Line0"),
         ({"exposure_s": 1000.0}, "1e-05 to 10"),
         ({"gain": -3.0}, "0 to 10"),
     ):
@@ -101,6 +102,13 @@ def test_a_camera_that_goes_is_lost_even_while_it_waits_for_its_trigger(stock: s
     with pytest.raises(DeviceLost, match="no longer answers"), AravisCamera(ADDRESS, settings=settings) as camera:
         stock.kill()
         list(camera)
+
+
+@needs_aravis
+def test_a_camera_that_was_triggered_runs_freely_for_the_next_one(stock: object) -> None:
+    with AravisCamera(ADDRESS, settings=CameraSettings(trigger="Line0")):
+        pass
+    assert first(1)[0].sequence == 0
 
 
 def test_without_aravis_the_cure_says_what_to_install() -> None:
