@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 import yaml
 
+from armsight.app.sources.bags import BagFrames
 from armsight.clock import ManualClock
 from armsight.drivers import (
     DeviceLock,
@@ -31,6 +32,7 @@ from armsight.drivers import (
     VideoFile,
     open_source,
 )
+from armsight.drivers.aravis import AravisCamera
 from armsight.errors import DeviceFailed, DeviceNotFound, Inconsistent, StaleData, UsageError
 from armsight.records import Frame, Motion
 from armsight.sim.devices import SimCameraView, SimPairs
@@ -38,6 +40,7 @@ from armsight.sim.scenario_builder import build_world
 from armsight.sim.scenario_schema import Scenario
 from armsight.sim.world import World
 from armsight.testing import CameraCase, CameraContract, RobotCase, RobotReadingContract, contract_tests
+from armsight.testing.genicam import ADDRESS, fake_genicam_camera, missing
 
 COUNT = 9
 
@@ -130,6 +133,57 @@ class TestOpenCvCamera(CameraContract):
         camera = OpenCvCamera("0", clock=clock, open_capture=wire)
         opened = lambda: bool(wires) and not wires[-1].released  # noqa: E731
         return CameraCase(source=camera, opened=opened, moves=True, again=False)
+
+
+MISSING = missing()
+
+
+class HeldCamera(AravisCamera):
+    """Drops no frame of a reader that is late, as the contract's must not be."""
+
+    def _put(self, item: Any) -> None:
+        while self._frames.full() and not self._stop.is_set():
+            os.sched_yield()
+        super()._put(item)
+
+
+@pytest.fixture(scope="class")
+def played(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Aravis's fake camera, showing the pictures in turn."""
+    with folder(tmp_path_factory.mktemp("genicam")) as shown, fake_genicam_camera(shown.paths):
+        yield
+
+
+@pytest.mark.skipif(bool(MISSING), reason=f"no GenICam camera can be played here: {MISSING}")
+@pytest.mark.usefixtures("played")
+class TestAravisCamera(CameraContract):
+    def make(self) -> CameraCase:
+        source = HeldCamera(ADDRESS)
+        return CameraCase(source=source, opened=lambda: source._camera is not None, moves=True, again=False)
+
+
+class TestBag(TestFolder):
+    """One topic of a ROS 2 bag; tests/unit/cli/test_bags.py tries every kind of bag."""
+
+    def make(self) -> CameraCase:
+        rosbag2 = pytest.importorskip("rosbags.rosbag2", reason="the extra armsight[bags] is not installed")
+        from rosbags.typesys import Stores, get_typestore
+
+        types, kind = get_typestore(Stores.ROS2_HUMBLE), "sensor_msgs/msg/CompressedImage"
+        path = self.place / "bag"
+        with rosbag2.Writer(path, version=9) as writer:
+            topic = writer.add_connection("/left", kind, typestore=types)
+            for number, image in enumerate(pictures()):
+                stamp = types.types["builtin_interfaces/msg/Time"](sec=1_700_000_000, nanosec=33_000_000 * number)
+                message = types.types[kind](
+                    header=types.types["std_msgs/msg/Header"](stamp=stamp, frame_id="left"),
+                    format="png",
+                    data=cv2.imencode(".png", image)[1].ravel(),
+                )
+                written_ns = 1_700_000_000 * 10**9 + 33_000_000 * number
+                writer.write(topic, written_ns, types.serialize_cdr(message, kind))
+        source = BagFrames(f"bag:{path}:/left")
+        return CameraCase(source=source, opened=lambda: source.opened, moves=True)
 
 
 class TestReplay(CameraContract):

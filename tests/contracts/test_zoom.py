@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import islice
 
 import cv2
 import numpy as np
 import pytest
 
 from armsight.clock import ManualClock
-from armsight.drivers import OpenCvCamera, open_source
+from armsight.drivers import AUTOMATIC, CameraSettings, OpenCvCamera, open_pairs, open_source
+from armsight.drivers.aravis import AravisCamera
+from armsight.drivers.live import SETTLED
+from armsight.drivers.opencv_controls import ZOOM_S
 from armsight.errors import DeviceFailed, UsageError
 from armsight.sim.scenario_builder import build_world
 from armsight.sim.scenario_schema import Scenario
@@ -17,10 +21,13 @@ from armsight.store.yamls import parse_yaml
 
 
 class Wire:
-    """A camera with a motor that takes whole steps from 100 to 500; stuck: it takes the order and stays."""
+    """A camera with a motor that takes whole steps from 100 to 500.
 
-    def __init__(self, *, takes: bool = True, stuck: bool = False) -> None:
-        self.takes, self.stuck, self.zoom, self.released, self.read_at = takes, stuck, 100.0, False, 0
+    stuck: it takes the order and stays. falls: how far it goes back once frames flow.
+    """
+
+    def __init__(self, *, takes: bool = True, stuck: bool = False, falls: float = 0.0) -> None:
+        self.takes, self.stuck, self.falls, self.zoom, self.released, self.reads = takes, stuck, falls, 100.0, False, 0
 
     def isOpened(self) -> bool:
         return True
@@ -34,7 +41,12 @@ class Wire:
     def get(self, key: int, /) -> float:
         return self.zoom if key == cv2.CAP_PROP_ZOOM else 0.0
 
+    def getBackendName(self) -> str:
+        return "V4L2"
+
     def read(self) -> tuple[bool, np.ndarray]:
+        self.reads += 1
+        self.zoom -= self.falls if self.reads == 10 else 0.0
         return True, np.full((4, 6, 3), int(self.zoom / 10.0), np.uint8)
 
     def release(self) -> None:
@@ -42,7 +54,8 @@ class Wire:
 
 
 def opened(wire: Wire, zoom: float | None) -> Callable[[], OpenCvCamera]:
-    return lambda: OpenCvCamera("0", clock=ManualClock(), open_capture=lambda _: wire, zoom=zoom)
+    asked = CameraSettings(zoom=zoom)
+    return lambda: OpenCvCamera("0", clock=ManualClock(), open_capture=lambda _: wire, settings=asked)
 
 
 def test_the_first_frame_is_of_the_zoom_that_was_set() -> None:
@@ -53,7 +66,8 @@ def test_the_first_frame_is_of_the_zoom_that_was_set() -> None:
 
 
 @pytest.mark.parametrize(
-    ("wire", "why"), [(Wire(takes=False), "does not take it"), (Wire(stuck=True), "stands at 100")]
+    ("wire", "why"),
+    [(Wire(takes=False), "--set-zoom 250 is not taken"), (Wire(stuck=True), "--set-zoom reads back 100 where 250")],
 )
 def test_a_camera_that_does_not_zoom_is_refused_and_closed(wire: Wire, why: str) -> None:
     with pytest.raises(DeviceFailed, match=why) as info, opened(wire, 250.0)():
@@ -62,12 +76,65 @@ def test_a_camera_that_does_not_zoom_is_refused_and_closed(wire: Wire, why: str)
     assert info.value.consequence and "--set-zoom" in info.value.cure
 
 
+@pytest.mark.parametrize("zoom", [250.4, 250.0])
+def test_half_a_step_is_all_that_a_zoom_may_be_off(zoom: float) -> None:
+    with opened(Wire(), zoom)() as camera:
+        assert next(iter(camera)).image[0, 0] == 25
+    with pytest.raises(DeviceFailed, match="--set-zoom reads back 249"), opened(Wire(falls=1.0), 250.0)() as camera:
+        list(islice(camera, SETTLED + 1))  # looked at again once frames flow; 1 in 250 would do for an exposure
+
+
+def test_a_zoom_that_is_no_number_when_read_back_is_refused() -> None:
+    wire = Wire()
+    wire.get = lambda key: float("nan")  # type: ignore[method-assign]
+    with pytest.raises(DeviceFailed, match="reads back nan"), opened(wire, 250.0)():
+        pass
+
+
+def test_the_motor_gets_its_time_before_the_zoom_is_read_back() -> None:
+    wire, clock = Wire(), ManualClock()
+    begun_s, there = clock.now_s(), wire.get
+    read_at_s: list[float] = []
+
+    def get(key: int, /) -> float:
+        read_at_s.append(clock.now_s())
+        return there(key)
+
+    wire.get = get  # type: ignore[method-assign]
+    with OpenCvCamera("0", clock=clock, open_capture=lambda _: wire, settings=CameraSettings(zoom=250.0)):
+        pass
+    assert min(read_at_s) >= begun_s + ZOOM_S
+
+
+def test_each_camera_of_a_pair_gets_its_own_zoom(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: dict[str, CameraSettings] = {}
+
+    def make(
+        device: str, *, colour: bool, clock: object, origin_s: float, settings: CameraSettings = AUTOMATIC
+    ) -> None:
+        asked[device] = settings
+
+    monkeypatch.setattr("armsight.drivers.opening.load", lambda *_: make)
+    left, right = CameraSettings(zoom=100.0, gain=2.0), CameraSettings(zoom=300.0, gain=2.0)
+    open_pairs("camera:mine:1", "camera:mine:2", settings=(left, right))
+    assert asked == {"1": left, "2": right}
+    open_pairs("camera:mine:1", "camera:mine:2", settings=left)
+    assert asked == {"1": left, "2": left}
+
+
 def test_what_is_not_live_and_what_sets_no_zoom_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(UsageError, match="no live camera"):
-        open_source("folder", zoom=100.0)
+    zoomed = CameraSettings(zoom=100.0)
+    for refused in (
+        lambda: open_source("folder", settings=zoomed),
+        lambda: open_pairs("a", "b", settings=(AUTOMATIC, zoomed)),
+    ):
+        with pytest.raises(UsageError, match="--set-zoom is for live cameras"):
+            refused()
     monkeypatch.setattr("armsight.drivers.opening.load", lambda *_: lambda device, *, colour, clock, origin_s: None)
-    with pytest.raises(UsageError, match="sets no zoom"):
-        open_source("camera:mine:1", zoom=100.0)
+    with pytest.raises(UsageError, match="camera:mine:1 cannot be given --set-zoom"):
+        open_source("camera:mine:1", settings=zoomed)
+    with pytest.raises(UsageError, match="camera:aravis:x cannot be given --set-zoom"):
+        AravisCamera("x", settings=zoomed)
 
 
 def scenario(zoom: str) -> Scenario:

@@ -16,6 +16,7 @@ from armsight.app.accuracy import accuracy_plan
 from armsight.app.schemas.machine import DoctorOutput, KernelCache, Machine, ResolutionAt, RigResolution
 from armsight.app.simulate.scenarios import scenario_names
 from armsight.drivers import CAMERAS, CELLS, ROBOTS, cameras_there, cores, known
+from armsight.drivers.aravis import genicam_cameras
 from armsight.errors import UsageError
 from armsight.optics import Rig, resolution
 from armsight.optics.resolution import CENTROID_SIGMA_PX, Resolution
@@ -49,7 +50,7 @@ def doctor(
     return DoctorOutput(
         versions={"armsight": __version__, "python": platform.python_version(), **_versions()},
         machine=Machine(system=platform.platform(), cores=cores(), cores_there=os.cpu_count() or 1),
-        cameras=list(cameras_there()),
+        cameras=[*cameras_there(), *genicam_cameras()],
         drivers=drivers,
         kernels=kernels,
         problems=_problems(drivers, kernels),

@@ -20,6 +20,7 @@ from armsight.app.schemas.kinematics import (
     ShowOutput,
     UnsolvedPose,
 )
+from armsight.app.sources.bags import joint_states
 from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics import (
     PRESETS,
@@ -41,6 +42,7 @@ from armsight.records import Motion, PoseStatus, TargetPose
 from armsight.report.arm_view import arm_report
 from armsight.store import read_joints, read_poses, write_joints, write_poses, write_text
 from armsight.store.arm_file import read_arm, write_arm
+from armsight.store.bags import JointStates, is_bag
 from armsight.store.tables import cells, number
 from armsight.store.urdf import read_urdf, write_urdf
 
@@ -66,9 +68,22 @@ def load_arm(text: str, *, tip: str | None = None) -> Arm:
 
 
 def read_values(arm: Arm, path: Path) -> Motion:
-    """Return joints.csv, which holds a controller's readings, as the joints' own values."""
-    motion = read_joints(path)
+    """Return joints.csv or bag:FILE:/topic, which hold a controller's readings, as the joints' own values."""
+    motion = _of_arm(arm, joint_states(str(path))) if is_bag(str(path)) else read_joints(path)
     return Motion(t_s=motion.t_s, q=arm.values(motion.q))
+
+
+def _of_arm(arm: Arm, states: JointStates) -> Motion:
+    """Return joint states in the order of the arm's joints, by name; drivers publish them in any order."""
+    wanted = tuple(joint.name for joint in arm.joints)
+    if not set(wanted) <= set(states.names):
+        raise Inconsistent(
+            f"the arm's joints are called {', '.join(wanted)}, the bag's {', '.join(states.names)}",
+            consequence="Nobody can tell which value belongs to which joint",
+            cure="Give the joints in arm.yaml the names that the robot's driver publishes",
+        )
+    columns = [states.names.index(name) for name in wanted]
+    return Motion(t_s=states.motion.t_s, q=states.motion.q[:, columns])
 
 
 def write_poses_of_joints(arm: str, joints: Path, out: Path) -> FkOutput:

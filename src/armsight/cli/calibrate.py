@@ -8,6 +8,7 @@ from typing import Annotated, TypeAlias
 
 import typer
 
+from armsight.cli.camera_options import NONE_GIVEN, CameraOptions, takes_cameras
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.options import BOARD, SRC, AsJson, Board, Every, Limit, Workers
 from armsight.cli.tables import camera_tables, noise_tables, stereo_tables, zoom_rig_tables, zoom_tables
@@ -24,6 +25,7 @@ calibrate = typer.Typer(help="Calibrate a camera, or a pair of cameras.", no_arg
 
 
 @calibrate.command("camera")
+@takes_cameras
 def camera(
     out: Annotated[Path, typer.Option("-o", "--out", help="camera.yaml to write; with --noise alone, to add to.")],
     source: Annotated[str | None, typer.Argument(metavar="[SRC]", help=f"Images of the board: {SRC}.")] = None,
@@ -53,6 +55,7 @@ def camera(
     workers: Workers = None,
     detector: Detector = "auto",
     json: AsJson = False,
+    camera_options: CameraOptions = NONE_GIVEN,
 ) -> None:
     """Find one camera's focal lengths, centre and distortion from images of a printed board, and its noise.
 
@@ -65,8 +68,9 @@ def camera(
         from armsight.config import load_settings
 
         _require_zoom(zoom, pupil, pupil_std, set_zoom)
+        asked = camera_options.settings(zoom=zoom if set_zoom else None)
         if noise is not None and source is None and board is None and zoom is None:
-            alone = NoiseJob(frames=noise, out=out, side=side, every=every, limit=frames)
+            alone = NoiseJob(frames=noise, out=out, side=side, every=every, limit=frames, camera_settings=asked)
             found = run_noise(alone, face.progress("calibrating"))
             noise_tables(face, found.noise, out)
             face.result(found)
@@ -82,7 +86,7 @@ def camera(
             detector=detector,
             noise=noise,
             zoom=None if zoom is None else ZoomValue(zoom=zoom, pupil_m=pupil, pupil_std_m=pupil_std),
-            set_zoom=set_zoom,
+            camera_settings=asked,
         )
         done = calibrate_camera(job, face.progress("calibrating"))
         camera_tables(face, done, out)
@@ -120,6 +124,7 @@ def _require_board(source: str | None, board: str | None, side: str | None) -> N
 
 
 @calibrate.command("stereo")
+@takes_cameras
 def stereo(
     left: Annotated[str, typer.Option(metavar="SRC", help=f"Left images of the board: {SRC}.")],
     right: Annotated[str, typer.Option(metavar="SRC", help="Right images, taken at the same moments.")],
@@ -130,6 +135,7 @@ def stereo(
     workers: Workers = None,
     detector: Detector = "auto",
     json: AsJson = False,
+    camera_options: CameraOptions = NONE_GIVEN,
 ) -> None:
     """Find both cameras of a pair and where they stand to each other, from pairs of images of a printed board."""
     with CommandUI(as_json=json) as face:
@@ -145,6 +151,7 @@ def stereo(
             limit=frames,
             workers=workers if workers is not None else load_settings().workers,
             detector=detector,
+            camera_settings=camera_options.settings(),
         )
         done = calibrate_stereo(job, face.progress("calibrating"))
         stereo_tables(face, done, out)

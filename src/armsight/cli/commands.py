@@ -12,6 +12,7 @@ import typer
 
 from armsight.cli import arm, handeye, mirrors, target, timing
 from armsight.cli.calibrate import calibrate
+from armsight.cli.camera_options import NONE_GIVEN, CameraOptions, takes_cameras
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.convert import convert
 from armsight.cli.identify import identify
@@ -59,6 +60,7 @@ def root(
 
 
 @app.command()
+@takes_cameras
 def measure(
     rig: Annotated[Path, typer.Option(help="rig.yaml of the two cameras, from `armsight calibrate stereo`.")],
     target: Annotated[
@@ -103,7 +105,9 @@ def measure(
     rate: Annotated[
         float | None, typer.Option(min=1e-3, help="With free cameras: poses a second. [default: the left frames]")
     ] = None,
-    at: Annotated[Path | None, typer.Option(help="With free cameras: poses at the t_s of this joints.csv.")] = None,
+    at: Annotated[
+        Path | None, typer.Option(help="With free cameras: poses at the t_s of this joints.csv, or of bag:FILE:/topic.")
+    ] = None,
     left_spots: Annotated[
         Path | None, typer.Option(help="t_s,u_px,v_px[,su_px,sv_px][,spot]: spots of the left camera found elsewhere.")
     ] = None,
@@ -114,6 +118,7 @@ def measure(
     zoom_right: Annotated[float | None, typer.Option(help="Where the right zoom lens stands.")] = None,
     set_zoom: Annotated[bool, typer.Option("--set-zoom", help="Set live cameras to these first.")] = False,
     json: AsJson = False,
+    camera_options: CameraOptions = NONE_GIVEN,
 ) -> None:
     """Measure the target's pose in every pair of frames.
 
@@ -125,7 +130,7 @@ def measure(
         from armsight.config import load_settings
         from armsight.drivers.live import MAX_SKEW_S
 
-        settings = load_settings()
+        settings, zoom = load_settings(), (zoom_left, zoom_right)
         job = MeasureJob(
             rig=rig,
             target=target,
@@ -148,8 +153,8 @@ def measure(
             at=at,
             left_spots=left_spots,
             right_spots=right_spots,
-            zoom=(zoom_left, zoom_right),
-            set_zoom=set_zoom,
+            zoom=zoom,
+            camera_settings=camera_options.settings_by_side(zoom) if set_zoom else camera_options.settings(),
         )
         summary = run(job, face.progress("measuring"))
         measure_tables(face, summary, out)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from armsight.cli.camera_options import NONE_GIVEN, CameraOptions, takes_cameras
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.options import BOARD, SRC, AsJson, Workers
 from armsight.cli.tables import figure, pose_rows, tip_rows
@@ -84,6 +85,7 @@ def tooltip(
         face.result(done)
 
 
+@takes_cameras
 def pivot(
     rig: Annotated[Path, typer.Option(help="rig.yaml of the two cameras.")],
     target: Annotated[Path, typer.Option(help="target.yaml of the target on the tool.")],
@@ -98,6 +100,7 @@ def pivot(
         float, typer.Option(min=1e-9, help="Standard deviation in m of one coordinate of the measured point.")
     ] = POINT_SIGMA_MM * MM,
     json: AsJson = False,
+    camera_options: CameraOptions = NONE_GIVEN,
 ) -> None:
     """Find a tool's tip while you pivot it before the cameras; tells its standard deviation until it is small
     enough."""
@@ -113,6 +116,7 @@ def pivot(
             goal_m=goal,
             point=_point(point),
             sigma_m=point_sigma,
+            camera_settings=camera_options.settings(),
         )
         done = run_pivot(job, face.progress("pivoting"))
         face.table("Tip", ["", "mm", "+-"], tip_rows(done.tip_m, done.std))

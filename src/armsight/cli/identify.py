@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from armsight.cli.camera_options import NONE_GIVEN, CameraOptions, takes_cameras
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.options import SRC, AsJson
 from armsight.cli.tables import figure
@@ -21,6 +22,7 @@ UNITS = (MM, DEG, MM, DEG)
 """How people read a, alpha, d and theta: millimetres and degrees."""
 
 
+@takes_cameras
 def identify(
     out: Annotated[Path, typer.Option("-o", "--out", help="arm.yaml to write.")],
     sweep: Annotated[
@@ -65,6 +67,7 @@ def identify(
     ] = None,
     yes: Annotated[bool, typer.Option("--yes", help="With --live: move without asking.")] = False,
     json: AsJson = False,
+    camera_options: CameraOptions = NONE_GIVEN,
 ) -> None:
     """Find an unknown arm's joints, axes and table from a beacon's positions while one joint after the other moves."""
     with CommandUI(as_json=json) as face:
@@ -98,6 +101,7 @@ def identify(
                     method=method,
                     nominal=nominal,
                     propose=propose,
+                    camera_settings=camera_options.settings(),
                 ),
                 face,
                 yes,
@@ -111,6 +115,7 @@ def identify(
                 f"{', '.join(name for name, value in given.items() if value)} only means something with --live",
                 cure="Add --live ROBOT, or leave it out",
             )
+        camera_options.settings().require_none("a sweep without --live")
         job = IdentifyJob(
             out=out,
             sweep=sweep,

@@ -14,7 +14,7 @@ kinematics = typer.Typer(help="Joints to poses and back, for any serial arm.", n
 
 ARM = "arm.yaml, a .urdf, or a name: korayem6r, puma761, stanford-rrp, ur10, irb120"
 ArmFile: TypeAlias = Annotated[str, typer.Option("--arm", metavar="FILE", help=f"{ARM}.")]
-Joints: TypeAlias = Annotated[Path, typer.Option(help="joints.csv: t_s, q1 .. qn in rad and m.")]
+Joints: TypeAlias = Annotated[Path, typer.Option(help="joints.csv: t_s, q1 .. qn in rad and m; or bag:FILE:/topic.")]
 Poses: TypeAlias = Annotated[Path, typer.Option(help="poses.csv of the tool in world.")]
 Out: TypeAlias = Annotated[Path, typer.Option("-o", "--out", help="File to write.")]
 TaskName: TypeAlias = Annotated[

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from armsight.cli.camera_options import NONE_GIVEN, CameraOptions, takes_cameras
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.options import BOARD, SRC, AsJson, Every, Limit, Workers
 from armsight.cli.tables import figure, stereo_tables
@@ -18,6 +19,7 @@ MM, MRAD = 1e3, 1e3
 REASONS_SHOWN = 8
 
 
+@takes_cameras
 def mirrors(
     image: Annotated[str | None, typer.Option(metavar="SRC", help=f"Complex images, both views in one: {SRC}.")] = None,
     left_only: Annotated[
@@ -47,6 +49,7 @@ def mirrors(
     frames: Limit = None,
     workers: Workers = None,
     json: AsJson = False,
+    camera_options: CameraOptions = NONE_GIVEN,
 ) -> None:
     """Calibrate a rig of one camera and four mirrors, or check that its mirrors still stand as they did."""
     with CommandUI(as_json=json) as face:
@@ -71,6 +74,7 @@ def mirrors(
             every=every,
             limit=frames,
             workers=workers if workers is not None else load_settings().workers,
+            camera_settings=camera_options.settings(),
         )
         if check:
             found = run_check(job, face.progress("checking"))

@@ -10,7 +10,10 @@ import typer
 
 from armsight.errors import UsageError
 
-SRC = "a folder of images, a quoted 'pattern*.png', a video, a recording.mcap, or camera:0"
+SRC = (
+    "a folder of images, a quoted 'pattern*.png', a video, a recording.mcap, bag:FILE:/topic, or camera:0, "
+    "camera:aravis:NAME"
+)
 BOARD = "checkerboard:9x6:0.025 (inner corners, square in m), circles:, acircles: or charuco:8x5:0.04:0.03:DICT_4X4_50"
 
 AsJson: TypeAlias = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout, nothing else.")]

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from armsight.cli.camera_options import NONE_GIVEN, CameraOptions, takes_cameras
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.options import SRC, AsJson, Fps, Limit, Seed
 
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from armsight.store.recording import ImageFormat
 
 
+@takes_cameras
 def record(
     out: Annotated[Path | None, typer.Option("-o", "--out", metavar="FILE.mcap", help="The recording.")] = None,
     left: Annotated[str | None, typer.Option(metavar="SRC", help=f"Left frames: {SRC}.")] = None,
@@ -37,6 +39,7 @@ def record(
         Path | None, typer.Option(metavar="FILE.mcap", help="Mend this broken recording and record nothing.")
     ] = None,
     json: AsJson = False,
+    camera_options: CameraOptions = NONE_GIVEN,
 ) -> None:
     """Record both cameras into an MCAP file, or mend one that was cut off.
 
@@ -68,6 +71,7 @@ def record(
             seconds_s=seconds,
             max_skew_s=MAX_SKEW_S if max_skew is None else max_skew,
             overwrite=overwrite,
+            camera_settings=camera_options.settings(),
         )
         done = run(job, face.progress("recording"))
         lost = f", {done.n_dropped} dropped because the disk or the processor is too slow" if done.n_dropped else ""

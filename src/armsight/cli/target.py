@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from armsight.cli.camera_options import NONE_GIVEN, CameraOptions, takes_cameras
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.options import SRC, AsJson, Inverted, Limit, Threshold
 from armsight.cli.tables import figure
@@ -20,6 +21,7 @@ SHOWN = 8
 """Frames left out that are listed; the rest is in --json."""
 
 
+@takes_cameras
 def target(
     rig: Annotated[Path, typer.Option(help="rig.yaml of the two cameras, from `armsight calibrate stereo`.")],
     out: Annotated[Path, typer.Option("-o", "--out", help="target.yaml to write.")],
@@ -31,6 +33,7 @@ def target(
     threshold: Threshold = None,
     inverted: Inverted = False,
     json: AsJson = False,
+    camera_options: CameraOptions = NONE_GIVEN,
 ) -> None:
     """Find where the lights of a target are, from frames of it turned to several sides before a calibrated rig."""
     with CommandUI(as_json=json) as face:
@@ -46,6 +49,7 @@ def target(
             limit=frames,
             threshold=threshold,
             inverted=inverted,
+            camera_settings=camera_options.settings(),
         )
         done = calibrate_lit_target(job, face.progress("calibrating"))
         target_tables(face, done, out)

@@ -1,5 +1,6 @@
 """The only place that touches hardware: cameras, robots, files as cameras."""
 
+from armsight.drivers.camera_settings import AUTOMATIC, CameraSettings, PairSettings, by_side
 from armsight.drivers.images import list_images, read_image
 from armsight.drivers.live import LivePairs, OpenCvCamera, cameras_there
 from armsight.drivers.lock import DeviceLock
@@ -11,14 +12,15 @@ from armsight.drivers.registry import CAMERAS, CELLS, ROBOTS, SCENARIOS, known, 
 from armsight.drivers.replay import Replay, ReplayRobot, check_forward
 from armsight.drivers.robot import Robot, RobotState, Sent
 from armsight.drivers.sources import FPS, Capture, ImageFolder, VideoFile
-from armsight.drivers.zoom import require_live
 
 __all__ = [
+    "AUTOMATIC",
     "CAMERAS",
     "CELLS",
     "FPS",
     "ROBOTS",
     "SCENARIOS",
+    "CameraSettings",
     "Capture",
     "DeviceLock",
     "FilePairs",
@@ -27,6 +29,7 @@ __all__ = [
     "LivePairs",
     "OpenCvCamera",
     "Overlaid",
+    "PairSettings",
     "PairSource",
     "Replay",
     "ReplayRobot",
@@ -36,6 +39,7 @@ __all__ = [
     "Skew",
     "SplitImages",
     "VideoFile",
+    "by_side",
     "cameras_there",
     "check_forward",
     "cores",
@@ -48,5 +52,4 @@ __all__ = [
     "open_split",
     "ordered_map",
     "read_image",
-    "require_live",
 ]

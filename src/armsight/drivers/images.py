@@ -43,7 +43,7 @@ def list_images(text: str) -> tuple[Path, ...]:
         raise BadFile(
             f"{text} is neither a folder, nor a pattern, nor a file that can be read",
             consequence="There are no frames",
-            cure="Give a folder of images, a quoted pattern ('left*.png'), a video file or camera:0",
+            cure="Give a folder of images, a quoted pattern ('left*.png'), a video file, bag:FILE:/topic or camera:0",
         )
     if not files:
         raise NotEnoughData(
@@ -66,7 +66,12 @@ def read_image(path: Path, *, colour: bool = False) -> NDArray[np.uint8]:
         raise BadFile(
             f"{path} cannot be read ({error.strerror or error})", consequence="The frame is missing", cure="Check it"
         ) from error
-    why = "the file is empty" if not data else _broken_off(data)
+    return decode_image(data, str(path), colour=colour)
+
+
+def decode_image(data: bytes, where: str, *, colour: bool = False) -> NDArray[np.uint8]:
+    """Return the image in the bytes of an image file, as read_image does. Raises BadImage that begins with where."""
+    why = "it is empty" if not data else _broken_off(data)
     image = None
     if not why:
         flags = cv2.IMREAD_COLOR if colour else cv2.IMREAD_GRAYSCALE
@@ -78,13 +83,13 @@ def read_image(path: Path, *, colour: bool = False) -> NDArray[np.uint8]:
             why = f"OpenCV cannot decode it ({_one_line(error)})"
     if image is None:
         raise BadImage(
-            f"{path} is not a whole image: {why or 'its content is damaged, or of no known kind'}",
+            f"{where} is not a whole image: {why or 'its content is damaged, or of no known kind'}",
             consequence="The frame cannot be used",
             cure="Copy it again from where it was recorded, or take it and its partner away",
         )
     if image.dtype != np.uint8:
         raise BadImage(
-            f"{path} has {image.dtype.itemsize * 8} bits per pixel, and nothing says which of them carry the light",
+            f"{where} has {image.dtype.itemsize * 8} bits per pixel, and nothing says which of them carry the light",
             consequence="The frame cannot be used",
             cure="Convert the images to 8 bits, all with the same factor",
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import queue
 import threading
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -14,10 +15,10 @@ import cv2
 import numpy as np
 
 from armsight.clock import Clock, SystemClock
+from armsight.drivers.camera_settings import AUTOMATIC, CameraSettings
 from armsight.drivers.lock import DeviceLock
+from armsight.drivers.opencv_controls import SETTINGS, CameraCapture, check_settings, lock_settings
 from armsight.drivers.protocols import FrameSource, Skew
-from armsight.drivers.sources import Capture
-from armsight.drivers.zoom import set_zoom
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound
 from armsight.records import Frame
 
@@ -37,9 +38,13 @@ UNPAIRED_LIMIT = 60
 """Frames dropped one after the other for want of a partner before pairing is given up."""
 
 
-def open_camera(device: str) -> Capture:
+SETTLED = 30
+"""Frames after which locked settings are looked at again: some cameras take to their automatics once frames flow."""
+
+
+def open_camera(device: str) -> CameraCapture:
     """Open a camera by number or device file with OpenCV."""
-    capture: Capture = cv2.VideoCapture(int(device) if device.isdecimal() else device)
+    capture: CameraCapture = cv2.VideoCapture(int(device) if device.isdecimal() else device)
     return capture
 
 
@@ -49,73 +54,55 @@ def cameras_there() -> tuple[str, ...]:
     return tuple(f"camera:{path.name.removeprefix('video')}" for path in devices)
 
 
-class OpenCvCamera:
-    """A camera that OpenCV can open, by number (0, 1 ...) or device file; read in its own thread from opening on.
+class LiveCamera(ABC):
+    """What every live camera shares: a lock, a thread of its own from opening on, the newest DEPTH frames kept.
 
-    t_s is the moment of arrival on the clock minus origin_s (default: the moment of opening); what the driver
-    holds back before that is not known. One process at a time may read it (DeviceFailed for a second one). zoom: set
-    before the first frame. clock, and open_capture with the lock, can be replaced for tests.
+    A driver opens its device in _open_device, reads it in _read_frames until _stop is set, handing out what comes with
+    _put, and closes it in _close_device. One process at a time may read it (DeviceFailed for a second one).
+    waits: silence is no failure, because a trigger decides when frames come. cure: what to do where it is lost.
     """
 
-    def __init__(
-        self,
-        device: str,
-        *,
-        colour: bool = False,
-        clock: Clock | None = None,
-        origin_s: float | None = None,
-        open_capture: Callable[[str], Capture] = open_camera,
-        lock: DeviceLock | None = None,
-        zoom: float | None = None,
-    ) -> None:
-        self.name = f"camera:{device}"
-        self._zoom = zoom
-        self._lock = DeviceLock(self.name) if lock is None and open_capture is open_camera else lock
-        self._device = device
-        self._colour = colour
+    waits = False
+    cure = "Check the plug and the cable, and start again"
+
+    def __init__(self, name: str, *, clock: Clock | None, origin_s: float | None, lock: DeviceLock | None) -> None:
+        self.name = name
+        self._lock = lock
         self._clock = clock or SystemClock()
         self._origin_s = origin_s
-        self._open_capture = open_capture
-        self._capture: Capture | None = None
         self._thread: threading.Thread | None = None
         self._stop = threading.Event()
-        self._frames: queue.Queue[Frame | DeviceLost] = queue.Queue(maxsize=DEPTH)
+        self._frames: queue.Queue[Frame | DeviceFailed] = queue.Queue(maxsize=DEPTH)
 
     @property
     def total(self) -> int | None:
         """None: it goes on until stopped."""
         return None
 
+    @abstractmethod
+    def _open_device(self) -> None:
+        """Open it, or leave nothing open and raise DeviceFailed."""
+
+    @abstractmethod
+    def _read_frames(self) -> None:
+        """Put frames until _stop is set; in a thread. A DeviceFailed it raises reaches the reader in its turn."""
+
+    @abstractmethod
+    def _close_device(self) -> None:
+        """Close it; called only once its thread has ended."""
+
     def __enter__(self) -> Self:
         if self._lock is not None:
             self._lock.__enter__()
         try:
-            return self._open()
+            self._open_device()
         except BaseException:
             self._unlock()
             raise
-
-    def _open(self) -> Self:
-        capture = self._open_capture(self._device)
-        if not capture.isOpened():
-            capture.release()
-            there = ", ".join(cameras_there())
-            raise DeviceNotFound(
-                f"{self.name} cannot be opened",
-                consequence="There are no frames",
-                cure=f"Cameras there: {there}. Another program may hold it" if there else "No camera is connected",
-            )
-        if self._zoom is not None:
-            try:
-                set_zoom(capture, self.name, self._zoom, self._clock)
-            except BaseException:
-                capture.release()
-                raise
-        self._capture = capture
         self._origin_s = self._clock.now_s() if self._origin_s is None else self._origin_s
         self._stop.clear()
         self._frames = queue.Queue(maxsize=DEPTH)
-        self._thread = threading.Thread(target=self._run, args=(capture,), name=self.name, daemon=True)
+        self._thread = threading.Thread(target=self._run, name=self.name, daemon=True)
         self._thread.start()
         return self
 
@@ -125,9 +112,9 @@ class OpenCvCamera:
         self._stop.set()
         if self._thread is not None:
             self._thread.join(timeout=SILENCE_S)
-            if not self._thread.is_alive() and self._capture is not None:
-                self._capture.release()  # releasing under a thread that hangs in the driver would crash
-        self._thread = self._capture = None
+            if not self._thread.is_alive():
+                self._close_device()  # closing under a thread that hangs in the driver would crash
+        self._thread = None
         self._unlock()
 
     def _unlock(self) -> None:
@@ -139,29 +126,24 @@ class OpenCvCamera:
             try:
                 frame = self._frames.get(timeout=SILENCE_S)
             except queue.Empty:
+                if self.waits:
+                    continue
                 raise self._lost(f"sent no frame for {SILENCE_S:g} s") from None
-            if isinstance(frame, DeviceLost):
+            if isinstance(frame, DeviceFailed):
                 raise frame
             yield frame
 
-    def _run(self, capture: Capture) -> None:
-        sequence, failed = 0, 0
-        while not self._stop.is_set():
-            try:
-                good, image = capture.read()
-            except cv2.error:
-                good, image = False, None
-            t_s = self._clock.now_s() - (self._origin_s or 0.0)
-            if good and image is not None:
-                self._put(Frame(image=self._convert(image), t_s=t_s, sequence=sequence, source=self.name))
-                sequence, failed = sequence + 1, 0
-                continue
-            failed += 1
-            if failed >= FAILED_READS:
-                self._put(self._lost(f"stopped sending after {sequence} frames"))
-                return
+    def _run(self) -> None:
+        try:
+            self._read_frames()
+        except DeviceFailed as error:
+            self._put(error)
 
-    def _put(self, item: Frame | DeviceLost) -> None:
+    def _now_s(self) -> float:
+        """Return the time since the origin."""
+        return self._clock.now_s() - (self._origin_s or 0.0)
+
+    def _put(self, item: Frame | DeviceFailed) -> None:
         while True:
             try:
                 self._frames.put_nowait(item)
@@ -172,17 +154,88 @@ class OpenCvCamera:
                 except queue.Empty:
                     continue
 
-    def _convert(self, image: np.ndarray) -> np.ndarray:
-        if image.ndim == 3 and not self._colour:
-            return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
-        return image
-
     def _lost(self, what: str) -> DeviceLost:
         return DeviceLost(
             f"{self.name} {what}",
             consequence="No frame can be measured from here on; what was measured until then is kept",
-            cure="Check the plug and the cable, and start again",
+            cure=self.cure,
         )
+
+
+class OpenCvCamera(LiveCamera):
+    """A camera that OpenCV can open, by number (0, 1 ...) or device file.
+
+    t_s is the moment of arrival on the clock minus origin_s (default: the moment of opening); what the driver
+    holds back before that is not known. settings are locked on opening and looked at again after SETTLED frames:
+    DeviceFailed where the camera does otherwise. clock, and open_capture with the lock, can be replaced for tests.
+    """
+
+    def __init__(
+        self,
+        device: str,
+        *,
+        colour: bool = False,
+        clock: Clock | None = None,
+        origin_s: float | None = None,
+        settings: CameraSettings = AUTOMATIC,
+        open_capture: Callable[[str], CameraCapture] = open_camera,
+        lock: DeviceLock | None = None,
+    ) -> None:
+        name = f"camera:{device}"
+        settings.require_only(SETTINGS, name)
+        own = DeviceLock(name) if lock is None and open_capture is open_camera else lock
+        super().__init__(name, clock=clock, origin_s=origin_s, lock=own)
+        self._device = device
+        self._colour = colour
+        self._settings = settings
+        self._open_capture = open_capture
+        self._capture: CameraCapture | None = None
+
+    def _open_device(self) -> None:
+        capture = self._open_capture(self._device)
+        if not capture.isOpened():
+            capture.release()
+            there = ", ".join(cameras_there())
+            raise DeviceNotFound(
+                f"{self.name} cannot be opened",
+                consequence="There are no frames",
+                cure=f"Cameras there: {there}. Another program may hold it" if there else "No camera is connected",
+            )
+        try:
+            lock_settings(capture, self._settings, self.name, self._clock)
+        except BaseException:
+            capture.release()
+            raise
+        self._capture = capture
+
+    def _close_device(self) -> None:
+        if self._capture is not None:
+            self._capture.release()
+            self._capture = None
+
+    def _read_frames(self) -> None:
+        capture = self._capture
+        sequence, failed = 0, 0
+        while capture is not None and not self._stop.is_set():
+            try:
+                good, image = capture.read()
+            except cv2.error:
+                good, image = False, None
+            t_s = self._now_s()
+            if good and image is not None:
+                self._put(Frame(image=self._convert(image), t_s=t_s, sequence=sequence, source=self.name))
+                sequence, failed = sequence + 1, 0
+                if sequence == SETTLED:
+                    check_settings(capture, self._settings, self.name)
+                continue
+            failed += 1
+            if failed >= FAILED_READS:
+                raise self._lost(f"stopped sending after {sequence} frames")
+
+    def _convert(self, image: np.ndarray) -> np.ndarray:
+        if image.ndim == 3 and not self._colour:
+            return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
+        return image
 
 
 class LivePairs:

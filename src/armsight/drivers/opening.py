@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from inspect import Parameter, signature
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 from armsight.clock import Clock, SystemClock
+from armsight.drivers.camera_settings import AUTOMATIC, CameraSettings, PairSettings, by_side
 from armsight.drivers.live import MAX_SKEW_S, LivePairs
 from armsight.drivers.pairs import FilePairs, SplitImages
 from armsight.drivers.protocols import FrameSource, PairSource
 from armsight.drivers.registry import CAMERAS, load
 from armsight.drivers.sources import FPS, VIDEO_SUFFIXES, ImageFolder, VideoFile
-from armsight.drivers.zoom import require_live, zoom_option
 from armsight.errors import UsageError
 
 CAMERA = "camera:"
@@ -32,21 +33,21 @@ def open_source(
     times_s: Sequence[float] | None = None,
     clock: Clock | None = None,
     origin_s: float | None = None,
-    zoom: float | None = None,
+    settings: CameraSettings = AUTOMATIC,
 ) -> FrameSource:
     """Return the source that a person's text names; nothing is opened yet.
 
     camera:0 or camera:/dev/video0 is a camera of OpenCV's, camera:DRIVER or camera:DRIVER:DEVICE one of a registered
-    driver. zoom: a live camera is set to it. Raises UsageError, or DeviceNotFound for an unknown driver.
+    driver; settings: what is asked of it. Raises UsageError, or DeviceNotFound for an unknown driver.
     """
     if is_live(text):
         if times_s is not None:
             raise UsageError("a live camera brings its own time stamps", cure="Leave --times away")
         driver, device = _driver(text.removeprefix(CAMERA))
         make = load(CAMERAS, driver)
-        options = zoom_option(driver, make, zoom)
-        return cast(FrameSource, make(device, colour=colour, clock=clock, origin_s=origin_s, **options))
-    require_live(text, zoom)
+        asked = _asked(make, settings, text)
+        return cast(FrameSource, make(device, colour=colour, clock=clock, origin_s=origin_s, **asked))
+    settings.require_none(text)
     suffix = Path(text).suffix.lower()
     if suffix == ".mcap":
         raise UsageError(
@@ -66,11 +67,11 @@ def open_pairs(
     fps: float | None = None,
     times_s: Sequence[float] | None = None,
     max_skew_s: float = MAX_SKEW_S,
-    zoom: tuple[float | None, float | None] = (None, None),
+    settings: PairSettings = AUTOMATIC,
 ) -> PairSource:
     """Return the pairs of two sources; nothing is opened yet. Raises UsageError for one live and one not.
 
-    zoom: live cameras, left and right, are set to it.
+    settings: what is asked of live cameras, of both or of each.
     """
     if is_live(left) != is_live(right):
         raise UsageError(f"{left} and {right} cannot be paired: one is live, the other is not")
@@ -80,17 +81,18 @@ def open_pairs(
             consequence="The same image twice has no depth",
             cure="Give each camera's own source, or --image where one image holds both views",
         )
+    left_settings, right_settings = by_side(settings)
     if is_live(left):
         clock = SystemClock()
         origin_s = clock.now_s()
         return LivePairs(
-            open_source(left, colour=colour, clock=clock, origin_s=origin_s, zoom=zoom[0]),
-            open_source(right, colour=colour, clock=clock, origin_s=origin_s, zoom=zoom[1]),
+            open_source(left, colour=colour, clock=clock, origin_s=origin_s, settings=left_settings),
+            open_source(right, colour=colour, clock=clock, origin_s=origin_s, settings=right_settings),
             max_skew_s=max_skew_s,
         )
     return FilePairs(
-        open_source(left, colour=colour, fps=fps, times_s=times_s, zoom=zoom[0]),
-        open_source(right, colour=colour, fps=fps, times_s=times_s, zoom=zoom[1]),
+        open_source(left, colour=colour, fps=fps, times_s=times_s, settings=left_settings),
+        open_source(right, colour=colour, fps=fps, times_s=times_s, settings=right_settings),
     )
 
 
@@ -112,3 +114,13 @@ def _driver(text: str) -> tuple[str, str]:
         return DEFAULT_CAMERA, text
     driver, _, device = text.partition(":")
     return driver, device
+
+
+def _asked(make: Any, settings: CameraSettings, text: str) -> dict[str, CameraSettings]:
+    """Return the driver's argument for the settings; none where nothing is asked, so that simple drivers need none."""
+    if settings == AUTOMATIC:
+        return {}
+    parameters = signature(make).parameters
+    if "settings" not in parameters and all(one.kind is not Parameter.VAR_KEYWORD for one in parameters.values()):
+        settings.require_only((), text)
+    return {"settings": settings}

@@ -8,7 +8,8 @@ from typing import Any
 from armsight.errors import DeviceNotFound
 
 CAMERAS = "armsight.cameras"
-"""Group of callables (device: str, *, colour: bool, clock: Clock, origin_s: float) -> FrameSource."""
+"""Group of callables (device: str, *, colour: bool, clock: Clock, origin_s: float[, settings: CameraSettings]) ->
+FrameSource; settings is given only where a person asks for one."""
 
 ROBOTS = "armsight.robots"
 """Group of callables (device: str, *, settings: Mapping[str, Any], clock: Clock) -> Robot."""

@@ -83,7 +83,9 @@ def test_measure_takes_a_setting(armsight: Any, scene: Any, rig: Path, tmp_path:
     done = armsight(*words, "--zoom-left", 301, "--zoom-right", 100)
     assert done.code == 3 and "outside the calibrated range, 100 to 300" in done.json["error"]["cause"]
     done = armsight(*words, "--zoom-left", 100, "--zoom-right", 100, "--set-zoom")
-    assert done.code == 2 and "no live camera" in done.text
+    assert done.code == 2 and "--set-zoom is for live cameras" in done.text
+    done = armsight(*words, "--set-zoom")
+    assert done.code == 2 and "no zoom to set" in done.text
 
 
 def test_a_setting_taken_out_of_a_rig_is_a_plain_rig(armsight: Any, rig: Path, tmp_path: Path) -> None:

@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from armsight.app.schemas.cameras import CameraNoise, MeasuredNoise, NoiseOutput
 from armsight.app.sources.frames import is_recording, open_source, recording_path
 from armsight.calibrate.camera_noise.photon_transfer import NoiseCalibration, calibrate_noise
-from armsight.drivers import is_live, list_images
+from armsight.drivers import AUTOMATIC, CameraSettings, is_live, list_images
 from armsight.drivers.sources import VIDEO_SUFFIXES
 from armsight.errors import BadFile, Cancelled, Inconsistent, UsageError
 from armsight.optics import SIDES, Camera, RigKind
 from armsight.records import NoiseModel, Progress, Silent
 from armsight.store import add_noise, is_zoom_camera, noise_mapping, read_camera_file, read_zoom_camera, read_zoom_rig
+from armsight.store.bags import bag_topic, is_bag
 from armsight.store.rigs import RIG_FORMAT
 from armsight.store.yamls import read_yaml
 from armsight.store.zoom import CAMERA_FORMAT
@@ -44,6 +45,7 @@ class NoiseJob:
     side: str | None = None
     every: int = 1
     limit: int | None = None
+    camera_settings: CameraSettings = AUTOMATIC
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -81,7 +83,7 @@ def find_noise(job: NoiseJob, progress: Progress | None = None) -> FoundNoise:
     def images() -> Iterator[NDArray[np.uint8]]:
         limit = job.limit or FRAMES
         first = SETTLING_FRAMES if is_live(job.frames) else 0
-        with open_source(job.frames) as source:
+        with open_source(job.frames, settings=job.camera_settings) as source:
             for i, frame in enumerate(islice(source, first, first + limit * job.every, job.every)):
                 progress.update(i + 1, 0, "reading still frames")
                 if progress.cancelled():
@@ -127,6 +129,9 @@ def input_files(text: str) -> Sequence[Path]:
     """Return the files behind a source, whose hashes go into the result."""
     if is_live(text):
         return ()
+    if is_bag(text):
+        path = bag_topic(text)[0]
+        return sorted(one for one in path.iterdir() if one.is_file()) if path.is_dir() else [path]
     if is_recording(text):
         return [recording_path(text)]
     return [Path(text)] if Path(text).suffix.lower() in VIDEO_SUFFIXES else list_images(text)

@@ -17,6 +17,7 @@ from armsight.app.sources.frames import open_pairs, open_source
 from armsight.calibrate.cameras import BoardOptions, CameraCalibration, StereoCalibration
 from armsight.calibrate.cameras import calibrate_camera as solve_camera
 from armsight.calibrate.cameras import calibrate_stereo as solve_stereo
+from armsight.drivers import AUTOMATIC, CameraSettings, is_live
 from armsight.errors import Cancelled, NotEnoughData
 from armsight.records import BoardView, Frame, NamedCovariance, NotSeen, Progress, Silent
 from armsight.store import parse_board, write_camera, write_rig
@@ -41,7 +42,7 @@ class CalibrateJob:
 
     detector: one of armsight.measure.boards.DETECTORS, for checkerboards. noise: still frames of the camera, or a file
     that holds its noise. zoom: of a zoom lens, the setting at which the images were taken; out then keeps its other
-    settings. set_zoom: a live camera is set to it.
+    settings. camera_settings: what is asked of live cameras.
     """
 
     board: str
@@ -56,7 +57,7 @@ class CalibrateJob:
     detector: str = "auto"
     noise: str | None = None
     zoom: ZoomValue | None = None
-    set_zoom: bool = False
+    camera_settings: CameraSettings = AUTOMATIC
 
 
 def calibrate_camera(job: CalibrateJob, progress: Progress | None = None) -> CameraOutput:
@@ -70,8 +71,8 @@ def calibrate_camera(job: CalibrateJob, progress: Progress | None = None) -> Cam
     rejected: list[Rejected] = []
     if job.zoom is not None:
         zoom_file(job.out)
-    found = None if job.noise is None else find_noise(NoiseJob(frames=job.noise, out=job.out), progress)
-    with open_source(job.source, zoom=job.zoom.zoom if job.zoom and job.set_zoom else None) as source:
+    found = None if job.noise is None else _noise(job, job.noise, progress)
+    with open_source(job.source, settings=job.camera_settings) as source:
         frames = islice(source, 0, _stop(job), job.every)
         total = _total(source.total, job)
         for frame, seen in in_parallel(
@@ -107,6 +108,11 @@ def _report_of(job: CalibrateJob) -> Path:
     return job.out.with_name(f"{job.out.stem}.zoom-{job.zoom.zoom:g}.report.html")
 
 
+def _noise(job: CalibrateJob, frames: str, progress: Progress) -> FoundNoise:
+    asked = job.camera_settings if is_live(frames) else AUTOMATIC  # still frames may be files beside a live camera
+    return find_noise(NoiseJob(frames=frames, out=job.out, camera_settings=asked), progress)
+
+
 def calibrate_stereo(job: CalibrateJob, progress: Progress | None = None) -> StereoOutput:
     """Calibrate a pair of cameras and write its rig.yaml; return the figures as --json gives them.
 
@@ -121,7 +127,7 @@ def calibrate_stereo(job: CalibrateJob, progress: Progress | None = None) -> Ste
     def see(pair: tuple[Frame, Frame]) -> tuple[tuple[Frame, Seen], ...]:
         return tuple((frame, see_board(frame, board, job.detector)) for frame in pair)
 
-    with open_pairs(job.left, job.right) as pairs:
+    with open_pairs(job.left, job.right, settings=job.camera_settings) as pairs:
         chosen = islice(pairs, 0, _stop(job), job.every)
         total = _total(pairs.total, job)
         for both in in_parallel(see, chosen, workers=job.workers):

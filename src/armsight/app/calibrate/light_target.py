@@ -12,7 +12,7 @@ from armsight.app.schemas.handeye import LightDistance, LightTargetOutput, Rejec
 from armsight.app.sources.complex_images import complex_pairs
 from armsight.app.sources.frames import open_pairs, open_source
 from armsight.calibrate.light_target import LitFrame, TargetCalibration, calibrate_target
-from armsight.drivers import PairSource
+from armsight.drivers import AUTOMATIC, CameraSettings, PairSource
 from armsight.errors import Cancelled, Inconsistent, UsageError
 from armsight.measure.poses.pairs import pair_spots
 from armsight.measure.poses.stationary_lights import without_standing
@@ -38,6 +38,7 @@ class TargetJob:
     limit: int | None = None
     threshold: float | None = None
     inverted: bool = False
+    camera_settings: CameraSettings = AUTOMATIC
 
 
 def calibrate_lit_target(job: TargetJob, progress: Progress | None = None) -> LightTargetOutput:
@@ -50,9 +51,9 @@ def calibrate_lit_target(job: TargetJob, progress: Progress | None = None) -> Li
     if (job.image is None) == (job.left is None):
         raise UsageError("which frames?", cure="Give --left and --right, or --image with both views in one image")
     if job.image is None:
-        source, overlaid = open_pairs(job.left, job.right), False
+        source, overlaid = open_pairs(job.left, job.right, settings=job.camera_settings), False
     else:
-        source, overlaid = complex_pairs(partial(open_source, job.image), rig)
+        source, overlaid = complex_pairs(partial(open_source, job.image, settings=job.camera_settings), rig)
     with source as pairs:
         frames = _lit_frames(rig, pairs, settings, job.limit, progress or Silent())
     done = calibrate_target(rig, frames, job.lights, overlaid=overlaid)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 from armsight.app.calibrate.board_images import in_parallel, see_board
+from armsight.app.calibrate.camera_noise import input_files
 from armsight.app.calibrate.cameras import report_path, stereo_output
 from armsight.app.calibrate.mirrors_lit_target import calibrate_lit, reasons
 from armsight.app.calibrate.reports import RigData, write_stereo_report
@@ -27,7 +29,7 @@ from armsight.app.sources.frames import open_source
 from armsight.calibrate.cameras import BoardOptions
 from armsight.calibrate.mirrors.calibration import GLASS, MirrorCalibration, calibrate_mirrors
 from armsight.calibrate.mirrors.diagnosis import Alignment, check_alignment
-from armsight.drivers import is_live, list_images
+from armsight.drivers import AUTOMATIC, CameraSettings, is_live
 from armsight.errors import BadImage, Cancelled, Inconsistent, NotEnoughData, Unseen, UsageError
 from armsight.measure.boards import find_two_boards
 from armsight.optics import Plate
@@ -84,6 +86,7 @@ class MirrorsJob:
     limit: int | None = None
     workers: int | None = None
     folds: int = BoardOptions().folds
+    camera_settings: CameraSettings = AUTOMATIC
 
 
 def run_mirrors(job: MirrorsJob, progress: Progress | None = None) -> MirrorsOutput:
@@ -283,7 +286,7 @@ def _complex(job: MirrorsJob, board: Target) -> Iterator[tuple[str, Pair | NotSe
             return frame.source, NotSeen(error.cause.removeprefix(f"{frame.source}: "), error.unseen)
 
     stop = None if job.limit is None else job.limit * job.every
-    with open_source(job.image or "") as frames:
+    with open_source(job.image or "", settings=job.camera_settings) as frames:
         yield from in_parallel(see, islice(frames, 0, stop, job.every), workers=job.workers)
 
 
@@ -291,7 +294,8 @@ def _covered(job: MirrorsJob, board: Target) -> Iterator[tuple[str, Pair | NotSe
     """Yield the pairs of images taken with one path covered after the other."""
     if job.left_only is None or job.right_only is None:
         raise _no_images(job)
-    with open_source(job.left_only) as lefts, open_source(job.right_only) as rights:
+    opened = partial(open_source, settings=job.camera_settings)
+    with opened(job.left_only) as lefts, opened(job.right_only) as rights:
         if lefts.total != rights.total:
             raise Inconsistent(
                 f"{lefts.total} images of the left view and {rights.total} of the right one do not pair up",
@@ -326,7 +330,8 @@ def _from_target(job: MirrorsJob, out: Path, progress: Progress) -> MirrorsOutpu
     design = Mirrors(baseline_m=job.baseline_m, near_m=job.near_m, gap_m=job.gap_m, plate=plate).rig(camera)
     if job.thickness_m == 0.0:
         design = replace(design, left=replace(design.left, plate=None))
-    done, rejected = calibrate_lit(design, target, job.image, every=job.every, limit=job.limit, progress=progress)
+    images = partial(open_source, job.image, settings=job.camera_settings)
+    done, rejected = calibrate_lit(design, target, images, every=job.every, limit=job.limit, progress=progress)
     write_rig(out, done.rig, inputs=[job.camera, job.target, *_inputs(job)])
     forms = _forms(done)
     n_images = done.pair.n_used + len(rejected)
@@ -386,4 +391,4 @@ def _results(done: MirrorCalibration, forms: Sequence[FormError]) -> list[tuple[
 
 def _inputs(job: MirrorsJob) -> list[Path]:
     texts = [text for text in (job.image, job.left_only, job.right_only) if text is not None and not is_live(text)]
-    return [path for text in texts for path in (list_images(text) if not Path(text).is_file() else [Path(text)])]
+    return [path for text in texts for path in input_files(text)]

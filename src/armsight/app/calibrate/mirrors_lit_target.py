@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
 
-from armsight.app.sources.frames import open_source
 from armsight.calibrate.mirrors.calibration import MirrorCalibration
 from armsight.calibrate.mirrors.diagnosis import LEAST_LIT, mirrors_from_target
+from armsight.drivers import FrameSource
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, Unseen, UsageError
 from armsight.measure.poses.pairs import SLACK_PX
 from armsight.measure.poses.pipeline import Setup, measure_spots
@@ -58,15 +58,22 @@ class Sorted:
 
 
 def calibrate_lit(
-    design: Rig, target: Target, image: str, *, every: int, limit: int | None, progress: Progress
+    design: Rig,
+    target: Target,
+    open_images: Callable[..., FrameSource],
+    *,
+    every: int,
+    limit: int | None,
+    progress: Progress,
 ) -> tuple[MirrorCalibration, list[tuple[str, str]]]:
     """Return the mirror rig that took the complex images of the lit target, and (source, why) of those left out.
 
-    design: as built, the lens known. The spots are sorted by the design, and again by the rig that this gives. Raises
-    UsageError for a target that cannot serve, NotEnoughData, Inconsistent (sizes), Cancelled.
+    design: as built, the lens known. open_images: returns the complex images, in colour or not. The spots are sorted by
+    the design, and again by the rig that this gives. Raises UsageError for a target that cannot
+    serve, NotEnoughData, Inconsistent (sizes), Cancelled.
     """
     _require_target(target)
-    moments = _moments(design, target, image, every, limit, progress)
+    moments = _moments(design, target, open_images, every, limit, progress)
     first = _sorted(design, target, moments, SLACKS_PX)
     _require_views(first, len(moments))
     done = mirrors_from_target(design, first.views, first.poses, target)
@@ -94,10 +101,17 @@ def _require_target(target: Target) -> None:
         )
 
 
-def _moments(rig: Rig, target: Target, image: str, every: int, limit: int | None, progress: Progress) -> list[Moment]:
+def _moments(
+    rig: Rig,
+    target: Target,
+    open_images: Callable[..., FrameSource],
+    every: int,
+    limit: int | None,
+    progress: Progress,
+) -> list[Moment]:
     settings = Setup(rig, target, overlaid=True).settings
     out: list[Moment] = []
-    with open_source(image, colour=target.colour is not None) as frames:
+    with open_images(colour=target.colour is not None) as frames:
         for frame in islice(frames, 0, limit and limit * every, every):
             _require_size(frame, rig.left)
             out.append(Moment(source=frame.source, t_s=frame.t_s, spots=find_spots(frame.image, settings)))

@@ -15,7 +15,7 @@ from armsight.app.measure.run import target_of
 from armsight.app.schemas.handeye import PivotOutput
 from armsight.app.sources.frames import open_pairs
 from armsight.calibrate.tooltip import GOOD_ENOUGH_M, MeasuredPoint, TipRecording
-from armsight.drivers import PairSource
+from armsight.drivers import AUTOMATIC, CameraSettings, PairSource
 from armsight.errors import NotEnoughData
 from armsight.measure.poses.pipeline import Setup, measure_pair
 from armsight.measure.settings import SpotSettings
@@ -39,6 +39,7 @@ class PivotJob:
     goal_m: float = GOOD_ENOUGH_M
     point: tuple[float, float, float] | None = None
     sigma_m: float = 0.0
+    camera_settings: CameraSettings = AUTOMATIC
 
 
 def run_pivot(job: PivotJob, progress: Progress | None = None) -> PivotOutput:
@@ -49,7 +50,7 @@ def run_pivot(job: PivotJob, progress: Progress | None = None) -> PivotOutput:
     """
     target = target_of(job.target)
     setup = Setup(rig=read_rig(job.rig), target=target, settings=SpotSettings(colour=target.colour))
-    pairs = open_pairs(job.left, job.right, colour=target.colour is not None)
+    pairs = open_pairs(job.left, job.right, colour=target.colour is not None, settings=job.camera_settings)
     point = None if job.point is None else MeasuredPoint(xyz_m=np.asarray(job.point), sigma_m=job.sigma_m)
     with pairs:
         recording, taken = pivoted(

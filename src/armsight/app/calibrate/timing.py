@@ -116,7 +116,7 @@ def _seen(job: TimingJob, rig: Rig, side: str, text: str, progress: Progress) ->
     """Return the spots of one camera's frames, those that stand still left out."""
     settings = SpotSettings(threshold=job.threshold, inverted=job.inverted)
     stamps, found = [], []
-    with camera_source(text, side, fps=job.fps) as source:
+    with camera_source(text, side, fps=job.fps, origin_of=job.left) as source:
         for frame in source:
             require_size(rig, side, frame, "No timing is given")
             stamps.append(frame.t_s)

@@ -22,7 +22,7 @@ from armsight.calibrate.identify.plan import PROBE_SHARE, Plan, checked_limits, 
 from armsight.calibrate.identify.rough_arm import RoughArm, known_arm, rough_arm
 from armsight.clock import Clock, SystemClock
 from armsight.control.joint_sweep import Pace, Sweeper
-from armsight.drivers import ROBOTS, PairSource, Robot, is_live, load
+from armsight.drivers import AUTOMATIC, ROBOTS, CameraSettings, PairSource, Robot, is_live, load
 from armsight.errors import ArmsightError, BadFile, Cancelled, DataRefused, UsageError
 from armsight.measure.poses.pipeline import Setup
 from armsight.measure.settings import SpotSettings
@@ -65,6 +65,7 @@ class LiveJob:
     method: str = "ml"
     nominal: str | None = None
     propose: bool = False
+    camera_settings: CameraSettings = AUTOMATIC
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -156,13 +157,14 @@ def open_devices(job: LiveJob, target: Target, clock: Clock) -> tuple[Robot, Pai
                 raise UsageError(
                     f"{text} does not see the simulated robot {job.robot}", cure=f"Give camera:sim:{name}:{view}"
                 )
+        job.camera_settings.require_none(f"the simulated robot {job.robot}")
         cell = live_cell(name, clock)
         return cell.robot, cell.pairs
     if not (is_live(job.left) and is_live(job.right)):
         raise UsageError("a robot that moves needs live cameras", cure="Give camera:NAME for --left and --right")
     driver, _, device = job.robot.partition(":")
     robot = cast(Robot, load(ROBOTS, driver)(device, settings={}, clock=clock))
-    return robot, open_pairs(job.left, job.right, colour=target.colour is not None)
+    return robot, open_pairs(job.left, job.right, colour=target.colour is not None, settings=job.camera_settings)
 
 
 def plan_output(plan: Plan, notes: Sequence[str] = ()) -> PlanOutput:

@@ -18,13 +18,15 @@ from armsight.app.measure.outputs import POINTS, POSES, REPORT, SPOTS, SUMMARY, 
 from armsight.app.measure.streams import streams_of
 from armsight.app.measure.warm_up import prepare
 from armsight.app.schemas.measure import FrameTime, MeasureOutput
+from armsight.app.sources.bags import read_motion
+from armsight.drivers import by_side, is_live
 from armsight.errors import NotEnoughData
 from armsight.geometry import quat_of_matrix
 from armsight.measure.poses.setup import Setup
 from armsight.optics import SIDES
 from armsight.records import Points, PoseStatus, Progress, Spots, TargetPose
 from armsight.report import MeasureRun, measure_report
-from armsight.store import MovingPosesWriter, PointsWriter, SpotsWriter, World, read_joints, write_text
+from armsight.store import MovingPosesWriter, PointsWriter, SpotsWriter, World, write_text
 from armsight.store.atomic import RowFile
 from armsight.units import MM, MS
 
@@ -36,13 +38,14 @@ Array = NDArray[np.float64]
 
 def measure_free(job: MeasureJob, setup: Setup, world: World | None, progress: Progress) -> MeasureOutput:
     """Measure a moving target from views at their own times; write the files that measure writes. See measure."""
+    _require_no_settings(job)
     colour = setup.target.colour is not None
     streams = streams_of(
         setup.rig, (job.left, job.right), (job.left_spots, job.right_spots), colour=colour, fps=job.fps
     )
     if job.limit is not None:
         streams = (streams[0].first(job.limit), streams[1].first(job.limit))
-    at_s = None if job.at is None else read_joints(job.at).t_s
+    at_s = None if job.at is None else read_motion(job.at, origin_of=job.left or job.right).t_s
     prepare(progress)
     start_s = time.perf_counter()
     done = measure_free_running(setup, streams, at_s, job.rate_hz, progress)
@@ -60,6 +63,14 @@ def measure_free(job: MeasureJob, setup: Setup, world: World | None, progress: P
     write_text(job.out / REPORT, measure_report(_report(job, setup, world, done, moved, summary)))
     summary.write(job.out / SUMMARY)
     return summary
+
+
+def _require_no_settings(job: MeasureJob) -> None:
+    """Raise UsageError where something is asked of cameras that are none; live ones streams_of refuses."""
+    sources = [text for text in (job.left, job.right) if text is not None]
+    if not any(is_live(text) for text in sources):
+        for asked in by_side(job.camera_settings):
+            asked.require_none(sources[0] if sources else "a table of spots")
 
 
 def _moved(one: MovingPose, world: World | None) -> MovingPose:

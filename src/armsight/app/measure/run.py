@@ -20,9 +20,10 @@ from armsight.app.measure.streams import require_timing, runs_free
 from armsight.app.measure.warm_up import prepare
 from armsight.app.measure.zoom import with_zoom, zoom_facts, zoomed_rig
 from armsight.app.schemas.measure import MeasureOutput
+from armsight.app.sources.bags import origin_ns
 from armsight.app.sources.complex_images import complex_pairs
 from armsight.app.sources.frames import is_recording, open_pairs, open_source, require_size
-from armsight.drivers import PairSource, ordered_map, read_image
+from armsight.drivers import AUTOMATIC, CameraSettings, PairSettings, PairSource, by_side, ordered_map, read_image
 from armsight.drivers.live import MAX_SKEW_S
 from armsight.errors import ArmsightError, Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.measure.consistency.check import RunCheck
@@ -64,8 +65,8 @@ class MeasureJob:
     by itself. left_spots, right_spots: tables of spots in place of frames. timing: pairs of frames of one moment, views
     of cameras that run free, or auto: free where the rig's file says when its cameras expose. rate_hz, at: with free
     cameras, the rate of the poses, or a table whose t_s they are given at; neither: the times of the left frames.
-    zoom: where the lenses of the left and right camera stand, of a rig with zoom settings; set_zoom: live cameras are
-    set to it.
+    zoom: where the lenses of the left and right camera stand, of a rig with zoom settings. camera_settings: what is
+    asked of live cameras, or of each.
     """
 
     rig: Path
@@ -90,7 +91,7 @@ class MeasureJob:
     rate_hz: float | None = None
     at: Path | None = None
     zoom: tuple[float | None, float | None] = (None, None)
-    set_zoom: bool = False
+    camera_settings: PairSettings = AUTOMATIC
 
 
 def target_of(named: Path) -> Target:
@@ -115,6 +116,8 @@ def measure(job: MeasureJob, progress: Progress | None = None) -> MeasureOutput:
     facts = [("frames", pairs.name), ("rig's file", str(job.rig)), ("target's file", str(job.target))]
     facts += [("place of the rig", str(job.world))] if job.world else []
     facts += zoom_facts(zoomed)
+    zero_ns = origin_ns(job.left or job.image)
+    facts += [("t_s = 0 is the bag's start, Unix time in s", f"{zero_ns / 1e9:.6f}")] if zero_ns is not None else []
     summary, _ = run(
         setup,
         pairs,
@@ -281,7 +284,8 @@ def _pairs(job: MeasureJob, rig: Rig, target: Target) -> tuple[PairSource, bool]
     if job.image is not None:
         if job.left is not None or job.right is not None:
             raise UsageError("--image goes with neither --left nor --right", cure="Give the one or the others")
-        source = partial(open_source, job.image, colour=colour, fps=job.fps, times_s=times_s)
+        asked = _settings_of_one(job.camera_settings, job.image)
+        source = partial(open_source, job.image, colour=colour, fps=job.fps, times_s=times_s, settings=asked)
         return complex_pairs(source, rig)
     if rig.kind is RigKind.MIRROR and job.left is not None and job.left == job.right:
         raise UsageError(
@@ -300,9 +304,20 @@ def _pairs(job: MeasureJob, rig: Rig, target: Target) -> tuple[PairSource, bool]
         fps=job.fps,
         times_s=times_s,
         max_skew_s=job.max_skew_s,
-        zoom=job.zoom if job.set_zoom else (None, None),
+        settings=job.camera_settings,
     )
     return pairs, False
+
+
+def _settings_of_one(settings: PairSettings, image: str) -> CameraSettings:
+    """Return what is asked of the camera whose images hold both views. Raises UsageError for two different zooms."""
+    left, right = by_side(settings)
+    if left != right:
+        raise UsageError(
+            f"{image} is one camera, and two different zooms are to be set",
+            cure="Give --zoom-left and --zoom-right the same value; or leave --set-zoom away, and set the lenses first",
+        )
+    return left
 
 
 def _nothing_seen(outputs: Outputs, consistency: Consistency) -> NotEnoughData | None:

@@ -60,7 +60,9 @@ def streams_of(
             f"{live[0]} is a live camera, and views of free-running cameras are put together afterwards",
             cure="Record first: armsight record --left ... --right ... -o wave.mcap, and give --left wave.mcap",
         )
-    read = [_images(text, side, colour=colour, fps=fps) for text, side in zip(texts, SIDES, strict=True)]
+    read = [
+        _images(text, side, colour=colour, fps=fps, origin_of=texts[0]) for text, side in zip(texts, SIDES, strict=True)
+    ]
     return read[0], read[1]
 
 
@@ -97,11 +99,11 @@ def _spot_frames(track: SpotTrack, camera: Camera) -> Iterator[SpotFrame]:
         yield SpotFrame(t_s=t_s, spots=spots, width=camera.width, height=camera.height)
 
 
-def _images(text: str, side: str, *, colour: bool, fps: float | None) -> Stream:
+def _images(text: str, side: str, *, colour: bool, fps: float | None, origin_of: str) -> Stream:
     """Return the frames of a source that can be read again; the first time for its stamps."""
 
     def read() -> Iterator[Frame]:
-        with camera_source(text, side, colour=colour, fps=fps) as source:
+        with camera_source(text, side, colour=colour, fps=fps, origin_of=origin_of) as source:
             yield from source
 
     return _steady(np.array([frame.t_s for frame in read()]), side, read)

@@ -15,7 +15,7 @@ from armsight.app.schemas.files import RecordedSkew, RecordOutput, RepairOutput
 from armsight.app.simulate.cells import CellPairs, load_cell, write_cell_files
 from armsight.app.sources.frames import is_recording, open_pairs, recording_path
 from armsight.clock import Clock, SystemClock
-from armsight.drivers import PairSource, Skew, is_live
+from armsight.drivers import AUTOMATIC, CameraSettings, PairSource, Skew, is_live
 from armsight.drivers.live import MAX_SKEW_S
 from armsight.errors import ArmsightError, NotEnoughData, UsageError
 from armsight.optics import Rig
@@ -53,6 +53,7 @@ class RecordJob:
     limit: int | None = None
     seconds_s: float | None = None
     overwrite: bool = False
+    camera_settings: CameraSettings = AUTOMATIC
 
 
 def record(job: RecordJob, progress: Progress | None = None, *, clock: Clock | None = None) -> RecordOutput:
@@ -171,7 +172,14 @@ def _source(job: RecordJob) -> tuple[PairSource, bool]:
         raise UsageError("there is nothing to record", cure="Give --left and --right, or --cell")
     if any(is_recording(text) and recording_path(text).resolve() == job.out.resolve() for text in sources):
         raise UsageError(f"{job.out} is both source and result", cure="Choose another name for the result")
-    pairs = open_pairs(job.left, job.right, colour=job.colour, fps=job.fps, max_skew_s=job.max_skew_s)
+    pairs = open_pairs(
+        job.left,
+        job.right,
+        colour=job.colour,
+        fps=job.fps,
+        max_skew_s=job.max_skew_s,
+        settings=job.camera_settings,
+    )
     return pairs, is_live(sources[0])
 
 

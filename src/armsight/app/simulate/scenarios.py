@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from armsight.clock import Clock, SystemClock
-from armsight.drivers import CELLS, SCENARIOS, FrameSource, known, load
+from armsight.drivers import AUTOMATIC, CELLS, SCENARIOS, CameraSettings, FrameSource, known, load
 from armsight.errors import DeviceNotFound
 from armsight.store.atomic import read_bytes
 from armsight.store.schema import named, validated
@@ -72,12 +72,17 @@ def live_cell(name: str, clock: Clock) -> Any:
 
 
 def sim_camera(
-    device: str, *, colour: bool, clock: Clock | None, origin_s: float | None, zoom: float | None = None
+    device: str,
+    *,
+    colour: bool,
+    clock: Clock | None,
+    origin_s: float | None,
+    settings: CameraSettings = AUTOMATIC,
 ) -> FrameSource:
     """Return one camera of a scenario, live; device: SCENARIO:left, SCENARIO:right, or of a mirror rig SCENARIO:image.
 
-    Its stamps are the scenario's own, so that left and right agree. zoom: its lens is set to it. Raises DeviceNotFound,
-    BadFile as load_scenario.
+    Its stamps are the scenario's own, so that left and right agree. Of settings it takes the zoom. Raises
+    UsageError for others, DeviceNotFound, BadFile as load_scenario.
     """
     name, _, view = device.rpartition(":")
     if view not in VIEWS or not name:
@@ -86,7 +91,8 @@ def sim_camera(
             consequence="There is no frame to read",
             cure=f"Write camera:sim:SCENARIO:VIEW, with one of {', '.join(VIEWS)}",
         )
-    world = build_world(name, load_scenario(name)[0], seed=None, frames=None, zoom=zoom)
+    settings.require_only(("zoom",), f"camera:sim:{device}")
+    world = build_world(name, load_scenario(name)[0], seed=None, frames=None, zoom=settings.zoom)
     if view not in world.views:
         raise DeviceNotFound(
             f"{name} has no view {view!r}",

@@ -1,7 +1,8 @@
-"""Recordings as sources of frames, beside folders, videos and cameras.
+"""Recordings and bags as sources of frames, beside folders, videos and cameras.
 
 A source's text may be REC.mcap, or REC.mcap:CAMERA for one of its cameras. As left the recording's left camera is
-meant, as right its right one; one recording for both views, or for one of them alone, gives its pairs.
+meant, as right its right one; one recording for both views, or for one of them alone, gives its pairs. Or it is
+bag:FILE:/topic for a topic of a ROS bag.
 """
 
 from __future__ import annotations
@@ -16,12 +17,14 @@ import cv2
 import numpy as np
 
 from armsight import drivers
+from armsight.app.sources.bags import BagFrames
 from armsight.clock import Clock
-from armsight.drivers import FrameSource, LivePairs, PairSource, Skew
+from armsight.drivers import AUTOMATIC, CameraSettings, FrameSource, LivePairs, PairSettings, PairSource, Skew, by_side
 from armsight.drivers.live import MAX_SKEW_S
 from armsight.errors import DeviceFailed, Inconsistent, UsageError
 from armsight.optics import Rig
 from armsight.records import Frame
+from armsight.store.bags import is_bag
 from armsight.store.recording import Recording
 
 SOURCE = re.compile(r"(.+\.mcap)(?::([\w-]+))?", re.IGNORECASE | re.DOTALL)
@@ -87,9 +90,9 @@ class RecordedFrames:
 
 
 class RecordedPairs:
-    """Pairs of one recording or of two, matched by time."""
+    """Pairs of one recording or bag or of two, matched by time."""
 
-    def __init__(self, left: RecordedFrames, right: RecordedFrames, *, max_skew_s: float = MAX_SKEW_S) -> None:
+    def __init__(self, left: FrameSource, right: FrameSource, *, max_skew_s: float = MAX_SKEW_S) -> None:
         self._left = left
         self._right = right
         self._pairs = LivePairs(left, right, max_skew_s=max_skew_s)
@@ -138,20 +141,31 @@ def open_source(
     times_s: Sequence[float] | None = None,
     clock: Clock | None = None,
     origin_s: float | None = None,
-    zoom: float | None = None,
+    settings: CameraSettings = AUTOMATIC,
 ) -> FrameSource:
     """Return the source that a text names as drivers.open_source does, or one camera of a recording."""
     if is_recording(text):
-        _no_times(text, fps, times_s)
-        drivers.require_live(text, zoom)
+        _require_as_recorded(text, fps, times_s, settings)
         return RecordedFrames(text, colour=colour)
-    return drivers.open_source(text, colour=colour, fps=fps, times_s=times_s, clock=clock, origin_s=origin_s, zoom=zoom)
+    if is_bag(text):
+        _require_as_recorded(text, fps, times_s, settings)
+        return BagFrames(text, colour=colour)
+    return drivers.open_source(
+        text, colour=colour, fps=fps, times_s=times_s, clock=clock, origin_s=origin_s, settings=settings
+    )
 
 
-def camera_source(text: str, side: str, *, colour: bool = False, fps: float | None = None) -> FrameSource:
-    """Return the frames of the camera on one side; of a recording that names no camera, of the one on this side."""
+def camera_source(
+    text: str, side: str, *, colour: bool = False, fps: float | None = None, origin_of: str | None = None
+) -> FrameSource:
+    """Return the frames of the camera on one side; of a recording that names no camera, of the one on this side.
+
+    origin_of: the left camera's text, whose bag's start is t_s = 0.
+    """
     if is_recording(text):
         return RecordedFrames(text, side if text.lower().endswith(".mcap") else None, colour=colour)
+    if is_bag(text):
+        return BagFrames(text, colour=colour, origin_of=origin_of)
     return open_source(text, colour=colour, fps=fps)
 
 
@@ -175,26 +189,40 @@ def open_pairs(
     fps: float | None = None,
     times_s: Sequence[float] | None = None,
     max_skew_s: float = MAX_SKEW_S,
-    zoom: tuple[float | None, float | None] = (None, None),
+    settings: PairSettings = AUTOMATIC,
 ) -> PairSource:
     """Return the pairs of two sources as drivers.open_pairs does, or of one recording. Raises UsageError."""
     recorded = [text for text in (left, right) if text is not None and is_recording(text)]
     if recorded and (left is None or right is None or len(recorded) == 2):
-        _no_times(recorded[0], fps, times_s)
-        drivers.require_live(recorded[0], zoom[0] if zoom[0] is not None else zoom[1])
+        _require_as_recorded(recorded[0], fps, times_s, settings)
         return RecordedPairs(
             RecordedFrames(recorded[0], "left", colour=colour),
             RecordedFrames(recorded[-1], "right", colour=colour),
             max_skew_s=max_skew_s,
         )
+    bags = [text for text in (left, right) if text is not None and is_bag(text)]
     if left is None or right is None:
         raise UsageError("one view is missing", cure="Give --left and --right, or one recording for both")
     if recorded:
         raise UsageError(f"{left} and {right} cannot be paired: one is a recording, the other is not")
-    return drivers.open_pairs(left, right, colour=colour, fps=fps, times_s=times_s, max_skew_s=max_skew_s, zoom=zoom)
+    if len(bags) == 1:
+        raise UsageError(f"{left} and {right} cannot be paired: one is of a bag, the other is not")
+    if bags and left != right:
+        _require_as_recorded(left, fps, times_s, settings)
+        return RecordedPairs(
+            BagFrames(left, colour=colour),
+            BagFrames(right, colour=colour, origin_of=left),
+            max_skew_s=max_skew_s,
+        )
+    return drivers.open_pairs(
+        left, right, colour=colour, fps=fps, times_s=times_s, max_skew_s=max_skew_s, settings=settings
+    )
 
 
-def _no_times(text: str, fps: float | None, times_s: Sequence[float] | None) -> None:
+def _require_as_recorded(text: str, fps: float | None, times_s: Sequence[float] | None, settings: PairSettings) -> None:
+    """Raise UsageError where times are given for a recording or a bag, or settings for the cameras in it."""
+    for asked in by_side(settings):
+        asked.require_none(text)
     if fps is not None or times_s is not None:
         raise UsageError(f"{text} brings its own times", cure="Leave --times and --fps away")
 

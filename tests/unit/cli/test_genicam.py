@@ -1,0 +1,204 @@
+"""GenICam cameras: Aravis's fake GigE camera on loopback, read by the driver and measured by the command."""
+
+from __future__ import annotations
+
+import csv
+import json
+import subprocess
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from armsight.app.measure.run import MeasureJob
+from armsight.app.measure.run import measure as run_measure
+from armsight.drivers import CameraSettings, aravis
+from armsight.drivers.aravis import AravisCamera, genicam_cameras
+from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, UsageError
+from armsight.records import Frame
+from armsight.testing.genicam import ADDRESS, fake_genicam_camera, missing
+
+COUNT = 12
+CAMERA = f"camera:aravis:{ADDRESS}"
+MISSING = missing()
+needs_aravis = pytest.mark.skipif(bool(MISSING), reason=f"no GenICam camera can be played here: {MISSING}")
+
+
+@pytest.fixture
+def stock() -> Iterator[subprocess.Popen[bytes]]:
+    with fake_genicam_camera() as process:
+        yield process
+
+
+def first(count: int, **asked: Any) -> list[Frame]:
+    colour = asked.pop("colour", False)
+    with AravisCamera(ADDRESS, colour=colour, settings=CameraSettings(**asked)) as camera:
+        return list(islice(camera, count))
+
+
+@needs_aravis
+def test_frames_carry_the_camera_s_own_stamps_and_exposure(stock: object) -> None:
+    frames = first(4, exposure_s=0.004, gain=2.0)
+    assert {frame.image.shape for frame in frames} == {(512, 512)}
+    assert {frame.exposure_s for frame in frames} == {0.004}
+    assert [frame.sequence for frame in frames] == sorted({frame.sequence for frame in frames})
+    again = first(1)[0]
+    assert again.sequence == 0 and again.exposure_s == 0.004  # the camera keeps what it was told
+
+
+@needs_aravis
+def test_the_first_camera_is_found_without_a_name(stock: object) -> None:
+    assert genicam_cameras() == ("camera:aravis:Aravis-Fake-GV01",)
+    with AravisCamera("") as camera:
+        assert next(iter(camera)).source == "camera:aravis"
+
+
+@needs_aravis
+@pytest.mark.parametrize("name", ["Mono8", "RGB8", "BayerRG8", "BayerBG8", "BayerGB8", "BayerGR8"])
+def test_eight_bit_formats_become_grey_or_bgr(stock: object, name: str) -> None:
+    assert first(1, pixel_format=name)[0].image.shape == (512, 512)
+    assert first(1, pixel_format=name, colour=True)[0].image.shape == (512, 512, 3)
+
+
+@needs_aravis
+def test_what_the_camera_has_not_is_refused_with_what_it_has(stock: object) -> None:
+    for asked, cure in (
+        ({"pixel_format": "Mono16"}, "Mono8"),
+        ({"pixel_format": "Nosuch"}, "Mono8"),
+        ({"trigger": "Line7"}, "Line0"),
+        ({"trigger": "Software"}, "Line0"),
+        ({"exposure_s": 1000.0}, "1e-05 to 10"),
+        ({"gain": -3.0}, "0 to 10"),
+    ):
+        with pytest.raises(DeviceFailed) as info:
+            first(1, **asked)
+        assert cure in info.value.cure, asked
+        assert info.value.consequence
+    assert first(1, pixel_format="Mono8")[0].image.shape == (512, 512)
+
+
+@needs_aravis
+def test_a_second_program_is_refused(stock: object) -> None:
+    with AravisCamera(ADDRESS), pytest.raises(DeviceFailed, match=r"controlled by another|in use"), AravisCamera(""):
+        pass
+    with AravisCamera(ADDRESS), pytest.raises(DeviceFailed, match="in use"), AravisCamera(ADDRESS):
+        pass
+
+
+@needs_aravis
+def test_a_camera_that_is_not_there_is_answered_with_those_that_are(stock: object) -> None:
+    with pytest.raises(DeviceNotFound, match="camera:aravis:nosuch cannot be opened") as info, AravisCamera("nosuch"):
+        pass
+    assert "camera:aravis:Aravis-Fake-GV01" in info.value.cure
+
+
+@needs_aravis
+def test_a_camera_that_goes_is_lost_even_while_it_waits_for_its_trigger(stock: subprocess.Popen[bytes]) -> None:
+    settings = CameraSettings(trigger="Line0")
+    with pytest.raises(DeviceLost, match="no longer answers"), AravisCamera(ADDRESS, settings=settings) as camera:
+        stock.kill()
+        list(camera)
+
+
+@needs_aravis
+def test_a_camera_that_was_triggered_runs_freely_for_the_next_one(stock: object) -> None:
+    with AravisCamera(ADDRESS, settings=CameraSettings(trigger="Line0")):
+        pass
+    assert first(1)[0].sequence == 0
+
+
+def test_without_aravis_the_cure_says_what_to_install() -> None:
+    def absent() -> Any:
+        raise DeviceNotFound("Aravis cannot be loaded", cure="Install the extra")
+
+    with pytest.raises(DeviceNotFound, match="cannot be loaded"), AravisCamera("x", load=absent):
+        pass
+    with pytest.raises(UsageError, match="--focus"):
+        AravisCamera("x", settings=CameraSettings(focus=1.0))
+
+
+def test_stamps_follow_the_camera_s_clock_and_numbers_count_lost_frames() -> None:
+    stamps = aravis._Stamps("cam", 0.01)
+    got = [stamps.of(10**18 + ns, number, 5.0) for ns, number in ((0, 65534), (40_000_000, 65535), (120_000_000, 2))]
+    assert [t_s for t_s, _ in got] == pytest.approx([4.995, 5.035, 5.115])  # the exposure ended on arrival, at 5.0
+    assert [number for _, number in got] == [0, 1, 3]  # 65535 is followed by 1, which was lost
+    with pytest.raises(DeviceFailed, match="not after the one before"):
+        stamps.of(10**18, 3, 6.0)
+
+
+def test_a_camera_without_stamps_gives_times_of_arrival() -> None:
+    stamps = aravis._Stamps("cam", 0.01)
+    assert [stamps.of(0, n, t)[0] for n, t in ((1, 5.0), (2, 5.5))] == pytest.approx([4.995, 5.495])
+
+
+def side_by_side(scene: Any, folder: Path) -> list[Path]:
+    folder.mkdir()
+    paths = []
+    for i in range(COUNT):
+        both = [cv2.imread(str(scene.folder / side / f"frame{i}.png"), 0) for side in ("left", "right")]
+        paths.append(folder / f"frame{i}.png")
+        cv2.imwrite(str(paths[-1]), np.hstack(both))
+    return paths
+
+
+def poses(out: Path) -> list[tuple[str, ...]]:
+    with (out / "poses.csv").open(newline="") as file:
+        return [tuple(value for key, value in row.items() if key != "t_s") for row in csv.DictReader(file)]
+
+
+@needs_aravis
+def test_measured_live_poses_are_those_of_the_same_frames_as_files(armsight: Any, scene: Any, tmp_path: Path) -> None:
+    pictures = side_by_side(scene, tmp_path / "both")
+    common = [*scene.inputs, "--stills"]
+    done = armsight("measure", *common, "--image", tmp_path / "both", "-o", tmp_path / "files")
+    assert done.code == 0, done.text
+    with fake_genicam_camera(pictures):
+        words = ["--image", CAMERA, "--frames", COUNT, "--exposure", 0.004, "-o", tmp_path / "live"]
+        done = armsight("measure", *common, *words)
+    assert done.code == 0, done.text
+    files, live = poses(tmp_path / "files"), poses(tmp_path / "live")
+    assert len(live) == COUNT == done.json["n_ok"]
+    shown = [files.index(row) for row in live]  # every digit is the same; a busy machine may miss a frame
+    assert len(set(shown)) > 1
+
+
+class PullThePlug:
+    """Progress that kills the camera after some pairs."""
+
+    def __init__(self, process: subprocess.Popen[bytes], after: int) -> None:
+        self.process, self.after = process, after
+
+    def update(self, done: float, total: float, note: str = "") -> None:
+        if note == "measuring" and done >= self.after:
+            self.process.kill()
+
+    def cancelled(self) -> bool:
+        return False
+
+
+@needs_aravis
+def test_what_was_measured_before_the_camera_went_is_kept(scene: Any, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    job = MeasureJob(rig=scene.folder / "rig.yaml", target=scene.folder / "target.yaml", out=out, image=CAMERA)
+    with (
+        fake_genicam_camera(side_by_side(scene, tmp_path / "both")) as process,
+        pytest.raises(DeviceLost, match="sent no frame") as info,
+    ):
+        run_measure(job, PullThePlug(process, 5))
+    assert info.value.exit_code == 4
+    assert "poses of" in info.value.consequence
+    assert json.loads((out / "measure.json").read_text())["n_frames"] == len(poses(out)) >= 5
+
+
+def test_flags_of_live_cameras_with_files_are_wrong_usage(armsight: Any, scene: Any, tmp_path: Path) -> None:
+    for flags in (["--exposure", 0.004], ["--gain", 1], ["--focus", 1], ["--white-balance", 4600], ["--trigger", "L"]):
+        done = armsight("measure", *scene.inputs, *scene.sources(), *flags, "-o", tmp_path / "out")
+        assert done.code == 2 and flags[0] in done.json["error"]["cause"], flags
+    done = armsight(
+        "measure", *scene.inputs, "--left", "camera:0", "--right", "camera:1", "--exposure", "nan", "-o", "o"
+    )
+    assert done.code == 2
