@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from armsight.cli.camera_options import NONE_GIVEN, CameraOptions, takes_cameras
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.options import SRC, AsJson, Fps, Inverted, Limit, Threshold
 from armsight.cli.tables import figure
@@ -18,6 +19,7 @@ MS = 1e3
 TABLE = "table t_s,u_px,v_px[,su_px,sv_px][,spot]"
 
 
+@takes_cameras
 def timing(
     rig: Annotated[Path, typer.Option(help="rig.yaml of the two cameras, from `armsight calibrate stereo`.")],
     out: Annotated[Path, typer.Option("-o", "--out", help="rig.yaml to write, with the timing.")],
@@ -35,6 +37,7 @@ def timing(
     threshold: Threshold = None,
     inverted: Inverted = False,
     json: AsJson = False,
+    camera_options: CameraOptions = NONE_GIVEN,
 ) -> None:
     """Find delay, drift, read-outs and jitter of two free-running cameras from lights waved before them for 10-20 s."""
     with CommandUI(as_json=json) as face:
@@ -52,6 +55,7 @@ def timing(
             limit=frames,
             threshold=threshold,
             inverted=inverted,
+            camera_settings=camera_options.settings(),
         )
         done = calibrate_cameras_timing(job, face.progress("calibrating"))
         timing_tables(face, done, out)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
+from armsight.app.calibrate import timing as timing_job
+from armsight.records import Frame
 from armsight.store import read_rig
 
 Run = Callable[..., Any]
@@ -107,11 +110,58 @@ def test_frames_give_the_timing(armsight: Run, scene: Any, tmp_path: Path, light
     assert len(got["lights"]) == lights
 
 
+class LiveLights:
+    """A live camera before one waved light, its stamps late by up to some milliseconds; it never ends by itself."""
+
+    total = None
+
+    def __init__(self, side: int, origin_s: float) -> None:
+        self.side, self.origin_s = side, origin_s
+        self.n_read = 0
+
+    def __enter__(self) -> LiveLights:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def __iter__(self) -> Iterator[Frame]:
+        rng = np.random.default_rng(self.side)
+        for n in count():
+            t = (n + 0.37 * self.side) / RATE
+            self.n_read += 1
+            image = draw(pixels(t, self.side, 1), rng)
+            yield Frame(image=image, t_s=t + rng.exponential(0.003), sequence=n, source=f"camera:{self.side}")
+
+
+def test_live_cameras_are_read_side_by_side_for_a_while(
+    armsight: Run, scene: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened: dict[str, LiveLights] = {}
+
+    def camera(text: str, side: str, **asked: Any) -> LiveLights:
+        assert text == {"left": "camera:0", "right": "camera:2"}[side]
+        opened[side] = LiveLights(("left", "right").index(side), asked["origin_s"])
+        return opened[side]
+
+    monkeypatch.setattr(timing_job, "camera_source", camera)
+    monkeypatch.setattr(timing_job, "LIVE_S", 7.0)
+    sources = ["--left", "camera:0", "--right", "camera:2"]
+    done = armsight("calibrate", "timing", "--rig", scene.folder / "rig.yaml", *sources, "-o", tmp_path / "timed.yaml")
+    assert done.code == 0, done.text
+    got = done.json
+    assert opened["left"].origin_s == opened["right"].origin_s
+    assert {live.n_read for live in opened.values()} <= set(range(208, 216))  # 7 s at 30 a second
+    shift = got["delay_s"] + 1e-6 * got["drift_ppm"] * got["middle_s"]  # the stamps have the frames' own times
+    assert abs(shift) < max(2e-4, 4.0 * got["std_middle_s"])
+    assert got["std_middle_s"] < 1e-3
+
+
 def test_the_call_must_say_which_frames(armsight: Run, scene: Any, tables: Path, tmp_path: Path) -> None:
     rig = ["--rig", scene.folder / "rig.yaml", "-o", tmp_path / "x.yaml"]
     assert armsight("calibrate", "timing", *rig).code == 2
     assert armsight("calibrate", "timing", *rig, "--left-spots", tables / "left.csv").code == 2
-    live = armsight("calibrate", "timing", *rig, "--left", "camera:0", "--right", "camera:1")
+    live = armsight("calibrate", "timing", *rig, "--left", "camera:0", "--right", tables)
     assert live.code == 2 and "armsight record" in live.json["error"]["cure"]
     assert not (tmp_path / "x.yaml").exists()
 

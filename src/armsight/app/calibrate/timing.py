@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,7 +13,8 @@ from numpy.typing import NDArray
 from armsight.app.schemas.timing import BothCounts, BothPixels, BothSeconds, TimingOutput
 from armsight.app.sources.frames import camera_source, require_size
 from armsight.calibrate.timing import TimingCalibration, calibrate_timing
-from armsight.drivers import is_live
+from armsight.clock import SystemClock
+from armsight.drivers import AUTOMATIC, CameraSettings, is_live
 from armsight.errors import Cancelled, UsageError
 from armsight.measure.poses.stationary_lights import without_standing
 from armsight.measure.settings import SpotSettings
@@ -21,6 +24,9 @@ from armsight.records import Progress, Silent, Spots, SpotTrack, Target
 from armsight.store import read_rig, read_spot_track, read_target, write_rig
 
 Array = NDArray[np.float64]
+
+LIVE_S = 20.0
+"""For how long live cameras are watched where --frames says nothing."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,6 +44,7 @@ class TimingJob:
     limit: int | None = None
     threshold: float | None = None
     inverted: bool = False
+    camera_settings: CameraSettings = AUTOMATIC
 
 
 def calibrate_cameras_timing(job: TimingJob, progress: Progress | None = None) -> TimingOutput:
@@ -91,7 +98,10 @@ def _positions(target: Target | None) -> dict[str, Array] | None:
 def _tracks(job: TimingJob, rig: Rig, progress: Progress) -> tuple[SpotTrack, SpotTrack]:
     frames, tables = (job.left, job.right), (job.left_spots, job.right_spots)
     if all(frames) and not any(tables):
-        _require_recorded(*frames)
+        live = [is_live(text or "") for text in frames]
+        if any(live):
+            _require_both(live)
+            return _waved(job, rig, progress)
         sides = [_seen(job, rig, side, text or "", progress) for side, text in zip(SIDES, frames, strict=True)]
         return sides[0], sides[1]
     if all(tables) and not any(frames):
@@ -102,21 +112,49 @@ def _tracks(job: TimingJob, rig: Rig, progress: Progress) -> tuple[SpotTrack, Sp
     )
 
 
-def _require_recorded(*sources: str | None) -> None:
-    live = [text for text in sources if text is not None and is_live(text)]
-    if live:
+def _require_both(live: Sequence[bool]) -> None:
+    if not all(live):
         raise UsageError(
-            f"{live[0]} is a live camera, and the cameras are read one after the other here",
-            cure="Record both first: armsight record --left ... --right ... -o wave.mcap, and give --left wave.mcap "
-            "--right wave.mcap",
+            "one camera is live and the other one is not",
+            consequence="Their stamps have no clock in common",
+            cure="Give both live, or record both first: armsight record --left ... --right ... -o wave.mcap",
         )
 
 
-def _seen(job: TimingJob, rig: Rig, side: str, text: str, progress: Progress) -> SpotTrack:
-    """Return the spots of one camera's frames, those that stand still left out."""
+class _Behind(Silent):
+    """Shows nothing of a second job beside the first one, and stops with it."""
+
+    def __init__(self, progress: Progress) -> None:
+        self._progress = progress
+
+    def cancelled(self) -> bool:
+        """Tell whether the first job was to stop."""
+        return self._progress.cancelled()
+
+
+def _waved(job: TimingJob, rig: Rig, progress: Progress) -> tuple[SpotTrack, SpotTrack]:
+    """Return the spots of both live cameras, read side by side; their stamps count from one moment."""
+    origin_s = SystemClock().now_s()
+    with ThreadPoolExecutor(len(SIDES)) as pool:
+        sides = [
+            pool.submit(
+                _seen, job, rig, side, text or "", progress if side == SIDES[0] else _Behind(progress), origin_s
+            )
+            for side, text in zip(SIDES, (job.left, job.right), strict=True)
+        ]
+        left, right = (one.result() for one in sides)
+    return left, right
+
+
+def _seen(
+    job: TimingJob, rig: Rig, side: str, text: str, progress: Progress, origin_s: float | None = None
+) -> SpotTrack:
+    """Return the spots of one camera's frames, those that stand still left out; of a live one those of LIVE_S."""
     settings = SpotSettings(threshold=job.threshold, inverted=job.inverted)
     stamps, found = [], []
-    with camera_source(text, side, fps=job.fps, origin_of=job.left) as source:
+    with camera_source(
+        text, side, fps=job.fps, origin_of=job.left, origin_s=origin_s, settings=job.camera_settings
+    ) as source:
         for frame in source:
             require_size(rig, side, frame, "No timing is given")
             stamps.append(frame.t_s)
@@ -124,9 +162,13 @@ def _seen(job: TimingJob, rig: Rig, side: str, text: str, progress: Progress) ->
             progress.update(len(found), source.total or 0, f"looking for lights, {side}")
             if progress.cancelled():
                 raise Cancelled(f"stopped after {len(found)} frames", consequence="Nothing was written")
-            if job.limit is not None and len(found) >= job.limit:
+            if len(found) >= job.limit if job.limit is not None else source.total is None and _over(stamps):
                 break
     return spot_track(np.array(stamps), without_standing(found))
+
+
+def _over(stamps_s: Sequence[float]) -> bool:
+    return stamps_s[-1] - stamps_s[0] > LIVE_S
 
 
 def spot_track(stamps_s: Array, found: list[Spots]) -> SpotTrack:

@@ -156,17 +156,26 @@ def open_source(
 
 
 def camera_source(
-    text: str, side: str, *, colour: bool = False, fps: float | None = None, origin_of: str | None = None
+    text: str,
+    side: str,
+    *,
+    colour: bool = False,
+    fps: float | None = None,
+    origin_of: str | None = None,
+    origin_s: float | None = None,
+    settings: CameraSettings = AUTOMATIC,
 ) -> FrameSource:
     """Return the frames of the camera on one side; of a recording that names no camera, of the one on this side.
 
-    origin_of: the left camera's text, whose bag's start is t_s = 0.
+    origin_of: the left camera's text, whose bag's start is t_s = 0. origin_s, settings: of live cameras.
     """
     if is_recording(text):
+        settings.require_none(text)
         return RecordedFrames(text, side if text.lower().endswith(".mcap") else None, colour=colour)
     if is_bag(text):
+        settings.require_none(text)
         return BagFrames(text, colour=colour, origin_of=origin_of)
-    return open_source(text, colour=colour, fps=fps)
+    return open_source(text, colour=colour, fps=fps, origin_s=origin_s, settings=settings)
 
 
 def require_size(rig: Rig, side: str, frame: Frame, consequence: str) -> None:
