@@ -1,0 +1,18 @@
+"""The figures of ISO 9283:1998 from measured poses, paths and arrivals, each with its own standard deviation."""
+
+from armsight.verify.iso9283.evaluate import Iso9283Test, evaluate
+from armsight.verify.iso9283.figure import Figure, Figures
+from armsight.verify.iso9283.observations import ArrivalTest, CommandedPath, PathRun, PathTest, PoseVisits, Stamps
+
+__all__ = [
+    "ArrivalTest",
+    "CommandedPath",
+    "Figure",
+    "Figures",
+    "Iso9283Test",
+    "PathRun",
+    "PathTest",
+    "PoseVisits",
+    "Stamps",
+    "evaluate",
+]
