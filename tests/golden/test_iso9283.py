@@ -39,7 +39,7 @@ def six_visits(**more):
     quat = Rotation.from_rotvec(np.outer(TURNS * MRAD, [0, 0, 1])).as_quat()
     return visits(
         "P1",
-        OFFSETS + [103.0, 54.0, 20.0],
+        OFFSETS + np.array([103.0, 54.0, 20.0]),
         quat_xyzw=quat,
         approach=("x",) * 6,
         commanded_xyz_m=np.array([100.0, 50.0, 20.0]) * MM,
@@ -92,7 +92,7 @@ def test_noise_of_the_camera_is_taken_out_in_squares():
 def test_multi_directional_variation():
     # three visits from each direction; barycentres (0, 0, 0), (3, 0, 0), (3, 4, 0) mm: distances 3, 4 and 5
     spread = np.array([[1, 0, 0], [-1, 0, 0], [0, 0, 0]])
-    points = np.concatenate([spread, spread + [3, 0, 0], spread + [3, 4, 0]])
+    points = np.concatenate([spread + np.array(at) for at in ([0, 0, 0], [3, 0, 0], [3, 4, 0])])
     found = figures(poses=[visits("P1", points, approach=tuple("xxxyyyzzz"))])
     assert found["vAP_m"].value == pytest.approx(5 * MM, **APPROX)
     # each barycentre's variance in x is (2 / 2) / 3; the pair has 2/3 in x, and 0.6 of the direction is x
@@ -118,8 +118,8 @@ def test_distance_accuracy_and_repeatability():
 def test_exchangeability():
     # barycentres of three robots at x = 0, 6 and y = 8 mm: distances 6, 8, 10
     spread = np.array([[0, 0, 1], [0, 0, -1], [0, 0, 0]])
-    robots = [visits("P1", spread + at, robot=name) for name, at in zip("ABC", np.diag([0, 8, 0]), strict=True)]
-    robots[2] = visits("P1", spread + [6, 0, 0], robot="C")
+    places = {"A": [0, 0, 0], "B": [0, 8, 0], "C": [6, 0, 0]}
+    robots = [visits("P1", spread + np.array(at), robot=name) for name, at in places.items()]
     found = figures(poses=robots)
     assert found["E_m"].value == pytest.approx(10 * MM, **APPROX)
     assert found["E_m"].repeats == "3 of 5"
