@@ -124,6 +124,33 @@ def test_a_straight_path_has_no_corner():
     assert "no corner" in figure("CR_m", paths=[PathTest(name="line", runs=line(), commanded=LINE)]).withheld
 
 
+def test_velocity_is_not_judged_across_corners():
+    path = CommandedPath(xyz_m=[[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0]], speed_m_s=0.1)
+    assert "corners" in figure("AV_ratio", paths=[PathTest(name="L", runs=line(), commanded=path)]).withheld
+
+
+def test_a_corner_between_samples_is_said():
+    path = CommandedPath(xyz_m=[[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0]])
+    for step, said in ((0.02, True), (0.0005, False)):
+        s = np.arange(-0.1 + step / 2, 0.1, step)
+        track = np.stack([0.1 + np.minimum(s, 0.0), np.maximum(s, 0.0), np.full_like(s, 2e-3)], axis=1)
+        note = figure("CR_m", paths=[PathTest(name="L", runs=[PathRun(xyz_m=track)] * 2, commanded=path)]).note
+        assert ("samples lie" in note) == said
+
+
+def test_speed_on_a_small_circle_is_that_of_the_arc():
+    t = np.arange(120) / 60
+    angle = 0.1 * t / 0.0125
+    runs = [PathRun(t_s=t, xyz_m=0.0125 * np.stack([np.cos(angle), np.sin(angle), 0 * t], axis=1))] * 3
+    found = figure("AV_ratio", paths=[PathTest(name="circle", runs=runs, commanded=LINE)])
+    assert found.value == pytest.approx(0.0, abs=1e-4)  # the chord of two steps is 0.3 % shorter than the arc
+
+
+def test_one_measurement_repeated_is_no_repeatability():
+    poses = [PoseVisits(pose="P1", xyz_m=np.ones((6, 3)), visit=range(6))]
+    assert "one measurement repeated" in figure("RP_m", poses=poses).withheld
+
+
 def test_arrivals_that_carry_no_time_are_told_why():
     t = np.linspace(0.0, 1.0, 50)
     away = np.outer(np.where(t < 0.5, 1e-2, 0.0), [1.0, 0.0, 0.0])

@@ -21,6 +21,11 @@ MIN_RUNS = 2
 REACH = 0.5
 """Share of the leg behind a corner over which overshoot is looked for."""
 
+CUT = 1.0 / np.sqrt(8.0)
+"""How much a line between two samples, one on each leg and as far from it, cuts off a square corner."""
+WORTH = 0.2
+"""Share of CR from which on that is said."""
+
 FIGURES = (("CR", "m"), ("CO", "m"))
 
 
@@ -43,7 +48,7 @@ def corner_figures(test: PathTest) -> list[Figure]:
         for column, (symbol, unit) in enumerate(FIGURES):
             std = sqrt(float(found[:, column].var(ddof=1)) + systematic)
             estimate = Estimate(value=float(found[:, column].max()), std=std)
-            note = _noise_note(test, estimate.value) if symbol == "CO" else ""
+            note = _noise_note(test, estimate.value) if symbol == "CO" else _sampling_note(test, estimate.value)
             figures.append(figure_of(symbol, unit, estimate, n=n, wanted=RUNS, place=place, note=note))
     return figures
 
@@ -77,6 +82,15 @@ def _corner(path: CommandedPath, vertex: int, xyz: Array) -> tuple[float, float]
     across = rest[:stop] - along[:stop, None] * after
     beyond = np.where(across @ before > 0.0, np.linalg.norm(across, axis=1), 0.0)
     return float(distance[nearest]), float(beyond.max(initial=0.0))
+
+
+def _sampling_note(test: PathTest, value: float) -> str:
+    """Return a warning where the samples are so far apart that the line between them cuts much of the corner."""
+    step = max(float(np.median(np.linalg.norm(np.diff(run.xyz_m, axis=0), axis=1))) for run in test.runs)
+    cut = step * CUT
+    return (
+        f"samples lie {step:.2g} m apart: a square corner looks cut by up to {cut:.2g} m" if cut > WORTH * value else ""
+    )
 
 
 def _noise_note(test: PathTest, value: float) -> str:

@@ -160,4 +160,6 @@ def _no_repeatability(visits: PoseVisits) -> str | None:
         )
     if len(visits) < MIN_REPEATABILITY:
         return too_few("visits", len(visits), MIN_REPEATABILITY, VISITS)
+    if (visits.xyz_m == visits.xyz_m[0]).all():
+        return "all visits are equal to the last digit: one measurement repeated"
     return None

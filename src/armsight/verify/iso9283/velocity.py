@@ -65,7 +65,9 @@ def speeds_m_s(run: PathRun) -> Array:
     inner = rows[1:-1]
     inner = inner[(at[inner] >= edge) & (at[inner] <= at[-1] - edge)]
     forward = np.einsum("ij,ij->i", xyz[inner + 1] - xyz[inner - 1], unit[inner])
-    return np.asarray(forward / (t[inner + 1] - t[inner - 1]))
+    turn = np.linalg.norm(unit[inner + 1] - unit[inner - 1], axis=1)  # rad, over the two steps
+    arc = forward * (1.0 + turn**2 / 24.0)  # a chord's arc, to second order: 0.3 % on a circle of 12 mm at 0.1 m/s
+    return np.asarray(arc / (t[inner + 1] - t[inner - 1]))
 
 
 def _no_velocity(test: PathTest) -> str | None:
@@ -74,6 +76,8 @@ def _no_velocity(test: PathTest) -> str | None:
     fault = stamps_fault(test.stamps, tuple(run.t_s for run in test.runs))
     if fault is not None:
         return fault
+    if test.commanded is not None and len(test.commanded.corners):
+        return "the path has corners, before which arms slow down: velocity is judged on a path without"
     if len(test.runs) < MIN_ACCURACY:
         return too_few("runs", len(test.runs), MIN_ACCURACY, RUNS)
     return None
