@@ -57,20 +57,22 @@ def test_of_several_directions_variation_is_given_and_repeatability_withheld():
     poses = [visits(12, approach=tuple("xyz" * 4))]
     assert "3 directions (x, y, z)" in figure("RP_m", poses=poses).withheld
     assert figure("vAP_m", poses=poses).value > 0.0
-    assert "1 approach direction" in figure("vAP_m", poses=[visits(approach=("x",) * 10)]).withheld
+    assert "1 of the 2 approach directions" in figure("vAP_m", poses=[visits(approach=("x",) * 10)]).withheld
     assert "not known" in figure("vAP_m", poses=[visits()]).withheld
 
 
 def test_too_few_repeats_name_the_number_needed():
-    assert "2 visits; at least 5 are needed, and ISO 9283 asks for 30" in figure("RP_m", poses=[visits(2)]).withheld
-    assert "at least 3" in figure("AP_m", poses=[visits(2, commanded_xyz_m=np.zeros(3))]).withheld
-    assert "4 runs; at least 5" in figure("RT_m", paths=[PathTest(name="line", runs=line(4))]).withheld
+    assert (
+        "2 of the 5 visits that are needed at least; ISO 9283 asks for 30" in figure("RP_m", poses=[visits(2)]).withheld
+    )
+    assert "2 of the 3 visits" in figure("AP_m", poses=[visits(2, commanded_xyz_m=np.zeros(3))]).withheld
+    assert "4 of the 5 runs" in figure("RT_m", paths=[PathTest(name="line", runs=line(4))]).withheld
     pair = [visits(4, pose="A"), visits(4, pose="B", seed=1)]
-    assert "at least 5" in figure("RD_m", poses=pair).withheld
+    assert "4 of the 5 cycles" in figure("RD_m", poses=pair).withheld
     apart = [visits(4, pose="A"), PoseVisits(pose="B", xyz_m=np.zeros((4, 3)), visit=np.arange(4, 8))]
-    assert "0 cycles with both A and B" in figure("RD_m", poses=apart).withheld
+    assert "0 of the 3 cycles with both A and B" in figure("RD_m", poses=apart).withheld
     robots = [visits(5, robot="one"), visits(2, robot="two")]
-    assert "robot two: 2 visits" in figure("E_m", poses=robots).withheld
+    assert "robot two: 2 of the 3 visits" in figure("E_m", poses=robots).withheld
 
 
 def test_distance_needs_no_common_frame_but_its_components_do():
@@ -193,6 +195,8 @@ def test_the_worst_place_stands_for_all():
     assert listed["RP_m"]["place"] == worst.place
     assert listed["RP_m P2"]["withheld"]
     assert set(listed["RP_m"]) >= {"value", "n", "wanted", "withheld", "std"}
+    nowhere = evaluate(Iso9283Test(poses=[visits(1, pose="P1"), visits(4, pose="P2"), visits(2, pose="P3")]))
+    assert nowhere["RP_m"].place == "P2"
     with pytest.raises(KeyError, match="no figure"):
         found["RP_mm"]
 

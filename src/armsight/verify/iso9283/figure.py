@@ -92,12 +92,15 @@ class Figures:
         raise KeyError(f"there is no figure {key!r}; there are {', '.join(figure.key for figure in self.figures)}")
 
     def worst(self) -> dict[str, Figure]:
-        """Return by name the figure of the place at which it is largest in size; withheld where it is everywhere."""
+        """Return by name the figure of the place at which it is largest in size.
+
+        Where it is withheld everywhere, that of the place with the most repeats, whose reason says most.
+        """
         groups: dict[str, list[Figure]] = {}
         for figure in self.figures:
             groups.setdefault(figure.name, []).append(figure)
         return {
-            name: max(group, key=lambda figure: -1.0 if figure.value is None else abs(figure.value))
+            name: max(group, key=lambda one: (-1.0 if one.value is None else abs(one.value), one.n))
             for name, group in groups.items()
         }
 
@@ -116,7 +119,7 @@ def withheld(figures: Iterable[tuple[str, str]], why: str, *, n: int, wanted: in
 
 def too_few(what: str, n: int, needed: int, wanted: int) -> str:
     """Return the reason for withholding a figure of too few repeats."""
-    return f"{n} {what}; at least {needed} are needed, and ISO 9283 asks for {wanted}"
+    return f"{n} of the {needed} {what} that are needed at least; ISO 9283 asks for {wanted}"
 
 
 def noted(figure: Figure, note: str) -> Figure:

@@ -36,7 +36,7 @@ def variation(visits: PoseVisits) -> list[Figure]:
     parts = [visits.take(np.flatnonzero(labels == name)) for name in visits.directions]
     fewest = min((len(part) for part in parts), default=0)
     if len(parts) < 2:
-        why = f"{len(parts)} approach direction; at least 2 are needed, and ISO 9283 asks for {DIRECTIONS}"
+        why = too_few("approach directions", len(parts), 2, DIRECTIONS)
     elif fewest < MIN_ACCURACY:
         why = too_few("visits of one direction", fewest, MIN_ACCURACY, VISITS)
     else:
@@ -52,7 +52,7 @@ def exchangeability(pose: str, robots: Sequence[PoseVisits]) -> list[Figure]:
     several = [visits for visits in robots if len(visits.directions) > 1]
     few = [visits for visits in robots if len(visits) < MIN_ACCURACY]
     if len(robots) < 2:
-        why = f"visits of {len(robots)} robot; at least 2 are needed, and ISO 9283 asks for {ROBOTS}"
+        why = too_few("robots", len(robots), 2, ROBOTS)
     elif several:
         why = f"robot {several[0].robot} came from several directions; E is of visits from one"
     elif few:
