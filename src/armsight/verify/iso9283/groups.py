@@ -28,13 +28,13 @@ def variation(visits: PoseVisits) -> list[Figure]:
     """Return vAP, vAP_a .. vAP_c of one robot at one pose: the largest distance of barycentres by direction.
 
     The measurement's systematic part is the same in all directions and cancels. n counts the visits of the direction
-    that has the fewest.
+    that has the fewest, 0 where there are not two.
     """
     if visits.approach is None:
         return withheld(VARIATION, "the approach directions are not known", n=0, wanted=VISITS, place=visits.place)
     labels = np.array(visits.approach)
     parts = [visits.take(np.flatnonzero(labels == name)) for name in visits.directions]
-    fewest = min((len(part) for part in parts), default=0)
+    fewest = min(len(part) for part in parts) if len(parts) > 1 else 0
     if len(parts) < 2:
         why = too_few("approach directions", len(parts), 2, DIRECTIONS)
     elif fewest < MIN_ACCURACY:
