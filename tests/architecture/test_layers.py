@@ -16,6 +16,8 @@ PLANTED = {
     "geometry sees records": ("geometry/planted.py", "import armsight.records"),
     "optics sees kinematics": ("optics/planted.py", "import armsight.kinematics"),
     "calibrate sees measure": ("calibrate/planted.py", "import armsight.measure"),
+    "verify sees control": ("verify/planted.py", "import armsight.control"),
+    "verify opens files": ("verify/planted.py", "import pathlib"),
     "measure sees sim": ("measure/planted.py", "import armsight.sim"),
     "sim projects with optics": ("sim/planted.py", "import armsight.optics"),
     "store sees config": ("store/planted.py", "import armsight.config"),

@@ -1,0 +1,251 @@
+"""What an ISO 9283 test gives: visits of commanded poses, runs along commanded paths, arrivals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from armsight.errors import Inconsistent
+from armsight.records import frozen_array
+
+Array = NDArray[np.float64]
+
+CORNER_RAD = np.pi / 9
+"""A commanded path that turns by more at one vertex has a corner there: circles are drawn with far smaller turns."""
+
+
+class Stamps(StrEnum):
+    """What the time stamps of a run are: of the sampling itself, of the rows' arrival, or not there."""
+
+    SAMPLING = "sampling"
+    ARRIVAL = "arrival"
+    ABSENT = "absent"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PoseVisits:
+    """The attained positions (n, 3) of one robot at one commanded pose, one row per visit, in one measuring frame.
+
+    pose: the commanded pose's name. visit (n,): number of the cycle; rows of two poses with the same number belong to
+    one cycle. quat_xyzw (n, 4): attained orientations, or None. covariance (n, k, k), k = 6 with orientations and 3
+    without: the whole uncertainty of each measurement; systematic (k, k): the part of it that is the same in every
+    visit (rig, target). approach: by visit, the direction it came from; None where nobody knows. commanded_xyz_m (3,),
+    commanded_quat_xyzw (4,): the command; in_measuring_frame: whether it is given in the frame that was measured in.
+    robot: which of several exchanged robots.
+
+    Raises Inconsistent where sizes contradict each other or a cycle comes twice.
+    """
+
+    pose: str
+    xyz_m: Array
+    visit: NDArray[np.int64]
+    quat_xyzw: Array | None = None
+    covariance: Array | None = None
+    systematic: Array | None = None
+    approach: tuple[str, ...] | None = None
+    commanded_xyz_m: Array | None = None
+    commanded_quat_xyzw: Array | None = None
+    in_measuring_frame: bool = True
+    robot: str = ""
+
+    def __post_init__(self) -> None:
+        n = len(self.xyz_m)
+        size = 3 if self.quat_xyzw is None else 6
+        shapes: dict[str, tuple[int | None, ...]] = {
+            "xyz_m": (n, 3),
+            "quat_xyzw": (n, 4),
+            "covariance": (n, size, size),
+            "systematic": (size, size),
+            "commanded_xyz_m": (3,),
+            "commanded_quat_xyzw": (4,),
+        }
+        freeze(self, shapes)
+        visit = np.array(self.visit, dtype=np.int64)
+        if visit.shape != (n,) or len(np.unique(visit)) != n:
+            raise Inconsistent(
+                f"pose {self.pose}: {n} positions need {n} different visit numbers, not {visit.tolist()[:20]}",
+                consequence="Visits of two poses cannot be put together by cycle",
+                cure="Number the visits of each pose; give each robot a PoseVisits of its own",
+            )
+        visit.setflags(write=False)
+        object.__setattr__(self, "visit", visit)
+        if self.approach is not None:
+            object.__setattr__(self, "approach", tuple(self.approach))
+            if len(self.approach) != n:
+                raise Inconsistent(f"pose {self.pose}: {len(self.approach)} approach directions for {n} visits")
+
+    def __len__(self) -> int:
+        return len(self.xyz_m)
+
+    @property
+    def place(self) -> str:
+        """The pose's name, with the robot's before it where there is one."""
+        return f"{self.robot} {self.pose}".strip()
+
+    @property
+    def rotation(self) -> Rotation | None:
+        """The attained orientations as one stack of n."""
+        return None if self.quat_xyzw is None else Rotation.from_quat(self.quat_xyzw)
+
+    @property
+    def directions(self) -> tuple[str, ...]:
+        """The different approach directions, sorted; empty where they are not known."""
+        return tuple(sorted(set(self.approach or ())))
+
+    @property
+    def random(self) -> Array | None:
+        """The mean covariance (k, k) of what differs from visit to visit in the measurement; None if not known."""
+        if self.covariance is None or not len(self):
+            return None
+        return random_part(self.covariance.mean(axis=0), self.systematic)
+
+    def take(self, index: NDArray[np.intp]) -> PoseVisits:
+        """Return some of the visits, in the given order."""
+        return PoseVisits(
+            pose=self.pose,
+            xyz_m=self.xyz_m[index],
+            visit=self.visit[index],
+            quat_xyzw=None if self.quat_xyzw is None else self.quat_xyzw[index],
+            covariance=None if self.covariance is None else self.covariance[index],
+            systematic=self.systematic,
+            approach=None if self.approach is None else tuple(self.approach[i] for i in index),
+            commanded_xyz_m=self.commanded_xyz_m,
+            commanded_quat_xyzw=self.commanded_quat_xyzw,
+            in_measuring_frame=self.in_measuring_frame,
+            robot=self.robot,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CommandedPath:
+    """The commanded path as a polyline: xyz_m (k, 3), quat_xyzw (k, 4) or None, and the commanded speed.
+
+    Vertices at which it turns by more than CORNER_RAD are its corners; a curve is given by so many vertices that none
+    is one. Raises Inconsistent below two vertices, for equal neighbours and for a speed that is not positive.
+    """
+
+    xyz_m: Array
+    quat_xyzw: Array | None = None
+    speed_m_s: float | None = None
+
+    def __post_init__(self) -> None:
+        freeze(self, {"xyz_m": (None, 3), "quat_xyzw": (len(self.xyz_m), 4)})
+        if len(self.xyz_m) < 2 or not (self.lengths > 0.0).all():
+            raise Inconsistent(
+                "a commanded path needs at least two vertices, and none equal to the next",
+                consequence="It has no direction",
+                cure="Remove repeated vertices",
+            )
+        if self.speed_m_s is not None and not (np.isfinite(self.speed_m_s) and self.speed_m_s > 0.0):
+            raise Inconsistent(f"the commanded speed {self.speed_m_s:g} m/s is not a positive number")
+
+    @property
+    def lengths(self) -> Array:
+        """Length of each segment (k - 1,) in m."""
+        return np.asarray(np.linalg.norm(np.diff(self.xyz_m, axis=0), axis=1))
+
+    @property
+    def directions(self) -> Array:
+        """Unit vector of each segment (k - 1, 3)."""
+        return np.diff(self.xyz_m, axis=0) / self.lengths[:, None]
+
+    @property
+    def corners(self) -> NDArray[np.intp]:
+        """Vertices (c,) between the ends at which the path turns sharply."""
+        d = self.directions
+        cosine = np.einsum("ij,ij->i", d[:-1], d[1:])
+        return np.flatnonzero(cosine < np.cos(CORNER_RAD)) + 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PathRun:
+    """One run along a path: xyz_m (m, 3), and where there are any t_s (m,) and quat_xyzw (m, 4)."""
+
+    xyz_m: Array
+    t_s: Array | None = None
+    quat_xyzw: Array | None = None
+
+    def __post_init__(self) -> None:
+        m = len(self.xyz_m)
+        freeze(self, {"xyz_m": (m, 3), "t_s": (m,), "quat_xyzw": (m, 4)})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PathTest:
+    """Several runs along one path.
+
+    stamps: what the runs' times are. covariance_m2 (3, 3): the whole uncertainty of one sample's position;
+    systematic_m2 (3, 3): the part of it that all samples share. in_measuring_frame: of the command.
+    """
+
+    name: str
+    runs: tuple[PathRun, ...]
+    commanded: CommandedPath | None = None
+    in_measuring_frame: bool = True
+    stamps: Stamps = Stamps.SAMPLING
+    covariance_m2: Array | None = None
+    systematic_m2: Array | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "runs", tuple(self.runs))
+        object.__setattr__(self, "stamps", Stamps(self.stamps))
+        freeze(self, {"covariance_m2": (3, 3), "systematic_m2": (3, 3)})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ArrivalTest:
+    """Traces of several arrivals at one pose, each from before it reaches the band to rest.
+
+    band_m: radius of the limit band about the place of rest; the pose repeatability, or what the maker states.
+    covariance_m2 (3, 3): the whole uncertainty of one sample's position, systematic_m2 the part all samples share.
+    """
+
+    pose: str
+    traces: tuple[PathRun, ...]
+    band_m: float
+    stamps: Stamps = Stamps.SAMPLING
+    covariance_m2: Array | None = None
+    systematic_m2: Array | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "traces", tuple(self.traces))
+        object.__setattr__(self, "stamps", Stamps(self.stamps))
+        freeze(self, {"covariance_m2": (3, 3), "systematic_m2": (3, 3)})
+        if not (np.isfinite(self.band_m) and self.band_m > 0.0):
+            raise Inconsistent(
+                f"the limit band of {self.pose} is {self.band_m:g} m, which is not a positive number",
+                consequence="Nothing can enter it",
+                cure="Give the pose repeatability, or the band that the maker states",
+            )
+
+
+def freeze(record: object, shapes: dict[str, tuple[int | None, ...]]) -> None:
+    """Turn a record's arrays, where they are given, into read-only copies; raises Inconsistent as frozen_array."""
+    for name, shape in shapes.items():
+        value = getattr(record, name)
+        if value is not None:
+            object.__setattr__(record, name, frozen_array(name, value, shape))
+
+
+def random_part(covariance: Array, systematic: Array | None) -> Array:
+    """Return covariance (k, k) without its systematic part; directions in which nothing is left have zero."""
+    if systematic is None:
+        return covariance
+    value, vector = np.linalg.eigh(covariance - systematic)
+    return np.asarray((vector * np.maximum(value, 0.0)) @ vector.T)
+
+
+def stamps_fault(stamps: Stamps, t_s: tuple[Array | None, ...]) -> str | None:
+    """Return why times cannot be divided by, or None where they can."""
+    if stamps is Stamps.ABSENT or any(t is None for t in t_s):
+        return "the runs carry no times"
+    if stamps is Stamps.ARRIVAL:
+        return "the stamps are arrival times, not sampling times: put them on the sampling clock first"
+    for number, t in enumerate(t_s, start=1):
+        if t is not None and (np.diff(t) <= 0.0).any():
+            return f"the stamps of run {number} do not increase (row {int(np.argmax(np.diff(t) <= 0.0)) + 2})"
+    return None

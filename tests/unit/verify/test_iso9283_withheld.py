@@ -1,0 +1,224 @@
+"""Figures that the data do not carry are withheld with the reason and the number needed; wrong input is refused."""
+
+import numpy as np
+import pytest
+
+from armsight.errors import Inconsistent, UsageError
+from armsight.verify.iso9283 import (
+    ArrivalTest,
+    CommandedPath,
+    Figure,
+    Iso9283Test,
+    PathRun,
+    PathTest,
+    PoseVisits,
+    Stamps,
+    evaluate,
+)
+
+SYMBOLS = {"AP_m", "AP_a_rad", "RP_m", "RP_c_rad", "vAP_m", "vAP_a_rad", "AD_m", "RD_m", "E_m", "t_s", "OV_m", "AT_m"}
+SYMBOLS |= {"RT_m", "AT_b_rad", "RT_b_rad", "CR_m", "CO_m", "AV_ratio", "RV_ratio", "FV_m_s"}
+
+
+def visits(n=10, *, pose="P1", seed=0, **more):
+    xyz = np.random.default_rng(seed).normal(0.0, 1e-4, (n, 3))
+    return PoseVisits(pose=pose, xyz_m=xyz, visit=np.arange(n), **more)
+
+
+def figure(key, **test):
+    return evaluate(Iso9283Test(**test))[key]
+
+
+def line(n_runs=5, samples=60, t=True):
+    x = np.linspace(0.0, 0.2, samples)
+    times = np.linspace(0.0, 2.0, samples) if t else None
+    offsets = np.random.default_rng(0).normal(0.0, 1e-4, n_runs)
+    return [PathRun(xyz_m=np.stack([x, 0 * x + y, 0 * x], axis=1), t_s=times) for y in offsets]
+
+
+LINE = CommandedPath(xyz_m=[[0.0, 0.0, 0.0], [0.2, 0.0, 0.0]], speed_m_s=0.1)
+
+
+def test_every_figure_is_there_even_of_nothing():
+    found = evaluate(Iso9283Test())
+    assert set(found.as_json()) >= SYMBOLS
+    assert all(one.value is None and one.withheld and one.n == 0 for one in found)
+
+
+def test_without_a_command_accuracy_is_withheld_and_repeatability_given():
+    for poses in ([visits()], [visits(commanded_xyz_m=[0.1, 0, 0], in_measuring_frame=False)]):
+        accuracy = figure("AP_m", poses=poses)
+        assert accuracy.value is None
+        assert "command" in accuracy.withheld
+        assert figure("RP_m", poses=poses).value > 0.0
+
+
+def test_of_several_directions_variation_is_given_and_repeatability_withheld():
+    poses = [visits(12, approach=tuple("xyz" * 4))]
+    assert "3 directions (x, y, z)" in figure("RP_m", poses=poses).withheld
+    assert figure("vAP_m", poses=poses).value > 0.0
+    assert "1 of the 2 approach directions" in figure("vAP_m", poses=[visits(approach=("x",) * 10)]).withheld
+    assert "not known" in figure("vAP_m", poses=[visits()]).withheld
+
+
+def test_too_few_repeats_name_the_number_needed():
+    assert (
+        "2 of the 5 visits that are needed at least; ISO 9283 asks for 30" in figure("RP_m", poses=[visits(2)]).withheld
+    )
+    assert "2 of the 3 visits" in figure("AP_m", poses=[visits(2, commanded_xyz_m=np.zeros(3))]).withheld
+    assert "4 of the 5 runs" in figure("RT_m", paths=[PathTest(name="line", runs=line(4))]).withheld
+    pair = [visits(4, pose="A"), visits(4, pose="B", seed=1)]
+    assert "4 of the 5 cycles" in figure("RD_m", poses=pair).withheld
+    apart = [visits(4, pose="A"), PoseVisits(pose="B", xyz_m=np.zeros((4, 3)), visit=np.arange(4, 8))]
+    assert "0 of the 3 cycles with both A and B" in figure("RD_m", poses=apart).withheld
+    robots = [visits(5, robot="one"), visits(2, robot="two")]
+    assert "robot two: 2 of the 3 visits" in figure("E_m", poses=robots).withheld
+
+
+def test_distance_needs_no_common_frame_but_its_components_do():
+    pair = [
+        visits(pose=name, seed=seed, commanded_xyz_m=[x, 0, 0], in_measuring_frame=False)
+        for name, seed, x in (("P2", 0, 0.0), ("P4", 1, 1e-4))
+    ]
+    assert figure("AD_m", poses=pair).value is not None
+    assert "measuring frame" in figure("AD_x_m", poses=pair).withheld
+    assert figure("RD_x_m", poses=pair).value is not None
+
+
+@pytest.mark.parametrize(
+    ("stamps", "times", "why"),
+    [
+        (Stamps.ARRIVAL, True, "arrival times"),
+        (Stamps.ABSENT, True, "no times"),
+        (Stamps.SAMPLING, False, "no times"),
+    ],
+)
+def test_velocity_and_stabilisation_need_sampling_times(stamps, times, why):
+    runs = line(t=times)
+    test = PathTest(name="line", runs=runs, commanded=LINE, stamps=stamps)
+    for key in ("AV_ratio", "RV_ratio", "FV_m_s"):
+        assert why in figure(key, paths=[test]).withheld
+    assert figure("AT_m", paths=[test]).value is not None
+    arrivals = [ArrivalTest(pose="P1", traces=runs, band_m=1e-3, stamps=stamps)]
+    assert why in figure("t_s", arrivals=arrivals).withheld
+
+
+def test_equal_stamps_are_named():
+    runs = [PathRun(xyz_m=run.xyz_m, t_s=np.zeros(len(run.xyz_m))) for run in line()]
+    assert "do not increase (row 2)" in figure("FV_m_s", paths=[PathTest(name="line", runs=runs)]).withheld
+
+
+def test_a_run_that_stops_short_is_named():
+    runs = line()
+    runs[2] = PathRun(xyz_m=runs[2].xyz_m[:30], t_s=runs[2].t_s[:30])
+    withheld = figure("AT_m", paths=[PathTest(name="line", runs=runs, commanded=LINE)]).withheld
+    assert withheld.startswith("run 3 does not cross")
+
+
+def test_path_repeatability_without_a_command_is_square_to_the_first_run():
+    found = figure("RT_m", paths=[PathTest(name="line", runs=line())])
+    given = figure("RT_m", paths=[PathTest(name="line", runs=line(), commanded=LINE)])
+    assert "square to the first run" in found.note
+    assert given.note == ""
+
+
+def test_a_straight_path_has_no_corner():
+    assert "no corner" in figure("CR_m", paths=[PathTest(name="line", runs=line(), commanded=LINE)]).withheld
+
+
+def test_velocity_is_not_judged_across_corners():
+    path = CommandedPath(xyz_m=[[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0]], speed_m_s=0.1)
+    assert "corners" in figure("AV_ratio", paths=[PathTest(name="L", runs=line(), commanded=path)]).withheld
+
+
+def test_a_corner_between_samples_is_said():
+    path = CommandedPath(xyz_m=[[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0]])
+    for step, said in ((0.02, True), (0.0005, False)):
+        s = np.arange(-0.1 + step / 2, 0.1, step)
+        track = np.stack([0.1 + np.minimum(s, 0.0), np.maximum(s, 0.0), np.full_like(s, 2e-3)], axis=1)
+        note = figure("CR_m", paths=[PathTest(name="L", runs=[PathRun(xyz_m=track)] * 2, commanded=path)]).note
+        assert ("samples lie" in note) == said
+
+
+def test_speed_on_a_small_circle_is_that_of_the_arc():
+    t = np.arange(120) / 60
+    angle = 0.1 * t / 0.0125
+    runs = [PathRun(t_s=t, xyz_m=0.0125 * np.stack([np.cos(angle), np.sin(angle), 0 * t], axis=1))] * 3
+    found = figure("AV_ratio", paths=[PathTest(name="circle", runs=runs, commanded=LINE)])
+    assert found.value == pytest.approx(0.0, abs=1e-4)  # the chord of two steps is 0.3 % shorter than the arc
+
+
+def test_one_measurement_repeated_is_no_repeatability():
+    poses = [PoseVisits(pose="P1", xyz_m=np.ones((6, 3)), visit=range(6))]
+    assert "one measurement repeated" in figure("RP_m", poses=poses).withheld
+
+
+def test_arrivals_that_carry_no_time_are_told_why():
+    t = np.linspace(0.0, 1.0, 50)
+    away = np.outer(np.where(t < 0.5, 1e-2, 0.0), [1.0, 0.0, 0.0])
+    moving = np.outer(1e-2 * (1.0 - t), [1.0, 0.0, 0.0])
+    good = PathRun(xyz_m=away, t_s=t)
+    for bad, why in (
+        (PathRun(xyz_m=0 * away, t_s=t), "begins inside the limit band"),
+        (PathRun(xyz_m=moving, t_s=t), "does not rest"),
+        (PathRun(xyz_m=away[:4], t_s=t[:4]), "4 samples"),
+    ):
+        withheld = figure("t_s", arrivals=[ArrivalTest(pose="P1", traces=[good, bad], band_m=1e-4)]).withheld
+        assert withheld.startswith("arrival 2: ")
+        assert why in withheld
+    noisy = ArrivalTest(pose="P1", traces=[good, good], band_m=1e-4, covariance_m2=np.eye(3) * 1e-8)
+    assert "narrower than 3 standard deviations" in figure("t_s", arrivals=[noisy]).withheld
+
+
+def test_noise_as_large_as_the_scatter_is_said():
+    noise = np.tile(np.eye(3) * 4e-8, (10, 1, 1))
+    found = figure("RP_m", poses=[visits(covariance=noise)])
+    assert found.corrected == 0.0
+    assert "robot's part cannot be seen" in found.note
+    assert found.corrected_std > 0.0
+    assert "covariance was not given" in figure("RP_m", poses=[visits()]).note
+
+
+def test_turns_across_half_a_turn_are_small():
+    """Euler angles of these orientations jump by a whole turn between visits."""
+    angles = np.pi + np.array([-2, -1, 0, 1, 2]) * 1e-3
+    quat = np.stack([np.sin(angles / 2), 0 * angles, 0 * angles, np.cos(angles / 2)], axis=1)
+    found = figure("RP_a_rad", poses=[visits(5, quat_xyzw=quat)])
+    assert found.value == pytest.approx(3 * np.sqrt(2.5) * 1e-3, rel=1e-6)
+
+
+def test_the_worst_place_stands_for_all():
+    found = evaluate(Iso9283Test(poses=[visits(pose="P1"), visits(3, pose="P2"), visits(pose="P3", seed=3)]))
+    worst = max((found["RP_m P1"], found["RP_m P3"]), key=lambda one: one.value)
+    assert found["RP_m"] == worst
+    listed = found.as_json()
+    assert listed["RP_m"]["place"] == worst.place
+    assert listed["RP_m P2"]["withheld"]
+    assert set(listed["RP_m"]) >= {"value", "n", "wanted", "withheld", "std"}
+    nowhere = evaluate(Iso9283Test(poses=[visits(1, pose="P1"), visits(4, pose="P2"), visits(2, pose="P3")]))
+    assert nowhere["RP_m"].place == "P2"
+    with pytest.raises(KeyError, match="no figure"):
+        found["RP_mm"]
+
+
+def test_wrong_input_is_refused():
+    with pytest.raises(Inconsistent, match="different visit numbers"):
+        PoseVisits(pose="P1", xyz_m=np.zeros((2, 3)), visit=[1, 1])
+    with pytest.raises(Inconsistent, match="approach directions"):
+        visits(approach=("x",))
+    with pytest.raises(Inconsistent, match="not finite"):
+        PoseVisits(pose="P1", xyz_m=[[np.nan, 0, 0]], visit=[0])
+    with pytest.raises(Inconsistent, match="given twice"):
+        Iso9283Test(poses=[visits(), visits()])
+    with pytest.raises(Inconsistent, match="P9, which was not visited"):
+        Iso9283Test(poses=[visits()], distance=("P1", "P9"))
+    with pytest.raises(Inconsistent, match="two vertices"):
+        CommandedPath(xyz_m=[[0, 0, 0], [0, 0, 0]])
+    with pytest.raises(Inconsistent, match="not a positive number"):
+        CommandedPath(xyz_m=[[0, 0, 0], [1, 0, 0]], speed_m_s=0.0)
+    with pytest.raises(Inconsistent, match="limit band"):
+        ArrivalTest(pose="P1", traces=(), band_m=0.0)
+    with pytest.raises(UsageError, match="unit"):
+        Figure(symbol="AP", unit="mm", n=1, wanted=1, value=1.0)
+    with pytest.raises(UsageError, match="either a value or the reason"):
+        Figure(symbol="AP", unit="m", n=1, wanted=1)
