@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import islice
+from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+import yaml
 
+from armsight.app.simulate import scenarios
+from armsight.app.simulate.scenarios import VIEW
 from armsight.clock import ManualClock
 from armsight.drivers import AUTOMATIC, CameraSettings, OpenCvCamera, open_pairs, open_source
 from armsight.drivers.aravis import AravisCamera
@@ -138,15 +143,19 @@ def test_what_is_not_live_and_what_sets_no_zoom_is_refused(monkeypatch: pytest.M
 
 
 def scenario(zoom: str) -> Scenario:
+    return Scenario.model_validate(content(zoom))
+
+
+def content(zoom: str) -> dict[str, Any]:
     from importlib.resources import files
 
     text = (files("armsight") / "sim/scenarios/webcam-cell.yaml").read_text()
-    content = parse_yaml(text.encode(), "webcam-cell")
+    cell: dict[str, Any] = parse_yaml(text.encode(), "webcam-cell")
     for side in ("left", "right"):
-        content["cameras"][side].pop("distortion", None)
+        cell["cameras"][side].pop("distortion", None)
         if zoom:
-            content["cameras"][side]["zoom"] = parse_yaml(zoom.encode(), "zoom")
-    return Scenario.model_validate(content)
+            cell["cameras"][side]["zoom"] = parse_yaml(zoom.encode(), "zoom")
+    return cell
 
 
 def test_a_simulated_camera_zooms() -> None:
@@ -156,6 +165,21 @@ def test_a_simulated_camera_zooms() -> None:
     ]
     assert focal[0] < focal[1] < focal[2]
     assert focal[2] / focal[0] == pytest.approx(4.0, rel=0.02)  # but for the breathing of the focus
+
+
+def test_a_simulated_live_camera_is_zoomed_by_its_settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "zoom.yaml"
+    path.write_text(yaml.safe_dump(content("ratio: 4.0")))
+    load = scenarios.load
+    monkeypatch.setattr(  # the world itself in place of the camera that looks at it
+        scenarios, "load", lambda group, name: (lambda world, *_: world) if name == VIEW else load(group, name)
+    )
+    world: Any = open_source(f"camera:sim:{path}:left", settings=CameraSettings(zoom=300.0))
+    expected = build_world(scenario("ratio: 4.0"), frames=1, zoom=300.0)
+    assert world.rig["cameras"]["left"]["fx"] == expected.rig["cameras"]["left"]["fx"]
+    with pytest.raises(UsageError, match="cannot be given --focus") as info:
+        open_source(f"camera:sim:{path}:left", settings=CameraSettings(zoom=300.0, focus=1.0))
+    assert "--set-zoom" in info.value.cure
 
 
 def test_a_scenario_without_zoom_lens_and_a_zoom_beyond_its_ends_are_refused() -> None:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.app.measure.run import MeasureJob, measure
+from armsight.drivers import AUTOMATIC, CameraSettings
 from armsight.errors import BadFile, Inconsistent, NotEnoughData, UsageError
 from armsight.optics import Camera, parallel_rig
 from armsight.records import CameraTiming, NamedCovariance, PoseStatus, spot_target
@@ -197,6 +198,30 @@ def test_poses_in_the_world_are_those_of_the_rig_moved(tmp_path: Path) -> None:
             "Record first",
         ),
         ({"target": Path("checkerboard:9x6:0.025")}, UsageError, "three or more lights"),
+        ({"camera_settings": CameraSettings(gain=2.0)}, UsageError, "--gain is for live cameras, and a table of spots"),
+        (
+            {
+                "left": "shots",
+                "right": "others",
+                "left_spots": None,
+                "right_spots": None,
+                "timing": "free",
+                "camera_settings": (AUTOMATIC, CameraSettings(zoom=300.0)),
+            },
+            UsageError,
+            "--set-zoom is for live cameras, and shots",
+        ),
+        (
+            {
+                "image": "camera:0",
+                "left_spots": None,
+                "right_spots": None,
+                "timing": "pairs",
+                "camera_settings": (AUTOMATIC, CameraSettings(zoom=300.0)),
+            },
+            UsageError,
+            "camera:0 is one camera, and two different zooms",
+        ),
     ],
 )
 def test_what_cannot_be_together_is_refused(
