@@ -259,18 +259,8 @@ def main() -> None:
             hidden.append([speed, *e, len(tally.covered), 100.0 * np.mean(tally.covered_inside)])
             for text in tally.why:
                 print("refused:", text)
-    head = [
-        "m/s, RMS",
-        "smoothed: mm",
-        "mrad",
-        "causal: mm",
-        "mrad",
-        "one trigger: mm",
-        "mrad",
-        "nearest pairs: mm",
-        "mrad",
-    ]
-    head += ["nearest pairs: mm", "mrad", "smoothed / one trigger, mm", "mrad", "causal / one trigger, mm"]
+    head = ["m/s, RMS", "smoothed: mm", "mrad", "causal: mm", "mrad", "one trigger: mm", "mrad", "nearest pairs: mm"]
+    head += ["mrad", "smoothed / one trigger, mm", "mrad", "causal / one trigger, mm"]
     bench.table(f"RMS errors, {runs} recordings of {SECONDS:g} s a speed (aim: 1.3 smoothed, 1.6 causal)", head, rows)
     head = ["m/s, RMS", "poses % of those in view of both", "position in 95 % (axes as independent)"]
     head += ["in the second after the start", "nearest pairs: poses %", "recordings refused", "ms a frame, in all"]

@@ -34,6 +34,8 @@ WAITING_FRAMES = 60
 """Frames before a beginning through which the target is followed backwards: a second of both cameras."""
 LOST_VIEWS = 6
 """Views in a row that do not fit, or in which nothing is seen, after which the target is looked for anew."""
+MAX_WITHOUT_WHOLE_S = 0.05
+"""Nothing is said of the target further from a view of three lights: how it turns about two is guesswork."""
 MAX_PARTIAL_S = 0.15
 """Without three lights in a view for longer, how the target turns is guesswork, and it is looked for anew."""
 FEWEST_VIEWS = 10
@@ -81,7 +83,7 @@ class Follower:
         return float(self.timing[side].rig_time(frame.t_s))
 
     def add(self, frame: AnyFrame, side: int) -> MotionState | None:
-        """Return the state after a frame of the left (0) or right (1) camera; None while the target is not followed."""
+        """Return the state after a frame of the left (0) or right (1) camera; None while nothing is sure of it."""
         t_s = self.time_of(frame, side)
         if self._filter is not None and t_s - self._filter.seen_s > MAX_GAP_S:
             self._lose("the target was out of sight")
@@ -93,7 +95,7 @@ class Follower:
             self._lose("what is seen no longer moves as the target did")
             return None
         if view is None:
-            return self._filter.at(t_s)
+            return self._sure(self._filter.at(t_s))
         if len(view.lights) >= 3:
             self._whole_s = t_s
         if t_s - self._whole_s > MAX_PARTIAL_S:
@@ -101,7 +103,10 @@ class Follower:
             return None
         self.views.append(view)
         self._filter = self._filter.add(view)
-        return self._filter.state
+        return self._sure(self._filter.state)
+
+    def _sure(self, state: MotionState) -> MotionState | None:
+        return state if state.t_s - self._whole_s <= MAX_WITHOUT_WHOLE_S else None
 
     def _lose(self, why: str) -> None:
         self._filter, self._beginner, self._lost = None, None, why

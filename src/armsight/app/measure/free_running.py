@@ -15,7 +15,7 @@ from armsight.app.schemas.measure import FreeRunning
 from armsight.app.schemas.timing import BothCounts, BothSeconds
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.measure.begin import AnyFrame
-from armsight.measure.follow import Follower
+from armsight.measure.follow import MAX_WITHOUT_WHOLE_S, Follower
 from armsight.measure.motion.estimate import Start, smooth
 from armsight.measure.motion.residuals import fitting_stretches, motion_residuals, without_outliers
 from armsight.measure.motion.states import MotionState, View
@@ -52,8 +52,6 @@ TIMING_CHANCE = 1e-5
 """Chance below which what a recording says of its timing is not what was calibrated."""
 MISFIT_S = 0.1
 """Nothing is said of the target this near to a view that does not fit its motion, when all that is left does."""
-MAX_WITHOUT_WHOLE_S = 0.05
-"""Nothing is said of the target further from a view of three lights: how it turns about two is guesswork."""
 BEFORE_S = 0.05
 """How long before its first view something is said of the target."""
 TOO_LITTLE = "too few lights were seen about that time to say where the target was"
