@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 GROSS = 8.0
 """Errors beyond so many robust standard deviations are gross: a wrong zero's errors reach 4 of theirs, a normal
 distribution's 8 never."""
+GAP = 1.5
+"""... and so many times as far as the next one before."""
 GROSS_LEAST_M, GROSS_LEAST_RAD = 1e-4, 1e-3
 """Smaller errors are no gross ones, however well all others fit."""
 MOST_GROSS = 0.4
@@ -105,12 +107,20 @@ def align(F: Array, measured: Measured, nominal: Mounts, how: Align) -> Aligned:
 
 
 def gross(residual: Array, typical: Array) -> NDArray[np.bool_]:
-    """Return which residuals (m, rows) are gross beside typical ones (k, rows)."""
+    """Return which residuals (m, rows) are gross beside typical ones (k, rows): far out, and apart from all others.
+
+    A wrong zero or geometry has tails too; theirs have no gap.
+    """
     out = np.zeros(len(residual), bool)
     for k, least in zip(range(residual.shape[1] // 3), (GROSS_LEAST_M, GROSS_LEAST_RAD), strict=False):
         part = slice(3 * k, 3 * k + 3)
         sigma = np.sqrt(np.median((typical[:, part] ** 2).sum(axis=1)) / MEDIAN_3)
-        out |= np.linalg.norm(residual[:, part], axis=1) > max(GROSS * sigma, least)
+        size = np.linalg.norm(residual[:, part], axis=1)
+        order = np.argsort(size)
+        grown = size[order]
+        apart = (grown[1:] > max(GROSS * sigma, least)) & (grown[1:] > GAP * grown[:-1])
+        if apart.any():
+            out[order[int(np.argmax(apart)) + 1 :]] = True
     return out
 
 

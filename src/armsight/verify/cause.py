@@ -308,7 +308,8 @@ def _several(joints: tuple[JointVerdict, ...], gains: dict[str, float]) -> str:
 def _model(gains: dict[str, float], trial: _Trial) -> str:
     return (
         f"The arm's model is the cause: correcting its geometry takes {100 * gains['model']:.3g} % off the squared "
-        f"errors of rows left out, the best single joint (joint {trial.effect.joint + 1}) {100 * gains['joint']:.3g} %. "
+        "errors of rows left out, the best single joint "
+        f"(joint {trial.effect.joint + 1}) {100 * gains['joint']:.3g} %. "
         "Joint zeros read from a wrong model are not to be believed: run `armsight calibrate arm` on these rows."
     )
 

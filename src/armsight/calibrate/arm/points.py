@@ -122,7 +122,7 @@ def _check_moves(arm: Arm, points: ArmPoints) -> None:
 
 
 def check_units(arm: Arm, q: Array, xyz_m: Array) -> None:
-    """Raise Inconsistent where positions (k, 3) spread too far, or too little, for tool positions at readings (m, n)."""
+    """Raise Inconsistent where positions (k, 3) spread too far, or too little, for the tool at readings (m, n)."""
     there = fk(arm, q)[:, :3, 3]
     expected = np.linalg.norm(there - there.mean(axis=0), axis=1).mean()
     seen = np.linalg.norm(xyz_m - xyz_m.mean(axis=0), axis=1).mean()
@@ -130,7 +130,7 @@ def check_units(arm: Arm, q: Array, xyz_m: Array) -> None:
 
 
 def check_scale(expected_m: float, seen_m: float, what: str) -> None:
-    """Raise Inconsistent where two mean spreads are apart as only units are. what: what spreads as expected, in words."""
+    """Raise Inconsistent where two mean spreads differ as only units do. what: what spreads as expected, in words."""
     if not expected_m > 0.0:
         return
     ratio = seen_m / expected_m
