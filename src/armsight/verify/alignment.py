@@ -250,8 +250,8 @@ def _check_sense(
             f"the best fit misses half of the positions by {error / MM:.3g} mm or more, and the tool moved by "
             f"{spread / MM:.3g} mm",
             consequence="The measurements are not of this arm at these readings; nothing is verified",
-            cure="Give the file of this arm; look for readings and positions out of step, another unit of the joints, "
-            "another arm's rows",
+            cure="Give the file of this arm, and `--align both` where base or tool are not known; look for readings "
+            "and positions out of step, another unit of the joints, another arm's rows",
         )
     if part.rotation is not None:
         _check_turns(G, part, fitted)
@@ -265,12 +265,16 @@ def _check_mirrored(F: Array, measured: Measured, nominal: Mounts, error: float,
     except Degenerate:
         return
     if other < MIRRORED * error:
-        raise Inconsistent(
-            f"the positions are left-handed: they miss the arm's by {error / MM:.3g} mm, and by {other / MM:.3g} mm "
-            "when mirrored",
-            consequence="No turn lays a mirrored path on the arm's; nothing is verified",
-            cure="Change the sign of one axis in the export (and the rotations with it), or swap two axes",
-        )
+        raise left_handed(f"they miss the arm's by {error / MM:.3g} mm, and by {other / MM:.3g} mm when mirrored")
+
+
+def left_handed(told: str) -> Inconsistent:
+    """Return the refusal of mirrored positions; told: by what they are known, in words."""
+    return Inconsistent(
+        f"the positions are left-handed: {told}",
+        consequence="No turn lays a mirrored path on the arm's; nothing is verified",
+        cure="Change the sign of one axis in the export (and the rotations with it), or swap two axes",
+    )
 
 
 def _check_turns(F: Array, measured: Measured, fitted: ModelFit) -> None:

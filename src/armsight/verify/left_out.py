@@ -70,7 +70,7 @@ def fit_linear(problem: Linear, added: Array, prior: Array | None = None) -> Fit
     w = problem.weight
     n_fixed, rows = problem.fixed.shape[2], problem.residual.shape[1]
     X = np.concatenate([problem.fixed, added], axis=2) * w[:, None, None]
-    X = X.reshape(-1, X.shape[2])  # (m k, B + K)
+    X = X.reshape(problem.residual.size, X.shape[2])  # (m k, B + K)
     y = (problem.residual * w[:, None]).ravel()
     size = np.linalg.norm(X, axis=0)
     size[size == 0.0] = 1.0
@@ -89,7 +89,7 @@ def fit_linear(problem: Linear, added: Array, prior: Array | None = None) -> Fit
         rest = np.linalg.solve(H - part.T @ part, b - part.T @ own)
         left[k] = float(((own - part @ rest) ** 2).sum())
     inverse = np.linalg.inv(H) / np.outer(size, size)
-    rank = int(np.linalg.matrix_rank(A, tol=1e-8 * len(A), hermitian=True))
+    rank = int(np.linalg.matrix_rank(A, tol=1e-8 * len(A), hermitian=True)) if len(A) else 0
     return Fitted(
         values=(theta / size)[n_fixed:],
         covariance=inverse[n_fixed:, n_fixed:],

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.calibrate.arm.points import check_scale
-from armsight.errors import Inconsistent, NotEnoughData, UsageError
+from armsight.errors import DataRefused, Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Arm, fk
-from armsight.verify.alignment import Align, Aligned, align, undetermined
+from armsight.verify.alignment import Align, Aligned, align, left_handed, undetermined
 from armsight.verify.cause import Cause, find_cause
 from armsight.verify.clocks import SamplingTimes, sampling_times
 from armsight.verify.deciding import deciding_poses
@@ -30,6 +30,9 @@ CAUSE_ROWS = 1200
 """Rows that a cause is looked for with, evenly chosen: more of one motion tell the same."""
 CONFIGURATION_RAD = 0.1
 """Joint values further apart are of another configuration."""
+
+SAME_RAD = 1e-3
+"""Joint values (rad or m) rounded to this are the same command."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -134,7 +137,7 @@ def verify(
         configurations=_configurations(paired, kept, pose, measured),
         deciding=deciding,
         rejected=tuple(sorted((*paired.rejected, *copies, *aligned.rejected))),
-        doubts=_doubts(paired, joints, cause, how),
+        doubts=(*_doubts(paired, joints, cause, how), *_repeats(paired, kept, pose, measured)),
     )
 
 
@@ -191,7 +194,7 @@ def _by_time(arm: Arm | None, reported: Reported, measured: Measured, nominal: M
     times = sampling_times(measured.t_s, "the measured rows")
     _check_units(measured, stream.at(stream.t_s[:: max(1, len(stream.t_s) // 2000)])[0])
     sure = np.flatnonzero(times.sure)
-    clock = synchronise(stream, measured.take(sure), times.t_s[sure], nominal, how)
+    clock = _clock(stream, measured.take(sure), times.t_s[sure], nominal, how)
     clock = replace(clock, std_s=float(np.hypot(clock.std_s, times.std_s)))
     at = clock.on_arm(times.t_s)
     there = covered(stream.t_s, at)
@@ -215,6 +218,19 @@ def _by_time(arm: Arm | None, reported: Reported, measured: Measured, nominal: M
         rejected=tuple(rejected),
         notes=notes,
     )
+
+
+def _clock(stream: Stream, measured: Measured, t_s: Array, nominal: Mounts, how: Align) -> Clock:
+    """Return the clock; Inconsistent for left-handed positions where these agree once they are mirrored."""
+    try:
+        return synchronise(stream, measured, t_s, nominal, how)
+    except Inconsistent as error:
+        flipped = Measured(xyz_m=measured.xyz_m * [1.0, 1.0, -1.0], point=measured.point)
+        try:
+            synchronise(stream, flipped, t_s, nominal, Align.BOTH)
+        except DataRefused:
+            raise error from None
+        raise left_handed("no time offset makes the path the arm's, and one does when it is mirrored") from error
 
 
 def _uncovered(stream: Stream, at_s: float) -> str:
@@ -313,6 +329,22 @@ def _configurations(
     return Configurations(
         n=len(pairs), mean_m=float(apart.mean()), p95_m=float(np.quantile(apart, 0.95)), max_m=float(apart.max())
     )
+
+
+def _repeats(paired: Paired, kept: NDArray[np.intp], pose: Array | None, measured: Measured) -> tuple[str, ...]:
+    """Return what to say where single poses were measured and none of them twice."""
+    if paired.clock is not None or paired.q is None:
+        return ()
+    q = paired.q[kept]
+    if pose is not None:
+        own = dict(zip(measured.rows.tolist(), pose.tolist(), strict=True))
+        which = np.array([own[row] for row in paired.measured.rows[kept].tolist()])
+        q = np.column_stack([which, np.round(q / CONFIGURATION_RAD)])
+    else:
+        q = np.round(q / SAME_RAD)
+    if len(np.unique(q, axis=0)) < len(q):
+        return ()
+    return ("repeatability is withheld: no pose was visited twice with the same joints",)
 
 
 def _doubts(paired: Paired, joints: JointErrors | None, cause: Cause | None, how: Align) -> tuple[str, ...]:
