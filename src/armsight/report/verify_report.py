@@ -26,6 +26,8 @@ PRINT = """@page{size:A4;margin:12mm}
 .cards{grid-template-columns:repeat(5,1fr)}
 .cards b{font-size:15px}table{font-size:10px}th,td{padding:2px 6px}section{margin:6px 0;padding:6px 0}}"""
 """On paper: verdict, figures, tables and the errors' course, on one page; pictures in space stay on the screen."""
+JOINTS = "Errors carried into the joints by inverse kinematics near the readings; zeros where these poses tell them."
+ARROWS_TOLD = "Arrows point from where the tool should be to where it was measured, much enlarged. Drag to turn."
 ARROWS = 400
 ARROW_SHARE = 0.08
 """Length of the longest arrow as a share of the space that the tool moved in."""
@@ -61,21 +63,23 @@ def verify_report(
     )
     page.add("Errors of the tool", "Measured minus expected, in the base's axes.", _task_table(summary))
     if summary["joints"]:
-        text = (
-            "Errors carried into the joints by inverse kinematics near the readings; zeros where these poses tell them."
-        )
-        page.add("Joints", text, _joint_table(summary))
+        page.add("Joints", JOINTS, _joint_table(summary))
     page.add("Errors over time" if result.paired.at_s is not None else "Errors by row", "", page.plot(course(result)))
     if summary["iso9283"]:
         page.add("ISO 9283", "", _iso_table(summary["iso9283"]))
     if other is not None:
         page.add("Beside the other run", f"The other run is {other.name}.", _compared(page, result, summary, other))
     if arm is not None and result.paired.q is not None:
-        text = "Arrows point from where the tool should be to where it was measured, much enlarged. Drag to turn."
-        page.add("The arm", text, page.plot(arrows(result, arm)))
+        page.add("The arm", ARROWS_TOLD, page.plot(arrows(result, arm)))
         page.add(
             "Errors over joint angles", "A gear's fault repeats with its joint.", page.plot(over_joints(result, arm))
         )
+    _add_background(page, summary, inputs)
+    return page.html(created=created or datetime.now())
+
+
+def _add_background(page: Page, summary: Mapping[str, Any], inputs: Sequence[tuple[str, str]]) -> None:
+    """Add what the figures rest on: base and tool, what to know, rows left out, files."""
     page.add("Base and tool", "", _alignment_table(summary))
     if summary["doubts"]:
         page.add("What to know", "", bullets(summary["doubts"]))
@@ -85,7 +89,6 @@ def verify_report(
         page.add("Rows left out", f"And {more} more in verify.json." if more > 0 else "", table(["row", "why"], rows))
     if inputs:
         page.add("What went in", "", table(["", ""], [list(item) for item in inputs]))
-    return page.html(created=created or datetime.now())
 
 
 def _cards(summary: Mapping[str, Any]) -> list[Card]:

@@ -151,31 +151,17 @@ def _header(data: bytes) -> list[str]:
 
 
 def _measured(rows: _Rows) -> MeasuredFile:
+    """Return what a table of measurements says."""
     table = rows.table
-    xyz = table.stacked(POSITION)
-    status = table.text.get("status", (PoseStatus.OK.value,) * len(table))
     turned = rows.has(QUATERNION) and not np.isnan(table.stacked(QUATERNION)).all()
     quat = table.stacked(QUATERNION) if turned else None
-    rejected, good = list(rows.torn), []
-    lost = 0
-    for i in range(len(table)):
-        if status[i] == PoseStatus.LOST.value or np.isnan(xyz[i]).all():
-            lost += 1
-        elif status[i] == PoseStatus.POSITION_ONLY.value:
-            rejected.append((int(rows.row[i]), "a position only: that of the mean of the lights seen, another point"))
-        elif np.isnan(xyz[i]).any() or (quat is not None and np.isnan(quat[i]).any()):
-            rejected.append((int(rows.row[i]), f"cells are empty in line {table.lines[i]}"))
-        elif quat is not None and abs(np.linalg.norm(quat[i]) - 1.0) > QUAT_NORM_TOLERANCE:
-            rejected.append((int(rows.row[i]), f"its quaternion has length {np.linalg.norm(quat[i]):.4g}, not 1"))
-        else:
-            good.append(i)
-    if not good:
+    index, rejected, lost = _usable(rows, table.stacked(POSITION), quat)
+    if not len(index):
         raise NotEnoughData(
             f"{table.where}: no row has a position that can be used", consequence="There is nothing to do"
         )
-    index = np.array(good, dtype=np.intp)
     measured = Measured(
-        xyz_m=xyz[index],
+        xyz_m=table.stacked(POSITION)[index],
         rotation=None if quat is None else Rotation.from_quat(quat[index]).as_matrix(),
         t_s=table.numbers["t_s"][index] if "t_s" in table.numbers else None,
         std=_std(table, index, turned),
@@ -188,10 +174,30 @@ def _measured(rows: _Rows) -> MeasuredFile:
         measured=measured,
         reported=_own_joints(rows),
         pose=_poses(table, index),
-        rejected=tuple(rejected),
+        rejected=(*rows.torn, *rejected),
         notes=tuple(notes),
         n=rows.n,
     )
+
+
+def _usable(rows: _Rows, xyz: Array, quat: Array | None) -> tuple[Index, list[tuple[int, str]], int]:
+    """Return the places of the rows that can be used, those left out with the reason, and how many are lost."""
+    table = rows.table
+    status = table.text.get("status", (PoseStatus.OK.value,) * len(table))
+    good, rejected, lost = [], [], 0
+    for i in range(len(table)):
+        row = int(rows.row[i])
+        if status[i] == PoseStatus.LOST.value or np.isnan(xyz[i]).all():
+            lost += 1
+        elif status[i] == PoseStatus.POSITION_ONLY.value:
+            rejected.append((row, "a position only: that of the mean of the lights seen, another point"))
+        elif np.isnan(xyz[i]).any() or (quat is not None and np.isnan(quat[i]).any()):
+            rejected.append((row, f"cells are empty in line {table.lines[i]}"))
+        elif quat is not None and abs(np.linalg.norm(quat[i]) - 1.0) > QUAT_NORM_TOLERANCE:
+            rejected.append((row, f"its quaternion has length {np.linalg.norm(quat[i]):.4g}, not 1"))
+        else:
+            good.append(i)
+    return np.array(good, dtype=np.intp), rejected, lost
 
 
 def _std(table: Table, index: Index, turned: bool) -> Array | None:

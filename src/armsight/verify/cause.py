@@ -32,6 +32,8 @@ DOMINANT = 0.8
 """Share of all that can be gained from which on one joint is the cause beside a geometry that adds a little."""
 RIVAL_LOG = 10.0
 """Log likelihood ratio (times two) within which two joints explain alike: about 150 to 1."""
+RIVALS = 2
+"""Other joints, the likeliest first, that are fitted in full beside the one found."""
 SAME_JOINT = 1.02
 """A zero whose left-out error is within this factor of that of another effect of its joint is preferred."""
 EXPLAINED = 1.25
@@ -203,7 +205,7 @@ def _decide(
     )
     told = Cause(cause="undecided", joints=judged, sentence="", gains=gains, measurement_share=share)
     if one:
-        rival = _rival(trial)
+        rival = _rival(case, aligned, trial)
         joints = _estimates(judged, able, trial, after.with_joints(able), named=rival is None)
         told = replace(told, joints=joints, rival=rival)
         return _named(case, trial, told, adds) if rival is None else replace(told, sentence=_between(trial, rival))
@@ -229,16 +231,17 @@ def _zeros_needed(evidence: Evidence, geometry: Fitted, everything: Fitted) -> b
     return by_chance(evidence.linear, geometry, everything) < CHANCE
 
 
-def _rival(trial: _Trial) -> int | None:
-    """Return another joint whose best effect explains the errors about as well."""
-    best = trial.single[trial.effect.joint][1]
-    others = {joint: fit for joint, (_, fit) in trial.single.items() if joint != trial.effect.joint}
-    if not others:
-        return None
-    joint = min(others, key=lambda i: others[i].squares)
+def _rival(case: Case, aligned: ModelFit, trial: _Trial) -> int | None:
+    """Return another joint whose best effect, fitted in full, explains the errors about as well."""
+    others = {joint: pair for joint, pair in trial.single.items() if joint != trial.effect.joint}
     worth = trial.before.linear.residual.size / trial.after.linear.inflation
-    ratio = worth * np.log(others[joint].squares / max(best.squares, 1e-300))
-    return joint if ratio < RIVAL_LOG else None
+    noise = trial.fitted.noise
+    for joint in sorted(others, key=lambda i: others[i][1].squares)[:RIVALS]:
+        effect = others[joint][0]
+        other = Evidence.at(case, case.fit(aligned.p, effect), effect, noise).plain()
+        if worth * np.log(max(other.squares, 1e-300) / max(trial.own.squares, 1e-300)) < RIVAL_LOG:
+            return joint
+    return None
 
 
 def _estimates(
