@@ -93,12 +93,13 @@ class Verdict:
 
 @dataclass(slots=True, kw_only=True)
 class Page:
-    """A page under construction: sections are added in order."""
+    """A page under construction: sections are added in order. style: rules of its own, after the common ones."""
 
     title: str
     subtitle: str
     verdict: Verdict
     cards: Sequence[Card]
+    style: str = ""
     _sections: list[str] = field(default_factory=list)
     _figures: list[dict[str, object]] = field(default_factory=list)
 
@@ -128,7 +129,7 @@ class Page:
             '<!doctype html><html lang="en"><head><meta charset="utf-8">'
             f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">'
             '<meta name="viewport" content="width=device-width,initial-scale=1">'
-            f"<title>{text(self.title)}</title><style>{STYLE}</style></head><body><main>"
+            f"<title>{text(self.title)}</title><style>{STYLE}{self.style}</style></head><body><main>"
             f"<header><h1>{text(self.title)}</h1><p>{text(self.subtitle)}</p></header>"
             f'{verdict}<div class="cards">{cards}</div>{"".join(self._sections)}'
             f"<footer>armsight {text(__version__)}, {text(when)}. This file is complete in itself and "

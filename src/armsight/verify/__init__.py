@@ -1,1 +1,22 @@
-"""Is the arm where it says it is: measured poses held against commands, and the figures of ISO 9283."""
+"""Is the arm where it says it is: measured against expected, and what the difference comes from."""
+
+from armsight.verify.alignment import Align
+from armsight.verify.cause import Cause, JointVerdict
+from armsight.verify.effects import Kind
+from armsight.verify.records import Measured
+from armsight.verify.statistics import Figures
+from armsight.verify.verification import Configurations, Paired, Reported, Verification, verify
+
+__all__ = [
+    "Align",
+    "Cause",
+    "Configurations",
+    "Figures",
+    "JointVerdict",
+    "Kind",
+    "Measured",
+    "Paired",
+    "Reported",
+    "Verification",
+    "verify",
+]

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-from armsight.app.schemas import arm, cameras, files, handeye, kinematics, machine, measure, timing
+from armsight.app.schemas import arm, cameras, files, handeye, kinematics, machine, measure, timing, verify
 from armsight.app.schemas.base import Output, PointStd, PoseOutput, PoseStd, absent
 from armsight.app.schemas.catalogue import OUTPUTS
 
@@ -108,6 +108,24 @@ KEYS: dict[type[Output], tuple[str, str]] = {
     OUTPUTS["identify-propose"]: ("plan notes", ""),
     arm.PlanOutput: ("sweeps expected_std noise_px notes", ""),
     arm.PlannedSweepOutput: ("joint from to readings rest way radius_m ended_by", ""),
+    OUTPUTS["verify"]: (
+        "n time alignment before after task measurement_std joints cause kind parameters explained iso9283 rejected "
+        "doubts verdict",
+        "configurations decide_by compared",
+    ),
+    verify.VerifyTime: ("offset_s std_s drift_ppm bursts", ""),
+    verify.VerifyAlignment: ("free T_measured_base T_flange_tool std undetermined", ""),
+    verify.PoseError: ("rms_m rms_rad max_m", ""),
+    verify.ErrorFigures: ("me mae max sd rms", ""),
+    verify.VerifyJoint: (
+        "index name me mae max sd rms measurement_std offset_rad std_rad judged why gain_heldout kind",
+        "",
+    ),
+    verify.CauseParameter: ("value std", ""),
+    verify.Explained: ("measurement joint zeros model", ""),
+    verify.ConfigurationPairs: ("n mean_m p95_m max_m", ""),
+    verify.IsoFigure: ("value n wanted withheld std", ""),
+    verify.ComparedRun: ("folder n after cause", ""),
     OUTPUTS["record"]: (
         "file format n_pairs n_dropped n_missed duration_s pairs_per_s size_bytes skew_s",
         "",

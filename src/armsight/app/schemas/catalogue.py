@@ -29,6 +29,7 @@ from armsight.app.schemas.kinematics import (
 from armsight.app.schemas.machine import DoctorOutput
 from armsight.app.schemas.measure import DemoOutput, MeasureOutput
 from armsight.app.schemas.timing import TimingOutput
+from armsight.app.schemas.verify import VerifyOutput
 
 OUTPUTS: Mapping[str, type[Output]] = MappingProxyType(
     {
@@ -49,6 +50,7 @@ OUTPUTS: Mapping[str, type[Output]] = MappingProxyType(
         "calibrate-robot-world": RobotWorldOutput,
         "identify": IdentifyOutput,
         "identify-propose": ProposedPlanOutput,
+        "verify": VerifyOutput,
         "record": RecordOutput,
         "record-repair": RepairOutput,
         "convert-recording": ExportOutput,

@@ -41,7 +41,7 @@ def start(model: ArmModel, points: ArmPoints, like: Array | None = None) -> Arra
     firsts = [np.tile(first, (n, 1)) for first in beside]
     if like is not None:
         firsts = [np.stack([model.pose(like, k + 1).translation for k in range(n)])]
-    tries = [_by_turns(F, points.xyz_m, which, first) for first in firsts]
+    tries = [mounts_by_turns(F, points.xyz_m, which, first) for first in firsts]
     base, at, _ = min(tries, key=lambda found: found[2])
     turn = Rotation.identity()
     if points.rotation is not None:
@@ -63,7 +63,12 @@ def placed(there_m: Array, here_m: Array) -> RigidTransform:
         ) from None
 
 
-def _by_turns(F: Array, xyz_m: Array, which: NDArray[np.intp], at: Array) -> tuple[RigidTransform, Array, float]:
+def mounts_by_turns(F: Array, xyz_m: Array, which: NDArray[np.intp], at: Array) -> tuple[RigidTransform, Array, float]:
+    """Return the base, the tool's points (k, 3) in flange axes and the RMS per coordinate in m that fit positions best.
+
+    F (m, 4, 4): base to flange. xyz_m (m, 3): positions of the points which (m,), counted from 0. at (k, 3): where the
+    search begins. Raises Degenerate for positions on one line.
+    """
     base = RigidTransform.identity()
     rms = np.inf
     for _ in range(TURNS):

@@ -98,7 +98,7 @@ def check_points(arm: Arm, points: ArmPoints) -> None:
             consequence="The arm is not calibrated",
             cure="Give radians; the numbers look like degrees",
         )
-    _check_units(arm, points)
+    check_units(arm, points.q, points.xyz_m)
 
 
 def _check_moves(arm: Arm, points: ArmPoints) -> None:
@@ -121,18 +121,24 @@ def _check_moves(arm: Arm, points: ArmPoints) -> None:
         )
 
 
-def _check_units(arm: Arm, points: ArmPoints) -> None:
-    there = fk(arm, points.q)[:, :3, 3]
+def check_units(arm: Arm, q: Array, xyz_m: Array) -> None:
+    """Raise Inconsistent where positions (k, 3) spread too far, or too little, for the tool at readings (m, n)."""
+    there = fk(arm, q)[:, :3, 3]
     expected = np.linalg.norm(there - there.mean(axis=0), axis=1).mean()
-    seen = np.linalg.norm(points.xyz_m - points.xyz_m.mean(axis=0), axis=1).mean()
-    if not expected > 0.0:
+    seen = np.linalg.norm(xyz_m - xyz_m.mean(axis=0), axis=1).mean()
+    check_scale(float(expected), float(seen), f"{arm.name} moves its tool")
+
+
+def check_scale(expected_m: float, seen_m: float, what: str) -> None:
+    """Raise Inconsistent where two mean spreads differ as only units do. what: what spreads as expected, in words."""
+    if not expected_m > 0.0:
         return
-    ratio = seen / expected
+    ratio = seen_m / expected_m
     if 1.0 / ABSURD < ratio < ABSURD:
         return
     unit = UNITS[min(UNITS, key=lambda factor: abs(np.log(max(ratio, 1e-12) / factor)))]
     raise Inconsistent(
-        f"the positions spread {ratio:.4g} times as far as {arm.name} moves its tool",
-        consequence="The arm is not calibrated",
+        f"the positions spread {ratio:.4g} times as far as {what}",
+        consequence="Nothing is computed from them",
         cure=f"Give metres; the numbers look like {unit}",
     )

@@ -1,0 +1,1 @@
+"""Measured against expected: files in, figures, table and report out."""

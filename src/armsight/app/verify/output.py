@@ -1,0 +1,177 @@
+"""A verification as programs get it: the summary's keys, and a table row by row."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.app.schemas.base import PoseOutput, RejectedRow
+from armsight.app.schemas.verify import (
+    CauseParameter,
+    ConfigurationPairs,
+    ErrorFigures,
+    Explained,
+    PoseError,
+    VerifyAlignment,
+    VerifyJoint,
+    VerifyOutput,
+    VerifyTime,
+)
+from armsight.kinematics import Arm
+from armsight.store.schema import pose_mapping
+from armsight.store.tables import cells
+from armsight.store.verify_files import MeasuredFile
+from armsight.units import DEG, MM
+from armsight.verify import Cause, Figures, JointVerdict, Verification
+
+Array = NDArray[np.float64]
+
+NAMES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
+
+
+def verify_output(result: Verification, arm: Arm | None, file: MeasuredFile) -> VerifyOutput:
+    """Return the figures of a verification as --json gives them."""
+    cause, found = result.cause, result.configurations
+    rejected = sorted({*result.rejected, *file.rejected})
+    return VerifyOutput(
+        n=len(result.task),
+        time=_time(result),
+        alignment=_alignment(result, arm),
+        before=_pose_error(result.before),
+        after=_pose_error(result.task),
+        task=_task(result.task),
+        measurement_std=_measurement(result),
+        joints=[] if arm is None or cause is None else _joints(result, arm, cause),
+        cause="undecided" if cause is None else cause.cause,
+        kind=None if cause is None or cause.kind is None else cause.kind.value,
+        parameters=_parameters(cause),
+        explained=_explained(cause),
+        configurations=None
+        if found is None
+        else ConfigurationPairs(n=found.n, mean_m=found.mean_m, p95_m=found.p95_m, max_m=found.max_m),
+        decide_by=None if result.deciding is None or arm is None else arm.readings(result.deciding).tolist(),
+        iso9283={},
+        rejected=[RejectedRow(row=row, why=why) for row, why in rejected],
+        doubts=[*file.notes, *result.doubts],
+        verdict=_verdict(result),
+    )
+
+
+def _time(result: Verification) -> VerifyTime:
+    clock, times = result.paired.clock, result.paired.times
+    return VerifyTime(
+        offset_s=None if clock is None else clock.offset_s,
+        std_s=None if clock is None else clock.std_s,
+        drift_ppm=None if clock is None else clock.drift_ppm,
+        bursts=times is not None and times.bursts,
+    )
+
+
+def _alignment(result: Verification, arm: Arm | None) -> VerifyAlignment:
+    zeros = []
+    if arm is not None and result.cause is not None:
+        kinds = ["theta_rad" if turns else "d_m" for turns in arm.revolute]
+        named = zip(arm.joints, kinds, result.cause.joints, strict=True)
+        zeros = [f"{joint.name}.{kind}" for joint, kind, verdict in named if not verdict.judged]
+    return VerifyAlignment(
+        free=list(result.how.parts),
+        T_measured_base=PoseOutput(**pose_mapping(result.mounts.base)),
+        T_flange_tool=PoseOutput(**pose_mapping(result.mounts.tools[0])),
+        std={name: value if np.isfinite(value) else None for name, value in result.std.items()},
+        undetermined=[*result.undetermined, *zeros],
+    )
+
+
+def _pose_error(residual: Array) -> PoseError:
+    place = np.linalg.norm(residual[:, :3], axis=1)
+    turned = residual.shape[1] == 6
+    turn = float(np.sqrt((residual[:, 3:] ** 2).sum(axis=1).mean())) if turned else None
+    return PoseError(rms_m=float(np.sqrt(np.mean(place**2))), rms_rad=turn, max_m=float(place.max()))
+
+
+def _figures(errors: Array) -> ErrorFigures:
+    found = Figures.of(errors)
+    return ErrorFigures(me=found.me, mae=found.mae, max=found.max, sd=found.sd, rms=found.rms)
+
+
+def _task(task: Array) -> dict[str, ErrorFigures]:
+    return {name: _figures(task[:, k]) for k, name in enumerate(NAMES[: task.shape[1]])}
+
+
+def _measurement(result: Verification) -> dict[str, float | None]:
+    std = result.paired.measured.std
+    names = NAMES[: result.task.shape[1]]
+    if std is None:
+        return dict.fromkeys(names)
+    rms = np.sqrt(np.mean(std[result.kept] ** 2, axis=0))
+    return {name: float(value) for name, value in zip(names, rms, strict=False)}
+
+
+def _joints(result: Verification, arm: Arm, cause: Cause) -> list[VerifyJoint]:
+    return [_joint(result, i, joint.name, cause.joints[i]) for i, joint in enumerate(arm.joints)]
+
+
+def _joint(result: Verification, i: int, name: str, verdict: JointVerdict) -> VerifyJoint:
+    figures, std = None, None
+    if result.joints is not None and result.joints.known.any():
+        known = result.joints.known
+        figures = Figures.of(result.joints.dq[known, i])
+        own = result.joints.std[known, i]
+        std = float(np.sqrt(np.mean(own**2))) if own.any() else None
+    return VerifyJoint(
+        index=i + 1,
+        name=name,
+        me=None if figures is None else figures.me,
+        mae=None if figures is None else figures.mae,
+        max=None if figures is None else figures.max,
+        sd=None if figures is None else figures.sd,
+        rms=None if figures is None else figures.rms,
+        measurement_std=std,
+        offset_rad=verdict.offset,
+        std_rad=verdict.std,
+        judged=verdict.judged,
+        why=verdict.why,
+        gain_heldout=verdict.gain_heldout,
+        kind=None if verdict.kind is None else verdict.kind.value,
+    )
+
+
+def _parameters(cause: Cause | None) -> dict[str, CauseParameter]:
+    found = {} if cause is None else cause.parameters
+    return {name: CauseParameter(value=value, std=std) for name, (value, std) in found.items()}
+
+
+def _explained(cause: Cause | None) -> Explained:
+    gains = {} if cause is None else cause.gains
+    return Explained(
+        measurement=None if cause is None else cause.measurement_share,
+        joint=gains.get("joint"),
+        zeros=gains.get("zeros"),
+        model=gains.get("model"),
+    )
+
+
+def _verdict(result: Verification) -> str:
+    error = _pose_error(result.task)
+    turn = "" if error.rms_rad is None else f" and {error.rms_rad / DEG:.3g} deg"
+    laid = f" with {' and '.join(result.how.parts)} laid best" if result.how.parts else ""
+    told = f"The tool is {error.rms_m / MM:.3g} mm{turn} (RMS) from where it should be{laid}, {len(result.task)} rows."
+    if result.cause is None:
+        return f"{told} Without an arm's model no cause is looked for."
+    return f"{told} {result.cause.sentence}"
+
+
+def errors_csv(result: Verification) -> str:
+    """Return the errors row by row: place and rotation in the base's axes, and of the joints where they are known."""
+    n = 0 if result.joints is None else result.joints.dq.shape[1]
+    turned = result.task.shape[1] == 6
+    header = ["row", "t_s", *NAMES, "error_m", "error_rad", *(f"dq{i + 1}" for i in range(n))]
+    lines = [",".join(header)]
+    at = result.paired.at_s
+    for k, place in enumerate(result.kept):
+        error = result.task[k]
+        values = [np.nan if at is None else at[place], *error, *([] if turned else [np.nan] * 3)]
+        values += [np.linalg.norm(error[:3]), np.linalg.norm(error[3:]) if turned else np.nan]
+        values += [] if result.joints is None else result.joints.dq[k].tolist()
+        lines.append(f"{result.paired.measured.rows[place]},{cells(values)}")
+    return "\n".join(lines) + "\n"

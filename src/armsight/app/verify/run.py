@@ -1,0 +1,165 @@
+"""Files of measurements and of the arm in; verify.json, errors.csv and report.html out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.app.kinematics import load_arm
+from armsight.app.schemas.verify import ComparedRun, VerifyOutput
+from armsight.app.verify.output import errors_csv, verify_output
+from armsight.errors import BadFile, Inconsistent, UsageError
+from armsight.kinematics import Arm
+from armsight.report.verify_report import OtherRun, verify_report
+from armsight.store import read_table, read_world, write_text
+from armsight.store.atomic import read_bytes
+from armsight.store.verify_files import MeasuredFile, read_commanded, read_measured, read_reported_joints
+from armsight.store.worlds import World
+from armsight.verify import Align, Measured, Reported, verify
+
+Array = NDArray[np.float64]
+
+MAX_SUMMARY_BYTES = 100_000_000
+SUMMARY, ERRORS, REPORT = "verify.json", "errors.csv", "report.html"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VerifyJob:
+    """What `verify` is told. joints: left out where the measured file has columns q1 .. qn. align: none, base, tool or
+    both; without it both, with a world none. compare: the folder of another run."""
+
+    measured: Path
+    out: Path
+    arm: str | None = None
+    joints: Path | None = None
+    commanded: Path | None = None
+    world: Path | None = None
+    align: str | None = None
+    compare: Path | None = None
+
+
+def run_verify(job: VerifyJob) -> VerifyOutput:
+    """Verify; write verify.json, errors.csv and report.html into the job's folder; return the figures.
+
+    Raises UsageError, DataRefused.
+    """
+    _check_usage(job)
+    other = None if job.compare is None else read_run(job.compare)
+    file = read_measured(job.measured)
+    measured = file.measured if job.world is None else in_world(file.measured, read_world(job.world))
+    arm, reported, turned = _expected(job, file)
+    if not turned:
+        measured = replace(measured, rotation=None)
+    result = verify(arm, reported, measured, _align(job, turned), pose=file.pose)
+    done = verify_output(result, arm, file)
+    if other is not None and job.compare is not None:
+        compared = ComparedRun(folder=str(job.compare), n=other.n, after=other.after, cause=other.cause)
+        done = done.model_copy(update={"compared": compared})
+    done.write(job.out / SUMMARY)
+    write_text(job.out / ERRORS, errors_csv(result))
+    page = verify_report(result, done.to_dict(), arm=arm, inputs=_inputs(job), other=_other_run(job.compare, other))
+    write_text(job.out / REPORT, page)
+    return done
+
+
+def _check_usage(job: VerifyJob) -> None:
+    """Raise UsageError where the job does not say what is expected."""
+    if job.commanded is not None and (job.joints is not None or job.arm is not None):
+        raise UsageError(
+            "both a commanded path and an arm were given",
+            cure="Give --arm with --joints, or --commanded, and verify twice for both",
+        )
+    if job.commanded is None and job.arm is None:
+        raise UsageError(
+            "what the measurements are to be compared with is missing",
+            cure="Give --arm with --joints joints.csv, or --commanded with the poses that were asked for",
+        )
+    if job.align is not None and job.align not in set(Align):
+        raise UsageError(f"--align {job.align} is not known", cure=f"Use one of: {', '.join(Align)}")
+    if job.compare is not None and job.compare.resolve() == job.out.resolve():
+        raise UsageError("--compare names the folder that is written to", cure="Give the folder of an earlier run")
+
+
+def _align(job: VerifyJob, turned: bool) -> Align:
+    if job.align is not None:
+        return Align(job.align)
+    if job.world is not None:
+        return Align.NONE
+    return Align.BOTH if turned else Align.BASE
+
+
+def _expected(job: VerifyJob, file: MeasuredFile) -> tuple[Arm | None, Reported, bool]:
+    """Return the arm, what the controller says, and whether that has rotations."""
+    if job.commanded is not None:
+        reported, turned = read_commanded(job.commanded)
+        return None, reported, turned
+    arm = load_arm(job.arm or "")
+    found = file.reported if job.joints is None else read_reported_joints(job.joints)
+    if found is None or found.q is None:
+        raise UsageError(
+            f"{job.measured} has no columns q1 .. qn, and no --joints were given",
+            cure="Give --joints joints.csv: t_s,q1,...,qn, or q1,...,qn row by row",
+        )
+    if found.q.shape[1] != arm.n:
+        raise Inconsistent(
+            f"{job.joints or job.measured} has {found.q.shape[1]} joints, {arm.name} has {arm.n}",
+            consequence="Nothing is verified",
+            cure="Give the file of this arm, with q1 .. qn in the order of its joints",
+        )
+    if arm.couplings:
+        found = replace(found, q=found.q @ arm.gearing.T)
+    return arm, found, True
+
+
+def in_world(measured: Measured, world: World) -> Measured:
+    """Return measurements in a rig's axes in those of the rig's parent."""
+    T = world.T_parent_rig
+    R = T.rotation.as_matrix()
+    std = None
+    if measured.std is not None:
+        variance = measured.std.reshape(-1, 2, 3) ** 2  # independent axes; what turns them mixes them
+        std = np.sqrt(variance @ (R**2).T).reshape(-1, 6)
+    rotation = None if measured.rotation is None else R @ measured.rotation
+    return replace(measured, xyz_m=T.apply(measured.xyz_m), rotation=rotation, std=std)
+
+
+def read_run(folder: Path) -> VerifyOutput:
+    """Return what an earlier run found. Raises BadFile where the folder holds none."""
+    path = folder / SUMMARY
+    try:
+        return VerifyOutput.model_validate_json(read_bytes(path, limit=MAX_SUMMARY_BYTES))
+    except ValueError as error:
+        first = str(error).splitlines()[0]
+        raise BadFile(
+            f"{path}: not the summary of a verification ({first})",
+            consequence="The runs are not compared",
+            cure="Give the folder that an earlier `armsight verify -o` wrote",
+        ) from error
+
+
+def _other_run(folder: Path | None, done: VerifyOutput | None) -> OtherRun | None:
+    if folder is None or done is None:
+        return None
+    rows = read_table(
+        folder / ERRORS, ("row", "error_m"), optional=_columns(folder / ERRORS), blank=_columns(folder / ERRORS)
+    )
+    return OtherRun(name=str(folder), summary=done.to_dict(), error_m=rows.numbers["error_m"])
+
+
+def _columns(path: Path) -> tuple[str, ...]:
+    first = read_bytes(path, limit=MAX_SUMMARY_BYTES).split(b"\n", 1)[0].decode("utf-8", errors="replace")
+    return tuple(name.strip() for name in first.split(",") if name.strip() not in ("row", "error_m"))
+
+
+def _inputs(job: VerifyJob) -> list[tuple[str, str]]:
+    named = (
+        ("measured", job.measured.name),
+        ("arm", job.arm),
+        ("joints", None if job.joints is None else job.joints.name),
+        ("commanded", None if job.commanded is None else job.commanded.name),
+        ("world", None if job.world is None else job.world.name),
+    )
+    return [(what, which) for what, which in named if which is not None]

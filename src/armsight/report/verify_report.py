@@ -1,0 +1,295 @@
+"""The page of a verification: verdict, figures, the arm with arrows of error, errors over time and joint angles."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from armsight.kinematics import Arm
+from armsight.report.arm_view import arm_figure
+from armsight.report.figures import BLUE, GREY, ORANGE, RED, Figure, axis, layout, place, spread, thinned
+from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table, with_deviation
+from armsight.units import DEG, MM, MS
+from armsight.verify import Verification
+
+Array = NDArray[np.float64]
+
+LEVELS = {"measurement": "good", "none": "good", "model": "warn", "undecided": "warn"}
+PRINT = """@page{size:A4;margin:12mm}
+@media print{section:nth-of-type(n+4),.modebar{display:none}body{font-size:11px}
+.cards{grid-template-columns:repeat(5,1fr)}
+.cards b{font-size:15px}table{font-size:10px}th,td{padding:2px 6px}section{margin:6px 0;padding:6px 0}}"""
+"""On paper: verdict, figures, tables and the errors' course, on one page; pictures in space stay on the screen."""
+JOINTS = "Errors carried into the joints by inverse kinematics near the readings; zeros where these poses tell them."
+ARROWS_TOLD = "Arrows point from where the tool should be to where it was measured, much enlarged. Drag to turn."
+ARROWS = 400
+ARROW_SHARE = 0.08
+"""Length of the longest arrow as a share of the space that the tool moved in."""
+LISTED = 40
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class OtherRun:
+    """An earlier run to compare with: its folder's name, its summary, its errors of place (k,) in m."""
+
+    name: str
+    summary: Mapping[str, Any]
+    error_m: Array
+
+
+def verify_report(
+    result: Verification,
+    summary: Mapping[str, Any],
+    *,
+    arm: Arm | None,
+    inputs: Sequence[tuple[str, str]] = (),
+    other: OtherRun | None = None,
+    created: datetime | None = None,
+) -> str:
+    """Return the page as HTML text that needs no other file. summary: as verify.json holds it."""
+    cause = summary["cause"]
+    page = Page(
+        title="Verification" if arm is None else f"Verification of {arm.name}",
+        subtitle=f"{summary['n']} rows compared, {len(summary['rejected'])} left out",
+        verdict=Verdict(level=LEVELS.get(cause, "bad"), word=f"Cause: {cause}", sentence=summary["verdict"]),
+        cards=_cards(summary),
+        style=PRINT,
+    )
+    page.add("Errors of the tool", "Measured minus expected, in the base's axes.", _task_table(summary))
+    if summary["joints"]:
+        page.add("Joints", JOINTS, _joint_table(summary))
+    page.add("Errors over time" if result.paired.at_s is not None else "Errors by row", "", page.plot(course(result)))
+    if summary["iso9283"]:
+        page.add("ISO 9283", "", _iso_table(summary["iso9283"]))
+    if other is not None:
+        page.add("Beside the other run", f"The other run is {other.name}.", _compared(page, result, summary, other))
+    if arm is not None and result.paired.q is not None:
+        page.add("The arm", ARROWS_TOLD, page.plot(arrows(result, arm)))
+        page.add(
+            "Errors over joint angles", "A gear's fault repeats with its joint.", page.plot(over_joints(result, arm))
+        )
+    _add_background(page, summary, inputs)
+    return page.html(created=created or datetime.now())
+
+
+def _add_background(page: Page, summary: Mapping[str, Any], inputs: Sequence[tuple[str, str]]) -> None:
+    """Add what the figures rest on: base and tool, what to know, rows left out, files."""
+    page.add("Base and tool", "", _alignment_table(summary))
+    if summary["doubts"]:
+        page.add("What to know", "", bullets(summary["doubts"]))
+    if summary["rejected"]:
+        rows = [[item["row"], item["why"]] for item in summary["rejected"][:LISTED]]
+        more = len(summary["rejected"]) - LISTED
+        page.add("Rows left out", f"And {more} more in verify.json." if more > 0 else "", table(["row", "why"], rows))
+    if inputs:
+        page.add("What went in", "", table(["", ""], [list(item) for item in inputs]))
+
+
+def _cards(summary: Mapping[str, Any]) -> list[Card]:
+    after, before, time = summary["after"], summary["before"], summary["time"]
+    cards = [
+        Card(name="error of place", value=figure_of(after["rms_m"] / MM, "mm"), note="RMS"),
+        Card(name="largest", value=figure_of(after["max_m"] / MM, "mm")),
+    ]
+    if after["rms_rad"] is not None:
+        cards.append(Card(name="error of rotation", value=figure_of(after["rms_rad"] / DEG, "°"), note="RMS"))
+    free = " and ".join(summary["alignment"]["free"])
+    if free:
+        cards.append(Card(name="before aligning", value=figure_of(before["rms_m"] / MM, "mm"), note=f"aligned: {free}"))
+    if time["offset_s"] is not None:
+        shown, std = with_deviation(time["offset_s"] / MS, time["std_s"] / MS)
+        cards.append(Card(name="time offset", value=f"{shown} ms", note=f"+- {std} ms"))
+    share = summary["explained"]["measurement"]
+    if share is not None:
+        cards.append(
+            Card(name="measurement explains", value=figure_of(100.0 * share, "%"), note="of the squared error")
+        )
+    return cards
+
+
+def _unit(name: str) -> tuple[float, str]:
+    return (DEG, "°") if name.endswith("_rad") else (MM, "mm")
+
+
+def _task_table(summary: Mapping[str, Any]) -> str:
+    rows = []
+    for name, figures in summary["task"].items():
+        factor, unit = _unit(name)
+        std = summary["measurement_std"].get(name)
+        shown = [figure_of(figures[key] / factor) for key in ("me", "mae", "max", "sd", "rms")]
+        rows.append([f"{name.rsplit('_', 1)[0]}, {unit}", *shown, figure_of(None if std is None else std / factor)])
+    header = ["", "mean", "mean absolute", "largest", "standard deviation", "RMS", "measurement's own +-"]
+    return table(header, rows, numbers=range(1, len(header)))
+
+
+def _joint_table(summary: Mapping[str, Any]) -> str:
+    rows = []
+    for joint in summary["joints"]:
+        shown = [_degrees(joint[key]) for key in ("me", "mae", "max", "sd", "measurement_std", "offset_rad", "std_rad")]
+        gain = figure_of(None if joint["gain_heldout"] is None else 100.0 * joint["gain_heldout"], "%")
+        rows.append([f"{joint['index']} {joint['name']}", *shown, gain, joint["why"] or (joint["kind"] or "")])
+    header = [
+        "joint",
+        "mean, °",
+        "mean absolute",
+        "largest",
+        "sd",
+        "measurement +-",
+        "zero, °",
+        "+-",
+        "alone explains",
+        "",
+    ]
+    return table(header, rows, numbers=range(1, len(header) - 1))
+
+
+def _degrees(value: float | None) -> str:
+    return figure_of(None if value is None else value / DEG)
+
+
+def _iso_table(figures: Mapping[str, Any]) -> str:
+    rows = [
+        [
+            name,
+            figure_of(item["value"]),
+            figure_of(item["std"]),
+            f"{item['n']} of {item['wanted']}",
+            item["withheld"] or "",
+        ]
+        for name, item in figures.items()
+    ]
+    return table(["figure", "value, SI", "+-", "visits", "withheld because"], rows, numbers=(1, 2, 3))
+
+
+def _alignment_table(summary: Mapping[str, Any]) -> str:
+    told = summary["alignment"]
+    rows = [
+        [name, *(figure_of(v / MM, "mm", digits=6) for v in told[name]["xyz_m"]), str(told[name]["quat_xyzw"])]
+        for name in ("T_measured_base", "T_flange_tool")
+    ]
+    parts = [table(["", "x", "y", "z", "quaternion x y z w"], rows, numbers=(1, 2, 3))]
+    if told["undetermined"]:
+        parts.append(bullets([f"not determined by these rows: {', '.join(told['undetermined'])}"]))
+    return "".join(parts)
+
+
+def course(result: Verification) -> Figure:
+    """Return the errors in x, y, z and about x, y, z over time, or row by row."""
+    at = result.paired.at_s
+    x = result.paired.measured.rows[result.kept].astype(float) if at is None else at[result.kept]
+    shown = thinned(np.linalg.norm(result.task[:, :3], axis=1))
+    data: list[dict[str, Any]] = []
+    for k in range(result.task.shape[1]):
+        turn = k >= 3
+        data.append(
+            {
+                "type": "scatter",
+                "mode": "lines" if at is not None else "markers",
+                "name": f"{'r' if turn else ''}{'xyz'[k % 3]}",
+                "x": x[shown],
+                "y": result.task[shown, k] / (DEG if turn else MM),
+                "line": {"color": (BLUE, ORANGE, GREY)[k % 3], "width": 1.5},
+                "marker": {"color": (BLUE, ORANGE, GREY)[k % 3], "size": 4},
+                **place(2 if turn else 1),
+            }
+        )
+    title = "t, s" if at is not None else "row"
+    if result.task.shape[1] == 3:
+        return Figure(data=data, layout=layout(xaxis=axis(title), yaxis=axis("mm")), height_px=360)
+    return Figure(
+        data=data,
+        layout=layout(
+            xaxis=axis(title, domain=[0.0, 0.46]),
+            yaxis=axis("mm"),
+            xaxis2=axis(title, domain=[0.54, 1.0], anchor="y2"),
+            yaxis2=axis("°", anchor="x2"),
+        ),
+        height_px=360,
+    )
+
+
+def arrows(result: Verification, arm: Arm) -> Figure:
+    """Return the arm at its first posture with an arrow for the error at each place."""
+    q = result.paired.q
+    if q is None:
+        raise ValueError("no joints")
+    rows = spread(result.task[:, :3], ARROWS)
+    T = result.mounts.tools[0].as_matrix()
+    at = (result.paired.F[result.kept[rows]] @ T)[:, :3, 3]
+    error = result.task[rows, :3]
+    longest = max(float(np.linalg.norm(error, axis=1).max()), 1e-12)
+    scale = ARROW_SHARE * max(float(np.ptp(at, axis=0).max()), 1e-3) / longest
+    ends = np.stack([at, at + scale * error, np.full_like(at, np.nan)], axis=1).reshape(-1, 3) / MM
+    bare = replace(arm, T_world_base=RigidTransform.identity(), T_flange_tool=result.mounts.tools[0], couplings=())
+    figure = arm_figure(bare, q[result.kept[:1]])
+    line = {
+        "type": "scatter3d",
+        "mode": "lines",
+        "name": f"error, {scale:.0f} times",
+        "x": ends[:, 0],
+        "y": ends[:, 1],
+        "z": ends[:, 2],
+        "line": {"color": RED, "width": 3},
+    }
+    return Figure(data=[*figure.data, line], layout=figure.layout, height_px=figure.height_px)
+
+
+def over_joints(result: Verification, arm: Arm) -> Figure:
+    """Return the error of place over each joint's reading."""
+    q = result.paired.q
+    if q is None:
+        raise ValueError("no joints")
+    size = np.linalg.norm(result.task[:, :3], axis=1)
+    rows = spread(np.column_stack([size, size]))
+    data: list[dict[str, Any]] = []
+    more: dict[str, Any] = {}
+    columns = min(arm.n, 3)
+    lines = -(-arm.n // columns)
+    for i, joint in enumerate(arm.joints):
+        k, (line, column) = i + 1, divmod(i, columns)
+        name = str(k) if k > 1 else ""
+        left, low = column / columns, 1.0 - (line + 1) / lines
+        unit = DEG if arm.revolute[i] else MM
+        more[f"xaxis{name}"] = axis(
+            f"{joint.name}, {'°' if arm.revolute[i] else 'mm'}",
+            domain=[left + 0.04, left + 1 / columns - 0.02],
+            anchor=f"y{name}",
+        )
+        more[f"yaxis{name}"] = axis("mm", domain=[low + 0.1, low + 1 / lines - 0.04], anchor=f"x{name}")
+        data.append(
+            {
+                "type": "scatter",
+                "mode": "markers",
+                "name": joint.name,
+                "x": q[result.kept[rows], i] / unit,
+                "y": size[rows] / MM,
+                "marker": {"color": BLUE, "size": 3},
+                **place(k),
+            }
+        )
+    return Figure(data=data, layout=layout(showlegend=False, **more), height_px=260 * lines)
+
+
+def _compared(page: Page, result: Verification, summary: Mapping[str, Any], other: OtherRun) -> str:
+    rows = [
+        ["place, mm RMS", *(figure_of(each["after"]["rms_m"] / MM) for each in (other.summary, summary))],
+        ["place, mm largest", *(figure_of(each["after"]["max_m"] / MM) for each in (other.summary, summary))],
+        ["rotation, ° RMS", *(_degrees(each["after"]["rms_rad"]) for each in (other.summary, summary))],
+        ["rows", other.summary["n"], summary["n"]],
+        ["cause", other.summary["cause"], summary["cause"]],
+    ]
+    own = np.linalg.norm(result.task[:, :3], axis=1)
+    data = [
+        {"type": "histogram", "name": name, "x": error / MM, "opacity": 0.6, "marker": {"color": colour}}
+        for name, error, colour in (("other", other.error_m, GREY), ("this", own, BLUE))
+    ]
+    figure = Figure(
+        data=data, layout=layout(barmode="overlay", xaxis=axis("error of place, mm"), yaxis=axis("rows")), height_px=300
+    )
+    return table(["", "the other run", "this run"], rows, numbers=(1, 2)) + page.plot(figure)

@@ -1,0 +1,274 @@
+"""Files of a verification: measured poses or points from here or from a tracker, joint readings, commanded poses.
+
+Read as a recording leaves them: further columns are passed over and named, rows torn by NUL bytes are left out and
+named; all others keep their number.
+"""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from armsight.errors import BadFile, NotEnoughData
+from armsight.geometry.poses import QUAT_NORM_TOLERANCE
+from armsight.records import PoseStatus
+from armsight.store.atomic import read_bytes
+from armsight.store.tables import MAX_BYTES, Table, parse_table
+from armsight.store.tracks import DEVIATIONS, POSITION, QUATERNION, SYSTEMATIC, VELOCITY, VELOCITY_STD, parse_tum
+from armsight.verify import Measured, Reported
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+WORDS = ("status", "spots", "spot", "point", "pose", "visit", "run", "tag")
+GOAL = tuple(f"goal_{name}" for name in (*POSITION, *QUATERNION))
+SAME_GOAL = 1e-3
+"""Commanded poses that differ by less (m, or in a quaternion's entries) are one."""
+NUL = b"\x00"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MeasuredFile:
+    """What a file of measurements says: the rows that can be used, the joints they were taken at where those are
+    columns of it, which commanded pose each is of (m,), those left out, and notes."""
+
+    measured: Measured
+    reported: Reported | None
+    pose: Array | None
+    rejected: tuple[tuple[int, str], ...]
+    notes: tuple[str, ...]
+    n: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Rows:
+    """A table read, the numbers of its rows (m,) from 1 in the file, and the rows torn."""
+
+    table: Table
+    row: Index
+    torn: tuple[tuple[int, str], ...]
+    unused: tuple[str, ...]
+
+    @property
+    def n(self) -> int:
+        """How many rows the file has, torn ones included."""
+        return len(self.row) + len(self.torn)
+
+    def columns(self, names: tuple[str, ...]) -> Array:
+        """Return columns of all rows (n, k) of the file, NaN where one is torn."""
+        out = np.full((self.n, len(names)), np.nan)
+        out[self.row - 1] = self.table.stacked(names)
+        return out
+
+    def has(self, names: tuple[str, ...]) -> bool:
+        """Whether all of these are columns; BadFile where only some are."""
+        there = [name for name in names if name in self.table.numbers]
+        if there and len(there) < len(names):
+            raise BadFile(
+                f"{self.table.where}: of {', '.join(names)} only {', '.join(there)} "
+                f"{'is' if len(there) == 1 else 'are'} there",
+                consequence="The file is not used",
+                cure="Give all of them, or none",
+            )
+        return bool(there)
+
+
+def read_measured(path: Path) -> MeasuredFile:
+    """Return the measurements of a poses.csv, a points.csv, a tracker's table (t_s,x_m,y_m,z_m[,qx,qy,qz,qw]) or TUM.
+
+    Raises BadFile that names line and column, NotEnoughData without a row.
+    """
+    data = read_bytes(path, limit=MAX_BYTES)
+    if _is_tum(data):
+        track = parse_tum(data, str(path))
+        measured = Measured(
+            xyz_m=np.asarray(track.pose.translation), rotation=track.pose.rotation.as_matrix(), t_s=track.t_s
+        )
+        return MeasuredFile(measured=measured, reported=None, pose=None, rejected=(), notes=(), n=len(measured))
+    rows = _parse(data, str(path), POSITION)
+    return _measured(rows)
+
+
+def _is_tum(data: bytes) -> bool:
+    """Whether the first line that says something is eight numbers, or a remark."""
+    for line in data.decode("utf-8", errors="replace").splitlines():
+        if line.strip():
+            parts = line.replace(",", " ").split()
+            return line.lstrip().startswith("#") or (len(parts) == 8 and all(_is_number(part) for part in parts))
+    return False
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _parse(data: bytes, where: str, required: tuple[str, ...]) -> _Rows:
+    """Return the table of a file, torn rows left out and counted."""
+    lines = data.splitlines(keepends=True)
+    torn = [i for i, line in enumerate(lines, start=1) if NUL in line]
+    if 1 in torn:
+        raise BadFile(f"{where}: NUL bytes in the first line", consequence="It cannot be read", cure="Save it as text")
+    clean = b"".join(b"\n" if NUL in line else line for line in lines)
+    header = _header(clean)
+    optional = ("t_s", *POSITION, *QUATERNION, *DEVIATIONS, *SYSTEMATIC, *VELOCITY, *VELOCITY_STD, *GOAL)
+    known = {*optional, *WORDS}
+    unused = tuple(
+        name for name in header if name and name not in known and not (name[0] == "q" and name[1:].isdecimal())
+    )
+    table = parse_table(
+        clean,
+        where,
+        required,
+        optional=(*optional, *WORDS, *unused),
+        text=(*WORDS, *unused),
+        blank=tuple(name for name in optional if name != "t_s"),
+        series="q",
+        need_rows=False,
+    )
+    if not len(table):
+        raise NotEnoughData(f"{where}: no row below the header that can be read", consequence="There is nothing to do")
+    place = {line: k + 1 for k, line in enumerate(sorted({*table.lines, *torn}))}
+    row = np.array([place[line] for line in table.lines], dtype=np.intp)
+    return _Rows(
+        table=table, row=row, torn=tuple((place[line], f"line {line} holds NUL bytes") for line in torn), unused=unused
+    )
+
+
+def _header(data: bytes) -> list[str]:
+    for line in data.decode("utf-8-sig", errors="replace").splitlines():
+        if line.strip():
+            return [name.strip() for name in next(csv.reader([line]))]
+    return []
+
+
+def _measured(rows: _Rows) -> MeasuredFile:
+    """Return what a table of measurements says."""
+    table = rows.table
+    turned = rows.has(QUATERNION) and not np.isnan(table.stacked(QUATERNION)).all()
+    quat = table.stacked(QUATERNION) if turned else None
+    index, rejected, lost = _usable(rows, table.stacked(POSITION), quat)
+    if not len(index):
+        raise NotEnoughData(
+            f"{table.where}: no row has a position that can be used", consequence="There is nothing to do"
+        )
+    measured = Measured(
+        xyz_m=table.stacked(POSITION)[index],
+        rotation=None if quat is None else Rotation.from_quat(quat[index]).as_matrix(),
+        t_s=table.numbers["t_s"][index] if "t_s" in table.numbers else None,
+        std=_std(table, index, turned),
+        row=rows.row[index],
+        point=_labels(table, index),
+    )
+    notes = [f"{lost} rows are lost (no pose) and not compared"] if lost else []
+    notes += [f"columns not used: {', '.join(rows.unused)[:200]}"] if rows.unused else []
+    return MeasuredFile(
+        measured=measured,
+        reported=_own_joints(rows),
+        pose=_poses(table, index),
+        rejected=(*rows.torn, *rejected),
+        notes=tuple(notes),
+        n=rows.n,
+    )
+
+
+def _usable(rows: _Rows, xyz: Array, quat: Array | None) -> tuple[Index, list[tuple[int, str]], int]:
+    """Return the places of the rows that can be used, those left out with the reason, and how many are lost."""
+    table = rows.table
+    status = table.text.get("status", (PoseStatus.OK.value,) * len(table))
+    good, rejected, lost = [], [], 0
+    for i in range(len(table)):
+        row = int(rows.row[i])
+        if status[i] == PoseStatus.LOST.value or np.isnan(xyz[i]).all():
+            lost += 1
+        elif status[i] == PoseStatus.POSITION_ONLY.value:
+            rejected.append((row, "a position only: that of the mean of the lights seen, another point"))
+        elif np.isnan(xyz[i]).any() or (quat is not None and np.isnan(quat[i]).any()):
+            rejected.append((row, f"cells are empty in line {table.lines[i]}"))
+        elif quat is not None and abs(np.linalg.norm(quat[i]) - 1.0) > QUAT_NORM_TOLERANCE:
+            rejected.append((row, f"its quaternion has length {np.linalg.norm(quat[i]):.4g}, not 1"))
+        else:
+            good.append(i)
+    return np.array(good, dtype=np.intp), rejected, lost
+
+
+def _std(table: Table, index: Index, turned: bool) -> Array | None:
+    """Return standard deviations (m, 6); None where a row of those used has none."""
+    names = DEVIATIONS if turned else DEVIATIONS[:3]
+    if any(name not in table.numbers for name in names):
+        return None
+    std = np.zeros((len(index), 6))
+    std[:, : len(names)] = table.stacked(names)[index]
+    return None if np.isnan(std).any() or not std[:, :3].any() else std
+
+
+def _labels(table: Table, index: Index) -> tuple[str, ...]:
+    words = table.text.get("point", table.text.get("spot"))
+    return () if words is None else tuple(words[i] for i in index)
+
+
+def _own_joints(rows: _Rows) -> Reported | None:
+    names = rows.table.series("q")
+    return Reported(q=rows.columns(names)) if names else None
+
+
+def _poses(table: Table, index: Index) -> Array | None:
+    """Return which commanded pose each row (m,) is of, by number; None where the file does not say."""
+    if "pose" in table.text:
+        words = [table.text["pose"][i] for i in index]
+        return np.unique(words, return_inverse=True)[1].astype(float)
+    if any(name not in table.numbers for name in GOAL):
+        return None
+    goal = table.stacked(GOAL)[index]
+    goal[:, 3:] *= np.where(goal[:, 6:] < 0.0, -1.0, 1.0)
+    if np.isnan(goal).any():
+        return None
+    step = np.abs(np.diff(goal, axis=0)).max(axis=1) > SAME_GOAL  # rows of one command follow each other
+    return np.concatenate([[0.0], np.cumsum(step)])
+
+
+def read_reported_joints(path: Path) -> Reported:
+    """Return joint readings q1..qn of a file, with t_s or without; rows torn by NUL bytes are NaN.
+
+    Raises BadFile that names line and column.
+    """
+    rows = _parse(read_bytes(path, limit=MAX_BYTES), str(path), ("q1",))
+    return Reported(q=rows.columns(rows.table.series("q")), t_s=_stamps(rows))
+
+
+def read_commanded(path: Path) -> tuple[Reported, bool]:
+    """Return commanded poses of a path.csv, a poses.csv or a TUM, and whether they have rotations.
+
+    Raises BadFile that names line and column.
+    """
+    data = read_bytes(path, limit=MAX_BYTES)
+    if _is_tum(data):
+        track = parse_tum(data, str(path))
+        return Reported(T=track.pose.as_matrix(), t_s=track.t_s), True
+    rows = _parse(data, str(path), POSITION)
+    turned = rows.has(QUATERNION)
+    T = np.tile(np.eye(4), (rows.n, 1, 1))
+    T[:, :3, 3] = rows.columns(POSITION)
+    if turned:
+        quat = rows.columns(QUATERNION)
+        good = np.isfinite(quat).all(axis=1) & (np.abs(np.linalg.norm(quat, axis=1) - 1.0) <= QUAT_NORM_TOLERANCE)
+        T[~good] = np.nan
+        T[good, :3, :3] = Rotation.from_quat(quat[good]).as_matrix()
+    return Reported(T=T, t_s=_stamps(rows)), turned
+
+
+def _stamps(rows: _Rows) -> Array | None:
+    """Return the stamps (n,) of all rows; those of torn ones lie between their neighbours'."""
+    if "t_s" not in rows.table.numbers:
+        return None
+    t = rows.columns(("t_s",))[:, 0]
+    known = np.isfinite(t)
+    return np.asarray(np.interp(np.arange(len(t)), np.flatnonzero(known), t[known]))

@@ -1,0 +1,335 @@
+"""What the errors come from: the measurement, one joint, several, the model; or nothing that these poses can tell.
+
+A joint is named only where correcting it takes errors off rows left out, beyond chance, and where freeing the links'
+geometry does not explain the same as well. Two joints that explain alike are two joints.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.calibrate.arm.parameter_selection import APART
+from armsight.verify.effects import Effect, Kind, effects, still
+from armsight.verify.evidence import Case, Evidence
+from armsight.verify.left_out import Fitted, by_chance, fit_linear, gain
+from armsight.verify.left_out import falls as fall_by_chance
+from armsight.verify.model import ModelFit, Noise
+
+Array = NDArray[np.float64]
+
+FEWEST_ROWS = 12
+"""With fewer, rows left out say nothing."""
+CHANCE = 1e-4
+"""Probability of a gain by chance from which on it is none, over all effects tried."""
+LEFT_OUT = 0.01
+"""... of as large a fall on the rows left out, block by block."""
+BEYOND = 0.02
+"""Probability by chance of what the geometry takes off beyond a joint, from which on the joint is not all."""
+DOMINANT = 0.8
+"""Share of all that can be gained from which on one joint is the cause beside a geometry that adds a little."""
+RIVAL_LOG = 10.0
+"""Log likelihood ratio (times two) within which two joints explain alike: about 150 to 1."""
+RIVALS = 2
+"""Other joints, the likeliest first, that are fitted in full beside the one found."""
+SAME_JOINT = 1.02
+"""A zero whose left-out error is within this factor of that of another effect of its joint is preferred."""
+EXPLAINED = 1.25
+"""The measurement explains errors up to so many times its standard deviations: they are never known better."""
+NO_ERROR_M = 1e-8
+"""Smaller errors are rounding."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JointVerdict:
+    """What is known of one joint: judged or why not; its zero (rad or m) with standard deviation where estimated; the
+    share that its best effect takes off left-out squares, and which effect that is."""
+
+    judged: bool
+    why: str = ""
+    offset: float | None = None
+    std: float | None = None
+    gain_heldout: float | None = None
+    kind: Kind | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Cause:
+    """cause: none, joint N, several joints, model, measurement or undecided. joint: from 0, where one is named, with
+    what it has wrong: kind, and parameters by name as (value, standard deviation). gains: shares of the left-out
+    squares that the best single joint, all zeros, and geometry with zeros take off. measurement_share: of the squared
+    error, None where the measurement's standard deviations are not known. rival: the other joint that would do.
+    fitted: base, tool and the effect. sentence: in words."""
+
+    cause: str
+    joints: tuple[JointVerdict, ...]
+    sentence: str
+    joint: int | None = None
+    kind: Kind | None = None
+    parameters: dict[str, tuple[float, float]] = field(default_factory=dict)
+    gains: dict[str, float] = field(default_factory=dict)
+    measurement_share: float | None = None
+    rival: int | None = None
+    fitted: ModelFit | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Trial:
+    """The best single effect and all that it is compared with."""
+
+    effect: Effect
+    fitted: ModelFit
+    before: Evidence
+    after: Evidence
+    plain: Fitted
+    own: Fitted
+    single: dict[int, tuple[Effect, Fitted]]
+    n_tried: int
+
+    @property
+    def gained(self) -> bool:
+        """Whether the effect takes errors off, beyond chance, on rows left out."""
+        chance = self.n_tried * by_chance(self.before.linear, self.plain, self.own)
+        return chance < CHANCE and fall_by_chance(self.plain, self.own) < LEFT_OUT
+
+
+def find_cause(case: Case, aligned: ModelFit, speed: Array | None, acceleration: Array | None) -> Cause:
+    """Return what the errors left by base and tool come from.
+
+    speed, acceleration (m, n): of the joints, None of single poses.
+    """
+    judged = judge(case, aligned)
+    share = _measurement_share(aligned)
+    if np.linalg.norm(aligned.residual[:, :3], axis=1).max() < NO_ERROR_M:
+        return Cause(cause="none", joints=judged, sentence="There is no error to explain.", measurement_share=share)
+    able = np.array([v.judged for v in judged])
+    if len(np.unique(case.block)) < 5 or len(case.q) < FEWEST_ROWS or not able.any():
+        return Cause(
+            cause="undecided",
+            joints=judged,
+            sentence=f"{len(case.q)} rows are too few to tell a cause; {FEWEST_ROWS} different poses are the least.",
+            measurement_share=share,
+        )
+    offered = [e for e in effects(case.bare, case.q, speed, acceleration) if able[e.joint]]
+    trial = _best_effect(case, aligned, offered)
+    return _decide(case, aligned, trial, judged, share)
+
+
+def judge(case: Case, aligned: ModelFit) -> tuple[JointVerdict, ...]:
+    """Return for each joint whether these rows can tell its zero from base and tool."""
+    evidence = Evidence.at(case, aligned, None, aligned.noise)
+    fixed = evidence.linear.fixed.reshape(evidence.linear.residual.size, -1)
+    basis = np.empty((len(fixed), 0))
+    if fixed.shape[1]:
+        U, s, _ = np.linalg.svd(fixed / np.maximum(np.linalg.norm(fixed, axis=0), 1e-300), full_matrices=False)
+        basis = U[:, s > 1e-9 * s[0]]
+    parts = {name.split(".")[0].split(":")[0] for name in case.free}
+    found = []
+    for i in range(case.bare.n):
+        column = evidence.joints[:, :, i].ravel()
+        own = column - basis @ (basis.T @ column)
+        size = float(np.linalg.norm(column))
+        if np.ptp(case.q[:, i]) < still(case.bare)[i]:
+            found.append(JointVerdict(judged=False, why="it hardly moved"))
+        elif not size > 0.0 or np.linalg.norm(own) < APART * size:
+            told = (
+                f"what its zero does, the free {' and '.join(sorted(parts))} do as well"
+                if parts
+                else "nothing shows it"
+            )
+            found.append(JointVerdict(judged=False, why=told))
+        else:
+            found.append(JointVerdict(judged=True))
+    return tuple(found)
+
+
+def _measurement_share(aligned: ModelFit) -> float | None:
+    """Return which share of the squared errors of place the measurement's standard deviations explain."""
+    known = aligned.noise.measurement[:, 0]
+    if not known.any():
+        return None
+    return float(min(1.0, np.sum(3.0 * known**2) / max(float((aligned.residual[:, :3] ** 2).sum()), 1e-300)))
+
+
+def _best_effect(case: Case, aligned: ModelFit, offered: list[Effect]) -> _Trial:
+    """Return the effect with the least left-out error, fitted with base and tool."""
+    noise = aligned.noise
+    effect = offered[0]
+    for _ in range(2):  # the second time weighed by the noise that the effect leaves
+        before = Evidence.at(case, aligned, None, noise)
+        single: dict[int, tuple[Effect, Fitted]] = {}
+        for each in offered:
+            fit = fit_linear(before.linear, before.columns(each))
+            known = single.get(each.joint)
+            if known is None or fit.left_out * (SAME_JOINT if known[0].kind is Kind.ZERO else 1.0) < known[1].left_out:
+                single[each.joint] = each, fit
+        effect = min(single.values(), key=lambda pair: pair[1].left_out)[0]
+        fitted = case.fit(aligned.p, effect)
+        noise = Noise(measurement=fitted.noise.measurement, extra=fitted.noise.extra)
+    after = Evidence.at(case, fitted, effect, noise)
+    return _Trial(
+        effect=effect,
+        fitted=fitted,
+        before=Evidence.at(case, aligned, None, noise),
+        after=after,
+        plain=Evidence.at(case, aligned, None, noise).plain(),
+        own=after.plain(),
+        single=single,
+        n_tried=len(offered),
+    )
+
+
+def _decide(
+    case: Case, aligned: ModelFit, trial: _Trial, judged: tuple[JointVerdict, ...], share: float | None
+) -> Cause:
+    able = np.flatnonzero([v.judged for v in judged])
+    before, after, plain = trial.before, trial.after, trial.plain
+    own_columns = before.columns(trial.effect)
+    geometry, zeros = before.with_geometry(), before.with_joints(able)
+    everything = before.with_geometry(before.joints[:, :, able])
+    beyond = after.with_geometry(after.joints[:, :, np.setdiff1d(able, [trial.effect.joint])])
+    gains = {
+        "joint": gain(plain, trial.own),
+        "zeros": gain(plain, zeros),
+        "model": gain(plain, min(everything, geometry, beyond, key=lambda fit: fit.left_out)),
+    }
+    most = max(gains.values())
+    adds = _adds(after, trial.own, beyond)
+    needed = by_chance(before.linear, geometry, before.with_geometry(own_columns)) < CHANCE
+    one = trial.gained and (not adds or (needed and gains["joint"] >= DOMINANT * most))
+    several = _gained(before, plain, zeros) and (
+        not _adds(before, zeros, everything)
+        or (_zeros_needed(before, geometry, everything) and gains["zeros"] >= DOMINANT * most)
+    )
+    told = Cause(cause="undecided", joints=judged, sentence="", gains=gains, measurement_share=share)
+    if one:
+        rival = _rival(case, aligned, trial)
+        joints = _estimates(judged, able, trial, after.with_joints(able), named=rival is None)
+        told = replace(told, joints=joints, rival=rival)
+        return _named(case, trial, told, adds) if rival is None else replace(told, sentence=_between(trial, rival))
+    if several:
+        joints = _estimates(judged, able, trial, zeros)
+        return replace(told, cause="several joints", joints=joints, sentence=_several(joints, gains))
+    if _gained(before, plain, everything) or _gained(before, plain, geometry):
+        joints = _estimates(judged, able, trial, everything)
+        return replace(told, cause="model", joints=joints, sentence=_model(gains, trial))
+    return _nothing(aligned, replace(told, joints=_estimates(judged, able, trial, zeros)))
+
+
+def _gained(evidence: Evidence, poorer: Fitted, richer: Fitted) -> bool:
+    return by_chance(evidence.linear, poorer, richer) < CHANCE and fall_by_chance(poorer, richer) < LEFT_OUT
+
+
+def _adds(evidence: Evidence, poorer: Fitted, richer: Fitted) -> bool:
+    """Whether a richer model takes more off than chance."""
+    return by_chance(evidence.linear, poorer, richer) < BEYOND
+
+
+def _zeros_needed(evidence: Evidence, geometry: Fitted, everything: Fitted) -> bool:
+    return by_chance(evidence.linear, geometry, everything) < CHANCE
+
+
+def _rival(case: Case, aligned: ModelFit, trial: _Trial) -> int | None:
+    """Return another joint whose best effect, fitted in full, explains the errors about as well."""
+    others = {joint: pair for joint, pair in trial.single.items() if joint != trial.effect.joint}
+    worth = trial.before.linear.residual.size / trial.after.linear.inflation
+    noise = trial.fitted.noise
+    for joint in sorted(others, key=lambda i: others[i][1].squares)[:RIVALS]:
+        effect = others[joint][0]
+        other = Evidence.at(case, case.fit(aligned.p, effect), effect, noise).plain()
+        if worth * np.log(max(other.squares, 1e-300) / max(trial.own.squares, 1e-300)) < RIVAL_LOG:
+            return joint
+    return None
+
+
+def _estimates(
+    judged: tuple[JointVerdict, ...], able: NDArray[np.intp], trial: _Trial, fit: Fitted, *, named: bool = False
+) -> tuple[JointVerdict, ...]:
+    """Return what is known of each joint, zeros from a fit whose first values are those of the joints judged."""
+    linear = trial.before.linear
+    scale = fit.squares / max(linear.residual.size - fit.rank, 1) * trial.after.linear.inflation
+    std = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0) * scale)
+    out = list(judged)
+    for k, i in enumerate(able.tolist()):
+        effect, alone = trial.single[i]
+        offset, doubt = float(fit.values[k]), float(std[k])
+        if named and i == trial.effect.joint:
+            zero = trial.effect.kind is Kind.ZERO
+            wide = np.sqrt(trial.after.linear.inflation)
+            at = len(trial.fitted.p) - len(trial.effect.names)
+            offset = float(trial.fitted.p[at]) if zero else 0.0
+            doubt = wide * trial.fitted.std(trial.effect.names[0]) if zero else doubt
+        out[i] = JointVerdict(
+            judged=True, offset=offset, std=doubt, gain_heldout=gain(trial.plain, alone), kind=effect.kind
+        )
+    return tuple(out)
+
+
+def _named(case: Case, trial: _Trial, told: Cause, adds: bool) -> Cause:
+    effect, fit = trial.effect, trial.fitted
+    wide = np.sqrt(trial.after.linear.inflation)
+    values = fit.p[len(fit.p) - len(effect.names) :]
+    parameters = {name: (float(v), float(wide * fit.std(name))) for name, v in zip(effect.names, values, strict=True)}
+    values_told = ", ".join(_shown(name, *pair) for name, pair in parameters.items())
+    name = case.bare.joints[effect.joint].name
+    rest = " The rest is the model's: `calibrate arm` corrects it." if adds else ""
+    return replace(
+        told,
+        cause=f"joint {effect.joint + 1}",
+        joint=effect.joint,
+        kind=effect.kind,
+        parameters=parameters,
+        fitted=fit,
+        sentence=f"Joint {effect.joint + 1} ({name}) is the cause: {effect.kind}, {values_told}. It takes "
+        f"{100 * gain(trial.plain, trial.own):.3g} % off the squared errors of rows left out.{rest}",
+    )
+
+
+def _shown(name: str, value: float, std: float) -> str:
+    if name.endswith("_rad"):
+        return f"{name.removesuffix('_rad')} {np.rad2deg(value):.4f} +- {np.rad2deg(std):.2g} deg"
+    return f"{name} {value:.4g} +- {std:.2g}"
+
+
+def _between(trial: _Trial, rival: int) -> str:
+    a, b = trial.effect.joint + 1, rival + 1
+    return f"Joint {a} and joint {b} explain the errors alike at these poses; neither is named."
+
+
+def _several(joints: tuple[JointVerdict, ...], gains: dict[str, float]) -> str:
+    far = [
+        i + 1
+        for i, v in enumerate(joints)
+        if v.offset is not None and v.std is not None and abs(v.offset) > 4.0 * v.std
+    ]
+    told = f" (those beyond four standard deviations: {', '.join(map(str, far))})" if far else ""
+    return f"Several joints' zeros are off{told}: together they take {100 * gains['zeros']:.3g} % off left-out squares."
+
+
+def _model(gains: dict[str, float], trial: _Trial) -> str:
+    return (
+        f"The arm's model is the cause: correcting its geometry takes {100 * gains['model']:.3g} % off the squared "
+        "errors of rows left out, the best single joint "
+        f"(joint {trial.effect.joint + 1}) {100 * gains['joint']:.3g} %. "
+        "Joint zeros read from a wrong model are not to be believed: run `armsight calibrate arm` on these rows."
+    )
+
+
+def _nothing(aligned: ModelFit, told: Cause) -> Cause:
+    """Return the verdict where neither joints nor geometry take errors off."""
+    known = bool(aligned.noise.measurement.any())
+    total = np.sqrt(np.median(aligned.noise.sigma**2, axis=0))
+    own = np.sqrt(np.median(aligned.noise.measurement**2, axis=0))
+    turned = aligned.residual.shape[1] == 6
+    if known and not (total <= EXPLAINED * own)[: 1 + turned].all():
+        factor = float((total / np.maximum(own, 1e-300))[: 1 + turned].max())
+        sentence = (
+            f"Errors are {factor:.2g} times what the measurement's standard deviations say, and neither a joint nor "
+            "the geometry takes them off rows left out."
+        )
+        return replace(told, cause="undecided", sentence=sentence)
+    said = "" if known else " (its standard deviations are not in the file; the arm's own scatter counts with it)"
+    sentence = f"The errors are the measurement's{said}: nothing in them follows the joints."
+    return replace(told, cause="measurement", sentence=sentence)

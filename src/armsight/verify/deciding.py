@@ -1,0 +1,82 @@
+"""Which joint positions would tell two explanations apart."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.kinematics import fk_jacobian
+from armsight.verify.evidence import Case
+from armsight.verify.model import Model, ModelFit
+from armsight.verify.records import Measured
+
+Array = NDArray[np.float64]
+
+DECIDING_POSES = 6
+CANDIDATES, SEED = 400, 11
+"""Joint positions looked at, drawn evenly over what the arm may do; the same rows give the same proposal."""
+OPEN_RAD, OPEN_M = np.pi, 0.3
+"""Range of a joint without limits, or with wider ones, to either side of the middle of the rows'."""
+
+
+def deciding_poses(case: Case, fitted: ModelFit, joints: tuple[int, ...]) -> Array:
+    """Return joint values (k, n), in the order of their worth, that would best tell the zeros of these joints (from 0)
+    from each other and from base and tool."""
+    rng = np.random.default_rng(SEED)
+    bare, middle = case.bare, case.q.mean(axis=0)
+    span = np.where(bare.revolute, OPEN_RAD, OPEN_M)
+    low, high = np.maximum(bare.lower, middle - span), np.minimum(bare.upper, middle + span)
+    q = rng.uniform(low, high, (CANDIDATES, bare.n))
+    n_joints = len(joints)
+    here = _columns(case, case.q, fitted, joints).reshape(-1, _width(case, n_joints))
+    there = _columns(case, q, fitted, joints)
+    H = here.T @ here
+    scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
+    H = H / np.outer(scale, scale) + 1e-9 * np.eye(len(H))
+    there = there / scale
+    chosen: list[int] = []
+    for _ in range(DECIDING_POSES):
+        doubt = [np.inf if k in chosen else _doubt(H + part.T @ part, n_joints) for k, part in enumerate(there)]
+        best = int(np.argmin(doubt))
+        chosen.append(best)
+        H = H + there[best].T @ there[best]
+    return q[chosen]
+
+
+def _width(case: Case, n_joints: int) -> int:
+    return len(case.free) + n_joints
+
+
+def _doubt(H: Array, n_joints: int) -> float:
+    """Return the log determinant of the covariance of the last parameters."""
+    inverse = np.linalg.inv(H)[-n_joints:, -n_joints:]
+    return float(np.linalg.slogdet(inverse)[1])
+
+
+def _columns(case: Case, q: Array, fitted: ModelFit, joints: tuple[int, ...]) -> Array:
+    """Return the whitened columns (m, rows, B + joints) of base, tool and the joints' zeros at joint values q."""
+    F, J = fk_jacobian(case.bare, q)
+    label = case.measured.labels[0]
+    points = _placed(case, len(q), label)
+    more = J[:, :, list(joints)]
+    model = Model(measured=points, expected=lambda _: (F, more), extra=tuple(f"zero{i}" for i in joints))
+    names = [name for name in case.free if name.split(".")[0] in ("base", _tool(label))]
+    p = np.concatenate([fitted.p[:6], fitted.p[6:12], np.zeros(len(joints))])
+    _, columns = model.linearised(p)
+    out = np.zeros((*columns.shape[:2], _width(case, len(joints))))
+    for k, name in enumerate(case.free):
+        if name in names:
+            out[:, :, k] = columns[:, :, model.names.index(name)]
+    out[:, :, len(case.free) :] = columns[:, :, 12:]
+    sigma = np.median(fitted.noise.sigma, axis=0)
+    return np.asarray(out / np.repeat(sigma, 3)[: columns.shape[1]][:, None])
+
+
+def _tool(label: str) -> str:
+    return f"tool:{label}" if label else "tool"
+
+
+def _placed(case: Case, m: int, label: str) -> Measured:
+    """Return m rows in any place: only what moves with the joints counts."""
+    rotation = None if case.measured.rotation is None else np.tile(np.eye(3), (m, 1, 1))
+    return Measured(xyz_m=np.zeros((m, 3)), rotation=rotation, point=(label,) * m)

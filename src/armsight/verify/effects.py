@@ -1,0 +1,105 @@
+"""What a joint can have wrong, as what is added to its reading: a zero, backlash, a gear's eccentricity, elasticity."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.kinematics import Arm, link_frames
+
+Array = NDArray[np.float64]
+
+STILL_RAD = 0.05
+"""A joint that moved less (rad, or of the mean link) cannot be told from the geometry beside it."""
+MOVING = 0.02
+"""Share of a joint's greatest speed below which its direction is not told."""
+LEAST_BOTH_WAYS = 0.15
+"""Share of the rows that must come from either side for backlash to be judged."""
+LEAST_LOAD = 0.05
+"""Spread of a joint's gravity torque, as a share of the greatest of any joint, for elasticity to be judged."""
+
+
+class Kind(StrEnum):
+    """What a joint has wrong."""
+
+    ZERO = "zero offset"
+    BACKLASH = "backlash"
+    ECCENTRICITY = "gear eccentricity"
+    LOAD = "elasticity under load"
+    ACCELERATION = "elasticity under acceleration"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Effect:
+    """An error of one joint (from 0): what is added to its reading is basis (m, k) times k unknown parameters.
+
+    names: of the parameters, with their unit.
+    """
+
+    joint: int
+    kind: Kind
+    names: tuple[str, ...]
+    basis: Array
+
+
+def effects(arm: Arm, q: Array, speed: Array | None, acceleration: Array | None) -> tuple[Effect, ...]:
+    """Return everything that the rows can show of single joints.
+
+    q (m, n): joint values. speed, acceleration (m, n): None where rows are single poses; the way a joint came then is
+    the sign of its step from the row before.
+    """
+    way = _direction(arm, q, speed)
+    load = gravity_load(arm, q)
+    found: list[Effect] = []
+    for i in range(arm.n):
+        one = np.ones((len(q), 1))
+        unit = "rad" if arm.revolute[i] else "m"
+        found.append(Effect(joint=i, kind=Kind.ZERO, names=(f"zero_{unit}",), basis=one))
+        if np.ptp(q[:, i]) < still(arm)[i]:
+            continue
+        both = min((way[:, i] > 0).mean(), (way[:, i] < 0).mean())
+        if both > LEAST_BOTH_WAYS:
+            found.append(Effect(joint=i, kind=Kind.BACKLASH, names=(f"backlash_{unit}",), basis=0.5 * way[:, [i]]))
+        if arm.revolute[i]:
+            turn = np.stack([np.sin(q[:, i]), np.cos(q[:, i]) - np.cos(q[:, i]).mean()], axis=1)
+            names = ("sin_rad", "cos_rad")
+            found.append(Effect(joint=i, kind=Kind.ECCENTRICITY, names=names, basis=turn))
+        if np.ptp(load[:, i]) > LEAST_LOAD * max(float(np.ptp(load, axis=0).max()), 1e-12):
+            found.append(Effect(joint=i, kind=Kind.LOAD, names=(f"load_{unit}_per_m",), basis=load[:, [i]]))
+        if acceleration is not None and np.ptp(acceleration[:, i]) > 0.0:
+            name = f"acceleration_{unit}_s2_per_{unit}"
+            found.append(Effect(joint=i, kind=Kind.ACCELERATION, names=(name,), basis=acceleration[:, [i]]))
+    return tuple(found)
+
+
+def still(arm: Arm) -> Array:
+    """Return (n,) the range that a joint must have moved over to be judged."""
+    return np.where(arm.revolute, STILL_RAD, STILL_RAD * arm.length_m)
+
+
+def _direction(arm: Arm, q: Array, speed: Array | None) -> Array:
+    """Return (m, n) from which side each joint came: 1 rising, -1 falling, 0 where it stood."""
+    if speed is None:
+        step = np.diff(q, axis=0, prepend=q[:1])
+        return np.asarray(np.sign(np.where(np.abs(step) > 1e-3 * still(arm), step, 0.0)))
+    return np.asarray(np.sign(np.where(np.abs(speed) > MOVING * np.abs(speed).max(axis=0), speed, 0.0)))
+
+
+def gravity_load(arm: Arm, q: Array) -> Array:
+    """Return (m, n) the lever in m by which equal weights at the ends of the links turn each joint.
+
+    An assumption, as nobody says the masses: as much weight at each link's end and at the tool, the world's z up. Of a
+    slide the share of the weight along it.
+    """
+    out = np.empty(q.shape)
+    for k, row in enumerate(q):
+        T = link_frames(arm, row)
+        for i in range(arm.n):
+            beyond = T[i + 1 :, :3, 3] - T[i, :3, 3]
+            force = np.array([0.0, 0.0, -1.0])
+            turned = np.cross(beyond, force).mean(axis=0)
+            out[k, i] = T[i, :3, 2] @ (turned if arm.revolute[i] else force)
+    return out

@@ -1,0 +1,129 @@
+"""Linear models of whitened residuals, compared on rows left out: what each gains, and whether by more than chance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+from scipy.stats import t as student
+
+Array = NDArray[np.float64]
+
+BLOCKS = 10
+RIDGE = 1e-9
+"""Keeps directions that no row tells where they are, in scaled information."""
+ROBUST = 4.0
+"""Whitened rows beyond so many robust standard deviations count less."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Linear:
+    """residual (m, k) in standard deviations; fixed (m, k, B): columns that are always fitted (base and tool); block
+    (m,): which rows are left out together; inflation: rows worth one independent row."""
+
+    residual: Array
+    fixed: Array
+    block: NDArray[np.intp]
+    inflation: float
+
+    @property
+    def weight(self) -> Array:
+        """Return (m,) the square root of each row's weight: gross rows count less."""
+        size = np.sqrt((self.residual**2).sum(axis=1) / self.residual.shape[1])
+        limit = ROBUST * max(float(np.median(size)), 1e-300)
+        return np.asarray(np.sqrt(np.minimum(1.0, limit / np.maximum(size, 1e-300))))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Fitted:
+    """A linear fit: values (K,) and covariance (K, K) of the columns added, in-sample sum of squares, left-out squares
+    by block (b,), and how many directions were fitted."""
+
+    values: Array
+    covariance: Array
+    squares: float
+    left: Array
+    rank: int
+
+    @property
+    def left_out(self) -> float:
+        """The sum of squares on rows left out."""
+        return float(self.left.sum())
+
+
+def blocks(m: int, group: NDArray[np.intp] | None = None) -> NDArray[np.intp]:
+    """Return (m,) which block each row is of: stretches of neighbouring rows, groups never apart."""
+    if group is None:
+        group = np.arange(m)
+    _, first, which = np.unique(group, return_index=True, return_inverse=True)
+    order = np.argsort(np.argsort(first))[which]
+    return np.asarray(order * BLOCKS // (order.max() + 1), dtype=np.intp)
+
+
+def fit_linear(problem: Linear, added: Array, prior: Array | None = None) -> Fitted:
+    """Fit the fixed columns and those added (m, k, K), to all rows and with each block left out.
+
+    prior (K,): standard deviations about zero of the added ones, none where inf.
+    """
+    w = problem.weight
+    n_fixed, rows = problem.fixed.shape[2], problem.residual.shape[1]
+    X = np.concatenate([problem.fixed, added], axis=2) * w[:, None, None]
+    X = X.reshape(problem.residual.size, X.shape[2])  # (m k, B + K)
+    y = (problem.residual * w[:, None]).ravel()
+    size = np.linalg.norm(X, axis=0)
+    size[size == 0.0] = 1.0
+    X /= size
+    precision = np.zeros(X.shape[1])
+    if prior is not None:
+        precision[n_fixed:] = 1.0 / (prior * size[n_fixed:]) ** 2
+    A, b = X.T @ X, X.T @ y
+    H = A + np.diag(precision + RIDGE)
+    theta = np.linalg.solve(H, b)
+    squares = float(((y - X @ theta) ** 2).sum())
+    block = np.repeat(problem.block, rows)
+    left = np.zeros(problem.block.max() + 1)
+    for k in range(len(left)):
+        part, own = X[block == k], y[block == k]
+        rest = np.linalg.solve(H - part.T @ part, b - part.T @ own)
+        left[k] = float(((own - part @ rest) ** 2).sum())
+    inverse = np.linalg.inv(H) / np.outer(size, size)
+    rank = int(np.linalg.matrix_rank(A, tol=1e-8 * len(A), hermitian=True)) if len(A) else 0
+    return Fitted(
+        values=(theta / size)[n_fixed:],
+        covariance=inverse[n_fixed:, n_fixed:],
+        squares=squares,
+        left=left,
+        rank=rank,
+    )
+
+
+def gain(poorer: Fitted, richer: Fitted) -> float:
+    """Return the share by which the left-out sum of squares falls; negative where it rises."""
+    return 1.0 - richer.left_out / max(poorer.left_out, 1e-300)
+
+
+def falls(poorer: Fitted, richer: Fitted) -> float:
+    """Return the one-sided probability that left-out squares fall as much, block by block, by chance."""
+    fall = poorer.left - richer.left
+    spread = float(fall.std(ddof=1)) / np.sqrt(len(fall))
+    if not spread > 0.0:
+        return 0.0 if fall.sum() > 0.0 else 1.0
+    return float(student.sf(fall.mean() / spread, len(fall) - 1))
+
+
+def by_chance(problem: Linear, poorer: Fitted, richer: Fitted) -> float:
+    """Return the probability that columns without meaning take as much off the sum of squares (likelihood ratio).
+
+    The noise is what the richer fit leaves; neighbouring rows that hang together count as fewer.
+    """
+    count = problem.residual.size
+    freedom = max(count - richer.rank, 1)
+    k = max(richer.rank - poorer.rank, 1)
+    noise = richer.squares / freedom
+    if not noise > 0.0:
+        return 0.0 if poorer.squares > 0.0 else 1.0
+    worth = max(freedom / problem.inflation, 4.0)
+    ratio = worth * np.log(max(poorer.squares, 1e-300) / max(richer.squares, 1e-300))
+    return float(chi2.sf(ratio, k))

@@ -1,0 +1,229 @@
+"""Expected against measured: T_measured = base * F * tool, with base, tool and a few more parameters to be found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.stats import chi2
+
+from armsight.fitting import Evaluation, Fit, Loss, LossKind, Problem, Settings, solve
+from armsight.geometry.lie import skew
+from armsight.verify.records import Measured
+
+Array = NDArray[np.float64]
+Expected = Callable[[Array], tuple[Array, Array]]
+"""More parameters (k,) -> F (m, 4, 4), base to flange, and its derivative (m, 6, k): (dt, dw) of the flange in base
+axes."""
+
+POSE = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
+MEDIAN_3 = float(chi2.median(3))
+"""Median of a squared length of three unit normals: the noise comes from the median, which gross errors leave alone."""
+LEAST_SIGMA = 1e-9
+"""Noise (m, rad) of data without any; a test's, never a measurement's."""
+NOISE_ROUNDS = 5
+SETTLED = 0.01
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Mounts:
+    """Where the base stands in the measuring frame, and each measured point or target on the flange."""
+
+    base: RigidTransform
+    tools: tuple[RigidTransform, ...]
+
+    @property
+    def vector(self) -> Array:
+        """Positions and rotation vectors of base and tools, (6 + 6 k,)."""
+        return np.concatenate([np.r_[T.translation, T.rotation.as_rotvec()] for T in (self.base, *self.tools)])
+
+    @classmethod
+    def of(cls, p: Array, n_tools: int) -> Mounts:
+        """Return what a vector says."""
+        parts = np.array(p[: 6 * (n_tools + 1)]).reshape(-1, 6)
+        poses = [RigidTransform.from_components(v[:3], Rotation.from_rotvec(v[3:])) for v in parts]
+        return cls(base=poses[0], tools=tuple(poses[1:]))
+
+
+def mount_names(labels: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the names of the parameters of base and tools."""
+    tools = ["tool" if not label else f"tool:{label}" for label in labels]
+    return tuple(f"{part}.{key}" for part in ("base", *tools) for key in POSE)
+
+
+def nothing_more(F: Array) -> Expected:
+    """Return an expectation without parameters of its own."""
+    none = np.zeros((len(F), 6, 0))
+    return lambda _: (F, none)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Model:
+    """Measurements and what is expected of them; extra: names of the expectation's own parameters."""
+
+    measured: Measured
+    expected: Expected
+    extra: tuple[str, ...] = ()
+    _which: NDArray[np.intp] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_which", self.measured.which)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all parameters: base, tools, then the expectation's."""
+        return (*mount_names(self.measured.labels), *self.extra)
+
+    @property
+    def n_mounts(self) -> int:
+        """How many parameters base and tools have."""
+        return 6 * (1 + len(self.measured.labels))
+
+    @property
+    def rows(self) -> int:
+        """Residuals of one measurement: 6, or 3 of a position."""
+        return 3 if self.measured.rotation is None else 6
+
+    def linearised(self, p: Array) -> tuple[Array, Array]:
+        """Return measured minus expected (m, rows) and the derivative (m, rows, P) of the expected.
+
+        In the measuring frame's axes: m, and a rotation vector in rad.
+        """
+        F, C = self.expected(p[self.n_mounts :])
+        mounts = Mounts.of(p, len(self.measured.labels))
+        R_base, t_base = mounts.base.rotation.as_matrix(), mounts.base.translation
+        x = np.array([T.translation for T in mounts.tools])[self._which]
+        R = R_base @ F[:, :3, :3]  # of the flange
+        arm = np.einsum("mij,mj->mi", R, x)  # flange to tool
+        origin = F[:, :3, 3] @ R_base.T + t_base
+        place = origin + arm
+        J = np.zeros((len(F), 6, len(p)))
+        J[:, :3, :3] = np.eye(3)
+        J[:, :3, 3:6] = -skew(place - t_base)
+        J[:, 3:, 3:6] = np.eye(3)
+        for k in range(len(mounts.tools)):
+            mine, at = self._which == k, 6 * (k + 1)
+            J[mine, :3, at : at + 3] = R[mine]
+            J[mine, 3:, at + 3 : at + 6] = R[mine]
+        v, w = R_base @ C[:, :3], R_base @ C[:, 3:]
+        J[:, :3, self.n_mounts :] = v - skew(arm) @ w
+        J[:, 3:, self.n_mounts :] = w
+        off = self.measured.xyz_m - place
+        if self.measured.rotation is None:
+            return off, J[:, :3]
+        R_tool = np.array([T.rotation.as_matrix() for T in mounts.tools])[self._which]
+        turn = Rotation.from_matrix(self.measured.rotation @ (R @ R_tool).transpose(0, 2, 1)).as_rotvec()
+        return np.concatenate([off, turn], axis=1), J
+
+    def retract(self, p: Array, local: Array, step: Array, step_local: Array) -> tuple[Array, Array]:
+        """Move by a step: poses as t + dt, Exp(dw) R, all else by addition."""
+        out = p + step
+        for at in range(3, self.n_mounts, 6):
+            turn = Rotation.from_rotvec(np.array(step[at : at + 3])) * Rotation.from_rotvec(np.array(p[at : at + 3]))
+            out[at : at + 3] = turn.as_rotvec()
+        return out, local + step_local
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Noise:
+    """Standard deviations (m, 2) of one coordinate in m and of one turn in rad: of the measurement where that is known,
+    with extra (2,) for all that it does not explain."""
+
+    measurement: Array
+    extra: Array
+
+    @property
+    def sigma(self) -> Array:
+        """Both together, (m, 2)."""
+        return np.asarray(np.maximum(np.hypot(self.measurement, self.extra), LEAST_SIGMA))
+
+    def whiten(self, a: Array) -> Array:
+        """Return residuals (m, rows, ...) in standard deviations."""
+        sigma = np.repeat(self.sigma, 3, axis=1)[:, : a.shape[1]]
+        return np.asarray(a / sigma.reshape(*sigma.shape, *[1] * (a.ndim - 2)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ModelFit:
+    """Parameters p, the fit they come from, the noise that it was weighed with, residuals (m, rows) in m and rad."""
+
+    p: Array
+    fit: Fit
+    noise: Noise
+    residual: Array
+
+    def mounts(self, labels: tuple[str, ...]) -> Mounts:
+        """Return base and tools."""
+        return Mounts.of(self.p, len(labels))
+
+    def std(self, name: str) -> float:
+        """Return a parameter's standard deviation; infinite where it is not determined."""
+        return self.fit.std().get(name, 0.0)
+
+
+def measurement_std(measured: Measured) -> Array:
+    """Return (m, 2): the standard deviations of a coordinate and of a turn as the file says them, 0 where not."""
+    if measured.std is None:
+        return np.zeros((len(measured), 2))
+    return np.asarray(np.sqrt(np.mean(measured.std.reshape(-1, 2, 3) ** 2, axis=2)))
+
+
+def extra_noise(residual: Array, measurement: Array, n_parameters: int) -> Array:
+    """Return (2,): what of residuals (m, rows) the measurement's standard deviations (m, 2) do not explain.
+
+    By the median, lifted by the parameters that the fit has taken.
+    """
+    m, rows = residual.shape
+    lift = m * rows / max(m * rows - n_parameters, 1)
+    out = np.zeros(2)
+    for k in range(rows // 3):
+        squares = (residual[:, 3 * k : 3 * k + 3] ** 2).sum(axis=1)
+        total = float(np.median(squares)) / MEDIAN_3 * lift
+        out[k] = np.sqrt(max(total - float(np.median(measurement[:, k] ** 2)), 0.0))
+    return out
+
+
+def fit_model(model: Model, guess: Array, free: Collection[str]) -> ModelFit:
+    """Return the free parameters by maximum likelihood, gross errors held down, the unexplained noise estimated.
+
+    Parameters that the data leave open stay where they are and are named in the fit. Raises NotConverged.
+    """
+    rows = model.rows
+    loss = Loss(kind=LossKind.HUBER, scale=float(np.sqrt(chi2.ppf(0.99, rows))), block=rows)
+    measurement = measurement_std(model.measured)
+    residual, _ = model.linearised(guess)
+    noise = Noise(measurement=measurement, extra=extra_noise(residual, measurement, 0))
+    p = guess
+    for _ in range(NOISE_ROUNDS):
+        fit = solve(_problem(model, p, free, noise, loss), Settings(allow_undetermined=True, max_iterations=200))
+        p = fit.shared
+        residual, _ = model.linearised(p)
+        before, after = noise, Noise(measurement=measurement, extra=extra_noise(residual, measurement, len(free)))
+        if np.abs(np.log(after.sigma / before.sigma)).max() < SETTLED:
+            break
+        noise = after
+    return ModelFit(p=p, fit=fit, noise=noise, residual=residual)
+
+
+def _problem(model: Model, p: Array, free: Collection[str], noise: Noise, loss: Loss) -> Problem:
+    def evaluate(q: Array, _: Array) -> Evaluation:
+        residual, J = model.linearised(q)
+        r = noise.whiten(residual)
+        slopes = -noise.whiten(J)
+        return Evaluation(
+            residuals=r.reshape(1, -1), shared=slopes.reshape(1, -1, len(q)), local=np.empty((1, r.size, 0))
+        )
+
+    return Problem(
+        names=model.names,
+        guess=p,
+        evaluate=evaluate,
+        n_residuals=model.rows * len(model.measured),
+        fixed=frozenset(model.names) - set(free),
+        loss=loss,
+        retract=model.retract,
+        local_guess=np.zeros((1, 0)),
+    )

@@ -1,0 +1,77 @@
+"""What goes into a verification: what was measured, row by row, and what was left out of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.errors import Inconsistent
+from armsight.records import frozen_array
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+Rejected = tuple[tuple[int, str], ...]
+"""(row of the file from 1, why)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Measured:
+    """Measured positions xyz_m (m, 3), rotations (m, 3, 3) where known, in any fixed frame.
+
+    t_s (m,): stamps, None where rows have none. std (m, 6): standard deviations of x, y, z in m and of a turn about
+    each axis in rad, None where nobody says. row (m,): the row of the file, from 1. point (m,): which of several points
+    of the tool was measured.
+    """
+
+    xyz_m: Array
+    rotation: Array | None = None
+    t_s: Array | None = None
+    std: Array | None = None
+    row: Index | None = None
+    point: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        m = len(self.xyz_m)
+        object.__setattr__(self, "xyz_m", frozen_array("xyz_m", self.xyz_m, (m, 3)))
+        for name, shape in (("rotation", (m, 3, 3)), ("t_s", (m,)), ("std", (m, 6))):
+            value = getattr(self, name)
+            if value is not None:
+                object.__setattr__(self, name, frozen_array(name, value, shape))
+        row = np.arange(1, m + 1) if self.row is None else np.array(self.row, dtype=np.intp)
+        row.setflags(write=False)
+        object.__setattr__(self, "row", row)
+        object.__setattr__(self, "point", tuple(self.point) or ("",) * m)
+        if len(self.point) != m or row.shape != (m,):
+            raise Inconsistent(f"{m} positions, but {len(self.point)} names of points and {len(row)} numbers of rows")
+
+    def __len__(self) -> int:
+        return len(self.xyz_m)
+
+    @property
+    def rows(self) -> Index:
+        """The row of the file (m,) of each measurement, from 1."""
+        return np.arange(1, len(self) + 1) if self.row is None else self.row
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The names of the tool's points, sorted."""
+        return tuple(sorted(set(self.point)))
+
+    @property
+    def which(self) -> Index:
+        """Which of the labels each row (m,) is of."""
+        place = {label: k for k, label in enumerate(self.labels)}
+        return np.array([place[label] for label in self.point], dtype=np.intp)
+
+    def take(self, index: Index) -> Measured:
+        """Return the measurements at the given places."""
+        return Measured(
+            xyz_m=self.xyz_m[index],
+            rotation=None if self.rotation is None else self.rotation[index],
+            t_s=None if self.t_s is None else self.t_s[index],
+            std=None if self.std is None else self.std[index],
+            row=self.rows[index],
+            point=tuple(self.point[i] for i in index.tolist()),
+        )

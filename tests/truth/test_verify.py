@@ -1,0 +1,246 @@
+"""Injected errors of a simulated arm, found or refused by name. The truth has forward kinematics of its own."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from armsight.errors import Ambiguous, Inconsistent
+from armsight.kinematics import Arm, dh_arm
+from armsight.verify import Align, Kind, Measured, Reported, Verification, verify
+from armsight.verify.clocks import sampling_times
+
+QUARTER = np.pi / 2
+TABLE = np.array(  # a, alpha, d, theta of a UR10
+    [
+        (0.0, QUARTER, 0.1273, 0.0),
+        (-0.612, 0.0, 0.0, 0.0),
+        (-0.5723, 0.0, 0.0, 0.0),
+        (0.0, QUARTER, 0.163941, 0.0),
+        (0.0, -QUARTER, 0.1157, 0.0),
+        (0.0, 0.0, 0.0922, 0.0),
+    ]
+)
+MIDDLE = np.array([0.0, -1.2, 1.5, -0.5, 1.0, 0.0])
+BASE = RigidTransform.from_components([2.0, 1.0, -0.5], Rotation.from_rotvec([0.3, 1.0, -2.0]))
+TOOL = RigidTransform.from_components([0.05, -0.08, 0.12], Rotation.from_rotvec([0.5, 0.2, 0.1]))
+STD = np.array([1e-4] * 3 + [2e-4] * 3)
+
+
+def flange(table: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """(m, 4, 4): Rz(theta) Tz(d) Tx(a) Rx(alpha), link after link."""
+    T = np.tile(np.eye(4), (len(q), 1, 1))
+    for (a, alpha, d, theta), angle in zip(table, q.T, strict=True):
+        turn = Rotation.from_euler("z", (angle + theta)[:, None]) * Rotation.from_euler("x", alpha)
+        step = np.tile(np.eye(4), (len(q), 1, 1))
+        step[:, :3, :3] = turn.as_matrix()
+        step[:, :3, 3] = np.stack([a * np.cos(angle + theta), a * np.sin(angle + theta), np.full(len(q), d)], axis=1)
+        T = T @ step
+    return T
+
+
+def seen(table: np.ndarray, q: np.ndarray, rng: np.random.Generator, t_s: np.ndarray | None = None) -> Measured:
+    T = BASE * RigidTransform.from_matrix(flange(table, q)) * TOOL
+    noise = rng.normal(0.0, STD, (len(q), 6))
+    return Measured(
+        xyz_m=T.translation + noise[:, :3],
+        rotation=(Rotation.from_rotvec(noise[:, 3:]) * T.rotation).as_matrix(),
+        std=np.tile(STD, (len(q), 1)),
+        t_s=t_s,
+    )
+
+
+def changed(row: int, column: int, by: float) -> np.ndarray:
+    table = TABLE.copy()
+    table[row, column] += by
+    return table
+
+
+def arm(known: bool = False) -> Arm:
+    rows = TABLE[:, [0, 1, 2, 3]].tolist()
+    return dh_arm("ur", rows, **({"T_world_base": BASE, "T_flange_tool": TOOL} if known else {}))
+
+
+def poses(seed: int, n: int = 60) -> tuple[np.ndarray, np.random.Generator]:
+    rng = np.random.default_rng(seed)
+    return MIDDLE + rng.uniform(-1.2, 1.2, (n, 6)), rng
+
+
+def cause_of(result: Verification) -> str:
+    assert result.cause is not None
+    return result.cause.cause
+
+
+@pytest.mark.parametrize("joint", [1, 2, 3, 4])
+@pytest.mark.parametrize("turned", [True, False])
+def test_one_wrong_zero_is_named_with_its_value(joint: int, turned: bool) -> None:
+    q, rng = poses(joint)
+    measured = seen(changed(joint, 3, np.deg2rad(0.4)), q, rng)
+    if not turned:
+        measured = Measured(xyz_m=measured.xyz_m, std=measured.std)
+    result = verify(arm(), Reported(q=q), measured, Align.BOTH)
+    assert cause_of(result) == f"joint {joint + 1}" and result.cause is not None
+    assert result.cause.kind is Kind.ZERO
+    found = result.cause.joints[joint]
+    assert found.offset is not None and found.std is not None
+    assert abs(found.offset - np.deg2rad(0.4)) < 3.5 * found.std < np.deg2rad(0.05)
+    assert [v.judged for v in result.cause.joints] == [False, True, True, True, True, False]
+    open_ = {"tool.rx_rad", "tool.ry_rad", "tool.rz_rad"}
+    assert set(result.undetermined) == (set() if turned else open_)
+
+
+@pytest.mark.parametrize("joint", [0, 5])
+def test_first_and_last_joint_are_judged_where_base_and_tool_are_known(joint: int) -> None:
+    q, rng = poses(10 + joint)
+    result = verify(arm(known=True), Reported(q=q), seen(changed(joint, 3, -0.004), q, rng), Align.NONE)
+    assert cause_of(result) == f"joint {joint + 1}"
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_good_arm_is_not_blamed(seed: int) -> None:
+    q, rng = poses(20 + seed)
+    result = verify(arm(), Reported(q=q), seen(TABLE, q, rng), Align.BOTH)
+    assert cause_of(result) == "measurement" and result.cause is not None
+    assert result.cause.measurement_share is not None and result.cause.measurement_share > 0.7
+    assert result.deciding is None and not result.rejected
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_wrong_geometry_with_right_zeros_is_the_models(seed: int) -> None:
+    q, rng = poses(30 + seed)
+    table = TABLE + rng.normal(0.0, [5e-4, 9e-4, 5e-4, 0.0], (6, 4))
+    assert cause_of(verify(arm(), Reported(q=q), seen(table, q, rng), Align.BOTH)) == "model"
+
+
+def test_two_wrong_zeros_are_several_joints() -> None:
+    q, rng = poses(40)
+    table = changed(1, 3, 0.005)
+    table[3, 3] -= 0.006
+    assert cause_of(verify(arm(), Reported(q=q), seen(table, q, rng), Align.BOTH)) == "several joints"
+
+
+def test_backlash_and_eccentricity_are_told_from_a_zero() -> None:
+    q, rng = poses(50, 120)
+    way = np.sign(np.diff(q[:, 2], prepend=q[0, 2] - 1.0))
+    for extra, kind in ((0.002 * way, Kind.BACKLASH), (0.003 * np.sin(q[:, 2]), Kind.ECCENTRICITY)):
+        true = q.copy()
+        true[:, 2] += extra
+        result = verify(arm(), Reported(q=q), seen(TABLE, true, rng), Align.BOTH)
+        assert cause_of(result) == "joint 3" and result.cause is not None
+        assert result.cause.kind is kind
+
+
+def test_too_few_rows_decide_nothing_and_poses_are_proposed() -> None:
+    q, rng = poses(60, 10)
+    result = verify(arm(), Reported(q=q), seen(changed(2, 3, 0.002), q, rng), Align.BOTH)
+    assert cause_of(result) == "undecided"
+    assert result.deciding is not None and result.deciding.shape[1] == 6
+
+
+def test_joint_errors_are_those_put_in() -> None:
+    q, rng = poses(70)
+    true = q + rng.normal(0.0, 1e-3, q.shape)
+    result = verify(arm(known=True), Reported(q=q), seen(TABLE, true, rng), Align.NONE)
+    assert result.joints is not None
+    known = result.joints.known
+    off = (result.joints.dq - (true - q))[known] / result.joints.std[known]
+    assert known.mean() > 0.9
+    assert 0.9 < np.sqrt(np.mean(off**2)) < 1.1
+
+
+def test_foreign_and_repeated_rows_are_named_and_the_others_kept() -> None:
+    q, rng = poses(80)
+    good = seen(TABLE, q, rng)
+    xyz, R = good.xyz_m.copy(), np.array(good.rotation)
+    xyz[[5, 17, 18]] = rng.normal(0.0, 1.0, (3, 3))
+    xyz[40], R[40] = xyz[39], R[39]
+    result = verify(arm(), Reported(q=q), Measured(xyz_m=xyz, rotation=R), Align.BOTH)
+    assert [row for row, _ in result.rejected] == [6, 18, 19, 41]
+    assert "repeats row 40" in dict(result.rejected)[41]
+    assert np.linalg.norm(result.task[:, :3], axis=1).max() < 6e-4
+
+
+def test_mirrored_millimetres_and_inverted_rotations_are_recognised() -> None:
+    q, rng = poses(90)
+    good = seen(TABLE, q, rng)
+    turned = np.swapaxes(np.array(good.rotation), 1, 2)
+    for measured, said in (
+        (Measured(xyz_m=good.xyz_m * [1.0, -1.0, 1.0]), "left-handed"),
+        (Measured(xyz_m=1e3 * good.xyz_m), "times as far"),
+        (Measured(xyz_m=good.xyz_m, rotation=turned), "inverted"),
+        (Measured(xyz_m=good.xyz_m[::-1]), "misses half"),
+    ):
+        with pytest.raises(Inconsistent, match=said):
+            verify(arm(), Reported(q=q), measured, Align.BOTH)
+
+
+def stream(seed: int, period: float | None = None) -> tuple[Reported, np.ndarray, np.ndarray, np.random.Generator]:
+    """Joints at 125 Hz with 1 % lost, times and joint values of measurements at 100 Hz."""
+    rng = np.random.default_rng(seed)
+    size, rate, phase = rng.uniform(0.05, 0.3, (6, 4)), rng.uniform(0.05, 0.4, (6, 4)), rng.uniform(0, 6, (6, 4))
+    if period is not None:
+        rate = np.tile([1.0, 1.0, 2.0, 2.0], (6, 1)) / period
+
+    def q_at(t: np.ndarray) -> np.ndarray:
+        return np.asarray(MIDDLE + (size * np.sin(2 * np.pi * rate * t[:, None, None] + phase)).sum(axis=2))
+
+    t_q, t_m = np.arange(0.0, 20.0, 0.008), np.arange(2.0, 18.0, 0.01)
+    t_q = t_q[rng.random(len(t_q)) > 0.01]
+    return Reported(q=q_at(t_q), t_s=t_q), t_m, q_at(t_m), rng
+
+
+@pytest.mark.parametrize(("seed", "offset", "bursts"), [(1, 4.7, True), (2, -4.9, True), (3, 3000.0, False)])
+def test_time_offsets_are_found_from_anywhere(seed: int, offset: float, bursts: bool) -> None:
+    reported, t_m, q, rng = stream(seed)
+    stamps = t_m - offset
+    if bursts:
+        stamps = np.repeat(stamps[9::10] + rng.normal(0.0, 1e-3, len(t_m) // 10), 10)
+    kept = rng.random(len(t_m)) > 0.01
+    result = verify(arm(), reported, seen(TABLE, q[kept], rng, stamps[kept]), Align.BOTH)
+    clock, times = result.paired.clock, result.paired.times
+    assert clock is not None and times is not None
+    assert times.bursts is bursts
+    assert abs(clock.offset_s - offset) < min(2e-3, 5.0 * clock.std_s)
+    assert len(result.task) + len(result.rejected) == kept.sum()
+    assert any("larger than the run" in text for text in result.doubts) == (abs(offset) > 20.0)
+
+
+def test_rows_in_a_gap_of_the_joints_are_named() -> None:
+    reported, t_m, q, rng = stream(4)
+    assert reported.q is not None and reported.t_s is not None
+    there = (reported.t_s < 8.0) | (reported.t_s > 10.0)
+    result = verify(arm(), Reported(q=reported.q[there], t_s=reported.t_s[there]), seen(TABLE, q, rng, t_m), Align.BOTH)
+    assert len(result.rejected) == pytest.approx(200, abs=5)
+    assert all("in a gap of" in why for _, why in result.rejected)
+
+
+def test_a_repeating_motion_another_motion_and_mirrored_streams_are_refused() -> None:
+    reported, t_m, q, rng = stream(5, period=4.0)
+    short = t_m < 9.0
+    with pytest.raises(Ambiguous, match="repeats itself"):
+        verify(arm(), reported, seen(TABLE, q[short], rng, t_m[short]), Align.BOTH)
+    other, _, _, _ = stream(6)
+    _, t_m, q, rng = stream(7)
+    measured = seen(TABLE, q, rng, t_m + 500.0)
+    with pytest.raises(Inconsistent, match="do not overlap in time"):
+        verify(arm(), other, measured, Align.BOTH)
+    own, t_m, q, rng = stream(8)
+    mirrored = Measured(xyz_m=seen(TABLE, q, rng).xyz_m * [1.0, 1.0, -1.0], t_s=t_m)
+    with pytest.raises(Inconsistent, match="left-handed"):
+        verify(arm(), own, mirrored, Align.BOTH)
+
+
+def test_stamps_that_are_none_are_refused_and_uneven_bursts_followed() -> None:
+    with pytest.raises(Inconsistent, match="all 50 stamps"):
+        sampling_times(np.full(50, 3.0), "the rows")
+    with pytest.raises(Inconsistent, match="falls at row 4"):
+        sampling_times(np.array([0.0, 0.1, 0.2, 0.15, 0.3]), "the rows")
+    rng = np.random.default_rng(0)
+    t = 0.01 * np.arange(4000)
+    ends = np.unique(rng.integers(0, 4000, 500))
+    ends = np.append(ends[ends < 3999], 3999)
+    stamps = t[ends[np.searchsorted(ends, np.arange(4000))]]
+    found = sampling_times(stamps, "the rows")
+    assert found.bursts and (np.diff(found.t_s) > 0.0).all()
+    assert np.abs(found.t_s - t).max() < 0.015

@@ -1,0 +1,158 @@
+"""armsight verify: files of several kinds in, the promised keys and files out, and what is refused."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from armsight.errors import BadFile
+from armsight.kinematics import fk, moved, preset
+from armsight.store.verify_files import read_commanded, read_measured, read_reported_joints
+
+POSE = "x_m,y_m,z_m,qx,qy,qz,qw"
+JOINTS = "q1,q2,q3,q4,q5,q6"
+FIGURES = {"me", "mae", "max", "sd", "rms"}
+
+
+def write(path: Path, header: str, rows: np.ndarray) -> Path:
+    path.write_text("\n".join([header, *(",".join(repr(float(v)) for v in row) for row in rows)]) + "\n")
+    return path
+
+
+@pytest.fixture(scope="module")
+def truth() -> tuple[np.ndarray, np.ndarray]:
+    """Joints (40, 6) and measured poses (40, 7) of an irb120 whose second joint is off by 0.5 degrees."""
+    arm = preset("irb120")
+    rng = np.random.default_rng(0)
+    q = rng.uniform(-0.9, 0.9, (40, 6))
+    T = RigidTransform.from_matrix(fk(moved(arm, {"j2.theta_rad": np.deg2rad(0.5), "base.z_m": 0.3}), q))
+    xyz = T.translation + rng.normal(0.0, 1e-4, (40, 3))
+    turn = Rotation.from_rotvec(rng.normal(0.0, 2e-4, (40, 3)))
+    return q, np.hstack([xyz, (turn * T.rotation).as_quat()])
+
+
+@pytest.fixture
+def files(truth: tuple[np.ndarray, np.ndarray], tmp_path: Path) -> tuple[Path, Path, list[Any]]:
+    q, poses = truth
+    measured, joints = write(tmp_path / "m.csv", POSE, poses), write(tmp_path / "j.csv", JOINTS, q)
+    return measured, joints, ["verify", "--measured", measured, "--arm", "irb120", "-o", tmp_path / "out"]
+
+
+def test_an_arm_is_verified_with_every_promised_key(
+    armsight: Any, files: tuple[Path, Path, list[Any]], tmp_path: Path
+) -> None:
+    done = armsight(*files[2], "--joints", files[1])
+    assert done.code == 0
+    content = done.json
+    assert (
+        set(content["task"]) == {"x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad"} == set(content["measurement_std"])
+    )
+    assert all(set(item) == FIGURES for item in content["task"].values())
+    assert content["n"] == 40 and content["cause"] == "joint 2" and content["kind"] == "zero offset"
+    assert content["time"] == {"offset_s": None, "std_s": None, "drift_ppm": None, "bursts": False}
+    second = content["joints"][1]
+    assert second["judged"] and abs(second["offset_rad"] - np.deg2rad(0.5)) < 4.0 * second["std_rad"]
+    assert not content["joints"][0]["judged"] and content["joints"][0]["offset_rad"] is None
+    assert content["alignment"]["free"] == ["base", "tool"]
+    assert {"j1.theta_rad", "j6.theta_rad"} <= set(content["alignment"]["undetermined"])
+    assert content["after"]["rms_m"] < content["before"]["rms_m"]
+    assert content["iso9283"] == {} and content["rejected"] == []
+    assert json.loads((tmp_path / "out" / "verify.json").read_text()) == content
+    with (tmp_path / "out" / "errors.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert [int(row["row"]) for row in rows] == list(range(1, 41))
+    rms = np.sqrt(np.mean([float(row["error_m"]) ** 2 for row in rows]))
+    assert rms == pytest.approx(content["after"]["rms_m"], rel=1e-9)
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "Cause: joint 2" in page and "@page" in page and "Errors over joint angles" in page
+
+
+def test_joints_may_be_columns_and_runs_are_compared(
+    armsight: Any, files: tuple[Path, Path, list[Any]], truth: tuple[np.ndarray, np.ndarray], tmp_path: Path
+) -> None:
+    assert armsight(*files[2], "--joints", files[1]).code == 0
+    both = write(tmp_path / "both.csv", f"{JOINTS},{POSE},temperature_c", np.hstack([*truth, np.full((40, 1), 20.0)]))
+    words = ["verify", "--measured", both, "--arm", "irb120", "-o", tmp_path / "again"]
+    done = armsight(*words, "--compare", tmp_path / "out")
+    assert done.code == 0
+    assert done.json["compared"]["after"] == done.json["after"]
+    assert any("temperature_c" in text for text in done.json["doubts"])
+    assert "Beside the other run" in (tmp_path / "again" / "report.html").read_text()
+    assert armsight(*words, "--compare", tmp_path / "nothing").code == 3
+
+
+def test_a_commanded_path_needs_no_arm(armsight: Any, truth: tuple[np.ndarray, np.ndarray], tmp_path: Path) -> None:
+    q, poses = truth
+    asked = RigidTransform.from_matrix(fk(preset("irb120"), q))
+    commanded = write(tmp_path / "path.csv", POSE, np.hstack([asked.translation, asked.rotation.as_quat()]))
+    measured = write(tmp_path / "m.csv", POSE, poses)
+    words = ["verify", "--measured", measured, "--commanded", commanded, "-o", tmp_path / "out"]
+    done = armsight(*words, "--align", "none")
+    assert done.code == 0
+    assert done.json["before"] == done.json["after"] and done.json["joints"] == []
+    assert done.json["after"]["rms_m"] == pytest.approx(0.3, abs=0.02)
+    assert armsight(*words).json["after"]["rms_m"] < 0.005
+    flat = write(tmp_path / "flat.csv", "x_m,y_m,z_m", asked.translation)
+    points = armsight("verify", "--measured", measured, "--commanded", flat, "-o", tmp_path / "out").json
+    assert points["alignment"]["free"] == ["base"] and points["after"]["rms_rad"] is None
+
+
+def test_what_cannot_be_is_refused(armsight: Any, files: tuple[Path, Path, list[Any]], tmp_path: Path) -> None:
+    measured, joints, words = files
+    short = write(tmp_path / "short.csv", JOINTS, np.zeros((5, 6)))
+    five = write(tmp_path / "five.csv", "q1,q2,q3,q4,q5", np.zeros((40, 5)))
+    for more, code, said in (
+        ([], 2, "no --joints"),
+        (["--joints", joints, "--align", "sideways"], 2, "none, base, tool, both"),
+        (["--joints", joints, "--commanded", measured], 2, "verify twice"),
+        (["--joints", joints, "--compare", tmp_path / "out"], 2, "written to"),
+        (["--joints", short], 3, "40 measured rows and 5"),
+        (["--joints", five], 3, "has 5 joints"),
+    ):
+        done = armsight(*words, *more)
+        assert done.code == code and said in done.text, done.text
+    assert armsight("verify", "--measured", measured, "-o", tmp_path / "out").code == 2
+    assert not (tmp_path / "out").exists()
+
+
+def test_torn_rows_are_left_out_and_the_others_keep_their_numbers(tmp_path: Path) -> None:
+    path = tmp_path / "torn.csv"
+    path.write_bytes(
+        b"t_s,x_m,y_m,z_m,status\n0,1,2,3,ok\n0.1,\x00\x00\x00\n0.2,4,5,6,ok\n0.3,,,,lost\n0.4,1,1,1,position_only\n"
+    )
+    found = read_measured(path)
+    assert found.measured.rows.tolist() == [1, 3] and found.n == 5
+    assert dict(found.rejected)[2] == "line 3 holds NUL bytes"
+    assert "a position only" in dict(found.rejected)[5]
+    assert any("1 rows are lost" in note for note in found.notes)
+    path.write_bytes(b"q1,q2\n1,2\n\x00\x00\n3,4\n")
+    q = read_reported_joints(path).q
+    assert q is not None and np.isnan(q[1]).all() and q[2].tolist() == [3.0, 4.0]
+
+
+def test_trackers_files_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "a.tum"
+    path.write_text("# t x y z\n0 1 2 3 0 0 0 1\n1 1 2 3 0 0 0 1\n")
+    tum = read_measured(path).measured
+    assert tum.t_s is not None and tum.t_s.tolist() == [0.0, 1.0] and tum.rotation is not None
+    path.write_text("t_s,spot,x_m,y_m,z_m,sx_m,sy_m,sz_m,pose\n0,A,1,2,3,.1,.2,.3,p1\n0,B,1,2,4,.1,.1,.1,p1\n")
+    found = read_measured(path)
+    assert found.measured.labels == ("A", "B") and found.pose is not None and found.pose.tolist() == [0.0, 0.0]
+    assert found.measured.std is not None and found.measured.std[0, :3].tolist() == [0.1, 0.2, 0.3]
+    path.write_text("t_s,x_m,y_m,z_m\n0,1,2,3\n")
+    reported, turned = read_commanded(path)
+    assert not turned and reported.T is not None and reported.T[0, :3, 3].tolist() == [1.0, 2.0, 3.0]
+    for text, said in (
+        ("x_m,y_m\n1,2\n", "z_m is missing"),
+        ("x_m,y_m,z_m,qx\n1,2,3,0\n", "only qx is there"),
+        ("x_m,y_m,z_m\n1,2,three\n", "line 2, column z_m"),
+    ):
+        path.write_text(text)
+        with pytest.raises(BadFile, match=said):
+            read_measured(path)
