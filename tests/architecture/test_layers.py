@@ -20,8 +20,6 @@ PLANTED = {
     "verify opens files": ("verify/planted.py", "import pathlib"),
     "measure sees sim": ("measure/planted.py", "import armsight.sim"),
     "sim projects with optics": ("sim/planted.py", "import armsight.optics"),
-    "verify sees control": ("verify/planted.py", "import armsight.control"),
-    "verify opens files": ("verify/planted.py", "import pathlib"),
     "store sees config": ("store/planted.py", "import armsight.config"),
     "app imports sim by name": ("app/planted.py", "import armsight.sim"),
     "drivers see testing": ("drivers/planted.py", "import armsight.testing"),
