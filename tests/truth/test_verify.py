@@ -7,9 +7,11 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.errors import Ambiguous, Inconsistent
-from armsight.kinematics import Arm, dh_arm
+from armsight.kinematics import Arm, dh_arm, fk
 from armsight.verify import Align, Kind, Measured, Reported, Verification, verify
+from armsight.verify.alignment import align
 from armsight.verify.clocks import sampling_times
+from armsight.verify.model import Mounts
 
 QUARTER = np.pi / 2
 TABLE = np.array(  # a, alpha, d, theta of a UR10
@@ -159,6 +161,15 @@ def test_foreign_and_repeated_rows_are_named_and_the_others_kept() -> None:
     assert [row for row, _ in result.rejected] == [6, 18, 19, 41]
     assert "repeats row 40" in dict(result.rejected)[41]
     assert np.linalg.norm(result.task[:, :3], axis=1).max() < 6e-4
+
+
+def test_rows_that_a_wrong_zero_throws_far_out_are_not_foreign() -> None:
+    q, rng = poses(80)  # row 25 is stretched, beyond all others
+    measured = seen(changed(1, 3, np.deg2rad(-0.6)), q, rng)
+    nominal = Mounts(base=RigidTransform.identity(), tools=(RigidTransform.identity(),))
+    assert [row for row, _ in align(fk(arm(), q), measured, nominal, Align.BOTH).rejected] == [25]
+    result = verify(arm(), Reported(q=q), measured, Align.BOTH)
+    assert cause_of(result) == "joint 2" and result.rejected == () and len(result.task) == 60
 
 
 def test_mirrored_millimetres_and_inverted_rotations_are_recognised() -> None:

@@ -21,10 +21,9 @@ from armsight.verify import Verification
 Array = NDArray[np.float64]
 
 LEVELS = {"measurement": "good", "none": "good", "model": "warn", "undecided": "warn"}
-PRINT = """@page{size:A4;margin:12mm}
-@media print{section:nth-of-type(n+4),.modebar{display:none}body{font-size:11px}
-.cards{grid-template-columns:repeat(5,1fr)}
-.cards b{font-size:15px}table{font-size:10px}th,td{padding:2px 6px}section{margin:6px 0;padding:6px 0}}"""
+PRINT = """@page{{size:A4;margin:12mm}}
+@media print{{section:nth-of-type(n+{first}){{display:none}}main{{zoom:.72}}.verdict{{font-size:15px}}
+.cards{{grid-template-columns:repeat(6,1fr)}}th,td{{padding:3px 8px}}section{{margin:6px 0;padding:8px 0}}}}"""
 """On paper: verdict, figures, tables and the errors' course, on one page; pictures in space stay on the screen."""
 JOINTS = "Errors carried into the joints by inverse kinematics near the readings; zeros where these poses tell them."
 ARROWS_TOLD = "Arrows point from where the tool should be to where it was measured, much enlarged. Drag to turn."
@@ -59,14 +58,14 @@ def verify_report(
         subtitle=f"{summary['n']} rows compared, {len(summary['rejected'])} left out",
         verdict=Verdict(level=LEVELS.get(cause, "bad"), word=f"Cause: {cause}", sentence=summary["verdict"]),
         cards=_cards(summary),
-        style=PRINT,
     )
     page.add("Errors of the tool", "Measured minus expected, in the base's axes.", _task_table(summary))
     if summary["joints"]:
         page.add("Joints", JOINTS, _joint_table(summary))
-    page.add("Errors over time" if result.paired.at_s is not None else "Errors by row", "", page.plot(course(result)))
     if summary["iso9283"]:
         page.add("ISO 9283", "", _iso_table(summary["iso9283"]))
+    page.add("Errors over time" if result.paired.at_s is not None else "Errors by row", "", page.plot(course(result)))
+    page.style = PRINT.format(first=4 + bool(summary["iso9283"]) - (not summary["joints"]))
     if other is not None:
         page.add("Beside the other run", f"The other run is {other.name}.", _compared(page, result, summary, other))
     if arm is not None and result.paired.q is not None:

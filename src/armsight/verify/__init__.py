@@ -3,9 +3,10 @@
 from armsight.verify.alignment import Align
 from armsight.verify.cause import Cause, JointVerdict
 from armsight.verify.effects import Kind
+from armsight.verify.pairing import Paired, Reported
 from armsight.verify.records import Measured
 from armsight.verify.statistics import Figures
-from armsight.verify.verification import Configurations, Paired, Reported, Verification, verify
+from armsight.verify.verification import Configurations, Verification, verify
 
 __all__ = [
     "Align",

@@ -98,9 +98,19 @@ def align(F: Array, measured: Measured, nominal: Mounts, how: Align) -> Aligned:
         kept = again
         _check_majority(kept, measured, residual)
         fitted = fit_model(Model(measured=measured.take(kept), expected=nothing_more(F[kept])), fitted.p, free)
-    residual, _ = Model(measured=measured, expected=nothing_more(F)).linearised(fitted.p)
     if how is not Align.NONE:
         _check_sense(F, measured, kept, nominal, fitted, how)
+    return _aligned(F, measured, fitted, kept, free)
+
+
+def realign(F: Array, measured: Measured, before: Aligned, kept: NDArray[np.intp]) -> Aligned:
+    """Return base and tool fitted to these rows (k,)."""
+    model = Model(measured=measured.take(kept), expected=nothing_more(F[kept]))
+    return _aligned(F, measured, fit_model(model, before.fitted.p, before.free), kept, before.free)
+
+
+def _aligned(F: Array, measured: Measured, fitted: ModelFit, kept: NDArray[np.intp], free: tuple[str, ...]) -> Aligned:
+    residual, _ = Model(measured=measured, expected=nothing_more(F)).linearised(fitted.p)
     out = np.setdiff1d(np.arange(len(measured)), kept)
     rejected = tuple((int(measured.rows[i]), _why(residual[i])) for i in out)
     return Aligned(fitted=fitted, kept=kept, rejected=rejected, free=free)

@@ -36,8 +36,10 @@ RIVALS = 2
 """Other joints, the likeliest first, that are fitted in full beside the one found."""
 SAME_JOINT = 1.02
 """A zero whose left-out error is within this factor of that of another effect of its joint is preferred."""
-EXPLAINED = 1.25
+EXPLAINED = 1.2
 """The measurement explains errors up to so many times its standard deviations: they are never known better."""
+SCATTER = 1.8
+"""... and three times how far a scale estimated by the median of n rows is off, times the root of n."""
 NO_ERROR_M = 1e-8
 """Smaller errors are rounding."""
 
@@ -45,7 +47,7 @@ NO_ERROR_M = 1e-8
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JointVerdict:
     """What is known of one joint: judged or why not; its zero (rad or m) with standard deviation where estimated; the
-    share that its best effect takes off left-out squares, and which effect that is."""
+    share that its best effect takes off left-out squares, and which effect that is, None where it takes nothing off."""
 
     judged: bool
     why: str = ""
@@ -261,9 +263,9 @@ def _estimates(
             at = len(trial.fitted.p) - len(trial.effect.names)
             offset = float(trial.fitted.p[at]) if zero else 0.0
             doubt = wide * trial.fitted.std(trial.effect.names[0]) if zero else doubt
-        out[i] = JointVerdict(
-            judged=True, offset=offset, std=doubt, gain_heldout=gain(trial.plain, alone), kind=effect.kind
-        )
+        share = gain(trial.plain, alone)
+        kind = effect.kind if share > 0.0 else None
+        out[i] = JointVerdict(judged=True, offset=offset, std=doubt, gain_heldout=share, kind=kind)
     return tuple(out)
 
 
@@ -323,7 +325,8 @@ def _nothing(aligned: ModelFit, told: Cause) -> Cause:
     total = np.sqrt(np.median(aligned.noise.sigma**2, axis=0))
     own = np.sqrt(np.median(aligned.noise.measurement**2, axis=0))
     turned = aligned.residual.shape[1] == 6
-    if known and not (total <= EXPLAINED * own)[: 1 + turned].all():
+    limit = EXPLAINED * (1.0 + SCATTER / np.sqrt(len(aligned.residual)))
+    if known and not (total <= limit * own)[: 1 + turned].all():
         factor = float((total / np.maximum(own, 1e-300))[: 1 + turned].max())
         sentence = (
             f"Errors are {factor:.2g} times what the measurement's standard deviations say, and neither a joint nor "

@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.calibrate.arm.points import check_scale
-from armsight.errors import DataRefused, Inconsistent, NotEnoughData, UsageError
+from armsight.errors import NotEnoughData
 from armsight.kinematics import Arm, fk
-from armsight.verify.alignment import Align, Aligned, align, left_handed, undetermined
+from armsight.verify.alignment import Align, Aligned, align, gross, realign, undetermined
 from armsight.verify.cause import Cause, find_cause
-from armsight.verify.clocks import SamplingTimes, sampling_times
 from armsight.verify.deciding import deciding_poses
+from armsight.verify.effects import Kind
 from armsight.verify.evidence import Case
 from armsight.verify.joint_errors import JointErrors, joint_errors
 from armsight.verify.left_out import blocks
 from armsight.verify.model import Model, Mounts, nothing_more
-from armsight.verify.paths import JointStream, PoseStream, Stream, covered, gap_s
+from armsight.verify.pairing import Paired, Reported, bare_arm, check_spread, pair
 from armsight.verify.plausibility import repeated
 from armsight.verify.records import Measured, Rejected
-from armsight.verify.synchronise import Clock, synchronise
 
 Array = NDArray[np.float64]
 
@@ -33,36 +31,6 @@ CONFIGURATION_RAD = 0.1
 
 SAME_RAD = 1e-3
 """Joint values (rad or m) rounded to this are the same command."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Reported:
-    """What the controller says: joint values q (n, joints), or commanded poses T (n, 4, 4); t_s (n,) where stamped.
-    Rows that could not be read are NaN."""
-
-    q: Array | None = None
-    T: Array | None = None
-    t_s: Array | None = None
-
-    def __len__(self) -> int:
-        return len(self.q) if self.q is not None else len(self.T) if self.T is not None else 0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Paired:
-    """Rows that belong together: measured (m rows) and the flange expected there F (m, 4, 4), with joints q, speed and
-    acceleration (m, n) where there are; at_s (m,): on the arm's clock."""
-
-    measured: Measured
-    F: Array
-    q: Array | None = None
-    speed: Array | None = None
-    acceleration: Array | None = None
-    at_s: Array | None = None
-    clock: Clock | None = None
-    times: SamplingTimes | None = None
-    rejected: Rejected = ()
-    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -113,14 +81,18 @@ def verify(
     if not len(known):
         raise NotEnoughData("no row is left to compare", cure="See the rows rejected")
     use, F = paired.measured.take(known), paired.F[known]
-    _check_units(use, F)
+    check_spread(use, F)
     aligned = align(F, use, nominal, how)
+    cause, deciding = _cause(arm, paired, known[aligned.kept], aligned)
+    restored = _restored(arm, paired, known, aligned, cause)
+    if restored is not None:
+        aligned = restored
+        cause, deciding = _cause(arm, paired, known[aligned.kept], aligned)
     kept = known[aligned.kept]
     before, _ = Model(measured=use.take(aligned.kept), expected=nothing_more(F[aligned.kept])).linearised(
         nominal.vector
     )
     mounts = aligned.fitted.mounts(measured.labels)
-    cause, deciding = _cause(arm, paired, kept, aligned)
     joints = _joint_errors(arm, paired, kept, aligned, mounts)
     return Verification(
         paired=paired,
@@ -147,131 +119,6 @@ def _nominal(arm: Arm | None, measured: Measured) -> Mounts:
     return Mounts(base=base, tools=(tool,) * len(measured.labels))
 
 
-def _bare(arm: Arm) -> Arm:
-    identity = RigidTransform.identity()
-    return replace(arm, T_world_base=identity, T_flange_tool=identity, couplings=(), covariance=None)
-
-
-def pair(arm: Arm | None, reported: Reported, measured: Measured, nominal: Mounts, how: Align) -> Paired:
-    """Return the rows that belong together: by order where one side has no stamps, else by time.
-
-    Raises as sampling_times and synchronise; Inconsistent where rows without stamps are not as many.
-    """
-    if measured.t_s is None or reported.t_s is None:
-        return _by_order(arm, reported, measured)
-    return _by_time(arm, reported, measured, nominal, how)
-
-
-def _by_order(arm: Arm | None, reported: Reported, measured: Measured) -> Paired:
-    last = int(measured.rows.max())
-    if last > len(reported):
-        raise Inconsistent(
-            f"{last} measured rows and {len(reported)} of the arm, at least one side without t_s",
-            consequence="Which rows belong together is not known; nothing is verified",
-            cure="Give one row of the arm for each measured row, in the same order, or t_s in both files",
-        )
-    notes = (
-        () if last == len(reported) else (f"the arm's file has {len(reported) - last} rows more; they are not used",)
-    )
-    index = measured.rows - 1
-    values = reported.q if reported.q is not None else reported.T
-    if values is None:
-        raise UsageError("neither joints nor commanded poses")
-    good = np.isfinite(values[index].reshape(len(index), -1)).all(axis=1)
-    lost = tuple((int(row), "the arm's row cannot be read") for row in measured.rows[~good])
-    chosen, values = np.flatnonzero(good), values[index[good]]
-    at_s = None if reported.t_s is None else reported.t_s[index[good]]
-    part = measured.take(chosen)
-    if arm is None or reported.q is None:
-        return Paired(measured=part, F=values, at_s=at_s, rejected=lost, notes=notes)
-    return Paired(measured=part, F=fk(_bare(arm), values), q=values, at_s=at_s, rejected=lost, notes=notes)
-
-
-def _by_time(arm: Arm | None, reported: Reported, measured: Measured, nominal: Mounts, how: Align) -> Paired:
-    if measured.t_s is None:
-        raise UsageError("the measured rows have no stamps")
-    stream, told = _stream(arm, reported)
-    times = sampling_times(measured.t_s, "the measured rows")
-    _check_units(measured, stream.at(stream.t_s[:: max(1, len(stream.t_s) // 2000)])[0])
-    sure = np.flatnonzero(times.sure)
-    clock = _clock(stream, measured.take(sure), times.t_s[sure], nominal, how)
-    clock = replace(clock, std_s=float(np.hypot(clock.std_s, times.std_s)))
-    at = clock.on_arm(times.t_s)
-    there = covered(stream.t_s, at)
-    doubtful = (
-        "a row of its burst was lost, and its sampling time is open" if times.bursts else "repeats the stamp before"
-    )
-    rejected = [(int(row), doubtful) for row in measured.rows[~times.sure]]
-    rejected += [(int(measured.rows[i]), _uncovered(stream, float(at[i]))) for i in np.flatnonzero(times.sure & ~there)]
-    chosen = np.flatnonzero(times.sure & there)
-    F, _ = stream.at(at[chosen])
-    notes = (*told, *((times.note,) if times.note else ()), *clock.notes)
-    return Paired(
-        measured=measured.take(chosen),
-        F=F,
-        q=stream.q_at(at[chosen]) if isinstance(stream, JointStream) else None,
-        speed=stream.speed_at(at[chosen]) if isinstance(stream, JointStream) else None,
-        acceleration=stream.acceleration_at(at[chosen]) if isinstance(stream, JointStream) else None,
-        at_s=at[chosen],
-        clock=clock,
-        times=times,
-        rejected=tuple(rejected),
-        notes=notes,
-    )
-
-
-def _clock(stream: Stream, measured: Measured, t_s: Array, nominal: Mounts, how: Align) -> Clock:
-    """Return the clock; Inconsistent for left-handed positions where these agree once they are mirrored."""
-    try:
-        return synchronise(stream, measured, t_s, nominal, how)
-    except Inconsistent as error:
-        flipped = Measured(xyz_m=measured.xyz_m * [1.0, 1.0, -1.0], point=measured.point)
-        try:
-            synchronise(stream, flipped, t_s, nominal, Align.BOTH)
-        except DataRefused:
-            raise error from None
-        raise left_handed("no time offset makes the path the arm's, and one does when it is mirrored") from error
-
-
-def _uncovered(stream: Stream, at_s: float) -> str:
-    if not stream.t_s[0] <= at_s <= stream.t_s[-1]:
-        return "before the arm's first row or after its last one"
-    i = int(np.searchsorted(stream.t_s, at_s))
-    gap = stream.t_s[i] - stream.t_s[i - 1]
-    return f"in a gap of {gap:.3g} s in the arm's rows, which are {np.median(np.diff(stream.t_s)):.3g} s apart"
-
-
-def _stream(arm: Arm | None, reported: Reported) -> tuple[Stream, tuple[str, ...]]:
-    """Return what the arm says over time, and what is to be known of its stamps."""
-    values = reported.q if reported.q is not None else reported.T
-    if values is None or reported.t_s is None:
-        raise UsageError("neither joints nor commanded poses with stamps")
-    good = np.isfinite(values.reshape(len(values), -1)).all(axis=1)
-    times = sampling_times(reported.t_s[good], "the arm's rows")
-    use = times.sure & np.append(True, np.diff(times.t_s) > 0.0)
-    t, values = times.t_s[use], values[good][use]
-    if len(t) < 4:
-        raise NotEnoughData(f"{len(t)} rows of the arm with stamps", consequence="No time offset can be told")
-    notes = [times.note] if times.note else []
-    gaps = int((np.diff(t) > gap_s(t)).sum())
-    if gaps:
-        notes.append(f"the arm's rows have {gaps} gap{'s' * (gaps > 1)} of more than {gap_s(t):.3g} s")
-    if (~good).any():
-        notes.append(f"{int((~good).sum())} of the arm's rows cannot be read and are left out")
-    if arm is not None and reported.q is not None:
-        return JointStream(_bare(arm), t, values), tuple(notes)
-    return PoseStream(t, values), tuple(notes)
-
-
-def _check_units(measured: Measured, F: Array) -> None:
-    """Raise Inconsistent for positions in another unit than m."""
-    place = F[:, :3, 3]
-    expected = float(np.linalg.norm(place - place.mean(axis=0), axis=1).mean())
-    seen = float(np.linalg.norm(measured.xyz_m - np.median(measured.xyz_m, axis=0), axis=1).mean())
-    if expected > 1e-3:
-        check_scale(expected, seen, "the arm moves its flange")
-
-
 def _in_base(residual: Array, mounts: Mounts) -> Array:
     """Return residuals (m, rows) in the base's axes."""
     R = mounts.base.rotation.as_matrix()
@@ -286,7 +133,7 @@ def _cause(
         return None, None
     chosen = kept if len(kept) <= CAUSE_ROWS else kept[np.unique(np.linspace(0, len(kept) - 1, CAUSE_ROWS).astype(int))]
     case = Case(
-        bare=_bare(arm),
+        bare=bare_arm(arm),
         q=paired.q[chosen],
         measured=paired.measured.take(chosen),
         free=aligned.free,
@@ -302,13 +149,32 @@ def _cause(
     return cause, deciding_poses(case, fitted, judged) if judged else None
 
 
+def _restored(
+    arm: Arm | None, paired: Paired, known: NDArray[np.intp], aligned: Aligned, cause: Cause | None
+) -> Aligned | None:
+    """Return the alignment with rows taken back that a joint's wrong zero explains; None where there are none.
+
+    Where the arm is stretched a wrong zero moves the tool by far more than elsewhere.
+    """
+    if arm is None or cause is None or cause.kind is not Kind.ZERO or cause.joint is None or cause.fitted is None:
+        return None
+    if paired.q is None or not aligned.rejected:
+        return None
+    use, q = paired.measured.take(known), paired.q[known].copy()
+    q[:, cause.joint] += cause.fitted.p[-1]
+    model = Model(measured=use, expected=nothing_more(fk(bare_arm(arm), q)))
+    residual, _ = model.linearised(cause.fitted.p[: model.n_mounts])
+    kept = np.union1d(aligned.kept, np.flatnonzero(~gross(residual, cause.fitted.residual)))
+    return None if len(kept) == len(aligned.kept) else realign(paired.F[known], use, aligned, kept)
+
+
 def _joint_errors(
     arm: Arm | None, paired: Paired, kept: NDArray[np.intp], aligned: Aligned, mounts: Mounts
 ) -> JointErrors | None:
     if arm is None or paired.q is None:
         return None
     return joint_errors(
-        _bare(arm), paired.q[kept], paired.measured.take(kept), mounts, aligned.fitted.noise.measurement
+        bare_arm(arm), paired.q[kept], paired.measured.take(kept), mounts, aligned.fitted.noise.measurement
     )
 
 
