@@ -13,8 +13,6 @@ from armsight.cli.tables import figure
 if TYPE_CHECKING:
     from armsight.app.schemas.reproduce import ReproducedTable, ReproduceOutput
 
-ENDINGS = ("_m", "_rad", "_px")
-
 
 def reproduce(
     paper: Annotated[str, typer.Argument(help="korayem2018, pachidis2005 or kapucu2005.")],
@@ -36,7 +34,7 @@ def reproduce(
 
 
 def _tell(done: ReproduceOutput, face: CommandUI) -> None:
-    head = ["m, rad or px", "paper", "its method", "armsight", "truth", "share of the paper's error"]
+    head = ["m, rad or px", "paper", "its method", "armsight", "truth", "share of print", "of method"]
     for item in done.tables.values():
         face.table(item.title, head, [_row(item, name) for name in item.rows])
     for note in done.missing:
@@ -50,5 +48,6 @@ def _tell(done: ReproduceOutput, face: CommandUI) -> None:
 
 def _row(item: ReproducedTable, name: str) -> list[str]:
     values = (item.paper[name], item.paper_method[name], item.armsight[name], item.truth[name])
-    share = figure(item.share[name], 2)
-    return [name, *(figure(value, 4) for value in values), share if item.credible[name] else f"({share})"]
+    share = "-" if item.share[name] is None else figure(item.share[name], 2)
+    shown = share if item.credible[name] or share == "-" else f"({share})"
+    return [name, *(figure(value, 4) for value in values), shown, figure(item.share_of_method[name], 2)]

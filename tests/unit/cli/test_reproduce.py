@@ -46,6 +46,19 @@ def test_kapucu_types_table_and_circles(armsight: Armsight, tmp_path: Path) -> N
     assert not table["credible"]["a1_m"] and not table["credible"]["d2_m"]  # MATH 4.4
 
 
+def test_korayem_pose_trajectory_and_joints(armsight: Armsight, tmp_path: Path) -> None:
+    result = armsight("reproduce", "korayem2018", "--frames", "12", "-o", tmp_path)
+    complete(result, tmp_path)
+    assert set(result.json["tables"]) == {"pose", "trajectory", "joints"}
+    numbers = [name.partition(":")[0] for name in result.json["figures"]]
+    assert numbers == [f"Fig. {k}" for k in range(6, 13)]
+    pose = result.json["tables"]["pose"]
+    assert all(value is None for value in pose["paper"].values())  # curves only
+    for row in ("x_rms_m", "y_rms_m", "z_rms_m", "rx_rms_rad", "ry_rms_rad", "rz_rms_rad"):
+        assert pose["share_of_method"][row] < 0.5, row  # over all 40 frames at most a third
+    assert pose["armsight"]["x_rms_m"] < 1e-3
+
+
 def test_an_unknown_paper_and_too_few_frames(armsight: Armsight, tmp_path: Path) -> None:
     unknown = armsight("reproduce", "denavit1955", "-o", tmp_path)
     assert unknown.code == 2

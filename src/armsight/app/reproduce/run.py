@@ -8,6 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from armsight.app.reproduce.kapucu2005 import reproduce_kapucu
+from armsight.app.reproduce.korayem2018 import reproduce_korayem
 from armsight.app.reproduce.stage import Stage
 from armsight.app.schemas.reproduce import ReproducedErrors, ReproducedTable, ReproduceOutput
 from armsight.errors import UsageError
@@ -17,6 +18,7 @@ from armsight.store import write_text
 
 PAPERS: Mapping[str, Callable[[Stage], Reproduction]] = MappingProxyType(
     {
+        "korayem2018": reproduce_korayem,
         "kapucu2005": reproduce_kapucu,
     }
 )
@@ -83,5 +85,6 @@ def _table(item: ComparisonTable) -> ReproducedTable:
         ),
         credible={row.name: row.credible for row in item.rows},
         share=each(lambda row: row.share),
+        share_of_method=each(lambda row: row.share_of_method),
         notes={row.name: row.note for row in item.rows if row.note},
     )

@@ -30,6 +30,7 @@ class ReproducedTable(Output):
     errors: ReproducedErrors = Field(description="Sizes of the errors.")
     credible: dict[str, bool] = Field(description="Whether the printed figure can be believed as what it is called.")
     share: Values = Field(description="armsight's error over the paper's printed one.")
+    share_of_method: Values = Field(description="armsight's error over that of the paper's method on the same frames.")
     notes: dict[str, str] = Field(description="What to know about a row, where there is something.")
 
 
