@@ -19,6 +19,7 @@ from armsight.cli.identify import identify
 from armsight.cli.kinematics import convert_arm, kinematics
 from armsight.cli.options import SRC, AsJson, Fps, Inverted, Limit, OutFolder, Seed, Threshold
 from armsight.cli.record import record
+from armsight.cli.reproduce import reproduce
 from armsight.cli.tables import demo_tables, doctor_tables, measure_tables
 from armsight.cli.verify import verify
 from armsight.units import MM
@@ -41,6 +42,7 @@ app.add_typer(convert, name="convert")
 app.command()(record)
 app.command()(identify)
 app.command()(verify)
+app.command()(reproduce)
 app.add_typer(kinematics, name="kinematics")
 
 

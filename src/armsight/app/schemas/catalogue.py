@@ -28,6 +28,7 @@ from armsight.app.schemas.kinematics import (
 )
 from armsight.app.schemas.machine import DoctorOutput
 from armsight.app.schemas.measure import DemoOutput, MeasureOutput
+from armsight.app.schemas.reproduce import ReproduceOutput
 from armsight.app.schemas.timing import TimingOutput
 from armsight.app.schemas.verify import VerifyOutput
 
@@ -57,6 +58,7 @@ OUTPUTS: Mapping[str, type[Output]] = MappingProxyType(
         "convert": ConvertOutput,
         "convert-arm": ConvertArmOutput,
         "simulate": SimulateOutput,
+        "reproduce": ReproduceOutput,
         "kinematics-fk": FkOutput,
         "kinematics-ik": IkOutput,
         "kinematics-jacobian": JacobianOutput,

@@ -6,17 +6,10 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import erfc
+
+from armsight.fitting.chauvenet import chauvenet
 
 Array = NDArray[np.float64]
-
-
-def chauvenet(values: Array) -> NDArray[np.bool_]:
-    """Return which of the values (n,) or rows (n, k) Chauvenet's criterion keeps, applied once, column by column."""
-    rows = values.reshape(len(values), -1)
-    spread = rows.std(axis=0, ddof=1)
-    away = np.abs(rows - rows.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0)
-    return np.asarray((len(values) * erfc(away / np.sqrt(2.0)) >= 0.5).all(axis=1))
 
 
 def triple_circle(xyz_m: Array, order: Array) -> tuple[Array, Array, float]:

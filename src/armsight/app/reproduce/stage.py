@@ -1,0 +1,69 @@
+"""What all papers share: their frames simulated into a folder, and where each number of the hardware is from."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.app.simulate.run import simulate
+from armsight.app.simulate.scenarios import load_scenario
+from armsight.errors import Cancelled, UsageError
+from armsight.records import Progress
+
+Array = NDArray[np.float64]
+
+SOURCED = re.compile(r"^\s*(?:- )?(?P<text>[^#]*\S)\s*#\s*(?P<source>(?:paper|derived|chosen)[:;].*)$")
+
+
+@dataclass(slots=True, kw_only=True)
+class Stage:
+    """Where a reproduction puts its files, its seed, and how it tells of itself. frames: None for the paper's own."""
+
+    out: Path
+    seed: int
+    progress: Progress
+    frames: int | None = None
+    scenarios: list[str] = field(default_factory=list)
+    settings: list[tuple[str, str, str]] = field(default_factory=list)
+
+    def simulate(self, scenario: str, *, least: int = 1, frames: int | None = None) -> Path:
+        """Return the folder into which a scenario's frames, files and truth were written.
+
+        frames: instead of those asked for. Raises UsageError for fewer frames than `least`, Cancelled.
+        """
+        wanted = self.frames if frames is None else frames
+        if wanted is not None and wanted < least:
+            raise UsageError(
+                f"{wanted} frames of {scenario} do not hold the experiment",
+                consequence="There is nothing to compare",
+                cure=f"Give --frames {least} or more, or leave it away",
+            )
+        folder = self.out / scenario
+        simulate(scenario, folder, seed=self.seed, frames=wanted, progress=self.progress)
+        self.scenarios.append(scenario)
+        self.settings += sourced_settings(load_scenario(scenario)[1])
+        self.check()
+        return folder
+
+    def check(self) -> None:
+        """Raise Cancelled where the person wants to stop."""
+        if self.progress.cancelled():
+            raise Cancelled(
+                "the paper was not reproduced to the end", consequence=f"What there is stands in {self.out}"
+            )
+
+
+def sourced_settings(text: str) -> list[tuple[str, str, str]]:
+    """Return key, value and source of each line of a scenario that says where its number is from."""
+    rows = []
+    for line in text.splitlines():
+        match = SOURCED.match(line)
+        if match is not None:
+            key, _, value = match["text"].partition(":")
+            whole = match["text"].startswith(("{", "["))
+            rows.append(("" if whole else key.strip(), match["text"] if whole else value.strip(), match["source"]))
+    return rows

@@ -1,0 +1,69 @@
+"""armsight reproduce: every table complete, armsight's errors beside the paper's, wrong use told."""
+
+from __future__ import annotations
+
+import html
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+Armsight = Callable[..., Any]
+
+
+def complete(result: Any, out: Path) -> None:
+    """Check what holds of every paper: each row has both methods' figures, and the files are there."""
+    assert result.code == 0, result.text
+    for name, item in result.json["tables"].items():
+        assert item["rows"], name
+        for key in ("paper", "paper_method", "armsight", "truth", "paper_truth", "credible", "share"):
+            assert list(item[key]) == item["rows"], (name, key)
+        for row in item["rows"]:
+            assert item["paper_method"][row] is not None and item["armsight"][row] is not None, (name, row)
+    assert json.loads((out / "reproduce.json").read_text()) == result.json
+    page = (out / "report.html").read_text(encoding="utf-8")
+    for name in result.json["figures"]:
+        assert html.escape(name) in page
+    assert result.json["assumptions"] and result.json["doubts"] and result.json["missing"]
+
+
+def test_kapucu_types_table_and_circles(armsight: Armsight, tmp_path: Path) -> None:
+    result = armsight("reproduce", "kapucu2005", "-o", tmp_path)
+    complete(result, tmp_path)
+    circles, table = result.json["tables"]["circles"], result.json["tables"]["table1"]
+    assert "paper&#x27;s method: RRP; by armsight: RRP" in (tmp_path / "report.html").read_text(encoding="utf-8")
+    # as printed, against what the paper measured on its rig
+    assert circles["errors"]["paper"]["circle2_radius_m"] == pytest.approx(0.0566)
+    assert circles["errors"]["paper"]["circle1_centre_error_m"] == pytest.approx(0.04299, abs=1e-5)
+    assert table["errors"]["paper"]["d1_m"] == pytest.approx(0.0629)
+    # the geometry that the simulation was given
+    assert table["truth"]["d1_m"] == pytest.approx(1.27, abs=1e-4)
+    assert table["truth"]["a2_m"] == pytest.approx(0.1, abs=1e-4)
+    assert table["truth"]["d2_m"] == pytest.approx(-0.05, abs=1e-4)
+    assert result.json["n_compared"] >= 8 and result.json["missed"] == []
+    assert not table["credible"]["a1_m"] and not table["credible"]["d2_m"]  # MATH 4.4
+
+
+def test_korayem_pose_trajectory_and_joints(armsight: Armsight, tmp_path: Path) -> None:
+    result = armsight("reproduce", "korayem2018", "--frames", "12", "-o", tmp_path)
+    complete(result, tmp_path)
+    assert set(result.json["tables"]) == {"pose", "trajectory", "joints"}
+    numbers = [name.partition(":")[0] for name in result.json["figures"]]
+    assert numbers == [f"Fig. {k}" for k in range(6, 13)]
+    pose = result.json["tables"]["pose"]
+    assert all(value is None for value in pose["paper"].values())  # curves only
+    for row in ("x_rms_m", "y_rms_m", "z_rms_m", "rx_rms_rad", "ry_rms_rad", "rz_rms_rad"):
+        assert pose["share_of_method"][row] < 0.5, row  # over all 40 frames at most a third
+    assert pose["armsight"]["x_rms_m"] < 1e-3
+
+
+def test_an_unknown_paper_and_too_few_frames(armsight: Armsight, tmp_path: Path) -> None:
+    unknown = armsight("reproduce", "denavit1955", "-o", tmp_path)
+    assert unknown.code == 2
+    assert "kapucu2005" in unknown.text
+    few = armsight("reproduce", "kapucu2005", "--frames", "9", "-o", tmp_path)
+    assert few.code == 2
+    assert "30" in few.text
+    assert not (tmp_path / "report.html").exists()
