@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-from armsight.app.schemas import arm, cameras, files, handeye, kinematics, machine, measure, timing, verify
+from armsight.app.schemas import arm, cameras, files, handeye, kinematics, machine, measure, reproduce, timing, verify
 from armsight.app.schemas.base import Output, PointStd, PoseOutput, PoseStd, absent
 from armsight.app.schemas.catalogue import OUTPUTS
 
@@ -148,6 +148,15 @@ KEYS: dict[type[Output], tuple[str, str]] = {
     machine.AccuracyPlan: ("accuracy_m depths_m sigma_px baseline_m settings advice", ""),
     machine.SettingPlan: ("zoom_left zoom_right focal_px now reached baseline_m at_baseline", ""),
     machine.ReachedAccuracy: ("spots_m rig_m total_m common width_m", ""),
+    OUTPUTS["reproduce"]: (
+        "paper seed scenarios tables figures n_compared n_reached missed assumptions doubts missing seconds_s",
+        "",
+    ),
+    reproduce.ReproducedTable: (
+        "title rows paper paper_method armsight truth paper_truth errors credible share share_of_method notes",
+        "",
+    ),
+    reproduce.ReproducedErrors: ("paper paper_method armsight", ""),
     OUTPUTS["error"]: ("error", ""),
 }
 """Keys that are always there, and those left out where they do not apply."""
