@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-from armsight.app.schemas import arm, cameras, files, handeye, kinematics, machine, measure, timing
+from armsight.app.schemas import arm, cameras, files, handeye, kinematics, machine, measure, reproduce, timing
 from armsight.app.schemas.base import Output, PointStd, PoseOutput, PoseStd, absent
 from armsight.app.schemas.catalogue import OUTPUTS
 
@@ -48,6 +48,15 @@ KEYS: dict[type[Output], tuple[str, str]] = {
     ),
     OUTPUTS["demo"]: (f"{MEASURE} truth inside_95 seconds_s assumptions", MEASURE_MAYBE),
     measure.TruthError: ("rms max claimed", ""),
+    OUTPUTS["reproduce"]: (
+        "paper seed scenarios tables figures n_compared n_reached missed assumptions doubts missing seconds_s",
+        "",
+    ),
+    reproduce.ReproducedTable: (
+        "title rows paper paper_method armsight truth paper_truth errors credible share share_of_method notes",
+        "",
+    ),
+    reproduce.ReproducedErrors: ("paper paper_method armsight", ""),
     OUTPUTS["calibrate-camera"]: (
         "rms_px n_images n_used rejected fx_px fy_px cx_px cy_px distortion std holdout_rms_px advice",
         "noise zoom",
