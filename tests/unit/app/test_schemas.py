@@ -48,6 +48,15 @@ KEYS: dict[type[Output], tuple[str, str]] = {
     ),
     OUTPUTS["demo"]: (f"{MEASURE} truth inside_95 seconds_s assumptions", MEASURE_MAYBE),
     measure.TruthError: ("rms max claimed", ""),
+    OUTPUTS["reproduce"]: (
+        "paper seed scenarios tables figures n_compared n_reached missed assumptions doubts missing seconds_s",
+        "",
+    ),
+    reproduce.ReproducedTable: (
+        "title rows paper paper_method armsight truth paper_truth errors credible share share_of_method notes",
+        "",
+    ),
+    reproduce.ReproducedErrors: ("paper paper_method armsight", ""),
     OUTPUTS["calibrate-camera"]: (
         "rms_px n_images n_used rejected fx_px fy_px cx_px cy_px distortion std holdout_rms_px advice",
         "noise zoom",
@@ -148,15 +157,6 @@ KEYS: dict[type[Output], tuple[str, str]] = {
     machine.AccuracyPlan: ("accuracy_m depths_m sigma_px baseline_m settings advice", ""),
     machine.SettingPlan: ("zoom_left zoom_right focal_px now reached baseline_m at_baseline", ""),
     machine.ReachedAccuracy: ("spots_m rig_m total_m common width_m", ""),
-    OUTPUTS["reproduce"]: (
-        "paper seed scenarios tables figures n_compared n_reached missed assumptions doubts missing seconds_s",
-        "",
-    ),
-    reproduce.ReproducedTable: (
-        "title rows paper paper_method armsight truth paper_truth errors credible share share_of_method notes",
-        "",
-    ),
-    reproduce.ReproducedErrors: ("paper paper_method armsight", ""),
     OUTPUTS["error"]: ("error", ""),
 }
 """Keys that are always there, and those left out where they do not apply."""

@@ -59,6 +59,22 @@ def test_korayem_pose_trajectory_and_joints(armsight: Armsight, tmp_path: Path) 
     assert pose["armsight"]["x_rms_m"] < 1e-3
 
 
+def test_pachidis_three_tables_and_what_is_not_built_yet(armsight: Armsight, tmp_path: Path) -> None:
+    result = armsight("reproduce", "pachidis2005", "--frames", "12", "-o", tmp_path)
+    complete(result, tmp_path)
+    tables = result.json["tables"]
+    assert len(tables["table1"]["rows"]) == 24 and len(tables["table2"]["rows"]) == len(tables["table3"]["rows"]) == 18
+    assert tables["table1"]["paper"]["z_sd_m"] == pytest.approx(0.000117)
+    assert tables["table2"]["paper"]["rx_max_rad"] == pytest.approx(0.0327, abs=1e-4)
+    # the mean of errors about the own mean is zero for whoever computes it so
+    assert abs(tables["table1"]["paper_method"]["z_me_m"]) < 1e-15
+    assert not tables["table1"]["credible"]["z_me_m"] and not tables["table1"]["credible"]["rx_sd_rad"]
+    for name in ("table2", "table3"):
+        for row in ("x_mae_m", "y_mae_m", "z_mae_m"):
+            assert tables[name]["share"][row] <= 1 / 3, (name, row)
+    assert any("servo" in text for text in result.json["missing"])
+
+
 def test_an_unknown_paper_and_too_few_frames(armsight: Armsight, tmp_path: Path) -> None:
     unknown = armsight("reproduce", "denavit1955", "-o", tmp_path)
     assert unknown.code == 2

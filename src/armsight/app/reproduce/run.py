@@ -9,6 +9,7 @@ from types import MappingProxyType
 
 from armsight.app.reproduce.kapucu2005 import reproduce_kapucu
 from armsight.app.reproduce.korayem2018 import reproduce_korayem
+from armsight.app.reproduce.pachidis2005 import reproduce_pachidis
 from armsight.app.reproduce.stage import Stage
 from armsight.app.schemas.reproduce import ReproducedErrors, ReproducedTable, ReproduceOutput
 from armsight.errors import UsageError
@@ -19,6 +20,7 @@ from armsight.store import write_text
 PAPERS: Mapping[str, Callable[[Stage], Reproduction]] = MappingProxyType(
     {
         "korayem2018": reproduce_korayem,
+        "pachidis2005": reproduce_pachidis,
         "kapucu2005": reproduce_kapucu,
     }
 )

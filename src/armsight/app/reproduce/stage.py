@@ -30,12 +30,12 @@ class Stage:
     scenarios: list[str] = field(default_factory=list)
     settings: list[tuple[str, str, str]] = field(default_factory=list)
 
-    def simulate(self, scenario: str, *, least: int = 1, frames: int | None = None) -> Path:
+    def simulate(self, scenario: str, *, least: int = 1, room: str | None = None) -> Path:
         """Return the folder into which a scenario's frames, files and truth were written.
 
-        frames: instead of those asked for. Raises UsageError for fewer frames than `least`, Cancelled.
+        room: instead of the scenario's own. Raises UsageError for fewer frames than `least`, Cancelled.
         """
-        wanted = self.frames if frames is None else frames
+        wanted = self.frames
         if wanted is not None and wanted < least:
             raise UsageError(
                 f"{wanted} frames of {scenario} do not hold the experiment",
@@ -43,7 +43,7 @@ class Stage:
                 cure=f"Give --frames {least} or more, or leave it away",
             )
         folder = self.out / scenario
-        simulate(scenario, folder, seed=self.seed, frames=wanted, progress=self.progress)
+        simulate(scenario, folder, seed=self.seed, frames=wanted, room=room, progress=self.progress)
         self.scenarios.append(scenario)
         self.settings += sourced_settings(load_scenario(scenario)[1])
         self.check()
