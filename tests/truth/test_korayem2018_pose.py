@@ -52,6 +52,7 @@ def test_the_centroid_of_a_bright_disc() -> None:
     rows, columns = np.mgrid[0:60, 0:80]
     image = np.where(np.hypot(columns - 40.0, rows - 31.0) < 5.0, 220, 10).astype(np.uint8)
     image[2, 2] = 255  # outside the window
+    image[40:44, 50:54] = 180  # another area in it
     assert led_centroid(image, (42.0, 30.0)) == pytest.approx([40.0, 31.0])
-    with pytest.raises(NotEnoughData, match="brighter"):
+    with pytest.raises(NotEnoughData, match="above its surroundings"):
         led_centroid(np.zeros((60, 80), np.uint8), (40.0, 30.0))

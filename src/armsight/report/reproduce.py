@@ -181,14 +181,18 @@ def _verdict(done: Reproduction) -> Verdict:
                 f"same frames in {small} of {len(shares)} rows."
             ),
         )
-    missed = [row.label for row in compared if not row.reached]
+    missed = [
+        f"{item.title.partition(':')[0]}: {'; '.join(labels)}"
+        for item in done.tables
+        if (labels := [row.label for row in item.rows if row.compared and not row.reached])
+    ]
     text = (
         f"armsight's error is at most a third of the paper's in {reached} of {len(compared)} rows that can be compared"
     )
     return Verdict(
         level="warn" if missed else "good",
         word="Reached in part" if missed else "Reached",
-        sentence=text + (f"; not in: {', '.join(missed)}." if missed else "."),
+        sentence=text + (f". Not in {'. '.join(missed)}." if missed else "."),
     )
 
 
@@ -230,8 +234,11 @@ def _table(item: ComparisonTable) -> str:
 
 
 def _notes(item: ComparisonTable) -> str:
-    notes = [f"{row.label}: {row.note}" for row in item.rows if row.note]
-    return bullets(notes) if notes else ""
+    notes: dict[str, list[str]] = {}
+    for row in item.rows:
+        if row.note:
+            notes.setdefault(row.note, []).append(row.label)
+    return bullets([f"{'; '.join(labels)}: {note}" for note, labels in notes.items()]) if notes else ""
 
 
 def panels_figure(panels: Sequence[Panel]) -> Figure:

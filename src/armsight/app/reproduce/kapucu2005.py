@@ -83,7 +83,7 @@ class _Run:
 
 def reproduce_kapucu(stage: Stage) -> Reproduction:
     """Return tables and figures of the paper. Raises UsageError for fewer than 30 frames, what identify raises."""
-    folder = stage.simulate(SCENARIO, least=READINGS)
+    folder = stage.simulate(SCENARIO, least=READINGS, most=READINGS)
     run = _measure(stage, folder)
     method = [joint_of_path(run.method_m[run.rows(j)]) for j in range(3)]
     ours = [joint_of_path(run.ours_m[run.rows(j)]) for j in range(3)]

@@ -49,8 +49,8 @@ ASSUMPTIONS = (
     "The paper prints its results as curves; there is no figure in its text that an error could be held against. Both "
     "methods are compared with the simulation's truth.",
     "Calibration of the cameras and of their place is exact for both methods: the paper gives no residuals.",
-    "Two LEDs fix no pose; three are used (MATH 2.3). The paper's method takes their centroids above a grey level of "
-    "100, eq. (10) with cameras at -B/2 and +B/2 (MATH A17), and the frame that three points span.",
+    "Two LEDs fix no pose; three are used (MATH 2.3). The paper's method takes the mean pixel of the area above half "
+    "of a LED's height, eq. (10) with cameras at -B/2 and +B/2 (MATH A17), and the frame that three points span.",
     "Which light is which is taken from armsight for both methods: the paper does not say how its LEDs are told apart.",
     "The desired trajectory is the nominal arm at the controller's joint readings. The true arm differs from it by "
     "what the scenario gives (0.3 mm, 0.05 degrees), which the paper would see as the robot's error.",

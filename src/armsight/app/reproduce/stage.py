@@ -10,13 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.simulate.run import simulate
-from armsight.app.simulate.scenarios import load_scenario
+from armsight.app.simulate.scenarios import VIEWS, load_scenario
 from armsight.errors import Cancelled, UsageError
 from armsight.records import Progress
 
 Array = NDArray[np.float64]
 
 SOURCED = re.compile(r"^\s*(?:- )?(?P<text>[^#]*\S)\s*#\s*(?P<source>(?:paper|derived|chosen)[:;].*)$")
+
+FRAME = "[0-9]" * 6 + ".png"
+"""How frames are named."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -30,12 +33,19 @@ class Stage:
     scenarios: list[str] = field(default_factory=list)
     settings: list[tuple[str, str, str]] = field(default_factory=list)
 
-    def simulate(self, scenario: str, *, least: int = 1, room: str | None = None) -> Path:
+    def simulate(self, scenario: str, *, least: int = 1, most: int | None = None, room: str | None = None) -> Path:
         """Return the folder into which a scenario's frames, files and truth were written.
 
-        room: instead of the scenario's own. Raises UsageError for fewer frames than `least`, Cancelled.
+        Frames that an earlier run left there are removed, since they would be measured too. room: instead of the
+        scenario's own. Raises UsageError for fewer frames than `least` or more than `most`, Cancelled.
         """
         wanted = self.frames
+        if wanted is not None and most is not None and wanted > most:
+            raise UsageError(
+                f"{scenario} has {most} frames, not {wanted}",
+                consequence="Beyond them nothing moves",
+                cure=f"Give --frames {most}, or leave it away",
+            )
         if wanted is not None and wanted < least:
             raise UsageError(
                 f"{wanted} frames of {scenario} do not hold the experiment",
@@ -43,6 +53,8 @@ class Stage:
                 cure=f"Give --frames {least} or more, or leave it away",
             )
         folder = self.out / scenario
+        for earlier in [path for view in VIEWS for path in (folder / view).glob(FRAME)]:
+            earlier.unlink()
         simulate(scenario, folder, seed=self.seed, frames=wanted, room=room, progress=self.progress)
         self.scenarios.append(scenario)
         self.settings += sourced_settings(load_scenario(scenario)[1])
