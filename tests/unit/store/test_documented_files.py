@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from armsight.app.verify.output import NAMES
 from armsight.store.iso9283_plan import PLAN_COLUMNS
 from armsight.store.rigs import CameraModel, rig_from_mapping
 from armsight.store.schema import validated
@@ -28,6 +29,7 @@ READERS = {
     "t_s,spot": lambda data: parse_table(data, "x", POINT_COLUMNS, text=("spot",)),
     "t_s,camera": lambda data: parse_table(data, "x", SPOT_COLUMNS, text=("camera", "spot")),
     "index,x_m": lambda data: parse_table(data, "x", PLAN_COLUMNS, text=("tag", "pose"), series="q"),
+    "row,t_s": lambda data: parse_table(data, "x", ("row", "t_s", *NAMES, "error_m", "error_rad"), series="dq"),
     "t_s,q1": lambda data: parse_joints(data, "x"),
     "t_s": lambda data: parse_times(data, "x"),
 }
