@@ -1,0 +1,1 @@
+"""Robots for the person's commands: opening, testing, jogging, serving."""

@@ -1,0 +1,97 @@
+"""What may be asked of a robot for one control cycle, and who asks it: one source of set points at a time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from armsight.records import frozen_array
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class JointGoal:
+    """Joint values q (n,) in rad or m to be reached as fast as the limits allow."""
+
+    q: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "q", frozen_array("q", self.q, (None,)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class JointVelocity:
+    """Joint velocities qd (n,) in rad/s or m/s."""
+
+    qd: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "qd", frozen_array("qd", self.qd, (None,)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ToolPose:
+    """T_base_tool for the end of this cycle: a point of a path that is already timed."""
+
+    T_base_tool: RigidTransform
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ToolTwist:
+    """Velocity of the tool's origin (3,) in m/s and its angular velocity (3,) in rad/s, both in base axes."""
+
+    velocity_m_s: Array
+    angular_rad_s: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "velocity_m_s", frozen_array("velocity_m_s", self.velocity_m_s, (3,)))
+        object.__setattr__(self, "angular_rad_s", frozen_array("angular_rad_s", self.angular_rad_s, (3,)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Hold:
+    """Come to rest and stay there; why: in words, empty where that is what was wanted."""
+
+    why: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finished:
+    """The source has nothing more to ask: the robot rests where it is."""
+
+
+SetPoint = JointGoal | JointVelocity | ToolPose | ToolTwist | Hold | Finished
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CycleState:
+    """What a source is told at the beginning of a cycle.
+
+    t_s: now, on the loop's clock. cycle_s: until the next cycle. q (n,): the newest reading. q_sent (n,): where the
+    robot was last told to go. qd_sent (n,): at which velocity. T_base_tool: of q_sent by the arm's model.
+    """
+
+    t_s: float
+    cycle_s: float
+    q: Array
+    q_sent: Array
+    qd_sent: Array
+    T_base_tool: RigidTransform
+
+
+class SetPointSource(Protocol):
+    """Asks for motion, once a cycle; everything it asks passes the guard."""
+
+    @property
+    def name(self) -> str:
+        """What events and screens call it: servo, path, jog, client."""
+        ...
+
+    def next(self, now: CycleState) -> SetPoint:
+        """Return what is wanted for this cycle; never blocks, and raises nothing: troubles are a Hold with its why."""
+        ...
