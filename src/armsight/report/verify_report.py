@@ -62,10 +62,12 @@ def verify_report(
     page.add("Errors of the tool", "Measured minus expected, in the base's axes.", _task_table(summary))
     if summary["joints"]:
         page.add("Joints", JOINTS, _joint_table(summary))
-    if summary["iso9283"]:
-        page.add("ISO 9283", "", _iso_table(summary["iso9283"]))
+    iso = summary["iso9283"]
+    shown = any(item["n"] for item in iso.values())
+    if shown:
+        page.add("ISO 9283", "Each with its own standard deviation.", iso_table(iso))
     page.add("Errors over time" if result.paired.at_s is not None else "Errors by row", "", page.plot(course(result)))
-    page.style = PRINT.format(first=4 + bool(summary["iso9283"]) - (not summary["joints"]))
+    page.style = PRINT.format(first=4 + shown - (not summary["joints"]))
     if other is not None:
         page.add("Beside the other run", f"The other run is {other.name}.", _compared(page, result, summary, other))
     if arm is not None and result.paired.q is not None:
@@ -152,18 +154,35 @@ def _degrees(value: float | None) -> str:
     return figure_of(None if value is None else value / DEG)
 
 
-def _iso_table(figures: Mapping[str, Any]) -> str:
-    rows = [
-        [
-            name,
-            figure_of(item["value"]),
-            figure_of(item["std"]),
-            f"{item['n']} of {item['wanted']}",
-            item["withheld"] or "",
-        ]
-        for name, item in figures.items()
-    ]
-    return table(["figure", "value, SI", "+-", "visits", "withheld because"], rows, numbers=(1, 2, 3))
+def iso_table(figures: Mapping[str, Any]) -> str:
+    """Return the figures that are given, and in one list those withheld by their reason."""
+    rows, why = [], {}
+    for name, item in figures.items():
+        symbol, _, where = name.partition(" ")
+        if item["value"] is None:
+            why.setdefault(item["withheld"], []).append(f"{_symbol(symbol)[0]} {where}".strip())
+            continue
+        shown, unit, factor = _symbol(symbol)
+        repeats = f"{item['n']} of {item['wanted']}" if item["n"] < item["wanted"] else str(item["n"])
+        numbers = (
+            figure_of(None if item[key] is None else item[key] / factor) for key in ("value", "std", "corrected")
+        )
+        rows.append([f"{shown}, {unit}", where or "worst", *numbers, repeats, item["note"]])
+    parts = []
+    if rows:
+        header = ["figure", "place", "value", "+-", "without the measurement's scatter", "repeats", ""]
+        parts.append(table(header, rows, numbers=range(2, 6)))
+    if why:
+        parts.append("<p>Withheld:</p>" + bullets([f"{', '.join(names)}: {text}" for text, names in why.items()]))
+    return "".join(parts)
+
+
+def _symbol(name: str) -> tuple[str, str, float]:
+    """Return a figure's symbol, the unit it is shown in, and that unit in SI."""
+    for tail, unit, factor in (("_m_s", "mm/s", MM), ("_rad", "°", DEG), ("_ratio", "%", 0.01), ("_s", "s", 1.0)):
+        if name.endswith(tail):
+            return name.removesuffix(tail), unit, factor
+    return name.removesuffix("_m"), "mm", MM
 
 
 def _alignment_table(summary: Mapping[str, Any]) -> str:

@@ -62,7 +62,8 @@ def test_an_arm_is_verified_with_every_promised_key(
     assert content["alignment"]["free"] == ["base", "tool"]
     assert {"j1.theta_rad", "j6.theta_rad"} <= set(content["alignment"]["undetermined"])
     assert content["after"]["rms_m"] < content["before"]["rms_m"]
-    assert content["iso9283"] == {} and content["rejected"] == []
+    assert {item["withheld"] is not None for item in content["iso9283"].values()} == {True}
+    assert content["rejected"] == []
     assert json.loads((tmp_path / "out" / "verify.json").read_text()) == content
     with (tmp_path / "out" / "errors.csv").open() as stream:
         rows = list(csv.DictReader(stream))
@@ -146,7 +147,8 @@ def test_trackers_files_are_read(tmp_path: Path) -> None:
     assert found.measured.labels == ("A", "B") and found.pose is not None and found.pose.tolist() == [0.0, 0.0]
     assert found.measured.std is not None and found.measured.std[0, :3].tolist() == [0.1, 0.2, 0.3]
     path.write_text("t_s,x_m,y_m,z_m\n0,1,2,3\n")
-    reported, turned = read_commanded(path)
+    told = read_commanded(path)
+    reported, turned = told.reported, told.turned
     assert not turned and reported.T is not None and reported.T[0, :3, 3].tolist() == [1.0, 2.0, 3.0]
     for text, said in (
         ("x_m,y_m\n1,2\n", "z_m is missing"),
