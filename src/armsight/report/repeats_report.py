@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from armsight.report.figures import BLUE, GREY, ORANGE, Figure, axis, layout, place
 from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table
-from armsight.report.verify_report import LISTED, PRINT, iso_table
+from armsight.report.verify_report import BY_PLACE, ISO_TOLD, LISTED, PRINT, iso_by_place, iso_table
 from armsight.units import MM
 from armsight.verify import Measured, Repeats
 
@@ -36,11 +36,13 @@ def repeats_report(
         ),
         cards=_cards(iso),
     )
-    page.add("ISO 9283", "Value and standard deviation from these repeats.", iso_table(iso))
+    page.add("ISO 9283", ISO_TOLD, iso_table(iso))
     names = sorted({pose for pose, run in zip(repeats.pose, repeats.run, strict=True) if pose and not run})
     if names:
         page.add("Visits about their mean", "Each row less the mean of its pose.", page.plot(_about(measured, repeats)))
-    page.style = PRINT.format(first=4)
+    page.style = PRINT.format(first=3, zoom=0.72)
+    if by_place := iso_by_place(iso):
+        page.add("ISO 9283 by place", BY_PLACE, by_place)
     if summary["doubts"]:
         page.add("What to know", "", bullets(summary["doubts"]))
     if summary["rejected"]:

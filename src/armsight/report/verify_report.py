@@ -22,11 +22,13 @@ Array = NDArray[np.float64]
 
 LEVELS = {"measurement": "good", "none": "good", "model": "warn", "undecided": "warn"}
 PRINT = """@page{{size:A4;margin:12mm}}
-@media print{{section:nth-of-type(n+{first}){{display:none}}main{{zoom:.72}}.verdict{{font-size:15px}}
+@media print{{section:nth-of-type(n+{first}){{display:none}}main{{zoom:{zoom}}}.verdict{{font-size:15px}}
 .cards{{grid-template-columns:repeat(6,1fr)}}th,td{{padding:3px 8px}}section{{margin:6px 0;padding:8px 0}}}}"""
 """On paper: verdict, figures, tables and the errors' course, on one page; pictures in space stay on the screen."""
 JOINTS = "Errors carried into the joints by inverse kinematics near the readings; zeros where these poses tell them."
 ARROWS_TOLD = "Arrows point from where the tool should be to where it was measured, much enlarged. Drag to turn."
+ISO_TOLD = "The worst place of each figure, ± its own standard deviation."
+BY_PLACE = "Robot alone: without the measurement's scatter, and with what few repeats leave out."
 ARROWS = 400
 ARROW_SHARE = 0.08
 """Length of the longest arrow as a share of the space that the tool moved in."""
@@ -65,9 +67,9 @@ def verify_report(
     iso = summary["iso9283"]
     shown = any(item["n"] for item in iso.values())
     if shown:
-        page.add("ISO 9283", "Each with its own standard deviation.", iso_table(iso))
+        page.add("ISO 9283", ISO_TOLD, iso_table(iso))
     page.add("Errors over time" if result.paired.at_s is not None else "Errors by row", "", page.plot(course(result)))
-    page.style = PRINT.format(first=4 + shown - (not summary["joints"]))
+    page.style = PRINT.format(first=4 + shown - (not summary["joints"]), zoom=0.6 if shown else 0.72)
     if other is not None:
         page.add("Beside the other run", f"The other run is {other.name}.", _compared(page, result, summary, other))
     if arm is not None and result.paired.q is not None:
@@ -75,6 +77,8 @@ def verify_report(
         page.add(
             "Errors over joint angles", "A gear's fault repeats with its joint.", page.plot(over_joints(result, arm))
         )
+    if by_place := iso_by_place(iso):
+        page.add("ISO 9283 by place", BY_PLACE, by_place)
     _add_background(page, summary, inputs)
     return page.html(created=created or datetime.now())
 
@@ -155,26 +159,53 @@ def _degrees(value: float | None) -> str:
 
 
 def iso_table(figures: Mapping[str, Any]) -> str:
-    """Return the figures that are given, and in one list those withheld by their reason."""
-    rows, why = [], {}
+    """Return the worst of each figure, one line for its components, and those withheld by their reason."""
+    lines: dict[str, dict[str, str]] = {}
+    notes: dict[str, str] = {}
+    why: dict[str, list[str]] = {}
     for name, item in figures.items():
-        symbol, _, where = name.partition(" ")
-        if item["value"] is None:
-            why.setdefault(item["withheld"], []).append(f"{_symbol(symbol)[0]} {where}".strip())
+        if " " in name:
             continue
-        shown, unit, factor = _symbol(symbol)
-        repeats = f"{item['n']} of {item['wanted']}" if item["n"] < item["wanted"] else str(item["n"])
-        numbers = (
-            figure_of(None if item[key] is None else item[key] / factor) for key in ("value", "std", "corrected")
-        )
-        rows.append([f"{shown}, {unit}", where or "worst", *numbers, repeats, item["note"]])
-    parts = []
-    if rows:
-        header = ["figure", "place", "value", "+-", "without the measurement's scatter", "repeats", ""]
-        parts.append(table(header, rows, numbers=range(2, 6)))
+        symbol, unit, factor = _symbol(name)
+        family, _, part = symbol.partition("_")
+        if item["value"] is None:
+            why.setdefault(item["withheld"], []).append(symbol)
+            continue
+        line = lines.setdefault(family, {"repeats": _repeats(item)})
+        line[part] = f"{figure_of(item['value'] / factor)}{'' if part else ' ' + unit} {_plus(item, factor)}".strip()
+        if item["note"] and not part:
+            notes.setdefault(item["note"], family)
+    header = ["figure", "value", "x, mm", "y, mm", "z, mm", "a, °", "b, °", "c, °", "repeats"]
+    rows = [[family, *(line.get(key, "") for key in ("", *"xyzabc", "repeats"))] for family, line in lines.items()]
+    parts = [table(header, rows, numbers=range(1, len(header)))] if rows else []
+    if notes:
+        parts.append(bullets([f"{family}: {text}" for text, family in notes.items()]))
     if why:
         parts.append("<p>Withheld:</p>" + bullets([f"{', '.join(names)}: {text}" for text, names in why.items()]))
     return "".join(parts)
+
+
+def iso_by_place(figures: Mapping[str, Any]) -> str:
+    """Return all figures given of single places; empty where there is one place only."""
+    rows = []
+    for name, item in figures.items():
+        key, _, where = name.partition(" ")
+        if item["value"] is None or not where:
+            continue
+        symbol, unit, factor = _symbol(key)
+        numbers = (figure_of(None if item[k] is None else item[k] / factor) for k in ("value", "std", "corrected"))
+        rows.append([where, symbol, unit, *numbers, _repeats(item), item["note"]])
+    rows.sort(key=lambda row: str(row[0]))
+    header = ["place", "figure", "", "value", "+-", "robot alone", "repeats", ""]
+    return table(header, rows, numbers=range(3, 7)) if rows else ""
+
+
+def _repeats(item: Mapping[str, Any]) -> str:
+    return f"{item['n']} of {item['wanted']}" if item["n"] < item["wanted"] else str(item["n"])
+
+
+def _plus(item: Mapping[str, Any], factor: float) -> str:
+    return "" if item["std"] is None else f"± {figure_of(item['std'] / factor, digits=2)}"
 
 
 def _symbol(name: str) -> tuple[str, str, float]:

@@ -50,6 +50,12 @@ def named_rows(file: MeasuredFile, told: CommandedFile) -> Reported:
     return Reported(T=T)
 
 
+def uncommanded(file: MeasuredFile, told: CommandedFile) -> tuple[str, ...]:
+    """Return what to say of measured poses that no command has the name of."""
+    names = sorted(set(file.repeats.pose) - set(told.pose) - {""})
+    return (f"no command has the name of pose {', '.join(names)}: its rows are not compared",) if names else ()
+
+
 def _goals(told: CommandedFile) -> dict[str, Array]:
     goals: dict[str, Array] = {}
     T = told.reported.T

@@ -50,7 +50,9 @@ def run_plan(job: PlanJob, progress: Progress | None = None) -> VerifyPlanOutput
 def _chosen(plan: TestPlan, what: str) -> tuple[PlannedMotion, ...]:
     names = list(dict.fromkeys(motion.test for motion in plan.motions))
     if what not in (*CHOICES, *names):
-        raise UsageError(f"--plan {what} is not known", cure=f"Use one of: {', '.join([*CHOICES, *names])}")
+        raise UsageError(
+            f"--plan {what} is not known", cure=f"Use one of: {', '.join(dict.fromkeys([*CHOICES, *names]))}"
+        )
     wanted = {
         "cube": set(names),
         "poses": set(names) - set(PATHS),

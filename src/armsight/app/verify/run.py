@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from armsight.app.kinematics import load_arm
 from armsight.app.schemas.verify import ComparedRun, VerifyOutput
-from armsight.app.verify.iso import by_name, check_unit, command_of, iso_figures, named_paths, named_rows
+from armsight.app.verify.iso import by_name, check_unit, command_of, iso_figures, named_paths, named_rows, uncommanded
 from armsight.app.verify.output import errors_csv, repeats_csv, repeats_output, verify_output
 from armsight.errors import BadFile, Inconsistent, UsageError
 from armsight.kinematics import Arm
@@ -73,6 +73,7 @@ def run_verify(job: VerifyJob) -> VerifyOutput:
     measured = file.measured if expected.turned else replace(file.measured, rotation=None)
     if expected.told is not None and by_name(file, expected.told):
         expected = replace(expected, reported=named_rows(file, expected.told))
+        file = replace(file, notes=(*file.notes, *uncommanded(file, expected.told)))
         named = _known(expected.reported, measured)
         if not len(named):
             return _repeats_alone(job, file, expected.told, other)
