@@ -27,6 +27,8 @@ PRINT = """@page{{size:A4;margin:12mm}}
 """On paper: verdict, figures, tables and the errors' course, on one page; pictures in space stay on the screen."""
 JOINTS = "Errors carried into the joints by inverse kinematics near the readings; zeros where these poses tell them."
 ARROWS_TOLD = "Arrows point from where the tool should be to where it was measured, much enlarged. Drag to turn."
+COMPONENTS = (("", ""), ("x", "a"), ("y", "b"), ("z", "c"))
+"""A figure's parts as columns: its own, then along and about each axis."""
 ISO_TOLD = "The worst place of each figure, ± its own standard deviation."
 BY_PLACE = "Robot alone: without the measurement's scatter, and with what few repeats leave out."
 ARROWS = 400
@@ -171,12 +173,15 @@ def iso_table(figures: Mapping[str, Any]) -> str:
         if item["value"] is None:
             why.setdefault(item["withheld"], []).append(symbol)
             continue
-        line = lines.setdefault(family, {"repeats": _repeats(item)})
-        line[part] = f"{figure_of(item['value'] / factor)}{'' if part else ' ' + unit} {_plus(item, factor)}".strip()
+        line = lines.setdefault(f"{family}, {unit}", {"repeats": _repeats(item)})
+        line[part] = f"{figure_of(item['value'] / factor)} {_plus(item, factor)}".strip()
         if item["note"] and not part:
             notes.setdefault(item["note"], family)
-    header = ["figure", "value", "x, mm", "y, mm", "z, mm", "a, °", "b, °", "c, °", "repeats"]
-    rows = [[family, *(line.get(key, "") for key in ("", *"xyzabc", "repeats"))] for family, line in lines.items()]
+    header = ["figure", "value", "x, or about x", "y, or about y", "z, or about z", "repeats"]
+    rows = [
+        [name, *(line.get(one, line.get(other, "")) for one, other in COMPONENTS), line["repeats"]]
+        for name, line in lines.items()
+    ]
     parts = [table(header, rows, numbers=range(1, len(header)))] if rows else []
     if notes:
         parts.append(bullets([f"{family}: {text}" for text, family in notes.items()]))

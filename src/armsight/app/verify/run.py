@@ -71,16 +71,17 @@ def run_verify(job: VerifyJob) -> VerifyOutput:
         return _repeats_alone(job, file, None, other)
     expected = _expected(job, file)
     measured = file.measured if expected.turned else replace(file.measured, rotation=None)
-    if expected.told is not None and by_name(file, expected.told):
-        expected = replace(expected, reported=named_rows(file, expected.told))
-        file = replace(file, notes=(*file.notes, *uncommanded(file, expected.told)))
+    commands = expected.told
+    if commands is not None and by_name(file, commands):
+        expected = replace(expected, reported=named_rows(file, commands))
+        file = replace(file, notes=(*file.notes, *uncommanded(file, commands)))
         named = _known(expected.reported, measured)
         if not len(named):
-            return _repeats_alone(job, file, expected.told, other)
+            return _repeats_alone(job, file, commands, other)
         measured = measured.take(named)
     how = _align(job, expected.turned)
     result = verify(expected.arm, expected.reported, measured, how, pose=_pose(file, measured))
-    command = command_of(result, expected.told, file, expected.turned)
+    command = command_of(result, commands, file, expected.turned)
     iso, told = iso_figures(file, file.measured, command)
     done = _beside(job, verify_output(result, expected.arm, file, iso, told), other)
     page = verify_report(
