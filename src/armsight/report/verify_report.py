@@ -71,7 +71,7 @@ def verify_report(
     if shown:
         page.add("ISO 9283", ISO_TOLD, iso_table(iso))
     page.add("Errors over time" if result.paired.at_s is not None else "Errors by row", "", page.plot(course(result)))
-    page.style = PRINT.format(first=4 + shown - (not summary["joints"]), zoom=0.6 if shown else 0.72)
+    page.style = PRINT.format(first=4 + shown - (not summary["joints"]), zoom=0.52 if shown else 0.72)
     if other is not None:
         page.add("Beside the other run", f"The other run is {other.name}.", _compared(page, result, summary, other))
     if arm is not None and result.paired.q is not None:
