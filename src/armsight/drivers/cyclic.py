@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import threading
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
 
@@ -23,14 +24,17 @@ from armsight.records import JointReading
 
 Array = NDArray[np.float64]
 
-STALE_CYCLES = 3.5
-"""A reading older than so many cycles is stale: two packets in a row may be late, a third is a fault."""
-
-SILENT_CYCLES = 9.0
-"""A link that was silent for so many cycles is lost, and stays so until it is opened again."""
-
 REST = 2e-4
 """Joints nearer to their goal than this, in rad or m, are at rest: encoders and servos keep a little off."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LinkTimes:
+    """Times of a link, in s: its cycle; after what time a reading is stale; after what silence the link is lost."""
+
+    cycle_s: float
+    stale_s: float
+    silent_s: float
 
 
 class CyclicRobot(ABC):
@@ -42,11 +46,12 @@ class CyclicRobot(ABC):
 
     takes_poses = False
 
-    def __init__(self, name: str, *, limits: JointLimits, cycle_s: float, clock: Clock) -> None:
+    def __init__(self, name: str, *, limits: JointLimits, times: LinkTimes, clock: Clock) -> None:
         self.name = name
-        self.cycle_s = cycle_s
+        self.cycle_s = times.cycle_s
+        self._times = times
         self._clock = clock
-        self._goals = JointGoals(name, limits, cycle_s)
+        self._goals = JointGoals(name, limits, times.cycle_s)
         self._lock = threading.RLock()
         self._reading: JointReading | None = None
         self._heard_s = clock.now_s()
@@ -99,7 +104,7 @@ class CyclicRobot(ABC):
         """Return the newest reading. Raises DeviceFailed where closed, DeviceLost, StaleData."""
         reading = self._linked("read")
         age_s = self._clock.now_s() - reading.t_s
-        if age_s > STALE_CYCLES * self.cycle_s:
+        if age_s > self._times.stale_s:
             raise StaleData(
                 f"{self.name}: the newest reading is {age_s:.3f} s old",
                 consequence="Where the arm is now is not known",
@@ -183,7 +188,7 @@ class CyclicRobot(ABC):
                 self._rebase(q)
 
     def _silent(self) -> bool:
-        return self._open and self._clock.now_s() - self._heard_s > SILENT_CYCLES * self.cycle_s
+        return self._open and self._clock.now_s() - self._heard_s > self._times.silent_s
 
     def _linked(self, what: str) -> JointReading:
         reading = self._reading

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.clock import Clock, SystemClock
-from armsight.drivers.cyclic import CyclicRobot
+from armsight.drivers.cyclic import CyclicRobot, LinkTimes
 from armsight.drivers.egm.packets import ControllerPacket, answer_joints, answer_pose, parse
 from armsight.drivers.egm.settings import EgmSettings, egm_settings
 from armsight.drivers.joint_goals import JointLimits
@@ -26,6 +26,12 @@ from armsight.records import JointReading
 from armsight.units import MS
 
 Array = NDArray[np.float64]
+
+STALE_CYCLES = 3.5
+"""A reading older than so many cycles is stale: two packets in a row may be late, a third is a fault."""
+
+SILENT_CYCLES = 9.0
+"""A link that was silent for so many cycles is lost, and stays so until it is opened again."""
 
 LARGEST_PACKET = 4096
 """Bytes of a packet at most: a full EgmRobot message has about 700."""
@@ -71,7 +77,9 @@ class EgmRobot(CyclicRobot):
             upper=_each(self.settings.upper_rad, math.inf, n),
             max_speed=np.full(n, self.settings.max_speed_rad_s),
         )
-        super().__init__(f"egm:{device}", limits=limits, cycle_s=self.settings.cycle_s, clock=clock or SystemClock())
+        cycle_s = self.settings.cycle_s
+        times = LinkTimes(cycle_s=cycle_s, stale_s=STALE_CYCLES * cycle_s, silent_s=SILENT_CYCLES * cycle_s)
+        super().__init__(f"egm:{device}", limits=limits, times=times, clock=clock or SystemClock())
         self.takes_poses = self.settings.guidance == "pose"
         self._poses = PoseGoals(self.name, self.settings.speed_m_s, self.settings.speed_rad_s, self.cycle_s)
         self.counts = EgmCounts()

@@ -29,13 +29,12 @@ REST = 1e-5
 class UrController:
     """The arm, the registers, and the program; `cycle` is what it does each cycle.
 
-    Powers, currents, temperatures and forces are zero: nothing of that is emulated. stuck: whether the arm is held up.
+    Powers, currents, temperatures and forces are zero: nothing of that is emulated.
     """
 
     def __init__(self, *, arm: SimArm, drive: Drive, home: ArrayLike) -> None:
         self.arm = arm
         self.messages: list[str] = []
-        self.frozen = False
         self._drive = drive
         self._servo = Servo(drive, home, keep=1000)
         self._cycles = 0
@@ -197,8 +196,7 @@ class UrController:
         low, high = (np.array([getattr(joint, end) for joint in self.arm.joints]) for end in ("lower", "upper"))
         if not ((low <= goal) & (goal <= high)).all():
             raise ScriptError(f"joint positions out of range: {np.round(goal, 3).tolist()}")
-        if not self.frozen:
-            self._servo.command(self._servo.t_s, goal)
+        self._servo.command(self._servo.t_s, goal)
 
     def _sleep(self, time_s: float) -> Routine:
         for _ in range(max(1, round(time_s / self.cycle_s))):
