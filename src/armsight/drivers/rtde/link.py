@@ -1,39 +1,40 @@
-"""The way to a controller: where it is, whether RTDE answers there, and ur-rtde's connections to it."""
+"""The way to a controller: its address, the process that holds ur-rtde's connections, a relay for other ports."""
 
 from __future__ import annotations
 
 import contextlib
-import ctypes
+import importlib.util
+import math
 import os
 import socket
-import struct
 import subprocess
 import sys
-import threading
-import time
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from armsight.errors import DeviceFailed, DeviceNotFound, UsageError
+from armsight.drivers.rtde.worker import GOAL, STATE
+from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, UsageError
 
 PORT = 30004
 """RTDE's port on a controller."""
 
-OTHERS = {"dashboard": -5, "program": -1}
-"""The other ports that are needed, by their distance to RTDE's."""
-
-PROTOCOL = 2
-
-VARIABLES = ["timestamp", "actual_q", "runtime_state", "safety_status_bits"]
-"""What is received each cycle."""
+MODULES = ("rtde_control", "rtde_receive")
+"""ur-rtde's modules."""
 
 TRIES = 20
 """Own loopback addresses tried for a relay."""
 
+LONGEST_TEXT = 1000
+"""Bytes of ur-rtde's reason at most."""
+
+END_S = 2.0
+"""Time for the controller's program to come to its end before the connections are cut."""
+
 
 def address(device: str) -> tuple[str, int]:
     """Return host and port of HOST[:PORT]. Raises UsageError."""
-    host, colon, port = device.rpartition(":") if ":" in device else (device, "", str(PORT))
+    host, _, port = device.rpartition(":") if ":" in device else (device, "", str(PORT))
     if host and "/" not in host and " " not in host and port.isascii() and port.isdigit() and 5 < int(port) < 65536:
         return host, int(port)
     raise UsageError(
@@ -41,66 +42,80 @@ def address(device: str) -> tuple[str, int]:
     )
 
 
-def check_answers(host: str, port: int, wait_s: float) -> None:
-    """Make sure that RTDE 2 answers and the other ports are open. Raises DeviceNotFound.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ControllerState:
+    """What the controller told in one cycle: its clock in s, joint values in rad, and what it can do."""
 
-    ur-rtde waits without end, and with the interpreter's lock held, for a controller that does not answer.
+    stamp_s: float
+    q: tuple[float, ...]
+    runtime: int
+    safety: int
+
+
+class Worker:
+    """A process with ur-rtde's connections. Raises DeviceNotFound where ur-rtde is missing, DeviceFailed.
+
+    numbers: cycle in s, lookahead in s, gain, watchdog in Hz.
     """
-    try:
-        with socket.create_connection((host, port), wait_s) as link:
-            link.settimeout(wait_s)
-            link.sendall(struct.pack(">HBH", 5, ord("V"), PROTOCOL))
-            answer = link.recv(4, socket.MSG_WAITALL)
-        for distance in OTHERS.values():
-            socket.create_connection((host, port + distance), wait_s).close()
-    except (OSError, UnicodeError) as error:
-        raise DeviceNotFound(
-            f"no controller answers at {host}:{port}: {error}",
-            consequence="The robot is not opened",
-            cure="Check address and cable, that the controller has started, and that remote control is on",
-        ) from error
-    if answer != struct.pack(">HBB", 4, ord("V"), 1):
-        raise DeviceNotFound(
-            f"what answers at {host}:{port} does not speak RTDE 2",
-            consequence="The robot is not opened",
-            cure="Give the controller's address; PolyScope 3.4 or later is needed",
-        )
 
-
-class Connections:
-    """ur-rtde's receiver and controller. Raises DeviceFailed where they cannot be had, with what ur-rtde says."""
-
-    def __init__(self, host: str, port: int, frequency_hz: float, wait_s: float) -> None:
-        receive, control = library()
-        check_answers(host, port, wait_s)
+    def __init__(self, host: str, port: int, numbers: Sequence[float]) -> None:
+        if not all(_there(name) for name in MODULES):
+            raise DeviceNotFound(
+                "the library ur-rtde is not installed",
+                consequence="Universal Robots cannot be driven",
+                cure="Install armsight with the extra rtde: pip install 'armsight[rtde]'",
+            )
         self._relay = Relay(host, port) if port != PORT else None
-        self.receiver: Any = None
-        self.controller: Any = None
         near = self._relay.own if self._relay else host
+        self._link, far = socket.socketpair()
         try:
-            self.receiver = receive.RTDEReceiveInterface(near, frequency_hz, VARIABLES)
-            self.controller = control.RTDEControlInterface(near, frequency_hz)
-        except Exception as error:
-            self.close()
-            raise DeviceFailed(
-                f"the controller at {host}:{port} cannot be driven: {error}",
-                consequence="The robot is not opened",
-                cure="Look at the controller: remote control on, brakes released, no other client, no fieldbus that "
-                "uses the same registers",
-            ) from error
+            program = str(Path(__file__).with_name("worker.py"))
+            command = [sys.executable, "-I", program, near, *map(repr, numbers), str(far.fileno())]
+            self._process = subprocess.Popen(
+                command, pass_fds=[far.fileno()], stdin=subprocess.DEVNULL, start_new_session=True
+            )
+        finally:
+            far.close()
 
-    def close(self) -> None:
-        """Close both. ur-rtde sleeps half a second behind each; nobody waits for that."""
-        ends = [end for end in (self.controller, self.receiver) if end is not None]
-        for end in ends:
-            # its destructor would sleep once more, then with the interpreter's lock held: it is never destroyed
-            ctypes.pythonapi.Py_IncRef(ctypes.py_object(end))
-            threading.Thread(target=_disconnect, args=(end,)).start()
-        deadline_s = time.monotonic() + 1.0
-        while any(end.isConnected() for end in ends) and time.monotonic() < deadline_s:
-            time.sleep(0.001)
+    def receive(self, wait_s: float) -> ControllerState | None:
+        """Return the next state; None where none comes within wait_s. Raises DeviceLost where ur-rtde has ended."""
+        self._link.settimeout(wait_s)
+        try:
+            data = self._link.recv(STATE.size, socket.MSG_WAITALL)
+        except TimeoutError:
+            return None
+        except OSError:
+            data = b""
+        if len(data) < STATE.size:
+            raise DeviceLost("ur-rtde has ended")
+        stamp_s, *q, runtime, safety = STATE.unpack(data)
+        if math.isnan(stamp_s):
+            self._link.settimeout(END_S)
+            text = self._link.recv(LONGEST_TEXT).decode("utf-8", "replace")
+            raise DeviceLost(f"ur-rtde says: {text}")
+        return ControllerState(stamp_s=stamp_s, q=tuple(q), runtime=runtime, safety=safety)
+
+    def send(self, q: Sequence[float]) -> None:
+        """Send a goal (6,) in rad."""
+        with contextlib.suppress(OSError):  # that it has ended is told by receive
+            self._link.sendall(GOAL.pack(*q))
+
+    def cut(self) -> None:
+        """End the connections at once: ur-rtde would open them again by itself."""
+        self._process.kill()
+
+    def close(self, *, at_once: bool) -> None:
+        """End the controller's program and the connections; at_once: only the connections."""
+        if not at_once:
+            self.send([math.nan] * 6)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(END_S)
+        self._process.kill()
+        self._process.wait()
+        self._link.close()
         if self._relay:
             self._relay.close()
+            self._relay = None
 
 
 class Relay:
@@ -113,7 +128,9 @@ class Relay:
             number = os.getpid() * TRIES + i
             self.own = f"127.{64 + (number >> 16) % 128}.{(number >> 8) % 256}.{1 + number % 250}"
             command = [sys.executable, "-I", str(program), self.own, host, str(port)]
-            self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+            self._process = subprocess.Popen(
+                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
+            )
             said = self._process.stdout.readline().strip() if self._process.stdout else ""
             if said == "ready":
                 return
@@ -126,26 +143,16 @@ class Relay:
 
     def close(self) -> None:
         """End the process."""
+        self._process.kill()
+        self._process.wait()
         for pipe in (self._process.stdin, self._process.stdout):
             if pipe is not None:
                 pipe.close()
-        self._process.wait()
 
 
-def library() -> tuple[Any, Any]:
-    """Return ur-rtde's modules. Raises DeviceNotFound where it is not installed."""
+def _there(name: str) -> bool:
+    """Tell whether a module can be imported."""
     try:
-        import rtde_control
-        import rtde_receive
-    except ImportError as error:
-        raise DeviceNotFound(
-            "the library ur-rtde is not installed",
-            consequence="Universal Robots cannot be driven",
-            cure="Install armsight with the extra rtde: pip install 'armsight[rtde]'",
-        ) from error
-    return rtde_receive, rtde_control
-
-
-def _disconnect(end: Any) -> None:
-    with contextlib.suppress(Exception):
-        end.disconnect()
+        return importlib.util.find_spec(name) is not None
+    except ValueError:  # imported already, or kept from being imported
+        return sys.modules.get(name) is not None

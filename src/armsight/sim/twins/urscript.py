@@ -32,11 +32,49 @@ RESERVED = re.compile(
 
 ALLOWED = tuple(
     getattr(ast, name)
-    for name in (
-        "Module FunctionDef arguments arg Pass Expr Assign If While Break Continue Return Call keyword Name Load Store "
-        "Constant BinOp Add Sub Mult Div Mod UnaryOp USub UAdd Not BoolOp And Or Compare Eq NotEq Lt LtE Gt GtE List "
-        "Tuple Subscript"
-    ).split()
+    for name in [
+        "Module",
+        "FunctionDef",
+        "arguments",
+        "arg",
+        "Pass",
+        "Expr",
+        "Assign",
+        "If",
+        "While",
+        "Break",
+        "Continue",
+        "Return",
+        "Call",
+        "keyword",
+        "Name",
+        "Load",
+        "Store",
+        "Constant",
+        "BinOp",
+        "Add",
+        "Sub",
+        "Mult",
+        "Div",
+        "Mod",
+        "UnaryOp",
+        "USub",
+        "UAdd",
+        "Not",
+        "BoolOp",
+        "And",
+        "Or",
+        "Compare",
+        "Eq",
+        "NotEq",
+        "Lt",
+        "LtE",
+        "Gt",
+        "GtE",
+        "List",
+        "Tuple",
+        "Subscript",
+    ]
 )
 
 
@@ -87,7 +125,7 @@ class Program:
         self._main = self._run(space[name]())
 
     def step(self) -> bool:
-        """Let every thread run until it waits; return whether the program goes on. Raises ScriptError where it fails."""
+        """Let every thread run until it waits; return whether the program goes on. Raises ScriptError."""
         self._turns = 0
         for number in list(self._threads):
             thread = self._threads.get(number)
