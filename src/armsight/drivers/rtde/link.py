@@ -70,7 +70,7 @@ class Worker:
         self._link, far = socket.socketpair()
         try:
             program = str(Path(__file__).with_name("worker.py"))
-            command = [sys.executable, "-I", program, near, *map(repr, numbers), str(far.fileno())]
+            command = [sys.executable, "-P", program, near, *map(repr, numbers), str(far.fileno())]
             self._process = subprocess.Popen(
                 command, pass_fds=[far.fileno()], stdin=subprocess.DEVNULL, start_new_session=True
             )
@@ -127,7 +127,7 @@ class Relay:
         for i in range(TRIES):
             number = os.getpid() * TRIES + i
             self.own = f"127.{64 + (number >> 16) % 128}.{(number >> 8) % 256}.{1 + number % 250}"
-            command = [sys.executable, "-I", str(program), self.own, host, str(port)]
+            command = [sys.executable, "-P", str(program), self.own, host, str(port)]
             self._process = subprocess.Popen(
                 command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
             )

@@ -58,7 +58,9 @@ class _Client:
 class RtdeServer:
     """A controller behind its sockets at host. Raises DeviceFailed where a port is taken."""
 
-    def __init__(self, controller: UrController, clock: Clock, *, host: str = "127.0.0.1", port: int = RTDE_PORT):
+    def __init__(
+        self, controller: UrController, clock: Clock, *, host: str = "127.0.0.1", port: int = RTDE_PORT
+    ) -> None:
         self.controller = controller
         self.counts = RtdeTwinCounts()
         self._clock = clock
