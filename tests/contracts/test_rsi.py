@@ -76,11 +76,12 @@ class Pair:
         """Wait until the driver has taken the packet, and answered it where it does."""
         if self.robot.state is RobotState.LOST or "silent" in self.twin._faults or not self.twin._asked:
             return
-        for _ in range(500):
-            if select.select([self.twin.link], [], [], 0.005)[0]:
+        for _ in range(20_000):
+            if self._taken() > before:
+                answered = self.robot._answered_ipoc == self.twin._ipoc
+                select.select([self.twin.link], [], [], 0.5 if answered else 0.0)
                 return
-            if self._taken() > before and self.robot._answered_ipoc != self.twin._ipoc:
-                return
+            time.sleep(0.0001)
         raise AssertionError("the driver took no packet")
 
     def close(self) -> None:

@@ -223,6 +223,7 @@ class AlterRobot(CyclicRobot):
         self._hear(state)
         if newest and state.on and not self._lost:
             self._answer(state)
+        self.counts.heard += 1
         self._first.set()
 
     def _may_begin(self, state: StateFrame) -> bool:
@@ -269,7 +270,6 @@ class AlterRobot(CyclicRobot):
         return bool(np.abs(state.q - last.q).max() <= LARGEST_SPEED_RAD_S * cycles * self.cycle_s)
 
     def _hear(self, state: StateFrame) -> None:
-        self.counts.heard += 1
         self.counts.late = (state.n_late - self._first_late) % SEQUENCES
         self._last = state
         if not state.on or self._held:
