@@ -356,12 +356,8 @@ def test_garbage_on_the_wire_is_counted_and_moves_nothing() -> None:
         pair.advance(CYCLE_S)
         good = pair.twin._packet()
         for i in range(200):
-            bad = bytearray(good)
-            if i % 2:
-                bad = bad[: int(rng.integers(0, len(bad)))]
-            else:
-                bad = bytearray(rng.bytes(int(rng.integers(0, 900))))
-            pair.twin.link.sendto(bytes(bad), ("127.0.0.1", robot.port))
+            bad = good[: int(rng.integers(0, len(good)))] if i % 2 else rng.bytes(int(rng.integers(0, 900)))
+            pair.twin.link.sendto(bad, ("127.0.0.1", robot.port))
         for _ in range(2000):
             if robot.counts.refused >= 200:
                 break

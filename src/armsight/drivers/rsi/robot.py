@@ -136,7 +136,8 @@ class RsiRobot(CyclicRobot):
     def _start(self) -> None:
         self.counts = RsiCounts()
         self._last, self._refusal = None, ""
-        self._behind, self._first_late = 0, None
+        self._behind = 0
+        self._first_late: int | None = None
         self._sender: tuple[str, int] | None = None
         self._closing = False
         self._socket = self._bind()
