@@ -17,7 +17,7 @@ from armsight.app.verify.live_devices import open_supervised
 from armsight.app.verify.live_output import LiveLog, live_output
 from armsight.app.verify.supervising import RECORDING, LiveVerifyJob, Show, Supervised, Supervision
 from armsight.clock import Clock, SystemClock
-from armsight.errors import ArmsightError, DeviceFailed, Inconsistent, UsageError
+from armsight.errors import ArmsightError, DeviceFailed, Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Arm
 from armsight.measure.poses.pipeline import Setup
 from armsight.measure.settings import SpotSettings
@@ -65,6 +65,7 @@ def run_verify_live(
         failure = error
     if failure is not None and not log.rows:
         raise failure
+    failure = failure or _nothing_compared(log)
     done = live_output(log, recording=str(job.out / RECORDING), doubts=_doubts(job, arm, world, devices, failure))
     done.write(job.out / SUMMARY)
     write_text(job.out / ERRORS, log.csv())
@@ -99,11 +100,24 @@ def _generator(run: Supervision) -> Generator[tuple[Frame, Frame], None, None]:
     yield from run.devices.pairs
 
 
+def _nothing_compared(log: LiveLog) -> NotEnoughData | None:
+    """Return the error for a run in which not one pair could be compared."""
+    if any(not row.lost for row in log.rows):
+        return None
+    return NotEnoughData(
+        f"none of {len(log.rows)} pairs could be compared; the last: {log.rows[-1].lost}",
+        consequence="Whether the arm is where it says it is, is not known",
+        cure="See that both cameras see the whole target, and that the robot's link delivers joints",
+    )
+
+
 def _check(job: LiveVerifyJob) -> None:
     """Raise UsageError for times that cannot be."""
     for name, value in (("--latency", job.latency_s), ("--latency-std", job.latency_std_s)):
         if not (np.isfinite(value) and value >= 0.0):
             raise UsageError(f"{name} {value:g} is no time", cure="Give seconds, zero or more")
+    if job.blind_stop_s is not None and not job.blind_stop_s > 0.0:
+        raise UsageError(f"--stop-blind {job.blind_stop_s:g} is no time", cure="Give seconds, more than zero")
     if not (np.isfinite(job.joint_std) and job.joint_std >= 0.0):
         raise UsageError(f"--joint-std {job.joint_std:g} is no standard deviation", cure="Give degrees, zero or more")
 
