@@ -13,7 +13,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -38,6 +38,8 @@ from bench import machine, table
 
 PERIOD_S, FPS, CYCLE_S, SETTLE_S = 3.0, 60.0, 0.008, 3.0
 KNOCK_M, KNOCK_FRAMES, KNOCK_EVERY_S = 0.003, 30, 3.0
+JUMP_RAD, JUMP_JOINT, JUMP_AT_S = np.deg2rad(0.3), 1, 1.5  # an encoder's zero, for as long, half a period earlier
+LATENCY_S = 0.03  # of the scenario: from the exposure to the frame in memory
 DEPTH = 4  # frames that a live camera keeps for a slow reader
 
 
@@ -69,6 +71,11 @@ def drawn(room: str, knock: bool, first: int, count: int) -> tuple[list[tuple[Fr
     return pairs, joints
 
 
+def jumped(t_s: float) -> bool:
+    """Whether the encoder is off at a time."""
+    return JUMP_AT_S <= t_s % (2 * KNOCK_EVERY_S) < JUMP_AT_S + KNOCK_FRAMES / FPS
+
+
 class Repeated:
     """The pairs of a periodic motion by the clock, as a camera hands them out: late readers lose the oldest."""
 
@@ -79,7 +86,7 @@ class Repeated:
         self.origin_s = 0.0
         self.due_s: list[float] = []
         self.taken_s: list[float] = []
-        self.is_knocked: list[bool] = []
+        self.fault: list[str] = []
 
     def __enter__(self) -> Self:
         self.origin_s = self._clock.now_s() + 0.2
@@ -93,15 +100,15 @@ class Repeated:
     def __iter__(self) -> Iterator[tuple[Frame, Frame]]:
         k = 0
         while True:
-            late = int((self._clock.now_s() - self.origin_s) * FPS)
+            late = int((self._clock.now_s() - self.origin_s - LATENCY_S) * FPS)
             k = max(k, late - DEPTH)
-            self._clock.sleep_until(self.origin_s + k / FPS)
+            self._clock.sleep_until(self.origin_s + k / FPS + LATENCY_S)
             at = k % len(self._good)
             knocked = at < len(self._knocked) and k * 1.0 / FPS % (2 * KNOCK_EVERY_S) >= KNOCK_EVERY_S
             pair = self._knocked[at] if knocked else self._good[at]
-            self.due_s.append(self.origin_s + k / FPS)
+            self.due_s.append(self.origin_s + k / FPS + LATENCY_S)
             self.taken_s.append(self._clock.now_s())
-            self.is_knocked.append(knocked)
+            self.fault.append("knock" if knocked else "encoder" if jumped(k / FPS) else "")
             yield replace(pair[0], t_s=k / FPS, sequence=k), replace(pair[1], t_s=k / FPS, sequence=k)
             k += 1
 
@@ -126,7 +133,8 @@ class RepeatedRobot:
     def read(self) -> JointReading:
         now_s = self._clock.now_s() - self._pairs.origin_s
         k = int(np.floor(now_s / CYCLE_S))
-        q = self._joints[k % len(self._joints)]
+        q = self._joints[k % len(self._joints)].copy()
+        q[JUMP_JOINT] += JUMP_RAD * jumped(k * CYCLE_S)
         return JointReading(q=q, t_s=self._pairs.origin_s + k * CYCLE_S, sequence=k, source=self.name)
 
     def step_joints(self, step: np.ndarray) -> Sent:
@@ -185,25 +193,38 @@ def told(done: Any, pairs: Repeated, decided_s: np.ndarray, levels: list[Level],
     """Print rate, latencies and alarms."""
     n = len(decided_s)
     latency = 1e3 * (decided_s - np.array(pairs.due_s[:n]))
-    knocked = np.array(pairs.is_knocked[:n])
+    fault = pairs.fault[:n]
     raised = [k for k in range(1, n) if levels[k] is Level.WARN and levels[k - 1] is not Level.WARN]
-    onsets = [k for k in range(1, n) if knocked[k] and not knocked[k - 1]]
-    alarms = [1e3 * (decided_s[k] - pairs.due_s[onset]) for onset in onsets for k in raised if onset <= k < onset + 30]
-    false = sum(not knocked[k] for k in raised)
+    onsets = [k for k in range(1, n) if fault[k] and not fault[k - 1]]
+    alarms = {
+        kind: [
+            1e3 * (decided_s[k] - pairs.due_s[onset])
+            for onset in onsets
+            for k in raised
+            if onset <= k < onset + KNOCK_FRAMES and fault[onset] == kind
+        ]
+        for kind in ("encoder", "knock")
+    }
+    false = sum(not any(fault[max(k - 1, 0) : k + 1]) for k in raised)
     rows = [
         ["pairs taken of those due", f"{n} of {round(seconds_s * FPS) + 1}"],
         ["pairs a second", float(done.rate_hz or 0.0)],
         ["frame in memory to decision, median / p99 / largest ms", _three(latency)],
-        ["... alarms alone, from the first knocked frame", _three(np.array(alarms)) if alarms else "-"],
-        ["knocks of 3 mm, raised of planted", f"{len(alarms)} of {len(onsets)}"],
-        ["alarms without a knock", false],
+        ["... of all alarms, from the first pair with the fault", _three(alarms["encoder"] + alarms["knock"])],
+        ["... an encoder's zero jumps by 0.3 deg", _three(alarms["encoder"])],
+        ["... the tool knocked by 3 mm within a frame: both pictures are searched anew", _three(alarms["knock"])],
+        ["alarms of faults", f"{sum(map(len, alarms.values()))} of {len(onsets)}"],
+        ["alarms without a fault", false],
         ["lost, stale", f"{done.n_lost}, {done.n_stale}"],
         ["noise along the error as told, RMS mm", f"{1e3 * (done.errors.std_m or 0.0):.3g}"],
     ]
     table(f"Supervision, {seconds_s:g} s, warning at 1 mm (the exposure of 4 ms comes on top)", ["", ""], rows)
 
 
-def _three(values: np.ndarray) -> str:
+def _three(values: Sequence[float] | np.ndarray) -> str:
+    if not len(values):
+        return "-"
+    values = np.asarray(values)
     return f"{np.median(values):.2f} / {np.quantile(values, 0.99):.2f} / {values.max():.2f}"
 
 

@@ -20,6 +20,9 @@ AHEAD_CYCLES = 2.5
 GAP_CYCLES = 3.5
 """Readings further apart than so many cycles leave the moments between them untold."""
 
+MOST_ACCELERATION = 30.0
+"""No joint of an arm of this size speeds up faster (rad/s^2, m/s^2): a reading that leaps more is no curve of the way."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class JointsAt:
@@ -90,10 +93,10 @@ class JointHistory:
 
     @staticmethod
     def _acceleration(t: Array, q: Array, k: int) -> Array:
-        """Return (n,) how the speed changed at either end of step k, the larger."""
+        """Return (n,) how fast the speed changed at either end of step k, the larger, at most MOST_ACCELERATION."""
         speeds = np.diff(q, axis=0) / np.diff(t)[:, None]
         change = np.zeros(q.shape[1])
         for a, b in ((k - 1, k), (k, k + 1)):
             if a >= 0 and b < len(speeds):
                 change = np.maximum(change, np.abs(speeds[b] - speeds[a]) / (0.5 * (t[b + 1] - t[a])))
-        return change
+        return np.minimum(change, MOST_ACCELERATION)
