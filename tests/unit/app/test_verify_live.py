@@ -15,7 +15,7 @@ from armsight.app.verify.live import run_verify_live
 from armsight.app.verify.supervising import LiveVerifyJob, Supervised
 from armsight.clock import ManualClock
 from armsight.drivers import RobotState
-from armsight.errors import NotEnoughData
+from armsight.errors import DeviceFailed, NotEnoughData
 from armsight.sim.live import live_cell
 from armsight.sim.robot import RobotFault
 from armsight.sim.scenario_builder import build_world
@@ -119,8 +119,6 @@ def test_what_is_lost_is_told_and_never_counted_as_good(tmp_path: Path) -> None:
             cell.cell.pairs.cover()
 
     job = {"limits": Limits(stop_m=2e-3), "limit": 80, "blind_stop_s": 0.8}
-    original = run_verify_live.__defaults__
-    assert original is not None
     devices = Supervised(
         robot=cell.cell.robot, pairs=cell.cell.pairs, origin_s=lambda: cell.cell.origin_s,
         on_step=cell.clock.calls.append,
@@ -148,7 +146,7 @@ def test_joints_that_stand_still_in_the_link_are_stale_not_good(tmp_path: Path) 
 def test_a_robot_by_its_own_program_takes_no_commands_until_stopped(tmp_path: Path) -> None:
     robot = Cell(tmp_path, []).cell.robot
     with robot:
-        with pytest.raises(Exception, match="own program"):
+        with pytest.raises(DeviceFailed, match="own program"):
             robot.step_joints(np.zeros(6))
         robot.stop()
         robot.reset()

@@ -16,13 +16,14 @@ from armsight.verify.mastering import check_mastering, propose
 NOISE = np.array([2e-4, 5e-4])
 ARM = replace(preset("irb120"), T_flange_tool=RigidTransform.from_translation([0.02, 0.0, 0.08]))
 Q = np.array([0.1, 0.2, -0.1, 0.3, 0.8, 0.2]) + np.random.default_rng(2).uniform(-0.5, 0.5, (10, 6))
+SAME = RigidTransform.identity()
 BENT = RigidTransform.from_components([3e-3, 0.0, 1e-3], Rotation.from_rotvec([0.01, 0.02, 0.0]))
 
 
-def measured(by: tuple[float, ...] = (0.0,) * 6, tool: RigidTransform | None = None) -> Measured:
+def measured(by: tuple[float, ...] = (0.0,) * 6, tool: RigidTransform = SAME) -> Measured:
     """Poses of the arm with zeros off by so many degrees and the tool moved."""
     rng = np.random.default_rng(4)
-    T = RigidTransform.from_matrix(fk(ARM, Q + np.deg2rad(by))) * (tool or RigidTransform.identity())
+    T = RigidTransform.from_matrix(fk(ARM, Q + np.deg2rad(by))) * tool
     return Measured(
         xyz_m=T.translation + rng.normal(0.0, NOISE[0], (10, 3)),
         rotation=(Rotation.from_rotvec(rng.normal(0.0, NOISE[1], (10, 3))) * T.rotation).as_matrix(),

@@ -43,7 +43,7 @@ def test_joints_that_are_not_known_are_not_made_up() -> None:
     kept = history()
     assert not kept.add(JointReading(q=[0.0], t_s=0.05, sequence=9, source="r"))
     kept.add(JointReading(q=[0.0], t_s=0.2, sequence=10, source="r"))
-    with pytest.raises(StaleData, match="0.150 s"):
+    with pytest.raises(StaleData, match=r"0\.150 s"):
         kept.at(0.1)
 
 
