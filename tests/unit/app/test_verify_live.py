@@ -1,4 +1,4 @@
-"""A simulated arm that moves by itself, supervised on a clock that only the test moves; faults planted, nothing lost."""
+"""A simulated arm that moves by itself, supervised on a clock that only the test moves; faults are planted."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Cell:
         model = load_scenario("webcam-cell")[0]
         keys = model.model_dump()
         keys |= {"room": "dark", "events": events}
-        cameras = keys["cameras"] | {"width": 640, "height": 360, "pipeline": "none"}
+        cameras = keys["cameras"] | {"width": 640, "height": 360, "pipeline": "ideal"}
         for side in ("left", "right"):
             cameras[side] |= {key: 0.5 * cameras[side][key] for key in ("fx", "fy", "cx", "cy")}
         keys["cameras"] = cameras
