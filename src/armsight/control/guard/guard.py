@@ -140,11 +140,19 @@ class Guard:
             self._watch.sent(self._now.q)
 
     def warm_up(self) -> None:
-        """Run all that a cycle may run once, so that no cycle waits for the compiler; the guard's state is kept."""
-        sight = self._space.look(self._now.q[None])
-        self._space.inverse_twist(sight.J[0], np.zeros(3), np.zeros(3))
-        self._space.inverse_pose(sight.T[0], sight)
-        self._accepted(self._now, self._ceiling(sight.J[0]), Breach({}), (), in_space=True)
+        """Run all that a cycle may run once, on another guard, so that no cycle waits for the compiler."""
+        other, still = Guard(self.arm, self.limits, self.cycle_s), np.zeros(3)
+        other.begin(self._now.q, 0.0)
+        for wanted in (
+            JointVelocity(qd=np.zeros(self.arm.n)),
+            ToolTwist(velocity_m_s=still, angular_rad_s=still),
+            JointGoal(q=self._now.q + 1e-3),
+            ToolPose(T_base_tool=self._pose()),
+            Hold(),
+        ):
+            reading = JointReading(q=self._now.q, t_s=0.0, sequence=0, source="warm-up")
+            other.step(wanted, reading, Inputs(now_s=0.0, enabled=True))
+            other.acknowledge(other._now.q)
 
     def _set(self, q: Array) -> None:
         """Be at rest at q (n,)."""
