@@ -1,7 +1,7 @@
 """The control loop against a robot on loopback UDP, on the machine's own clock: punctuality and time of a decision.
 
-The robot is another process that takes joint values and answers with a reading. Cycle 4 ms, 60 s (--seconds). On an idle
-machine; --load N runs N busy processes beside it. First the time of guard.step for each kind of set point.
+The robot is another process that takes joint values and answers with a reading. Cycle 4 ms, 60 s (--seconds), on an
+idle machine; --load N runs N busy processes beside it. First the time of guard.step for each kind of set point.
 """
 
 from __future__ import annotations
@@ -193,7 +193,8 @@ def main() -> None:
         )
     ]
     bench.table(f"The loop at {CYCLE_S / MS:g} ms for {asked.seconds:g} s, ms", ["", "median", "p99", "max"], rows)
-    print(f"\n{timing.n_cycles} cycles, {timing.late} late, {timing.missed} missed; the guard is {status and status.state}")
+    state = "nothing" if status is None else status.state
+    print(f"\n{timing.n_cycles} cycles, {timing.late} late, {timing.missed} missed; the guard is {state}")
 
 
 if __name__ == "__main__":
