@@ -19,12 +19,10 @@ from armsight.app.schemas import (
     machine,
     measure,
     reproduce,
-    timing,
-    verify,
-    verify_live,
     robot,
     timing,
     verify,
+    verify_live,
 )
 from armsight.app.schemas.base import Output, PointStd, PoseOutput, PoseStd, absent
 from armsight.app.schemas.catalogue import OUTPUTS
