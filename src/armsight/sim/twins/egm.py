@@ -8,17 +8,20 @@ from __future__ import annotations
 
 import math
 import socket
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.clock import Clock
-from armsight.errors import Inconsistent
+from armsight.clock import Clock, SystemClock
+from armsight.errors import Inconsistent, UsageError
 from armsight.sim.arms import SimArm
 from armsight.sim.servo import Drive, Servo
+from armsight.sim.twins.arms import arm_of, irb120
 from armsight.sim.twins.protobuf_wire import BadWire, doubles, fields, message, real, whole
 
 Array = NDArray[np.float64]
@@ -30,6 +33,18 @@ DATA, CORRECTION = 2, 3
 MOTORS_ON, MOTORS_OFF = 1, 2
 MCI_STOPPED, MCI_RUNNING = 2, 3
 RAPID_RUNNING = 2
+
+CYCLE_S = 0.004
+"""EGM's shortest cycle."""
+
+HOME = (0.1, -0.4, 0.5, -0.8, 0.9, 0.4)
+"""Joint values in rad at which the arm stands at first: away from singularities."""
+
+LAG_S, MAX_SPEED, STEP = 0.02, 3.0, 1e-5
+"""How the emulated arm follows: time constant in s, speed in rad/s, encoder step in rad."""
+
+LATE_CYCLES = 5
+"""A twin so far behind time lets the cycles go that it has missed."""
 
 CONVERGED_RAD = math.radians(0.5)
 """Within so much of its goal the controller tells convergence (CondTime's window)."""
@@ -204,6 +219,51 @@ class EgmController:
                 real(10, 50.0),
             )
         )
+
+
+class EgmTwin:
+    """An emulated ABB controller in real time, that sends to a driver at connect (HOST:PORT).
+
+    arm: an arm file's content; without one an IRB 120. Raises UsageError for an address that is none, Inconsistent for
+    an arm that cannot be emulated or has not six joints.
+    """
+
+    def __init__(
+        self,
+        *,
+        connect: str = "127.0.0.1:6510",
+        arm: Mapping[str, Any] | None = None,
+        cycle_s: float | None = None,
+        clock: Clock | None = None,
+    ) -> None:
+        host, _, port = connect.rpartition(":")
+        if not (host and port.isdigit() and 0 < int(port) < 65536):
+            raise UsageError(
+                f"{connect!r} is not HOST:PORT", consequence="There is no twin", cure="Give for instance 127.0.0.1:6510"
+            )
+        self.clock = clock or SystemClock()
+        body = irb120() if arm is None else arm_of(arm)
+        if body.n != len(HOME):
+            raise Inconsistent(f"EGM guides {len(HOME)} joints, the arm has {body.n}", consequence="There is no twin")
+        cycle_s = cycle_s or CYCLE_S
+        drive = Drive(
+            cycle_s=cycle_s, lag_s=LAG_S, max_speed=np.full(body.n, MAX_SPEED), encoder_step=np.full(body.n, STEP)
+        )
+        self.cycle_s = cycle_s
+        self.address = connect
+        self.controller = EgmController((host, int(port)), arm=body, drive=drive, home=HOME, clock=self.clock)
+
+    def run(self, on: Callable[[], bool]) -> None:
+        """Do one cycle after the other in real time as long as on() holds."""
+        next_s = self.clock.now_s()
+        while on():
+            next_s = max(next_s + self.cycle_s, self.clock.now_s() - LATE_CYCLES * self.cycle_s)
+            self.clock.sleep_until(next_s)
+            self.controller.cycle()
+
+    def close(self) -> None:
+        """Close its socket."""
+        self.controller.close()
 
 
 def _bytes(value: int | float | bytes) -> bytes:

@@ -10,11 +10,16 @@ import contextlib
 import selectors
 import socket
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
-from armsight.clock import Clock
-from armsight.errors import DeviceFailed
+import numpy as np
+
+from armsight.clock import Clock, SystemClock
+from armsight.errors import DeviceFailed, Inconsistent
+from armsight.sim.servo import Drive
+from armsight.sim.twins.arms import arm_of, ur10
 from armsight.sim.twins.rtde_wire import INPUTS, OUTPUTS, BadFrame, Kind, Recipe, frame, frames, names_of
 from armsight.sim.twins.ur_controller import UrController
 from armsight.sim.twins.urscript import complete
@@ -22,6 +27,15 @@ from armsight.sim.twins.urscript import complete
 RTDE_PORT = 30004
 DASHBOARD, SCRIPT, SECONDARY = -5, -1, -2
 """Distances of the other ports."""
+
+CYCLE_S = 0.002
+"""An e-Series controller's cycle."""
+
+HOME = (0.1, -1.2, 1.5, -1.0, -1.3, 0.2)
+"""Joint values in rad at which the arm stands at first: away from singularities."""
+
+LAG_S, MAX_SPEED, STEP = 0.01, 3.0, 1e-5
+"""How the emulated arm follows: time constant in s, speed in rad/s, encoder step in rad."""
 
 VERSION = (5, 11, 0, 108249)
 """The PolyScope that is emulated."""
@@ -283,3 +297,42 @@ class RtdeServer:
             client.data.clear()
             self.controller.play(text)
         return True
+
+
+class RtdeTwin:
+    """An emulated Universal Robots controller in real time, at host and port.
+
+    arm: an arm file's content; without one a UR10. Raises DeviceFailed where a port is taken, Inconsistent for an arm
+    that cannot be emulated or has not six joints.
+    """
+
+    def __init__(
+        self,
+        *,
+        port: int = RTDE_PORT,
+        host: str = "127.0.0.1",
+        arm: Mapping[str, Any] | None = None,
+        cycle_s: float | None = None,
+        clock: Clock | None = None,
+    ) -> None:
+        body = ur10() if arm is None else arm_of(arm)
+        if body.n != len(HOME):
+            raise Inconsistent(f"RTDE has {len(HOME)} joints, the arm has {body.n}", consequence="There is no twin")
+        drive = Drive(
+            cycle_s=cycle_s or CYCLE_S,
+            lag_s=LAG_S,
+            max_speed=np.full(body.n, MAX_SPEED),
+            encoder_step=np.full(body.n, STEP),
+        )
+        self.cycle_s = drive.cycle_s
+        self.address = f"{host}:{port}"
+        self.controller = UrController(arm=body, drive=drive, home=HOME)
+        self.server = RtdeServer(self.controller, clock or SystemClock(), host=host, port=port)
+
+    def run(self, on: Callable[[], bool]) -> None:
+        """Serve in real time as long as on() holds."""
+        self.server.run(on)
+
+    def close(self) -> None:
+        """Close its sockets."""
+        self.server.close()

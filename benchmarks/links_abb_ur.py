@@ -1,0 +1,156 @@
+"""The links to ABB (EGM, 4 ms) and Universal Robots (RTDE, 2 ms): each driver against its twin in a process of its own.
+
+A caller moves all joints along sines, one step a cycle, and then rests. Told are: states that never came, answers that
+the controller missed, how late the caller and the controller's states were by the plan of their cycle, and how far the
+arm is in the end from where the commands said.
+
+    python benchmarks/links_abb_ur.py [egm] [rtde] [--for 60]
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import json
+import subprocess
+import sys
+import threading
+import time
+from typing import Any
+
+import numpy as np
+
+from armsight.clock import SystemClock
+from armsight.drivers.cyclic import CyclicRobot
+from armsight.drivers.egm import EgmRobot
+from armsight.drivers.rtde import RtdeRobot
+from armsight.sim.twins.egm import EgmTwin
+from armsight.sim.twins.rtde import RtdeTwin
+
+PORT = {"egm": 46510, "rtde": 30004}
+HOST = "127.77.0.1"
+AMPLITUDE_RAD, PERIOD_S = 0.15, 6.0
+WARM_UP_S = 2.0
+
+
+def twin_process(kind: str) -> None:
+    """Be the controller until standard input closes; then tell what it has counted."""
+    if kind == "egm":
+        egm = EgmTwin(connect=f"{HOST}:{PORT[kind]}")
+        twin: Any = egm
+    else:
+        twin = RtdeTwin(host=HOST, port=PORT[kind])
+    ended = threading.Event()
+    threading.Thread(target=lambda: (sys.stdin.read(), ended.set()), daemon=True).start()
+    print("ready", flush=True)
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    twin.run(lambda: not ended.is_set())
+    if kind == "egm":
+        told = {"taken": egm.controller.counts.taken, "late": egm.controller.counts.late}
+    else:
+        told = {"dropped": twin.server.counts.dropped, "messages": twin.controller.messages[-3:]}
+    print(json.dumps(told))
+
+
+def drive(robot: CyclicRobot, for_s: float) -> dict[str, Any]:
+    """Move for a time, then rest; return what was measured."""
+    clock = SystemClock()
+    cycle_s, n = robot.cycle_s, robot.n_joints
+    count = round(for_s / cycle_s)
+    wake_s, read_s, call_s = np.zeros(count), np.zeros(count), np.zeros(count)
+    phase = np.linspace(0.0, 1.0, n)
+    place = np.zeros(n)
+    faults = 0
+    start_s = clock.now_s() + WARM_UP_S
+    clock.sleep_until(start_s)
+    missed = robot.counts.missed if isinstance(robot, EgmRobot) else robot.missed  # type: ignore[attr-defined]
+    heard = robot.read().sequence
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    for i in range(count):
+        due_s = start_s + i * cycle_s
+        clock.sleep_until(due_s)
+        woken_s = clock.now_s()
+        wake_s[i] = woken_s - due_s
+        goal = AMPLITUDE_RAD * np.sin(2.0 * np.pi * (i * cycle_s / PERIOD_S)) * (1.0 - 0.3 * phase)
+        try:
+            read_s[i] = robot.read().t_s
+            sent = robot.step_joints(goal - place)
+        except Exception as error:
+            faults += 1
+            print(f"  cycle {i}: {error}")
+            if faults > 3:
+                break
+            continue
+        place = goal
+        call_s[i] = clock.now_s() - woken_s
+    gc.enable()
+    end_missed = robot.counts.missed if isinstance(robot, EgmRobot) else robot.missed  # type: ignore[attr-defined]
+    states = robot.read().sequence - heard
+    time.sleep(1.0)
+    arrivals = np.unique(read_s[read_s > 0.0])
+    off = arrivals - arrivals[0] - cycle_s * np.round((arrivals - arrivals[0]) / cycle_s)
+    late = off - np.percentile(off, 1.0)
+    return {
+        "seconds": for_s,
+        "states": states,
+        "states_missed": end_missed - missed,
+        "faults": faults,
+        "caller_late_ms": spread(1e3 * wake_s),
+        "states_late_ms": spread(1e3 * late),
+        "call_us": spread(1e6 * call_s),
+        "rest_error_urad": round(1e6 * float(np.abs(robot.read().q - sent.q).max()), 3),
+        "limited": list(sent.limited),
+    }
+
+
+def spread(values: np.ndarray) -> dict[str, float]:
+    return {
+        "median": round(float(np.median(values)), 3),
+        "p99": round(float(np.percentile(values, 99)), 3),
+        "max": round(float(values.max()), 3),
+    }
+
+
+def measure(kind: str, for_s: float) -> dict[str, Any]:
+    twin = subprocess.Popen(
+        [sys.executable, __file__, "--twin", kind], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    if twin.stdout is None or twin.stdout.readline() != "ready\n":
+        raise SystemExit("the twin did not start")
+    if kind == "egm":
+        robot: CyclicRobot = EgmRobot(str(PORT[kind]), settings={"bind": HOST})
+    else:
+        robot = RtdeRobot(HOST)
+    try:
+        with robot:
+            told = drive(robot, for_s)
+        answered = robot._answers if isinstance(robot, EgmRobot) else None
+    finally:
+        out, _ = twin.communicate("")
+    told["twin"] = json.loads(out)
+    if answered is not None:
+        told["answers_missed"] = answered - told["twin"]["taken"]
+    return told
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("kinds", nargs="*", choices=["egm", "rtde", []], default=[])
+    parser.add_argument("--for", dest="for_s", type=float, default=60.0)
+    parser.add_argument("--twin", choices=["egm", "rtde"])
+    given = parser.parse_args()
+    if given.twin:
+        twin_process(given.twin)
+        return
+    for kind in given.kinds or ["egm", "rtde"]:
+        print(kind)
+        for name, value in measure(kind, given.for_s).items():
+            print(f"  {name}: {value}")
+
+
+if __name__ == "__main__":
+    main()
