@@ -35,23 +35,22 @@ WARM_UP_S = 2.0
 
 def twin_process(kind: str) -> None:
     """Be the controller until standard input closes; then tell what it has counted."""
-    if kind == "egm":
-        egm = EgmTwin(connect=f"{HOST}:{PORT[kind]}")
-        twin: Any = egm
-    else:
-        twin = RtdeTwin(host=HOST, port=PORT[kind])
+    there = f"{HOST}:{PORT[kind]}"
     ended = threading.Event()
     threading.Thread(target=lambda: (sys.stdin.read(), ended.set()), daemon=True).start()
-    print("ready", flush=True)
-    gc.collect()
-    gc.freeze()
-    gc.disable()
-    twin.run(lambda: not ended.is_set())
-    if kind == "egm":
-        told = {"taken": egm.controller.counts.taken, "late": egm.controller.counts.late}
-    else:
-        told = {"dropped": twin.server.counts.dropped, "messages": twin.controller.messages[-3:]}
-    print(json.dumps(told))
+    twin: Any = EgmTwin(connect=there) if kind == "egm" else RtdeTwin(port=there)
+    with twin:
+        print("ready", flush=True)
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+        twin.run(lambda: not ended.is_set())
+        if kind == "egm":
+            told = {"taken": twin.controller.counts.taken, "late": twin.controller.counts.late}
+        else:
+            counts, controller = twin.server.counts, twin.server.controller
+            told = {"taken": counts.taken, "refused": counts.refused, "messages": controller.messages[-1:]}
+        print(json.dumps(told))
 
 
 def drive(robot: CyclicRobot, for_s: float) -> dict[str, Any]:
@@ -63,13 +62,13 @@ def drive(robot: CyclicRobot, for_s: float) -> dict[str, Any]:
     phase = np.linspace(0.0, 1.0, n)
     place = np.zeros(n)
     faults = 0
+    gc.collect()
+    gc.freeze()
+    gc.disable()
     start_s = clock.now_s() + WARM_UP_S
     clock.sleep_until(start_s)
     missed = robot.counts.missed if isinstance(robot, EgmRobot) else robot.missed  # type: ignore[attr-defined]
     heard = robot.read().sequence
-    gc.collect()
-    gc.freeze()
-    gc.disable()
     for i in range(count):
         due_s = start_s + i * cycle_s
         clock.sleep_until(due_s)

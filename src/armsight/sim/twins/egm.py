@@ -11,17 +11,18 @@ import socket
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.clock import Clock, SystemClock
-from armsight.errors import Inconsistent, UsageError
+from armsight.errors import DeviceFailed, Inconsistent, UsageError
 from armsight.sim.arms import SimArm
 from armsight.sim.servo import Drive, Servo
-from armsight.sim.twins.arms import arm_of, irb120
+from armsight.sim.twins.base import host_port, twin_arm, twin_drive, twin_home
 from armsight.sim.twins.protobuf_wire import BadWire, doubles, fields, message, real, whole
 
 Array = NDArray[np.float64]
@@ -37,11 +38,10 @@ RAPID_RUNNING = 2
 CYCLE_S = 0.004
 """EGM's shortest cycle."""
 
-HOME = (0.1, -0.4, 0.5, -0.8, 0.9, 0.4)
-"""Joint values in rad at which the arm stands at first: away from singularities."""
+DRIVER = "127.0.0.1:6510"
+"""Where a driver listens by ABB's usual port."""
 
-LAG_S, MAX_SPEED, STEP = 0.02, 3.0, 1e-5
-"""How the emulated arm follows: time constant in s, speed in rad/s, encoder step in rad."""
+JOINTS = 6
 
 LATE_CYCLES = 5
 """A twin so far behind time lets the cycles go that it has missed."""
@@ -222,48 +222,65 @@ class EgmController:
 
 
 class EgmTwin:
-    """An emulated ABB controller in real time, that sends to a driver at connect (HOST:PORT).
+    """An emulated ABB controller in real time. It sends to a driver at connect (HOST:PORT), or at port of this machine.
 
-    arm: an arm file's content; without one an IRB 120. Raises UsageError for an address that is none, Inconsistent for
-    an arm that cannot be emulated or has not six joints.
+    Raises UsageError for an address that is none, and for an arm without six joints.
     """
 
     def __init__(
         self,
         *,
-        connect: str = "127.0.0.1:6510",
+        port: str | None = None,
+        connect: str | None = None,
         arm: Mapping[str, Any] | None = None,
         cycle_s: float | None = None,
         clock: Clock | None = None,
     ) -> None:
-        host, _, port = connect.rpartition(":")
-        if not (host and port.isdigit() and 0 < int(port) < 65536):
+        if port is not None and connect is not None:
             raise UsageError(
-                f"{connect!r} is not HOST:PORT", consequence="There is no twin", cure="Give for instance 127.0.0.1:6510"
+                "--port and --connect both say where the driver listens", cure="Give one of them, the port or HOST:PORT"
             )
-        self.clock = clock or SystemClock()
-        body = irb120() if arm is None else arm_of(arm)
-        if body.n != len(HOME):
-            raise Inconsistent(f"EGM guides {len(HOME)} joints, the arm has {body.n}", consequence="There is no twin")
-        cycle_s = cycle_s or CYCLE_S
-        drive = Drive(
-            cycle_s=cycle_s, lag_s=LAG_S, max_speed=np.full(body.n, MAX_SPEED), encoder_step=np.full(body.n, STEP)
+        self._sensor = host_port(connect or port or DRIVER)
+        self._arm = twin_arm(arm)
+        if self._arm.n != JOINTS:
+            raise UsageError(f"the emulated controller guides {JOINTS} joints, not {self._arm.n}")
+        self._drive = twin_drive(self._arm, cycle_s or CYCLE_S)
+        self._clock = clock or SystemClock()
+        self._controller: EgmController | None = None
+
+    @property
+    def address(self) -> str:
+        """What opens the driver."""
+        return f"egm:{self._sensor[1]}"
+
+    @property
+    def controller(self) -> EgmController:
+        """The controller itself. Raises DeviceFailed where it is not open."""
+        if self._controller is None:
+            raise DeviceFailed("the twin is not open", cure="Open it first")
+        return self._controller
+
+    def __enter__(self) -> Self:
+        self._controller = EgmController(
+            self._sensor, arm=self._arm, drive=self._drive, home=twin_home(self._arm), clock=self._clock
         )
-        self.cycle_s = cycle_s
-        self.address = connect
-        self.controller = EgmController((host, int(port)), arm=body, drive=drive, home=HOME, clock=self.clock)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._controller is not None:
+            self._controller.close()
+            self._controller = None
 
     def run(self, on: Callable[[], bool]) -> None:
         """Do one cycle after the other in real time as long as on() holds."""
-        next_s = self.clock.now_s()
+        cycle_s = self._drive.cycle_s
+        next_s = self._clock.now_s()
         while on():
-            next_s = max(next_s + self.cycle_s, self.clock.now_s() - LATE_CYCLES * self.cycle_s)
-            self.clock.sleep_until(next_s)
+            next_s = max(next_s + cycle_s, self._clock.now_s() - LATE_CYCLES * cycle_s)
+            self._clock.sleep_until(next_s)
             self.controller.cycle()
-
-    def close(self) -> None:
-        """Close its socket."""
-        self.controller.close()
 
 
 def _bytes(value: int | float | bytes) -> bytes:

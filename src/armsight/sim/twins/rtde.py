@@ -12,14 +12,12 @@ import socket
 import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
-
-import numpy as np
+from types import TracebackType
+from typing import Any, Self
 
 from armsight.clock import Clock, SystemClock
-from armsight.errors import DeviceFailed, Inconsistent
-from armsight.sim.servo import Drive
-from armsight.sim.twins.arms import arm_of, ur10
+from armsight.errors import DeviceFailed, UsageError
+from armsight.sim.twins.base import host_port, twin_arm, twin_drive, twin_home
 from armsight.sim.twins.rtde_wire import INPUTS, OUTPUTS, BadFrame, Kind, Recipe, frame, frames, names_of
 from armsight.sim.twins.ur_controller import UrController
 from armsight.sim.twins.urscript import complete
@@ -31,11 +29,7 @@ DASHBOARD, SCRIPT, SECONDARY = -5, -1, -2
 CYCLE_S = 0.002
 """An e-Series controller's cycle."""
 
-HOME = (0.1, -1.2, 1.5, -1.0, -1.3, 0.2)
-"""Joint values in rad at which the arm stands at first: away from singularities."""
-
-LAG_S, MAX_SPEED, STEP = 0.01, 3.0, 1e-5
-"""How the emulated arm follows: time constant in s, speed in rad/s, encoder step in rad."""
+JOINTS = 6
 
 VERSION = (5, 11, 0, 108249)
 """The PolyScope that is emulated."""
@@ -300,39 +294,57 @@ class RtdeServer:
 
 
 class RtdeTwin:
-    """An emulated Universal Robots controller in real time, at host and port.
+    """An emulated Universal Robots controller in real time, that listens at port of this machine.
 
-    arm: an arm file's content; without one a UR10. Raises DeviceFailed where a port is taken, Inconsistent for an arm
-    that cannot be emulated or has not six joints.
+    Raises UsageError for a port that is none, and for an arm without six joints.
     """
 
     def __init__(
         self,
         *,
-        port: int = RTDE_PORT,
-        host: str = "127.0.0.1",
+        port: str | None = None,
+        connect: str | None = None,
         arm: Mapping[str, Any] | None = None,
         cycle_s: float | None = None,
         clock: Clock | None = None,
     ) -> None:
-        body = ur10() if arm is None else arm_of(arm)
-        if body.n != len(HOME):
-            raise Inconsistent(f"RTDE has {len(HOME)} joints, the arm has {body.n}", consequence="There is no twin")
-        drive = Drive(
-            cycle_s=cycle_s or CYCLE_S,
-            lag_s=LAG_S,
-            max_speed=np.full(body.n, MAX_SPEED),
-            encoder_step=np.full(body.n, STEP),
-        )
-        self.cycle_s = drive.cycle_s
-        self.address = f"{host}:{port}"
-        self.controller = UrController(arm=body, drive=drive, home=HOME)
-        self.server = RtdeServer(self.controller, clock or SystemClock(), host=host, port=port)
+        if connect is not None:
+            raise UsageError(
+                "this controller waits for its driver and connects nowhere", cure="Leave --connect out, or give --port"
+            )
+        self._host, self._port = host_port(port or str(RTDE_PORT))
+        self._arm = twin_arm(arm)
+        if self._arm.n != JOINTS:
+            raise UsageError(f"the emulated controller has {JOINTS} joints, not {self._arm.n}")
+        self._drive = twin_drive(self._arm, cycle_s or CYCLE_S)
+        self._clock = clock or SystemClock()
+        self._server: RtdeServer | None = None
+
+    @property
+    def address(self) -> str:
+        """What opens the driver."""
+        return f"rtde:{self._host}" + (f":{self._port}" if self._port != RTDE_PORT else "")
+
+    @property
+    def server(self) -> RtdeServer:
+        """Its sockets. Raises DeviceFailed where it is not open."""
+        if self._server is None:
+            raise DeviceFailed("the twin is not open", cure="Open it first")
+        return self._server
+
+    def __enter__(self) -> Self:
+        """Take its ports. Raises DeviceFailed where one is taken."""
+        controller = UrController(arm=self._arm, drive=self._drive, home=twin_home(self._arm))
+        self._server = RtdeServer(controller, self._clock, host=self._host, port=self._port)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._server is not None:
+            self._server.close()
+            self._server = None
 
     def run(self, on: Callable[[], bool]) -> None:
         """Serve in real time as long as on() holds."""
         self.server.run(on)
-
-    def close(self) -> None:
-        """Close its sockets."""
-        self.server.close()
