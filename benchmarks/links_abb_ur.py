@@ -4,7 +4,9 @@ A caller moves all joints along sines, one step a cycle, and then rests. Told ar
 the controller missed, how late the caller and the controller's states were by the plan of their cycle, and how far the
 arm is in the end from where the commands said.
 
-    python benchmarks/links_abb_ur.py [egm] [rtde] [--for 60]
+    python benchmarks/links_abb_ur.py [egm] [rtde] [--for 60] [--priority 20]
+
+--priority takes the system's real-time priority (Linux, as root), for a machine that is busy with other things.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ from __future__ import annotations
 import argparse
 import gc
 import json
+import os
 import subprocess
 import sys
 import threading
@@ -114,10 +117,9 @@ def spread(values: np.ndarray) -> dict[str, float]:
     }
 
 
-def measure(kind: str, for_s: float) -> dict[str, Any]:
-    twin = subprocess.Popen(
-        [sys.executable, __file__, "--twin", kind], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    )
+def measure(kind: str, for_s: float, priority: int) -> dict[str, Any]:
+    command = [sys.executable, __file__, "--twin", kind, "--priority", str(priority)]
+    twin = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     if twin.stdout is None or twin.stdout.readline() != "ready\n":
         raise SystemExit("the twin did not start")
     if kind == "egm":
@@ -141,13 +143,17 @@ def main() -> None:
     parser.add_argument("kinds", nargs="*", choices=["egm", "rtde", []], default=[])
     parser.add_argument("--for", dest="for_s", type=float, default=60.0)
     parser.add_argument("--twin", choices=["egm", "rtde"])
+    parser.add_argument("--priority", type=int, default=0)
     given = parser.parse_args()
+    if given.priority:  # the controller goes before its driver, as a real one does not share its processor
+        level = given.priority + (10 if given.twin else 0)
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(level))
     if given.twin:
         twin_process(given.twin)
         return
     for kind in given.kinds or ["egm", "rtde"]:
         print(kind)
-        for name, value in measure(kind, given.for_s).items():
+        for name, value in measure(kind, given.for_s, given.priority).items():
             print(f"  {name}: {value}")
 
 

@@ -59,7 +59,7 @@ class RtdeSettings(BaseModel):
     cycle_s: Annotated[float, Field(ge=0.002, le=0.1)] = 0.002
     lookahead_s: Annotated[float, Field(ge=0.03, le=0.2)] = 0.05
     gain: Annotated[float, Field(ge=100.0, le=2000.0)] = 500.0
-    watchdog_hz: Annotated[float, Field(ge=1.0, le=125.0)] = 20.0
+    watchdog_hz: Annotated[float, Field(ge=1.0, le=125.0)] = 10.0
     stale_s: Positive = 0.02
     silent_s: Positive = 0.1
     open_s: Positive = 8.0

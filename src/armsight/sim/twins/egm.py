@@ -243,7 +243,11 @@ class EgmTwin:
         self._sensor = host_port(connect or port or DRIVER)
         self._arm = twin_arm(arm)
         if self._arm.n != JOINTS:
-            raise UsageError(f"the emulated controller guides {JOINTS} joints, not {self._arm.n}")
+            raise UsageError(
+                f"the emulated controller guides {JOINTS} joints, not {self._arm.n}",
+                consequence="There is no twin",
+                cure="Give an arm of six joints",
+            )
         self._drive = twin_drive(self._arm, cycle_s or CYCLE_S)
         self._clock = clock or SystemClock()
         self._controller: EgmController | None = None

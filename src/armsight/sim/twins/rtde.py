@@ -315,7 +315,11 @@ class RtdeTwin:
         self._host, self._port = host_port(port or str(RTDE_PORT))
         self._arm = twin_arm(arm)
         if self._arm.n != JOINTS:
-            raise UsageError(f"the emulated controller has {JOINTS} joints, not {self._arm.n}")
+            raise UsageError(
+                f"the emulated controller has {JOINTS} joints, not {self._arm.n}",
+                consequence="There is no twin",
+                cure="Give an arm of six joints",
+            )
         self._drive = twin_drive(self._arm, cycle_s or CYCLE_S)
         self._clock = clock or SystemClock()
         self._server: RtdeServer | None = None
