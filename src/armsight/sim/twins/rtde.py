@@ -74,7 +74,7 @@ class RtdeServer:
         self._clock = clock
         self._cycles = 0
         self._silent = False
-        self._selector = selectors.DefaultSelector()
+        self._selector = selectors.SelectSelector()  # epoll counts in ms: too coarse for a cycle of 2 ms
         self._clients: list[_Client] = []
         self._servers: list[socket.socket] = []
         takers = ((0, self._take_frames), (DASHBOARD, self._take_lines), (SCRIPT, self._take_program))
@@ -110,12 +110,13 @@ class RtdeServer:
             self.cycle()
 
     def serve(self, until_s: float) -> None:
-        """Answer what comes until a moment of the clock."""
+        """Answer what comes until a moment of the clock, or until nothing comes for as long as that is off."""
         while True:
             rest_s = until_s - self._clock.now_s()
-            for key, _ in self._selector.select(max(0.0, rest_s)):
+            ready = self._selector.select(max(0.0, rest_s))
+            for key, _ in ready:
                 key.data()
-            if rest_s <= 0.0:
+            if rest_s <= 0.0 or not ready:
                 return
 
     def cycle(self) -> None:
