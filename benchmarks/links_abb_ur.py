@@ -27,6 +27,7 @@ from armsight.clock import SystemClock
 from armsight.drivers.cyclic import CyclicRobot
 from armsight.drivers.egm import EgmRobot
 from armsight.drivers.rtde import RtdeRobot
+from armsight.errors import StaleData
 from armsight.sim.twins.egm import EgmTwin
 from armsight.sim.twins.rtde import RtdeTwin
 
@@ -81,18 +82,15 @@ def drive(robot: CyclicRobot, for_s: float) -> dict[str, Any]:
         try:
             read_s[i] = robot.read().t_s
             sent = robot.step_joints(goal - place)
-        except Exception as error:
+        except StaleData:  # this computer was busy elsewhere; a link that is lost ends the run
             faults += 1
-            print(f"  cycle {i}: {error}")
-            if faults > 3:
-                break
             continue
         place = goal
         call_s[i] = clock.now_s() - woken_s
     gc.enable()
     end_missed = robot.counts.missed if isinstance(robot, EgmRobot) else robot.missed  # type: ignore[attr-defined]
-    states = robot.read().sequence - heard
     time.sleep(1.0)
+    states = robot.read().sequence - heard - round(1.0 / cycle_s)
     arrivals = np.unique(read_s[read_s > 0.0])
     off = arrivals - arrivals[0] - cycle_s * np.round((arrivals - arrivals[0]) / cycle_s)
     late = off - np.percentile(off, 1.0)
@@ -100,7 +98,7 @@ def drive(robot: CyclicRobot, for_s: float) -> dict[str, Any]:
         "seconds": for_s,
         "states": states,
         "states_missed": end_missed - missed,
-        "faults": faults,
+        "stale_reads": faults,
         "caller_late_ms": spread(1e3 * wake_s),
         "states_late_ms": spread(1e3 * late),
         "call_us": spread(1e6 * call_s),
