@@ -43,7 +43,8 @@ class Twin(Protocol):
     """An emulated controller; `with` opens and closes it.
 
     Made as XTwin(port=, connect=, arm=, cycle_s=, clock=), each but the clock None where the person did not say it.
-    port: where it listens; connect: HOST:PORT of the driver it sends to; arm: arm.yaml's structure. A twin shares no protocol code with the driver it is for.
+    port: where it listens; connect: HOST:PORT of the driver it sends to; arm: arm.yaml's structure. A twin shares no
+    protocol code with the driver it is for.
     """
 
     @property
