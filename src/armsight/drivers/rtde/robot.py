@@ -17,14 +17,12 @@ from armsight.drivers.cyclic import CyclicRobot, LinkTimes
 from armsight.drivers.joint_goals import JointLimits
 from armsight.drivers.lock import DeviceLock
 from armsight.drivers.rtde.link import ControllerState, Worker, address
+from armsight.drivers.rtde.worker import PLAYING
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, Inconsistent, UsageError
 
 Array = NDArray[np.float64]
 
 JOINTS = 6
-
-PLAYING = 2
-"""runtime_state of a controller whose program runs."""
 
 SAFETY_STOPS = {
     2: "a protective stop",

@@ -29,6 +29,9 @@ GOAL = struct.Struct("<6d")
 
 VARIABLES = ["timestamp", "actual_q", "runtime_state", "safety_status_bits"]
 
+PLAYING = 2
+"""runtime_state of a controller whose program runs."""
+
 POLL_S = 1e-4
 """How often a new state is looked for once it is due."""
 
@@ -51,6 +54,8 @@ def main() -> None:
         receiver = rtde_receive.RTDEReceiveInterface(host, 1.0 / cycle_s, VARIABLES)
         controller = rtde_control.RTDEControlInterface(host, 1.0 / cycle_s)
         controller.setWatchdog(watchdog_hz)
+        while receiver.getRuntimeState() != PLAYING and controller.isProgramRunning():
+            time.sleep(POLL_S)  # the receiver's connection may be behind the controller's
         keep_going(link, receiver, controller, cycle_s, (lookahead_s, gain))
         controller.servoStop(STOP_M_S2)
         controller.stopScript()
