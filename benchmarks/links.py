@@ -44,11 +44,11 @@ class Model:
 @contextlib.contextmanager
 def twin(*arguments: str) -> Iterator[str]:
     """Run a twin; give the device it tells."""
-    command = [sys.executable, "-m", "armsight", "twin", *arguments]
+    command = [sys.executable, "-c", "from armsight.cli import main; main()", "twin", *arguments]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
-        assert process.stdout is not None
-        yield process.stdout.readline().strip().partition(":")[2]
+        if process.stdout is not None:
+            yield process.stdout.readline().strip().partition(":")[2]
     finally:
         os.kill(process.pid, signal.SIGINT)
         process.wait(10)

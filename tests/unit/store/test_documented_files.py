@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from armsight.app.verify.live_output import ERROR_COLUMNS, HEADER
 from armsight.app.verify.output import NAMES
 from armsight.store.iso9283_plan import PLAN_COLUMNS
 from armsight.store.rigs import CameraModel, rig_from_mapping
@@ -30,6 +31,10 @@ READERS = {
     "t_s,camera": lambda data: parse_table(data, "x", SPOT_COLUMNS, text=("camera", "spot")),
     "index,x_m": lambda data: parse_table(data, "x", PLAN_COLUMNS, text=("tag", "pose"), series="q"),
     "row,t_s": lambda data: parse_table(data, "x", ("row", "t_s", *NAMES, "error_m", "error_rad"), series="dq"),
+    "t_s,level": lambda data: parse_table(
+        data, "x", HEADER, text=("level", "lost"), blank=(*ERROR_COLUMNS, "decision_ms")
+    ),
+    "pose,q1": lambda data: parse_table(data, "x", ("pose", "decides"), text=("decides",), series="q"),
     "t_s,q1": lambda data: parse_joints(data, "x"),
     "t_s": lambda data: parse_times(data, "x"),
 }

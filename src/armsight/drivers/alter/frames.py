@@ -60,7 +60,7 @@ class FrameSplitter:
     def feed(self, data: bytes) -> list[StateFrame]:
         """Return the frames that data completes, in their order."""
         self._rest += data
-        found = []
+        found: list[StateFrame] = []
         while True:
             start = self._rest.find(STATE_START)
             skipped = len(self._rest) if start < 0 else start

@@ -45,6 +45,9 @@ LARGEST_SPEED_RAD_S = 60.0
 JUMP_CYCLES = 3
 """Over so many missed cycles a joint may have moved before its reading is refused."""
 
+PARTS = 6
+"""A joint step is shortened so often, by its flange's way, before it is given up."""
+
 OTHER_ARM = (5.0 * MM, 0.5 * DEG)
 """An arm's file whose flange is farther from the controller's than this, in m or rad, is of another arm."""
 
@@ -104,10 +107,7 @@ class AlterRobot(CyclicRobot):
                     )
                 return self._note(reading.q, self._poses.next, ())
             asked, limited = self._goals.step(step, reading.q)
-            pose, cut = self._poses.go(self._flange(self._arm, asked), self._measured(reading))
-            if cut:
-                asked = self._part(self._arm, asked, pose)
-                pose, _ = self._poses.go(self._flange(self._arm, asked), self._measured(reading))
+            asked, pose, cut = self._agreed(self._arm, asked, reading)
             return self._note(asked, pose, (*limited, *cut))
 
     def move_pose(self, T_base_flange: RigidTransform) -> Sent:
@@ -117,20 +117,19 @@ class AlterRobot(CyclicRobot):
         """
         with self._lock:
             reading = self._ready()
-            before = self._poses.next
             pose, limited = self._poses.go(T_base_flange, self._measured(reading))
             if self._arm is None:
                 return self._note(reading.q, pose, limited)
             try:
                 goal = self._arm.ik(self._model_offset * pose, self._goals.sent)
                 self._goals.hold()
-                q, cut = self._goals.step(goal - self._goals.sent, reading.q)
+                q, slow = self._goals.step(goal - self._goals.sent, reading.q)
+                q, pose, cut = self._agreed(self._arm, q, reading)
             except Exception:
-                self._poses.go(before, self._measured(reading))
+                self._goals.hold()
+                self._poses.hold()
                 raise
-            if cut:
-                pose, _ = self._poses.go(self._flange(self._arm, q), self._measured(reading))
-            return self._note(q, pose, (*limited, *cut))
+            return self._note(q, pose, tuple(dict.fromkeys((*limited, *slow, *cut))))
 
     def _flange(self, arm: ArmOnLink, q: Array) -> RigidTransform:
         """Return T_base_flange as the controller has it, by the arm's file laid onto it where the link was opened."""
@@ -142,16 +141,28 @@ class AlterRobot(CyclicRobot):
             return self._flange(self._arm, reading.q)
         return self._poses.sent if self._last is None else self._last.T_base_flange
 
-    def _part(self, arm: ArmOnLink, asked: Array, pose: RigidTransform) -> Array:
-        """Return the part (6,) of a joint step whose flange goes no farther than to pose, all joints alike."""
-        start = self._goals.sent
-        whole, part = (between(self._poses.sent, end) for end in (self._flange(arm, asked), pose))
-        shares = [
-            np.linalg.norm(p) / np.linalg.norm(w) for p, w in zip(part, whole, strict=True) if np.linalg.norm(w) > 1e-9
-        ]
+    def _agreed(
+        self, arm: ArmOnLink, asked: Array, reading: JointReading
+    ) -> tuple[Array, RigidTransform, tuple[str, ...]]:
+        """Return joints (6,) on the way to those asked whose flange is within a cycle's way, that pose, and what cut.
+
+        The pose is what goes out; it belongs to the joints exactly. Where no part of the step will do, none is taken.
+        """
+        start, here, q = self._goals.sent, self._measured(reading), asked
+        words: tuple[str, ...] = ()
+        for _ in range(PARTS):
+            goal = self._flange(arm, q)
+            pose, cut = self._poses.go(goal, here)
+            if not cut:
+                return q, pose, words
+            words = words or cut
+            whole, part = (between(self._poses.sent, end) for end in (goal, pose))
+            shares = [_length(p) / _length(w) for p, w in zip(part, whole, strict=True) if _length(w) > 1e-9]
+            self._goals.hold()
+            q, _ = self._goals.step(0.99 * min(1.0, *shares, 1.0) * (q - start), start)
         self._goals.hold()
-        q, _ = self._goals.step(0.999 * min(1.0, *shares, 1.0) * (asked - start), start)
-        return q
+        self._poses.hold()
+        return self._goals.sent, self._poses.sent, words
 
     def _start(self) -> None:
         self.counts = AlterCounts()
@@ -223,6 +234,7 @@ class AlterRobot(CyclicRobot):
         self._hear(state)
         if newest and state.on and not self._lost:
             self._answer(state)
+        self.counts.heard += 1
         self._first.set()
 
     def _may_begin(self, state: StateFrame) -> bool:
@@ -269,7 +281,6 @@ class AlterRobot(CyclicRobot):
         return bool(np.abs(state.q - last.q).max() <= LARGEST_SPEED_RAD_S * cycles * self.cycle_s)
 
     def _hear(self, state: StateFrame) -> None:
-        self.counts.heard += 1
         self.counts.late = (state.n_late - self._first_late) % SEQUENCES
         self._last = state
         if not state.on or self._held:
@@ -324,3 +335,7 @@ class AlterRobot(CyclicRobot):
             return 0.0
         way_m, turn = between(last.T_base_flange, self._poses.sent)
         return float(max(np.abs(way_m).max(), np.abs(turn).max()))
+
+
+def _length(vector: Array) -> float:
+    return float(np.linalg.norm(vector))

@@ -38,7 +38,8 @@ class AlterSettings(BaseModel):
 
     baud, cycle_s: the controller's. cumulative: an answer's way adds to those before; otherwise it is the whole way
     from where path control began. axes: world or tool, those the way is told in. arm: its geometry; without one the
-    robot takes poses alone. max_speed_rad_s, lower_rad, upper_rad: of each joint; speed_m_s, speed_rad_s: of the flange.
+    robot takes poses alone. max_speed_rad_s, lower_rad, upper_rad: of each joint; speed_m_s, speed_rad_s: of
+    the flange.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)

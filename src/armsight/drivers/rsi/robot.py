@@ -136,7 +136,8 @@ class RsiRobot(CyclicRobot):
     def _start(self) -> None:
         self.counts = RsiCounts()
         self._last, self._refusal = None, ""
-        self._behind, self._first_late = 0, None
+        self._behind = 0
+        self._first_late: int | None = None
         self._sender: tuple[str, int] | None = None
         self._closing = False
         self._socket = self._bind()
@@ -211,6 +212,7 @@ class RsiRobot(CyclicRobot):
             return
         self._hear(message)
         self._answer(message, sender, again=False)
+        self.counts.heard += 1
         self._first.set()
 
     def _may_begin(self, message: RobMessage) -> bool:
@@ -245,7 +247,6 @@ class RsiRobot(CyclicRobot):
     def _hear(self, message: RobMessage) -> None:
         if self._last is not None:
             self.counts.missed += max(0, round((message.ipoc - self._last.ipoc) * MS / self.cycle_s) - 1)
-        self.counts.heard += 1
         self._behind = 0
         self._last = message
         if message.n_late is not None:
@@ -259,11 +260,12 @@ class RsiRobot(CyclicRobot):
         The same is answered once more as before, for a controller that waits. After a new start none is: the arm may
         stand elsewhere, and the old correction must not pull it.
         """
-        self.counts.repeated += 1
         self._heard_s = self._clock.now_s()
         if message.ipoc == newest.ipoc:
             self._answer(message, sender, again=True)
+            self.counts.repeated += 1
             return
+        self.counts.repeated += 1
         self._behind += 1
         if self._behind >= RESTART_PACKETS:
             self._lose("its controller, or RSI on it, has started anew (IPOC went back)")

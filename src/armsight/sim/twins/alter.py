@@ -94,7 +94,7 @@ class AlterController:
     @property
     def commanded(self) -> Array:
         """The flange's pose (4, 4) in base that the motors are told to go to."""
-        return self._pose
+        return np.asarray(self._pose)
 
     @property
     def link(self) -> int:
@@ -232,7 +232,7 @@ class AlterController:
         values = np.concatenate([self._servo.read(self._servo.t_s)[0], self._pose[:3, 3], turn])
         body = bytes([0x53, STATE_BYTES - 5]) + _low_high(self._number) + bytes([flags]) + numbers
         body += b"".join(_three_bytes(value) for value in values)
-        return b"\xa5" + body + _low_high(_crc(body))
+        return b"".join((b"\xa5", body, _low_high(_crc(body))))
 
 
 class AlterTwin:
@@ -252,7 +252,7 @@ class AlterTwin:
         self._name = None if port is None else Path(port)
         self._arm = twin_arm(arm)
         self._drive = twin_drive(self._arm, cycle_s or CYCLE_S)
-        if (STATE_BYTES + ANSWER_BYTES) * BYTE_S >= self._drive.cycle_s:
+        if self._drive.cycle_s <= (STATE_BYTES + ANSWER_BYTES) * BYTE_S:
             raise UsageError(
                 f"a cycle of {self._drive.cycle_s} s is too short for the line", cure="Give 0.028, as controllers have"
             )
