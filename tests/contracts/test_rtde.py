@@ -156,12 +156,13 @@ def test_a_controller_that_starts_anew_is_lost_with_its_reason_and_can_be_opened
 
 
 def test_silence_is_a_lost_link_and_stays_one(twin: Twin) -> None:
-    with RtdeRobot(twin.host) as robot:
+    with RtdeRobot(twin.host, settings={**PATIENT, "silent_s": 0.5}) as robot:
         twin.order("silence")
         until(lambda: bool(robot._lost))
         where = twin.order("speak")
         assert robot.state is RobotState.LOST
-        assert "silent" in robot.why
+        # ur-rtde closes a silent connection itself after 2.5 s: on a busy machine that may come first
+        assert "silent" in robot.why or "closed" in robot.why
     assert np.abs(twin.order("where") - where).max() < 2e-5
 
 

@@ -27,12 +27,6 @@ from armsight.units import MS
 
 Array = NDArray[np.float64]
 
-STALE_CYCLES = 3.5
-"""A reading older than so many cycles is stale: two packets in a row may be late, a third is a fault."""
-
-SILENT_CYCLES = 9.0
-"""A link that was silent for so many cycles is lost, and stays so until it is opened again."""
-
 LARGEST_PACKET = 4096
 """Bytes of a packet at most: a full EgmRobot message has about 700."""
 
@@ -78,7 +72,7 @@ class EgmRobot(CyclicRobot):
             max_speed=np.full(n, self.settings.max_speed_rad_s),
         )
         cycle_s = self.settings.cycle_s
-        times = LinkTimes(cycle_s=cycle_s, stale_s=STALE_CYCLES * cycle_s, silent_s=SILENT_CYCLES * cycle_s)
+        times = LinkTimes(cycle_s=cycle_s, stale_s=self.settings.stale_s, silent_s=self.settings.silent_s)
         super().__init__(f"egm:{device}", limits=limits, times=times, clock=clock or SystemClock())
         self.takes_poses = self.settings.guidance == "pose"
         self._poses = PoseGoals(self.name, self.settings.speed_m_s, self.settings.speed_rad_s, self.cycle_s)

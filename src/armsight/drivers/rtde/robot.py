@@ -17,14 +17,12 @@ from armsight.drivers.cyclic import CyclicRobot, LinkTimes
 from armsight.drivers.joint_goals import JointLimits
 from armsight.drivers.lock import DeviceLock
 from armsight.drivers.rtde.link import ControllerState, Worker, address
-from armsight.errors import DeviceLost, DeviceNotFound, Inconsistent, UsageError
+from armsight.drivers.rtde.worker import PLAYING
+from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, Inconsistent, UsageError
 
 Array = NDArray[np.float64]
 
 JOINTS = 6
-
-PLAYING = 2
-"""runtime_state of a controller whose program runs."""
 
 SAFETY_STOPS = {
     2: "a protective stop",
@@ -59,7 +57,7 @@ class RtdeSettings(BaseModel):
     cycle_s: Annotated[float, Field(ge=0.002, le=0.1)] = 0.002
     lookahead_s: Annotated[float, Field(ge=0.03, le=0.2)] = 0.05
     gain: Annotated[float, Field(ge=100.0, le=2000.0)] = 500.0
-    watchdog_hz: Annotated[float, Field(ge=1.0, le=125.0)] = 20.0
+    watchdog_hz: Annotated[float, Field(ge=1.0, le=125.0)] = 10.0
     stale_s: Positive = 0.02
     silent_s: Positive = 0.1
     open_s: Positive = 8.0
@@ -104,7 +102,7 @@ class RtdeRobot(CyclicRobot):
             numbers = (self.cycle_s, settings.lookahead_s, settings.gain, settings.watchdog_hz)
             self._worker = Worker(self.host, self.port, numbers)
             undo.callback(lambda: self._worker.close(at_once=bool(self._lost) or self._reading is None))
-            self._hear(self._first_state())
+            self._hear_first(self._first_state())
             self.missed, self._closing = 0, False
             self._thread = threading.Thread(target=self._run, name=self.name, daemon=True)
             self._thread.start()
@@ -126,6 +124,17 @@ class RtdeRobot(CyclicRobot):
             cure="Check address and cable, that remote control is on, the brakes are released, no other client drives "
             "the controller, and no fieldbus uses its registers",
         )
+
+    def _hear_first(self, state: ControllerState) -> None:
+        """Take the first reading. Raises DeviceFailed where the controller takes no motion."""
+        try:
+            self._hear(state)
+        except (DeviceLost, Inconsistent) as error:
+            raise DeviceFailed(
+                f"{self.name}: {error.cause}",
+                consequence="The robot is not opened",
+                cure="Clear it on the controller, and open it again",
+            ) from error
 
     def _finish(self) -> None:
         self._closing = True

@@ -29,6 +29,12 @@ GOAL = struct.Struct("<6d")
 
 VARIABLES = ["timestamp", "actual_q", "runtime_state", "safety_status_bits"]
 
+PLAYING = 2
+"""runtime_state of a controller whose program runs."""
+
+START_S = 3.0
+"""Time for the uploaded program to run."""
+
 POLL_S = 1e-4
 """How often a new state is looked for once it is due."""
 
@@ -50,7 +56,7 @@ def main() -> None:
 
         receiver = rtde_receive.RTDEReceiveInterface(host, 1.0 / cycle_s, VARIABLES)
         controller = rtde_control.RTDEControlInterface(host, 1.0 / cycle_s)
-        controller.setWatchdog(watchdog_hz)
+        set_going(receiver, controller, watchdog_hz)
         keep_going(link, receiver, controller, cycle_s, (lookahead_s, gain))
         controller.servoStop(STOP_M_S2)
         controller.stopScript()
@@ -60,6 +66,20 @@ def main() -> None:
             link.setblocking(True)
             link.sendall(STATE.pack(math.nan, *[0.0] * 6, 0, 0) + text)
     os._exit(0)  # ur-rtde's destructors sleep, and there is nothing left for them to do
+
+
+def set_going(receiver: Any, controller: Any, watchdog_hz: float) -> None:
+    """Wait until the program runs by both connections and has set its watchdog. Raises RuntimeError.
+
+    ur-rtde takes an old state for the new program's where a program ran before: what counts is that it obeys.
+    """
+    end_s = time.monotonic() + START_S
+    while time.monotonic() < end_s:
+        runs = receiver.getRuntimeState() == PLAYING and controller.isProgramRunning()
+        if runs and controller.setWatchdog(watchdog_hz) and receiver.getRuntimeState() == PLAYING:
+            return
+        time.sleep(POLL_S)
+    raise RuntimeError("the control program does not run on the controller")
 
 
 def keep_going(link: socket.socket, receiver: Any, controller: Any, cycle_s: float, servo: tuple[float, float]) -> None:

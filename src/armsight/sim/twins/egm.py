@@ -8,17 +8,21 @@ from __future__ import annotations
 
 import math
 import socket
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from types import TracebackType
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.clock import Clock
-from armsight.errors import Inconsistent
+from armsight.clock import Clock, SystemClock
+from armsight.errors import DeviceFailed, Inconsistent, UsageError
 from armsight.sim.arms import SimArm
 from armsight.sim.servo import Drive, Servo
+from armsight.sim.twins.base import host_port, twin_arm, twin_drive, twin_home
 from armsight.sim.twins.protobuf_wire import BadWire, doubles, fields, message, real, whole
 
 Array = NDArray[np.float64]
@@ -30,6 +34,17 @@ DATA, CORRECTION = 2, 3
 MOTORS_ON, MOTORS_OFF = 1, 2
 MCI_STOPPED, MCI_RUNNING = 2, 3
 RAPID_RUNNING = 2
+
+CYCLE_S = 0.004
+"""EGM's shortest cycle."""
+
+DRIVER = "127.0.0.1:6510"
+"""Where a driver listens by ABB's usual port."""
+
+JOINTS = 6
+
+LATE_CYCLES = 5
+"""A twin so far behind time lets the cycles go that it has missed."""
 
 CONVERGED_RAD = math.radians(0.5)
 """Within so much of its goal the controller tells convergence (CondTime's window)."""
@@ -204,6 +219,72 @@ class EgmController:
                 real(10, 50.0),
             )
         )
+
+
+class EgmTwin:
+    """An emulated ABB controller in real time. It sends to a driver at connect (HOST:PORT), or at port of this machine.
+
+    Raises UsageError for an address that is none, and for an arm without six joints.
+    """
+
+    def __init__(
+        self,
+        *,
+        port: str | None = None,
+        connect: str | None = None,
+        arm: Mapping[str, Any] | None = None,
+        cycle_s: float | None = None,
+        clock: Clock | None = None,
+    ) -> None:
+        if port is not None and connect is not None:
+            raise UsageError(
+                "--port and --connect both say where the driver listens", cure="Give one of them, the port or HOST:PORT"
+            )
+        self._sensor = host_port(connect or port or DRIVER)
+        self._arm = twin_arm(arm)
+        if self._arm.n != JOINTS:
+            raise UsageError(
+                f"the emulated controller guides {JOINTS} joints, not {self._arm.n}",
+                consequence="There is no twin",
+                cure="Give an arm of six joints",
+            )
+        self._drive = twin_drive(self._arm, cycle_s or CYCLE_S)
+        self._clock = clock or SystemClock()
+        self._controller: EgmController | None = None
+
+    @property
+    def address(self) -> str:
+        """What opens the driver."""
+        return f"egm:{self._sensor[1]}"
+
+    @property
+    def controller(self) -> EgmController:
+        """The controller itself. Raises DeviceFailed where it is not open."""
+        if self._controller is None:
+            raise DeviceFailed("the twin is not open", cure="Open it first")
+        return self._controller
+
+    def __enter__(self) -> Self:
+        self._controller = EgmController(
+            self._sensor, arm=self._arm, drive=self._drive, home=twin_home(self._arm), clock=self._clock
+        )
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._controller is not None:
+            self._controller.close()
+            self._controller = None
+
+    def run(self, on: Callable[[], bool]) -> None:
+        """Do one cycle after the other in real time as long as on() holds."""
+        cycle_s = self._drive.cycle_s
+        next_s = self._clock.now_s()
+        while on():
+            next_s = max(next_s + cycle_s, self._clock.now_s() - LATE_CYCLES * cycle_s)
+            self._clock.sleep_until(next_s)
+            self.controller.cycle()
 
 
 def _bytes(value: int | float | bytes) -> bytes:

@@ -10,11 +10,14 @@ import contextlib
 import selectors
 import socket
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Any, Self
 
-from armsight.clock import Clock
-from armsight.errors import DeviceFailed
+from armsight.clock import Clock, SystemClock
+from armsight.errors import DeviceFailed, UsageError
+from armsight.sim.twins.base import host_port, twin_arm, twin_drive, twin_home
 from armsight.sim.twins.rtde_wire import INPUTS, OUTPUTS, BadFrame, Kind, Recipe, frame, frames, names_of
 from armsight.sim.twins.ur_controller import UrController
 from armsight.sim.twins.urscript import complete
@@ -22,6 +25,11 @@ from armsight.sim.twins.urscript import complete
 RTDE_PORT = 30004
 DASHBOARD, SCRIPT, SECONDARY = -5, -1, -2
 """Distances of the other ports."""
+
+CYCLE_S = 0.002
+"""An e-Series controller's cycle."""
+
+JOINTS = 6
 
 VERSION = (5, 11, 0, 108249)
 """The PolyScope that is emulated."""
@@ -66,7 +74,7 @@ class RtdeServer:
         self._clock = clock
         self._cycles = 0
         self._silent = False
-        self._selector = selectors.DefaultSelector()
+        self._selector = selectors.SelectSelector()  # epoll counts in ms: too coarse for a cycle of 2 ms
         self._clients: list[_Client] = []
         self._servers: list[socket.socket] = []
         takers = ((0, self._take_frames), (DASHBOARD, self._take_lines), (SCRIPT, self._take_program))
@@ -102,12 +110,13 @@ class RtdeServer:
             self.cycle()
 
     def serve(self, until_s: float) -> None:
-        """Answer what comes until a moment of the clock."""
+        """Answer what comes until a moment of the clock, or until nothing comes for as long as that is off."""
         while True:
             rest_s = until_s - self._clock.now_s()
-            for key, _ in self._selector.select(max(0.0, rest_s)):
+            ready = self._selector.select(max(0.0, rest_s))
+            for key, _ in ready:
                 key.data()
-            if rest_s <= 0.0:
+            if rest_s <= 0.0 or not ready:
                 return
 
     def cycle(self) -> None:
@@ -283,3 +292,64 @@ class RtdeServer:
             client.data.clear()
             self.controller.play(text)
         return True
+
+
+class RtdeTwin:
+    """An emulated Universal Robots controller in real time, that listens at port of this machine.
+
+    Raises UsageError for a port that is none, and for an arm without six joints.
+    """
+
+    def __init__(
+        self,
+        *,
+        port: str | None = None,
+        connect: str | None = None,
+        arm: Mapping[str, Any] | None = None,
+        cycle_s: float | None = None,
+        clock: Clock | None = None,
+    ) -> None:
+        if connect is not None:
+            raise UsageError(
+                "this controller waits for its driver and connects nowhere", cure="Leave --connect out, or give --port"
+            )
+        self._host, self._port = host_port(port or str(RTDE_PORT))
+        self._arm = twin_arm(arm)
+        if self._arm.n != JOINTS:
+            raise UsageError(
+                f"the emulated controller has {JOINTS} joints, not {self._arm.n}",
+                consequence="There is no twin",
+                cure="Give an arm of six joints",
+            )
+        self._drive = twin_drive(self._arm, cycle_s or CYCLE_S)
+        self._clock = clock or SystemClock()
+        self._server: RtdeServer | None = None
+
+    @property
+    def address(self) -> str:
+        """What opens the driver."""
+        return f"rtde:{self._host}" + (f":{self._port}" if self._port != RTDE_PORT else "")
+
+    @property
+    def server(self) -> RtdeServer:
+        """Its sockets. Raises DeviceFailed where it is not open."""
+        if self._server is None:
+            raise DeviceFailed("the twin is not open", cure="Open it first")
+        return self._server
+
+    def __enter__(self) -> Self:
+        """Take its ports. Raises DeviceFailed where one is taken."""
+        controller = UrController(arm=self._arm, drive=self._drive, home=twin_home(self._arm))
+        self._server = RtdeServer(controller, self._clock, host=self._host, port=self._port)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._server is not None:
+            self._server.close()
+            self._server = None
+
+    def run(self, on: Callable[[], bool]) -> None:
+        """Serve in real time as long as on() holds."""
+        self.server.run(on)
