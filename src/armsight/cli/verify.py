@@ -48,6 +48,14 @@ def verify(
     compare: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="An earlier run, to stand beside this one in the report.")
     ] = None,
+    band: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M",
+            help="For rows with a column arrival: the limit band that the arm settles into. [default: the pose "
+            "repeatability of the same pose]",
+        ),
+    ] = None,
     plan: Annotated[
         bool, typer.Option("--plan", help="Instead of verifying, plan the test of ISO 9283 for --arm.")
     ] = False,
@@ -62,7 +70,7 @@ def verify(
     Writes verify.json, errors.csv and report.html; with --plan plan.csv and plan.json.
     """
     with CommandUI(as_json=json) as face:
-        _check_plan(plan, part, side, speed, [measured, joints, commanded, world, align, compare])
+        _check_plan(plan, part, side, speed, [measured, joints, commanded, world, align, compare, band])
         if plan:
             from armsight.app.verify.plan import PlanJob, run_plan
 
@@ -83,6 +91,7 @@ def verify(
             world=world,
             align=align,
             compare=compare,
+            band_m=band,
         )
         done = run_verify(job)
         verify_tables(face, done, out)

@@ -42,7 +42,7 @@ th{color:var(--soft);font-weight:600;font-size:13px;overflow-wrap:normal}
 td.n,th.n{text-align:right;white-space:nowrap}
 tr:last-child td{border-bottom:0}
 .plot{width:100%}
-.pair{display:grid;grid-template-columns:repeat(auto-fit,minmax(420px,1fr));gap:14px 28px;margin:8px 0 14px}
+.pair{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(420px,100%),1fr));gap:14px 28px;margin:8px 0 14px}
 .pair>*{min-width:0}
 .modebar{opacity:0;transition:opacity .2s}.plot:hover .modebar{opacity:1}
 figure{margin:0}figure>svg{width:100%;height:auto;display:block;background:#000;border-radius:4px}
@@ -50,6 +50,8 @@ figcaption{font-size:13px;color:var(--soft);margin-top:4px;overflow-wrap:anywher
 .zooms{display:flex;flex-wrap:wrap;gap:6px;margin-top:6px}.zooms svg{width:82px;height:82px;border-radius:3px}
 ul{margin:6px 0 0;padding-left:20px}
 footer{color:var(--soft);font-size:13px;margin-top:18px}
+@media (max-width:600px){main{padding:16px 10px 32px}section{padding:14px 12px}header h1{font-size:22px;
+overflow-wrap:anywhere}.verdict{overflow-wrap:anywhere}td{overflow-wrap:anywhere}ul{overflow-wrap:anywhere}}
 @media print{body{background:#fff}main{max-width:none;padding:0}section,.verdict,figure,.cards div{break-inside:avoid}
 section{border:0;border-top:1px solid var(--line);border-radius:0;padding:12px 0}.modebar{display:none!important}}
 """

@@ -37,8 +37,7 @@ def repeats_report(
         cards=_cards(iso),
     )
     page.add("ISO 9283", ISO_TOLD, iso_table(iso))
-    names = sorted({pose for pose, run in zip(repeats.pose, repeats.run, strict=True) if pose and not run})
-    if names:
+    if any(repeats.at_pose):
         page.add("Visits about their mean", "Each row less the mean of its pose.", page.plot(_about(measured, repeats)))
     page.style = PRINT.format(first=3, zoom=0.72)
     if by_place := iso_by_place(iso):
@@ -63,7 +62,7 @@ def _cards(iso: Mapping[str, Any]) -> list[Card]:
 
 def _about(measured: Measured, repeats: Repeats) -> Figure:
     """Return each visit's row less the mean of its pose, seen from above and from the side."""
-    pose = np.array([word if not run else "" for word, run in zip(repeats.pose, repeats.run, strict=True)])
+    pose = np.array(repeats.at_pose)
     data: list[dict[str, Any]] = []
     for k, name in enumerate(sorted(set(pose) - {""})):
         about = measured.xyz_m[pose == name]

@@ -25,7 +25,7 @@ from armsight.verify import Measured, Repeats, Reported
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-WORDS = ("status", "spots", "spot", "point", "pose", "visit", "run", "tag", "approach")
+WORDS = ("status", "spots", "spot", "point", "pose", "visit", "run", "tag", "approach", "arrival", "robot")
 GOAL = tuple(f"goal_{name}" for name in (*POSITION, *QUATERNION))
 SAME_GOAL = 1e-3
 """Commanded poses that differ by less (m, or in a quaternion's entries) are one."""
@@ -248,7 +248,10 @@ def _own_joints(rows: _Rows) -> Reported | None:
 def _poses(table: Table, index: Index) -> Array | None:
     """Return which commanded pose each row (m,) is of, by number; None where the file does not say."""
     if "pose" in table.text:
-        words = [table.text["pose"][i] for i in index]
+        none = ("",) * len(table)
+        robot, moving = table.text.get("robot", none), table.text.get("arrival", none)
+        # rows of an arrival are on their way; another robot's pose is another pose
+        words = [f"{robot[i]} {table.text['pose'][i]}".strip() if not moving[i].strip() else "" for i in index]
         which = np.unique(words, return_inverse=True)[1].astype(float)
         return np.where([bool(word) for word in words], which, np.nan)
     if any(name not in table.numbers for name in GOAL):
@@ -266,7 +269,7 @@ def _repeats(table: Table, index: Index) -> Repeats:
     none = ("",) * len(table)
     words = {
         name: tuple(table.text.get(name, none)[i].strip() for i in index)
-        for name in ("pose", "visit", "run", "tag", "approach")
+        for name in ("pose", "visit", "run", "tag", "approach", "arrival", "robot")
     }
     systematic = None
     if all(name in table.numbers for name in SYSTEMATIC[:3]):

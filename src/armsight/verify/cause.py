@@ -14,14 +14,15 @@ from numpy.typing import NDArray
 from armsight.calibrate.arm.parameter_selection import APART
 from armsight.verify.effects import Effect, Kind, effects, still
 from armsight.verify.evidence import Case, Evidence
-from armsight.verify.left_out import Fitted, by_chance, fit_linear, gain
+from armsight.verify.left_out import Fitted, by_chance, fit_linear, gain, poses_of
 from armsight.verify.left_out import falls as fall_by_chance
 from armsight.verify.model import ModelFit, Noise
+from armsight.verify.moved_rig import moved_rig
 
 Array = NDArray[np.float64]
 
-FEWEST_ROWS = 12
-"""With fewer, rows left out say nothing."""
+FEWEST_POSES = 12
+"""With fewer, poses left out say nothing."""
 CHANCE = 1e-4
 """Probability of a gain by chance from which on it is none, over all effects tried."""
 LEFT_OUT = 0.01
@@ -40,6 +41,8 @@ EXPLAINED = 1.2
 """The measurement explains errors up to so many times its standard deviations: they are never known better."""
 SCATTER = 1.8
 """... and three times how far a scale estimated by the median of n rows is off, times the root of n."""
+UNTOLD_M = 5e-3
+"""Errors of place (RMS) that are laid to a measurement whose standard deviations nobody says are smaller."""
 NO_ERROR_M = 1e-8
 """Smaller errors are rounding."""
 
@@ -107,16 +110,23 @@ def find_cause(case: Case, aligned: ModelFit, speed: Array | None, acceleration:
     if np.linalg.norm(aligned.residual[:, :3], axis=1).max() < NO_ERROR_M:
         return Cause(cause="none", joints=judged, sentence="There is no error to explain.", measurement_share=share)
     able = np.array([v.judged for v in judged])
-    if len(np.unique(case.block)) < 5 or len(case.q) < FEWEST_ROWS or not able.any():
-        return Cause(
-            cause="undecided",
-            joints=judged,
-            sentence=f"{len(case.q)} rows are too few to tell a cause; {FEWEST_ROWS} different poses are the least.",
-            measurement_share=share,
-        )
+    why = _too_little(case, able)
+    if why:
+        return Cause(cause="undecided", joints=judged, sentence=why, measurement_share=share)
     offered = [e for e in effects(case.bare, case.q, speed, acceleration) if able[e.joint]]
     trial = _best_effect(case, aligned, offered)
     return _decide(case, aligned, trial, judged, share)
+
+
+def _too_little(case: Case, able: NDArray[np.bool_]) -> str:
+    """Return why these rows cannot tell a cause at all; "" where they may."""
+    poses = len(np.unique(poses_of(case.q)))
+    if poses < FEWEST_POSES or len(np.unique(case.block)) < 5:
+        return (
+            f"{len(case.q)} rows at {poses} different poses are too few to tell a cause; {FEWEST_POSES} poses are the "
+            "least."
+        )
+    return "" if able.any() else "None of the joints can be judged at these poses, so no cause can be told."
 
 
 def judge(case: Case, aligned: ModelFit) -> tuple[JointVerdict, ...]:
@@ -206,6 +216,11 @@ def _decide(
         or (_zeros_needed(before, geometry, everything) and gains["zeros"] >= DOMINANT * most)
     )
     told = Cause(cause="undecided", joints=judged, sentence="", gains=gains, measurement_share=share)
+    moved = moved_rig(
+        before, trial.fitted.noise, case, min(fit.squares for fit in (trial.own, zeros, geometry, everything))
+    )
+    if moved:
+        return replace(told, sentence=moved)
     if one:
         rival = _rival(case, aligned, trial)
         joints = _estimates(judged, able, trial, after.with_joints(able), named=rival is None)
@@ -331,6 +346,13 @@ def _nothing(aligned: ModelFit, told: Cause) -> Cause:
         sentence = (
             f"Errors are {factor:.2g} times what the measurement's standard deviations say, and neither a joint nor "
             "the geometry takes them off rows left out."
+        )
+        return replace(told, cause="undecided", sentence=sentence)
+    off = float(np.sqrt((aligned.residual[:, :3] ** 2).sum(axis=1).mean()))
+    if not known and off > UNTOLD_M:
+        sentence = (
+            f"Errors of {1e3 * off:.3g} mm follow neither the joints nor the geometry, and are too large to be laid to a "
+            "measurement whose standard deviations are not in the file: rows of another arm, tool or rig, or out of step?"
         )
         return replace(told, cause="undecided", sentence=sentence)
     said = "" if known else " (its standard deviations are not in the file; the arm's own scatter counts with it)"

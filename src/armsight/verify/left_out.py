@@ -14,6 +14,8 @@ Array = NDArray[np.float64]
 BLOCKS = 10
 RIDGE = 1e-9
 """Keeps directions that no row tells where they are, in scaled information."""
+SAME_POSE = 5e-3
+"""Joint values (rad or m) rounded to this are one pose: its repeats do not say what another pose would."""
 ROBUST = 4.0
 """Whitened rows beyond so many robust standard deviations count less."""
 
@@ -59,7 +61,13 @@ def blocks(m: int, group: NDArray[np.intp] | None = None) -> NDArray[np.intp]:
         group = np.arange(m)
     _, first, which = np.unique(group, return_index=True, return_inverse=True)
     order = np.argsort(np.argsort(first))[which]
-    return np.asarray(order * BLOCKS // (order.max() + 1), dtype=np.intp)
+    block = order * BLOCKS // (order.max() + 1)
+    return np.asarray(np.unique(block, return_inverse=True)[1], dtype=np.intp)  # no number without rows
+
+
+def poses_of(q: Array) -> NDArray[np.intp]:
+    """Return (m,) which pose each row of joint values (m, n) is at."""
+    return np.unique(np.round(q / SAME_POSE), axis=0, return_inverse=True)[1].reshape(-1)
 
 
 def fit_linear(problem: Linear, added: Array, prior: Array | None = None) -> Fitted:

@@ -81,7 +81,8 @@ class Measured:
 class Repeats:
     """Which repeat each measured row (m,) is of, "" where the file does not say: the commanded pose and its visit, or
     the path (its tag) and the run along it; approach: the direction a visit came from. systematic (m, 6): the part of
-    the standard deviations that all rows share, None where nobody says."""
+    the standard deviations that all rows share, None where nobody says. arrival: which arrival at the pose a row shows
+    the arm on its way in; robot: which of several exchanged robots."""
 
     pose: tuple[str, ...]
     visit: tuple[str, ...]
@@ -89,8 +90,22 @@ class Repeats:
     path: tuple[str, ...]
     approach: tuple[str, ...]
     systematic: Array | None = None
+    arrival: tuple[str, ...] = ()
+    robot: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("arrival", "robot"):
+            object.__setattr__(self, name, tuple(getattr(self, name)) or ("",) * len(self.pose))
 
     @property
     def any(self) -> bool:
         """Whether a row says which pose or run it is of."""
         return any(self.pose) or any(self.run)
+
+    @property
+    def at_pose(self) -> tuple[str, ...]:
+        """The pose that each row (m,) is a visit of, with the robot's name; "" for rows on a path or on their way."""
+        rows = zip(self.robot, self.pose, self.run, self.arrival, strict=True)
+        return tuple(
+            f"{robot} {pose}".strip() if pose and not run and not moving else "" for robot, pose, run, moving in rows
+        )

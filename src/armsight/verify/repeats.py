@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from armsight.errors import Inconsistent
 from armsight.verify.clocks import SHARED
-from armsight.verify.iso9283 import CommandedPath, Iso9283Test, PathRun, PathTest, PoseVisits, Stamps
+from armsight.verify.iso9283 import ArrivalTest, CommandedPath, Iso9283Test, PathRun, PathTest, PoseVisits, Stamps
+from armsight.verify.iso9283.pose import pose_figures
 from armsight.verify.records import Measured, Repeats
 
 Array = NDArray[np.float64]
@@ -38,8 +39,12 @@ class Command:
     paths: Mapping[str, CommandedPath] = field(default_factory=dict)
 
 
-def iso9283_test(measured: Measured, repeats: Repeats, command: Command | None) -> tuple[Iso9283Test, tuple[str, ...]]:
-    """Return the visits and runs of measured rows, and what to know of them.
+def iso9283_test(
+    measured: Measured, repeats: Repeats, command: Command | None, band_m: float | None = None
+) -> tuple[Iso9283Test, tuple[str, ...]]:
+    """Return the visits, arrivals and runs of measured rows, and what to know of them.
+
+    band_m: the limit band of arrivals in m; without it the pose repeatability of the visits of the same pose.
 
     Rows of one visit are its samples at rest: their mean counts. No row is left out: a repeat that went wrong is part
     of the repeatability.
@@ -49,20 +54,90 @@ def iso9283_test(measured: Measured, repeats: Repeats, command: Command | None) 
     if len(measured.labels) > 1:
         use = np.flatnonzero(measured.which == 0)
         notes.append(f"ISO 9283: of {len(measured.labels)} points only {measured.labels[0]!r} is judged")
-    pose, run = (np.array(words)[use] for words in (repeats.pose, repeats.run))
-    at_pose, on_path = use[(pose != "") & (run == "")], use[run != ""]
-    names = sorted({repeats.pose[i] for i in at_pose})
+    _check_arrivals(measured, repeats)
+    visited, run, moving = (np.array(words)[use] for words in (repeats.at_pose, repeats.run, repeats.arrival))
+    at_pose, on_path, on_way = use[visited != ""], use[run != ""], use[moving != ""]
     visits = _visit_numbers(repeats, at_pose, notes)
-    poses = [
-        _visits(name, at_pose[pose_of == name], visits[pose_of == name], measured, repeats, command, notes)
-        for pose_of in [np.array(repeats.pose)[at_pose]]
-        for name in names
-    ]
-    path_of = np.array([repeats.path[i] or PATH for i in on_path])
-    paths = [
-        _path(name, on_path[path_of == name], measured, repeats, command, notes) for name in dict.fromkeys(path_of)
-    ]
-    return Iso9283Test(poses=tuple(poses), paths=tuple(paths)), tuple(notes)
+    pose_of = np.array(repeats.at_pose)[at_pose]
+    poses = tuple(
+        _visits(at_pose[pose_of == name], visits[pose_of == name], measured, repeats, command, notes)
+        for name in sorted(set(pose_of.tolist()))
+    )
+    path_of = [(repeats.robot[i], repeats.path[i] or PATH) for i in on_path]
+    paths = tuple(
+        _path(key, on_path[[of == key for of in path_of]], measured, repeats, command, notes)
+        for key in dict.fromkeys(path_of)
+    )
+    way_of = [(repeats.robot[i], repeats.pose[i]) for i in on_way]
+    bands = {visits.place: band_m or repeatability_m(visits) for visits in poses}
+    arrivals = tuple(
+        _arrivals(place, on_way[[of == key for of in way_of]], measured, repeats, bands.get(place, band_m), notes)
+        for key in dict.fromkeys(way_of)
+        for place in (" ".join(key).strip(),)
+    )
+    return Iso9283Test(poses=poses, paths=paths, arrivals=arrivals), tuple(notes)
+
+
+def repeatability_m(visits: PoseVisits) -> float | None:
+    """Return RP in m of a pose's visits; None where it is withheld or nothing scatters."""
+    found = next(figure for figure in pose_figures(visits) if figure.symbol == "RP")
+    return found.value or None
+
+
+def _check_arrivals(measured: Measured, repeats: Repeats) -> None:
+    """Raise Inconsistent for rows of an arrival that do not say at which pose, or that are of a run too."""
+    rows = zip(measured.rows.tolist(), repeats.arrival, repeats.pose, repeats.run, strict=True)
+    for row, arrival, pose, run in rows:
+        if arrival and (run or not pose):
+            raise Inconsistent(
+                f"row {row} is of arrival {arrival}, and " + ("of a run too" if run else "has no pose"),
+                consequence="At which pose the arm arrives is not known",
+                cure="Fill the columns pose and arrival in each row of an arrival, and leave run empty there",
+            )
+
+
+def _arrivals(
+    place: str, index: Index, measured: Measured, repeats: Repeats, band_m: float | None, notes: list[str]
+) -> ArrivalTest:
+    """Return the traces of the arrivals at one pose, in the order in which they begin."""
+    arrival_of = np.array([repeats.arrival[i] for i in index])
+    members = [index[arrival_of == name] for name in dict.fromkeys(arrival_of)]
+    covariance, systematic = _sample_covariance(measured, repeats, index)
+    return ArrivalTest(
+        pose=place,
+        traces=tuple(_trace(measured, rows) for rows in members),
+        band_m=band_m,
+        stamps=_stamps(measured, members, f"arrivals at {place}", notes),
+        covariance_m2=covariance,
+        systematic_m2=systematic,
+    )
+
+
+def _trace(measured: Measured, rows: Index) -> PathRun:
+    """Return measured rows as one run or arrival."""
+    return PathRun(
+        xyz_m=measured.xyz_m[rows],
+        t_s=None if measured.t_s is None else measured.t_s[rows],
+        quat_xyzw=None if measured.rotation is None else Rotation.from_matrix(measured.rotation[rows]).as_quat(),
+    )
+
+
+def _stamps(measured: Measured, members: list[Index], name: str, notes: list[str]) -> Stamps:
+    """Return what the stamps of runs or arrivals are; rows that share them were stamped when they were delivered."""
+    if measured.t_s is None:
+        return Stamps.ABSENT
+    if any(_bursts(measured.t_s[rows]) for rows in members):
+        notes.append(f"ISO 9283: rows of {name} share stamps: these are those of deliveries, and speed is withheld")
+        return Stamps.ARRIVAL
+    return Stamps.SAMPLING
+
+
+def _sample_covariance(measured: Measured, repeats: Repeats, index: Index) -> tuple[Array | None, Array | None]:
+    """Return the covariance (3, 3) of one sample and the part that all share; None where the file does not part them."""
+    covariance, systematic = _covariance(measured, repeats, [index], turned=False)
+    if covariance is None or systematic is None:
+        return None, None
+    return (covariance[0] - systematic) * len(index) + systematic, systematic  # of one sample, not of the mean of all
 
 
 def _visit_numbers(repeats: Repeats, index: Index, notes: list[str]) -> Index:
@@ -87,7 +162,7 @@ def _visit_numbers(repeats: Repeats, index: Index, notes: list[str]) -> Index:
     count: dict[str, int] = {}
     out, last = [], None
     for i in index:
-        name = repeats.pose[i]
+        name = repeats.at_pose[i]
         count[name] = count.get(name, 0) + (name != last)
         last = name
         out.append(count[name])
@@ -95,7 +170,6 @@ def _visit_numbers(repeats: Repeats, index: Index, notes: list[str]) -> Index:
 
 
 def _visits(
-    name: str,
     index: Index,
     visit: Index,
     measured: Measured,
@@ -103,7 +177,8 @@ def _visits(
     command: Command | None,
     notes: list[str],
 ) -> PoseVisits:
-    """Return the visits of one pose: the mean of each visit's rows."""
+    """Return the visits of one robot at one pose: the mean of each visit's rows."""
+    name, robot = repeats.pose[index[0]], repeats.robot[index[0]]
     numbers = np.unique(visit)
     members = [index[visit == number] for number in numbers]
     quat = None
@@ -123,6 +198,7 @@ def _visits(
         commanded_xyz_m=None if wanted is None else wanted[0],
         commanded_quat_xyzw=None if wanted is None else wanted[1],
         in_measuring_frame=command is not None and command.in_frame,
+        robot=robot,
     )
 
 
@@ -164,32 +240,19 @@ def _commanded(
 
 
 def _path(
-    name: str, index: Index, measured: Measured, repeats: Repeats, command: Command | None, notes: list[str]
+    key: tuple[str, str], index: Index, measured: Measured, repeats: Repeats, command: Command | None, notes: list[str]
 ) -> PathTest:
-    """Return the runs along one path, in the order in which they begin."""
+    """Return the runs of one robot along one path, key being both names, in the order in which they begin."""
+    name = " ".join(key).strip()
     run_of = np.array([repeats.run[i] for i in index])
     members = [index[run_of == run] for run in dict.fromkeys(run_of)]
-    runs = tuple(
-        PathRun(
-            xyz_m=measured.xyz_m[rows],
-            t_s=None if measured.t_s is None else measured.t_s[rows],
-            quat_xyzw=None if measured.rotation is None else Rotation.from_matrix(measured.rotation[rows]).as_quat(),
-        )
-        for rows in members
-    )
-    covariance, systematic = _covariance(measured, repeats, [index], turned=False)
-    stamps = Stamps.ABSENT if measured.t_s is None else Stamps.SAMPLING
-    if measured.t_s is not None and any(_bursts(measured.t_s[rows]) for rows in members):
-        stamps = Stamps.ARRIVAL
-        notes.append(f"ISO 9283: rows of {name} share stamps: these are those of deliveries, and speed is withheld")
-    if covariance is not None and systematic is not None:  # of one sample, not of the mean of all
-        covariance = (covariance[0] - systematic) * len(index) + systematic
+    covariance, systematic = _sample_covariance(measured, repeats, index)
     return PathTest(
         name=name,
-        runs=runs,
-        commanded=None if command is None else command.paths.get(name, command.paths.get(PATH)),
+        runs=tuple(_trace(measured, rows) for rows in members),
+        commanded=None if command is None else command.paths.get(key[1], command.paths.get(PATH)),
         in_measuring_frame=command is not None and command.in_frame,
-        stamps=stamps,
+        stamps=_stamps(measured, members, name, notes),
         covariance_m2=covariance,
         systematic_m2=systematic,
     )

@@ -16,7 +16,7 @@ from armsight.verify.deciding import deciding_poses
 from armsight.verify.effects import Kind
 from armsight.verify.evidence import Case
 from armsight.verify.joint_errors import JointErrors, joint_errors
-from armsight.verify.left_out import blocks
+from armsight.verify.left_out import blocks, poses_of
 from armsight.verify.model import Model, Mounts, nothing_more
 from armsight.verify.pairing import Paired, Reported, bare_arm, check_spread, pair
 from armsight.verify.plausibility import repeated
@@ -139,7 +139,7 @@ def _cause(
         q=paired.q[chosen],
         measured=paired.measured.take(chosen),
         free=aligned.free,
-        block=blocks(len(chosen)),
+        block=blocks(len(chosen), poses_of(paired.q[chosen])),
     )
     fitted = aligned.fitted if len(chosen) == len(kept) else case.fit(aligned.fitted.p, None)
     speed = None if paired.speed is None else paired.speed[chosen]

@@ -21,10 +21,13 @@ WIDEST_M = 30.0
 
 
 def iso_figures(
-    file: MeasuredFile, measured: Measured, command: Command | None
+    file: MeasuredFile, measured: Measured, command: Command | None, band_m: float | None = None
 ) -> tuple[dict[str, IsoFigure], tuple[str, ...]]:
-    """Return the figures by key, and what to know of them. Raises Inconsistent where repeats contradict each other."""
-    test, notes = iso9283_test(measured, file.repeats, command)
+    """Return the figures by key, and what to know of them. Raises Inconsistent where repeats contradict each other.
+
+    band_m: the limit band of arrivals in m; without it the pose repeatability of the same pose.
+    """
+    test, notes = iso9283_test(measured, file.repeats, command, band_m)
     told = evaluate(test).as_json()
     keys = IsoFigure.model_fields
     return {key: IsoFigure.model_validate({k: item[k] for k in keys}) for key, item in told.items()}, notes
@@ -44,8 +47,9 @@ def named_rows(file: MeasuredFile, told: CommandedFile) -> Reported:
     """Return the commanded pose of each row of the measured file, NaN where its pose has no command."""
     T = np.full((file.n, 4, 4), np.nan)
     goals = _goals(told)
-    for row, name, run in zip(file.measured.rows, file.repeats.pose, file.repeats.run, strict=True):
-        if name in goals and not run:
+    rows = zip(file.measured.rows, file.repeats.pose, file.repeats.at_pose, strict=True)
+    for row, name, visited in rows:
+        if visited and name in goals:
             T[row - 1] = goals[name]
     return Reported(T=T)
 
@@ -115,10 +119,12 @@ def _speed(told: CommandedFile, rows: NDArray[np.intp]) -> float | None:
 def _first_runs(file: MeasuredFile, rows: NDArray[np.intp], T: Array, turned: bool) -> dict[str, CommandedPath]:
     """Return for each path what was commanded along its first run."""
     place = {int(row): i for i, row in enumerate(rows)}
-    first: dict[str, str] = {}
+    first: dict[str, tuple[str, str]] = {}
     members: dict[str, list[int]] = {}
-    for row, run, name in zip(file.measured.rows.tolist(), file.repeats.run, file.repeats.path, strict=True):
-        if run and first.setdefault(name or PATH, run) == run and row in place:
+    told = file.repeats
+    runs = zip(told.robot, told.run, strict=True)
+    for row, run, name in zip(file.measured.rows.tolist(), runs, told.path, strict=True):
+        if run[1] and first.setdefault(name or PATH, run) == run and row in place:
             members.setdefault(name or PATH, []).append(place[row])
     found = {name: polyline(T[index], turned) for name, index in members.items()}
     return {name: path for name, path in found.items() if path is not None}

@@ -210,7 +210,7 @@ def repeats_csv(file: MeasuredFile) -> str:
     """Return the measured places row by row with their repeat, and how far each is from the mean of its pose."""
     lines = ["row,pose,visit,run,x_m,y_m,z_m,from_mean_m"]
     told, xyz = file.repeats, file.measured.xyz_m
-    pose = np.array([word if not run else "" for word, run in zip(told.pose, told.run, strict=True)])
+    pose = np.array(told.at_pose)
     apart = np.full(len(xyz), np.nan)
     for name in sorted(set(pose) - {""}):
         own = pose == name

@@ -33,7 +33,8 @@ SUMMARY, ERRORS, REPORT = "verify.json", "errors.csv", "report.html"
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VerifyJob:
     """What `verify` is told. joints: left out where the measured file has columns q1 .. qn. align: none, base, tool or
-    both; without it both, with a world none. compare: the folder of another run."""
+    both; without it both, with a world none. compare: the folder of another run. band_m: the limit band of
+    arrivals at a pose."""
 
     measured: Path
     out: Path
@@ -43,6 +44,7 @@ class VerifyJob:
     world: Path | None = None
     align: str | None = None
     compare: Path | None = None
+    band_m: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -82,7 +84,7 @@ def run_verify(job: VerifyJob) -> VerifyOutput:
     how = _align(job, expected.turned)
     result = verify(expected.arm, expected.reported, measured, how, pose=_pose(file, measured))
     command = command_of(result, commands, file, expected.turned)
-    iso, told = iso_figures(file, file.measured, command)
+    iso, told = iso_figures(file, file.measured, command, job.band_m)
     done = _beside(job, verify_output(result, expected.arm, file, iso, told), other)
     page = verify_report(
         result, done.to_dict(), arm=expected.arm, inputs=_inputs(job), other=_other_run(job.compare, other)
@@ -119,7 +121,7 @@ def _repeats_alone(job: VerifyJob, file: MeasuredFile, told: CommandedFile | Non
             in_frame=_align(job, told.turned) is Align.NONE,
             paths=named_paths(told),
         )
-    iso, notes = iso_figures(file, file.measured, command)
+    iso, notes = iso_figures(file, file.measured, command, job.band_m)
     done = _beside(job, repeats_output(file, iso, notes), other)
     return _written(job, done, repeats_csv(file), repeats_report(file.measured, file.repeats, done.to_dict()))
 
@@ -149,6 +151,8 @@ def _check_usage(job: VerifyJob) -> None:
         raise UsageError("joint readings were given without an arm", cure="Give --arm with the arm they are of")
     if job.align is not None and job.align not in set(Align):
         raise UsageError(f"--align {job.align} is not known", cure=f"Use one of: {', '.join(Align)}")
+    if job.band_m is not None and not (np.isfinite(job.band_m) and job.band_m > 0.0):
+        raise UsageError(f"--band {job.band_m:g} is not a positive length", cure="Give the limit band in m: 0.0005")
     if job.compare is not None and job.compare.resolve() == job.out.resolve():
         raise UsageError("--compare names the folder that is written to", cure="Give the folder of an earlier run")
 

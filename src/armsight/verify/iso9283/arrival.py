@@ -25,6 +25,7 @@ MIN_SAMPLES = 10
 """Samples of a trace below which it says neither when the band was entered nor where the arm came to rest."""
 
 FIGURES = (("t", "s"), ("OV", "m"))
+NO_BAND = "the limit band is not known: neither was it told, nor is there a pose repeatability of this pose"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,12 +43,13 @@ def arrival_figures(test: ArrivalTest) -> list[Figure]:
     standard deviation takes each of the two instants as uncertain by a sampling interval, evenly.
     """
     n = len(test.traces)
-    why = _no_arrival(test)
-    if why is not None:
+    why, band_m = _no_arrival(test), test.band_m
+    if why is not None or band_m is None:
+        why = why or NO_BAND
         return withheld(FIGURES, why, n=n, wanted=ARRIVALS, place=test.pose)
     found = []
     for number, trace in enumerate(test.traces, start=1):
-        answer = _arrival(trace.xyz_m, np.asarray(trace.t_s), test.band_m)
+        answer = _arrival(trace.xyz_m, np.asarray(trace.t_s), band_m)
         if isinstance(answer, str):
             why = f"arrival {number}: {answer}"
             return withheld(FIGURES, why, n=n, wanted=ARRIVALS, place=test.pose)
@@ -82,7 +84,7 @@ def _no_arrival(test: ArrivalTest) -> str | None:
     if len(test.traces) < MIN_ARRIVALS:
         return too_few("arrivals", len(test.traces), MIN_ARRIVALS, ARRIVALS)
     noise = _noise_m(test)
-    if SIGMAS * noise > test.band_m:
+    if test.band_m is not None and SIGMAS * noise > test.band_m:
         return (
             f"the limit band of {test.band_m:.3g} m is narrower than {SIGMAS:g} standard deviations of the "
             f"measurement's noise ({noise:.2g} m): noise alone would leave it"

@@ -200,13 +200,14 @@ class PathTest:
 class ArrivalTest:
     """Traces of several arrivals at one pose, each from before it reaches the band to rest.
 
-    band_m: radius of the limit band about the place of rest; the pose repeatability, or what the maker states.
+    band_m: radius of the limit band about the place of rest; the pose repeatability, or what the maker states; None
+    where nobody knows.
     covariance_m2 (3, 3): the whole uncertainty of one sample's position, systematic_m2 the part all samples share.
     """
 
     pose: str
     traces: tuple[PathRun, ...]
-    band_m: float
+    band_m: float | None
     stamps: Stamps = Stamps.SAMPLING
     covariance_m2: Array | None = None
     systematic_m2: Array | None = None
@@ -215,7 +216,7 @@ class ArrivalTest:
         object.__setattr__(self, "traces", tuple(self.traces))
         object.__setattr__(self, "stamps", Stamps(self.stamps))
         freeze(self, {"covariance_m2": (3, 3), "systematic_m2": (3, 3)})
-        if not (np.isfinite(self.band_m) and self.band_m > 0.0):
+        if self.band_m is not None and not (np.isfinite(self.band_m) and self.band_m > 0.0):
             raise Inconsistent(
                 f"the limit band of {self.pose} is {self.band_m:g} m, which is not a positive number",
                 consequence="Nothing can enter it",
