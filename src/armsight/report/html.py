@@ -51,7 +51,8 @@ figcaption{font-size:13px;color:var(--soft);margin-top:4px;overflow-wrap:anywher
 ul{margin:6px 0 0;padding-left:20px}
 footer{color:var(--soft);font-size:13px;margin-top:18px}
 @media (max-width:600px){main{padding:16px 10px 32px}section{padding:14px 12px}header h1{font-size:22px;
-overflow-wrap:anywhere}.verdict{overflow-wrap:anywhere}td{overflow-wrap:anywhere}ul{overflow-wrap:anywhere}}
+overflow-wrap:anywhere}.verdict,ul{overflow-wrap:anywhere}.plot.wide{min-width:640px}
+td:last-child:not(.n){min-width:20ch}}
 @media print{body{background:#fff}main{max-width:none;padding:0}section,.verdict,figure,.cards div{break-inside:avoid}
 section{border:0;border-top:1px solid var(--line);border-radius:0;padding:12px 0}.modebar{display:none!important}}
 """
@@ -114,7 +115,10 @@ class Page:
         """Take a figure; return its place in the page."""
         name = f"figure{len(self._figures) + 1}"
         self._figures.append({"id": name, "data": figure.data, "layout": figure.layout})
-        return f'<div class="plot" id="{name}" style="height:{figure.height_px}px"></div>'
+        wide = " wide" if "xaxis2" in figure.layout else ""
+        return (
+            f'<div class="scroll"><div class="plot{wide}" id="{name}" style="height:{figure.height_px}px"></div></div>'
+        )
 
     def html(self, *, created: datetime) -> str:
         """Return the whole page."""

@@ -21,9 +21,15 @@ COLOURS = (BLUE, ORANGE, GREY)
 
 
 def repeats_report(
-    measured: Measured, repeats: Repeats, summary: Mapping[str, Any], *, created: datetime | None = None
+    measured: Measured,
+    repeats: Repeats,
+    summary: Mapping[str, Any],
+    *,
+    other: tuple[str, Mapping[str, Any]] | None = None,
+    created: datetime | None = None,
 ) -> str:
-    """Return the page as HTML text that needs no other file. summary: as verify.json holds it."""
+    """Return the page as HTML text that needs no other file. summary: as verify.json holds it; other: the folder and
+    the summary of a run to stand beside this one."""
     iso = summary["iso9283"]
     given = sum(item["value"] is not None for item in iso.values())
     page = Page(
@@ -37,6 +43,8 @@ def repeats_report(
         cards=_cards(iso),
     )
     page.add("ISO 9283", ISO_TOLD, iso_table(iso))
+    if other is not None:
+        page.add("Beside the other run", f"The other run is {other[0]}. SI units.", _compared(iso, other[1]["iso9283"]))
     if any(repeats.at_pose):
         page.add("Visits about their mean", "Each row less the mean of its pose.", page.plot(_about(measured, repeats)))
     page.style = PRINT.format(first=3, zoom=0.72)
@@ -48,6 +56,16 @@ def repeats_report(
         rows = [[item["row"], item["why"]] for item in summary["rejected"][:LISTED]]
         page.add("Rows left out", "", table(["row", "why"], rows))
     return page.html(created=created or datetime.now())
+
+
+def _compared(iso: Mapping[str, Any], other: Mapping[str, Any]) -> str:
+    """Return the figures that both or one of two runs give, side by side; those of the worst place."""
+    rows = []
+    for name in (key for key in dict.fromkeys([*iso, *other]) if " " not in key):
+        pair = [run.get(name, {"value": None, "std": None}) for run in (other, iso)]
+        if any(item["value"] is not None for item in pair):
+            rows.append([name, *(figure_of(item[what]) for item in pair for what in ("value", "std"))])
+    return table(["figure", "the other run", "+-", "this run", "+-"], rows, numbers=(1, 2, 3, 4))
 
 
 def _cards(iso: Mapping[str, Any]) -> list[Card]:

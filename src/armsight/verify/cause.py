@@ -351,8 +351,8 @@ def _nothing(aligned: ModelFit, told: Cause) -> Cause:
     off = float(np.sqrt((aligned.residual[:, :3] ** 2).sum(axis=1).mean()))
     if not known and off > UNTOLD_M:
         sentence = (
-            f"Errors of {1e3 * off:.3g} mm follow neither the joints nor the geometry, and are too large to be laid to a "
-            "measurement whose standard deviations are not in the file: rows of another arm, tool or rig, or out of step?"
+            f"Errors of {1e3 * off:.3g} mm follow neither the joints nor the geometry, and are too large to be laid to "
+            "a measurement whose standard deviations are not in the file: are there rows of another arm, tool or rig?"
         )
         return replace(told, cause="undecided", sentence=sentence)
     said = "" if known else " (its standard deviations are not in the file; the arm's own scatter counts with it)"

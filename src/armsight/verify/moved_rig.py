@@ -25,16 +25,16 @@ SHARE = 0.25
 def moved_rig(evidence: Evidence, noise: Noise, case: Case, explained: float) -> str:
     """Return where the rows fall into two placements of the measuring frame, in words; "" where they do not.
 
-    noise: what the evidence was whitened with. explained: the squares that the best of joints and geometry leaves. A crash between two rows is told the same way
-    where it turned the base or the rig.
+    noise: what the evidence was whitened with. explained: the squares that the best of joints and geometry
+    leaves. A crash between two rows is told the same way where it turned the base or the rig.
     """
     m = len(case.q)
-    places = np.unique(np.linspace(FEWEST_ROWS, m - FEWEST_ROWS, SPLITS).astype(int)) if m >= 2 * FEWEST_ROWS else []
+    if m < 2 * FEWEST_ROWS:
+        return ""
+    places = np.unique(np.linspace(FEWEST_ROWS, m - FEWEST_ROWS, SPLITS).astype(int))
     columns = noise.whiten(_placement(case.measured.xyz_m, evidence.linear.residual.shape[1]))
     plain = evidence.plain()
     tried = {int(k): fit_linear(evidence.linear, columns * (np.arange(m) >= k)[:, None, None]) for k in places}
-    if not tried:
-        return ""
     at = min(tried, key=lambda k: tried[k].squares)
     best = tried[at]
     if best.squares > SHARE * explained or len(tried) * by_chance(evidence.linear, plain, best) > CHANCE:
@@ -42,8 +42,8 @@ def moved_rig(evidence: Evidence, noise: Noise, case: Case, explained: float) ->
     row = int(case.measured.rows[at])
     jump = 1e3 * float(np.linalg.norm(best.values[:3]))
     return (
-        f"From about row {row} on the rows lie apart from those before, by {jump:.3g} mm: the rig, the base or the tool "
-        "was moved in between, or two recordings were put together. Verify the two parts apart."
+        f"From about row {row} on the rows lie apart from those before, by {jump:.3g} mm: the rig, the base or the "
+        "tool was moved in between, or two recordings were put together. Verify the two parts apart."
     )
 
 

@@ -133,7 +133,7 @@ def _stamps(measured: Measured, members: list[Index], name: str, notes: list[str
 
 
 def _sample_covariance(measured: Measured, repeats: Repeats, index: Index) -> tuple[Array | None, Array | None]:
-    """Return the covariance (3, 3) of one sample and the part that all share; None where the file does not part them."""
+    """Return the covariance (3, 3) of one sample and the part that all share; None where they are not parted."""
     covariance, systematic = _covariance(measured, repeats, [index], turned=False)
     if covariance is None or systematic is None:
         return None, None

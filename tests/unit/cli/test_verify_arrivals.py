@@ -19,7 +19,7 @@ def lines_of(shift_m: float = 0.0, robot: str = "") -> list[str]:
     """
     lines = []
     for visit in range(6):
-        x, y, z = REST_M + [shift_m + 1e-5 * (-1) ** visit, 0.0, 0.0]
+        x, y, z = REST_M + np.array([shift_m + 1e-5 * (-1) ** visit, 0.0, 0.0])
         lines.append(f"{100 + visit},P1,{visit},,{robot},{x},{y},{z}")
     t = np.arange(0.0, 1.0, 0.002)
     x = np.interp(t, [0.0, 0.12, 0.14], [-0.010, 0.002, 0.0])
@@ -83,3 +83,13 @@ def test_robots_of_one_pose_give_exchangeability_and_stay_apart(armsight: Any, t
             "verify", "--measured", written(tmp_path / "one.csv", lines_of(0.0, "A")), "-o", tmp_path / "out"
         ).json["iso9283"]["E_m"]["withheld"]
     )
+
+
+def test_repeats_alone_stand_beside_another_run(armsight: Any, tmp_path: Path) -> None:
+    measured = written(tmp_path / "m.csv", lines_of()[:6])
+    assert armsight("verify", "--measured", measured, "-o", tmp_path / "before").code == 0
+    done = armsight("verify", "--measured", measured, "--compare", tmp_path / "before", "-o", tmp_path / "after")
+    assert done.code == 0 and done.json["compared"]["n"] == 6
+    page = (tmp_path / "after" / "report.html").read_text()
+    told = page[page.index("Beside the other run") :]
+    assert told.index("RP_m") < told.index("</section>")

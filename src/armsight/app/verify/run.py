@@ -123,7 +123,9 @@ def _repeats_alone(job: VerifyJob, file: MeasuredFile, told: CommandedFile | Non
         )
     iso, notes = iso_figures(file, file.measured, command, job.band_m)
     done = _beside(job, repeats_output(file, iso, notes), other)
-    return _written(job, done, repeats_csv(file), repeats_report(file.measured, file.repeats, done.to_dict()))
+    beside = None if other is None else (str(job.compare), other.to_dict())
+    page = repeats_report(file.measured, file.repeats, done.to_dict(), other=beside)
+    return _written(job, done, repeats_csv(file), page)
 
 
 def _beside(job: VerifyJob, done: VerifyOutput, other: Other) -> VerifyOutput:
