@@ -1,0 +1,40 @@
+"""The console as a web application: NiceGUI pages on a FastAPI server, which a browser needs nothing else for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib.resources import files
+
+from fastapi import FastAPI
+from fastapi.responses import RedirectResponse
+from fastapi.staticfiles import StaticFiles
+from nicegui import ui
+
+from armsight.console import texts
+from armsight.console.layout import STATIC, page
+from armsight.console.pages.live import live_page
+from armsight.console.pictures import add_pictures
+from armsight.console.state import Console
+
+PAGES: dict[str, Callable[[Console], None]] = {"live": live_page}
+
+
+def add_console(server: FastAPI, console: Console) -> None:
+    """Add the console's pages to a server: /live and its sisters; / leads to /live."""
+    server.mount(STATIC, StaticFiles(directory=str(files("armsight") / "console" / "static")))
+    add_pictures(server, console)
+
+    @server.get("/", include_in_schema=False)
+    def root() -> RedirectResponse:
+        return RedirectResponse("/live")
+
+    for name, build in PAGES.items():
+        _add_page(name, build, console)
+    ui.run_with(server, title=texts.TITLE, dark=None, show_welcome_message=False, tailwind=False)
+
+
+def _add_page(name: str, build: Callable[[Console], None], console: Console) -> None:
+    @ui.page(f"/{name}", title=f"{texts.PAGES[name]} · {texts.TITLE}")
+    def show() -> None:
+        with page(name, console):
+            build(console)
