@@ -14,6 +14,7 @@ from armsight.cli import arm, handeye, mirrors, target, timing
 from armsight.cli.calibrate import calibrate
 from armsight.cli.camera_options import NONE_GIVEN, CameraOptions, takes_cameras
 from armsight.cli.command_ui import CommandUI
+from armsight.cli.console import console
 from armsight.cli.convert import convert
 from armsight.cli.identify import identify
 from armsight.cli.kinematics import convert_arm, kinematics
@@ -43,6 +44,7 @@ app.command()(record)
 app.command()(identify)
 app.command()(verify)
 app.command()(reproduce)
+app.command()(console)
 app.add_typer(kinematics, name="kinematics")
 
 

@@ -29,28 +29,29 @@ class Scene:
 
     def __init__(self, job: LiveJob, first: LiveView | None) -> None:
         """Draw cameras and target onto the page that is being built."""
-        rig, target = read_rig(job.rig), target_of(job.target)
+        rig = read_rig(job.rig) if job.rig is not None else None
+        target = target_of(job.target) if job.target is not None else None
         self._T_scene_parent = UPRIGHT if job.world is None else RigidTransform.identity()
         T_parent_rig = RigidTransform.identity() if job.world is None else read_world(job.world).T_parent_rig
         self._track: list[list[float]] = []
         with ui.scene(grid=(4, 20), background_color="#dfe5ea").classes("w-full") as self._scene:
             self._scene.props["data-testid"] = "scene"
-            for side in SIDES:
-                self._camera(self._T_scene_parent * T_parent_rig * rig.T_rig_camera(side), COLOURS[side])
+            if rig is not None:
+                for side in SIDES:
+                    self._camera(self._T_scene_parent * T_parent_rig * rig.T_rig_camera(side), COLOURS[side])
             with self._scene.group() as self._target:
-                names = target.names if not target.is_board else ()
-                for name in names:
-                    light = np.asarray(target.xyz_m[target.names.index(name)])
-                    self._scene.sphere(radius=0.008).move(*light.tolist()).material(COLOURS["target"])
-                    self._scene.text(name, "font-weight: 700; color: #14181c").move(*(light * 1.3).tolist())
+                if target is not None and not target.is_board:
+                    for name, light in zip(target.names, target.xyz_m.tolist(), strict=True):
+                        self._scene.sphere(radius=0.008).move(*light).material(COLOURS["target"])
+                        self._scene.text(name, "font-weight: 700; color: #14181c").move(*light)
                 for axis, colour in zip(np.eye(3) * 0.06, ("#D55E00", "#009E73", "#0072B2"), strict=True):
                     self._scene.line([0, 0, 0], axis.tolist()).material(colour)
             self._cloud = self._scene.point_cloud([[0, 0, 0]], [[0, 0.6, 0.45]], point_size=0.006)
         self._target.visible(False)
         centre = (self._T_scene_parent * T_parent_rig).apply([0.0, 0.0, 0.5])
         eye = (self._T_scene_parent * T_parent_rig).apply([0.7, -0.6, -0.5])
-        at, to = eye.tolist(), centre.tolist()
-        self._scene.move_camera(*at, *to, up_x=0, up_y=0, up_z=1, duration=0)
+        (x, y, z), (to_x, to_y, to_z) = eye.tolist(), centre.tolist()
+        self._scene.move_camera(x, y, z, to_x, to_y, to_z, 0.0, 0.0, 1.0, duration=0.0)
         if first is not None:
             self.show(first)
 

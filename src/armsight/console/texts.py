@@ -60,3 +60,69 @@ END_RECORDING = "End recording"
 RECORDING = "Recording {file}: {pairs} pairs"
 RECORDED = "Recorded {file}"
 DROPPED = "{n} dropped, the disk is too slow"
+
+STEP = "What to calibrate"
+STEPS = {
+    "camera-left": "Left camera's lens",
+    "camera-right": "Right camera's lens",
+    "stereo": "Both cameras",
+    "timing": "Timing of free-running cameras",
+    "tooltip": "Tool tip",
+    "handeye": "Hand-eye",
+    "arm": "Arm",
+}
+NEXT = {
+    "show_board": "Hold the board still before the cameras, whole in the picture, and accept it.",
+    "to_cell": "Bring the board into the {place} of the {side} picture.",
+    "tilt": "Tilt the board by 30 degrees, to one side or the other, up or down.",
+    "nearer": "Come nearer with the board.",
+    "turn_target": "Turn the target about another axis, with its tip resting on the point.",
+    "move_robot": "Move the robot to another place and turn its hand, then accept.",
+    "record": "Press accept, wave the target through both pictures for 20 seconds, and press accept again.",
+    "more": "Good. Accept some more, each at another place and tilt.",
+    "run": "There is enough: calibrate.",
+    "not_possible": "{why}",
+}
+PLACES = (
+    ("upper left", "upper middle", "upper right"),
+    ("left", "middle", "right"),
+    ("lower left", "lower middle", "lower right"),
+)
+SIDES = {"left": "left", "right": "right"}
+WHAT_NEXT = "What to do next"
+COVERAGE = "Where the board has been"
+COVERED = "{side} picture, {place}: {n} boards"
+SO_FAR = "How sure it is so far (1 σ)"
+SAMPLES = "Accepted"
+NAME, DETAIL, DROP = "Name", "What it is", "Drop"
+ACCEPT = "Accept"
+CALIBRATE = "Calibrate"
+RUNNING = "Calibrating …"
+VERDICT = "Verdict"
+GOOD, NOT_GOOD = "Can be trusted", "Not to be trusted yet"
+SAVED = "Saved as {file}"
+REPORT = "Report"
+USE_IT = "Measure with it"
+
+FILES = "Files of the cell, in {folder}"
+CAMERAS = "Cameras"
+FIELDS = {
+    "left": "Left camera: camera:0, a folder of images, a video",
+    "right": "Right camera",
+    "board": "Board, such as checkerboard:9x6:0.025",
+    "rig": "Rig (rig.yaml)",
+    "target": "Target (target.yaml)",
+    "world": "Place of the rig (world.yaml)",
+    "arm": "Arm (arm.yaml)",
+    "handeye": "Hand-eye (handeye.yaml)",
+    "tip": "Tool tip (tip.yaml)",
+    "limits": "Limits of motion (limits.yaml)",
+}
+PLAY_AGAIN = "Files begin anew at their end"
+APPLY = "Use these"
+APPLIED = "In use, and saved in cell.yaml."
+UPLOAD = "Bring a file into the folder (at most {mb} MB)"
+UPLOADED = "{name} is in the folder."
+TOO_BIG = "The file is larger than {mb} MB and was not taken."
+NOT_A_NAME = "{name} is no file name of this cell: YAML, CSV and URDF files are taken."
+EXISTS = "{name} is there already. Remove it first, or give the file another name."

@@ -17,13 +17,16 @@ from armsight.app.measure.warm_up import prepare
 from armsight.app.record.recorder import Recorder
 from armsight.app.schemas.live import LiveView
 from armsight.clock import Clock, SystemClock
-from armsight.errors import ArmsightError, UsageError
+from armsight.errors import ArmsightError, DeviceFailed, UsageError
 from armsight.records import Frame, Silent
+from armsight.store.atomic import write_bytes
 from armsight.store.recording import ImageFormat, RecordingWriter
 
 PICTURES_HZ = 30.0
 """Pictures a second that a screen gets at most: more is not seen."""
 JPEG_QUALITY = 80
+SAVE_S = 5.0
+"""Time after which a pair that was asked for is given up."""
 END_S = 5.0
 """Time that the process gets to write what it records before it is ended by force."""
 
@@ -53,6 +56,17 @@ class _Record:
 
 
 @dataclass(frozen=True, slots=True)
+class _Save:
+    left: Path
+    right: Path
+
+
+@dataclass(frozen=True, slots=True)
+class _Saved:
+    failure: str
+
+
+@dataclass(frozen=True, slots=True)
 class _Failed:
     text: str
 
@@ -62,7 +76,7 @@ class _Ended:
     pass
 
 
-_Message = Shown | RecordingState | _Failed | _Ended
+_Message = Shown | RecordingState | _Saved | _Failed | _Ended
 
 
 class Station:
@@ -83,6 +97,7 @@ class Station:
         self._reader: threading.Thread | None = None
         self._lock = threading.Lock()
         self._stopping = False
+        self._saved, self._save_failure = threading.Event(), ""
 
     def start(self) -> None:
         """Start measuring, or start anew after a failure."""
@@ -119,6 +134,18 @@ class Station:
         """Record all frames into a new .mcap, or end the recording (None). What happens stands in `recording`."""
         self._send(_Record(file))
 
+    def save_pair(self, left: Path, right: Path) -> None:
+        """Write the next pair as two images, bit for bit. Raises DeviceFailed where no pair comes or none is written.
+
+        For one caller at a time.
+        """
+        self._saved.clear()
+        self._send(_Save(left, right))
+        came = self._saved.wait(SAVE_S)
+        failure = self._save_failure if came else self.failure or "no pair of pictures comes"
+        if failure:
+            raise DeviceFailed(failure, consequence="No picture was taken", cure="Look at the cameras and the disk")
+
     def _send(self, command: object) -> None:
         with self._lock, suppress(BrokenPipeError, OSError):
             if self._commands is not None:
@@ -133,6 +160,9 @@ class Station:
                         self.shown = message
                     case RecordingState():
                         self.recording = message
+                    case _Saved(failure):
+                        self._save_failure = failure
+                        self._saved.set()
                     case _Failed(text):
                         self.failure = text
                     case _Ended():
@@ -163,6 +193,7 @@ class _Worker:
         self._tell_lock = threading.Lock()
         self._ending = False
         self._recorder: Recorder | None = None
+        self._save: _Save | None = None
         self._file: Path | None = None
 
     def run(self) -> None:
@@ -214,6 +245,8 @@ class _Worker:
                     self._measurement.look(command)
             case _Record(file):
                 self._record(file)
+            case _Save():
+                self._save = command
 
     def _wait_for_the_end(self) -> None:
         while not self._obey():
@@ -250,7 +283,10 @@ class _Worker:
                 if self._ending:
                     return
                 moment, self._mailbox = self._mailbox, None
-            if moment is None or self._clock.now_s() < next_s:
+            if moment is None:
+                continue
+            self._save_pair(moment)
+            if self._clock.now_s() < next_s:
                 continue
             next_s = self._clock.now_s() + 0.9 / PICTURES_HZ
             left, right = (jpeg(frame) for frame in moment.pair)
@@ -258,6 +294,19 @@ class _Worker:
             if self._recorder is not None:
                 recorder = self._recorder
                 self._tell(RecordingState(file=self._file, n_pairs=recorder.written, n_dropped=recorder.dropped))
+
+    def _save_pair(self, moment: Moment) -> None:
+        asked, self._save = self._save, None
+        if asked is None:
+            return
+        failure = ""
+        try:
+            for file, frame in zip((asked.left, asked.right), moment.pair, strict=True):
+                file.parent.mkdir(parents=True, exist_ok=True)
+                write_bytes(file, cv2.imencode(".png", np.asarray(frame.image))[1].tobytes())
+        except (ArmsightError, OSError) as error:
+            failure = str(error)
+        self._tell(_Saved(failure))
 
     def _tell(self, message: _Message) -> None:
         with self._tell_lock, suppress(BrokenPipeError, OSError):
