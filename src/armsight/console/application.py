@@ -7,8 +7,8 @@ from collections.abc import Callable
 from importlib.resources import files
 
 import uvicorn
-from fastapi import FastAPI, HTTPException
-from fastapi.responses import FileResponse, RedirectResponse
+from fastapi import FastAPI
+from fastapi.responses import RedirectResponse
 from fastapi.staticfiles import StaticFiles
 from nicegui import ui
 
@@ -19,6 +19,7 @@ from armsight.console.pages.live import live_page
 from armsight.console.pages.settings import settings_page
 from armsight.console.pictures import add_pictures
 from armsight.console.state import Console
+from armsight.console.uploads import add_files
 from armsight.errors import DeviceFailed
 
 LOOPBACK = "127.0.0.1"
@@ -34,13 +35,7 @@ def add_console(server: FastAPI, console: Console) -> None:
     """Add the console's pages to a server: /live and its sisters; / leads to /live."""
     server.mount(STATIC, StaticFiles(directory=str(files("armsight") / "console" / "static")))
     add_pictures(server, console)
-
-    @server.get("/console/files/{name}", include_in_schema=False)
-    def report(name: str) -> FileResponse:
-        path = console.folder / name
-        if "/" in name or not name.endswith(".html") or not path.is_file():
-            raise HTTPException(404)
-        return FileResponse(path)
+    add_files(server, console)
 
     @server.get("/", include_in_schema=False)
     def root() -> RedirectResponse:

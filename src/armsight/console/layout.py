@@ -78,7 +78,9 @@ def page(name: str, console: Console) -> Iterator[None]:
     """Put what follows onto a page of this name."""
     ui.page_title(f"{texts.PAGES[name]} · {texts.TITLE}")
     ui.add_head_html(f'<link rel="stylesheet" href="{STATIC}/console.css">')
-    ui.add_head_html(f'<script defer src="{STATIC}/pictures.js"></script>')
+    ui.add_head_html('<script>document.documentElement.lang = "en"</script>')
+    for script in ("pictures.js", "page.js"):
+        ui.add_head_html(f'<script defer src="{STATIC}/{script}"></script>')
     ui.dark_mode(None)
     with ui.header(fixed=True), ui.element("div").classes("bar"):
         _navigation(name)

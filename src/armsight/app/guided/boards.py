@@ -96,13 +96,21 @@ class BoardCalibration:
             if len(self.sides) > 1:
                 rig = solve_stereo(columns[0], columns[1], board, options)
                 std = rig.std
-                shown = ("left.fx", "right.fx", "baseline_m")
+                shown = {
+                    "left.fx": ("left focal length", 1.0, "px"),
+                    "right.fx": ("right focal length", 1.0, "px"),
+                    "baseline_m": ("baseline", 1e3, "mm"),
+                }
             else:
                 std = solve_camera(columns[0], board, options).covariance.std()
-                shown = ("fx", "cx", "k1")
+                shown = {"fx": ("focal length", 1.0, "px"), "cx": ("principal point", 1.0, "px"), "k1": ("k1", 1.0, "")}
         except DataRefused as error:
             return (("", str(error.cause)),)
-        return tuple((name, f"{std[name]:.3g}") for name in shown if name in std)
+        return tuple(
+            (words, f"{scale * std[name]:.3g} {unit}".rstrip())
+            for name, (words, scale, unit) in shown.items()
+            if name in std
+        )
 
     def accept(self, station: Station) -> Sample:
         """Take the pictures of now. Raises BadImage where the board is not seen whole in each that counts."""
@@ -157,7 +165,9 @@ class BoardCalibration:
             left_out, advice = camera.holdout_rms_px, camera.advice
         rows += [("RMS of boards left out", "–" if left_out is None else f"{left_out:.3f} px")]
         good = left_out is not None and left_out < GOOD_RMS_PX
-        words = " ".join(advice) or ("The boards agree with each other." if good else "The boards do not agree.")
+        words = ". ".join(one[:1].upper() + one[1:] for one in advice) or (
+            "The boards agree with each other." if good else "The boards do not agree."
+        )
         return Verdict(good=good, words=words, rows=tuple(rows), file=self.out, report=report_path(self.out))
 
     def _cells(self, i: int) -> NDArray[np.int64]:

@@ -141,7 +141,7 @@ class Station:
         """
         self._saved.clear()
         self._send(_Save(left, right))
-        came = self._saved.wait(SAVE_S)
+        came = not self.failure and self._saved.wait(SAVE_S)
         failure = self._save_failure if came else self.failure or "no pair of pictures comes"
         if failure:
             raise DeviceFailed(failure, consequence="No picture was taken", cure="Look at the cameras and the disk")

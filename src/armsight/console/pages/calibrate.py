@@ -48,7 +48,7 @@ class _Step:
     """One guided calibration on the page."""
 
     def __init__(self, console: Console, step: Guided, title: str) -> None:
-        self._console, self._guided = console, step
+        self._console, self._guided, self._busy = console, step, False
         with card(title):
             text_of("h3", texts.WHAT_NEXT)
             self._hint = text_of("p", testid="hint", role="status").style("font-size: 1.3rem; font-weight: 600")
@@ -72,7 +72,8 @@ class _Step:
             for side in ("left", "right"):
                 with ui.element("div"):
                     canvas = ui.element("canvas")
-                    canvas.props.update({"data-side": side, "role": "img", "aria-label": texts.PAGES["live"]})
+                    name = {"left": texts.LEFT, "right": texts.RIGHT}[side]
+                    canvas.props.update({"data-side": side, "data-plain": "true", "role": "img", "aria-label": name})
                     canvas.props["width"], canvas.props["height"] = 1280, 720
                     if side in self._guided.coverage():
                         with ui.element("div").classes("coverage"):
@@ -98,14 +99,23 @@ class _Step:
                 _show_verdict(self._console, self._guided, verdict[0])
 
     async def _do(self, act: Callable[[], None]) -> None:
-        """Do what may take a second in a thread; what is refused is told in words."""
+        """Do what may take a second in a thread, one thing at a time; what is refused is told in words."""
+        if self._busy:
+            return
+        self._busy = True
         set_attribute(self._said, "data-level", "good")
+        for pressed in (self._accept, self._run):
+            pressed.props["disabled"] = "true"
         try:
             await run.io_bound(act)
             set_text(self._said, "")
         except ArmsightError as error:
             set_text(self._said, str(error))
             set_attribute(self._said, "data-level", "bad")
+        finally:
+            self._busy = False
+            for pressed in (self._accept, self._run):
+                pressed.props.pop("disabled", None)
         self._show()
 
     async def _drop(self, index: int) -> None:

@@ -24,6 +24,8 @@ Refresh = Callable[[Shown], None]
 SLOW_S = 0.5
 """Time between two updates of scene and curves."""
 CURVE_POINTS = 300
+GREY = "#7b8794"
+"""Readable on light and dark paper."""
 LINES = ("#0072B2", "#D55E00", "#009E73")
 """Okabe and Ito's blue, vermillion and green."""
 
@@ -186,8 +188,9 @@ def _curve(names: tuple[str, ...], unit: str) -> ui.echart:
     options = {
         "animation": False,
         "grid": {"left": 60, "right": 20, "top": 40, "bottom": 30},
-        "legend": {"data": list(names)},
+        "legend": {"data": list(names), "top": 0, "textStyle": {"color": GREY}},
         "xAxis": {
+            "axisLine": {"onZero": False},
             "type": "value",
             "name": "s",
             "min": "dataMin",

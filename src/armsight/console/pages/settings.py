@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import re
-
-from nicegui import events, run, ui
+from nicegui import run, ui
 
 from armsight.console import texts
 from armsight.console.layout import button, card, set_attribute, set_text, text_of
 from armsight.console.state import Console
+from armsight.console.uploads import LARGEST_BYTES
 from armsight.errors import ArmsightError
-from armsight.store.atomic import write_bytes
 
 SOURCES = ("left", "right", "board")
-LARGEST_BYTES = 2_000_000
-"""Of an uploaded file: a rig with its covariance has 20 kB, a long table of readings some 100 kB."""
-NAME = re.compile(r"[\w][\w.-]{0,80}\.(ya?ml|csv|urdf)")
 
 
 def settings_page(console: Console) -> None:
@@ -29,7 +24,7 @@ def settings_page(console: Console) -> None:
         for name in texts.FIELDS:
             if name not in SOURCES:
                 fields[name] = _field(console, name)
-        _upload(console)
+        _upload()
     said = text_of("p", role="alert").classes("hint")
 
     async def apply() -> None:
@@ -52,30 +47,10 @@ def _field(console: Console, name: str) -> ui.input:
     return field
 
 
-def _upload(console: Console) -> None:
-    said = text_of("p", role="alert").classes("hint")
-    mb = LARGEST_BYTES // 1_000_000
-
-    async def take(event: events.UploadEventArguments) -> None:
-        name = event.file.name
-        path = console.folder / name
-        if not NAME.fullmatch(name):
-            set_text(said, texts.NOT_A_NAME.format(name=name))
-        elif path.exists():
-            set_text(said, texts.EXISTS.format(name=name))
-        else:
-            try:
-                console.folder.mkdir(parents=True, exist_ok=True)
-                write_bytes(path, await event.file.read())
-                set_text(said, texts.UPLOADED.format(name=name))
-            except ArmsightError as error:
-                set_text(said, str(error))
-
-    chooser = ui.upload(
-        label=texts.UPLOAD.format(mb=mb),
-        auto_upload=True,
-        max_file_size=LARGEST_BYTES,
-        on_upload=take,
-        on_rejected=lambda: set_text(said, texts.TOO_BIG.format(mb=mb)),
-    )
-    chooser.props["data-testid"] = "upload"
+def _upload() -> None:
+    """Choose a file of this machine and bring it into the cell's folder; the browser sends it by itself."""
+    with ui.element("label"):
+        text_of("span", texts.UPLOAD.format(mb=LARGEST_BYTES // 1_000_000))
+        chooser = ui.element("input")
+        chooser.props.update({"type": "file", "data-upload": "/console/files/", "data-testid": "upload"})
+    text_of("p", role="alert", id="uploaded").classes("hint")

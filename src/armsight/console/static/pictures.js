@@ -63,7 +63,7 @@
         c.stroke();
       }
       c.globalAlpha = 1;
-      for (const spot of found.spots) {
+      for (const spot of this.canvas.dataset.plain ? found.spots.filter((s) => s.name) : found.spots) {
         const colour = spot.name ? COLOURS.named : COLOURS.other;
         c.strokeStyle = colour;
         c.beginPath();
