@@ -137,7 +137,7 @@ def test_a_phone_shows_live_without_scrolling_sideways(browser: Any, lights: str
     page.close()
 
 
-@pytest.mark.parametrize("name", ["live", "calibrate", "settings"])
+@pytest.mark.parametrize("name", ["live", "calibrate", "verify", "settings"])
 def test_pages_have_no_serious_fault_of_accessibility(browser: Any, lights: str, name: str) -> None:
     from axe_playwright_python.sync_playwright import Axe
 

@@ -17,6 +17,7 @@ from armsight.console.layout import STATIC, page
 from armsight.console.pages.calibrate import calibrate_page
 from armsight.console.pages.live import live_page
 from armsight.console.pages.settings import settings_page
+from armsight.console.pages.verify import verify_page
 from armsight.console.pictures import add_pictures
 from armsight.console.state import Console
 from armsight.console.uploads import add_files
@@ -27,6 +28,7 @@ LOOPBACK = "127.0.0.1"
 PAGES: dict[str, Callable[[Console], None]] = {
     "live": live_page,
     "calibrate": calibrate_page,
+    "verify": verify_page,
     "settings": settings_page,
 }
 

@@ -126,3 +126,14 @@ UPLOADED = "{name} is in the folder."
 TOO_BIG = "The file is larger than {mb} MB and was not taken."
 NOT_A_NAME = "{name} is no file name of this cell: YAML, CSV and URDF files are taken."
 EXISTS = "{name} is there already. Remove it first, or give the file another name."
+
+VERIFY = "Measured poses against the arm's own joints"
+VERIFY_FIELDS = {
+    "measured": "Measured poses or points (poses.csv, points.csv)",
+    "joints": "Joint readings (joints.csv); empty where repeats alone are judged",
+}
+VERIFY_RUN = "Verify"
+RUNNING_VERIFY = "Verifying …"
+ROWS, CAUSE = "Rows compared", "Cause of the errors"
+REPORTS = "Reports"
+NO_REPORTS = "No report yet."

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 from fastapi import FastAPI, HTTPException, Request
 from fastapi.responses import FileResponse, PlainTextResponse
@@ -15,13 +16,14 @@ from armsight.store.atomic import write_bytes
 LARGEST_BYTES = 2_000_000
 """Of a file brought: a rig with its covariance has 20 kB, a long table of readings some 100 kB."""
 NAME = re.compile(r"\w[\w.-]{0,80}\.(ya?ml|csv|urdf)")
-REPORT = re.compile(r"\w[\w.-]{0,80}\.html")
+REPORT = re.compile(r"(?:\w[\w.-]{0,80}/)?\w[\w.-]{0,80}\.html")
+"""A report in the cell's folder, or in a folder inside it."""
 
 
 def add_files(server: FastAPI, console: Console) -> None:
     """Serve reports at /console/files/NAME.html, and take files there; what is there is never replaced."""
 
-    @server.get("/console/files/{name}", include_in_schema=False)
+    @server.get("/console/files/{name:path}", include_in_schema=False)
     async def report(name: str) -> FileResponse:
         path = console.folder / name
         if not REPORT.fullmatch(name) or not path.is_file():
@@ -46,3 +48,11 @@ def add_files(server: FastAPI, console: Console) -> None:
         except ArmsightError as error:
             return PlainTextResponse(str(error), 507)
         return PlainTextResponse(texts.UPLOADED.format(name=name))
+
+
+def reports(folder: Path) -> list[Path]:
+    """Return the reports of a cell, relative to its folder, the newest first."""
+    found = [path for pattern in ("*.html", "*/*.html") for path in folder.glob(pattern)]
+    found.sort(key=lambda path: path.stat().st_mtime, reverse=True)
+    names = (path.relative_to(folder) for path in found)
+    return [name for name in names if REPORT.fullmatch(name.as_posix())]
