@@ -34,6 +34,8 @@ def verify_page(console: Console) -> None:
             result.clear()
             try:
                 done = await run.io_bound(partial(_verify, console, {n: f.value or "" for n, f in fields.items()}))
+                if done is None:  # the server is ending
+                    return
                 set_text(said, done.verdict)
                 with result:
                     _table(done)
