@@ -177,6 +177,7 @@ def test_cameras_are_calibrated_by_showing_a_board(browser: Any, boards: Any, tm
         page.goto(f"{address}/calibrate")
         page.wait_for_selector("[data-testid=hint]")
         assert "Hold the board" in page.inner_text("[data-testid=hint]")
+        page.wait_for_selector("canvas[data-shown]")
         for _ in range(8):
             page.click("[data-testid=accept]:not([disabled])")
             page.wait_for_selector("[data-testid=accept]:not([disabled])")

@@ -70,6 +70,6 @@ def serve_console(console: Console, port: int) -> None:
                 cure="Give another --port, or end what uses it",
             ) from error
     try:
-        uvicorn.run(server, host=LOOPBACK, port=port, log_level="warning")
+        uvicorn.run(server, host=LOOPBACK, port=port, log_level="warning", timeout_graceful_shutdown=2)
     finally:
         console.close()

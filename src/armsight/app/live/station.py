@@ -141,8 +141,9 @@ class Station:
         """
         self._saved.clear()
         self._send(_Save(left, right))
-        came = not self.failure and self._saved.wait(SAVE_S)
-        failure = self._save_failure if came else self.failure or "no pair of pictures comes"
+        starting = "" if self.shown is not None else "the cameras are still starting"
+        came = not (self.failure or starting) and self._saved.wait(SAVE_S)
+        failure = self._save_failure if came else self.failure or starting or "no pair of pictures comes"
         if failure:
             raise DeviceFailed(failure, consequence="No picture was taken", cure="Look at the cameras and the disk")
 
