@@ -14,6 +14,7 @@ from armsight.cli import arm, handeye, mirrors, target, timing
 from armsight.cli.calibrate import calibrate
 from armsight.cli.camera_options import NONE_GIVEN, CameraOptions, takes_cameras
 from armsight.cli.command_ui import CommandUI
+from armsight.cli.console import console
 from armsight.cli.convert import convert
 from armsight.cli.identify import identify
 from armsight.cli.kinematics import convert_arm, kinematics
@@ -47,6 +48,7 @@ app.command()(identify)
 app.command()(with_live(verify))
 app.command()(reproduce)
 app.command()(twin)
+app.command()(console)
 app.add_typer(kinematics, name="kinematics")
 app.add_typer(robot, name="robot")
 
