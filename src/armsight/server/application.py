@@ -15,11 +15,23 @@ from starlette.requests import HTTPConnection
 from armsight.app.robot.service import Service
 from armsight.drivers.remote import protocol as say
 from armsight.errors import ArmsightError
-from armsight.server.auth import Authenticator, Caller, Denied, Identity
+from armsight.server.auth import Authenticator, Caller, Identity
 from armsight.server.sockets import Connection
 
 PUMP_S = 0.02
 """How often the loop's events are fetched."""
+
+
+async def known(request: Request) -> Identity:
+    """Return who asks. Raises HTTPException for whom the server does not know; each refusal is kept in the log."""
+    found = request.app.state.auth.check(caller_of(request))
+    if isinstance(found, Identity):
+        return found
+    request.app.state.service.desk.note("warning", f"{_address(request)} was kept out: {found.why}")
+    raise HTTPException(found.status, found.why, headers={"WWW-Authenticate": "Bearer"})
+
+
+Known = Annotated[Identity, Depends(known)]
 
 
 def create_app(service: Service, auth: Authenticator) -> FastAPI:
@@ -36,26 +48,17 @@ def create_app(service: Service, auth: Authenticator) -> FastAPI:
         redoc_url=None,
         lifespan=_pumping(service),
     )
-    app.state.service = service
-
-    async def identity(request: Request) -> Identity:
-        found = auth.check(caller_of(request))
-        if isinstance(found, Denied):
-            service.desk.note("warning", f"{_address(request)} was kept out: {found.why}")
-            raise HTTPException(found.status, found.why, headers={"WWW-Authenticate": "Bearer"})
-        return found
-
-    who = Annotated[Identity, Depends(identity)]
+    app.state.service, app.state.auth = service, auth
 
     @app.get(say.STATE_PATH, summary="The state of robot and loop")
-    async def state(_: who) -> say.StateMessage:
+    async def state(_: Known) -> say.StateMessage:
         try:
             return service.desk.state()
         except ArmsightError as error:
             raise HTTPException(503, str(error)) from error
 
     @app.get(f"/api/v{say.VERSION}/protocol", summary="JSON schema of the messages on the WebSockets")
-    async def protocol(_: who) -> dict[str, Any]:
+    async def protocol(_: Known) -> dict[str, Any]:
         return say.protocol_schema()
 
     @app.get("/docs", response_class=HTMLResponse, include_in_schema=False)

@@ -37,7 +37,9 @@ def test_the_file_holds_no_token(issued):
     assert path.stat().st_mode & 0o777 == 0o600
 
 
-@pytest.mark.parametrize("header", ["", "Bearer", "Bearer x", "Basic {anna}", "{anna}", "Bearer {anna}x", "Bearer \udcff"])
+@pytest.mark.parametrize(
+    "header", ["", "Bearer", "Bearer x", "Basic {anna}", "{anna}", "Bearer {anna}x", "Bearer \udcff"]
+)
 def test_a_wrong_header_is_denied(issued, header):
     path, tokens = issued
     found = Authenticator(read_tokens(path)).check(

@@ -128,7 +128,7 @@ class Link:
                 close_timeout=1.0,
                 max_size=64 * say.MAX_BYTES,
                 compression=None,
-            )
+            ).__enter__()
         except InvalidStatus as error:
             raise refused_entry(where, error) from error
         except ssl.SSLError as error:
