@@ -149,6 +149,10 @@ def test_a_stop_of_anyone_lasts_until_a_reset(desk, host, lease):
     host.guard = "running"
     host.tick(3)
     desk.perform(lease, make(say.Heartbeat, enable=True))
+    with pytest.raises(DeviceFailed, match="let go of"):
+        desk.perform(lease, make(say.JointGoalMessage, q=[0.1, 0.2]))
+    desk.perform(lease, make(say.Heartbeat, enable=False))
+    desk.perform(lease, make(say.Heartbeat, enable=True))
     desk.perform(lease, make(say.JointGoalMessage, q=[0.1, 0.2]))
 
 

@@ -59,6 +59,7 @@ class Desk:
         self._leases = 0
         self._beat_s = -np.inf
         self._enabled = False
+        self._reenable = False
         self._stopped = False
         self._reset_cycle = -1
         self._goal: Array | None = None
@@ -97,7 +98,7 @@ class Desk:
         if lease is not self._lease:
             return
         self._lease = None
-        self._enabled, self._goal = False, None
+        self._enabled, self._reenable, self._goal = False, False, None
         self._host.release(why)
         self.note("info", f"{lease.who} no longer drives: {why}")
 
@@ -201,7 +202,8 @@ class Desk:
         return None, ()
 
     def _beat(self, enable: bool) -> None:
-        self._beat_s, self._enabled = self._host.now_s(), enable
+        self._reenable = self._reenable and enable
+        self._beat_s, self._enabled = self._host.now_s(), enable and not self._reenable
         if not enable:
             self._goal = None
         self._host.beat(enable=enable)
@@ -209,6 +211,7 @@ class Desk:
     def _reset(self, lease: Lease, now: Snapshot) -> None:
         self._host.reset()
         self._stopped, self._goal, self._reset_cycle = False, None, now.cycle
+        self._enabled, self._reenable = False, True  # who still holds the enable must let go of it first
         self.note("info", f"reset by {lease.who}")
 
     def _post(self, setpoint: SetPoint) -> None:
@@ -254,7 +257,8 @@ class Desk:
             )
         silent_s = self._host.now_s() - self._beat_s
         if not self._enabled or silent_s > HEARTBEAT_S:
-            why = f"no heartbeat for {silent_s:.2f} s" if self._enabled else "the driver's enable is off"
+            off = "the enable must be let go of and given anew" if self._reenable else "the driver's enable is off"
+            why = f"no heartbeat for {silent_s:.2f} s" if self._enabled else off
             raise DeviceFailed(
                 f"motion is not enabled: {why}",
                 consequence="Nothing was sent",

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+from pydantic import ValidationError
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
 from websockets.sync.client import ClientConnection
 from websockets.sync.client import connect as open_socket
@@ -219,7 +220,7 @@ class Link:
             if connection is None or self._ended:
                 raise self._lost()
             seq = self._seq + 1
-            command = make(session=self.welcome.session, seq=seq, **fields)
+            command = _made(make, session=self.welcome.session, seq=seq, **fields)
             self._seq = seq
             with self._news:
                 self._waiting.add(seq)
@@ -327,6 +328,16 @@ def refused_entry(url: str, error: InvalidStatus) -> DeviceFailed:
         consequence="There is no connection",
         cure=f"Give a token of the server's token file, for instance in {TOKEN_VARIABLE}",
     )
+
+
+def _made(make: Callable[..., say.Command], **fields: Any) -> say.Command:
+    try:
+        return make(**fields)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False)[0]
+        raise UsageError(
+            f"{'.'.join(map(str, first['loc']))}: {first['msg']}", consequence="Nothing was sent"
+        ) from error
 
 
 def _is_loopback(host: str) -> bool:

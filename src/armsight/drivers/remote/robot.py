@@ -175,6 +175,7 @@ class RemoteRobot:
         """Take commands again from where it stands."""
         link, heart = self._alive("be reset")
         link.ask(say.ResetMessage)
+        heart.beat(enable=False)  # after a reset the server wants the enable anew
         heart.beat(enable=True)
 
     def cut(self) -> None:
