@@ -14,6 +14,7 @@ from armsight.control.setpoints import JointGoal
 from armsight.drivers import RobotState
 from armsight.drivers.remote import protocol as say
 from armsight.errors import DeviceLost
+from armsight.records import JointReading
 
 
 @pytest.fixture(scope="session")
@@ -56,10 +57,10 @@ class FakeHost:
     def snapshot(self) -> Snapshot:
         if self.ended:
             raise DeviceLost("the loop has ended")
+        reading = JointReading(q=self.q, t_s=self.t_s - 0.01, sequence=self.cycle, source="fake")
         return Snapshot(
-            t_s=self.t_s, cycle=self.cycle, robot=self.robot, guard=self.guard, why="", q=self.q, q_t_s=self.t_s - 0.01,
-            q_sequence=self.cycle, q_sent=self.q, enabled=True, dropped=self.dropped, late=0, missed=0,
-            lateness_p99_s=0.0,
+            t_s=self.t_s, cycle=self.cycle, robot=self.robot, guard=self.guard, why="", reading=reading,
+            q_sent=self.q, enabled=True, dropped=self.dropped, late=0, missed=0,
         )  # fmt: skip
 
     def post(self, setpoint) -> None:
@@ -80,7 +81,10 @@ class FakeHost:
     def reset(self) -> None:
         self._tell("reset")
 
-    def events(self) -> list[LoopEvent]:
+    def lateness_p99_s(self) -> float:
+        return 1e-5
+
+    def records(self) -> list[LoopEvent]:
         events, self.happened = self.happened, []
         return events
 

@@ -21,6 +21,9 @@ Array = NDArray[np.float64]
 SILENT_S = 10.0
 """A driver who sent no heartbeat for so long may be replaced by another; held the robot has been long since."""
 
+LEAD_S = 0.2
+"""Steps lead the robot by no more than a joint's way in so long: else it went on long after the last of them."""
+
 STOPPED = "stopped"
 
 RANGE_MARGIN = 1e-9
@@ -66,6 +69,10 @@ class Desk:
         self._dropped = -1
         self._cycle = -1
         self._from: Array = np.empty(0)
+        joints = host.description.joints
+        self._lower = np.array([-np.inf if joint.lower is None else joint.lower for joint in joints])
+        self._upper = np.array([np.inf if joint.upper is None else joint.upper for joint in joints])
+        self._speed = np.array([joint.max_speed for joint in joints])
 
     @property
     def robot(self) -> say.RobotDescription:
@@ -140,9 +147,13 @@ class Desk:
         """Return the state for a client. Raises DeviceLost where the loop has ended."""
         now, now_s = self._host.snapshot(), self._host.now_s()
         reading = None
-        if now.q is not None:
-            age_s = now_s - now.q_t_s
-            reading = say.ReadingMessage(q=now.q.tolist(), t_s=now.q_t_s, age_s=age_s, sequence=now.q_sequence)
+        if now.reading is not None:
+            reading = say.ReadingMessage(
+                q=now.reading.q.tolist(),
+                t_s=now.reading.t_s,
+                age_s=now_s - now.reading.t_s,
+                sequence=now.reading.sequence,
+            )
         lease = self._lease
         return say.StateMessage(
             reply_to=reply_to,
@@ -158,7 +169,7 @@ class Desk:
             driver=None if lease is None else say.Driver(who=lease.who, since_s=now_s - lease.since_s),
             late=now.late,
             missed=now.missed,
-            lateness_p99_s=now.lateness_p99_s,
+            lateness_p99_s=self._host.lateness_p99_s(),
         )
 
     def note(self, level: str, message: str) -> None:
@@ -227,15 +238,18 @@ class Desk:
         """Go towards joint values (n,) as far as one cycle allows, all joints alike, within their range."""
         joints = self.robot.joints
         way = goal - self._from
-        longest = np.array([joint.max_speed for joint in joints]) * self.robot.cycle_s
+        longest = self._speed * self.robot.cycle_s
         share = float(np.min(longest / np.maximum(np.abs(way), 1e-300), initial=1.0))
         slow = tuple(
             f"speed of {j.name}" for j, w, m in zip(joints, way, longest, strict=True) if abs(w) > m * (1 + 1e-9)
         )
         asked = self._from + share * way
-        q = np.clip(asked, [joint.lower for joint in joints], [joint.upper for joint in joints])
-        ends = tuple(f"range of {j.name}" for j, a, b in zip(joints, asked, q, strict=True) if a != b)
-        return self._go(q, now), slow + ends
+        lead = LEAD_S * self._speed
+        near = np.clip(asked, now.q_sent - lead, now.q_sent + lead)
+        far = tuple(f"lead of {j.name}" for j, a, b in zip(joints, asked, near, strict=True) if a != b)
+        q = np.clip(near, self._lower, self._upper)
+        ends = tuple(f"range of {j.name}" for j, a, b in zip(joints, near, q, strict=True) if a != b)
+        return self._go(q, now), slow + far + ends
 
     def _begin_cycle(self, now: Snapshot) -> Array:
         """Return where this cycle's steps begin: several within one cycle replace each other, they do not add up."""
@@ -285,10 +299,10 @@ class Desk:
 
     def _reachable(self, values: ArrayLike) -> Array:
         q = self._joints("q", values)
-        for value, joint in zip(q.tolist(), self.robot.joints, strict=True):
-            if not joint.lower - RANGE_MARGIN <= value <= joint.upper + RANGE_MARGIN:
+        for value, joint, low, high in zip(q, self.robot.joints, self._lower, self._upper, strict=True):
+            if not low - RANGE_MARGIN <= value <= high + RANGE_MARGIN:
                 raise Inconsistent(
-                    f"{value:.6g} of {joint.name} is out of its range {joint.lower:.6g} to {joint.upper:.6g}",
+                    f"{value:.6g} of {joint.name} is out of its range {low:.6g} to {high:.6g}",
                     consequence="Nothing was sent",
                     cure="Give a place within the range",
                 )

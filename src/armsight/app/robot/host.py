@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from armsight.control.setpoints import SetPoint
 from armsight.drivers import RobotState
 from armsight.drivers.remote.protocol import RobotDescription
 from armsight.kinematics import Arm
+from armsight.records import JointReading
 
 Array = NDArray[np.float64]
 
@@ -27,8 +28,8 @@ SETPOINT_S = 0.25
 class Snapshot:
     """The loop as it was in its newest cycle.
 
-    t_s: of the cycle, on the loop's clock. guard: the guard's state, and why it is in it. q (n,): the newest reading,
-    of q_t_s, number q_sequence; None before the first. q_sent (n,): where the robot was last told to go, in rad or m.
+    t_s: of the cycle, on the loop's clock. guard: the guard's state, and why it is in it. reading: the newest, its time
+    on the same clock; None before the first. q_sent (n,): where the robot was last told to go, in rad or m.
     dropped: how often the loop forgot what was asked of it, because it held, stopped or was told to.
     """
 
@@ -37,15 +38,12 @@ class Snapshot:
     robot: RobotState
     guard: str
     why: str
-    q: Array | None
-    q_t_s: float
-    q_sequence: int
+    reading: JointReading | None
     q_sent: Array
     enabled: bool
     dropped: int
     late: int
     missed: int
-    lateness_p99_s: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,6 +53,18 @@ class LoopEvent:
     t_s: float
     level: str
     message: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoopCommand:
+    """What the loop sent to the robot: joints or pose, and its values."""
+
+    t_s: float
+    kind: str
+    values: dict[str, Any]
+
+
+LoopRecord = LoopEvent | LoopCommand | JointReading
 
 
 class Host(Protocol):
@@ -81,6 +91,10 @@ class Host(Protocol):
         """Return the newest state. Raises DeviceLost where the loop has ended."""
         ...
 
+    def lateness_p99_s(self) -> float:
+        """Return by how much at most 99 % of the cycles began too late."""
+        ...
+
     def post(self, setpoint: SetPoint) -> None:
         """Replace what is asked of the robot. Raises DeviceLost where the loop does not take it."""
         ...
@@ -101,8 +115,8 @@ class Host(Protocol):
         """Take set points again after a stop. Raises DeviceLost."""
         ...
 
-    def events(self) -> list[LoopEvent]:
-        """Return what happened since this was last asked, the oldest first."""
+    def records(self) -> list[LoopRecord]:
+        """Return what the loop did since this was last asked, the oldest first. Never raises."""
         ...
 
 

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from typing import Any, Protocol
 
 from armsight.app.robot.desk import Desk, DeskLog
-from armsight.app.robot.host import Host
+from armsight.app.robot.host import Host, LoopCommand, LoopEvent
 from armsight.drivers.remote import protocol as say
 from armsight.records import JointReading
 
@@ -55,7 +55,6 @@ class Service:
         self._log = log
         self._subscriptions: set[Subscription] = set()
         self._budget, self._filled_s, self._left_out = BURST, host.now_s(), 0
-        self._sequence = -1
         self.desk = Desk(host, self, instance=secrets.token_hex(8))
 
     @contextmanager
@@ -70,8 +69,13 @@ class Service:
 
     def pump(self) -> None:
         """Fetch what the loop did, keep it and tell it; to be called some times a second."""
-        for event in self.host.events():
-            self._keep(event.t_s, event.level, event.message)
+        for record in self.host.records():
+            if isinstance(record, LoopEvent):
+                self._keep(record.t_s, record.level, record.message)
+            elif isinstance(record, LoopCommand):
+                self._log.command(record.t_s, "loop", record.kind, record.values)
+            else:
+                self._log.joints(record)
 
     def event(self, t_s: float, level: str, message: str) -> None:
         """Keep something that happened, and tell it to who listens; of a flood of warnings only their number."""

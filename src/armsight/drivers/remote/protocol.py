@@ -142,8 +142,8 @@ class JointDescription(_Model):
     """One joint of the robot."""
 
     name: str
-    lower: float = Field(description="Smallest value in rad or m.")
-    upper: float = Field(description="Largest value in rad or m.")
+    lower: float | None = Field(description="Smallest value in rad or m; null where it has no end.")
+    upper: float | None = Field(description="Largest value in rad or m; null where it has no end.")
     max_speed: float = Field(description="Largest speed in rad/s or m/s.")
 
 
@@ -207,7 +207,7 @@ class StateMessage(_Model):
     driver: Driver | None = Field(description="Who drives; null where nobody does.")
     late: int = Field(description="Cycles of the loop that began late.")
     missed: int = Field(description="Cycles of the loop that were left out.")
-    lateness_p99_s: float = Field(description="99 % of the newest cycles began at most so late, in s.")
+    lateness_p99_s: float = Field(description="99 % of the cycles began at most so late, in s.")
 
 
 class EventMessage(_Model):
