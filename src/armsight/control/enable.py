@@ -7,7 +7,7 @@ import math
 from armsight.clock import Clock
 
 TIMEOUT_S = 0.25
-"""An enable that nobody renewed for so long is gone: four key repeats, or a client's heartbeat and one that was lost."""
+"""An enable that nobody renewed for so long is gone: some key repeats, or a client's heartbeats, one of them lost."""
 
 
 class Enable:

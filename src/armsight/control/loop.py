@@ -68,8 +68,9 @@ class ControlLoop:
     """Moves an open robot through a guard. `run` blocks; all other methods may be called from any thread.
 
     enabled: tells whether the operator's enable is alive, such as Enable.alive. A source that has a method warm_up()
-    gets it called before the first cycle; one that FollowsTarget is asked for its target each cycle. by_pose: send poses of the flange by
-    move_pose; where not said, a robot that says it `takes_joints` or says nothing gets joint steps.
+    gets it called before the first cycle; one that FollowsTarget is asked for its target each cycle. by_pose: send
+    poses of the flange by move_pose; where not said, a robot that says it `takes_joints` or says nothing gets joint
+    steps.
     """
 
     def __init__(

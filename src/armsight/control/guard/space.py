@@ -8,44 +8,41 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from armsight.control.guard.limits import JointBounds, Limits
+from armsight.control.guard.kernels import RANGE, depths
+from armsight.control.guard.limits import Box, JointBounds, Limits
 from armsight.kinematics import Arm, fk_jacobian
 
 Array = NDArray[np.float64]
 
 NEWTON_STEPS = 4
-"""From where the tool is to where it shall be within one cycle, two are enough; a pose not met by then is not reached."""
+"""For the way of one cycle two are enough; a pose not met by then is not reached."""
 POSITION_M = 1e-7
 ROTATION_RAD = 1e-7
+EVERYWHERE = Box(lower_m=np.full(3, -1e9), upper_m=np.full(3, 1e9), name="without walls")
 HAIR = 1e-9
 """What is worse by less than this (m, rad, m/s) than it was is not worse."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sight:
-    """The tool at readings q (m, n): T_base_tool T (m, 4, 4), its Jacobian J (m, 6, n) for the readings, base axes."""
+    """The tool at readings q (n,): T_base_tool (4, 4), and its Jacobian J (6, n) for the readings in base axes."""
 
     q: Array
     T: Array
     J: Array
 
-    @property
-    def position_m(self) -> Array:
-        """The tool's origin (m, 3)."""
-        return self.T[:, :3, 3]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Breach:
-    """By how much each limit is broken, by name: 0 or less where it is kept."""
+    """By how much each limit is broken, in the order of names; 0 or less where it is kept."""
 
-    by: dict[str, float]
+    names: tuple[str, ...]
+    depths: Array
 
     def worse_than(self, before: Breach) -> tuple[str, ...]:
         """Return the limits that are broken here, and more than before; who is beyond one may come back."""
-        return tuple(
-            name for name, depth in self.by.items() if depth > HAIR and depth > before.by.get(name, 0.0) + HAIR
-        )
+        worse = self.depths > np.maximum(before.depths, 0.0) + HAIR
+        return tuple(self.names[i] for i in np.flatnonzero(worse)) if worse.any() else ()
 
 
 class Space:
@@ -54,77 +51,83 @@ class Space:
     def __init__(self, arm: Arm, limits: Limits, bounds: JointBounds) -> None:
         self.arm = arm
         self._limits = limits
-        self._bounds = bounds
         self._gearing = arm.gearing if arm.couplings else None
         self._T_base_world = arm.T_world_base.inv().as_matrix()
-        self._R_base_world = self._T_base_world[:3, :3]
-        self._flange = arm.T_flange_tool.inv().as_matrix()
+        self._flange = np.ascontiguousarray(arm.T_flange_tool.inv().as_matrix()[:3, 3])
         self._lengths = np.array([[arm.length_m]] * 3 + [[1.0]] * 3)
-        self._boxes = [(f"forbidden box {box.name}", box) for box in limits.forbidden]
+        self._joints = np.array([bounds.lower, bounds.upper, bounds.speed])
+        self._most = np.array([limits.speed_m_s, limits.turn_rad_s])
+        spaces = (limits.workspace or EVERYWHERE, *limits.forbidden)
+        self._boxes = np.array([[*box.lower_m, *box.upper_m] for box in spaces])
+        self.rows = 6 if arm.n >= 6 else 3
+        """How many rows of a Jacobian motion in space uses: three where joints are too few to turn the tool."""
+        self._names = (
+            "speed of the tool",
+            "turning of the tool",
+            "range of a joint",
+            "speed of a joint",
+            f"workspace {spaces[0].name}",
+            *(f"forbidden box {box.name}" for box in limits.forbidden),
+            "distance to a singularity",
+        )
 
     def look(self, q: Array) -> Sight:
-        """Return the tool at readings q (m, n)."""
-        values = q if self._gearing is None else q @ self._gearing.T
-        T, J = fk_jacobian(self.arm, values)
-        T = self._T_base_world @ T
-        J = np.concatenate([self._R_base_world @ J[:, :3], self._R_base_world @ J[:, 3:]], axis=1)
-        return Sight(q, T, J if self._gearing is None else J @ self._gearing)
+        """Return the tool at readings q (n,)."""
+        T, J = fk_jacobian(self.arm, self._values(q))
+        return self._in_base(q, T, J)
+
+    def along(self, q: Array, qd: Array, *, in_space: bool) -> tuple[Breach, Sight]:
+        """Return what is broken at worst over readings q (m, n) moving at qd (m, n), and the tool at the first.
+
+        in_space: singularities count, at both ends.
+        """
+        values = self._values(q)
+        T, J = fk_jacobian(self.arm, values, all_cores=False)
+        if self._gearing is not None:
+            J = np.ascontiguousarray(J @ self._gearing)
+        found = np.empty(len(self._names))
+        depths(
+            T,
+            J,
+            q,
+            qd,
+            self._T_base_world,
+            self._flange,
+            self._joints,
+            self._most,
+            self._boxes,
+            self._limits.margin_m,
+            found[:-1],
+        )
+        if self._gearing is not None:
+            beyond = np.maximum(self.arm.lower - values, values - self.arm.upper)
+            found[RANGE] = max(found[RANGE], float(beyond.max()))
+        found[-1] = self._limits.singularity - self.singularity(J[[0, -1]]) if in_space else -np.inf
+        return Breach(self._names, found), self._in_base(q[0], T[0], J[0])
+
+    def at(self, sight: Sight, qd: Array, *, in_space: bool) -> Breach:
+        """Return what is broken where the tool is, moving at qd (n,)."""
+        return self.along(sight.q[None], qd[None], in_space=in_space)[0]
+
+    def _values(self, q: Array) -> Array:
+        return q if self._gearing is None else q @ self._gearing.T
+
+    def _in_base(self, q: Array, T: Array, J: Array) -> Sight:
+        R = self._T_base_world[:3, :3]
+        return Sight(q, self._T_base_world @ T, (R @ J.reshape(2, 3, -1)).reshape(6, -1))
 
     def twist(self, J: Array, qd: Array) -> tuple[Array, Array]:
-        """Return velocity (m, 3) and angular velocity (m, 3) of the tool for J (m, 6, n) and qd (m, n)."""
-        both = np.einsum("mij,mj->mi", J, qd)
-        return both[:, :3], both[:, 3:]
+        """Return velocity (3,) and angular velocity (3,) of the tool for J (6, n) and qd (n,)."""
+        both = J @ qd
+        return both[:3], both[3:]
 
     def singularity(self, J: Array) -> float:
-        """Return the least singular value of one Jacobian (6, n), lengths in mean links; of position only below six."""
-        return float(np.linalg.svd(self.scaled(J), compute_uv=False)[-1])
+        """Return the least singular value of Jacobians (m, 6, n), lengths in mean links; below six of position only."""
+        return float(np.linalg.svd(self.scaled(J), compute_uv=False)[..., -1].min())
 
     def scaled(self, J: Array) -> Array:
-        """Return the rows of J (6, n) that motion in space uses, lengths in units of the arm's mean link."""
-        return (J / self._lengths)[: self.rows]
-
-    @property
-    def rows(self) -> int:
-        """How many rows of a Jacobian motion in space uses: six, or three where joints are too few to turn the tool."""
-        return 6 if self.arm.n >= 6 else 3
-
-    def breach(self, sight: Sight, qd: Array, *, in_space: bool) -> Breach:
-        """Return what is broken at worst over the rows of sight, moving at qd (m, n); in_space: singularities count.
-
-        Between two rows the tool goes no further than from row to row, which boxes allow for by half of it.
-        """
-        limits, p = self._limits, sight.position_m
-        velocity, turning = self.twist(sight.J, qd)
-        flange = p + (sight.T[:, :3, :3] @ self._flange[:3, 3])
-        points = np.concatenate([p, flange])
-        stride = 0.0
-        if len(p) > 1:
-            stride = 0.5 * float(np.sqrt(np.square(np.diff(np.array([p, flange]), axis=1)).sum(axis=-1).max()))
-        broken = {
-            "speed of the tool": float(np.sqrt(np.square(velocity).sum(axis=1).max())) - limits.speed_m_s,
-            "turning of the tool": float(np.sqrt(np.square(turning).sum(axis=1).max())) - limits.turn_rad_s,
-            "range of a joint": self._beyond_range(sight.q),
-            "speed of a joint": float((np.abs(qd) - self._bounds.speed).max()),
-        }
-        keep = limits.margin_m + stride
-        if limits.workspace is not None:
-            low, high = limits.workspace.lower_m + keep, limits.workspace.upper_m - keep
-            broken[f"workspace {limits.workspace.name}"] = float(np.maximum(low - points, points - high).max())
-        for name, box in self._boxes:
-            inside = np.minimum(points - (box.lower_m - keep), (box.upper_m + keep) - points).min(axis=1)
-            broken[name] = float(inside.max())
-        if in_space:
-            least = min(self.singularity(sight.J[0]), self.singularity(sight.J[-1]))
-            broken["distance to a singularity"] = limits.singularity - least
-        return Breach(broken)
-
-    def _beyond_range(self, q: Array) -> float:
-        bounds = self._bounds
-        depth = float(np.maximum(bounds.lower - q, q - bounds.upper).max())
-        if self._gearing is None:
-            return depth
-        values = q @ self._gearing.T
-        return max(depth, float(np.maximum(self.arm.lower - values, values - self.arm.upper).max()))
+        """Return the rows of J (..., 6, n) that motion in space uses, lengths in units of the arm's mean link."""
+        return np.asarray((J / self._lengths)[..., : self.rows, :])
 
     def inverse_twist(self, J: Array, velocity_m_s: Array, angular_rad_s: Array) -> Array:
         """Return joint velocities (n,) for a twist, damped near singularities (Nakamura, Hanafusa 1986).
@@ -140,24 +143,24 @@ class Space:
         return np.asarray(vt.T @ (share * (u.T @ wanted)))
 
     def inverse_pose(self, T_base_tool: Array, sight: Sight) -> Array | None:
-        """Return readings (n,) near those of sight's first row that put the tool at a pose (4, 4); None: none found.
+        """Return readings (n,) near those of sight that put the tool at a pose (4, 4); None: none found.
 
         Arms of less than six joints meet the position only.
         """
-        q = sight.q[0].copy()
+        q = sight.q.copy()
         at = sight
         for _ in range(NEWTON_STEPS):
-            way, turn = pose_difference(T_base_tool, at.T[0])
+            way, turn = pose_difference(T_base_tool, at.T)
             turned = self.rows == 3 or float(np.abs(turn).max()) < ROTATION_RAD
             if turned and float(np.abs(way).max()) < POSITION_M:
                 return q
             error = (np.concatenate([way, turn])[:, None] / self._lengths)[: self.rows, 0]
-            J = self.scaled(at.J[0])
+            J = self.scaled(at.J)
             q = q + J.T @ np.linalg.solve(J @ J.T + 1e-12 * np.eye(self.rows), error)
             if not (np.abs(q) < 1e3).all():
                 return None
-            at = self.look(q[None])
-        way, turn = pose_difference(T_base_tool, at.T[0])
+            at = self.look(q)
+        way, turn = pose_difference(T_base_tool, at.T)
         close = float(np.abs(way).max()) < POSITION_M and (self.rows == 3 or float(np.abs(turn).max()) < ROTATION_RAD)
         return q if close else None
 

@@ -108,7 +108,8 @@ class Watch:
         return Fault(
             GuardState.STOPPED,
             "following",
-            f"joint {j + 1} is not where it was sent: it reads {reading.q[j]:.4g}, sent was {self._sent[self._next - 1, j]:.4g}",
+            f"joint {j + 1} is not where it was sent: it reads {reading.q[j]:.4g}, "
+            f"sent was {self._sent[self._next - 1, j]:.4g}",
         )
 
     def finite(self, wanted: SetPoint) -> Fault | None:
@@ -117,7 +118,9 @@ class Watch:
         match wanted:
             case JointGoal(q=values) | JointVelocity(qd=values):
                 if len(values) != n:
-                    return Fault(GuardState.STOPPED, "set point", f"a set point of {len(values)} joints for an arm of {n}")
+                    return Fault(
+                        GuardState.STOPPED, "set point", f"a set point of {len(values)} joints for an arm of {n}"
+                    )
                 good = np.isfinite(values).all()
             case ToolTwist(velocity_m_s=v, angular_rad_s=w):
                 good = np.isfinite(v).all() and np.isfinite(w).all()

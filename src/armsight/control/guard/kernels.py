@@ -1,0 +1,62 @@
+"""Compiled: by how much a stretch of motion goes beyond each limit."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from armsight._numba import fast_kernel
+
+SPEED, TURNING, RANGE, JOINT_SPEED, WORKSPACE, BOXES = 0, 1, 2, 3, 4, 5
+"""Places in the table of depths; forbidden boxes follow from BOXES on."""
+
+
+@fast_kernel
+def depths(T, J, q, qd, base, offset, joints, most, boxes, margin, out):
+    """Fill out (BOXES + b,) with the largest excess over each limit along m places; 0 and below: kept.
+
+    T (m, 4, 4) and J (m, 6, n) of the tool in world axes at readings q (m, n), moving at qd (m, n). base (3, 4):
+    T_base_world. offset (3,): the flange in tool axes. joints (3, n): lower, upper, speed. most: speed (m/s) and
+    turning (rad/s) of the tool. boxes (1 + b, 6): lower and upper corners in base axes, the workspace first. Between
+    two places the tool goes no further than from one to the other; boxes keep half of that beside the margin.
+    """
+    m, n = q.shape
+    points = np.empty((m, 2, 3))
+    out[:] = -np.inf
+    for i in range(m):
+        for half in range(2):
+            square = 0.0
+            for r in range(3 * half, 3 * half + 3):
+                value = 0.0
+                for j in range(n):
+                    value += J[i, r, j] * qd[i, j]
+                square += value * value
+            out[half] = max(out[half], np.sqrt(square) - most[half])
+        for j in range(n):
+            out[RANGE] = max(out[RANGE], joints[0, j] - q[i, j], q[i, j] - joints[1, j])
+            out[JOINT_SPEED] = max(out[JOINT_SPEED], abs(qd[i, j]) - joints[2, j])
+        for r in range(3):
+            tool = base[r, 3]
+            flange = 0.0
+            for k in range(3):
+                tool += base[r, k] * T[i, k, 3]
+                for c in range(3):
+                    flange += base[r, k] * T[i, k, c] * offset[c]
+            points[i, 0, r] = tool
+            points[i, 1, r] = tool + flange
+    stride = 0.0
+    for i in range(1, m):
+        for p in range(2):
+            square = 0.0
+            for r in range(3):
+                square += (points[i, p, r] - points[i - 1, p, r]) ** 2
+            stride = max(stride, square)
+    keep = margin + 0.5 * np.sqrt(stride)
+    for i in range(m):
+        for p in range(2):
+            for b in range(len(boxes)):
+                inside = np.inf
+                for r in range(3):
+                    low, high = points[i, p, r] - boxes[b, r], boxes[b, 3 + r] - points[i, p, r]
+                    inside = min(inside, low, high)
+                depth = keep - inside if b == 0 else keep + inside
+                out[WORKSPACE + b] = max(out[WORKSPACE + b], depth)
