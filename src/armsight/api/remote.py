@@ -34,7 +34,7 @@ BEGUN_CYCLES = 3
 class RemoteState(Result):
     """A served robot at one moment. q, q_sent (n,): its newest reading and where it was told to go, in rad or m.
 
-    age_s: how old the reading is; inf without one, and q is then empty. robot, guard: their states, and why the guard's.
+    age_s: how old the reading is; inf without one, and q is then empty. robot, guard: their states; why: of the guard.
     driver: who drives, empty where nobody does. late, missed: cycles of the server's loop.
     """
 

@@ -220,15 +220,25 @@ class ProcessHost(_LoopHost):
 class ThreadHost(_LoopHost):
     """A robot's loop in a thread of this process, on a given clock: for tests and simulation, not for real time."""
 
-    def __init__(self, robot: Robot, arm: Arm, clock: Clock, limits: Limits | None = None) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        arm: Arm,
+        clock: Clock,
+        limits: Limits | None = None,
+        *,
+        ended: Callable[[], None] = lambda: None,
+    ) -> None:
+        """ended is called in the loop's thread at its end."""
         super().__init__(arm, clock)
-        self._thread = threading.Thread(
-            target=run_loop,
-            args=(self._channels, robot, arm, limits or Limits(), clock),
-            kwargs={"driver": robot.name},
-            name="armsight-loop",
-            daemon=True,
-        )
+        self._robot, self._limits, self._when_ended = robot, limits or Limits(), ended
+        self._thread = threading.Thread(target=self._run, name="armsight-loop", daemon=True)
+
+    def _run(self) -> None:
+        try:
+            run_loop(self._channels, self._robot, self._arm, self._limits, self._clock, driver=self._robot.name)
+        finally:
+            self._when_ended()
 
     def begin(self) -> None:
         """Start the loop; it waits for its clock."""

@@ -18,7 +18,8 @@ from armsight.app.robot.host import HEARTBEAT_S, SETPOINT_S, LoopCommand, LoopEv
 from armsight.clock import Clock
 from armsight.control.guard import Guard, GuardState, Limits
 from armsight.control.loop import ControlLoop, LoopStatus
-from armsight.control.setpoints import CycleState, Hold, JointGoal, JointVelocity, SetPoint, ToolTwist
+from armsight.control.setpoints import CycleState, JointGoal, JointVelocity, SetPoint, ToolTwist
+from armsight.control.sources.client import ClientSource
 from armsight.drivers import Robot
 from armsight.drivers.remote.protocol import JointDescription, RobotDescription
 from armsight.errors import ArmsightError
@@ -112,7 +113,7 @@ class RecordSink:
             self.dropped += 1
 
 
-class ClientSource:
+class OrderSource:
     """Set points and heartbeats of whoever drives, from the queue of orders: the loop's source, and its enable.
 
     Places are followed until they are reached, velocities for SETPOINT_S; all is forgotten when the enable ends, the
@@ -126,8 +127,10 @@ class ClientSource:
         self._clock = clock
         self._parent = parent
         self._loop: ControlLoop | None = None
-        self._wanted: SetPoint | None = None
-        self._posted_s = self._beat_s = -math.inf
+        self._client = ClientSource(SETPOINT_S)
+        self._goal: JointGoal | None = None
+        self._asked = False
+        self._beat_s = -math.inf
         self._enable = False
         self._off = 0
         self.was_enabled = False
@@ -145,16 +148,11 @@ class ClientSource:
             self._leave()  # the server's process died
         if not self._alive():
             self.drop()
-        wanted = self._wanted
-        if wanted is None:
-            return Hold()
-        if isinstance(wanted, JointGoal):
-            if np.abs(now.q_sent - wanted.q).max() <= ARRIVED and not now.qd_sent.any():
-                self._wanted = None
-        elif now.t_s - self._posted_s > SETPOINT_S:
-            self.drop()
-            return Hold()
-        return wanted
+        if self._goal is not None:
+            self._client.post(self._goal, now.t_s)  # a place does not age
+            if np.abs(now.q_sent - self._goal.q).max() <= ARRIVED and not now.qd_sent.any():
+                self._forget()
+        return self._client.next(now)
 
     def enabled(self) -> bool:
         """Return whether the driver lives and allows motion."""
@@ -164,9 +162,13 @@ class ClientSource:
 
     def drop(self) -> None:
         """Forget what was asked."""
-        if self._wanted is not None:
-            self._wanted = None
+        if self._asked:
+            self._forget()
             self.dropped += 1
+
+    def _forget(self) -> None:
+        self._client.clear()
+        self._goal, self._asked = None, False
 
     def _alive(self) -> bool:
         return self._enable and self._clock.now_s() - self._beat_s <= HEARTBEAT_S
@@ -197,7 +199,8 @@ class ClientSource:
 
     def _follow(self, wanted: SetPoint) -> None:
         if self._alive():  # what came before the enable, or after its end, is not done later
-            self._wanted, self._posted_s = wanted, self._clock.now_s()
+            self._client.post(wanted, self._clock.now_s())
+            self._goal, self._asked = wanted if isinstance(wanted, JointGoal) else None, True
 
     def _beat(self, enable: bool) -> None:
         self._enable, self._beat_s = enable, self._clock.now_s()
@@ -222,7 +225,7 @@ def run_loop(
     try:
         with robot:
             guard = Guard(arm, limits, robot.cycle_s)
-            source = ClientSource(channels.orders, clock, parent)
+            source = OrderSource(channels.orders, clock, parent)
             counted = CountedClock(clock, channels.lateness)
             loop = ControlLoop(robot, guard, source, counted, enabled=source.enabled, sink=sink)
             source.attach(loop)
@@ -238,7 +241,7 @@ def run_loop(
 class Teller:
     """Tells the newest state after each cycle."""
 
-    def __init__(self, state: Newest, source: ClientSource, sink: RecordSink) -> None:
+    def __init__(self, state: Newest, source: OrderSource, sink: RecordSink) -> None:
         self._state = state
         self._source = source
         self._sink = sink
