@@ -37,9 +37,7 @@ class NoLog:
 def served() -> Iterator[tuple[RemoteRobot, SimRobot, GatedClock]]:
     clock = GatedClock(100.0)
     nominal = SimArm(
-        joints=tuple(
-            SimJoint(name=f"j{i}", a_m=a, alpha_rad=k * QUARTER, d_m=d) for i, (a, k, d) in enumerate(SIX, 1)
-        )
+        joints=tuple(SimJoint(name=f"j{i}", a_m=a, alpha_rad=k * QUARTER, d_m=d) for i, (a, k, d) in enumerate(SIX, 1))
     )
     sim = SimRobot(
         "sim",

@@ -89,3 +89,8 @@ class RecordingLog:
             record(writer)
         except ArmsightError as error:
             self.failed = str(error)
+
+
+def default_log() -> Path:
+    """Return a new log's path in the current folder, by the time of day."""
+    return Path(time.strftime("serve-%Y%m%d-%H%M%S.mcap"))

@@ -10,7 +10,7 @@ import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any, Self
@@ -193,7 +193,8 @@ class ProcessHost(_LoopHost):
         )
 
     def __enter__(self) -> Self:
-        self._process.start()
+        with _interrupts_ignored():  # Ctrl-C reaches both processes; this one ends the other in order
+            self._process.start()
         try:
             self._wait()
         except BaseException:
@@ -258,9 +259,21 @@ class ThreadHost(_LoopHost):
         return self._thread.is_alive()
 
 
+@contextlib.contextmanager
+def _interrupts_ignored() -> Iterator[None]:
+    """Let a process that is started here ignore SIGINT from its first moment on."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 def _loop_process(channels: Channels, spec: RobotSpec, parent: int) -> None:
     """Run a robot's loop; the process that started it ends it."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches both processes; the server ends this one in order
     if hasattr(os, "sched_setscheduler"):
         with contextlib.suppress(OSError):  # not everybody may: then it runs as others do
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
