@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +25,8 @@ Array = NDArray[np.float64]
 
 BRAKE_SAMPLES = 16
 """Places along the way to rest that are checked."""
+TOO_FAST = 1e3
+"""Joint speed (rad/s or m/s) beyond every limit."""
 SHARES = (1.0, 0.5, 0.2)
 """Of the speed asked for, tried one after the other before the arm is brought to rest."""
 BELOW = 0.97
@@ -126,10 +131,10 @@ class Follower:
     def _move(self, wanted: SetPoint, share: float) -> Move | None:
         match wanted:
             case JointVelocity(qd=qd):
-                return self._with_velocity(qd, (), in_space=False)
+                return self._with_velocity(qd, in_space=False)
             case ToolTwist(velocity_m_s=v, angular_rad_s=w):
                 qd = self._space.inverse_twist(self._sight.J, v, w)
-                return self._with_velocity(qd, (), in_space=True)
+                return self._with_velocity(qd, in_space=True)
             case JointGoal(q=q):
                 self._check_goal(q, in_space=False)
                 return self._to_goal(q, np.zeros(self.arm.n), share, (), in_space=False)
@@ -138,50 +143,43 @@ class Follower:
             case Hold() | Finished():
                 return None
 
-    def _with_velocity(self, qd: Array, limited: tuple[str, ...], *, in_space: bool) -> Move | None:
+    def _with_velocity(self, qd: Array, *, in_space: bool) -> Move:
         """Return the move towards joint velocities, scaled down to the limits of speed."""
         self._goal = None
-        share, cut = self._speed_share(qd)
-        limited += cut if share < 1.0 else ()
-        ceiling = self._ceiling(self._sight.J)
-        before = self._breach_now(in_space)
-        for part in SHARES:
+        share, limited = self._speed_share(qd)
+        for part, ceiling in self._attempts(share * qd - self._now.qd):
             course = self._planner.to_velocity(self._now, part * share * qd, ceiling)
-            move, broken = self._checked(course, ceiling, before, limited, in_space=in_space)
+            move, broken = self._checked(course, limited, in_space=in_space)
             if move is not None:
                 return move
-            limited += tuple(name for name in broken if name not in limited)
-        return self._nowhere(limited)
+            limited += tuple(name for name in broken if name not in limited and part < 1.0)
+        return self._nowhere(broken)
 
-    def _to_goal(self, q: Array, qd: Array, slow: float, limited: tuple[str, ...], *, in_space: bool) -> Move | None:
+    def _to_goal(self, q: Array, qd: Array, slow: float, limited: tuple[str, ...], *, in_space: bool) -> Move:
         """Return the move towards joint values, passed at velocities qd; slow: share of all speeds."""
         way = q - self._now.q
-        ceiling = self._ceiling(self._sight.J)
-        before = self._breach_now(in_space)
-        fast = self._speed_share(way)[0] if np.abs(way).max() <= 0.0 else self._fastest(way)
-        for part in SHARES:
-            speed = np.minimum(np.abs(way) * fast, self.bounds.speed) * part * slow + np.abs(qd)
+        often = self._fastest(way)
+        for part, ceiling in self._attempts(way):
+            speed = np.minimum(np.abs(way) * often, self.bounds.speed) * part * slow + np.abs(qd)
             slower = dataclasses.replace(ceiling, speed=np.minimum(speed, BELOW * self.bounds.speed))
             course = self._planner.to_position(self._now, q, qd, slower)
-            move, broken = self._checked(course, ceiling, before, limited, in_space=in_space)
+            move, broken = self._checked(course, limited, in_space=in_space)
             if move is not None:
                 return move
-            limited += tuple(name for name in broken if name not in limited)
-        return self._nowhere(limited)
+            limited += tuple(name for name in broken if name not in limited and part < 1.0)
+        return self._nowhere(broken)
+
+    def _attempts(self, way: Array) -> Iterator[tuple[float, Ceiling]]:
+        """Yield shares of the speed with what the joints may do, boldest first, for a change of motion along way."""
+        J = self._sight.J
+        yield 1.0, self._ceiling(J, way)
+        for share in SHARES:
+            yield share, self._ceiling(J)
 
     def _to_pose(self, T: Array) -> Move | None:
         """Return the move to a pose for the end of this cycle: just so where that keeps the limits, else towards it."""
-        limits = self.limits
         way, turn = pose_difference(T, self._sight.T)
-        if np.linalg.norm(way) > limits.jump_m or (self.arm.n >= 6 and np.linalg.norm(turn) > limits.jump_rad):
-            raise Refused(
-                Fault(
-                    GuardState.STOPPED,
-                    "discontinuous",
-                    f"the next pose is {np.linalg.norm(way) / MM:.1f} mm and {np.linalg.norm(turn) / DEG:.1f} deg from "
-                    "the tool: the path jumps, or is faster than the limits",
-                )
-            )
+        self._check_jump(float(np.linalg.norm(way)), float(np.linalg.norm(turn)))
         q = self._space.inverse_pose(T, self._sight)
         if q is None:
             raise Refused(Fault(GuardState.HOLDING, "reach", "the next pose is out of reach or singular"))
@@ -192,6 +190,14 @@ class Follower:
             return just_so
         self._check_goal(q, in_space=True)
         return self._to_goal(q, ahead, 1.0, ("faster than the limits",), in_space=True)
+
+    def _check_jump(self, way_m: float, turn_rad: float) -> None:
+        """Raise Refused for a pose so far from the tool that it is no next step of a path."""
+        turns = self.arm.n >= 6 and turn_rad > self.limits.jump_rad
+        if way_m > self.limits.jump_m or turns:
+            why = f"the next pose is {way_m / MM:.1f} mm and {turn_rad / DEG:.1f} deg from the tool"
+            why += ": the path jumps, or is faster than the limits"
+            raise Refused(Fault(GuardState.STOPPED, "discontinuous", why))
 
     def _just_so(self, q: Array, way: Array) -> Move | None:
         """Return the move that ends at q exactly, where differences over cycles keep every limit; None elsewhere."""
@@ -217,57 +223,75 @@ class Follower:
         if not kept:
             return None
         state = State(q, speed + 0.5 * T * change, change)
-        ceiling = self._ceiling(self._sight.J)
-        return self._accepted(state, ceiling, self._breach_now(True), (), in_space=True)[0]
+        return self._accepted(state, (), in_space=True)[0]
 
     def _check_goal(self, q: Array, *, in_space: bool) -> None:
         """Raise Refused for joint values that may not be gone to at all, and are not a way back into the limits."""
-        broken, _ = self._space.along(q[None], np.zeros((1, self.arm.n)), in_space=in_space)
+        still = np.zeros(self.arm.n)
+        broken = self._space.at(q, still, still, in_space=in_space)
         worse = broken.worse_than(self._breach_now(in_space))
         if worse:
             raise Refused(Fault(GuardState.HOLDING, worse[0], f"where it shall go is beyond a limit: {worse[0]}"))
 
-    def _nowhere(self, limited: tuple[str, ...]) -> Move | None:
+    def _nowhere(self, broken: tuple[str, ...]) -> NoReturn:
         """Refuse a set point that no speed is slow enough for."""
-        told = ", ".join(limited) or "no motion keeps all limits"
-        raise Refused(Fault(GuardState.HOLDING, limited[-1] if limited else "limits", f"at a limit: {told}"))
+        raise Refused(Fault(GuardState.HOLDING, broken[0], f"at a limit: {', '.join(broken)}"))
 
     def _checked(
-        self, course: Course | None, ceiling: Ceiling, before: Breach, limited: tuple[str, ...], *, in_space: bool
+        self, course: Course | None, limited: tuple[str, ...], *, in_space: bool
     ) -> tuple[Move | None, tuple[str, ...]]:
         """Return the move one cycle along a course, or the limits that it would break on the way to rest behind it."""
         if course is None:
-            return None, ("no motion keeps the limits of the joints",)
-        return self._accepted(course.at(self.cycle_s), ceiling, before, limited, in_space=in_space)
+            return None, ("joints too fast to be guided",)
+        return self._accepted(course.at(self.cycle_s), limited, in_space=in_space)
 
     def _accepted(
-        self, state: State, ceiling: Ceiling, before: Breach, limited: tuple[str, ...], *, in_space: bool
+        self, state: State, limited: tuple[str, ...], *, in_space: bool
     ) -> tuple[Move | None, tuple[str, ...]]:
-        brake = self._planner.to_rest(state, ceiling)
-        if brake is None:
-            return None, ("no way to rest",)
-        q, qd, _ = brake.sampled(np.linspace(0.0, brake.duration_s, BRAKE_SAMPLES).tolist())
-        broken, sight = self._space.along(q, qd, in_space=in_space)
-        worse = broken.worse_than(before)
-        if worse:
-            return None, worse
-        return Move(state, brake, sight, limited), ()
+        """Return the move to a state with a way to rest behind it, or the limits that each way to rest breaks."""
+        before = self._breach_now(in_space)
+        broken: tuple[str, ...] = ("no way to rest",)
+        for ceiling in (self._ceiling(self._sight.J, state.qd), self._ceiling(self._sight.J)):
+            brake = self._planner.to_rest(state, ceiling)
+            if brake is None:
+                continue
+            dt_s = brake.duration_s / (BRAKE_SAMPLES - 1)
+            q, qd, qdd = brake.sampled([i * dt_s for i in range(BRAKE_SAMPLES)])
+            found, sight = self._space.along(q, qd, qdd, dt_s, in_space=in_space)
+            broken = found.worse_than(before)
+            if not broken:
+                return Move(state, brake, sight, limited), ()
+        return None, broken
 
     def _breach_now(self, in_space: bool) -> Breach:
         """Return what is broken where the arm was last sent; worked out once a cycle."""
         if in_space not in self._before:
-            self._before[in_space] = self._space.at(self._sight, self._now.qd, in_space=in_space)
+            now = self._now
+            self._before[in_space] = self._space.at(now.q, now.qd, now.qdd, in_space=in_space)
         return self._before[in_space]
 
-    def _ceiling(self, J: Array) -> Ceiling:
-        """Return what the joints may do so that the tool keeps its limits whatever signs their motions have."""
+    def _ceiling(self, J: Array, way: Array | None = None) -> Ceiling:
+        """Return what the joints may do so that the tool keeps its limits: whatever signs their motions have.
+
+        way (n,): where all joints change their motion along it together, and so may do more; whether they really do
+        is left to the check.
+        """
+        limits, bounds = self.limits, self.bounds
         straight, turned = np.sqrt(np.square(J[:3]).sum(axis=0)), np.sqrt(np.square(J[3:]).sum(axis=0))
+        along: Array | None = None
+        if way is not None and np.abs(way).max() > 0.0:
+            along = np.abs(way) / np.abs(way).max()
+            v, w = self._space.twist(J, way / np.abs(way).max())
+            fast, wide = math.sqrt(float(v @ v)), math.sqrt(float(w @ w))
 
         def shared(joints: Array, tool: float, tool_turn: float) -> Array:
             worst = max(float(straight @ joints) / tool, float(turned @ joints) / tool_turn)
-            return np.asarray(joints * min(1.0, BELOW_ACCELERATION / max(worst, 1e-12)))
+            least = joints * min(1.0, BELOW_ACCELERATION / max(worst, 1e-12))
+            if along is None:
+                return np.asarray(least)
+            most = max(fast / tool, wide / tool_turn, float((along / joints).max()))
+            return np.asarray(np.maximum(along * (BELOW_ACCELERATION / max(most, 1e-12)), least))
 
-        limits, bounds = self.limits, self.bounds
         return Ceiling(
             BELOW * bounds.speed,
             shared(bounds.acceleration, limits.acceleration_m_s2, limits.turn_acceleration_rad_s2),
@@ -287,6 +311,7 @@ class Follower:
 
     def _fastest(self, way: Array) -> float:
         """Return how often a second the way (n,) may be gone at the limits of speed."""
-        small = way * (1e-3 / np.abs(way).max())
-        large = 1e6 * small
-        return self._speed_share(large)[0] * 1e6 * 1e-3 / float(np.abs(way).max())
+        far = float(np.abs(way).max())
+        if far <= 0.0:
+            return 0.0
+        return self._speed_share(way * (TOO_FAST / far))[0] * TOO_FAST / far

@@ -51,7 +51,9 @@ class Guard:
         self._limited: tuple[str, ...] = ()
         self._wait_release = False
         self._cut: Fault | None = None
+        self._refused: Fault | None = None
         self._stop_sent = False
+        self._resting = 0
 
     @property
     def q_sent(self) -> Array:
@@ -63,7 +65,8 @@ class Guard:
         self._follower.stand(self.arm.checked(q))
         self._watch.begin(self._follower.now.q, now_s)
         self.state, self.why, self._kind = GuardState.DISABLED, "", ""
-        self._cut, self._stop_sent, self._begun = None, False, True
+        self._cut = self._refused = None
+        self._stop_sent, self._begun, self._resting = False, True, 0
 
     def reset(self, q: Array, now_s: float) -> None:
         """Leave STOPPED; the robot stands at q (n,). The enable must be let go of and given anew before it moves."""
@@ -89,12 +92,13 @@ class Guard:
         if inputs.late_s >= self.cycle_s:
             self._follower.stand(self._follower.now.q)  # told nothing for a cycle, the robot came to rest by itself
         fault = self._worst(wanted, reading, inputs)
+        retreat = None if fault is None else self._retreat(fault, inputs)
         move: Move | None = None
         retreating = False
         if fault is None:
-            move, fault = self._follower.tried(wanted, 1.0)
-        elif self._retreats(fault, inputs):
-            move, refused = self._follower.tried(JointGoal(q=self.limits.retreat), self.limits.retreat_speed)  # type: ignore[arg-type]  # it is there
+            move, fault = self._followed(wanted)
+        elif retreat is not None:
+            move, refused = self._follower.tried(retreat, self.limits.retreat_speed)
             retreating, fault = refused is None, refused or fault
         events = self._enter(fault, retreating, inputs.now_s, move)
         return self._sent(move, fault, events)
@@ -139,11 +143,21 @@ class Guard:
             return Fault(GuardState.STOPPED, self._kind, self.why, without_robot=gone)
         return max(faults, key=lambda fault: (fault.without_robot, SEVERITY[fault.state]), default=None)
 
-    def _retreats(self, fault: Fault, inputs: Inputs) -> bool:
-        """Tell whether the target has been away for so long that the arm goes back to its set pose."""
+    def _followed(self, wanted: SetPoint) -> tuple[Move | None, Fault | None]:
+        """Return the move of a set point, or why there is none; one that met a limit first comes to rest there."""
+        if self._refused is not None and not self._follower.now.at_rest:
+            return None, self._refused
+        move, fault = self._follower.tried(wanted, 1.0)
+        self._refused = fault
+        return move, fault
+
+    def _retreat(self, fault: Fault, inputs: Inputs) -> SetPoint | None:
+        """Return the set pose that the arm goes back to where the target has been away for long; None elsewhere."""
         if self.limits.retreat is None or not fault.kind.startswith("target"):
-            return False
-        return self._watch.away_s(inputs.now_s) >= self.limits.retreat_after_s
+            return None
+        if self._watch.away_s(inputs.now_s) < self.limits.retreat_after_s:
+            return None
+        return JointGoal(q=self.limits.retreat)
 
     def _enter(self, fault: Fault | None, retreating: bool, now_s: float, move: Move | None) -> tuple[GuardEvent, ...]:
         """Take the state that the fault leads to, and return what the recording is told of it."""
@@ -165,7 +179,9 @@ class Guard:
             self._follower.stand(self._follower.now.q)
             return self._decision(None, events, stop_robot=self._first_stop())
         step = self._follower.advance(move)
-        stopped = self.state is GuardState.STOPPED and self._follower.now.at_rest and not step.any()
+        self._resting = self._resting + 1 if self._follower.now.at_rest and not step.any() else 0
+        settled = self._resting * self.cycle_s > self.limits.lag_s  # the arm comes to rest later than its commands
+        stopped = settled and self.state is GuardState.STOPPED
         return self._decision(None if stopped else step, events, stop_robot=stopped and self._first_stop())
 
     def _first_stop(self) -> bool:

@@ -56,7 +56,9 @@ class Space:
         self._flange = np.ascontiguousarray(arm.T_flange_tool.inv().as_matrix()[:3, 3])
         self._lengths = np.array([[arm.length_m]] * 3 + [[1.0]] * 3)
         self._joints = np.array([bounds.lower, bounds.upper, bounds.speed])
-        self._most = np.array([limits.speed_m_s, limits.turn_rad_s])
+        self._most = np.array(
+            [limits.speed_m_s, limits.turn_rad_s, limits.acceleration_m_s2, limits.turn_acceleration_rad_s2]
+        )
         spaces = (limits.workspace or EVERYWHERE, *limits.forbidden)
         self._boxes = np.array([[*box.lower_m, *box.upper_m] for box in spaces])
         self.rows = 6 if arm.n >= 6 else 3
@@ -64,6 +66,8 @@ class Space:
         self._names = (
             "speed of the tool",
             "turning of the tool",
+            "acceleration of the tool",
+            "turning acceleration of the tool",
             "range of a joint",
             "speed of a joint",
             f"workspace {spaces[0].name}",
@@ -76,10 +80,10 @@ class Space:
         T, J = fk_jacobian(self.arm, self._values(q))
         return self._in_base(q, T, J)
 
-    def along(self, q: Array, qd: Array, *, in_space: bool) -> tuple[Breach, Sight]:
-        """Return what is broken at worst over readings q (m, n) moving at qd (m, n), and the tool at the first.
+    def along(self, q: Array, qd: Array, qdd: Array, dt_s: float, *, in_space: bool) -> tuple[Breach, Sight]:
+        """Return what is broken at worst over readings q (m, n) moving at qd and qdd, and the tool at the first.
 
-        in_space: singularities count, at both ends.
+        dt_s: between two rows. in_space: singularities count, at both ends.
         """
         values = self._values(q)
         T, J = fk_jacobian(self.arm, values, all_cores=False)
@@ -91,6 +95,8 @@ class Space:
             J,
             q,
             qd,
+            qdd,
+            dt_s,
             self._T_base_world,
             self._flange,
             self._joints,
@@ -105,9 +111,9 @@ class Space:
         found[-1] = self._limits.singularity - self.singularity(J[[0, -1]]) if in_space else -np.inf
         return Breach(self._names, found), self._in_base(q[0], T[0], J[0])
 
-    def at(self, sight: Sight, qd: Array, *, in_space: bool) -> Breach:
-        """Return what is broken where the tool is, moving at qd (n,)."""
-        return self.along(sight.q[None], qd[None], in_space=in_space)[0]
+    def at(self, q: Array, qd: Array, qdd: Array, *, in_space: bool) -> Breach:
+        """Return what is broken at readings q (n,), moving at qd and qdd (n,)."""
+        return self.along(q[None], qd[None], qdd[None], 0.0, in_space=in_space)[0]
 
     def _values(self, q: Array) -> Array:
         return q if self._gearing is None else q @ self._gearing.T
