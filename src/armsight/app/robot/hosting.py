@@ -16,6 +16,7 @@ from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from armsight.app.robot.host import LoopEvent, LoopRecord, Snapshot
 from armsight.app.robot.loop_side import Channels, lateness_s, run_loop
@@ -81,7 +82,11 @@ class _LoopHost:
 
     def lateness_p99_s(self) -> float:
         """Return by how much at most 99 % of the cycles began too late."""
-        return lateness_s(np.frombuffer(self._channels.lateness, dtype=np.uint64), 0.99)
+        return lateness_s(self.lateness_counts(), 0.99)
+
+    def lateness_counts(self) -> NDArray[np.uint64]:
+        """Return how many cycles began how much too late, in the bins of loop_side.lateness_s."""
+        return np.frombuffer(self._channels.lateness, dtype=np.uint64).copy()
 
     def snapshot(self) -> Snapshot:
         """Return the newest state. Raises DeviceLost where the loop has ended or hangs."""
