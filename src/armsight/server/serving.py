@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import socket
 import ssl
 import threading
@@ -100,7 +101,19 @@ def background(service: Service, options: ServeOptions | None = None) -> Iterato
             thread.join()
 
 
+class _DenialsAreNoError(logging.Filter):
+    """Leaves out what uvicorn says of every connection that was kept out as it should be; the log of ours has it."""
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Return whether the record is kept."""
+        return record.msg != "ASGI callable returned without completing handshake."
+
+
+_QUIET = _DenialsAreNoError()
+
+
 def _server(service: Service, auth: Authenticator, options: ServeOptions) -> uvicorn.Server:
+    logging.getLogger("uvicorn.error").addFilter(_QUIET)
     config = uvicorn.Config(
         create_app(service, auth),
         http="h11",

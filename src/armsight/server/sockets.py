@@ -7,6 +7,7 @@ import contextlib
 from typing import Literal
 
 from fastapi import WebSocket
+from starlette.responses import PlainTextResponse
 from starlette.websockets import WebSocketDisconnect, WebSocketState
 
 from armsight._version import __version__
@@ -104,8 +105,6 @@ class Connection:
         return True
 
     async def _deny(self, denied: Denied) -> None:
-        from starlette.responses import PlainTextResponse
-
         await self._socket.send_denial_response(PlainTextResponse(denied.why, denied.status))
 
     def _welcome(self, session: Session) -> say.Welcome:
