@@ -179,11 +179,9 @@ def day(hours: float, disconnects: int, seed: int) -> None:
             most = slowest.get(how, (0, 0.0))
             slowest[how] = (max(most[0], cycles), max(most[1], rest_s))
             clock.advance(max(0.0, until_s - clock.now_s()))
-            if (trial + 1) % 100 == 0:
-                print(
-                    f"{trial + 1} disconnects, {clock.now_s() / 3600:.2f} h, {time.monotonic() - begun_s:.0f} s",
-                    flush=True,
-                )
+            if (trial + 1) % 50 == 0:
+                hours_done, took_s = clock.now_s() / 3600.0, time.monotonic() - begun_s
+                print(f"{trial + 1} disconnects, {hours_done:.2f} h, {took_s:.0f} s: {found}", flush=True)
         now = host.snapshot()
     host.end(lambda: clock.advance(0.1))
     took_s = time.monotonic() - begun_s

@@ -127,7 +127,7 @@ def test_a_motion_that_is_held_is_told(served, flows):
         driver.enable()
         driver.move_joints([0.5, 0.2], wait=False)
         driver._heart._enable = False  # the operator lets go
-        with pytest.raises(DeviceFailed, match="not enabled|does not go there"):
+        with pytest.raises(DeviceFailed, match=r"not enabled|does not go there"):
             driver.move_joints([0.5, 0.2])
 
 
