@@ -42,8 +42,8 @@ def main() -> None:
     for fault, shares in used.items():
         most = [max(share[name] for share in shares) for name in LIMITS]
         rows.append([fault, str(cases[fault].ends), str(len(shares)), *(f"{100.0 * m:.0f}" for m in most)])
-    print(bench.table(["fault", "ends", "trials", *(f"{name} %" for name in LIMITS)], rows))
-    print(f"{len(jobs)} trials, {len(wrong)} not as they shall be")
+    bench.table("Largest share of each limit, in %", ["fault", "ends", "trials", *LIMITS], rows)
+    print(f"\n{len(jobs)} trials, {len(wrong)} not as they shall be")
     print("\n".join(wrong))
     raise SystemExit(bool(wrong))
 

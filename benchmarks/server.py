@@ -53,7 +53,7 @@ class CountingLog:
 
     def __init__(self) -> None:
         self.warnings: Counter[str] = Counter()
-        self.n_commands = 0
+        self.n_commands, self.dropped, self.failed = 0, 0, ""
 
     def event(self, t_s: float, level: str, message: str) -> None:
         if level == "warning":

@@ -20,6 +20,7 @@ from armsight.cli.kinematics import convert_arm, kinematics
 from armsight.cli.options import SRC, AsJson, Fps, Inverted, Limit, OutFolder, Seed, Threshold
 from armsight.cli.record import record
 from armsight.cli.reproduce import reproduce
+from armsight.cli.robot import robot
 from armsight.cli.serve import serve
 from armsight.cli.tables import demo_tables, doctor_tables, measure_tables
 from armsight.cli.verify import verify
@@ -46,6 +47,7 @@ app.command()(verify)
 app.command()(reproduce)
 app.command()(serve)
 app.add_typer(kinematics, name="kinematics")
+app.add_typer(robot, name="robot")
 
 
 def _version(wanted: bool) -> None:

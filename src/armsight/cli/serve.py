@@ -27,6 +27,7 @@ def serve(
     arm: Annotated[
         str | None, typer.Option(help="arm.yaml, .urdf or a preset's name; a simulated robot brings its own.")
     ] = None,
+    limits: Annotated[Path | None, typer.Option(help="limits.yaml: what the guard keeps. [default: its own]")] = None,
     log: Annotated[
         Path | None,
         typer.Option(
@@ -59,7 +60,7 @@ def serve(
                 face.say("Without --tokens everyone on this machine may drive.")
             face.say("This is no safety function: the emergency stop stands beside it.")
 
-        serve_robot(robot, arm, options, kept, ready=ready)
+        serve_robot(robot, arm, options, kept, limits=limits, ready=ready)
 
 
 def _add_token(face: CommandUI, tokens: Path | None, text: str) -> None:

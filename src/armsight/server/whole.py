@@ -11,6 +11,7 @@ from armsight.app.robot.models import arm_model
 from armsight.app.robot.service import Service
 from armsight.control.guard import Limits
 from armsight.server.serving import ServeOptions, check_options, serve
+from armsight.store.limits_file import read_limits
 
 
 def serve_robot(
@@ -19,15 +20,15 @@ def serve_robot(
     options: ServeOptions,
     log: Path,
     *,
-    limits: Limits | None = None,
+    limits: Path | None = None,
     ready: Callable[[str], None],
 ) -> None:
     """Serve DRIVER:DEVICE until SIGINT or SIGTERM; ready is called with the address once all is there.
 
-    arm: its file or a preset's name. Raises what check_options, arm_model, the driver and the disk refuse.
+    arm: its file or a preset's name. limits: limits.yaml of the guard. Raises what check_options, arm_model, the driver and the disk refuse.
     """
     check_options(options)
-    spec = RobotSpec(robot=robot, arm=arm_model(robot, arm), limits=limits or Limits())
+    spec = RobotSpec(robot=robot, arm=arm_model(robot, arm), limits=Limits() if limits is None else read_limits(limits))
     with RecordingLog(log) as kept, ProcessHost(spec) as host:
         service = Service(host, kept)
         service.desk.note("info", f"{robot} is served")

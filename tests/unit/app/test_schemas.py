@@ -10,7 +10,19 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-from armsight.app.schemas import arm, cameras, files, handeye, kinematics, machine, measure, reproduce, timing, verify
+from armsight.app.schemas import (
+    arm,
+    cameras,
+    files,
+    handeye,
+    kinematics,
+    machine,
+    measure,
+    reproduce,
+    robot,
+    timing,
+    verify,
+)
 from armsight.app.schemas.base import Output, PointStd, PoseOutput, PoseStd, absent
 from armsight.app.schemas.catalogue import OUTPUTS
 
@@ -152,6 +164,9 @@ KEYS: dict[type[Output], tuple[str, str]] = {
     kinematics.PathIssue: ("kind first last worst joint value limit text", ""),
     OUTPUTS["kinematics-formulas"]: ("arm file", ""),
     OUTPUTS["kinematics-show"]: ("arm file tool_xyz_m", ""),
+    OUTPUTS["robot-test"]: ("driver cycle_s n_cycles late missed period_ms q state", ""),
+    robot.PeriodOutput: ("median p99 max", ""),
+    OUTPUTS["robot-jog"]: ("asked sent reached limited state", ""),
     OUTPUTS["doctor"]: ("versions machine cameras drivers kernels problems rig", ""),
     machine.RigResolution: ("baseline_m rms_px sigma_px distances", "accuracy"),
     machine.AccuracyPlan: ("accuracy_m depths_m sigma_px baseline_m settings advice", ""),

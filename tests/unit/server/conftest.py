@@ -100,6 +100,7 @@ class KeptLog:
     def __init__(self) -> None:
         self.events: list[tuple[str, str]] = []
         self.commands: list[tuple[str, str, dict]] = []
+        self.dropped, self.failed = 0, ""
 
     def event(self, t_s: float, level: str, message: str) -> None:
         self.events.append((level, message))

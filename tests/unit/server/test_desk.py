@@ -114,11 +114,24 @@ def test_steps_are_cut_to_a_cycle_all_joints_alike(desk, lease):
     assert answer.limited == ["speed of j1", "speed of j2"]
 
 
-def test_steps_of_one_cycle_replace_each_other(desk, host, lease):
-    for _ in range(3):
-        assert desk.perform(lease, make(say.JointStepMessage, step=[0.05, 0.0])).q == pytest.approx([0.05, 0.0])
+def test_steps_of_one_cycle_lead_no_further_than_a_cycle_allows(desk, host, lease):
+    led = [desk.perform(lease, make(say.JointStepMessage, step=[0.04, 0.0])) for _ in range(4)]
+    assert [answer.q[0] for answer in led] == pytest.approx([0.04, 0.08, 0.1, 0.1])
+    assert [bool(answer.limited) for answer in led] == [False, False, True, True]
     host.tick()
-    assert desk.perform(lease, make(say.JointStepMessage, step=[0.05, 0.0])).q == pytest.approx([0.1, 0.0])
+    assert desk.perform(lease, make(say.JointStepMessage, step=[0.05, 0.0])).q == pytest.approx([0.15, 0.0])
+
+
+def test_steps_lead_the_robot_by_so_much_only(desk, host, lease):
+    for _ in range(20):
+        host.tick()
+        desk.perform(lease, make(say.Heartbeat, enable=True))
+        with_lead = host.q.copy()
+        answer = desk.perform(lease, make(say.JointStepMessage, step=[0.1, 0.0]))
+        host.q = np.array([0.0, 0.0])  # it does not come along
+    assert with_lead[0] == 0.0
+    assert answer.q[0] == pytest.approx(0.2)
+    assert "lead of j1" in answer.limited
 
 
 def test_steps_stay_within_the_range(desk, host, lease):

@@ -203,8 +203,8 @@ class Desk:
                 return self._go(self._reachable(command.q), now), ()
             case say.JointStepMessage():
                 self._allow(now)
-                step = self._joints("step", command.step)
-                return self._cut(self._begin_cycle(now) + step, now)
+                begin, step = self._begin_cycle(now), self._joints("step", command.step)
+                return self._cut((begin if self._goal is None else self._goal) + step, now)
             case say.FlangePoseMessage():
                 self._allow(now)
                 return self._cut(self._joints_of(command.T_base_flange, self._begin_cycle(now)), now)
@@ -252,11 +252,12 @@ class Desk:
         return self._go(q, now), slow + far + ends
 
     def _begin_cycle(self, now: Snapshot) -> Array:
-        """Return where this cycle's steps begin: several within one cycle replace each other, they do not add up."""
-        alive = self._goal is not None and self._dropped == now.dropped
-        if now.cycle != self._cycle or not alive:
+        """Return where this cycle's steps begin: together they lead no further from there than a cycle's way."""
+        if self._dropped != now.dropped:
+            self._goal = None  # the loop forgot it on the way
+        if now.cycle != self._cycle or self._goal is None:
             self._cycle = now.cycle
-            self._from = self._goal if self._goal is not None and alive else now.q_sent
+            self._from = now.q_sent if self._goal is None else self._goal
         return self._from
 
     def _allow(self, now: Snapshot) -> None:

@@ -24,6 +24,16 @@ BURST = 100.0
 class Log(DeskLog, Protocol):
     """Where all is kept."""
 
+    @property
+    def dropped(self) -> int:
+        """How many commands and readings were not kept."""
+        ...
+
+    @property
+    def failed(self) -> str:
+        """Why nothing is kept any more; empty while it is."""
+        ...
+
     def joints(self, reading: JointReading) -> None:
         """Keep a reading."""
         ...
@@ -55,6 +65,7 @@ class Service:
         self._log = log
         self._subscriptions: set[Subscription] = set()
         self._budget, self._filled_s, self._left_out = BURST, host.now_s(), 0
+        self._tell_dropped, self._told_failed = 1, False
         self.desk = Desk(host, self, instance=secrets.token_hex(8))
 
     @contextmanager
@@ -76,6 +87,7 @@ class Service:
                 self._log.command(record.t_s, "loop", record.kind, record.values)
             else:
                 self._log.joints(record)
+        self._look_at_the_log()
 
     def event(self, t_s: float, level: str, message: str) -> None:
         """Keep something that happened, and tell it to who listens; of a flood of warnings only their number."""
@@ -96,6 +108,16 @@ class Service:
         shown = say.EventMessage.model_validate({"t_s": t_s, "level": level, "message": message[:2000]})
         for subscription in self._subscriptions:
             subscription.add(shown)
+
+    def _look_at_the_log(self) -> None:
+        """Tell where records were dropped, ten times as many as told before, and where the disk failed."""
+        now_s, dropped = self.host.now_s(), self._log.dropped
+        if dropped >= self._tell_dropped:
+            self._tell_dropped = 10 * dropped
+            self._keep(now_s, "warning", f"{dropped} commands and readings were not recorded: too slow a disk")
+        if self._log.failed and not self._told_failed:
+            self._told_failed = True
+            self._keep(now_s, "error", f"nothing is recorded any more: {self._log.failed}")
 
     def _affordable(self, t_s: float) -> bool:
         self._budget = min(BURST, self._budget + max(0.0, t_s - self._filled_s) * WARNINGS_PER_S)

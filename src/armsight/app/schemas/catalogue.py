@@ -29,6 +29,7 @@ from armsight.app.schemas.kinematics import (
 from armsight.app.schemas.machine import DoctorOutput
 from armsight.app.schemas.measure import DemoOutput, MeasureOutput
 from armsight.app.schemas.reproduce import ReproduceOutput
+from armsight.app.schemas.robot import JogOutput, RobotTestOutput
 from armsight.app.schemas.timing import TimingOutput
 from armsight.app.schemas.verify import VerifyOutput
 
@@ -65,6 +66,8 @@ OUTPUTS: Mapping[str, type[Output]] = MappingProxyType(
         "kinematics-path": PathOutput,
         "kinematics-formulas": FormulasOutput,
         "kinematics-show": ShowOutput,
+        "robot-test": RobotTestOutput,
+        "robot-jog": JogOutput,
         "doctor": DoctorOutput,
         "error": RefusalOutput,
     }

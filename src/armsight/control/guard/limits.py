@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,7 +82,7 @@ POSITIVE = (
     "target_age_s",
     "silent_cycles",
     "late_cycles",
-    "lost_cycles",
+    "lost_s",
     "lag_s",
     "following",
     "following_m",
@@ -100,7 +100,7 @@ class Limits:
     and flange stay in; forbidden: boxes they stay out of; margin_m: how far they keep from both, for what the arm's
     model does not know. singularity: least singular value of the Jacobian, lengths in units of the arm's mean link, for
     motion asked for in space. target_age_s: of the frame a set point is from. silent_cycles: without a new reading.
-    late_cycles, lost_cycles: lateness of a cycle that makes it hold, and stop. following (rad), following_m: how far
+    late_cycles, lost_s: lateness of a cycle that makes it hold, and stop. following (rad), following_m: how far
     readings may be from all that was sent within lag_s. jump_m, jump_rad: how far a ToolPose may be from the tool.
     calm_cycles: in time, before motion goes on after a late one. retreat (n,): readings to go back to, at the share
     retreat_speed of all speeds, when the target has been away for retreat_after_s.
@@ -120,7 +120,7 @@ class Limits:
     target_age_s: float = 0.15
     silent_cycles: float = 3.0
     late_cycles: float = 0.5
-    lost_cycles: float = 5.0
+    lost_s: float = 0.5
     calm_cycles: int = 5
     lag_s: float = 0.3
     following: float = 0.02
@@ -144,6 +144,13 @@ class Limits:
             object.__setattr__(self, "retreat", frozen_array("retreat", self.retreat, (None,)))
         if self.retreat_speed > 1.0:
             raise Inconsistent(f"retreat_speed is {self.retreat_speed:g}, which is no share of the speed up to 1")
+
+    def slowed(self, share: float) -> Limits:
+        """Return the same limits with all speeds cut to a share of them."""
+        joints = tuple(
+            joint if joint.speed is None else replace(joint, speed=share * joint.speed) for joint in self.joints
+        )
+        return replace(self, speed_m_s=share * self.speed_m_s, turn_rad_s=share * self.turn_rad_s, joints=joints)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -134,7 +134,7 @@ class Watch:
 
     def lost_cycles(self, inputs: Inputs) -> Fault | None:
         """The loop stood still for several cycles."""
-        if inputs.late_s <= self._limits.lost_cycles * self._cycle_s:
+        if inputs.late_s <= self._limits.lost_s:
             return None
         return Fault(GuardState.STOPPED, "lost cycles", f"the control loop stood still for {inputs.late_s / MS:.0f} ms")
 

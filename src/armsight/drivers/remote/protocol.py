@@ -75,7 +75,7 @@ class JointVelocityMessage(_FromClient):
 
 
 class JointStepMessage(_FromClient):
-    """Move on by a step, as far as one cycle allows; several within one cycle replace each other."""
+    """Move on by a step; all steps within one cycle lead no further together than one cycle allows."""
 
     type: Literal["joint_step"] = "joint_step"
     step: Joints = Field(description="Step of each joint in rad or m.")
