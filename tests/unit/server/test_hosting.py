@@ -232,7 +232,7 @@ def test_a_process_of_its_own_moves_the_robot_and_its_death_is_noticed():
 
 def test_other_robots_need_their_arm():
     with pytest.raises(UsageError, match="--arm"):
-        arm_model("rtde:192.0.2.1", None)
+        arm_model("ws://127.0.0.1:1", None)
     assert arm_model("rtde:192.0.2.1", "ur10").n == 6
 
 
