@@ -60,7 +60,9 @@ def serve(
                 face.say("Without --tokens everyone on this machine may drive.")
             face.say("This is no safety function: the emergency stop stands beside it.")
 
-        serve_robot(robot, arm, options, kept, limits=limits, ready=ready)
+        serve_robot(
+            robot, arm, options, kept, limits=limits, ready=ready, cancelled=face.progress("starting").cancelled
+        )
 
 
 def _add_token(face: CommandUI, tokens: Path | None, text: str) -> None:

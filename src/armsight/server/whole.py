@@ -10,6 +10,7 @@ from armsight.app.robot.hosting import ProcessHost, RobotSpec
 from armsight.app.robot.models import arm_model
 from armsight.app.robot.service import Service
 from armsight.control.guard import Limits
+from armsight.errors import Cancelled
 from armsight.server.serving import ServeOptions, check_options, serve
 from armsight.store.limits_file import read_limits
 
@@ -22,6 +23,7 @@ def serve_robot(
     *,
     limits: Path | None = None,
     ready: Callable[[str], None],
+    cancelled: Callable[[], bool] = lambda: False,
 ) -> None:
     """Serve DRIVER:DEVICE until SIGINT or SIGTERM; ready is called with the address once all is there.
 
@@ -31,6 +33,8 @@ def serve_robot(
     check_options(options)
     spec = RobotSpec(robot=robot, arm=arm_model(robot, arm), limits=Limits() if limits is None else read_limits(limits))
     with RecordingLog(log) as kept, ProcessHost(spec) as host:
+        if cancelled():
+            raise Cancelled("stopped before the robot was served")
         service = Service(host, kept)
         service.desk.note("info", f"{robot} is served")
         serve(service, options, ready=ready)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from pathlib import Path
 from types import TracebackType
@@ -15,11 +16,16 @@ NAME = "armsight serve"
 
 
 class RecordingLog:
-    """Keeps events, commands and readings in an MCAP file; never waits for the disk. t_s is on clock, the loop's."""
+    """Keeps events, commands and readings in an MCAP file; never waits for the disk. t_s is on clock, the loop's.
+
+    What the loop did arrives a moment after what the server did meanwhile. It is kept in the order of arrival; given_s of
+    a command and the text of an event say when it really was.
+    """
 
     def __init__(self, path: Path, *, clock: Clock | None = None) -> None:
         """Raises UsageError where the file is there already."""
         self._recorder = LoopRecorder(path, clock or SystemClock())
+        self._event_s = self._command_s = -math.inf
 
     @property
     def dropped(self) -> int:
@@ -42,11 +48,14 @@ class RecordingLog:
 
     def event(self, t_s: float, level: str, message: str) -> None:
         """Keep something that happened; level: info, warning or error."""
-        self._recorder.sink.event(t_s, message, level, NAME)
+        self._event_s = max(self._event_s, t_s)  # a recording takes a channel's records in the order of time only
+        told = message if t_s == self._event_s else f"{message} ({self._event_s - t_s:.3f} s earlier)"
+        self._recorder.sink.event(self._event_s, told, level, NAME)
 
     def command(self, t_s: float, who: str, kind: str, values: dict[str, Any]) -> None:
         """Keep a command: who gave it, its kind and values."""
-        self._recorder.sink.command(t_s, kind, {"who": who, **values})
+        self._command_s = max(self._command_s, t_s)
+        self._recorder.sink.command(self._command_s, kind, {"who": who, "given_s": t_s, **values})
 
     def joints(self, reading: JointReading) -> None:
         """Keep a reading."""
