@@ -23,6 +23,7 @@ from armsight.cli.reproduce import reproduce
 from armsight.cli.robot import robot
 from armsight.cli.serve import serve
 from armsight.cli.tables import demo_tables, doctor_tables, measure_tables
+from armsight.cli.twin import twin
 from armsight.cli.verify import verify
 from armsight.units import MM
 
@@ -46,6 +47,7 @@ app.command()(identify)
 app.command()(verify)
 app.command()(reproduce)
 app.command()(serve)
+app.command()(twin)
 app.add_typer(kinematics, name="kinematics")
 app.add_typer(robot, name="robot")
 

@@ -18,8 +18,8 @@ NAME = "armsight serve"
 class RecordingLog:
     """Keeps events, commands and readings in an MCAP file; never waits for the disk. t_s is on clock, the loop's.
 
-    What the loop did arrives a moment after what the server did meanwhile. It is kept in the order of arrival; given_s of
-    a command and the text of an event say when it really was.
+    What the loop did arrives a moment after what the server did meanwhile. It is kept in the order of arrival; given_s
+    of a command and the text of an event say when it really was.
     """
 
     def __init__(self, path: Path, *, clock: Clock | None = None) -> None:

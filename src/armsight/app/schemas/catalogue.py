@@ -31,7 +31,7 @@ from armsight.app.schemas.measure import DemoOutput, MeasureOutput
 from armsight.app.schemas.reproduce import ReproduceOutput
 from armsight.app.schemas.robot import JogOutput, RobotTestOutput
 from armsight.app.schemas.timing import TimingOutput
-from armsight.app.schemas.verify import VerifyOutput
+from armsight.app.schemas.verify import VerifyOutput, VerifyPlanOutput
 
 OUTPUTS: Mapping[str, type[Output]] = MappingProxyType(
     {
@@ -53,6 +53,7 @@ OUTPUTS: Mapping[str, type[Output]] = MappingProxyType(
         "identify": IdentifyOutput,
         "identify-propose": ProposedPlanOutput,
         "verify": VerifyOutput,
+        "verify-plan": VerifyPlanOutput,
         "record": RecordOutput,
         "record-repair": RepairOutput,
         "convert-recording": ExportOutput,
