@@ -26,6 +26,9 @@ POLL_S = 0.02
 ARRIVED = 1e-6
 """A robot told to stand this near (rad or m) to its goal has been told to stand there."""
 
+HELD_S = 1.0
+"""A guard that holds for so long has more than a late cycle as its reason; after that one it goes on by itself."""
+
 BEGUN_CYCLES = 3
 """Cycles after which a guard that does not run says that it will not."""
 
@@ -158,10 +161,14 @@ class RobotDriver:
         """
         goal = np.asarray(q, dtype=float)
         begun = self._do(say.JointGoalMessage, q=goal.tolist())
-        until_s = time.monotonic() + timeout_s
+        ran_s = time.monotonic()
+        until_s = ran_s + timeout_s
         while wait:
             state = self.state()
-            if state.guard != "running" and state.cycle > begun.cycle + BEGUN_CYCLES:
+            if state.guard == "running":
+                ran_s = time.monotonic()
+            held = state.guard == "holding" and time.monotonic() - ran_s < HELD_S
+            if state.guard != "running" and not held and state.cycle > begun.cycle + BEGUN_CYCLES:
                 raise DeviceFailed(
                     f"the robot does not go there: {state.guard}" + (f", {state.why}" if state.why else ""),
                     consequence="It rests on the way",
