@@ -22,6 +22,7 @@ from armsight.cli.options import SRC, AsJson, Fps, Inverted, Limit, OutFolder, S
 from armsight.cli.record import record
 from armsight.cli.reproduce import reproduce
 from armsight.cli.robot import robot
+from armsight.cli.serve import serve
 from armsight.cli.tables import demo_tables, doctor_tables, measure_tables
 from armsight.cli.twin import twin
 from armsight.cli.verify import verify
@@ -47,6 +48,7 @@ app.command()(record)
 app.command()(identify)
 app.command()(with_live(verify))
 app.command()(reproduce)
+app.command()(serve)
 app.command()(twin)
 app.command()(console)
 app.add_typer(kinematics, name="kinematics")
