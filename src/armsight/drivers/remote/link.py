@@ -129,6 +129,7 @@ class Link:
                 close_timeout=1.0,
                 max_size=64 * say.MAX_BYTES,
                 compression=None,
+                ping_interval=None,  # the server pings; a thread for it here may race close() in joining the reader
             ).__enter__()
         except InvalidStatus as error:
             raise refused_entry(where, error) from error
