@@ -209,6 +209,17 @@ def motion() -> None:
         follower.at(view.t_s - 0.001)
 
 
+def guard() -> None:
+    """Compile what a control cycle runs."""
+    from armsight.control.guard import Guard, Limits
+    from armsight.kinematics import preset
+
+    arm = preset("ur10")
+    watcher = Guard(arm, Limits(), 0.008)
+    watcher.begin(np.array([0.3, -1.0, 1.2, 0.4, 0.9, 0.1]), 0.0)
+    watcher.warm_up()
+
+
 def simulator() -> None:
     """Compile the renderers of the simulated cells: lights, boards and rooms."""
     makers = {name: load(CELLS, name) for name in ("led-cell", "board-cell", "hand-cell", "beacon-cell")}
@@ -244,6 +255,7 @@ GROUPS: Mapping[str, Callable[[], None]] = {
     "arm": arm,
     "identify": identify,
     "motion": motion,
+    "guard": guard,
     "simulator": simulator,
     "measure": together,
 }
@@ -251,7 +263,7 @@ GROUPS: Mapping[str, Callable[[], None]] = {
 
 SHARES = (
     ("spots", "boards", "simulator"),
-    ("poses", "cameras", "light target", "hand-eye", "kinematics", "arm", "identify", "motion"),
+    ("poses", "cameras", "light target", "hand-eye", "kinematics", "arm", "identify", "motion", "guard"),
 )
 """The groups of each process, of like length; the rest follows when both are done. No kernel that Python calls belongs
 to both: tests/unit/app/test_compilation.py."""

@@ -134,6 +134,14 @@ class SimRobot:
         self.stop()
         self._open = False
 
+    def arm_mapping(self) -> dict[str, object]:
+        """Return the arm that its controller computes with, without a tool, as arm.yaml has it."""
+        return {
+            "format": "armsight/arm",
+            "name": self.name,
+            **self.nominal.mapping(RigidTransform.identity()),
+        }
+
     def read(self) -> JointReading:
         """Return the reading of the newest cycle. Raises DeviceFailed where closed, DeviceLost, StaleData."""
         self._check_link("read")

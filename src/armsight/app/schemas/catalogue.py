@@ -29,8 +29,9 @@ from armsight.app.schemas.kinematics import (
 from armsight.app.schemas.machine import DoctorOutput
 from armsight.app.schemas.measure import DemoOutput, MeasureOutput
 from armsight.app.schemas.reproduce import ReproduceOutput
+from armsight.app.schemas.robot import JogOutput, RobotTestOutput
 from armsight.app.schemas.timing import TimingOutput
-from armsight.app.schemas.verify import VerifyOutput
+from armsight.app.schemas.verify import VerifyOutput, VerifyPlanOutput
 from armsight.app.schemas.verify_live import MasteringOutput, MasteringPlanOutput, VerifyLiveOutput
 
 OUTPUTS: Mapping[str, type[Output]] = MappingProxyType(
@@ -53,6 +54,7 @@ OUTPUTS: Mapping[str, type[Output]] = MappingProxyType(
         "identify": IdentifyOutput,
         "identify-propose": ProposedPlanOutput,
         "verify": VerifyOutput,
+        "verify-plan": VerifyPlanOutput,
         "verify-live": VerifyLiveOutput,
         "verify-mastering": MasteringOutput,
         "verify-mastering-poses": MasteringPlanOutput,
@@ -69,6 +71,8 @@ OUTPUTS: Mapping[str, type[Output]] = MappingProxyType(
         "kinematics-path": PathOutput,
         "kinematics-formulas": FormulasOutput,
         "kinematics-show": ShowOutput,
+        "robot-test": RobotTestOutput,
+        "robot-jog": JogOutput,
         "doctor": DoctorOutput,
         "error": RefusalOutput,
     }

@@ -1,0 +1,183 @@
+"""One joint of a robot moved by a given way, through the guard."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.app.robot.beside import run_beside
+from armsight.app.robot.guarding import guard_for
+from armsight.app.robot.opening import open_robot
+from armsight.app.robot.recorder import LoopRecorder
+from armsight.app.schemas.robot import JogOutput
+from armsight.clock import Clock, SystemClock
+from armsight.control.events import EventSink, NoSink
+from armsight.control.guard import Guard, GuardState
+from armsight.control.loop import ControlLoop, LoopStatus
+from armsight.control.sources import GoalSource
+from armsight.drivers import Robot
+from armsight.errors import Cancelled, DeviceFailed, Inconsistent, UsageError
+from armsight.records import Progress, Silent
+from armsight.units import DEG, MM
+
+Array = NDArray[np.float64]
+
+SETTLE_S = 0.5
+"""Time in which the arm comes to rest behind its last command."""
+STUCK_S = 1.0
+"""Held for so long, the motion is given up."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JogJob:
+    """robot: DRIVER:DEVICE. joint: from 1. by: rad or m. speed: share of the limits' speeds. arm, limits: their files.
+
+    record: an .mcap file for commands, readings and events; None: nothing is kept.
+    """
+
+    robot: str
+    joint: int
+    by: float
+    speed: float = 0.5
+    arm: Path | None = None
+    limits: Path | None = None
+    record: Path | None = None
+
+
+class _Watcher:
+    """Ends the loop where the joint arrived, or cannot, and gathers what limited it."""
+
+    def __init__(self, cycle_s: float) -> None:
+        self._cycle_s = cycle_s
+        self._cycles = 0
+        self.limited: list[str] = []
+
+    def __call__(self, status: LoopStatus) -> bool:
+        self.limited += [name for name in status.limited if name not in self.limited]
+        ended = status.finished or status.state is not GuardState.RUNNING
+        self._cycles = self._cycles + 1 if status.at_rest and ended else 0
+        longest_s = STUCK_S if status.state is GuardState.HOLDING else SETTLE_S
+        return self._cycles * self._cycle_s > longest_s
+
+
+def jog_robot(
+    job: JogJob,
+    confirm: Callable[[str], bool],
+    progress: Progress | None = None,
+    *,
+    clock: Clock | None = None,
+    opened: Robot | None = None,
+) -> JogOutput:
+    """Move one joint after asking, and return what was sent and reached.
+
+    confirm: asked once, with the motion in deg and mm, before anything moves. opened: in place of the robot named.
+    Raises UsageError; Inconsistent for a way beyond a limit; DeviceFailed, DeviceLost where the robot or the guard
+    stopped; Cancelled.
+    """
+    clock, progress = clock or SystemClock(), progress or Silent()
+    robot = opened or open_robot(job.robot, clock)
+    _check(job, robot)
+    guard = guard_for(robot, job.arm, job.limits, share=job.speed)
+    with robot:
+        start = robot.read().q
+        j = job.joint - 1
+        goal = start + job.by * (np.arange(len(start)) == j)
+        _check_range(job, guard, float(goal[j]))
+        if not confirm(question(job, robot, guard, float(start[j]))):
+            raise Cancelled("not confirmed", consequence="Nothing was moved", cure="Give --yes to move without asking")
+        with _recording(job.record, clock) as sink:
+            told = progress  # its cancelled() is the operator's enable: Ctrl-C lets go
+            source, watcher = GoalSource(goal, "jog"), _Watcher(robot.cycle_s)
+            loop = ControlLoop(robot, guard, source, clock, enabled=lambda: not told.cancelled(), sink=sink)
+
+            def tell() -> None:
+                if loop.status is not None:
+                    told.update(100.0 * abs(float(loop.status.q_sent[j] - start[j]) / job.by), 100.0)
+
+            run_beside(lambda: loop.run(until=watcher), tell)
+        _check_end(loop.status, robot)
+        sent = start if loop.status is None else loop.status.q_sent
+        return JogOutput(
+            asked=job.by,
+            sent=sent.tolist(),
+            reached=robot.read().q.tolist(),
+            limited=watcher.limited,
+            state=robot.state.value,
+        )
+
+
+def question(job: JogJob, robot: Robot, guard: Guard, start: float) -> str:
+    """Return what is asked before the joint moves: in degrees or mm, with the speed it may reach."""
+    joint = guard.arm.joints[job.joint - 1]
+    slides = not guard.arm.revolute[job.joint - 1]
+    unit, name = (MM, "mm") if slides else (DEG, "deg")
+    most = (
+        guard.bounds.speed[job.joint - 1] if slides else min(guard.bounds.speed[job.joint - 1], guard.limits.turn_rad_s)
+    )
+    return (
+        f"Move joint {job.joint} ({joint.name}) of {robot.name} by {job.by / unit:+.2f} {name}, "
+        f"from {start / unit:.2f} to {(start + job.by) / unit:.2f} {name}, at up to {most / unit:.1f} {name}/s and "
+        f"{guard.limits.speed_m_s / MM:.0f} mm/s at the tool?"
+    )
+
+
+def _check(job: JogJob, robot: Robot) -> None:
+    if not 1 <= job.joint <= robot.n_joints:
+        raise UsageError(
+            f"{robot.name} has joints 1 to {robot.n_joints}, not {job.joint}",
+            consequence="Nothing is moved",
+            cure="Give one of them (--joint)",
+        )
+    if not (math.isfinite(job.by) and job.by != 0.0):
+        raise UsageError(
+            f"a way of {job.by:g} is none",
+            consequence="Nothing is moved",
+            cure="Give rad or m (--by), for instance 0.1",
+        )
+
+
+def _check_range(job: JogJob, guard: Guard, goal: float) -> None:
+    j = job.joint - 1
+    low, high = float(guard.bounds.lower[j]), float(guard.bounds.upper[j])
+    if not low <= goal <= high:
+        raise Inconsistent(
+            f"joint {job.joint} would go to {goal:.4g}, its limits are {low:.4g} to {high:.4g} rad or m",
+            consequence="Nothing was moved",
+            cure="Ask for a shorter way (--by)",
+        )
+
+
+def _check_end(status: LoopStatus | None, robot: Robot) -> None:
+    """Raise where the guard did not let the motion come to its end."""
+    if status is None or status.state is GuardState.RUNNING:
+        return
+    if status.state is GuardState.DISABLED:
+        raise Cancelled("stopped", consequence=f"{robot.name} came to rest before its goal")
+    if status.state is GuardState.HOLDING:
+        raise Inconsistent(
+            status.why,
+            consequence=f"{robot.name} came to rest before its goal",
+            cure="Ask for a shorter way, or look at the limits (--limits)",
+        )
+    raise DeviceFailed(
+        status.why,
+        consequence=f"{robot.name} was stopped",
+        cure="Look at the robot and its controller, then begin anew",
+    )
+
+
+@contextlib.contextmanager
+def _recording(path: Path | None, clock: Clock) -> Iterator[EventSink]:
+    if path is None:
+        yield NoSink()
+        return
+    with LoopRecorder(path, clock) as recorder:
+        yield recorder.sink
+    if recorder.failed is not None:
+        raise recorder.failed

@@ -1,0 +1,91 @@
+"""Whether the link to a robot keeps its pace. Nothing moves: nothing is sent."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from armsight.app.robot.beside import run_beside
+from armsight.app.robot.opening import open_robot
+from armsight.app.schemas.robot import PeriodOutput, RobotTestOutput
+from armsight.clock import Clock, SystemClock
+from armsight.control.jitter import Jitter
+from armsight.control.loop import LATE_SHARE, quiet_interpreter
+from armsight.drivers import Robot, RobotState
+from armsight.errors import Cancelled, DeviceFailed, StaleData, UsageError
+from armsight.records import JointReading, Progress, Silent
+from armsight.units import MS
+
+FOR_S = 5.0
+SILENT_CYCLES = 20.0
+"""Cycles without a new reading, after which a link is not there; at the beginning a controller may need some."""
+
+
+def test_robot(
+    robot: str,
+    *,
+    for_s: float = FOR_S,
+    progress: Progress | None = None,
+    clock: Clock | None = None,
+    opened: Robot | None = None,
+) -> RobotTestOutput:
+    """Read a robot once a cycle for a time, and return how punctual that was and where it stands.
+
+    opened: in place of the robot that the text names. Raises UsageError, DeviceNotFound, BadFile, DeviceLost,
+    StaleData, DeviceFailed, Cancelled.
+    """
+    if not 0.0 < for_s <= 1e5:
+        raise UsageError(f"a test of {for_s:g} s cannot be", cure="Give the seconds it shall take, for instance 5")
+    clock, progress = clock or SystemClock(), progress or Silent()
+    arm = opened or open_robot(robot, clock)
+    with arm:
+        start_s, told = clock.now_s(), progress
+        jitter, reading = run_beside(
+            lambda: _watched(arm, for_s, told.cancelled, clock),
+            lambda: told.update(min(for_s, clock.now_s() - start_s), for_s),
+        )
+        state = arm.state
+    timing = jitter.timing()
+    median, p99, most = (value / MS for value in timing.period_s)
+    return RobotTestOutput(
+        driver=robot.partition(":")[0],
+        cycle_s=arm.cycle_s,
+        n_cycles=timing.n_cycles,
+        late=timing.late,
+        missed=timing.missed,
+        period_ms=PeriodOutput(median=median, p99=p99, max=most),
+        q=reading.q.tolist(),
+        state=state.value,
+    )
+
+
+def _watched(robot: Robot, for_s: float, cancelled: Callable[[], bool], clock: Clock) -> tuple[Jitter, JointReading]:
+    """Return how punctual cycles were that read the robot, and its last reading."""
+    jitter = Jitter(LATE_SHARE * robot.cycle_s)
+    reading = robot.read()
+    start_s = due_s = new_s = clock.now_s()
+    with quiet_interpreter():
+        while due_s - start_s < for_s:
+            due_s += robot.cycle_s
+            clock.sleep_until(due_s)
+            woke_s = clock.now_s()
+            newest = robot.read()
+            new_s = woke_s if newest.sequence != reading.sequence else new_s
+            reading = newest
+            _check(robot, woke_s - new_s)
+            missed = int((woke_s - due_s) / robot.cycle_s)
+            jitter.cycle(woke_s, woke_s - due_s, clock.now_s(), missed)
+            due_s += missed * robot.cycle_s
+            if cancelled():
+                raise Cancelled("stopped", consequence="The link was not tested to the end")
+    return jitter, reading
+
+
+def _check(robot: Robot, quiet_s: float) -> None:
+    if robot.state is RobotState.CLOSED:
+        raise DeviceFailed(f"{robot.name} closed the link", consequence="The test ends", cure="Look at its controller")
+    if quiet_s > SILENT_CYCLES * robot.cycle_s:
+        raise StaleData(
+            f"{robot.name}: no new reading for {quiet_s / MS:.0f} ms",
+            consequence="The link does not work",
+            cure="Check the cable, the controller's program and its cycle",
+        )

@@ -1,0 +1,73 @@
+"""armsight robot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, TypeAlias
+
+import typer
+
+from armsight.cli.command_ui import CommandUI
+from armsight.cli.options import AsJson
+
+robot = typer.Typer(name="robot", help="Test the link to a robot, and move one of its joints.", no_args_is_help=True)
+
+RobotName: TypeAlias = Annotated[
+    str,
+    typer.Option(
+        "--robot",
+        metavar="DRIVER:DEVICE",
+        help="sim:SCENARIO, alter:/dev/PORT, rsi:UDP_PORT, egm:UDP_PORT, rtde:HOST[:PORT] or ws://HOST:PORT.",
+    ),
+]
+
+
+@robot.command()
+def test(
+    robot: RobotName,
+    for_s: Annotated[float, typer.Option("--for", metavar="S", help="How many seconds to read it.")] = 5.0,
+    json: AsJson = False,
+) -> None:
+    """Read a robot once a cycle and tell how punctual that is. Nothing moves."""
+    with CommandUI(as_json=json) as face:
+        from armsight.app.robot.link_test import test_robot as run
+
+        done = run(robot, for_s=for_s, progress=face.progress("reading"))
+        face.say(
+            f"{done.driver}: {done.n_cycles} cycles of {1e3 * done.cycle_s:g} ms, {done.late} late, {done.missed} "
+            f"missed; periods {done.period_ms.median:.3f} ms median, {done.period_ms.p99:.3f} p99, "
+            f"{done.period_ms.max:.3f} longest. The robot is {done.state}."
+        )
+        face.result(done)
+
+
+@robot.command()
+def jog(
+    robot: RobotName,
+    joint: Annotated[int, typer.Option(help="Which joint, from 1.")],
+    by: Annotated[float, typer.Option(help="How far, in rad or m.")],
+    speed: Annotated[float, typer.Option(metavar="SHARE", help="Share of the limits' speeds, up to 1.")] = 0.5,
+    arm: Annotated[
+        Path | None, typer.Option(help="arm.yaml of the robot; without it only its joints are limited, and slow.")
+    ] = None,
+    limits: Annotated[Path | None, typer.Option(help="limits.yaml: what the guard keeps. [default: its own]")] = None,
+    record: Annotated[Path | None, typer.Option(help="An .mcap file for commands, readings and events.")] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Move without asking.")] = False,
+    json: AsJson = False,
+) -> None:
+    """Move one joint by a given way through the guard, and tell where it went. Ctrl-C brings it to rest."""
+    with CommandUI(as_json=json) as face:
+        from armsight.app.robot.jog import JogJob, jog_robot
+        from armsight.cli.tables import figure
+
+        def confirm(question: str) -> bool:
+            face.say(question)
+            try:
+                return yes or typer.confirm("Move?", err=True)
+            except typer.Abort:  # nobody there to ask
+                return False
+
+        job = JogJob(robot=robot, joint=joint, by=by, speed=speed, arm=arm, limits=limits, record=record)
+        done = jog_robot(job, confirm, face.progress("moving"))
+        face.say(f"joint {joint} stands at {figure(done.reached[joint - 1], 6)} (rad or m); the robot is {done.state}")
+        face.result(done)

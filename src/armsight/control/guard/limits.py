@@ -1,0 +1,215 @@
+"""What the guard keeps: limits of the tool, of the joints and of the space, and how long it waits for what."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.errors import Inconsistent, UsageError
+from armsight.kinematics import Arm
+from armsight.records import frozen_array
+from armsight.units import DEG
+
+Array = NDArray[np.float64]
+
+JOINT_SPEED = 60.0 * DEG
+"""Speed of a turning joint in rad/s where neither limits nor arm say one; the limits of the tool are reached sooner."""
+SLIDE_SPEED_M_S = 0.1
+JOINT_ACCELERATION = 5.0
+"""rad/s^2: to full speed in 0.2 s."""
+SLIDE_ACCELERATION = 1.0
+JOINT_JERK = 250.0
+"""rad/s^3: to full acceleration in 20 ms, five cycles of 4 ms."""
+SLIDE_JERK = 50.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Box:
+    """An axis-parallel box in base axes, corners lower_m (3,) and upper_m (3,); name: what messages call it."""
+
+    lower_m: Array
+    upper_m: Array
+    name: str = "box"
+
+    def __post_init__(self) -> None:
+        for key in ("lower_m", "upper_m"):
+            object.__setattr__(self, key, frozen_array(key, getattr(self, key), (3,)))
+        if not (self.lower_m < self.upper_m).all():
+            raise Inconsistent(
+                f"{self.name}: its lower corner {self.lower_m.tolist()} is not below its upper one "
+                f"{self.upper_m.tolist()}",
+                consequence="The box holds no space",
+                cure="Give the smaller value of each axis as lower_m",
+            )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class JointLimit:
+    """Limits of one joint's reading in rad or m, and of its speed, acceleration and jerk; None: the guard's default.
+
+    They narrow what the arm's file says of the joint, and never widen it.
+    """
+
+    lower: float = -math.inf
+    upper: float = math.inf
+    speed: float | None = None
+    acceleration: float | None = None
+    jerk: float | None = None
+
+    def __post_init__(self) -> None:
+        if not self.lower < self.upper:
+            raise Inconsistent(
+                f"a joint's limits are {self.lower:g} to {self.upper:g}",
+                consequence="The joint could not move",
+                cure="Give the smaller one as lower",
+            )
+        for key in ("speed", "acceleration", "jerk"):
+            value = getattr(self, key)
+            if value is not None:
+                _positive(f"a joint's {key}", value)
+
+
+POSITIVE = (
+    "speed_m_s",
+    "turn_rad_s",
+    "acceleration_m_s2",
+    "turn_acceleration_rad_s2",
+    "jerk_m_s3",
+    "turn_jerk_rad_s3",
+    "target_age_s",
+    "silent_cycles",
+    "late_cycles",
+    "lost_s",
+    "lag_s",
+    "following",
+    "following_m",
+    "jump_m",
+    "jump_rad",
+    "retreat_speed",
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Limits:
+    """What the guard keeps; the defaults are those of teaching beside people: 0.1 m/s and 60 deg/s at the tool.
+
+    speed to jerk: of the tool's origin and of its turning. joints: one per joint, or none. workspace: the box that tool
+    and flange stay in; forbidden: boxes they stay out of; margin_m: how far they keep from both, for what the arm's
+    model does not know. singularity: least singular value of the Jacobian, lengths in units of the arm's mean link, for
+    motion asked for in space. target_age_s: of the frame a set point is from. silent_cycles: without a new reading.
+    late_cycles, lost_s: lateness of a cycle that makes it hold, and stop. following (rad), following_m: how far
+    readings may be from all that was sent within lag_s. jump_m, jump_rad: how far a ToolPose may be from the tool.
+    calm_cycles: in time, before motion goes on after a late one. retreat (n,): readings to go back to, at the share
+    retreat_speed of all speeds, when the target has been away for retreat_after_s.
+    """
+
+    speed_m_s: float = 0.1
+    turn_rad_s: float = 60.0 * DEG
+    acceleration_m_s2: float = 2.0
+    turn_acceleration_rad_s2: float = 20.0
+    jerk_m_s3: float = 100.0
+    turn_jerk_rad_s3: float = 1000.0
+    joints: tuple[JointLimit, ...] = ()
+    workspace: Box | None = None
+    forbidden: tuple[Box, ...] = ()
+    margin_m: float = 0.005
+    singularity: float = 0.03
+    target_age_s: float = 0.15
+    silent_cycles: float = 3.0
+    late_cycles: float = 0.5
+    lost_s: float = 0.5
+    calm_cycles: int = 5
+    lag_s: float = 0.3
+    following: float = 0.02
+    following_m: float = 0.005
+    jump_m: float = 0.02
+    jump_rad: float = 0.1
+    retreat: Array | None = None
+    retreat_after_s: float = 1.0
+    retreat_speed: float = 0.25
+
+    def __post_init__(self) -> None:
+        for key in POSITIVE:
+            _positive(key, getattr(self, key))
+        for key in ("margin_m", "singularity", "retreat_after_s", "calm_cycles"):
+            value = getattr(self, key)
+            if not (math.isfinite(value) and value >= 0.0):
+                raise Inconsistent(f"{key} is {value:g}, which is no number from 0 on")
+        object.__setattr__(self, "joints", tuple(self.joints))
+        object.__setattr__(self, "forbidden", tuple(self.forbidden))
+        if self.retreat is not None:
+            object.__setattr__(self, "retreat", frozen_array("retreat", self.retreat, (None,)))
+        if self.retreat_speed > 1.0:
+            raise Inconsistent(f"retreat_speed is {self.retreat_speed:g}, which is no share of the speed up to 1")
+
+    def slowed(self, share: float) -> Limits:
+        """Return the same limits with all speeds cut to a share of them."""
+        joints = tuple(
+            joint if joint.speed is None else replace(joint, speed=share * joint.speed) for joint in self.joints
+        )
+        return replace(self, speed_m_s=share * self.speed_m_s, turn_rad_s=share * self.turn_rad_s, joints=joints)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class JointBounds:
+    """The limits of an arm's joints as arrays (n,), in rad or m and per s, s^2, s^3; lower, upper: of readings."""
+
+    lower: Array
+    upper: Array
+    speed: Array
+    acceleration: Array
+    jerk: Array
+    following: Array = field(repr=False)
+
+
+def joint_bounds(arm: Arm, limits: Limits) -> JointBounds:
+    """Return what limits and the arm's file say of each joint, the narrower of both.
+
+    Raises UsageError where the limits are those of another number of joints, Inconsistent where nothing is left.
+    """
+    rows = limits.joints or (JointLimit(),) * arm.n
+    if len(rows) != arm.n or (limits.retreat is not None and len(limits.retreat) != arm.n):
+        given = len(rows) if len(rows) != arm.n or limits.retreat is None else len(limits.retreat)
+        raise UsageError(
+            f"the limits are those of {given} joints, {arm.name} has {arm.n}",
+            consequence="The robot is not moved",
+            cure="Take the limits of this arm",
+        )
+    turns = arm.revolute
+    lower, upper = (np.array([getattr(row, key) for row in rows]) for key in ("lower", "upper"))
+    if not arm.couplings:  # with couplings the arm's own limits are those of other numbers, and are kept beside these
+        lower, upper = np.maximum(lower, arm.lower), np.minimum(upper, arm.upper)
+    if not (lower < upper).all():
+        raise Inconsistent(
+            f"joint {int(np.argmin(lower < upper)) + 1}: limits and arm leave no way to go",
+            consequence="The robot is not moved",
+            cure="Compare the limits with the arm's file",
+        )
+    fastest = np.array([math.inf if joint.max_speed is None else joint.max_speed for joint in arm.joints])
+    speed = _of(rows, "speed", np.minimum(np.where(turns, JOINT_SPEED, SLIDE_SPEED_M_S), fastest))
+    return JointBounds(
+        lower=lower,
+        upper=upper,
+        speed=np.minimum(speed, fastest),
+        acceleration=_of(rows, "acceleration", np.where(turns, JOINT_ACCELERATION, SLIDE_ACCELERATION)),
+        jerk=_of(rows, "jerk", np.where(turns, JOINT_JERK, SLIDE_JERK)),
+        following=np.where(turns, limits.following, limits.following_m),
+    )
+
+
+def _of(rows: tuple[JointLimit, ...], key: str, default: Array) -> Array:
+    return np.array(
+        [d if getattr(row, key) is None else getattr(row, key) for row, d in zip(rows, default, strict=True)]
+    )
+
+
+def _positive(key: str, value: float) -> None:
+    if not (math.isfinite(value) and value > 0.0):
+        raise Inconsistent(
+            f"{key} is {value:g}, which is not a positive number",
+            consequence="The robot is not moved",
+            cure="Give a positive number, or leave the key away for the default",
+        )
