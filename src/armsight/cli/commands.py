@@ -23,6 +23,7 @@ from armsight.cli.reproduce import reproduce
 from armsight.cli.robot import robot
 from armsight.cli.tables import demo_tables, doctor_tables, measure_tables
 from armsight.cli.verify import verify
+from armsight.cli.verify_live import with_live
 from armsight.units import MM
 
 app = typer.Typer(
@@ -42,7 +43,7 @@ convert.command("arm")(convert_arm)
 app.add_typer(convert, name="convert")
 app.command()(record)
 app.command()(identify)
-app.command()(verify)
+app.command()(with_live(verify))
 app.command()(reproduce)
 app.add_typer(kinematics, name="kinematics")
 app.add_typer(robot, name="robot")

@@ -108,6 +108,7 @@ class World:
     dropped: tuple[Event, ...] = ()
     cut_off: tuple[Event, ...] = ()
     sweeps: tuple[tuple[int, int], ...] = ()
+    zero_jumps: tuple[tuple[float, float, Array], ...] = ()
     assumptions: tuple[str, ...] = ()
     path: Path = field(init=False)
 
@@ -139,7 +140,10 @@ class World:
         """Time in s and encoder readings (n,) at every frame that arrived while the robot's link was there."""
         kept = [index for index in self.kept if not any(event.applies(index, "both") for event in self.cut_off)]
         t_s = np.array(kept) / self.fps
-        return tuple(zip(t_s.tolist(), self.servo.read(t_s), strict=True))
+        q = self.servo.read(t_s)
+        for start_s, end_s, by in self.zero_jumps:
+            q = q + ((t_s >= start_s) & (t_s < end_s))[:, None] * by
+        return tuple(zip(t_s.tolist(), q, strict=True))
 
     def frames(self) -> Iterator[tuple[Frame, ...]]:
         """Yield the frames of all views that arrived, in the order of time; numbers tell of those that did not."""

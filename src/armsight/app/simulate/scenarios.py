@@ -66,9 +66,9 @@ def build_world(
         return load(SCENARIOS, WORLD)(model, seed=seed, frames=frames, room=room, zoom=zoom)
 
 
-def live_cell(name: str, clock: Clock) -> Any:
-    """Return the robot of a scenario and the cameras that watch it, on one clock."""
-    return load(SCENARIOS, LIVE)(load_scenario(name)[0], clock)
+def live_cell(name: str, clock: Clock, *, play: bool = False) -> Any:
+    """Return the robot of a scenario and the cameras that watch it, on one clock; play: it goes the scenario's way."""
+    return load(SCENARIOS, LIVE)(load_scenario(name)[0], clock, play=play)
 
 
 def sim_camera(
