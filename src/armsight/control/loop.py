@@ -180,9 +180,9 @@ class ControlLoop:
     def _cycle(self, now_s: float, late_s: float) -> LoopStatus:
         """Do one cycle, begun late_s too late; also called by tests and by loops that keep time otherwise."""
         guard, source = self._guard, self._source
-        reading, robot_state = self._read()
         if self._reset:
             self._do_reset(now_s)
+        reading, robot_state = self._read()
         wanted = Hold() if self._ending else self._asked(source, guard.cycle_state(now_s, self._reading))
         target, age_s = source.target(now_s) if isinstance(source, FollowsTarget) else (None, None)
         inputs = Inputs(

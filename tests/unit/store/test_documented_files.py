@@ -7,6 +7,7 @@ import pytest
 
 from armsight.app.verify.output import NAMES
 from armsight.store.iso9283_plan import PLAN_COLUMNS
+from armsight.store.limits_file import limits_from_mapping
 from armsight.store.rigs import CameraModel, rig_from_mapping
 from armsight.store.schema import validated
 from armsight.store.tables import parse_table
@@ -25,6 +26,7 @@ READERS = {
     "zoom": lambda content: zoom_camera_from_mapping(content, "x"),
     "armsight/target": target_from_mapping,
     "armsight/world": world_from_mapping,
+    "armsight/limits": limits_from_mapping,
     "t_s,x_m": lambda data: parse_poses(data, "x"),
     "t_s,spot": lambda data: parse_table(data, "x", POINT_COLUMNS, text=("spot",)),
     "t_s,camera": lambda data: parse_table(data, "x", SPOT_COLUMNS, text=("camera", "spot")),

@@ -257,7 +257,7 @@ class Follower:
                 continue
             dt_s = brake.duration_s / (BRAKE_SAMPLES - 1)
             q, qd, qdd = brake.sampled([i * dt_s for i in range(BRAKE_SAMPLES)])
-            found, sight = self._space.along(q, qd, qdd, dt_s, in_space=in_space)
+            found, sight = self._space.along(q, qd, qdd, dt_s, before, in_space=in_space)
             broken = found.worse_than(before)
             if not broken:
                 return Move(state, brake, sight, limited), ()

@@ -11,14 +11,15 @@ SPEED, TURNING, ACCELERATION, TURNING_ACCELERATION, RANGE, JOINT_SPEED, WORKSPAC
 
 
 @fast_kernel
-def depths(T, J, q, qd, qdd, dt, base, offset, joints, most, boxes, margin, out):
+def depths(T, J, q, qd, qdd, dt, base, offset, joints, most, boxes, margin, outside, out):
     """Fill out (BOXES + b,) with the largest excess over each limit along m places; 0 and below: kept.
 
     T (m, 4, 4) and J (m, 6, n) of the tool in world axes at readings q (m, n), moving at qd and qdd (m, n), dt s from
     place to place. base (3, 4): T_base_world. offset (3,): the flange in tool axes. joints (3, n): lower, upper,
     speed. most (4,): speed (m/s) and turning (rad/s) of the tool, its acceleration and that of its turning. boxes
     (1 + b, 6): lower and upper corners in base axes, the workspace first. Between two places the tool goes no further
-    than from one to the other; boxes keep half of that beside the margin.
+    than from one to the other; boxes keep half of that beside the margin, but those of outside (1 + b,), whose limit
+    is broken already: there only the places count, or there was no way back.
     """
     m, n = q.shape
     points = np.empty((m, 2, 3))
@@ -58,7 +59,6 @@ def depths(T, J, q, qd, qdd, dt, base, offset, joints, most, boxes, margin, out)
             for r in range(3):
                 square += (points[i, p, r] - points[i - 1, p, r]) ** 2
             stride = max(stride, square)
-    keep = margin + 0.5 * np.sqrt(stride)
     for i in range(m):
         for p in range(2):
             for b in range(len(boxes)):
@@ -66,5 +66,6 @@ def depths(T, J, q, qd, qdd, dt, base, offset, joints, most, boxes, margin, out)
                 for r in range(3):
                     low, high = points[i, p, r] - boxes[b, r], boxes[b, 3 + r] - points[i, p, r]
                     inside = min(inside, low, high)
+                keep = margin if outside[b] else margin + 0.5 * np.sqrt(stride)
                 depth = keep - inside if b == 0 else keep + inside
                 out[WORKSPACE + b] = max(out[WORKSPACE + b], depth)

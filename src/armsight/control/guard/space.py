@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from armsight.control.guard.kernels import RANGE, depths
+from armsight.control.guard.kernels import RANGE, WORKSPACE, depths
 from armsight.control.guard.limits import Box, JointBounds, Limits
 from armsight.kinematics import Arm, fk_jacobian
 
@@ -61,6 +61,7 @@ class Space:
         )
         spaces = (limits.workspace or EVERYWHERE, *limits.forbidden)
         self._boxes = np.array([[*box.lower_m, *box.upper_m] for box in spaces])
+        self._kept = np.zeros(len(spaces), dtype=bool)
         self.rows = 6 if arm.n >= 6 else 3
         """How many rows of a Jacobian motion in space uses: three where joints are too few to turn the tool."""
         self._names = (
@@ -80,10 +81,12 @@ class Space:
         T, J = fk_jacobian(self.arm, self._values(q))
         return self._in_base(q, T, J)
 
-    def along(self, q: Array, qd: Array, qdd: Array, dt_s: float, *, in_space: bool) -> tuple[Breach, Sight]:
+    def along(
+        self, q: Array, qd: Array, qdd: Array, dt_s: float, before: Breach | None = None, *, in_space: bool
+    ) -> tuple[Breach, Sight]:
         """Return what is broken at worst over readings q (m, n) moving at qd and qdd, and the tool at the first.
 
-        dt_s: between two rows. in_space: singularities count, at both ends.
+        dt_s: between two rows. before: what is broken already. in_space: singularities count, at both ends.
         """
         values = self._values(q)
         T, J = fk_jacobian(self.arm, values, all_cores=False)
@@ -103,6 +106,7 @@ class Space:
             self._most,
             self._boxes,
             self._limits.margin_m,
+            self._kept if before is None else before.depths[WORKSPACE:-1] > 0.0,
             found[:-1],
         )
         if self._gearing is not None:

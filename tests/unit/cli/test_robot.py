@@ -1,0 +1,151 @@
+"""robot test and robot jog, as a person and as a program would call them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from armsight.app.robot.jog import JogJob, jog_robot
+from armsight.app.robot.link_test import test_robot as read_link
+from armsight.app.robot.opening import open_robot
+from armsight.cli.commands import app
+from armsight.clock import ManualClock
+from armsight.control.guard import Box, JointLimit, Limits
+from armsight.errors import BadFile, Cancelled, DeviceFailed, Inconsistent, StaleData, UsageError
+from armsight.records import Silent
+from armsight.store.limits_file import read_limits, write_limits
+
+SIM = "sim:webcam-cell"
+
+
+def yes(_: str) -> bool:
+    return True
+
+
+def jog(clock: ManualClock | None = None, confirm=yes, progress=None, **job):
+    clock = clock or ManualClock()
+    return jog_robot(JogJob(robot=SIM, **job), confirm, progress, clock=clock)
+
+
+def test_a_link_test_moves_nothing() -> None:
+    done = read_link(SIM, for_s=0.4, clock=ManualClock())
+    assert done.driver == "sim"
+    assert done.cycle_s == pytest.approx(0.008)
+    assert (done.n_cycles, done.late, done.missed) == (50, 0, 0)
+    assert done.period_ms.median == pytest.approx(8.0)
+    assert done.q[1] == pytest.approx(-1.0472, abs=1e-4)
+    assert done.state == "ready"
+
+
+def test_a_link_that_falls_silent_is_a_failure() -> None:
+    clock = ManualClock()
+    robot = open_robot(SIM, clock)
+    with pytest.raises(StaleData):
+        robot.fault("frozen")
+        read_link(SIM, for_s=1.0, clock=clock, opened=robot)
+
+
+def test_a_jog_goes_where_it_was_asked_to_and_tells() -> None:
+    asked = []
+
+    def confirm(question: str) -> bool:
+        asked.append(question)
+        return True
+
+    done = jog(confirm=confirm, joint=2, by=0.1)
+    assert "+5.73 deg, from -60.00 to -54.27 deg" in asked[0]
+    assert done.sent[1] == pytest.approx(-1.0472 + 0.1, abs=1e-4)
+    assert np.abs(np.array(done.reached) - done.sent).max() < 1e-4
+    assert done.state == "ready"
+
+
+def test_a_jog_that_is_not_confirmed_moves_nothing() -> None:
+    clock = ManualClock()
+    robot = open_robot(SIM, clock)
+    with pytest.raises(Cancelled, match="not confirmed"):
+        jog_robot(JogJob(robot=SIM, joint=1, by=0.1), lambda _: False, clock=clock, opened=robot)
+    assert robot.true_joints(clock.now_s())[0] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("job", "error"),
+    [
+        ({"joint": 7, "by": 0.1}, UsageError),
+        ({"joint": 0, "by": 0.1}, UsageError),
+        ({"joint": 1, "by": float("nan")}, UsageError),
+        ({"joint": 1, "by": 0.0}, UsageError),
+        ({"joint": 1, "by": 0.1, "speed": 0.0}, UsageError),
+        ({"joint": 1, "by": 99.0}, Inconsistent),
+    ],
+)
+def test_what_cannot_be_is_refused_before_anything_moves(job, error) -> None:
+    def never(_: str) -> bool:
+        raise AssertionError("it asked")
+
+    with pytest.raises(error):
+        jog(confirm=never, **job)
+
+
+def test_ctrl_c_lets_go_of_the_enable() -> None:
+    class Stopped(Silent):
+        def cancelled(self) -> bool:
+            return clock.now_s() > 0.3
+
+    clock = ManualClock()
+    with pytest.raises(Cancelled, match="came to rest"):
+        jog(clock, progress=Stopped(), joint=1, by=1.0)
+
+
+def test_a_link_that_is_lost_under_way_is_a_failure() -> None:
+    clock = ManualClock()
+    robot = open_robot(SIM, clock)
+
+    class Cut(Silent):
+        def cancelled(self) -> bool:
+            if clock.now_s() > 0.3:
+                robot.fault("link_lost")
+            return False
+
+    with pytest.raises(DeviceFailed):
+        jog_robot(JogJob(robot=SIM, joint=1, by=1.0), yes, Cut(), clock=clock, opened=robot)
+
+
+def test_a_box_in_the_way_ends_the_jog_before_it(tmp_path: Path) -> None:
+    wall = Box(lower_m=np.array([-2.0, -0.3, -1.0]), upper_m=np.array([0.0, -0.2, 1.0]), name="wall")
+    write_limits(tmp_path / "limits.yaml", Limits(forbidden=(wall,)))
+    with pytest.raises(Inconsistent, match="wall"):
+        jog(joint=1, by=0.5, limits=tmp_path / "limits.yaml", speed=1.0)
+
+
+def test_limits_come_back_as_they_were_written(tmp_path: Path) -> None:
+    path = tmp_path / "limits.yaml"
+    wrote = Limits(
+        speed_m_s=0.05,
+        joints=(JointLimit(lower=-1.0, upper=1.0, speed=0.5), JointLimit()),
+        workspace=Box(lower_m=-np.ones(3), upper_m=np.ones(3), name="cell"),
+        retreat=np.array([0.1, 0.2]),
+    )
+    write_limits(path, wrote)
+    read = read_limits(path)
+    assert read.speed_m_s == 0.05 and read.joints[0].speed == 0.5 and read.joints[1].upper == np.inf
+    assert read.workspace is not None and read.workspace.name == "cell"
+    assert read.retreat is not None and read.retreat.tolist() == [0.1, 0.2]
+    path.write_text("format: armsight/limits\nversion: 1\nsped_m_s: 1.0\n")
+    with pytest.raises(BadFile, match="speed_m_s"):
+        read_limits(path)
+
+
+def test_the_commands_answer_programs_and_have_exit_codes() -> None:
+    run = CliRunner().invoke
+    done = run(app, ["robot", "test", "--robot", SIM, "--for", "0.05", "--json"])
+    assert done.exit_code == 0
+    assert json.loads(done.stdout)["driver"] == "sim"
+    assert run(app, ["robot", "test", "--robot", "sim"]).exit_code == 2
+    assert run(app, ["robot", "test", "--robot", "nosuch:1"]).exit_code == 4
+    assert run(app, ["robot", "jog", "--robot", SIM, "--joint", "9", "--by", "0.1", "--yes"]).exit_code == 2
+    assert run(app, ["robot", "jog", "--robot", SIM, "--joint", "1", "--by", "99", "--yes"]).exit_code == 3
+    assert run(app, ["robot", "jog", "--robot", SIM, "--joint", "1", "--by", "0.1"], input="n\n").exit_code == 130

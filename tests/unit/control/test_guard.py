@@ -1,0 +1,221 @@
+"""The guard by itself: limits, states, set points of every kind, and what it refuses."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform
+
+from armsight.control import Finished, Hold, JointGoal, JointVelocity, SetPoint, ToolPose, ToolTwist
+from armsight.control.guard import (
+    Box,
+    Decision,
+    Guard,
+    GuardState,
+    Inputs,
+    JointLimit,
+    Limits,
+    TargetState,
+    joint_bounds,
+)
+from armsight.drivers import RobotState
+from armsight.errors import Inconsistent, UsageError
+from armsight.kinematics import Coupling, dh_arm, preset
+from armsight.records import JointReading
+
+CYCLE_S = 0.008
+ARM = preset("ur10")
+HOME = np.radians([10.0, -60.0, 90.0, -30.0, 80.0, 20.0])
+
+
+class Bench:
+    """A guard and a robot that goes exactly where it is sent."""
+
+    def __init__(self, limits: Limits | None = None, arm=ARM, q=HOME) -> None:
+        self.guard = Guard(arm, limits or Limits(), CYCLE_S)
+        self.guard.begin(q, 0.0)
+        self.k = 0
+        self.q = [np.array(q)]
+        self.decisions: list[Decision] = []
+
+    def cycle(self, wanted: SetPoint, **inputs: object) -> Decision:
+        self.k += 1
+        told = {"now_s": self.k * CYCLE_S, "enabled": True, **inputs}
+        reading = JointReading(q=self.q[-1], t_s=self.k * CYCLE_S, sequence=self.k, source="robot")
+        decision = self.guard.step(wanted, reading, Inputs(**told))
+        if decision.step is not None:
+            self.q.append(self.q[-1] + decision.step)
+            self.guard.acknowledge(self.q[-1])
+        self.decisions.append(decision)
+        return decision
+
+    def run(self, wanted: SetPoint, n: int, **inputs: object) -> Decision:
+        for _ in range(n):
+            decision = self.cycle(wanted, **inputs)
+        return decision
+
+    def tool(self) -> np.ndarray:
+        return ARM.fk(np.array(self.q))
+
+
+def test_a_joint_goal_is_reached_within_all_limits() -> None:
+    bench = Bench()
+    bench.run(JointGoal(q=HOME + 0.05), 300)
+    assert np.abs(bench.q[-1] - HOME - 0.05).max() < 1e-9
+    q = np.array(bench.q)
+    p = bench.tool()[:, :3, 3]
+    assert np.linalg.norm(np.diff(p, axis=0), axis=1).max() / CYCLE_S <= 0.1
+    assert np.linalg.norm(np.diff(p, 2, axis=0), axis=1).max() / CYCLE_S**2 <= 2.0
+    assert np.linalg.norm(np.diff(p, 3, axis=0), axis=1).max() / CYCLE_S**3 <= 100.0
+    assert np.abs(np.diff(q, 2, axis=0)).max() / CYCLE_S**2 <= 5.0
+    assert np.abs(np.diff(q, 3, axis=0)).max() / CYCLE_S**3 <= 250.0
+
+
+def test_a_twist_moves_the_tool_along_it() -> None:
+    bench = Bench()
+    bench.run(ToolTwist(velocity_m_s=[0.0, 0.03, 0.0], angular_rad_s=[0.0, 0.0, 0.1]), 250)
+    T = bench.tool()
+    assert (T[-1, :3, 3] - T[-2, :3, 3]) / CYCLE_S == pytest.approx([0.0, 0.03, 0.0], abs=1e-4)
+    turned = RigidTransform.from_matrix(T[-1]) * RigidTransform.from_matrix(T[-2]).inv()
+    assert turned.rotation.as_rotvec() / CYCLE_S == pytest.approx([0.0, 0.0, 0.1], abs=1e-3)
+
+
+def test_a_timed_path_within_the_limits_is_followed_exactly() -> None:
+    bench = Bench()
+    start = RigidTransform.from_matrix(ARM.fk(HOME))
+    poses = [RigidTransform.from_translation([0.0, 0.02 * (1.0 - math.cos(0.01 * k)), 0.0]) * start for k in range(300)]
+    for pose in poses[1:]:
+        bench.cycle(ToolPose(T_base_tool=pose))
+    wanted = np.array([pose.translation for pose in poses])
+    assert np.abs(bench.tool()[:, :3, 3] - wanted).max() < 1e-6
+    assert not any(decision.limited for decision in bench.decisions)
+
+
+def test_a_path_that_is_too_fast_is_a_stop() -> None:
+    bench = Bench()
+    start = RigidTransform.from_matrix(ARM.fk(HOME))
+    for k in range(200):
+        bench.cycle(ToolPose(T_base_tool=RigidTransform.from_translation([0.0, 0.2 * CYCLE_S * k, 0.0]) * start))
+    assert bench.decisions[-1].state is GuardState.STOPPED
+    assert "faster than the limits" in bench.decisions[-1].why
+
+
+@pytest.mark.parametrize("wanted", [Hold(), Finished()])
+def test_hold_and_finished_bring_it_to_rest(wanted: SetPoint) -> None:
+    bench = Bench()
+    bench.run(JointVelocity(qd=np.full(6, 0.05)), 50)
+    assert not bench.decisions[-1].at_rest
+    assert bench.run(wanted, 100).at_rest
+    assert bench.decisions[-1].state is GuardState.RUNNING
+
+
+def test_a_reason_to_hold_is_a_state_and_an_event() -> None:
+    bench = Bench()
+    bench.run(JointVelocity(qd=np.full(6, 0.05)), 20)
+    decision = bench.cycle(Hold(why="no spot in the left view"))
+    assert decision.state is GuardState.HOLDING
+    assert [event.message for event in decision.events] == ["holding: no spot in the left view"]
+
+
+@pytest.mark.parametrize("state", [RobotState.LOST, RobotState.STOPPED, RobotState.CLOSED])
+def test_nothing_is_sent_to_a_robot_that_takes_nothing(state: RobotState) -> None:
+    bench = Bench()
+    bench.run(JointVelocity(qd=np.full(6, 0.05)), 20)
+    decision = bench.cycle(JointVelocity(qd=np.full(6, 0.05)), robot=state)
+    assert decision.state is GuardState.STOPPED
+    assert decision.step is None
+    assert decision.stop_robot
+
+
+def test_a_stop_lasts_until_the_reset_and_needs_a_new_enable() -> None:
+    bench = Bench()
+    motion = JointVelocity(qd=np.full(6, 0.05))
+    bench.run(motion, 20)
+    assert bench.cycle(motion, stop="enough").state is GuardState.STOPPED
+    assert sum(bench.cycle(motion).stop_robot for _ in range(100)) == 1
+    assert bench.decisions[-1].state is GuardState.STOPPED
+    assert bench.decisions[-1].step is None
+    bench.guard.reset(bench.q[-1], bench.k * CYCLE_S)
+    assert bench.run(motion, 5).state is GuardState.DISABLED
+    bench.cycle(motion, enabled=False)
+    assert bench.cycle(motion).state is GuardState.RUNNING
+
+
+def test_a_command_that_the_robot_cut_is_a_stop() -> None:
+    bench = Bench()
+    bench.run(JointVelocity(qd=np.full(6, 0.05)), 20)
+    bench.guard.acknowledge(bench.q[-1] - 0.01, ("range of j1",))
+    decision = bench.cycle(Hold())
+    assert decision.state is GuardState.STOPPED
+    assert "range of j1" in decision.why
+
+
+def test_it_retreats_slowly_when_the_target_is_away_for_long() -> None:
+    bench = Bench(Limits(retreat=HOME + 0.02, retreat_after_s=0.1, retreat_speed=0.25))
+    states = [bench.cycle(Hold(), target=TargetState.LOST).state for _ in range(450)]
+    assert states[0] is GuardState.HOLDING
+    assert states[-1] is GuardState.RETREATING
+    assert np.abs(bench.q[-1] - HOME - 0.02).max() < 1e-6
+    p = bench.tool()[:, :3, 3]
+    assert np.linalg.norm(np.diff(p, axis=0), axis=1).max() / CYCLE_S <= 0.025
+    assert bench.cycle(Hold(), target=TargetState.FRESH, target_age_s=0.01).state is GuardState.RUNNING
+
+
+def test_from_beyond_a_limit_it_may_only_come_back() -> None:
+    at = ARM.fk(HOME)[:3, 3]
+    pillar = Box(lower_m=at - 0.3, upper_m=at + np.array([0.3, 0.02, 0.3]), name="pillar")
+    bench = Bench(Limits(forbidden=(pillar,)))
+    decision = bench.run(ToolTwist(velocity_m_s=[0.0, -0.05, 0.0], angular_rad_s=np.zeros(3)), 5)
+    assert decision.state is GuardState.HOLDING
+    assert "pillar" in decision.why
+    assert np.array_equal(bench.q[-1], HOME)
+    out = ToolTwist(velocity_m_s=[0.0, 0.05, 0.0], angular_rad_s=np.zeros(3))
+    assert bench.run(out, 100).state is GuardState.RUNNING
+    assert bench.tool()[-1, 1, 3] > at[1] + 0.025
+    assert bench.run(JointGoal(q=HOME), 20).state is GuardState.HOLDING  # and not in again
+
+
+def test_goals_beyond_a_joints_range_are_not_begun() -> None:
+    bench = Bench(Limits(joints=tuple(JointLimit(lower=q - 0.2, upper=q + 0.2) for q in HOME)))
+    decision = bench.run(JointGoal(q=HOME + 0.3), 10)
+    assert decision.state is GuardState.HOLDING
+    assert np.array_equal(bench.q[-1], HOME)
+
+
+def test_a_coupled_arm_is_guarded_in_its_own_values() -> None:
+    coupled = dataclasses.replace(ARM, couplings=(Coupling(joint=ARM.joints[2].name, by=ARM.joints[1].name),))
+    readings = coupled.readings(HOME)
+    bench = Bench(arm=coupled, q=readings)
+    bench.run(ToolTwist(velocity_m_s=[0.0, 0.0, 0.03], angular_rad_s=np.zeros(3)), 150)
+    p = coupled.fk(coupled.values(np.array(bench.q)))[:, :3, 3]
+    assert (p[-1] - p[-2]) / CYCLE_S == pytest.approx([0.0, 0.0, 0.03], abs=1e-4)
+
+
+def test_an_arm_of_three_joints_follows_positions() -> None:
+    arm = dh_arm("three", [(0.0, math.pi / 2, 0.4, 0.0), (0.5, 0.0, 0.0, 0.0), (0.5, 0.0, 0.0, 0.0)])
+    q = np.array([0.1, 0.5, -1.2])
+    bench = Bench(arm=arm, q=q)
+    bench.run(ToolTwist(velocity_m_s=[0.02, 0.0, 0.01], angular_rad_s=np.zeros(3)), 150)
+    p = arm.fk(np.array(bench.q))[:, :3, 3]
+    assert (p[-1] - p[-2]) / CYCLE_S == pytest.approx([0.02, 0.0, 0.01], abs=1e-4)
+
+
+def test_limits_that_cannot_be_are_refused() -> None:
+    with pytest.raises(Inconsistent, match="speed_m_s"):
+        Limits(speed_m_s=0.0)
+    with pytest.raises(Inconsistent, match="corner"):
+        Box(lower_m=np.ones(3), upper_m=np.zeros(3))
+    with pytest.raises(Inconsistent, match="lower"):
+        JointLimit(lower=1.0, upper=-1.0)
+    with pytest.raises(UsageError, match="2 joints"):
+        joint_bounds(ARM, Limits(joints=(JointLimit(), JointLimit())))
+    with pytest.raises(UsageError, match="begin"):
+        Guard(ARM, Limits(), CYCLE_S).step(Hold(), None, Inputs(now_s=0.0, enabled=True))
+
+
+def test_limits_narrow_the_arms_own_and_never_widen_them() -> None:
+    wide = joint_bounds(ARM, Limits(joints=tuple(JointLimit(lower=-99.0, upper=99.0) for _ in HOME)))
+    assert (wide.lower >= ARM.lower).all() and (wide.upper <= ARM.upper).all()

@@ -1,0 +1,221 @@
+"""The control loop on a clock that is told the time, and the sources that it asks."""
+
+from __future__ import annotations
+
+import gc
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from armsight.app.robot.guarding import guard_for
+from armsight.app.robot.opening import open_robot
+from armsight.app.robot.recorder import LoopRecorder
+from armsight.clock import ManualClock
+from armsight.control import CycleState, Finished, Hold, JointGoal, JointVelocity, SetPoint, ToolTwist
+from armsight.control.enable import Enable
+from armsight.control.events import QueueSink
+from armsight.control.guard import GuardState
+from armsight.control.jitter import Jitter
+from armsight.control.loop import ControlLoop
+from armsight.control.sources import ClientSource, GoalSource, JogFrame, JogSource
+from armsight.errors import DeviceFailed, UsageError
+from armsight.store.recording import Recording
+
+
+@pytest.fixture
+def cell():
+    clock = ManualClock()
+    with open_robot("sim:webcam-cell", clock) as robot:
+        clock.advance(0.04)
+        yield robot, clock
+
+
+def state(t_s: float = 0.0, T: RigidTransform | None = None, q=(0.0, 0.0)) -> CycleState:
+    return CycleState(
+        t_s=t_s,
+        cycle_s=0.01,
+        q=np.array(q),
+        q_sent=np.array(q),
+        qd_sent=np.zeros(len(q)),
+        T_base_tool=RigidTransform.identity() if T is None else T,
+    )
+
+
+class Turning:
+    name = "turning"
+
+    def next(self, now: CycleState) -> SetPoint:
+        assert not gc.isenabled()
+        return JointVelocity(qd=np.array([0.05, 0.0, 0.0, 0.0, 0.0, 0.0]))
+
+
+def test_a_goal_is_reached_and_the_loop_ends_at_rest(cell) -> None:
+    robot, clock = cell
+    goal = robot.read().q + 0.02
+    loop = ControlLoop(robot, guard_for(robot), GoalSource(goal), clock, enabled=lambda: True)
+    timing = loop.run(until=lambda now: now.finished, for_s=20.0)
+    assert np.abs(loop.status.q_sent - goal).max() < 1e-6
+    assert timing.missed == timing.late == 0
+    assert timing.n_cycles == loop.status.n_cycles
+    assert gc.isenabled()
+
+
+def test_a_stop_is_taken_in_the_next_cycle_and_lasts_until_the_reset(cell) -> None:
+    robot, clock = cell
+    states = []
+
+    def until(now) -> bool:
+        states.append(now.state)
+        if len(states) == 20:
+            loop.stop("enough")
+        if len(states) == 120:
+            loop.reset()
+        return len(states) == 130
+
+    loop = ControlLoop(robot, guard_for(robot), Turning(), clock, enabled=lambda: True)
+    loop.run(until=until)
+    assert states[19] is GuardState.RUNNING
+    assert set(states[20:120]) == {GuardState.STOPPED}
+    assert states[-1] is GuardState.DISABLED  # the enable was never let go of
+
+
+def test_sources_are_exchanged_under_way(cell) -> None:
+    robot, clock = cell
+    seen = []
+    loop = ControlLoop(robot, guard_for(robot), Turning(), clock, enabled=lambda: True)
+
+    def until(now) -> bool:
+        seen.append(now.source)
+        if len(seen) == 10:
+            loop.exchange(GoalSource(now.q_sent))
+        return len(seen) == 100
+
+    loop.run(until=until)
+    assert seen == ["turning"] * 10 + ["goal"] * 90
+
+
+def test_a_robot_of_poses_is_moved_by_poses(cell) -> None:
+    robot, clock = cell
+    goal = robot.read().q + 0.01
+    loop = ControlLoop(robot, guard_for(robot), GoalSource(goal), clock, enabled=lambda: True, by_pose=True)
+    loop.run(until=lambda now: now.finished, for_s=10.0)
+    clock.advance(0.5)
+    assert np.abs(robot.read().q - goal).max() < 1e-3
+
+
+def test_an_arm_of_other_joints_is_refused(cell) -> None:
+    robot, clock = cell
+    guard = guard_for(open_robot("sim:kapucu2005-rrp", clock))
+    with pytest.raises(DeviceFailed, match="6 joints"):
+        ControlLoop(robot, guard, Turning(), clock, enabled=lambda: True).run()
+
+
+def test_what_it_does_is_in_the_recording(cell, tmp_path: Path) -> None:
+    robot, clock = cell
+    with LoopRecorder(tmp_path / "run.mcap", clock) as recorder:
+        loop = ControlLoop(
+            robot, guard_for(robot), Turning(), clock, enabled=lambda: clock.now_s() < 0.3, sink=recorder.sink
+        )
+        loop.run(for_s=0.6)
+    with Recording(tmp_path / "run.mcap") as recording:
+        events = [event.message for event in recording.events()]
+        assert len(list(recording.commands())) == loop.status.n_cycles
+    assert events[0] == "running"
+    assert events[1].startswith("disabled: no enable")
+
+
+def test_a_full_queue_drops_readings_and_keeps_events(cell) -> None:
+    robot, _ = cell
+    sink = QueueSink(longest=2)
+    for k in range(5):
+        sink.joints(robot.read())
+        sink.event(float(k), "something", "info", "test")
+    items = sink.drain()
+    assert [item.method for item in items].count("event") == 5
+    assert sink.dropped == 4
+    assert sink.drain() == []
+
+
+def test_an_enable_lasts_only_while_it_is_kept() -> None:
+    clock = ManualClock()
+    enable = Enable(clock, timeout_s=0.2)
+    assert not enable.alive()
+    enable.keep()
+    clock.advance(0.15)
+    assert enable.alive()
+    clock.advance(0.1)
+    assert not enable.alive()
+    enable.keep()
+    enable.release()
+    assert not enable.alive()
+
+
+def test_jitter_counts_late_and_missed_cycles() -> None:
+    jitter = Jitter(late_s=0.002)
+    for woke_s, late_s, missed in ((0.0, 0.0, 0), (0.004, 0.0, 0), (0.011, 0.003, 0), (0.024, 0.008, 2)):
+        jitter.cycle(woke_s, late_s, woke_s + 0.001, missed)
+    timing = jitter.timing()
+    assert (timing.n_cycles, timing.late, timing.missed) == (4, 2, 2)
+    assert timing.period_s == pytest.approx((0.007, 0.01288, 0.013))
+    assert timing.busy_s[0] == pytest.approx(0.001)
+
+
+def test_jog_axes_count_only_while_they_are_fresh() -> None:
+    jog = JogSource(2, joint_speed=0.2, timeout_s=0.25)
+    assert isinstance(jog.next(state(0.0)), Hold)
+    jog.push([0.5, -2.0], 1.0)
+    wanted = jog.next(state(1.2))
+    assert isinstance(wanted, JointVelocity)
+    assert wanted.qd == pytest.approx([0.1, -0.2])
+    assert isinstance(jog.next(state(1.3)), Hold)
+    jog.push([0.02, float("nan")], 2.0)
+    assert isinstance(jog.next(state(2.0)), Hold)
+    with pytest.raises(UsageError, match="3 axes"):
+        jog.push([0.0, 0.0, 0.0], 2.0)
+
+
+def test_jog_in_the_tools_frame_turns_with_the_tool() -> None:
+    jog = JogSource(6, JogFrame.TOOL, speed_m_s=0.1)
+    jog.push([1.0, 0.0, 0.0, 0.0, 0.0, 0.0], 0.0)
+    quarter = RigidTransform.from_rotation(Rotation.from_euler("z", 0.5 * np.pi))
+    wanted = jog.next(state(0.0, quarter))
+    assert isinstance(wanted, ToolTwist)
+    assert wanted.velocity_m_s == pytest.approx([0.0, 0.1, 0.0], abs=1e-12)
+
+
+def test_a_silent_client_is_a_hold() -> None:
+    client = ClientSource(longest_s=0.2)
+    assert isinstance(client.next(state(0.0)), Hold)
+    wanted = JointGoal(q=np.zeros(2))
+    client.post(wanted, 1.0)
+    assert client.next(state(1.1)) is wanted
+    late = client.next(state(1.3))
+    assert isinstance(late, Hold) and "200 ms" in late.why
+    client.clear()
+    assert client.next(state(1.3)) == Hold()
+
+
+def test_a_goal_is_finished_where_it_was_sent() -> None:
+    source = GoalSource([0.1, 0.2])
+    assert isinstance(source.next(state(q=(0.0, 0.0))), JointGoal)
+    assert isinstance(source.next(state(q=(0.1, 0.2))), Finished)
+
+
+def test_the_loop_may_be_stopped_from_another_thread(cell) -> None:
+    robot, clock = cell
+    loop = ControlLoop(robot, guard_for(robot), Turning(), clock, enabled=lambda: True)
+    begun = threading.Event()
+
+    def until(now) -> bool:
+        begun.set()
+        return now.state is GuardState.STOPPED
+
+    thread = threading.Thread(target=loop.run, kwargs={"until": until})
+    thread.start()
+    begun.wait()
+    loop.stop()
+    thread.join()
+    assert loop.status.state is GuardState.STOPPED and loop.status.at_rest
