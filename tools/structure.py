@@ -46,6 +46,7 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
         "cli/identify.py:identify": FLAGS,
         "cli/mirrors.py:mirrors": FLAGS,
         "cli/record.py:record": FLAGS,
+        "cli/robot.py:jog": FLAGS,
         "cli/target.py:target": FLAGS,
         "cli/timing.py:timing": FLAGS,
         "cli/verify.py:verify": FLAGS,
