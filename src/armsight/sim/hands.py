@@ -27,8 +27,8 @@ CORNER_S = 0.15
 WAVES = 4
 WANDER_HZ = (0.05, 0.4)
 """Sines per axis of a hand that goes about, and their frequencies."""
-TURN_RAD_S = 0.3
-"""Fastest turning of a hand that goes about at 0.1 m/s."""
+TURN_RAD_S = 0.08
+"""Fastest turning of a hand that goes about at 0.1 m/s: at 0.6 m it takes an arm another 50 mm/s to follow."""
 LONGEST_S = 120.0
 """For so long a hand that goes about is known to keep within its speed."""
 JITTER_M, JITTER_RAD = 1e-4, 3e-4

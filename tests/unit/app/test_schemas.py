@@ -22,8 +22,6 @@ from armsight.app.schemas import (
     robot,
     timing,
     verify,
-    timing,
-    verify,
     verify_live,
 )
 from armsight.app.schemas.base import Output, PointStd, PoseOutput, PoseStd, absent
