@@ -34,6 +34,7 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
         "cli/identify.py:identify": FLAGS,
         "cli/mirrors.py:mirrors": FLAGS,
         "cli/record.py:record": FLAGS,
+        "cli/serve.py:serve": FLAGS,
         "cli/verify.py:verify": FLAGS,
     },
     "arguments": {
@@ -49,6 +50,7 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
         "cli/robot.py:jog": FLAGS,
         "cli/target.py:target": FLAGS,
         "cli/timing.py:timing": FLAGS,
+        "cli/serve.py:serve": FLAGS,
         "cli/verify.py:verify": FLAGS,
     },
     "long kernels": {"*": LOOPS},

@@ -188,7 +188,7 @@ class ControlLoop:
         """Do one cycle, begun late_s too late; also called by tests and by loops that keep time otherwise."""
         guard, source = self._guard, self._source
         if self._reset:
-            self._do_reset(now_s)
+            self._do_reset(now_s)  # before the robot is asked for its state: what it was before the reset is no fault
         reading, robot_state = self._read()
         wanted = Hold() if self._ending else self._asked(source, guard.cycle_state(now_s, self._reading))
         target, age_s = source.target(now_s) if isinstance(source, FollowsTarget) else (None, None)

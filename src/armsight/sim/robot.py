@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import threading
+from collections.abc import Sequence
 from enum import StrEnum
 from types import TracebackType
 from typing import Self
@@ -16,6 +18,7 @@ from armsight.drivers import RobotState, Sent
 from armsight.errors import DeviceFailed, DeviceLost, Inconsistent, StaleData, UsageError
 from armsight.records import JointReading
 from armsight.sim.arms import FlangeLimits, SimArm
+from armsight.sim.motions import JointMotion, smooth_step
 from armsight.sim.servo import Drive, Servo
 
 Array = NDArray[np.float64]
@@ -25,6 +28,9 @@ STALE_CYCLES = 3.5
 
 REST = 1e-6
 """Joints nearer to their command than this (rad or m) are at rest."""
+
+RUN_UP_S = 2.0
+"""Time in which a robot that stands at home takes up the motion of its own program."""
 
 MEMORY = 15_000
 """Steps of the motion remembered: a minute, and 1 MB."""
@@ -76,6 +82,23 @@ class SimRobot:
         self._sent = 0
         self._cycle = -1
         self._from: Array = self._servo.goal
+        self._lock = threading.RLock()
+        self._program: JointMotion | None = None
+        self._start: Array = self._servo.goal
+        self._begun_s = 0.0
+        self._played = 0
+        self._zero_jumps: tuple[tuple[float, float, Array], ...] = ()
+
+    def play(self, motion: JointMotion) -> None:
+        """Have the controller's own program go along a motion from opening on, until it is stopped.
+
+        From home it takes the motion up within RUN_UP_S.
+        """
+        self._program = motion
+
+    def jump_zeros(self, jumps: Sequence[tuple[float, float, Array]]) -> None:
+        """Have encoders jump: from and to which time since opening in s, and by how much, (n,) in rad or m."""
+        self._zero_jumps = tuple(jumps)
 
     @property
     def n_joints(self) -> int:
@@ -100,9 +123,9 @@ class SimRobot:
         return RobotState.MOVING if float(np.abs(rest).max()) > REST else RobotState.READY
 
     def __enter__(self) -> Self:
-        self._now_s()
-        self._open, self._stopped = True, False
-        self._from = self._servo.goal
+        self._begun_s = self._now_s()
+        self._open, self._stopped, self._played = True, False, 0
+        self._from = self._start = self._servo.goal
         return self
 
     def __exit__(
@@ -131,7 +154,10 @@ class SimRobot:
                 consequence="Where the arm is now is not known",
                 cure="Stop the robot and look at its controller",
             )
-        q = self._servo.read(t_s)[0] + self._jump
+        with self._lock:
+            q = self._servo.read(t_s)[0] + self._jump
+        for start_s, end_s, by in self._zero_jumps:
+            q = q + by * float(start_s <= t_s - self._begun_s < end_s)
         return JointReading(q=q, t_s=self._origin_s + t_s, sequence=cycle, source=self.name)
 
     def step_joints(self, step: Array) -> Sent:
@@ -167,8 +193,9 @@ class SimRobot:
     def stop(self) -> None:
         """Come to rest where the joints are; legal always."""
         self._now_s()
-        self._servo.halt()
-        self._stopped = True
+        with self._lock:
+            self._servo.halt()
+            self._stopped, self._program = True, None
 
     def reset(self) -> None:
         """Take commands again from where it stands."""
@@ -198,12 +225,28 @@ class SimRobot:
     def true_joints(self, t_s: float) -> Array:
         """Return where the joints (n,) really were at time t_s of the clock; now at the latest."""
         self._now_s()
-        return np.asarray(self._servo.at(t_s - self._origin_s)[0])
+        with self._lock:
+            return np.asarray(self._servo.at(t_s - self._origin_s)[0])
 
     def _now_s(self) -> float:
-        now_s = self._clock.now_s() - self._origin_s
-        self._servo.advance(now_s)
-        return now_s
+        with self._lock:  # cameras and whoever reads the joints may be in two threads
+            now_s = self._clock.now_s() - self._origin_s
+            self._play_until(now_s)
+            self._servo.advance(now_s)
+            return now_s
+
+    def _play_until(self, now_s: float) -> None:
+        """Give the commands of the controller's own program up to now, one a cycle."""
+        if self._program is None or not self._open or self._stopped or RobotFault.LINK_LOST in self._faults:
+            return
+        wanted = math.floor((now_s - self._begun_s) / self.cycle_s) + 1
+        if wanted <= self._played:
+            return
+        t_s = self.cycle_s * np.arange(self._played, wanted, dtype=np.float64)
+        share = np.asarray(smooth_step(t_s / RUN_UP_S))[:, None]
+        for moment, q in zip(t_s, self._start + share * (self._program(t_s) - self._start), strict=True):
+            self._servo.command(self._begun_s + moment, q)
+        self._played = wanted
 
     def _cycle_at(self, t_s: float) -> int:
         return math.floor(t_s / self.cycle_s + 1e-9)
@@ -220,6 +263,10 @@ class SimRobot:
 
     def _check_motion(self) -> None:
         self._check_link("move")
+        if self._program is not None:
+            raise DeviceFailed(
+                f"{self.name} goes by its own program", consequence="Nothing was sent", cure="Stop and reset it first"
+            )
         if self._stopped:
             raise DeviceFailed(f"{self.name} is stopped", consequence="Nothing was sent", cure="Reset it first")
 

@@ -18,17 +18,17 @@ from armsight.sim.rigs import SIDES
 from armsight.sim.robot import SimRobot
 from armsight.sim.room_schema import checked_room
 from armsight.sim.scenario_cameras import make_cameras, set_room, with_zoom
+from armsight.sim.scenario_events import events_of, zero_jumps
 from armsight.sim.scenario_schema import (
     ArcKeys,
     EdgeKeys,
-    EventKeys,
     RestKeys,
     Scenario,
     SweepsKeys,
     SwingKeys,
     WayKeys,
 )
-from armsight.sim.scene import Event, Ghost, Light, Path, Rest
+from armsight.sim.scene import Light, Path, Rest
 from armsight.sim.servo import Drive, Servo
 from armsight.sim.world import Carried, Timing, World
 
@@ -98,20 +98,22 @@ def robotics(scenario: Scenario, seed: int) -> Robotics:
     )
 
 
-def build_robot(scenario: Scenario, device: str, clock: Clock) -> SimRobot:
-    """Return the scenario's robot on a clock, standing where its motion begins."""
+def build_robot(scenario: Scenario, device: str, clock: Clock, *, home: Array | None = None) -> SimRobot:
+    """Return the scenario's robot on a clock, standing at home (n,) in rad or m, or where its motion begins."""
     arm = robotics(scenario, scenario.seed)
     motion = scenario.motion
-    home = motion.follow.home if not isinstance(motion, WayKeys | SweepsKeys | SwingKeys) else _first(scenario)
-    return SimRobot(
+    first = motion.follow.home if not isinstance(motion, WayKeys | SweepsKeys | SwingKeys) else _first(scenario)
+    robot = SimRobot(
         f"{scenario.name}{':' if device else ''}{device}",
         true=arm.true,
         nominal=arm.nominal,
         drive=arm.drive,
-        home=arm.units * np.array(home),
+        home=arm.units * np.array(first) if home is None else home,
         clock=clock,
         limits=arm.limits,
     )
+    robot.jump_zeros(zero_jumps(scenario, arm.units))
+    return robot
 
 
 def build_world(
@@ -124,8 +126,7 @@ def build_world(
     scenario, seed, frames = _as_asked(scenario, seed, frames, room, zoom)
     arm = robotics(scenario, seed)
     lights = _lights(scenario)
-    sees = scenario.cameras.sensor.ambient_level if scenario.room.dark else 0.0
-    cameras, rig = make_cameras(scenario.cameras, seed, ambient_level=sees)
+    cameras, rig = make_cameras(scenario.cameras, seed, ambient_level=_ambient(scenario))
     until_s = frames / scenario.fps + AHEAD_S
     T_mount_rig = scenario.cameras.T_mount_rig.pose()
     servo, T_flange_tool, rig_path, target = _moving(scenario, arm, T_mount_rig, seed, until_s)
@@ -146,18 +147,24 @@ def build_world(
         true=arm.true,
         T_flange_tool=T_flange_tool,
         servo=servo,
+        vibration=_vibration(scenario, seed),
         T_base_rig=T_mount_rig if scenario.cameras.mount == "base" else None,
         T_flange_rig=T_mount_rig if scenario.cameras.mount == "flange" else None,
         radii_m=tuple(joint.radius_m for joint in scenario.arm.joints),
-        events=_events(scenario, ("occluded", "reflection")),
-        frozen=_events(scenario, ("frozen",)),
-        dropped=_events(scenario, ("dropped",)),
-        cut_off=_events(scenario, ("link_lost",)),
+        events=events_of(scenario, ("occluded", "reflection")),
+        frozen=events_of(scenario, ("frozen",)),
+        dropped=events_of(scenario, ("dropped",)),
+        cut_off=events_of(scenario, ("link_lost",)),
         sweeps=_sweep_rows(scenario, frames),
+        zero_jumps=zero_jumps(scenario, arm.units),
         assumptions=(TOLD,),
     )
-    _check_seen(world)
-    return _in_room(world, scenario, until_s - AHEAD_S)
+    return _in_room(_seen(world), scenario, until_s - AHEAD_S)
+
+
+def _ambient(scenario: Scenario) -> float:
+    """Return the grey levels of light that cameras get of no room."""
+    return scenario.cameras.sensor.ambient_level if scenario.room.dark else 0.0
 
 
 def _in_room(world: World, scenario: Scenario, until_s: float) -> World:
@@ -199,7 +206,7 @@ def _moving(
     motion = scenario.motion
     vibration = _vibration(scenario, seed)
     if isinstance(motion, WayKeys | SweepsKeys | SwingKeys):
-        servo = _commanded(scenario, arm, _joint_motion(scenario, arm.units, seed), until_s)
+        servo = _commanded(scenario, arm, joint_motion(scenario, arm.units, seed), until_s)
         T_flange_tool = scenario.target.T_flange_target.pose() if scenario.target.T_flange_target else T_mount_rig
         target: Path = Carried(arm=arm.true, servo=servo, T_flange_thing=T_flange_tool, vibration=vibration)
         rig_path: Path = Rest(T_world_target=arm.true.T_world_base * T_mount_rig)
@@ -236,7 +243,8 @@ def _first(scenario: Scenario) -> list[float]:
     return motion.follow.home
 
 
-def _joint_motion(scenario: Scenario, units: Array, seed: int) -> JointMotion:
+def joint_motion(scenario: Scenario, units: Array, seed: int) -> JointMotion:
+    """Return the motion of a scenario whose robot carries the target. Raises Inconsistent for any other."""
     motion = scenario.motion
     if isinstance(motion, SwingKeys):
         rng = np.random.default_rng([seed, SEED_PATH])
@@ -362,20 +370,6 @@ def _target_mapping(scenario: Scenario) -> dict[str, Any]:
     return target
 
 
-def _events(scenario: Scenario, kinds: tuple[str, ...]) -> tuple[Event, ...]:
-    def made(event: EventKeys) -> Event:
-        first = int(np.ceil(event.at_s * scenario.fps - 1e-9))
-        last = max(first + 1, int(np.ceil((event.at_s + event.for_s) * scenario.fps - 1e-9)))
-        ghosts: tuple[Ghost, ...] = ()
-        if event.kind == "reflection" and event.uv_px is not None:
-            uv = (event.uv_px[0], event.uv_px[1])
-            ghosts = (Ghost(uv_px=uv, level=event.level, sigma_px=scenario.target.sigma_px),)
-        hidden = tuple(event.lights) if event.kind == "occluded" else ()
-        return Event(first=first, last=last, side=event.side, note=event.kind, hidden=hidden, ghosts=ghosts)
-
-    return tuple(made(event) for event in scenario.events if event.kind in kinds)
-
-
 def _sweep_rows(scenario: Scenario, frames: int) -> tuple[tuple[int, int], ...]:
     """Return (frame, joint) of each reading of a sweep."""
     if not isinstance(scenario.motion, SweepsKeys):
@@ -385,8 +379,8 @@ def _sweep_rows(scenario: Scenario, frames: int) -> tuple[tuple[int, int], ...]:
     return tuple((round(i * every), joint) for i, joint in enumerate(joints) if round(i * every) < frames)
 
 
-def _check_seen(world: World) -> None:
-    """Raise Inconsistent where no light of the target is in a view at the beginning."""
+def _seen(world: World) -> World:
+    """Return the world; Inconsistent where no light of the target is in a view at the beginning."""
     for side, camera in world.cameras.items():
         uv = camera.centres_px(world.lights, world.path, 0.0)
         inside = ((uv >= 0.0) & (uv <= [camera.lens.width - 1, camera.lens.height - 1])).all(axis=1)
@@ -397,3 +391,4 @@ def _check_seen(world: World) -> None:
                 consequence="There is nothing to simulate",
                 cure="Turn the rig to the target, or the target's z axis away from the rig",
             )
+    return world

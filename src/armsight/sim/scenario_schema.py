@@ -12,6 +12,7 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from armsight.sim.event_schema import EventKeys, Vector2
 from armsight.sim.room_schema import (
     Finite,
     Keys,
@@ -27,7 +28,6 @@ from armsight.sim.room_schema import (
 
 Share = Annotated[float, Field(ge=0.0, lt=1.0)]
 Count = Annotated[int, Field(ge=1, le=100_000)]
-Vector2 = Annotated[list[Finite], Field(min_length=2, max_length=2)]
 Vector5 = Annotated[list[Finite], Field(min_length=5, max_length=5)]
 
 
@@ -290,27 +290,6 @@ class EdgeKeys(Keys):
         return self
 
 
-class EventKeys(Keys):
-    """Something that goes wrong from at_s for for_s seconds."""
-
-    kind: Literal["occluded", "reflection", "frozen", "dropped", "jump", "link_lost", "late_cycle"]
-    at_s: NotNegative
-    for_s: Positive
-    side: Literal["left", "right", "both"] = "both"
-    lights: list[str] = Field(default=[])
-    uv_px: Vector2 | None = None
-    level: Positive = 140.0
-    by_m: Vector3 | None = None
-
-    @model_validator(mode="after")
-    def _complete(self) -> Self:
-        needed = {"occluded": self.lights, "reflection": self.uv_px, "jump": self.by_m}
-        key = {"occluded": "lights", "reflection": "uv_px", "jump": "by_m"}.get(self.kind)
-        if key is not None and not needed[self.kind]:
-            raise ValueError(f"an event of kind {self.kind} needs {key}")
-        return self
-
-
 RobotMotion = WayKeys | SweepsKeys | SwingKeys
 FollowedMotion = RestKeys | ArcKeys | EdgeKeys
 
@@ -342,6 +321,8 @@ class Scenario(Keys):
             unknown = [name for name in event.lights if name not in self.target.spots_m]
             if unknown:
                 raise ValueError(f"events: lights {', '.join(unknown)} are not among target.spots_m")
+            if event.joint is not None and event.joint > len(self.arm.joints):
+                raise ValueError(f"events: there is no joint {event.joint}, the arm has {len(self.arm.joints)}")
         return self
 
     def _check_who_moves(self) -> None:

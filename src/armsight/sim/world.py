@@ -79,9 +79,9 @@ class World:
     """A simulated cell with a robot, with the face of sim.cell.Cell.
 
     views: ('left', 'right'), or ('image',) for the complex images of a mirror rig. servo: the arm's motion, worked out
-    to the end. frozen, dropped, cut_off: events (frames, views) in which the image stands still, none comes, no joints
-    are read. radii_m: of the arm's links as obstacles. moving: the room as cameras that move see it; None for
-    those that stand, or in the dark.
+    to the end; vibration: of its flange. frozen, dropped, cut_off: events (frames, views) in which the image stands
+    still, none comes, no joints are read. radii_m: of the arm's links as obstacles. moving: the room as cameras that
+    move see it; None for those that stand, or in the dark.
     """
 
     name: str
@@ -100,6 +100,7 @@ class World:
     true: SimArm
     T_flange_tool: RigidTransform
     servo: Servo
+    vibration: Vibration
     T_base_rig: RigidTransform | None
     T_flange_rig: RigidTransform | None
     radii_m: tuple[float, ...]
@@ -108,6 +109,7 @@ class World:
     dropped: tuple[Event, ...] = ()
     cut_off: tuple[Event, ...] = ()
     sweeps: tuple[tuple[int, int], ...] = ()
+    zero_jumps: tuple[tuple[float, float, Array], ...] = ()
     assumptions: tuple[str, ...] = ()
     path: Path = field(init=False)
 
@@ -139,7 +141,10 @@ class World:
         """Time in s and encoder readings (n,) at every frame that arrived while the robot's link was there."""
         kept = [index for index in self.kept if not any(event.applies(index, "both") for event in self.cut_off)]
         t_s = np.array(kept) / self.fps
-        return tuple(zip(t_s.tolist(), self.servo.read(t_s), strict=True))
+        q = self.servo.read(t_s)
+        for start_s, end_s, by in self.zero_jumps:
+            q = q + ((t_s >= start_s) & (t_s < end_s))[:, None] * by
+        return tuple(zip(t_s.tolist(), q, strict=True))
 
     def frames(self) -> Iterator[tuple[Frame, ...]]:
         """Yield the frames of all views that arrived, in the order of time; numbers tell of those that did not."""

@@ -27,33 +27,50 @@ def deciding_poses(case: Case, fitted: ModelFit, joints: tuple[int, ...]) -> Arr
     span = np.where(bare.revolute, OPEN_RAD, OPEN_M)
     low, high = np.maximum(bare.lower, middle - span), np.minimum(bare.upper, middle + span)
     q = rng.uniform(low, high, (CANDIDATES, bare.n))
-    n_joints = len(joints)
-    here = _columns(case, case.q, fitted, joints).reshape(-1, _width(case, n_joints))
-    there = _columns(case, q, fitted, joints)
-    H = here.T @ here
-    scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
-    H = H / np.outer(scale, scale) + 1e-9 * np.eye(len(H))
-    there = there / scale
-    chosen: list[int] = []
-    for _ in range(DECIDING_POSES):
-        doubt = [np.inf if k in chosen else _doubt(H + part.T @ part, n_joints) for k, part in enumerate(there)]
-        best = int(np.argmin(doubt))
-        chosen.append(best)
-        H = H + there[best].T @ there[best]
+    sigma = np.median(fitted.noise.sigma, axis=0)
+    chosen, _ = best_poses(case, fitted.p, sigma, joints, q, DECIDING_POSES)
     return q[chosen]
 
 
-def _width(case: Case, n_joints: int) -> int:
-    return len(case.free) + n_joints
+def best_poses(
+    case: Case, p: Array, sigma: Array, joints: tuple[int, ...], q: Array, count: int
+) -> tuple[list[int], Array]:
+    """Return which of the joint positions q (c, n) to measure beside the case's, in the order of their worth, and the
+    covariances (k + 1, j, j) of the joints' zeros: with all of them, then with each left out.
+
+    p: base and tool. sigma (2,): noise of a coordinate in m and of a turn in rad.
+    """
+    n_joints = len(joints)
+    width = len(case.free) + n_joints
+    here = np.empty((0, width))
+    if len(case.q):
+        here = _columns(case, case.q, p, sigma, joints).reshape(-1, width)
+    there = _columns(case, q, p, sigma, joints)
+    every = there.reshape(-1, width)
+    H = here.T @ here
+    scale = np.sqrt(np.maximum(np.diag(H) + np.diag(every.T @ every), 1e-300))
+    H = H / np.outer(scale, scale) + 1e-9 * np.eye(len(H))
+    there = there / scale
+    gained = np.swapaxes(there, 1, 2) @ there  # (c, width, width)
+    chosen: list[int] = []
+    for _ in range(min(count, len(q))):
+        doubt = _doubt(H + gained, n_joints)
+        doubt[chosen] = np.inf
+        best = int(np.argmin(doubt))
+        chosen.append(best)
+        H = H + gained[best]
+    less = [H, *(H - gained[k] for k in chosen)]
+    own = scale[-n_joints:]
+    return chosen, np.array([np.linalg.inv(h)[-n_joints:, -n_joints:] / np.outer(own, own) for h in less])
 
 
-def _doubt(H: Array, n_joints: int) -> float:
-    """Return the log determinant of the covariance of the last parameters."""
-    inverse = np.linalg.inv(H)[-n_joints:, -n_joints:]
-    return float(np.linalg.slogdet(inverse)[1])
+def _doubt(H: Array, n_joints: int) -> Array:
+    """Return (c,) the log determinants of the covariances of the last parameters, of information (c, k, k)."""
+    inverse = np.linalg.inv(H)[:, -n_joints:, -n_joints:]
+    return np.asarray(np.linalg.slogdet(inverse)[1])
 
 
-def _columns(case: Case, q: Array, fitted: ModelFit, joints: tuple[int, ...]) -> Array:
+def _columns(case: Case, q: Array, mounts: Array, sigma: Array, joints: tuple[int, ...]) -> Array:
     """Return the whitened columns (m, rows, B + joints) of base, tool and the joints' zeros at joint values q."""
     F, J = fk_jacobian(case.bare, q)
     label = case.measured.labels[0]
@@ -61,14 +78,13 @@ def _columns(case: Case, q: Array, fitted: ModelFit, joints: tuple[int, ...]) ->
     more = J[:, :, list(joints)]
     model = Model(measured=points, expected=lambda _: (F, more), extra=tuple(f"zero{i}" for i in joints))
     names = [name for name in case.free if name.split(".")[0] in ("base", _tool(label))]
-    p = np.concatenate([fitted.p[:6], fitted.p[6:12], np.zeros(len(joints))])
+    p = np.concatenate([mounts[:12], np.zeros(len(joints))])
     _, columns = model.linearised(p)
-    out = np.zeros((*columns.shape[:2], _width(case, len(joints))))
+    out = np.zeros((*columns.shape[:2], len(case.free) + len(joints)))
     for k, name in enumerate(case.free):
         if name in names:
             out[:, :, k] = columns[:, :, model.names.index(name)]
     out[:, :, len(case.free) :] = columns[:, :, 12:]
-    sigma = np.median(fitted.noise.sigma, axis=0)
     return np.asarray(out / np.repeat(sigma, 3)[: columns.shape[1]][:, None])
 
 

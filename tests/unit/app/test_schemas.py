@@ -22,6 +22,7 @@ from armsight.app.schemas import (
     robot,
     timing,
     verify,
+    verify_live,
 )
 from armsight.app.schemas.base import Output, PointStd, PoseOutput, PoseStd, absent
 from armsight.app.schemas.catalogue import OUTPUTS
@@ -69,6 +70,22 @@ KEYS: dict[type[Output], tuple[str, str]] = {
         "",
     ),
     reproduce.ReproducedErrors: ("paper paper_method armsight", ""),
+    OUTPUTS["verify-live"]: (
+        "n n_compared n_lost n_stale duration_s rate_hz missed level stopped alarms errors levels blind_s decision_ms "
+        "recording doubts verdict",
+        "",
+    ),
+    verify_live.LiveAlarm: ("t_s level why", ""),
+    verify_live.LiveErrors: ("rms_m max_m rms_rad max_rad std_m std_rad", ""),
+    verify_live.LiveLevels: ("warn_m stop_m warn_rad stop_rad", ""),
+    verify_live.DecisionTime: ("median p99", ""),
+    OUTPUTS["verify-mastering"]: (
+        "n cause offset_rad std_rad rms_before_m rms_after_m joints rejected doubts verdict",
+        "tool_moved",
+    ),
+    verify_live.MasteringJoint: ("index name judged why offset_rad std_rad", ""),
+    OUTPUTS["verify-mastering-poses"]: ("poses expected_std_rad file notes", ""),
+    verify_live.MasteringPose: ("q decides", ""),
     OUTPUTS["calibrate-camera"]: (
         "rms_px n_images n_used rejected fx_px fy_px cx_px cy_px distortion std holdout_rms_px advice",
         "noise zoom",
@@ -145,7 +162,14 @@ KEYS: dict[type[Output], tuple[str, str]] = {
     verify.CauseParameter: ("value std", ""),
     verify.Explained: ("measurement joint zeros model", ""),
     verify.ConfigurationPairs: ("n mean_m p95_m max_m", ""),
-    verify.IsoFigure: ("value n wanted withheld std", ""),
+    verify.IsoFigure: ("value n wanted withheld std corrected corrected_std note", ""),
+    OUTPUTS["verify-plan"]: (
+        "arm cube quat_xyzw speed_m_s poses motions branch singularity_distance limit_margin refused files",
+        "",
+    ),
+    verify.PlannedCube: ("centre_m side_m plane corners_m", ""),
+    verify.PlannedPose: ("xyz_m q", ""),
+    verify.PlannedTest: ("test figures repeats n", ""),
     verify.ComparedRun: ("folder n after cause", ""),
     OUTPUTS["record"]: (
         "file format n_pairs n_dropped n_missed duration_s pairs_per_s size_bytes skew_s",

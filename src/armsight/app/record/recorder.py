@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from types import TracebackType
@@ -37,9 +38,12 @@ takes as long as the disk likes."""
 
 @dataclass(frozen=True, slots=True)
 class _Waiting:
-    pair: tuple[Frame, Frame]
+    """A pair of frames, or what else is to be written."""
+
+    pair: tuple[Frame, Frame] | None
     encoded: tuple[Future[Encoded | None], Future[Encoded | None]] | None
     size: int
+    write: Callable[[RecordingWriter], None] | None = None
 
 
 class Recorder:
@@ -107,6 +111,14 @@ class Recorder:
             self._room.notify_all()
         return True
 
+    def add(self, write: Callable[[RecordingWriter], None]) -> None:
+        """Have another record written in its turn, never dropped. Raises what writing has met."""
+        with self._room:
+            if self._failure is not None:
+                raise self._failure
+            self._waiting.append(_Waiting(None, None, 0, write))
+            self._room.notify_all()
+
     def close(self) -> None:
         """Write what waits, end the threads, close the file. Raises what writing has met and nobody was told yet."""
         with self._room:
@@ -136,9 +148,9 @@ class Recorder:
                 raise
 
     def _full(self, size: int) -> bool:
-        if not self._waiting:
+        n = sum(item.pair is not None for item in self._waiting)
+        if not n:
             return False
-        n = len(self._waiting)
         return self._bytes + size > QUEUE_BYTES or (n * self._pace_s > QUEUE_S if self._live else n >= QUEUE_PAIRS)
 
     def _write(self) -> None:
@@ -155,8 +167,9 @@ class Recorder:
                     continue
                 begun_s = self._clock.now_s()
                 self._one(item)
-                took_s = min(self._clock.now_s() - begun_s, PACE_LIMIT_S)
-                self._pace_s += PACE_WEIGHT * (took_s - self._pace_s)
+                if item.pair is not None:
+                    took_s = min(self._clock.now_s() - begun_s, PACE_LIMIT_S)
+                    self._pace_s += PACE_WEIGHT * (took_s - self._pace_s)
                 with self._room:
                     self._waiting.popleft()
                     self._bytes -= item.size
@@ -167,6 +180,10 @@ class Recorder:
                 self._room.notify_all()
 
     def _one(self, item: _Waiting) -> None:
+        if item.write is not None:
+            item.write(self._writer)
+        if item.pair is None:
+            return
         left, right = item.pair
         encoded = (item.encoded[0].result(), item.encoded[1].result()) if item.encoded else (None, None)
         self._writer.pair(left, right, encoded)

@@ -1,0 +1,211 @@
+"""One pair of live frames after the other: measured, compared with where the arm should be, judged."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from armsight.app.measure.run import lost_pair
+from armsight.app.record.recorder import Recorder
+from armsight.app.sources.frames import require_size
+from armsight.app.verify.joint_reader import JointReader
+from armsight.app.verify.live_output import LiveLog
+from armsight.clock import Clock
+from armsight.drivers import AUTOMATIC, CameraSettings, PairSource, Robot
+from armsight.errors import Inconsistent, StaleData
+from armsight.measure.poses.pipeline import Measured, Setup, Track, measure_pair
+from armsight.optics import SIDES
+from armsight.records import Frame, PoseStatus, TargetPose
+from armsight.store.recording import ImageFormat, RecordingWriter
+from armsight.verify.supervision import Alarm, Compared, Expectation, Level, Limits, Watch
+
+RECORDING = "live.mcap"
+BLIND_S = 0.5
+"""Nothing compared for so long is told as such."""
+AFTER_STOP_S = 1.0
+"""Supervision goes on so long after a stop: the recording shows how the arm came to rest."""
+LATENCY_S, LATENCY_STD_S = 0.03, 0.01
+"""From the middle of an exposure to the frame in memory, of cameras nobody has measured: two frames at 60 a second."""
+JOINT_STD = 2e-5
+"""Of a joint reading in rad or m: a step of a 17-bit encoder is 5e-5 rad."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LiveVerifyJob:
+    """robot: DRIVER:DEVICE, or sim:SCENARIO with camera:sim:SCENARIO:left and :right; play: it then moves by itself.
+
+    world: where the rig stands, of the base or of the world that the arm's base is given in. joint_std: of a reading,
+    rad or m. latency_s, latency_std_s: from exposure to frame in memory. blind_stop_s: stop where nothing could be
+    compared for so long. frames: keep the images too. limit, seconds_s: pairs, time after which to end.
+    """
+
+    robot: str
+    left: str
+    right: str
+    rig: Path
+    target: Path
+    arm: str
+    world: Path
+    out: Path
+    limits: Limits = field(default_factory=Limits)
+    joint_std: float = JOINT_STD
+    latency_s: float = LATENCY_S
+    latency_std_s: float = LATENCY_STD_S
+    blind_stop_s: float | None = None
+    frames: bool = False
+    limit: int | None = None
+    seconds_s: float | None = None
+    play: bool = False
+    camera_settings: CameraSettings = AUTOMATIC
+
+
+Show = Callable[[TargetPose, Compared | None, Level, str], None]
+"""Is told of every pair: the pose, what was compared, the level, and what was lost."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Supervised:
+    """A robot and the pairs of frames that watch it, not yet open.
+
+    origin_s: tells the clock's time of the cameras' zero once they are open, None where only arrivals tell it. on_step:
+    takes what is to be called whenever time passes, of a clock that moves by itself; None: the joints' thread reads.
+    """
+
+    robot: Robot
+    pairs: PairSource
+    origin_s: Callable[[], float] | None = None
+    on_step: Callable[[Callable[[], None]], None] | None = None
+
+
+class Supervision:
+    """What goes on from pair to pair: measured, compared, judged, the robot stopped; then written and told."""
+
+    def __init__(
+        self,
+        job: LiveVerifyJob,
+        setup: Setup,
+        expectation: Expectation,
+        devices: Supervised,
+        clock: Clock,
+        log: LiveLog,
+        show: Show,
+    ) -> None:
+        self.job = job
+        self.devices = devices
+        self.log = log
+        self._setup = setup
+        self._expectation = expectation
+        self._clock = clock
+        self._show = show
+        self._watch = Watch(job.limits)
+        self._reader = JointReader(devices.robot, clock)
+        self._recorder: Recorder | None = None
+        self._track: Track | None = None
+        self._ahead_s = np.inf  # the clock's time at the cameras' zero
+        self._seen_s: float | None = None
+        self._blind = False
+        self._stopped_s: float | None = None
+
+    def open(self, stack: ExitStack) -> None:
+        """Begin the recording and to read the joints; all ends with the stack."""
+        writer = RecordingWriter(self.job.out / RECORDING, overwrite=True)
+        stack.enter_context(writer)
+        writer.attach("rig.yaml", self.job.rig.read_bytes())
+        if self.job.target.exists():
+            writer.attach("target.yaml", self.job.target.read_bytes())
+        writer.rig(0.0, self._setup.rig)
+        self._recorder = stack.enter_context(Recorder(writer, ImageFormat.PNG, live=True))
+        if self.devices.on_step is not None:
+            self.devices.on_step(self._reader.poll)  # the clock's owner lets time pass, and readings with it
+        else:
+            stack.enter_context(self._reader)
+
+    def take(self, pair: tuple[Frame, Frame]) -> None:
+        """Measure, compare, judge, and only then write and tell."""
+        begun_s = time.perf_counter()
+        newest_s = max(pair[0].t_s, pair[1].t_s)
+        self._ahead_s = min(self._ahead_s, self._clock.now_s() - newest_s - self.job.latency_s)
+        measured = self._measured(pair)
+        pose = measured.pose
+        zero_s = self._ahead_s if self.devices.origin_s is None else self.devices.origin_s()
+        compared, lost = self._compared(pose, pose.t_s + zero_s)
+        alarm = None if compared is None else self._watch.add(compared)
+        told = alarm or self._sight(pose.t_s, compared is not None, lost)
+        if alarm is not None and alarm.level is Level.STOP:
+            self._stop(pose.t_s)
+        ms = (time.perf_counter() - begun_s) * 1e3
+        self.log.add(pair[0], pose, compared, self._watch.level, lost, ms)
+        if told is not None:
+            self.log.raised(told)
+        self._record(pair, measured, told, zero_s)
+        self._show(pose, compared, self._watch.level, lost)
+
+    def ended(self) -> bool:
+        """Whether enough was seen."""
+        n, span_s = len(self.log.rows), self.log.duration_s
+        if self._stopped_s is not None and self.log.rows[-1].t_s - self._stopped_s >= AFTER_STOP_S:
+            return True
+        by_time = self.job.seconds_s is not None and span_s >= self.job.seconds_s
+        return by_time or (self.job.limit is not None and n >= self.job.limit)
+
+    def _measured(self, pair: tuple[Frame, Frame]) -> Measured:
+        for side, frame in zip(SIDES, pair, strict=True):
+            require_size(self._setup.rig, side, frame, "The calibration says nothing about such frames")
+        try:
+            measured = measure_pair(self._setup, *pair, self._track)
+        except Inconsistent as error:  # the views look exchanged, which one frame cannot decide
+            measured = lost_pair(pair, error.cause)
+        self._track = measured.track
+        return measured
+
+    def _compared(self, pose: TargetPose, at_s: float) -> tuple[Compared | None, str]:
+        """Return the comparison, or what is lost."""
+        if pose.status is not PoseStatus.OK:
+            return None, f"target: {pose.why or pose.status.value}"
+        try:
+            return self._expectation.compare(pose, self._reader.history.at(at_s)), ""
+        except StaleData as error:
+            return None, f"joints: {self._reader.why or error.cause}"
+
+    def _sight(self, t_s: float, seen: bool, lost: str) -> Alarm | None:
+        """Return what to tell where nothing was compared for BLIND_S, once; stop where that was asked for."""
+        if seen or self._seen_s is None:
+            self._seen_s, self._blind = t_s, False
+            return None
+        dark_s = t_s - self._seen_s
+        if self.job.blind_stop_s is not None and dark_s >= self.job.blind_stop_s and self._stopped_s is None:
+            self._stop(t_s)
+            self._watch.level = Level.STOP
+            return Alarm(level=Level.STOP, t_s=t_s, why=f"stop: blind for {dark_s:.2f} s; {lost}")
+        if self._blind or dark_s < BLIND_S:
+            return None
+        self._blind = True
+        return Alarm(level=Level.GOOD, t_s=t_s, why=f"blind: nothing compared for {dark_s:.2f} s; {lost}")
+
+    def _stop(self, t_s: float) -> None:
+        self.devices.robot.stop()
+        self._stopped_s = t_s
+        self.log.stopped = True
+
+    def _record(self, pair: tuple[Frame, Frame], measured: Measured, told: Alarm | None, zero_s: float) -> None:
+        recorder = self._recorder
+        if recorder is None:
+            return
+        if self.job.frames:
+            recorder.put(*pair)
+        pose = measured.pose
+        readings = self._reader.take()
+
+        def write(writer: RecordingWriter) -> None:
+            for reading in readings:
+                writer.joints(replace(reading, t_s=reading.t_s - zero_s))
+            writer.pose(pose)
+            if told is not None:
+                writer.event(told.t_s, told.why, level="error" if told.level is Level.STOP else "warning")
+
+        recorder.add(write)

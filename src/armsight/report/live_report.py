@@ -1,0 +1,121 @@
+"""The page of a supervision: verdict, figures, alarms, and the errors over time beside what noise explains."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.report.figures import BLUE, ORANGE, RED, Figure, axis, layout, place, thinned
+from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table
+from armsight.units import DEG, MM
+
+Array = NDArray[np.float64]
+
+LEVELS = {"good": "good", "warn": "warn", "stop": "bad", "unknown": "bad"}
+COURSE = (
+    "Length of the error of place and angle of the error of rotation; dotted: three standard deviations of what "
+    "measurement and expectation may be off along it. Gaps: nothing could be compared."
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LiveSeries:
+    """Rows over time t_s (m,): error (m, 6) in m and rad, std (m, 2) along it; NaN where nothing was compared."""
+
+    t_s: Array
+    error: Array
+    std: Array
+
+    @property
+    def place_m(self) -> Array:
+        """Length of the error of place (m,)."""
+        return np.asarray(np.linalg.norm(self.error[:, :3], axis=1))
+
+    @property
+    def turn_rad(self) -> Array:
+        """Angle of the error of rotation (m,)."""
+        return np.asarray(np.linalg.norm(self.error[:, 3:], axis=1))
+
+
+def live_report(
+    series: LiveSeries,
+    summary: Mapping[str, Any],
+    *,
+    inputs: Sequence[tuple[str, str]] = (),
+    created: datetime | None = None,
+) -> str:
+    """Return the page as HTML text that needs no other file. summary: as verify.json holds it."""
+    page = Page(
+        title="Supervision of a running arm",
+        subtitle=f"{summary['n']} pairs of frames, {summary['n_compared']} compared",
+        verdict=Verdict(level=LEVELS[summary["level"]], word=summary["level"], sentence=summary["verdict"]),
+        cards=_cards(summary),
+    )
+    if summary["alarms"]:
+        rows = [[f"{item['t_s']:.3f}", item["level"], item["why"]] for item in summary["alarms"]]
+        page.add("Alarms", "", table(["t, s", "level", "why"], rows, numbers=(0,)))
+    page.add("Errors over time", COURSE, page.plot(live_course(series, summary)))
+    if summary["doubts"]:
+        page.add("What to know", "", bullets(summary["doubts"]))
+    if inputs:
+        page.add("What went in", "", table(["", ""], [list(item) for item in inputs]))
+    return page.html(created=created or datetime.now())
+
+
+def _cards(summary: Mapping[str, Any]) -> list[Card]:
+    errors, ms = summary["errors"], summary["decision_ms"]
+
+    def shown(key: str, factor: float, unit: str) -> str:
+        return figure_of(None if errors[key] is None else errors[key] / factor, unit)
+
+    cards = [
+        Card(name="error of place", value=shown("rms_m", MM, "mm"), note=f"RMS; noise {shown('std_m', MM, 'mm')}"),
+        Card(name="largest", value=shown("max_m", MM, "mm")),
+        Card(
+            name="error of rotation", value=shown("rms_rad", DEG, "°"), note=f"RMS; noise {shown('std_rad', DEG, '°')}"
+        ),
+        Card(name="pairs a second", value=figure_of(summary["rate_hz"]), note=f"{summary['missed']} never came"),
+        Card(name="longest blind", value=figure_of(summary["blind_s"], "s")),
+    ]
+    if ms is not None:
+        cards.append(
+            Card(name="decision", value=figure_of(ms["median"], "ms"), note=f"p99 {figure_of(ms['p99'], 'ms')}")
+        )
+    return cards
+
+
+def live_course(series: LiveSeries, summary: Mapping[str, Any]) -> Figure:
+    """Return errors of place and rotation over time, with noise and levels."""
+    data: list[dict[str, Any]] = []
+    levels = summary["levels"]
+    for k, (size, factor, unit) in enumerate(((series.place_m, MM, "m"), (series.turn_rad, DEG, "rad")), start=1):
+        shown = thinned(size)
+        x, noise = series.t_s[shown], 3.0 * series.std[shown, k - 1]
+        lines = [(size[shown], "error", BLUE, "solid"), (noise, "noise, 3 sigma", BLUE, "dot")]
+        for y, name, colour, dash in lines:
+            data.append(_line(x, y / factor, name, colour, dash, k))
+        for level, colour in (("warn", ORANGE), ("stop", RED)):
+            limit = levels[f"{level}_{unit}"]
+            if limit is not None and len(x):
+                data.append(_line(x[[0, -1]], np.full(2, limit / factor), f"{level} level", colour, "dash", k))
+    return Figure(
+        data=data,
+        layout=layout(
+            xaxis=axis("t, s", anchor="y"),
+            yaxis=axis("place, mm", domain=[0.56, 1.0], rangemode="tozero"),
+            xaxis2=axis("t, s", anchor="y2", matches="x"),
+            yaxis2=axis("rotation, °", domain=[0.0, 0.42], rangemode="tozero"),
+        ),
+        height_px=560,
+    )
+
+
+def _line(x: Array, y: Array, name: str, colour: str, dash: str, k: int) -> dict[str, Any]:
+    line = {"color": colour, "width": 1.5, "dash": dash}
+    told = {"type": "scatter", "mode": "lines", "name": name, "x": x, "y": y, "line": line}
+    return {**told, "showlegend": k == 1, **place(k)}

@@ -1,0 +1,306 @@
+"""After a crash: which joint's zero has moved, from ten measured poses; or the tool; or that these poses cannot tell.
+
+The explanations are few and said beforehand: nothing, one joint's zero, the tool bent. One of them is named only where
+it takes off more than chance, where nothing else adds to it, and where no other does as well.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from armsight.errors import NotEnoughData, UsageError
+from armsight.kinematics import Arm, fk
+from armsight.units import DEG, MM
+from armsight.verify.alignment import Align, align, free_names, gross
+from armsight.verify.cause import CHANCE, RIVAL_LOG, JointVerdict, judge
+from armsight.verify.deciding import best_poses
+from armsight.verify.effects import Effect, Kind
+from armsight.verify.evidence import Case, Evidence
+from armsight.verify.left_out import Fitted, by_chance
+from armsight.verify.model import ModelFit, Mounts, mount_names
+from armsight.verify.pairing import bare_arm
+from armsight.verify.records import Measured, Rejected
+
+Array = NDArray[np.float64]
+
+POSES = 10
+FEWEST = 8
+"""Poses; with fewer, freeing everything leaves too little to know the noise by."""
+ADDS = 1e-3
+"""Probability by chance of what all zeros and the tool take off beyond one explanation, from which on it is not all."""
+CANDIDATES = 400
+SPAN_RAD, SPAN_M = np.deg2rad(30.0), 0.1
+"""How far joints go from the middle pose, to either side."""
+WEIGHTY = 0.6
+"""A pose is said to decide a joint where leaving it out costs that joint this share of what it costs the most."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Proposal:
+    """Joint values q (k, n) to measure at, which joints (from 0) each decides, and the standard deviation to expect of
+    each zero (n,), inf where it is not judged."""
+
+    q: Array
+    decides: tuple[tuple[int, ...], ...]
+    expected: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Mastering:
+    """What a crash did. cause: none, joint N, tool, several or undecided. joint: from 0, with offset and std of
+    its zero (rad or m, to be added to readings). T_tool: where the tool is now in its old axes, where it is the cause.
+    before, after (m, 6): errors of place in m and rotation in rad without and with the cause. joints: each zero taken
+    alone. kept (m,): places of the rows used."""
+
+    cause: str
+    sentence: str
+    joints: tuple[JointVerdict, ...]
+    before: Array
+    after: Array
+    kept: NDArray[np.intp]
+    rejected: Rejected
+    doubts: tuple[str, ...]
+    joint: int | None = None
+    offset: float | None = None
+    std: float | None = None
+    T_tool: RigidTransform | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Explanation:
+    """A fit of one explanation: joint (from 0), or the tool (-1), or nothing (None). own: as it stands; all: with every
+    zero and the tool free beside it; evidence: with its columns."""
+
+    joint: int | None
+    fitted: ModelFit
+    evidence: Evidence
+    own: Fitted
+    everything: Fitted
+
+    @property
+    def enough(self) -> bool:
+        """Whether zeros and tool together take no more off than chance."""
+        return by_chance(self.evidence.linear, self.own, self.everything) > ADDS
+
+
+def propose(arm: Arm, q: Array, how: Align, sigma: Array, count: int = POSES) -> Proposal:
+    """Return which joint positions, of candidates q (c, n), tell the zeros best from each other, base and tool.
+
+    sigma (2,): noise of a coordinate in m and of a turn in rad. Raises NotEnoughData for too few candidates.
+    """
+    if len(q) < 2 * count:
+        raise NotEnoughData(
+            f"{len(q)} joint positions are possible, {2 * count} is the least to choose {count} from",
+            consequence="No poses are proposed",
+            cure="Allow more: a wider span, or a middle pose in the middle of both views",
+        )
+    bare, measured = bare_arm(arm), _anywhere(len(q))
+    mounts = Mounts(base=arm.T_world_base, tools=(arm.T_flange_tool,)).vector
+    free = free_names(measured, Align.BOTH if "base" in how.parts else Align.TOOL)  # a bent tool is to be told as well
+    case = Case(bare=bare, q=np.empty((0, arm.n)), measured=measured, free=free, block=np.empty(0, np.intp))
+    joints = tuple(range(1 if "base" in how.parts else 0, arm.n - 1))
+    chosen, covariance = best_poses(case, mounts, sigma, joints, q, count)
+    variance = np.diagonal(covariance, axis1=1, axis2=2)  # (k + 1, j): all poses, then one left out each
+    cost = np.sqrt(variance[1:] / variance[0]) - 1.0
+    most = np.maximum(cost.max(axis=1, keepdims=True), 1e-12)
+    decides = tuple(tuple(joints[i] for i in np.flatnonzero(row)) for row in cost >= WEIGHTY * most)
+    expected = np.full(arm.n, np.inf)
+    expected[list(joints)] = np.sqrt(variance[0])
+    return Proposal(q=q[chosen], decides=decides, expected=expected)
+
+
+def _anywhere(m: int) -> Measured:
+    return Measured(xyz_m=np.zeros((m, 3)), rotation=np.tile(np.eye(3), (m, 1, 1)))
+
+
+def check_mastering(arm: Arm, q: Array, measured: Measured, how: Align) -> Mastering:
+    """Return what poses measured after a crash say. q (m, n): the joints' values there. how: what of base and tool is
+    not known from before.
+
+    Raises UsageError for positions without rotations, NotEnoughData, and as `align`.
+    """
+    if measured.rotation is None:
+        raise UsageError("positions without rotations do not tell a joint from the tool", cure="Measure whole poses")
+    if len(q) < FEWEST:
+        raise NotEnoughData(f"{len(q)} poses; {FEWEST} is the least", cure=f"Measure the {POSES} poses proposed")
+    nominal = Mounts(base=arm.T_world_base, tools=(arm.T_flange_tool,))
+    bare = bare_arm(arm)
+    start = align(fk(bare, q), measured, nominal, how).fitted.p if how.parts else nominal.vector
+    kept = np.arange(len(q))
+    rejected: Rejected = ()
+    while True:
+        case = Case(
+            bare=bare,
+            q=q[kept],
+            measured=measured.take(kept),
+            free=free_names(measured, how),
+            block=np.arange(len(kept)),
+        )
+        found = _explained(case, start, arm, how)
+        off = gross(found.after, found.after)
+        if not off.any() or len(kept) - off.sum() < FEWEST or rejected:
+            return replace(found, kept=kept, rejected=rejected)
+        rejected = tuple((int(measured.rows[kept[i]]), _missed(found.after[i])) for i in np.flatnonzero(off))
+        kept = kept[~off]
+
+
+def _missed(error: Array) -> str:
+    place, turn = np.linalg.norm(error[:3]) / MM, np.linalg.norm(error[3:]) / DEG
+    return f"misses what the other poses agree on by {place:.3g} mm and {turn:.3g} deg"
+
+
+def _explained(case: Case, start: Array, arm: Arm, how: Align) -> Mastering:
+    """Return the explanation of the rows of a case."""
+    plain = case.fit(start, None)
+    judged = judge(case, plain)
+    able = np.flatnonzero([verdict.judged for verdict in judged])
+    nothing = _explanation(case, plain, None, able)
+    single = [_explanation(case, _with_zero(case, plain.p, i), i, able) for i in able.tolist()]
+    bent = [] if "tool" in how.parts else [_explanation(case, _with_tool(case, plain.p), -1, able)]
+    joints = _each(judged, single)
+    told = Mastering(
+        cause="none",
+        sentence="No joint's zero has moved, and the tool has not, as far as these poses tell.",
+        joints=joints,
+        before=plain.residual,
+        after=plain.residual,
+        kept=np.arange(len(case.q)),
+        rejected=(),
+        doubts=_doubts(joints, how),
+    )
+    return _decided(told, case, arm, nothing, single, bent)
+
+
+def _with_zero(case: Case, p: Array, joint: int) -> ModelFit:
+    return case.fit(p, _zero(case, joint))
+
+
+def _with_tool(case: Case, p: Array) -> ModelFit:
+    return replace(case, free=_tool_free(case)).fit(p, None)
+
+
+def _zero(case: Case, joint: int) -> Effect:
+    unit = "rad" if case.bare.revolute[joint] else "m"
+    return Effect(joint=joint, kind=Kind.ZERO, names=(f"zero_{unit}",), basis=np.ones((len(case.q), 1)))
+
+
+def _tool_free(case: Case) -> tuple[str, ...]:
+    tools = (name for name in mount_names(case.measured.labels) if name.startswith("tool"))
+    return tuple(dict.fromkeys((*case.free, *tools)))
+
+
+def _explanation(case: Case, fitted: ModelFit, joint: int | None, able: NDArray[np.intp]) -> _Explanation:
+    effect = None if joint is None or joint < 0 else _zero(case, joint)
+    own = replace(case, free=_tool_free(case)) if joint == -1 else case
+    evidence = _evidence(own, fitted, effect)
+    wide = _evidence(replace(case, free=_tool_free(case)), fitted, effect)
+    return _Explanation(
+        joint=joint, fitted=fitted, evidence=evidence, own=evidence.plain(), everything=wide.with_joints(able)
+    )
+
+
+def _evidence(case: Case, fitted: ModelFit, effect: Effect | None) -> Evidence:
+    """Return the evidence at a fit, whitened by the measurement alone: what a fault adds is no noise."""
+    known = fitted.noise.measurement
+    noise = replace(fitted.noise, extra=np.zeros(2)) if known.any() else replace(fitted.noise, extra=np.ones(2))
+    evidence = Evidence.at(case, fitted, effect, noise)
+    return replace(evidence, linear=replace(evidence.linear, inflation=1.0))  # single poses do not hang together
+
+
+def _each(judged: tuple[JointVerdict, ...], single: list[_Explanation]) -> tuple[JointVerdict, ...]:
+    """Return the verdicts with each joint's zero, taken alone."""
+    out = list(judged)
+    for one in single:
+        if one.joint is not None:
+            std = one.fitted.noise.measurement
+            offset, doubt = float(one.fitted.p[-1]), _zero_std(one)
+            out[one.joint] = JointVerdict(judged=True, offset=offset, std=doubt if std.size else None)
+    return tuple(out)
+
+
+def _zero_std(one: _Explanation) -> float:
+    """Return the standard deviation of a zero, by what its fit leaves where that is more than the measurement says."""
+    linear = one.evidence.linear
+    X = linear.fixed.reshape(linear.residual.size, -1)
+    inverse = np.linalg.pinv(X.T @ X)
+    scale = one.everything.squares / max(linear.residual.size - one.everything.rank, 1)
+    known = one.fitted.noise.measurement.any()
+    return float(np.sqrt(inverse[-1, -1] * (max(scale, 1.0) if known else scale)))
+
+
+def _decided(
+    told: Mastering,
+    case: Case,
+    arm: Arm,
+    nothing: _Explanation,
+    single: list[_Explanation],
+    bent: list[_Explanation],
+) -> Mastering:
+    linear, n = nothing.evidence.linear, max(len(single), 1)
+    moved = min(
+        by_chance(linear, nothing.own, nothing.everything),
+        *(n * by_chance(linear, nothing.own, one.own) for one in (*single, *bent)),
+    )
+    if not moved < CHANCE or not single:
+        return told
+    best = min(single, key=lambda one: one.own.squares)
+    if best.enough:
+        return _one_joint(told, case, best, single, bent)
+    if bent and bent[0].enough:
+        T = arm.T_flange_tool.inv() * bent[0].fitted.mounts(case.measured.labels).tools[0]
+        far, turn = np.linalg.norm(T.translation) / MM, T.rotation.magnitude() / DEG
+        sentence = f"Not a joint: the tool sits {far:.3g} mm and {turn:.3g} deg from where it sat before."
+        return replace(told, cause="tool", sentence=sentence, after=bent[0].fitted.residual, T_tool=T)
+    sentence = (
+        "Something has moved, but neither one joint's zero nor the tool alone explains it: several joints, the base, "
+        "or the arm's model. Measure more poses and run `armsight verify`, or `armsight calibrate arm`."
+    )
+    return replace(told, cause="several", sentence=sentence)
+
+
+def _one_joint(
+    told: Mastering, case: Case, best: _Explanation, single: list[_Explanation], bent: list[_Explanation]
+) -> Mastering:
+    """Return the verdict for one joint; undecided where another explanation does about as well."""
+    worth = best.evidence.linear.residual.size
+    last, joint = case.bare.n - 1, best.joint or 0
+    rivals = [*single, *(bent if joint != last else [])]  # a tool turned about the last axis is the last joint's zero
+    for other in rivals:
+        if other is best:
+            continue
+        ratio = worth * np.log(max(other.own.squares, 1e-300) / max(best.own.squares, 1e-300))
+        if ratio < RIVAL_LOG and other.enough:
+            name = "the tool" if other.joint == -1 else f"joint {(other.joint or 0) + 1}"
+            sentence = f"Joint {joint + 1} and {name} explain the errors alike at these poses; neither is named."
+            return replace(told, cause="undecided", sentence=sentence)
+    offset, std = float(best.fitted.p[-1]), _zero_std(best)
+    factor, unit = (DEG, "deg") if case.bare.revolute[joint] else (MM, "mm")
+    doubts = list(told.doubts)
+    if joint == last:
+        doubts.append("a target that has turned on the flange about the last joint's axis would look the same")
+    if joint == 0:
+        doubts.append("a rig that has turned about the first joint's axis would look the same")
+    name = case.bare.joints[joint].name
+    return replace(
+        told,
+        cause=f"joint {joint + 1}",
+        sentence=f"Joint {joint + 1} ({name}): its zero has moved, {offset / factor:.4f} +- {std / factor:.2g} {unit} "
+        "is to be added to its readings.",
+        joint=joint,
+        offset=offset,
+        std=std,
+        after=best.fitted.residual,
+        doubts=tuple(doubts),
+    )
+
+
+def _doubts(joints: tuple[JointVerdict, ...], how: Align) -> tuple[str, ...]:
+    told = [f"joint {i} is not judged: {verdict.why}" for i, verdict in enumerate(joints, 1) if not verdict.judged]
+    told.append("this holds for an arm that agreed with its file before: errors of its geometry pass for moved zeros")
+    if how.parts:
+        told.append(f"{' and '.join(how.parts)} were laid where they fit best: what they can take up is not seen")
+    return tuple(told)
