@@ -170,9 +170,7 @@ class ServoSource:
 
     def next(self, now: CycleState) -> SetPoint:
         """Return the tool's twist towards where the target is wanted; Hold, with why, where it is not followed."""
-        if now.q_s is not None and self._history.add(
-            JointReading(q=now.q, t_s=now.q_s, sequence=0, source=self.name)
-        ):
+        if now.q_s is not None and self._history.add(JointReading(q=now.q, t_s=now.q_s, sequence=0, source=self.name)):
             self._lag.add(now.t_s, now.q_s, now.q, now.q_sent, now.qd_sent)
         tracked, why = self._track.now, self._why_not(now.t_s)
         if why or tracked is None:
