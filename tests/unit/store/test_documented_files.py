@@ -7,6 +7,7 @@ import pytest
 
 from armsight.app.verify.live_output import ERROR_COLUMNS, HEADER
 from armsight.app.verify.output import NAMES
+from armsight.store.cell_file import CellFile
 from armsight.store.iso9283_plan import PLAN_COLUMNS
 from armsight.store.limits_file import limits_from_mapping
 from armsight.store.rigs import CameraModel, rig_from_mapping
@@ -29,6 +30,7 @@ READERS = {
     "armsight/target": target_from_mapping,
     "armsight/world": world_from_mapping,
     "armsight/limits": limits_from_mapping,
+    "armsight/cell": lambda content: validated(CellFile, content, "x"),
     "armsight/tokens": lambda content: validated(TokensModel, content, "x").tokens,
     "t_s,x_m": lambda data: parse_poses(data, "x"),
     "t_s,spot": lambda data: parse_table(data, "x", POINT_COLUMNS, text=("spot",)),
