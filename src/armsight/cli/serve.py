@@ -28,6 +28,9 @@ def serve(
         str | None, typer.Option(help="arm.yaml, .urdf or a preset's name; a simulated robot brings its own.")
     ] = None,
     limits: Annotated[Path | None, typer.Option(help="limits.yaml: what the guard keeps. [default: its own]")] = None,
+    rsi_config: Annotated[
+        Path | None, typer.Option(metavar="FILE.xml", help="Of rsi: the RSI Ethernet configuration, for its own tags.")
+    ] = None,
     log: Annotated[
         Path | None,
         typer.Option(
@@ -61,7 +64,14 @@ def serve(
             face.say("This is no safety function: the emergency stop stands beside it.")
 
         serve_robot(
-            robot, arm, options, kept, limits=limits, ready=ready, cancelled=face.progress("starting").cancelled
+            robot,
+            arm,
+            options,
+            kept,
+            limits=limits,
+            rsi_config=rsi_config,
+            ready=ready,
+            cancelled=face.progress("starting").cancelled,
         )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from armsight.app.robot.driver_settings import driver_settings
 from armsight.app.robot.event_log import RecordingLog
 from armsight.app.robot.hosting import ProcessHost, RobotSpec
 from armsight.app.robot.models import arm_model
@@ -22,16 +23,23 @@ def serve_robot(
     log: Path,
     *,
     limits: Path | None = None,
+    rsi_config: Path | None = None,
     ready: Callable[[str], None],
     cancelled: Callable[[], bool] = lambda: False,
 ) -> None:
     """Serve DRIVER:DEVICE until SIGINT or SIGTERM; ready is called with the address once all is there.
 
-    arm: its file or a preset's name. limits: limits.yaml of the guard. Raises what check_options, arm_model, the driver
+    arm: its file or a preset's name. limits: limits.yaml of the guard. rsi_config: of an rsi link. Raises what check_options, arm_model, the driver
     and the disk refuse.
     """
     check_options(options)
-    spec = RobotSpec(robot=robot, arm=arm_model(robot, arm), limits=Limits() if limits is None else read_limits(limits))
+    model = arm_model(robot, arm)
+    spec = RobotSpec(
+        robot=robot,
+        arm=model,
+        limits=Limits() if limits is None else read_limits(limits),
+        settings=driver_settings(robot, arm=model, rsi_config=rsi_config),
+    )
     with RecordingLog(log) as kept, ProcessHost(spec) as host:
         if cancelled():
             raise Cancelled("stopped before the robot was served")

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from armsight.app.robot.host import LoopEvent, LoopRecord, Snapshot
 from armsight.app.robot.loop_side import Channels, lateness_s, run_loop
 from armsight.app.robot.opening import open_robot
+from armsight.app.robot.priority import raise_priority
 from armsight.clock import Clock, SystemClock
 from armsight.control.guard import Limits
 from armsight.control.setpoints import Hold, JointGoal, JointVelocity, SetPoint, ToolTwist
@@ -37,9 +38,6 @@ END_S = 10.0
 
 LOST_S = 1.0
 """A loop whose newest state is so old has ended or hangs."""
-
-PRIORITY = 10
-"""Of the loop's process among those of real time, where the system allows it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -279,9 +277,7 @@ def _interrupts_ignored() -> Iterator[None]:
 
 def _loop_process(channels: Channels, spec: RobotSpec, parent: int) -> None:
     """Run a robot's loop; the process that started it ends it."""
-    if hasattr(os, "sched_setscheduler"):
-        with contextlib.suppress(OSError):  # not everybody may: then it runs as others do
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+    raise_priority()
     clock = SystemClock()
     try:
         robot = open_robot(spec.robot, clock, spec.settings)
