@@ -29,8 +29,8 @@ def serve_robot(
 ) -> None:
     """Serve DRIVER:DEVICE until SIGINT or SIGTERM; ready is called with the address once all is there.
 
-    arm: its file or a preset's name. limits: limits.yaml of the guard. rsi_config: of an rsi link. Raises what check_options, arm_model, the driver
-    and the disk refuse.
+    arm: its file or a preset's name. limits: limits.yaml of the guard. rsi_config: of an rsi link. Raises what
+    check_options, arm_model, the driver and the disk refuse.
     """
     check_options(options)
     model = arm_model(robot, arm)

@@ -1,4 +1,4 @@
-"""Drivers get what they need beyond their device: an arm where the link speaks of poses, tags where the user has own."""
+"""Drivers get what they need beyond their device: an arm where the link speaks of poses, the user's own tags."""
 
 from pathlib import Path
 

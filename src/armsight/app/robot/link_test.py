@@ -33,8 +33,8 @@ def test_robot(
 ) -> RobotTestOutput:
     """Read a robot once a cycle for a time, and return how punctual that was and where it stands.
 
-    rsi_config: of an rsi link. opened: in place of the robot that the text names. Raises UsageError, DeviceNotFound, BadFile, DeviceLost,
-    StaleData, DeviceFailed, Cancelled.
+    rsi_config: of an rsi link. opened: in place of the robot that the text names. Raises UsageError, DeviceNotFound,
+    BadFile, DeviceLost, StaleData, DeviceFailed, Cancelled.
     """
     if not 0.0 < for_s <= 1e5:
         raise UsageError(f"a test of {for_s:g} s cannot be", cure="Give the seconds it shall take, for instance 5")
