@@ -34,6 +34,7 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
         "cli/identify.py:identify": FLAGS,
         "cli/mirrors.py:mirrors": FLAGS,
         "cli/record.py:record": FLAGS,
+        "cli/servo.py:servo": FLAGS,
         "cli/verify.py:verify": FLAGS,
     },
     "arguments": {
@@ -47,6 +48,7 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
         "cli/mirrors.py:mirrors": FLAGS,
         "cli/record.py:record": FLAGS,
         "cli/robot.py:jog": FLAGS,
+        "cli/servo.py:servo": FLAGS,
         "cli/target.py:target": FLAGS,
         "cli/timing.py:timing": FLAGS,
         "cli/verify.py:verify": FLAGS,

@@ -21,6 +21,7 @@ from armsight.cli.options import SRC, AsJson, Fps, Inverted, Limit, OutFolder, S
 from armsight.cli.record import record
 from armsight.cli.reproduce import reproduce
 from armsight.cli.robot import robot
+from armsight.cli.servo import servo
 from armsight.cli.tables import demo_tables, doctor_tables, measure_tables
 from armsight.cli.verify import verify
 from armsight.cli.verify_live import with_live
@@ -45,6 +46,7 @@ app.command()(record)
 app.command()(identify)
 app.command()(with_live(verify))
 app.command()(reproduce)
+app.command()(servo)
 app.add_typer(kinematics, name="kinematics")
 app.add_typer(robot, name="robot")
 
