@@ -3,28 +3,34 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.options import AsJson, OutFolder
 from armsight.cli.tables import REJECTED_SHOWN, figure
+from armsight.errors import UsageError
 from armsight.units import DEG, MM, MS
 
 if TYPE_CHECKING:
-    from armsight.app.schemas.verify import VerifyJoint, VerifyOutput
+    from armsight.app.schemas.verify import VerifyJoint, VerifyOutput, VerifyPlanOutput
 
 
 def verify(
+    out: OutFolder,
+    part: Annotated[
+        str | None,
+        typer.Argument(metavar="[cube|poses|paths]", help="With --plan: which part of the test. [default: cube, all]"),
+    ] = None,
     measured: Annotated[
-        Path,
+        Path | None,
         typer.Option(
             metavar="FILE",
-            help="Measured poses or points: poses.csv, points.csv, a tracker's table (x_m,y_m,z_m), TUM.",
+            help="Measured poses or points: poses.csv, points.csv, a tracker's table (x_m,y_m,z_m), TUM. With columns "
+            "pose and visit, or run, the figures of ISO 9283.",
         ),
-    ],
-    out: OutFolder,
+    ] = None,
     arm: Annotated[str | None, typer.Option(metavar="ARM", help="arm.yaml, .urdf or a preset's name.")] = None,
     joints: Annotated[
         Path | None, typer.Option(help="joints.csv of the controller. [default: q1 .. qn of the measured file]")
@@ -42,15 +48,32 @@ def verify(
     compare: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="An earlier run, to stand beside this one in the report.")
     ] = None,
+    plan: Annotated[
+        bool, typer.Option("--plan", help="Instead of verifying, plan the test of ISO 9283 for --arm.")
+    ] = False,
+    side: Annotated[
+        float | None, typer.Option(metavar="M", help="With --plan: the cube's side. [default: the largest that fits]")
+    ] = None,
+    speed: Annotated[float | None, typer.Option(metavar="M/S", help="With --plan: the speed along the paths.")] = None,
     json: AsJson = False,
 ) -> None:
     """Compare measured poses with where the arm says it is, and say what the difference comes from.
 
-    Writes verify.json, errors.csv and report.html.
+    Writes verify.json, errors.csv and report.html; with --plan plan.csv and plan.json.
     """
     with CommandUI(as_json=json) as face:
+        _check_plan(plan, part, side, speed, [measured, joints, commanded, world, align, compare])
+        if plan:
+            from armsight.app.verify.plan import PlanJob, run_plan
+
+            planned = run_plan(PlanJob(arm=arm, out=out, what=part or "cube", side_m=side, speed_m_s=speed))
+            plan_table(face, planned, out)
+            face.result(planned)
+            return
         from armsight.app.verify.run import VerifyJob, run_verify
 
+        if measured is None:
+            raise UsageError("no measurements were given", cure="Give --measured FILE, or --plan with --arm")
         job = VerifyJob(
             measured=measured,
             out=out,
@@ -66,6 +89,31 @@ def verify(
         face.result(done)
 
 
+def _check_plan(plan: bool, part: str | None, side: float | None, speed: float | None, files: list[Any]) -> None:
+    """Raise UsageError where options of a plan and of a verification are mixed."""
+    if not plan and (part is not None or side is not None or speed is not None):
+        name = "--side" if side is not None else "--speed" if speed is not None else repr(part)
+        raise UsageError(f"{name} goes with --plan", cure="Add --plan, or leave it out")
+    if plan and any(item is not None for item in files):
+        raise UsageError(
+            "--plan plans a test, and files to verify were given too",
+            consequence="Nothing is planned or verified",
+            cure="Plan with --plan, --arm and -o alone; verify without --plan",
+        )
+
+
+def plan_table(face: CommandUI, done: VerifyPlanOutput, out: Path) -> None:
+    """Print a plan."""
+    centre = ", ".join(f"{value:.3f}" for value in done.cube.centre_m)
+    face.say(f"Cube of {done.cube.side_m / MM:.0f} mm about ({centre}) m in the base frame, {', '.join(done.branch)}")
+    for text in done.refused:
+        face.say(f"  not {text}")
+    rows = [[motion.test, ", ".join(motion.figures), str(motion.repeats), str(motion.n)] for motion in done.motions]
+    face.table("Motions", ["tag", "figures", "repeats", "rows"], rows)
+    face.say(f"Speed {done.speed_m_s:.3g} m/s. The arm's body and the cell are not checked: run it slowly first.")
+    face.say(f"Results: {out / 'plan.csv'}")
+
+
 def verify_tables(face: CommandUI, done: VerifyOutput, out: Path) -> None:
     """Print a verification."""
     rows = []
@@ -75,7 +123,27 @@ def verify_tables(face: CommandUI, done: VerifyOutput, out: Path) -> None:
         values = (item.me, item.mae, item.max, item.sd, own)
         shown = [figure(None if value is None else value / factor) for value in values]
         rows.append([f"{name.rsplit('_', 1)[0]} {unit}", *shown])
-    face.table("Measured minus expected", ["", "mean", "mean abs.", "largest", "sd", "measurement +-"], rows)
+    if rows:
+        face.table("Measured minus expected", ["", "mean", "mean abs.", "largest", "sd", "measurement +-"], rows)
+    _joints_and_frames(face, done)
+    for text in done.doubts:
+        face.say(f"  {text}")
+    for left in done.rejected[:REJECTED_SHOWN]:
+        face.say(f"  left out: row {left.row}: {left.why}")
+    if len(done.rejected) > REJECTED_SHOWN:
+        face.say(f"  ... and {len(done.rejected) - REJECTED_SHOWN} more, see verify.json")
+    _iso_table(face, done)
+    if done.compared is not None and done.compared.after is not None and done.after is not None:
+        before, after = done.compared.after.rms_m / MM, done.after.rms_m / MM
+        face.say(f"Beside {done.compared.folder}: {figure(before)} mm RMS there, {figure(after)} here")
+    face.say(f"Cause: {done.cause}. {done.verdict}" if done.task else done.verdict)
+    for q in done.decide_by or ():
+        face.say("  measure at " + ", ".join(f"{value:.4f}" for value in q))
+    face.say(f"Results: {out}; open {out / 'report.html'}")
+
+
+def _joints_and_frames(face: CommandUI, done: VerifyOutput) -> None:
+    """Print the joints, the time offset, and what is left open."""
     if done.joints:
         header = ["joint", "mean deg", "mean abs.", "largest", "zero deg", "+-", "alone explains"]
         face.table("Joints", header, [_joint_row(joint) for joint in done.joints])
@@ -83,19 +151,24 @@ def verify_tables(face: CommandUI, done: VerifyOutput, out: Path) -> None:
         face.say(f"Time offset {done.time.offset_s:.6f} s +- {figure(done.time.std_s / MS, 2)} ms")
     if done.alignment.undetermined:
         face.say(f"Not determined by these rows: {', '.join(done.alignment.undetermined)}")
-    for text in done.doubts:
-        face.say(f"  {text}")
-    for left in done.rejected[:REJECTED_SHOWN]:
-        face.say(f"  left out: row {left.row}: {left.why}")
-    if len(done.rejected) > REJECTED_SHOWN:
-        face.say(f"  ... and {len(done.rejected) - REJECTED_SHOWN} more, see verify.json")
-    if done.compared is not None:
-        before, after = done.compared.after.rms_m / MM, done.after.rms_m / MM
-        face.say(f"Beside {done.compared.folder}: {figure(before)} mm RMS there, {figure(after)} here")
-    face.say(f"Cause: {done.cause}. {done.verdict}")
-    for q in done.decide_by or ():
-        face.say("  measure at " + ", ".join(f"{value:.4f}" for value in q))
-    face.say(f"Results: {out}; open {out / 'report.html'}")
+
+
+def _iso_table(face: CommandUI, done: VerifyOutput) -> None:
+    """Print the figures of ISO 9283 that are given, and why others are not."""
+    given = {name: item for name, item in done.iso9283.items() if " " not in name and item.n}
+    rows = []
+    for name, item in given.items():
+        if item.value is not None:
+            repeats = f"{item.n} of {item.wanted}" if item.n < item.wanted else str(item.n)
+            rows.append([name, f"{item.value:.4g}", "-" if item.std is None else f"{item.std:.2g}", repeats])
+    if rows:
+        face.table("ISO 9283, the worst place, SI units", ["figure", "value", "+-", "repeats"], rows)
+    why: dict[str, list[str]] = {}
+    for name, item in given.items():
+        if item.withheld is not None:
+            why.setdefault(item.withheld, []).append(name)
+    for text, names in why.items():
+        face.say(f"  withheld: {', '.join(names)}: {text}")
 
 
 def _joint_row(joint: VerifyJoint) -> list[str]:

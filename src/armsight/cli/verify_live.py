@@ -74,7 +74,48 @@ LIVE_OPTIONS: dict[str, tuple[Any, Any]] = {
     "keep_frames": (Annotated[bool, _option("--keep-frames", help="Keep the images in the recording too.")], False),
     "play": (Annotated[bool, _option("--play", help="A simulated robot goes its scenario's way by itself.")], False),
 }
-OPTIONS = LIVE_OPTIONS
+MASTERING_OPTIONS: dict[str, tuple[Any, Any]] = {
+    "mastering": (
+        Annotated[
+            bool,
+            _option(
+                "--mastering", panel=MASTERING, help="After a crash: propose ten poses; with --measured, judge them."
+            ),
+        ],
+        False,
+    ),
+    "around": (
+        Annotated[
+            str | None,
+            _option(
+                "--around", panel=MASTERING, metavar="Q1,..,QN", help="Propose poses about these joints, rad or m."
+            ),
+        ],
+        None,
+    ),
+    "span": (
+        Annotated[
+            float | None,
+            _option("--span", panel=MASTERING, help="How far joints may go from there, deg. [default: 30]"),
+        ],
+        None,
+    ),
+    "tool": (
+        Annotated[
+            str | None,
+            _option(
+                "--tool",
+                panel=MASTERING,
+                metavar="fixed|free",
+                help="Whether the tool is known from before. [default: fixed with --world, else free]",
+            ),
+        ],
+        None,
+    ),
+}
+OPTIONS = {**LIVE_OPTIONS, **MASTERING_OPTIONS}
+LIVE_KNOWN = {*LIVE_OPTIONS, *CAMERA_OPTIONS, "arm", "world", "out", "json"}
+MASTERING_KNOWN = {*MASTERING_OPTIONS, "measured", "joints", "arm", "world", "rig", "target", "out", "json"}
 NEEDED = ("robot", "left", "right", "rig", "target", "arm", "world", "out")
 
 
@@ -85,8 +126,7 @@ def with_live(command: Callable[..., None]) -> Callable[..., None]:
     parameters = [
         one.replace(
             kind=inspect.Parameter.KEYWORD_ONLY,
-            annotation=_optional(kinds[name]) if name == "measured" else kinds[name],
-            default=None if name == "measured" else one.default,
+            annotation=kinds[name],
         )
         for name, one in own.parameters.items()
     ]
@@ -98,11 +138,14 @@ def with_live(command: Callable[..., None]) -> Callable[..., None]:
     @functools.wraps(command)
     def run(**given: Any) -> None:
         extra = {name: given.pop(name) for name in added}
-        if extra["live"]:
-            _live({**given, **extra}, [name for name in own.parameters if name not in (*NEEDED, "json")])
+        every = {**given, **extra}
+        if extra["live"] or extra["mastering"]:
+            known = LIVE_KNOWN if extra["live"] else MASTERING_KNOWN
+            foreign = [name for name in every if name not in known and every[name] != added.get(name, ("", None))[1]]
+            (_live if extra["live"] else _mastering)(every, foreign)
             return
         with CommandUI(as_json=bool(given.get("json"))):
-            _check_plain(given, {name: value for name, value in extra.items() if value != added[name][1]})
+            _check_plain({name: value for name, value in extra.items() if value != added[name][1]})
         command(**given)
 
     run.__signature__ = own.replace(parameters=parameters)  # type: ignore[attr-defined]  # a wrapper's own parameters
@@ -110,25 +153,16 @@ def with_live(command: Callable[..., None]) -> Callable[..., None]:
     return run
 
 
-def _optional(kind: Any) -> Any:
-    """Return an annotated option that may be left away."""
-    (told,) = kind.__metadata__
-    return Annotated[kind.__origin__ | None, told]
-
-
 def flag(name: str) -> str:
     """Return an option as it is written."""
     return "--" + name.replace("_", "-")
 
 
-def _check_plain(given: Mapping[str, Any], extra: Mapping[str, Any]) -> None:
+def _check_plain(extra: Mapping[str, Any]) -> None:
+    """Raise UsageError for options of the modes without one."""
     if extra:
         named = ", ".join(flag(name) for name in extra)
-        raise UsageError(f"{named} only means something with --live", cure="Add --live, or leave it out")
-    if given.get("measured") is None and given.get("plan") is None:
-        raise UsageError(
-            "there is nothing to compare", cure="Give --measured with poses or points, or --live for a running arm"
-        )
+        raise UsageError(f"{named} only means something with --live or --mastering", cure="Add one, or leave it out")
 
 
 def check_options(mode: str, given: Mapping[str, Any], needed: Sequence[str], foreign: Sequence[str]) -> None:
@@ -176,6 +210,42 @@ def _live(given: Mapping[str, Any], foreign: list[str]) -> None:
         line = LiveLine(face)
         done = run_verify_live(job, line.show, face.progress("supervising"))
         live_tables(face, done, job.out)
+        face.result(done)
+
+
+def _mastering(given: Mapping[str, Any], foreign: list[str]) -> None:
+    with CommandUI(as_json=given["json"]) as face:
+        from armsight.app.verify.mastering import MasteringJob, propose_mastering, run_mastering
+
+        check_options("--mastering", given, ("arm", "out"), foreign)
+        names = ("arm", "out", "world", "tool", "measured", "joints", "around", "rig", "target")
+        span = {} if given["span"] is None else {"span_rad": DEG * given["span"]}
+        job = MasteringJob(**{name: given[name] for name in names}, **span)
+        if job.measured is None:
+            plan = propose_mastering(job)
+            rows = [
+                [f"{k}", *(f"{value:.4f}" for value in pose.q), " ".join(pose.decides)]
+                for k, pose in enumerate(plan.poses, 1)
+            ]
+            header = ["pose", *(f"q{i + 1}" for i in range(len(plan.poses[0].q))), "decides"]
+            face.table("Poses to measure, rad or m", header, rows)
+            for note in plan.notes:
+                face.say(f"- {note}")
+            face.say(f"Drive to each and measure there; then give --measured poses.csv --joints {plan.file}")
+            face.result(plan)
+            return
+        done = run_mastering(job)
+        rows = []
+        for joint in done.joints:
+            shown = [figure(None if v is None else v / DEG) for v in (joint.offset_rad, joint.std_rad)]
+            rows.append([f"{joint.index} {joint.name}", *shown, joint.why])
+        face.table("Zeros, each taken alone", ["joint", "deg", "+-", ""], rows)
+        for left in done.rejected:
+            face.say(f"  left out: row {left.row}: {left.why}")
+        for text in done.doubts:
+            face.say(f"  {text}")
+        face.say(f"Cause: {done.cause}. {done.verdict}")
+        face.say(f"Results: {job.out}; open {job.out / 'report.html'}")
         face.result(done)
 
 

@@ -8,6 +8,7 @@ from armsight.records.measured import Points, PoseStatus, Spots, TargetPose
 from armsight.records.motion import JointReading, Motion
 from armsight.records.noise import LinearNoise, NoiseModel
 from armsight.records.not_seen import NotSeen
+from armsight.records.path import WELD_OFF, WELD_ON, TaughtPath
 from armsight.records.progress import Progress, Silent
 from armsight.records.saving import Saveable
 from armsight.records.target import Colour, Target, TargetKind, board_target, spot_target, unmeasured_target
@@ -16,6 +17,8 @@ from armsight.records.tracks import SpotTrack
 
 __all__ = [
     "AT_ONCE",
+    "WELD_OFF",
+    "WELD_ON",
     "BoardView",
     "CameraTiming",
     "Colour",
@@ -36,6 +39,7 @@ __all__ = [
     "Target",
     "TargetKind",
     "TargetPose",
+    "TaughtPath",
     "board_target",
     "frozen_array",
     "spot_target",

@@ -21,7 +21,7 @@ GAP_CYCLES = 3.5
 """Readings further apart than so many cycles leave the moments between them untold."""
 
 MOST_ACCELERATION = 30.0
-"""No joint of an arm of this size speeds up faster (rad/s^2, m/s^2): a reading that leaps more is on no way."""
+"""No joint of an arm of this size speeds up faster (rad/s^2, m/s^2): a reading that leaps more is no bend."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

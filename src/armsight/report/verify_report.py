@@ -22,11 +22,15 @@ Array = NDArray[np.float64]
 
 LEVELS = {"measurement": "good", "none": "good", "model": "warn", "undecided": "warn"}
 PRINT = """@page{{size:A4;margin:12mm}}
-@media print{{section:nth-of-type(n+{first}){{display:none}}main{{zoom:.72}}.verdict{{font-size:15px}}
+@media print{{section:nth-of-type(n+{first}){{display:none}}main{{zoom:{zoom}}}.verdict{{font-size:15px}}
 .cards{{grid-template-columns:repeat(6,1fr)}}th,td{{padding:3px 8px}}section{{margin:6px 0;padding:8px 0}}}}"""
 """On paper: verdict, figures, tables and the errors' course, on one page; pictures in space stay on the screen."""
 JOINTS = "Errors carried into the joints by inverse kinematics near the readings; zeros where these poses tell them."
 ARROWS_TOLD = "Arrows point from where the tool should be to where it was measured, much enlarged. Drag to turn."
+COMPONENTS = (("", ""), ("x", "a"), ("y", "b"), ("z", "c"))
+"""A figure's parts as columns: its own, then along and about each axis."""
+ISO_TOLD = "The worst place of each figure, ± its own standard deviation."
+BY_PLACE = "Robot alone: without the measurement's scatter, and with what few repeats leave out."
 ARROWS = 400
 ARROW_SHARE = 0.08
 """Length of the longest arrow as a share of the space that the tool moved in."""
@@ -62,10 +66,12 @@ def verify_report(
     page.add("Errors of the tool", "Measured minus expected, in the base's axes.", _task_table(summary))
     if summary["joints"]:
         page.add("Joints", JOINTS, _joint_table(summary))
-    if summary["iso9283"]:
-        page.add("ISO 9283", "", _iso_table(summary["iso9283"]))
+    iso = summary["iso9283"]
+    shown = any(item["n"] for item in iso.values())
+    if shown:
+        page.add("ISO 9283", ISO_TOLD, iso_table(iso))
     page.add("Errors over time" if result.paired.at_s is not None else "Errors by row", "", page.plot(course(result)))
-    page.style = PRINT.format(first=4 + bool(summary["iso9283"]) - (not summary["joints"]))
+    page.style = PRINT.format(first=4 + shown - (not summary["joints"]), zoom=0.52 if shown else 0.72)
     if other is not None:
         page.add("Beside the other run", f"The other run is {other.name}.", _compared(page, result, summary, other))
     if arm is not None and result.paired.q is not None:
@@ -73,6 +79,8 @@ def verify_report(
         page.add(
             "Errors over joint angles", "A gear's fault repeats with its joint.", page.plot(over_joints(result, arm))
         )
+    if by_place := iso_by_place(iso):
+        page.add("ISO 9283 by place", BY_PLACE, by_place)
     _add_background(page, summary, inputs)
     return page.html(created=created or datetime.now())
 
@@ -152,18 +160,65 @@ def _degrees(value: float | None) -> str:
     return figure_of(None if value is None else value / DEG)
 
 
-def _iso_table(figures: Mapping[str, Any]) -> str:
+def iso_table(figures: Mapping[str, Any]) -> str:
+    """Return the worst of each figure, one line for its components, and those withheld by their reason."""
+    lines: dict[str, dict[str, str]] = {}
+    notes: dict[str, str] = {}
+    why: dict[str, list[str]] = {}
+    for name, item in figures.items():
+        if " " in name:
+            continue
+        symbol, unit, factor = _symbol(name)
+        family, _, part = symbol.partition("_")
+        if item["value"] is None:
+            why.setdefault(item["withheld"], []).append(symbol)
+            continue
+        line = lines.setdefault(f"{family}, {unit}", {"repeats": _repeats(item)})
+        line[part] = f"{figure_of(item['value'] / factor)} {_plus(item, factor)}".strip()
+        if item["note"] and not part:
+            notes.setdefault(item["note"], family)
+    header = ["figure", "value", "x, or about x", "y, or about y", "z, or about z", "repeats"]
     rows = [
-        [
-            name,
-            figure_of(item["value"]),
-            figure_of(item["std"]),
-            f"{item['n']} of {item['wanted']}",
-            item["withheld"] or "",
-        ]
-        for name, item in figures.items()
+        [name, *(line.get(one, line.get(other, "")) for one, other in COMPONENTS), line["repeats"]]
+        for name, line in lines.items()
     ]
-    return table(["figure", "value, SI", "+-", "visits", "withheld because"], rows, numbers=(1, 2, 3))
+    parts = [table(header, rows, numbers=range(1, len(header)))] if rows else []
+    if notes:
+        parts.append(bullets([f"{family}: {text}" for text, family in notes.items()]))
+    if why:
+        parts.append("<p>Withheld:</p>" + bullets([f"{', '.join(names)}: {text}" for text, names in why.items()]))
+    return "".join(parts)
+
+
+def iso_by_place(figures: Mapping[str, Any]) -> str:
+    """Return all figures given of single places; empty where there is one place only."""
+    rows = []
+    for name, item in figures.items():
+        key, _, where = name.partition(" ")
+        if item["value"] is None or not where:
+            continue
+        symbol, unit, factor = _symbol(key)
+        numbers = (figure_of(None if item[k] is None else item[k] / factor) for k in ("value", "std", "corrected"))
+        rows.append([where, symbol, unit, *numbers, _repeats(item), item["note"]])
+    rows.sort(key=lambda row: str(row[0]))
+    header = ["place", "figure", "", "value", "+-", "robot alone", "repeats", ""]
+    return table(header, rows, numbers=range(3, 7)) if rows else ""
+
+
+def _repeats(item: Mapping[str, Any]) -> str:
+    return f"{item['n']} of {item['wanted']}" if item["n"] < item["wanted"] else str(item["n"])
+
+
+def _plus(item: Mapping[str, Any], factor: float) -> str:
+    return "" if item["std"] is None else f"± {figure_of(item['std'] / factor, digits=2)}"
+
+
+def _symbol(name: str) -> tuple[str, str, float]:
+    """Return a figure's symbol, the unit it is shown in, and that unit in SI."""
+    for tail, unit, factor in (("_m_s", "mm/s", MM), ("_rad", "°", DEG), ("_ratio", "%", 0.01), ("_s", "s", 1.0)):
+        if name.endswith(tail):
+            return name.removesuffix(tail), unit, factor
+    return name.removesuffix("_m"), "mm", MM
 
 
 def _alignment_table(summary: Mapping[str, Any]) -> str:

@@ -8,8 +8,9 @@ from pathlib import Path
 
 from armsight.kinematics import Arm
 from armsight.optics import Camera, Rig
-from armsight.records import Target
+from armsight.records import Target, TaughtPath
 from armsight.store.arm_file import write_arm
+from armsight.store.path_file import write_path
 from armsight.store.rigs import write_camera, write_rig
 from armsight.store.targets import write_target
 
@@ -38,3 +39,8 @@ def _(record: Target, path: str | PathLike[str]) -> None:
 @save.register
 def _(record: Arm, path: str | PathLike[str]) -> None:
     write_arm(Path(path), record)
+
+
+@save.register
+def _(record: TaughtPath, path: str | PathLike[str]) -> None:
+    write_path(Path(path), record)

@@ -20,12 +20,12 @@ from armsight.records import PoseStatus
 from armsight.store.atomic import read_bytes
 from armsight.store.tables import MAX_BYTES, Table, parse_table
 from armsight.store.tracks import DEVIATIONS, POSITION, QUATERNION, SYSTEMATIC, VELOCITY, VELOCITY_STD, parse_tum
-from armsight.verify import Measured, Reported
+from armsight.verify import Measured, Repeats, Reported
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-WORDS = ("status", "spots", "spot", "point", "pose", "visit", "run", "tag")
+WORDS = ("status", "spots", "spot", "point", "pose", "visit", "run", "tag", "approach")
 GOAL = tuple(f"goal_{name}" for name in (*POSITION, *QUATERNION))
 SAME_GOAL = 1e-3
 """Commanded poses that differ by less (m, or in a quaternion's entries) are one."""
@@ -35,11 +35,12 @@ NUL = b"\x00"
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MeasuredFile:
     """What a file of measurements says: the rows that can be used, the joints they were taken at where those are
-    columns of it, which commanded pose each is of (m,), those left out, and notes."""
+    columns of it, which commanded pose each is of (m,), which repeat, those left out, and notes."""
 
     measured: Measured
     reported: Reported | None
     pose: Array | None
+    repeats: Repeats
     rejected: tuple[tuple[int, str], ...]
     notes: tuple[str, ...]
     n: int
@@ -65,6 +66,13 @@ class _Rows:
         out[self.row - 1] = self.table.stacked(names)
         return out
 
+    def words(self, name: str) -> tuple[str, ...]:
+        """Return a column of words of all rows (n,) of the file, "" where one is torn or the column is not there."""
+        out = [""] * self.n
+        for row, word in zip(self.row, self.table.text.get(name, ()), strict=False):
+            out[row - 1] = word.strip()
+        return tuple(out)
+
     def has(self, names: tuple[str, ...]) -> bool:
         """Whether all of these are columns; BadFile where only some are."""
         there = [name for name in names if name in self.table.numbers]
@@ -78,6 +86,18 @@ class _Rows:
         return bool(there)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CommandedFile:
+    """Commanded poses row by row, whether they have rotations, and where the file says so the pose's name, the path's
+    name (tag) and the commanded speed (n,) in m/s."""
+
+    reported: Reported
+    turned: bool
+    pose: tuple[str, ...] = ()
+    path: tuple[str, ...] = ()
+    speed_m_s: Array | None = None
+
+
 def read_measured(path: Path) -> MeasuredFile:
     """Return the measurements of a poses.csv, a points.csv, a tracker's table (t_s,x_m,y_m,z_m[,qx,qy,qz,qw]) or TUM.
 
@@ -89,7 +109,11 @@ def read_measured(path: Path) -> MeasuredFile:
         measured = Measured(
             xyz_m=np.asarray(track.pose.translation), rotation=track.pose.rotation.as_matrix(), t_s=track.t_s
         )
-        return MeasuredFile(measured=measured, reported=None, pose=None, rejected=(), notes=(), n=len(measured))
+        none = ("",) * len(measured)
+        repeats = Repeats(pose=none, visit=none, run=none, path=none, approach=none)
+        return MeasuredFile(
+            measured=measured, reported=None, pose=None, repeats=repeats, rejected=(), notes=(), n=len(measured)
+        )
     rows = _parse(data, str(path), POSITION)
     return _measured(rows)
 
@@ -119,7 +143,7 @@ def _parse(data: bytes, where: str, required: tuple[str, ...]) -> _Rows:
         raise BadFile(f"{where}: NUL bytes in the first line", consequence="It cannot be read", cure="Save it as text")
     clean = b"".join(b"\n" if NUL in line else line for line in lines)
     header = _header(clean)
-    optional = ("t_s", *POSITION, *QUATERNION, *DEVIATIONS, *SYSTEMATIC, *VELOCITY, *VELOCITY_STD, *GOAL)
+    optional = ("t_s", *POSITION, *QUATERNION, *DEVIATIONS, *SYSTEMATIC, *VELOCITY, *VELOCITY_STD, *GOAL, "speed_m_s")
     known = {*optional, *WORDS}
     unused = tuple(
         name for name in header if name and name not in known and not (name[0] == "q" and name[1:].isdecimal())
@@ -174,6 +198,7 @@ def _measured(rows: _Rows) -> MeasuredFile:
         measured=measured,
         reported=_own_joints(rows),
         pose=_poses(table, index),
+        repeats=_repeats(table, index),
         rejected=(*rows.torn, *rejected),
         notes=tuple(notes),
         n=rows.n,
@@ -224,7 +249,8 @@ def _poses(table: Table, index: Index) -> Array | None:
     """Return which commanded pose each row (m,) is of, by number; None where the file does not say."""
     if "pose" in table.text:
         words = [table.text["pose"][i] for i in index]
-        return np.unique(words, return_inverse=True)[1].astype(float)
+        which = np.unique(words, return_inverse=True)[1].astype(float)
+        return np.where([bool(word) for word in words], which, np.nan)
     if any(name not in table.numbers for name in GOAL):
         return None
     goal = table.stacked(GOAL)[index]
@@ -233,6 +259,21 @@ def _poses(table: Table, index: Index) -> Array | None:
         return None
     step = np.abs(np.diff(goal, axis=0)).max(axis=1) > SAME_GOAL  # rows of one command follow each other
     return np.concatenate([[0.0], np.cumsum(step)])
+
+
+def _repeats(table: Table, index: Index) -> Repeats:
+    """Return which repeat each row is of, and the part of its standard deviations that all share."""
+    none = ("",) * len(table)
+    words = {
+        name: tuple(table.text.get(name, none)[i].strip() for i in index)
+        for name in ("pose", "visit", "run", "tag", "approach")
+    }
+    systematic = None
+    if all(name in table.numbers for name in SYSTEMATIC[:3]):
+        there = tuple(name for name in SYSTEMATIC if name in table.numbers)
+        systematic = np.zeros((len(index), 6))
+        systematic[:, : len(there)] = np.nan_to_num(table.stacked(there)[index])
+    return Repeats(path=words.pop("tag"), systematic=systematic, **words)
 
 
 def read_reported_joints(path: Path) -> Reported:
@@ -244,15 +285,15 @@ def read_reported_joints(path: Path) -> Reported:
     return Reported(q=rows.columns(rows.table.series("q")), t_s=_stamps(rows))
 
 
-def read_commanded(path: Path) -> tuple[Reported, bool]:
-    """Return commanded poses of a path.csv, a poses.csv or a TUM, and whether they have rotations.
+def read_commanded(path: Path) -> CommandedFile:
+    """Return commanded poses of a path.csv, a plan.csv, a poses.csv or a TUM.
 
     Raises BadFile that names line and column.
     """
     data = read_bytes(path, limit=MAX_BYTES)
     if _is_tum(data):
         track = parse_tum(data, str(path))
-        return Reported(T=track.pose.as_matrix(), t_s=track.t_s), True
+        return CommandedFile(reported=Reported(T=track.pose.as_matrix(), t_s=track.t_s), turned=True)
     rows = _parse(data, str(path), POSITION)
     turned = rows.has(QUATERNION)
     T = np.tile(np.eye(4), (rows.n, 1, 1))
@@ -262,7 +303,14 @@ def read_commanded(path: Path) -> tuple[Reported, bool]:
         good = np.isfinite(quat).all(axis=1) & (np.abs(np.linalg.norm(quat, axis=1) - 1.0) <= QUAT_NORM_TOLERANCE)
         T[~good] = np.nan
         T[good, :3, :3] = Rotation.from_quat(quat[good]).as_matrix()
-    return Reported(T=T, t_s=_stamps(rows)), turned
+    speed = rows.columns(("speed_m_s",))[:, 0] if "speed_m_s" in rows.table.numbers else None
+    return CommandedFile(
+        reported=Reported(T=T, t_s=_stamps(rows)),
+        turned=turned,
+        pose=rows.words("pose"),
+        path=rows.words("tag"),
+        speed_m_s=speed,
+    )
 
 
 def _stamps(rows: _Rows) -> Array | None:

@@ -4,7 +4,7 @@ from armsight.verify.alignment import Align
 from armsight.verify.cause import Cause, JointVerdict
 from armsight.verify.effects import Kind
 from armsight.verify.pairing import Paired, Reported
-from armsight.verify.records import Measured
+from armsight.verify.records import Measured, Repeats
 from armsight.verify.statistics import Figures
 from armsight.verify.verification import Configurations, Verification, verify
 
@@ -17,6 +17,7 @@ __all__ = [
     "Kind",
     "Measured",
     "Paired",
+    "Repeats",
     "Reported",
     "Verification",
     "verify",

@@ -51,21 +51,23 @@ def best_poses(
     scale = np.sqrt(np.maximum(np.diag(H) + np.diag(every.T @ every), 1e-300))
     H = H / np.outer(scale, scale) + 1e-9 * np.eye(len(H))
     there = there / scale
+    gained = np.swapaxes(there, 1, 2) @ there  # (c, width, width)
     chosen: list[int] = []
     for _ in range(min(count, len(q))):
-        doubt = [np.inf if k in chosen else _doubt(H + part.T @ part, n_joints) for k, part in enumerate(there)]
+        doubt = _doubt(H + gained, n_joints)
+        doubt[chosen] = np.inf
         best = int(np.argmin(doubt))
         chosen.append(best)
-        H = H + there[best].T @ there[best]
-    less = [H, *(H - there[k].T @ there[k] for k in chosen)]
+        H = H + gained[best]
+    less = [H, *(H - gained[k] for k in chosen)]
     own = scale[-n_joints:]
     return chosen, np.array([np.linalg.inv(h)[-n_joints:, -n_joints:] / np.outer(own, own) for h in less])
 
 
-def _doubt(H: Array, n_joints: int) -> float:
-    """Return the log determinant of the covariance of the last parameters."""
-    inverse = np.linalg.inv(H)[-n_joints:, -n_joints:]
-    return float(np.linalg.slogdet(inverse)[1])
+def _doubt(H: Array, n_joints: int) -> Array:
+    """Return (c,) the log determinants of the covariances of the last parameters, of information (c, k, k)."""
+    inverse = np.linalg.inv(H)[:, -n_joints:, -n_joints:]
+    return np.asarray(np.linalg.slogdet(inverse)[1])
 
 
 def _columns(case: Case, q: Array, mounts: Array, sigma: Array, joints: tuple[int, ...]) -> Array:

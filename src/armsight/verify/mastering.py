@@ -51,7 +51,7 @@ class Proposal:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Mastering:
-    """What a crash did. cause: none, joint N, tool, several, model or undecided. joint: from 0, with offset and std of
+    """What a crash did. cause: none, joint N, tool, several or undecided. joint: from 0, with offset and std of
     its zero (rad or m, to be added to readings). T_tool: where the tool is now in its old axes, where it is the cause.
     before, after (m, 6): errors of place in m and rotation in rad without and with the cause. joints: each zero taken
     alone. kept (m,): places of the rows used."""
@@ -300,6 +300,7 @@ def _one_joint(
 
 def _doubts(joints: tuple[JointVerdict, ...], how: Align) -> tuple[str, ...]:
     told = [f"joint {i} is not judged: {verdict.why}" for i, verdict in enumerate(joints, 1) if not verdict.judged]
+    told.append("this holds for an arm that agreed with its file before: errors of its geometry pass for moved zeros")
     if how.parts:
         told.append(f"{' and '.join(how.parts)} were laid where they fit best: what they can take up is not seen")
     return tuple(told)

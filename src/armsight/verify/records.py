@@ -75,3 +75,22 @@ class Measured:
             row=self.rows[index],
             point=tuple(self.point[i] for i in index.tolist()),
         )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Repeats:
+    """Which repeat each measured row (m,) is of, "" where the file does not say: the commanded pose and its visit, or
+    the path (its tag) and the run along it; approach: the direction a visit came from. systematic (m, 6): the part of
+    the standard deviations that all rows share, None where nobody says."""
+
+    pose: tuple[str, ...]
+    visit: tuple[str, ...]
+    run: tuple[str, ...]
+    path: tuple[str, ...]
+    approach: tuple[str, ...]
+    systematic: Array | None = None
+
+    @property
+    def any(self) -> bool:
+        """Whether a row says which pose or run it is of."""
+        return any(self.pose) or any(self.run)

@@ -29,6 +29,8 @@ CAUSE_ROWS = 1200
 CONFIGURATION_RAD = 0.1
 """Joint values further apart are of another configuration."""
 
+FLAT = 0.01
+"""Places that spread less square to a plane than this share of their spread in it do not tell left from right."""
 SAME_RAD = 1e-3
 """Joint values (rad or m) rounded to this are the same command."""
 
@@ -213,6 +215,12 @@ def _repeats(paired: Paired, kept: NDArray[np.intp], pose: Array | None, measure
     return ("repeatability is withheld: no pose was visited twice with the same joints",)
 
 
+def _flat(xyz: Array) -> bool:
+    """Whether places (m, 3) lie in one plane but for FLAT of their spread."""
+    spread = np.linalg.svd(xyz - xyz.mean(axis=0), compute_uv=False)
+    return bool(spread[2] < FLAT * spread[1])
+
+
 def _doubts(paired: Paired, joints: JointErrors | None, cause: Cause | None, how: Align) -> tuple[str, ...]:
     told = list(paired.notes)
     if joints is not None:
@@ -227,4 +235,6 @@ def _doubts(paired: Paired, joints: JointErrors | None, cause: Cause | None, how
     if how is not Align.NONE and paired.q is not None:
         free = " and ".join(how.parts)
         told.append(f"{free} were laid where they fit best: errors that they can take up are not seen")
+    if how is not Align.NONE and _flat(paired.measured.xyz_m):
+        told.append("the places lie in one plane: whether the measuring frame is left-handed cannot be seen")
     return tuple(told)

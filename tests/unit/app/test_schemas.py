@@ -163,7 +163,14 @@ KEYS: dict[type[Output], tuple[str, str]] = {
     verify.CauseParameter: ("value std", ""),
     verify.Explained: ("measurement joint zeros model", ""),
     verify.ConfigurationPairs: ("n mean_m p95_m max_m", ""),
-    verify.IsoFigure: ("value n wanted withheld std", ""),
+    verify.IsoFigure: ("value n wanted withheld std corrected corrected_std note", ""),
+    OUTPUTS["verify-plan"]: (
+        "arm cube quat_xyzw speed_m_s poses motions branch singularity_distance limit_margin refused files",
+        "",
+    ),
+    verify.PlannedCube: ("centre_m side_m plane corners_m", ""),
+    verify.PlannedPose: ("xyz_m q", ""),
+    verify.PlannedTest: ("test figures repeats n", ""),
     verify.ComparedRun: ("folder n after cause", ""),
     OUTPUTS["record"]: (
         "file format n_pairs n_dropped n_missed duration_s pairs_per_s size_bytes skew_s",

@@ -62,7 +62,8 @@ def test_an_arm_is_verified_with_every_promised_key(
     assert content["alignment"]["free"] == ["base", "tool"]
     assert {"j1.theta_rad", "j6.theta_rad"} <= set(content["alignment"]["undetermined"])
     assert content["after"]["rms_m"] < content["before"]["rms_m"]
-    assert content["iso9283"] == {} and content["rejected"] == []
+    assert {item["withheld"] is not None for item in content["iso9283"].values()} == {True}
+    assert content["rejected"] == []
     assert json.loads((tmp_path / "out" / "verify.json").read_text()) == content
     with (tmp_path / "out" / "errors.csv").open() as stream:
         rows = list(csv.DictReader(stream))
@@ -146,7 +147,8 @@ def test_trackers_files_are_read(tmp_path: Path) -> None:
     assert found.measured.labels == ("A", "B") and found.pose is not None and found.pose.tolist() == [0.0, 0.0]
     assert found.measured.std is not None and found.measured.std[0, :3].tolist() == [0.1, 0.2, 0.3]
     path.write_text("t_s,x_m,y_m,z_m\n0,1,2,3\n")
-    reported, turned = read_commanded(path)
+    told = read_commanded(path)
+    reported, turned = told.reported, told.turned
     assert not turned and reported.T is not None and reported.T[0, :3, 3].tolist() == [1.0, 2.0, 3.0]
     for text, said in (
         ("x_m,y_m\n1,2\n", "z_m is missing"),
@@ -156,3 +158,97 @@ def test_trackers_files_are_read(tmp_path: Path) -> None:
         path.write_text(text)
         with pytest.raises(BadFile, match=said):
             read_measured(path)
+
+
+@pytest.fixture
+def repeats(tmp_path: Path) -> tuple[Path, Path]:
+    """Six visits each of P1, P2 and P4, which stand 0.1, 0.2 and 0.3 mm further along x than commanded; the command."""
+    goals = {"P1": (0.5, 0.0, 0.4), "P2": (0.7, -0.2, 0.6), "P4": (0.3, 0.2, 0.2)}
+    rng = np.random.default_rng(5)
+    lines = ["pose,visit,x_m,y_m,z_m"]
+    for visit in range(6):
+        for k, (name, goal) in enumerate(goals.items()):
+            xyz = goal + rng.normal([1e-4 * (k + 1), 0.0, 0.0], 1e-5)
+            lines.append(f"{name},{visit},{','.join(repr(float(v)) for v in xyz)}")
+    measured, commanded = tmp_path / "repeats.csv", tmp_path / "plan.csv"
+    measured.write_text("\n".join(lines) + "\n")
+    rows = [f"{name},{goal[0]},{goal[1]},{goal[2]}" for name, goal in goals.items()]
+    commanded.write_text("\n".join(["pose,x_m,y_m,z_m", *rows]) + "\n")
+    return measured, commanded
+
+
+def test_repeats_alone_tell_repeatability_and_no_accuracy(
+    armsight: Any, repeats: tuple[Path, Path], tmp_path: Path
+) -> None:
+    done = armsight("verify", "--measured", repeats[0], "-o", tmp_path / "out")
+    assert done.code == 0
+    iso = done.json["iso9283"]
+    table = np.genfromtxt(repeats[0], delimiter=",", names=True, dtype=None, encoding="utf-8")
+    xyz = np.column_stack([table[name] for name in ("x_m", "y_m", "z_m")])[table["pose"] == "P2"]
+    away = np.linalg.norm(xyz - xyz.mean(axis=0), axis=1)
+    assert iso["RP_m P2"]["value"] == pytest.approx(away.mean() + 3.0 * away.std(ddof=1), rel=1e-12)
+    assert (iso["RP_m"]["n"], iso["RP_m"]["wanted"]) == (6, 30)
+    assert iso["AP_m"]["withheld"] == "no commanded pose is known" and iso["AP_m"]["value"] is None
+    assert done.json["after"] is None and done.json["alignment"]["T_measured_base"] is None
+    assert "Visits about their mean" in (tmp_path / "out" / "report.html").read_text()
+    with (tmp_path / "out" / "errors.csv").open() as stream:
+        assert len(list(csv.DictReader(stream))) == 18
+
+
+def test_accuracy_needs_a_command_in_a_frame_that_was_not_fitted(
+    armsight: Any, repeats: tuple[Path, Path], tmp_path: Path
+) -> None:
+    words = ["verify", "--measured", repeats[0], "--commanded", repeats[1], "-o", tmp_path / "out"]
+    given = armsight(*words, "--align", "none").json["iso9283"]
+    assert given["AP_m P4"]["value"] == pytest.approx(3e-4, abs=2e-5)
+    assert given["AP_m"]["value"] == given["AP_m P4"]["value"]
+    fitted = armsight(*words, "--align", "tool")
+    assert fitted.code == 0
+    assert "fitted" in fitted.json["iso9283"]["AP_m"]["withheld"]
+    assert fitted.json["iso9283"]["AD_m"]["value"] is not None
+    repeats[1].write_text(repeats[1].read_text().replace("P2", "P9"))
+    missing = armsight(*words, "--align", "none")
+    assert missing.json["n"] == 12 and any("P2" in text for text in missing.json["doubts"])
+
+
+def test_rows_without_a_visit_that_follow_each_other_are_one_visit(
+    armsight: Any, repeats: tuple[Path, Path], tmp_path: Path
+) -> None:
+    rows = [line.split(",") for line in repeats[0].read_text().splitlines()]
+    held = [",".join([row[0], *row[2:]]) for row in [rows[0], *sorted(rows[1:])]]
+    repeats[0].write_text("\n".join(held) + "\n")
+    iso = armsight("verify", "--measured", repeats[0], "-o", tmp_path / "out").json["iso9283"]
+    assert iso["RP_m"]["value"] is None and iso["RP_m"]["n"] == 1
+
+
+def test_runs_along_a_named_path(armsight: Any, tmp_path: Path) -> None:
+    rng = np.random.default_rng(6)
+    lines, along = ["tag,run,t_s,x_m,y_m,z_m"], np.arange(0.0, 0.4, 0.005)
+    for run in range(6):
+        y, t0 = rng.normal(2e-4, 1e-5), 10.0 * run
+        lines += [f"line,{run},{t0 + s / 0.25!r},{s!r},{y!r},0.3" for s in along.tolist()]
+    measured, commanded = tmp_path / "runs.csv", tmp_path / "path.csv"
+    measured.write_text("\n".join(lines) + "\n")
+    commanded.write_text("tag,x_m,y_m,z_m,speed_m_s\nline,0.0,0.0,0.3,0.25\nline,0.39,0.0,0.3,0.25\n")
+    words = ["verify", "--measured", measured, "--commanded", commanded, "--align", "none", "-o", tmp_path / "out"]
+    iso = armsight(*words).json["iso9283"]
+    assert iso["AT_m"]["value"] == pytest.approx(2e-4, abs=2e-5)
+    assert iso["AV_ratio"]["value"] == pytest.approx(0.0, abs=1e-6)
+    burst = [line.split(",") for line in lines[1:]]
+    same = [",".join([*row[:2], "1.0", *row[3:]]) for row in burst]
+    measured.write_text("\n".join([lines[0], *same]) + "\n")
+    assert "arrival times" in armsight(*words).json["iso9283"]["AV_ratio"]["withheld"]
+
+
+def test_a_test_is_planned(armsight: Any, tmp_path: Path) -> None:
+    done = armsight("verify", "--plan", "poses", "--arm", "irb120", "--side", 0.25, "-o", tmp_path)
+    assert done.code == 0 and done.json["cube"]["side_m"] == 0.25
+    with (tmp_path / "plan.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert {row["pose"] for row in rows} - {""} == {"P1", "P2", "P3", "P4", "P5"}
+    assert len(rows) == sum(motion["n"] for motion in done.json["motions"])
+    assert "line" not in {row["tag"] for row in rows}
+    first = np.array([[float(rows[0][f"q{i + 1}"]) for i in range(6)]])
+    assert fk(preset("irb120"), first)[0, :3, 3] == pytest.approx([float(rows[0][k]) for k in ("x_m", "y_m", "z_m")])
+    assert armsight("verify", "--plan", "-o", tmp_path).code == 2
+    assert armsight("verify", "poses", "--measured", tmp_path / "plan.csv", "-o", tmp_path).code == 2

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from armsight.app.verify.live_output import ERROR_COLUMNS, HEADER
 from armsight.app.verify.output import NAMES
 from armsight.store.iso9283_plan import PLAN_COLUMNS
 from armsight.store.limits_file import limits_from_mapping
@@ -12,6 +13,7 @@ from armsight.store.rigs import CameraModel, rig_from_mapping
 from armsight.store.schema import validated
 from armsight.store.tables import parse_table
 from armsight.store.targets import target_from_mapping
+from armsight.store.tokens import TokensModel
 from armsight.store.tracks import POINT_COLUMNS, SPOT_COLUMNS, parse_joints, parse_poses, parse_times
 from armsight.store.worlds import world_from_mapping
 from armsight.store.yamls import parse_yaml
@@ -27,11 +29,16 @@ READERS = {
     "armsight/target": target_from_mapping,
     "armsight/world": world_from_mapping,
     "armsight/limits": limits_from_mapping,
+    "armsight/tokens": lambda content: validated(TokensModel, content, "x").tokens,
     "t_s,x_m": lambda data: parse_poses(data, "x"),
     "t_s,spot": lambda data: parse_table(data, "x", POINT_COLUMNS, text=("spot",)),
     "t_s,camera": lambda data: parse_table(data, "x", SPOT_COLUMNS, text=("camera", "spot")),
     "index,x_m": lambda data: parse_table(data, "x", PLAN_COLUMNS, text=("tag", "pose"), series="q"),
     "row,t_s": lambda data: parse_table(data, "x", ("row", "t_s", *NAMES, "error_m", "error_rad"), series="dq"),
+    "t_s,level": lambda data: parse_table(
+        data, "x", HEADER, text=("level", "lost"), blank=(*ERROR_COLUMNS, "decision_ms")
+    ),
+    "pose,q1": lambda data: parse_table(data, "x", ("pose", "decides"), text=("decides",), series="q"),
     "t_s,q1": lambda data: parse_joints(data, "x"),
     "t_s": lambda data: parse_times(data, "x"),
 }

@@ -32,7 +32,7 @@ from armsight.app.schemas.reproduce import ReproduceOutput
 from armsight.app.schemas.robot import JogOutput, RobotTestOutput
 from armsight.app.schemas.servo import ServoOutput
 from armsight.app.schemas.timing import TimingOutput
-from armsight.app.schemas.verify import VerifyOutput
+from armsight.app.schemas.verify import VerifyOutput, VerifyPlanOutput
 from armsight.app.schemas.verify_live import MasteringOutput, MasteringPlanOutput, VerifyLiveOutput
 
 OUTPUTS: Mapping[str, type[Output]] = MappingProxyType(
@@ -55,6 +55,7 @@ OUTPUTS: Mapping[str, type[Output]] = MappingProxyType(
         "identify": IdentifyOutput,
         "identify-propose": ProposedPlanOutput,
         "verify": VerifyOutput,
+        "verify-plan": VerifyPlanOutput,
         "verify-live": VerifyLiveOutput,
         "verify-mastering": MasteringOutput,
         "verify-mastering-poses": MasteringPlanOutput,

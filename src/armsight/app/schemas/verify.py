@@ -20,8 +20,12 @@ class VerifyAlignment(Output):
     """Base and tool as they were laid."""
 
     free: list[str] = Field(description="What was laid where it fits best: base, tool, both or none.")
-    T_measured_base: PoseOutput = Field(description="The arm's base in the measurements' frame.")
-    T_flange_tool: PoseOutput = Field(description="What was measured, on the flange; of several points the first.")
+    T_measured_base: PoseOutput | None = Field(
+        description="The arm's base in the measurements' frame; null of repeats alone."
+    )
+    T_flange_tool: PoseOutput | None = Field(
+        description="What was measured, on the flange; of several points the first; null of repeats alone."
+    )
     std: dict[str, float | None] = Field(description="Standard deviations, unit in the name; null: not determined.")
     undetermined: list[str] = Field(description="What these rows leave open of base, tool and the joints' zeros.")
 
@@ -96,6 +100,9 @@ class IsoFigure(Output):
     wanted: int = Field(description="Visits that the norm asks for.")
     withheld: str | None = Field(description="Why it is not given; null where it is.")
     std: float | None = Field(description="Its standard deviation.")
+    corrected: float | None = Field(description="Without the measurement's own scatter; null where not known.")
+    corrected_std: float | None = Field(description="Its standard deviation.")
+    note: str = Field(description="What else to know of it; empty where nothing.")
 
 
 class ComparedRun(Output):
@@ -103,7 +110,7 @@ class ComparedRun(Output):
 
     folder: str = Field(description="Its folder.")
     n: int = Field(description="Its rows compared.")
-    after: PoseError = Field(description="Its errors.")
+    after: PoseError | None = Field(description="Its errors; null of repeats alone.")
     cause: str = Field(description="Its cause.")
 
 
@@ -113,8 +120,10 @@ class VerifyOutput(Output):
     n: int = Field(description="Rows compared.")
     time: VerifyTime = Field(description="How measured rows and the arm's were laid on one time.")
     alignment: VerifyAlignment = Field(description="Base and tool.")
-    before: PoseError = Field(description="Errors before anything is laid where it fits best.")
-    after: PoseError = Field(description="Errors with base and tool as aligned.")
+    before: PoseError | None = Field(
+        description="Errors before anything is laid where it fits best; null of repeats alone."
+    )
+    after: PoseError | None = Field(description="Errors with base and tool as aligned; null of repeats alone.")
     task: dict[str, ErrorFigures] = Field(
         description="Errors in the base's axes: x_m, y_m, z_m, rx_rad, ry_rad, rz_rad."
     )
@@ -130,8 +139,49 @@ class VerifyOutput(Output):
     decide_by: list[list[float]] | None = Field(
         None, exclude_if=absent, description="Joint readings to measure at where nothing decides, rad or m."
     )
-    iso9283: dict[str, IsoFigure] = Field(description="Figures of ISO 9283.")
+    iso9283: dict[str, IsoFigure] = Field(description="Figures of ISO 9283 by name, the worst place; 'NAME PLACE'.")
     rejected: list[RejectedRow] = Field(description="Rows of the measured file left out, and why.")
     doubts: list[str] = Field(description="What to know before believing it.")
     verdict: str = Field(description="What it comes to, in words.")
     compared: ComparedRun | None = Field(None, exclude_if=absent, description="The other run; with --compare.")
+
+
+class PlannedCube(Output):
+    """The test cube, in the arm's base frame."""
+
+    centre_m: list[float] = Field(description="Its centre, x y z.")
+    side_m: float = Field(description="Its side.")
+    plane: str = Field(description="The test plane: a, b, c or d.")
+    corners_m: dict[str, list[float]] = Field(description="C1 to C8, x y z.")
+
+
+class PlannedPose(Output):
+    """A test pose."""
+
+    xyz_m: list[float] = Field(description="Position in world, x y z.")
+    q: list[float] = Field(description="The controller's joint readings there, rad or m.")
+
+
+class PlannedTest(Output):
+    """A motion of the plan."""
+
+    test: str = Field(description="Its name: the tag of its rows in plan.csv.")
+    figures: list[str] = Field(description="What it is for.")
+    repeats: int = Field(description="How often it is made.")
+    n: int = Field(description="Its rows.")
+
+
+class VerifyPlanOutput(Output):
+    """armsight verify --plan."""
+
+    arm: str = Field(description="The arm's name.")
+    cube: PlannedCube = Field(description="The test cube.")
+    quat_xyzw: list[float] = Field(description="The tool's orientation in world.")
+    speed_m_s: float = Field(description="Speed along the paths: as wanted, or the highest that all joints allow.")
+    poses: dict[str, PlannedPose] = Field(description="P1 to P5.")
+    motions: list[PlannedTest] = Field(description="The motions written.")
+    branch: list[str] = Field(description="The arm's configuration throughout.")
+    singularity_distance: float = Field(description="The least over all motions.")
+    limit_margin: float | None = Field(description="Least distance of a joint from a limit, rad or m; null: no limits.")
+    refused: list[str] = Field(description="Larger cubes that were tried, and why not.")
+    files: list[str] = Field(description="What was written.")

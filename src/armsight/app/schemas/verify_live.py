@@ -76,7 +76,7 @@ class MasteringPose(Output):
 
 
 class MasteringPlanOutput(Output):
-    """armsight verify --mastering --plan-poses."""
+    """armsight verify --mastering without measured poses."""
 
     poses: list[MasteringPose] = Field(description="The poses, in the order to drive to them.")
     expected_std_rad: list[float | None] = Field(
@@ -101,7 +101,7 @@ class MasteringOutput(Output):
     """armsight verify --mastering."""
 
     n: int = Field(description="Poses compared.")
-    cause: str = Field(description="none, joint N, tool, several, model or undecided.")
+    cause: str = Field(description="none, joint N, tool, several or undecided.")
     offset_rad: float | None = Field(description="By how much that joint's zero is off, rad or m; null where none is.")
     std_rad: float | None = Field(description="Standard deviation of that.")
     rms_before_m: float = Field(description="Error of place as it was measured, RMS, m.")

@@ -11,6 +11,7 @@ from armsight.app.schemas.verify import (
     ConfigurationPairs,
     ErrorFigures,
     Explained,
+    IsoFigure,
     PoseError,
     VerifyAlignment,
     VerifyJoint,
@@ -29,8 +30,10 @@ Array = NDArray[np.float64]
 NAMES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 
 
-def verify_output(result: Verification, arm: Arm | None, file: MeasuredFile) -> VerifyOutput:
-    """Return the figures of a verification as --json gives them."""
+def verify_output(
+    result: Verification, arm: Arm | None, file: MeasuredFile, iso: dict[str, IsoFigure], told: tuple[str, ...] = ()
+) -> VerifyOutput:
+    """Return the figures of a verification as --json gives them; told: what to know of the figures of ISO 9283."""
     cause, found = result.cause, result.configurations
     rejected = sorted({*result.rejected, *file.rejected})
     return VerifyOutput(
@@ -50,10 +53,36 @@ def verify_output(result: Verification, arm: Arm | None, file: MeasuredFile) -> 
         if found is None
         else ConfigurationPairs(n=found.n, mean_m=found.mean_m, p95_m=found.p95_m, max_m=found.max_m),
         decide_by=None if result.deciding is None or arm is None else arm.readings(result.deciding).tolist(),
-        iso9283={},
+        iso9283=iso,
         rejected=[RejectedRow(row=row, why=why) for row, why in rejected],
-        doubts=[*file.notes, *result.doubts],
+        doubts=[*file.notes, *result.doubts, *told],
         verdict=_verdict(result),
+    )
+
+
+def repeats_output(file: MeasuredFile, iso: dict[str, IsoFigure], told: tuple[str, ...]) -> VerifyOutput:
+    """Return what repeats alone tell, without an arm or a command for each row."""
+    given = {name: item for name, item in iso.items() if item.value is not None and " " not in name}
+    worst = given.get("RP_m", given.get("RT_m"))
+    name = "RP" if "RP_m" in given else "RT"
+    shown = "no figure can be given" if worst is None or worst.value is None else f"{name} {worst.value / MM:.3g} mm"
+    return VerifyOutput(
+        n=len(file.measured),
+        time=VerifyTime(offset_s=None, std_s=None, drift_ppm=None, bursts=False),
+        alignment=VerifyAlignment(free=[], T_measured_base=None, T_flange_tool=None, std={}, undetermined=[]),
+        before=None,
+        after=None,
+        task={},
+        measurement_std={},
+        joints=[],
+        cause="undecided",
+        kind=None,
+        parameters={},
+        explained=Explained(measurement=None, joint=None, zeros=None, model=None),
+        iso9283=iso,
+        rejected=[RejectedRow(row=row, why=why) for row, why in file.rejected],
+        doubts=[*file.notes, *told],
+        verdict=f"Repeats alone, {len(file.measured)} rows: {shown}. Where the tool should be was not told row by row.",
     )
 
 
@@ -174,4 +203,18 @@ def errors_csv(result: Verification) -> str:
         values += [np.linalg.norm(error[:3]), np.linalg.norm(error[3:]) if turned else np.nan]
         values += [] if result.joints is None else result.joints.dq[k].tolist()
         lines.append(f"{result.paired.measured.rows[place]},{cells(values)}")
+    return "\n".join(lines) + "\n"
+
+
+def repeats_csv(file: MeasuredFile) -> str:
+    """Return the measured places row by row with their repeat, and how far each is from the mean of its pose."""
+    lines = ["row,pose,visit,run,x_m,y_m,z_m,from_mean_m"]
+    told, xyz = file.repeats, file.measured.xyz_m
+    pose = np.array([word if not run else "" for word, run in zip(told.pose, told.run, strict=True)])
+    apart = np.full(len(xyz), np.nan)
+    for name in sorted(set(pose) - {""}):
+        own = pose == name
+        apart[own] = np.linalg.norm(xyz[own] - xyz[own].mean(axis=0), axis=1)
+    for k, row in enumerate(file.measured.rows):
+        lines.append(f"{row},{told.pose[k]},{told.visit[k]},{told.run[k]},{cells([*xyz[k], apart[k]])}")
     return "\n".join(lines) + "\n"

@@ -10,17 +10,21 @@ from numpy.typing import NDArray
 
 from armsight.app.kinematics import load_arm
 from armsight.app.schemas.verify import ComparedRun, VerifyOutput
-from armsight.app.verify.output import errors_csv, verify_output
+from armsight.app.verify.iso import by_name, check_unit, command_of, iso_figures, named_paths, named_rows, uncommanded
+from armsight.app.verify.output import errors_csv, repeats_csv, repeats_output, verify_output
 from armsight.errors import BadFile, Inconsistent, UsageError
 from armsight.kinematics import Arm
+from armsight.report.repeats_report import repeats_report
 from armsight.report.verify_report import OtherRun, verify_report
 from armsight.store import read_table, read_world, write_text
 from armsight.store.atomic import read_bytes
-from armsight.store.verify_files import MeasuredFile, read_commanded, read_measured, read_reported_joints
+from armsight.store.verify_files import CommandedFile, MeasuredFile, read_commanded, read_measured, read_reported_joints
 from armsight.store.worlds import World
-from armsight.verify import Align, Measured, Reported, verify
+from armsight.verify import Align, Measured, Repeats, Reported, verify
+from armsight.verify.repeats import Command
 
 Array = NDArray[np.float64]
+Other = VerifyOutput | None
 
 MAX_SUMMARY_BYTES = 100_000_000
 SUMMARY, ERRORS, REPORT = "verify.json", "errors.csv", "report.html"
@@ -41,26 +45,95 @@ class VerifyJob:
     compare: Path | None = None
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Expected:
+    """What a job's other files say: the arm, what the controller says, whether that has rotations, the commands."""
+
+    arm: Arm | None
+    reported: Reported
+    turned: bool
+    told: CommandedFile | None = None
+
+
 def run_verify(job: VerifyJob) -> VerifyOutput:
     """Verify; write verify.json, errors.csv and report.html into the job's folder; return the figures.
 
-    Raises UsageError, DataRefused.
+    Without arm and command, where the file says which repeat each row is of, what the repeats alone tell. Raises
+    UsageError, DataRefused.
     """
     _check_usage(job)
     other = None if job.compare is None else read_run(job.compare)
     file = read_measured(job.measured)
-    measured = file.measured if job.world is None else in_world(file.measured, read_world(job.world))
-    arm, reported, turned = _expected(job, file)
-    if not turned:
-        measured = replace(measured, rotation=None)
-    result = verify(arm, reported, measured, _align(job, turned), pose=file.pose)
-    done = verify_output(result, arm, file)
-    if other is not None and job.compare is not None:
-        compared = ComparedRun(folder=str(job.compare), n=other.n, after=other.after, cause=other.cause)
-        done = done.model_copy(update={"compared": compared})
+    if job.world is not None:
+        world = read_world(job.world)
+        file = replace(file, measured=in_world(file.measured, world), repeats=shared_in_world(file.repeats, world))
+    if job.arm is None and job.commanded is None:
+        return _repeats_alone(job, file, None, other)
+    expected = _expected(job, file)
+    measured = file.measured if expected.turned else replace(file.measured, rotation=None)
+    commands = expected.told
+    if commands is not None and by_name(file, commands):
+        expected = replace(expected, reported=named_rows(file, commands))
+        file = replace(file, notes=(*file.notes, *uncommanded(file, commands)))
+        named = _known(expected.reported, measured)
+        if not len(named):
+            return _repeats_alone(job, file, commands, other)
+        measured = measured.take(named)
+    how = _align(job, expected.turned)
+    result = verify(expected.arm, expected.reported, measured, how, pose=_pose(file, measured))
+    command = command_of(result, commands, file, expected.turned)
+    iso, told = iso_figures(file, file.measured, command)
+    done = _beside(job, verify_output(result, expected.arm, file, iso, told), other)
+    page = verify_report(
+        result, done.to_dict(), arm=expected.arm, inputs=_inputs(job), other=_other_run(job.compare, other)
+    )
+    return _written(job, done, errors_csv(result), page)
+
+
+def _known(reported: Reported, measured: Measured) -> NDArray[np.intp]:
+    """Return the places of the measured rows whose command is known."""
+    if reported.T is None:
+        return np.empty(0, dtype=np.intp)
+    return np.flatnonzero(np.isfinite(reported.T[measured.rows - 1, 0, 3]))
+
+
+def _pose(file: MeasuredFile, measured: Measured) -> Array | None:
+    return None if file.pose is None else file.pose[np.isin(file.measured.rows, measured.rows)]
+
+
+def _repeats_alone(job: VerifyJob, file: MeasuredFile, told: CommandedFile | None, other: Other) -> VerifyOutput:
+    """Return and write what repeats tell without a command for each row; told: the paths that were commanded."""
+    if not file.repeats.any:
+        raise UsageError(
+            "what the measurements are to be compared with is missing",
+            cure="Give --arm with --joints joints.csv, --commanded with the poses that were asked for, or a measured "
+            "file with columns pose and visit, or run, for what repeats alone tell",
+        )
+    check_unit(file.measured)
+    command = None
+    if told is not None:
+        command = Command(
+            row=np.empty(0, dtype=np.intp),
+            T=np.empty((0, 4, 4)),
+            turned=told.turned,
+            in_frame=_align(job, told.turned) is Align.NONE,
+            paths=named_paths(told),
+        )
+    iso, notes = iso_figures(file, file.measured, command)
+    done = _beside(job, repeats_output(file, iso, notes), other)
+    return _written(job, done, repeats_csv(file), repeats_report(file.measured, file.repeats, done.to_dict()))
+
+
+def _beside(job: VerifyJob, done: VerifyOutput, other: Other) -> VerifyOutput:
+    if other is None:
+        return done
+    compared = ComparedRun(folder=str(job.compare), n=other.n, after=other.after, cause=other.cause)
+    return done.model_copy(update={"compared": compared})
+
+
+def _written(job: VerifyJob, done: VerifyOutput, table: str, page: str) -> VerifyOutput:
     done.write(job.out / SUMMARY)
-    write_text(job.out / ERRORS, errors_csv(result))
-    page = verify_report(result, done.to_dict(), arm=arm, inputs=_inputs(job), other=_other_run(job.compare, other))
+    write_text(job.out / ERRORS, table)
     write_text(job.out / REPORT, page)
     return done
 
@@ -72,11 +145,8 @@ def _check_usage(job: VerifyJob) -> None:
             "both a commanded path and an arm were given",
             cure="Give --arm with --joints, or --commanded, and verify twice for both",
         )
-    if job.commanded is None and job.arm is None:
-        raise UsageError(
-            "what the measurements are to be compared with is missing",
-            cure="Give --arm with --joints joints.csv, or --commanded with the poses that were asked for",
-        )
+    if job.arm is None and job.joints is not None:
+        raise UsageError("joint readings were given without an arm", cure="Give --arm with the arm they are of")
     if job.align is not None and job.align not in set(Align):
         raise UsageError(f"--align {job.align} is not known", cure=f"Use one of: {', '.join(Align)}")
     if job.compare is not None and job.compare.resolve() == job.out.resolve():
@@ -91,11 +161,11 @@ def _align(job: VerifyJob, turned: bool) -> Align:
     return Align.BOTH if turned else Align.BASE
 
 
-def _expected(job: VerifyJob, file: MeasuredFile) -> tuple[Arm | None, Reported, bool]:
-    """Return the arm, what the controller says, and whether that has rotations."""
+def _expected(job: VerifyJob, file: MeasuredFile) -> _Expected:
+    """Return the arm and what the controller says, or what was commanded."""
     if job.commanded is not None:
-        reported, turned = read_commanded(job.commanded)
-        return None, reported, turned
+        told = read_commanded(job.commanded)
+        return _Expected(arm=None, reported=told.reported, turned=told.turned, told=told)
     arm = load_arm(job.arm or "")
     found = file.reported if job.joints is None else read_reported_joints(job.joints)
     if found is None or found.q is None:
@@ -111,7 +181,7 @@ def _expected(job: VerifyJob, file: MeasuredFile) -> tuple[Arm | None, Reported,
         )
     if arm.couplings:
         found = replace(found, q=found.q @ arm.gearing.T)
-    return arm, found, True
+    return _Expected(arm=arm, reported=found, turned=True)
 
 
 def in_world(measured: Measured, world: World) -> Measured:
@@ -124,6 +194,14 @@ def in_world(measured: Measured, world: World) -> Measured:
         std = np.sqrt(variance @ (R**2).T).reshape(-1, 6)
     rotation = None if measured.rotation is None else R @ measured.rotation
     return replace(measured, xyz_m=T.apply(measured.xyz_m), rotation=rotation, std=std)
+
+
+def shared_in_world(repeats: Repeats, world: World) -> Repeats:
+    """Return repeats with the shared part of the standard deviations in the axes of a rig's parent."""
+    if repeats.systematic is None:
+        return repeats
+    turned = world.T_parent_rig.rotation.as_matrix() ** 2
+    return replace(repeats, systematic=np.sqrt(repeats.systematic.reshape(-1, 2, 3) ** 2 @ turned.T).reshape(-1, 6))
 
 
 def read_run(folder: Path) -> VerifyOutput:
@@ -141,7 +219,7 @@ def read_run(folder: Path) -> VerifyOutput:
 
 
 def _other_run(folder: Path | None, done: VerifyOutput | None) -> OtherRun | None:
-    if folder is None or done is None:
+    if folder is None or done is None or done.after is None:
         return None
     rows = read_table(
         folder / ERRORS, ("row", "error_m"), optional=_columns(folder / ERRORS), blank=_columns(folder / ERRORS)

@@ -98,7 +98,8 @@ class Space:
     ) -> tuple[Breach, Sight]:
         """Return what is broken at worst over readings q (m, n) moving at qd and qdd, and the tool at the first.
 
-        dt_s: between two rows. before: what is broken already. in_space: singularities count, at both ends.
+        dt_s: between two rows. before: what is broken already. in_space: singularities count, in every row, as a way to
+        rest may pass one and end far from it.
         """
         values = self._values(q)
         T, J = fk_jacobian(self.arm, values, all_cores=False)
@@ -124,7 +125,7 @@ class Space:
         if self._gearing is not None:
             beyond = np.maximum(self.arm.lower - values, values - self.arm.upper)
             found[RANGE] = max(found[RANGE], float(beyond.max()))
-        found[-1] = self._limits.singularity - self.singularity(J[[0, -1]]) if in_space else -np.inf
+        found[-1] = self._limits.singularity - self.singularity(J) if in_space else -np.inf
         return Breach(self._names, found), self._in_base(q[0], T[0], J[0])
 
     def at(self, q: Array, qd: Array, qdd: Array, *, in_space: bool) -> Breach:

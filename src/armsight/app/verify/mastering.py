@@ -1,0 +1,221 @@
+"""The check after a crash: ten joint positions proposed, and what the poses measured there say."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from armsight.app.kinematics import load_arm
+from armsight.app.measure.run import target_of
+from armsight.app.schemas.base import PoseOutput, RejectedRow
+from armsight.app.schemas.verify_live import MasteringJoint, MasteringOutput, MasteringPlanOutput, MasteringPose
+from armsight.app.verify.run import in_world
+from armsight.errors import Inconsistent, NotEnoughData, UsageError
+from armsight.kinematics import Arm, fk
+from armsight.optics import SIDES, Rig
+from armsight.records import Target
+from armsight.report.mastering_report import mastering_report
+from armsight.store import read_rig, read_world, write_text
+from armsight.store.schema import pose_mapping
+from armsight.store.tables import cells
+from armsight.store.verify_files import MeasuredFile, read_measured, read_reported_joints
+from armsight.verify import Align
+from armsight.verify.mastering import CANDIDATES, SPAN_M, Mastering, Proposal, check_mastering, propose
+from armsight.verify.model import Mounts
+from armsight.verify.pairing import Reported, pair
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+POSES, SUMMARY, REPORT = "mastering.csv", "verify.json", "report.html"
+DRAWN, SEED = 40_000, 7
+"""Joint positions drawn about the middle one, candidates are those in view; the same call proposes the same."""
+TOOLS = ("fixed", "free")
+NOISE = np.array([2e-4, 1e-3])
+"""Of a measured pose, m and rad, for the accuracy told beforehand: two webcams a metre away."""
+BORDER = 0.03
+"""Share of the image's width that lights keep from its border."""
+TILT_RAD = np.deg2rad(40.0)
+"""By how much the target may be turned away from how it stands in the middle pose: lights shine one way."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MasteringJob:
+    """world: where the rig stood before the crash; without it base and tool are free. tool: fixed or free, as the
+    arm's file has it or not. measured, joints: of the poses; without measured, poses are proposed about around (n,),
+    rad or m, within span_rad; with rig, target and world those that both cameras see."""
+
+    arm: str
+    out: Path
+    world: Path | None = None
+    tool: str | None = None
+    measured: Path | None = None
+    joints: Path | None = None
+    around: str | None = None
+    span_rad: float = float(np.deg2rad(30.0))
+    rig: Path | None = None
+    target: Path | None = None
+
+
+def propose_mastering(job: MasteringJob) -> MasteringPlanOutput:
+    """Return the poses to measure; write mastering.csv. Raises UsageError, DataRefused."""
+    arm, how = _arm(job)
+    middle = _middle(job, arm)
+    notes = ["nobody looked for obstacles: check every pose before driving to it"]
+    q = _drawn(arm, middle, job.span_rad)
+    if job.rig is not None and job.target is not None and job.world is not None:
+        world = read_world(job.world)
+        q = q[_in_view(arm, q, middle, read_rig(job.rig), target_of(job.target), world.T_parent_rig)]
+    else:
+        notes.append("without --rig, --target and --world nobody knows whether the cameras see the target there")
+    found = propose(arm, q[:CANDIDATES], how, NOISE)
+    file = job.out / POSES
+    write_text(file, _poses_csv(arm, found))
+    names = [joint.name for joint in arm.joints]
+    return MasteringPlanOutput(
+        poses=[
+            MasteringPose(q=row, decides=[names[i] for i in which])
+            for row, which in zip(arm.readings(found.q).tolist(), found.decides, strict=True)
+        ],
+        expected_std_rad=[float(s) if np.isfinite(s) else None for s in found.expected],
+        file=str(file),
+        notes=[*notes, *_unjudged(arm, found)],
+    )
+
+
+def run_mastering(job: MasteringJob) -> MasteringOutput:
+    """Return what the poses measured say; write verify.json and report.html. Raises UsageError, DataRefused."""
+    arm, how = _arm(job)
+    if job.measured is None:
+        raise UsageError("no measured poses", cure="Give --measured poses.csv")
+    file = read_measured(job.measured)
+    if job.world is not None:
+        file = replace(file, measured=in_world(file.measured, read_world(job.world)))
+    nominal = Mounts(base=arm.T_world_base, tools=(arm.T_flange_tool,))
+    paired = pair(arm, _reported(job, file, arm), file.measured, nominal, how)
+    if paired.q is None:
+        raise UsageError("the joints of the poses are missing", cure="Give --joints joints.csv")
+    result = check_mastering(arm, paired.q, paired.measured, how)
+    done = _output(result, arm, [*file.rejected, *paired.rejected, *result.rejected], [*file.notes, *paired.notes])
+    done.write(job.out / SUMMARY)
+    write_text(job.out / REPORT, mastering_report(done.to_dict(), arm.name))
+    return done
+
+
+def _arm(job: MasteringJob) -> tuple[Arm, Align]:
+    """Return the arm in the frame of the measurements, and what is free of base and tool."""
+    if job.tool is not None and job.tool not in TOOLS:
+        raise UsageError(f"--tool {job.tool}", cure=f"Give one of {', '.join(TOOLS)}")
+    arm = load_arm(job.arm)
+    if job.world is None:
+        return arm, Align.BASE if job.tool == "fixed" else Align.BOTH
+    if read_world(job.world).parent == "base":
+        arm = replace(arm, T_world_base=RigidTransform.identity())
+    return arm, Align.TOOL if job.tool == "free" else Align.NONE
+
+
+def _reported(job: MasteringJob, file: MeasuredFile, arm: Arm) -> Reported:
+    """Return the joints' own values, row by row. Raises UsageError, Inconsistent."""
+    found = file.reported if job.joints is None else read_reported_joints(job.joints)
+    if found is None or found.q is None:
+        raise UsageError(
+            f"{job.measured} has no columns q1 .. qn, and no --joints were given",
+            cure=f"Give --joints with q1,...,qn row by row: {POSES} where each of its poses was measured, in order",
+        )
+    if found.q.shape[1] != arm.n:
+        raise Inconsistent(
+            f"{job.joints or job.measured} has {found.q.shape[1]} joints, {arm.name} has {arm.n}",
+            consequence="Nothing is checked",
+            cure="Give the file of this arm, with q1 .. qn in the order of its joints",
+        )
+    return Reported(q=found.q @ arm.gearing.T if arm.couplings else found.q)
+
+
+def _middle(job: MasteringJob, arm: Arm) -> Array:
+    """Return the joints' values (n,) about which poses are drawn."""
+    if job.around is None:
+        raise UsageError(
+            "where the poses shall be is not said",
+            cure="Give --around q1,...,qn (rad or m), a pose in the middle of what the cameras see; or --measured with "
+            "the poses measured",
+        )
+    try:
+        q = np.array([float(part) for part in job.around.split(",")])
+    except ValueError:
+        raise UsageError(f"--around {job.around} is not q1,...,qn", cure="Write numbers with commas") from None
+    if not (np.isfinite(job.span_rad) and 0.0 < job.span_rad <= np.pi):
+        raise UsageError(f"--span {np.rad2deg(job.span_rad):g} deg", cure="Give degrees above 0, 180 at most")
+    return arm.values(q)
+
+
+def _drawn(arm: Arm, middle: Array, span_rad: float) -> Array:
+    """Return joint values (DRAWN, n) evenly about the middle, within the limits."""
+    span = np.where(arm.revolute, span_rad, SPAN_M)
+    low, high = np.maximum(arm.lower, middle - span), np.minimum(arm.upper, middle + span)
+    if (low > high).any():
+        raise UsageError("--around is outside the joints' limits", cure="Give a pose that the arm can reach")
+    return np.random.default_rng(SEED).uniform(low, high, (DRAWN, arm.n))
+
+
+def _in_view(arm: Arm, q: Array, middle: Array, rig: Rig, target: Target, T_parent_rig: RigidTransform) -> Index:
+    """Return the places (k,) of the joint values at which both cameras see the whole target, turned to them."""
+    T = (T_parent_rig.inv() * RigidTransform.from_matrix(fk(arm, np.vstack([middle, q])))).as_matrix()
+    points = np.einsum("mij,pj->mpi", T[:, :3, :3], target.xyz_m) + T[:, None, :3, 3]  # (m, p, 3)
+    seen = np.arccos(np.clip(T[:, :3, 2] @ T[0, :3, 2], -1.0, 1.0)) < TILT_RAD
+    for side, uv in zip(SIDES, rig.project(points.reshape(-1, 3)), strict=True):
+        camera = rig.camera(side)
+        border = BORDER * camera.width
+        limit = np.array([camera.width, camera.height]) - border
+        seen &= ((uv > border) & (uv < limit)).all(axis=1).reshape(len(T), -1).all(axis=1)
+    if not seen[0]:
+        raise NotEnoughData(
+            "the cameras do not see the whole target at --around",
+            consequence="No poses are proposed",
+            cure="Give a pose before both cameras; check --world and the arm's tool",
+        )
+    return np.flatnonzero(seen[1:])
+
+
+def _poses_csv(arm: Arm, found: Proposal) -> str:
+    names = [joint.name for joint in arm.joints]
+    lines = [",".join(["pose", *(f"q{i + 1}" for i in range(arm.n)), "decides"])]
+    for k, (q, which) in enumerate(zip(arm.readings(found.q), found.decides, strict=True), start=1):
+        lines.append(f"{k},{cells(q)},{' '.join(names[i] for i in which)}")
+    return "\n".join(lines) + "\n"
+
+
+def _unjudged(arm: Arm, found: Proposal) -> list[str]:
+    open_ = [f"{i} ({arm.joints[i - 1].name})" for i in range(1, arm.n + 1) if not np.isfinite(found.expected[i - 1])]
+    told = "a bent tool, or a base that is not known, does the same"
+    return [f"not told by any poses: joint {', joint '.join(open_)}; {told}"] if open_ else []
+
+
+def _output(result: Mastering, arm: Arm, rejected: list[tuple[int, str]], notes: list[str]) -> MasteringOutput:
+    """Return the figures as --json gives them."""
+    moved = result.T_tool
+    return MasteringOutput(
+        n=len(result.before),
+        cause=result.cause,
+        offset_rad=result.offset,
+        std_rad=result.std,
+        rms_before_m=_rms(result.before),
+        rms_after_m=_rms(result.after),
+        tool_moved=None if moved is None else PoseOutput(**pose_mapping(moved)),
+        joints=[
+            MasteringJoint(
+                index=i, name=joint.name, judged=one.judged, why=one.why, offset_rad=one.offset, std_rad=one.std
+            )
+            for i, (joint, one) in enumerate(zip(arm.joints, result.joints, strict=True), start=1)
+        ],
+        rejected=[RejectedRow(row=row, why=why) for row, why in sorted(rejected)],
+        doubts=[*notes, *result.doubts],
+        verdict=result.sentence,
+    )
+
+
+def _rms(error: Array) -> float:
+    return float(np.sqrt(np.mean((error[:, :3] ** 2).sum(axis=1))))

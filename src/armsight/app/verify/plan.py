@@ -1,0 +1,84 @@
+"""The plan of an ISO 9283 test for one arm: plan.csv and plan.json."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from armsight.app.kinematics import load_arm
+from armsight.app.schemas.verify import PlannedCube, PlannedPose, PlannedTest, VerifyPlanOutput
+from armsight.errors import UsageError
+from armsight.records import Progress
+from armsight.store.iso9283_plan import write_test_plan
+from armsight.verify.iso9283 import PlannedMotion, PlanOptions, TestPlan, plan_test
+
+PLAN, SUMMARY = "plan.csv", "plan.json"
+PATHS = ("line", "rectangle", "large_circle", "small_circle")
+CHOICES = ("cube", "poses", "paths")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlanJob:
+    """What `verify --plan` is told. what: cube (all motions), poses (all but paths), paths, or the name of a motion.
+    side_m: of the cube; without it the largest that fits."""
+
+    arm: str | None
+    out: Path
+    what: str = "cube"
+    side_m: float | None = None
+    plane: str = "a"
+    speed_m_s: float | None = None
+
+
+def run_plan(job: PlanJob, progress: Progress | None = None) -> VerifyPlanOutput:
+    """Plan the standard's test; write plan.csv and plan.json into the job's folder. Raises UsageError, DataRefused."""
+    if job.arm is None:
+        raise UsageError("a plan is made for an arm, and none was given", cure="Give --arm with its file or preset")
+    options = PlanOptions(side_m=job.side_m, plane=job.plane)
+    if job.speed_m_s is not None:
+        options = replace(options, speed_m_s=job.speed_m_s)
+    plan = plan_test(load_arm(job.arm), options, progress)
+    chosen = replace(plan, motions=_chosen(plan, job.what))
+    write_test_plan(job.out / PLAN, chosen)
+    done = _output(plan, chosen.motions)
+    done.write(job.out / SUMMARY)
+    return done
+
+
+def _chosen(plan: TestPlan, what: str) -> tuple[PlannedMotion, ...]:
+    names = list(dict.fromkeys(motion.test for motion in plan.motions))
+    if what not in (*CHOICES, *names):
+        raise UsageError(
+            f"--plan {what} is not known", cure=f"Use one of: {', '.join(dict.fromkeys([*CHOICES, *names]))}"
+        )
+    wanted = {
+        "cube": set(names),
+        "poses": set(names) - set(PATHS),
+        "paths": set(PATHS),
+    }.get(what, {what})
+    return tuple(motion for motion in plan.motions if motion.test in wanted)
+
+
+def _output(plan: TestPlan, motions: tuple[PlannedMotion, ...]) -> VerifyPlanOutput:
+    corners = {f"C{i}": corner.tolist() for i, corner in enumerate(plan.cube.corners_m, start=1)}
+    margin = plan.limit_margin
+    return VerifyPlanOutput(
+        arm=plan.arm,
+        cube=PlannedCube(
+            centre_m=plan.cube.centre_m.tolist(), side_m=plan.cube.side_m, plane=plan.cube.plane, corners_m=corners
+        ),
+        quat_xyzw=np.asarray(plan.quat_xyzw).tolist(),
+        speed_m_s=plan.speed_m_s,
+        poses={name: PlannedPose(xyz_m=xyz.tolist(), q=q.tolist()) for name, (xyz, q) in plan.poses.items()},
+        motions=[
+            PlannedTest(test=motion.test, figures=list(motion.figures), repeats=motion.repeats, n=len(motion.q))
+            for motion in motions
+        ],
+        branch=list(plan.branch),
+        singularity_distance=plan.singularity_distance,
+        limit_margin=float(margin) if np.isfinite(margin) else None,
+        refused=list(plan.refused),
+        files=[PLAN, SUMMARY],
+    )

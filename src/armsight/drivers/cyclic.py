@@ -1,0 +1,216 @@
+"""What drivers of controllers that exchange one packet a cycle have in common: state, readings, goals, refusals.
+
+A thread of the driver answers the controller in every cycle with the goal of that moment; a caller that is late leaves
+the goal where it is, so the arm holds its position.
+"""
+
+from __future__ import annotations
+
+import threading
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from armsight.clock import Clock
+from armsight.drivers.joint_goals import JointGoals, JointLimits
+from armsight.drivers.robot import RobotState, Sent
+from armsight.errors import DeviceFailed, DeviceLost, StaleData, UsageError
+from armsight.records import JointReading
+
+Array = NDArray[np.float64]
+
+REST = 2e-4
+"""Joints nearer to their goal than this, in rad or m, are at rest: encoders and servos keep a little off."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LinkTimes:
+    """Times of a link, in s: its cycle; after what time a reading is stale; after what silence the link is lost."""
+
+    cycle_s: float
+    stale_s: float
+    silent_s: float
+
+
+class CyclicRobot(ABC):
+    """A robot behind a link with a cycle. A driver says how the link is opened, closed and kept going.
+
+    The link's thread calls _heard for each good reading, _lose where the link is gone, and _halt where the controller
+    takes no motion just now.
+    """
+
+    takes_poses = False
+
+    def __init__(self, name: str, *, limits: JointLimits, times: LinkTimes, clock: Clock) -> None:
+        self.name = name
+        self.cycle_s = times.cycle_s
+        self._times = times
+        self._clock = clock
+        self._goals = JointGoals(name, limits, times.cycle_s)
+        self._lock = threading.RLock()
+        self._reading: JointReading | None = None
+        self._heard_s = clock.now_s()
+        self._open = False
+        self._stopped = ""
+        self._lost = ""
+        self._held = False
+        self._commands = 0
+
+    @property
+    def n_joints(self) -> int:
+        """How many joints it has."""
+        return self._goals.n
+
+    @property
+    def state(self) -> RobotState:
+        """What it can do just now."""
+        reading = self._reading
+        if not self._open or reading is None:
+            return RobotState.CLOSED
+        if self._lost or self._silent():
+            return RobotState.LOST
+        if self._stopped:
+            return RobotState.STOPPED
+        return RobotState.MOVING if self._off(reading) > REST else RobotState.READY
+
+    @property
+    def why(self) -> str:
+        """Why it is stopped or lost, in words; empty where it is neither."""
+        return self._lost or self._stopped or ("its controller has fallen silent" if self._silent() else "")
+
+    def __enter__(self) -> Self:
+        """Open the link and wait for the first reading. Raises DeviceFailed where that cannot be done."""
+        if self._open:
+            raise DeviceFailed(f"{self.name} is open already", consequence="It is not opened twice")
+        self._reading, self._stopped, self._lost, self._held = None, "", "", False
+        self._start()
+        self._open = True
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+        if self._open:
+            self._open = False
+            self._finish()
+
+    def read(self) -> JointReading:
+        """Return the newest reading. Raises DeviceFailed where closed, DeviceLost, StaleData."""
+        reading = self._linked("read")
+        age_s = self._clock.now_s() - reading.t_s
+        if age_s > self._times.stale_s:
+            raise StaleData(
+                f"{self.name}: the newest reading is {age_s:.3f} s old",
+                consequence="Where the arm is now is not known",
+                cure="Stop the robot and look at its controller",
+            )
+        return reading
+
+    def step_joints(self, step: Array) -> Sent:
+        """Move on from where it was last told to go by step (n,) in rad; return what goes out with the next packet."""
+        with self._lock:  # a stop from another thread comes before it or after it, never into it
+            reading = self._ready()
+            q, limited = self._goals.step(step, reading.q)
+            return self._note(q, None, limited)
+
+    def move_pose(self, T_base_flange: RigidTransform) -> Sent:
+        """Refuse: this link takes joint values."""
+        self._ready()
+        raise UsageError(f"{self.name} takes no poses", consequence="Nothing was sent", cure="Send joint steps")
+
+    def stop(self) -> None:
+        """Hold what was last sent, from the controller's next cycle on, until reset; legal always."""
+        with self._lock:
+            self._stopped = self._stopped or "it was told to stop"
+            self._hold()
+
+    def reset(self) -> None:
+        """Take commands again. Raises DeviceFailed where closed or where the controller takes no motion, DeviceLost."""
+        self._linked("reset")
+        with self._lock:
+            if self._held:
+                raise DeviceFailed(
+                    f"{self.name}: {self._stopped}", consequence="It stays stopped", cure="Set its controller going"
+                )
+            self._stopped = ""
+
+    @abstractmethod
+    def _start(self) -> None:
+        """Open the link, start its thread and wait for the first reading; leave nothing open where that fails."""
+
+    @abstractmethod
+    def _finish(self) -> None:
+        """Close the link; never raises."""
+
+    def _hold(self) -> None:
+        """Forget what was asked and not yet sent."""
+        self._goals.hold()
+
+    def _rebase(self, q: Array) -> None:
+        """Take the place where the arm stands, q (n,), for its goal."""
+        self._goals.start(q)
+
+    def _off(self, reading: JointReading) -> float:
+        """Return how far it is from where it was last told to go, in rad or m."""
+        return float(np.abs(self._goals.sent - reading.q).max())
+
+    def _heard(self, q: Array, t_s: float) -> None:
+        """Take a good reading q (n,) of time t_s on the clock."""
+        number = 0 if self._reading is None else self._reading.sequence + 1
+        reading = JointReading(q=q, t_s=t_s, sequence=number, source=self.name)
+        if self._reading is None:
+            self._rebase(reading.q)
+        self._heard_s = t_s
+        self._reading = reading
+
+    def _lose(self, why: str) -> None:
+        """Give the link up until it is opened again; the first reason counts."""
+        with self._lock:
+            self._lost = self._lost or why
+            self._hold()
+
+    def _halt(self, why: str, q: Array) -> None:
+        """Note that the controller takes no motion while the arm stands at q (n,); an empty reason: it does again."""
+        with self._lock:
+            if why:
+                self._stopped = why
+            elif self._held:
+                self._stopped = f"{self._stopped}, and goes on now"
+            self._held = bool(why)
+            if why:
+                # it may be moved by hand meanwhile: from where it stands then, nothing may pull it back
+                self._rebase(q)
+
+    def _silent(self) -> bool:
+        return self._open and self._clock.now_s() - self._heard_s > self._times.silent_s
+
+    def _linked(self, what: str) -> JointReading:
+        reading = self._reading
+        if not self._open or reading is None:
+            raise DeviceFailed(f"{self.name} is not open", consequence=f"It cannot {what}", cure="Open it first")
+        if self._lost or self._silent():
+            raise DeviceLost(
+                f"the link to {self.name} is lost: {self.why}",
+                consequence=f"It cannot {what}, and where the arm is is not known",
+                cure="Check the cable and the controller, and open it again",
+            )
+        return reading
+
+    def _ready(self) -> JointReading:
+        reading = self._linked("move")
+        if self._stopped:
+            raise DeviceFailed(
+                f"{self.name} is stopped: {self._stopped}", consequence="Nothing was sent", cure="Reset it first"
+            )
+        return reading
+
+    def _note(self, q: Array, pose: RigidTransform | None, limited: tuple[str, ...]) -> Sent:
+        """Return a command as it goes out."""
+        self._commands += 1
+        return Sent(q=q, t_s=self._clock.now_s(), sequence=self._commands - 1, pose=pose, limited=limited)

@@ -1,0 +1,5 @@
+"""ABB's Externally Guided Motion: the controller sends its state over UDP each 4 ms and is answered with a goal."""
+
+from armsight.drivers.egm.robot import EgmRobot
+
+__all__ = ["EgmRobot"]

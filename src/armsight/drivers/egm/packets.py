@@ -1,0 +1,161 @@
+"""One packet from the controller as a checked record, and the answer to it: degrees and mm on the wire only."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from google.protobuf.message import DecodeError
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from armsight.drivers.egm.messages import EgmRobotMessage, EgmSensorMessage
+from armsight.errors import Inconsistent
+from armsight.units import MM
+
+Array = NDArray[np.float64]
+
+LARGEST_RAD = 100.0
+"""No joint of a robot turns 16 times: a larger value is not a reading."""
+
+LARGEST_M = 100.0
+"""No flange is so far from its base."""
+
+
+class MessageType(IntEnum):
+    """What a packet is (EgmHeader.mtype)."""
+
+    DATA = 2
+    CORRECTION = 3
+
+
+class MotorState(IntEnum):
+    """Whether the motors are on."""
+
+    UNDEFINED = 0
+    ON = 1
+    OFF = 2
+
+
+class MciState(IntEnum):
+    """Whether EGM takes motion."""
+
+    UNDEFINED = 0
+    ERROR = 1
+    STOPPED = 2
+    RUNNING = 3
+
+
+class RapidState(IntEnum):
+    """Whether the controller's program runs."""
+
+    UNDEFINED = 0
+    STOPPED = 1
+    RUNNING = 2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ControllerPacket:
+    """What the controller told in one cycle.
+
+    sequence, tm_ms: its number and the controller's clock, both from its start. q (n,): measured joint values in rad.
+    T_base_flange: measured pose where it is told, in the frame that EGMActPose or EGMActJoint has set on the
+    controller. why_still: why it takes no motion just now, in words; empty where it does.
+    """
+
+    sequence: int
+    tm_ms: int
+    q: Array
+    q_planned: Array | None
+    T_base_flange: RigidTransform | None
+    why_still: str
+
+
+def parse(data: bytes, n: int) -> ControllerPacket:
+    """Return the packet of a controller with n joints. Raises Inconsistent for anything that is not one."""
+    message = EgmRobotMessage()
+    try:
+        message.ParseFromString(data)
+    except DecodeError as error:
+        raise Inconsistent(f"a packet is no EgmRobot message: {error}") from error
+    if not (message.HasField("header") and message.header.HasField("seqno") and message.header.HasField("tm")):
+        raise Inconsistent("a packet has no number or time")
+    if message.header.mtype != MessageType.DATA:
+        raise Inconsistent(f"a packet is of type {message.header.mtype}, not of a controller's data")
+    if not message.HasField("mciState"):
+        raise Inconsistent("a packet does not tell whether EGM runs")
+    q = _joints(message.feedBack, n)
+    if q is None:
+        raise Inconsistent("a packet has no measured joints")
+    return ControllerPacket(
+        sequence=message.header.seqno,
+        tm_ms=message.header.tm,
+        q=q,
+        q_planned=_joints(message.planned, n) if message.HasField("planned") else None,
+        T_base_flange=_pose(message.feedBack),
+        why_still=_why_still(message),
+    )
+
+
+def answer_joints(sequence: int, tm_ms: int, q: Array) -> bytes:
+    """Return an EgmSensor packet that guides the joints to q (n,) in rad."""
+    message = _answer(sequence, tm_ms)
+    message.planned.joints.joints.extend(np.rad2deg(q).tolist())
+    return bytes(message.SerializeToString())
+
+
+def answer_pose(sequence: int, tm_ms: int, pose: RigidTransform) -> bytes:
+    """Return an EgmSensor packet that guides the flange to a pose in the controller's correction frame."""
+    message = _answer(sequence, tm_ms)
+    x, y, z, w = pose.rotation.as_quat(canonical=True).tolist()
+    place, turn = message.planned.cartesian.pos, message.planned.cartesian.orient
+    place.x, place.y, place.z = (np.asarray(pose.translation) / MM).tolist()
+    turn.u0, turn.u1, turn.u2, turn.u3 = w, x, y, z  # ABB puts the scalar first
+    return bytes(message.SerializeToString())
+
+
+def _answer(sequence: int, tm_ms: int) -> Any:
+    message = EgmSensorMessage()
+    message.header.seqno = sequence & 0xFFFFFFFF
+    message.header.tm = tm_ms & 0xFFFFFFFF
+    message.header.mtype = MessageType.CORRECTION
+    return message
+
+
+def _joints(part: Any, n: int) -> Array | None:
+    """Return joint values (n,) in rad; None where the part has none."""
+    if not part.HasField("joints") or not part.joints.joints:
+        return None
+    if len(part.joints.joints) != n:
+        raise Inconsistent(f"a packet has {len(part.joints.joints)} joints instead of {n}")
+    q: Array = np.deg2rad(np.array(part.joints.joints, dtype=float))
+    if not (np.abs(q) < LARGEST_RAD).all():  # not a number fails this, too
+        raise Inconsistent("a packet has joint values that no joint can have")
+    return q
+
+
+def _pose(part: Any) -> RigidTransform | None:
+    """Return a pose; None where the part has none."""
+    if not (part.HasField("cartesian") and part.cartesian.HasField("pos") and part.cartesian.HasField("orient")):
+        return None
+    place, turn = part.cartesian.pos, part.cartesian.orient
+    xyz_m = MM * np.array([place.x, place.y, place.z])
+    quat = np.array([turn.u1, turn.u2, turn.u3, turn.u0])
+    if not ((np.abs(xyz_m) < LARGEST_M).all() and abs(float(quat @ quat) - 1.0) < 1e-2):
+        raise Inconsistent("a packet has a pose that no flange can have")
+    return RigidTransform.from_components(xyz_m, Rotation.from_quat(quat))
+
+
+def _why_still(message: Any) -> str:
+    """Return why the controller takes no motion; empty where it does."""
+    if message.HasField("motorState") and message.motorState.state == MotorState.OFF:
+        return "the motors are off"
+    if message.HasField("rapidExecState") and message.rapidExecState.state == RapidState.STOPPED:
+        return "the controller's program is stopped"
+    state = message.mciState.state
+    if state == MciState.RUNNING:
+        return ""
+    words = {MciState.ERROR: "EGM has failed on the controller", MciState.STOPPED: "EGM is stopped on the controller"}
+    return words.get(state, "EGM is not running on the controller")

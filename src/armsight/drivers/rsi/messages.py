@@ -1,0 +1,103 @@
+"""The two messages of RSI: Rob, the controller's state, and Sen, the answer. Millimetres and degrees on the wire."""
+
+from __future__ import annotations
+
+import math
+import re
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from armsight.drivers.rsi.settings import JOINTS, POSE, RsiTags
+from armsight.errors import Inconsistent
+from armsight.records import frozen_array
+from armsight.units import MM
+
+Array = NDArray[np.float64]
+
+LARGEST_RAD = 100.0
+LARGEST_M = 100.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RobMessage:
+    """The controller's state: IPOC (its time stamp, in ms on most), joints, set point of the joints, flange, late.
+
+    q (6,): AIPos in rad. q_set (6,): ASPos in rad. T_base_flange: RIst. n_late: Delay, the packets that came late by
+    the controller's own count. None where it does not tell.
+    """
+
+    ipoc: int
+    q: Array
+    q_set: Array | None = None
+    T_base_flange: RigidTransform | None = None
+    n_late: int | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "q", frozen_array("q", self.q, (6,)))
+
+
+def parse(data: bytes) -> RobMessage:
+    """Return the state in one packet. Raises Inconsistent where it is none."""
+    if b"<!" in data:  # no declarations: entities may grow without bound
+        raise Inconsistent("a packet declares entities")
+    try:
+        root = ET.fromstring(data)
+        if root.tag != "Rob":
+            raise Inconsistent("a packet is no Rob message")
+        text = (root.findtext("IPOC") or "").strip()
+        if re.fullmatch(r"[0-9]{1,18}", text) is None:
+            raise Inconsistent("a packet has no IPOC")
+        q, q_set, place = (_values(root, *what) for what in (("AIPos", JOINTS), ("ASPos", JOINTS), ("RIst", POSE)))
+        delay = root.find("Delay")
+        n_late = None if delay is None else int(delay.get("D", ""))
+    except (ET.ParseError, ValueError, LookupError) as error:
+        raise Inconsistent("a packet is no RSI state") from error
+    if q is None:
+        raise Inconsistent("a packet has no AIPos")
+    return RobMessage(
+        ipoc=int(text),
+        q=_within(np.radians(q), LARGEST_RAD),
+        q_set=None if q_set is None else _within(np.radians(q_set), LARGEST_RAD),
+        T_base_flange=None if place is None else pose_of(place),
+        n_late=n_late,
+    )
+
+
+def answer(tags: RsiTags, ipoc: int, *, joint_deg: Array | None = None, pose: Array | None = None) -> bytes:
+    """Return a Sen message: a correction of the joints (6,) in degrees or of the pose X Y Z A B C in mm and degrees."""
+    name, parts, values = (tags.joint, JOINTS, joint_deg) if pose is None else (tags.pose, POSE, pose)
+    if values is None or not np.isfinite(values).all():
+        raise Inconsistent("a correction is not finite", consequence="Nothing was sent")
+    body = " ".join(f'{part}="{value:.6f}"' for part, value in zip(parts, values, strict=True))
+    return f"<Sen Type={quoteattr(tags.sen_type)}><{name} {body}/><IPOC>{ipoc}</IPOC></Sen>".encode()
+
+
+def pose_of(values: Array) -> RigidTransform:
+    """Return the pose of X Y Z in mm and A B C in degrees: turns about z, then the new y, then the new x."""
+    xyz_m = _within(values[:3] * MM, LARGEST_M)
+    return RigidTransform.from_components(xyz_m, Rotation.from_euler("ZYX", values[3:], degrees=True))
+
+
+def correction(start: RigidTransform, goal: RigidTransform) -> Array:
+    """Return X Y Z A B C in mm and degrees that bring the flange from start to goal, way and turn in base axes."""
+    way_mm = (np.asarray(goal.translation) - np.asarray(start.translation)) / MM
+    turn = (goal.rotation * start.rotation.inv()).as_euler("ZYX", degrees=True)
+    return np.concatenate([way_mm, turn])
+
+
+def _values(root: ET.Element, tag: str, parts: tuple[str, ...]) -> Array | None:
+    element = root.find(tag)
+    if element is None:
+        return None
+    return np.array([float(element.attrib[part]) for part in parts])
+
+
+def _within(values: Array, most: float) -> Array:
+    if not all(math.isfinite(value) and abs(value) <= most for value in values):
+        raise Inconsistent("a packet holds values that cannot be")
+    return values

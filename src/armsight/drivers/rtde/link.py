@@ -1,0 +1,158 @@
+"""The way to a controller: its address, the process that holds ur-rtde's connections, a relay for other ports."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import math
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from armsight.drivers.rtde.worker import GOAL, STATE
+from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, UsageError
+
+PORT = 30004
+"""RTDE's port on a controller."""
+
+MODULES = ("rtde_control", "rtde_receive")
+"""ur-rtde's modules."""
+
+TRIES = 20
+"""Own loopback addresses tried for a relay."""
+
+LONGEST_TEXT = 1000
+"""Bytes of ur-rtde's reason at most."""
+
+END_S = 2.0
+"""Time for the controller's program to come to its end before the connections are cut."""
+
+
+def address(device: str) -> tuple[str, int]:
+    """Return host and port of HOST[:PORT]. Raises UsageError."""
+    host, _, port = device.rpartition(":") if ":" in device else (device, "", str(PORT))
+    if host and "/" not in host and " " not in host and port.isascii() and port.isdigit() and 5 < int(port) < 65536:
+        return host, int(port)
+    raise UsageError(
+        f"{device!r} is not HOST or HOST:PORT", consequence="There is no robot", cure="Give for instance rtde:10.0.0.5"
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ControllerState:
+    """What the controller told in one cycle: its clock in s, joint values in rad, and what it can do."""
+
+    stamp_s: float
+    q: tuple[float, ...]
+    runtime: int
+    safety: int
+
+
+class Worker:
+    """A process with ur-rtde's connections. Raises DeviceNotFound where ur-rtde is missing, DeviceFailed.
+
+    numbers: cycle in s, lookahead in s, gain, watchdog in Hz.
+    """
+
+    def __init__(self, host: str, port: int, numbers: Sequence[float]) -> None:
+        if not all(_there(name) for name in MODULES):
+            raise DeviceNotFound(
+                "the library ur-rtde is not installed",
+                consequence="Universal Robots cannot be driven",
+                cure="Install armsight with the extra rtde: pip install 'armsight[rtde]'",
+            )
+        self._relay = Relay(host, port) if port != PORT else None
+        near = self._relay.own if self._relay else host
+        self._link, far = socket.socketpair()
+        try:
+            program = str(Path(__file__).with_name("worker.py"))
+            command = [sys.executable, "-P", program, near, *map(repr, numbers), str(far.fileno())]
+            self._process = subprocess.Popen(
+                command, pass_fds=[far.fileno()], stdin=subprocess.DEVNULL, start_new_session=True
+            )
+        finally:
+            far.close()
+
+    def receive(self, wait_s: float) -> ControllerState | None:
+        """Return the next state; None where none comes within wait_s. Raises DeviceLost where ur-rtde has ended."""
+        self._link.settimeout(wait_s)
+        try:
+            data = self._link.recv(STATE.size, socket.MSG_WAITALL)
+        except TimeoutError:
+            return None
+        except OSError:
+            data = b""
+        if len(data) < STATE.size:
+            raise DeviceLost("ur-rtde has ended")
+        stamp_s, *q, runtime, safety = STATE.unpack(data)
+        if math.isnan(stamp_s):
+            self._link.settimeout(END_S)
+            text = self._link.recv(LONGEST_TEXT).decode("utf-8", "replace")
+            raise DeviceLost(f"ur-rtde says: {text}")
+        return ControllerState(stamp_s=stamp_s, q=tuple(q), runtime=runtime, safety=safety)
+
+    def send(self, q: Sequence[float]) -> None:
+        """Send a goal (6,) in rad."""
+        with contextlib.suppress(OSError):  # that it has ended is told by receive
+            self._link.sendall(GOAL.pack(*q))
+
+    def cut(self) -> None:
+        """End the connections at once: ur-rtde would open them again by itself."""
+        self._process.kill()
+
+    def close(self, *, at_once: bool) -> None:
+        """End the controller's program and the connections; at_once: only the connections."""
+        if not at_once:
+            self.send([math.nan] * 6)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(END_S)
+        self._process.kill()
+        self._process.wait()
+        self._link.close()
+        if self._relay:
+            self._relay.close()
+            self._relay = None
+
+
+class Relay:
+    """A process that carries connections to a controller behind another port than RTDE's own; own: its address."""
+
+    def __init__(self, host: str, port: int) -> None:
+        program = Path(__file__).with_name("relay.py")
+        said = ""
+        for i in range(TRIES):
+            number = os.getpid() * TRIES + i
+            self.own = f"127.{64 + (number >> 16) % 128}.{(number >> 8) % 256}.{1 + number % 250}"
+            command = [sys.executable, "-P", str(program), self.own, host, str(port)]
+            self._process = subprocess.Popen(
+                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
+            )
+            said = self._process.stdout.readline().strip() if self._process.stdout else ""
+            if said == "ready":
+                return
+            self.close()
+        raise DeviceFailed(
+            f"port {port} of {host} cannot be reached: {said}",
+            consequence="ur-rtde knows no other port than 30004, and a relay to it cannot be set up",
+            cure="Forward 30004, 30003 and 29999 under their own numbers",
+        )
+
+    def close(self) -> None:
+        """End the process."""
+        self._process.kill()
+        self._process.wait()
+        for pipe in (self._process.stdin, self._process.stdout):
+            if pipe is not None:
+                pipe.close()
+
+
+def _there(name: str) -> bool:
+    """Tell whether a module can be imported."""
+    try:
+        return importlib.util.find_spec(name) is not None
+    except ValueError:  # imported already, or kept from being imported
+        return sys.modules.get(name) is not None

@@ -1,0 +1,40 @@
+"""The page of a check after a crash: verdict, figures, the joints' zeros."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import datetime
+from typing import Any
+
+from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table, with_deviation
+from armsight.units import DEG, MM
+
+LEVELS = {"none": "good", "undecided": "warn"}
+ALONE = (
+    "Each zero as it would be if it alone had moved; of one that has not moved, what the others' error leaves in it."
+)
+
+
+def mastering_report(summary: Mapping[str, Any], name: str, *, created: datetime | None = None) -> str:
+    """Return the page as HTML text that needs no other file. summary: as verify.json holds it."""
+    cause = summary["cause"]
+    page = Page(
+        title=f"{name} after a crash",
+        subtitle=f"{summary['n']} poses compared, {len(summary['rejected'])} left out",
+        verdict=Verdict(level=LEVELS.get(cause, "bad"), word=f"Cause: {cause}", sentence=summary["verdict"]),
+        cards=[
+            Card(name="error of place", value=figure_of(summary["rms_before_m"] / MM, "mm"), note="RMS, as measured"),
+            Card(name="without the cause", value=figure_of(summary["rms_after_m"] / MM, "mm"), note="RMS"),
+        ],
+    )
+    rows = []
+    for joint in summary["joints"]:
+        value, std = joint["offset_rad"], joint["std_rad"]
+        shown = ("–", "–") if value is None else with_deviation(value / DEG, None if std is None else std / DEG)
+        rows.append([f"{joint['index']} {joint['name']}", *shown, joint["why"]])
+    page.add("Joints", ALONE, table(["joint", "zero, ° (slide: m x 57.3)", "+-", ""], rows, numbers=(1, 2)))
+    if summary["doubts"]:
+        page.add("What to know", "", bullets(summary["doubts"]))
+    if summary["rejected"]:
+        page.add("Rows left out", "", table(["row", "why"], [[r["row"], r["why"]] for r in summary["rejected"]]))
+    return page.html(created=created or datetime.now())

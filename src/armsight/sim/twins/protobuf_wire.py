@@ -1,0 +1,93 @@
+"""Just enough of protobuf's wire format by hand: a twin shares no protocol code with the driver it tests.
+
+Wire types: 0 varint, 1 eight bytes, 2 length and bytes, 5 four bytes (protobuf.dev, "Encoding").
+"""
+
+from __future__ import annotations
+
+import struct
+
+VARINT, EIGHT, BYTES, FOUR = 0, 1, 2, 5
+
+
+class BadWire(ValueError):
+    """Bytes that are no protobuf message."""
+
+
+def varint(value: int) -> bytes:
+    """Return a number >= 0, seven bits to a byte, the lowest first."""
+    out = bytearray()
+    while value > 0x7F:
+        out.append(value & 0x7F | 0x80)
+        value >>= 7
+    out.append(value)
+    return bytes(out)
+
+
+def whole(number: int, value: int) -> bytes:
+    """Return field `number` with a number >= 0."""
+    return varint(number << 3 | VARINT) + varint(value)
+
+
+def real(number: int, value: float) -> bytes:
+    """Return field `number` with a double."""
+    return varint(number << 3 | EIGHT) + struct.pack("<d", value)
+
+
+def message(number: int, *parts: bytes) -> bytes:
+    """Return field `number` with a message of parts."""
+    data = b"".join(parts)
+    return varint(number << 3 | BYTES) + varint(len(data)) + data
+
+
+def fields(data: bytes) -> dict[int, list[int | float | bytes]]:
+    """Return the values of a message by field number: whole numbers, doubles, or bytes. Raises BadWire."""
+    found: dict[int, list[int | float | bytes]] = {}
+    place = 0
+    while place < len(data):
+        key, place = _varint(data, place)
+        kind = key & 7
+        value: int | float | bytes
+        if kind == VARINT:
+            value, place = _varint(data, place)
+        elif kind == EIGHT:
+            value, place = struct.unpack("<d", _cut(data, place, 8))[0], place + 8
+        elif kind == BYTES:
+            length, place = _varint(data, place)
+            value, place = _cut(data, place, length), place + length
+        elif kind == FOUR:
+            value, place = _cut(data, place, 4), place + 4
+        else:
+            raise BadWire(f"wire type {kind}")
+        found.setdefault(key >> 3, []).append(value)
+    return found
+
+
+def doubles(values: list[int | float | bytes]) -> list[float]:
+    """Return the numbers of a repeated double, packed or one by one. Raises BadWire."""
+    numbers: list[float] = []
+    for value in values:
+        if isinstance(value, float):
+            numbers.append(value)
+        elif isinstance(value, bytes) and len(value) % 8 == 0:
+            numbers += struct.unpack(f"<{len(value) // 8}d", value)
+        else:
+            raise BadWire("a double is something else")
+    return numbers
+
+
+def _varint(data: bytes, place: int) -> tuple[int, int]:
+    value = 0
+    for i in range(10):
+        if place + i >= len(data):
+            break
+        value |= (data[place + i] & 0x7F) << (7 * i)
+        if data[place + i] < 0x80:
+            return value, place + i + 1
+    raise BadWire("a number does not end")
+
+
+def _cut(data: bytes, place: int, length: int) -> bytes:
+    if place + length > len(data):
+        raise BadWire("a field is longer than its message")
+    return data[place : place + length]

@@ -1,0 +1,75 @@
+"""path.csv: a path of the tool's tip."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from armsight.errors import BadFile, Inconsistent
+from armsight.geometry import pose_from_quat, xyz_quat
+from armsight.records import TaughtPath
+from armsight.store.atomic import read_bytes, write_text
+from armsight.store.schema import named
+from armsight.store.tables import MAX_BYTES, cells, number, parse_table
+from armsight.store.tracks import POSITION, QUATERNION
+
+COLUMNS = ("index", "t_s", *POSITION, *QUATERNION, "speed_m_s", "tag")
+TAG = re.compile(r"[\w.-]{0,40}")
+
+
+def write_path(path: Path, taught: TaughtPath) -> None:
+    """Write path.csv in one step; what is not known (times, speeds) is left empty."""
+    rows = [",".join(COLUMNS)]
+    for i, pose in enumerate(taught.poses):
+        xyz, quat = xyz_quat(pose)
+        speed = number(taught.speed_m_s[i])
+        rows.append(f"{i},{number(taught.t_s[i])},{cells([*xyz, *quat])},{speed},{taught.tags[i]}")
+    write_text(path, "\n".join(rows) + "\n")
+
+
+def read_path(path: Path, *, parent: str = "world") -> TaughtPath:
+    """Return the path in a path.csv, in the frame parent; see parse_path."""
+    return parse_path(read_bytes(path, limit=MAX_BYTES), str(path), parent=parent)
+
+
+def parse_path(data: bytes, where: str, *, parent: str = "world") -> TaughtPath:
+    """Return the path in the bytes of a path.csv.
+
+    t_s, speed_m_s and tag may be missing or empty, and so may index, by which rows are in order otherwise. Raises
+    BadFile that names file, line and column; NotEnoughData without a row.
+    """
+    table = parse_table(
+        data,
+        where,
+        (*POSITION, *QUATERNION),
+        optional=("index", "t_s", "speed_m_s", "tag"),
+        text=("tag",),
+        blank=("t_s", "speed_m_s"),
+    )
+    n = len(table)
+    index = table.numbers.get("index")
+    if index is not None and np.any(np.diff(index) <= 0.0):
+        row = int(np.argmax(np.diff(index) <= 0.0)) + 1
+        raise BadFile(f"{table.place(row)}, column index: {index[row]:g} does not follow {index[row - 1]:g}")
+    tags = table.text.get("tag", ("",) * n)
+    for row, tag in enumerate(tags):
+        if not TAG.fullmatch(tag):
+            raise BadFile(f"{table.place(row)}, column tag: {tag[:40]!r} is not one word")
+    T = np.empty((n, 4, 4))
+    xyz, quat = table.stacked(POSITION), table.stacked(QUATERNION)
+    for row in range(n):
+        with named(table.place(row)):
+            T[row] = pose_from_quat(xyz[row], quat[row]).as_matrix()
+    nothing = np.full(n, np.nan)
+    try:
+        return TaughtPath(
+            T_world_tip=T,
+            t_s=table.numbers.get("t_s", nothing),
+            speed_m_s=table.numbers.get("speed_m_s", nothing),
+            tags=tuple(tags),
+            parent=parent,
+        )
+    except Inconsistent as error:
+        raise BadFile(f"{where}: {error.cause}", consequence=error.consequence, cure=error.cure) from None

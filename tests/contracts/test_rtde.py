@@ -1,0 +1,224 @@
+"""The RTDE driver, through ur-rtde, against the emulated controller in a process of its own, in real time."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+from armsight.drivers import RobotState
+from armsight.drivers.rtde import RtdeRobot
+from armsight.drivers.rtde.link import address
+from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, UsageError
+from armsight.testing import RobotCase, RobotContract
+
+pytest.importorskip("rtde_control")
+
+HOME = [0.1, -1.2, 1.5, -1.0, -1.3, 0.2]
+
+PROGRAM = """
+import sys, threading
+import numpy as np
+from armsight.clock import SystemClock
+from armsight.sim.arms import SimArm, SimJoint
+from armsight.sim.servo import Drive
+from armsight.sim.twins.rtde import RtdeServer
+from armsight.sim.twins.ur_controller import UrController
+
+host, port, home = sys.argv[1], int(sys.argv[2]), [float(v) for v in sys.argv[3:]]
+arm = SimArm(joints=tuple(SimJoint(name=f"j{i}", a_m=0.2, d_m=0.1, lower=-6.3, upper=6.3) for i in range(6)))
+drive = Drive(cycle_s=0.002, lag_s=0.01, max_speed=np.full(6, 3.0), encoder_step=np.full(6, 1e-5))
+controller = UrController(arm=arm, drive=drive, home=home)
+server = RtdeServer(controller, SystemClock(), host=host, port=port)
+print("ready", flush=True)
+orders, on = [], True
+
+def listen():
+    global on
+    for line in sys.stdin:
+        orders.append(line.split())
+    on = False
+
+threading.Thread(target=listen, daemon=True).start()
+
+def go_on():
+    while orders:
+        what = orders.pop(0)[0]
+        if what == "restart":
+            server.restart()
+        elif what == "silence":
+            server.silence()
+        elif what == "speak":
+            server.silence(False)
+        print(*controller.q, flush=True)
+    return on
+
+server.run(go_on)
+"""
+
+
+class Twin:
+    """An emulated controller in its own process, at an address of the loopback of its own."""
+
+    def __init__(self, number: int, port: int = 30004) -> None:
+        self.host = f"127.{10 + os.getpid() // 250 % 50}.{os.getpid() % 250}.{number}"
+        command = [sys.executable, "-c", PROGRAM, self.host, str(port), *map(str, HOME)]
+        self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        assert self.process.stdout is not None
+        assert self.process.stdout.readline() == "ready\n"
+
+    def order(self, what: str) -> np.ndarray:
+        """Have it do something; return where its joints are."""
+        assert self.process.stdin is not None
+        assert self.process.stdout is not None
+        self.process.stdin.write(f"{what}\n")
+        self.process.stdin.flush()
+        return np.array(self.process.stdout.readline().split(), dtype=float)
+
+    def close(self) -> None:
+        self.process.kill()
+        self.process.communicate()
+
+
+@pytest.fixture(scope="module")
+def twin() -> Iterator[Twin]:
+    twin = Twin(1)
+    yield twin
+    twin.close()
+
+
+def until(holds: Callable[[], bool]) -> None:
+    """Wait until something holds; that it never does is an error."""
+    for _ in range(5000):
+        if holds():
+            return
+        time.sleep(0.002)
+    raise AssertionError("it never came to be")
+
+
+PATIENT = {"stale_s": 5.0, "silent_s": 10.0, "watchdog_hz": 1.0}
+"""A machine that is busy with other tests is no fault of the link."""
+
+SLOW = {"max_speed_rad_s": 0.1, **PATIENT}
+"""A cycle's way is 0.2 mrad: cycles that pass while a test goes on stay within the contract's tolerance."""
+
+
+class TestRtde(RobotContract):
+    @pytest.fixture(autouse=True)
+    def with_twin(self, twin: Twin) -> None:
+        self.twin = twin
+
+    def make(self) -> RobotCase:
+        robot = RtdeRobot(self.twin.host, settings=SLOW)
+
+        def cut() -> None:
+            self.twin.order("restart")
+            until(lambda: robot.state is RobotState.LOST)
+
+        def advance(time_s: float) -> None:
+            """Let time pass by the controller's clock; by this computer's where there is no link."""
+            if robot.state in (RobotState.CLOSED, RobotState.LOST):
+                time.sleep(time_s)
+                return
+            # one cycle more: what was asked goes out with the next state, and shows in the one after
+            end_s = robot._stamp_s + time_s + 0.0021
+            until(lambda: robot._stamp_s >= end_s or robot.state is RobotState.LOST)
+
+        return RobotCase(robot=robot, advance=advance, lose_link=cut, tolerance=1e-3)
+
+
+def test_it_moves_as_it_says_and_holds_when_the_caller_is_late(twin: Twin) -> None:
+    with RtdeRobot(twin.host, settings=PATIENT) as robot:
+        before = robot.read().q
+        sent = robot.step_joints(np.full(6, 0.001))
+        assert np.allclose(sent.q, before + 0.001, atol=1e-4)
+        until(lambda: robot.state is RobotState.READY)
+        until(lambda: bool(np.abs(robot._reading.q - sent.q).max() < 2e-5))  # type: ignore[union-attr]
+        assert np.abs(twin.order("where") - sent.q).max() < 2e-5
+
+
+def test_a_controller_that_starts_anew_is_lost_with_its_reason_and_can_be_opened_again(twin: Twin) -> None:
+    robot = RtdeRobot(twin.host, settings=PATIENT)
+    with robot:
+        where = twin.order("restart")
+        until(lambda: robot.state is RobotState.LOST)
+        with pytest.raises(DeviceLost, match="open it again"):
+            robot.step_joints(np.zeros(6))
+        assert robot.why
+    with robot:
+        assert np.abs(robot.read().q - where).max() < 2e-5
+
+
+def test_silence_is_a_lost_link_and_stays_one(twin: Twin) -> None:
+    with RtdeRobot(twin.host, settings={**PATIENT, "silent_s": 0.5}) as robot:
+        twin.order("silence")
+        until(lambda: bool(robot._lost))
+        where = twin.order("speak")
+        assert robot.state is RobotState.LOST
+        # ur-rtde closes a silent connection itself after 2.5 s: on a busy machine that may come first
+        assert "silent" in robot.why or "closed" in robot.why
+    assert np.abs(twin.order("where") - where).max() < 2e-5
+
+
+def test_a_program_ended_at_the_controller_is_told(twin: Twin) -> None:
+    with RtdeRobot(twin.host) as robot:
+        with socket.create_connection((twin.host, 29999), 5.0) as dashboard:
+            dashboard.sendall(b"stop\n")
+            until(lambda: robot.state is RobotState.LOST)
+        with pytest.raises(DeviceLost, match=r"program on its controller has ended|took no"):
+            robot.read()
+
+
+def test_a_second_client_is_refused(twin: Twin) -> None:
+    with (
+        RtdeRobot(twin.host) as robot,
+        pytest.raises(DeviceFailed, match="in use"),
+        RtdeRobot(twin.host),
+    ):
+        pass
+    assert robot.state is RobotState.CLOSED
+
+
+def test_a_forwarded_port_is_reached() -> None:
+    twin = Twin(2, port=41004)
+    try:
+        with RtdeRobot(f"{twin.host}:41004", settings=PATIENT) as robot:
+            sent = robot.step_joints(np.full(6, 0.001))
+            until(lambda: bool(np.abs(twin.order("where") - sent.q).max() < 2e-5))
+        assert np.allclose(sent.q, np.array(HOME) + 0.001, atol=1e-4)
+    finally:
+        twin.close()
+
+
+def test_what_is_no_controller_is_refused() -> None:
+    robot = RtdeRobot("127.0.0.1:9")
+    with pytest.raises(DeviceNotFound, match="cannot be driven"), robot:
+        pass
+    with socket.create_server(("127.0.0.1", 0)) as mute:
+        robot = RtdeRobot(f"127.0.0.1:{mute.getsockname()[1]}", settings={"open_s": 0.5})
+        with pytest.raises(DeviceNotFound, match="no controller has answered"), robot:
+            pass
+
+
+def test_a_missing_library_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "rtde_control", None)
+    with pytest.raises(DeviceNotFound, match="ur-rtde is not installed"), RtdeRobot("127.0.0.1"):
+        pass
+
+
+@pytest.mark.parametrize("device", ["", "a b", "host:", "host:x", "host:70000", "host:3", "http://host"])
+def test_wrong_devices_are_refused(device: str) -> None:
+    with pytest.raises(UsageError, match="HOST"):
+        address(device)
+
+
+@pytest.mark.parametrize("more", [{"cycle_s": 0.0}, {"gain": 5000.0}, {"lookahead_s": 0.01}, {"speed": 1.0}])
+def test_wrong_settings_are_refused(more: dict[str, float]) -> None:
+    with pytest.raises(UsageError, match=next(iter(more))):
+        RtdeRobot("10.0.0.5", settings=more)

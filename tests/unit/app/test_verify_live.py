@@ -1,0 +1,154 @@
+"""A simulated arm that moves by itself, supervised on a clock that only the test moves; faults are planted."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armsight.app.simulate.scenarios import load_scenario
+from armsight.app.verify.live import run_verify_live
+from armsight.app.verify.supervising import LiveVerifyJob, Supervised
+from armsight.clock import ManualClock
+from armsight.drivers import RobotState
+from armsight.errors import DeviceFailed, NotEnoughData
+from armsight.sim.live import live_cell
+from armsight.sim.robot import RobotFault
+from armsight.sim.scenario_builder import build_world
+from armsight.store import rig_from_mapping, target_from_mapping, write_rig, write_target
+from armsight.store.arm_file import arm_from_mapping, write_arm
+from armsight.store.recording import Recording
+from armsight.store.worlds import World, write_world
+from armsight.verify.supervision import Limits
+
+
+class Ticking(ManualClock):
+    """A clock that passes through every few milliseconds, and calls what wants to be called."""
+
+    def __init__(self) -> None:
+        super().__init__(10.0)
+        self.calls: list[Callable[[], None]] = []
+
+    def sleep_until(self, t_s: float) -> None:
+        while self.now_s() < t_s:
+            super().sleep_until(min(self.now_s() + 0.004, t_s))
+            for call in self.calls:
+                call()
+
+
+class Cell:
+    """The webcam cell in the dark at half the size, and its files."""
+
+    def __init__(self, folder: Path, events: list[dict[str, Any]]) -> None:
+        model = load_scenario("webcam-cell")[0]
+        keys = model.model_dump()
+        keys |= {"room": "dark", "events": events}
+        cameras = keys["cameras"] | {"width": 640, "height": 360, "pipeline": "ideal"}
+        for side in ("left", "right"):
+            cameras[side] |= {key: 0.5 * cameras[side][key] for key in ("fx", "fy", "cx", "cy")}
+        keys["cameras"] = cameras
+        keys["target"]["sigma_px"] = 1.3
+        model = type(model).model_validate(keys)
+        self.clock, self.folder = Ticking(), folder
+        self.cell = live_cell(model, self.clock, play=True)
+        world = build_world(model, frames=1)
+        write_rig(folder / "rig.yaml", rig_from_mapping(self.cell.rig, "rig"))
+        write_target(folder / "target.yaml", target_from_mapping(self.cell.target, "target"))
+        write_world(folder / "world.yaml", World(parent="world", T_parent_rig=world.T_base_rig))
+        content = {"format": "armsight/arm", "version": 1, **world.true.mapping(world.T_flange_tool)}
+        write_arm(folder / "arm.yaml", arm_from_mapping(content, "arm"))
+
+    def run(self, **more: Any) -> dict[str, Any]:
+        """Supervise; return the summary."""
+        job = LiveVerifyJob(
+            robot="here", left="here", right="here", out=self.folder / "out", arm=str(self.folder / "arm.yaml"),
+            **{name: self.folder / f"{name}.yaml" for name in ("rig", "target", "world")}, **more,
+        )  # fmt: skip
+        devices = Supervised(
+            robot=self.cell.robot,
+            pairs=self.cell.pairs,
+            origin_s=lambda: self.cell.origin_s,
+            on_step=self.clock.calls.append,
+        )
+        return run_verify_live(job, clock=self.clock, devices=devices).to_dict()
+
+
+def test_a_good_arm_raises_nothing_though_it_moves(tmp_path: Path) -> None:
+    done = Cell(tmp_path, []).run(limits=Limits(warn_m=5e-4, stop_m=2e-3), limit=60)
+    assert done["level"] == "good" and not done["stopped"] and done["alarms"] == []
+    assert done["n"] == 60 and done["n_compared"] >= 58 and done["missed"] == 0
+    assert done["errors"]["max_m"] < 5e-4
+    assert len((tmp_path / "out" / "errors.csv").read_text().splitlines()) == 61
+
+
+@pytest.mark.parametrize(
+    "event",
+    [
+        {"kind": "jump", "at_s": 0.5, "for_s": 9.0, "by_m": [0.005, 0.0, 0.0]},
+        {"kind": "encoder_jump", "at_s": 0.5, "for_s": 9.0, "joint": 2, "by": 0.5},
+    ],
+    ids=["tool knocked", "encoder"],
+)
+def test_a_fault_stops_the_robot_and_is_in_the_recording(tmp_path: Path, event: dict[str, Any]) -> None:
+    cell = Cell(tmp_path, [event])
+    stopped_at: list[float] = []
+    stop = cell.cell.robot.stop
+    cell.cell.robot.stop = lambda: (stopped_at.append(cell.clock.now_s()), stop())[1]
+    done = cell.run(limits=Limits(warn_m=5e-4, stop_m=2e-3), limit=200)
+    assert done["level"] == "stop" and done["stopped"]
+    first = done["alarms"][0]
+    assert 0.5 <= first["t_s"] <= 0.56, "no alarm before the fault, and one within some frames of it"
+    assert stopped_at and stopped_at[0] - cell.cell.origin_s < 0.65
+    assert done["duration_s"] < 1.7
+    with Recording(tmp_path / "out" / "live.mcap") as recording:
+        told = [item.message for item in recording.events()]
+    assert any("stop" in text for text in told)
+
+
+def test_what_is_lost_is_told_and_never_counted_as_good(tmp_path: Path) -> None:
+    cell = Cell(tmp_path, [])
+    seen: list[str] = []
+
+    def show(pose: Any, compared: Any, level: Any, lost: str) -> None:
+        seen.append(lost)
+        if len(seen) == 20:
+            cell.cell.pairs.cover()
+
+    job = {"limits": Limits(stop_m=2e-3), "limit": 80, "blind_stop_s": 0.8}
+    devices = Supervised(
+        robot=cell.cell.robot, pairs=cell.cell.pairs, origin_s=lambda: cell.cell.origin_s,
+        on_step=cell.clock.calls.append,
+    )  # fmt: skip
+    files = {name: tmp_path / f"{name}.yaml" for name in ("rig", "target", "world")}
+    given = LiveVerifyJob(
+        robot="here", left="here", right="here", out=tmp_path / "out", arm=str(tmp_path / "arm.yaml"), **files, **job
+    )
+    done = run_verify_live(given, show, clock=cell.clock, devices=devices).to_dict()
+    assert done["n_lost"] >= 40 and done["n_compared"] <= 20 and done["blind_s"] >= 0.8
+    assert [alarm["level"] for alarm in done["alarms"]] == ["blind", "stop"] and done["stopped"]
+    assert "could not be compared" in done["verdict"]
+
+
+def test_joints_that_stand_still_in_the_link_are_stale_not_good(tmp_path: Path) -> None:
+    cell = Cell(tmp_path, [])
+    with cell.cell.robot:
+        cell.cell.robot.fault(RobotFault.FROZEN)
+    with pytest.raises(NotEnoughData, match="joints"):
+        cell.run(limits=Limits(warn_m=1e-3), limit=20)
+    summary = json.loads((tmp_path / "out" / "verify.json").read_text())
+    assert summary["level"] == "unknown" and summary["n_compared"] == 0 and summary["n_stale"] == 20
+
+
+def test_a_robot_by_its_own_program_takes_no_commands_until_stopped(tmp_path: Path) -> None:
+    robot = Cell(tmp_path, []).cell.robot
+    with robot:
+        with pytest.raises(DeviceFailed, match="own program"):
+            robot.step_joints(np.zeros(6))
+        robot.stop()
+        robot.reset()
+        robot.step_joints(np.zeros(6))
+        assert robot.state is not RobotState.STOPPED

@@ -1,0 +1,82 @@
+"""After a crash: the joint that moved, the tool, nothing, or that it cannot be told; poses that decide."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from armsight.errors import NotEnoughData, UsageError
+from armsight.kinematics import fk, preset
+from armsight.verify import Align, Measured
+from armsight.verify.mastering import check_mastering, propose
+
+NOISE = np.array([2e-4, 5e-4])
+ARM = replace(preset("irb120"), T_flange_tool=RigidTransform.from_translation([0.02, 0.0, 0.08]))
+Q = np.array([0.1, 0.2, -0.1, 0.3, 0.8, 0.2]) + np.random.default_rng(2).uniform(-0.5, 0.5, (10, 6))
+SAME = RigidTransform.identity()
+BENT = RigidTransform.from_components([3e-3, 0.0, 1e-3], Rotation.from_rotvec([0.01, 0.02, 0.0]))
+
+
+def measured(by: tuple[float, ...] = (0.0,) * 6, tool: RigidTransform = SAME) -> Measured:
+    """Poses of the arm with zeros off by so many degrees and the tool moved."""
+    rng = np.random.default_rng(4)
+    T = RigidTransform.from_matrix(fk(ARM, Q + np.deg2rad(by))) * tool
+    return Measured(
+        xyz_m=T.translation + rng.normal(0.0, NOISE[0], (10, 3)),
+        rotation=(Rotation.from_rotvec(rng.normal(0.0, NOISE[1], (10, 3))) * T.rotation).as_matrix(),
+        std=np.tile(np.repeat(NOISE, 3), (10, 1)),
+    )
+
+
+@pytest.mark.parametrize("joint", [0, 2, 5])
+def test_the_joint_that_moved_is_named_with_its_value(joint: int) -> None:
+    found = check_mastering(ARM, Q, measured(tuple(0.4 * (i == joint) for i in range(6))), Align.NONE)
+    assert found.cause == f"joint {joint + 1}"
+    assert found.offset is not None and found.std is not None
+    assert abs(found.offset - np.deg2rad(0.4)) < 4.0 * found.std
+    assert found.std < np.deg2rad(0.05)
+
+
+def test_nothing_moved_and_a_bent_tool_is_no_joint() -> None:
+    assert check_mastering(ARM, Q, measured(), Align.NONE).cause == "none"
+    found = check_mastering(ARM, Q, measured(tool=BENT), Align.NONE)
+    assert found.cause == "tool" and found.joint is None and found.T_tool is not None
+    assert np.linalg.norm(found.T_tool.translation - BENT.translation) < 1e-3
+
+
+def test_two_joints_are_not_called_one() -> None:
+    assert check_mastering(ARM, Q, measured((0.0, 0.5, 0.0, 0.0, 0.5, 0.0)), Align.NONE).cause == "several"
+
+
+def test_without_base_and_tool_the_first_and_the_last_joint_are_not_judged() -> None:
+    found = check_mastering(ARM, Q, measured((0.0, 0.0, 0.4, 0.0, 0.0, 0.0)), Align.BOTH)
+    assert [one.judged for one in found.joints] == [False, True, True, True, True, False]
+    assert found.cause == "joint 3"
+
+
+def test_a_row_of_another_pose_is_left_out_by_number() -> None:
+    wrong = Q.copy()
+    wrong[6] += 0.3
+    found = check_mastering(ARM, wrong, measured((0.0, 0.0, 0.4, 0.0, 0.0, 0.0)), Align.NONE)
+    assert [row for row, _ in found.rejected] == [7]
+    assert found.cause == "joint 3"
+
+
+def test_what_cannot_be_judged_is_refused() -> None:
+    with pytest.raises(NotEnoughData):
+        check_mastering(ARM, Q[:5], measured().take(np.arange(5)), Align.NONE)
+    with pytest.raises(UsageError):
+        check_mastering(ARM, Q, replace(measured(), rotation=None), Align.NONE)
+    with pytest.raises(NotEnoughData):
+        propose(ARM, Q, Align.NONE, NOISE)
+
+
+def test_proposed_poses_tell_what_they_are_said_to() -> None:
+    q = Q.mean(axis=0) + np.random.default_rng(1).uniform(-0.5, 0.5, (60, 6))
+    plan = propose(ARM, q, Align.NONE, NOISE)
+    assert plan.q.shape == (10, 6) and len(np.unique(plan.q, axis=0)) == 10
+    assert set().union(*plan.decides) == {0, 1, 2, 3, 4}
+    assert np.isfinite(plan.expected[:5]).all() and np.isinf(plan.expected[5])
