@@ -35,6 +35,7 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
         "cli/mirrors.py:mirrors": FLAGS,
         "cli/record.py:record": FLAGS,
         "cli/serve.py:serve": FLAGS,
+        "cli/servo.py:servo": FLAGS,
         "cli/verify.py:verify": FLAGS,
     },
     "arguments": {
@@ -48,6 +49,7 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
         "cli/mirrors.py:mirrors": FLAGS,
         "cli/record.py:record": FLAGS,
         "cli/robot.py:jog": FLAGS,
+        "cli/servo.py:servo": FLAGS,
         "cli/target.py:target": FLAGS,
         "cli/timing.py:timing": FLAGS,
         "cli/serve.py:serve": FLAGS,

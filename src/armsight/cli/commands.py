@@ -23,6 +23,7 @@ from armsight.cli.record import record
 from armsight.cli.reproduce import reproduce
 from armsight.cli.robot import robot
 from armsight.cli.serve import serve
+from armsight.cli.servo import servo
 from armsight.cli.tables import demo_tables, doctor_tables, measure_tables
 from armsight.cli.twin import twin
 from armsight.cli.verify import verify
@@ -51,6 +52,7 @@ app.command()(reproduce)
 app.command()(serve)
 app.command()(twin)
 app.command()(console)
+app.command()(servo)
 app.add_typer(kinematics, name="kinematics")
 app.add_typer(robot, name="robot")
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -47,9 +47,9 @@ class ServoSettings:
 
     T_parent_camera: the rig's pose in flange (EYE_IN_HAND) or base (EYE_TO_HAND), by hand-eye calibration.
     T_flange_desired: where the target should be, in flange axes: on the camera's axis, or at a tool's frame. gain_t,
-    gain_r: K_t and K_r in 1/s; gain_r 0 holds the rotation. arm_lag_s: from a command to the arm's motion, as first
-    assumed. predict: go for where the target will be when the command takes effect, with its velocity fed forward;
-    else the law of MATH 3.3 alone, of the newest frame as it was.
+    gain_r: K_t and K_r in 1/s. turns: whether the arm turns after the target, or holds its rotation. arm_lag_s: from a
+    command to the arm's motion, as first assumed. predict: go for where the target will be when the command takes
+    effect, with its velocity fed forward; else the law of MATH 3.3 alone, of the newest frame as it was.
     """
 
     mount: Mount
@@ -59,6 +59,11 @@ class ServoSettings:
     gain_r: float
     arm_lag_s: float = 0.0
     predict: bool = True
+    turns: bool = True
+
+    def with_gain(self, gain: float) -> ServoSettings:
+        """Return the same with one gain for place and rotation, in 1/s."""
+        return replace(self, gain_t=gain, gain_r=gain)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -219,7 +224,7 @@ class ServoSource:
         settings, desired = self.settings, self.settings.T_flange_desired
         error = servo_error(T_flange_target, desired)
         self.error = error
-        gain_r = settings.gain_r if whole else 0.0
+        gain_r = settings.gain_r if whole and settings.turns else 0.0
         v, omega = servo_twist(error, np.asarray(desired.translation), settings.gain_t, gain_r)
         v_tool = v + np.cross(omega, self._arm.T_flange_tool.translation)
         turned = T_base_flange.rotation.apply(np.array([v_tool, omega]))
@@ -227,7 +232,7 @@ class ServoSource:
 
     def _fed_forward(self, twist: ToolTwist, motion: TargetMotion, T_base_tool: RigidTransform) -> ToolTwist:
         """Return a twist with that of a tool fixed to the target added, which keeps up with it."""
-        turning = motion.angular_rad_s if motion.whole and self.settings.gain_r > 0.0 else np.zeros(3)
+        turning = motion.angular_rad_s if motion.whole and self.settings.turns else np.zeros(3)
         lever_m = T_base_tool.translation - motion.T_base_target.translation
         return ToolTwist(
             velocity_m_s=twist.velocity_m_s + motion.velocity_m_s + np.cross(turning, lever_m),
