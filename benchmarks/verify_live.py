@@ -76,6 +76,11 @@ def jumped(t_s: float) -> bool:
     return JUMP_AT_S <= t_s % (2 * KNOCK_EVERY_S) < JUMP_AT_S + KNOCK_FRAMES / FPS
 
 
+def off_by_now(t_s: float) -> bool:
+    """Whether the readings on both sides of a moment are off: an exposure between a good and a bad one shows half."""
+    return jumped(t_s) and jumped(t_s - CYCLE_S)
+
+
 class Repeated:
     """The pairs of a periodic motion by the clock, as a camera hands them out: late readers lose the oldest."""
 
@@ -108,7 +113,7 @@ class Repeated:
             pair = self._knocked[at] if knocked else self._good[at]
             self.due_s.append(self.origin_s + k / FPS + LATENCY_S)
             self.taken_s.append(self._clock.now_s())
-            self.fault.append("knock" if knocked else "encoder" if jumped(k / FPS) else "")
+            self.fault.append("knock" if knocked else "encoder" if off_by_now(k / FPS) else "")
             yield replace(pair[0], t_s=k / FPS, sequence=k), replace(pair[1], t_s=k / FPS, sequence=k)
             k += 1
 
@@ -211,7 +216,7 @@ def told(done: Any, pairs: Repeated, decided_s: np.ndarray, levels: list[Level],
         ["pairs a second", float(done.rate_hz or 0.0)],
         ["frame in memory to decision, median / p99 / largest ms", _three(latency)],
         ["... of all alarms, from the first pair with the fault", _three(alarms["encoder"] + alarms["knock"])],
-        ["... an encoder's zero jumps by 0.3 deg", _three(alarms["encoder"])],
+        ["... an encoder's zero jumps by 0.3 deg, from the first exposure after it", _three(alarms["encoder"])],
         ["... the tool knocked by 3 mm within a frame: both pictures are searched anew", _three(alarms["knock"])],
         ["alarms of faults", f"{sum(map(len, alarms.values()))} of {len(onsets)}"],
         ["alarms without a fault", false],

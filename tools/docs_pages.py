@@ -80,6 +80,7 @@ HEADINGS = {
     "armsight.api.cameras": "Cameras and rigs",
     "armsight.api.robots": "Hand-eye, tool tip and arms",
     "armsight.api.files": "Files",
+    "armsight.api.remote": "Robots over a network",
     "armsight.api.simulation": "Simulation",
     "armsight.measure.settings": "Settings",
     "armsight.kinematics": "Arms",

@@ -1,4 +1,4 @@
-"""Writes docs/schemas/*.json and docs/json.md from the models of what commands tell programs.
+"""Writes docs/schemas/*.json and docs/json.md from the models of what commands and the robot server tell programs.
 
 python tools/json_schemas.py [--check]
 """
@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from armsight.app.schemas.catalogue import OUTPUTS
+from armsight.drivers.remote.protocol import protocol_schema
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 UNITS = {
@@ -57,7 +58,8 @@ def main() -> int:
 def pages() -> dict[str, str]:
     """Return the content of every generated file by its name below docs/."""
     made = {f"schemas/{name}.json": json.dumps(schema(name), indent=2, ensure_ascii=False) + "\n" for name in OUTPUTS}
-    return {**made, "json.md": page()}
+    protocol = json.dumps(protocol_schema(), indent=2, ensure_ascii=False) + "\n"
+    return {**made, "schemas/robot-server.json": protocol, "json.md": page()}
 
 
 def stale(docs: Path) -> list[str]:

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from armsight.api.pose import PoseTracker as PoseTracker
     from armsight.api.pose import estimate_pose as estimate_pose
     from armsight.api.pose import find_spots as find_spots
+    from armsight.api.remote import RobotConnection as RobotConnection
+    from armsight.api.remote import connect as connect
     from armsight.api.robots import ArmIdentification as ArmIdentification
     from armsight.api.robots import ArmResult as ArmResult
     from armsight.api.robots import HandEyeResult as HandEyeResult
@@ -91,6 +93,10 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "read_poses",
         "read_rig",
         "read_target",
+    ),
+    "armsight.api.remote": (
+        "RobotConnection",
+        "connect",
     ),
     "armsight.api.simulation": (
         "Simulation",

@@ -7,7 +7,7 @@ import select
 import socket
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +28,16 @@ from armsight.testing import RobotCase, RobotContract
 
 CYCLE_S = 0.004
 HOME = twin_home(small_arm())
+
+
+def until(holds: Callable[[], bool]) -> None:
+    """Return when the driver's thread has done its part; fails where it never does."""
+    pause = threading.Event()
+    for _ in range(15_000):
+        if holds():
+            return
+        pause.wait(0.002)
+    raise AssertionError("it never came to be")
 
 
 def free_port() -> int:
@@ -338,7 +348,7 @@ def test_the_open_simulator_is_understood() -> None:
         assert b'A1="0.057296"' in simulator.recv(1024)
         simulator.send(message(4, q))
         assert simulator.recv(1024).endswith(b"<IPOC>4</IPOC></Sen>")
-        assert robot.counts.repeated == 1
+        until(lambda: robot.counts.repeated == 1)
         robot.__exit__(None, None, None)
 
 
@@ -358,10 +368,7 @@ def test_garbage_on_the_wire_is_counted_and_moves_nothing() -> None:
         for i in range(200):
             bad = good[: int(rng.integers(0, len(good)))] if i % 2 else rng.bytes(int(rng.integers(0, 900)))
             pair.twin.link.sendto(bad, ("127.0.0.1", robot.port))
-        for _ in range(2000):
-            if robot.counts.refused >= 200:
-                break
-            time.sleep(0.001)
+            until(lambda heard=i + 1: robot.counts.refused == heard)  # one by one: a full socket drops what comes
         assert robot.counts.refused == 200
         pair.advance(10 * CYCLE_S)
         assert robot.state is RobotState.READY

@@ -320,7 +320,9 @@ def _most(rows: Array) -> float:
     return float(np.linalg.norm(rows, axis=1).max(initial=0.0))
 
 
-EACH = [(fault, motion) for fault, case in CASES.items() for motion in case.motions[:1]]
+SELDOM = {"out of reach", "jumped target", "robot stopped", "not finite"}
+"""Faults that the benchmark has: they take long to meet, or are like another."""
+EACH = [(fault, case.motions[-1]) for fault, case in CASES.items() if fault not in SELDOM]
 
 
 @pytest.mark.parametrize(("fault", "motion"), EACH)
@@ -352,9 +354,8 @@ REMOVALS = {
     "stop": ("stop", SERVO, Watch, "stop", nothing),
     "finite": ("not finite", SERVO, Watch, "finite", nothing),
     "jump of a path": ("discontinuous path", PLAY, Follower, "_check_jump", nothing),
-    "boxes": ("into a forbidden box", SERVO, Breach, "worse_than", lambda *_: ()),
-    "workspace": ("out of the workspace", SERVO, Breach, "worse_than", lambda *_: ()),
     "singularity": ("towards a singularity", SERVO, Breach, "worse_than", lambda *_: ()),
+    "boxes": ("into a forbidden box", SERVO, Breach, "worse_than", lambda *_: ()),
     "range": ("beyond a joint's range", GOAL, Breach, "worse_than", lambda *_: ()),
     "way to rest": ("enable gone", PLAY, Follower, "_braked", last_velocity),
 }
@@ -365,7 +366,7 @@ def test_a_guard_that_is_taken_out_is_missed(removed: str, monkeypatch: pytest.M
     fault, motion, owner, name, instead = REMOVALS[removed]
     monkeypatch.setattr(owner, name, instead)
     try:
-        found = trial(fault, motion, seed=1, longest_s=5.0).faults
+        found = trial(fault, motion, seed=1, longest_s=6.0 if owner is Breach else 1.8).faults
     except ArmsightError:
         return  # without it, what comes behind breaks down
     assert found

@@ -14,6 +14,7 @@ from armsight.cli import arm, handeye, mirrors, target, timing
 from armsight.cli.calibrate import calibrate
 from armsight.cli.camera_options import NONE_GIVEN, CameraOptions, takes_cameras
 from armsight.cli.command_ui import CommandUI
+from armsight.cli.console import console
 from armsight.cli.convert import convert
 from armsight.cli.identify import identify
 from armsight.cli.kinematics import convert_arm, kinematics
@@ -21,6 +22,8 @@ from armsight.cli.options import SRC, AsJson, Fps, Inverted, Limit, OutFolder, S
 from armsight.cli.record import record
 from armsight.cli.reproduce import reproduce
 from armsight.cli.robot import robot
+from armsight.cli.serve import serve
+from armsight.cli.servo import servo
 from armsight.cli.tables import demo_tables, doctor_tables, measure_tables
 from armsight.cli.twin import twin
 from armsight.cli.verify import verify
@@ -46,7 +49,10 @@ app.command()(record)
 app.command()(identify)
 app.command()(with_live(verify))
 app.command()(reproduce)
+app.command()(serve)
 app.command()(twin)
+app.command()(console)
+app.command()(servo)
 app.add_typer(kinematics, name="kinematics")
 app.add_typer(robot, name="robot")
 

@@ -22,17 +22,24 @@ RobotName: TypeAlias = Annotated[
 ]
 
 
+RsiConfig: TypeAlias = Annotated[
+    Path | None,
+    typer.Option("--rsi-config", metavar="FILE.xml", help="Of rsi: the RSI Ethernet configuration, for its own tags."),
+]
+
+
 @robot.command()
 def test(
     robot: RobotName,
     for_s: Annotated[float, typer.Option("--for", metavar="S", help="How many seconds to read it.")] = 5.0,
+    rsi_config: RsiConfig = None,
     json: AsJson = False,
 ) -> None:
     """Read a robot once a cycle and tell how punctual that is. Nothing moves."""
     with CommandUI(as_json=json) as face:
         from armsight.app.robot.link_test import test_robot as run
 
-        done = run(robot, for_s=for_s, progress=face.progress("reading"))
+        done = run(robot, for_s=for_s, progress=face.progress("reading"), rsi_config=rsi_config)
         face.say(
             f"{done.driver}: {done.n_cycles} cycles of {1e3 * done.cycle_s:g} ms, {done.late} late, {done.missed} "
             f"missed; periods {done.period_ms.median:.3f} ms median, {done.period_ms.p99:.3f} p99, "
@@ -52,6 +59,7 @@ def jog(
     ] = None,
     limits: Annotated[Path | None, typer.Option(help="limits.yaml: what the guard keeps. [default: its own]")] = None,
     record: Annotated[Path | None, typer.Option(help="An .mcap file for commands, readings and events.")] = None,
+    rsi_config: RsiConfig = None,
     yes: Annotated[bool, typer.Option("--yes", help="Move without asking.")] = False,
     json: AsJson = False,
 ) -> None:
@@ -67,7 +75,16 @@ def jog(
             except typer.Abort:  # nobody there to ask
                 return False
 
-        job = JogJob(robot=robot, joint=joint, by=by, speed=speed, arm=arm, limits=limits, record=record)
+        job = JogJob(
+            robot=robot,
+            joint=joint,
+            by=by,
+            speed=speed,
+            arm=arm,
+            limits=limits,
+            record=record,
+            rsi_config=rsi_config,
+        )
         done = jog_robot(job, confirm, face.progress("moving"))
         face.say(f"joint {joint} stands at {figure(done.reached[joint - 1], 6)} (rad or m); the robot is {done.state}")
         face.result(done)

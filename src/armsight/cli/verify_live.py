@@ -126,8 +126,7 @@ def with_live(command: Callable[..., None]) -> Callable[..., None]:
     parameters = [
         one.replace(
             kind=inspect.Parameter.KEYWORD_ONLY,
-            annotation=_optional(kinds[name]) if name == "measured" else kinds[name],
-            default=None if name == "measured" else one.default,
+            annotation=kinds[name],
         )
         for name, one in own.parameters.items()
     ]
@@ -146,7 +145,7 @@ def with_live(command: Callable[..., None]) -> Callable[..., None]:
             (_live if extra["live"] else _mastering)(every, foreign)
             return
         with CommandUI(as_json=bool(given.get("json"))):
-            _check_plain(given, {name: value for name, value in extra.items() if value != added[name][1]})
+            _check_plain({name: value for name, value in extra.items() if value != added[name][1]})
         command(**given)
 
     run.__signature__ = own.replace(parameters=parameters)  # type: ignore[attr-defined]  # a wrapper's own parameters
@@ -154,25 +153,16 @@ def with_live(command: Callable[..., None]) -> Callable[..., None]:
     return run
 
 
-def _optional(kind: Any) -> Any:
-    """Return an annotated option that may be left away."""
-    (told,) = kind.__metadata__
-    return Annotated[kind.__origin__ | None, told]
-
-
 def flag(name: str) -> str:
     """Return an option as it is written."""
     return "--" + name.replace("_", "-")
 
 
-def _check_plain(given: Mapping[str, Any], extra: Mapping[str, Any]) -> None:
+def _check_plain(extra: Mapping[str, Any]) -> None:
+    """Raise UsageError for options of the modes without one."""
     if extra:
         named = ", ".join(flag(name) for name in extra)
         raise UsageError(f"{named} only means something with --live or --mastering", cure="Add one, or leave it out")
-    if given.get("measured") is None and given.get("plan") is None:
-        raise UsageError(
-            "there is nothing to compare", cure="Give --measured with poses or points, or --live for a running arm"
-        )
 
 
 def check_options(mode: str, given: Mapping[str, Any], needed: Sequence[str], foreign: Sequence[str]) -> None:

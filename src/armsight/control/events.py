@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from armsight.records import JointReading
+from armsight.records import JointReading, TargetPose
 
 LONGEST = 65_536
 """Records that wait at most: four minutes of two a cycle of 8 ms."""
@@ -77,6 +77,10 @@ class QueueSink:
     def joints(self, reading: JointReading) -> None:
         """Queue it, or drop it where the queue is full."""
         self._put(Queued("joints", (reading,)))
+
+    def pose(self, pose: TargetPose) -> None:
+        """Queue a pose of the target, from the thread that measures, or drop it where the queue is full."""
+        self._put(Queued("pose", (pose,)))
 
     def drain(self) -> list[Queued]:
         """Return what waits, oldest first, and forget it; for the thread that writes."""

@@ -31,6 +31,8 @@ Array = NDArray[np.float64]
 
 SWITCH_S = 2e-4
 """How long another Python thread may keep the loop from running; Python's own 5 ms is longer than a cycle."""
+END_S = 3.0
+"""A robot that did not come to rest so long after the end was asked for is stopped by its own means."""
 LATE_SHARE = 0.5
 """A cycle that begins later than this share of itself counts as late."""
 
@@ -163,7 +165,7 @@ class ControlLoop:
 
     def _cycles(self, for_s: float, until: Callable[[LoopStatus], bool] | None) -> None:
         clock, cycle_s = self._clock, self._guard.cycle_s
-        start_s = due_s = clock.now_s() + cycle_s
+        start_s = due_s = ending_s = clock.now_s() + cycle_s
         while True:
             clock.sleep_until(due_s)
             woke_s = clock.now_s()
@@ -174,14 +176,19 @@ class ControlLoop:
             due_s += (1 + missed) * cycle_s
             if woke_s - start_s >= for_s or (until is not None and until(status)):
                 self._ending = True
-            if self._ending and status.at_rest:
+            if not self._ending:
+                ending_s = woke_s
+            elif status.at_rest:
+                return
+            elif woke_s - ending_s > END_S:
+                self._robot.stop()
                 return
 
     def _cycle(self, now_s: float, late_s: float) -> LoopStatus:
         """Do one cycle, begun late_s too late; also called by tests and by loops that keep time otherwise."""
         guard, source = self._guard, self._source
         if self._reset:
-            self._do_reset(now_s)
+            self._do_reset(now_s)  # before the robot is asked for its state: what it was before the reset is no fault
         reading, robot_state = self._read()
         wanted = Hold() if self._ending else self._asked(source, guard.cycle_state(now_s, self._reading))
         target, age_s = source.target(now_s) if isinstance(source, FollowsTarget) else (None, None)

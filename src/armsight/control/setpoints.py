@@ -72,9 +72,9 @@ SetPoint = JointGoal | JointVelocity | ToolPose | ToolTwist | Hold | Finished
 class CycleState:
     """What a source is told at the beginning of a cycle.
 
-    t_s: now, on the loop's clock. cycle_s: until the next cycle. q (n,): the newest reading. q_sent (n,): where the
-    robot was last told to go. qd_sent (n,): at which velocity. T_base_tool: of q_sent by the arm's model. running:
-    whether the guard followed the last set point; where it did not, a path waits.
+    t_s: now, on the loop's clock. cycle_s: until the next cycle. q (n,): the newest reading, of q_s; None where none
+    came yet. q_sent (n,): where the robot was last told to go. qd_sent (n,): at which velocity. T_base_tool: of q_sent
+    by the arm's model. running: whether the guard followed the last set point; where it did not, a path waits.
     """
 
     t_s: float
@@ -84,6 +84,7 @@ class CycleState:
     qd_sent: Array
     T_base_tool: RigidTransform
     running: bool = True
+    q_s: float | None = None
 
 
 class SetPointSource(Protocol):

@@ -54,3 +54,21 @@ def _rays(packed: PackedRig, side: int, px: ArrayLike) -> tuple[Array, Array]:
     d, D, ok = np.empty((len(uv), 3)), np.empty((len(uv), 3, 2)), np.empty(len(uv), np.bool_)
     kernels.rays_in_rig(packed.k[side], packed.R[side], uv, d, D, ok)
     return d, D
+
+
+def epipolar_curve(rig: Rig, side: str, px: ArrayLike, depths_m: ArrayLike) -> Array:
+    """Return (m, 2): where in the other camera's image a pixel (2,) of `side` may be, from near to far.
+
+    depths_m (m,): along the pixel's ray. NaN behind the other camera, and where the pixel has no ray. Lens distortion
+    bends the curve; points outside the image are given too.
+    """
+    other = "right" if side == "left" else "left"
+    x, y = rig.camera(side).rays(np.asarray(px, float)[None])[0]
+    along = np.asarray(depths_m, float)[:, None] * np.array([x, y, 1.0])
+    T_other_side = rig.T_rig_camera(other).inv() * rig.T_rig_camera(side)
+    points = T_other_side.apply(along)
+    uv = np.full((len(along), 2), np.nan)
+    front = np.isfinite(points).all(axis=1) & (points[:, 2] > 0.0)
+    if front.any():
+        uv[front] = rig.camera(other).project(points[front])
+    return uv

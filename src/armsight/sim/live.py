@@ -1,4 +1,4 @@
-"""A simulated robot and the cameras that see it, both on one clock: what the robot is told is what the frames show."""
+"""A simulated robot and its cameras, both on one clock: what the robot is told is what the frames show."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ from armsight.errors import DeviceFailed, Inconsistent
 from armsight.records import Frame
 from armsight.sim.cell import SEED_NOISE
 from armsight.sim.event_schema import EventKeys
+from armsight.sim.hands import Hand, hand_path
+from armsight.sim.live_carried import CarriedView
 from armsight.sim.motions import Jumping
 from armsight.sim.rigs import SIDES
 from armsight.sim.robot import SimRobot
@@ -29,6 +31,8 @@ Array = NDArray[np.float64]
 
 LEAST_FPS = 10.0
 """Frames a second where the scenario takes fewer: its own pictures are taken when its robot rests, seconds apart."""
+BEFORE_FLANGE_M = 0.13
+"""How far before the place it has on the flange a target in a hand begins."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -46,17 +50,40 @@ class FollowedTarget:
         return self.T_rig_base * RigidTransform.from_matrix(np.array(flanges)) * self.T_flange_target
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FreeTarget:
+    """The path of a target in a hand, in the axes of a fixed rig; path: T_world_target."""
+
+    T_rig_world: RigidTransform
+    path: Path
+
+    def __call__(self, t_s: Array) -> RigidTransform:
+        """Return the poses T_rig_target at times (m,) since the opening."""
+        return self.T_rig_world * self.path(t_s)
+
+
 class LiveView:
     """The pairs of a fixed rig that watches a simulated robot: a PairSource without end, at the rig's own pace.
 
-    A frame that nobody fetched in its time is not taken. Of the scenario's events the target's jumps are simulated (a
-    tool that is knocked), at times since the cameras' opening; not the others, nor vibration.
+    The target is on the robot's flange, or goes the way of a hand. A frame that nobody fetched in its time is not
+    taken. Of the scenario's events the target's jumps are simulated (a tool that is knocked), at times since the
+    cameras' opening; not the others, nor vibration.
     """
 
     skew: Skew | None = None
     total: int | None = None
 
-    def __init__(self, world: World, robot: SimRobot, clock: Clock, jumps: Sequence[EventKeys] = ()) -> None:
+    def __init__(
+        self,
+        world: World,
+        robot: SimRobot,
+        clock: Clock,
+        jumps: Sequence[EventKeys] = (),
+        *,
+        fps: float | None = None,
+        hand: Path | None = None,
+    ) -> None:
+        """hand: T_world_target of a target that is not on the flange. fps: the scenario's if not given."""
         if world.T_base_rig is None or world.views != SIDES:
             raise Inconsistent(
                 f"{world.name} has no two cameras beside the robot",
@@ -68,7 +95,9 @@ class LiveView:
         self._robot = robot
         self._clock = clock
         self._T_base_rig = world.T_base_rig
-        self._fps = max(world.fps, LEAST_FPS)
+        self.fps = max(world.fps, LEAST_FPS) if fps is None else fps
+        self.latency_s = world.timing.latency_s
+        self._hand = hand
         self._path: Path | None = None
         self._jumps = tuple(jumps)
         self._covered = False
@@ -78,14 +107,21 @@ class LiveView:
         """Cover all lights, or uncover them."""
         self._covered = on
 
+    def target_at(self, t_s: float) -> RigidTransform:
+        """Return T_world_target at a time since the opening: the truth that results are held against."""
+        return self._world.true.T_world_base * self._T_base_rig * self._open_path()(np.array([t_s]))[0]
+
     def __enter__(self) -> Self:
         self.origin_s = self._clock.now_s()
+        T_rig_base = self._T_base_rig.inv()
         path: Path = FollowedTarget(
             robot=self._robot,
-            T_rig_base=self._T_base_rig.inv(),
+            T_rig_base=T_rig_base,
             T_flange_target=self._world.T_flange_tool,
             origin_s=self.origin_s,
         )
+        if self._hand is not None:
+            path = FreeTarget(T_rig_world=T_rig_base * self._world.true.T_world_base.inv(), path=self._hand)
         for jump in self._jumps:
             if jump.by_m is not None:
                 end_s = jump.at_s + jump.for_s
@@ -101,14 +137,20 @@ class LiveView:
     def __iter__(self) -> Iterator[tuple[Frame, Frame]]:
         index = 0
         while True:
-            path = self._path
-            if path is None:
-                raise DeviceFailed(f"{self.name} is not open", consequence="There are no frames", cure="Open it first")
-            passed_s = self._clock.now_s() - self.origin_s - self._world.timing.latency_s
-            index = max(index + 1, int(np.ceil(passed_s * self._fps - 1e-9)))
-            t_s = index / self._fps
-            self._clock.sleep_until(self.origin_s + t_s + self._world.timing.latency_s)
-            yield self._frame(index, t_s, "left", path), self._frame(index, t_s, "right", path)
+            passed_s = self._clock.now_s() - self.origin_s - self.latency_s
+            index = max(index + 1, int(np.ceil(passed_s * self.fps - 1e-9)))
+            self._clock.sleep_until(self.origin_s + index / self.fps + self.latency_s)
+            yield self.pair(index)
+
+    def pair(self, index: int) -> tuple[Frame, Frame]:
+        """Return the pair number index, exposed index / fps after the opening. Raises DeviceFailed where not open."""
+        path, t_s = self._open_path(), index / self.fps
+        return self._frame(index, t_s, "left", path), self._frame(index, t_s, "right", path)
+
+    def _open_path(self) -> Path:
+        if self._path is None:
+            raise DeviceFailed(f"{self.name} is not open", consequence="There are no frames", cure="Open it first")
+        return self._path
 
     def _frame(self, index: int, t_s: float, side: str, path: Path) -> Frame:
         camera = self._world.cameras[side]
@@ -128,12 +170,19 @@ class LiveView:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LiveCell:
-    """A robot, the cameras that watch it, and rig and target as rig.yaml and target.yaml have them."""
+    """A robot, the cameras that watch it or that it carries, and rig and target as rig.yaml and target.yaml have them.
+
+    T_mount_rig: where the rig truly is, on the flange where carried is set, else on the base. one_image: both views
+    are on one image, which is given as left and as right.
+    """
 
     robot: SimRobot
-    pairs: LiveView
+    pairs: LiveView | CarriedView
     rig: Mapping[str, Any]
     target: Mapping[str, Any]
+    T_mount_rig: RigidTransform
+    carried: bool = False
+    one_image: bool = False
 
     @property
     def origin_s(self) -> float:
@@ -141,14 +190,69 @@ class LiveCell:
         return self.pairs.origin_s
 
 
-def live_cell(scenario: Scenario, clock: Clock, *, play: bool = False) -> LiveCell:
-    """Return a scenario's robot and the cameras that watch it, on one clock.
+def live_cell(
+    scenario: Scenario,
+    clock: Clock,
+    *,
+    play: bool = False,
+    hand: Hand | str | None = None,
+    speed_m_s: float = 0.05,
+    seed: int | None = None,
+    fps: float | None = None,
+    room: Any = None,
+) -> LiveCell:
+    """Return a scenario's robot and the cameras that watch it or that it carries, on one clock.
 
-    play: the robot's controller goes along the scenario's motion by itself. Raises Inconsistent for a rig that the
-    robot carries.
+    play: the robot's controller goes along the scenario's motion by itself. hand: how a target that the robot does not
+    carry is led, at speed_m_s, from where it is in the scenario (on the flange: from before it) at the cameras'
+    opening; None: as the scenario has it. seed, fps, room: the scenario's if not given; fps at least LEAST_FPS then.
     """
-    world, robot = build_world(scenario, frames=1), build_robot(scenario, "", clock)
+    if seed is not None:
+        scenario = scenario.model_copy(update={"seed": seed})
+    carried = scenario.cameras.mount == "flange"
+    world = build_world(scenario, frames=None if carried and hand is None else 1, room=room)
+    if carried:
+        return _carried_cell(world, scenario, clock, hand=hand, speed_m_s=speed_m_s, fps=fps)
+    robot = build_robot(scenario, "", clock)
     if play:
         robot.play(joint_motion(scenario, robotics(scenario, scenario.seed).units, scenario.seed))
     jumps = [event for event in scenario.events if event.kind == "jump"]
-    return LiveCell(robot=robot, pairs=LiveView(world, robot, clock, jumps), rig=world.rig, target=world.target)
+    path = None
+    if hand is not None:
+        start = _before_flange(world, robot, robot.true_joints(clock.now_s()))
+        path = hand_path(hand, start, speed_m_s, world.seed)
+    view = LiveView(world, robot, clock, jumps, fps=fps, hand=path)
+    return LiveCell(
+        robot=robot,
+        pairs=view,
+        rig=world.rig,
+        target=world.target,
+        T_mount_rig=scenario.cameras.T_mount_rig.pose(),
+    )
+
+
+def _before_flange(world: World, robot: SimRobot, q: Array) -> RigidTransform:
+    """Return T_world_target of a target in a hand: before the flange of a robot at q (n,), towards the cameras."""
+    T_base_flange = robot.true.flange(q)
+    away = RigidTransform.from_translation([0.0, 0.0, -BEFORE_FLANGE_M])  # a target's z points away from the cameras
+    return robot.true.T_world_base * T_base_flange * world.T_flange_tool * away
+
+
+def _carried_cell(
+    world: World, scenario: Scenario, clock: Clock, *, hand: Hand | str | None, speed_m_s: float, fps: float | None
+) -> LiveCell:
+    """Return the cell of a rig on the flange; the robot begins where its own following would."""
+    robot = build_robot(scenario, "", clock, home=world.servo.at(0.0)[0])
+    path = world.target_path
+    if hand is not None:
+        path = hand_path(hand, path(np.zeros(1))[0], speed_m_s, world.seed)
+    view = CarriedView(world, robot, clock, fps=max(world.fps, LEAST_FPS) if fps is None else fps, target=path)
+    return LiveCell(
+        robot=robot,
+        pairs=view,
+        rig=world.rig,
+        target=world.target,
+        T_mount_rig=view.T_flange_rig,
+        carried=True,
+        one_image=len(world.views) == 1,
+    )

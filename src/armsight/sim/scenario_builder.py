@@ -98,17 +98,17 @@ def robotics(scenario: Scenario, seed: int) -> Robotics:
     )
 
 
-def build_robot(scenario: Scenario, device: str, clock: Clock) -> SimRobot:
-    """Return the scenario's robot on a clock, standing where its motion begins."""
+def build_robot(scenario: Scenario, device: str, clock: Clock, *, home: Array | None = None) -> SimRobot:
+    """Return the scenario's robot on a clock, standing at home (n,) in rad or m, or where its motion begins."""
     arm = robotics(scenario, scenario.seed)
     motion = scenario.motion
-    home = motion.follow.home if not isinstance(motion, WayKeys | SweepsKeys | SwingKeys) else _first(scenario)
+    first = motion.follow.home if not isinstance(motion, WayKeys | SweepsKeys | SwingKeys) else _first(scenario)
     robot = SimRobot(
         f"{scenario.name}{':' if device else ''}{device}",
         true=arm.true,
         nominal=arm.nominal,
         drive=arm.drive,
-        home=arm.units * np.array(home),
+        home=arm.units * np.array(first) if home is None else home,
         clock=clock,
         limits=arm.limits,
     )
@@ -126,8 +126,7 @@ def build_world(
     scenario, seed, frames = _as_asked(scenario, seed, frames, room, zoom)
     arm = robotics(scenario, seed)
     lights = _lights(scenario)
-    ambient = scenario.cameras.sensor.ambient_level if scenario.room.dark else 0.0
-    cameras, rig = make_cameras(scenario.cameras, seed, ambient_level=ambient)
+    cameras, rig = make_cameras(scenario.cameras, seed, ambient_level=_ambient(scenario))
     until_s = frames / scenario.fps + AHEAD_S
     T_mount_rig = scenario.cameras.T_mount_rig.pose()
     servo, T_flange_tool, rig_path, target = _moving(scenario, arm, T_mount_rig, seed, until_s)
@@ -148,6 +147,7 @@ def build_world(
         true=arm.true,
         T_flange_tool=T_flange_tool,
         servo=servo,
+        vibration=_vibration(scenario, seed),
         T_base_rig=T_mount_rig if scenario.cameras.mount == "base" else None,
         T_flange_rig=T_mount_rig if scenario.cameras.mount == "flange" else None,
         radii_m=tuple(joint.radius_m for joint in scenario.arm.joints),
@@ -160,6 +160,11 @@ def build_world(
         assumptions=(TOLD,),
     )
     return _in_room(_seen(world), scenario, until_s - AHEAD_S)
+
+
+def _ambient(scenario: Scenario) -> float:
+    """Return the grey levels of light that cameras get of no room."""
+    return scenario.cameras.sensor.ambient_level if scenario.room.dark else 0.0
 
 
 def _in_room(world: World, scenario: Scenario, until_s: float) -> World:

@@ -79,9 +79,9 @@ class World:
     """A simulated cell with a robot, with the face of sim.cell.Cell.
 
     views: ('left', 'right'), or ('image',) for the complex images of a mirror rig. servo: the arm's motion, worked out
-    to the end. frozen, dropped, cut_off: events (frames, views) in which the image stands still, none comes, no joints
-    are read. radii_m: of the arm's links as obstacles. moving: the room as cameras that move see it; None for
-    those that stand, or in the dark.
+    to the end; vibration: of its flange. frozen, dropped, cut_off: events (frames, views) in which the image stands
+    still, none comes, no joints are read. radii_m: of the arm's links as obstacles. moving: the room as cameras that
+    move see it; None for those that stand, or in the dark.
     """
 
     name: str
@@ -100,6 +100,7 @@ class World:
     true: SimArm
     T_flange_tool: RigidTransform
     servo: Servo
+    vibration: Vibration
     T_base_rig: RigidTransform | None
     T_flange_rig: RigidTransform | None
     radii_m: tuple[float, ...]

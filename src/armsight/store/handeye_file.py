@@ -136,6 +136,20 @@ def write_handeye(path: Path, result: HandEye, verdict: str, *, inputs: Sequence
     write_document(path, HANDEYE_FORMAT, content, inputs)
 
 
+def write_handeye_poses(
+    path: Path, setup: Setup, T_parent_camera: RigidTransform, T_parent_target: RigidTransform
+) -> None:
+    """Write handeye.yaml of poses that are known without a calibration, such as those of a simulated cell."""
+    camera, target = ("flange", "base") if setup is Setup.EYE_IN_HAND else ("base", "flange")
+    content = {
+        "setup": str(setup),
+        f"T_{camera}_camera": pose_mapping(T_parent_camera),
+        f"T_{target}_target": pose_mapping(T_parent_target),
+        "verdict": "known, not calibrated",
+    }
+    write_document(path, HANDEYE_FORMAT, content, ())
+
+
 def named_poses(result: HandEye) -> dict[str, RigidTransform]:
     """Return the two poses under the names that their setup gives them."""
     return {

@@ -18,8 +18,8 @@ from armsight.errors import UsageError
 from armsight.geometry.lie import skew
 from armsight.kinematics import Arm, fk_jacobian, parameter_jacobian, parameter_names
 from armsight.records import PoseStatus, TargetPose
+from armsight.records.joint_history import JointsAt
 from armsight.units import DEG, MM
-from armsight.verify.joint_history import JointsAt
 
 Array = NDArray[np.float64]
 

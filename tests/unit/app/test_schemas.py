@@ -20,6 +20,7 @@ from armsight.app.schemas import (
     measure,
     reproduce,
     robot,
+    servo,
     timing,
     verify,
     verify_live,
@@ -191,6 +192,15 @@ KEYS: dict[type[Output], tuple[str, str]] = {
     OUTPUTS["robot-test"]: ("driver cycle_s n_cycles late missed period_ms q state", ""),
     robot.PeriodOutput: ("median p99 max", ""),
     OUTPUTS["robot-jog"]: ("asked sent reached limited state", ""),
+    OUTPUTS["servo"]: (
+        "state n_cycles late missed stopped_by n_frames n_ok n_position_only n_lost gain delay error followed holds "
+        "vision_ms recording",
+        "",
+    ),
+    servo.ServoGainOutput: ("used no_overshoot stable cycle_s n_delay note", ""),
+    servo.ServoDelayOutput: ("camera_s arm_s", ""),
+    servo.ServoErrorOutput: ("rms_m max_m last_m last_rad", ""),
+    servo.ServoTimeOutput: ("median p99", ""),
     OUTPUTS["doctor"]: ("versions machine cameras drivers kernels problems rig", ""),
     machine.RigResolution: ("baseline_m rms_px sigma_px distances", "accuracy"),
     machine.AccuracyPlan: ("accuracy_m depths_m sigma_px baseline_m settings advice", ""),

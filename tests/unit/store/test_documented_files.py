@@ -7,12 +7,14 @@ import pytest
 
 from armsight.app.verify.live_output import ERROR_COLUMNS, HEADER
 from armsight.app.verify.output import NAMES
+from armsight.store.cell_file import CellFile
 from armsight.store.iso9283_plan import PLAN_COLUMNS
 from armsight.store.limits_file import limits_from_mapping
 from armsight.store.rigs import CameraModel, rig_from_mapping
 from armsight.store.schema import validated
 from armsight.store.tables import parse_table
 from armsight.store.targets import target_from_mapping
+from armsight.store.tokens import TokensModel
 from armsight.store.tracks import POINT_COLUMNS, SPOT_COLUMNS, parse_joints, parse_poses, parse_times
 from armsight.store.worlds import world_from_mapping
 from armsight.store.yamls import parse_yaml
@@ -28,6 +30,8 @@ READERS = {
     "armsight/target": target_from_mapping,
     "armsight/world": world_from_mapping,
     "armsight/limits": limits_from_mapping,
+    "armsight/cell": lambda content: validated(CellFile, content, "x"),
+    "armsight/tokens": lambda content: validated(TokensModel, content, "x").tokens,
     "t_s,x_m": lambda data: parse_poses(data, "x"),
     "t_s,spot": lambda data: parse_table(data, "x", POINT_COLUMNS, text=("spot",)),
     "t_s,camera": lambda data: parse_table(data, "x", SPOT_COLUMNS, text=("camera", "spot")),

@@ -6,6 +6,8 @@ import threading
 from collections.abc import Callable
 from typing import TypeVar
 
+from armsight.app.robot.priority import raise_priority
+
 Result = TypeVar("Result")
 
 TOLD_S = 0.2
@@ -15,12 +17,14 @@ TOLD_S = 0.2
 def run_beside(work: Callable[[], Result], tell: Callable[[], None]) -> Result:
     """Return what work returns, or raise what it raises; tell is called now and then meanwhile, from this thread.
 
-    No cycle of a loop within work waits for the screen that tell writes to.
+    work runs before other work of the machine where the system allows that. No cycle of a loop within it waits for the
+    screen that tell writes to.
     """
     results: list[Result] = []
     errors: list[BaseException] = []
 
     def run() -> None:
+        raise_priority()
         try:
             results.append(work())
         except BaseException as error:  # raised again below, where somebody hears it

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.robot.beside import run_beside
+from armsight.app.robot.driver_settings import driver_settings
 from armsight.app.robot.guarding import guard_for
 from armsight.app.robot.opening import open_robot
 from armsight.app.robot.recorder import LoopRecorder
@@ -24,6 +25,7 @@ from armsight.control.sources import GoalSource
 from armsight.drivers import Robot
 from armsight.errors import Cancelled, DeviceFailed, Inconsistent, UsageError
 from armsight.records import Progress, Silent
+from armsight.store.arm_file import read_arm
 from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
@@ -38,7 +40,7 @@ STUCK_S = 1.0
 class JogJob:
     """robot: DRIVER:DEVICE. joint: from 1. by: rad or m. speed: share of the limits' speeds. arm, limits: their files.
 
-    record: an .mcap file for commands, readings and events; None: nothing is kept.
+    record: an .mcap file for commands, readings and events; None: nothing is kept. rsi_config: of an rsi link.
     """
 
     robot: str
@@ -48,6 +50,7 @@ class JogJob:
     arm: Path | None = None
     limits: Path | None = None
     record: Path | None = None
+    rsi_config: Path | None = None
 
 
 class _Watcher:
@@ -81,7 +84,9 @@ def jog_robot(
     stopped; Cancelled.
     """
     clock, progress = clock or SystemClock(), progress or Silent()
-    robot = opened or open_robot(job.robot, clock)
+    model = None if job.arm is None else read_arm(job.arm)
+    settings = driver_settings(job.robot, arm=model, rsi_config=job.rsi_config)
+    robot = opened or open_robot(job.robot, clock, settings)
     _check(job, robot)
     guard = guard_for(robot, job.arm, job.limits, share=job.speed)
     with robot:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 from armsight.app.robot.beside import run_beside
+from armsight.app.robot.driver_settings import driver_settings
 from armsight.app.robot.opening import open_robot
 from armsight.app.schemas.robot import PeriodOutput, RobotTestOutput
 from armsight.clock import Clock, SystemClock
@@ -27,16 +29,17 @@ def test_robot(
     progress: Progress | None = None,
     clock: Clock | None = None,
     opened: Robot | None = None,
+    rsi_config: Path | None = None,
 ) -> RobotTestOutput:
     """Read a robot once a cycle for a time, and return how punctual that was and where it stands.
 
-    opened: in place of the robot that the text names. Raises UsageError, DeviceNotFound, BadFile, DeviceLost,
-    StaleData, DeviceFailed, Cancelled.
+    rsi_config: of an rsi link. opened: in place of the robot that the text names. Raises UsageError, DeviceNotFound,
+    BadFile, DeviceLost, StaleData, DeviceFailed, Cancelled.
     """
     if not 0.0 < for_s <= 1e5:
         raise UsageError(f"a test of {for_s:g} s cannot be", cure="Give the seconds it shall take, for instance 5")
     clock, progress = clock or SystemClock(), progress or Silent()
-    arm = opened or open_robot(robot, clock)
+    arm = opened or open_robot(robot, clock, driver_settings(robot, rsi_config=rsi_config))
     with arm:
         start_s, told = clock.now_s(), progress
         jitter, reading = run_beside(

@@ -30,6 +30,7 @@ from armsight.app.schemas.machine import DoctorOutput
 from armsight.app.schemas.measure import DemoOutput, MeasureOutput
 from armsight.app.schemas.reproduce import ReproduceOutput
 from armsight.app.schemas.robot import JogOutput, RobotTestOutput
+from armsight.app.schemas.servo import ServoOutput
 from armsight.app.schemas.timing import TimingOutput
 from armsight.app.schemas.verify import VerifyOutput, VerifyPlanOutput
 from armsight.app.schemas.verify_live import MasteringOutput, MasteringPlanOutput, VerifyLiveOutput
@@ -73,6 +74,7 @@ OUTPUTS: Mapping[str, type[Output]] = MappingProxyType(
         "kinematics-show": ShowOutput,
         "robot-test": RobotTestOutput,
         "robot-jog": JogOutput,
+        "servo": ServoOutput,
         "doctor": DoctorOutput,
         "error": RefusalOutput,
     }

@@ -10,11 +10,13 @@ import numpy as np
 from armsight.app.schemas.files import SimulateOutput
 from armsight.app.simulate.cells import CellPairs, load_cell, room_choice, write_cell_files, write_png
 from armsight.app.simulate.scenarios import build_world, load_scenario, scenario_names, settled_text
+from armsight.calibrate.handeye import Setup
 from armsight.drivers import CELLS, known
 from armsight.errors import Cancelled
 from armsight.records import Motion, Progress, Silent
 from armsight.store import rig_from_mapping, target_from_mapping, write_rig, write_target, write_text
 from armsight.store.arm_file import arm_from_mapping, write_arm
+from armsight.store.handeye_file import write_handeye_poses
 from armsight.store.tables import cells, number
 from armsight.store.tracks import POSE_COLUMNS, write_joints
 from armsight.store.worlds import World, write_world
@@ -37,7 +39,8 @@ def simulate(
 
     Writes left/*.png and right/*.png (image/*.png for a mirror rig), rig.yaml, target.yaml, times.csv, truth.csv and
     scenario.yaml; of a scenario with a robot also arm.yaml (nominal, the target or rig as its tool), arm_true.yaml,
-    joints.csv (encoders), truth_world.csv, world.yaml (of a fixed rig) and sweep_joints.csv (of sweeps). seed, frames
+    joints.csv (encoders), truth_world.csv, handeye.yaml and world.yaml (of a fixed rig), true both, and
+    sweep_joints.csv (of sweeps). seed, frames
     and room (a name, or a picture's path) default to the scenario's own. Raises DeviceNotFound for an unknown scenario,
     UsageError for an unknown room; zoom: of the zoom lenses of the scenario, or of those that a
     cell's cameras then get. BadFile for what cannot be, DeviceFailed where the disk refuses, Cancelled.
@@ -87,6 +90,7 @@ def write_world_files(world: Any, out: Path) -> None:
     if world.T_base_rig is not None:
         T_world_rig = world.true.T_world_base * world.T_base_rig
         write_world(out / "world.yaml", World(parent="world", T_parent_rig=T_world_rig))
+    _write_handeye(world, out)
     if world.sweeps:
         n = world.nominal.n
         place = {index: row for row, index in enumerate(world.kept)}
@@ -97,6 +101,15 @@ def write_world_files(world: Any, out: Path) -> None:
         ]
         header = ",".join(["frame", "joint", *(f"q{i + 1}" for i in range(n))])
         write_text(out / "sweep_joints.csv", "\n".join([header, *rows]) + "\n")
+
+
+def _write_handeye(world: Any, out: Path) -> None:
+    """Write where the rig truly is, on the flange or on the base, as a hand-eye calibration would tell it."""
+    if world.T_flange_rig is not None:
+        T_base_target = world.true.T_world_base.inv() * world.target_path(np.zeros(1))[0]
+        write_handeye_poses(out / "handeye.yaml", Setup.EYE_IN_HAND, world.T_flange_rig, T_base_target)
+    elif world.T_base_rig is not None:
+        write_handeye_poses(out / "handeye.yaml", Setup.EYE_TO_HAND, world.T_base_rig, world.T_flange_tool)
 
 
 def _write_truth(path: Path, truth: Any) -> None:

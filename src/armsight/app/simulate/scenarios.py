@@ -66,9 +66,12 @@ def build_world(
         return load(SCENARIOS, WORLD)(model, seed=seed, frames=frames, room=room, zoom=zoom)
 
 
-def live_cell(name: str, clock: Clock, *, play: bool = False) -> Any:
-    """Return the robot of a scenario and the cameras that watch it, on one clock; play: it goes the scenario's way."""
-    return load(SCENARIOS, LIVE)(load_scenario(name)[0], clock, play=play)
+def live_cell(name: str, clock: Clock, *, play: bool = False, **asked: Any) -> Any:
+    """Return the robot of a scenario and the cameras that watch it or that it carries, on one clock.
+
+    play: the robot goes the scenario's way. asked: hand, speed_m_s, seed, fps, room, as the simulation takes them.
+    """
+    return load(SCENARIOS, LIVE)(load_scenario(name)[0], clock, play=play, **asked)
 
 
 def sim_camera(

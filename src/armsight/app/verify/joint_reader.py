@@ -10,7 +10,7 @@ from armsight.clock import Clock
 from armsight.drivers import Robot
 from armsight.errors import DeviceFailed
 from armsight.records import JointReading
-from armsight.verify.joint_history import JointHistory
+from armsight.records.joint_history import JointHistory
 
 JOIN_S = 2.0
 """How long the end of the thread is waited for."""

@@ -6,7 +6,6 @@ import dataclasses
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +14,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.control.guard.decision import GuardState
 from armsight.control.guard.limits import JointBounds, Limits
 from armsight.control.guard.motion import Ceiling, Course, Planner, State
-from armsight.control.guard.space import Breach, Sight, Space, pose_difference
+from armsight.control.guard.space import OF_MOTION, Breach, Sight, Space, pose_difference
 from armsight.control.guard.watch import Fault, hold_reason
 from armsight.control.setpoints import Finished, Hold, JointGoal, JointVelocity, SetPoint, ToolPose, ToolTwist
 from armsight.kinematics import Arm
@@ -143,7 +142,7 @@ class Follower:
             case Hold() | Finished():
                 return None
 
-    def _with_velocity(self, qd: Array, *, in_space: bool) -> Move:
+    def _with_velocity(self, qd: Array, *, in_space: bool) -> Move | None:
         """Return the move towards joint velocities, scaled down to the limits of speed."""
         self._goal = None
         share, limited = self._speed_share(qd)
@@ -153,9 +152,10 @@ class Follower:
             if move is not None:
                 return move
             limited += tuple(name for name in broken if name not in limited and part < 1.0)
-        return self._nowhere(broken)
+        self._nowhere(broken)
+        return None
 
-    def _to_goal(self, q: Array, qd: Array, slow: float, limited: tuple[str, ...], *, in_space: bool) -> Move:
+    def _to_goal(self, q: Array, qd: Array, slow: float, limited: tuple[str, ...], *, in_space: bool) -> Move | None:
         """Return the move towards joint values, passed at velocities qd; slow: share of all speeds."""
         way = q - self._now.q
         often = self._fastest(way)
@@ -167,7 +167,8 @@ class Follower:
             if move is not None:
                 return move
             limited += tuple(name for name in broken if name not in limited and part < 1.0)
-        return self._nowhere(broken)
+        self._nowhere(broken)
+        return None
 
     def _attempts(self, way: Array) -> Iterator[tuple[float, Ceiling]]:
         """Yield shares of the speed with what the joints may do, boldest first, for a change of motion along way."""
@@ -233,8 +234,10 @@ class Follower:
         if worse:
             raise Refused(Fault(GuardState.HOLDING, worse[0], f"where it shall go is beyond a limit: {worse[0]}"))
 
-    def _nowhere(self, broken: tuple[str, ...]) -> NoReturn:
-        """Refuse a set point that no speed is slow enough for."""
+    def _nowhere(self, broken: tuple[str, ...]) -> None:
+        """Slow down for a cycle where that is enough, between two fast motions; else refuse the set point."""
+        if OF_MOTION.issuperset(broken):
+            return
         raise Refused(Fault(GuardState.HOLDING, broken[0], f"at a limit: {', '.join(broken)}"))
 
     def _checked(

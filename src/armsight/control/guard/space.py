@@ -19,6 +19,18 @@ NEWTON_STEPS = 4
 POSITION_M = 1e-7
 ROTATION_RAD = 1e-7
 EVERYWHERE = Box(lower_m=np.full(3, -1e9), upper_m=np.full(3, 1e9), name="without walls")
+KEPT_BACK = 0.99
+"""Share of the limits of the tool that is checked for: the real arm differs from its model by parts in a thousand."""
+OF_MOTION = frozenset(
+    {
+        "speed of the tool",
+        "turning of the tool",
+        "acceleration of the tool",
+        "turning acceleration of the tool",
+        "speed of a joint",
+    }
+)
+"""Limits that a slower motion keeps: where only these are broken the arm slows down and goes on."""
 HAIR = 1e-9
 """What is worse by less than this (m, rad, m/s) than it was is not worse."""
 
@@ -56,7 +68,7 @@ class Space:
         self._flange = np.ascontiguousarray(arm.T_flange_tool.inv().as_matrix()[:3, 3])
         self._lengths = np.array([[arm.length_m]] * 3 + [[1.0]] * 3)
         self._joints = np.array([bounds.lower, bounds.upper, bounds.speed])
-        self._most = np.array(
+        self._most = KEPT_BACK * np.array(
             [limits.speed_m_s, limits.turn_rad_s, limits.acceleration_m_s2, limits.turn_acceleration_rad_s2]
         )
         spaces = (limits.workspace or EVERYWHERE, *limits.forbidden)
@@ -86,7 +98,8 @@ class Space:
     ) -> tuple[Breach, Sight]:
         """Return what is broken at worst over readings q (m, n) moving at qd and qdd, and the tool at the first.
 
-        dt_s: between two rows. before: what is broken already. in_space: singularities count, at both ends.
+        dt_s: between two rows. before: what is broken already. in_space: singularities count, in every row, as a way to
+        rest may pass one and end far from it.
         """
         values = self._values(q)
         T, J = fk_jacobian(self.arm, values, all_cores=False)
@@ -112,7 +125,7 @@ class Space:
         if self._gearing is not None:
             beyond = np.maximum(self.arm.lower - values, values - self.arm.upper)
             found[RANGE] = max(found[RANGE], float(beyond.max()))
-        found[-1] = self._limits.singularity - self.singularity(J[[0, -1]]) if in_space else -np.inf
+        found[-1] = self._limits.singularity - self.singularity(J) if in_space else -np.inf
         return Breach(self._names, found), self._in_base(q[0], T[0], J[0])
 
     def at(self, q: Array, qd: Array, qdd: Array, *, in_space: bool) -> Breach:

@@ -26,7 +26,7 @@ class Setup:
     one upon the other (a mirror rig's complex image); it is then given as the left and as the right frame. covariance:
     of RIG_PARAMETERS and of the target's positions, (26 + 3 m, 26 + 3 m), (26, 26) where the target is taken as exact,
     (0, 0) where the rig is as well. Both are taken as independent. sides: the settings of each camera, with the gain of
-    its noise where the rig knows it.
+    its noise where the rig knows it, and with its own of masks (left, right), (h, w), in place of the settings' one.
     """
 
     rig: Rig
@@ -34,6 +34,7 @@ class Setup:
     settings: SpotSettings = field(default_factory=SpotSettings)
     slack_px: float = SLACK_PX
     overlaid: bool = False
+    masks: tuple[NDArray[np.bool_] | None, NDArray[np.bool_] | None] = (None, None)
     packed: PackedRig = field(init=False, repr=False)
     model: TargetModel = field(init=False, repr=False)
     covariance: Array = field(init=False, repr=False)
@@ -46,7 +47,9 @@ class Setup:
         object.__setattr__(self, "covariance", _joint_covariance(self.packed.covariance, self.target.covariance))
         if self.target.colour is not None and self.settings.colour is None:
             object.__setattr__(self, "settings", replace(self.settings, colour=self.target.colour))
-        object.__setattr__(self, "sides", tuple(_with_noise(self.settings, noise) for noise in self.rig.noise))
+        own = [self.settings if mask is None else replace(self.settings, mask=mask) for mask in self.masks]
+        sides = tuple(_with_noise(one, noise) for one, noise in zip(own, self.rig.noise, strict=True))
+        object.__setattr__(self, "sides", sides)
 
     def covariance_of(self, names: tuple[str, ...]) -> Array:
         """Return the covariance of the rig's parameters and of these lights' positions, in their order."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import StaleData
-from armsight.records import JointReading
+from armsight.records.motion import JointReading
 
 Array = NDArray[np.float64]
 

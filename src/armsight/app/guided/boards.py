@@ -1,0 +1,192 @@
+"""Cameras and rigs from a board that a person shows: coverage, tilt, live standard deviations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.app.calibrate.board_images import see_board
+from armsight.app.calibrate.cameras import CalibrateJob, calibrate_camera, calibrate_stereo, report_path
+from armsight.app.guided.step import Hint, Next, Sample, Verdict
+from armsight.app.live.station import Station
+from armsight.calibrate.cameras import BoardOptions
+from armsight.calibrate.cameras import calibrate_camera as solve_camera
+from armsight.calibrate.cameras import calibrate_stereo as solve_stereo
+from armsight.drivers import read_image
+from armsight.errors import BadImage, DataRefused, NotEnoughData
+from armsight.optics import SIDES
+from armsight.records import BoardView, Frame, NotSeen, Progress, Target
+from armsight.store import parse_board
+
+Array = NDArray[np.float64]
+
+CELLS = 3
+"""A picture is parted into so many columns and rows."""
+ENOUGH = 15
+"""Samples from which a calibration rests on more than their number: later ones gain little."""
+FEWEST = 5
+"""Samples from which standard deviations are shown."""
+TILTED = 0.12
+"""A board whose scale differs by this share over the picture is tilted by some 15 to 30 degrees, which a focal length
+needs."""
+TILTED_SHARE = 0.5
+GOOD_RMS_PX = 0.6
+"""Residual on images left out of the fit, beyond which boards, lenses or light are not as they should be."""
+
+
+@dataclass(slots=True, kw_only=True)
+class BoardCalibration:
+    """Pairs of pictures of a board, for a rig; or those of one camera, for its lens.
+
+    sides: left, right or both. folder: takes the pictures. out: camera.yaml or rig.yaml.
+    """
+
+    board: str
+    folder: Path
+    out: Path
+    sides: tuple[str, ...] = SIDES
+    _views: list[tuple[BoardView, ...]] = field(default_factory=list)
+    _names: list[str] = field(default_factory=list)
+    _taken: int = 0
+
+    @property
+    def name(self) -> str:
+        """The step's key."""
+        return "stereo" if len(self.sides) > 1 else f"camera-{self.sides[0]}"
+
+    @property
+    def samples(self) -> tuple[Sample, ...]:
+        """The boards accepted so far."""
+        board = parse_board(self.board)
+        return tuple(
+            Sample(name=name, detail=f"{len(views[0])} points, tilt {100 * tilt(views[0], board):.0f} %")
+            for name, views in zip(self._names, self._views, strict=True)
+        )
+
+    def coverage(self) -> dict[str, tuple[int, ...]]:
+        """Return per camera how many boards reach into each cell of its picture."""
+        return {side: tuple(self._cells(i).ravel().tolist()) for i, side in enumerate(self.sides)}
+
+    def hint(self) -> Hint:
+        """Return what is missing most: a first board, a corner of a picture, tilt, more of them."""
+        if not self._views:
+            return Hint(what=Next.SHOW_BOARD)
+        for i, side in enumerate(self.sides):
+            cells = self._cells(i)
+            if cells.min() == 0:
+                row, column = np.unravel_index(int(np.argmin(cells)), cells.shape)
+                return Hint(what=Next.TO_CELL, side=side, cell=(int(column), int(row)))
+        board = parse_board(self.board)
+        tilted = np.mean([tilt(views[0], board) > TILTED for views in self._views])
+        if tilted < TILTED_SHARE:
+            return Hint(what=Next.TILT)
+        return Hint(what=Next.RUN if len(self._views) >= ENOUGH else Next.MORE)
+
+    def spread(self) -> tuple[tuple[str, str], ...]:
+        """Return the standard deviations of what the boards so far give."""
+        if len(self._views) < FEWEST:
+            return ()
+        board, options = parse_board(self.board), BoardOptions(folds=0)
+        columns = [[views[i] for views in self._views] for i in range(len(self.sides))]
+        try:
+            if len(self.sides) > 1:
+                rig = solve_stereo(columns[0], columns[1], board, options)
+                std = rig.std
+                shown = {
+                    "left.fx": ("left focal length", 1.0, "px"),
+                    "right.fx": ("right focal length", 1.0, "px"),
+                    "baseline_m": ("baseline", 1e3, "mm"),
+                }
+            else:
+                std = solve_camera(columns[0], board, options).covariance.std()
+                shown = {"fx": ("focal length", 1.0, "px"), "cx": ("principal point", 1.0, "px"), "k1": ("k1", 1.0, "")}
+        except DataRefused as error:
+            return (("", str(error.cause)),)
+        return tuple(
+            (words, f"{scale * std[name]:.3g} {unit}".rstrip())
+            for name, (words, scale, unit) in shown.items()
+            if name in std
+        )
+
+    def accept(self, station: Station) -> Sample:
+        """Take the pictures of now. Raises BadImage where the board is not seen whole in each that counts."""
+        name = f"{self._taken:03d}"
+        files = {side: self.folder / side / f"{name}.png" for side in SIDES}
+        station.save_pair(files["left"], files["right"])
+        board, views = parse_board(self.board), []
+        for side in self.sides:
+            frame = Frame(image=read_image(files[side]), t_s=0.0, sequence=self._taken, source=f"{side}/{name}.png")
+            seen = see_board(frame, board)
+            if isinstance(seen, NotSeen):
+                for file in files.values():
+                    file.unlink(missing_ok=True)
+                raise BadImage(
+                    f"{side} camera: {seen.why}",
+                    consequence="The picture was not taken",
+                    cure="Hold the board still, whole in the picture, evenly lit",
+                )
+            views.append(seen)
+        self._taken += 1
+        self._views.append(tuple(views))
+        self._names.append(name)
+        return self.samples[-1]
+
+    def drop(self, index: int) -> None:
+        """Forget a board and its pictures."""
+        name = self._names.pop(index)
+        del self._views[index]
+        for side in SIDES:
+            (self.folder / side / f"{name}.png").unlink(missing_ok=True)
+
+    def run(self, progress: Progress) -> Verdict:
+        """Calibrate from the accepted pictures, with cross-validation; write the file and its report."""
+        if len(self._views) < FEWEST:
+            raise NotEnoughData(
+                f"{len(self._views)} boards were accepted",
+                consequence="Nothing was calibrated",
+                cure=f"Accept {FEWEST} at least, better {ENOUGH}",
+            )
+        folders = [str(self.folder / side) for side in self.sides]
+        if len(self.sides) > 1:
+            job = CalibrateJob(board=self.board, out=self.out, left=folders[0], right=folders[1])
+            rig = calibrate_stereo(job, progress)
+            rows = [("RMS", f"{rig.rms_px:.3f} px"), ("baseline", f"{1e3 * rig.baseline_m:.2f} mm")]
+            rows += [("± baseline", f"{1e3 * rig.std['baseline_m']:.3f} mm (1 σ)")]
+            left_out, advice = rig.holdout_rms_px, rig.advice
+        else:
+            job = CalibrateJob(board=self.board, out=self.out, source=folders[0])
+            camera = calibrate_camera(job, progress)
+            rows = [("RMS", f"{camera.rms_px:.3f} px"), ("focal length", f"{camera.fx_px:.1f} px")]
+            rows += [("± focal length", f"{camera.std['fx_px']:.2f} px (1 σ)")]
+            left_out, advice = camera.holdout_rms_px, camera.advice
+        rows += [("RMS of boards left out", "–" if left_out is None else f"{left_out:.3f} px")]
+        good = left_out is not None and left_out < GOOD_RMS_PX
+        words = ". ".join(one[:1].upper() + one[1:] for one in advice) or (
+            "The boards agree with each other." if good else "The boards do not agree."
+        )
+        return Verdict(good=good, words=words, rows=tuple(rows), file=self.out, report=report_path(self.out))
+
+    def _cells(self, i: int) -> NDArray[np.int64]:
+        count = np.zeros((CELLS, CELLS), dtype=np.int64)
+        for views in self._views:
+            view = views[i]
+            cell = (view.uv_px / [view.width, view.height] * CELLS).astype(int).clip(0, CELLS - 1)
+            for column, row in {(int(c), int(r)) for c, r in cell}:
+                count[row, column] += 1
+        return count
+
+
+def tilt(view: BoardView, board: Target) -> float:
+    """Return by which share a board's scale differs over its picture: 0 facing the camera; seen in part or whole."""
+    flat = board.xyz_m[view.index][:, :2]
+    if len(flat) < 4:
+        return 0.0
+    H, _ = cv2.findHomography(flat, view.uv_px)
+    if H is None:
+        return 0.0
+    depth = np.column_stack([flat, np.ones(len(flat))]) @ H[2]
+    return float(1.0 - depth.min() / depth.max()) if depth.min() > 0.0 else 0.0

@@ -1,0 +1,223 @@
+"""Tool tip, hand-eye and arm from poses that are taken one by one while a person or the robot moves the target."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from armsight.app.calibrate.arm import ArmJob, run_calibrate_arm
+from armsight.app.calibrate.cameras import report_path
+from armsight.app.calibrate.handeye import HandEyeJob, calibrate_handeye, calibrate_tip
+from armsight.app.guided.step import Hint, Next, Sample, Verdict
+from armsight.app.kinematics import load_arm
+from armsight.app.live.station import Station
+from armsight.app.schemas.live import LiveView
+from armsight.calibrate.handeye import PosePairs, Setup
+from armsight.errors import NotEnoughData
+from armsight.records import PoseStatus, Progress, TargetPose
+from armsight.store import write_poses
+from armsight.store.atomic import write_text
+from armsight.store.handeye_file import write_pairs
+from armsight.store.tables import cells
+from armsight.units import DEG
+
+Array = NDArray[np.float64]
+ReadJoints = Callable[[], Array]
+"""Returns the robot's joints (n,) in rad or m, at rest. Raises DeviceFailed."""
+
+TURNED = 20.0 * DEG
+"""A rotation's RMS about an axis from which a lever is told well: sin 20 degrees is a third of the lever's length."""
+
+
+def seen_pose(station: Station) -> TargetPose:
+    """Return the pose of now. Raises NotEnoughData, saying why there is none."""
+    shown = station.shown
+    view = None if shown is None else shown.view
+    if view is None or view.status != PoseStatus.OK.value:
+        raise NotEnoughData(
+            "the target is not seen whole" + (f": {view.why}" if view is not None and view.why else ""),
+            consequence="No pose was taken",
+            cure="Bring all lights of the target into both pictures",
+        )
+    return pose_of(view)
+
+
+def pose_of(view: LiveView) -> TargetPose:
+    """Return the pose that a view shows, its covariance without the correlations."""
+    T = np.eye(4)
+    T[:3, 3] = view.xyz_m or (0.0, 0.0, 0.0)
+    T[:3, :3] = Rotation.from_quat(view.quat_xyzw or (0.0, 0.0, 0.0, 1.0)).as_matrix()
+    std = np.array(view.std or np.full(6, np.nan))
+    return TargetPose(
+        t_s=view.t_s, status=PoseStatus.OK, parent=view.parent, T_parent_target=T, covariance=np.diag(std**2)
+    )
+
+
+@dataclass(slots=True, kw_only=True)
+class PoseSamples:
+    """Poses of the target, with the joints where a robot moves it; what is common to the steps that take poses."""
+
+    name: str
+    folder: Path
+    out: Path
+    enough: int
+    fewest: int
+    read_joints: ReadJoints | None = None
+    _poses: list[TargetPose] = field(default_factory=list)
+    _joints: list[Array] = field(default_factory=list)
+
+    @property
+    def samples(self) -> tuple[Sample, ...]:
+        """The poses taken so far."""
+        out = []
+        for i, pose in enumerate(self._poses):
+            T = np.asarray(pose.T_parent_target)
+            place = " ".join(f"{1e3 * v:.1f}" for v in T[:3, 3])
+            out.append(Sample(name=str(i + 1), detail=f"x y z {place} mm"))
+        return tuple(out)
+
+    def coverage(self) -> dict[str, tuple[int, ...]]:
+        """Nothing: poses cover turns, not pictures."""
+        return {}
+
+    def turned_rad(self) -> Array:
+        """Return the RMS of the turns about their principal axes (3,), falling."""
+        if len(self._poses) < 2:
+            return np.zeros(3)
+        turns = Rotation.from_matrix(np.array([np.asarray(p.T_parent_target)[:3, :3] for p in self._poses]))
+        vectors = (turns.mean().inv() * turns).as_rotvec()
+        moments = np.linalg.eigvalsh(vectors.T @ vectors / len(vectors))[::-1]
+        return np.asarray(np.sqrt(np.maximum(moments, 0.0)))
+
+    def hint(self) -> Hint:
+        """Return what is missing most: the robot, turns about a second axis, poses."""
+        move = Next.TURN_TARGET if self.read_joints is None else Next.MOVE_ROBOT
+        if len(self._poses) < self.fewest or self.turned_rad()[1] < TURNED:
+            return Hint(what=move)
+        return Hint(what=Next.RUN if len(self._poses) >= self.enough else move)
+
+    def spread(self) -> tuple[tuple[str, str], ...]:
+        """Return how far the target has been turned, from which the result's certainty comes."""
+        turned = self.turned_rad() / DEG
+        return tuple((f"turns about axis {i + 1}, RMS", f"{v:.0f} deg") for i, v in enumerate(turned))
+
+    def accept(self, station: Station) -> Sample:
+        """Take the pose of now, and the joints with it."""
+        pose = seen_pose(station)
+        if self.read_joints is not None:
+            self._joints.append(self.read_joints())
+        self._poses.append(pose)
+        return self.samples[-1]
+
+    def drop(self, index: int) -> None:
+        """Forget a pose."""
+        del self._poses[index]
+        if self._joints:
+            del self._joints[index]
+
+    def require(self) -> None:
+        """Raise NotEnoughData where too few poses were taken."""
+        if len(self._poses) < self.fewest:
+            raise NotEnoughData(
+                f"{len(self._poses)} poses were taken",
+                consequence="Nothing was calibrated",
+                cure=f"Take {self.fewest} at least, better {self.enough}",
+            )
+
+
+@dataclass(slots=True, kw_only=True)
+class TipCalibrationStep(PoseSamples):
+    """The tool's tip rests on a point while the target is turned about it."""
+
+    name: str = "tooltip"
+    enough: int = 30
+    fewest: int = 8
+
+    def run(self, progress: Progress) -> Verdict:
+        """Write poses.csv and tip.yaml."""
+        self.require()
+        progress.update(0, 0, "solving")
+        poses = self.folder / "poses.csv"
+        poses.parent.mkdir(parents=True, exist_ok=True)
+        write_poses(poses, self._poses)
+        tip = calibrate_tip(poses, self.out)
+        std_m = float(np.linalg.norm(tip.std.translation_m))
+        rows = (
+            ("tip", " ".join(f"{1e3 * v:.2f}" for v in tip.tip_m) + " mm in target axes"),
+            ("± tip", f"{1e3 * std_m:.3f} mm (1 σ)"),
+            ("the tip stayed within", f"{1e3 * tip.residual_rms_m:.3f} mm RMS"),
+        )
+        words = (
+            f"{tip.n_used} poses agree on one point." if not tip.rejected else f"{len(tip.rejected)} poses left out."
+        )
+        return Verdict(good=tip.turning_rms_rad[1] >= TURNED, words=words, rows=rows, file=self.out)
+
+
+@dataclass(slots=True, kw_only=True)
+class HandEyeStep(PoseSamples):
+    """The robot carries the cameras or the target to several poses; arm: the model that gives its flange."""
+
+    arm: Path
+    setup: Setup = Setup.EYE_IN_HAND
+    name: str = "handeye"
+    enough: int = 12
+    fewest: int = 5
+
+    def run(self, progress: Progress) -> Verdict:
+        """Write pairs.csv, handeye.yaml and its report."""
+        self.require()
+        progress.update(0, 0, "solving")
+        arm = load_arm(str(self.arm))
+        flange = [RigidTransform.from_matrix(m) for m in np.atleast_3d(arm.fk(np.array(self._joints)))]
+        T_base_flange = [T * arm.T_flange_tool.inv() for T in flange]
+        seen = [RigidTransform.from_matrix(np.asarray(pose.T_parent_target)) for pose in self._poses]
+        pairs = self.folder / "pairs.csv"
+        pairs.parent.mkdir(parents=True, exist_ok=True)
+        names = [sample.name for sample in self.samples]
+        write_pairs(pairs, PosePairs.of(T_base_flange, seen, names))
+        done = calibrate_handeye(HandEyeJob(pairs=pairs, out=self.out, setup=self.setup), progress)
+        rows = (
+            ("pairs used", f"{done.n_used} of {done.n_pairs}"),
+            (
+                "a pair predicted from the others",
+                f"{1e3 * done.loo_rms_m:.2f} mm, {done.loo_rms_rad / DEG:.3f} deg RMS",
+            ),
+        )
+        return Verdict(good=not done.advice, words=done.verdict, rows=rows, file=self.out, report=report_path(self.out))
+
+
+@dataclass(slots=True, kw_only=True)
+class ArmStep(PoseSamples):
+    """The robot moves the target to many poses; its geometry is corrected where the data prove a gain."""
+
+    model: str
+    name: str = "arm"
+    enough: int = 40
+    fewest: int = 15
+
+    def run(self, progress: Progress) -> Verdict:
+        """Write points.csv, arm.yaml and its report."""
+        self.require()
+        progress.update(0, 0, "solving")
+        points = self.folder / "points.csv"
+        points.parent.mkdir(parents=True, exist_ok=True)
+        n = len(self._joints[0])
+        header = ",".join([*(f"q{i + 1}" for i in range(n)), "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw"])
+        rows = [
+            cells([*q.tolist(), *T[:3, 3].tolist(), *Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True).tolist()])
+            for q, T in zip(self._joints, (np.asarray(p.T_parent_target) for p in self._poses), strict=True)
+        ]
+        write_text(points, "\n".join([header, *rows]) + "\n")
+        done = run_calibrate_arm(ArmJob(model=self.model, points=points, out=self.out))
+        left_out = done.crossval
+        shown = (
+            ("rows", str(done.n)),
+            ("left-out error before", f"{1e3 * left_out.before.rms_m:.2f} mm RMS"),
+            ("left-out error after", f"{1e3 * left_out.after.rms_m:.2f} mm RMS"),
+        )
+        return Verdict(good=done.gain, words=done.verdict, rows=shown, file=self.out, report=report_path(self.out))

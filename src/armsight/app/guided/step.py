@@ -1,0 +1,97 @@
+"""What every guided calibration offers a screen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Protocol
+
+from armsight.app.live.station import Station
+from armsight.records import Progress
+
+
+class Next(StrEnum):
+    """What the person should do next; screens have the words."""
+
+    SHOW_BOARD = "show_board"
+    TO_CELL = "to_cell"
+    TILT = "tilt"
+    NEARER = "nearer"
+    TURN_TARGET = "turn_target"
+    MOVE_ROBOT = "move_robot"
+    RECORD = "record"
+    MORE = "more"
+    RUN = "run"
+    NOT_POSSIBLE = "not_possible"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Hint:
+    """What to do next, where in the picture (side, column and row of a 3x3 grid), and why nothing can be done."""
+
+    what: Next
+    side: str = ""
+    cell: tuple[int, int] | None = None
+    why: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sample:
+    """One thing taken: its name, and what a table says of it; used: False where it was left out, and why."""
+
+    name: str
+    detail: str
+    used: bool = True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verdict:
+    """good: whether the result can be trusted. words: of the calibration itself. rows: names and values for a table.
+
+    file: what was written; report: beside it, None where there is none.
+    """
+
+    good: bool
+    words: str
+    rows: tuple[tuple[str, str], ...]
+    file: Path
+    report: Path | None = None
+
+
+class Guided(Protocol):
+    """A calibration in steps. Methods may take a second and be called from a thread; all raise ArmsightError."""
+
+    @property
+    def name(self) -> str:
+        """Key of the step, such as stereo."""
+        ...
+
+    @property
+    def samples(self) -> tuple[Sample, ...]:
+        """What was accepted so far."""
+        ...
+
+    def hint(self) -> Hint:
+        """Return what to do next."""
+        ...
+
+    def coverage(self) -> dict[str, tuple[int, ...]]:
+        """Return per camera how many samples lie in each of nine cells of the picture, row by row; empty: none."""
+        ...
+
+    def spread(self) -> tuple[tuple[str, str], ...]:
+        """Return the live standard deviations as names and values, as far as they can be told."""
+        ...
+
+    def accept(self, station: Station) -> Sample:
+        """Take what is seen now. Raises what hinders it, in words."""
+        ...
+
+    def drop(self, index: int) -> None:
+        """Forget a sample."""
+        ...
+
+    def run(self, progress: Progress) -> Verdict:
+        """Calibrate and write the file."""
+        ...

@@ -1,0 +1,79 @@
+"""When two free-running cameras expose, from a recording of the moving target."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from armsight.app.calibrate.timing import LIVE_S, TimingJob, calibrate_cameras_timing
+from armsight.app.guided.step import Hint, Next, Sample, Verdict
+from armsight.app.live.station import Station
+from armsight.errors import NotEnoughData
+from armsight.records import Progress
+
+
+@dataclass(slots=True, kw_only=True)
+class TimingStep:
+    """rig, target: of the cell. folder: takes the recording. out: rig.yaml with the timing in it."""
+
+    rig: Path
+    target: Path
+    folder: Path
+    out: Path
+    name: str = "timing"
+    _recording: Path | None = None
+    _pairs: int = 0
+    _seconds: float = 0.0
+
+    @property
+    def samples(self) -> tuple[Sample, ...]:
+        """The recording, once there is one."""
+        if self._recording is None:
+            return ()
+        return (Sample(name=self._recording.name, detail=f"{self._pairs} pairs, {self._seconds:.0f} s"),)
+
+    def hint(self) -> Hint:
+        """Return whether to record, or to calibrate."""
+        return Hint(what=Next.RECORD if self._seconds < LIVE_S else Next.RUN)
+
+    def coverage(self) -> dict[str, tuple[int, ...]]:
+        """Nothing."""
+        return {}
+
+    def spread(self) -> tuple[tuple[str, str], ...]:
+        """Return how much was recorded of what is wanted."""
+        return (("recorded", f"{self._seconds:.0f} of {LIVE_S:.0f} s"),)
+
+    def accept(self, station: Station) -> Sample:
+        """Begin the recording; called again, end it. Raises NotEnoughData where nothing is in it."""
+        state = station.recording
+        if state.file is None:
+            file = self.folder / "timing.mcap"
+            file.unlink(missing_ok=True)
+            station.record(file)
+            self._recording, self._seconds = file, 0.0
+            return Sample(name=file.name, detail="recording")
+        fps = station.shown.view.fps if station.shown is not None else 0.0
+        self._pairs, self._seconds = state.n_pairs, state.n_pairs / fps if fps else 0.0
+        station.record(None)
+        return self.samples[0]
+
+    def drop(self, index: int) -> None:
+        """Forget the recording."""
+        if self._recording is not None:
+            self._recording.unlink(missing_ok=True)
+        self._recording, self._pairs, self._seconds = None, 0, 0.0
+
+    def run(self, progress: Progress) -> Verdict:
+        """Calibrate and write rig.yaml anew with the timing."""
+        if self._recording is None:
+            raise NotEnoughData("nothing was recorded", consequence="Nothing was calibrated", cure="Record first")
+        text = str(self._recording)
+        job = TimingJob(rig=self.rig, target=self.target, out=self.out, left=f"{text}:left", right=f"{text}:right")
+        done = calibrate_cameras_timing(job, progress)
+        rows = (
+            ("delay", f"{1e3 * done.delay_s:.2f} ms"),
+            ("± in the middle", f"{1e3 * done.std_middle_s:.3f} ms (1 σ)"),
+            ("drift", f"{done.drift_ppm:.1f} ppm"),
+        )
+        return Verdict(good=not done.advice, words=done.verdict, rows=rows, file=self.out)

@@ -1,0 +1,186 @@
+"""Pairs of frames measured at the cameras' pace, and told as a screen shows them."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Generator
+from contextlib import closing
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.app.live.views import RunView, live_view, side_view
+from armsight.app.measure.outputs import moved_pose
+from armsight.app.measure.run import lost_pair, target_of
+from armsight.app.schemas.live import Counts, LiveView
+from armsight.app.sources.frames import open_pairs
+from armsight.clock import Clock
+from armsight.drivers import AUTOMATIC, PairSettings, PairSource, is_live
+from armsight.errors import Inconsistent
+from armsight.measure.poses.pipeline import Measured, Setup, Track, measure_pair
+from armsight.measure.settings import SpotSettings
+from armsight.measure.spots import find_spots
+from armsight.optics import SIDES, Camera, Rig
+from armsight.records import Frame, PoseStatus, TargetPose
+from armsight.store import World, read_rig, read_world
+
+Pair = tuple[Frame, Frame]
+Mask = NDArray[np.bool_]
+Rectangle = tuple[float, float, float, float]
+
+NOT_CALIBRATED = "the cameras are not calibrated yet, or no target is chosen: lights are found, not measured"
+
+RATE_S = 1.0
+"""Time over which pairs a second are counted."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LiveJob:
+    """What is measured live: rig.yaml, target.yaml, two sources; live cameras, or files played at their own pace.
+
+    Without rig or target lights are found and pictures shown, for aiming cameras that are not calibrated yet. again:
+    files begin anew at their end. camera_settings: what is asked of live cameras.
+    """
+
+    left: str
+    right: str
+    rig: Path | None = None
+    target: Path | None = None
+    world: Path | None = None
+    fps: float | None = None
+    again: bool = False
+    camera_settings: PairSettings = AUTOMATIC
+
+    @property
+    def live(self) -> bool:
+        """Whether the sources are cameras."""
+        return is_live(self.left)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Look:
+    """How spots are looked for, as the person sets it on the picture.
+
+    threshold, inverted: as SpotSettings has them. masked: per side, rectangles (u0, v0, u1, v1) in px in which nothing
+    is looked for.
+    """
+
+    threshold: float | None = None
+    inverted: bool = False
+    masked: dict[str, tuple[Rectangle, ...]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Moment:
+    """One pair measured: its frames, and what a screen says of it."""
+
+    pair: Pair
+    pose: TargetPose
+    view: LiveView
+
+
+class LiveMeasurement:
+    """Measures pair after pair; `look` may be exchanged between two of them."""
+
+    def __init__(self, job: LiveJob, clock: Clock, pairs: PairSource | None = None) -> None:
+        """Read rig, target and place; pairs: in place of the job's sources. Raises UsageError, DataRefused."""
+        self._job, self._clock = job, clock
+        self.rig: Rig | None = read_rig(job.rig) if job.rig else None
+        self.target = target_of(job.target) if job.target else None
+        self._world: World | None = read_world(job.world) if job.world else None
+        colour = self.target is not None and self.target.colour is not None
+        self._pairs = pairs or open_pairs(job.left, job.right, colour=colour, fps=job.fps, settings=job.camera_settings)
+        self._paced = pairs is None and not job.live
+        self._setup, self._sides = self._setup_of(Look())
+        self._counts = dict.fromkeys(PoseStatus, 0)
+        self._done_s: deque[float] = deque()
+
+    @property
+    def pairs(self) -> PairSource:
+        """Where the frames come from; to be opened with `with`."""
+        return self._pairs
+
+    def look(self, how: Look) -> None:
+        """Look for spots in another way from the next pair on. Raises UsageError for what cannot be.
+
+        Masks need the rig, which knows the cameras' sizes.
+        """
+        self._setup, self._sides = self._setup_of(how)
+
+    def moments(self) -> Generator[Moment, None, None]:
+        """Yield every pair as it is measured; the source must be open. Raises as the source does, and Inconsistent."""
+        track: Track | None = None
+        while True:
+            origin_s = self._clock.now_s()
+            with closing(cast(Generator[Pair, None, None], iter(self._pairs))) as source:
+                for pair in source:
+                    moment, track = self._measured(self._played(pair, origin_s), track)
+                    yield moment
+            if not (self._paced and self._job.again):
+                return
+            track = None
+
+    def _played(self, pair: Pair, origin_s: float) -> Pair:
+        """Return a pair of live cameras as it is; one of files at its time after origin_s, stamped with it."""
+        if not self._paced:
+            return pair
+        self._clock.sleep_until(origin_s + pair[0].t_s)
+        left, right = (replace(frame, t_s=origin_s + frame.t_s) for frame in pair)
+        return left, right
+
+    def _measured(self, pair: Pair, track: Track | None) -> tuple[Moment, Track | None]:
+        setup, start_s = self._setup, time.perf_counter()
+        measured = self._found(setup, pair, track)
+        took_s = time.perf_counter() - start_s
+        world = self._world
+        pose = moved_pose(measured.pose, world.T_parent_rig, world.parent) if world else measured.pose
+        self._counts[pose.status] += 1
+        run = RunView(
+            fps=self._fps(),
+            latency_s=self._clock.now_s() - pair[0].t_s,
+            measuring_s=took_s,
+            counts=Counts(**{status.value: n for status, n in self._counts.items()}),
+        )
+        sides = [side_view(self.rig, self._sides[i], i, pair[i], measured) for i in range(len(SIDES))]
+        return Moment(pair=pair, pose=pose, view=live_view(pose, run, sides)), measured.track
+
+    def _found(self, setup: Setup | None, pair: Pair, track: Track | None) -> Measured:
+        """Return what is measured in a pair; without rig or target the lights alone."""
+        if setup is None:
+            left, right = (find_spots(frame.image, own) for frame, own in zip(pair, self._sides, strict=True))
+            return replace(lost_pair(pair, NOT_CALIBRATED), left_seen=left, right_seen=right)
+        try:
+            return measure_pair(setup, *pair, track)
+        except Inconsistent as error:
+            return lost_pair(pair, str(error))
+
+    def _fps(self) -> float:
+        now_s = self._clock.now_s()
+        self._done_s.append(now_s)
+        while now_s - self._done_s[0] > RATE_S:
+            self._done_s.popleft()
+        return len(self._done_s) / RATE_S
+
+    def _setup_of(self, look: Look) -> tuple[Setup | None, tuple[SpotSettings, SpotSettings]]:
+        colour = None if self.target is None else self.target.colour
+        settings = SpotSettings(threshold=look.threshold, inverted=look.inverted, colour=colour)
+        if self.rig is None or self.target is None:
+            return None, (settings, settings)
+        left, right = (
+            mask_of(self.rig.camera(side), look.masked[side]) if look.masked.get(side) else None for side in SIDES
+        )
+        setup = Setup(rig=self.rig, target=self.target, settings=settings, masks=(left, right))
+        return setup, setup.sides
+
+
+def mask_of(camera: Camera, rectangles: tuple[Rectangle, ...]) -> Mask:
+    """Return (h, w): True where a camera's spots may be, outside of rectangles (u0, v0, u1, v1) in px."""
+    allowed = np.ones((camera.height, camera.width), dtype=np.bool_)
+    for u0, v0, u1, v1 in rectangles:
+        columns, rows = sorted((round(u0), round(u1))), sorted((round(v0), round(v1)))
+        allowed[max(rows[0], 0) : max(rows[1], 0) + 1, max(columns[0], 0) : max(columns[1], 0) + 1] = False
+    return allowed

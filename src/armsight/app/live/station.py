@@ -1,0 +1,320 @@
+"""A process of its own that measures live, so that no screen, however many, slows the measuring loop."""
+
+from __future__ import annotations
+
+import multiprocessing
+import threading
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from armsight.app.live.measurement import LiveJob, LiveMeasurement, Look, Moment
+from armsight.app.measure.warm_up import prepare
+from armsight.app.record.recorder import Recorder
+from armsight.app.schemas.live import LiveView
+from armsight.clock import Clock, SystemClock
+from armsight.errors import ArmsightError, DeviceFailed, UsageError
+from armsight.records import Frame, Silent
+from armsight.store.atomic import write_bytes
+from armsight.store.recording import ImageFormat, RecordingWriter
+
+PICTURES_HZ = 30.0
+"""Pictures a second that a screen gets at most: more is not seen."""
+JPEG_QUALITY = 80
+SAVE_S = 5.0
+"""Time after which a pair that was asked for is given up."""
+END_S = 5.0
+"""Time that the process gets to write what it records before it is ended by force."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shown:
+    """The newest moment as screens get it: what is said, and both pictures as JPEG."""
+
+    view: LiveView
+    left_jpeg: bytes
+    right_jpeg: bytes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordingState:
+    """file: being written, None where nothing is; n_pairs: in it; failure: why the last one ended, empty if well."""
+
+    file: Path | None = None
+    n_pairs: int = 0
+    n_dropped: int = 0
+    failure: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class _Record:
+    file: Path | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Save:
+    left: Path
+    right: Path
+
+
+@dataclass(frozen=True, slots=True)
+class _Saved:
+    failure: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Failed:
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Ended:
+    pass
+
+
+_Message = Shown | RecordingState | _Saved | _Failed | _Ended
+
+
+class Station:
+    """The measuring process from the outside. Threads of the caller may use it at once.
+
+    `shown` is the newest moment, `failure` why it does not measure (empty where it does).
+    """
+
+    def __init__(self, job: LiveJob) -> None:
+        """Start nothing yet."""
+        self.job = job
+        self.shown: Shown | None = None
+        self.recording = RecordingState()
+        self.failure = ""
+        self.ended = False
+        self._commands: Connection | None = None
+        self._process: multiprocessing.process.BaseProcess | None = None
+        self._reader: threading.Thread | None = None
+        self._lock = threading.Lock()
+        self._stopping = False
+        self._saved, self._save_failure = threading.Event(), ""
+
+    def start(self) -> None:
+        """Start measuring, or start anew after a failure."""
+        self.stop()
+        context = multiprocessing.get_context("spawn")
+        results, told = context.Pipe(duplex=False)
+        commands, self._commands = context.Pipe(duplex=False)
+        self._process = context.Process(target=_work, args=(self.job, told, commands), daemon=True, name="measuring")
+        self.failure, self.ended, self.shown, self._stopping = "", False, None, False
+        self._process.start()
+        told.close()
+        commands.close()
+        self._reader = threading.Thread(target=self._read, args=(results,), daemon=True, name="station")
+        self._reader.start()
+
+    def stop(self) -> None:
+        """End measuring and close the recording; legal at any time."""
+        if self._process is None:
+            return
+        self._stopping = True
+        self._send(None)
+        self._process.join(END_S)
+        if self._process.is_alive():
+            self._process.terminate()
+        if self._reader is not None:
+            self._reader.join()
+        self._process = self._reader = self._commands = None
+
+    def look(self, how: Look) -> None:
+        """Look for spots in another way from now on."""
+        self._send(how)
+
+    def record(self, file: Path | None) -> None:
+        """Record all frames into a new .mcap, or end the recording (None). What happens stands in `recording`."""
+        self._send(_Record(file))
+
+    def save_pair(self, left: Path, right: Path) -> None:
+        """Write the next pair as two images, bit for bit. Raises DeviceFailed where no pair comes or none is written.
+
+        For one caller at a time.
+        """
+        self._saved.clear()
+        self._send(_Save(left, right))
+        starting = "" if self.shown is not None else "the cameras are still starting"
+        came = not (self.failure or starting) and self._saved.wait(SAVE_S)
+        failure = self._save_failure if came else self.failure or starting or "no pair of pictures comes"
+        if failure:
+            raise DeviceFailed(failure, consequence="No picture was taken", cure="Look at the cameras and the disk")
+
+    def _send(self, command: object) -> None:
+        with self._lock, suppress(BrokenPipeError, OSError):
+            if self._commands is not None:
+                self._commands.send(command)
+
+    def _read(self, results: Connection) -> None:
+        with suppress(EOFError, OSError):
+            while True:
+                message: _Message = results.recv()
+                match message:
+                    case Shown():
+                        self.shown = message
+                    case RecordingState():
+                        self.recording = message
+                    case _Saved(failure):
+                        self._save_failure = failure
+                        self._saved.set()
+                    case _Failed(text):
+                        self.failure = text
+                    case _Ended():
+                        self.ended = True
+        results.close()
+        if not (self.failure or self.ended or self._stopping):
+            self.failure = "the measuring process ended unexpectedly"
+        self.recording = RecordingState(failure=self.recording.failure)
+
+
+def _work(job: LiveJob, told: Connection, commands: Connection) -> None:
+    """Measure until told to end; what goes wrong is told in words."""
+    with suppress(KeyboardInterrupt, BrokenPipeError):
+        try:
+            _Worker(job, told, commands, SystemClock()).run()
+        except ArmsightError as error:
+            told.send(_Failed(str(error)))
+
+
+class _Worker:
+    """The measuring loop, and a thread that encodes and sends pictures beside it (OpenCV encodes without the lock)."""
+
+    def __init__(self, job: LiveJob, told: Connection, commands: Connection, clock: Clock) -> None:
+        self._measurement = LiveMeasurement(job, clock)
+        self._told, self._commands, self._clock = told, commands, clock
+        self._mailbox: Moment | None = None
+        self._posted = threading.Condition()
+        self._tell_lock = threading.Lock()
+        self._ending = False
+        self._recorder: Recorder | None = None
+        self._save: _Save | None = None
+        self._file: Path | None = None
+
+    def run(self) -> None:
+        """Measure to the end of the source, or until told to end."""
+        prepare(Silent())
+        sender = threading.Thread(target=self._send, daemon=True, name="pictures")
+        sender.start()
+        try:
+            with self._measurement.pairs:
+                for moment in self._measurement.moments():
+                    self._take(moment)
+                    if self._obey():
+                        return
+            self._tell(_Ended())
+            self._wait_for_the_end()
+        finally:
+            self._record(None)
+            with self._posted:
+                self._ending = True
+                self._posted.notify()
+            sender.join()
+
+    def _take(self, moment: Moment) -> None:
+        if self._recorder is not None:
+            try:
+                self._recorder.put(*moment.pair)
+            except ArmsightError as error:
+                self._close_recording(str(error))
+        with self._posted:
+            self._mailbox = moment
+            self._posted.notify()
+
+    def _obey(self) -> bool:
+        """Do what was asked since the last pair; return whether that is to end."""
+        while self._commands.poll():
+            try:
+                command = self._commands.recv()
+            except EOFError:
+                return True
+            if command is None:
+                return True
+            self._do(command)
+        return False
+
+    def _do(self, command: object) -> None:
+        match command:
+            case Look():
+                with suppress(UsageError):  # the page refuses what cannot be before it asks
+                    self._measurement.look(command)
+            case _Record(file):
+                self._record(file)
+            case _Save():
+                self._save = command
+
+    def _wait_for_the_end(self) -> None:
+        while not self._obey():
+            self._commands.poll(None)
+
+    def _record(self, file: Path | None) -> None:
+        self._close_recording("")
+        if file is None:
+            return
+        try:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            writer = RecordingWriter(file, clock=self._clock)
+            self._recorder = Recorder(writer, ImageFormat.PNG, live=True).__enter__()
+            self._file = file
+        except ArmsightError as error:
+            self._tell(RecordingState(failure=str(error)))
+
+    def _close_recording(self, failure: str) -> None:
+        recorder, self._recorder, self._file = self._recorder, None, None
+        if recorder is None:
+            return
+        try:
+            recorder.close()
+        except ArmsightError as error:
+            failure = failure or str(error)
+        self._tell(RecordingState(failure=failure))
+
+    def _send(self) -> None:
+        """Send the newest moment, and no faster than a screen shows."""
+        next_s = 0.0
+        while True:
+            with self._posted:
+                self._posted.wait_for(lambda: self._mailbox is not None or self._ending)
+                if self._ending:
+                    return
+                moment, self._mailbox = self._mailbox, None
+            if moment is None:
+                continue
+            self._save_pair(moment)
+            if self._clock.now_s() < next_s:
+                continue
+            next_s = self._clock.now_s() + 0.9 / PICTURES_HZ
+            left, right = (jpeg(frame) for frame in moment.pair)
+            self._tell(Shown(view=moment.view, left_jpeg=left, right_jpeg=right))
+            if self._recorder is not None:
+                recorder = self._recorder
+                self._tell(RecordingState(file=self._file, n_pairs=recorder.written, n_dropped=recorder.dropped))
+
+    def _save_pair(self, moment: Moment) -> None:
+        asked, self._save = self._save, None
+        if asked is None:
+            return
+        failure = ""
+        try:
+            for file, frame in zip((asked.left, asked.right), moment.pair, strict=True):
+                file.parent.mkdir(parents=True, exist_ok=True)
+                write_bytes(file, cv2.imencode(".png", np.asarray(frame.image))[1].tobytes())
+        except (ArmsightError, OSError) as error:
+            failure = str(error)
+        self._tell(_Saved(failure))
+
+    def _tell(self, message: _Message) -> None:
+        with self._tell_lock, suppress(BrokenPipeError, OSError):
+            self._told.send(message)
+
+
+def jpeg(frame: Frame) -> bytes:
+    """Return a frame as a JPEG file's bytes."""
+    _, data = cv2.imencode(".jpg", np.asarray(frame.image), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    return data.tobytes()

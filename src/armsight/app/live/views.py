@@ -1,0 +1,102 @@
+"""One pair measured, as a screen shows it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.app.schemas.live import Counts, LiveView, SideView, SpotView
+from armsight.geometry import euler_rad
+from armsight.measure.aiming import aiming_hint
+from armsight.measure.poses.pipeline import Measured
+from armsight.measure.settings import SpotSettings
+from armsight.optics import SIDES, Rig
+from armsight.optics.epipolar import epipolar_curve
+from armsight.records import Frame, PoseStatus, Spots, TargetPose
+
+DEPTHS_M = np.geomspace(0.15, 30.0, 24)
+"""Where along a pixel's ray its epipolar curve is drawn: from a hand before the lens to a hall's other end."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunView:
+    """What a screen shows of the run itself, as LiveView has it."""
+
+    fps: float
+    latency_s: float
+    measuring_s: float
+    counts: Counts
+
+
+def live_view(pose: TargetPose, run: RunView, sides: Sequence[SideView]) -> LiveView:
+    """Return what a screen shows of one moment: the pose in its frame, and both pictures."""
+    T, covariance = pose.pose, pose.covariance
+    whole = pose.status is PoseStatus.OK and T is not None
+    return LiveView(
+        sequence=run.counts.ok + run.counts.position_only + run.counts.lost,
+        t_s=pose.t_s,
+        fps=run.fps,
+        latency_s=run.latency_s,
+        measuring_s=run.measuring_s,
+        status=pose.status.value,
+        why=pose.why,
+        parent=pose.parent,
+        xyz_m=None if T is None else _three(T.translation),
+        euler_rad=_three(euler_rad(T.rotation)) if whole and T is not None else None,
+        quat_xyzw=_four(T.rotation.as_quat(canonical=True)) if whole and T is not None else None,
+        std=None if covariance is None else tuple(np.sqrt(np.diag(covariance)).tolist()),
+        residual_px=float(np.sqrt(np.mean(pose.residual_px**2))) if len(pose.residual_px) else None,
+        counts=run.counts,
+        left=sides[0],
+        right=sides[1],
+    )
+
+
+def side_view(rig: Rig | None, settings: SpotSettings, side: int, frame: Frame, measured: Measured) -> SideView:
+    """Return what a screen shows of one camera's picture; side: 0 left, 1 right."""
+    matched, seen = (measured.left, measured.left_seen) if side == 0 else (measured.right, measured.right_seen)
+    other = measured.right if side == 0 else measured.left
+    hint = aiming_hint(frame, seen, settings)
+    return SideView(
+        width=frame.width,
+        height=frame.height,
+        spots=list(_spots(measured, side, matched, seen)),
+        epipolar=[] if rig is None else [_curve(rig, SIDES[1 - side], px) for px in other.uv_px],
+        advice=hint.advice.value,
+        background=hint.background,
+        brightest=hint.brightest,
+        sigma_px=hint.sigma_px,
+    )
+
+
+def _spots(measured: Measured, side: int, matched: Spots, seen: Spots) -> Iterator[SpotView]:
+    """Yield the named spots with their residuals, then those that nobody named."""
+    residuals = np.full((len(matched), 2), np.nan)
+    vectors = measured.pose.residual_px.reshape(-1, len(SIDES), 2)
+    if len(vectors) == len(matched):
+        residuals = -vectors[:, side]  # the record has model minus measured
+    for name, (u, v), (du, dv) in zip(measured.names, matched.uv_px, residuals, strict=True):
+        known = bool(np.isfinite(du))
+        yield SpotView(name=name, u_px=float(u), v_px=float(v), residual_px=(float(du), float(dv)) if known else None)
+    named = {(float(u), float(v)) for u, v in matched.uv_px}
+    for u, v in seen.uv_px:
+        if (float(u), float(v)) not in named:
+            yield SpotView(name="", u_px=float(u), v_px=float(v), residual_px=None)
+
+
+def _curve(rig: Rig, side: str, px: NDArray[np.float64]) -> list[tuple[float, float]]:
+    uv = epipolar_curve(rig, side, px, DEPTHS_M)
+    return [(round(float(u), 1), round(float(v), 1)) for u, v in uv[np.isfinite(uv).all(axis=1)]]
+
+
+def _three(values: NDArray[np.float64]) -> tuple[float, float, float]:
+    x, y, z = (float(v) for v in values)
+    return x, y, z
+
+
+def _four(values: NDArray[np.float64]) -> tuple[float, float, float, float]:
+    return cast("tuple[float, float, float, float]", tuple(float(v) for v in values))

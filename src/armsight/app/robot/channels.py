@@ -1,0 +1,114 @@
+"""Memory that two processes share: the newest of something, and a queue; neither side ever waits for the other.
+
+One process writes a channel and one reads it. What is torn by a write at the same time is seen by its checksum and
+left out, so that no lock is needed and a process that dies holds nobody up.
+"""
+
+from __future__ import annotations
+
+import zlib
+from multiprocessing import RawArray
+from typing import Any
+
+from armsight.errors import UsageError
+
+_HEAD = 16
+"""Bytes before a slot's content: its number (8), its length (4), its checksum (4)."""
+
+
+class _Slots:
+    """Numbered slots of equal size; counts at the front tell how much was written and read."""
+
+    def __init__(self, slots: int, size: int) -> None:
+        self.slots = slots
+        self.size = size
+        self._memory: Any = RawArray("B", 16 + slots * (_HEAD + size))
+
+    def written(self) -> int:
+        """Return how many were written."""
+        return int.from_bytes(self._bytes()[0:8], "little")
+
+    def taken(self) -> int:
+        """Return how many the reader took."""
+        return int.from_bytes(self._bytes()[8:16], "little")
+
+    def set_taken(self, count: int) -> None:
+        """Let the writer use the slots before number count again."""
+        self._bytes()[8:16] = count.to_bytes(8, "little")
+
+    def put(self, number: int, data: bytes) -> None:
+        """Write slot number, then count it."""
+        if len(data) > self.size:
+            raise UsageError(f"a message of {len(data)} bytes does not fit into {self.size}")
+        memory, at = self._bytes(), self._at(number)
+        memory[at + _HEAD : at + _HEAD + len(data)] = data
+        memory[at : at + _HEAD] = _head(number, data)
+        memory[0:8] = (number + 1).to_bytes(8, "little")
+
+    def get(self, number: int) -> bytes | None:
+        """Return what slot number holds; None where that was overwritten, or is being written."""
+        memory, at = self._bytes(), self._at(number)
+        head = bytes(memory[at : at + _HEAD])
+        length = int.from_bytes(head[8:12], "little")
+        if length > self.size:
+            return None
+        data = bytes(memory[at + _HEAD : at + _HEAD + length])
+        return data if head == _head(number, data) else None
+
+    def _at(self, number: int) -> int:
+        return 16 + (number % self.slots) * (_HEAD + self.size)
+
+    def _bytes(self) -> memoryview:
+        return memoryview(self._memory).cast("B")
+
+
+class Newest:
+    """The newest of something: written as often as one likes, read by any number at any time."""
+
+    def __init__(self, size: int = 4096) -> None:
+        self._slots = _Slots(4, size)  # a reader has three writes' time to take its copy
+
+    def write(self, data: bytes) -> None:
+        """Replace what is there."""
+        self._slots.put(self._slots.written(), data)
+
+    def read(self) -> bytes | None:
+        """Return the newest; None before the first was written, or where every copy was overwritten meanwhile."""
+        for _ in range(10):
+            count = self._slots.written()
+            data = self._slots.get(count - 1) if count else None
+            if data is not None:
+                return data
+        return None
+
+
+class Queue:
+    """Messages in their order; a full queue takes no more."""
+
+    def __init__(self, slots: int = 256, size: int = 1024) -> None:
+        self._slots = _Slots(slots, size)
+
+    def put(self, data: bytes) -> bool:
+        """Add a message; False where the queue is full."""
+        number = self._slots.written()
+        if number - self._slots.taken() >= self._slots.slots:
+            return False
+        self._slots.put(number, data)
+        return True
+
+    def get(self) -> bytes | None:
+        """Take the oldest message; None where there is none."""
+        number = self._slots.taken()
+        while number < self._slots.written():
+            data = self._slots.get(number)
+            if data is None:
+                return None  # counted, yet not all of it is to be seen: a moment later it is
+            number += 1
+            self._slots.set_taken(number)
+            return data
+        return None
+
+
+def _head(number: int, data: bytes) -> bytes:
+    checksum = zlib.crc32(data, number & 0xFFFFFFFF)
+    return number.to_bytes(8, "little") + len(data).to_bytes(4, "little") + checksum.to_bytes(4, "little")

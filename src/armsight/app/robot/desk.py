@@ -1,0 +1,338 @@
+"""The one place where a robot is driven from: who drives, what they ask, who stops it; the loop does the rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform
+
+from armsight.app.robot.host import HEARTBEAT_S, Host, Snapshot, flange_pose
+from armsight.control.setpoints import Hold, JointGoal, JointVelocity, SetPoint, ToolTwist
+from armsight.drivers import RobotState
+from armsight.drivers.remote import protocol as say
+from armsight.errors import DeviceFailed, Inconsistent, UsageError
+from armsight.geometry import pose_from_quat, xyz_quat
+
+Array = NDArray[np.float64]
+
+SILENT_S = 10.0
+"""A driver who sent no heartbeat for so long may be replaced by another; held the robot has been long since."""
+
+LEAD_S = 0.2
+"""Steps lead the robot by no more than a joint's way in so long: else it went on long after the last of them."""
+
+STOPPED = "stopped"
+
+RANGE_MARGIN = 1e-9
+"""A goal so little (rad or m) beyond a limit is at it: rounding."""
+
+
+class DeskLog(Protocol):
+    """Keeps what happens at the desk; never waits."""
+
+    def event(self, t_s: float, level: str, message: str) -> None:
+        """Keep something that happened; level: info, warning or error."""
+        ...
+
+    def command(self, t_s: float, who: str, kind: str, values: dict[str, Any]) -> None:
+        """Keep what somebody asked and the desk took."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lease:
+    """The right to drive: one at a time. number tells leases of the same person apart."""
+
+    number: int
+    who: str
+    since_s: float
+
+
+class Desk:
+    """Takes commands from one driver at a time, and stops from everyone; not for several threads."""
+
+    def __init__(self, host: Host, log: DeskLog, *, instance: str) -> None:
+        self._host = host
+        self._log = log
+        self.instance = instance
+        self._lease: Lease | None = None
+        self._leases = 0
+        self._beat_s = -np.inf
+        self._enabled = False
+        self._reenable = False
+        self._stopped = False
+        self._reset_cycle = -1
+        self._goal: Array | None = None
+        self._dropped = -1
+        self._cycle = -1
+        self._from: Array = np.empty(0)
+        joints = host.description.joints
+        self._lower = np.array([-np.inf if joint.lower is None else joint.lower for joint in joints])
+        self._upper = np.array([np.inf if joint.upper is None else joint.upper for joint in joints])
+        self._speed = np.array([joint.max_speed for joint in joints])
+
+    @property
+    def robot(self) -> say.RobotDescription:
+        """What robot it is."""
+        return self._host.description
+
+    @property
+    def driver(self) -> Lease | None:
+        """Who drives; None where nobody does."""
+        return self._lease
+
+    def take(self, who: str) -> Lease:
+        """Return the right to drive. Raises DeviceFailed, saying who has it and since when, where it is taken."""
+        now_s, held = self._host.now_s(), self._lease
+        if held is not None:
+            if now_s - max(self._beat_s, held.since_s) < SILENT_S:
+                raise DeviceFailed(
+                    f"{held.who} drives {self.robot.name} since {now_s - held.since_s:.0f} s",
+                    consequence=f"{who} may watch and stop it, but not drive",
+                    cure="Wait until they have left, or ask them to",
+                )
+            self.leave(held, f"{held.who} was silent for {SILENT_S:g} s and {who} drives now")
+        self._leases += 1
+        self._lease = Lease(number=self._leases, who=who, since_s=now_s)
+        self.note("info", f"{who} drives")
+        return self._lease
+
+    def leave(self, lease: Lease, why: str) -> None:
+        """Give the right to drive back: the robot is held at once. Does nothing where another has it."""
+        if lease is not self._lease:
+            return
+        self._lease = None
+        self._enabled, self._reenable, self._goal = False, False, None
+        self._host.release(why)
+        self.note("info", f"{lease.who} no longer drives: {why}")
+
+    def stop(self, who: str) -> None:
+        """Bring the robot to rest until it is reset; legal for everyone, at any time; never raises."""
+        self._stopped = True
+        self._goal = None
+        self._host.stop(f"stopped by {who}")
+        self.note("warning", f"stopped by {who}")
+
+    def perform(self, lease: Lease, command: say.Command) -> say.Accepted:
+        """Do what the driver asks and return where it leads.
+
+        Raises DeviceFailed where the robot is stopped, not enabled, or driven by another; Inconsistent and UsageError
+        for what it cannot do; DeviceLost where the loop has ended.
+        """
+        if lease is not self._lease:
+            raise DeviceFailed(
+                f"{lease.who} no longer drives", consequence="Nothing was done", cure="Open the connection again"
+            )
+        now_s = self._host.now_s()
+        if not isinstance(command, say.Heartbeat):
+            self._log.command(
+                now_s, lease.who, command.type, command.model_dump(exclude={"session", "type"}, mode="json")
+            )
+        now = self._host.snapshot()
+        q, limited = self._done(lease, command, now)
+        T = flange_pose(self._host.arm, q) if q is not None and self.robot.takes_poses else None
+        return say.Accepted(
+            reply_to=command.seq,
+            t_s=now_s,
+            cycle=now.cycle,
+            q=None if q is None else q.tolist(),
+            T_base_flange=None if T is None else pose_message(T),
+            limited=list(limited),
+        )
+
+    def state(self, reply_to: int | None = None) -> say.StateMessage:
+        """Return the state for a client. Raises DeviceLost where the loop has ended."""
+        now, now_s = self._host.snapshot(), self._host.now_s()
+        reading = None
+        if now.reading is not None:
+            reading = say.ReadingMessage(
+                q=now.reading.q.tolist(),
+                t_s=now.reading.t_s,
+                age_s=now_s - now.reading.t_s,
+                sequence=now.reading.sequence,
+            )
+        lease = self._lease
+        return say.StateMessage(
+            reply_to=reply_to,
+            instance=self.instance,
+            t_s=now_s,
+            cycle=now.cycle,
+            robot=self._robot_state(now).value,
+            guard=now.guard,
+            why=now.why,
+            reading=reading,
+            q_sent=now.q_sent.tolist(),
+            enabled=now.enabled,
+            driver=None if lease is None else say.Driver(who=lease.who, since_s=now_s - lease.since_s),
+            late=now.late,
+            missed=now.missed,
+            lateness_p99_s=self._host.lateness_p99_s(),
+        )
+
+    def note(self, level: str, message: str) -> None:
+        """Keep something that happened."""
+        self._log.event(self._host.now_s(), level, message)
+
+    def _done(self, lease: Lease, command: say.Command, now: Snapshot) -> tuple[Array | None, tuple[str, ...]]:
+        """Do what is asked; return the joint values it leads to (n,), and the limits that cut it."""
+        match command:
+            case say.Heartbeat():
+                self._beat(command.enable)
+            case say.HoldMessage():
+                self._post(Hold(why=f"{lease.who} asked for it"))
+            case say.StopMessage():
+                self.stop(lease.who)
+            case say.ResetMessage():
+                self._reset(lease, now)
+            case say.JointVelocityMessage():
+                self._allow(now)
+                self._post(JointVelocity(qd=self._joints("qd", command.qd)))
+            case say.ToolTwistMessage():
+                self._allow(now)
+                self._need_poses()
+                self._post(
+                    ToolTwist(
+                        velocity_m_s=np.array(command.velocity_m_s), angular_rad_s=np.array(command.angular_rad_s)
+                    )
+                )
+            case say.JointGoalMessage():
+                self._allow(now)
+                return self._go(self._reachable(command.q), now), ()
+            case say.JointStepMessage():
+                self._allow(now)
+                begin, step = self._begin_cycle(now), self._joints("step", command.step)
+                return self._cut((begin if self._goal is None else self._goal) + step, now)
+            case say.FlangePoseMessage():
+                self._allow(now)
+                return self._cut(self._joints_of(command.T_base_flange, self._begin_cycle(now)), now)
+            case _:
+                raise UsageError(f"{command.type} is no command of a driver", consequence="Nothing was done")
+        return None, ()
+
+    def _beat(self, enable: bool) -> None:
+        self._reenable = self._reenable and enable
+        self._beat_s, self._enabled = self._host.now_s(), enable and not self._reenable
+        if not enable:
+            self._goal = None
+        self._host.beat(enable=enable)
+
+    def _reset(self, lease: Lease, now: Snapshot) -> None:
+        self._host.reset()
+        self._stopped, self._goal, self._reset_cycle = False, None, now.cycle
+        self._enabled, self._reenable = False, True  # who still holds the enable must let go of it first
+        self.note("info", f"reset by {lease.who}")
+
+    def _post(self, setpoint: SetPoint) -> None:
+        self._goal = None
+        self._host.post(setpoint)
+
+    def _go(self, q: Array, now: Snapshot) -> Array:
+        self._host.post(JointGoal(q=q))
+        self._goal, self._dropped = q, now.dropped
+        return q
+
+    def _cut(self, goal: Array, now: Snapshot) -> tuple[Array, tuple[str, ...]]:
+        """Go towards joint values (n,) as far as one cycle allows, all joints alike, within their range."""
+        joints = self.robot.joints
+        way = goal - self._from
+        longest = self._speed * self.robot.cycle_s
+        share = float(np.min(longest / np.maximum(np.abs(way), 1e-300), initial=1.0))
+        slow = tuple(
+            f"speed of {j.name}" for j, w, m in zip(joints, way, longest, strict=True) if abs(w) > m * (1 + 1e-9)
+        )
+        asked = self._from + share * way
+        lead = LEAD_S * self._speed
+        near = np.clip(asked, now.q_sent - lead, now.q_sent + lead)
+        far = tuple(f"lead of {j.name}" for j, a, b in zip(joints, asked, near, strict=True) if a != b)
+        q = np.clip(near, self._lower, self._upper)
+        ends = tuple(f"range of {j.name}" for j, a, b in zip(joints, near, q, strict=True) if a != b)
+        return self._go(q, now), slow + far + ends
+
+    def _begin_cycle(self, now: Snapshot) -> Array:
+        """Return where this cycle's steps begin: together they lead no further from there than a cycle's way."""
+        if self._dropped != now.dropped:
+            self._goal = None  # the loop forgot it on the way
+        if now.cycle != self._cycle or self._goal is None:
+            self._cycle = now.cycle
+            self._from = now.q_sent if self._goal is None else self._goal
+        return self._from
+
+    def _allow(self, now: Snapshot) -> None:
+        """Raise DeviceFailed where motion is not allowed now."""
+        if self._robot_state(now) is RobotState.LOST:
+            raise DeviceFailed(f"the link to {self.robot.name} is lost", consequence="Nothing was sent")
+        if self._robot_state(now) is RobotState.STOPPED:
+            raise DeviceFailed(
+                f"{self.robot.name} is stopped" + (f" ({now.why})" if now.why else ""),
+                consequence="Nothing was sent",
+                cure="Reset it first",
+            )
+        silent_s = self._host.now_s() - self._beat_s
+        if not self._enabled or silent_s > HEARTBEAT_S:
+            off = "the enable must be let go of and given anew" if self._reenable else "the driver's enable is off"
+            why = f"no heartbeat for {silent_s:.2f} s" if self._enabled else off
+            raise DeviceFailed(
+                f"motion is not enabled: {why}",
+                consequence="Nothing was sent",
+                cure=f"Send a heartbeat with enable at least every {HEARTBEAT_S:g} s while the operator allows motion",
+            )
+
+    def _robot_state(self, now: Snapshot) -> RobotState:
+        """Return the robot's state; what was stopped or reset here counts before the loop has told so."""
+        if now.robot is RobotState.LOST:
+            return RobotState.LOST
+        if self._stopped or (now.guard == STOPPED and now.cycle > self._reset_cycle + 1):
+            return RobotState.STOPPED
+        return RobotState.READY if now.robot in (RobotState.STOPPED, RobotState.CLOSED) else now.robot
+
+    def _joints(self, name: str, values: ArrayLike) -> Array:
+        array = np.asarray(values, dtype=float)
+        if array.shape != (self.robot.n_joints,):
+            raise UsageError(
+                f"{self.robot.name} has {self.robot.n_joints} joints, but {name} has {array.size} values",
+                consequence="Nothing was sent",
+                cure=f"Give {self.robot.n_joints} values",
+            )
+        return array
+
+    def _reachable(self, values: ArrayLike) -> Array:
+        q = self._joints("q", values)
+        for value, joint, low, high in zip(q, self.robot.joints, self._lower, self._upper, strict=True):
+            if not low - RANGE_MARGIN <= value <= high + RANGE_MARGIN:
+                raise Inconsistent(
+                    f"{value:.6g} of {joint.name} is out of its range {low:.6g} to {high:.6g}",
+                    consequence="Nothing was sent",
+                    cure="Give a place within the range",
+                )
+        return q
+
+    def _need_poses(self) -> None:
+        if not self.robot.takes_poses or self._host.arm is None:
+            raise UsageError(
+                f"{self.robot.name} takes no poses here", consequence="Nothing was sent", cure="Send joint values"
+            )
+
+    def _joints_of(self, pose: say.PoseMessage, near: Array) -> Array:
+        """Return the joint values (n,) that bring the flange to a pose, nearest to near (n,)."""
+        self._need_poses()
+        arm = self._host.arm
+        if arm is None:
+            return near
+        T_base_flange = pose_from_quat(pose.xyz_m, pose.quat_xyzw)
+        found = arm.ik(arm.T_world_base * T_base_flange * arm.T_flange_tool, arm.values(near))
+        if not found:
+            raise Inconsistent(
+                f"{self.robot.name} cannot bring its flange there: {found.why}",
+                consequence="Nothing was sent",
+                cure="Give a pose within its reach",
+            )
+        return arm.readings(found[0].q)
+
+
+def pose_message(T: RigidTransform) -> say.PoseMessage:
+    """Return a pose as messages have it."""
+    xyz, quat = xyz_quat(T)
+    return say.PoseMessage(xyz_m=xyz.tolist(), quat_xyzw=quat.tolist())

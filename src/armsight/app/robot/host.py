@@ -1,0 +1,128 @@
+"""What a robot server, and a console in its process, need of the loop that moves the robot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from armsight.control.setpoints import SetPoint
+from armsight.drivers import RobotState
+from armsight.drivers.remote.protocol import RobotDescription
+from armsight.kinematics import Arm
+from armsight.records import JointReading
+
+Array = NDArray[np.float64]
+
+HEARTBEAT_S = 0.25
+"""Without a driver's heartbeat for so long the robot is held."""
+
+SETPOINT_S = 0.25
+"""A velocity holds so long; a place holds until it is reached."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Snapshot:
+    """The loop as it was in its newest cycle.
+
+    t_s: of the cycle, on the loop's clock. guard: the guard's state, and why it is in it. reading: the newest, its time
+    on the same clock; None before the first. q_sent (n,): where the robot was last told to go, in rad or m.
+    dropped: how often the loop forgot what was asked of it, because it held, stopped or was told to.
+    """
+
+    t_s: float
+    cycle: int
+    robot: RobotState
+    guard: str
+    why: str
+    reading: JointReading | None
+    q_sent: Array
+    enabled: bool
+    dropped: int
+    late: int
+    missed: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoopEvent:
+    """Something that the loop did or met; level: info, warning or error."""
+
+    t_s: float
+    level: str
+    message: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoopCommand:
+    """What the loop sent to the robot: joints or pose, and its values."""
+
+    t_s: float
+    kind: str
+    values: dict[str, Any]
+
+
+LoopRecord = LoopEvent | LoopCommand | JointReading
+
+
+class Host(Protocol):
+    """A robot's loop with its guard, wherever it runs. No method waits for the loop.
+
+    Motion needs beat(enable=True) at least every HEARTBEAT_S; without it the loop holds the robot by itself.
+    """
+
+    @property
+    def description(self) -> RobotDescription:
+        """What robot it is."""
+        ...
+
+    @property
+    def arm(self) -> Arm | None:
+        """The arm's model; None where there is none, and then poses cannot be taken."""
+        ...
+
+    def now_s(self) -> float:
+        """Return the time on the loop's clock."""
+        ...
+
+    def snapshot(self) -> Snapshot:
+        """Return the newest state. Raises DeviceLost where the loop has ended."""
+        ...
+
+    def lateness_p99_s(self) -> float:
+        """Return by how much at most 99 % of the cycles began too late."""
+        ...
+
+    def post(self, setpoint: SetPoint) -> None:
+        """Replace what is asked of the robot. Raises DeviceLost where the loop does not take it."""
+        ...
+
+    def beat(self, *, enable: bool) -> None:
+        """Tell the loop that the driver is alive, and whether motion is allowed. Raises DeviceLost."""
+        ...
+
+    def release(self, why: str) -> None:
+        """Hold at once and forget what was asked and enabled: the driver is gone. Never raises."""
+        ...
+
+    def stop(self, why: str) -> None:
+        """Come to rest and take nothing until reset. Never raises."""
+        ...
+
+    def reset(self) -> None:
+        """Take set points again after a stop. Raises DeviceLost."""
+        ...
+
+    def records(self) -> list[LoopRecord]:
+        """Return what the loop did since this was last asked, the oldest first. Never raises."""
+        ...
+
+
+def flange_pose(arm: Arm | None, q: Array) -> RigidTransform | None:
+    """Return T_base_flange at the controller's readings q (n,) by the arm's model; None without one."""
+    if arm is None:
+        return None
+    T_world_tool = RigidTransform.from_matrix(arm.fk(arm.values(q)))
+    return arm.T_world_base.inv() * T_world_tool * arm.T_flange_tool.inv()

@@ -1,0 +1,128 @@
+"""All that a process which serves a robot shares: the desk, the loop's host, the log, and who listens."""
+
+from __future__ import annotations
+
+import secrets
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, Protocol
+
+from armsight.app.robot.desk import Desk, DeskLog
+from armsight.app.robot.host import Host, LoopCommand, LoopEvent
+from armsight.drivers.remote import protocol as say
+from armsight.records import JointReading
+
+EVENTS = 100
+"""Events that wait for a client; of a client that is slower the oldest are dropped."""
+
+WARNINGS_PER_S = 20.0
+BURST = 100.0
+"""Warnings kept: more of them a second come from a flood, are counted, and must not fill the disk."""
+
+
+class Log(DeskLog, Protocol):
+    """Where all is kept."""
+
+    @property
+    def dropped(self) -> int:
+        """How many commands and readings were not kept."""
+        ...
+
+    @property
+    def failed(self) -> str:
+        """Why nothing is kept any more; empty while it is."""
+        ...
+
+    def joints(self, reading: JointReading) -> None:
+        """Keep a reading."""
+        ...
+
+
+class Subscription:
+    """The events for one client."""
+
+    def __init__(self) -> None:
+        self._waiting: deque[say.EventMessage] = deque(maxlen=EVENTS)
+
+    def add(self, event: say.EventMessage) -> None:
+        """Add an event; the oldest is dropped where the client is too slow."""
+        self._waiting.append(event)
+
+    def take(self) -> list[say.EventMessage]:
+        """Return those that came since this was last asked."""
+        events = list(self._waiting)
+        self._waiting.clear()
+        return events
+
+
+class Service:
+    """A robot as it is served. Not for several threads: everything of it belongs to the one that serves."""
+
+    def __init__(self, host: Host, log: Log) -> None:
+        self.host = host
+        self.n_clients = 0
+        self._log = log
+        self._subscriptions: set[Subscription] = set()
+        self._budget, self._filled_s, self._left_out = BURST, host.now_s(), 0
+        self._tell_dropped, self._told_failed = 1, False
+        self.desk = Desk(host, self, instance=secrets.token_hex(8))
+
+    @contextmanager
+    def events(self) -> Iterator[Subscription]:
+        """Subscribe to events."""
+        mine = Subscription()
+        self._subscriptions.add(mine)
+        try:
+            yield mine
+        finally:
+            self._subscriptions.discard(mine)
+
+    def pump(self) -> None:
+        """Fetch what the loop did, keep it and tell it; to be called some times a second."""
+        for record in self.host.records():
+            if isinstance(record, LoopEvent):
+                self._keep(record.t_s, record.level, record.message)
+            elif isinstance(record, LoopCommand):
+                self._log.command(record.t_s, "loop", record.kind, record.values)
+            else:
+                self._log.joints(record)
+        self._look_at_the_log()
+
+    def event(self, t_s: float, level: str, message: str) -> None:
+        """Keep something that happened, and tell it to who listens; of a flood of warnings only their number."""
+        if level == "warning" and not self._affordable(t_s):
+            self._left_out += 1
+            return
+        if self._left_out:
+            self._keep(t_s, "warning", f"{self._left_out} more warnings were left out")
+            self._left_out = 0
+        self._keep(t_s, level, message)
+
+    def command(self, t_s: float, who: str, kind: str, values: dict[str, Any]) -> None:
+        """Keep a command."""
+        self._log.command(t_s, who, kind, values)
+
+    def _keep(self, t_s: float, level: str, message: str) -> None:
+        self._log.event(t_s, level, message)
+        shown = say.EventMessage.model_validate({"t_s": t_s, "level": level, "message": message[:2000]})
+        for subscription in self._subscriptions:
+            subscription.add(shown)
+
+    def _look_at_the_log(self) -> None:
+        """Tell where records were dropped, ten times as many as told before, and where the disk failed."""
+        now_s, dropped = self.host.now_s(), self._log.dropped
+        if dropped >= self._tell_dropped:
+            self._tell_dropped = 10 * dropped
+            self._keep(now_s, "warning", f"{dropped} commands and readings were not recorded: too slow a disk")
+        if self._log.failed and not self._told_failed:
+            self._told_failed = True
+            self._keep(now_s, "error", f"nothing is recorded any more: {self._log.failed}")
+
+    def _affordable(self, t_s: float) -> bool:
+        self._budget = min(BURST, self._budget + max(0.0, t_s - self._filled_s) * WARNINGS_PER_S)
+        self._filled_s = t_s
+        if self._budget < 1.0:
+            return False
+        self._budget -= 1.0
+        return True

@@ -1,0 +1,131 @@
+"""Frames to poses to the servo: what the thread of the cameras does."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import replace
+from typing import Any, cast
+
+from armsight.app.measure.run import lost_pair
+from armsight.app.servo.job import ServoDevices
+from armsight.app.sources.frames import require_size
+from armsight.clock import Clock
+from armsight.control.events import QueueSink
+from armsight.control.servo import ServoSource
+from armsight.control.servo.delay import CameraDelay
+from armsight.errors import ArmsightError, DeviceFailed, Inconsistent, NotEnoughData
+from armsight.measure.poses.pipeline import Measured, Setup, Track, measure_pair
+from armsight.optics import SIDES
+from armsight.records import Frame, PoseStatus, TargetPose
+
+JOIN_S = 2.0
+"""How long the end of the thread is waited for."""
+PROBED = 15
+"""Pairs of which the cameras' delay is measured before anything moves."""
+PROBED_S = 5.0
+"""Pairs that do not come within so long come too slowly to follow anything."""
+
+
+class Vision:
+    """Measures pair after pair, and gives the poses to a source once there is one."""
+
+    def __init__(self, setup: Setup, devices: ServoDevices, latency_s: float, sink: QueueSink) -> None:
+        self.source: ServoSource | None = None
+        self.delay = CameraDelay()
+        self.counts = dict.fromkeys(PoseStatus, 0)
+        self.took_ms: list[float] = []
+        self.newest: TargetPose | None = None
+        self._setup = setup
+        self._devices = devices
+        self._clock: Clock = devices.clock
+        self._latency_s = latency_s
+        self._sink = sink
+        self._track: Track | None = None
+        self._ahead_s = math.inf  # the clock's time at the cameras' zero
+
+    def take(self, pair: tuple[Frame, Frame]) -> None:
+        """Measure a pair and tell the source. Raises Inconsistent for frames that are not of the rig's size."""
+        begun_s = time.perf_counter()
+        measured = self._measured(pair)
+        pose, zero_s = measured.pose, self._zero_s(pair)
+        exposed_s, now_s = pose.t_s + zero_s, self._clock.now_s()
+        self.delay.add(exposed_s, now_s)
+        if self.source is not None:
+            self.source.observe(pose, exposed_s, now_s)
+        self.took_ms.append((time.perf_counter() - begun_s) * 1e3)
+        self.counts[pose.status] += 1
+        self.newest = pose
+        self._sink.pose(replace(pose, t_s=exposed_s))
+
+    def _zero_s(self, pair: tuple[Frame, Frame]) -> float:
+        """Return the clock's time at the cameras' zero: told, or by the frame that came soonest after its exposure."""
+        if self._devices.origin_s is not None:
+            return self._devices.origin_s()
+        newest_s = max(frame.t_s for frame in pair)
+        self._ahead_s = min(self._ahead_s, self._clock.now_s() - newest_s - self._latency_s)
+        return self._ahead_s
+
+    def _measured(self, pair: tuple[Frame, Frame]) -> Measured:
+        for side, frame in zip(SIDES, pair, strict=True):
+            require_size(self._setup.rig, side, frame, "The calibration says nothing about such frames")
+        try:
+            measured = measure_pair(self._setup, *pair, self._track)
+        except Inconsistent as error:  # the views look exchanged, which one frame cannot decide
+            measured = lost_pair(pair, error.cause)
+        self._track = measured.track
+        return measured
+
+
+class VisionThread:
+    """Takes the pairs of open cameras in a thread of its own. Leaving it ends the thread.
+
+    A failure ends it too: the source then gets no more poses, the guard holds, and `failed` says why.
+    """
+
+    def __init__(self, vision: Vision, devices: ServoDevices) -> None:
+        self.failed: ArmsightError | None = None
+        self._vision = vision
+        self._devices = devices
+        self._end = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="servo vision", daemon=True)
+
+    def __enter__(self) -> VisionThread:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._end.set()
+        self._thread.join(JOIN_S)
+
+    def _run(self) -> None:
+        try:
+            with closing(cast(Any, iter(self._devices.pairs))) as pairs:
+                for pair in pairs:
+                    self._vision.take(pair)
+                    if self._end.is_set():
+                        return
+            self.failed = DeviceFailed("the cameras ended", consequence="The target is not seen", cure="Check them")
+        except ArmsightError as error:
+            self.failed = error
+        except Exception as error:  # told by the main thread; the arm must not go on blind meanwhile
+            self.failed = DeviceFailed(f"measuring failed: {error!r}", consequence="The target is not seen any more")
+
+
+def probe(vision: Vision, clock: Clock, failed: Callable[[], ArmsightError | None]) -> None:
+    """Wait until the cameras' delay is known. Raises what failed; NotEnoughData for too few pairs in PROBED_S."""
+    until_s = clock.now_s() + PROBED_S
+    while vision.delay.n < PROBED:
+        error = failed()
+        if error is not None:
+            raise error
+        if clock.now_s() >= until_s:
+            raise NotEnoughData(
+                f"only {vision.delay.n} pairs of frames came within {PROBED_S:g} s",
+                consequence="The delay is not known, and nothing is moved",
+                cure="Check the cameras, their exposure and their rate",
+            )
+        clock.sleep_until(clock.now_s() + 0.02)

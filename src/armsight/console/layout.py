@@ -1,0 +1,119 @@
+"""The frame of every page: title, navigation, state, the enable and the stop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from nicegui import ui
+from nicegui.element import Element
+from nicegui.elements.mixins.text_element import TextElement
+
+from armsight.console import texts
+from armsight.console.state import Console
+
+STATIC = "/console/static"
+TICK_S = 0.1
+"""Time between two updates of a page's figures."""
+SIGNS = {"good": "●", "warn": "▲", "bad": "■", "idle": "○"}
+
+
+@dataclass(frozen=True, slots=True)
+class Level:
+    """A state as a person reads it: level (good, warn, bad, idle) and words."""
+
+    level: str
+    words: str
+
+
+def text_of(name: str, text: str = "", *, testid: str = "", **attributes: str) -> TextElement:
+    """Return an element that holds nothing but a text, which can be set."""
+    label = TextElement(tag=name, text=text)
+    for key, value in attributes.items():
+        label.props[key.rstrip("_").replace("_", "-")] = value
+    if testid:
+        label.props["data-testid"] = testid
+    return label
+
+
+def button(
+    text: str, act: Callable[[], object], *, kind: str = "act", testid: str = "", help_: str = ""
+) -> TextElement:
+    """Return a button of plain HTML."""
+    made = text_of("button", text, testid=testid, type="button").classes(kind)
+    if help_:
+        made.props["aria-label"] = help_
+    made.on("click", lambda: act())
+    return made
+
+
+@contextmanager
+def card(title: str) -> Iterator[None]:
+    """Put what follows into a titled card."""
+    with ui.element("section").classes("card"):
+        text_of("h2", title)
+        yield
+
+
+def level_of(console: Console) -> Level:
+    """Return what the measuring does just now, in words."""
+    station = console.station
+    if station is None:
+        return Level("idle", texts.NO_CAMERAS)
+    if station.failure:
+        return Level("bad", f"{texts.FAILED}: {station.failure}")
+    if station.shown is None:
+        return Level("idle", texts.STARTING)
+    if station.ended:
+        return Level("idle", texts.ENDED)
+    status = station.shown.view.status
+    if status == "ok":
+        return Level("good", texts.MEASURING)
+    return Level("warn", texts.POSITION_ONLY) if status == "position_only" else Level("bad", texts.LOST)
+
+
+@contextmanager
+def page(name: str, console: Console) -> Iterator[None]:
+    """Put what follows onto a page of this name."""
+    ui.page_title(f"{texts.PAGES[name]} · {texts.TITLE}")
+    ui.add_head_html(f'<link rel="stylesheet" href="{STATIC}/console.css">')
+    ui.add_head_html('<script>document.documentElement.lang = "en"</script>')
+    for script in ("pictures.js", "page.js"):
+        ui.add_head_html(f'<script defer src="{STATIC}/{script}"></script>')
+    ui.dark_mode(None)
+    with ui.header(fixed=True), ui.element("div").classes("bar"):
+        _navigation(name)
+        lamp = text_of("span", testid="state", role="status").classes("lamp")
+        ui.element("span").classes("space")
+    with ui.element("main").style("display: contents"):
+        text_of("h1", texts.PAGES[name])
+        yield
+    ui.timer(TICK_S, lambda: _show_level(lamp, level_of(console)))
+
+
+def _navigation(here: str) -> None:
+    nav = ui.element("nav")
+    nav.props["aria-label"] = texts.NAVIGATION
+    with nav:
+        for name, title in texts.PAGES.items():
+            link = text_of("a", title, href=f"/{name}")
+            if name == here:
+                link.props["aria-current"] = "page"
+
+
+def _show_level(lamp: TextElement, level: Level) -> None:
+    set_text(lamp, f"{SIGNS[level.level]} {level.words}")
+    set_attribute(lamp, "data-level", level.level)
+
+
+def set_text(label: TextElement, text: str) -> None:
+    """Change a label's text; nothing is sent where it is the same."""
+    if label.text != text:
+        label.text = text
+
+
+def set_attribute(element: Element, name: str, value: str) -> None:
+    """Change an element's attribute; nothing is sent where it is the same."""
+    if element.props.get(name) != value:
+        element.props[name] = value

@@ -1,0 +1,251 @@
+"""Live: both pictures, the pose with its uncertainty, the cell in 3-D, curves, and how lights are looked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from nicegui import ui
+from nicegui.elements.mixins.text_element import TextElement
+
+from armsight.app.live.station import Shown
+from armsight.app.schemas.live import LiveView, SideView
+from armsight.console import texts
+from armsight.console.layout import TICK_S, button, card, set_attribute, set_text, text_of
+from armsight.console.scene import Scene
+from armsight.console.state import Console
+from armsight.errors import ArmsightError
+from armsight.units import DEG
+
+Refresh = Callable[[Shown], None]
+
+SLOW_S = 0.5
+"""Time between two updates of scene and curves."""
+CURVE_POINTS = 300
+GREY = "#7b8794"
+"""Readable on light and dark paper."""
+LINES = ("#0072B2", "#D55E00", "#009E73")
+"""Okabe and Ito's blue, vermillion and green."""
+
+
+def live_page(console: Console) -> None:
+    """Build the page."""
+    if console.station is None:
+        text_of("p", texts.NO_CAMERAS).classes("notice")
+        return
+    with ui.element("div").classes("columns"):
+        left = _picture(console, "left", texts.LEFT)
+        right = _picture(console, "right", texts.RIGHT)
+    with ui.element("div").classes("columns"):
+        with card(texts.POSE):
+            pose = _pose()
+            status = _status()
+            record = _record(console)
+        with card(texts.SCENE):
+            scene = _scene(console)
+    with card(texts.CURVES):
+        curves = [_curve(names, unit) for names, unit in ((texts.AXES[:3], "mm"), (texts.AXES[3:], "deg"))]
+    with card(texts.SEARCH):
+        _search(console)
+    ui.on("armsight_mask", lambda event: _mask(console, event.args))
+
+    def tick() -> None:
+        shown = console.remember()
+        record()
+        if shown is not None:
+            for refresh in (left, right, pose, status):
+                refresh(shown)
+            if scene is not None:
+                scene.show(shown.view)
+
+    def slow() -> None:
+        if scene is not None:
+            scene.show_track()
+        for rows, curve in zip((slice(0, 3), slice(3, 6)), curves, strict=True):
+            _draw(curve, [one.view for one in console.history], rows)
+
+    ui.timer(TICK_S, tick)
+    ui.timer(SLOW_S, slow)
+
+
+def _picture(console: Console, side: str, title: str) -> Refresh:
+    with card(title):
+        canvas = ui.element("canvas")
+        canvas.props.update({"data-side": side, "data-testid": f"camera-{side}", "role": "img", "aria-label": title})
+        canvas.props["width"], canvas.props["height"] = 1280, 720
+        hint = text_of("p").classes("hint")
+        figures = text_of("p").classes("hint")
+
+    def refresh(shown: Shown) -> None:
+        view = shown.view.left if side == "left" else shown.view.right
+        set_text(hint, texts.ADVICE[view.advice])
+        set_attribute(hint, "data-level", "good" if view.advice == "good" else "warn")
+        set_text(figures, _aiming(view))
+
+    return refresh
+
+
+def _aiming(view: SideView) -> str:
+    brightest = texts.NO_VALUE if view.brightest is None else f"{view.brightest:.0f}"
+    width = texts.NO_VALUE if view.sigma_px is None else f"{view.sigma_px:.1f}"
+    return texts.ADVICE_FIGURES.format(background=view.background, brightest=brightest, width=width)
+
+
+def _number(name: str, testid: str) -> tuple[TextElement, TextElement]:
+    with ui.element("div").classes("number"):
+        text_of("div", name).classes("what")
+        return text_of("div", texts.NO_VALUE, testid=testid).classes("value"), text_of("div").classes("std")
+
+
+def _pose() -> Refresh:
+    with ui.element("div").classes("numbers"):
+        numbers = [_number(name, f"pose-{name}") for name in texts.AXES]
+
+    def refresh(shown: Shown) -> None:
+        view = shown.view
+        values = _values(view)
+        std = (
+            np.full(6, np.nan) if view.std is None else np.pad(view.std, (0, 6 - len(view.std)), constant_values=np.nan)
+        )
+        for i, (value, spread) in enumerate(numbers):
+            unit, scale, digits = ("mm", 1e3, 2) if i < 3 else ("deg", 1.0 / DEG, 3)
+            known = np.isfinite(values[i])
+            set_text(value, f"{scale * values[i]:.{digits}f} {unit}" if known else texts.NO_VALUE)
+            claim = known and np.isfinite(std[i])
+            set_text(spread, texts.SPREAD.format(value=f"{scale * std[i]:.{digits + 1}f}", unit=unit) if claim else "")
+
+    return refresh
+
+
+def _values(view: LiveView) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Return x y z rx ry rz (6,), NaN where not known."""
+    none = (np.nan,) * 3
+    return np.array([*(view.xyz_m or none), *(view.euler_rad or none)])
+
+
+def _status() -> Refresh:
+    with ui.element("div").classes("numbers"):
+        fps, _ = _number(texts.FPS, "fps")
+        latency, _ = _number(texts.LATENCY, "latency")
+        lost, _ = _number(texts.COUNTS, "lost")
+    why = text_of("p").classes("hint")
+
+    def refresh(shown: Shown) -> None:
+        view = shown.view
+        set_text(fps, f"{view.fps:.0f}")
+        set_text(latency, f"{1e3 * view.latency_s:.0f} ms")
+        set_text(lost, f"{view.counts.lost + view.counts.position_only} / {view.sequence}")
+        set_text(why, view.why)
+
+    return refresh
+
+
+def _record(console: Console) -> Callable[[], None]:
+    with ui.element("div").classes("row"):
+        toggle = button(texts.RECORD, console.record, testid="record")
+        said = text_of("span", role="status").classes("hint")
+
+    def refresh() -> None:
+        state = console.station.recording if console.station else None
+        if state is None:
+            return
+        set_text(toggle, texts.RECORD if state.file is None else texts.END_RECORDING)
+        if state.failure:
+            set_text(said, state.failure)
+        elif state.file is not None:
+            text = texts.RECORDING.format(file=state.file.name, pairs=state.n_pairs)
+            set_text(said, f"{text}; {texts.DROPPED.format(n=state.n_dropped)}" if state.n_dropped else text)
+        elif console.last_recording is not None:
+            set_text(said, texts.RECORDED.format(file=console.last_recording))
+
+    return refresh
+
+
+def _scene(console: Console) -> Scene | None:
+    if console.station is None:
+        return None
+    try:
+        return Scene(console.station.job, None)
+    except ArmsightError as error:
+        text_of("p", str(error)).classes("notice")
+        return None
+
+
+def _curve(names: tuple[str, ...], unit: str) -> ui.echart:
+    lines = [
+        {
+            "name": name,
+            "type": "line",
+            "showSymbol": False,
+            "data": [],
+            "lineStyle": {"color": c},
+            "itemStyle": {"color": c},
+        }
+        for name, c in zip(names, LINES, strict=True)
+    ]
+    options = {
+        "animation": False,
+        "grid": {"left": 60, "right": 20, "top": 40, "bottom": 30},
+        "legend": {"data": list(names), "top": 0, "textStyle": {"color": GREY}},
+        "xAxis": {
+            "axisLine": {"onZero": False},
+            "type": "value",
+            "name": "s",
+            "min": "dataMin",
+            "max": "dataMax",
+            "axisLabel": {"formatter": "{value}"},
+        },
+        "yAxis": {"type": "value", "name": unit, "scale": True},
+        "series": lines,
+    }
+    return ui.echart(options).classes("w-full").style("height: 15rem")
+
+
+def _draw(curve: ui.echart, views: list[LiveView], rows: slice) -> None:
+    if not views:
+        return
+    kept = views[:: max(1, len(views) // CURVE_POINTS)]
+    scale = 1e3 if rows.start == 0 else 1.0 / DEG
+    values = np.array([_values(view)[rows] for view in kept]) * scale
+    t_s = np.array([view.t_s for view in kept]) - kept[-1].t_s
+    for line, column in zip(curve.options["series"], values.T, strict=True):
+        line["data"] = [
+            [round(float(t), 2), round(float(v), 3) if np.isfinite(v) else None]
+            for t, v in zip(t_s, column, strict=True)
+        ]
+    curve.update()
+
+
+def _search(console: Console) -> None:
+    with ui.element("div").classes("row"):
+        threshold = ui.number(texts.THRESHOLD, value=console.look.threshold, min=0, max=254, step=1).style(
+            "min-width: 20rem"
+        )
+        inverted = ui.checkbox(texts.INVERTED, value=console.look.inverted)
+        masking = ui.checkbox(texts.MASK)
+        button(texts.UNMASK, lambda: console.set_look(replace(console.look, masked={})), kind="act quiet")
+    text_of("p", texts.MASK_HELP).classes("hint")
+    threshold.on_value_change(lambda: console.set_look(replace(console.look, threshold=_level(threshold))))
+    inverted.on_value_change(lambda: console.set_look(replace(console.look, inverted=bool(inverted.value))))
+    masking.on_value_change(
+        lambda: ui.run_javascript(
+            "document.querySelectorAll('canvas[data-side]')"
+            f".forEach((c) => c.dataset.masking = '{'true' if masking.value else 'false'}')"
+        )
+    )
+
+
+def _level(field: ui.number) -> float | None:
+    value = field.value
+    return None if value is None or not 0.0 <= float(value) < 255.0 else float(value)
+
+
+def _mask(console: Console, drawn: dict[str, Any]) -> None:
+    """Add a rectangle drawn on a picture to what is masked."""
+    side, box = drawn["side"], tuple(float(v) for v in drawn["mask"])
+    if side not in ("left", "right") or len(box) != 4:
+        return
+    masked = {**console.look.masked, side: (*console.look.masked.get(side, ()), box)}
+    console.set_look(replace(console.look, masked=masked))

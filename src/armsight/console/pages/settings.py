@@ -1,0 +1,56 @@
+"""Settings: cameras and files of the cell, all kept in cell.yaml and in the files the command line uses."""
+
+from __future__ import annotations
+
+from nicegui import run, ui
+
+from armsight.console import texts
+from armsight.console.layout import button, card, set_attribute, set_text, text_of
+from armsight.console.state import Console
+from armsight.console.uploads import LARGEST_BYTES
+from armsight.errors import ArmsightError
+
+SOURCES = ("left", "right", "board")
+
+
+def settings_page(console: Console) -> None:
+    """Build the page."""
+    fields: dict[str, ui.input] = {}
+    with card(texts.CAMERAS):
+        for name in SOURCES:
+            fields[name] = _field(console, name)
+        again = ui.checkbox(texts.PLAY_AGAIN, value=console.cell.play_again)
+    with card(texts.FILES.format(folder=console.folder)):
+        for name in texts.FIELDS:
+            if name not in SOURCES:
+                fields[name] = _field(console, name)
+        _upload()
+    said = text_of("p", role="alert").classes("hint")
+
+    async def apply() -> None:
+        changed = {name: (field.value or "").strip() for name, field in fields.items()}
+        try:
+            cell = console.cell.model_copy(update={**changed, "play_again": bool(again.value)})
+            await run.io_bound(console.apply, cell)
+            set_text(said, texts.APPLIED)
+            set_attribute(said, "data-level", "good")
+        except ArmsightError as error:
+            set_text(said, str(error))
+            set_attribute(said, "data-level", "bad")
+
+    button(texts.APPLY, apply, testid="apply")
+
+
+def _field(console: Console, name: str) -> ui.input:
+    field = ui.input(texts.FIELDS[name], value=getattr(console.cell, name)).classes("w-full")
+    field.props["data-testid"] = f"field-{name}"
+    return field
+
+
+def _upload() -> None:
+    """Choose a file of this machine and bring it into the cell's folder; the browser sends it by itself."""
+    with ui.element("label"):
+        text_of("span", texts.UPLOAD.format(mb=LARGEST_BYTES // 1_000_000))
+        chooser = ui.element("input")
+        chooser.props.update({"type": "file", "data-upload": "/console/files/", "data-testid": "upload"})
+    text_of("p", role="alert", id="uploaded").classes("hint")

@@ -1,0 +1,51 @@
+"""Pictures to the browser: one message holds a JPEG and what was found in it; the browser asks for each."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import struct
+
+from fastapi import FastAPI, WebSocket, WebSocketDisconnect
+
+from armsight.app.live.station import Shown
+from armsight.console.state import Console
+
+LOOK_S = 0.005
+"""Time between two looks for a newer picture."""
+SIDES = ("left", "right")
+
+
+def add_pictures(server: FastAPI, console: Console) -> None:
+    """Serve the newest picture of a side at /console/pictures/left and /right, as often as the browser asks."""
+
+    @server.websocket("/console/pictures/{side}")
+    async def pictures(socket: WebSocket, side: str) -> None:
+        if side not in SIDES:
+            await socket.close(code=1008)
+            return
+        await socket.accept()
+        last: Shown | None = None
+        try:
+            while True:
+                await socket.receive_text()
+                last = await _newer(console, last)
+                await socket.send_bytes(picture_message(console, last, side))
+        except WebSocketDisconnect:
+            return
+
+
+def picture_message(console: Console, shown: Shown, side: str) -> bytes:
+    """Return the length of the findings (uint32, little endian), the findings as JSON, and the JPEG."""
+    view, data = (shown.view.left, shown.left_jpeg) if side == "left" else (shown.view.right, shown.right_jpeg)
+    masks = [list(box) for box in console.look.masked.get(side, ())]
+    head = json.dumps({**view.to_dict(), "masks": masks}).encode()
+    return struct.pack("<I", len(head)) + head + data
+
+
+async def _newer(console: Console, last: Shown | None) -> Shown:
+    while True:
+        shown = console.station.shown if console.station is not None else None
+        if shown is not None and shown is not last:
+            return shown
+        await asyncio.sleep(LOOK_S)

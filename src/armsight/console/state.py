@@ -1,0 +1,188 @@
+"""What all pages of one console share."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+
+from armsight.app.guided.boards import BoardCalibration
+from armsight.app.guided.poses import ArmStep, HandEyeStep, ReadJoints, TipCalibrationStep
+from armsight.app.guided.step import Guided
+from armsight.app.guided.timing import TimingStep
+from armsight.app.live.measurement import LiveJob, Look
+from armsight.app.live.station import Shown, Station
+from armsight.app.measure.run import target_of
+from armsight.errors import NotEnoughData, UsageError
+from armsight.store import read_rig, read_world
+from armsight.store.cell_file import CellFile, cell_path, read_cell, write_cell
+
+HISTORY = 1800
+"""Moments kept for the curves: a minute at 30 a second."""
+
+
+@dataclass(slots=True, kw_only=True)
+class Console:
+    """A cell in a folder, its measuring station, and how it looks for lights."""
+
+    folder: Path
+    cell: CellFile = field(default_factory=CellFile)
+    station: Station | None = None
+    look: Look = field(default_factory=Look)
+    last_recording: Path | None = None
+    history: deque[Shown] = field(default_factory=lambda: deque(maxlen=HISTORY))
+    steps: dict[str, Guided] = field(default_factory=dict)
+    read_joints: ReadJoints | None = None
+
+    @classmethod
+    def of_folder(cls, folder: Path) -> Console:
+        """Return the console of a folder's cell, not measuring yet. Raises BadFile."""
+        return cls(folder=folder, cell=read_cell(folder))
+
+    def apply(self, cell: CellFile) -> None:
+        """Check what a cell names, keep it in cell.yaml, and measure with it. Raises UsageError, DataRefused."""
+        job = self.job_of(cell)
+        write_cell(self.folder, cell)
+        self.cell = cell
+        self.close()
+        self.look = Look()
+        self.steps.clear()
+        if job is not None:
+            self.station = Station(job)
+            self.station.start()
+
+    def job_of(self, cell: CellFile) -> LiveJob | None:
+        """Return what is measured, None without cameras; every file is read, so that a wrong one is refused here."""
+        rig, target, world = (cell_path(self.folder, getattr(cell, name), name) for name in ("rig", "target", "world"))
+        if rig is not None:
+            read_rig(rig)
+        if target is not None:
+            target_of(target)
+        if world is not None:
+            read_world(world)
+        if bool(cell.left) != bool(cell.right):
+            raise UsageError("one camera is missing", cure="Give both, or none")
+        if not cell.left:
+            return None
+        return LiveJob(
+            left=cell.left,
+            right=cell.right,
+            rig=rig,
+            target=target,
+            world=world,
+            fps=None if cell.left.startswith("camera:") else cell.fps,
+            again=cell.play_again,
+        )
+
+    def step(self, name: str) -> Guided:
+        """Return a guided calibration, begun anew where it was not under way. Raises UsageError, BadFile."""
+        if name not in self.steps:
+            self.steps[name] = STEPS[name](self, self.folder / "calibrate" / name)
+        return self.steps[name]
+
+    def set_look(self, look: Look) -> None:
+        """Look for lights in another way, on the screen and in the station."""
+        self.look = look
+        if self.station is not None:
+            self.station.look(look)
+
+    def record(self) -> Path | None:
+        """Begin a recording named after the time, or end the one that runs; return the file begun."""
+        if self.station is None:
+            return None
+        if self.station.recording.file is not None:
+            self.last_recording = self.station.recording.file
+            self.station.record(None)
+            return None
+        file = self.folder / f"recording-{datetime.now():%Y%m%d-%H%M%S}.mcap"
+        self.station.record(file)
+        return file
+
+    def remember(self) -> Shown | None:
+        """Return the newest moment, kept for the curves."""
+        shown = self.station.shown if self.station is not None else None
+        if shown is not None and (not self.history or self.history[-1] is not shown):
+            self.history.append(shown)
+        return shown
+
+    def close(self) -> None:
+        """End measuring."""
+        if self.station is not None:
+            self.station.stop()
+        self.station = None
+        self.history.clear()
+
+    def require_station(self) -> Station:
+        """Return the measuring station. Raises UsageError where there is none."""
+        if self.station is None:
+            raise UsageError("no cameras are set up", cure="Give both cameras on the page Settings")
+        return self.station
+
+    def file(self, name: str) -> Path:
+        """Return a file of the cell by its key. Raises NotEnoughData where the cell has none yet."""
+        path = cell_path(self.folder, getattr(self.cell, name), name)
+        if path is None:
+            raise NotEnoughData(
+                f"the cell has no {name} yet", consequence="This step cannot begin", cure="See the page Settings"
+            )
+        return path
+
+
+def _rig(console: Console, folder: Path) -> Guided:
+    return BoardCalibration(board=console.cell.board, folder=folder, out=console.folder / "rig.yaml")
+
+
+def _camera(side: str) -> Callable[[Console, Path], Guided]:
+    def make(console: Console, folder: Path) -> Guided:
+        out = console.folder / f"camera-{side}.yaml"
+        return BoardCalibration(board=console.cell.board, folder=folder, out=out, sides=(side,))
+
+    return make
+
+
+def _timing(console: Console, folder: Path) -> Guided:
+    rig = console.file("rig")
+    return TimingStep(rig=rig, target=console.file("target"), folder=folder, out=rig)
+
+
+def _tip(console: Console, folder: Path) -> Guided:
+    return TipCalibrationStep(folder=folder, out=console.folder / "tip.yaml")
+
+
+def _handeye(console: Console, folder: Path) -> Guided:
+    return HandEyeStep(
+        folder=folder,
+        out=console.folder / "handeye.yaml",
+        arm=console.file("arm"),
+        read_joints=_joints(console),
+    )
+
+
+def _arm(console: Console, folder: Path) -> Guided:
+    return ArmStep(
+        folder=folder,
+        out=console.folder / "arm-calibrated.yaml",
+        model=str(console.file("arm")),
+        read_joints=_joints(console),
+    )
+
+
+def _joints(console: Console) -> ReadJoints:
+    if console.read_joints is None:
+        raise NotEnoughData(
+            "no robot is connected", consequence="This step cannot begin", cure="Start with --robot DRIVER:DEVICE"
+        )
+    return console.read_joints
+
+
+STEPS: dict[str, Callable[[Console, Path], Guided]] = {
+    "camera-left": _camera("left"),
+    "camera-right": _camera("right"),
+    "stereo": _rig,
+    "timing": _timing,
+    "tooltip": _tip,
+    "handeye": _handeye,
+    "arm": _arm,
+}

@@ -1,0 +1,133 @@
+// Camera pictures with what was found drawn on them. One message holds one picture and its findings, so that they
+// always belong together; the next one is asked for when this one is on the screen, so that nothing piles up.
+(() => {
+  const COLOURS = { named: "#009E73", other: "#E69F00", line: "#56B4E9", residual: "#D55E00", mask: "rgba(0,0,0,0.55)" };
+  const RESIDUAL_SCALE = 100;
+
+  class Picture {
+    constructor(canvas) {
+      this.canvas = canvas;
+      this.context = canvas.getContext("2d");
+      this.side = canvas.dataset.side;
+      this.shown = 0;
+      this.masks = [];
+      this.drag = null;
+      this.connect();
+      canvas.addEventListener("pointerdown", (e) => this.begin(e));
+      canvas.addEventListener("pointermove", (e) => this.extend(e));
+      canvas.addEventListener("pointerup", (e) => this.end(e));
+    }
+
+    connect() {
+      const scheme = location.protocol === "https:" ? "wss" : "ws";
+      this.socket = new WebSocket(`${scheme}://${location.host}/console/pictures/${this.side}`);
+      this.socket.binaryType = "arraybuffer";
+      this.socket.onopen = () => this.socket.send("next");
+      this.socket.onmessage = (message) => this.show(message.data);
+      this.socket.onclose = () => {
+        if (document.body.contains(this.canvas)) setTimeout(() => this.connect(), 1000);
+      };
+    }
+
+    async show(data) {
+      const length = new DataView(data).getUint32(0, true);
+      const found = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
+      const blob = new Blob([new Uint8Array(data, 4 + length)], { type: "image/jpeg" });
+      const bitmap = await createImageBitmap(blob);
+      if (this.canvas.width !== bitmap.width || this.canvas.height !== bitmap.height) {
+        this.canvas.width = bitmap.width;
+        this.canvas.height = bitmap.height;
+      }
+      this.context.drawImage(bitmap, 0, 0);
+      bitmap.close();
+      this.masks = found.masks;
+      this.draw(found);
+      this.shown += 1;
+      this.canvas.dataset.shown = this.shown;
+      if (this.socket.readyState === WebSocket.OPEN) this.socket.send("next");
+    }
+
+    draw(found) {
+      const c = this.context;
+      const size = Math.max(1, this.canvas.width / 640);
+      c.lineWidth = 1.5 * size;
+      c.font = `600 ${16 * size}px system-ui, sans-serif`;
+      c.fillStyle = COLOURS.mask;
+      const drawn = this.drag ? [...this.masks, this.drag] : this.masks;
+      for (const [u0, v0, u1, v1] of drawn) c.fillRect(Math.min(u0, u1), Math.min(v0, v1), Math.abs(u1 - u0), Math.abs(v1 - v0));
+      c.strokeStyle = COLOURS.line;
+      c.globalAlpha = 0.6;
+      for (const curve of found.epipolar) {
+        c.beginPath();
+        curve.forEach(([u, v], i) => (i ? c.lineTo(u, v) : c.moveTo(u, v)));
+        c.stroke();
+      }
+      c.globalAlpha = 1;
+      for (const spot of this.canvas.dataset.plain ? found.spots.filter((s) => s.name) : found.spots) {
+        const colour = spot.name ? COLOURS.named : COLOURS.other;
+        c.strokeStyle = colour;
+        c.beginPath();
+        if (spot.name) c.arc(spot.u_px, spot.v_px, 11 * size, 0, 7);
+        else c.rect(spot.u_px - 9 * size, spot.v_px - 9 * size, 18 * size, 18 * size);
+        c.stroke();
+        this.label(spot.name || "?", spot.u_px + 14 * size, spot.v_px - 8 * size, colour, size);
+        if (spot.residual_px) {
+          c.strokeStyle = COLOURS.residual;
+          c.beginPath();
+          c.moveTo(spot.u_px, spot.v_px);
+          c.lineTo(spot.u_px + RESIDUAL_SCALE * spot.residual_px[0], spot.v_px + RESIDUAL_SCALE * spot.residual_px[1]);
+          c.stroke();
+        }
+      }
+    }
+
+    label(text, u, v, colour, size) {
+      const c = this.context;
+      c.lineWidth = 4 * size;
+      c.strokeStyle = "#000";
+      c.strokeText(text, u, v);
+      c.fillStyle = colour;
+      c.fillText(text, u, v);
+      c.lineWidth = 1.5 * size;
+    }
+
+    place(event) {
+      const box = this.canvas.getBoundingClientRect();
+      return [
+        ((event.clientX - box.left) * this.canvas.width) / box.width,
+        ((event.clientY - box.top) * this.canvas.height) / box.height,
+      ];
+    }
+
+    begin(event) {
+      if (this.canvas.dataset.masking !== "true") return;
+      const [u, v] = this.place(event);
+      this.drag = [u, v, u, v];
+      this.canvas.setPointerCapture(event.pointerId);
+    }
+
+    extend(event) {
+      if (!this.drag) return;
+      [this.drag[2], this.drag[3]] = this.place(event);
+    }
+
+    end() {
+      if (!this.drag) return;
+      const mask = this.drag;
+      this.drag = null;
+      if (Math.abs(mask[2] - mask[0]) > 3 && Math.abs(mask[3] - mask[1]) > 3)
+        emitEvent("armsight_mask", { side: this.side, mask });
+    }
+  }
+
+  const known = new WeakSet();
+  const look = () => {
+    for (const canvas of document.querySelectorAll("canvas[data-side]")) {
+      if (known.has(canvas)) continue;
+      known.add(canvas);
+      new Picture(canvas);
+    }
+  };
+  new MutationObserver(look).observe(document.documentElement, { childList: true, subtree: true });
+  document.addEventListener("DOMContentLoaded", look);
+})();

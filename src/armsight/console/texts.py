@@ -1,0 +1,139 @@
+"""Every English sentence of the console, in one place for translation."""
+
+from __future__ import annotations
+
+TITLE = "armsight"
+PAGES = {
+    "live": "Live",
+    "calibrate": "Calibrate",
+    "identify": "Identify",
+    "teach": "Teach and play",
+    "verify": "Verify",
+    "settings": "Settings",
+}
+NAVIGATION = "Pages"
+
+STOP = "STOP"
+STOP_HELP = "Stop the robot now"
+ENABLE = "Hold to enable"
+ENABLE_HELP = "The robot moves only while this is held down"
+NO_ROBOT = "No robot"
+
+MEASURING = "Measuring"
+LOST = "Target not seen"
+POSITION_ONLY = "Position only"
+STARTING = "Starting"
+ENDED = "The frames have ended"
+NO_CAMERAS = "No cameras are set up. Give rig, target and both cameras on the page Settings."
+FAILED = "Not measuring"
+RESTART = "Start anew"
+
+LEFT, RIGHT = "Left camera", "Right camera"
+SCENE = "Cameras and target"
+POSE = "Where the target is"
+CURVES = "The last minute"
+AXES = ("x", "y", "z", "rx", "ry", "rz")
+FPS, LATENCY, COUNTS = "Pictures measured a second", "From light to pose", "Lost since the start"
+SPREAD = "± {value} {unit} (1 σ)"
+NO_VALUE = "–"
+
+ADVICE = {
+    "good": "Good: the lights are bright and sharp.",
+    "nothing_seen": "No light is seen: aim the camera at the target, or raise its exposure.",
+    "room_too_bright": "The room outshines the lights: lower the exposure, or shade the lamps.",
+    "clipped": "The lights are clipped: lower the exposure until this hint goes.",
+    "faint": "The lights are faint: raise the exposure, or come nearer.",
+    "blurred": "The lights are blurred: focus the lens.",
+    "too_sharp": "The lights are smaller than a pixel: defocus the lens a little, or come nearer.",
+}
+ADVICE_FIGURES = "background {background:.0f}, brightest {brightest}, width {width} px"
+
+SEARCH = "How lights are looked for"
+THRESHOLD = "Threshold (grey level; empty: found by itself)"
+INVERTED = "Dark spots on light"
+MASK = "Mask with the pointer"
+UNMASK = "Remove all masks"
+MASK_HELP = "Drag a rectangle over lamps and windows: nothing is looked for inside."
+
+RECORD = "Record"
+END_RECORDING = "End recording"
+RECORDING = "Recording {file}: {pairs} pairs"
+RECORDED = "Recorded {file}"
+DROPPED = "{n} dropped, the disk is too slow"
+
+STEP = "What to calibrate"
+STEPS = {
+    "camera-left": "Left camera's lens",
+    "camera-right": "Right camera's lens",
+    "stereo": "Both cameras",
+    "timing": "Timing of free-running cameras",
+    "tooltip": "Tool tip",
+    "handeye": "Hand-eye",
+    "arm": "Arm",
+}
+NEXT = {
+    "show_board": "Hold the board still before the cameras, whole in the picture, and accept it.",
+    "to_cell": "Bring the board into the {place} of the {side} picture.",
+    "tilt": "Tilt the board by 30 degrees, to one side or the other, up or down.",
+    "nearer": "Come nearer with the board.",
+    "turn_target": "Turn the target about another axis, with its tip resting on the point.",
+    "move_robot": "Move the robot to another place and turn its hand, then accept.",
+    "record": "Press accept, wave the target through both pictures for 20 seconds, and press accept again.",
+    "more": "Good. Accept some more, each at another place and tilt.",
+    "run": "There is enough: calibrate.",
+    "not_possible": "{why}",
+}
+PLACES = (
+    ("upper left", "upper middle", "upper right"),
+    ("left", "middle", "right"),
+    ("lower left", "lower middle", "lower right"),
+)
+SIDES = {"left": "left", "right": "right"}
+WHAT_NEXT = "What to do next"
+COVERAGE = "Where the board has been"
+COVERED = "{side} picture, {place}: {n} boards"
+SO_FAR = "How sure it is so far (1 σ)"
+SAMPLES = "Accepted"
+NAME, DETAIL, DROP = "Name", "What it is", "Drop"
+ACCEPT = "Accept"
+CALIBRATE = "Calibrate"
+RUNNING = "Calibrating …"
+VERDICT = "Verdict"
+GOOD, NOT_GOOD = "Can be trusted", "Not to be trusted yet"
+SAVED = "Saved as {file}"
+REPORT = "Report"
+USE_IT = "Measure with it"
+
+FILES = "Files of the cell, in {folder}"
+CAMERAS = "Cameras"
+FIELDS = {
+    "left": "Left camera: camera:0, a folder of images, a video",
+    "right": "Right camera",
+    "board": "Board, such as checkerboard:9x6:0.025",
+    "rig": "Rig (rig.yaml)",
+    "target": "Target (target.yaml)",
+    "world": "Place of the rig (world.yaml)",
+    "arm": "Arm (arm.yaml)",
+    "handeye": "Hand-eye (handeye.yaml)",
+    "tip": "Tool tip (tip.yaml)",
+    "limits": "Limits of motion (limits.yaml)",
+}
+PLAY_AGAIN = "Files begin anew at their end"
+APPLY = "Use these"
+APPLIED = "In use, and saved in cell.yaml."
+UPLOAD = "Bring a file into the folder (at most {mb} MB)"
+UPLOADED = "{name} is in the folder."
+TOO_BIG = "The file is larger than {mb} MB and was not taken."
+NOT_A_NAME = "{name} is no file name of this cell: YAML, CSV and URDF files are taken."
+EXISTS = "{name} is there already. Remove it first, or give the file another name."
+
+VERIFY = "Measured poses against the arm's own joints"
+VERIFY_FIELDS = {
+    "measured": "Measured poses or points (poses.csv, points.csv)",
+    "joints": "Joint readings (joints.csv); empty where repeats alone are judged",
+}
+VERIFY_RUN = "Verify"
+RUNNING_VERIFY = "Verifying …"
+ROWS, CAUSE = "Rows compared", "Cause of the errors"
+REPORTS = "Reports"
+NO_REPORTS = "No report yet."

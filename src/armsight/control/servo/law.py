@@ -1,0 +1,115 @@
+"""The law of pose-based visual servoing, and the gains that a delay allows (MATH 3.3).
+
+The printed law of Pachidis 2005 subtracts Euler angles and leaves the lever arm out; it does not converge for some
+hand-eye rotations, and a pure error of 10 degrees swings the hand by 46 mm. Here the error of rotation is a rotation
+vector.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from armsight.errors import Inconsistent, UsageError
+from armsight.units import MS
+
+Array = NDArray[np.float64]
+
+OVERSHOOT_SLACK = 1.001
+"""A gain is told to overshoot beyond so many times the limit: a gain given in four digits is meant to be at it."""
+WHOLE = 1e-6
+"""A delay so little beyond a whole number of cycles is one: it comes from a sum of measured times."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ServoError:
+    """How far the target is from where it should be, in flange axes: translation (3,) in m, rotation vector (3,)."""
+
+    translation_m: Array
+    rotation_rad: Array
+
+
+def servo_error(T_flange_target: RigidTransform, T_flange_desired: RigidTransform) -> ServoError:
+    """Return e_t = p_FG - p_FD and e_R = rotvec(R_FG R_FD^T) (MATH 3.3): F flange, G target, D where it should be."""
+    turn = T_flange_target.rotation * T_flange_desired.rotation.inv()
+    return ServoError(
+        translation_m=np.asarray(T_flange_target.translation - T_flange_desired.translation),
+        rotation_rad=np.asarray(turn.as_rotvec()),
+    )
+
+
+def servo_twist(error: ServoError, p_FD_m: Array, gain_t: float, gain_r: float) -> tuple[Array, Array]:
+    """Return velocity (3,) in m/s and angular velocity (3,) in rad/s of the flange, in flange axes (MATH 3.3).
+
+    omega = K_r e_R; v = K_t e_t - omega x p_FD, so that |e_t| and |e_R| of a target at rest decay as exp(-K t), and
+    a pure error of rotation turns the hand about the desired point. p_FD_m (3,): where the target should be, in flange
+    axes. gain_t, gain_r: K_t and K_r in 1/s; gain_r 0 holds the rotation.
+    """
+    omega = gain_r * error.rotation_rad
+    v = gain_t * error.translation_m - np.cross(omega, p_FD_m)
+    return np.asarray(v), np.asarray(omega)
+
+
+def delay_cycles(delay_s: float, cycle_s: float) -> int:
+    """Return how many cycles of the servo a delay lasts, begun ones counted whole. Raises UsageError below zero."""
+    if not (cycle_s > 0.0 and 0.0 <= delay_s < math.inf):
+        raise UsageError(
+            f"a delay of {delay_s:g} s in cycles of {cycle_s:g} s cannot be",
+            consequence="No gain is known to be stable",
+            cure="Give a delay of zero or more seconds and a cycle of more than zero",
+        )
+    return math.ceil(delay_s / cycle_s - WHOLE)
+
+
+def stability_gain(cycle_s: float, n: int) -> float:
+    """Return the gain in 1/s from which e[k+1] = e[k] - K T e[k-n] no longer decays: 2 sin(pi / (2 (2 n + 1))) / T.
+
+    n: whole cycles T of delay (MATH 3.3).
+    """
+    return 2.0 * math.sin(math.pi / (2.0 * (2 * n + 1))) / cycle_s
+
+
+def no_overshoot_gain(cycle_s: float, n: int) -> float:
+    """Return the gain in 1/s up to which the same error decays without overshoot: n^n / (n + 1)^(n + 1) / T."""
+    return float(n**n / (n + 1) ** (n + 1)) / cycle_s
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Gain:
+    """The gain that is used and what its delay allows, in 1/s; cycle_s, n: of the servo, and its whole cycles of delay.
+
+    note: what to know about it, or empty.
+    """
+
+    used: float
+    no_overshoot: float
+    stable: float
+    cycle_s: float
+    n: int
+    note: str = ""
+
+
+def chosen_gain(asked: float | None, cycle_s: float, delay_s: float) -> Gain:
+    """Return the gain for a delay from exposure to motion: as asked, or the largest without overshoot.
+
+    cycle_s: the servo's, which is the longer of the cameras' and the controller's. Raises Inconsistent for one that is
+    not stable.
+    """
+    n = delay_cycles(delay_s, cycle_s)
+    calm, stable = no_overshoot_gain(cycle_s, n), stability_gain(cycle_s, n)
+    used = calm if asked is None else asked
+    if not 0.0 < used < stable:
+        raise Inconsistent(
+            f"a gain of {used:g} 1/s is not above 0 and below {stable:.4g} 1/s, from where on the arm swings up at a "
+            f"delay of {delay_s / MS:.0f} ms ({n} cycles of {cycle_s / MS:.0f} ms)",
+            consequence="The arm is not moved",
+            cure=f"Give a gain up to {calm:.4g} 1/s, which does not overshoot either (--gain), or shorten the delay",
+        )
+    note = ""
+    if used > OVERSHOOT_SLACK * calm:
+        note = f"a gain of {used:g} 1/s overshoots at a delay of {n} cycles; up to {calm:.4g} 1/s it would not"
+    return Gain(used=used, no_overshoot=calm, stable=stable, cycle_s=cycle_s, n=n, note=note)

@@ -1,0 +1,246 @@
+"""Set points of the servo: the arm keeps the target, or a tool keeps the target's place, where it is wanted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from armsight.control.guard import TargetState
+from armsight.control.servo.delay import ArmLag, CameraDelay
+from armsight.control.servo.law import ServoError, delay_cycles, servo_error, servo_twist, stability_gain
+from armsight.control.servo.target_track import LOST_S, TargetMotion, TargetTrack, Tracked
+from armsight.control.setpoints import CycleState, Hold, SetPoint, ToolTwist
+from armsight.errors import Inconsistent, StaleData
+from armsight.geometry import moved_parent_covariance
+from armsight.kinematics import Arm
+from armsight.optics import Rig
+from armsight.records import JointReading, PoseStatus, TargetPose
+from armsight.records.joint_history import JointHistory
+from armsight.units import MS
+
+Array = NDArray[np.float64]
+
+STALE_S = 0.15
+"""A target whose last frame is older is not followed: four frames of a webcam."""
+WHY = {
+    TargetState.LOST: "the target is lost",
+    TargetState.STALE: "the last frame with the target is too old",
+    TargetState.JUMPED: "the target jumped",
+}
+NOT_SEEN, SETTLING = "the target was not seen yet", "the target was seen only just now"
+
+
+class Mount(StrEnum):
+    """Where the cameras are."""
+
+    EYE_IN_HAND = "eye-in-hand"
+    EYE_TO_HAND = "eye-to-hand"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ServoSettings:
+    """How the target is followed.
+
+    T_parent_camera: the rig's pose in flange (EYE_IN_HAND) or base (EYE_TO_HAND), by hand-eye calibration.
+    T_flange_desired: where the target should be, in flange axes: on the camera's axis, or at a tool's frame. gain_t,
+    gain_r: K_t and K_r in 1/s. turns: whether the arm turns after the target, or holds its rotation. arm_lag_s: from a
+    command to the arm's motion, as first assumed. predict: go for where the target will be when the command takes
+    effect, with its velocity fed forward; else the law of MATH 3.3 alone, of the newest frame as it was.
+    """
+
+    mount: Mount
+    T_parent_camera: RigidTransform
+    T_flange_desired: RigidTransform
+    gain_t: float
+    gain_r: float
+    arm_lag_s: float = 0.0
+    predict: bool = True
+    turns: bool = True
+
+    def with_gain(self, gain: float) -> ServoSettings:
+        """Return the same with one gain for place and rotation, in 1/s."""
+        return replace(self, gain_t=gain, gain_r=gain)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Seen:
+    """The newest pose as it was measured, in flange axes at its exposure; whole: with its rotation."""
+
+    T_flange_target: RigidTransform
+    whole: bool
+
+
+def on_axis(T_flange_frame: RigidTransform, distance_m: float) -> RigidTransform:
+    """Return T_flange_desired of a target that stands on the z axis of a camera or tool, with its axes (MATH 3.2).
+
+    distance_m: from the frame's origin along its z, not negative. Raises Inconsistent for another.
+    """
+    if not (np.isfinite(distance_m) and distance_m >= 0.0):
+        raise Inconsistent(
+            f"a distance of {distance_m:g} m is not before the camera or tool",
+            consequence="The target cannot be there",
+            cure="Give metres, zero or more (--distance)",
+        )
+    return T_flange_frame * RigidTransform.from_translation([0.0, 0.0, distance_m])
+
+
+class ServoSource:
+    """Follows a target. `observe` is for the thread that measures, `next` and `target` for the control loop.
+
+    Neither waits for the other: the loop looks at one record that each frame replaces. Positions alone, of one or two
+    lights, move the arm without turning it.
+    """
+
+    name = "servo"
+
+    def __init__(self, arm: Arm, rig: Rig, settings: ServoSettings, cycle_s: float) -> None:
+        """cycle_s: of the loop. arm: whose T_flange_tool is the tool that set points are of."""
+        self.settings = settings
+        self._arm = arm
+        self._rig = rig
+        self._cycle_s = cycle_s
+        self._T_tool_flange = arm.T_flange_tool.inv()
+        self._T_base_world = arm.T_world_base.inv()
+        self._track = TargetTrack(rig)
+        self._history = JointHistory(cycle_s)
+        self._camera = CameraDelay()
+        self._lag = ArmLag(settings.arm_lag_s, cycle_s)
+        self._seen: Seen | None = None
+        self._unplaced = ""
+        self.error: ServoError | None = None
+
+    @property
+    def camera_delay_s(self) -> float:
+        """From exposure to the pose in memory, the median of the newest frames; 0 before the first."""
+        return self._camera.delay_s
+
+    @property
+    def arm_lag_s(self) -> float:
+        """From a command to the arm's motion: as assumed, then as measured."""
+        return self._lag.lag_s
+
+    @property
+    def delay_s(self) -> float:
+        """From exposure to the arm's motion."""
+        return self._camera.delay_s + self._lag.lag_s
+
+    @property
+    def servo_cycle_s(self) -> float:
+        """Time between two errors that the law gets: of the cameras or of the loop, the longer one."""
+        return max(self._cycle_s, self._camera.period_s)
+
+    @property
+    def tracked(self) -> Tracked | None:
+        """What is known of the target's motion in base axes; None before it was seen."""
+        return self._track.now
+
+    def observe(self, pose: TargetPose, exposed_s: float, now_s: float) -> None:
+        """Take what a frame shows, in rig axes, exposed at exposed_s and known at now_s, both on the loop's clock."""
+        self._camera.add(exposed_s, now_s)
+        T_rig_target, covariance = pose.T_parent_target, pose.covariance
+        if T_rig_target is None or covariance is None:
+            return
+        try:
+            T_base_flange = self._flange_at(exposed_s)
+        except StaleData as error:
+            self._unplaced = error.cause
+            return
+        self._unplaced = ""
+        on_flange = self.settings.mount is Mount.EYE_IN_HAND
+        T_base_rig = T_base_flange * self.settings.T_parent_camera if on_flange else self.settings.T_parent_camera
+        T_base_target = T_base_rig.as_matrix() @ T_rig_target
+        whole = pose.status is PoseStatus.OK
+        if whole:
+            self._track.add(exposed_s, T_base_target, moved_parent_covariance(T_base_rig, covariance))
+        else:
+            R = T_base_rig.rotation.as_matrix()
+            self._track.add_position(exposed_s, T_base_target[:3, 3], R @ covariance @ R.T)
+        self._seen = Seen(T_flange_target=T_base_flange.inv() * RigidTransform.from_matrix(T_base_target), whole=whole)
+
+    def target(self, now_s: float) -> tuple[TargetState, float | None]:
+        """Return what is known of the target, and the age in s of the newest frame that shows it."""
+        tracked = self._track.now
+        if tracked is None:
+            return TargetState.LOST, None
+        age_s = now_s - tracked.seen_s
+        if age_s > LOST_S:
+            return TargetState.LOST, age_s
+        if tracked.jumped:
+            return TargetState.JUMPED, age_s
+        return (TargetState.STALE if age_s > STALE_S else TargetState.FRESH), age_s
+
+    def next(self, now: CycleState) -> SetPoint:
+        """Return the tool's twist towards where the target is wanted; Hold, with why, where it is not followed."""
+        if now.q_s is not None and self._history.add(JointReading(q=now.q, t_s=now.q_s, sequence=0, source=self.name)):
+            self._lag.add(now.t_s, now.q_s, now.q, now.q_sent, now.qd_sent)
+        tracked, why = self._track.now, self._why_not(now.t_s)
+        if why or tracked is None:
+            self.error = None
+            return Hold(why=why or NOT_SEEN)
+        T_base_flange = now.T_base_tool * self._T_tool_flange
+        if not self.settings.predict and self._seen is not None:
+            return self._twist(T_base_flange, self._seen.T_flange_target, self._seen.whole)
+        motion = tracked.at(now.t_s - self._cycle_s + self._lag.lag_s)  # when the arm is where it was last told to be
+        twist = self._twist(T_base_flange, T_base_flange.inv() * motion.T_base_target, motion.whole)
+        return self._fed_forward(twist, motion, now.T_base_tool)
+
+    def warm_up(self) -> None:
+        """Run once what a cycle runs, so that no cycle waits for the compiler."""
+        other = ServoSource(self._arm, self._rig, self.settings, self._cycle_s)
+        q = np.clip(np.zeros(self._arm.n), self._arm.lower, self._arm.upper)
+        T_base_tool = self._T_base_world * RigidTransform.from_matrix(self._arm.fk(self._arm.values(q)))
+        T = RigidTransform.from_translation([0.0, 0.0, 0.5]).as_matrix()
+        for k in range(20):
+            t_s = 0.02 * k
+            now = CycleState(t_s=t_s, cycle_s=0.02, q=q, q_sent=q, qd_sent=q, T_base_tool=T_base_tool, q_s=t_s)
+            other.next(now)
+            seen = TargetPose(
+                t_s=t_s, status=PoseStatus.OK, parent="rig", T_parent_target=T, covariance=1e-8 * np.eye(6)
+            )
+            other.observe(seen, t_s, t_s)
+            other.target(t_s)
+
+    def _why_not(self, now_s: float) -> str:
+        """Return why the target is not followed, or nothing."""
+        if self._unplaced:
+            return self._unplaced
+        state, age_s = self.target(now_s)
+        if state is not TargetState.FRESH:
+            return NOT_SEEN if age_s is None else WHY[state]
+        tracked = self._track.now
+        if tracked is None or not tracked.settled:
+            return SETTLING
+        n = delay_cycles(self.delay_s, self.servo_cycle_s)
+        if max(self.settings.gain_t, self.settings.gain_r) >= stability_gain(self.servo_cycle_s, n):
+            return f"the delay has grown to {self.delay_s / MS:.0f} ms, at which the gain is not stable"
+        return ""
+
+    def _twist(self, T_base_flange: RigidTransform, T_flange_target: RigidTransform, whole: bool) -> ToolTwist:
+        """Return the law's twist of the tool, in base axes."""
+        settings, desired = self.settings, self.settings.T_flange_desired
+        error = servo_error(T_flange_target, desired)
+        self.error = error
+        gain_r = settings.gain_r if whole and settings.turns else 0.0
+        v, omega = servo_twist(error, np.asarray(desired.translation), settings.gain_t, gain_r)
+        v_tool = v + np.cross(omega, self._arm.T_flange_tool.translation)
+        turned = T_base_flange.rotation.apply(np.array([v_tool, omega]))
+        return ToolTwist(velocity_m_s=turned[0], angular_rad_s=turned[1])
+
+    def _fed_forward(self, twist: ToolTwist, motion: TargetMotion, T_base_tool: RigidTransform) -> ToolTwist:
+        """Return a twist with that of a tool fixed to the target added, which keeps up with it."""
+        turning = motion.angular_rad_s if motion.whole and self.settings.turns else np.zeros(3)
+        lever_m = T_base_tool.translation - motion.T_base_target.translation
+        return ToolTwist(
+            velocity_m_s=twist.velocity_m_s + motion.velocity_m_s + np.cross(turning, lever_m),
+            angular_rad_s=twist.angular_rad_s + turning,
+        )
+
+    def _flange_at(self, t_s: float) -> RigidTransform:
+        """Return T_base_flange at an exposure. Raises StaleData where the joints are not known there."""
+        q = self._history.at(t_s).q
+        T_world_tool = RigidTransform.from_matrix(self._arm.fk(self._arm.values(q)))
+        return self._T_base_world * T_world_tool * self._T_tool_flange

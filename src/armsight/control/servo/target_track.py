@@ -1,0 +1,119 @@
+"""The target's motion in base axes: where it will be when a command takes effect."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+from scipy.stats import distributions
+
+from armsight.measure.motion.estimate import MotionFilter
+from armsight.optics import PackedRig, Rig
+
+Array = NDArray[np.float64]
+
+MOST_SURPRISE2 = float(distributions.chi2.isf(1e-6, 6))
+"""Squared Mahalanobis distance from where even a knock would have put the target, beyond which it jumped."""
+UNKNOWN_TURN_RAD = 10.0
+"""Standard deviation of a rotation of which nothing is known."""
+ARM_M, ARM_RAD = 1e-4, 2e-4
+"""Standard deviations added to a pose for the arm that carries the cameras: it shakes, its model errs, and its readings
+come in steps."""
+SETTLED_S = 0.15
+"""A track so young is not followed: its velocity is not known yet."""
+CALM_S = 0.3
+"""After a jump the target is followed again once its poses have agreed with each other for so long."""
+LOST_S = 0.5
+"""A target not seen for so long is lost, and what was known of its motion is forgotten."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TargetMotion:
+    """Pose T_base_target at a moment, with the velocity (3,) of its origin in m/s and its angular velocity (3,).
+
+    whole: whether its rotation was measured; else it is the one last seen, and means nothing where none was.
+    """
+
+    T_base_target: RigidTransform
+    velocity_m_s: Array
+    angular_rad_s: Array
+    whole: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Tracked:
+    """What is known of a target: its motion since begun_s, after a jump or not."""
+
+    filter: MotionFilter
+    begun_s: float
+    jumped: bool
+    whole: bool
+
+    @property
+    def seen_s(self) -> float:
+        """When it was exposed last."""
+        return self.filter.t_s
+
+    @property
+    def settled(self) -> bool:
+        """Whether its poses have agreed with each other for long enough to be followed."""
+        return self.seen_s - self.begun_s >= (CALM_S if self.jumped else SETTLED_S)
+
+    def at(self, t_s: float) -> TargetMotion:
+        """Return where the target is expected at t_s, and how it moves."""
+        state = self.filter.at(t_s)
+        return TargetMotion(
+            T_base_target=RigidTransform.from_matrix(state.T_rig_target),
+            velocity_m_s=state.velocity[:3],
+            angular_rad_s=state.velocity[3:],
+            whole=self.whole,
+        )
+
+
+class TargetTrack:
+    """Follows a target from pose to pose by a filter of its acceleration (measure.motion).
+
+    One thread adds. Any thread may look at `now`: it is one record that each pose replaces.
+    """
+
+    def __init__(self, rig: Rig) -> None:
+        """Begin without a target. rig: whose poses they are."""
+        self._packed = PackedRig.of(rig)
+        self.now: Tracked | None = None
+
+    def add(self, t_s: float, T_base_target: Array, covariance: Array) -> None:
+        """Take a pose (4, 4) exposed at t_s; covariance (6, 6), translation then rotation vector, in base axes.
+
+        Where no motion leads to it, the target jumped: the track begins anew there. So it does after LOST_S without
+        the target. A pose that is not newer than the last is left out.
+        """
+        self._add(t_s, T_base_target, covariance, whole=True)
+
+    def add_position(self, t_s: float, xyz_m: Array, covariance: Array) -> None:
+        """Take a position (3,) with covariance (3, 3) in base axes, of a target whose rotation is not seen."""
+        T, C = np.eye(4), np.diag(np.full(6, UNKNOWN_TURN_RAD**2))
+        if self.now is not None:
+            T[:3, :3] = self.now.filter.at(t_s).T_rig_target[:3, :3]
+        T[:3, 3], C[:3, :3] = xyz_m, covariance
+        self._add(t_s, T, C, whole=False)
+
+    def _add(self, t_s: float, T: Array, covariance: Array, *, whole: bool) -> None:
+        C = covariance + np.diag(np.repeat(np.square([ARM_M, ARM_RAD]), 3))
+        now = self.now
+        if now is None or t_s - now.seen_s > LOST_S:
+            self.now = self._begun(t_s, T, C, jumped=False, whole=whole)
+            return
+        if t_s <= now.seen_s:
+            return
+        after, _, knocked2 = now.filter.add_pose(t_s, T, C)
+        if knocked2 <= MOST_SURPRISE2:
+            jumped = now.jumped and not (t_s - now.begun_s >= CALM_S)
+            self.now = Tracked(filter=after, begun_s=now.begun_s, jumped=jumped, whole=whole)
+        else:
+            self.now = self._begun(t_s, T, C, jumped=True, whole=whole)
+
+    def _begun(self, t_s: float, T: Array, covariance: Array, *, jumped: bool, whole: bool) -> Tracked:
+        begun = MotionFilter.begin(self._packed, np.zeros((0, 3)), t_s, T, covariance)
+        return Tracked(filter=begun, begun_s=t_s, jumped=jumped, whole=whole)

@@ -1,0 +1,117 @@
+"""Who may come in: tokens by constant-time comparison, failures counted, browsers of other pages kept out."""
+
+from __future__ import annotations
+
+from collections import OrderedDict, deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from ipaddress import ip_address
+from typing import Literal
+from urllib.parse import urlsplit
+
+from armsight.clock import Clock, SystemClock
+from armsight.store.tokens import TokenEntry
+
+Role = Literal["watch", "drive"]
+
+FAILURES = 5
+"""So many wrong tokens of one address within WINDOW_S, and it has to wait."""
+
+WINDOW_S = 60.0
+
+ADDRESSES = 1024
+"""Addresses with failures that are remembered; the oldest is forgotten first."""
+
+LONGEST_TOKEN = 200
+
+LOCAL_HOSTS = ("localhost", "127.0.0.1", "::1")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Identity:
+    """Who it is and what they may do."""
+
+    who: str
+    role: Role
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Denied:
+    """Why somebody stays out, with the HTTP status: 401 no valid token, 403 not from there, 429 too many failures."""
+
+    status: int
+    why: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Caller:
+    """What a request says of itself: its address and its headers Authorization, Host and Origin."""
+
+    address: str
+    authorization: str = ""
+    host: str = ""
+    origin: str = ""
+
+
+class Authenticator:
+    """Lets callers in by their tokens; without tokens, everyone on this machine may drive.
+
+    A web page of another origin is kept out though its browser runs on this machine: no token is needed there, and a
+    WebSocket is not held back by the browser's rule of the same origin.
+    """
+
+    def __init__(self, tokens: Sequence[TokenEntry] = (), *, clock: Clock | None = None) -> None:
+        self._tokens = tuple(tokens)
+        self._clock = clock or SystemClock()
+        self._failed: OrderedDict[str, deque[float]] = OrderedDict()
+
+    def check(self, caller: Caller) -> Identity | Denied:
+        """Return who the caller is, or why they stay out."""
+        if caller.origin and urlsplit(caller.origin).netloc.lower() != caller.host.lower():
+            return Denied(status=403, why=f"a page of {caller.origin[:80]!r} may not use this server")
+        if not self._tokens:
+            return self._local(caller)
+        if self._waits(caller.address):
+            return Denied(status=429, why=f"{FAILURES} wrong tokens within {WINDOW_S:g} s; wait")
+        kind, _, token = caller.authorization.partition(" ")
+        found = self._entry(token.strip()) if kind.lower() == "bearer" and len(token) <= LONGEST_TOKEN else None
+        if found is None:
+            self._note_failure(caller.address)
+            return Denied(status=401, why="no valid token" if caller.authorization else "no token")
+        return Identity(who=found.name, role=found.role)
+
+    def _local(self, caller: Caller) -> Identity | Denied:
+        """Let in who is on this machine and asked for this machine: a foreign name that leads here is a trick."""
+        name = urlsplit(f"//{caller.host}").hostname or ""
+        if name not in LOCAL_HOSTS or not is_loopback(caller.address):
+            return Denied(status=403, why="without tokens only this machine may use the server, by the name localhost")
+        return Identity(who="local", role="drive")
+
+    def _entry(self, token: str) -> TokenEntry | None:
+        """Return the token's entry; every entry is compared, so that the time does not tell which came near."""
+        matching = [entry for entry in self._tokens if entry.matches(token)]
+        return matching[0] if matching else None
+
+    def _waits(self, address: str) -> bool:
+        failed = self._failed.get(address)
+        if failed is None:
+            return False
+        while failed and self._clock.now_s() - failed[0] > WINDOW_S:
+            failed.popleft()
+        return len(failed) >= FAILURES
+
+    def _note_failure(self, address: str) -> None:
+        self._failed.setdefault(address, deque(maxlen=FAILURES)).append(self._clock.now_s())
+        self._failed.move_to_end(address)
+        while len(self._failed) > ADDRESSES:
+            self._failed.popitem(last=False)
+
+
+def is_loopback(address: str) -> bool:
+    """Return whether an address or localhost is this machine itself; any other name may lead elsewhere."""
+    if address == "localhost":
+        return True
+    try:
+        return ip_address(address).is_loopback
+    except ValueError:
+        return False

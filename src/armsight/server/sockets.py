@@ -1,0 +1,188 @@
+"""A client's WebSocket, from its opening to its end."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from typing import Literal
+
+from fastapi import WebSocket
+from starlette.responses import PlainTextResponse
+from starlette.websockets import WebSocketDisconnect, WebSocketState
+
+from armsight._version import __version__
+from armsight.app.robot.desk import Lease
+from armsight.app.robot.host import HEARTBEAT_S, SETPOINT_S
+from armsight.app.robot.service import Service
+from armsight.clock import SystemClock
+from armsight.drivers.remote import protocol as say
+from armsight.errors import ArmsightError, DeviceFailed
+from armsight.server.auth import Authenticator, Caller, Denied
+from armsight.server.session import VIOLATIONS, Session
+
+STATE_S = 0.05
+"""How often a client is told the state without asking: as often as a person sees a change."""
+
+TAKEN = 4009
+"""Close code: another one drives."""
+
+BROKE_RULES = 1008
+TOO_LONG = 1009
+"""Close codes of RFC 6455: against the rules, and a message that is too long."""
+
+CLIENTS = 32
+"""Connections at a time."""
+
+
+class Connection:
+    """One client. Answers go out in the order of the messages; states and events in between, the newest only."""
+
+    def __init__(
+        self,
+        service: Service,
+        auth: Authenticator,
+        socket: WebSocket,
+        caller: Caller,
+        *,
+        role: Literal["watch", "drive"],
+    ) -> None:
+        self._service = service
+        self._desk = service.desk
+        self._auth = auth
+        self._socket = socket
+        self._caller = caller
+        self._role = role
+        self._clock = SystemClock()
+        self._who = ""
+        self._lease: Lease | None = None
+
+    async def serve(self) -> None:
+        """Let the client in, or tell why not; take its messages until it leaves. Its leaving holds the robot."""
+        if not await self._enter():
+            return
+        session = Session(self._role, self._clock.now_s())
+        await self._send(self._welcome(session))
+        teller = asyncio.create_task(self._tell())
+        why = "the server ended"
+        try:
+            why = await self._listen(session)
+        finally:
+            if self._lease is not None:
+                self._desk.leave(self._lease, why)  # first of all, and at once: nothing is awaited before it
+            self._service.n_clients -= 1
+            teller.cancel()
+            with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
+                await teller
+
+    async def _enter(self) -> bool:
+        found = self._auth.check(self._caller)
+        if not isinstance(found, Denied) and self._role == "drive" and found.role != "drive":
+            found = Denied(status=403, why=f"{found.who} may watch, not drive")
+        if not isinstance(found, Denied) and self._service.n_clients >= CLIENTS:
+            found = Denied(status=503, why=f"{CLIENTS} clients are connected; no more are taken")
+        if isinstance(found, Denied):
+            self._desk.note("warning", f"{self._caller.address} was kept out: {found.why}")
+            await self._deny(found)
+            return False
+        self._who = f"{found.who}@{self._caller.address}"
+        if self._role == "drive":
+            try:
+                self._lease = self._desk.take(self._who)
+            except DeviceFailed as error:
+                self._desk.note("warning", f"{self._who} was refused to drive: {error.cause}")
+                await self._socket.accept()
+                await self._send(refusal(error, None))
+                await self._socket.close(TAKEN, error.cause[:120])
+                return False
+        self._service.n_clients += 1
+        try:
+            await self._socket.accept()
+        except BaseException:
+            self._service.n_clients -= 1
+            if self._lease is not None:
+                self._desk.leave(self._lease, "its connection ended")
+            raise
+        return True
+
+    async def _deny(self, denied: Denied) -> None:
+        await self._socket.send_denial_response(PlainTextResponse(denied.why, denied.status))
+
+    def _welcome(self, session: Session) -> say.Welcome:
+        return say.Welcome(
+            version=say.VERSION,
+            software=f"armsight {__version__}",
+            instance=self._desk.instance,
+            session=session.nonce,
+            role=self._role,
+            who=self._who,
+            robot=self._desk.robot,
+            heartbeat_s=HEARTBEAT_S,
+            setpoint_s=SETPOINT_S,
+            max_bytes=say.MAX_BYTES,
+        )
+
+    async def _listen(self, session: Session) -> str:
+        """Answer messages until the end; return why it came."""
+        while True:
+            try:
+                message = await self._socket.receive()
+            except RuntimeError:
+                return f"{self._who} is gone"
+            if message["type"] == "websocket.disconnect":
+                return self._left(message.get("code"))
+            text = message.get("text") if message.get("text") is not None else message.get("bytes", b"")
+            answer = self._answer(session, text or "")
+            with contextlib.suppress(WebSocketDisconnect, RuntimeError):
+                await self._send(answer)
+                if session.spent:
+                    await self._socket.close(BROKE_RULES, "against the protocol")
+            if session.spent:
+                return f"{self._who} broke the rules {VIOLATIONS} times"
+
+    def _left(self, code: int | None) -> str:
+        if code == TOO_LONG:
+            self._desk.note("warning", f"{self._who} sent a message longer than {say.MAX_BYTES} bytes: refused, closed")
+            return f"{self._who} sent a message that is too long"
+        return f"{self._who} is gone" if code in (None, 1005, 1006, 1011) else f"{self._who} left"
+
+    def _answer(self, session: Session, text: str | bytes) -> say.ServerMessage:
+        """Do what a message says and return the answer; what is refused is kept in the log."""
+        seq = None
+        try:
+            command = session.admit(text, self._clock.now_s())
+            seq = command.seq
+            if isinstance(command, say.ReadMessage):
+                return self._desk.state(command.seq)
+            if isinstance(command, say.StopMessage) and self._lease is None:
+                self._desk.stop(self._who)
+                state = self._desk.state()
+                return say.Accepted(
+                    reply_to=command.seq, t_s=state.t_s, cycle=state.cycle, q=None, T_base_flange=None, limited=[]
+                )
+            if self._lease is None:
+                raise DeviceFailed("this connection does not drive", consequence="Nothing was done")
+            return self._desk.perform(self._lease, command)
+        except ArmsightError as error:
+            self._desk.note("warning", f"a message of {self._who} was refused: {error.cause}")
+            return refusal(error, seq)
+
+    async def _tell(self) -> None:
+        """Send the state now and then, and events as they come; a client that does not read holds up only itself."""
+        with self._service.events() as events:
+            while True:
+                with contextlib.suppress(DeviceFailed):
+                    await self._send(self._desk.state())
+                await asyncio.sleep(STATE_S)
+                for event in events.take():
+                    await self._send(event)
+
+    async def _send(self, message: say.ServerMessage) -> None:
+        if self._socket.client_state is WebSocketState.CONNECTED:
+            await self._socket.send_text(message.model_dump_json())
+
+
+def refusal(error: ArmsightError, seq: int | None) -> say.Refused:
+    """Return an error as the client gets it."""
+    return say.Refused(
+        reply_to=seq, kind=type(error).__name__, cause=error.cause, consequence=error.consequence, cure=error.cure
+    )

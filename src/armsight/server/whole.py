@@ -1,0 +1,50 @@
+"""A robot served from beginning to end: its loop's process, its log, the web server."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from armsight.app.robot.driver_settings import driver_settings
+from armsight.app.robot.event_log import RecordingLog
+from armsight.app.robot.hosting import ProcessHost, RobotSpec
+from armsight.app.robot.models import arm_model
+from armsight.app.robot.service import Service
+from armsight.control.guard import Limits
+from armsight.errors import Cancelled
+from armsight.server.serving import ServeOptions, check_options, serve
+from armsight.store.limits_file import read_limits
+
+
+def serve_robot(
+    robot: str,
+    arm: str | None,
+    options: ServeOptions,
+    log: Path,
+    *,
+    limits: Path | None = None,
+    rsi_config: Path | None = None,
+    ready: Callable[[str], None],
+    cancelled: Callable[[], bool] = lambda: False,
+) -> None:
+    """Serve DRIVER:DEVICE until SIGINT or SIGTERM; ready is called with the address once all is there.
+
+    arm: its file or a preset's name. limits: limits.yaml of the guard. rsi_config: of an rsi link. Raises what
+    check_options, arm_model, the driver and the disk refuse.
+    """
+    check_options(options)
+    model = arm_model(robot, arm)
+    spec = RobotSpec(
+        robot=robot,
+        arm=model,
+        limits=Limits() if limits is None else read_limits(limits),
+        settings=driver_settings(robot, arm=model, rsi_config=rsi_config),
+    )
+    with RecordingLog(log) as kept, ProcessHost(spec) as host:
+        if cancelled():
+            raise Cancelled("stopped before the robot was served")
+        service = Service(host, kept)
+        service.desk.note("info", f"{robot} is served")
+        serve(service, options, ready=ready)
+        service.desk.note("info", "the server ends")
+        service.pump()

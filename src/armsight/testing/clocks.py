@@ -1,0 +1,50 @@
+"""A clock that a test moves while a loop in another thread waits for it."""
+
+from __future__ import annotations
+
+import threading
+
+
+class GatedClock:
+    """Time stands still until advance() lets it pass; whoever sleeps in another thread then runs as far as it reaches.
+
+    One thread sleeps, one advances. advance returns when the sleeper waits for a later moment, so that what it did is
+    the same in every run.
+    """
+
+    def __init__(self, t_s: float = 0.0) -> None:
+        self._t_s = self._end_s = t_s
+        self._wanted_s: float | None = None
+        self._news = threading.Condition()
+        self._left = False
+
+    def now_s(self) -> float:
+        """Return the time in s."""
+        return self._t_s
+
+    def sleep_until(self, t_s: float) -> None:
+        """Wait until advance has let the time come; returns at once where it has passed, or after leave()."""
+        if t_s <= self._t_s:
+            return
+        with self._news:
+            self._wanted_s = t_s
+            self._news.notify_all()
+            self._news.wait_for(lambda: self._end_s >= t_s or self._left)
+            self._wanted_s = None
+            self._t_s = max(self._t_s, t_s)
+
+    def advance(self, dt_s: float) -> None:
+        """Let dt_s >= 0 pass, and wait until the sleeper waits for what comes later."""
+        if dt_s < 0.0:
+            raise ValueError(f"a clock cannot run backwards by {-dt_s} s")
+        with self._news:
+            end_s = self._end_s = max(self._end_s, self._t_s) + dt_s
+            self._news.notify_all()
+            self._news.wait_for(lambda: self._left or (self._wanted_s is not None and self._wanted_s > end_s))
+            self._t_s = max(self._t_s, end_s)
+
+    def leave(self) -> None:
+        """Let the sleeper go, and nobody wait any more: the end of the test, or of the sleeper."""
+        with self._news:
+            self._left = True
+            self._news.notify_all()

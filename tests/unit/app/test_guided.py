@@ -1,0 +1,179 @@
+"""Guided calibrations: what to do next follows from what there is, and the result is the commands' own."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from armsight.app.calibrate.cameras import CalibrateJob, calibrate_stereo
+from armsight.app.guided.boards import BoardCalibration, tilt
+from armsight.app.guided.poses import HandEyeStep, TipCalibrationStep
+from armsight.app.guided.step import Next
+from armsight.app.live.station import Shown
+from armsight.app.schemas.live import Counts, LiveView, SideView
+from armsight.errors import BadImage, NotEnoughData
+from armsight.kinematics import presets
+from armsight.records import BoardView, Silent
+from armsight.store import parse_board
+from armsight.store.handeye_file import read_handeye, read_tip
+
+SIDE = SideView(width=4, height=3, spots=[], epipolar=[], advice="good", background=0.0, brightest=None, sigma_px=None)
+
+
+class Pictures:
+    """Stands for a station: gives the pairs of a folder one after the other."""
+
+    def __init__(self, folder: Path) -> None:
+        self.pairs = [
+            (folder / "left" / p.name, folder / "right" / p.name) for p in sorted((folder / "left").iterdir())
+        ]
+
+    def save_pair(self, left: Path, right: Path) -> None:
+        for source, goal in zip(self.pairs.pop(0), (left, right), strict=True):
+            goal.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(source, goal)
+
+
+class Poses:
+    """Stands for a station that shows given poses one after the other."""
+
+    def __init__(self, poses: list[tuple[np.ndarray, Rotation]]) -> None:
+        self.poses = poses
+
+    @property
+    def shown(self) -> Shown:
+        xyz, turn = self.poses.pop(0)
+        view = LiveView(
+            sequence=1, t_s=float(len(self.poses)), fps=30.0, latency_s=0.01, measuring_s=0.001, status="ok", why="",
+            parent="rig", xyz_m=tuple(xyz), euler_rad=(0.0, 0.0, 0.0), quat_xyzw=tuple(turn.as_quat()),
+            std=(1e-4,) * 3 + (1e-3,) * 3, residual_px=0.1, counts=Counts(ok=1, position_only=0, lost=0),
+            left=SIDE, right=SIDE,
+        )  # fmt: skip
+        return Shown(view=view, left_jpeg=b"", right_jpeg=b"")
+
+
+def test_a_rig_is_led_to_the_result_of_the_command(boards: Any, tmp_path: Path) -> None:
+    step = BoardCalibration(board=boards.board, folder=tmp_path / "pictures", out=tmp_path / "rig.yaml")
+    station: Any = Pictures(boards.folder)
+    assert step.hint().what is Next.SHOW_BOARD
+    for _ in range(len(station.pairs)):
+        step.accept(station)
+    assert sum(step.coverage()["left"]) > 10
+    assert dict(step.spread())["baseline"].endswith("mm")
+    verdict = step.run(Silent())
+    again = calibrate_stereo(
+        CalibrateJob(
+            board=boards.board,
+            out=tmp_path / "again.yaml",
+            left=str(boards.folder / "left"),
+            right=str(boards.folder / "right"),
+        )
+    )
+    assert verdict.good
+    assert dict(verdict.rows)["baseline"] == f"{1e3 * again.baseline_m:.2f} mm"
+    assert verdict.file.exists()
+    assert verdict.report is not None
+    assert verdict.report.exists()
+
+
+def test_a_corner_of_the_picture_without_board_is_asked_for_first(boards: Any, tmp_path: Path) -> None:
+    step = BoardCalibration(board=boards.board, folder=tmp_path / "p", out=tmp_path / "rig.yaml")
+    step.accept(Pictures(boards.folder))  # type: ignore[arg-type]
+    hint = step.hint()
+    assert hint.what is Next.TO_CELL
+    assert hint.cell is not None
+    column, row = hint.cell
+    assert step.coverage()[hint.side][3 * row + column] == 0
+
+
+def test_a_dropped_board_is_gone_with_its_pictures(boards: Any, tmp_path: Path) -> None:
+    step = BoardCalibration(board=boards.board, folder=tmp_path / "p", out=tmp_path / "rig.yaml")
+    station: Any = Pictures(boards.folder)
+    step.accept(station)
+    step.accept(station)
+    step.drop(0)
+    assert [sample.name for sample in step.samples] == ["001"]
+    assert sorted(p.name for p in (tmp_path / "p").rglob("*.png")) == ["001.png", "001.png"]
+    with pytest.raises(NotEnoughData, match="1 boards"):
+        step.run(Silent())
+
+
+def test_a_picture_without_the_board_is_not_taken(boards: Any, tmp_path: Path) -> None:
+    step = BoardCalibration(board="checkerboard:9x6:0.02", folder=tmp_path / "p", out=tmp_path / "rig.yaml")
+    with pytest.raises(BadImage, match="left camera"):
+        step.accept(Pictures(boards.folder))  # type: ignore[arg-type]
+    assert step.samples == ()
+    assert not list((tmp_path / "p").rglob("*.png"))
+
+
+@pytest.mark.parametrize(("degrees", "tilted"), [(0.0, False), (35.0, True)])
+def test_tilt_is_seen_in_the_picture(degrees: float, tilted: bool) -> None:
+    board = parse_board("checkerboard:9x6:0.025")
+    turned = Rotation.from_euler("y", degrees, degrees=True).apply(board.xyz_m - [0.1, 0.06, 0.0])
+    points = turned + np.array([0.0, 0.0, 0.5])
+    view = BoardView(
+        uv_px=800.0 * points[:, :2] / points[:, 2:] + [640.0, 360.0],
+        index=np.arange(len(points)),
+        sigma_px=0.05,
+        width=1280,
+        height=720,
+        source="drawn",
+    )
+    assert (tilt(view, board) > 0.12) is tilted
+
+
+def turns(n: int, seed: int) -> Rotation:
+    """Rotations of up to 50 degrees about all axes."""
+    return Rotation.from_rotvec(np.random.default_rng(seed).uniform(-0.9, 0.9, (n, 3)))
+
+
+def test_a_tip_is_found_where_the_target_was_turned_about_it(tmp_path: Path) -> None:
+    tip, point = np.array([0.01, -0.02, 0.18]), np.array([0.05, 0.02, 0.7])
+    station: Any = Poses([(point - turn.apply(tip), turn) for turn in turns(30, 1)])
+    step = TipCalibrationStep(folder=tmp_path / "tip", out=tmp_path / "tip.yaml")
+    assert step.hint().what is Next.TURN_TARGET
+    for _ in range(30):
+        step.accept(station)
+    assert step.hint().what is Next.RUN
+    assert step.run(Silent()).good
+    np.testing.assert_allclose(read_tip(tmp_path / "tip.yaml").tip_m, tip, atol=1e-6)
+
+
+def test_poses_that_turn_about_one_axis_are_not_enough(tmp_path: Path) -> None:
+    turned = Rotation.from_rotvec(np.linspace(-0.8, 0.8, 40)[:, None] * [0.0, 0.0, 1.0])
+    station: Any = Poses([(np.zeros(3), turn) for turn in turned])
+    step = TipCalibrationStep(folder=tmp_path / "tip", out=tmp_path / "tip.yaml")
+    for _ in range(40):
+        step.accept(station)
+    assert step.hint().what is Next.TURN_TARGET
+
+
+def test_hand_eye_is_found_from_joints_and_poses(tmp_path: Path) -> None:
+    """The camera on the flange of a UR10, the target still in the cell; flange poses by the public DH table."""
+    arm = presets.ur10()
+    arm.save(tmp_path / "arm.yaml")
+    rng = np.random.default_rng(4)
+    T_flange_camera, T_base_target = np.eye(4), np.eye(4)
+    T_flange_camera[:3, :3] = Rotation.from_euler("xyz", [5.0, -20.0, 90.0], degrees=True).as_matrix()
+    T_flange_camera[:3, 3] = [0.03, 0.08, 0.05]
+    T_base_target[:3, 3] = [0.9, 0.1, 0.2]
+    q = np.array([0.2, -1.2, 1.7, -1.0, 1.4, 0.3]) + rng.uniform(-0.4, 0.4, (15, 6))
+    seen = np.linalg.inv(arm.fk(q) @ T_flange_camera) @ T_base_target
+    readings = iter(q)
+    step = HandEyeStep(
+        folder=tmp_path / "he",
+        out=tmp_path / "handeye.yaml",
+        arm=tmp_path / "arm.yaml",
+        read_joints=lambda: next(readings),
+    )
+    station: Any = Poses([(T[:3, 3], Rotation.from_matrix(T[:3, :3])) for T in seen])
+    for _ in range(15):
+        step.accept(station)
+    step.run(Silent())
+    found = read_handeye(tmp_path / "handeye.yaml").T_parent_camera.as_matrix()
+    np.testing.assert_allclose(found, T_flange_camera, atol=1e-6)

@@ -1,0 +1,137 @@
+"""Live measurement for screens: the same poses as the command gives, in a process that tells and records."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armsight.app.live.measurement import LiveJob, LiveMeasurement, Look, Moment
+from armsight.app.live.station import Station
+from armsight.clock import ManualClock
+from armsight.errors import BadFile, DeviceFailed
+from armsight.store.recording import Recording
+
+PATIENCE_S = 60.0
+
+
+def job(scene: Any, **more: Any) -> LiveJob:
+    return LiveJob(
+        left=str(scene.folder / "left"),
+        right=str(scene.folder / "right"),
+        rig=scene.folder / "rig.yaml",
+        target=scene.folder / "target.yaml",
+        **more,
+    )
+
+
+def moments(measurement: LiveMeasurement) -> list[Moment]:
+    with measurement.pairs:
+        return list(measurement.moments())
+
+
+def test_the_poses_are_the_scenes(scene: Any) -> None:
+    seen = moments(LiveMeasurement(job(scene), ManualClock()))
+    assert [one.view.status for one in seen] == ["ok"] * len(scene.xyz_m)
+    np.testing.assert_allclose([one.view.xyz_m for one in seen], scene.xyz_m, atol=1e-3)
+    last = seen[-1].view
+    assert (last.counts.ok, last.counts.lost, last.sequence) == (len(seen), 0, len(seen))
+    assert {spot.name for spot in last.left.spots} == {"A", "B", "C"}
+    assert all(spot.residual_px is not None and np.hypot(*spot.residual_px) < 0.5 for spot in last.left.spots)
+
+
+def test_every_light_lies_on_its_epipolar_curve(scene: Any) -> None:
+    """A parallel pair: the curve of a light is the row of its partner."""
+    view = moments(LiveMeasurement(job(scene), ManualClock()))[0].view
+    for spot, curve in zip(view.left.spots, view.left.epipolar, strict=True):
+        assert np.abs(np.array(curve)[:, 1] - spot.v_px).max() < 0.5
+
+
+def test_nothing_is_looked_for_under_a_mask(scene: Any) -> None:
+    measurement = LiveMeasurement(job(scene), ManualClock())
+    light = moments(measurement)[0].view.left.spots[0]
+    box = (light.u_px - 15.0, light.v_px - 15.0, light.u_px + 15.0, light.v_px + 15.0)
+    measurement = LiveMeasurement(job(scene), ManualClock())
+    measurement.look(Look(masked={"left": (box,)}))
+    view = moments(measurement)[0].view
+    assert light.name not in {spot.name for spot in view.left.spots}
+    assert view.status != "ok"
+    assert len(view.right.spots) == 3, "the other camera is not masked"
+
+
+def test_without_rig_lights_are_found_and_nothing_is_measured(scene: Any) -> None:
+    bare = LiveJob(left=str(scene.folder / "left"), right=str(scene.folder / "right"))
+    view = moments(LiveMeasurement(bare, ManualClock()))[0].view
+    assert view.status == "lost"
+    assert "not calibrated" in view.why
+    assert len(view.left.spots) == len(view.right.spots) == 3
+
+
+def test_a_missing_rig_is_refused_at_once(scene: Any, tmp_path: Path) -> None:
+    with pytest.raises(BadFile, match="rig"):
+        LiveMeasurement(LiveJob(left="a", right="b", rig=tmp_path / "rig.yaml", target=None), ManualClock())
+
+
+@pytest.fixture(scope="module")
+def station(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """One process for all tests of this module: it takes seconds to start."""
+    scene = request.getfixturevalue("scene")
+    made = Station(job(scene, again=True, fps=60.0))
+    made.start()
+    yield made
+    made.stop()
+
+
+def wait(what: Any) -> None:
+    """Wait until a condition holds; fails where it never does."""
+    ready = threading.Event()
+    for _ in range(int(PATIENCE_S / 0.02)):
+        if what():
+            return
+        ready.wait(0.02)
+    raise AssertionError("it never came to be")
+
+
+def test_a_process_shows_what_it_measures(station: Station) -> None:
+    wait(lambda: station.shown is not None and station.shown.view.status == "ok")
+    assert station.shown is not None
+    assert station.shown.left_jpeg[:2] == b"\xff\xd8"
+    first = station.shown.view.sequence
+    wait(lambda: station.shown is not None and station.shown.view.sequence > first)
+
+
+def test_its_recording_is_complete(station: Station, tmp_path: Path) -> None:
+    wait(lambda: station.shown is not None)
+    file = tmp_path / "live.mcap"
+    station.record(file)
+    wait(lambda: station.recording.n_pairs > 5)
+    station.record(None)
+    wait(lambda: station.recording.file is None)
+    assert station.recording.failure == ""
+    with Recording(file) as recording:
+        assert recording.count("/left/image") == recording.count("/right/image") > 5
+
+
+def test_a_pair_is_saved_bit_for_bit(station: Station, scene: Any, tmp_path: Path) -> None:
+    import cv2
+
+    wait(lambda: station.shown is not None)
+    left, right = tmp_path / "l" / "a.png", tmp_path / "r" / "a.png"
+    station.save_pair(left, right)
+    for file, side in ((left, "left"), (right, "right")):
+        image = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
+        originals = [cv2.imread(str(p), cv2.IMREAD_GRAYSCALE) for p in (scene.folder / side).iterdir()]
+        assert any(np.array_equal(image, original) for original in originals)
+
+
+def test_what_cannot_be_measured_is_told(tmp_path: Path) -> None:
+    made = Station(LiveJob(left=str(tmp_path / "none"), right=str(tmp_path / "none2")))
+    made.start()
+    wait(lambda: made.failure)
+    assert "none" in made.failure
+    with pytest.raises(DeviceFailed):
+        made.save_pair(tmp_path / "a.png", tmp_path / "b.png")
+    made.stop()

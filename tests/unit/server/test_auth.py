@@ -1,0 +1,156 @@
+"""Who may come in."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from armsight.clock import ManualClock
+from armsight.errors import BadFile, UsageError
+from armsight.server.auth import FAILURES, WINDOW_S, Authenticator, Caller, Denied, Identity, is_loopback
+from armsight.server.serving import ServeOptions, check_options
+from armsight.store.tokens import add_token, read_tokens
+
+
+@pytest.fixture(scope="module")
+def issued(tmp_path_factory):
+    path = tmp_path_factory.mktemp("tokens") / "tokens.yaml"
+    return path, {"anna": add_token(path, "anna", "drive"), "bert": add_token(path, "bert", "watch")}
+
+
+def caller(token=None, address="192.0.2.7", **headers):
+    authorization = "" if token is None else f"Bearer {token}"
+    return Caller(address=address, authorization=authorization, host=headers.pop("host", "robot:8765"), **headers)
+
+
+def test_a_token_gives_its_name_and_role(issued):
+    path, tokens = issued
+    auth = Authenticator(read_tokens(path))
+    assert auth.check(caller(tokens["anna"])) == Identity(who="anna", role="drive")
+    assert auth.check(caller(tokens["bert"])) == Identity(who="bert", role="watch")
+
+
+def test_the_file_holds_no_token(issued):
+    path, tokens = issued
+    assert not any(token in path.read_text() for token in tokens.values())
+    assert path.stat().st_mode & 0o777 == 0o600
+
+
+@pytest.mark.parametrize(
+    "header", ["", "Bearer", "Bearer x", "Basic {anna}", "{anna}", "Bearer {anna}x", "Bearer \udcff"]
+)
+def test_a_wrong_header_is_denied(issued, header):
+    path, tokens = issued
+    found = Authenticator(read_tokens(path)).check(
+        Caller(address="192.0.2.7", authorization=header.format(**tokens), host="robot")
+    )
+    assert isinstance(found, Denied)
+    assert found.status == 401
+
+
+def test_after_failures_an_address_waits_even_with_the_right_token(issued):
+    path, tokens = issued
+    clock = ManualClock(50.0)
+    auth = Authenticator(read_tokens(path), clock=clock)
+    for _ in range(FAILURES):
+        assert auth.check(caller("wrong")).status == 401
+    assert auth.check(caller(tokens["anna"])).status == 429
+    assert isinstance(auth.check(caller(tokens["anna"], address="192.0.2.8")), Identity), "others are not held up"
+    clock.advance(WINDOW_S + 1.0)
+    assert isinstance(auth.check(caller(tokens["anna"])), Identity)
+
+
+def test_every_entry_is_compared_in_constant_time(issued, monkeypatch):
+    path, tokens = issued
+    compared = []
+
+    def compare(a, b):
+        compared.append((len(a), len(b)))
+        return a == b
+
+    monkeypatch.setattr("hmac.compare_digest", compare)
+    Authenticator(read_tokens(path)).check(caller(tokens["anna"]))
+    assert compared == [(64, 64), (64, 64)]
+
+
+def test_without_tokens_only_this_machine_drives():
+    auth = Authenticator()
+    assert auth.check(caller(address="127.0.0.1", host="localhost:8765")) == Identity(who="local", role="drive")
+    assert auth.check(caller(address="::1", host="[::1]:8765")).who == "local"
+    assert auth.check(caller(address="192.0.2.7", host="localhost")).status == 403
+    assert auth.check(caller(address="127.0.0.1", host="evil.example:8765")).status == 403, "a name that leads here"
+
+
+def test_a_page_of_another_origin_is_kept_out(issued):
+    page = {"host": "localhost:8765", "address": "127.0.0.1"}
+    assert Authenticator().check(caller(origin="https://evil.example", **page)).status == 403
+    assert Authenticator().check(caller(origin="http://localhost:8080", **page)).status == 403
+    assert Authenticator().check(caller(origin="null", **page)).status == 403
+    assert Authenticator().check(caller(origin="http://localhost:8765", **page)).who == "local"
+    path, tokens = issued
+    assert Authenticator(read_tokens(path)).check(caller(tokens["anna"], origin="https://evil.example")).status == 403
+
+
+@pytest.mark.parametrize(
+    ("address", "loopback"),
+    [("127.0.0.1", True), ("127.3.2.1", True), ("::1", True), ("localhost", True), ("0.0.0.0", False), ("::", False),
+     ("192.0.2.1", False), ("robot", False), ("localhost.evil.example", False), ("", False)],
+)  # fmt: skip
+def test_loopback(address, loopback):
+    assert is_loopback(address) is loopback
+
+
+@pytest.mark.parametrize("bind", ["0.0.0.0", "::", "192.0.2.1", "robot.example", ""])
+def test_other_addresses_need_tls_and_tokens(bind, issued, certificate):
+    path, _ = issued
+    cert, key = certificate
+    for given in ({}, {"tokens": path}, {"tls_cert": cert, "tls_key": key}):
+        with pytest.raises(UsageError, match="can be reached from other machines"):
+            check_options(ServeOptions(bind=bind, **given))
+    assert len(check_options(ServeOptions(bind=bind, tokens=path, tls_cert=cert, tls_key=key))) == 2
+
+
+def test_a_certificate_needs_its_key(certificate, tmp_path):
+    cert, key = certificate
+    with pytest.raises(UsageError, match="its key"):
+        check_options(ServeOptions(tls_cert=cert))
+    with pytest.raises(BadFile, match="no certificate"):
+        check_options(ServeOptions(tls_cert=key, tls_key=cert))
+    with pytest.raises(BadFile, match="no certificate"):
+        check_options(ServeOptions(tls_cert=tmp_path / "none.pem", tls_key=key))
+
+
+def test_a_new_token_replaces_the_one_of_its_name(tmp_path):
+    path = tmp_path / "tokens.yaml"
+    old, new = add_token(path, "anna", "watch"), add_token(path, "anna", "drive")
+    (entry,) = read_tokens(path)
+    assert entry.role == "drive"
+    assert entry.matches(new)
+    assert not entry.matches(old)
+
+
+@pytest.mark.parametrize(("name", "role"), [("anna", "root"), ("", "drive"), ("a\nb", "watch"), ("x" * 50, "watch")])
+def test_a_wrong_name_or_role_makes_no_token(tmp_path, name, role):
+    with pytest.raises(UsageError):
+        add_token(tmp_path / "tokens.yaml", name, role)
+    assert not (tmp_path / "tokens.yaml").exists()
+
+
+def test_files_that_are_not_safe_are_refused(tmp_path):
+    path = tmp_path / "tokens.yaml"
+    add_token(path, "anna", "drive")
+    text = path.read_text()
+    path.chmod(0o666)
+    with pytest.raises(BadFile, match="others than its owner"):
+        read_tokens(path)
+    path.chmod(0o600)
+    entry = text[text.index("- ") : text.index("created")]
+    path.write_text(text.replace(entry, entry + entry))
+    with pytest.raises(BadFile, match="there twice"):
+        read_tokens(path)
+    path.write_text(text.replace("role: drive", "role: admin"))
+    with pytest.raises(BadFile, match="role"):
+        read_tokens(path)
+    with pytest.raises(BadFile):
+        read_tokens(Path(tmp_path / "none.yaml"))

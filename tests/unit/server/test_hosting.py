@@ -1,0 +1,281 @@
+"""A robot's loop on its side of the shared memory: what it obeys, when it holds, what it tells."""
+
+from __future__ import annotations
+
+import time
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform
+
+from armsight.app.robot.channels import Newest, Queue
+from armsight.app.robot.host import HEARTBEAT_S, LoopCommand, LoopEvent
+from armsight.app.robot.hosting import ProcessHost, RobotSpec, ThreadHost
+from armsight.app.robot.loop_side import Channels, CountedClock, lateness_s
+from armsight.app.robot.models import arm_model
+from armsight.clock import ManualClock
+from armsight.control.setpoints import JointGoal, JointVelocity
+from armsight.drivers import RobotState
+from armsight.errors import DeviceFailed, DeviceLost, UsageError
+from armsight.records import JointReading
+from armsight.sim.arms import SimArm, SimJoint
+from armsight.sim.robot import RobotFault, SimRobot
+from armsight.sim.servo import Drive
+from armsight.store.arm_file import arm_from_mapping
+from armsight.testing.clocks import GatedClock
+
+CYCLE_S = 0.02
+UP = np.array([0.2, 0.1])
+
+
+class Loop:
+    """A two-joint arm in a thread on a gated clock."""
+
+    def __init__(self, robot_type=SimRobot):
+        self.clock = GatedClock(10.0)
+        nominal = SimArm(joints=(SimJoint(name="j1", a_m=0.3), SimJoint(name="j2", a_m=0.2)))
+        drive = Drive(cycle_s=CYCLE_S, lag_s=0.02, max_speed=np.full(2, 2.0), encoder_step=np.full(2, 1e-6))
+        self.robot = robot_type("sim", true=nominal, nominal=nominal, drive=drive, home=[0.0, 0.3], clock=self.clock)
+        mapping = {"format": "armsight/arm", "version": 1, **nominal.mapping(RigidTransform.identity())}
+        self.host = ThreadHost(self.robot, arm_from_mapping(mapping, "x"), self.clock, ended=self.clock.leave)
+
+    def advance(self, seconds, *, beat=False):
+        """Let time pass, with heartbeats or without."""
+        while seconds > 1e-9:
+            if beat:
+                self.host.beat(enable=True)
+            part = min(seconds, 0.1)
+            self.clock.advance(part)
+            seconds -= part
+
+    @property
+    def q(self):
+        return self.host.snapshot().q_sent
+
+
+@contextmanager
+def running(robot_type=SimRobot):
+    loop = Loop(robot_type)
+    loop.host.begin()
+    loop.advance(2 * CYCLE_S)
+    try:
+        loop.host.wait()
+        yield loop
+    finally:
+        loop.host.end(lambda: loop.clock.advance(0.1))
+
+
+def test_a_goal_is_gone_to_while_the_driver_lives():
+    with running() as loop:
+        loop.host.beat(enable=True)
+        loop.host.post(JointGoal(q=UP))
+        loop.advance(3.0, beat=True)
+        assert pytest.approx(UP, abs=1e-9) == loop.q
+        assert loop.host.snapshot().guard == "running"
+
+
+def test_without_enable_nothing_moves_then_or_later():
+    with running() as loop:
+        loop.host.post(JointGoal(q=UP))
+        loop.advance(0.2)
+        loop.advance(1.0, beat=True)
+        assert loop.q.tolist() == [0.0, 0.3], "what was asked before the enable is not done after it"
+
+
+@pytest.mark.parametrize("how", ["silent", "release", "disable"])
+def test_a_driver_who_is_gone_is_a_hold(how):
+    with running() as loop:
+        loop.host.beat(enable=True)
+        loop.host.post(JointGoal(q=np.array([2.0, 0.3])))
+        loop.advance(0.4, beat=True)
+        assert loop.host.snapshot().guard == "running"
+        if how == "silent":
+            loop.advance(HEARTBEAT_S + 2 * CYCLE_S)
+        elif how == "release":
+            loop.host.release("gone")
+            loop.advance(CYCLE_S)
+        else:
+            loop.host.beat(enable=False)
+            loop.advance(CYCLE_S)
+        assert loop.host.snapshot().guard == "disabled"
+        loop.advance(1.0)
+        rest = loop.q
+        assert 0.0 < rest[0] < 2.0
+        loop.advance(1.0, beat=True)
+        assert loop.q.tolist() == rest.tolist(), "a new heartbeat does not bring back what was asked"
+
+
+def test_a_velocity_ends_when_it_is_not_sent_again():
+    with running() as loop:
+        loop.host.beat(enable=True)
+        loop.host.post(JointVelocity(qd=np.array([0.1, 0.0])))
+        loop.advance(2.0, beat=True)
+        rest = loop.q
+        loop.advance(0.5, beat=True)
+        assert 0.01 < rest[0] < 0.05
+        assert loop.q.tolist() == rest.tolist()
+
+
+def test_a_stop_lasts_until_a_reset_and_a_new_enable():
+    with running() as loop:
+        loop.host.beat(enable=True)
+        loop.host.post(JointGoal(q=UP))
+        loop.advance(0.2, beat=True)
+        loop.host.stop("bert")
+        loop.advance(2.0, beat=True)
+        found = loop.host.snapshot()
+        assert (found.guard, found.robot) == ("stopped", RobotState.STOPPED)
+        rest = loop.q
+        loop.host.reset()
+        loop.advance(0.5, beat=True)
+        assert loop.host.snapshot().guard == "disabled", "the enable was not let go of"
+        loop.host.beat(enable=False)
+        loop.host.beat(enable=True)
+        loop.advance(0.5, beat=True)
+        assert loop.host.snapshot().guard == "running"
+        assert loop.q == pytest.approx(rest, abs=1e-6), "what was asked before the stop is forgotten"
+        loop.host.post(JointGoal(q=UP))
+        loop.advance(2.0, beat=True)
+        assert pytest.approx(UP, abs=1e-9) == loop.q
+
+
+def test_stop_wins_over_what_is_asked_in_the_same_cycle():
+    with running() as loop:
+        loop.host.beat(enable=True)
+        loop.host.stop("bert")
+        loop.host.post(JointGoal(q=UP))
+        loop.advance(1.0, beat=True)
+        assert loop.host.snapshot().guard == "stopped"
+        assert loop.q.tolist() == [0.0, 0.3]
+
+
+def test_a_lost_robot_is_told():
+    with running() as loop:
+        loop.robot.fault(RobotFault.LINK_LOST)
+        loop.advance(2 * CYCLE_S)
+        found = loop.host.snapshot()
+        assert (found.guard, found.robot) == ("stopped", RobotState.LOST)
+
+
+def test_records_hold_readings_commands_and_events():
+    with running() as loop:
+        loop.host.beat(enable=True)
+        loop.advance(0.2, beat=True)
+        kinds = {type(record) for record in loop.host.records()}
+        assert kinds == {JointReading, LoopCommand, LoopEvent}
+        assert not loop.host.records()
+
+
+def test_a_stop_is_not_lost_where_the_loop_takes_nothing():
+    with running() as loop:
+        loop.host.beat(enable=True)
+        loop.host.post(JointGoal(q=UP))
+        with pytest.raises(DeviceLost):
+            for _ in range(5000):
+                loop.host.beat(enable=True)
+        loop.host.stop("bert")
+        with pytest.raises(DeviceLost):
+            loop.host.post(JointGoal(q=UP))
+        loop.advance(CYCLE_S)
+        loop.host.records()
+        loop.advance(0.5)
+        assert loop.host.snapshot().guard == "stopped"
+
+
+class DoesNotOpen(SimRobot):
+    def __enter__(self):
+        raise DeviceFailed("its controller does not answer")
+
+
+def test_what_keeps_the_robot_from_opening_is_raised():
+    with pytest.raises(DeviceFailed, match="does not answer"), running(DoesNotOpen):
+        pass
+
+
+class FailsLater(SimRobot):
+    @property
+    def state(self):
+        if self._sent > 5:
+            raise RuntimeError("a fault of the driver")
+        return super().state
+
+
+def test_an_ended_loop_is_lost_and_says_why():
+    with running(FailsLater) as loop:
+        loop.advance(0.5)
+        messages = [record.message for record in loop.host.records() if isinstance(record, LoopEvent)]
+        assert any("a fault of the driver" in message for message in messages)
+        for refused in (loop.host.snapshot, loop.host.reset, lambda: loop.host.post(JointGoal(q=UP))):
+            with pytest.raises(DeviceLost):
+                refused()
+
+
+def test_a_process_of_its_own_moves_the_robot_and_its_death_is_noticed():
+    spec = RobotSpec(robot="sim:webcam-cell", arm=arm_model("sim:webcam-cell", None))
+    with ProcessHost(spec) as host:
+        begin, deadline_s = host.snapshot().q_sent, time.monotonic() + 60.0
+        assert host.description.n_joints == 6
+        while np.array_equal(host.snapshot().q_sent, begin):
+            host.beat(enable=True)
+            host.post(JointVelocity(qd=np.full(6, 0.05)))
+            assert time.monotonic() < deadline_s
+            time.sleep(0.01)
+        assert host.lateness_counts().sum() > 0
+        host._process.kill()
+        host._process.join()
+        with pytest.raises(DeviceLost):
+            host.snapshot()
+        host.stop("anyone")
+        host.release("anyone")
+
+
+def test_other_robots_need_their_arm():
+    with pytest.raises(UsageError, match="--arm"):
+        arm_model("ws://127.0.0.1:1", None)
+    assert arm_model("rtde:192.0.2.1", "ur10").n == 6
+
+
+def test_a_queue_keeps_its_order_and_takes_no_more_than_it_holds():
+    queue = Queue(slots=4, size=8)
+    assert queue.get() is None
+    for turn in range(10):
+        assert all(queue.put(bytes([turn, k])) for k in range(4))
+        assert not queue.put(b"one too many")
+        assert [queue.get() for _ in range(5)] == [bytes([turn, k]) for k in range(4)] + [None]
+    with pytest.raises(UsageError, match="does not fit"):
+        queue.put(b"x" * 9)
+
+
+def test_the_newest_replaces_what_was_there():
+    newest = Newest(size=8)
+    assert newest.read() is None
+    for text in (b"a", b"", b"12345678", b"b"):
+        newest.write(text)
+        assert newest.read() == text
+        assert newest.read() == text
+
+
+def test_torn_messages_are_not_read():
+    queue, newest = Queue(slots=4, size=8), Newest(size=8)
+    queue.put(b"12345678")
+    newest.write(b"12345678")
+    for channel in (queue, newest):
+        memory = memoryview(channel._slots._memory).cast("B")
+        memory[16 + 16] ^= 1
+    assert queue.get() is None
+    assert newest.read() is None
+
+
+def test_lateness_is_counted():
+    channels = Channels()
+    clock = ManualClock(1.0)
+    counted = CountedClock(clock, channels.lateness)
+    for late_s in (0.0, 1e-4, 1e-4, 2.0):
+        clock.advance(0.1)
+        counted.sleep_until(clock.now_s() - late_s)
+    counts = np.frombuffer(channels.lateness, dtype=np.uint64)
+    assert counts.sum() == 4
+    assert lateness_s(counts, 0.5) == pytest.approx(1e-4, rel=0.03)
+    assert lateness_s(counts, 1.0) >= 1.0
+    assert lateness_s(np.zeros(640, dtype=np.uint64), 0.99) == 0.0

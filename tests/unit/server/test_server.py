@@ -1,0 +1,225 @@
+"""A server on loopback: who is let in, what is refused and logged, and that a driver who leaves holds the robot."""
+
+from __future__ import annotations
+
+import json
+import urllib.error
+import urllib.request
+
+import pytest
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
+
+from armsight.drivers.remote import Link, ServerAddress
+from armsight.drivers.remote import protocol as say
+from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, UsageError
+from armsight.server.serving import ServeOptions, background
+from armsight.server.session import VIOLATIONS
+from armsight.store.tokens import add_token
+
+WAIT_S = 20.0
+
+
+@pytest.fixture
+def url(service):
+    with background(service) as url:
+        yield url
+
+
+class Raw:
+    """A client that says what it likes."""
+
+    def __init__(self, url, path=say.DRIVE_PATH, **headers):
+        self.socket = connect(url + path, additional_headers=headers, proxy=None, compression=None).__enter__()
+        self.hello = json.loads(self.socket.recv(timeout=WAIT_S))
+        self.seq = 0
+
+    def say(self, kind, **fields):
+        self.seq += 1
+        text = json.dumps({"type": kind, "session": self.hello["session"], "seq": self.seq, **fields})
+        return self.send(text), text
+
+    def send(self, text):
+        self.socket.send(text)
+        while True:
+            answer = json.loads(self.socket.recv(timeout=WAIT_S))
+            if "reply_to" in answer and (answer["type"] != "state" or answer["reply_to"] is not None):
+                return answer
+
+    def closed(self):
+        """Read until the server closes; return the code."""
+        with pytest.raises(ConnectionClosed) as caught:
+            while True:
+                self.socket.recv(timeout=WAIT_S)
+        return caught.value.rcvd.code if caught.value.rcvd else None
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.socket.close()
+
+
+def warnings(log):
+    return [message for level, message in log.events if level == "warning"]
+
+
+def get(url, path, **headers):
+    request = urllib.request.Request(url.replace("ws:", "http:") + path, headers=headers)
+    try:
+        with urllib.request.urlopen(request, timeout=WAIT_S) as answer:
+            return answer.status, answer.read().decode()
+    except urllib.error.HTTPError as error:
+        return error.code, error.read().decode()
+
+
+def test_state_schema_and_pages(url, host):
+    status, text = get(url, say.STATE_PATH)
+    assert status == 200
+    assert json.loads(text)["q_sent"] == [0.0, 0.0]
+    assert say.STATE_PATH in json.loads(get(url, "/openapi.json")[1])["paths"]
+    assert json.loads(get(url, "/api/v1/protocol")[1]) == say.protocol_schema()
+    page = get(url, "/docs")[1]
+    assert "/api/v1/drive" in page
+    assert "http" not in page, "the page needs nothing from elsewhere"
+    host.ended = True
+    assert get(url, say.STATE_PATH)[0] == 503
+
+
+def test_a_driver_drives_and_a_watcher_stops(url, host):
+    with Raw(url) as driver, Raw(url, say.STREAM_PATH) as watcher:
+        assert driver.hello["role"] == "drive"
+        assert driver.say("heartbeat", enable=True)[0]["type"] == "accepted"
+        assert driver.say("joint_goal", q=[0.1, 0.2])[0]["q"] == [0.1, 0.2]
+        assert watcher.say("joint_goal", q=[0.1, 0.2])[0]["type"] == "refused"
+        assert watcher.say("stop")[0]["type"] == "accepted"
+        assert ("stop", "stopped by local@127.0.0.1") in host.told
+        assert "stopped" in driver.say("joint_goal", q=[0.1, 0.2])[0]["cause"]
+
+
+def test_a_second_driver_is_refused_with_who_and_since(url, log):
+    with Raw(url):
+        with pytest.raises(DeviceFailed, match=r"local@127.0.0.1 drives fake since \d+ s"):
+            Link(ServerAddress(url=url), say.DRIVE_PATH).open()
+        assert "refused to drive" in warnings(log)[-1]
+
+
+@pytest.mark.parametrize("how", ["close", "reset"])
+def test_a_driver_who_leaves_or_is_cut_holds_the_robot(url, host, how):
+    link = Link(ServerAddress(url=url), say.DRIVE_PATH)
+    link.open()
+    link.ask(say.Heartbeat, enable=True)
+    if how == "reset":
+        link.cut()
+    link.close()
+    assert host.heard.wait(WAIT_S), "the loop is told to hold"
+    with Raw(url) as next_one:
+        assert next_one.hello["role"] == "drive", "another may drive without a restart"
+
+
+def test_replayed_messages_are_refused_and_logged(url, host, log):
+    with Raw(url) as driver:
+        driver.say("heartbeat", enable=True)
+        answer, text = driver.say("joint_goal", q=[0.1, 0.2])
+        assert answer["type"] == "accepted"
+        host.told.clear()
+        assert "replay" in driver.send(text)["cause"]
+    with Raw(url) as later:
+        assert "another connection" in later.send(text)["cause"]
+    assert not [what for what in host.told if what[0] == "post"]
+    assert [word for word in ("replay", "another connection") if any(word in line for line in warnings(log))]
+
+
+def test_malformed_messages_are_refused_logged_and_then_end_it(url, host, log):
+    with Raw(url) as driver:
+        for text in ("{", b"\x00\xff", "[]", '{"type": "fly"}', "null")[:VIOLATIONS]:
+            assert driver.send(text)["type"] == "refused"
+        assert driver.closed() == 1008
+    assert host.heard.wait(WAIT_S)
+    assert len([line for line in warnings(log) if "was refused" in line]) == VIOLATIONS
+
+
+def test_oversized_messages_end_the_connection(url, host, log):
+    with Raw(url) as driver:
+        driver.socket.send(" " * (say.MAX_BYTES + 1))
+        assert driver.closed() == 1009
+    assert host.heard.wait(WAIT_S)
+    assert any("longer than" in line for line in warnings(log))
+
+
+def test_tokens_open_by_their_role_and_failures_are_limited(service, log, tmp_path):
+    path = tmp_path / "tokens.yaml"
+    anna, bert = add_token(path, "anna", "drive"), add_token(path, "bert", "watch")
+    with background(service, ServeOptions(port=0, tokens=path)) as url:
+        with Raw(url, Authorization=f"Bearer {anna}") as driver:
+            assert driver.hello["who"] == "anna@127.0.0.1"
+        with Raw(url, say.STREAM_PATH, Authorization=f"Bearer {bert}") as watcher:
+            assert watcher.say("stop")[0]["type"] == "accepted"
+        assert get(url, say.STATE_PATH, Authorization=f"Bearer {bert}")[0] == 200
+        with pytest.raises(InvalidStatus) as caught:
+            Raw(url, Authorization=f"Bearer {bert}")
+        assert caught.value.response.status_code == 403
+        assert b"may watch, not drive" in caught.value.response.body
+        codes = [get(url, say.STATE_PATH, Authorization=f"Bearer {'x' * n}")[0] for n in range(6)]
+        assert codes == [401] * 5 + [429]
+        with pytest.raises(DeviceFailed, match="refuses"):
+            Link(ServerAddress(url=url, token="wrong"), say.DRIVE_PATH).open()
+    assert sum("was kept out" in line for line in warnings(log)) == 8
+
+
+def test_a_page_of_another_origin_does_not_drive(url):
+    with pytest.raises(InvalidStatus) as caught:
+        Raw(url, Origin="https://evil.example")
+    assert caught.value.response.status_code == 403
+
+
+def test_tls(service, certificate, tmp_path):
+    cert, key = certificate
+    path = tmp_path / "tokens.yaml"
+    token = add_token(path, "anna", "drive")
+    options = ServeOptions(port=0, tokens=path, tls_cert=cert, tls_key=key)
+    with background(service, options) as url:
+        assert url.startswith("wss://")
+        link = Link(ServerAddress(url=url, token=token, ca_file=cert), say.STREAM_PATH)
+        assert link.open().who == "anna@127.0.0.1"
+        link.close()
+        with pytest.raises(DeviceFailed, match="not trusted"):
+            Link(ServerAddress(url=url, token=token), say.STREAM_PATH).open()
+
+
+def test_a_server_started_anew_is_told_apart(service, host, log):
+    with background(service) as url:
+        link = Link(ServerAddress(url=url), say.STREAM_PATH)
+        first = link.open().instance
+    with pytest.raises(DeviceLost, match="lost"):
+        link.ask(say.ReadMessage)
+    link.close()
+    again = type(service)(host, log)
+    with background(again) as url:
+        link = Link(ServerAddress(url=url), say.STREAM_PATH)
+        assert link.open().instance != first
+        link.close()
+
+
+@pytest.mark.parametrize("url", ["http://x:1", "ws://", "ws://x", "ws://x:99999", "x", "ws://x:1/drive", "ws://[::1"])
+def test_wrong_addresses(url):
+    with pytest.raises(UsageError):
+        ServerAddress(url=url)
+
+
+def test_a_token_does_not_travel_in_plain_text():
+    with pytest.raises(UsageError, match="plain text"):
+        ServerAddress(url="ws://192.0.2.1:8765", token="secret")
+
+
+def test_nobody_answers(url):
+    with pytest.raises(DeviceNotFound, match="no robot server"):
+        Link(ServerAddress(url="ws://127.0.0.1:1"), say.STREAM_PATH).open()
+
+
+def test_a_port_that_is_taken(service, url):
+    with (
+        pytest.raises(DeviceFailed, match="cannot listen"),
+        background(service, ServeOptions(port=int(url.rpartition(":")[2]))),
+    ):
+        pass
