@@ -332,14 +332,18 @@ def test_the_open_simulator_is_understood() -> None:
         simulator.connect(("127.0.0.1", port))
         opened = threading.Thread(target=robot.__enter__)
         opened.start()
-        answer = b""
-        for _ in range(200):
-            with contextlib.suppress(OSError):
-                simulator.settimeout(0.02)
+        answers: list[bytes] = []
+        simulator.settimeout(0.02)
+
+        def asked() -> bool:
+            with contextlib.suppress(OSError):  # refused at once while nobody listens yet
                 simulator.send(message(0, q))
-                answer = simulator.recv(1024)
-                break
+                answers.append(simulator.recv(1024))
+            return bool(answers)
+
+        until(asked)
         opened.join()
+        answer = answers[0]
         assert answer.startswith(b'<Sen Type="ImFree"><AK A1="0.000000"')
         assert answer.endswith(b"<IPOC>0</IPOC></Sen>")
         robot.step_joints(np.full(6, 0.001))
