@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import SupportsInt
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -246,5 +247,7 @@ def _through(a: Array, b: Array, lower: Array, upper: Array) -> NDArray[np.bool_
     return np.asarray((enter < leave) & (leave > 0.0) & (enter < 1.0))
 
 
-def _issue(row: int, trouble: PathTrouble, text: str, value: float = np.nan, limit: float = np.nan) -> PathIssue:
+def _issue(
+    row: SupportsInt, trouble: PathTrouble, text: str, value: float = np.nan, limit: float = np.nan
+) -> PathIssue:
     return PathIssue(row=int(row), trouble=trouble, text=text, value=float(value), limit=float(limit))
