@@ -1,0 +1,140 @@
+"""A path by its length: poses between its rows, its corners, and the path sampled anew."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import RigidTransform, Rotation, Slerp
+
+from armsight.errors import Inconsistent, NotEnoughData, UsageError
+from armsight.records import TaughtPath
+from armsight.units import DEG
+
+Array = NDArray[np.float64]
+
+CORNER_RAD = 40.0 * DEG
+"""A path that turns by more than this within twice the window has a corner there."""
+WINDOW_M = 0.01
+"""Length before and after a row over which its directions are taken; noise of 0.1 mm turns them by half a degree."""
+MOST_ROWS = 200_000
+
+
+def positive(name: str, value: float) -> float:
+    """Return a value that must be a finite number above zero; raises UsageError otherwise."""
+    if not (math.isfinite(value) and value > 0.0):
+        raise UsageError(f"{name} is {value:g}, which is no length above zero", consequence="The path is left as it is")
+    return value
+
+
+def moving(path: TaughtPath) -> Array:
+    """Return the length (n,) up to each row of a path that moves at every row.
+
+    Raises NotEnoughData below two rows, Inconsistent where two rows are at one place.
+    """
+    if len(path) < 2:
+        raise NotEnoughData(f"a path of {len(path)} poses has no length", cure="Give at least two poses")
+    still = np.diff(path.length_m) <= 0.0
+    if still.any():
+        row = int(np.argmax(still))
+        raise Inconsistent(
+            f"rows {row} and {row + 1} of the path are at one place",
+            consequence="It has no direction there",
+            cure="Leave one of them out",
+        )
+    return path.length_m
+
+
+def places_at(path: TaughtPath, s_m: Array) -> Array:
+    """Return the places (k, 3) at lengths s_m (k,) along the straight stretches of a path."""
+    return np.stack([np.interp(s_m, path.length_m, path.xyz_m[:, k]) for k in range(3)], axis=1)
+
+
+def poses_at(path: TaughtPath, s_m: Array) -> Array:
+    """Return the poses (k, 4, 4) at lengths s_m (k,): places linear, rotations by slerp (Shoemake 1985)."""
+    length = moving(path)
+    s = np.clip(s_m, 0.0, length[-1])
+    turns = Slerp(length, Rotation.from_matrix(path.T_world_tip[:, :3, :3]))(s)
+    return np.asarray(RigidTransform.from_components(places_at(path, s), turns).as_matrix())
+
+
+def turning(path: TaughtPath, *, window_m: float = WINDOW_M) -> Array:
+    """Return the angle (n,) in rad between the chords over window_m before and after each row; 0 at both ends."""
+    s = moving(path)
+    back = places_at(path, np.maximum(s - positive("window_m", window_m), 0.0))
+    ahead = places_at(path, np.minimum(s + window_m, s[-1]))
+    before, after = (path.xyz_m - back)[1:-1], (ahead - path.xyz_m)[1:-1]
+    angle = np.zeros(len(s))
+    sine = np.linalg.norm(np.cross(before, after), axis=1)
+    angle[1:-1] = np.arctan2(sine, np.sum(before * after, axis=1))
+    return angle
+
+
+def corners(path: TaughtPath, *, angle_rad: float = CORNER_RAD, window_m: float = WINDOW_M) -> tuple[int, ...]:
+    """Return the rows at which the path turns by more than angle_rad, the sharpest of each window_m; ends are none."""
+    s, angle = moving(path), turning(path, window_m=window_m)
+    found: list[int] = []
+    for row in np.argsort(-angle, kind="stable"):
+        if angle[row] <= angle_rad:
+            break
+        if all(abs(s[row] - s[other]) > window_m or _straight_between(path, row, other) for other in found):
+            found.append(int(row))
+    return tuple(sorted(found))
+
+
+def _straight_between(path: TaughtPath, a: int, b: int) -> bool:
+    """Tell whether the turn at a row is its own: rows not neighbours, and a third of it seen between its neighbours."""
+    if not 0 < a < len(path) - 1:
+        return False
+    before, after = np.diff(path.xyz_m[a - 1 : a + 2], axis=0)
+    own = math.atan2(float(np.linalg.norm(np.cross(before, after))), float(before @ after))
+    return abs(a - b) > 1 and own > CORNER_RAD
+
+
+def resampled(
+    path: TaughtPath, step_m: float, *, spline: bool = False, keep: Sequence[int] | None = None
+) -> TaughtPath:
+    """Return the path with rows at most step_m apart, evenly spread between rows that are kept.
+
+    Kept are both ends, rows with a tag, and the rows keep (its corners where None). Places between the old rows lie
+    on straight lines, or with spline on a cubic spline over chord length that is broken at kept rows; rotations are
+    slerped. Speeds are those of the old row before; times are interpolated where every row has one. Raises
+    UsageError for a step that is no length or gives more than MOST_ROWS rows, Inconsistent where the path stands.
+    """
+    s = moving(path)
+    if s[-1] / positive("step_m", step_m) > MOST_ROWS:
+        raise UsageError(f"steps of {step_m:g} m give more than {MOST_ROWS} rows", cure="Take a longer step")
+    chosen = corners(path) if keep is None else keep
+    tagged = [row for row, tag in enumerate(path.tags) if tag]
+    kept = sorted({0, len(path) - 1, *(range(len(path))[row] for row in chosen), *tagged})
+    at, rows = [s[:1]], [0]
+    for a, b in itertools.pairwise(kept):
+        count = max(1, math.ceil((s[b] - s[a]) / step_m - 1e-9))
+        at.append(np.linspace(s[a], s[b], count + 1)[1:])
+        rows.append(rows[-1] + count)
+    wanted = np.concatenate(at)
+    T = poses_at(path, wanted)
+    if spline:
+        for (a, b), (i, j) in zip(itertools.pairwise(kept), itertools.pairwise(rows), strict=True):
+            if b - a > 1:
+                T[i : j + 1, :3, 3] = CubicSpline(s[a : b + 1], path.xyz_m[a : b + 1])(wanted[i : j + 1])
+    for old, new in zip(kept, rows, strict=True):
+        T[new] = path.T_world_tip[old]
+    tags = [""] * len(wanted)
+    for old, new in zip(kept, rows, strict=True):
+        tags[new] = path.tags[old]
+    return with_poses(path, T, wanted, tuple(tags))
+
+
+def with_poses(path: TaughtPath, T: Array, s_m: Array, tags: tuple[str, ...]) -> TaughtPath:
+    """Return a path of poses T (k, 4, 4) that belong to lengths s_m (k,) of path, with its times and speeds there."""
+    s = path.length_m
+    known = bool(np.isfinite(path.t_s).all())
+    t_s = np.interp(s_m, s, path.t_s) if known else np.full(len(s_m), np.nan)
+    row = np.clip(np.searchsorted(s, s_m + 1e-12, side="right") - 1, 0, len(s) - 1)
+    return replace(path, T_world_tip=T, t_s=t_s, speed_m_s=path.speed_m_s[row], tags=tags)
