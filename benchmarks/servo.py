@@ -5,9 +5,10 @@
 The cell is Pachidis 2005's: a Puma 761 of which the servo knows the nominal geometry only, a mirror rig at its flange,
 half a frame's latency, a drive that lags by 60 ms, a controller's cycle of 28 ms and a servo's of 70 ms; and the webcam
 cell, whose cameras stand and whose arm brings its tool to the target. Hand-eye calibrations are off by HANDEYE.
-Pictures are drawn of the room from where the arm truly is at each exposure. Time is simulated, so that the figures do not depend
-on this machine; only the time from a frame in memory to the command is taken by a real clock, less what the simulated
-drives take of it, while the target is followed.
+
+Pictures are drawn of the room from where the arm truly is at each exposure. Time is simulated, so that the figures do
+not depend on this machine; only the time from a frame in memory to the command is taken by a real clock, less what the
+simulated drives take of it, while the target is followed.
 """
 
 from __future__ import annotations
