@@ -87,7 +87,8 @@ class ServoSession:
         cycle_s, delay = self._guard.cycle_s, vision.delay
         delay_s = delay.delay_s + self._settings.arm_lag_s
         gain = chosen_gain(self._job.gain, max(cycle_s, delay.period_s), delay_s)
-        source = ServoSource(self._guard.arm, self._setup.rig, self._settings.with_gain(gain.used), cycle_s)
+        setup, settings = self._setup, self._settings.with_gain(gain.used)
+        source = ServoSource(self._guard.arm, setup.rig, setup.target, settings, cycle_s)
         source.warm_up()
         vision.source = source
         return gain, source

@@ -11,10 +11,14 @@ Array = NDArray[np.float64]
 
 FRAMES = 100
 """Frames of which the delay is the median."""
-PRIOR_RAD = 0.05
-"""The lag first assumed counts as much as this way of one joint; the lag of a longer way outweighs it."""
-LEAST_S, MOST_S = 0.0, 0.5
-"""Between these a lag is believed."""
+WINDOW_S, EVERY_S = 3.0, 0.5
+"""The arm's lag is found from the newest motion of so long, and so often."""
+ROWS = 150
+"""Commands and readings of the window that are looked at, at most."""
+LAGS_S = np.linspace(0.0, 0.4, 41)
+"""Lags that are tried; the best is refined between its neighbours."""
+LEAST_WAY = 0.02
+"""Way of all joints (rad or m, root of their squares) below which a motion tells no lag: 400 steps of an encoder."""
 
 
 class CameraDelay:
@@ -43,21 +47,44 @@ class CameraDelay:
 
 
 class ArmLag:
-    """How long the arm takes to be where it was told to be.
+    """How long the arm takes to be where it was told to be: the shift in time that fits readings to commands best.
 
-    While a joint is told to move at speed v it is v times the lag behind; the lag is their regression, with an
-    assumed one as its beginning.
+    The control loop adds; the thread of the cameras estimates, so that no cycle waits for it.
     """
 
     def __init__(self, assumed_s: float, cycle_s: float) -> None:
-        self._cycle_s = cycle_s
-        self._vv = PRIOR_RAD**2 / cycle_s  # a way of PRIOR_RAD in one second is that sum over its cycles
-        self._ve = self._vv * assumed_s
+        """assumed_s: the lag until motion tells it."""
         self.lag_s = assumed_s
+        self._cycle_s = cycle_s
+        self._rows: deque[tuple[float, Array, float, Array]] = deque(maxlen=int(WINDOW_S / cycle_s) + 2)
+        self._next_s = -np.inf
 
-    def add(self, now_s: float, q_s: float, q: Array, q_sent: Array, qd_sent: Array) -> None:
-        """Take a reading q (n,) of q_s beside q_sent (n,), told for the cycle before now_s, at the speed qd_sent."""
-        told = q_sent + qd_sent * (q_s - (now_s - self._cycle_s))  # where it was told to be at q_s
-        self._vv += float(qd_sent @ qd_sent)
-        self._ve += float(qd_sent @ (told - q))
-        self.lag_s = min(max(self._ve / self._vv, LEAST_S), MOST_S)
+    def add(self, now_s: float, q_s: float, q: Array, q_sent: Array) -> None:
+        """Take a reading q (n,) of q_s beside q_sent (n,), which was told in the cycle before now_s."""
+        self._rows.append((now_s - self._cycle_s, q_sent, q_s, q))
+
+    def estimate(self, now_s: float) -> None:
+        """Find the lag anew where it is time to and the arm moved enough to tell it."""
+        if now_s < self._next_s or len(self._rows) < 0.5 * WINDOW_S / self._cycle_s:
+            return
+        self._next_s = now_s + EVERY_S
+        rows = list(self._rows)
+        rows = rows[:: -(-len(rows) // ROWS)]
+        sent_s, q_s = np.array([row[0] for row in rows]), np.array([row[2] for row in rows])
+        q_sent, q = np.array([row[1] for row in rows]), np.array([row[3] for row in rows])
+        if np.linalg.norm(np.ptp(q_sent, axis=0)) < LEAST_WAY:
+            return
+        late = q_s > sent_s[0] + LAGS_S[-1]  # where every lag that is tried falls within what was sent
+        misfit = np.array([_misfit(lag, sent_s, q_sent, q_s[late], q[late]) for lag in LAGS_S])
+        best = int(np.argmin(misfit))
+        if 0 < best < len(LAGS_S) - 1:
+            a, b, c = misfit[best - 1 : best + 2]
+            self.lag_s = float(LAGS_S[best] + 0.5 * (a - c) / (a - 2.0 * b + c) * (LAGS_S[1] - LAGS_S[0]))
+
+
+def _misfit(lag_s: float, sent_s: Array, q_sent: Array, q_s: Array, q: Array) -> float:
+    """Return the sum of squares of readings minus what was sent lag_s before, between commands on a straight line."""
+    t = q_s - lag_s
+    k = np.clip(np.searchsorted(sent_s, t) - 1, 0, len(sent_s) - 2)
+    share = ((t - sent_s[k]) / (sent_s[k + 1] - sent_s[k]))[:, None]
+    return float(np.square(q_sent[k] + share * (q_sent[k + 1] - q_sent[k]) - q).sum())

@@ -11,14 +11,13 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.control.guard import TargetState
 from armsight.control.servo.delay import ArmLag, CameraDelay
-from armsight.control.servo.law import ServoError, delay_cycles, servo_error, servo_twist, stability_gain
+from armsight.control.servo.law import ServoError, cross, delay_cycles, servo_error, servo_twist, stability_gain
 from armsight.control.servo.target_track import LOST_S, TargetMotion, TargetTrack, Tracked
 from armsight.control.setpoints import CycleState, Hold, SetPoint, ToolTwist
 from armsight.errors import Inconsistent, StaleData
-from armsight.geometry import moved_parent_covariance
 from armsight.kinematics import Arm
 from armsight.optics import Rig
-from armsight.records import JointReading, PoseStatus, TargetPose
+from armsight.records import JointReading, PoseStatus, Target, TargetPose
 from armsight.records.joint_history import JointHistory
 from armsight.units import MS
 
@@ -68,9 +67,9 @@ class ServoSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Seen:
-    """The newest pose as it was measured, in flange axes at its exposure; whole: with its rotation."""
+    """The newest pose (4, 4) as it was measured, in flange axes at its exposure; whole: with its rotation."""
 
-    T_flange_target: RigidTransform
+    T_flange_target: Array
     whole: bool
 
 
@@ -97,14 +96,18 @@ class ServoSource:
 
     name = "servo"
 
-    def __init__(self, arm: Arm, rig: Rig, settings: ServoSettings, cycle_s: float) -> None:
+    def __init__(self, arm: Arm, rig: Rig, target: Target, settings: ServoSettings, cycle_s: float) -> None:
         """cycle_s: of the loop. arm: whose T_flange_tool is the tool that set points are of."""
         self.settings = settings
         self._arm = arm
         self._rig = rig
+        self._target = target
         self._cycle_s = cycle_s
-        self._T_tool_flange = arm.T_flange_tool.inv()
-        self._T_base_world = arm.T_world_base.inv()
+        self._T_tool_flange = arm.T_flange_tool.inv().as_matrix()
+        self._T_base_world = arm.T_world_base.inv().as_matrix()
+        self._T_parent_camera = settings.T_parent_camera.as_matrix()
+        self._T_flange_desired = settings.T_flange_desired.as_matrix()
+        self._tool_m = np.array(arm.T_flange_tool.translation)
         self._track = TargetTrack(rig)
         self._history = JointHistory(cycle_s)
         self._camera = CameraDelay()
@@ -141,6 +144,7 @@ class ServoSource:
     def observe(self, pose: TargetPose, exposed_s: float, now_s: float) -> None:
         """Take what a frame shows, in rig axes, exposed at exposed_s and known at now_s, both on the loop's clock."""
         self._camera.add(exposed_s, now_s)
+        self._lag.estimate(now_s)
         T_rig_target, covariance = pose.T_parent_target, pose.covariance
         if T_rig_target is None or covariance is None:
             return
@@ -151,15 +155,18 @@ class ServoSource:
             return
         self._unplaced = ""
         on_flange = self.settings.mount is Mount.EYE_IN_HAND
-        T_base_rig = T_base_flange * self.settings.T_parent_camera if on_flange else self.settings.T_parent_camera
-        T_base_target = T_base_rig.as_matrix() @ T_rig_target
+        T_base_rig = T_base_flange @ self._T_parent_camera if on_flange else self._T_parent_camera
+        T_base_target, R = T_base_rig @ T_rig_target, T_base_rig[:3, :3]
         whole = pose.status is PoseStatus.OK
         if whole:
-            self._track.add(exposed_s, T_base_target, moved_parent_covariance(T_base_rig, covariance))
+            turned = np.zeros((6, 6))
+            turned[:3, :3] = turned[3:, 3:] = R
+            self._track.add(exposed_s, T_base_target, turned @ covariance @ turned.T)
         else:
-            R = T_base_rig.rotation.as_matrix()
-            self._track.add_position(exposed_s, T_base_target[:3, 3], R @ covariance @ R.T)
-        self._seen = Seen(T_flange_target=T_base_flange.inv() * RigidTransform.from_matrix(T_base_target), whole=whole)
+            centre_m = self._target.xyz_m[[self._target.names.index(name) for name in pose.spots]].mean(axis=0)
+            self._track.add_position(exposed_s, T_base_target[:3, 3], R @ covariance @ R.T, centre_m)
+        if not self.settings.predict:
+            self._seen = Seen(T_flange_target=inverse(T_base_flange) @ T_base_target, whole=whole)
 
     def target(self, now_s: float) -> tuple[TargetState, float | None]:
         """Return what is known of the target, and the age in s of the newest frame that shows it."""
@@ -176,23 +183,24 @@ class ServoSource:
     def next(self, now: CycleState) -> SetPoint:
         """Return the tool's twist towards where the target is wanted; Hold, with why, where it is not followed."""
         if now.q_s is not None and self._history.add(JointReading(q=now.q, t_s=now.q_s, sequence=0, source=self.name)):
-            self._lag.add(now.t_s, now.q_s, now.q, now.q_sent, now.qd_sent)
+            self._lag.add(now.t_s, now.q_s, now.q, now.q_sent)
         tracked, why = self._track.now, self._why_not(now.t_s)
         if why or tracked is None:
             self.error = None
             return Hold(why=why or NOT_SEEN)
-        T_base_flange = now.T_base_tool * self._T_tool_flange
+        T_base_tool = now.T_base_tool.as_matrix()
+        T_base_flange = T_base_tool @ self._T_tool_flange
         if not self.settings.predict and self._seen is not None:
             return self._twist(T_base_flange, self._seen.T_flange_target, self._seen.whole)
         motion = tracked.at(now.t_s - self._cycle_s + self._lag.lag_s)  # when the arm is where it was last told to be
-        twist = self._twist(T_base_flange, T_base_flange.inv() * motion.T_base_target, motion.whole)
-        return self._fed_forward(twist, motion, now.T_base_tool)
+        twist = self._twist(T_base_flange, inverse(T_base_flange) @ motion.T_base_target, motion.whole)
+        return self._fed_forward(twist, motion, T_base_tool[:3, 3])
 
     def warm_up(self) -> None:
         """Run once what a cycle runs, so that no cycle waits for the compiler."""
-        other = ServoSource(self._arm, self._rig, self.settings, self._cycle_s)
+        other = ServoSource(self._arm, self._rig, self._target, self.settings, self._cycle_s)
         q = np.clip(np.zeros(self._arm.n), self._arm.lower, self._arm.upper)
-        T_base_tool = self._T_base_world * RigidTransform.from_matrix(self._arm.fk(self._arm.values(q)))
+        T_base_tool = RigidTransform.from_matrix(self._T_base_world @ self._arm.fk(self._arm.values(q)))
         T = RigidTransform.from_translation([0.0, 0.0, 0.5]).as_matrix()
         for k in range(20):
             t_s = 0.02 * k
@@ -219,28 +227,34 @@ class ServoSource:
             return f"the delay has grown to {self.delay_s / MS:.0f} ms, at which the gain is not stable"
         return ""
 
-    def _twist(self, T_base_flange: RigidTransform, T_flange_target: RigidTransform, whole: bool) -> ToolTwist:
+    def _twist(self, T_base_flange: Array, T_flange_target: Array, whole: bool) -> ToolTwist:
         """Return the law's twist of the tool, in base axes."""
-        settings, desired = self.settings, self.settings.T_flange_desired
-        error = servo_error(T_flange_target, desired)
+        settings = self.settings
+        error = servo_error(T_flange_target, self._T_flange_desired)
         self.error = error
         gain_r = settings.gain_r if whole and settings.turns else 0.0
-        v, omega = servo_twist(error, np.asarray(desired.translation), settings.gain_t, gain_r)
-        v_tool = v + np.cross(omega, self._arm.T_flange_tool.translation)
-        turned = T_base_flange.rotation.apply(np.array([v_tool, omega]))
-        return ToolTwist(velocity_m_s=turned[0], angular_rad_s=turned[1])
+        v, omega = servo_twist(error, self._T_flange_desired[:3, 3], settings.gain_t, gain_r)
+        R = T_base_flange[:3, :3]
+        return ToolTwist(velocity_m_s=R @ (v + cross(omega, self._tool_m)), angular_rad_s=R @ omega)
 
-    def _fed_forward(self, twist: ToolTwist, motion: TargetMotion, T_base_tool: RigidTransform) -> ToolTwist:
-        """Return a twist with that of a tool fixed to the target added, which keeps up with it."""
+    def _fed_forward(self, twist: ToolTwist, motion: TargetMotion, tool_m: Array) -> ToolTwist:
+        """Return a twist with that of a tool fixed to the target added, which keeps up with it; tool_m: in base."""
         turning = motion.angular_rad_s if motion.whole and self.settings.turns else np.zeros(3)
-        lever_m = T_base_tool.translation - motion.T_base_target.translation
+        carried = motion.velocity_m_s + cross(turning, tool_m - motion.T_base_target[:3, 3])
         return ToolTwist(
-            velocity_m_s=twist.velocity_m_s + motion.velocity_m_s + np.cross(turning, lever_m),
+            velocity_m_s=twist.velocity_m_s + carried,
             angular_rad_s=twist.angular_rad_s + turning,
         )
 
-    def _flange_at(self, t_s: float) -> RigidTransform:
-        """Return T_base_flange at an exposure. Raises StaleData where the joints are not known there."""
+    def _flange_at(self, t_s: float) -> Array:
+        """Return T_base_flange (4, 4) at an exposure. Raises StaleData where the joints are not known there."""
         q = self._history.at(t_s).q
-        T_world_tool = RigidTransform.from_matrix(self._arm.fk(self._arm.values(q)))
-        return self._T_base_world * T_world_tool * self._T_tool_flange
+        return np.asarray(self._T_base_world @ self._arm.fk(self._arm.values(q)) @ self._T_tool_flange)
+
+
+def inverse(T: Array) -> Array:
+    """Return the inverse of a pose (4, 4)."""
+    out = np.eye(4)
+    out[:3, :3] = T[:3, :3].T
+    out[:3, 3] = -T[:3, :3].T @ T[:3, 3]
+    return out

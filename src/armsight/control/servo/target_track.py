@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform
 from scipy.stats import distributions
 
+from armsight.geometry.lie import skew
 from armsight.measure.motion.estimate import MotionFilter
 from armsight.optics import PackedRig, Rig
 
@@ -21,6 +21,7 @@ UNKNOWN_TURN_RAD = 10.0
 ARM_M, ARM_RAD = 1e-4, 2e-4
 """Standard deviations added to a pose for the arm that carries the cameras: it shakes, its model errs, and its readings
 come in steps."""
+ARM_COVARIANCE = np.diag(np.repeat(np.square([ARM_M, ARM_RAD]), 3))
 SETTLED_S = 0.15
 """A track so young is not followed: its velocity is not known yet."""
 CALM_S = 0.3
@@ -31,12 +32,12 @@ LOST_S = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TargetMotion:
-    """Pose T_base_target at a moment, with the velocity (3,) of its origin in m/s and its angular velocity (3,).
+    """Pose T_base_target (4, 4) at a moment, with the velocity (3,) of its origin in m/s and its angular velocity (3,).
 
     whole: whether its rotation was measured; else it is the one last seen, and means nothing where none was.
     """
 
-    T_base_target: RigidTransform
+    T_base_target: Array
     velocity_m_s: Array
     angular_rad_s: Array
     whole: bool
@@ -44,12 +45,16 @@ class TargetMotion:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Tracked:
-    """What is known of a target: its motion since begun_s, after a jump or not."""
+    """What is known of a target: its motion since begun_s, after a jump or not.
+
+    whole: whether the newest pose has its rotation; turned: whether any since begun_s had.
+    """
 
     filter: MotionFilter
     begun_s: float
     jumped: bool
     whole: bool
+    turned: bool
 
     @property
     def seen_s(self) -> float:
@@ -65,7 +70,7 @@ class Tracked:
         """Return where the target is expected at t_s, and how it moves."""
         state = self.filter.at(t_s)
         return TargetMotion(
-            T_base_target=RigidTransform.from_matrix(state.T_rig_target),
+            T_base_target=state.T_rig_target,
             velocity_m_s=state.velocity[:3],
             angular_rad_s=state.velocity[3:],
             whole=self.whole,
@@ -89,18 +94,28 @@ class TargetTrack:
         Where no motion leads to it, the target jumped: the track begins anew there. So it does after LOST_S without
         the target. A pose that is not newer than the last is left out.
         """
-        self._add(t_s, T_base_target, covariance, whole=True)
+        self._add(t_s, T_base_target, covariance, whole=True, turned=True)
 
-    def add_position(self, t_s: float, xyz_m: Array, covariance: Array) -> None:
-        """Take a position (3,) with covariance (3, 3) in base axes, of a target whose rotation is not seen."""
+    def add_position(self, t_s: float, xyz_m: Array, covariance: Array, centre_m: Array) -> None:
+        """Take where the middle of the lights seen is, xyz_m (3,) with covariance (3, 3) in base axes.
+
+        centre_m (3,): that middle in target axes. The rotation goes on as the track has it; where it was never seen,
+        the middle stands for the target's origin.
+        """
         T, C = np.eye(4), np.diag(np.full(6, UNKNOWN_TURN_RAD**2))
-        if self.now is not None:
-            T[:3, :3] = self.now.filter.at(t_s).T_rig_target[:3, :3]
         T[:3, 3], C[:3, :3] = xyz_m, covariance
-        self._add(t_s, T, C, whole=False)
+        now = self.now
+        turned = now is not None and now.turned
+        if now is not None and turned:
+            state = now.filter.at(t_s)
+            T[:3, :3] = state.T_rig_target[:3, :3]
+            arm = T[:3, :3] @ centre_m
+            T[:3, 3] -= arm
+            C[:3, :3] += skew(arm) @ state.covariance[3:, 3:] @ skew(arm).T
+        self._add(t_s, T, C, whole=False, turned=turned)
 
-    def _add(self, t_s: float, T: Array, covariance: Array, *, whole: bool) -> None:
-        C = covariance + np.diag(np.repeat(np.square([ARM_M, ARM_RAD]), 3))
+    def _add(self, t_s: float, T: Array, covariance: Array, *, whole: bool, turned: bool) -> None:
+        C = covariance + ARM_COVARIANCE
         now = self.now
         if now is None or t_s - now.seen_s > LOST_S:
             self.now = self._begun(t_s, T, C, jumped=False, whole=whole)
@@ -110,10 +125,12 @@ class TargetTrack:
         after, _, knocked2 = now.filter.add_pose(t_s, T, C)
         if knocked2 <= MOST_SURPRISE2:
             jumped = now.jumped and not (t_s - now.begun_s >= CALM_S)
-            self.now = Tracked(filter=after, begun_s=now.begun_s, jumped=jumped, whole=whole)
+            self.now = Tracked(
+                filter=after, begun_s=now.begun_s, jumped=jumped, whole=whole, turned=now.turned or turned
+            )
         else:
             self.now = self._begun(t_s, T, C, jumped=True, whole=whole)
 
     def _begun(self, t_s: float, T: Array, covariance: Array, *, jumped: bool, whole: bool) -> Tracked:
         begun = MotionFilter.begin(self._packed, np.zeros((0, 3)), t_s, T, covariance)
-        return Tracked(filter=begun, begun_s=t_s, jumped=jumped, whole=whole)
+        return Tracked(filter=begun, begun_s=t_s, jumped=jumped, whole=whole, turned=whole)
