@@ -173,7 +173,7 @@ def why(wanted: object) -> str:
 def test_nothing_seen_stale_and_lost_are_holds_that_say_so():
     setup = bench()
     assert "not seen yet" in why(setup.run(0.2, lambda pose: None))
-    assert "only just now" in why(setup.run(0.4))
+    assert "only just now" in why(setup.run(0.35))
     assert isinstance(setup.run(1.0), ToolTwist)
     assert "too old" in why(setup.run(1.2, lambda pose: None))
     assert setup.source.target(setup.t_s)[0] is TargetState.STALE
