@@ -34,6 +34,7 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
         "cli/identify.py:identify": FLAGS,
         "cli/mirrors.py:mirrors": FLAGS,
         "cli/record.py:record": FLAGS,
+        "cli/robot.py:jog": FLAGS,
         "cli/serve.py:serve": FLAGS,
         "cli/servo.py:servo": FLAGS,
         "cli/verify.py:verify": FLAGS,
