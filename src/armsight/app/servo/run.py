@@ -12,7 +12,7 @@ from armsight.app.servo.devices import open_servo
 from armsight.app.servo.job import CAMERA, TOOL, ServoDevices, ServoJob
 from armsight.app.servo.outcome import Show
 from armsight.app.servo.session import Confirm, ServoSession
-from armsight.control.servo import Mount, ServoSettings, on_axis
+from armsight.control.servo import Mount, ServoSettings, Turning, on_axis
 from armsight.errors import BadFile, Inconsistent, UsageError
 from armsight.kinematics import Arm
 from armsight.measure.poses.pipeline import Setup
@@ -101,8 +101,19 @@ def _settings(job: ServoJob, handeye: HandEyeFile, arm: Arm, cycle_s: float) -> 
         gain_r=0.0,
         arm_lag_s=LAG_CYCLES * cycle_s if job.arm_lag_s is None else job.arm_lag_s,
         predict=job.predict,
-        turns=not job.hold_rotation,
+        turning=_turning(job.rotation),
     )
+
+
+def _turning(name: str) -> Turning:
+    try:
+        return Turning(name)
+    except ValueError as error:
+        raise UsageError(
+            f"{name!r} is no way to turn after a target",
+            consequence="Nothing is moved",
+            cure=f"Give {', '.join(Turning)} (--rotation)",
+        ) from error
 
 
 def _setup(rig: Rig, target: Target, devices: ServoDevices) -> Setup:
