@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -58,15 +59,26 @@ class PathRecorder:
     never recorded, and no vector is averaged over it.
     """
 
-    def __init__(self, place: RigPlace, T_target_tip: RigidTransform, *, every: int = 1, mean: bool = False) -> None:
+    def __init__(
+        self,
+        place: RigPlace,
+        T_target_tip: RigidTransform,
+        *,
+        every: int = 1,
+        mean: bool = False,
+        parent: str = "world",
+        tell: Callable[[str], None] = lambda _: None,
+    ) -> None:
         """every: frames per vector. mean: the mean of these frames' poses and times, else the last one as it is.
 
-        T_target_tip: the tip in target axes (tip.yaml). Raises UsageError for less than one frame.
+        T_target_tip: the tip in target axes (tip.yaml). parent: the frame that place tells the rig in, world or base.
+        tell: is told in words what the recorder is told to do. Raises UsageError for less than one frame.
         """
         if every < 1:
             raise UsageError(f"one vector every {every} frames cannot be", cure="Give 1 or more (--every)")
         self._place, self._T_target_tip = place, T_target_tip
         self._every, self._mean = every, mean
+        self.parent, self._tell = parent, tell
         self._lock = threading.Lock()
         self._state = Teaching.WAITING
         self._rows: list[_Row] = []
@@ -108,12 +120,14 @@ class PathRecorder:
                 self._begins.append(len(self._rows))
                 self._group.clear()
                 self._state = Teaching.RECORDING
+                self._tell("recording")
 
     def pause(self) -> None:
         """Record nothing until the next start."""
         with self._lock:
             if self._state is Teaching.RECORDING:
                 self._end_stretch()
+                self._tell(f"paused after {len(self._rows)} poses")
 
     def undo(self) -> int:
         """Forget the last stretch and pause; return how many rows it had. Nothing happens where there is none."""
@@ -126,6 +140,7 @@ class PathRecorder:
             forgotten = len(self._rows) - begin
             del self._rows[begin:]
             self._state = Teaching.PAUSED if self._begins else Teaching.WAITING
+            self._tell(f"the last {forgotten} poses forgotten")
             return forgotten
 
     def tag(self, word: str) -> None:
@@ -137,6 +152,7 @@ class PathRecorder:
             raise UsageError(f"the tag {word[:40]!r} is not one word", consequence="The place is not marked")
         with self._lock:
             self._tag = word
+            self._tell(f"tag {word}")
 
     def observe(self, pose: TargetPose, exposed_s: float) -> None:
         """Take what a frame shows, in rig axes, exposed at exposed_s on the clock of the place."""
@@ -156,7 +172,7 @@ class PathRecorder:
                 self._group.clear()
 
     def path(self, *, speed_m_s: float = np.nan) -> TaughtPath:
-        """Return what was taught so far, in world, at one speed all along. Raises NotEnoughData below two rows."""
+        """Return what was taught so far, at one speed all along. Raises NotEnoughData below two rows."""
         with self._lock:
             rows = list(self._rows)
             last = self._tag if self._state is Teaching.RECORDING else ""
@@ -173,16 +189,17 @@ class PathRecorder:
             t_s=np.array([row.t_s for row in rows]),
             speed_m_s=np.full(len(rows), speed_m_s),
             tags=tuple(tags),
+            parent=self.parent,
         )
 
     def targets(self) -> tuple[TargetPose, ...]:
-        """Return the target's pose of each row, in world; what it scatters by is not told: the covariance is zero."""
+        """Return the target's pose of each row, in the frame of the path; by what it scatters is not told."""
         with self._lock:
             return tuple(
                 TargetPose(
                     t_s=row.t_s,
                     status=PoseStatus.OK,
-                    parent="world",
+                    parent=self.parent,
                     T_parent_target=row.T_world_target.as_matrix(),
                     covariance=np.zeros((6, 6)),
                 )
