@@ -57,7 +57,7 @@ def run_servo(
         )
     settings = _settings(job, handeye, guard.arm, devices.robot.cycle_s)
     prepare(progress)
-    setup = _setup(rig, target, devices)
+    setup = measuring(rig, target, devices)
     done = ServoSession(job, devices, guard, settings, setup, beside).run(confirm, show, progress)
     done.write(job.out / SUMMARY)
     return done
@@ -119,7 +119,7 @@ def _turning(name: str) -> Turning:
         ) from error
 
 
-def _setup(rig: Rig, target: Target, devices: ServoDevices) -> Setup:
+def measuring(rig: Rig, target: Target, devices: ServoDevices) -> Setup:
     """Return what measuring needs. Raises UsageError for a board, whose pose takes longer than a servo's cycle."""
     if target.is_board:
         raise UsageError("a board takes too long to find for a servo", cure="Give a target of lights (--target)")

@@ -66,7 +66,7 @@ class ServoSession:
             gain, source = self._source(vision)
             if self._beside is not None:
                 self._beside.begin(source, self._guard.arm, clock, recorder.sink)
-                vision.beside = self._beside
+                vision.beside = self._beside.observe
             if not confirm(question(robot, self._guard, gain, source)):
                 raise Cancelled("not confirmed", consequence="Nothing was moved", cure="Give --yes to move unasked")
             tally = Tally(source, progress.cancelled)

@@ -48,7 +48,7 @@ class Vision:
 
     def __init__(self, setup: Setup, devices: ServoDevices, latency_s: float, sink: QueueSink) -> None:
         self.source: ServoSource | None = None
-        self.beside: Beside | None = None
+        self.beside: Callable[[TargetPose, float], None] | None = None
         self.delay = CameraDelay()
         self.counts = dict.fromkeys(PoseStatus, 0)
         self.took_ms: list[float] = []
@@ -71,7 +71,7 @@ class Vision:
         if self.source is not None:
             self.source.observe(pose, exposed_s, now_s)
         if self.beside is not None:
-            self.beside.observe(pose, exposed_s)
+            self.beside(pose, exposed_s)
         self.took_ms.append((time.perf_counter() - begun_s) * 1e3)
         self.counts[pose.status] += 1
         self.newest = pose

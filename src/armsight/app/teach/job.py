@@ -27,8 +27,8 @@ Begun = Callable[[PathRecorder], None]
 class TeachJob:
     """tip: tip.yaml of the point that is led along, in target axes; None: the target's origin.
 
-    every: frames per vector. mean: a vector is the mean of its frames. path_speed_m_s: written into the path; None: left open. wait: record
-    nothing until the recorder is started; else from the first frame on.
+    every: frames per vector. mean: a vector is the mean of its frames. path_speed_m_s: written into the path; None:
+    left open. wait: record nothing until the recorder is started; else from the first frame on.
     """
 
     out: Path
