@@ -37,6 +37,8 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
         "cli/robot.py:jog": FLAGS,
         "cli/serve.py:serve": FLAGS,
         "cli/servo.py:servo": FLAGS,
+        "cli/play.py:play": FLAGS,
+        "cli/teach.py:teach": FLAGS,
         "cli/verify.py:verify": FLAGS,
     },
     "arguments": {
@@ -51,6 +53,8 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
         "cli/record.py:record": FLAGS,
         "cli/robot.py:jog": FLAGS,
         "cli/servo.py:servo": FLAGS,
+        "cli/play.py:play": FLAGS,
+        "cli/teach.py:teach": FLAGS,
         "cli/target.py:target": FLAGS,
         "cli/timing.py:timing": FLAGS,
         "cli/serve.py:serve": FLAGS,

@@ -28,9 +28,11 @@ from armsight.app.schemas.kinematics import (
 )
 from armsight.app.schemas.machine import DoctorOutput
 from armsight.app.schemas.measure import DemoOutput, MeasureOutput
+from armsight.app.schemas.play import PlayOutput
 from armsight.app.schemas.reproduce import ReproduceOutput
 from armsight.app.schemas.robot import JogOutput, RobotTestOutput
 from armsight.app.schemas.servo import ServoOutput
+from armsight.app.schemas.teach import TeachOutput
 from armsight.app.schemas.timing import TimingOutput
 from armsight.app.schemas.verify import VerifyOutput, VerifyPlanOutput
 from armsight.app.schemas.verify_live import MasteringOutput, MasteringPlanOutput, VerifyLiveOutput
@@ -74,7 +76,9 @@ OUTPUTS: Mapping[str, type[Output]] = MappingProxyType(
         "kinematics-show": ShowOutput,
         "robot-test": RobotTestOutput,
         "robot-jog": JogOutput,
+        "play": PlayOutput,
         "servo": ServoOutput,
+        "teach": TeachOutput,
         "doctor": DoctorOutput,
         "error": RefusalOutput,
     }
