@@ -32,6 +32,8 @@ CHECK_M = 1e-3
 JUMP_M = 0.05
 JUMP_TIMES = 20.0
 """A step longer than JUMP_M and so many times the median one is a jump."""
+HAND_M_S, HAND_M = 1.0, 0.005
+"""No hand teaches faster; a step of a taught path that is, and longer than HAND_M, is a jump."""
 SAME_M = 1e-6
 """Rows nearer together than this are one place."""
 LEAST_SPEED_M_S = 2e-4
@@ -186,13 +188,14 @@ def _usable(path: TaughtPath, settings: PlaySettings, T_base_stand: RigidTransfo
 
 def _check_jumps(path: TaughtPath, rows: list[int]) -> None:
     """Raise Inconsistent where a row is far from the one before, in place or rotation."""
-    steps = np.diff(path.length_m)
-    worst = int(np.argmax(steps))
-    if len(steps) > 2 and steps[worst] > max(JUMP_M, JUMP_TIMES * float(np.median(steps))):
+    steps, took_s = np.diff(path.length_m), np.diff(path.t_s)
+    far = (steps > max(JUMP_M, JUMP_TIMES * float(np.median(steps)))) & (len(steps) > 2)
+    jumped = np.flatnonzero(far | (steps > np.fmax(HAND_M, HAND_M_S * np.where(np.isfinite(took_s), took_s, np.inf))))
+    if len(jumped):
         raise Inconsistent(
-            f"the path jumps by {steps[worst] / MM:.0f} mm before row {rows[worst + 1]}",
+            f"the path jumps by {steps[jumped[0]] / MM:.0f} mm before row {rows[jumped[0] + 1]}",
             consequence="Nothing is moved",
-            cure="Take the outlier out or join the parts (armsight path), or teach it anew",
+            cure="Take the outlier out (armsight path), teach it anew, or where it is meant, sample the path evenly",
         )
     R = path.poses.rotation
     turns = np.asarray((R[1:] * R[:-1].inv()).magnitude())
