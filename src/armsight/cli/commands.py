@@ -16,6 +16,7 @@ from armsight.cli.camera_options import NONE_GIVEN, CameraOptions, takes_cameras
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.console import console
 from armsight.cli.convert import convert
+from armsight.cli.examples import add_examples
 from armsight.cli.identify import identify
 from armsight.cli.kinematics import convert_arm, kinematics
 from armsight.cli.options import SRC, AsJson, Fps, Inverted, Limit, OutFolder, Seed, Threshold
@@ -34,7 +35,6 @@ app = typer.Typer(
     name="armsight",
     help="See where a robot arm really is: two cameras, light beacons, poses with honest uncertainty.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
 )
 app.add_typer(calibrate, name="calibrate")
@@ -262,3 +262,6 @@ def doctor(
         )
         doctor_tables(face, found)
         face.result(found)
+
+
+add_examples(app)
