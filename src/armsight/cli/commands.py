@@ -22,6 +22,7 @@ from armsight.cli.kinematics import convert_arm, kinematics
 from armsight.cli.options import SRC, AsJson, Fps, Inverted, Limit, OutFolder, Seed, Threshold
 from armsight.cli.record import record
 from armsight.cli.reproduce import reproduce
+from armsight.cli.result_folders import ARM, MEASURED, VERIFIED, VIEWS, WORLD, keep_inputs, keeps_results
 from armsight.cli.robot import robot
 from armsight.cli.serve import serve
 from armsight.cli.servo import servo
@@ -47,12 +48,12 @@ convert.command("arm")(convert_arm)
 app.add_typer(convert, name="convert")
 app.command()(record)
 app.command()(identify)
-app.command()(with_live(verify))
-app.command()(reproduce)
+app.command()(keeps_results(*VERIFIED)(with_live(verify)))
+app.command()(keeps_results("reproduce.json", "report.html")(reproduce))
 app.command()(serve)
 app.command()(twin)
 app.command()(console)
-app.command()(servo)
+app.command()(keeps_results("servo.json", "servo.mcap")(servo))
 app.add_typer(kinematics, name="kinematics")
 app.add_typer(robot, name="robot")
 
@@ -75,6 +76,7 @@ def root(
 
 
 @app.command()
+@keeps_results(*MEASURED)
 @takes_cameras
 def measure(
     rig: Annotated[Path, typer.Option(help="rig.yaml of the two cameras, from `armsight calibrate stereo`.")],
@@ -177,6 +179,7 @@ def measure(
 
 
 @app.command()
+@keeps_results(*MEASURED, *WORLD, *VIEWS, "demo.json", own="demo.json")
 def demo(
     out: OutFolder = Path("demo"),
     seed: Seed = 1,
@@ -207,6 +210,7 @@ def demo(
 
 
 @app.command()
+@keeps_results(*WORLD, *ARM, *VIEWS)
 def simulate(
     scenario: Annotated[str, typer.Argument(help="A scenario's name or file, or a built-in cell's name.")],
     out: OutFolder,
@@ -264,4 +268,5 @@ def doctor(
         face.result(found)
 
 
+keep_inputs(app, in_place=("calibrate timing",))
 add_examples(app)
