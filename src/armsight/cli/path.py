@@ -162,3 +162,59 @@ def check(
         face.result(done)
         if not done.ok:
             raise typer.Exit(NOT_OK)
+
+
+@path.command("export")
+def export(
+    source: Source,
+    out: Annotated[
+        Path, typer.Option("-o", "--out", metavar="FILE", help="program.script, .src, .mod, path.csv or .py.")
+    ],
+    to: Annotated[
+        str | None, typer.Option(help="urscript, krl, rapid, csv or python. [default: by the file's ending]")
+    ] = None,
+    arm: Annotated[
+        str | None, typer.Option(metavar="FILE", help="The arm: the path is checked for it, and refused if it cannot.")
+    ] = None,
+    limits: Annotated[Path | None, typer.Option(help="limits.yaml for the check. [default: the guard's own]")] = None,
+    frame: Annotated[str, typer.Option(help="Frame of the path: world (needs --arm) or base.")] = "world",
+    start: Annotated[
+        str | None, typer.Option(help="Readings near which the arm begins, as 0,-1.2,0.4, or a joints.csv.")
+    ] = None,
+    name: Annotated[str | None, typer.Option(help="Name of the program. [default: the file's]")] = None,
+    speed: Annotated[float | None, typer.Option("--speed-m-s", help="Where the path leaves it open, m/s.")] = None,
+    blend: Annotated[float, typer.Option("--blend-m", help="Radius of blends or zones, m; 0 stops at rows.")] = 0.0,
+    acceleration: Annotated[float, typer.Option("--acceleration-m-s2", help="Of the tool, m/s^2.")] = 0.5,
+    approach: Annotated[
+        float, typer.Option("--approach-m", help="How far back along the tool it begins and ends, m.")
+    ] = 0.05,
+    tool: Annotated[str | None, typer.Option(help="KRL: number of TOOL_DATA; RAPID: name of the tooldata.")] = None,
+    weld_output: Annotated[
+        str | None, typer.Option(help="Digital output of weld_on and weld_off. [default: comments alone]")
+    ] = None,
+    json: AsJson = False,
+) -> None:
+    """Write the path as a controller's program (Universal Robots, KUKA, ABB), as CSV, or as a Python module."""
+    with CommandUI(as_json=json) as face:
+        from armsight.app.path.export import ExportJob, export_path
+
+        job = ExportJob(
+            source=source,
+            out=out,
+            to=to,
+            arm=arm,
+            limits=limits,
+            parent=frame,
+            start=start,
+            name=name,
+            speed_m_s=speed,
+            blend_m=blend,
+            acceleration_m_s2=acceleration,
+            approach_m=approach,
+            tool=tool,
+            weld_output=weld_output,
+        )
+        done = export_path(job)
+        checked = "checked for the arm" if done.checked else "not checked for any arm"
+        face.say(f"{done.n} rows, {done.length_m:.4f} m, {checked}: {done.file}")
+        face.result(done)

@@ -196,6 +196,7 @@ KEYS: dict[type[Output], tuple[str, str]] = {
     paths.PathOutlierOutput: ("row off_m off_rad text", ""),
     OUTPUTS["path-check"]: ("arm ok n n_reached length_m duration_s troubles issues start_q", ""),
     paths.PathIssueOutput: ("row trouble value limit text", ""),
+    OUTPUTS["path-export"]: ("file format n length_m checked start_q", ""),
     OUTPUTS["robot-test"]: ("driver cycle_s n_cycles late missed period_ms q state", ""),
     robot.PeriodOutput: ("median p99 max", ""),
     OUTPUTS["robot-jog"]: ("asked sent reached limited state", ""),

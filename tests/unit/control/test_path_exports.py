@@ -45,6 +45,7 @@ def test_speeds_are_those_of_the_way_there_and_blends_end_before_the_neighbours(
     # ways of 0.1, 0.004 and 0.45 m: 0.45 of the shorter one beside a row, 0.0018 m; none at the ends
     assert [move.blend_m for move in moves] == pytest.approx([0.0, 0.0018, 0.0018, 0.0])
     assert program_moves(example(), speed_m_s=0.05, blend_m=0.005)[2].blend_m == 0.0  # at a tag
+    assert program_moves(example(), speed_m_s=0.05, blend_m=0.005, stops=(1,))[1].blend_m == 0.0
 
 
 URSCRIPT = """\

@@ -60,3 +60,16 @@ class PathCheckOutput(Output):
     troubles: dict[str, int] = Field(description="How many issues there are of each kind.")
     issues: list[PathIssueOutput] = Field(description="All trouble, row by row.")
     start_q: list[float] | None = Field(description="Readings at the first row, rad or m; null where not reached.")
+
+
+class PathExportOutput(Output):
+    """armsight path export."""
+
+    file: str = Field(description="The file written.")
+    format: str = Field(description="urscript, krl, rapid, csv or python.")
+    n: int = Field(description="Rows written, those of the approach among them.")
+    length_m: float = Field(description="Length of the path with them, m.")
+    checked: bool = Field(description="Whether the path was checked for an arm; it is not without --arm.")
+    start_q: list[float] | None = Field(
+        description="Readings to which the program goes first, rad; null where it goes there on a straight line."
+    )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -99,12 +100,14 @@ def with_approach(path: TaughtPath, approach_m: float) -> TaughtPath:
     )
 
 
-def program_moves(path: TaughtPath, *, speed_m_s: float | None = None, blend_m: float = 0.0) -> tuple[ProgramMove, ...]:
+def program_moves(
+    path: TaughtPath, *, speed_m_s: float | None = None, blend_m: float = 0.0, stops: Sequence[int] = ()
+) -> tuple[ProgramMove, ...]:
     """Return the motions of a path in base, one for each row.
 
     A row's speed is that of the way behind it; speed_m_s where the path leaves it open. blend_m: radius within which a
-    motion may go over into the next, less where neighbours are near, and none at the ends and at tags. Raises
-    UsageError for a path in another frame, for a speed that is open or none, for a radius that is none.
+    motion may go over into the next, less where neighbours are near, and none at the ends, at tags and at the rows stops.
+    Raises UsageError for a path in another frame, for a speed that is open or none, for a radius that is none.
     """
     if path.parent != "base":
         raise UsageError(
@@ -127,7 +130,7 @@ def program_moves(path: TaughtPath, *, speed_m_s: float | None = None, blend_m: 
     if not (np.isfinite(speed) & (speed > 0.0)).all():
         row = int(np.argmin(np.isfinite(speed) & (speed > 0.0)))
         raise UsageError(
-            f"the speed to row {row} is open or not positive",
+            f"the speed to row {row} of the program is open or not positive",
             consequence="No program is written",
             cure="Give a speed for where the path has none",
         )
@@ -135,6 +138,7 @@ def program_moves(path: TaughtPath, *, speed_m_s: float | None = None, blend_m: 
     radius = np.zeros(len(path))
     radius[1:-1] = np.minimum(blend_m, BLEND_SHARE * np.minimum(way[:-1], way[1:]))
     radius[[bool(tag) for tag in path.tags]] = 0.0
+    radius[list(stops)] = 0.0
     return tuple(
         ProgramMove(T_base_tip=T, speed_m_s=float(v), blend_m=float(r), tag=tag)
         for T, v, r, tag in zip(path.T_world_tip, speed, radius, path.tags, strict=True)
