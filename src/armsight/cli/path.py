@@ -218,3 +218,50 @@ def export(
         checked = "checked for the arm" if done.checked else "not checked for any arm"
         face.say(f"{done.n} rows, {done.length_m:.4f} m, {checked}: {done.file}")
         face.result(done)
+
+
+@path.command("from-picks")
+def from_picks(
+    left: Annotated[Path, typer.Option(help="Picture of the left camera.")],
+    right: Annotated[Path, typer.Option(help="Picture of the right camera, of the same scene at rest.")],
+    rig: Annotated[Path, typer.Option(help="rig.yaml of the two cameras.")],
+    picks: Annotated[Path, typer.Option(help="picks.csv: u_px,v_px[,edge] of one view.")],
+    out: Out,
+    view: Annotated[str, typer.Option(help="The view that the picks are of: left or right.")] = "left",
+    world: Annotated[Path | None, typer.Option(help="world.yaml. [default: the path is in the rig's axes]")] = None,
+    near: Annotated[float | None, typer.Option(help="Nearest depth, m. [default: 3 baselines]")] = None,
+    far: Annotated[float | None, typer.Option(help="Furthest depth, m. [default: 300 baselines]")] = None,
+    step: Annotated[float, typer.Option("--step-px", help="Between points on an edge, px.")] = 10.0,
+    patch: Annotated[int, typer.Option("--patch-px", help="Side of a patch, px.")] = 15,
+    pick_std: Annotated[float, typer.Option("--pick-std-px", help="Standard deviation of a pick, px.")] = 0.5,
+    tool_axis: Annotated[
+        str | None, typer.Option(metavar="X,Y,Z", help="The tool's z. [default: the view's optical axis]")
+    ] = None,
+    skip: Annotated[bool, typer.Option("--skip", help="Leave out what is not found, instead of refusing all.")] = False,
+    json: AsJson = False,
+) -> None:
+    """Make a path of points and edges picked in one picture, found in the other one, and triangulated."""
+    with CommandUI(as_json=json) as face:
+        from armsight.app.path.picks import PicksJob, path_from_picks
+        from armsight.measure.correspondence import PatchSettings
+
+        job = PicksJob(
+            left=left,
+            right=right,
+            rig=rig,
+            picks=picks,
+            out=out,
+            side=view,
+            world=world,
+            step_px=step,
+            tool_axis=tool_axis,
+            skip=skip,
+            settings=PatchSettings(half_px=patch // 2, near_m=near, far_m=far, pick_std_px=pick_std),
+        )
+        done = path_from_picks(job, face.progress("searching"))
+        for refused in done.refused:
+            face.say(f"  pick {refused.pick} left out: {refused.why}")
+        if done.frame == "rig":
+            face.say("The path is in the rig's own axes: no arm can take it so. Give --world for one in world or base.")
+        face.say(f"{done.n} points, {done.length_m:.4f} m, in {done.frame} axes: {done.file}")
+        face.result(done)

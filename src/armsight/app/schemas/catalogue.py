@@ -28,7 +28,13 @@ from armsight.app.schemas.kinematics import (
 )
 from armsight.app.schemas.machine import DoctorOutput
 from armsight.app.schemas.measure import DemoOutput, MeasureOutput
-from armsight.app.schemas.paths import PathChangeOutput, PathCheckOutput, PathExportOutput, PathSmoothOutput
+from armsight.app.schemas.paths import (
+    PathChangeOutput,
+    PathCheckOutput,
+    PathExportOutput,
+    PathPicksOutput,
+    PathSmoothOutput,
+)
 from armsight.app.schemas.reproduce import ReproduceOutput
 from armsight.app.schemas.robot import JogOutput, RobotTestOutput
 from armsight.app.schemas.servo import ServoOutput
@@ -77,6 +83,7 @@ OUTPUTS: Mapping[str, type[Output]] = MappingProxyType(
         "path-change": PathChangeOutput,
         "path-check": PathCheckOutput,
         "path-export": PathExportOutput,
+        "path-from-picks": PathPicksOutput,
         "robot-test": RobotTestOutput,
         "robot-jog": JogOutput,
         "servo": ServoOutput,

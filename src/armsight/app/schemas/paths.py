@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from armsight.app.schemas.base import Output
+from armsight.app.schemas.base import Output, PointStd
 
 
 class PathChangeOutput(Output):
@@ -73,3 +73,38 @@ class PathExportOutput(Output):
     start_q: list[float] | None = Field(
         description="Readings to which the program goes first, rad; null where it goes there on a straight line."
     )
+
+
+class PickedPointOutput(Output):
+    """A point of the path and how it was found."""
+
+    pick: int = Field(description="The pick that it is, or that it follows on its edge; row of picks.csv from 0.")
+    px: tuple[float, float] = Field(description="Its place in the picked view, px.")
+    other_px: tuple[float, float] = Field(description="Its place in the other view, px.")
+    std_px: float = Field(description="Standard deviation of that place along the epipolar line, px.")
+    correlation: float = Field(description="Normalised correlation of both patches.")
+    second: float = Field(description="That of the best other place on the line; 0 for none.")
+    xyz_m: tuple[float, float, float] = Field(description="The point in the path's frame, m.")
+    std: PointStd = Field(description="Its standard deviations, of pick and match; not of the rig or its place.")
+
+
+class RefusedPickOutput(Output):
+    """A place that was not found in the other view."""
+
+    pick: int = Field(description="The pick, or the one before it on its edge; row of picks.csv from 0.")
+    u_px: float = Field(description="Its place in the picked view, px.")
+    v_px: float = Field(description="Its place in the picked view, px.")
+    kind: str = Field(description="The class of the refusal, one of `armsight.errors`.")
+    why: str = Field(description="Why it was not found, in words.")
+
+
+class PathPicksOutput(Output):
+    """armsight path from-picks."""
+
+    file: str = Field(description="The path.csv written.")
+    frame: str = Field(description="The frame of the path: rig, or world or base with --world.")
+    n: int = Field(description="Rows written.")
+    n_picks: int = Field(description="Picks read.")
+    length_m: float = Field(description="Length of the path, m.")
+    points: list[PickedPointOutput] = Field(description="The points of the path.")
+    refused: list[RefusedPickOutput] = Field(description="Places left out with --skip.")

@@ -106,7 +106,7 @@ def program_moves(
     """Return the motions of a path in base, one for each row.
 
     A row's speed is that of the way behind it; speed_m_s where the path leaves it open. blend_m: radius within which a
-    motion may go over into the next, less where neighbours are near, and none at the ends, at tags and at the rows stops.
+    motion may go over into the next, less where neighbours are near, none at the ends, at tags and at the rows stops.
     Raises UsageError for a path in another frame, for a speed that is open or none, for a radius that is none.
     """
     if path.parent != "base":

@@ -153,14 +153,7 @@ def _search(views: StereoViews, patch: Patch, settings: PatchSettings) -> tuple[
             cure="It may be hidden or outside the other image, or the depths or the rig are not those of the pictures",
         )
     first, last = _lobe(score, k)
-    ends = patch.in_other(np.repeat(w[[first, last], None], len(patch.grey), axis=1))[:, patch.middle]
-    if float(np.linalg.norm(ends[1] - ends[0])) > 4.0 * settings.half_px:
-        raise Degenerate(
-            f"{_at(side, px)} has no texture along its epipolar line: it looks the same over "
-            f"{np.linalg.norm(ends[1] - ends[0]):.0f} px",
-            consequence="No point is given",
-            cure="Pick an edge across the line, or give a larger patch",
-        )
+    _require_texture_along(patch, w[[first, last]], side, settings)
     if first == 0 or last == len(score) - 1:
         raise Inconsistent(
             f"{_at(side, px)} looks most like the end of its line, at {1.0 / w[k]:.3g} m",
@@ -175,6 +168,19 @@ def _search(views: StereoViews, patch: Patch, settings: PatchSettings) -> tuple[
             cure="Give the depths more narrowly (--near, --far) or a larger patch, or pick what is there once",
         )
     return float(1.0 / w[k]), second
+
+
+def _require_texture_along(patch: Patch, w: Array, side: str, settings: PatchSettings) -> None:
+    """Raise Degenerate where all between two inverse depths w (2,), which looks the same, is wide on the line."""
+    px = patch.uv_px[patch.middle]
+    ends = patch.in_other(np.repeat(w[:, None], len(patch.grey), axis=1))[:, patch.middle]
+    if float(np.linalg.norm(ends[1] - ends[0])) > 4.0 * settings.half_px:
+        raise Degenerate(
+            f"{_at(side, px)} has no texture along its epipolar line: it looks the same over "
+            f"{np.linalg.norm(ends[1] - ends[0]):.0f} px",
+            consequence="No point is given",
+            cure="Pick an edge across the line, or give a larger patch",
+        )
 
 
 def _inverse_depths(views: StereoViews, side: str, px: Array, settings: PatchSettings) -> Array:

@@ -14,7 +14,7 @@ from armsight.measure.correspondence.views import Patch, StereoViews
 Array = NDArray[np.float64]
 
 STEPS = 30
-SETTLED_PX = 1e-3
+SETTLED_PX = np.array([1e-3, 2e-2, 2e-2, 1e-3])
 FARTHEST_PX = 3.0
 """From where the search ended; beyond it another place was slid to."""
 SLOPE_STD = 0.5
@@ -24,7 +24,7 @@ SHARED_NOISE = 1.4
 """Between pixels both pictures are interpolated, so that neighbours share noise: errors of rendered planes, squared, by
 what residuals alone claim."""
 NOISE_DERIVATIVE = 2.2
-"""Variance of the derivative of a cubic spline through white noise of variance 1: 1.1 to 3.4 by its place in a pixel."""
+"""Variance of the slope of a cubic spline through white noise of variance 1: 1.1 to 3.4 by the place in a pixel."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -71,12 +71,12 @@ def refined(views: StereoViews, patch: Patch, inverse_depth: float, epipolar_std
         p = p + step
         if abs(p[0]) > FARTHEST_PX:
             raise _lost(f"slid {p[0]:.1f} px away from where the search found it")
-        if float(np.abs(step).max()) < SETTLED_PX:
+        if (np.abs(step) < SETTLED_PX).all():
             break
     else:
         raise _lost("did not settle")
     r, J, seen = model.linearised(p)
-    cov = _covariance(r, J, model.noise_in_derivatives(), np.diag(held**-2))
+    cov = _covariance(r, J, views.noise_levels2 * model.noise_in_derivatives(), np.diag(held**-2))
     axes = np.stack([model.along, model.across], axis=1)  # (2, 2)
     return Refined(
         other_px=model.places(p)[patch.middle],
@@ -143,12 +143,11 @@ class _Model:
 def _covariance(r: Array, J: Array, noise: Array, prior: Array) -> Array:
     """Return the covariance (4, 4) in px^2 of what was fitted with residuals r (n,) and derivatives J (n, 4).
 
-    noise (4, 4): what the picture's noise adds to J^T J, per grey level squared. It looks like texture and is none, and
-    it meets the other picture's noise: both is taken into account. Raises Degenerate where nothing else is there.
+    noise (4, 4): what the picture's noise adds to J^T J. It looks like texture and is none, and it meets the other
+    picture's noise: both is taken into account. Raises Degenerate where nothing else is there.
     """
     variance = SHARED_NOISE * max(float(r @ r) / (len(r) - 6), 1e-12)
-    each = 0.5 * variance  # of one picture
-    texture = J.T @ J - each * noise
+    texture = J.T @ J - noise
     if float(np.linalg.eigvalsh(texture + variance * prior).min()) <= 0.0:
         raise Degenerate(
             "the patch's texture is lost in noise",
@@ -156,7 +155,7 @@ def _covariance(r: Array, J: Array, noise: Array, prior: Array) -> Array:
             cure="Pick a place with texture; or give a larger patch",
         )
     A = np.linalg.inv(texture + variance * prior)
-    return np.asarray(A @ (variance * texture + each**2 * noise + variance**2 * prior) @ A)
+    return np.asarray(A @ (variance * texture + 0.5 * variance * noise + variance**2 * prior) @ A)
 
 
 def _lost(what: str) -> NotConverged:

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates, spline_filter
+from scipy.ndimage import convolve, map_coordinates, spline_filter
 
 from armsight.errors import Inconsistent, UsageError
 from armsight.optics import SIDES, Rig
@@ -41,6 +41,16 @@ class StereoViews:
     @cached_property
     def _splines(self) -> dict[str, Array]:
         return {side: np.asarray(spline_filter(levels, order=3)) for side, levels in self._levels.items()}
+
+    @cached_property
+    def noise_levels2(self) -> float:
+        """Variance of the noise of one pixel in grey levels squared, of both images together (Immerkaer 1996).
+
+        By the median, so that edges do not count.
+        """
+        kernel = np.array([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]]) / 6.0  # of unit norm
+        off = [np.abs(convolve(levels, kernel)) for levels in self._levels.values()]
+        return float(np.mean([(np.median(one) / 0.6745) ** 2 for one in off]))
 
     def grey(self, side: str, uv_px: Array) -> Array:
         """Return the grey levels (n,) of a cubic spline through the pixels at uv_px (n, 2); NaN outside the image."""
