@@ -40,6 +40,10 @@ COLOURS: Mapping[PathTrouble, tuple[str, str]] = MappingProxyType(
 """Colour and word of each trouble; a row with several has the colour of the first of these."""
 JOINT_COLOURS = (BLUE, ORANGE, GREEN, RED, "#7b1fa2", "#17a2b8", "#a0522d", "#5c6bc0")
 MAX_TABLE = 200
+NAMES_APART = 0.05
+"""Names nearer than this share of the path's size would hide each other."""
+FLATTEST = 0.4
+"""Of the picture of the path alone, as a share of its widest side."""
 
 
 def path_report(
@@ -134,8 +138,21 @@ def _scenes(
     shown = {**picture.layout, "showlegend": True}
     return (
         Figure(data=around, layout=shown, height_px=picture.height_px),
-        Figure(data=[*traces, _names(xyz, runs)], layout=shown, height_px=picture.height_px),
+        Figure(data=[*traces, _names(xyz, runs)], layout={**shown, "scene": _close(xyz)}, height_px=picture.height_px),
     )
+
+
+def _close(xyz: Array) -> dict[str, Any]:
+    """Return a scene round the path (n, 3), in its true proportions but nowhere flat."""
+    low, high = xyz.min(axis=0), xyz.max(axis=0)
+    widest = max(float((high - low).max()), 1e-6)
+    half = 0.5 * np.maximum(1.1 * (high - low), FLATTEST * widest)
+    ends = np.stack([0.5 * (low + high) - half, 0.5 * (low + high) + half], axis=1) / MM
+    scene: dict[str, Any] = {
+        f"{name}axis": axis(f"{name}, mm", ticks="", range=ends[k].tolist()) for k, name in enumerate("xyz")
+    }
+    ratio = dict(zip("xyz", (2.0 * half / widest).tolist(), strict=True))
+    return {**scene, "aspectmode": "manual", "aspectratio": ratio}
 
 
 def _path_traces(xyz: Array, issues: Sequence[PathIssue]) -> list[dict[str, Any]]:
@@ -179,8 +196,13 @@ def _trouble(
 
 
 def _names(xyz: Array, runs: Sequence[Sequence[PathIssue]]) -> dict[str, Any]:
-    """Return the names of start and end, and of the first row of each run."""
-    named = {0: "start", len(xyz) - 1: "end"} | {run[0].row: f"row {run[0].row}" for run in runs[:MAX_TABLE]}
+    """Return the names of start and end, and of the first row of each run that is away from others."""
+    named = {0: "start", len(xyz) - 1: "end"}
+    apart = NAMES_APART * float(np.ptp(xyz, axis=0).max())
+    for run in runs[:MAX_TABLE]:
+        row = run[0].row
+        if np.linalg.norm(xyz[list(named)] - xyz[row], axis=1).min() > apart:
+            named[row] = f"row {row}"
     rows = sorted(named)
     trace = _line3d(xyz[rows], INK, "rows", 1, mode="text", hoverinfo="skip", showlegend=False)
     return {**trace, "text": [named[row] for row in rows], "textposition": "top center"}
