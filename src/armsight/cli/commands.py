@@ -21,6 +21,7 @@ from armsight.cli.identify import identify
 from armsight.cli.kinematics import convert_arm, kinematics
 from armsight.cli.options import SRC, AsJson, Fps, Inverted, Limit, OutFolder, Seed, Threshold
 from armsight.cli.path import path
+from armsight.cli.play import play
 from armsight.cli.record import record
 from armsight.cli.reproduce import reproduce
 from armsight.cli.result_folders import ARM, MEASURED, VERIFIED, VIEWS, WORLD, keep_inputs, keeps_results
@@ -28,6 +29,7 @@ from armsight.cli.robot import robot
 from armsight.cli.serve import serve
 from armsight.cli.servo import servo
 from armsight.cli.tables import demo_tables, doctor_tables, measure_tables
+from armsight.cli.teach import teach
 from armsight.cli.twin import twin
 from armsight.cli.verify import verify
 from armsight.cli.verify_live import with_live
@@ -55,6 +57,9 @@ app.command()(serve)
 app.command()(twin)
 app.command()(console)
 app.command()(keeps_results("servo.json", "servo.mcap")(servo))
+app.command()(servo)
+app.command()(teach)
+app.command()(play)
 app.add_typer(kinematics, name="kinematics")
 app.add_typer(path, name="path")
 app.add_typer(robot, name="robot")

@@ -19,6 +19,7 @@ from armsight.app.schemas import (
     machine,
     measure,
     paths,
+    play,
     reproduce,
     robot,
     servo,
@@ -208,6 +209,17 @@ KEYS: dict[type[Output], tuple[str, str]] = {
         "vision_ms recording",
         "",
     ),
+    OUTPUTS["teach"]: (
+        "state n_cycles late stopped_by path parent n_rows n_stretches length_m n_ok n_position_only n_lost n_unplaced "
+        "servo",
+        "",
+    ),
+    OUTPUTS["play"]: (
+        "state n_cycles late missed stopped_by finished share length_m planned_s took_s slowest rounded_m measured "
+        "holds recording",
+        "",
+    ),
+    play.PlayMeasuredOutput: ("n rms_m max_m last_m mean_m arm_lag_s n_position_only n_lost", ""),
     servo.ServoGainOutput: ("used no_overshoot stable cycle_s n_delay note", ""),
     servo.ServoDelayOutput: ("camera_s arm_s", ""),
     servo.ServoErrorOutput: ("rms_m max_m last_m last_rad", ""),

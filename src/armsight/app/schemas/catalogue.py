@@ -35,9 +35,11 @@ from armsight.app.schemas.paths import (
     PathPicksOutput,
     PathSmoothOutput,
 )
+from armsight.app.schemas.play import PlayOutput
 from armsight.app.schemas.reproduce import ReproduceOutput
 from armsight.app.schemas.robot import JogOutput, RobotTestOutput
 from armsight.app.schemas.servo import ServoOutput
+from armsight.app.schemas.teach import TeachOutput
 from armsight.app.schemas.timing import TimingOutput
 from armsight.app.schemas.verify import VerifyOutput, VerifyPlanOutput
 from armsight.app.schemas.verify_live import MasteringOutput, MasteringPlanOutput, VerifyLiveOutput
@@ -86,7 +88,9 @@ OUTPUTS: Mapping[str, type[Output]] = MappingProxyType(
         "path-from-picks": PathPicksOutput,
         "robot-test": RobotTestOutput,
         "robot-jog": JogOutput,
+        "play": PlayOutput,
         "servo": ServoOutput,
+        "teach": TeachOutput,
         "doctor": DoctorOutput,
         "error": RefusalOutput,
     }
