@@ -246,13 +246,24 @@ def draw_arm(arm: str, out: Path, *, joints: str | None = None) -> ShowOutput:
     return ShowOutput(arm=model.name, file=str(out), tool_xyz_m=T[:3, 3].tolist())
 
 
+def reading_values(arm: Arm, text: str) -> Array:
+    """Return readings (n,) written as 0,-1.2,0.4, or those of the first row of a joints.csv; UsageError, BadFile."""
+    if re.fullmatch(r"[-+0-9.eE, ]+", text):
+        return _numbers(text)
+    return np.asarray(arm.readings(read_values(arm, Path(text)).q)[0])
+
+
 def _joint_values(arm: Arm, text: str) -> Array:
     if re.fullmatch(r"[-+0-9.eE, ]+", text):
-        try:
-            return arm.values([float(part) for part in text.replace(",", " ").split()])
-        except ValueError as error:
-            raise UsageError(f"{text!r} are not joint values", cure="Write for instance 0,-1.2,0.4") from error
+        return arm.values(_numbers(text))
     return read_values(arm, Path(text)).q
+
+
+def _numbers(text: str) -> Array:
+    try:
+        return np.array([float(part) for part in text.replace(",", " ").split()])
+    except ValueError as error:
+        raise UsageError(f"{text!r} are not joint values", cure="Write for instance 0,-1.2,0.4") from error
 
 
 def convert_arm(source: str, out: Path, *, convention: str | None = None, tip: str | None = None) -> ConvertArmOutput:

@@ -20,6 +20,7 @@ from armsight.cli.examples import add_examples
 from armsight.cli.identify import identify
 from armsight.cli.kinematics import convert_arm, kinematics
 from armsight.cli.options import SRC, AsJson, Fps, Inverted, Limit, OutFolder, Seed, Threshold
+from armsight.cli.path import path
 from armsight.cli.record import record
 from armsight.cli.reproduce import reproduce
 from armsight.cli.robot import robot
@@ -54,6 +55,7 @@ app.command()(twin)
 app.command()(console)
 app.command()(servo)
 app.add_typer(kinematics, name="kinematics")
+app.add_typer(path, name="path")
 app.add_typer(robot, name="robot")
 
 

@@ -28,6 +28,13 @@ from armsight.app.schemas.kinematics import (
 )
 from armsight.app.schemas.machine import DoctorOutput
 from armsight.app.schemas.measure import DemoOutput, MeasureOutput
+from armsight.app.schemas.paths import (
+    PathChangeOutput,
+    PathCheckOutput,
+    PathExportOutput,
+    PathPicksOutput,
+    PathSmoothOutput,
+)
 from armsight.app.schemas.reproduce import ReproduceOutput
 from armsight.app.schemas.robot import JogOutput, RobotTestOutput
 from armsight.app.schemas.servo import ServoOutput
@@ -72,6 +79,11 @@ OUTPUTS: Mapping[str, type[Output]] = MappingProxyType(
         "kinematics-path": PathOutput,
         "kinematics-formulas": FormulasOutput,
         "kinematics-show": ShowOutput,
+        "path-smooth": PathSmoothOutput,
+        "path-change": PathChangeOutput,
+        "path-check": PathCheckOutput,
+        "path-export": PathExportOutput,
+        "path-from-picks": PathPicksOutput,
         "robot-test": RobotTestOutput,
         "robot-jog": JogOutput,
         "servo": ServoOutput,
