@@ -1,0 +1,16 @@
+"""Tables as people have them: other units, rotations, names, files; brought to the columns of ours."""
+
+from armsight.store.interpret.plausibility import looks_like_degrees
+from armsight.store.interpret.read import Interpreted, interpret, standard_bytes
+from armsight.store.interpret.rotations import ROBOT_FORMATS
+from armsight.store.interpret.table_format import OURS, TableFormat
+
+__all__ = [
+    "OURS",
+    "ROBOT_FORMATS",
+    "Interpreted",
+    "TableFormat",
+    "interpret",
+    "looks_like_degrees",
+    "standard_bytes",
+]
