@@ -19,6 +19,7 @@ from armsight.geometry import pose_from_quat, quat_of_matrix, xyz_quat
 from armsight.geometry.poses import QUAT_NORM_TOLERANCE
 from armsight.records import Motion, Points, PoseStatus, Spots, TargetPose
 from armsight.store.atomic import RowFile, read_bytes, write_text
+from armsight.store.interpret import OURS, TableFormat, check_joint_values, standard_bytes
 from armsight.store.schema import LARGEST, named
 from armsight.store.tables import MAX_BYTES, Array, Table, cells, number, parse_table, read_table
 
@@ -146,9 +147,15 @@ def write_poses(path: Path, poses: Iterable[TargetPose]) -> None:
     write_text(path, "\n".join([",".join(PosesWriter.columns), *(pose_row(pose) for pose in poses)]) + "\n")
 
 
-def read_poses(path: Path, *, parent: str = "rig") -> tuple[TargetPose, ...]:
-    """Return the poses in a poses.csv, in the frame parent; see parse_poses."""
-    return parse_poses(read_bytes(path, limit=MAX_BYTES), str(path), parent=parent)
+def read_poses(
+    path: Path, *, parent: str = "rig", format_: TableFormat = OURS, timed: bool = True
+) -> tuple[TargetPose, ...]:
+    """Return the poses in a poses.csv, or in a file that can be understood as one, in the frame parent.
+
+    timed: times are needed; else rows without them are counted. See parse_poses and interpret.
+    """
+    data = standard_bytes(path, "poses" if timed else "untimed-poses", format_)
+    return parse_poses(data, str(path), parent=parent)
 
 
 def parse_poses(data: bytes, where: str, *, parent: str = "rig") -> tuple[TargetPose, ...]:
@@ -234,14 +241,20 @@ def _full(table: Table, row: int, names: Sequence[str]) -> Array:
     return values
 
 
-def read_joints(path: Path) -> Motion:
-    """Return the joint values in a joints.csv (t_s, q1, ..., qn; rad, m); BadFile that names line and column."""
-    return parse_joints(read_bytes(path, limit=MAX_BYTES), str(path))
+def read_joints(path: Path, format_: TableFormat = OURS, *, timed: bool = True) -> Motion:
+    """Return the joint values in a joints.csv (t_s, q1, ..., qn; rad, m), or a file that can be understood as one.
+
+    timed: times are needed; else rows without them are counted. Raises BadFile that names line and column,
+    Inconsistent for degrees where radians are meant.
+    """
+    data = standard_bytes(path, "joints" if timed else "untimed-joints", format_)
+    return parse_joints(data, str(path), format_)
 
 
-def parse_joints(data: bytes, where: str) -> Motion:
+def parse_joints(data: bytes, where: str, format_: TableFormat = OURS) -> Motion:
     """Return the joint values in the bytes of a joints.csv; see read_joints."""
     table = parse_table(data, where, ("t_s", "q1"), series="q")
+    check_joint_values(table.stacked(table.series("q")), where, format_)
     with named(where):
         return Motion(t_s=table.numbers["t_s"], q=table.stacked(table.series("q")))
 

@@ -18,6 +18,7 @@ from armsight.errors import BadFile, NotEnoughData
 from armsight.geometry.poses import QUAT_NORM_TOLERANCE
 from armsight.records import PoseStatus
 from armsight.store.atomic import read_bytes
+from armsight.store.interpret import OURS, TableFormat, check_joint_values, standard_bytes
 from armsight.store.tables import MAX_BYTES, Table, parse_table
 from armsight.store.tracks import DEVIATIONS, POSITION, QUATERNION, SYSTEMATIC, VELOCITY, VELOCITY_STD, parse_tum
 from armsight.verify import Measured, Repeats, Reported
@@ -98,12 +99,12 @@ class CommandedFile:
     speed_m_s: Array | None = None
 
 
-def read_measured(path: Path) -> MeasuredFile:
+def read_measured(path: Path, format_: TableFormat = OURS) -> MeasuredFile:
     """Return the measurements of a poses.csv, a points.csv, a tracker's table (t_s,x_m,y_m,z_m[,qx,qy,qz,qw]) or TUM.
 
     Raises BadFile that names line and column, NotEnoughData without a row.
     """
-    data = read_bytes(path, limit=MAX_BYTES)
+    data = _data(path, "measured", format_)
     if _is_tum(data):
         track = parse_tum(data, str(path))
         measured = Measured(
@@ -116,6 +117,15 @@ def read_measured(path: Path) -> MeasuredFile:
         )
     rows = _parse(data, str(path), POSITION)
     return _measured(rows)
+
+
+def _data(path: Path, role: str, format_: TableFormat) -> bytes:
+    """Return the bytes of a table of ours: as they are for TUM and for tables of ours, torn rows included."""
+    if path.is_file() and not format_.stated and path.suffix.lower() != ".mat":
+        data = read_bytes(path, limit=MAX_BYTES)
+        if _is_tum(data):
+            return data
+    return standard_bytes(path, role, format_)
 
 
 def _is_tum(data: bytes) -> bool:
@@ -279,21 +289,23 @@ def _repeats(table: Table, index: Index) -> Repeats:
     return Repeats(path=words.pop("tag"), systematic=systematic, **words)
 
 
-def read_reported_joints(path: Path) -> Reported:
+def read_reported_joints(path: Path, format_: TableFormat = OURS) -> Reported:
     """Return joint readings q1..qn of a file, with t_s or without; rows torn by NUL bytes are NaN.
 
     Raises BadFile that names line and column.
     """
-    rows = _parse(read_bytes(path, limit=MAX_BYTES), str(path), ("q1",))
-    return Reported(q=rows.columns(rows.table.series("q")), t_s=_stamps(rows))
+    rows = _parse(_data(path, "reported", format_), str(path), ("q1",))
+    q = rows.columns(rows.table.series("q"))
+    check_joint_values(q, str(path), format_)
+    return Reported(q=q, t_s=_stamps(rows))
 
 
-def read_commanded(path: Path) -> CommandedFile:
+def read_commanded(path: Path, format_: TableFormat = OURS) -> CommandedFile:
     """Return commanded poses of a path.csv, a plan.csv, a poses.csv or a TUM.
 
     Raises BadFile that names line and column.
     """
-    data = read_bytes(path, limit=MAX_BYTES)
+    data = _data(path, "measured", format_)
     if _is_tum(data):
         track = parse_tum(data, str(path))
         return CommandedFile(reported=Reported(T=track.pose.as_matrix(), t_s=track.t_s), turned=True)

@@ -23,6 +23,7 @@ from armsight.store.interpret.plausibility import (
 )
 from armsight.store.interpret.rotations import EulerOrder
 from armsight.store.interpret.table_format import TableFormat
+from armsight.store.interpret.units import UNITS
 
 Array = NDArray[np.float64]
 
@@ -62,27 +63,22 @@ def position_m(found: Found) -> Array | None:
     columns = found.whole("position", "xyz") or tcp
     if columns is None:
         return None
-    maker = found.format.maker
-    unstated = maker.length_m if maker is not None and tcp is not columns else 1.0
-    return lengths_m(found, columns, unstated)
+    return lengths_m(found, columns, 1.0 if tcp is columns else found.format.length_m)
 
 
 def lengths_m(found: Found, columns: Sequence[Column], unstated: float) -> Array:
     """Return columns of lengths as (n, k) in m. Raises Inconsistent where the numbers say another unit."""
-    names = [column.meaning.name for column in columns]
+    names = list(dict.fromkeys(column.meaning.name for column in columns))
     scales = [unstated if column.meaning.scale is None else column.meaning.scale for column in columns]
     xyz = np.stack([column.values for column in columns], axis=1)
     out: Array = xyz * np.array(scales)
     if all(column.meaning.scale is None for column in columns):
-        found.notes.append(f"{', '.join(names)}: taken as {'m' if unstated == 1.0 else 'mm'}, no unit is stated")
+        unit = next((name for name, (_, scale) in UNITS.items() if scale == unstated), "m")
+        found.notes.append(f"{', '.join(names)}: taken as {unit}, the header states no unit")
     if found.format.as_stated:
         return out
     if looks_like_mm(out):
-        raise Inconsistent(
-            f"{found.where}: columns {', '.join(names)}: these look like mm: the largest value is {largest(xyz):.4g}",
-            consequence="Taken as metres they would be far from any arm",
-            cure=f"Name the columns {_with_unit(names[0], 'mm')}, ..., or give --as-stated if they are metres",
-        )
+        raise mm_for_metres(found.where, names, xyz)
     if max(scales) < 0.1 and looks_like_m(xyz):
         raise Inconsistent(
             f"{found.where}: columns {', '.join(names)}: these look like metres: the largest value is "
@@ -118,13 +114,22 @@ def angles_rad(found: Found, columns: Sequence[Column], unstated: float, what: s
     return out
 
 
+def mm_for_metres(where: str, names: Sequence[str], xyz: Array) -> Inconsistent:
+    """Return the refusal of positions that look like mm where metres are meant."""
+    return Inconsistent(
+        f"{where}: columns {', '.join(names)}: these look like mm: the largest value is {largest(xyz):.4g}",
+        consequence="Taken as metres they would be far from any arm",
+        cure=f"Name the columns {_with_unit(names[0], 'mm')}, ..., or give --units mm; --as-stated if they are metres",
+    )
+
+
 def degrees_for_radians(where: str, names: Sequence[str], values: Array) -> Inconsistent:
     """Return the refusal of angles that look like degrees where radians are meant."""
     return Inconsistent(
         f"{where}: columns {', '.join(names)[:120]}: {degrees_cause(values)}",
         consequence="Taken as radians they would be other angles",
-        cure=f"Name the columns {_with_unit(names[0], 'deg')}, ..., give --robot-format, or --as-stated if they are "
-        "radians",
+        cure=f"Name the columns {_with_unit(names[0], 'deg')}, ..., or give --units deg or --robot-format; --as-stated "
+        "if they are radians",
     )
 
 
@@ -175,8 +180,8 @@ def _quaternions(found: Found, columns: Sequence[Column]) -> Rotation:
 
 
 def _rotvecs(found: Found, columns: Sequence[Column]) -> Rotation:
-    maker = found.format.maker
-    vectors = angles_rad(found, columns, maker.angle_rad if maker else 1.0, "the poses")
+    documented = columns[0].meaning.kind == "tcp"  # in rad by its documentation, whatever else is open
+    vectors = angles_rad(found, columns, 1.0 if documented else found.format.angle_rad, "the poses")
     vectors = _filled(vectors, 0.0)
     longest = float(np.linalg.norm(vectors, axis=1).max(initial=0.0))
     if longest > 2.0 * np.pi and not found.format.as_stated:
@@ -211,8 +216,7 @@ def _euler(found: Found) -> Rotation | None:
             cure="Give --euler with the order (xyz-fixed, zyx, zyz ...), --robot-format with the maker, or name the "
             "columns rotvec_x, ... for a rotation vector",
         )
-    maker = found.format.maker
-    angles = _filled(angles_rad(found, columns, maker.angle_rad if maker else 1.0, "the poses"), 0.0)
+    angles = _filled(angles_rad(found, columns, found.format.angle_rad, "the poses"), 0.0)
     angles = angles[:, list(order.sequence(about))]
     _check_middle(found, angles, order, names)
     found.notes.append(f"{', '.join(names)}: Euler angles {order}")
@@ -261,11 +265,10 @@ def _matrices(found: Found) -> tuple[Rotation, Array | None]:
         )
     xyz = None
     if translated:
-        maker = found.format.maker
-        first = next(iter(cells.values())).meaning
-        scale = first.scale if first.scale is not None else (maker.length_m if maker else None)
-        named = Meaning(name=first.name, kind="position", key="", scale=scale)
-        xyz = lengths_m(found, [Column(meaning=named, values=M[:, k, 3]) for k in range(3)], 1.0)
+        scales = [column.meaning.scale for column in cells.values() if column.meaning.scale is not None]
+        named = Meaning(name="T", kind="position", key="", scale=scales[0] if scales else None)
+        columns = [Column(meaning=named, values=M[:, k, 3]) for k in range(3)]
+        xyz = lengths_m(found, columns, found.format.length_m)
     return Rotation.from_matrix(R), xyz
 
 

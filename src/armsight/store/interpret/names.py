@@ -7,28 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from armsight.store.interpret.table_format import TableFormat
-from armsight.units import DEG, MM
-
-UNITS: Mapping[str, tuple[str, float]] = {
-    "m": ("length", 1.0),
-    "mm": ("length", MM),
-    "cm": ("length", 1e-2),
-    "um": ("length", 1e-6),
-    "in": ("length", 0.0254),
-    "inch": ("length", 0.0254),
-    "rad": ("angle", 1.0),
-    "mrad": ("angle", 1e-3),
-    "deg": ("angle", DEG),
-    "degree": ("angle", DEG),
-    "degrees": ("angle", DEG),
-    "°": ("angle", DEG),
-    "s": ("time", 1.0),
-    "sec": ("time", 1.0),
-    "ms": ("time", 1e-3),
-    "us": ("time", 1e-6),
-    "ns": ("time", 1e-9),
-}
-"""Kind of quantity, and the SI unit's part."""
+from armsight.store.interpret.units import UNITS
 
 # frames of a pair: (whose pose, whether the name says it the other way round)
 _HANDS = (

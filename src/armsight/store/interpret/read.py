@@ -4,12 +4,19 @@ from __future__ import annotations
 
 import csv
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from armsight.errors import BadFile, UsageError
 from armsight.store.atomic import read_bytes
+from armsight.store.interpret.assemble import degrees_for_radians, mm_for_metres
+from armsight.store.interpret.names import meaning
 from armsight.store.interpret.other_files import folder_table, mat_table
+from armsight.store.interpret.plausibility import looks_like_degrees, looks_like_mm
 from armsight.store.interpret.raw import RawTable, parse_text
 from armsight.store.interpret.records import looks_like_records, records_table
 from armsight.store.interpret.roles import ROLES, Role
@@ -54,7 +61,7 @@ def interpret(path: Path, role: str, format_: TableFormat = OURS) -> Interpreted
     if path.suffix.lower() == ".mat":
         return _interpreted(mat_table(path, unnamed=bool(format_.columns)), wanted, format_)
     data = read_bytes(path, limit=MAX_BYTES)
-    plain = not (format_.columns or format_.euler or format_.robot)
+    plain = not format_.stated
     if plain and (is_ours(data, wanted) or b"\x00" in data):
         return Interpreted(data=data, how="a table of ours")
     return _interpreted(_raw_of(data, path), wanted, format_, original=data)
@@ -83,7 +90,12 @@ def is_ours(data: bytes, role: Role) -> bool:
                 return False
             known = role.known
             joints = role.joints != "no"
-            ours = all(name in known or (joints and _OURS_Q.fullmatch(name) is not None) for name in names)
+            ours = all(
+                name in known
+                or (joints and _OURS_Q.fullmatch(name) is not None)
+                or (role.keeps_unknown and meaning(name, OURS, joints=joints) is None)
+                for name in names
+            )
             return ours and role.required <= set(names)
     return False
 
@@ -92,8 +104,7 @@ def _interpreted(raw: RawTable, role: Role, format_: TableFormat, *, original: b
     """Return the table brought to our columns; the original where only columns of ours were understood."""
     found = standard_table(raw, role, format_)
     missing = sorted(role.required - set(found.columns))
-    stated = bool(format_.columns or format_.euler or format_.robot)
-    if original is not None and not found.foreign and not stated and raw.names:
+    if original is not None and not found.foreign and not format_.stated and raw.names:
         return Interpreted(data=original, how="a table of ours", missing=tuple(missing))
     if missing:
         raise _missing(raw, role, found, missing)
@@ -118,6 +129,18 @@ def _missing(raw: RawTable, role: Role, found: Standard, missing: list[str]) -> 
         consequence="The file is not used",
         cure=cure,
     )
+
+
+def check_joint_values(q: NDArray[np.float64], where: str, format_: TableFormat) -> None:
+    """Raise Inconsistent where joint values (n, k) of columns q1, q2, ... in rad or m are degrees."""
+    if not format_.as_stated and looks_like_degrees(q):
+        raise degrees_for_radians(where, ["q1", "..."] if q.shape[1] > 1 else ["q1"], q)
+
+
+def check_positions(xyz_m: NDArray[np.float64], names: Sequence[str], where: str, format_: TableFormat) -> None:
+    """Raise Inconsistent where positions (n, 3) of columns in m are mm."""
+    if not format_.as_stated and looks_like_mm(xyz_m):
+        raise mm_for_metres(where, names, xyz_m)
 
 
 def known_role(name: str) -> str:

@@ -28,16 +28,16 @@ POSE_EXTRAS = (
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Role:
     """A kind of table: its frames ('' where the table has one pose without a name, () where it has none), whether a
-    rotation and joints are wanted, can be there ('maybe') or not; time likewise; words: columns of text by the names
+    position, a rotation and joints are wanted, can be there ('maybe') or not; time likewise; words: columns of text by the names
     that people give them; extras: further columns of ours that are kept as they are."""
 
     name: str
     frames: tuple[str, ...] = ("",)
+    position: str = "wanted"
     rotation: str = "wanted"
     joints: str = "no"
     time: str = "no"
     words: Mapping[str, Collection[str]] = field(default_factory=dict)
-    wanted_words: tuple[str, ...] = ()
     extras: tuple[str, ...] = ()
     keeps_unknown: bool = False
 
@@ -50,10 +50,10 @@ class Role:
     @property
     def required(self) -> set[str]:
         """The columns of ours that it must have to be one of ours, joints aside."""
-        cells = POSE if self.rotation == "wanted" else POSITION
+        cells = POSE if self.rotation == "wanted" else POSITION if self.position == "wanted" else ()
         poses = {f"{frame}_{cell}" if frame else cell for frame in self.frames for cell in cells}
         time = {"t_s"} if self.time == "wanted" else set()
-        return poses | set(self.wanted_words) | time | ({"q1"} if self.joints == "wanted" else set())
+        return poses | time | ({"q1"} if self.joints == "wanted" else set())
 
 
 IMAGES = ("image", "img", "filename", "file_name", "image_file", "frame_name")
@@ -65,7 +65,7 @@ ROLES: Mapping[str, Role] = {
         Role(name="untimed-joints", frames=(), joints="wanted", time="maybe"),
         Role(name="poses", time="wanted", extras=POSE_EXTRAS),
         Role(name="untimed-poses", time="maybe", extras=POSE_EXTRAS),
-        Role(name="robot_poses", words={"file": IMAGES}, wanted_words=("file",)),
+        Role(name="robot_poses", words={"file": IMAGES}),
         Role(name="pairs", frames=PAIR_FRAMES),
         Role(
             name="points",
@@ -74,7 +74,9 @@ ROLES: Mapping[str, Role] = {
             words={"point": ("reflector", "smr", "prism")},
         ),
         Role(name="measured", rotation="maybe", joints="maybe", time="maybe", keeps_unknown=True),
-        Role(name="sweep", rotation="maybe", joints="wanted", extras=("joint", *PIXELS)),
+        Role(name="reported", frames=(), joints="wanted", time="maybe", keeps_unknown=True),
+        Role(name="sweep", position="maybe", rotation="maybe", joints="wanted", extras=("joint", *PIXELS)),
+        Role(name="sweep_joints", frames=(), joints="wanted", extras=("frame", "joint")),
     )
 }
 """By name; 'untimed-' where time plays no part and rows are counted where no time is there."""

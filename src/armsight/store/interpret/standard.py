@@ -15,6 +15,7 @@ from armsight.store.interpret.names import Meaning, meaning, split_unit
 from armsight.store.interpret.raw import RawTable
 from armsight.store.interpret.roles import POSITION, QUATERNION, Role
 from armsight.store.interpret.table_format import SKIPPED, TableFormat
+from armsight.store.interpret.units import UNITS
 from armsight.store.tables import number, number_column
 
 Array = NDArray[np.float64]
@@ -22,6 +23,7 @@ Array = NDArray[np.float64]
 EPOCHS = ((1e17, 1e-9, "ns"), (1e14, 1e-6, "us"), (1e11, 1e-3, "ms"))
 """Stamps beyond the first number are counts since 1970 in this unit: 1e11 s is the year 5138."""
 
+_NAME_CELL = re.compile(r"(.*?)name(\[?\d+\]?)")
 _OURS_Q = re.compile(r"q[1-9]\d*")
 
 
@@ -64,7 +66,7 @@ def standard_table(raw: RawTable, role: Role, format_: TableFormat) -> Standard:
         out.columns[ours] = list(raw.columns[k])
         out.foreign |= names[k] != ours
     kept = [k for k, name in enumerate(names) if name in role.extras and k not in words.values()]
-    chosen, doubled = _without_doubles(raw.where, meanings)
+    chosen = _without_doubles(raw.where, meanings)
     numbers = {k: _numbers(raw, names, k, role) for k in chosen}
     found = {
         frame: Found(
@@ -83,7 +85,7 @@ def standard_table(raw: RawTable, role: Role, format_: TableFormat) -> Standard:
     for k in kept:
         out.columns[names[k]] = list(raw.columns[k])
     unused = [names[k] for k in range(len(names)) if k not in chosen and k not in words.values() and k not in kept]
-    unused = [name for name in unused if name and name != SKIPPED] + [names[k] for k in doubled]
+    unused = [name for name in unused if name and name != SKIPPED]
     if unused and role.keeps_unknown:
         out.columns |= {name: list(raw.columns[names.index(name)]) for name in unused if name not in out.columns}
     elif unused:
@@ -104,10 +106,10 @@ def _names(raw: RawTable, role: Role, format_: TableFormat) -> tuple[str, ...]:
             )
         return stated
     if raw.names:
-        return raw.names
+        return _joint_state_names(raw)
     maker = format_.maker
     timed = role.time != "no"
-    if role.frames == ("",) and role.joints == "no" and not role.wanted_words:
+    if role.frames == ("",) and role.joints == "no":
         if timed and count == 8:
             return ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
         if count in (12, 16):
@@ -121,6 +123,20 @@ def _names(raw: RawTable, role: Role, format_: TableFormat) -> tuple[str, ...]:
         cure=f"The first line must name the columns ({wanted}, ...), or name them with --columns, for instance "
         "--columns q1..q6_deg,xyz_mm",
     )
+
+
+def _joint_state_names(raw: RawTable) -> tuple[str, ...]:
+    """Return the names, those of a ROS joint state's positions replaced by the joints' own, which stand in a cell."""
+    names = list(raw.names)
+    for k, name in enumerate(raw.names):
+        match = _NAME_CELL.fullmatch(name)
+        position = f"{match[1]}position{match[2]}" if match else ""
+        if position in names and raw.columns[k]:
+            joint = raw.columns[k][0]
+            if any(cell != joint for cell in raw.columns[k]):
+                raise BadFile(f"{raw.where}: the column {name} names several joints", consequence="It is not used")
+            names[names.index(position)] = joint
+    return tuple(names)
 
 
 def _meanings(raw: RawTable, names: Sequence[str], role: Role, format_: TableFormat) -> dict[int, Meaning]:
@@ -156,13 +172,12 @@ def _words(names: Sequence[str], role: Role) -> dict[str, int]:
     return out
 
 
-def _without_doubles(where: str, meanings: Mapping[int, Meaning]) -> tuple[dict[int, Meaning], list[int]]:
-    """Return one column for each coordinate, and those left out: commanded ones beside measured, a second time.
+def _without_doubles(where: str, meanings: Mapping[int, Meaning]) -> dict[int, Meaning]:
+    """Return one column for each coordinate: none of what was commanded beside what was measured, one time.
 
     Raises Ambiguous where two columns may be the same coordinate.
     """
     out: dict[tuple[str, str, str], int] = {}
-    doubled = []
     for k, found in meanings.items():
         key = (found.frame, found.kind, found.key)
         before = out.get(key)
@@ -171,17 +186,16 @@ def _without_doubles(where: str, meanings: Mapping[int, Meaning]) -> tuple[dict[
             continue
         other = meanings[before]
         if found.commanded != other.commanded:
-            out[key], dropped = (k, before) if other.commanded else (before, k)
+            out[key] = k if other.commanded else before
         elif found.kind == "t":  # the stamp of the measurement, not that of the recording
-            out[key], dropped = (k, before) if "stamp" in found.name else (before, k)
+            out[key] = k if "stamp" in found.name else before
         else:
             raise Ambiguous(
                 f"{where}: the columns {other.name!r} and {found.name!r} may be the same coordinate",
                 consequence="Nobody knows which is meant",
                 cure="Give --columns with - for those that are not used",
             )
-        doubled.append(dropped)
-    return {k: meanings[k] for k in sorted(out.values())}, doubled
+    return {k: meanings[k] for k in sorted(out.values())}
 
 
 def _numbers(raw: RawTable, names: Sequence[str], k: int, role: Role) -> Array:
@@ -245,10 +259,9 @@ def _joints(out: Standard, found: Found, role: Role, format_: TableFormat) -> No
             out.notes.append(f"joints are counted from 0: {ordered[0].meaning.name} is q1")
     else:
         return
-    maker = format_.maker
-    q = angles_rad(found, ordered, maker.joint_rad if maker else 1.0, "the arm")
+    q = angles_rad(found, ordered, format_.joint_rad, "the arm")
     out.columns |= {f"q{k + 1}": q[:, k] for k in range(q.shape[1])}
-    in_degrees = [c for c in ordered if (c.meaning.scale or (maker.joint_rad if maker else 1.0)) not in (1.0, 1e-3)]
+    in_degrees = [c for c in ordered if (c.meaning.scale or format_.joint_rad) == UNITS["deg"][1]]
     if in_degrees:
         out.notes.append(f"{len(in_degrees)} joints in degrees")
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from armsight.errors import UsageError
 from armsight.store.interpret.rotations import EulerOrder, RobotFormat, euler_order, robot_format
+from armsight.store.interpret.units import UNITS
 
 
 def _silent(text: str) -> None:
@@ -18,14 +19,16 @@ def _silent(text: str) -> None:
 class TableFormat:
     """What is said about a table: all empty for one of ours.
 
-    euler: an order such as 'xyz-fixed'; columns: names for a table without a header, see column_names; robot: a name
-    of ROBOT_FORMATS; joints: the arm's joints by name, where one is known; as_stated: units and orders are taken as
-    stated though the numbers look otherwise. tell: called with what was understood, in words.
+    euler: an order such as 'xyz-fixed'. columns: names for a table without a header, see column_names. robot: a name
+    of ROBOT_FORMATS. units: such as 'mm,deg', of what the header leaves open. joints: the arm's joints by name, where
+    an arm is known. as_stated: units and orders are taken as stated though the numbers look otherwise. tell: called
+    with what was understood, in words.
     """
 
     euler: str = ""
     columns: str = ""
     robot: str = ""
+    units: str = ""
     joints: tuple[str, ...] = ()
     as_stated: bool = False
     tell: Callable[[str], None] = _silent
@@ -41,6 +44,38 @@ class TableFormat:
     def maker(self) -> RobotFormat | None:
         """The robot maker's way. Raises UsageError."""
         return robot_format(self.robot) if self.robot else None
+
+    @property
+    def stated(self) -> bool:
+        """Whether anything is said of what the columns are."""
+        return bool(self.euler or self.columns or self.robot or self.units)
+
+    def unit(self, quantity: str, of_maker: float | None) -> float:
+        """Return the SI value of the unit of columns that state none: of 'length' or 'angle'; else the maker's, or 1.
+
+        Raises UsageError for units that are not known.
+        """
+        for name in filter(None, (part.strip().lower() for part in self.units.split(","))):
+            if name not in UNITS or UNITS[name][0] == "time":
+                raise UsageError(f"--units {self.units!r}: {name!r} is no unit", cure="Write for instance mm,deg")
+            if UNITS[name][0] == quantity:
+                return UNITS[name][1]
+        return 1.0 if of_maker is None else of_maker
+
+    @property
+    def length_m(self) -> float:
+        """The unit of lengths that state none, in m. Raises UsageError."""
+        return self.unit("length", self.maker.length_m if self.maker else None)
+
+    @property
+    def angle_rad(self) -> float:
+        """The unit of a pose's angles that state none, in rad. Raises UsageError."""
+        return self.unit("angle", self.maker.angle_rad if self.maker else None)
+
+    @property
+    def joint_rad(self) -> float:
+        """The unit of joint values that state none, in rad. Raises UsageError."""
+        return self.unit("angle", self.maker.joint_rad if self.maker else None)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -91,7 +126,8 @@ def _written_out(token: str, maker: RobotFormat | None) -> list[str]:
         return [token]
     frame, what, unit = group["frame"], group["what"], group["unit"] or ""
     if what in ("T", "T12"):
-        return [f"{frame}m{row}{column}" for row in range(4 if what == "T" else 3) for column in range(4)]
+        rows = range(4 if what == "T" else 3)
+        return [f"{frame}m{r}{c}{unit if c == 3 and r < 3 else ''}" for r in rows for c in range(4)]
     if what == "pose":
         if maker is None:
             raise UsageError("pose in --columns stands for a robot's own columns", cure="Give --robot-format too")
