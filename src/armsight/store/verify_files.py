@@ -129,11 +129,15 @@ def _data(path: Path, role: str, format_: TableFormat) -> bytes:
 
 
 def _is_tum(data: bytes) -> bool:
-    """Whether the first line that says something is eight numbers, or a remark."""
-    for line in data.decode("utf-8", errors="replace").splitlines():
-        if line.strip():
+    """Whether the first line that is no remark is eight numbers, and no remark names columns in another order."""
+    for line in data.decode("utf-8-sig", errors="replace").splitlines():
+        if line.lstrip().startswith("#"):
+            words = line.lstrip("# ").replace(",", " ").split()
+            if len(words) == 8 and words[-1].lower()[-1:] != "w":
+                return False
+        elif line.strip():
             parts = line.replace(",", " ").split()
-            return line.lstrip().startswith("#") or (len(parts) == 8 and all(_is_number(part) for part in parts))
+            return len(parts) == 8 and all(_is_number(part) for part in parts)
     return False
 
 

@@ -165,6 +165,7 @@ def meaning(name: str, format_: TableFormat, *, frames: bool = False, joints: bo
     frame, inverse = "", False
     if frames:
         frame, inverse, text = _frame(text)
+        format_ = format_.of_camera if frame == "camera_target" else format_
     scale = UNITS[unit][1] if unit else None
     parts = text.split("_")
     for k in range(len(parts)):

@@ -28,8 +28,8 @@ POSE_EXTRAS = (
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Role:
     """A kind of table: its frames ('' where the table has one pose without a name, () where it has none), whether a
-    position, a rotation and joints are wanted, can be there ('maybe') or not; time likewise; words: columns of text by the names
-    that people give them; extras: further columns of ours that are kept as they are."""
+    position, a rotation, joints and a time are wanted, can be there ('maybe') or not; words: columns of text by the
+    names that people give them; extras: further columns of ours that are kept as they are."""
 
     name: str
     frames: tuple[str, ...] = ("",)

@@ -73,7 +73,7 @@ def standard_table(raw: RawTable, role: Role, format_: TableFormat) -> Standard:
             where=raw.where,
             lines=raw.lines,
             kinds=_kinds(chosen, numbers, frame),
-            format=format_,
+            format=format_.of_camera if frame == "camera_target" else format_,
             notes=out.notes,
         )
         for frame in {*(m.frame for m in chosen.values()), *role.frames, ""}

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 from armsight.errors import UsageError
 from armsight.store.interpret.rotations import EulerOrder, RobotFormat, euler_order, robot_format
@@ -44,6 +44,15 @@ class TableFormat:
     def maker(self) -> RobotFormat | None:
         """The robot maker's way. Raises UsageError."""
         return robot_format(self.robot) if self.robot else None
+
+    def of_joints(self, names: Sequence[str]) -> TableFormat:
+        """Return it with the names of an arm's joints."""
+        return replace(self, joints=tuple(names))
+
+    @property
+    def of_camera(self) -> TableFormat:
+        """What is said, without what is said of the robot's own poses: for what a camera or a tracker measured."""
+        return replace(self, robot="") if self.robot else self
 
     @property
     def stated(self) -> bool:
