@@ -9,7 +9,7 @@ import numpy as np
 from armsight.calibrate.arm import ArmPoints
 from armsight.errors import BadFile
 from armsight.geometry import pose_from_quat
-from armsight.store.interpret import OURS, TableFormat, check_joint_values, check_positions, standard_bytes
+from armsight.store.interpret import OURS, TableFormat, check_joint_values, standard_bytes
 from armsight.store.schema import named
 from armsight.store.tables import parse_table
 from armsight.store.tracks import POSITION, QUATERNION
@@ -27,7 +27,6 @@ def read_arm_points(path: Path, format_: TableFormat = OURS) -> ArmPoints:
     if not readings:
         raise BadFile(f"{path}: no column q1", consequence="The file is not used", cure="Give q1 .. qn in every row")
     check_joint_values(table.stacked(readings), str(path), format_)
-    check_positions(table.stacked(POSITION), POSITION, str(path), format_)
     turns = [name for name in QUATERNION if name in table.numbers]
     if turns and len(turns) < len(QUATERNION):
         raise BadFile(

@@ -117,7 +117,7 @@ def angles_rad(found: Found, columns: Sequence[Column], unstated: float, what: s
 def mm_for_metres(where: str, names: Sequence[str], xyz: Array) -> Inconsistent:
     """Return the refusal of positions that look like mm where metres are meant."""
     return Inconsistent(
-        f"{where}: columns {', '.join(names)}: these look like mm: the largest value is {largest(xyz):.4g}",
+        f"{where}: columns {', '.join(names)}: these look like mm or cm: the largest value is {largest(xyz):.4g}",
         consequence="Taken as metres they would be far from any arm",
         cure=f"Name the columns {_with_unit(names[0], 'mm')}, ..., or give --units mm; --as-stated if they are metres",
     )
