@@ -1,7 +1,14 @@
 """Tables as people have them: other units, rotations, names, files; brought to the columns of ours."""
 
 from armsight.store.interpret.plausibility import looks_like_degrees
-from armsight.store.interpret.read import Interpreted, check_joint_values, check_positions, interpret, standard_bytes
+from armsight.store.interpret.read import (
+    Interpreted,
+    check_joint_values,
+    check_positions,
+    interpret,
+    kind_of_table,
+    standard_bytes,
+)
 from armsight.store.interpret.rotations import ROBOT_FORMATS
 from armsight.store.interpret.table_format import OURS, TableFormat
 
@@ -13,6 +20,7 @@ __all__ = [
     "check_joint_values",
     "check_positions",
     "interpret",
+    "kind_of_table",
     "looks_like_degrees",
     "standard_bytes",
 ]

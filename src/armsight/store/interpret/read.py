@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.errors import BadFile, UsageError
+from armsight.errors import Ambiguous, BadFile, DataRefused, Inconsistent, UsageError
 from armsight.store.atomic import read_bytes
 from armsight.store.interpret.assemble import degrees_for_radians, mm_for_metres
 from armsight.store.interpret.names import meaning
@@ -20,7 +20,7 @@ from armsight.store.interpret.plausibility import looks_like_degrees, looks_like
 from armsight.store.interpret.raw import RawTable, parse_text
 from armsight.store.interpret.records import looks_like_records, records_table
 from armsight.store.interpret.roles import ROLES, Role
-from armsight.store.interpret.standard import Standard, standard_table
+from armsight.store.interpret.standard import UNUSED, Standard, standard_table
 from armsight.store.interpret.table_format import OURS, TableFormat
 from armsight.store.tables import MAX_BYTES
 from armsight.store.yamls import parse_yaml_documents
@@ -56,6 +56,9 @@ def interpret(path: Path, role: str, format_: TableFormat = OURS) -> Interpreted
     Inconsistent, Ambiguous, UsageError.
     """
     wanted = ROLES[role]
+    format_.check()
+    if not path.exists():
+        raise BadFile(f"{path}: there is no such file", consequence="Nothing is read", cure="Check its name")
     if path.is_dir():
         return _interpreted(folder_table(path, lambda file: _raw(file, format_)), wanted, format_)
     if path.suffix.lower() == ".mat":
@@ -143,8 +146,27 @@ def check_positions(xyz_m: NDArray[np.float64], names: Sequence[str], where: str
         raise mm_for_metres(where, names, xyz_m)
 
 
-def known_role(name: str) -> str:
-    """Return the name of a role. Raises UsageError that lists those known."""
-    if name not in ROLES:
-        raise UsageError(f"no kind of table is called {name!r}", cure=f"There are {', '.join(ROLES)}")
-    return name
+def kind_of_table(path: Path, format_: TableFormat, among: Sequence[str]) -> str:
+    """Return which kind of table a file can be: that which leaves the fewest of its columns unused.
+
+    Raises UsageError where it can be none of them, Inconsistent, Ambiguous.
+    """
+    best, fewest, why = "", 10**9, None
+    for name in among:
+        try:
+            found = interpret(path, f"untimed-{name}" if f"untimed-{name}" in ROLES else name, format_)
+        except DataRefused as error:
+            # what the numbers contradict says more than what is missing for a kind that may not be meant
+            why = error if why is None or isinstance(error, Inconsistent | Ambiguous) else why
+            continue
+        left = sum(note.count(",") + 1 for note in found.notes if note.startswith(UNUSED)) + len(found.missing)
+        if not found.missing and left < fewest:
+            best, fewest = name, left
+    if not best and isinstance(why, Inconsistent | Ambiguous):
+        raise why
+    if not best:
+        raise UsageError(
+            f"{path}: which kind of table it is cannot be told",
+            cure=f"Say it with --as {', '.join(among)}, and see what is missing",
+        )
+    return best

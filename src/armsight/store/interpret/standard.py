@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 EPOCHS = ((1e17, 1e-9, "ns"), (1e14, 1e-6, "us"), (1e11, 1e-3, "ms"))
 """Stamps beyond the first number are counts since 1970 in this unit: 1e11 s is the year 5138."""
 
+UNUSED = "columns not used: "
 _NAME_CELL = re.compile(r"(.*?)name(\[?\d+\]?)")
 _OURS_Q = re.compile(r"q[1-9]\d*")
 
@@ -89,7 +90,7 @@ def standard_table(raw: RawTable, role: Role, format_: TableFormat) -> Standard:
     if unused and role.keeps_unknown:
         out.columns |= {name: list(raw.columns[names.index(name)]) for name in unused if name not in out.columns}
     elif unused:
-        out.notes.append(f"columns not used: {', '.join(unused)[:200]}")
+        out.notes.append(f"{UNUSED}{', '.join(unused)[:200]}")
     out.foreign |= any(m.name not in role.known and not _OURS_Q.fullmatch(m.name) for m in chosen.values())
     return out
 

@@ -59,6 +59,10 @@ class TableFormat:
         """Whether anything is said of what the columns are."""
         return bool(self.euler or self.columns or self.robot or self.units)
 
+    def check(self) -> None:
+        """Raise UsageError where anything stated is not known."""
+        _ = self.order, self.names, self.length_m, self.angle_rad
+
     def unit(self, quantity: str, of_maker: float | None) -> float:
         """Return the SI value of the unit of columns that state none: of 'length' or 'angle'; else the maker's, or 1.
 
