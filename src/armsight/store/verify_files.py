@@ -20,7 +20,17 @@ from armsight.records import PoseStatus
 from armsight.store.atomic import read_bytes
 from armsight.store.interpret import OURS, TableFormat, check_joint_values, standard_bytes
 from armsight.store.tables import MAX_BYTES, Table, parse_table
-from armsight.store.tracks import DEVIATIONS, POSITION, QUATERNION, SYSTEMATIC, VELOCITY, VELOCITY_STD, parse_tum
+from armsight.store.tracks import (
+    DEVIATIONS,
+    LIGHTS,
+    LIGHTS_STD,
+    POSITION,
+    QUATERNION,
+    SYSTEMATIC,
+    VELOCITY,
+    VELOCITY_STD,
+    parse_tum,
+)
 from armsight.verify import Measured, Repeats, Reported
 
 Array = NDArray[np.float64]
@@ -157,7 +167,8 @@ def _parse(data: bytes, where: str, required: tuple[str, ...]) -> _Rows:
         raise BadFile(f"{where}: NUL bytes in the first line", consequence="It cannot be read", cure="Save it as text")
     clean = b"".join(b"\n" if NUL in line else line for line in lines)
     header = _header(clean)
-    optional = ("t_s", *POSITION, *QUATERNION, *DEVIATIONS, *SYSTEMATIC, *VELOCITY, *VELOCITY_STD, *GOAL, "speed_m_s")
+    poses = (*POSITION, *QUATERNION, *DEVIATIONS, *SYSTEMATIC, *LIGHTS, *LIGHTS_STD, *VELOCITY, *VELOCITY_STD)
+    optional = ("t_s", *poses, *GOAL, "speed_m_s")
     known = {*optional, *WORDS}
     unused = tuple(
         name for name in header if name and name not in known and not (name[0] == "q" and name[1:].isdecimal())
@@ -226,10 +237,10 @@ def _usable(rows: _Rows, xyz: Array, quat: Array | None) -> tuple[Index, list[tu
     good, rejected, lost = [], [], 0
     for i in range(len(table)):
         row = int(rows.row[i])
-        if status[i] == PoseStatus.LOST.value or np.isnan(xyz[i]).all():
-            lost += 1
-        elif status[i] == PoseStatus.POSITION_ONLY.value:
+        if status[i] == PoseStatus.POSITION_ONLY.value:
             rejected.append((row, "a position only: that of the mean of the lights seen, another point"))
+        elif status[i] == PoseStatus.LOST.value or np.isnan(xyz[i]).all():
+            lost += 1
         elif np.isnan(xyz[i]).any() or (quat is not None and np.isnan(quat[i]).any()):
             rejected.append((row, f"cells are empty in line {table.lines[i]}"))
         elif quat is not None and abs(np.linalg.norm(quat[i]) - 1.0) > QUAT_NORM_TOLERANCE:
