@@ -15,7 +15,14 @@ from armsight.app.schemas.cameras import (
     StereoOutput,
     ZoomRigOutput,
 )
-from armsight.app.schemas.files import ConvertOutput, ExportOutput, RecordOutput, RepairOutput, SimulateOutput
+from armsight.app.schemas.files import (
+    ConvertOutput,
+    ConvertTableOutput,
+    ExportOutput,
+    RecordOutput,
+    RepairOutput,
+    SimulateOutput,
+)
 from armsight.app.schemas.handeye import HandEyeOutput, LightTargetOutput, PivotOutput, TipOutput
 from armsight.app.schemas.kinematics import (
     ConvertArmOutput,
@@ -72,6 +79,7 @@ OUTPUTS: Mapping[str, type[Output]] = MappingProxyType(
         "record-repair": RepairOutput,
         "convert-recording": ExportOutput,
         "convert": ConvertOutput,
+        "convert-table": ConvertTableOutput,
         "convert-arm": ConvertArmOutput,
         "simulate": SimulateOutput,
         "reproduce": ReproduceOutput,
