@@ -17,6 +17,7 @@ from armsight.units import MM
 
 if TYPE_CHECKING:
     from armsight.app.schemas.handeye import HandEyeOutput
+    from armsight.calibrate.handeye import Setup
 
 POINT_SIGMA_MM = 0.2
 """Standard deviation believed of a measured point unless another is given: a dot measured by two cameras at 0.6 m."""
@@ -44,13 +45,10 @@ def handeye(
     """Find where the camera is on the hand (or beside the robot), and say whether the answer is right."""
     with CommandUI(as_json=json) as face:
         from armsight.app.calibrate.handeye import HandEyeJob, calibrate_handeye
-        from armsight.calibrate.handeye import Setup
 
-        if setup not in tuple(Setup):
-            raise UsageError(f"no setup is called {setup!r}; there are {', '.join(Setup)}")
         job = HandEyeJob(
             out=out,
-            setup=Setup(setup),
+            setup=_setup(setup),
             pairs=pairs,
             images=images or "",
             camera=camera,
@@ -66,6 +64,14 @@ def handeye(
         done = calibrate_handeye(job, face.progress("calibrating"))
         handeye_tables(face, done, out)
         face.result(done)
+
+
+def _setup(name: str) -> Setup:
+    from armsight.calibrate.handeye import Setup
+
+    if name not in tuple(Setup):
+        raise UsageError(f"no setup is called {name!r}; there are {', '.join(Setup)}")
+    return Setup(name)
 
 
 @takes_tables
