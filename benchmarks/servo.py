@@ -27,7 +27,7 @@ from armsight.app.servo.stepped import SteppedClock
 from armsight.app.simulate.scenarios import load_scenario
 from armsight.control.guard import Guard, GuardState, Limits
 from armsight.control.loop import ControlLoop, LoopStatus
-from armsight.control.servo import Mount, ServoSettings, ServoSource, chosen_gain, on_axis
+from armsight.control.servo import Mount, ServoSettings, ServoSource, Turning, chosen_gain, on_axis
 from armsight.measure.poses.pipeline import Setup, Track, measure_pair
 from armsight.records import PoseStatus, Silent, TargetPose
 from armsight.sim.hands import CORNER_S, RoundPath
@@ -135,6 +135,7 @@ def servo_run(
         gain_t=gain.used,
         gain_r=gain.used,
         arm_lag_s=2.0 * cycle_s,
+        turning=Turning.ALIGN if at_tool is None else Turning.KEEP,
         predict=predict,
     )
     source = ServoSource(arm, rig, setup.target, settings, cycle_s)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 import typer
 
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.options import AsJson
+from armsight.errors import UsageError
 
 robot = typer.Typer(name="robot", help="Test the link to a robot, and move one of its joints.", no_args_is_help=True)
 
@@ -51,8 +52,15 @@ def test(
 @robot.command()
 def jog(
     robot: RobotName,
-    joint: Annotated[int, typer.Option(help="Which joint, from 1.")],
-    by: Annotated[float, typer.Option(help="How far, in rad or m.")],
+    joint: Annotated[int | None, typer.Option(help="Which joint, from 1.")] = None,
+    by: Annotated[float | None, typer.Option(help="How far, in rad or m.")] = None,
+    hand: Annotated[
+        str | None,
+        typer.Option("--with", metavar="keyboard|gamepad", help="Move by hand, while a key or the enable is held."),
+    ] = None,
+    frame: Annotated[
+        str, typer.Option(metavar="joints|base|tool", help="Of --with: what moves, and along which axes.")
+    ] = "joints",
     speed: Annotated[float, typer.Option(metavar="SHARE", help="Share of the limits' speeds, up to 1.")] = 0.5,
     arm: Annotated[
         Path | None, typer.Option(help="arm.yaml of the robot; without it only its joints are limited, and slow.")
@@ -63,9 +71,13 @@ def jog(
     yes: Annotated[bool, typer.Option("--yes", help="Move without asking.")] = False,
     json: AsJson = False,
 ) -> None:
-    """Move one joint by a given way through the guard, and tell where it went. Ctrl-C brings it to rest."""
+    """Move one joint by a given way (--joint, --by), or the arm by hand (--with), through the guard.
+
+    Ctrl-C brings it to rest.
+    """
     with CommandUI(as_json=json) as face:
         from armsight.app.robot.jog import JogJob, jog_robot
+        from armsight.app.robot.jog_by_hand import HandJogJob, jog_by_hand
         from armsight.cli.tables import figure
 
         def confirm(question: str) -> bool:
@@ -75,16 +87,21 @@ def jog(
             except typer.Abort:  # nobody there to ask
                 return False
 
-        job = JogJob(
-            robot=robot,
-            joint=joint,
-            by=by,
-            speed=speed,
-            arm=arm,
-            limits=limits,
-            record=record,
-            rsi_config=rsi_config,
-        )
-        done = jog_robot(job, confirm, face.progress("moving"))
-        face.say(f"joint {joint} stands at {figure(done.reached[joint - 1], 6)} (rad or m); the robot is {done.state}")
+        common: dict[str, Any] = {"robot": robot, "speed": speed, "arm": arm, "limits": limits, "record": record}
+        if hand is not None and joint is None and by is None:
+            led = HandJogJob(**common, by=hand, frame=frame, rsi_config=rsi_config)
+            done = jog_by_hand(led, confirm, face.progress("moving by hand"))
+            face.say(f"the joints stand at {', '.join(figure(v, 6) for v in done.reached)} (rad or m)")
+        elif hand is None and joint is not None and by is not None:
+            job = JogJob(**common, joint=joint, by=by, rsi_config=rsi_config)
+            done = jog_robot(job, confirm, face.progress("moving"))
+            face.say(
+                f"joint {joint} stands at {figure(done.reached[joint - 1], 6)} (rad or m); the robot is {done.state}"
+            )
+        else:
+            raise UsageError(
+                "it is not clear what is to move",
+                consequence="Nothing is moved",
+                cure="Give --joint and --by for one way, or --with keyboard or gamepad alone",
+            )
         face.result(done)

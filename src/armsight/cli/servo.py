@@ -34,7 +34,14 @@ def servo(
     gain: Annotated[
         float | None, typer.Option(help="Gain in 1/s. [default: the largest without overshoot at the measured delay]")
     ] = None,
-    hold_rotation: Annotated[bool, typer.Option("--hold-rotation", help="Follow the place, do not turn.")] = False,
+    rotation: Annotated[
+        str,
+        typer.Option(
+            metavar="align|keep|hold",
+            help="align: turn until the target's axes are those of --at. keep: as the target first stood to it. "
+            "hold: do not turn.",
+        ),
+    ] = "align",
     no_prediction: Annotated[
         bool, typer.Option("--no-prediction", help="The law alone, which lags behind by speed over gain.")
     ] = False,
@@ -95,7 +102,7 @@ def servo(
             at=at,
             distance_m=distance,
             gain=gain,
-            hold_rotation=hold_rotation,
+            rotation=rotation,
             predict=not no_prediction,
             arm=arm,
             limits=limits,

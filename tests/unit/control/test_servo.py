@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.control.guard import TargetState
-from armsight.control.servo import Mount, ServoSettings, ServoSource, on_axis
+from armsight.control.servo import Mount, ServoSettings, ServoSource, Turning, on_axis
 from armsight.control.servo.delay import ArmLag, CameraDelay
 from armsight.control.servo.target_track import CALM_S, LOST_S, TargetTrack
 from armsight.control.setpoints import CycleState, Hold, ToolTwist
@@ -127,6 +127,19 @@ def test_the_tool_and_not_the_flange_is_told_to_move():
     assert by_tool.velocity_m_s == pytest.approx(expected)
 
 
+@pytest.mark.parametrize("predict", [True, False])
+def test_the_rotation_first_seen_is_kept_and_none_is_held(predict):
+    away = RigidTransform.from_rotation(Rotation.from_rotvec([2.5, 0.3, 0.0]))
+
+    def turned(pose: TargetPose) -> TargetPose:
+        return replace(pose, T_parent_target=pose.T_parent_target @ away.as_matrix())
+
+    for turning, keeps_still in ((Turning.KEEP, True), (Turning.HOLD, True), (Turning.ALIGN, False)):
+        twist = bench(turning=turning, predict=predict).run(2.0, turned)
+        assert isinstance(twist, ToolTwist)
+        assert (np.linalg.norm(twist.angular_rad_s) < 0.02) == keeps_still, turning
+
+
 def place_only(names: tuple[str, ...]):
     """Return what makes a pose one of which only the middle of these lights is known."""
 
@@ -158,6 +171,24 @@ def test_with_two_lights_the_place_is_followed_and_the_rotation_held():
     assert setup.source.target(setup.t_s)[0] is TargetState.FRESH, "the middle of two lights is no jump"
 
 
+def unnamed(names: tuple[str, ...]):
+    """Return what makes a pose one of these lights of which nobody knows which is which."""
+    change = place_only(names)
+    return lambda pose: replace(change(pose), spots=("?",) * len(names))
+
+
+def test_lights_that_were_not_told_apart_are_followed_only_where_they_are_all():
+    setup = bench()
+    setup.run(1.0)
+    seen = setup.source.tracked
+    setup.run(1.1, unnamed(("A", "B")))
+    assert setup.source.tracked is seen
+    twist = setup.run(1.7, unnamed(("A", "B", "C")))
+    assert isinstance(twist, ToolTwist)
+    assert not twist.angular_rad_s.any()
+    assert twist.velocity_m_s == pytest.approx(V + 2.0 * V * (1.7 - CYCLE_S), abs=3e-3)
+
+
 def test_two_lights_from_the_beginning_move_the_arm_without_turning_it():
     setup = bench()
     twist = setup.run(1.0, place_only(("A", "B")))
@@ -173,7 +204,7 @@ def why(wanted: object) -> str:
 def test_nothing_seen_stale_and_lost_are_holds_that_say_so():
     setup = bench()
     assert "not seen yet" in why(setup.run(0.2, lambda pose: None))
-    assert "only just now" in why(setup.run(0.4))
+    assert "only just now" in why(setup.run(0.35))
     assert isinstance(setup.run(1.0), ToolTwist)
     assert "too old" in why(setup.run(1.2, lambda pose: None))
     assert setup.source.target(setup.t_s)[0] is TargetState.STALE

@@ -96,7 +96,7 @@ def jog_robot(
         _check_range(job, guard, float(goal[j]))
         if not confirm(question(job, robot, guard, float(start[j]))):
             raise Cancelled("not confirmed", consequence="Nothing was moved", cure="Give --yes to move without asking")
-        with _recording(job.record, clock) as sink:
+        with recording(job.record, clock) as sink:
             told = progress  # its cancelled() is the operator's enable: Ctrl-C lets go
             source, watcher = GoalSource(goal, "jog"), _Watcher(robot.cycle_s)
             loop = ControlLoop(robot, guard, source, clock, enabled=lambda: not told.cancelled(), sink=sink)
@@ -178,7 +178,8 @@ def _check_end(status: LoopStatus | None, robot: Robot) -> None:
 
 
 @contextlib.contextmanager
-def _recording(path: Path | None, clock: Clock) -> Iterator[EventSink]:
+def recording(path: Path | None, clock: Clock) -> Iterator[EventSink]:
+    """Return the sink of an .mcap file, or one that keeps nothing. Raises what the recorder failed of."""
     if path is None:
         yield NoSink()
         return

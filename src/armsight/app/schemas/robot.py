@@ -29,9 +29,9 @@ class RobotTestOutput(Output):
 
 
 class JogOutput(Output):
-    """robot jog: one joint moved by a given way."""
+    """robot jog: one joint moved by a given way, or the arm moved by hand."""
 
-    asked: float = Field(description="The way asked for, rad or m.")
+    asked: float | None = Field(description="The way asked for, rad or m; null where a hand moved the arm.")
     sent: list[float] = Field(description="Where the robot was last told to go, rad or m.")
     reached: list[float] = Field(description="What it reads at rest, rad or m.")
     limited: list[str] = Field(description="The limits that slowed the motion, in words.")

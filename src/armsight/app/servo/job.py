@@ -20,7 +20,8 @@ class ServoJob:
     """robot: DRIVER:DEVICE. left and right, or image: live cameras; of a simulated robot none, its cell has them.
 
     at: whether the target is wanted on the camera's or on the tool's z axis, distance_m from its origin. gain: of
-    translation and rotation in 1/s; None: the largest without overshoot. hold_rotation: the arm does not turn. predict:
+    translation and rotation in 1/s; None: the largest without overshoot. rotation: align, keep or hold, see
+    control.servo.Turning. predict:
     go for where the target will be. arm_lag_s: from a command to the arm's motion, as first assumed; None: two cycles.
     latency_s: from exposure to frame in memory. speed: share of the limits' speeds. seconds_s: end after so long. hand,
     hand_speed_m_s: how the target of a simulated cell is led.
@@ -37,7 +38,7 @@ class ServoJob:
     at: str = CAMERA
     distance_m: float = 0.6
     gain: float | None = None
-    hold_rotation: bool = False
+    rotation: str = "align"
     predict: bool = True
     arm: Path | None = None
     limits: Path | None = None

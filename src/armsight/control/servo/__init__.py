@@ -10,7 +10,7 @@ from armsight.control.servo.law import (
     servo_twist,
     stability_gain,
 )
-from armsight.control.servo.source import Mount, ServoSettings, ServoSource, on_axis
+from armsight.control.servo.source import Mount, ServoSettings, ServoSource, Turning, on_axis
 from armsight.control.servo.target_track import TargetMotion, TargetTrack, Tracked
 
 __all__ = [
@@ -22,6 +22,7 @@ __all__ = [
     "TargetMotion",
     "TargetTrack",
     "Tracked",
+    "Turning",
     "chosen_gain",
     "delay_cycles",
     "no_overshoot_gain",

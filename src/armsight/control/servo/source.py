@@ -40,15 +40,24 @@ class Mount(StrEnum):
     EYE_TO_HAND = "eye-to-hand"
 
 
+class Turning(StrEnum):
+    """How the arm turns after the target: until their axes agree, as they stood when it was first seen, or not."""
+
+    ALIGN = "align"
+    KEEP = "keep"
+    HOLD = "hold"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ServoSettings:
     """How the target is followed.
 
     T_parent_camera: the rig's pose in flange (EYE_IN_HAND) or base (EYE_TO_HAND), by hand-eye calibration.
     T_flange_desired: where the target should be, in flange axes: on the camera's axis, or at a tool's frame. gain_t,
-    gain_r: K_t and K_r in 1/s. turns: whether the arm turns after the target, or holds its rotation. arm_lag_s: from a
-    command to the arm's motion, as first assumed. predict: go for where the target will be when the command takes
-    effect, with its velocity fed forward; else the law of MATH 3.3 alone, of the newest frame as it was.
+    gain_r: K_t and K_r in 1/s. turning: how the arm turns; where it KEEPs the rotation first seen, only the position
+    of T_flange_desired counts. arm_lag_s: from a command to the arm's motion, as first assumed. predict: go for where
+    the target will be when the command takes effect, with its velocity fed forward; else the law of MATH 3.3 alone, of
+    the newest frame as it was.
     """
 
     mount: Mount
@@ -58,7 +67,7 @@ class ServoSettings:
     gain_r: float
     arm_lag_s: float = 0.0
     predict: bool = True
-    turns: bool = True
+    turning: Turning = Turning.ALIGN
 
     def with_gain(self, gain: float) -> ServoSettings:
         """Return the same with one gain for place and rotation, in 1/s."""
@@ -107,14 +116,20 @@ class ServoSource:
         self._T_base_world = arm.T_world_base.inv().as_matrix()
         self._T_parent_camera = settings.T_parent_camera.as_matrix()
         self._T_flange_desired = settings.T_flange_desired.as_matrix()
+        self._turn_wanted = settings.turning is not Turning.KEEP
         self._tool_m = np.array(arm.T_flange_tool.translation)
         self._track = TargetTrack(rig)
-        self._history = JointHistory(cycle_s)
+        self.history = JointHistory(cycle_s)
         self._camera = CameraDelay()
         self._lag = ArmLag(settings.arm_lag_s, cycle_s)
         self._seen: Seen | None = None
         self._unplaced = ""
         self.error: ServoError | None = None
+
+    @property
+    def _turns(self) -> bool:
+        """Whether the arm is to turn, and whither is known."""
+        return self._turn_wanted and self.settings.turning is not Turning.HOLD
 
     @property
     def camera_delay_s(self) -> float:
@@ -163,7 +178,9 @@ class ServoSource:
             turned[:3, :3] = turned[3:, 3:] = R
             self._track.add(exposed_s, T_base_target, turned @ covariance @ turned.T)
         else:
-            centre_m = self._target.xyz_m[[self._target.names.index(name) for name in pose.spots]].mean(axis=0)
+            centre_m = self._middle(pose.spots)
+            if centre_m is None:
+                return
             self._track.add_position(exposed_s, T_base_target[:3, 3], R @ covariance @ R.T, centre_m)
         if not self.settings.predict:
             self._seen = Seen(T_flange_target=inverse(T_base_flange) @ T_base_target, whole=whole)
@@ -182,7 +199,7 @@ class ServoSource:
 
     def next(self, now: CycleState) -> SetPoint:
         """Return the tool's twist towards where the target is wanted; Hold, with why, where it is not followed."""
-        if now.q_s is not None and self._history.add(JointReading(q=now.q, t_s=now.q_s, sequence=0, source=self.name)):
+        if now.q_s is not None and self.history.add(JointReading(q=now.q, t_s=now.q_s, sequence=0, source=self.name)):
             self._lag.add(now.t_s, now.q_s, now.q, now.q_sent)
         tracked, why = self._track.now, self._why_not(now.t_s)
         if why or tracked is None:
@@ -191,9 +208,12 @@ class ServoSource:
         T_base_tool = now.T_base_tool.as_matrix()
         T_base_flange = T_base_tool @ self._T_tool_flange
         if not self.settings.predict and self._seen is not None:
+            self._keep(self._seen.T_flange_target, self._seen.whole)
             return self._twist(T_base_flange, self._seen.T_flange_target, self._seen.whole)
         motion = tracked.at(now.t_s - self._cycle_s + self._lag.lag_s)  # when the arm is where it was last told to be
-        twist = self._twist(T_base_flange, inverse(T_base_flange) @ motion.T_base_target, motion.whole)
+        T_flange_target = inverse(T_base_flange) @ motion.T_base_target
+        self._keep(T_flange_target, motion.whole)
+        twist = self._twist(T_base_flange, T_flange_target, motion.whole)
         return self._fed_forward(twist, motion, T_base_tool[:3, 3])
 
     def warm_up(self) -> None:
@@ -227,28 +247,41 @@ class ServoSource:
             return f"the delay has grown to {self.delay_s / MS:.0f} ms, at which the gain is not stable"
         return ""
 
+    def _keep(self, T_flange_target: Array, whole: bool) -> None:
+        """Take the first rotation seen as the one wanted, where it is to be kept."""
+        if whole and not self._turn_wanted:
+            self._T_flange_desired[:3, :3] = T_flange_target[:3, :3]
+            self._turn_wanted = True
+
     def _twist(self, T_base_flange: Array, T_flange_target: Array, whole: bool) -> ToolTwist:
         """Return the law's twist of the tool, in base axes."""
         settings = self.settings
         error = servo_error(T_flange_target, self._T_flange_desired)
         self.error = error
-        gain_r = settings.gain_r if whole and settings.turns else 0.0
+        gain_r = settings.gain_r if whole and self._turns else 0.0
         v, omega = servo_twist(error, self._T_flange_desired[:3, 3], settings.gain_t, gain_r)
         R = T_base_flange[:3, :3]
         return ToolTwist(velocity_m_s=R @ (v + cross(omega, self._tool_m)), angular_rad_s=R @ omega)
 
     def _fed_forward(self, twist: ToolTwist, motion: TargetMotion, tool_m: Array) -> ToolTwist:
         """Return a twist with that of a tool fixed to the target added, which keeps up with it; tool_m: in base."""
-        turning = motion.angular_rad_s if motion.whole and self.settings.turns else np.zeros(3)
+        turning = motion.angular_rad_s if motion.whole and self._turns else np.zeros(3)
         carried = motion.velocity_m_s + cross(turning, tool_m - motion.T_base_target[:3, 3])
         return ToolTwist(
             velocity_m_s=twist.velocity_m_s + carried,
             angular_rad_s=twist.angular_rad_s + turning,
         )
 
+    def _middle(self, names: tuple[str, ...]) -> Array | None:
+        """Return the middle (3,) of lights in target axes; None where some were not told apart."""
+        known = self._target.names
+        if set(names) <= set(known):
+            return np.asarray(self._target.xyz_m[[known.index(name) for name in names]].mean(axis=0))
+        return np.asarray(self._target.xyz_m.mean(axis=0)) if len(names) == len(known) else None
+
     def _flange_at(self, t_s: float) -> Array:
         """Return T_base_flange (4, 4) at an exposure. Raises StaleData where the joints are not known there."""
-        q = self._history.at(t_s).q
+        q = self.history.at(t_s).q
         return np.asarray(self._T_base_world @ self._arm.fk(self._arm.values(q)) @ self._T_tool_flange)
 
 

@@ -1,0 +1,5 @@
+"""python -m armsight: the command line."""
+
+from armsight.cli import main
+
+main()

@@ -1,0 +1,183 @@
+"""A robot moved by keys or a gamepad, through the guard, while the person holds the enable."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+
+from armsight.app.robot.beside import run_beside
+from armsight.app.robot.driver_settings import driver_settings
+from armsight.app.robot.guarding import arm_of, guard_for
+from armsight.app.robot.jog import SETTLE_S, recording
+from armsight.app.robot.opening import open_robot
+from armsight.app.schemas.robot import JogOutput
+from armsight.clock import Clock, SystemClock
+from armsight.control.enable import Enable
+from armsight.control.guard import Guard, GuardState
+from armsight.control.loop import ControlLoop, LoopStatus
+from armsight.control.sources import JogFrame, JogSource
+from armsight.drivers import Robot
+from armsight.drivers.jog_inputs import JogInput, open_jog_input
+from armsight.errors import ArmsightError, Cancelled, DeviceFailed, UsageError
+from armsight.records import Progress, Silent
+from armsight.store.arm_file import read_arm
+from armsight.units import DEG, MM
+
+LOOK_S = 0.05
+"""Longest time between two looks at the hand."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HandJogJob:
+    """robot: DRIVER:DEVICE. by: keyboard or gamepad[:DEVICE]. frame: joints, base or tool. speed: share of the limits'.
+
+    arm, limits: their files. record: an .mcap file. rsi_config: of an rsi link.
+    """
+
+    robot: str
+    by: str
+    frame: str = JogFrame.JOINTS
+    speed: float = 0.5
+    arm: Path | None = None
+    limits: Path | None = None
+    record: Path | None = None
+    rsi_config: Path | None = None
+
+
+def jog_by_hand(
+    job: HandJogJob,
+    confirm: Callable[[str], bool],
+    progress: Progress | None = None,
+    *,
+    clock: Clock | None = None,
+    opened: Robot | None = None,
+    inputs: Callable[[str, int], AbstractContextManager[JogInput]] = open_jog_input,
+) -> JogOutput:
+    """Move a robot as a hand says until it is done, and return where the robot stands.
+
+    confirm: asked once, before anything can move. opened, inputs: in place of what the job names. Raises UsageError,
+    DeviceNotFound; DeviceFailed where robot, guard or gamepad failed; Cancelled.
+    """
+    clock, progress = clock or SystemClock(), progress or Silent()
+    model = None if job.arm is None else read_arm(job.arm)
+    robot = opened or open_robot(job.robot, clock, driver_settings(job.robot, arm=model, rsi_config=job.rsi_config))
+    guard = guard_for(robot, job.arm, job.limits, share=job.speed)
+    _check(job, arm_of(robot, job.arm) is not None, robot.name)
+    source = JogSource(robot.n_joints, job.frame, speed_m_s=guard.limits.speed_m_s)
+    axes = robot.n_joints if source.frame is JogFrame.JOINTS else 6
+    with robot, inputs(job.by, axes) as hand:
+        if not confirm(_question(robot, guard, source.frame, hand)):
+            raise Cancelled("not confirmed", consequence="Nothing was moved", cure="Give --yes to move without asking")
+        enable = Enable(clock)
+        with recording(job.record, clock) as sink:
+            loop = ControlLoop(robot, guard, source, clock, enabled=enable.alive, sink=sink)
+            limited = _follow(loop, _Hand(hand, source, enable, clock), progress)
+        return JogOutput(
+            asked=None,
+            sent=([] if loop.status is None else loop.status.q_sent.tolist()),
+            reached=robot.read().q.tolist(),
+            limited=limited,
+            state=robot.state.value,
+        )
+
+
+def _follow(loop: ControlLoop, hand: _Hand, progress: Progress) -> list[str]:
+    """Run the loop beside the hand until the hand is done; return the limits that slowed it."""
+    limited: list[str] = []
+    resting_since_s: list[float] = []
+
+    def done(status: LoopStatus) -> bool:
+        limited.extend(name for name in status.limited if name not in limited)
+        if not hand.ended or not status.at_rest:
+            return status.state is GuardState.STOPPED
+        resting_since_s.append(status.t_s)
+        return status.t_s - resting_since_s[0] >= SETTLE_S
+
+    def tell() -> None:
+        status = loop.status
+        if progress.cancelled():
+            hand.end()
+        if status is not None:
+            progress.update(float(status.n_cycles), 0.0, status.why)
+
+    hand.start()
+    try:
+        run_beside(lambda: loop.run(until=done), tell)
+    finally:
+        hand.end()
+        hand.join()
+    if hand.error is not None:
+        raise hand.error
+    status = loop.status
+    if status is not None and status.state is GuardState.STOPPED:
+        raise DeviceFailed(
+            status.why,
+            consequence="The robot was stopped",
+            cure="Look at the robot and its controller, then begin anew",
+        )
+    return limited
+
+
+class _Hand(threading.Thread):
+    """Looks at a hand, renews the enable while it is held, and lets go of everything where it cannot be read."""
+
+    def __init__(self, inputs: JogInput, source: JogSource, enable: Enable, clock: Clock) -> None:
+        super().__init__(name="jog input")
+        self._inputs, self._source, self._enable, self._clock = inputs, source, enable, clock
+        self.ended = False
+        self.error: ArmsightError | None = None
+
+    def end(self) -> None:
+        """Let go, and look no more."""
+        self.ended = True
+        self._let_go()
+
+    def run(self) -> None:
+        try:
+            while not self.ended:
+                self._look()
+        except ArmsightError as error:
+            self.error = error
+        finally:
+            self.end()
+
+    def _look(self) -> None:
+        seen = self._inputs.wait(LOOK_S)
+        if seen is None:
+            return
+        if seen.ended:
+            self.ended = True
+        elif seen.enabled:
+            self._source.push(seen.axes, self._clock.now_s())
+            self._enable.keep()
+        else:
+            self._let_go()
+
+    def _let_go(self) -> None:
+        self._source.release()
+        self._enable.release()
+
+
+def _check(job: HandJogJob, lengths_known: bool, name: str) -> None:
+    """Refuse a frame that is none, or one that needs the arm's lengths where they are not known."""
+    if job.frame not in set(JogFrame):
+        raise UsageError(
+            f"{job.frame!r} is no frame", consequence="Nothing is moved", cure="Give joints, base or tool (--frame)"
+        )
+    if job.frame != JogFrame.JOINTS and not lengths_known:
+        raise UsageError(
+            f"the lengths of {name} are not known, so its tool cannot be led along {job.frame} axes",
+            consequence="Nothing is moved",
+            cure="Give the arm (--arm), or --frame joints",
+        )
+
+
+def _question(robot: Robot, guard: Guard, frame: JogFrame, hand: JogInput) -> str:
+    """Return what is asked before the robot may move."""
+    return (
+        f"Move {robot.name} by hand ({frame}), at up to {guard.limits.turn_rad_s / DEG:.1f} deg/s and "
+        f"{guard.limits.speed_m_s / MM:.0f} mm/s at the tool? {hand.help()}"
+    )
