@@ -53,6 +53,7 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
         "cli/identify.py:identify": FLAGS,
         "cli/mirrors.py:mirrors": FLAGS,
         "cli/record.py:record": FLAGS,
+        "cli/path.py:check": FLAGS,
         "cli/path.py:export": FLAGS,
         "cli/path.py:from_picks": FLAGS,
         "cli/robot.py:jog": FLAGS,
