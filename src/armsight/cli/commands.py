@@ -16,12 +16,15 @@ from armsight.cli.camera_options import NONE_GIVEN, CameraOptions, takes_cameras
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.console import console
 from armsight.cli.convert import convert
+from armsight.cli.examples import add_examples
 from armsight.cli.identify import identify
 from armsight.cli.kinematics import convert_arm, kinematics
 from armsight.cli.options import SRC, AsJson, Fps, Inverted, Limit, OutFolder, Seed, Threshold
+from armsight.cli.path import path
 from armsight.cli.play import play
 from armsight.cli.record import record
 from armsight.cli.reproduce import reproduce
+from armsight.cli.result_folders import ARM, MEASURED, VERIFIED, VIEWS, WORLD, keep_inputs, keeps_results
 from armsight.cli.robot import robot
 from armsight.cli.serve import serve
 from armsight.cli.servo import servo
@@ -36,7 +39,6 @@ app = typer.Typer(
     name="armsight",
     help="See where a robot arm really is: two cameras, light beacons, poses with honest uncertainty.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
 )
 app.add_typer(calibrate, name="calibrate")
@@ -49,15 +51,16 @@ convert.command("arm")(convert_arm)
 app.add_typer(convert, name="convert")
 app.command()(record)
 app.command()(identify)
-app.command()(with_live(verify))
-app.command()(reproduce)
+app.command()(keeps_results(*VERIFIED)(with_live(verify)))
+app.command()(keeps_results("reproduce.json", "report.html")(reproduce))
 app.command()(serve)
 app.command()(twin)
 app.command()(console)
-app.command()(servo)
-app.command()(teach)
-app.command()(play)
+app.command()(keeps_results("servo.json", "servo.mcap")(servo))
+app.command()(keeps_results("teach.json", "path.csv", "targets.csv", "servo.json", "servo.mcap")(teach))
+app.command()(keeps_results("play.json", "play.mcap")(play))
 app.add_typer(kinematics, name="kinematics")
+app.add_typer(path, name="path")
 app.add_typer(robot, name="robot")
 
 
@@ -79,6 +82,7 @@ def root(
 
 
 @app.command()
+@keeps_results(*MEASURED)
 @takes_cameras
 def measure(
     rig: Annotated[Path, typer.Option(help="rig.yaml of the two cameras, from `armsight calibrate stereo`.")],
@@ -181,6 +185,7 @@ def measure(
 
 
 @app.command()
+@keeps_results(*MEASURED, *WORLD, *VIEWS, "demo.json", own="demo.json")
 def demo(
     out: OutFolder = Path("demo"),
     seed: Seed = 1,
@@ -211,6 +216,7 @@ def demo(
 
 
 @app.command()
+@keeps_results(*WORLD, *ARM, *VIEWS)
 def simulate(
     scenario: Annotated[str, typer.Argument(help="A scenario's name or file, or a built-in cell's name.")],
     out: OutFolder,
@@ -266,3 +272,7 @@ def doctor(
         )
         doctor_tables(face, found)
         face.result(found)
+
+
+keep_inputs(app, in_place=("calibrate timing",))
+add_examples(app)

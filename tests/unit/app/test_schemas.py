@@ -18,6 +18,7 @@ from armsight.app.schemas import (
     kinematics,
     machine,
     measure,
+    paths,
     play,
     reproduce,
     robot,
@@ -30,7 +31,7 @@ from armsight.app.schemas.base import Output, PointStd, PoseOutput, PoseStd, abs
 from armsight.app.schemas.catalogue import OUTPUTS
 
 MEASURE = "n_frames n_ok n_position_only n_lost reprojection_rms_px ms_per_frame reasons"
-MEASURE_MAYBE = "candidates std consistency skew timing error zoom"
+MEASURE_MAYBE = "candidates std consistency skew timing error zoom assumed_fps"
 STEREO = (
     "rms_px epipolar_rms_px baseline_m n_pairs n_used rejected std holdout_rms_px holdout_epipolar_rms_px metric "
     "metric_is_left_out alignment advice"
@@ -48,6 +49,7 @@ ARM = (
     "n before after crossval free fixed std corrections condition outliers still couplings "
     "noise model verdict gain urdf"
 )
+PATH = "file n_before n length_m corners"
 PLACE, TURN = "x_m y_m z_m", "rx_rad ry_rad rz_rad"
 NOISE = "linear levels variance_levels2 std_levels2 correlation n_frames widening"
 
@@ -179,6 +181,7 @@ KEYS: dict[type[Output], tuple[str, str]] = {
     ),
     OUTPUTS["record-repair"]: ("file messages duration_s lost_bytes damaged_chunks", ""),
     OUTPUTS["convert-recording"]: ("from out n", ""),
+    OUTPUTS["convert-table"]: ("kind how columns ranges n notes file", ""),
     OUTPUTS["convert"]: ("from to files n note", ""),
     OUTPUTS["convert-arm"]: ("arm file joints convention", ""),
     OUTPUTS["simulate"]: ("scenario seed n_frames out", "n_dropped views"),
@@ -190,6 +193,15 @@ KEYS: dict[type[Output], tuple[str, str]] = {
     kinematics.PathIssue: ("kind first last worst joint value limit text", ""),
     OUTPUTS["kinematics-formulas"]: ("arm file", ""),
     OUTPUTS["kinematics-show"]: ("arm file tool_xyz_m", ""),
+    OUTPUTS["path-change"]: (PATH, ""),
+    OUTPUTS["path-smooth"]: (f"{PATH} outliers dropped moved_max_m moved_rms_m turned_max_rad", ""),
+    paths.PathOutlierOutput: ("row off_m off_rad text", ""),
+    OUTPUTS["path-check"]: ("arm ok n n_reached length_m duration_s troubles issues start_q", ""),
+    paths.PathIssueOutput: ("row trouble value limit text", ""),
+    OUTPUTS["path-export"]: ("file format n length_m checked start_q", ""),
+    OUTPUTS["path-from-picks"]: ("file frame n n_picks length_m points refused", ""),
+    paths.PickedPointOutput: ("pick px other_px std_px correlation second xyz_m std", ""),
+    paths.RefusedPickOutput: ("pick u_px v_px kind why", ""),
     OUTPUTS["robot-test"]: ("driver cycle_s n_cycles late missed period_ms q state", ""),
     robot.PeriodOutput: ("median p99 max", ""),
     OUTPUTS["robot-jog"]: ("asked sent reached limited state", ""),

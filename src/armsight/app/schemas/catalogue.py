@@ -15,7 +15,14 @@ from armsight.app.schemas.cameras import (
     StereoOutput,
     ZoomRigOutput,
 )
-from armsight.app.schemas.files import ConvertOutput, ExportOutput, RecordOutput, RepairOutput, SimulateOutput
+from armsight.app.schemas.files import (
+    ConvertOutput,
+    ConvertTableOutput,
+    ExportOutput,
+    RecordOutput,
+    RepairOutput,
+    SimulateOutput,
+)
 from armsight.app.schemas.handeye import HandEyeOutput, LightTargetOutput, PivotOutput, TipOutput
 from armsight.app.schemas.kinematics import (
     ConvertArmOutput,
@@ -28,6 +35,13 @@ from armsight.app.schemas.kinematics import (
 )
 from armsight.app.schemas.machine import DoctorOutput
 from armsight.app.schemas.measure import DemoOutput, MeasureOutput
+from armsight.app.schemas.paths import (
+    PathChangeOutput,
+    PathCheckOutput,
+    PathExportOutput,
+    PathPicksOutput,
+    PathSmoothOutput,
+)
 from armsight.app.schemas.play import PlayOutput
 from armsight.app.schemas.reproduce import ReproduceOutput
 from armsight.app.schemas.robot import JogOutput, RobotTestOutput
@@ -65,6 +79,7 @@ OUTPUTS: Mapping[str, type[Output]] = MappingProxyType(
         "record-repair": RepairOutput,
         "convert-recording": ExportOutput,
         "convert": ConvertOutput,
+        "convert-table": ConvertTableOutput,
         "convert-arm": ConvertArmOutput,
         "simulate": SimulateOutput,
         "reproduce": ReproduceOutput,
@@ -74,6 +89,11 @@ OUTPUTS: Mapping[str, type[Output]] = MappingProxyType(
         "kinematics-path": PathOutput,
         "kinematics-formulas": FormulasOutput,
         "kinematics-show": ShowOutput,
+        "path-smooth": PathSmoothOutput,
+        "path-change": PathChangeOutput,
+        "path-check": PathCheckOutput,
+        "path-export": PathExportOutput,
+        "path-from-picks": PathPicksOutput,
         "robot-test": RobotTestOutput,
         "robot-jog": JogOutput,
         "play": PlayOutput,

@@ -47,13 +47,28 @@ class ExportOutput(Output):
 
 
 class ConvertOutput(Output):
-    """armsight convert camera, convert rig, convert poses."""
+    """armsight convert camera, convert rig, convert handeye, convert poses."""
 
     source: str = Field(alias="from", description="Kind of the file read: armsight, ros, opencv, kalibr; or of poses.")
     target: str = Field(alias="to", description="Kind of the files written.")
     files: list[str] = Field(description="The files written.")
     n: int | None = Field(description="Poses; null for cameras and rigs.")
     note: str = Field(description="What the new kind could not carry, or which zoom it is of; may be empty.")
+
+
+class ConvertTableOutput(Output):
+    """armsight convert table."""
+
+    kind: str = Field(description="Which table it is: joints, poses, points, pairs, robot_poses or sweep.")
+    how: str = Field(description="How the file was found to be written.")
+    columns: list[str] = Field(description="The columns of ours that it came to.")
+    ranges: dict[str, tuple[float, float] | None] = Field(
+        description="Smallest and largest number of each column of numbers, in its unit; null where all of its "
+        "cells are empty.",
+    )
+    n: int = Field(description="Rows.")
+    notes: list[str] = Field(description="What was understood of units, rotations, times, frames and joints.")
+    file: str | None = Field(description="The file written; null where none was asked for.")
 
 
 class SimulateOutput(Output):
