@@ -197,6 +197,7 @@ def test_a_place_that_the_guard_refuses_again_and_again_is_given_up_until_it_is_
     ("path", "why"),
     [
         (through([[0.0, 0.0, 0.0], [0.001, 0.0, 0.0], [0.002, 0.0, 0.0], [0.1, 0.0, 0.0]]), "jumps by 98 mm"),
+        (through([[0.001 * k, 0.02 * (k == 12), 0.0] for k in range(30)]), "jumps by 20 mm and back at row 12"),
         (through([[0.0, 0.0, 0.0], [0.0, 0.0, 3.0]]), "cannot run it"),
         (
             through([[0.0, 0.0, 0.0], [0.02, 0.0, 0.0]], turn=Rotation.from_rotvec([0.0, 3.0, 0.0])),

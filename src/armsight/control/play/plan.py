@@ -10,7 +10,8 @@ from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.control.guard.limits import Limits, joint_bounds
-from armsight.control.paths import PathCheck, PathTrouble, check_path, poses_at
+from armsight.control.paths import PathCheck, PathTrouble, check_path, outliers, poses_at
+from armsight.control.paths.outliers import LEAST_ROWS
 from armsight.control.play.pace import timed
 from armsight.control.play.track import Leg, Track, Way, quats
 from armsight.control.play.weave import Weave, WeaveKind
@@ -196,6 +197,13 @@ def _check_jumps(path: TaughtPath, rows: list[int]) -> None:
             f"the path jumps by {steps[jumped[0]] / MM:.0f} mm before row {rows[jumped[0] + 1]}",
             consequence="Nothing is moved",
             cure="Take the outlier out (armsight path), teach it anew, or where it is meant, sample the path evenly",
+        )
+    off = outliers(path, least_m=HAND_M, least_rad=0.5 * np.pi) if len(path) >= LEAST_ROWS else ()
+    if off:
+        raise Inconsistent(
+            f"the path jumps by {off[0].off_m / MM:.0f} mm and back at row {rows[off[0].row]}",
+            consequence="Nothing is moved",
+            cure="Take the outlier out (armsight path smooth --outliers drop), or teach it anew",
         )
     R = path.poses.rotation
     turns = np.asarray((R[1:] * R[:-1].inv()).magnitude())
