@@ -125,6 +125,7 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
     ),
     "convert table": ("armsight convert table log.txt --robot-format kuka --as robot_poses -o robot_poses.csv",),
     "convert poses": ("armsight convert poses poses.csv -o poses.tum",),
+    "convert handeye": ("armsight convert handeye handeye.yaml --to easy_handeye -o handeye_easy.yaml",),
     "convert arm": ("armsight convert arm robot.urdf --tip tool0 -o arm.yaml",),
     "kinematics fk": ("armsight kinematics fk --arm arm.yaml --joints joints.csv -o poses.csv",),
     "kinematics ik": ("armsight kinematics ik --arm ur10e --poses poses.csv -o joints.csv",),
