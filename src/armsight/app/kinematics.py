@@ -43,7 +43,7 @@ from armsight.report.arm_view import arm_report
 from armsight.store import read_joints, read_poses, write_joints, write_poses, write_text
 from armsight.store.arm_file import read_arm, write_arm
 from armsight.store.bags import JointStates, is_bag
-from armsight.store.interpret import OURS, TableFormat
+from armsight.store.interpret import OURS, TableFormat, largest, looks_like_degrees
 from armsight.store.tables import cells, number
 from armsight.store.urdf import read_urdf, write_urdf
 
@@ -272,6 +272,18 @@ def reading_values(arm: Arm, text: str) -> Array:
 def _joint_values(arm: Arm, text: str) -> Array:
     if re.fullmatch(r"[-+0-9.eE, ]+", text):
         return arm.values(_numbers(text))
+        try:
+            readings = np.array([[float(part) for part in text.replace(",", " ").split()]])
+        except ValueError as error:
+            raise UsageError(f"{text!r} are not joint values", cure="Write for instance 0,-1.2,0.4") from error
+        turning = arm.revolute if len(arm.revolute) == readings.shape[1] else np.ones(readings.shape[1], bool)
+        if looks_like_degrees(readings[:, turning]):
+            raise UsageError(
+                f"the joint values {text!r} look like degrees: the largest is {largest(readings):g}",
+                consequence="Nothing is drawn",
+                cure="Give radians, for instance 0,-1.2,0.4",
+            )
+        return arm.values(readings[0])
     return read_values(arm, Path(text)).q
 
 

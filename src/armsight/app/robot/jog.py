@@ -89,6 +89,7 @@ def jog_robot(
     robot = opened or open_robot(job.robot, clock, settings)
     _check(job, robot)
     guard = guard_for(robot, job.arm, job.limits, share=job.speed)
+    _check_degrees(job, guard)
     with robot:
         start = robot.read().q
         j = job.joint - 1
@@ -144,6 +145,16 @@ def _check(job: JogJob, robot: Robot) -> None:
             f"a way of {job.by:g} is none",
             consequence="Nothing is moved",
             cure="Give rad or m (--by), for instance 0.1",
+        )
+
+
+def _check_degrees(job: JogJob, guard: Guard) -> None:
+    """Raise Inconsistent for a way of a revolute joint that is more than half a turn: degrees given for radians."""
+    if guard.arm.revolute[job.joint - 1] and abs(job.by) > math.pi:
+        raise Inconsistent(
+            f"a way of {job.by:g} rad is {job.by / DEG:.0f} degrees: it looks like degrees",
+            consequence="Nothing was moved",
+            cure=f"Give radians (--by {job.by * DEG:.4f} is {job.by:g} degrees), and more than half a turn in parts",
         )
 
 

@@ -47,7 +47,7 @@ class ExportOutput(Output):
 
 
 class ConvertOutput(Output):
-    """armsight convert camera, convert rig, convert poses."""
+    """armsight convert camera, convert rig, convert handeye, convert poses."""
 
     source: str = Field(alias="from", description="Kind of the file read: armsight, ros, opencv, kalibr; or of poses.")
     target: str = Field(alias="to", description="Kind of the files written.")

@@ -228,8 +228,9 @@ def _rounded(path: TaughtPath, settings: PlaySettings) -> tuple[Array, Array, fl
     out = T.copy()
     out[:, :3, 3] = smooth[:, :3]
     out[:, :3, :3] = Rotation.from_quat(smooth[:, 3:]).as_matrix()
-    moved = float(np.linalg.norm(smooth[:, :3] - T[:, :3, 3], axis=1).max())
-    return s, out, moved
+    at_rows = np.stack([np.interp(path.length_m, s, smooth[:, k]) for k in range(3)], axis=1)
+    moved = np.concatenate([smooth[:, :3] - T[:, :3, 3], at_rows - path.xyz_m])
+    return s, out, float(np.linalg.norm(moved, axis=1).max())
 
 
 def _welds(path: TaughtPath) -> tuple[tuple[float, bool], ...]:
