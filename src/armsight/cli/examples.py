@@ -74,10 +74,11 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
     "path check": ("armsight path check path.csv --arm arm.yaml --limits limits.yaml -o check.html",),
     "path export": (
         "armsight path export path.csv --to urscript --arm arm.yaml -o seam.script",
-        "armsight path export path.csv --to krl --arm arm.yaml -o seam.src",
+        "armsight path export path.csv --to krl --arm arm.yaml --tool 1 -o seam.src",
     ),
     "path from-picks": (
-        "armsight path from-picks --left left.png --right right.png --rig rig.yaml --picks picks.csv -o path.csv",
+        "armsight path from-picks --left left.png --right right.png --rig rig.yaml --picks picks.csv "
+        "--world world.yaml -o path.csv",
     ),
     "measure": (
         f"armsight measure --left frames/left --right frames/right {RIG} -o measured",
