@@ -8,6 +8,8 @@ the mean of some frames; its truth is the mean of the true poses at their exposu
 `armsight reproduce`, the poses are placed by the true arm and the true hand-eye pose, since the paper's real state was
 itself told by its robot and cameras; beside that by the nominal arm, and with a
 hand-eye calibration that is off by 0.1 mm and 0.01 degrees.
+itself told by its robot and cameras; beside that by the nominal arm, and with a hand-eye calibration that is off by
+0.1 mm and 0.01 degrees.
 
 play: a weld path on the webcam cell's arm, whose geometry is off its tables by 0.5 mm and 0.03 degrees, run with a
 weave on the arm as calibrated from 60 noisy poses of its tool. The tip's distance from the woven seam is taken from the

@@ -29,7 +29,7 @@ from armsight.control.play import PathSource
 from armsight.errors import BadFile, Cancelled, Inconsistent, UsageError
 from armsight.kinematics import presets
 from armsight.records import PoseStatus, Silent, TargetPose, TaughtPath
-from armsight.store import write_poses, write_text
+from armsight.store import read_poses, write_poses, write_text
 from armsight.store.arm_file import write_arm
 from armsight.store.path_file import read_path, write_path
 from armsight.store.recording import Recording
@@ -46,7 +46,7 @@ def command(*args: object) -> tuple[int, dict, str]:
 @pytest.fixture(scope="module")
 def cell(tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("cell") / "webcam"
-    simulate("webcam-cell", out, frames=1, room="dark")
+    simulate("webcam-cell", out, frames=3, room="dark")
     return out
 
 
@@ -89,6 +89,19 @@ def test_a_path_is_made_of_measured_poses(tmp_path: Path) -> None:
     taught = read_path(out / "path.csv")
     assert np.allclose(taught.xyz_m, [[0.1 * k, 0.1, 0.5] for k in (0, 1, 3, 4)])
     assert json.loads((out / "teach.json").read_text()) == done
+
+
+def test_a_path_is_taught_before_cameras_that_stand(cell: Path, tmp_path: Path) -> None:
+    files = [part for name in ("rig", "target", "world") for part in (f"--{name}", cell / f"{name}.yaml")]
+    out = tmp_path / "out"
+    code, done, _ = command("teach", *files, "--left", cell / "left", "--right", cell / "right", "-o", out)
+    assert code == 0
+    assert (done["n_rows"], done["stopped_by"], done["parent"], done["n_cycles"]) == (3, "end", "world", 0)
+    true = read_poses(cell / "truth_world.csv")
+    off = read_path(out / "path.csv").xyz_m - [pose.T_parent_target[:3, 3] for pose in true]
+    assert np.abs(off).max() < 1e-3
+    code, refused, _ = command("teach", *files, "--left", cell / "left", "-o", tmp_path / "other")
+    assert code == 2 and "which cameras" in refused["error"]["cause"]
 
 
 @pytest.mark.parametrize(
