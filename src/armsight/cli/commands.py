@@ -17,6 +17,7 @@ from armsight.cli.command_ui import CommandUI
 from armsight.cli.console import console
 from armsight.cli.convert import convert
 from armsight.cli.identify import identify
+from armsight.cli.join import join
 from armsight.cli.kinematics import convert_arm, kinematics
 from armsight.cli.options import SRC, AsJson, Fps, Inverted, Limit, OutFolder, Seed, Threshold
 from armsight.cli.record import record
@@ -47,6 +48,7 @@ convert.command("arm")(convert_arm)
 app.add_typer(convert, name="convert")
 app.command()(record)
 app.command()(identify)
+app.command()(join)
 app.command()(with_live(verify))
 app.command()(reproduce)
 app.command()(serve)
