@@ -127,6 +127,9 @@ def boards(n: int, first: int, keep: Path | None) -> None:
                 *(f"{spread[0]:.0f}", f"{spread[1]:.0f}"),
             ]
         )
+        row = [name, count["found"], count["wrong"], count["missed"], f"{100 * count['found'] / n:.1f}"]
+        row += [f"{np.median(good):.4f}" if good else "", f"{max(good):.3f}" if good else ""]
+        rows.append([*row, f"{spread[0]:.0f}", f"{spread[1]:.0f}"])
     table(
         f"{n} boards in photographs, seeds {first} to {first + n - 1}",
         ["", "found", "wrong", "missed", "found %", "centre px RMS, median", "worst picture", "ms median", "ms 99 %"],
