@@ -39,6 +39,8 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
         "cli/robot.py:jog": FLAGS,
         "cli/serve.py:serve": FLAGS,
         "cli/servo.py:servo": FLAGS,
+        "cli/play.py:play": FLAGS,
+        "cli/teach.py:teach": FLAGS,
         "cli/verify.py:verify": FLAGS,
     },
     "arguments": {
@@ -55,6 +57,8 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
         "cli/path.py:from_picks": FLAGS,
         "cli/robot.py:jog": FLAGS,
         "cli/servo.py:servo": FLAGS,
+        "cli/play.py:play": FLAGS,
+        "cli/teach.py:teach": FLAGS,
         "cli/target.py:target": FLAGS,
         "cli/timing.py:timing": FLAGS,
         "cli/serve.py:serve": FLAGS,

@@ -21,12 +21,15 @@ from armsight.cli.identify import identify
 from armsight.cli.kinematics import convert_arm, kinematics
 from armsight.cli.options import SRC, AsJson, Fps, Inverted, Limit, OutFolder, Seed, Threshold
 from armsight.cli.path import path
+from armsight.cli.play import play
 from armsight.cli.record import record
 from armsight.cli.reproduce import reproduce
+from armsight.cli.result_folders import ARM, MEASURED, VERIFIED, VIEWS, WORLD, keep_inputs, keeps_results
 from armsight.cli.robot import robot
 from armsight.cli.serve import serve
 from armsight.cli.servo import servo
 from armsight.cli.tables import demo_tables, doctor_tables, measure_tables
+from armsight.cli.teach import teach
 from armsight.cli.twin import twin
 from armsight.cli.verify import verify
 from armsight.cli.verify_live import with_live
@@ -48,12 +51,14 @@ convert.command("arm")(convert_arm)
 app.add_typer(convert, name="convert")
 app.command()(record)
 app.command()(identify)
-app.command()(with_live(verify))
-app.command()(reproduce)
+app.command()(keeps_results(*VERIFIED)(with_live(verify)))
+app.command()(keeps_results("reproduce.json", "report.html")(reproduce))
 app.command()(serve)
 app.command()(twin)
 app.command()(console)
-app.command()(servo)
+app.command()(keeps_results("servo.json", "servo.mcap")(servo))
+app.command()(keeps_results("teach.json", "path.csv", "targets.csv", "servo.json", "servo.mcap")(teach))
+app.command()(keeps_results("play.json", "play.mcap")(play))
 app.add_typer(kinematics, name="kinematics")
 app.add_typer(path, name="path")
 app.add_typer(robot, name="robot")
@@ -77,6 +82,7 @@ def root(
 
 
 @app.command()
+@keeps_results(*MEASURED)
 @takes_cameras
 def measure(
     rig: Annotated[Path, typer.Option(help="rig.yaml of the two cameras, from `armsight calibrate stereo`.")],
@@ -179,6 +185,7 @@ def measure(
 
 
 @app.command()
+@keeps_results(*MEASURED, *WORLD, *VIEWS, "demo.json", own="demo.json")
 def demo(
     out: OutFolder = Path("demo"),
     seed: Seed = 1,
@@ -209,6 +216,7 @@ def demo(
 
 
 @app.command()
+@keeps_results(*WORLD, *ARM, *VIEWS)
 def simulate(
     scenario: Annotated[str, typer.Argument(help="A scenario's name or file, or a built-in cell's name.")],
     out: OutFolder,
@@ -266,4 +274,5 @@ def doctor(
         face.result(found)
 
 
+keep_inputs(app, in_place=("calibrate timing",))
 add_examples(app)

@@ -10,6 +10,8 @@ import typer
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.options import AsJson, parse_size
 from armsight.cli.record import recording
+from armsight.cli.table_options import NOTHING_STATED, TableOptions, takes_tables
+from armsight.cli.tables import figure
 from armsight.errors import UsageError
 
 if TYPE_CHECKING:
@@ -83,6 +85,36 @@ def poses(
         from armsight.app.convert import convert_poses
 
         _tell(face, convert_poses(source, out))
+
+
+@convert.command("table")
+@takes_tables
+def table(
+    source: Annotated[Path, typer.Argument(help="CSV, TXT, YAML, JSON, .mat, or a folder with one file per pose.")],
+    out: Annotated[Path | None, typer.Option("-o", "--out", help="File to write. [default: only tell]")] = None,
+    kind: Annotated[
+        str | None, typer.Option("--as", help="joints, poses, points, pairs, robot_poses or sweep. [default: tell]")
+    ] = None,
+    arm: Annotated[
+        str | None, typer.Option(metavar="ARM", help="Where columns carry the names of an arm's joints.")
+    ] = None,
+    json: AsJson = False,
+    table_options: TableOptions = NOTHING_STATED,
+) -> None:
+    """Show what is understood of a table, and write it in armsight's columns and units."""
+    with CommandUI(as_json=json) as face:
+        from armsight.app.tables import convert_table
+
+        done = convert_table(source, out, kind=kind, format_=table_options.format(face), arm=arm)
+        rows = [
+            [name, "" if found is None else figure(found[0], 5), "" if found is None else figure(found[1], 5)]
+            for name, found in done.ranges.items()
+        ]
+        face.table(f"{done.kind}: {done.n} rows", ["column", "smallest", "largest"], rows)
+        for note in done.notes:
+            face.say(f"- {note}")
+        face.say(f"Written: {done.file}" if done.file else "Nothing was written; -o FILE writes it")
+        face.result(done)
 
 
 def _require_ours(to: str | None, size: str | None) -> None:

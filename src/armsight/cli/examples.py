@@ -54,6 +54,31 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
         f"armsight servo --robot rsi:49152 --arm arm.yaml --left camera:0 --right camera:1 {RIG} "
         "--handeye handeye.yaml --distance 0.6 -o servo",
     ),
+    "teach": (
+        f"armsight teach --robot sim:pachidis2005-circle {RIG} --handeye handeye.yaml -o taught",
+        f"armsight teach --left camera:0 --right camera:1 {RIG} --world world.yaml --tip tip.yaml -o taught",
+        "armsight teach --from measured/poses.csv --tip tip.yaml -o taught",
+    ),
+    "play": (
+        "armsight play --robot sim:webcam-cell --path taught/path.csv -o played",
+        "armsight play --robot rsi:49152 --arm arm.yaml --tip tip.yaml --path taught/path.csv --weave sine:0.002:0.008 "
+        "-o played",
+    ),
+    "path smooth": ("armsight path smooth path.csv --bound-m 0.0005 -o smooth.csv",),
+    "path resample": ("armsight path resample path.csv --step-m 0.001 -o even.csv",),
+    "path fillet": ("armsight path fillet path.csv --radius-m 0.005 -o rounded.csv",),
+    "path offset": ("armsight path offset path.csv --by-m -0.01 -o above.csv",),
+    "path angle": ("armsight path angle path.csv --travel-deg 15 -o tilted.csv",),
+    "path reverse": ("armsight path reverse path.csv -o back.csv",),
+    "path join": ("armsight path join first.csv second.csv -o both.csv",),
+    "path check": ("armsight path check path.csv --arm arm.yaml --limits limits.yaml -o check.html",),
+    "path export": (
+        "armsight path export path.csv --to urscript --arm arm.yaml -o seam.script",
+        "armsight path export path.csv --to krl --arm arm.yaml -o seam.src",
+    ),
+    "path from-picks": (
+        "armsight path from-picks --left left.png --right right.png --rig rig.yaml --picks picks.csv -o path.csv",
+    ),
     "measure": (
         f"armsight measure --left frames/left --right frames/right {RIG} -o measured",
         f"armsight measure --left camera:0 --right camera:1 {RIG} -o measured",
@@ -98,6 +123,7 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
         "armsight convert rig stereo.yml -o rig.yaml",
         "armsight convert rig rig.yaml --to opencv -o r.yml",
     ),
+    "convert table": ("armsight convert table log.txt --robot-format kuka --as robot_poses -o robot_poses.csv",),
     "convert poses": ("armsight convert poses poses.csv -o poses.tum",),
     "convert arm": ("armsight convert arm robot.urdf --tip tool0 -o arm.yaml",),
     "kinematics fk": ("armsight kinematics fk --arm arm.yaml --joints joints.csv -o poses.csv",),
@@ -116,9 +142,10 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
 
 
 def add_examples(app: typer.Typer) -> None:
-    """Put the examples below each command's help, and the commands into panels. Raises KeyError for one without."""
+    """Put the examples below each command's help, and the commands into panels."""
     for name, info in _commands(app):
-        info.epilog = "\n\n".join(("Examples:", *EXAMPLES[name]))
+        if name in EXAMPLES:
+            info.epilog = "\n\n".join(("Examples:", *EXAMPLES[name]))
         info.rich_help_panel = PANELS.get(name, ROBOTS) if " " not in name else info.rich_help_panel
     order = [*dict.fromkeys(PANELS.values()), ROBOTS]
     app.registered_commands.sort(key=lambda info: order.index(str(info.rich_help_panel)))

@@ -10,6 +10,7 @@ import typer
 from armsight.cli.camera_options import NONE_GIVEN, CameraOptions, takes_cameras
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.options import SRC, AsJson
+from armsight.cli.table_options import NOTHING_STATED, TableOptions, takes_tables
 from armsight.cli.tables import figure
 from armsight.errors import UsageError
 from armsight.units import DEG, MM
@@ -22,6 +23,7 @@ UNITS = (MM, DEG, MM, DEG)
 """How people read a, alpha, d and theta: millimetres and degrees."""
 
 
+@takes_tables
 @takes_cameras
 def identify(
     out: Annotated[Path, typer.Option("-o", "--out", help="arm.yaml to write.")],
@@ -68,6 +70,7 @@ def identify(
     yes: Annotated[bool, typer.Option("--yes", help="With --live: move without asking.")] = False,
     json: AsJson = False,
     camera_options: CameraOptions = NONE_GIVEN,
+    table_options: TableOptions = NOTHING_STATED,
 ) -> None:
     """Find an unknown arm's joints, axes and table from a beacon's positions while one joint after the other moves."""
     with CommandUI(as_json=json) as face:
@@ -129,6 +132,7 @@ def identify(
             increments=increments,
             sigma=sigma,
             nominal=nominal,
+            table=table_options.format(face),
         )
         _tell(run_identify(job, face.progress("identifying")), out, face)
 

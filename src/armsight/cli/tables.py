@@ -55,6 +55,7 @@ def measure_tables(face: CommandUI, summary: MeasureOutput, out: Path) -> None:
         ["ms per pair, median", figure(summary.ms_per_frame.median)],
         ["ms per pair, 99 %", figure(summary.ms_per_frame.p99)],
     ]
+    rows += [] if summary.assumed_fps is None else [["time", f"assumed at {summary.assumed_fps:g} fps"]]
     if summary.skew is not None:
         rows += [
             ["right after left, ms mean", figure(summary.skew.mean_s / MS)],

@@ -43,7 +43,7 @@ TRUE_CLAIM = 0.999
 
 def measure_report(run: MeasureRun, *, created: datetime | None = None) -> str:
     """Return the page of a measurement as HTML text that needs no other file."""
-    series = series_of(run.poses)
+    series = series_of(run.poses, timed=run.timed)
     errors = errors_of(run.poses, run.truth) if run.truth is not None else None
     page = Page(
         title=run.title,
@@ -65,7 +65,8 @@ def _subtitle(run: MeasureRun, series: Series) -> str:
     n = len(run.poses)
     if n < 2:
         return f"{n} frame{'s' * (n != 1)}"
-    return f"{n:,} pairs of frames over {figure_of(float(np.ptp(series.t_s)), 's')}"
+    over = f" over {figure_of(float(np.ptp(series.t_s)), 's')}" if series.timed else ""
+    return f"{n:,} pairs of frames{over}"
 
 
 def _verdict(run: MeasureRun, series: Series, errors: Errors | None) -> Verdict:
@@ -288,6 +289,7 @@ def _add_losses(page: Page, run: MeasureRun, series: Series) -> None:
         page.add("What was lost", "Nothing: every frame gave a full pose.")
         return
     names = {PoseStatus.POSITION_ONLY: "position only", PoseStatus.LOST: "lost"}
+    when = "first – last, s" if series.timed else ""
     rows = [
         [
             names[loss.status],
@@ -295,7 +297,7 @@ def _add_losses(page: Page, run: MeasureRun, series: Series) -> None:
             f"{len(loss.frames):,}",
             f"{100 * len(loss.frames) / len(run.poses):.1f} %",
             ranges(loss.frames),
-            f"{series.t_s[loss.frames[0]]:.3f} – {series.t_s[loss.frames[-1]]:.3f}",
+            f"{series.t_s[loss.frames[0]]:.3f} – {series.t_s[loss.frames[-1]]:.3f}" if series.timed else "",
         ]
         for loss in losses[:MAX_LOSSES]
     ]
@@ -307,7 +309,7 @@ def _add_losses(page: Page, run: MeasureRun, series: Series) -> None:
         "What was lost, and why",
         "Frames without a full pose, counted from 0; frames with the same reason stand together, in the first one's "
         "wording.",
-        table(["", "why", "frames", "share", "which", "first – last, s"], rows, numbers=(2, 3, 5)),
+        table(["", "why", "frames", "share", "which", when], rows, numbers=(2, 3, 5)),
     )
 
 

@@ -51,7 +51,7 @@ def track_figure(run: MeasureRun, series: Series) -> Figure:
         true = np.array([np.asarray(pose.translation) for pose in run.truth]).reshape(-1, 3) / MM
         data.append(_line(true[every], "truth", {"color": GREY, "width": 5}))
     colours = {"color": series.t_s[every], "colorscale": "Viridis", "size": 2.5}
-    bar = {"title": {"text": "time, s"}, "thickness": 12, "len": 0.7}
+    bar = {"title": {"text": series.time_label}, "thickness": 12, "len": 0.7}
     trace = _line(xyz[every], "full pose", {"color": BLUE, "width": 2})
     data.append({**trace, "mode": "lines+markers", "marker": {**colours, "colorbar": bar}})
     if position.any():
@@ -120,7 +120,7 @@ def time_figure(series: Series) -> Figure:
         data += _marks_below(series.t_s[~ok], k)
         if k < 3 and position.any():
             data.append(_dots(series.t_s[position], series.values[position, k], k))
-    return Figure(data=data, layout=_six(TITLES), height_px=640)
+    return Figure(data=data, layout=_six(TITLES, series.time_label), height_px=640)
 
 
 def deviation_figure(series: Series, errors: Errors | None) -> Figure:
@@ -133,7 +133,8 @@ def deviation_figure(series: Series, errors: Errors | None) -> Figure:
         else:
             half = WITHIN_95 * series.full()[1][:, k]
             data += _banded(series.t_s, half, np.full_like(half, np.nan), half, k)
-    shape = _six([f"Δ{title}" for title in TITLES] if errors is not None else [f"± {title}" for title in TITLES])
+    titles = [f"Δ{title}" for title in TITLES] if errors is not None else [f"± {title}" for title in TITLES]
+    shape = _six(titles, series.time_label)
     if errors is None:
         for k in range(6):
             shape["yaxis" + place(k + 1)["yaxis"][1:]]["rangemode"] = "tozero"
@@ -195,7 +196,7 @@ def _dots(t_s: Array, values: Array, k: int) -> dict[str, Any]:
     return {"type": "scatter", "x": t_s[keep], "y": values[keep], **marks, **place(k + 1), "showlegend": False}
 
 
-def _six(titles: Any) -> dict[str, Any]:
+def _six(titles: Any, time_label: str) -> dict[str, Any]:
     """Return the layout of six plots in two columns over one time axis; y7..y12 lie over them for marks."""
     out: dict[str, Any] = layout(hovermode="x", margin={"l": 60, "r": 16, "t": 12, "b": 40})
     height, gap = 0.29, 0.065
@@ -204,7 +205,7 @@ def _six(titles: Any) -> dict[str, Any]:
         top = 1.0 - row * (height + gap)
         own, last = place(k + 1), row == 2
         out["xaxis" + own["xaxis"][1:]] = axis(
-            "time, s" if last else "",
+            time_label if last else "",
             domain=[0.0, 0.455] if column == 0 else [0.545, 1.0],
             anchor=own["yaxis"],
             showticklabels=last,

@@ -19,6 +19,7 @@ from armsight.app.schemas import (
     machine,
     measure,
     paths,
+    play,
     reproduce,
     robot,
     servo,
@@ -30,7 +31,7 @@ from armsight.app.schemas.base import Output, PointStd, PoseOutput, PoseStd, abs
 from armsight.app.schemas.catalogue import OUTPUTS
 
 MEASURE = "n_frames n_ok n_position_only n_lost reprojection_rms_px ms_per_frame reasons"
-MEASURE_MAYBE = "candidates std consistency skew timing error zoom"
+MEASURE_MAYBE = "candidates std consistency skew timing error zoom assumed_fps"
 STEREO = (
     "rms_px epipolar_rms_px baseline_m n_pairs n_used rejected std holdout_rms_px holdout_epipolar_rms_px metric "
     "metric_is_left_out alignment advice"
@@ -180,6 +181,7 @@ KEYS: dict[type[Output], tuple[str, str]] = {
     ),
     OUTPUTS["record-repair"]: ("file messages duration_s lost_bytes damaged_chunks", ""),
     OUTPUTS["convert-recording"]: ("from out n", ""),
+    OUTPUTS["convert-table"]: ("kind how columns ranges n notes file", ""),
     OUTPUTS["convert"]: ("from to files n note", ""),
     OUTPUTS["convert-arm"]: ("arm file joints convention", ""),
     OUTPUTS["simulate"]: ("scenario seed n_frames out", "n_dropped views"),
@@ -208,6 +210,17 @@ KEYS: dict[type[Output], tuple[str, str]] = {
         "vision_ms recording",
         "",
     ),
+    OUTPUTS["teach"]: (
+        "state n_cycles late stopped_by path parent n_rows n_stretches length_m n_ok n_position_only n_lost n_unplaced "
+        "servo",
+        "",
+    ),
+    OUTPUTS["play"]: (
+        "state n_cycles late missed stopped_by finished share length_m planned_s took_s slowest rounded_m measured "
+        "holds recording",
+        "",
+    ),
+    play.PlayMeasuredOutput: ("n rms_m max_m last_m mean_m arm_lag_s n_position_only n_lost", ""),
     servo.ServoGainOutput: ("used no_overshoot stable cycle_s n_delay note", ""),
     servo.ServoDelayOutput: ("camera_s arm_s", ""),
     servo.ServoErrorOutput: ("rms_m max_m last_m last_rad", ""),

@@ -13,6 +13,8 @@ from armsight.control.guard import Limits
 from armsight.control.paths import PathCheck, PathIssue, check_path
 from armsight.kinematics import Arm
 from armsight.records import TaughtPath
+from armsight.report.path_report import path_report
+from armsight.store.atomic import write_text
 from armsight.store.limits_file import read_limits
 from armsight.store.path_file import read_path
 
@@ -37,6 +39,8 @@ def check(
     kept = Limits() if limits is None else read_limits(limits)
     first = None if start is None else reading_values(model, start)
     found = check_path(path, model, kept, speed_m_s=speed_m_s, start=first)
+    if out is not None:
+        write_text(out, path_report(path, model, kept, found, name=source.name))
     return _output(path, model, found)
 
 

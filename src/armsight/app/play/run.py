@@ -88,10 +88,10 @@ class PlaySession:
             check_arm(robot, guard.arm)
             plan = load_plan(job, guard.arm, guard.limits, standing(robot, guard.arm.n))
             source = PathSource(plan, override=job.override)
+            if not confirm(question(robot, guard, plan, self._eyes is not None)):
+                raise Cancelled("not confirmed", consequence="Nothing was moved", cure="Give --yes to move unasked")
             recorder = stack.enter_context(LoopRecorder(job.out / RECORDING, self._clock))
             self._watch = self._watching(stack, recorder.sink)
-            if not confirm(question(robot, guard, plan, self._watch is not None)):
-                raise Cancelled("not confirmed", consequence="Nothing was moved", cure="Give --yes to move unasked")
             begun(source)
             tally = PlayTally(source, self._watch, progress.cancelled)
             loop = ControlLoop(
@@ -137,7 +137,7 @@ class PlaySession:
 
         def tell() -> None:
             at = source.progress
-            progress.update(at.s_m, at.length_m, at.stage)
+            progress.update(at.s_m / MM, at.length_m / MM, at.stage)
             if loop.status is not None:
                 show(loop.status, at, None if self._watch is None else self._watch.figures)
 
@@ -177,6 +177,10 @@ def run_play(
     """
     progress = progress or Silent()
     check(job)
+    if (job.out / RECORDING).exists():
+        raise UsageError(
+            f"{job.out} holds a recording already", consequence="Nothing is moved", cure="Give another folder (-o)"
+        )
     eyes = Eyes(job, devices) if job.watched else None
     if eyes is not None:
         robot, clock = eyes.devices.robot, eyes.devices.clock

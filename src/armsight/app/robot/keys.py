@@ -15,7 +15,7 @@ LOOK_S = 0.1
 
 
 @contextmanager
-def listening(actions: Mapping[str, Callable[[], None]]) -> Iterator[None]:
+def listening(actions: Mapping[str, Callable[[], object]]) -> Iterator[None]:
     """Call the action of each key that is pressed, from a thread, until it ends. Without a terminal nothing happens."""
     if not sys.stdin.isatty():
         yield

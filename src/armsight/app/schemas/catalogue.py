@@ -15,7 +15,14 @@ from armsight.app.schemas.cameras import (
     StereoOutput,
     ZoomRigOutput,
 )
-from armsight.app.schemas.files import ConvertOutput, ExportOutput, RecordOutput, RepairOutput, SimulateOutput
+from armsight.app.schemas.files import (
+    ConvertOutput,
+    ConvertTableOutput,
+    ExportOutput,
+    RecordOutput,
+    RepairOutput,
+    SimulateOutput,
+)
 from armsight.app.schemas.handeye import HandEyeOutput, LightTargetOutput, PivotOutput, TipOutput
 from armsight.app.schemas.kinematics import (
     ConvertArmOutput,
@@ -35,9 +42,11 @@ from armsight.app.schemas.paths import (
     PathPicksOutput,
     PathSmoothOutput,
 )
+from armsight.app.schemas.play import PlayOutput
 from armsight.app.schemas.reproduce import ReproduceOutput
 from armsight.app.schemas.robot import JogOutput, RobotTestOutput
 from armsight.app.schemas.servo import ServoOutput
+from armsight.app.schemas.teach import TeachOutput
 from armsight.app.schemas.timing import TimingOutput
 from armsight.app.schemas.verify import VerifyOutput, VerifyPlanOutput
 from armsight.app.schemas.verify_live import MasteringOutput, MasteringPlanOutput, VerifyLiveOutput
@@ -70,6 +79,7 @@ OUTPUTS: Mapping[str, type[Output]] = MappingProxyType(
         "record-repair": RepairOutput,
         "convert-recording": ExportOutput,
         "convert": ConvertOutput,
+        "convert-table": ConvertTableOutput,
         "convert-arm": ConvertArmOutput,
         "simulate": SimulateOutput,
         "reproduce": ReproduceOutput,
@@ -86,7 +96,9 @@ OUTPUTS: Mapping[str, type[Output]] = MappingProxyType(
         "path-from-picks": PathPicksOutput,
         "robot-test": RobotTestOutput,
         "robot-jog": JogOutput,
+        "play": PlayOutput,
         "servo": ServoOutput,
+        "teach": TeachOutput,
         "doctor": DoctorOutput,
         "error": RefusalOutput,
     }

@@ -56,6 +56,21 @@ class ConvertOutput(Output):
     note: str = Field(description="What the new kind could not carry, or which zoom it is of; may be empty.")
 
 
+class ConvertTableOutput(Output):
+    """armsight convert table."""
+
+    kind: str = Field(description="Which table it is: joints, poses, points, pairs, robot_poses or sweep.")
+    how: str = Field(description="How the file was found to be written.")
+    columns: list[str] = Field(description="The columns of ours that it came to.")
+    ranges: dict[str, tuple[float, float] | None] = Field(
+        description="Smallest and largest number of each column of numbers, in its unit; null where all of its "
+        "cells are empty.",
+    )
+    n: int = Field(description="Rows.")
+    notes: list[str] = Field(description="What was understood of units, rotations, times, frames and joints.")
+    file: str | None = Field(description="The file written; null where none was asked for.")
+
+
 class SimulateOutput(Output):
     """armsight simulate."""
 

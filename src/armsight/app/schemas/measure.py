@@ -132,6 +132,9 @@ class MeasureOutput(Output):
         None, exclude_if=absent, description="Where each view was taken at its own time."
     )
     error: str | None = Field(None, exclude_if=absent, description="Why the run ended early.")
+    assumed_fps: float | None = Field(
+        None, exclude_if=absent, description="Frames a second that were assumed, where nothing tells the frames' times."
+    )
     zoom: dict[str, ZoomAt] | None = Field(
         None, exclude_if=absent, description="The cameras that zoom, by left and right."
     )
