@@ -76,6 +76,7 @@ def _with_robot(face: CommandUI, robot: str, folder: Path, changed: dict[str, An
     from armsight.app.operator.robot_cell import open_robot_cell, prepare_simulated
     from armsight.console.application import add_console
     from armsight.console.state import Console
+    from armsight.errors import Cancelled
     from armsight.server.application import create_app
     from armsight.server.auth import Authenticator
     from armsight.server.serving import check_options, serve_pages
@@ -83,7 +84,10 @@ def _with_robot(face: CommandUI, robot: str, folder: Path, changed: dict[str, An
     if not changed:
         prepare_simulated(robot, folder)
     face.say(f"{robot} is being opened")
+    cancelled = face.progress("opening").cancelled
     with open_robot_cell(robot, folder) as cell:
+        if cancelled():
+            raise Cancelled("stopped before the page was served")
         made = Console.of_folder(folder, cell)
         try:
             made.apply(made.cell.model_copy(update={**changed, "robot": robot}))
