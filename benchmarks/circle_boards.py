@@ -120,13 +120,6 @@ def boards(n: int, first: int, keep: Path | None) -> None:
         count = Counter(outcomes)
         good = [e for e, o in zip(errors, outcomes, strict=True) if o == "found"]
         spread = np.percentile(ms, [50, 99])
-        rows.append(
-            [
-                *(name, count["found"], count["wrong"], count["missed"], f"{100 * count['found'] / n:.1f}"),
-                *(f"{np.median(good):.4f}" if good else "", f"{max(good):.3f}" if good else ""),
-                *(f"{spread[0]:.0f}", f"{spread[1]:.0f}"),
-            ]
-        )
         row = [name, count["found"], count["wrong"], count["missed"], f"{100 * count['found'] / n:.1f}"]
         row += [f"{np.median(good):.4f}" if good else "", f"{max(good):.3f}" if good else ""]
         rows.append([*row, f"{spread[0]:.0f}", f"{spread[1]:.0f}"])

@@ -6,8 +6,6 @@ circle, trapezium: Pachidis 2005's second and third experiment in a room, drawn 
 exposure; the target is led as the scenario has it, armsight's servo follows, and app/teach records the path, a vector
 the mean of some frames; its truth is the mean of the true poses at their exposures, the hand's shake included. As in
 `armsight reproduce`, the poses are placed by the true arm and the true hand-eye pose, since the paper's real state was
-itself told by its robot and cameras; beside that by the nominal arm, and with a
-hand-eye calibration that is off by 0.1 mm and 0.01 degrees.
 itself told by its robot and cameras; beside that by the nominal arm, and with a hand-eye calibration that is off by
 0.1 mm and 0.01 degrees.
 

@@ -19,6 +19,7 @@ PANELS: Mapping[str, str] = {
     "reproduce": "Calibrate and identify",
     "kinematics": "Arms and files",
     "convert": "Arms and files",
+    "join": "Arms and files",
 }
 """Command -> panel; what is not named moves a robot or talks to one."""
 ROBOTS = "Robots"
@@ -54,6 +55,7 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
         f"armsight servo --robot rsi:49152 --arm arm.yaml --left camera:0 --right camera:1 {RIG} "
         "--handeye handeye.yaml --distance 0.6 -o servo",
     ),
+    "join": ("armsight join --measured poses.csv --joints joints.csv --as points -o points.csv",),
     "teach": (
         f"armsight teach --robot sim:pachidis2005-circle {RIG} --handeye handeye.yaml -o taught",
         f"armsight teach --left camera:0 --right camera:1 {RIG} --world world.yaml --tip tip.yaml -o taught",
