@@ -120,11 +120,9 @@ def boards(n: int, first: int, keep: Path | None) -> None:
         count = Counter(outcomes)
         good = [e for e, o in zip(errors, outcomes, strict=True) if o == "found"]
         spread = np.percentile(ms, [50, 99])
-        rows.append(
-            [name, count["found"], count["wrong"], count["missed"], f"{100 * count['found'] / n:.1f}"]
-            + [f"{np.median(good):.4f}" if good else "", f"{max(good):.3f}" if good else ""]
-            + [f"{spread[0]:.0f}", f"{spread[1]:.0f}"]
-        )
+        row = [name, count["found"], count["wrong"], count["missed"], f"{100 * count['found'] / n:.1f}"]
+        row += [f"{np.median(good):.4f}" if good else "", f"{max(good):.3f}" if good else ""]
+        rows.append([*row, f"{spread[0]:.0f}", f"{spread[1]:.0f}"])
     table(
         f"{n} boards in photographs, seeds {first} to {first + n - 1}",
         ["", "found", "wrong", "missed", "found %", "centre px RMS, median", "worst picture", "ms median", "ms 99 %"],
@@ -137,7 +135,10 @@ def boards(n: int, first: int, keep: Path | None) -> None:
     print(f"pictures found by both: {len(both)}, OpenCV's centres nearer to the truth in {len(worse)} of them")
     for c in cases:
         if c.ours != "found" or c in worse:
-            print(f"  seed {c.seed}, {c.size}, {c.photograph}: {c.ours} {c.rms_px:.3f} px, {c.why or 'no reason'};", end="")
+            print(
+                f"  seed {c.seed}, {c.size}, {c.photograph}: {c.ours} {c.rms_px:.3f} px, {c.why or 'no reason'};",
+                end="",
+            )
             print(f" OpenCV {c.opencv} {c.opencv_rms_px:.3f} px")
 
 

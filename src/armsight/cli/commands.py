@@ -18,6 +18,7 @@ from armsight.cli.console import console
 from armsight.cli.convert import convert
 from armsight.cli.examples import add_examples
 from armsight.cli.identify import identify
+from armsight.cli.join import join
 from armsight.cli.kinematics import convert_arm, kinematics
 from armsight.cli.options import SRC, AsJson, Fps, Inverted, Limit, OutFolder, Seed, Threshold
 from armsight.cli.path import path
@@ -53,6 +54,7 @@ app.command()(record)
 app.command()(identify)
 app.command()(keeps_results(*VERIFIED)(with_live(verify)))
 app.command()(keeps_results("reproduce.json", "report.html")(reproduce))
+app.command()(join)
 app.command()(serve)
 app.command()(twin)
 app.command()(console)

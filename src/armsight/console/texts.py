@@ -14,10 +14,47 @@ PAGES = {
 NAVIGATION = "Pages"
 
 STOP = "STOP"
-STOP_HELP = "Stop the robot now"
+STOP_HELP = "Stop the robot now; the Escape key does the same"
 ENABLE = "Hold to enable"
-ENABLE_HELP = "The robot moves only while this is held down"
-NO_ROBOT = "No robot"
+ENABLE_HELP = "Hold to enable: the robot moves only while this is held down"
+RESET = "Release the stop"
+OVERRIDE = "Speed"
+GONE = "No connection to the console. The robot is held."
+STALE = "The console was started anew. Load this page again."
+ROBOT = {
+    "ready": "Robot stands",
+    "moving": "Robot moves",
+    "stopped": "Robot is stopped",
+    "lost": "Robot is not reached",
+    "closed": "Robot is not open",
+}
+HOLDING = "Robot is held: {why}"
+STOPPED_WHY = "Robot is stopped: {why}"
+DRIVES = "{who} drives; you can watch, and stop"
+
+
+def robot_words(robot: str, guard: str, why: str, driver: str, *, mine: bool) -> tuple[str, str]:
+    """Return the level (good, warn, bad, idle) and the words of a robot's state."""
+    level = {"ready": "good", "moving": "warn"}.get(robot, "bad")
+    words = ROBOT[robot]
+    if robot == "stopped" and why:
+        words = STOPPED_WHY.format(why=why)
+    elif guard == "holding" and why:
+        level, words = "warn", HOLDING.format(why=why)
+    if driver and not mine:
+        words = f"{words}. {DRIVES.format(who=driver)}"
+    return level, words
+
+
+JOG = "Move the robot by hand"
+JOG_HELP = "Hold a key to move; it is its own enable. Speed is set above."
+JOG_FRAMES = {"joints": "Joints", "base": "Tool along the base's axes", "tool": "Tool along its own axes"}
+JOG_JOINT = "Joint {n}"
+JOG_AXES = ("x", "y", "z", "turn x", "turn y", "turn z")
+JOG_KEY = "{axis} {sense}"
+JOG_SENSES = {1: "plus", -1: "minus"}
+JOINT_NOW = "{value:.1f} deg"
+SLIDE_NOW = "{value:.1f} mm"
 
 MEASURING = "Measuring"
 LOST = "Target not seen"

@@ -181,6 +181,7 @@ KEYS: dict[type[Output], tuple[str, str]] = {
     ),
     OUTPUTS["record-repair"]: ("file messages duration_s lost_bytes damaged_chunks", ""),
     OUTPUTS["convert-recording"]: ("from out n", ""),
+    OUTPUTS["join"]: ("kind by offset_s offset_std_s drift_ppm n_measured n rejected notes file", ""),
     OUTPUTS["convert-table"]: ("kind how columns ranges n notes file", ""),
     OUTPUTS["convert"]: ("from to files n note", ""),
     OUTPUTS["convert-arm"]: ("arm file joints convention", ""),

@@ -45,7 +45,8 @@ class ExportJob:
     """What to write, and how.
 
     to: one of FORMATS; None: by the ending of out. parent: the frame of the path. arm, tip (in flange axes), limits,
-    start: for the check. name: of the program; None: the name of out. The other fields are those of `control.paths.program`.
+    start: for the check. name: of the program; None: the name of out. The other fields are those of
+    `control.paths.program`.
     """
 
     source: Path

@@ -87,9 +87,7 @@ def jog_robot(
     model = None if job.arm is None else read_arm(job.arm)
     settings = driver_settings(job.robot, arm=model, rsi_config=job.rsi_config)
     robot = opened or open_robot(job.robot, clock, settings)
-    _check(job, robot)
-    guard = guard_for(robot, job.arm, job.limits, share=job.speed)
-    _check_degrees(job, guard)
+    guard = _checked(job, robot)
     with robot:
         start = robot.read().q
         j = job.joint - 1
@@ -116,6 +114,14 @@ def jog_robot(
             limited=watcher.limited,
             state=robot.state.value,
         )
+
+
+def _checked(job: JogJob, robot: Robot) -> Guard:
+    """Return the guard of what is asked. Raises UsageError where that cannot be meant."""
+    _check(job, robot)
+    guard = guard_for(robot, job.arm, job.limits, share=job.speed)
+    _check_degrees(job, guard)
+    return guard
 
 
 def question(job: JogJob, robot: Robot, guard: Guard, start: float) -> str:
