@@ -24,10 +24,12 @@ BIG_DOT = 1.7
 """A dot whose area is this many times its neighbours' marks the origin (printed twice as wide, so four times)."""
 LIKE_OTHERS = 1.15
 """A dot's radius agrees with the others' to this factor, or a threshold cut it."""
-REACH = 1.7
-"""Half window in half axes: the gap to the next dot is usually as wide as a dot."""
+REACH = 2.1
+"""Radius of the window in half axes, where the next dot is not nearer: an even ring outside steadies the fit."""
 LEAST_REACH = 1.25
 """... but never less than this, or there is no outside to compare with."""
+NARROW = 1.4
+"""Radius of the smaller window."""
 CLEAN = 0.98
 """Where a dot explains less of its window's grey levels, the paper's edge may be in it: a smaller one is tried."""
 GLARE = 0.3
@@ -224,10 +226,11 @@ def _centred(image: Image, guess: Array, shape: Array) -> tuple[Array, Array, Ar
         fit_dots(image, at, np.ascontiguousarray(axes), reach, GLARE, uv, covariance, quality)
         return uv, covariance, quality
 
-    first = fit(guess, shape, _reach(guess, shape))
+    reach = _reach(guess, shape)
+    first = fit(guess, shape, reach)
     unclean = np.flatnonzero(first[2][:, 0] < CLEAN)
     if len(unclean):
-        second = fit(guess[unclean], shape[unclean], np.full(len(unclean), LEAST_REACH))
+        second = fit(guess[unclean], shape[unclean], np.minimum(NARROW, reach[unclean]))
         better = second[2][:, 0] > first[2][unclean, 0]
         # a ring this narrow may be explained by a dot with no light level in common with the others
         better &= second[2][:, 1] / np.median(first[2][:, 1]) < HIGH_CONTRAST
