@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
@@ -20,46 +22,80 @@ Image = NDArray[np.uint8]
 
 BIG_DOT = 1.7
 """A dot whose area is this many times its neighbours' marks the origin (printed twice as wide, so four times)."""
-REACH = 1.7
-"""Half window in half axes: the gap to the next dot is usually as wide as a dot."""
+LIKE_OTHERS = 1.15
+"""A dot's radius agrees with the others' to this factor, or a threshold cut it."""
+REACH = 2.1
+"""Radius of the window in half axes, where the next dot is not nearer: an even ring outside steadies the fit."""
 LEAST_REACH = 1.25
 """... but never less than this, or there is no outside to compare with."""
+NARROW = 1.4
+"""Radius of the smaller window."""
 CLEAN = 0.98
 """Where a dot explains less of its window's grey levels, the paper's edge may be in it: a smaller one is tried."""
 GLARE = 0.3
 """The inner part of a dot, as a share of its area, that is not looked at: lamps mirror there."""
 EXPLAINED = 0.8
 LOW_CONTRAST = 0.2
+HIGH_CONTRAST = 1.5
+"""Dots have between these multiples of the usual contrast."""
 
 
 def find_circles(image: Image, board: Target, source: str) -> BoardView:
     """Return all circles of a symmetric or asymmetric grid; raises BadImage with the reason."""
-    grid = _grid_of(board)
-    largest: Lattice = {}
-    beyond = False
-    unclean: BadImage | None = None
+    search = _Search(image=image, board=board, grid=_grid_of(board), source=source)
     for dark in (True, False):
         for block in neighbourhoods(image):
-            dots = round_dots(image, block, dark=dark)
-            for lattice in lattices(dots):
-                if len(lattice) > len(largest):
-                    largest = lattice
-                ways = placements(lattice, dots, grid)
-                beyond = beyond or any(way.beyond for way in ways)
-                numbering = _number(ways, dots, board, source)
-                if numbering is None:
-                    continue
-                try:
-                    return _refined(image, board, grid, dots, numbering, source)
-                except BadImage as error:
-                    unclean = error
-    if unclean is not None:
-        raise unclean
-    raise BadImage(
-        f"{source}: no grid of {board.columns}x{board.rows} circles was found{_instead(largest, board, beyond=beyond)}",
-        consequence="The image is not used",
-        cure="Show the whole grid, sharp and evenly lit, and count its circles",
-    )
+            search.look(round_dots(image, block, dark=dark))
+            if search.best is not None and len(search.best) == len(board.names):
+                return search.best
+        if search.best is not None:  # some dots are hidden, whatever the threshold
+            return search.best
+    raise search.refusal()
+
+
+@dataclass(slots=True, kw_only=True)
+class _Search:
+    """One board looked for in the dots of several thresholded images: the best view, or what stood against it."""
+
+    image: Image
+    board: Target
+    grid: Grid
+    source: str
+    best: BoardView | None = None
+    largest: Lattice = field(default_factory=dict)
+    beyond: bool = False
+    unclean: BadImage | None = None
+
+    def look(self, dots: Dots) -> None:
+        """Look for the board in one image's dots. Raises BadImage for a mirrored board."""
+        for lattice in lattices(dots):
+            if len(lattice) > len(self.largest):
+                self.largest = lattice
+            ways = placements(lattice, dots, self.grid)
+            self.beyond = self.beyond or any(way.beyond for way in ways)
+            numbering = _number(ways, dots, self.board, self.source)
+            if numbering is None:
+                continue
+            try:
+                view = _refined(self.image, self.board, self.grid, dots, numbering, self.source)
+            except BadImage as error:
+                self.unclean = error
+                continue
+            if self.best is None or len(view) > len(self.best):
+                self.best = view
+            return
+
+    def refusal(self) -> BadImage:
+        """Return why there is no view."""
+        if self.unclean is not None:
+            return self.unclean
+        wanted = f"{self.board.columns}x{self.board.rows}"
+        instead = _instead(self.largest, self.board, beyond=self.beyond)
+        return BadImage(
+            f"{self.source}: no grid of {wanted} circles was found{instead}",
+            consequence="The image is not used",
+            cure="Show the whole grid, sharp and evenly lit, and count its circles",
+        )
 
 
 def _number(ways: list[Placed], dots: Dots, board: Target, source: str) -> Index | None:
@@ -137,18 +173,27 @@ def _refuse_mirrored(source: str, otherwise: str) -> None:
     )
 
 
-def _refined(image: Image, board: Target, grid: Grid, dots: Dots, numbering: Index, source: str) -> BoardView:
-    """Fit every dot's edge, those that the search missed where the grid expects them; keep what passes the checks."""
+def _expected(board: Target, dots: Dots, numbering: Index) -> tuple[Array, Array]:
+    """Return for every point where its dot should lie (n, 2) and its half axes (n, 2, 2), both in px.
+
+    They are the dot's own where they agree with the map through all dots: a threshold may have cut one in part.
+    """
     seen = np.flatnonzero(numbering >= 0)
     plane = board.xyz_m[:, :2] / board.pitch_m
     smooth, _ = fit_map(plane[seen], dots.uv[numbering[seen]])
-    guess, shape = smooth(plane), np.empty((len(plane), 2, 2))
-    guess[seen] = dots.uv[numbering[seen]]
-    shape[seen] = dots.shape[numbering[seen]]
-    missed = np.flatnonzero(numbering < 0)
-    if len(missed):
-        nearest = seen[np.linalg.norm(plane[missed][:, None] - plane[seen][None], axis=2).argmin(axis=1)]
-        shape[missed] = shape[nearest]
+    step, _ = smooth.derivatives(plane)
+    share = np.sqrt(dots.area[numbering[seen]] / (np.pi * np.abs(np.linalg.det(step[seen]))))  # radius over pitch
+    usual = float(np.median(share))
+    guess, shape = smooth(plane), usual * step
+    own = (share > usual / LIKE_OTHERS) & ((share < usual * LIKE_OTHERS) | (share**2 > BIG_DOT * usual**2))
+    guess[seen[own]] = dots.uv[numbering[seen[own]]]
+    shape[seen[own]] = dots.shape[numbering[seen[own]]]
+    return guess, shape
+
+
+def _refined(image: Image, board: Target, grid: Grid, dots: Dots, numbering: Index, source: str) -> BoardView:
+    """Fit every dot's edge, those that the search missed where the grid expects them; keep what passes the checks."""
+    guess, shape = _expected(board, dots, numbering)
     n = len(guess)
     uv, covariance, quality = _centred(image, guess, shape)
     axes = np.linalg.norm(shape, axis=1)  # (n, 2)
@@ -178,14 +223,17 @@ def _centred(image: Image, guess: Array, shape: Array) -> tuple[Array, Array, Ar
     def fit(at: Array, axes: Array, reach: Array) -> tuple[Array, Array, Array]:
         n = len(at)
         uv, covariance, quality = np.empty((n, 2)), np.empty((n, 2, 2)), np.empty((n, 4))
-        fit_dots(image, at, axes, reach, GLARE, uv, covariance, quality)
+        fit_dots(image, at, np.ascontiguousarray(axes), reach, GLARE, uv, covariance, quality)
         return uv, covariance, quality
 
-    first = fit(guess, shape, _reach(guess, shape))
+    reach = _reach(guess, shape)
+    first = fit(guess, shape, reach)
     unclean = np.flatnonzero(first[2][:, 0] < CLEAN)
     if len(unclean):
-        second = fit(guess[unclean], shape[unclean], np.full(len(unclean), LEAST_REACH))
+        second = fit(guess[unclean], shape[unclean], np.minimum(NARROW, reach[unclean]))
         better = second[2][:, 0] > first[2][unclean, 0]
+        # a ring this narrow may be explained by a dot with no light level in common with the others
+        better &= second[2][:, 1] / np.median(first[2][:, 1]) < HIGH_CONTRAST
         for mine, other in zip(first, second, strict=True):
             mine[unclean[better]] = other[better]
     return first

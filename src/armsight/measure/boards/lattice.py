@@ -213,7 +213,7 @@ def _fitted(table: Index, at: Index, dots: Dots, grid: Grid) -> Placed | None:
     if len(empty) and usual > 0.0:
         gap, nearest = (np.asarray(part) for part in cKDTree(dots.uv).query(expected[empty]))
         fits = (gap < ON_MAP * pitch_px[empty]) & (dots.area[nearest] < BIGGEST * usual)
-        fits &= (dots.area[nearest] > usual / BIGGEST) & ~np.isin(nearest, numbering)
+        fits &= (dots.area[nearest] > usual / ALIKE) & ~np.isin(nearest, numbering)
         numbering[empty[fits]] = nearest[fits]
     held = np.flatnonzero(numbering >= 0)
     if len(held) < (1.0 - LOST_SHARE) * len(wanted) or not grid.rims_held(held):
