@@ -89,15 +89,15 @@ class Scene:
             for one, next_ in pairwise(places):
                 self._scene.line(one, next_).material(PATH_COLOUR)
 
-    def show_circles(self, circles: list[Array], points: Array) -> None:
-        """Draw fits (m, 3) in rig axes as lines, and what was measured (n, 3) as dots."""
+    def show_fits(self, paths: list[Array], seen: Array, *, placed: bool) -> None:
+        """Draw fitted paths (m, 3) as lines and what was seen (n, 3) as dots; placed: both in world, else in the rig."""
+        T = RigidTransform.identity() if placed else self._T_scene_rig
         self._path.delete()
         with self._scene, self._scene.group() as self._path:
-            for line in circles:
-                places = self._T_scene_rig.apply(line).tolist()
-                for one, next_ in pairwise(places):
+            for path in paths:
+                for one, next_ in pairwise(T.apply(path).tolist()):
                     self._scene.line(one, next_).material(PATH_COLOUR)
-            for place in self._T_scene_rig.apply(points).tolist():
+            for place in T.apply(seen).tolist():
                 self._scene.sphere(radius=0.004).move(*place).material(COLOURS["target"])
 
     def _joints(self) -> Array | None:
