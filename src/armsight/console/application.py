@@ -16,6 +16,7 @@ from armsight.console.pages.calibrate import calibrate_page
 from armsight.console.pages.identify import identify_page
 from armsight.console.pages.live import live_page
 from armsight.console.pages.settings import settings_page
+from armsight.console.pages.teach import teach_page
 from armsight.console.pages.verify import verify_page
 from armsight.console.pictures import add_pictures
 from armsight.console.robot_link import add_robot_link
@@ -26,6 +27,7 @@ PAGES: dict[str, Callable[[Console], None]] = {
     "live": live_page,
     "calibrate": calibrate_page,
     "identify": identify_page,
+    "teach": teach_page,
     "verify": verify_page,
     "settings": settings_page,
 }
