@@ -13,8 +13,10 @@ from nicegui import ui
 from armsight.console import texts
 from armsight.console.layout import STATIC, page
 from armsight.console.pages.calibrate import calibrate_page
+from armsight.console.pages.identify import identify_page
 from armsight.console.pages.live import live_page
 from armsight.console.pages.settings import settings_page
+from armsight.console.pages.teach import teach_page
 from armsight.console.pages.verify import verify_page
 from armsight.console.pictures import add_pictures
 from armsight.console.robot_link import add_robot_link
@@ -24,6 +26,8 @@ from armsight.console.uploads import add_files
 PAGES: dict[str, Callable[[Console], None]] = {
     "live": live_page,
     "calibrate": calibrate_page,
+    "identify": identify_page,
+    "teach": teach_page,
     "verify": verify_page,
     "settings": settings_page,
 }

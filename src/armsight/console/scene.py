@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection
 from itertools import pairwise
 
 import numpy as np
 from nicegui import ui
 from nicegui.elements.scene.scene_object3d import Object3D
+from nicegui.events import SceneClickEventArguments
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
@@ -31,6 +33,8 @@ BONE_M, JOINT_M = 0.03, 0.042
 SEEN_RAD = 2e-4
 """Joints (rad or m) that moved less are not drawn anew."""
 COLOURS = {"left": "#0072B2", "right": "#CC79A7", "target": "#D55E00", "arm": "#8a97a3", "joint": "#46515c"}
+POINT = "place-"
+"""Begins the name of a path's ball."""
 PATH_COLOUR = "#7a4fb5"
 UPRIGHT = RigidTransform.from_rotation(Rotation.from_matrix([[1, 0, 0], [0, 0, 1], [0, -1, 0]]))
 """From a rig's axes (x right, y down, z forward) to a screen's (z up), where its place in world is not known."""
@@ -39,8 +43,12 @@ UPRIGHT = RigidTransform.from_rotation(Rotation.from_matrix([[1, 0, 0], [0, 0, 1
 class Scene:
     """A 3-D view on a page; `show` moves what moves."""
 
-    def __init__(self, console: Console) -> None:
-        """Draw what the cell has onto the page that is being built. Raises BadFile."""
+    def __init__(self, console: Console, picked: Callable[[int], None] | None = None) -> None:
+        """Draw what the cell has onto the page that is being built; picked: is told which place of a path is clicked.
+
+        Raises BadFile.
+        """
+        self._picked = picked
         self._console = console
         cell, folder = console.cell, console.folder
         rig_file, target_file = (cell_path(folder, getattr(cell, name), name) for name in ("rig", "target"))
@@ -51,7 +59,8 @@ class Scene:
             self._arm = None  # where the arm stands before these cameras is not known yet
         self._T_scene_rig = UPRIGHT if placed is None else placed
         self._track: list[list[float]] = []
-        with ui.scene(grid=(4, 20), background_color="#dfe5ea").classes("w-full") as self._scene:
+        made = ui.scene(grid=(4, 20), background_color="#dfe5ea", on_click=self._clicked)
+        with made.classes("w-full") as self._scene:
             self._scene.props["data-testid"] = "scene"
             self._target = self._draw_target(None if target_file is None else target_of(target_file))
             self._cameras = self._draw_cameras(None if rig_file is None else read_rig(rig_file))
@@ -79,25 +88,32 @@ class Scene:
         if self._track:
             self._cloud.set_points(self._track, [[0.0, 0.6, 0.45]] * len(self._track))
 
-    def show_path(self, xyz_m: Array) -> None:
-        """Draw a path (n, 3) in world; the ball at its start is larger."""
+    def show_path(self, xyz_m: Array, chosen: Collection[int] = ()) -> None:
+        """Draw a path (n, 3) in world; the ball at its start is larger, those chosen are in another colour."""
         self._path.delete()
         places = xyz_m.tolist()
         with self._scene, self._scene.group() as self._path:
             for i, place in enumerate(places):
-                self._scene.sphere(radius=0.007 if i == 0 else 0.003).move(*place).material(PATH_COLOUR)
+                ball = self._scene.sphere(radius=0.008 if i == 0 or i in chosen else 0.004).move(*place)
+                ball.with_name(f"{POINT}{i}").material(COLOURS["target"] if i in chosen else PATH_COLOUR)
             for one, next_ in pairwise(places):
                 self._scene.line(one, next_).material(PATH_COLOUR)
 
-    def show_circles(self, circles: list[Array], points: Array) -> None:
-        """Draw fits (m, 3) in rig axes as lines, and what was measured (n, 3) as dots."""
+    def _clicked(self, event: SceneClickEventArguments) -> None:
+        names = [hit.object_name or "" for hit in event.hits]
+        found = next((name for name in names if name.startswith(POINT)), None)
+        if found is not None and self._picked is not None:
+            self._picked(int(found.removeprefix(POINT)))
+
+    def show_fits(self, paths: list[Array], seen: Array, *, placed: bool) -> None:
+        """Draw fitted paths (m, 3) as lines and what was seen (n, 3) as dots; placed: both in world, else in rig."""
+        T = RigidTransform.identity() if placed else self._T_scene_rig
         self._path.delete()
         with self._scene, self._scene.group() as self._path:
-            for line in circles:
-                places = self._T_scene_rig.apply(line).tolist()
-                for one, next_ in pairwise(places):
+            for path in paths:
+                for one, next_ in pairwise(T.apply(path).tolist()):
                     self._scene.line(one, next_).material(PATH_COLOUR)
-            for place in self._T_scene_rig.apply(points).tolist():
+            for place in T.apply(seen).tolist():
                 self._scene.sphere(radius=0.004).move(*place).material(COLOURS["target"])
 
     def _joints(self) -> Array | None:

@@ -16,7 +16,9 @@ from armsight.app.live.followed import FollowedCell
 from armsight.app.live.measurement import LiveJob, Look
 from armsight.app.live.station import Shown, Station
 from armsight.app.measure.run import target_of
+from armsight.app.operator.path_desk import PathDesk
 from armsight.app.operator.robot_cell import RobotCell, cameras_of
+from armsight.app.operator.teach import TeachDesk, teach_desk
 from armsight.calibrate.handeye import Setup
 from armsight.errors import NotEnoughData, UsageError
 from armsight.store import read_rig, read_world
@@ -38,6 +40,8 @@ class Console:
     history: deque[Shown] = field(default_factory=lambda: deque(maxlen=HISTORY))
     steps: dict[str, Guided] = field(default_factory=dict)
     robot: RobotCell | None = None
+    _teaching: TeachDesk | None = None
+    _path: PathDesk | None = None
 
     @classmethod
     def of_folder(cls, folder: Path, robot: RobotCell | None = None) -> Console:
@@ -86,6 +90,18 @@ class Console:
         own = followed is not None and [cell.left, cell.right] == cameras_of(followed.scenario)
         return followed if own else None
 
+    def teaching(self) -> TeachDesk:
+        """Return the recorder of paths, begun where there is none. Raises NotEnoughData, BadFile."""
+        if self._teaching is None:
+            self._teaching = teach_desk(self.folder, self.cell, self.require_robot(), lambda: self.station)
+        return self._teaching
+
+    def path_desk(self) -> PathDesk:
+        """Return the path of the cell. Raises BadFile."""
+        if self._path is None:
+            self._path = PathDesk(self.folder)
+        return self._path
+
     def require_robot(self) -> RobotCell:
         """Return the robot. Raises NotEnoughData where none is connected."""
         if self.robot is None:
@@ -126,7 +142,10 @@ class Console:
         return shown
 
     def close(self) -> None:
-        """End measuring."""
+        """End measuring, and teaching with it."""
+        if self._teaching is not None:
+            self._teaching.close()
+        self._teaching = None
         if self.station is not None:
             self.station.stop()
         self.station = None

@@ -22,7 +22,7 @@ from armsight.calibrate.identify import Identification, Sweeps, identify
 from armsight.calibrate.identify.plan import PROBE_SHARE, Plan, checked_limits, probe, propose_sweeps
 from armsight.calibrate.identify.rough_arm import RoughArm, known_arm, rough_arm
 from armsight.clock import Clock, SystemClock
-from armsight.control.joint_sweep import Pace, Sweeper
+from armsight.control.joint_sweep import BeaconObserver, Pace, Sweeper
 from armsight.drivers import AUTOMATIC, ROBOTS, CameraSettings, PairSource, Robot, is_live, load
 from armsight.errors import ArmsightError, BadFile, Cancelled, DataRefused, Inconsistent, UsageError
 from armsight.measure.poses.pipeline import Setup
@@ -95,11 +95,10 @@ def run_identify_live(
     """
     clock, progress = clock or SystemClock(), progress or Silent()
     rig, target = read_rig(job.rig), target_of(job.target)
-    limits = read_limits(job.limits)
+    read_limits(job.limits)  # refused before anything is opened
     _check(job, target)
     robot, pairs = devices or open_devices(job, target, clock)
     setup = Setup(rig=rig, target=target, settings=SpotSettings(colour=target.colour))
-    base = None if job.world is None else read_world(job.world).T_parent_rig.inv().as_matrix()
     with robot, pairs:
         low_high, start = checked_limits(limits, robot.read().q)
         sweeper = Sweeper(robot, StereoBeaconObserver(setup, iter(pairs), clock), low_high, clock, progress, job.pace)
@@ -117,6 +116,36 @@ def run_identify_live(
             return ProposedPlanOutput(plan=told, notes=told.notes)
         _ask(person, _sweeps_question(robot, plan, [axis.revolute for axis in arm.axes], job.pace))
         sweeps = _swept(job, plan, robot, sweeper)
+        return identify_observed(job, person, robot, StereoBeaconObserver(setup, iter(pairs), clock), clock, progress)
+
+
+def identify_observed(
+    job: LiveJob,
+    person: OperatorCallbacks,
+    robot: Robot,
+    observer: BeaconObserver,
+    clock: Clock,
+    progress: Progress,
+) -> IdentifyOutput | ProposedPlanOutput:
+    """Do as run_identify_live, with a robot that is open and whoever sees the beacon."""
+    rig, limits = read_rig(job.rig), read_limits(job.limits)
+    base = None if job.world is None else read_world(job.world).T_parent_rig.inv().as_matrix()
+    low_high, start = checked_limits(limits, robot.read().q)
+    sweeper = Sweeper(robot, observer, low_high, clock, progress, job.pace)
+    if job.model is not None:
+        arm, notes = _modelled(job), list[str]()
+    else:
+        with _stopped_on_error(robot, sweeper, job.out.with_suffix(".probe.csv")):
+            arm, notes = _probed(job, person, robot, sweeper, rig)
+    if not (job.model is not None and job.propose):
+        start = sweeper.standing
+    plan = propose_sweeps(arm, rig, low_high, start, readings=job.readings, base=base)
+    told = plan_output(plan, notes)
+    person.show(told)
+    if job.propose:
+        return ProposedPlanOutput(plan=told, notes=told.notes)
+    _ask(person, f"Move {robot.name} along {len(plan.sweeps)} sweeps as planned?")
+    sweeps = _swept(job, plan, robot, sweeper)
     return identified(_from_sweeps(job), sweeps, rig, plan=told)
 
 

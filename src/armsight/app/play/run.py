@@ -80,7 +80,9 @@ class PlaySession:
         self._job, self._robot, self._clock, self._guard, self._eyes = job, robot, clock, guard, eyes
         self._watch: PlayWatch | None = None
 
-    def run(self, confirm: Confirm, show: Show, progress: Progress, begun: Begun) -> PlayOutput:
+    def run(
+        self, confirm: Confirm, show: Show, progress: Progress, begun: Begun, enabled: Callable[[], bool]
+    ) -> PlayOutput:
         """Run the path and return what it came to. Raises as run_play."""
         job, guard = self._job, self._guard
         with ExitStack() as stack:
@@ -99,7 +101,7 @@ class PlaySession:
                 guard,
                 PlayedSource(source, recorder.sink, self._watch),
                 self._clock,
-                enabled=lambda: not progress.cancelled(),
+                enabled=lambda: enabled() and not progress.cancelled(),
                 sink=recorder.sink,
             )
             timing = self._loop(loop, tally, source, show, progress)
@@ -167,13 +169,15 @@ def run_play(
     devices: ServoDevices | None = None,
     opened: tuple[Robot, Clock] | None = None,
     begun: Begun = lambda _: None,
+    enabled: Callable[[], bool] = lambda: True,
 ) -> PlayOutput:
     """Run the path to its end, until the operator lets go or the guard stopped; write job.out.
 
     confirm: asked once, with the way in mm and degrees, before anything moves; all refusals come before. progress: its
     cancelled() is the operator's enable, let go of. devices: in place of robot and cameras of a watched job, opened: of
-    robot and clock of another. Raises UsageError, DataRefused (a path with a jump, out of reach or singular; another
-    arm's file; no hand-eye), DeviceFailed, Cancelled.
+    robot and clock of another. enabled: whether a deadman's button is held besides; while it is not the path waits.
+    Raises UsageError, DataRefused (a path with a jump, out of reach or singular; another arm's file; no hand-eye),
+    DeviceFailed, Cancelled.
     """
     progress = progress or Silent()
     check(job)
@@ -199,7 +203,9 @@ def run_play(
         )
     if eyes is not None:
         prepare(progress)
-    done = PlaySession(job, robot, clock, tipped_guard(guard, job.tip), eyes).run(confirm, show, progress, begun)
+    done = PlaySession(job, robot, clock, tipped_guard(guard, job.tip), eyes).run(
+        confirm, show, progress, begun, enabled
+    )
     done.write(job.out / SUMMARY)
     return done
 
