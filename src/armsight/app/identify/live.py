@@ -100,22 +100,6 @@ def run_identify_live(
     robot, pairs = devices or open_devices(job, target, clock)
     setup = Setup(rig=rig, target=target, settings=SpotSettings(colour=target.colour))
     with robot, pairs:
-        low_high, start = checked_limits(limits, robot.read().q)
-        sweeper = Sweeper(robot, StereoBeaconObserver(setup, iter(pairs), clock), low_high, clock, progress, job.pace)
-        if job.model is not None:
-            arm, notes = _modelled(job), list[str]()
-        else:
-            with _stopped_on_error(robot, sweeper, job.out.with_suffix(".probe.csv")):
-                arm, notes = _probed(job, person, robot, sweeper, rig)
-        if not (job.model is not None and job.propose):
-            start = sweeper.standing
-        plan = propose_sweeps(arm, rig, low_high, start, readings=job.readings, base=base)
-        told = plan_output(plan, notes)
-        person.show(told)
-        if job.propose:
-            return ProposedPlanOutput(plan=told, notes=told.notes)
-        _ask(person, _sweeps_question(robot, plan, [axis.revolute for axis in arm.axes], job.pace))
-        sweeps = _swept(job, plan, robot, sweeper)
         return identify_observed(job, person, robot, StereoBeaconObserver(setup, iter(pairs), clock), clock, progress)
 
 
@@ -144,7 +128,7 @@ def identify_observed(
     person.show(told)
     if job.propose:
         return ProposedPlanOutput(plan=told, notes=told.notes)
-    _ask(person, f"Move {robot.name} along {len(plan.sweeps)} sweeps as planned?")
+    _ask(person, _sweeps_question(robot, plan, [axis.revolute for axis in arm.axes], job.pace))
     sweeps = _swept(job, plan, robot, sweeper)
     return identified(_from_sweeps(job), sweeps, rig, plan=told)
 
