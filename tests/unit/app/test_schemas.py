@@ -63,7 +63,7 @@ KEYS: dict[type[Output], tuple[str, str]] = {
         "noise_scale refused claimed_m n_frames undetected_m sentence advice",
         "",
     ),
-    OUTPUTS["demo"]: (f"{MEASURE} truth inside_95 seconds_s assumptions", MEASURE_MAYBE),
+    OUTPUTS["demo"]: (f"{MEASURE} truth inside_95 seconds_s assumptions pictures", MEASURE_MAYBE),
     measure.TruthError: ("rms max claimed", ""),
     OUTPUTS["reproduce"]: (
         "paper seed scenarios tables figures n_compared n_reached missed assumptions doubts missing seconds_s",
