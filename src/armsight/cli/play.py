@@ -193,6 +193,8 @@ def play_tables(face: CommandUI, done: PlayOutput) -> None:
             f"the cameras saw the tip {figure(seen.rms_m / MM)} mm RMS from where it was told to be, "
             f"{figure(seen.max_m / MM)} mm at most, in {seen.n} frames (the arm lags by {seen.arm_lag_s / MS:.0f} ms)"
         )
+    elif seen is not None:
+        face.say(f"note: no frame showed the tip ({seen.n_lost} without the target): it was not watched")
     for why in done.holds:
         face.say(f"  it held: {why}")
     face.say(f"Recording: {done.recording}")

@@ -210,8 +210,12 @@ def teach_tables(face: CommandUI, done: TeachOutput) -> None:
     if done.servo is not None:
         servo_tables(face, done.servo)
     face.say(
-        f"{done.n_rows} poses over {done.length_m / MM:.1f} mm in {done.n_stretches} stretches, in {done.parent}; of "
-        f"the frames while recording {done.n_ok} were taken, {done.n_position_only} told the place only, "
+        f"{done.n_rows} poses over {done.length_m / MM:.1f} mm in {done.n_stretches} stretches, frame: {done.parent}; "
+        f"of the frames while recording {done.n_ok} were taken, {done.n_position_only} told the place only, "
         f"{done.n_lost} did not show the target, {done.n_unplaced} came when the arm's place was not known; "
         f"ended by: {done.stopped_by}. Path: {done.path}"
     )
+    if done.parent == "base":
+        face.say("note: the path is in base axes: play it with --frame base")
+    elif done.parent != "world":
+        face.say("note: without --world the path is in the axes of poses.csv: play it only if those are the world's")

@@ -16,7 +16,7 @@ class TeachOutput(Output):
     late: int = Field(description="Cycles that began more than half a cycle too late.")
     stopped_by: str = Field(description="Why it ended: time, operator, end (of the frames), or the guard's words.")
     path: str = Field(description="The path's file.")
-    parent: str = Field(description="The frame of its poses: world or base.")
+    parent: str = Field(description="The frame of its poses: world, base, or as measured: that of poses.csv.")
     n_rows: int = Field(description="Poses of the path.")
     n_stretches: int = Field(description="Stretches between a start and a pause.")
     length_m: float = Field(description="Length of the path, m.")

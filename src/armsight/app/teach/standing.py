@@ -25,6 +25,8 @@ from armsight.optics import SIDES, Rig
 from armsight.records import Frame, Progress, Silent, Target, TargetPose
 from armsight.store import World, read_poses, read_rig, read_world
 
+AS_MEASURED = "as measured"
+"""The frame of a poses.csv: world where it was measured with a world.yaml, else the cameras' own."""
 Pair = tuple[Frame, Frame]
 Seen = Callable[[TargetPose], None]
 """Is told of each pose as it is measured, in rig axes."""
@@ -32,7 +34,7 @@ Seen = Callable[[TargetPose], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StandingJob:
-    """rig, target: their files. world: where the rig stands; None: the path is in rig axes, called world.
+    """rig, target: their files. world: where the rig stands; without it nothing is taught.
 
     left and right, or image: cameras, or files. seconds_s: end after so long of the frames' own time.
     """
@@ -59,11 +61,18 @@ def teach_standing(
     """Measure frame after frame until they end or progress is cancelled, and record the tip's path; write job.out.
 
     pairs: in place of the sources the job names. What was taught before a failure is in the files when the error is
-    raised. Raises UsageError, DataRefused, DeviceFailed; NotEnoughData for less than two poses.
+    raised. Raises UsageError, also where the rig's place is not told, DataRefused, DeviceFailed; NotEnoughData for less
+    than two poses.
     """
     progress = progress or Silent()
+    if seen_by.world is None:
+        raise UsageError(
+            "where the cameras stand is not said",
+            consequence="The path would be in their own axes, where no arm can run it, and nothing is taught",
+            cure="Give --world world.yaml, made with: armsight calibrate robot-world",
+        )
     rig, target = read_rig(seen_by.rig), target_of(seen_by.target)
-    recorder = _recorder(job, None if seen_by.world is None else read_world(seen_by.world))
+    recorder = _recorder(job, read_world(seen_by.world))
     overlaid = False
     if pairs is None:
         pairs, overlaid = _pairs(seen_by, rig, target)
@@ -83,7 +92,10 @@ def teach_standing(
 
 
 def teach_poses(job: TeachJob, poses: Path, *, world: Path | None = None) -> TeachOutput:
-    """Make a path of a poses.csv that was measured; write job.out. Raises BadFile, NotEnoughData."""
+    """Make a path of a poses.csv that was measured; write job.out. Raises BadFile, NotEnoughData.
+
+    world: where the rig stood; None: the path is in the frame of the file, which the file does not tell.
+    """
     recorder = _recorder(job, None if world is None else read_world(world))
     recorder.start()
     for pose in read_poses(poses):
@@ -93,7 +105,7 @@ def teach_poses(job: TeachJob, poses: Path, *, world: Path | None = None) -> Tea
 
 def _recorder(job: TeachJob, world: World | None) -> PathRecorder:
     T = RigidTransform.identity() if world is None else world.T_parent_rig
-    parent = "world" if world is None else world.parent
+    parent = AS_MEASURED if world is None else world.parent
     return PathRecorder(StandingRig(T_world_rig=T), job.T_target_tip(), every=job.every, mean=job.mean, parent=parent)
 
 

@@ -10,15 +10,15 @@ from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.control.guard.limits import Limits, joint_bounds
-from armsight.control.paths import PathCheck, PathTrouble, check_path, outliers, poses_at
-from armsight.control.paths.outliers import LEAST_ROWS
+from armsight.control.paths import PathCheck, PathTrouble, check_path, poses_at
+from armsight.control.play.jumps import check_jumps
 from armsight.control.play.pace import timed
 from armsight.control.play.track import Leg, Track, Way, quats
 from armsight.control.play.weave import Weave, WeaveKind
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Arm
 from armsight.records import WELD_OFF, WELD_ON, TaughtPath
-from armsight.units import DEG, MM
+from armsight.units import MM
 
 Array = NDArray[np.float64]
 
@@ -30,13 +30,10 @@ PER_WAVE = 40
 """Least samples of a wave of a weave."""
 CHECK_M = 1e-3
 """Between two poses that are checked for the arm; also half a millimetre and less where a weave is narrow."""
-JUMP_M = 0.05
-JUMP_TIMES = 20.0
-"""A step longer than JUMP_M and so many times the median one is a jump."""
-HAND_M_S, HAND_M = 1.0, 0.005
-"""No hand teaches faster; a step of a taught path that is, and longer than HAND_M, is a jump."""
 SAME_M = 1e-6
 """Rows nearer together than this are one place."""
+BLEND_SHARE = 0.5
+"""Of a path, over which its corners may be rounded."""
 LEAST_SPEED_M_S = 2e-4
 """A path that allows no more than this somewhere has a corner there that nobody can run through."""
 SLOWED = frozenset({PathTrouble.SPEED, PathTrouble.TURN, PathTrouble.JOINT_SPEED})
@@ -183,46 +180,23 @@ def _usable(path: TaughtPath, settings: PlaySettings, T_base_stand: RigidTransfo
         tags=tuple(path.tags[row] for row in keep),
         parent=path.parent,
     )
-    _check_jumps(kept, keep)
+    check_jumps(kept, keep)
     return kept
-
-
-def _check_jumps(path: TaughtPath, rows: list[int]) -> None:
-    """Raise Inconsistent where a row is far from the one before, in place or rotation."""
-    steps, took_s = np.diff(path.length_m), np.diff(path.t_s)
-    far = (steps > max(JUMP_M, JUMP_TIMES * float(np.median(steps)))) & (len(steps) > 2)
-    jumped = np.flatnonzero(far | (steps > np.fmax(HAND_M, HAND_M_S * np.where(np.isfinite(took_s), took_s, np.inf))))
-    if len(jumped):
-        raise Inconsistent(
-            f"the path jumps by {steps[jumped[0]] / MM:.0f} mm before row {rows[jumped[0] + 1]}",
-            consequence="Nothing is moved",
-            cure="Take the outlier out (armsight path), teach it anew, or where it is meant, sample the path evenly",
-        )
-    off = outliers(path, least_m=HAND_M, least_rad=0.5 * np.pi) if len(path) >= LEAST_ROWS else ()
-    if off:
-        raise Inconsistent(
-            f"the path jumps by {off[0].off_m / MM:.0f} mm and back at row {rows[off[0].row]}",
-            consequence="Nothing is moved",
-            cure="Take the outlier out (armsight path smooth --outliers drop), or teach it anew",
-        )
-    R = path.poses.rotation
-    turns = np.asarray((R[1:] * R[:-1].inv()).magnitude())
-    worst = int(np.argmax(turns))
-    if turns[worst] > 0.5 * np.pi:
-        raise Inconsistent(
-            f"the tool turns by {turns[worst] / DEG:.0f} deg before row {rows[worst + 1]}",
-            consequence="Nothing is moved",
-            cure="Correct the row, or keep the tool's rotation (--keep-rotation)",
-        )
 
 
 def _rounded(path: TaughtPath, settings: PlaySettings) -> tuple[Array, Array, float]:
     """Return lengths (n,), poses (n, 4, 4) of the path with its corners rounded, and how far that moves it, in m.
 
     Three running means (a cubic B-spline) over blend_m in all: curvature has no jump, both ends stay. The path is
-    continued beyond its ends by its mirror image in the point.
+    continued beyond its ends by its mirror image in the point. Raises UsageError where blend_m is most of the path.
     """
     total = float(path.length_m[-1])
+    if settings.blend_m > BLEND_SHARE * total:
+        raise UsageError(
+            f"corners shall be rounded over {settings.blend_m / MM:.1f} mm of a path of {total / MM:.1f} mm",
+            consequence="Little of the path would be left, and nothing is moved",
+            cure="Round them less (--blend, in m)",
+        )
     step = max(STEP_M, total / MOST_SAMPLES)
     if settings.weave.kind is not WeaveKind.NONE:
         step = min(step, settings.weave.wavelength_m / PER_WAVE)

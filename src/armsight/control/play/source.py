@@ -29,14 +29,15 @@ TRIES = 3
 TRIED_M = 1e-3
 """So much further along, refusals are counted anew."""
 CALM_S = 1.0
-"""After so long without motion the operator has seen why, and tries are counted anew."""
+"""After so long without motion tries are counted anew; a place that was given up waits for the operator's resume()."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlayProgress:
     """Where a path is. stage: approach, path or finished. share: of the path, 0 to 1. s_m of length_m: along it.
 
-    waiting: it stands until the guard lets it go on, or the arm has caught up.
+    waiting: it stands until the guard lets it go on, or the arm has caught up. welding: where the path welds, while the
+    tip goes along it.
     """
 
     stage: str
@@ -108,7 +109,7 @@ class PathSource:
             speed_m_s=self._state[1],
             paused=self._paused,
             waiting=self._waiting,
-            welding=stage == last and self._rejoin is None and self._welds_at(s_m),
+            welding=stage == last and self._moves_along and self._welds_at(s_m),
         )
 
     def next(self, now: CycleState) -> SetPoint:
@@ -138,6 +139,11 @@ class PathSource:
         for way in self._ways:
             way.pose(0.0)
             way.speed_at(0.0)
+
+    @property
+    def _moves_along(self) -> bool:
+        """Whether the tip goes along the path now: one that rests, or comes back to it, does not weld."""
+        return self._rejoin is None and not self._stood and self._state[1] > 0.0
 
     @property
     def _way(self) -> Way:

@@ -13,6 +13,8 @@ from armsight.errors import UsageError
 
 Array = NDArray[np.float64]
 
+MOST_M = {"amplitude_m": 0.025, "wavelength_m": 0.1}
+"""Wider or longer weaves are millimetres taken for metres: welding robots weave by 25 mm at most."""
 HARMONICS = 3
 """Of a zigzag: its flanks are straight to a few per cent, its tips round, so that the arm need not stop there."""
 
@@ -38,9 +40,9 @@ class Weave:
             return
         for name in ("amplitude_m", "wavelength_m"):
             value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0.0):
+            if not (math.isfinite(value) and 0.0 < value <= MOST_M[name]):
                 raise UsageError(
-                    f"the weave's {name} is {value:g}, which is no length above zero",
+                    f"the weave's {name} is {value:g}, which is not above zero and up to {MOST_M[name]:g} m",
                     consequence="Nothing is moved",
                     cure="Give metres, for instance --weave sine:0.002:0.008",
                 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -14,6 +14,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.control.teach.place import RigPlace
 from armsight.errors import NotEnoughData, StaleData, UsageError
+from armsight.geometry import moved_parent_covariance
 from armsight.records import PoseStatus, TargetPose, TaughtPath
 
 Array = NDArray[np.float64]
@@ -44,12 +45,22 @@ class TeachCounts:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Row:
-    """One vector: when, the target and the tip in world, and its tag."""
+    """One vector: when, the target and the tip in world, the target's covariance (6, 6) and the place's tag."""
 
     t_s: float
     T_world_target: RigidTransform
     T_world_tip: RigidTransform
+    covariance: Array
     tag: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """The target in world in one frame; covariance (6, 6): by the cameras alone, in world axes."""
+
+    t_s: float
+    T_world_target: RigidTransform
+    covariance: Array
 
 
 class PathRecorder:
@@ -83,7 +94,7 @@ class PathRecorder:
         self._state = Teaching.WAITING
         self._rows: list[_Row] = []
         self._begins: list[int] = []
-        self._group: list[tuple[float, RigidTransform]] = []
+        self._group: list[_Seen] = []
         self._tag = ""
         self._newest: RigidTransform | None = None
         self._last_s = -np.inf
@@ -157,16 +168,16 @@ class PathRecorder:
     def observe(self, pose: TargetPose, exposed_s: float) -> None:
         """Take what a frame shows, in rig axes, exposed at exposed_s on the clock of the place."""
         with self._lock:
-            found, T_world_target = self._told(pose, exposed_s)
-            self._newest = None if T_world_target is None else T_world_target * self._T_target_tip
+            found, seen = self._told(pose, exposed_s)
+            self._newest = None if seen is None else seen.T_world_target * self._T_target_tip
             if self._state is not Teaching.RECORDING:
                 return
             self._counts[found] += 1
-            if T_world_target is None or exposed_s <= self._last_s:
+            if seen is None or exposed_s <= self._last_s:
                 self._group.clear()
                 return
             self._last_s = exposed_s
-            self._group.append((exposed_s, T_world_target))
+            self._group.append(seen)
             if len(self._group) >= self._every:
                 self._rows.append(self._row())
                 self._group.clear()
@@ -193,7 +204,10 @@ class PathRecorder:
         )
 
     def targets(self) -> tuple[TargetPose, ...]:
-        """Return the target's pose of each row, in the frame of the path; by what it scatters is not told."""
+        """Return the target's pose of each row, in the frame of the path, as sure as the cameras alone are of it.
+
+        The covariance of a mean is that of one of its frames: what repeats from frame to frame does not average out.
+        """
         with self._lock:
             return tuple(
                 TargetPose(
@@ -201,29 +215,32 @@ class PathRecorder:
                     status=PoseStatus.OK,
                     parent=self.parent,
                     T_parent_target=row.T_world_target.as_matrix(),
-                    covariance=np.zeros((6, 6)),
+                    covariance=row.covariance,
                 )
                 for row in self._rows
             )
 
-    def _told(self, pose: TargetPose, exposed_s: float) -> tuple[str, RigidTransform | None]:
-        """Return what the frame counts as, and T_world_target where it is known."""
-        if pose.status is not PoseStatus.OK or pose.T_parent_target is None:
+    def _told(self, pose: TargetPose, exposed_s: float) -> tuple[str, _Seen | None]:
+        """Return what the frame counts as, and where the target was in world where that is known."""
+        if pose.status is not PoseStatus.OK or pose.T_parent_target is None or pose.covariance is None:
             return pose.status.value, None
         try:
             T_world_rig = self._place(exposed_s)
         except StaleData:
             return "unplaced", None
-        return "ok", T_world_rig * RigidTransform.from_matrix(pose.T_parent_target)
+        covariance = moved_parent_covariance(T_world_rig, pose.covariance)
+        return "ok", _Seen(exposed_s, T_world_rig * RigidTransform.from_matrix(pose.T_parent_target), covariance)
 
     def _row(self) -> _Row:
         """Return the vector of the frames gathered."""
-        t_s, T = self._group[-1]
+        last = self._group[-1]
+        t_s, T, covariance = last.t_s, last.T_world_target, last.covariance
         if self._mean and len(self._group) > 1:
-            t_s = float(np.mean([moment for moment, _ in self._group]))
-            T = RigidTransform.from_matrix(np.array([pose.as_matrix() for _, pose in self._group])).mean()
+            t_s = float(np.mean([seen.t_s for seen in self._group]))
+            T = RigidTransform.from_matrix(np.array([seen.T_world_target.as_matrix() for seen in self._group])).mean()
+            covariance = np.mean([seen.covariance for seen in self._group], axis=0)
         tag, self._tag = self._tag, ""
-        return _Row(t_s, T, T * self._T_target_tip, tag)
+        return _Row(t_s, T, T * self._T_target_tip, covariance, tag)
 
     def _end_stretch(self) -> None:
         """Close the stretch; one without rows is none, and a tag that no row took is its last one's."""
@@ -232,7 +249,6 @@ class PathRecorder:
         if len(self._rows) == begin:
             self._begins.pop()
         elif self._tag and not self._rows[-1].tag:
-            last = self._rows[-1]
-            self._rows[-1] = _Row(last.t_s, last.T_world_target, last.T_world_tip, self._tag)
+            self._rows[-1] = replace(self._rows[-1], tag=self._tag)
             self._tag = ""
         self._state = Teaching.PAUSED
