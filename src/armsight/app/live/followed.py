@@ -14,12 +14,18 @@ from armsight.drivers import Skew
 from armsight.records import Frame
 
 
+ROOM = "plain"
+"""What stands behind a target that a person leads about: before a workshop's hundreds of bright things three lights seen
+askew cannot always be told, and the person would mask them."""
+
+
 @dataclass(frozen=True, slots=True)
 class FollowedCell:
     """scenario: its name or file. track: where the loop's process says the joints are, on the machine's clock."""
 
     scenario: str
     track: JointTrack
+    room: str = ROOM
 
 
 class FollowedPairs:
@@ -30,7 +36,7 @@ class FollowedPairs:
 
     def __init__(self, cell: FollowedCell, clock: Clock) -> None:
         """Open nothing yet. Raises DeviceNotFound, BadFile, Inconsistent for the scenario."""
-        self._cell: Any = live_cell(cell.scenario, clock)
+        self._cell: Any = live_cell(cell.scenario, clock, room=cell.room)
         self._cell.robot.follow(cell.track.at)
         self.name = str(self._cell.pairs.name)
 
