@@ -13,10 +13,9 @@ from armsight.clock import Clock
 from armsight.drivers import Skew
 from armsight.records import Frame
 
-
 ROOM = "plain"
-"""What stands behind a target that a person leads about: before a workshop's hundreds of bright things three lights seen
-askew cannot always be told, and the person would mask them."""
+"""What stands behind a target that is led about: before a workshop's hundreds of bright things three lights seen askew
+cannot always be told, and a person would mask them."""
 
 
 @dataclass(frozen=True, slots=True)
