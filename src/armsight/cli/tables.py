@@ -244,6 +244,7 @@ def demo_tables(face: CommandUI, result: DemoOutput, out: Path) -> None:
     if result.inside_95 is not None:
         face.say(f"{figure(100.0 * result.inside_95, 3)} % of the poses lie inside their own 95 % ellipsoid.")
     face.say(f"All in {figure(result.seconds_s, 2)} s.")
+    face.say("The operator's page of a simulated cell: armsight console --robot sim:webcam-cell")
 
 
 def _truth_rows(truth: PoseErrors) -> list[list[str]]:
