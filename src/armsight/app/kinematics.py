@@ -43,7 +43,7 @@ from armsight.report.arm_view import arm_report
 from armsight.store import read_joints, read_poses, write_joints, write_poses, write_text
 from armsight.store.arm_file import read_arm, write_arm
 from armsight.store.bags import JointStates, is_bag
-from armsight.store.interpret import OURS, TableFormat
+from armsight.store.interpret import OURS, TableFormat, largest, looks_like_degrees
 from armsight.store.tables import cells, number
 from armsight.store.urdf import read_urdf, write_urdf
 
@@ -265,21 +265,30 @@ def draw_arm(arm: str, out: Path, *, joints: str | None = None) -> ShowOutput:
 def reading_values(arm: Arm, text: str) -> Array:
     """Return readings (n,) written as 0,-1.2,0.4, or those of the first row of a joints.csv; UsageError, BadFile."""
     if re.fullmatch(r"[-+0-9.eE, ]+", text):
-        return _numbers(text)
+        return _numbers(arm, text)
     return np.asarray(arm.readings(read_values(arm, Path(text)).q)[0])
 
 
 def _joint_values(arm: Arm, text: str) -> Array:
     if re.fullmatch(r"[-+0-9.eE, ]+", text):
-        return arm.values(_numbers(text))
+        return arm.values(_numbers(arm, text))
     return read_values(arm, Path(text)).q
 
 
-def _numbers(text: str) -> Array:
+def _numbers(arm: Arm, text: str) -> Array:
+    """Return readings written as 0,-1.2,0.4; UsageError where they are none, or look like degrees."""
     try:
-        return np.array([float(part) for part in text.replace(",", " ").split()])
+        readings = np.array([float(part) for part in text.replace(",", " ").split()])
     except ValueError as error:
         raise UsageError(f"{text!r} are not joint values", cure="Write for instance 0,-1.2,0.4") from error
+    turning = arm.revolute if len(arm.revolute) == len(readings) else np.ones(len(readings), bool)
+    if looks_like_degrees(readings[None, turning]):
+        raise UsageError(
+            f"the joint values {text!r} look like degrees: the largest is {largest(readings):g}",
+            consequence="They are not used",
+            cure="Give radians, for instance 0,-1.2,0.4",
+        )
+    return readings
 
 
 def convert_arm(source: str, out: Path, *, convention: str | None = None, tip: str | None = None) -> ConvertArmOutput:

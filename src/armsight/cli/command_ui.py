@@ -168,11 +168,10 @@ class Bar:
         finished = total > 0 and done >= total
         if now_s - self._told_s < LINE_EVERY_S and not finished and label == self._label:
             return
-        self._label = label
+        self._label, self._told_s = label, now_s
         if not done:
             self._console.print(f"{label} ...", markup=False, soft_wrap=True)
             return
-        self._told_s = now_s
         rate = self._rate(done)
         text = f"{label} {done:.0f}" + (f" of {total:.0f}" if total else "")
         if rate:

@@ -18,6 +18,7 @@ from armsight.cli.console import console
 from armsight.cli.convert import convert
 from armsight.cli.examples import add_examples
 from armsight.cli.identify import identify
+from armsight.cli.join import join
 from armsight.cli.kinematics import convert_arm, kinematics
 from armsight.cli.options import SRC, AsJson, Fps, Inverted, Limit, OutFolder, Seed, Threshold
 from armsight.cli.path import path
@@ -53,6 +54,7 @@ app.command()(record)
 app.command()(identify)
 app.command()(keeps_results(*VERIFIED)(with_live(verify)))
 app.command()(keeps_results("reproduce.json", "report.html")(reproduce))
+app.command()(join)
 app.command()(serve)
 app.command()(twin)
 app.command()(console)
@@ -185,7 +187,7 @@ def measure(
 
 
 @app.command()
-@keeps_results(*MEASURED, *WORLD, *VIEWS, "demo.json", own="demo.json")
+@keeps_results(*MEASURED, *WORLD, *VIEWS, "demo.json", "pictures", own="demo.json")
 def demo(
     out: OutFolder = Path("demo"),
     seed: Seed = 1,
@@ -196,9 +198,13 @@ def demo(
         typer.Option(help="Behind the target: dark, workshop, office, plain or a picture. [default: its own]"),
     ] = None,
     keep_frames: Annotated[bool, typer.Option("--keep-frames", help="Write the frames as PNG files too.")] = False,
+    no_pictures: Annotated[bool, typer.Option("--no-pictures", help="Leave the real pictures out.")] = False,
     json: AsJson = False,
 ) -> None:
-    """Do the main job on a simulated cell: frames, poses, report, and how far the poses are from the truth."""
+    """Do the main job on a simulated cell: frames, poses, report, and how far the poses are from the truth.
+
+    Then calibrate two real cameras from pictures of a board, and measure the board.
+    """
     with CommandUI(as_json=json) as face:
         from armsight.app.demo import demo as run
 
@@ -209,6 +215,7 @@ def demo(
             cell=cell,
             room=room,
             keep_frames=keep_frames,
+            pictures=not no_pictures,
             progress=face.progress("demo"),
         )
         demo_tables(face, result, out)

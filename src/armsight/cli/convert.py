@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 convert = typer.Typer(help="Convert between armsight's files and those of other programs.", no_args_is_help=True)
 convert.command("recording")(recording)
 
-To: TypeAlias = Annotated[str | None, typer.Option("--to", help="armsight, ros, opencv or kalibr. [default: armsight]")]
+To: TypeAlias = Annotated[str | None, typer.Option("--to", help="armsight, ros, opencv, kalibr, colmap. [armsight]")]
 Size: TypeAlias = Annotated[str | None, typer.Option(help="WIDTHxHEIGHT, where an OpenCV file does not say it.")]
 
 
@@ -52,7 +52,10 @@ def camera(
 @convert.command("rig")
 def rig(
     source: Annotated[list[Path], typer.Argument(help="rig.yaml, OpenCV stereo, Kalibr; two files of ROS or OpenCV.")],
-    out: Annotated[list[Path], typer.Option("-o", "--out", help="File to write; twice for ROS: left, then right.")],
+    out: Annotated[
+        list[Path],
+        typer.Option("-o", "--out", help="File; for ROS left, right, maybe a launch file of TF."),
+    ],
     to: To = None,
     size: Size = None,
     unit: Annotated[float, typer.Option(min=1e-9, help="Length of an OpenCV file's unit in m.")] = 1.0,
@@ -115,6 +118,26 @@ def table(
             face.say(f"- {note}")
         face.say(f"Written: {done.file}" if done.file else "Nothing was written; -o FILE writes it")
         face.result(done)
+
+
+@convert.command("handeye")
+def handeye(
+    source: Annotated[Path, typer.Argument(help="handeye.yaml.")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="File to write.")],
+    to: Annotated[str, typer.Option("--to", help="easy_handeye, easy_handeye2, or tf: a launch file of ROS 2.")],
+    base: Annotated[str, typer.Option(help="The base's frame in TF.")] = "base_link",
+    flange: Annotated[str, typer.Option(help="The flange's frame in TF.")] = "tool0",
+    camera_frame: Annotated[str, typer.Option(help="The camera's optical frame in TF.")] = "camera_optical_frame",
+    target: Annotated[str, typer.Option(help="The target's frame in TF.")] = "calibration_target",
+    json: AsJson = False,
+) -> None:
+    """Write a hand-eye calibration for ROS."""
+    with CommandUI(as_json=json) as face:
+        from armsight.app.convert import convert_handeye
+        from armsight.store.foreign import FrameNames
+
+        names = FrameNames(base=base, flange=flange, camera=camera_frame, target=target)
+        _tell(face, convert_handeye(source, out, to=to, names=names))
 
 
 def _require_ours(to: str | None, size: str | None) -> None:

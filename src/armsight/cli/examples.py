@@ -19,6 +19,7 @@ PANELS: Mapping[str, str] = {
     "reproduce": "Calibrate and identify",
     "kinematics": "Arms and files",
     "convert": "Arms and files",
+    "join": "Arms and files",
 }
 """Command -> panel; what is not named moves a robot or talks to one."""
 ROBOTS = "Robots"
@@ -55,6 +56,7 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
         f"armsight servo --robot rsi:49152 --arm arm.yaml --left camera:0 --right camera:1 {RIG} "
         "--handeye handeye.yaml --distance 0.6 -o servo",
     ),
+    "join": ("armsight join --measured poses.csv --joints joints.csv --as points -o points.csv",),
     "teach": (
         f"armsight teach --robot sim:pachidis2005-circle {RIG} --handeye handeye.yaml -o taught",
         f"armsight teach --left camera:0 --right camera:1 {RIG} --world world.yaml --tip tip.yaml -o taught",
@@ -75,10 +77,11 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
     "path check": ("armsight path check path.csv --arm arm.yaml --limits limits.yaml -o check.html",),
     "path export": (
         "armsight path export path.csv --to urscript --arm arm.yaml -o seam.script",
-        "armsight path export path.csv --to krl --arm arm.yaml -o seam.src",
+        "armsight path export path.csv --to krl --arm arm.yaml --tool 1 -o seam.src",
     ),
     "path from-picks": (
-        "armsight path from-picks --left left.png --right right.png --rig rig.yaml --picks picks.csv -o path.csv",
+        "armsight path from-picks --left left.png --right right.png --rig rig.yaml --picks picks.csv "
+        "--world world.yaml -o path.csv",
     ),
     "measure": (
         f"armsight measure --left frames/left --right frames/right {RIG} -o measured",
@@ -126,6 +129,7 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
     ),
     "convert table": ("armsight convert table log.txt --robot-format kuka --as robot_poses -o robot_poses.csv",),
     "convert poses": ("armsight convert poses poses.csv -o poses.tum",),
+    "convert handeye": ("armsight convert handeye handeye.yaml --to easy_handeye -o handeye_easy.yaml",),
     "convert arm": ("armsight convert arm robot.urdf --tip tool0 -o arm.yaml",),
     "kinematics fk": ("armsight kinematics fk --arm arm.yaml --joints joints.csv -o poses.csv",),
     "kinematics ik": ("armsight kinematics ik --arm ur10e --poses poses.csv -o joints.csv",),

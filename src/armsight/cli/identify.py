@@ -55,7 +55,10 @@ def identify(
     ] = None,
     limits: Annotated[
         str | None,
-        typer.Option(metavar="LIMITS", help="With --live, in rad or m: lo:hi,lo:hi ... or limits.yaml. Never left."),
+        typer.Option(
+            metavar="LIMITS",
+            help="With --live: lo:hi,lo:hi ... in rad or m (or -90deg:90deg,0mm:500mm), or limits.yaml. Never left.",
+        ),
     ] = None,
     readings: Annotated[int, typer.Option(min=4, help="With --live: readings of a sweep.")] = 10,
     speed: Annotated[
@@ -160,10 +163,12 @@ def _live(job: LiveJob, face: CommandUI, yes: bool) -> None:
 
 def _tell_plan(plan: PlanOutput, face: CommandUI) -> None:
     rows = []
+    slides = {sweep.joint for sweep in plan.sweeps if sweep.radius_m == 0.0}
     for sweep in plan.sweeps:
-        rest = ", ".join(figure(value, 3) for k, value in enumerate(sweep.rest, 1) if k != sweep.joint)
-        rows.append([f"{sweep.joint}", figure(sweep.start, 4), figure(sweep.end, 4), f"{sweep.readings}", rest])
-    face.table("Sweeps, rad or m", ["joint", "from", "to", "readings", "others rest at"], rows)
+        rest = ", ".join(_shown(value, k in slides) for k, value in enumerate(sweep.rest, 1) if k != sweep.joint)
+        ends = [_shown(value, sweep.joint in slides) for value in (sweep.start, sweep.end)]
+        rows.append([f"{sweep.joint}", *ends, f"{sweep.readings}", rest])
+    face.table("Sweeps", ["joint", "from", "to", "readings", "others rest at"], rows)
     rows = []
     for number, std in enumerate(plan.expected_std, 1):
         shown = zip(_entries(std), UNITS, strict=True)
@@ -171,6 +176,11 @@ def _tell_plan(plan: PlanOutput, face: CommandUI) -> None:
     face.table("Accuracy to expect, mm and degrees", ["joint", "a", "alpha", "d", "theta"], rows)
     for note in plan.notes:
         face.say(f"- {note}")
+
+
+def _shown(value: float, slides: bool) -> str:
+    """Return a joint's reading as people read it."""
+    return f"{value / MM:.1f} mm" if slides else f"{value / DEG:.1f} deg"
 
 
 def _tell(done: IdentifyOutput, out: Path, face: CommandUI) -> None:

@@ -138,6 +138,9 @@ def check(
     source: Source,
     arm: ArmFile,
     out: Annotated[Path | None, typer.Option("-o", "--out", help="A page with the picture of it, .html.")] = None,
+    tip: Annotated[
+        Path | None, typer.Option(help="tip.yaml of the tool, in flange axes. [default: the arm's tool frame]")
+    ] = None,
     limits: Annotated[Path | None, typer.Option(help="limits.yaml of the guard. [default: its own]")] = None,
     frame: Annotated[str, typer.Option(help="Frame of the path: world or base.")] = "world",
     speed: Annotated[
@@ -152,7 +155,7 @@ def check(
     with CommandUI(as_json=json) as face:
         from armsight.app.path.check import check as run
 
-        done = run(source, arm, limits=limits, parent=frame, speed_m_s=speed, start=start, out=out)
+        done = run(source, arm, tip=tip, limits=limits, parent=frame, speed_m_s=speed, start=start, out=out)
         for issue in done.issues[:20]:
             face.say(f"  {issue.text}")
         if len(done.issues) > 20:
@@ -175,6 +178,9 @@ def export(
     ] = None,
     arm: Annotated[
         str | None, typer.Option(metavar="FILE", help="The arm: the path is checked for it, and refused if it cannot.")
+    ] = None,
+    tip: Annotated[
+        Path | None, typer.Option(help="tip.yaml of the tool, in flange axes. [default: the arm's tool frame]")
     ] = None,
     limits: Annotated[Path | None, typer.Option(help="limits.yaml for the check. [default: the guard's own]")] = None,
     frame: Annotated[str, typer.Option(help="Frame of the path: world (needs --arm) or base.")] = "world",
@@ -203,6 +209,7 @@ def export(
             out=out,
             to=to,
             arm=arm,
+            tip=tip,
             limits=limits,
             parent=frame,
             start=start,

@@ -16,6 +16,7 @@ from armsight.report.frames import sample_figure
 from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table
 from armsight.report.residuals import distance_rms, residual_figure
 from armsight.report.run import MeasureRun
+from armsight.report.scene import scene_figure
 from armsight.report.series import Errors, Series, errors_of, losses_of, ranges, series_of
 from armsight.report.track import deviation_figure, time_figure, track_figure
 from armsight.units import MM
@@ -51,11 +52,11 @@ def measure_report(run: MeasureRun, *, created: datetime | None = None) -> str:
         verdict=_verdict(run, series, errors),
         cards=_cards(run, series, errors),
     )
+    _add_scene(page, run)
     _add_truth(page, errors)
     _add_track(page, run, series, errors)
     _add_residuals(page, run)
     _add_consistency(page, run)
-    _add_samples(page, run)
     _add_losses(page, run, series)
     _add_inputs(page, run)
     return page.html(created=created or datetime.now())
@@ -75,11 +76,12 @@ def _verdict(run: MeasureRun, series: Series, errors: Errors | None) -> Verdict:
         losses = losses_of(run.poses)
         why = f" Most often: {losses[0].why.rstrip('.')}." if losses else ""
         return Verdict(level="bad", word="No pose", sentence=f"None of {n:,} frames gave a full pose.{why} {run.error}")
-    rms = _rms_columns(series.std[series.where(PoseStatus.OK)])
+    middle = _median_columns(series.std[series.where(PoseStatus.OK)])
     sentence = (
-        f"{ok:,} of {n:,} frames ({100 * ok / n:.1f} %) gave a full pose, known to "
-        f"{figure_of(float(np.max(rms[:3])), 'mm', digits=2)} and {figure_of(float(np.max(rms[3:])), '°', digits=2)} "
-        "in the worst direction (one standard deviation)."
+        f"{ok:,} of {n:,} frames ({100 * ok / n:.1f} %) gave a full pose, half of them known to "
+        f"{figure_of(float(np.max(middle[:3])), 'mm', digits=2)} and "
+        f"{figure_of(float(np.max(middle[3:])), '°', digits=2)} or better in their worst direction (one standard "
+        "deviation)."
     )
     level, word = ("good", "Complete") if ok >= GOOD_SHARE * n else ("warn", "With gaps")
     if errors is not None:
@@ -105,6 +107,12 @@ def _rms_columns(values: Array) -> Array:
     return np.asarray(np.sqrt(total.sum(axis=0) / np.where(count > 0.0, count, np.nan)))
 
 
+def _median_columns(values: Array) -> Array:
+    """Return the median of each column, NaN aside; NaN for a column without numbers."""
+    known = [column[np.isfinite(column)] for column in values.T]
+    return np.array([np.median(column) if len(column) else np.nan for column in known])
+
+
 def _inside(errors: Errors) -> tuple[float, float, float]:
     """Return the share of errors inside their 95 % ellipsoid, and the range in which chance alone would leave it."""
     distance2 = errors.distance2[np.isfinite(errors.distance2)]
@@ -119,7 +127,7 @@ def _inside(errors: Errors) -> tuple[float, float, float]:
 def _cards(run: MeasureRun, series: Series, errors: Errors | None) -> list[Card]:
     n = len(run.poses)
     count = {status: int(series.where(status).sum()) for status in PoseStatus}
-    rms = _rms_columns(series.std[series.where(PoseStatus.OK)])
+    middle = _median_columns(series.std[series.where(PoseStatus.OK)])
     spots = sum(len(rows) for rows in run.residuals.values())
     cards = [
         Card(
@@ -129,13 +137,13 @@ def _cards(run: MeasureRun, series: Series, errors: Errors | None) -> list[Card]
         ),
         Card(
             name="position uncertainty",
-            value=figure_of(float(np.sqrt(np.sum(rms[:3] ** 2))), "mm"),
-            note="claimed, 3-D, one standard deviation",
+            value=figure_of(float(np.sqrt(np.sum(middle[:3] ** 2))), "mm"),
+            note="claimed, 3-D, one standard deviation, median",
         ),
         Card(
             name="rotation uncertainty",
-            value=figure_of(float(np.sqrt(np.sum(rms[3:] ** 2))), "°"),
-            note="claimed, one standard deviation",
+            value=figure_of(float(np.sqrt(np.sum(middle[3:] ** 2))), "°"),
+            note="claimed, one standard deviation, median",
         ),
         Card(
             name="reprojection",
@@ -271,7 +279,16 @@ def _add_consistency(page: Page, run: MeasureRun) -> None:
     )
 
 
-def _add_samples(page: Page, run: MeasureRun) -> None:
+def _add_scene(page: Page, run: MeasureRun) -> None:
+    """Open with what was there: cameras, target and rays in space, then what the cameras saw."""
+    figure = scene_figure(run)
+    if figure is not None:
+        page.add(
+            "The scene",
+            f"The cameras, the target where it is known best, and the rays that found its lights, in the axes of "
+            f"{run.parent}. Drag to turn, scroll to zoom; a click on a name in the legend hides or shows it.",
+            page.plot(figure),
+        )
     if not run.samples:
         return
     figures = "".join(sample_figure(sample, i) for i, sample in enumerate(run.samples[:MAX_SAMPLES]))

@@ -63,7 +63,7 @@ KEYS: dict[type[Output], tuple[str, str]] = {
         "noise_scale refused claimed_m n_frames undetected_m sentence advice",
         "",
     ),
-    OUTPUTS["demo"]: (f"{MEASURE} truth inside_95 seconds_s assumptions", MEASURE_MAYBE),
+    OUTPUTS["demo"]: (f"{MEASURE} truth inside_95 seconds_s assumptions pictures", MEASURE_MAYBE),
     measure.TruthError: ("rms max claimed", ""),
     OUTPUTS["reproduce"]: (
         "paper seed scenarios tables figures n_compared n_reached missed assumptions doubts missing seconds_s",
@@ -181,6 +181,7 @@ KEYS: dict[type[Output], tuple[str, str]] = {
     ),
     OUTPUTS["record-repair"]: ("file messages duration_s lost_bytes damaged_chunks", ""),
     OUTPUTS["convert-recording"]: ("from out n", ""),
+    OUTPUTS["join"]: ("kind by offset_s offset_std_s drift_ppm n_measured n rejected notes file", ""),
     OUTPUTS["convert-table"]: ("kind how columns ranges n notes file", ""),
     OUTPUTS["convert"]: ("from to files n note", ""),
     OUTPUTS["convert-arm"]: ("arm file joints convention", ""),

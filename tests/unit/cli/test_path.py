@@ -103,6 +103,19 @@ def test_wrong_input_is_refused(arguments, code, taught, tmp_path):
     assert not list(tmp_path.glob("out*"))
 
 
+def test_the_tip_is_the_one_that_is_given(taught, tmp_path):
+    tip, out = tmp_path / "tip.yaml", tmp_path / "seam.script"
+    tip.write_text("format: armsight/tip\nversion: 1\ntip_m: [0.0, 0.0, 0.05]\n")
+    words = ("check", taught, "--arm", "irb120", "--start", START, "--speed-m-s", 0.01)
+    bare, tipped = run(*words)[1], run(*words, "--tip", tip)[1]
+    far = pose(ARM, np.array(tipped["start_q"])).as_matrix() @ [0.0, 0.0, 0.05, 1.0]
+    assert np.allclose(far[:3], read_path(taught).xyz_m[0], atol=1e-6)  # the bare tool stands 50 mm back
+    assert not np.allclose(bare["start_q"], tipped["start_q"], atol=1e-3)
+    code, _ = run("export", taught, "-o", out, "--arm", "irb120", "--tip", tip, "--start", START, "--speed-m-s", 0.001)
+    assert code == 0 and "set_tcp(p[0.000000, 0.000000, 0.050000, 0.000000" in out.read_text()
+    assert run("export", taught, "-o", out, "--tip", tip, "--frame", "base", "--speed-m-s", 0.01)[0] == 2
+
+
 def test_csv_and_python_take_the_path_as_it_is(taught, tmp_path):
     assert run("export", taught, "-o", tmp_path / "copy.csv")[1]["format"] == "csv"
     assert run("export", taught, "-o", tmp_path / "copy.py")[1]["n"] == 91

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -96,7 +96,7 @@ def calibrate_handeye(job: HandEyeJob, progress: Progress | None = None) -> Hand
             "give --pairs, or --images (with --camera, --board and --robot), or --robot-stream with --camera-stream"
         )
     if job.pairs is not None:
-        solved = _Solved(result=_solve(read_pairs(job.pairs, job.table), job.setup), inputs=[job.pairs])
+        solved = _Solved(result=_solve(read_pairs(job.pairs, _of_setup(job)), job.setup), inputs=[job.pairs])
     elif job.images:
         solved = _from_images(job, progress)
     else:
@@ -208,6 +208,11 @@ def tip_output(result: TipCalibration) -> TipOutput:
 def _solve(pairs: PosePairs, setup: Setup, options: HandEyeOptions | None = None) -> HandEye:
     calibrate = calibrate_eye_in_hand if setup is Setup.EYE_IN_HAND else calibrate_eye_to_hand
     return calibrate(pairs, options)
+
+
+def _of_setup(job: HandEyeJob) -> TableFormat:
+    """Return what is said of tables, with where the camera is: some programs save other poses for each."""
+    return replace(job.table, on_hand=job.setup is Setup.EYE_IN_HAND)
 
 
 def _robot_poses(job: HandEyeJob) -> dict[str, RigidTransform]:

@@ -47,9 +47,9 @@ class About:
 class Collector:
     """Sees every step of a run and writes report.html at its end."""
 
-    def __init__(self, setup: Setup, parent: str) -> None:
+    def __init__(self, setup: Setup, parent: str, T_parent_rig: RigidTransform | None = None) -> None:
         self._setup = setup
-        self._parent = parent
+        self._parent, self._T_parent_rig = parent, T_parent_rig
         self._poses: list[TargetPose] = []
         self._residuals: dict[str, list[Array]] = {side: [] for side in SIDES}
         self._n_residuals = 0
@@ -82,6 +82,7 @@ class Collector:
             median_ms=summary.ms_per_frame.median,
             p99_ms=summary.ms_per_frame.p99,
             parent=self._parent,
+            T_parent_rig=self._T_parent_rig,
             title=about.title,
             facts=about.facts,
             assumptions=about.assumptions,

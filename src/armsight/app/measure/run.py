@@ -147,7 +147,7 @@ def run(
 ) -> tuple[MeasureOutput, Sequence[TargetPose]]:
     """Measure the pairs of a source not yet open into the folder out; return the figures and all poses. See measure."""
     parent, T_parent_rig = (world.parent, world.T_parent_rig) if world else ("rig", None)
-    report, check = Collector(setup, parent), RunCheck(setup)
+    report, check = Collector(setup, parent, T_parent_rig), RunCheck(setup)
     failure: ArmsightError | None = None
     with pairs:
         prepare(progress)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from armsight.app.kinematics import load_arm, reading_values
+from armsight.app.play.job import tipped
 from armsight.app.schemas.paths import PathCheckOutput, PathIssueOutput
 from armsight.control.guard import Limits
 from armsight.control.paths import PathCheck, PathIssue, check_path
@@ -23,6 +24,7 @@ def check(
     source: Path,
     arm: str,
     *,
+    tip: Path | None = None,
     limits: Path | None = None,
     parent: str = "world",
     speed_m_s: float | None = None,
@@ -31,11 +33,12 @@ def check(
 ) -> PathCheckOutput:
     """Tell what is wrong with a path for an arm; out: a page with the picture of it.
 
-    parent: the frame of the path, world or base. speed_m_s: where the path leaves it open. start: readings where the
-    arm stands, as 0,-1.2,0.4 or a joints.csv. Raises BadFile, UsageError, NotEnoughData.
+    tip: tip.yaml, in flange axes; None: the arm's tool. parent: the frame of the path, world or base. speed_m_s: where
+    the path leaves it open. start: readings where the arm stands, as 0,-1.2,0.4 or a joints.csv. Raises BadFile,
+    UsageError, NotEnoughData.
     """
     path = read_path(source, parent=parent)
-    model = load_arm(arm)
+    model = tipped(load_arm(arm), tip)
     kept = Limits() if limits is None else read_limits(limits)
     first = None if start is None else reading_values(model, start)
     found = check_path(path, model, kept, speed_m_s=speed_m_s, start=first)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.kinematics import load_arm, reading_values
+from armsight.app.play.job import tipped
 from armsight.app.schemas.paths import PathExportOutput
 from armsight.control.guard import Limits
 from armsight.control.paths import (
@@ -43,14 +44,16 @@ TOLD = 3
 class ExportJob:
     """What to write, and how.
 
-    to: one of FORMATS; None: by the ending of out. parent: the frame of the path. arm, limits, start: for the check.
-    name: of the program; None: the name of out. The other fields are those of `control.paths.program`.
+    to: one of FORMATS; None: by the ending of out. parent: the frame of the path. arm, tip (in flange axes), limits,
+    start: for the check. name: of the program; None: the name of out. The other fields are those of
+    `control.paths.program`.
     """
 
     source: Path
     out: Path
     to: str | None = None
     arm: str | None = None
+    tip: Path | None = None
     limits: Path | None = None
     parent: str = "world"
     start: str | None = None
@@ -74,7 +77,7 @@ def export_path(job: ExportJob) -> PathExportOutput:
     path = read_path(job.source, parent=job.parent)
     if kind not in PROGRAMS:
         return _as_it_is(job, path, kind)
-    arm = None if job.arm is None else load_arm(job.arm)
+    arm = _arm(job)
     path = with_approach(_in_base(path, arm), job.approach_m)
     stops = (1, len(path) - 2) if job.approach_m > 0.0 else ()  # a blend would cut the path's ends off
     moves = program_moves(path, speed_m_s=job.speed_m_s, blend_m=job.blend_m, stops=stops)
@@ -110,6 +113,18 @@ def _format(job: ExportJob) -> str:
             cure=f"Use --to {', '.join(FORMATS)}, or one of the endings {', '.join(BY_SUFFIX)}",
         )
     return kind
+
+
+def _arm(job: ExportJob) -> Arm | None:
+    if job.arm is not None:
+        return tipped(load_arm(job.arm), job.tip)
+    if job.tip is not None:
+        raise UsageError(
+            "a tip is given, and no arm that carries it",
+            consequence="No program is written",
+            cure="Give the arm too (--arm)",
+        )
+    return None
 
 
 def _as_it_is(job: ExportJob, path: TaughtPath, kind: str) -> PathExportOutput:

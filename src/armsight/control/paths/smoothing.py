@@ -23,7 +23,8 @@ Array = NDArray[np.float64]
 BOUND_M, BOUND_RAD = 5e-4, 1.0 * DEG
 LEAST_ROWS = 9
 """A stretch between corners of fewer rows holds no noise that could be told from its shape."""
-HALVINGS = 12
+ROUNDS = 6
+"""Fits in which rows beyond the bound get twice the weight; what is beyond it still is brought back to it."""
 SAME = 1e-12
 """Noise, as a share of the values, that is of rounding."""
 MAD = 0.6745
@@ -82,22 +83,24 @@ def _between(y: Array, s: Array, kept: Sequence[int], bound: float) -> Array:
 
 
 def _stretch(y: Array, s: Array, bound: float) -> Array:
-    """Return z (n, k) on the spline with fewest knots that leaves the noise as residual and keeps within the bound."""
+    """Return z (n, k) on the spline with fewest knots that leaves noise as residual, drawn to rows beyond the bound."""
     if len(y) < LEAST_ROWS:
         return y
     x = (s - s[0]) / (s[-1] - s[0])
     residual = _noise(y, x)
     if residual <= SAME * float(np.abs(y).max()):
         return y
-    for _ in range(HALVINGS):
+    weights = np.ones(len(y))
+    for _ in range(ROUNDS):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # that the residual could not be met is judged below
-            z = np.asarray(make_splprep(y.T, u=x, s=len(y) * residual**2)[0](x)).T  # (n, k)
-        off = np.linalg.norm(z - y, axis=1)
-        if off.max() <= bound and math.sqrt(float(np.mean(off**2))) <= 1.1 * residual:
-            return z
-        residual *= 0.5
-    return y
+            spline = make_splprep(y.T, u=x, w=weights, s=len(y) * residual**2)[0]
+        z = np.asarray(spline(x)).T  # (n, k)
+        beyond = np.linalg.norm(z - y, axis=1) > bound
+        if not beyond.any():
+            break
+        weights = np.where(beyond, 2.0 * weights, weights)
+    return z if math.sqrt(float(np.mean((z - y) ** 2) * y.shape[1])) <= 1.1 * residual else y
 
 
 def _noise(y: Array, x: Array) -> float:

@@ -10,7 +10,8 @@ from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.control.guard.limits import Limits, joint_bounds
-from armsight.control.paths import PathCheck, PathTrouble, check_path, poses_at
+from armsight.control.paths import PathCheck, PathTrouble, check_path, outliers, poses_at
+from armsight.control.paths.outliers import LEAST_ROWS
 from armsight.control.play.pace import timed
 from armsight.control.play.track import Leg, Track, Way, quats
 from armsight.control.play.weave import Weave, WeaveKind
@@ -32,6 +33,8 @@ CHECK_M = 1e-3
 JUMP_M = 0.05
 JUMP_TIMES = 20.0
 """A step longer than JUMP_M and so many times the median one is a jump."""
+HAND_M_S, HAND_M = 1.0, 0.005
+"""No hand teaches faster; a step of a taught path that is, and longer than HAND_M, is a jump."""
 SAME_M = 1e-6
 """Rows nearer together than this are one place."""
 LEAST_SPEED_M_S = 2e-4
@@ -186,13 +189,21 @@ def _usable(path: TaughtPath, settings: PlaySettings, T_base_stand: RigidTransfo
 
 def _check_jumps(path: TaughtPath, rows: list[int]) -> None:
     """Raise Inconsistent where a row is far from the one before, in place or rotation."""
-    steps = np.diff(path.length_m)
-    worst = int(np.argmax(steps))
-    if len(steps) > 2 and steps[worst] > max(JUMP_M, JUMP_TIMES * float(np.median(steps))):
+    steps, took_s = np.diff(path.length_m), np.diff(path.t_s)
+    far = (steps > max(JUMP_M, JUMP_TIMES * float(np.median(steps)))) & (len(steps) > 2)
+    jumped = np.flatnonzero(far | (steps > np.fmax(HAND_M, HAND_M_S * np.where(np.isfinite(took_s), took_s, np.inf))))
+    if len(jumped):
         raise Inconsistent(
-            f"the path jumps by {steps[worst] / MM:.0f} mm before row {rows[worst + 1]}",
+            f"the path jumps by {steps[jumped[0]] / MM:.0f} mm before row {rows[jumped[0] + 1]}",
             consequence="Nothing is moved",
-            cure="Take the outlier out or join the parts (armsight path), or teach it anew",
+            cure="Take the outlier out (armsight path), teach it anew, or where it is meant, sample the path evenly",
+        )
+    off = outliers(path, least_m=HAND_M, least_rad=0.5 * np.pi) if len(path) >= LEAST_ROWS else ()
+    if off:
+        raise Inconsistent(
+            f"the path jumps by {off[0].off_m / MM:.0f} mm and back at row {rows[off[0].row]}",
+            consequence="Nothing is moved",
+            cure="Take the outlier out (armsight path smooth --outliers drop), or teach it anew",
         )
     R = path.poses.rotation
     turns = np.asarray((R[1:] * R[:-1].inv()).magnitude())
@@ -228,8 +239,9 @@ def _rounded(path: TaughtPath, settings: PlaySettings) -> tuple[Array, Array, fl
     out = T.copy()
     out[:, :3, 3] = smooth[:, :3]
     out[:, :3, :3] = Rotation.from_quat(smooth[:, 3:]).as_matrix()
-    moved = float(np.linalg.norm(smooth[:, :3] - T[:, :3, 3], axis=1).max())
-    return s, out, moved
+    at_rows = np.stack([np.interp(path.length_m, s, smooth[:, k]) for k in range(3)], axis=1)
+    moved = np.concatenate([smooth[:, :3] - T[:, :3, 3], at_rows - path.xyz_m])
+    return s, out, float(np.linalg.norm(moved, axis=1).max())
 
 
 def _welds(path: TaughtPath) -> tuple[tuple[float, bool], ...]:

@@ -25,7 +25,7 @@ REJOIN_M = 0.02
 """An arm further from the path than this is not brought back to it by itself."""
 REJOIN_SPEED_M_S = 0.01
 TRIES = 3
-"""A place that the guard refused so often is not tried again."""
+"""A place that the guard refused so often is not tried again until resume() is called."""
 TRIED_M = 1e-3
 """So much further along, refusals are counted anew."""
 CALM_S = 1.0
@@ -89,8 +89,9 @@ class PathSource:
         self._paused = True
 
     def resume(self) -> None:
-        """Go on."""
+        """Go on, also from a place that was given up."""
         self._paused = False
+        self._tries = 0
 
     @property
     def progress(self) -> PlayProgress:
@@ -150,7 +151,7 @@ class PathSource:
             further = place[0] != self._tried_at[0] or abs(place[1] - self._tried_at[1]) > TRIED_M
             self._tries = 1 if further else self._tries + 1
             self._tried_at = place
-        if now.t_s - self._still_s > CALM_S:
+        if now.t_s - self._still_s > CALM_S and not self._given_up:
             self._tries = 0
         self._waiting = True
         if self._rejoin is None:

@@ -2,244 +2,144 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from itertools import product
+from dataclasses import dataclass, field
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from armsight.errors import BadImage
+from armsight.measure.boards.dots import Dots, neighbourhoods, round_dots
 from armsight.measure.boards.gridmap import fit_map
 from armsight.measure.boards.kernels.subpixel import fit_dots
+from armsight.measure.boards.lattice import LOST_SHARE, Grid, Lattice, Placed, lattices, placements
 from armsight.measure.boards.orient import axis_px
 from armsight.records import BoardView, Target, TargetKind
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 Image = NDArray[np.uint8]
 
-LEAST_RADIUS_PX = 1.5
-MOST_CONTOURS = 8000
-"""A threshold that leaves more pieces than this has cut noise, not print."""
-ROUNDNESS = 0.12
-"""A dot's area may differ from its ellipse's by this share (pixel stairs of the smallest dots: 0.1)."""
-FLATTEST = 0.2
-"""Shortest half axis over longest: beyond this slant nobody measures."""
-LEAST_LEVELS = 12.0
-"""A dot must differ from its surroundings by this many grey levels."""
-MOST_SEEDS = 40
-"""Dots from which a lattice is grown, from the middle of all outwards, before a thresholded image is given up."""
-NEAR = 0.3
-"""The next dot of a lattice lies within this share of a step of where it is expected."""
-ALIKE = 2.5
-"""Neighbouring dots differ in area by less than this factor; the origin's bigger dot is allowed for apart."""
 BIG_DOT = 1.7
 """A dot whose area is this many times its neighbours' marks the origin (printed twice as wide, so four times)."""
-BIGGEST = 8.0
-"""... and not more times than this: that is something else."""
-REACH = 1.7
-"""Half window in half axes: the gap to the next dot is usually as wide as a dot."""
+LIKE_OTHERS = 1.15
+"""A dot's radius agrees with the others' to this factor, or a threshold cut it."""
+REACH = 2.1
+"""Radius of the window in half axes, where the next dot is not nearer: an even ring outside steadies the fit."""
 LEAST_REACH = 1.25
 """... but never less than this, or there is no outside to compare with."""
+NARROW = 1.4
+"""Radius of the smaller window."""
+CLEAN = 0.98
+"""Where a dot explains less of its window's grey levels, the paper's edge may be in it: a smaller one is tried."""
 GLARE = 0.3
 """The inner part of a dot, as a share of its area, that is not looked at: lamps mirror there."""
 EXPLAINED = 0.8
 LOW_CONTRAST = 0.2
-LOST_SHARE = 0.1
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Dots:
-    """Candidates: uv (n, 2), half axes (n, 2) in px, the long one's direction (n,) in rad."""
-
-    uv: Array
-    axes: Array
-    angle: Array
-
-    @property
-    def area(self) -> Array:
-        """Area (n,) in px^2."""
-        return np.asarray(np.pi * self.axes[:, 0] * self.axes[:, 1])
+HIGH_CONTRAST = 1.5
+"""Dots have between these multiples of the usual contrast."""
 
 
 def find_circles(image: Image, board: Target, source: str) -> BoardView:
     """Return all circles of a symmetric or asymmetric grid; raises BadImage with the reason."""
-    incomplete: list[tuple[_Dots, dict[tuple[int, int], int]]] = []
+    search = _Search(image=image, board=board, grid=_grid_of(board), source=source)
     for dark in (True, False):
-        for block in _blocks(image):
-            dots = _candidates(image, block, dark=dark)
-            for lattice in _lattices(dots):
-                if len(lattice) == len(board.names):
-                    numbering = _number(lattice, dots, board, source)
-                    if numbering is not None:
-                        return _refined(image, board, dots, numbering, source)
-                incomplete.append((dots, lattice))
-    incomplete.sort(key=lambda pair: len(pair[1]), reverse=True)
-    for dots, lattice in incomplete:
-        numbering = _number(lattice, dots, board, source)
-        if numbering is not None:
-            return _refined(image, board, dots, numbering, source)
-    largest = incomplete[0][1] if incomplete else {}
-    raise BadImage(
-        f"{source}: no grid of {board.columns}x{board.rows} circles was found{_instead(largest, board)}",
-        consequence="The image is not used",
-        cure="Show the whole grid, sharp and evenly lit, and count its circles",
-    )
+        for block in neighbourhoods(image):
+            search.look(round_dots(image, block, dark=dark))
+            if search.best is not None and len(search.best) == len(board.names):
+                return search.best
+        if search.best is not None:  # some dots are hidden, whatever the threshold
+            return search.best
+    raise search.refusal()
 
 
-def _blocks(image: Image) -> tuple[int, ...]:
-    """Return the sizes of neighbourhood in which a pixel is compared with its surroundings: 0 is the whole image."""
-    width = image.shape[1]
-    return (0, width // 12 | 1, width // 40 | 1, width // 5 | 1)
+@dataclass(slots=True, kw_only=True)
+class _Search:
+    """One board looked for in the dots of several thresholded images: the best view, or what stood against it."""
 
+    image: Image
+    board: Target
+    grid: Grid
+    source: str
+    best: BoardView | None = None
+    largest: Lattice = field(default_factory=dict)
+    beyond: bool = False
+    unclean: BadImage | None = None
 
-def _candidates(image: Image, block: int, *, dark: bool) -> _Dots:
-    """Return everything round, dark on light or light on dark, in one thresholded image."""
-    kind = cv2.THRESH_BINARY_INV if dark else cv2.THRESH_BINARY
-    if block == 0:
-        binary = cv2.threshold(image, 0, 255, kind | cv2.THRESH_OTSU)[1]
-    else:
-        offset = LEAST_LEVELS / 2.0 if dark else -LEAST_LEVELS / 2.0
-        binary = cv2.adaptiveThreshold(image, 255, cv2.ADAPTIVE_THRESH_MEAN_C, kind, max(block, 5), offset)
-    contours, _ = cv2.findContours(binary, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
-    found: list[tuple[float, float, float, float, float]] = []
-    if len(contours) > MOST_CONTOURS:
-        contours = ()
-    largest = image.size / 16.0
-    for contour in contours:
-        if len(contour) < 8 or len(contour) > image.shape[1]:
-            continue
-        moments = cv2.moments(contour)
-        area = moments["m00"]
-        if not np.pi * LEAST_RADIUS_PX**2 < area < largest:
-            continue
-        u, v = moments["m10"] / area, moments["m01"] / area
-        shape = np.array([[moments["mu20"], moments["mu11"]], [moments["mu11"], moments["mu02"]]]) * 4.0 / area
-        values, vectors = np.linalg.eigh(shape)  # squared half axes of the ellipse with the same moments
-        if values[0] <= 0.0 or values[0] < FLATTEST**2 * values[1]:
-            continue
-        if abs(np.pi * np.sqrt(values[0] * values[1]) / area - 1.0) > ROUNDNESS:
-            continue
-        if (image[int(v), int(u)] > np.median(image[contour[:, 0, 1], contour[:, 0, 0]])) == dark:
-            continue
-        found.append((u, v, np.sqrt(values[1]), np.sqrt(values[0]), np.arctan2(vectors[1, 1], vectors[0, 1])))
-    table = np.array(found).reshape(-1, 5)
-    # the contour runs through the outermost pixels' centres: the dot is half a pixel larger all round
-    return _Dots(uv=table[:, :2], axes=table[:, 2:4] + 0.5, angle=table[:, 4])
-
-
-def _lattices(dots: _Dots) -> list[dict[tuple[int, int], int]]:
-    """Return the lattices grown over the dots, the largest first: (i, j) -> position of the dot."""
-    if len(dots.uv) < 4:
-        return []
-    tree = cKDTree(dots.uv)
-    free = set(range(len(dots.uv)))
-    lattices: list[dict[tuple[int, int], int]] = []
-    tried = 0
-    for seed in np.argsort(np.linalg.norm(dots.uv - np.median(dots.uv, axis=0), axis=1)):
-        if int(seed) not in free or tried >= MOST_SEEDS:
-            continue
-        tried += 1
-        lattice = _grow(dots, tree, int(seed))
-        if len(lattice) >= 4:
-            lattices.append(lattice)
-            free -= set(lattice.values())
-    return sorted(lattices, key=len, reverse=True)[:4]
-
-
-def _grow(dots: _Dots, tree: cKDTree, seed: int) -> dict[tuple[int, int], int]:
-    """Grow a lattice from the seed: its two nearest independent neighbours give the first steps."""
-    near = np.atleast_1d(tree.query(dots.uv[seed], k=min(9, len(dots.uv)))[1])
-    steps = [dots.uv[k] - dots.uv[seed] for k in near[1:] if _alike(dots, seed, int(k))]
-    basis = None
-    for a, b in ((a, b) for n, b in enumerate(steps) for a in steps[:n]):
-        if abs(a[0] * b[1] - a[1] * b[0]) > 0.35 * np.linalg.norm(a) * np.linalg.norm(b):
-            basis = np.stack([a, b], axis=1)
-            break
-    if basis is None:
-        return {}
-    lattice = {(0, 0): seed}
-    local = {(0, 0): basis}
-    queue = [(0, 0)]
-    used = {seed}
-    while queue:
-        at = queue.pop(0)
-        E = local[at]
-        here = dots.uv[lattice[at]]
-        for axis, sense in product((0, 1), (1, -1)):
-            place = (at[0] + sense, at[1]) if axis == 0 else (at[0], at[1] + sense)
-            if place in lattice:
+    def look(self, dots: Dots) -> None:
+        """Look for the board in one image's dots. Raises BadImage for a mirrored board."""
+        for lattice in lattices(dots):
+            if len(lattice) > len(self.largest):
+                self.largest = lattice
+            ways = placements(lattice, dots, self.grid)
+            self.beyond = self.beyond or any(way.beyond for way in ways)
+            numbering = _number(ways, dots, self.board, self.source)
+            if numbering is None:
                 continue
-            step = sense * E[:, axis]
-            distance, k = tree.query(here + step)
-            if distance > NEAR * np.linalg.norm(step) or int(k) in used or not _alike(dots, lattice[at], int(k)):
+            try:
+                view = _refined(self.image, self.board, self.grid, dots, numbering, self.source)
+            except BadImage as error:
+                self.unclean = error
                 continue
-            lattice[place] = int(k)
-            used.add(int(k))
-            updated = E.copy()
-            updated[:, axis] = sense * (dots.uv[k] - here)
-            local[place] = updated
-            queue.append(place)
-    return lattice
+            if self.best is None or len(view) > len(self.best):
+                self.best = view
+            return
+
+    def refusal(self) -> BadImage:
+        """Return why there is no view."""
+        if self.unclean is not None:
+            return self.unclean
+        wanted = f"{self.board.columns}x{self.board.rows}"
+        instead = _instead(self.largest, self.board, beyond=self.beyond)
+        return BadImage(
+            f"{self.source}: no grid of {wanted} circles was found{instead}",
+            consequence="The image is not used",
+            cure="Show the whole grid, sharp and evenly lit, and count its circles",
+        )
 
 
-def _alike(dots: _Dots, a: int, b: int) -> bool:
-    """Tell whether two dots may be neighbours in one grid."""
-    ratio = float(dots.area[b] / dots.area[a])
-    ratio = max(ratio, 1.0 / ratio)
-    return ratio < ALIKE or BIG_DOT < ratio < BIGGEST
-
-
-def _number(lattice: dict[tuple[int, int], int], dots: _Dots, board: Target, source: str) -> NDArray[np.intp] | None:
+def _number(ways: list[Placed], dots: Dots, board: Target, source: str) -> Index | None:
     """Return for every point of the board its dot (-1: not among the candidates), or None where it is not this board.
 
-    The lattice's own steps may be any basis of the grid (slanted views bring diagonals nearest), so all
-    small unimodular changes of basis are tried. Raises BadImage for a mirrored board.
+    Raises BadImage for a mirrored board.
     """
-    total = len(board.names)
-    if not (1.0 - LOST_SHARE) * total <= len(lattice) <= total:
+    ways = [way for way in ways if way.count == ways[0].count]
+    if not ways or any(way.beyond for way in ways):
         return None
-    wanted = _integers(board)
-    places = np.array(list(lattice), dtype=int)
-    members = np.array([lattice[(int(i), int(j))] for i, j in places], dtype=np.intp)
-    numberings: list[NDArray[np.intp]] = []
-    mirrored = False
-    for entries in product((-1, 0, 1), repeat=4):
-        M = np.array(entries).reshape(2, 2)
-        if abs(M[0, 0] * M[1, 1] - M[0, 1] * M[1, 0]) != 1:
-            continue
-        moved = places @ M.T
-        moved = moved - moved.min(axis=0)
-        position = {(int(i), int(j)): int(m) for (i, j), m in zip(moved, members, strict=True)}
-        numbering = np.array([position.get((int(i), int(j)), -1) for i, j in wanted], dtype=np.intp)
-        if np.count_nonzero(numbering >= 0) < len(lattice) or (moved.max(axis=0) != wanted.max(axis=0)).any():
-            continue
-        if _right_handed(dots.uv, numbering, board):
-            numberings.append(numbering)
-        else:
-            mirrored = True
+    members = {frozenset(way.numbering.tolist()) for way in ways}
+    if len(members) > 1:  # the board could lie here or one step further: neither may be guessed
+        return None
+    numberings = [way.numbering for way in ways if _right_handed(dots.uv, way.numbering, board)]
     if not numberings:
-        if mirrored:
-            _refuse_mirrored(source, "")
-        return None
+        _refuse_mirrored(source, "")
     return _oriented(numberings, dots, board, source)
 
 
-def _integers(board: Target) -> NDArray[np.intp]:
-    """Return the board's points in a lattice basis of its own, from zero: along rows and columns, or diagonals."""
+def _grid_of(board: Target) -> Grid:
+    """Return the board's points in a lattice basis of its own, and what lies at its four sides."""
     c, r = board.columns, board.rows
     row, col = np.mgrid[0:r, 0:c]
+    table = _places(board, row.ravel(), col.ravel())
+    low = table.min(axis=0)
+    rows, columns = np.arange(r), np.arange(c)
+    outside = ((np.full(c, -1), columns), (np.full(c, r), columns), (rows, np.full(r, -1)), (rows, np.full(r, c)))
+    point = np.arange(c * r).reshape(r, c)
+    return Grid(
+        places=table - low,
+        rims=(point[0], point[-1], point[:, 0], point[:, -1]),
+        beyond=tuple(_places(board, *side) - low for side in outside),
+    )
+
+
+def _places(board: Target, row: Index, col: Index) -> Index:
+    """Return integer lattice coordinates (n, 2): along rows and columns, or along diagonals."""
     if board.kind is TargetKind.ACIRCLES:
         x, y = 2 * col + row % 2, row
-        i, j = (x + y) // 2, (y - x) // 2  # x and y are odd together
-    else:
-        i, j = col, row
-    table = np.stack([i.ravel(), j.ravel()], axis=1)
-    return np.asarray(table - table.min(axis=0), dtype=np.intp)
+        return np.stack([(x + y) // 2, (y - x) // 2], axis=1)  # x and y are odd together
+    return np.stack([col, row], axis=1)
 
 
-def _right_handed(uv: Array, numbering: NDArray[np.intp], board: Target) -> bool:
+def _right_handed(uv: Array, numbering: Index, board: Target) -> bool:
     """Tell whether y lies to the right hand of x in the image, as on a board seen from its printed side."""
     seen = np.flatnonzero(numbering >= 0)
     design = np.column_stack([board.xyz_m[seen, :2], np.ones(len(seen))])
@@ -247,11 +147,15 @@ def _right_handed(uv: Array, numbering: NDArray[np.intp], board: Target) -> bool
     return bool(slope[0, 0] * slope[1, 1] - slope[0, 1] * slope[1, 0] > 0.0)
 
 
-def _oriented(numberings: list[NDArray[np.intp]], dots: _Dots, board: Target, source: str) -> NDArray[np.intp]:
+def _oriented(numberings: list[Index], dots: Dots, board: Target, source: str) -> Index:
     """Choose the numbering that begins at the big dot, or the most upright one where there is none."""
     first = numberings[0]
-    area = np.where(first >= 0, dots.area[first], 0.0)
-    big = np.flatnonzero(area > BIG_DOT * np.median(area[area > 0.0]))
+    seen = np.flatnonzero(first >= 0)
+    # a slanted board's dots grow towards the camera: compared is with what their places lead to expect
+    design = np.column_stack([board.xyz_m[seen, :2] / board.pitch_m, np.ones(len(seen))])
+    log_area = np.log(dots.area[first[seen]])
+    excess = log_area - design @ np.linalg.lstsq(design, log_area, rcond=None)[0]
+    big = seen[excess > np.log(BIG_DOT)]
     if len(big) == 1:
         beginning = [n for n in numberings if n[0] == first[big[0]]]
         if beginning:
@@ -269,28 +173,34 @@ def _refuse_mirrored(source: str, otherwise: str) -> None:
     )
 
 
-def _refined(image: Image, board: Target, dots: _Dots, numbering: NDArray[np.intp], source: str) -> BoardView:
-    """Fit every dot's edge, those that the search missed where the grid expects them; keep what passes the checks."""
+def _expected(board: Target, dots: Dots, numbering: Index) -> tuple[Array, Array]:
+    """Return for every point where its dot should lie (n, 2) and its half axes (n, 2, 2), both in px.
+
+    They are the dot's own where they agree with the map through all dots: a threshold may have cut one in part.
+    """
     seen = np.flatnonzero(numbering >= 0)
-    grid = board.xyz_m[:, :2] / board.pitch_m
-    smooth, _ = fit_map(grid[seen], dots.uv[numbering[seen]])
-    guess, shape = smooth(grid), np.empty((len(grid), 2, 2))
-    guess[seen] = dots.uv[numbering[seen]]
-    axes, angle = dots.axes[numbering[seen]], dots.angle[numbering[seen]]
-    c, s = np.cos(angle), np.sin(angle)
-    shape[seen] = np.stack([c * axes[:, 0], -s * axes[:, 1], s * axes[:, 0], c * axes[:, 1]], axis=1).reshape(-1, 2, 2)
-    missed = np.flatnonzero(numbering < 0)
-    if len(missed):
-        nearest = seen[np.linalg.norm(grid[missed][:, None] - grid[seen][None], axis=2).argmin(axis=1)]
-        shape[missed] = shape[nearest]
+    plane = board.xyz_m[:, :2] / board.pitch_m
+    smooth, _ = fit_map(plane[seen], dots.uv[numbering[seen]])
+    step, _ = smooth.derivatives(plane)
+    share = np.sqrt(dots.area[numbering[seen]] / (np.pi * np.abs(np.linalg.det(step[seen]))))  # radius over pitch
+    usual = float(np.median(share))
+    guess, shape = smooth(plane), usual * step
+    own = (share > usual / LIKE_OTHERS) & ((share < usual * LIKE_OTHERS) | (share**2 > BIG_DOT * usual**2))
+    guess[seen[own]] = dots.uv[numbering[seen[own]]]
+    shape[seen[own]] = dots.shape[numbering[seen[own]]]
+    return guess, shape
+
+
+def _refined(image: Image, board: Target, grid: Grid, dots: Dots, numbering: Index, source: str) -> BoardView:
+    """Fit every dot's edge, those that the search missed where the grid expects them; keep what passes the checks."""
+    guess, shape = _expected(board, dots, numbering)
     n = len(guess)
-    uv, covariance, quality = np.empty((n, 2)), np.empty((n, 2, 2)), np.empty((n, 4))
-    fit_dots(image, guess, shape, _reach(guess, shape), GLARE, uv, covariance, quality)
+    uv, covariance, quality = _centred(image, guess, shape)
     axes = np.linalg.norm(shape, axis=1)  # (n, 2)
     usual = float(np.median(quality[:, 1]))
     good = (quality[:, 0] > EXPLAINED) & (quality[:, 1] / usual > LOW_CONTRAST)
     good &= np.linalg.norm(uv - guess, axis=1) < np.maximum(1.0, 0.3 * axes.min(axis=1))
-    if np.count_nonzero(~good) > LOST_SHARE * n:
+    if np.count_nonzero(~good) > LOST_SHARE * n or not grid.rims_held(np.flatnonzero(good)):
         raise BadImage(
             f"{source}: {np.count_nonzero(~good)} of {n} circles have no clean edge",
             consequence="The image is not used",
@@ -307,6 +217,28 @@ def _refined(image: Image, board: Target, dots: _Dots, numbering: NDArray[np.int
     )
 
 
+def _centred(image: Image, guess: Array, shape: Array) -> tuple[Array, Array, Array]:
+    """Return centres (n, 2), their covariance (n, 2, 2) and quality (n, 4) by a fit of every dot's edge."""
+
+    def fit(at: Array, axes: Array, reach: Array) -> tuple[Array, Array, Array]:
+        n = len(at)
+        uv, covariance, quality = np.empty((n, 2)), np.empty((n, 2, 2)), np.empty((n, 4))
+        fit_dots(image, at, np.ascontiguousarray(axes), reach, GLARE, uv, covariance, quality)
+        return uv, covariance, quality
+
+    reach = _reach(guess, shape)
+    first = fit(guess, shape, reach)
+    unclean = np.flatnonzero(first[2][:, 0] < CLEAN)
+    if len(unclean):
+        second = fit(guess[unclean], shape[unclean], np.minimum(NARROW, reach[unclean]))
+        better = second[2][:, 0] > first[2][unclean, 0]
+        # a ring this narrow may be explained by a dot with no light level in common with the others
+        better &= second[2][:, 1] / np.median(first[2][:, 1]) < HIGH_CONTRAST
+        for mine, other in zip(first, second, strict=True):
+            mine[unclean[better]] = other[better]
+    return first
+
+
 def _reach(uv: Array, shape: Array) -> Array:
     """Return half windows (n,) in half axes that end before the neighbours begin."""
     radius = np.linalg.norm(shape, axis=1).max(axis=1)  # (n,)
@@ -315,7 +247,7 @@ def _reach(uv: Array, shape: Array) -> Array:
     return np.asarray(np.clip(gap, LEAST_REACH, REACH))
 
 
-def _instead(lattice: dict[tuple[int, int], int], board: Target) -> str:
+def _instead(lattice: Lattice, board: Target, *, beyond: bool) -> str:
     """Return words on the grid that was found, if it is large enough to mean anything."""
     if len(lattice) < 9:
         return ""
@@ -323,4 +255,6 @@ def _instead(lattice: dict[tuple[int, int], int], board: Target) -> str:
     i, j = np.ptp(places, axis=0) + 1
     if board.kind is TargetKind.CIRCLES and i * j == len(lattice):
         return f", but one of {max(i, j)}x{min(i, j)} was"
+    if beyond:
+        return ": the grid that is there goes on beyond it"
     return f" (the largest grid has {len(lattice)} circles of {len(board.names)})"

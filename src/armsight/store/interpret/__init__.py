@@ -1,6 +1,6 @@
 """Tables as people have them: other units, rotations, names, files; brought to the columns of ours."""
 
-from armsight.store.interpret.plausibility import looks_like_degrees
+from armsight.store.interpret.plausibility import largest, limits_look_like_degrees, looks_like_degrees
 from armsight.store.interpret.read import (
     Interpreted,
     check_joint_values,
@@ -21,6 +21,8 @@ __all__ = [
     "check_positions",
     "interpret",
     "kind_of_table",
+    "largest",
+    "limits_look_like_degrees",
     "looks_like_degrees",
     "standard_bytes",
 ]

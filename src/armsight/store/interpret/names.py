@@ -24,7 +24,7 @@ _HANDS = (
     "g",
     "h",
 )
-_TARGETS = ("target", "board", "marker", "object", "tag", "pattern", "checkerboard", "tracking", "t")
+_TARGETS = ("target", "board", "marker", "object", "tag", "pattern", "checkerboard", "tracking", "optical", "t")
 FRAMES: Mapping[str, tuple[str, bool]] = {
     **dict.fromkeys((*_HANDS[:-2], "robot", "effector_wrt_world"), ("base_flange", False)),
     **{f"{base}_{hand}": ("base_flange", False) for base in ("base", "b", "world") for hand in _HANDS},

@@ -14,6 +14,10 @@ SMALLEST_DEG = 3.2
 """Where every angle of a table in degrees stays below, it holds radians: no arm is measured within three degrees."""
 SMALLEST_SPREAD_RAD = 0.2
 """... but only where they spread by more than this: an arm may stand at zero."""
+LARGEST_LIMIT_RAD = 4.0 * math.pi
+"""Two turns either way: no revolute joint but an endless one has a wider limit, and degrees are wider with any arm."""
+ENDLESS_RAD = 800.0
+"""Beyond it a limit is that of an endless joint: in degrees it would be two turns and more."""
 LARGEST_M = 30.0
 """A position further away is one in millimetres: no arm, rig or tracker's target is so far off."""
 SMALLEST_MM = 3.0
@@ -32,6 +36,13 @@ def largest(values: ArrayLike) -> float:
 def looks_like_degrees(values_rad: ArrayLike) -> bool:
     """Whether angles that are said to be radians can only be degrees."""
     return largest(values_rad) > LARGEST_RAD
+
+
+def limits_look_like_degrees(values_rad: ArrayLike) -> bool:
+    """Whether limits of revolute joints that are said to be radians are degrees; those that are not finite are none."""
+    array = np.abs(np.asarray(values_rad, float)).ravel()
+    array = array[np.isfinite(array)]
+    return bool(((array > LARGEST_LIMIT_RAD) & (array <= ENDLESS_RAD)).any())
 
 
 def looks_like_radians(values_deg: ArrayLike) -> bool:

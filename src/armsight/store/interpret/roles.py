@@ -42,6 +42,11 @@ class Role:
     keeps_unknown: bool = False
 
     @property
+    def counts_rows(self) -> bool:
+        """Whether rows without a time are counted."""
+        return self.name.startswith("untimed")
+
+    @property
     def known(self) -> set[str]:
         """The columns of ours that the table may have, joints aside."""
         poses = {f"{frame}_{cell}" if frame else cell for frame in self.frames for cell in POSE}

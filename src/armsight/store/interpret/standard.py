@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,7 +13,7 @@ from armsight.errors import Ambiguous, BadFile
 from armsight.store.interpret.assemble import Column, Found, angles_rad, pose_of
 from armsight.store.interpret.names import Meaning, meaning, split_unit
 from armsight.store.interpret.raw import RawTable
-from armsight.store.interpret.roles import POSITION, QUATERNION, Role
+from armsight.store.interpret.roles import PAIR_FRAMES, POSITION, QUATERNION, Role
 from armsight.store.interpret.table_format import SKIPPED, TableFormat
 from armsight.store.interpret.units import UNITS
 from armsight.store.tables import number, number_column
@@ -218,7 +218,7 @@ def _time(out: Standard, found: Found, role: Role) -> None:
         return
     columns = found.whole("t", [next(iter(found.kinds.get("t", {"": None})))])
     if columns is None:
-        if role.time == "maybe" and role.name.startswith("untimed"):
+        if role.counts_rows:
             out.columns["t_s"] = np.arange(float(len(out.lines)))
             out.notes.append("no column of time: rows are counted 0, 1, 2 ...")
             out.foreign = True
@@ -267,10 +267,28 @@ def _joints(out: Standard, found: Found, role: Role, format_: TableFormat) -> No
         out.notes.append(f"{len(in_degrees)} joints in degrees")
 
 
+def _by_easy_handeye(names: Iterable[str]) -> bool:
+    """Whether the columns are those of easy_handeye's samples: robot and tracking, or robot and optical."""
+    leads = {name.split("_")[0] for name in names}
+    return leads in ({"robot", "tracking"}, {"robot", "optical"})
+
+
+EASY_HANDEYE: Mapping[bool | None, str] = {
+    True: "samples of easy_handeye, taken with eye_in_hand: robot is the flange in the base",
+    False: "samples of easy_handeye, taken with eye_on_base: robot is the base in the flange, and was inverted",
+    None: "samples of easy_handeye: taken as those of eye_in_hand; those of eye_on_base hold the inverse of the "
+    "robot's pose, which calibrate handeye --setup eye-to-hand reads so",
+}
+"""easy_handeye looks up the robot's transform the other way round for a camera beside the robot (its sampler)."""
+
+
 def _pose(out: Standard, found: Mapping[str, Found], frame: str, role: Role, chosen: Mapping[int, Meaning]) -> None:
     """Add the columns of one pose."""
     mine = found[frame]
     inverse = {m.inverse for m in chosen.values() if m.frame == frame}
+    if frame == PAIR_FRAMES[0] and _by_easy_handeye(m.name for m in chosen.values()):
+        out.notes.append(EASY_HANDEYE[mine.format.on_hand])
+        inverse = {mine.format.on_hand is False}
     if len(inverse) > 1:
         raise Ambiguous(f"{out.where}: of {frame} some columns are named the other way round")
     xyz, rotation = pose_of(mine, inverse == {True})

@@ -21,8 +21,8 @@ class TableFormat:
 
     euler: an order such as 'xyz-fixed'. columns: names for a table without a header, see column_names. robot: a name
     of ROBOT_FORMATS. units: such as 'mm,deg', of what the header leaves open. joints: the arm's joints by name, where
-    an arm is known. as_stated: units and orders are taken as stated though the numbers look otherwise. tell: called
-    with what was understood, in words.
+    an arm is known. as_stated: units and orders are taken as stated though the numbers look otherwise. on_hand: whether
+    the camera is on the hand, where it is known. tell: called with what was understood, in words.
     """
 
     euler: str = ""
@@ -31,6 +31,7 @@ class TableFormat:
     units: str = ""
     joints: tuple[str, ...] = ()
     as_stated: bool = False
+    on_hand: bool | None = None
     tell: Callable[[str], None] = _silent
 
     @property

@@ -201,7 +201,8 @@ def _sample(image, u, v, E, Q, reach_s, reach_t, hole, X, Y, V):
     """Collect the pixels of a window in the board's own axes; return how many.
 
     E (2, 2): columns are the image steps of one unit along the board's x and y. Q (2, 3): second derivatives
-    by ss, st, tt, taken off so that curved edges become straight. hole: pixels with s^2 + t^2 below it are left out.
+    by ss, st, tt, taken off so that curved edges become straight. hole: pixels with s^2 + t^2 below it are left out,
+    and those beyond reach_s^2, so that the window is a ring; negative: all of the window.
     """
     h, w = image.shape
     det = E[0, 0] * E[1, 1] - E[0, 1] * E[1, 0]
@@ -214,7 +215,9 @@ def _sample(image, u, v, E, Q, reach_s, reach_t, hole, X, Y, V):
             dy = row - v
             s = (E[1, 1] * dx - E[0, 1] * dy) / det
             t = (E[0, 0] * dy - E[1, 0] * dx) / det
-            if abs(s) > reach_s or abs(t) > reach_t or s * s + t * t < hole:
+            if abs(s) > reach_s or abs(t) > reach_t:
+                continue
+            if hole >= 0.0 and not hole <= s * s + t * t <= reach_s * reach_s:
                 continue
             if n == X.shape[0]:
                 return n

@@ -1,0 +1,231 @@
+"""Lattices grown over dots, and the board's own dots taken out of one that strangers joined."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import correlate2d
+from scipy.spatial import cKDTree
+
+from armsight.measure.boards.dots import Dots
+from armsight.measure.boards.gridmap import GridMap, fit_map
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+Lattice = dict[tuple[int, int], int]
+"""Integer place -> position of the dot."""
+
+NEIGHBOURS = 8
+OPPOSITE = 0.2
+"""The middle of two opposite neighbours lies within this share of their distance from the dot between them."""
+MOST_SEEDS = 60
+"""Dots from which a lattice is grown; the most regular come first, so this ends a search among strangers only."""
+NEAR = 0.3
+"""The next dot of a lattice lies within this share of a step of where it is expected."""
+ALIKE = 2.0
+"""Neighbouring dots differ in area by less than this factor."""
+BIGGEST = 8.0
+"""The origin's bigger dot (twice as wide, so four times) has at most this many times the others' area."""
+PART = 0.75
+"""A lattice must hold this share of a board's places before the rest is looked for among the other dots."""
+LOST_SHARE = 0.1
+"""Share of a board's dots that may be missing."""
+ON_MAP = 0.12
+"""A dot of the board lies within this share of the pitch of the smooth map through all of them."""
+FULL_SIDE = 0.6
+"""A side of the board has this share of its dots; where as many lie next to it, the grid goes on: another board."""
+NEAR_SIDE = 0.25
+"""Those are looked for within this share of the pitch: the map is less sure outside the board."""
+BASES = tuple(
+    np.array(entries).reshape(2, 2)
+    for entries in product((-1, 0, 1), repeat=4)
+    if abs(entries[0] * entries[3] - entries[1] * entries[2]) == 1
+)
+"""A lattice's own steps may be any basis of the grid: slanted views bring diagonals nearest."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Grid:
+    """A board in whole numbers: its places (n, 2) from zero, and for each of its four sides what lies there.
+
+    rims: positions of the outermost points. beyond: the places (m, 2) next to them, outside.
+    """
+
+    places: Index
+    rims: tuple[Index, ...]
+    beyond: tuple[Index, ...]
+
+    def rims_held(self, index: Index) -> bool:
+        """Tell whether every side has enough of its points among these; else the board may be a smaller one."""
+        return all(np.isin(rim, index).mean() >= FULL_SIDE for rim in self.rims)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Placed:
+    """One way a board may lie on a lattice: dot (n,) of each of its points, -1 where none; beyond: the grid goes on."""
+
+    numbering: Index
+    beyond: bool
+
+    @property
+    def count(self) -> int:
+        """How many of the points have a dot."""
+        return int(np.count_nonzero(self.numbering >= 0))
+
+
+def lattices(dots: Dots) -> Iterator[Lattice]:
+    """Yield the lattices of at least four dots grown from the most regular dots outwards, none from a used dot."""
+    if len(dots.uv) < 4:
+        return
+    tree = cKDTree(dots.uv)
+    used: set[int] = set()
+    tried = 0
+    for seed, steps in _seeds(dots, tree):
+        if seed in used:
+            continue
+        lattice = _grow(dots, tree, seed, steps)
+        tried += 1
+        if len(lattice) >= 4:
+            used |= set(lattice.values())
+            yield lattice
+        if tried >= MOST_SEEDS:
+            return
+
+
+def _seeds(dots: Dots, tree: cKDTree) -> Iterator[tuple[int, Array]]:
+    """Yield dots with two pairs of opposite, alike neighbours, the most regular first, and the steps (2, 2) to them."""
+    n = min(NEIGHBOURS + 1, len(dots.uv))
+    near = np.asarray(tree.query(dots.uv, k=n)[1])[:, 1:]  # (m, k)
+    step = dots.uv[near] - dots.uv[:, None]
+    length = np.linalg.norm(step, axis=2)
+    log_area = np.log(dots.area)
+    alike = np.abs(log_area[near] - log_area[:, None]) < np.log(ALIKE)
+    a, b = np.triu_indices(n - 1, 1)
+    error = np.linalg.norm(step[:, a] + step[:, b], axis=2) / np.maximum(length[:, a] + length[:, b], 1e-9)
+    error = np.where(alike[:, a] & alike[:, b], error, np.inf)
+    found: list[tuple[float, int, Array]] = []
+    for dot in np.flatnonzero((error < OPPOSITE).sum(axis=1) >= 2).tolist():
+        pairs = np.flatnonzero(error[dot] < OPPOSITE)
+        pairs = pairs[np.argsort(np.minimum(length[dot, a[pairs]], length[dot, b[pairs]]), kind="stable")]
+        first = pairs[0]
+        e = step[dot, a[first]]
+        for other in pairs[1:]:
+            f = step[dot, a[other]]
+            if abs(e[0] * f[1] - e[1] * f[0]) > 0.35 * np.linalg.norm(e) * np.linalg.norm(f):
+                found.append((float(error[dot, first] + error[dot, other]), dot, np.stack([e, f], axis=1)))
+                break
+    for _, dot, steps in sorted(found, key=lambda entry: entry[:2]):
+        yield dot, steps
+
+
+def _grow(dots: Dots, tree: cKDTree, seed: int, steps: Array) -> Lattice:
+    """Grow a lattice, the best-fitting dot next: strangers, which fit worse, come last and lead nothing astray."""
+    lattice: Lattice = {}
+    taken: set[int] = set()
+    waiting: list[tuple[float, int, tuple[int, int], int, Array]] = []
+    order = 0
+
+    def offer(place: tuple[int, int], dot: int, E: Array) -> None:
+        nonlocal order
+        for axis, sense in product((0, 1), (1, -1)):
+            after = (place[0] + sense, place[1]) if axis == 0 else (place[0], place[1] + sense)
+            if after in lattice:
+                continue
+            step = sense * E[:, axis]
+            distance, k = tree.query(dots.uv[dot] + step)
+            error = float(distance / np.linalg.norm(step))
+            if error > NEAR or not _alike(dots, dot, int(k)):
+                continue
+            updated = E.copy()
+            updated[:, axis] = sense * (dots.uv[k] - dots.uv[dot])
+            order += 1
+            heapq.heappush(waiting, (error, order, after, int(k), updated))
+
+    lattice[0, 0] = seed
+    taken.add(seed)
+    offer((0, 0), seed, steps)
+    while waiting:
+        _, _, place, dot, E = heapq.heappop(waiting)
+        if place in lattice or dot in taken:
+            continue
+        lattice[place] = dot
+        taken.add(dot)
+        offer(place, dot, E)
+    return lattice
+
+
+def _alike(dots: Dots, a: int, b: int) -> bool:
+    """Tell whether two dots may be neighbours in one grid."""
+    ratio = float(dots.area[b] / dots.area[a])
+    return 1.0 / ALIKE < ratio < ALIKE
+
+
+def placements(lattice: Lattice, dots: Dots, grid: Grid) -> list[Placed]:
+    """Return the ways in which a board lies on a lattice that holds it, those with most dots first.
+
+    What lies beside the map through all the dots is no dot of the board; places left empty get the dot that lies where
+    the map says, whatever its size.
+    """
+    wanted = grid.places
+    found: list[Placed] = []
+    places = np.array(list(lattice), dtype=np.intp)
+    members = np.array(list(lattice.values()), dtype=np.intp)
+    if len(places) < PART * len(wanted):
+        return found
+    mask = np.zeros(wanted.max(axis=0) + 1, np.int64)
+    mask[wanted[:, 0], wanted[:, 1]] = 1
+    for basis in BASES:
+        moved = places @ basis.T
+        moved = moved - moved.min(axis=0)
+        table = np.full(moved.max(axis=0) + 1, -1, dtype=np.intp)
+        table[moved[:, 0], moved[:, 1]] = members
+        margin = np.array(mask.shape) - 1
+        table = np.pad(table, ((margin[0],) * 2, (margin[1],) * 2), constant_values=-1)
+        held = correlate2d((table >= 0).astype(np.int64), mask, mode="valid")
+        best = int(held.max())
+        if best < PART * len(wanted):
+            continue
+        for corner in np.argwhere(held == best):
+            fitted = _fitted(table, corner + wanted, dots, grid)
+            if fitted is not None:
+                found.append(fitted)
+    return sorted(found, key=lambda placed: -placed.count)
+
+
+def _fitted(table: Index, at: Index, dots: Dots, grid: Grid) -> Placed | None:
+    """Return the board at these places (n, 2) of the table, cleaned by the map through its dots, or None."""
+    wanted = grid.places
+    numbering = table[at[:, 0], at[:, 1]]
+    seen = np.flatnonzero(numbering >= 0)
+    smooth, distance = fit_map(wanted[seen].astype(float), dots.uv[numbering[seen]])
+    first, _ = smooth.derivatives(wanted.astype(float))
+    pitch_px = np.linalg.norm(first, axis=1).min(axis=1)  # (n,)
+    numbering = numbering.copy()
+    numbering[seen[distance > ON_MAP * pitch_px[seen]]] = -1
+    expected = smooth(wanted.astype(float))
+    usual = float(np.median(dots.area[numbering[numbering >= 0]])) if (numbering >= 0).any() else 0.0
+    empty = np.flatnonzero(numbering < 0)
+    if len(empty) and usual > 0.0:
+        gap, nearest = (np.asarray(part) for part in cKDTree(dots.uv).query(expected[empty]))
+        fits = (gap < ON_MAP * pitch_px[empty]) & (dots.area[nearest] < BIGGEST * usual)
+        fits &= (dots.area[nearest] > usual / ALIKE) & ~np.isin(nearest, numbering)
+        numbering[empty[fits]] = nearest[fits]
+    held = np.flatnonzero(numbering >= 0)
+    if len(held) < (1.0 - LOST_SHARE) * len(wanted) or not grid.rims_held(held):
+        return None
+    return Placed(numbering=numbering, beyond=any(_goes_on(side, dots, smooth, usual) for side in grid.beyond))
+
+
+def _goes_on(side: Index, dots: Dots, smooth: GridMap, usual_px2: float) -> bool:
+    """Tell whether most places (m, 2) next to one side of the board hold a dot like the board's."""
+    expected = smooth(side.astype(float))
+    pitch_px = np.linalg.norm(smooth.derivatives(side.astype(float))[0], axis=1).min(axis=1)
+    gap, nearest = (np.asarray(part) for part in cKDTree(dots.uv).query(expected))
+    ratio = dots.area[nearest] / usual_px2
+    held = (gap < NEAR_SIDE * pitch_px) & (ratio < ALIKE**2) & (ratio > ALIKE**-2)
+    return bool(np.count_nonzero(held) >= FULL_SIDE * len(side))
