@@ -47,6 +47,7 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
     ),
     "twin": ("armsight twin rtde --port 30004", "armsight twin rsi --connect 127.0.0.1:49152"),
     "console": (
+        "armsight console --robot sim:webcam-cell",
         "armsight console --folder work",
         f"armsight console --folder work --left camera:0 --right camera:1 {RIG}",
     ),

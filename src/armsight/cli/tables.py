@@ -252,6 +252,7 @@ def demo_tables(face: CommandUI, result: DemoOutput, out: Path) -> None:
             f"{real.n_ok} of {real.n_pairs}: {real.out}"
         )
     face.say(f"All in {figure(result.seconds_s, 2)} s.")
+    face.say("The operator's page of a simulated cell: armsight console --robot sim:webcam-cell")
 
 
 def _truth_rows(truth: PoseErrors) -> list[list[str]]:

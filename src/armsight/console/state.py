@@ -191,7 +191,7 @@ def _tip(console: Console, folder: Path) -> Guided:
 def _handeye(console: Console, folder: Path) -> Guided:
     return HandEyeStep(
         folder=folder,
-        out=console.folder / "handeye.yaml",
+        out=console.folder / "handeye-calibrated.yaml",
         arm=console.file("arm"),
         setup=Setup.EYE_IN_HAND if console.cell.cameras == "carried" else Setup.EYE_TO_HAND,
         read_joints=console.require_robot().joints,

@@ -13,6 +13,10 @@ from armsight.clock import Clock
 from armsight.drivers import Skew
 from armsight.records import Frame
 
+ROOM = "plain"
+"""What stands behind a target that is led about: before a workshop's hundreds of bright things three lights seen askew
+cannot always be told, and a person would mask them."""
+
 
 @dataclass(frozen=True, slots=True)
 class FollowedCell:
@@ -20,6 +24,7 @@ class FollowedCell:
 
     scenario: str
     track: JointTrack
+    room: str = ROOM
 
 
 class FollowedPairs:
@@ -30,7 +35,7 @@ class FollowedPairs:
 
     def __init__(self, cell: FollowedCell, clock: Clock) -> None:
         """Open nothing yet. Raises DeviceNotFound, BadFile, Inconsistent for the scenario."""
-        self._cell: Any = live_cell(cell.scenario, clock)
+        self._cell: Any = live_cell(cell.scenario, clock, room=cell.room)
         self._cell.robot.follow(cell.track.at)
         self.name = str(self._cell.pairs.name)
 

@@ -47,6 +47,8 @@ LOST_LOOKS = 10
 ENTRIES = (("a_m", "mm", MM), ("alpha_rad", "deg", DEG), ("d_m", "mm", MM), ("theta_rad", "deg", DEG))
 FASTEST_PX_S, STILL_PX, WIDEST_PX = 150.0, 3.0, 30.0
 """How far a light may be from where it was, for it to be the same: by its speed, at rest, and at most."""
+FASTEST_DEG_S, FASTEST_MM_S = 10.0, 20.0
+"""Of a joint on its sweep at full override: the light goes through the pictures slowly enough to be followed."""
 AROUND_DEG, AROUND_M = 10.0, 0.05
 """Half a range that is proposed about where a joint stands."""
 
@@ -206,10 +208,16 @@ def _identify(
     propose: bool,
 ) -> IdentifyOutput | ProposedPlanOutput:
     job, light = prepared(asked, robot, propose=propose)
-    job = replace(job, pace=Pace(speed=0.2 * robot.seat.override, frames=asked.frames))
+    job = replace(job, pace=Pace(speed=_pace(asked, robot.seat.override), frames=asked.frames))
     observer = StationObserver(station, read_rig(job.rig), light, clock)
     with moved:
         return identify_observed(job, person, moved, observer, clock, progress)
+
+
+def _pace(asked: IdentifyRequest, override: float) -> float:
+    """Return the share of its travel that each joint goes in a second: none goes faster than FASTEST, half at most."""
+    spans = [abs(one.upper - one.lower) / (FASTEST_MM_S if one.slides else FASTEST_DEG_S) for one in asked.ranges]
+    return override * min(0.5, 1.0 / max([*spans, 1.0]))
 
 
 def prepared(asked: IdentifyRequest, robot: RobotCell, *, propose: bool) -> tuple[LiveJob, str]:

@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
 
 from armsight.app.operator.placing import flange_pose
 from armsight.app.robot.alone import alone
@@ -248,8 +249,9 @@ class Seat:
         values = np.zeros(axes)
         values[push.axis] = self._override * float(np.sign(push.sense))
         arm, now = self.arm, self._host.snapshot()
-        if arm is None:
-            raise UsageError("the arm's lengths are not known", consequence="Its tool cannot be led")
+        T_base_tool = RigidTransform.identity()  # of joints it is not asked; where poses are not taken the desk refuses
+        if arm is not None:
+            T_base_tool = arm.T_world_base.inv() * flange_pose(arm, now.q_sent) * arm.T_flange_tool
         source.push(values.tolist(), now.t_s)
         return source.next(
             CycleState(
@@ -258,7 +260,7 @@ class Seat:
                 q=now.q_sent if now.reading is None else now.reading.q,
                 q_sent=now.q_sent,
                 qd_sent=np.zeros(n),
-                T_base_tool=arm.T_world_base.inv() * flange_pose(arm, now.q_sent) * arm.T_flange_tool,
+                T_base_tool=T_base_tool,
             )
         )
 
