@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
-from armsight.app.calibrate.board_images import Seen, in_parallel, see_board
+from armsight.app.calibrate.board_images import Seen, in_parallel, require_counts, see_board
 from armsight.app.calibrate.camera_noise import FoundNoise, NoiseJob, find_noise, input_files, require_size
 from armsight.app.calibrate.reports import RigData, write_camera_report, write_stereo_report
 from armsight.app.calibrate.zoom import ZoomValue, add_setting, zoom_file, zoom_output
@@ -69,6 +69,7 @@ def calibrate_camera(job: CalibrateJob, progress: Progress | None = None) -> Cam
     progress = progress or Silent()
     views: list[BoardView] = []
     rejected: list[Rejected] = []
+    every: list[Seen] = []
     if job.zoom is not None:
         zoom_file(job.out)
     found = None if job.noise is None else _noise(job, job.noise, progress)
@@ -78,8 +79,10 @@ def calibrate_camera(job: CalibrateJob, progress: Progress | None = None) -> Cam
         for frame, seen in in_parallel(
             lambda frame: (frame, see_board(frame, board, job.detector)), frames, workers=job.workers
         ):
+            every.append(seen)
             _sort(frame, seen, views, rejected)
             _tell(progress, len(views) + len(rejected), total)
+    require_counts(every, board, job.board)
     _require(views, rejected, job.board)
     if found is not None:
         require_size(found, (views[0].width, views[0].height), job.source)
@@ -122,6 +125,7 @@ def calibrate_stereo(job: CalibrateJob, progress: Progress | None = None) -> Ste
     progress = progress or Silent()
     views: tuple[list[BoardView], list[BoardView]] = ([], [])
     rejected: list[Rejected] = []
+    every: list[Seen] = []
     done = 0
 
     def see(pair: tuple[Frame, Frame]) -> tuple[tuple[Frame, Seen], ...]:
@@ -133,12 +137,14 @@ def calibrate_stereo(job: CalibrateJob, progress: Progress | None = None) -> Ste
         for both in in_parallel(see, chosen, workers=job.workers):
             lost = [(frame.source, seen.why) for frame, seen in both if isinstance(seen, NotSeen)]
             rejected += lost
+            every += [seen for _, seen in both]
             if not lost:
                 for side, (_, seen) in zip(views, both, strict=True):
                     if isinstance(seen, BoardView):
                         side.append(seen)
             done += 1
             _tell(progress, done, total)
+    require_counts(every, board, job.board)
     _require(views[0], rejected, job.board)
     progress.update(0, 0, "solving")
     result = solve_stereo(views[0], views[1], board, BoardOptions(folds=job.folds), progress)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.calibrate.board_images import in_parallel, see_board
+from armsight.app.calibrate.board_images import Seen, in_parallel, require_counts, see_board
 from armsight.app.calibrate.cameras import report_path
 from armsight.app.schemas.base import PointStd, PoseOutput, PoseStd, RejectedRow
 from armsight.app.schemas.handeye import (
@@ -208,11 +208,13 @@ def _from_images(job: HandEyeJob, progress: Progress) -> _Solved:
     poses: list[RigidTransform] = []
     unseen: list[tuple[str, str]] = []
     met: set[str] = set()
+    every: list[Seen] = []
     with open_source(job.images) as source:
         total = source.total or 0
         for frame, seen in in_parallel(lambda frame: (frame, see_board(frame, board)), source, workers=job.workers):
             name = Path(frame.source).name
             met.add(name)
+            every.append(seen)
             if name not in robot:
                 unseen.append((name, f"no row of {job.robot.name} names this image"))
             elif isinstance(seen, NotSeen):
@@ -229,6 +231,7 @@ def _from_images(job: HandEyeJob, progress: Progress) -> _Solved:
             consequence="No image has a robot pose",
             cure="Write the images' file names into the column file",
         )
+    require_counts(every, board, job.board)
     unseen += [(name, "there is no such image") for name in robot if name not in met]
     if not views:
         raise NotEnoughData(
