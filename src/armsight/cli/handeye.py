@@ -9,7 +9,7 @@ import typer
 
 from armsight.cli.camera_options import NONE_GIVEN, CameraOptions, takes_cameras
 from armsight.cli.command_ui import CommandUI
-from armsight.cli.options import BOARD, SRC, AsJson, Workers
+from armsight.cli.options import BOARD, SRC, AsJson, Bits, Strict, Workers
 from armsight.cli.tables import figure, pose_rows, tip_rows
 from armsight.errors import UsageError
 from armsight.units import MM
@@ -36,6 +36,8 @@ def handeye(
     free_camera: Annotated[bool, typer.Option("--free-camera", help="With images: refine the camera as well.")] = False,
     propose: Annotated[int, typer.Option(min=0, help="Propose so many further poses.")] = 0,
     workers: Workers = None,
+    bits: Bits = None,
+    strict: Strict = False,
     json: AsJson = False,
 ) -> None:
     """Find where the camera is on the hand (or beside the robot), and say whether the answer is right."""
@@ -58,6 +60,8 @@ def handeye(
             free_camera=free_camera,
             propose=propose,
             workers=workers,
+            bits=bits,
+            strict=strict,
         )
         done = calibrate_handeye(job, face.progress("calibrating"))
         handeye_tables(face, done, out)

@@ -20,6 +20,8 @@ Found = TypeVar("Found")
 
 def see_board(frame: Frame, board: Target, detector: str = "auto") -> Seen:
     """Return what is seen of the board in one frame, or the reason why it is not."""
+    if frame.unreadable:
+        return NotSeen(frame.unreadable)
     try:
         return find_board(frame.image, board, source=frame.source, detector=detector)
     except BadImage as error:

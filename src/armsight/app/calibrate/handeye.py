@@ -37,7 +37,8 @@ from armsight.calibrate.handeye import (
     verdict,
 )
 from armsight.calibrate.tooltip import MeasuredPoint, TipCalibration, calibrate_tooltip
-from armsight.drivers import list_images, open_source
+from armsight.drivers import ImageReading, is_live, list_images, open_source
+from armsight.drivers.sources import VIDEO_SUFFIXES
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.records import BoardView, NotSeen, PoseStatus, Progress, Silent, TargetPose
 from armsight.report.handeye_report import handeye_report
@@ -56,7 +57,8 @@ from armsight.store.schema import pose_mapping
 class HandEyeJob:
     """One of: pairs; images with camera, board and robot; robot_stream with camera_stream (poses.csv files).
 
-    free_camera: fit the intrinsics along with images. propose: how many further poses to propose.
+    free_camera: fit the intrinsics along with images. propose: how many further poses to propose. bits: of the
+    light in 16-bit images. strict: an image that cannot be read stops the run.
     """
 
     out: Path
@@ -71,6 +73,8 @@ class HandEyeJob:
     free_camera: bool = False
     propose: int = 0
     workers: int | None = None
+    bits: int | None = None
+    strict: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -207,9 +211,12 @@ def _from_images(job: HandEyeJob, progress: Progress) -> _Solved:
     views: list[BoardView] = []
     poses: list[RigidTransform] = []
     unseen: list[tuple[str, str]] = []
-    met: set[str] = set()
+    files = not is_live(job.images) and Path(job.images).suffix.lower() not in VIDEO_SUFFIXES
+    met = {path.name for path in list_images(job.images)} if files else set[str]()
+    unseen += [(name, f"no row of {job.robot.name} names this image") for name in sorted(met - set(robot))]
+    reading = ImageReading(bits=job.bits, strict=job.strict, only=frozenset(robot) if files else None)
     every: list[Seen] = []
-    with open_source(job.images) as source:
+    with open_source(job.images, reading=reading) as source:
         total = source.total or 0
         for frame, seen in in_parallel(lambda frame: (frame, see_board(frame, board)), source, workers=job.workers):
             name = Path(frame.source).name
@@ -222,9 +229,9 @@ def _from_images(job: HandEyeJob, progress: Progress) -> _Solved:
             else:
                 views.append(seen)
                 poses.append(robot[name])
-            progress.update(len(met), total, "finding the board")
+            progress.update(len(every), total, "finding the board")
             if progress.cancelled():
-                raise Cancelled(f"stopped after {len(met)} images", consequence="Nothing was written")
+                raise Cancelled(f"stopped after {len(every)} images", consequence="Nothing was written")
     if not met & set(robot):
         raise Inconsistent(
             f"none of the images is named in {job.robot}, which begins with {next(iter(robot), 'nothing')!r}",
