@@ -99,10 +99,23 @@ class Unseen(StrEnum):
 
 
 class BadImage(DataRefused):
-    """An image that cannot be used; unseen: what kept the board from being seen."""
+    """An image that cannot be used.
 
-    def __init__(self, cause: str, *, consequence: str = "", cure: str = "", unseen: Unseen = Unseen.OTHER) -> None:
+    unseen: what kept the board from being seen. size: larger and smaller count of the points of the board that is seen
+    in its place.
+    """
+
+    def __init__(
+        self,
+        cause: str,
+        *,
+        consequence: str = "",
+        cure: str = "",
+        unseen: Unseen = Unseen.OTHER,
+        size: tuple[int, int] | None = None,
+    ) -> None:
         self.unseen = unseen
+        self.size = size
         super().__init__(cause, consequence=consequence, cure=cure)
 
 

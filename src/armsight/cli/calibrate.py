@@ -10,7 +10,7 @@ import typer
 
 from armsight.cli.camera_options import NONE_GIVEN, CameraOptions, takes_cameras
 from armsight.cli.command_ui import CommandUI
-from armsight.cli.options import BOARD, SRC, AsJson, Board, Every, Limit, Workers
+from armsight.cli.options import BOARD, SRC, AsJson, Bits, Board, Every, Limit, Strict, Workers
 from armsight.cli.tables import camera_tables, noise_tables, stereo_tables, zoom_rig_tables, zoom_tables
 from armsight.errors import UsageError
 
@@ -54,6 +54,8 @@ def camera(
     frames: Limit = None,
     workers: Workers = None,
     detector: Detector = "auto",
+    bits: Bits = None,
+    strict: Strict = False,
     json: AsJson = False,
     camera_options: CameraOptions = NONE_GIVEN,
 ) -> None:
@@ -87,6 +89,8 @@ def camera(
             noise=noise,
             zoom=None if zoom is None else ZoomValue(zoom=zoom, pupil_m=pupil, pupil_std_m=pupil_std),
             camera_settings=asked,
+            bits=bits,
+            strict=strict,
         )
         done = calibrate_camera(job, face.progress("calibrating"))
         camera_tables(face, done, out)
@@ -134,6 +138,8 @@ def stereo(
     frames: Limit = None,
     workers: Workers = None,
     detector: Detector = "auto",
+    bits: Bits = None,
+    strict: Strict = False,
     json: AsJson = False,
     camera_options: CameraOptions = NONE_GIVEN,
 ) -> None:
@@ -152,6 +158,8 @@ def stereo(
             workers=workers if workers is not None else load_settings().workers,
             detector=detector,
             camera_settings=camera_options.settings(),
+            bits=bits,
+            strict=strict,
         )
         done = calibrate_stereo(job, face.progress("calibrating"))
         stereo_tables(face, done, out)

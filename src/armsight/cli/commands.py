@@ -23,6 +23,7 @@ from armsight.cli.kinematics import convert_arm, kinematics
 from armsight.cli.options import SRC, AsJson, Fps, Inverted, Limit, OutFolder, Seed, Threshold
 from armsight.cli.path import path
 from armsight.cli.play import play
+from armsight.cli.options import SRC, AsJson, Bits, Fps, Inverted, Limit, OutFolder, Seed, Strict, Threshold
 from armsight.cli.record import record
 from armsight.cli.reproduce import reproduce
 from armsight.cli.result_folders import ARM, MEASURED, VERIFIED, VIEWS, WORLD, keep_inputs, keeps_results
@@ -112,6 +113,8 @@ def measure(
     stills: Annotated[
         bool, typer.Option("--stills", help="The frames are single shots, not a motion: measure each by itself.")
     ] = False,
+    bits: Bits = None,
+    strict: Strict = False,
     mask: Annotated[Path | None, typer.Option(help="Image that is black where no light may be looked for.")] = None,
     max_skew: Annotated[
         float | None, typer.Option(min=0.0, help="Largest time in s between live frames of a pair. [default: 1/60]")
@@ -172,6 +175,8 @@ def measure(
             threshold=threshold,
             inverted=inverted,
             stills=stills,
+            bits=bits,
+            strict=strict,
             method=method,
             timing=timing,
             rate_hz=rate,

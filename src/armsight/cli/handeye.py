@@ -11,6 +11,7 @@ from armsight.cli.camera_options import NONE_GIVEN, CameraOptions, takes_cameras
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.options import BOARD, SRC, AsJson, Workers
 from armsight.cli.table_options import NOTHING_STATED, TableOptions, takes_tables
+from armsight.cli.options import BOARD, SRC, AsJson, Bits, Strict, Workers
 from armsight.cli.tables import figure, pose_rows, tip_rows
 from armsight.errors import UsageError
 from armsight.units import MM
@@ -39,6 +40,8 @@ def handeye(
     free_camera: Annotated[bool, typer.Option("--free-camera", help="With images: refine the camera as well.")] = False,
     propose: Annotated[int, typer.Option(min=0, help="Propose so many further poses.")] = 0,
     workers: Workers = None,
+    bits: Bits = None,
+    strict: Strict = False,
     json: AsJson = False,
     table_options: TableOptions = NOTHING_STATED,
 ) -> None:
@@ -60,6 +63,8 @@ def handeye(
             propose=propose,
             workers=workers,
             table=table_options.format(face),
+            bits=bits,
+            strict=strict,
         )
         done = calibrate_handeye(job, face.progress("calibrating"))
         handeye_tables(face, done, out)

@@ -33,6 +33,12 @@ Inverted: TypeAlias = Annotated[bool, typer.Option("--inverted", help="Look for 
 Workers: TypeAlias = Annotated[
     int | None, typer.Option("--workers", min=1, help="Threads that read and search images. [default: all cores]")
 ]
+Bits: TypeAlias = Annotated[
+    int | None, typer.Option("--bits", metavar="N", help="Bits that carry the light in 16-bit image files, such as 12.")
+]
+Strict: TypeAlias = Annotated[
+    bool, typer.Option("--strict", help="Stop at an image file that cannot be read, in place of going on without it.")
+]
 
 
 def parse_size(text: str | None) -> tuple[int, int] | None:

@@ -1,7 +1,7 @@
 """The only place that touches hardware: cameras, robots, files as cameras."""
 
 from armsight.drivers.camera_settings import AUTOMATIC, CameraSettings, PairSettings, by_side
-from armsight.drivers.images import list_images, read_image
+from armsight.drivers.images import AS_THEY_ARE, ImageReading, list_images, read_image
 from armsight.drivers.live import LivePairs, OpenCvCamera, cameras_there
 from armsight.drivers.lock import DeviceLock
 from armsight.drivers.opening import is_live, open_pairs, open_source, open_split
@@ -14,6 +14,7 @@ from armsight.drivers.robot import Robot, RobotState, Sent
 from armsight.drivers.sources import FPS, Capture, ImageFolder, VideoFile
 
 __all__ = [
+    "AS_THEY_ARE",
     "AUTOMATIC",
     "CAMERAS",
     "CELLS",
@@ -26,6 +27,7 @@ __all__ = [
     "FilePairs",
     "FrameSource",
     "ImageFolder",
+    "ImageReading",
     "LivePairs",
     "OpenCvCamera",
     "Overlaid",

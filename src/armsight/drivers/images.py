@@ -4,18 +4,52 @@ from __future__ import annotations
 
 import glob
 import re
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.errors import BadFile, BadImage, NotEnoughData
+from armsight.errors import BadFile, BadImage, NotEnoughData, UsageError
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")
 PNG_END = b"IEND\xaeB`\x82"
 JPEG_SCAN = b"\xff\xda"
 JPEG_END = b"\xff\xd9"
+
+
+LEAST_BITS, MOST_BITS = 9, 16
+"""Bits of light that --bits may name; images of 8 need no word."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImageReading:
+    """How image files are read.
+
+    bits: how many of a 16-bit pixel's lower bits carry the light; None: only 8-bit images are taken. strict: a file
+    that cannot be read stops the run, else its frame says so and is black. only: names of the files that are
+    meant, or None for all. Raises UsageError for bits that no image has.
+    """
+
+    bits: int | None = None
+    strict: bool = True
+    only: frozenset[str] | None = None
+
+    def __post_init__(self) -> None:
+        if self.bits is not None and not LEAST_BITS <= self.bits <= MOST_BITS:
+            raise UsageError(
+                f"--bits {self.bits} cannot be", cure=f"Give {LEAST_BITS} to {MOST_BITS}, such as 10 or 12"
+            )
+
+    def require_none(self, source: str) -> None:
+        """Raise UsageError where bits are named for a source that is no image files."""
+        if self.bits is not None:
+            raise UsageError(f"--bits is for image files, and {source} is none", cure="Leave --bits away")
+
+
+AS_THEY_ARE = ImageReading()
+"""8-bit images, each of which must be readable."""
 
 
 def natural_key(text: str) -> tuple[tuple[tuple[int, int | str], ...], str]:
@@ -54,23 +88,33 @@ def list_images(text: str) -> tuple[Path, ...]:
     return tuple(sorted(files, key=lambda path: natural_key(str(path))))
 
 
-def read_image(path: Path, *, colour: bool = False) -> NDArray[np.uint8]:
+def read_image(path: Path, *, colour: bool = False, bits: int | None = None) -> NDArray[np.uint8]:
     """Return the image in path, grey (h, w) or BGR (h, w, 3), in the sensor's own orientation.
 
     A rotation noted by a telephone in the file's header is not applied: the pixels of one camera keep their
-    place. Raises BadFile where the file cannot be read, BadImage where it is no whole 8-bit image.
+    place. bits: as ImageReading's. Raises BadFile where the file cannot be read, BadImage where it is no whole image of
+    these bits.
     """
+    return image_of_8_bits(read_pixels(path, colour=colour), bits, str(path))
+
+
+def read_pixels(path: Path, *, colour: bool = False) -> NDArray[np.generic]:
+    """Return the pixels in path as read_image does, as deep as the file has them."""
     try:
         data = path.read_bytes()
     except OSError as error:
         raise BadFile(
             f"{path} cannot be read ({error.strerror or error})", consequence="The frame is missing", cure="Check it"
         ) from error
-    return decode_image(data, str(path), colour=colour)
+    return _decoded(data, str(path), colour=colour)
 
 
 def decode_image(data: bytes, where: str, *, colour: bool = False) -> NDArray[np.uint8]:
     """Return the image in the bytes of an image file, as read_image does. Raises BadImage that begins with where."""
+    return image_of_8_bits(_decoded(data, where, colour=colour), None, where)
+
+
+def _decoded(data: bytes, where: str, *, colour: bool) -> NDArray[np.generic]:
     why = "it is empty" if not data else _broken_off(data)
     image = None
     if not why:
@@ -87,13 +131,44 @@ def decode_image(data: bytes, where: str, *, colour: bool = False) -> NDArray[np
             consequence="The frame cannot be used",
             cure="Copy it again from where it was recorded, or take it and its partner away",
         )
-    if image.dtype != np.uint8:
-        raise BadImage(
-            f"{where} has {image.dtype.itemsize * 8} bits per pixel, and nothing says which of them carry the light",
-            consequence="The frame cannot be used",
-            cure="Convert the images to 8 bits, all with the same factor",
-        )
     return np.asarray(image)
+
+
+def image_of_8_bits(image: NDArray[np.generic], bits: int | None, where: str) -> NDArray[np.uint8]:
+    """Return an image as uint8, black at 0 and full scale of so many bits at 255, rounded.
+
+    Raises BadImage where the bits are not told, or the image contradicts them.
+    """
+    if image.dtype == np.uint8:
+        if bits is not None:
+            raise BadImage(
+                f"{where} has 8 bits per pixel, not {bits}",
+                consequence="Images of different scales cannot be used together",
+                cure="Leave --bits away, or take the 8-bit images out of the folder",
+            )
+        return np.asarray(image, dtype=np.uint8)
+    largest = image.max() if image.size else 0
+    if image.dtype != np.uint16:
+        raise BadImage(
+            f"{where} has pixels of type {image.dtype}",
+            consequence="The frame cannot be used",
+            cure="Convert the images to 8 or 16 bits, all with the same factor",
+        )
+    needed = max(int(largest).bit_length(), LEAST_BITS)
+    if bits is None:
+        raise BadImage(
+            f"{where} has 16 bits per pixel, and nothing says which of them carry the light",
+            consequence="The frame cannot be used",
+            cure=f"Say it, such as --bits 12; this image's brightest pixel is {largest}, which takes {needed} bits",
+        )
+    if needed > bits:
+        raise BadImage(
+            f"{where} has a pixel of {largest}, which takes {needed} bits, not {bits}",
+            consequence="The frame cannot be used",
+            cure=f"Give --bits {needed} or more, the same for all images of the camera",
+        )
+    full = 2**bits - 1
+    return np.asarray((image.astype(np.uint32) * 255 + full // 2) // full, dtype=np.uint8)
 
 
 def _broken_off(data: bytes) -> str:

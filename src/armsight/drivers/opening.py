@@ -9,6 +9,7 @@ from typing import Any, cast
 
 from armsight.clock import Clock, SystemClock
 from armsight.drivers.camera_settings import AUTOMATIC, CameraSettings, PairSettings, by_side
+from armsight.drivers.images import AS_THEY_ARE, ImageReading
 from armsight.drivers.live import MAX_SKEW_S, LivePairs
 from armsight.drivers.pairs import FilePairs, SplitImages
 from armsight.drivers.protocols import FrameSource, PairSource
@@ -34,13 +35,16 @@ def open_source(
     clock: Clock | None = None,
     origin_s: float | None = None,
     settings: CameraSettings = AUTOMATIC,
+    reading: ImageReading = AS_THEY_ARE,
 ) -> FrameSource:
     """Return the source that a person's text names; nothing is opened yet.
 
     camera:0 or camera:/dev/video0 is a camera of OpenCV's, camera:DRIVER or camera:DRIVER:DEVICE one of a registered
-    driver; settings: what is asked of it. Raises UsageError, or DeviceNotFound for an unknown driver.
+    driver; settings: what is asked of it. reading: of image files. Raises UsageError, or DeviceNotFound for an
+    unknown driver.
     """
     if is_live(text):
+        reading.require_none(text)
         if times_s is not None:
             raise UsageError("a live camera brings its own time stamps", cure="Leave --times away")
         driver, device = _driver(text.removeprefix(CAMERA))
@@ -55,8 +59,9 @@ def open_source(
             cure="Turn it into images first: armsight convert recording",
         )
     if suffix in VIDEO_SUFFIXES and not Path(text).is_dir():
+        reading.require_none(text)
         return VideoFile(text, colour=colour, fps=fps, times_s=times_s)
-    return ImageFolder(text, colour=colour, fps=fps or FPS, times_s=times_s)
+    return ImageFolder(text, colour=colour, fps=fps or FPS, times_s=times_s, reading=reading)
 
 
 def open_pairs(
@@ -68,6 +73,7 @@ def open_pairs(
     times_s: Sequence[float] | None = None,
     max_skew_s: float = MAX_SKEW_S,
     settings: PairSettings = AUTOMATIC,
+    reading: ImageReading = AS_THEY_ARE,
 ) -> PairSource:
     """Return the pairs of two sources; nothing is opened yet. Raises UsageError for one live and one not.
 
@@ -83,6 +89,7 @@ def open_pairs(
         )
     left_settings, right_settings = by_side(settings)
     if is_live(left):
+        reading.require_none(left)
         clock = SystemClock()
         origin_s = clock.now_s()
         return LivePairs(
@@ -91,8 +98,8 @@ def open_pairs(
             max_skew_s=max_skew_s,
         )
     return FilePairs(
-        open_source(left, colour=colour, fps=fps, times_s=times_s, settings=left_settings),
-        open_source(right, colour=colour, fps=fps, times_s=times_s, settings=right_settings),
+        open_source(left, colour=colour, fps=fps, times_s=times_s, settings=left_settings, reading=reading),
+        open_source(right, colour=colour, fps=fps, times_s=times_s, settings=right_settings, reading=reading),
     )
 
 

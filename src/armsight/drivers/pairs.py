@@ -154,6 +154,7 @@ class SplitImages(ComplexImages):
             sequence=frame.sequence,
             source=frame.source,
             exposure_s=frame.exposure_s,
+            unreadable=frame.unreadable,
         )
 
 

@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.drivers.images import list_images, read_image
+from armsight.drivers.images import AS_THEY_ARE, ImageReading, image_of_8_bits, list_images, read_pixels
 from armsight.drivers.prefetch import ordered_map, read_ahead
-from armsight.errors import BadFile, BadImage, Inconsistent
+from armsight.errors import BadFile, BadImage, DataRefused, Inconsistent
 from armsight.records import Frame
 
 FPS = 30.0
@@ -55,14 +55,22 @@ def open_video(path: str) -> Capture:
 class ImageFolder:
     """The images of a folder or pattern, decoded ahead in threads.
 
-    times_s: the time of each, else index / fps. Raises Inconsistent on opening where the times are not as many as
-    the images, and at the first image of another size than the first one's.
+    times_s: the time of each, else index / fps. reading: which files and bits are meant, and what becomes of a file
+    that cannot be read. Raises Inconsistent on opening where the times are not as many as the images, and at the first
+    image of another size than the first one's.
     """
 
     def __init__(
-        self, text: str, *, colour: bool = False, fps: float = FPS, times_s: Sequence[float] | None = None
+        self,
+        text: str,
+        *,
+        colour: bool = False,
+        fps: float = FPS,
+        times_s: Sequence[float] | None = None,
+        reading: ImageReading = AS_THEY_ARE,
     ) -> None:
         self.name = text
+        self._reading = reading
         self._colour = colour
         self._fps = fps
         self._times_s = times_s
@@ -79,7 +87,8 @@ class ImageFolder:
         return len(self._paths) or None
 
     def __enter__(self) -> Self:
-        self._paths = list_images(self.name)
+        only = self._reading.only
+        self._paths = tuple(path for path in list_images(self.name) if only is None or path.name in only)
         if self._times_s is not None and len(self._times_s) != len(self._paths):
             raise wrong_times(self._times_s, self.name, len(self._paths))
         return self
@@ -91,8 +100,17 @@ class ImageFolder:
 
     def __iter__(self) -> Iterator[Frame]:
         shape: tuple[int, ...] | None = None
-        images = ordered_map(lambda path: read_image(path, colour=self._colour), self._paths)
-        for sequence, (path, image) in enumerate(zip(self._paths, images, strict=True)):
+        for sequence, (path, image) in enumerate(zip(self._paths, ordered_map(self._read, self._paths), strict=True)):
+            if isinstance(image, DataRefused):
+                shape = shape or self._first_shape(image)
+                yield Frame(
+                    image=np.zeros(shape, np.uint8),
+                    t_s=self._time_s(sequence),
+                    sequence=sequence,
+                    source=str(path),
+                    unreadable=image.cause.removeprefix(f"{path} "),
+                )
+                continue
             shape = shape or image.shape
             if image.shape != shape:
                 raise Inconsistent(
@@ -100,8 +118,28 @@ class ImageFolder:
                     consequence="Images of one camera must all be of one size, so reading stops here",
                     cure="Give each camera a folder of its own, without cropped or scaled images",
                 )
-            t_s = self._times_s[sequence] if self._times_s is not None else sequence / self._fps
-            yield Frame(image=image, t_s=float(t_s), sequence=sequence, source=str(path))
+            yield Frame(image=image, t_s=self._time_s(sequence), sequence=sequence, source=str(path))
+
+    def _time_s(self, sequence: int) -> float:
+        return float(self._times_s[sequence] if self._times_s is not None else sequence / self._fps)
+
+    def _read(self, path: Path) -> NDArray[np.uint8] | DataRefused:
+        """Return the image, or the error where it may be passed over. Raises BadImage for bits that are not told."""
+        try:
+            pixels = read_pixels(path, colour=self._colour)
+        except (BadFile, BadImage) as error:
+            if self._reading.strict:
+                raise
+            return error
+        return image_of_8_bits(pixels, self._reading.bits, str(path))
+
+    def _first_shape(self, error: DataRefused) -> tuple[int, ...]:
+        """Return the shape of the first image that can be read. Raises the error where there is none."""
+        for path in self._paths:
+            image = self._read(path)
+            if not isinstance(image, DataRefused):
+                return image.shape
+        raise error
 
 
 class VideoFile:

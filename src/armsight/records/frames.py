@@ -16,6 +16,7 @@ class Frame:
 
     t_s is the middle of the exposure of the middle line, on the recording's clock. The image is not
     copied (a frame is large); it is made read-only instead. Centre of the top-left pixel: (0, 0); image[row, column].
+    unreadable: why a file among others gave no picture; the image is then black, and nothing may be measured in it.
     """
 
     image: NDArray[np.uint8]
@@ -23,6 +24,7 @@ class Frame:
     sequence: int
     source: str
     exposure_s: float = 0.0
+    unreadable: str = ""
 
     def __post_init__(self) -> None:
         image = self.image

@@ -73,9 +73,15 @@ def test_bad_images_and_counts_are_refused(armsight: Any, boards: Any, tmp_path:
     words = ["--left", tmp_path / "left", "--right", tmp_path / "right", "--board", boards.board]
     cut = tmp_path / "left" / "shot2.png"
     cut.write_bytes(cut.read_bytes()[:1000])
-    done = armsight("calibrate", "stereo", *words, "-o", tmp_path / "rig.yaml")
+    done = armsight("calibrate", "stereo", *words, "--strict", "-o", tmp_path / "rig.yaml")
     assert done.code == 3
     assert str(cut) in done.json["error"]["cause"]
+    done = armsight("calibrate", "stereo", *words, "-o", tmp_path / "lenient.yaml")
+    assert done.code == 0
+    assert (done.json["n_used"], done.json["n_pairs"]) == (9, 10)
+    (left_out,) = done.json["rejected"]
+    assert left_out["file"] == str(cut)
+    assert "breaks off before its end" in left_out["why"]
     cut.unlink()
     done = armsight("calibrate", "stereo", *words, "-o", tmp_path / "rig.yaml")
     assert done.code == 3

@@ -143,13 +143,19 @@ def test_nothing_but_dark_or_white_frames_is_refused_with_the_reason(
     assert {path.name for path in (tmp_path / "o").iterdir()} == set(FILES)
 
 
-def test_a_truncated_image_ends_the_run_and_what_was_measured_is_kept(
+def test_a_truncated_image_is_a_lost_frame_and_strictly_the_end_of_the_run(
     armsight: Any, scene: Any, tmp_path: Path
 ) -> None:
     folder = copied(scene, tmp_path / "copy")
     path = folder / "right" / "frame9.png"
     path.write_bytes(path.read_bytes()[:-500])
-    done = armsight("measure", *scene.inputs, *scene.sources(folder / "left", folder / "right"), "-o", tmp_path / "out")
+    words = ["measure", *scene.inputs, *scene.sources(folder / "left", folder / "right")]
+    done = armsight(*words, "-o", tmp_path / "lenient")
+    assert done.code == 0
+    assert (done.json["n_frames"], done.json["n_lost"]) == (12, 1)
+    assert [row["status"] for row in rows(tmp_path / "lenient" / "poses.csv")].index("lost") == 9
+    assert any(str(path) in why for why in json.loads((tmp_path / "lenient" / "measure.json").read_text())["reasons"])
+    done = armsight(*words, "--strict", "-o", tmp_path / "out")
     assert done.code == 3
     assert done.json["error"]["kind"] == "BadImage"
     assert str(path) in done.json["error"]["cause"]

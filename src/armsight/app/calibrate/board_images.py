@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TypeVar
 
 from armsight.drivers import ordered_map
-from armsight.errors import BadImage
+from armsight.errors import BadImage, Inconsistent
 from armsight.measure.boards import find_board
-from armsight.records import BoardView, Frame, NotSeen, Target
+from armsight.records import BoardView, Frame, NotSeen, Target, TargetKind
 
 Seen = BoardView | NotSeen
 """The view, or why there is none."""
@@ -19,10 +20,31 @@ Found = TypeVar("Found")
 
 def see_board(frame: Frame, board: Target, detector: str = "auto") -> Seen:
     """Return what is seen of the board in one frame, or the reason why it is not."""
+    if frame.unreadable:
+        return NotSeen(frame.unreadable)
     try:
         return find_board(frame.image, board, source=frame.source, detector=detector)
     except BadImage as error:
-        return NotSeen(error.cause.removeprefix(f"{frame.source}: "), error.unseen)
+        return NotSeen(error.cause.removeprefix(f"{frame.source}: "), error.unseen, error.size)
+
+
+def require_counts(seen: Sequence[Seen], board: Target, text: str) -> None:
+    """Raise Inconsistent where more images show a board of one other size than show this one; text: as it was asked."""
+    n_views = sum(isinstance(one, BoardView) for one in seen)
+    sizes = Counter(one.size for one in seen if isinstance(one, NotSeen) and one.size is not None)
+    if not sizes:
+        return
+    (size, count), *_ = sizes.most_common(1)
+    if count <= n_views:
+        return
+    counted = "circles" if board.kind in (TargetKind.CIRCLES, TargetKind.ACIRCLES) else "inner corners"
+    right = text.replace(f"{board.columns}x{board.rows}", f"{size[0]}x{size[1]}", 1)
+    raise Inconsistent(
+        f"a board of {size[0]}x{size[1]} {counted} is seen in {count} of {len(seen)} images, "
+        f"and one of {board.columns}x{board.rows} in {n_views}",
+        consequence="Nothing was calibrated: part of a larger board may have been taken for the board",
+        cure=f"Count the {counted} again; perhaps --board {right} is meant",
+    )
 
 
 def in_parallel(

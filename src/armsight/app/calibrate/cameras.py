@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
-from armsight.app.calibrate.board_images import Seen, in_parallel, see_board
+from armsight.app.calibrate.board_images import Seen, in_parallel, require_counts, see_board
 from armsight.app.calibrate.camera_noise import FoundNoise, NoiseJob, find_noise, input_files, require_size
 from armsight.app.calibrate.reports import RigData, write_camera_report, write_stereo_report
 from armsight.app.calibrate.zoom import ZoomValue, add_setting, zoom_file, zoom_output
@@ -17,7 +17,7 @@ from armsight.app.sources.frames import open_pairs, open_source
 from armsight.calibrate.cameras import BoardOptions, CameraCalibration, StereoCalibration
 from armsight.calibrate.cameras import calibrate_camera as solve_camera
 from armsight.calibrate.cameras import calibrate_stereo as solve_stereo
-from armsight.drivers import AUTOMATIC, CameraSettings, is_live
+from armsight.drivers import AUTOMATIC, CameraSettings, ImageReading, is_live
 from armsight.errors import Cancelled, NotEnoughData
 from armsight.records import BoardView, Frame, NamedCovariance, NotSeen, Progress, Silent
 from armsight.store import parse_board, write_camera, write_rig
@@ -42,7 +42,8 @@ class CalibrateJob:
 
     detector: one of armsight.measure.boards.DETECTORS, for checkerboards. noise: still frames of the camera, or a file
     that holds its noise. zoom: of a zoom lens, the setting at which the images were taken; out then keeps its other
-    settings. camera_settings: what is asked of live cameras.
+    settings. camera_settings: what is asked of live cameras. bits: of the light in 16-bit images. strict: an image that
+    cannot be read stops the run.
     """
 
     board: str
@@ -58,6 +59,13 @@ class CalibrateJob:
     noise: str | None = None
     zoom: ZoomValue | None = None
     camera_settings: CameraSettings = AUTOMATIC
+    bits: int | None = None
+    strict: bool = False
+
+    @property
+    def reading(self) -> ImageReading:
+        """How image files are read; one that cannot be is left out unless the job is strict."""
+        return ImageReading(bits=self.bits, strict=self.strict)
 
 
 def calibrate_camera(job: CalibrateJob, progress: Progress | None = None) -> CameraOutput:
@@ -69,17 +77,20 @@ def calibrate_camera(job: CalibrateJob, progress: Progress | None = None) -> Cam
     progress = progress or Silent()
     views: list[BoardView] = []
     rejected: list[Rejected] = []
+    every: list[Seen] = []
     if job.zoom is not None:
         zoom_file(job.out)
     found = None if job.noise is None else _noise(job, job.noise, progress)
-    with open_source(job.source, settings=job.camera_settings) as source:
+    with open_source(job.source, settings=job.camera_settings, reading=job.reading) as source:
         frames = islice(source, 0, _stop(job), job.every)
         total = _total(source.total, job)
         for frame, seen in in_parallel(
             lambda frame: (frame, see_board(frame, board, job.detector)), frames, workers=job.workers
         ):
+            every.append(seen)
             _sort(frame, seen, views, rejected)
             _tell(progress, len(views) + len(rejected), total)
+    require_counts(every, board, job.board)
     _require(views, rejected, job.board)
     if found is not None:
         require_size(found, (views[0].width, views[0].height), job.source)
@@ -122,23 +133,26 @@ def calibrate_stereo(job: CalibrateJob, progress: Progress | None = None) -> Ste
     progress = progress or Silent()
     views: tuple[list[BoardView], list[BoardView]] = ([], [])
     rejected: list[Rejected] = []
+    every: list[Seen] = []
     done = 0
 
     def see(pair: tuple[Frame, Frame]) -> tuple[tuple[Frame, Seen], ...]:
         return tuple((frame, see_board(frame, board, job.detector)) for frame in pair)
 
-    with open_pairs(job.left, job.right, settings=job.camera_settings) as pairs:
+    with open_pairs(job.left, job.right, settings=job.camera_settings, reading=job.reading) as pairs:
         chosen = islice(pairs, 0, _stop(job), job.every)
         total = _total(pairs.total, job)
         for both in in_parallel(see, chosen, workers=job.workers):
             lost = [(frame.source, seen.why) for frame, seen in both if isinstance(seen, NotSeen)]
             rejected += lost
+            every += [seen for _, seen in both]
             if not lost:
                 for side, (_, seen) in zip(views, both, strict=True):
                     if isinstance(seen, BoardView):
                         side.append(seen)
             done += 1
             _tell(progress, done, total)
+    require_counts(every, board, job.board)
     _require(views[0], rejected, job.board)
     progress.update(0, 0, "solving")
     result = solve_stereo(views[0], views[1], board, BoardOptions(folds=job.folds), progress)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from armsight.app.calibrate.board_images import in_parallel, see_board
+from armsight.app.calibrate.board_images import Seen, in_parallel, require_counts, see_board
 from armsight.app.calibrate.cameras import report_path
 from armsight.app.schemas.base import PointStd, PoseOutput, PoseStd, RejectedRow
 from armsight.app.schemas.handeye import (
@@ -37,7 +37,8 @@ from armsight.calibrate.handeye import (
     verdict,
 )
 from armsight.calibrate.tooltip import MeasuredPoint, TipCalibration, calibrate_tooltip
-from armsight.drivers import list_images, open_source
+from armsight.drivers import ImageReading, is_live, list_images, open_source
+from armsight.drivers.sources import VIDEO_SUFFIXES
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.records import BoardView, NotSeen, PoseStatus, Progress, Silent, TargetPose
 from armsight.report.handeye_report import handeye_report
@@ -57,7 +58,8 @@ from armsight.store.schema import pose_mapping
 class HandEyeJob:
     """One of: pairs; images with camera, board and robot; robot_stream with camera_stream (poses.csv files).
 
-    free_camera: fit the intrinsics along with images. propose: how many further poses to propose.
+    free_camera: fit the intrinsics along with images. propose: how many further poses to propose. bits: of the
+    light in 16-bit images. strict: an image that cannot be read stops the run.
     """
 
     out: Path
@@ -73,6 +75,8 @@ class HandEyeJob:
     propose: int = 0
     workers: int | None = None
     table: TableFormat = OURS
+    bits: int | None = None
+    strict: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -229,12 +233,17 @@ def _from_images(job: HandEyeJob, progress: Progress) -> _Solved:
     views: list[BoardView] = []
     poses: list[RigidTransform] = []
     unseen: list[tuple[str, str]] = []
-    met: set[str] = set()
-    with open_source(job.images) as source:
+    files = not is_live(job.images) and Path(job.images).suffix.lower() not in VIDEO_SUFFIXES
+    met = {path.name for path in list_images(job.images)} if files else set[str]()
+    unseen += [(name, f"no row of {job.robot.name} names this image") for name in sorted(met - set(robot))]
+    reading = ImageReading(bits=job.bits, strict=job.strict, only=frozenset(robot) if files else None)
+    every: list[Seen] = []
+    with open_source(job.images, reading=reading) as source:
         total = source.total or 0
         for frame, seen in in_parallel(lambda frame: (frame, see_board(frame, board)), source, workers=job.workers):
             name = Path(frame.source).name
             met.add(name)
+            every.append(seen)
             if name not in robot:
                 unseen.append((name, f"no row of {job.robot.name} names this image"))
             elif isinstance(seen, NotSeen):
@@ -242,15 +251,16 @@ def _from_images(job: HandEyeJob, progress: Progress) -> _Solved:
             else:
                 views.append(seen)
                 poses.append(robot[name])
-            progress.update(len(met), total, "finding the board")
+            progress.update(len(every), total, "finding the board")
             if progress.cancelled():
-                raise Cancelled(f"stopped after {len(met)} images", consequence="Nothing was written")
+                raise Cancelled(f"stopped after {len(every)} images", consequence="Nothing was written")
     if not met & set(robot):
         raise Inconsistent(
             f"none of the images is named in {job.robot}, which begins with {next(iter(robot), 'nothing')!r}",
             consequence="No image has a robot pose",
             cure="Write the images' file names into the column file",
         )
+    require_counts(every, board, job.board)
     unseen += [(name, "there is no such image") for name in robot if name not in met]
     if not views:
         raise NotEnoughData(

@@ -24,7 +24,16 @@ from armsight.app.sources.bags import origin_ns
 from armsight.app.sources.complex_images import complex_pairs
 from armsight.app.sources.frame_times import frame_times
 from armsight.app.sources.frames import is_recording, open_pairs, open_source, require_size
-from armsight.drivers import AUTOMATIC, CameraSettings, PairSettings, PairSource, by_side, ordered_map, read_image
+from armsight.drivers import (
+    AUTOMATIC,
+    CameraSettings,
+    ImageReading,
+    PairSettings,
+    PairSource,
+    by_side,
+    ordered_map,
+    read_image,
+)
 from armsight.drivers.live import MAX_SKEW_S
 from armsight.errors import ArmsightError, Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.measure.consistency.check import RunCheck
@@ -67,7 +76,8 @@ class MeasureJob:
     of cameras that run free, or auto: free where the rig's file says when its cameras expose. rate_hz, at: with free
     cameras, the rate of the poses, or a table whose t_s they are given at; neither: the times of the left frames.
     zoom: where the lenses of the left and right camera stand, of a rig with zoom settings. camera_settings: what is
-    asked of live cameras, or of each.
+    asked of live cameras, or of each. bits: of the light in 16-bit images. strict: an image that cannot be read stops
+    the run.
     """
 
     rig: Path
@@ -93,6 +103,13 @@ class MeasureJob:
     at: Path | None = None
     zoom: tuple[float | None, float | None] = (None, None)
     camera_settings: PairSettings = AUTOMATIC
+    bits: int | None = None
+    strict: bool = False
+
+    @property
+    def reading(self) -> ImageReading:
+        """How image files are read; one that cannot be is a lost frame unless the job is strict."""
+        return ImageReading(bits=self.bits, strict=self.strict)
 
 
 def target_of(named: Path) -> Target:
@@ -110,6 +127,8 @@ def measure(job: MeasureJob, progress: Progress | None = None) -> MeasureOutput:
     world = read_world(job.world) if job.world else None
     settings, slack_px = _settings(job, target), rig_slack_px(rig) if zoomed else SLACK_PX
     if _free(job, rig):
+        if job.bits is not None:
+            raise UsageError("--bits is for frames in pairs, and these cameras run free", cure="Give --timing pairs")
         setup = Setup(rig=rig, target=target, settings=settings, slack_px=slack_px)
         return with_zoom(measure_free(job, setup, world, progress or Silent()), zoomed, job.out)
     times = frame_times(job.left or job.image, job.times, job.fps)
@@ -218,6 +237,9 @@ def _singly(setup: Setup, pairs: Iterable[Pair]) -> Generator[Step, None, None]:
 def _one(setup: Setup, pair: Pair, track: Track | None) -> Step:
     start_s = time.perf_counter()
     swapped = None
+    unreadable = [f"{frame.source}: {frame.unreadable}" for frame in pair if frame.unreadable]
+    if unreadable:
+        return Step(pair=pair, measured=lost_pair(pair, unreadable[0]), ms=0.0)
     try:
         measured = measure_pair(setup, *pair, track)
     except Inconsistent as error:  # sizes were checked before: the views look exchanged, which one frame cannot decide
@@ -289,7 +311,9 @@ def _pairs(job: MeasureJob, rig: Rig, target: Target, times_s: list[float] | Non
         if job.left is not None or job.right is not None:
             raise UsageError("--image goes with neither --left nor --right", cure="Give the one or the others")
         asked = _settings_of_one(job.camera_settings, job.image)
-        source = partial(open_source, job.image, colour=colour, fps=job.fps, times_s=times_s, settings=asked)
+        source = partial(
+            open_source, job.image, colour=colour, fps=job.fps, times_s=times_s, settings=asked, reading=job.reading
+        )
         return complex_pairs(source, rig)
     if rig.kind is RigKind.MIRROR and job.left is not None and job.left == job.right:
         raise UsageError(
@@ -309,6 +333,7 @@ def _pairs(job: MeasureJob, rig: Rig, target: Target, times_s: list[float] | Non
         times_s=times_s,
         max_skew_s=job.max_skew_s,
         settings=job.camera_settings,
+        reading=job.reading,
     )
     return pairs, False
 

@@ -19,7 +19,18 @@ import numpy as np
 from armsight import drivers
 from armsight.app.sources.bags import BagFrames
 from armsight.clock import Clock
-from armsight.drivers import AUTOMATIC, CameraSettings, FrameSource, LivePairs, PairSettings, PairSource, Skew, by_side
+from armsight.drivers import (
+    AS_THEY_ARE,
+    AUTOMATIC,
+    CameraSettings,
+    FrameSource,
+    ImageReading,
+    LivePairs,
+    PairSettings,
+    PairSource,
+    Skew,
+    by_side,
+)
 from armsight.drivers.live import MAX_SKEW_S
 from armsight.errors import DeviceFailed, Inconsistent, UsageError
 from armsight.optics import Rig
@@ -142,16 +153,26 @@ def open_source(
     clock: Clock | None = None,
     origin_s: float | None = None,
     settings: CameraSettings = AUTOMATIC,
+    reading: ImageReading = AS_THEY_ARE,
 ) -> FrameSource:
     """Return the source that a text names as drivers.open_source does, or one camera of a recording."""
     if is_recording(text):
         _require_as_recorded(text, fps, times_s, settings)
+        reading.require_none(text)
         return RecordedFrames(text, colour=colour)
     if is_bag(text):
         _require_as_recorded(text, fps, times_s, settings)
+        reading.require_none(text)
         return BagFrames(text, colour=colour)
     return drivers.open_source(
-        text, colour=colour, fps=fps, times_s=times_s, clock=clock, origin_s=origin_s, settings=settings
+        text,
+        colour=colour,
+        fps=fps,
+        times_s=times_s,
+        clock=clock,
+        origin_s=origin_s,
+        settings=settings,
+        reading=reading,
     )
 
 
@@ -199,9 +220,12 @@ def open_pairs(
     times_s: Sequence[float] | None = None,
     max_skew_s: float = MAX_SKEW_S,
     settings: PairSettings = AUTOMATIC,
+    reading: ImageReading = AS_THEY_ARE,
 ) -> PairSource:
     """Return the pairs of two sources as drivers.open_pairs does, or of one recording. Raises UsageError."""
     recorded = [text for text in (left, right) if text is not None and is_recording(text)]
+    if recorded or any(text is not None and is_bag(text) for text in (left, right)):
+        reading.require_none(recorded[0] if recorded else str(left or right))
     if recorded and (left is None or right is None or len(recorded) == 2):
         _require_as_recorded(recorded[0], fps, times_s, settings)
         return RecordedPairs(
@@ -224,7 +248,14 @@ def open_pairs(
             max_skew_s=max_skew_s,
         )
     return drivers.open_pairs(
-        left, right, colour=colour, fps=fps, times_s=times_s, max_skew_s=max_skew_s, settings=settings
+        left,
+        right,
+        colour=colour,
+        fps=fps,
+        times_s=times_s,
+        max_skew_s=max_skew_s,
+        settings=settings,
+        reading=reading,
     )
 
 

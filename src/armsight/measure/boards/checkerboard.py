@@ -27,6 +27,8 @@ EXPLAINED = 0.6
 END_OF_BOARD = 0.9
 """Likeness of the end of a black square on an evenly white margin to a corner: 0.895-0.906 on painted boards, where
 true corners reach 0.97-0.999; a corner beyond the board must be nearer to its own corners' likeness."""
+PERHAPS_BEYOND = 0.3
+"""Where this share of one more row looks like corners, the whole image is searched for a larger board."""
 ALTERNATING = 0.5
 """Share of the board's own step from black to white that the squares beyond must show to be the board's."""
 OFF_GRID = 0.15
@@ -49,12 +51,13 @@ def find_checkerboard(image: Image, board: Target, source: str, detector: str) -
     """Return all corners of the board, or those that could be verified; raises BadImage with the reason."""
     coarse = coarse_corners(image, board.columns, board.rows, detector)
     if coarse is None:
-        instead, unseen = _instead(image, board)
+        instead, unseen, size = _instead(image, board)
         raise BadImage(
             f"{source}: no checkerboard of {board.columns}x{board.rows} inner corners was found{instead}",
             consequence="The image is not used",
             cure="Show the whole board, sharp and evenly lit, and count its inner corners",
             unseen=unseen,
+            size=size,
         )
     return refine_corners(image, board, number_corners(image, board, coarse), source)
 
@@ -220,11 +223,17 @@ def _refuse(
         near = np.linalg.norm(uv - smooth(more), axis=1) < OFF_GRID * float(np.median(size))
         clear, contrast = np.median(quality[good, :2], axis=0)
         like = near & (beyond[:, 0] > 0.5 * (END_OF_BOARD + clear)) & (beyond[:, 1] > 0.5 * contrast)
-        if like.mean() > 1.0 - LOST_SHARE and not _margin(image, board, smooth, more, sign):
+        if like.mean() <= PERHAPS_BEYOND:
+            continue
+        sure = like.mean() > 1.0 - LOST_SHARE and not _margin(image, board, smooth, more, sign)
+        whole = _larger_grid(image, board)
+        if sure or whole is not None:
+            seen = "" if whole is None else f"; one of {whole[0]}x{whole[1]} was found"
             raise BadImage(
-                f"{source}: the board goes on beyond {board.columns}x{board.rows} inner corners ({side})",
+                f"{source}: the board goes on beyond {board.columns}x{board.rows} inner corners ({side}){seen}",
                 consequence="Which of its corners are meant cannot be known and the image is not used",
                 cure="Count the inner corners again",
+                size=whole,
             )
 
 
@@ -265,16 +274,29 @@ def _sign_at(grid: Array, sign: Array) -> Array:
     return np.asarray(np.where(np.rint(grid.sum(axis=1)).astype(int) % 2 == 0, sign[0], -sign[0]))
 
 
-def _instead(image: Image, board: Target) -> tuple[str, Unseen]:
-    """Return words on what is there instead: a board of another size, the board out of focus, or nothing."""
-    wanted = max(board.columns, board.rows), min(board.columns, board.rows)
-    other = _largest_grid(image)
-    if other and other != wanted and other[0] >= wanted[0] and other[1] >= wanted[1]:
-        return f", but one of {other[0]}x{other[1]} was", Unseen.OTHER
+def _instead(image: Image, board: Target) -> tuple[str, Unseen, tuple[int, int] | None]:
+    """Return words on what is there instead: a board of another size, the board out of focus, or nothing; its size."""
+    larger = _larger_grid(image, board)
+    if larger is not None:
+        return f", but one of {larger[0]}x{larger[1]} was", Unseen.OTHER, larger
     for factor in (2, 4):
         if coarse_corners(shrunk(image, factor), board.columns, board.rows, "auto") is not None:
-            return "; it is there, but blurred", Unseen.BLURRED
-    return f", but one of {other[0]}x{other[1]} was" if other and other != wanted else "", Unseen.OTHER
+            return "; it is there, but blurred", Unseen.BLURRED, None
+    other = _largest_grid(image)
+    if other is None or other == _sorted_size(board):
+        return "", Unseen.OTHER, None
+    return f", but one of {other[0]}x{other[1]} was", Unseen.OTHER, other
+
+
+def _sorted_size(board: Target) -> tuple[int, int]:
+    return max(board.columns, board.rows), min(board.columns, board.rows)
+
+
+def _larger_grid(image: Image, board: Target) -> tuple[int, int] | None:
+    """Return the counts of a checkerboard in the image that is larger than the board, as _largest_grid does."""
+    wanted, other = _sorted_size(board), _largest_grid(image)
+    larger = other is not None and other != wanted and other[0] >= wanted[0] and other[1] >= wanted[1]
+    return other if larger else None
 
 
 def _largest_grid(image: Image) -> tuple[int, int] | None:

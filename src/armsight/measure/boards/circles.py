@@ -95,6 +95,7 @@ class _Search:
             f"{self.source}: no grid of {wanted} circles was found{instead}",
             consequence="The image is not used",
             cure="Show the whole grid, sharp and evenly lit, and count its circles",
+            size=_whole_size(self.largest, self.board),
         )
 
 
@@ -251,10 +252,17 @@ def _instead(lattice: Lattice, board: Target, *, beyond: bool) -> str:
     """Return words on the grid that was found, if it is large enough to mean anything."""
     if len(lattice) < 9:
         return ""
-    places = np.array(list(lattice))
-    i, j = np.ptp(places, axis=0) + 1
-    if board.kind is TargetKind.CIRCLES and i * j == len(lattice):
-        return f", but one of {max(i, j)}x{min(i, j)} was"
+    size = _whole_size(lattice, board)
+    if size is not None:
+        return f", but one of {size[0]}x{size[1]} was"
     if beyond:
         return ": the grid that is there goes on beyond it"
     return f" (the largest grid has {len(lattice)} circles of {len(board.names)})"
+
+
+def _whole_size(lattice: Lattice, board: Target) -> tuple[int, int] | None:
+    """Return larger and smaller count of a whole symmetric grid of another size, or None."""
+    if len(lattice) < 9 or board.kind is not TargetKind.CIRCLES:
+        return None
+    i, j = (np.ptp(np.array(list(lattice)), axis=0) + 1).tolist()
+    return (max(i, j), min(i, j)) if i * j == len(lattice) and {i, j} != {board.columns, board.rows} else None

@@ -1,0 +1,97 @@
+"""Image files of 9 to 16 bits, and those among others that cannot be read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from armsight.app.calibrate.board_images import see_board
+from armsight.app.sources.frames import open_source as open_any
+from armsight.drivers import ImageReading, open_pairs, open_source
+from armsight.drivers.images import read_image
+from armsight.errors import BadImage, UsageError
+from armsight.records import NotSeen, TargetKind, board_target
+
+BOARD = board_target(TargetKind.CHECKERBOARD, 9, 6, 0.025)
+RAMP = np.linspace(0.0, 1.0, 64 * 48).reshape(48, 64)
+LENIENT = ImageReading(strict=False)
+
+
+def deep(path: Path, bits: int) -> np.ndarray:
+    pixels = np.rint(RAMP * (2**bits - 1)).astype(np.uint16)
+    cv2.imwrite(str(path), pixels)
+    return pixels
+
+
+@pytest.mark.parametrize("bits", [10, 12, 16])
+def test_full_scale_of_the_bits_named_is_255(tmp_path: Path, bits: int) -> None:
+    pixels = deep(tmp_path / "a.png", bits)
+    image = read_image(tmp_path / "a.png", bits=bits)
+    assert image.dtype == np.uint8
+    assert np.abs(image - pixels / (2**bits - 1) * 255.0).max() <= 0.5
+    assert (image.min(), image.max()) == (0, 255)
+
+
+def test_bits_are_asked_for_and_checked_against_the_image(tmp_path: Path) -> None:
+    deep(tmp_path / "a.png", 12)
+    with pytest.raises(BadImage, match="nothing says which of them") as refusal:
+        read_image(tmp_path / "a.png")
+    assert "4095, which takes 12 bits" in refusal.value.cure
+    with pytest.raises(BadImage, match="4095, which takes 12 bits, not 10"):
+        read_image(tmp_path / "a.png", bits=10)
+    cv2.imwrite(str(tmp_path / "b.png"), np.zeros((48, 64), np.uint8))
+    with pytest.raises(BadImage, match="8 bits per pixel, not 12"):
+        read_image(tmp_path / "b.png", bits=12)
+    for bits in (8, 17):
+        with pytest.raises(UsageError, match=f"--bits {bits}"):
+            ImageReading(bits=bits)
+
+
+def test_bits_are_for_image_files(tmp_path: Path) -> None:
+    reading = ImageReading(bits=12)
+    for text in ("camera:0", "film.avi", "run.mcap", "bag:run.bag:/left"):
+        with pytest.raises(UsageError, match="--bits is for image files"):
+            open_any(text, reading=reading)
+    with pytest.raises(UsageError, match="--bits is for image files"):
+        open_pairs("camera:0", "camera:1", reading=reading)
+
+
+@pytest.mark.parametrize("broken", [0, 1])
+def test_a_file_among_others_that_cannot_be_read_says_so_and_the_rest_goes_on(tmp_path: Path, broken: int) -> None:
+    for i in range(3):
+        cv2.imwrite(str(tmp_path / f"{i}.png"), np.full((48, 64), 90, np.uint8))
+    path = tmp_path / f"{broken}.png"
+    path.write_bytes(path.read_bytes()[:40])
+    with open_source(str(tmp_path), reading=LENIENT) as source:
+        frames = list(source)
+    assert [bool(frame.unreadable) for frame in frames] == [i == broken for i in range(3)]
+    assert [frame.t_s for frame in frames] == [0.0, 1 / 30, 2 / 30]
+    assert {frame.image.shape for frame in frames} == {(48, 64)}
+    assert not frames[broken].image.any()
+    seen = see_board(frames[broken], BOARD)
+    assert isinstance(seen, NotSeen)
+    assert seen.why == "is not a whole image: it breaks off before its end"
+    with open_source(str(tmp_path)) as source, pytest.raises(BadImage, match="not a whole image"):
+        list(source)
+
+
+def test_nothing_but_files_that_cannot_be_read_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "a.png").write_bytes(b"nothing")
+    with open_source(str(tmp_path), reading=LENIENT) as source, pytest.raises(BadImage, match="not a whole image"):
+        list(source)
+
+
+def test_depth_that_is_not_told_stops_even_a_lenient_run(tmp_path: Path) -> None:
+    deep(tmp_path / "a.png", 12)
+    with open_source(str(tmp_path), reading=LENIENT) as source, pytest.raises(BadImage, match="nothing says"):
+        list(source)
+
+
+def test_only_the_files_named_are_opened(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "a.png"), np.full((48, 64), 90, np.uint8))
+    (tmp_path / "notes.png").write_bytes(b"nothing")
+    with open_source(str(tmp_path), reading=ImageReading(only=frozenset({"a.png"}))) as source:
+        assert [Path(frame.source).name for frame in source] == ["a.png"]
