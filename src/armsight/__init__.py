@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from armsight.api.files import read_arm as read_arm
     from armsight.api.files import read_camera as read_camera
     from armsight.api.files import read_joints as read_joints
+    from armsight.api.files import read_path as read_path
     from armsight.api.files import read_poses as read_poses
     from armsight.api.files import read_rig as read_rig
     from armsight.api.files import read_target as read_target
@@ -58,6 +59,7 @@ if TYPE_CHECKING:
     from armsight.records import PoseStatus as PoseStatus
     from armsight.records import Spots as Spots
     from armsight.records import Target as Target
+    from armsight.records import TaughtPath as TaughtPath
 
 _MODULES: dict[str, tuple[str, ...]] = {
     "armsight.api.pose": (
@@ -90,6 +92,7 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "read_arm",
         "read_camera",
         "read_joints",
+        "read_path",
         "read_poses",
         "read_rig",
         "read_target",
@@ -119,6 +122,7 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "PoseStatus",
         "Spots",
         "Target",
+        "TaughtPath",
     ),
     "armsight.errors": (
         "ArmsightError",

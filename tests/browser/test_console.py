@@ -3,11 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import signal
-import socket
-import subprocess
-import sys
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,7 +10,6 @@ from typing import Any
 import pytest
 
 CHROMIUM = "/usr/bin/chromium"
-PATIENCE_MS = 60_000
 
 pytestmark = [
     pytest.mark.skipif(not Path(CHROMIUM).exists(), reason="no Chromium on this machine"),
@@ -23,56 +17,9 @@ pytestmark = [
 ]
 
 
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as player:
-        made = player.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield made
-        made.close()
-
-
-def serve(folder: Path, left: Path, right: Path, *more: str) -> tuple[str, subprocess.Popen[bytes]]:
-    """Start the console as a person does; return its address."""
-    port = free_port()
-    command = [sys.executable, "-c", "from armsight.cli import main; main()", "console", "--folder", str(folder)]
-    command += ["--left", str(left), "--right", str(right), "--play-again", "--port", str(port), *more]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE)
-    assert process.stderr is not None
-    said = process.stderr.readline().decode()
-    assert "Open http://" in said, said + process.stderr.read().decode()
-    listening(port)
-    return f"http://127.0.0.1:{port}", process
-
-
-def listening(port: int) -> None:
-    """Return when somebody answers on a port; fails where nobody comes."""
-    pause = threading.Event()
-    for _ in range(600):
-        with socket.socket() as probe:
-            if probe.connect_ex(("127.0.0.1", port)) == 0:
-                return
-        pause.wait(0.05)
-    raise AssertionError(f"nobody listens on port {port}")
-
-
-def end(process: subprocess.Popen[bytes]) -> None:
-    process.send_signal(signal.SIGINT)
-    try:
-        process.wait(20)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        raise
-    finally:
-        if process.stderr is not None:
-            process.stderr.close()
+def serve(console: Any, folder: Path, left: Path, right: Path, *more: str) -> tuple[str, Any]:
+    """Start the console on files that are played again and again; return its address."""
+    return console.begin(folder, "--left", str(left), "--right", str(right), "--play-again", *more)
 
 
 @pytest.fixture(scope="module")
@@ -83,18 +30,11 @@ def lights(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
     for name in ("rig.yaml", "target.yaml"):
         shutil.copy(scene.folder / name, folder / name)
     more = ("--rig", "rig.yaml", "--target", "target.yaml")
-    address, process = serve(folder, scene.folder / "left", scene.folder / "right", *more)
+    address, process = serve(
+        request.getfixturevalue("console"), folder, scene.folder / "left", scene.folder / "right", *more
+    )
     yield address
-    end(process)
-
-
-def opened(browser: Any, address: str, *, width: int = 1400, dark: bool = False) -> Any:
-    """Return a page, loaded, that fails the test where its scripts do."""
-    page = browser.new_page(viewport={"width": width, "height": 900}, color_scheme="dark" if dark else "light")
-    page.set_default_timeout(PATIENCE_MS)
-    page.goto(address, wait_until="domcontentloaded")
-    page.wait_for_selector("[data-testid=state]")
-    return page
+    request.getfixturevalue("console").end(process)
 
 
 def shown(page: Any, more_than: int = 0) -> None:
@@ -106,8 +46,8 @@ def shown(page: Any, more_than: int = 0) -> None:
         )
 
 
-def test_live_shows_pictures_and_the_pose_with_its_uncertainty(browser: Any, lights: str) -> None:
-    page = opened(browser, f"{lights}/live")
+def test_live_shows_pictures_and_the_pose_with_its_uncertainty(browser: Any, console: Any, lights: str) -> None:
+    page = console.opened(browser, f"{lights}/live")
     shown(page, 10)
     page.wait_for_function("document.querySelector('[data-testid=state]').textContent.includes('Measuring')")
     z_mm = float(page.inner_text("[data-testid=pose-z]").split()[0])
@@ -118,8 +58,8 @@ def test_live_shows_pictures_and_the_pose_with_its_uncertainty(browser: Any, lig
     page.close()
 
 
-def test_a_recording_goes_on_when_the_page_is_loaded_anew(browser: Any, lights: str) -> None:
-    page = opened(browser, f"{lights}/live")
+def test_a_recording_goes_on_when_the_page_is_loaded_anew(browser: Any, console: Any, lights: str) -> None:
+    page = console.opened(browser, f"{lights}/live")
     shown(page)
     page.click("[data-testid=record]")
     page.wait_for_selector("text=/Recording recording-.*: [1-9]/")
@@ -130,18 +70,18 @@ def test_a_recording_goes_on_when_the_page_is_loaded_anew(browser: Any, lights: 
     page.close()
 
 
-def test_a_phone_shows_live_without_scrolling_sideways(browser: Any, lights: str) -> None:
-    page = opened(browser, f"{lights}/live", width=390, dark=True)
+def test_a_phone_shows_live_without_scrolling_sideways(browser: Any, console: Any, lights: str) -> None:
+    page = console.opened(browser, f"{lights}/live", width=390, dark=True)
     shown(page)
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
     page.close()
 
 
 @pytest.mark.parametrize("name", ["live", "calibrate", "verify", "settings"])
-def test_pages_have_no_serious_fault_of_accessibility(browser: Any, lights: str, name: str) -> None:
+def test_pages_have_no_serious_fault_of_accessibility(browser: Any, console: Any, lights: str, name: str) -> None:
     from axe_playwright_python.sync_playwright import Axe
 
-    page = opened(browser, f"{lights}/{name}")
+    page = console.opened(browser, f"{lights}/{name}")
     for scheme in ("light", "dark"):
         page.emulate_media(color_scheme=scheme)
         found = Axe().run(page).response["violations"]
@@ -166,11 +106,11 @@ def test_nothing_comes_from_elsewhere(browser: Any, lights: str) -> None:
     page.close()
 
 
-def test_cameras_are_calibrated_by_showing_a_board(browser: Any, boards: Any, tmp_path: Path) -> None:
+def test_cameras_are_calibrated_by_showing_a_board(browser: Any, console: Any, boards: Any, tmp_path: Path) -> None:
     """From bare cameras to a rig that is measured with, step by step as the page asks."""
-    address, process = serve(tmp_path / "cell", boards.folder / "left", boards.folder / "right")
+    address, process = serve(console, tmp_path / "cell", boards.folder / "left", boards.folder / "right")
     try:
-        page = opened(browser, f"{address}/settings")
+        page = console.opened(browser, f"{address}/settings")
         page.fill("[data-testid=field-board]", boards.board)
         page.click("[data-testid=apply]")
         page.wait_for_selector("text=In use")
@@ -189,11 +129,11 @@ def test_cameras_are_calibrated_by_showing_a_board(browser: Any, boards: Any, tm
         page.wait_for_function("document.querySelector('[data-testid=state]').textContent.length > 3")
         page.close()
     finally:
-        end(process)
+        console.end(process)
 
 
-def test_wrong_settings_are_told_and_not_used(browser: Any, lights: str) -> None:
-    page = opened(browser, f"{lights}/settings")
+def test_wrong_settings_are_told_and_not_used(browser: Any, console: Any, lights: str) -> None:
+    page = console.opened(browser, f"{lights}/settings")
     page.fill("[data-testid=field-rig]", "nosuch.yaml")
     page.click("[data-testid=apply]")
     page.wait_for_selector("text=nosuch.yaml is not there")
@@ -212,9 +152,9 @@ def test_wrong_settings_are_told_and_not_used(browser: Any, lights: str) -> None
     ],
 )
 def test_a_file_is_brought_or_refused_with_the_reason(
-    browser: Any, lights: str, name: str, size: int, said: str
+    browser: Any, console: Any, lights: str, name: str, size: int, said: str
 ) -> None:
-    page = opened(browser, f"{lights}/settings")
+    page = console.opened(browser, f"{lights}/settings")
     file = {"name": name, "mimeType": "text/plain", "buffer": b"x" * size}
     page.set_input_files("[data-testid=upload]", file)
     page.wait_for_function("said => document.getElementById('uploaded').textContent.includes(said)", arg=said)

@@ -11,13 +11,13 @@ import numpy as np
 from armsight import store
 from armsight.api.arrays import Array
 from armsight.api.tracks import PoseTrack
-from armsight.store import arm_file
+from armsight.store import arm_file, path_file
 from armsight.store.urdf import read_urdf
 
 if TYPE_CHECKING:
     from armsight.kinematics import Arm
     from armsight.optics import Camera, Rig
-    from armsight.records import Target
+    from armsight.records import Target, TaughtPath
     from armsight.store.recording import Recording
 
 PathText = str | PathLike[str]
@@ -47,6 +47,11 @@ def read_arm(path: PathText) -> Arm:
 def read_poses(path: PathText) -> PoseTrack:
     """Return the poses in a poses.csv. Raises BadFile, naming line and column."""
     return PoseTrack(poses=store.read_poses(Path(path)))
+
+
+def read_path(path: PathText, *, frame: str = "world") -> TaughtPath:
+    """Return the path in a path.csv, its poses in frame world or base. Raises BadFile, naming line and column."""
+    return path_file.read_path(Path(path), parent=frame)
 
 
 def read_joints(path: PathText) -> tuple[Array, Array]:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from armsight.app.schemas.files import ConvertOutput
+from armsight.calibrate.handeye import Setup
 from armsight.errors import BadFile, UsageError
 from armsight.optics import Camera, Rig
 from armsight.optics.mirrors import pinhole_pair
@@ -23,12 +24,15 @@ from armsight.store import (
     write_tum,
 )
 from armsight.store.foreign import (
+    FrameNames,
+    Transform,
     camera_from_kalibr,
     camera_from_opencv,
     camera_from_ros,
     camera_to_kalibr,
     camera_to_opencv,
     camera_to_ros,
+    cameras_to_colmap,
     kind_of,
     rig_from_kalibr,
     rig_from_opencv,
@@ -36,16 +40,23 @@ from armsight.store.foreign import (
     rig_to_kalibr,
     rig_to_opencv,
     rig_to_ros,
+    write_easy_handeye,
+    write_easy_handeye2,
+    write_tf_launch,
 )
+from armsight.store.handeye_file import read_handeye
 
 KINDS = ("armsight", "ros", "opencv", "kalibr")
+WRITTEN = (*KINDS, "colmap")
+"""Kinds that can be converted to."""
+HANDEYE_KINDS = ("easy_handeye", "easy_handeye2", "tf")
 TUM_SUFFIXES = (".tum", ".txt")
 
 
 def convert_camera(
     source: Path, out: Path, *, to: str | None = None, size: tuple[int, int] | None = None
 ) -> ConvertOutput:
-    """Convert a camera's file; to: one of KINDS, default armsight. Raises DataRefused or UsageError."""
+    """Convert a camera's file; to: one of WRITTEN, default armsight. Raises DataRefused or UsageError."""
     kind = _kind(source, "armsight/camera")
     to = _wanted(kind, to)
     read: Mapping[str, Callable[[Path], Camera]] = {
@@ -60,6 +71,7 @@ def convert_camera(
         "ros": lambda: camera_to_ros(out, camera),
         "opencv": lambda: camera_to_opencv(out, camera),
         "kalibr": lambda: camera_to_kalibr(out, camera),
+        "colmap": lambda: cameras_to_colmap(out, [camera]),
     }
     write[to]()
     return _done(kind, to, [out])
@@ -75,13 +87,14 @@ def convert_rig(
 ) -> ConvertOutput:
     """Convert a rig's file, or its two files (ROS: left, right; OpenCV: intrinsics, extrinsics).
 
-    to: one of KINDS, default armsight; ROS wants two outs, the others one. size (width, height) and unit_m are for
+    to: one of WRITTEN, default armsight; ROS wants two outs, and may take a third for a launch file with the transforms
+    (TF) between the cameras; the others want one. size (width, height) and unit_m are for
     OpenCV's files, which may leave them out. Raises DataRefused or UsageError.
     """
     kind = _kind(sources[0], "armsight/rig")
     to = _wanted(kind, to)
     _count("input", sources, kind, {"armsight": (1,), "ros": (2,), "opencv": (1, 2), "kalibr": (1,)}[kind])
-    _count("output", outs, to, (2,) if to == "ros" else (1,))
+    _count("output", outs, to, (2, 3) if to == "ros" else (1,))
     read: Mapping[str, Callable[[], Rig]] = {
         "armsight": lambda: read_rig(sources[0]),
         "ros": lambda: rig_from_ros(sources[0], sources[1]),
@@ -94,12 +107,47 @@ def convert_rig(
         note = f"{to} knows no glass plate: written is the nearest pair of pinholes, {rms_px:.3f} px RMS off"
     write: Mapping[str, Callable[[], None]] = {
         "armsight": lambda: write_rig(outs[0], rig, inputs=sources),
-        "ros": lambda: rig_to_ros(outs[0], outs[1], rig),
+        "ros": lambda: _rig_to_ros(outs, rig),
         "opencv": lambda: rig_to_opencv(outs[0], rig),
         "kalibr": lambda: rig_to_kalibr(outs[0], rig),
+        "colmap": lambda: cameras_to_colmap(outs[0], [rig.left, rig.right]),
     }
     write[to]()
     return _done(kind, to, outs, note=note)
+
+
+def _rig_to_ros(outs: Sequence[Path], rig: Rig) -> None:
+    """Write the two camera_info files, and the transforms to both cameras where a third file is named."""
+    rig_to_ros(outs[0], outs[1], rig)
+    if len(outs) > 2:
+        sides = (("left", rig.T_rig_left), ("right", rig.T_rig_right))
+        write_tf_launch(outs[2], [Transform(parent="rig", child=name, T_parent_child=T) for name, T in sides])
+
+
+def convert_handeye(source: Path, out: Path, *, to: str, names: FrameNames) -> ConvertOutput:
+    """Write a handeye.yaml for ROS: as easy_handeye or easy_handeye2 keep theirs, or as a launch file of transforms.
+
+    Raises UsageError, DataRefused.
+    """
+    if to not in HANDEYE_KINDS:
+        raise UsageError(
+            f"{to!r} is not a kind to convert to", cure=f"Give --to with one of {', '.join(HANDEYE_KINDS)}"
+        )
+    found = read_handeye(source)
+    in_hand = found.setup is Setup.EYE_IN_HAND
+    if to == "tf":
+        camera, target = (names.flange, names.base) if in_hand else (names.base, names.flange)
+        write_tf_launch(
+            out,
+            [
+                Transform(parent=camera, child=names.camera, T_parent_child=found.T_parent_camera),
+                Transform(parent=target, child=names.target, T_parent_child=found.T_parent_target),
+            ],
+        )
+    else:
+        write = write_easy_handeye if to == "easy_handeye" else write_easy_handeye2
+        write(out, found.T_parent_camera, names, in_hand=in_hand)
+    return _done("armsight", to, [out])
 
 
 def convert_poses(source: Path, out: Path) -> ConvertOutput:
@@ -140,10 +188,10 @@ def _kind(path: Path, own: str) -> str:
 
 def _wanted(kind: str, to: str | None) -> str:
     to = to or ("armsight" if kind != "armsight" else None)
-    if to is None or to not in KINDS:
+    if to is None or to not in WRITTEN:
         raise UsageError(
             f"{to!r} is not a kind to convert to" if to else "the file is armsight's own, and --to says nothing",
-            cure=f"Give --to with one of {', '.join(KINDS)}",
+            cure=f"Give --to with one of {', '.join(WRITTEN)}",
         )
     return to
 

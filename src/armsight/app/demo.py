@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.app.demo_pictures import FOLDER, measure_pictures
 from armsight.app.measure.collector import About
 from armsight.app.measure.outputs import COORDINATES
 from armsight.app.measure.run import run
@@ -33,11 +34,13 @@ def demo(
     cell: str,
     room: str | None = None,
     keep_frames: bool = False,
+    pictures: bool = True,
     progress: Progress | None = None,
 ) -> DemoOutput:
     """Measure a simulated cell's frames into the folder out and compare with the truth.
 
-    room: a room's name or a picture's path instead of the cell's own. Raises DeviceNotFound for an unknown cell,
+    room: a room's name or a picture's path instead of the cell's own. pictures: calibrate and measure real pictures of
+    a board too. Raises DeviceNotFound for an unknown cell,
     UsageError for an unknown room, what `run` raises, and Cancelled.
     """
     start_s = time.perf_counter()
@@ -58,12 +61,14 @@ def demo(
     summary, poses = run(setup, pairs, out, progress=progress, about=about)
     errors = errors_of(poses, truth)
     compared = np.isfinite(errors.distance2)
+    real = measure_pictures(out / FOLDER, progress) if pictures else None
     result = DemoOutput(
         **dict(summary),
         truth=_pose_errors(errors.values[compared] * SCALE, errors.std[compared] * SCALE),
         inside_95=float(np.mean(errors.distance2[compared] <= INSIDE_95)) if compared.any() else None,
         seconds_s=time.perf_counter() - start_s,
         assumptions=list(made.assumptions),
+        pictures=real,
     )
     result.write(out / "demo.json")
     return result

@@ -43,6 +43,7 @@ from armsight.report.arm_view import arm_report
 from armsight.store import read_joints, read_poses, write_joints, write_poses, write_text
 from armsight.store.arm_file import read_arm, write_arm
 from armsight.store.bags import JointStates, is_bag
+from armsight.store.interpret import OURS, TableFormat, largest, looks_like_degrees
 from armsight.store.tables import cells, number
 from armsight.store.urdf import read_urdf, write_urdf
 
@@ -67,9 +68,15 @@ def load_arm(text: str, *, tip: str | None = None) -> Arm:
     )
 
 
-def read_values(arm: Arm, path: Path) -> Motion:
-    """Return joints.csv or bag:FILE:/topic, which hold a controller's readings, as the joints' own values."""
-    motion = _of_arm(arm, joint_states(str(path))) if is_bag(str(path)) else read_joints(path)
+def read_values(arm: Arm, path: Path, format_: TableFormat = OURS) -> Motion:
+    """Return joints.csv or bag:FILE:/topic, which hold a controller's readings, as the joints' own values.
+
+    Rows without times are counted: none of the commands here asks for the time.
+    """
+    if is_bag(str(path)):
+        motion = _of_arm(arm, joint_states(str(path)))
+    else:
+        motion = read_joints(path, format_.of_joints([joint.name for joint in arm.joints]), timed=False)
     return Motion(t_s=motion.t_s, q=arm.values(motion.q))
 
 
@@ -86,10 +93,10 @@ def _of_arm(arm: Arm, states: JointStates) -> Motion:
     return Motion(t_s=states.motion.t_s, q=states.motion.q[:, columns])
 
 
-def write_poses_of_joints(arm: str, joints: Path, out: Path) -> FkOutput:
+def write_poses_of_joints(arm: str, joints: Path, out: Path, format_: TableFormat = OURS) -> FkOutput:
     """Write poses.csv, T_world_tool at each row of joints.csv."""
     model = load_arm(arm)
-    motion = read_values(model, joints)
+    motion = read_values(model, joints, format_)
     poses = pose(model, motion.q)
     write_poses(
         out,
@@ -104,10 +111,12 @@ def write_poses_of_joints(arm: str, joints: Path, out: Path) -> FkOutput:
     return FkOutput(arm=model.name, n=len(motion.t_s), n_beyond_limits=beyond)
 
 
-def write_jacobians(arm: str, joints: Path, out: Path, *, axes: str = "world") -> JacobianOutput:
+def write_jacobians(
+    arm: str, joints: Path, out: Path, *, axes: str = "world", format_: TableFormat = OURS
+) -> JacobianOutput:
     """Write the geometric Jacobian at each row of joints.csv: t_s, then J11..J6n row by row."""
     model = load_arm(arm)
-    motion = read_values(model, joints)
+    motion = read_values(model, joints, format_)
     if axes not in ("world", "base", "tool"):
         raise UsageError(f"the axes {axes!r} are not known", cure="Use world, base or tool")
     J = fk_jacobian(model, motion.q, axes=axes)[1]  # type: ignore[arg-type]  # checked above
@@ -119,7 +128,14 @@ def write_jacobians(arm: str, joints: Path, out: Path, *, axes: str = "world") -
 
 
 def write_joints_of_poses(
-    arm: str, poses: Path, out: Path, *, near: Path | None = None, every: bool = False, task: str | None = None
+    arm: str,
+    poses: Path,
+    out: Path,
+    *,
+    near: Path | None = None,
+    every: bool = False,
+    task: str | None = None,
+    format_: TableFormat = OURS,
 ) -> IkOutput:
     """Write solutions.csv: pose, solution, q1..qn, error_m, error_rad, status; one row per pose, or all of them.
 
@@ -127,7 +143,7 @@ def write_joints_of_poses(
     solution get one row with empty joint values; the reason is its status, and in words in the result.
     """
     model = load_arm(arm)
-    targets = read_poses(poses, parent="world")
+    targets = read_poses(poses, parent="world", format_=format_, timed=False)
     starts = _starts(model, near, len(targets))
     aim = task_of(model, task)
     here = start_values(model, None)
@@ -179,11 +195,11 @@ def _rows(arm: Arm, k: int, answer: Inverse, every: bool) -> list[str]:
 
 
 def write_joint_path(
-    arm: str, poses: Path, out: Path, *, start: Path | None = None, task: str | None = None
+    arm: str, poses: Path, out: Path, *, start: Path | None = None, task: str | None = None, format_: TableFormat = OURS
 ) -> PathOutput:
     """Write joints.csv, a continuous track along poses.csv, as far as it goes; tell what is wrong with it where."""
     model = load_arm(arm)
-    targets = read_poses(poses, parent="world")
+    targets = read_poses(poses, parent="world", format_=format_)
     blind = [k for k, target in enumerate(targets) if target.status is not PoseStatus.OK]
     if blind:
         raise Inconsistent(
@@ -246,13 +262,33 @@ def draw_arm(arm: str, out: Path, *, joints: str | None = None) -> ShowOutput:
     return ShowOutput(arm=model.name, file=str(out), tool_xyz_m=T[:3, 3].tolist())
 
 
+def reading_values(arm: Arm, text: str) -> Array:
+    """Return readings (n,) written as 0,-1.2,0.4, or those of the first row of a joints.csv; UsageError, BadFile."""
+    if re.fullmatch(r"[-+0-9.eE, ]+", text):
+        return _numbers(arm, text)
+    return np.asarray(arm.readings(read_values(arm, Path(text)).q)[0])
+
+
 def _joint_values(arm: Arm, text: str) -> Array:
     if re.fullmatch(r"[-+0-9.eE, ]+", text):
-        try:
-            return arm.values([float(part) for part in text.replace(",", " ").split()])
-        except ValueError as error:
-            raise UsageError(f"{text!r} are not joint values", cure="Write for instance 0,-1.2,0.4") from error
+        return arm.values(_numbers(arm, text))
     return read_values(arm, Path(text)).q
+
+
+def _numbers(arm: Arm, text: str) -> Array:
+    """Return readings written as 0,-1.2,0.4; UsageError where they are none, or look like degrees."""
+    try:
+        readings = np.array([float(part) for part in text.replace(",", " ").split()])
+    except ValueError as error:
+        raise UsageError(f"{text!r} are not joint values", cure="Write for instance 0,-1.2,0.4") from error
+    turning = arm.revolute if len(arm.revolute) == len(readings) else np.ones(len(readings), bool)
+    if looks_like_degrees(readings[None, turning]):
+        raise UsageError(
+            f"the joint values {text!r} look like degrees: the largest is {largest(readings):g}",
+            consequence="They are not used",
+            cure="Give radians, for instance 0,-1.2,0.4",
+        )
+    return readings
 
 
 def convert_arm(source: str, out: Path, *, convention: str | None = None, tip: str | None = None) -> ConvertArmOutput:

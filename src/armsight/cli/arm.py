@@ -9,6 +9,7 @@ import typer
 
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.options import AsJson
+from armsight.cli.table_options import NOTHING_STATED, TableOptions, takes_tables
 from armsight.cli.tables import figure, pose_rows
 from armsight.units import DEG, MM
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 TOLERANCE_MM, TOLERANCE_DEG = 2.0, 1.72
 
 
+@takes_tables
 def arm(
     model: Annotated[str, typer.Option(metavar="ARM", help="The nominal arm: arm.yaml, .urdf or a preset's name.")],
     points: Annotated[Path, typer.Option(help="points.csv: q1..qn,x_m,y_m,z_m[,qx,qy,qz,qw][,point].")],
@@ -34,6 +36,7 @@ def arm(
     rig: Annotated[Path | None, typer.Option(help="rig.yaml, for proposals both cameras see; with --world.")] = None,
     world: Annotated[Path | None, typer.Option(help="world.yaml: where that rig stands.")] = None,
     json: AsJson = False,
+    table_options: TableOptions = NOTHING_STATED,
 ) -> None:
     """Correct a known arm's geometry from measured positions, where a gain can be proved."""
     with CommandUI(as_json=json) as face:
@@ -50,6 +53,7 @@ def arm(
             propose=propose,
             rig=rig,
             world=world,
+            table=table_options.format(face),
         )
         done = run_calibrate_arm(job)
         arm_tables(face, done, out)
@@ -82,17 +86,19 @@ def arm_tables(face: CommandUI, done: ArmOutput, out: Path) -> None:
     face.say(f"Result: {out}; open {out.with_suffix('.report.html')}")
 
 
+@takes_tables
 def robot_world(
     arm: Annotated[str, typer.Option(metavar="ARM", help="arm.yaml, .urdf or a preset's name, its tool the beacon.")],
     points: Annotated[Path, typer.Option(help="observed.csv: q1..qn,x_m,y_m,z_m in rig axes.")],
     out: Annotated[Path, typer.Option("-o", "--out", help="world.yaml to write.")],
     json: AsJson = False,
+    table_options: TableOptions = NOTHING_STATED,
 ) -> None:
     """Find where the rig stands to the arm's base, from observed points at joint readings."""
     with CommandUI(as_json=json) as face:
         from armsight.app.calibrate.arm import run_calibrate_world
 
-        done = run_calibrate_world(arm, points, out)
+        done = run_calibrate_world(arm, points, out, table_options.format(face))
         face.table("T_base_rig", ["", "mm", "+-"], pose_rows(done.T_base_rig, done.std))
         face.say(f"{done.n_used} points, residual {figure(done.residual_rms_m / MM)} mm RMS. Result: {out}")
         for item in done.rejected[:8]:

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from armsight.app.schemas.base import Output
 
 UNFORESEEN = 1
+STOPPING = (signal.SIGINT, signal.SIGTERM)
+"""Ctrl-C, and what a service manager sends: both bring the work to its end, a second one stops it at once."""
 LINE_EVERY_S = 5.0
 """How often progress is told where there is no terminal to draw a bar on."""
 
@@ -40,7 +42,7 @@ class CommandUI:
         self._as_json = as_json
         self.console = Console(stderr=True, highlight=False)
         self._stopped = threading.Event()
-        self._before: Any = None
+        self._before: list[tuple[int, Any]] = []
         self._bar: Bar | None = None
 
     def progress(self, what: str) -> Bar:
@@ -75,15 +77,15 @@ class CommandUI:
         os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")  # OpenCV's own complaints repeat ours without a cure
         os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
         if threading.current_thread() is threading.main_thread():
-            self._before = signal.signal(signal.SIGINT, self._interrupt)
+            self._before = [(number, signal.signal(number, self._interrupt)) for number in STOPPING]
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._end_bar()
-        if self._before is not None:
-            signal.signal(signal.SIGINT, self._before)
+        for number, handler in self._before:
+            signal.signal(number, handler)
         if error is None or isinstance(error, typer.Exit):
             return
         if isinstance(error, KeyboardInterrupt):
@@ -166,11 +168,10 @@ class Bar:
         finished = total > 0 and done >= total
         if now_s - self._told_s < LINE_EVERY_S and not finished and label == self._label:
             return
-        self._label = label
+        self._label, self._told_s = label, now_s
         if not done:
             self._console.print(f"{label} ...", markup=False, soft_wrap=True)
             return
-        self._told_s = now_s
         rate = self._rate(done)
         text = f"{label} {done:.0f}" + (f" of {total:.0f}" if total else "")
         if rate:

@@ -16,15 +16,22 @@ from armsight.cli.camera_options import NONE_GIVEN, CameraOptions, takes_cameras
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.console import console
 from armsight.cli.convert import convert
+from armsight.cli.examples import add_examples
 from armsight.cli.identify import identify
+from armsight.cli.join import join
 from armsight.cli.kinematics import convert_arm, kinematics
+from armsight.cli.options import SRC, AsJson, Fps, Inverted, Limit, OutFolder, Seed, Threshold
+from armsight.cli.path import path
+from armsight.cli.play import play
 from armsight.cli.options import SRC, AsJson, Bits, Fps, Inverted, Limit, OutFolder, Seed, Strict, Threshold
 from armsight.cli.record import record
 from armsight.cli.reproduce import reproduce
+from armsight.cli.result_folders import ARM, MEASURED, VERIFIED, VIEWS, WORLD, keep_inputs, keeps_results
 from armsight.cli.robot import robot
 from armsight.cli.serve import serve
 from armsight.cli.servo import servo
 from armsight.cli.tables import demo_tables, doctor_tables, measure_tables
+from armsight.cli.teach import teach
 from armsight.cli.twin import twin
 from armsight.cli.verify import verify
 from armsight.cli.verify_live import with_live
@@ -34,7 +41,6 @@ app = typer.Typer(
     name="armsight",
     help="See where a robot arm really is: two cameras, light beacons, poses with honest uncertainty.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
 )
 app.add_typer(calibrate, name="calibrate")
@@ -47,13 +53,17 @@ convert.command("arm")(convert_arm)
 app.add_typer(convert, name="convert")
 app.command()(record)
 app.command()(identify)
-app.command()(with_live(verify))
-app.command()(reproduce)
+app.command()(keeps_results(*VERIFIED)(with_live(verify)))
+app.command()(keeps_results("reproduce.json", "report.html")(reproduce))
+app.command()(join)
 app.command()(serve)
 app.command()(twin)
 app.command()(console)
-app.command()(servo)
+app.command()(keeps_results("servo.json", "servo.mcap")(servo))
+app.command()(keeps_results("teach.json", "path.csv", "targets.csv", "servo.json", "servo.mcap")(teach))
+app.command()(keeps_results("play.json", "play.mcap")(play))
 app.add_typer(kinematics, name="kinematics")
+app.add_typer(path, name="path")
 app.add_typer(robot, name="robot")
 
 
@@ -75,6 +85,7 @@ def root(
 
 
 @app.command()
+@keeps_results(*MEASURED)
 @takes_cameras
 def measure(
     rig: Annotated[Path, typer.Option(help="rig.yaml of the two cameras, from `armsight calibrate stereo`.")],
@@ -181,6 +192,7 @@ def measure(
 
 
 @app.command()
+@keeps_results(*MEASURED, *WORLD, *VIEWS, "demo.json", "pictures", own="demo.json")
 def demo(
     out: OutFolder = Path("demo"),
     seed: Seed = 1,
@@ -191,9 +203,13 @@ def demo(
         typer.Option(help="Behind the target: dark, workshop, office, plain or a picture. [default: its own]"),
     ] = None,
     keep_frames: Annotated[bool, typer.Option("--keep-frames", help="Write the frames as PNG files too.")] = False,
+    no_pictures: Annotated[bool, typer.Option("--no-pictures", help="Leave the real pictures out.")] = False,
     json: AsJson = False,
 ) -> None:
-    """Do the main job on a simulated cell: frames, poses, report, and how far the poses are from the truth."""
+    """Do the main job on a simulated cell: frames, poses, report, and how far the poses are from the truth.
+
+    Then calibrate two real cameras from pictures of a board, and measure the board.
+    """
     with CommandUI(as_json=json) as face:
         from armsight.app.demo import demo as run
 
@@ -204,6 +220,7 @@ def demo(
             cell=cell,
             room=room,
             keep_frames=keep_frames,
+            pictures=not no_pictures,
             progress=face.progress("demo"),
         )
         demo_tables(face, result, out)
@@ -211,6 +228,7 @@ def demo(
 
 
 @app.command()
+@keeps_results(*WORLD, *ARM, *VIEWS)
 def simulate(
     scenario: Annotated[str, typer.Argument(help="A scenario's name or file, or a built-in cell's name.")],
     out: OutFolder,
@@ -266,3 +284,7 @@ def doctor(
         )
         doctor_tables(face, found)
         face.result(found)
+
+
+keep_inputs(app, in_place=("calibrate timing",))
+add_examples(app)

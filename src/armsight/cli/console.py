@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.options import SRC
 
+if TYPE_CHECKING:
+    from armsight.server.serving import ServeOptions
+
 PORT = 8080
 
 
 def console(
+    robot: Annotated[
+        str | None,
+        typer.Option(metavar="DRIVER:DEVICE", help="The robot to move: sim:SCENARIO, rtde:HOST, rsi:PORT, egm:PORT."),
+    ] = None,
     folder: Annotated[
         Path, typer.Option("--folder", metavar="FOLDER", help="Where cell.yaml and all results are kept.")
     ] = Path("cell"),
@@ -22,18 +29,74 @@ def console(
     rig: Annotated[str | None, typer.Option(help="rig.yaml, a name inside the folder.")] = None,
     target: Annotated[str | None, typer.Option(help="target.yaml, a name inside the folder.")] = None,
     play_again: Annotated[bool, typer.Option("--play-again", help="Files begin anew at their end.")] = False,
-    port: Annotated[int, typer.Option(min=1, max=65535, help="Of the web page, on this machine.")] = PORT,
+    bind: Annotated[str, typer.Option(help="Address to listen at; any but this machine's needs TLS and tokens.")] = (
+        "127.0.0.1"
+    ),
+    port: Annotated[int, typer.Option(min=1, max=65535, help="Of the web page.")] = PORT,
+    tokens: Annotated[Path | None, typer.Option(help="tokens.yaml: who may watch and who may drive.")] = None,
+    tls_cert: Annotated[Path | None, typer.Option(help="The server's certificate, PEM.")] = None,
+    tls_key: Annotated[Path | None, typer.Option(help="The certificate's key, PEM.")] = None,
 ) -> None:
-    """Serve the operator's web page on this machine; stop with Ctrl-C.
+    """Serve the operator's web page; stop with Ctrl-C.
 
-    What is given here is kept in FOLDER/cell.yaml, as the page Settings shows it.
+    What is given here is kept in FOLDER/cell.yaml, as the page Settings shows it. A simulated robot brings its cell
+    along where the folder holds none.
     """
     with CommandUI(as_json=False) as face:
-        from armsight.console.application import serve_console
-        from armsight.console.state import Console
+        from armsight.server.serving import ServeOptions, check_options
 
+        options = ServeOptions(bind=bind, port=port, tokens=tokens, tls_cert=tls_cert, tls_key=tls_key)
+        check_options(options)
         given = {"left": left, "right": right, "rig": rig, "target": target, "play_again": play_again or None}
-        made = Console.of_folder(folder)
-        made.apply(made.cell.model_copy(update={name: value for name, value in given.items() if value is not None}))
-        face.say(f"Open http://127.0.0.1:{port} in a browser; stop with Ctrl-C")
-        serve_console(made, port)
+        changed = {name: value for name, value in given.items() if value is not None}
+        if robot is None:
+            _without_robot(face, folder, changed, options)
+        else:
+            _with_robot(face, robot, folder, changed, options)
+
+
+def _without_robot(face: CommandUI, folder: Path, changed: dict[str, Any], options: ServeOptions) -> None:
+    from fastapi import FastAPI
+
+    from armsight.console.application import add_console
+    from armsight.console.state import Console
+    from armsight.server.serving import serve_pages
+
+    made = Console.of_folder(folder)
+    try:
+        made.apply(made.cell.model_copy(update=changed))
+        server = FastAPI()
+        add_console(server, made)
+        serve_pages(server, options, ready=lambda url: _say(face, url))
+    finally:
+        made.close()
+
+
+def _with_robot(face: CommandUI, robot: str, folder: Path, changed: dict[str, Any], options: ServeOptions) -> None:
+    from armsight.app.operator.robot_cell import open_robot_cell, prepare_simulated
+    from armsight.console.application import add_console
+    from armsight.console.state import Console
+    from armsight.errors import Cancelled
+    from armsight.server.application import create_app
+    from armsight.server.auth import Authenticator
+    from armsight.server.serving import check_options, serve_pages
+
+    if not changed:
+        prepare_simulated(robot, folder)
+    face.say(f"{robot} is being opened")
+    cancelled = face.progress("opening").cancelled
+    with open_robot_cell(robot, folder) as cell:
+        if cancelled():
+            raise Cancelled("stopped before the page was served")
+        made = Console.of_folder(folder, cell)
+        try:
+            made.apply(made.cell.model_copy(update={**changed, "robot": robot}))
+            server = create_app(cell.service, Authenticator(check_options(options)))
+            add_console(server, made)
+            serve_pages(server, options, ready=lambda url: _say(face, url))
+        finally:
+            made.close()
+
+
+def _say(face: CommandUI, url: str) -> None:
+    face.say(f"Open {url} in a browser; stop with Ctrl-C")

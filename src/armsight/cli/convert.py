@@ -10,6 +10,8 @@ import typer
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.options import AsJson, parse_size
 from armsight.cli.record import recording
+from armsight.cli.table_options import NOTHING_STATED, TableOptions, takes_tables
+from armsight.cli.tables import figure
 from armsight.errors import UsageError
 
 if TYPE_CHECKING:
@@ -18,7 +20,7 @@ if TYPE_CHECKING:
 convert = typer.Typer(help="Convert between armsight's files and those of other programs.", no_args_is_help=True)
 convert.command("recording")(recording)
 
-To: TypeAlias = Annotated[str | None, typer.Option("--to", help="armsight, ros, opencv or kalibr. [default: armsight]")]
+To: TypeAlias = Annotated[str | None, typer.Option("--to", help="armsight, ros, opencv, kalibr, colmap. [armsight]")]
 Size: TypeAlias = Annotated[str | None, typer.Option(help="WIDTHxHEIGHT, where an OpenCV file does not say it.")]
 
 
@@ -50,7 +52,10 @@ def camera(
 @convert.command("rig")
 def rig(
     source: Annotated[list[Path], typer.Argument(help="rig.yaml, OpenCV stereo, Kalibr; two files of ROS or OpenCV.")],
-    out: Annotated[list[Path], typer.Option("-o", "--out", help="File to write; twice for ROS: left, then right.")],
+    out: Annotated[
+        list[Path],
+        typer.Option("-o", "--out", help="File; for ROS left, right, maybe a launch file of TF."),
+    ],
     to: To = None,
     size: Size = None,
     unit: Annotated[float, typer.Option(min=1e-9, help="Length of an OpenCV file's unit in m.")] = 1.0,
@@ -83,6 +88,56 @@ def poses(
         from armsight.app.convert import convert_poses
 
         _tell(face, convert_poses(source, out))
+
+
+@convert.command("table")
+@takes_tables
+def table(
+    source: Annotated[Path, typer.Argument(help="CSV, TXT, YAML, JSON, .mat, or a folder with one file per pose.")],
+    out: Annotated[Path | None, typer.Option("-o", "--out", help="File to write. [default: only tell]")] = None,
+    kind: Annotated[
+        str | None, typer.Option("--as", help="joints, poses, points, pairs, robot_poses or sweep. [default: tell]")
+    ] = None,
+    arm: Annotated[
+        str | None, typer.Option(metavar="ARM", help="Where columns carry the names of an arm's joints.")
+    ] = None,
+    json: AsJson = False,
+    table_options: TableOptions = NOTHING_STATED,
+) -> None:
+    """Show what is understood of a table, and write it in armsight's columns and units."""
+    with CommandUI(as_json=json) as face:
+        from armsight.app.tables import convert_table
+
+        done = convert_table(source, out, kind=kind, format_=table_options.format(face), arm=arm)
+        rows = [
+            [name, "" if found is None else figure(found[0], 5), "" if found is None else figure(found[1], 5)]
+            for name, found in done.ranges.items()
+        ]
+        face.table(f"{done.kind}: {done.n} rows", ["column", "smallest", "largest"], rows)
+        for note in done.notes:
+            face.say(f"- {note}")
+        face.say(f"Written: {done.file}" if done.file else "Nothing was written; -o FILE writes it")
+        face.result(done)
+
+
+@convert.command("handeye")
+def handeye(
+    source: Annotated[Path, typer.Argument(help="handeye.yaml.")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="File to write.")],
+    to: Annotated[str, typer.Option("--to", help="easy_handeye, easy_handeye2, or tf: a launch file of ROS 2.")],
+    base: Annotated[str, typer.Option(help="The base's frame in TF.")] = "base_link",
+    flange: Annotated[str, typer.Option(help="The flange's frame in TF.")] = "tool0",
+    camera_frame: Annotated[str, typer.Option(help="The camera's optical frame in TF.")] = "camera_optical_frame",
+    target: Annotated[str, typer.Option(help="The target's frame in TF.")] = "calibration_target",
+    json: AsJson = False,
+) -> None:
+    """Write a hand-eye calibration for ROS."""
+    with CommandUI(as_json=json) as face:
+        from armsight.app.convert import convert_handeye
+        from armsight.store.foreign import FrameNames
+
+        names = FrameNames(base=base, flange=flange, camera=camera_frame, target=target)
+        _tell(face, convert_handeye(source, out, to=to, names=names))
 
 
 def _require_ours(to: str | None, size: str | None) -> None:

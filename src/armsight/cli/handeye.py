@@ -9,6 +9,8 @@ import typer
 
 from armsight.cli.camera_options import NONE_GIVEN, CameraOptions, takes_cameras
 from armsight.cli.command_ui import CommandUI
+from armsight.cli.options import BOARD, SRC, AsJson, Workers
+from armsight.cli.table_options import NOTHING_STATED, TableOptions, takes_tables
 from armsight.cli.options import BOARD, SRC, AsJson, Bits, Strict, Workers
 from armsight.cli.tables import figure, pose_rows, tip_rows
 from armsight.errors import UsageError
@@ -16,11 +18,13 @@ from armsight.units import MM
 
 if TYPE_CHECKING:
     from armsight.app.schemas.handeye import HandEyeOutput
+    from armsight.calibrate.handeye import Setup
 
 POINT_SIGMA_MM = 0.2
 """Standard deviation believed of a measured point unless another is given: a dot measured by two cameras at 0.6 m."""
 
 
+@takes_tables
 def handeye(
     out: Annotated[Path, typer.Option("-o", "--out", help="handeye.yaml to write.")],
     pairs: Annotated[Path | None, typer.Option(help="pairs.csv: robot pose and camera pose in every row.")] = None,
@@ -39,17 +43,15 @@ def handeye(
     bits: Bits = None,
     strict: Strict = False,
     json: AsJson = False,
+    table_options: TableOptions = NOTHING_STATED,
 ) -> None:
     """Find where the camera is on the hand (or beside the robot), and say whether the answer is right."""
     with CommandUI(as_json=json) as face:
         from armsight.app.calibrate.handeye import HandEyeJob, calibrate_handeye
-        from armsight.calibrate.handeye import Setup
 
-        if setup not in tuple(Setup):
-            raise UsageError(f"no setup is called {setup!r}; there are {', '.join(Setup)}")
         job = HandEyeJob(
             out=out,
-            setup=Setup(setup),
+            setup=_setup(setup),
             pairs=pairs,
             images=images or "",
             camera=camera,
@@ -60,6 +62,7 @@ def handeye(
             free_camera=free_camera,
             propose=propose,
             workers=workers,
+            table=table_options.format(face),
             bits=bits,
             strict=strict,
         )
@@ -68,6 +71,15 @@ def handeye(
         face.result(done)
 
 
+def _setup(name: str) -> Setup:
+    from armsight.calibrate.handeye import Setup
+
+    if name not in tuple(Setup):
+        raise UsageError(f"no setup is called {name!r}; there are {', '.join(Setup)}")
+    return Setup(name)
+
+
+@takes_tables
 def tooltip(
     poses: Annotated[Path, typer.Option(help="poses.csv of the target (or flange) while the tool pivots on a point.")],
     out: Annotated[Path, typer.Option("-o", "--out", help="tip.yaml to write.")],
@@ -76,12 +88,14 @@ def tooltip(
         float, typer.Option(min=1e-9, help="Standard deviation in m of one coordinate of the measured point.")
     ] = POINT_SIGMA_MM * MM,
     json: AsJson = False,
+    table_options: TableOptions = NOTHING_STATED,
 ) -> None:
     """Find where the end of a tool is, from poses recorded while it was turned about its end."""
     with CommandUI(as_json=json) as face:
         from armsight.app.calibrate.handeye import calibrate_tip
 
-        done = calibrate_tip(poses, out, point=_point(point), sigma_m=point_sigma)
+        format_ = table_options.format(face)
+        done = calibrate_tip(poses, out, point=_point(point), sigma_m=point_sigma, format_=format_)
         face.table("Tip", ["", "mm", "+-"], tip_rows(done.tip_m, done.std))
         face.say(f"{done.n_used} poses, residual {figure(done.residual_rms_m / MM)} mm RMS. Result: {out}")
         for item in done.rejected:

@@ -10,6 +10,7 @@ import typer
 from armsight.cli.camera_options import NONE_GIVEN, CameraOptions, takes_cameras
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.options import SRC, AsJson
+from armsight.cli.table_options import NOTHING_STATED, TableOptions, takes_tables
 from armsight.cli.tables import figure
 from armsight.errors import UsageError
 from armsight.units import DEG, MM
@@ -22,6 +23,7 @@ UNITS = (MM, DEG, MM, DEG)
 """How people read a, alpha, d and theta: millimetres and degrees."""
 
 
+@takes_tables
 @takes_cameras
 def identify(
     out: Annotated[Path, typer.Option("-o", "--out", help="arm.yaml to write.")],
@@ -53,7 +55,10 @@ def identify(
     ] = None,
     limits: Annotated[
         str | None,
-        typer.Option(metavar="LIMITS", help="With --live, in rad or m: lo:hi,lo:hi ... or limits.yaml. Never left."),
+        typer.Option(
+            metavar="LIMITS",
+            help="With --live: lo:hi,lo:hi ... in rad or m (or -90deg:90deg,0mm:500mm), or limits.yaml. Never left.",
+        ),
     ] = None,
     readings: Annotated[int, typer.Option(min=4, help="With --live: readings of a sweep.")] = 10,
     speed: Annotated[
@@ -68,6 +73,7 @@ def identify(
     yes: Annotated[bool, typer.Option("--yes", help="With --live: move without asking.")] = False,
     json: AsJson = False,
     camera_options: CameraOptions = NONE_GIVEN,
+    table_options: TableOptions = NOTHING_STATED,
 ) -> None:
     """Find an unknown arm's joints, axes and table from a beacon's positions while one joint after the other moves."""
     with CommandUI(as_json=json) as face:
@@ -129,6 +135,7 @@ def identify(
             increments=increments,
             sigma=sigma,
             nominal=nominal,
+            table=table_options.format(face),
         )
         _tell(run_identify(job, face.progress("identifying")), out, face)
 
@@ -156,10 +163,12 @@ def _live(job: LiveJob, face: CommandUI, yes: bool) -> None:
 
 def _tell_plan(plan: PlanOutput, face: CommandUI) -> None:
     rows = []
+    slides = {sweep.joint for sweep in plan.sweeps if sweep.radius_m == 0.0}
     for sweep in plan.sweeps:
-        rest = ", ".join(figure(value, 3) for k, value in enumerate(sweep.rest, 1) if k != sweep.joint)
-        rows.append([f"{sweep.joint}", figure(sweep.start, 4), figure(sweep.end, 4), f"{sweep.readings}", rest])
-    face.table("Sweeps, rad or m", ["joint", "from", "to", "readings", "others rest at"], rows)
+        rest = ", ".join(_shown(value, k in slides) for k, value in enumerate(sweep.rest, 1) if k != sweep.joint)
+        ends = [_shown(value, sweep.joint in slides) for value in (sweep.start, sweep.end)]
+        rows.append([f"{sweep.joint}", *ends, f"{sweep.readings}", rest])
+    face.table("Sweeps", ["joint", "from", "to", "readings", "others rest at"], rows)
     rows = []
     for number, std in enumerate(plan.expected_std, 1):
         shown = zip(_entries(std), UNITS, strict=True)
@@ -167,6 +176,11 @@ def _tell_plan(plan: PlanOutput, face: CommandUI) -> None:
     face.table("Accuracy to expect, mm and degrees", ["joint", "a", "alpha", "d", "theta"], rows)
     for note in plan.notes:
         face.say(f"- {note}")
+
+
+def _shown(value: float, slides: bool) -> str:
+    """Return a joint's reading as people read it."""
+    return f"{value / MM:.1f} mm" if slides else f"{value / DEG:.1f} deg"
 
 
 def _tell(done: IdentifyOutput, out: Path, face: CommandUI) -> None:

@@ -9,6 +9,7 @@ import typer
 
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.options import AsJson
+from armsight.cli.table_options import NOTHING_STATED, TableOptions, takes_tables
 
 kinematics = typer.Typer(help="Joints to poses and back, for any serial arm.", no_args_is_help=True)
 
@@ -23,18 +24,22 @@ TaskName: TypeAlias = Annotated[
 
 
 @kinematics.command("fk")
-def fk(arm: ArmFile, joints: Joints, out: Out, json: AsJson = False) -> None:
+@takes_tables
+def fk(
+    arm: ArmFile, joints: Joints, out: Out, json: AsJson = False, table_options: TableOptions = NOTHING_STATED
+) -> None:
     """Write the tool's pose at each row of joint values."""
     with CommandUI(as_json=json) as face:
         from armsight.app.kinematics import write_poses_of_joints as run
 
-        done = run(arm, joints, out)
+        done = run(arm, joints, out, table_options.format(face))
         beyond = f", {done.n_beyond_limits} of them beyond limits" if done.n_beyond_limits else ""
         face.say(f"{done.n} poses of {done.arm}{beyond}: {out}")
         face.result(done)
 
 
 @kinematics.command("ik")
+@takes_tables
 def ik(
     arm: ArmFile,
     poses: Poses,
@@ -43,12 +48,13 @@ def ik(
     every: Annotated[bool, typer.Option("--all", help="Write every solution, not the nearest alone.")] = False,
     task: TaskName = None,
     json: AsJson = False,
+    table_options: TableOptions = NOTHING_STATED,
 ) -> None:
     """Write the joint values that bring the tool to each pose."""
     with CommandUI(as_json=json) as face:
         from armsight.app.kinematics import write_joints_of_poses as run
 
-        done = run(arm, poses, out, near=near, every=every, task=task)
+        done = run(arm, poses, out, near=near, every=every, task=task, format_=table_options.format(face))
         counts = ", ".join(f"{count} {status}" for status, count in done.status.items())
         face.say(f"{done.n} poses of {done.arm} ({counts}): {out}")
         for entry in done.unsolved[:5]:
@@ -57,23 +63,26 @@ def ik(
 
 
 @kinematics.command("jacobian")
+@takes_tables
 def jacobian(
     arm: ArmFile,
     joints: Joints,
     out: Out,
     axes: Annotated[str, typer.Option(help="world, base or tool.")] = "world",
     json: AsJson = False,
+    table_options: TableOptions = NOTHING_STATED,
 ) -> None:
     """Write the Jacobian at each row of joint values: t_s, J11 .. J6n."""
     with CommandUI(as_json=json) as face:
         from armsight.app.kinematics import write_jacobians as run
 
-        done = run(arm, joints, out, axes=axes)
+        done = run(arm, joints, out, axes=axes, format_=table_options.format(face))
         face.say(f"{done.n} Jacobians of {done.arm} in {done.axes} axes: {out}")
         face.result(done)
 
 
 @kinematics.command("path")
+@takes_tables
 def path(
     arm: ArmFile,
     poses: Poses,
@@ -81,12 +90,13 @@ def path(
     start: Annotated[Path | None, typer.Option(help="joints.csv; its first row is where the arm stands.")] = None,
     task: TaskName = None,
     json: AsJson = False,
+    table_options: TableOptions = NOTHING_STATED,
 ) -> None:
     """Write a continuous joint track along a path, and tell jumps, speeds, limits and singular passages."""
     with CommandUI(as_json=json) as face:
         from armsight.app.kinematics import write_joint_path as run
 
-        done = run(arm, poses, out, start=start, task=task)
+        done = run(arm, poses, out, start=start, task=task, format_=table_options.format(face))
         branch = f" on the branch {', '.join(done.branch)}" if done.branch else ""
         face.say(f"{done.n_reached} of {done.n} poses of {done.arm} reached{branch}: {out}")
         for issue in done.issues:

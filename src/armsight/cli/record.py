@@ -84,13 +84,14 @@ def record(
 def recording(
     source: Annotated[Path, typer.Argument(metavar="FILE.mcap", help="A recording.")],
     out: Annotated[Path, typer.Option("-o", "--out", help="A folder, or a .csv or .tum for the poses.")],
+    to: Annotated[str, typer.Option("--to", help="files, or rosbag2: a bag of ROS 2, in a new folder.")] = "files",
     json: AsJson = False,
 ) -> None:
-    """Write a recording's content as PNG folders and tables, or its poses as CSV or TUM."""
+    """Write a recording's content as PNG folders and tables, its poses as CSV or TUM, or all as a bag of ROS 2."""
     with CommandUI(as_json=json) as face:
         from armsight.app.record.export import export
 
-        done = export(source, out, progress=face.progress("exporting"))
+        done = export(source, out, to=to, progress=face.progress("exporting"))
         face.say(", ".join(f"{name}: {count}" for name, count in done.n.items()) + f" in {out}")
         face.result(done)
 

@@ -55,6 +55,7 @@ def measure_tables(face: CommandUI, summary: MeasureOutput, out: Path) -> None:
         ["ms per pair, median", figure(summary.ms_per_frame.median)],
         ["ms per pair, 99 %", figure(summary.ms_per_frame.p99)],
     ]
+    rows += [] if summary.assumed_fps is None else [["time", f"assumed at {summary.assumed_fps:g} fps"]]
     if summary.skew is not None:
         rows += [
             ["right after left, ms mean", figure(summary.skew.mean_s / MS)],
@@ -242,7 +243,16 @@ def demo_tables(face: CommandUI, result: DemoOutput, out: Path) -> None:
     face.table("Error against the truth", ["", "RMS", "largest", "claimed +-"], _truth_rows(result.truth))
     if result.inside_95 is not None:
         face.say(f"{figure(100.0 * result.inside_95, 3)} % of the poses lie inside their own 95 % ellipsoid.")
+    real = result.pictures
+    if real is not None:
+        square = "-" if real.square_error_m is None else f"{figure(real.square_error_m / MM, 2)} mm RMS"
+        face.say(
+            f"Real pictures of a board, {real.n_pairs} pairs: calibrated to {figure(real.rms_px, 2)} px, the cameras "
+            f"{figure(real.baseline_m / MM, 4)} mm apart, its squares of 25 mm measured to {square}; its pose in "
+            f"{real.n_ok} of {real.n_pairs}: {real.out}"
+        )
     face.say(f"All in {figure(result.seconds_s, 2)} s.")
+    face.say("The operator's page of a simulated cell: armsight console --robot sim:webcam-cell")
 
 
 def _truth_rows(truth: PoseErrors) -> list[list[str]]:

@@ -9,6 +9,7 @@ import typer
 
 from armsight.cli.command_ui import CommandUI
 from armsight.cli.options import AsJson, OutFolder
+from armsight.cli.table_options import NOTHING_STATED, TableOptions, takes_tables
 from armsight.cli.tables import REJECTED_SHOWN, figure
 from armsight.errors import UsageError
 from armsight.units import DEG, MM, MS
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from armsight.app.schemas.verify import VerifyJoint, VerifyOutput, VerifyPlanOutput
 
 
+@takes_tables
 def verify(
     out: OutFolder,
     part: Annotated[
@@ -64,6 +66,7 @@ def verify(
     ] = None,
     speed: Annotated[float | None, typer.Option(metavar="M/S", help="With --plan: the speed along the paths.")] = None,
     json: AsJson = False,
+    table_options: TableOptions = NOTHING_STATED,
 ) -> None:
     """Compare measured poses with where the arm says it is, and say what the difference comes from.
 
@@ -92,6 +95,7 @@ def verify(
             align=align,
             compare=compare,
             band_m=band,
+            table=table_options.format(face),
         )
         done = run_verify(job)
         verify_tables(face, done, out)

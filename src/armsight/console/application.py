@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import socket
 from collections.abc import Callable
 from importlib.resources import files
 
-import uvicorn
 from fastapi import FastAPI
 from fastapi.responses import RedirectResponse
 from fastapi.staticfiles import StaticFiles
@@ -15,19 +13,21 @@ from nicegui import ui
 from armsight.console import texts
 from armsight.console.layout import STATIC, page
 from armsight.console.pages.calibrate import calibrate_page
+from armsight.console.pages.identify import identify_page
 from armsight.console.pages.live import live_page
 from armsight.console.pages.settings import settings_page
+from armsight.console.pages.teach import teach_page
 from armsight.console.pages.verify import verify_page
 from armsight.console.pictures import add_pictures
+from armsight.console.robot_link import add_robot_link
 from armsight.console.state import Console
 from armsight.console.uploads import add_files
-from armsight.errors import DeviceFailed
-
-LOOPBACK = "127.0.0.1"
 
 PAGES: dict[str, Callable[[Console], None]] = {
     "live": live_page,
     "calibrate": calibrate_page,
+    "identify": identify_page,
+    "teach": teach_page,
     "verify": verify_page,
     "settings": settings_page,
 }
@@ -38,6 +38,7 @@ def add_console(server: FastAPI, console: Console) -> None:
     server.mount(STATIC, StaticFiles(directory=str(files("armsight") / "console" / "static")))
     add_pictures(server, console)
     add_files(server, console)
+    add_robot_link(server, console)
 
     @server.get("/", include_in_schema=False)
     def root() -> RedirectResponse:
@@ -53,23 +54,3 @@ def _add_page(name: str, build: Callable[[Console], None], console: Console) -> 
     def show() -> None:
         with page(name, console):
             build(console)
-
-
-def serve_console(console: Console, port: int) -> None:
-    """Serve the console on this machine until it is stopped. Raises DeviceFailed where the port is taken."""
-    server = FastAPI()
-    add_console(server, console)
-    with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((LOOPBACK, port))
-        except OSError as error:
-            raise DeviceFailed(
-                f"port {port} is not free: {error.strerror}",
-                consequence="The page is not served",
-                cure="Give another --port, or end what uses it",
-            ) from error
-    try:
-        uvicorn.run(server, host=LOOPBACK, port=port, log_level="warning", timeout_graceful_shutdown=2)
-    finally:
-        console.close()

@@ -10,6 +10,7 @@ from nicegui import ui
 from nicegui.element import Element
 from nicegui.elements.mixins.text_element import TextElement
 
+from armsight.app.operator.robot_cell import RobotCell
 from armsight.console import texts
 from armsight.console.state import Console
 
@@ -79,13 +80,15 @@ def page(name: str, console: Console) -> Iterator[None]:
     ui.page_title(f"{texts.PAGES[name]} · {texts.TITLE}")
     ui.add_head_html(f'<link rel="stylesheet" href="{STATIC}/console.css">')
     ui.add_head_html('<script>document.documentElement.lang = "en"</script>')
-    for script in ("pictures.js", "page.js"):
+    for script in ("pictures.js", "page.js", *(("robot.js",) if console.robot is not None else ())):
         ui.add_head_html(f'<script defer src="{STATIC}/{script}"></script>')
     ui.dark_mode(None)
     with ui.header(fixed=True), ui.element("div").classes("bar"):
         _navigation(name)
         lamp = text_of("span", testid="state", role="status").classes("lamp")
         ui.element("span").classes("space")
+        if console.robot is not None:
+            _robot_bar(console.robot)
     with ui.element("main").style("display: contents"):
         text_of("h1", texts.PAGES[name])
         yield
@@ -100,6 +103,32 @@ def _navigation(here: str) -> None:
             link = text_of("a", title, href=f"/{name}")
             if name == here:
                 link.props["aria-current"] = "page"
+
+
+def _robot_bar(robot: RobotCell) -> None:
+    """The robot's lamp, speed, enable and stop; the browser's script does what they do."""
+    bar = ui.element("div").classes("robot")
+    bar.props.update(
+        {
+            "data-robot": ui.context.client.id,
+            "data-instance": robot.service.desk.instance,
+            "data-gone": texts.GONE,
+            "data-stale": texts.STALE,
+        }
+    )
+    with bar:
+        text_of("span", testid="robot-state", role="status").classes("lamp")
+        text_of("span", id="robot-refused", role="alert").classes("hint refused")
+        with ui.element("label").classes("speed"):
+            text_of("span", texts.OVERRIDE)
+            slider = ui.element("input")
+            slider.props.update({"type": "range", "min": "1", "max": "100", "data-testid": "override"})
+            text_of("span", id="override-told")
+        text_of("button", texts.RESET, testid="reset", type="button", hidden="true").classes("act quiet")
+        enable = text_of("button", texts.ENABLE, testid="enable", type="button").classes("enable")
+        enable.props.update({"aria-label": texts.ENABLE_HELP, "aria-pressed": "false"})
+        stop = text_of("button", texts.STOP, testid="stop", type="button").classes("stop")
+        stop.props["aria-label"] = texts.STOP_HELP
 
 
 def _show_level(lamp: TextElement, level: Level) -> None:

@@ -1,17 +1,26 @@
-"""The cell in three dimensions: cameras, target and where it was."""
+"""The cell in three dimensions: arm, cameras, target, where it was, and a path."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection
+from itertools import pairwise
+
 import numpy as np
 from nicegui import ui
+from nicegui.elements.scene.scene_object3d import Object3D
+from nicegui.events import SceneClickEventArguments
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.app.live.measurement import LiveJob
 from armsight.app.measure.run import target_of
+from armsight.app.operator.placing import arm_points, rig_pose
 from armsight.app.schemas.live import LiveView
-from armsight.optics import SIDES
-from armsight.store import read_rig, read_world
+from armsight.console.state import Console
+from armsight.errors import ArmsightError
+from armsight.optics import SIDES, Rig
+from armsight.records import Target
+from armsight.store import read_rig
+from armsight.store.cell_file import cell_path
 
 Array = NDArray[np.float64]
 
@@ -19,65 +28,168 @@ FRUSTUM_M = 0.12
 """Length of the pyramids that stand for cameras."""
 TRACK = 600
 """Points of the track shown."""
-COLOURS = {"left": "#0072B2", "right": "#CC79A7", "target": "#D55E00", "track": "#009E73"}
+BONE_M, JOINT_M = 0.03, 0.042
+"""Radii in which an arm's links and joints are drawn."""
+SEEN_RAD = 2e-4
+"""Joints (rad or m) that moved less are not drawn anew."""
+COLOURS = {"left": "#0072B2", "right": "#CC79A7", "target": "#D55E00", "arm": "#8a97a3", "joint": "#46515c"}
+POINT = "place-"
+"""Begins the name of a path's ball."""
+PATH_COLOUR = "#7a4fb5"
 UPRIGHT = RigidTransform.from_rotation(Rotation.from_matrix([[1, 0, 0], [0, 0, 1], [0, -1, 0]]))
-"""From a rig's axes (x right, y down, z forward) to a screen's (z up), where no world frame is known."""
+"""From a rig's axes (x right, y down, z forward) to a screen's (z up), where its place in world is not known."""
 
 
 class Scene:
-    """A 3-D view on a page; `show` moves the target."""
+    """A 3-D view on a page; `show` moves what moves."""
 
-    def __init__(self, job: LiveJob, first: LiveView | None) -> None:
-        """Draw cameras and target onto the page that is being built."""
-        rig = read_rig(job.rig) if job.rig is not None else None
-        target = target_of(job.target) if job.target is not None else None
-        self._T_scene_parent = UPRIGHT if job.world is None else RigidTransform.identity()
-        T_parent_rig = RigidTransform.identity() if job.world is None else read_world(job.world).T_parent_rig
+    def __init__(self, console: Console, picked: Callable[[int], None] | None = None) -> None:
+        """Draw what the cell has onto the page that is being built; picked: is told which place of a path is clicked.
+
+        Raises BadFile.
+        """
+        self._picked = picked
+        self._console = console
+        cell, folder = console.cell, console.folder
+        rig_file, target_file = (cell_path(folder, getattr(cell, name), name) for name in ("rig", "target"))
+        self._arm = None if console.robot is None else console.robot.seat.arm
+        self._q: Array | None = self._joints()
+        placed = rig_pose(folder, cell, self._arm, self._q)
+        if placed is None and rig_file is not None:
+            self._arm = None  # where the arm stands before these cameras is not known yet
+        self._T_scene_rig = UPRIGHT if placed is None else placed
         self._track: list[list[float]] = []
-        with ui.scene(grid=(4, 20), background_color="#dfe5ea").classes("w-full") as self._scene:
+        made = ui.scene(grid=(4, 20), background_color="#dfe5ea", on_click=self._clicked)
+        with made.classes("w-full") as self._scene:
             self._scene.props["data-testid"] = "scene"
-            if rig is not None:
-                for side in SIDES:
-                    self._camera(self._T_scene_parent * T_parent_rig * rig.T_rig_camera(side), COLOURS[side])
-            with self._scene.group() as self._target:
-                if target is not None and not target.is_board:
-                    for name, light in zip(target.names, target.xyz_m.tolist(), strict=True):
-                        self._scene.sphere(radius=0.008).move(*light).material(COLOURS["target"])
-                        self._scene.text(name, "font-weight: 700; color: #14181c").move(*light)
-                for axis, colour in zip(np.eye(3) * 0.06, ("#D55E00", "#009E73", "#0072B2"), strict=True):
-                    self._scene.line([0, 0, 0], axis.tolist()).material(colour)
+            self._target = self._draw_target(None if target_file is None else target_of(target_file))
+            self._cameras = self._draw_cameras(None if rig_file is None else read_rig(rig_file))
+            self._bones = [] if self._arm is None else [self._draw_bone() for _ in range(2 * self._arm.n + 1)]
             self._cloud = self._scene.point_cloud([[0, 0, 0]], [[0, 0.6, 0.45]], point_size=0.006)
+            self._path = self._scene.group()
         self._target.visible(False)
-        centre = (self._T_scene_parent * T_parent_rig).apply([0.0, 0.0, 0.5])
-        eye = (self._T_scene_parent * T_parent_rig).apply([0.7, -0.6, -0.5])
-        (x, y, z), (to_x, to_y, to_z) = eye.tolist(), centre.tolist()
-        self._scene.move_camera(x, y, z, to_x, to_y, to_z, 0.0, 0.0, 1.0, duration=0.0)
-        if first is not None:
-            self.show(first)
+        self._look_on()
+        self._show_arm(anew=True)
 
-    def show(self, view: LiveView) -> None:
-        """Put the target where it is; hide it where it is not seen."""
-        whole = view.xyz_m is not None and view.quat_xyzw is not None
+    def show(self, view: LiveView | None) -> None:
+        """Put arm, carried cameras and target where they are; hide the target where it is not seen."""
+        self._show_arm()
+        whole = view is not None and view.xyz_m is not None and view.quat_xyzw is not None
         self._target.visible(whole)
-        if view.xyz_m is None or view.quat_xyzw is None:
+        if view is None or view.xyz_m is None or view.quat_xyzw is None:
             return
         pose = RigidTransform.from_components(view.xyz_m, Rotation.from_quat(view.quat_xyzw))
-        T_scene_target = self._T_scene_parent * pose
-        place = T_scene_target.translation.tolist()
-        self._target.move(*place)
-        self._target.rotate_R(T_scene_target.rotation.as_matrix().tolist())
-        self._track = [*self._track[-TRACK:], place]
+        T_scene_target = self._T_scene_rig * pose if view.parent == "rig" else pose
+        _put(self._target, T_scene_target)
+        self._track = [*self._track[-TRACK:], T_scene_target.translation.tolist()]
 
     def show_track(self) -> None:
         """Draw the places where the target was."""
         if self._track:
             self._cloud.set_points(self._track, [[0.0, 0.6, 0.45]] * len(self._track))
 
-    def _camera(self, T_scene_camera: RigidTransform, colour: str) -> None:
-        """Draw a camera as the pyramid it sees through."""
-        corners = FRUSTUM_M * np.array([[-0.6, -0.35, 1], [0.6, -0.35, 1], [0.6, 0.35, 1], [-0.6, 0.35, 1]])
-        centre = T_scene_camera.translation.tolist()
-        places = T_scene_camera.apply(corners).tolist()
-        for one, next_ in zip(places, [*places[1:], places[0]], strict=True):
-            self._scene.line(centre, one).material(colour)
-            self._scene.line(one, next_).material(colour)
+    def show_path(self, xyz_m: Array, chosen: Collection[int] = ()) -> None:
+        """Draw a path (n, 3) in world; the ball at its start is larger, those chosen are in another colour."""
+        self._path.delete()
+        places = xyz_m.tolist()
+        with self._scene, self._scene.group() as self._path:
+            for i, place in enumerate(places):
+                ball = self._scene.sphere(radius=0.008 if i == 0 or i in chosen else 0.004).move(*place)
+                ball.with_name(f"{POINT}{i}").material(COLOURS["target"] if i in chosen else PATH_COLOUR)
+            for one, next_ in pairwise(places):
+                self._scene.line(one, next_).material(PATH_COLOUR)
+
+    def _clicked(self, event: SceneClickEventArguments) -> None:
+        names = [hit.object_name or "" for hit in event.hits]
+        found = next((name for name in names if name.startswith(POINT)), None)
+        if found is not None and self._picked is not None:
+            self._picked(int(found.removeprefix(POINT)))
+
+    def show_fits(self, paths: list[Array], seen: Array, *, placed: bool) -> None:
+        """Draw fitted paths (m, 3) as lines and what was seen (n, 3) as dots; placed: both in world, else in rig."""
+        T = RigidTransform.identity() if placed else self._T_scene_rig
+        self._path.delete()
+        with self._scene, self._scene.group() as self._path:
+            for path in paths:
+                for one, next_ in pairwise(T.apply(path).tolist()):
+                    self._scene.line(one, next_).material(PATH_COLOUR)
+            for place in T.apply(seen).tolist():
+                self._scene.sphere(radius=0.004).move(*place).material(COLOURS["target"])
+
+    def _joints(self) -> Array | None:
+        try:
+            return None if self._console.robot is None else self._console.robot.joints()
+        except ArmsightError:
+            return None
+
+    def _show_arm(self, *, anew: bool = False) -> None:
+        """Draw the arm, and the cameras that it carries, where its joints are; nothing where it did not move."""
+        q = self._joints()
+        if self._arm is None or q is None:
+            return
+        if not anew and self._q is not None and np.abs(q - self._q).max() < SEEN_RAD:
+            return
+        self._q = q
+        points = arm_points(self._arm, q)
+        for (bone, joint), (begin, end) in zip(self._bones, pairwise(points), strict=True):
+            _stretch(bone, begin, end)
+            joint.move(*end.tolist())
+        if self._console.cell.cameras == "carried":
+            placed = rig_pose(self._console.folder, self._console.cell, self._arm, q)
+            self._T_scene_rig = self._T_scene_rig if placed is None else placed
+            _put(self._cameras, self._T_scene_rig)
+
+    def _draw_target(self, target: Target | None) -> Object3D:
+        group: Object3D
+        with self._scene.group() as group:
+            if target is not None and not target.is_board:
+                for name, light in zip(target.names, target.xyz_m.tolist(), strict=True):
+                    self._scene.sphere(radius=0.008).move(*light).material(COLOURS["target"])
+                    self._scene.text(name, "font-weight: 700; color: #14181c").move(*light)
+            for axis, colour in zip(np.eye(3) * 0.06, ("#D55E00", "#009E73", "#0072B2"), strict=True):
+                self._scene.line([0, 0, 0], axis.tolist()).material(colour)
+        return group
+
+    def _draw_cameras(self, rig: Rig | None) -> Object3D:
+        """Draw cameras as the pyramids they see through, in rig axes."""
+        group: Object3D
+        with self._scene.group() as group:
+            for side in () if rig is None else SIDES:
+                corners = FRUSTUM_M * np.array([[-0.6, -0.35, 1], [0.6, -0.35, 1], [0.6, 0.35, 1], [-0.6, 0.35, 1]])
+                T_rig_camera = RigidTransform.identity() if rig is None else rig.T_rig_camera(side)
+                centre, places = T_rig_camera.translation.tolist(), T_rig_camera.apply(corners).tolist()
+                for one, next_ in zip(places, [*places[1:], places[0]], strict=True):
+                    self._scene.line(centre, one).material(COLOURS[side])
+                    self._scene.line(one, next_).material(COLOURS[side])
+        _put(group, self._T_scene_rig)
+        return group
+
+    def _draw_bone(self) -> tuple[Object3D, Object3D]:
+        bone = self._scene.cylinder(BONE_M, BONE_M, 1.0, 16).material(COLOURS["arm"])
+        return bone, self._scene.sphere(radius=JOINT_M).material(COLOURS["joint"])
+
+    def _look_on(self) -> None:
+        """Look at what the cameras see, from beside them; with an arm from far enough to see it whole."""
+        far = 1.0 if self._arm is None else 1.8
+        centre = self._T_scene_rig.apply([0.0, 0.0, 0.6])
+        x, y, z = self._T_scene_rig.apply([0.9 * far, -0.6 * far, 0.6 - 1.0 * far]).tolist()
+        to_x, to_y, to_z = centre.tolist()
+        self._scene.move_camera(x, y, z, to_x, to_y, to_z, 0.0, 0.0, 1.0, duration=0.0)
+
+
+def _put(thing: Object3D, T_scene_thing: RigidTransform) -> None:
+    thing.move(*T_scene_thing.translation.tolist())
+    thing.rotate_R(T_scene_thing.rotation.as_matrix().tolist())
+
+
+def _stretch(bone: Object3D, begin: Array, end: Array) -> None:
+    """Let a cylinder of height 1 along y reach from one place (3,) to another; hide it where they are one."""
+    way = end - begin
+    length_m = float(np.linalg.norm(way))
+    bone.visible(length_m > 1e-6)
+    if length_m <= 1e-6:
+        return
+    R, _ = Rotation.align_vectors([way / length_m], [[0.0, 1.0, 0.0]])
+    bone.scale(1.0, length_m, 1.0)
+    bone.rotate_R(R.as_matrix().tolist())
+    bone.move(*(0.5 * (begin + end)).tolist())

@@ -9,12 +9,17 @@ from datetime import datetime
 from pathlib import Path
 
 from armsight.app.guided.boards import BoardCalibration
-from armsight.app.guided.poses import ArmStep, HandEyeStep, ReadJoints, TipCalibrationStep
+from armsight.app.guided.poses import ArmStep, HandEyeStep, TipCalibrationStep
 from armsight.app.guided.step import Guided
 from armsight.app.guided.timing import TimingStep
+from armsight.app.live.followed import FollowedCell
 from armsight.app.live.measurement import LiveJob, Look
 from armsight.app.live.station import Shown, Station
 from armsight.app.measure.run import target_of
+from armsight.app.operator.path_desk import PathDesk
+from armsight.app.operator.robot_cell import RobotCell, cameras_of
+from armsight.app.operator.teach import TeachDesk, teach_desk
+from armsight.calibrate.handeye import Setup
 from armsight.errors import NotEnoughData, UsageError
 from armsight.store import read_rig, read_world
 from armsight.store.cell_file import CellFile, cell_path, read_cell, write_cell
@@ -34,12 +39,14 @@ class Console:
     last_recording: Path | None = None
     history: deque[Shown] = field(default_factory=lambda: deque(maxlen=HISTORY))
     steps: dict[str, Guided] = field(default_factory=dict)
-    read_joints: ReadJoints | None = None
+    robot: RobotCell | None = None
+    _teaching: TeachDesk | None = None
+    _path: PathDesk | None = None
 
     @classmethod
-    def of_folder(cls, folder: Path) -> Console:
+    def of_folder(cls, folder: Path, robot: RobotCell | None = None) -> Console:
         """Return the console of a folder's cell, not measuring yet. Raises BadFile."""
-        return cls(folder=folder, cell=read_cell(folder))
+        return cls(folder=folder, cell=read_cell(folder), robot=robot)
 
     def apply(self, cell: CellFile) -> None:
         """Check what a cell names, keep it in cell.yaml, and measure with it. Raises UsageError, DataRefused."""
@@ -74,7 +81,34 @@ class Console:
             world=world,
             fps=None if cell.left.startswith("camera:") else cell.fps,
             again=cell.play_again,
+            followed=self._followed(cell),
         )
+
+    def _followed(self, cell: CellFile) -> FollowedCell | None:
+        """Return the simulated cell whose robot is moved here, where the cameras named are its own."""
+        followed = None if self.robot is None else self.robot.followed
+        own = followed is not None and [cell.left, cell.right] == cameras_of(followed.scenario)
+        return followed if own else None
+
+    def teaching(self) -> TeachDesk:
+        """Return the recorder of paths, begun where there is none. Raises NotEnoughData, BadFile."""
+        if self._teaching is None:
+            self._teaching = teach_desk(self.folder, self.cell, self.require_robot(), lambda: self.station)
+        return self._teaching
+
+    def path_desk(self) -> PathDesk:
+        """Return the path of the cell. Raises BadFile."""
+        if self._path is None:
+            self._path = PathDesk(self.folder)
+        return self._path
+
+    def require_robot(self) -> RobotCell:
+        """Return the robot. Raises NotEnoughData where none is connected."""
+        if self.robot is None:
+            raise NotEnoughData(
+                "no robot is connected", consequence="Nothing can be moved", cure="Start with --robot DRIVER:DEVICE"
+            )
+        return self.robot
 
     def step(self, name: str) -> Guided:
         """Return a guided calibration, begun anew where it was not under way. Raises UsageError, BadFile."""
@@ -108,7 +142,10 @@ class Console:
         return shown
 
     def close(self) -> None:
-        """End measuring."""
+        """End measuring, and teaching with it."""
+        if self._teaching is not None:
+            self._teaching.close()
+        self._teaching = None
         if self.station is not None:
             self.station.stop()
         self.station = None
@@ -154,9 +191,10 @@ def _tip(console: Console, folder: Path) -> Guided:
 def _handeye(console: Console, folder: Path) -> Guided:
     return HandEyeStep(
         folder=folder,
-        out=console.folder / "handeye.yaml",
+        out=console.folder / "handeye-calibrated.yaml",
         arm=console.file("arm"),
-        read_joints=_joints(console),
+        setup=Setup.EYE_IN_HAND if console.cell.cameras == "carried" else Setup.EYE_TO_HAND,
+        read_joints=console.require_robot().joints,
     )
 
 
@@ -165,16 +203,8 @@ def _arm(console: Console, folder: Path) -> Guided:
         folder=folder,
         out=console.folder / "arm-calibrated.yaml",
         model=str(console.file("arm")),
-        read_joints=_joints(console),
+        read_joints=console.require_robot().joints,
     )
-
-
-def _joints(console: Console) -> ReadJoints:
-    if console.read_joints is None:
-        raise NotEnoughData(
-            "no robot is connected", consequence="This step cannot begin", cure="Start with --robot DRIVER:DEVICE"
-        )
-    return console.read_joints
 
 
 STEPS: dict[str, Callable[[Console, Path], Guided]] = {

@@ -14,10 +14,47 @@ PAGES = {
 NAVIGATION = "Pages"
 
 STOP = "STOP"
-STOP_HELP = "Stop the robot now"
+STOP_HELP = "Stop the robot now; the Escape key does the same"
 ENABLE = "Hold to enable"
-ENABLE_HELP = "The robot moves only while this is held down"
-NO_ROBOT = "No robot"
+ENABLE_HELP = "Hold to enable: the robot moves only while this is held down"
+RESET = "Release the stop"
+OVERRIDE = "Speed"
+GONE = "No connection to the console. The robot is held."
+STALE = "The console was started anew. Load this page again."
+ROBOT = {
+    "ready": "Robot stands",
+    "moving": "Robot moves",
+    "stopped": "Robot is stopped",
+    "lost": "Robot is not reached",
+    "closed": "Robot is not open",
+}
+HOLDING = "Robot is held: {why}"
+STOPPED_WHY = "Robot is stopped: {why}"
+DRIVES = "{who} drives; you can watch, and stop"
+
+
+def robot_words(robot: str, guard: str, why: str, driver: str, *, mine: bool) -> tuple[str, str]:
+    """Return the level (good, warn, bad, idle) and the words of a robot's state."""
+    level = {"ready": "good", "moving": "warn"}.get(robot, "bad")
+    words = ROBOT[robot]
+    if robot == "stopped" and why:
+        words = STOPPED_WHY.format(why=why)
+    elif guard == "holding" and why:
+        level, words = "warn", HOLDING.format(why=why)
+    if driver and not mine:
+        words = f"{words}. {DRIVES.format(who=driver)}"
+    return level, words
+
+
+JOG = "Move the robot by hand"
+JOG_HELP = "Hold a key to move; it is its own enable. Speed is set above."
+JOG_FRAMES = {"joints": "Joints", "base": "Tool along the base's axes", "tool": "Tool along its own axes"}
+JOG_JOINT = "Joint {n}"
+JOG_AXES = ("x", "y", "z", "turn x", "turn y", "turn z")
+JOG_KEY = "{axis} {sense}"
+JOG_SENSES = {1: "plus", -1: "minus"}
+JOINT_NOW = "{value:.1f} deg"
+SLIDE_NOW = "{value:.1f} mm"
 
 MEASURING = "Measuring"
 LOST = "Target not seen"
@@ -137,3 +174,61 @@ RUNNING_VERIFY = "Verifying …"
 ROWS, CAUSE = "Rows compared", "Cause of the errors"
 REPORTS = "Reports"
 NO_REPORTS = "No report yet."
+
+JOINT_RANGES = "How far each joint may go"
+JOINT_RANGES_HELP = (
+    "The light {light} is followed; it must stay in both pictures. Every joint is moved alone, within its range."
+)
+JOINT, LOWER, UPPER = "Joint", "From", "To"
+READINGS = "Readings per joint"
+EXPECT = "Expected accuracy"
+EXPECTED = "What these ranges will tell (1 σ)"
+IDENTIFY_RUN = "Identify"
+PLANNED = "{n} sweeps, {readings} readings"
+FOUND = "What was found"
+FOUND_HEAD = ("Joint", "Entry", "Found", "± (1 σ)", "From the model")
+FITS = "Fits: the lines are the identified arm, the dots what was seen"
+HOLD_TO_MOVE = "Now hold the enable: the robot moves while it is held, and waits while it is not."
+WORKING = "{note} {done:.0f} of {total:.0f}"
+UNDER_WAY = "Under way: {note}"
+YES, NO = "Yes, move", "No"
+END_WORK = "End it"
+ENDED_WORK = "Ended: {why}"
+SAVED_ARM = "The arm is kept in {file}, with its sweeps and report beside it."
+
+TEACH = "Record the path"
+TEACH_HELP = "Lead the target along, by hand or with the keys below. Record takes all the way, Point one place at rest."
+TEACH_RECORD, TEACH_PAUSE, TEACH_POINT, TEACH_UNDO = "Record", "Pause recording", "Point", "Undo"
+TEACH_TAG = "Tag (one word)"
+TEACH_MARK = "Mark this place"
+TEACH_SAVE = "Use this path"
+TEACH_STATE = "{n} poses in {stretches} stretches; {lost} frames without a whole pose were left out"
+TEACH_RECORDING = "Recording. "
+PATH = "The path"
+NO_PATH = "No path yet."
+PATH_TOLD = "{n} places over {length:.1f} mm"
+PATH_HEAD = ("", "Place", "x mm", "y mm", "z mm", "Speed mm/s", "Tag")
+PATH_MORE = "{n} more are not listed."
+PATH_PICK = "Choose place {n}"
+PATH_DELETE = "Delete the chosen"
+PATH_BACK = "Take the last change back"
+PATH_TOOLS = {
+    "resample": "Places this far apart",
+    "smooth": "Smooth by at most",
+    "offset": "Move along the tool by",
+    "angle": "Tilt ahead by",
+    "reverse": "Turn round",
+}
+PATH_TOOL, PATH_FIGURE, PATH_USE = "Change", "Figure (mm or deg)", "Change it"
+PATH_CHECK = "Check for the arm"
+PATH_OK = "The arm can run this path: {n} places, {length:.1f} mm, {time:.1f} s."
+PATH_NOT_OK = "The arm cannot run this path:"
+PLAY_CARD = "Play"
+PLAY, PAUSE, RESUME = "Play", "Pause", "Go on"
+PLAY_SPEED = "Speed along the path, mm/s"
+PLAY_KEEP = "Keep the tool's attitude as it is at the start"
+PLAY_AT = "{stage}: {s:.1f} of {length:.1f} mm at {speed:.1f} mm/s"
+PLAY_STAGES = {"approach": "On the way to the start", "path": "On the path", "finished": "Done"}
+PLAY_DONE = "Played: {share:.0%} of {length:.1f} mm in {time:.1f} s. Ended by: {why}."
+PLAY_END = "the path's end"
+PLAY_KEPT = "All of it is kept in {folder}."

@@ -142,7 +142,7 @@ def open_jog_input(name: str, n: int) -> Iterator[JogInput]:
     """
     kind, _, device = name.partition(":")
     if kind == "keyboard" and not device:
-        with _single_keys() as fd:
+        with single_keys() as fd:
             yield KeyboardInput(fd, n)
     elif kind == "gamepad":
         fd = _open(device or GAMEPAD)
@@ -170,8 +170,8 @@ def _open(device: str) -> int:
 
 
 @contextmanager
-def _single_keys() -> Iterator[int]:
-    """Let the terminal give each key at once, and not write it."""
+def single_keys() -> Iterator[int]:
+    """Let the terminal give each key at once, and not write it; yields its descriptor. Raises UsageError."""
     import termios
     import tty
 

@@ -114,7 +114,8 @@ class TargetPose:
     """The target at one moment.
 
     status OK: T_parent_target (4, 4) and covariance (6, 6) are there. POSITION_ONLY: T_parent_target carries the
-    position of the mean of the spots seen (its rotation is the identity and means nothing), covariance is its (3, 3).
+    position of the mean of the spots seen, or where origin_known that of the target's origin (its rotation is the
+    identity and means nothing), covariance is its (3, 3).
     LOST: both None.
     why: the reason where the status is not OK. residual_px: (m,) reprojection residuals used. covariance holds all
     that is known of: the spots' noise and, where rig or target bring a covariance, theirs. systematic_covariance, of
@@ -130,6 +131,7 @@ class TargetPose:
     residual_px: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
     why: str = ""
     systematic_covariance: NDArray[np.float64] | None = None
+    origin_known: bool = False
 
     def __post_init__(self) -> None:
         if not np.isfinite(self.t_s):

@@ -9,12 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.measure.spots import CANDIDATE
-from armsight.report.figures import GREEN, GREY, ORANGE, RED
+from armsight.report.figures import GREY, ORANGE, RED
 from armsight.report.html import text
 from armsight.report.run import Sample
 
-LARGEST_PNG = 1_500_000
-"""Bytes; a noisier image goes into the page as JPEG."""
+LARGEST_PNG = 100_000
+"""Bytes; a noisier image goes into the page as WebP, which shows what there is to see."""
+
+WEBP_QUALITY = 85
 
 PNG_EFFORT = 3
 """zlib's level: 9 takes thirty times as long on a noisy frame and saves a tenth."""
@@ -24,14 +26,17 @@ ZOOM_PX = 24.0
 
 MAX_ZOOMS = 6
 
+LIT = "#3ddc84"
+"""Of what was used: bright enough beside black and white alike."""
+
 
 def data_uri(image: NDArray[np.uint8]) -> str:
-    """Return an image as a PNG data URI (JPEG where the PNG is larger than LARGEST_PNG)."""
+    """Return an image as a PNG data URI (WebP where the PNG is larger than LARGEST_PNG)."""
     _, png = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, PNG_EFFORT])
     if png.size <= LARGEST_PNG:
         return "data:image/png;base64," + base64.b64encode(png.tobytes()).decode("ascii")
-    _, jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 92])
-    return "data:image/jpeg;base64," + base64.b64encode(jpeg.tobytes()).decode("ascii")
+    _, webp = cv2.imencode(".webp", image, [cv2.IMWRITE_WEBP_QUALITY, WEBP_QUALITY])
+    return "data:image/webp;base64," + base64.b64encode(webp.tobytes()).decode("ascii")
 
 
 def sample_figure(sample: Sample, number: int) -> str:
@@ -42,9 +47,7 @@ def sample_figure(sample: Sample, number: int) -> str:
     height, width = sample.image.shape[:2]
     name = f"image{number}"
     unit = width / 100.0  # marks keep their size on the screen whatever the image's
-    marks = [
-        _circle(u, v, r, spot, GREEN, unit) for (u, v, r), spot in zip(_circles(sample), sample.names, strict=True)
-    ]
+    marks = [_circle(u, v, r, spot, LIT, unit) for (u, v, r), spot in zip(_circles(sample), sample.names, strict=True)]
     marks += [
         _dot(u, v, why, unit) if why == CANDIDATE else _cross(u, v, why, unit) for u, v, why in sample.seen.rejected
     ]
@@ -84,9 +87,10 @@ def _circle(u: float, v: float, radius: float, label: str, colour: str, unit: fl
         if label
         else ""
     )
+    place = f'<circle cx="{u:.3f}" cy="{v:.3f}" r="{radius:.3f}" fill="none"'
     return (
-        f'<circle cx="{u:.3f}" cy="{v:.3f}" r="{radius:.3f}" fill="none" stroke="{colour}" '
-        f'stroke-width="{0.35 * unit:.3g}"/>{shown}'
+        f'{place} stroke="#000" stroke-opacity=".6" stroke-width="{0.9 * unit:.3g}"/>'
+        f'{place} stroke="{colour}" stroke-width="{0.45 * unit:.3g}"/>{shown}'
     )
 
 
@@ -118,7 +122,7 @@ def _zooms(sample: Sample, name: str) -> str:
         out.append(
             f'<svg viewBox="{u - half:.2f} {v - half:.2f} {2 * half:.2f} {2 * half:.2f}" role="img" '
             f'aria-label="{text(spot)}"><use href="#{name}"/><path d="M{u - arm:.3f} {v:.3f}H{u + arm:.3f}'
-            f'M{u:.3f} {v - arm:.3f}V{v + arm:.3f}" stroke="{GREEN}" stroke-width="{line:.3g}"/>'
+            f'M{u:.3f} {v - arm:.3f}V{v + arm:.3f}" stroke="{LIT}" stroke-width="{line:.3g}"/>'
             f'<text x="{u - 0.92 * half:.2f}" y="{v - 0.62 * half:.2f}" fill="#fff" font-family="sans-serif" '
             f'font-size="{0.3 * half:.3g}">{text(spot)}</text></svg>'
         )

@@ -1,7 +1,10 @@
-"""The page: one file, no network, light, printable. All text that comes from outside is escaped here."""
+"""The page: one file, no network, light or dark, printable. All text that comes from outside is escaped here."""
 
 from __future__ import annotations
 
+import base64
+import functools
+import gzip
 import html
 import math
 from collections.abc import Sequence
@@ -15,7 +18,9 @@ from armsight.report.figures import Figure, json_text
 
 STYLE = """
 :root{--ink:#1c2733;--soft:#5b6b7b;--line:#dfe5eb;--back:#f4f6f8;--blue:#1f5fa8;--good:#2e7d4f;--warn:#b86a00;
---bad:#b3302f}
+--bad:#b3302f;--card:#fff}
+@media screen and (prefers-color-scheme:dark){:root{--ink:#e3e9ef;--soft:#9fb0c0;--line:#2c3947;--back:#10161c;
+--blue:#7db3f0;--good:#6cc394;--warn:#e8a74e;--bad:#ef8079;--card:#18212a;color-scheme:dark}}
 *{box-sizing:border-box}
 body{margin:0;background:var(--back);color:var(--ink);
 font:15px/1.5 system-ui,-apple-system,"Segoe UI",Roboto,"Helvetica Neue",Arial,sans-serif}
@@ -23,7 +28,7 @@ main{max-width:1120px;margin:0 auto;padding:28px 24px 48px}
 header h1{font-size:26px;line-height:1.2;margin:0 0 2px}
 header p{margin:0;color:var(--soft)}
 h2{font-size:18px;margin:0 0 4px}
-section,.verdict,.cards div{background:#fff;border:1px solid var(--line);border-radius:8px}
+section,.verdict,.cards div{background:var(--card);border:1px solid var(--line);border-radius:8px}
 section{padding:18px 20px;margin:16px 0}
 section>p{margin:0 0 10px;color:var(--soft);max-width:85ch}
 .verdict{margin:18px 0;padding:14px 18px;border-left:6px solid var(--good);font-size:17px}
@@ -64,11 +69,24 @@ POLICY = (
 """What the page may load: nothing from anywhere. plotly.js compiles its 3-D shaders' glue, hence eval."""
 
 SCRIPT = """
-const figures=JSON.parse(document.getElementById('figures').textContent);
-for(const f of figures){Plotly.newPlot(f.id,f.data,f.layout,{responsive:true,displaylogo:false,displayModeBar:'hover'})}
-const fit=()=>{for(const f of figures){Plotly.Plots.resize(f.id)}};
-addEventListener('beforeprint',fit);addEventListener('afterprint',fit);
+const source=document.getElementById('figures').textContent,dark=matchMedia('(prefers-color-scheme: dark)');
+const DARK={'#1c2733':'#e3e9ef','#ffffff':'#18212a','#e8edf2':'#2c3947','#c9d3dc':'#46566a','#1f5fa8':'#7db3f0',
+'#2e7d4f':'#6cc394','#c23b3b':'#ef8079','rgba(31,95,168,0.22)':'rgba(125,179,240,0.28)'};
+const dressed=()=>JSON.parse(dark.matches?source.replace(/#[0-9a-f]{6}|rgba\\([^)]*\\)/g,c=>DARK[c]||c):source);
+const draw=()=>{for(const f of dressed()){
+Plotly.react(f.id,f.data,f.layout,{responsive:true,displaylogo:false,displayModeBar:'hover'})}};
+const fit=()=>{for(const f of dressed()){Plotly.Plots.resize(f.id)}};
+const packed=Uint8Array.from(atob(document.getElementById('plotly').textContent),c=>c.charCodeAt(0));
+new Response(new Blob([packed]).stream().pipeThrough(new DecompressionStream('gzip'))).text().then(code=>{
+(0,eval)(code);draw();dark.addEventListener('change',draw);
+addEventListener('beforeprint',fit);addEventListener('afterprint',fit)});
 """
+
+
+@functools.lru_cache(maxsize=1)
+def packed_plotly() -> str:
+    """Return plotly.js compressed, as text: a page of a third of the size, which browsers since 2023 unpack."""
+    return base64.b64encode(gzip.compress(get_plotlyjs().encode(), 9, mtime=0)).decode("ascii")
 
 
 def text(value: object) -> str:
@@ -141,7 +159,8 @@ class Page:
             f"<footer>armsight {text(__version__)}, {text(when)}. This file is complete in itself and "
             "loads nothing from the network.</footer></main>"
             f'<script type="application/json" id="figures">{json_text(self._figures)}</script>'
-            f"<script>{get_plotlyjs()}</script><script>{SCRIPT}</script></body></html>\n"
+            f'<script type="text/plain" id="plotly">{packed_plotly()}</script>'
+            f"<script>{SCRIPT}</script></body></html>\n"
         )
 
 

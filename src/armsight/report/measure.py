@@ -16,6 +16,7 @@ from armsight.report.frames import sample_figure
 from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table
 from armsight.report.residuals import distance_rms, residual_figure
 from armsight.report.run import MeasureRun
+from armsight.report.scene import scene_figure
 from armsight.report.series import Errors, Series, errors_of, losses_of, ranges, series_of
 from armsight.report.track import deviation_figure, time_figure, track_figure
 from armsight.units import MM
@@ -43,7 +44,7 @@ TRUE_CLAIM = 0.999
 
 def measure_report(run: MeasureRun, *, created: datetime | None = None) -> str:
     """Return the page of a measurement as HTML text that needs no other file."""
-    series = series_of(run.poses)
+    series = series_of(run.poses, timed=run.timed)
     errors = errors_of(run.poses, run.truth) if run.truth is not None else None
     page = Page(
         title=run.title,
@@ -51,11 +52,11 @@ def measure_report(run: MeasureRun, *, created: datetime | None = None) -> str:
         verdict=_verdict(run, series, errors),
         cards=_cards(run, series, errors),
     )
+    _add_scene(page, run)
     _add_truth(page, errors)
     _add_track(page, run, series, errors)
     _add_residuals(page, run)
     _add_consistency(page, run)
-    _add_samples(page, run)
     _add_losses(page, run, series)
     _add_inputs(page, run)
     return page.html(created=created or datetime.now())
@@ -65,7 +66,8 @@ def _subtitle(run: MeasureRun, series: Series) -> str:
     n = len(run.poses)
     if n < 2:
         return f"{n} frame{'s' * (n != 1)}"
-    return f"{n:,} pairs of frames over {figure_of(float(np.ptp(series.t_s)), 's')}"
+    over = f" over {figure_of(float(np.ptp(series.t_s)), 's')}" if series.timed else ""
+    return f"{n:,} pairs of frames{over}"
 
 
 def _verdict(run: MeasureRun, series: Series, errors: Errors | None) -> Verdict:
@@ -74,11 +76,12 @@ def _verdict(run: MeasureRun, series: Series, errors: Errors | None) -> Verdict:
         losses = losses_of(run.poses)
         why = f" Most often: {losses[0].why.rstrip('.')}." if losses else ""
         return Verdict(level="bad", word="No pose", sentence=f"None of {n:,} frames gave a full pose.{why} {run.error}")
-    rms = _rms_columns(series.std[series.where(PoseStatus.OK)])
+    middle = _median_columns(series.std[series.where(PoseStatus.OK)])
     sentence = (
-        f"{ok:,} of {n:,} frames ({100 * ok / n:.1f} %) gave a full pose, known to "
-        f"{figure_of(float(np.max(rms[:3])), 'mm', digits=2)} and {figure_of(float(np.max(rms[3:])), '°', digits=2)} "
-        "in the worst direction (one standard deviation)."
+        f"{ok:,} of {n:,} frames ({100 * ok / n:.1f} %) gave a full pose, half of them known to "
+        f"{figure_of(float(np.max(middle[:3])), 'mm', digits=2)} and "
+        f"{figure_of(float(np.max(middle[3:])), '°', digits=2)} or better in their worst direction (one standard "
+        "deviation)."
     )
     level, word = ("good", "Complete") if ok >= GOOD_SHARE * n else ("warn", "With gaps")
     if errors is not None:
@@ -104,6 +107,12 @@ def _rms_columns(values: Array) -> Array:
     return np.asarray(np.sqrt(total.sum(axis=0) / np.where(count > 0.0, count, np.nan)))
 
 
+def _median_columns(values: Array) -> Array:
+    """Return the median of each column, NaN aside; NaN for a column without numbers."""
+    known = [column[np.isfinite(column)] for column in values.T]
+    return np.array([np.median(column) if len(column) else np.nan for column in known])
+
+
 def _inside(errors: Errors) -> tuple[float, float, float]:
     """Return the share of errors inside their 95 % ellipsoid, and the range in which chance alone would leave it."""
     distance2 = errors.distance2[np.isfinite(errors.distance2)]
@@ -118,7 +127,7 @@ def _inside(errors: Errors) -> tuple[float, float, float]:
 def _cards(run: MeasureRun, series: Series, errors: Errors | None) -> list[Card]:
     n = len(run.poses)
     count = {status: int(series.where(status).sum()) for status in PoseStatus}
-    rms = _rms_columns(series.std[series.where(PoseStatus.OK)])
+    middle = _median_columns(series.std[series.where(PoseStatus.OK)])
     spots = sum(len(rows) for rows in run.residuals.values())
     cards = [
         Card(
@@ -128,13 +137,13 @@ def _cards(run: MeasureRun, series: Series, errors: Errors | None) -> list[Card]
         ),
         Card(
             name="position uncertainty",
-            value=figure_of(float(np.sqrt(np.sum(rms[:3] ** 2))), "mm"),
-            note="claimed, 3-D, one standard deviation",
+            value=figure_of(float(np.sqrt(np.sum(middle[:3] ** 2))), "mm"),
+            note="claimed, 3-D, one standard deviation, median",
         ),
         Card(
             name="rotation uncertainty",
-            value=figure_of(float(np.sqrt(np.sum(rms[3:] ** 2))), "°"),
-            note="claimed, one standard deviation",
+            value=figure_of(float(np.sqrt(np.sum(middle[3:] ** 2))), "°"),
+            note="claimed, one standard deviation, median",
         ),
         Card(
             name="reprojection",
@@ -270,7 +279,16 @@ def _add_consistency(page: Page, run: MeasureRun) -> None:
     )
 
 
-def _add_samples(page: Page, run: MeasureRun) -> None:
+def _add_scene(page: Page, run: MeasureRun) -> None:
+    """Open with what was there: cameras, target and rays in space, then what the cameras saw."""
+    figure = scene_figure(run)
+    if figure is not None:
+        page.add(
+            "The scene",
+            f"The cameras, the target where it is known best, and the rays that found its lights, in the axes of "
+            f"{run.parent}. Drag to turn, scroll to zoom; a click on a name in the legend hides or shows it.",
+            page.plot(figure),
+        )
     if not run.samples:
         return
     figures = "".join(sample_figure(sample, i) for i, sample in enumerate(run.samples[:MAX_SAMPLES]))
@@ -288,6 +306,7 @@ def _add_losses(page: Page, run: MeasureRun, series: Series) -> None:
         page.add("What was lost", "Nothing: every frame gave a full pose.")
         return
     names = {PoseStatus.POSITION_ONLY: "position only", PoseStatus.LOST: "lost"}
+    when = "first – last, s" if series.timed else ""
     rows = [
         [
             names[loss.status],
@@ -295,7 +314,7 @@ def _add_losses(page: Page, run: MeasureRun, series: Series) -> None:
             f"{len(loss.frames):,}",
             f"{100 * len(loss.frames) / len(run.poses):.1f} %",
             ranges(loss.frames),
-            f"{series.t_s[loss.frames[0]]:.3f} – {series.t_s[loss.frames[-1]]:.3f}",
+            f"{series.t_s[loss.frames[0]]:.3f} – {series.t_s[loss.frames[-1]]:.3f}" if series.timed else "",
         ]
         for loss in losses[:MAX_LOSSES]
     ]
@@ -307,7 +326,7 @@ def _add_losses(page: Page, run: MeasureRun, series: Series) -> None:
         "What was lost, and why",
         "Frames without a full pose, counted from 0; frames with the same reason stand together, in the first one's "
         "wording.",
-        table(["", "why", "frames", "share", "which", "first – last, s"], rows, numbers=(2, 3, 5)),
+        table(["", "why", "frames", "share", "which", when], rows, numbers=(2, 3, 5)),
     )
 
 

@@ -28,13 +28,20 @@ class Series:
     """Columns over the n frames: t_s (n,), values and standard deviations (n, 6) of x, y, z in mm and rx, ry, rz in
     degrees.
 
-    NaN where a frame does not say. Angles are unwrapped: they run on beyond 180 degrees.
+    NaN where a frame does not say. Angles are unwrapped: they run on beyond 180 degrees. timed: whether the times are
+    known; where they are not, t_s counts frames.
     """
 
     t_s: Array
     status: tuple[PoseStatus, ...]
     values: Array
     std: Array
+    timed: bool = True
+
+    @property
+    def time_label(self) -> str:
+        """What an axis of t_s is called."""
+        return "time, s" if self.timed else "frame"
 
     def where(self, status: PoseStatus) -> NDArray[np.bool_]:
         """Return the mask (n,) of the frames with this status."""
@@ -49,8 +56,11 @@ class Series:
         return np.where(ok, self.values, np.nan), np.where(ok, self.std, np.nan)
 
 
-def series_of(poses: Sequence[TargetPose]) -> Series:
-    """Return the columns of poses; rotations become the angles of R = Rz Ry Rx, their covariance with them."""
+def series_of(poses: Sequence[TargetPose], *, timed: bool = True) -> Series:
+    """Return the columns of poses; rotations become the angles of R = Rz Ry Rx, their covariance with them.
+
+    timed: whether the poses' times are more than an assumption.
+    """
     n = len(poses)
     values, std = np.full((n, 6), np.nan), np.full((n, 6), np.nan)
     for i, pose in enumerate(poses):
@@ -63,7 +73,8 @@ def series_of(poses: Sequence[TargetPose]) -> Series:
         values[ok, 3:] = np.unwrap(angles, axis=0)
         std[ok, 3:] = _euler_std(angles, _covariances(poses, ok)[:, 3:, 3:])
     return Series(
-        t_s=np.array([pose.t_s for pose in poses]),
+        t_s=np.array([pose.t_s for pose in poses]) if timed else np.arange(float(n)),
+        timed=timed,
         status=tuple(pose.status for pose in poses),
         values=values / SCALE,
         std=std / SCALE,

@@ -7,12 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.optics import SIDES, Rig
+from armsight.optics import SIDES
 from armsight.records import PoseStatus
 from armsight.report.figures import (
     BLUE,
     GREY,
-    INK,
     MAX_PLOTTED,
     ORANGE,
     RED,
@@ -25,6 +24,7 @@ from armsight.report.figures import (
     thinned,
 )
 from armsight.report.run import MeasureRun
+from armsight.report.scene import camera_line, line, scene_axes
 from armsight.report.series import Errors, Series
 from armsight.units import MM
 
@@ -49,64 +49,32 @@ def track_figure(run: MeasureRun, series: Series) -> Figure:
     data: list[dict[str, Any]] = []
     if run.truth is not None:
         true = np.array([np.asarray(pose.translation) for pose in run.truth]).reshape(-1, 3) / MM
-        data.append(_line(true[every], "truth", {"color": GREY, "width": 5}))
+        data.append(line(true[every], "truth", {"color": GREY, "width": 5}))
     colours = {"color": series.t_s[every], "colorscale": "Viridis", "size": 2.5}
-    bar = {"title": {"text": "time, s"}, "thickness": 12, "len": 0.7}
-    trace = _line(xyz[every], "full pose", {"color": BLUE, "width": 2})
+    bar = {"title": {"text": series.time_label}, "thickness": 12, "len": 0.7}
+    trace = line(xyz[every], "full pose", {"color": BLUE, "width": 2})
     data.append({**trace, "mode": "lines+markers", "marker": {**colours, "colorbar": bar}})
     if position.any():
         some = np.flatnonzero(position)[:: max(1, int(position.sum()) // MAX_PLOTTED)]
-        marks = _line(series.values[some, :3], "position only", {})
+        marks = line(series.values[some, :3], "position only", {})
         data.append({**marks, "mode": "markers", "marker": {"size": 3, "color": ORANGE}})
-    if run.parent == "rig":
-        data += [_camera(run.rig, side, hidden=_is_far(run.rig, xyz)) for side in SIDES]
-    scene: dict[str, Any] = {f"{name}axis": axis(f"{name}, mm", ticks="") for name in "xyz"}
-    scene["aspectmode"] = "data"
-    scene["camera"] = (
-        {
-            "up": {"x": 0, "y": -1, "z": 0},
-            "eye": {"x": -1.0, "y": -0.85, "z": -1.75},
-            "center": {"x": 0, "y": 0.1, "z": 0},
-        }  # y down: from behind the cameras
-        if run.parent == "rig"
-        else {"up": {"x": 0, "y": 0, "z": 1}, "eye": {"x": 1.3, "y": -1.5, "z": 0.9}}
-    )
+    if run.parent == "rig" or run.T_parent_rig is not None:
+        hidden = {"visible": "legendonly"} if _is_far(run, xyz) else {}
+        depth_m = run.rig.baseline_m / 3.0
+        data += [{**camera_line(run.rig, side, run.T_parent_rig, depth_m=depth_m), **hidden} for side in SIDES]
+    scene = scene_axes(run.parent)
     return Figure(
         data=data, layout=layout(scene=scene, margin={"l": 0, "r": 0, "t": 28, "b": 0}, uirevision=1), height_px=520
     )
 
 
-def _line(xyz: Array, name: str, line: dict[str, Any]) -> dict[str, Any]:
-    return {
-        "type": "scatter3d",
-        "x": xyz[:, 0],
-        "y": xyz[:, 1],
-        "z": xyz[:, 2],
-        "name": name,
-        "mode": "lines",
-        "line": line,
-    }
-
-
-def _is_far(rig: Rig, xyz: Array) -> bool:
+def _is_far(run: MeasureRun, xyz: Array) -> bool:
     known = xyz[np.isfinite(xyz[:, 0])]
     if not len(known):
         return False
-    size = max(float(np.ptp(known, axis=0).max()), rig.baseline_m / MM)
-    return float(np.linalg.norm(known.mean(axis=0))) > FAR * size
-
-
-def _camera(rig: Rig, side: str, *, hidden: bool) -> dict[str, Any]:
-    """Return a camera as a pyramid whose base is its image, a third of the baseline away."""
-    camera, T = rig.camera(side), rig.T_rig_camera(side)
-    fx, fy, cx, cy = camera.intrinsics[:4]
-    depth = rig.baseline_m / 3.0
-    u, v = np.array([0.0, camera.width, camera.width, 0.0]), np.array([0.0, 0.0, camera.height, camera.height])
-    base = np.stack([(u - cx) / fx * depth, (v - cy) / fy * depth, np.full(4, depth)], axis=1)  # (4, 3)
-    order = np.array([(0.0, 0.0, 0.0), *base[[0, 1]], (0, 0, 0), *base[[1, 2]], (0, 0, 0), *base[[2, 3]], (0, 0, 0)])
-    closed = np.vstack([order, base[[3, 0]], base[3], np.zeros(3)])
-    trace = _line(np.asarray(T.apply(closed)) / MM, f"{side} camera", {"color": INK, "width": 2})
-    return {**trace, "visible": "legendonly"} if hidden else trace
+    size = max(float(np.ptp(known, axis=0).max()), run.rig.baseline_m / MM)
+    eye = np.zeros(3) if run.T_parent_rig is None else run.T_parent_rig.translation / MM
+    return float(np.linalg.norm(known.mean(axis=0) - eye)) > FAR * size
 
 
 def time_figure(series: Series) -> Figure:
@@ -120,7 +88,7 @@ def time_figure(series: Series) -> Figure:
         data += _marks_below(series.t_s[~ok], k)
         if k < 3 and position.any():
             data.append(_dots(series.t_s[position], series.values[position, k], k))
-    return Figure(data=data, layout=_six(TITLES), height_px=640)
+    return Figure(data=data, layout=_six(TITLES, series.time_label), height_px=640)
 
 
 def deviation_figure(series: Series, errors: Errors | None) -> Figure:
@@ -133,7 +101,8 @@ def deviation_figure(series: Series, errors: Errors | None) -> Figure:
         else:
             half = WITHIN_95 * series.full()[1][:, k]
             data += _banded(series.t_s, half, np.full_like(half, np.nan), half, k)
-    shape = _six([f"Δ{title}" for title in TITLES] if errors is not None else [f"± {title}" for title in TITLES])
+    titles = [f"Δ{title}" for title in TITLES] if errors is not None else [f"± {title}" for title in TITLES]
+    shape = _six(titles, series.time_label)
     if errors is None:
         for k in range(6):
             shape["yaxis" + place(k + 1)["yaxis"][1:]]["rangemode"] = "tozero"
@@ -195,7 +164,7 @@ def _dots(t_s: Array, values: Array, k: int) -> dict[str, Any]:
     return {"type": "scatter", "x": t_s[keep], "y": values[keep], **marks, **place(k + 1), "showlegend": False}
 
 
-def _six(titles: Any) -> dict[str, Any]:
+def _six(titles: Any, time_label: str) -> dict[str, Any]:
     """Return the layout of six plots in two columns over one time axis; y7..y12 lie over them for marks."""
     out: dict[str, Any] = layout(hovermode="x", margin={"l": 60, "r": 16, "t": 12, "b": 40})
     height, gap = 0.29, 0.065
@@ -204,7 +173,7 @@ def _six(titles: Any) -> dict[str, Any]:
         top = 1.0 - row * (height + gap)
         own, last = place(k + 1), row == 2
         out["xaxis" + own["xaxis"][1:]] = axis(
-            "time, s" if last else "",
+            time_label if last else "",
             domain=[0.0, 0.455] if column == 0 else [0.545, 1.0],
             anchor=own["yaxis"],
             showticklabels=last,

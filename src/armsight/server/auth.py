@@ -76,8 +76,10 @@ class Authenticator:
         kind, _, token = caller.authorization.partition(" ")
         found = self._entry(token.strip()) if kind.lower() == "bearer" and len(token) <= LONGEST_TOKEN else None
         if found is None:
+            if not caller.authorization:  # nothing was tried: a browser that opens a page for the first time
+                return Denied(status=401, why="no token")
             self._note_failure(caller.address)
-            return Denied(status=401, why="no valid token" if caller.authorization else "no token")
+            return Denied(status=401, why="no valid token")
         return Identity(who=found.name, role=found.role)
 
     def _local(self, caller: Caller) -> Identity | Denied:

@@ -12,12 +12,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import uvicorn
+from fastapi import FastAPI
+from starlette.types import ASGIApp
 
 from armsight.app.robot.service import Service
 from armsight.drivers.remote import protocol as say
 from armsight.errors import BadFile, DeviceFailed, UsageError
 from armsight.server.application import create_app
 from armsight.server.auth import Authenticator, is_loopback
+from armsight.server.gate import Gate
 from armsight.store.tokens import TokenEntry, read_tokens
 
 LOOPBACK = "127.0.0.1"
@@ -85,6 +88,19 @@ def serve(service: Service, options: ServeOptions, *, ready: Callable[[str], Non
         server.run(sockets=[listener])
 
 
+def serve_pages(app: FastAPI, options: ServeOptions, *, ready: Callable[[str], None]) -> None:
+    """Serve an application with pages, behind the gate, until SIGINT or SIGTERM; ready is called with http://HOST:PORT.
+
+    Raises as serve.
+    """
+    tokens = check_options(options)
+    gate = Gate(app, Authenticator(tokens), secure=options.tls_cert is not None)
+    with _listening(options) as listener:
+        server = _web_server(gate, options)
+        ready(_url(options, listener).replace("ws", "http", 1))
+        server.run(sockets=[listener])
+
+
 @contextlib.contextmanager
 def background(service: Service, options: ServeOptions | None = None) -> Iterator[str]:
     """Serve from a thread while the block runs; gives the address. Raises as serve."""
@@ -113,9 +129,13 @@ _QUIET = _DenialsAreNoError()
 
 
 def _server(service: Service, auth: Authenticator, options: ServeOptions) -> uvicorn.Server:
+    return _web_server(create_app(service, auth), options)
+
+
+def _web_server(app: ASGIApp, options: ServeOptions) -> uvicorn.Server:
     logging.getLogger("uvicorn.error").addFilter(_QUIET)
     config = uvicorn.Config(
-        create_app(service, auth),
+        app,
         http="h11",
         ws="websockets-sansio",
         ws_max_size=say.MAX_BYTES,

@@ -204,6 +204,10 @@ class FlangeLimits:
         return end, tuple(limited)
 
 
+SAME = 1e-12
+"""Segments whose directions' sine squared is less are parallel."""
+
+
 def covered(frames: Array, radii_m: Sequence[float], eye_m: Array, light_m: Array) -> bool:
     """Tell whether the arm stands between eye (3,) and light (3,), all in base axes.
 
@@ -223,18 +227,14 @@ def covered(frames: Array, radii_m: Sequence[float], eye_m: Array, light_m: Arra
 
 
 def _distance(a: Array, b: Array, c: Array, d: Array) -> float:
-    """Return the distance of the segments a-b and c-d: the least over s in [0, 1] is convex, so it is searched."""
-
-    def to_second(s: float) -> float:
-        p, along = a + s * (b - a), d - c
-        t = 0.0 if not along.any() else float(np.clip((p - c) @ along / (along @ along), 0.0, 1.0))
-        return float(np.linalg.norm(p - c - t * along))
-
-    low, high = 0.0, 1.0
-    for _ in range(40):  # thirds: 1e-7 of the link's length
-        first, second = low + (high - low) / 3.0, high - (high - low) / 3.0
-        if to_second(first) < to_second(second):
-            high = second
-        else:
-            low = first
-    return to_second(0.5 * (low + high))
+    """Return the distance of the segments a-b and c-d (Ericson, Real-Time Collision Detection, 5.1.9)."""
+    u, v, w = b - a, d - c, a - c
+    uu, vv, uv, uw, vw = float(u @ u), float(v @ v), float(u @ v), float(u @ w), float(v @ w)
+    apart = uu * vv - uv * uv
+    s = min(1.0, max(0.0, (uv * vw - uw * vv) / apart)) if apart > SAME * uu * vv else 0.0
+    t = (uv * s + vw) / vv if vv > 0.0 else 0.0
+    if not 0.0 <= t <= 1.0 or vv == 0.0:  # beyond the second's ends: its end, and what of the first is nearest to it
+        t = min(1.0, max(0.0, t))
+        s = min(1.0, max(0.0, (uv * t - uw) / uu)) if uu > 0.0 else 0.0
+    away = w + s * u - t * v
+    return math.sqrt(float(away @ away))

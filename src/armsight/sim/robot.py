@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from enum import StrEnum
 from types import TracebackType
 from typing import Self
@@ -88,6 +88,11 @@ class SimRobot:
         self._begun_s = 0.0
         self._played = 0
         self._zero_jumps: tuple[tuple[float, float, Array], ...] = ()
+        self._followed: Callable[[float], Array] | None = None
+
+    def follow(self, joints: Callable[[float], Array]) -> None:
+        """Stand, for cameras, where joints (t_s of the clock) says: the motors that move it run in another process."""
+        self._followed = joints
 
     def play(self, motion: JointMotion) -> None:
         """Have the controller's own program go along a motion from opening on, until it is stopped.
@@ -224,6 +229,8 @@ class SimRobot:
 
     def true_joints(self, t_s: float) -> Array:
         """Return where the joints (n,) really were at time t_s of the clock; now at the latest."""
+        if self._followed is not None:
+            return self._followed(t_s)
         self._now_s()
         with self._lock:
             return np.asarray(self._servo.at(t_s - self._origin_s)[0])

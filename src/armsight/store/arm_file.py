@@ -9,9 +9,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from armsight.errors import BadFile
+from armsight.errors import BadFile, Inconsistent
 from armsight.kinematics import Arm, Coupling, Joint, JointType
 from armsight.records import NamedCovariance
+from armsight.store.interpret import limits_look_like_degrees, looks_like_degrees
 from armsight.store.schema import (
     CovarianceModel,
     Finite,
@@ -50,11 +51,26 @@ class JointModel(Strict):
     def joint(self) -> Joint:
         """Return the record; Inconsistent where no joint can be like this."""
         values = self.model_dump(exclude={"coupled", "std", "lower", "upper"})
+        self._check_degrees()
         return Joint(
             **values,
             lower=-math.inf if self.lower is None else self.lower,
             upper=math.inf if self.upper is None else self.upper,
         )
+
+    def _check_degrees(self) -> None:
+        """Raise Inconsistent where angles in radians are degrees."""
+        angles = {"alpha_rad": self.alpha_rad, "theta_rad": self.theta_rad, "beta_rad": self.beta_rad}
+        limits = [value for value in (self.lower, self.upper) if value is not None]
+        wrong = [name for name, value in angles.items() if looks_like_degrees(value)]
+        if self.type == JointType.REVOLUTE.value and limits_look_like_degrees(limits):
+            wrong += ["lower and upper"]
+        if wrong:
+            raise Inconsistent(
+                f"joint {self.name}: {', '.join(wrong)} look like degrees",
+                consequence="Taken as radians they would be other angles",
+                cure="Write radians; a joint without end has no lower and upper",
+            )
 
 
 class ArmModel(Origin):

@@ -9,20 +9,24 @@ import numpy as np
 from armsight.calibrate.arm import ArmPoints
 from armsight.errors import BadFile
 from armsight.geometry import pose_from_quat
+from armsight.store.interpret import OURS, TableFormat, check_joint_values, standard_bytes
 from armsight.store.schema import named
-from armsight.store.tables import read_table
+from armsight.store.tables import parse_table
 from armsight.store.tracks import POSITION, QUATERNION
 
 
-def read_arm_points(path: Path) -> ArmPoints:
-    """Return the measurements of a points.csv: q1..qn,x_m,y_m,z_m[,qx,qy,qz,qw][,point].
+def read_arm_points(path: Path, format_: TableFormat = OURS) -> ArmPoints:
+    """Return the measurements of a points.csv: q1..qn,x_m,y_m,z_m[,qx,qy,qz,qw][,point], or of a table that can be
+    understood as one.
 
-    Raises BadFile that names line and column.
+    Raises BadFile that names line and column, Inconsistent where units contradict the numbers.
     """
-    table = read_table(path, POSITION, optional=(*QUATERNION, "point"), text=("point",), series="q")
+    data = standard_bytes(path, "points", format_)
+    table = parse_table(data, str(path), POSITION, optional=(*QUATERNION, "point"), text=("point",), series="q")
     readings = table.series("q")
     if not readings:
         raise BadFile(f"{path}: no column q1", consequence="The file is not used", cure="Give q1 .. qn in every row")
+    check_joint_values(table.stacked(readings), str(path), format_)
     turns = [name for name in QUATERNION if name in table.numbers]
     if turns and len(turns) < len(QUATERNION):
         raise BadFile(

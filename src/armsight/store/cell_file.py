@@ -19,6 +19,7 @@ class CellFile(Origin):
 
     left, right: sources of frames, or DRIVER:DEVICE cameras, as commands take them. robot: DRIVER:DEVICE. All others
     are names of files in the cell's folder. fps: of files. play_again: files begin anew at their end.
+    cameras: whether they stand beside the robot, or are carried by it.
     """
 
     format: Literal["armsight/cell"] = CELL_FORMAT
@@ -35,6 +36,7 @@ class CellFile(Origin):
     board: str = "checkerboard:9x6:0.025"
     fps: Finite = Field(30.0, gt=0.0)
     play_again: bool = False
+    cameras: Literal["standing", "carried"] = "standing"
 
 
 def read_cell(folder: Path) -> CellFile:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,10 +14,11 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.calibrate.handeye import HandEye, PosePairs, Setup
 from armsight.calibrate.tooltip import TipCalibration
-from armsight.errors import BadFile
+from armsight.errors import BadFile, Inconsistent
 from armsight.geometry import pose_from_quat
 from armsight.records import NamedCovariance
 from armsight.store.atomic import write_text
+from armsight.store.interpret import OURS, TableFormat, check_positions, standard_bytes
 from armsight.store.schema import (
     CovarianceModel,
     Finite,
@@ -30,7 +32,7 @@ from armsight.store.schema import (
     validated,
     write_document,
 )
-from armsight.store.tables import Table, cells, read_table
+from armsight.store.tables import Table, cells, parse_table
 from armsight.store.tracks import POSITION, QUATERNION
 
 HANDEYE_FORMAT = "armsight/handeye"
@@ -38,7 +40,6 @@ TIP_FORMAT = "armsight/tip"
 
 CELLS = (*POSITION, *QUATERNION)
 PAIR_COLUMNS = tuple(f"{who}_{cell}" for who in ("base_flange", "camera_target") for cell in CELLS)
-ROBOT_COLUMNS = ("file", *CELLS)
 
 
 class HandEyeModel(Origin):
@@ -89,9 +90,15 @@ class TipFile:
     covariance: NamedCovariance | None
 
 
-def read_pairs(path: Path) -> PosePairs:
-    """Return the pose pairs of a pairs.csv; BadFile that names line and column, NotEnoughData for too few."""
-    table = read_table(path, PAIR_COLUMNS)
+def read_pairs(path: Path, format_: TableFormat = OURS) -> PosePairs:
+    """Return the pose pairs of a pairs.csv, or of a file that can be understood as one.
+
+    Raises BadFile that names line and column, Inconsistent where units contradict the numbers, NotEnoughData.
+    """
+    table = parse_table(standard_bytes(path, "pairs", format_), str(path), PAIR_COLUMNS)
+    for who in ("base_flange", "camera_target"):
+        names = [f"{who}_{name}" for name in POSITION]
+        check_positions(table.stacked(names), names, str(path), format_)
     robot, camera = (_poses(table, f"{who}_") for who in ("base_flange", "camera_target"))
     return PosePairs.of(robot, camera, [f"row {i + 1}" for i in range(len(table))])
 
@@ -106,9 +113,21 @@ def write_pairs(path: Path, pairs: PosePairs) -> None:
     write_text(path, "\n".join([",".join(PAIR_COLUMNS), *rows]) + "\n")
 
 
-def read_robot_poses(path: Path) -> dict[str, RigidTransform]:
-    """Return T_base_flange by the image's file name from a robot_poses.csv; BadFile that names line and column."""
-    table = read_table(path, ROBOT_COLUMNS, text=("file",))
+def read_robot_poses(
+    path: Path, format_: TableFormat = OURS, *, images: Sequence[str] = ()
+) -> dict[str, RigidTransform]:
+    """Return T_base_flange by the image's file name from a robot_poses.csv, or a file that can be understood as one.
+
+    images: names of the images in their order. A file that names none of them gives them the poses by the numbers in
+    both names, or in order where it names no file at all and there are as many; format_.tell says so. Raises BadFile
+    that names line and column, Inconsistent where units contradict the numbers or the counts differ.
+    """
+    data = standard_bytes(path, "robot_poses", format_)
+    table = parse_table(data, str(path), CELLS, optional=("file",), text=("file",))
+    check_positions(table.stacked(POSITION), POSITION, str(path), format_)
+    poses = _poses(table, "")
+    if "file" not in table.text:
+        return dict(zip(_in_order(path, len(poses), images, format_), poses, strict=True))
     files = [Path(name).name for name in table.text["file"]]
     for row, name in enumerate(files):
         if not name or name in files[:row]:
@@ -117,7 +136,34 @@ def read_robot_poses(path: Path) -> dict[str, RigidTransform]:
                 consequence="Nobody knows which pose belongs to the image",
                 cure="Give every image one row",
             )
-    return dict(zip(files, _poses(table, ""), strict=True))
+    return dict(zip(_by_number(path, files, images, format_), poses, strict=True))
+
+
+def _in_order(path: Path, n: int, images: Sequence[str], format_: TableFormat) -> Sequence[str]:
+    """Return the images' names for poses that name none; Inconsistent where their numbers differ."""
+    if n != len(images):
+        raise Inconsistent(
+            f"{path}: no column file, and {n} poses for {len(images)} images",
+            consequence="Nobody knows which pose belongs to which image",
+            cure="Add a column file with the images' names",
+        )
+    format_.tell(f"{path.name}: no column file: the poses are those of the {n} images in the order of their names")
+    return images
+
+
+def _by_number(path: Path, files: Sequence[str], images: Sequence[str], format_: TableFormat) -> Sequence[str]:
+    """Return the images' names for files that name none of them but carry the same numbers; else the files."""
+    if not images or set(files) & set(images):
+        return files
+    numbers = [[re.findall(r"\d+", Path(name).stem) for name in names] for names in (files, images)]
+    if not all(part for part in numbers[0]) or not all(part for part in numbers[1]):
+        return files
+    ours, theirs = ([int(part[-1]) for part in side] for side in numbers)
+    if len(set(ours)) < len(ours) or len(set(theirs)) < len(theirs) or not set(ours) & set(theirs):
+        return files
+    format_.tell(f"{path.name}: images and poses belong together by the numbers in their names")
+    named_by = dict(zip(theirs, images, strict=True))
+    return [named_by.get(number, name) for number, name in zip(ours, files, strict=True)]
 
 
 def write_handeye(path: Path, result: HandEye, verdict: str, *, inputs: Sequence[Path] = ()) -> None:

@@ -10,19 +10,22 @@ from numpy.typing import NDArray
 from armsight.calibrate.identify import Sweeps
 from armsight.errors import BadFile
 from armsight.store.atomic import write_text
-from armsight.store.tables import cells, read_table
+from armsight.store.interpret import OURS, TableFormat, check_joint_values, standard_bytes
+from armsight.store.tables import cells, parse_table
 from armsight.store.tracks import POSITION
 
 PIXELS = ("left_u_px", "left_v_px", "right_u_px", "right_v_px")
 
 
-def read_sweeps(path: Path) -> Sweeps:
+def read_sweeps(path: Path, format_: TableFormat = OURS) -> Sweeps:
     """Return the sweeps of joint,q1..qn and x_m,y_m,z_m, or the four pixel columns, or both; joints count from 1.
 
     Raises BadFile that names line and column.
     """
-    table = read_table(path, ["joint"], optional=(*POSITION, *PIXELS), series="q")
+    data = standard_bytes(path, "sweep", format_)
+    table = parse_table(data, str(path), ["joint"], optional=(*POSITION, *PIXELS), series="q")
     readings = table.series("q")
+    check_joint_values(table.stacked(readings), str(path), format_)
     pixels = [name for name in PIXELS if name in table.numbers]
     positions = [name for name in POSITION if name in table.numbers]
     if not readings or 0 < len(pixels) < 4 or 0 < len(positions) < 3 or not (pixels or positions):
@@ -40,10 +43,13 @@ def read_sweeps(path: Path) -> Sweeps:
     return Sweeps(joint=joint.astype(np.intp) - 1, q=table.stacked(readings), xyz_m=xyz, uv_px=uv)
 
 
-def read_sweep_joints(path: Path) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]:
+def read_sweep_joints(
+    path: Path, format_: TableFormat = OURS
+) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]:
     """Return frames (m,) in sorted order, joints (m,) that move, both from 0, and q (m, n) of a sweep_joints.csv."""
-    table = read_table(path, ["frame", "joint"], series="q")
+    table = parse_table(standard_bytes(path, "sweep_joints", format_), str(path), ["frame", "joint"], series="q")
     readings = table.series("q")
+    check_joint_values(table.stacked(readings), str(path), format_)
     if not readings:
         raise BadFile(f"{path}: no column q1", consequence="The file is not used", cure="Give q1 .. qn in every row")
     frame, joint = table.numbers["frame"], table.numbers["joint"]

@@ -117,7 +117,7 @@ def parse_table(
         if name in text:
             words[name] = tuple(cell.strip() for cell in cells)
         else:
-            numbers[name] = _column(cells, name, lines, where, name in blank)
+            numbers[name] = number_column(cells, name, lines, where, name in blank)
     return Table(where=where, numbers=numbers, text=words, lines=tuple(lines))
 
 
@@ -188,7 +188,8 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _column(cells: Sequence[str], name: str, lines: Sequence[int], where: str, may_be_blank: bool) -> Array:
+def number_column(cells: Sequence[str], name: str, lines: Sequence[int], where: str, may_be_blank: bool) -> Array:
+    """Return the numbers (n,) in a column's cells, NaN for those that may be and are blank; BadFile for others."""
     values = np.empty(len(cells))
     for i, cell in enumerate(cells):
         try:

@@ -19,6 +19,7 @@ from armsight.geometry import pose_from_quat, quat_of_matrix, xyz_quat
 from armsight.geometry.poses import QUAT_NORM_TOLERANCE
 from armsight.records import Motion, Points, PoseStatus, Spots, TargetPose
 from armsight.store.atomic import RowFile, read_bytes, write_text
+from armsight.store.interpret import OURS, TableFormat, check_joint_values, standard_bytes
 from armsight.store.schema import LARGEST, named
 from armsight.store.tables import MAX_BYTES, Array, Table, cells, number, parse_table, read_table
 
@@ -27,6 +28,8 @@ QUATERNION = ("qx", "qy", "qz", "qw")
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
 DEVIATIONS = ("sx_m", "sy_m", "sz_m", "srx_rad", "sry_rad", "srz_rad")
 SYSTEMATIC = tuple(f"sys_{name}" for name in DEVIATIONS)
+LIGHTS = ("lights_x_m", "lights_y_m", "lights_z_m")
+LIGHTS_STD = tuple(f"s{name}" for name in LIGHTS)
 POSE_COLUMNS = ("t_s", *POSITION, *QUATERNION, *DEVIATIONS, "status", "spots")
 VELOCITY = ("vx_m_s", "vy_m_s", "vz_m_s", "wx_rad_s", "wy_rad_s", "wz_rad_s")
 VELOCITY_STD = tuple(f"s{name}" for name in VELOCITY)
@@ -70,7 +73,7 @@ class _Writer:
 class PosesWriter(_Writer):
     """poses.csv, row by row: an interrupted run leaves what was measured."""
 
-    columns = (*POSE_COLUMNS, *SYSTEMATIC)
+    columns = (*POSE_COLUMNS, *SYSTEMATIC, *LIGHTS, *LIGHTS_STD)
 
     def write(self, pose: TargetPose) -> None:
         """Add one pose."""
@@ -83,7 +86,7 @@ class MovingPosesWriter(_Writer):
     Of the target's origin in m/s, and angular in rad/s, both in the axes of the poses' frame.
     """
 
-    columns = (*POSE_COLUMNS, *SYSTEMATIC, *VELOCITY, *VELOCITY_STD)
+    columns = (*POSE_COLUMNS, *SYSTEMATIC, *LIGHTS, *LIGHTS_STD, *VELOCITY, *VELOCITY_STD)
 
     def write(self, pose: TargetPose, velocity: Array | None, std: Array | None) -> None:
         """Add one pose with velocity (6,) and its standard deviations (6,); None where they are not known."""
@@ -123,12 +126,17 @@ class SpotsWriter(_Writer):
 def pose_row(pose: TargetPose) -> str:
     """Return one row of poses.csv: cells that mean nothing are empty, spots are separated by spaces.
 
-    ok: all cells. position_only: no quaternion, no srx..srz. lost: only t_s, status, spots. The last six are the
-    standard deviations of what repeats from frame to frame (rig and target), empty where nothing is known of it.
+    ok: all cells but the last six. position_only: the target's origin is not known, the last six are the mean of the
+    lights seen and its standard deviations; where the origin is known after all, its position, no quaternion, no
+    srx..srz. lost: only t_s, status, spots. sys_...: the standard deviations of what repeats from frame to frame (rig
+    and target), empty where nothing is known of it.
     """
-    values, systematic = [math.nan] * 13, [math.nan] * 6
+    values, systematic, lights = [math.nan] * 13, [math.nan] * 6, [math.nan] * 6
     T = pose.T_parent_target
-    if T is not None and pose.covariance is not None:
+    if pose.status is PoseStatus.POSITION_ONLY and not pose.origin_known:
+        if T is not None and pose.covariance is not None:
+            lights = [*T[:3, 3].tolist(), *(math.sqrt(v) for v in pose.covariance.diagonal().tolist())]
+    elif T is not None and pose.covariance is not None:
         values[:3] = T[:3, 3].tolist()
         variances = pose.covariance.diagonal().tolist()
         values[7 : 7 + len(variances)] = [math.sqrt(v) for v in variances]
@@ -138,7 +146,7 @@ def pose_row(pose: TargetPose) -> str:
             variances = pose.systematic_covariance.diagonal().tolist()
             systematic[: len(variances)] = [math.sqrt(max(v, 0.0)) for v in variances]
     row = f"{number(pose.t_s)},{cells(values)},{pose.status.value},{' '.join(pose.spots)}"
-    return f"{row},{cells(systematic)}"
+    return f"{row},{cells(systematic)},{cells(lights)}"
 
 
 def write_poses(path: Path, poses: Iterable[TargetPose]) -> None:
@@ -146,35 +154,52 @@ def write_poses(path: Path, poses: Iterable[TargetPose]) -> None:
     write_text(path, "\n".join([",".join(PosesWriter.columns), *(pose_row(pose) for pose in poses)]) + "\n")
 
 
-def read_poses(path: Path, *, parent: str = "rig") -> tuple[TargetPose, ...]:
-    """Return the poses in a poses.csv, in the frame parent; see parse_poses."""
-    return parse_poses(read_bytes(path, limit=MAX_BYTES), str(path), parent=parent)
+def read_poses(
+    path: Path, *, parent: str = "rig", format_: TableFormat = OURS, timed: bool = True
+) -> tuple[TargetPose, ...]:
+    """Return the poses in a poses.csv, or in a file that can be understood as one, in the frame parent.
+
+    timed: times are needed; else rows without them are counted. See parse_poses and interpret.
+    """
+    data = standard_bytes(path, "poses" if timed else "untimed-poses", format_)
+    return parse_poses(data, str(path), parent=parent)
 
 
 def parse_poses(data: bytes, where: str, *, parent: str = "rig") -> tuple[TargetPose, ...]:
     """Return the poses in the bytes of a poses.csv, in the frame parent.
 
     The file holds standard deviations only: the covariances come back diagonal, and zero where the standard deviations'
-    cells or columns are empty. The columns from sx_m on may be missing (status is then ok). Raises BadFile that
-    names file, line and column.
+    cells or columns are empty. The columns from sx_m on may be missing (status is then ok). A position_only row has the
+    mean of its lights in lights_...; in files of earlier versions, which lack these columns, in x_m to z_m. Raises
+    BadFile that names file, line and column.
     """
+    further = (*SYSTEMATIC, *LIGHTS, *LIGHTS_STD, *VELOCITY, *VELOCITY_STD)
     table = parse_table(
         data,
         where,
         POSE_COLUMNS[:8],
-        optional=(*POSE_COLUMNS[8:], *SYSTEMATIC, *VELOCITY, *VELOCITY_STD),
+        optional=(*POSE_COLUMNS[8:], *further),
         text=("status", "spots"),
-        blank=(*POSE_COLUMNS[1:14], *SYSTEMATIC, *VELOCITY, *VELOCITY_STD),
+        blank=(*POSE_COLUMNS[1:14], *further),
     )
     statuses = [_status(table, row) for row in range(len(table))]
     seen = [row for row, status in enumerate(statuses) if status is not PoseStatus.LOST]
-    xyz = np.array([_full(table, row, POSITION) for row in seen]).reshape(-1, 3)
+    of_lights = {row for row in seen if statuses[row] is PoseStatus.POSITION_ONLY and _has(table, row, LIGHTS)}
+    xyz = np.array([_full(table, row, LIGHTS if row in of_lights else POSITION) for row in seen]).reshape(-1, 3)
     quat = np.array(
         [_full(table, row, QUATERNION) if statuses[row] is PoseStatus.OK else IDENTITY for row in seen]
     ).reshape(-1, 4)
     T = _stack(xyz, quat, [table.place(row) for row in seen]).as_matrix() if seen else ()
     poses = dict(zip(seen, T, strict=True))
-    return tuple(_target_pose(table, row, statuses[row], poses.get(row), parent) for row in range(len(table)))
+    return tuple(
+        _target_pose(table, row, statuses[row], poses.get(row), parent, of_lights=row in of_lights)
+        for row in range(len(table))
+    )
+
+
+def _has(table: Table, row: int, names: Sequence[str]) -> bool:
+    """Whether a row has anything in these columns."""
+    return any(name in table.numbers and not np.isnan(table.numbers[name][row]) for name in names)
 
 
 def _status(table: Table, row: int) -> PoseStatus:
@@ -201,11 +226,13 @@ def _stack(xyz_m: Array, quat_xyzw: Array, places: Sequence[str]) -> RigidTransf
     return RigidTransform.from_components(xyz_m, Rotation.from_quat(quat_xyzw))
 
 
-def _target_pose(table: Table, row: int, status: PoseStatus, T: Array | None, parent: str) -> TargetPose:
+def _target_pose(
+    table: Table, row: int, status: PoseStatus, T: Array | None, parent: str, *, of_lights: bool
+) -> TargetPose:
     size = {PoseStatus.OK: 6, PoseStatus.POSITION_ONLY: 3, PoseStatus.LOST: 0}[status]
     deviation, systematic = (
         np.array([table.numbers[name][row] if name in table.numbers else np.nan for name in names[:size]])
-        for names in (DEVIATIONS, SYSTEMATIC)
+        for names in (LIGHTS_STD if of_lights else DEVIATIONS, SYSTEMATIC)
     )
     with named(table.place(row)):
         if any((part < 0.0).any() or (part > LARGEST).any() for part in (deviation, systematic)):
@@ -218,6 +245,8 @@ def _target_pose(table: Table, row: int, status: PoseStatus, T: Array | None, pa
             T_parent_target=T,
             covariance=np.diag(np.where(np.isnan(deviation), 0.0, deviation) ** 2) if size else None,
             systematic_covariance=np.diag(systematic**2) if size and not np.isnan(systematic).any() else None,
+            origin_known=status is PoseStatus.OK
+            or (status is PoseStatus.POSITION_ONLY and not of_lights and LIGHTS[0] in table.numbers),
         )
 
 
@@ -234,14 +263,20 @@ def _full(table: Table, row: int, names: Sequence[str]) -> Array:
     return values
 
 
-def read_joints(path: Path) -> Motion:
-    """Return the joint values in a joints.csv (t_s, q1, ..., qn; rad, m); BadFile that names line and column."""
-    return parse_joints(read_bytes(path, limit=MAX_BYTES), str(path))
+def read_joints(path: Path, format_: TableFormat = OURS, *, timed: bool = True) -> Motion:
+    """Return the joint values in a joints.csv (t_s, q1, ..., qn; rad, m), or a file that can be understood as one.
+
+    timed: times are needed; else rows without them are counted. Raises BadFile that names line and column,
+    Inconsistent for degrees where radians are meant.
+    """
+    data = standard_bytes(path, "joints" if timed else "untimed-joints", format_)
+    return parse_joints(data, str(path), format_)
 
 
-def parse_joints(data: bytes, where: str) -> Motion:
+def parse_joints(data: bytes, where: str, format_: TableFormat = OURS) -> Motion:
     """Return the joint values in the bytes of a joints.csv; see read_joints."""
     table = parse_table(data, where, ("t_s", "q1"), series="q")
+    check_joint_values(table.stacked(table.series("q")), where, format_)
     with named(where):
         return Motion(t_s=table.numbers["t_s"], q=table.stacked(table.series("q")))
 

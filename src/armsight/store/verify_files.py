@@ -18,8 +18,19 @@ from armsight.errors import BadFile, NotEnoughData
 from armsight.geometry.poses import QUAT_NORM_TOLERANCE
 from armsight.records import PoseStatus
 from armsight.store.atomic import read_bytes
+from armsight.store.interpret import OURS, TableFormat, check_joint_values, standard_bytes
 from armsight.store.tables import MAX_BYTES, Table, parse_table
-from armsight.store.tracks import DEVIATIONS, POSITION, QUATERNION, SYSTEMATIC, VELOCITY, VELOCITY_STD, parse_tum
+from armsight.store.tracks import (
+    DEVIATIONS,
+    LIGHTS,
+    LIGHTS_STD,
+    POSITION,
+    QUATERNION,
+    SYSTEMATIC,
+    VELOCITY,
+    VELOCITY_STD,
+    parse_tum,
+)
 from armsight.verify import Measured, Repeats, Reported
 
 Array = NDArray[np.float64]
@@ -98,12 +109,12 @@ class CommandedFile:
     speed_m_s: Array | None = None
 
 
-def read_measured(path: Path) -> MeasuredFile:
+def read_measured(path: Path, format_: TableFormat = OURS) -> MeasuredFile:
     """Return the measurements of a poses.csv, a points.csv, a tracker's table (t_s,x_m,y_m,z_m[,qx,qy,qz,qw]) or TUM.
 
     Raises BadFile that names line and column, NotEnoughData without a row.
     """
-    data = read_bytes(path, limit=MAX_BYTES)
+    data = _data(path, "measured", format_)
     if _is_tum(data):
         track = parse_tum(data, str(path))
         measured = Measured(
@@ -118,12 +129,25 @@ def read_measured(path: Path) -> MeasuredFile:
     return _measured(rows)
 
 
+def _data(path: Path, role: str, format_: TableFormat) -> bytes:
+    """Return the bytes of a table of ours: as they are for TUM and for tables of ours, torn rows included."""
+    if path.is_file() and not format_.stated and path.suffix.lower() != ".mat":
+        data = read_bytes(path, limit=MAX_BYTES)
+        if _is_tum(data):
+            return data
+    return standard_bytes(path, role, format_)
+
+
 def _is_tum(data: bytes) -> bool:
-    """Whether the first line that says something is eight numbers, or a remark."""
-    for line in data.decode("utf-8", errors="replace").splitlines():
-        if line.strip():
+    """Whether the first line that is no remark is eight numbers, and no remark names columns in another order."""
+    for line in data.decode("utf-8-sig", errors="replace").splitlines():
+        if line.lstrip().startswith("#"):
+            words = line.lstrip("# ").replace(",", " ").split()
+            if len(words) == 8 and words[-1].lower()[-1:] != "w":
+                return False
+        elif line.strip():
             parts = line.replace(",", " ").split()
-            return line.lstrip().startswith("#") or (len(parts) == 8 and all(_is_number(part) for part in parts))
+            return len(parts) == 8 and all(_is_number(part) for part in parts)
     return False
 
 
@@ -143,7 +167,8 @@ def _parse(data: bytes, where: str, required: tuple[str, ...]) -> _Rows:
         raise BadFile(f"{where}: NUL bytes in the first line", consequence="It cannot be read", cure="Save it as text")
     clean = b"".join(b"\n" if NUL in line else line for line in lines)
     header = _header(clean)
-    optional = ("t_s", *POSITION, *QUATERNION, *DEVIATIONS, *SYSTEMATIC, *VELOCITY, *VELOCITY_STD, *GOAL, "speed_m_s")
+    poses = (*POSITION, *QUATERNION, *DEVIATIONS, *SYSTEMATIC, *LIGHTS, *LIGHTS_STD, *VELOCITY, *VELOCITY_STD)
+    optional = ("t_s", *poses, *GOAL, "speed_m_s")
     known = {*optional, *WORDS}
     unused = tuple(
         name for name in header if name and name not in known and not (name[0] == "q" and name[1:].isdecimal())
@@ -212,10 +237,10 @@ def _usable(rows: _Rows, xyz: Array, quat: Array | None) -> tuple[Index, list[tu
     good, rejected, lost = [], [], 0
     for i in range(len(table)):
         row = int(rows.row[i])
-        if status[i] == PoseStatus.LOST.value or np.isnan(xyz[i]).all():
-            lost += 1
-        elif status[i] == PoseStatus.POSITION_ONLY.value:
+        if status[i] == PoseStatus.POSITION_ONLY.value:
             rejected.append((row, "a position only: that of the mean of the lights seen, another point"))
+        elif status[i] == PoseStatus.LOST.value or np.isnan(xyz[i]).all():
+            lost += 1
         elif np.isnan(xyz[i]).any() or (quat is not None and np.isnan(quat[i]).any()):
             rejected.append((row, f"cells are empty in line {table.lines[i]}"))
         elif quat is not None and abs(np.linalg.norm(quat[i]) - 1.0) > QUAT_NORM_TOLERANCE:
@@ -279,21 +304,23 @@ def _repeats(table: Table, index: Index) -> Repeats:
     return Repeats(path=words.pop("tag"), systematic=systematic, **words)
 
 
-def read_reported_joints(path: Path) -> Reported:
+def read_reported_joints(path: Path, format_: TableFormat = OURS) -> Reported:
     """Return joint readings q1..qn of a file, with t_s or without; rows torn by NUL bytes are NaN.
 
     Raises BadFile that names line and column.
     """
-    rows = _parse(read_bytes(path, limit=MAX_BYTES), str(path), ("q1",))
-    return Reported(q=rows.columns(rows.table.series("q")), t_s=_stamps(rows))
+    rows = _parse(_data(path, "reported", format_), str(path), ("q1",))
+    q = rows.columns(rows.table.series("q"))
+    check_joint_values(q, str(path), format_)
+    return Reported(q=q, t_s=_stamps(rows))
 
 
-def read_commanded(path: Path) -> CommandedFile:
+def read_commanded(path: Path, format_: TableFormat = OURS) -> CommandedFile:
     """Return commanded poses of a path.csv, a plan.csv, a poses.csv or a TUM.
 
     Raises BadFile that names line and column.
     """
-    data = read_bytes(path, limit=MAX_BYTES)
+    data = _data(path, "measured", format_)
     if _is_tum(data):
         track = parse_tum(data, str(path))
         return CommandedFile(reported=Reported(T=track.pose.as_matrix(), t_s=track.t_s), turned=True)

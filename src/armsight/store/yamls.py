@@ -168,17 +168,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
 
 def parse_yaml(data: bytes, where: str) -> dict[str, Any]:
     """Return the mapping in YAML bytes (UTF-8); where names them in errors. Raises BadFile and nothing else."""
-    try:
-        value = _load(_without_opencv_header(_decoded(data, where)))
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        place = f", line {mark.line + 1}, column {mark.column + 1}" if mark else ""
-        raise _not_yaml(where + place, error.problem or "not valid YAML") from error
-    except RecursionError as error:
-        raise _not_yaml(where, "nested too deeply") from error
-    except (yaml.YAMLError, ValueError, OverflowError, LookupError, TypeError, AttributeError) as error:
-        # the scanner lets a few of Python's own errors through, e.g. for "\UFFFFFFFF"
-        raise _not_yaml(where, " ".join(str(error).split())[:120]) from error
+    value = _guarded(_without_opencv_header(_decoded(data, where)), where)
     if not isinstance(value, dict):
         found = "empty" if value is None else f"a {type(value).__name__}, not a mapping of keys to values"
         raise BadFile(f"{where}: the file is {found}", consequence="It says nothing", cure="Check the file")
@@ -240,3 +230,32 @@ def _refuse_explosion(root: yaml.Node) -> None:
 
 def _not_yaml(place: str, reason: str) -> BadFile:
     return BadFile(f"{place}: {reason}", consequence="The file cannot be read", cure="Correct it there")
+
+
+def parse_yaml_documents(data: bytes, where: str) -> list[Any]:
+    """Return the documents in YAML bytes (UTF-8), of whatever kind, apart by '---'; JSON is YAML too.
+
+    The limits of parse_yaml hold for each document. Raises BadFile and nothing else.
+    """
+    text = _without_opencv_header(_decoded(data, where))
+    out = []
+    for part in re.split(r"(?m)^---[ \t]*$", text):
+        if not part.strip() or all(line.lstrip().startswith("#") or not line.strip() for line in part.splitlines()):
+            continue
+        out.append(_guarded(part, where))
+    return out
+
+
+def _guarded(text: str, where: str) -> Any:
+    """Return the value in one document; BadFile that names place and reason for whatever goes wrong."""
+    try:
+        return _load(text)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        place = f", line {mark.line + 1}, column {mark.column + 1}" if mark else ""
+        raise _not_yaml(where + place, error.problem or "not valid YAML") from error
+    except RecursionError as error:
+        raise _not_yaml(where, "nested too deeply") from error
+    except (yaml.YAMLError, ValueError, OverflowError, LookupError, TypeError, AttributeError) as error:
+        # the scanner lets a few of Python's own errors through, e.g. for "\UFFFFFFFF"
+        raise _not_yaml(where, " ".join(str(error).split())[:120]) from error

@@ -67,6 +67,28 @@ def pair(arm: Arm | None, reported: Reported, measured: Measured, nominal: Mount
     return _by_time(arm, reported, measured, nominal, how)
 
 
+def pair_at(arm: Arm | None, reported: Reported, measured: Measured, offset_s: float) -> Paired:
+    """Return the rows that belong together where the arm's time is the measured one plus offset_s.
+
+    Raises UsageError where one side has no stamps, NotEnoughData.
+    """
+    if measured.t_s is None:
+        raise UsageError("the measured rows have no stamps")
+    stream, notes = _stream(arm, reported)
+    at = measured.t_s + offset_s
+    there = covered(stream.t_s, at)
+    chosen = np.flatnonzero(there)
+    return Paired(
+        measured=measured.take(chosen),
+        F=stream.at(at[chosen])[0],
+        q=stream.q_at(at[chosen]) if isinstance(stream, JointStream) else None,
+        speed=stream.speed_at(at[chosen]) if isinstance(stream, JointStream) else None,
+        at_s=at[chosen],
+        rejected=tuple((int(measured.rows[i]), _uncovered(stream, float(at[i]))) for i in np.flatnonzero(~there)),
+        notes=notes,
+    )
+
+
 def _by_order(arm: Arm | None, reported: Reported, measured: Measured) -> Paired:
     last = int(measured.rows.max())
     if last > len(reported):

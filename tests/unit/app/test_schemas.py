@@ -18,6 +18,8 @@ from armsight.app.schemas import (
     kinematics,
     machine,
     measure,
+    paths,
+    play,
     reproduce,
     robot,
     servo,
@@ -29,7 +31,7 @@ from armsight.app.schemas.base import Output, PointStd, PoseOutput, PoseStd, abs
 from armsight.app.schemas.catalogue import OUTPUTS
 
 MEASURE = "n_frames n_ok n_position_only n_lost reprojection_rms_px ms_per_frame reasons"
-MEASURE_MAYBE = "candidates std consistency skew timing error zoom"
+MEASURE_MAYBE = "candidates std consistency skew timing error zoom assumed_fps"
 STEREO = (
     "rms_px epipolar_rms_px baseline_m n_pairs n_used rejected std holdout_rms_px holdout_epipolar_rms_px metric "
     "metric_is_left_out alignment advice"
@@ -47,6 +49,7 @@ ARM = (
     "n before after crossval free fixed std corrections condition outliers still couplings "
     "noise model verdict gain urdf"
 )
+PATH = "file n_before n length_m corners"
 PLACE, TURN = "x_m y_m z_m", "rx_rad ry_rad rz_rad"
 NOISE = "linear levels variance_levels2 std_levels2 correlation n_frames widening"
 
@@ -60,7 +63,7 @@ KEYS: dict[type[Output], tuple[str, str]] = {
         "noise_scale refused claimed_m n_frames undetected_m sentence advice",
         "",
     ),
-    OUTPUTS["demo"]: (f"{MEASURE} truth inside_95 seconds_s assumptions", MEASURE_MAYBE),
+    OUTPUTS["demo"]: (f"{MEASURE} truth inside_95 seconds_s assumptions pictures", MEASURE_MAYBE),
     measure.TruthError: ("rms max claimed", ""),
     OUTPUTS["reproduce"]: (
         "paper seed scenarios tables figures n_compared n_reached missed assumptions doubts missing seconds_s",
@@ -178,6 +181,8 @@ KEYS: dict[type[Output], tuple[str, str]] = {
     ),
     OUTPUTS["record-repair"]: ("file messages duration_s lost_bytes damaged_chunks", ""),
     OUTPUTS["convert-recording"]: ("from out n", ""),
+    OUTPUTS["join"]: ("kind by offset_s offset_std_s drift_ppm n_measured n rejected notes file", ""),
+    OUTPUTS["convert-table"]: ("kind how columns ranges n notes file", ""),
     OUTPUTS["convert"]: ("from to files n note", ""),
     OUTPUTS["convert-arm"]: ("arm file joints convention", ""),
     OUTPUTS["simulate"]: ("scenario seed n_frames out", "n_dropped views"),
@@ -189,6 +194,15 @@ KEYS: dict[type[Output], tuple[str, str]] = {
     kinematics.PathIssue: ("kind first last worst joint value limit text", ""),
     OUTPUTS["kinematics-formulas"]: ("arm file", ""),
     OUTPUTS["kinematics-show"]: ("arm file tool_xyz_m", ""),
+    OUTPUTS["path-change"]: (PATH, ""),
+    OUTPUTS["path-smooth"]: (f"{PATH} outliers dropped moved_max_m moved_rms_m turned_max_rad", ""),
+    paths.PathOutlierOutput: ("row off_m off_rad text", ""),
+    OUTPUTS["path-check"]: ("arm ok n n_reached length_m duration_s troubles issues start_q", ""),
+    paths.PathIssueOutput: ("row trouble value limit text", ""),
+    OUTPUTS["path-export"]: ("file format n length_m checked start_q", ""),
+    OUTPUTS["path-from-picks"]: ("file frame n n_picks length_m points refused", ""),
+    paths.PickedPointOutput: ("pick px other_px std_px correlation second xyz_m std", ""),
+    paths.RefusedPickOutput: ("pick u_px v_px kind why", ""),
     OUTPUTS["robot-test"]: ("driver cycle_s n_cycles late missed period_ms q state", ""),
     robot.PeriodOutput: ("median p99 max", ""),
     OUTPUTS["robot-jog"]: ("asked sent reached limited state", ""),
@@ -197,6 +211,17 @@ KEYS: dict[type[Output], tuple[str, str]] = {
         "vision_ms recording",
         "",
     ),
+    OUTPUTS["teach"]: (
+        "state n_cycles late stopped_by path parent n_rows n_stretches length_m n_ok n_position_only n_lost n_unplaced "
+        "servo",
+        "",
+    ),
+    OUTPUTS["play"]: (
+        "state n_cycles late missed stopped_by finished share length_m planned_s took_s slowest rounded_m measured "
+        "holds recording",
+        "",
+    ),
+    play.PlayMeasuredOutput: ("n rms_m max_m last_m mean_m arm_lag_s n_position_only n_lost", ""),
     servo.ServoGainOutput: ("used no_overshoot stable cycle_s n_delay note", ""),
     servo.ServoDelayOutput: ("camera_s arm_s", ""),
     servo.ServoErrorOutput: ("rms_m max_m last_m last_rad", ""),

@@ -20,6 +20,12 @@ def test_the_demo_compares_with_the_truth_and_its_frames_can_be_measured_again(a
         assert done.json["truth"][axis]["claimed"] > 0.0
     assert "Error against the truth" in done.text
     assert done.json["assumptions"]
+    real = done.json["pictures"]
+    assert real["n_ok"] == real["n_pairs"] == 9
+    assert real["rms_px"] < 0.25
+    assert real["baseline_m"] == pytest.approx(0.08319, abs=2e-4)  # OpenCV's own result of all 13 pairs
+    assert real["square_error_m"] < 3e-4
+    assert (out / "pictures" / "report.html").exists()
     assert (out / "report.html").stat().st_size > 10_000
     inputs = ["--rig", out / "rig.yaml", "--target", out / "target.yaml", "--times", out / "times.csv"]
     again = armsight("measure", *inputs, "--left", out / "left", "--right", out / "right", "-o", tmp_path / "again")

@@ -88,6 +88,6 @@ def test_an_unknown_paper_and_too_few_frames(armsight: Armsight, tmp_path: Path)
 
 def test_a_shorter_run_into_the_same_folder_measures_its_own_frames_only(armsight: Armsight, tmp_path: Path) -> None:
     for frames in (8, 6):
-        result = armsight("reproduce", "korayem2018", "--frames", frames, "-o", tmp_path)
+        result = armsight("reproduce", "korayem2018", "--frames", frames, "-o", tmp_path, "--overwrite")
         complete(result, tmp_path)
         assert len(list((tmp_path / "korayem2018-circle" / "left").glob("*.png"))) == frames

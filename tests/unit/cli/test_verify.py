@@ -15,6 +15,8 @@ from armsight.errors import BadFile
 from armsight.kinematics import fk, moved, preset
 from armsight.store.verify_files import read_commanded, read_measured, read_reported_joints
 
+AGAIN = "--overwrite"
+
 POSE = "x_m,y_m,z_m,qx,qy,qz,qw"
 JOINTS = "q1,q2,q3,q4,q5,q6"
 FIGURES = {"me", "mae", "max", "sd", "rms"}
@@ -41,7 +43,11 @@ def truth() -> tuple[np.ndarray, np.ndarray]:
 def files(truth: tuple[np.ndarray, np.ndarray], tmp_path: Path) -> tuple[Path, Path, list[Any]]:
     q, poses = truth
     measured, joints = write(tmp_path / "m.csv", POSE, poses), write(tmp_path / "j.csv", JOINTS, q)
-    return measured, joints, ["verify", "--measured", measured, "--arm", "irb120", "-o", tmp_path / "out"]
+    return (
+        measured,
+        joints,
+        ["verify", "--measured", measured, "--arm", "irb120", "-o", tmp_path / "out", AGAIN],
+    )
 
 
 def test_an_arm_is_verified_with_every_promised_key(
@@ -79,7 +85,7 @@ def test_joints_may_be_columns_and_runs_are_compared(
 ) -> None:
     assert armsight(*files[2], "--joints", files[1]).code == 0
     both = write(tmp_path / "both.csv", f"{JOINTS},{POSE},temperature_c", np.hstack([*truth, np.full((40, 1), 20.0)]))
-    words = ["verify", "--measured", both, "--arm", "irb120", "-o", tmp_path / "again"]
+    words = ["verify", "--measured", both, "--arm", "irb120", "-o", tmp_path / "again", "--overwrite"]
     done = armsight(*words, "--compare", tmp_path / "out")
     assert done.code == 0
     assert done.json["compared"]["after"] == done.json["after"]
@@ -93,14 +99,14 @@ def test_a_commanded_path_needs_no_arm(armsight: Any, truth: tuple[np.ndarray, n
     asked = RigidTransform.from_matrix(fk(preset("irb120"), q))
     commanded = write(tmp_path / "path.csv", POSE, np.hstack([asked.translation, asked.rotation.as_quat()]))
     measured = write(tmp_path / "m.csv", POSE, poses)
-    words = ["verify", "--measured", measured, "--commanded", commanded, "-o", tmp_path / "out"]
+    words = ["verify", "--measured", measured, "--commanded", commanded, "-o", tmp_path / "out", AGAIN]
     done = armsight(*words, "--align", "none")
     assert done.code == 0
     assert done.json["before"] == done.json["after"] and done.json["joints"] == []
     assert done.json["after"]["rms_m"] == pytest.approx(0.3, abs=0.02)
     assert armsight(*words).json["after"]["rms_m"] < 0.005
     flat = write(tmp_path / "flat.csv", "x_m,y_m,z_m", asked.translation)
-    points = armsight("verify", "--measured", measured, "--commanded", flat, "-o", tmp_path / "out").json
+    points = armsight("verify", "--measured", measured, "--commanded", flat, "-o", tmp_path / "out", AGAIN).json
     assert points["alignment"]["free"] == ["base"] and points["after"]["rms_rad"] is None
 
 
@@ -112,13 +118,13 @@ def test_what_cannot_be_is_refused(armsight: Any, files: tuple[Path, Path, list[
         ([], 2, "no --joints"),
         (["--joints", joints, "--align", "sideways"], 2, "none, base, tool, both"),
         (["--joints", joints, "--commanded", measured], 2, "verify twice"),
-        (["--joints", joints, "--compare", tmp_path / "out"], 2, "written to"),
+        (["--joints", joints, "--compare", tmp_path / "out"], 2, "is an input"),
         (["--joints", short], 3, "40 measured rows and 5"),
         (["--joints", five], 3, "has 5 joints"),
     ):
         done = armsight(*words, *more)
         assert done.code == code and said in done.text, done.text
-    assert armsight("verify", "--measured", measured, "-o", tmp_path / "out").code == 2
+    assert armsight("verify", "--measured", measured, "-o", tmp_path / "out", AGAIN).code == 2
     assert not (tmp_path / "out").exists()
 
 
@@ -180,7 +186,7 @@ def repeats(tmp_path: Path) -> tuple[Path, Path]:
 def test_repeats_alone_tell_repeatability_and_no_accuracy(
     armsight: Any, repeats: tuple[Path, Path], tmp_path: Path
 ) -> None:
-    done = armsight("verify", "--measured", repeats[0], "-o", tmp_path / "out")
+    done = armsight("verify", "--measured", repeats[0], "-o", tmp_path / "out", AGAIN)
     assert done.code == 0
     iso = done.json["iso9283"]
     table = np.genfromtxt(repeats[0], delimiter=",", names=True, dtype=None, encoding="utf-8")
@@ -198,7 +204,7 @@ def test_repeats_alone_tell_repeatability_and_no_accuracy(
 def test_accuracy_needs_a_command_in_a_frame_that_was_not_fitted(
     armsight: Any, repeats: tuple[Path, Path], tmp_path: Path
 ) -> None:
-    words = ["verify", "--measured", repeats[0], "--commanded", repeats[1], "-o", tmp_path / "out"]
+    words = ["verify", "--measured", repeats[0], "--commanded", repeats[1], "-o", tmp_path / "out", AGAIN]
     given = armsight(*words, "--align", "none").json["iso9283"]
     assert given["AP_m P4"]["value"] == pytest.approx(3e-4, abs=2e-5)
     assert given["AP_m"]["value"] == given["AP_m P4"]["value"]
@@ -217,7 +223,7 @@ def test_rows_without_a_visit_that_follow_each_other_are_one_visit(
     rows = [line.split(",") for line in repeats[0].read_text().splitlines()]
     held = [",".join([row[0], *row[2:]]) for row in [rows[0], *sorted(rows[1:])]]
     repeats[0].write_text("\n".join(held) + "\n")
-    iso = armsight("verify", "--measured", repeats[0], "-o", tmp_path / "out").json["iso9283"]
+    iso = armsight("verify", "--measured", repeats[0], "-o", tmp_path / "out", AGAIN).json["iso9283"]
     assert iso["RP_m"]["value"] is None and iso["RP_m"]["n"] == 1
 
 
@@ -230,7 +236,18 @@ def test_runs_along_a_named_path(armsight: Any, tmp_path: Path) -> None:
     measured, commanded = tmp_path / "runs.csv", tmp_path / "path.csv"
     measured.write_text("\n".join(lines) + "\n")
     commanded.write_text("tag,x_m,y_m,z_m,speed_m_s\nline,0.0,0.0,0.3,0.25\nline,0.39,0.0,0.3,0.25\n")
-    words = ["verify", "--measured", measured, "--commanded", commanded, "--align", "none", "-o", tmp_path / "out"]
+    words = [
+        "verify",
+        "--measured",
+        measured,
+        "--commanded",
+        commanded,
+        "--align",
+        "none",
+        "-o",
+        tmp_path / "out",
+        "--overwrite",
+    ]
     iso = armsight(*words).json["iso9283"]
     assert iso["AT_m"]["value"] == pytest.approx(2e-4, abs=2e-5)
     assert iso["AV_ratio"]["value"] == pytest.approx(0.0, abs=1e-6)

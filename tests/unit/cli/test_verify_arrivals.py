@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+AGAIN = "--overwrite"
+
 HEADER = "t_s,pose,visit,arrival,robot,x_m,y_m,z_m"
 REST_M = np.array([0.5, 0.1, 0.4])
 
@@ -36,7 +38,7 @@ def written(path: Path, lines: list[str]) -> Path:
 
 def test_arrivals_give_stabilisation_time_and_overshoot(armsight: Any, tmp_path: Path) -> None:
     measured = written(tmp_path / "m.csv", lines_of())
-    done = armsight("verify", "--measured", measured, "--band", "0.0005", "-o", tmp_path / "out")
+    done = armsight("verify", "--measured", measured, "--band", "0.0005", "-o", tmp_path / "out", AGAIN)
     assert done.code == 0
     iso = done.json["iso9283"]
     # in at -0.5 mm (0.095 s), through, 2 mm beyond (0.12 s), in for good at +0.5 mm (0.135 s)
@@ -50,37 +52,42 @@ def test_arrivals_give_stabilisation_time_and_overshoot(armsight: Any, tmp_path:
 def test_without_a_band_the_pose_repeatability_is_the_band(armsight: Any, tmp_path: Path) -> None:
     lines = lines_of()
     measured = written(tmp_path / "m.csv", lines)
-    iso = armsight("verify", "--measured", measured, "-o", tmp_path / "out").json["iso9283"]
+    iso = armsight("verify", "--measured", measured, "-o", tmp_path / "out", AGAIN).json["iso9283"]
     # band 10 um: in 0.1 s - 0.1 ms, in for good 0.14 s - 0.1 ms
     assert iso["t_s"]["value"] == pytest.approx(0.040, abs=2e-4)
     few = written(tmp_path / "few.csv", lines[4:])
-    withheld = armsight("verify", "--measured", few, "-o", tmp_path / "out").json["iso9283"]["t_s"]
+    withheld = armsight("verify", "--measured", few, "-o", tmp_path / "out", AGAIN).json["iso9283"]["t_s"]
     assert withheld["value"] is None and "the limit band is not known" in withheld["withheld"]
 
 
 def test_arrivals_without_times_or_without_a_pose_are_told(armsight: Any, tmp_path: Path) -> None:
     lines = lines_of()
     same = [f"5,{line.split(',', 1)[1]}" for line in lines]
-    words = ["--band", "0.0005", "-o", tmp_path / "out"]
+    words = ["--band", "0.0005", "-o", tmp_path / "out", AGAIN]
     iso = armsight("verify", "--measured", written(tmp_path / "m.csv", same), *words).json["iso9283"]
     assert iso["t_s"]["value"] is None and "arrival times" in iso["t_s"]["withheld"]
     lines[10] = lines[10].replace("P1", "")
     done = armsight("verify", "--measured", written(tmp_path / "m.csv", lines), *words)
     assert done.code == 3 and "row 11 is of arrival 0, and has no pose" in done.json["error"]["cause"]
-    done = armsight("verify", "--measured", tmp_path / "m.csv", "--band", "-1", "-o", tmp_path / "out")
+    done = armsight("verify", "--measured", tmp_path / "m.csv", "--band", "-1", "-o", tmp_path / "out", AGAIN)
     assert done.code == 2 and "--band -1" in done.json["error"]["cause"]
 
 
 def test_robots_of_one_pose_give_exchangeability_and_stay_apart(armsight: Any, tmp_path: Path) -> None:
     measured = written(tmp_path / "m.csv", [*lines_of(0.0, "A"), *lines_of(3e-4, "B")])
-    iso = armsight("verify", "--measured", measured, "--band", "0.0005", "-o", tmp_path / "out").json["iso9283"]
+    iso = armsight("verify", "--measured", measured, "--band", "0.0005", "-o", tmp_path / "out", AGAIN).json["iso9283"]
     assert iso["E_m"]["value"] == pytest.approx(3e-4, abs=1e-9) and iso["E_m"]["wanted"] == 5
     assert iso["RP_m A P1"]["n"] == iso["RP_m B P1"]["n"] == 6  # one of 12 would be 0.3 mm
     assert iso["t_s B P1"]["value"] == pytest.approx(0.040, abs=1e-6)
     assert (
         "1 of the 2 robots"
         in armsight(
-            "verify", "--measured", written(tmp_path / "one.csv", lines_of(0.0, "A")), "-o", tmp_path / "out"
+            "verify",
+            "--measured",
+            written(tmp_path / "one.csv", lines_of(0.0, "A")),
+            "-o",
+            tmp_path / "out",
+            "--overwrite",
         ).json["iso9283"]["E_m"]["withheld"]
     )
 

@@ -73,6 +73,7 @@ def test_measure_takes_a_setting(armsight: Any, scene: Any, rig: Path, tmp_path:
         *scene.sources(),
         "-o",
         tmp_path / "out",
+        "--overwrite",
     ]
     done = armsight(*words, "--zoom-left", 100, "--zoom-right", 100)
     assert done.code == 0, done.text

@@ -10,6 +10,8 @@ from armsight.app.verify.output import NAMES
 from armsight.store.cell_file import CellFile
 from armsight.store.iso9283_plan import PLAN_COLUMNS
 from armsight.store.limits_file import limits_from_mapping
+from armsight.store.path_file import parse_path
+from armsight.store.picks_file import parse_picks
 from armsight.store.rigs import CameraModel, rig_from_mapping
 from armsight.store.schema import validated
 from armsight.store.tables import parse_table
@@ -35,6 +37,8 @@ READERS = {
     "t_s,x_m": lambda data: parse_poses(data, "x"),
     "t_s,spot": lambda data: parse_table(data, "x", POINT_COLUMNS, text=("spot",)),
     "t_s,camera": lambda data: parse_table(data, "x", SPOT_COLUMNS, text=("camera", "spot")),
+    "index,t_s": lambda data: parse_path(data, "x"),
+    "u_px,v_px": lambda data: parse_picks(data, "x"),
     "index,x_m": lambda data: parse_table(data, "x", PLAN_COLUMNS, text=("tag", "pose"), series="q"),
     "row,t_s": lambda data: parse_table(data, "x", ("row", "t_s", *NAMES, "error_m", "error_rad"), series="dq"),
     "t_s,level": lambda data: parse_table(

@@ -1,5 +1,7 @@
 """The CSV kinds and TUM: full precision, and errors that name line and column."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -62,17 +64,35 @@ def test_poses_come_back(tmp_path):
     assert (tmp_path / "rows.csv").read_bytes() == (tmp_path / "poses.csv").read_bytes()
     header, first = (tmp_path / "poses.csv").read_text().splitlines()[:2]
     assert header == "t_s,x_m,y_m,z_m,qx,qy,qz,qw,sx_m,sy_m,sz_m,srx_rad,sry_rad,srz_rad,status,spots," + (
-        "sys_sx_m,sys_sy_m,sys_sz_m,sys_srx_rad,sys_sry_rad,sys_srz_rad"
+        "sys_sx_m,sys_sy_m,sys_sz_m,sys_srx_rad,sys_sry_rad,sys_srz_rad,"
+        "lights_x_m,lights_y_m,lights_z_m,slights_x_m,slights_y_m,slights_z_m"
     )
-    assert first.endswith(",ok,A B C,,,,,,")
+    assert first.endswith(",ok,A B C,,,,,,,,,,,,")
 
 
 def test_cells_that_mean_nothing_are_empty(tmp_path):
     store.write_poses(tmp_path / "poses.csv", make_poses(1))
     _, _, position, lost = (tmp_path / "poses.csv").read_text().splitlines()
-    assert position.split(",")[4:8] == [""] * 4
-    assert position.split(",")[11:] == ["", "", "", "position_only", "A", *[""] * 6]
-    assert lost.split(",")[1:] == [""] * 13 + ["lost", "", *[""] * 6]
+    cells = position.split(",")
+    assert cells[1:14] == [""] * 13  # nobody knows where the target's origin is
+    assert cells[14:22] == ["position_only", "A", *[""] * 6]
+    assert [float(cell) for cell in cells[22:25]] == [0.1, 1 / 3, 2.0]
+    np.testing.assert_allclose([float(cell) for cell in cells[25:]], np.sqrt([1e-8, 2e-8, 3e-8]))
+    assert lost.split(",")[1:] == [""] * 13 + ["lost", "", *[""] * 12]
+
+
+def test_a_position_of_the_origin_stays_in_the_columns_of_the_pose(tmp_path):
+    known = replace(make_poses(1)[1], origin_known=True)
+    store.write_poses(tmp_path / "poses.csv", [known])
+    cells = (tmp_path / "poses.csv").read_text().splitlines()[1].split(",")
+    assert [float(cell) for cell in cells[1:4]] == [0.1, 1 / 3, 2.0] and cells[22:] == [""] * 6
+    assert store.read_poses(tmp_path / "poses.csv")[0].origin_known
+
+
+def test_the_positions_of_earlier_files_are_those_of_the_lights():
+    data = b"t_s,x_m,y_m,z_m,qx,qy,qz,qw,status\n0,1,2,3,,,,,position_only\n"
+    pose = parse_poses(data, "old.csv")[0]
+    assert pose.pose.translation.tolist() == [1.0, 2.0, 3.0] and not pose.origin_known
 
 
 def test_poses_without_deviations_are_read(tmp_path):

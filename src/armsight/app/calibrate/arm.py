@@ -41,6 +41,7 @@ from armsight.report.arm_report import arm_report
 from armsight.store import World, read_rig, read_world, write_text
 from armsight.store.arm_file import write_arm
 from armsight.store.arm_points import read_arm_points
+from armsight.store.interpret import OURS, TableFormat
 from armsight.store.schema import pose_mapping
 from armsight.store.tables import cells
 from armsight.store.urdf import urdf_text
@@ -63,6 +64,7 @@ class ArmJob:
     propose: int = 0
     rig: Path | None = None
     world: Path | None = None
+    table: TableFormat = OURS
 
 
 def run_calibrate_arm(job: ArmJob) -> ArmOutput:
@@ -73,8 +75,8 @@ def run_calibrate_arm(job: ArmJob) -> ArmOutput:
     if (job.rig is None) != (job.world is None):
         raise UsageError("for proposals in view give both --rig and --world: where the rig stands to the measurements")
     nominal = load_arm(job.model)
-    points = _measurements(nominal, job.points)
-    holdout = None if job.holdout is None else _measurements(nominal, job.holdout)
+    points = _measurements(nominal, job.points, job.table)
+    holdout = None if job.holdout is None else _measurements(nominal, job.holdout, job.table)
     tolerance = Tolerance(length_m=job.tolerance_m, angle_rad=job.tolerance_rad)
     result = calibrate_arm(nominal, points, holdout=holdout, tolerance=tolerance, scale=job.scale)
     proposal = _proposal(job, result, points) if job.propose else None
@@ -112,9 +114,9 @@ def _write_urdf(path: Path, arm: Arm) -> Path | None:
     return path
 
 
-def _measurements(arm: Arm, path: Path) -> ArmPoints:
+def _measurements(arm: Arm, path: Path, format_: TableFormat) -> ArmPoints:
     """Return points.csv with the controller's readings turned into the joints' own values."""
-    points = read_arm_points(path)
+    points = read_arm_points(path, format_.of_joints([joint.name for joint in arm.joints]))
     return replace(points, q=arm.values(points.q)) if arm.couplings else points
 
 
@@ -201,10 +203,10 @@ def _zero_covariance(result: ArmCalibration, names: Sequence[str]) -> Array:
     return C
 
 
-def run_calibrate_world(arm: str, points: Path, out: Path) -> RobotWorldOutput:
+def run_calibrate_world(arm: str, points: Path, out: Path, format_: TableFormat = OURS) -> RobotWorldOutput:
     """Find where the rig stands to the arm's base, write world.yaml; return the figures. Raises DataRefused."""
     model = load_arm(arm)
-    result = calibrate_world(model, _measurements(model, points))
+    result = calibrate_world(model, _measurements(model, points, format_))
     n_used = len(result.residual_m) - len(result.rejected)
     world = World(
         parent="base",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -49,6 +49,7 @@ from armsight.store.handeye_file import (
     write_handeye,
     write_tip,
 )
+from armsight.store.interpret import OURS, TableFormat
 from armsight.store.schema import pose_mapping
 
 
@@ -72,6 +73,7 @@ class HandEyeJob:
     free_camera: bool = False
     propose: int = 0
     workers: int | None = None
+    table: TableFormat = OURS
     bits: int | None = None
     strict: bool = False
 
@@ -97,7 +99,7 @@ def calibrate_handeye(job: HandEyeJob, progress: Progress | None = None) -> Hand
             "give --pairs, or --images (with --camera, --board and --robot), or --robot-stream with --camera-stream"
         )
     if job.pairs is not None:
-        solved = _Solved(result=_solve(read_pairs(job.pairs), job.setup), inputs=[job.pairs])
+        solved = _Solved(result=_solve(read_pairs(job.pairs, _of_setup(job)), job.setup), inputs=[job.pairs])
     elif job.images:
         solved = _from_images(job, progress)
     else:
@@ -167,12 +169,20 @@ def noise_output(noise: Noise) -> HandEyeNoise:
     )
 
 
-def calibrate_tip(poses: Path, out: Path, *, point: Sequence[float] | None = None, sigma_m: float = 0.0) -> TipOutput:
+def calibrate_tip(
+    poses: Path,
+    out: Path,
+    *,
+    point: Sequence[float] | None = None,
+    sigma_m: float = 0.0,
+    format_: TableFormat = OURS,
+) -> TipOutput:
     """Find the tip from a poses.csv, write tip.yaml; return the figures as --json gives them.
 
     point (3,) in m, sigma_m: where it rests, if measured, and how well. Raises DataRefused.
     """
-    read = [pose for pose in read_poses(poses, parent="world") if pose.status is PoseStatus.OK]
+    found = read_poses(poses, parent="world", format_=format_, timed=False)
+    read = [pose for pose in found if pose.status is PoseStatus.OK]
     if not read:
         raise NotEnoughData(
             f"{poses}: no pose of status ok", consequence="No tip is given", cure="Record the target again"
@@ -203,10 +213,22 @@ def _solve(pairs: PosePairs, setup: Setup, options: HandEyeOptions | None = None
     return calibrate(pairs, options)
 
 
+def _of_setup(job: HandEyeJob) -> TableFormat:
+    """Return what is said of tables, with where the camera is: some programs save other poses for each."""
+    return replace(job.table, on_hand=job.setup is Setup.EYE_IN_HAND)
+
+
+def _robot_poses(job: HandEyeJob) -> dict[str, RigidTransform]:
+    """Return T_base_flange by the image's name."""
+    if job.robot is None:
+        raise UsageError("--images needs --robot robot_poses.csv")
+    return read_robot_poses(job.robot, job.table, images=[path.name for path in list_images(job.images)])
+
+
 def _from_images(job: HandEyeJob, progress: Progress) -> _Solved:
     if job.camera is None or job.robot is None or not job.board:
         raise UsageError("--images needs --camera camera.yaml, --board BOARD and --robot robot_poses.csv")
-    board, camera, robot = parse_board(job.board), read_camera(job.camera), read_robot_poses(job.robot)
+    board, camera, robot = parse_board(job.board), read_camera(job.camera), _robot_poses(job)
     views: list[BoardView] = []
     poses: list[RigidTransform] = []
     met = {path.name for path in list_images(job.images)}
@@ -248,8 +270,8 @@ def _from_streams(job: HandEyeJob) -> _Solved:
     if job.robot_stream is None or job.camera_stream is None:
         raise UsageError("--robot-stream needs --camera-stream, both as poses.csv")
     times, poses = [], []
-    for path in (job.robot_stream, job.camera_stream):
-        read = [p for p in read_poses(path) if p.status is PoseStatus.OK]
+    for path, format_ in ((job.robot_stream, job.table), (job.camera_stream, job.table.of_camera)):
+        read = [p for p in read_poses(path, format_=format_) if p.status is PoseStatus.OK]
         if len(read) < 2:
             raise NotEnoughData(f"{path}: fewer than two poses of status ok", cure="Record the streams again")
         times.append(np.array([p.t_s for p in read]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -21,17 +22,19 @@ from armsight.calibrate.identify import Identification, Sweeps, identify
 from armsight.calibrate.identify.plan import PROBE_SHARE, Plan, checked_limits, probe, propose_sweeps
 from armsight.calibrate.identify.rough_arm import RoughArm, known_arm, rough_arm
 from armsight.clock import Clock, SystemClock
-from armsight.control.joint_sweep import Pace, Sweeper
+from armsight.control.joint_sweep import BeaconObserver, Pace, Sweeper
 from armsight.drivers import AUTOMATIC, ROBOTS, CameraSettings, PairSource, Robot, is_live, load
-from armsight.errors import ArmsightError, BadFile, Cancelled, DataRefused, UsageError
+from armsight.errors import ArmsightError, BadFile, Cancelled, DataRefused, Inconsistent, UsageError
 from armsight.measure.poses.pipeline import Setup
 from armsight.measure.settings import SpotSettings
 from armsight.optics import Rig
 from armsight.records import Progress, Silent, Target
 from armsight.store import read_rig, read_world
 from armsight.store.arm_file import read_arm
+from armsight.store.interpret import largest, looks_like_degrees
 from armsight.store.sweeps import write_sweeps
 from armsight.store.yamls import read_yaml
+from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
 
@@ -92,29 +95,67 @@ def run_identify_live(
     """
     clock, progress = clock or SystemClock(), progress or Silent()
     rig, target = read_rig(job.rig), target_of(job.target)
-    limits = read_limits(job.limits)
+    read_limits(job.limits)  # refused before anything is opened
     _check(job, target)
     robot, pairs = devices or open_devices(job, target, clock)
     setup = Setup(rig=rig, target=target, settings=SpotSettings(colour=target.colour))
-    base = None if job.world is None else read_world(job.world).T_parent_rig.inv().as_matrix()
     with robot, pairs:
-        low_high, start = checked_limits(limits, robot.read().q)
-        sweeper = Sweeper(robot, StereoBeaconObserver(setup, iter(pairs), clock), low_high, clock, progress, job.pace)
-        if job.model is not None:
-            arm, notes = _modelled(job), list[str]()
-        else:
-            with _stopped_on_error(robot, sweeper, job.out.with_suffix(".probe.csv")):
-                arm, notes = _probed(job, person, robot, sweeper, rig)
-        if not (job.model is not None and job.propose):
-            start = sweeper.standing
-        plan = propose_sweeps(arm, rig, low_high, start, readings=job.readings, base=base)
-        told = plan_output(plan, notes)
-        person.show(told)
-        if job.propose:
-            return ProposedPlanOutput(plan=told, notes=told.notes)
-        _ask(person, f"Move {robot.name} along {len(plan.sweeps)} sweeps as planned?")
-        sweeps = _swept(job, plan, robot, sweeper)
+        return identify_observed(job, person, robot, StereoBeaconObserver(setup, iter(pairs), clock), clock, progress)
+
+
+def identify_observed(
+    job: LiveJob,
+    person: OperatorCallbacks,
+    robot: Robot,
+    observer: BeaconObserver,
+    clock: Clock,
+    progress: Progress,
+) -> IdentifyOutput | ProposedPlanOutput:
+    """Do as run_identify_live, with a robot that is open and whoever sees the beacon."""
+    rig, limits = read_rig(job.rig), read_limits(job.limits)
+    base = None if job.world is None else read_world(job.world).T_parent_rig.inv().as_matrix()
+    low_high, start = checked_limits(limits, robot.read().q)
+    sweeper = Sweeper(robot, observer, low_high, clock, progress, job.pace)
+    if job.model is not None:
+        arm, notes = _modelled(job), list[str]()
+    else:
+        with _stopped_on_error(robot, sweeper, job.out.with_suffix(".probe.csv")):
+            arm, notes = _probed(job, person, robot, sweeper, rig)
+    if not (job.model is not None and job.propose):
+        start = sweeper.standing
+    plan = propose_sweeps(arm, rig, low_high, start, readings=job.readings, base=base)
+    told = plan_output(plan, notes)
+    person.show(told)
+    if job.propose:
+        return ProposedPlanOutput(plan=told, notes=told.notes)
+    _ask(person, _sweeps_question(robot, plan, [axis.revolute for axis in arm.axes], job.pace))
+    sweeps = _swept(job, plan, robot, sweeper)
     return identified(_from_sweeps(job), sweeps, rig, plan=told)
+
+
+def _sweeps_question(robot: Robot, plan: Plan, revolute: Sequence[bool], pace: Pace) -> str:
+    """Return what is asked before the sweeps: each joint's way in degrees or mm."""
+    ways = []
+    for sweep in plan.sweeps:
+        unit, name = (DEG, "deg") if revolute[sweep.joint] else (MM, "mm")
+        first, last = sweep.q[0, sweep.joint] / unit, sweep.q[-1, sweep.joint] / unit
+        ways.append(f"joint {sweep.joint + 1} from {first:.1f} to {last:.1f} {name}")
+    return (
+        f"Move {robot.name} along {len(plan.sweeps)} sweeps as planned ({'; '.join(ways)}), at up to "
+        f"{pace.speed:.0%} of a joint's travel a second?"
+    )
+
+
+def _probe_question(robot: Robot, limits: Array) -> str:
+    """Return what is asked before the probe: of joints whose kind is not known yet, the way in degrees and in mm."""
+    ways = "; ".join(
+        f"joint {j + 1} {PROBE_SHARE * travel / DEG:.1f} deg (or {PROBE_SHARE * travel / MM:.0f} mm, if it slides)"
+        for j, travel in enumerate((limits[:, 1] - limits[:, 0]).tolist())
+    )
+    return (
+        f"Move each joint of {robot.name} by {PROBE_SHARE:.0%} of its travel ({ways}), one after the other, and where "
+        f"that does not tell the joint by up to {LARGEST_SHARE:.0%}?"
+    )
 
 
 def _from_sweeps(job: LiveJob) -> IdentifyJob:
@@ -132,12 +173,17 @@ def _from_sweeps(job: LiveJob) -> IdentifyJob:
 
 
 def read_limits(text: str) -> Array:
-    """Return limits (n, 2) of 'lo:hi,lo:hi' or of a limits.yaml. Raises UsageError, BadFile."""
+    """Return limits (n, 2) of 'lo:hi,lo:hi' or of a limits.yaml, in rad or m; a value may carry its unit, as 90deg.
+
+    Raises UsageError, BadFile; Inconsistent for values without a unit that can only be degrees.
+    """
+    stated = False
     if Path(text).suffix in (".yaml", ".yml"):
         rows = read_yaml(Path(text)).get("limits")
         refusal: ArmsightError = BadFile(f"{text}: no list 'limits' of [lower, upper] in rad or m")
     else:
-        rows = [part.split(":") for part in text.split(",")]
+        rows = [[_with_unit(value) for value in part.split(":")] for part in text.split(",")]
+        stated = all(value.strip()[-1:].isalpha() for part in text.split(",") for value in part.split(":"))
         refusal = UsageError(f"the limits {text!r} are not lo:hi,lo:hi", cure="Write for instance --limits=0:3.1,-1:1")
     try:
         limits = np.array(cast(Any, rows), dtype=float)
@@ -145,7 +191,21 @@ def read_limits(text: str) -> Array:
         raise refusal from None
     if limits.ndim != 2 or limits.shape[1] != 2:
         raise refusal
+    if not stated and looks_like_degrees(limits):
+        raise Inconsistent(
+            f"the limits {text!r} look like degrees: the largest is {largest(limits):g}, and a turn has 6.28 rad",
+            consequence="Nothing is moved",
+            cure="Give radians, or a unit with every value: --limits=-28deg:298deg,0mm:500mm (deg, rad, mm, m)",
+        )
     return limits
+
+
+def _with_unit(value: str) -> str:
+    """Return a value in rad or m; ValueError follows from what is no number."""
+    match = re.fullmatch(r"\s*([-+0-9.eE]+?)(deg|rad|mm|m)\s*", value)
+    if match is None:
+        return value
+    return repr(float(match[1]) * {"deg": DEG, "rad": 1.0, "mm": MM, "m": 1.0}[match[2]])
 
 
 def open_devices(job: LiveJob, target: Target, clock: Clock) -> tuple[Robot, PairSource]:
@@ -242,11 +302,7 @@ def _probed(
     job: LiveJob, person: OperatorCallbacks, robot: Robot, sweeper: Sweeper, rig: Rig
 ) -> tuple[RoughArm, list[str]]:
     """Return the arm as small sweeps about the start tell it, and notes; those that do not tell a joint's type grow."""
-    _ask(
-        person,
-        f"Move each joint of {robot.name} by {PROBE_SHARE:.0%} of its travel, one after the other, and where that "
-        f"does not tell the joint by up to {LARGEST_SHARE:.0%}?",
-    )
+    _ask(person, _probe_question(robot, sweeper.limits))
     sweeper.begin()
     start = sweeper.standing
     checked_limits(sweeper.limits, start)

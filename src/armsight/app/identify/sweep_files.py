@@ -29,6 +29,7 @@ from armsight.records import Progress, Silent, Spots
 from armsight.report.identify_report import identify_report
 from armsight.store import read_rig, read_world, write_text
 from armsight.store.arm_file import write_arm
+from armsight.store.interpret import OURS, TableFormat
 from armsight.store.sweeps import read_sweep_joints, read_sweeps, write_sweeps
 
 Array = NDArray[np.float64]
@@ -55,6 +56,7 @@ class IdentifyJob:
     increments: str = "known"
     sigma: float | None = None
     nominal: str | None = None
+    table: TableFormat = OURS
 
 
 def run_identify(job: IdentifyJob, progress: Progress | None = None) -> IdentifyOutput:
@@ -65,7 +67,7 @@ def run_identify(job: IdentifyJob, progress: Progress | None = None) -> Identify
     rig = None if job.rig is None else read_rig(job.rig)
     notes: list[str] = []
     if job.sweep is not None:
-        sweeps = read_sweeps(job.sweep)
+        sweeps = read_sweeps(job.sweep, job.table)
         if rig is None and sweeps.uv_px is not None and not sweeps.xyz_m.any():
             raise UsageError(f"{job.sweep} has pixels only", cure="Give the rig that saw them (--rig)")
     else:
@@ -117,7 +119,7 @@ def seen_in_frames(job: IdentifyJob, rig: Rig, progress: Progress) -> tuple[Swee
     if job.target is None or job.left is None or job.joints is None:
         raise UsageError("frames need --target, --left and --joints")
     target = target_of(job.target)
-    frames, joint, q = read_sweep_joints(job.joints)
+    frames, joint, q = read_sweep_joints(job.joints, job.table)
     setup = Setup(rig=rig, target=target, settings=SpotSettings(colour=target.colour))
     wanted = set(frames.tolist())
     spots: list[tuple[int, Spots, Spots]] = []

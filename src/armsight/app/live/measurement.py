@@ -13,6 +13,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.app.live.followed import FollowedCell, FollowedPairs
 from armsight.app.live.views import RunView, live_view, side_view
 from armsight.app.measure.outputs import moved_pose
 from armsight.app.measure.run import lost_pair, target_of
@@ -43,7 +44,8 @@ class LiveJob:
     """What is measured live: rig.yaml, target.yaml, two sources; live cameras, or files played at their own pace.
 
     Without rig or target lights are found and pictures shown, for aiming cameras that are not calibrated yet. again:
-    files begin anew at their end. camera_settings: what is asked of live cameras.
+    files begin anew at their end. camera_settings: what is asked of live cameras. followed: a simulated cell whose
+    cameras left and right are, and whose robot another process moves.
     """
 
     left: str
@@ -54,6 +56,7 @@ class LiveJob:
     fps: float | None = None
     again: bool = False
     camera_settings: PairSettings = AUTOMATIC
+    followed: FollowedCell | None = None
 
     @property
     def live(self) -> bool:
@@ -93,6 +96,8 @@ class LiveMeasurement:
         self.target = target_of(job.target) if job.target else None
         self._world: World | None = read_world(job.world) if job.world else None
         colour = self.target is not None and self.target.colour is not None
+        if pairs is None and job.followed is not None:
+            pairs = FollowedPairs(job.followed, clock)
         self._pairs = pairs or open_pairs(job.left, job.right, colour=colour, fps=job.fps, settings=job.camera_settings)
         self._paced = pairs is None and not job.live
         self._setup, self._sides = self._setup_of(Look())

@@ -32,20 +32,24 @@ MAX_PROBLEMS = 2
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class About:
-    """What a report says beside the measurement: more lines on its inputs, and the true pose per pair where known."""
+    """What a report says beside the measurement: more lines on its inputs, and the true pose per pair where known.
+
+    assumed_fps: frames a second that were assumed, where nothing tells the frames' times.
+    """
 
     title: str = "Measurement"
     facts: Sequence[tuple[str, str]] = ()
     assumptions: Sequence[str] = ()
     truth: Sequence[RigidTransform] | None = None
+    assumed_fps: float | None = None
 
 
 class Collector:
     """Sees every step of a run and writes report.html at its end."""
 
-    def __init__(self, setup: Setup, parent: str) -> None:
+    def __init__(self, setup: Setup, parent: str, T_parent_rig: RigidTransform | None = None) -> None:
         self._setup = setup
-        self._parent = parent
+        self._parent, self._T_parent_rig = parent, T_parent_rig
         self._poses: list[TargetPose] = []
         self._residuals: dict[str, list[Array]] = {side: [] for side in SIDES}
         self._n_residuals = 0
@@ -73,10 +77,12 @@ class Collector:
             target=self._setup.target,
             residuals={side: np.vstack(rows) for side, rows in self._residuals.items() if rows},
             samples=[sample for pair in self._samples.values() for sample in pair],
+            timed=about.assumed_fps is None,
             truth=None if about.truth is None else about.truth[: len(self._poses)],
             median_ms=summary.ms_per_frame.median,
             p99_ms=summary.ms_per_frame.p99,
             parent=self._parent,
+            T_parent_rig=self._T_parent_rig,
             title=about.title,
             facts=about.facts,
             assumptions=about.assumptions,

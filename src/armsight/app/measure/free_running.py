@@ -246,6 +246,7 @@ class _Told:
                     covariance=C[:3, :3],
                     why=why,
                     systematic_covariance=systematic[:3, :3],
+                    origin_known=True,
                 )
             )
         pose = TargetPose(

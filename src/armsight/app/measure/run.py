@@ -22,6 +22,7 @@ from armsight.app.measure.zoom import with_zoom, zoom_facts, zoomed_rig
 from armsight.app.schemas.measure import MeasureOutput
 from armsight.app.sources.bags import origin_ns
 from armsight.app.sources.complex_images import complex_pairs
+from armsight.app.sources.frame_times import frame_times
 from armsight.app.sources.frames import is_recording, open_pairs, open_source, require_size
 from armsight.drivers import (
     AUTOMATIC,
@@ -44,7 +45,7 @@ from armsight.measure.poses.slack import rig_slack_px
 from armsight.measure.settings import METHODS, SpotSettings
 from armsight.optics import SIDES, Rig, RigKind
 from armsight.records import Frame, Points, PoseStatus, Progress, Silent, Spots, Target, TargetPose
-from armsight.store import World, parse_board, read_target, read_times, read_world
+from armsight.store import World, parse_board, read_target, read_world
 
 Pair = tuple[Frame, Frame]
 
@@ -130,11 +131,13 @@ def measure(job: MeasureJob, progress: Progress | None = None) -> MeasureOutput:
             raise UsageError("--bits is for frames in pairs, and these cameras run free", cure="Give --timing pairs")
         setup = Setup(rig=rig, target=target, settings=settings, slack_px=slack_px)
         return with_zoom(measure_free(job, setup, world, progress or Silent()), zoomed, job.out)
-    pairs, overlaid = _pairs(job, rig, target)
+    times = frame_times(job.left or job.image, job.times, job.fps)
+    pairs, overlaid = _pairs(job, rig, target, times.times_s)
     setup = Setup(rig=rig, target=target, settings=settings, overlaid=overlaid, slack_px=slack_px)
     facts = [("frames", pairs.name), ("rig's file", str(job.rig)), ("target's file", str(job.target))]
     facts += [("place of the rig", str(job.world))] if job.world else []
     facts += zoom_facts(zoomed)
+    facts += [("time of the frames", times.told)] if times.told and not job.stills else []
     zero_ns = origin_ns(job.left or job.image)
     facts += [("t_s = 0 is the bag's start, Unix time in s", f"{zero_ns / 1e9:.6f}")] if zero_ns is not None else []
     summary, _ = run(
@@ -144,7 +147,7 @@ def measure(job: MeasureJob, progress: Progress | None = None) -> MeasureOutput:
         world=world,
         limit=job.limit,
         progress=progress or Silent(),
-        about=About(facts=facts),
+        about=About(facts=facts, assumed_fps=None if job.stills else times.assumed_fps),
         stills=job.stills,
     )
     return with_zoom(summary, zoomed, job.out)
@@ -163,7 +166,7 @@ def run(
 ) -> tuple[MeasureOutput, Sequence[TargetPose]]:
     """Measure the pairs of a source not yet open into the folder out; return the figures and all poses. See measure."""
     parent, T_parent_rig = (world.parent, world.T_parent_rig) if world else ("rig", None)
-    report, check = Collector(setup, parent), RunCheck(setup)
+    report, check = Collector(setup, parent, T_parent_rig), RunCheck(setup)
     failure: ArmsightError | None = None
     with pairs:
         prepare(progress)
@@ -181,9 +184,11 @@ def run(
         raise failure
     consistency = check.finish()
     failure = failure or _nothing_seen(outputs, consistency)
+    about = about or About()
     summary = outputs.summary(skew=pairs.skew, error=str(failure) if failure else "", consistency=consistency)
+    summary = summary.model_copy(update={"assumed_fps": about.assumed_fps})
     progress.update(0, 0, "writing the report")
-    report.write(out / REPORT, summary, about or About())
+    report.write(out / REPORT, summary, about)
     summary.write(out / SUMMARY)
     if failure is not None:
         raise _with_place(failure, outputs, out)
@@ -299,10 +304,9 @@ def _settings(job: MeasureJob, target: Target) -> SpotSettings:
     )
 
 
-def _pairs(job: MeasureJob, rig: Rig, target: Target) -> tuple[PairSource, bool]:
+def _pairs(job: MeasureJob, rig: Rig, target: Target, times_s: list[float] | None) -> tuple[PairSource, bool]:
     """Return the source of pairs, and whether both views are in one image, one upon the other."""
     colour = target.colour is not None
-    times_s = read_times(job.times).tolist() if job.times else None
     if job.image is not None:
         if job.left is not None or job.right is not None:
             raise UsageError("--image goes with neither --left nor --right", cure="Give the one or the others")

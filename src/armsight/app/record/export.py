@@ -17,17 +17,26 @@ from armsight.records import Frame, Progress, Silent
 from armsight.store import PosesWriter, SpotsWriter, write_bytes, write_text, write_tum
 from armsight.store.atomic import RowFile, disk_errors, json_text
 from armsight.store.recording import Recording
+from armsight.store.rosbag2 import write_rosbag2
 from armsight.store.tables import cells, number
 
+KINDS = ("files", "rosbag2")
+"""What a recording can be written as."""
 
-def export(source: Path, out: Path, *, progress: Progress | None = None) -> ExportOutput:
+
+def export(source: Path, out: Path, *, to: str = "files", progress: Progress | None = None) -> ExportOutput:
     """Write what a recording holds; return rows or frames by file.
 
     out ending in .tum: its complete poses; in .csv: its poses; else a folder: CAMERA/000000.png and times.csv for
     frames, poses.csv, poses.tum, joints.csv, spots.csv, commands.csv, events.csv, rig.yaml and target.yaml, of what is
-    there. Raises BadFile, NotEnoughData where what is asked for is not there, DeviceFailed, Cancelled.
+    there. to: 'files', or 'rosbag2' for a bag of ROS 2 in the folder out. Raises BadFile, NotEnoughData where what is
+    asked for is not there, DeviceFailed, Cancelled.
     """
     progress = progress or Silent()
+    if to not in KINDS:
+        raise UsageError(f"a recording is not exported to {to!r}", cure=f"Give --to with one of {', '.join(KINDS)}")
+    if to == "rosbag2":
+        return _rosbag2(source, out, progress)
     suffix = out.suffix.lower()
     if suffix not in ("", ".csv", ".tum"):
         raise UsageError(f"{out.name}: a recording is not exported to {suffix}", cure="Give a folder, a .csv or a .tum")
@@ -40,6 +49,19 @@ def export(source: Path, out: Path, *, progress: Progress | None = None) -> Expo
             with disk_errors(out):
                 out.mkdir(parents=True, exist_ok=True)
             done = _folder(recording, out, progress)
+    return ExportOutput(source=str(source), out=str(out), n=done)
+
+
+def _rosbag2(source: Path, out: Path, progress: Progress) -> ExportOutput:
+    with Recording(source) as recording:
+        total = sum(recording.count(topic) for topic in recording.topics)
+
+        def told(count: int) -> None:
+            progress.update(count, max(count, total), "writing the bag")
+            if progress.cancelled():
+                raise Cancelled(f"stopped after {count} messages", consequence="No bag was written")
+
+        done = write_rosbag2(recording, out, told=told)
     return ExportOutput(source=str(source), out=str(out), n=done)
 
 

@@ -10,7 +10,12 @@ import zlib
 from multiprocessing import RawArray
 from typing import Any
 
-from armsight.errors import UsageError
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.errors import StaleData, UsageError
+
+Array = NDArray[np.float64]
 
 _HEAD = 16
 """Bytes before a slot's content: its number (8), its length (4), its checksum (4)."""
@@ -107,6 +112,43 @@ class Queue:
             self._slots.set_taken(number)
             return data
         return None
+
+
+class JointTrack:
+    """The last joint values of an arm, with their times: written once a cycle by one, read by any number."""
+
+    def __init__(self, n: int, slots: int = 512) -> None:
+        """n: joints. slots: values kept; what is older is forgotten."""
+        self._n, self._count = n, slots
+        self._memory: Any = RawArray("d", 1 + slots * (1 + n))
+
+    def write(self, t_s: float, q: Array) -> None:
+        """Add the values q (n,) of t_s."""
+        rows, written = self._rows()
+        number = int(written[0])
+        rows[number % self._count] = (t_s, *q)
+        written[0] = number + 1
+
+    def at(self, t_s: float) -> Array:
+        """Return the values (n,) at t_s, between two that were written; the newest, or the oldest kept, beyond them.
+
+        Raises StaleData where none was written yet.
+        """
+        rows, written = self._rows()
+        number = int(written[0])
+        if number == 0:
+            raise StaleData("no joint values came yet", consequence="Where the arm stands is not known")
+        kept = min(number, self._count - SPARE)
+        table = rows[np.arange(number - kept, number) % self._count]
+        return np.array([np.interp(t_s, table[:, 0], column) for column in table[:, 1:].T])
+
+    def _rows(self) -> tuple[Array, Array]:
+        memory = np.frombuffer(self._memory)
+        return memory[1:].reshape(self._count, 1 + self._n), memory[:1]
+
+
+SPARE = 64
+"""Rows that may be overwritten while somebody reads: half a second of cycles."""
 
 
 def _head(number: int, data: bytes) -> bytes:

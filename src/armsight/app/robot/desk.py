@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from threading import RLock
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.app.robot.alone import alone
 from armsight.app.robot.host import HEARTBEAT_S, Host, Snapshot, flange_pose
 from armsight.control.setpoints import Hold, JointGoal, JointVelocity, SetPoint, ToolTwist
 from armsight.drivers import RobotState
@@ -52,9 +54,13 @@ class Lease:
 
 
 class Desk:
-    """Takes commands from one driver at a time, and stops from everyone; not for several threads."""
+    """Takes commands from one driver at a time, and stops from everyone; any thread may call it.
 
-    def __init__(self, host: Host, log: DeskLog, *, instance: str) -> None:
+    lock: held while a call lasts; shared with whoever else speaks to the host.
+    """
+
+    def __init__(self, host: Host, log: DeskLog, *, instance: str, lock: RLock | None = None) -> None:
+        self.lock = lock or RLock()
         self._host = host
         self._log = log
         self.instance = instance
@@ -84,6 +90,7 @@ class Desk:
         """Who drives; None where nobody does."""
         return self._lease
 
+    @alone
     def take(self, who: str) -> Lease:
         """Return the right to drive. Raises DeviceFailed, saying who has it and since when, where it is taken."""
         now_s, held = self._host.now_s(), self._lease
@@ -100,6 +107,7 @@ class Desk:
         self.note("info", f"{who} drives")
         return self._lease
 
+    @alone
     def leave(self, lease: Lease, why: str) -> None:
         """Give the right to drive back: the robot is held at once. Does nothing where another has it."""
         if lease is not self._lease:
@@ -109,6 +117,7 @@ class Desk:
         self._host.release(why)
         self.note("info", f"{lease.who} no longer drives: {why}")
 
+    @alone
     def stop(self, who: str) -> None:
         """Bring the robot to rest until it is reset; legal for everyone, at any time; never raises."""
         self._stopped = True
@@ -116,6 +125,7 @@ class Desk:
         self._host.stop(f"stopped by {who}")
         self.note("warning", f"stopped by {who}")
 
+    @alone
     def perform(self, lease: Lease, command: say.Command) -> say.Accepted:
         """Do what the driver asks and return where it leads.
 
@@ -143,6 +153,7 @@ class Desk:
             limited=list(limited),
         )
 
+    @alone
     def state(self, reply_to: int | None = None) -> say.StateMessage:
         """Return the state for a client. Raises DeviceLost where the loop has ended."""
         now, now_s = self._host.snapshot(), self._host.now_s()
@@ -172,6 +183,7 @@ class Desk:
             lateness_p99_s=self._host.lateness_p99_s(),
         )
 
+    @alone
     def note(self, level: str, message: str) -> None:
         """Keep something that happened."""
         self._log.event(self._host.now_s(), level, message)

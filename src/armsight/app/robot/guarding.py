@@ -7,9 +7,10 @@ from pathlib import Path
 
 from armsight.control.guard import Guard, Limits
 from armsight.drivers import Robot
-from armsight.errors import UsageError
+from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics import Arm, Joint
 from armsight.store.arm_file import arm_from_mapping, read_arm
+from armsight.store.interpret import limits_look_like_degrees
 from armsight.store.limits_file import read_limits
 
 BLIND_TURN_RAD_S = 0.1
@@ -45,7 +46,19 @@ def guard_for(robot: Robot, arm: Path | None = None, limits: Path | None = None,
             consequence="Nothing is moved",
             cure="Give the arm of this robot (--arm)",
         )
+    _check_degrees(known, kept, limits)
     return Guard(known, kept.slowed(share), robot.cycle_s)
+
+
+def _check_degrees(arm: Arm, limits: Limits, file: Path | None) -> None:
+    """Raise Inconsistent where the limits of revolute joints are degrees: they would keep the arm within nothing."""
+    for k, (joint, revolute) in enumerate(zip(limits.joints, arm.revolute, strict=False)):
+        if revolute and limits_look_like_degrees([joint.lower, joint.upper]):
+            raise Inconsistent(
+                f"{file}: joint {k + 1}: the limits {joint.lower:g} to {joint.upper:g} look like degrees",
+                consequence="Taken as radians they would limit nothing; nothing is moved",
+                cure="Write lower and upper in rad, or leave them out where the arm's own limits hold",
+            )
 
 
 def arm_of(robot: Robot, arm: Path | None) -> Arm | None:

@@ -18,6 +18,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.app.robot.channels import JointTrack
 from armsight.app.robot.host import LoopEvent, LoopRecord, Snapshot
 from armsight.app.robot.loop_side import Channels, lateness_s, run_loop
 from armsight.app.robot.opening import open_robot
@@ -53,10 +54,10 @@ class RobotSpec:
 class _LoopHost:
     """The server's side of the channels; a Host. Subclasses run the loop. For one thread at a time."""
 
-    def __init__(self, arm: Arm, clock: Clock) -> None:
+    def __init__(self, arm: Arm, clock: Clock, track: JointTrack | None = None) -> None:
         self._arm = arm
         self._clock = clock
-        self._channels = Channels()
+        self._channels = Channels(track=track)
         self._description: RobotDescription | None = None
         self._urgent: deque[tuple[str, Any]] = deque()
         self._kept: list[LoopRecord] = []
@@ -189,8 +190,9 @@ class _LoopHost:
 class ProcessHost(_LoopHost):
     """A robot's loop in a process of its own: nothing that the web server does makes a cycle wait."""
 
-    def __init__(self, spec: RobotSpec) -> None:
-        super().__init__(spec.arm, SystemClock())  # monotonic time is one for all processes of a machine
+    def __init__(self, spec: RobotSpec, track: JointTrack | None = None) -> None:
+        """track: filled with where a simulated arm is."""
+        super().__init__(spec.arm, SystemClock(), track)  # monotonic time is one for all processes of a machine
         self._process = multiprocessing.get_context("spawn").Process(
             target=_loop_process, args=(self._channels, spec, os.getpid()), name="armsight-loop", daemon=True
         )

@@ -87,8 +87,7 @@ def jog_robot(
     model = None if job.arm is None else read_arm(job.arm)
     settings = driver_settings(job.robot, arm=model, rsi_config=job.rsi_config)
     robot = opened or open_robot(job.robot, clock, settings)
-    _check(job, robot)
-    guard = guard_for(robot, job.arm, job.limits, share=job.speed)
+    guard = _checked(job, robot)
     with robot:
         start = robot.read().q
         j = job.joint - 1
@@ -115,6 +114,14 @@ def jog_robot(
             limited=watcher.limited,
             state=robot.state.value,
         )
+
+
+def _checked(job: JogJob, robot: Robot) -> Guard:
+    """Return the guard of what is asked. Raises UsageError where that cannot be meant."""
+    _check(job, robot)
+    guard = guard_for(robot, job.arm, job.limits, share=job.speed)
+    _check_degrees(job, guard)
+    return guard
 
 
 def question(job: JogJob, robot: Robot, guard: Guard, start: float) -> str:
@@ -144,6 +151,16 @@ def _check(job: JogJob, robot: Robot) -> None:
             f"a way of {job.by:g} is none",
             consequence="Nothing is moved",
             cure="Give rad or m (--by), for instance 0.1",
+        )
+
+
+def _check_degrees(job: JogJob, guard: Guard) -> None:
+    """Raise Inconsistent for a way of a revolute joint that is more than half a turn: degrees given for radians."""
+    if guard.arm.revolute[job.joint - 1] and abs(job.by) > math.pi:
+        raise Inconsistent(
+            f"a way of {job.by:g} rad is {job.by / DEG:.0f} degrees: it looks like degrees",
+            consequence="Nothing was moved",
+            cure=f"Give radians (--by {job.by * DEG:.4f} is {job.by:g} degrees), and more than half a turn in parts",
         )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import pickle
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from multiprocessing import RawArray
 from typing import Any
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.robot.channels import Newest, Queue
+from armsight.app.robot.channels import JointTrack, Newest, Queue
 from armsight.app.robot.host import HEARTBEAT_S, SETPOINT_S, LoopCommand, LoopEvent, Snapshot
 from armsight.clock import Clock
 from armsight.control.guard import Guard, GuardState, Limits
@@ -51,12 +51,16 @@ def _histogram() -> Any:
 
 @dataclass(frozen=True, slots=True)
 class Channels:
-    """What server and loop share. orders: to the loop; records: from it; state: its newest; lateness: of its cycles."""
+    """What server and loop share. orders: to the loop; records: from it; state: its newest; lateness: of its cycles.
+
+    track: where a simulated arm is, for the process that draws what cameras see of it.
+    """
 
     orders: Queue = field(default_factory=lambda: Queue(1024, 1024))
     records: Queue = field(default_factory=_up)
     state: Newest = field(default_factory=Newest)
     lateness: Any = field(default_factory=_histogram)
+    track: JointTrack | None = None
 
 
 class CountedClock:
@@ -230,12 +234,27 @@ def run_loop(
             loop = ControlLoop(robot, guard, source, counted, enabled=source.enabled, sink=sink)
             source.attach(loop)
             channels.records.put(pickle.dumps(("described", describe(robot, guard, driver).model_dump())))
-            loop.run(until=Teller(channels.state, source, sink).tell)
+            tell = Teller(channels.state, source, sink).tell
+            loop.run(until=tell if channels.track is None else tracked(tell, robot, channels.track, clock))
     except ArmsightError as error:
         channels.records.put(pickle.dumps(error))
     except Exception as error:  # whatever ended it, the server tells it
         text = f"the loop failed: {type(error).__name__}: {error}"[:300]
         channels.records.put(pickle.dumps(ArmsightError(text, consequence="The robot was stopped")))
+
+
+def tracked(
+    tell: Callable[[LoopStatus], bool], robot: Robot, track: JointTrack, clock: Clock
+) -> Callable[[LoopStatus], bool]:
+    """Return tell, with the joints of a simulated robot written into the track after each cycle, as they truly are."""
+    true_joints = getattr(robot, "true_joints", None)
+
+    def told(status: LoopStatus) -> bool:
+        now_s = clock.now_s()
+        track.write(now_s, status.q if true_joints is None else true_joints(now_s))
+        return tell(status)
+
+    return told
 
 
 class Teller:

@@ -6,8 +6,10 @@ import secrets
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
+from threading import RLock
 from typing import Any, Protocol
 
+from armsight.app.robot.alone import alone
 from armsight.app.robot.desk import Desk, DeskLog
 from armsight.app.robot.host import Host, LoopCommand, LoopEvent
 from armsight.drivers.remote import protocol as say
@@ -57,16 +59,17 @@ class Subscription:
 
 
 class Service:
-    """A robot as it is served. Not for several threads: everything of it belongs to the one that serves."""
+    """A robot as it is served. Any thread may call it; the host itself is spoken to under the same lock only."""
 
     def __init__(self, host: Host, log: Log) -> None:
+        self.lock = RLock()
         self.host = host
         self.n_clients = 0
         self._log = log
         self._subscriptions: set[Subscription] = set()
         self._budget, self._filled_s, self._left_out = BURST, host.now_s(), 0
         self._tell_dropped, self._told_failed = 1, False
-        self.desk = Desk(host, self, instance=secrets.token_hex(8))
+        self.desk = Desk(host, self, instance=secrets.token_hex(8), lock=self.lock)
 
     @contextmanager
     def events(self) -> Iterator[Subscription]:
@@ -78,6 +81,7 @@ class Service:
         finally:
             self._subscriptions.discard(mine)
 
+    @alone
     def pump(self) -> None:
         """Fetch what the loop did, keep it and tell it; to be called some times a second."""
         for record in self.host.records():
@@ -89,6 +93,7 @@ class Service:
                 self._log.joints(record)
         self._look_at_the_log()
 
+    @alone
     def event(self, t_s: float, level: str, message: str) -> None:
         """Keep something that happened, and tell it to who listens; of a flood of warnings only their number."""
         if level == "warning" and not self._affordable(t_s):
@@ -99,6 +104,7 @@ class Service:
             self._left_out = 0
         self._keep(t_s, level, message)
 
+    @alone
     def command(self, t_s: float, who: str, kind: str, values: dict[str, Any]) -> None:
         """Keep a command."""
         self._log.command(t_s, who, kind, values)

@@ -15,7 +15,15 @@ from armsight.app.schemas.cameras import (
     StereoOutput,
     ZoomRigOutput,
 )
-from armsight.app.schemas.files import ConvertOutput, ExportOutput, RecordOutput, RepairOutput, SimulateOutput
+from armsight.app.schemas.files import (
+    ConvertOutput,
+    ConvertTableOutput,
+    ExportOutput,
+    JoinOutput,
+    RecordOutput,
+    RepairOutput,
+    SimulateOutput,
+)
 from armsight.app.schemas.handeye import HandEyeOutput, LightTargetOutput, PivotOutput, TipOutput
 from armsight.app.schemas.kinematics import (
     ConvertArmOutput,
@@ -28,9 +36,18 @@ from armsight.app.schemas.kinematics import (
 )
 from armsight.app.schemas.machine import DoctorOutput
 from armsight.app.schemas.measure import DemoOutput, MeasureOutput
+from armsight.app.schemas.paths import (
+    PathChangeOutput,
+    PathCheckOutput,
+    PathExportOutput,
+    PathPicksOutput,
+    PathSmoothOutput,
+)
+from armsight.app.schemas.play import PlayOutput
 from armsight.app.schemas.reproduce import ReproduceOutput
 from armsight.app.schemas.robot import JogOutput, RobotTestOutput
 from armsight.app.schemas.servo import ServoOutput
+from armsight.app.schemas.teach import TeachOutput
 from armsight.app.schemas.timing import TimingOutput
 from armsight.app.schemas.verify import VerifyOutput, VerifyPlanOutput
 from armsight.app.schemas.verify_live import MasteringOutput, MasteringPlanOutput, VerifyLiveOutput
@@ -63,7 +80,9 @@ OUTPUTS: Mapping[str, type[Output]] = MappingProxyType(
         "record-repair": RepairOutput,
         "convert-recording": ExportOutput,
         "convert": ConvertOutput,
+        "convert-table": ConvertTableOutput,
         "convert-arm": ConvertArmOutput,
+        "join": JoinOutput,
         "simulate": SimulateOutput,
         "reproduce": ReproduceOutput,
         "kinematics-fk": FkOutput,
@@ -72,9 +91,16 @@ OUTPUTS: Mapping[str, type[Output]] = MappingProxyType(
         "kinematics-path": PathOutput,
         "kinematics-formulas": FormulasOutput,
         "kinematics-show": ShowOutput,
+        "path-smooth": PathSmoothOutput,
+        "path-change": PathChangeOutput,
+        "path-check": PathCheckOutput,
+        "path-export": PathExportOutput,
+        "path-from-picks": PathPicksOutput,
         "robot-test": RobotTestOutput,
         "robot-jog": JogOutput,
+        "play": PlayOutput,
         "servo": ServoOutput,
+        "teach": TeachOutput,
         "doctor": DoctorOutput,
         "error": RefusalOutput,
     }

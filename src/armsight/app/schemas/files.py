@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from armsight.app.schemas.base import Output, absent
+from armsight.app.schemas.base import Output, RejectedRow, absent
 
 
 class RecordedSkew(Output):
@@ -47,13 +47,46 @@ class ExportOutput(Output):
 
 
 class ConvertOutput(Output):
-    """armsight convert camera, convert rig, convert poses."""
+    """armsight convert camera, convert rig, convert handeye, convert poses."""
 
     source: str = Field(alias="from", description="Kind of the file read: armsight, ros, opencv, kalibr; or of poses.")
     target: str = Field(alias="to", description="Kind of the files written.")
     files: list[str] = Field(description="The files written.")
     n: int | None = Field(description="Poses; null for cameras and rigs.")
     note: str = Field(description="What the new kind could not carry, or which zoom it is of; may be empty.")
+
+
+class ConvertTableOutput(Output):
+    """armsight convert table."""
+
+    kind: str = Field(description="Which table it is: joints, poses, points, pairs, robot_poses or sweep.")
+    how: str = Field(description="How the file was found to be written.")
+    columns: list[str] = Field(description="The columns of ours that it came to.")
+    ranges: dict[str, tuple[float, float] | None] = Field(
+        description="Smallest and largest number of each column of numbers, in its unit; null where all of its "
+        "cells are empty.",
+    )
+    n: int = Field(description="Rows.")
+    notes: list[str] = Field(description="What was understood of units, rotations, times, frames and joints.")
+    file: str | None = Field(description="The file written; null where none was asked for.")
+
+
+class JoinOutput(Output):
+    """armsight join."""
+
+    kind: str = Field(description="The table written: points, observed or pairs.")
+    by: str = Field(description="time, or order where one side has no times.")
+    offset_s: float | None = Field(description="Added to measured times it gives the robot's, s; null by order.")
+    offset_std_s: float | None = Field(description="Its standard deviation, s; null where it was stated, or by order.")
+    drift_ppm: float | None = Field(
+        description="How much faster the robot's clock runs, in parts of a million; null where no drift is proved.",
+        json_schema_extra={"unit": "1e-6"},
+    )
+    n_measured: int = Field(description="Measured rows.")
+    n: int = Field(description="Rows written.")
+    rejected: list[RejectedRow] = Field(description="Measured rows left out, with the reason.")
+    notes: list[str] = Field(description="What is to be known of times and columns.")
+    file: str = Field(description="The file written.")
 
 
 class SimulateOutput(Output):

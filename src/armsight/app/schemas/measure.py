@@ -132,6 +132,9 @@ class MeasureOutput(Output):
         None, exclude_if=absent, description="Where each view was taken at its own time."
     )
     error: str | None = Field(None, exclude_if=absent, description="Why the run ended early.")
+    assumed_fps: float | None = Field(
+        None, exclude_if=absent, description="Frames a second that were assumed, where nothing tells the frames' times."
+    )
     zoom: dict[str, ZoomAt] | None = Field(
         None, exclude_if=absent, description="The cameras that zoom, by left and right."
     )
@@ -156,6 +159,19 @@ class PoseErrors(Output):
     rz_rad: TruthError = Field(description="Of the rotation about z, rad.")
 
 
+class PicturesOutput(Output):
+    """The demo's real pictures of a checkerboard, calibrated and measured."""
+
+    n_pairs: int = Field(description="Pairs of pictures.")
+    rms_px: float = Field(description="Reprojection residual of the calibration, RMS, px.")
+    baseline_m: float = Field(description="Distance of the two cameras, m.")
+    square_error_m: float | None = Field(
+        description="Error of the board's squares in pairs that the calibration did not see, RMS, m."
+    )
+    n_ok: int = Field(description="Pairs in which the board's pose was measured.")
+    out: str = Field(description="Where its results are.")
+
+
 class DemoOutput(MeasureOutput):
     """armsight demo; also OUT/demo.json."""
 
@@ -163,3 +179,4 @@ class DemoOutput(MeasureOutput):
     inside_95: float | None = Field(description="Share of the poses, 0 to 1, inside their own 95 % ellipsoid.")
     seconds_s: float = Field(description="How long the whole command took, s.")
     assumptions: list[str] = Field(description="What the simulated cell takes for granted.")
+    pictures: PicturesOutput | None = Field(description="The real pictures; null where they were left out.")

@@ -12,6 +12,7 @@ from armsight.app.servo.devices import open_servo
 from armsight.app.servo.job import CAMERA, TOOL, ServoDevices, ServoJob
 from armsight.app.servo.outcome import Show
 from armsight.app.servo.session import Confirm, ServoSession
+from armsight.app.servo.vision import Beside
 from armsight.control.servo import Mount, ServoSettings, Turning, on_axis
 from armsight.errors import BadFile, Inconsistent, UsageError
 from armsight.kinematics import Arm
@@ -34,12 +35,14 @@ def run_servo(
     progress: Progress | None = None,
     *,
     devices: ServoDevices | None = None,
+    beside: Beside | None = None,
 ) -> ServoOutput:
     """Follow the target until the operator lets go, seconds_s have passed or the guard stopped; write job.out.
 
     confirm: asked once, with gain, limits and delay, before anything moves. progress: its cancelled() is the operator's
-    enable, let go of. show: told of the newest cycle now and then. devices: in place of those the job names. Raises
-    UsageError, DataRefused (another arm's file, no hand-eye, a gain that is not stable), DeviceFailed, Cancelled.
+    enable, let go of. show: told of the newest cycle now and then. devices: in place of those the job names.
+    beside: is told of each frame meanwhile. Raises UsageError, DataRefused (another arm's file, no hand-eye, a gain
+    that is not stable), DeviceFailed, Cancelled.
     """
     progress = progress or Silent()
     _check(job)
@@ -54,8 +57,8 @@ def run_servo(
         )
     settings = _settings(job, handeye, guard.arm, devices.robot.cycle_s)
     prepare(progress)
-    setup = _setup(rig, target, devices)
-    done = ServoSession(job, devices, guard, settings, setup).run(confirm, show, progress)
+    setup = measuring(rig, target, devices)
+    done = ServoSession(job, devices, guard, settings, setup, beside).run(confirm, show, progress)
     done.write(job.out / SUMMARY)
     return done
 
@@ -116,7 +119,7 @@ def _turning(name: str) -> Turning:
         ) from error
 
 
-def _setup(rig: Rig, target: Target, devices: ServoDevices) -> Setup:
+def measuring(rig: Rig, target: Target, devices: ServoDevices) -> Setup:
     """Return what measuring needs. Raises UsageError for a board, whose pose takes longer than a servo's cycle."""
     if target.is_board:
         raise UsageError("a board takes too long to find for a servo", cure="Give a target of lights (--target)")

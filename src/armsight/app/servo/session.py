@@ -14,7 +14,7 @@ from armsight.app.robot.recorder import LoopRecorder
 from armsight.app.schemas.servo import ServoOutput
 from armsight.app.servo.job import ServoDevices, ServoJob
 from armsight.app.servo.outcome import RecordedSource, Show, Tally, servo_output
-from armsight.app.servo.vision import Vision, VisionThread, probe
+from armsight.app.servo.vision import Beside, Vision, VisionThread, probe
 from armsight.control.guard import Guard
 from armsight.control.jitter import Timing
 from armsight.control.loop import ControlLoop, LoopStatus
@@ -41,10 +41,17 @@ class ServoSession:
     """Robot, cameras, guard and how the target is followed, of one run."""
 
     def __init__(
-        self, job: ServoJob, devices: ServoDevices, guard: Guard, settings: ServoSettings, setup: Setup
+        self,
+        job: ServoJob,
+        devices: ServoDevices,
+        guard: Guard,
+        settings: ServoSettings,
+        setup: Setup,
+        beside: Beside | None = None,
     ) -> None:
         self._job, self._devices, self._guard, self._settings, self._setup = job, devices, guard, settings, setup
         self._thread: VisionThread | None = None
+        self._beside = beside
 
     def run(self, confirm: Confirm, show: Show, progress: Progress) -> ServoOutput:
         """Follow the target and return what it came to. Raises as run_servo."""
@@ -57,6 +64,9 @@ class ServoSession:
             self._watch(stack, vision)
             probe(vision, clock, self._failed)
             gain, source = self._source(vision)
+            if self._beside is not None:
+                self._beside.begin(source, self._guard.arm, clock, recorder.sink)
+                vision.beside = self._beside.observe
             if not confirm(question(robot, self._guard, gain, source)):
                 raise Cancelled("not confirmed", consequence="Nothing was moved", cure="Give --yes to move unasked")
             tally = Tally(source, progress.cancelled)

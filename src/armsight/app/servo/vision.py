@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
-from typing import Any, cast
+from typing import Any, Protocol, cast
 
 from armsight.app.measure.run import lost_pair
 from armsight.app.servo.job import ServoDevices
@@ -18,6 +18,7 @@ from armsight.control.events import QueueSink
 from armsight.control.servo import ServoSource
 from armsight.control.servo.delay import CameraDelay
 from armsight.errors import ArmsightError, DeviceFailed, Inconsistent, NotEnoughData
+from armsight.kinematics import Arm
 from armsight.measure.poses.pipeline import Measured, Setup, Track, measure_pair
 from armsight.optics import SIDES
 from armsight.records import Frame, PoseStatus, TargetPose
@@ -30,11 +31,24 @@ PROBED_S = 5.0
 """Pairs that do not come within so long come too slowly to follow anything."""
 
 
+class Beside(Protocol):
+    """What goes on beside a servo: a path that is taught while the target is followed."""
+
+    def begin(self, source: ServoSource, arm: Arm, clock: Clock, sink: QueueSink) -> None:
+        """Take the source of an arm, before the first cycle, the loop's clock and what takes events."""
+        ...
+
+    def observe(self, pose: TargetPose, exposed_s: float) -> None:
+        """Take what a frame shows, in rig axes, exposed at exposed_s on the loop's clock."""
+        ...
+
+
 class Vision:
     """Measures pair after pair, and gives the poses to a source once there is one."""
 
     def __init__(self, setup: Setup, devices: ServoDevices, latency_s: float, sink: QueueSink) -> None:
         self.source: ServoSource | None = None
+        self.beside: Callable[[TargetPose, float], None] | None = None
         self.delay = CameraDelay()
         self.counts = dict.fromkeys(PoseStatus, 0)
         self.took_ms: list[float] = []
@@ -56,6 +70,8 @@ class Vision:
         self.delay.add(exposed_s, now_s)
         if self.source is not None:
             self.source.observe(pose, exposed_s, now_s)
+        if self.beside is not None:
+            self.beside(pose, exposed_s)
         self.took_ms.append((time.perf_counter() - begun_s) * 1e3)
         self.counts[pose.status] += 1
         self.newest = pose

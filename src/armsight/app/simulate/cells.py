@@ -95,13 +95,14 @@ class CellPairs:
             yield pair
 
 
-def write_cell_files(cell: Cell, folder: Path, *, seed: int, frames: int) -> None:
-    """Write rig.yaml, target.yaml, times.csv, truth.csv and scenario.yaml of a cell."""
+def write_cell_files(cell: Cell, folder: Path, *, seed: int, frames: int, kept: int | None = None) -> None:
+    """Write rig.yaml, target.yaml, times.csv, truth.csv and scenario.yaml of a cell; kept: of its first frames only."""
+    truth = list(cell.truth)[:kept]
     write_rig(folder / "rig.yaml", rig_from_mapping(cell.rig, f"{cell.name}'s rig"))
     write_target(folder / "target.yaml", target_from_mapping(cell.target, f"{cell.name}'s target"))
-    rows = [f"{number(t_s)},{cells(xyz_m)},{cells(quat_xyzw)},,,,,,,ok," for t_s, xyz_m, quat_xyzw in cell.truth]
+    rows = [f"{number(t_s)},{cells(xyz_m)},{cells(quat_xyzw)},,,,,,,ok," for t_s, xyz_m, quat_xyzw in truth]
     write_text(folder / "truth.csv", "\n".join([",".join(POSE_COLUMNS), *rows]) + "\n")
-    write_text(folder / "times.csv", "\n".join(["t_s", *(number(t_s) for t_s, _, _ in cell.truth)]) + "\n")
+    write_text(folder / "times.csv", "\n".join(["t_s", *(number(t_s) for t_s, _, _ in truth)]) + "\n")
     scenario = {
         "format": "armsight/scenario",
         "version": 1,

@@ -62,7 +62,8 @@ def simulate(
             write_png(out / view / f"{frame.sequence:06d}.png", frame)
         progress.update(done, total)
         if progress.cancelled():
-            raise Cancelled(f"stopped after {done} frames", consequence=f"They are in {out}")
+            write_world_files(world, out, frames=done)
+            raise Cancelled(f"stopped after {done} frames", consequence=f"They and their tables are in {out}")
     return SimulateOutput(
         scenario=model.name,
         seed=world.seed,
@@ -73,27 +74,24 @@ def simulate(
     )
 
 
-def write_world_files(world: Any, out: Path) -> None:
-    """Write what is known of a world besides its frames."""
-    write_rig(out / "rig.yaml", rig_from_mapping(world.rig, f"{world.name}'s rig"))
-    write_target(out / "target.yaml", target_from_mapping(world.target, f"{world.name}'s target"))
-    for name, arm in (("arm.yaml", world.nominal), ("arm_true.yaml", world.true)):
-        content = {"format": "armsight/arm", "version": 1, **arm.mapping(world.T_flange_tool)}
-        write_arm(out / name, arm_from_mapping(content, f"{world.name}'s arm"))
-    _write_truth(out / "truth.csv", world.truth)
-    _write_truth(out / "truth_world.csv", world.world_truth)
-    write_text(out / "times.csv", "\n".join(["t_s", *(number(t_s) for t_s, _, _ in world.truth)]) + "\n")
-    readings = world.joints
+def write_world_files(world: Any, out: Path, *, frames: int | None = None) -> None:
+    """Write what is known of a world besides its frames; frames: of so many of them only, from the first."""
+    truth, kept = world.truth[:frames], world.kept[:frames]
+    write_set_up(world, out)
+    _write_arm(world, world.true, out / "arm_true.yaml")
+    _write_truth(out / "truth.csv", truth)
+    _write_truth(out / "truth_world.csv", world.world_truth[:frames])
+    write_text(out / "times.csv", "\n".join(["t_s", *(number(t_s) for t_s, _, _ in truth)]) + "\n")
+    readings = [one for one in world.joints if frames is None or one[0] <= truth[-1][0] + 1e-9]
     if readings:
         motion = Motion(t_s=np.array([t_s for t_s, _ in readings]), q=np.array([q for _, q in readings]))
         write_joints(out / "joints.csv", motion)
     if world.T_base_rig is not None:
         T_world_rig = world.true.T_world_base * world.T_base_rig
         write_world(out / "world.yaml", World(parent="world", T_parent_rig=T_world_rig))
-    _write_handeye(world, out)
     if world.sweeps:
         n = world.nominal.n
-        place = {index: row for row, index in enumerate(world.kept)}
+        place = {index: row for row, index in enumerate(kept)}
         rows = [
             f"{place[frame]},{joint},{cells(world.servo.read(frame / world.fps)[0])}"
             for frame, joint in world.sweeps
@@ -101,6 +99,19 @@ def write_world_files(world: Any, out: Path) -> None:
         ]
         header = ",".join(["frame", "joint", *(f"q{i + 1}" for i in range(n))])
         write_text(out / "sweep_joints.csv", "\n".join([header, *rows]) + "\n")
+
+
+def write_set_up(world: Any, out: Path) -> None:
+    """Write what a person who set the cell up would know: rig, target, arm and hand-eye."""
+    write_rig(out / "rig.yaml", rig_from_mapping(world.rig, f"{world.name}'s rig"))
+    write_target(out / "target.yaml", target_from_mapping(world.target, f"{world.name}'s target"))
+    _write_arm(world, world.nominal, out / "arm.yaml")
+    _write_handeye(world, out)
+
+
+def _write_arm(world: Any, arm: Any, file: Path) -> None:
+    content = {"format": "armsight/arm", "version": 1, **arm.mapping(world.T_flange_tool)}
+    write_arm(file, arm_from_mapping(content, f"{world.name}'s arm"))
 
 
 def _write_handeye(world: Any, out: Path) -> None:
@@ -131,5 +142,6 @@ def _simulate_cell(
             done += 1
             progress.update(done, frames)
             if progress.cancelled():
-                raise Cancelled(f"stopped after {done} pairs", consequence=f"They are in {out}")
+                write_cell_files(cell, out, seed=seed, frames=frames, kept=done)
+                raise Cancelled(f"stopped after {done} pairs", consequence=f"They and their tables are in {out}")
     return SimulateOutput(scenario=name, seed=seed, n_frames=done, out=str(out))

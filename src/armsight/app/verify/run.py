@@ -18,6 +18,7 @@ from armsight.report.repeats_report import repeats_report
 from armsight.report.verify_report import OtherRun, verify_report
 from armsight.store import read_table, read_world, write_text
 from armsight.store.atomic import read_bytes
+from armsight.store.interpret import OURS, TableFormat
 from armsight.store.verify_files import CommandedFile, MeasuredFile, read_commanded, read_measured, read_reported_joints
 from armsight.store.worlds import World
 from armsight.verify import Align, Measured, Repeats, Reported, verify
@@ -45,6 +46,7 @@ class VerifyJob:
     align: str | None = None
     compare: Path | None = None
     band_m: float | None = None
+    table: TableFormat = OURS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -65,7 +67,7 @@ def run_verify(job: VerifyJob) -> VerifyOutput:
     """
     _check_usage(job)
     other = None if job.compare is None else read_run(job.compare)
-    file = read_measured(job.measured)
+    file = read_measured(job.measured, job.table.of_camera)
     if job.world is not None:
         world = read_world(job.world)
         file = replace(file, measured=in_world(file.measured, world), repeats=shared_in_world(file.repeats, world))
@@ -170,10 +172,11 @@ def _align(job: VerifyJob, turned: bool) -> Align:
 def _expected(job: VerifyJob, file: MeasuredFile) -> _Expected:
     """Return the arm and what the controller says, or what was commanded."""
     if job.commanded is not None:
-        told = read_commanded(job.commanded)
+        told = read_commanded(job.commanded, job.table)
         return _Expected(arm=None, reported=told.reported, turned=told.turned, told=told)
     arm = load_arm(job.arm or "")
-    found = file.reported if job.joints is None else read_reported_joints(job.joints)
+    names = job.table.of_joints([joint.name for joint in arm.joints])
+    found = file.reported if job.joints is None else read_reported_joints(job.joints, names)
     if found is None or found.q is None:
         raise UsageError(
             f"{job.measured} has no columns q1 .. qn, and no --joints were given",

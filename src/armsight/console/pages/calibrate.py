@@ -11,6 +11,7 @@ from nicegui.elements.mixins.text_element import TextElement
 
 from armsight.app.guided.step import Guided, Hint, Verdict
 from armsight.console import texts
+from armsight.console.jog import jog_card
 from armsight.console.layout import button, card, set_attribute, set_text, text_of
 from armsight.console.state import STEPS, Console
 from armsight.errors import ArmsightError
@@ -28,6 +29,8 @@ def calibrate_page(console: Console) -> None:
         with body:
             _step(console, name)
 
+    if console.robot is not None:
+        jog_card(console.robot)
     with card(texts.STEP), ui.element("div").classes("row"):
         for name in STEPS:
             button(texts.STEPS[name], partial(choose, name), kind="act quiet", testid=f"step-{name}")

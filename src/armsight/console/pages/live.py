@@ -13,6 +13,7 @@ from nicegui.elements.mixins.text_element import TextElement
 from armsight.app.live.station import Shown
 from armsight.app.schemas.live import LiveView, SideView
 from armsight.console import texts
+from armsight.console.jog import jog_card
 from armsight.console.layout import TICK_S, button, card, set_attribute, set_text, text_of
 from armsight.console.scene import Scene
 from armsight.console.state import Console
@@ -34,7 +35,13 @@ def live_page(console: Console) -> None:
     """Build the page."""
     if console.station is None:
         text_of("p", texts.NO_CAMERAS).classes("notice")
-        return
+    else:
+        _measuring(console)
+    if console.robot is not None:
+        jog_card(console.robot)
+
+
+def _measuring(console: Console) -> None:
     with ui.element("div").classes("columns"):
         left = _picture(console, "left", texts.LEFT)
         right = _picture(console, "right", texts.RIGHT)
@@ -57,8 +64,8 @@ def live_page(console: Console) -> None:
         if shown is not None:
             for refresh in (left, right, pose, status):
                 refresh(shown)
-            if scene is not None:
-                scene.show(shown.view)
+        if scene is not None:
+            scene.show(None if shown is None else shown.view)
 
     def slow() -> None:
         if scene is not None:
@@ -164,10 +171,8 @@ def _record(console: Console) -> Callable[[], None]:
 
 
 def _scene(console: Console) -> Scene | None:
-    if console.station is None:
-        return None
     try:
-        return Scene(console.station.job, None)
+        return Scene(console)
     except ArmsightError as error:
         text_of("p", str(error)).classes("notice")
         return None

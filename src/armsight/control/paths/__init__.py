@@ -2,20 +2,40 @@
 
 from armsight.control.paths.along import corners, poses_at, resampled
 from armsight.control.paths.check import PathCheck, PathIssue, PathTrouble, check_path
+from armsight.control.paths.export_krl import krl
+from armsight.control.paths.export_python import python_module
+from armsight.control.paths.export_rapid import rapid
+from armsight.control.paths.export_urscript import urscript
 from armsight.control.paths.fillets import filleted
+from armsight.control.paths.outliers import PathOutlier, outliers, without_rows
+from armsight.control.paths.program import Program, ProgramMove, program_moves, with_approach
+from armsight.control.paths.smoothing import moved_by, smoothed
 from armsight.control.paths.tools import joined, offset_along_tool, reversed_path, tilted
 
 __all__ = [
     "PathCheck",
     "PathIssue",
+    "PathOutlier",
     "PathTrouble",
+    "Program",
+    "ProgramMove",
     "check_path",
     "corners",
     "filleted",
     "joined",
+    "krl",
+    "moved_by",
     "offset_along_tool",
+    "outliers",
     "poses_at",
+    "program_moves",
+    "python_module",
+    "rapid",
     "resampled",
     "reversed_path",
+    "smoothed",
     "tilted",
+    "urscript",
+    "with_approach",
+    "without_rows",
 ]

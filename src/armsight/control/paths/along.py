@@ -22,6 +22,8 @@ CORNER_RAD = 40.0 * DEG
 """A path that turns by more than this within twice the window has a corner there."""
 WINDOW_M = 0.01
 """Length before and after a row over which its directions are taken; noise of 0.1 mm turns them by half a degree."""
+OWN_WAY = 0.25
+"""Share of the window that a corner's neighbours are away where two corners share a window."""
 MOST_ROWS = 200_000
 
 
@@ -76,24 +78,31 @@ def turning(path: TaughtPath, *, window_m: float = WINDOW_M) -> Array:
 
 
 def corners(path: TaughtPath, *, angle_rad: float = CORNER_RAD, window_m: float = WINDOW_M) -> tuple[int, ...]:
-    """Return the rows at which the path turns by more than angle_rad, the sharpest of each window_m; ends are none."""
+    """Return the rows at which the path turns by more than angle_rad, the sharpest of each window_m; ends are none.
+
+    Within a window a second row is a corner where both its neighbours are a quarter of the window away, as in paths
+    of few rows: there it is its own turn and not the first corner's, or noise.
+    """
     s, angle = moving(path), turning(path, window_m=window_m)
     found: list[int] = []
     for row in np.argsort(-angle, kind="stable"):
         if angle[row] <= angle_rad:
             break
-        if all(abs(s[row] - s[other]) > window_m or _straight_between(path, row, other) for other in found):
+        if all(
+            abs(s[row] - s[other]) > window_m or _corner_of_its_own(path, row, other, angle_rad, OWN_WAY * window_m)
+            for other in found
+        ):
             found.append(int(row))
     return tuple(sorted(found))
 
 
-def _straight_between(path: TaughtPath, a: int, b: int) -> bool:
-    """Tell whether the turn at a row is its own: rows not neighbours, and a third of it seen between its neighbours."""
-    if not 0 < a < len(path) - 1:
+def _corner_of_its_own(path: TaughtPath, row: int, other: int, angle_rad: float, least_m: float) -> bool:
+    """Tell whether a row near another corner is one too: it turns by itself, between ways too long for noise."""
+    before, after = np.diff(path.xyz_m[row - 1 : row + 2], axis=0)
+    if min(np.linalg.norm(before), np.linalg.norm(after)) < least_m:
         return False
-    before, after = np.diff(path.xyz_m[a - 1 : a + 2], axis=0)
     own = math.atan2(float(np.linalg.norm(np.cross(before, after))), float(before @ after))
-    return abs(a - b) > 1 and own > CORNER_RAD
+    return row != other and own > angle_rad
 
 
 def resampled(

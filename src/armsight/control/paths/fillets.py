@@ -69,9 +69,8 @@ def _arc(path: TaughtPath, s: Array, row: int, radius_m: float) -> _Arc:
     if not 0 < row < len(path) - 1:
         raise Inconsistent(f"row {row} is an end of the path and no corner", consequence="It is not rounded")
     corner = path.xyz_m[row]
-    into, out = corner - path.xyz_m[row - 1], path.xyz_m[row + 1] - corner
-    into, out = into / np.linalg.norm(into), out / np.linalg.norm(out)
-    turn = math.atan2(float(np.linalg.norm(np.cross(into, out))), float(into @ out))
+    into, out, turn = _legs(path, s, row, min(s[row] - s[row - 1], s[row + 1] - s[row]))
+    into, out, turn = _legs(path, s, row, radius_m * math.tan(0.5 * min(turn, 0.5 * math.pi)))
     if turn > math.pi - 1.0 * DEG or turn < 1e-6:
         raise Degenerate(
             f"the path turns by {turn / DEG:.3g} deg at row {row}",
@@ -97,6 +96,15 @@ def _arc(path: TaughtPath, s: Array, row: int, radius_m: float) -> _Arc:
     xyz = start + radius_m * (np.sin(angle)[:, None] * into + (1.0 - np.cos(angle))[:, None] * aside)
     at = s[row] - leg + 2.0 * leg * angle / turn
     return _Arc(row, float(at[0]), float(at[-1]), xyz, at)
+
+
+def _legs(path: TaughtPath, s: Array, row: int, length_m: float) -> tuple[Array, Array, float]:
+    """Return the directions (3,) of the chords of length_m before and behind a row, and the angle between them."""
+    length_m = max(length_m, 1e-9)
+    ends = places_at(path, np.array([max(s[row] - length_m, 0.0), min(s[row] + length_m, s[-1])]))
+    into, out = path.xyz_m[row] - ends[0], ends[1] - path.xyz_m[row]
+    into, out = into / np.linalg.norm(into), out / np.linalg.norm(out)
+    return into, out, math.atan2(float(np.linalg.norm(np.cross(into, out))), float(into @ out))
 
 
 def _unfit(row: int, radius_m: float, why: str) -> Inconsistent:

@@ -119,7 +119,7 @@ class ServoSource:
         self._turn_wanted = settings.turning is not Turning.KEEP
         self._tool_m = np.array(arm.T_flange_tool.translation)
         self._track = TargetTrack(rig)
-        self._history = JointHistory(cycle_s)
+        self.history = JointHistory(cycle_s)
         self._camera = CameraDelay()
         self._lag = ArmLag(settings.arm_lag_s, cycle_s)
         self._seen: Seen | None = None
@@ -199,7 +199,7 @@ class ServoSource:
 
     def next(self, now: CycleState) -> SetPoint:
         """Return the tool's twist towards where the target is wanted; Hold, with why, where it is not followed."""
-        if now.q_s is not None and self._history.add(JointReading(q=now.q, t_s=now.q_s, sequence=0, source=self.name)):
+        if now.q_s is not None and self.history.add(JointReading(q=now.q, t_s=now.q_s, sequence=0, source=self.name)):
             self._lag.add(now.t_s, now.q_s, now.q, now.q_sent)
         tracked, why = self._track.now, self._why_not(now.t_s)
         if why or tracked is None:
@@ -281,7 +281,7 @@ class ServoSource:
 
     def _flange_at(self, t_s: float) -> Array:
         """Return T_base_flange (4, 4) at an exposure. Raises StaleData where the joints are not known there."""
-        q = self._history.at(t_s).q
+        q = self.history.at(t_s).q
         return np.asarray(self._T_base_world @ self._arm.fk(self._arm.values(q)) @ self._T_tool_flange)
 
 

@@ -244,6 +244,7 @@ def _whole(t_s: float, points: Points, T: Array, C: Array, residual: Array, syst
         residual_px=residual.ravel(),
         why="",
         systematic_covariance=systematic,
+        origin_known=True,
     )
     return Solved(pose=pose, points=points, T=T)
 

@@ -34,6 +34,7 @@ from armsight.store.foreign.numbers import (
     rotation_of,
     value_at,
 )
+from armsight.store.foreign.rectification import rectification
 from armsight.store.schema import named
 from armsight.store.yamls import read_yaml
 
@@ -108,7 +109,7 @@ def camera_to_opencv(path: Path, camera: Camera) -> None:
 
 
 def rig_to_opencv(path: Path, rig: Rig) -> None:
-    """Write a FileStorage YAML of a pair: M1 D1 M2 D2 R T in metres, and the left image's size.
+    """Write a FileStorage YAML of a pair: M1 D1 M2 D2 R T in metres, the left image's size, and R1 R2 P1 P2 Q E F.
 
     Raises Inconsistent where the images differ in size, which this file cannot say.
     """
@@ -125,6 +126,8 @@ def rig_to_opencv(path: Path, rig: Rig) -> None:
         "R": R,
         "T": t.reshape(3, 1),
     }
+    found = rectification(rig)
+    parts |= {name: getattr(found, name) for name in ("R1", "R2", "P1", "P2", "Q", "E", "F")}
     write_text(path, storage_text(parts))
 
 

@@ -12,7 +12,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
@@ -27,11 +26,11 @@ from armsight.store.foreign.numbers import (
     intrinsics_of,
     matrix_at,
     placed,
-    relative,
     rotation_of,
     rows_of,
     value_at,
 )
+from armsight.store.foreign.rectification import rectification
 from armsight.store.schema import named
 from armsight.store.yamls import dump_yaml, read_yaml
 
@@ -138,32 +137,18 @@ def rig_to_ros(left: Path, right: Path, rig: Rig, *, names: tuple[str, str] = ("
     Raises Inconsistent where the two images differ in size (one P serves both) or a camera has skew, which
     rectification by image_geometry leaves out.
     """
-    if (rig.left.width, rig.left.height) != (rig.right.width, rig.right.height):
-        raise Inconsistent("the cameras' images differ in size", consequence="ROS's stereo files cannot say this")
     if any(camera.intrinsics[4] != 0.0 for camera in (rig.left, rig.right)):
         raise Inconsistent(
             "a camera of the rig has skew",
             consequence="ROS's rectification leaves it out",
             cure="Calibrate with skew fixed at zero",
         )
-    R, t = relative(rig.T_rig_left, rig.T_rig_right)
-    R1, R2, P1, P2, *_ = cv2.stereoRectify(
-        rig.left.matrix,
-        rig.left.distortion,
-        rig.right.matrix,
-        rig.right.distortion,
-        (rig.left.width, rig.left.height),
-        R,
-        t,
-        flags=cv2.CALIB_ZERO_DISPARITY,
-        alpha=0.0,
-    )
+    found = rectification(rig)
     for path, camera, name, R_rectify, P in (
-        (left, rig.left, names[0], R1, P1),
-        (right, rig.right, names[1], R2, P2),
+        (left, rig.left, names[0], found.R1, found.P1),
+        (right, rig.right, names[1], found.R2, found.P2),
     ):
-        content = ros_mapping(camera, name, np.asarray(R_rectify, np.float64), np.asarray(P, np.float64))
-        write_text(path, dump_yaml(content))
+        write_text(path, dump_yaml(ros_mapping(camera, name, R_rectify, P)))
 
 
 def _matrix(matrix: Array) -> dict[str, Any]:

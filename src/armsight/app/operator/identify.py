@@ -1,0 +1,331 @@
+"""An arm identified from the page: one light of the target is the beacon, the station sees it, the operator enables."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from armsight.app.identify.live import LiveJob, OperatorCallbacks, identify_observed
+from armsight.app.live.station import Shown, Station
+from armsight.app.measure.run import target_of
+from armsight.app.operator.placing import rig_pose
+from armsight.app.operator.robot_cell import RobotCell
+from armsight.app.operator.seat_robot import SeatRobot
+from armsight.app.operator.work import Work
+from armsight.app.schemas.arm import IdentifyOutput, PlanOutput, ProposedPlanOutput
+from armsight.app.schemas.live import LiveView, SideView
+from armsight.clock import Clock, SystemClock
+from armsight.control.joint_sweep import Observation, Pace
+from armsight.errors import DeviceFailed, NotEnoughData, UsageError
+from armsight.kinematics import Arm
+from armsight.optics import Rig, triangulate
+from armsight.records import Progress, Silent
+from armsight.store import World, read_rig, read_world, write_world
+from armsight.store.arm_file import read_arm, write_arm
+from armsight.store.cell_file import CellFile, cell_path
+from armsight.store.handeye_file import read_handeye
+from armsight.store.sweeps import read_sweeps
+from armsight.units import DEG, MM
+
+Array = NDArray[np.float64]
+
+WORK = "identify"
+FOLDER = "identify"
+LOOK_S = 0.005
+STEPS = 24
+"""Points of a fit that is drawn."""
+PIXEL_COV = 0.04 * np.eye(2)
+"""Of a light's centre, px squared, where only its first place is wanted."""
+WAIT_S = 10.0
+"""A station that shows nothing new for so long is taken for lost."""
+LOST_LOOKS = 10
+"""Looks in a row without the beacon that mean it is lost; while the screen's pictures come single ones are skipped."""
+ENTRIES = (("a_m", "mm", MM), ("alpha_rad", "deg", DEG), ("d_m", "mm", MM), ("theta_rad", "deg", DEG))
+FASTEST_PX_S, STILL_PX, WIDEST_PX = 150.0, 3.0, 30.0
+"""How far a light may be from where it was, for it to be the same: by its speed, at rest, and at most."""
+FASTEST_DEG_S, FASTEST_MM_S = 10.0, 20.0
+"""Of a joint on its sweep at full override: the light goes through the pictures slowly enough to be followed."""
+AROUND_DEG, AROUND_M = 10.0, 0.05
+"""Half a range that is proposed about where a joint stands."""
+
+
+class StationObserver:
+    """The beacon as the measuring station shows it: one light of the target, by its name where the station tells it.
+
+    Where it does not, for three lights seen askew may fit several names, the light is followed from picture to picture.
+    """
+
+    def __init__(self, station: Station, rig: Rig, light: str, clock: Clock) -> None:
+        self._station, self._rig, self._light, self._clock = station, rig, light, clock
+        self._last: Shown | None = None
+        self._uv: tuple[float, Array] | None = None
+        self._lost = 0
+
+    def observe(self, while_: str) -> Observation:
+        """Return what the next moment shows. Raises NotEnoughData where the beacon is lost, DeviceFailed."""
+        shown = self._next(while_)
+        view = shown.view
+        taken_s = self._clock.now_s() - view.latency_s
+        uv = self._found(view)
+        if uv is None:
+            self._lost += 1
+            if self._lost >= LOST_LOOKS:
+                told = f" ({view.why})" if view.why else ""
+                raise NotEnoughData(
+                    f"the light {self._light} is lost {while_}{told}",
+                    consequence="The robot is held",
+                    cure="Free the view of it, or narrow the ranges to where both cameras see it",
+                )
+            return Observation(taken_s=taken_s, why="it is not in both pictures")
+        self._lost, self._uv = 0, (view.t_s, uv)
+        xyz_m = triangulate(self._rig, uv[:1], uv[1:], PIXEL_COV, PIXEL_COV).xyz_m[0]
+        return Observation(taken_s=taken_s, uv_px=uv, xyz_m=xyz_m)
+
+    def _next(self, while_: str) -> Shown:
+        """Wait for a newer moment."""
+        until_s = self._clock.now_s() + WAIT_S
+        while (shown := self._station.shown) is None or shown is self._last:
+            if self._station.failure or self._clock.now_s() > until_s:
+                why = self._station.failure or "no pictures come"
+                raise DeviceFailed(f"{why} {while_}", consequence="The robot is held", cure="Look at the cameras")
+            self._clock.sleep_until(self._clock.now_s() + LOOK_S)
+        self._last = shown
+        return shown
+
+    def _found(self, view: LiveView) -> Array | None:
+        """Return the light's uv_px (2, 2) in both pictures: by its name, or as it has become; None where lost."""
+        places = []
+        for side, pictured in enumerate((view.left, view.right)):
+            place = _named(pictured, self._light)
+            if place is None and self._uv is not None:
+                place = _followed(pictured, self._uv[1][side], view.t_s - self._uv[0])
+            if place is None:
+                return None
+            places.append(place)
+        return np.array(places)
+
+
+def _named(view: SideView, name: str) -> Array | None:
+    return next((np.array([spot.u_px, spot.v_px]) for spot in view.spots if spot.name == name), None)
+
+
+def _followed(view: SideView, before_px: Array, passed_s: float) -> Array | None:
+    """Return the spot that a light at before_px (2,) has become; None where none or more than one may be it."""
+    places = np.array([[spot.u_px, spot.v_px] for spot in view.spots]).reshape(-1, 2)
+    away = np.sort(np.linalg.norm(places - before_px, axis=1))
+    gate = min(FASTEST_PX_S * passed_s + STILL_PX, WIDEST_PX)
+    if not len(away) or away[0] > gate or (len(away) > 1 and away[1] < 2.0 * gate):
+        return None
+    return np.asarray(places[np.argmin(np.linalg.norm(places - before_px, axis=1))])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Range:
+    """How far a joint may go: lower and upper in deg or mm, as people type it; slides: mm."""
+
+    joint: int
+    name: str
+    lower: float
+    upper: float
+    slides: bool = False
+
+    def limits(self) -> tuple[float, float]:
+        """Return both in rad or m."""
+        unit = MM if self.slides else DEG
+        return self.lower * unit, self.upper * unit
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IdentifyRequest:
+    """What a page asks: the cell, the ranges of all joints, readings of a sweep, frames of a reading."""
+
+    folder: Path
+    cell: CellFile
+    ranges: tuple[Range, ...]
+    readings: int = 10
+    frames: int = 3
+
+
+def proposed_ranges(robot: RobotCell) -> tuple[Range, ...]:
+    """Return a range about where each joint stands, within what the joint can. Raises DeviceLost, NotEnoughData."""
+    arm, q = robot.seat.arm, robot.joints()
+    if arm is None:
+        raise NotEnoughData("the arm's joints are not known", consequence="No range is proposed")
+    made = []
+    for j, (joint, slides) in enumerate(zip(arm.joints, ~arm.revolute, strict=True)):
+        unit, around = (MM, AROUND_M) if slides else (DEG, AROUND_DEG * DEG)
+        low, high = max(q[j] - around, arm.lower[j]), min(q[j] + around, arm.upper[j])
+        made.append(
+            Range(
+                joint=j + 1,
+                name=joint.name,
+                lower=round(float(low / unit), 1),
+                upper=round(float(high / unit), 1),
+                slides=bool(slides),
+            )
+        )
+    return tuple(made)
+
+
+def expected(asked: IdentifyRequest, robot: RobotCell, station: Station) -> PlanOutput:
+    """Return the sweeps that would be made, and the accuracy to expect; nothing moves.
+
+    Raises UsageError, Inconsistent, Degenerate, NotEnoughData where the arm's place before the cameras is not known.
+    """
+    clock = SystemClock()
+    still = SeatRobot(robot.seat, lambda: "", clock, waits=False, cancelled=lambda: True)
+    done = _identify(asked, robot, station, still, OperatorCallbacks(), Silent(), clock, propose=True)
+    return done.plan if isinstance(done, ProposedPlanOutput) else PlanOutput.model_validate(done.plan)
+
+
+def run(asked: IdentifyRequest, robot: RobotCell, station: Station, work: Work) -> IdentifyOutput:
+    """Make the sweeps while the operator holds the enable; write FOLDER/arm.yaml and its report.
+
+    Raises as run_identify_live.
+    """
+    clock = SystemClock()
+    moved = SeatRobot(robot.seat, lambda: work.browser, clock, waits=True, cancelled=work.cancelled)
+    person = OperatorCallbacks(confirm=work.ask)
+    done = _identify(asked, robot, station, moved, person, work, clock, propose=False)
+    if not isinstance(done, IdentifyOutput):
+        raise NotEnoughData("only a plan was made", consequence="No arm was identified")
+    return done
+
+
+def _identify(
+    asked: IdentifyRequest,
+    robot: RobotCell,
+    station: Station,
+    moved: SeatRobot,
+    person: OperatorCallbacks,
+    progress: Progress,
+    clock: Clock,
+    *,
+    propose: bool,
+) -> IdentifyOutput | ProposedPlanOutput:
+    job, light = prepared(asked, robot, propose=propose)
+    job = replace(job, pace=Pace(speed=_pace(asked, robot.seat.override), frames=asked.frames))
+    observer = StationObserver(station, read_rig(job.rig), light, clock)
+    with moved:
+        return identify_observed(job, person, moved, observer, clock, progress)
+
+
+def _pace(asked: IdentifyRequest, override: float) -> float:
+    """Return the share of its travel that each joint goes in a second: none goes faster than FASTEST, half at most."""
+    spans = [abs(one.upper - one.lower) / (FASTEST_MM_S if one.slides else FASTEST_DEG_S) for one in asked.ranges]
+    return override * min(0.5, 1.0 / max([*spans, 1.0]))
+
+
+def prepared(asked: IdentifyRequest, robot: RobotCell, *, propose: bool) -> tuple[LiveJob, str]:
+    """Write model and place beside the result, as the command line takes them; return the job and the light's name.
+
+    Raises UsageError, BadFile, NotEnoughData.
+    """
+    rig, target_file = (_needed(asked, name) for name in ("rig", "target"))
+    target, arm = target_of(target_file), robot.seat.arm
+    if arm is None or len(asked.ranges) != arm.n:
+        raise UsageError("a range is needed for every joint", consequence="Nothing is moved")
+    if target.is_board:
+        raise UsageError("the target is a board", consequence="It has no light to follow", cure="Choose a lit target")
+    out = asked.folder / FOLDER
+    out.mkdir(parents=True, exist_ok=True)
+    light = target.names[0]
+    limits = ",".join(f"{low!r}:{high!r}" for low, high in (one.limits() for one in asked.ranges))
+    job = LiveJob(
+        robot=robot.robot,
+        left=asked.cell.left,
+        right=asked.cell.right,
+        rig=rig,
+        target=target_file,
+        limits=limits,
+        out=out / "arm.yaml",
+        readings=asked.readings,
+        propose=propose,
+    )
+    placed = _placed(asked, arm, robot.joints())
+    if placed is None and propose:
+        raise NotEnoughData(
+            "where the arm stands before the cameras is not known",
+            consequence="No accuracy can be foretold",
+            cure="Calibrate hand-eye first, or run: the arm is then probed by small motions before",
+        )
+    if placed is None:
+        return job, light
+    T_world_rig, T_flange_light = placed[0], placed[1] * RigidTransform.from_translation(target.xyz_m[0])
+    write_world(out / "world.yaml", World(parent="world", T_parent_rig=T_world_rig))
+    write_arm(out / "model.yaml", replace(arm, T_flange_tool=T_flange_light))
+    return replace(job, world=out / "world.yaml", model=out / "model.yaml", nominal=str(out / "model.yaml")), light
+
+
+def _placed(asked: IdentifyRequest, arm: Arm, q: Array) -> tuple[RigidTransform, RigidTransform] | None:
+    """Return T_world_rig and T_flange_target by the hand-eye calibration of standing cameras; None without one."""
+    handeye = cell_path(asked.folder, asked.cell.handeye, "handeye")
+    T_world_rig = rig_pose(asked.folder, asked.cell, arm, q)
+    if handeye is None or T_world_rig is None or asked.cell.cameras == "carried":
+        return None
+    return T_world_rig, read_handeye(handeye).T_parent_target
+
+
+def _needed(asked: IdentifyRequest, name: str) -> Path:
+    path = cell_path(asked.folder, getattr(asked.cell, name), name)
+    if path is None:
+        raise NotEnoughData(f"the cell has no {name} yet", consequence="Nothing is moved", cure="See the page Settings")
+    return path
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Entry:
+    """An entry of an identified joint as a page shows it: value, standard deviation, and by how much it deviates from
+    the model, in mm or deg; NaN where there is none."""
+
+    joint: int
+    name: str
+    unit: str
+    value: float
+    std: float
+    deviation: float
+
+
+def entries(done: IdentifyOutput, model: Arm | None) -> tuple[Entry, ...]:
+    """Return the table of an identified arm; model: what it is held against."""
+    made = []
+    for joint in done.joints:
+        nominal = None if model is None else model.joints[joint.index - 1]
+        for name, unit, scale in ENTRIES:
+            value, std = getattr(joint, name), getattr(joint.std, name)
+            off = np.nan if nominal is None else value - getattr(nominal, name)
+            off = float(np.angle(np.exp(1j * off))) if unit == "deg" and np.isfinite(off) else float(off)
+            made.append(
+                Entry(
+                    joint=joint.index,
+                    name=name.split("_")[0],
+                    unit=unit,
+                    value=value / scale,
+                    std=np.nan if std is None else std / scale,
+                    deviation=off / scale,
+                )
+            )
+    return tuple(made)
+
+
+def fits(folder: Path) -> tuple[list[Array], Array]:
+    """Return where the identified arm has the light along each sweep, (m, 3) each, and where it was seen (n, 3).
+
+    Both in world, or in rig axes where the rig's place was not known. Raises BadFile.
+    """
+    out = folder / FOLDER
+    arm, sweeps = read_arm(out / "arm.yaml"), read_sweeps(out / "arm.sweep.csv")
+    world = out / "world.yaml"
+    T = read_world(world).T_parent_rig if world.exists() else RigidTransform.identity()
+    paths = []
+    for j in range(arm.n):
+        rows = sweeps.q[sweeps.joint == j]
+        if len(rows):
+            begin, end = rows[np.argmin(rows[:, j])], rows[np.argmax(rows[:, j])]
+            q = begin + np.linspace(0.0, 1.0, STEPS)[:, None] * (end - begin)
+            paths.append(np.asarray(arm.fk(arm.values(q))[:, :3, 3]))
+    return paths, np.asarray(T.apply(sweeps.xyz_m))

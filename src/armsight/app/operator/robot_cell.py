@@ -1,0 +1,120 @@
+"""A cell whose robot a page moves: its loop in a process, its log, its seat, and a simulated cell's cameras."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.app.live.followed import FollowedCell
+from armsight.app.operator.seat import Seat
+from armsight.app.operator.work import Bench
+from armsight.app.robot.channels import JointTrack
+from armsight.app.robot.driver_settings import driver_settings
+from armsight.app.robot.event_log import RecordingLog, default_log
+from armsight.app.robot.hosting import ProcessHost, RobotSpec
+from armsight.app.robot.models import arm_model
+from armsight.app.robot.opening import SIM
+from armsight.app.robot.service import Service
+from armsight.app.simulate.run import write_set_up
+from armsight.app.simulate.scenarios import build_world, load_scenario
+from armsight.control.guard import Limits
+from armsight.errors import NotEnoughData
+from armsight.store.cell_file import CellFile, cell_path, read_cell, write_cell
+from armsight.store.limits_file import read_limits
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RobotCell:
+    """A robot under way. followed: its cameras where it is simulated, else None."""
+
+    robot: str
+    service: Service
+    seat: Seat
+    limits: Limits
+    followed: FollowedCell | None = None
+    bench: Bench = field(default_factory=Bench)
+
+    def joints(self) -> Array:
+        """Return the newest reading (n,) in rad or m. Raises DeviceLost, NotEnoughData before the first."""
+        reading = self.service.host.snapshot().reading
+        if reading is None:
+            raise NotEnoughData("the robot told no joints yet", consequence="No pose was taken", cure="Try again")
+        return reading.q
+
+
+@contextmanager
+def open_robot_cell(robot: str, folder: Path) -> Iterator[RobotCell]:
+    """Run the loop of DRIVER:DEVICE with arm and limits of the folder's cell, until the block ends.
+
+    Raises what arm_model, the driver, the files and the disk refuse.
+    """
+    cell = read_cell(folder)
+    arm, limits = (cell_path(folder, getattr(cell, name), name) for name in ("arm", "limits"))
+    model = arm_model(robot, None if arm is None else str(arm))
+    kept = Limits() if limits is None else read_limits(limits)
+    scenario = scenario_of(robot)
+    track = None if scenario is None else JointTrack(model.n)
+    spec = RobotSpec(robot=robot, arm=model, limits=kept, settings=driver_settings(robot, arm=model))
+    folder.mkdir(parents=True, exist_ok=True)
+    with RecordingLog(folder / default_log()) as log, ProcessHost(spec, track) as host:
+        service = Service(host, log)
+        service.desk.note("info", f"{robot} is at the operator's desk")
+        made = RobotCell(
+            robot=robot,
+            service=service,
+            seat=Seat(service),
+            limits=kept,
+            followed=None if scenario is None or track is None else FollowedCell(scenario, track),
+        )
+        try:
+            yield made
+        finally:
+            made.bench.close()
+            service.desk.note("info", "the console ends")
+            service.pump()
+
+
+def scenario_of(robot: str) -> str | None:
+    """Return the scenario of a robot sim:SCENARIO; None for others."""
+    driver, _, device = robot.partition(":")
+    return device if driver == SIM else None
+
+
+def cameras_of(scenario: str) -> list[str]:
+    """Return the left and right camera of a simulated cell, as sources."""
+    return [f"camera:sim:{scenario}:{side}" for side in ("left", "right")]
+
+
+def prepare_simulated(robot: str, folder: Path) -> CellFile | None:
+    """Write rig, target, arm and hand-eye of sim:SCENARIO into a folder that holds no cell; return the cell.
+
+    A folder with a cell, and a robot that is not simulated, are left as they are: None. Raises BadFile,
+    DeviceNotFound for the scenario.
+    """
+    scenario = scenario_of(robot)
+    if scenario is None or read_cell(folder) != CellFile():
+        return None
+    model, _ = load_scenario(scenario)
+    folder.mkdir(parents=True, exist_ok=True)
+    world = build_world(scenario, model, seed=None, frames=1)
+    write_set_up(world, folder)
+    left, right = cameras_of(scenario)
+    cell = CellFile(
+        left=left,
+        right=right,
+        robot=robot,
+        rig="rig.yaml",
+        target="target.yaml",
+        arm="arm.yaml",
+        handeye="handeye.yaml",
+        cameras="standing" if world.T_flange_rig is None else "carried",
+    )
+    write_cell(folder, cell)
+    return cell

@@ -1,0 +1,270 @@
+"""Who drives the robot from a page, and whether the enable is held: the browsers' side of the robot's desk."""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+from dataclasses import dataclass
+from threading import RLock
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from armsight.app.operator.placing import flange_pose
+from armsight.app.robot.alone import alone
+from armsight.app.robot.desk import Lease
+from armsight.app.robot.host import HEARTBEAT_S, Snapshot
+from armsight.app.robot.service import Service
+from armsight.control.setpoints import CycleState, JointVelocity, ToolTwist
+from armsight.control.sources import JogFrame, JogSource
+from armsight.drivers.remote import protocol as say
+from armsight.errors import ArmsightError, DeviceFailed, UsageError
+from armsight.kinematics import Arm
+
+Array = NDArray[np.float64]
+
+LOST_S = 1.0
+"""A browser that held the enable and says nothing for so long is lost: the robot is stopped until it is reset."""
+
+SLOWEST = 0.01
+"""Smallest override."""
+
+FRESH_S = 0.5
+"""An enable counts that answers a state no older than this."""
+
+LET_GO = "Let the enable go, and hold it anew"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Person:
+    """Who looks at a page, and what they may do."""
+
+    who: str = "operator"
+    role: Literal["watch", "drive"] = "drive"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Push:
+    """A jog key that is held: frame joints, base or tool; axis, from 0: the joint, or x y z rx ry rz; sense 1 or -1."""
+
+    frame: str
+    axis: int
+    sense: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SeatState:
+    """The robot as a page shows it.
+
+    t_s: now, on the loop's clock. robot: ready, moving, stopped, lost. why: the guard's words. driver: who drives,
+    empty for nobody; mine: whether that is this browser. enabled: whether its enable is alive. q: the newest reading
+    (n,), None before the first.
+    """
+
+    t_s: float
+    instance: str
+    robot: str
+    guard: str
+    why: str
+    driver: str
+    mine: bool
+    enabled: bool
+    override: float
+    q: tuple[float, ...] | None
+
+
+class Seat:
+    """The robot as browsers drive it, one at a time. Every browser has a name of its own; any thread may call this.
+
+    The browser that holds the enable has the desk's right to drive; it keeps it until another takes it after ten
+    silent seconds, or until its connection ends. Nothing here moves the robot without its beats.
+    """
+
+    def __init__(self, service: Service) -> None:
+        self.service = service
+        self.lock: RLock = service.lock
+        self._desk, self._host = service.desk, service.host
+        self._browser = ""
+        self._lease: Lease | None = None
+        self._held = False
+        self._again = False
+        self._beat_s = -math.inf
+        self._pushed: Push | None = None
+        self._override = 0.5
+
+    @property
+    def arm(self) -> Arm | None:
+        """The model of the robot's arm."""
+        return self._host.arm
+
+    @property
+    def browser(self) -> str:
+        """The browser that drives, empty where none does."""
+        return self._browser
+
+    @property
+    def override(self) -> float:
+        """Share of the speed of everything that is moved from a page, SLOWEST to 1."""
+        return self._override
+
+    @override.setter
+    def override(self, share: float) -> None:
+        self._override = min(1.0, max(SLOWEST, share)) if math.isfinite(share) else SLOWEST
+
+    @alone
+    def beat(
+        self, browser: str, person: Person, *, enable: bool, seen_s: float = math.inf, push: Push | None = None
+    ) -> None:
+        """Take a browser's sign of life; enable: whether its deadman's button is held, push: its jog key.
+
+        seen_s: t_s of the newest state that it had; an enable that is older than FRESH_S lay in a buffer, and does not
+        count until it was let go of. Raises DeviceFailed with who drives where another does, UsageError for whom may
+        only watch, DeviceLost.
+        """
+        if browser != self._browser or self._desk.driver is not self._lease:
+            if not enable:
+                return
+            self._take(browser, person)
+        now_s = self._host.now_s()
+        stale = now_s - seen_s > FRESH_S
+        self._again = enable and (self._again or stale)
+        self._held, self._beat_s = enable and not self._again, now_s
+        self._perform(say.Heartbeat(session="", seq=1, enable=self._held))
+        if stale and enable:
+            raise DeviceFailed("the connection is slow", consequence="The robot is held", cure=LET_GO)
+        self._follow(push if self._held else None)
+
+    @alone
+    def look(self) -> None:
+        """Notice a browser that is lost while it held the enable; to be called some times a second."""
+        if self._held and self._host.now_s() - self._beat_s > LOST_S:
+            self._lose("the browser of the one who drives is silent")
+
+    @alone
+    def leave(self, browser: str) -> None:
+        """Take the end of a browser's connection: where it held the enable, the robot is stopped until it is reset."""
+        if browser != self._browser or self._lease is None:
+            return
+        if self._held:
+            self._lose("the browser of the one who drives was lost")
+        self._desk.leave(self._lease, "its page was closed")
+        self._browser, self._lease = "", None
+
+    @alone
+    def stop(self, person: Person) -> None:
+        """Stop the robot until it is reset; legal for everyone, always; never raises."""
+        self._held, self._pushed = False, None
+        self._desk.stop(person.who)
+
+    @alone
+    def reset(self, browser: str, person: Person) -> None:
+        """Take commands again after a stop; the enable has to be held anew. Raises DeviceFailed, UsageError."""
+        if browser != self._browser:
+            self._take(browser, person)
+        self._perform(say.ResetMessage(session="", seq=1))
+        self._held = False
+
+    @alone
+    def enabled(self, browser: str) -> bool:
+        """Return whether this browser holds the enable now."""
+        return self._held and browser == self._browser and self._host.now_s() - self._beat_s <= HEARTBEAT_S
+
+    @alone
+    def step(self, browser: str, step: Array) -> tuple[Array, tuple[str, ...]]:
+        """Move on by step (n,) for work that this browser enables; return where that leads, and what limited it.
+
+        Raises DeviceFailed where it does not hold the enable, and as Desk.perform.
+        """
+        if not self.enabled(browser):
+            raise DeviceFailed("the enable is not held", consequence="Nothing was sent", cure="Hold the enable")
+        done = self._perform(say.JointStepMessage(session="", seq=1, step=np.asarray(step).tolist()))
+        return np.array(done.q), tuple(done.limited)
+
+    @alone
+    def hold(self, browser: str) -> None:
+        """Let the robot come to rest where this browser drives it."""
+        if browser == self._browser:
+            with suppress(ArmsightError):
+                self._perform(say.HoldMessage(session="", seq=1))
+
+    def snapshot(self) -> Snapshot:
+        """Return the loop's newest state. Raises DeviceLost where it has ended."""
+        return self._host.snapshot()
+
+    @alone
+    def state(self, browser: str) -> SeatState:
+        """Return what a browser shows. Raises DeviceLost where the loop has ended."""
+        now = self._desk.state()
+        return SeatState(
+            t_s=now.t_s,
+            instance=now.instance,
+            robot=now.robot,
+            guard=now.guard,
+            why=now.why,
+            driver="" if now.driver is None else now.driver.who,
+            mine=browser == self._browser and now.driver is not None,
+            enabled=self.enabled(browser),
+            override=self._override,
+            q=None if now.reading is None else tuple(now.reading.q),
+        )
+
+    def _take(self, browser: str, person: Person) -> None:
+        if person.role != "drive":
+            raise UsageError(
+                f"{person.who} may watch, not drive",
+                consequence="The robot is not moved",
+                cure="Ask for a token that may drive",
+            )
+        self._lease = self._desk.take(person.who)
+        self._browser, self._held, self._again, self._pushed = browser, False, False, None
+
+    def _lose(self, why: str) -> None:
+        self._held, self._again, self._pushed = False, True, None
+        self._desk.stop(why)
+
+    def _follow(self, push: Push | None) -> None:
+        """Ask for the velocity of a jog key that is held, and hold once it is let go."""
+        if push is None:
+            if self._pushed is not None:
+                self._pushed = None
+                self._perform(say.HoldMessage(session="", seq=1))
+            return
+        self._pushed = push
+        wanted = self._velocity(push)
+        match wanted:
+            case JointVelocity(qd=qd):
+                self._perform(say.JointVelocityMessage(session="", seq=1, qd=qd.tolist()))
+            case ToolTwist(velocity_m_s=v, angular_rad_s=w):
+                message = say.ToolTwistMessage(session="", seq=1, velocity_m_s=v.tolist(), angular_rad_s=w.tolist())
+                self._perform(message)
+
+    def _velocity(self, push: Push) -> object:
+        n = self._desk.robot.n_joints
+        source = JogSource(n, push.frame)
+        axes = n if source.frame is JogFrame.JOINTS else 6
+        if not 0 <= push.axis < axes:
+            raise UsageError(f"there is no axis {push.axis + 1}", consequence="Nothing is moved")
+        values = np.zeros(axes)
+        values[push.axis] = self._override * float(np.sign(push.sense))
+        arm, now = self.arm, self._host.snapshot()
+        T_base_tool = RigidTransform.identity()  # of joints it is not asked; where poses are not taken the desk refuses
+        if arm is not None:
+            T_base_tool = arm.T_world_base.inv() * flange_pose(arm, now.q_sent) * arm.T_flange_tool
+        source.push(values.tolist(), now.t_s)
+        return source.next(
+            CycleState(
+                t_s=now.t_s,
+                cycle_s=self._desk.robot.cycle_s,
+                q=now.q_sent if now.reading is None else now.reading.q,
+                q_sent=now.q_sent,
+                qd_sent=np.zeros(n),
+                T_base_tool=T_base_tool,
+            )
+        )
+
+    def _perform(self, command: say.Command) -> say.Accepted:
+        if self._lease is None:
+            raise DeviceFailed("nobody drives", consequence="Nothing was done", cure="Hold the enable")
+        return self._desk.perform(self._lease, command)

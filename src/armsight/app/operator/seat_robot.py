@@ -1,0 +1,124 @@
+"""The robot at the operator's desk, as the Robot that work such as a sweep or a path moves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from armsight.app.operator.seat import Seat
+from armsight.clock import Clock
+from armsight.drivers import RobotState, Sent
+from armsight.errors import ArmsightError, DeviceFailed, StaleData, UsageError
+from armsight.records import JointReading
+from armsight.store.arm_file import arm_mapping
+
+Array = NDArray[np.float64]
+
+STALE_S = 0.1
+STALE_CYCLES = 3.5
+"""A reading older than both is stale."""
+
+NOT_HELD = "the enable is not held"
+
+
+class SeatRobot:
+    """A robot that moves only while the browser whose work this is holds the enable.
+
+    waits: a step asked for without enable waits for it, until cancelled() says to give up; else it leads nowhere, as
+    its Sent tells. Closing it holds the robot and leaves the loop running.
+    """
+
+    takes_joints = True
+
+    def __init__(
+        self, seat: Seat, browser: Callable[[], str], clock: Clock, *, waits: bool, cancelled: Callable[[], bool]
+    ) -> None:
+        """browser: the one whose work it is, asked at each step."""
+        description = seat.service.desk.robot
+        self.name, self.n_joints, self.cycle_s = description.name, description.n_joints, description.cycle_s
+        self.takes_poses = False
+        self._seat, self._browser, self._clock = seat, browser, clock
+        self._waits, self._cancelled = waits, cancelled
+        self._open = False
+        self._number = 0
+
+    @property
+    def state(self) -> RobotState:
+        """What the robot can do just now; one whose enable is not held is not stopped."""
+        if not self._open:
+            return RobotState.CLOSED
+        try:
+            return RobotState(self._seat.state(self._browser()).robot)
+        except ArmsightError:
+            return RobotState.LOST
+
+    def __enter__(self) -> Self:
+        self._open = True
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+        self._open = False
+
+    def arm_mapping(self) -> dict[str, Any]:
+        """Return the arm that the loop's guard keeps. Raises UsageError where its lengths are not known."""
+        arm = self._seat.arm
+        if arm is None:
+            raise UsageError("the arm's lengths are not known", cure="Give the arm's file on the page Settings")
+        return arm_mapping(arm)
+
+    def read(self) -> JointReading:
+        """Return the newest reading. Raises DeviceFailed where closed, DeviceLost, StaleData."""
+        self._check_open("be read")
+        now = self._seat.snapshot()
+        limit_s = max(STALE_S, STALE_CYCLES * self.cycle_s)
+        if now.reading is None or self._clock.now_s() - now.reading.t_s > limit_s:
+            raise StaleData(f"{self.name}: no fresh reading", consequence="Where the arm is now is not known")
+        return now.reading
+
+    def step_joints(self, step: Array) -> Sent:
+        """Move on by step (n,) in rad or m as far as enable and limits allow; return where that leads."""
+        self._check_open("move")
+        values = np.asarray(step, dtype=float)
+        if values.shape != (self.n_joints,):
+            raise UsageError(f"{self.name} has {self.n_joints} joints, the step {values.size}", cure="Give them all")
+        if values.any():
+            while not self._seat.enabled(self._browser()):
+                if not self._waits or self._cancelled():
+                    return self._sent(self._seat.snapshot().q_sent, (NOT_HELD,))
+                self._check_link()
+                self._clock.sleep_until(self._clock.now_s() + self.cycle_s)
+            return self._sent(*self._seat.step(self._browser(), values))
+        return self._sent(self._seat.snapshot().q_sent, ())
+
+    def move_pose(self, T_base_flange: RigidTransform) -> Sent:
+        """Refuse: work at the desk sends joints. Raises UsageError."""
+        raise UsageError(f"{self.name} takes joint steps here", consequence="Nothing was sent")
+
+    def stop(self) -> None:
+        """Let the robot come to rest; legal always. It is not stopped until a reset: that is the person's button."""
+        self._seat.hold(self._browser())
+
+    def reset(self) -> None:
+        """Refuse to go on after a stop: only a person resets it, on the page. Raises DeviceFailed."""
+        raise DeviceFailed(f"{self.name} is stopped", consequence="It stays so", cure="Reset it on the page")
+
+    def _check_open(self, what: str) -> None:
+        if not self._open:
+            raise DeviceFailed(f"{self.name} is not open", consequence=f"It cannot {what}", cure="Open it first")
+
+    def _check_link(self) -> None:
+        state = self.state
+        if state in (RobotState.STOPPED, RobotState.LOST):
+            raise DeviceFailed(f"{self.name} is {state}", consequence="The work ends", cure="Reset it, and begin anew")
+
+    def _sent(self, q: Array, limited: tuple[str, ...]) -> Sent:
+        self._number += 1
+        return Sent(q=q, t_s=self._clock.now_s(), sequence=self._number - 1, limited=limited)

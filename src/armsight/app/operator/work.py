@@ -1,0 +1,139 @@
+"""Work that moves the robot while a page only watches it: one at a time, and a page loaded anew finds it again."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from armsight.errors import ArmsightError, DeviceFailed
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WorkState:
+    """How far work is. done of total (0: unknown); note: in words; failure: why it ended early, empty where it did not.
+
+    question: what is asked before it goes on, empty where nothing is.
+    """
+
+    name: str
+    running: bool
+    done: float = 0.0
+    total: float = 0.0
+    note: str = ""
+    failure: str = ""
+    question: str = ""
+
+
+class Work:
+    """One piece of work in a thread of its own; the Progress of what it does. Any thread may call this."""
+
+    def __init__(self, name: str, browser: str) -> None:
+        """browser: the one that began it, whose enable it moves with."""
+        self.name = name
+        self.browser = browser
+        self.result: Any = None
+        self.failure = ""
+        self._told: tuple[float, float, str] = (0.0, 0.0, "")
+        self._question = ""
+        self._answer: bool | None = None
+        self._asked = threading.Condition()
+        self._cancelled = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def begin(self, act: Callable[[Work], Any]) -> None:
+        """Do it in a thread."""
+        self._thread = threading.Thread(target=self._run, args=(act,), name=self.name, daemon=True)
+        self._thread.start()
+
+    @property
+    def running(self) -> bool:
+        """Whether it has not ended."""
+        return self._thread is not None and self._thread.is_alive()
+
+    @property
+    def state(self) -> WorkState:
+        """How far it is."""
+        done, total, note = self._told
+        return WorkState(
+            name=self.name,
+            running=self.running,
+            done=done,
+            total=total,
+            note=note,
+            failure=self.failure,
+            question=self._question,
+        )
+
+    def update(self, done: float, total: float, note: str = "") -> None:
+        """Take how far it is."""
+        self._told = (done, total, note)
+
+    def cancelled(self) -> bool:
+        """Return whether the person ended it."""
+        return self._cancelled.is_set()
+
+    def cancel(self) -> None:
+        """End it as soon as it can."""
+        self._cancelled.set()
+        with self._asked:
+            self._asked.notify_all()
+
+    def ask(self, question: str) -> bool:
+        """Wait for the person's yes or no; no where the work is cancelled."""
+        with self._asked:
+            self._question, self._answer = question, None
+            self._asked.wait_for(lambda: self._answer is not None or self.cancelled())
+            self._question = ""
+            return bool(self._answer)
+
+    def answer(self, yes: bool, browser: str) -> None:
+        """Answer what is asked; the work then moves with this browser's enable."""
+        with self._asked:
+            self.browser, self._answer = browser, yes
+            self._asked.notify_all()
+
+    def wait(self, timeout_s: float | None = None) -> None:
+        """Wait for its end."""
+        if self._thread is not None:
+            self._thread.join(timeout_s)
+
+    def _run(self, act: Callable[[Work], Any]) -> None:
+        try:
+            self.result = act(self)
+        except ArmsightError as error:
+            self.failure = str(error)
+        except Exception as error:  # a page has to tell it, whatever it was
+            self.failure = f"{type(error).__name__}: {error}"
+
+
+class Bench:
+    """Where work is done: one at a time; the last one stays until the next begins."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self.work: Work | None = None
+
+    def begin(self, name: str, browser: str, act: Callable[[Work], Any]) -> Work:
+        """Begin work. Raises DeviceFailed where other work runs."""
+        with self._lock:
+            if self.work is not None and self.work.running:
+                raise DeviceFailed(
+                    f"{self.work.name} is still under way",
+                    consequence=f"{name} is not begun",
+                    cure="Wait for its end, or end it",
+                )
+            self.work = Work(name, browser)
+            self.work.begin(act)
+            return self.work
+
+    def named(self, name: str) -> Work | None:
+        """Return the work of this name, under way or ended; None where there is none."""
+        return self.work if self.work is not None and self.work.name == name else None
+
+    def close(self) -> None:
+        """End what is under way."""
+        if self.work is not None:
+            self.work.cancel()
+            self.work.wait(10.0)

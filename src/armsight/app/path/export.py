@@ -1,0 +1,171 @@
+"""A path.csv written as a controller's program, checked for its arm before."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.app.kinematics import load_arm, reading_values
+from armsight.app.play.job import tipped
+from armsight.app.schemas.paths import PathExportOutput
+from armsight.control.guard import Limits
+from armsight.control.paths import (
+    PathCheck,
+    Program,
+    check_path,
+    krl,
+    program_moves,
+    python_module,
+    rapid,
+    urscript,
+    with_approach,
+)
+from armsight.errors import Inconsistent, UsageError
+from armsight.kinematics import Arm, JointType
+from armsight.records import TaughtPath
+from armsight.store.atomic import write_text
+from armsight.store.limits_file import read_limits
+from armsight.store.path_file import read_path, write_path
+
+PROGRAMS: Mapping[str, Callable[[Program], str]] = MappingProxyType({"urscript": urscript, "krl": krl, "rapid": rapid})
+FORMATS = (*PROGRAMS, "csv", "python")
+BY_SUFFIX = MappingProxyType({".script": "urscript", ".src": "krl", ".mod": "rapid", ".csv": "csv", ".py": "python"})
+TOLD = 3
+"""Issues of the check that a refusal tells."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExportJob:
+    """What to write, and how.
+
+    to: one of FORMATS; None: by the ending of out. parent: the frame of the path. arm, tip (in flange axes), limits,
+    start: for the check. name: of the program; None: the name of out. The other fields are those of
+    `control.paths.program`.
+    """
+
+    source: Path
+    out: Path
+    to: str | None = None
+    arm: str | None = None
+    tip: Path | None = None
+    limits: Path | None = None
+    parent: str = "world"
+    start: str | None = None
+    name: str | None = None
+    speed_m_s: float | None = None
+    blend_m: float = 0.0
+    acceleration_m_s2: float = 0.5
+    turn_rad_s: float = math.pi / 3.0
+    approach_m: float = 0.05
+    tool: str | None = None
+    weld_output: str | None = None
+
+
+def export_path(job: ExportJob) -> PathExportOutput:
+    """Write a path as a program, csv or Python module.
+
+    A program's path is checked for the arm, with its approach, and not written where the arm cannot run it; without an
+    arm it is not checked. Raises Inconsistent with what is wrong, UsageError, BadFile, NotEnoughData.
+    """
+    kind = _format(job)
+    path = read_path(job.source, parent=job.parent)
+    if kind not in PROGRAMS:
+        return _as_it_is(job, path, kind)
+    arm = _arm(job)
+    path = with_approach(_in_base(path, arm), job.approach_m)
+    stops = (1, len(path) - 2) if job.approach_m > 0.0 else ()  # a blend would cut the path's ends off
+    moves = program_moves(path, speed_m_s=job.speed_m_s, blend_m=job.blend_m, stops=stops)
+    found = None if arm is None else _checked(job, path, arm)
+    start = None if arm is None or found is None else _start(arm, found)
+    program = Program(
+        name=job.out.stem if job.name is None else job.name,
+        moves=moves,
+        acceleration_m_s2=job.acceleration_m_s2,
+        turn_rad_s=job.turn_rad_s,
+        start=start,
+        tool=job.tool,
+        T_flange_tool=None if arm is None else arm.T_flange_tool,
+        weld_output=job.weld_output,
+    )
+    write_text(job.out, PROGRAMS[kind](program))
+    return PathExportOutput(
+        file=str(job.out),
+        format=kind,
+        n=len(path),
+        length_m=float(path.length_m[-1]),
+        checked=found is not None,
+        start_q=None if start is None else start.tolist(),
+    )
+
+
+def _format(job: ExportJob) -> str:
+    kind = BY_SUFFIX.get(job.out.suffix.lower()) if job.to is None else job.to
+    if kind not in FORMATS:
+        raise UsageError(
+            f"{job.out.name if job.to is None else job.to!r} is no kind of program that is known",
+            consequence="Nothing is written",
+            cure=f"Use --to {', '.join(FORMATS)}, or one of the endings {', '.join(BY_SUFFIX)}",
+        )
+    return kind
+
+
+def _arm(job: ExportJob) -> Arm | None:
+    if job.arm is not None:
+        return tipped(load_arm(job.arm), job.tip)
+    if job.tip is not None:
+        raise UsageError(
+            "a tip is given, and no arm that carries it",
+            consequence="No program is written",
+            cure="Give the arm too (--arm)",
+        )
+    return None
+
+
+def _as_it_is(job: ExportJob, path: TaughtPath, kind: str) -> PathExportOutput:
+    if kind == "csv":
+        write_path(job.out, path)
+    else:
+        write_text(job.out, python_module(path))
+    return PathExportOutput(
+        file=str(job.out), format=kind, n=len(path), length_m=float(path.length_m[-1]), checked=False, start_q=None
+    )
+
+
+def _in_base(path: TaughtPath, arm: Arm | None) -> TaughtPath:
+    if path.parent != "world":
+        return path
+    if arm is None:
+        raise UsageError(
+            "the path is in world, and nobody can tell where the robot's base is there",
+            consequence="No program is written",
+            cure="Give the arm (--arm), whose file says it, or --frame base where the path is in base",
+        )
+    T = arm.T_world_base.inv().as_matrix() @ path.T_world_tip
+    return replace(path, T_world_tip=T, parent="base")
+
+
+def _checked(job: ExportJob, path: TaughtPath, arm: Arm) -> PathCheck:
+    limits = Limits() if job.limits is None else read_limits(job.limits)
+    first = None if job.start is None else reading_values(arm, job.start)
+    found = check_path(path, arm, limits, speed_m_s=job.speed_m_s, start=first)
+    if not found.ok:
+        told = "; ".join(issue.text for issue in found.issues[:TOLD])
+        more = f"; and {len(found.issues) - TOLD} more" if len(found.issues) > TOLD else ""
+        raise Inconsistent(
+            f"{arm.name} cannot run the program, whose row 0 is its approach: {told}{more}",
+            consequence="No program is written",
+            cure="Change the path, its speeds, the limits or the approach; `armsight path check` tells all",
+        )
+    return found
+
+
+def _start(arm: Arm, found: PathCheck) -> NDArray[np.float64] | None:
+    """Return the readings (6,) at the first row; None for arms that these controllers have no joint motion for."""
+    six = arm.n == 6 and all(joint.type is JointType.REVOLUTE for joint in arm.joints)
+    return np.asarray(found.q[0]) if six else None

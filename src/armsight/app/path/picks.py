@@ -1,0 +1,142 @@
+"""A path.csv from two pictures of a scene at rest and what a person picked in one of them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from armsight.app.schemas.base import PointStd
+from armsight.app.schemas.paths import PathPicksOutput, PickedPointOutput, RefusedPickOutput
+from armsight.control.paths.scene import along_edges, path_through_points
+from armsight.drivers.images import read_image
+from armsight.errors import Cancelled, DataRefused, NotEnoughData, UsageError
+from armsight.measure.correspondence import Correspondence, PatchSettings, StereoViews, find_in_other_view
+from armsight.records import Progress
+from armsight.store.path_file import write_path
+from armsight.store.picks_file import read_picks
+from armsight.store.rigs import read_rig
+from armsight.store.worlds import read_world
+
+Array = NDArray[np.float64]
+
+TOLD = 3
+"""Picks that a refusal tells."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PicksJob:
+    """Pictures, rig and picks; side: the view that the picks are of.
+
+    world: where the rig is; None: the path is in the rig's axes. step_px: between points on an edge. tool_axis: the
+    tool's z in the path's frame; None: the picked view's optical axis. skip: whether places that are not found are left
+    out instead of refusing all.
+    """
+
+    left: Path
+    right: Path
+    rig: Path
+    picks: Path
+    out: Path
+    side: str = "left"
+    world: Path | None = None
+    step_px: float = 10.0
+    tool_axis: str | None = None
+    skip: bool = False
+    settings: PatchSettings = field(default_factory=PatchSettings)
+
+
+def path_from_picks(job: PicksJob, progress: Progress) -> PathPicksOutput:
+    """Write the path through the places that were picked, in their order.
+
+    Raises the first pick's own refusal, with how many there are, where one is not found and skip is not set;
+    NotEnoughData where fewer than two are; UsageError, BadFile, BadImage, Inconsistent.
+    """
+    views = StereoViews(rig=read_rig(job.rig), left=read_image(job.left), right=read_image(job.right))
+    picks = read_picks(job.picks)
+    parent, T = _frame(job)
+    axis = _axis(job, views, T)
+    uv, rows = along_edges(picks.uv_px, picks.edges, job.step_px)
+    found: list[tuple[int, Correspondence]] = []
+    refused: list[tuple[int, Array, DataRefused]] = []
+    for number, (px, row) in enumerate(zip(uv, rows, strict=True)):
+        if progress.cancelled():
+            raise Cancelled("stopped", consequence="No path is written")
+        try:
+            found.append((int(row), find_in_other_view(views, job.side, px, job.settings)))
+        except DataRefused as error:
+            refused.append((int(row), px, error))
+        progress.update(number + 1, len(uv))
+    if refused and (len(found) < 2 or not job.skip):
+        raise _refusal(refused, len(uv))
+    if len(found) < 2:
+        raise NotEnoughData(
+            f"{len(found)} of {len(uv)} places are found", consequence="They make no path", cure="Pick others"
+        )
+    path = path_through_points(T.apply(np.array([one.xyz_m for _, one in found])), axis, parent=parent)
+    write_path(job.out, path)
+    R = T.rotation.as_matrix()
+    return PathPicksOutput(
+        file=str(job.out),
+        frame=parent,
+        n=len(path),
+        n_picks=len(picks.uv_px),
+        length_m=float(path.length_m[-1]),
+        points=[_point(row, one, xyz, R) for (row, one), xyz in zip(found, path.xyz_m, strict=True)],
+        refused=[
+            RefusedPickOutput(pick=row, u_px=px[0], v_px=px[1], kind=type(error).__name__, why=error.cause)
+            for row, px, error in refused
+        ],
+    )
+
+
+def _frame(job: PicksJob) -> tuple[str, RigidTransform]:
+    if job.world is None:
+        return "rig", RigidTransform.identity()
+    world = read_world(job.world)
+    return world.parent, world.T_parent_rig
+
+
+def _axis(job: PicksJob, views: StereoViews, T: RigidTransform) -> Array:
+    """Return the tool's z in the path's frame."""
+    if job.tool_axis is None:
+        if job.side not in ("left", "right"):
+            raise UsageError(f"the view {job.side!r} is neither left nor right")
+        return np.asarray((T * views.rig.T_rig_camera(job.side)).rotation.as_matrix()[:, 2])
+    try:
+        axis = np.array([float(part) for part in job.tool_axis.split(",")])
+    except ValueError:
+        axis = np.empty(0)
+    if axis.shape != (3,) or not math.isfinite(float(np.sum(axis))):
+        raise UsageError(f"{job.tool_axis[:40]!r} is no axis", cure="Give three numbers, for instance 0,0,-1")
+    return axis
+
+
+def _refusal(refused: list[tuple[int, Array, DataRefused]], total: int) -> DataRefused:
+    """Return the first refusal, told for all."""
+    first = refused[0][2]
+    causes = "; ".join(f"pick {k}: {error.cause}" for k, _, error in refused[:TOLD])
+    more = f"; and {len(refused) - TOLD} more" if len(refused) > TOLD else ""
+    return type(first)(
+        f"{len(refused)} of {total} places are not found: {causes}{more}",
+        consequence="No path is written",
+        cure=f"{first.cure}; or leave them out with --skip" if first.cure else "Leave them out with --skip",
+    )
+
+
+def _point(row: int, one: Correspondence, xyz: Array, R: Array) -> PickedPointOutput:
+    x, y, z = np.sqrt(np.diagonal(R @ one.covariance_m2 @ R.T))
+    return PickedPointOutput(
+        pick=row,
+        px=(one.px[0], one.px[1]),
+        other_px=(one.other_px[0], one.other_px[1]),
+        std_px=one.std_px,
+        correlation=one.correlation,
+        second=one.second,
+        xyz_m=(xyz[0], xyz[1], xyz[2]),
+        std=PointStd(x_m=x, y_m=y, z_m=z),
+    )

@@ -1,0 +1,66 @@
+"""Tables as people have them: what was understood of one, and the same in the columns of ours."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.app.kinematics import load_arm
+from armsight.app.schemas.files import ConvertTableOutput
+from armsight.errors import UsageError
+from armsight.store import write_text
+from armsight.store.interpret import OURS, TableFormat, interpret, kind_of_table
+from armsight.store.tables import parse_table
+
+KINDS = ("joints", "poses", "points", "pairs", "robot_poses", "sweep")
+"""Kinds of tables that can be asked for, named as the files are."""
+UNTIMED = {"joints": "untimed-joints", "poses": "untimed-poses"}
+"""Read without times where there are none: the rows are counted, which is told."""
+
+
+def convert_table(
+    source: Path, out: Path | None, *, kind: str | None = None, format_: TableFormat = OURS, arm: str | None = None
+) -> ConvertTableOutput:
+    """Read a table, tell what was understood, and write it in the columns of ours where out is given.
+
+    kind: one of KINDS, else that which the columns can be. arm: the arm whose joints' names the columns carry. Raises
+    UsageError, DataRefused.
+    """
+    if kind is not None and kind not in KINDS:
+        raise UsageError(f"no kind of table is called {kind!r}", cure=f"Give --as with one of {', '.join(KINDS)}")
+    if arm is not None:
+        format_ = format_.of_joints([joint.name for joint in load_arm(arm).joints])
+    format_.check()
+    kind = kind or kind_of_table(source, format_, KINDS)
+    found = interpret(source, UNTIMED.get(kind, kind), format_)
+    lines = [line for line in found.data.decode().splitlines() if line]
+    header = lines[0].split(",")
+    words = [name for name in header if name in ("file", "point", "status", "spots")]
+    table = parse_table(
+        found.data,
+        str(source),
+        (),
+        optional=[name for name in header if not (name[0] == "q" and name[1:].isdecimal())],
+        text=words,
+        blank=header,
+        series="q",
+    )
+    if out is not None:
+        write_text(out, "\n".join(lines) + "\n")
+    return ConvertTableOutput(
+        kind=kind,
+        how=found.how,
+        columns=header,
+        ranges={name: _range(column) for name, column in table.numbers.items()},
+        n=len(table),
+        notes=list(found.notes),
+        file=None if out is None else str(out),
+    )
+
+
+def _range(column: NDArray[np.float64]) -> tuple[float, float] | None:
+    """Return the smallest and the largest number, None where every cell is empty."""
+    known = column[np.isfinite(column)]
+    return (float(known.min()), float(known.max())) if known.size else None

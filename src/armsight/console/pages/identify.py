@@ -1,0 +1,170 @@
+"""Identify: ranges of the joints, the accuracy to expect, the sweeps, and the table of what was found."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from nicegui import run, ui
+
+from armsight.app.operator import identify as work_of
+from armsight.app.operator.identify import FOLDER, WORK, Entry, IdentifyRequest, Range
+from armsight.app.operator.work import Work
+from armsight.app.schemas.arm import IdentifyOutput, JointStd, PlanOutput
+from armsight.console import texts
+from armsight.console.jog import jog_card
+from armsight.console.layout import button, card, set_attribute, set_text, text_of
+from armsight.console.scene import Scene
+from armsight.console.state import Console
+from armsight.console.working import Working
+from armsight.errors import ArmsightError
+from armsight.units import DEG, MM
+
+
+def identify_page(console: Console) -> None:
+    """Build the page."""
+    try:
+        robot = console.require_robot()
+        ranges = work_of.proposed_ranges(robot)
+        console.require_station()
+    except ArmsightError as error:
+        text_of("p", str(error)).classes("notice")
+        return
+    _Identify(console, ranges)
+    jog_card(robot)
+
+
+class _Identify:
+    """The page of a cell with robot and cameras."""
+
+    def __init__(self, console: Console, ranges: tuple[Range, ...]) -> None:
+        self._console, self._ranges = console, ranges
+        self._robot = console.require_robot()
+        self._browser = ui.context.client.id
+        with card(texts.JOINT_RANGES):
+            text_of("p", texts.JOINT_RANGES_HELP).classes("hint")
+            self._fields = [self._row(one) for one in ranges]
+            with ui.element("div").classes("row"):
+                self._readings = ui.number(texts.READINGS, value=10, min=4, max=100, step=1)
+                button(texts.EXPECT, self._expect, kind="act quiet", testid="expect")
+                button(texts.IDENTIFY_RUN, self._run, testid="identify-run")
+            self._said = text_of("p", role="alert").classes("hint")
+            self._plan = ui.element("div").classes("scroll")
+        with card(texts.FOUND):
+            self._found = ui.element("div").classes("scroll")
+        with card(texts.FITS):
+            self._scene = self._made_scene()
+        with self._found:
+            self._table = ui.element("div")
+            Working(self._robot.bench, WORK, self._show)
+
+    def _made_scene(self) -> Scene | None:
+        try:
+            return Scene(self._console)
+        except ArmsightError as error:
+            text_of("p", str(error)).classes("notice")
+            return None
+
+    def _row(self, one: Range) -> tuple[ui.number, ui.number]:
+        unit = "mm" if one.slides else "deg"
+        with ui.element("div").classes("row"):
+            text_of("span", f"{texts.JOINT} {one.joint} ({one.name})").style("min-width: 9rem; font-weight: 600")
+            low = ui.number(f"{texts.LOWER} ({unit})", value=one.lower, step=1.0)
+            high = ui.number(f"{texts.UPPER} ({unit})", value=one.upper, step=1.0)
+            for field, end in ((low, "lower"), (high, "upper")):
+                field.props["data-testid"] = f"range-{one.joint}-{end}"
+        return low, high
+
+    def _asked(self) -> IdentifyRequest:
+        pairs = zip(self._ranges, self._fields, strict=True)
+        ranges = tuple(
+            replace(one, lower=float(low.value or 0.0), upper=float(high.value or 0.0)) for one, (low, high) in pairs
+        )
+        return IdentifyRequest(
+            folder=self._console.folder,
+            cell=self._console.cell,
+            ranges=ranges,
+            readings=int(self._readings.value or 0),
+        )
+
+    async def _expect(self) -> None:
+        asked = self._asked()
+        self._plan.clear()
+        try:
+            plan = await run.io_bound(partial(work_of.expected, asked, self._robot, self._console.require_station()))
+        except ArmsightError as error:
+            self._tell(str(error), "bad")
+            return
+        if plan is None:  # the server is ending
+            return
+        self._tell("", "good")
+        with self._plan:
+            _plan_table(plan)
+
+    def _run(self) -> None:
+        asked, station = self._asked(), self._console.require_station()
+        try:
+            self._robot.bench.begin(WORK, self._browser, partial(work_of.run, asked, self._robot, station))
+            self._tell("", "good")
+        except ArmsightError as error:
+            self._tell(str(error), "bad")
+
+    def _tell(self, words: str, level: str) -> None:
+        set_text(self._said, words)
+        set_attribute(self._said, "data-level", level)
+
+    def _show(self, work: Work) -> None:
+        """Show the table and the fits of sweeps that are done."""
+        done: IdentifyOutput = work.result
+        self._table.clear()
+        with self._table:
+            _entries_table(work_of.entries(done, self._robot.seat.arm))
+            for note in done.notes:
+                text_of("p", note).classes("hint")
+            text_of("p", texts.SAVED_ARM.format(file=f"{FOLDER}/arm.yaml"), testid="verdict")
+            text_of("a", texts.REPORT, href=f"/console/files/{FOLDER}/arm.html", target="_blank")
+        if self._scene is not None:
+            paths, seen = work_of.fits(self._console.folder)
+            self._scene.show_fits(paths, seen, placed=(self._console.folder / FOLDER / "world.yaml").exists())
+
+
+def _plan_table(plan: PlanOutput) -> None:
+    text_of("h3", texts.EXPECTED)
+    text_of("p", texts.PLANNED.format(n=len(plan.sweeps), readings=sum(one.readings for one in plan.sweeps)))
+    with ui.element("table").classes("plain"):
+        with ui.element("tr"):
+            for head in (texts.JOINT, "a", "alpha", "d", "theta"):
+                text_of("th", head)
+        for number, std in enumerate(plan.expected_std, start=1):
+            with ui.element("tr"):
+                text_of("td", str(number))
+                for words in _std_words(std):
+                    text_of("td", words)
+    for note in plan.notes:
+        text_of("p", note).classes("hint")
+
+
+def _std_words(std: JointStd) -> tuple[str, ...]:
+    def words(value: float | None, scale: float, unit: str, digits: int) -> str:
+        return texts.NO_VALUE if value is None else f"± {value / scale:.{digits}f} {unit}"
+
+    return (
+        words(std.a_m, MM, "mm", 2),
+        words(std.alpha_rad, DEG, "deg", 3),
+        words(std.d_m, MM, "mm", 2),
+        words(std.theta_rad, DEG, "deg", 3),
+    )
+
+
+def _entries_table(entries: tuple[Entry, ...]) -> None:
+    with ui.element("table").classes("plain"):
+        with ui.element("tr"):
+            for head in texts.FOUND_HEAD:
+                text_of("th", head)
+        for entry in entries:
+            with ui.element("tr"):
+                text_of("td", str(entry.joint))
+                text_of("td", entry.name)
+                for value in (entry.value, entry.std, entry.deviation):
+                    text_of("td", texts.NO_VALUE if np.isnan(value) else f"{value:.3f} {entry.unit}")

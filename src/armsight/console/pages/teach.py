@@ -1,0 +1,274 @@
+"""Teach and play: record a path, change it in the table and on the 3-D view, check it for the arm, play it."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+from nicegui import run, ui
+
+from armsight.app.operator import path_desk
+from armsight.app.operator.path_desk import TOOLS, WORK, PathDesk, PlayRequest
+from armsight.app.operator.teach import TeachDesk
+from armsight.app.operator.work import Work
+from armsight.app.schemas.paths import PathCheckOutput
+from armsight.app.schemas.play import PlayOutput
+from armsight.console import texts
+from armsight.console.jog import jog_card
+from armsight.console.layout import TICK_S, button, card, set_attribute, set_text, text_of
+from armsight.console.scene import Scene
+from armsight.console.state import Console
+from armsight.console.working import Working
+from armsight.errors import ArmsightError
+from armsight.records import TaughtPath
+from armsight.units import MM
+
+LISTED = 100
+"""Rows of a path that a page lists."""
+
+
+def teach_page(console: Console) -> None:
+    """Build the page."""
+    try:
+        robot = console.require_robot()
+        console.require_station()
+        recorder, desk = console.teaching(), console.path_desk()
+    except ArmsightError as error:
+        text_of("p", str(error)).classes("notice")
+        return
+    said = text_of("p", role="alert", testid="told").classes("hint")
+    with ui.element("div").classes("columns"):
+        with ui.element("div"):
+            path = _Path(console, desk, said)
+            _Recording(recorder, desk, path, said)
+        with card(texts.SCENE):
+            path.scene = _scene(console, path)
+    _Play(console, desk)
+    path.show()
+    jog_card(robot)
+
+
+def _scene(console: Console, path: _Path) -> Scene | None:
+    try:
+        made = Scene(console, picked=path.pick)
+    except ArmsightError as error:
+        text_of("p", str(error)).classes("notice")
+        return None
+
+    def tick() -> None:
+        shown = console.remember()
+        made.show(None if shown is None else shown.view)
+
+    ui.timer(TICK_S, tick)
+    return made
+
+
+def _tell(said: Any, words: str, level: str = "good") -> None:
+    set_text(said, words)
+    set_attribute(said, "data-level", level)
+
+
+class _Recording:
+    """The keys of the recorder."""
+
+    def __init__(self, recorder: TeachDesk, desk: PathDesk, path: _Path, said: Any) -> None:
+        self._recorder, self._desk, self._path, self._said = recorder, desk, path, said
+        with card(texts.TEACH):
+            text_of("p", texts.TEACH_HELP).classes("hint")
+            with ui.element("div").classes("row"):
+                self._record = button(texts.TEACH_RECORD, self._toggle, testid="record")
+                button(texts.TEACH_POINT, recorder.point, kind="act quiet", testid="point")
+                button(texts.TEACH_UNDO, recorder.recorder.undo, kind="act quiet", testid="undo")
+                button(texts.TEACH_SAVE, self._save, kind="act quiet", testid="save")
+            with ui.element("div").classes("row"):
+                self._tag = ui.input(texts.TEACH_TAG)
+                button(texts.TEACH_MARK, self._mark, kind="act quiet")
+            self._state = text_of("p", role="status", testid="taught").classes("hint")
+        ui.timer(TICK_S, self._tick)
+
+    def _toggle(self) -> None:
+        (self._recorder.pause if self._recorder.state.recording else self._recorder.start)()
+
+    def _mark(self) -> None:
+        try:
+            self._recorder.recorder.tag(str(self._tag.value or ""))
+        except ArmsightError as error:
+            _tell(self._said, str(error), "bad")
+
+    def _save(self) -> None:
+        try:
+            self._desk.load(self._recorder.save())
+            _tell(self._said, "")
+        except ArmsightError as error:
+            _tell(self._said, str(error), "bad")
+        self._path.show()
+
+    def _tick(self) -> None:
+        state = self._recorder.state
+        told = texts.TEACH_STATE.format(n=state.n, stretches=state.stretches, lost=state.lost)
+        set_text(self._state, (texts.TEACH_RECORDING if state.recording else "") + told)
+        set_text(self._record, texts.TEACH_PAUSE if state.recording else texts.TEACH_RECORD)
+
+
+class _Path:
+    """The path in a table and in the scene; places are chosen in both."""
+
+    scene: Scene | None = None
+
+    def __init__(self, console: Console, desk: PathDesk, said: Any) -> None:
+        self._console, self._desk, self._said = console, desk, said
+        self._chosen: set[int] = set()
+        with card(texts.PATH):
+            self._told = text_of("p", testid="path")
+            self._table = ui.element("div").classes("scroll tall")
+            with ui.element("div").classes("row"):
+                button(texts.PATH_DELETE, self._delete, kind="act quiet", testid="delete")
+                button(texts.PATH_BACK, self._undo, kind="act quiet", testid="path-undo")
+            with ui.element("div").classes("row"):
+                names = {name: texts.PATH_TOOLS[name] for name in TOOLS}
+                self._tool = ui.select(names, value="resample", label=texts.PATH_TOOL).style("min-width: 14rem")
+                self._figure = ui.number(texts.PATH_FIGURE, value=2.0)
+                button(texts.PATH_USE, self._change, kind="act quiet", testid="change")
+
+    def pick(self, row: int) -> None:
+        """Choose a place, or choose it no more."""
+        self._chosen ^= {row}
+        self.show()
+
+    def show(self) -> None:
+        """Show the path as it stands."""
+        path = self._desk.path
+        self._table.clear()
+        set_text(self._told, texts.NO_PATH if path is None else _told(path))
+        if path is None:
+            return
+        with self._table:
+            self._rows(path)
+        if self.scene is not None:
+            self.scene.show_path(path.xyz_m, self._chosen)
+
+    def _rows(self, path: TaughtPath) -> None:
+        with ui.element("table").classes("plain"):
+            with ui.element("tr"):
+                for head in texts.PATH_HEAD:
+                    text_of("th", head)
+            for row, (xyz_m, speed, tag) in enumerate(
+                zip(path.xyz_m[:LISTED], path.speed_m_s, path.tags, strict=False)
+            ):
+                with ui.element("tr"):
+                    with ui.element("td"):
+                        box = ui.element("input").on("change", partial(self.pick, row))
+                        box.props.update({"type": "checkbox", "aria-label": texts.PATH_PICK.format(n=row + 1)})
+                        if row in self._chosen:
+                            box.props["checked"] = "true"
+                    text_of("td", str(row + 1))
+                    for value in (*(xyz_m / MM), speed / MM):
+                        text_of("td", f"{value:.1f}" if value == value else texts.NO_VALUE)
+                    text_of("td", tag)
+        if len(path) > LISTED:
+            text_of("p", texts.PATH_MORE.format(n=len(path) - LISTED)).classes("hint")
+
+    def _delete(self) -> None:
+        if self._chosen:
+            self._do(partial(self._desk.delete, sorted(self._chosen)))
+
+    def _undo(self) -> None:
+        self._do(self._desk.undo)
+
+    def _change(self) -> None:
+        self._do(partial(self._desk.change, str(self._tool.value), float(self._figure.value or 0.0)))
+
+    def _do(self, act: Any) -> None:
+        try:
+            act()
+            self._chosen.clear()
+            _tell(self._said, "")
+        except ArmsightError as error:
+            _tell(self._said, str(error), "bad")
+        self.show()
+
+
+def _told(path: TaughtPath) -> str:
+    return texts.PATH_TOLD.format(n=len(path), length=float(path.length_m[-1]) / MM)
+
+
+class _Play:
+    """Check and play; what runs is found again by a page loaded anew."""
+
+    def __init__(self, console: Console, desk: PathDesk) -> None:
+        self._console, self._desk = console, desk
+        self._robot = console.require_robot()
+        self._browser = ui.context.client.id
+        with card(texts.PLAY_CARD):
+            with ui.element("div").classes("row"):
+                self._speed = ui.number(texts.PLAY_SPEED, value=10.0, min=0.1)
+                self._keep = ui.checkbox(texts.PLAY_KEEP, value=True)
+            with ui.element("div").classes("row"):
+                button(texts.PATH_CHECK, self._check, kind="act quiet", testid="check")
+                button(texts.PLAY, self._play, testid="play")
+                self._pause = button(texts.PAUSE, self._toggle, kind="act quiet", testid="pause")
+            self._said = text_of("p", role="status", testid="verdict").classes("hint")
+            self._issues = ui.element("div")
+            self._at = text_of("p", testid="play-at").style("font-size: 1.3rem; font-weight: 700")
+            Working(self._robot.bench, WORK, self._ended)
+        ui.timer(TICK_S, self._tick)
+
+    def _asked(self) -> PlayRequest:
+        return PlayRequest(
+            folder=self._console.folder,
+            cell=self._console.cell,
+            speed_mm_s=float(self._speed.value or 0.0),
+            keep_rotation=bool(self._keep.value),
+        )
+
+    async def _check(self) -> None:
+        self._issues.clear()
+        try:
+            self._desk.require()
+            found = await run.io_bound(partial(path_desk.check_path, self._asked(), self._robot))
+        except ArmsightError as error:
+            _tell(self._said, str(error), "bad")
+            return
+        if found is not None:  # None: the server is ending
+            self._tell_check(found)
+
+    def _tell_check(self, found: PathCheckOutput) -> None:
+        if found.ok:
+            figures = {"n": found.n, "length": found.length_m / MM, "time": found.duration_s}
+            _tell(self._said, texts.PATH_OK.format(**figures))
+        else:
+            _tell(self._said, texts.PATH_NOT_OK, "bad")
+        with self._issues:
+            for issue in found.issues[:5]:
+                text_of("p", issue.text)
+            text_of("a", texts.REPORT, href="/console/files/path-check.html", target="_blank")
+
+    def _play(self) -> None:
+        try:
+            act = partial(path_desk.play, self._asked(), self._robot, self._desk)
+            self._robot.bench.begin(WORK, self._browser, act)
+            _tell(self._said, "")
+        except ArmsightError as error:
+            _tell(self._said, str(error), "bad")
+
+    def _toggle(self) -> None:
+        source = self._desk.source
+        if source is not None:
+            (source.resume if source.progress.paused else source.pause)()
+
+    def _tick(self) -> None:
+        source = self._desk.source
+        if source is None:
+            set_text(self._at, "")
+            return
+        at = source.progress
+        set_text(self._pause, texts.RESUME if at.paused else texts.PAUSE)
+        stage = texts.PLAY_STAGES[at.stage]
+        figures = {"s": at.s_m / MM, "length": at.length_m / MM, "speed": at.speed_m_s / MM}
+        set_text(self._at, texts.PLAY_AT.format(stage=stage, **figures))
+
+    def _ended(self, work: Work) -> None:
+        done: PlayOutput = work.result
+        why = texts.PLAY_END if done.finished else done.stopped_by
+        told = texts.PLAY_DONE.format(share=done.share, length=done.length_m / MM, time=done.took_s, why=why)
+        _tell(self._said, f"{told} {texts.PLAY_KEPT.format(folder=done.recording)}", "good" if done.finished else "bad")

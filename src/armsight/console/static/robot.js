@@ -1,0 +1,122 @@
+// The robot's controls: the enable that is held, jog keys that are held, the stop. Whatever ends the holding lets go.
+(() => {
+  const BEAT_MS = 80;
+  let socket = null, held = false, push = null, source = null, state = {}, heard = 0, instance = null, tried = 0;
+
+  const bar = () => document.querySelector("[data-robot]");
+  const say = (message) => socket && socket.readyState === WebSocket.OPEN && socket.send(JSON.stringify(message));
+  const beat = () => say({ do: "beat", enable: held, push: held ? push : null, seen: state.t });
+
+  function connect() {
+    const here = bar();
+    if (!here) return void setTimeout(connect, 100);
+    const scheme = location.protocol === "https:" ? "wss:" : "ws:";
+    socket = new WebSocket(`${scheme}//${location.host}/console/robot?browser=${encodeURIComponent(here.dataset.robot)}`);
+    socket.onmessage = (event) => {
+      state = JSON.parse(event.data);
+      heard = performance.now();
+      tried = 0;
+      instance = instance || here.dataset.instance;
+      show();
+    };
+    socket.onclose = () => {
+      letGo();
+      state = {};
+      show();
+      tried += 1;
+      setTimeout(connect, Math.min(3000, 300 * tried));
+    };
+  }
+
+  function hold(element, what) {
+    held = true;
+    push = what;
+    source = element;
+    element.setAttribute("aria-pressed", "true");
+    beat();
+    show();
+  }
+  function letGo() {
+    if (source) source.setAttribute("aria-pressed", "false");
+    const was = held;
+    held = false;
+    push = null;
+    source = null;
+    if (was) beat();
+    show();
+  }
+  function stop() {
+    letGo();
+    say({ do: "stop" });
+    fetch("/console/stop", { method: "POST", keepalive: true }).catch(() => {});
+  }
+
+  function show() {
+    const here = bar();
+    if (!here) return;
+    const gone = !socket || socket.readyState !== WebSocket.OPEN || performance.now() - heard > 1500;
+    const stale = Boolean(instance && state.instance && state.instance !== instance);
+    const lamp = document.querySelector("[data-testid=robot-state]");
+    const words = stale ? here.dataset.stale : gone ? here.dataset.gone : state.words;
+    const level = stale || gone ? "bad" : state.level;
+    if (lamp && words !== undefined) {
+      if (lamp.textContent !== words) lamp.textContent = words;
+      lamp.dataset.level = level;
+    }
+    const refused = document.getElementById("robot-refused");
+    if (refused) refused.textContent = gone || stale ? "" : state.refused || "";
+    const enable = document.querySelector("[data-testid=enable]");
+    if (enable) {
+      enable.dataset.alive = state.enabled ? "true" : "false";
+      enable.toggleAttribute("disabled", gone || stale || state.drives === false);
+    }
+    const reset = document.querySelector("[data-testid=reset]");
+    if (reset) reset.hidden = !state.stopped || state.drives === false;
+    const override = document.querySelector("[data-testid=override]");
+    if (override && state.override !== undefined && document.activeElement !== override) override.value = Math.round(100 * state.override);
+    const told = document.getElementById("override-told");
+    if (told && override) told.textContent = `${override.value} %`;
+    if ((gone || stale) && held) letGo();
+  }
+
+  const holder = (target) => target instanceof Element && target.closest("[data-testid=enable], [data-jog]");
+  const what = (element) => element.dataset.jog || null;
+  document.addEventListener("pointerdown", (event) => {
+    const element = holder(event.target);
+    if (!element || event.button !== 0 || element.hasAttribute("disabled")) return;
+    event.preventDefault();
+    element.focus();
+    element.setPointerCapture(event.pointerId);
+    hold(element, what(element));
+  });
+  for (const kind of ["pointerup", "pointercancel", "lostpointercapture"])
+    document.addEventListener(kind, (event) => held && holder(event.target) === source && letGo(), true);
+  document.addEventListener("keydown", (event) => {
+    if (event.key === "Escape" && bar()) return void stop();
+    const element = holder(event.target);
+    if (!element || (event.key !== " " && event.key !== "Enter")) return;
+    event.preventDefault();
+    if (!event.repeat && !element.hasAttribute("disabled")) hold(element, what(element));
+  });
+  document.addEventListener("keyup", (event) => held && (event.key === " " || event.key === "Enter") && letGo());
+  document.addEventListener("focusout", (event) => held && event.target === source && letGo());
+  document.addEventListener("contextmenu", (event) => holder(event.target) && event.preventDefault());
+  document.addEventListener("click", (event) => {
+    if (!(event.target instanceof Element)) return;
+    if (event.target.closest("[data-testid=stop]")) stop();
+    if (event.target.closest("[data-testid=reset]")) say({ do: "reset" });
+  });
+  document.addEventListener("input", (event) => {
+    if (!(event.target instanceof HTMLInputElement) || event.target.dataset.testid !== "override") return;
+    say({ do: "override", share: Number(event.target.value) / 100 });
+    show();
+  });
+  window.addEventListener("blur", letGo);
+  window.addEventListener("pagehide", letGo);
+  document.addEventListener("visibilitychange", () => document.hidden && letGo());
+  setInterval(() => {
+    if (held) beat();
+    show();
+  }, BEAT_MS);
+  connect();
+})();

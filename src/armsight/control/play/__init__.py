@@ -1,0 +1,19 @@
+"""A path run with the tip of a tool: planned and checked first, then played as set points, and watched by cameras."""
+
+from armsight.control.play.plan import PathPlan, PlaySettings, plan_path
+from armsight.control.play.source import PathSource, PlayProgress
+from armsight.control.play.watch import PlaySight, PlayWatch, WatchFigures
+from armsight.control.play.weave import Weave, WeaveKind
+
+__all__ = [
+    "PathPlan",
+    "PathSource",
+    "PlayProgress",
+    "PlaySettings",
+    "PlaySight",
+    "PlayWatch",
+    "WatchFigures",
+    "Weave",
+    "WeaveKind",
+    "plan_path",
+]

@@ -1,0 +1,57 @@
+"""The matrices of a rectified pair, as OpenCV's stereoRectify gives them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.errors import Inconsistent
+from armsight.geometry.lie import skew
+from armsight.optics import Rig
+from armsight.store.foreign.numbers import relative
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Rectification:
+    """R1, R2 (3, 3): into the rectified cameras' axes; P1, P2 (3, 4): their projections; Q (4, 4): pixels and disparity
+    to points in the left rectified camera's axes, m; E, F (3, 3): essential and fundamental matrix, of points without
+    distortion: x_right^T F x_left = 0."""
+
+    R1: Array
+    R2: Array
+    P1: Array
+    P2: Array
+    Q: Array
+    E: Array
+    F: Array
+
+
+def rectification(rig: Rig) -> Rectification:
+    """Return a rig's rectification, with zero disparity at infinity and no pixel of nothing (alpha 0).
+
+    Raises Inconsistent where the two images differ in size: one P serves both.
+    """
+    if (rig.left.width, rig.left.height) != (rig.right.width, rig.right.height):
+        raise Inconsistent("the cameras' images differ in size", consequence="One rectified pair cannot say this")
+    R, t = relative(rig.T_rig_left, rig.T_rig_right)
+    R1, R2, P1, P2, Q, *_ = cv2.stereoRectify(
+        rig.left.matrix,
+        rig.left.distortion,
+        rig.right.matrix,
+        rig.right.distortion,
+        (rig.left.width, rig.left.height),
+        R,
+        t,
+        flags=cv2.CALIB_ZERO_DISPARITY,
+        alpha=0.0,
+    )
+    E = skew(t) @ R
+    F = np.linalg.inv(rig.right.matrix).T @ E @ np.linalg.inv(rig.left.matrix)
+    scale = F[2, 2] if abs(F[2, 2]) > np.finfo(float).eps * np.abs(F).max() else np.linalg.norm(F)
+    parts = {"R1": R1, "R2": R2, "P1": P1, "P2": P2, "Q": Q, "E": E, "F": F / scale}
+    return Rectification(**{name: np.asarray(part, np.float64) for name, part in parts.items()})

@@ -1,0 +1,82 @@
+"""Poses as ROS takes them: a launch file of static transforms (TF), and the files of easy_handeye."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import quoteattr
+
+from scipy.spatial.transform import RigidTransform
+
+from armsight.geometry import xyz_quat
+from armsight.store.atomic import write_text
+from armsight.store.tables import number
+from armsight.store.yamls import dump_yaml
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Transform:
+    """The pose of the frame child in the frame parent."""
+
+    parent: str
+    child: str
+    T_parent_child: RigidTransform
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameNames:
+    """What frames are called in a robot's TF tree."""
+
+    base: str = "base_link"
+    flange: str = "tool0"
+    camera: str = "camera_optical_frame"
+    target: str = "calibration_target"
+
+
+def write_tf_launch(path: Path, transforms: Sequence[Transform]) -> None:
+    """Write a launch file of ROS 2 (XML) with a static_transform_publisher for each pose."""
+    lines = ["<launch>"]
+    for one in transforms:
+        xyz, quat = xyz_quat(one.T_parent_child)
+        values = dict(zip(("x", "y", "z", "qx", "qy", "qz", "qw"), [*xyz, *quat], strict=True))
+        args = " ".join(f"--{name} {number(value)}" for name, value in values.items())
+        args += f" --frame-id {one.parent} --child-frame-id {one.child}"
+        name = f"{one.parent}_to_{one.child}".replace("/", "_")
+        lines.append(
+            f'  <node pkg="tf2_ros" exec="static_transform_publisher" name={quoteattr(name)} args={quoteattr(args)}/>'
+        )
+    write_text(path, "\n".join([*lines, "</launch>"]) + "\n")
+
+
+def write_easy_handeye(path: Path, T_parent_camera: RigidTransform, names: FrameNames, *, in_hand: bool) -> None:
+    """Write the file that easy_handeye (ROS 1) keeps under ~/.ros/easy_handeye and publishes.
+
+    in_hand: T_parent_camera is T_flange_camera, else T_base_camera.
+    """
+    xyz, quat = xyz_quat(T_parent_camera)
+    values = dict(zip(("x", "y", "z", "qx", "qy", "qz", "qw"), [*xyz.tolist(), *quat.tolist()], strict=True))
+    parameters = {"eye_on_hand": in_hand, **_frames(names), "freehand_robot_movement": True}
+    write_text(path, dump_yaml({"parameters": parameters, "transformation": values}))
+
+
+def write_easy_handeye2(path: Path, T_parent_camera: RigidTransform, names: FrameNames, *, in_hand: bool) -> None:
+    """Write the file that easy_handeye2 (ROS 2) keeps under ~/.ros2/easy_handeye2; see write_easy_handeye."""
+    xyz, quat = xyz_quat(T_parent_camera)
+    transform = {
+        "translation": dict(zip("xyz", xyz.tolist(), strict=True)),
+        "rotation": dict(zip("xyzw", quat.tolist(), strict=True)),
+    }
+    kind = "eye_in_hand" if in_hand else "eye_on_base"
+    parameters = {"name": path.stem, "calibration_type": kind, **_frames(names), "freehand_robot_movement": True}
+    write_text(path, dump_yaml({"parameters": parameters, "transform": transform}))
+
+
+def _frames(names: FrameNames) -> dict[str, Any]:
+    return {
+        "robot_base_frame": names.base,
+        "robot_effector_frame": names.flange,
+        "tracking_base_frame": names.camera,
+        "tracking_marker_frame": names.target,
+    }

@@ -1,0 +1,28 @@
+"""Tables as people have them: other units, rotations, names, files; brought to the columns of ours."""
+
+from armsight.store.interpret.plausibility import largest, limits_look_like_degrees, looks_like_degrees
+from armsight.store.interpret.read import (
+    Interpreted,
+    check_joint_values,
+    check_positions,
+    interpret,
+    kind_of_table,
+    standard_bytes,
+)
+from armsight.store.interpret.rotations import ROBOT_FORMATS
+from armsight.store.interpret.table_format import OURS, TableFormat
+
+__all__ = [
+    "OURS",
+    "ROBOT_FORMATS",
+    "Interpreted",
+    "TableFormat",
+    "check_joint_values",
+    "check_positions",
+    "interpret",
+    "kind_of_table",
+    "largest",
+    "limits_look_like_degrees",
+    "looks_like_degrees",
+    "standard_bytes",
+]

@@ -1,0 +1,332 @@
+"""Columns of one meaning put together: positions, rotations, joints, with what the numbers contradict refused."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from armsight.errors import Ambiguous, BadFile, Inconsistent
+from armsight.geometry.poses import QUAT_NORM_TOLERANCE
+from armsight.store.interpret.names import Meaning
+from armsight.store.interpret.plausibility import (
+    FEWEST_ROWS,
+    degrees_cause,
+    largest,
+    looks_like_degrees,
+    looks_like_m,
+    looks_like_mm,
+    looks_like_radians,
+)
+from armsight.store.interpret.rotations import EulerOrder
+from armsight.store.interpret.table_format import TableFormat
+from armsight.store.interpret.units import UNITS
+
+Array = NDArray[np.float64]
+
+ORTHOGONAL = 2e-3
+"""Largest entry of R R^T - 1: matrices with three decimals stay below it."""
+HALF_TURN_SLACK = 1.02
+RIGHT_ANGLE_RAD = np.pi / 2 + 1e-3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Column:
+    """A column's meaning and its numbers (n,), as the file has them."""
+
+    meaning: Meaning
+    values: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Found:
+    """The columns of one frame by kind and key, the file, its lines, and what was told of them."""
+
+    where: str
+    lines: Sequence[int]
+    kinds: Mapping[str, Mapping[str, Column]]
+    format: TableFormat
+    notes: list[str] = field(default_factory=list)
+
+    def whole(self, kind: str, keys: Sequence[str]) -> list[Column] | None:
+        """Return the columns of a kind in the order of the keys, None where one is missing."""
+        have = self.kinds.get(kind, {})
+        return [have[key] for key in keys] if all(key in have for key in keys) else None
+
+
+def position_m(found: Found) -> Array | None:
+    """Return positions (n, 3) in m, None where the columns give none. Raises Inconsistent for the wrong unit."""
+    tcp = found.whole("tcp", "012")
+    columns = found.whole("position", "xyz") or tcp
+    if columns is None:
+        return None
+    return lengths_m(found, columns, 1.0 if tcp is columns else found.format.length_m)
+
+
+def lengths_m(found: Found, columns: Sequence[Column], unstated: float) -> Array:
+    """Return columns of lengths as (n, k) in m. Raises Inconsistent where the numbers say another unit."""
+    names = list(dict.fromkeys(column.meaning.name for column in columns))
+    scales = [unstated if column.meaning.scale is None else column.meaning.scale for column in columns]
+    xyz = np.stack([column.values for column in columns], axis=1)
+    out: Array = xyz * np.array(scales)
+    if all(column.meaning.scale is None for column in columns):
+        unit = next((name for name, (_, scale) in UNITS.items() if scale == unstated), "m")
+        found.notes.append(f"{', '.join(names)}: taken as {unit}, the header states no unit")
+    if found.format.as_stated:
+        return out
+    if looks_like_mm(out):
+        raise mm_for_metres(found.where, names, xyz)
+    if max(scales) < 0.1 and looks_like_m(xyz):
+        raise Inconsistent(
+            f"{found.where}: columns {', '.join(names)}: these look like metres: the largest value is "
+            f"{largest(xyz):.4g}",
+            consequence="Taken as mm, all would lie in one spot",
+            cure=f"Name the columns {_with_unit(names[0], 'm')}, ..., or give --as-stated if they are mm",
+        )
+    return out
+
+
+def angles_rad(found: Found, columns: Sequence[Column], unstated: float, what: str) -> Array:
+    """Return columns of angles as (n, k) in rad; what: of which they are, for messages.
+
+    Columns in a unit of length are a prismatic joint's, and stay lengths. Raises Inconsistent where the numbers say
+    another unit than the header.
+    """
+    names = [column.meaning.name for column in columns]
+    scales = [unstated if column.meaning.scale is None else column.meaning.scale for column in columns]
+    raw = np.stack([column.values for column in columns], axis=1)
+    out: Array = raw * np.array(scales)
+    if found.format.as_stated:
+        return out
+    if looks_like_degrees(raw[:, [scale == 1.0 for scale in scales]]):
+        raise degrees_for_radians(found.where, names, raw)
+    in_degrees = raw[:, [0.01 < scale < 0.02 for scale in scales]]
+    if in_degrees.size and looks_like_radians(in_degrees):
+        raise Inconsistent(
+            f"{found.where}: columns {', '.join(names)[:120]}: these look like radians: the largest value is "
+            f"{largest(in_degrees):.4g}",
+            consequence=f"Taken as degrees, {what} would hardly turn at all",
+            cure=f"Name the columns {_with_unit(names[0], 'rad')}, ..., or give --as-stated if they are degrees",
+        )
+    return out
+
+
+def mm_for_metres(where: str, names: Sequence[str], xyz: Array) -> Inconsistent:
+    """Return the refusal of positions that look like mm where metres are meant."""
+    return Inconsistent(
+        f"{where}: columns {', '.join(names)}: these look like mm or cm: the largest value is {largest(xyz):.4g}",
+        consequence="Taken as metres they would be far from any arm",
+        cure=f"Name the columns {_with_unit(names[0], 'mm')}, ..., or give --units mm; --as-stated if they are metres",
+    )
+
+
+def degrees_for_radians(where: str, names: Sequence[str], values: Array) -> Inconsistent:
+    """Return the refusal of angles that look like degrees where radians are meant."""
+    return Inconsistent(
+        f"{where}: columns {', '.join(names)[:120]}: {degrees_cause(values)}",
+        consequence="Taken as radians they would be other angles",
+        cure=f"Name the columns {_with_unit(names[0], 'deg')}, ..., or give --units deg or --robot-format; --as-stated "
+        "if they are radians",
+    )
+
+
+def _with_unit(name: str, unit: str) -> str:
+    stem, _, tail = name.rpartition("_")
+    return f"{stem if stem and tail in ('m', 'mm', 'cm', 'rad', 'deg') else name}_{unit}"
+
+
+def rotations(found: Found) -> tuple[Rotation, Array | None] | None:
+    """Return the rotations (n) and, of a matrix with a translation, the positions (n, 3) in m; None without columns.
+
+    Rows with empty cells come back as no rotation. Raises Inconsistent, Ambiguous, BadFile.
+    """
+    if found.format.euler:
+        euler = _euler(found)
+        if euler is not None:
+            return euler, None
+    quaternion = found.whole("quaternion", "xyzw")
+    if quaternion is not None:
+        return _quaternions(found, quaternion), None
+    if "cell" in found.kinds and len(found.kinds["cell"]) >= 9:
+        return _matrices(found)
+    for kind, keys in (("rotvec", "xyz"), ("tcp", "345")):
+        columns = found.whole(kind, keys)
+        if columns is not None:
+            return _rotvecs(found, columns), None
+    turned = _euler(found)
+    return None if turned is None else (turned, None)
+
+
+def _filled(values: Array, instead: Array | float) -> Array:
+    """Return rows (n, k) with those that have an empty cell replaced."""
+    return np.where(np.isfinite(values).all(axis=1, keepdims=True), values, instead)
+
+
+def _quaternions(found: Found, columns: Sequence[Column]) -> Rotation:
+    quat = _filled(np.stack([column.values for column in columns], axis=1), np.array([0.0, 0.0, 0.0, 1.0]))
+    norm = np.linalg.norm(quat, axis=1)
+    far = np.flatnonzero(np.abs(norm - 1.0) > QUAT_NORM_TOLERANCE)
+    if far.size:
+        raise BadFile(
+            f"{found.where}, line {found.lines[far[0]]}: the quaternion {quat[far[0]].tolist()} has length "
+            f"{norm[far[0]]:.6g}, not 1",
+            consequence="It does not say a rotation",
+            cure="Check which columns are the quaternion, and their precision",
+        )
+    return Rotation.from_quat(quat)
+
+
+def _rotvecs(found: Found, columns: Sequence[Column]) -> Rotation:
+    documented = columns[0].meaning.kind == "tcp"  # in rad by its documentation, whatever else is open
+    vectors = angles_rad(found, columns, 1.0 if documented else found.format.angle_rad, "the poses")
+    vectors = _filled(vectors, 0.0)
+    longest = float(np.linalg.norm(vectors, axis=1).max(initial=0.0))
+    if longest > 2.0 * np.pi and not found.format.as_stated:
+        raise Inconsistent(
+            f"{found.where}: columns {', '.join(c.meaning.name for c in columns)}: these look like Euler angles: as "
+            f"rotation vectors they turn by up to {np.degrees(longest):.0f} degrees",
+            consequence="Taken as rotation vectors they would be other rotations",
+            cure="Give --euler with their order, or --as-stated if they are rotation vectors",
+        )
+    if longest > HALF_TURN_SLACK * np.pi:
+        found.notes.append(f"rotation vectors are up to {np.degrees(longest):.0f} degrees long: more than half a turn")
+    return Rotation.from_rotvec(vectors)
+
+
+def _euler(found: Found) -> Rotation | None:
+    """Return the rotations of Euler angles, None without columns of them. Raises Ambiguous without an order."""
+    columns = found.whole("sequence", "123")
+    about: Sequence[str] = ("", "", "")
+    if columns is None:
+        columns, about = found.whole("euler", "xyz"), "xyz"
+    if columns is None and found.format.euler:  # rotation_x, rotation_y, rotation_z without a w, and an order
+        columns = None if found.whole("quaternion", "w") else found.whole("quaternion", "xyz")
+        columns = columns or found.whole("rotvec", "xyz")
+    if columns is None:
+        return None
+    names = [column.meaning.name for column in columns]
+    order = found.format.order or _roll_pitch_yaw(found, names)
+    if order is None:
+        raise Ambiguous(
+            f"{found.where}: the columns {', '.join(names)} are angles of an order that nobody states",
+            consequence="The same three angles are other rotations in another order",
+            cure="Give --euler with the order (xyz-fixed, zyx, zyz ...), --robot-format with the maker, or name the "
+            "columns rotvec_x, ... for a rotation vector",
+        )
+    angles = _filled(angles_rad(found, columns, found.format.angle_rad, "the poses"), 0.0)
+    angles = angles[:, list(order.sequence(about))]
+    _check_middle(found, angles, order, names)
+    found.notes.append(f"{', '.join(names)}: Euler angles {order}")
+    return order.rotation(angles)
+
+
+def _roll_pitch_yaw(found: Found, names: Sequence[str]) -> EulerOrder | None:
+    """Return ROS's order (REP 103) for columns called roll, pitch and yaw, None for others."""
+    if not all(word in name.lower() for word, name in zip(("roll", "pitch", "yaw"), names, strict=True)):
+        return None
+    found.notes.append("roll, pitch, yaw: taken as ROS means them, --euler says another order")
+    return EulerOrder(axes="xyz", fixed=True)
+
+
+def _check_middle(found: Found, angles: Array, order: EulerOrder, names: Sequence[str]) -> None:
+    """Raise Inconsistent where the middle angle leaves the range that controllers keep to, and another one does not."""
+    if found.format.as_stated or len(angles) < FEWEST_ROWS:
+        return
+    proper = order.axes[0] == order.axes[2]
+    middle = angles[:, 1]
+    inside = (middle >= -1e-3).all() if proper else (np.abs(middle) <= RIGHT_ANGLE_RAD).all()
+    others = [np.abs(angles[:, k]).max() <= RIGHT_ANGLE_RAD for k in (0, 2)]
+    if not inside and not proper and any(others):
+        raise Inconsistent(
+            f"{found.where}: columns {', '.join(names)}: these look like angles of another order: that in the middle "
+            f"of {order} goes to {np.degrees(np.abs(middle).max()):.0f} degrees, where controllers stay within 90",
+            consequence="The same three angles are other rotations in another order",
+            cure="Check --euler or --robot-format and the columns, or give --as-stated if the order is right",
+        )
+
+
+def _matrices(found: Found) -> tuple[Rotation, Array | None]:
+    """Return rotations and maybe positions of the cells of matrices."""
+    cells = {key.replace("_", ""): column for key, column in found.kinds["cell"].items()}
+    M, translated = _grid(found, cells)  # (n, 4, 4)
+    M = np.where(np.isfinite(M).all(axis=(1, 2), keepdims=True), M, np.eye(4))
+    R = M[:, :3, :3]
+    skewed = np.asarray(np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) > ORTHOGONAL)
+    far = skewed | np.asarray(np.linalg.det(R) < 0.0)
+    if far.any():
+        row = int(np.argmax(far))
+        raise BadFile(
+            f"{found.where}, line {found.lines[row]}: the nine cells of the rotation are no rotation matrix",
+            consequence="The file is not used",
+            cure="Check the order of the columns: row by row, or column by column",
+        )
+    xyz = None
+    if translated:
+        scales = [column.meaning.scale for column in cells.values() if column.meaning.scale is not None]
+        named = Meaning(name="T", kind="position", key="", scale=scales[0] if scales else None)
+        columns = [Column(meaning=named, values=M[:, k, 3]) for k in range(3)]
+        xyz = lengths_m(found, columns, found.format.length_m)
+    return Rotation.from_matrix(R), xyz
+
+
+def _grid(found: Found, cells: Mapping[str, Column]) -> tuple[Array, bool]:
+    """Return the matrices (n, 4, 4) and whether they have a translation."""
+    n = len(found.lines)
+    for first in ("0", "1"):
+        for count in (16, 12):
+            keys = [str(int(first) + k) for k in range(count)]
+            if set(cells) == set(keys):
+                return _flat(found, np.stack([cells[key].values for key in keys], axis=1)), True
+    base = 0 if "00" in cells else 1
+    M = np.tile(np.eye(4), (n, 1, 1))
+    for key, column in cells.items():
+        row, place = int(key[0]) - base, int(key[-1]) - base
+        if len(key) != 2 or not (0 <= row <= 3 and 0 <= place <= 3):
+            raise BadFile(f"{found.where}: the column {column.meaning.name!r} is no cell of a matrix of 4 x 4")
+        M[:, row, place] = column.values
+    finite = M[np.isfinite(M).all(axis=(1, 2))]
+    if np.abs(finite[:, 3] - (0.0, 0.0, 0.0, 1.0)).max(initial=0.0) > 1e-9:
+        raise Inconsistent(
+            f"{found.where}: the last rows of the matrices are not 0, 0, 0, 1",
+            consequence="They are no poses as the header names them",
+            cure="Check whether rows and columns are swapped",
+        )
+    return M, len(cells) >= 12
+
+
+def _flat(found: Found, values: Array) -> Array:
+    """Return matrices (n, 4, 4) of 12 or 16 numbers: row by row, or column by column where the numbers say so."""
+    n, count = values.shape
+    if count == 12:
+        return np.concatenate([values.reshape(n, 3, 4), np.tile([[[0.0, 0.0, 0.0, 1.0]]], (n, 1, 1))], axis=1)
+    finite = values[np.isfinite(values).all(axis=1)].reshape(-1, 4, 4)
+    last = np.array([0.0, 0.0, 0.0, 1.0])
+    by_rows, by_columns = (np.abs(part - last).max(initial=0.0) <= 1e-9 for part in (finite[:, 3, :], finite[:, :, 3]))
+    if by_rows and by_columns:
+        raise Ambiguous(
+            f"{found.where}: matrices without any translation may be written row by row or column by column",
+            consequence="A rotation and its inverse look alike",
+            cure="Give --columns with the cells' names, m00, m01, ...",
+        )
+    if not by_rows and not by_columns:
+        raise Inconsistent(f"{found.where}: sixteen numbers without 0, 0, 0, 1 in them are no poses")
+    if by_columns:
+        found.notes.append("matrices are written column by column")
+    M = values.reshape(n, 4, 4)
+    return M if by_rows else M.transpose(0, 2, 1)
+
+
+def pose_of(found: Found, inverse: bool) -> tuple[Array | None, Rotation | None]:
+    """Return positions (n, 3) in m and rotations (n), either None where there are no columns; inverted where asked."""
+    turned = rotations(found)
+    xyz = turned[1] if turned is not None and turned[1] is not None else position_m(found)
+    rotation = None if turned is None else turned[0]
+    if inverse and xyz is not None and rotation is not None:
+        T = RigidTransform.from_components(_filled(xyz, 0.0), rotation).inv()
+        empty = ~np.isfinite(xyz).all(axis=1)
+        xyz, rotation = np.array(T.translation), T.rotation
+        xyz[empty] = np.nan
+    return xyz, rotation

@@ -1,0 +1,137 @@
+"""Tables that are no text: MATLAB's .mat, and folders with one file per pose."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.io import loadmat
+from scipy.io.matlab import MatReadError
+
+from armsight.errors import BadFile, NotEnoughData
+from armsight.store.atomic import read_bytes
+from armsight.store.interpret.raw import MATRIX, RawTable, table_of
+from armsight.store.interpret.table_format import column_names
+
+Array = NDArray[np.float64]
+
+MAT_BYTES = 200_000_000
+POSE_SUFFIXES = (".yaml", ".yml", ".txt", ".csv", ".json")
+MOST_FILES = 20_000
+ROTATION = tuple(f"r{row}{column}" for row in range(3) for column in range(3))
+_NUMBERS = re.compile(r"(\d+)")
+
+
+def mat_table(path: Path, *, unnamed: bool = False) -> RawTable:
+    """Return the variables of a MATLAB file (version 7 or older) as columns.
+
+    (4, 4, n) are poses, (3, 3, n) rotations, (n, k) or (k, n) rows of what the variable's name says: q_deg, xyz_mm,
+    quat_wxyz and the other groups of column_names, with a frame's name before them where there are two poses.
+    unnamed: the file's only matrix is taken as a table without names. Raises BadFile, NotEnoughData.
+    """
+    try:
+        content = loadmat(io.BytesIO(read_bytes(path, limit=MAT_BYTES)))  # type: ignore[arg-type]  # it takes open files
+    except NotImplementedError as error:
+        raise BadFile(
+            f"{path}: a MATLAB file of version 7.3, which is HDF5",
+            consequence="It is not read",
+            cure="Save it in MATLAB with save(..., '-v7')",
+        ) from error
+    except (MatReadError, ValueError, TypeError, KeyError, IndexError, OSError, EOFError, MemoryError) as error:
+        reason = " ".join(str(error).split())[:120]
+        raise BadFile(f"{path}: no MATLAB file that can be read: {reason}", consequence="It is not used") from error
+    arrays = {
+        name: np.asarray(value, float)
+        for name, value in content.items()
+        if not name.startswith("__") and isinstance(value, np.ndarray) and value.dtype.kind in "iuf" and value.size
+    }
+    if not arrays:
+        raise NotEnoughData(f"{path}: holds no array of numbers", consequence="There is nothing to do")
+    if unnamed and len(arrays) == 1 and next(iter(arrays.values())).ndim == 2:
+        table = next(iter(arrays.values()))
+        columns: dict[str, Array] = {str(k): column for k, column in enumerate(table.T)}
+        return _of_columns(columns, str(path), "one matrix without names", ())
+    return _of_variables(arrays, str(path))
+
+
+def _of_variables(arrays: dict[str, Array], where: str) -> RawTable:
+    """Return those variables whose count of rows is that of most as a table."""
+    stacked = {name: array for name, array in arrays.items() if array.ndim == 3}
+    counts = [array.shape[2] for array in stacked.values()] or [max(array.shape) for array in arrays.values()]
+    n = max(set(counts), key=counts.count)
+    columns: dict[str, Array] = {}
+    for name, array in arrays.items():
+        columns |= _columns(name, array, n)
+    if not columns:
+        raise BadFile(f"{where}: no variable has {n} rows", consequence="The file is not used")
+    return _of_columns(columns, where, f"MATLAB variables {', '.join(arrays)[:120]}", tuple(columns))
+
+
+def _columns(name: str, array: Array, n: int) -> dict[str, Array]:
+    """Return the columns of one variable; none where it does not have n rows."""
+    if array.ndim == 3:
+        if array.shape[2] != n or array.shape[:2] not in ((4, 4), (3, 3), (3, 4)):
+            return {}
+        rows, wide = array.shape[:2]
+        cells = ROTATION if wide == 3 else MATRIX[: 4 * rows]
+        return dict(zip((f"{name}_{cell}" for cell in cells), array.reshape(-1, n), strict=True))
+    if array.ndim != 2 or n not in array.shape:
+        return {}
+    table = array if array.shape[0] == n else array.T
+    if table.shape[1] == 1:
+        return {name: table[:, 0]}
+    return dict(zip(_names(name, table.shape[1]), table.T, strict=True))
+
+
+def _names(name: str, k: int) -> list[str]:
+    """Return names for the k columns of a variable."""
+    group = list(column_names(name))
+    if len(group) == k:
+        return group
+    stem, _, unit = name.rpartition("_")
+    if unit not in ("deg", "rad", "mm", "m"):
+        stem, unit = name, ""
+    if k == 3 and stem.split("_")[0].lower() in ("t", "p", "xyz", "pos", "position", "translation"):
+        return [f"{stem}_{axis}{'_' if unit else ''}{unit}" for axis in "xyz"]
+    return [f"{stem}{i + 1}{'_' if unit else ''}{unit}" for i in range(k)]
+
+
+def _of_columns(columns: dict[str, Array], where: str, how: str, names: tuple[str, ...]) -> RawTable:
+    cells = tuple([repr(float(value)) for value in column] for column in columns.values())
+    return RawTable(where=where, how=how, names=names, columns=cells, lines=tuple(range(2, len(cells[0]) + 2)))
+
+
+def folder_table(folder: Path, read: Callable[[Path], RawTable]) -> RawTable:
+    """Return the poses of a folder with one file per pose, in the order of the numbers in their names.
+
+    read: returns the table of one file. Each row says its file. Raises BadFile, NotEnoughData.
+    """
+    files = sorted((p for p in folder.iterdir() if p.suffix.lower() in POSE_SUFFIXES and p.is_file()), key=_natural)
+    if not files:
+        raise NotEnoughData(
+            f"{folder}: no file ends in {', '.join(POSE_SUFFIXES)}", consequence="There is nothing to do"
+        )
+    if len({path.suffix.lower() for path in files}) > 1 or len(files) > MOST_FILES:
+        raise BadFile(
+            f"{folder}: files of several kinds ({', '.join(sorted({p.suffix for p in files}))})",
+            consequence="Nobody knows which of them are the poses",
+            cure="Put the files of the poses, and only them, in a folder",
+        )
+    records = []
+    for path in files:
+        table = read(path)
+        if len(table) != 1:
+            raise BadFile(f"{path}: {len(table)} rows, one pose is wanted in each file of a folder")
+        names = table.names or tuple(str(k) for k in range(len(table.columns)))
+        cells = (column[0] for column in table.columns)
+        records.append({"file": path.name, **dict(zip(names, cells, strict=True))})
+    return table_of(records, str(folder), f"a folder of {len(files)} files, one pose in each")
+
+
+def _natural(path: Path) -> list[tuple[int, int, str]]:
+    parts = _NUMBERS.split(path.name)
+    return [(1, int(part), "") if part.isdecimal() else (0, 0, part) for part in parts]

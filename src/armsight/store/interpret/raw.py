@@ -1,0 +1,144 @@
+"""A table as its file has it: names of columns, where there are any, and the cells as text."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from armsight.errors import BadFile, NotEnoughData
+
+REMARKS = ("#", "%", "//")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RawTable:
+    """where: the file. how: what kind it was found to be, in words. names: of the columns, () where it has none.
+    columns: the cells (k lists of n). lines: (n,) the line that each row came from, from 1."""
+
+    where: str
+    how: str
+    names: tuple[str, ...]
+    columns: tuple[Sequence[str], ...]
+    lines: tuple[int, ...]
+
+    def __len__(self) -> int:
+        return len(self.lines)
+
+
+def parse_text(data: bytes, where: str) -> RawTable:
+    """Return the table in text: cells apart by comma, semicolon, tab or blanks; lines that begin with # are remarks.
+
+    A remark right before the first row names the columns where it has as many words. Rows of four numbers whose every
+    fourth is 0 0 0 1 are poses of 4 x 4. Raises BadFile that names the line.
+    """
+    lines = [(i, line) for i, line in enumerate(_decoded(data, where).splitlines(), 1) if line.strip()]
+    body = [(i, line) for i, line in lines if not line.lstrip().startswith(REMARKS)]
+    if not body:
+        raise BadFile(f"{where}: the file is empty", consequence="It says nothing", cure="Check the file")
+    split = _splitter(body[min(1, len(body) - 1)][1])
+    rows = [(i, split(line)) for i, line in body]
+    names: tuple[str, ...] = ()
+    if not is_data(rows[0][1]):
+        names, rows = tuple(rows[0][1]), rows[1:]
+    else:
+        before = [line for i, line in lines if i < rows[0][0]]
+        words = split(before[-1].lstrip().lstrip("#%/").strip()) if before else []
+        names = tuple(words) if len(words) == len(rows[0][1]) and not is_data(words) else ()
+    if not rows:
+        raise NotEnoughData(f"{where}: no row below the header", consequence="There is nothing to do")
+    blocks = None if names else _matrix_blocks(rows)
+    if blocks is not None:
+        return _transposed(where, "matrices of 4 x 4, one below the other", MATRIX, blocks)
+    wide = len(names or rows[0][1])
+    for i, row in rows:
+        if len(row) != wide:
+            raise BadFile(
+                f"{where}, line {i}: {len(row)} cells, the {'header' if names else 'first row'} has {wide}",
+                consequence="The file is not used",
+                cure="Give every row one cell per column",
+            )
+    how = f"a table of {wide} columns {split.how}, {'with' if names else 'without'} a header"
+    return _transposed(where, how, names, rows)
+
+
+MATRIX = tuple(f"m{row}{column}" for row in range(4) for column in range(4))
+
+
+def table_of(records: Sequence[dict[str, str]], where: str, how: str) -> RawTable:
+    """Return records of the same keys as a table, the k-th as if from line k + 1. Raises BadFile, NotEnoughData."""
+    if not records:
+        raise NotEnoughData(f"{where}: holds no row", consequence="There is nothing to do")
+    names = tuple(records[0])
+    for k, record in enumerate(records, 1):
+        if set(record) != set(names):
+            odd = sorted(set(record) ^ set(names))[0]
+            raise BadFile(
+                f"{where}: of entry {k} and entry 1 only one has {odd[:60]!r}",
+                consequence="The file is not used",
+                cure="Give every entry the same keys",
+            )
+    columns = tuple([record[name] for record in records] for name in names)
+    return RawTable(where=where, how=how, names=names, columns=columns, lines=tuple(range(2, len(records) + 2)))
+
+
+def _transposed(where: str, how: str, names: tuple[str, ...], rows: Sequence[tuple[int, Sequence[str]]]) -> RawTable:
+    columns = tuple([row[k] for _, row in rows] for k in range(len(rows[0][1])))
+    return RawTable(where=where, how=how, names=names, columns=columns, lines=tuple(i for i, _ in rows))
+
+
+def _decoded(data: bytes, where: str) -> str:
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise BadFile(
+            f"{where}: byte {error.start} is not UTF-8 text",
+            consequence="The file cannot be read",
+            cure="Save it as CSV in UTF-8, or check that it is not a binary file",
+        ) from error
+
+
+class _splitter:  # noqa: N801 - a function that says how it splits
+    """Splits a line as the sample is written."""
+
+    def __init__(self, sample: str) -> None:
+        self.by = next((mark for mark in (";", "\t", ",") if mark in sample), "")
+        self.how = {";": "by semicolons", "\t": "by tabs", ",": "by commas", "": "by blanks"}[self.by]
+
+    def __call__(self, line: str) -> list[str]:
+        if not self.by:
+            return line.split()
+        cells = [cell.strip() for cell in next(csv.reader(io.StringIO(line), delimiter=self.by))]
+        if self.by == ";":
+            cells = [cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell) else cell for cell in cells]
+        return cells[:-1] if len(cells) > 1 and not cells[-1] and line.rstrip().endswith(self.by) else cells
+
+
+_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
+
+
+def is_number(text: str) -> bool:
+    """Whether a cell is a number."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return "_" not in text
+
+
+def is_data(cells: Sequence[str]) -> bool:
+    """Whether a line is a row and no header: most of its cells are numbers."""
+    return 2 * sum(is_number(cell) for cell in cells) > len(cells)
+
+
+def _matrix_blocks(rows: Sequence[tuple[int, list[str]]]) -> list[tuple[int, list[str]]] | None:
+    """Return a row of 16 cells for each matrix of 4 x 4, None where the file holds none; a count may come first."""
+    if len(rows[0][1]) == 1 and rows[0][1][0].isdecimal():
+        rows = rows[1:]
+    if not rows or len(rows) % 4 or any(len(row) != 4 or not all(map(is_number, row)) for _, row in rows):
+        return None
+    if any([float(cell) for cell in rows[k][1]] != [0.0, 0.0, 0.0, 1.0] for k in range(3, len(rows), 4)):
+        return None
+    return [(rows[k][0], [cell for _, row in rows[k : k + 4] for cell in row]) for k in range(0, len(rows), 4)]

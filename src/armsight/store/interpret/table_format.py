@@ -1,0 +1,156 @@
+"""What a person says about a table beside its header: flags that every command which reads tables takes."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from armsight.errors import UsageError
+from armsight.store.interpret.rotations import EulerOrder, RobotFormat, euler_order, robot_format
+from armsight.store.interpret.units import UNITS
+
+
+def _silent(text: str) -> None:
+    """Tell nobody."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TableFormat:
+    """What is said about a table: all empty for one of ours.
+
+    euler: an order such as 'xyz-fixed'. columns: names for a table without a header, see column_names. robot: a name
+    of ROBOT_FORMATS. units: such as 'mm,deg', of what the header leaves open. joints: the arm's joints by name, where
+    an arm is known. as_stated: units and orders are taken as stated though the numbers look otherwise. on_hand: whether
+    the camera is on the hand, where it is known. tell: called with what was understood, in words.
+    """
+
+    euler: str = ""
+    columns: str = ""
+    robot: str = ""
+    units: str = ""
+    joints: tuple[str, ...] = ()
+    as_stated: bool = False
+    on_hand: bool | None = None
+    tell: Callable[[str], None] = _silent
+
+    @property
+    def order(self) -> EulerOrder | None:
+        """The order of Euler angles: that stated, else the robot's. Raises UsageError."""
+        if self.euler:
+            return euler_order(self.euler)
+        return self.maker.euler if self.maker else None
+
+    @property
+    def maker(self) -> RobotFormat | None:
+        """The robot maker's way. Raises UsageError."""
+        return robot_format(self.robot) if self.robot else None
+
+    def of_joints(self, names: Sequence[str]) -> TableFormat:
+        """Return it with the names of an arm's joints."""
+        return replace(self, joints=tuple(names))
+
+    @property
+    def of_camera(self) -> TableFormat:
+        """What is said, without what is said of the robot's own poses: for what a camera or a tracker measured."""
+        return replace(self, robot="") if self.robot else self
+
+    @property
+    def stated(self) -> bool:
+        """Whether anything is said of what the columns are."""
+        return bool(self.euler or self.columns or self.robot or self.units)
+
+    def check(self) -> None:
+        """Raise UsageError where anything stated is not known."""
+        _ = self.order, self.names, self.length_m, self.angle_rad
+
+    def unit(self, quantity: str, of_maker: float | None) -> float:
+        """Return the SI value of the unit of columns that state none: of 'length' or 'angle'; else the maker's, or 1.
+
+        Raises UsageError for units that are not known.
+        """
+        for name in filter(None, (part.strip().lower() for part in self.units.split(","))):
+            if name not in UNITS or UNITS[name][0] == "time":
+                raise UsageError(f"--units {self.units!r}: {name!r} is no unit", cure="Write for instance mm,deg")
+            if UNITS[name][0] == quantity:
+                return UNITS[name][1]
+        return 1.0 if of_maker is None else of_maker
+
+    @property
+    def length_m(self) -> float:
+        """The unit of lengths that state none, in m. Raises UsageError."""
+        return self.unit("length", self.maker.length_m if self.maker else None)
+
+    @property
+    def angle_rad(self) -> float:
+        """The unit of a pose's angles that state none, in rad. Raises UsageError."""
+        return self.unit("angle", self.maker.angle_rad if self.maker else None)
+
+    @property
+    def joint_rad(self) -> float:
+        """The unit of joint values that state none, in rad. Raises UsageError."""
+        return self.unit("angle", self.maker.joint_rad if self.maker else None)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The columns' names that are stated, one per column. Raises UsageError."""
+        return column_names(self.columns, self.maker) if self.columns else ()
+
+
+OURS = TableFormat()
+"""Nothing is said."""
+
+_RANGE = re.compile(r"(?P<stem>.*?)(?P<first>\d+)\.\.(?P=stem)?(?P<last>\d+)(?P<unit>_[a-z]+)?")
+_GROUP = re.compile(
+    r"(?P<frame>(?:\w+_)??)(?P<what>xyz|quat_xyzw|quat_wxyz|rotvec|euler|T12|T|pose)(?P<unit>_(?:mm|cm|m|deg|rad))?"
+)
+SKIPPED = "-"
+MOST_COLUMNS = 1000
+
+
+def column_names(text: str, maker: RobotFormat | None = None) -> tuple[str, ...]:
+    """Return the names of '--columns', groups written out.
+
+    Names are separated by commas; '-' is a column that is not used. q1..q6_deg counts; xyz_mm, quat_xyzw, quat_wxyz,
+    rotvec, euler_deg (in the stated order), T (4 x 4 row by row), T12 (3 x 4) and pose (as the robot format has it)
+    stand for their columns, after a frame's name and '_' where there are two. Raises UsageError.
+    """
+    names: list[str] = []
+    for token in (part.strip() for part in text.split(",")):
+        if not token:
+            raise UsageError(f"--columns {text!r} has an empty name", cure="Write - for a column that is not used")
+        names += _written_out(token, maker)
+        if len(names) > MOST_COLUMNS:
+            raise UsageError(f"--columns names more than {MOST_COLUMNS} columns")
+    twice = sorted({name for name in names if name != SKIPPED and names.count(name) > 1})
+    if twice:
+        raise UsageError(f"--columns names {twice[0]!r} twice", cure="Write - for a column that is not used")
+    return tuple(names)
+
+
+def _written_out(token: str, maker: RobotFormat | None) -> list[str]:
+    counted = _RANGE.fullmatch(token)
+    if counted is not None:
+        first, last = int(counted["first"]), int(counted["last"])
+        if not 0 <= last - first < MOST_COLUMNS:
+            raise UsageError(f"{token!r} does not count up")
+        return [f"{counted['stem']}{k}{counted['unit'] or ''}" for k in range(first, last + 1)]
+    group = _GROUP.fullmatch(token)
+    if group is None:
+        return [token]
+    frame, what, unit = group["frame"], group["what"], group["unit"] or ""
+    if what in ("T", "T12"):
+        rows = range(4 if what == "T" else 3)
+        return [f"{frame}m{r}{c}{unit if c == 3 and r < 3 else ''}" for r in rows for c in range(4)]
+    if what == "pose":
+        if maker is None:
+            raise UsageError("pose in --columns stands for a robot's own columns", cure="Give --robot-format too")
+        return [frame + name for name in maker.columns]
+    parts = {
+        "xyz": ("x", "y", "z"),
+        "quat_xyzw": ("qx", "qy", "qz", "qw"),
+        "quat_wxyz": ("qw", "qx", "qy", "qz"),
+        "rotvec": ("rotvec_x", "rotvec_y", "rotvec_z"),
+        "euler": ("euler_1", "euler_2", "euler_3"),
+    }[what]
+    return [frame + part + unit for part in parts]

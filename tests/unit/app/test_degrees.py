@@ -1,0 +1,77 @@
+"""Degrees given for radians are refused before anything moves or is computed."""
+
+from pathlib import Path
+
+import pytest
+
+from armsight.app.identify.live import read_limits
+from armsight.app.kinematics import draw_arm
+from armsight.app.robot.guarding import guard_for
+from armsight.app.robot.jog import JogJob, jog_robot
+from armsight.app.robot.opening import open_robot
+from armsight.clock import SystemClock
+from armsight.errors import BadFile, Inconsistent, UsageError
+from armsight.store.arm_file import read_arm
+from armsight.store.interpret import limits_look_like_degrees, looks_like_degrees
+from armsight.units import DEG
+
+LIMITS = "format: armsight/limits\nversion: 1\njoints:\n" + 6 * "- {lower: LO, upper: HI}\n"
+ARM = (
+    "format: armsight/arm\nversion: 1\nconvention: standard\njoints:\n"
+    "- {name: j1, type: revolute, a_m: 0.3, alpha_rad: ALPHA, lower: LO, upper: HI}\n"
+)
+
+
+def test_limits_of_a_live_identification() -> None:
+    with pytest.raises(Inconsistent, match="look like degrees: the largest is 298"):
+        read_limits("-28:298")
+    assert read_limits("-0.5:5.2,0:0.3").tolist() == [[-0.5, 5.2], [0.0, 0.3]]
+    assert read_limits("-28deg:298deg,0mm:300mm")[0] == pytest.approx([-28 * DEG, 298 * DEG])
+    assert read_limits("-28deg:298deg,0mm:300mm")[1] == pytest.approx([0.0, 0.3])
+    assert read_limits("-7.85rad:7.85rad")[0] == pytest.approx([-7.85, 7.85])  # a wrist of 450 degrees, stated
+    with pytest.raises(UsageError):
+        read_limits("-28grad:5")
+
+
+def test_a_joint_is_not_jogged_by_degrees() -> None:
+    asked: list[str] = []
+    job = JogJob(robot="sim:webcam-cell", joint=1, by=10.0)
+    with pytest.raises(Inconsistent, match="573 degrees: it looks like degrees"):
+        jog_robot(job, lambda question: bool(asked.append(question)))
+    assert not asked
+
+
+def test_limits_of_the_guard(tmp_path: Path) -> None:
+    robot = open_robot("sim:webcam-cell", SystemClock())
+    for low, high, good in ((-170, 170, False), (-2.9, 2.9, True), (-7.85, 7.85, True)):
+        (tmp_path / "limits.yaml").write_text(LIMITS.replace("LO", str(low)).replace("HI", str(high)))
+        if good:
+            assert guard_for(robot, limits=tmp_path / "limits.yaml") is not None
+        else:
+            with pytest.raises(Inconsistent, match="look like degrees"):
+                guard_for(robot, limits=tmp_path / "limits.yaml")
+
+
+def test_an_arm_file(tmp_path: Path) -> None:
+    def arm(alpha: float, low: float, high: float) -> Path:
+        text = ARM.replace("ALPHA", str(alpha)).replace("LO", str(low)).replace("HI", str(high))
+        (tmp_path / "arm.yaml").write_text(text)
+        return tmp_path / "arm.yaml"
+
+    assert read_arm(arm(1.5708, -2.9, 2.9)).n == 1
+    assert read_arm(arm(1.5708, -1000.0, 1000.0)).n == 1  # endless
+    with pytest.raises(BadFile, match="joint j1: alpha_rad look like degrees"):
+        read_arm(arm(90.0, -2.9, 2.9))
+    with pytest.raises(BadFile, match="lower and upper look like degrees"):
+        read_arm(arm(1.5708, -170.0, 170.0))
+
+
+def test_joint_values_on_the_command_line(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="look like degrees: the largest is 90"):
+        draw_arm("ur10", tmp_path / "a.html", joints="0,-90,90,0,0,0")
+
+
+def test_what_stays_below() -> None:
+    assert not looks_like_degrees([[0.0, 6.2], [-3.1, 1.0]]) and looks_like_degrees([[0.0, 28.0]])
+    assert not looks_like_degrees([[float("nan")]])
+    assert not limits_look_like_degrees([-float("inf"), float("inf")])

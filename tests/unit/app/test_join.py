@@ -1,0 +1,128 @@
+"""A joint log and measurements on clocks apart: the offset found, and the tables that calibrations read."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from armsight.app.join import JoinJob, join
+from armsight.calibrate.handeye import Setup
+from armsight.errors import NotEnoughData, UsageError
+from armsight.kinematics import fk, preset
+from armsight.store.arm_points import read_arm_points
+from armsight.store.handeye_file import read_pairs
+from armsight.verify.pairing import bare_arm
+
+ARM = bare_arm(preset("ur10"))
+LEAD_S = 1_700_000_003.417
+"""What the measurements' clock is ahead of the robot's: seconds since 1970 against seconds since it was switched on."""
+T_rig_base = RigidTransform.from_components([0.4, -0.2, 2.0], Rotation.from_rotvec([0.3, -1.2, 0.4]))
+T_flange_target = RigidTransform.from_components([0.02, 0.03, 0.15], Rotation.from_rotvec([0.5, 0.1, -0.3]))
+
+
+def joints_at(t: np.ndarray) -> np.ndarray:
+    """Irregular motion (m, 6) with rests: time stands still for the third second of every six."""
+    phase = t % 6.0
+    moved = 5.0 * (t // 6.0) + np.where(phase < 2.0, phase, np.where(phase < 3.0, 2.0, phase - 1.0))
+    rates = np.array([0.31, 0.53, 0.47, 0.71, 0.43, 0.61])
+    smooth = moved - np.sin(2.0 * np.pi * moved) / (2.0 * np.pi)  # whole seconds begin and end at rest
+    middle = np.array([0.3, -1.2, 1.4, -0.6, 0.9, 0.2])
+    return middle + 0.5 * np.sin(np.outer(smooth, rates) + np.arange(6))
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with joints.csv (50 Hz, degrees), flange.csv, poses.csv and points.csv (12 Hz, another clock)."""
+    folder, rng = tmp_path_factory.mktemp("join"), np.random.default_rng(4)
+    t = np.arange(20.0, 36.0, 0.02)
+    degrees = np.degrees(joints_at(t))
+    names = ",".join(f"q{i + 1}_deg" for i in range(6))
+    rows = "\n".join(",".join(map(repr, map(float, row))) for row in np.column_stack([t, degrees]))
+    (folder / "joints.csv").write_text(f"t_s,{names}\n{rows}\n")
+    F = RigidTransform.from_matrix(fk(ARM, joints_at(t)))
+    xyzq = np.column_stack([t, F.translation, F.rotation.as_quat()])
+    head = "t_s,x_m,y_m,z_m,qx,qy,qz,qw"
+    (folder / "flange.csv").write_text(head + "\n" + "\n".join(",".join(map(repr, map(float, r))) for r in xyzq) + "\n")
+    s = np.arange(22.0, 34.5, 1.0 / 12.0)
+    seen = T_rig_base * RigidTransform.from_matrix(fk(ARM, joints_at(s))) * T_flange_target
+    xyz = seen.translation + 1e-4 * rng.standard_normal((len(s), 3))
+    turned = Rotation.from_rotvec(5e-4 * rng.standard_normal((len(s), 3))) * seen.rotation
+    table = np.column_stack([s + LEAD_S, xyz, turned.as_quat()])
+    lines = [",".join(map(repr, map(float, row))) for row in table]
+    (folder / "poses.csv").write_text("\n".join([head, *lines]) + "\n")
+    points = [",".join(line.split(",")[:4]) for line in lines]
+    (folder / "points.csv").write_text("\n".join(["t_s,x_m,y_m,z_m", *points]) + "\n")
+    inverse = RigidTransform.from_components(xyz, turned).inv()
+    table = np.column_stack([s + LEAD_S, inverse.translation, inverse.rotation.as_quat()])
+    lines = [",".join(map(repr, map(float, row))) for row in table]
+    (folder / "moved.csv").write_text("\n".join([head, *lines]) + "\n")
+    return folder
+
+
+def check_points(path: Path, tolerance_m: float) -> int:
+    points = read_arm_points(path)
+    want = T_rig_base * RigidTransform.from_matrix(fk(ARM, points.q)) * T_flange_target
+    assert np.linalg.norm(points.xyz_m - want.translation, axis=1).max() < tolerance_m
+    return len(points.q)
+
+
+def test_points_of_a_joint_log_in_degrees_on_another_clock(run: Path, tmp_path: Path) -> None:
+    job = JoinJob(measured=run / "points.csv", out=tmp_path / "out.csv", joints=run / "joints.csv", arm="ur10")
+    done = join(replace(job, kind="observed"))
+    assert done.by == "time" and done.n > 0.9 * done.n_measured
+    assert done.offset_std_s is not None and done.offset_std_s < 1e-3
+    assert done.offset_s == pytest.approx(-LEAD_S, abs=max(1e-3, 4.0 * done.offset_std_s))
+    assert check_points(tmp_path / "out.csv", 2e-3) == done.n
+    assert (tmp_path / "out.csv").read_text().startswith("q1,q2,q3,q4,q5,q6,x_m,y_m,z_m\n")
+
+
+def test_one_row_for_each_rest(run: Path, tmp_path: Path) -> None:
+    job = JoinJob(measured=run / "poses.csv", out=tmp_path / "p.csv", joints=run / "joints.csv", arm="ur10")
+    done = join(replace(job, still=True, offset_s=-LEAD_S))
+    assert 2 <= done.n < 10
+    assert check_points(tmp_path / "p.csv", 2.5e-4) == done.n  # means of noise of 0.1 mm
+    assert (tmp_path / "p.csv").read_text().startswith("q1,q2,q3,q4,q5,q6,x_m,y_m,z_m,qx,qy,qz,qw\n")
+
+
+@pytest.mark.parametrize(("setup", "by"), [(Setup.EYE_IN_HAND, "joints"), (Setup.EYE_TO_HAND, "stream")])
+def test_pairs_for_the_hand_eye_calibration(run: Path, tmp_path: Path, setup: Setup, by: str) -> None:
+    # the same run seen the other way round is a camera on the hand: T_camera_target = T_target_rig of the file
+    file = run / ("poses.csv" if setup is Setup.EYE_TO_HAND else "moved.csv")
+    source = {"joints": run / "joints.csv", "arm": "ur10"} if by == "joints" else {"robot_stream": run / "flange.csv"}
+    job = JoinJob(measured=file, out=tmp_path / "pairs.csv", kind="pairs", setup=setup, **source)  # type: ignore[arg-type]
+    done = join(job if by == "stream" else replace(job, offset_s=-LEAD_S))
+    assert done.offset_s == pytest.approx(-LEAD_S, abs=1e-3)
+    pairs = read_pairs(tmp_path / "pairs.csv")
+    want = T_rig_base * pairs.T_base_flange * T_flange_target
+    got = pairs.T_camera_target if setup is Setup.EYE_TO_HAND else pairs.T_camera_target.inv()
+    assert np.linalg.norm(got.translation - want.translation, axis=1).max() < 2e-3
+    assert np.max((got.rotation * want.rotation.inv()).magnitude()) < 6e-3
+
+
+def test_an_offset_that_is_known_is_taken(run: Path, tmp_path: Path) -> None:
+    job = JoinJob(
+        measured=run / "poses.csv", out=tmp_path / "p.csv", joints=run / "joints.csv", arm="ur10", offset_s=-LEAD_S
+    )
+    done = join(job)
+    assert (done.offset_s, done.offset_std_s, done.by) == (-LEAD_S, None, "time")
+    check_points(tmp_path / "p.csv", 7e-4)
+    with pytest.raises(NotEnoughData, match="one run"):
+        join(replace(job, offset_s=100.0))
+
+
+def test_wrong_calls_are_refused(run: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out.csv"
+    for wrong in (
+        {"joints": run / "joints.csv"},
+        {"joints": run / "joints.csv", "robot_stream": run / "flange.csv", "arm": "ur10"},
+        {"robot_stream": run / "flange.csv"},
+        {"joints": run / "joints.csv", "arm": "ur10", "kind": "table"},
+        {"joints": run / "joints.csv", "arm": "stanford-rrp"},
+    ):
+        with pytest.raises(UsageError):
+            join(JoinJob(measured=run / "points.csv", out=out, **wrong))  # type: ignore[arg-type]
+    assert not out.exists()

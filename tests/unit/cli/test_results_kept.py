@@ -1,0 +1,173 @@
+"""Results of an earlier run: refused, replaced by finished ones only, never mixed; inputs are never written over."""
+
+from __future__ import annotations
+
+import csv
+import signal
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from armsight.app.simulate.run import simulate
+from armsight.cli.command_ui import CommandUI
+from armsight.errors import Cancelled
+from armsight.records import Silent
+from armsight.store.earlier_results import EarlierResults
+
+NAMES = ("poses.csv", "left", "report.html")
+
+
+def measure_words(scene: Any, out: Path) -> list[Any]:
+    files = ["--rig", scene.folder / "rig.yaml", "--target", scene.folder / "target.yaml"]
+    return ["measure", *files, *scene.sources(), "-o", out]
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+def test_measure_leaves_another_runs_results_alone_until_it_is_told_to_replace_them(
+    armsight: Any, scene: Any, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    assert armsight(*measure_words(scene, out)).code == 0
+    (out / "notes.txt").write_text("mine")
+    before = content(out)
+    again = armsight(*measure_words(scene, out))
+    assert again.code == 2
+    assert "poses.csv" in again.text
+    assert "--overwrite" in again.text
+    assert content(out) == before
+    wrong = [*measure_words(scene, out), "--frames", "1", "--overwrite"]
+    wrong[wrong.index("--target") + 1] = tmp_path / "nosuch.yaml"
+    assert armsight(*wrong).code == 3
+    assert content(out) == before, "a run that fails leaves what was there"
+    fewer = armsight(*measure_words(scene, out), "--frames", "1", "--overwrite")
+    assert fewer.code == 0
+    assert fewer.json["n_frames"] == 1
+    after = content(out)
+    assert set(after) == set(before)
+    assert after["notes.txt"] == b"mine"
+    assert after["poses.csv"] != before["poses.csv"]
+
+
+def test_simulated_pictures_of_an_earlier_run_do_not_stay_beside_new_ones(armsight: Any, tmp_path: Path) -> None:
+    words = ["simulate", "hand-cell", "-o", tmp_path / "cell"]
+    assert armsight(*words, "--frames", 3).code == 0
+    assert armsight(*words, "--frames", 2).code == 2
+    assert armsight(*words, "--frames", 2, "--overwrite").code == 0
+    assert len(list((tmp_path / "cell" / "left").iterdir())) == 2
+
+
+def test_the_demo_replaces_its_own_results_and_no_others(armsight: Any, tmp_path: Path) -> None:
+    words = ["demo", "--no-pictures", "--frames", 2, "-o", tmp_path / "demo"]
+    assert armsight(*words).code == 0
+    assert armsight(*words).code == 0
+    (tmp_path / "demo" / "demo.json").unlink()
+    assert armsight(*words).code == 2
+
+
+class StopsAt(Silent):
+    def __init__(self, done: int) -> None:
+        self.until, self.done = done, 0.0
+
+    def update(self, done: float, total: float, note: str = "") -> None:
+        self.done = done
+
+    def cancelled(self) -> bool:
+        return self.done >= self.until
+
+
+@pytest.mark.parametrize("scenario", ["webcam-cell", "hand-cell"])
+def test_a_simulation_that_is_stopped_leaves_tables_that_match_its_frames(scenario: str, tmp_path: Path) -> None:
+    with pytest.raises(Cancelled, match="2"):
+        simulate(scenario, tmp_path, frames=5, progress=StopsAt(2))
+    assert len(list((tmp_path / "left").iterdir())) == 2
+    tables = [tmp_path / name for name in ("times.csv", "truth.csv", "truth_world.csv", "joints.csv")]
+    lengths = {path.name: len(path.read_text().splitlines()) - 1 for path in tables if path.exists()}
+    assert set(lengths.values()) == {2}, lengths
+
+
+def test_no_output_is_an_input(armsight: Any, scene: Any, tmp_path: Path) -> None:
+    arm = tmp_path / "arm.yaml"
+    assert armsight("convert", "arm", "ur10", "-o", arm).code == 0
+    before = arm.read_bytes()
+    for path in (arm, tmp_path / "." / "link.yaml"):
+        if not path.exists():
+            path.symlink_to(arm)
+        done = armsight("convert", "arm", path, "-o", arm)
+        assert done.code == 2
+        assert "is an input" in done.text
+    assert arm.read_bytes() == before
+    spots = tmp_path / "spots.csv"
+    spots.write_text("t_s,u_px,v_px\n")
+    words = ["measure", "--rig", scene.folder / "rig.yaml", "--target", scene.folder / "target.yaml"]
+    done = armsight(*words, "--left-spots", spots, "--right-spots", spots, "-o", tmp_path)
+    assert done.code == 2
+    assert spots.exists()
+
+
+def test_earlier_results_come_back_or_go_as_a_whole(tmp_path: Path) -> None:
+    def fill(text: str) -> None:
+        (tmp_path / "left").mkdir(exist_ok=True)
+        for name in ("poses.csv", "left/0.png"):
+            (tmp_path / name).write_text(text)
+
+    fill("old")
+    earlier = EarlierResults(tmp_path, NAMES)
+    assert not (tmp_path / "poses.csv").exists()
+    (tmp_path / "report.html").write_text("half")
+    earlier.put_back()
+    assert content(tmp_path) == {"poses.csv": b"old", "left/0.png": b"old"}
+    earlier = EarlierResults(tmp_path, NAMES)
+    earlier.settle()
+    assert content(tmp_path) == {"poses.csv": b"old", "left/0.png": b"old"}, "nothing new, nothing lost"
+    earlier = EarlierResults(tmp_path, NAMES)
+    (tmp_path / "poses.csv").write_text("new")
+    earlier.settle()
+    assert content(tmp_path) == {"poses.csv": b"new"}
+    assert [path.name for path in tmp_path.iterdir()] == ["poses.csv"]
+
+
+def test_sigterm_is_like_ctrl_c(capsys: pytest.CaptureFixture[str]) -> None:
+    with CommandUI(as_json=False) as face:
+        progress = face.progress("working")
+        assert not progress.cancelled()
+        signal.raise_signal(signal.SIGTERM)
+        assert progress.cancelled()
+    assert "stopping" in capsys.readouterr().err
+
+
+def test_times_beside_the_frames_are_used_and_an_assumed_time_is_said(
+    armsight: Any, scene: Any, tmp_path: Path
+) -> None:
+    folders = {side: tmp_path / side for side in ("left", "right")}
+    for side, folder in folders.items():
+        folder.mkdir()
+        for path in sorted((scene.folder / side).iterdir())[:3]:
+            (folder / path.name).symlink_to(path)  # links are followed
+    files = ["--rig", scene.folder / "rig.yaml", "--target", scene.folder / "target.yaml"]
+    words = ["measure", *files, "--left", folders["left"], "--right", folders["right"], "-o"]
+
+    def measured(name: str) -> tuple[Any, list[float], str]:
+        done = armsight(*words, tmp_path / name)
+        assert done.code == 0, done.text
+        times_s = [
+            float(row["t_s"]) for row in csv.DictReader((tmp_path / name / "poses.csv").read_text().splitlines())
+        ]
+        return done, times_s, (tmp_path / name / "report.html").read_text()
+
+    done, times_s, report = measured("assumed")
+    assert done.json["assumed_fps"] == 30.0
+    assert "assumed at 30 fps" in done.text
+    assert times_s == pytest.approx([0.0, 1 / 30, 2 / 30])
+    assert "time, s" not in report
+    (tmp_path / "times.csv").write_text("t_s\n1.0\n1.5\n2.5\n")
+    done, times_s, report = measured("beside")
+    assert "assumed_fps" not in done.json
+    assert times_s == [1.0, 1.5, 2.5]
+    assert "time, s" in report
+    (tmp_path / "times.csv").write_text("t_s\n1.0\n")
+    done, times_s, _ = measured("of-another-run")
+    assert done.json["assumed_fps"] == 30.0

@@ -1,0 +1,250 @@
+"""armsight teach and armsight play: their files, what they refuse before any motion, and how they end."""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+from typer.testing import CliRunner
+
+from armsight.app.play.job import PlayJob
+from armsight.app.play.run import run_play
+from armsight.app.robot.guarding import arm_of
+from armsight.app.robot.keys import listening
+from armsight.app.robot.opening import open_robot
+from armsight.app.servo.job import ServoDevices, ServoJob
+from armsight.app.servo.stepped import SteppedClock
+from armsight.app.simulate.run import simulate
+from armsight.app.simulate.scenarios import live_cell
+from armsight.app.teach.following import TaughtBeside, teach_following
+from armsight.app.teach.job import TeachJob
+from armsight.cli.commands import app
+from armsight.clock import ManualClock
+from armsight.control.play import PathSource
+from armsight.errors import BadFile, Cancelled, Inconsistent, UsageError
+from armsight.kinematics import presets
+from armsight.records import PoseStatus, Silent, TargetPose, TaughtPath
+from armsight.store import read_poses, write_poses, write_text
+from armsight.store.arm_file import write_arm
+from armsight.store.path_file import read_path, write_path
+from armsight.store.recording import Recording
+from armsight.units import MM
+
+SIM = "sim:webcam-cell"
+
+
+def command(*args: object) -> tuple[int, dict, str]:
+    result = CliRunner().invoke(app, [*map(str, args), "--json"])
+    return result.exit_code, json.loads(result.stdout or "{}"), result.stderr
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("cell") / "webcam"
+    simulate("webcam-cell", out, frames=3, room="dark")
+    return out
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    """Return the file of a path of 10 mm before the flange of the webcam cell's robot."""
+    clock = ManualClock()
+    with open_robot(SIM, clock) as robot:
+        clock.advance(0.04)
+        arm = arm_of(robot, None)
+        stand = RigidTransform.from_matrix(arm.fk(arm.values(robot.read().q)))
+    rows = [(stand * RigidTransform.from_translation([x, 0.0, 0.005])).as_matrix() for x in (0.0, 0.01)]
+    write_path(tmp_path / "path.csv", TaughtPath.of_poses(RigidTransform.from_matrix(np.array(rows)), speed_m_s=0.05))
+    return tmp_path / "path.csv"
+
+
+def job(path: Path, **more) -> PlayJob:
+    return PlayJob(robot=SIM, path=path, out=path.parent / "out", approach_speed_m_s=0.05, retract_m=0.004, **more)
+
+
+def played(wanted: PlayJob, *, confirm=lambda _: True, progress=None, begun=lambda _: None):
+    clock = ManualClock()
+    opened = open_robot(SIM, clock), clock
+    return run_play(wanted, confirm, progress=progress, opened=opened, begun=begun)
+
+
+def test_a_path_is_made_of_measured_poses(tmp_path: Path) -> None:
+    turned = Rotation.from_rotvec([0.0, 0.0, np.pi / 2])
+    rows = []
+    for k in range(5):
+        T = RigidTransform.from_components([0.1 * k, 0.0, 0.5], turned).as_matrix()
+        rows.append(TargetPose(t_s=k, status=PoseStatus.OK, parent="rig", T_parent_target=T, covariance=np.eye(6)))
+    rows[2] = TargetPose(t_s=2.0, status=PoseStatus.LOST, parent="rig")
+    write_poses(tmp_path / "poses.csv", rows)
+    write_text(tmp_path / "tip.yaml", "format: armsight/tip\nversion: 1\ntip_m: [0.1, 0.0, 0.0]\n")
+    out = tmp_path / "out"
+    code, done, _ = command("teach", "--from", tmp_path / "poses.csv", "--tip", tmp_path / "tip.yaml", "-o", out)
+    assert code == 0
+    assert (done["n_rows"], done["n_lost"], done["state"], done["stopped_by"]) == (4, 1, None, "end")
+    taught = read_path(out / "path.csv")
+    assert np.allclose(taught.xyz_m, [[0.1 * k, 0.1, 0.5] for k in (0, 1, 3, 4)])
+    assert json.loads((out / "teach.json").read_text()) == done
+
+
+def test_a_path_is_taught_before_cameras_that_stand(cell: Path, tmp_path: Path) -> None:
+    files = [part for name in ("rig", "target", "world") for part in (f"--{name}", cell / f"{name}.yaml")]
+    out = tmp_path / "out"
+    code, done, _ = command("teach", *files, "--left", cell / "left", "--right", cell / "right", "-o", out)
+    assert code == 0
+    assert (done["n_rows"], done["stopped_by"], done["parent"], done["n_cycles"]) == (3, "end", "world", 0)
+    true = read_poses(cell / "truth_world.csv")
+    off = read_path(out / "path.csv").xyz_m - [pose.T_parent_target[:3, 3] for pose in true]
+    assert np.abs(off).max() < 1e-3
+    code, refused, _ = command("teach", *files, "--left", cell / "left", "-o", tmp_path / "other")
+    assert code == 2 and "which cameras" in refused["error"]["cause"]
+
+
+@pytest.mark.parametrize(
+    ("args", "why"),
+    [
+        ((), "--rig, --target are needed"),
+        (("--robot", SIM, "--rig", "r.yaml", "--target", "t.yaml"), "--handeye are needed"),
+        (("--from", "poses.csv", "--robot", SIM), "with --from, --robot means nothing"),
+        (("--rig", "r.yaml", "--target", "t.yaml", "--hand", "circle"), "with no --robot, --hand means nothing"),
+        (("--from", "poses.csv", "--every", "0"), "every 0 frames"),
+        (("--from", "poses.csv", "--path-speed", "-1"), "is no speed"),
+    ],
+)
+def test_teaching_that_cannot_be_meant_is_refused(tmp_path: Path, monkeypatch, args, why: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_poses(tmp_path / "poses.csv", [TargetPose(t_s=0.0, status=PoseStatus.LOST, parent="rig")])
+    code, refused, _ = command("teach", *args, "-o", tmp_path / "out")
+    assert code == 2
+    assert why in refused["error"]["cause"]
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_path_is_asked_for_run_and_recorded(path: Path) -> None:
+    asked: list[str] = []
+    done = played(job(path), confirm=lambda question: bool(asked.append(question)) or True)
+    assert done.finished and done.stopped_by == "end" and done.share == 1.0
+    assert "along 10.0 mm" in asked[0] and "deg" in asked[0] and "no camera watches" in asked[0]
+    with Recording(path.parent / "out" / "play.mcap") as recording:
+        commands, told = list(recording.commands()), [event.message for event in recording.events()]
+    goals = np.array([c.values["xyz_m"] for c in commands if c.kind == "set_point" and "xyz_m" in c.values])
+    assert np.allclose(np.ptp(goals, axis=0).max(), 0.01, atol=1e-6)
+    assert {c.kind for c in commands} == {"set_point", "joints"}
+    assert any(text.startswith("path at") for text in told) and any(text.startswith("finished at") for text in told)
+    with pytest.raises(UsageError, match="holds a recording"):
+        played(job(path))
+
+
+def test_nothing_is_written_or_moved_without_a_yes(path: Path) -> None:
+    with pytest.raises(Cancelled):
+        played(job(path), confirm=lambda _: False)
+    assert not (path.parent / "out").exists()
+
+
+def test_the_operator_brings_it_to_rest(path: Path) -> None:
+    class LetGo(Silent):
+        def __init__(self) -> None:
+            self.sources: list[PathSource] = []
+
+        def cancelled(self) -> bool:
+            return any(source.progress.s_m > 0.002 for source in self.sources)
+
+    progress = LetGo()
+    done = played(job(path), progress=progress, begun=progress.sources.append)
+    assert done.stopped_by == "operator" and not done.finished and 0.0 < done.share < 1.0
+    assert done.state == "disabled"
+
+
+def test_files_of_another_arm_and_missing_ones_are_refused(path: Path, tmp_path: Path) -> None:
+    write_arm(tmp_path / "puma.yaml", presets.puma761())
+    with pytest.raises(Inconsistent, match="has its flange"):
+        played(job(path, arm=tmp_path / "puma.yaml"))
+    write_arm(tmp_path / "rrp.yaml", presets.stanford_rrp())
+    with pytest.raises(UsageError, match="6 joints"):
+        played(job(path, arm=tmp_path / "rrp.yaml"))
+    with pytest.raises(UsageError, match="--target, --handeye is missing"):
+        played(job(path, rig=tmp_path / "rig.yaml"))
+    eyes = {name: tmp_path / f"{name}.yaml" for name in ("rig", "target", "handeye")}
+    with pytest.raises(BadFile, match="hand-eye calibration"):
+        played(job(path, **eyes))
+    with pytest.raises(UsageError, match="no frame of a path"):
+        played(job(path, frame="tool"))
+    far = read_path(path)
+    T = far.T_world_tip.copy()
+    T[1, :3, 3] += 3.0
+    write_path(tmp_path / "far.csv", TaughtPath.of_poses(RigidTransform.from_matrix(T)))
+    with pytest.raises(Inconsistent, match="cannot run it"):
+        played(job(tmp_path / "far.csv"))
+    assert not (path.parent / "out").exists()
+
+
+def devices(name: str, **more) -> ServoDevices:
+    clock = SteppedClock()
+    made = live_cell(name, clock, room="dark", **more)
+    return ServoDevices(
+        robot=made.robot,
+        pairs=made.pairs,
+        clock=clock,
+        overlaid=made.one_image,
+        origin_s=lambda: float(made.origin_s),
+        stepped=clock,
+    )
+
+
+def test_cameras_that_see_the_tip_elsewhere_stop_the_arm(cell: Path, path: Path) -> None:
+    eyes = {name: cell / f"{name}.yaml" for name in ("rig", "target", "handeye")}
+    wanted = job(path, **eyes, stop_m=0.0003)  # the nominal arm is off by more
+    done = run_play(wanted, lambda _: True, devices=devices("webcam-cell", fps=20.0))
+    assert "the cameras see the tip" in done.stopped_by and "0.3 mm are allowed" in done.stopped_by
+    assert done.state == "stopped" and not done.finished
+    assert done.measured is not None and 0.0003 < done.measured.max_m < 0.01
+
+
+def test_a_path_is_taught_while_the_arm_follows(tmp_path: Path) -> None:
+    files = tmp_path / "cell"
+    simulate("pachidis2005-static", files, frames=1, room="dark")
+    made = devices("pachidis2005-static", fps=1.0 / 0.07, hand="circle", speed_m_s=0.03)
+    servo = ServoJob(
+        robot="sim:pachidis2005-static",
+        rig=files / "rig.yaml",
+        target=files / "target.yaml",
+        handeye=files / "handeye.yaml",
+        arm=files / "arm_true.yaml",
+        out=tmp_path / "out",
+        seconds_s=3.0,
+    )
+    done = teach_following(TeachJob(out=tmp_path / "out"), servo, lambda _: True, devices=made)
+    assert done.state == "running" and done.stopped_by == "time" and done.servo.followed > 0.5
+    taught = read_path(tmp_path / "out" / "path.csv")
+    origin_s = made.origin_s()
+    true = np.array([made.pairs.target_at(t - origin_s).translation for t in taught.t_s])
+    off = np.abs(taught.xyz_m - true) / MM
+    assert len(taught) == done.n_rows > 20
+    assert (off.mean(axis=0) < np.array([0.2466, 0.4843, 0.3048]) / 3.0).all()  # Pachidis 2005, table 2, a third of it
+    assert (off.max(axis=0) < np.array([1.1477, 1.7052, 1.021]) / 3.0).all()
+    assert done.n_position_only + done.n_ok <= done.servo.n_frames
+
+
+def test_a_recorder_knows_no_place_before_the_servo_began() -> None:
+    beside = TaughtBeside(TeachJob(out=Path("out")))
+    beside.recorder.start()
+    T = np.eye(4)
+    beside.observe(
+        TargetPose(t_s=0.0, status=PoseStatus.OK, parent="rig", T_parent_target=T, covariance=np.eye(6)), 0.0
+    )
+    assert beside.recorder.counts.unplaced == 1
+
+
+def test_a_key_does_its_thing(monkeypatch) -> None:
+    master, slave = os.openpty()
+    pressed = threading.Event()
+    with os.fdopen(slave) as terminal:
+        monkeypatch.setattr("sys.stdin", terminal)
+        with listening({" ": pressed.set}):
+            os.write(master, b"x ")
+            assert pressed.wait(10.0)
+    os.close(master)

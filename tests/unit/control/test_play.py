@@ -1,0 +1,335 @@
+"""A path planned and run: where the tip goes, how it waits and comes back, and what is refused before any motion."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from armsight.app.robot.guarding import arm_of
+from armsight.app.robot.opening import open_robot
+from armsight.clock import ManualClock
+from armsight.control.guard import Guard, Limits
+from armsight.control.loop import ControlLoop
+from armsight.control.play import PathSource, PlaySettings, PlaySight, PlayWatch, Weave, plan_path
+from armsight.control.play.track import Leg
+from armsight.control.servo import Mount
+from armsight.control.setpoints import CycleState, Finished, Hold, ToolPose
+from armsight.errors import Inconsistent, NotEnoughData, UsageError
+from armsight.kinematics import presets
+from armsight.records import PoseStatus, TargetPose, TaughtPath
+
+ARM = replace(presets.ur10(), T_flange_tool=RigidTransform.from_translation([0.0, 0.0, 0.15]))
+Q = np.array([0.0, -1.0, 1.5, -0.5, 1.5, 0.0])
+STAND = ARM.T_world_base.inv() * RigidTransform.from_matrix(ARM.fk(ARM.values(Q)))
+CYCLE_S = 0.008
+FAST = PlaySettings(speed_m_s=0.05, approach_speed_m_s=0.1, retract_m=0.01)
+
+
+def through(xyz, *, stand: RigidTransform = STAND, tags=None, turn=None, **more) -> TaughtPath:
+    """Return a path through places in the axes of the tool as it stands."""
+    turns = Rotation.identity() if turn is None else turn
+    rows = [(stand * RigidTransform.from_components(place, turns)).as_matrix() for place in np.asarray(xyz, float)]
+    path = TaughtPath.of_poses(RigidTransform.from_matrix(np.array(rows)), parent="base", **more)
+    return path if tags is None else replace(path, tags=tags)
+
+
+LINE = through([[0.0, 0.0, 0.01], [0.03, 0.0, 0.01]])
+
+
+class Follower:
+    """An arm that is where it was told to be, and can be kept from following."""
+
+    def __init__(self, source: PathSource) -> None:
+        self.source = source
+        self.t_s, self.T, self.running = 0.0, STAND, True
+        self.still = np.zeros(6)
+
+    def cycle(self):
+        now = CycleState(
+            t_s=self.t_s,
+            cycle_s=CYCLE_S,
+            q=Q,
+            q_sent=Q,
+            qd_sent=self.still,
+            T_base_tool=self.T,
+            running=self.running,
+        )
+        wanted = self.source.next(now)
+        self.t_s += CYCLE_S
+        if isinstance(wanted, ToolPose) and self.running:
+            self.T = wanted.T_base_tool
+        return wanted
+
+    def until(self, done, most: int = 4000):
+        tips = []
+        for _ in range(most):
+            wanted = self.cycle()
+            tips.append(self.T.translation)
+            if done(wanted):
+                return np.array(tips)
+        raise AssertionError("it did not come to that")
+
+
+def planned(path: TaughtPath = LINE, settings: PlaySettings = FAST, **more) -> PathSource:
+    return PathSource(plan_path(path, ARM, Limits(), Q, settings), **more)
+
+
+def test_weaves() -> None:
+    s = np.linspace(0.0, 0.02, 2001)
+    sine, zigzag = (Weave.parse(f"{kind}:0.002:0.01").offset_m(s) for kind in ("sine", "zigzag"))
+    assert np.allclose(sine, 0.002 * np.sin(2.0 * np.pi * s / 0.01))
+    assert zigzag.max() == pytest.approx(0.002) and zigzag.min() == pytest.approx(-0.002)
+    assert np.abs(np.diff(zigzag) / np.diff(s)).max() < 1.3 * 4.0 * 0.002 / 0.01
+    assert np.abs(zigzag[[0, 500, 1000]]).max() < 1e-12
+    assert not Weave.parse("none").offset_m(s).any()
+
+
+@pytest.mark.parametrize("text", ["", "sine", "sine:1", "sine:a:b", "circle:1:2", "none:1:2", "sine:0.001:0"])
+def test_what_is_no_weave_is_refused(text: str) -> None:
+    with pytest.raises(UsageError):
+        Weave.parse(text)
+
+
+def test_the_tip_goes_to_the_start_along_the_tools_axis_then_along_the_path_and_ends() -> None:
+    source = planned(through([[0.02, 0.0, 0.03], [0.05, 0.0, 0.03]]))
+    follower = Follower(source)
+    tips = STAND.inv().apply(follower.until(lambda wanted: isinstance(wanted, Finished)))
+    before = tips[np.argmin(np.linalg.norm(tips - [0.02, 0.0, 0.02], axis=1))]
+    assert np.allclose(before, [0.02, 0.0, 0.02], atol=1e-6)  # retract_m before the start
+    along = tips[tips[:, 0] > 0.02 + 1e-9]
+    assert np.abs(along[:, 1:] - [0.0, 0.03]).max() < 1e-9
+    assert np.allclose(tips[-1], [0.05, 0.0, 0.03], atol=1e-6)
+    speed = np.linalg.norm(np.diff(along, axis=0), axis=1) / CYCLE_S
+    assert speed.max() == pytest.approx(0.05, rel=1e-3)
+    assert np.abs(np.diff(speed)).max() / CYCLE_S < 0.21  # PATH_ACCELERATION_M_S2
+    assert source.progress.stage == "finished" and source.progress.share == 1.0
+
+
+def test_a_pause_rests_on_the_path_and_an_override_slows_it() -> None:
+    source = planned(override=0.5)
+    follower = Follower(source)
+    follower.until(lambda _: source.progress.s_m > 0.01)
+    assert source.progress.speed_m_s == pytest.approx(0.025, rel=1e-3)
+    source.pause()
+    follower.until(lambda _: source.progress.speed_m_s == 0.0)
+    rests_at = source.progress.s_m
+    assert 0.01 < rests_at < 0.02 and source.progress.paused
+    for _ in range(20):
+        follower.cycle()
+    assert source.progress.s_m == rests_at
+    source.resume()
+    source.override = 1.0
+    follower.until(lambda wanted: isinstance(wanted, Finished))
+    for wrong in (0.0, 1.5, float("nan")):
+        with pytest.raises(UsageError):
+            source.override = wrong
+
+
+def test_after_a_hold_the_tip_comes_back_to_the_path_before_it_goes_on() -> None:
+    source = planned()
+    follower = Follower(source)
+    follower.until(lambda _: source.progress.s_m > 0.01)
+    follower.running, left_at = False, source.progress.s_m
+    assert isinstance(follower.cycle(), Hold) and source.progress.waiting
+    follower.T = follower.T * RigidTransform.from_translation([0.004, 0.001, 0.0])  # brought to rest off the path
+    follower.running, follower.still = True, np.full(6, 0.1)
+    assert isinstance(follower.cycle(), Hold)  # it still moves
+    follower.still = np.zeros(6)
+    tips = STAND.inv().apply(follower.until(lambda wanted: isinstance(wanted, Finished)))
+    back = np.argmin(np.linalg.norm(tips - [left_at, 0.0, 0.01], axis=1))
+    assert np.allclose(tips[back], [left_at, 0.0, 0.01], atol=1e-6)
+    speed = np.linalg.norm(np.diff(tips[: back + 1], axis=0), axis=1) / CYCLE_S
+    assert speed.max() < 0.0101
+    assert np.abs(tips[back:, 1]).max() < 1e-6
+
+
+def test_an_arm_that_lags_behind_makes_the_path_wait() -> None:
+    source = planned()
+    follower = Follower(source)
+    follower.until(lambda _: source.progress.s_m > 0.01)
+    stuck = follower.T
+    for _ in range(100):
+        follower.cycle()
+        follower.T = stuck
+    waits_at = source.progress.s_m
+    assert source.progress.waiting and waits_at < 0.025
+    follower.cycle()
+    follower.T = stuck
+    assert source.progress.s_m == waits_at
+    follower.until(lambda wanted: isinstance(wanted, Finished))
+
+
+def test_an_arm_far_from_the_path_is_not_brought_back() -> None:
+    source = planned()
+    follower = Follower(source)
+    follower.until(lambda _: source.progress.s_m > 0.01)
+    follower.running = False
+    follower.cycle()
+    follower.running, follower.T = True, follower.T * RigidTransform.from_translation([0.0, 0.0, -0.05])
+    wanted = follower.cycle()
+    assert isinstance(wanted, Hold) and "50 mm from the path" in wanted.why
+
+
+def test_a_place_that_the_guard_refuses_again_and_again_is_given_up_until_it_is_resumed() -> None:
+    source = planned()
+    follower = Follower(source)
+    follower.until(lambda _: source.progress.s_m > 0.01)
+
+    def refused(cycles: int) -> list[str]:
+        whys = []
+        for _ in range(cycles):  # each set point is refused in the cycle after it, and so is a hold with a reason
+            wanted = follower.cycle()
+            follower.running = isinstance(wanted, Hold) and not wanted.why
+            whys.append(wanted.why if isinstance(wanted, Hold) else "moves")
+        return whys
+
+    assert "again and again" in refused(40)[-1]
+    assert set(refused(300)) == {"the guard refused the path here again and again"}
+    source.resume()
+    follower.running = True
+    follower.until(lambda wanted: isinstance(wanted, Finished))
+
+
+@pytest.mark.parametrize(
+    ("path", "why"),
+    [
+        (through([[0.0, 0.0, 0.0], [0.001, 0.0, 0.0], [0.002, 0.0, 0.0], [0.1, 0.0, 0.0]]), "jumps by 98 mm"),
+        (through([[0.001 * k, 0.02 * (k == 12), 0.0] for k in range(30)]), "jumps by 20 mm and back at row 12"),
+        (through([[0.0, 0.0, 0.0], [0.0, 0.0, 3.0]]), "cannot run it"),
+        (
+            through([[0.0, 0.0, 0.0], [0.02, 0.0, 0.0]], turn=Rotation.from_rotvec([0.0, 3.0, 0.0])),
+            "cannot run",
+        ),
+    ],
+)
+def test_what_cannot_be_run_is_refused_before_any_motion(path: TaughtPath, why: str) -> None:
+    with pytest.raises(Inconsistent, match=why) as refused:
+        plan_path(path, ARM, Limits(), Q, FAST)
+    assert "Nothing is moved" in str(refused.value)
+
+
+def test_a_turn_over_is_refused_and_one_place_is_no_path() -> None:
+    T = LINE.T_world_tip.copy()
+    T[1] = (
+        RigidTransform.from_matrix(T[1]) * RigidTransform.from_rotation(Rotation.from_rotvec([2.0, 0, 0]))
+    ).as_matrix()
+    with pytest.raises(Inconsistent, match="turns by 115 deg before row 1"):
+        plan_path(replace(LINE, T_world_tip=T), ARM, Limits(), Q, FAST)
+    kept = plan_path(replace(LINE, T_world_tip=T), ARM, Limits(), Q, replace(FAST, keep_rotation=True))
+    assert (kept.track.pose(0.03).rotation * STAND.rotation.inv()).magnitude() < 1e-9
+    with pytest.raises(NotEnoughData):
+        plan_path(through([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]), ARM, Limits(), Q, FAST)
+    along = through([[0.0, 0.0, 0.0], [0.0, 0.0, 0.02]])
+    with pytest.raises(Inconsistent, match="tool's own axis"):
+        plan_path(along, ARM, Limits(), Q, replace(FAST, weave=Weave.parse("sine:0.001:0.01")))
+
+
+def test_corners_are_rounded_by_what_the_plan_tells_and_ends_stay() -> None:
+    corner = through([[0.0, 0.0, 0.0], [0.03, 0.0, 0.0], [0.03, 0.03, 0.0]])
+    plan = plan_path(corner, ARM, Limits(), Q, replace(FAST, blend_m=0.004))
+    places = STAND.inv().apply(plan.seam_m)
+    off = np.linalg.norm(places - [0.03, 0.0, 0.0], axis=1).min()
+    assert 2e-4 < plan.rounded_m < 8e-4
+    assert off == pytest.approx(plan.rounded_m, rel=0.03)  # between two samples
+    assert np.allclose(places[[0, -1]], [[0.0, 0.0, 0.0], [0.03, 0.03, 0.0]], atol=1e-12)
+    assert plan.speed_m_s.min() < 0.9 * 0.05 and "mm/s at 0.0" in plan.slowest  # slower about the corner
+
+
+def test_the_weave_is_between_weld_on_and_weld_off() -> None:
+    tags = ("", "weld_on", "weld_off", "")
+    path = through([[0.0, 0.0, 0.0], [0.02, 0.0, 0.0], [0.06, 0.0, 0.0], [0.08, 0.0, 0.0]], tags=tags)
+    plan = plan_path(path, ARM, Limits(), Q, replace(FAST, weave=Weave.parse("sine:0.002:0.008")))
+    across = STAND.inv().apply(plan.tip_m)[:, 1]
+    s = plan.s_m
+    assert np.abs(across[(s < 0.012) | (s > 0.068)]).max() < 1e-9
+    assert np.abs(across[(s > 0.03) & (s < 0.05)]).max() == pytest.approx(0.002, rel=1e-2)
+    source = PathSource(plan)
+    follower = Follower(source)
+    follower.until(lambda _: source.progress.s_m > 0.03)
+    assert source.progress.welding
+    follower.until(lambda _: source.progress.s_m > 0.065)
+    assert not source.progress.welding
+
+
+def test_a_leg_turns_evenly() -> None:
+    end = STAND * RigidTransform.from_components([0.01, 0.0, 0.0], Rotation.from_rotvec([0.0, 0.0, 1.0]))
+    leg = Leg(STAND, end, 0.02)
+    assert leg.length_m == pytest.approx(0.1)  # ARM_M for a radian
+    assert np.allclose(leg.pose(leg.length_m).as_matrix(), end.as_matrix())
+    assert (leg.pose(0.05).rotation * STAND.rotation.inv()).magnitude() == pytest.approx(0.5)
+
+
+def test_a_weave_on_the_true_arm_is_within_a_third_of_a_millimetre() -> None:
+    clock = ManualClock()
+    tip = RigidTransform.from_translation([0.0, 0.0, 0.1])
+    with open_robot("sim:webcam-cell", clock) as robot:
+        clock.advance(0.04)
+        robot.true = robot.nominal  # an arm that is calibrated without a rest: what is left is the drives'
+        arm = replace(arm_of(robot, None), T_flange_tool=tip)
+        q = robot.step_joints(np.zeros(6)).q
+        stand = arm.T_world_base.inv() * RigidTransform.from_matrix(arm.fk(arm.values(q)))
+        path = through([[0.0, 0.0, 0.02], [0.03, 0.0, 0.02]], stand=stand)
+        settings = PlaySettings(speed_m_s=0.01, retract_m=0.01, weave=Weave.parse("sine:0.002:0.01"))
+        plan = plan_path(path, arm, Limits(), q, settings)
+        source = PathSource(plan)
+        loop = ControlLoop(robot, Guard(arm, Limits(), robot.cycle_s), source, clock, enabled=lambda: True)
+        tips, states = [], set()
+
+        def until(status) -> bool:
+            states.add((status.state.value, status.limited))
+            if 0.002 < source.progress.s_m < 0.0299:
+                tips.append((robot.true_flange(status.t_s) * tip).translation)
+            return status.finished
+
+        loop.run(for_s=30.0, until=until)
+    off = np.array([np.linalg.norm(plan.tip_m - place, axis=1).min() for place in tips])
+    assert np.sqrt(np.mean(off**2)) < 3e-4
+    assert states == {("running", ())}  # just so, at every cycle
+    assert source.progress.stage == "finished"
+
+
+@pytest.mark.parametrize("mount", list(Mount))
+def test_the_watch_compares_the_tip_with_where_it_was_told_to_be_at_the_exposure(mount: Mount) -> None:
+    camera = RigidTransform.from_components([0.2, 0.1, 0.3], Rotation.from_rotvec([0.2, 0.4, 0.1]))
+    target = RigidTransform.from_components([0.0, 0.05, 0.6], Rotation.from_rotvec([0.0, 0.2, 0.3]))
+    tip = RigidTransform.from_translation([0.0, 0.0, 0.15])
+    sight = PlaySight(mount=mount, T_parent_camera=camera, T_parent_target=target)
+    watch = PlayWatch(sight, tip, stop_m=0.002, arm_lag_s=0.03, cycle_s=0.01)
+    start = RigidTransform.from_components([0.5, 0.0, 0.4], Rotation.from_rotvec([3.0, 0.1, 0.0]))
+    velocity = np.array([0.05, 0.0, 0.0])
+
+    def flange(t_s: float) -> RigidTransform:
+        return RigidTransform.from_translation(velocity * t_s) * start
+
+    def shown(t_s: float, off=(0.0, 0.0, 0.0)) -> TargetPose:
+        T = RigidTransform.from_translation(off) * flange(t_s)
+        inside = mount is Mount.EYE_IN_HAND
+        T_rig = (T * camera).inv() * target if inside else camera.inv() * T * target
+        return TargetPose(
+            t_s=t_s, status=PoseStatus.OK, parent="rig", T_parent_target=T_rig.as_matrix(), covariance=np.eye(6)
+        )
+
+    for k in range(40):
+        now = CycleState(
+            t_s=0.01 * (k + 1),
+            cycle_s=0.01,
+            q=Q,
+            q_sent=Q,
+            qd_sent=np.zeros(6),
+            T_base_tool=flange(0.01 * k) * tip,
+            q_s=0.01 * (k + 1),
+        )
+        watch.cycle(now)
+    shifted = shown(0.17)  # told 30 ms before the exposure
+    watch.observe(shifted, 0.2, 0.25)
+    assert watch.figures.max_m == pytest.approx(0.0, abs=1e-12) and watch.figures.n == 1
+    watch.observe(shown(0.27, off=[0.003, 0.0, 0.0]), 0.3, 0.35)
+    assert watch.figures.last_m == pytest.approx(0.003) and not watch.exceeded  # one frame alone may be wrong
+    watch.observe(shown(0.28, off=[0.003, 0.0, 0.0]), 0.31, 0.36)
+    assert "3.0 mm from where it was told" in watch.exceeded
+    assert watch.figures.rms_m == pytest.approx(0.003 * np.sqrt(2.0 / 3.0))
+    watch.observe(TargetPose(t_s=0.32, status=PoseStatus.LOST, parent="rig"), 0.32, 0.37)
+    assert watch.figures.n == 3 and watch.tip is None

@@ -1,0 +1,108 @@
+"""The door of pages: tokens in a cookie, and nobody without one where there are some."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import httpx
+import pytest
+from fastapi import FastAPI, Request
+
+from armsight.server.auth import Authenticator
+from armsight.server.gate import COOKIE, IDENTITY, Gate
+from armsight.store.tokens import add_token, read_tokens
+
+
+def behind(auth: Authenticator) -> Gate:
+    app = FastAPI()
+
+    @app.get("/live")
+    def live(request: Request) -> str:
+        return str(request.scope[IDENTITY].role)
+
+    return Gate(app, auth, secure=False)
+
+
+def asked(gate: Gate, *requests: tuple[str, str, dict[str, Any]]) -> list[httpx.Response]:
+    """Return the answers to requests (method, path, more) of one browser, which keeps its cookies."""
+
+    async def ask() -> list[httpx.Response]:
+        way = httpx.ASGITransport(gate, client=("127.0.0.1", 50000))
+        async with httpx.AsyncClient(transport=way, base_url="http://localhost") as browser:
+            return [await browser.request(method, path, **more) for method, path, more in requests]
+
+    return asyncio.run(ask())
+
+
+def page(**more: Any) -> tuple[str, str, dict[str, Any]]:
+    return "GET", "/live", more
+
+
+def login(token: str) -> tuple[str, str, dict[str, Any]]:
+    return "POST", "/login", {"data": {"token": token}}
+
+
+@pytest.fixture
+def tokens(tmp_path):
+    file = tmp_path / "tokens.yaml"
+    made = {role: add_token(file, name, role) for name, role in (("ann", "drive"), ("eve", "watch"))}
+    return made, Authenticator(read_tokens(file))
+
+
+def test_without_tokens_this_machine_comes_in():
+    (answer,) = asked(behind(Authenticator()), page())
+    assert answer.json() == "drive"
+
+
+def test_without_tokens_a_foreign_name_stays_out():
+    (answer,) = asked(behind(Authenticator()), page(headers={"host": "evil.example"}))
+    assert answer.status_code == 403
+
+
+@pytest.mark.parametrize("role", ["drive", "watch"])
+def test_a_token_is_asked_for_once_and_kept(tokens, role):
+    made, auth = tokens
+    first, let_in, then = asked(behind(auth), page(), login(made[role]), page())
+    assert first.status_code == 401 and "token" in first.text
+    assert let_in.status_code == 303 and "HttpOnly" in let_in.headers["set-cookie"]
+    assert then.json() == role
+
+
+def test_a_wrong_token_is_told_and_not_kept(tokens):
+    wrong, long, then = asked(behind(tokens[1]), login("wrong"), login("x" * 5000), page())
+    assert (wrong.status_code, long.status_code, then.status_code) == (401, 413, 401)
+    assert "set-cookie" not in wrong.headers
+
+
+def test_guessing_has_to_wait_and_opening_pages_does_not(tokens):
+    made, auth = tokens
+    *_, then = asked(behind(auth), *[page() for _ in range(10)], login(made["watch"]))
+    assert then.status_code == 303
+    *_, late = asked(behind(auth), *[login(f"guess{i}") for i in range(5)], login(made["watch"]))
+    assert late.status_code == 429
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_socket_needs_the_token_too(tokens, known):
+    made, auth = tokens
+    reached: list[str] = []
+    said: list[dict[str, Any]] = []
+
+    async def app(scope: Any, receive: Any, send: Any) -> None:
+        reached.append(scope[IDENTITY].who)
+
+    async def send(message: Any) -> None:
+        said.append(message)
+
+    cookie = f"{COOKIE}={made['drive'] if known else 'wrong'}".encode()
+    scope = {
+        "type": "websocket",
+        "path": "/console/robot",
+        "headers": [(b"host", b"localhost"), (b"cookie", cookie)],
+        "client": ("127.0.0.1", 50000),
+        "query_string": b"",
+    }
+    asyncio.run(Gate(app, auth, secure=False)(scope, None, send))
+    assert reached == (["ann"] if known else [])
+    assert [message["type"] for message in said] == ([] if known else ["websocket.close"])

@@ -1,0 +1,180 @@
+"""Who drives from a page: the enable that is held, what is stale, what is lost, and work that moves with it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from armsight.app.operator.seat import FRESH_S, LOST_S, Person, Push, Seat
+from armsight.app.operator.seat_robot import SeatRobot
+from armsight.control.setpoints import Hold, JointGoal, JointVelocity
+from armsight.drivers import RobotState
+from armsight.errors import DeviceFailed, UsageError
+
+ANN, BEN = Person(who="ann"), Person(who="ben")
+
+
+@pytest.fixture
+def seat(service):
+    return Seat(service)
+
+
+def told(host, kind):
+    return [what[1] for what in host.told if what[0] == kind]
+
+
+def held(seat, host, browser="a", person=ANN):
+    seat.beat(browser, person, enable=True, seen_s=host.t_s)
+
+
+def test_nobody_drives_before_the_enable_is_held(seat, host):
+    seat.beat("a", ANN, enable=False, seen_s=host.t_s)
+    assert seat.browser == "" and host.told == []
+
+
+def test_the_one_who_holds_the_enable_drives(seat, host):
+    held(seat, host)
+    assert told(host, "beat") == [True] and seat.enabled("a") and not seat.enabled("b")
+    state = seat.state("a")
+    assert (state.driver, state.mine, state.enabled) == ("ann", True, True)
+    assert not seat.state("b").mine
+
+
+def test_a_second_operator_is_told_who_drives(seat, host):
+    held(seat, host)
+    with pytest.raises(DeviceFailed, match="ann drives"):
+        held(seat, host, "b", BEN)
+    assert seat.browser == "a"
+
+
+def test_a_second_operator_drives_once_the_first_has_left(seat, host):
+    held(seat, host)
+    seat.beat("a", ANN, enable=False, seen_s=host.t_s)
+    seat.leave("a")
+    assert told(host, "stop") == [] and len(told(host, "release")) == 1
+    held(seat, host, "b", BEN)
+    assert seat.state("b").driver == "ben"
+
+
+def test_who_may_watch_does_not_drive_and_may_stop(seat, host):
+    watcher = Person(who="eve", role="watch")
+    with pytest.raises(UsageError, match="may watch"):
+        seat.beat("e", watcher, enable=True, seen_s=host.t_s)
+    with pytest.raises(UsageError, match="may watch"):
+        seat.reset("e", watcher)
+    seat.stop(watcher)
+    assert told(host, "stop") == ["stopped by eve"]
+
+
+def test_an_enable_out_of_a_buffer_does_not_count_until_it_was_let_go_of(seat, host):
+    old_s = host.t_s
+    held(seat, host)
+    host.t_s += FRESH_S + 0.1
+    with pytest.raises(DeviceFailed, match="slow"):
+        seat.beat("a", ANN, enable=True, seen_s=old_s)
+    held(seat, host)  # fresh again, and still held down: not enough
+    assert told(host, "beat") == [True, False, False] and not seat.enabled("a")
+    seat.beat("a", ANN, enable=False, seen_s=host.t_s)
+    held(seat, host)
+    assert seat.enabled("a")
+
+
+def test_a_browser_that_says_nothing_while_it_holds_the_enable_stops_the_robot(seat, host):
+    held(seat, host)
+    host.t_s += LOST_S + 0.1
+    seat.look()
+    assert len(told(host, "stop")) == 1
+    seat.look()
+    assert len(told(host, "stop")) == 1, "once"
+
+
+def test_a_lost_connection_stops_where_the_enable_was_held(seat, host):
+    held(seat, host)
+    seat.leave("a")
+    assert len(told(host, "stop")) == 1 and len(told(host, "release")) == 1
+    assert seat.state("a").robot == "stopped"
+
+
+def test_a_jog_key_moves_at_the_override_and_rests_once_it_is_let_go(seat, host):
+    seat.override = 0.25
+    key = Push(frame="joints", axis=1, sense=-1.0)
+    seat.beat("a", ANN, enable=True, seen_s=host.t_s, push=key)
+    asked = told(host, "post")[-1]
+    assert isinstance(asked, JointVelocity) and asked.qd[0] == 0.0
+    quarter = asked.qd[1]
+    seat.override = 0.5
+    seat.beat("a", ANN, enable=True, seen_s=host.t_s, push=key)
+    assert told(host, "post")[-1].qd[1] == pytest.approx(2.0 * quarter) and quarter < 0.0
+    held(seat, host)
+    assert isinstance(told(host, "post")[-1], Hold)
+
+
+@pytest.mark.parametrize("key", [Push(frame="joints", axis=2, sense=1.0), Push(frame="base", axis=0, sense=1.0)])
+def test_a_key_of_no_axis_moves_nothing(seat, host, key):
+    with pytest.raises(UsageError):
+        seat.beat("a", ANN, enable=True, seen_s=host.t_s, push=key)
+    assert told(host, "post") == []
+
+
+@pytest.mark.parametrize(("asked", "kept"), [(2.0, 1.0), (0.0, 0.01), (float("nan"), 0.01), (0.3, 0.3)])
+def test_the_override_stays_a_share(seat, asked, kept):
+    seat.override = asked
+    assert seat.override == kept
+
+
+class HostClock:
+    """The host's time, which passes where somebody sleeps."""
+
+    def __init__(self, host) -> None:
+        self._host = host
+
+    def now_s(self) -> float:
+        return self._host.t_s
+
+    def sleep_until(self, t_s: float) -> None:
+        self._host.t_s = t_s
+
+
+def robot_of(seat, host, *, waits, cancelled=lambda: False, browser="a"):
+    return SeatRobot(seat, lambda: browser, HostClock(host), waits=waits, cancelled=cancelled)
+
+
+def test_work_moves_only_while_its_browser_holds_the_enable(seat, host):
+    with robot_of(seat, host, waits=False) as robot:
+        still = robot.step_joints(np.array([0.05, 0.0]))
+        assert still.limited and told(host, "post") == []
+        held(seat, host, "b", BEN)
+        assert robot.step_joints(np.array([0.05, 0.0])).limited, "another one's enable moves no work of ours"
+        seat.leave("b")
+    held_host = [what for what in told(host, "post") if isinstance(what, JointGoal)]
+    assert held_host == []
+
+
+def test_work_moves_with_the_enable(seat, host):
+    held(seat, host)
+    with robot_of(seat, host, waits=False) as robot:
+        sent = robot.step_joints(np.array([0.05, 0.0]))
+        assert sent.q == pytest.approx([0.05, 0.0]) and sent.limited == ()
+        assert robot.state is RobotState.READY and robot.read().q == pytest.approx([0.05, 0.0])
+    assert isinstance(told(host, "post")[-1], Hold), "closing it holds the robot"
+
+
+def test_work_that_waits_gives_up_where_it_is_cancelled(seat, host):
+    looks = iter([False, False, True])
+    with robot_of(seat, host, waits=True, cancelled=lambda: next(looks)) as robot:
+        assert robot.step_joints(np.array([0.05, 0.0])).limited
+    assert told(host, "post") == []
+
+
+def test_work_that_waits_ends_where_the_robot_is_stopped(seat, host):
+    seat.stop(ANN)
+    with (
+        robot_of(seat, host, waits=True) as robot,
+        pytest.raises(DeviceFailed, match="stopped"),
+    ):
+        robot.step_joints(np.array([0.05, 0.0]))
+
+
+def test_work_does_not_release_a_stop(seat, host):
+    with robot_of(seat, host, waits=True) as robot, pytest.raises(DeviceFailed, match="Reset it on the page"):
+        robot.reset()

@@ -1,0 +1,253 @@
+"""Tables that contradict themselves or leave something open are refused with what they look like, never guessed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from armsight.errors import Ambiguous, ArmsightError, BadFile, Inconsistent, NotEnoughData, UsageError
+from armsight.store import read_joints, read_poses
+from armsight.store.arm_points import read_arm_points
+from armsight.store.handeye_file import read_pairs, read_robot_poses
+from armsight.store.interpret import OURS, TableFormat, interpret
+from armsight.store.interpret.rotations import ROBOT_FORMATS, euler_order
+from armsight.store.interpret.table_format import column_names
+from armsight.store.sweeps import read_sweeps
+from armsight.store.verify_files import read_measured
+
+RNG = np.random.default_rng(7)
+QUAT = "0,0,0,1"
+
+
+@pytest.fixture
+def file(tmp_path: Path):
+    def write(text: str, name: str = "table.csv") -> Path:
+        (tmp_path / name).write_text(text)
+        return tmp_path / name
+
+    return write
+
+
+def rows(*columns: np.ndarray) -> str:
+    return "\n".join(",".join(repr(float(cell)) for cell in row) for row in np.column_stack(columns)) + "\n"
+
+
+def test_degrees_where_radians_are_said_are_told(file) -> None:
+    path = file("t_s,q1,q2\n0,172.4,3\n1,10,20\n")
+    with pytest.raises(Inconsistent, match=r"these look like degrees: the largest value is 172\.4") as refused:
+        read_joints(path)
+    assert "q1_deg" in refused.value.cure and "--units deg" in refused.value.cure
+    assert read_joints(path, TableFormat(units="deg")).q[0, 0] == pytest.approx(np.radians(172.4))
+    assert read_joints(path, TableFormat(as_stated=True)).q[0, 0] == 172.4
+    for reader, header in ((read_arm_points, "q1,q2,x_m,y_m,z_m"), (read_sweeps, "joint,q1,x_m,y_m,z_m")):
+        with pytest.raises(Inconsistent, match="look like degrees"):
+            reader(file(f"{header}\n1,172.4,0.1,0.2,0.3\n"))
+
+
+def test_radians_where_degrees_are_said_are_told(file) -> None:
+    q = RNG.uniform(-1.5, 1.5, (8, 3))
+    path = file("q1_deg,q2_deg,q3_deg\n" + rows(q))
+    with pytest.raises(Inconsistent, match="these look like radians"):
+        read_joints(path, timed=False)
+    assert read_joints(path, TableFormat(as_stated=True), timed=False).q[0, 0] == pytest.approx(np.radians(q[0, 0]))
+    few = file("q1_deg,q2_deg\n0.5,1.0\n0.2,0.1\n")  # two rows near zero are nothing odd
+    assert read_joints(few, timed=False).q.shape == (2, 2)
+
+
+def test_mm_and_m_are_told_apart(file) -> None:
+    xyz = RNG.uniform(0.2, 0.9, (6, 3))
+    with pytest.raises(Inconsistent, match="these look like mm or cm"):
+        read_poses(file("t_s,x,y,z,qx,qy,qz,qw\n" + f"0,612,20,300,{QUAT}\n"))
+    with pytest.raises(Inconsistent, match="these look like metres"):
+        read_arm_points(file("q1,x_mm,y_mm,z_mm\n" + rows(np.zeros(6), xyz)))
+    points = read_arm_points(file("q1,x_mm,y_mm,z_mm\n" + rows(np.zeros(6), 1e3 * xyz)))
+    np.testing.assert_allclose(points.xyz_m, xyz, atol=1e-15)
+    with pytest.raises(Inconsistent, match="look like mm"):
+        read_robot_poses(file(f"file,x_m,y_m,z_m,qx,qy,qz,qw\na.png,600,20,300,{QUAT}\n"))
+
+
+@pytest.mark.parametrize("names", ["rx_deg,ry_deg,rz_deg", "A,B,C", "rx,ry,rz"])
+def test_angles_without_an_order_are_refused(file, names: str) -> None:
+    with pytest.raises((Ambiguous, BadFile)) as refused:
+        read_poses(file(f"t_s,x_mm,y_mm,z_mm,{names}\n0,500,20,300,0.1,0.2,0.3\n"))
+    assert names == "A,B,C" or "--euler" in refused.value.cure
+
+
+def test_an_order_that_the_numbers_contradict_is_told(file) -> None:
+    angles = np.column_stack([RNG.uniform(-170, 170, 30), RNG.uniform(-80, 80, 30), RNG.uniform(-170, 170, 30)])
+    text = "x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg\n" + rows(np.full((30, 3), 500.0), angles)
+    good = read_poses(file(text), format_=TableFormat(euler="xyz-fixed"), timed=False)
+    want = Rotation.from_euler("xyz", angles, degrees=True).as_matrix()
+    np.testing.assert_allclose([p.T_parent_target[:3, :3] for p in good], want, atol=1e-12)
+    with pytest.raises(Inconsistent, match="angles of another order"):
+        read_poses(file(text), format_=TableFormat(euler="yxz"), timed=False)
+    vectors = text.replace("rx_deg,ry_deg,rz_deg", "rotvec_x_deg,rotvec_y_deg,rotvec_z_deg").replace("170", "169")
+    big = vectors + "500.0,500.0,500.0,300,200,160\n"
+    with pytest.raises(Inconsistent, match="these look like Euler angles"):
+        read_poses(file(big), timed=False)
+
+
+def test_roll_pitch_yaw_are_ros_angles_and_said_to_be(file) -> None:
+    told: list[str] = []
+    path = file("t,x,y,z,roll,pitch,yaw\n0,0.5,0.2,0.3,0.1,0.2,0.3\n")
+    pose = read_poses(path, format_=TableFormat(tell=told.append))[0]
+    want = Rotation.from_euler("xyz", [0.1, 0.2, 0.3]).as_matrix()
+    np.testing.assert_allclose(pose.T_parent_target[:3, :3], want, atol=1e-12)
+    assert any("as ROS means them" in text for text in told)
+
+
+@pytest.mark.parametrize("order", ["wxyz", "xyzw"])
+def test_the_header_says_where_w_stands(file, order: str) -> None:
+    values = dict(zip("xyzw", Rotation.from_rotvec([0.1, 0.2, 0.3]).as_quat(), strict=True))
+    names, cells = ",".join(f"q{letter}" for letter in order), ",".join(repr(float(values[a])) for a in order)
+    pose = read_poses(file(f"t_s,x_m,y_m,z_m,{names}\n0,0.5,0.2,0.3,{cells}\n"))[0]
+    want = Rotation.from_rotvec([0.1, 0.2, 0.3]).as_matrix()
+    np.testing.assert_allclose(pose.T_parent_target[:3, :3], want, atol=1e-12)
+
+
+def test_matrices_say_themselves_how_they_are_flattened(file) -> None:
+    T = RigidTransform.from_components([0.5, 0.2, 0.3], Rotation.from_rotvec([0.4, -0.2, 1.0])).as_matrix()
+    for flat in (T.ravel(), T.T.ravel(), T[:3].ravel()):
+        pose = read_poses(file(rows(flat[None])), timed=False)[0]
+        np.testing.assert_allclose(pose.T_parent_target, T, atol=1e-12)
+    bare = T.copy()
+    bare[:3, 3] = 0.0
+    with pytest.raises(Ambiguous, match="row by row or column by column"):
+        read_poses(file(rows(bare.ravel()[None])), timed=False)
+    broken = T.copy()
+    broken[0, 0] += 0.1
+    with pytest.raises(BadFile, match="line 1: the nine cells"):
+        read_poses(file(rows(broken.ravel()[None])), timed=False)
+
+
+def test_joints_by_their_own_names_need_the_arm(file) -> None:
+    path = file("t_s,elbow_joint,shoulder_pan_joint\n0,1,2\n1,3,4\n")
+    with pytest.raises(BadFile):
+        read_joints(path)
+    motion = read_joints(path, TableFormat(joints=("shoulder_pan_joint", "elbow_joint")))
+    assert motion.q.tolist() == [[2.0, 1.0], [4.0, 3.0]]
+    with pytest.raises(BadFile):  # one joint of the arm is not there
+        read_joints(path, TableFormat(joints=("shoulder_pan_joint", "elbow_joint", "wrist")))
+
+
+def test_two_columns_for_one_coordinate_are_not_guessed(file) -> None:
+    with pytest.raises(Ambiguous, match="may be the same coordinate"):
+        read_arm_points(file("q1,x_mm,y_mm,z_mm,laser_x_mm,laser_y_mm,laser_z_mm\n0,500,1,2,500,1,2\n"))
+    points = read_arm_points(
+        file("q1,x_mm,y_mm,z_mm,laser_x_mm,laser_y_mm,laser_z_mm\n0,500,1,2,600,1,2\n", "b.csv"),
+        TableFormat(columns="q1,-,-,-,xyz_mm"),
+    )
+    assert points.xyz_m[0, 0] == pytest.approx(0.6)
+    assert read_arm_points(file("q1,x_mm,y_mm,z_mm,target_x_mm\n0,500,1,2,9\n", "c.csv")).xyz_m[0, 0] == 0.5
+
+
+def test_times(file) -> None:
+    ns = read_poses(file(f"timestamp,x,y,z,qx,qy,qz,qw\n1403636580838555648,1,2,3,{QUAT}\n"))[0]
+    assert ns.t_s == pytest.approx(1403636580.8385556, abs=1e-6)
+    ms = read_poses(file(f"time [ms],x_m,y_m,z_m,qx,qy,qz,qw\n1500,1,2,3,{QUAT}\n"))[0]
+    assert ms.t_s == 1.5
+    path = file(f"x_m,y_m,z_m,qx,qy,qz,qw\n1,2,3,{QUAT}\n1,2,4,{QUAT}\n")
+    assert [pose.t_s for pose in read_poses(path, timed=False)] == [0.0, 1.0]
+    with pytest.raises(BadFile, match="t_s is missing"):
+        read_poses(path)
+
+
+def test_matlab_and_its_versions(tmp_path: Path) -> None:
+    q, xyz = RNG.uniform(-90, 90, (9, 6)), RNG.uniform(100, 900, (9, 3))
+    savemat(tmp_path / "named.mat", {"q_deg": q, "xyz_mm": xyz.T})
+    savemat(tmp_path / "bare.mat", {"data": np.column_stack([q, xyz])})
+    for points in (
+        read_arm_points(tmp_path / "named.mat"),
+        read_arm_points(tmp_path / "bare.mat", TableFormat(columns="q1..q6_deg,xyz_mm")),
+    ):
+        np.testing.assert_allclose(points.q, np.radians(q))
+        np.testing.assert_allclose(points.xyz_m, 1e-3 * xyz)
+    (tmp_path / "new.mat").write_bytes(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + b"\x89HDF\r\n")
+    (tmp_path / "none.mat").write_bytes(b"nothing")
+    for name in ("new.mat", "none.mat"):
+        with pytest.raises(BadFile):
+            read_arm_points(tmp_path / name)
+
+
+def test_poses_the_other_way_round_are_inverted_where_the_names_say_so(file) -> None:
+    T = RigidTransform.from_components([0.5, 0.2, 0.3], Rotation.from_rotvec([0.4, -0.2, 1.0]))
+    cells = ",".join(repr(float(v)) for v in [*T.translation, *T.rotation.as_quat()])
+    pose = ["x_m", "y_m", "z_m", "qx", "qy", "qz", "qw"]
+    header = ",".join(f"{frame}_{name}" for frame in ("gripper2base", "target_camera") for name in pose)
+    pairs = read_pairs(file(f"{header}\n" + 4 * f"{cells},{cells}\n"))
+    np.testing.assert_allclose(pairs.T_base_flange[0].as_matrix(), T.as_matrix(), atol=1e-12)
+    np.testing.assert_allclose(pairs.T_camera_target[0].as_matrix(), T.inv().as_matrix(), atol=1e-12)
+
+
+def test_samples_of_easy_handeye_depend_on_where_the_camera_is(file) -> None:
+    one = "    translation: {x: 0.1, y: 0.2, z: 0.3}\n    rotation: {x: 0, y: 0, z: 0, w: 1}\n"
+    path = file("samples:\n" + 4 * f"- robot:\n{one}  optical:\n{one}", "cell.yaml")
+    for on_hand, sign in ((True, 1.0), (None, 1.0), (False, -1.0)):
+        pairs = read_pairs(path, TableFormat(on_hand=on_hand))
+        np.testing.assert_allclose(pairs.T_base_flange[0].translation, sign * np.array([0.1, 0.2, 0.3]))
+        np.testing.assert_allclose(pairs.T_camera_target[0].translation, [0.1, 0.2, 0.3])
+
+
+def test_ros_messages_as_they_are_echoed(file) -> None:
+    message = (
+        "header:\n  stamp: {sec: 12, nanosec: 500000000}\npose:\n  position: {x: 0.5, y: 0.1, z: 0.2}\n"
+        "  orientation: {x: 0, y: 0, z: 0, w: 1}\n---\n"
+    )
+    poses = read_poses(file(message + message.replace("12", "13"), "echo.yaml"))
+    assert [pose.t_s for pose in poses] == [12.5, 13.5]
+    states = "header:\n  stamp: {secs: 1, nsecs: 0}\nname: [b, a]\nposition: [0.1, 0.2]\nvelocity: []\neffort: []\n"
+    assert read_joints(file(states, "js.yaml"), TableFormat(joints=("a", "b"))).q.tolist() == [[0.2, 0.1]]
+    with pytest.raises(BadFile, match="w is the first or the last"):
+        read_poses(file("- {xyz_m: [1, 2, 3], quat: [1, 0, 0, 0]}\n", "list.yaml"), timed=False)
+    listed = read_poses(file("- {xyz_m: [1, 2, 3], quat_wxyz: [1, 0, 0, 0]}\n", "list.yaml"), timed=False)
+    np.testing.assert_allclose(listed[0].T_parent_target[:3, :3], np.eye(3))
+
+
+def test_measurements_of_a_verification_are_read_too(file) -> None:
+    measured = read_measured(file("time,x_mm,y_mm,z_mm,pose\n0,500,1,2,P1\n1,600,1,2,P2\n")).measured
+    np.testing.assert_allclose(measured.xyz_m[:, 0], [0.5, 0.6])
+    assert read_measured(file("# t x y z qw qx qy qz\n0 1 2 3 1 0 0 0\n", "tum.txt")).measured.rotation is not None
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "kind"),
+    [
+        ("1 2 3\n4 5\n", {}, BadFile),
+        ("", {}, BadFile),
+        ("t_s,x,y\n", {}, NotEnoughData),
+        ("1,2,3,0,0,0,1\n", {}, BadFile),
+        ("1,2,3,0,0,0,1\n", {"columns": "xyz_m,qx"}, BadFile),
+        ("1,2,3,0,0,0,1\n", {"columns": "xyz_m,,qx"}, UsageError),
+        ("1,2,3,0,0,0,1\n", {"columns": "xyz_m,x_m"}, UsageError),
+        ("1,2,3,0,0,0,1\n", {"euler": "xxz"}, UsageError),
+        ("1,2,3,0,0,0,1\n", {"robot": "hal"}, UsageError),
+        ("1,2,3,0,0,0,1\n", {"units": "furlong"}, UsageError),
+        ("1,2,3,2,0,0,1\n", {"columns": "xyz_m,quat_xyzw"}, BadFile),
+        ("1,2,3,x,0,0,1\n", {"columns": "xyz_m,quat_xyzw"}, BadFile),
+        ("- {a: 1}\n- {b: 2}\n", {}, BadFile),
+        ("[1, 2", {}, ArmsightError),
+    ],
+)
+def test_what_cannot_be_read_is_refused(file, text: str, options: dict[str, str], kind: type[Exception]) -> None:
+    with pytest.raises(kind):
+        read_poses(file(text, "t.txt"), format_=TableFormat(**options), timed=False)
+
+
+def test_words_on_the_command_line() -> None:
+    assert column_names("q1..q3_deg,xyz_mm,-") == ("q1_deg", "q2_deg", "q3_deg", "x_mm", "y_mm", "z_mm", "-")
+    assert column_names("quat_wxyz") == ("qw", "qx", "qy", "qz")
+    assert column_names("base_flange_T_mm")[3] == "base_flange_m03_mm" and len(column_names("T12")) == 12
+    assert str(euler_order("ZYX")) == "zyx-rotating"
+    assert all(maker.source for maker in ROBOT_FORMATS.values())
+
+
+def test_a_table_of_ours_is_left_as_it_is(file) -> None:
+    text = "t_s,q1,q2\n0,1,2\n"
+    found = interpret(file(text), "joints", OURS)
+    assert found.data == text.encode() and found.notes == ()
+    with pytest.raises(BadFile, match="did you mean 't_s'"):
+        read_joints(file("t_x,t_s,q1\n0,1,2\n"))
