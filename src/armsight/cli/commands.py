@@ -20,10 +20,9 @@ from armsight.cli.examples import add_examples
 from armsight.cli.identify import identify
 from armsight.cli.join import join
 from armsight.cli.kinematics import convert_arm, kinematics
-from armsight.cli.options import SRC, AsJson, Fps, Inverted, Limit, OutFolder, Seed, Threshold
+from armsight.cli.options import SRC, AsJson, Bits, Fps, Inverted, Limit, OutFolder, Seed, Strict, Threshold
 from armsight.cli.path import path
 from armsight.cli.play import play
-from armsight.cli.options import SRC, AsJson, Bits, Fps, Inverted, Limit, OutFolder, Seed, Strict, Threshold
 from armsight.cli.record import record
 from armsight.cli.reproduce import reproduce
 from armsight.cli.result_folders import ARM, MEASURED, VERIFIED, VIEWS, WORLD, keep_inputs, keeps_results

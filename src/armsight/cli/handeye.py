@@ -9,9 +9,8 @@ import typer
 
 from armsight.cli.camera_options import NONE_GIVEN, CameraOptions, takes_cameras
 from armsight.cli.command_ui import CommandUI
-from armsight.cli.options import BOARD, SRC, AsJson, Workers
-from armsight.cli.table_options import NOTHING_STATED, TableOptions, takes_tables
 from armsight.cli.options import BOARD, SRC, AsJson, Bits, Strict, Workers
+from armsight.cli.table_options import NOTHING_STATED, TableOptions, takes_tables
 from armsight.cli.tables import figure, pose_rows, tip_rows
 from armsight.errors import UsageError
 from armsight.units import MM
