@@ -31,6 +31,7 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
     "long": {
         "cli/calibrate.py:camera": FLAGS,
         "cli/commands.py:measure": FLAGS,
+        "cli/handeye.py:handeye": FLAGS,
         "cli/identify.py:identify": FLAGS,
         "cli/mirrors.py:mirrors": FLAGS,
         "cli/path.py:export": FLAGS,

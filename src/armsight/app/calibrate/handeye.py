@@ -37,8 +37,7 @@ from armsight.calibrate.handeye import (
     verdict,
 )
 from armsight.calibrate.tooltip import MeasuredPoint, TipCalibration, calibrate_tooltip
-from armsight.drivers import ImageReading, is_live, list_images, open_source
-from armsight.drivers.sources import VIDEO_SUFFIXES
+from armsight.drivers import ImageReading, list_images, open_source
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.records import BoardView, NotSeen, PoseStatus, Progress, Silent, TargetPose
 from armsight.report.handeye_report import handeye_report
@@ -232,34 +231,28 @@ def _from_images(job: HandEyeJob, progress: Progress) -> _Solved:
     board, camera, robot = parse_board(job.board), read_camera(job.camera), _robot_poses(job)
     views: list[BoardView] = []
     poses: list[RigidTransform] = []
-    unseen: list[tuple[str, str]] = []
-    files = not is_live(job.images) and Path(job.images).suffix.lower() not in VIDEO_SUFFIXES
-    met = {path.name for path in list_images(job.images)} if files else set[str]()
-    unseen += [(name, f"no row of {job.robot.name} names this image") for name in sorted(met - set(robot))]
-    reading = ImageReading(bits=job.bits, strict=job.strict, only=frozenset(robot) if files else None)
-    every: list[Seen] = []
-    with open_source(job.images, reading=reading) as source:
-        total = source.total or 0
-        for frame, seen in in_parallel(lambda frame: (frame, see_board(frame, board)), source, workers=job.workers):
-            name = Path(frame.source).name
-            met.add(name)
-            every.append(seen)
-            if name not in robot:
-                unseen.append((name, f"no row of {job.robot.name} names this image"))
-            elif isinstance(seen, NotSeen):
-                unseen.append((name, seen.why))
-            else:
-                views.append(seen)
-                poses.append(robot[name])
-            progress.update(len(every), total, "finding the board")
-            if progress.cancelled():
-                raise Cancelled(f"stopped after {len(every)} images", consequence="Nothing was written")
+    met = {path.name for path in list_images(job.images)}
     if not met & set(robot):
         raise Inconsistent(
             f"none of the images is named in {job.robot}, which begins with {next(iter(robot), 'nothing')!r}",
             consequence="No image has a robot pose",
             cure="Write the images' file names into the column file",
         )
+    unseen = [(name, f"no row of {job.robot.name} names this image") for name in sorted(met - set(robot))]
+    reading = ImageReading(bits=job.bits, strict=job.strict, only=frozenset(robot))
+    every: list[Seen] = []
+    with open_source(job.images, reading=reading) as source:
+        for frame, seen in in_parallel(lambda frame: (frame, see_board(frame, board)), source, workers=job.workers):
+            name = Path(frame.source).name
+            every.append(seen)
+            if isinstance(seen, NotSeen):
+                unseen.append((name, seen.why))
+            else:
+                views.append(seen)
+                poses.append(robot[name])
+            progress.update(len(every), source.total or 0, "finding the board")
+            if progress.cancelled():
+                raise Cancelled(f"stopped after {len(every)} images", consequence="Nothing was written")
     require_counts(every, board, job.board)
     unseen += [(name, "there is no such image") for name in robot if name not in met]
     if not views:

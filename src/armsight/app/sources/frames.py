@@ -224,16 +224,13 @@ def open_pairs(
 ) -> PairSource:
     """Return the pairs of two sources as drivers.open_pairs does, or of one recording. Raises UsageError."""
     recorded = [text for text in (left, right) if text is not None and is_recording(text)]
-    if recorded or any(text is not None and is_bag(text) for text in (left, right)):
-        reading.require_none(recorded[0] if recorded else str(left or right))
+    bags = [text for text in (left, right) if text is not None and is_bag(text)]
+    for text in (*recorded, *bags):
+        reading.require_none(text)
     if recorded and (left is None or right is None or len(recorded) == 2):
         _require_as_recorded(recorded[0], fps, times_s, settings)
-        return RecordedPairs(
-            RecordedFrames(recorded[0], "left", colour=colour),
-            RecordedFrames(recorded[-1], "right", colour=colour),
-            max_skew_s=max_skew_s,
-        )
-    bags = [text for text in (left, right) if text is not None and is_bag(text)]
+        ends = RecordedFrames(recorded[0], "left", colour=colour), RecordedFrames(recorded[-1], "right", colour=colour)
+        return RecordedPairs(*ends, max_skew_s=max_skew_s)
     if left is None or right is None:
         raise UsageError("one view is missing", cure="Give --left and --right, or one recording for both")
     if recorded:
@@ -242,11 +239,8 @@ def open_pairs(
         raise UsageError(f"{left} and {right} cannot be paired: one is of a bag, the other is not")
     if bags and left != right:
         _require_as_recorded(left, fps, times_s, settings)
-        return RecordedPairs(
-            BagFrames(left, colour=colour),
-            BagFrames(right, colour=colour, origin_of=left),
-            max_skew_s=max_skew_s,
-        )
+        sides = BagFrames(left, colour=colour), BagFrames(right, colour=colour, origin_of=left)
+        return RecordedPairs(*sides, max_skew_s=max_skew_s)
     return drivers.open_pairs(
         left,
         right,

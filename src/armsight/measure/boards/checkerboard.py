@@ -192,17 +192,8 @@ def _fit(
     return uv, covariance, quality
 
 
-def _refuse(
-    image: Image,
-    board: Target,
-    source: str,
-    smooth: GridMap,
-    good: NDArray[np.bool_],
-    quality: Array,
-    size: Array,
-    sign: Array,
-) -> None:
-    """Raise BadImage where the corners are not those of this board, or too blurred to be placed."""
+def _refuse_unclear(source: str, good: NDArray[np.bool_], quality: Array, size: Array) -> None:
+    """Raise BadImage where too many corners are no corners, or too blurred to be placed."""
     lost = int(np.count_nonzero(~good))
     if lost > LOST_SHARE * len(good):
         raise BadImage(
@@ -218,6 +209,20 @@ def _refuse(
             cure="Hold the board still, shorten the exposure or focus the lens",
             unseen=Unseen.BLURRED,
         )
+
+
+def _refuse(
+    image: Image,
+    board: Target,
+    source: str,
+    smooth: GridMap,
+    good: NDArray[np.bool_],
+    quality: Array,
+    size: Array,
+    sign: Array,
+) -> None:
+    """Raise BadImage where the corners are not those of this board, or too blurred to be placed."""
+    _refuse_unclear(source, good, quality, size)
     for side, more in _beyond(board).items():
         uv, _, beyond = _fit(image, smooth, more, smooth(more), _sign_at(more, sign), FIRST_HALF_PX)
         near = np.linalg.norm(uv - smooth(more), axis=1) < OFF_GRID * float(np.median(size))
