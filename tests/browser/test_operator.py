@@ -74,7 +74,7 @@ def test_a_jog_key_moves_the_arm_and_escape_stops_it(browser: Any, console: Any,
 def test_a_second_operator_is_told_who_drives_and_a_lost_page_stops_the_arm(
     browser: Any, console: Any, cell: tuple[str, Path]
 ) -> None:
-    page, other = console.opened(browser, f"{cell[0]}/live"), console.opened(browser, f"{cell[0]}/live")
+    page, other = (console.opened(browser, f"{cell[0]}/settings") for _ in range(2))
     robot_says(page, "stands")
     page.focus("[data-testid=enable]")
     page.keyboard.down(" ")

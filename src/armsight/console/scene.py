@@ -26,6 +26,8 @@ Array = NDArray[np.float64]
 
 FRUSTUM_M = 0.12
 """Length of the pyramids that stand for cameras."""
+SCENE_HZ = 8
+"""Drawings a second: more would slow a tablet's other work, of which the enable is the first."""
 TRACK = 600
 """Points of the track shown."""
 BONE_M, JOINT_M = 0.03, 0.042
@@ -59,7 +61,7 @@ class Scene:
             self._arm = None  # where the arm stands before these cameras is not known yet
         self._T_scene_rig = UPRIGHT if placed is None else placed
         self._track: list[list[float]] = []
-        made = ui.scene(grid=(4, 20), background_color="#dfe5ea", on_click=self._clicked)
+        made = ui.scene(grid=(4, 20), background_color="#dfe5ea", on_click=self._clicked, fps=SCENE_HZ)
         with made.classes("w-full") as self._scene:
             self._scene.props["data-testid"] = "scene"
             self._target = self._draw_target(None if target_file is None else target_of(target_file))

@@ -103,7 +103,7 @@ def prepare_simulated(robot: str, folder: Path) -> CellFile | None:
         return None
     model, _ = load_scenario(scenario)
     folder.mkdir(parents=True, exist_ok=True)
-    world = build_world(scenario, model, seed=None, frames=1)
+    world = build_world(scenario, model, seed=None, frames=1, room="dark")  # of which nothing is written
     write_set_up(world, folder)
     left, right = cameras_of(scenario)
     cell = CellFile(
@@ -117,4 +117,4 @@ def prepare_simulated(robot: str, folder: Path) -> CellFile | None:
         cameras="standing" if world.T_flange_rig is None else "carried",
     )
     write_cell(folder, cell)
-    return cell
+    return read_cell(folder)

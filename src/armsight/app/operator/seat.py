@@ -31,7 +31,7 @@ LOST_S = 1.0
 SLOWEST = 0.01
 """Smallest override."""
 
-FRESH_S = 0.5
+FRESH_S = 1.0
 """An enable counts that answers a state no older than this."""
 
 LET_GO = "Let the enable go, and hold it anew"

@@ -1,0 +1,173 @@
+"""A simulated cell for a page: its files, the arm that its cameras see, places, ranges and the path's desk."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform
+
+from armsight.app.live.followed import FollowedCell, FollowedPairs
+from armsight.app.operator.path_desk import PathDesk
+from armsight.app.operator.placing import arm_points, flange_pose, rig_pose
+from armsight.app.operator.robot_cell import prepare_simulated, scenario_of
+from armsight.app.operator.work import Bench
+from armsight.app.robot.channels import JointTrack
+from armsight.app.simulate.scenarios import live_cell
+from armsight.clock import ManualClock
+from armsight.errors import DeviceFailed, NotEnoughData, StaleData, UsageError
+from armsight.records import TaughtPath
+from armsight.store.arm_file import read_arm
+from armsight.store.cell_file import CellFile, read_cell, write_cell
+from armsight.store.path_file import write_path
+
+HOME = np.deg2rad([0.0, -60.0, 90.0, -30.0, 90.0, 0.0])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    made = tmp_path_factory.mktemp("operator") / "cell"
+    assert prepare_simulated("sim:webcam-cell", made) == read_cell(made)
+    return made
+
+
+def test_a_simulated_cell_brings_its_files_along(folder):
+    cell = read_cell(folder)
+    assert (cell.left, cell.right) == ("camera:sim:webcam-cell:left", "camera:sim:webcam-cell:right")
+    assert cell.cameras == "standing"
+    for name in (cell.rig, cell.target, cell.arm, cell.handeye):
+        assert (folder / name).is_file()
+
+
+def test_a_folder_with_a_cell_and_a_real_robot_are_left_alone(tmp_path):
+    write_cell(tmp_path, CellFile(left="camera:0", right="camera:1"))
+    assert prepare_simulated("sim:webcam-cell", tmp_path) is None
+    assert prepare_simulated("rtde:10.0.0.1", tmp_path / "other") is None
+    assert [path.name for path in tmp_path.iterdir()] == ["cell.yaml"]
+
+
+@pytest.mark.parametrize(("robot", "scenario"), [("sim:webcam-cell", "webcam-cell"), ("rtde:10.0.0.1", None)])
+def test_only_simulated_robots_have_a_scenario(robot, scenario):
+    assert scenario_of(robot) == scenario
+
+
+def test_a_track_tells_joints_between_and_at_its_ends():
+    track = JointTrack(2, slots=128)
+    with pytest.raises(StaleData):
+        track.at(0.0)
+    for i in range(300):
+        track.write(0.01 * i, np.array([i, -2.0 * i]))
+    assert track.at(2.985) == pytest.approx([298.5, -597.0])
+    assert track.at(99.0) == pytest.approx([299.0, -598.0])
+    assert track.at(0.0)[0] >= 300 - 128, "what is older is forgotten"
+
+
+def test_the_pictures_show_the_arm_that_another_process_moves(folder):
+    """A joint turned in the track moves the lights in the picture; where it stands they stay."""
+    clock, track = ManualClock(), JointTrack(6)
+    pairs = FollowedPairs(FollowedCell("webcam-cell", track, room="dark"), clock)
+    track.write(0.0, HOME)
+    moved = HOME + np.deg2rad([3.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    with pairs:
+        frames = iter(pairs)
+        first, again = next(frames)[0], next(frames)[0]
+        track.write(clock.now_s() + 1e-3, moved)
+        clock.advance(0.1)
+        last = next(frames)[0]
+    assert first.t_s <= clock.now_s() and last.t_s > again.t_s, "stamped with the clock"
+    assert np.abs(brightest(first) - brightest(again)).max() < 3.0, "noise"
+    assert np.abs(brightest(first) - brightest(last)).max() > 20.0
+
+
+def brightest(frame):
+    """Return the mean place (row, column) of what shines."""
+    rows, columns = np.nonzero(np.asarray(frame.image) > 100)
+    return np.array([rows.mean(), columns.mean()])
+
+
+def test_the_rig_is_where_hand_eye_says(folder):
+    cell, arm = read_cell(folder), read_arm(folder / "arm.yaml")
+    truth = live_cell("webcam-cell", ManualClock(), room="dark").T_mount_rig
+    found = rig_pose(folder, cell, arm, None)
+    assert np.asarray(found.as_matrix()) == pytest.approx(truth.as_matrix(), abs=1e-9)
+    unplaced = cell.model_copy(update={"handeye": ""})
+    assert rig_pose(folder, unplaced, arm, HOME) is None
+    assert rig_pose(folder, cell, None, HOME) is None, "without an arm a base has no place"
+
+
+def test_the_drawn_arm_goes_from_base_to_tool(folder):
+    arm = read_arm(folder / "arm.yaml")
+    points = arm_points(arm, HOME)
+    assert points.shape == (2 * arm.n + 2, 3)
+    assert points[0] == pytest.approx(arm.T_world_base.translation)
+    assert points[-1] == pytest.approx(arm.fk(HOME)[:3, 3])
+    flange = flange_pose(arm, HOME) * arm.T_flange_tool
+    assert flange.translation == pytest.approx(points[-1])
+
+
+def line(n: int = 11) -> TaughtPath:
+    places = np.stack([np.linspace(0.0, 0.1, n), np.zeros(n), np.zeros(n)], axis=1)
+    poses = RigidTransform.from_translation(places) * RigidTransform.from_rotation(down())
+    return TaughtPath.of_poses(poses)
+
+
+def down():
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_euler("x", 180.0, degrees=True)
+
+
+def test_every_change_of_a_path_can_be_taken_back(tmp_path):
+    desk = PathDesk(tmp_path)
+    with pytest.raises(NotEnoughData):
+        desk.require()
+    write_path(tmp_path / "taught.csv", line())
+    desk.load(tmp_path / "taught.csv")
+    desk.delete([3, 4])
+    desk.change("resample", 5.0)
+    desk.change("offset", 10.0)
+    assert desk.require().xyz_m[:, 2] == pytest.approx(-0.01)
+    before = desk.changes
+    for _ in range(before):
+        desk.undo()
+    assert len(desk.require()) == 11 and desk.changes == 0
+    assert len(PathDesk(tmp_path).require()) == 11, "the file follows"
+
+
+def test_a_wrong_change_leaves_the_path_as_it_is(tmp_path):
+    desk = PathDesk(tmp_path)
+    write_path(tmp_path / "taught.csv", line())
+    desk.load(tmp_path / "taught.csv")
+    for tool, value, error in (("resample", -1.0, UsageError), ("fold", 1.0, UsageError), ("angle", 400.0, UsageError)):
+        with pytest.raises(error):
+            desk.change(tool, value)
+    assert len(desk.require()) == 11 and desk.changes == 0
+
+
+def test_one_piece_of_work_at_a_time_and_its_question_waits_for_an_answer():
+    bench, go = Bench(), threading.Event()
+    work = bench.begin("play", "a", lambda work: (go.wait(10.0), work.ask("Move?"))[1])
+    with pytest.raises(DeviceFailed, match="play is still under way"):
+        bench.begin("identify", "b", lambda work: None)
+    go.set()
+    while not work.state.question:
+        pass
+    work.answer(True, "b")
+    work.wait(10.0)
+    assert work.result is True and work.browser == "b" and not work.failure
+    assert bench.named("play") is work and bench.named("identify") is None
+
+
+def test_work_that_fails_says_why_and_a_question_that_is_cancelled_is_a_no():
+    bench = Bench()
+
+    def fail(_):
+        raise UsageError("this cannot be", cure="Do otherwise")
+
+    failed = bench.begin("play", "a", fail)
+    failed.wait(10.0)
+    assert "this cannot be" in failed.failure
+    asked = bench.begin("play", "a", lambda work: work.ask("Move?"))
+    bench.close()
+    assert asked.result is False
