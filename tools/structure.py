@@ -31,7 +31,9 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
     "long": {
         "cli/calibrate.py:camera": FLAGS,
         "cli/commands.py:measure": FLAGS,
+        "cli/handeye.py:handeye": FLAGS,
         "cli/identify.py:identify": FLAGS,
+        "cli/join.py:join": FLAGS,
         "cli/mirrors.py:mirrors": FLAGS,
         "cli/record.py:record": FLAGS,
         "cli/robot.py:jog": FLAGS,
@@ -47,6 +49,7 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
         "cli/handeye.py:handeye": FLAGS,
         "cli/handeye.py:pivot": FLAGS,
         "cli/identify.py:identify": FLAGS,
+        "cli/join.py:join": FLAGS,
         "cli/mirrors.py:mirrors": FLAGS,
         "cli/record.py:record": FLAGS,
         "cli/robot.py:jog": FLAGS,

@@ -89,7 +89,6 @@ def jog_robot(
     robot = opened or open_robot(job.robot, clock, settings)
     _check(job, robot)
     guard = guard_for(robot, job.arm, job.limits, share=job.speed)
-    _check_degrees(job, guard)
     with robot:
         start = robot.read().q
         j = job.joint - 1
@@ -159,6 +158,7 @@ def _check_degrees(job: JogJob, guard: Guard) -> None:
 
 
 def _check_range(job: JogJob, guard: Guard, goal: float) -> None:
+    _check_degrees(job, guard)
     j = job.joint - 1
     low, high = float(guard.bounds.lower[j]), float(guard.bounds.upper[j])
     if not low <= goal <= high:
