@@ -33,6 +33,7 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
         "cli/commands.py:measure": FLAGS,
         "cli/handeye.py:handeye": FLAGS,
         "cli/identify.py:identify": FLAGS,
+        "cli/join.py:join": FLAGS,
         "cli/mirrors.py:mirrors": FLAGS,
         "cli/path.py:export": FLAGS,
         "cli/path.py:from_picks": FLAGS,
