@@ -37,7 +37,6 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
         "cli/mirrors.py:mirrors": FLAGS,
         "cli/path.py:export": FLAGS,
         "cli/path.py:from_picks": FLAGS,
-        "cli/join.py:join": FLAGS,
         "cli/record.py:record": FLAGS,
         "cli/robot.py:jog": FLAGS,
         "cli/serve.py:serve": FLAGS,
