@@ -149,8 +149,8 @@ class Seat:
             return
         if self._held:
             self._lose("the browser of the one who drives was lost")
-        self._desk.leave(self._lease, "its page was closed")
-        self._browser, self._lease = "", None
+        else:
+            self._let_go("its page was closed")
 
     @alone
     def stop(self, person: Person) -> None:
@@ -221,8 +221,15 @@ class Seat:
         self._browser, self._held, self._again, self._pushed = browser, False, False, None
 
     def _lose(self, why: str) -> None:
-        self._held, self._again, self._pushed = False, True, None
+        """Stop the robot, and let anybody else drive, who then has to release the stop."""
         self._desk.stop(why)
+        self._let_go(why)
+
+    def _let_go(self, why: str) -> None:
+        if self._lease is not None:
+            self._desk.leave(self._lease, why)
+        self._browser, self._lease = "", None
+        self._held, self._again, self._pushed = False, False, None
 
     def _follow(self, push: Push | None) -> None:
         """Ask for the velocity of a jog key that is held, and hold once it is let go."""
