@@ -47,10 +47,11 @@ def served(folder: Path) -> Iterator[str]:
 
 
 def save(page: Any, file: Path) -> None:
-    """Write what the page shows as a PNG of 64 colours or more, as many as LARGEST_BYTES holds."""
+    """Write what the page shows as a PNG, with as many colours and as large as LARGEST_BYTES holds."""
     picture = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
-    for colours in (256, 128, 64):
-        picture.quantize(colours).save(file, optimize=True)
+    for share, colours in ((1.0, 256), (0.8, 128), (0.8, 64), (0.65, 64), (0.5, 64)):
+        size = (round(share * picture.width), round(share * picture.height))
+        picture.resize(size, Image.Resampling.LANCZOS).quantize(colours).save(file, optimize=True)
         if file.stat().st_size <= LARGEST_BYTES:
             break
     print(f"{file}: {file.stat().st_size / 1000:.0f} kB")
@@ -83,13 +84,14 @@ def main(out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder, served(Path(folder) / "cell") as address, sync_playwright() as player:
         browser = player.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        save(opened(browser, f"{address}/live", 1280, 900), out / "console-live.png")
+        save(opened(browser, f"{address}/live", 1280, 1100), out / "console-live.png")
         save(opened(browser, f"{address}/live", 390, 780), out / "console-phone.png")
         page = opened(browser, f"{address}/identify", 1280, 900)
         page.click("[data-testid=expect]")
         page.wait_for_selector("text=What these ranges will tell")
+        page.evaluate("window.scrollTo(0, 0)")
         save(page, out / "console-identify.png")
-        page = opened(browser, f"{address}/teach", 1280, 900)
+        page = opened(browser, f"{address}/teach", 1280, 1000)
         page.locator("[data-testid=override]").fill("100")
         page.click("[data-testid=jog-base]")
         for key in (None, "base:2:1", "base:1:1", "base:2:-1"):
