@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from importlib.resources import files
 
-from fastapi import FastAPI
+from fastapi import FastAPI, Request
 from fastapi.responses import RedirectResponse
 from fastapi.staticfiles import StaticFiles
 from nicegui import ui
 
 from armsight.console import texts
-from armsight.console.layout import STATIC, page
+from armsight.console.layout import STATIC, page, text_of
 from armsight.console.pages.calibrate import calibrate_page
 from armsight.console.pages.identify import identify_page
 from armsight.console.pages.live import live_page
@@ -19,7 +20,7 @@ from armsight.console.pages.settings import settings_page
 from armsight.console.pages.teach import teach_page
 from armsight.console.pages.verify import verify_page
 from armsight.console.pictures import add_pictures
-from armsight.console.robot_link import add_robot_link
+from armsight.console.robot_link import add_robot_link, person_of
 from armsight.console.state import Console
 from armsight.console.uploads import add_files
 
@@ -31,6 +32,9 @@ PAGES: dict[str, Callable[[Console], None]] = {
     "verify": verify_page,
     "settings": settings_page,
 }
+
+WATCHED: dict[str, Callable[[Console], None]] = {"live": partial(live_page, watching=True)}
+"""What who may watch gets: pages without anything that changes the cell."""
 
 
 def add_console(server: FastAPI, console: Console) -> None:
@@ -51,6 +55,11 @@ def add_console(server: FastAPI, console: Console) -> None:
 
 def _add_page(name: str, build: Callable[[Console], None], console: Console) -> None:
     @ui.page(f"/{name}", title=f"{texts.PAGES[name]} · {texts.TITLE}")
-    def show() -> None:
+    def show(request: Request) -> None:
+        person = person_of(request)
         with page(name, console):
-            build(console)
+            (build if person.role == "drive" else WATCHED.get(name, _not_for_watchers))(console)
+
+
+def _not_for_watchers(_: Console) -> None:
+    text_of("p", texts.WATCHING).classes("notice")

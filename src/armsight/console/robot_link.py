@@ -13,6 +13,7 @@ from starlette.requests import HTTPConnection
 
 from armsight.app.operator.seat import Person, Push, Seat
 from armsight.console import texts
+from armsight.console.layout import SIGNS
 from armsight.console.state import Console
 from armsight.errors import ArmsightError
 
@@ -123,7 +124,7 @@ class RobotLink:
             "t": now.t_s,
             "instance": now.instance,
             "level": level,
-            "words": words,
+            "words": f"{SIGNS[level]} {words}",
             "refused": self._refused,
             "stopped": now.robot == "stopped",
             "mine": now.mine,

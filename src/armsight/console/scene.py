@@ -96,7 +96,7 @@ class Scene:
         places = xyz_m.tolist()
         with self._scene, self._scene.group() as self._path:
             for i, place in enumerate(places):
-                ball = self._scene.sphere(radius=0.008 if i == 0 or i in chosen else 0.004).move(*place)
+                ball = self._scene.sphere(radius=0.009 if i == 0 or i in chosen else 0.005).move(*place)
                 ball.with_name(f"{POINT}{i}").material(COLOURS["target"] if i in chosen else PATH_COLOUR)
             for one, next_ in pairwise(places):
                 self._scene.line(one, next_).material(PATH_COLOUR)
@@ -171,11 +171,9 @@ class Scene:
         return bone, self._scene.sphere(radius=JOINT_M).material(COLOURS["joint"])
 
     def _look_on(self) -> None:
-        """Look at what the cameras see, from beside them; with an arm from far enough to see it whole."""
-        far = 1.0 if self._arm is None else 1.8
-        centre = self._T_scene_rig.apply([0.0, 0.0, 0.6])
-        x, y, z = self._T_scene_rig.apply([0.9 * far, -0.6 * far, 0.6 - 1.0 * far]).tolist()
-        to_x, to_y, to_z = centre.tolist()
+        """Look at what the cameras see, from beside and above them."""
+        x, y, z = self._T_scene_rig.apply([0.75, -0.65, -0.15]).tolist()
+        to_x, to_y, to_z = self._T_scene_rig.apply([0.05, 0.0, 0.7]).tolist()
         self._scene.move_camera(x, y, z, to_x, to_y, to_z, 0.0, 0.0, 1.0, duration=0.0)
 
 

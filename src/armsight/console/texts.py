@@ -19,6 +19,7 @@ ENABLE = "Hold to enable"
 ENABLE_HELP = "Hold to enable: the robot moves only while this is held down"
 RESET = "Release the stop"
 OVERRIDE = "Speed"
+WATCHING = "Your token may watch: see the page Live. The stop works for you as well."
 GONE = "No connection to the console. The robot is held."
 STALE = "The console was started anew. Load this page again."
 ROBOT = {

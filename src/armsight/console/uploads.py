@@ -9,6 +9,7 @@ from fastapi import FastAPI, HTTPException, Request
 from fastapi.responses import FileResponse, PlainTextResponse
 
 from armsight.console import texts
+from armsight.console.robot_link import person_of
 from armsight.console.state import Console
 from armsight.errors import ArmsightError
 from armsight.store.atomic import write_bytes
@@ -33,6 +34,8 @@ def add_files(server: FastAPI, console: Console) -> None:
     @server.put("/console/files/{name}", include_in_schema=False)
     async def take(name: str, request: Request) -> PlainTextResponse:
         path = console.folder / name
+        if person_of(request).role != "drive":
+            return PlainTextResponse(texts.WATCHING, 403)
         if not NAME.fullmatch(name):
             return PlainTextResponse(texts.NOT_A_NAME.format(name=name[:80]), 400)
         if path.exists():

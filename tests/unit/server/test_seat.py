@@ -86,6 +86,10 @@ def test_a_browser_that_says_nothing_while_it_holds_the_enable_stops_the_robot(s
     assert len(told(host, "stop")) == 1
     seat.look()
     assert len(told(host, "stop")) == 1, "once"
+    with pytest.raises(DeviceFailed, match="was lost"):
+        held(seat, host)  # it is there again, and its key still down
+    seat.reset("b", BEN)
+    assert seat.state("b").driver == "ben", "somebody else releases the stop, without waiting for who is lost"
 
 
 def test_a_lost_connection_stops_where_the_enable_was_held(seat, host):

@@ -92,6 +92,7 @@ class Seat:
         self._again = False
         self._beat_s = -math.inf
         self._pushed: Push | None = None
+        self._lost: set[str] = set()
         self._override = 0.5
 
     @property
@@ -125,7 +126,10 @@ class Seat:
         """
         if browser != self._browser or self._desk.driver is not self._lease:
             if not enable:
+                self._lost.discard(browser)
                 return
+            if browser in self._lost:
+                raise DeviceFailed("the connection was lost", consequence="The robot was stopped", cure=LET_GO)
             self._take(browser, person)
         now_s = self._host.now_s()
         stale = now_s - seen_s > FRESH_S
@@ -149,8 +153,8 @@ class Seat:
             return
         if self._held:
             self._lose("the browser of the one who drives was lost")
-        self._desk.leave(self._lease, "its page was closed")
-        self._browser, self._lease = "", None
+        else:
+            self._let_go("its page was closed")
 
     @alone
     def stop(self, person: Person) -> None:
@@ -221,8 +225,16 @@ class Seat:
         self._browser, self._held, self._again, self._pushed = browser, False, False, None
 
     def _lose(self, why: str) -> None:
-        self._held, self._again, self._pushed = False, True, None
+        """Stop the robot, and let anybody drive who releases the stop; who is lost has to let the enable go first."""
         self._desk.stop(why)
+        self._lost = {self._browser}
+        self._let_go(why)
+
+    def _let_go(self, why: str) -> None:
+        if self._lease is not None:
+            self._desk.leave(self._lease, why)
+        self._browser, self._lease = "", None
+        self._held, self._again, self._pushed = False, False, None
 
     def _follow(self, push: Push | None) -> None:
         """Ask for the velocity of a jog key that is held, and hold once it is let go."""

@@ -31,17 +31,17 @@ LINES = ("#0072B2", "#D55E00", "#009E73")
 """Okabe and Ito's blue, vermillion and green."""
 
 
-def live_page(console: Console) -> None:
-    """Build the page."""
+def live_page(console: Console, *, watching: bool = False) -> None:
+    """Build the page; watching: without anything that changes the cell."""
     if console.station is None:
         text_of("p", texts.NO_CAMERAS).classes("notice")
     else:
-        _measuring(console)
-    if console.robot is not None:
+        _measuring(console, watching=watching)
+    if console.robot is not None and not watching:
         jog_card(console.robot)
 
 
-def _measuring(console: Console) -> None:
+def _measuring(console: Console, *, watching: bool) -> None:
     with ui.element("div").classes("columns"):
         left = _picture(console, "left", texts.LEFT)
         right = _picture(console, "right", texts.RIGHT)
@@ -49,14 +49,15 @@ def _measuring(console: Console) -> None:
         with card(texts.POSE):
             pose = _pose()
             status = _status()
-            record = _record(console)
+            record = (lambda: None) if watching else _record(console)
         with card(texts.SCENE):
             scene = _scene(console)
     with card(texts.CURVES):
         curves = [_curve(names, unit) for names, unit in ((texts.AXES[:3], "mm"), (texts.AXES[3:], "deg"))]
-    with card(texts.SEARCH):
-        _search(console)
-    ui.on("armsight_mask", lambda event: _mask(console, event.args))
+    if not watching:
+        with card(texts.SEARCH):
+            _search(console)
+        ui.on("armsight_mask", lambda event: _mask(console, event.args))
 
     def tick() -> None:
         shown = console.remember()

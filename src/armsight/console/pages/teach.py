@@ -38,9 +38,11 @@ def teach_page(console: Console) -> None:
         return
     said = text_of("p", role="alert", testid="told").classes("hint")
     with ui.element("div").classes("columns"):
-        with ui.element("div"):
+        with ui.element("div").classes("stack"):
+            above = ui.element("div")
             path = _Path(console, desk, said)
-            _Recording(recorder, desk, path, said)
+            with above:
+                _Recording(recorder, desk, path, said)
         with card(texts.SCENE):
             path.scene = _scene(console, path)
     _Play(console, desk)

@@ -1,0 +1,112 @@
+"""Make docs/images/console-*.png anew: the console of the simulated cell as a person has it before them.
+
+    python tools/console_pictures.py [FOLDER]
+
+Needs Debian's Chromium. A path is taught with the jog keys, so that there is one to see.
+"""
+
+from __future__ import annotations
+
+import io
+import socket
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from PIL import Image
+from playwright.sync_api import sync_playwright
+
+CHROMIUM = "/usr/bin/chromium"
+FOLDER = Path("docs/images")
+LARGEST_BYTES = 150_000
+PATIENCE_MS = 180_000
+
+
+@contextmanager
+def served(folder: Path) -> Iterator[str]:
+    """Serve the console of the simulated cell; give its address."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    command = [sys.executable, "-m", "armsight", "console", "--robot", "sim:webcam-cell"]
+    process = subprocess.Popen(
+        [*command, "--folder", str(folder), "--port", str(port)], stderr=subprocess.PIPE, text=True
+    )
+    try:
+        for line in process.stderr or ():
+            if "Open http" in line:
+                break
+        yield f"http://127.0.0.1:{port}"
+    finally:
+        process.terminate()
+        process.wait(60)
+
+
+def save(page: Any, file: Path) -> None:
+    """Write what the page shows as a PNG, with as many colours and as large as LARGEST_BYTES holds."""
+    picture = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
+    for share, colours in ((1.0, 256), (0.8, 128), (0.8, 64), (0.65, 64), (0.5, 64)):
+        size = (round(share * picture.width), round(share * picture.height))
+        picture.resize(size, Image.Resampling.LANCZOS).quantize(colours).save(file, optimize=True)
+        if file.stat().st_size <= LARGEST_BYTES:
+            break
+    print(f"{file}: {file.stat().st_size / 1000:.0f} kB")
+
+
+def hold(page: Any, key: str, for_ms: int) -> None:
+    """Hold a jog key."""
+    button = page.locator(f"[data-jog='{key}']")
+    button.scroll_into_view_if_needed()
+    box = button.bounding_box()
+    page.mouse.move(box["x"] + 5, box["y"] + 5)
+    page.mouse.down()
+    page.wait_for_timeout(for_ms)
+    page.mouse.up()
+    page.wait_for_timeout(1500)
+
+
+def opened(browser: Any, address: str, width: int, height: int) -> Any:
+    """Return a page on which the target is measured."""
+    page = browser.new_page(viewport={"width": width, "height": height})
+    page.set_default_timeout(PATIENCE_MS)
+    page.goto(address, wait_until="domcontentloaded")
+    page.wait_for_function("document.querySelector('[data-testid=state]')?.textContent.includes('Measuring')")
+    page.wait_for_timeout(4000)
+    return page
+
+
+def main(out: Path) -> None:
+    """Take all pictures."""
+    out.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as folder, served(Path(folder) / "cell") as address, sync_playwright() as player:
+        browser = player.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        save(opened(browser, f"{address}/live", 1280, 1100), out / "console-live.png")
+        save(opened(browser, f"{address}/live", 390, 780), out / "console-phone.png")
+        page = opened(browser, f"{address}/identify", 1280, 900)
+        page.click("[data-testid=expect]")
+        page.wait_for_selector("text=What these ranges will tell")
+        page.evaluate("window.scrollTo(0, 0)")
+        save(page, out / "console-identify.png")
+        page = opened(browser, f"{address}/teach", 1280, 1000)
+        page.locator("[data-testid=override]").fill("100")
+        page.click("[data-testid=jog-base]")
+        for key in (None, "base:2:1", "base:1:1", "base:2:-1"):
+            if key is not None:
+                hold(page, key, 1500)
+            page.click("[data-testid=point]")
+            page.wait_for_timeout(6000)
+        page.click("[data-testid=save]")
+        page.click("[data-testid=change]")
+        page.click("[data-testid=check]")
+        page.wait_for_timeout(3000)
+        page.evaluate("window.scrollTo(0, 0)")
+        save(page, out / "console-teach.png")
+        browser.close()
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else FOLDER)
