@@ -65,6 +65,7 @@ ENDED = "The frames have ended"
 NO_CAMERAS = "No cameras are set up. Give rig, target and both cameras on the page Settings."
 FAILED = "Not measuring"
 RESTART = "Start anew"
+CAMERA_LOST = "The cameras give no pictures any more. Look at their plugs and their power, then start anew. ({why})"
 
 LEFT, RIGHT = "Left camera", "Right camera"
 SCENE = "Cameras and target"

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from nicegui import ui
+from nicegui import run, ui
 from nicegui.elements.mixins.text_element import TextElement
 
 from armsight.app.live.station import Shown
@@ -42,6 +42,8 @@ def live_page(console: Console, *, watching: bool = False) -> None:
 
 
 def _measuring(console: Console, *, watching: bool) -> None:
+    if not watching:
+        _lost_camera(console)
     with ui.element("div").classes("columns"):
         left = _picture(console, "left", texts.LEFT)
         right = _picture(console, "right", texts.RIGHT)
@@ -76,6 +78,20 @@ def _measuring(console: Console, *, watching: bool) -> None:
 
     ui.timer(TICK_S, tick)
     ui.timer(SLOW_S, slow)
+
+
+def _lost_camera(console: Console) -> None:
+    """A line that is there while no pictures come, with what to do, and a button that begins anew."""
+    with ui.element("div").classes("row notice") as line:
+        words = text_of("p", role="alert", testid="camera-lost")
+        button(texts.RESTART, lambda: run.io_bound(console.require_station().start), testid="restart")
+
+    def tick() -> None:
+        failure = "" if console.station is None else console.station.failure
+        line.set_visibility(bool(failure))
+        set_text(words, texts.CAMERA_LOST.format(why=failure) if failure else "")
+
+    ui.timer(TICK_S, tick)
 
 
 def _picture(console: Console, side: str, title: str) -> Refresh:
