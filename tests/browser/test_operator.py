@@ -134,7 +134,7 @@ def test_a_first_time_user_goes_the_whole_way(browser: Any, console: Any, cell: 
     play(page)
     assert list(folder.glob("played-*/play.mcap"))
     page.goto(f"{address}/verify")
-    for name in ("path-check.html", "identify/arm.html"):
+    for name in ("path-check.html", "identify/arm.report.html"):
         page.wait_for_selector(f"text={name}")
     page.close()
 
