@@ -17,14 +17,15 @@ BLIND_TURN_RAD_S = 0.1
 """Where the arm's lengths are not known, all joints together turn no faster: 0.1 m/s at one metre."""
 
 BEHIND_LOOP_S = 0.1
-"""Silence and lateness allowed to whoever asks a guarded loop in another process for motion: meanwhile that one holds."""
+"""Silence and lateness allowed to whoever asks a guarded loop for motion: meanwhile that one keeps the robot safe."""
 
 
 def guard_for(robot: Robot, arm: Path | None = None, limits: Path | None = None, *, share: float = 1.0) -> Guard:
     """Return the guard of a robot; share: of all speeds. Nothing is opened.
 
-    A robot that says it is `guarded` is behind a loop with a guard of its own. arm: its arm.yaml; without it the arm that the robot itself tells (a simulated one does), or joints without
-    lengths, which are kept slow. limits: limits.yaml, or the defaults. Raises UsageError, BadFile, Inconsistent.
+    A robot that says it is `guarded` is behind a loop with a guard of its own. arm: its arm.yaml; without it the arm
+    that the robot itself tells (a simulated one does), or joints without lengths, which are kept slow. limits:
+    limits.yaml, or the defaults. Raises UsageError, BadFile, Inconsistent.
     """
     if not 0.0 < share <= 1.0:
         raise UsageError(
