@@ -34,6 +34,7 @@ class SeatRobot:
     """
 
     takes_joints = True
+    guarded = True
 
     def __init__(
         self, seat: Seat, browser: Callable[[], str], clock: Clock, *, waits: bool, cancelled: Callable[[], bool]

@@ -16,12 +16,16 @@ from armsight.store.limits_file import read_limits
 BLIND_TURN_RAD_S = 0.1
 """Where the arm's lengths are not known, all joints together turn no faster: 0.1 m/s at one metre."""
 
+BEHIND_LOOP_S = 0.1
+"""Silence and lateness allowed to whoever asks a guarded loop for motion: meanwhile that one keeps the robot safe."""
+
 
 def guard_for(robot: Robot, arm: Path | None = None, limits: Path | None = None, *, share: float = 1.0) -> Guard:
     """Return the guard of a robot; share: of all speeds. Nothing is opened.
 
-    arm: its arm.yaml; without it the arm that the robot itself tells (a simulated one does), or joints without
-    lengths, which are kept slow. limits: limits.yaml, or the defaults. Raises UsageError, BadFile, Inconsistent.
+    A robot that says it is `guarded` is behind a loop with a guard of its own. arm: its arm.yaml; without it the arm
+    that the robot itself tells (a simulated one does), or joints without lengths, which are kept slow. limits:
+    limits.yaml, or the defaults. Raises UsageError, BadFile, Inconsistent.
     """
     if not 0.0 < share <= 1.0:
         raise UsageError(
@@ -30,6 +34,9 @@ def guard_for(robot: Robot, arm: Path | None = None, limits: Path | None = None,
             cure="Give for instance 0.2",
         )
     kept = Limits() if limits is None else read_limits(limits)
+    if getattr(robot, "guarded", False):  # the loop that moves it watches its readings and cycles itself
+        cycles = BEHIND_LOOP_S / robot.cycle_s
+        kept = replace(kept, silent_cycles=max(kept.silent_cycles, cycles), late_cycles=max(kept.late_cycles, cycles))
     known = arm_of(robot, arm)
     if known is None:
         known = Arm(name=robot.name, joints=tuple(Joint(name=f"j{i + 1}") for i in range(robot.n_joints)))

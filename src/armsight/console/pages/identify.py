@@ -123,7 +123,7 @@ class _Identify:
             for note in done.notes:
                 text_of("p", note).classes("hint")
             text_of("p", texts.SAVED_ARM.format(file=f"{FOLDER}/arm.yaml"), testid="verdict")
-            text_of("a", texts.REPORT, href=f"/console/files/{FOLDER}/arm.html", target="_blank")
+            text_of("a", texts.REPORT, href=f"/console/files/{FOLDER}/arm.report.html", target="_blank")
         if self._scene is not None:
             paths, seen = work_of.fits(self._console.folder)
             self._scene.show_fits(paths, seen, placed=(self._console.folder / FOLDER / "world.yaml").exists())
