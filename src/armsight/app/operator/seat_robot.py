@@ -23,6 +23,9 @@ STALE_S = 0.1
 STALE_CYCLES = 3.5
 """A reading older than both is stale."""
 
+LED_AWAY = 0.02
+"""A robot further (rad or m) from where it was told to go was led elsewhere meanwhile."""
+
 NOT_HELD = "the enable is not held"
 
 
@@ -47,6 +50,8 @@ class SeatRobot:
         self._waits, self._cancelled = waits, cancelled
         self._open = False
         self._number = 0
+        self._goal: Array | None = None
+        self._halted = False
 
     @property
     def state(self) -> RobotState:
@@ -90,14 +95,27 @@ class SeatRobot:
         values = np.asarray(step, dtype=float)
         if values.shape != (self.n_joints,):
             raise UsageError(f"{self.name} has {self.n_joints} joints, the step {values.size}", cure="Give them all")
-        if values.any():
-            while not self._seat.enabled(self._browser()):
-                if not self._waits or self._cancelled():
-                    return self._sent(self._seat.snapshot().q_sent, (NOT_HELD,))
-                self._check_link()
-                self._clock.sleep_until(self._clock.now_s() + self.cycle_s)
-            return self._sent(*self._seat.step(self._browser(), values))
-        return self._sent(self._seat.snapshot().q_sent, ())
+        if not values.any():
+            return self._sent(self._told(), ())
+        while not self._seat.enabled(self._browser()):
+            if not self._waits or self._cancelled():
+                self._halted = True
+                return self._sent(self._told(), (NOT_HELD,))
+            self._check_link()
+            self._clock.sleep_until(self._clock.now_s() + self.cycle_s)
+        if self._halted:  # from where it came to rest, a little short of where it was told to go
+            values = values + self._told() - self._seat.snapshot().q_sent
+            self._halted = False
+        self._goal, limited = self._seat.step(self._browser(), values)
+        return self._sent(self._goal, limited)
+
+    def _told(self) -> Array:
+        """Return where the robot was last told to go (n,); where it stands, if it was led elsewhere since."""
+        q_sent = self._seat.snapshot().q_sent
+        if self._goal is None or np.abs(self._goal - q_sent).max() > LED_AWAY:
+            self._goal = None
+            return q_sent
+        return self._goal
 
     def move_pose(self, T_base_flange: RigidTransform) -> Sent:
         """Refuse: work at the desk sends joints. Raises UsageError."""
