@@ -145,9 +145,10 @@ def hand_eye(page: Any) -> None:
     for taken, key in enumerate(moves, start=1):
         if key is not None:
             hold_key(page, key, 1200)
-        measuring(page)
-        page.click("[data-testid=accept]:not([disabled])")
-        page.wait_for_function("n => document.querySelectorAll('td button').length >= n", arg=taken)
+        while page.locator("td button").count() < taken:  # a moment without a whole pose is refused, and told
+            measuring(page)
+            page.click("[data-testid=accept]:not([disabled])")
+            page.wait_for_selector("[data-testid=accept]:not([disabled])")
     page.click("[data-testid=calibrate]:not([disabled])")
     page.wait_for_selector("[data-testid=verdict]")
 
