@@ -144,7 +144,7 @@ def hand_eye(page: Any) -> None:
     moves = (None, "joints:5:1", "joints:4:1", "joints:3:1", "joints:4:-1", "joints:3:-1")
     for taken, key in enumerate(moves, start=1):
         if key is not None:
-            hold_key(page, key, 1200)
+            hold_key(page, key, 700)
         while page.locator("td button").count() < taken:  # a moment without a whole pose is refused, and told
             measuring(page)
             page.click("[data-testid=accept]:not([disabled])")
