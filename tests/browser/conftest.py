@@ -71,7 +71,7 @@ def opened(browser: Any, address: str, *, width: int = 1400, dark: bool = False)
     return page
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     from playwright.sync_api import sync_playwright
 
