@@ -118,9 +118,7 @@ def test_pages_of_the_robot_have_no_serious_fault_of_accessibility(
     page.close()
 
 
-def test_a_user_identifies_the_arm_teaches_a_path_and_plays_it(
-    browser: Any, console: Any, cell: tuple[str, Path]
-) -> None:
+def test_a_user_identifies_teaches_and_plays(browser: Any, console: Any, cell: tuple[str, Path]) -> None:
     """Identify, teach a trapezium, check, play, and the reports of it all."""
     address, folder = cell
     page = console.opened(browser, f"{address}/live")
