@@ -8,6 +8,8 @@ import pytest
 from armsight.app.verify.live_output import ERROR_COLUMNS, HEADER
 from armsight.app.verify.output import NAMES
 from armsight.store.cell_file import CellFile
+from armsight.store.interpret.read import is_ours
+from armsight.store.interpret.roles import ROLES
 from armsight.store.iso9283_plan import PLAN_COLUMNS
 from armsight.store.limits_file import limits_from_mapping
 from armsight.store.path_file import parse_path
@@ -24,6 +26,13 @@ from armsight.store.zoom import is_zoom_camera, zoom_camera_from_mapping
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "file-formats.md"
 BLOCKS = re.findall(r"^```(yaml|csv)\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+
+
+def standard(data, role):
+    assert is_ours(data, ROLES[role])  # taken as it is, without interpretation
+    words = [name for name in ("file", "point") if name in ROLES[role].words]
+    return parse_table(data, "x", sorted(ROLES[role].required), optional=ROLES[role].known, text=words, series="q")
+
 
 READERS = {
     "armsight/rig": rig_from_mapping,
@@ -44,6 +53,9 @@ READERS = {
     "t_s,level": lambda data: parse_table(
         data, "x", HEADER, text=("level", "lost"), blank=(*ERROR_COLUMNS, "decision_ms")
     ),
+    "q1,q2": lambda data: standard(data, "points"),
+    "base_flange_x_m,base_flange_y_m": lambda data: standard(data, "pairs"),
+    "file,x_m": lambda data: standard(data, "robot_poses"),
     "pose,q1": lambda data: parse_table(data, "x", ("pose", "decides"), text=("decides",), series="q"),
     "t_s,q1": lambda data: parse_joints(data, "x"),
     "t_s": lambda data: parse_times(data, "x"),
