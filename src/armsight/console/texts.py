@@ -245,4 +245,6 @@ PLAY_AT = "{stage}: {s:.1f} of {length:.1f} mm at {speed:.1f} mm/s"
 PLAY_STAGES = {"approach": "On the way to the start", "path": "On the path", "finished": "Done"}
 PLAY_DONE = "Played: {share:.0%} of {length:.1f} mm in {time:.1f} s. Ended by: {why}."
 PLAY_END = "the path's end"
+PLAY_SEEN = "The cameras saw the tip {rms:.2f} mm (RMS) off, {largest:.2f} mm at most, in {n} frames."
+PLAY_UNSEEN = "No camera watched it."
 PLAY_KEPT = "All of it is kept in {folder}."

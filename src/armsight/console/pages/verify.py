@@ -46,7 +46,7 @@ def verify_page(console: Console) -> None:
                 set_attribute(said, "data-level", "bad")
 
         button(texts.VERIFY_RUN, verify, testid="verify-run")
-    iso_card(console)
+    iso_card(console, lambda: listing.refresh(console))
     listing(console)
 
 
