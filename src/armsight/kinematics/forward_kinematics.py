@@ -83,7 +83,7 @@ def fk_jacobian(
     else:
         many_poses_jacobians(arm.chain, values, T, J)
     if axes != "world":
-        R = T[..., :3, :3] if axes == "tool" else arm.chain[0].reshape(3, 4)[:, :3]
+        R = T[..., :3, :3] if axes == "tool" else arm.T_world_base.rotation.as_matrix()
         Rt = np.swapaxes(R, -1, -2)
         J[..., :3, :] = Rt @ J[..., :3, :]
         J[..., 3:, :] = Rt @ J[..., 3:, :]
