@@ -1,7 +1,7 @@
 """The arms known by name against the joints of their public URDFs, and against flange poses known from elsewhere.
 
-The chains are written down from the makers' and ROS-Industrial's descriptions, as numbers, with forward kinematics of the
-test's own. They share no figure with the presets: those come from the makers' Denavit-Hartenberg tables and drawings.
+The chains are written down from the makers' and ROS-Industrial's descriptions, as numbers; the forward kinematics here
+is the test's own. They share no figure with the presets: those come from the makers' tables and drawings.
 """
 
 from __future__ import annotations

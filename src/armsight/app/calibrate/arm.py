@@ -19,6 +19,9 @@ from armsight.app.schemas.arm import (
     BeforeAfter,
     CouplingOutput,
     FixedParameter,
+    KnownArmOutput,
+    MisfitOutput,
+    OtherArmOutput,
     Outlier,
     RobotWorldOutput,
     ToolErrors,
@@ -157,6 +160,18 @@ def arm_output(result: ArmCalibration) -> ArmCalibrationOutput:
         model=result.level,
         verdict=result.verdict,
         gain=result.gain,
+        other_arm=_other_arm(result),
+    )
+
+
+def _other_arm(result: ArmCalibration) -> OtherArmOutput | None:
+    other = result.other_arm
+    if other is None:
+        return None
+    return OtherArmOutput(
+        misfits=[MisfitOutput(name=x.name, nominal=x.nominal, wanted=x.wanted, std=x.std) for x in other.found],
+        known=None if other.known is None else KnownArmOutput(name=other.known[0], error_m=other.known[1]),
+        nominal_error_m=other.nominal_m,
     )
 
 

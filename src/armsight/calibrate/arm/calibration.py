@@ -21,6 +21,7 @@ from armsight.calibrate.arm.model_selection import (
     plain_level,
     significant_gain,
 )
+from armsight.calibrate.arm.other_arm import OtherArm, other_arm
 from armsight.calibrate.arm.parameter_selection import still
 from armsight.calibrate.arm.plausibility import check_fit, exceeded
 from armsight.calibrate.arm.points import ArmPoints, check_points
@@ -58,7 +59,8 @@ class ArmCalibration:
     left_after: on the holdout where one was given (held), else the same. free, condition: see Choice. fixed: (name,
     why) of what is as in the nominal arm. model, fitted: names and values of the parameters (changes to the nominal
     arm), noise. outliers: (row from 0, error in m). couplings: (joint, by which, share). level: which kind of model was
-    taken. still: joints that did not move. before_m, error_m: (m,) before and after, by row.
+    taken. still: joints that did not move. before_m, error_m: (m,) before and after, by row. other_arm: why the nominal
+    arm is that of another one; nothing is corrected then.
     """
 
     arm: Arm
@@ -84,6 +86,7 @@ class ArmCalibration:
     verdict: str
     error_m: Array
     before_m: Array
+    other_arm: OtherArm | None = None
 
     def std(self) -> dict[str, float]:
         """Return the standard deviations of the freed parameters, base and tool."""
@@ -122,6 +125,10 @@ def calibrate_arm(
     for richer in levels[1:]:
         if significant_gain(best.left_m, richer.left_m, points.position):
             best = richer
+    other = other_arm(model, points, _plain(levels, best), best, tolerance)
+    if other is not None:
+        kept = _result(model, points, holdout, levels, levels[0])
+        return replace(kept, verdict=other.text(), other_arm=other)
     return _result(model, points, holdout, levels, best)
 
 
@@ -145,6 +152,11 @@ def _levels(model: ArmModel, points: ArmPoints, tolerance: Tolerance, *, scale: 
         except NotConverged:
             continue
     return levels
+
+
+def _plain(levels: Sequence[Level], best: Level) -> Level:
+    """Return the level of base and tool alone whose readings are coupled as the best one's."""
+    return next(x for x in levels if x.couplings == best.couplings and not x.choice.free)
 
 
 def _check_labels(model: ArmModel, holdout: ArmPoints) -> None:
