@@ -117,12 +117,15 @@ def in_convention(arm: Arm, convention: Convention | str) -> Arm:
         dataclasses.replace(joint, a_m=a, alpha_rad=alpha, beta_rad=beta)
         for joint, (a, alpha, beta) in zip(arm.joints, rows, strict=True)
     )
+    T_flange_tool = RigidTransform.from_matrix(tool)
+    T_new_old = T_flange_tool * arm.T_flange_tool.inv()  # of the flange
     return Arm(
         name=arm.name,
         joints=joints,
         convention=wanted,
         T_world_base=RigidTransform.from_matrix(base),
-        T_flange_tool=RigidTransform.from_matrix(tool),
+        T_flange_tool=T_flange_tool,
         source=arm.source,
         couplings=arm.couplings,
+        tool_points=tuple(point.seen_from(T_new_old) for point in arm.tool_points),
     )

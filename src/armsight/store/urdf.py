@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from armsight.errors import BadFile, Inconsistent
 from armsight.kinematics import Arm, JointType
 from armsight.kinematics.axes import AxisJoint, arm_from_axes, axes_of
-from armsight.store.atomic import read_bytes, write_text
+from armsight.store.atomic import disk_errors, read_bytes, write_text
 from armsight.store.schema import named
 
 Array = NDArray[np.float64]
@@ -40,6 +40,9 @@ class UrdfJoint:
     T_parent_joint: Array
     element: ElementTree.Element
 
+
+OURS = re.compile(rb'<joint name="world_base" .*<joint name="to_flange" .*<joint name="to_tool" ', re.DOTALL)
+"""What every URDF of urdf_text holds, in this order."""
 
 MOST_TOLD = 20
 """Links named in a message; a robot's description can have hundreds."""
@@ -237,18 +240,22 @@ def _end(start: str, tree: _Tree, where: str) -> str:
         children = tree.below.get(link, ())
         moves[link] = any(joint.type != "fixed" or moves[joint.child] for joint in children)
         depth[link] = max((1 + depth[joint.child] for joint in children), default=0)
+
+    def moving(link: str) -> list[UrdfJoint]:
+        return [joint for joint in tree.below.get(link, ()) if joint.type != "fixed" or moves[joint.child]]
+
     link = start
     while children := tree.below.get(link, []):
-        moving = [joint for joint in children if joint.type != "fixed" or moves[joint.child]]
-        if len(moving) > 1:
-            tips = [link, *(leaf for leaf in order if leaf not in tree.below)]
-            told = [f"{tip} ({_count(tree.to(tip, start, where))})" for tip in tips if tip != start]
+        onwards = moving(link)
+        if len(onwards) > 1:
+            tips = [tip for tip in order if tip != start and (tip not in tree.below or len(moving(tip)) > 1)]
+            told = [f"{tip} ({_count(tree.to(tip, start, where))})" for tip in tips]
             raise BadFile(
-                f"{where}: branches at the link {link} into {', '.join(joint.name for joint in moving)}",
+                f"{where}: branches at the link {link} into {', '.join(joint.name for joint in onwards)}",
                 consequence="Which of them is the arm is not known",
                 cure=f"Name the last link of the chain you mean with --tip, such as {_listed(told)}",
             )
-        link = moving[0].child if moving else max(children, key=lambda joint: depth[joint.child]).child
+        link = onwards[0].child if onwards else max(children, key=lambda joint: depth[joint.child]).child
     return link
 
 
@@ -321,6 +328,13 @@ def _axis_joint(joint: UrdfJoint, T: Array, where: str) -> AxisJoint:
 def write_urdf(path: Path, arm: Arm) -> None:
     """Write the arm's kinematics as URDF; see urdf_text."""
     write_text(path, urdf_text(arm))
+
+
+def delete_urdf(path: Path) -> None:
+    """Delete a URDF that write_urdf wrote; one of another program stays. Raises DeviceFailed where the disk refuses."""
+    with disk_errors(path):
+        if path.is_file() and OURS.search(path.read_bytes()[:MAX_BYTES]):
+            path.unlink()
 
 
 def urdf_text(arm: Arm) -> str:

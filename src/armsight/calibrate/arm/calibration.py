@@ -21,10 +21,12 @@ from armsight.calibrate.arm.model_selection import (
     plain_level,
     significant_gain,
 )
+from armsight.calibrate.arm.one_place import check_one_place
 from armsight.calibrate.arm.other_arm import OtherArm, other_arm
 from armsight.calibrate.arm.parameter_selection import still
 from armsight.calibrate.arm.plausibility import check_fit, exceeded
 from armsight.calibrate.arm.points import ArmPoints, check_points
+from armsight.calibrate.arm.tool_points import tool_points
 from armsight.errors import Inconsistent, NotConverged
 from armsight.kinematics import Arm
 from armsight.records import NamedCovariance
@@ -114,6 +116,7 @@ def calibrate_arm(
     """
     tolerance = tolerance or Tolerance()
     check_points(nominal, points)
+    check_one_place(nominal, points)
     model = ArmModel(arm=nominal, labels=points.labels, turned=points.rotation is not None)
     if holdout is not None:
         check_points(nominal, holdout)
@@ -216,8 +219,9 @@ def _result(
 
 
 def _arm(model: ArmModel, best: Level) -> Arm:
-    """Return the arm of a level, with the covariance of its links."""
+    """Return the arm of a level, with the covariance of its links and the places of its tool's points."""
     arm, covariance = model.arm_at(best.fitted.p), best.fitted.fit.covariance
+    arm = replace(arm, tool_points=tool_points(model, best.fitted))
     if covariance is not None:
         links = tuple(name for name in covariance.names if name in model.names[: 5 * model.arm.n])
         if links:

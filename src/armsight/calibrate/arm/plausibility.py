@@ -70,7 +70,8 @@ def senseless(error_m: Array, spread: float, rows: Sequence[int] = (), other: st
         f"the best fit misses a fifth of the positions by {1e3 * exceeded(error_m):.3g} mm or more, and the tool moved "
         f"by {1e3 * spread:.3g} mm{told}",
         consequence="The measurements are not of this arm at these readings, and nothing is written",
-        cure=f"{cure}; look for another arm's rows, readings and positions out of step, positions of a reflection",
+        cure=f"{cure}; look for another arm's rows, readings and positions out of step, positions of a reflection, "
+        "rows of several places on the tool without a column `point`",
     )
 
 
