@@ -79,7 +79,7 @@ class ToolPointModel(Strict):
 
     name: str
     xyz_m: list[Finite] = Field(min_length=3, max_length=3)
-    std_m: list[Finite | None] = Field(default_factory=lambda: [None, None, None], min_length=3, max_length=3)
+    std_m: list[Finite | None] = Field(default=[None, None, None], min_length=3, max_length=3)
 
     def point(self) -> ToolPoint:
         """Return the record; Inconsistent where no point can be like this."""
