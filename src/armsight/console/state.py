@@ -9,6 +9,7 @@ from datetime import datetime
 from pathlib import Path
 
 from armsight.app.guided.boards import BoardCalibration
+from armsight.app.guided.desk import StepDesk
 from armsight.app.guided.poses import ArmStep, HandEyeStep, TipCalibrationStep
 from armsight.app.guided.step import Guided
 from armsight.app.guided.timing import TimingStep
@@ -38,7 +39,7 @@ class Console:
     look: Look = field(default_factory=Look)
     last_recording: Path | None = None
     history: deque[Shown] = field(default_factory=lambda: deque(maxlen=HISTORY))
-    steps: dict[str, Guided] = field(default_factory=dict)
+    steps: dict[str, StepDesk] = field(default_factory=dict)
     robot: RobotCell | None = None
     _teaching: TeachDesk | None = None
     _path: PathDesk | None = None
@@ -110,10 +111,10 @@ class Console:
             )
         return self.robot
 
-    def step(self, name: str) -> Guided:
+    def step(self, name: str) -> StepDesk:
         """Return a guided calibration, begun anew where it was not under way. Raises UsageError, BadFile."""
         if name not in self.steps:
-            self.steps[name] = STEPS[name](self, self.folder / "calibrate" / name)
+            self.steps[name] = StepDesk(STEPS[name](self, self.folder / "calibrate" / name))
         return self.steps[name]
 
     def set_look(self, look: Look) -> None:

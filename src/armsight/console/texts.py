@@ -117,6 +117,8 @@ NEXT = {
     "nearer": "Come nearer with the board.",
     "turn_target": "Turn the target about another axis, with its tip resting on the point.",
     "move_robot": "Move the robot to another place and turn its hand, then accept.",
+    "turn_hand": "Turn the hand about its own {axis}, both ways, and accept a pose at each end: {share:.0%} of what is "
+    "needed is there. The lights must stay in both pictures.",
     "record": "Press accept, wave the target through both pictures for 20 seconds, and press accept again.",
     "more": "Good. Accept some more, each at another place and tilt.",
     "run": "There is enough: calibrate.",
@@ -139,6 +141,7 @@ CALIBRATE = "Calibrate"
 RUNNING = "Calibrating …"
 VERDICT = "Verdict"
 GOOD, NOT_GOOD = "Can be trusted", "Not to be trusted yet"
+NOT_CALIBRATED = "Not calibrated"
 SAVED = "Saved as {file}"
 REPORT = "Report"
 USE_IT = "Measure with it"

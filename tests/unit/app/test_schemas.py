@@ -38,7 +38,7 @@ STEREO = (
 )
 HANDEYE = (
     "setup std std_target n_pairs n_used rejected residual_rms_m residual_rms_rad loo_rms_m loo_rms_rad noise "
-    "turning_rms_rad verdict advice"
+    "turning_rms_rad verdict concerns advice"
 )
 HANDEYE_MAYBE = (
     "T_flange_camera T_base_target T_base_camera T_flange_target target_scale reprojection_rms_px time_offset_s "
