@@ -17,13 +17,15 @@ from armsight.records import Progress
 class DeskState:
     """What a page shows. busy: what is being done, empty for nothing. refused: why the last sample was not taken.
 
-    verdict: of the last calibration; not_done: why there is none. Both go with the next sample taken or dropped.
+    count: of what was done so far, so that a page knows that something was. verdict: of the last calibration; not_done:
+    why there is none. Both go with the next sample taken or dropped.
     """
 
     hint: Hint
     samples: tuple[Sample, ...]
     coverage: dict[str, tuple[int, ...]]
     spread: tuple[tuple[str, str], ...]
+    count: int = 0
     busy: str = ""
     refused: str = ""
     verdict: Verdict | None = None
@@ -63,7 +65,8 @@ class StepDesk:
             self._state = before
             verdicts: list[Verdict] = []
             why = _why(lambda: verdicts.append(self.step.run(progress)))
-            self._state = replace(before, busy="", verdict=verdicts[0] if verdicts else None, not_done=why)
+            verdict = verdicts[0] if verdicts else None
+            self._state = replace(before, count=before.count + 1, busy="", verdict=verdict, not_done=why)
 
     def _do(self, what: str, act: Callable[[], object]) -> None:
         with self._lock:
@@ -76,7 +79,7 @@ class StepDesk:
                 after.append(self._looked())
 
             why = _why(both)
-            self._state = replace(after[0] if after else before, busy="", refused=why)
+            self._state = replace(after[0] if after else before, count=before.count + 1, busy="", refused=why)
 
     def _looked(self) -> DeskState:
         step = self.step

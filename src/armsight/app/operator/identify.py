@@ -49,6 +49,8 @@ FASTEST_PX_S, STILL_PX, WIDEST_PX = 150.0, 3.0, 30.0
 """How far a light may be from where it was, for it to be the same: by its speed, at rest, and at most."""
 FASTEST_DEG_S, FASTEST_MM_S = 10.0, 20.0
 """Of a joint on its sweep at full override: the light goes through the pictures slowly enough to be followed."""
+SPARE = 1.25
+"""A target seems larger where it comes nearer, or is turned to the camera."""
 AROUND_DEG, AROUND_M = 10.0, 0.05
 """Half a range that is proposed about where a joint stands."""
 
@@ -208,16 +210,30 @@ def _identify(
     propose: bool,
 ) -> IdentifyOutput | ProposedPlanOutput:
     job, light = prepared(asked, robot, propose=propose)
-    job = replace(job, pace=Pace(speed=_pace(asked, robot.seat.override), frames=asked.frames))
+    pace = Pace(speed=_pace(asked, robot.seat.override), frames=asked.frames)
+    job = replace(job, pace=pace, around_px=_around_px(station.shown, light))
     observer = StationObserver(station, read_rig(job.rig), light, clock)
     with moved:
         return identify_observed(job, person, moved, observer, clock, progress)
 
 
+def _around_px(shown: Shown | None, light: str) -> float:
+    """Return how far the target's other lights are from this one in the pictures of now, with SPARE; 0 unseen.
+
+    Where they stay in the pictures too, a light is told by its name all the way.
+    """
+    far = [0.0]
+    for view in () if shown is None else (shown.view.left, shown.view.right):
+        own = _named(view, light)
+        if own is not None:
+            far += [float(np.hypot(spot.u_px - own[0], spot.v_px - own[1])) for spot in view.spots if spot.name]
+    return SPARE * max(far)
+
+
 def _pace(asked: IdentifyRequest, override: float) -> float:
-    """Return the share of its travel that each joint goes in a second: none goes faster than FASTEST, half at most."""
+    """Return the share of its travel that each joint goes in a second: none is faster than FASTEST, 1 at most."""
     spans = [abs(one.upper - one.lower) / (FASTEST_MM_S if one.slides else FASTEST_DEG_S) for one in asked.ranges]
-    return override * min(0.5, 1.0 / max([*spans, 1.0]))
+    return override * 1.0 / max([*spans, 1.0])
 
 
 def prepared(asked: IdentifyRequest, robot: RobotCell, *, propose: bool) -> tuple[LiveJob, str]:

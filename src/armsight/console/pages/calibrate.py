@@ -106,6 +106,7 @@ class _Step:
             pressed.props.set_bool("disabled", bool(state.busy))
         set_text(self._said, texts.RUNNING if state.busy == "run" else state.refused)
         set_attribute(self._said, "data-level", "bad" if state.refused else "good")
+        set_attribute(self._said, "data-count", str(state.count))
         if before is None or state.samples != before.samples:
             self._show(state)
         if before is None or (state.verdict, state.not_done) != (before.verdict, before.not_done):
