@@ -66,6 +66,27 @@ def test_a_second_operator_is_told_who_drives_and_a_lost_page_stops_the_arm(
     other.close()
 
 
+def test_a_reload_while_a_path_is_recorded_loses_nothing(browser: Any, console: Any, cell: tuple[str, Path]) -> None:
+    """It is one stretch to its end, and no moment between two of its poses was left out."""
+    page = console.opened(browser, f"{cell[0]}/teach")
+    console.measuring(page)
+    page.click("[data-testid=record]")
+    page.wait_for_selector("text=/Recording. [1-9]/")
+    for _ in range(2):
+        before = int(page.inner_text("[data-testid=taught]").split()[1])
+        page.reload()
+        page.wait_for_function(
+            "n => document.body.innerText.match(/Recording. (\\d+) poses/)?.[1] > n + 3",
+            arg=before,
+        )
+    page.click("[data-testid=record]")
+    page.wait_for_selector("text=/^[1-9][0-9]* poses in 1 stretches/")
+    taught = int(page.inner_text("[data-testid=taught]").split()[0])
+    page.click("[data-testid=save]")
+    page.wait_for_selector(f"text=/{taught} places over/")
+    page.close()
+
+
 def test_a_phone_shows_the_stop_without_scrolling_sideways(browser: Any, console: Any, cell: tuple[str, Path]) -> None:
     page = console.opened(browser, f"{cell[0]}/live", width=390)
     box = page.locator("[data-testid=stop]").bounding_box()

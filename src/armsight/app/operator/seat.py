@@ -93,6 +93,8 @@ class Seat:
         self._pressed = False
         self._beat_s = -math.inf
         self._pushed: Push | None = None
+        self.pushes = 0
+        """How often a jog key was followed: whoever moves the robot besides has to look anew where it stands."""
         self._lost: set[str] = set()
         self._vain: set[str] = set()
         self._override = 0.5
@@ -262,6 +264,7 @@ class Seat:
                 self._perform(say.HoldMessage(session="", seq=1))
             return
         self._pushed = push
+        self.pushes += 1
         wanted = self._velocity(push)
         match wanted:
             case JointVelocity(qd=qd):
