@@ -177,6 +177,18 @@ VERIFY_FIELDS = {
 VERIFY_RUN = "Verify"
 RUNNING_VERIFY = "Verifying …"
 ROWS, CAUSE = "Rows compared", "Cause of the errors"
+ISO = "ISO 9283: accuracy and repeatability of the arm"
+ISO_HELP = (
+    "Jog the target to the middle of both pictures. The arm then visits five poses of a test cube about that place, "
+    "again and again, and the cameras look at each visit."
+)
+ISO_SIDE = "Side of the cube, mm (empty: the largest)"
+ISO_CYCLES = "Visits of each pose"
+ISO_SPEED = "Speed, mm/s"
+ISO_PLAN, ISO_RUN = "Plan", "Run"
+ISO_PLANNED = "A cube of {side:.0f} mm fits: the arm reaches all five poses, and the cameras see the target at each."
+ISO_DONE = "{done} of {wanted} cycles are judged."
+ISO_HEAD = ("Figure", "mm", "± (1 σ)", "Rests on")
 REPORTS = "Reports"
 NO_REPORTS = "No report yet."
 
