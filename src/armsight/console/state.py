@@ -13,7 +13,7 @@ from armsight.app.guided.poses import ArmStep, HandEyeStep, TipCalibrationStep
 from armsight.app.guided.step import Guided
 from armsight.app.guided.timing import TimingStep
 from armsight.app.live.followed import FollowedCell
-from armsight.app.live.measurement import LiveJob, Look
+from armsight.app.live.measurement import COMPLEX, LiveJob, Look, require_kind
 from armsight.app.live.station import Shown, Station
 from armsight.app.measure.run import target_of
 from armsight.app.operator.path_desk import PathDesk
@@ -63,17 +63,16 @@ class Console:
     def job_of(self, cell: CellFile) -> LiveJob | None:
         """Return what is measured, None without cameras; every file is read, so that a wrong one is refused here."""
         rig, target, world = (cell_path(self.folder, getattr(cell, name), name) for name in ("rig", "target", "world"))
-        if rig is not None:
-            read_rig(rig)
+        known_rig = None if rig is None else read_rig(rig)
         if target is not None:
             target_of(target)
         if world is not None:
             read_world(world)
-        if bool(cell.left) != bool(cell.right):
-            raise UsageError("one camera is missing", cure="Give both, or none")
+        if cell.right and not cell.left:
+            raise UsageError("the left camera is missing", cure="Give both, or none; the one camera of mirrors as left")
         if not cell.left:
             return None
-        return LiveJob(
+        job = LiveJob(
             left=cell.left,
             right=cell.right,
             rig=rig,
@@ -83,11 +82,18 @@ class Console:
             again=cell.play_again,
             followed=self._followed(cell),
         )
+        require_kind(job, known_rig)
+        return job
+
+    @property
+    def pictures(self) -> tuple[str, ...]:
+        """Which pictures there are: left and right, or the complex one of one camera with mirrors."""
+        return (COMPLEX,) if self.cell.left and not self.cell.right else ("left", "right")
 
     def _followed(self, cell: CellFile) -> FollowedCell | None:
         """Return the simulated cell whose robot is moved here, where the cameras named are its own."""
         followed = None if self.robot is None else self.robot.followed
-        own = followed is not None and [cell.left, cell.right] == cameras_of(followed.scenario)
+        own = followed is not None and (cell.left, cell.right) == cameras_of(followed.scenario)
         return followed if own else None
 
     def teaching(self) -> TeachDesk:

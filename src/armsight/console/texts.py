@@ -62,17 +62,31 @@ LOST = "Target not seen"
 POSITION_ONLY = "Position only"
 STARTING = "Starting"
 ENDED = "The frames have ended"
-NO_CAMERAS = "No cameras are set up. Give rig, target and both cameras on the page Settings."
+NO_CAMERAS = "No cameras are set up. Give rig, target and the cameras on the page Settings."
 FAILED = "Not measuring"
 RESTART = "Start anew"
 CAMERA_LOST = "The cameras give no pictures any more. Look at their plugs and their power, then start anew. ({why})"
 
-LEFT, RIGHT = "Left camera", "Right camera"
+PICTURES = {
+    "left": "Left camera",
+    "right": "Right camera",
+    "complex": "Camera with mirrors: both views in one picture",
+}
+COMPLEX_HELP = (
+    "Left view (L): rings, blue lines. Right view (R): diamonds, pink lines. Squares: bright spots of neither."
+)
+VIEW_MARKS = {"left": "L", "right": "R"}
 SCENE = "Cameras and target"
+SCENE_HELP = "Drag to turn the scene, wheel to come nearer."
+ELLIPSOID = "Ellipsoid: 1 σ of the position, drawn {scale:,.0f} times as large."
+TRACK = "Track: blue where known best (± {least:.3f} mm), orange where worst (± {most:.3f} mm)."
 POSE = "Where the target is"
 CURVES = "The last minute"
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 FPS, LATENCY, COUNTS = "Pictures measured a second", "From light to pose", "Lost since the start"
+POSITION_COUNT = "Position only since the start"
+RESIDUAL, RESIDUAL_VALUE = "Residual, RMS", "{value:.3f} px"
+COUNT, OF_ALL = "{n} ({share:.1%})", "of {total} pictures"
 SPREAD = "± {value} {unit} (1 σ)"
 NO_VALUE = "–"
 
@@ -146,8 +160,8 @@ USE_IT = "Measure with it"
 FILES = "Files of the cell, in {folder}"
 CAMERAS = "Cameras"
 FIELDS = {
-    "left": "Left camera: camera:0, a folder of images, a video",
-    "right": "Right camera",
+    "left": "Left camera: camera:0, a folder of images, a video; or the one camera of a mirror rig",
+    "right": "Right camera; empty for one camera with mirrors",
     "board": "Board, such as checkerboard:9x6:0.025",
     "rig": "Rig (rig.yaml)",
     "target": "Target (target.yaml)",

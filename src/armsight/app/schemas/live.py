@@ -16,6 +16,7 @@ class SpotView(Output):
     residual_px: tuple[float, float] | None = Field(
         description="Seen minus where the pose has it, px; null without a pose."
     )
+    view: str = Field("", description="left or right: the view it belongs to, in a picture that holds both.")
 
 
 class SideView(Output):
@@ -26,6 +27,9 @@ class SideView(Output):
     spots: list[SpotView] = Field(description="Lights found.")
     epipolar: list[list[tuple[float, float]]] = Field(
         description="In this picture the epipolar curve of every named light of the other one: (u, v) along it, px."
+    )
+    epipolar_views: list[str] = Field(
+        default_factory=list, description="left or right: the view that each curve is in, where a picture holds both."
     )
     advice: str = Field(
         description="What to change: nothing_seen, room_too_bright, clipped, faint, blurred, too_sharp or good."
@@ -58,6 +62,9 @@ class LiveView(Output):
     euler_rad: tuple[float, float, float] | None = Field(description="rx, ry, rz with R = Rz Ry Rx.")
     quat_xyzw: tuple[float, float, float, float] | None = Field(description="Orientation, scalar last.")
     std: tuple[float, ...] | None = Field(description="Standard deviations: x, y, z in m, then rotation vector, rad.")
+    covariance_m2: list[list[float]] | None = Field(
+        None, description="Covariance of the position (3, 3), m squared; null where it is not known."
+    )
     residual_px: float | None = Field(description="RMS of the reprojection residuals.")
     counts: Counts = Field(description="Since the start.")
     left: SideView = Field(description="Left picture.")

@@ -12,7 +12,7 @@ from nicegui.elements.mixins.text_element import TextElement
 from armsight.app.guided.step import Guided, Hint, Verdict
 from armsight.console import texts
 from armsight.console.jog import jog_card
-from armsight.console.layout import button, card, set_attribute, set_text, text_of
+from armsight.console.layout import button, canvas_of, card, set_attribute, set_text, text_of
 from armsight.console.state import STEPS, Console
 from armsight.errors import ArmsightError
 from armsight.records import Silent
@@ -74,10 +74,7 @@ class _Step:
         with ui.element("div").classes("columns"):
             for side in ("left", "right"):
                 with ui.element("div"):
-                    canvas = ui.element("canvas")
-                    name = {"left": texts.LEFT, "right": texts.RIGHT}[side]
-                    canvas.props.update({"data-side": side, "data-plain": "true", "role": "img", "aria-label": name})
-                    canvas.props["width"], canvas.props["height"] = 1280, 720
+                    canvas_of(side, plain=True)
                     if side in self._guided.coverage():
                         with ui.element("div").classes("coverage"):
                             self._cells[side] = [text_of("span", "0") for _ in range(CELLS)]
