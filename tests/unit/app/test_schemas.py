@@ -113,9 +113,10 @@ KEYS: dict[type[Output], tuple[str, str]] = {
     cameras.FormOutput: ("name x_m y_m z_m epipolar_px", ""),
     OUTPUTS["calibrate-mirrors-check"]: (
         "alignment change change_std moved certain suspects advice n_views missed",
-        "",
+        "turns",
     ),
     cameras.SuspectMirror: ("mirror turn_rad tilt_rad chi2", ""),
+    cameras.MirrorTurnOutput: ("mirror turn_rad tilt_rad", ""),
     OUTPUTS["calibrate-target"]: (
         "spots_m std distances_m n_frames n_used rejected residual_rms_px loo_rms_px advice",
         "",
