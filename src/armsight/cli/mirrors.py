@@ -34,6 +34,9 @@ def mirrors(
         bool, typer.Option("--check", help="Do not calibrate: tell how the mirrors stand, and which to turn.")
     ] = False,
     rig: Annotated[Path | None, typer.Option(help="With --check: rig.yaml as it was calibrated.")] = None,
+    parallel: Annotated[
+        bool, typer.Option("--parallel", help="With --check --rig: tell the turns that make the axes parallel.")
+    ] = False,
     plate_mm: Annotated[
         float | None, typer.Option(min=0.0, help="Thickness of the plate; found from the views where not given.")
     ] = None,
@@ -72,6 +75,7 @@ def mirrors(
             near_m=near_mm / MM,
             gap_m=gap_mm / MM,
             rig=rig,
+            parallel=parallel,
             target=target,
             camera=camera,
             every=every,

@@ -119,12 +119,17 @@ STEPS = {
     "camera-left": "Left camera's lens",
     "camera-right": "Right camera's lens",
     "stereo": "Both cameras",
+    "mirrors": "Mirrors before one camera",
     "timing": "Timing of free-running cameras",
     "tooltip": "Tool tip",
     "handeye": "Hand-eye",
     "arm": "Arm",
 }
+ONE_CAMERA = "The camera's lens"
 NEXT = {
+    "board_twice": "Hold the board still, whole in both views of the picture, the two beside each other; accept it.",
+    "show_lights": "Hold the lit target still, all lights in both views of the picture, and accept it.",
+    "turn_lights": "Turn the target to another side, nearer or further, left or right, and accept it.",
     "show_board": "Hold the board still before the cameras, whole in the picture, and accept it.",
     "to_cell": "Bring the board into the {place} of the {side} picture.",
     "tilt": "Tilt the board by 30 degrees, to one side or the other, up or down.",
@@ -141,11 +146,13 @@ PLACES = (
     ("left", "middle", "right"),
     ("lower left", "lower middle", "lower right"),
 )
-SIDES = {"left": "left", "right": "right"}
+SIDES = {"left": "left", "right": "right", "complex": "camera's"}
 WHAT_NEXT = "What to do next"
 COVERAGE = "Where the board has been"
 COVERED = "{side} picture, {place}: {n} boards"
 SO_FAR = "How sure it is so far (1 σ)"
+SO_FAR_PLOT = "Against the number of samples"
+NO_PLOT_YET = "Nothing to plot yet: accept some more."
 SAMPLES = "Accepted"
 NAME, DETAIL, DROP = "Name", "What it is", "Drop"
 ACCEPT = "Accept"
@@ -156,6 +163,49 @@ GOOD, NOT_GOOD = "Can be trusted", "Not to be trusted yet"
 SAVED = "Saved as {file}"
 REPORT = "Report"
 USE_IT = "Measure with it"
+USE_LENS = "Take it as the cell's lens"
+
+MIRRORS_BUILT = "How the mirrors were built"
+MIRRORS_BUILT_HELP = (
+    "The board needs none of these for the calibration. The lit target, and turning the mirrors until the axes are "
+    "parallel, need the baseline as designed, and the lens: calibrate it with the mirrors taken off. Keeping other "
+    "figures begins the step anew."
+)
+MIRRORS_SHOWN = {"board": "A board is shown", "target": "The lit target is shown"}
+MIRRORS_FIELDS = {
+    "baseline_m": ("Baseline as designed, mm", 1.0),
+    "near_m": ("Lens to plate, mm", 1.0),
+    "gap_m": ("Plate to mirror 3, mm", 1.0),
+    "plate_m": ("Plate, mm (empty: found)", 0.1),
+    "index": ("Plate's refractive index", 0.01),
+}
+MIRRORS_KEEP = "Keep these"
+MIRRORS_WRONG = "These figures cannot be: lengths are above zero, the refractive index is from 1 to 3."
+ALIGNMENT = "The mirrors' alignment, live"
+ALIGNMENT_WATCH = "Look once a second: hold the board before the camera, whole in both views"
+ALIGNMENT_STARTING = "No look yet"
+ALIGNMENT_UNSEEN = "The board is not seen in both views: {why}"
+HELD_RIG = "Held against the rig as it was calibrated: what has moved since is told."
+HELD_PARALLEL = "Held against parallel axes, as the rig was designed: turn the mirrors until nothing is left to turn."
+AGAINST = (("Hold against the calibrated rig", "against-rig"), ("Hold against parallel axes", "against-parallel"))
+ALIGNED_RIG = "The mirrors stand as they were calibrated"
+ALIGNED_PARALLEL = "The axes are parallel, as far as a hand can turn a screw"
+TURN_NEXT = "Turn next"
+MIRROR_TURN = "Mirror {mirror}: {turns}"
+TURN_CLOCKWISE = "turn {angle:.2f} mrad clockwise, seen from above"
+TURN_ANTICLOCKWISE = "turn {angle:.2f} mrad anticlockwise, seen from above"
+TILT_BACK = "tilt its upper edge {angle:.2f} mrad back, to the camera's side"
+TILT_FORWARD = "tilt its upper edge {angle:.2f} mrad forward, away from the camera"
+OTHER_MIRRORS = "It may have been mirror {mirrors} instead: the views do not tell them apart."
+SEVERAL_MIRRORS = "More than one mirror has moved: begin with this one."
+ALIGNMENT_ANGLES = {
+    "convergence_rad": "Axes turn towards each other",
+    "vertical_rad": "Right view points lower",
+    "roll_rad": "Right view is turned",
+}
+ANGLE, ANGLE_STD = "{value:+.2f} mrad", "± {std:.2g} mrad (1 σ)"
+ALIGNMENT_LEGEND = ("towards each other", "lower", "turned")
+ALIGNMENT_PLOT = "The last looks (mrad)"
 
 FILES = "Files of the cell, in {folder}"
 CAMERAS = "Cameras"
@@ -170,6 +220,7 @@ FIELDS = {
     "handeye": "Hand-eye (handeye.yaml)",
     "tip": "Tool tip (tip.yaml)",
     "limits": "Limits of motion (limits.yaml)",
+    "camera": "Lens of the one camera of a mirror rig (camera.yaml)",
 }
 PLAY_AGAIN = "Files begin anew at their end"
 APPLY = "Use these"

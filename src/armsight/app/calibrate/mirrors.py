@@ -27,7 +27,7 @@ from armsight.calibrate.mirrors.calibration import GLASS, MirrorCalibration, cal
 from armsight.drivers import AUTOMATIC, CameraSettings, is_live
 from armsight.errors import BadImage, Cancelled, Inconsistent, NotEnoughData, Unseen, UsageError
 from armsight.measure.boards import find_two_boards
-from armsight.optics import Plate
+from armsight.optics import Plate, Rig
 from armsight.optics.mirrors import FormError, Mirrors, form_errors
 from armsight.records import BoardView, Frame, NotSeen, Progress, Silent, Target
 from armsight.store import parse_board, read_camera, read_target, write_rig
@@ -37,6 +37,7 @@ TITLE = "Calibration of a mirror rig"
 DEPTHS_M = (0.4, 0.5, 0.6, 0.7, 0.8)
 LEAST_BOARDS = 3
 """Images of the board below which nothing is calibrated."""
+
 CURES: Mapping[Unseen, str] = {
     Unseen.BEYOND_SIZE: "Check the counts of --board, or look for a third reflection of the board",
     Unseen.THRICE: "Look for a third reflection: show the board once in each view",
@@ -57,8 +58,9 @@ class MirrorsJob:
     """What shows the mirror rig, and how it was built.
 
     image: complex images. left_only, right_only: images with the other path covered, of the same moments. thickness_m:
-    of the plate, None to find it, 0 for none. baseline_m, near_m, gap_m: as designed. rig: with check, the rig as it
-    was. target, camera: calibrate from complex images of this lit target, the lens as camera.yaml says.
+    of the plate, None to find it, 0 for none. baseline_m, near_m, gap_m: as designed. rig: with a check, the rig as it
+    was; parallel: hold the mirrors against parallel axes all the same. target, camera: calibrate from complex images of
+    this lit target, the lens as camera.yaml says; camera also for a check without a rig.
     """
 
     out: Path | None = None
@@ -72,6 +74,7 @@ class MirrorsJob:
     near_m: float = 0.06
     gap_m: float = 0.04
     rig: Path | None = None
+    parallel: bool = False
     target: Path | None = None
     camera: Path | None = None
     every: int = 1
@@ -253,13 +256,9 @@ def _from_target(job: MirrorsJob, out: Path, progress: Progress) -> MirrorsOutpu
         raise UsageError("--target and --board are both given", cure="Give the one that the images show")
     if job.left_only is not None or job.right_only is not None:
         raise UsageError("--target goes with complex images only", cure="Give --image, or covered views with --board")
-    if job.camera is None or job.baseline_m is None or job.image is None or job.target is None:
+    design, target = lit_design(job)
+    if job.image is None or job.camera is None or job.target is None or job.baseline_m is None:
         raise _incomplete(job)
-    camera, target = read_camera(job.camera), read_target(job.target)
-    plate = Plate(thickness_m=job.thickness_m or 1e-3, index=job.index)
-    design = Mirrors(baseline_m=job.baseline_m, near_m=job.near_m, gap_m=job.gap_m, plate=plate).rig(camera)
-    if job.thickness_m == 0.0:
-        design = replace(design, left=replace(design.left, plate=None))
     images = partial(open_source, job.image, settings=job.camera_settings)
     done, rejected = calibrate_lit(design, target, images, every=job.every, limit=job.limit, progress=progress)
     write_rig(out, done.rig, inputs=[job.camera, job.target, *_inputs(job)])
@@ -276,6 +275,18 @@ def _from_target(job: MirrorsJob, out: Path, progress: Progress) -> MirrorsOutpu
     )
     write_stereo_report(report_path(out), done.pair, data)
     return mirrors_output(done, rejected, n_pairs=n_images, forms=forms)
+
+
+def lit_design(job: MirrorsJob) -> tuple[Rig, Target]:
+    """Return the rig as it was designed, its lens known, and the lit target. Raises UsageError, BadFile."""
+    if job.camera is None or job.baseline_m is None or job.target is None:
+        raise _incomplete(job)
+    camera, target = read_camera(job.camera), read_target(job.target)
+    plate = Plate(thickness_m=job.thickness_m or 1e-3, index=job.index)
+    design = Mirrors(baseline_m=job.baseline_m, near_m=job.near_m, gap_m=job.gap_m, plate=plate).rig(camera)
+    if job.thickness_m == 0.0:
+        design = replace(design, left=replace(design.left, plate=None))
+    return design, target
 
 
 def _incomplete(job: MirrorsJob) -> UsageError:

@@ -43,7 +43,8 @@ def reference_of(job: MirrorsJob) -> Reference:
     if job.rig is not None:
         rig = read_rig(job.rig)
         plate = rig.left.plate or Plate(thickness_m=job.thickness_m or 1e-3, index=job.index)
-        return Reference(rig=rig, design=_design(job, job.baseline_m or rig.baseline_m, plate))
+        design = _design(job, job.baseline_m or rig.baseline_m, plate)
+        return Reference(camera=rig.left, design=design) if job.parallel else Reference(rig=rig, design=design)
     if job.camera is None or job.baseline_m is None:
         raise UsageError(
             "nothing to hold the mirrors against",
@@ -77,10 +78,6 @@ class AlignmentWatch:
         if reference.camera is None:
             raise UsageError("nothing to hold the mirrors against", cure="Give a rig, or the lens")
         return adjust_to_parallel(reference.camera, reference.design, left, right, self.board)
-
-    def forget(self) -> None:
-        """Begin anew: a mirror was turned."""
-        self._kept = []
 
 
 def run_check(job: MirrorsJob, progress: Progress | None = None) -> MirrorCheckOutput:

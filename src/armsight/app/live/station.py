@@ -101,6 +101,7 @@ class Station:
         self._lock = threading.Lock()
         self._stopping = False
         self._saved, self._save_failure = threading.Event(), ""
+        self._saving = threading.Lock()
 
     def start(self) -> None:
         """Start measuring, or start anew after a failure."""
@@ -140,13 +141,14 @@ class Station:
     def save_pair(self, left: Path, right: Path | None = None) -> None:
         """Write the next pair as two images, bit for bit; right: None where one picture holds both views.
 
-        For one caller at a time. Raises DeviceFailed where no pair comes or none is written.
+        One caller waits for the other. Raises DeviceFailed where no pair comes or none is written.
         """
-        self._saved.clear()
-        self._send(_Save(left, right))
-        starting = "" if self.shown is not None else "the cameras are still starting"
-        came = not (self.failure or starting) and self._saved.wait(SAVE_S)
-        failure = self._save_failure if came else self.failure or starting or "no pair of pictures comes"
+        with self._saving:
+            self._saved.clear()
+            self._send(_Save(left, right))
+            starting = "" if self.shown is not None else "the cameras are still starting"
+            came = not (self.failure or starting) and self._saved.wait(SAVE_S)
+            failure = self._save_failure if came else self.failure or starting or "no pair of pictures comes"
         if failure:
             raise DeviceFailed(failure, consequence="No picture was taken", cure="Look at the cameras and the disk")
 

@@ -9,11 +9,15 @@ from pathlib import Path
 from nicegui import run, ui
 from nicegui.elements.mixins.text_element import TextElement
 
+from armsight.app.guided.charts import figures_of
 from armsight.app.guided.step import Guided, Hint, Verdict
+from armsight.app.live.measurement import COMPLEX
 from armsight.console import texts
 from armsight.console.jog import jog_card
 from armsight.console.layout import button, canvas_of, card, set_attribute, set_text, text_of
-from armsight.console.state import STEPS, Console
+from armsight.console.pages.mirrors import alignment_card, built_card
+from armsight.console.plots import Plot
+from armsight.console.state import Console, steps_of
 from armsight.errors import ArmsightError
 from armsight.records import Silent
 
@@ -32,10 +36,16 @@ def calibrate_page(console: Console) -> None:
     if console.robot is not None:
         jog_card(console.robot)
     with card(texts.STEP), ui.element("div").classes("row"):
-        for name in STEPS:
-            button(texts.STEPS[name], partial(choose, name), kind="act quiet", testid=f"step-{name}")
+        for name in steps_of(console):
+            title = step_title(console, name)
+            button(title, partial(choose, name), kind="act quiet", testid=f"step-{name}")
     body = ui.element("div").style("display: contents")
-    choose("stereo")
+    choose("stereo" if "stereo" in steps_of(console) else "mirrors")
+
+
+def step_title(console: Console, name: str) -> str:
+    """Return what a step is called in a cell; one camera is neither the left nor the right one."""
+    return texts.ONE_CAMERA if console.pictures == (COMPLEX,) and name == "camera-left" else texts.STEPS[name]
 
 
 def _step(console: Console, name: str) -> None:
@@ -44,7 +54,19 @@ def _step(console: Console, name: str) -> None:
     except ArmsightError as error:
         text_of("p", str(error)).classes("notice")
         return
-    _Step(console, step, texts.STEPS[name])
+    if name != "mirrors":
+        _Step(console, step, step_title(console, name))
+        return
+    alignment_card(console)
+    body = ui.element("div").style("display: contents")
+
+    def begin() -> None:
+        body.clear()
+        with body:
+            _Step(console, console.step(name), texts.STEPS[name])
+
+    begin()
+    built_card(console, begin)
 
 
 class _Step:
@@ -52,6 +74,7 @@ class _Step:
 
     def __init__(self, console: Console, step: Guided, title: str) -> None:
         self._console, self._guided, self._busy = console, step, False
+        self._spread_rows: tuple[tuple[str, str], ...] = ()
         with card(title):
             text_of("h3", texts.WHAT_NEXT)
             self._hint = text_of("p", testid="hint", role="status").style("font-size: 1.3rem; font-weight: 600")
@@ -65,14 +88,17 @@ class _Step:
                 self._samples = ui.element("div").classes("scroll")
             with card(texts.SO_FAR):
                 self._spread = ui.element("div").classes("scroll")
+        with card(texts.SO_FAR_PLOT):
+            self._plots = ui.element("div").classes("plots")
         self._verdict = ui.element("div")
         self._show()
+        ui.timer(0.1, self._begin, once=True)
 
     def _pictures(self) -> None:
         """Both pictures as they are, with the coverage beneath."""
         self._cells: dict[str, list[TextElement]] = {}
         with ui.element("div").classes("columns"):
-            for side in ("left", "right"):
+            for side in self._console.pictures:
                 with ui.element("div"):
                     canvas_of(side, plain=True)
                     if side in self._guided.coverage():
@@ -108,6 +134,7 @@ class _Step:
             pressed.props["disabled"] = "true"
         try:
             await run.io_bound(act)
+            await run.io_bound(self._reckon)
             set_text(self._said, "")
         except ArmsightError as error:
             set_text(self._said, str(error))
@@ -117,6 +144,17 @@ class _Step:
             for pressed in (self._accept, self._run):
                 pressed.props.pop("disabled", None)
         self._show()
+
+    async def _begin(self) -> None:
+        """Show what an earlier visit of the page left."""
+        await run.io_bound(self._reckon)
+        self._show()
+
+    def _reckon(self) -> None:
+        """Work out what may take a second, away from the page."""
+        self._spread_rows = self._guided.spread()
+        chart = self._console.chart(self._guided.name)
+        chart.remember(len(self._guided.samples), figures_of(self._guided))
 
     async def _drop(self, index: int) -> None:
         await self._do(partial(self._guided.drop, index))
@@ -142,10 +180,22 @@ class _Step:
                             button(texts.DROP, partial(self._drop, i), kind="act quiet", help_=what)
         self._spread.clear()
         with self._spread, ui.element("table").classes("plain"):
-            for name, value in self._guided.spread():
+            for name, value in self._spread_rows:
                 with ui.element("tr"):
                     text_of("td", name)
                     text_of("td", value)
+        self._show_plots()
+
+    def _show_plots(self) -> None:
+        """Plot residual, standard deviations and coverage against the number of samples."""
+        curves = self._console.chart(self._guided.name).curves()
+        self._plots.clear()
+        with self._plots:
+            if not curves:
+                text_of("p", texts.NO_PLOT_YET).classes("hint")
+            for i, ((name, unit), points) in enumerate(curves.items()):
+                title = f"{name} ({unit})" if unit else name
+                Plot(title, (name,), testid=f"chart-{i}", dots=True, first=i).show([points])
 
 
 def hint_text(hint: Hint) -> str:
@@ -172,10 +222,20 @@ def _show_verdict(console: Console, step: Guided, verdict: Verdict) -> None:
             if verdict.report is not None:
                 text_of("a", texts.REPORT, href=f"/console/files/{verdict.report.name}", target="_blank")
             if verdict.good and step.name in USED_AS:
-                button(texts.USE_IT, partial(_use, console, step, verdict.file), testid="use")
+                words = texts.USE_LENS if step.name in LENSES else texts.USE_IT
+                button(words, partial(_use, console, step, verdict.file), testid="use")
 
 
-USED_AS = {"stereo": "rig", "tooltip": "tip", "handeye": "handeye", "arm": "arm", "timing": "rig"}
+LENSES = ("camera-left",)
+USED_AS = {
+    "camera-left": "camera",
+    "stereo": "rig",
+    "mirrors": "rig",
+    "tooltip": "tip",
+    "handeye": "handeye",
+    "arm": "arm",
+    "timing": "rig",
+}
 """Under which key of the cell a step's file stands."""
 
 

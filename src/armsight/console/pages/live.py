@@ -16,6 +16,7 @@ from armsight.app.schemas.live import LiveView, SideView
 from armsight.console import texts
 from armsight.console.jog import jog_card
 from armsight.console.layout import TICK_S, button, canvas_of, card, set_attribute, set_text, text_of
+from armsight.console.plots import Plot
 from armsight.console.scene import Scene
 from armsight.console.state import Console
 from armsight.errors import ArmsightError
@@ -26,10 +27,6 @@ Refresh = Callable[[Shown], None]
 SLOW_S = 0.5
 """Time between two updates of scene and curves."""
 CURVE_POINTS = 300
-GREY = "#7b8794"
-"""Readable on light and dark paper."""
-LINES = ("#0072B2", "#D55E00", "#009E73")
-"""Okabe and Ito's blue, vermillion and green."""
 
 
 def live_page(console: Console, *, watching: bool = False) -> None:
@@ -215,46 +212,13 @@ def _scene(console: Console) -> Scene | None:
         return None
 
 
-def _curve(axis: int) -> ui.echart:
+def _curve(axis: int) -> Plot:
     """One of x y z rx ry rz over time, on an axis of its own: what moves is seen beside what is far away."""
-    unit, colour = ("mm" if axis < 3 else "deg"), LINES[axis % 3]
-    options = {
-        "animation": False,
-        "title": {"text": f"{texts.AXES[axis]} ({unit})", "textStyle": {"color": GREY, "fontSize": 14}, "top": 0},
-        "grid": {"left": 62, "right": 20, "top": 30, "bottom": 25},
-        "xAxis": {
-            "axisLine": {"onZero": False},
-            "type": "value",
-            "min": "dataMin",
-            "max": "dataMax",
-            "axisLabel": {"formatter": "{value} s", "color": GREY, "showMinLabel": False},
-            "splitLine": {"lineStyle": {"color": GREY, "opacity": 0.25}},
-            "splitNumber": 3,
-        },
-        "yAxis": {
-            "type": "value",
-            "scale": True,
-            "splitNumber": 3,
-            "axisLabel": {"color": GREY},
-            "splitLine": {"lineStyle": {"color": GREY, "opacity": 0.25}},
-        },
-        "series": [
-            {
-                "name": texts.AXES[axis],
-                "type": "line",
-                "showSymbol": False,
-                "data": [],
-                "lineStyle": {"color": colour},
-                "itemStyle": {"color": colour},
-            }
-        ],
-    }
-    chart = ui.echart(options).classes("w-full").style("height: 10rem")
-    chart.props["data-testid"] = f"plot-{texts.AXES[axis]}"
-    return chart
+    name, unit = texts.AXES[axis], "mm" if axis < 3 else "deg"
+    return Plot(f"{name} ({unit})", (name,), testid=f"plot-{name}", along="{value} s", first=axis % 3)
 
 
-def _draw(curves: list[ui.echart], views: list[LiveView]) -> None:
+def _draw(curves: list[Plot], views: list[LiveView]) -> None:
     if not views:
         return
     kept = views[:: max(1, len(views) // CURVE_POINTS)]
@@ -262,11 +226,11 @@ def _draw(curves: list[ui.echart], views: list[LiveView]) -> None:
     values = np.array([_values(view) for view in kept]) * scale
     t_s = np.array([view.t_s for view in kept]) - kept[-1].t_s
     for curve, column in zip(curves, values.T, strict=True):
-        curve.options["series"][0]["data"] = [
-            [round(float(t), 2), round(float(v), 3) if np.isfinite(v) else None]
+        points = [
+            (round(float(t), 2), round(float(v), 3) if np.isfinite(v) else None)
             for t, v in zip(t_s, column, strict=True)
         ]
-        curve.update()
+        curve.show([points])
 
 
 def _search(console: Console) -> None:
