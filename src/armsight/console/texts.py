@@ -129,6 +129,9 @@ ONE_CAMERA = "The camera's lens"
 NEXT = {
     "board_twice": "Hold the board still, whole in both views of the picture, the two beside each other; accept it.",
     "show_lights": "Hold the lit target still, all lights in both views of the picture, and accept it.",
+    "needs_lens": "The lit target does not tell the lens: calibrate it first, with the mirrors taken off.",
+    "needs_baseline": "The lit target does not tell the scale: give the baseline as designed, below.",
+    "needs_target": "Choose the target on the page Settings (target.yaml).",
     "turn_lights": "Turn the target to another side, nearer or further, left or right, and accept it.",
     "show_board": "Hold the board still before the cameras, whole in the picture, and accept it.",
     "to_cell": "Bring the board into the {place} of the {side} picture.",
@@ -184,6 +187,9 @@ MIRRORS_WRONG = "These figures cannot be: lengths are above zero, the refractive
 ALIGNMENT = "The mirrors' alignment, live"
 ALIGNMENT_WATCH = "Look once a second: hold the board before the camera, whole in both views"
 ALIGNMENT_STARTING = "No look yet"
+ALIGNMENT_NEEDS = (
+    "Which way to turn is told once the lens (page Settings) and the baseline (below) are given, or a rig."
+)
 ALIGNMENT_UNSEEN = "The board is not seen in both views: {why}"
 HELD_RIG = "Held against the rig as it was calibrated: what has moved since is told."
 HELD_PARALLEL = "Held against parallel axes, as the rig was designed: turn the mirrors until nothing is left to turn."

@@ -66,6 +66,11 @@ class MirrorAlignment:
         """Whether the mirrors are held against parallel axes."""
         return self.job.parallel or self.job.rig is None
 
+    @property
+    def possible(self) -> bool:
+        """Whether there is anything to hold the mirrors against: a rig, or the lens and the baseline as designed."""
+        return self.job.rig is not None or (self.job.camera is not None and self.job.baseline_m is not None)
+
     def look(self, station: Station) -> Stand:
         """Return how the mirrors stand now. Raises UsageError where too little is known, DataRefused, DeviceFailed."""
         if not station.job.complex:

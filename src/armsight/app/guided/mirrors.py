@@ -100,10 +100,14 @@ class MirrorsStep:
     def hint(self) -> Hint:
         """Return what is missing most."""
         if self.lit:
-            try:
-                lit_design(self.job())
-            except ArmsightError as error:
-                return Hint(what=Next.NOT_POSSIBLE, why=str(error))
+            needs = {
+                Next.NEEDS_TARGET: self.target,
+                Next.NEEDS_LENS: self.camera,
+                Next.NEEDS_BASELINE: self.built.baseline_m,
+            }
+            for what, there in needs.items():
+                if there is None:
+                    return Hint(what=what)
             n = len(self._views)
             return Hint(what=Next.SHOW_LIGHTS if n == 0 else Next.RUN if n >= ENOUGH_LIT else Next.TURN_LIGHTS)
         if not self._views:

@@ -103,7 +103,8 @@ class _Alignment:
         self._show()
 
     async def _tick(self) -> None:
-        if self._busy or not self._watch.value or self._console.station is None:
+        watched = self._watch.value and self._alignment.possible
+        if self._busy or not watched or self._console.station is None:
             return
         self._busy = True
         try:
@@ -118,7 +119,7 @@ class _Alignment:
         set_text(self._held, texts.HELD_PARALLEL if self._alignment.to_parallel else texts.HELD_RIG)
         looks = tuple(self._alignment.looks)
         if not looks:
-            self._level("idle", texts.ALIGNMENT_STARTING)
+            self._level("idle", texts.ALIGNMENT_STARTING if self._alignment.possible else texts.ALIGNMENT_NEEDS)
             return
         last = looks[-1]
         if last.check is None:
