@@ -14,8 +14,10 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.app.live.uncertainty_shapes import drawn_ellipsoid, track_colours
 from armsight.app.measure.run import target_of
+from armsight.app.operator.identify import SweepFit
 from armsight.app.operator.placing import arm_points, rig_pose
 from armsight.app.schemas.live import LiveView
+from armsight.console import texts
 from armsight.console.state import Console
 from armsight.errors import ArmsightError
 from armsight.optics import SIDES, Rig, RigKind
@@ -47,6 +49,8 @@ COLOURS = {
     "joint": "#46515c",
     "uncertainty": "#E69F00",
 }
+FIT_COLOURS = ("#0072B2", "#7a4fb5", "#00775a", "#8a5a00", "#a0306e", "#14181c")
+"""Of joints' sweeps and axes; each has its number beside it."""
 POINT = "place-"
 """Begins the name of a path's ball."""
 PATH_COLOUR = "#7a4fb5"
@@ -144,16 +148,25 @@ class Scene:
         if found is not None and self._picked is not None:
             self._picked(int(found.removeprefix(POINT)))
 
-    def show_fits(self, paths: list[Array], seen: Array, *, placed: bool) -> None:
-        """Draw fitted paths (m, 3) as lines and what was seen (n, 3) as dots; placed: both in world, else in rig."""
+    def show_fits(self, fits: Collection[SweepFit], *, placed: bool) -> None:
+        """Draw of each sweep its arc or line, the joint's axis with its number, and dots for what was seen.
+
+        placed: they are in world, else in rig axes.
+        """
         T = RigidTransform.identity() if placed else self._T_scene_rig
         self._path.delete()
         with self._scene, self._scene.group() as self._path:
-            for path in paths:
-                for one, next_ in pairwise(T.apply(path).tolist()):
-                    self._scene.line(one, next_).material(PATH_COLOUR)
-            for place in T.apply(seen).tolist():
-                self._scene.sphere(radius=0.004).move(*place).material(COLOURS["target"])
+            for fit in fits:
+                colour = FIT_COLOURS[(fit.joint - 1) % len(FIT_COLOURS)]
+                lines = [*pairwise(T.apply(fit.path).tolist()), tuple(T.apply(fit.axis).tolist())]
+                if fit.centre is not None:
+                    lines += [(T.apply(fit.centre).tolist(), T.apply(fit.path[end]).tolist()) for end in (0, -1)]
+                for one, next_ in lines:
+                    self._scene.line(one, next_).material(colour)
+                label = self._scene.text(texts.FIT_JOINT.format(joint=fit.joint), f"font-weight: 700; color: {colour}")
+                label.move(*T.apply(fit.axis[1]).tolist())
+                for place in T.apply(fit.seen).tolist():
+                    self._scene.sphere(radius=0.004).move(*place).material(COLOURS["target"])
 
     def _joints(self) -> Array | None:
         try:

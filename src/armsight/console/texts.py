@@ -250,8 +250,10 @@ NO_REPORTS = "No report yet."
 
 JOINT_RANGES = "How far each joint may go"
 JOINT_RANGES_HELP = (
-    "The light {light} is followed; it must stay in both pictures. Every joint is moved alone, within its range."
+    "The light {light} is followed; it must stay in both pictures. Every joint that is ticked is moved alone, within "
+    "its range; the last ones may be left out, and are held."
 )
+SWEEP_JOINT = "Joint {joint} ({name})"
 JOINT, LOWER, UPPER = "Joint", "From", "To"
 READINGS = "Readings per joint"
 EXPECT = "Expected accuracy"
@@ -260,7 +262,10 @@ IDENTIFY_RUN = "Identify"
 PLANNED = "{n} sweeps, {readings} readings"
 FOUND = "What was found"
 FOUND_HEAD = ("Joint", "Entry", "Found", "± (1 σ)", "From the model")
-FITS = "Fits: the lines are the identified arm, the dots what was seen"
+FITS = "Fits: arcs and lines are the identified arm, with its axes; the dots are what was seen"
+FITS_HEAD = ("Joint", "Fit of its sweep", "Readings used", "Off the fit, RMS", "Off the whole arm, RMS")
+FIT_ARC, FIT_LINE, FIT_OPEN = "arc, radius {radius:.1f} mm", "line", "not decided: move it further"
+FIT_JOINT = "joint {joint}"
 HOLD_TO_MOVE = "Now hold the enable: the robot moves while it is held, and waits while it is not."
 WORKING = "{note} {done:.0f} of {total:.0f}"
 UNDER_WAY = "Under way: {note}"

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.app.identify.left_out import consequence
 from armsight.app.identify.live import LiveJob, OperatorCallbacks, identify_observed
 from armsight.app.live.station import Shown, Station
 from armsight.app.measure.run import target_of
@@ -21,7 +22,7 @@ from armsight.app.schemas.live import LiveView, SideView
 from armsight.clock import Clock, SystemClock
 from armsight.control.joint_sweep import Observation, Pace
 from armsight.errors import DeviceFailed, NotEnoughData, UsageError
-from armsight.kinematics import Arm
+from armsight.kinematics import Arm, link_frames
 from armsight.optics import Rig, triangulate
 from armsight.records import Progress, Silent
 from armsight.store import World, read_rig, read_world, write_world
@@ -38,6 +39,8 @@ FOLDER = "identify"
 LOOK_S = 0.005
 STEPS = 24
 """Points of a fit that is drawn."""
+AXIS_M = 0.15
+"""Half the length in which a joint's axis is drawn."""
 PIXEL_COV = 0.04 * np.eye(2)
 """Of a light's centre, px squared, where only its first place is wanted."""
 WAIT_S = 10.0
@@ -125,13 +128,14 @@ def _followed(view: SideView, before_px: Array, passed_s: float) -> Array | None
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Range:
-    """How far a joint may go: lower and upper in deg or mm, as people type it; slides: mm."""
+    """How far a joint may go: lower and upper in deg or mm, as people type it; slides: mm. swept: else it is held."""
 
     joint: int
     name: str
     lower: float
     upper: float
     slides: bool = False
+    swept: bool = True
 
     def limits(self) -> tuple[float, float]:
         """Return both in rad or m."""
@@ -148,6 +152,15 @@ class IdentifyRequest:
     ranges: tuple[Range, ...]
     readings: int = 10
     frames: int = 3
+
+    @property
+    def left_out(self) -> tuple[int, ...]:
+        """The joints that are not swept, from 1."""
+        return tuple(one.joint for one in self.ranges if not one.swept)
+
+    def consequence(self) -> str:
+        """Return in words what leaving joints out means, empty where none is. Raises UsageError where it cannot be."""
+        return consequence(len(self.ranges), self.left_out)
 
 
 def proposed_ranges(robot: RobotCell) -> tuple[Range, ...]:
@@ -169,6 +182,12 @@ def proposed_ranges(robot: RobotCell) -> tuple[Range, ...]:
             )
         )
     return tuple(made)
+
+
+def light_of(folder: Path, cell: CellFile) -> str:
+    """Return the name of the target's light that is followed, empty without a target. Raises BadFile."""
+    file = cell_path(folder, cell.target, "target")
+    return "" if file is None else target_of(file).names[0]
 
 
 def expected(asked: IdentifyRequest, robot: RobotCell, station: Station) -> PlanOutput:
@@ -216,7 +235,11 @@ def _identify(
 
 def _pace(asked: IdentifyRequest, override: float) -> float:
     """Return the share of its travel that each joint goes in a second: none goes faster than FASTEST, half at most."""
-    spans = [abs(one.upper - one.lower) / (FASTEST_MM_S if one.slides else FASTEST_DEG_S) for one in asked.ranges]
+    spans = [
+        abs(one.upper - one.lower) / (FASTEST_MM_S if one.slides else FASTEST_DEG_S)
+        for one in asked.ranges
+        if one.swept
+    ]
     return override * min(0.5, 1.0 / max([*spans, 1.0]))
 
 
@@ -245,6 +268,7 @@ def prepared(asked: IdentifyRequest, robot: RobotCell, *, propose: bool) -> tupl
         out=out / "arm.yaml",
         readings=asked.readings,
         propose=propose,
+        left_out=asked.left_out,
     )
     placed = _placed(asked, arm, robot.joints())
     if placed is None and propose:
@@ -312,20 +336,52 @@ def entries(done: IdentifyOutput, model: Arm | None) -> tuple[Entry, ...]:
     return tuple(made)
 
 
-def fits(folder: Path) -> tuple[list[Array], Array]:
-    """Return where the identified arm has the light along each sweep, (m, 3) each, and where it was seen (n, 3).
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SweepFit:
+    """What a scene shows of a joint's sweep, in world, or in rig axes where the rig's place was not known; in m.
 
-    Both in world, or in rig axes where the rig's place was not known. Raises BadFile.
+    path (m, 3): where the identified arm has the light along it, an arc or a line. seen (n, 3): where it was seen. axis
+    (2, 3): both ends of a piece of the joint's axis; of a slide along the path. centre (3,): the foot of the path's
+    begin on the axis, None of a slide. off_m: RMS distance of what was seen from where the arm has it.
     """
+
+    joint: int
+    path: Array
+    seen: Array
+    axis: Array
+    centre: Array | None
+    off_m: float
+
+
+def fits(folder: Path) -> tuple[SweepFit, ...]:
+    """Return the fits of the sweeps kept in a folder, a joint each. Raises BadFile."""
     out = folder / FOLDER
     arm, sweeps = read_arm(out / "arm.yaml"), read_sweeps(out / "arm.sweep.csv")
     world = out / "world.yaml"
     T = read_world(world).T_parent_rig if world.exists() else RigidTransform.identity()
-    paths = []
-    for j in range(arm.n):
-        rows = sweeps.q[sweeps.joint == j]
-        if len(rows):
-            begin, end = rows[np.argmin(rows[:, j])], rows[np.argmax(rows[:, j])]
-            q = begin + np.linspace(0.0, 1.0, STEPS)[:, None] * (end - begin)
-            paths.append(np.asarray(arm.fk(arm.values(q))[:, :3, 3]))
-    return paths, np.asarray(T.apply(sweeps.xyz_m))
+    seen = np.asarray(T.apply(sweeps.xyz_m))
+    return tuple(
+        _fit(arm, j, sweeps.q[sweeps.joint == j], seen[sweeps.joint == j])
+        for j in range(arm.n)
+        if (sweeps.joint == j).any()
+    )
+
+
+def _fit(arm: Arm, j: int, q: Array, seen: Array) -> SweepFit:
+    begin, end = q[np.argmin(q[:, j])], q[np.argmax(q[:, j])]
+    way = begin + np.linspace(0.0, 1.0, STEPS)[:, None] * (end - begin)
+    path = np.asarray(arm.fk(arm.values(way))[:, :3, 3])
+    off = np.asarray(arm.fk(arm.values(q))[:, :3, 3]) - seen
+    frame = link_frames(arm, arm.values(begin))[j]
+    direction = frame[:3, 2]
+    foot = frame[:3, 3] + ((path[0] - frame[:3, 3]) @ direction) * direction
+    turns = bool(arm.revolute[j])
+    middle = foot if turns else path.mean(axis=0)
+    return SweepFit(
+        joint=j + 1,
+        path=path,
+        seen=seen,
+        axis=middle + AXIS_M * np.array([[-1.0], [1.0]]) * direction,
+        centre=foot if turns else None,
+        off_m=float(np.sqrt((off**2).sum(axis=1).mean())),
+    )

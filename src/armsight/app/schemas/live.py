@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from armsight.app.schemas.base import Output
+from armsight.app.schemas.base import Output, absent
 
 
 class SpotView(Output):
@@ -16,7 +16,9 @@ class SpotView(Output):
     residual_px: tuple[float, float] | None = Field(
         description="Seen minus where the pose has it, px; null without a pose."
     )
-    view: str = Field("", description="left or right: the view it belongs to, in a picture that holds both.")
+    view: str | None = Field(
+        None, exclude_if=absent, description="left or right: the view it belongs to, in a picture that holds both."
+    )
 
 
 class SideView(Output):
@@ -28,8 +30,10 @@ class SideView(Output):
     epipolar: list[list[tuple[float, float]]] = Field(
         description="In this picture the epipolar curve of every named light of the other one: (u, v) along it, px."
     )
-    epipolar_views: list[str] = Field(
-        default_factory=list, description="left or right: the view that each curve is in, where a picture holds both."
+    epipolar_views: list[str] | None = Field(
+        None,
+        exclude_if=absent,
+        description="left or right: the view that each curve is in, where a picture holds both.",
     )
     advice: str = Field(
         description="What to change: nothing_seen, room_too_bright, clipped, faint, blurred, too_sharp or good."
@@ -63,7 +67,7 @@ class LiveView(Output):
     quat_xyzw: tuple[float, float, float, float] | None = Field(description="Orientation, scalar last.")
     std: tuple[float, ...] | None = Field(description="Standard deviations: x, y, z in m, then rotation vector, rad.")
     covariance_m2: list[list[float]] | None = Field(
-        None, description="Covariance of the position (3, 3), m squared; null where it is not known."
+        None, exclude_if=absent, description="Covariance of the position (3, 3), m squared, where it is known."
     )
     residual_px: float | None = Field(description="RMS of the reprojection residuals.")
     counts: Counts = Field(description="Since the start.")

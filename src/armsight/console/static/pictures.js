@@ -62,7 +62,7 @@
       c.strokeStyle = COLOURS.line;
       c.globalAlpha = 0.6;
       found.epipolar.forEach((curve, n) => {
-        c.strokeStyle = COLOURS[found.epipolar_views[n]] || COLOURS.line;
+        c.strokeStyle = COLOURS[(found.epipolar_views || [])[n]] || COLOURS.line;
         c.beginPath();
         curve.forEach(([u, v], i) => (i ? c.lineTo(u, v) : c.moveTo(u, v)));
         c.stroke();
