@@ -200,7 +200,7 @@ class Scene:
                 for name, light in zip(target.names, target.xyz_m.tolist(), strict=True):
                     self._scene.sphere(radius=radius).move(*light).material(COLOURS["target"])
                     if apart_m > SMALL_M:
-                        self._scene.text(name, "font-weight: 700; color: #14181c").move(*light)
+                        self._scene.text(name, "font-weight: 700; font-size: 12px; color: #14181c").move(*light)
             for axis, colour in zip(np.eye(3) * 0.06, ("#D55E00", "#009E73", "#0072B2"), strict=True):
                 self._scene.line([0, 0, 0], axis.tolist()).material(colour)
         return group

@@ -100,6 +100,7 @@ ADVICE = {
     "too_sharp": "The lights are smaller than a pixel: defocus the lens a little, or come nearer.",
 }
 ADVICE_FIGURES = "background {background:.0f}, brightest {brightest}, width {width} px"
+ADVICE_CLIPPED, ADVICE_EXPOSURE = ", {n} saturated", ", exposure {ms:.2f} ms"
 
 SEARCH = "How lights are looked for"
 THRESHOLD = "Threshold (grey level; empty: found by itself)"

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from armsight.app.identify.left_out import FirstJoints, consequence, first_joints, swept_joints
-from armsight.app.operator.identify import FOLDER, IdentifyRequest, Range, fits
+from armsight.app.operator.identify import FOLDER, IdentifyRequest, Range, entries, fits
 from armsight.cli.commands import app
 from armsight.errors import DeviceFailed, UsageError
 from armsight.kinematics import presets
@@ -149,3 +149,11 @@ def test_a_page_tells_what_leaving_out_means() -> None:
     wrong = replace(asked, ranges=tuple(replace(one, swept=one.joint != 3) for one in ranges))
     with pytest.raises(UsageError, match="joint 3 cannot be left out while joints 4, 5 and 6 are swept"):
         wrong.consequence()
+
+
+def test_an_entry_that_is_chosen_is_not_held_against_the_model(done: Any) -> None:
+    _, out, folder = done
+    table = entries(out, read_arm(folder / "model.yaml"))
+    chosen = [one for one in table if np.isnan(one.std)]
+    assert {one.joint for one in chosen} == {2} and all(np.isnan(one.deviation) for one in chosen)
+    assert next(one for one in table if (one.joint, one.name) == (1, "d")).deviation == pytest.approx(-3.0, abs=2.0)

@@ -64,6 +64,7 @@ def test_the_one_picture_tells_which_spot_is_of_which_view(seen: list[Moment]) -
         at = {(spot.name, spot.view): np.array([spot.u_px, spot.v_px]) for spot in view.spots if spot.name}
         assert set(at) == {(name, side) for name in "ABC" for side in ("left", "right")}
         assert not [spot for spot in view.spots if not spot.name], "each of the six spots has a name"
+        assert view.n_clipped == 0 and view.advice == "good"
         for name in "ABC":
             assert at[name, "left"][0] > at[name, "right"][0] + 50.0
         assert view.epipolar_views == ["left"] * 3 + ["right"] * 3

@@ -73,6 +73,8 @@ def side_view(
         background=hint.background,
         brightest=hint.brightest,
         sigma_px=hint.sigma_px,
+        n_clipped=hint.n_clipped,
+        exposure_s=frame.exposure_s or None,
     )
 
 

@@ -304,7 +304,7 @@ def _needed(asked: IdentifyRequest, name: str) -> Path:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Entry:
     """An entry of an identified joint as a page shows it: value, standard deviation, and by how much it deviates from
-    the model, in mm or deg; NaN where there is none."""
+    the model, in mm or deg; NaN where there is none, both of an entry that is chosen and not measured."""
 
     joint: int
     name: str
@@ -321,7 +321,8 @@ def entries(done: IdentifyOutput, model: Arm | None) -> tuple[Entry, ...]:
         nominal = None if model is None else model.joints[joint.index - 1]
         for name, unit, scale in ENTRIES:
             value, std = getattr(joint, name), getattr(joint.std, name)
-            off = np.nan if nominal is None else value - getattr(nominal, name)
+            chosen = std is None  # not measured: that it is not the model's says nothing
+            off = np.nan if nominal is None or chosen else value - getattr(nominal, name)
             off = float(np.angle(np.exp(1j * off))) if unit == "deg" and np.isfinite(off) else float(off)
             made.append(
                 Entry(

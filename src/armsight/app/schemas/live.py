@@ -41,6 +41,8 @@ class SideView(Output):
     background: float = Field(description="Median grey level.")
     brightest: float | None = Field(description="Grey levels of the brightest light above the background.")
     sigma_px: float | None = Field(description="Median width of the lights (Gaussian sigma), px.")
+    n_clipped: int | None = Field(None, exclude_if=absent, description="Lights that hold clipped pixels.")
+    exposure_s: float | None = Field(None, exclude_if=absent, description="Exposure, s, where the camera tells it.")
 
 
 class Counts(Output):

@@ -73,7 +73,7 @@ class _Identify:
         unit = "mm" if one.slides else "deg"
         with ui.element("div").classes("row"):
             swept = ui.checkbox(texts.SWEEP_JOINT.format(joint=one.joint, name=one.name), value=True)
-            swept.style("min-width: 12rem; font-weight: 600").props["data-testid"] = f"sweep-{one.joint}"
+            swept.style("flex: 0 0 12rem; font-weight: 600").props["data-testid"] = f"sweep-{one.joint}"
             swept.on_value_change(self._ticked)
             low = ui.number(f"{texts.LOWER} ({unit})", value=one.lower, step=1.0)
             high = ui.number(f"{texts.UPPER} ({unit})", value=one.upper, step=1.0)
@@ -85,6 +85,9 @@ class _Identify:
     def _ticked(self) -> None:
         """Tell what leaving joints out means, or why it cannot be."""
         self._plan.clear()
+        self._tell_left_out()
+
+    def _tell_left_out(self) -> None:
         try:
             words = self._asked().consequence()
         except ArmsightError as error:
@@ -115,7 +118,7 @@ class _Identify:
             return
         if plan is None:  # the server is ending
             return
-        self._tell("", "good")
+        self._tell_left_out()
         with self._plan:
             _plan_table(plan)
 
@@ -123,7 +126,7 @@ class _Identify:
         asked, station = self._asked(), self._console.require_station()
         try:
             self._robot.bench.begin(WORK, self._browser, partial(work_of.run, asked, self._robot, station))
-            self._tell("", "good")
+            self._tell_left_out()
         except ArmsightError as error:
             self._tell(str(error), "bad")
 

@@ -125,7 +125,10 @@ def _picture(side: str) -> Refresh:
 def _aiming(view: SideView) -> str:
     brightest = texts.NO_VALUE if view.brightest is None else f"{view.brightest:.0f}"
     width = texts.NO_VALUE if view.sigma_px is None else f"{view.sigma_px:.1f}"
-    return texts.ADVICE_FIGURES.format(background=view.background, brightest=brightest, width=width)
+    figures = texts.ADVICE_FIGURES.format(background=view.background, brightest=brightest, width=width)
+    if view.n_clipped is not None:
+        figures += texts.ADVICE_CLIPPED.format(n=view.n_clipped)
+    return figures if view.exposure_s is None else figures + texts.ADVICE_EXPOSURE.format(ms=1e3 * view.exposure_s)
 
 
 def _number(name: str, testid: str) -> tuple[TextElement, TextElement]:
