@@ -151,6 +151,32 @@ PLACES = (
     ("lower left", "lower middle", "lower right"),
 )
 SIDES = {"left": "left", "right": "right", "complex": "camera's"}
+ROW_NAMES = {
+    "baseline": "Baseline",
+    "± baseline": "± baseline",
+    "left focal length": "Left focal length",
+    "right focal length": "Right focal length",
+    "focal length": "Focal length",
+    "± left focal length": "± left focal length",
+    "± right focal length": "± right focal length",
+    "± focal length": "± focal length",
+    "principal point": "Principal point",
+    "± principal point": "± principal point",
+    "k1": "Distortion k1",
+    "± k1": "± distortion k1",
+    "RMS": "Residual, RMS",
+    "residual, RMS": "Residual, RMS",
+    "RMS of boards left out": "Residual of boards left out, RMS",
+    "picture covered": "Picture covered",
+    "axes turn towards each other": "Axes turn towards each other",
+    "right view lower": "Right view lower",
+    "right view turned": "Right view turned",
+    "± convergence": "± turn towards each other",
+    "glass plate": "Glass plate",
+    "images used": "Images used",
+    "one lens explains both views": "One lens explains both views",
+}
+"""Names of rows and plots as the guided steps give them, in words; a name that is not here is shown as it is."""
 WHAT_NEXT = "What to do next"
 COVERAGE = "Where the board has been"
 COVERED = "{side} picture, {place}: {n} boards"

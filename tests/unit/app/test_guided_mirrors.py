@@ -68,7 +68,7 @@ def done(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
 
 
 def test_it_leads_to_the_result_of_the_command(done: Any, mirror_boards: Any) -> None:
-    _, hints, _, verdict, folder = done
+    step, hints, _, verdict, folder = done
     assert [hint.what for hint in hints[:2]] == [Next.BOARD_TWICE, Next.TO_CELL]
     assert hints[1].side == COMPLEX
     assert len(list((folder / "mirrors" / "image").iterdir())) == 8, "what an earlier calibration left is gone"
@@ -77,6 +77,7 @@ def test_it_leads_to_the_result_of_the_command(done: Any, mirror_boards: Any) ->
     )
     rows = dict(verdict.rows)
     assert rows["baseline"].startswith(f"{1e3 * again.baseline_m:.2f} ± ") and rows["images used"] == "8 of 8"
+    assert {name for name, _ in (*step.spread(), *verdict.rows)} <= set(texts.ROW_NAMES)
     assert verdict.good and verdict.file == folder / "rig.yaml" and verdict.report is not None
     rig, fx = read_rig(verdict.file), mirror_boards.camera[0]
     assert rig.kind == "mirror" and rig.left.intrinsics[0] == pytest.approx(fx, rel=0.01)

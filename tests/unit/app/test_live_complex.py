@@ -14,6 +14,7 @@ from armsight.app.live.measurement import COMPLEX, LiveJob, LiveMeasurement, Loo
 from armsight.app.live.station import Shown
 from armsight.app.live.uncertainty_shapes import drawn_ellipsoid, track_colours
 from armsight.app.live.views import complex_view
+from armsight.app.operator.robot_cell import prepare_simulated
 from armsight.app.record.recorder import Recorder
 from armsight.app.simulate.run import simulate
 from armsight.clock import ManualClock
@@ -146,3 +147,11 @@ def test_a_tracks_colours_go_from_best_to_worst() -> None:
     np.testing.assert_allclose(middle, 0.5 * (best + worst))
     np.testing.assert_array_equal(best, unknown)
     assert worst[0] > best[0] and best[2] > worst[2]
+
+
+def test_a_simulated_robot_with_a_mirror_rig_brings_its_one_camera(tmp_path: Path) -> None:
+    made = prepare_simulated("sim:pachidis2005-static", tmp_path)
+    assert made is not None and (made.left, made.right) == ("camera:sim:pachidis2005-static:image", "")
+    assert made.cameras == "carried"
+    job = Console(folder=tmp_path, cell=made).job_of(made)
+    assert job is not None and job.complex and job.rig == tmp_path / "rig.yaml"

@@ -182,7 +182,7 @@ class _Step:
         with self._spread, ui.element("table").classes("plain"):
             for name, value in self._spread_rows:
                 with ui.element("tr"):
-                    text_of("td", name)
+                    text_of("td", texts.ROW_NAMES.get(name, name))
                     text_of("td", value)
         self._show_plots()
 
@@ -194,8 +194,9 @@ class _Step:
             if not curves:
                 text_of("p", texts.NO_PLOT_YET).classes("hint")
             for i, ((name, unit), points) in enumerate(curves.items()):
-                title = f"{name} ({unit})" if unit else name
-                Plot(title, (name,), testid=f"chart-{i}", dots=True, first=i).show([points])
+                words = texts.ROW_NAMES.get(name, name)
+                title = f"{words} ({unit})" if unit else words
+                Plot(title, (words,), testid=f"chart-{i}", dots=True, first=i).show([points])
 
 
 def hint_text(hint: Hint) -> str:
@@ -215,7 +216,7 @@ def _show_verdict(console: Console, step: Guided, verdict: Verdict) -> None:
         with ui.element("table").classes("plain"):
             for name, value in verdict.rows:
                 with ui.element("tr"):
-                    text_of("td", name)
+                    text_of("td", texts.ROW_NAMES.get(name, name))
                     text_of("td", value)
         text_of("p", texts.SAVED.format(file=verdict.file.name))
         with ui.element("div").classes("row"):
