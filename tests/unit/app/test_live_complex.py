@@ -139,6 +139,7 @@ def test_an_ellipsoid_is_drawn_large_enough_to_be_seen() -> None:
     assert drawn is not None and np.linalg.det(drawn.R) == pytest.approx(1.0)
     assert drawn.scale == 500.0 and drawn.semi_axes_m[2] == pytest.approx(0.05)
     assert abs(drawn.R[:, 2] @ R[:, 2]) == pytest.approx(1.0)
+    assert drawn_ellipsoid(25.0 * np.eye(3)) is None, "it would hold the whole scene"
     assert drawn_ellipsoid(np.zeros((3, 3))) is None and drawn_ellipsoid(np.full((3, 3), np.nan)) is None
 
 

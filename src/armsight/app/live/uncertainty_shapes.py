@@ -12,6 +12,8 @@ Array = NDArray[np.float64]
 SCALES = (5000.0, 2000.0, 1000.0, 500.0, 200.0, 100.0, 50.0, 20.0, 10.0, 5.0, 2.0)
 LARGEST_M = 0.06
 """Longest semi-axis that an ellipsoid is drawn with: it must not hide the target."""
+USELESS_M = 1.0
+"""Standard deviation of a position that says nothing of it: its ellipsoid would hold the whole scene."""
 THINNEST = 0.02
 """Share of the longest semi-axis that the others are drawn with at least: a flat one is not seen from its side."""
 BEST, WORST = np.array([0.0, 0.447, 0.698]), np.array([0.835, 0.369, 0.0])
@@ -30,7 +32,7 @@ class DrawnEllipsoid:
 def drawn_ellipsoid(covariance_m2: ArrayLike) -> DrawnEllipsoid | None:
     """Return the 1 sigma ellipsoid of a position's covariance (3, 3) m^2, enlarged by a round figure to be seen.
 
-    R is a rotation. None for a covariance that is not finite or that is zero.
+    R is a rotation. None for a covariance that is not finite or that is zero, and for one beyond USELESS_M.
     """
     covariance = np.asarray(covariance_m2, dtype=float)
     if not np.isfinite(covariance).all():
@@ -38,7 +40,7 @@ def drawn_ellipsoid(covariance_m2: ArrayLike) -> DrawnEllipsoid | None:
     values, vectors = np.linalg.eigh(covariance)
     sigma = np.sqrt(np.maximum(values, 0.0))
     longest = float(sigma.max())
-    if longest <= 0.0:
+    if not 0.0 < longest <= USELESS_M:
         return None
     scale = next((one for one in SCALES if one * longest <= LARGEST_M), 1.0)
     if np.linalg.det(vectors) < 0.0:
