@@ -15,7 +15,7 @@ from armsight._version import __version__
 from armsight.app.accuracy import accuracy_plan
 from armsight.app.schemas.machine import DoctorOutput, KernelCache, Machine, ResolutionAt, RigResolution
 from armsight.app.simulate.scenarios import scenario_names
-from armsight.drivers import CAMERAS, CELLS, ROBOTS, cameras_there, cores, known
+from armsight.drivers import CAMERAS, CELLS, ROBOTS, SETS, cameras_there, cores, known
 from armsight.drivers.aravis import genicam_cameras
 from armsight.errors import UsageError
 from armsight.optics import Rig, resolution
@@ -44,7 +44,7 @@ def doctor(
             "--accuracy is of a rig at a distance",
             cure="Give --rig and --depth (in m; again for the far end of a volume)",
         )
-    drivers = {group.removeprefix("armsight."): list(known(group)) for group in (CAMERAS, ROBOTS, CELLS)}
+    drivers = {group.removeprefix("armsight."): list(known(group)) for group in (CAMERAS, ROBOTS, CELLS, SETS)}
     drivers["scenarios"] = list(scenario_names())
     kernels = kernel_cache(Path(__file__).parent.parent)
     return DoctorOutput(

@@ -25,7 +25,7 @@ from armsight.cli.path import path
 from armsight.cli.play import play
 from armsight.cli.record import record
 from armsight.cli.reproduce import reproduce
-from armsight.cli.result_folders import ARM, MEASURED, VERIFIED, VIEWS, WORLD, keep_inputs, keeps_results
+from armsight.cli.result_folders import ARM, MEASURED, SETS, VERIFIED, VIEWS, WORLD, keep_inputs, keeps_results
 from armsight.cli.robot import robot
 from armsight.cli.serve import serve
 from armsight.cli.servo import servo
@@ -227,14 +227,14 @@ def demo(
 
 
 @app.command()
-@keeps_results(*WORLD, *ARM, *VIEWS)
+@keeps_results(*WORLD, *ARM, *VIEWS, *SETS)
 def simulate(
-    scenario: Annotated[str, typer.Argument(help="A scenario's name or file, or a built-in cell's name.")],
+    scenario: Annotated[str, typer.Argument(help="A scenario's name or file; or the name of a cell or set.")],
     out: OutFolder,
     seed: Annotated[
         int | None, typer.Option(min=0, help="The same seed gives the same run. [default: the file's]")
     ] = None,
-    frames: Annotated[int | None, typer.Option(min=1, help="How many frames. [default: the file's]")] = None,
+    frames: Annotated[int | None, typer.Option(min=1, help="How many frames, or rows. [default: the file's]")] = None,
     room: Annotated[
         str | None,
         typer.Option(help="Behind the target: dark, workshop, office, plain or a picture. [default: its own]"),
@@ -244,12 +244,17 @@ def simulate(
     ] = None,
     json: AsJson = False,
 ) -> None:
-    """Write the frames of a simulated cell, its files and the truth into a folder."""
+    """Write the frames of a simulated cell, its files and the truth into a folder; or a set for one calibration."""
     with CommandUI(as_json=json) as face:
         from armsight.app.simulate.run import simulate as run
 
         done = run(scenario, out, seed=seed, frames=frames, room=room, zoom=zoom, progress=face.progress("simulating"))
-        face.say(f"{done.n_frames} frames of each view and the truth are in {out}")
+        if done.commands is None:
+            face.say(f"{done.n_frames} frames of each view and the truth are in {out}")
+        else:
+            face.say(f"{done.n_frames} pictures, tables and the truth are in {out}; in that folder, try:")
+            for command in done.commands:
+                face.say(f"  {command}")
         face.result(done)
 
 

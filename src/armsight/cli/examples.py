@@ -88,7 +88,11 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
         f"armsight measure --left camera:0 --right camera:1 {RIG} -o measured",
     ),
     "demo": ("armsight demo", "armsight demo --room workshop -o demo"),
-    "simulate": ("armsight simulate webcam-cell -o cell", "armsight simulate webcam-cell --room workshop -o cell"),
+    "simulate": (
+        "armsight simulate webcam-cell -o cell",
+        "armsight simulate webcam-cell --room workshop -o cell",
+        "armsight simulate handeye -o photos",
+    ),
     "doctor": ("armsight doctor", "armsight doctor --rig rig.yaml --depth 1.5"),
     "calibrate camera": ("armsight calibrate camera images/ --board checkerboard:9x6:0.025 -o camera.yaml",),
     "calibrate stereo": (

@@ -17,6 +17,9 @@ MEASURED = ("poses.csv", "points.csv", "spots.csv", "poses.tum", "measure.json",
 VIEWS = ("left", "right", "image")
 WORLD = ("scenario.yaml", "rig.yaml", "target.yaml", "truth.csv", "times.csv")
 ARM = ("arm.yaml", "arm_true.yaml", "truth_world.csv", "joints.csv", "sweep_joints.csv", "handeye.yaml", "world.yaml")
+SET_TABLES = ("robot_poses.csv", "pairs.csv", "robot.csv", "flange.csv", "points.csv", "holdout.csv", "observed.csv")
+SET_FILES = ("photos", "complex", "lights", "camera.yaml", "rig_true.yaml", "arm_tool.yaml", "places_true.yaml")
+SETS = (*SET_TABLES, *SET_FILES, "poses.csv", "handeye_true.yaml", "tip_true.yaml")
 VERIFIED = ("verify.json", "errors.csv", "report.html", "live.mcap", "mastering.csv")
 
 OVERWRITE = Annotated[bool, typer.Option("--overwrite", help="Replace the results of another run in the folder.")]
@@ -84,7 +87,7 @@ def _refuse_inputs(folder: Path, names: Collection[str], given: Mapping[str, Any
     outputs = {(folder / name).resolve() for name in names}
     for flag, value in given.items():
         for text in _texts(value) if flag != "out" else ():
-            if Path(text).resolve() in outputs:
+            if Path(text).exists() and Path(text).resolve() in outputs:
                 raise UsageError(
                     f"{text} is an input, and would be written over by the result",
                     consequence="Nothing was done",

@@ -8,7 +8,7 @@ from armsight.drivers.opening import is_live, open_pairs, open_source, open_spli
 from armsight.drivers.pairs import FilePairs, Overlaid, SplitImages
 from armsight.drivers.prefetch import cores, ordered_map
 from armsight.drivers.protocols import FrameSource, PairSource, Skew
-from armsight.drivers.registry import CAMERAS, CELLS, ROBOTS, SCENARIOS, known, load
+from armsight.drivers.registry import CAMERAS, CELLS, ROBOTS, SCENARIOS, SETS, known, load
 from armsight.drivers.replay import Replay, ReplayRobot, check_forward
 from armsight.drivers.robot import Robot, RobotState, Sent
 from armsight.drivers.sources import FPS, Capture, ImageFolder, VideoFile
@@ -21,6 +21,7 @@ __all__ = [
     "FPS",
     "ROBOTS",
     "SCENARIOS",
+    "SETS",
     "CameraSettings",
     "Capture",
     "DeviceLock",

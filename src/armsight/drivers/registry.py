@@ -17,6 +17,9 @@ ROBOTS = "armsight.robots"
 CELLS = "armsight.cells"
 """Group of callables (seed: int, frames: int) -> a simulated cell."""
 
+SETS = "armsight.sets"
+"""Group of callables (seed: int, size: int | None) -> a simulated set of pictures and tables for one calibration."""
+
 SCENARIOS = "armsight.scenarios"
 """Group of pydantic models of scenario files, with cell(seed=, frames=) and robot(device, clock)."""
 

@@ -67,12 +67,25 @@ def board_light(rays: Array, board: Board, T_camera_board: RigidTransform) -> Li
     if not ((M @ np.array([[0.0], [0.0], [1.0]]))[2] > 0.0 and abs(np.linalg.det(M)) > 1e-9):
         raise Inconsistent("the simulated board is behind the camera or seen edge-on")
     H = np.diag([1.0 / board.square_m, 1.0 / board.square_m, 1.0]) @ np.linalg.inv(M)
+    return _cast(rays, H, board)
+
+
+def board_light_at(places_m: Array, board: Board) -> LightImage:
+    """Return the light (h, w, 1) of a board of which the corners of the pixels see the places (h+1, w+1, 2), in m.
+
+    For views whose rays do not meet in one point, as through a glass plate.
+    """
+    return _cast(places_m / board.square_m, np.eye(3), board)
+
+
+def _cast(rays: Array, H: Array, board: Board) -> LightImage:
+    """Return the blurred light (h, w, 1) of a board whose plane H (3, 3) gives in squares for each ray."""
     n, step = SAMPLES
     place = np.arange(n)
     lattice = np.stack([(place + 0.5) / n, ((place * step) % n + 0.5) / n], axis=1)  # (n, 2) in the unit square
     sharp = np.empty((rays.shape[0] - 1, rays.shape[1] - 1), np.float32)
     shades = np.array([board.black, board.white, board.room])
-    cast_board(rays, np.ascontiguousarray(H), board.columns, board.rows, shades, lattice, sharp)
+    cast_board(np.ascontiguousarray(rays), np.ascontiguousarray(H), board.columns, board.rows, shades, lattice, sharp)
     light: LightImage = gaussian_filter(sharp, board.blur_px, mode="nearest", truncate=5.0)
     return light[:, :, None]
 

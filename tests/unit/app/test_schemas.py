@@ -187,7 +187,7 @@ KEYS: dict[type[Output], tuple[str, str]] = {
     OUTPUTS["convert-table"]: ("kind how columns ranges n notes file", ""),
     OUTPUTS["convert"]: ("from to files n note", ""),
     OUTPUTS["convert-arm"]: ("arm file joints convention", ""),
-    OUTPUTS["simulate"]: ("scenario seed n_frames out", "n_dropped views"),
+    OUTPUTS["simulate"]: ("scenario seed n_frames out", "n_dropped views commands"),
     OUTPUTS["kinematics-fk"]: ("arm n n_beyond_limits", ""),
     OUTPUTS["kinematics-ik"]: ("arm n status unsolved", ""),
     kinematics.UnsolvedPose: ("pose status why", ""),

@@ -98,3 +98,4 @@ class SimulateOutput(Output):
     n_dropped: int | None = Field(None, exclude_if=absent, description="Frames left out by the scenario's faults.")
     views: list[str] | None = Field(None, exclude_if=absent, description="The views: left, right or image.")
     out: str = Field(description="The folder.")
+    commands: list[str] | None = Field(None, exclude_if=absent, description="What reads the set, run in its folder.")

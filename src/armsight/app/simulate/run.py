@@ -10,8 +10,9 @@ import numpy as np
 from armsight.app.schemas.files import SimulateOutput
 from armsight.app.simulate.cells import CellPairs, load_cell, room_choice, write_cell_files, write_png
 from armsight.app.simulate.scenarios import build_world, load_scenario, scenario_names, settled_text
+from armsight.app.simulate.sets import require_own, simulate_set
 from armsight.calibrate.handeye import Setup
-from armsight.drivers import CELLS, known
+from armsight.drivers import CELLS, SETS, known
 from armsight.errors import Cancelled
 from armsight.records import Motion, Progress, Silent
 from armsight.store import rig_from_mapping, target_from_mapping, write_rig, write_target, write_text
@@ -35,7 +36,7 @@ def simulate(
     zoom: float | None = None,
     progress: Progress | None = None,
 ) -> SimulateOutput:
-    """Simulate a scenario, by name or file, or a built-in cell, into the folder out.
+    """Simulate a scenario, by name or file, a built-in cell, or a set for one calibration, into the folder out.
 
     Writes left/*.png and right/*.png (image/*.png for a mirror rig), rig.yaml, target.yaml, times.csv, truth.csv and
     scenario.yaml; of a scenario with a robot also arm.yaml (nominal, the target or rig as its tool), arm_true.yaml,
@@ -48,6 +49,9 @@ def simulate(
     progress = progress or Silent()
     if scenario in known(CELLS) and scenario not in scenario_names():
         return _simulate_cell(scenario, out, 1 if seed is None else seed, frames or CELL_FRAMES, room, zoom, progress)
+    if scenario in known(SETS):
+        require_own(scenario, room, zoom)
+        return simulate_set(scenario, out, seed=1 if seed is None else seed, size=frames, progress=progress)
     model, text = load_scenario(scenario)
     chosen = None if room is None else room_choice(room)
     world = build_world(scenario, model, seed=seed, frames=frames, room=chosen, zoom=zoom)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from armsight.clock import Clock, SystemClock
-from armsight.drivers import AUTOMATIC, CELLS, SCENARIOS, CameraSettings, FrameSource, known, load
+from armsight.drivers import AUTOMATIC, CELLS, SCENARIOS, SETS, CameraSettings, FrameSource, known, load
 from armsight.errors import DeviceNotFound
 from armsight.store.atomic import read_bytes
 from armsight.store.schema import named, validated
@@ -44,10 +44,11 @@ def load_scenario(name: str) -> tuple[Any, str]:
     """Return a scenario, checked, and its text. Raises DeviceNotFound with the known names; BadFile naming the key."""
     found = scenario_text(name)
     if found is None:
+        every = (*scenario_names(), *known(CELLS), *known(SETS))
         raise DeviceNotFound(
             f"there is no scenario {name!r}",
             consequence="There is nothing to simulate",
-            cure=f"Known are: {', '.join((*scenario_names(), *known(CELLS)))}; or give a scenario file (.yaml)",
+            cure=f"Known are: {', '.join(every)}; or give a scenario file (.yaml)",
         )
     data, where = found
     content = parse_yaml(data, where)

@@ -12,7 +12,7 @@ from armsight.errors import BadImage
 from armsight.measure.boards.dots import Dots, neighbourhoods, round_dots
 from armsight.measure.boards.gridmap import fit_map
 from armsight.measure.boards.kernels.subpixel import fit_dots
-from armsight.measure.boards.lattice import LOST_SHARE, Grid, Lattice, Placed, lattices, placements
+from armsight.measure.boards.lattice import FULL_SIDE, LOST_SHARE, Grid, Lattice, Placed, lattices, placements
 from armsight.measure.boards.orient import axis_px
 from armsight.records import BoardView, Target, TargetKind
 
@@ -22,8 +22,12 @@ Image = NDArray[np.uint8]
 
 BIG_DOT = 1.7
 """A dot whose area is this many times its neighbours' marks the origin (printed twice as wide, so four times)."""
+RING = 1.5
+"""Radius, in the other dots' own, of a ring that lies inside a dot twice as wide, and outside one like the others."""
 LIKE_OTHERS = 1.15
 """A dot's radius agrees with the others' to this factor, or a threshold cut it."""
+AS_LARGE = 1.4
+"""Fitted radii of a print's dots agree to this factor; what lies beside the paper's edge fits as a far larger one."""
 REACH = 2.1
 """Radius of the window in half axes, where the next dot is not nearer: an even ring outside steadies the fit."""
 LEAST_REACH = 1.25
@@ -73,17 +77,86 @@ class _Search:
                 self.largest = lattice
             ways = placements(lattice, dots, self.grid)
             self.beyond = self.beyond or any(way.beyond for way in ways)
-            numbering = _number(ways, dots, self.board, self.source)
+            numbering = self._number(ways, dots)
             if numbering is None:
                 continue
             try:
-                view = _refined(self.image, self.board, self.grid, dots, numbering, self.source)
+                view = self._refined(dots, numbering)
             except BadImage as error:
                 self.unclean = error
+                continue
+            if view is None:
                 continue
             if self.best is None or len(view) > len(self.best):
                 self.best = view
             return
+
+    def _number(self, ways: list[Placed], dots: Dots) -> Index | None:
+        """Return for every point its dot (-1: not among the candidates), or None where it is not this board.
+
+        Raises BadImage for a mirrored board.
+        """
+        ways = [way for way in ways if self.grid.rims_held(np.flatnonzero(way.numbering >= 0))] or ways
+        ways = [way for way in ways if way.count == ways[0].count]
+        if not ways or any(way.beyond for way in ways):
+            return None
+        members = {frozenset(way.numbering.tolist()) for way in ways}
+        if len(members) > 1:  # the board could lie here or one step further: neither may be guessed
+            return None
+        numberings = [way.numbering for way in ways if _right_handed(dots.uv, way.numbering, self.board)]
+        if not numberings:
+            _refuse_mirrored(self.source, "")
+        return self._oriented(numberings, dots)
+
+    def _oriented(self, numberings: list[Index], dots: Dots) -> Index:
+        """Choose the numbering that begins at the big dot, or the most upright one where there is none."""
+        board, first = self.board, numberings[0]
+        seen = np.flatnonzero(first >= 0)
+        # a slanted board's dots grow towards the camera: compared is with what their places lead to expect
+        design = np.column_stack([board.xyz_m[seen, :2] / board.pitch_m, np.ones(len(seen))])
+        log_area = np.log(dots.area[first[seen]])
+        excess = log_area - design @ np.linalg.lstsq(design, log_area, rcond=None)[0]
+        big = seen[excess > np.log(BIG_DOT)]
+        if len(big) == 1 and _twice_as_wide(self.image, self.grid, dots, first, int(big[0])):
+            beginning = [n for n in numberings if n[0] == first[big[0]]]
+            if beginning:
+                return beginning[0]
+            if int(big[0]) in (board.columns - 1, len(board.names) - board.columns):
+                _refuse_mirrored(self.source, f", or it is a board of {board.rows}x{board.columns} circles")
+        return max(numberings, key=lambda n: float(axis_px(dots.uv[n[n >= 0]], np.flatnonzero(n >= 0), board)[0]))
+
+    def _refined(self, dots: Dots, numbering: Index) -> BoardView | None:
+        """Fit every dot's edge, those that the search missed where the grid expects them; keep what passes the checks.
+
+        None where the grid ends before the board's, or goes on. Raises BadImage where too few have a clean edge.
+        """
+        guess, shape = _expected(self.grid, dots, numbering)
+        uv, covariance, quality = _centred(self.image, guess, shape)
+        contrast = float(np.median(quality[:, 1]))
+        good = _clean(uv, quality, guess, shape, contrast)
+        radius = float(np.median(_radius(quality[good], shape[good]))) if good.any() else 1.0
+        good &= (numbering >= 0) | _as_large(quality, shape, radius)  # nobody has seen the others as dots yet
+        if not self.grid.rims_held(np.flatnonzero(good)):  # a smaller board
+            return None
+        lost = np.count_nonzero(~good)
+        if lost > LOST_SHARE * len(guess):
+            raise BadImage(
+                f"{self.source}: {lost} of {len(guess)} circles have no clean edge",
+                consequence="The image is not used",
+                cure="Hold the board still, focus the lens and avoid reflections",
+            )
+        if _goes_on(self.image, self.grid, dots, numbering, contrast, radius):
+            self.beyond = True
+            return None
+        index = np.flatnonzero(good)
+        return BoardView(
+            uv_px=uv[index],
+            index=index,
+            sigma_px=float(np.sqrt(np.median(np.trace(covariance[index], axis1=1, axis2=2)) / 2.0)),
+            width=self.image.shape[1],
+            height=self.image.shape[0],
+            source=self.source,
+        )
 
     def refusal(self) -> BadImage:
         """Return why there is no view."""
@@ -97,23 +170,6 @@ class _Search:
             cure="Show the whole grid, sharp and evenly lit, and count its circles",
             size=_whole_size(self.largest, self.board),
         )
-
-
-def _number(ways: list[Placed], dots: Dots, board: Target, source: str) -> Index | None:
-    """Return for every point of the board its dot (-1: not among the candidates), or None where it is not this board.
-
-    Raises BadImage for a mirrored board.
-    """
-    ways = [way for way in ways if way.count == ways[0].count]
-    if not ways or any(way.beyond for way in ways):
-        return None
-    members = {frozenset(way.numbering.tolist()) for way in ways}
-    if len(members) > 1:  # the board could lie here or one step further: neither may be guessed
-        return None
-    numberings = [way.numbering for way in ways if _right_handed(dots.uv, way.numbering, board)]
-    if not numberings:
-        _refuse_mirrored(source, "")
-    return _oriented(numberings, dots, board, source)
 
 
 def _grid_of(board: Target) -> Grid:
@@ -148,22 +204,23 @@ def _right_handed(uv: Array, numbering: Index, board: Target) -> bool:
     return bool(slope[0, 0] * slope[1, 1] - slope[0, 1] * slope[1, 0] > 0.0)
 
 
-def _oriented(numberings: list[Index], dots: Dots, board: Target, source: str) -> Index:
-    """Choose the numbering that begins at the big dot, or the most upright one where there is none."""
-    first = numberings[0]
-    seen = np.flatnonzero(first >= 0)
-    # a slanted board's dots grow towards the camera: compared is with what their places lead to expect
-    design = np.column_stack([board.xyz_m[seen, :2] / board.pitch_m, np.ones(len(seen))])
-    log_area = np.log(dots.area[first[seen]])
-    excess = log_area - design @ np.linalg.lstsq(design, log_area, rcond=None)[0]
-    big = seen[excess > np.log(BIG_DOT)]
-    if len(big) == 1:
-        beginning = [n for n in numberings if n[0] == first[big[0]]]
-        if beginning:
-            return beginning[0]
-        if int(big[0]) in (board.columns - 1, len(board.names) - board.columns):
-            _refuse_mirrored(source, f", or it is a board of {board.rows}x{board.columns} circles")
-    return max(numberings, key=lambda n: float(axis_px(dots.uv[n[n >= 0]], np.flatnonzero(n >= 0), board)[0]))
+def _twice_as_wide(image: Image, grid: Grid, dots: Dots, numbering: Index, point: int) -> bool:
+    """Tell whether this point's dot is printed wider, by the light around it: a threshold joins dots to what is near.
+
+    Compared on a ring that only a wide dot fills: it is then nearer to the other dots' middle than to the paper.
+    """
+    guess, shape, _ = _usual_dots(grid, dots, numbering, grid.places)
+    turn = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
+    circle = RING * np.stack([np.cos(turn), np.sin(turn)])  # (2, m)
+    ring = np.median(_levels(image, guess[:, None] + np.swapaxes(shape @ circle, 1, 2)), axis=1)  # (n,)
+    paper, ink = np.median(ring), np.median(_levels(image, guess))
+    return bool(abs(ring[point] - ink) < abs(ring[point] - paper))
+
+
+def _levels(image: Image, uv: Array) -> Array:
+    """Return the grey levels (...,) at the pixels nearest to places (..., 2)."""
+    at = np.clip(np.rint(uv).astype(int), 0, np.array(image.shape[::-1]) - 1)
+    return np.asarray(image[at[..., 1], at[..., 0]], float)
 
 
 def _refuse_mirrored(source: str, otherwise: str) -> None:
@@ -174,48 +231,63 @@ def _refuse_mirrored(source: str, otherwise: str) -> None:
     )
 
 
-def _expected(board: Target, dots: Dots, numbering: Index) -> tuple[Array, Array]:
+def _usual_dots(grid: Grid, dots: Dots, numbering: Index, at: Index) -> tuple[Array, Array, Array]:
+    """Return where the map through all dots has the grid's places at (n, 2), and the usual dot's half axes (n, 2, 2)
+    there, both in px, and for each dot that was seen its radius over the usual one's (m,).
+    """
+    seen = np.flatnonzero(numbering >= 0)
+    places = grid.places.astype(float)
+    smooth, _ = fit_map(places[seen], dots.uv[numbering[seen]])
+    step = smooth.derivatives(places[seen])[0]
+    share = np.sqrt(dots.area[numbering[seen]] / (np.pi * np.abs(np.linalg.det(step))))  # radius over pitch
+    usual = float(np.median(share))
+    asked = at.astype(float)
+    return smooth(asked), usual * smooth.derivatives(asked)[0], share / usual
+
+
+def _expected(grid: Grid, dots: Dots, numbering: Index) -> tuple[Array, Array]:
     """Return for every point where its dot should lie (n, 2) and its half axes (n, 2, 2), both in px.
 
     They are the dot's own where they agree with the map through all dots: a threshold may have cut one in part.
     """
     seen = np.flatnonzero(numbering >= 0)
-    plane = board.xyz_m[:, :2] / board.pitch_m
-    smooth, _ = fit_map(plane[seen], dots.uv[numbering[seen]])
-    step, _ = smooth.derivatives(plane)
-    share = np.sqrt(dots.area[numbering[seen]] / (np.pi * np.abs(np.linalg.det(step[seen]))))  # radius over pitch
-    usual = float(np.median(share))
-    guess, shape = smooth(plane), usual * step
-    own = (share > usual / LIKE_OTHERS) & ((share < usual * LIKE_OTHERS) | (share**2 > BIG_DOT * usual**2))
+    guess, shape, ratio = _usual_dots(grid, dots, numbering, grid.places)
+    own = (ratio > 1.0 / LIKE_OTHERS) & ((ratio < LIKE_OTHERS) | (ratio**2 > BIG_DOT))
     guess[seen[own]] = dots.uv[numbering[seen[own]]]
     shape[seen[own]] = dots.shape[numbering[seen[own]]]
     return guess, shape
 
 
-def _refined(image: Image, board: Target, grid: Grid, dots: Dots, numbering: Index, source: str) -> BoardView:
-    """Fit every dot's edge, those that the search missed where the grid expects them; keep what passes the checks."""
-    guess, shape = _expected(board, dots, numbering)
-    n = len(guess)
-    uv, covariance, quality = _centred(image, guess, shape)
-    axes = np.linalg.norm(shape, axis=1)  # (n, 2)
-    usual = float(np.median(quality[:, 1]))
-    good = (quality[:, 0] > EXPLAINED) & (quality[:, 1] / usual > LOW_CONTRAST)
-    good &= np.linalg.norm(uv - guess, axis=1) < np.maximum(1.0, 0.3 * axes.min(axis=1))
-    if np.count_nonzero(~good) > LOST_SHARE * n or not grid.rims_held(np.flatnonzero(good)):
-        raise BadImage(
-            f"{source}: {np.count_nonzero(~good)} of {n} circles have no clean edge",
-            consequence="The image is not used",
-            cure="Hold the board still, focus the lens and avoid reflections",
-        )
-    index = np.flatnonzero(good)
-    return BoardView(
-        uv_px=uv[index],
-        index=index,
-        sigma_px=float(np.sqrt(np.median(np.trace(covariance[index], axis1=1, axis2=2)) / 2.0)),
-        width=image.shape[1],
-        height=image.shape[0],
-        source=source,
-    )
+def _goes_on(image: Image, grid: Grid, dots: Dots, numbering: Index, contrast: float, radius: float) -> bool:
+    """Tell whether the image has dots of this contrast and radius where the grid would go on: another board, cut short.
+
+    The search may have missed them, as a threshold does where the light falls off.
+    """
+    for side in grid.beyond:
+        guess, shape, _ = _usual_dots(grid, dots, numbering, side)
+        uv, _, quality = _centred(image, guess, shape)
+        alike = _clean(uv, quality, guess, shape, contrast) & _as_large(quality, shape, radius)
+        if np.count_nonzero(alike) >= FULL_SIDE * len(side):
+            return True
+    return False
+
+
+def _radius(quality: Array, shape: Array) -> Array:
+    """Return the fitted radii (n,) over those expected."""
+    return np.asarray(quality[:, 3] / np.sqrt(np.abs(np.linalg.det(shape))))
+
+
+def _as_large(quality: Array, shape: Array, radius: float) -> NDArray[np.bool_]:
+    """Tell which fitted dots (n,) are as large as the usual one, whose radius over the expected one is given."""
+    size = _radius(quality, shape) / radius
+    return np.asarray((size < AS_LARGE) & (size > 1.0 / AS_LARGE))
+
+
+def _clean(uv: Array, quality: Array, guess: Array, shape: Array, contrast: float) -> NDArray[np.bool_]:
+    """Tell which fitted dots (n,) are dots of the board: explained by the model, as dark, and where they should be."""
+    good = (quality[:, 0] > EXPLAINED) & (quality[:, 1] * np.sign(contrast) > LOW_CONTRAST * abs(contrast))
+    near = np.maximum(1.0, 0.3 * np.linalg.norm(shape, axis=1).min(axis=1))
+    return np.asarray(good & (np.linalg.norm(uv - guess, axis=1) < near))
 
 
 def _centred(image: Image, guess: Array, shape: Array) -> tuple[Array, Array, Array]:
@@ -234,7 +306,8 @@ def _centred(image: Image, guess: Array, shape: Array) -> tuple[Array, Array, Ar
         second = fit(guess[unclean], shape[unclean], np.minimum(NARROW, reach[unclean]))
         better = second[2][:, 0] > first[2][unclean, 0]
         # a ring this narrow may be explained by a dot with no light level in common with the others
-        better &= second[2][:, 1] / np.median(first[2][:, 1]) < HIGH_CONTRAST
+        usual = float(np.median(first[2][:, 1]))
+        better &= second[2][:, 1] * np.sign(usual) < HIGH_CONTRAST * abs(usual)
         for mine, other in zip(first, second, strict=True):
             mine[unclean[better]] = other[better]
     return first

@@ -47,7 +47,7 @@ class Dots:
 def neighbourhoods(image: Image) -> tuple[int, ...]:
     """Return the sizes of neighbourhood in which a pixel is compared with its surroundings: 0 is the whole image."""
     width = image.shape[1]
-    return (0, width // 12 | 1, width // 40 | 1, width // 5 | 1)
+    return (0, width // 12 | 1, width // 40 | 1, width // 5 | 1, width // 72 | 1)
 
 
 def round_dots(image: Image, block: int, *, dark: bool) -> Dots:

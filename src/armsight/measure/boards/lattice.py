@@ -216,7 +216,7 @@ def _fitted(table: Index, at: Index, dots: Dots, grid: Grid) -> Placed | None:
         fits &= (dots.area[nearest] > usual / ALIKE) & ~np.isin(nearest, numbering)
         numbering[empty[fits]] = nearest[fits]
     held = np.flatnonzero(numbering >= 0)
-    if len(held) < (1.0 - LOST_SHARE) * len(wanted) or not grid.rims_held(held):
+    if len(held) < PART * len(wanted):
         return None
     return Placed(numbering=numbering, beyond=any(_goes_on(side, dots, smooth, usual) for side in grid.beyond))
 

@@ -1,0 +1,86 @@
+"""Sets simulated for one calibration: their own commands read them, and find the truth that stands beside them."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from typer.testing import CliRunner
+
+from armsight.cli.commands import app
+from armsight.store import read_rig
+from armsight.store.arm_file import read_arm
+from armsight.store.handeye_file import read_handeye, read_tip
+
+SIZES = {"mirrors": 8, "handeye": 8, "pivot": 16, "arm-points": 40}
+
+
+def run(*arguments: str) -> str:
+    done = CliRunner().invoke(app, list(arguments))
+    assert done.exit_code == 0, done.output
+    return done.output
+
+
+def made(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch, *, but: str = "-") -> None:
+    """Simulate a set and run the commands that it names, without those that hold a word."""
+    said = run("simulate", name, "-o", str(folder), "--frames", str(SIZES[name]))
+    monkeypatch.chdir(folder)
+    commands = [line.strip() for line in said.splitlines() if line.startswith("  armsight ")]
+    assert commands
+    for command in commands:
+        if but not in shlex.split(command):
+            run(*shlex.split(command)[1:])
+
+
+def truth(file: Path) -> dict[str, Any]:
+    content = yaml.safe_load(file.read_text())
+    assert isinstance(content, dict)
+    return content
+
+
+def test_mirrors_are_calibrated_from_boards_and_from_lights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made("mirrors", tmp_path, monkeypatch)
+    true = read_rig(tmp_path / "rig_true.yaml").baseline_m
+    for name, within_m in (("rig.yaml", 1e-3), ("rig-of-lights.yaml", 1e-3)):  # few and small images
+        assert read_rig(tmp_path / name).baseline_m == pytest.approx(true, abs=within_m)
+
+
+def test_the_camera_on_the_hand_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made("handeye", tmp_path, monkeypatch)
+    true = truth(tmp_path / "handeye_true.yaml")["T_flange_camera"]["xyz_m"]
+    for name in ("handeye.yaml", "from-pairs.yaml", "from-streams.yaml"):
+        found = read_handeye(tmp_path / name).T_parent_camera
+        assert np.asarray(found.translation) == pytest.approx(true, abs=1.5e-3)
+
+
+def test_the_tip_is_found_in_target_and_flange(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made("pivot", tmp_path, monkeypatch)
+    true = truth(tmp_path / "tip_true.yaml")
+    for name, frame in (("tip.yaml", "target"), ("tip-of-poses.yaml", "target"), ("tool.yaml", "flange")):
+        assert read_tip(tmp_path / name).tip_m == pytest.approx(true[frame]["tip_m"], abs=1e-3)
+
+
+def test_the_arm_that_was_built_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made("arm-points", tmp_path, monkeypatch)
+    true, found = (read_arm(tmp_path / f"{name}.yaml") for name in ("arm_true", "calibrated"))
+    for joint in (1, 2):  # the two long links; 0.6 mm off in the mean
+        assert found.joints[joint].a_m == pytest.approx(true.joints[joint].a_m, abs=1.5e-4)
+
+
+@pytest.mark.parametrize(
+    ("flags", "says"), [(["--frames", "3"], "too few"), (["--room", "dark"], "room and lenses of its own")]
+)
+def test_what_a_set_cannot_be_is_refused(flags: list[str], says: str, tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, ["simulate", "pivot", "-o", str(tmp_path / "set"), *flags])
+    assert done.exit_code == 2
+    assert says in done.output
+
+
+def test_a_set_may_stand_in_a_folder_of_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    run("simulate", "arm-points", "-o", "arm-points")
+    assert (tmp_path / "arm-points" / "points.csv").exists()
