@@ -14,11 +14,13 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.app.calibrate.cameras import CalibrateJob, calibrate_stereo
 from armsight.app.guided.boards import BoardCalibration, tilt
+from armsight.app.guided.charts import figures_of
 from armsight.app.guided.desk import StepDesk
 from armsight.app.guided.poses import HandEyeStep, TipCalibrationStep
 from armsight.app.guided.step import Hint, Next, Sample, Verdict
 from armsight.app.live.station import Shown
 from armsight.app.schemas.live import Counts, LiveView, SideView
+from armsight.console import texts
 from armsight.errors import BadImage, NotEnoughData
 from armsight.kinematics import presets
 from armsight.records import BoardView, Silent
@@ -67,6 +69,10 @@ def test_a_rig_is_led_to_the_result_of_the_command(boards: Any, tmp_path: Path) 
         step.accept(station)
     assert sum(step.coverage()["left"]) > 10
     assert dict(step.spread())["baseline"].endswith("mm")
+    assert {figure.name for figure in figures_of(step)} == {"residual, RMS", "picture covered"} | {
+        f"± {name}" for name, _ in step.spread()
+    }
+    assert {name for name, _ in step.spread()} | {figure.name for figure in figures_of(step)} <= set(texts.ROW_NAMES)
     verdict = step.run(Silent())
     again = calibrate_stereo(
         CalibrateJob(

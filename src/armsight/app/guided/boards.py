@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from armsight.app.calibrate.board_images import see_board
 from armsight.app.calibrate.cameras import CalibrateJob, calibrate_camera, calibrate_stereo, report_path
-from armsight.app.guided.step import Hint, Next, Sample, Verdict
+from armsight.app.guided.step import Figure, Hint, Next, Sample, Verdict
 from armsight.app.live.station import Station
 from armsight.calibrate.cameras import BoardOptions
 from armsight.calibrate.cameras import calibrate_camera as solve_camera
@@ -55,6 +56,7 @@ class BoardCalibration:
     _views: list[tuple[BoardView, ...]] = field(default_factory=list)
     _names: list[str] = field(default_factory=list)
     _taken: int = 0
+    _solved: tuple[tuple[str, ...], tuple[float, Mapping[str, float]] | str] | None = None
 
     @property
     def name(self) -> str:
@@ -91,33 +93,23 @@ class BoardCalibration:
 
     def spread(self) -> tuple[tuple[str, str], ...]:
         """Return the standard deviations of what the boards so far give."""
-        if len(self._views) < FEWEST:
+        solved = self._solve()
+        if solved is None:
             return ()
-        board, options = parse_board(self.board), BoardOptions(folds=0)
-        columns = [[views[i] for views in self._views] for i in range(len(self.sides))]
-        try:
-            if len(self.sides) > 1:
-                rig = solve_stereo(columns[0], columns[1], board, options)
-                std = rig.std
-                shown = {
-                    "left.fx": ("left focal length", 1.0, "px"),
-                    "right.fx": ("right focal length", 1.0, "px"),
-                    "baseline_m": ("baseline", 1e3, "mm"),
-                }
-            else:
-                std = solve_camera(columns[0], board, options).covariance.std()
-                shown = {"fx": ("focal length", 1.0, "px"), "cx": ("principal point", 1.0, "px"), "k1": ("k1", 1.0, "")}
-        except DataRefused as error:
-            return (("", str(error.cause)),)
+        if isinstance(solved, str):
+            return (("", solved),)
+        _, std = solved
         return tuple(
             (words, f"{scale * std[name]:.3g} {unit}".rstrip())
-            for name, (words, scale, unit) in shown.items()
+            for name, (words, scale, unit) in self._shown().items()
             if name in std
         )
 
     def accept(self, station: Station) -> Sample:
         """Take the pictures of now. Raises BadImage where the board is not seen whole in each that counts, or is where
         it was before."""
+        if not self._views:
+            self._clear()
         name = f"{self._taken:03d}"
         files = {side: self.folder / side / f"{name}.png" for side in SIDES}
         station.save_pair(files["left"], files["right"])
@@ -190,6 +182,55 @@ class BoardCalibration:
             "The boards agree with each other." if good else "The boards do not agree."
         )
         return Verdict(good=good, words=words, rows=tuple(rows), file=self.out, report=report_path(self.out))
+
+    def _clear(self) -> None:
+        """Take away what an earlier calibration left, so that only what was accepted counts."""
+        for side in SIDES:
+            for file in (self.folder / side).glob("*.png"):
+                file.unlink()
+
+    def figures(self) -> tuple[Figure, ...]:
+        """Return residual, standard deviations and coverage, for a plot against the number of boards."""
+        solved = self._solve()
+        if solved is None or isinstance(solved, str):
+            return ()
+        rms_px, std = solved
+        out = [Figure(name="residual, RMS", value=rms_px, unit="px")]
+        out += [
+            Figure(name=f"± {words}", value=scale * std[name], unit=unit)
+            for name, (words, scale, unit) in self._shown().items()
+            if name in std
+        ]
+        cells = np.array([self._cells(i) for i in range(len(self.sides))])
+        return (*out, Figure(name="picture covered", value=100.0 * float((cells > 0).mean()), unit="%"))
+
+    def _shown(self) -> dict[str, tuple[str, float, str]]:
+        if len(self.sides) > 1:
+            return {
+                "left.fx": ("left focal length", 1.0, "px"),
+                "right.fx": ("right focal length", 1.0, "px"),
+                "baseline_m": ("baseline", 1e3, "mm"),
+            }
+        return {"fx": ("focal length", 1.0, "px"), "cx": ("principal point", 1.0, "px"), "k1": ("k1", 1.0, "")}
+
+    def _solve(self) -> tuple[float, Mapping[str, float]] | str | None:
+        """Return the residual in px and the standard deviations of what the boards so far give; why not, or None."""
+        if len(self._views) < FEWEST:
+            return None
+        names = tuple(self._names)
+        if self._solved is None or self._solved[0] != names:
+            board, options = parse_board(self.board), BoardOptions(folds=0)
+            columns = [[views[i] for views in self._views] for i in range(len(self.sides))]
+            try:
+                if len(self.sides) > 1:
+                    rig = solve_stereo(columns[0], columns[1], board, options)
+                    self._solved = names, (rig.rms_px, rig.std)
+                else:
+                    camera = solve_camera(columns[0], board, options)
+                    self._solved = names, (camera.rms_px, camera.covariance.std())
+            except DataRefused as error:
+                self._solved = names, str(error.cause)
+        return self._solved[1]
 
     def _cells(self, i: int) -> NDArray[np.int64]:
         count = np.zeros((CELLS, CELLS), dtype=np.int64)

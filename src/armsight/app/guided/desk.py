@@ -5,8 +5,9 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
+from armsight.app.guided.charts import Curves, History, figures_of
 from armsight.app.guided.step import Guided, Hint, Sample, Verdict
 from armsight.app.live.station import Station
 from armsight.errors import ArmsightError
@@ -17,14 +18,15 @@ from armsight.records import Progress
 class DeskState:
     """What a page shows. busy: what is being done, empty for nothing. refused: why the last sample was not taken.
 
-    count: of what was done so far, so that a page knows that something was. verdict: of the last calibration; not_done:
-    why there is none. Both go with the next sample taken or dropped.
+    curves: figures by the number of samples. count: of what was done so far, so that a page knows that something was.
+    verdict: of the last calibration; not_done: why there is none. Both go with the next sample taken or dropped.
     """
 
     hint: Hint
     samples: tuple[Sample, ...]
     coverage: dict[str, tuple[int, ...]]
     spread: tuple[tuple[str, str], ...]
+    curves: Curves = field(default_factory=dict)
     count: int = 0
     busy: str = ""
     refused: str = ""
@@ -38,6 +40,7 @@ class StepDesk:
     def __init__(self, step: Guided) -> None:
         self.step = step
         self._lock = threading.Lock()
+        self._history = History()
         self._state = self._looked()
 
     @property
@@ -82,8 +85,15 @@ class StepDesk:
             self._state = replace(after[0] if after else before, count=before.count + 1, busy="", refused=why)
 
     def _looked(self) -> DeskState:
-        step = self.step
-        return DeskState(hint=step.hint(), samples=step.samples, coverage=step.coverage(), spread=step.spread())
+        step, history = self.step, self._history
+        history.remember(len(step.samples), figures_of(step))
+        return DeskState(
+            hint=step.hint(),
+            samples=step.samples,
+            coverage=step.coverage(),
+            spread=step.spread(),
+            curves=history.curves(),
+        )
 
 
 def _why(act: Callable[[], object]) -> str:

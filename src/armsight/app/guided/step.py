@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from armsight.app.live.station import Station
 from armsight.records import Progress
@@ -15,6 +15,12 @@ class Next(StrEnum):
     """What the person should do next; screens have the words."""
 
     SHOW_BOARD = "show_board"
+    BOARD_TWICE = "board_twice"
+    SHOW_LIGHTS = "show_lights"
+    TURN_LIGHTS = "turn_lights"
+    NEEDS_LENS = "needs_lens"
+    NEEDS_BASELINE = "needs_baseline"
+    NEEDS_TARGET = "needs_target"
     TO_CELL = "to_cell"
     TILT = "tilt"
     NEARER = "nearer"
@@ -63,6 +69,24 @@ class Verdict:
     rows: tuple[tuple[str, str], ...]
     file: Path
     report: Path | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Figure:
+    """A number that should fall, or settle, as samples are added; name and unit as a person reads them."""
+
+    name: str
+    value: float
+    unit: str
+
+
+@runtime_checkable
+class Charted(Protocol):
+    """A step that tells numbers for a plot against the number of samples."""
+
+    def figures(self) -> tuple[Figure, ...]:
+        """Return the numbers of now; empty where there are none yet."""
+        ...
 
 
 class Guided(Protocol):

@@ -11,10 +11,13 @@ from nicegui.elements.mixins.text_element import TextElement
 
 from armsight.app.guided.desk import DeskState, StepDesk
 from armsight.app.guided.step import Hint, Sample
+from armsight.app.live.measurement import COMPLEX
 from armsight.console import texts
 from armsight.console.jog import jog_card
-from armsight.console.layout import SIGNS, TICK_S, button, card, set_attribute, set_text, text_of
-from armsight.console.state import STEPS, Console
+from armsight.console.layout import SIGNS, TICK_S, button, canvas_of, card, set_attribute, set_text, text_of
+from armsight.console.pages.mirrors import alignment_card, built_card
+from armsight.console.plots import Plot
+from armsight.console.state import Console, steps_of
 from armsight.errors import ArmsightError
 from armsight.records import Silent
 
@@ -33,10 +36,16 @@ def calibrate_page(console: Console) -> None:
     if console.robot is not None:
         jog_card(console.robot)
     with card(texts.STEP), ui.element("div").classes("row"):
-        for name in STEPS:
-            button(texts.STEPS[name], partial(choose, name), kind="act quiet", testid=f"step-{name}")
+        for name in steps_of(console):
+            title = step_title(console, name)
+            button(title, partial(choose, name), kind="act quiet", testid=f"step-{name}")
     body = ui.element("div").style("display: contents")
-    choose("stereo")
+    choose("stereo" if "stereo" in steps_of(console) else "mirrors")
+
+
+def step_title(console: Console, name: str) -> str:
+    """Return what a step is called in a cell; one camera is neither the left nor the right one."""
+    return texts.ONE_CAMERA if console.pictures == (COMPLEX,) and name == "camera-left" else texts.STEPS[name]
 
 
 def _step(console: Console, name: str) -> None:
@@ -45,7 +54,19 @@ def _step(console: Console, name: str) -> None:
     except ArmsightError as error:
         text_of("p", str(error)).classes("notice")
         return
-    _Step(console, step, texts.STEPS[name])
+    if name != "mirrors":
+        _Step(console, step, step_title(console, name))
+        return
+    alignment_card(console)
+    body = ui.element("div").style("display: contents")
+
+    def begin() -> None:
+        body.clear()
+        with body:
+            _Step(console, console.step(name), texts.STEPS[name])
+
+    begin()
+    built_card(console, begin)
 
 
 class _Step:
@@ -67,6 +88,8 @@ class _Step:
                 self._samples = ui.element("div").classes("scroll")
             with card(texts.SO_FAR):
                 self._spread = ui.element("div").classes("scroll")
+        with card(texts.SO_FAR_PLOT):
+            self._plots = ui.element("div").classes("plots")
         self._verdict = ui.element("div").props("aria-live=polite")
         self._tick()
         ui.timer(TICK_S, self._tick)
@@ -75,12 +98,9 @@ class _Step:
         """Both pictures as they are, with the coverage beneath."""
         self._cells: dict[str, list[TextElement]] = {}
         with ui.element("div").classes("columns"):
-            for side in ("left", "right"):
+            for side in self._console.pictures:
                 with ui.element("div"):
-                    canvas = ui.element("canvas")
-                    name = {"left": texts.LEFT, "right": texts.RIGHT}[side]
-                    canvas.props.update({"data-side": side, "data-plain": "true", "role": "img", "aria-label": name})
-                    canvas.props["width"], canvas.props["height"] = 1280, 720
+                    canvas_of(side, plain=True)
                     if side in self._desk.state.coverage:
                         with ui.element("div").classes("coverage"):
                             self._cells[side] = [text_of("span", "0") for _ in range(CELLS)]
@@ -134,6 +154,9 @@ class _Step:
         self._spread.clear()
         with self._spread:
             _table(state.spread)
+        self._plots.clear()
+        with self._plots:
+            _plots(state)
 
 
 def hint_text(hint: Hint) -> str:
@@ -147,8 +170,18 @@ def _table(rows: Iterable[tuple[str, str]]) -> None:
     with ui.element("table").classes("plain"):
         for name, value in rows:
             with ui.element("tr"):
-                text_of("td", name)
+                text_of("td", texts.ROW_NAMES.get(name, name))
                 text_of("td", value)
+
+
+def _plots(state: DeskState) -> None:
+    """Plot residual, standard deviations and coverage against the number of samples."""
+    if not state.curves:
+        text_of("p", texts.NO_PLOT_YET).classes("hint")
+    for i, ((name, unit), points) in enumerate(state.curves.items()):
+        words = texts.ROW_NAMES.get(name, name)
+        title = f"{words} ({unit})" if unit else words
+        Plot(title, (words,), testid=f"chart-{i}", dots=True, first=i).show([points])
 
 
 def _show_verdict(console: Console, name: str, state: DeskState) -> None:
@@ -168,7 +201,8 @@ def _show_verdict(console: Console, name: str, state: DeskState) -> None:
             if verdict.report is not None:
                 text_of("a", texts.REPORT, href=f"/console/files/{verdict.report.name}", target="_blank")
             if verdict.good and name in USED_AS:
-                button(texts.USE_IT, partial(_use, console, name, verdict.file), testid="use")
+                words = texts.USE_LENS if name in LENSES else texts.USE_IT
+                button(words, partial(_use, console, name, verdict.file), testid="use")
 
 
 def _lamp(level: str, words: str) -> None:
@@ -176,7 +210,16 @@ def _lamp(level: str, words: str) -> None:
     lamp.props["data-level"] = level
 
 
-USED_AS = {"stereo": "rig", "tooltip": "tip", "handeye": "handeye", "arm": "arm", "timing": "rig"}
+LENSES = ("camera-left",)
+USED_AS = {
+    "camera-left": "camera",
+    "stereo": "rig",
+    "mirrors": "rig",
+    "tooltip": "tip",
+    "handeye": "handeye",
+    "arm": "arm",
+    "timing": "rig",
+}
 """Under which key of the cell a step's file stands."""
 
 
