@@ -24,8 +24,12 @@ def console(
     folder: Annotated[
         Path, typer.Option("--folder", metavar="FOLDER", help="Where cell.yaml and all results are kept.")
     ] = Path("cell"),
-    left: Annotated[str | None, typer.Option(metavar="SRC", help=f"Left frames: {SRC}.")] = None,
-    right: Annotated[str | None, typer.Option(metavar="SRC", help="Right frames, in step with the left ones.")] = None,
+    left: Annotated[
+        str | None, typer.Option(metavar="SRC", help=f"Left frames, or the complex images of a mirror rig: {SRC}.")
+    ] = None,
+    right: Annotated[
+        str | None, typer.Option(metavar="SRC", help="Right frames, in step with the left ones; none with mirrors.")
+    ] = None,
     rig: Annotated[str | None, typer.Option(help="rig.yaml, a name inside the folder.")] = None,
     target: Annotated[str | None, typer.Option(help="target.yaml, a name inside the folder.")] = None,
     play_again: Annotated[bool, typer.Option("--play-again", help="Files begin anew at their end.")] = False,
