@@ -10,7 +10,7 @@ from pathlib import Path
 
 from armsight.app.calibrate.mirrors import MirrorsJob
 from armsight.app.guided.boards import BoardCalibration
-from armsight.app.guided.charts import History
+from armsight.app.guided.desk import StepDesk
 from armsight.app.guided.mirror_alignment import MirrorAlignment
 from armsight.app.guided.mirrors import MirrorsStep
 from armsight.app.guided.poses import ArmStep, HandEyeStep, TipCalibrationStep
@@ -43,8 +43,7 @@ class Console:
     look: Look = field(default_factory=Look)
     last_recording: Path | None = None
     history: deque[Shown] = field(default_factory=lambda: deque(maxlen=HISTORY))
-    steps: dict[str, Guided] = field(default_factory=dict)
-    charts: dict[str, History] = field(default_factory=dict)
+    steps: dict[str, StepDesk] = field(default_factory=dict)
     _alignment: MirrorAlignment | None = None
     robot: RobotCell | None = None
     _teaching: TeachDesk | None = None
@@ -123,15 +122,11 @@ class Console:
             )
         return self.robot
 
-    def step(self, name: str) -> Guided:
+    def step(self, name: str) -> StepDesk:
         """Return a guided calibration, begun anew where it was not under way. Raises UsageError, BadFile."""
         if name not in self.steps:
-            self.steps[name] = STEPS[name](self, self.folder / "calibrate" / name)
+            self.steps[name] = StepDesk(STEPS[name](self, self.folder / "calibrate" / name))
         return self.steps[name]
-
-    def chart(self, name: str) -> History:
-        """Return how a step went so far."""
-        return self.charts.setdefault(name, History())
 
     def set_mirrors(self, built: CellMirrors) -> None:
         """Keep how the mirrors were built in cell.yaml; the step begins anew. Raises DeviceFailed."""
@@ -168,7 +163,6 @@ class Console:
         """Begin steps anew, all of them where none is named."""
         for name in names or tuple(self.steps):
             self.steps.pop(name, None)
-            self.charts.pop(name, None)
         self._alignment = None
 
     def set_look(self, look: Look) -> None:

@@ -140,6 +140,8 @@ NEXT = {
     "nearer": "Come nearer with the board.",
     "turn_target": "Turn the target about another axis, with its tip resting on the point.",
     "move_robot": "Move the robot to another place and turn its hand, then accept.",
+    "turn_hand": "Turn the hand about its own {axis}, both ways, and accept a pose at each end: {share:.0%} of what is "
+    "needed is there. The lights must stay in both pictures.",
     "record": "Press accept, wave the target through both pictures for 20 seconds, and press accept again.",
     "more": "Good. Accept some more, each at another place and tilt.",
     "run": "There is enough: calibrate.",
@@ -190,6 +192,7 @@ CALIBRATE = "Calibrate"
 RUNNING = "Calibrating …"
 VERDICT = "Verdict"
 GOOD, NOT_GOOD = "Can be trusted", "Not to be trusted yet"
+NOT_CALIBRATED = "Not calibrated"
 SAVED = "Saved as {file}"
 REPORT = "Report"
 USE_IT = "Measure with it"
@@ -275,6 +278,18 @@ VERIFY_FIELDS = {
 VERIFY_RUN = "Verify"
 RUNNING_VERIFY = "Verifying …"
 ROWS, CAUSE = "Rows compared", "Cause of the errors"
+ISO = "ISO 9283: accuracy and repeatability of the arm"
+ISO_HELP = (
+    "Jog the target to the middle of both pictures. The arm then visits five poses of a test cube about that place, "
+    "again and again, and the cameras look at each visit."
+)
+ISO_SIDE = "Side of the cube, mm (empty: the largest)"
+ISO_CYCLES = "Visits of each pose"
+ISO_SPEED = "Speed, mm/s"
+ISO_PLAN, ISO_RUN = "Plan", "Run"
+ISO_PLANNED = "A cube of {side:.0f} mm fits: the arm reaches all five poses, and the cameras see the target at each."
+ISO_DONE = "{done} of {wanted} cycles are judged."
+ISO_HEAD = ("Figure", "mm", "± (1 σ)", "Rests on")
 REPORTS = "Reports"
 NO_REPORTS = "No report yet."
 
@@ -339,4 +354,6 @@ PLAY_AT = "{stage}: {s:.1f} of {length:.1f} mm at {speed:.1f} mm/s"
 PLAY_STAGES = {"approach": "On the way to the start", "path": "On the path", "finished": "Done"}
 PLAY_DONE = "Played: {share:.0%} of {length:.1f} mm in {time:.1f} s. Ended by: {why}."
 PLAY_END = "the path's end"
+PLAY_SEEN = "The cameras saw the tip {rms:.2f} mm (RMS) off, {largest:.2f} mm at most, in {n} frames."
+PLAY_UNSEEN = "No camera watched it."
 PLAY_KEPT = "All of it is kept in {folder}."

@@ -38,7 +38,7 @@ STEREO = (
 )
 HANDEYE = (
     "setup std std_target n_pairs n_used rejected residual_rms_m residual_rms_rad loo_rms_m loo_rms_rad noise "
-    "turning_rms_rad verdict advice"
+    "turning_rms_rad verdict concerns advice"
 )
 HANDEYE_MAYBE = (
     "T_flange_camera T_base_target T_base_camera T_flange_target target_scale reprojection_rms_px time_offset_s "
@@ -47,7 +47,7 @@ HANDEYE_MAYBE = (
 TIP = "tip_m point_m std residual_rms_m n_used rejected turning_rms_rad"
 ARM = (
     "n before after crossval free fixed std corrections condition outliers still couplings "
-    "noise model verdict gain urdf"
+    "noise model verdict gain other_arm urdf"
 )
 PATH = "file n_before n length_m corners"
 PLACE, TURN = "x_m y_m z_m", "rx_rad ry_rad rz_rad"

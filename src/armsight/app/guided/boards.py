@@ -35,6 +35,9 @@ TILTED = 0.12
 """A board whose scale differs by this share over the picture is tilted by some 15 to 30 degrees, which a focal length
 needs."""
 TILTED_SHARE = 0.5
+SAME = 0.01
+"""A board of which all points are within this share of a picture's width from where they were adds nothing: it would
+only feign certainty."""
 GOOD_RMS_PX = 0.6
 """Residual on images left out of the fit, beyond which boards, lenses or light are not as they should be."""
 
@@ -103,29 +106,47 @@ class BoardCalibration:
         )
 
     def accept(self, station: Station) -> Sample:
-        """Take the pictures of now. Raises BadImage where the board is not seen whole in each that counts."""
+        """Take the pictures of now. Raises BadImage where the board is not seen whole in each that counts, or is where
+        it was before."""
         if not self._views:
             self._clear()
         name = f"{self._taken:03d}"
         files = {side: self.folder / side / f"{name}.png" for side in SIDES}
         station.save_pair(files["left"], files["right"])
-        board, views = parse_board(self.board), []
-        for side in self.sides:
-            frame = Frame(image=read_image(files[side]), t_s=0.0, sequence=self._taken, source=f"{side}/{name}.png")
-            seen = see_board(frame, board)
-            if isinstance(seen, NotSeen):
-                for file in files.values():
-                    file.unlink(missing_ok=True)
-                raise BadImage(
-                    f"{side} camera: {seen.why}",
-                    consequence="The picture was not taken",
-                    cure="Hold the board still, whole in the picture, evenly lit",
-                )
-            views.append(seen)
+        try:
+            views = tuple(self._seen(side, files[side]) for side in self.sides)
+            self._require_moved(views[0])
+        except BadImage:
+            for file in files.values():
+                file.unlink(missing_ok=True)
+            raise
         self._taken += 1
-        self._views.append(tuple(views))
+        self._views.append(views)
         self._names.append(name)
         return self.samples[-1]
+
+    def _seen(self, side: str, file: Path) -> BoardView:
+        frame = Frame(image=read_image(file), t_s=0.0, sequence=self._taken, source=f"{side}/{file.name}")
+        seen = see_board(frame, parse_board(self.board))
+        if isinstance(seen, NotSeen):
+            raise BadImage(
+                f"{side} camera: {seen.why}",
+                consequence="The picture was not taken",
+                cure="Hold the board still, whole in the picture, evenly lit",
+            )
+        return seen
+
+    def _require_moved(self, view: BoardView) -> None:
+        """Raise BadImage where an accepted view of the first side shows the board at the same place."""
+        for name, before in zip(self._names, self._views, strict=True):
+            _, now, then = np.intersect1d(view.index, before[0].index, return_indices=True)
+            way_px = np.linalg.norm(view.uv_px[now] - before[0].uv_px[then], axis=1)
+            if len(way_px) and way_px.max() < SAME * view.width:
+                raise BadImage(
+                    f"the board is where it was in picture {name}",
+                    consequence="The picture was not taken",
+                    cure="Move it, or tilt it another way",
+                )
 
     def drop(self, index: int) -> None:
         """Forget a board and its pictures."""

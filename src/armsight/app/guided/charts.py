@@ -8,13 +8,16 @@ from armsight.app.guided.poses import PoseSamples
 from armsight.app.guided.step import Charted, Figure, Guided
 from armsight.units import DEG
 
+Curves = dict[tuple[str, str], list[tuple[int, float]]]
+"""By (name, unit) the points (number of samples, value), in their order."""
+
 
 def figures_of(step: Guided) -> tuple[Figure, ...]:
     """Return a step's numbers of now: its own, or of a step that takes poses how far the target was turned."""
     if isinstance(step, Charted):
         return step.figures()
     if isinstance(step, PoseSamples) and len(step.samples) > 1:
-        turned = step.turned_rad() / DEG
+        turned = step.turns()[0] / DEG
         return tuple(
             Figure(name=f"turned about axis {i + 1}, RMS", value=float(v), unit="deg") for i, v in enumerate(turned)
         )
@@ -33,9 +36,9 @@ class History:
         if figures:
             self._by_n[n] = figures
 
-    def curves(self) -> dict[tuple[str, str], list[tuple[int, float]]]:
-        """Return by (name, unit) the points (number of samples, value), in their order."""
-        out: dict[tuple[str, str], list[tuple[int, float]]] = {}
+    def curves(self) -> Curves:
+        """Return the curves so far."""
+        out: Curves = {}
         for n, figures in sorted(self._by_n.items()):
             for figure in figures:
                 out.setdefault((figure.name, figure.unit), []).append((n, figure.value))

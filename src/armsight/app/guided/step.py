@@ -26,6 +26,7 @@ class Next(StrEnum):
     NEARER = "nearer"
     TURN_TARGET = "turn_target"
     MOVE_ROBOT = "move_robot"
+    TURN_HAND = "turn_hand"
     RECORD = "record"
     MORE = "more"
     RUN = "run"
@@ -34,12 +35,17 @@ class Next(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Hint:
-    """What to do next, where in the picture (side, column and row of a 3x3 grid), and why nothing can be done."""
+    """What to do next, where in the picture (side, column and row of a 3x3 grid), and why nothing can be done.
+
+    axis: of the hand, x, y or z, about which it should be turned; share: how much of that there is, 0 to 1.
+    """
 
     what: Next
     side: str = ""
     cell: tuple[int, int] | None = None
     why: str = ""
+    axis: str = ""
+    share: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

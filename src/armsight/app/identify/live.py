@@ -51,8 +51,8 @@ class LiveJob:
     """robot: DRIVER[:DEVICE], or sim:SCENARIO with the cameras camera:sim:SCENARIO:left and :right; left, right: live.
 
     limits: limits.yaml (limits: [[lo, hi], ...]) or 'lo:hi,lo:hi', in rad or m. model: an arm.yaml whose tool is the
-    beacon, roughly right, that takes the place of the probe; it needs world. propose: give the plan only. left_out: the
-    last joints (from 1) that are not swept but held; limits are of all joints.
+    beacon, roughly right, that takes the place of the probe; it needs world. propose: give the plan only. around_px: as
+    propose_sweeps takes it. left_out: the last joints (from 1) that are not swept but held; limits are of all joints.
     """
 
     robot: str
@@ -70,6 +70,7 @@ class LiveJob:
     method: str = "ml"
     nominal: str | None = None
     propose: bool = False
+    around_px: float = 0.0
     left_out: tuple[int, ...] = ()
     camera_settings: CameraSettings = AUTOMATIC
 
@@ -132,7 +133,7 @@ def identify_observed(
             arm, notes = _probed(job, person, robot, sweeper, rig)
     if not (job.model is not None and job.propose):
         start = sweeper.standing
-    plan = propose_sweeps(arm, rig, low_high, start, readings=job.readings, base=base)
+    plan = propose_sweeps(arm, rig, low_high, start, readings=job.readings, base=base, around_px=job.around_px)
     notes = [*([consequence(m + len(held), job.left_out)] if len(held) else []), *notes]
     told = plan_output(plan, notes)
     person.show(told)

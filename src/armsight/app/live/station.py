@@ -101,6 +101,7 @@ class Station:
         self._lock = threading.Lock()
         self._stopping = False
         self._saved, self._save_failure = threading.Event(), ""
+        self._newer = threading.Condition()
         self._saving = threading.Lock()
 
     def start(self) -> None:
@@ -138,6 +139,23 @@ class Station:
         """Record all frames into a new .mcap, or end the recording (None). What happens stands in `recording`."""
         self._send(_Record(file))
 
+    def shown_since(self, t_s: float) -> Shown:
+        """Wait for a moment whose frames were exposed at t_s on the machine's clock, or later, and return it.
+
+        Raises DeviceFailed where none comes.
+        """
+
+        def come() -> bool:
+            return bool(self.failure) or self.ended or (self.shown is not None and self.shown.view.t_s >= t_s)
+
+        with self._newer:
+            self._newer.wait_for(come, SAVE_S)
+            shown = self.shown
+        if shown is None or shown.view.t_s < t_s:
+            why = self.failure or ("the frames have ended" if self.ended else "no pictures come")
+            raise DeviceFailed(why, consequence="Nothing was taken", cure="Look at the cameras")
+        return shown
+
     def save_pair(self, left: Path, right: Path | None = None) -> None:
         """Write the next pair as two images, bit for bit; right: None where one picture holds both views.
 
@@ -163,7 +181,9 @@ class Station:
                 message: _Message = results.recv()
                 match message:
                     case Shown():
-                        self.shown = message
+                        with self._newer:
+                            self.shown = message
+                            self._newer.notify_all()
                     case RecordingState():
                         self.recording = message
                     case _Saved(failure):
@@ -177,6 +197,8 @@ class Station:
         if not (self.failure or self.ended or self._stopping):
             self.failure = "the measuring process ended unexpectedly"
         self.recording = RecordingState(failure=self.recording.failure)
+        with self._newer:
+            self._newer.notify_all()
 
 
 def _work(job: LiveJob, told: Connection, commands: Connection) -> None:

@@ -11,19 +11,18 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.app.identify.left_out import consequence
 from armsight.app.identify.live import LiveJob, OperatorCallbacks, identify_observed
-from armsight.app.live.station import Shown, Station
+from armsight.app.live.station import Station
 from armsight.app.measure.run import target_of
 from armsight.app.operator.placing import rig_pose
 from armsight.app.operator.robot_cell import RobotCell
 from armsight.app.operator.seat_robot import SeatRobot
+from armsight.app.operator.station_observer import StationObserver, around_px
 from armsight.app.operator.work import Work
 from armsight.app.schemas.arm import IdentifyOutput, PlanOutput, ProposedPlanOutput
-from armsight.app.schemas.live import LiveView, SideView
 from armsight.clock import Clock, SystemClock
-from armsight.control.joint_sweep import Observation, Pace
-from armsight.errors import DeviceFailed, NotEnoughData, UsageError
+from armsight.control.joint_sweep import Pace
+from armsight.errors import NotEnoughData, UsageError
 from armsight.kinematics import Arm, link_frames
-from armsight.optics import Rig, triangulate
 from armsight.records import Progress, Silent
 from armsight.store import World, read_rig, read_world, write_world
 from armsight.store.arm_file import read_arm, write_arm
@@ -36,94 +35,15 @@ Array = NDArray[np.float64]
 
 WORK = "identify"
 FOLDER = "identify"
-LOOK_S = 0.005
 STEPS = 24
 """Points of a fit that is drawn."""
 AXIS_M = 0.15
 """Half the length in which a joint's axis is drawn."""
-PIXEL_COV = 0.04 * np.eye(2)
-"""Of a light's centre, px squared, where only its first place is wanted."""
-WAIT_S = 10.0
-"""A station that shows nothing new for so long is taken for lost."""
-LOST_LOOKS = 10
-"""Looks in a row without the beacon that mean it is lost; while the screen's pictures come single ones are skipped."""
 ENTRIES = (("a_m", "mm", MM), ("alpha_rad", "deg", DEG), ("d_m", "mm", MM), ("theta_rad", "deg", DEG))
-FASTEST_PX_S, STILL_PX, WIDEST_PX = 150.0, 3.0, 30.0
-"""How far a light may be from where it was, for it to be the same: by its speed, at rest, and at most."""
 FASTEST_DEG_S, FASTEST_MM_S = 10.0, 20.0
 """Of a joint on its sweep at full override: the light goes through the pictures slowly enough to be followed."""
 AROUND_DEG, AROUND_M = 10.0, 0.05
 """Half a range that is proposed about where a joint stands."""
-
-
-class StationObserver:
-    """The beacon as the measuring station shows it: one light of the target, by its name where the station tells it.
-
-    Where it does not, for three lights seen askew may fit several names, the light is followed from picture to picture.
-    """
-
-    def __init__(self, station: Station, rig: Rig, light: str, clock: Clock) -> None:
-        self._station, self._rig, self._light, self._clock = station, rig, light, clock
-        self._last: Shown | None = None
-        self._uv: tuple[float, Array] | None = None
-        self._lost = 0
-
-    def observe(self, while_: str) -> Observation:
-        """Return what the next moment shows. Raises NotEnoughData where the beacon is lost, DeviceFailed."""
-        shown = self._next(while_)
-        view = shown.view
-        taken_s = self._clock.now_s() - view.latency_s
-        uv = self._found(view)
-        if uv is None:
-            self._lost += 1
-            if self._lost >= LOST_LOOKS:
-                told = f" ({view.why})" if view.why else ""
-                raise NotEnoughData(
-                    f"the light {self._light} is lost {while_}{told}",
-                    consequence="The robot is held",
-                    cure="Free the view of it, or narrow the ranges to where both cameras see it",
-                )
-            return Observation(taken_s=taken_s, why="it is not in both pictures")
-        self._lost, self._uv = 0, (view.t_s, uv)
-        xyz_m = triangulate(self._rig, uv[:1], uv[1:], PIXEL_COV, PIXEL_COV).xyz_m[0]
-        return Observation(taken_s=taken_s, uv_px=uv, xyz_m=xyz_m)
-
-    def _next(self, while_: str) -> Shown:
-        """Wait for a newer moment."""
-        until_s = self._clock.now_s() + WAIT_S
-        while (shown := self._station.shown) is None or shown is self._last:
-            if self._station.failure or self._clock.now_s() > until_s:
-                why = self._station.failure or "no pictures come"
-                raise DeviceFailed(f"{why} {while_}", consequence="The robot is held", cure="Look at the cameras")
-            self._clock.sleep_until(self._clock.now_s() + LOOK_S)
-        self._last = shown
-        return shown
-
-    def _found(self, view: LiveView) -> Array | None:
-        """Return the light's uv_px (2, 2) in both pictures: by its name, or as it has become; None where lost."""
-        places = []
-        for side, pictured in enumerate((view.left, view.right)):
-            place = _named(pictured, self._light)
-            if place is None and self._uv is not None:
-                place = _followed(pictured, self._uv[1][side], view.t_s - self._uv[0])
-            if place is None:
-                return None
-            places.append(place)
-        return np.array(places)
-
-
-def _named(view: SideView, name: str) -> Array | None:
-    return next((np.array([spot.u_px, spot.v_px]) for spot in view.spots if spot.name == name), None)
-
-
-def _followed(view: SideView, before_px: Array, passed_s: float) -> Array | None:
-    """Return the spot that a light at before_px (2,) has become; None where none or more than one may be it."""
-    places = np.array([[spot.u_px, spot.v_px] for spot in view.spots]).reshape(-1, 2)
-    away = np.sort(np.linalg.norm(places - before_px, axis=1))
-    gate = min(FASTEST_PX_S * passed_s + STILL_PX, WIDEST_PX)
-    if not len(away) or away[0] > gate or (len(away) > 1 and away[1] < 2.0 * gate):
-        return None
-    return np.asarray(places[np.argmin(np.linalg.norm(places - before_px, axis=1))])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -227,20 +147,21 @@ def _identify(
     propose: bool,
 ) -> IdentifyOutput | ProposedPlanOutput:
     job, light = prepared(asked, robot, propose=propose)
-    job = replace(job, pace=Pace(speed=_pace(asked, robot.seat.override), frames=asked.frames))
+    pace = Pace(speed=_pace(asked, robot.seat.override), frames=asked.frames)
+    job = replace(job, pace=pace, around_px=around_px(station.shown, light))
     observer = StationObserver(station, read_rig(job.rig), light, clock)
     with moved:
         return identify_observed(job, person, moved, observer, clock, progress)
 
 
 def _pace(asked: IdentifyRequest, override: float) -> float:
-    """Return the share of its travel that each joint goes in a second: none goes faster than FASTEST, half at most."""
+    """Return the share of its travel that each joint goes in a second: none is faster than FASTEST, 1 at most."""
     spans = [
         abs(one.upper - one.lower) / (FASTEST_MM_S if one.slides else FASTEST_DEG_S)
         for one in asked.ranges
         if one.swept
     ]
-    return override * min(0.5, 1.0 / max([*spans, 1.0]))
+    return override / max([*spans, 1.0])
 
 
 def prepared(asked: IdentifyRequest, robot: RobotCell, *, propose: bool) -> tuple[LiveJob, str]:
