@@ -215,7 +215,10 @@ MIRRORS_FIELDS = {
 MIRRORS_KEEP = "Keep these"
 MIRRORS_WRONG = "These figures cannot be: lengths are above zero, the refractive index is from 1 to 3."
 ALIGNMENT = "The mirrors' alignment, live"
-ALIGNMENT_WATCH = "Look once a second: hold the board before the camera, whole in both views"
+ALIGNMENT_WATCH = "Look once a second, at the board whole in both views; the answer is of the last four looks"
+ALIGNMENT_UNSURE = (
+    "Too little is told: the angles are known to ± {std:.2f} mrad only. Bring the board nearer, or a larger one."
+)
 ALIGNMENT_STARTING = "No look yet"
 ALIGNMENT_NEEDS = (
     "Which way to turn is told once the lens (page Settings) and the baseline (below) are given, or a rig."
