@@ -11,7 +11,21 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.calibrate.handeye import HandEye, Part, scale_is_wrong, verdict
-from armsight.report.figures import BLUE, GREEN, GREY, INK, ORANGE, RED, Figure, axis, layout, place
+from armsight.report.figures import (
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    ORANGE,
+    RED,
+    Figure,
+    axis,
+    bars,
+    layout,
+    named_ticks,
+    place,
+    short_names,
+)
 from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table, with_deviation
 from armsight.units import DEG, MM
 
@@ -158,38 +172,29 @@ def scene_figure(result: HandEye) -> Figure:
 
 def residual_figure(result: HandEye) -> Figure:
     """Return each pose's residual and left-out error, position above, orientation below."""
-    names = list(result.pairs.names)
+    names = short_names(result.pairs.names)
+    at = np.arange(1.0, len(names) + 1.0)
     data: list[dict[str, Any]] = []
     for k, (part, factor) in enumerate(((slice(0, 3), MM), (slice(3, 6), DEG)), start=1):
-        for values, title, colour in (
-            (result.residuals, "residual", BLUE),
-            (result.left_out, "left out", ORANGE),
+        for values, title, colour, side in (
+            (result.residuals, "residual", BLUE, -0.2),
+            (result.left_out, "left out", ORANGE, 0.2),
         ):
             size = np.linalg.norm(values[:, part], axis=1) / factor
-            opacity = np.where(result.used, 1.0, 0.35)
-            data.append(
-                {
-                    "type": "bar",
-                    "x": names,
-                    "y": size,
-                    "name": title,
-                    "showlegend": k == 1,
-                    "marker": {"color": colour, "opacity": opacity},
-                    **place(k),
-                }
-            )
-    return Figure(
-        data=data,
-        layout=layout(
-            barmode="group",
-            grid={"rows": 2, "columns": 1, "pattern": "independent"},
-            xaxis=axis("", type="category"),
-            xaxis2=axis("", type="category"),
-            yaxis=axis("position, mm", rangemode="tozero"),
-            yaxis2=axis("orientation, °", rangemode="tozero"),
-        ),
-        height_px=520,
+            for chosen, opacity, what in ((result.used, 1.0, title), (~result.used, 0.35, f"{title}, rejected")):
+                style = {"name": what, "opacity": opacity, "showlegend": k == 1, **place(k)}
+                told = {"text": [names[i] for i in np.flatnonzero(chosen)], "hovertemplate": "%{text}: %{y:.3g}"}
+                if chosen.any():
+                    data.append(bars(at[chosen] + side, size[chosen], 0.4, colour, **style, **told))
+    named = named_ticks(names)
+    shape = layout(
+        grid={"rows": 2, "columns": 1, "pattern": "independent", "ygap": 0.4},
+        xaxis=axis("", **named),
+        xaxis2=axis("", **named),
+        yaxis=axis("position, mm", rangemode="tozero"),
+        yaxis2=axis("orientation, °", rangemode="tozero"),
     )
+    return Figure(data=data, layout=shape, height_px=560)
 
 
 def turning_figure(result: HandEye) -> Figure:

@@ -12,6 +12,7 @@ from scipy.special import bdtr
 
 from armsight.optics import SIDES, Camera
 from armsight.records import PoseStatus, Target
+from armsight.report.figures import MAX_PLOTTED
 from armsight.report.frames import sample_figure
 from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table
 from armsight.report.residuals import distance_rms, residual_figure
@@ -212,7 +213,7 @@ def _add_track(page: Page, run: MeasureRun, series: Series, errors: Errors | Non
             "Position and rotation over time",
             "The band holds the true value in 95 % of the frames (1.96 standard deviations); rx, ry, rz are angles "
             "about x, y, z with R = Rz Ry Rx. Red marks at the bottom are frames without a full pose; "
-            "orange dots are the mean of the spots seen where not all were.",
+            "orange dots are the mean of the spots seen where not all were." + _thinned_told(len(series.t_s)),
             page.plot(time_figure(series)),
         )
         page.add(
@@ -222,6 +223,15 @@ def _add_track(page: Page, run: MeasureRun, series: Series, errors: Errors | Non
             else "Half the width of the 95 % band: what may be read off the pose at each moment.",
             page.plot(deviation_figure(series, errors)),
         )
+
+
+def _thinned_told(n: int) -> str:
+    """Return the sentence on what a plot of n frames leaves out."""
+    return (
+        ""
+        if n <= MAX_PLOTTED
+        else f" Of {n:,} frames each column of pixels shows the least and the greatest; poses.csv has all."
+    )
 
 
 def _add_residuals(page: Page, run: MeasureRun) -> None:
