@@ -1,4 +1,4 @@
-"""Pictures of reports as people open them: wide and on a telephone, light and dark. `report_pictures.py OUT REPORT...`."""
+"""Pictures of reports wide and on a telephone, light and dark: `report_pictures.py OUT REPORT...`."""
 
 from __future__ import annotations
 

@@ -6,6 +6,7 @@ from datetime import datetime
 
 import numpy as np
 
+from armsight.report.boards import add_boards
 from armsight.report.figures import BLUE, ORANGE, Figure, axis, bars, layout, named_ticks, short_names
 from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table, text, with_deviation
 from armsight.report.residuals import STROKE, coverage_figure, pooled_rms, residual_figure
@@ -42,6 +43,8 @@ def calibration_report(run: CalibrationRun, *, created: datetime | None = None) 
             "Alignment", "How the two views stand to each other.", table(["", ""], [list(r) for r in run.alignment])
         )
     _add_images(page, run)
+    if run.boards is not None:
+        add_boards(page, run.boards)
     _add_coverage(page, run)
     clouds = {fit.name: fit.residual_px for fit in run.cameras if len(fit.residual_px)}
     if clouds:

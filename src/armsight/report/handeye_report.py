@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.calibrate.handeye import HandEye, Part, scale_is_wrong, verdict
+from armsight.report.boards import add_boards
 from armsight.report.figures import (
     BLUE,
     GREEN,
@@ -27,6 +28,7 @@ from armsight.report.figures import (
     short_names,
 )
 from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table, with_deviation
+from armsight.report.run import BoardViews
 from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
@@ -36,8 +38,17 @@ AXIS_SHARE = 0.06
 """Length of a drawn axis over the size of the scene."""
 
 
-def handeye_report(result: HandEye, *, inputs: Sequence[tuple[str, str]] = (), created: datetime | None = None) -> str:
-    """Return the page as HTML text that needs no other file. inputs: (what, which) lines for the end of the page."""
+def handeye_report(
+    result: HandEye,
+    *,
+    inputs: Sequence[tuple[str, str]] = (),
+    boards: BoardViews | None = None,
+    created: datetime | None = None,
+) -> str:
+    """Return the page as HTML text that needs no other file.
+
+    inputs: (what, which) lines for the end of the page. boards: where images were the input.
+    """
     page = Page(
         title="Hand-eye calibration",
         subtitle=f"{result.setup}, {result.n_used} of {len(result.pairs)} poses",
@@ -57,23 +68,27 @@ def handeye_report(result: HandEye, *, inputs: Sequence[tuple[str, str]] = (), c
         f"In the base's axes: flange, camera and target as the calibration sees them. {_axes_told()}",
         page.plot(scene_figure(result)),
     )
+    if boards is not None:
+        add_boards(page, boards)
     page.add(
         "Residuals",
         "Measured target against the fit, and against the prediction from the other poses, at the target. "
         "A single bar that stands out is a wrong pose or image; all alike is noise.",
         page.plot(residual_figure(result)),
     )
-    page.add(
-        "Turns of the hand",
-        "Rotation vectors about the mean orientation. Points on one line would leave the camera's place open.",
-        page.plot(turning_figure(result)),
-    )
+    told = "Rotation vectors about the mean orientation. Points on one line would leave the camera's place open."
+    page.add("Turns of the hand", told, page.plot(turning_figure(result)))
+    _add_background(page, result, inputs)
+    return page.html(created=created or datetime.now())
+
+
+def _add_background(page: Page, result: HandEye, inputs: Sequence[tuple[str, str]]) -> None:
+    """Add whose noise it is, what was left out, and what went in."""
     page.add("Whose noise it is", "Standard deviations of one component of one pose.", _noise(result))
     if result.rejected:
         page.add("Left out", "", table(["pose", "why"], [list(item) for item in result.rejected]))
     if inputs:
         page.add("What went in", "", table(["", ""], [list(item) for item in inputs]))
-    return page.html(created=created or datetime.now())
 
 
 def _verdict(result: HandEye) -> Verdict:
@@ -131,7 +146,7 @@ def _poses(result: HandEye) -> list[str]:
             unit, factor = ("mm", MM) if key.endswith("_m") else ("°", DEG)
             shown, uncertainty = with_deviation(float(value), deviation / factor)
             rows.append([key.rpartition("_")[0], shown, uncertainty, unit])
-        out.append(table([name, "value", "+-", "unit"], rows, numbers=(1, 2)))
+        out.append(table([name, "value", "±", "unit"], rows, numbers=(1, 2)))
     return out
 
 
@@ -150,7 +165,7 @@ def _noise(result: HandEye) -> str:
         row("orientation, robot", noise.robot_rad, DEG, "°"),
         row("orientation, camera", noise.camera_rad, DEG, "°"),
     ]
-    return table(["noise", "value", "+-", "unit"], rows, numbers=(1, 2))
+    return table(["noise", "value", "±", "unit"], rows, numbers=(1, 2))
 
 
 def scene_figure(result: HandEye) -> Figure:

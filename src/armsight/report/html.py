@@ -52,6 +52,8 @@ tr:last-child td{border-bottom:0}
 figure{margin:0}figure>svg{width:100%;height:auto;display:block;background:#000;border-radius:4px}
 figcaption{font-size:13px;color:var(--soft);margin-top:4px;overflow-wrap:anywhere}
 .zooms{display:flex;flex-wrap:wrap;gap:6px;margin-top:6px}.zooms svg{width:82px;height:82px;border-radius:3px}
+.boards{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(220px,45%),1fr));gap:12px}
+.boards>*{min-width:0}
 ul{margin:6px 0 0;padding-left:20px}
 footer{color:var(--soft);font-size:13px;margin-top:18px}
 @media (max-width:600px){main{padding:16px 10px 32px}section{padding:14px 12px}header h1{font-size:22px;

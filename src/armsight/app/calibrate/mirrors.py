@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from armsight.app.calibrate.board_images import in_parallel, see_board
+from armsight.app.calibrate.board_images import in_parallel, see_board, see_two_boards
+from armsight.app.calibrate.board_pictures import BoardPictures, rig_boards
 from armsight.app.calibrate.camera_noise import input_files
 from armsight.app.calibrate.cameras import report_path, stereo_output
 from armsight.app.calibrate.mirrors_lit_target import calibrate_lit, reasons
@@ -30,8 +31,7 @@ from armsight.calibrate.cameras import BoardOptions
 from armsight.calibrate.mirrors.calibration import GLASS, MirrorCalibration, calibrate_mirrors
 from armsight.calibrate.mirrors.diagnosis import Alignment, check_alignment
 from armsight.drivers import AUTOMATIC, CameraSettings, is_live
-from armsight.errors import BadImage, Cancelled, Inconsistent, NotEnoughData, Unseen, UsageError
-from armsight.measure.boards import find_two_boards
+from armsight.errors import Cancelled, Inconsistent, NotEnoughData, Unseen, UsageError
 from armsight.optics import Plate
 from armsight.optics.mirrors import FormError, Mirrors, form_errors
 from armsight.records import BoardView, Frame, NotSeen, Progress, Silent, Target
@@ -100,7 +100,8 @@ def run_mirrors(job: MirrorsJob, progress: Progress | None = None) -> MirrorsOut
     if job.target is not None:
         return _from_target(job, job.out, progress)
     board = parse_board(_board(job))
-    views, missed = _all_pairs(job, board, progress)
+    pictures = BoardPictures()
+    views, missed = _all_pairs(job, board, progress, pictures)
     if len(views) < LEAST_BOARDS:
         raise _too_few(job, len(views), missed)
     rejected = [(source, seen.why) for source, seen in missed]
@@ -117,11 +118,15 @@ def run_mirrors(job: MirrorsJob, progress: Progress | None = None) -> MirrorsOut
     write_rig(job.out, done.rig, inputs=_inputs(job))
     forms = _forms(done)
     n_pairs = len(views) + len(rejected)
-    write_stereo_report(
-        report_path(job.out),
-        done.pair,
-        RigData(board=job.board, n_pairs=n_pairs, rejected=rejected, title=TITLE, results=_results(done, forms)),
+    data = RigData(
+        board=job.board,
+        n_pairs=n_pairs,
+        rejected=rejected,
+        title=TITLE,
+        results=_results(done, forms),
+        boards=rig_boards(done.pair, board, pictures),
     )
+    write_stereo_report(report_path(job.out), done.pair, data)
     return mirrors_output(done, rejected, n_pairs=n_pairs, forms=forms)
 
 
@@ -162,7 +167,7 @@ def run_check(job: MirrorsJob, progress: Progress | None = None) -> MirrorCheckO
     missed: list[str] = []
     last: Alignment | None = None
     back = KEPT if is_live(job.image) else None
-    for number, (source, seen) in enumerate(_complex(job, board), 1):
+    for number, (source, seen) in enumerate(_complex(job, board, BoardPictures()), 1):
         if isinstance(seen, NotSeen):
             missed.append(f"{source}: {seen.why}")
             progress.update(number, job.limit or 0, seen.why)
@@ -244,14 +249,16 @@ def _board(job: MirrorsJob) -> str:
     return job.board
 
 
-def _all_pairs(job: MirrorsJob, board: Target, progress: Progress) -> tuple[list[Pair], list[Missed]]:
+def _all_pairs(
+    job: MirrorsJob, board: Target, progress: Progress, pictures: BoardPictures
+) -> tuple[list[Pair], list[Missed]]:
     """Return the board in both views of every image, and the images in which it is not."""
     if job.image is None and (job.left_only is None or job.right_only is None):
         raise _no_images(job)
     views: list[Pair] = []
     missed: list[Missed] = []
-    sources = ([_complex(job, board)] if job.image is not None else []) + (
-        [_covered(job, board)] if job.left_only is not None or job.right_only is not None else []
+    sources = ([_complex(job, board, pictures)] if job.image is not None else []) + (
+        [_covered(job, board, pictures)] if job.left_only is not None or job.right_only is not None else []
     )
     for source in sources:
         for name, seen in source:
@@ -276,21 +283,18 @@ def _no_images(job: MirrorsJob) -> UsageError:
     )
 
 
-def _complex(job: MirrorsJob, board: Target) -> Iterator[tuple[str, Pair | NotSeen]]:
+def _complex(job: MirrorsJob, board: Target, pictures: BoardPictures) -> Iterator[tuple[str, Pair | NotSeen]]:
     """Yield each complex image's name with the board in both of its views, or why there are not two."""
 
     def see(frame: Frame) -> tuple[str, Pair | NotSeen]:
-        try:
-            return frame.source, find_two_boards(frame.image, board, source=frame.source)
-        except BadImage as error:
-            return frame.source, NotSeen(error.cause.removeprefix(f"{frame.source}: "), error.unseen)
+        return frame.source, see_two_boards(frame, board, pictures)
 
     stop = None if job.limit is None else job.limit * job.every
     with open_source(job.image or "", settings=job.camera_settings) as frames:
         yield from in_parallel(see, islice(frames, 0, stop, job.every), workers=job.workers)
 
 
-def _covered(job: MirrorsJob, board: Target) -> Iterator[tuple[str, Pair | NotSeen]]:
+def _covered(job: MirrorsJob, board: Target, pictures: BoardPictures) -> Iterator[tuple[str, Pair | NotSeen]]:
     """Yield the pairs of images taken with one path covered after the other."""
     if job.left_only is None or job.right_only is None:
         raise _no_images(job)
@@ -303,7 +307,7 @@ def _covered(job: MirrorsJob, board: Target) -> Iterator[tuple[str, Pair | NotSe
                 cure="Cover one path after the other at every place of the board",
             )
         for left, right in zip(lefts, rights, strict=True):
-            seen = [see_board(frame, board) for frame in (left, right)]
+            seen = [see_board(frame, board, pictures=pictures) for frame in (left, right)]
             lost = [
                 (frame.source, one) for frame, one in zip((left, right), seen, strict=True) if isinstance(one, NotSeen)
             ]
@@ -342,7 +346,8 @@ def _from_target(job: MirrorsJob, out: Path, progress: Progress) -> MirrorsOutpu
         rejected=rejected,
         title=TITLE,
         results=_results(done, forms),
-        facts=[("camera's file", str(job.camera)), ("baseline as designed", f"{1e3 * job.baseline_m:g} mm")],
+        boards=rig_boards(done.pair, target, BoardPictures()),
+        facts=[("camera's file", job.camera.name), ("baseline as designed", f"{1e3 * job.baseline_m:g} mm")],
     )
     write_stereo_report(report_path(out), done.pair, data)
     return mirrors_output(done, rejected, n_pairs=n_images, forms=forms)
