@@ -136,6 +136,8 @@ def handeye_output(
         std_target=PoseStd(**result.std("target")),
         n_pairs=len(result.pairs) + len(unseen),
         n_used=result.n_used,
+        n_effective=None if result.correlation is None else result.correlation.n_effective,
+        correlation_time_s=None if result.correlation is None else result.correlation.time_s,
         rejected=rejected,
         residual_rms_m=result.residual_rms_m,
         residual_rms_rad=result.residual_rms_rad,
