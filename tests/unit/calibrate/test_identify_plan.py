@@ -108,8 +108,9 @@ def test_what_reaches_round_the_beacon_stays_in_both_images(arm: RoughArm) -> No
 
 
 def test_a_start_an_encoders_step_beyond_a_limit_is_at_it() -> None:
-    _, start = checked_limits(LIMITS, [-0.5 - 5e-5, 1.0, 0.5])
-    assert start.tolist() == [-0.5, 1.0, 0.5]
+    limits, start = checked_limits(LIMITS, [-0.5 - 5e-5, 1.0, 0.5])
+    assert start.tolist() == [-0.5 - 5e-5, 1.0, 0.5]
+    assert -0.501 < limits[0, 0] < start[0] and (limits[1:] == LIMITS[1:]).all()
     with pytest.raises(Inconsistent, match="joint 1 stands"):
         checked_limits(LIMITS, [-0.501, 1.0, 0.5])
 
