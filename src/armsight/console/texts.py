@@ -215,7 +215,10 @@ MIRRORS_FIELDS = {
 MIRRORS_KEEP = "Keep these"
 MIRRORS_WRONG = "These figures cannot be: lengths are above zero, the refractive index is from 1 to 3."
 ALIGNMENT = "The mirrors' alignment, live"
-ALIGNMENT_WATCH = "Look once a second: hold the board before the camera, whole in both views"
+ALIGNMENT_WATCH = "Look once a second, at the board whole in both views; the answer is of the last four looks"
+ALIGNMENT_UNSURE = (
+    "Too little is told: the angles are known to ± {std:.2f} mrad only. Bring the board nearer, or a larger one."
+)
 ALIGNMENT_STARTING = "No look yet"
 ALIGNMENT_NEEDS = (
     "Which way to turn is told once the lens (page Settings) and the baseline (below) are given, or a rig."
@@ -275,6 +278,17 @@ VERIFY_FIELDS = {
 VERIFY_RUN = "Verify"
 RUNNING_VERIFY = "Verifying …"
 ROWS, CAUSE = "Rows compared", "Cause of the errors"
+SUPERVISION = "Supervision: where the arm is, beside where it says it is"
+SUPERVISION_HELP = (
+    "The target as the cameras see it, held against the joints while the arm moves. Beyond the second level, "
+    "measurement noise aside, the robot is stopped."
+)
+SUPERVISION_WARN, SUPERVISION_STOP = "Warn beyond, mm", "Stop beyond, mm (0: never)"
+SUPERVISE, SUPERVISE_END = "Supervise", "End, and write the report"
+SUPERVISION_PLOT = "Distance from where it should be (mm)"
+SUPERVISION_LEVELS = {"good": "Good", "warn": "Warning", "stop": "Stopped"}
+SUPERVISION_AT = "{mm:.2f} ± {std:.2f} mm and {deg:.2f} deg off."
+SUPERVISION_BLIND = "Nothing is compared now: {why}"
 ISO = "ISO 9283: accuracy and repeatability of the arm"
 ISO_HELP = (
     "Jog the target to the middle of both pictures. The arm then visits five poses of a test cube about that place, "
@@ -351,4 +365,6 @@ PLAY_AT = "{stage}: {s:.1f} of {length:.1f} mm at {speed:.1f} mm/s"
 PLAY_STAGES = {"approach": "On the way to the start", "path": "On the path", "finished": "Done"}
 PLAY_DONE = "Played: {share:.0%} of {length:.1f} mm in {time:.1f} s. Ended by: {why}."
 PLAY_END = "the path's end"
+PLAY_SEEN = "The cameras saw the tip {rms:.2f} mm (RMS) off, {largest:.2f} mm at most, in {n} frames."
+PLAY_UNSEEN = "No camera watched it."
 PLAY_KEPT = "All of it is kept in {folder}."

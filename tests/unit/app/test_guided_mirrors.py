@@ -11,7 +11,7 @@ import pytest
 
 from armsight.app.calibrate.mirrors import MirrorsJob, run_mirrors
 from armsight.app.guided.charts import History, figures_of
-from armsight.app.guided.mirror_alignment import MirrorAlignment
+from armsight.app.guided.mirror_alignment import COARSE_RAD, MirrorAlignment
 from armsight.app.guided.mirrors import MirrorsStep
 from armsight.app.guided.step import Figure, Next
 from armsight.app.live.measurement import COMPLEX, LiveJob
@@ -150,9 +150,14 @@ def test_alignment_tells_which_mirror_to_turn_and_which_way(mirror_boards: Any, 
     assert (off.turns[0].turn_rad, off.turns[0].tilt_rad) == pytest.approx((-turn, -tilt), abs=7e-4)
     words = turn_words(off.turns[0])
     assert words.startswith("Mirror 2: turn ") and "anticlockwise" in words and "back" in words
-    straight = alignment.look(OnePicture(mirror_boards.straight))  # type: ignore[arg-type]
-    assert straight.done and straight.turns == ()
-    assert len(alignment.looks) == 2 and not list(tmp_path.glob("*.png"))
+    alignment.hold_against(parallel=True)  # begins anew
+    station: Any = OnePicture(mirror_boards.straight)
+    straight = [alignment.look(station) for _ in range(3)][-1]
+    assert straight.done and straight.turns == () and 0.0 < straight.std_rad < COARSE_RAD
+    assert len(alignment.looks) == 3 and not list(tmp_path.glob("*.png"))
+    told = straight.check.change_std.model_copy(update={"drx_rad": 2.0 * COARSE_RAD})
+    vague = replace(straight, check=straight.check.model_copy(update={"change_std": told}))
+    assert vague.unsure and not vague.done, "what is not known is not called good"
 
 
 def test_alignment_is_held_against_the_calibrated_rig(mirror_boards: Any, done: Any, tmp_path: Path) -> None:

@@ -47,7 +47,7 @@ HANDEYE_MAYBE = (
 TIP = "tip_m point_m std residual_rms_m n_used rejected turning_rms_rad"
 ARM = (
     "n before after crossval free fixed std corrections condition outliers still couplings "
-    "noise model verdict gain urdf"
+    "noise model verdict gain other_arm urdf"
 )
 PATH = "file n_before n length_m corners"
 PLACE, TURN = "x_m y_m z_m", "rx_rad ry_rad rz_rad"

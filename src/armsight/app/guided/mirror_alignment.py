@@ -19,10 +19,13 @@ from armsight.store import parse_board
 
 LOOKS = 120
 """Looks kept for the plot: two minutes at one a second."""
-BACK = 1
-"""Looks that an answer rests on: with more it would lag behind the screw."""
+BACK = 4
+"""Looks that an answer rests on: with fewer a small board tells too little, with more it would lag behind the screw."""
 FINE_RAD = 5e-4
 """A turn smaller than this is finer than a screw is set by hand: half a pixel at a focal length of 1000 px."""
+COARSE_RAD = 5e-4
+"""Standard deviation of an angle between the axes from which it is not said that nothing is left to turn: a turn of
+FINE_RAD makes an angle of twice as much, two of these."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,9 +44,22 @@ class Stand:
     several: bool = False
 
     @property
+    def std_rad(self) -> float:
+        """The largest standard deviation of the three angles between the axes; NaN where the board was not seen."""
+        if self.check is None:
+            return float("nan")
+        std = self.check.change_std
+        return max(std.drx_rad, std.dry_rad, std.drz_rad)
+
+    @property
+    def unsure(self) -> bool:
+        """Whether nothing is seen to be turned, and too little is told for it to be said."""
+        return self.check is not None and not self.turns and self.std_rad > COARSE_RAD
+
+    @property
     def done(self) -> bool:
-        """Whether the mirrors stand as they should."""
-        return self.check is not None and not self.turns
+        """Whether the mirrors stand as they should, and are known well enough for it to be said."""
+        return self.check is not None and not self.turns and not self.unsure
 
 
 @dataclass(slots=True, kw_only=True)

@@ -116,10 +116,11 @@ class MirrorsStep:
         if cells.min() == 0:
             row, column = np.unravel_index(int(np.argmin(cells)), cells.shape)
             return Hint(what=Next.TO_CELL, side=COMPLEX, cell=(int(column), int(row)))
+        if len(self._views) >= ENOUGH:  # a small board far away shows its tilt less: the deviations tell by then
+            return Hint(what=Next.RUN)
         board = parse_board(self.board)
-        if np.mean([tilt(one.pair[0], board) > TILTED for one in self._views]) < TILTED_SHARE:
-            return Hint(what=Next.TILT)
-        return Hint(what=Next.RUN if len(self._views) >= ENOUGH else Next.MORE)
+        tilted = np.mean([tilt(one.pair[0], board) > TILTED for one in self._views])
+        return Hint(what=Next.TILT if tilted < TILTED_SHARE else Next.MORE)
 
     def spread(self) -> tuple[tuple[str, str], ...]:
         """Return what the images so far tell of the mirrors, with standard deviations."""

@@ -103,12 +103,12 @@ class _Alignment:
         self._show()
 
     async def _tick(self) -> None:
-        watched = self._watch.value and self._alignment.possible
-        if self._busy or not watched or self._console.station is None:
+        watched, station = self._watch.value and self._alignment.possible, self._console.station
+        if self._busy or not watched or station is None or station.shown is None:
             return
         self._busy = True
         try:
-            await run.io_bound(self._alignment.look, self._console.station)
+            await run.io_bound(self._alignment.look, station)
             self._show()
         except ArmsightError as error:
             self._level("bad", str(error))
@@ -125,7 +125,9 @@ class _Alignment:
         if last.check is None:
             self._level("idle", texts.ALIGNMENT_UNSEEN.format(why=last.why))
             return
-        if last.done:
+        if last.unsure:
+            self._level("idle", texts.ALIGNMENT_UNSURE.format(std=last.std_rad / MRAD))
+        elif last.done:
             self._level("good", texts.ALIGNED_PARALLEL if self._alignment.to_parallel else texts.ALIGNED_RIG)
         else:
             self._level("warn", texts.TURN_NEXT)
