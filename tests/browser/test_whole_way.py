@@ -186,10 +186,10 @@ def teach(page: Any, console: Any, address: str) -> None:
 
 
 def play(page: Any, console: Any) -> None:
-    page.get_by_label("Speed along the path").fill("40")
+    page.get_by_label("Speed along the path").fill("80")
     page.click("[data-testid=check]")
     page.wait_for_selector("text=The arm can run this path")
-    for _ in range(3):
+    for _ in range(6):  # a machine that is late holds the arm; where that is often the path is given up
         page.click("[data-testid=play]")
         page.click("[data-testid=yes]:visible")
         if console.held(page, "Played: ") and "Played: 100%" in page.inner_text("[data-testid=verdict]"):
