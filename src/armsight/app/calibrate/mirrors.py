@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from armsight.app.calibrate.board_images import in_parallel, see_board
+from armsight.app.calibrate.board_images import in_parallel, see_board, see_two_boards
+from armsight.app.calibrate.board_pictures import BoardPictures, rig_boards
 from armsight.app.calibrate.camera_noise import input_files
 from armsight.app.calibrate.cameras import report_path, stereo_output
 from armsight.app.calibrate.mirrors_lit_target import calibrate_lit, reasons
@@ -25,8 +26,7 @@ from armsight.app.sources.frames import open_source
 from armsight.calibrate.cameras import BoardOptions
 from armsight.calibrate.mirrors.calibration import GLASS, MirrorCalibration, calibrate_mirrors
 from armsight.drivers import AUTOMATIC, CameraSettings, is_live
-from armsight.errors import BadImage, Cancelled, Inconsistent, NotEnoughData, Unseen, UsageError
-from armsight.measure.boards import find_two_boards
+from armsight.errors import Cancelled, Inconsistent, NotEnoughData, Unseen, UsageError
 from armsight.optics import Plate, Rig
 from armsight.optics.mirrors import FormError, Mirrors, form_errors
 from armsight.records import BoardView, Frame, NotSeen, Progress, Silent, Target
@@ -95,7 +95,8 @@ def run_mirrors(job: MirrorsJob, progress: Progress | None = None) -> MirrorsOut
     if job.target is not None:
         return _from_target(job, job.out, progress)
     board = parse_board(board_name(job))
-    views, missed = _all_pairs(job, board, progress)
+    pictures = BoardPictures()
+    views, missed = _all_pairs(job, board, progress, pictures)
     if len(views) < LEAST_BOARDS:
         raise _too_few(job, len(views), missed)
     rejected = [(source, seen.why) for source, seen in missed]
@@ -112,11 +113,15 @@ def run_mirrors(job: MirrorsJob, progress: Progress | None = None) -> MirrorsOut
     write_rig(job.out, done.rig, inputs=_inputs(job))
     forms = _forms(done)
     n_pairs = len(views) + len(rejected)
-    write_stereo_report(
-        report_path(job.out),
-        done.pair,
-        RigData(board=job.board, n_pairs=n_pairs, rejected=rejected, title=TITLE, results=_results(done, forms)),
+    data = RigData(
+        board=job.board,
+        n_pairs=n_pairs,
+        rejected=rejected,
+        title=TITLE,
+        results=_results(done, forms),
+        boards=rig_boards(done.pair, board, pictures),
     )
+    write_stereo_report(report_path(job.out), done.pair, data)
     return mirrors_output(done, rejected, n_pairs=n_pairs, forms=forms)
 
 
@@ -172,14 +177,16 @@ def board_name(job: MirrorsJob) -> str:
     return job.board
 
 
-def _all_pairs(job: MirrorsJob, board: Target, progress: Progress) -> tuple[list[Pair], list[Missed]]:
+def _all_pairs(
+    job: MirrorsJob, board: Target, progress: Progress, pictures: BoardPictures
+) -> tuple[list[Pair], list[Missed]]:
     """Return the board in both views of every image, and the images in which it is not."""
     if job.image is None and (job.left_only is None or job.right_only is None):
         raise _no_images(job)
     views: list[Pair] = []
     missed: list[Missed] = []
-    sources = ([complex_views(job, board)] if job.image is not None else []) + (
-        [_covered(job, board)] if job.left_only is not None or job.right_only is not None else []
+    sources = ([complex_views(job, board, pictures)] if job.image is not None else []) + (
+        [_covered(job, board, pictures)] if job.left_only is not None or job.right_only is not None else []
     )
     for source in sources:
         for name, seen in source:
@@ -204,26 +211,18 @@ def _no_images(job: MirrorsJob) -> UsageError:
     )
 
 
-def complex_views(job: MirrorsJob, board: Target) -> Iterator[tuple[str, Pair | NotSeen]]:
+def complex_views(job: MirrorsJob, board: Target, pictures: BoardPictures) -> Iterator[tuple[str, Pair | NotSeen]]:
     """Yield each complex image's name with the board in both of its views, or why there are not two."""
 
     def see(frame: Frame) -> tuple[str, Pair | NotSeen]:
-        return frame.source, see_two_boards(frame, board)
+        return frame.source, see_two_boards(frame, board, pictures)
 
     stop = None if job.limit is None else job.limit * job.every
     with open_source(job.image or "", settings=job.camera_settings) as frames:
         yield from in_parallel(see, islice(frames, 0, stop, job.every), workers=job.workers)
 
 
-def see_two_boards(frame: Frame, board: Target) -> Pair | NotSeen:
-    """Return the board in the left and the right view of a complex image, or why there are not two."""
-    try:
-        return find_two_boards(frame.image, board, source=frame.source)
-    except BadImage as error:
-        return NotSeen(error.cause.removeprefix(f"{frame.source}: "), error.unseen)
-
-
-def _covered(job: MirrorsJob, board: Target) -> Iterator[tuple[str, Pair | NotSeen]]:
+def _covered(job: MirrorsJob, board: Target, pictures: BoardPictures) -> Iterator[tuple[str, Pair | NotSeen]]:
     """Yield the pairs of images taken with one path covered after the other."""
     if job.left_only is None or job.right_only is None:
         raise _no_images(job)
@@ -236,7 +235,7 @@ def _covered(job: MirrorsJob, board: Target) -> Iterator[tuple[str, Pair | NotSe
                 cure="Cover one path after the other at every place of the board",
             )
         for left, right in zip(lefts, rights, strict=True):
-            seen = [see_board(frame, board) for frame in (left, right)]
+            seen = [see_board(frame, board, pictures=pictures) for frame in (left, right)]
             lost = [
                 (frame.source, one) for frame, one in zip((left, right), seen, strict=True) if isinstance(one, NotSeen)
             ]
@@ -271,7 +270,8 @@ def _from_target(job: MirrorsJob, out: Path, progress: Progress) -> MirrorsOutpu
         rejected=rejected,
         title=TITLE,
         results=_results(done, forms),
-        facts=[("camera's file", str(job.camera)), ("baseline as designed", f"{1e3 * job.baseline_m:g} mm")],
+        boards=rig_boards(done.pair, target, BoardPictures()),
+        facts=[("camera's file", job.camera.name), ("baseline as designed", f"{1e3 * job.baseline_m:g} mm")],
     )
     write_stereo_report(report_path(out), done.pair, data)
     return mirrors_output(done, rejected, n_pairs=n_images, forms=forms)
