@@ -223,6 +223,30 @@ def test_work_waits_where_the_enable_falls_silent_between_a_look_and_the_step(se
         assert robot.step_joints(np.array([0.05, 0.0])).limited == ()
 
 
+def test_work_goes_on_where_it_was_told_to_go_after_the_loop_held_on_the_way(seat, host):
+    """A late cycle makes the loop forget its goal: the first joint rests short of it, and nobody let the enable go."""
+    held(seat, host)
+    with robot_of(seat, host, waits=True) as robot:
+        robot.step_joints(np.array([0.05, 0.0]))
+        host.q, host.dropped = np.array([0.03, 0.0]), 1
+        host.tick()
+        sent = robot.step_joints(np.array([0.0, 0.02]))
+        assert sent.q == pytest.approx([0.05, 0.02])
+        host.q, host.dropped = np.array([0.05, 0.01]), 2
+        host.tick()
+        assert robot.read().q == pytest.approx([0.05, 0.02]), "also while it is only looked at"
+
+
+def test_work_does_not_go_back_after_the_robot_was_led_away_by_keys(seat, host):
+    held(seat, host)
+    with robot_of(seat, host, waits=True) as robot:
+        robot.step_joints(np.array([0.05, 0.0]))
+        seat.beat("a", ANN, enable=True, seen_s=host.t_s, push=Push(frame="joints", axis=0, sense=1.0))
+        host.q, host.dropped = np.array([0.06, 0.0]), 1
+        held(seat, host)
+        assert robot.step_joints(np.array([0.0, 0.02])).q == pytest.approx([0.06, 0.02])
+
+
 def test_work_that_waits_gives_up_where_it_is_cancelled(seat, host):
     looks = iter([False, False, True])
     with robot_of(seat, host, waits=True, cancelled=lambda: next(looks)) as robot:

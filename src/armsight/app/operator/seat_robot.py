@@ -28,6 +28,9 @@ LED_AWAY = 0.06
 """A robot further (rad or m) from where it was told to go was led elsewhere meanwhile; held on a sweep at 10 degrees a
 second it rests up to 0.04 short of it."""
 
+SHORT = 1e-6
+"""Of where it was told to go (rad, m), by which a robot at rest is short of it."""
+
 NOT_HELD = "the enable is not held"
 
 
@@ -55,6 +58,7 @@ class SeatRobot:
         self._goal: Array | None = None
         self._halted = False
         self._pushes = seat.pushes
+        self._dropped = seat.snapshot().dropped
 
     @property
     def state(self) -> RobotState:
@@ -84,8 +88,13 @@ class SeatRobot:
         return arm_mapping(arm)
 
     def read(self) -> JointReading:
-        """Return the newest reading. Raises DeviceFailed where closed, DeviceLost, StaleData."""
+        """Return the newest reading; work that waits first goes where it was told to, if the loop was kept from it.
+
+        Raises DeviceFailed where closed, DeviceLost, StaleData.
+        """
         self._check_open("be read")
+        if self._waits and self._forgotten():
+            self._step(np.zeros(self.n_joints))
         now = self._seat.snapshot()
         limit_s = max(STALE_S, STALE_CYCLES * self.cycle_s)
         if now.reading is None or self._clock.now_s() - now.reading.t_s > limit_s:
@@ -100,12 +109,18 @@ class SeatRobot:
             raise UsageError(f"{self.name} has {self.n_joints} joints, the step {values.size}", cure="Give them all")
         if not values.any():
             return self._sent(self._told(), ())
+        return self._step(values)
+
+    def _step(self, values: Array) -> Sent:
         while self._await_enable():
-            whole = values
-            if self._halted:  # from where it came to rest, a little short of where it was told to go
-                whole = values + self._told() - self._seat.snapshot().q_sent
             try:
-                self._goal, limited = self._seat.step(self._browser(), whole)
+                with self._seat.lock:
+                    whole, dropped = values, self._seat.snapshot().dropped
+                    if self._halted or dropped != self._dropped:
+                        # it comes to rest, or has, a little short of where it was told to go
+                        told = self._told()
+                        whole = values if self._goal is None else values + told - self._seat.snapshot().q_sent
+                    self._goal, limited = self._seat.step(self._browser(), whole)
             except EnableLost:  # since it was looked for
                 self._halted = True
                 self._seat.hold(self._browser())
@@ -113,9 +128,15 @@ class SeatRobot:
                     break
                 self._clock.sleep_until(self._clock.now_s() + self.cycle_s)
                 continue
-            self._halted = False
+            self._halted, self._dropped = False, dropped
             return self._sent(self._goal, limited)
         return self._sent(self._told(), (NOT_HELD,))
+
+    def _forgotten(self) -> bool:
+        """Return whether the loop held since the last step and so stands short of where it was told to go."""
+        now = self._seat.snapshot()
+        short = self._goal is not None and np.abs(self._goal - now.q_sent).max() > SHORT
+        return short and (self._halted or now.dropped != self._dropped)
 
     def _await_enable(self) -> bool:
         """Return whether the enable is held, waiting for it where that is wanted. Raises DeviceFailed once stopped."""

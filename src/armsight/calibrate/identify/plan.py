@@ -29,7 +29,7 @@ RESTS, GRID, ROUNDS = 150, 41, 4
 """Rest poses tried a joint, values of its range, rounds of exchange."""
 PLAN_SEED = 1
 AT_LIMIT = 2e-4
-"""A reading (rad, m) so far beyond a limit is at it: an encoder's step."""
+"""A reading (rad, m) so near a limit, or so far beyond, is at it: an encoder's step."""
 POOR_M, POOR_RAD = 0.005, np.deg2rad(1.0)
 """Expected standard deviations beyond these are named: an arm known worse is of no use to a controller."""
 
@@ -73,7 +73,7 @@ class Plan:
 
 
 def checked_limits(limits: ArrayLike, start: ArrayLike) -> tuple[Array, Array]:
-    """Return limits (n, 2) and start (n,) as arrays, an encoder's step beyond a limit set to it.
+    """Return limits (n, 2) and start (n,) as arrays; a limit at which the arm stands is moved by an encoder's step.
 
     Raises UsageError, Inconsistent for a start beyond the limits.
     """
@@ -91,7 +91,8 @@ def checked_limits(limits: ArrayLike, start: ArrayLike) -> tuple[Array, Array]:
             consequence="Nothing is moved",
             cure="Bring the arm to a pose within the limits first, or correct them (rad, m)",
         )
-    return low_high, np.clip(q, low_high[:, 0], low_high[:, 1])
+    at_limit = np.abs(low_high - q[:, None]) <= AT_LIMIT
+    return low_high + at_limit * [-2.0 * AT_LIMIT, 2.0 * AT_LIMIT], q
 
 
 def probe(limits: Array, start: Array, joint: int, *, share: float = PROBE_SHARE, readings: int = 6) -> Array:
