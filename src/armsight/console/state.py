@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -22,9 +23,10 @@ from armsight.app.live.station import Shown, Station
 from armsight.app.measure.run import target_of
 from armsight.app.operator.path_desk import PathDesk
 from armsight.app.operator.robot_cell import RobotCell, cameras_of
+from armsight.app.operator.supervise import StationSupervisor
 from armsight.app.operator.teach import TeachDesk, teach_desk
 from armsight.calibrate.handeye import Setup
-from armsight.errors import NotEnoughData, UsageError
+from armsight.errors import ArmsightError, NotEnoughData, UsageError
 from armsight.optics import RigKind
 from armsight.store import read_rig, read_world
 from armsight.store.cell_file import CellFile, CellMirrors, cell_path, read_cell, write_cell
@@ -46,6 +48,7 @@ class Console:
     steps: dict[str, StepDesk] = field(default_factory=dict)
     _alignment: MirrorAlignment | None = None
     robot: RobotCell | None = None
+    supervisor: StationSupervisor | None = None
     _teaching: TeachDesk | None = None
     _path: PathDesk | None = None
 
@@ -191,7 +194,11 @@ class Console:
         return shown
 
     def close(self) -> None:
-        """End measuring, and teaching with it."""
+        """End measuring, and teaching and supervision with it."""
+        if self.supervisor is not None:
+            with suppress(ArmsightError):
+                self.supervisor.end()
+        self.supervisor = None
         if self._teaching is not None:
             self._teaching.close()
         self._teaching = None

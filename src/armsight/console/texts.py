@@ -278,6 +278,17 @@ VERIFY_FIELDS = {
 VERIFY_RUN = "Verify"
 RUNNING_VERIFY = "Verifying …"
 ROWS, CAUSE = "Rows compared", "Cause of the errors"
+SUPERVISION = "Supervision: where the arm is, beside where it says it is"
+SUPERVISION_HELP = (
+    "The target as the cameras see it, held against the joints while the arm moves. Beyond the second level, "
+    "measurement noise aside, the robot is stopped."
+)
+SUPERVISION_WARN, SUPERVISION_STOP = "Warn beyond, mm", "Stop beyond, mm (0: never)"
+SUPERVISE, SUPERVISE_END = "Supervise", "End, and write the report"
+SUPERVISION_PLOT = "Distance from where it should be (mm)"
+SUPERVISION_LEVELS = {"good": "Good", "warn": "Warning", "stop": "Stopped"}
+SUPERVISION_AT = "{mm:.2f} ± {std:.2f} mm and {deg:.2f} deg off."
+SUPERVISION_BLIND = "Nothing is compared now: {why}"
 ISO = "ISO 9283: accuracy and repeatability of the arm"
 ISO_HELP = (
     "Jog the target to the middle of both pictures. The arm then visits five poses of a test cube about that place, "

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from armsight.app.calibrate.board_images import in_parallel, see_board
+from armsight.app.calibrate.board_images import in_parallel, see_board, see_two_boards
+from armsight.app.calibrate.board_pictures import BoardPictures, rig_boards
 from armsight.app.calibrate.camera_noise import input_files
 from armsight.app.calibrate.cameras import report_path, stereo_output
 from armsight.app.calibrate.mirrors_lit_target import calibrate_lit, reasons
@@ -28,6 +29,8 @@ from armsight.drivers import AUTOMATIC, CameraSettings, is_live
 from armsight.errors import BadImage, Cancelled, Inconsistent, NotEnoughData, Unseen, UsageError
 from armsight.measure.boards import find_two_boards
 from armsight.optics import Plate, Rig
+from armsight.errors import Cancelled, Inconsistent, NotEnoughData, Unseen, UsageError
+from armsight.optics import Plate
 from armsight.optics.mirrors import FormError, Mirrors, form_errors
 from armsight.records import BoardView, Frame, NotSeen, Progress, Silent, Target
 from armsight.store import parse_board, read_camera, read_target, write_rig
@@ -96,6 +99,9 @@ def run_mirrors(job: MirrorsJob, progress: Progress | None = None) -> MirrorsOut
         return _from_target(job, job.out, progress)
     board = parse_board(board_name(job))
     views, missed = _all_pairs(job, board, progress)
+    board = parse_board(_board(job))
+    pictures = BoardPictures()
+    views, missed = _all_pairs(job, board, progress, pictures)
     if len(views) < LEAST_BOARDS:
         raise _too_few(job, len(views), missed)
     rejected = [(source, seen.why) for source, seen in missed]
@@ -112,11 +118,15 @@ def run_mirrors(job: MirrorsJob, progress: Progress | None = None) -> MirrorsOut
     write_rig(job.out, done.rig, inputs=_inputs(job))
     forms = _forms(done)
     n_pairs = len(views) + len(rejected)
-    write_stereo_report(
-        report_path(job.out),
-        done.pair,
-        RigData(board=job.board, n_pairs=n_pairs, rejected=rejected, title=TITLE, results=_results(done, forms)),
+    data = RigData(
+        board=job.board,
+        n_pairs=n_pairs,
+        rejected=rejected,
+        title=TITLE,
+        results=_results(done, forms),
+        boards=rig_boards(done.pair, board, pictures),
     )
+    write_stereo_report(report_path(job.out), done.pair, data)
     return mirrors_output(done, rejected, n_pairs=n_pairs, forms=forms)
 
 
@@ -133,6 +143,74 @@ def _too_few(job: MirrorsJob, n: int, missed: Sequence[Missed]) -> NotEnoughData
         f"{counted} the board {job.board} in both views, {LEAST_BOARDS} are needed" + (f": {said}" if said else ""),
         consequence="Nothing was calibrated",
         cure=cure,
+    )
+
+
+def run_check(job: MirrorsJob, progress: Progress | None = None) -> MirrorCheckOutput:
+    """Tell how the mirrors stand against the rig as it was calibrated, frame by frame, and which is to be turned how.
+
+    Goes on until the frames end, job.limit is reached or it is cancelled; the answer is of the last frames. Raises
+    UsageError, DataRefused or DeviceFailed.
+    """
+    progress = progress or Silent()
+    if job.rig is None or job.image is None:
+        raise UsageError("nothing to check", cure="Give --rig rig.yaml, as it was calibrated, and --image")
+    if job.target is not None:
+        raise UsageError(
+            "mirrors are checked with a board, not with the lit target, whose lights turned mirrors pair wrongly",
+            cure="Leave --target out and give --board",
+        )
+    rig, board = read_rig(job.rig), parse_board(_board(job))
+    plate = rig.left.plate or Plate(thickness_m=job.thickness_m or 1e-3, index=job.index)
+    design = Mirrors(baseline_m=job.baseline_m or rig.baseline_m, plate=plate, near_m=job.near_m, gap_m=job.gap_m)
+    kept: list[Pair] = []
+    missed: list[str] = []
+    last: Alignment | None = None
+    back = KEPT if is_live(job.image) else None
+    for number, (source, seen) in enumerate(_complex(job, board, BoardPictures()), 1):
+        if isinstance(seen, NotSeen):
+            missed.append(f"{source}: {seen.why}")
+            progress.update(number, job.limit or 0, seen.why)
+        else:
+            kept.append(seen)
+            recent = kept[-back:] if back else kept
+            last = check_alignment(rig, [a for a, _ in recent], [b for _, b in recent], board, design=design)
+            progress.update(number, job.limit or 0, _line(last))
+        if progress.cancelled():
+            break
+    if last is None:
+        raise NotEnoughData(
+            f"the board was found in both views of none of the images; {missed[0] if missed else 'there are none'}",
+            consequence="The alignment is not known",
+            cure="Show the whole board in both views",
+        )
+    return check_output(last, missed)
+
+
+def _line(found: Alignment) -> str:
+    now = found.now
+    return (
+        f"convergence {1e3 * now.convergence_rad:+.2f} mrad, vertical {now.vertical_px:+.2f} px, "
+        f"roll {1e3 * now.roll_rad:+.2f} mrad; {found.advice()}"
+    )
+
+
+def check_output(found: Alignment, missed: Sequence[str]) -> MirrorCheckOutput:
+    """Return a check of the alignment as --json gives it."""
+    names = PoseChange.model_fields
+    return MirrorCheckOutput(
+        alignment=CheckedAlignment(**{name: getattr(found.now, name) for name in CheckedAlignment.model_fields}),
+        change=PoseChange(**dict(zip(names, found.change.tolist(), strict=True))),
+        change_std=PoseChange(**dict(zip(names, found.std.tolist(), strict=True))),
+        moved=found.moved,
+        certain=found.certain,
+        suspects=[
+            SuspectMirror(mirror=one.mirror, turn_rad=one.turn_rad, tilt_rad=one.tilt_rad, chi2=one.chi2)
+            for one in found.suspects
+        ],
+        advice=[found.advice()],
+        n_views=found.n_views,
+        missed=list(missed),
     )
 
 
@@ -172,7 +250,9 @@ def board_name(job: MirrorsJob) -> str:
     return job.board
 
 
-def _all_pairs(job: MirrorsJob, board: Target, progress: Progress) -> tuple[list[Pair], list[Missed]]:
+def _all_pairs(
+    job: MirrorsJob, board: Target, progress: Progress, pictures: BoardPictures
+) -> tuple[list[Pair], list[Missed]]:
     """Return the board in both views of every image, and the images in which it is not."""
     if job.image is None and (job.left_only is None or job.right_only is None):
         raise _no_images(job)
@@ -180,6 +260,8 @@ def _all_pairs(job: MirrorsJob, board: Target, progress: Progress) -> tuple[list
     missed: list[Missed] = []
     sources = ([complex_views(job, board)] if job.image is not None else []) + (
         [_covered(job, board)] if job.left_only is not None or job.right_only is not None else []
+    sources = ([_complex(job, board, pictures)] if job.image is not None else []) + (
+        [_covered(job, board, pictures)] if job.left_only is not None or job.right_only is not None else []
     )
     for source in sources:
         for name, seen in source:
@@ -209,6 +291,11 @@ def complex_views(job: MirrorsJob, board: Target) -> Iterator[tuple[str, Pair | 
 
     def see(frame: Frame) -> tuple[str, Pair | NotSeen]:
         return frame.source, see_two_boards(frame, board)
+def _complex(job: MirrorsJob, board: Target, pictures: BoardPictures) -> Iterator[tuple[str, Pair | NotSeen]]:
+    """Yield each complex image's name with the board in both of its views, or why there are not two."""
+
+    def see(frame: Frame) -> tuple[str, Pair | NotSeen]:
+        return frame.source, see_two_boards(frame, board, pictures)
 
     stop = None if job.limit is None else job.limit * job.every
     with open_source(job.image or "", settings=job.camera_settings) as frames:
@@ -224,6 +311,7 @@ def see_two_boards(frame: Frame, board: Target) -> Pair | NotSeen:
 
 
 def _covered(job: MirrorsJob, board: Target) -> Iterator[tuple[str, Pair | NotSeen]]:
+def _covered(job: MirrorsJob, board: Target, pictures: BoardPictures) -> Iterator[tuple[str, Pair | NotSeen]]:
     """Yield the pairs of images taken with one path covered after the other."""
     if job.left_only is None or job.right_only is None:
         raise _no_images(job)
@@ -236,7 +324,7 @@ def _covered(job: MirrorsJob, board: Target) -> Iterator[tuple[str, Pair | NotSe
                 cure="Cover one path after the other at every place of the board",
             )
         for left, right in zip(lefts, rights, strict=True):
-            seen = [see_board(frame, board) for frame in (left, right)]
+            seen = [see_board(frame, board, pictures=pictures) for frame in (left, right)]
             lost = [
                 (frame.source, one) for frame, one in zip((left, right), seen, strict=True) if isinstance(one, NotSeen)
             ]
@@ -271,7 +359,8 @@ def _from_target(job: MirrorsJob, out: Path, progress: Progress) -> MirrorsOutpu
         rejected=rejected,
         title=TITLE,
         results=_results(done, forms),
-        facts=[("camera's file", str(job.camera)), ("baseline as designed", f"{1e3 * job.baseline_m:g} mm")],
+        boards=rig_boards(done.pair, target, BoardPictures()),
+        facts=[("camera's file", job.camera.name), ("baseline as designed", f"{1e3 * job.baseline_m:g} mm")],
     )
     write_stereo_report(report_path(out), done.pair, data)
     return mirrors_output(done, rejected, n_pairs=n_images, forms=forms)

@@ -48,6 +48,8 @@ TOLD = 4
 """Parameters named; what follows from the first is of no use to a reader."""
 FITS = 0.5
 """An arm known by name is the one measured where its errors are below this share of the nominal arm's."""
+SHORT_LIST = 3
+"""Arms known by name that are looked at closely."""
 AS_GOOD = 1.2
 """A fit predicts as well as another where rows left out miss by no more than so many times as far."""
 EXPLAINS = 0.1
@@ -241,17 +243,22 @@ def _misfit(model: ArmModel, name: str, change: float, std: float, excess: float
 
 
 def known_arm(model: ArmModel, points: ArmPoints) -> tuple[str, float] | None:
-    """Return the arm known by name that fits the rows far better than the nominal one, with its median error in m."""
+    """Return the arm known by name that fits the rows far better than the nominal one, with its median error in m.
 
-    def error_m(other: ArmModel) -> float:
+    All are placed from one tool's point; the few that fit best then, from all the points that `start` begins at.
+    """
+    like = start(model, points)
+
+    def error_m(other: ArmModel, like: Array | None = None) -> float:
         try:
-            p = start(other, points)
+            p = start(other, points, like=like)
         except ArmsightError:
             return np.inf
         return float(np.median(np.linalg.norm(other.errors(p, points)[0], axis=1)))
 
     arms = [arm for arm in map(preset, PRESETS) if arm.n == model.arm.n and (arm.revolute == model.arm.revolute).all()]
-    errors = [(arm.name, error_m(replace(model, arm=arm))) for arm in arms]
+    others = sorted((replace(model, arm=arm) for arm in arms), key=lambda other: error_m(other, like))
+    errors = [(other.arm.name, error_m(other)) for other in others[:SHORT_LIST]]
     best = min(errors, key=lambda item: item[1], default=("", np.inf))
     return best if best[1] < FITS * error_m(model) else None
 

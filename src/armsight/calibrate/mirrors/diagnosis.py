@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.calibrate.cameras.bundle_adjustment import Bundle, adjust, bundle_of, residuals_px
+from armsight.calibrate.cameras.bundle_adjustment import Bundle, adjust, bundle_of, poses_of_boards, residuals_px
 from armsight.calibrate.cameras.initial_guess import board_poses, homographies
 from armsight.calibrate.cameras.monocular import rms, view_rms
 from armsight.calibrate.cameras.observations import Observations, pack
@@ -187,6 +187,7 @@ def _as_pair(used: Observations, fit: Fit) -> StereoCalibration:
         view_rms_px=view_rms(residual, seen),
         used=used,
         residual_px={side: residual[:, c][seen[:, c]] for c, side in enumerate(SIDES)},
+        T_left_board=poses_of_boards(used, fit),
         advice=tuple(advice),
     )
 
