@@ -7,7 +7,8 @@ from collections import deque
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from armsight.app.calibrate.mirrors import MirrorsJob, see_two_boards
+from armsight.app.calibrate.board_images import see_two_boards
+from armsight.app.calibrate.mirrors import MirrorsJob
 from armsight.app.calibrate.mirrors_check import AlignmentWatch, check_output, reference_of
 from armsight.app.live.station import Station
 from armsight.app.schemas.cameras import MirrorCheckOutput, MirrorTurnOutput

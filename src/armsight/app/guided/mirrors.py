@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.app.calibrate.board_images import see_two_boards
 from armsight.app.calibrate.cameras import report_path
-from armsight.app.calibrate.mirrors import CURES, OTHER_CURE, MirrorsJob, lit_design, run_mirrors, see_two_boards
+from armsight.app.calibrate.mirrors import CURES, OTHER_CURE, MirrorsJob, lit_design, run_mirrors
 from armsight.app.calibrate.mirrors_lit_target import CURES as LIT_CURES
 from armsight.app.calibrate.mirrors_lit_target import OTHER_CURE as OTHER_LIT_CURE
 from armsight.app.calibrate.mirrors_lit_target import see_lights
