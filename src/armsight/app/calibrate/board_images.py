@@ -38,16 +38,13 @@ def see_board(frame: Frame, board: Target, detector: str = "auto", pictures: Kee
     return view
 
 
-def see_two_boards(
-    frame: Frame, board: Target, pictures: Keeper | None = None
-) -> tuple[BoardView, BoardView] | NotSeen:
+def see_two_boards(frame: Frame, board: Target, pictures: Keeper) -> tuple[BoardView, BoardView] | NotSeen:
     """Return the board in both views of a complex image, or why it is not in both; pictures: keeps where it is."""
     try:
         both = find_two_boards(frame.image, board, source=frame.source)
     except BadImage as error:
         return NotSeen(error.cause.removeprefix(f"{frame.source}: "), error.unseen)
-    if pictures is not None:
-        pictures.keep(frame)
+    pictures.keep(frame)
     return both
 
 

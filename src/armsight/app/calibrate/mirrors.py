@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from armsight.app.calibrate.board_images import Keeper, in_parallel, see_board, see_two_boards
+from armsight.app.calibrate.board_images import in_parallel, see_board, see_two_boards
 from armsight.app.calibrate.board_pictures import BoardPictures, rig_boards
 from armsight.app.calibrate.camera_noise import input_files
 from armsight.app.calibrate.cameras import report_path, stereo_output
@@ -177,7 +177,9 @@ def board_name(job: MirrorsJob) -> str:
     return job.board
 
 
-def _all_pairs(job: MirrorsJob, board: Target, progress: Progress, pictures: Keeper) -> tuple[list[Pair], list[Missed]]:
+def _all_pairs(
+    job: MirrorsJob, board: Target, progress: Progress, pictures: BoardPictures
+) -> tuple[list[Pair], list[Missed]]:
     """Return the board in both views of every image, and the images in which it is not."""
     if job.image is None and (job.left_only is None or job.right_only is None):
         raise _no_images(job)
@@ -209,9 +211,7 @@ def _no_images(job: MirrorsJob) -> UsageError:
     )
 
 
-def complex_views(
-    job: MirrorsJob, board: Target, pictures: Keeper | None = None
-) -> Iterator[tuple[str, Pair | NotSeen]]:
+def complex_views(job: MirrorsJob, board: Target, pictures: BoardPictures) -> Iterator[tuple[str, Pair | NotSeen]]:
     """Yield each complex image's name with the board in both of its views, or why there are not two."""
 
     def see(frame: Frame) -> tuple[str, Pair | NotSeen]:
@@ -222,7 +222,7 @@ def complex_views(
         yield from in_parallel(see, islice(frames, 0, stop, job.every), workers=job.workers)
 
 
-def _covered(job: MirrorsJob, board: Target, pictures: Keeper) -> Iterator[tuple[str, Pair | NotSeen]]:
+def _covered(job: MirrorsJob, board: Target, pictures: BoardPictures) -> Iterator[tuple[str, Pair | NotSeen]]:
     """Yield the pairs of images taken with one path covered after the other."""
     if job.left_only is None or job.right_only is None:
         raise _no_images(job)
