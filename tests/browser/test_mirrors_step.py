@@ -43,6 +43,14 @@ def test_a_mirror_that_is_off_is_named_and_a_sample_is_taken(browser: Any, conso
     page.click("td button")
     page.wait_for_function("document.querySelectorAll('td button').length === 0")
     assert "Hold the board" in page.inner_text("[data-testid=hint]")
+    page.fill("[data-testid=mirrors-baseline_m]", "")
+    page.click("[data-testid=mirrors-keep]")
+    page.wait_for_function(
+        "document.querySelector('[data-testid=alignment]').textContent.includes('Which way to turn')"
+    )
+    page.fill("[data-testid=mirrors-baseline_m]", "160")
+    page.click("[data-testid=mirrors-keep]")
+    page.wait_for_function("document.querySelector('[data-testid=turn-0]').textContent.startsWith('Mirror 2: turn')")
     page.close()
 
 

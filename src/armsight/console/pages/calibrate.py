@@ -57,12 +57,13 @@ def _step(console: Console, name: str) -> None:
     if name != "mirrors":
         _Step(console, step, step_title(console, name))
         return
-    alignment_card(console)
     body = ui.element("div").style("display: contents")
 
     def begin() -> None:
+        """Build what depends on how the mirrors were built."""
         body.clear()
         with body:
+            alignment_card(console)
             _Step(console, console.step(name), texts.STEPS[name])
 
     begin()
