@@ -37,7 +37,7 @@ def compare(
             factor, unit = shown.get(one.unit, (1.0, one.unit))
             std = None if one.std is None else one.std / factor
             sigmas = "-" if one.sigmas is None else f"{one.sigmas:+.1f}"
-            name = one.name.removesuffix("_rad").removesuffix("_m")
+            name = one.name.replace("_rad", "").replace("_m_s", "").replace("_m", "")
             rows.append(
                 [name, figure(one.a / factor, 6), figure(one.difference / factor), figure(std, 2), sigmas, unit]
             )

@@ -171,7 +171,7 @@ def _run(done: CompareOutput, tracks: Tracks | None) -> CompareRun:
     for one in done.parameters:
         factor, unit = SHOWN.get(one.unit, (1.0, one.unit))
         std = None if one.std is None else one.std / factor
-        name = one.name.removesuffix("_rad").removesuffix("_m")
+        name = one.name.replace("_rad", "").replace("_m_s", "").replace("_m", "")
         rows.append(
             Row(
                 name=name,
