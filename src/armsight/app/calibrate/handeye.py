@@ -144,6 +144,7 @@ def handeye_output(
         noise=noise_output(result.noise),
         turning_rms_rad=result.rotation_excitation.rms_rad.tolist(),
         verdict=verdict(result),
+        concerns=list(result.concerns),
         advice=list(result.advice),
         target_scale=None if scale is None else TargetScale(factor=scale.factor, std=scale.std, p=scale.p),
         reprojection_rms_px=result.reprojection_rms_px,

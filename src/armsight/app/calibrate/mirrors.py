@@ -17,33 +17,26 @@ from armsight.app.calibrate.cameras import report_path, stereo_output
 from armsight.app.calibrate.mirrors_lit_target import calibrate_lit, reasons
 from armsight.app.calibrate.reports import RigData, write_stereo_report
 from armsight.app.schemas.cameras import (
-    CheckedAlignment,
     FormOutput,
     MirrorAlignment,
-    MirrorCheckOutput,
     MirrorsOutput,
     PlateOutput,
-    PoseChange,
-    SuspectMirror,
 )
 from armsight.app.sources.frames import open_source
 from armsight.calibrate.cameras import BoardOptions
 from armsight.calibrate.mirrors.calibration import GLASS, MirrorCalibration, calibrate_mirrors
-from armsight.calibrate.mirrors.diagnosis import Alignment, check_alignment
 from armsight.drivers import AUTOMATIC, CameraSettings, is_live
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, Unseen, UsageError
-from armsight.optics import Plate
+from armsight.optics import Plate, Rig
 from armsight.optics.mirrors import FormError, Mirrors, form_errors
 from armsight.records import BoardView, Frame, NotSeen, Progress, Silent, Target
-from armsight.store import parse_board, read_camera, read_rig, read_target, write_rig
+from armsight.store import parse_board, read_camera, read_target, write_rig
 
 TITLE = "Calibration of a mirror rig"
 
 DEPTHS_M = (0.4, 0.5, 0.6, 0.7, 0.8)
 LEAST_BOARDS = 3
 """Images of the board below which nothing is calibrated."""
-KEPT = 8
-"""Frames that a live check looks back on: a turned screw should show."""
 
 CURES: Mapping[Unseen, str] = {
     Unseen.BEYOND_SIZE: "Check the counts of --board, or look for a third reflection of the board",
@@ -65,8 +58,9 @@ class MirrorsJob:
     """What shows the mirror rig, and how it was built.
 
     image: complex images. left_only, right_only: images with the other path covered, of the same moments. thickness_m:
-    of the plate, None to find it, 0 for none. baseline_m, near_m, gap_m: as designed. rig: with check, the rig as it
-    was. target, camera: calibrate from complex images of this lit target, the lens as camera.yaml says.
+    of the plate, None to find it, 0 for none. baseline_m, near_m, gap_m: as designed. rig: with a check, the rig as it
+    was; parallel: hold the mirrors against parallel axes all the same. target, camera: calibrate from complex images of
+    this lit target, the lens as camera.yaml says; camera also for a check without a rig.
     """
 
     out: Path | None = None
@@ -80,6 +74,7 @@ class MirrorsJob:
     near_m: float = 0.06
     gap_m: float = 0.04
     rig: Path | None = None
+    parallel: bool = False
     target: Path | None = None
     camera: Path | None = None
     every: int = 1
@@ -99,7 +94,7 @@ def run_mirrors(job: MirrorsJob, progress: Progress | None = None) -> MirrorsOut
         raise UsageError("there is no file to write", cure="Give -o rig.yaml")
     if job.target is not None:
         return _from_target(job, job.out, progress)
-    board = parse_board(_board(job))
+    board = parse_board(board_name(job))
     pictures = BoardPictures()
     views, missed = _all_pairs(job, board, progress, pictures)
     if len(views) < LEAST_BOARDS:
@@ -146,74 +141,6 @@ def _too_few(job: MirrorsJob, n: int, missed: Sequence[Missed]) -> NotEnoughData
     )
 
 
-def run_check(job: MirrorsJob, progress: Progress | None = None) -> MirrorCheckOutput:
-    """Tell how the mirrors stand against the rig as it was calibrated, frame by frame, and which is to be turned how.
-
-    Goes on until the frames end, job.limit is reached or it is cancelled; the answer is of the last frames. Raises
-    UsageError, DataRefused or DeviceFailed.
-    """
-    progress = progress or Silent()
-    if job.rig is None or job.image is None:
-        raise UsageError("nothing to check", cure="Give --rig rig.yaml, as it was calibrated, and --image")
-    if job.target is not None:
-        raise UsageError(
-            "mirrors are checked with a board, not with the lit target, whose lights turned mirrors pair wrongly",
-            cure="Leave --target out and give --board",
-        )
-    rig, board = read_rig(job.rig), parse_board(_board(job))
-    plate = rig.left.plate or Plate(thickness_m=job.thickness_m or 1e-3, index=job.index)
-    design = Mirrors(baseline_m=job.baseline_m or rig.baseline_m, plate=plate, near_m=job.near_m, gap_m=job.gap_m)
-    kept: list[Pair] = []
-    missed: list[str] = []
-    last: Alignment | None = None
-    back = KEPT if is_live(job.image) else None
-    for number, (source, seen) in enumerate(_complex(job, board, BoardPictures()), 1):
-        if isinstance(seen, NotSeen):
-            missed.append(f"{source}: {seen.why}")
-            progress.update(number, job.limit or 0, seen.why)
-        else:
-            kept.append(seen)
-            recent = kept[-back:] if back else kept
-            last = check_alignment(rig, [a for a, _ in recent], [b for _, b in recent], board, design=design)
-            progress.update(number, job.limit or 0, _line(last))
-        if progress.cancelled():
-            break
-    if last is None:
-        raise NotEnoughData(
-            f"the board was found in both views of none of the images; {missed[0] if missed else 'there are none'}",
-            consequence="The alignment is not known",
-            cure="Show the whole board in both views",
-        )
-    return check_output(last, missed)
-
-
-def _line(found: Alignment) -> str:
-    now = found.now
-    return (
-        f"convergence {1e3 * now.convergence_rad:+.2f} mrad, vertical {now.vertical_px:+.2f} px, "
-        f"roll {1e3 * now.roll_rad:+.2f} mrad; {found.advice()}"
-    )
-
-
-def check_output(found: Alignment, missed: Sequence[str]) -> MirrorCheckOutput:
-    """Return a check of the alignment as --json gives it."""
-    names = PoseChange.model_fields
-    return MirrorCheckOutput(
-        alignment=CheckedAlignment(**{name: getattr(found.now, name) for name in CheckedAlignment.model_fields}),
-        change=PoseChange(**dict(zip(names, found.change.tolist(), strict=True))),
-        change_std=PoseChange(**dict(zip(names, found.std.tolist(), strict=True))),
-        moved=found.moved,
-        certain=found.certain,
-        suspects=[
-            SuspectMirror(mirror=one.mirror, turn_rad=one.turn_rad, tilt_rad=one.tilt_rad, chi2=one.chi2)
-            for one in found.suspects
-        ],
-        advice=[found.advice()],
-        n_views=found.n_views,
-        missed=list(missed),
-    )
-
-
 def mirrors_output(
     done: MirrorCalibration, rejected: Sequence[tuple[str, str]], *, n_pairs: int, forms: Sequence[FormError] = ()
 ) -> MirrorsOutput:
@@ -243,7 +170,8 @@ def mirrors_output(
     )
 
 
-def _board(job: MirrorsJob) -> str:
+def board_name(job: MirrorsJob) -> str:
+    """Return the board. Raises UsageError where none is given."""
     if not job.board:
         raise UsageError("there is no board", cure="Give --board, for instance checkerboard:9x6:0.025")
     return job.board
@@ -257,7 +185,7 @@ def _all_pairs(
         raise _no_images(job)
     views: list[Pair] = []
     missed: list[Missed] = []
-    sources = ([_complex(job, board, pictures)] if job.image is not None else []) + (
+    sources = ([complex_views(job, board, pictures)] if job.image is not None else []) + (
         [_covered(job, board, pictures)] if job.left_only is not None or job.right_only is not None else []
     )
     for source in sources:
@@ -283,7 +211,7 @@ def _no_images(job: MirrorsJob) -> UsageError:
     )
 
 
-def _complex(job: MirrorsJob, board: Target, pictures: BoardPictures) -> Iterator[tuple[str, Pair | NotSeen]]:
+def complex_views(job: MirrorsJob, board: Target, pictures: BoardPictures) -> Iterator[tuple[str, Pair | NotSeen]]:
     """Yield each complex image's name with the board in both of its views, or why there are not two."""
 
     def see(frame: Frame) -> tuple[str, Pair | NotSeen]:
@@ -327,13 +255,9 @@ def _from_target(job: MirrorsJob, out: Path, progress: Progress) -> MirrorsOutpu
         raise UsageError("--target and --board are both given", cure="Give the one that the images show")
     if job.left_only is not None or job.right_only is not None:
         raise UsageError("--target goes with complex images only", cure="Give --image, or covered views with --board")
-    if job.camera is None or job.baseline_m is None or job.image is None or job.target is None:
+    design, target = lit_design(job)
+    if job.image is None or job.camera is None or job.target is None or job.baseline_m is None:
         raise _incomplete(job)
-    camera, target = read_camera(job.camera), read_target(job.target)
-    plate = Plate(thickness_m=job.thickness_m or 1e-3, index=job.index)
-    design = Mirrors(baseline_m=job.baseline_m, near_m=job.near_m, gap_m=job.gap_m, plate=plate).rig(camera)
-    if job.thickness_m == 0.0:
-        design = replace(design, left=replace(design.left, plate=None))
     images = partial(open_source, job.image, settings=job.camera_settings)
     done, rejected = calibrate_lit(design, target, images, every=job.every, limit=job.limit, progress=progress)
     write_rig(out, done.rig, inputs=[job.camera, job.target, *_inputs(job)])
@@ -351,6 +275,18 @@ def _from_target(job: MirrorsJob, out: Path, progress: Progress) -> MirrorsOutpu
     )
     write_stereo_report(report_path(out), done.pair, data)
     return mirrors_output(done, rejected, n_pairs=n_images, forms=forms)
+
+
+def lit_design(job: MirrorsJob) -> tuple[Rig, Target]:
+    """Return the rig as it was designed, its lens known, and the lit target. Raises UsageError, BadFile."""
+    if job.camera is None or job.baseline_m is None or job.target is None:
+        raise _incomplete(job)
+    camera, target = read_camera(job.camera), read_target(job.target)
+    plate = Plate(thickness_m=job.thickness_m or 1e-3, index=job.index)
+    design = Mirrors(baseline_m=job.baseline_m, near_m=job.near_m, gap_m=job.gap_m, plate=plate).rig(camera)
+    if job.thickness_m == 0.0:
+        design = replace(design, left=replace(design.left, plate=None))
+    return design, target
 
 
 def _incomplete(job: MirrorsJob) -> UsageError:

@@ -21,9 +21,12 @@ from armsight.calibrate.arm.model_selection import (
     plain_level,
     significant_gain,
 )
+from armsight.calibrate.arm.one_place import check_one_place
+from armsight.calibrate.arm.other_arm import OtherArm, other_arm
 from armsight.calibrate.arm.parameter_selection import still
 from armsight.calibrate.arm.plausibility import check_fit, exceeded
 from armsight.calibrate.arm.points import ArmPoints, check_points
+from armsight.calibrate.arm.tool_points import tool_points
 from armsight.errors import Inconsistent, NotConverged
 from armsight.kinematics import Arm
 from armsight.records import NamedCovariance
@@ -58,7 +61,8 @@ class ArmCalibration:
     left_after: on the holdout where one was given (held), else the same. free, condition: see Choice. fixed: (name,
     why) of what is as in the nominal arm. model, fitted: names and values of the parameters (changes to the nominal
     arm), noise. outliers: (row from 0, error in m). couplings: (joint, by which, share). level: which kind of model was
-    taken. still: joints that did not move. before_m, error_m: (m,) before and after, by row.
+    taken. still: joints that did not move. before_m, error_m: (m,) before and after, by row. other_arm: why the nominal
+    arm is that of another one; nothing is corrected then.
     """
 
     arm: Arm
@@ -84,6 +88,7 @@ class ArmCalibration:
     verdict: str
     error_m: Array
     before_m: Array
+    other_arm: OtherArm | None = None
 
     def std(self) -> dict[str, float]:
         """Return the standard deviations of the freed parameters, base and tool."""
@@ -111,6 +116,7 @@ def calibrate_arm(
     """
     tolerance = tolerance or Tolerance()
     check_points(nominal, points)
+    check_one_place(nominal, points)
     model = ArmModel(arm=nominal, labels=points.labels, turned=points.rotation is not None)
     if holdout is not None:
         check_points(nominal, holdout)
@@ -122,6 +128,10 @@ def calibrate_arm(
     for richer in levels[1:]:
         if significant_gain(best.left_m, richer.left_m, points.position):
             best = richer
+    other = other_arm(model, points, _plain(levels, best), best, tolerance)
+    if other is not None:
+        kept = _result(model, points, holdout, levels, levels[0])
+        return replace(kept, verdict=other.text(), other_arm=other)
     return _result(model, points, holdout, levels, best)
 
 
@@ -145,6 +155,11 @@ def _levels(model: ArmModel, points: ArmPoints, tolerance: Tolerance, *, scale: 
         except NotConverged:
             continue
     return levels
+
+
+def _plain(levels: Sequence[Level], best: Level) -> Level:
+    """Return the level of base and tool alone whose readings are coupled as the best one's."""
+    return next(x for x in levels if x.couplings == best.couplings and not x.choice.free)
 
 
 def _check_labels(model: ArmModel, holdout: ArmPoints) -> None:
@@ -204,8 +219,9 @@ def _result(
 
 
 def _arm(model: ArmModel, best: Level) -> Arm:
-    """Return the arm of a level, with the covariance of its links."""
+    """Return the arm of a level, with the covariance of its links and the places of its tool's points."""
     arm, covariance = model.arm_at(best.fitted.p), best.fitted.fit.covariance
+    arm = replace(arm, tool_points=tool_points(model, best.fitted))
     if covariance is not None:
         links = tuple(name for name in covariance.names if name in model.names[: 5 * model.arm.n])
         if links:
