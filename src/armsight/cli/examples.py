@@ -14,6 +14,7 @@ PANELS: Mapping[str, str] = {
     "record": "Measure",
     "measure": "Measure",
     "verify": "Measure",
+    "compare": "Measure",
     "calibrate": "Calibrate and identify",
     "identify": "Calibrate and identify",
     "reproduce": "Calibrate and identify",
@@ -56,6 +57,10 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
         f"armsight servo --robot sim:pachidis2005-static {RIG} --handeye handeye.yaml --hand circle -o servo",
         f"armsight servo --robot rsi:49152 --arm arm.yaml --left camera:0 --right camera:1 {RIG} "
         "--handeye handeye.yaml --distance 0.6 -o servo",
+    ),
+    "compare": (
+        "armsight compare measured-monday measured-friday -o compared",
+        "armsight compare rig-before.yaml rig-after.yaml --distance 1.2",
     ),
     "join": ("armsight join --measured poses.csv --joints joints.csv --as points -o points.csv",),
     "teach": (

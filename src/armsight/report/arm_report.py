@@ -81,7 +81,7 @@ def _corrections(result: ArmCalibration) -> str:
         unit, factor = ("mm", MM) if name.endswith("_m") else ("°", DEG) if name.endswith("_rad") else ("", 1.0)
         shown, uncertainty = with_deviation(result.change(name) / factor, std[name] / factor)
         rows.append([name, shown, uncertainty, unit])
-    return table(["parameter", "change", "+-", "unit"], rows, numbers=(1, 2))
+    return table(["parameter", "change", "±", "unit"], rows, numbers=(1, 2))
 
 
 def error_figure(result: ArmCalibration) -> Figure:

@@ -13,6 +13,7 @@ from pydantic import ValidationError
 from armsight.app.schemas import (
     arm,
     cameras,
+    compare,
     files,
     handeye,
     kinematics,
@@ -183,6 +184,9 @@ KEYS: dict[type[Output], tuple[str, str]] = {
     ),
     OUTPUTS["record-repair"]: ("file messages duration_s lost_bytes damaged_chunks", ""),
     OUTPUTS["convert-recording"]: ("from out n", ""),
+    OUTPUTS["compare"]: ("kind a b agree verdict p parameters effects notes", "n report"),
+    compare.ComparedParameter: ("name unit a b difference std sigmas", ""),
+    compare.ComparedEffect: ("name value unit", ""),
     OUTPUTS["join"]: ("kind by offset_s offset_std_s drift_ppm n_measured n rejected notes file", ""),
     OUTPUTS["convert-table"]: ("kind how columns ranges n notes file", ""),
     OUTPUTS["convert"]: ("from to files n note", ""),
