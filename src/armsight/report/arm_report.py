@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from armsight.calibrate.arm import ArmCalibration, ArmPoints
 from armsight.report.figures import BLUE, GREY, Figure, axis, cloud_figure, layout
-from armsight.report.html import Card, Page, Verdict, figure_of, table, with_deviation
+from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table, with_deviation
 from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
@@ -31,12 +31,14 @@ def arm_report(
         title=f"Calibration of {result.nominal.name}",
         subtitle=f"{len(points)} measurements, {result.level}",
         verdict=Verdict(
-            level="good" if result.gain else "warn",
+            level="good" if result.gain and not result.at_limit else "warn",
             word="Better" if result.gain else "No gain",
             sentence=result.verdict,
         ),
         cards=_cards(result),
     )
+    if result.notes:
+        page.add("What to know", "", bullets(result.notes))
     page.add(
         "Errors row by row",
         "At the tool's point, with the nominal geometry (base and tool fitted) and with the corrected one.",

@@ -46,7 +46,7 @@ HANDEYE_MAYBE = (
 )
 TIP = "tip_m point_m std residual_rms_m n_used rejected turning_rms_rad"
 ARM = (
-    "n before after crossval free fixed std corrections condition outliers still couplings "
+    "n before after crossval free fixed std corrections condition outliers still couplings at_limit notes "
     "noise model verdict gain urdf"
 )
 PATH = "file n_before n length_m corners"

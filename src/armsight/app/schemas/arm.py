@@ -53,13 +53,22 @@ class ArmNoise(Output):
     rotation_rad: float | None = Field(description="Of an orientation about one axis, rad; null without orientations.")
 
 
+class LimitOutput(Output):
+    """A correction as large as the nominal arm is believed to."""
+
+    name: str = Field(description="The parameter.")
+    change: float = Field(description="Its change to the nominal arm, unit in the name.")
+    limit: float = Field(description="What the nominal arm is believed to, unit in the name.")
+    flag: str | None = Field(description="The option that raises it; null where there is none.")
+
+
 class ArmCalibrationOutput(Output):
     """The calibration of a known arm's geometry."""
 
     n: int = Field(description="Rows given.")
     before: ToolErrors = Field(description="Errors on the rows used, nominal geometry, base and tool fitted.")
     after: ToolErrors = Field(description="Errors on the rows used, geometry kept, base and tool fitted.")
-    crossval: BeforeAfter = Field(description="Errors on rows left out by k-fold cross-validation.")
+    crossval: BeforeAfter = Field(description="Errors on rows left out by nested cross-validation, refitted fully.")
     holdout: BeforeAfter | None = Field(None, exclude_if=absent, description="Errors on the rows of --holdout.")
     free: list[str] = Field(description="Parameters that were corrected.")
     fixed: list[FixedParameter] = Field(description="Parameters that were not.")
@@ -70,6 +79,8 @@ class ArmCalibrationOutput(Output):
     still: list[str] = Field(description="Joints that did not move.")
     couplings: list[CouplingOutput] = Field(description="Readings that are coupled to other joints'.")
     noise: ArmNoise = Field(description="Noise of the measurements.")
+    at_limit: list[LimitOutput] = Field(description="Corrections that stand at the limit of their tolerance.")
+    notes: list[str] = Field(description="What to know about the result.")
     model: str = Field(description="Which kind of model was taken.")
     verdict: str = Field(description="Whether the correction is worth it, in words.")
     gain: bool = Field(description="Whether left-out errors fall beyond their own uncertainty.")
