@@ -140,7 +140,7 @@ KEYS: dict[type[Output], tuple[str, str]] = {
     arm.BeforeAfter: ("before after", ""),
     arm.Outlier: ("row error_m", ""),
     OUTPUTS["calibrate-robot-world"]: ("T_base_rig std residual_rms_m n_used rejected", ""),
-    OUTPUTS["identify"]: ("joints method notes noise", "plan"),
+    OUTPUTS["identify"]: ("joints method notes noise misfit", "plan"),
     arm.IdentifiedJoint: (
         "index type a_m alpha_rad d_m theta_rad beta_rad lower upper sign std n discarded residual_rms_m "
         "residual_rms_px p_line decided radius_m axis",

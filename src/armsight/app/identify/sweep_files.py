@@ -104,6 +104,7 @@ def identified(
         base=base,
         name=job.out.stem,
     )
+    _check_paper(result)
     inputs = [path for path in (job.sweep, job.joints, job.rig, job.target, job.world) if path is not None]
     arm = result.arm
     if job.world is not None:  # found in the rig's axes
@@ -112,6 +113,19 @@ def identified(
     files = [("file", path.name) for path in inputs]
     write_text(report_path(job.out), identify_report(result, sweeps, rig, nominal=nominal, inputs=files))
     return identify_output(result, notes=notes, plan=plan)
+
+
+def _check_paper(result: Identification) -> None:
+    """Raise Inconsistent where the paper's means miss the readings that they were made from by far."""
+    if result.method != "paper" or not result.useless:
+        return
+    worst_m = max(joint.residual_rms_m for joint in result.joints)
+    raise Inconsistent(
+        f"the paper's method gives an arm that misses its own readings by {result.misfit:.0f} standard deviations of "
+        f"their noise, {worst_m * 1e3:.3g} mm RMS on the worst joint",
+        consequence="The arm is useless and is not written",
+        cure="Use --method ml: the same readings, fitted at once",
+    )
 
 
 def seen_in_frames(job: IdentifyJob, rig: Rig, progress: Progress) -> tuple[Sweeps, list[str]]:
@@ -178,6 +192,7 @@ def identify_output(
         method=result.method,
         notes=[*notes, *result.notes],
         noise=result.sigma,
+        misfit=result.misfit,
         plan=plan,
     )
 

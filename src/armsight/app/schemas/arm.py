@@ -178,6 +178,9 @@ class IdentifyOutput(Output):
     method: str = Field(description="ml or paper.")
     notes: list[str] = Field(description="What to know about the result.")
     noise: float = Field(description="Noise found: px with a rig, else m, or a factor on covariances given.")
+    misfit: float = Field(
+        description="RMS of the readings' distances from the arm, in standard deviations of the noise."
+    )
     plan: PlanOutput | None = Field(None, exclude_if=absent, description="The sweeps that were made; with --live.")
 
 
