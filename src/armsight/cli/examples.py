@@ -42,6 +42,7 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
     "reproduce": ("armsight reproduce kapucu2005 -o kapucu",),
     "serve": (
         "armsight serve --robot sim:webcam-cell",
+        "armsight serve --robot sim:webcam-cell --console work",
         "armsight serve --robot rsi:49152 --arm arm.yaml --bind 0.0.0.0 --tokens tokens.yaml --tls-cert cert.pem "
         "--tls-key key.pem",
     ),
@@ -110,8 +111,9 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
     "calibrate tooltip": ("armsight calibrate tooltip --poses poses.csv -o tip.yaml",),
     "calibrate pivot": (f"armsight calibrate pivot --left camera:0 --right camera:1 {RIG} -o tip.yaml",),
     "calibrate arm": (
-        "armsight calibrate arm --model ur10e --points points.csv -o calibrated",
-        "armsight calibrate arm --propose 20 --model arm.yaml --points points.csv -o calibrated",
+        "armsight calibrate arm --model ur10e --points points.csv -o calibrated.yaml",
+        "armsight calibrate arm --propose 20 --model arm.yaml --points points.csv -o calibrated.yaml",
+        "armsight calibrate arm --model two_arms.urdf --tip left_tool0 --points points.csv -o left.yaml",
     ),
     "calibrate robot-world": ("armsight calibrate robot-world --arm arm.yaml --points points.csv -o arm-placed.yaml",),
     "calibrate mirrors": (

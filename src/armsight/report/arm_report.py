@@ -30,11 +30,7 @@ def arm_report(
     page = Page(
         title=f"Calibration of {result.nominal.name}",
         subtitle=f"{len(points)} measurements, {result.level}",
-        verdict=Verdict(
-            level="good" if result.gain and not result.at_limit else "warn",
-            word="Better" if result.gain else "No gain",
-            sentence=result.verdict,
-        ),
+        verdict=_verdict(result),
         cards=_cards(result),
     )
     if result.notes:
@@ -59,6 +55,15 @@ def arm_report(
     if inputs:
         page.add("What went in", "", table(["", ""], [list(item) for item in inputs]))
     return page.html(created=created or datetime.now())
+
+
+def _verdict(result: ArmCalibration) -> Verdict:
+    if result.other_arm is not None:
+        return Verdict(level="bad", word="Another arm", sentence=result.verdict)
+    if result.gain:
+        level = "warn" if result.at_limit else "good"
+        return Verdict(level=level, word="Better", sentence=result.verdict)
+    return Verdict(level="warn", word="No gain", sentence=result.verdict)
 
 
 def _cards(result: ArmCalibration) -> list[Card]:

@@ -22,9 +22,12 @@ from armsight.calibrate.arm.model_selection import (
     fit_levels,
     significant_gain,
 )
+from armsight.calibrate.arm.one_place import check_one_place
+from armsight.calibrate.arm.other_arm import OtherArm, other_arm
 from armsight.calibrate.arm.parameter_selection import still
 from armsight.calibrate.arm.plausibility import check_fit, exceeded
 from armsight.calibrate.arm.points import ArmPoints, check_points
+from armsight.calibrate.arm.tool_points import tool_points
 from armsight.errors import Inconsistent, NotConverged
 from armsight.kinematics import Arm
 from armsight.records import NamedCovariance
@@ -64,7 +67,8 @@ class ArmCalibration:
     nominal arm. at_limit: corrections as large as the nominal arm is believed to; notes: what else to know. model,
     fitted: names and values of the parameters (changes to the nominal arm), noise. outliers: (row from 0, error in
     m). couplings: (joint, by which, share). level: which kind of model was taken. still: joints that did not move.
-    before_m, error_m: (m,) before and after, by row.
+    before_m, error_m: (m,) before and after, by row. other_arm: why the
+    nominal arm is that of another one; nothing is corrected then.
     """
 
     arm: Arm
@@ -92,6 +96,7 @@ class ArmCalibration:
     verdict: str
     error_m: Array
     before_m: Array
+    other_arm: OtherArm | None = None
 
     def std(self) -> dict[str, float]:
         """Return the standard deviations of the freed parameters, base and tool."""
@@ -119,6 +124,7 @@ def calibrate_arm(
     """
     tolerance = tolerance or Tolerance()
     check_points(nominal, points)
+    check_one_place(nominal, points)
     model = ArmModel(arm=nominal, labels=points.labels, turned=points.rotation is not None)
     if holdout is not None:
         check_points(nominal, holdout)
@@ -128,6 +134,10 @@ def calibrate_arm(
     check_fit(model, points, min(errors, key=exceeded))
     left = cross_validate(model, points, levels, tolerance, scale=scale)
     judged = _Judged(levels=levels, chosen=best_level(levels, points.position), left=left)
+    other = other_arm(model, points, _plain(levels, judged.chosen), judged.chosen, tolerance)
+    if other is not None:
+        kept = _result(model, points, holdout, replace(judged, chosen=levels[0]), tolerance)
+        return replace(kept, verdict=other.text(), other_arm=other)
     return _result(model, points, holdout, judged, tolerance)
 
 
@@ -158,6 +168,11 @@ def _levels(model: ArmModel, points: ArmPoints, tolerance: Tolerance, *, scale: 
         p, _ = coupled(model, points, guess)
         check_fit(model, points, np.linalg.norm(model.errors(p, points)[0], axis=1))
         raise
+
+
+def _plain(levels: Sequence[Level], best: Level) -> Level:
+    """Return the level of base and tool alone whose readings are coupled as the best one's."""
+    return next(x for x in levels if x.couplings == best.couplings and not x.choice.free)
 
 
 def _check_labels(model: ArmModel, holdout: ArmPoints) -> None:
@@ -229,8 +244,9 @@ def _held(
 
 
 def _arm(model: ArmModel, best: Level) -> Arm:
-    """Return the arm of a level, with the covariance of its links."""
+    """Return the arm of a level, with the covariance of its links and the places of its tool's points."""
     arm, covariance = model.arm_at(best.fitted.p), best.fitted.fit.covariance
+    arm = replace(arm, tool_points=tool_points(model, best.fitted))
     if covariance is not None:
         links = tuple(name for name in covariance.names if name in model.names[: 5 * model.arm.n])
         if links:

@@ -25,7 +25,7 @@ def suggest_coupling(kept: SweepResiduals, model: ChainModel, p: Array) -> list[
     """Return a note of the coupling, or joint's scale, that explains most of what the fit p (P,) leaves of readings.
 
     None where chance would do. Each share is tested alone, to first order beside the arm's parameters (F-test with one
-    degree of freedom), for all pairs of joints; Bonferroni's bound over the pairs. Those that explain as much are named.
+    degree of freedom), for all pairs of joints; Bonferroni's bound over the pairs. Those alike are named.
     """
     q, n = kept.sweeps.q, kept.sweeps.n
     r, slopes = (x.reshape(-1, *x.shape[2:]) for x in kept.residuals(*model.predict(p, q)))
