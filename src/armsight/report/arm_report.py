@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from armsight.calibrate.arm import ArmCalibration, ArmPoints
 from armsight.report.figures import BLUE, GREY, Figure, axis, cloud_figure, layout
-from armsight.report.html import Card, Page, Verdict, figure_of, table, with_deviation
+from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table, with_deviation
 from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
@@ -33,6 +33,8 @@ def arm_report(
         verdict=_verdict(result),
         cards=_cards(result),
     )
+    if result.notes:
+        page.add("What to know", "", bullets(result.notes))
     page.add(
         "Errors row by row",
         "At the tool's point, with the nominal geometry (base and tool fitted) and with the corrected one.",
@@ -59,7 +61,8 @@ def _verdict(result: ArmCalibration) -> Verdict:
     if result.other_arm is not None:
         return Verdict(level="bad", word="Another arm", sentence=result.verdict)
     if result.gain:
-        return Verdict(level="good", word="Better", sentence=result.verdict)
+        level = "warn" if result.at_limit else "good"
+        return Verdict(level=level, word="Better", sentence=result.verdict)
     return Verdict(level="warn", word="No gain", sentence=result.verdict)
 
 

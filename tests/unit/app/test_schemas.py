@@ -47,7 +47,7 @@ HANDEYE_MAYBE = (
 )
 TIP = "tip_m point_m std residual_rms_m n_used rejected turning_rms_rad"
 ARM = (
-    "n before after crossval free fixed std corrections condition outliers still couplings "
+    "n before after crossval free fixed std corrections condition outliers still couplings at_limit notes "
     "noise model verdict gain other_arm urdf"
 )
 PATH = "file n_before n length_m corners"
@@ -142,7 +142,7 @@ KEYS: dict[type[Output], tuple[str, str]] = {
     arm.BeforeAfter: ("before after", ""),
     arm.Outlier: ("row error_m", ""),
     OUTPUTS["calibrate-robot-world"]: ("T_base_rig std residual_rms_m n_used rejected", ""),
-    OUTPUTS["identify"]: ("joints method notes noise", "plan left_out"),
+    OUTPUTS["identify"]: ("joints method notes noise misfit", "plan left_out"),
     arm.LeftOutJoint: ("joint held_at", ""),
     arm.IdentifiedJoint: (
         "index type a_m alpha_rad d_m theta_rad beta_rad lower upper sign std n discarded residual_rms_m "

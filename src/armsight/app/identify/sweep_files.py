@@ -111,6 +111,7 @@ def identified(
         base=base,
         name=f"{job.out.stem}, {named(range(1, m + 1))} of {n}" if left_out else job.out.stem,
     )
+    _check_paper(result)
     notes = [*([consequence(n, left_out)] if left_out else []), *notes]
     inputs = [path for path in (job.sweep, job.joints, job.rig, job.target, job.world) if path is not None]
     arm = result.arm
@@ -122,6 +123,19 @@ def identified(
     done = identify_output(result, notes=notes, plan=plan)
     held = [LeftOutJoint(joint=joint, held_at=at) for joint, at in zip(left_out, job.held, strict=True)]
     return done.model_copy(update={"left_out": held}) if held else done
+
+
+def _check_paper(result: Identification) -> None:
+    """Raise Inconsistent where the paper's means miss the readings that they were made from by far."""
+    if result.method != "paper" or not result.useless:
+        return
+    worst_m = max(joint.residual_rms_m for joint in result.joints)
+    raise Inconsistent(
+        f"the paper's method gives an arm that misses its own readings by {result.misfit:.0f} standard deviations of "
+        f"their noise, {worst_m * 1e3:.3g} mm RMS on the worst joint",
+        consequence="The arm is useless and is not written",
+        cure="Use --method ml: the same readings, fitted at once",
+    )
 
 
 def seen_in_frames(job: IdentifyJob, rig: Rig, progress: Progress) -> tuple[Sweeps, list[str]]:
@@ -188,6 +202,7 @@ def identify_output(
         method=result.method,
         notes=[*notes, *result.notes],
         noise=result.sigma,
+        misfit=result.misfit,
         plan=plan,
     )
 

@@ -53,6 +53,15 @@ class ArmNoise(Output):
     rotation_rad: float | None = Field(description="Of an orientation about one axis, rad; null without orientations.")
 
 
+class LimitOutput(Output):
+    """A correction as large as the nominal arm is believed to."""
+
+    name: str = Field(description="The parameter.")
+    change: float = Field(description="Its change to the nominal arm, unit in the name.")
+    limit: float = Field(description="What the nominal arm is believed to, unit in the name.")
+    flag: str | None = Field(description="The option that raises it; null where there is none.")
+
+
 class MisfitOutput(Output):
     """A figure of the nominal arm that the measurements contradict."""
 
@@ -83,7 +92,7 @@ class ArmCalibrationOutput(Output):
     n: int = Field(description="Rows given.")
     before: ToolErrors = Field(description="Errors on the rows used, nominal geometry, base and tool fitted.")
     after: ToolErrors = Field(description="Errors on the rows used, geometry kept, base and tool fitted.")
-    crossval: BeforeAfter = Field(description="Errors on rows left out by k-fold cross-validation.")
+    crossval: BeforeAfter = Field(description="Errors on rows left out by nested cross-validation, refitted fully.")
     holdout: BeforeAfter | None = Field(None, exclude_if=absent, description="Errors on the rows of --holdout.")
     free: list[str] = Field(description="Parameters that were corrected.")
     fixed: list[FixedParameter] = Field(description="Parameters that were not.")
@@ -94,6 +103,8 @@ class ArmCalibrationOutput(Output):
     still: list[str] = Field(description="Joints that did not move.")
     couplings: list[CouplingOutput] = Field(description="Readings that are coupled to other joints'.")
     noise: ArmNoise = Field(description="Noise of the measurements.")
+    at_limit: list[LimitOutput] = Field(description="Corrections that stand at the limit of their tolerance.")
+    notes: list[str] = Field(description="What to know about the result.")
     model: str = Field(description="Which kind of model was taken.")
     verdict: str = Field(description="Whether the correction is worth it, in words.")
     gain: bool = Field(description="Whether left-out errors fall beyond their own uncertainty.")
@@ -201,6 +212,9 @@ class IdentifyOutput(Output):
     method: str = Field(description="ml or paper.")
     notes: list[str] = Field(description="What to know about the result.")
     noise: float = Field(description="Noise found: px with a rig, else m, or a factor on covariances given.")
+    misfit: float = Field(
+        description="RMS of the readings' distances from the arm, in standard deviations of the noise."
+    )
     plan: PlanOutput | None = Field(None, exclude_if=absent, description="The sweeps that were made; with --live.")
     left_out: list[LeftOutJoint] | None = Field(
         None, exclude_if=absent, description="Joints behind those of the result, held during the sweeps; --leave-out."
