@@ -21,6 +21,11 @@ Detector: TypeAlias = Annotated[
     ),
 ]
 
+Lens: TypeAlias = Annotated[
+    str,
+    typer.Option("--lens", metavar="NAME", help="pinhole, or fisheye (OpenCV's fisheye, Kalibr's equidistant)."),
+]
+
 calibrate = typer.Typer(help="Calibrate a camera, or a pair of cameras.", no_args_is_help=True)
 
 
@@ -54,6 +59,7 @@ def camera(
     frames: Limit = None,
     workers: Workers = None,
     detector: Detector = "auto",
+    lens: Lens = "pinhole",
     bits: Bits = None,
     strict: Strict = False,
     json: AsJson = False,
@@ -91,6 +97,7 @@ def camera(
             camera_settings=asked,
             bits=bits,
             strict=strict,
+            lens=lens,
         )
         done = calibrate_camera(job, face.progress("calibrating"))
         camera_tables(face, done, out)
@@ -138,6 +145,7 @@ def stereo(
     frames: Limit = None,
     workers: Workers = None,
     detector: Detector = "auto",
+    lens: Lens = "pinhole",
     bits: Bits = None,
     strict: Strict = False,
     json: AsJson = False,
@@ -160,6 +168,7 @@ def stereo(
             camera_settings=camera_options.settings(),
             bits=bits,
             strict=strict,
+            lens=lens,
         )
         done = calibrate_stereo(job, face.progress("calibrating"))
         stereo_tables(face, done, out)

@@ -93,9 +93,10 @@ def camera_tables(face: CommandUI, done: CameraOutput, out: Path) -> None:
     rows = [
         [name.removesuffix("_px"), figure(value, 6), figure(done.std.get(name), 2)] for name, value in values.items()
     ]
+    names = ("k1", "k2", "k3", "k4") if done.lens else ("k1", "k2", "p1", "p2", "k3")
     rows += [
         [name, figure(value, 4), figure(done.std.get(name), 2)]
-        for name, value in zip(("k1", "k2", "p1", "p2", "k3"), done.distortion, strict=True)
+        for name, value in zip(names, done.distortion, strict=True)
     ]
     face.table(f"Camera, {done.n_used} of {done.n_images} images", ["", "value", "+-"], rows)
     face.say(f"Reprojection {figure(done.rms_px)} px RMS; {figure(done.holdout_rms_px)} px on left-out images")

@@ -1,6 +1,6 @@
 """Pixel <-> ray: cameras, rigs, triangulation."""
 
-from armsight.optics.camera import INTRINSICS, Camera, Plate
+from armsight.optics.camera import FISHEYE_INTRINSICS, INTRINSICS, WIDEST_RAD, Camera, LensKind, Plate
 from armsight.optics.epipolar import epipolar_chi2, epipolar_distance, fundamental_matrix
 from armsight.optics.packed import PackedRig
 from armsight.optics.parallelism import Parallelism, moved_rig, parallelism
@@ -12,12 +12,15 @@ from armsight.optics.zoom import LeftOut, ZoomLens, ZoomSetting, ZoomState
 from armsight.optics.zoom_rig import RigAtZoom, at_zoom, with_zoom
 
 __all__ = [
+    "FISHEYE_INTRINSICS",
     "INTRINSICS",
     "RIGHT_POSE",
     "RIG_PARAMETERS",
     "SIDES",
+    "WIDEST_RAD",
     "Camera",
     "LeftOut",
+    "LensKind",
     "MountedZoom",
     "PackedRig",
     "Parallelism",

@@ -1,20 +1,38 @@
-"""A pinhole camera with skew and Brown-Conrady distortion."""
+"""A camera with skew: a pinhole with Brown-Conrady distortion, or a fisheye lens."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armsight.errors import Inconsistent
-from armsight.optics.kernels.camera import project_many, undistort_many
+from armsight.optics.kernels.camera import FISHEYE, project_many, undistort_many
 from armsight.records import Saveable, frozen_array
 
 Array = NDArray[np.float64]
 
 INTRINSICS = ("fx", "fy", "cx", "cy", "skew", "k1", "k2", "p1", "p2", "k3")
 """Names and order of a camera's intrinsics vector; fx..skew in px, the rest without unit."""
+
+FISHEYE_INTRINSICS = ("fx", "fy", "cx", "cy", "skew", "k1", "k2", "k3", "k4", "none")
+"""The same of a fisheye lens; the last place is empty, zero and never free."""
+
+WIDEST_RAD = float(np.radians(85.0))
+"""Rays are X/Z, Y/Z here, which a ray at 90 degrees has not; at 85 they are 11.4 and a pixel changes them by 130 times
+what it does in the middle. Beyond it a fisheye lens is not used."""
+
+
+class LensKind(StrEnum):
+    """A pinhole with Brown-Conrady distortion, or a fisheye (OpenCV's fisheye, Kalibr's equidistant)."""
+
+    PINHOLE = "pinhole"
+    FISHEYE = "fisheye"
+
+
+INTRINSICS_OF = {LensKind.PINHOLE: INTRINSICS, LensKind.FISHEYE: FISHEYE_INTRINSICS}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,17 +52,21 @@ class Plate:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Camera(Saveable):
-    """Image size in px and intrinsics (10,) in the order of INTRINSICS.
+    """Image size in px and intrinsics (10,) in the order of INTRINSICS, of a fisheye lens of FISHEYE_INTRINSICS.
 
     Model: x = X/Z, y = Y/Z; Brown-Conrady with k1, k2, k3 radial and p1, p2 tangential (OpenCV's order in
-    files: k1, k2, p1, p2, k3); u = fx xd + skew yd + cx, v = fy yd + cy. plate: the camera looks through one, its
-    normal (-1, 0, 1); the camera's centre is then where the optical axis seems to come from (MATH 3.1).
+    files: k1, k2, p1, p2, k3); u = fx xd + skew yd + cx, v = fy yd + cy. Fisheye: (xd, yd) = (x, y) theta_d / r with
+    r = hypot(x, y), theta = atan(r), theta_d = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8) (Kannala
+    and Brandt 2006, equation 6); points further than widest_rad from the axis have no image. plate: the camera looks
+    through one, its normal (-1, 0, 1); the camera's centre is then where the optical axis seems to come from
+    (MATH 3.1).
     """
 
     width: int
     height: int
     intrinsics: Array
     plate: Plate | None = None
+    lens: LensKind = LensKind.PINHOLE
 
     def __post_init__(self) -> None:
         k = frozen_array("intrinsics", self.intrinsics, (len(INTRINSICS),))
@@ -56,6 +78,12 @@ class Camera(Saveable):
                 f"focal lengths fx {k[0]:g}, fy {k[1]:g} px are not positive",
                 consequence="The camera has no rays",
                 cure="Calibrate it again, or correct the file",
+            )
+        if self.lens is LensKind.FISHEYE and (self.plate is not None or k[9] != 0.0):
+            raise Inconsistent(
+                "a fisheye lens with " + ("a glass plate before it" if self.plate else "a fifth coefficient"),
+                consequence="The model has k1, k2, k3, k4 and no plate",
+                cure="Say lens: pinhole for five coefficients or a mirror rig",
             )
 
     @classmethod
@@ -78,9 +106,53 @@ class Camera(Saveable):
             intrinsics=np.concatenate([[fx, fy, cx, cy, skew], np.asarray(distortion, float)]),
         )
 
+    @classmethod
+    def fisheye(
+        cls,
+        width: int,
+        height: int,
+        fx: float,
+        fy: float,
+        cx: float,
+        cy: float,
+        *,
+        skew: float = 0.0,
+        distortion: ArrayLike = (0.0, 0.0, 0.0, 0.0),
+    ) -> Camera:
+        """Return a camera with a fisheye lens; distortion is k1, k2, k3, k4. Raises Inconsistent for another number."""
+        k = np.asarray(distortion, float).ravel()
+        if k.shape != (4,):
+            raise Inconsistent(
+                f"a fisheye lens with {k.size} coefficients",
+                consequence="The model has four: k1, k2, k3, k4",
+                cure="Say lens: pinhole for k1, k2, p1, p2, k3",
+            )
+        intrinsics = np.concatenate([[fx, fy, cx, cy, skew], k, [0.0]])
+        return cls(width=width, height=height, intrinsics=intrinsics, lens=LensKind.FISHEYE)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the intrinsics, in their order."""
+        return INTRINSICS_OF[self.lens]
+
+    @property
+    def widest_rad(self) -> float:
+        """The angle from the optical axis up to which the camera is used: a fisheye's 85 degrees, less where it folds.
+
+        Of a pinhole 90 degrees.
+        """
+        if self.lens is LensKind.PINHOLE:
+            return float(np.pi / 2.0)
+        k1, k2, k3, k4 = self.intrinsics[5:9]
+        turns = np.roots([9.0 * k4, 7.0 * k3, 5.0 * k2, 3.0 * k1, 1.0])  # theta^2 where d theta_d / d theta = 0
+        folds = [float(np.sqrt(q.real)) for q in turns if abs(q.imag) < 1e-9 * abs(q) and q.real > 0.0]
+        return min([WIDEST_RAD, *folds])
+
     @property
     def packed(self) -> Array:
-        """Intrinsics and plate (12,) as the compiled code takes them; zeros without a plate."""
+        """Intrinsics and plate (12,) as the compiled code takes them; zeros without a plate, see its FISHEYE."""
+        if self.lens is LensKind.FISHEYE:
+            return np.concatenate([self.intrinsics, [FISHEYE, np.tan(self.widest_rad)]])
         plate = (0.0, 1.0) if self.plate is None else (self.plate.thickness_m, self.plate.index)
         return np.concatenate([self.intrinsics, plate])
 
@@ -92,11 +164,11 @@ class Camera(Saveable):
 
     @property
     def distortion(self) -> Array:
-        """k1, k2, p1, p2, k3."""
-        return np.asarray(self.intrinsics[5:])
+        """k1, k2, p1, p2, k3; of a fisheye lens k1, k2, k3, k4."""
+        return np.asarray(self.intrinsics[5:9] if self.lens is LensKind.FISHEYE else self.intrinsics[5:])
 
     def project(self, points_m: ArrayLike) -> Array:
-        """Return the pixels (n, 2) of points (n, 3) in camera axes; NaN for points behind the camera."""
+        """Return the pixels (n, 2) of points (n, 3) in camera axes; NaN behind the camera and beyond widest_rad."""
         X = np.ascontiguousarray(np.atleast_2d(np.asarray(points_m, float)))
         uv = np.empty((len(X), 2))
         project_many(self.packed, np.eye(3), np.zeros(3), X, uv)
@@ -109,11 +181,11 @@ class Camera(Saveable):
         """
         uv = np.ascontiguousarray(np.atleast_2d(np.asarray(uv_px, float)))
         xy = np.empty_like(uv)
-        undistort_many(self.intrinsics, uv, xy)
+        undistort_many(self.packed, uv, xy)
         return xy
 
     def is_close(self, other: Camera, *, tol: float) -> bool:
-        """Tell whether two cameras have the same size, intrinsics and plate within tol."""
-        return (self.width, self.height) == (other.width, other.height) and bool(
+        """Tell whether two cameras have the same size, lens, intrinsics and plate within tol."""
+        return (self.width, self.height, self.lens) == (other.width, other.height, other.lens) and bool(
             np.allclose(self.packed, other.packed, rtol=0.0, atol=tol)
         )

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.optics.rig import RIG_PARAMETERS, SIDES, Rig
+from armsight.optics.rig import SIDES, Rig
 from armsight.records import frozen_array
 
 Array = NDArray[np.float64]
@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 class PackedRig:
     """Intrinsics and plates k (2, 12); R (2, 3, 3), t (2, 3) with p_camera = R p_rig + t; baseline (3,) m.
 
-    First index: left, right. covariance: (26, 26) of RIG_PARAMETERS where the calibration brings one, zero for the
+    First index: left, right. covariance: (26, 26) of Rig.parameters where the calibration brings one, zero for the
     parameters it held fixed; (0, 0) where the rig is taken as exact.
     """
 
@@ -43,7 +43,8 @@ class PackedRig:
 def _covariance(rig: Rig) -> Array:
     if rig.covariance is None:
         return np.empty((0, 0))
-    named = [i for i, name in enumerate(RIG_PARAMETERS) if name in rig.covariance.names]
-    out = np.zeros((len(RIG_PARAMETERS), len(RIG_PARAMETERS)))
-    out[np.ix_(named, named)] = rig.covariance.block(tuple(RIG_PARAMETERS[i] for i in named))
+    names = rig.parameters
+    named = [i for i, name in enumerate(names) if name in rig.covariance.names]
+    out = np.zeros((len(names), len(names)))
+    out[np.ix_(named, named)] = rig.covariance.block(tuple(names[i] for i in named))
     return out

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.optics.camera import INTRINSICS
-from armsight.optics.rig import RIG_PARAMETERS, RIGHT_POSE, Rig
+from armsight.optics.rig import RIGHT_POSE, Rig
 from armsight.records import NamedCovariance, frozen_array
 
 Array = NDArray[np.float64]
@@ -65,7 +65,7 @@ def parallelism(rig: Rig, depths_m: ArrayLike = (0.5, 1.0, 2.0, 4.0)) -> Paralle
 
 
 def moved_rig(rig: Rig, step: Array) -> Rig:
-    """Return the rig with its RIG_PARAMETERS moved by step (26,); the right pose as t + dt, Exp(dw) R."""
+    """Return the rig with its parameters moved by step (26,); the right pose as t + dt, Exp(dw) R."""
     n = len(INTRINSICS)
     cameras = [
         replace(camera, intrinsics=camera.intrinsics + part)
@@ -102,12 +102,12 @@ def _gaps(rig: Rig, R: Array, t: Array, depths: Array) -> Array:
 
 def _deviations(rig: Rig, covariance: NamedCovariance, depths: Array) -> Array:
     """Return the standard deviations of _measures from the rig's covariance by central differences."""
-    names = tuple(name for name in RIG_PARAMETERS if name in covariance.names)
+    names = tuple(name for name in rig.parameters if name in covariance.names)
     columns = []
     for name in names:
-        step = np.zeros(len(RIG_PARAMETERS))
-        i = RIG_PARAMETERS.index(name)
-        step[i] = POSE_STEP if name in RIGHT_POSE else DERIVATIVE_STEPS[INTRINSICS.index(name.split(".")[1])]
+        step = np.zeros(len(rig.parameters))
+        i = rig.parameters.index(name)
+        step[i] = POSE_STEP if name in RIGHT_POSE else DERIVATIVE_STEPS[i % len(INTRINSICS)]
         plus, minus = (_measures(moved_rig(rig, sign * step), depths) for sign in (1.0, -1.0))
         columns.append((plus - minus) / (2.0 * step[i]))
     J = np.column_stack(columns)  # (6 + n, p)

@@ -22,7 +22,8 @@ RIGHT_POSE = tuple(f"right.{name}" for name in ("tx", "ty", "tz", "rx", "ry", "r
 """Names of the pose parameters in a rig's covariance: T_rig_right moved as t + dt, Exp(dw) R."""
 
 RIG_PARAMETERS = tuple(f"{side}.{name}" for side in SIDES for name in INTRINSICS) + RIGHT_POSE
-"""All 26 parameters that a rig's covariance may name, in the order of moved_rig."""
+"""All 26 parameters that a rig of two pinholes may name in its covariance, in the order of moved_rig; of any rig see
+Rig.parameters."""
 
 
 class RigKind(StrEnum):
@@ -60,6 +61,11 @@ class Rig(Saveable):
     noise: tuple[NoiseModel | None, NoiseModel | None] = (None, None)
     timing: tuple[CameraTiming | None, CameraTiming | None] = (None, None)
     zoom: tuple[MountedZoom | None, MountedZoom | None] = (None, None)
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """The 26 parameters that its covariance may name, in the order of moved_rig: the places of RIG_PARAMETERS."""
+        return tuple(f"{side}.{name}" for side in SIDES for name in self.camera(side).names) + RIGHT_POSE
 
     @property
     def baseline_m(self) -> float:

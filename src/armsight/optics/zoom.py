@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import Inconsistent, NotEnoughData
-from armsight.optics.camera import INTRINSICS, Camera
+from armsight.optics.camera import INTRINSICS, Camera, LensKind
 from armsight.optics.zoom_curves import Curves, curves
 from armsight.records import NamedCovariance
 
@@ -54,6 +54,14 @@ class ZoomSetting:
     rms_px: float | None = None
     pupil_m: float | None = None
     pupil_std_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.camera.lens is not LensKind.PINHOLE:
+            raise Inconsistent(
+                f"zoom {self.zoom:g}: a fisheye lens as a setting of a zoom lens",
+                consequence="Curves between settings are of pinholes",
+                cure="Calibrate a fisheye without --zoom",
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

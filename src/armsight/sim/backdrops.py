@@ -151,7 +151,7 @@ class Onlooker:
 
 
 def _fields(lens: Lens) -> tuple[tuple[object, ...], Mirrors | None, str]:
-    plain = (lens.width, lens.height, lens.focal_px, lens.centre_px, lens.skew_px, lens.distortion)
+    plain = (lens.width, lens.height, lens.focal_px, lens.centre_px, lens.skew_px, lens.distortion, lens.fisheye)
     return (plain, lens.mirrors, lens.side) if isinstance(lens, MirrorLens) else (plain, None, "")
 
 
@@ -160,7 +160,7 @@ def _standing(
     room: Room, plain: tuple[object, ...], mirrors: Mirrors | None, side: str, pose: tuple[float, ...], channels: int
 ) -> LightImage:
     """Return the light of a room on a camera at rest, given by what can be compared, so that it is drawn once."""
-    names = ("width", "height", "focal_px", "centre_px", "skew_px", "distortion")
+    names = ("width", "height", "focal_px", "centre_px", "skew_px", "distortion", "fisheye")
     given: dict[str, Any] = dict(zip(names, plain, strict=True))
     lens = Lens(**given) if mirrors is None else MirrorLens(**given, mirrors=mirrors, side=side)
     return room.light(View(lens=lens), RigidTransform.from_matrix(np.array(pose).reshape(4, 4)), channels)

@@ -1,6 +1,6 @@
-"""Compiled parts of the renderer: lens, spread functions, noise, board.
+"""Compiled parts of the renderer: spread functions, noise, board.
 
-A lens travels as one vector p (10,): fx, fy, cx, cy, skew (px), then k1, k2, p1, p2, k3. Light is float32
+Light is float32
 (h, w, c) in grey levels, c = 1 (grey) or 3 (BGR); the centre of the top-left pixel is (0, 0).
 """
 
@@ -42,60 +42,6 @@ def _tabulate():
 
 
 _STEP, _RAMP = _tabulate()
-
-
-@inner_kernel
-def bend(p, x, y):
-    """Return the distorted image (xd, yd) of the ray (x, y, 1): Brown's radial series and decentring terms."""
-    rr = x * x + y * y
-    stretch = 1.0 + p[5] * rr + p[6] * rr * rr + p[9] * rr * rr * rr
-    decentre = 2.0 * (p[7] * y + p[8] * x)  # both decentring terms share 2 (p1 y + p2 x) along the ray
-    return x * (stretch + decentre) + p[8] * rr, y * (stretch + decentre) + p[7] * rr
-
-
-@kernel
-def see_points(p, X, uv):
-    """Fill uv (n, 2) with the pixels of points X (n, 3) in camera axes; NaN for points not in front."""
-    for i in range(X.shape[0]):
-        if X[i, 2] > 0.0:
-            xd, yd = bend(p, X[i, 0] / X[i, 2], X[i, 1] / X[i, 2])
-            uv[i, 0] = p[0] * xd + p[4] * yd + p[2]
-            uv[i, 1] = p[1] * yd + p[3]
-        else:
-            uv[i, 0] = np.nan
-            uv[i, 1] = np.nan
-
-
-@kernel
-def trace_rays(p, uv, rays):
-    """Fill rays (n, 2) with (x, y) of the ray (x, y, 1) behind each pixel uv (n, 2); NaN where none is found.
-
-    Newton on bend() with its slope by central differences, damped by nothing: lenses that fold inside their
-    own image are not simulated.
-    """
-    h = 1e-6
-    for i in range(uv.shape[0]):
-        yd = (uv[i, 1] - p[3]) / p[1]
-        xd = (uv[i, 0] - p[2] - p[4] * yd) / p[0]
-        x, y = xd, yd
-        error = 1.0
-        for _ in range(20):
-            fx, fy = bend(p, x, y)
-            ex, ey = xd - fx, yd - fy
-            error = abs(ex) + abs(ey)
-            if error < 1e-14:
-                break
-            ax, ay = bend(p, x + h, y)
-            bx, by = bend(p, x - h, y)
-            cx, cy = bend(p, x, y + h)
-            dx, dy = bend(p, x, y - h)
-            xx, yx = (ax - bx) / (2.0 * h), (ay - by) / (2.0 * h)
-            xy, yy = (cx - dx) / (2.0 * h), (cy - dy) / (2.0 * h)
-            det = xx * yy - xy * yx
-            x += (yy * ex - xy * ey) / det
-            y += (xx * ey - yx * ex) / det
-        rays[i, 0] = x if error < 1e-9 else np.nan
-        rays[i, 1] = y if error < 1e-9 else np.nan
 
 
 @inner_kernel

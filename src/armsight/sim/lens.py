@@ -9,17 +9,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from armsight.errors import Inconsistent
 from armsight.records import frozen_array
-from armsight.sim.kernels import see_points, trace_rays
+from armsight.sim.lenses.kernels import see_points, trace_rays
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Lens:
-    """A pinhole with skew behind a Brown-Conrady lens.
+    """A pinhole with skew behind a Brown-Conrady lens, or a fisheye lens.
 
     width, height, focal_px (fx, fy), centre_px (cx, cy) and skew_px in px; distortion is k1, k2, p1, p2, k3
-    without unit. A ray (x, y, 1) lands at u = fx xd + skew yd + cx, v = fy yd + cy.
+    without unit, of a fisheye k1, k2, k3, k4, 0. A ray (x, y, 1) lands at u = fx xd + skew yd + cx, v = fy yd + cy.
     """
 
     width: int
@@ -28,16 +28,19 @@ class Lens:
     centre_px: tuple[float, float]
     skew_px: float = 0.0
     distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    fisheye: bool = False
 
     def __post_init__(self) -> None:
-        frozen_array("lens", self.vector, (10,))
+        frozen_array("lens", self.vector, (11,))
         if self.width < 1 or self.height < 1 or min(self.focal_px) <= 0.0:
             raise Inconsistent(f"a lens of {self.width}x{self.height} px with focal lengths {self.focal_px} cannot be")
 
     @property
     def vector(self) -> Array:
-        """The ten numbers in the order the kernels take them."""
-        return np.array([*self.focal_px, *self.centre_px, self.skew_px, *self.distortion], dtype=np.float64)
+        """The eleven numbers in the order the kernels take them."""
+        return np.array(
+            [*self.focal_px, *self.centre_px, self.skew_px, *self.distortion, float(self.fisheye)], dtype=np.float64
+        )
 
     def project(self, points_m: ArrayLike) -> Array:
         """Return the pixels (..., 2) of points (..., 3) in camera axes; NaN for points not in front."""
@@ -57,6 +60,7 @@ class Lens:
         """Return the intrinsics as rig.yaml writes them."""
         (fx, fy), (cx, cy) = self.focal_px, self.centre_px
         return {
+            **({"lens": "fisheye"} if self.fisheye else {}),
             "width": self.width,
             "height": self.height,
             "fx": fx,
@@ -64,5 +68,5 @@ class Lens:
             "cx": cx,
             "cy": cy,
             "skew": self.skew_px,
-            "distortion": list(self.distortion),
+            "distortion": list(self.distortion[:4] if self.fisheye else self.distortion),
         }

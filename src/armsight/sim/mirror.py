@@ -150,6 +150,7 @@ def mirror_views(lens: Lens, mirrors: Mirrors) -> dict[str, MirrorLens]:
         "centre_px": lens.centre_px,
         "skew_px": lens.skew_px,
         "distortion": lens.distortion,
+        "fisheye": lens.fisheye,
     }
     return {side: MirrorLens(mirrors=mirrors, side=side, **shared) for side in SIDES}
 

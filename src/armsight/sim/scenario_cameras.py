@@ -31,13 +31,14 @@ STANDING_EYE_M = 1.0
 
 
 def _lens(keys: LensKeys, cameras: CameraKeys) -> Lens:
-    k1, k2, p1, p2, k3 = keys.distortion
+    k1, k2, k3, k4, k5 = [*keys.distortion, *[0.0] * 5][:5]
     return Lens(
         width=cameras.width,
         height=cameras.height,
         focal_px=(keys.fx, keys.fy),
         centre_px=(keys.cx, keys.cy),
-        distortion=(k1, k2, p1, p2, k3),
+        distortion=(k1, k2, k3, k4, k5),
+        fisheye=keys.lens == "fisheye",
     )
 
 

@@ -20,6 +20,7 @@ from armsight.optics import Camera, Rig
 from armsight.records import Frame, PoseStatus
 from armsight.store.atomic import disk_errors
 from armsight.store.foreign.rectification import rectification
+from armsight.store.foreign.ros import ROS_MODEL
 from armsight.store.recording.protobuf import NS
 from armsight.store.recording.reader import Recording
 from armsight.store.rigs import rig_from_mapping
@@ -167,4 +168,4 @@ def _camera_info(bag: _Bag, side: str, t_s: float, camera: Camera, R: np.ndarray
     roi = bag.make("sensor_msgs/msg/RegionOfInterest", 0, 0, 0, 0, False)
     size = (camera.height, camera.width)
     matrices = (np.array(camera.distortion), camera.matrix.ravel(), R.ravel(), P.ravel())
-    return ("sensor_msgs/msg/CameraInfo", bag.header(t_s, side), *size, "plumb_bob", *matrices, 0, 0, roi)
+    return ("sensor_msgs/msg/CameraInfo", bag.header(t_s, side), *size, ROS_MODEL[camera.lens], *matrices, 0, 0, roi)

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from armsight.errors import BadFile
-from armsight.optics import Camera, ZoomLens, ZoomSetting
+from armsight.optics import Camera, LensKind, ZoomLens, ZoomSetting
 from armsight.records import CameraTiming, NoiseModel
 from armsight.store.noise import NoiseKey, noise_mapping
 from armsight.store.schema import (
@@ -19,7 +19,6 @@ from armsight.store.schema import (
     Finite,
     Origin,
     Strict,
-    Vector5,
     covariance_mapping,
     named,
     read_document,
@@ -34,20 +33,31 @@ NotNegative = Annotated[Finite, Field(ge=0.0)]
 
 
 class LensModel(Strict):
-    """Intrinsics in px; distortion k1, k2, p1, p2, k3."""
+    """Intrinsics in px; distortion k1, k2, p1, p2, k3, of a fisheye lens k1, k2, k3, k4."""
+
+    lens: Literal["pinhole", "fisheye"] = "pinhole"
 
     fx: Finite
     fy: Finite
     cx: Finite
     cy: Finite
     skew: Finite = 0.0
-    distortion: Vector5
+    distortion: Annotated[list[Finite], Field(min_length=4, max_length=5)]
+
+    @model_validator(mode="after")
+    def _coefficients(self) -> Self:
+        wanted = 4 if self.lens == "fisheye" else 5
+        if len(self.distortion) != wanted:
+            names = "k1, k2, k3, k4" if wanted == 4 else "k1, k2, p1, p2, k3"
+            raise ValueError(
+                f"distortion of a {self.lens} lens is {names}, and {len(self.distortion)} numbers are given"
+            )
+        return self
 
     def of_size(self, width: int, height: int) -> Camera:
         """Return the record; Inconsistent where no camera can be like this."""
-        return Camera.pinhole(
-            width, height, self.fx, self.fy, self.cx, self.cy, skew=self.skew, distortion=self.distortion
-        )
+        make = Camera.fisheye if self.lens == "fisheye" else Camera.pinhole
+        return make(width, height, self.fx, self.fy, self.cx, self.cy, skew=self.skew, distortion=self.distortion)
 
 
 class SizeModel(Strict):
@@ -160,7 +170,8 @@ def settings_mapping(lens: ZoomLens) -> list[dict[str, Any]]:
 def intrinsics_mapping(camera: Camera) -> dict[str, Any]:
     """Return a camera's intrinsics, without its size, as files hold them."""
     fx, fy, cx, cy, skew = camera.intrinsics[:5].tolist()
-    return {"fx": fx, "fy": fy, "cx": cx, "cy": cy, "skew": skew, "distortion": camera.distortion.tolist()}
+    lens = {} if camera.lens is LensKind.PINHOLE else {"lens": camera.lens.value}
+    return {**lens, "fx": fx, "fy": fy, "cx": cx, "cy": cy, "skew": skew, "distortion": camera.distortion.tolist()}
 
 
 def _setting_mapping(one: ZoomSetting) -> dict[str, Any]:

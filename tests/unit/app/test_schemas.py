@@ -93,7 +93,7 @@ KEYS: dict[type[Output], tuple[str, str]] = {
     verify_live.MasteringPose: ("q decides", ""),
     OUTPUTS["calibrate-camera"]: (
         "rms_px n_images n_used rejected fx_px fy_px cx_px cy_px distortion std holdout_rms_px advice",
-        "noise zoom",
+        "noise zoom lens",
     ),
     cameras.ZoomOutput: ("zoom settings focal_lengths_px left_out focal_error_rms advice", ""),
     cameras.LeftOutSetting: ("zoom focal_error_px focal_std_px image_rms_px", ""),

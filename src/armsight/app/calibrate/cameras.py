@@ -19,7 +19,8 @@ from armsight.calibrate.cameras import BoardOptions, CameraCalibration, StereoCa
 from armsight.calibrate.cameras import calibrate_camera as solve_camera
 from armsight.calibrate.cameras import calibrate_stereo as solve_stereo
 from armsight.drivers import AUTOMATIC, CameraSettings, ImageReading, is_live
-from armsight.errors import Cancelled, NotEnoughData
+from armsight.errors import Cancelled, NotEnoughData, UsageError
+from armsight.optics import LensKind
 from armsight.records import BoardView, Frame, NamedCovariance, NotSeen, Progress, Silent
 from armsight.store import parse_board, write_camera, write_rig
 
@@ -44,7 +45,7 @@ class CalibrateJob:
     detector: one of armsight.measure.boards.DETECTORS, for checkerboards. noise: still frames of the camera, or a file
     that holds its noise. zoom: of a zoom lens, the setting at which the images were taken; out then keeps its other
     settings. camera_settings: what is asked of live cameras. bits: of the light in 16-bit images. strict: an image that
-    cannot be read stops the run.
+    cannot be read stops the run. lens: one of LensKind, of the camera or of both.
     """
 
     board: str
@@ -62,6 +63,18 @@ class CalibrateJob:
     camera_settings: CameraSettings = AUTOMATIC
     bits: int | None = None
     strict: bool = False
+    lens: str = LensKind.PINHOLE.value
+
+    @property
+    def options(self) -> BoardOptions:
+        """What the calibration is free to do; UsageError for a lens that there is not, or that cannot zoom."""
+        if self.lens not in list(LensKind):
+            raise UsageError(
+                f"{self.lens[:40]!r} is not a kind of lens", cure=f"Give --lens with one of {', '.join(LensKind)}"
+            )
+        if self.lens == LensKind.FISHEYE and self.zoom is not None:
+            raise UsageError("a fisheye lens with --zoom", cure="Settings of a zoom lens are pinholes: leave one away")
+        return BoardOptions(folds=self.folds, lens=LensKind(self.lens))
 
     @property
     def reading(self) -> ImageReading:
@@ -74,7 +87,7 @@ def calibrate_camera(job: CalibrateJob, progress: Progress | None = None) -> Cam
 
     Raises UsageError, DataRefused or DeviceFailed, Cancelled.
     """
-    board = parse_board(job.board)
+    options, board = job.options, parse_board(job.board)
     progress = progress or Silent()
     views: list[BoardView] = []
     rejected: list[Rejected] = []
@@ -97,7 +110,7 @@ def calibrate_camera(job: CalibrateJob, progress: Progress | None = None) -> Cam
     if found is not None:
         require_size(found, (views[0].width, views[0].height), job.source)
     progress.update(0, 0, "solving")
-    done = solve_camera(views, board, BoardOptions(folds=job.folds), progress)
+    done = solve_camera(views, board, options, progress)
     zoom = _write(job, done, found)
     boards = camera_boards(done, board, pictures)
     write_camera_report(_report_of(job), done, board=job.board, rejected=rejected, boards=boards)
@@ -132,7 +145,7 @@ def calibrate_stereo(job: CalibrateJob, progress: Progress | None = None) -> Ste
 
     Raises UsageError, DataRefused or DeviceFailed, Cancelled.
     """
-    board = parse_board(job.board)
+    options, board = job.options, parse_board(job.board)
     progress = progress or Silent()
     views: tuple[list[BoardView], list[BoardView]] = ([], [])
     rejected: list[Rejected] = []
@@ -159,7 +172,7 @@ def calibrate_stereo(job: CalibrateJob, progress: Progress | None = None) -> Ste
     require_counts(every, board, job.board)
     _require(views[0], rejected, job.board)
     progress.update(0, 0, "solving")
-    result = solve_stereo(views[0], views[1], board, BoardOptions(folds=job.folds), progress)
+    result = solve_stereo(views[0], views[1], board, options, progress)
     write_rig(job.out, result.rig, inputs=[*input_files(job.left), *input_files(job.right)])
     boards = rig_boards(result, board, pictures)
     data = RigData(board=job.board, n_pairs=done, rejected=rejected, boards=boards)
@@ -187,6 +200,7 @@ def camera_output(
         cx_px=cx,
         cy_px=cy,
         distortion=done.camera.distortion.tolist(),
+        lens=None if done.camera.lens is LensKind.PINHOLE else "fisheye",
         std=_std(done.covariance),
         holdout_rms_px=done.holdout_rms_px,
         advice=list(done.advice),

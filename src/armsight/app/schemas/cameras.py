@@ -101,7 +101,12 @@ class CameraOutput(Output):
     fy_px: float = Field(description="Focal length along y, px.")
     cx_px: float = Field(description="Column of the principal point, px from the centre of the top left pixel.")
     cy_px: float = Field(description="Row of the principal point, px from the centre of the top left pixel.")
-    distortion: tuple[float, float, float, float, float] = Field(description="k1, k2, p1, p2, k3 (Brown).")
+    distortion: tuple[float, float, float, float, float] | tuple[float, float, float, float] = Field(
+        description="k1, k2, p1, p2, k3 (Brown); of a fisheye lens k1, k2, k3, k4."
+    )
+    lens: Literal["fisheye"] | None = Field(
+        None, exclude_if=absent, description="Where the lens is a fisheye; a pinhole is not named."
+    )
     std: dict[str, float] = Field(description="Standard deviations by name: fx_px, fy_px, cx_px, cy_px, k1 ... k3.")
     holdout_rms_px: float | None = Field(description="Reprojection residual on images left out of the fit, RMS, px.")
     advice: list[str] = Field(description="What would make the result surer.")

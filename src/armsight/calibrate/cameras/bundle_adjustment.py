@@ -14,7 +14,9 @@ from armsight.calibrate.cameras.kernels.normal_equations import view_normal_equa
 from armsight.calibrate.cameras.observations import Observations
 from armsight.fitting import EvaluatedNormalEquations, Evaluation, Fit, Problem, Settings, solve
 from armsight.fitting.normal import NormalEquations
-from armsight.optics import INTRINSICS, SIDES
+from armsight.optics import INTRINSICS, SIDES, LensKind
+from armsight.optics.camera import INTRINSICS_OF
+from armsight.optics.kernels.camera import FISHEYE
 from armsight.records import Progress
 
 Array = NDArray[np.float64]
@@ -22,6 +24,10 @@ Array = NDArray[np.float64]
 EMPTY = np.empty((0, 0, 0))
 EMPTY.setflags(write=False)
 POSE = ("tx", "ty", "tz", "rx", "ry", "rz")
+EMPTY_PLACE = "none"
+"""The name of a fisheye's tenth intrinsic, which stands for nothing."""
+WIDEST_FIT = float(np.tan(np.radians(88.5)))
+"""Tangent of the angle up to which a fisheye's points may come to lie on the way of a fit."""
 BY_CHANCE = 1e-3
 """Further distortion coefficients are freed where chi-square would fall by more than noise does this often."""
 COST_SETTLED = 1e-6
@@ -38,11 +44,12 @@ class Bundle:
     poses: Array
 
 
-def names_of(n_cameras: int) -> tuple[str, ...]:
+def names_of(n_cameras: int, lens: LensKind = LensKind.PINHOLE) -> tuple[str, ...]:
     """Return the names of the shared parameters: plain for one camera, by side and with the right pose for two."""
+    names = INTRINSICS_OF[lens]
     if n_cameras == 1:
-        return INTRINSICS
-    return tuple(f"{side}.{name}" for side in SIDES for name in INTRINSICS) + tuple(f"right.{name}" for name in POSE)
+        return names
+    return tuple(f"{side}.{name}" for side in SIDES for name in names) + tuple(f"right.{name}" for name in POSE)
 
 
 RIGHT = frozenset(f"right.{name}" for name in INTRINSICS)
@@ -56,14 +63,19 @@ def problem_of(observations: Observations, start: Bundle, fixed: frozenset[str])
     equations = _BoardEquations(observations)
     tied, pair = equations.tied, observations.n_cameras == 2
     k0 = np.tile(start.k.mean(axis=0), (2, 1)) if tied else start.k
+    names = names_of(observations.n_cameras, observations.lens)
+    if tied:
+        fixed = fixed | RIGHT
+    if observations.lens is LensKind.FISHEYE:
+        fixed = fixed | {name for name in names if name.split(".")[-1] == EMPTY_PLACE}
     return Problem(
-        names=names_of(observations.n_cameras),
+        names=names,
         guess=np.concatenate([k0.ravel(), start.side_pose]) if pair else k0.ravel(),
         evaluate=equations.evaluate,
         n_residuals=2 * observations.n_points,
         local_names=POSE,
         local_guess=start.poses,
-        fixed=fixed | RIGHT if tied else fixed,
+        fixed=fixed,
         retract=equations.retract,
     )
 
@@ -89,9 +101,11 @@ class _BoardEquations:
         if self.tied:
             k = np.ascontiguousarray(k[[0, 0]])
         side = shared[split:] if n_cameras == 2 else np.zeros(6)
-        shared_k, sides, poses = np.array(k), np.array(side), np.array(local)  # writable: one compilation serves all
+        lens = [FISHEYE, WIDEST_FIT] if seen.lens is LensKind.FISHEYE else [0.0, 1.0]
+        packed = np.ascontiguousarray(np.column_stack([k, np.tile(lens, (n_cameras, 1))]))
+        sides, poses = np.array(side), np.array(local)  # writable: one compilation serves all
         fine = view_normal_equations(
-            shared_k, sides, poses, seen.X, seen.radius_m, seen.uv, seen.weight, r, A, b, C, c, W
+            packed, sides, poses, seen.X, seen.radius_m, seen.uv, seen.weight, r, A, b, C, c, W
         )
         if self.tied:
             _tie(A, b, W)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from armsight.calibrate.cameras.bundle_adjustment import Bundle, adjust, bundle_of, names_of, residuals_px, start_at
 from armsight.calibrate.cameras.observations import Observations
 from armsight.calibrate.cameras.options import BoardOptions
-from armsight.calibrate.cameras.outlier_rejection import RobustFit, fit_without_outliers
+from armsight.calibrate.cameras.outlier_rejection import LAST_TERMS, RobustFit, fit_without_outliers
 from armsight.calibrate.cameras.preconditions import LEAST_VIEWS
 from armsight.calibrate.cameras.rigs import rig_of
 from armsight.errors import DataRefused
@@ -22,7 +22,6 @@ from armsight.optics.triangulate import triangulate
 
 Array = NDArray[np.float64]
 
-INTRINSIC_K3 = 9
 NEIGHBOUR = 1.01
 """Points up to this many times the shortest distance apart are neighbours."""
 
@@ -73,11 +72,18 @@ def left_out(robust_fit: RobustFit, options: BoardOptions) -> LeftOut | None:
     rows: list[tuple[Observations, Rig | None]] = []
     for out, state in _folds(robust_fit, options, folds):
         part = observations.take(out)
-        everything = frozenset(names_of(observations.n_cameras))
+        everything = frozenset(names_of(observations.n_cameras, observations.lens))
         fit = adjust(part, start_at(state, out), everything, max_iterations=options.max_iterations)
         squares += float((residuals_px(part, fit) ** 2).sum())
         n_points += part.n_points
-        rows.append((part, rig_of(bundle_of(fit, 2), observations.sizes) if observations.n_cameras == 2 else None))
+        rows.append(
+            (
+                part,
+                rig_of(bundle_of(fit, 2), observations.sizes, lens=observations.lens)
+                if observations.n_cameras == 2
+                else None,
+            )
+        )
     pairs = [(part, rig) for part, rig in rows if rig is not None]
     return LeftOut(
         rms_px=float(np.sqrt(squares / n_points)),
@@ -91,7 +97,8 @@ def _folds(robust_fit: RobustFit, options: BoardOptions, folds: int) -> Iterator
     whole = bundle_of(robust_fit.fit, robust_fit.observations.n_cameras)
     start_k = whole.k.copy()
     if options.automatic_k3:
-        start_k[:, INTRINSIC_K3] = 0.0
+        names = names_of(1, robust_fit.observations.lens)
+        start_k[:, [names.index(name) for name in LAST_TERMS[robust_fit.observations.lens]]] = 0.0
     views = np.arange(robust_fit.observations.n_views)
     for fold in range(folds):
         stay, out = views[views % folds != fold], views[views % folds == fold]

@@ -9,16 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.calibrate.cameras.bundle_adjustment import Bundle, bundle_of, poses_of_boards, residuals_px
+from armsight.calibrate.cameras.bundle_adjustment import bundle_of, residuals_px
 from armsight.calibrate.cameras.cross_validation import left_out
-from armsight.calibrate.cameras.initial_guess import board_poses, focal_lengths, homographies, start_intrinsics
-from armsight.calibrate.cameras.observations import Observations, pack
+from armsight.calibrate.cameras.lens_choice import refuse_other_lens, start_of, with_hint
+from armsight.calibrate.cameras.observations import pack
 from armsight.calibrate.cameras.options import BoardOptions
 from armsight.calibrate.cameras.outlier_rejection import RobustFit, fit_tilted
 from armsight.calibrate.cameras.preconditions import check_count, check_spread, different_views
 from armsight.calibrate.cameras.rigs import camera_of
-from armsight.errors import Inconsistent, NotEnoughData
-from armsight.optics import Camera
-from armsight.records import BoardView, NamedCovariance, Progress, Target
+from armsight.errors import Degenerate, Inconsistent, NotConverged, NotEnoughData, Undetermined
+from armsight.optics import Camera, LensKind
+from armsight.records import BoardView, NamedCovariance, Progress, Target, TargetKind
 
 Array = NDArray[np.float64]
 
@@ -63,21 +64,27 @@ def calibrate_camera(
     """Return the camera that saw the board in the views (Zhang's start, then bundle adjustment).
 
     Raises NotEnoughData (too few different views), Degenerate (no tilt, board in one part of the image),
-    Undetermined (parameters that cannot be told apart), Inconsistent (images of unequal size), NotConverged,
+    Undetermined (parameters that cannot be told apart), Inconsistent (images of unequal size, the other kind of lens),
+    NotConverged,
     Cancelled.
     """
     options = options or BoardOptions()
     require_views(views, board)
-    observations = pack([views], board)
+    require_points(board, options.lens)
+    observations = pack([views], board, options.lens)
     kept, repeated = different_views(observations)
     observations = observations.take(kept)
     advice = check_count(len(kept)) + check_spread(observations, 0, "the camera")
-    robust_fit, on_tilt = fit_tilted(observations, start_of(observations), options, "the camera", progress)
+    try:
+        robust_fit, on_tilt = fit_tilted(observations, start_of(observations), options, "the camera", progress)
+    except (Degenerate, NotConverged, NotEnoughData, Undetermined) as error:
+        raise with_hint(error, observations, options) from error
+    advice += refuse_other_lens(observations, robust_fit, options, 0, "the camera")
     out = left_out(robust_fit, options)
     residual, seen = residuals_px(robust_fit.observations, robust_fit.fit), robust_fit.observations.weight > 0.0
     covariance = required(robust_fit)
     return CameraCalibration(
-        camera=camera_of(bundle_of(robust_fit.fit, 1).k[0], observations.sizes[0]),
+        camera=camera_of(bundle_of(robust_fit.fit, 1).k[0], observations.sizes[0], options.lens),
         covariance=covariance,
         rms_px=rms(residual, seen),
         n_used=robust_fit.observations.n_views,
@@ -101,12 +108,14 @@ def require_views(views: Sequence[BoardView], board: Target) -> None:
         raise NotEnoughData("the board was found in no image", consequence="Nothing was calibrated")
 
 
-def start_of(observations: Observations) -> Bundle:
-    """Return the closed-form start of one camera."""
-    H = homographies(observations)
-    size = observations.sizes[0]
-    focal = focal_lengths(H, size[0])
-    return Bundle(k=start_intrinsics(focal, size)[None], side_pose=np.zeros(6), poses=board_poses(H, focal, size[0]))
+def require_points(board: Target, lens: LensKind) -> None:
+    """Raise Inconsistent for printed circles before a fisheye lens: their images are no ellipses there."""
+    if lens is LensKind.FISHEYE and board.kind in (TargetKind.CIRCLES, TargetKind.ACIRCLES):
+        raise Inconsistent(
+            "a fisheye lens bends a printed circle's image, and its middle is not the circle's",
+            consequence="Nothing was calibrated: the error grows towards the image's edge",
+            cure="Use a checkerboard or a ChArUco board",
+        )
 
 
 def required(robust_fit: RobustFit) -> NamedCovariance:

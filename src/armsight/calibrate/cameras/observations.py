@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import Inconsistent
+from armsight.optics import LensKind
 from armsight.records import BoardView, Target
 
 Array = NDArray[np.float64]
@@ -24,7 +25,7 @@ class Observations:
     X (n, 3) m, centred on the board's middle (`middle`, (3,) m) so that poses and shape are told apart well.
     uv (G, C, n, 2) px, zero where not seen. weight (G, C, n): 1 / sigma, 0 where not seen. sizes: (width, height) of
     each camera's images. sources: names of the images of each view. radius_m: of printed circles, 0 for points.
-    one_lens: both views are of one camera (a mirror rig's) and share its intrinsics.
+    one_lens: both views are of one camera (a mirror rig's) and share its intrinsics. lens: of every camera.
     """
 
     X: Array
@@ -35,6 +36,7 @@ class Observations:
     sources: tuple[tuple[str, ...], ...]
     radius_m: float
     one_lens: bool = False
+    lens: LensKind = LensKind.PINHOLE
 
     @property
     def n_views(self) -> int:
@@ -67,7 +69,7 @@ class Observations:
         )
 
 
-def pack(views: Sequence[Sequence[BoardView]], board: Target) -> Observations:
+def pack(views: Sequence[Sequence[BoardView]], board: Target, lens: LensKind = LensKind.PINHOLE) -> Observations:
     """Return the observations of C sequences of G views each; raises Inconsistent for images of unequal size."""
     n, G, C = len(board.names), len(views[0]), len(views)
     uv, weight = np.zeros((G, C, n, 2)), np.zeros((G, C, n))
@@ -91,6 +93,7 @@ def pack(views: Sequence[Sequence[BoardView]], board: Target) -> Observations:
         sizes=tuple((camera[0].width, camera[0].height) for camera in views),
         sources=tuple(tuple(camera[g].source for camera in views) for g in range(G)),
         radius_m=0.5 * board.diameter_m if board.diameter_m else 0.0,
+        lens=lens,
     )
 
 

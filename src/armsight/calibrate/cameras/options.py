@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from armsight.errors import UsageError
-from armsight.optics import INTRINSICS
+from armsight.optics import LensKind
+from armsight.optics.camera import INTRINSICS_OF
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -13,7 +14,8 @@ class BoardOptions:
     """Options of calibrate_camera and calibrate_stereo.
 
     fixed: intrinsics held at their start (zero for skew and distortion, the image's middle for cx and cy).
-    automatic_k3: hold k3 at zero unless the data ask for it (by a score test). reject: leave out views and points
+    automatic_k3: hold k3 at zero unless the data ask for it (by a score test); of a fisheye lens k3 and k4. lens: of
+    the camera, or of both. reject: leave out views and points
     that do not fit the others, and say so. folds: of the left-out error (0: none; as many as views: leave one out).
     """
 
@@ -22,12 +24,14 @@ class BoardOptions:
     reject: bool = True
     folds: int = 5
     max_iterations: int = 60
+    lens: LensKind = LensKind.PINHOLE
 
     def __post_init__(self) -> None:
-        unknown = set(self.fixed) - set(INTRINSICS)
+        names = [name for name in INTRINSICS_OF[self.lens] if name != "none"]
+        unknown = set(self.fixed) - set(names)
         if unknown:
             raise UsageError(
-                f"no intrinsic is called {', '.join(sorted(unknown))}; there are {', '.join(INTRINSICS)}",
+                f"no intrinsic is called {', '.join(sorted(unknown))}; there are {', '.join(names)}",
                 consequence="Nothing was calibrated",
             )
         if self.folds < 0 or self.folds == 1 or self.max_iterations < 1:

@@ -21,7 +21,7 @@ from armsight.calibrate.cameras.options import BoardOptions
 from armsight.calibrate.cameras.preconditions import DOUBTFUL_TILT_DEG, LEAST_POINTS, LEAST_VIEWS, check_tilt
 from armsight.errors import NotConverged, NotEnoughData, Undetermined
 from armsight.fitting import Fit
-from armsight.optics import SIDES
+from armsight.optics import SIDES, LensKind
 from armsight.records import Progress
 
 Array = NDArray[np.float64]
@@ -32,6 +32,8 @@ scatter less."""
 VIEW_LIMIT = 4.0
 """A view that scatters this many times more than the median view moved during the exposure or is no pair."""
 MOST_ROUNDS = 5
+LAST_TERMS = {LensKind.PINHOLE: frozenset({"k3"}), LensKind.FISHEYE: frozenset({"k3", "k4"})}
+"""What the distortion polynomial goes without unless the data ask for it."""
 RAYLEIGH_MEDIAN = 1.1774
 """Median distance of points scattered by one standard deviation along each axis."""
 
@@ -56,7 +58,8 @@ def fit_without_outliers(
     fit = adjust(observations, start, fixed, max_iterations=options.max_iterations, progress=progress)
     for _ in range(MOST_ROUNDS):
         wider = _freed(observations, fit, fixed, options)
-        bad_views, bad_points = _misfits(observations, fit) if options.reject else ({}, None)
+        judged = options.reject and (wider == fixed or options.lens is LensKind.PINHOLE)
+        bad_views, bad_points = _misfits(observations, fit) if judged else ({}, None)
         if wider == fixed and not bad_views and bad_points is None:
             break
         fixed = wider
@@ -81,7 +84,8 @@ def fit_tilted(
     name: of the camera, for the message. Asked before the fit, and again after it: a lens's distortion looks like
     tilt until it is known.
     """
-    check_tilt(start.poses, name)
+    if options.lens is LensKind.PINHOLE:
+        check_tilt(start.poses, name)
     try:
         robust_fit = fit_without_outliers(observations, start, options, progress)
     except (Undetermined, NotConverged):
@@ -92,15 +96,16 @@ def fit_tilted(
 
 def fixed_names(options: BoardOptions, n_cameras: int) -> frozenset[str]:
     """Return the names held in the first fit."""
-    plain = options.fixed | ({"k3"} if options.automatic_k3 else frozenset())
+    plain = options.fixed | (LAST_TERMS[options.lens] if options.automatic_k3 else frozenset())
     return frozenset(plain) if n_cameras == 1 else frozenset(f"{side}.{name}" for side in SIDES for name in plain)
 
 
 def _freed(observations: Observations, fit: Fit, fixed: frozenset[str], options: BoardOptions) -> frozenset[str]:
-    """Return the fixed names without k3 where the data ask for it."""
-    if not options.automatic_k3 or "k3" in options.fixed:
+    """Return the fixed names without the last terms of the distortion where the data ask for them."""
+    if not options.automatic_k3:
         return fixed
-    names = frozenset(name for name in fixed if name.split(".")[-1] == "k3")
+    last = LAST_TERMS[options.lens] - options.fixed
+    names = frozenset(name for name in fixed if name.split(".")[-1] in last)
     return fixed - names if names and asks_to_be_freed(observations, fit, fixed, names) else fixed
 
 

@@ -10,15 +10,15 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.calibrate.cameras.bundle_adjustment import Bundle
 from armsight.calibrate.cameras.pairing import as_pose
-from armsight.optics import Camera, Rig, RigKind
+from armsight.optics import Camera, LensKind, Rig, RigKind
 from armsight.records import NamedCovariance
 
 Array = NDArray[np.float64]
 
 
-def camera_of(k: Array, size: tuple[int, int]) -> Camera:
+def camera_of(k: Array, size: tuple[int, int], lens: LensKind = LensKind.PINHOLE) -> Camera:
     """Return the camera of intrinsics k (10,) and image size (width, height)."""
-    return Camera(width=size[0], height=size[1], intrinsics=k)
+    return Camera(width=size[0], height=size[1], intrinsics=k, lens=lens)
 
 
 def rig_of(
@@ -27,12 +27,13 @@ def rig_of(
     *,
     covariance: NamedCovariance | None = None,
     rms_px: float | None = None,
+    lens: LensKind = LensKind.PINHOLE,
 ) -> Rig:
     """Return the rig, its reference the left camera."""
     return Rig(
         kind=RigKind.STEREO,
-        left=camera_of(state.k[0], sizes[0]),
-        right=camera_of(state.k[1], sizes[1]),
+        left=camera_of(state.k[0], sizes[0], lens),
+        right=camera_of(state.k[1], sizes[1], lens),
         T_rig_left=RigidTransform.identity(),
         T_rig_right=as_pose(state.side_pose),
         covariance=covariance,

@@ -10,15 +10,16 @@ from numpy.typing import NDArray
 
 from armsight.calibrate.cameras.bundle_adjustment import Bundle, adjust, bundle_of, poses_of_boards, residuals_px
 from armsight.calibrate.cameras.cross_validation import epipolar_rms, left_out, metric_of
-from armsight.calibrate.cameras.monocular import doubts, require_views, required, rms, start_of, view_rms
+from armsight.calibrate.cameras.lens_choice import refuse_other_lens, start_of, with_hint
+from armsight.calibrate.cameras.monocular import doubts, require_points, require_views, required, rms, view_rms
 from armsight.calibrate.cameras.observations import Observations, pack
 from armsight.calibrate.cameras.options import BoardOptions
 from armsight.calibrate.cameras.outlier_rejection import RobustFit, fit_tilted, fixed_names
 from armsight.calibrate.cameras.pairing import Paired, pair_views
 from armsight.calibrate.cameras.preconditions import LEAST_VIEWS, check_count, check_spread, check_tilt, different_views
 from armsight.calibrate.cameras.rigs import baseline_std, of_one_lens, rig_of
-from armsight.errors import Inconsistent, NotConverged, NotEnoughData, Undetermined
-from armsight.optics import SIDES, Rig
+from armsight.errors import Degenerate, Inconsistent, NotConverged, NotEnoughData, Undetermined
+from armsight.optics import SIDES, LensKind, Rig
 from armsight.optics.parallelism import Parallelism, parallelism
 from armsight.records import BoardView, Progress, Target
 
@@ -108,12 +109,13 @@ def fit_pairs(
     progress: Progress | None = None,
 ) -> tuple[RobustFit, list[tuple[str, str]], list[str]]:
     """Return the fit of the pairs that agree, (source, why) of others, and advice; raises as calibrate_stereo."""
-    observations, rejected = _different_pairs(left, right, board)
+    observations, rejected = _different_pairs(left, right, board, options.lens)
     advice = check_count(observations.n_views)
     starts = [start_of(observations.camera(c)) for c in range(2)]
     for c, side in enumerate(SIDES):
         advice += check_spread(observations, c, f"the {side} camera")
-        check_tilt(starts[c].poses, f"the {side} camera")
+        if options.lens is LensKind.PINHOLE:
+            check_tilt(starts[c].poses, f"the {side} camera")
     observations, starts, paired = _paired(observations, starts, board, options)
     agree = np.flatnonzero(paired.agreeing)
     rejected += [(" / ".join(observations.sources[g]), NO_PAIR) for g in np.flatnonzero(~paired.agreeing)]
@@ -124,12 +126,18 @@ def fit_pairs(
             cure="Expose both cameras at once, or hold the board still",
         )
     start = Bundle(k=np.concatenate([s.k for s in starts]), side_pose=paired.side_pose, poses=starts[0].poses[agree])
-    robust_fit, on_tilt = fit_tilted(observations.take(agree), start, options, "the pair", progress)
+    given = observations.take(agree)
+    try:
+        robust_fit, on_tilt = fit_tilted(given, start, options, "the pair", progress)
+    except (Degenerate, NotConverged, NotEnoughData, Undetermined) as error:
+        raise with_hint(error, given.camera(0), options) from error
+    for c, side in enumerate(SIDES):
+        advice += refuse_other_lens(given, robust_fit, options, c, f"the {side} camera")
     return robust_fit, rejected, [*advice, *on_tilt]
 
 
 def _different_pairs(
-    left: Sequence[BoardView], right: Sequence[BoardView], board: Target
+    left: Sequence[BoardView], right: Sequence[BoardView], board: Target, lens: LensKind
 ) -> tuple[Observations, list[tuple[str, str]]]:
     """Return the pairs that show something new, and (source, why) of the others."""
     if len(left) != len(right):
@@ -139,7 +147,8 @@ def _different_pairs(
             cure="Give a right image for every left one, in the same order",
         )
     require_views(left, board)
-    observations = pack([left, right], board)
+    require_points(board, lens)
+    observations = pack([left, right], board, lens)
     kept, rejected = different_views(observations)
     return observations.take(kept), rejected
 
@@ -153,7 +162,7 @@ def judged(
     residual, seen = residuals_px(used, robust_fit.fit), used.weight > 0.0
     covariance = of_one_lens(required(robust_fit)) if used.one_lens else required(robust_fit)
     overall = rms(residual, seen)
-    rig = rig_of(state, used.sizes, covariance=covariance, rms_px=overall)
+    rig = rig_of(state, used.sizes, covariance=covariance, rms_px=overall, lens=used.lens)
     out = left_out(robust_fit, options)
     metric = out.metric if out else metric_of([(used, rig)]) if options.folds else None
     return StereoCalibration(

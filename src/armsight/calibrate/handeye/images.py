@@ -26,7 +26,7 @@ from armsight.calibrate.handeye.target_views import ViewPoses, cross, poses_of_v
 from armsight.calibrate.handeye.variances import Restricted, restricted_variances
 from armsight.errors import Inconsistent
 from armsight.fitting import EvaluatedNormalEquations, Evaluation, Fit, Problem, Settings, solve
-from armsight.optics import INTRINSICS, Camera
+from armsight.optics import Camera
 from armsight.records import BoardView, NamedCovariance, Target
 
 FREE_INTRINSICS = frozenset({"fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"})
@@ -160,13 +160,13 @@ class _Model:
         RX, tX, RZ, tZ = self.start
         rotvecs = [Rotation.from_matrix(R).as_rotvec() for R in (RX, RZ)]
         problem = Problem(
-            names=(*NAMES, *INTRINSICS),
+            names=(*NAMES, *camera.names),
             guess=np.concatenate([tX, rotvecs[0], tZ, rotvecs[1], camera.intrinsics]),
             evaluate=evaluate,
             n_residuals=2 * sightings.n_points + 6 * G,
             local_names=("tx", "ty", "tz", "rx", "ry", "rz"),
             local_guess=poses,
-            fixed=frozenset(INTRINSICS) - (FREE_INTRINSICS if free_camera else frozenset()),
+            fixed=frozenset(camera.names) - (FREE_INTRINSICS if free_camera else frozenset()),
             retract=retract,
         )
         return solve(problem, Settings(cost_tolerance=1e-9))

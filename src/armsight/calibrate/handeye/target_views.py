@@ -13,7 +13,7 @@ from armsight.calibrate.cameras.initial_guess import board_poses, homographies
 from armsight.calibrate.cameras.observations import Observations, pack
 from armsight.calibrate.handeye.pairs import Array
 from armsight.errors import Inconsistent, NotEnoughData
-from armsight.optics import INTRINSICS, Camera
+from armsight.optics import Camera
 from armsight.records import BoardView, Target
 
 ITERATIONS = 50
@@ -50,9 +50,9 @@ def poses_of_views(views: Sequence[BoardView], camera: Camera, board: Target) ->
                 consequence="Pixels and rays do not belong together",
                 cure="Give the calibration of this camera at this resolution",
             )
-    sightings = pack([views], board)
+    sightings = pack([views], board, camera.lens)
     start = Bundle(k=camera.intrinsics[None], side_pose=np.zeros(6), poses=_start(sightings, camera))
-    fit = adjust(sightings, start, frozenset(INTRINSICS), max_iterations=ITERATIONS)
+    fit = adjust(sightings, start, frozenset(camera.names), max_iterations=ITERATIONS)
     R = Rotation.from_rotvec(fit.local[:, 3:])
     lever = R.apply(sightings.middle)  # (n, 3), from the board's origin to its middle
     J = np.tile(np.eye(6), (len(views), 1, 1))

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.measure.poses.pairs import SLACK_PX
-from armsight.optics import INTRINSICS, RIG_PARAMETERS, Rig, mean_axes, moved_rig
+from armsight.optics import INTRINSICS, Rig, mean_axes, moved_rig
 from armsight.optics.parallelism import DERIVATIVE_STEPS, POSE_STEP
 
 Array = NDArray[np.float64]
@@ -33,7 +33,7 @@ def rig_slack_px(rig: Rig) -> float:
     point = middle + AWAY * rig.baseline_m * axes[:, 2]
     J = np.column_stack([_slope(_pixels(rig, point + h), _pixels(rig, point - h), POINT_STEP_M) for h in _steps(3)])
     miss = np.linalg.svd(J)[0][:, 3]  # (4,): what no move of the point explains
-    names = tuple(name for name in RIG_PARAMETERS if name in rig.covariance.names)
+    names = tuple(name for name in rig.parameters if name in rig.covariance.names)
     D = np.column_stack([_by_parameter(rig, name, point) for name in names])  # (4, p)
     variance = miss @ D @ rig.covariance.block(names) @ D.T @ miss
     return max(SLACK_PX, SHARED * float(np.sqrt(variance)))
@@ -52,9 +52,9 @@ def _slope(plus: Array, minus: Array, step: float) -> Array:
 
 
 def _by_parameter(rig: Rig, name: str, point: Array) -> Array:
-    """Return d pixels (4,) of both views / d one of RIG_PARAMETERS."""
-    i = RIG_PARAMETERS.index(name)
+    """Return d pixels (4,) of both views / d one of the rig's parameters."""
+    i = rig.parameters.index(name)
     size = DERIVATIVE_STEPS[i % len(INTRINSICS)] if i < 2 * len(INTRINSICS) else POSE_STEP
-    step = np.zeros(len(RIG_PARAMETERS))
+    step = np.zeros(len(rig.parameters))
     step[i] = size
     return _slope(_pixels(moved_rig(rig, step), point), _pixels(moved_rig(rig, -step), point), size)

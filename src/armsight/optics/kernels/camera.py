@@ -1,10 +1,15 @@
-"""Compiled pinhole projection with Brown-Conrady distortion, and its derivatives.
+"""Compiled projection with Brown-Conrady distortion or through a fisheye lens, and its derivatives.
 
 A camera's intrinsics travel as one vector k (10,): fx, fy, cx, cy, skew, k1, k2, p1, p2, k3; of a view through a glass
-plate as k (12,), with the plate's thickness (m) and refractive index behind them.
+plate as k (12,), with the plate's thickness (m) and refractive index behind them. Of a fisheye lens the vector is fx,
+fy, cx, cy, skew, k1, k2, k3, k4, 0, FISHEYE and the widest tangent: a point with r = hypot(x, y) / z beyond it has no
+image. Fisheye: theta = atan(r), theta_d = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8) (Kannala and
+Brandt 2006, equation 6 divided by its k1).
 """
 
 from __future__ import annotations
+
+from math import atan, sqrt, tan
 
 import numpy as np
 
@@ -13,12 +18,56 @@ from armsight._numba import inner_kernel, kernel
 UNDISTORT_STEPS = 30
 UNDISTORT_TOLERANCE = 1e-13
 
+FISHEYE = -1.0
+"""Stands where a plate's thickness would."""
+NEAR_AXIS = 1e-12
+"""Square of the tangent below which the fisheye's series about the axis is exact to rounding."""
+
+
+@inner_kernel
+def is_fisheye(k):
+    """Tell whether a vector of intrinsics is of a fisheye lens."""
+    return k.shape[0] > 10 and k[10] < 0.0
+
+
+@inner_kernel
+def fisheye_angle(k, theta):
+    """Return theta_d and d theta_d / d theta."""
+    q = theta * theta
+    k1, k2, k3, k4 = k[5], k[6], k[7], k[8]
+    image = theta * (1.0 + q * (k1 + q * (k2 + q * (k3 + q * k4))))
+    return image, 1.0 + q * (3.0 * k1 + q * (5.0 * k2 + q * (7.0 * k3 + q * 9.0 * k4)))
+
+
+@inner_kernel
+def fisheye_radial(k, r2):
+    """Return theta_d / r and its derivative by r^2, for a point with the square r2 of its tangent."""
+    if r2 < NEAR_AXIS:
+        slope = k[5] - 1.0 / 3.0
+        return 1.0 + slope * r2, slope
+    r = sqrt(r2)
+    image, rate = fisheye_angle(k, atan(r))
+    return image / r, 0.5 * (rate / (1.0 + r2) - image / r) / r2
+
+
+@inner_kernel
+def fisheye_sees(k, x, y):
+    """Tell whether a normalised point lies within the angle up to which the lens is known and does not fold."""
+    r2 = x * x + y * y
+    if not r2 <= k[11] * k[11]:
+        return False
+    return fisheye_angle(k, atan(sqrt(r2)))[1] > 0.0
+
 
 @inner_kernel
 def distort(k, x, y):
     """Return the distorted normalised point and its derivative (xx, xy, yy) by (x, y); xy is symmetric."""
-    k1, k2, p1, p2, k3 = k[5], k[6], k[7], k[8], k[9]
     r2 = x * x + y * y
+    if is_fisheye(k):
+        radial, slope = fisheye_radial(k, r2)
+        turn = 2.0 * slope
+        return x * radial, y * radial, radial + turn * x * x, turn * x * y, radial + turn * y * y
+    k1, k2, p1, p2, k3 = k[5], k[6], k[7], k[8], k[9]
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
     slope = k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3)  # d radial / d r2
     xd = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
@@ -55,7 +104,8 @@ def behind_plate(thickness, index, x, y, z):
 def project_point(k, x, y, z, uv, J):
     """Fill uv (2,) and J (2, 3) = d uv / d (x, y, z) for a point in camera axes; False where z <= 0.
 
-    Through a plate J leaves out how the shift changes with the point: a thousandth of J.
+    False also beyond the angle that a fisheye lens is known to. Through a plate J leaves out how the shift changes with
+    the point: a thousandth of J.
     """
     if not z > 0.0:
         return False
@@ -64,6 +114,8 @@ def project_point(k, x, y, z, uv, J):
     iz = 1.0 / z
     a = x * iz
     b = y * iz
+    if is_fisheye(k) and not fisheye_sees(k, a, b):
+        return False
     xd, yd, dxx, dxy, dyy = distort(k, a, b)
     fx, fy, skew = k[0], k[1], k[4]
     uv[0] = fx * xd + skew * yd + k[2]
@@ -95,6 +147,14 @@ def intrinsics_jacobian(k, x, y, z, D):
     D[0, 2] = 1.0
     D[1, 3] = 1.0
     D[0, 4] = yd
+    if is_fisheye(k):
+        theta = atan(sqrt(r2))
+        power = theta**3 / sqrt(r2) if r2 > NEAR_AXIS else r2
+        for j in range(5, 9):
+            D[0, j] = fx * a * power + skew * b * power
+            D[1, j] = fy * b * power
+            power *= theta * theta
+        return
     power = r2
     for j in (5, 6, 9):
         D[0, j] = fx * a * power + skew * b * power
@@ -109,17 +169,37 @@ def intrinsics_jacobian(k, x, y, z, D):
 
 
 @inner_kernel
-def undistort_point(k, u, v, xy, J):
-    """Fill xy (2,) with the normalised ray (x/z, y/z) of a pixel and J (2, 2) = d xy / d (u, v).
+def fisheye_tangent(k, image):
+    """Return tan(theta) / theta_d of the ray whose theta_d is image; negative where the lens has none.
 
-    Newton's iteration on the distortion polynomial. False where it does not converge or where the polynomial
-    folds over: the pixel has no ray under this model.
+    Newton's iteration within a bracket that shrinks: theta_d grows up to the widest angle.
     """
-    yd = (v - k[3]) / k[1]
-    xd = (u - k[2] - k[4] * yd) / k[0]
+    low, high = 0.0, atan(k[11])
+    if not image <= fisheye_angle(k, high)[0]:
+        return -1.0
+    if image * image < NEAR_AXIS:
+        return 1.0 + (1.0 / 3.0 - k[5]) * image * image
+    theta = min(image, high)
+    for _ in range(UNDISTORT_STEPS):
+        found, rate = fisheye_angle(k, theta)
+        error = found - image
+        if abs(error) < UNDISTORT_TOLERANCE:
+            return tan(theta) / image
+        if error > 0.0:
+            high = theta
+        else:
+            low = theta
+        theta = theta - error / rate if rate > 0.0 else low
+        if not low < theta < high:
+            theta = 0.5 * (low + high)
+    return -1.0
+
+
+@inner_kernel
+def undistort_pinhole(k, xd, yd, xy):
+    """Fill xy (2,) with the ray of a distorted normalised point by Newton's iteration; False where there is none."""
     x = xd
     y = yd
-    ok = False
     for _ in range(UNDISTORT_STEPS):
         fx, fy, dxx, dxy, dyy = distort(k, x, y)
         det = dxx * dyy - dxy * dxy
@@ -130,10 +210,30 @@ def undistort_point(k, u, v, xy, J):
         x -= (dyy * ex - dxy * ey) / det
         y -= (dxx * ey - dxy * ex) / det
         if abs(ex) + abs(ey) < UNDISTORT_TOLERANCE:
-            ok = True
-            break
-    if not ok:
+            xy[0] = x
+            xy[1] = y
+            return True
+    return False
+
+
+@inner_kernel
+def undistort_point(k, u, v, xy, J):
+    """Fill xy (2,) with the normalised ray (x/z, y/z) of a pixel and J (2, 2) = d xy / d (u, v).
+
+    False where Newton's iteration does not converge, where the distortion folds over, and beyond the angle that a
+    fisheye lens is known to: the pixel has no ray under this model.
+    """
+    yd = (v - k[3]) / k[1]
+    xd = (u - k[2] - k[4] * yd) / k[0]
+    if is_fisheye(k):
+        stretch = fisheye_tangent(k, sqrt(xd * xd + yd * yd))
+        if not stretch > 0.0:
+            return False
+        xy[0] = stretch * xd
+        xy[1] = stretch * yd
+    elif not undistort_pinhole(k, xd, yd, xy):
         return False
+    x, y = xy[0], xy[1]
     _, _, dxx, dxy, dyy = distort(k, x, y)
     det = dxx * dyy - dxy * dxy
     if not (det > 0.0 and dxx > 0.0):
@@ -142,8 +242,6 @@ def undistort_point(k, u, v, xy, J):
     a = 1.0 / k[0]
     b = -k[4] / (k[0] * k[1])
     c = 1.0 / k[1]
-    xy[0] = x
-    xy[1] = y
     J[0, 0] = dyy * a / det
     J[0, 1] = (dyy * b - dxy * c) / det
     J[1, 0] = -dxy * a / det
@@ -153,7 +251,7 @@ def undistort_point(k, u, v, xy, J):
 
 @kernel
 def project_many(k, R, t, X, uv):
-    """Fill uv (n, 2) with the pixels of points X (n, 3) seen through p_camera = R X + t; NaN behind the camera."""
+    """Fill uv (n, 2) with the pixels of points X (n, 3) seen through p_camera = R X + t; NaN where there is none."""
     J = np.empty((2, 3))
     for i in range(X.shape[0]):
         x = R[0, 0] * X[i, 0] + R[0, 1] * X[i, 1] + R[0, 2] * X[i, 2] + t[0]

@@ -1,7 +1,8 @@
 """Kalibr's camchain YAML.
 
 Cameras cam0, cam1, each with camera_model pinhole, intrinsics [fu, fv, pu, pv] in px, distortion_model radtan with
-[k1, k2, p1, p2], resolution [width, height]; cam1's T_cn_cnm1 (4 x 4, metres) takes points of cam0 into cam1. What
+[k1, k2, p1, p2] or equidistant with
+[k1, k2, k3, k4], resolution [width, height]; cam1's T_cn_cnm1 (4 x 4, metres) takes points of cam0 into cam1. What
 Kalibr adds (rostopic, T_cam_imu, cam_overlaps, timeshift_cam_imu) is not used. Other models are refused by name.
 """
 
@@ -15,9 +16,17 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import BadFile, Inconsistent
-from armsight.optics import Camera, Rig, RigKind
+from armsight.optics import Camera, LensKind, Rig, RigKind
 from armsight.store.atomic import write_text
-from armsight.store.foreign.numbers import array_of, matrix_at, placed, relative, rotation_of, value_at
+from armsight.store.foreign.numbers import (
+    array_of,
+    fisheye_coefficients,
+    matrix_at,
+    placed,
+    relative,
+    rotation_of,
+    value_at,
+)
 from armsight.store.schema import named
 from armsight.store.yamls import dump_yaml, read_yaml
 
@@ -31,23 +40,28 @@ def kalibr_camera(content: Mapping[str, Any], name: str, where: str) -> Camera:
     """Return one camera of a camchain's content; see camera_from_kalibr."""
     block = _block(content, name, where)
     place = f"{where}, {name}"
-    for key, known in (("camera_model", ("pinhole",)), ("distortion_model", ("radtan", "none"))):
+    for key, known in (("camera_model", ("pinhole",)), ("distortion_model", ("radtan", "equidistant", "none"))):
         model = value_at(block, key, place)
         if model not in known:
             raise BadFile(
                 f"{place}: {key} is {str(model)[:40]!r}",
                 consequence=f"Only {' or '.join(known)} can be used",
-                cure="Calibrate with pinhole-radtan",
+                cure="Calibrate with pinhole-radtan, a wide or fisheye lens with pinhole-equi",
             )
+    fisheye = block["distortion_model"] == "equidistant"
     fu, fv, pu, pv = matrix_at(block, "intrinsics", (1, 4), place).ravel().tolist()
-    distortion = np.zeros(5)
-    if block["distortion_model"] == "radtan":
+    distortion = np.zeros(4 if fisheye else 5)
+    if fisheye:
+        values = array_of(value_at(block, "distortion_coeffs", place), "distortion_coeffs", place)
+        distortion = fisheye_coefficients(values, "distortion_coeffs", place)
+    elif block["distortion_model"] == "radtan":
         distortion[:4] = matrix_at(block, "distortion_coeffs", (1, 4), place).ravel()
     size = array_of(value_at(block, "resolution", place), "resolution", place).ravel()
     if size.size != 2 or not all(float(value).is_integer() and 1 <= value <= 1e6 for value in size):
         raise BadFile(f"{place}: resolution is not [width, height] in px", consequence="The file is not used")
     with named(place):
-        return Camera.pinhole(int(size[0]), int(size[1]), fu, fv, pu, pv, distortion=distortion)
+        make = Camera.fisheye if fisheye else Camera.pinhole
+        return make(int(size[0]), int(size[1]), fu, fv, pu, pv, distortion=distortion)
 
 
 def rig_from_kalibr(path: Path) -> Rig:
@@ -81,19 +95,21 @@ def kalibr_rig(content: Mapping[str, Any], where: str) -> Rig:
 
 
 def kalibr_mapping(camera: Camera) -> dict[str, Any]:
-    """Return a camera as Kalibr's file holds it; Inconsistent where radtan cannot say it."""
-    fx, fy, cx, cy, skew, k1, k2, p1, p2, k3 = camera.intrinsics.tolist()
+    """Return a camera as Kalibr's file holds it; Inconsistent where radtan or equidistant cannot say it."""
+    fisheye = camera.lens is LensKind.FISHEYE
+    fx, fy, cx, cy, skew, *coefficients = camera.intrinsics.tolist()
+    k3 = 0.0 if fisheye else coefficients[4]
     if skew != 0.0 or k3 != 0.0:
         raise Inconsistent(
             f"the camera has skew {skew:g} px and k3 {k3:g}",
-            consequence="Kalibr's pinhole-radtan has neither",
+            consequence="Kalibr's models have neither",
             cure="Calibrate with both fixed at zero",
         )
     return {
         "camera_model": "pinhole",
         "intrinsics": [fx, fy, cx, cy],
-        "distortion_model": "radtan",
-        "distortion_coeffs": [k1, k2, p1, p2],
+        "distortion_model": "equidistant" if fisheye else "radtan",
+        "distortion_coeffs": coefficients[:4],
         "resolution": [camera.width, camera.height],
     }
 

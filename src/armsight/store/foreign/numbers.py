@@ -101,6 +101,18 @@ def brown_conrady(values: Array, key: str, where: str) -> Array:
     return np.concatenate([flat[:5], np.zeros(max(0, 5 - flat.size))])
 
 
+def fisheye_coefficients(values: Array, key: str, where: str) -> Array:
+    """Return k1, k2, k3, k4 of OpenCV's fisheye or Kalibr's equidistant model; BadFile for another number of them."""
+    flat = values.ravel()
+    if flat.size != 4:
+        raise BadFile(
+            f"{where}: {key} holds {flat.size} coefficients, and a fisheye lens has four (k1, k2, k3, k4)",
+            consequence="The file is not used",
+            cure="Say the model that they are of: five are those of a pinhole (plumb_bob, radtan)",
+        )
+    return flat
+
+
 def rotation_of(matrix: Array, key: str, where: str) -> Array:
     """Return the proper rotation nearest to a matrix (3, 3); BadFile where it is none within rounding."""
     if np.abs(matrix @ matrix.T - np.eye(3)).max() > ROTATION_TOLERANCE or np.linalg.det(matrix) < 0.0:

@@ -7,6 +7,9 @@ image size is `image_width` and `image_height`, or a list `imageSize`, `image_si
 stereo sample leaves it out, then it must be given. p_right = R p_left + T. T is in the unit of the board's squares at
 calibration: taken as metres unless unit_m says otherwise; a pair more than 10 m apart is refused as millimetres.
 
+A fisheye lens is told by `fisheye_model: 1`, as OpenCV's calibration sample writes it, or by `distortion_model` or
+`model`: four coefficients alone may be of either lens and are taken as a pinhole's k1, k2, p1, p2.
+
 The text is parsed here and not by cv2.FileStorage, so that a broken file gives an error that names its line.
 """
 
@@ -21,12 +24,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import BadFile, Inconsistent
-from armsight.optics import Camera, Rig, RigKind
+from armsight.optics import Camera, LensKind, Rig, RigKind
 from armsight.store.atomic import write_text
 from armsight.store.foreign.numbers import (
     array_of,
     brown_conrady,
     count_at,
+    fisheye_coefficients,
     intrinsics_of,
     matrix_at,
     placed,
@@ -44,6 +48,8 @@ PAIR_NAMES = (("M1", "D1", "M2", "D2"), ("cameraMatrix1", "distCoeffs1", "camera
 PAIR_NAMES_ALSO = (("K1", "D1", "K2", "D2"), ("cameraMatrix1", "D1", "cameraMatrix2", "D2"))
 CAMERA_NAMES = ("camera_matrix", "cameraMatrix", "K", "M")
 DISTORTION_NAMES = ("distortion_coefficients", "distCoeffs", "dist_coeffs", "D")
+FISHEYE_NAMES = ("fisheye", "equidistant", "kannala_brandt", "opencv_fisheye")
+PINHOLE_NAMES = ("pinhole", "plumb_bob", "radtan", "brown_conrady", "opencv", "rational_polynomial")
 SIZE_NAMES = ("imageSize", "image_size", "size")
 
 Size = tuple[int, int]
@@ -103,8 +109,10 @@ def camera_to_opencv(path: Path, camera: Camera) -> None:
         "image_width": camera.width,
         "image_height": camera.height,
         "camera_matrix": camera.matrix,
-        "distortion_coefficients": camera.distortion.reshape(5, 1),
+        "distortion_coefficients": camera.distortion.reshape(-1, 1),
     }
+    if camera.lens is LensKind.FISHEYE:
+        parts |= {"fisheye_model": 1}
     write_text(path, storage_text(parts))
 
 
@@ -120,12 +128,14 @@ def rig_to_opencv(path: Path, rig: Rig) -> None:
         "image_width": rig.left.width,
         "image_height": rig.left.height,
         "M1": rig.left.matrix,
-        "D1": rig.left.distortion.reshape(1, 5),
+        "D1": rig.left.distortion.reshape(1, -1),
         "M2": rig.right.matrix,
-        "D2": rig.right.distortion.reshape(1, 5),
+        "D2": rig.right.distortion.reshape(1, -1),
         "R": R,
         "T": t.reshape(3, 1),
     }
+    if rig.left.lens is LensKind.FISHEYE:
+        parts |= {"fisheye_model": 1}
     found = rectification(rig)
     parts |= {name: getattr(found, name) for name in ("R1", "R2", "P1", "P2", "Q", "E", "F")}
     write_text(path, storage_text(parts))
@@ -146,9 +156,25 @@ def storage_text(parts: Mapping[str, int | Array]) -> str:
 
 def _camera(content: Mapping[str, Any], matrix: str, distortion: str, size: Size, where: str) -> Camera:
     intrinsics = intrinsics_of(matrix_at(content, matrix, (3, 3), where), matrix, where)
-    values = brown_conrady(array_of(value_at(content, distortion, where), distortion, where), distortion, where)
+    fisheye = _is_fisheye(content, where)
+    coefficients = fisheye_coefficients if fisheye else brown_conrady
+    values = coefficients(array_of(value_at(content, distortion, where), distortion, where), distortion, where)
+    make = Camera.fisheye if fisheye else Camera.pinhole
     with named(where):
-        return Camera.pinhole(*size, *intrinsics[:4], skew=intrinsics[4], distortion=values)
+        return make(*size, *intrinsics[:4], skew=intrinsics[4], distortion=values)
+
+
+def _is_fisheye(content: Mapping[str, Any], where: str) -> bool:
+    """Tell whether the coefficients are of cv2.fisheye; BadFile for a model that is neither."""
+    name = content.get("distortion_model", content.get("model"))
+    known = {**dict.fromkeys(FISHEYE_NAMES, True), **dict.fromkeys(PINHOLE_NAMES, False)}
+    if isinstance(name, str) and name.lower() not in known:
+        raise BadFile(
+            f"{where}: the lens model is {name[:40]!r}",
+            consequence="Only OpenCV's pinhole and its fisheye can be used",
+            cure="Calibrate with cv2.calibrateCamera or cv2.fisheye.calibrate",
+        )
+    return bool(content.get("fisheye_model", False)) or (isinstance(name, str) and known[name.lower()])
 
 
 def _first(content: Mapping[str, Any], names: Sequence[str], where: str) -> str:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from armsight.errors import Inconsistent
 from armsight.geometry.lie import skew
-from armsight.optics import Rig
+from armsight.optics import LensKind, Rig
 from armsight.store.foreign.numbers import relative
 
 Array = NDArray[np.float64]
@@ -39,17 +39,15 @@ def rectification(rig: Rig) -> Rectification:
     if (rig.left.width, rig.left.height) != (rig.right.width, rig.right.height):
         raise Inconsistent("the cameras' images differ in size", consequence="One rectified pair cannot say this")
     R, t = relative(rig.T_rig_left, rig.T_rig_right)
-    R1, R2, P1, P2, Q, *_ = cv2.stereoRectify(
-        rig.left.matrix,
-        rig.left.distortion,
-        rig.right.matrix,
-        rig.right.distortion,
-        (rig.left.width, rig.left.height),
-        R,
-        t,
-        flags=cv2.CALIB_ZERO_DISPARITY,
-        alpha=0.0,
-    )
+    lenses = {rig.left.lens, rig.right.lens}
+    if len(lenses) > 1:
+        raise Inconsistent("one camera is a pinhole and one a fisheye", consequence="OpenCV cannot rectify the pair")
+    size = (rig.left.width, rig.left.height)
+    cameras = (rig.left.matrix, rig.left.distortion, rig.right.matrix, rig.right.distortion)
+    if lenses == {LensKind.FISHEYE}:
+        R1, R2, P1, P2, Q = cv2.fisheye.stereoRectify(*cameras, size, R, t, flags=cv2.CALIB_ZERO_DISPARITY)
+    else:
+        R1, R2, P1, P2, Q, *_ = cv2.stereoRectify(*cameras, size, R, t, flags=cv2.CALIB_ZERO_DISPARITY, alpha=0.0)
     E = skew(t) @ R
     F = np.linalg.inv(rig.right.matrix).T @ E @ np.linalg.inv(rig.left.matrix)
     scale = F[2, 2] if abs(F[2, 2]) > np.finfo(float).eps * np.abs(F).max() else np.linalg.norm(F)

@@ -1,6 +1,7 @@
 """ROS camera_info YAML, as camera_calibration_parsers and camera_calibration write it.
 
-One file per camera: image_width, image_height, camera_matrix K, distortion_model plumb_bob with k1, k2, p1, p2, k3,
+One file per camera: image_width, image_height, camera_matrix K, distortion_model plumb_bob with k1, k2, p1, p2, k3, or
+equidistant with k1, k2, k3, k4,
 rectification_matrix R, projection_matrix P; metres and pixels. Of a stereo pair R turns each camera's axes into the
 rectified axes, in which p_right = p_left + (P[0, 3] / P[0, 0], P[1, 3] / P[1, 1], 0): P of the right camera carries
 the baseline. So p_right_camera = R_right^T (R_left p_left_camera + that shift).
@@ -17,12 +18,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import BadFile, Inconsistent
-from armsight.optics import Camera, Rig, RigKind
+from armsight.optics import Camera, LensKind, Rig, RigKind
 from armsight.store.atomic import write_text
 from armsight.store.foreign.numbers import (
     array_of,
     brown_conrady,
     count_at,
+    fisheye_coefficients,
     intrinsics_of,
     matrix_at,
     placed,
@@ -36,6 +38,9 @@ from armsight.store.yamls import dump_yaml, read_yaml
 
 Array = NDArray[np.float64]
 
+ROS_MODEL = {LensKind.PINHOLE: "plumb_bob", LensKind.FISHEYE: "equidistant"}
+"""sensor_msgs/distortion_models."""
+
 
 def camera_from_ros(path: Path) -> Camera:
     """Return the camera of a camera_info YAML; BadFile where it is none or has another lens model."""
@@ -45,17 +50,20 @@ def camera_from_ros(path: Path) -> Camera:
 def ros_camera(content: Mapping[str, Any], where: str) -> Camera:
     """Return the camera that camera_info content describes; see camera_from_ros."""
     model = content.get("distortion_model", "plumb_bob")
-    if model not in ("plumb_bob", "rational_polynomial"):
+    if model not in ("plumb_bob", "rational_polynomial", "equidistant"):
         raise BadFile(
             f"{where}: distortion_model is {str(model)[:40]!r}",
-            consequence="Only plumb_bob (k1, k2, p1, p2, k3) can be used",
-            cure="Calibrate with plumb_bob",
+            consequence="Only plumb_bob (k1, k2, p1, p2, k3) and equidistant (k1, k2, k3, k4) can be used",
+            cure="Calibrate with plumb_bob, a fisheye lens with equidistant",
         )
     key = "distortion_coefficients"
     intrinsics = intrinsics_of(matrix_at(content, "camera_matrix", (3, 3), where), "camera_matrix", where)
-    distortion = brown_conrady(array_of(value_at(content, key, where), key, where), key, where)
+    fisheye = model == "equidistant"
+    coefficients = fisheye_coefficients if fisheye else brown_conrady
+    distortion = coefficients(array_of(value_at(content, key, where), key, where), key, where)
+    make = Camera.fisheye if fisheye else Camera.pinhole
     with named(where):
-        return Camera.pinhole(
+        return make(
             count_at(content, "image_width", where),
             count_at(content, "image_height", where),
             *intrinsics[:4],
@@ -119,8 +127,8 @@ def ros_mapping(camera: Camera, name: str, R: Array | None = None, P: Array | No
         "image_height": camera.height,
         "camera_name": name,
         "camera_matrix": _matrix(camera.matrix),
-        "distortion_model": "plumb_bob",
-        "distortion_coefficients": _matrix(camera.distortion.reshape(1, 5)),
+        "distortion_model": ROS_MODEL[camera.lens],
+        "distortion_coefficients": _matrix(camera.distortion.reshape(1, -1)),
         "rectification_matrix": _matrix(np.eye(3) if R is None else R),
         "projection_matrix": _matrix(P),
     }

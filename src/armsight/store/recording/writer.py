@@ -13,7 +13,7 @@ import numpy as np
 from armsight._version import __version__
 from armsight.clock import Clock
 from armsight.geometry import xyz_quat
-from armsight.optics import SIDES, Rig
+from armsight.optics import SIDES, LensKind, Rig
 from armsight.records import Frame, JointReading, Points, PoseStatus, Spots, TargetPose
 from armsight.store.atomic import json_text
 from armsight.store.recording import schemas
@@ -25,6 +25,7 @@ from armsight.store.recording.schemas import schema_of, time_json, vector_json
 FORMAT = "armsight/recording"
 VERSION = "1"
 METADATA = "armsight"
+FOXGLOVE_MODEL = {LensKind.PINHOLE: "plumb_bob", LensKind.FISHEYE: "kannala_brandt"}
 
 POINTS_MARK = 1
 """foxglove.ImageAnnotations: a set of points."""
@@ -190,7 +191,7 @@ class RecordingWriter:
                 "frame_id": side,
                 "width": camera.width,
                 "height": camera.height,
-                "distortion_model": "plumb_bob",
+                "distortion_model": FOXGLOVE_MODEL[camera.lens],
                 "D": camera.distortion,
                 "K": k,
                 "R": np.eye(3).ravel(),

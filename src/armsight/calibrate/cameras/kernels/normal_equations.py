@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from math import atan, sqrt
+
 import numpy as np
 
 from armsight._numba import inner_kernel, inner_sum_kernel, sum_kernel
 from armsight.geometry.kernels import rotation_from_rotvec
-from armsight.optics.kernels.camera import distort
+from armsight.optics.kernels.camera import NEAR_AXIS, distort, fisheye_sees, is_fisheye
 
 N_INTRINSICS = 10
 N_POSE = 6
@@ -30,13 +32,15 @@ def _inner(columns, m, n, H):
 
 @sum_kernel
 def view_normal_equations(k, side, poses, X, radius, uv, weight, r, A, b, C, c_local, W):
-    """Fill whitened residuals and the normal equations of their squares; False where a point lies behind a camera.
+    """Fill whitened residuals and the normal equations of their squares; False where a point lies
+    behind a camera or beside a fisheye.
 
-    k (C, 10): intrinsics of C = 1 or 2 cameras. side (6,): T_left_right as (t m, rotation vector rad), not
-    looked at for one camera. poses (G, 6): T_left_board alike. X (n, 3) board points; radius of printed circles in
-    m, 0 for points. uv (G, C, n, 2) px. weight (G, C, n): 1 / sigma, 0 where not seen. r (G, C 2n). A (S, S), b (S,):
-    shared parameters, S = 10 C + 6 (C - 1), intrinsics and then the step (dt, dw) of T_left_right. C (G, 6, 6),
-    c_local (G, 6): the step of each board's pose. W (G, S, 6): mixed.
+    k (C, 12): packed intrinsics of C = 1 or 2 cameras, without a plate. side (6,): T_left_right as (t m, rotation
+    vector rad), not looked at for one camera. poses (G, 6): T_left_board alike. X (n, 3) board points; radius of
+    printed circles in m, 0 for points. uv (G, C, n, 2) px. weight (G, C, n): 1 / sigma, 0 where not seen.
+    r (G, C 2n). A (S,
+    S), b (S,): shared parameters, S = 10 C + 6 (C - 1), intrinsics and then the step (dt, dw) of T_left_right. C (G,
+    6, 6), c_local (G, 6): the step of each board's pose. W (G, S, 6): mixed.
 
     A printed circle's outline has its centre at the pole of the line at infinity by the dual conic
     radius^2 (I - n n') - p p' of the board's normal n; the point is moved there. That shift is left out of
@@ -81,6 +85,9 @@ def view_normal_equations(k, side, poses, X, radius, uv, weight, r, A, b, C, c_l
                     return False
                 iz = 1.0 / q2
                 x, y = q0 * iz, q1 * iz
+                fisheye = is_fisheye(kc)
+                if fisheye and not fisheye_sees(kc, x, y):
+                    return False
                 xd, yd, dxx, dxy, dyy = distort(kc, x, y)
                 r2 = x * x + y * y
                 r4 = r2 * r2
@@ -97,9 +104,15 @@ def view_normal_equations(k, side, poses, X, radius, uv, weight, r, A, b, C, c_l
                         s, v = 0.0, w * fy
                         cols[0, o], cols[1, o], cols[2, o], cols[3, o], cols[4, o] = 0.0, w * yd, 0.0, w, 0.0
                     along = s * x + v * y  # radial terms move the point along its own direction
-                    cols[5, o], cols[6, o], cols[9, o] = along * r2, along * r4, along * r4 * r2
-                    cols[7, o] = 2.0 * s * x * y + v * (r2 + 2.0 * y * y)
-                    cols[8, o] = s * (r2 + 2.0 * x * x) + 2.0 * v * x * y
+                    if fisheye:
+                        q = atan(sqrt(r2)) ** 2
+                        along *= q * sqrt(q / r2) if r2 > NEAR_AXIS else r2
+                        cols[5, o], cols[6, o] = along, along * q
+                        cols[7, o], cols[8, o], cols[9, o] = along * q * q, along * q * q * q, 0.0
+                    else:
+                        cols[5, o], cols[6, o], cols[9, o] = along * r2, along * r4, along * r4 * r2
+                        cols[7, o] = 2.0 * s * x * y + v * (r2 + 2.0 * y * y)
+                        cols[8, o] = s * (r2 + 2.0 * x * x) + 2.0 * v * x * y
                     j0, j1 = w * jx * iz, w * jy * iz
                     j2 = -(j0 * x + j1 * y)
                     if c == 1:

@@ -1,0 +1,99 @@
+"""Fisheye lenses calibrated from boards that the simulated lens has seen; the wrong kind of lens told."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from armsight.calibrate.cameras import BoardOptions, calibrate_camera, calibrate_stereo
+from armsight.errors import Inconsistent, UsageError
+from armsight.optics import LensKind
+from armsight.records import BoardView
+from armsight.sim.lens import Lens
+from armsight.store import parse_board
+
+BOARD = parse_board("checkerboard:9x6:0.025")
+D = (-0.012, 0.02, -0.015, 0.004)
+FISHEYE = Lens(
+    width=1280, height=1024, focal_px=(420.0, 415.0), centre_px=(640.3, 511.2), distortion=(*D, 0.0), fisheye=True
+)
+TANGENTIAL = Lens(
+    width=1280, height=1024, focal_px=(700.0, 705.0), centre_px=(640.3, 511.2), distortion=(-0.2, 0.1, 0.01, -0.01, 0.0)
+)
+SIGMA_PX = 0.1
+OPTIONS = BoardOptions(lens=LensKind.FISHEYE, folds=0)
+SIZE = np.array([1280.0, 1024.0])
+
+
+def seen(lens: Lens, rng: np.random.Generator, n: int = 14, baseline_m: float | None = None) -> list[list[BoardView]]:
+    """Return views of boards all over the image; with a baseline those of a second camera to the right, too."""
+    shifts = [np.zeros(3)] if baseline_m is None else [np.zeros(3), np.array([baseline_m, 0.0, 0.0])]
+    out: list[list[BoardView]] = [[] for _ in shifts]
+    X = BOARD.xyz_m - BOARD.xyz_m.mean(axis=0)
+    while len(out[0]) < n:
+        x, y = lens.rays(rng.uniform([150.0, 120.0], [1130.0, 904.0])[None])[0]
+        ray = np.array([x, y, 1.0]) / np.hypot(np.hypot(x, y), 1.0)
+        facing = Rotation.align_vectors(ray[None], np.array([[0.0, 0.0, 1.0]]))[0]
+        tilt = Rotation.from_euler("zxy", rng.uniform([-30.0, -40.0, -40.0], [30.0, 40.0, 40.0]), degrees=True)
+        points = (facing * tilt).apply(X) + rng.uniform(0.2, 0.5) * ray
+        uv = [lens.project(points - shift) for shift in shifts]
+        if not all(np.isfinite(one).all() and (one > 5.0).all() and (one < SIZE - 6.0).all() for one in uv):
+            continue
+        for side, one in zip(out, uv, strict=True):
+            noisy = one + rng.normal(0.0, SIGMA_PX, one.shape)
+            side.append(
+                BoardView(
+                    source=f"{len(side)}",
+                    width=1280,
+                    height=1024,
+                    index=np.arange(len(X)),
+                    uv_px=noisy,
+                    sigma_px=SIGMA_PX,
+                )
+            )
+    return out
+
+
+def test_a_camera_is_found_within_what_it_claims() -> None:
+    done = calibrate_camera(seen(FISHEYE, np.random.default_rng(1))[0], BOARD, OPTIONS)
+    truth = dict(zip(done.camera.names, [420.0, 415.0, 640.3, 511.2, 0.0, *D], strict=False))
+    assert set(done.std) == {"fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4"}
+    for name, std in done.std.items():
+        error = done.camera.intrinsics[done.camera.names.index(name)] - truth[name]
+        assert abs(error) < 4.0 * std, name
+    assert done.std["fx"] < 1.0
+    assert done.rms_px == pytest.approx(SIGMA_PX * np.sqrt(2.0), rel=0.1)
+    assert done.rejected == ()
+
+
+def test_a_rig_is_found_within_what_it_claims() -> None:
+    left, right = seen(FISHEYE, np.random.default_rng(2), baseline_m=0.12)
+    done = calibrate_stereo(left, right, BOARD, OPTIONS)
+    assert done.rig.left.lens is done.rig.right.lens is LensKind.FISHEYE
+    assert abs(done.rig.baseline_m - 0.12) < 4.0 * done.baseline_std_m < 0.002
+    assert "right.k4" in done.std
+    assert done.epipolar_rms_px < 2.0 * SIGMA_PX
+
+
+def test_fisheye_pictures_are_no_pinhole_calibration() -> None:
+    left, right = seen(FISHEYE, np.random.default_rng(3), baseline_m=0.12)
+    with pytest.raises(Inconsistent, match="looks like a fisheye lens"):
+        calibrate_camera(left, BOARD, BoardOptions(folds=0))
+    with pytest.raises(Inconsistent, match="looks like a fisheye lens"):
+        calibrate_stereo(left, right, BOARD, BoardOptions(folds=0))
+
+
+def test_pinhole_pictures_are_no_fisheye_calibration() -> None:
+    views = seen(TANGENTIAL, np.random.default_rng(4))[0]
+    assert calibrate_camera(views, BOARD, BoardOptions(folds=0)).camera.lens is LensKind.PINHOLE
+    with pytest.raises(Inconsistent, match="looks like a pinhole lens"):
+        calibrate_camera(views, BOARD, OPTIONS)
+
+
+def test_printed_circles_and_unknown_names_are_refused() -> None:
+    views = seen(FISHEYE, np.random.default_rng(5), n=3)[0]
+    with pytest.raises(Inconsistent, match="printed circle"):
+        calibrate_camera(views, parse_board("circles:9x6:0.025"), OPTIONS)
+    with pytest.raises(UsageError, match="p1"):
+        BoardOptions(lens=LensKind.FISHEYE, fixed=frozenset({"p1"}))
