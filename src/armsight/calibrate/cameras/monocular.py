@@ -8,11 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.calibrate.cameras.bundle_adjustment import Bundle, bundle_of, poses_of_boards, residuals_px
-from armsight.calibrate.cameras.bundle_adjustment import bundle_of, residuals_px
+from armsight.calibrate.cameras.bundle_adjustment import bundle_of, poses_of_boards, residuals_px
 from armsight.calibrate.cameras.cross_validation import left_out
 from armsight.calibrate.cameras.lens_choice import refuse_other_lens, start_of, with_hint
-from armsight.calibrate.cameras.observations import pack
+from armsight.calibrate.cameras.observations import Observations, pack
 from armsight.calibrate.cameras.options import BoardOptions
 from armsight.calibrate.cameras.outlier_rejection import RobustFit, fit_tilted
 from armsight.calibrate.cameras.preconditions import check_count, check_spread, different_views
