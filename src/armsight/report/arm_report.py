@@ -83,7 +83,7 @@ def _corrections(result: ArmCalibration) -> str:
     for name in result.free:
         unit, factor = ("mm", MM) if name.endswith("_m") else ("°", DEG) if name.endswith("_rad") else ("", 1.0)
         shown, uncertainty = with_deviation(result.change(name) / factor, std[name] / factor)
-        rows.append([name, shown, uncertainty, unit])
+        rows.append([name.removesuffix("_rad").removesuffix("_m"), shown, uncertainty, unit])
     return table(["parameter", "change", "±", "unit"], rows, numbers=(1, 2))
 
 
