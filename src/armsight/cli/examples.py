@@ -42,6 +42,7 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
     "reproduce": ("armsight reproduce kapucu2005 -o kapucu",),
     "serve": (
         "armsight serve --robot sim:webcam-cell",
+        "armsight serve --robot sim:webcam-cell --console work",
         "armsight serve --robot rsi:49152 --arm arm.yaml --bind 0.0.0.0 --tokens tokens.yaml --tls-cert cert.pem "
         "--tls-key key.pem",
     ),

@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.kinematics import Arm
 from armsight.report.arm_view import arm_figure
-from armsight.report.figures import BLUE, GREY, ORANGE, RED, Figure, axis, layout, place, spread, thinned
+from armsight.report.figures import BLUE, GREY, ORANGE, RED, Figure, axis, bars, layout, place, spread, thinned
 from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table, with_deviation
 from armsight.units import DEG, MM, MS
 from armsight.verify import Verification
@@ -35,6 +35,7 @@ ARROWS = 400
 ARROW_SHARE = 0.08
 """Length of the longest arrow as a share of the space that the tool moved in."""
 LISTED = 40
+HISTOGRAM_BARS = 40
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -339,11 +340,20 @@ def _compared(page: Page, result: Verification, summary: Mapping[str, Any], othe
         ["cause", other.summary["cause"], summary["cause"]],
     ]
     own = np.linalg.norm(result.task[:, :3], axis=1)
+    edges = np.linspace(0.0, float(max(own.max(), other.error_m.max())) / MM, HISTOGRAM_BARS + 1)
+    middle, width = 0.5 * (edges[1:] + edges[:-1]), float(edges[1] - edges[0])
     data = [
-        {"type": "histogram", "name": name, "x": error / MM, "opacity": 0.6, "marker": {"color": colour}}
+        bars(
+            middle,
+            np.histogram(error / MM, edges)[0] / len(error),
+            width,
+            colour,
+            name=name,
+            opacity=0.6,
+            hoverinfo="skip",
+        )
         for name, error, colour in (("other", other.error_m, GREY), ("this", own, BLUE))
     ]
-    figure = Figure(
-        data=data, layout=layout(barmode="overlay", xaxis=axis("error of place, mm"), yaxis=axis("rows")), height_px=300
-    )
+    shape = layout(xaxis=axis("error of place, mm"), yaxis=axis("share of the rows", tickformat=".0%"))
+    figure = Figure(data=data, layout=shape, height_px=300)
     return table(["", "the other run", "this run"], rows, numbers=(1, 2)) + page.plot(figure)

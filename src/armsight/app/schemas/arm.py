@@ -187,6 +187,13 @@ class PlanOutput(Output):
     notes: list[str] = Field(description="What to know about the plan.")
 
 
+class LeftOutJoint(Output):
+    """A joint that was not swept: nothing of it is identified."""
+
+    joint: int = Field(description="Number, from 1.")
+    held_at: float = Field(description="Where it stood during the sweeps, rad or m.")
+
+
 class IdentifyOutput(Output):
     """armsight identify."""
 
@@ -195,6 +202,9 @@ class IdentifyOutput(Output):
     notes: list[str] = Field(description="What to know about the result.")
     noise: float = Field(description="Noise found: px with a rig, else m, or a factor on covariances given.")
     plan: PlanOutput | None = Field(None, exclude_if=absent, description="The sweeps that were made; with --live.")
+    left_out: list[LeftOutJoint] | None = Field(
+        None, exclude_if=absent, description="Joints behind those of the result, held during the sweeps; --leave-out."
+    )
 
 
 class ProposedPlanOutput(Output):

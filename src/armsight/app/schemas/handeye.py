@@ -70,6 +70,7 @@ class HandEyeOutput(Output):
     noise: HandEyeNoise = Field(description="Noise of robot and camera.")
     turning_rms_rad: Vector = Field(description="Turns of the hand about its principal axes, falling, RMS, rad.")
     verdict: str = Field(description="Whether the result can be trusted, in words.")
+    concerns: list[str] = Field(description="The advice to follow before the result can be trusted; empty: it can be.")
     advice: list[str] = Field(description="What would make the result surer.")
     target_scale: TargetScale | None = Field(None, exclude_if=absent, description="Whether the target's size is true.")
     reprojection_rms_px: float | None = Field(

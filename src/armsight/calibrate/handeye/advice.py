@@ -22,8 +22,9 @@ WEAK_TURN_RAD = 8.0 * DEG
 
 def advise(result: HandEye, pitch_m: float | None) -> HandEye:
     """Return the result with its advice, most urgent first."""
-    advice = [*_scale(result, pitch_m), *_outliers(result), *_poses(result), result.noise.explanation() + "."]
-    return replace(result, advice=tuple(advice))
+    concerns = (*_scale(result, pitch_m), *_outliers(result), *_poses(result))
+    advice = (*concerns, *_copies(result), result.noise.explanation() + ".")
+    return replace(result, concerns=concerns, advice=advice)
 
 
 def verdict(result: HandEye) -> str:
@@ -64,17 +65,18 @@ def _scale(result: HandEye, pitch_m: float | None) -> list[str]:
 
 def _outliers(result: HandEye) -> list[str]:
     wrong = [name for name, why in result.rejected if why.startswith("off by")]
-    copies = len(result.rejected) - len(wrong)
-    out = []
-    if wrong:
-        out.append(
-            f"{len(wrong)} of {len(result.pairs)} poses contradict the others and were left out ({', '.join(wrong[:8])}"
-            + (", ..." if len(wrong) > 8 else "")
-            + "): look at these images and robot poses."
-        )
-    if copies:
-        out.append(f"{copies} rows repeat others and were left out: copies add no knowledge.")
-    return out
+    if not wrong:
+        return []
+    named = ", ".join(wrong[:8]) + (", ..." if len(wrong) > 8 else "")
+    return [
+        f"{len(wrong)} of {len(result.pairs)} poses contradict the others and were left out ({named}): look at these "
+        "images and robot poses."
+    ]
+
+
+def _copies(result: HandEye) -> list[str]:
+    copies = sum(not why.startswith("off by") for _, why in result.rejected)
+    return [f"{copies} rows repeat others and were left out: copies add no knowledge."] if copies else []
 
 
 def _poses(result: HandEye) -> list[str]:

@@ -99,6 +99,7 @@ def _calibrate(pairs: PosePairs, setup: Setup, options: HandEyeOptions) -> HandE
         rejected=_rejected(pairs, repeated, used, errors),
         residuals=found,
         left_out=errors,
+        concerns=(),
         advice=(),
     )
     return advise(finished, options.target_pitch_m)

@@ -38,6 +38,7 @@ class HandEye:
     and seat's axes, widened for the noise being estimated: +- 1.96 std holds 95 %. pairs: as given. used (n,): which
     pairs the answer rests on. rejected: (name, why) of the others. residuals (n, 6), left_out (n, 6): measured
     T_camera_target against the fit to all used pairs, and against the fit to the others; camera axes, m and rad.
+    advice: what would make it surer; concerns: those that keep it from being trusted.
     """
 
     setup: Setup
@@ -53,6 +54,7 @@ class HandEye:
     rejected: tuple[tuple[str, str], ...]
     residuals: Array
     left_out: Array
+    concerns: tuple[str, ...]
     advice: tuple[str, ...]
     reprojection_rms_px: float | None = None
 

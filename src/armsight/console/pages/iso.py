@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 
 from nicegui import run, ui
@@ -18,21 +19,22 @@ from armsight.errors import ArmsightError
 from armsight.units import MM
 
 
-def iso_card(console: Console) -> None:
-    """Build the card, and the jog keys; nothing where the cell has no robot or no cameras."""
+def iso_card(console: Console, reported: Callable[[], object]) -> None:
+    """Build the card, and the jog keys; nothing without robot or cameras. reported: is told of a new report."""
     try:
         robot = console.require_robot()
         console.require_station()
     except ArmsightError:
         return
-    _Iso(console)
+    _Iso(console, reported)
     jog_card(robot)
 
 
 class _Iso:
     """The card of a cell with robot and cameras."""
 
-    def __init__(self, console: Console) -> None:
+    def __init__(self, console: Console, reported: Callable[[], object]) -> None:
+        self._reported = reported
         self._console, self._robot = console, console.require_robot()
         self._browser = ui.context.client.id
         with card(texts.ISO):
@@ -97,6 +99,7 @@ class _Iso:
             for doubt in done.output.doubts:
                 text_of("p", doubt).classes("hint")
             text_of("a", texts.REPORT, href=f"/console/files/{done.folder.name}/report.html", target="_blank")
+        self._reported()
 
 
 def _told(made: IsoPlan) -> str:
