@@ -26,11 +26,8 @@ from armsight.app.sources.frames import open_source
 from armsight.calibrate.cameras import BoardOptions
 from armsight.calibrate.mirrors.calibration import GLASS, MirrorCalibration, calibrate_mirrors
 from armsight.drivers import AUTOMATIC, CameraSettings, is_live
-from armsight.errors import BadImage, Cancelled, Inconsistent, NotEnoughData, Unseen, UsageError
-from armsight.measure.boards import find_two_boards
-from armsight.optics import Plate, Rig
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, Unseen, UsageError
-from armsight.optics import Plate
+from armsight.optics import Plate, Rig
 from armsight.optics.mirrors import FormError, Mirrors, form_errors
 from armsight.records import BoardView, Frame, NotSeen, Progress, Silent, Target
 from armsight.store import parse_board, read_camera, read_target, write_rig
@@ -98,8 +95,6 @@ def run_mirrors(job: MirrorsJob, progress: Progress | None = None) -> MirrorsOut
     if job.target is not None:
         return _from_target(job, job.out, progress)
     board = parse_board(board_name(job))
-    views, missed = _all_pairs(job, board, progress)
-    board = parse_board(_board(job))
     pictures = BoardPictures()
     views, missed = _all_pairs(job, board, progress, pictures)
     if len(views) < LEAST_BOARDS:
@@ -143,74 +138,6 @@ def _too_few(job: MirrorsJob, n: int, missed: Sequence[Missed]) -> NotEnoughData
         f"{counted} the board {job.board} in both views, {LEAST_BOARDS} are needed" + (f": {said}" if said else ""),
         consequence="Nothing was calibrated",
         cure=cure,
-    )
-
-
-def run_check(job: MirrorsJob, progress: Progress | None = None) -> MirrorCheckOutput:
-    """Tell how the mirrors stand against the rig as it was calibrated, frame by frame, and which is to be turned how.
-
-    Goes on until the frames end, job.limit is reached or it is cancelled; the answer is of the last frames. Raises
-    UsageError, DataRefused or DeviceFailed.
-    """
-    progress = progress or Silent()
-    if job.rig is None or job.image is None:
-        raise UsageError("nothing to check", cure="Give --rig rig.yaml, as it was calibrated, and --image")
-    if job.target is not None:
-        raise UsageError(
-            "mirrors are checked with a board, not with the lit target, whose lights turned mirrors pair wrongly",
-            cure="Leave --target out and give --board",
-        )
-    rig, board = read_rig(job.rig), parse_board(_board(job))
-    plate = rig.left.plate or Plate(thickness_m=job.thickness_m or 1e-3, index=job.index)
-    design = Mirrors(baseline_m=job.baseline_m or rig.baseline_m, plate=plate, near_m=job.near_m, gap_m=job.gap_m)
-    kept: list[Pair] = []
-    missed: list[str] = []
-    last: Alignment | None = None
-    back = KEPT if is_live(job.image) else None
-    for number, (source, seen) in enumerate(_complex(job, board, BoardPictures()), 1):
-        if isinstance(seen, NotSeen):
-            missed.append(f"{source}: {seen.why}")
-            progress.update(number, job.limit or 0, seen.why)
-        else:
-            kept.append(seen)
-            recent = kept[-back:] if back else kept
-            last = check_alignment(rig, [a for a, _ in recent], [b for _, b in recent], board, design=design)
-            progress.update(number, job.limit or 0, _line(last))
-        if progress.cancelled():
-            break
-    if last is None:
-        raise NotEnoughData(
-            f"the board was found in both views of none of the images; {missed[0] if missed else 'there are none'}",
-            consequence="The alignment is not known",
-            cure="Show the whole board in both views",
-        )
-    return check_output(last, missed)
-
-
-def _line(found: Alignment) -> str:
-    now = found.now
-    return (
-        f"convergence {1e3 * now.convergence_rad:+.2f} mrad, vertical {now.vertical_px:+.2f} px, "
-        f"roll {1e3 * now.roll_rad:+.2f} mrad; {found.advice()}"
-    )
-
-
-def check_output(found: Alignment, missed: Sequence[str]) -> MirrorCheckOutput:
-    """Return a check of the alignment as --json gives it."""
-    names = PoseChange.model_fields
-    return MirrorCheckOutput(
-        alignment=CheckedAlignment(**{name: getattr(found.now, name) for name in CheckedAlignment.model_fields}),
-        change=PoseChange(**dict(zip(names, found.change.tolist(), strict=True))),
-        change_std=PoseChange(**dict(zip(names, found.std.tolist(), strict=True))),
-        moved=found.moved,
-        certain=found.certain,
-        suspects=[
-            SuspectMirror(mirror=one.mirror, turn_rad=one.turn_rad, tilt_rad=one.tilt_rad, chi2=one.chi2)
-            for one in found.suspects
-        ],
-        advice=[found.advice()],
-        n_views=found.n_views,
-        missed=list(missed),
     )
 
 
@@ -258,9 +185,7 @@ def _all_pairs(
         raise _no_images(job)
     views: list[Pair] = []
     missed: list[Missed] = []
-    sources = ([complex_views(job, board)] if job.image is not None else []) + (
-        [_covered(job, board)] if job.left_only is not None or job.right_only is not None else []
-    sources = ([_complex(job, board, pictures)] if job.image is not None else []) + (
+    sources = ([complex_views(job, board, pictures)] if job.image is not None else []) + (
         [_covered(job, board, pictures)] if job.left_only is not None or job.right_only is not None else []
     )
     for source in sources:
@@ -286,12 +211,7 @@ def _no_images(job: MirrorsJob) -> UsageError:
     )
 
 
-def complex_views(job: MirrorsJob, board: Target) -> Iterator[tuple[str, Pair | NotSeen]]:
-    """Yield each complex image's name with the board in both of its views, or why there are not two."""
-
-    def see(frame: Frame) -> tuple[str, Pair | NotSeen]:
-        return frame.source, see_two_boards(frame, board)
-def _complex(job: MirrorsJob, board: Target, pictures: BoardPictures) -> Iterator[tuple[str, Pair | NotSeen]]:
+def complex_views(job: MirrorsJob, board: Target, pictures: BoardPictures) -> Iterator[tuple[str, Pair | NotSeen]]:
     """Yield each complex image's name with the board in both of its views, or why there are not two."""
 
     def see(frame: Frame) -> tuple[str, Pair | NotSeen]:
@@ -302,15 +222,6 @@ def _complex(job: MirrorsJob, board: Target, pictures: BoardPictures) -> Iterato
         yield from in_parallel(see, islice(frames, 0, stop, job.every), workers=job.workers)
 
 
-def see_two_boards(frame: Frame, board: Target) -> Pair | NotSeen:
-    """Return the board in the left and the right view of a complex image, or why there are not two."""
-    try:
-        return find_two_boards(frame.image, board, source=frame.source)
-    except BadImage as error:
-        return NotSeen(error.cause.removeprefix(f"{frame.source}: "), error.unseen)
-
-
-def _covered(job: MirrorsJob, board: Target) -> Iterator[tuple[str, Pair | NotSeen]]:
 def _covered(job: MirrorsJob, board: Target, pictures: BoardPictures) -> Iterator[tuple[str, Pair | NotSeen]]:
     """Yield the pairs of images taken with one path covered after the other."""
     if job.left_only is None or job.right_only is None:

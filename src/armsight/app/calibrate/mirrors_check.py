@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from armsight.app.calibrate.board_pictures import BoardPictures
 from armsight.app.calibrate.mirrors import MirrorsJob, Pair, board_name, complex_views
 from armsight.app.schemas.cameras import (
     CheckedAlignment,
@@ -98,7 +99,7 @@ def run_check(job: MirrorsJob, progress: Progress | None = None) -> MirrorCheckO
     watch = AlignmentWatch(reference=reference_of(job), board=board, back=KEPT if is_live(job.image) else None)
     missed: list[str] = []
     last: Alignment | Adjustment | None = None
-    for number, (source, seen) in enumerate(complex_views(job, board), 1):
+    for number, (source, seen) in enumerate(complex_views(job, board, BoardPictures()), 1):
         if isinstance(seen, NotSeen):
             missed.append(f"{source}: {seen.why}")
             progress.update(number, job.limit or 0, seen.why)

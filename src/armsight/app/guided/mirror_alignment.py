@@ -7,7 +7,9 @@ from collections import deque
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from armsight.app.calibrate.mirrors import MirrorsJob, see_two_boards
+from armsight.app.calibrate.board_images import see_two_boards
+from armsight.app.calibrate.board_pictures import BoardPictures
+from armsight.app.calibrate.mirrors import MirrorsJob
 from armsight.app.calibrate.mirrors_check import AlignmentWatch, check_output, reference_of
 from armsight.app.live.station import Station
 from armsight.app.schemas.cameras import MirrorCheckOutput, MirrorTurnOutput
@@ -103,7 +105,7 @@ class MirrorAlignment:
         self._count += 1
         frame = Frame(image=read_image(file), t_s=float(self._count), sequence=self._count, source="the picture")
         file.unlink(missing_ok=True)
-        seen = see_two_boards(frame, board)
+        seen = see_two_boards(frame, board, BoardPictures())
         if isinstance(seen, NotSeen):
             stand = Stand(number=self._count, why=seen.why)
         else:

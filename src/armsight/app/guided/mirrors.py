@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.app.calibrate.board_images import see_two_boards
+from armsight.app.calibrate.board_pictures import BoardPictures
 from armsight.app.calibrate.cameras import report_path
-from armsight.app.calibrate.mirrors import CURES, OTHER_CURE, MirrorsJob, lit_design, run_mirrors, see_two_boards
+from armsight.app.calibrate.mirrors import CURES, OTHER_CURE, MirrorsJob, lit_design, run_mirrors
 from armsight.app.calibrate.mirrors_lit_target import CURES as LIT_CURES
 from armsight.app.calibrate.mirrors_lit_target import OTHER_CURE as OTHER_LIT_CURE
 from armsight.app.calibrate.mirrors_lit_target import see_lights
@@ -228,7 +230,7 @@ class MirrorsStep:
         """Return what an image shows. Raises BadImage with what helps."""
         if self.lit:
             return self._lights(name, frame)
-        seen = see_two_boards(frame, parse_board(self.board))
+        seen = see_two_boards(frame, parse_board(self.board), BoardPictures())
         if isinstance(seen, NotSeen):
             raise BadImage(seen.why, consequence="The picture was not taken", cure=CURES.get(seen.cause, OTHER_CURE))
         return _Taken(name=name, pair=seen)
