@@ -48,6 +48,8 @@ TOLD = 4
 """Parameters named; what follows from the first is of no use to a reader."""
 FITS = 0.5
 """An arm known by name is the one measured where its errors are below this share of the nominal arm's."""
+FITS_DOUBTED = 0.75
+"""The same where a length is beyond what one may be off by, but not beyond what the lengths that add up in it may."""
 SHORT_LIST = 3
 """Arms known by name that are looked at closely."""
 AS_GOOD = 1.2
@@ -66,7 +68,7 @@ class Misfit:
     """A parameter of the nominal arm that measurements contradict.
 
     name: 'j2.a_m', 'j3.alpha_rad', 'j5.scale'. nominal, wanted, std: in m, rad or 1. excess: correction over what is
-    allowed. beside: parameters that the measurements cannot tell from it.
+    allowed for one length. beside: parameters that the measurements cannot tell from it, and whose errors add up in it.
     """
 
     name: str
@@ -75,6 +77,11 @@ class Misfit:
     std: float
     excess: float
     beside: tuple[str, ...] = ()
+
+    @property
+    def certain(self) -> bool:
+        """Whether it is too much even for all that add up in it, each within tolerance."""
+        return bool(self.excess > np.sqrt(1.0 + len(self.beside)))
 
     def text(self) -> str:
         """Return the sentence's part: what it would have to be."""
@@ -145,9 +152,10 @@ def other_arm(model: ArmModel, points: ArmPoints, plain: Level, best: Level, tol
 
     plain: base and tool fitted alone; best: the model that would be kept. It is another arm where best corrects a
     length, twist or scale beyond tolerance; where the fit with hardly any belief in the nominal arm does, and predicts
-    rows left out as well; and where an arm known by name fits far better as it is, and better than best. The last two
-    are asked only where the nominal arm misses by what a wrong length makes, and best leaves millimetres too. Zeros of
-    joints never say so: they are set, not built.
+    rows left out as well; and where an arm known by name fits far better as it is, and better than best. Of lengths
+    that add up on parallel axes their sum must be beyond what all of them may be off by, or a known arm fit better.
+    The last two questions are asked only where the nominal arm misses by what a wrong length makes, and best leaves
+    millimetres too. Zeros of joints never say so: they are set, not built.
     """
     kept = beyond(model, best.fitted, tolerance)
     error_m = float(np.median(np.linalg.norm(model.errors(plain.fitted.p, points)[0], axis=1)))
@@ -157,16 +165,19 @@ def other_arm(model: ArmModel, points: ArmPoints, plain: Level, best: Level, tol
     if len(points) > ENOUGH_ROWS:
         points, plain, best = _fewer(model, points, plain, best)
     left_m = float(best.left_m.mean()) if kept else None
+    certain = any(item.certain for item in kept)
     found = open_fit(model, points, plain.fitted)
     if found is not None:
         left = left_out(model, points, found)
         if significant_gain(plain.left_m, left, points.position) and np.median(left) < AS_GOOD * np.median(best.left_m):
-            wide = beyond(model, found, tolerance) or (beyond(model, found, tolerance, sure=0.0) if kept else ())
+            wide = beyond(model, found, tolerance)
+            certain |= any(item.certain for item in wide)
+            wide = wide or (beyond(model, found, tolerance, sure=0.0) if kept else ())
             kept, left_m = (wide, float(left.mean())) if wide else (kept, left_m)
-    known = None if best.couplings else known_arm(model, points)
+    known = None if best.couplings else known_arm(model, points, FITS_DOUBTED if kept else FITS)
     if known is not None and not kept and known[1] > np.median(best.left_m):
         known = None  # what would be kept fits better still, with corrections that are believed
-    if not kept and known is None:
+    if not certain and known is None:
         return None
     differences = () if known is None else _differences(model.arm, preset(known[0]))
     return OtherArm(found=kept, known=known, differences=differences, nominal_m=error_m, left_m=left_m)
@@ -242,10 +253,11 @@ def _misfit(model: ArmModel, name: str, change: float, std: float, excess: float
     return Misfit(name=name, nominal=nominal, wanted=nominal + change, std=std, excess=excess, beside=tuple(beside))
 
 
-def known_arm(model: ArmModel, points: ArmPoints) -> tuple[str, float] | None:
+def known_arm(model: ArmModel, points: ArmPoints, share: float = FITS) -> tuple[str, float] | None:
     """Return the arm known by name that fits the rows far better than the nominal one, with its median error in m.
 
-    All are placed from one tool's point; the few that fit best then, from all the points that `start` begins at.
+    share: of the nominal arm's error that its own may be. All are placed from one tool's point; the few that fit best
+    then, from all the points that `start` begins at.
     """
     like = start(model, points)
 
@@ -260,7 +272,7 @@ def known_arm(model: ArmModel, points: ArmPoints) -> tuple[str, float] | None:
     others = sorted((replace(model, arm=arm) for arm in arms), key=lambda other: error_m(other, like))
     errors = [(other.arm.name, error_m(other)) for other in others[:SHORT_LIST]]
     best = min(errors, key=lambda item: item[1], default=("", np.inf))
-    return best if best[1] < FITS * error_m(model) else None
+    return best if best[1] < share * error_m(model) else None
 
 
 def _differences(arm: Arm, other: Arm) -> tuple[str, ...]:
