@@ -136,3 +136,64 @@ def boards(tmp_path_factory: pytest.TempPathFactory) -> Boards:
             noisy = cv2.GaussianBlur(image, (0, 0), 0.8) + rng.normal(0.0, 3.0, image.shape)
             cv2.imwrite(str(made.folder / side / f"shot{i}.png"), np.clip(np.rint(noisy), 0, 255).astype(np.uint8))
     return made
+
+
+@dataclass(frozen=True)
+class MirrorBoards:
+    """Folders with complex images of a 7x5 checkerboard before a camera with mirrors: straight ones, and with mirror 2
+    off by TILT. camera: (fx, fy, cx, cy) of the lens, without distortion."""
+
+    straight: Path
+    off: Path
+    board: str = "checkerboard:7x5:0.02"
+    camera: tuple[float, float, float, float] = (520.0, 521.0, 321.0, 238.0)
+    baseline_m: float = 0.16
+    tilt: tuple[float, float] = (3e-3, -2e-3)
+
+
+@pytest.fixture(scope="session")
+def mirror_boards(tmp_path_factory: pytest.TempPathFactory) -> MirrorBoards:
+    """Eight complex images of 640x480, and two with a mirror turned; where corners are is traced by the simulation."""
+    folder = tmp_path_factory.mktemp("mirror-boards")
+    made = MirrorBoards(folder / "straight", folder / "off")
+    rng = np.random.default_rng(5)
+    turns = [(0, 0), (28, 5), (-28, 0), (5, 28), (0, -28), (22, 22), (-22, 22), (20, -22)]
+    places = [
+        (0, 0, 320),
+        (-110, -110, 400),
+        (110, -110, 400),
+        (-110, 110, 400),
+        (110, 110, 400),
+        (0, 60, 310),
+        (0, -60, 330),
+    ]
+    for goal, count, tilt in ((made.straight, len(turns), (0.0, 0.0)), (made.off, 2, made.tilt)):
+        goal.mkdir()
+        for i, (rx, ry) in enumerate(turns[:count]):
+            R = Rotation.from_euler("xyz", [rx, ry, 5.0 * i - 15.0], degrees=True)
+            image = complex_board(made, R, np.array(places[i % len(places)]) / 1e3, tilt)
+            noisy = cv2.GaussianBlur(image, (0, 0), 0.8) + rng.normal(0.0, 1.5, image.shape)
+            cv2.imwrite(str(goal / f"shot{i}.png"), np.clip(np.rint(noisy), 0, 255).astype(np.uint8))
+    return made
+
+
+def complex_board(made: MirrorBoards, turned: Rotation, middle_m: np.ndarray, tilt: tuple[float, float]) -> np.ndarray:
+    """Return the light (480, 640) of a board's two views, one upon the other; tilt: of mirror 2."""
+    from armsight.sim.lens import Lens
+    from armsight.sim.mirror import Mirrors, mirror_views
+
+    fx, fy, cx, cy = made.camera
+    lens = Lens(width=640, height=480, focal_px=(fx, fy), centre_px=(cx, cy))
+    tilts = ((0.0, 0.0), tilt, (0.0, 0.0), (0.0, 0.0))
+    squares = np.kron(np.indices((6, 8)).sum(axis=0) % 2, np.ones((40, 40)))
+    sheet = np.pad(100.0 * squares + 12.0, 40, constant_values=112.0).astype(np.float32)
+    flat = np.array([[x, y] for x in np.linspace(-0.02, 0.14, 7) for y in np.linspace(-0.02, 0.10, 5)])  # saw corner 0
+    on_sheet = 80.0 + 40.0 * flat / 0.02 - 0.5
+    X = turned.apply(np.pad(flat - [0.06, 0.04], ((0, 0), (0, 1)))) + middle_m
+    light = np.zeros((480, 640))
+    for view in mirror_views(lens, Mirrors(baseline_m=made.baseline_m, tilts_rad=tilts)).values():
+        H, _ = cv2.findHomography(on_sheet, view.project(X))
+        double = np.array([[2.0, 0.0, 0.5], [0.0, 2.0, 0.5], [0.0, 0.0, 1.0]])
+        large = cv2.warpPerspective(sheet, double @ H, (1280, 960), flags=cv2.INTER_LINEAR, borderValue=20)
+        light += large.reshape(480, 2, 640, 2).mean(axis=(1, 3))
+    return light

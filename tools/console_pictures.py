@@ -8,6 +8,7 @@ Needs Debian's Chromium. A path is taught with the jog keys, so that there is on
 from __future__ import annotations
 
 import io
+import shutil
 import socket
 import subprocess
 import sys
@@ -20,6 +21,8 @@ from typing import Any
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
+from armsight.store.cell_file import CellFile, CellMirrors, write_cell
+
 CHROMIUM = "/usr/bin/chromium"
 FOLDER = Path("docs/images")
 LARGEST_BYTES = 150_000
@@ -27,15 +30,13 @@ PATIENCE_MS = 180_000
 
 
 @contextmanager
-def served(folder: Path) -> Iterator[str]:
-    """Serve the console of the simulated cell; give its address."""
+def served(folder: Path, *more: str) -> Iterator[str]:
+    """Serve the console of a folder; give its address. more: flags, such as --robot."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    command = [sys.executable, "-m", "armsight", "console", "--robot", "sim:webcam-cell"]
-    process = subprocess.Popen(
-        [*command, "--folder", str(folder), "--port", str(port)], stderr=subprocess.PIPE, text=True
-    )
+    command = [sys.executable, "-m", "armsight", "console", *more, "--folder", str(folder), "--port", str(port)]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     try:
         for line in process.stderr or ():
             if "Open http" in line:
@@ -51,7 +52,9 @@ def save(page: Any, file: Path) -> None:
     picture = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
     for share, colours in ((1.0, 256), (0.8, 128), (0.8, 64), (0.65, 64), (0.5, 64)):
         size = (round(share * picture.width), round(share * picture.height))
-        picture.resize(size, Image.Resampling.LANCZOS).quantize(colours).save(file, optimize=True)
+        small = picture.resize(size, Image.Resampling.LANCZOS)
+        few = small.quantize(colours, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)  # keeps rare colours
+        few.save(file, optimize=True)
         if file.stat().st_size <= LARGEST_BYTES:
             break
     print(f"{file}: {file.stat().st_size / 1000:.0f} kB")
@@ -82,8 +85,45 @@ def opened(browser: Any, address: str, width: int, height: int) -> Any:
 def main(out: Path) -> None:
     """Take all pictures."""
     out.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory() as folder, served(Path(folder) / "cell") as address, sync_playwright() as player:
+    with sync_playwright() as player:
         browser = player.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        take_mirrors(browser, out)
+        take_robot(browser, out)
+        browser.close()
+
+
+def take_mirrors(browser: Any, out: Path) -> None:
+    """Take the step Mirrors of a simulated mirror rig, whose mirrors stand a little off."""
+    with tempfile.TemporaryDirectory() as made:
+        pictures, folder = Path(made) / "set", Path(made) / "cell"
+        subprocess.run([sys.executable, "-m", "armsight", "simulate", "mirrors", "-o", str(pictures)], check=True)
+        folder.mkdir()
+        shutil.copy(pictures / "camera.yaml", folder / "camera.yaml")
+        cell = CellFile(
+            camera="camera.yaml", board="checkerboard:7x5:0.015", mirrors=CellMirrors(baseline_m=0.12), fps=1
+        )
+        write_cell(folder, cell)
+        with served(folder, "--left", str(pictures / "complex"), "--play-again") as address:
+            page = browser.new_page(viewport={"width": 1280, "height": 1400})
+            page.set_default_timeout(PATIENCE_MS)
+            page.goto(f"{address}/calibrate", wait_until="domcontentloaded")
+            page.wait_for_selector("canvas[data-shown]")
+            for _ in range(7):
+                page.wait_for_timeout(1100)
+                page.click("[data-testid=accept]:not([disabled])")
+            page.wait_for_selector("[data-testid=accept]:not([disabled])")
+            page.wait_for_timeout(1500)
+            page.evaluate("window.scrollTo(0, 0)")
+            save(page, out / "console-mirrors.png")
+            page.close()
+
+
+def take_robot(browser: Any, out: Path) -> None:
+    """Take the pages of the simulated cell with its robot."""
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        served(Path(folder) / "cell", "--robot", "sim:webcam-cell") as address,
+    ):
         save(opened(browser, f"{address}/live", 1280, 1100), out / "console-live.png")
         save(opened(browser, f"{address}/live", 390, 780), out / "console-phone.png")
         page = opened(browser, f"{address}/identify", 1280, 900)
@@ -105,7 +145,6 @@ def main(out: Path) -> None:
         page.wait_for_timeout(3000)
         page.evaluate("window.scrollTo(0, 0)")
         save(page, out / "console-teach.png")
-        browser.close()
 
 
 if __name__ == "__main__":

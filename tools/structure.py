@@ -55,6 +55,8 @@ EXCEPTIONS: Mapping[str, Mapping[str, str]] = {
         "cli/console.py:console": FLAGS,
         "cli/identify.py:identify": FLAGS,
         "cli/join.py:join": FLAGS,
+        "cli/kinematics.py:ik": FLAGS,
+        "cli/kinematics.py:path": FLAGS,
         "cli/mirrors.py:mirrors": FLAGS,
         "cli/record.py:record": FLAGS,
         "cli/path.py:check": FLAGS,

@@ -7,8 +7,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from armsight.store.recording import Recording
+
+COUNT = 12
+"""Pairs of the scene that is played."""
 CHROMIUM = "/usr/bin/chromium"
 
 pytestmark = [
@@ -23,10 +28,14 @@ def serve(console: Any, folder: Path, left: Path, right: Path, *more: str) -> tu
 
 
 @pytest.fixture(scope="module")
-def lights(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+def cell_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("cell")
+
+
+@pytest.fixture(scope="module")
+def lights(request: pytest.FixtureRequest, cell_folder: Path) -> Iterator[str]:
     """The console of a cell whose cameras see a lit target."""
-    scene = request.getfixturevalue("scene")
-    folder = tmp_path_factory.mktemp("cell")
+    scene, folder = request.getfixturevalue("scene"), cell_folder
     for name in ("rig.yaml", "target.yaml"):
         shutil.copy(scene.folder / name, folder / name)
     more = ("--rig", "rig.yaml", "--target", "target.yaml")
@@ -58,16 +67,36 @@ def test_live_shows_pictures_and_the_pose_with_its_uncertainty(browser: Any, con
     page.close()
 
 
-def test_a_recording_goes_on_when_the_page_is_loaded_anew(browser: Any, console: Any, lights: str) -> None:
+def recorded(page: Any) -> int:
+    """Return how many pairs are in the recording that runs."""
+    words = page.wait_for_selector("text=/Recording recording-.*: [1-9]/").inner_text()
+    return int(words.split(": ")[1].split()[0])
+
+
+def test_a_reload_in_the_middle_of_a_recording_loses_nothing(
+    browser: Any, console: Any, lights: str, cell_folder: Path
+) -> None:
+    """Every pair of files of COUNT that are played again and again is in it, in turn, in both cameras."""
     page = console.opened(browser, f"{lights}/live")
     shown(page)
     page.click("[data-testid=record]")
-    page.wait_for_selector("text=/Recording recording-.*: [1-9]/")
-    page.reload()
-    page.wait_for_selector("text=/Recording recording-.*: [1-9]/")
+    before = recorded(page)
+    for _ in range(2):
+        page.reload()
+        page.wait_for_function(
+            "n => Number(document.body.innerText.match(/Recording recording-.*: (\\d+) pairs/)?.[1] || 0) > n",
+            arg=before + COUNT,
+        )
+        before = recorded(page)
     page.click("[data-testid=record]")
     page.wait_for_selector("text=/Recorded .*mcap/")
     page.close()
+    (file,) = cell_folder.glob("recording-*.mcap")
+    with Recording(file) as recording:
+        for side in ("left", "right"):
+            numbers = np.array([frame.sequence for frame in recording.frames(side)])
+            assert len(numbers) > before
+            assert set(np.diff(numbers) % COUNT) == {1}, f"{side}: a frame is missing"
 
 
 def test_a_phone_shows_live_without_scrolling_sideways(browser: Any, console: Any, lights: str) -> None:

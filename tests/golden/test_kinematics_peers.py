@@ -19,7 +19,7 @@ from armsight.kinematics.presets import PRESETS
 from armsight.records import Motion
 from armsight.store.urdf import arm_from_urdf, urdf_text
 
-CLOSED = ("korayem6r", "puma761", "ur10", "irb120")
+CLOSED = ("korayem6r", "puma761", "ur10", "ur5e", "irb120")
 
 
 @pytest.fixture(scope="module")

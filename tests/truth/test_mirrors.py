@@ -9,6 +9,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.app.calibrate.light_target import lit_frame
 from armsight.calibrate.light_target import calibrate_target
+from armsight.calibrate.mirrors.adjustment import adjust_to_parallel
 from armsight.calibrate.mirrors.calibration import MirrorCalibration, calibrate_mirrors
 from armsight.calibrate.mirrors.diagnosis import check_alignment, mirrors_from_target
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
@@ -320,3 +321,53 @@ def test_the_mirrors_are_calibrated_from_the_lit_target() -> None:
     assert std[:3].max() < 5e-4
     with pytest.raises(NotEnoughData, match="images"):
         mirrors_from_target(start, pairs[:2], poses[:2], target)
+
+
+def axis_angles(tilts: Tilts) -> Array:
+    """How far the right view's chief ray turns from the left one's about x, y and z (3,), rad, traced ray by ray."""
+    mirrors = Mirrors(baseline_m=0.1, tilts_rad=tilts)
+    frames = []
+    for side in ("left", "right"):
+        ahead, beside, below = (mirrors.trace(side, [uv])[1][0] for uv in ((0.0, 0.0), (0.05, 0.0), (0.0, 0.05)))
+        x = (beside - ahead * (beside @ ahead)) / np.linalg.norm(beside - ahead * (beside @ ahead))
+        frames.append(np.column_stack([x, np.cross(ahead, x), ahead]))
+        assert below @ frames[-1][:, 1] > 0.0
+    return np.asarray(Rotation.from_matrix(frames[0].T @ frames[1]).as_rotvec())
+
+
+def test_the_turns_that_are_told_make_the_axes_parallel() -> None:
+    """All four mirrors are off; after mirrors 2 and 4 were turned as told, chief rays and their images are parallel."""
+    tilts: Tilts = ((1e-3, -2e-3), (4e-3, 2e-3), (-2e-3, 1e-3), (1e-3, -3e-3))
+    camera = ideal_rig(views_of(plain=True)).left
+    left, right = board_views(views_of(tilts, plain=True), 7, 4)
+    found = adjust_to_parallel(camera, Design(baseline_m=0.1), left, right, BOARD)
+    assert not found.parallel and "turn mirror 2" in found.advice()
+    assert np.abs(axis_angles(tilts)).max() > 5e-3
+    turned = [list(tilt) for tilt in tilts]
+    for one in found.turns:
+        turned[one.mirror - 1][0] += one.turn_rad
+        turned[one.mirror - 1][1] += one.tilt_rad
+    after = axis_angles(tuple((turn, tilt) for turn, tilt in turned))
+    assert (np.abs(after) < 4.0 * found.std_rad + 2e-5).all() and np.abs(after).max() < 2e-4
+
+
+def test_parallel_axes_are_left_as_they_are() -> None:
+    camera = ideal_rig(views_of(plain=True)).left
+    found = adjust_to_parallel(camera, Design(baseline_m=0.1), *board_views(views_of(plain=True), 8, 2), BOARD)
+    assert found.parallel and "are parallel" in found.advice()
+
+
+def test_turns_are_as_the_words_say() -> None:
+    """A positive turn is clockwise seen from above, a positive tilt brings a mirror's upper edge back (y is down)."""
+    for mirror, side in ((1, 1.0), (3, -1.0)):
+        for angle in ((1e-3, 0.0), (0.0, 1e-3)):
+            tilts = [[0.0, 0.0] for _ in range(4)]
+            tilts[mirror] = list(angle)
+            normal = Mirrors(baseline_m=0.1, tilts_rad=tuple((a, b) for a, b in tilts)).normals()[mirror]
+            upright = Mirrors(baseline_m=0.1).normals()[mirror]
+            turn = np.cross(upright, normal)
+            if angle[0]:
+                assert turn[1] > 0.9e-3, "about y, which points down: clockwise for who looks down"
+            else:
+                upper = np.cross(turn, [0.0, -1.0, 0.0])  # where a place above the middle goes
+                assert upper[2] < -0.5e-3 and upper[0] * side > 0.0

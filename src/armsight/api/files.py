@@ -11,6 +11,7 @@ import numpy as np
 from armsight import store
 from armsight.api.arrays import Array
 from armsight.api.tracks import PoseTrack
+from armsight.errors import UsageError
 from armsight.store import arm_file, path_file
 from armsight.store.urdf import read_urdf
 
@@ -38,10 +39,17 @@ def read_target(path: PathText) -> Target:
     return store.read_target(Path(path))
 
 
-def read_arm(path: PathText) -> Arm:
-    """Return the arm in an arm.yaml or a URDF. Raises BadFile, naming the key or the element."""
+def read_arm(path: PathText, *, tip: str | None = None, base: str | None = None) -> Arm:
+    """Return the arm in an arm.yaml or a URDF. Raises BadFile, naming the key or the element.
+
+    tip, base: of a URDF, the last and the first link of the arm's chain, where the file holds more than one chain.
+    """
     file = Path(path)
-    return read_urdf(file) if file.suffix.lower() == ".urdf" else arm_file.read_arm(file)
+    if file.suffix.lower() == ".urdf":
+        return read_urdf(file, tip=tip, base=base)
+    if tip is not None or base is not None:
+        raise UsageError(f"a tip or a base was named, but {file} is no URDF", cure="Leave them away")
+    return arm_file.read_arm(file)
 
 
 def read_poses(path: PathText) -> PoseTrack:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from armsight.cli.command_ui import CommandUI
-from armsight.cli.options import AsJson
+from armsight.cli.options import AsJson, Base, Tip
 from armsight.cli.table_options import NOTHING_STATED, TableOptions, takes_tables
 from armsight.cli.tables import figure, pose_rows
 from armsight.units import DEG, MM
@@ -35,15 +35,18 @@ def arm(
     propose: Annotated[int, typer.Option(min=0, help="Propose so many further joint positions.")] = 0,
     rig: Annotated[Path | None, typer.Option(help="rig.yaml, for proposals both cameras see; with --world.")] = None,
     world: Annotated[Path | None, typer.Option(help="world.yaml: where that rig stands.")] = None,
+    tip: Tip = None,
+    base: Base = None,
     json: AsJson = False,
     table_options: TableOptions = NOTHING_STATED,
 ) -> None:
     """Correct a known arm's geometry from measured positions, where a gain can be proved."""
     with CommandUI(as_json=json) as face:
         from armsight.app.calibrate.arm import ArmJob, run_calibrate_arm
+        from armsight.app.kinematics import arm_source
 
         job = ArmJob(
-            model=model,
+            model=arm_source(model, tip=tip, base=base),
             points=points,
             out=out,
             holdout=holdout,
@@ -91,14 +94,17 @@ def robot_world(
     arm: Annotated[str, typer.Option(metavar="ARM", help="arm.yaml, .urdf or a preset's name, its tool the beacon.")],
     points: Annotated[Path, typer.Option(help="observed.csv: q1..qn,x_m,y_m,z_m in rig axes.")],
     out: Annotated[Path, typer.Option("-o", "--out", help="world.yaml to write.")],
+    tip: Tip = None,
+    base: Base = None,
     json: AsJson = False,
     table_options: TableOptions = NOTHING_STATED,
 ) -> None:
     """Find where the rig stands to the arm's base, from observed points at joint readings."""
     with CommandUI(as_json=json) as face:
         from armsight.app.calibrate.arm import run_calibrate_world
+        from armsight.app.kinematics import arm_source
 
-        done = run_calibrate_world(arm, points, out, table_options.format(face))
+        done = run_calibrate_world(arm_source(arm, tip=tip, base=base), points, out, table_options.format(face))
         face.table("T_base_rig", ["", "mm", "+-"], pose_rows(done.T_base_rig, done.std))
         face.say(f"{done.n_used} points, residual {figure(done.residual_rms_m / MM)} mm RMS. Result: {out}")
         for item in done.rejected[:8]:

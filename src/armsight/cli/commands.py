@@ -14,6 +14,7 @@ from armsight.cli import arm, handeye, mirrors, target, timing
 from armsight.cli.calibrate import calibrate
 from armsight.cli.camera_options import NONE_GIVEN, CameraOptions, takes_cameras
 from armsight.cli.command_ui import CommandUI
+from armsight.cli.compare import compare
 from armsight.cli.console import console
 from armsight.cli.convert import convert
 from armsight.cli.examples import add_examples
@@ -55,6 +56,7 @@ app.command()(identify)
 app.command()(keeps_results(*VERIFIED)(with_live(verify)))
 app.command()(keeps_results("reproduce.json", "report.html")(reproduce))
 app.command()(join)
+app.command()(keeps_results("compare.json", "report.html")(compare))
 app.command()(serve)
 app.command()(twin)
 app.command()(console)

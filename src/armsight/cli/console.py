@@ -24,8 +24,12 @@ def console(
     folder: Annotated[
         Path, typer.Option("--folder", metavar="FOLDER", help="Where cell.yaml and all results are kept.")
     ] = Path("cell"),
-    left: Annotated[str | None, typer.Option(metavar="SRC", help=f"Left frames: {SRC}.")] = None,
-    right: Annotated[str | None, typer.Option(metavar="SRC", help="Right frames, in step with the left ones.")] = None,
+    left: Annotated[
+        str | None, typer.Option(metavar="SRC", help=f"Left frames, or the complex images of a mirror rig: {SRC}.")
+    ] = None,
+    right: Annotated[
+        str | None, typer.Option(metavar="SRC", help="Right frames, in step with the left ones; none with mirrors.")
+    ] = None,
     rig: Annotated[str | None, typer.Option(help="rig.yaml, a name inside the folder.")] = None,
     target: Annotated[str | None, typer.Option(help="target.yaml, a name inside the folder.")] = None,
     play_again: Annotated[bool, typer.Option("--play-again", help="Files begin anew at their end.")] = False,
@@ -52,7 +56,7 @@ def console(
         if robot is None:
             _without_robot(face, folder, changed, options)
         else:
-            _with_robot(face, robot, folder, changed, options)
+            serve_cell(face, robot, folder, changed, options)
 
 
 def _without_robot(face: CommandUI, folder: Path, changed: dict[str, Any], options: ServeOptions) -> None:
@@ -72,7 +76,11 @@ def _without_robot(face: CommandUI, folder: Path, changed: dict[str, Any], optio
         made.close()
 
 
-def _with_robot(face: CommandUI, robot: str, folder: Path, changed: dict[str, Any], options: ServeOptions) -> None:
+def serve_cell(face: CommandUI, robot: str, folder: Path, changed: dict[str, Any], options: ServeOptions) -> None:
+    """Serve a robot with its pages, and with the interface for programs beside them, until Ctrl-C.
+
+    changed: entries of the cell's file. Raises what its files, the robot, the address and the disk refuse.
+    """
     from armsight.app.operator.robot_cell import open_robot_cell, prepare_simulated
     from armsight.console.application import add_console
     from armsight.console.state import Console

@@ -14,6 +14,7 @@ PANELS: Mapping[str, str] = {
     "record": "Measure",
     "measure": "Measure",
     "verify": "Measure",
+    "compare": "Measure",
     "calibrate": "Calibrate and identify",
     "identify": "Calibrate and identify",
     "reproduce": "Calibrate and identify",
@@ -42,6 +43,7 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
     "reproduce": ("armsight reproduce kapucu2005 -o kapucu",),
     "serve": (
         "armsight serve --robot sim:webcam-cell",
+        "armsight serve --robot sim:webcam-cell --console work",
         "armsight serve --robot rsi:49152 --arm arm.yaml --bind 0.0.0.0 --tokens tokens.yaml --tls-cert cert.pem "
         "--tls-key key.pem",
     ),
@@ -55,6 +57,10 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
         f"armsight servo --robot sim:pachidis2005-static {RIG} --handeye handeye.yaml --hand circle -o servo",
         f"armsight servo --robot rsi:49152 --arm arm.yaml --left camera:0 --right camera:1 {RIG} "
         "--handeye handeye.yaml --distance 0.6 -o servo",
+    ),
+    "compare": (
+        "armsight compare measured-monday measured-friday -o compared",
+        "armsight compare rig-before.yaml rig-after.yaml --distance 1.2",
     ),
     "join": ("armsight join --measured poses.csv --joints joints.csv --as points -o points.csv",),
     "teach": (
@@ -110,8 +116,9 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
     "calibrate tooltip": ("armsight calibrate tooltip --poses poses.csv -o tip.yaml",),
     "calibrate pivot": (f"armsight calibrate pivot --left camera:0 --right camera:1 {RIG} -o tip.yaml",),
     "calibrate arm": (
-        "armsight calibrate arm --model ur10e --points points.csv -o calibrated",
-        "armsight calibrate arm --propose 20 --model arm.yaml --points points.csv -o calibrated",
+        "armsight calibrate arm --model ur10e --points points.csv -o calibrated.yaml",
+        "armsight calibrate arm --propose 20 --model arm.yaml --points points.csv -o calibrated.yaml",
+        "armsight calibrate arm --model two_arms.urdf --tip left_tool0 --points points.csv -o left.yaml",
     ),
     "calibrate robot-world": ("armsight calibrate robot-world --arm arm.yaml --points points.csv -o arm-placed.yaml",),
     "calibrate mirrors": (

@@ -70,6 +70,9 @@ def identify(
     model: Annotated[
         Path | None, typer.Option(help="With --live: arm.yaml that is roughly right, its tool the beacon; no probe.")
     ] = None,
+    leave_out: Annotated[
+        str | None, typer.Option(metavar="5,6", help="With --live: the last joints, not swept but held where they are.")
+    ] = None,
     yes: Annotated[bool, typer.Option("--yes", help="With --live: move without asking.")] = False,
     json: AsJson = False,
     camera_options: CameraOptions = NONE_GIVEN,
@@ -107,6 +110,7 @@ def identify(
                     method=method,
                     nominal=nominal,
                     propose=propose,
+                    left_out=_numbers(leave_out),
                     camera_settings=camera_options.settings(),
                 ),
                 face,
@@ -115,7 +119,7 @@ def identify(
             return
         from armsight.app.identify.sweep_files import IdentifyJob, run_identify
 
-        given = {"--propose": propose, "--limits": limits, "--model": model, "--yes": yes}
+        given = {"--propose": propose, "--limits": limits, "--model": model, "--leave-out": leave_out, "--yes": yes}
         if any(given.values()):
             raise UsageError(
                 f"{', '.join(name for name, value in given.items() if value)} only means something with --live",
@@ -138,6 +142,13 @@ def identify(
             table=table_options.format(face),
         )
         _tell(run_identify(job, face.progress("identifying")), out, face)
+
+
+def _numbers(text: str | None) -> tuple[int, ...]:
+    try:
+        return () if text is None else tuple(int(part) for part in text.split(","))
+    except ValueError:
+        raise UsageError(f"--leave-out {text!r} names no joints", cure="Write their numbers: --leave-out 5,6") from None
 
 
 def _live(job: LiveJob, face: CommandUI, yes: bool) -> None:

@@ -8,12 +8,12 @@ from typing import Annotated, TypeAlias
 import typer
 
 from armsight.cli.command_ui import CommandUI
-from armsight.cli.options import AsJson
+from armsight.cli.options import AsJson, Base, Tip
 from armsight.cli.table_options import NOTHING_STATED, TableOptions, takes_tables
 
 kinematics = typer.Typer(help="Joints to poses and back, for any serial arm.", no_args_is_help=True)
 
-ARM = "arm.yaml, a .urdf, or a name: korayem6r, puma761, stanford-rrp, ur10, irb120"
+ARM = "arm.yaml, a .urdf, or a known arm's name such as ur5e"
 ArmFile: TypeAlias = Annotated[str, typer.Option("--arm", metavar="FILE", help=f"{ARM}.")]
 Joints: TypeAlias = Annotated[Path, typer.Option(help="joints.csv: t_s, q1 .. qn in rad and m; or bag:FILE:/topic.")]
 Poses: TypeAlias = Annotated[Path, typer.Option(help="poses.csv of the tool in world.")]
@@ -26,13 +26,20 @@ TaskName: TypeAlias = Annotated[
 @kinematics.command("fk")
 @takes_tables
 def fk(
-    arm: ArmFile, joints: Joints, out: Out, json: AsJson = False, table_options: TableOptions = NOTHING_STATED
+    arm: ArmFile,
+    joints: Joints,
+    out: Out,
+    tip: Tip = None,
+    base: Base = None,
+    json: AsJson = False,
+    table_options: TableOptions = NOTHING_STATED,
 ) -> None:
     """Write the tool's pose at each row of joint values."""
     with CommandUI(as_json=json) as face:
+        from armsight.app.kinematics import arm_source
         from armsight.app.kinematics import write_poses_of_joints as run
 
-        done = run(arm, joints, out, table_options.format(face))
+        done = run(arm_source(arm, tip=tip, base=base), joints, out, table_options.format(face))
         beyond = f", {done.n_beyond_limits} of them beyond limits" if done.n_beyond_limits else ""
         face.say(f"{done.n} poses of {done.arm}{beyond}: {out}")
         face.result(done)
@@ -47,14 +54,18 @@ def ik(
     near: Annotated[Path | None, typer.Option(help="joints.csv to be near to: one row, or one per pose.")] = None,
     every: Annotated[bool, typer.Option("--all", help="Write every solution, not the nearest alone.")] = False,
     task: TaskName = None,
+    tip: Tip = None,
+    base: Base = None,
     json: AsJson = False,
     table_options: TableOptions = NOTHING_STATED,
 ) -> None:
     """Write the joint values that bring the tool to each pose."""
     with CommandUI(as_json=json) as face:
+        from armsight.app.kinematics import arm_source
         from armsight.app.kinematics import write_joints_of_poses as run
 
-        done = run(arm, poses, out, near=near, every=every, task=task, format_=table_options.format(face))
+        source = arm_source(arm, tip=tip, base=base)
+        done = run(source, poses, out, near=near, every=every, task=task, format_=table_options.format(face))
         counts = ", ".join(f"{count} {status}" for status, count in done.status.items())
         face.say(f"{done.n} poses of {done.arm} ({counts}): {out}")
         for entry in done.unsolved[:5]:
@@ -69,14 +80,18 @@ def jacobian(
     joints: Joints,
     out: Out,
     axes: Annotated[str, typer.Option(help="world, base or tool.")] = "world",
+    tip: Tip = None,
+    base: Base = None,
     json: AsJson = False,
     table_options: TableOptions = NOTHING_STATED,
 ) -> None:
     """Write the Jacobian at each row of joint values: t_s, J11 .. J6n."""
     with CommandUI(as_json=json) as face:
+        from armsight.app.kinematics import arm_source
         from armsight.app.kinematics import write_jacobians as run
 
-        done = run(arm, joints, out, axes=axes, format_=table_options.format(face))
+        source = arm_source(arm, tip=tip, base=base)
+        done = run(source, joints, out, axes=axes, format_=table_options.format(face))
         face.say(f"{done.n} Jacobians of {done.arm} in {done.axes} axes: {out}")
         face.result(done)
 
@@ -89,14 +104,18 @@ def path(
     out: Out,
     start: Annotated[Path | None, typer.Option(help="joints.csv; its first row is where the arm stands.")] = None,
     task: TaskName = None,
+    tip: Tip = None,
+    base: Base = None,
     json: AsJson = False,
     table_options: TableOptions = NOTHING_STATED,
 ) -> None:
     """Write a continuous joint track along a path, and tell jumps, speeds, limits and singular passages."""
     with CommandUI(as_json=json) as face:
+        from armsight.app.kinematics import arm_source
         from armsight.app.kinematics import write_joint_path as run
 
-        done = run(arm, poses, out, start=start, task=task, format_=table_options.format(face))
+        source = arm_source(arm, tip=tip, base=base)
+        done = run(source, poses, out, start=start, task=task, format_=table_options.format(face))
         branch = f" on the branch {', '.join(done.branch)}" if done.branch else ""
         face.say(f"{done.n_reached} of {done.n} poses of {done.arm} reached{branch}: {out}")
         for issue in done.issues:
@@ -105,12 +124,12 @@ def path(
 
 
 @kinematics.command("formulas")
-def formulas(arm: ArmFile, out: Out, json: AsJson = False) -> None:
+def formulas(arm: ArmFile, out: Out, tip: Tip = None, base: Base = None, json: AsJson = False) -> None:
     """Write forward kinematics and Jacobian as Python (.py) or LaTeX (.tex)."""
     with CommandUI(as_json=json) as face:
-        from armsight.app.kinematics import write_formulas
+        from armsight.app.kinematics import arm_source, write_formulas
 
-        done = write_formulas(arm, out)
+        done = write_formulas(arm_source(arm, tip=tip, base=base), out)
         face.say(f"formulas of {done.arm}: {out}")
         face.result(done)
 
@@ -122,13 +141,16 @@ def show(
     joints: Annotated[
         str | None, typer.Option(help="joints.csv, or values as 0,-1.2,0.4. [default: middle of the ranges]")
     ] = None,
+    tip: Tip = None,
+    base: Base = None,
     json: AsJson = False,
 ) -> None:
     """Write a page with the arm in three dimensions."""
     with CommandUI(as_json=json) as face:
+        from armsight.app.kinematics import arm_source
         from armsight.app.kinematics import draw_arm as run
 
-        done = run(arm, out, joints=joints)
+        done = run(arm_source(arm, tip=tip, base=base), out, joints=joints)
         face.say(f"{done.arm}: {out}")
         face.result(done)
 
@@ -137,13 +159,15 @@ def convert_arm(
     source: Annotated[str, typer.Argument(metavar="FILE", help=f"{ARM}.")],
     out: Annotated[Path, typer.Option("-o", "--out", help="File to write: .yaml or .urdf.")],
     convention: Annotated[str | None, typer.Option(help="standard or craig, for arm.yaml.")] = None,
-    tip: Annotated[str | None, typer.Option(help="Last link, where a URDF branches.")] = None,
+    tip: Tip = None,
+    base: Base = None,
     json: AsJson = False,
 ) -> None:
     """Convert an arm between arm.yaml and URDF, and between the two Denavit-Hartenberg conventions."""
     with CommandUI(as_json=json) as face:
+        from armsight.app.kinematics import arm_source
         from armsight.app.kinematics import convert_arm as run
 
-        done = run(source, out, convention=convention, tip=tip)
+        done = run(arm_source(source, tip=tip, base=base), out, convention=convention)
         face.say(f"{done.arm}, {done.joints} joints: {out}")
         face.result(done)

@@ -34,6 +34,9 @@ def mirrors(
         bool, typer.Option("--check", help="Do not calibrate: tell how the mirrors stand, and which to turn.")
     ] = False,
     rig: Annotated[Path | None, typer.Option(help="With --check: rig.yaml as it was calibrated.")] = None,
+    parallel: Annotated[
+        bool, typer.Option("--parallel", help="With --check --rig: tell the turns that make the axes parallel.")
+    ] = False,
     plate_mm: Annotated[
         float | None, typer.Option(min=0.0, help="Thickness of the plate; found from the views where not given.")
     ] = None,
@@ -44,7 +47,9 @@ def mirrors(
     target: Annotated[
         Path | None, typer.Option(help="Instead of a board: target.yaml of the lit target in the images.")
     ] = None,
-    camera: Annotated[Path | None, typer.Option(help="With --target: camera.yaml of the lens.")] = None,
+    camera: Annotated[
+        Path | None, typer.Option(help="With --target, or with --check in place of --rig: camera.yaml of the lens.")
+    ] = None,
     every: Every = 1,
     frames: Limit = None,
     workers: Workers = None,
@@ -54,7 +59,8 @@ def mirrors(
     """Calibrate a rig of one camera and four mirrors, or check that its mirrors still stand as they did."""
     with CommandUI(as_json=json) as face:
         from armsight.app.calibrate.cameras import report_path
-        from armsight.app.calibrate.mirrors import MirrorsJob, run_check, run_mirrors
+        from armsight.app.calibrate.mirrors import MirrorsJob, run_mirrors
+        from armsight.app.calibrate.mirrors_check import run_check
         from armsight.config import load_settings
 
         job = MirrorsJob(
@@ -69,6 +75,7 @@ def mirrors(
             near_m=near_mm / MM,
             gap_m=gap_mm / MM,
             rig=rig,
+            parallel=parallel,
             target=target,
             camera=camera,
             every=every,
@@ -121,6 +128,11 @@ def alignment_tables(face: CommandUI, done: MirrorsOutput) -> None:
 def check_tables(face: CommandUI, found: MirrorCheckOutput) -> None:
     """Print how the virtual cameras stand to each other now, and which mirror to turn."""
     face.table("Alignment", ["", ""], _alignment_rows(found.alignment))
+    if found.turns:
+        rows = [
+            [f"mirror {one.mirror}", figure(MRAD * one.turn_rad), figure(MRAD * one.tilt_rad)] for one in found.turns
+        ]
+        face.table("Turns that make the axes parallel", ["", "about the vertical, mrad", "across, mrad"], rows)
     if found.suspects:
         rows = [
             [f"mirror {one.mirror}", figure(MRAD * one.turn_rad), figure(MRAD * one.tilt_rad), figure(one.chi2)]

@@ -39,6 +39,12 @@ Bits: TypeAlias = Annotated[
 Strict: TypeAlias = Annotated[
     bool, typer.Option("--strict", help="Stop at an image file that cannot be read, in place of going on without it.")
 ]
+Tip: TypeAlias = Annotated[
+    str | None, typer.Option("--tip", metavar="LINK", help="Of a URDF that branches: the last link of the arm.")
+]
+Base: TypeAlias = Annotated[
+    str | None, typer.Option("--base", metavar="LINK", help="Of a URDF: the arm's base link. [default: the root]")
+]
 
 
 def parse_size(text: str | None) -> tuple[int, int] | None:

@@ -44,6 +44,9 @@ def keeps_results(*names: str, own: str | None = None) -> Callable[[Callable[...
         @functools.wraps(command)
         def run(**given: Any) -> None:
             overwrite, out = given.pop("overwrite"), given["out"]
+            if out is None:  # a command that writes only where it is told to
+                command(**given)
+                return
             with CommandUI(as_json=given.get("json", False)):
                 _refuse_inputs(out, names, given)
                 _replacing(

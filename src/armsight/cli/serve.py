@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from armsight.cli.command_ui import CommandUI
+
+if TYPE_CHECKING:
+    from armsight.server.serving import ServeOptions
 
 
 def serve(
@@ -37,6 +40,13 @@ def serve(
             metavar="FILE.mcap", help="Recording of commands, events and readings. [default: a new file here]"
         ),
     ] = None,
+    console: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Serve the operator's pages as well, of the cell in FOLDER; its arm and limits count.",
+        ),
+    ] = None,
     add_token: Annotated[
         str | None,
         typer.Option(metavar="NAME:ROLE", help="Add a token for watch or drive to --tokens, print it once, and end."),
@@ -55,6 +65,11 @@ def serve(
         if robot is None:
             raise UsageError("no robot is named", consequence="Nothing is served", cure="Give --robot DRIVER:DEVICE")
         options = ServeOptions(bind=bind, port=port, tokens=tokens, tls_cert=tls_cert, tls_key=tls_key)
+        if console is not None:
+            _with_pages(
+                face, robot, console, options, {"arm": arm, "limits": limits, "rsi-config": rsi_config, "log": log}
+            )
+            return
         kept = log or default_log()
 
         def ready(url: str) -> None:
@@ -73,6 +88,23 @@ def serve(
             ready=ready,
             cancelled=face.progress("starting").cancelled,
         )
+
+
+def _with_pages(face: CommandUI, robot: str, folder: Path, options: ServeOptions, own: dict[str, object]) -> None:
+    """Serve programs and the operator's pages with one loop, one right to drive, and the same tokens."""
+    from armsight.cli.console import serve_cell
+    from armsight.errors import UsageError
+    from armsight.server.serving import check_options
+
+    given = [f"--{name}" for name, value in own.items() if value is not None]
+    if given:
+        raise UsageError(
+            f"{' and '.join(given)} beside --console",
+            consequence="Nothing is served",
+            cure=f"Name the files in {folder}/cell.yaml, or on the page Settings: they count from the next start on",
+        )
+    check_options(options)
+    serve_cell(face, robot, folder, {}, options)
 
 
 def _add_token(face: CommandUI, tokens: Path | None, text: str) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from armsight.cli.command_ui import CommandUI
-from armsight.cli.options import AsJson, OutFolder
+from armsight.cli.options import AsJson, Base, OutFolder, Tip
 from armsight.cli.table_options import NOTHING_STATED, TableOptions, takes_tables
 from armsight.cli.tables import REJECTED_SHOWN, figure
 from armsight.errors import UsageError
@@ -65,6 +65,8 @@ def verify(
         float | None, typer.Option(metavar="M", help="With --plan: the cube's side. [default: the largest that fits]")
     ] = None,
     speed: Annotated[float | None, typer.Option(metavar="M/S", help="With --plan: the speed along the paths.")] = None,
+    tip: Tip = None,
+    base: Base = None,
     json: AsJson = False,
     table_options: TableOptions = NOTHING_STATED,
 ) -> None:
@@ -74,6 +76,10 @@ def verify(
     """
     with CommandUI(as_json=json) as face:
         _check_plan(plan, part, side, speed, [measured, joints, commanded, world, align, compare, band])
+        if tip is not None or base is not None:
+            from armsight.app.kinematics import arm_source
+
+            arm = arm_source(_given(arm), tip=tip, base=base)
         if plan:
             from armsight.app.verify.plan import PlanJob, run_plan
 
@@ -100,6 +106,13 @@ def verify(
         done = run_verify(job)
         verify_tables(face, done, out)
         face.result(done)
+
+
+def _given(arm: str | None) -> str:
+    """Return the arm; UsageError where --tip or --base is of none."""
+    if arm is None:
+        raise UsageError("--tip and --base choose a chain of an arm, and none was given", cure="Give --arm FILE.urdf")
+    return arm
 
 
 def _check_plan(plan: bool, part: str | None, side: float | None, speed: float | None, files: list[Any]) -> None:

@@ -49,6 +49,19 @@ def button(
     return made
 
 
+def canvas_of(side: str, *, testid: str = "", plain: bool = False) -> Element:
+    """Return a camera's picture, which the browser's script draws; plain: without what nobody named."""
+    canvas = ui.element("canvas")
+    canvas.props.update({"data-side": side, "role": "img", "aria-label": texts.PICTURES[side]})
+    canvas.props.update({f"data-mark-{view}": mark for view, mark in texts.VIEW_MARKS.items()})
+    canvas.props["width"], canvas.props["height"] = 1280, 720
+    if testid:
+        canvas.props["data-testid"] = testid
+    if plain:
+        canvas.props["data-plain"] = "true"
+    return canvas
+
+
 @contextmanager
 def card(title: str) -> Iterator[None]:
     """Put what follows into a titled card."""

@@ -8,16 +8,21 @@ import struct
 
 from fastapi import FastAPI, WebSocket, WebSocketDisconnect
 
+from armsight.app.live.measurement import COMPLEX
 from armsight.app.live.station import Shown
+from armsight.app.live.views import complex_view
 from armsight.console.state import Console
 
 LOOK_S = 0.005
 """Time between two looks for a newer picture."""
-SIDES = ("left", "right")
+SIDES = ("left", "right", COMPLEX)
 
 
 def add_pictures(server: FastAPI, console: Console) -> None:
-    """Serve the newest picture of a side at /console/pictures/left and /right, as often as the browser asks."""
+    """Serve the newest picture of a side at /console/pictures/left and /right, as often as the browser asks.
+
+    A mirror rig's one picture, with what was found of both views in it, is at /console/pictures/complex.
+    """
 
     @server.websocket("/console/pictures/{side}")
     async def pictures(socket: WebSocket, side: str) -> None:
@@ -37,7 +42,10 @@ def add_pictures(server: FastAPI, console: Console) -> None:
 
 def picture_message(console: Console, shown: Shown, side: str) -> bytes:
     """Return the length of the findings (uint32, little endian), the findings as JSON, and the JPEG."""
-    view, data = (shown.view.left, shown.left_jpeg) if side == "left" else (shown.view.right, shown.right_jpeg)
+    if side == COMPLEX:
+        view, data = complex_view(shown.view), shown.left_jpeg
+    else:
+        view, data = (shown.view.left, shown.left_jpeg) if side == "left" else (shown.view.right, shown.right_jpeg)
     masks = [list(box) for box in console.look.masked.get(side, ())]
     head = json.dumps({**view.to_dict(), "masks": masks}).encode()
     return struct.pack("<I", len(head)) + head + data

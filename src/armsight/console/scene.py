@@ -12,12 +12,15 @@ from nicegui.events import SceneClickEventArguments
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.app.live.uncertainty_shapes import drawn_ellipsoid, track_colours
 from armsight.app.measure.run import target_of
+from armsight.app.operator.identify import SweepFit
 from armsight.app.operator.placing import arm_points, rig_pose
 from armsight.app.schemas.live import LiveView
+from armsight.console import texts
 from armsight.console.state import Console
 from armsight.errors import ArmsightError
-from armsight.optics import SIDES, Rig
+from armsight.optics import SIDES, Rig, RigKind
 from armsight.records import Target
 from armsight.store import read_rig
 from armsight.store.cell_file import cell_path
@@ -26,15 +29,28 @@ Array = NDArray[np.float64]
 
 FRUSTUM_M = 0.12
 """Length of the pyramids that stand for cameras."""
+SCENE_PX = 420
 SCENE_HZ = 8
 """Drawings a second: more would slow a tablet's other work, of which the enable is the first."""
 TRACK = 600
 """Points of the track shown."""
+LIGHT_M, SMALL_M = 0.008, 0.03
+"""Radius of a light; size of a target below which the names of its lights would hide it."""
 BONE_M, JOINT_M = 0.03, 0.042
 """Radii in which an arm's links and joints are drawn."""
 SEEN_RAD = 2e-4
 """Joints (rad or m) that moved less are not drawn anew."""
-COLOURS = {"left": "#0072B2", "right": "#CC79A7", "target": "#D55E00", "arm": "#8a97a3", "joint": "#46515c"}
+COLOURS = {
+    "left": "#0072B2",
+    "right": "#CC79A7",
+    "camera": "#46515c",
+    "target": "#D55E00",
+    "arm": "#8a97a3",
+    "joint": "#46515c",
+    "uncertainty": "#E69F00",
+}
+FIT_COLOURS = ("#0072B2", "#7a4fb5", "#00775a", "#8a5a00", "#a0306e", "#14181c")
+"""Of joints' sweeps and axes; each has its number beside it."""
 POINT = "place-"
 """Begins the name of a path's ball."""
 PATH_COLOUR = "#7a4fb5"
@@ -60,8 +76,9 @@ class Scene:
         if placed is None and rig_file is not None:
             self._arm = None  # where the arm stands before these cameras is not known yet
         self._T_scene_rig = UPRIGHT if placed is None else placed
-        self._track: list[list[float]] = []
-        made = ui.scene(grid=(4, 20), background_color="#dfe5ea", on_click=self._clicked, fps=SCENE_HZ)
+        self._track: list[tuple[list[float], float]] = []
+        self.scale = 0.0
+        made = ui.scene(height=SCENE_PX, grid=(4, 20), background_color="#dfe5ea", on_click=self._clicked, fps=SCENE_HZ)
         with made.classes("w-full") as self._scene:
             self._scene.props["data-testid"] = "scene"
             self._target = self._draw_target(None if target_file is None else target_of(target_file))
@@ -69,7 +86,9 @@ class Scene:
             self._bones = [] if self._arm is None else [self._draw_bone() for _ in range(2 * self._arm.n + 1)]
             self._cloud = self._scene.point_cloud([[0, 0, 0]], [[0, 0.6, 0.45]], point_size=0.006)
             self._path = self._scene.group()
+            self._ellipsoid = self._scene.sphere(radius=1.0).material(COLOURS["uncertainty"], opacity=0.45)
         self._target.visible(False)
+        self._ellipsoid.visible(False)
         self._look_on()
         self._show_arm(anew=True)
 
@@ -78,17 +97,39 @@ class Scene:
         self._show_arm()
         whole = view is not None and view.xyz_m is not None and view.quat_xyzw is not None
         self._target.visible(whole)
+        T = self._T_scene_rig if view is not None and view.parent == "rig" else RigidTransform.identity()
+        self._show_uncertainty(view, T)
         if view is None or view.xyz_m is None or view.quat_xyzw is None:
             return
-        pose = RigidTransform.from_components(view.xyz_m, Rotation.from_quat(view.quat_xyzw))
-        T_scene_target = self._T_scene_rig * pose if view.parent == "rig" else pose
+        T_scene_target = T * RigidTransform.from_components(view.xyz_m, Rotation.from_quat(view.quat_xyzw))
         _put(self._target, T_scene_target)
-        self._track = [*self._track[-TRACK:], T_scene_target.translation.tolist()]
+        std_m = float(np.linalg.norm(view.std[:3])) if view.std is not None else np.nan
+        self._track = [*self._track[-TRACK:], (T_scene_target.translation.tolist(), std_m)]
 
-    def show_track(self) -> None:
-        """Draw the places where the target was."""
-        if self._track:
-            self._cloud.set_points(self._track, [[0.0, 0.6, 0.45]] * len(self._track))
+    def show_track(self) -> tuple[float, float] | None:
+        """Draw the places where the target was, coloured by their standard deviation; return its least and greatest.
+
+        In m, the norm of those of x, y and z; None where nothing was seen, or no standard deviation is known.
+        """
+        if not self._track:
+            return None
+        std_m = np.array([std for _, std in self._track])
+        self._cloud.set_points([place for place, _ in self._track], track_colours(std_m).tolist())
+        known = std_m[np.isfinite(std_m)]
+        return (float(known.min()), float(known.max())) if len(known) else None
+
+    def _show_uncertainty(self, view: LiveView | None, T_scene_parent: RigidTransform) -> None:
+        """Draw the ellipsoid of the position where it is; `scale` tells how enlarged, 0 without one."""
+        drawn = None
+        if view is not None and view.xyz_m is not None and view.covariance_m2 is not None:
+            R = T_scene_parent.rotation.as_matrix()
+            drawn = drawn_ellipsoid(R @ np.array(view.covariance_m2) @ R.T)
+        self._ellipsoid.visible(drawn is not None)
+        self.scale = 0.0 if drawn is None else drawn.scale
+        if drawn is not None and view is not None:
+            self._ellipsoid.move(*T_scene_parent.apply(np.array(view.xyz_m)).tolist())
+            self._ellipsoid.rotate_R(drawn.R.tolist())
+            self._ellipsoid.scale(*drawn.semi_axes_m.tolist())
 
     def show_path(self, xyz_m: Array, chosen: Collection[int] = ()) -> None:
         """Draw a path (n, 3) in world; the ball at its start is larger, those chosen are in another colour."""
@@ -107,16 +148,25 @@ class Scene:
         if found is not None and self._picked is not None:
             self._picked(int(found.removeprefix(POINT)))
 
-    def show_fits(self, paths: list[Array], seen: Array, *, placed: bool) -> None:
-        """Draw fitted paths (m, 3) as lines and what was seen (n, 3) as dots; placed: both in world, else in rig."""
+    def show_fits(self, fits: Collection[SweepFit], *, placed: bool) -> None:
+        """Draw of each sweep its arc or line, the joint's axis with its number, and dots for what was seen.
+
+        placed: they are in world, else in rig axes.
+        """
         T = RigidTransform.identity() if placed else self._T_scene_rig
         self._path.delete()
         with self._scene, self._scene.group() as self._path:
-            for path in paths:
-                for one, next_ in pairwise(T.apply(path).tolist()):
-                    self._scene.line(one, next_).material(PATH_COLOUR)
-            for place in T.apply(seen).tolist():
-                self._scene.sphere(radius=0.004).move(*place).material(COLOURS["target"])
+            for fit in fits:
+                colour = FIT_COLOURS[(fit.joint - 1) % len(FIT_COLOURS)]
+                lines = [*pairwise(T.apply(fit.path).tolist()), tuple(T.apply(fit.axis).tolist())]
+                if fit.centre is not None:
+                    lines += [(T.apply(fit.centre).tolist(), T.apply(fit.path[end]).tolist()) for end in (0, -1)]
+                for one, next_ in lines:
+                    self._scene.line(one, next_).material(colour)
+                label = self._scene.text(texts.FIT_JOINT.format(joint=fit.joint), f"font-weight: 700; color: {colour}")
+                label.move(*T.apply(fit.axis[1]).tolist())
+                for place in T.apply(fit.seen).tolist():
+                    self._scene.sphere(radius=0.004).move(*place).material(COLOURS["target"])
 
     def _joints(self) -> Array | None:
         try:
@@ -145,35 +195,44 @@ class Scene:
         group: Object3D
         with self._scene.group() as group:
             if target is not None and not target.is_board:
+                apart_m = float(np.ptp(target.xyz_m, axis=0).max())
+                radius = min(LIGHT_M, 0.15 * apart_m) if apart_m > 0.0 else LIGHT_M
                 for name, light in zip(target.names, target.xyz_m.tolist(), strict=True):
-                    self._scene.sphere(radius=0.008).move(*light).material(COLOURS["target"])
-                    self._scene.text(name, "font-weight: 700; color: #14181c").move(*light)
+                    self._scene.sphere(radius=radius).move(*light).material(COLOURS["target"])
+                    if apart_m > SMALL_M:
+                        self._scene.text(name, "font-weight: 700; font-size: 12px; color: #14181c").move(*light)
             for axis, colour in zip(np.eye(3) * 0.06, ("#D55E00", "#009E73", "#0072B2"), strict=True):
                 self._scene.line([0, 0, 0], axis.tolist()).material(colour)
         return group
 
     def _draw_cameras(self, rig: Rig | None) -> Object3D:
-        """Draw cameras as the pyramids they see through, in rig axes."""
+        """Draw cameras as the pyramids they see through, in rig axes; of a mirror rig both virtual ones and the real
+        one."""
         group: Object3D
         with self._scene.group() as group:
             for side in () if rig is None else SIDES:
-                corners = FRUSTUM_M * np.array([[-0.6, -0.35, 1], [0.6, -0.35, 1], [0.6, 0.35, 1], [-0.6, 0.35, 1]])
-                T_rig_camera = RigidTransform.identity() if rig is None else rig.T_rig_camera(side)
-                centre, places = T_rig_camera.translation.tolist(), T_rig_camera.apply(corners).tolist()
-                for one, next_ in zip(places, [*places[1:], places[0]], strict=True):
-                    self._scene.line(centre, one).material(COLOURS[side])
-                    self._scene.line(one, next_).material(COLOURS[side])
+                self._draw_pyramid(RigidTransform.identity() if rig is None else rig.T_rig_camera(side), COLOURS[side])
+            if rig is not None and rig.kind is RigKind.MIRROR:
+                self._draw_pyramid(RigidTransform.identity(), COLOURS["camera"], 0.4)
         _put(group, self._T_scene_rig)
         return group
+
+    def _draw_pyramid(self, T_rig_camera: RigidTransform, colour: str, share: float = 1.0) -> None:
+        corners = share * FRUSTUM_M * np.array([[-0.6, -0.35, 1], [0.6, -0.35, 1], [0.6, 0.35, 1], [-0.6, 0.35, 1]])
+        centre, places = T_rig_camera.translation.tolist(), T_rig_camera.apply(corners).tolist()
+        for one, next_ in zip(places, [*places[1:], places[0]], strict=True):
+            self._scene.line(centre, one).material(colour)
+            self._scene.line(one, next_).material(colour)
 
     def _draw_bone(self) -> tuple[Object3D, Object3D]:
         bone = self._scene.cylinder(BONE_M, BONE_M, 1.0, 16).material(COLOURS["arm"])
         return bone, self._scene.sphere(radius=JOINT_M).material(COLOURS["joint"])
 
     def _look_on(self) -> None:
-        """Look at what the cameras see, from beside and above them."""
-        x, y, z = self._T_scene_rig.apply([0.75, -0.65, -0.15]).tolist()
-        to_x, to_y, to_z = self._T_scene_rig.apply([0.05, 0.0, 0.7]).tolist()
+        """Look at what the cameras see, from beside and above them; from nearer where there is no arm to be seen."""
+        near = self._arm is None
+        x, y, z = self._T_scene_rig.apply([0.55, -0.4, 0.1] if near else [0.75, -0.65, -0.15]).tolist()
+        to_x, to_y, to_z = self._T_scene_rig.apply([0.02, 0.0, 0.4 if near else 0.7]).tolist()
         self._scene.move_camera(x, y, z, to_x, to_y, to_z, 0.0, 0.0, 1.0, duration=0.0)
 
 

@@ -4,25 +4,32 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 
+from armsight.app.calibrate.mirrors import MirrorsJob
 from armsight.app.guided.boards import BoardCalibration
+from armsight.app.guided.desk import StepDesk
+from armsight.app.guided.mirror_alignment import MirrorAlignment
+from armsight.app.guided.mirrors import MirrorsStep
 from armsight.app.guided.poses import ArmStep, HandEyeStep, TipCalibrationStep
 from armsight.app.guided.step import Guided
 from armsight.app.guided.timing import TimingStep
 from armsight.app.live.followed import FollowedCell
-from armsight.app.live.measurement import LiveJob, Look
+from armsight.app.live.measurement import COMPLEX, LiveJob, Look, require_kind
 from armsight.app.live.station import Shown, Station
 from armsight.app.measure.run import target_of
 from armsight.app.operator.path_desk import PathDesk
 from armsight.app.operator.robot_cell import RobotCell, cameras_of
+from armsight.app.operator.supervise import StationSupervisor
 from armsight.app.operator.teach import TeachDesk, teach_desk
 from armsight.calibrate.handeye import Setup
-from armsight.errors import NotEnoughData, UsageError
+from armsight.errors import ArmsightError, NotEnoughData, UsageError
+from armsight.optics import RigKind
 from armsight.store import read_rig, read_world
-from armsight.store.cell_file import CellFile, cell_path, read_cell, write_cell
+from armsight.store.cell_file import CellFile, CellMirrors, cell_path, read_cell, write_cell
 
 HISTORY = 1800
 """Moments kept for the curves: a minute at 30 a second."""
@@ -38,8 +45,10 @@ class Console:
     look: Look = field(default_factory=Look)
     last_recording: Path | None = None
     history: deque[Shown] = field(default_factory=lambda: deque(maxlen=HISTORY))
-    steps: dict[str, Guided] = field(default_factory=dict)
+    steps: dict[str, StepDesk] = field(default_factory=dict)
+    _alignment: MirrorAlignment | None = None
     robot: RobotCell | None = None
+    supervisor: StationSupervisor | None = None
     _teaching: TeachDesk | None = None
     _path: PathDesk | None = None
 
@@ -55,7 +64,7 @@ class Console:
         self.cell = cell
         self.close()
         self.look = Look()
-        self.steps.clear()
+        self._forget_steps()
         if job is not None:
             self.station = Station(job)
             self.station.start()
@@ -63,17 +72,16 @@ class Console:
     def job_of(self, cell: CellFile) -> LiveJob | None:
         """Return what is measured, None without cameras; every file is read, so that a wrong one is refused here."""
         rig, target, world = (cell_path(self.folder, getattr(cell, name), name) for name in ("rig", "target", "world"))
-        if rig is not None:
-            read_rig(rig)
+        known_rig = None if rig is None else read_rig(rig)
         if target is not None:
             target_of(target)
         if world is not None:
             read_world(world)
-        if bool(cell.left) != bool(cell.right):
-            raise UsageError("one camera is missing", cure="Give both, or none")
+        if cell.right and not cell.left:
+            raise UsageError("the left camera is missing", cure="Give both, or none; the one camera of mirrors as left")
         if not cell.left:
             return None
-        return LiveJob(
+        job = LiveJob(
             left=cell.left,
             right=cell.right,
             rig=rig,
@@ -83,11 +91,18 @@ class Console:
             again=cell.play_again,
             followed=self._followed(cell),
         )
+        require_kind(job, known_rig)
+        return job
+
+    @property
+    def pictures(self) -> tuple[str, ...]:
+        """Which pictures there are: left and right, or the complex one of one camera with mirrors."""
+        return (COMPLEX,) if self.cell.left and not self.cell.right else ("left", "right")
 
     def _followed(self, cell: CellFile) -> FollowedCell | None:
         """Return the simulated cell whose robot is moved here, where the cameras named are its own."""
         followed = None if self.robot is None else self.robot.followed
-        own = followed is not None and [cell.left, cell.right] == cameras_of(followed.scenario)
+        own = followed is not None and (cell.left, cell.right) == cameras_of(followed.scenario)
         return followed if own else None
 
     def teaching(self) -> TeachDesk:
@@ -110,11 +125,48 @@ class Console:
             )
         return self.robot
 
-    def step(self, name: str) -> Guided:
+    def step(self, name: str) -> StepDesk:
         """Return a guided calibration, begun anew where it was not under way. Raises UsageError, BadFile."""
         if name not in self.steps:
-            self.steps[name] = STEPS[name](self, self.folder / "calibrate" / name)
+            self.steps[name] = StepDesk(STEPS[name](self, self.folder / "calibrate" / name))
         return self.steps[name]
+
+    def set_mirrors(self, built: CellMirrors) -> None:
+        """Keep how the mirrors were built in cell.yaml; the step begins anew. Raises DeviceFailed."""
+        self.cell = self.cell.model_copy(update={"mirrors": built})
+        write_cell(self.folder, self.cell)
+        self._forget_steps("mirrors")
+
+    def mirror_alignment(self) -> MirrorAlignment:
+        """Return the live check of the mirrors, held against the cell's rig where that is a mirror rig.
+
+        Raises BadFile.
+        """
+        if self._alignment is None:
+            built = self.cell.mirrors
+            job = MirrorsJob(
+                board=self.cell.board,
+                rig=self.mirror_rig(),
+                camera=cell_path(self.folder, self.cell.camera, "camera"),
+                baseline_m=built.baseline_m,
+                near_m=built.near_m,
+                gap_m=built.gap_m,
+                thickness_m=built.plate_m,
+                index=built.index,
+            )
+            self._alignment = MirrorAlignment(job=job, folder=self.folder / "calibrate" / "mirrors")
+        return self._alignment
+
+    def mirror_rig(self) -> Path | None:
+        """Return the cell's rig.yaml where it is a mirror rig's. Raises BadFile."""
+        rig = cell_path(self.folder, self.cell.rig, "rig")
+        return rig if rig is not None and read_rig(rig).kind is RigKind.MIRROR else None
+
+    def _forget_steps(self, *names: str) -> None:
+        """Begin steps anew, all of them where none is named."""
+        for name in names or tuple(self.steps):
+            self.steps.pop(name, None)
+        self._alignment = None
 
     def set_look(self, look: Look) -> None:
         """Look for lights in another way, on the screen and in the station."""
@@ -142,7 +194,11 @@ class Console:
         return shown
 
     def close(self) -> None:
-        """End measuring, and teaching with it."""
+        """End measuring, and teaching and supervision with it."""
+        if self.supervisor is not None:
+            with suppress(ArmsightError):
+                self.supervisor.end()
+        self.supervisor = None
         if self._teaching is not None:
             self._teaching.close()
         self._teaching = None
@@ -179,6 +235,25 @@ def _camera(side: str) -> Callable[[Console, Path], Guided]:
     return make
 
 
+def _mirrors(console: Console, folder: Path) -> Guided:
+    if not console.cell.left or console.cell.right:
+        raise UsageError(
+            "mirrors stand before one camera, and this cell has "
+            + ("two cameras" if console.cell.right else "no camera yet"),
+            consequence="This step cannot begin",
+            cure="Give the one camera as the left one on the page Settings, and leave the right one empty",
+        )
+    cell = console.cell
+    return MirrorsStep(
+        board=cell.board,
+        built=cell.mirrors,
+        folder=folder,
+        out=console.folder / "rig.yaml",
+        target=cell_path(console.folder, cell.target, "target"),
+        camera=cell_path(console.folder, cell.camera, "camera"),
+    )
+
+
 def _timing(console: Console, folder: Path) -> Guided:
     rig = console.file("rig")
     return TimingStep(rig=rig, target=console.file("target"), folder=folder, out=rig)
@@ -211,8 +286,18 @@ STEPS: dict[str, Callable[[Console, Path], Guided]] = {
     "camera-left": _camera("left"),
     "camera-right": _camera("right"),
     "stereo": _rig,
+    "mirrors": _mirrors,
     "timing": _timing,
     "tooltip": _tip,
     "handeye": _handeye,
     "arm": _arm,
 }
+
+OF_TWO_CAMERAS = ("camera-right", "stereo", "timing")
+"""Steps that one camera with mirrors has no use for."""
+
+
+def steps_of(console: Console) -> tuple[str, ...]:
+    """Return the steps that a page offers for a cell, in their order."""
+    one = len(console.pictures) == 1
+    return tuple(name for name in STEPS if not (one and name in OF_TWO_CAMERAS))

@@ -62,17 +62,31 @@ LOST = "Target not seen"
 POSITION_ONLY = "Position only"
 STARTING = "Starting"
 ENDED = "The frames have ended"
-NO_CAMERAS = "No cameras are set up. Give rig, target and both cameras on the page Settings."
+NO_CAMERAS = "No cameras are set up. Give rig, target and the cameras on the page Settings."
 FAILED = "Not measuring"
 RESTART = "Start anew"
 CAMERA_LOST = "The cameras give no pictures any more. Look at their plugs and their power, then start anew. ({why})"
 
-LEFT, RIGHT = "Left camera", "Right camera"
+PICTURES = {
+    "left": "Left camera",
+    "right": "Right camera",
+    "complex": "Camera with mirrors: both views in one picture",
+}
+COMPLEX_HELP = (
+    "Left view (L): rings, blue lines. Right view (R): diamonds, pink lines. Squares: bright spots of neither."
+)
+VIEW_MARKS = {"left": "L", "right": "R"}
 SCENE = "Cameras and target"
+SCENE_HELP = "Drag to turn the scene, wheel to come nearer."
+ELLIPSOID = "Ellipsoid: 1 σ of the position, drawn {scale:,.0f} times as large."
+TRACK = "Track: blue where known best (± {least:.3f} mm), orange where worst (± {most:.3f} mm)."
 POSE = "Where the target is"
 CURVES = "The last minute"
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 FPS, LATENCY, COUNTS = "Pictures measured a second", "From light to pose", "Lost since the start"
+POSITION_COUNT = "Position only since the start"
+RESIDUAL, RESIDUAL_VALUE = "Residual, RMS", "{value:.3f} px"
+COUNT, OF_ALL = "{n} ({share:.1%})", "of {total} pictures"
 SPREAD = "± {value} {unit} (1 σ)"
 NO_VALUE = "–"
 
@@ -86,6 +100,7 @@ ADVICE = {
     "too_sharp": "The lights are smaller than a pixel: defocus the lens a little, or come nearer.",
 }
 ADVICE_FIGURES = "background {background:.0f}, brightest {brightest}, width {width} px"
+ADVICE_CLIPPED, ADVICE_EXPOSURE = ", {n} saturated", ", exposure {ms:.2f} ms"
 
 SEARCH = "How lights are looked for"
 THRESHOLD = "Threshold (grey level; empty: found by itself)"
@@ -105,18 +120,28 @@ STEPS = {
     "camera-left": "Left camera's lens",
     "camera-right": "Right camera's lens",
     "stereo": "Both cameras",
+    "mirrors": "Mirrors before one camera",
     "timing": "Timing of free-running cameras",
     "tooltip": "Tool tip",
     "handeye": "Hand-eye",
     "arm": "Arm",
 }
+ONE_CAMERA = "The camera's lens"
 NEXT = {
+    "board_twice": "Hold the board still, whole in both views of the picture, the two beside each other; accept it.",
+    "show_lights": "Hold the lit target still, all lights in both views of the picture, and accept it.",
+    "needs_lens": "The lit target does not tell the lens: calibrate it first, with the mirrors taken off.",
+    "needs_baseline": "The lit target does not tell the scale: give the baseline as designed, below.",
+    "needs_target": "Choose the target on the page Settings (target.yaml).",
+    "turn_lights": "Turn the target to another side, nearer or further, left or right, and accept it.",
     "show_board": "Hold the board still before the cameras, whole in the picture, and accept it.",
     "to_cell": "Bring the board into the {place} of the {side} picture.",
     "tilt": "Tilt the board by 30 degrees, to one side or the other, up or down.",
     "nearer": "Come nearer with the board.",
     "turn_target": "Turn the target about another axis, with its tip resting on the point.",
     "move_robot": "Move the robot to another place and turn its hand, then accept.",
+    "turn_hand": "Turn the hand about its own {axis}, both ways, and accept a pose at each end: {share:.0%} of what is "
+    "needed is there. The lights must stay in both pictures.",
     "record": "Press accept, wave the target through both pictures for 20 seconds, and press accept again.",
     "more": "Good. Accept some more, each at another place and tilt.",
     "run": "There is enough: calibrate.",
@@ -127,11 +152,39 @@ PLACES = (
     ("left", "middle", "right"),
     ("lower left", "lower middle", "lower right"),
 )
-SIDES = {"left": "left", "right": "right"}
+SIDES = {"left": "left", "right": "right", "complex": "camera's"}
+ROW_NAMES = {
+    "baseline": "Baseline",
+    "± baseline": "± baseline",
+    "left focal length": "Left focal length",
+    "right focal length": "Right focal length",
+    "focal length": "Focal length",
+    "± left focal length": "± left focal length",
+    "± right focal length": "± right focal length",
+    "± focal length": "± focal length",
+    "principal point": "Principal point",
+    "± principal point": "± principal point",
+    "k1": "Distortion k1",
+    "± k1": "± distortion k1",
+    "RMS": "Residual, RMS",
+    "residual, RMS": "Residual, RMS",
+    "RMS of boards left out": "Residual of boards left out, RMS",
+    "picture covered": "Picture covered",
+    "axes turn towards each other": "Axes turn towards each other",
+    "right view lower": "Right view lower",
+    "right view turned": "Right view turned",
+    "± convergence": "± turn towards each other",
+    "glass plate": "Glass plate",
+    "images used": "Images used",
+    "one lens explains both views": "One lens explains both views",
+}
+"""Names of rows and plots as the guided steps give them, in words; a name that is not here is shown as it is."""
 WHAT_NEXT = "What to do next"
 COVERAGE = "Where the board has been"
 COVERED = "{side} picture, {place}: {n} boards"
 SO_FAR = "How sure it is so far (1 σ)"
+SO_FAR_PLOT = "Against the number of samples"
+NO_PLOT_YET = "Nothing to plot yet: accept some more."
 SAMPLES = "Accepted"
 NAME, DETAIL, DROP = "Name", "What it is", "Drop"
 ACCEPT = "Accept"
@@ -139,15 +192,65 @@ CALIBRATE = "Calibrate"
 RUNNING = "Calibrating …"
 VERDICT = "Verdict"
 GOOD, NOT_GOOD = "Can be trusted", "Not to be trusted yet"
+NOT_CALIBRATED = "Not calibrated"
 SAVED = "Saved as {file}"
 REPORT = "Report"
 USE_IT = "Measure with it"
+USE_LENS = "Take it as the cell's lens"
+
+MIRRORS_BUILT = "How the mirrors were built"
+MIRRORS_BUILT_HELP = (
+    "The board needs none of these for the calibration. The lit target, and turning the mirrors until the axes are "
+    "parallel, need the baseline as designed, and the lens: calibrate it with the mirrors taken off. Keeping other "
+    "figures begins the step anew."
+)
+MIRRORS_SHOWN = {"board": "A board is shown", "target": "The lit target is shown"}
+MIRRORS_FIELDS = {
+    "baseline_m": ("Baseline as designed, mm", 1.0),
+    "near_m": ("Lens to plate, mm", 1.0),
+    "gap_m": ("Plate to mirror 3, mm", 1.0),
+    "plate_m": ("Plate, mm (empty: found)", 0.1),
+    "index": ("Plate's refractive index", 0.01),
+}
+MIRRORS_KEEP = "Keep these"
+MIRRORS_WRONG = "These figures cannot be: lengths are above zero, the refractive index is from 1 to 3."
+ALIGNMENT = "The mirrors' alignment, live"
+ALIGNMENT_WATCH = "Look once a second, at the board whole in both views; the answer is of the last four looks"
+ALIGNMENT_UNSURE = (
+    "Too little is told: the angles are known to ± {std:.2f} mrad only. Bring the board nearer, or a larger one."
+)
+ALIGNMENT_STARTING = "No look yet"
+ALIGNMENT_NEEDS = (
+    "Which way to turn is told once the lens (page Settings) and the baseline (below) are given, or a rig."
+)
+ALIGNMENT_UNSEEN = "The board is not seen in both views: {why}"
+HELD_RIG = "Held against the rig as it was calibrated: what has moved since is told."
+HELD_PARALLEL = "Held against parallel axes, as the rig was designed: turn the mirrors until nothing is left to turn."
+AGAINST = (("Hold against the calibrated rig", "against-rig"), ("Hold against parallel axes", "against-parallel"))
+ALIGNED_RIG = "The mirrors stand as they were calibrated"
+ALIGNED_PARALLEL = "The axes are parallel, as far as a hand can turn a screw"
+TURN_NEXT = "Turn next"
+MIRROR_TURN = "Mirror {mirror}: {turns}"
+TURN_CLOCKWISE = "turn {angle:.2f} mrad clockwise, seen from above"
+TURN_ANTICLOCKWISE = "turn {angle:.2f} mrad anticlockwise, seen from above"
+TILT_BACK = "tilt its upper edge {angle:.2f} mrad back, to the camera's side"
+TILT_FORWARD = "tilt its upper edge {angle:.2f} mrad forward, away from the camera"
+OTHER_MIRRORS = "It may have been mirror {mirrors} instead: the views do not tell them apart."
+SEVERAL_MIRRORS = "More than one mirror has moved: begin with this one."
+ALIGNMENT_ANGLES = {
+    "convergence_rad": "Axes turn towards each other",
+    "vertical_rad": "Right view points lower",
+    "roll_rad": "Right view is turned",
+}
+ANGLE, ANGLE_STD = "{value:+.2f} mrad", "± {std:.2g} mrad (1 σ)"
+ALIGNMENT_LEGEND = ("towards each other", "lower", "turned")
+ALIGNMENT_PLOT = "The last looks (mrad)"
 
 FILES = "Files of the cell, in {folder}"
 CAMERAS = "Cameras"
 FIELDS = {
-    "left": "Left camera: camera:0, a folder of images, a video",
-    "right": "Right camera",
+    "left": "Left camera: camera:0, a folder of images, a video; or the one camera of a mirror rig",
+    "right": "Right camera; empty for one camera with mirrors",
     "board": "Board, such as checkerboard:9x6:0.025",
     "rig": "Rig (rig.yaml)",
     "target": "Target (target.yaml)",
@@ -156,6 +259,7 @@ FIELDS = {
     "handeye": "Hand-eye (handeye.yaml)",
     "tip": "Tool tip (tip.yaml)",
     "limits": "Limits of motion (limits.yaml)",
+    "camera": "Lens of the one camera of a mirror rig (camera.yaml)",
 }
 PLAY_AGAIN = "Files begin anew at their end"
 APPLY = "Use these"
@@ -174,13 +278,38 @@ VERIFY_FIELDS = {
 VERIFY_RUN = "Verify"
 RUNNING_VERIFY = "Verifying …"
 ROWS, CAUSE = "Rows compared", "Cause of the errors"
+SUPERVISION = "Supervision: where the arm is, beside where it says it is"
+SUPERVISION_HELP = (
+    "The target as the cameras see it, held against the joints while the arm moves. Beyond the second level, "
+    "measurement noise aside, the robot is stopped."
+)
+SUPERVISION_WARN, SUPERVISION_STOP = "Warn beyond, mm", "Stop beyond, mm (0: never)"
+SUPERVISE, SUPERVISE_END = "Supervise", "End, and write the report"
+SUPERVISION_PLOT = "Distance from where it should be (mm)"
+SUPERVISION_LEVELS = {"good": "Good", "warn": "Warning", "stop": "Stopped"}
+SUPERVISION_AT = "{mm:.2f} ± {std:.2f} mm and {deg:.2f} deg off."
+SUPERVISION_BLIND = "Nothing is compared now: {why}"
+ISO = "ISO 9283: accuracy and repeatability of the arm"
+ISO_HELP = (
+    "Jog the target to the middle of both pictures. The arm then visits five poses of a test cube about that place, "
+    "again and again, and the cameras look at each visit."
+)
+ISO_SIDE = "Side of the cube, mm (empty: the largest)"
+ISO_CYCLES = "Visits of each pose"
+ISO_SPEED = "Speed, mm/s"
+ISO_PLAN, ISO_RUN = "Plan", "Run"
+ISO_PLANNED = "A cube of {side:.0f} mm fits: the arm reaches all five poses, and the cameras see the target at each."
+ISO_DONE = "{done} of {wanted} cycles are judged."
+ISO_HEAD = ("Figure", "mm", "± (1 σ)", "Rests on")
 REPORTS = "Reports"
 NO_REPORTS = "No report yet."
 
 JOINT_RANGES = "How far each joint may go"
 JOINT_RANGES_HELP = (
-    "The light {light} is followed; it must stay in both pictures. Every joint is moved alone, within its range."
+    "The light {light} is followed; it must stay in both pictures. Every joint that is ticked is moved alone, within "
+    "its range; the last ones may be left out, and are held."
 )
+SWEEP_JOINT = "Joint {joint} ({name})"
 JOINT, LOWER, UPPER = "Joint", "From", "To"
 READINGS = "Readings per joint"
 EXPECT = "Expected accuracy"
@@ -189,7 +318,10 @@ IDENTIFY_RUN = "Identify"
 PLANNED = "{n} sweeps, {readings} readings"
 FOUND = "What was found"
 FOUND_HEAD = ("Joint", "Entry", "Found", "± (1 σ)", "From the model")
-FITS = "Fits: the lines are the identified arm, the dots what was seen"
+FITS = "Fits: arcs and lines are the identified arm, with its axes; the dots are what was seen"
+FITS_HEAD = ("Joint", "Fit of its sweep", "Readings used", "Off the fit, RMS", "Off the whole arm, RMS")
+FIT_ARC, FIT_LINE, FIT_OPEN = "arc, radius {radius:.1f} mm", "line", "not decided: move it further"
+FIT_JOINT = "joint {joint}"
 HOLD_TO_MOVE = "Now hold the enable: the robot moves while it is held, and waits while it is not."
 WORKING = "{note} {done:.0f} of {total:.0f}"
 UNDER_WAY = "Under way: {note}"
@@ -233,4 +365,6 @@ PLAY_AT = "{stage}: {s:.1f} of {length:.1f} mm at {speed:.1f} mm/s"
 PLAY_STAGES = {"approach": "On the way to the start", "path": "On the path", "finished": "Done"}
 PLAY_DONE = "Played: {share:.0%} of {length:.1f} mm in {time:.1f} s. Ended by: {why}."
 PLAY_END = "the path's end"
+PLAY_SEEN = "The cameras saw the tip {rms:.2f} mm (RMS) off, {largest:.2f} mm at most, in {n} frames."
+PLAY_UNSEEN = "No camera watched it."
 PLAY_KEPT = "All of it is kept in {folder}."

@@ -1,6 +1,6 @@
 """Joints <-> pose: chains, forward and inverse kinematics, Jacobians, singularities, tracks along paths."""
 
-from armsight.kinematics.arm import Arm, Coupling, Joint, JointType, dh_arm
+from armsight.kinematics.arm import Arm, Coupling, Joint, JointType, ToolPoint, dh_arm
 from armsight.kinematics.closed_form import Family, Wrist, family_of
 from armsight.kinematics.convention import Convention
 from armsight.kinematics.derivatives import moved, parameter_jacobian, parameter_names
@@ -39,6 +39,7 @@ __all__ = [
     "Stop",
     "Task",
     "Tolerance",
+    "ToolPoint",
     "Trouble",
     "Wrist",
     "branch_names",

@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics.convention import Convention, distal_rows
-from armsight.records import NamedCovariance, Saveable
+from armsight.records import NamedCovariance, Saveable, frozen_array
 
 if TYPE_CHECKING:
     from armsight.kinematics.inverse_kinematics import Inverse
@@ -26,6 +26,9 @@ LARGEST_ANGLE_RAD = 1e4
 
 LIMIT_SLACK = 1e-9
 """Joint values this far (rad or m) beyond a limit are at it: rounding of a solution that ends there."""
+
+SAME_DIRECTION = 1e-12
+"""Share (squared) of an axis along another below which they are square to each other."""
 
 GAIN_RANGE = (0.5, 2.0)
 """The sign carries the joint's scale where one was identified; further from one it is a mistake of units."""
@@ -100,6 +103,36 @@ class Coupling:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ToolPoint:
+    """A named point of the tool: xyz_m (3,) in flange axes, std_m (3,) of its coordinates, infinite where not known."""
+
+    name: str
+    xyz_m: Array
+    std_m: Array
+
+    def __post_init__(self) -> None:
+        if not self.name:
+            raise Inconsistent("a point of the tool has no name", cure="Name it, for instance A")
+        object.__setattr__(self, "xyz_m", frozen_array(f"the place of tool point {self.name}", self.xyz_m, (3,)))
+        std = np.array(self.std_m, dtype=np.float64)
+        if std.shape != (3,) or not (std >= 0.0).all():  # also false for NaN
+            raise Inconsistent(
+                f"the standard deviations of tool point {self.name} are {std.tolist()}",
+                cure="Give three of x, y, z in m, none negative",
+            )
+        std.setflags(write=False)
+        object.__setattr__(self, "std_m", std)
+
+    def seen_from(self, T: RigidTransform) -> ToolPoint:
+        """Return the point in other axes, T those of the old ones in them; deviations turned as if independent."""
+        turn = np.asarray(T.rotation.as_matrix())
+        known = np.where(np.isfinite(self.std_m), self.std_m, 0.0)
+        std = np.sqrt(turn**2 @ known**2)
+        std[(turn**2 @ np.isinf(self.std_m)) > SAME_DIRECTION] = np.inf
+        return ToolPoint(name=self.name, xyz_m=np.asarray(T.apply(self.xyz_m)), std_m=std)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Arm(Saveable):
     """A serial arm: joints from base to flange, T_world_base, T_flange_tool.
 
@@ -108,6 +141,7 @@ class Arm(Saveable):
 
     convention says how the joints' a, alpha, beta are read: standard (behind the joint) or craig (before it).
     source: where the numbers come from. covariance: of identified parameters, named as in `parameter_names`.
+    tool_points: points of the tool that were measured by name, such as a beacon's lights.
     chain (n + 2, 12): the same arm as compiled code sees it (kernels.chain), always in standard convention. found: what
     other modules worked out once from the fields above (its closed form); never part of the arm's value.
     """
@@ -120,6 +154,7 @@ class Arm(Saveable):
     source: str = ""
     covariance: NamedCovariance | None = None
     couplings: tuple[Coupling, ...] = ()
+    tool_points: tuple[ToolPoint, ...] = ()
     chain: Array = field(init=False, repr=False)
     found: dict[str, object] = field(init=False, repr=False, default_factory=dict)
 
@@ -133,6 +168,10 @@ class Arm(Saveable):
             raise Inconsistent(f"joint names repeat: {', '.join(names)}", cure="Give each joint a name of its own")
         object.__setattr__(self, "couplings", tuple(self.couplings))
         _check_couplings(self.couplings, names)
+        object.__setattr__(self, "tool_points", tuple(self.tool_points))
+        points = [point.name for point in self.tool_points]
+        if len(set(points)) != len(points):
+            raise Inconsistent(f"names of tool points repeat: {', '.join(points)}", cure="Give each a name of its own")
         chain = _chain(self)
         chain.setflags(write=False)
         object.__setattr__(self, "chain", chain)

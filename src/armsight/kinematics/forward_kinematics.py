@@ -83,7 +83,7 @@ def fk_jacobian(
     else:
         many_poses_jacobians(arm.chain, values, T, J)
     if axes != "world":
-        R = T[..., :3, :3] if axes == "tool" else arm.chain[0].reshape(3, 4)[:, :3]
+        R = T[..., :3, :3] if axes == "tool" else arm.T_world_base.rotation.as_matrix()
         Rt = np.swapaxes(R, -1, -2)
         J[..., :3, :] = Rt @ J[..., :3, :]
         J[..., 3:, :] = Rt @ J[..., 3:, :]
@@ -117,12 +117,15 @@ def in_convention(arm: Arm, convention: Convention | str) -> Arm:
         dataclasses.replace(joint, a_m=a, alpha_rad=alpha, beta_rad=beta)
         for joint, (a, alpha, beta) in zip(arm.joints, rows, strict=True)
     )
+    T_flange_tool = RigidTransform.from_matrix(tool)
+    T_new_old = T_flange_tool * arm.T_flange_tool.inv()  # of the flange
     return Arm(
         name=arm.name,
         joints=joints,
         convention=wanted,
         T_world_base=RigidTransform.from_matrix(base),
-        T_flange_tool=RigidTransform.from_matrix(tool),
+        T_flange_tool=T_flange_tool,
         source=arm.source,
         couplings=arm.couplings,
+        tool_points=tuple(point.seen_from(T_new_old) for point in arm.tool_points),
     )

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from armsight.calibrate.arm import ArmCalibration, ArmPoints
 from armsight.report.figures import BLUE, GREY, Figure, axis, cloud_figure, layout
-from armsight.report.html import Card, Page, Verdict, figure_of, table, with_deviation
+from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table, with_deviation
 from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
@@ -30,13 +30,11 @@ def arm_report(
     page = Page(
         title=f"Calibration of {result.nominal.name}",
         subtitle=f"{len(points)} measurements, {result.level}",
-        verdict=Verdict(
-            level="good" if result.gain else "warn",
-            word="Better" if result.gain else "No gain",
-            sentence=result.verdict,
-        ),
+        verdict=_verdict(result),
         cards=_cards(result),
     )
+    if result.notes:
+        page.add("What to know", "", bullets(result.notes))
     page.add(
         "Errors row by row",
         "At the tool's point, with the nominal geometry (base and tool fitted) and with the corrected one.",
@@ -59,6 +57,15 @@ def arm_report(
     return page.html(created=created or datetime.now())
 
 
+def _verdict(result: ArmCalibration) -> Verdict:
+    if result.other_arm is not None:
+        return Verdict(level="bad", word="Another arm", sentence=result.verdict)
+    if result.gain:
+        level = "warn" if result.at_limit else "good"
+        return Verdict(level=level, word="Better", sentence=result.verdict)
+    return Verdict(level="warn", word="No gain", sentence=result.verdict)
+
+
 def _cards(result: ArmCalibration) -> list[Card]:
     kind = "rows of the holdout" if result.held else "rows left out by cross-validation"
     return [
@@ -77,7 +84,7 @@ def _corrections(result: ArmCalibration) -> str:
         unit, factor = ("mm", MM) if name.endswith("_m") else ("°", DEG) if name.endswith("_rad") else ("", 1.0)
         shown, uncertainty = with_deviation(result.change(name) / factor, std[name] / factor)
         rows.append([name, shown, uncertainty, unit])
-    return table(["parameter", "change", "+-", "unit"], rows, numbers=(1, 2))
+    return table(["parameter", "change", "±", "unit"], rows, numbers=(1, 2))
 
 
 def error_figure(result: ArmCalibration) -> Figure:

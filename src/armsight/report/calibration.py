@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from datetime import datetime
-from pathlib import PurePath
 
 import numpy as np
 
-from armsight.report.figures import BLUE, ORANGE, Figure, axis, layout
+from armsight.report.boards import add_boards
+from armsight.report.figures import BLUE, ORANGE, Figure, axis, bars, layout, named_ticks, short_names
 from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table, text, with_deviation
 from armsight.report.residuals import STROKE, coverage_figure, pooled_rms, residual_figure
 from armsight.report.run import CalibrationRun, CameraFit
@@ -43,6 +43,8 @@ def calibration_report(run: CalibrationRun, *, created: datetime | None = None) 
             "Alignment", "How the two views stand to each other.", table(["", ""], [list(r) for r in run.alignment])
         )
     _add_images(page, run)
+    if run.boards is not None:
+        add_boards(page, run.boards)
     _add_coverage(page, run)
     clouds = {fit.name: fit.residual_px for fit in run.cameras if len(fit.residual_px)}
     if clouds:
@@ -157,33 +159,24 @@ def _add_images(page: Page, run: CalibrationRun) -> None:
     """Add the RMS of each image, one bar per camera, or one per pair where the cameras share one figure."""
     fits = [fit for fit in run.cameras if fit.sources]
     shared = len(fits) > 1 and all(np.array_equal(fit.view_rms_px, fits[0].view_rms_px) for fit in fits)
-    data = []
-    for fit, colour in zip(fits[:1] if shared else fits, (BLUE, ORANGE), strict=False):
-        numbers = list(range(1, len(fit.sources) + 1))
-        names = [text(f"{i}: {PurePath(source).name[-28:]}") for i, source in zip(numbers, fit.sources, strict=True)]
-        data.append(
-            {
-                "type": "bar",
-                "x": numbers,
-                "y": fit.view_rms_px,
-                "name": text(fit.name),
-                "marker": {"color": colour},
-                "customdata": names,
-                "hovertemplate": "%{customdata}<br>%{y:.3f} px<extra></extra>",
-            }
-        )
-    if not data:
+    shown = fits[:1] if shared else fits
+    if not shown:
         return
+    width = 0.8 / len(shown)
+    data = []
+    for k, (fit, colour) in enumerate(zip(shown, (BLUE, ORANGE), strict=False)):
+        at = np.arange(1.0, len(fit.sources) + 1.0) + (k - 0.5 * (len(shown) - 1)) * width
+        told = {"text": short_names(fit.sources), "hovertemplate": "%{text}<br>%{y:.3f} px<extra></extra>"}
+        data.append(bars(at, fit.view_rms_px, 0.9 * width, colour, name=text(fit.name), **told))
     shape = layout(
-        barmode="group",
         showlegend=len(data) > 1,
-        xaxis=axis(f"{_noun(run)[:-1]} (number in the order used)", dtick=max(1, len(run.cameras[0].sources) // 20)),
+        xaxis=axis("", **named_ticks(short_names(shown[0].sources))),
         yaxis=axis("RMS, px", rangemode="tozero"),
     )
     page.add(
         "Error of each image",
         "One that stands out was moved, blurred or badly detected.",
-        page.plot(Figure(data=data, layout=shape, height_px=260)),
+        page.plot(Figure(data=data, layout=shape, height_px=320)),
     )
 
 

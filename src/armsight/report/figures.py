@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import html
 import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import PurePath
 from typing import Any
 
 import numpy as np
@@ -18,14 +20,23 @@ BLUE, ORANGE, GREEN, RED, GREY, INK = "#1f5fa8", "#d9822b", "#2e7d4f", "#c23b3b"
 BAND = "rgba(31,95,168,0.22)"
 FONT = 'system-ui,-apple-system,"Segoe UI",Roboto,"Helvetica Neue",Arial,sans-serif'
 
-MAX_PLOTTED = 2000
-"""Points of one line in a plot 1,000 px wide: each column of pixels gets its lowest and its highest."""
+MAX_PLOTTED = 1000
+"""Points of one line in a plot 500 px wide: each column of pixels gets its lowest and its highest."""
 
 MAX_SCATTERED = 3000
 """Markers of one scatter plot; more are slow to draw and lie on each other."""
 
 SIGNIFICANT = 8
-"""Digits kept in a figure: a micrometre in ten metres."""
+"""Digits kept of a single number."""
+
+FINEST = 1e-5
+"""Steps to which an array is rounded, as a share of its range: a hundredth of a pixel."""
+
+LONGEST = 18
+"""Letters of a file's name on an axis."""
+
+MAX_NAMED = 20
+"""Names on an axis: upright, they stand clear of each other on a telephone."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,7 +92,7 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray) and value.dtype == np.float64 and value.ndim == 1:
-        return [float(f"{v:.{SIGNIFICANT}g}") if math.isfinite(v) else None for v in value.tolist()]
+        return _rounded(value)
     if isinstance(value, np.ndarray | np.generic):
         return _plain(value.tolist())
     if isinstance(value, list | tuple):
@@ -89,6 +100,15 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float):
         return float(f"{value:.{SIGNIFICANT}g}") if math.isfinite(value) else None
     return value
+
+
+def _rounded(values: Array) -> list[float | None]:
+    """Return an array to FINEST of its range, which keeps moments apart on a clock that counts from 1970 too."""
+    known = values[np.isfinite(values)]
+    span = float(np.ptp(known)) if known.size else 0.0
+    if span > 0.0:
+        values = np.round(values, math.ceil(-math.log10(FINEST * span)))
+    return [float(f"{v:.15g}") if math.isfinite(v) else None for v in values.tolist()]
 
 
 def thinned(values: Array, limit: int = MAX_PLOTTED) -> Index:
@@ -130,15 +150,15 @@ def runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 def band(x: Array, low: Array, high: Array, **more: Any) -> dict[str, Any]:
     """Return a filled band between low and high over x, one polygon per stretch without NaN."""
-    xs: list[float | None] = []
-    ys: list[float | None] = []
+    xs: list[Array] = [np.empty(0)]
+    ys: list[Array] = [np.empty(0)]
     for a, b in runs(np.isfinite(low) & np.isfinite(high)):
-        xs += [*x[a:b].tolist(), *x[a:b][::-1].tolist(), None]
-        ys += [*high[a:b].tolist(), *low[a:b][::-1].tolist(), None]
+        xs += [x[a:b], x[a:b][::-1], np.array([np.nan])]
+        ys += [high[a:b], low[a:b][::-1], np.array([np.nan])]
     return {
         "type": "scatter",
-        "x": xs,
-        "y": ys,
+        "x": np.concatenate(xs),
+        "y": np.concatenate(ys),
         "fill": "toself",
         "fillcolor": BAND,
         "line": {"width": 0},
@@ -146,6 +166,41 @@ def band(x: Array, low: Array, high: Array, **more: Any) -> dict[str, Any]:
         "hoverinfo": "skip",
         **more,
     }
+
+
+def short_names(sources: Sequence[str]) -> list[str]:
+    """Return the files' names without their folders, so short that they stand beside each other, safe as markup."""
+    names = [PurePath(source.replace("\\", "/")).name or source for source in sources]
+    return [html.escape(name if len(name) <= LONGEST else f"…{name[1 - LONGEST :]}") for name in names]
+
+
+def named_ticks(names: Sequence[str]) -> dict[str, Any]:
+    """Return the ticks of an axis on which name k stands at k + 1: upright and thinned, so that none overlap."""
+    every = max(1, -(-len(names) // MAX_NAMED))
+    at = list(range(0, len(names), every))
+    return {
+        "tickmode": "array",
+        "tickvals": [k + 1 for k in at],
+        "ticktext": [names[k] for k in at],
+        "tickangle": -90,
+        "range": [0.4, len(names) + 0.6],
+        "tickfont": {"size": 10},
+    }
+
+
+def bars(x: Array, heights: Array, width: float, colour: str, **more: Any) -> dict[str, Any]:
+    """Return bars of a width about the places x (n,), as filled shapes: the bundle draws scatter plots only.
+
+    Pointing at a bar's corner tells its height; texts (n,) in `text` are told with it.
+    """
+    half = 0.5 * width
+    xs = np.stack([x - half, x - half, x + half, x + half, np.full(len(x), np.nan)], axis=1).ravel()
+    zero = np.zeros(len(x))
+    ys = np.stack([zero, heights, heights, zero, np.full(len(x), np.nan)], axis=1).ravel()
+    told = {"text": [word for word in more.pop("text") for _ in range(5)]} if "text" in more else {}
+    shape = {"mode": "lines", "line": {"width": 0, "color": colour}, "fill": "toself", "fillcolor": colour}
+    shape["hoveron"] = "points"
+    return {"type": "scatter", "x": xs, "y": ys, **shape, **told, **more}
 
 
 def points_in_space(name: str, xyz: Array, marker: Mapping[str, Any], mode: str = "markers") -> dict[str, Any]:

@@ -13,10 +13,13 @@ from armsight.report.figures import GREY, ORANGE, RED
 from armsight.report.html import text
 from armsight.report.run import Sample
 
-LARGEST_PNG = 100_000
-"""Bytes; a noisier image goes into the page as WebP, which shows what there is to see."""
+LARGEST_IMAGE = 55_000
+"""Bytes of an image in the page: six of them leave a report under 1.5 MB. A noisier one goes in as WebP."""
 
-WEBP_QUALITY = 85
+WEBP_QUALITIES = (85, 70, 55, 40)
+
+SMALLEST_PX = 400
+"""Height of an image below which it is not made smaller, whatever its bytes."""
 
 PNG_EFFORT = 3
 """zlib's level: 9 takes thirty times as long on a noisy frame and saves a tenth."""
@@ -31,11 +34,18 @@ LIT = "#3ddc84"
 
 
 def data_uri(image: NDArray[np.uint8]) -> str:
-    """Return an image as a PNG data URI (WebP where the PNG is larger than LARGEST_PNG)."""
+    """Return an image as a PNG data URI; where that is larger than LARGEST_IMAGE, as WebP, at half the size at last."""
     _, png = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, PNG_EFFORT])
-    if png.size <= LARGEST_PNG:
+    if png.size <= LARGEST_IMAGE:
         return "data:image/png;base64," + base64.b64encode(png.tobytes()).decode("ascii")
-    _, webp = cv2.imencode(".webp", image, [cv2.IMWRITE_WEBP_QUALITY, WEBP_QUALITY])
+    while True:
+        for quality in WEBP_QUALITIES:
+            _, webp = cv2.imencode(".webp", image, [cv2.IMWRITE_WEBP_QUALITY, quality])
+            if webp.size <= LARGEST_IMAGE:
+                break
+        if webp.size <= LARGEST_IMAGE or min(image.shape[:2]) < SMALLEST_PX:
+            break
+        image = np.asarray(cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), dtype=np.uint8)
     return "data:image/webp;base64," + base64.b64encode(webp.tobytes()).decode("ascii")
 
 

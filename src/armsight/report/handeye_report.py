@@ -11,8 +11,24 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.calibrate.handeye import HandEye, Part, scale_is_wrong, verdict
-from armsight.report.figures import BLUE, GREEN, GREY, INK, ORANGE, RED, Figure, axis, layout, place
+from armsight.report.boards import add_boards
+from armsight.report.figures import (
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    ORANGE,
+    RED,
+    Figure,
+    axis,
+    bars,
+    layout,
+    named_ticks,
+    place,
+    short_names,
+)
 from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table, with_deviation
+from armsight.report.run import BoardViews
 from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
@@ -22,8 +38,17 @@ AXIS_SHARE = 0.06
 """Length of a drawn axis over the size of the scene."""
 
 
-def handeye_report(result: HandEye, *, inputs: Sequence[tuple[str, str]] = (), created: datetime | None = None) -> str:
-    """Return the page as HTML text that needs no other file. inputs: (what, which) lines for the end of the page."""
+def handeye_report(
+    result: HandEye,
+    *,
+    inputs: Sequence[tuple[str, str]] = (),
+    boards: BoardViews | None = None,
+    created: datetime | None = None,
+) -> str:
+    """Return the page as HTML text that needs no other file.
+
+    inputs: (what, which) lines for the end of the page. boards: where images were the input.
+    """
     page = Page(
         title="Hand-eye calibration",
         subtitle=f"{result.setup}, {result.n_used} of {len(result.pairs)} poses",
@@ -43,23 +68,27 @@ def handeye_report(result: HandEye, *, inputs: Sequence[tuple[str, str]] = (), c
         f"In the base's axes: flange, camera and target as the calibration sees them. {_axes_told()}",
         page.plot(scene_figure(result)),
     )
+    if boards is not None:
+        add_boards(page, boards)
     page.add(
         "Residuals",
         "Measured target against the fit, and against the prediction from the other poses, at the target. "
         "A single bar that stands out is a wrong pose or image; all alike is noise.",
         page.plot(residual_figure(result)),
     )
-    page.add(
-        "Turns of the hand",
-        "Rotation vectors about the mean orientation. Points on one line would leave the camera's place open.",
-        page.plot(turning_figure(result)),
-    )
+    told = "Rotation vectors about the mean orientation. Points on one line would leave the camera's place open."
+    page.add("Turns of the hand", told, page.plot(turning_figure(result)))
+    _add_background(page, result, inputs)
+    return page.html(created=created or datetime.now())
+
+
+def _add_background(page: Page, result: HandEye, inputs: Sequence[tuple[str, str]]) -> None:
+    """Add whose noise it is, what was left out, and what went in."""
     page.add("Whose noise it is", "Standard deviations of one component of one pose.", _noise(result))
     if result.rejected:
         page.add("Left out", "", table(["pose", "why"], [list(item) for item in result.rejected]))
     if inputs:
         page.add("What went in", "", table(["", ""], [list(item) for item in inputs]))
-    return page.html(created=created or datetime.now())
 
 
 def _verdict(result: HandEye) -> Verdict:
@@ -117,7 +146,7 @@ def _poses(result: HandEye) -> list[str]:
             unit, factor = ("mm", MM) if key.endswith("_m") else ("°", DEG)
             shown, uncertainty = with_deviation(float(value), deviation / factor)
             rows.append([key.rpartition("_")[0], shown, uncertainty, unit])
-        out.append(table([name, "value", "+-", "unit"], rows, numbers=(1, 2)))
+        out.append(table([name, "value", "±", "unit"], rows, numbers=(1, 2)))
     return out
 
 
@@ -136,7 +165,7 @@ def _noise(result: HandEye) -> str:
         row("orientation, robot", noise.robot_rad, DEG, "°"),
         row("orientation, camera", noise.camera_rad, DEG, "°"),
     ]
-    return table(["noise", "value", "+-", "unit"], rows, numbers=(1, 2))
+    return table(["noise", "value", "±", "unit"], rows, numbers=(1, 2))
 
 
 def scene_figure(result: HandEye) -> Figure:
@@ -158,38 +187,29 @@ def scene_figure(result: HandEye) -> Figure:
 
 def residual_figure(result: HandEye) -> Figure:
     """Return each pose's residual and left-out error, position above, orientation below."""
-    names = list(result.pairs.names)
+    names = short_names(result.pairs.names)
+    at = np.arange(1.0, len(names) + 1.0)
     data: list[dict[str, Any]] = []
     for k, (part, factor) in enumerate(((slice(0, 3), MM), (slice(3, 6), DEG)), start=1):
-        for values, title, colour in (
-            (result.residuals, "residual", BLUE),
-            (result.left_out, "left out", ORANGE),
+        for values, title, colour, side in (
+            (result.residuals, "residual", BLUE, -0.2),
+            (result.left_out, "left out", ORANGE, 0.2),
         ):
             size = np.linalg.norm(values[:, part], axis=1) / factor
-            opacity = np.where(result.used, 1.0, 0.35)
-            data.append(
-                {
-                    "type": "bar",
-                    "x": names,
-                    "y": size,
-                    "name": title,
-                    "showlegend": k == 1,
-                    "marker": {"color": colour, "opacity": opacity},
-                    **place(k),
-                }
-            )
-    return Figure(
-        data=data,
-        layout=layout(
-            barmode="group",
-            grid={"rows": 2, "columns": 1, "pattern": "independent"},
-            xaxis=axis("", type="category"),
-            xaxis2=axis("", type="category"),
-            yaxis=axis("position, mm", rangemode="tozero"),
-            yaxis2=axis("orientation, °", rangemode="tozero"),
-        ),
-        height_px=520,
+            for chosen, opacity, what in ((result.used, 1.0, title), (~result.used, 0.35, f"{title}, rejected")):
+                style = {"name": what, "opacity": opacity, "showlegend": k == 1, **place(k)}
+                told = {"text": [names[i] for i in np.flatnonzero(chosen)], "hovertemplate": "%{text}: %{y:.3g}"}
+                if chosen.any():
+                    data.append(bars(at[chosen] + side, size[chosen], 0.4, colour, **style, **told))
+    named = named_ticks(names)
+    shape = layout(
+        grid={"rows": 2, "columns": 1, "pattern": "independent", "ygap": 0.4},
+        xaxis=axis("", **named),
+        xaxis2=axis("", **named),
+        yaxis=axis("position, mm", rangemode="tozero"),
+        yaxis2=axis("orientation, °", rangemode="tozero"),
     )
+    return Figure(data=data, layout=shape, height_px=560)
 
 
 def turning_figure(result: HandEye) -> Figure:

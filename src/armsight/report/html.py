@@ -10,8 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
-
-from plotly.offline import get_plotlyjs
+from importlib import resources
 
 from armsight._version import __version__
 from armsight.report.figures import Figure, json_text
@@ -53,6 +52,8 @@ tr:last-child td{border-bottom:0}
 figure{margin:0}figure>svg{width:100%;height:auto;display:block;background:#000;border-radius:4px}
 figcaption{font-size:13px;color:var(--soft);margin-top:4px;overflow-wrap:anywhere}
 .zooms{display:flex;flex-wrap:wrap;gap:6px;margin-top:6px}.zooms svg{width:82px;height:82px;border-radius:3px}
+.boards{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(220px,45%),1fr));gap:12px}
+.boards>*{min-width:0}
 ul{margin:6px 0 0;padding-left:20px}
 footer{color:var(--soft);font-size:13px;margin-top:18px}
 @media (max-width:600px){main{padding:16px 10px 32px}section{padding:14px 12px}header h1{font-size:22px;
@@ -69,24 +70,29 @@ POLICY = (
 """What the page may load: nothing from anywhere. plotly.js compiles its 3-D shaders' glue, hence eval."""
 
 SCRIPT = """
-const source=document.getElementById('figures').textContent,dark=matchMedia('(prefers-color-scheme: dark)');
+const dark=matchMedia('(prefers-color-scheme: dark)');
 const DARK={'#1c2733':'#e3e9ef','#ffffff':'#18212a','#e8edf2':'#2c3947','#c9d3dc':'#46566a','#1f5fa8':'#7db3f0',
 '#2e7d4f':'#6cc394','#c23b3b':'#ef8079','rgba(31,95,168,0.22)':'rgba(125,179,240,0.28)'};
+const unpack=id=>{const bytes=Uint8Array.from(atob(document.getElementById(id).textContent),c=>c.charCodeAt(0));
+return new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream('gzip'))).text()};
+Promise.all([unpack('figures'),unpack('plotly')]).then(([source,code])=>{
 const dressed=()=>JSON.parse(dark.matches?source.replace(/#[0-9a-f]{6}|rgba\\([^)]*\\)/g,c=>DARK[c]||c):source);
 const draw=()=>{for(const f of dressed()){
 Plotly.react(f.id,f.data,f.layout,{responsive:true,displaylogo:false,displayModeBar:'hover'})}};
 const fit=()=>{for(const f of dressed()){Plotly.Plots.resize(f.id)}};
-const packed=Uint8Array.from(atob(document.getElementById('plotly').textContent),c=>c.charCodeAt(0));
-new Response(new Blob([packed]).stream().pipeThrough(new DecompressionStream('gzip'))).text().then(code=>{
 (0,eval)(code);draw();dark.addEventListener('change',draw);
-addEventListener('beforeprint',fit);addEventListener('afterprint',fit)});
+addEventListener('beforeprint',fit);addEventListener('afterprint',fit);document.documentElement.dataset.drawn='yes'});
 """
 
 
 @functools.lru_cache(maxsize=1)
 def packed_plotly() -> str:
-    """Return plotly.js compressed, as text: a page of a third of the size, which browsers since 2023 unpack."""
-    return base64.b64encode(gzip.compress(get_plotlyjs().encode(), 9, mtime=0)).decode("ascii")
+    """Return plotly.js (scatter plots, flat and in space) compressed, as text; browsers since 2023 unpack it."""
+    return _base64(resources.files("armsight.report").joinpath("plotlyjs", "plotly-gl3d.min.js.gz").read_bytes())
+
+
+def _base64(packed: bytes) -> str:
+    return base64.b64encode(packed).decode("ascii")
 
 
 def text(value: object) -> str:
@@ -148,6 +154,7 @@ class Page:
             f'<div class="verdict {text(self.verdict.level)}"><strong>{text(self.verdict.word)}</strong>'
             f"{text(self.verdict.sentence)}</div>"
         )
+        figures = _base64(gzip.compress(json_text(self._figures).encode(), 9, mtime=0))
         when = created.strftime("%Y-%m-%d %H:%M")
         return (
             '<!doctype html><html lang="en"><head><meta charset="utf-8">'
@@ -158,7 +165,7 @@ class Page:
             f'{verdict}<div class="cards">{cards}</div>{"".join(self._sections)}'
             f"<footer>armsight {text(__version__)}, {text(when)}. This file is complete in itself and "
             "loads nothing from the network.</footer></main>"
-            f'<script type="application/json" id="figures">{json_text(self._figures)}</script>'
+            f'<script type="text/plain" id="figures">{figures}</script>'
             f'<script type="text/plain" id="plotly">{packed_plotly()}</script>'
             f"<script>{SCRIPT}</script></body></html>\n"
         )

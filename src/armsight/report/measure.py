@@ -12,12 +12,13 @@ from scipy.special import bdtr
 
 from armsight.optics import SIDES, Camera
 from armsight.records import PoseStatus, Target
+from armsight.report.figures import MAX_PLOTTED
 from armsight.report.frames import sample_figure
 from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table
 from armsight.report.residuals import distance_rms, residual_figure
 from armsight.report.run import MeasureRun
 from armsight.report.scene import scene_figure
-from armsight.report.series import Errors, Series, errors_of, losses_of, ranges, series_of
+from armsight.report.series import NEIGHBOURS, Errors, Series, errors_of, losses_of, ranges, scatter_of, series_of
 from armsight.report.track import deviation_figure, time_figure, track_figure
 from armsight.units import MM
 
@@ -212,16 +213,45 @@ def _add_track(page: Page, run: MeasureRun, series: Series, errors: Errors | Non
             "Position and rotation over time",
             "The band holds the true value in 95 % of the frames (1.96 standard deviations); rx, ry, rz are angles "
             "about x, y, z with R = Rz Ry Rx. Red marks at the bottom are frames without a full pose; "
-            "orange dots are the mean of the spots seen where not all were.",
+            "orange dots are the mean of the spots seen where not all were." + _thinned_told(len(series.t_s)),
             page.plot(time_figure(series)),
         )
-        page.add(
-            "Error over time" if errors is not None else "Width of the band over time",
-            "Measured minus true, within the claimed 95 % band."
-            if errors is not None
-            else "Half the width of the 95 % band: what may be read off the pose at each moment.",
-            page.plot(deviation_figure(series, errors)),
-        )
+        _add_deviation(page, series, errors)
+
+
+def _add_deviation(page: Page, series: Series, errors: Errors | None) -> None:
+    """Add the errors over time; where no truth is known, how the poses lie about themselves."""
+    if errors is not None:
+        figure = deviation_figure(series, errors.values, errors.std)
+        page.add("Error over time", "Measured minus true, within the claimed 95 % band.", page.plot(figure))
+        return
+    std = series.full()[1]
+    scatter = scatter_of(series)
+    if scatter is None:
+        told = "Half the width of the 95 % band: what may be read off the pose at each moment."
+        page.add("Width of the band over time", told, page.plot(deviation_figure(series, None, std)))
+        return
+    rms, claimed = (float(np.sqrt(np.nansum(_rms_columns(part)[:3] ** 2))) for part in (scatter.values, std))
+    about = (
+        "the mean, since nothing moved"
+        if scatter.resting
+        else f"the smooth track, a parabola through {NEIGHBOURS} frames; a quicker motion shows here too"
+    )
+    page.add(
+        "Deviation over time",
+        f"No truth is known: each pose about {about}. Position scatters by {figure_of(rms, 'mm')} RMS (3-D); "
+        f"{figure_of(claimed, 'mm')} are claimed, the band being 95 %. Errors that stay the same do not show.",
+        page.plot(deviation_figure(series, scatter.values, std)),
+    )
+
+
+def _thinned_told(n: int) -> str:
+    """Return the sentence on what a plot of n frames leaves out."""
+    return (
+        ""
+        if n <= MAX_PLOTTED
+        else f" Of {n:,} frames each column of pixels shows the least and the greatest; poses.csv has all."
+    )
 
 
 def _add_residuals(page: Page, run: MeasureRun) -> None:

@@ -47,7 +47,9 @@ def repeats_report(
         page.add("Beside the other run", f"The other run is {other[0]}. SI units.", _compared(iso, other[1]["iso9283"]))
     if any(repeats.at_pose):
         page.add("Visits about their mean", "Each row less the mean of its pose.", page.plot(_about(measured, repeats)))
-    page.style = PRINT.format(first=3, zoom=0.72)
+        told = "Distance of each row from the mean of its pose, in the order of the rows: a drift climbs or falls."
+        page.add("Deviation over the rows", told, page.plot(_course(measured, repeats)))
+    page.style = PRINT.format(first=4, zoom=0.72)
     if by_place := iso_by_place(iso):
         page.add("ISO 9283 by place", BY_PLACE, by_place)
     if summary["doubts"]:
@@ -76,6 +78,20 @@ def _cards(iso: Mapping[str, Any]) -> list[Card]:
             note = f"{item['n']} of {item['wanted']} repeats"
             cards.append(Card(name=name[:-2], value=figure_of(item["value"] / MM, "mm"), note=note))
     return cards
+
+
+def _course(measured: Measured, repeats: Repeats) -> Figure:
+    """Return each row's distance from the mean of its pose, over the rows."""
+    pose = np.array(repeats.at_pose)
+    data = []
+    for k, name in enumerate(sorted(set(pose) - {""})):
+        rows = np.flatnonzero(pose == name)
+        off = np.linalg.norm(measured.xyz_m[rows] - measured.xyz_m[rows].mean(axis=0), axis=1) / MM
+        marker = {"color": COLOURS[k % len(COLOURS)], "size": 5, "symbol": k // len(COLOURS)}
+        where = {"x": measured.rows[rows].astype(float), "y": off}
+        data.append({"type": "scatter", "mode": "markers", "name": name, "marker": marker, **where})
+    shape = layout(xaxis=axis("row"), yaxis=axis("distance, mm", rangemode="tozero"))
+    return Figure(data=data, layout=shape, height_px=300)
 
 
 def _about(measured: Measured, repeats: Repeats) -> Figure:

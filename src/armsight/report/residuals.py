@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.report.figures import BLUE, GREY, INK, ORANGE, Figure, axis, layout, place, spread
+from armsight.report.figures import BLUE, GREY, INK, ORANGE, Figure, axis, bars, layout, place, spread
 
 Array = NDArray[np.float64]
 
@@ -40,7 +40,7 @@ def distance_rms(parts: Sequence[Array]) -> float | None:
 def residual_figure(residuals: Mapping[str, Array]) -> Figure:
     """Return per camera the cloud of residuals (m, 2) in px, and the histograms of both coordinates."""
     data: list[dict[str, Any]] = []
-    shape = layout(barmode="overlay", margin={"l": 56, "r": 16, "t": 34, "b": 44}, bargap=0.0)
+    shape = layout(margin={"l": 56, "r": 16, "t": 34, "b": 44})
     notes = []
     limit = _limit(residuals)
     n = len(residuals)
@@ -48,17 +48,17 @@ def residual_figure(residuals: Mapping[str, Array]) -> Figure:
         height = (1.0 - GAP * (n - 1)) / n
         top = 1.0 - i * (height + GAP)
         domain = [max(0.0, top - height), top]
-        cloud, bars = place(2 * i + 1), place(2 * i + 2)
+        cloud, shares = place(2 * i + 1), place(2 * i + 2)
         side: dict[str, Any] = {"range": [-limit, limit], "constrain": "domain"}
         shape["xaxis" + cloud["xaxis"][1:]] = axis("Δu, px", domain=[0.0, 0.36], anchor=cloud["yaxis"], **side)
         shape["yaxis" + cloud["yaxis"][1:]] = axis(
             "Δv, px", domain=domain, anchor=cloud["xaxis"], scaleanchor=cloud["xaxis"], **side
         )
-        shape["xaxis" + bars["xaxis"][1:]] = axis(
-            "Δ, px", domain=[0.46, 1.0], anchor=bars["yaxis"], range=side["range"]
+        shape["xaxis" + shares["xaxis"][1:]] = axis(
+            "Δ, px", domain=[0.46, 1.0], anchor=shares["yaxis"], range=side["range"]
         )
-        shape["yaxis" + bars["yaxis"][1:]] = axis("share", domain=domain, anchor=bars["xaxis"], tickformat=".0%")
-        data += [_cloud(points, limit, cloud), *_bars(points, limit, bars, legend=i == 0)]
+        shape["yaxis" + shares["yaxis"][1:]] = axis("share", domain=domain, anchor=shares["xaxis"], tickformat=".0%")
+        data += [_cloud(points, limit, cloud), *_bars(points, limit, shares, legend=i == 0)]
         notes.append(_note(name, top))
     shape["annotations"] = notes
     shape["legend"] = {**shape["legend"], "x": 0.46}
@@ -106,17 +106,9 @@ def _bars(points: Array, limit: float, axes: dict[str, str], *, legend: bool) ->
     out: list[dict[str, Any]] = []
     for axis_, colour in ((0, BLUE), (1, ORANGE)):
         count, _ = np.histogram(np.clip(points[:, axis_], -limit, limit), edges)
-        out.append(
-            {
-                "type": "bar",
-                "x": middle,
-                "y": count / max(1, len(points)),
-                "name": "uv"[axis_],
-                **axes,
-                "marker": {"color": colour, "opacity": 0.55},
-                "showlegend": legend,
-            }
-        )
+        share = count / max(1, len(points))
+        style = {"name": "uv"[axis_], **axes, "opacity": 0.55, "showlegend": legend, "hoverinfo": "skip"}
+        out.append(bars(middle, share, float(edges[1] - edges[0]), colour, **style))
     rms = pooled_rms([points])
     if rms:
         fine = np.linspace(-limit, limit, 161)

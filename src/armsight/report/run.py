@@ -106,13 +106,49 @@ class Parameter:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BoardPicture:
+    """A small picture of one view of a board. webp: the file's bytes, of the whole image, width by height px at first.
+
+    uv_px (n, 2): the points found, in px of the image; residual_px (n,): distance of each from the model's.
+    """
+
+    name: str
+    webp: bytes
+    width: int
+    height: int
+    uv_px: Array
+    residual_px: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "uv_px", frozen_array("uv_px", self.uv_px, (None, 2)))
+        object.__setattr__(self, "residual_px", frozen_array("residual_px", self.residual_px, (len(self.uv_px),)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BoardViews:
+    """The views of a calibration's board. parent: the axes' name. outline_m (k, 3): the board's edge in its own axes.
+
+    T_parent_board: one per view; cameras: name, camera and pose of each, in the same axes. names, rms_px: of each view.
+    pictures: of those that were kept, by their view's position; several of one view where several cameras saw it.
+    """
+
+    parent: str
+    outline_m: Array
+    T_parent_board: Sequence[RigidTransform]
+    cameras: Sequence[tuple[str, Camera, RigidTransform]]
+    names: Sequence[str]
+    rms_px: Sequence[float]
+    pictures: Sequence[tuple[int, BoardPicture]] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CalibrationRun:
     """A calibration of one camera or of a pair.
 
     n_images: images (or pairs) given; n_used: of them in the fit. rms_px and the other RMS are pooled over points;
     holdout: on images left out of the fit. metric: name and value in m of lengths on the board, measured by the rig
     on left-out pairs. alignment: lines on how the views stand to each other. facts: more lines for the table of inputs.
-    advice: what would make it better. thing: what the images show.
+    advice: what would make it better. thing: what the images show. boards: where they were, with pictures.
     """
 
     title: str
@@ -133,3 +169,4 @@ class CalibrationRun:
     thing: str = "board"
     alignment: Sequence[tuple[str, str]] = ()
     subtitle: str = ""
+    boards: BoardViews | None = None

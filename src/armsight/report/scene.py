@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.optics import SIDES, Rig
+from armsight.optics import SIDES, Camera, Rig
 from armsight.records import PoseStatus
 from armsight.report.figures import GREEN, GREY, INK, ORANGE, Figure, axis, layout
 from armsight.report.run import MeasureRun
@@ -28,22 +28,27 @@ def line(xyz: Array, name: str, style: dict[str, Any], **more: Any) -> dict[str,
 
 def camera_line(rig: Rig, side: str, T_parent_rig: RigidTransform | None, *, depth_m: float) -> dict[str, Any]:
     """Return a camera as a pyramid whose base is its image, depth_m away."""
-    camera, T = rig.camera(side), rig.T_rig_camera(side)
+    T = rig.T_rig_camera(side)
     T = T if T_parent_rig is None else T_parent_rig * T
+    return line(pyramid(rig.camera(side), T, depth_m), f"{side} camera", {"color": INK, "width": 2})
+
+
+def pyramid(camera: Camera, T_parent_camera: RigidTransform, depth_m: float) -> Array:
+    """Return the edges (n, 3) in mm of a camera's pyramid in one stroke."""
     fx, fy, cx, cy = camera.intrinsics[:4]
     u, v = np.array([0.0, camera.width, camera.width, 0.0]), np.array([0.0, 0.0, camera.height, camera.height])
     base = np.stack([(u - cx) / fx * depth_m, (v - cy) / fy * depth_m, np.full(4, depth_m)], axis=1)  # (4, 3)
     order = np.array([(0.0, 0.0, 0.0), *base[[0, 1]], (0, 0, 0), *base[[1, 2]], (0, 0, 0), *base[[2, 3]], (0, 0, 0)])
     closed = np.vstack([order, base[[3, 0]], base[3], np.zeros(3)])
-    return line(np.asarray(T.apply(closed)) / MM, f"{side} camera", {"color": INK, "width": 2})
+    return np.asarray(T_parent_camera.apply(closed)) / MM
 
 
 def scene_axes(parent: str) -> dict[str, Any]:
     """Return axes in mm fitted to the data: seen from behind the cameras in rig axes, else with z up."""
     scene: dict[str, Any] = {f"{name}axis": axis(f"{name}, mm", ticks="") for name in "xyz"}
     scene["aspectmode"] = "data"
-    behind = {"up": {"x": 0, "y": -1, "z": 0}, "eye": {"x": -1.0, "y": -0.85, "z": -1.75}, "center": {"y": 0.1}}
-    above = {"up": {"x": 0, "y": 0, "z": 1}, "eye": {"x": 1.3, "y": -1.5, "z": 0.9}}
+    behind = {"up": {"x": 0, "y": -1, "z": 0}, "eye": {"x": -0.85, "y": -0.7, "z": -1.45}, "center": {"y": 0.1}}
+    above = {"up": {"x": 0, "y": 0, "z": 1}, "eye": {"x": 1.1, "y": -1.3, "z": 0.75}}
     return {**scene, "camera": behind if parent == "rig" else above}
 
 

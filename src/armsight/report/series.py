@@ -8,10 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import savgol_coeffs, savgol_filter
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.geometry import euler_rad
 from armsight.records import PoseStatus, TargetPose
+from armsight.report.figures import runs
 from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
@@ -170,3 +172,43 @@ def ranges(frames: Sequence[int], limit: int = 8) -> str:
             pieces.append([frame, frame])
     shown = [f"{a}" if a == b else f"{a}–{b}" for a, b in pieces[:limit]]
     return ", ".join(shown) + (f" and {len(pieces) - limit} more stretches" if len(pieces) > limit else "")
+
+
+NEIGHBOURS = 11
+"""Frames in a row through which the smooth track goes: a third of a second of ordinary cameras."""
+
+AT_REST = 6.0
+"""Range of the smoothed values over the claimed standard deviation, up to which nothing moved."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Scatter:
+    """How the poses lie about themselves where no truth is known: (n, 6) in mm and degrees, NaN where nothing can be
+    said. resting: about the mean of a target at rest; else about the smooth track."""
+
+    values: Array
+    resting: bool
+
+
+def scatter_of(series: Series) -> Scatter | None:
+    """Return each full pose less the mean at rest, or less the parabola through its NEIGHBOURS in a track.
+
+    What a parabola takes along of white noise is put back: its residuals have the share 1 - c of the noise's variance,
+    c the weight of the middle frame (Savitzky and Golay 1964). Frames near a gap have no full neighbourhood: NaN.
+    None where too few frames stand in a row.
+    """
+    full, std = series.full()
+    smooth = np.full_like(full, np.nan)
+    half = NEIGHBOURS // 2
+    for start, stop in runs(np.asarray(np.isfinite(full).all(axis=1))):
+        if stop - start >= NEIGHBOURS:
+            inside = savgol_filter(full[start:stop], NEIGHBOURS, 2, axis=0)
+            smooth[start + half : stop - half] = inside[half:-half]
+    known = np.isfinite(smooth[:, 0])
+    if not known.any():
+        return None
+    typical = np.nanmedian(std[known], axis=0)
+    if (np.ptp(smooth[known], axis=0) <= AT_REST * typical).all():
+        return Scatter(values=full - np.nanmean(full, axis=0), resting=True)
+    weight = float(savgol_coeffs(NEIGHBOURS, 2)[half])
+    return Scatter(values=(full - smooth) / np.sqrt(1.0 - weight), resting=False)

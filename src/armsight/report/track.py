@@ -25,7 +25,7 @@ from armsight.report.figures import (
 )
 from armsight.report.run import MeasureRun
 from armsight.report.scene import camera_line, line, scene_axes
-from armsight.report.series import Errors, Series
+from armsight.report.series import Series
 from armsight.units import MM
 
 Array = NDArray[np.float64]
@@ -91,19 +91,19 @@ def time_figure(series: Series) -> Figure:
     return Figure(data=data, layout=_six(TITLES, series.time_label), height_px=640)
 
 
-def deviation_figure(series: Series, errors: Errors | None) -> Figure:
-    """Return errors within their claimed band over time, or the band's half width where there is no truth."""
+def deviation_figure(series: Series, values: Array | None, std: Array) -> Figure:
+    """Return deviations (n, 6) within their claimed band over time, std (n, 6); without any, the band's half width."""
     data: list[dict[str, Any]] = []
     for k in range(6):
-        if errors is not None:
-            half = WITHIN_95 * errors.std[:, k]
-            data += _banded(series.t_s, errors.values[:, k], -half, half, k)
+        if values is not None:
+            half = WITHIN_95 * std[:, k]
+            data += _banded(series.t_s, values[:, k], -half, half, k)
         else:
             half = WITHIN_95 * series.full()[1][:, k]
             data += _banded(series.t_s, half, np.full_like(half, np.nan), half, k)
-    titles = [f"Δ{title}" for title in TITLES] if errors is not None else [f"± {title}" for title in TITLES]
+    titles = [f"Δ{title}" for title in TITLES] if values is not None else [f"± {title}" for title in TITLES]
     shape = _six(titles, series.time_label)
-    if errors is None:
+    if values is None:
         for k in range(6):
             shape["yaxis" + place(k + 1)["yaxis"][1:]]["rangemode"] = "tozero"
     return Figure(data=data, layout=shape, height_px=640)

@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.kinematics import Arm
 from armsight.report.arm_view import arm_figure
-from armsight.report.figures import BLUE, GREY, ORANGE, RED, Figure, axis, layout, place, spread, thinned
+from armsight.report.figures import BLUE, GREY, ORANGE, RED, Figure, axis, bars, layout, place, spread, thinned
 from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table, with_deviation
 from armsight.units import DEG, MM, MS
 from armsight.verify import Verification
@@ -35,6 +35,7 @@ ARROWS = 400
 ARROW_SHARE = 0.08
 """Length of the longest arrow as a share of the space that the tool moved in."""
 LISTED = 40
+HISTOGRAM_BARS = 40
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -131,7 +132,7 @@ def _task_table(summary: Mapping[str, Any]) -> str:
         std = summary["measurement_std"].get(name)
         shown = [figure_of(figures[key] / factor) for key in ("me", "mae", "max", "sd", "rms")]
         rows.append([f"{name.rsplit('_', 1)[0]}, {unit}", *shown, figure_of(None if std is None else std / factor)])
-    header = ["", "mean", "mean absolute", "largest", "standard deviation", "RMS", "measurement's own +-"]
+    header = ["", "mean", "mean absolute", "largest", "standard deviation", "RMS", "measurement's own ±"]
     return table(header, rows, numbers=range(1, len(header)))
 
 
@@ -146,10 +147,10 @@ def _joint_table(summary: Mapping[str, Any]) -> str:
         "mean, °",
         "mean absolute",
         "largest",
-        "sd",
-        "measurement +-",
+        "standard deviation",
+        "measurement's own ±",
         "zero, °",
-        "+-",
+        "±",
         "alone explains",
         "",
     ]
@@ -191,18 +192,22 @@ def iso_table(figures: Mapping[str, Any]) -> str:
 
 
 def iso_by_place(figures: Mapping[str, Any]) -> str:
-    """Return all figures given of single places; empty where there is one place only."""
+    """Return all figures given of single places; empty where there is one place only. A note is told once."""
     rows = []
+    notes: dict[str, str] = {}
     for name, item in figures.items():
         key, _, where = name.partition(" ")
         if item["value"] is None or not where:
             continue
         symbol, unit, factor = _symbol(key)
         numbers = (figure_of(None if item[k] is None else item[k] / factor) for k in ("value", "std", "corrected"))
-        rows.append([where, symbol, unit, *numbers, _repeats(item), item["note"]])
+        rows.append([where, symbol, unit, *numbers, _repeats(item)])
+        if item["note"]:
+            notes.setdefault(item["note"], where)
     rows.sort(key=lambda row: str(row[0]))
-    header = ["place", "figure", "", "value", "+-", "robot alone", "repeats", ""]
-    return table(header, rows, numbers=range(3, 7)) if rows else ""
+    header = ["place", "figure", "unit", "value", "±", "robot alone", "repeats"]
+    told = bullets([f"{where}: {note}" for note, where in notes.items()]) if notes else ""
+    return table(header, rows, numbers=range(3, 7)) + told if rows else ""
 
 
 def _repeats(item: Mapping[str, Any]) -> str:
@@ -224,13 +229,24 @@ def _symbol(name: str) -> tuple[str, str, float]:
 def _alignment_table(summary: Mapping[str, Any]) -> str:
     told = summary["alignment"]
     rows = [
-        [name, *(figure_of(v / MM, "mm", digits=6) for v in told[name]["xyz_m"]), str(told[name]["quat_xyzw"])]
+        [
+            name,
+            *(figure_of(v / MM, "mm", digits=6) for v in told[name]["xyz_m"]),
+            ", ".join(f"{v:.6f}" for v in told[name]["quat_xyzw"]),
+        ]
         for name in ("T_measured_base", "T_flange_tool")
     ]
     parts = [table(["", "x", "y", "z", "quaternion x y z w"], rows, numbers=(1, 2, 3))]
     if told["undetermined"]:
-        parts.append(bullets([f"not determined by these rows: {', '.join(told['undetermined'])}"]))
+        parts.append(
+            bullets([f"not determined by these rows: {', '.join(_plain(name) for name in told['undetermined'])}"])
+        )
     return "".join(parts)
+
+
+def _plain(name: str) -> str:
+    """Return a parameter's name without the unit that it has in files."""
+    return name.removesuffix("_rad").removesuffix("_m")
 
 
 def course(result: Verification) -> Figure:
@@ -339,11 +355,20 @@ def _compared(page: Page, result: Verification, summary: Mapping[str, Any], othe
         ["cause", other.summary["cause"], summary["cause"]],
     ]
     own = np.linalg.norm(result.task[:, :3], axis=1)
+    edges = np.linspace(0.0, float(max(own.max(), other.error_m.max())) / MM, HISTOGRAM_BARS + 1)
+    middle, width = 0.5 * (edges[1:] + edges[:-1]), float(edges[1] - edges[0])
     data = [
-        {"type": "histogram", "name": name, "x": error / MM, "opacity": 0.6, "marker": {"color": colour}}
+        bars(
+            middle,
+            np.histogram(error / MM, edges)[0] / len(error),
+            width,
+            colour,
+            name=name,
+            opacity=0.6,
+            hoverinfo="skip",
+        )
         for name, error, colour in (("other", other.error_m, GREY), ("this", own, BLUE))
     ]
-    figure = Figure(
-        data=data, layout=layout(barmode="overlay", xaxis=axis("error of place, mm"), yaxis=axis("rows")), height_px=300
-    )
+    shape = layout(xaxis=axis("error of place, mm"), yaxis=axis("share of the rows", tickformat=".0%"))
+    figure = Figure(data=data, layout=shape, height_px=300)
     return table(["", "the other run", "this run"], rows, numbers=(1, 2)) + page.plot(figure)

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from pydantic import Field
 
 from armsight.errors import BadFile, Inconsistent
-from armsight.kinematics import Arm, Coupling, Joint, JointType
+from armsight.kinematics import Arm, Coupling, Joint, JointType, ToolPoint
 from armsight.records import NamedCovariance
 from armsight.store.interpret import limits_look_like_degrees, looks_like_degrees
 from armsight.store.schema import (
@@ -73,6 +74,19 @@ class JointModel(Strict):
             )
 
 
+class ToolPointModel(Strict):
+    """A named point of the tool in flange axes; a standard deviation that is null is not known."""
+
+    name: str
+    xyz_m: list[Finite] = Field(min_length=3, max_length=3)
+    std_m: list[Finite | None] = Field(default=[None, None, None], min_length=3, max_length=3)
+
+    def point(self) -> ToolPoint:
+        """Return the record; Inconsistent where no point can be like this."""
+        std = np.array([math.inf if value is None else value for value in self.std_m])
+        return ToolPoint(name=self.name, xyz_m=np.array(self.xyz_m), std_m=std)
+
+
 class ArmModel(Origin):
     """arm.yaml."""
 
@@ -84,6 +98,7 @@ class ArmModel(Origin):
     joints: list[JointModel]
     source: str = ""
     covariance: CovarianceModel | None = None
+    tool_points: list[ToolPointModel] = Field(default_factory=list)
 
 
 def arm_from_mapping(content: Mapping[str, Any], where: str = "arm") -> Arm:
@@ -105,6 +120,7 @@ def arm_from_mapping(content: Mapping[str, Any], where: str = "arm") -> Arm:
                 for joint in model.joints
                 for by, share in (joint.coupled or {}).items()
             ),
+            tool_points=tuple(point.point() for point in model.tool_points),
             **poses,
         )
 
@@ -129,10 +145,16 @@ def arm_mapping(arm: Arm) -> dict[str, Any]:
         "convention": arm.convention.value,
         "T_world_base": pose_mapping(arm.T_world_base),
         "T_flange_tool": pose_mapping(arm.T_flange_tool),
+        "tool_points": [_tool_point_mapping(point) for point in arm.tool_points] or None,
         "joints": [joint_mapping(joint, std, arm.couplings) for joint in arm.joints],
         "source": arm.source or None,
         "covariance": covariance_mapping(arm.covariance) if arm.covariance else None,
     }
+
+
+def _tool_point_mapping(point: ToolPoint) -> dict[str, Any]:
+    std = [value if math.isfinite(value) else None for value in point.std_m.tolist()]
+    return {"name": point.name, "xyz_m": point.xyz_m.tolist(), "std_m": std}
 
 
 def joint_mapping(joint: Joint, std: Mapping[str, float], couplings: Sequence[Coupling]) -> dict[str, Any]:

@@ -8,17 +8,33 @@ from typing import Any, Literal
 from pydantic import Field
 
 from armsight.errors import BadFile
-from armsight.store.schema import Finite, Origin, read_document, validated, write_document
+from armsight.store.schema import Finite, Origin, Strict, read_document, validated, write_document
 
 CELL_FORMAT: Literal["armsight/cell"] = "armsight/cell"
 CELL_NAME = "cell.yaml"
 
 
+class CellMirrors(Strict):
+    """How the mirrors before the one camera were built, and what is shown to it for their calibration.
+
+    shown: the board, or the target's lights. baseline_m, near_m, gap_m: as designed; null: not given. plate_m:
+    thickness of the half-silvered plate, null to find it from the views, 0 for none; index: its refractive index.
+    """
+
+    shown: Literal["board", "target"] = "board"
+    baseline_m: Finite | None = Field(None, gt=0.0)
+    near_m: Finite = Field(0.06, gt=0.0)
+    gap_m: Finite = Field(0.04, gt=0.0)
+    plate_m: Finite | None = Field(None, ge=0.0)
+    index: Finite = Field(1.5, ge=1.0, le=3.0)
+
+
 class CellFile(Origin):
     """What a cell is made of; an empty text is not there yet.
 
-    left, right: sources of frames, or DRIVER:DEVICE cameras, as commands take them. robot: DRIVER:DEVICE. All others
-    are names of files in the cell's folder. fps: of files. play_again: files begin anew at their end.
+    left, right: sources of frames, or DRIVER:DEVICE cameras, as commands take them; left alone is the one camera of a
+    mirror rig, whose mirrors are as `mirrors` says and whose lens as the file `camera`. robot: DRIVER:DEVICE. All
+    others are names of files in the cell's folder. fps: of files. play_again: files begin anew at their end.
     cameras: whether they stand beside the robot, or are carried by it.
     """
 
@@ -33,6 +49,8 @@ class CellFile(Origin):
     handeye: str = ""
     tip: str = ""
     limits: str = ""
+    camera: str = ""
+    mirrors: CellMirrors = CellMirrors()
     board: str = "checkerboard:9x6:0.025"
     fps: Finite = Field(30.0, gt=0.0)
     play_again: bool = False

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from armsight.errors import BadFile, Inconsistent
 from armsight.kinematics import Arm, JointType
 from armsight.kinematics.axes import AxisJoint, arm_from_axes, axes_of
-from armsight.store.atomic import read_bytes, write_text
+from armsight.store.atomic import disk_errors, read_bytes, write_text
 from armsight.store.schema import named
 
 Array = NDArray[np.float64]
@@ -41,26 +41,38 @@ class UrdfJoint:
     element: ElementTree.Element
 
 
-def read_urdf(path: Path, *, tip: str | None = None) -> Arm:
+OURS = re.compile(rb'<joint name="world_base" .*<joint name="to_flange" .*<joint name="to_tool" ', re.DOTALL)
+"""What every URDF of urdf_text holds, in this order."""
+
+MOST_TOLD = 20
+"""Links named in a message; a robot's description can have hundreds."""
+
+
+def read_urdf(path: Path, *, tip: str | None = None, base: str | None = None) -> Arm:
     """Return the arm in a URDF file; see arm_from_urdf."""
     data = read_bytes(path, limit=MAX_BYTES)
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise BadFile(f"{path}: is not UTF-8 text", consequence="It is not read") from error
-    return arm_from_urdf(text, str(path), tip=tip)
+    return arm_from_urdf(text, str(path), tip=tip, base=base)
 
 
-def arm_from_urdf(text: str, where: str = "URDF", *, tip: str | None = None) -> Arm:
-    """Return the serial arm from the root link to the link tip, in standard Denavit-Hartenberg form.
+def arm_from_urdf(text: str, where: str = "URDF", *, tip: str | None = None, base: str | None = None) -> Arm:
+    """Return the serial arm from the link base (the root) to the link tip, in standard Denavit-Hartenberg form.
 
-    Without tip the chain must not branch, but for fixed branches beside it; after the last joint the longest fixed
-    chain is the tool. Fixed joints are folded in. Raises BadFile that names the joint: floating, planar and unknown
-    types, branches, loops, axes not of unit length, limits swapped, mimicking joints.
+    With a base named, its frame is the world's. Without tip the chain must not branch, but for fixed branches beside
+    it; after the last joint the longest fixed chain is the tool. Fixed joints are folded in; joints outside the chain
+    do not matter. Raises BadFile that names the joint: in the chain floating, planar and unknown types, mimicking
+    joints, axes not of unit length, limits swapped; branches, with the links to choose from; loops.
     """
     root = _parsed(text, where)
     joints = [_joint(element, where) for element in root.findall("joint")]
-    chain = _chain(joints, {_name(link, "link", where) for link in root.findall("link")}, where, tip)
+    links = {_name(link, "link", where) for link in root.findall("link")}
+    tree = _tree(joints, links, where)
+    chain = _chain(tree, where, base, tip)
+    for joint in chain:
+        _check_kind(joint, where)
     before, moving, after = _folded(chain, where)
     with named(where):
         return arm_from_axes(root.get("name") or "arm", before, moving, *after)
@@ -104,21 +116,9 @@ def _numbers(text: str | None, default: str, count: int, what: str) -> Array:
 
 
 def _joint(element: ElementTree.Element, where: str) -> UrdfJoint:
-    """Return one joint's place and kind; BadFile for kinds that no serial arm has."""
+    """Return one joint's place and kind."""
     name = _name(element, "joint", where)
-    kind = element.get("type") or ""
     at = f"{where}: joint {name}"
-    if kind not in (*MOVING, "fixed"):
-        what = "leaves the arm free to float" if kind == "floating" else "is not a joint of an arm"
-        raise BadFile(
-            f"{at}: type {kind[:30]!r} {what}",
-            consequence="The arm cannot be modelled",
-            cure="Known are revolute, continuous, prismatic and fixed",
-        )
-    if element.find("mimic") is not None:
-        raise BadFile(
-            f"{at}: mimics another joint", consequence="Its value would not be its own", cure="Remove <mimic>"
-        )
     links = {}
     for role in ("parent", "child"):
         link = element.find(role)
@@ -130,7 +130,7 @@ def _joint(element: ElementTree.Element, where: str) -> UrdfJoint:
     rpy = _numbers(origin.get("rpy") if origin is not None else None, "0 0 0", 3, f"{at}: origin rpy")
     return UrdfJoint(
         name=name,
-        type=kind,
+        type=element.get("type") or "",
         parent=str(links["parent"]),
         child=str(links["child"]),
         T_parent_joint=_matrix(xyz, rpy),
@@ -151,8 +151,53 @@ def _matrix(xyz: Array, rpy: Array) -> Array:
     return T
 
 
-def _chain(joints: list[UrdfJoint], links: set[str], where: str, tip: str | None) -> list[UrdfJoint]:
-    """Return the joints from the root to the tip, in order."""
+def _check_kind(joint: UrdfJoint, where: str) -> None:
+    """Raise BadFile where a joint of the chain is none that an arm has, or has no value of its own."""
+    at = f"{where}: joint {joint.name}"
+    if joint.type not in (*MOVING, "fixed"):
+        what = "leaves the arm free to float" if joint.type == "floating" else "is not a joint of an arm"
+        raise BadFile(
+            f"{at}: type {joint.type[:30]!r} {what}",
+            consequence="The arm cannot be modelled",
+            cure="Known are revolute, continuous, prismatic and fixed; --base or --tip can leave this joint out",
+        )
+    mimic = joint.element.find("mimic")
+    if mimic is not None and joint.type != "fixed":
+        raise BadFile(
+            f"{at}: mimics the joint {mimic.get('joint')!r}, and is in the chain itself",
+            consequence="It has no reading of its own, and the arm's model needs one for each joint",
+            cure="Choose a chain without it (--tip, --base); or, where the controller tells its value, remove <mimic>",
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Tree:
+    """The links, the joint above each link, and the joints below it."""
+
+    links: frozenset[str]
+    above: Mapping[str, UrdfJoint]
+    below: Mapping[str, list[UrdfJoint]]
+
+    def to(self, link: str, base: str | None, where: str) -> list[UrdfJoint]:
+        """Return the joints from base (the root) to a link, in order."""
+        chain: list[UrdfJoint] = []
+        at = link
+        while at in self.above and at != base:
+            chain.append(self.above[at])
+            at = self.above[at].parent
+            if len(chain) > len(self.above):
+                raise BadFile(f"{where}: its joints form a loop", consequence="It is not a serial arm")
+        if base is not None and at != base:
+            raise BadFile(
+                f"{where}: the link {link} does not hang on the link {base}",
+                consequence="There is no chain from the one to the other",
+                cure="Name as base a link between the root and the tip",
+            )
+        return chain[::-1]
+
+
+def _tree(joints: list[UrdfJoint], links: set[str], where: str) -> _Tree:
+    """Return how links hang on each other; BadFile where a link is missing or hangs on two joints."""
     above: dict[str, UrdfJoint] = {}
     below: dict[str, list[UrdfJoint]] = {}
     for joint in joints:
@@ -166,44 +211,63 @@ def _chain(joints: list[UrdfJoint], links: set[str], where: str, tip: str | None
             )
         above[joint.child] = joint
         below.setdefault(joint.parent, []).append(joint)
-    roots = sorted(links - set(above))
-    if len(roots) != 1:
-        what = f"{len(roots)} root links ({', '.join(roots)})" if roots else "no root link: its joints form a loop"
+    return _Tree(links=frozenset(links), above=above, below=below)
+
+
+def _chain(tree: _Tree, where: str, base: str | None, tip: str | None) -> list[UrdfJoint]:
+    """Return the joints from the base (or root) to the tip, in order."""
+    for link in (base, tip):
+        if link is not None and link not in tree.links:
+            raise BadFile(f"{where}: has no link {link!r}", cure=f"Use one of {_listed(sorted(tree.links))}")
+    roots = sorted(tree.links - set(tree.above))
+    if base is None and len(roots) != 1:
+        what = f"{len(roots)} root links ({_listed(roots)})" if roots else "no root link: its joints form a loop"
         raise BadFile(f"{where}: has {what}", consequence="It is not one arm")
-    end = tip if tip is not None else _end(roots[0], below, where)
-    if end not in links:
-        raise BadFile(f"{where}: has no link {end!r}", cure=f"Use one of {', '.join(sorted(links))}")
-    chain: list[UrdfJoint] = []
-    while end in above:
-        chain.append(above[end])
-        end = above[end].parent
-        if len(chain) > len(joints):
-            raise BadFile(f"{where}: its joints form a loop", consequence="It is not a serial arm")
-    return chain[::-1]
+    start = base if base is not None else roots[0]
+    return tree.to(tip if tip is not None else _end(start, tree, where), base, where)
 
 
-def _end(root: str, below: Mapping[str, list[UrdfJoint]], where: str) -> str:
+def _end(start: str, tree: _Tree, where: str) -> str:
     """Return the last link: along the only branch that moves, then along the longest fixed one."""
     moves: dict[str, bool] = {}
     depth: dict[str, int] = {}
-    order = [root]
+    order = [start]
     for link in order:  # grows while it is walked
-        order += [joint.child for joint in below.get(link, ())]
+        order += [joint.child for joint in tree.below.get(link, ())]
+        if len(order) > len(tree.links):
+            raise BadFile(f"{where}: its joints form a loop", consequence="It is not a serial arm")
     for link in reversed(order):
-        children = below.get(link, ())
-        moves[link] = any(joint.type in MOVING or moves[joint.child] for joint in children)
+        children = tree.below.get(link, ())
+        moves[link] = any(joint.type != "fixed" or moves[joint.child] for joint in children)
         depth[link] = max((1 + depth[joint.child] for joint in children), default=0)
-    link = root
-    while children := below.get(link, []):
-        moving = [joint for joint in children if joint.type in MOVING or moves[joint.child]]
-        if len(moving) > 1:
+
+    def moving(link: str) -> list[UrdfJoint]:
+        return [joint for joint in tree.below.get(link, ()) if joint.type != "fixed" or moves[joint.child]]
+
+    link = start
+    while children := tree.below.get(link, []):
+        onwards = moving(link)
+        if len(onwards) > 1:
+            tips = [tip for tip in order if tip != start and (tip not in tree.below or len(moving(tip)) > 1)]
+            told = [f"{tip} ({_count(tree.to(tip, start, where))})" for tip in tips]
             raise BadFile(
-                f"{where}: branches at the link {link} into {', '.join(joint.name for joint in moving)}",
-                consequence="It is not a serial arm",
-                cure="Name the link at the end of the chain you mean (tip)",
+                f"{where}: branches at the link {link} into {', '.join(joint.name for joint in onwards)}",
+                consequence="Which of them is the arm is not known",
+                cure=f"Name the last link of the chain you mean with --tip, such as {_listed(told)}",
             )
-        link = moving[0].child if moving else max(children, key=lambda joint: depth[joint.child]).child
+        link = onwards[0].child if onwards else max(children, key=lambda joint: depth[joint.child]).child
     return link
+
+
+def _count(chain: list[UrdfJoint]) -> str:
+    count = sum(joint.type != "fixed" for joint in chain)
+    return f"{count} joint{'s' * (count != 1)}"
+
+
+def _listed(names: list[str]) -> str:
+    """Return names as text, the first of them where they are many."""
+    more = f" and {len(names) - MOST_TOLD} more" if len(names) > MOST_TOLD else ""
+    return ", ".join(names[:MOST_TOLD]) + more
 
 
 def _folded(chain: list[UrdfJoint], where: str) -> tuple[Array, list[AxisJoint], tuple[Array, Array]]:
@@ -264,6 +328,13 @@ def _axis_joint(joint: UrdfJoint, T: Array, where: str) -> AxisJoint:
 def write_urdf(path: Path, arm: Arm) -> None:
     """Write the arm's kinematics as URDF; see urdf_text."""
     write_text(path, urdf_text(arm))
+
+
+def delete_urdf(path: Path) -> None:
+    """Delete a URDF that write_urdf wrote; one of another program stays. Raises DeviceFailed where the disk refuses."""
+    with disk_errors(path):
+        if path.is_file() and OURS.search(path.read_bytes()[:MAX_BYTES]):
+            path.unlink()
 
 
 def urdf_text(arm: Arm) -> str:

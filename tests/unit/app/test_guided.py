@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import shutil
+import threading
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.app.calibrate.cameras import CalibrateJob, calibrate_stereo
 from armsight.app.guided.boards import BoardCalibration, tilt
+from armsight.app.guided.charts import figures_of
+from armsight.app.guided.desk import StepDesk
 from armsight.app.guided.poses import HandEyeStep, TipCalibrationStep
-from armsight.app.guided.step import Next
+from armsight.app.guided.step import Hint, Next, Sample, Verdict
 from armsight.app.live.station import Shown
 from armsight.app.schemas.live import Counts, LiveView, SideView
+from armsight.console import texts
 from armsight.errors import BadImage, NotEnoughData
 from armsight.kinematics import presets
 from armsight.records import BoardView, Silent
@@ -45,11 +50,10 @@ class Poses:
     def __init__(self, poses: list[tuple[np.ndarray, Rotation]]) -> None:
         self.poses = poses
 
-    @property
-    def shown(self) -> Shown:
+    def shown_since(self, t_s: float) -> Shown:
         xyz, turn = self.poses.pop(0)
         view = LiveView(
-            sequence=1, t_s=float(len(self.poses)), fps=30.0, latency_s=0.01, measuring_s=0.001, status="ok", why="",
+            sequence=1, t_s=t_s, fps=30.0, latency_s=0.01, measuring_s=0.001, status="ok", why="",
             parent="rig", xyz_m=tuple(xyz), euler_rad=(0.0, 0.0, 0.0), quat_xyzw=tuple(turn.as_quat()),
             std=(1e-4,) * 3 + (1e-3,) * 3, residual_px=0.1, counts=Counts(ok=1, position_only=0, lost=0),
             left=SIDE, right=SIDE,
@@ -65,6 +69,10 @@ def test_a_rig_is_led_to_the_result_of_the_command(boards: Any, tmp_path: Path) 
         step.accept(station)
     assert sum(step.coverage()["left"]) > 10
     assert dict(step.spread())["baseline"].endswith("mm")
+    assert {figure.name for figure in figures_of(step)} == {"residual, RMS", "picture covered"} | {
+        f"± {name}" for name, _ in step.spread()
+    }
+    assert {name for name, _ in step.spread()} | {figure.name for figure in figures_of(step)} <= set(texts.ROW_NAMES)
     verdict = step.run(Silent())
     again = calibrate_stereo(
         CalibrateJob(
@@ -153,27 +161,158 @@ def test_poses_that_turn_about_one_axis_are_not_enough(tmp_path: Path) -> None:
     assert step.hint().what is Next.TURN_TARGET
 
 
+@dataclass
+class CarriedCamera:
+    """A camera on the flange of a UR10, the target still in the cell; poses by the public DH table, of an arm that
+    counts one joint the other way round and whose base stands askew in the cell."""
+
+    folder: Path
+    q: np.ndarray
+    moves_while_seen: bool = False
+
+    def __post_init__(self) -> None:
+        arm = presets.ur10()
+        turned = replace(arm.joints[1], sign=-1.0, lower=-arm.joints[1].upper, upper=-arm.joints[1].lower)
+        T_world_base = RigidTransform.from_components([0.4, -0.2, 0.7], Rotation.from_euler("xyz", [0.1, -0.2, 1.0]))
+        joints = (arm.joints[0], turned, *arm.joints[2:])
+        self.arm = replace(arm, joints=joints, T_world_base=T_world_base)
+        self.arm.save(self.folder / "arm.yaml")
+        T = np.eye(4)
+        T[:3, :3] = Rotation.from_euler("xyz", [5.0, -20.0, 90.0], degrees=True).as_matrix()
+        T[:3, 3] = [0.03, 0.08, 0.05]
+        self.T_flange_camera = T
+        before = np.eye(4)
+        before[2, 3] = 0.8  # of the camera where the arm is at home
+        T_base_target = arm.fk(HOME * [1, -1, 1, 1, 1, 1]) @ T @ before
+        seen = np.linalg.inv(arm.fk(self.q * [1, -1, 1, 1, 1, 1]) @ T) @ T_base_target
+        self.station: Any = Poses([(T[:3, 3], Rotation.from_matrix(T[:3, :3])) for T in seen])
+        self._read = 0
+
+    def read_joints(self) -> np.ndarray:
+        """Where the arm stands: before and after each picture."""
+        row, after = divmod(self._read, 2)
+        self._read += 1
+        return self.q[row] + (0.001 if after and self.moves_while_seen else 0.0)
+
+    def step(self) -> HandEyeStep:
+        out = self.folder / "handeye.yaml"
+        return HandEyeStep(folder=self.folder, out=out, arm=self.folder / "arm.yaml", read_joints=self.read_joints)
+
+
+HOME = np.array([0.2, 1.2, 1.7, -1.0, 1.4, 0.3])
+
+
 def test_hand_eye_is_found_from_joints_and_poses(tmp_path: Path) -> None:
-    """The camera on the flange of a UR10, the target still in the cell; flange poses by the public DH table."""
-    arm = presets.ur10()
-    arm.save(tmp_path / "arm.yaml")
-    rng = np.random.default_rng(4)
-    T_flange_camera, T_base_target = np.eye(4), np.eye(4)
-    T_flange_camera[:3, :3] = Rotation.from_euler("xyz", [5.0, -20.0, 90.0], degrees=True).as_matrix()
-    T_flange_camera[:3, 3] = [0.03, 0.08, 0.05]
-    T_base_target[:3, 3] = [0.9, 0.1, 0.2]
-    q = np.array([0.2, -1.2, 1.7, -1.0, 1.4, 0.3]) + rng.uniform(-0.4, 0.4, (15, 6))
-    seen = np.linalg.inv(arm.fk(q) @ T_flange_camera) @ T_base_target
-    readings = iter(q)
-    step = HandEyeStep(
-        folder=tmp_path / "he",
-        out=tmp_path / "handeye.yaml",
-        arm=tmp_path / "arm.yaml",
-        read_joints=lambda: next(readings),
-    )
-    station: Any = Poses([(T[:3, 3], Rotation.from_matrix(T[:3, :3])) for T in seen])
-    for _ in range(15):
-        step.accept(station)
-    step.run(Silent())
+    cell = CarriedCamera(tmp_path, HOME + np.random.default_rng(4).uniform(-0.4, 0.4, (15, 6)))
+    step = cell.step()
+    for _ in cell.q:
+        step.accept(cell.station)
+    verdict = step.run(Silent())
+    assert verdict.good, verdict.words
     found = read_handeye(tmp_path / "handeye.yaml").T_parent_camera.as_matrix()
-    np.testing.assert_allclose(found, T_flange_camera, atol=1e-6)
+    np.testing.assert_allclose(found, cell.T_flange_camera, atol=1e-6)
+
+
+def test_a_hand_that_hardly_turned_is_not_to_be_trusted_and_the_axis_is_named(tmp_path: Path) -> None:
+    """Only the last joint, which turns the hand about its own z, was moved far."""
+    q = np.tile(HOME, (15, 1)) + np.random.default_rng(5).normal(0.0, 0.04, (15, 6))
+    q[:, 5] += np.linspace(-1.0, 1.0, 15)
+    cell = CarriedCamera(tmp_path, q)
+    step = cell.step()
+    for _ in q:
+        step.accept(cell.station)
+    hint = step.hint()
+    assert hint.what is Next.TURN_HAND and hint.axis in ("x", "y") and hint.share < 0.5
+    assert 33.0 < float(dict(step.spread())["turned about its own z"].split()[0]) < 38.0
+    verdict = step.run(Silent())
+    assert not verdict.good
+    assert "tilted by 20 degrees" in verdict.words
+
+
+def test_no_pose_is_taken_while_the_robot_moves(tmp_path: Path) -> None:
+    cell = CarriedCamera(tmp_path, np.tile(HOME, (2, 1)), moves_while_seen=True)
+    step = cell.step()
+    with pytest.raises(NotEnoughData, match="moved while"):
+        step.accept(cell.station)
+    assert step.samples == ()
+
+
+def test_a_board_that_was_not_moved_is_not_taken_twice(boards: Any, tmp_path: Path) -> None:
+    step = BoardCalibration(board=boards.board, folder=tmp_path / "p", out=tmp_path / "rig.yaml")
+    station: Any = Pictures(boards.folder)
+    station.pairs[1] = station.pairs[0]
+    step.accept(station)
+    with pytest.raises(BadImage, match="where it was in picture 000"):
+        step.accept(station)
+    step.accept(station)
+    assert [sample.name for sample in step.samples] == ["000", "001"]
+
+
+@dataclass
+class Told:
+    """A step that does as it is told."""
+
+    name: str = "told"
+    fails: Exception | None = None
+    taken: list[Sample] = field(default_factory=list)
+    entered: threading.Event = field(default_factory=threading.Event)
+    leave: threading.Event = field(default_factory=threading.Event)
+
+    @property
+    def samples(self) -> tuple[Sample, ...]:
+        return tuple(self.taken)
+
+    def hint(self) -> Hint:
+        return Hint(what=Next.MORE)
+
+    def coverage(self) -> dict[str, tuple[int, ...]]:
+        return {}
+
+    def spread(self) -> tuple[tuple[str, str], ...]:
+        return ()
+
+    def accept(self, station: Any) -> Sample:
+        self.entered.set()
+        assert self.leave.wait(60.0)
+        self.taken.append(Sample(name=str(len(self.taken)), detail=""))
+        return self.taken[-1]
+
+    def drop(self, index: int) -> None:
+        del self.taken[index]
+
+    def run(self, progress: Any) -> Verdict:
+        if self.fails is not None:
+            raise self.fails
+        return Verdict(good=True, words=f"{len(self.taken)} taken", rows=(), file=Path("x.yaml"))
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (NotEnoughData("5 poses are few", cure="Take 10"), "5 poses are few. Take 10."),
+        (ZeroDivisionError("division by zero"), "The program failed: ZeroDivisionError: division by zero."),
+    ],
+)
+def test_why_nothing_was_calibrated_is_told_whatever_it_was(error: Exception, said: str) -> None:
+    desk = StepDesk(Told(fails=error))
+    desk.run(Silent())
+    assert desk.state.not_done.startswith(said)
+    assert desk.state.verdict is None and desk.state.busy == ""
+
+
+def test_calibrate_pressed_while_a_sample_is_taken_waits_for_it_and_its_verdict_stays() -> None:
+    step = Told()
+    desk = StepDesk(step)
+    accepting = threading.Thread(target=desk.accept, args=(lambda: None,))
+    accepting.start()
+    assert step.entered.wait(60.0)
+    assert desk.state.busy == "accept"
+    running = threading.Thread(target=desk.run, args=(Silent(),))
+    running.start()
+    step.leave.set()
+    for thread in (accepting, running):
+        thread.join(60.0)
+    verdict = desk.state.verdict
+    assert verdict is not None and verdict.words == "1 taken"
+    desk.drop(0)
+    assert desk.state.verdict is None, "it is of samples that are no more"

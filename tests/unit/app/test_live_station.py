@@ -11,7 +11,7 @@ import pytest
 
 from armsight.app.live.measurement import LiveJob, LiveMeasurement, Look, Moment
 from armsight.app.live.station import Station
-from armsight.clock import ManualClock
+from armsight.clock import ManualClock, SystemClock
 from armsight.errors import BadFile, DeviceFailed
 from armsight.store.recording import Recording
 
@@ -103,6 +103,12 @@ def test_a_process_shows_what_it_measures(station: Station) -> None:
     wait(lambda: station.shown is not None and station.shown.view.sequence > first)
 
 
+def test_what_is_shown_since_a_moment_was_exposed_after_it(station: Station) -> None:
+    wait(lambda: station.shown is not None)
+    now_s = SystemClock().now_s()
+    assert station.shown_since(now_s).view.t_s >= now_s
+
+
 def test_its_recording_is_complete(station: Station, tmp_path: Path) -> None:
     wait(lambda: station.shown is not None)
     file = tmp_path / "live.mcap"
@@ -134,4 +140,6 @@ def test_what_cannot_be_measured_is_told(tmp_path: Path) -> None:
     assert "none" in made.failure
     with pytest.raises(DeviceFailed):
         made.save_pair(tmp_path / "a.png", tmp_path / "b.png")
+    with pytest.raises(DeviceFailed, match="none"):
+        made.shown_since(0.0)
     made.stop()

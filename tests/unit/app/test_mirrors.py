@@ -133,6 +133,21 @@ def test_the_check_names_the_mirror(rig: Path, tmp_path: Path) -> None:
     assert "turn mirror 4" in content["advice"][0]
 
 
+def test_without_a_rig_the_turns_to_parallel_axes_are_told(tmp_path: Path) -> None:
+    """Mirror 4 is off by 3 mrad about the vertical, which mirror 2 makes up for, and by 2 mrad across."""
+    pictures(tmp_path, 5, 1, ((0.0, 0.0), (0.0, 0.0), (0.0, 0.0), (3e-3, -2e-3)), complex_only=True)
+    write_camera(tmp_path / "camera.yaml", Camera.pinhole(WIDTH, HEIGHT, 600.0, 601.0, 361.0, 266.0))
+    given = ("--check", "--image", str(tmp_path / "image"), "--board", BOARD, "--camera", str(tmp_path / "camera.yaml"))
+    code, content = run(*given, "--baseline-mm", "100")
+    assert code == 0 and content["moved"] and content["suspects"] == []
+    second, fourth = content["turns"]
+    assert (second["mirror"], fourth["mirror"]) == (2, 4)
+    assert abs(second["turn_rad"]) == pytest.approx(3e-3, abs=3e-4) and abs(second["tilt_rad"]) < 3e-4
+    assert (fourth["turn_rad"], fourth["tilt_rad"]) == pytest.approx((0.0, 2e-3), abs=3e-4)
+    code, content = run(*given)
+    assert code == 2 and "--baseline-mm" in content["error"]["cure"]
+
+
 def test_what_cannot_be_calibrated_is_refused(rig: Path, tmp_path: Path) -> None:
     code, content = run("--board", BOARD, "-o", str(tmp_path / "x.yaml"))
     assert code == 2 and "--image" in content["error"]["cure"]

@@ -13,6 +13,7 @@ from pydantic import ValidationError
 from armsight.app.schemas import (
     arm,
     cameras,
+    compare,
     files,
     handeye,
     kinematics,
@@ -38,7 +39,7 @@ STEREO = (
 )
 HANDEYE = (
     "setup std std_target n_pairs n_used rejected residual_rms_m residual_rms_rad loo_rms_m loo_rms_rad noise "
-    "turning_rms_rad verdict advice"
+    "turning_rms_rad verdict concerns advice"
 )
 HANDEYE_MAYBE = (
     "T_flange_camera T_base_target T_base_camera T_flange_target target_scale reprojection_rms_px time_offset_s "
@@ -46,8 +47,8 @@ HANDEYE_MAYBE = (
 )
 TIP = "tip_m point_m std residual_rms_m n_used rejected turning_rms_rad"
 ARM = (
-    "n before after crossval free fixed std corrections condition outliers still couplings "
-    "noise model verdict gain urdf"
+    "n before after crossval free fixed std corrections condition outliers still couplings at_limit notes "
+    "noise model verdict gain other_arm urdf"
 )
 PATH = "file n_before n length_m corners"
 PLACE, TURN = "x_m y_m z_m", "rx_rad ry_rad rz_rad"
@@ -113,9 +114,10 @@ KEYS: dict[type[Output], tuple[str, str]] = {
     cameras.FormOutput: ("name x_m y_m z_m epipolar_px", ""),
     OUTPUTS["calibrate-mirrors-check"]: (
         "alignment change change_std moved certain suspects advice n_views missed",
-        "",
+        "turns",
     ),
     cameras.SuspectMirror: ("mirror turn_rad tilt_rad chi2", ""),
+    cameras.MirrorTurnOutput: ("mirror turn_rad tilt_rad", ""),
     OUTPUTS["calibrate-target"]: (
         "spots_m std distances_m n_frames n_used rejected residual_rms_px loo_rms_px advice",
         "",
@@ -140,7 +142,8 @@ KEYS: dict[type[Output], tuple[str, str]] = {
     arm.BeforeAfter: ("before after", ""),
     arm.Outlier: ("row error_m", ""),
     OUTPUTS["calibrate-robot-world"]: ("T_base_rig std residual_rms_m n_used rejected", ""),
-    OUTPUTS["identify"]: ("joints method notes noise", "plan"),
+    OUTPUTS["identify"]: ("joints method notes noise misfit", "plan left_out"),
+    arm.LeftOutJoint: ("joint held_at", ""),
     arm.IdentifiedJoint: (
         "index type a_m alpha_rad d_m theta_rad beta_rad lower upper sign std n discarded residual_rms_m "
         "residual_rms_px p_line decided radius_m axis",
@@ -181,6 +184,9 @@ KEYS: dict[type[Output], tuple[str, str]] = {
     ),
     OUTPUTS["record-repair"]: ("file messages duration_s lost_bytes damaged_chunks", ""),
     OUTPUTS["convert-recording"]: ("from out n", ""),
+    OUTPUTS["compare"]: ("kind a b agree verdict p parameters effects notes", "n report"),
+    compare.ComparedParameter: ("name unit a b difference std sigmas", ""),
+    compare.ComparedEffect: ("name value unit", ""),
     OUTPUTS["join"]: ("kind by offset_s offset_std_s drift_ppm n_measured n rejected notes file", ""),
     OUTPUTS["convert-table"]: ("kind how columns ranges n notes file", ""),
     OUTPUTS["convert"]: ("from to files n note", ""),

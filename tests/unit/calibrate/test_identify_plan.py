@@ -101,6 +101,20 @@ def test_every_planned_pose_is_within_limits_and_in_both_images(plan: Plan) -> N
     assert sorted(sweep.joint for sweep in plan.sweeps) == [0, 1, 2]
 
 
+def test_what_reaches_round_the_beacon_stays_in_both_images(arm: RoughArm) -> None:
+    plan = propose_sweeps(arm, RIG, LIMITS, START, base=BASE, around_px=60.0)
+    uv = pixels(rows(plan)[1])
+    assert (uv > 65.0).all() and (uv < np.array([574.0, 414.0])).all()
+
+
+def test_a_start_an_encoders_step_beyond_a_limit_is_at_it() -> None:
+    limits, start = checked_limits(LIMITS, [-0.5 - 5e-5, 1.0, 0.5])
+    assert start.tolist() == [-0.5 - 5e-5, 1.0, 0.5]
+    assert -0.501 < limits[0, 0] < start[0] and (limits[1:] == LIMITS[1:]).all()
+    with pytest.raises(Inconsistent, match="joint 1 stands"):
+        checked_limits(LIMITS, [-0.501, 1.0, 0.5])
+
+
 def test_a_narrow_view_cuts_the_ranges_and_is_named(arm: RoughArm) -> None:
     """A tele lens sees a small part of the way."""
     near = parallel_rig(Camera.pinhole(640, 480, 6.0 * FU, 6.0 * FV, CX, CY), BASELINE)

@@ -69,7 +69,7 @@ def job(path: Path, **more) -> PlayJob:
 
 def played(wanted: PlayJob, *, confirm=lambda _: True, progress=None, begun=lambda _: None):
     clock = ManualClock()
-    opened = open_robot(SIM, clock), clock
+    opened = open_robot(SIM, clock), clock, None
     return run_play(wanted, confirm, progress=progress, opened=opened, begun=begun)
 
 

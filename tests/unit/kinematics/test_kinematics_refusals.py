@@ -70,7 +70,9 @@ def test_arms_that_cannot_be() -> None:
 
 
 def test_an_unknown_arm_is_answered_with_the_known_ones() -> None:
-    with pytest.raises(UsageError, match="korayem6r, puma761, stanford-rrp, ur10, irb120"):
+    with pytest.raises(
+        UsageError, match=r"korayem6r, puma761, stanford-rrp, ur3, .*ur10e, .*kr6, iiwa14, panda, irb120"
+    ):
         preset("puma560")
     with pytest.raises(UsageError, match=r"j1\.a_m"):
         moved(ARM, {"j7.a_m": 1.0})

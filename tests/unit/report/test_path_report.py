@@ -1,5 +1,7 @@
 """The page of a checked path: what is wrong stands in it, in the picture and by the row's number."""
 
+import base64
+import gzip
 import json
 import re
 from dataclasses import replace
@@ -22,10 +24,14 @@ def line(length=0.1, rows=21):
     return TaughtPath.of_poses(RigidTransform.from_matrix(T))
 
 
+def figures_of(text):
+    return json.loads(gzip.decompress(base64.b64decode(re.search(r'id="figures">(.*?)</script>', text)[1])))
+
+
 def page_of(path, limits=None):
     limits = Limits() if limits is None else limits
     text = path_report(path, ARM, limits, check_path(path, ARM, limits, start=HOME), name="<seam>")
-    figures = json.loads(re.search(r'id="figures">(.*?)</script>', text)[1])
+    figures = figures_of(text)
     return text, [{trace.get("name"): trace for trace in figure["data"]} for figure in figures]
 
 
@@ -57,7 +63,7 @@ def test_a_path_in_base_is_drawn_in_the_world():
     path = replace(line(), parent="base")
     found = check_path(path, raised, Limits(), start=HOME)
     text = path_report(path, raised, Limits(), found, name="seam")
-    figures = json.loads(re.search(r'id="figures">(.*?)</script>', text)[1])
+    figures = figures_of(text)
     drawn = next(trace for trace in figures[0]["data"] if trace["name"] == "no trouble")
     assert np.allclose(drawn["z"], 1e3 * (path.xyz_m[:, 2] + 0.5), atol=1e-3)
 

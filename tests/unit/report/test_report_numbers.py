@@ -3,12 +3,14 @@
 import json
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.records import PoseStatus, TargetPose
+from armsight.report.boards import chosen_views
 from armsight.report.figures import MAX_PLOTTED, band, json_text, spread, thinned
 from armsight.report.html import figure_of, with_deviation
-from armsight.report.series import series_of
+from armsight.report.series import Series, scatter_of, series_of
 
 STD = np.array([2e-5, 2e-5, 1e-4, 3e-4, 2e-4, 1e-4])
 
@@ -77,8 +79,9 @@ def test_thinning_keeps_extremes_and_ends():
 def test_a_band_has_one_polygon_per_stretch():
     low = np.array([0.0, 1.0, np.nan, 3.0, 4.0])
     trace = band(np.arange(5.0), low, low + 1.0)
-    assert trace["x"] == [0.0, 1.0, 1.0, 0.0, None, 3.0, 4.0, 4.0, 3.0, None]
-    assert trace["y"] == [1.0, 2.0, 1.0, 0.0, None, 4.0, 5.0, 4.0, 3.0, None]
+    nan = np.nan
+    assert np.array_equal(trace["x"], [0.0, 1.0, 1.0, 0.0, nan, 3.0, 4.0, 4.0, 3.0, nan], equal_nan=True)
+    assert np.array_equal(trace["y"], [1.0, 2.0, 1.0, 0.0, nan, 4.0, 5.0, 4.0, 3.0, nan], equal_nan=True)
 
 
 def test_numbers_for_people():
@@ -97,4 +100,40 @@ def test_numbers_for_people():
 def test_json_cannot_leave_its_script():
     text = json_text({"a": ["</script>&", np.float64(np.nan), np.arange(2.0) / 3]})
     assert not set("<>&") & set(text)
-    assert json.loads(text) == {"a": ["</script>&", None, [0.0, 0.33333333]]}
+    assert json.loads(text) == {"a": ["</script>&", None, [0.0, 0.333333]]}
+
+
+def test_moments_on_a_clock_that_counts_from_1970_stay_apart():
+    t_s = 1.8e9 + np.array([0.0, 1.0 / 3.0, 2.0 / 3.0])
+    assert np.allclose(np.diff(json.loads(json_text(t_s))), 1.0 / 3.0, atol=3e-5)
+
+
+@pytest.mark.parametrize("moves", [True, False])
+def test_scatter_without_truth_is_the_noise(moves):
+    rng = np.random.default_rng(3)
+    t_s = np.arange(600) / 30.0
+    std = np.array([0.02, 0.03, 0.1, 0.01, 0.02, 0.03])
+    way = np.sin(0.5 * t_s)[:, None] * np.array([50.0, 20.0, 90.0, 5.0, 8.0, 3.0]) if moves else 0.0
+    values = way + std * rng.standard_normal((600, 6))
+    status = [PoseStatus.LOST if 200 <= i < 204 else PoseStatus.OK for i in range(600)]
+    series = Series(t_s=t_s, status=tuple(status), values=values, std=np.tile(std, (600, 1)))
+    found = scatter_of(series)
+    assert found.resting is not moves
+    known = np.isfinite(found.values[:, 0])
+    assert known.sum() == (576 if moves else 596)  # five at each end of a stretch have no full neighbourhood
+    assert np.allclose(found.values[known].std(axis=0) / std, 1.0, atol=0.1)
+
+
+def test_too_few_frames_in_a_row_say_nothing_of_scatter():
+    status = tuple(PoseStatus.OK if i % 10 else PoseStatus.LOST for i in range(60))
+    series = Series(t_s=np.arange(60.0), status=status, values=np.zeros((60, 6)), std=np.ones((60, 6)))
+    assert scatter_of(series) is None
+
+
+def test_boards_shown_are_the_worst_the_best_and_some_between():
+    rms = np.linspace(1.0, 0.1, 40)[np.random.default_rng(0).permutation(40)]
+    chosen = chosen_views(rms.tolist(), 12)
+    order = np.argsort(-rms).tolist()
+    assert len(set(chosen)) == 12
+    assert chosen[:4] == order[:4] and chosen[-4:] == order[-4:]
+    assert chosen_views([0.2, 0.3], 12) == [1, 0]

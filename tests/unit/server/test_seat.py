@@ -56,6 +56,44 @@ def test_a_second_operator_drives_once_the_first_has_left(seat, host):
     assert seat.state("b").driver == "ben"
 
 
+def test_an_enable_held_in_vain_does_not_count_once_the_other_has_left(seat, host):
+    held(seat, host)
+    with pytest.raises(DeviceFailed, match="ann drives"):
+        held(seat, host, "b", BEN)
+    seat.beat("a", ANN, enable=False, seen_s=host.t_s)
+    seat.leave("a")
+    with pytest.raises(DeviceFailed, match="another drove when"):
+        held(seat, host, "b", BEN)
+    assert seat.browser == "" and not seat.enabled("b")
+    seat.beat("b", BEN, enable=False, seen_s=host.t_s)
+    held(seat, host, "b", BEN)
+    assert seat.enabled("b")
+
+
+def test_after_a_stop_is_released_the_enable_counts_once_it_is_pressed(seat, host):
+    held(seat, host)
+    seat.beat("a", ANN, enable=False, seen_s=host.t_s)
+    seat.stop(BEN)
+    seat.reset("a", ANN)
+    held(seat, host)
+    seat.step("a", np.full(2, 1e-4))
+    assert len(told(host, "post")) == 1
+
+
+def test_an_enable_held_on_through_stop_and_reset_does_not_count_until_it_was_let_go_of(seat, host):
+    held(seat, host)
+    seat.stop(BEN)
+    held(seat, host)
+    seat.reset("a", ANN)
+    held(seat, host)
+    assert not seat.enabled("a")
+    with pytest.raises(DeviceFailed):
+        seat.step("a", np.full(2, 1e-4))
+    seat.beat("a", ANN, enable=False, seen_s=host.t_s)
+    held(seat, host)
+    assert seat.enabled("a")
+
+
 def test_who_may_watch_does_not_drive_and_may_stop(seat, host):
     watcher = Person(who="eve", role="watch")
     with pytest.raises(UsageError, match="may watch"):
@@ -161,6 +199,52 @@ def test_work_moves_with_the_enable(seat, host):
         assert sent.q == pytest.approx([0.05, 0.0]) and sent.limited == ()
         assert robot.state is RobotState.READY and robot.read().q == pytest.approx([0.05, 0.0])
     assert isinstance(told(host, "post")[-1], Hold), "closing it holds the robot"
+
+
+@pytest.mark.parametrize("waits", [False, True])
+def test_work_waits_where_the_enable_falls_silent_between_a_look_and_the_step(seat, host, monkeypatch, waits):
+    """It is no failure of the work: it holds, and goes on with the next beat."""
+    held(seat, host)
+    enabled, looks = seat.enabled, iter([True])
+
+    def look(browser):
+        if next(looks, False):
+            host.t_s += 0.3  # this is how long the thread then slept
+            return True
+        if waits and not enabled(browser):
+            held(seat, host)
+        return enabled(browser)
+
+    with robot_of(seat, host, waits=waits) as robot:
+        monkeypatch.setattr(seat, "enabled", look)
+        sent = robot.step_joints(np.array([0.05, 0.0]))
+        assert bool(sent.limited) is not waits
+        held(seat, host)
+        assert robot.step_joints(np.array([0.05, 0.0])).limited == ()
+
+
+def test_work_goes_on_where_it_was_told_to_go_after_the_loop_held_on_the_way(seat, host):
+    """A late cycle makes the loop forget its goal: the first joint rests short of it, and nobody let the enable go."""
+    held(seat, host)
+    with robot_of(seat, host, waits=True) as robot:
+        robot.step_joints(np.array([0.05, 0.0]))
+        host.q, host.dropped = np.array([0.03, 0.0]), 1
+        host.tick()
+        sent = robot.step_joints(np.array([0.0, 0.02]))
+        assert sent.q == pytest.approx([0.05, 0.02])
+        host.q, host.dropped = np.array([0.05, 0.01]), 2
+        host.tick()
+        assert robot.read().q == pytest.approx([0.05, 0.02]), "also while it is only looked at"
+
+
+def test_work_does_not_go_back_after_the_robot_was_led_away_by_keys(seat, host):
+    held(seat, host)
+    with robot_of(seat, host, waits=True) as robot:
+        robot.step_joints(np.array([0.05, 0.0]))
+        seat.beat("a", ANN, enable=True, seen_s=host.t_s, push=Push(frame="joints", axis=0, sense=1.0))
+        host.q, host.dropped = np.array([0.06, 0.0]), 1
+        held(seat, host)
+        assert robot.step_joints(np.array([0.0, 0.02])).q == pytest.approx([0.06, 0.02])
 
 
 def test_work_that_waits_gives_up_where_it_is_cancelled(seat, host):

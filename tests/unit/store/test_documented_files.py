@@ -7,6 +7,7 @@ import pytest
 
 from armsight.app.verify.live_output import ERROR_COLUMNS, HEADER
 from armsight.app.verify.output import NAMES
+from armsight.store.arm_file import arm_from_mapping
 from armsight.store.cell_file import CellFile
 from armsight.store.interpret.read import is_ours
 from armsight.store.interpret.roles import ROLES
@@ -39,6 +40,7 @@ READERS = {
     "armsight/camera": lambda content: validated(CameraModel, content, "x").camera(),
     "zoom": lambda content: zoom_camera_from_mapping(content, "x"),
     "armsight/target": target_from_mapping,
+    "armsight/arm": arm_from_mapping,
     "armsight/world": world_from_mapping,
     "armsight/limits": limits_from_mapping,
     "armsight/cell": lambda content: validated(CellFile, content, "x"),

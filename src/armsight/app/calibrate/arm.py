@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.calibrate.cameras import report_path
-from armsight.app.kinematics import load_arm
+from armsight.app.kinematics import arm_file, load_arm
 from armsight.app.schemas.arm import (
     ArmCalibrationOutput,
     ArmNoise,
@@ -19,6 +19,10 @@ from armsight.app.schemas.arm import (
     BeforeAfter,
     CouplingOutput,
     FixedParameter,
+    KnownArmOutput,
+    LimitOutput,
+    MisfitOutput,
+    OtherArmOutput,
     Outlier,
     RobotWorldOutput,
     ToolErrors,
@@ -41,13 +45,17 @@ from armsight.report.arm_report import arm_report
 from armsight.store import World, read_rig, read_world, write_text
 from armsight.store.arm_file import write_arm
 from armsight.store.arm_points import read_arm_points
+from armsight.store.atomic import disk_errors
 from armsight.store.interpret import OURS, TableFormat
 from armsight.store.schema import pose_mapping
 from armsight.store.tables import cells
-from armsight.store.urdf import urdf_text
+from armsight.store.urdf import delete_urdf, urdf_text
 from armsight.store.worlds import write_world
 
 Array = NDArray[np.float64]
+
+BESIDE = (".corrections.csv", ".urdf", ".proposed.csv", ".report.html")
+"""Endings of what is written beside arm.yaml."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,8 +78,9 @@ class ArmJob:
 def run_calibrate_arm(job: ArmJob) -> ArmOutput:
     """Calibrate; write arm.yaml, the URDF and the table of corrections beside it, and the report; return the figures.
 
-    Raises UsageError, DataRefused.
+    What an earlier run wrote beside it and this one does not goes. Raises UsageError, DataRefused.
     """
+    _check_names(job)
     if (job.rig is None) != (job.world is None):
         raise UsageError("for proposals in view give both --rig and --world: where the rig stands to the measurements")
     nominal = load_arm(job.model)
@@ -79,7 +88,7 @@ def run_calibrate_arm(job: ArmJob) -> ArmOutput:
     holdout = None if job.holdout is None else _measurements(nominal, job.holdout, job.table)
     tolerance = Tolerance(length_m=job.tolerance_m, angle_rad=job.tolerance_rad)
     result = calibrate_arm(nominal, points, holdout=holdout, tolerance=tolerance, scale=job.scale)
-    proposal = _proposal(job, result, points) if job.propose else None
+    proposal = _proposal(job, result, points)
     inputs = [job.points] if job.holdout is None else [job.points, job.holdout]
     write_arm(job.out, result.arm, inputs=inputs)
     write_text(job.out.with_suffix(".corrections.csv"), corrections(result))
@@ -94,8 +103,26 @@ def run_calibrate_arm(job: ArmJob) -> ArmOutput:
     )
 
 
-def _proposal(job: ArmJob, result: ArmCalibration, points: ArmPoints) -> Proposal:
-    """Return further joint positions to measure at, written beside the arm."""
+def _check_names(job: ArmJob) -> None:
+    """Raise UsageError where a file to write is one of those to read."""
+    given = (arm_file(job.model), job.points, job.holdout, job.rig, job.world)
+    read = {path.resolve() for path in given if path is not None}
+    written = (job.out, *(job.out.with_suffix(ending) for ending in BESIDE))
+    for path in written:
+        if path.resolve() in read:
+            raise UsageError(
+                f"{path} is to be read, and would be written over",
+                consequence="Nothing is written",
+                cure="Give another name with -o",
+            )
+
+
+def _proposal(job: ArmJob, result: ArmCalibration, points: ArmPoints) -> Proposal | None:
+    """Return further joint positions to measure at, written beside the arm; None, and no such file, for none asked."""
+    if not job.propose:
+        with disk_errors(job.out):
+            job.out.with_suffix(".proposed.csv").unlink(missing_ok=True)
+        return None
     seen = None if job.rig is None or job.world is None else _in_view(read_rig(job.rig), read_world(job.world))
     tolerance = Tolerance(length_m=job.tolerance_m, angle_rad=job.tolerance_rad)
     told = propose(result.model, result.fitted, points, job.propose, tolerance=tolerance, visible=seen)
@@ -106,10 +133,14 @@ def _proposal(job: ArmJob, result: ArmCalibration, points: ArmPoints) -> Proposa
 
 
 def _write_urdf(path: Path, arm: Arm) -> Path | None:
-    """Write the arm as a URDF; return its path, None where joint scales or couplings have no place in one."""
+    """Write the arm as a URDF; return its path, None where joint scales or couplings have no place in one.
+
+    An earlier run's URDF is deleted then: it is of another arm than the arm.yaml beside it.
+    """
     try:
         write_text(path, urdf_text(arm))
     except Inconsistent:
+        delete_urdf(path)
         return None
     return path
 
@@ -154,9 +185,23 @@ def arm_output(result: ArmCalibration) -> ArmCalibrationOutput:
         still=list(result.still),
         couplings=[CouplingOutput(joint=a, by=b, share=share) for a, b, share in result.couplings],
         noise=ArmNoise(place_m=result.fitted.sigma_m, rotation_rad=_rotation_noise(result)),
+        at_limit=[LimitOutput(name=x.name, change=x.change, limit=x.limit, flag=x.flag) for x in result.at_limit],
+        notes=list(result.notes),
         model=result.level,
         verdict=result.verdict,
         gain=result.gain,
+        other_arm=_other_arm(result),
+    )
+
+
+def _other_arm(result: ArmCalibration) -> OtherArmOutput | None:
+    other = result.other_arm
+    if other is None:
+        return None
+    return OtherArmOutput(
+        misfits=[MisfitOutput(name=x.name, nominal=x.nominal, wanted=x.wanted, std=x.std) for x in other.found],
+        known=None if other.known is None else KnownArmOutput(name=other.known[0], error_m=other.known[1]),
+        nominal_error_m=other.nominal_m,
     )
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 from armsight.drivers import ordered_map
 from armsight.errors import BadImage, Inconsistent
-from armsight.measure.boards import find_board
+from armsight.measure.boards import find_board, find_two_boards
 from armsight.records import BoardView, Frame, NotSeen, Target, TargetKind
 
 Seen = BoardView | NotSeen
@@ -18,14 +18,34 @@ Item = TypeVar("Item")
 Found = TypeVar("Found")
 
 
-def see_board(frame: Frame, board: Target, detector: str = "auto") -> Seen:
-    """Return what is seen of the board in one frame, or the reason why it is not."""
+class Keeper(Protocol):
+    """What keeps the images in which the board was found."""
+
+    def keep(self, frame: Frame) -> None:
+        """Keep the image of a frame; several threads may ask at once."""
+
+
+def see_board(frame: Frame, board: Target, detector: str = "auto", pictures: Keeper | None = None) -> Seen:
+    """Return what is seen of the board in one frame, or the reason why it is not; pictures: keeps where it is."""
     if frame.unreadable:
         return NotSeen(frame.unreadable)
     try:
-        return find_board(frame.image, board, source=frame.source, detector=detector)
+        view = find_board(frame.image, board, source=frame.source, detector=detector)
     except BadImage as error:
         return NotSeen(error.cause.removeprefix(f"{frame.source}: "), error.unseen, error.size)
+    if pictures is not None:
+        pictures.keep(frame)
+    return view
+
+
+def see_two_boards(frame: Frame, board: Target, pictures: Keeper) -> tuple[BoardView, BoardView] | NotSeen:
+    """Return the board in both views of a complex image, or why it is not in both; pictures: keeps where it is."""
+    try:
+        both = find_two_boards(frame.image, board, source=frame.source)
+    except BadImage as error:
+        return NotSeen(error.cause.removeprefix(f"{frame.source}: "), error.unseen)
+    pictures.keep(frame)
+    return both
 
 
 def require_counts(seen: Sequence[Seen], board: Target, text: str) -> None:

@@ -8,6 +8,7 @@ from itertools import islice
 from pathlib import Path
 
 from armsight.app.calibrate.board_images import Seen, in_parallel, require_counts, see_board
+from armsight.app.calibrate.board_pictures import BoardPictures, camera_boards, rig_boards
 from armsight.app.calibrate.camera_noise import FoundNoise, NoiseJob, find_noise, input_files, require_size
 from armsight.app.calibrate.reports import RigData, write_camera_report, write_stereo_report
 from armsight.app.calibrate.zoom import ZoomValue, add_setting, zoom_file, zoom_output
@@ -91,6 +92,7 @@ def calibrate_camera(job: CalibrateJob, progress: Progress | None = None) -> Cam
     views: list[BoardView] = []
     rejected: list[Rejected] = []
     every: list[Seen] = []
+    pictures = BoardPictures()
     if job.zoom is not None:
         zoom_file(job.out)
     found = None if job.noise is None else _noise(job, job.noise, progress)
@@ -98,7 +100,7 @@ def calibrate_camera(job: CalibrateJob, progress: Progress | None = None) -> Cam
         frames = islice(source, 0, _stop(job), job.every)
         total = _total(source.total, job)
         for frame, seen in in_parallel(
-            lambda frame: (frame, see_board(frame, board, job.detector)), frames, workers=job.workers
+            lambda frame: (frame, see_board(frame, board, job.detector, pictures)), frames, workers=job.workers
         ):
             every.append(seen)
             _sort(frame, seen, views, rejected)
@@ -110,7 +112,8 @@ def calibrate_camera(job: CalibrateJob, progress: Progress | None = None) -> Cam
     progress.update(0, 0, "solving")
     done = solve_camera(views, board, options, progress)
     zoom = _write(job, done, found)
-    write_camera_report(_report_of(job), done, board=job.board, rejected=rejected)
+    boards = camera_boards(done, board, pictures)
+    write_camera_report(_report_of(job), done, board=job.board, rejected=rejected, boards=boards)
     return camera_output(done, rejected, noise=found.output if found else None, zoom=zoom)
 
 
@@ -148,9 +151,10 @@ def calibrate_stereo(job: CalibrateJob, progress: Progress | None = None) -> Ste
     rejected: list[Rejected] = []
     every: list[Seen] = []
     done = 0
+    pictures = BoardPictures()
 
     def see(pair: tuple[Frame, Frame]) -> tuple[tuple[Frame, Seen], ...]:
-        return tuple((frame, see_board(frame, board, job.detector)) for frame in pair)
+        return tuple((frame, see_board(frame, board, job.detector, pictures)) for frame in pair)
 
     with open_pairs(job.left, job.right, settings=job.camera_settings, reading=job.reading) as pairs:
         chosen = islice(pairs, 0, _stop(job), job.every)
@@ -170,7 +174,9 @@ def calibrate_stereo(job: CalibrateJob, progress: Progress | None = None) -> Ste
     progress.update(0, 0, "solving")
     result = solve_stereo(views[0], views[1], board, options, progress)
     write_rig(job.out, result.rig, inputs=[*input_files(job.left), *input_files(job.right)])
-    write_stereo_report(report_path(job.out), result, RigData(board=job.board, n_pairs=done, rejected=rejected))
+    boards = rig_boards(result, board, pictures)
+    data = RigData(board=job.board, n_pairs=done, rejected=rejected, boards=boards)
+    write_stereo_report(report_path(job.out), result, data)
     return stereo_output(result, rejected, n_pairs=done)
 
 

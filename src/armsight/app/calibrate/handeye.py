@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.calibrate.board_images import Seen, in_parallel, require_counts, see_board
+from armsight.app.calibrate.board_pictures import BoardPictures, hand_boards
 from armsight.app.calibrate.cameras import report_path
 from armsight.app.schemas.base import PointStd, PoseOutput, PoseStd, RejectedRow
 from armsight.app.schemas.handeye import (
@@ -41,6 +42,7 @@ from armsight.drivers import ImageReading, list_images, open_source
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.records import BoardView, NotSeen, PoseStatus, Progress, Silent, TargetPose
 from armsight.report.handeye_report import handeye_report
+from armsight.report.run import BoardViews
 from armsight.store import parse_board, read_camera, read_poses, write_text
 from armsight.store.handeye_file import (
     named_poses,
@@ -84,6 +86,7 @@ class _Solved:
     inputs: Sequence[Path]
     unseen: Sequence[tuple[str, str]] = ()
     offset: TimeOffset | None = None
+    boards: BoardViews | None = None
 
 
 def calibrate_handeye(job: HandEyeJob, progress: Progress | None = None) -> HandEyeOutput:
@@ -107,7 +110,7 @@ def calibrate_handeye(job: HandEyeJob, progress: Progress | None = None) -> Hand
     proposed = propose(solved.result, job.propose) if job.propose else None
     write_handeye(job.out, solved.result, verdict(solved.result), inputs=solved.inputs)
     files = [("file", item.name) for item in solved.inputs[:20]]
-    write_text(report_path(job.out), handeye_report(solved.result, inputs=files))
+    write_text(report_path(job.out), handeye_report(solved.result, inputs=files, boards=solved.boards))
     return handeye_output(solved.result, solved.unseen, offset=solved.offset, proposed=proposed)
 
 
@@ -133,6 +136,8 @@ def handeye_output(
         std_target=PoseStd(**result.std("target")),
         n_pairs=len(result.pairs) + len(unseen),
         n_used=result.n_used,
+        n_effective=None if result.correlation is None else result.correlation.n_effective,
+        correlation_time_s=None if result.correlation is None else result.correlation.time_s,
         rejected=rejected,
         residual_rms_m=result.residual_rms_m,
         residual_rms_rad=result.residual_rms_rad,
@@ -141,6 +146,7 @@ def handeye_output(
         noise=noise_output(result.noise),
         turning_rms_rad=result.rotation_excitation.rms_rad.tolist(),
         verdict=verdict(result),
+        concerns=list(result.concerns),
         advice=list(result.advice),
         target_scale=None if scale is None else TargetScale(factor=scale.factor, std=scale.std, p=scale.p),
         reprojection_rms_px=result.reprojection_rms_px,
@@ -225,6 +231,16 @@ def _robot_poses(job: HandEyeJob) -> dict[str, RigidTransform]:
     return read_robot_poses(job.robot, job.table, images=[path.name for path in list_images(job.images)])
 
 
+def _require_named(images: set[str], robot: Mapping[str, RigidTransform], file: Path) -> None:
+    """Raise Inconsistent where no image has a robot pose."""
+    if not images & set(robot):
+        raise Inconsistent(
+            f"none of the images is named in {file}, which begins with {next(iter(robot), 'nothing')!r}",
+            consequence="No image has a robot pose",
+            cure="Write the images' file names into the column file",
+        )
+
+
 def _from_images(job: HandEyeJob, progress: Progress) -> _Solved:
     if job.camera is None or job.robot is None or not job.board:
         raise UsageError("--images needs --camera camera.yaml, --board BOARD and --robot robot_poses.csv")
@@ -232,17 +248,15 @@ def _from_images(job: HandEyeJob, progress: Progress) -> _Solved:
     views: list[BoardView] = []
     poses: list[RigidTransform] = []
     met = {path.name for path in list_images(job.images)}
-    if not met & set(robot):
-        raise Inconsistent(
-            f"none of the images is named in {job.robot}, which begins with {next(iter(robot), 'nothing')!r}",
-            consequence="No image has a robot pose",
-            cure="Write the images' file names into the column file",
-        )
+    _require_named(met, robot, job.robot)
     unseen = [(name, f"no row of {job.robot.name} names this image") for name in sorted(met - set(robot))]
     reading = ImageReading(bits=job.bits, strict=job.strict, only=frozenset(robot))
     every: list[Seen] = []
+    pictures = BoardPictures()
     with open_source(job.images, reading=reading) as source:
-        for frame, seen in in_parallel(lambda frame: (frame, see_board(frame, board)), source, workers=job.workers):
+        for frame, seen in in_parallel(
+            lambda frame: (frame, see_board(frame, board, pictures=pictures)), source, workers=job.workers
+        ):
             name = Path(frame.source).name
             every.append(seen)
             if isinstance(seen, NotSeen):
@@ -263,7 +277,9 @@ def _from_images(job: HandEyeJob, progress: Progress) -> _Solved:
         )
     progress.update(0, 0, "solving")
     done = calibrate_from_views(views, poses, camera, board, job.setup, free_camera=job.free_camera)
-    return _Solved(result=done.result, inputs=[job.camera, job.robot, *list_images(job.images)], unseen=unseen)
+    inputs = [job.camera, job.robot, *list_images(job.images)]
+    boards = hand_boards(done.result, views, done.camera, board, pictures)
+    return _Solved(result=done.result, inputs=inputs, unseen=unseen, boards=boards)
 
 
 def _from_streams(job: HandEyeJob) -> _Solved:

@@ -10,40 +10,33 @@ from pathlib import Path
 
 import numpy as np
 
-from armsight.app.calibrate.board_images import in_parallel, see_board
+from armsight.app.calibrate.board_images import in_parallel, see_board, see_two_boards
+from armsight.app.calibrate.board_pictures import BoardPictures, rig_boards
 from armsight.app.calibrate.camera_noise import input_files
 from armsight.app.calibrate.cameras import report_path, stereo_output
 from armsight.app.calibrate.mirrors_lit_target import calibrate_lit, reasons
 from armsight.app.calibrate.reports import RigData, write_stereo_report
 from armsight.app.schemas.cameras import (
-    CheckedAlignment,
     FormOutput,
     MirrorAlignment,
-    MirrorCheckOutput,
     MirrorsOutput,
     PlateOutput,
-    PoseChange,
-    SuspectMirror,
 )
 from armsight.app.sources.frames import open_source
 from armsight.calibrate.cameras import BoardOptions
 from armsight.calibrate.mirrors.calibration import GLASS, MirrorCalibration, calibrate_mirrors
-from armsight.calibrate.mirrors.diagnosis import Alignment, check_alignment
 from armsight.drivers import AUTOMATIC, CameraSettings, is_live
-from armsight.errors import BadImage, Cancelled, Inconsistent, NotEnoughData, Unseen, UsageError
-from armsight.measure.boards import find_two_boards
-from armsight.optics import Plate
+from armsight.errors import Cancelled, Inconsistent, NotEnoughData, Unseen, UsageError
+from armsight.optics import Plate, Rig
 from armsight.optics.mirrors import FormError, Mirrors, form_errors
 from armsight.records import BoardView, Frame, NotSeen, Progress, Silent, Target
-from armsight.store import parse_board, read_camera, read_rig, read_target, write_rig
+from armsight.store import parse_board, read_camera, read_target, write_rig
 
 TITLE = "Calibration of a mirror rig"
 
 DEPTHS_M = (0.4, 0.5, 0.6, 0.7, 0.8)
 LEAST_BOARDS = 3
 """Images of the board below which nothing is calibrated."""
-KEPT = 8
-"""Frames that a live check looks back on: a turned screw should show."""
 
 CURES: Mapping[Unseen, str] = {
     Unseen.BEYOND_SIZE: "Check the counts of --board, or look for a third reflection of the board",
@@ -65,8 +58,9 @@ class MirrorsJob:
     """What shows the mirror rig, and how it was built.
 
     image: complex images. left_only, right_only: images with the other path covered, of the same moments. thickness_m:
-    of the plate, None to find it, 0 for none. baseline_m, near_m, gap_m: as designed. rig: with check, the rig as it
-    was. target, camera: calibrate from complex images of this lit target, the lens as camera.yaml says.
+    of the plate, None to find it, 0 for none. baseline_m, near_m, gap_m: as designed. rig: with a check, the rig as it
+    was; parallel: hold the mirrors against parallel axes all the same. target, camera: calibrate from complex images of
+    this lit target, the lens as camera.yaml says; camera also for a check without a rig.
     """
 
     out: Path | None = None
@@ -80,6 +74,7 @@ class MirrorsJob:
     near_m: float = 0.06
     gap_m: float = 0.04
     rig: Path | None = None
+    parallel: bool = False
     target: Path | None = None
     camera: Path | None = None
     every: int = 1
@@ -99,8 +94,9 @@ def run_mirrors(job: MirrorsJob, progress: Progress | None = None) -> MirrorsOut
         raise UsageError("there is no file to write", cure="Give -o rig.yaml")
     if job.target is not None:
         return _from_target(job, job.out, progress)
-    board = parse_board(_board(job))
-    views, missed = _all_pairs(job, board, progress)
+    board = parse_board(board_name(job))
+    pictures = BoardPictures()
+    views, missed = _all_pairs(job, board, progress, pictures)
     if len(views) < LEAST_BOARDS:
         raise _too_few(job, len(views), missed)
     rejected = [(source, seen.why) for source, seen in missed]
@@ -117,11 +113,15 @@ def run_mirrors(job: MirrorsJob, progress: Progress | None = None) -> MirrorsOut
     write_rig(job.out, done.rig, inputs=_inputs(job))
     forms = _forms(done)
     n_pairs = len(views) + len(rejected)
-    write_stereo_report(
-        report_path(job.out),
-        done.pair,
-        RigData(board=job.board, n_pairs=n_pairs, rejected=rejected, title=TITLE, results=_results(done, forms)),
+    data = RigData(
+        board=job.board,
+        n_pairs=n_pairs,
+        rejected=rejected,
+        title=TITLE,
+        results=_results(done, forms),
+        boards=rig_boards(done.pair, board, pictures),
     )
+    write_stereo_report(report_path(job.out), done.pair, data)
     return mirrors_output(done, rejected, n_pairs=n_pairs, forms=forms)
 
 
@@ -138,74 +138,6 @@ def _too_few(job: MirrorsJob, n: int, missed: Sequence[Missed]) -> NotEnoughData
         f"{counted} the board {job.board} in both views, {LEAST_BOARDS} are needed" + (f": {said}" if said else ""),
         consequence="Nothing was calibrated",
         cure=cure,
-    )
-
-
-def run_check(job: MirrorsJob, progress: Progress | None = None) -> MirrorCheckOutput:
-    """Tell how the mirrors stand against the rig as it was calibrated, frame by frame, and which is to be turned how.
-
-    Goes on until the frames end, job.limit is reached or it is cancelled; the answer is of the last frames. Raises
-    UsageError, DataRefused or DeviceFailed.
-    """
-    progress = progress or Silent()
-    if job.rig is None or job.image is None:
-        raise UsageError("nothing to check", cure="Give --rig rig.yaml, as it was calibrated, and --image")
-    if job.target is not None:
-        raise UsageError(
-            "mirrors are checked with a board, not with the lit target, whose lights turned mirrors pair wrongly",
-            cure="Leave --target out and give --board",
-        )
-    rig, board = read_rig(job.rig), parse_board(_board(job))
-    plate = rig.left.plate or Plate(thickness_m=job.thickness_m or 1e-3, index=job.index)
-    design = Mirrors(baseline_m=job.baseline_m or rig.baseline_m, plate=plate, near_m=job.near_m, gap_m=job.gap_m)
-    kept: list[Pair] = []
-    missed: list[str] = []
-    last: Alignment | None = None
-    back = KEPT if is_live(job.image) else None
-    for number, (source, seen) in enumerate(_complex(job, board), 1):
-        if isinstance(seen, NotSeen):
-            missed.append(f"{source}: {seen.why}")
-            progress.update(number, job.limit or 0, seen.why)
-        else:
-            kept.append(seen)
-            recent = kept[-back:] if back else kept
-            last = check_alignment(rig, [a for a, _ in recent], [b for _, b in recent], board, design=design)
-            progress.update(number, job.limit or 0, _line(last))
-        if progress.cancelled():
-            break
-    if last is None:
-        raise NotEnoughData(
-            f"the board was found in both views of none of the images; {missed[0] if missed else 'there are none'}",
-            consequence="The alignment is not known",
-            cure="Show the whole board in both views",
-        )
-    return check_output(last, missed)
-
-
-def _line(found: Alignment) -> str:
-    now = found.now
-    return (
-        f"convergence {1e3 * now.convergence_rad:+.2f} mrad, vertical {now.vertical_px:+.2f} px, "
-        f"roll {1e3 * now.roll_rad:+.2f} mrad; {found.advice()}"
-    )
-
-
-def check_output(found: Alignment, missed: Sequence[str]) -> MirrorCheckOutput:
-    """Return a check of the alignment as --json gives it."""
-    names = PoseChange.model_fields
-    return MirrorCheckOutput(
-        alignment=CheckedAlignment(**{name: getattr(found.now, name) for name in CheckedAlignment.model_fields}),
-        change=PoseChange(**dict(zip(names, found.change.tolist(), strict=True))),
-        change_std=PoseChange(**dict(zip(names, found.std.tolist(), strict=True))),
-        moved=found.moved,
-        certain=found.certain,
-        suspects=[
-            SuspectMirror(mirror=one.mirror, turn_rad=one.turn_rad, tilt_rad=one.tilt_rad, chi2=one.chi2)
-            for one in found.suspects
-        ],
-        advice=[found.advice()],
-        n_views=found.n_views,
-        missed=list(missed),
     )
 
 
@@ -238,20 +170,23 @@ def mirrors_output(
     )
 
 
-def _board(job: MirrorsJob) -> str:
+def board_name(job: MirrorsJob) -> str:
+    """Return the board. Raises UsageError where none is given."""
     if not job.board:
         raise UsageError("there is no board", cure="Give --board, for instance checkerboard:9x6:0.025")
     return job.board
 
 
-def _all_pairs(job: MirrorsJob, board: Target, progress: Progress) -> tuple[list[Pair], list[Missed]]:
+def _all_pairs(
+    job: MirrorsJob, board: Target, progress: Progress, pictures: BoardPictures
+) -> tuple[list[Pair], list[Missed]]:
     """Return the board in both views of every image, and the images in which it is not."""
     if job.image is None and (job.left_only is None or job.right_only is None):
         raise _no_images(job)
     views: list[Pair] = []
     missed: list[Missed] = []
-    sources = ([_complex(job, board)] if job.image is not None else []) + (
-        [_covered(job, board)] if job.left_only is not None or job.right_only is not None else []
+    sources = ([complex_views(job, board, pictures)] if job.image is not None else []) + (
+        [_covered(job, board, pictures)] if job.left_only is not None or job.right_only is not None else []
     )
     for source in sources:
         for name, seen in source:
@@ -276,21 +211,18 @@ def _no_images(job: MirrorsJob) -> UsageError:
     )
 
 
-def _complex(job: MirrorsJob, board: Target) -> Iterator[tuple[str, Pair | NotSeen]]:
+def complex_views(job: MirrorsJob, board: Target, pictures: BoardPictures) -> Iterator[tuple[str, Pair | NotSeen]]:
     """Yield each complex image's name with the board in both of its views, or why there are not two."""
 
     def see(frame: Frame) -> tuple[str, Pair | NotSeen]:
-        try:
-            return frame.source, find_two_boards(frame.image, board, source=frame.source)
-        except BadImage as error:
-            return frame.source, NotSeen(error.cause.removeprefix(f"{frame.source}: "), error.unseen)
+        return frame.source, see_two_boards(frame, board, pictures)
 
     stop = None if job.limit is None else job.limit * job.every
     with open_source(job.image or "", settings=job.camera_settings) as frames:
         yield from in_parallel(see, islice(frames, 0, stop, job.every), workers=job.workers)
 
 
-def _covered(job: MirrorsJob, board: Target) -> Iterator[tuple[str, Pair | NotSeen]]:
+def _covered(job: MirrorsJob, board: Target, pictures: BoardPictures) -> Iterator[tuple[str, Pair | NotSeen]]:
     """Yield the pairs of images taken with one path covered after the other."""
     if job.left_only is None or job.right_only is None:
         raise _no_images(job)
@@ -303,7 +235,7 @@ def _covered(job: MirrorsJob, board: Target) -> Iterator[tuple[str, Pair | NotSe
                 cure="Cover one path after the other at every place of the board",
             )
         for left, right in zip(lefts, rights, strict=True):
-            seen = [see_board(frame, board) for frame in (left, right)]
+            seen = [see_board(frame, board, pictures=pictures) for frame in (left, right)]
             lost = [
                 (frame.source, one) for frame, one in zip((left, right), seen, strict=True) if isinstance(one, NotSeen)
             ]
@@ -323,13 +255,9 @@ def _from_target(job: MirrorsJob, out: Path, progress: Progress) -> MirrorsOutpu
         raise UsageError("--target and --board are both given", cure="Give the one that the images show")
     if job.left_only is not None or job.right_only is not None:
         raise UsageError("--target goes with complex images only", cure="Give --image, or covered views with --board")
-    if job.camera is None or job.baseline_m is None or job.image is None or job.target is None:
+    design, target = lit_design(job)
+    if job.image is None or job.camera is None or job.target is None or job.baseline_m is None:
         raise _incomplete(job)
-    camera, target = read_camera(job.camera), read_target(job.target)
-    plate = Plate(thickness_m=job.thickness_m or 1e-3, index=job.index)
-    design = Mirrors(baseline_m=job.baseline_m, near_m=job.near_m, gap_m=job.gap_m, plate=plate).rig(camera)
-    if job.thickness_m == 0.0:
-        design = replace(design, left=replace(design.left, plate=None))
     images = partial(open_source, job.image, settings=job.camera_settings)
     done, rejected = calibrate_lit(design, target, images, every=job.every, limit=job.limit, progress=progress)
     write_rig(out, done.rig, inputs=[job.camera, job.target, *_inputs(job)])
@@ -342,10 +270,23 @@ def _from_target(job: MirrorsJob, out: Path, progress: Progress) -> MirrorsOutpu
         rejected=rejected,
         title=TITLE,
         results=_results(done, forms),
-        facts=[("camera's file", str(job.camera)), ("baseline as designed", f"{1e3 * job.baseline_m:g} mm")],
+        boards=rig_boards(done.pair, target, BoardPictures()),
+        facts=[("camera's file", job.camera.name), ("baseline as designed", f"{1e3 * job.baseline_m:g} mm")],
     )
     write_stereo_report(report_path(out), done.pair, data)
     return mirrors_output(done, rejected, n_pairs=n_images, forms=forms)
+
+
+def lit_design(job: MirrorsJob) -> tuple[Rig, Target]:
+    """Return the rig as it was designed, its lens known, and the lit target. Raises UsageError, BadFile."""
+    if job.camera is None or job.baseline_m is None or job.target is None:
+        raise _incomplete(job)
+    camera, target = read_camera(job.camera), read_target(job.target)
+    plate = Plate(thickness_m=job.thickness_m or 1e-3, index=job.index)
+    design = Mirrors(baseline_m=job.baseline_m, near_m=job.near_m, gap_m=job.gap_m, plate=plate).rig(camera)
+    if job.thickness_m == 0.0:
+        design = replace(design, left=replace(design.left, plate=None))
+    return design, target
 
 
 def _incomplete(job: MirrorsJob) -> UsageError:

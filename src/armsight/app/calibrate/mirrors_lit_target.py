@@ -74,10 +74,10 @@ def calibrate_lit(
     """
     _require_target(target)
     moments = _moments(design, target, open_images, every, limit, progress)
-    first = _sorted(design, target, moments, SLACKS_PX)
+    first = sorted_views(design, target, moments)
     _require_views(first, len(moments))
     done = mirrors_from_target(design, first.views, first.poses, target)
-    second = _sorted(done.rig, target, moments, (SLACK_PX, *SLACKS_PX))
+    second = sorted_views(done.rig, target, moments, (SLACK_PX, *SLACKS_PX))
     _require_views(second, len(moments))
     rejected = [(source, seen.why) for source, seen in second.rejected]
     return mirrors_from_target(done.rig, second.views, second.poses, target), rejected
@@ -135,7 +135,18 @@ def _require_size(frame: Frame, camera: Camera) -> None:
     )
 
 
-def _sorted(rig: Rig, target: Target, moments: Sequence[Moment], slacks_px: Sequence[float]) -> Sorted:
+def see_lights(rig: Rig, target: Target, frame: Frame) -> Sorted:
+    """Return the lights of one complex image by their names; rig: as designed.
+
+    Raises UsageError for a target that cannot serve, Inconsistent for another size of image.
+    """
+    _require_target(target)
+    _require_size(frame, rig.left)
+    spots = find_spots(frame.image, Setup(rig, target, overlaid=True).settings)
+    return sorted_views(rig, target, [Moment(source=frame.source, t_s=frame.t_s, spots=spots)])
+
+
+def sorted_views(rig: Rig, target: Target, moments: Sequence[Moment], slacks_px: Sequence[float] = SLACKS_PX) -> Sorted:
     """Return the lights as sorted with the least slack that names most of them, else with the one that names most."""
     enough = sum(len(moment.spots) >= 2 * len(target.names) for moment in moments)
     needed = max(LEAST_LIT, MOST * enough)

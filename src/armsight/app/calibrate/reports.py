@@ -14,13 +14,19 @@ from armsight.optics import INTRINSICS, SIDES, Camera
 from armsight.records import NamedCovariance
 from armsight.report import CalibrationRun, CameraFit, Parameter, calibration_report
 from armsight.report.html import with_deviation
+from armsight.report.run import BoardViews
 from armsight.store import write_text
 
 Array = NDArray[np.float64]
 
 
 def write_camera_report(
-    path: Path, done: CameraCalibration, *, board: str, rejected: Sequence[tuple[str, str]]
+    path: Path,
+    done: CameraCalibration,
+    *,
+    board: str,
+    rejected: Sequence[tuple[str, str]],
+    boards: BoardViews | None = None,
 ) -> None:
     """Write the report of one camera's calibration."""
     everything = (*rejected, *done.rejected)
@@ -35,6 +41,7 @@ def write_camera_report(
         holdout_rms_px=done.holdout_rms_px,
         rejected=everything,
         advice=done.advice,
+        boards=boards,
     )
     write_text(path, calibration_report(run))
 
@@ -44,7 +51,8 @@ class RigData:
     """What went into a rig's calibration, and what its report says beside the figures.
 
     n_pairs: all that were given; rejected: name of each that was left out before the fit, and why. thing: what the
-    images show, if not a board. results: lines beside the alignment. facts: for the end of the page.
+    images show, if not a board. results: lines beside the alignment. facts: for the end of the page. boards: where they
+    were, with pictures.
     """
 
     board: str
@@ -54,6 +62,7 @@ class RigData:
     thing: str = "board"
     results: Sequence[tuple[str, str]] = ()
     facts: Sequence[tuple[str, str]] = ()
+    boards: BoardViews | None = None
 
 
 def write_stereo_report(path: Path, done: StereoCalibration, data: RigData) -> None:
@@ -90,6 +99,7 @@ def write_stereo_report(path: Path, done: StereoCalibration, data: RigData) -> N
         alignment=[*alignment_lines(done), *data.results],
         facts=data.facts,
         advice=done.advice,
+        boards=data.boards,
     )
     write_text(path, calibration_report(run))
 

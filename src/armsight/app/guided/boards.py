@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from armsight.app.calibrate.board_images import see_board
 from armsight.app.calibrate.cameras import CalibrateJob, calibrate_camera, calibrate_stereo, report_path
-from armsight.app.guided.step import Hint, Next, Sample, Verdict
+from armsight.app.guided.step import Figure, Hint, Next, Sample, Verdict
 from armsight.app.live.station import Station
 from armsight.calibrate.cameras import BoardOptions
 from armsight.calibrate.cameras import calibrate_camera as solve_camera
@@ -34,6 +35,9 @@ TILTED = 0.12
 """A board whose scale differs by this share over the picture is tilted by some 15 to 30 degrees, which a focal length
 needs."""
 TILTED_SHARE = 0.5
+SAME = 0.01
+"""A board of which all points are within this share of a picture's width from where they were adds nothing: it would
+only feign certainty."""
 GOOD_RMS_PX = 0.6
 """Residual on images left out of the fit, beyond which boards, lenses or light are not as they should be."""
 
@@ -52,6 +56,7 @@ class BoardCalibration:
     _views: list[tuple[BoardView, ...]] = field(default_factory=list)
     _names: list[str] = field(default_factory=list)
     _taken: int = 0
+    _solved: tuple[tuple[str, ...], tuple[float, Mapping[str, float]] | str] | None = None
 
     @property
     def name(self) -> str:
@@ -88,52 +93,60 @@ class BoardCalibration:
 
     def spread(self) -> tuple[tuple[str, str], ...]:
         """Return the standard deviations of what the boards so far give."""
-        if len(self._views) < FEWEST:
+        solved = self._solve()
+        if solved is None:
             return ()
-        board, options = parse_board(self.board), BoardOptions(folds=0)
-        columns = [[views[i] for views in self._views] for i in range(len(self.sides))]
-        try:
-            if len(self.sides) > 1:
-                rig = solve_stereo(columns[0], columns[1], board, options)
-                std = rig.std
-                shown = {
-                    "left.fx": ("left focal length", 1.0, "px"),
-                    "right.fx": ("right focal length", 1.0, "px"),
-                    "baseline_m": ("baseline", 1e3, "mm"),
-                }
-            else:
-                std = solve_camera(columns[0], board, options).covariance.std()
-                shown = {"fx": ("focal length", 1.0, "px"), "cx": ("principal point", 1.0, "px"), "k1": ("k1", 1.0, "")}
-        except DataRefused as error:
-            return (("", str(error.cause)),)
+        if isinstance(solved, str):
+            return (("", solved),)
+        _, std = solved
         return tuple(
             (words, f"{scale * std[name]:.3g} {unit}".rstrip())
-            for name, (words, scale, unit) in shown.items()
+            for name, (words, scale, unit) in self._shown().items()
             if name in std
         )
 
     def accept(self, station: Station) -> Sample:
-        """Take the pictures of now. Raises BadImage where the board is not seen whole in each that counts."""
+        """Take the pictures of now. Raises BadImage where the board is not seen whole in each that counts, or is where
+        it was before."""
+        if not self._views:
+            self._clear()
         name = f"{self._taken:03d}"
         files = {side: self.folder / side / f"{name}.png" for side in SIDES}
         station.save_pair(files["left"], files["right"])
-        board, views = parse_board(self.board), []
-        for side in self.sides:
-            frame = Frame(image=read_image(files[side]), t_s=0.0, sequence=self._taken, source=f"{side}/{name}.png")
-            seen = see_board(frame, board)
-            if isinstance(seen, NotSeen):
-                for file in files.values():
-                    file.unlink(missing_ok=True)
-                raise BadImage(
-                    f"{side} camera: {seen.why}",
-                    consequence="The picture was not taken",
-                    cure="Hold the board still, whole in the picture, evenly lit",
-                )
-            views.append(seen)
+        try:
+            views = tuple(self._seen(side, files[side]) for side in self.sides)
+            self._require_moved(views[0])
+        except BadImage:
+            for file in files.values():
+                file.unlink(missing_ok=True)
+            raise
         self._taken += 1
-        self._views.append(tuple(views))
+        self._views.append(views)
         self._names.append(name)
         return self.samples[-1]
+
+    def _seen(self, side: str, file: Path) -> BoardView:
+        frame = Frame(image=read_image(file), t_s=0.0, sequence=self._taken, source=f"{side}/{file.name}")
+        seen = see_board(frame, parse_board(self.board))
+        if isinstance(seen, NotSeen):
+            raise BadImage(
+                f"{side} camera: {seen.why}",
+                consequence="The picture was not taken",
+                cure="Hold the board still, whole in the picture, evenly lit",
+            )
+        return seen
+
+    def _require_moved(self, view: BoardView) -> None:
+        """Raise BadImage where an accepted view of the first side shows the board at the same place."""
+        for name, before in zip(self._names, self._views, strict=True):
+            _, now, then = np.intersect1d(view.index, before[0].index, return_indices=True)
+            way_px = np.linalg.norm(view.uv_px[now] - before[0].uv_px[then], axis=1)
+            if len(way_px) and way_px.max() < SAME * view.width:
+                raise BadImage(
+                    f"the board is where it was in picture {name}",
+                    consequence="The picture was not taken",
+                    cure="Move it, or tilt it another way",
+                )
 
     def drop(self, index: int) -> None:
         """Forget a board and its pictures."""
@@ -169,6 +182,55 @@ class BoardCalibration:
             "The boards agree with each other." if good else "The boards do not agree."
         )
         return Verdict(good=good, words=words, rows=tuple(rows), file=self.out, report=report_path(self.out))
+
+    def _clear(self) -> None:
+        """Take away what an earlier calibration left, so that only what was accepted counts."""
+        for side in SIDES:
+            for file in (self.folder / side).glob("*.png"):
+                file.unlink()
+
+    def figures(self) -> tuple[Figure, ...]:
+        """Return residual, standard deviations and coverage, for a plot against the number of boards."""
+        solved = self._solve()
+        if solved is None or isinstance(solved, str):
+            return ()
+        rms_px, std = solved
+        out = [Figure(name="residual, RMS", value=rms_px, unit="px")]
+        out += [
+            Figure(name=f"± {words}", value=scale * std[name], unit=unit)
+            for name, (words, scale, unit) in self._shown().items()
+            if name in std
+        ]
+        cells = np.array([self._cells(i) for i in range(len(self.sides))])
+        return (*out, Figure(name="picture covered", value=100.0 * float((cells > 0).mean()), unit="%"))
+
+    def _shown(self) -> dict[str, tuple[str, float, str]]:
+        if len(self.sides) > 1:
+            return {
+                "left.fx": ("left focal length", 1.0, "px"),
+                "right.fx": ("right focal length", 1.0, "px"),
+                "baseline_m": ("baseline", 1e3, "mm"),
+            }
+        return {"fx": ("focal length", 1.0, "px"), "cx": ("principal point", 1.0, "px"), "k1": ("k1", 1.0, "")}
+
+    def _solve(self) -> tuple[float, Mapping[str, float]] | str | None:
+        """Return the residual in px and the standard deviations of what the boards so far give; why not, or None."""
+        if len(self._views) < FEWEST:
+            return None
+        names = tuple(self._names)
+        if self._solved is None or self._solved[0] != names:
+            board, options = parse_board(self.board), BoardOptions(folds=0)
+            columns = [[views[i] for views in self._views] for i in range(len(self.sides))]
+            try:
+                if len(self.sides) > 1:
+                    rig = solve_stereo(columns[0], columns[1], board, options)
+                    self._solved = names, (rig.rms_px, rig.std)
+                else:
+                    camera = solve_camera(columns[0], board, options)
+                    self._solved = names, (camera.rms_px, camera.covariance.std())
+            except DataRefused as error:
+                self._solved = names, str(error.cause)
+        return self._solved[1]
 
     def _cells(self, i: int) -> NDArray[np.int64]:
         count = np.zeros((CELLS, CELLS), dtype=np.int64)

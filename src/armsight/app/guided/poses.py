@@ -16,9 +16,12 @@ from armsight.app.calibrate.handeye import HandEyeJob, calibrate_handeye, calibr
 from armsight.app.guided.step import Hint, Next, Sample, Verdict
 from armsight.app.kinematics import load_arm
 from armsight.app.live.station import Station
+from armsight.app.operator.placing import flange_pose
 from armsight.app.schemas.live import LiveView
 from armsight.calibrate.handeye import PosePairs, Setup
+from armsight.clock import Clock, SystemClock
 from armsight.errors import NotEnoughData
+from armsight.kinematics import Arm
 from armsight.records import PoseStatus, Progress, TargetPose
 from armsight.store import write_poses
 from armsight.store.atomic import write_text
@@ -32,15 +35,18 @@ ReadJoints = Callable[[], Array]
 
 TURNED = 20.0 * DEG
 """A rotation's RMS about an axis from which a lever is told well: sin 20 degrees is a third of the lever's length."""
+STILL = 2e-4
+"""Joints (rad or m) that moved less while a pose was taken stood still: at 1 m it is 0.2 mm."""
+AXES = ("x", "y", "z")
 
 
-def seen_pose(station: Station) -> TargetPose:
-    """Return the pose of now. Raises NotEnoughData, saying why there is none."""
-    shown = station.shown
-    view = None if shown is None else shown.view
-    if view is None or view.status != PoseStatus.OK.value:
+def seen_pose(station: Station, since_s: float) -> TargetPose:
+    """Return the pose in the first picture exposed at since_s or later. Raises NotEnoughData, saying why there is none,
+    DeviceFailed."""
+    view = station.shown_since(since_s).view
+    if view.status != PoseStatus.OK.value:
         raise NotEnoughData(
-            "the target is not seen whole" + (f": {view.why}" if view is not None and view.why else ""),
+            "the target is not seen whole" + (f": {view.why}" if view.why else ""),
             consequence="No pose was taken",
             cure="Bring all lights of the target into both pictures",
         )
@@ -68,8 +74,14 @@ class PoseSamples:
     enough: int
     fewest: int
     read_joints: ReadJoints | None = None
+    clock: Clock = field(default_factory=SystemClock)
     _poses: list[TargetPose] = field(default_factory=list)
     _joints: list[Array] = field(default_factory=list)
+    _loaded: Arm | None = None
+
+    def moved_by(self) -> Arm | None:
+        """Return the model of the arm that moves target or cameras; None where a person does. Raises BadFile."""
+        return None
 
     @property
     def samples(self) -> tuple[Sample, ...]:
@@ -85,34 +97,62 @@ class PoseSamples:
         """Nothing: poses cover turns, not pictures."""
         return {}
 
-    def turned_rad(self) -> Array:
-        """Return the RMS of the turns about their principal axes (3,), falling."""
+    def turns(self) -> tuple[Array, Array]:
+        """Return the RMS of the turns about their principal axes (3,), falling, and these axes in columns (3, 3).
+
+        The axes are those of the hand where a robot moves it, else of the target.
+        """
         if len(self._poses) < 2:
-            return np.zeros(3)
-        turns = Rotation.from_matrix(np.array([np.asarray(p.T_parent_target)[:3, :3] for p in self._poses]))
-        vectors = (turns.mean().inv() * turns).as_rotvec()
-        moments = np.linalg.eigvalsh(vectors.T @ vectors / len(vectors))[::-1]
-        return np.asarray(np.sqrt(np.maximum(moments, 0.0)))
+            return np.zeros(3), np.eye(3)
+        vectors = self._turn_vectors()
+        moments, axes = np.linalg.eigh(vectors.T @ vectors / len(vectors))
+        return np.sqrt(np.maximum(moments[::-1], 0.0)), axes[:, ::-1]
 
     def hint(self) -> Hint:
-        """Return what is missing most: the robot, turns about a second axis, poses."""
-        move = Next.TURN_TARGET if self.read_joints is None else Next.MOVE_ROBOT
-        if len(self._poses) < self.fewest or self.turned_rad()[1] < TURNED:
-            return Hint(what=move)
-        return Hint(what=Next.RUN if len(self._poses) >= self.enough else move)
+        """Return what is missing most: turns about a second axis, the robot elsewhere, poses."""
+        rms, axes = self.turns()
+        if self.read_joints is None:
+            wanting = len(self._poses) < max(self.fewest, self.enough) or rms[1] < TURNED
+            return Hint(what=Next.TURN_TARGET if wanting else Next.RUN)
+        for i in (0, 1):
+            if rms[i] < TURNED:
+                # of what there is, the axis of the hand that is furthest from those turned about enough
+                axis = int(np.argmin(np.abs(axes[:, :i]).max(axis=1))) if i else 0
+                return Hint(what=Next.TURN_HAND, axis=AXES[axis], share=float(rms[i] / TURNED))
+        return Hint(what=Next.RUN if len(self._poses) >= self.enough else Next.MOVE_ROBOT)
 
     def spread(self) -> tuple[tuple[str, str], ...]:
-        """Return how far the target has been turned, from which the result's certainty comes."""
-        turned = self.turned_rad() / DEG
-        return tuple((f"turns about axis {i + 1}, RMS", f"{v:.0f} deg") for i, v in enumerate(turned))
+        """Return how far the hand or the target has been turned, from which the result's certainty comes."""
+        if len(self._poses) < 2:
+            return ()
+        about = np.sqrt((self._turn_vectors() ** 2).mean(axis=0)) / DEG
+        rows = tuple((f"turned about its own {axis}", f"{v:.0f} deg") for axis, v in zip(AXES, about, strict=True))
+        return (*rows, ("needed", f"{TURNED / DEG:.0f} deg about two of them"))
 
     def accept(self, station: Station) -> Sample:
-        """Take the pose of now, and the joints with it."""
-        pose = seen_pose(station)
-        if self.read_joints is not None:
-            self._joints.append(self.read_joints())
+        """Take the pose in a picture exposed from now on, and the joints. Raises NotEnoughData, DeviceFailed."""
+        began = None if self.read_joints is None else self.read_joints()
+        pose = seen_pose(station, self.clock.now_s())
+        if self.read_joints is not None and began is not None:
+            q = self.read_joints()
+            if np.abs(q - began).max() > STILL:
+                raise NotEnoughData(
+                    "the robot moved while the picture was taken",
+                    consequence="No pose was taken",
+                    cure="Let it come to rest, then accept",
+                )
+            self._joints.append(q)
         self._poses.append(pose)
         return self.samples[-1]
+
+    def _turn_vectors(self) -> Array:
+        """Return the turns against their mean (n, 3), rotation vectors in the axes of the hand, else of the target."""
+        arm = self.moved_by()
+        if arm is None:
+            turns = Rotation.from_matrix(np.array([np.asarray(p.T_parent_target)[:3, :3] for p in self._poses]))
+        else:
+            turns = Rotation.from_matrix(arm.fk(arm.values(np.array(self._joints)))[:, :3, :3])
+        return np.asarray((turns.mean().inv() * turns).as_rotvec())
 
     def drop(self, index: int) -> None:
         """Forget a pose."""
@@ -168,13 +208,17 @@ class HandEyeStep(PoseSamples):
     enough: int = 12
     fewest: int = 5
 
+    def moved_by(self) -> Arm:
+        """Return the arm's model, read once. Raises BadFile."""
+        self._loaded = self._loaded or load_arm(str(self.arm))
+        return self._loaded
+
     def run(self, progress: Progress) -> Verdict:
         """Write pairs.csv, handeye.yaml and its report."""
         self.require()
         progress.update(0, 0, "solving")
-        arm = load_arm(str(self.arm))
-        flange = [RigidTransform.from_matrix(m) for m in np.atleast_3d(arm.fk(np.array(self._joints)))]
-        T_base_flange = [T * arm.T_flange_tool.inv() for T in flange]
+        arm = self.moved_by()
+        T_base_flange = [arm.T_world_base.inv() * flange_pose(arm, q) for q in self._joints]
         seen = [RigidTransform.from_matrix(np.asarray(pose.T_parent_target)) for pose in self._poses]
         pairs = self.folder / "pairs.csv"
         pairs.parent.mkdir(parents=True, exist_ok=True)
@@ -188,7 +232,8 @@ class HandEyeStep(PoseSamples):
                 f"{1e3 * done.loo_rms_m:.2f} mm, {done.loo_rms_rad / DEG:.3f} deg RMS",
             ),
         )
-        return Verdict(good=not done.advice, words=done.verdict, rows=rows, file=self.out, report=report_path(self.out))
+        words = " ".join((done.verdict, *done.concerns))
+        return Verdict(good=not done.concerns, words=words, rows=rows, file=self.out, report=report_path(self.out))
 
 
 @dataclass(slots=True, kw_only=True)
@@ -199,6 +244,11 @@ class ArmStep(PoseSamples):
     name: str = "arm"
     enough: int = 40
     fewest: int = 15
+
+    def moved_by(self) -> Arm:
+        """Return the arm's model, read once. Raises BadFile."""
+        self._loaded = self._loaded or load_arm(self.model)
+        return self._loaded
 
     def run(self, progress: Progress) -> Verdict:
         """Write points.csv, arm.yaml and its report."""

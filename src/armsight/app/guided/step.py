@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from armsight.app.live.station import Station
 from armsight.records import Progress
@@ -15,11 +15,18 @@ class Next(StrEnum):
     """What the person should do next; screens have the words."""
 
     SHOW_BOARD = "show_board"
+    BOARD_TWICE = "board_twice"
+    SHOW_LIGHTS = "show_lights"
+    TURN_LIGHTS = "turn_lights"
+    NEEDS_LENS = "needs_lens"
+    NEEDS_BASELINE = "needs_baseline"
+    NEEDS_TARGET = "needs_target"
     TO_CELL = "to_cell"
     TILT = "tilt"
     NEARER = "nearer"
     TURN_TARGET = "turn_target"
     MOVE_ROBOT = "move_robot"
+    TURN_HAND = "turn_hand"
     RECORD = "record"
     MORE = "more"
     RUN = "run"
@@ -28,12 +35,17 @@ class Next(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Hint:
-    """What to do next, where in the picture (side, column and row of a 3x3 grid), and why nothing can be done."""
+    """What to do next, where in the picture (side, column and row of a 3x3 grid), and why nothing can be done.
+
+    axis: of the hand, x, y or z, about which it should be turned; share: how much of that there is, 0 to 1.
+    """
 
     what: Next
     side: str = ""
     cell: tuple[int, int] | None = None
     why: str = ""
+    axis: str = ""
+    share: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,6 +69,24 @@ class Verdict:
     rows: tuple[tuple[str, str], ...]
     file: Path
     report: Path | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Figure:
+    """A number that should fall, or settle, as samples are added; name and unit as a person reads them."""
+
+    name: str
+    value: float
+    unit: str
+
+
+@runtime_checkable
+class Charted(Protocol):
+    """A step that tells numbers for a plot against the number of samples."""
+
+    def figures(self) -> tuple[Figure, ...]:
+        """Return the numbers of now; empty where there are none yet."""
+        ...
 
 
 class Guided(Protocol):

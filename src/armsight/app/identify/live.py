@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.identify.beacon_observer import StereoBeaconObserver
+from armsight.app.identify.left_out import FirstJoints, consequence, first_joints, swept_joints
 from armsight.app.identify.sweep_files import IdentifyJob, identified, joint_std
 from armsight.app.measure.run import target_of
 from armsight.app.schemas.arm import IdentifyOutput, PlannedSweepOutput, PlanOutput, ProposedPlanOutput
@@ -50,7 +51,8 @@ class LiveJob:
     """robot: DRIVER[:DEVICE], or sim:SCENARIO with the cameras camera:sim:SCENARIO:left and :right; left, right: live.
 
     limits: limits.yaml (limits: [[lo, hi], ...]) or 'lo:hi,lo:hi', in rad or m. model: an arm.yaml whose tool is the
-    beacon, roughly right, that takes the place of the probe; it needs world. propose: give the plan only.
+    beacon, roughly right, that takes the place of the probe; it needs world. propose: give the plan only. around_px: as
+    propose_sweeps takes it. left_out: the last joints (from 1) that are not swept but held; limits are of all joints.
     """
 
     robot: str
@@ -68,6 +70,8 @@ class LiveJob:
     method: str = "ml"
     nominal: str | None = None
     propose: bool = False
+    around_px: float = 0.0
+    left_out: tuple[int, ...] = ()
     camera_settings: CameraSettings = AUTOMATIC
 
 
@@ -95,7 +99,7 @@ def run_identify_live(
     """
     clock, progress = clock or SystemClock(), progress or Silent()
     rig, target = read_rig(job.rig), target_of(job.target)
-    read_limits(job.limits)  # refused before anything is opened
+    swept_joints(len(read_limits(job.limits)), job.left_out)  # refused before anything is opened
     _check(job, target)
     robot, pairs = devices or open_devices(job, target, clock)
     setup = Setup(rig=rig, target=target, settings=SpotSettings(colour=target.colour))
@@ -113,24 +117,40 @@ def identify_observed(
 ) -> IdentifyOutput | ProposedPlanOutput:
     """Do as run_identify_live, with a robot that is open and whoever sees the beacon."""
     rig, limits = read_rig(job.rig), read_limits(job.limits)
+    m = swept_joints(len(limits), job.left_out)
+    held = np.empty(0)
+    if m < len(limits):
+        _check_joints(robot, limits)
+        robot, limits = (first := FirstJoints(robot=robot, m=m)), limits[:m]
+        held = first.held
     base = None if job.world is None else read_world(job.world).T_parent_rig.inv().as_matrix()
     low_high, start = checked_limits(limits, robot.read().q)
     sweeper = Sweeper(robot, observer, low_high, clock, progress, job.pace)
     if job.model is not None:
-        arm, notes = _modelled(job), list[str]()
+        arm, notes = _modelled(job, held), list[str]()
     else:
         with _stopped_on_error(robot, sweeper, job.out.with_suffix(".probe.csv")):
             arm, notes = _probed(job, person, robot, sweeper, rig)
     if not (job.model is not None and job.propose):
         start = sweeper.standing
-    plan = propose_sweeps(arm, rig, low_high, start, readings=job.readings, base=base)
+    plan = propose_sweeps(arm, rig, low_high, start, readings=job.readings, base=base, around_px=job.around_px)
+    notes = [*([consequence(m + len(held), job.left_out)] if len(held) else []), *notes]
     told = plan_output(plan, notes)
     person.show(told)
     if job.propose:
         return ProposedPlanOutput(plan=told, notes=told.notes)
     _ask(person, _sweeps_question(robot, plan, [axis.revolute for axis in arm.axes], job.pace))
     sweeps = _swept(job, plan, robot, sweeper)
-    return identified(_from_sweeps(job), sweeps, rig, plan=told)
+    return identified(_from_sweeps(job, held), sweeps, rig, plan=told)
+
+
+def _check_joints(robot: Robot, limits: Array) -> None:
+    if len(limits) != robot.n_joints:
+        raise UsageError(
+            f"the limits are of {len(limits)} joints, {robot.name} has {robot.n_joints}",
+            consequence="Nothing is moved",
+            cure="Write lo:hi for every joint, also for those that are left out",
+        )
 
 
 def _sweeps_question(robot: Robot, plan: Plan, revolute: Sequence[bool], pace: Pace) -> str:
@@ -158,7 +178,7 @@ def _probe_question(robot: Robot, limits: Array) -> str:
     )
 
 
-def _from_sweeps(job: LiveJob) -> IdentifyJob:
+def _from_sweeps(job: LiveJob, held: Array) -> IdentifyJob:
     """Return what is left to do once the sweeps are read: the same as from their file."""
     return IdentifyJob(
         out=job.out,
@@ -169,6 +189,7 @@ def _from_sweeps(job: LiveJob) -> IdentifyJob:
         method=job.method,
         sigma=job.sigma,
         nominal=job.nominal,
+        held=tuple(held.tolist()),
     )
 
 
@@ -287,11 +308,12 @@ def _stopped_on_error(robot: Robot, sweeper: Sweeper, file: Path) -> Iterator[No
         raise
 
 
-def _modelled(job: LiveJob) -> RoughArm:
-    """Return the arm of the model's file as the rig sees it."""
+def _modelled(job: LiveJob, held: Array) -> RoughArm:
+    """Return the arm of the model's file as the rig sees it; its last joints held at these readings."""
     if job.model is None or job.world is None:
         raise UsageError("a model needs the rig's place", cure="Give --model and --world")
     arm, world = read_arm(job.model), read_world(job.world)
+    arm = first_joints(arm, arm.n - len(held), held) if len(held) else arm
     T = world.T_parent_rig.inv().as_matrix()
     if world.parent == "base":
         T = T @ arm.T_world_base.inv().as_matrix()

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.calibrate.cameras import report_path
+from armsight.app.identify.left_out import consequence, first_joints, named
 from armsight.app.kinematics import load_arm
 from armsight.app.measure.run import target_of
-from armsight.app.schemas.arm import IdentifiedJoint, IdentifyOutput, JointAxis, JointStd, PlanOutput
+from armsight.app.schemas.arm import IdentifiedJoint, IdentifyOutput, JointAxis, JointStd, LeftOutJoint, PlanOutput
 from armsight.app.schemas.base import RejectedRow
 from armsight.app.sources.frames import open_pairs
 from armsight.calibrate.identify import Identification, Sweeps, identify
@@ -41,7 +42,8 @@ class IdentifyJob:
 
     sigma: noise of a pixel coordinate in px with a rig, else of a place in m, where known.
     world: where the rig stands to the base; the first frame is then the base's foot on the first axis. nominal: an arm
-    (file or preset) to put beside the identified one.
+    (file or preset) to put beside the identified one. held: where the joints stood, in rad or m, that the robot has
+    behind the swept ones.
     """
 
     out: Path
@@ -56,6 +58,7 @@ class IdentifyJob:
     increments: str = "known"
     sigma: float | None = None
     nominal: str | None = None
+    held: tuple[float, ...] = ()
     table: TableFormat = OURS
 
 
@@ -88,6 +91,10 @@ def identified(
     plan: of the sweeps, for the figures.
     """
     nominal = None if job.nominal is None else load_arm(job.nominal)
+    m, n = sweeps.n, sweeps.n + len(job.held)
+    left_out = range(m + 1, n + 1)
+    if nominal is not None and left_out and nominal.n == n:
+        nominal = first_joints(nominal, m, np.array(job.held))
     if nominal is not None and len(nominal.joints) != sweeps.n:
         raise Inconsistent(
             f"the nominal arm has {len(nominal.joints)} joints, the sweep {sweeps.n}",
@@ -102,8 +109,10 @@ def identified(
         method=job.method,
         increments=job.increments,
         base=base,
-        name=job.out.stem,
+        name=f"{job.out.stem}, {named(range(1, m + 1))} of {n}" if left_out else job.out.stem,
     )
+    _check_paper(result)
+    notes = [*([consequence(n, left_out)] if left_out else []), *notes]
     inputs = [path for path in (job.sweep, job.joints, job.rig, job.target, job.world) if path is not None]
     arm = result.arm
     if job.world is not None:  # found in the rig's axes
@@ -111,7 +120,22 @@ def identified(
     write_arm(job.out, arm, inputs=inputs)
     files = [("file", path.name) for path in inputs]
     write_text(report_path(job.out), identify_report(result, sweeps, rig, nominal=nominal, inputs=files))
-    return identify_output(result, notes=notes, plan=plan)
+    done = identify_output(result, notes=notes, plan=plan)
+    held = [LeftOutJoint(joint=joint, held_at=at) for joint, at in zip(left_out, job.held, strict=True)]
+    return done.model_copy(update={"left_out": held}) if held else done
+
+
+def _check_paper(result: Identification) -> None:
+    """Raise Inconsistent where the paper's means miss the readings that they were made from by far."""
+    if result.method != "paper" or not result.useless:
+        return
+    worst_m = max(joint.residual_rms_m for joint in result.joints)
+    raise Inconsistent(
+        f"the paper's method gives an arm that misses its own readings by {result.misfit:.0f} standard deviations of "
+        f"their noise, {worst_m * 1e3:.3g} mm RMS on the worst joint",
+        consequence="The arm is useless and is not written",
+        cure="Use --method ml: the same readings, fitted at once",
+    )
 
 
 def seen_in_frames(job: IdentifyJob, rig: Rig, progress: Progress) -> tuple[Sweeps, list[str]]:
@@ -178,6 +202,7 @@ def identify_output(
         method=result.method,
         notes=[*notes, *result.notes],
         noise=result.sigma,
+        misfit=result.misfit,
         plan=plan,
     )
 

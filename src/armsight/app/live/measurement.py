@@ -18,14 +18,14 @@ from armsight.app.live.views import RunView, live_view, side_view
 from armsight.app.measure.outputs import moved_pose
 from armsight.app.measure.run import lost_pair, target_of
 from armsight.app.schemas.live import Counts, LiveView
-from armsight.app.sources.frames import open_pairs
+from armsight.app.sources.frames import open_pairs, open_source
 from armsight.clock import Clock
-from armsight.drivers import AUTOMATIC, PairSettings, PairSource, is_live
-from armsight.errors import Inconsistent
+from armsight.drivers import AUTOMATIC, Overlaid, PairSettings, PairSource, by_side, is_live
+from armsight.errors import Inconsistent, UsageError
 from armsight.measure.poses.pipeline import Measured, Setup, Track, measure_pair
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import find_spots
-from armsight.optics import SIDES, Camera, Rig
+from armsight.optics import SIDES, Rig, RigKind
 from armsight.records import Frame, PoseStatus, TargetPose
 from armsight.store import World, read_rig, read_world
 
@@ -35,6 +35,9 @@ Rectangle = tuple[float, float, float, float]
 
 NOT_CALIBRATED = "the cameras are not calibrated yet, or no target is chosen: lights are found, not measured"
 
+COMPLEX = "complex"
+"""The one picture of a mirror rig, which holds both views."""
+
 RATE_S = 1.0
 """Time over which pairs a second are counted."""
 
@@ -43,13 +46,14 @@ RATE_S = 1.0
 class LiveJob:
     """What is measured live: rig.yaml, target.yaml, two sources; live cameras, or files played at their own pace.
 
-    Without rig or target lights are found and pictures shown, for aiming cameras that are not calibrated yet. again:
-    files begin anew at their end. camera_settings: what is asked of live cameras. followed: a simulated cell whose
-    cameras left and right are, and whose robot another process moves.
+    right: empty where left is the one camera of a mirror rig, whose image holds both views (Pachidis 2005). Without
+    rig or target lights are found and pictures shown, for aiming cameras that are not calibrated yet. again: files
+    begin anew at their end. camera_settings: what is asked of live cameras. followed: a simulated cell whose cameras
+    left and right are, and whose robot another process moves.
     """
 
     left: str
-    right: str
+    right: str = ""
     rig: Path | None = None
     target: Path | None = None
     world: Path | None = None
@@ -63,13 +67,18 @@ class LiveJob:
         """Whether the sources are cameras."""
         return is_live(self.left)
 
+    @property
+    def complex(self) -> bool:
+        """Whether one picture holds both views."""
+        return not self.right
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Look:
     """How spots are looked for, as the person sets it on the picture.
 
-    threshold, inverted: as SpotSettings has them. masked: per side, rectangles (u0, v0, u1, v1) in px in which nothing
-    is looked for.
+    threshold, inverted: as SpotSettings has them. masked: per picture (left, right, or complex), rectangles
+    (u0, v0, u1, v1) in px in which nothing is looked for.
     """
 
     threshold: float | None = None
@@ -98,9 +107,13 @@ class LiveMeasurement:
         colour = self.target is not None and self.target.colour is not None
         if pairs is None and job.followed is not None:
             pairs = FollowedPairs(job.followed, clock)
-        self._pairs = pairs or open_pairs(job.left, job.right, colour=colour, fps=job.fps, settings=job.camera_settings)
+        require_kind(job, self.rig)
+        self._pairs = pairs or _opened(job, colour)
         self._paced = pairs is None and not job.live
-        self._setup, self._sides = self._setup_of(Look())
+        self._look = Look()
+        self._setup: Setup | None = None
+        self._sides = (SpotSettings(), SpotSettings())
+        self._sizes: tuple[tuple[int, int], ...] = ()
         self._counts = dict.fromkeys(PoseStatus, 0)
         self._done_s: deque[float] = deque()
 
@@ -110,11 +123,9 @@ class LiveMeasurement:
         return self._pairs
 
     def look(self, how: Look) -> None:
-        """Look for spots in another way from the next pair on. Raises UsageError for what cannot be.
-
-        Masks need the rig, which knows the cameras' sizes.
-        """
-        self._setup, self._sides = self._setup_of(how)
+        """Look for spots in another way from the next pair on. Raises UsageError for what cannot be."""
+        self._settings(how)  # refused here, not in the loop
+        self._look, self._sizes = how, ()
 
     def moments(self) -> Generator[Moment, None, None]:
         """Yield every pair as it is measured; the source must be open. Raises as the source does, and Inconsistent."""
@@ -138,7 +149,7 @@ class LiveMeasurement:
         return left, right
 
     def _measured(self, pair: Pair, track: Track | None) -> tuple[Moment, Track | None]:
-        setup, start_s = self._setup, time.perf_counter()
+        setup, start_s = self._prepared(pair), time.perf_counter()
         measured = self._found(setup, pair, track)
         took_s = time.perf_counter() - start_s
         world = self._world
@@ -150,13 +161,17 @@ class LiveMeasurement:
             measuring_s=took_s,
             counts=Counts(**{status.value: n for status, n in self._counts.items()}),
         )
-        sides = [side_view(self.rig, self._sides[i], i, pair[i], measured) for i in range(len(SIDES))]
+        sides = [
+            side_view(self.rig, self._sides[i], i, pair[i], measured, overlaid=self._job.complex)
+            for i in range(len(SIDES))
+        ]
         return Moment(pair=pair, pose=pose, view=live_view(pose, run, sides)), measured.track
 
     def _found(self, setup: Setup | None, pair: Pair, track: Track | None) -> Measured:
         """Return what is measured in a pair; without rig or target the lights alone."""
         if setup is None:
-            left, right = (find_spots(frame.image, own) for frame, own in zip(pair, self._sides, strict=True))
+            left = find_spots(pair[0].image, self._sides[0])
+            right = left if self._job.complex else find_spots(pair[1].image, self._sides[1])
             return replace(lost_pair(pair, NOT_CALIBRATED), left_seen=left, right_seen=right)
         try:
             return measure_pair(setup, *pair, track)
@@ -170,21 +185,61 @@ class LiveMeasurement:
             self._done_s.popleft()
         return len(self._done_s) / RATE_S
 
-    def _setup_of(self, look: Look) -> tuple[Setup | None, tuple[SpotSettings, SpotSettings]]:
+    def _prepared(self, pair: Pair) -> Setup | None:
+        """Return what frames of this size are measured with, None without rig or target; made anew after a `look`."""
+        sizes = tuple((frame.width, frame.height) for frame in pair)
+        if sizes != self._sizes:
+            self._setup, self._sides = self._setup_of(self._look, sizes)
+            self._sizes = sizes
+        return self._setup
+
+    def _settings(self, look: Look) -> SpotSettings:
         colour = None if self.target is None else self.target.colour
-        settings = SpotSettings(threshold=look.threshold, inverted=look.inverted, colour=colour)
-        if self.rig is None or self.target is None:
-            return None, (settings, settings)
+        return SpotSettings(threshold=look.threshold, inverted=look.inverted, colour=colour)
+
+    def _setup_of(
+        self, look: Look, sizes: tuple[tuple[int, int], ...]
+    ) -> tuple[Setup | None, tuple[SpotSettings, SpotSettings]]:
+        settings, overlaid = self._settings(look), self._job.complex
+        names = (COMPLEX, COMPLEX) if overlaid else SIDES
         left, right = (
-            mask_of(self.rig.camera(side), look.masked[side]) if look.masked.get(side) else None for side in SIDES
+            mask_of(*size, look.masked[name]) if look.masked.get(name) else None
+            for name, size in zip(names, sizes, strict=True)
         )
-        setup = Setup(rig=self.rig, target=self.target, settings=settings, masks=(left, right))
+        if self.rig is None or self.target is None:
+            return None, (replace(settings, mask=left), replace(settings, mask=right))
+        setup = Setup(rig=self.rig, target=self.target, settings=settings, masks=(left, right), overlaid=overlaid)
         return setup, setup.sides
 
 
-def mask_of(camera: Camera, rectangles: tuple[Rectangle, ...]) -> Mask:
-    """Return (h, w): True where a camera's spots may be, outside of rectangles (u0, v0, u1, v1) in px."""
-    allowed = np.ones((camera.height, camera.width), dtype=np.bool_)
+def require_kind(job: LiveJob, rig: Rig | None) -> None:
+    """Raise UsageError where the rig has another number of cameras than the job."""
+    if rig is None:
+        return
+    if job.complex and rig.kind is not RigKind.MIRROR:
+        raise UsageError(
+            "one camera is missing: the rig has two",
+            consequence="Nothing is measured",
+            cure="Give both cameras; or, for one camera with mirrors, the rig.yaml of `armsight calibrate mirrors`",
+        )
+    if not job.complex and rig.kind is RigKind.MIRROR:
+        raise UsageError(
+            "the rig has mirrors: both of its views are in one camera's picture",
+            consequence="Nothing is measured",
+            cure="Give that camera as the left one, and leave the right one empty",
+        )
+
+
+def _opened(job: LiveJob, colour: bool) -> PairSource:
+    if not job.complex:
+        return open_pairs(job.left, job.right, colour=colour, fps=job.fps, settings=job.camera_settings)
+    asked, _ = by_side(job.camera_settings)
+    return Overlaid(open_source(job.left, colour=colour, fps=job.fps, settings=asked))
+
+
+def mask_of(width: int, height: int, rectangles: tuple[Rectangle, ...]) -> Mask:
+    """Return (h, w): True where a picture's spots may be, outside of rectangles (u0, v0, u1, v1) in px."""
+    allowed = np.ones((height, width), dtype=np.bool_)
     for u0, v0, u1, v1 in rectangles:
         columns, rows = sorted((round(u0), round(u1))), sorted((round(v0), round(v1)))
         allowed[max(rows[0], 0) : max(rows[1], 0) + 1, max(columns[0], 0) : max(columns[1], 0) + 1] = False

@@ -33,11 +33,14 @@ END_S = 5.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shown:
-    """The newest moment as screens get it: what is said, and both pictures as JPEG."""
+    """The newest moment as screens get it: what is said, and both pictures as JPEG.
+
+    right_jpeg: empty where the left one holds both views.
+    """
 
     view: LiveView
     left_jpeg: bytes
-    right_jpeg: bytes
+    right_jpeg: bytes = b""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,7 +61,7 @@ class _Record:
 @dataclass(frozen=True, slots=True)
 class _Save:
     left: Path
-    right: Path
+    right: Path | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +101,8 @@ class Station:
         self._lock = threading.Lock()
         self._stopping = False
         self._saved, self._save_failure = threading.Event(), ""
+        self._newer = threading.Condition()
+        self._saving = threading.Lock()
 
     def start(self) -> None:
         """Start measuring, or start anew after a failure."""
@@ -134,16 +139,34 @@ class Station:
         """Record all frames into a new .mcap, or end the recording (None). What happens stands in `recording`."""
         self._send(_Record(file))
 
-    def save_pair(self, left: Path, right: Path) -> None:
-        """Write the next pair as two images, bit for bit. Raises DeviceFailed where no pair comes or none is written.
+    def shown_since(self, t_s: float) -> Shown:
+        """Wait for a moment whose frames were exposed at t_s on the machine's clock, or later, and return it.
 
-        For one caller at a time.
+        Raises DeviceFailed where none comes.
         """
-        self._saved.clear()
-        self._send(_Save(left, right))
-        starting = "" if self.shown is not None else "the cameras are still starting"
-        came = not (self.failure or starting) and self._saved.wait(SAVE_S)
-        failure = self._save_failure if came else self.failure or starting or "no pair of pictures comes"
+
+        def come() -> bool:
+            return bool(self.failure) or self.ended or (self.shown is not None and self.shown.view.t_s >= t_s)
+
+        with self._newer:
+            self._newer.wait_for(come, SAVE_S)
+            shown = self.shown
+        if shown is None or shown.view.t_s < t_s:
+            why = self.failure or ("the frames have ended" if self.ended else "no pictures come")
+            raise DeviceFailed(why, consequence="Nothing was taken", cure="Look at the cameras")
+        return shown
+
+    def save_pair(self, left: Path, right: Path | None = None) -> None:
+        """Write the next pair as two images, bit for bit; right: None where one picture holds both views.
+
+        One caller waits for the other. Raises DeviceFailed where no pair comes or none is written.
+        """
+        with self._saving:
+            self._saved.clear()
+            self._send(_Save(left, right))
+            starting = "" if self.shown is not None else "the cameras are still starting"
+            came = not (self.failure or starting) and self._saved.wait(SAVE_S)
+            failure = self._save_failure if came else self.failure or starting or "no pair of pictures comes"
         if failure:
             raise DeviceFailed(failure, consequence="No picture was taken", cure="Look at the cameras and the disk")
 
@@ -158,7 +181,9 @@ class Station:
                 message: _Message = results.recv()
                 match message:
                     case Shown():
-                        self.shown = message
+                        with self._newer:
+                            self.shown = message
+                            self._newer.notify_all()
                     case RecordingState():
                         self.recording = message
                     case _Saved(failure):
@@ -172,6 +197,8 @@ class Station:
         if not (self.failure or self.ended or self._stopping):
             self.failure = "the measuring process ended unexpectedly"
         self.recording = RecordingState(failure=self.recording.failure)
+        with self._newer:
+            self._newer.notify_all()
 
 
 def _work(job: LiveJob, told: Connection, commands: Connection) -> None:
@@ -188,6 +215,7 @@ class _Worker:
 
     def __init__(self, job: LiveJob, told: Connection, commands: Connection, clock: Clock) -> None:
         self._measurement = LiveMeasurement(job, clock)
+        self._one_picture = job.complex
         self._told, self._commands, self._clock = told, commands, clock
         self._mailbox: Moment | None = None
         self._posted = threading.Condition()
@@ -220,7 +248,7 @@ class _Worker:
     def _take(self, moment: Moment) -> None:
         if self._recorder is not None:
             try:
-                self._recorder.put(*moment.pair)
+                self._recorder.put(moment.pair[0], None if self._one_picture else moment.pair[1])
             except ArmsightError as error:
                 self._close_recording(str(error))
         with self._posted:
@@ -290,8 +318,8 @@ class _Worker:
             if self._clock.now_s() < next_s:
                 continue
             next_s = self._clock.now_s() + 0.9 / PICTURES_HZ
-            left, right = (jpeg(frame) for frame in moment.pair)
-            self._tell(Shown(view=moment.view, left_jpeg=left, right_jpeg=right))
+            right = b"" if self._one_picture else jpeg(moment.pair[1])
+            self._tell(Shown(view=moment.view, left_jpeg=jpeg(moment.pair[0]), right_jpeg=right))
             if self._recorder is not None:
                 recorder = self._recorder
                 self._tell(RecordingState(file=self._file, n_pairs=recorder.written, n_dropped=recorder.dropped))
@@ -303,6 +331,8 @@ class _Worker:
         failure = ""
         try:
             for file, frame in zip((asked.left, asked.right), moment.pair, strict=True):
+                if file is None:
+                    continue
                 file.parent.mkdir(parents=True, exist_ok=True)
                 write_bytes(file, cv2.imencode(".png", np.asarray(frame.image))[1].tobytes())
         except (ArmsightError, OSError) as error:

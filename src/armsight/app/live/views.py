@@ -49,6 +49,7 @@ def live_view(pose: TargetPose, run: RunView, sides: Sequence[SideView]) -> Live
         euler_rad=_three(euler_rad(T.rotation)) if whole and T is not None else None,
         quat_xyzw=_four(T.rotation.as_quat(canonical=True)) if whole and T is not None else None,
         std=None if covariance is None else tuple(np.sqrt(np.diag(covariance)).tolist()),
+        covariance_m2=None if covariance is None else np.asarray(covariance)[:3, :3].tolist(),
         residual_px=float(np.sqrt(np.mean(pose.residual_px**2))) if len(pose.residual_px) else None,
         counts=run.counts,
         left=sides[0],
@@ -56,25 +57,49 @@ def live_view(pose: TargetPose, run: RunView, sides: Sequence[SideView]) -> Live
     )
 
 
-def side_view(rig: Rig | None, settings: SpotSettings, side: int, frame: Frame, measured: Measured) -> SideView:
-    """Return what a screen shows of one camera's picture; side: 0 left, 1 right."""
-    matched, seen = (measured.left, measured.left_seen) if side == 0 else (measured.right, measured.right_seen)
+def side_view(
+    rig: Rig | None, settings: SpotSettings, side: int, frame: Frame, measured: Measured, *, overlaid: bool = False
+) -> SideView:
+    """Return what a screen shows of one camera's picture; side: 0 left, 1 right; overlaid: it holds both views."""
+    seen = measured.left_seen if side == 0 else measured.right_seen
     other = measured.right if side == 0 else measured.left
     hint = aiming_hint(frame, seen, settings)
     return SideView(
         width=frame.width,
         height=frame.height,
-        spots=list(_spots(measured, side, matched, seen)),
+        spots=list(_spots(measured, side, seen, overlaid=overlaid)),
         epipolar=[] if rig is None else [_curve(rig, SIDES[1 - side], px) for px in other.uv_px],
         advice=hint.advice.value,
         background=hint.background,
         brightest=hint.brightest,
         sigma_px=hint.sigma_px,
+        n_clipped=hint.n_clipped,
+        exposure_s=frame.exposure_s or None,
     )
 
 
-def _spots(measured: Measured, side: int, matched: Spots, seen: Spots) -> Iterator[SpotView]:
-    """Yield the named spots with their residuals, then those that nobody named."""
+def complex_view(view: LiveView) -> SideView:
+    """Return what a screen shows of the one picture that holds both views: the spots and curves of both."""
+    named = [
+        spot.model_copy(update={"view": side})
+        for side, one in zip(SIDES, (view.left, view.right), strict=True)
+        for spot in one.spots
+        if spot.name
+    ]
+    others = {(spot.u_px, spot.v_px): spot for one in (view.left, view.right) for spot in one.spots if not spot.name}
+    curves = {side: one.epipolar for side, one in zip(SIDES, (view.left, view.right), strict=True)}
+    return view.left.model_copy(
+        update={
+            "spots": [*named, *others.values()],
+            "epipolar": [curve for side in SIDES for curve in curves[side]],
+            "epipolar_views": [side for side in SIDES for _ in curves[side]],
+        }
+    )
+
+
+def _spots(measured: Measured, side: int, seen: Spots, *, overlaid: bool) -> Iterator[SpotView]:
+    """Yield the named spots with their residuals, then those that nobody named; overlaid: in neither view."""
+    matched, other = (measured.left, measured.right) if side == 0 else (measured.right, measured.left)
     residuals = np.full((len(matched), 2), np.nan)
     vectors = measured.pose.residual_px.reshape(-1, len(SIDES), 2)
     if len(vectors) == len(matched):
@@ -82,7 +107,8 @@ def _spots(measured: Measured, side: int, matched: Spots, seen: Spots) -> Iterat
     for name, (u, v), (du, dv) in zip(measured.names, matched.uv_px, residuals, strict=True):
         known = bool(np.isfinite(du))
         yield SpotView(name=name, u_px=float(u), v_px=float(v), residual_px=(float(du), float(dv)) if known else None)
-    named = {(float(u), float(v)) for u, v in matched.uv_px}
+    known_px = np.concatenate([matched.uv_px, other.uv_px]) if overlaid else matched.uv_px
+    named = {(float(u), float(v)) for u, v in known_px}
     for u, v in seen.uv_px:
         if (float(u), float(v)) not in named:
             yield SpotView(name="", u_px=float(u), v_px=float(v), residual_px=None)

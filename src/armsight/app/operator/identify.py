@@ -9,20 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.app.identify.left_out import consequence
 from armsight.app.identify.live import LiveJob, OperatorCallbacks, identify_observed
-from armsight.app.live.station import Shown, Station
+from armsight.app.live.station import Station
 from armsight.app.measure.run import target_of
 from armsight.app.operator.placing import rig_pose
 from armsight.app.operator.robot_cell import RobotCell
 from armsight.app.operator.seat_robot import SeatRobot
+from armsight.app.operator.station_observer import StationObserver, around_px
 from armsight.app.operator.work import Work
 from armsight.app.schemas.arm import IdentifyOutput, PlanOutput, ProposedPlanOutput
-from armsight.app.schemas.live import LiveView, SideView
 from armsight.clock import Clock, SystemClock
-from armsight.control.joint_sweep import Observation, Pace
-from armsight.errors import DeviceFailed, NotEnoughData, UsageError
-from armsight.kinematics import Arm
-from armsight.optics import Rig, triangulate
+from armsight.control.joint_sweep import Pace
+from armsight.errors import NotEnoughData, UsageError
+from armsight.kinematics import Arm, link_frames
 from armsight.records import Progress, Silent
 from armsight.store import World, read_rig, read_world, write_world
 from armsight.store.arm_file import read_arm, write_arm
@@ -35,103 +35,27 @@ Array = NDArray[np.float64]
 
 WORK = "identify"
 FOLDER = "identify"
-LOOK_S = 0.005
 STEPS = 24
 """Points of a fit that is drawn."""
-PIXEL_COV = 0.04 * np.eye(2)
-"""Of a light's centre, px squared, where only its first place is wanted."""
-WAIT_S = 10.0
-"""A station that shows nothing new for so long is taken for lost."""
-LOST_LOOKS = 10
-"""Looks in a row without the beacon that mean it is lost; while the screen's pictures come single ones are skipped."""
+AXIS_M = 0.15
+"""Half the length in which a joint's axis is drawn."""
 ENTRIES = (("a_m", "mm", MM), ("alpha_rad", "deg", DEG), ("d_m", "mm", MM), ("theta_rad", "deg", DEG))
-FASTEST_PX_S, STILL_PX, WIDEST_PX = 150.0, 3.0, 30.0
-"""How far a light may be from where it was, for it to be the same: by its speed, at rest, and at most."""
 FASTEST_DEG_S, FASTEST_MM_S = 10.0, 20.0
 """Of a joint on its sweep at full override: the light goes through the pictures slowly enough to be followed."""
 AROUND_DEG, AROUND_M = 10.0, 0.05
 """Half a range that is proposed about where a joint stands."""
 
 
-class StationObserver:
-    """The beacon as the measuring station shows it: one light of the target, by its name where the station tells it.
-
-    Where it does not, for three lights seen askew may fit several names, the light is followed from picture to picture.
-    """
-
-    def __init__(self, station: Station, rig: Rig, light: str, clock: Clock) -> None:
-        self._station, self._rig, self._light, self._clock = station, rig, light, clock
-        self._last: Shown | None = None
-        self._uv: tuple[float, Array] | None = None
-        self._lost = 0
-
-    def observe(self, while_: str) -> Observation:
-        """Return what the next moment shows. Raises NotEnoughData where the beacon is lost, DeviceFailed."""
-        shown = self._next(while_)
-        view = shown.view
-        taken_s = self._clock.now_s() - view.latency_s
-        uv = self._found(view)
-        if uv is None:
-            self._lost += 1
-            if self._lost >= LOST_LOOKS:
-                told = f" ({view.why})" if view.why else ""
-                raise NotEnoughData(
-                    f"the light {self._light} is lost {while_}{told}",
-                    consequence="The robot is held",
-                    cure="Free the view of it, or narrow the ranges to where both cameras see it",
-                )
-            return Observation(taken_s=taken_s, why="it is not in both pictures")
-        self._lost, self._uv = 0, (view.t_s, uv)
-        xyz_m = triangulate(self._rig, uv[:1], uv[1:], PIXEL_COV, PIXEL_COV).xyz_m[0]
-        return Observation(taken_s=taken_s, uv_px=uv, xyz_m=xyz_m)
-
-    def _next(self, while_: str) -> Shown:
-        """Wait for a newer moment."""
-        until_s = self._clock.now_s() + WAIT_S
-        while (shown := self._station.shown) is None or shown is self._last:
-            if self._station.failure or self._clock.now_s() > until_s:
-                why = self._station.failure or "no pictures come"
-                raise DeviceFailed(f"{why} {while_}", consequence="The robot is held", cure="Look at the cameras")
-            self._clock.sleep_until(self._clock.now_s() + LOOK_S)
-        self._last = shown
-        return shown
-
-    def _found(self, view: LiveView) -> Array | None:
-        """Return the light's uv_px (2, 2) in both pictures: by its name, or as it has become; None where lost."""
-        places = []
-        for side, pictured in enumerate((view.left, view.right)):
-            place = _named(pictured, self._light)
-            if place is None and self._uv is not None:
-                place = _followed(pictured, self._uv[1][side], view.t_s - self._uv[0])
-            if place is None:
-                return None
-            places.append(place)
-        return np.array(places)
-
-
-def _named(view: SideView, name: str) -> Array | None:
-    return next((np.array([spot.u_px, spot.v_px]) for spot in view.spots if spot.name == name), None)
-
-
-def _followed(view: SideView, before_px: Array, passed_s: float) -> Array | None:
-    """Return the spot that a light at before_px (2,) has become; None where none or more than one may be it."""
-    places = np.array([[spot.u_px, spot.v_px] for spot in view.spots]).reshape(-1, 2)
-    away = np.sort(np.linalg.norm(places - before_px, axis=1))
-    gate = min(FASTEST_PX_S * passed_s + STILL_PX, WIDEST_PX)
-    if not len(away) or away[0] > gate or (len(away) > 1 and away[1] < 2.0 * gate):
-        return None
-    return np.asarray(places[np.argmin(np.linalg.norm(places - before_px, axis=1))])
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Range:
-    """How far a joint may go: lower and upper in deg or mm, as people type it; slides: mm."""
+    """How far a joint may go: lower and upper in deg or mm, as people type it; slides: mm. swept: else it is held."""
 
     joint: int
     name: str
     lower: float
     upper: float
     slides: bool = False
+    swept: bool = True
 
     def limits(self) -> tuple[float, float]:
         """Return both in rad or m."""
@@ -148,6 +72,15 @@ class IdentifyRequest:
     ranges: tuple[Range, ...]
     readings: int = 10
     frames: int = 3
+
+    @property
+    def left_out(self) -> tuple[int, ...]:
+        """The joints that are not swept, from 1."""
+        return tuple(one.joint for one in self.ranges if not one.swept)
+
+    def consequence(self) -> str:
+        """Return in words what leaving joints out means, empty where none is. Raises UsageError where it cannot be."""
+        return consequence(len(self.ranges), self.left_out)
 
 
 def proposed_ranges(robot: RobotCell) -> tuple[Range, ...]:
@@ -169,6 +102,12 @@ def proposed_ranges(robot: RobotCell) -> tuple[Range, ...]:
             )
         )
     return tuple(made)
+
+
+def light_of(folder: Path, cell: CellFile) -> str:
+    """Return the name of the target's light that is followed, empty without a target. Raises BadFile."""
+    file = cell_path(folder, cell.target, "target")
+    return "" if file is None else target_of(file).names[0]
 
 
 def expected(asked: IdentifyRequest, robot: RobotCell, station: Station) -> PlanOutput:
@@ -208,16 +147,21 @@ def _identify(
     propose: bool,
 ) -> IdentifyOutput | ProposedPlanOutput:
     job, light = prepared(asked, robot, propose=propose)
-    job = replace(job, pace=Pace(speed=_pace(asked, robot.seat.override), frames=asked.frames))
+    pace = Pace(speed=_pace(asked, robot.seat.override), frames=asked.frames)
+    job = replace(job, pace=pace, around_px=around_px(station.shown, light))
     observer = StationObserver(station, read_rig(job.rig), light, clock)
     with moved:
         return identify_observed(job, person, moved, observer, clock, progress)
 
 
 def _pace(asked: IdentifyRequest, override: float) -> float:
-    """Return the share of its travel that each joint goes in a second: none goes faster than FASTEST, half at most."""
-    spans = [abs(one.upper - one.lower) / (FASTEST_MM_S if one.slides else FASTEST_DEG_S) for one in asked.ranges]
-    return override * min(0.5, 1.0 / max([*spans, 1.0]))
+    """Return the share of its travel that each joint goes in a second: none is faster than FASTEST, 1 at most."""
+    spans = [
+        abs(one.upper - one.lower) / (FASTEST_MM_S if one.slides else FASTEST_DEG_S)
+        for one in asked.ranges
+        if one.swept
+    ]
+    return override / max([*spans, 1.0])
 
 
 def prepared(asked: IdentifyRequest, robot: RobotCell, *, propose: bool) -> tuple[LiveJob, str]:
@@ -245,6 +189,7 @@ def prepared(asked: IdentifyRequest, robot: RobotCell, *, propose: bool) -> tupl
         out=out / "arm.yaml",
         readings=asked.readings,
         propose=propose,
+        left_out=asked.left_out,
     )
     placed = _placed(asked, arm, robot.joints())
     if placed is None and propose:
@@ -280,7 +225,7 @@ def _needed(asked: IdentifyRequest, name: str) -> Path:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Entry:
     """An entry of an identified joint as a page shows it: value, standard deviation, and by how much it deviates from
-    the model, in mm or deg; NaN where there is none."""
+    the model, in mm or deg; NaN where there is none, both of an entry that is chosen and not measured."""
 
     joint: int
     name: str
@@ -297,7 +242,8 @@ def entries(done: IdentifyOutput, model: Arm | None) -> tuple[Entry, ...]:
         nominal = None if model is None else model.joints[joint.index - 1]
         for name, unit, scale in ENTRIES:
             value, std = getattr(joint, name), getattr(joint.std, name)
-            off = np.nan if nominal is None else value - getattr(nominal, name)
+            chosen = std is None  # not measured: that it is not the model's says nothing
+            off = np.nan if nominal is None or chosen else value - getattr(nominal, name)
             off = float(np.angle(np.exp(1j * off))) if unit == "deg" and np.isfinite(off) else float(off)
             made.append(
                 Entry(
@@ -312,20 +258,52 @@ def entries(done: IdentifyOutput, model: Arm | None) -> tuple[Entry, ...]:
     return tuple(made)
 
 
-def fits(folder: Path) -> tuple[list[Array], Array]:
-    """Return where the identified arm has the light along each sweep, (m, 3) each, and where it was seen (n, 3).
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SweepFit:
+    """What a scene shows of a joint's sweep, in world, or in rig axes where the rig's place was not known; in m.
 
-    Both in world, or in rig axes where the rig's place was not known. Raises BadFile.
+    path (m, 3): where the identified arm has the light along it, an arc or a line. seen (n, 3): where it was seen. axis
+    (2, 3): both ends of a piece of the joint's axis; of a slide along the path. centre (3,): the foot of the path's
+    begin on the axis, None of a slide. off_m: RMS distance of what was seen from where the arm has it.
     """
+
+    joint: int
+    path: Array
+    seen: Array
+    axis: Array
+    centre: Array | None
+    off_m: float
+
+
+def fits(folder: Path) -> tuple[SweepFit, ...]:
+    """Return the fits of the sweeps kept in a folder, a joint each. Raises BadFile."""
     out = folder / FOLDER
     arm, sweeps = read_arm(out / "arm.yaml"), read_sweeps(out / "arm.sweep.csv")
     world = out / "world.yaml"
     T = read_world(world).T_parent_rig if world.exists() else RigidTransform.identity()
-    paths = []
-    for j in range(arm.n):
-        rows = sweeps.q[sweeps.joint == j]
-        if len(rows):
-            begin, end = rows[np.argmin(rows[:, j])], rows[np.argmax(rows[:, j])]
-            q = begin + np.linspace(0.0, 1.0, STEPS)[:, None] * (end - begin)
-            paths.append(np.asarray(arm.fk(arm.values(q))[:, :3, 3]))
-    return paths, np.asarray(T.apply(sweeps.xyz_m))
+    seen = np.asarray(T.apply(sweeps.xyz_m))
+    return tuple(
+        _fit(arm, j, sweeps.q[sweeps.joint == j], seen[sweeps.joint == j])
+        for j in range(arm.n)
+        if (sweeps.joint == j).any()
+    )
+
+
+def _fit(arm: Arm, j: int, q: Array, seen: Array) -> SweepFit:
+    begin, end = q[np.argmin(q[:, j])], q[np.argmax(q[:, j])]
+    way = begin + np.linspace(0.0, 1.0, STEPS)[:, None] * (end - begin)
+    path = np.asarray(arm.fk(arm.values(way))[:, :3, 3])
+    off = np.asarray(arm.fk(arm.values(q))[:, :3, 3]) - seen
+    frame = link_frames(arm, arm.values(begin))[j]
+    direction = frame[:3, 2]
+    foot = frame[:3, 3] + ((path[0] - frame[:3, 3]) @ direction) * direction
+    turns = bool(arm.revolute[j])
+    middle = foot if turns else path.mean(axis=0)
+    return SweepFit(
+        joint=j + 1,
+        path=path,
+        seen=seen,
+        axis=middle + AXIS_M * np.array([[-1.0], [1.0]]) * direction,
+        centre=foot if turns else None,
+        off_m=float(np.sqrt((off**2).sum(axis=1).mean())),
+    )

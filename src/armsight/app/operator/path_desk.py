@@ -10,8 +10,10 @@ from types import MappingProxyType
 
 import numpy as np
 
+from armsight.app.live.station import Station
 from armsight.app.operator.robot_cell import RobotCell
 from armsight.app.operator.seat_robot import SeatRobot
+from armsight.app.operator.watched import watcher_of
 from armsight.app.operator.work import Work
 from armsight.app.path.check import check
 from armsight.app.play.job import PlayJob
@@ -126,8 +128,11 @@ def check_path(asked: PlayRequest, robot: RobotCell) -> PathCheckOutput:
     )
 
 
-def play(asked: PlayRequest, robot: RobotCell, desk: PathDesk, work: Work) -> PlayOutput:
-    """Run the path while the operator holds the enable, at the seat's override. Raises as run_play."""
+def play(asked: PlayRequest, robot: RobotCell, desk: PathDesk, station: Station | None, work: Work) -> PlayOutput:
+    """Run the path while the operator holds the enable, at the seat's override; station: watches it where it can.
+
+    Raises as run_play.
+    """
     desk.require()
     clock = SystemClock()
     seat = robot.seat
@@ -158,7 +163,7 @@ def play(asked: PlayRequest, robot: RobotCell, desk: PathDesk, work: Work) -> Pl
             work.ask,
             follow_override,
             work,
-            opened=(moved, clock),
+            opened=(moved, clock, watcher_of(asked.folder, asked.cell, seat.arm, station, clock)),
             begun=begun,
             enabled=lambda: seat.enabled(work.browser),
         )

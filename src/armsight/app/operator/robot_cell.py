@@ -87,9 +87,14 @@ def scenario_of(robot: str) -> str | None:
     return device if driver == SIM else None
 
 
-def cameras_of(scenario: str) -> list[str]:
-    """Return the left and right camera of a simulated cell, as sources."""
-    return [f"camera:sim:{scenario}:{side}" for side in ("left", "right")]
+def cameras_of(scenario: str) -> tuple[str, str]:
+    """Return the left and right camera of a simulated cell, as sources; of a mirror rig its one camera, and none.
+
+    Raises DeviceNotFound, BadFile for the scenario.
+    """
+    if load_scenario(scenario)[0].cameras.mirrors is not None:
+        return f"camera:sim:{scenario}:image", ""
+    return f"camera:sim:{scenario}:left", f"camera:sim:{scenario}:right"
 
 
 def prepare_simulated(robot: str, folder: Path) -> CellFile | None:

@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.app.operator.placing import flange_pose
 from armsight.app.robot.alone import alone
-from armsight.app.robot.desk import Lease
+from armsight.app.robot.desk import EnableLost, Lease
 from armsight.app.robot.host import HEARTBEAT_S, Snapshot
 from armsight.app.robot.service import Service
 from armsight.control.setpoints import CycleState, JointVelocity, ToolTwist
@@ -90,9 +90,13 @@ class Seat:
         self._lease: Lease | None = None
         self._held = False
         self._again = False
+        self._pressed = False
         self._beat_s = -math.inf
         self._pushed: Push | None = None
+        self.pushes = 0
+        """How often a jog key was followed: whoever moves the robot besides has to look anew where it stands."""
         self._lost: set[str] = set()
+        self._vain: set[str] = set()
         self._override = 0.5
 
     @property
@@ -127,14 +131,18 @@ class Seat:
         if browser != self._browser or self._desk.driver is not self._lease:
             if not enable:
                 self._lost.discard(browser)
+                self._vain.discard(browser)
                 return
-            if browser in self._lost:
-                raise DeviceFailed("the connection was lost", consequence="The robot was stopped", cure=LET_GO)
-            self._take(browser, person)
+            self._check_let_go(browser)
+            try:
+                self._take(browser, person)
+            except ArmsightError:
+                self._vain.add(browser)  # held on till the other leaves, it would move the arm unawares
+                raise
         now_s = self._host.now_s()
         stale = now_s - seen_s > FRESH_S
         self._again = enable and (self._again or stale)
-        self._held, self._beat_s = enable and not self._again, now_s
+        self._pressed, self._held, self._beat_s = enable, enable and not self._again, now_s
         self._perform(say.Heartbeat(session="", seq=1, enable=self._held))
         if stale and enable:
             raise DeviceFailed("the connection is slow", consequence="The robot is held", cure=LET_GO)
@@ -149,6 +157,7 @@ class Seat:
     @alone
     def leave(self, browser: str) -> None:
         """Take the end of a browser's connection: where it held the enable, the robot is stopped until it is reset."""
+        self._vain.discard(browser)
         if browser != self._browser or self._lease is None:
             return
         if self._held:
@@ -165,10 +174,12 @@ class Seat:
     @alone
     def reset(self, browser: str, person: Person) -> None:
         """Take commands again after a stop; the enable has to be held anew. Raises DeviceFailed, UsageError."""
-        if browser != self._browser:
+        if browser != self._browser or self._desk.driver is not self._lease:
             self._take(browser, person)
         self._perform(say.ResetMessage(session="", seq=1))
-        self._held = False
+        self._held, self._again = False, self._pressed
+        if not self._pressed:  # browsers are silent while nothing is held: the desk waits to hear that it was let go of
+            self._perform(say.Heartbeat(session="", seq=1, enable=False))
 
     @alone
     def enabled(self, browser: str) -> bool:
@@ -179,10 +190,10 @@ class Seat:
     def step(self, browser: str, step: Array) -> tuple[Array, tuple[str, ...]]:
         """Move on by step (n,) for work that this browser enables; return where that leads, and what limited it.
 
-        Raises DeviceFailed where it does not hold the enable, and as Desk.perform.
+        Raises EnableLost where it does not hold the enable, and as Desk.perform.
         """
         if not self.enabled(browser):
-            raise DeviceFailed("the enable is not held", consequence="Nothing was sent", cure="Hold the enable")
+            raise EnableLost("the enable is not held", consequence="Nothing was sent", cure="Hold the enable")
         done = self._perform(say.JointStepMessage(session="", seq=1, step=np.asarray(step).tolist()))
         return np.array(done.q), tuple(done.limited)
 
@@ -214,6 +225,15 @@ class Seat:
             q=None if now.reading is None else tuple(now.reading.q),
         )
 
+    def _check_let_go(self, browser: str) -> None:
+        """Raise DeviceFailed where an enable is held on that did not count when it was pressed."""
+        if browser in self._lost:
+            raise DeviceFailed("the connection was lost", consequence="The robot was stopped", cure=LET_GO)
+        if browser in self._vain:
+            driver = self._desk.driver
+            cause = "another drove when you pressed the enable" if driver is None else f"{driver.who} drives"
+            raise DeviceFailed(cause, consequence="The robot is not moved", cure=LET_GO)
+
     def _take(self, browser: str, person: Person) -> None:
         if person.role != "drive":
             raise UsageError(
@@ -222,7 +242,7 @@ class Seat:
                 cure="Ask for a token that may drive",
             )
         self._lease = self._desk.take(person.who)
-        self._browser, self._held, self._again, self._pushed = browser, False, False, None
+        self._browser, self._held, self._again, self._pressed, self._pushed = browser, False, False, False, None
 
     def _lose(self, why: str) -> None:
         """Stop the robot, and let anybody drive who releases the stop; who is lost has to let the enable go first."""
@@ -234,7 +254,7 @@ class Seat:
         if self._lease is not None:
             self._desk.leave(self._lease, why)
         self._browser, self._lease = "", None
-        self._held, self._again, self._pushed = False, False, None
+        self._held, self._again, self._pressed, self._pushed = False, False, False, None
 
     def _follow(self, push: Push | None) -> None:
         """Ask for the velocity of a jog key that is held, and hold once it is let go."""
@@ -244,6 +264,7 @@ class Seat:
                 self._perform(say.HoldMessage(session="", seq=1))
             return
         self._pushed = push
+        self.pushes += 1
         wanted = self._velocity(push)
         match wanted:
             case JointVelocity(qd=qd):

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.operator.seat import Seat
+from armsight.app.robot.desk import EnableLost
 from armsight.clock import Clock
 from armsight.drivers import RobotState, Sent
 from armsight.errors import ArmsightError, DeviceFailed, StaleData, UsageError
@@ -23,8 +24,12 @@ STALE_S = 0.1
 STALE_CYCLES = 3.5
 """A reading older than both is stale."""
 
-LED_AWAY = 0.02
-"""A robot further (rad or m) from where it was told to go was led elsewhere meanwhile."""
+LED_AWAY = 0.06
+"""A robot further (rad or m) from where it was told to go was led elsewhere meanwhile; held on a sweep at 10 degrees a
+second it rests up to 0.04 short of it."""
+
+SHORT = 1e-6
+"""Of where it was told to go (rad, m), by which a robot at rest is short of it."""
 
 NOT_HELD = "the enable is not held"
 
@@ -52,6 +57,8 @@ class SeatRobot:
         self._number = 0
         self._goal: Array | None = None
         self._halted = False
+        self._pushes = seat.pushes
+        self._dropped = seat.snapshot().dropped
 
     @property
     def state(self) -> RobotState:
@@ -81,8 +88,13 @@ class SeatRobot:
         return arm_mapping(arm)
 
     def read(self) -> JointReading:
-        """Return the newest reading. Raises DeviceFailed where closed, DeviceLost, StaleData."""
+        """Return the newest reading; work that waits first goes where it was told to, if the loop was kept from it.
+
+        Raises DeviceFailed where closed, DeviceLost, StaleData.
+        """
         self._check_open("be read")
+        if self._waits and self._forgotten():
+            self._step(np.zeros(self.n_joints))
         now = self._seat.snapshot()
         limit_s = max(STALE_S, STALE_CYCLES * self.cycle_s)
         if now.reading is None or self._clock.now_s() - now.reading.t_s > limit_s:
@@ -97,22 +109,51 @@ class SeatRobot:
             raise UsageError(f"{self.name} has {self.n_joints} joints, the step {values.size}", cure="Give them all")
         if not values.any():
             return self._sent(self._told(), ())
+        return self._step(values)
+
+    def _step(self, values: Array) -> Sent:
+        while self._await_enable():
+            try:
+                with self._seat.lock:
+                    whole, dropped = values, self._seat.snapshot().dropped
+                    if self._halted or dropped != self._dropped:
+                        # it comes to rest, or has, a little short of where it was told to go
+                        told = self._told()
+                        whole = values if self._goal is None else values + told - self._seat.snapshot().q_sent
+                    self._goal, limited = self._seat.step(self._browser(), whole)
+            except EnableLost:  # since it was looked for
+                self._halted = True
+                self._seat.hold(self._browser())
+                if not self._waits or self._cancelled():
+                    break
+                self._clock.sleep_until(self._clock.now_s() + self.cycle_s)
+                continue
+            self._halted, self._dropped = False, dropped
+            return self._sent(self._goal, limited)
+        return self._sent(self._told(), (NOT_HELD,))
+
+    def _forgotten(self) -> bool:
+        """Return whether the loop held since the last step and so stands short of where it was told to go."""
+        now = self._seat.snapshot()
+        short = self._goal is not None and np.abs(self._goal - now.q_sent).max() > SHORT
+        return short and (self._halted or now.dropped != self._dropped)
+
+    def _await_enable(self) -> bool:
+        """Return whether the enable is held, waiting for it where that is wanted. Raises DeviceFailed once stopped."""
         while not self._seat.enabled(self._browser()):
             if not self._waits or self._cancelled():
                 self._halted = True
-                return self._sent(self._told(), (NOT_HELD,))
+                return False
             self._check_link()
             self._clock.sleep_until(self._clock.now_s() + self.cycle_s)
-        if self._halted:  # from where it came to rest, a little short of where it was told to go
-            values = values + self._told() - self._seat.snapshot().q_sent
-            self._halted = False
-        self._goal, limited = self._seat.step(self._browser(), values)
-        return self._sent(self._goal, limited)
+        return True
 
     def _told(self) -> Array:
         """Return where the robot was last told to go (n,); where it stands, if it was led elsewhere since."""
         q_sent = self._seat.snapshot().q_sent
-        if self._goal is None or np.abs(self._goal - q_sent).max() > LED_AWAY:
+        led = self._seat.pushes != self._pushes
+        self._pushes = self._seat.pushes
+        if self._goal is None or led or np.abs(self._goal - q_sent).max() > LED_AWAY:
             self._goal = None
             return q_sent
         return self._goal

@@ -24,7 +24,7 @@ from armsight.store.cell_file import CellFile, cell_path
 from armsight.store.handeye_file import read_handeye
 
 FOLDER = "taught"
-LOOK_S = 0.004
+LOOK_S = 0.01
 EVERY = 5
 """Frames of which a pose is the mean."""
 LEAST_CYCLE_S = 0.02

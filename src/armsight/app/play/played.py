@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from armsight.app.schemas.play import PlayMeasuredOutput, PlayOutput
-from armsight.app.servo.vision import Vision
 from armsight.control.events import QueueSink
 from armsight.control.guard import GuardState
 from armsight.control.jitter import Timing
@@ -115,7 +114,7 @@ def play_output(
     timing: Timing,
     source: PathSource,
     watch: PlayWatch | None,
-    vision: Vision | None,
+    counts: Mapping[PoseStatus, int] | None,
     recording: str,
 ) -> PlayOutput:
     """Return the figures of a path that ended."""
@@ -133,13 +132,13 @@ def play_output(
         took_s=tally.took_s,
         slowest=plan.slowest,
         rounded_m=plan.rounded_m,
-        measured=None if watch is None or vision is None else _measured(watch, vision),
+        measured=None if watch is None or counts is None else _measured(watch, counts),
         holds=tally.holds,
         recording=recording,
     )
 
 
-def _measured(watch: PlayWatch, vision: Vision) -> PlayMeasuredOutput:
+def _measured(watch: PlayWatch, counts: Mapping[PoseStatus, int]) -> PlayMeasuredOutput:
     seen = watch.figures
     return PlayMeasuredOutput(
         n=seen.n,
@@ -148,6 +147,6 @@ def _measured(watch: PlayWatch, vision: Vision) -> PlayMeasuredOutput:
         last_m=seen.last_m,
         mean_m=None if seen.mean_m is None else seen.mean_m.tolist(),
         arm_lag_s=watch.arm_lag_s,
-        n_position_only=vision.counts[PoseStatus.POSITION_ONLY],
-        n_lost=vision.counts[PoseStatus.LOST],
+        n_position_only=counts[PoseStatus.POSITION_ONLY],
+        n_lost=counts[PoseStatus.LOST],
     )

@@ -8,9 +8,9 @@ from contextlib import ExitStack
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.measure.run import target_of
 from armsight.app.measure.warm_up import prepare
-from armsight.app.play.job import PlayJob, check, load_plan, load_sight, tipped_guard
+from armsight.app.play.eyes import Eyes, Watcher
+from armsight.app.play.job import PlayJob, check, load_plan, tipped_guard
 from armsight.app.play.played import PlayedSource, PlayTally, Show, play_output
 from armsight.app.robot.beside import run_beside
 from armsight.app.robot.driver_settings import driver_settings
@@ -18,11 +18,9 @@ from armsight.app.robot.guarding import arm_of, guard_for
 from armsight.app.robot.opening import open_robot
 from armsight.app.robot.recorder import LoopRecorder
 from armsight.app.schemas.play import PlayOutput
-from armsight.app.servo.devices import open_servo
 from armsight.app.servo.job import ServoDevices
-from armsight.app.servo.run import LAG_CYCLES, measuring
+from armsight.app.servo.run import LAG_CYCLES
 from armsight.app.servo.session import TOLD_S, Confirm, check_arm
-from armsight.app.servo.vision import Vision, VisionThread, probe
 from armsight.clock import Clock, SystemClock
 from armsight.control.events import QueueSink
 from armsight.control.guard import Guard
@@ -31,8 +29,7 @@ from armsight.control.loop import ControlLoop, LoopStatus
 from armsight.control.play import PathPlan, PathSource, PlayWatch
 from armsight.drivers import Robot
 from armsight.errors import ArmsightError, Cancelled, UsageError
-from armsight.records import Progress, Silent, TargetPose
-from armsight.store import read_rig
+from armsight.records import Progress, Silent
 from armsight.store.arm_file import read_arm
 from armsight.units import DEG, MM
 
@@ -44,39 +41,10 @@ Begun = Callable[[PathSource], None]
 """Is given the path once it may move, so that a key or a page may pause it and change its override."""
 
 
-class Eyes:
-    """Cameras that watch: robot and cameras of one clock, and what measuring needs. Nothing is open."""
-
-    def __init__(self, job: PlayJob, devices: ServoDevices | None) -> None:
-        """Raises UsageError, BadFile, DeviceNotFound."""
-        cameras = job.cameras()
-        rig, target = read_rig(cameras.rig), target_of(cameras.target)
-        self.sight = load_sight(cameras.handeye)
-        self.devices = devices or open_servo(cameras, rig, target)
-        self.setup = measuring(rig, target, self.devices)
-        self.latency_s = job.latency_s
-        self.vision: Vision | None = None
-        self._thread: VisionThread | None = None
-
-    def open(self, stack: ExitStack, sink: QueueSink) -> None:
-        """Open the cameras and measure what they see until stack ends. Raises where too few frames come."""
-        pairs = stack.enter_context(self.devices.pairs)
-        self.vision = vision = Vision(self.setup, self.devices, self.latency_s, sink)
-        if self.devices.stepped is not None:
-            self.devices.stepped.watch(pairs, vision.take)  # type: ignore[arg-type]  # of a live cell, by number too
-        else:
-            self._thread = stack.enter_context(VisionThread(vision, self.devices))
-        probe(vision, self.devices.clock, self.failed)
-
-    def failed(self) -> ArmsightError | None:
-        """Return what ended the cameras."""
-        return None if self._thread is None else self._thread.failed
-
-
 class PlaySession:
     """One run of a path: opened, planned, asked, run, told."""
 
-    def __init__(self, job: PlayJob, robot: Robot, clock: Clock, guard: Guard, eyes: Eyes | None) -> None:
+    def __init__(self, job: PlayJob, robot: Robot, clock: Clock, guard: Guard, eyes: Watcher | None) -> None:
         self._job, self._robot, self._clock, self._guard, self._eyes = job, robot, clock, guard, eyes
         self._watch: PlayWatch | None = None
 
@@ -108,8 +76,8 @@ class PlaySession:
         failed = self._failed() or recorder.failed
         if failed is not None:
             raise failed
-        vision = None if self._eyes is None else self._eyes.vision
-        return play_output(tally, timing, source, self._watch, vision, str(job.out / RECORDING))
+        counts = None if self._eyes is None else self._eyes.counts()
+        return play_output(tally, timing, source, self._watch, counts, str(job.out / RECORDING))
 
     def _watching(self, stack: ExitStack, sink: QueueSink) -> PlayWatch | None:
         """Open the cameras, and return what compares; None without any."""
@@ -123,13 +91,8 @@ class PlaySession:
             arm_lag_s=LAG_CYCLES * guard.cycle_s,
             cycle_s=guard.cycle_s,
         )
-        eyes.open(stack, sink)
-        if eyes.vision is not None:
-            eyes.vision.beside = lambda pose, exposed_s: self._seen(watch, pose, exposed_s)
+        eyes.open(stack, sink, lambda pose, exposed_s: watch.observe(pose, exposed_s, self._clock.now_s()))
         return watch
-
-    def _seen(self, watch: PlayWatch, pose: TargetPose, exposed_s: float) -> None:
-        watch.observe(pose, exposed_s, self._clock.now_s())
 
     def _failed(self) -> ArmsightError | None:
         return None if self._eyes is None else self._eyes.failed()
@@ -148,7 +111,7 @@ class PlaySession:
                 loop.stop(self._watch.exceeded)
             return tally(status) or self._failed() is not None
 
-        if self._eyes is None or self._eyes.devices.stepped is None:
+        if self._eyes is None or not self._eyes.stepped:
             return run_beside(lambda: loop.run(until=until), tell)
         every = max(1, round(TOLD_S / self._guard.cycle_s))
 
@@ -167,7 +130,7 @@ def run_play(
     progress: Progress | None = None,
     *,
     devices: ServoDevices | None = None,
-    opened: tuple[Robot, Clock] | None = None,
+    opened: tuple[Robot, Clock, Watcher | None] | None = None,
     begun: Begun = lambda _: None,
     enabled: Callable[[], bool] = lambda: True,
 ) -> PlayOutput:
@@ -175,7 +138,7 @@ def run_play(
 
     confirm: asked once, with the way in mm and degrees, before anything moves; all refusals come before. progress: its
     cancelled() is the operator's enable, let go of. devices: in place of robot and cameras of a watched job, opened: of
-    robot and clock of another. enabled: whether a deadman's button is held besides; while it is not the path waits.
+    robot and clock of another, and what watches it. enabled: whether a deadman is held besides; else it waits.
     Raises UsageError, DataRefused (a path with a jump, out of reach or singular; another arm's file; no hand-eye),
     DeviceFailed, Cancelled.
     """
@@ -185,11 +148,12 @@ def run_play(
         raise UsageError(
             f"{job.out} holds a recording already", consequence="Nothing is moved", cure="Give another folder (-o)"
         )
-    eyes = Eyes(job, devices) if job.watched else None
-    if eyes is not None:
+    watcher: Watcher | None = None
+    if job.watched:
+        watcher = eyes = Eyes(job, devices)
         robot, clock = eyes.devices.robot, eyes.devices.clock
     elif opened is not None:
-        robot, clock = opened
+        robot, clock, watcher = opened
     else:
         clock = SystemClock()
         model = None if job.arm is None else read_arm(job.arm)
@@ -201,11 +165,10 @@ def run_play(
             consequence="Where its tip goes is not known, and nothing is moved",
             cure="Give the arm's file (--arm)",
         )
-    if eyes is not None:
+    if job.watched:
         prepare(progress)
-    done = PlaySession(job, robot, clock, tipped_guard(guard, job.tip), eyes).run(
-        confirm, show, progress, begun, enabled
-    )
+    session = PlaySession(job, robot, clock, tipped_guard(guard, job.tip), watcher)
+    done = session.run(confirm, show, progress, begun, enabled)
     done.write(job.out / SUMMARY)
     return done
 

@@ -40,8 +40,8 @@ takes as long as the disk likes."""
 class _Waiting:
     """A pair of frames, or what else is to be written."""
 
-    pair: tuple[Frame, Frame] | None
-    encoded: tuple[Future[Encoded | None], Future[Encoded | None]] | None
+    pair: tuple[Frame, Frame | None] | None
+    encoded: tuple[Future[Encoded | None], ...] | None
     size: int
     write: Callable[[RecordingWriter], None] | None = None
 
@@ -91,9 +91,13 @@ class Recorder:
         """Pairs for which there was no room or no time."""
         return self._dropped
 
-    def put(self, left: Frame, right: Frame) -> bool:
-        """Hand over a pair; False where it was dropped. Raises what writing has met: DeviceFailed, Inconsistent."""
-        size = left.image.nbytes + right.image.nbytes
+    def put(self, left: Frame, right: Frame | None) -> bool:
+        """Hand over a pair; False where it was dropped. Raises what writing has met: DeviceFailed, Inconsistent.
+
+        right: None where the left one holds both views; it is then written as the camera `image`.
+        """
+        frames = [left] if right is None else [left, right]
+        size = sum(frame.image.nbytes for frame in frames)
         with self._room:
             while self._failure is None and self._full(size):
                 if self._live:
@@ -104,8 +108,7 @@ class Recorder:
                 raise self._failure
             encoded = None
             if self._kind is not ImageFormat.RAW:
-                one, two = (self._pool.submit(encode, frame.image, self._kind) for frame in (left, right))
-                encoded = (one, two)
+                encoded = tuple(self._pool.submit(encode, frame.image, self._kind) for frame in frames)
             self._waiting.append(_Waiting((left, right), encoded, size))
             self._bytes += size
             self._room.notify_all()
@@ -185,8 +188,11 @@ class Recorder:
         if item.pair is None:
             return
         left, right = item.pair
-        encoded = (item.encoded[0].result(), item.encoded[1].result()) if item.encoded else (None, None)
-        self._writer.pair(left, right, encoded)
+        encoded = [one.result() for one in item.encoded] if item.encoded else [None, None]
+        if right is None:
+            self._writer.frame("image", left, encoded[0])
+        else:
+            self._writer.pair(left, right, (encoded[0], encoded[1]))
         self._written += 1
         if self._dropped > self._told:
             news = self._dropped - self._told

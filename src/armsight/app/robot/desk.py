@@ -44,6 +44,10 @@ class DeskLog(Protocol):
         ...
 
 
+class EnableLost(DeviceFailed):
+    """The enable is not held, or was not heard of in time: the robot is held, and goes on once it is held anew."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lease:
     """The right to drive: one at a time. number tells leases of the same person apart."""
@@ -286,7 +290,7 @@ class Desk:
         if not self._enabled or silent_s > HEARTBEAT_S:
             off = "the enable must be let go of and given anew" if self._reenable else "the driver's enable is off"
             why = f"no heartbeat for {silent_s:.2f} s" if self._enabled else off
-            raise DeviceFailed(
+            raise EnableLost(
                 f"motion is not enabled: {why}",
                 consequence="Nothing was sent",
                 cure=f"Send a heartbeat with enable at least every {HEARTBEAT_S:g} s while the operator allows motion",

@@ -53,13 +53,46 @@ class ArmNoise(Output):
     rotation_rad: float | None = Field(description="Of an orientation about one axis, rad; null without orientations.")
 
 
+class LimitOutput(Output):
+    """A correction as large as the nominal arm is believed to."""
+
+    name: str = Field(description="The parameter.")
+    change: float = Field(description="Its change to the nominal arm, unit in the name.")
+    limit: float = Field(description="What the nominal arm is believed to, unit in the name.")
+    flag: str | None = Field(description="The option that raises it; null where there is none.")
+
+
+class MisfitOutput(Output):
+    """A figure of the nominal arm that the measurements contradict."""
+
+    name: str = Field(description="Its name: a joint's a_m, d_m, alpha_rad, beta_rad or scale.")
+    nominal: float = Field(description="As the nominal arm has it, unit in the name.")
+    wanted: float = Field(description="As the measurements want it.")
+    std: float = Field(description="Standard deviation of what they want.")
+
+
+class KnownArmOutput(Output):
+    """An arm known by name that fits the measurements as it is."""
+
+    name: str = Field(description="Its name.")
+    error_m: float = Field(description="Median error of a place, base and tool fitted, m.")
+
+
+class OtherArmOutput(Output):
+    """Why the nominal arm is that of another one."""
+
+    misfits: list[MisfitOutput] = Field(description="Figures that the measurements contradict, the worst first.")
+    known: KnownArmOutput | None = Field(description="The arm known by name that fits far better; null for none.")
+    nominal_error_m: float = Field(description="Median error of a place with the nominal arm, m.")
+
+
 class ArmCalibrationOutput(Output):
     """The calibration of a known arm's geometry."""
 
     n: int = Field(description="Rows given.")
     before: ToolErrors = Field(description="Errors on the rows used, nominal geometry, base and tool fitted.")
     after: ToolErrors = Field(description="Errors on the rows used, geometry kept, base and tool fitted.")
-    crossval: BeforeAfter = Field(description="Errors on rows left out by k-fold cross-validation.")
+    crossval: BeforeAfter = Field(description="Errors on rows left out by nested cross-validation, refitted fully.")
     holdout: BeforeAfter | None = Field(None, exclude_if=absent, description="Errors on the rows of --holdout.")
     free: list[str] = Field(description="Parameters that were corrected.")
     fixed: list[FixedParameter] = Field(description="Parameters that were not.")
@@ -70,9 +103,14 @@ class ArmCalibrationOutput(Output):
     still: list[str] = Field(description="Joints that did not move.")
     couplings: list[CouplingOutput] = Field(description="Readings that are coupled to other joints'.")
     noise: ArmNoise = Field(description="Noise of the measurements.")
+    at_limit: list[LimitOutput] = Field(description="Corrections that stand at the limit of their tolerance.")
+    notes: list[str] = Field(description="What to know about the result.")
     model: str = Field(description="Which kind of model was taken.")
     verdict: str = Field(description="Whether the correction is worth it, in words.")
     gain: bool = Field(description="Whether left-out errors fall beyond their own uncertainty.")
+    other_arm: OtherArmOutput | None = Field(
+        description="Where the nominal arm is another one than was measured: why; nothing is corrected then. Else null."
+    )
 
 
 class ArmOutput(ArmCalibrationOutput):
@@ -160,6 +198,13 @@ class PlanOutput(Output):
     notes: list[str] = Field(description="What to know about the plan.")
 
 
+class LeftOutJoint(Output):
+    """A joint that was not swept: nothing of it is identified."""
+
+    joint: int = Field(description="Number, from 1.")
+    held_at: float = Field(description="Where it stood during the sweeps, rad or m.")
+
+
 class IdentifyOutput(Output):
     """armsight identify."""
 
@@ -167,7 +212,13 @@ class IdentifyOutput(Output):
     method: str = Field(description="ml or paper.")
     notes: list[str] = Field(description="What to know about the result.")
     noise: float = Field(description="Noise found: px with a rig, else m, or a factor on covariances given.")
+    misfit: float = Field(
+        description="RMS of the readings' distances from the arm, in standard deviations of the noise."
+    )
     plan: PlanOutput | None = Field(None, exclude_if=absent, description="The sweeps that were made; with --live.")
+    left_out: list[LeftOutJoint] | None = Field(
+        None, exclude_if=absent, description="Joints behind those of the result, held during the sweeps; --leave-out."
+    )
 
 
 class ProposedPlanOutput(Output):

@@ -226,6 +226,16 @@ class SuspectMirror(Output):
     chi2: float = Field(description="Chi-square that it leaves.")
 
 
+class MirrorTurnOutput(Output):
+    """How a mirror is to be turned so that the virtual optical axes become parallel."""
+
+    mirror: int = Field(description="1 to 4.")
+    turn_rad: float = Field(description="About the vertical y (down): positive is clockwise seen from above.")
+    tilt_rad: float = Field(
+        description="About the line in its face square to y: positive brings its upper edge back, to the camera's side."
+    )
+
+
 class MirrorCheckOutput(Output):
     """armsight calibrate mirrors --check."""
 
@@ -235,6 +245,9 @@ class MirrorCheckOutput(Output):
     moved: bool = Field(description="Whether anything has moved beyond the views' noise.")
     certain: bool = Field(description="Whether one mirror alone explains the change.")
     suspects: list[SuspectMirror] = Field(description="Mirrors that may have moved, the likeliest first.")
+    turns: list[MirrorTurnOutput] | None = Field(
+        None, exclude_if=absent, description="Against the design: turns of mirrors 2 and 4 that make the axes parallel."
+    )
     advice: list[str] = Field(description="Which mirror to turn, and how.")
     n_views: int = Field(description="Images that the answer rests on.")
     missed: list[str] = Field(description="Images without the board in both views, and why.")

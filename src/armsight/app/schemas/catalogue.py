@@ -15,6 +15,7 @@ from armsight.app.schemas.cameras import (
     StereoOutput,
     ZoomRigOutput,
 )
+from armsight.app.schemas.compare import CompareOutput
 from armsight.app.schemas.files import (
     ConvertOutput,
     ConvertTableOutput,
@@ -82,6 +83,7 @@ OUTPUTS: Mapping[str, type[Output]] = MappingProxyType(
         "convert": ConvertOutput,
         "convert-table": ConvertTableOutput,
         "convert-arm": ConvertArmOutput,
+        "compare": CompareOutput,
         "join": JoinOutput,
         "simulate": SimulateOutput,
         "reproduce": ReproduceOutput,

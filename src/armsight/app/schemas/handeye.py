@@ -62,6 +62,12 @@ class HandEyeOutput(Output):
     std_target: PoseStd = Field(description="Standard deviations of the target's pose, in axes of base or flange.")
     n_pairs: int = Field(description="Pairs, images and robot poses given.")
     n_used: int = Field(description="Pairs that the result rests on.")
+    n_effective: float | None = Field(
+        None, exclude_if=absent, description="Independent pairs that they are worth; of streams only."
+    )
+    correlation_time_s: float | None = Field(
+        None, exclude_if=absent, description="After which a drift of the errors is forgotten, s; of streams only."
+    )
     rejected: list[RejectedPair] = Field(description="What was left out.")
     residual_rms_m: float = Field(description="Residual of T_camera_target's position, RMS, m.")
     residual_rms_rad: float = Field(description="Residual of T_camera_target's orientation, RMS, rad.")
@@ -70,6 +76,7 @@ class HandEyeOutput(Output):
     noise: HandEyeNoise = Field(description="Noise of robot and camera.")
     turning_rms_rad: Vector = Field(description="Turns of the hand about its principal axes, falling, RMS, rad.")
     verdict: str = Field(description="Whether the result can be trusted, in words.")
+    concerns: list[str] = Field(description="The advice to follow before the result can be trusted; empty: it can be.")
     advice: list[str] = Field(description="What would make the result surer.")
     target_scale: TargetScale | None = Field(None, exclude_if=absent, description="Whether the target's size is true.")
     reprojection_rms_px: float | None = Field(

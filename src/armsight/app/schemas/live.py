@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from armsight.app.schemas.base import Output
+from armsight.app.schemas.base import Output, absent
 
 
 class SpotView(Output):
@@ -15,6 +15,9 @@ class SpotView(Output):
     v_px: float = Field(description="Row of its centre, px.")
     residual_px: tuple[float, float] | None = Field(
         description="Seen minus where the pose has it, px; null without a pose."
+    )
+    view: str | None = Field(
+        None, exclude_if=absent, description="left or right: the view it belongs to, in a picture that holds both."
     )
 
 
@@ -27,12 +30,19 @@ class SideView(Output):
     epipolar: list[list[tuple[float, float]]] = Field(
         description="In this picture the epipolar curve of every named light of the other one: (u, v) along it, px."
     )
+    epipolar_views: list[str] | None = Field(
+        None,
+        exclude_if=absent,
+        description="left or right: the view that each curve is in, where a picture holds both.",
+    )
     advice: str = Field(
         description="What to change: nothing_seen, room_too_bright, clipped, faint, blurred, too_sharp or good."
     )
     background: float = Field(description="Median grey level.")
     brightest: float | None = Field(description="Grey levels of the brightest light above the background.")
     sigma_px: float | None = Field(description="Median width of the lights (Gaussian sigma), px.")
+    n_clipped: int | None = Field(None, exclude_if=absent, description="Lights that hold clipped pixels.")
+    exposure_s: float | None = Field(None, exclude_if=absent, description="Exposure, s, where the camera tells it.")
 
 
 class Counts(Output):
@@ -58,6 +68,9 @@ class LiveView(Output):
     euler_rad: tuple[float, float, float] | None = Field(description="rx, ry, rz with R = Rz Ry Rx.")
     quat_xyzw: tuple[float, float, float, float] | None = Field(description="Orientation, scalar last.")
     std: tuple[float, ...] | None = Field(description="Standard deviations: x, y, z in m, then rotation vector, rad.")
+    covariance_m2: list[list[float]] | None = Field(
+        None, exclude_if=absent, description="Covariance of the position (3, 3), m squared, where it is known."
+    )
     residual_px: float | None = Field(description="RMS of the reprojection residuals.")
     counts: Counts = Field(description="Since the start.")
     left: SideView = Field(description="Left picture.")

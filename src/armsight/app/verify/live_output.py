@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.schemas.verify_live import DecisionTime, LiveAlarm, LiveErrors, LiveLevels, VerifyLiveOutput
-from armsight.records import Frame, PoseStatus, TargetPose
+from armsight.records import PoseStatus, TargetPose
 from armsight.report.live_report import LiveSeries
 from armsight.store.tables import cells, number
 from armsight.units import DEG, MM
@@ -51,11 +51,11 @@ class LiveLog:
         """From the first row to the last, in s."""
         return self.rows[-1].t_s - self.rows[0].t_s if self.rows else 0.0
 
-    def add(self, left: Frame, pose: TargetPose, compared: Compared | None, level: Level, lost: str, ms: float) -> None:
-        """Add a pair."""
+    def add(self, number: int, pose: TargetPose, compared: Compared | None, level: Level, lost: str, ms: float) -> None:
+        """Add the pair of this number."""
         if self.rows:
-            self.missed += max(0, left.sequence - self.last_number - 1)
-        self.last_number = left.sequence
+            self.missed += max(0, number - self.last_number - 1)
+        self.last_number = number
         known = compared is not None
         self.rows.append(
             LiveRow(

@@ -13,10 +13,11 @@ from armsight.app.kinematics import load_arm
 from armsight.app.measure.run import target_of
 from armsight.app.schemas.base import PoseOutput, RejectedRow
 from armsight.app.schemas.verify_live import MasteringJoint, MasteringOutput, MasteringPlanOutput, MasteringPose
+from armsight.app.verify.in_view import seen_whole
 from armsight.app.verify.run import in_world
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Arm, fk
-from armsight.optics import SIDES, Rig
+from armsight.optics import Rig
 from armsight.records import Target
 from armsight.report.mastering_report import mastering_report
 from armsight.store import read_rig, read_world, write_text
@@ -37,8 +38,6 @@ DRAWN, SEED = 40_000, 7
 TOOLS = ("fixed", "free")
 NOISE = np.array([2e-4, 1e-3])
 """Of a measured pose, m and rad, for the accuracy told beforehand: two webcams a metre away."""
-BORDER = 0.03
-"""Share of the image's width that lights keep from its border."""
 TILT_RAD = np.deg2rad(40.0)
 """By how much the target may be turned away from how it stands in the middle pose: lights shine one way."""
 
@@ -164,13 +163,8 @@ def _drawn(arm: Arm, middle: Array, span_rad: float) -> Array:
 def _in_view(arm: Arm, q: Array, middle: Array, rig: Rig, target: Target, T_parent_rig: RigidTransform) -> Index:
     """Return the places (k,) of the joint values at which both cameras see the whole target, turned to them."""
     T = (T_parent_rig.inv() * RigidTransform.from_matrix(fk(arm, np.vstack([middle, q])))).as_matrix()
-    points = np.einsum("mij,pj->mpi", T[:, :3, :3], target.xyz_m) + T[:, None, :3, 3]  # (m, p, 3)
     seen = np.arccos(np.clip(T[:, :3, 2] @ T[0, :3, 2], -1.0, 1.0)) < TILT_RAD
-    for side, uv in zip(SIDES, rig.project(points.reshape(-1, 3)), strict=True):
-        camera = rig.camera(side)
-        border = BORDER * camera.width
-        limit = np.array([camera.width, camera.height]) - border
-        seen &= ((uv > border) & (uv < limit)).all(axis=1).reshape(len(T), -1).all(axis=1)
+    seen &= seen_whole(rig, target, T)
     if not seen[0]:
         raise NotEnoughData(
             "the cameras do not see the whole target at --around",

@@ -139,7 +139,7 @@ class Supervision:
         if alarm is not None and alarm.level is Level.STOP:
             self._stop(pose.t_s)
         ms = (time.perf_counter() - begun_s) * 1e3
-        self.log.add(pair[0], pose, compared, self._watch.level, lost, ms)
+        self.log.add(pair[0].sequence, pose, compared, self._watch.level, lost, ms)
         if told is not None:
             self.log.raised(told)
         self._record(pair, measured, told, zero_s)

@@ -2,6 +2,7 @@
 
 from armsight.calibrate.arm.calibration import ArmCalibration, Errors, calibrate_arm
 from armsight.calibrate.arm.fit import ArmFit, Tolerance
+from armsight.calibrate.arm.limits import LimitReached
 from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.points import ArmPoints
 from armsight.calibrate.arm.propose import Proposal, propose
@@ -13,6 +14,7 @@ __all__ = [
     "ArmModel",
     "ArmPoints",
     "Errors",
+    "LimitReached",
     "Proposal",
     "Tolerance",
     "WorldCalibration",

@@ -9,21 +9,25 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from armsight.calibrate.arm.fit import ArmFit, Tolerance, fit_arm
+from armsight.calibrate.arm.cross_validation import LeftOut, cross_validate
+from armsight.calibrate.arm.fit import ArmFit, Tolerance
 from armsight.calibrate.arm.initial_guess import start
+from armsight.calibrate.arm.limits import LimitReached, limits_reached
 from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.model_selection import (
     Couplings,
     Level,
-    candidates,
+    best_level,
     coupled,
-    level,
-    plain_level,
+    fit_levels,
     significant_gain,
 )
+from armsight.calibrate.arm.one_place import check_one_place
+from armsight.calibrate.arm.other_arm import OtherArm, other_arm
 from armsight.calibrate.arm.parameter_selection import still
 from armsight.calibrate.arm.plausibility import check_fit, exceeded
 from armsight.calibrate.arm.points import ArmPoints, check_points
+from armsight.calibrate.arm.tool_points import tool_points
 from armsight.errors import Inconsistent, NotConverged
 from armsight.kinematics import Arm
 from armsight.records import NamedCovariance
@@ -32,6 +36,9 @@ Array = NDArray[np.float64]
 
 GROSS = float(np.sqrt(chi2.ppf(0.99999, 3)))
 """Errors of place beyond so many standard deviations are gross."""
+CONFIRMED = 1.0
+"""Standard errors by which errors must fall in nested folds too, after the kind of model was taken by two of them: the
+folds have a fifth fewer rows, and some take a poorer kind."""
 UNPROVED = "no gain is proved by correcting it"
 
 
@@ -54,11 +61,14 @@ class ArmCalibration:
     """What came out.
 
     arm: corrected where gain, else nominal; base and tool fitted in both. before, after: errors on the rows used, with
-    the nominal arm and the one kept; cross_before, cross_after: on rows left out by cross-validation; left_before,
-    left_after: on the holdout where one was given (held), else the same. free, condition: see Choice. fixed: (name,
-    why) of what is as in the nominal arm. model, fitted: names and values of the parameters (changes to the nominal
-    arm), noise. outliers: (row from 0, error in m). couplings: (joint, by which, share). level: which kind of model was
-    taken. still: joints that did not move. before_m, error_m: (m,) before and after, by row.
+    the nominal arm and the one kept; cross_before, cross_after: on rows left out by cross-validation, in which all that
+    looked at the rows, the kind of model included, is done again without them; left_before, left_after: on the holdout
+    where one was given (held), else the same. free, condition: see Choice. fixed: (name, why) of what is as in the
+    nominal arm. at_limit: corrections as large as the nominal arm is believed to; notes: what else to know. model,
+    fitted: names and values of the parameters (changes to the nominal arm), noise. outliers: (row from 0, error in
+    m). couplings: (joint, by which, share). level: which kind of model was taken. still: joints that did not move.
+    before_m, error_m: (m,) before and after, by row. other_arm: why the
+    nominal arm is that of another one; nothing is corrected then.
     """
 
     arm: Arm
@@ -81,9 +91,12 @@ class ArmCalibration:
     outliers: tuple[tuple[int, float], ...]
     couplings: Couplings
     still: tuple[str, ...]
+    at_limit: tuple[LimitReached, ...]
+    notes: tuple[str, ...]
     verdict: str
     error_m: Array
     before_m: Array
+    other_arm: OtherArm | None = None
 
     def std(self) -> dict[str, float]:
         """Return the standard deviations of the freed parameters, base and tool."""
@@ -104,13 +117,14 @@ def calibrate_arm(
 ) -> ArmCalibration:
     """Return the arm whose left-out errors are smallest: nominal, or with zeros, geometry, joint scales corrected.
 
-    Each richer model is taken only where left-out errors fall beyond their own uncertainty, in cross-validation
-    and, where a holdout is given, there too. Base and tool points are fitted always. Couplings of one (an elbow's
-    reading that is absolute) are a kind of model of their own, tried where they halve the error. Raises
-    NotEnoughData, Inconsistent for measurements that cannot be of this arm.
+    Each richer model is taken only where left-out errors fall beyond their own uncertainty; the whole way there must
+    show in nested cross-validation and, where a holdout is given, be proved there too. Base and tool points are fitted
+    always. Couplings of one (an elbow's reading that is absolute) are a kind of model of their own, tried where they
+    halve the error. Raises NotEnoughData, Inconsistent for measurements that cannot be of this arm.
     """
     tolerance = tolerance or Tolerance()
     check_points(nominal, points)
+    check_one_place(nominal, points)
     model = ArmModel(arm=nominal, labels=points.labels, turned=points.rotation is not None)
     if holdout is not None:
         check_points(nominal, holdout)
@@ -118,33 +132,47 @@ def calibrate_arm(
     levels = _levels(model, points, tolerance, scale=scale)
     errors = [_size(model, x, points) for x in levels]
     check_fit(model, points, min(errors, key=exceeded))
-    best = levels[0]
-    for richer in levels[1:]:
-        if significant_gain(best.left_m, richer.left_m, points.position):
-            best = richer
-    return _result(model, points, holdout, levels, best)
+    left = cross_validate(model, points, levels, tolerance, scale=scale)
+    judged = _Judged(levels=levels, chosen=best_level(levels, points.position), left=left)
+    other = other_arm(model, points, _plain(levels, judged.chosen), judged.chosen, tolerance)
+    if other is not None:
+        kept = _result(model, points, holdout, replace(judged, chosen=levels[0]), tolerance)
+        return replace(kept, verdict=other.text(), other_arm=other)
+    return _result(model, points, holdout, judged, tolerance)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Judged:
+    """All kinds of model, the one chosen with all rows, and the errors at rows left out."""
+
+    levels: Sequence[Level]
+    chosen: Level
+    left: LeftOut
+
+    @property
+    def first(self) -> Level:
+        return self.levels[0]
+
+    def proved(self, points: ArmPoints) -> Level:
+        """Return the chosen level where the nested folds show its gain, else the nominal one."""
+        shown = significant_gain(self.left.nominal_m, self.left.chosen_m, points.position, proved=CONFIRMED)
+        return self.chosen if shown else self.first
 
 
 def _levels(model: ArmModel, points: ArmPoints, tolerance: Tolerance, *, scale: bool) -> list[Level]:
-    """Return the fits of all kinds of model, the nominal one first; those that did not converge are left out."""
+    """Return the fits of all kinds of model to all rows, the nominal one first."""
     guess = start(model, points)
-    p, couplings = coupled(model, points, guess)
     try:
-        levels = [plain_level(model, points, fit_arm(model, points, guess, (), tolerance), "nominal")]
+        return fit_levels(model, points, guess, tolerance, scale=scale)
     except NotConverged:
+        p, _ = coupled(model, points, guess)
         check_fit(model, points, np.linalg.norm(model.errors(p, points)[0], axis=1))
         raise
-    if couplings:
-        fitted = fit_arm(model, points, p, (), tolerance)
-        levels.append(plain_level(model, points, fitted, "coupled readings", couplings))
-    plain = levels[-1]
-    for name, offered in candidates(model, scale=scale):
-        try:
-            told = f"{plain.name} and {name}" if couplings else name
-            levels.append(level(model, points, plain, told, offered, tolerance))
-        except NotConverged:
-            continue
-    return levels
+
+
+def _plain(levels: Sequence[Level], best: Level) -> Level:
+    """Return the level of base and tool alone whose readings are coupled as the best one's."""
+    return next(x for x in levels if x.couplings == best.couplings and not x.choice.free)
 
 
 def _check_labels(model: ArmModel, holdout: ArmPoints) -> None:
@@ -163,19 +191,18 @@ def _size(model: ArmModel, x: Level, points: ArmPoints) -> Array:
 
 
 def _result(
-    model: ArmModel, points: ArmPoints, holdout: ArmPoints | None, levels: Sequence[Level], chosen: Level
+    model: ArmModel, points: ArmPoints, holdout: ArmPoints | None, judged: _Judged, tolerance: Tolerance
 ) -> ArmCalibration:
-    first, best = levels[0], chosen
-    held: tuple[Array, Array] | None = None
-    if holdout is not None:
-        held = _size(model, first, holdout), _size(model, chosen, holdout)
-        if chosen is not first and not significant_gain(*held, holdout.position):
-            best = first
+    first, proved, errors = judged.first, judged.proved(points), judged.left
+    best, held = _held(model, holdout, first, proved)
     gain = best is not first
-    cross = Errors.of(first.left_m), Errors.of(best.left_m)
+    rows = errors.judged
+    before = Errors.of(errors.nominal_m[rows])
+    cross = before, Errors.of(errors.chosen_m[rows]) if gain else before
     left = cross if held is None else (Errors.of(held[0]), Errors.of(held[1 if gain else 0]))
+    at_limit = limits_reached(model, best.fitted.p, best.choice.free, tolerance)
     before_m, after_m = _size(model, first, points), _size(model, best, points)
-    limit = GROSS * best.fitted.sigma_m
+    gross = np.flatnonzero(after_m > GROSS * best.fitted.sigma_m)
     return ArmCalibration(
         arm=_arm(model, best),
         nominal=model.arm,
@@ -191,21 +218,35 @@ def _result(
         left_after=left[1],
         held=held is not None,
         free=best.choice.free,
-        fixed=_fixed(best, levels[-1]),
+        fixed=_fixed(best, judged.levels[-1]),
         condition=best.choice.condition,
         covariance=best.fitted.fit.covariance,
-        outliers=tuple((int(i), float(after_m[i])) for i in np.flatnonzero(after_m > limit)),
+        outliers=tuple((int(i), float(after_m[i])) for i in gross),
         couplings=best.couplings,
         still=still(model, points),
-        verdict=_verdict(levels, chosen, best, held),
+        at_limit=at_limit,
+        notes=(*(item.sentence for item in at_limit), *_unjudged(points, rows)),
+        verdict=" ".join([_verdict(judged, proved, best, held), *(f"{item.sentence}." for item in at_limit)]),
         error_m=after_m,
         before_m=before_m,
     )
 
 
+def _held(
+    model: ArmModel, holdout: ArmPoints | None, first: Level, proved: Level
+) -> tuple[Level, tuple[Array, Array] | None]:
+    """Return the level to keep, and errors on the holdout with the nominal and the proved one."""
+    if holdout is None:
+        return proved, None
+    held = _size(model, first, holdout), _size(model, proved, holdout)
+    gain = proved is not first and significant_gain(*held, holdout.position)
+    return proved if gain else first, held
+
+
 def _arm(model: ArmModel, best: Level) -> Arm:
-    """Return the arm of a level, with the covariance of its links."""
+    """Return the arm of a level, with the covariance of its links and the places of its tool's points."""
     arm, covariance = model.arm_at(best.fitted.p), best.fitted.fit.covariance
+    arm = replace(arm, tool_points=tool_points(model, best.fitted))
     if covariance is not None:
         links = tuple(name for name in covariance.names if name in model.names[: 5 * model.arm.n])
         if links:
@@ -219,21 +260,35 @@ def _fixed(best: Level, richest: Level) -> tuple[tuple[str, str], ...]:
     return tuple((name, reason) for name, reason in why.items() if name not in best.choice.free)
 
 
-def _verdict(levels: Sequence[Level], chosen: Level, best: Level, held: tuple[Array, Array] | None) -> str:
-    """Return what to think of it, in a sentence or two. chosen: by cross-validation; best: what was kept."""
-    first = levels[0]
-    cross = f"{_mm(first.left_m)} to {_mm(chosen.left_m)} mm"
+def _unjudged(points: ArmPoints, judged: NDArray[np.bool_]) -> list[str]:
+    """Return a note of the rows that cross-validation cannot judge."""
+    if judged.all():
+        return []
+    labels = sorted(
+        {points.point[i] for i in np.flatnonzero(~judged)} - {points.point[i] for i in np.flatnonzero(judged)}
+    )
+    of = f" (points {', '.join(map(repr, labels))})" if any(labels) else ""
+    return [
+        f"{int((~judged).sum())} of {len(points)} rows{of} are not judged by cross-validation: rows of other joint "
+        "positions do not tell where they should be"
+    ]
+
+
+def _verdict(judged: _Judged, proved: Level, best: Level, held: tuple[Array, Array] | None) -> str:
+    """Return what to think of it, in a sentence or two. proved: by cross-validation; best: what was kept."""
+    first, left = judged.first, judged.left
+    cross = f"{_mm(left.nominal_m)} to {_mm(left.chosen_m)} mm"
     there = "" if held is None else f"{_mm(held[0])} to {_mm(held[1])} mm"
-    if chosen is first:
-        tried = ", ".join(f"{x.name} {_mm(x.left_m)} mm" for x in levels[1:])
+    if proved is first:
+        tried = ", ".join(f"{x.name} {_mm(left.by_level[x.name])} mm" for x in judged.levels[1:])
         return (
-            f"No gain is proved: rows left out by cross-validation miss by {_mm(first.left_m)} mm with the nominal "
+            f"No gain is proved: rows left out by cross-validation miss by {_mm(left.nominal_m)} mm with the nominal "
             f"arm, and not reliably less with any correction ({tried}). "
             "The nominal geometry is kept; measure more, or better."
         )
     if best is first:
         return (
-            f"No gain is proved: correcting {chosen.name} takes the error of rows left out by cross-validation from "
+            f"No gain is proved: correcting {proved.name} takes the error of rows left out by cross-validation from "
             f"{cross}, but that of the rows of the holdout from {there}, not reliably less. "
             "The nominal geometry is kept; measure more joint positions."
         )
@@ -249,4 +304,4 @@ def _verdict(levels: Sequence[Level], chosen: Level, best: Level, held: tuple[Ar
 
 
 def _mm(size_m: Array) -> str:
-    return f"{1e3 * float(size_m.mean()):.3g}"
+    return f"{1e3 * float(np.nanmean(size_m)):.3g}"

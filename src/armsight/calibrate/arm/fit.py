@@ -74,7 +74,7 @@ def fit_arm(
     priors = {name: Prior(mean=0.0, sigma=tolerance.of(name)) for name in free}
     rows = 6 if points.rotation is not None else 3
     loss = Loss(kind=LossKind.HUBER, scale=float(np.sqrt(chi2.ppf(0.99, rows))), block=rows)
-    sigma = noise or _noise(model, guess, points, 0)
+    sigma = noise or estimate_noise(model, guess, points, len(free) + len(mounts))
     p = guess
     for _ in range(1 if noise else FIT_ROUNDS):
         problem = Problem(
@@ -90,7 +90,7 @@ def fit_arm(
         )
         fit = solve(problem, Settings(allow_undetermined=True, max_iterations=200))
         p = fit.shared
-        before, sigma = sigma, noise or _noise(model, p, points, len(free) + len(mounts))
+        before, sigma = sigma, noise or estimate_noise(model, p, points, len(free) + len(mounts))
         if max(abs(np.log(np.divide(sigma, before)))) < 0.01:
             break
     fitted = tuple(name for name in model.names if name not in fixed)
@@ -102,8 +102,11 @@ def _tool_turn(name: str) -> bool:
     return name.startswith("tool") and name.rsplit(".", 1)[1] in ("rx_rad", "ry_rad", "rz_rad")
 
 
-def _noise(model: ArmModel, p: Array, points: ArmPoints, n_free: int) -> tuple[float, float]:
-    """Return the standard deviations of one coordinate of place and of rotation, from the medians of the residuals."""
+def estimate_noise(model: ArmModel, p: Array, points: ArmPoints, n_free: int) -> tuple[float, float]:
+    """Return the standard deviations of one coordinate of place and of rotation, from the medians of the residuals.
+
+    n_free: parameters that were fitted to these rows.
+    """
     place, turn = model.errors(p, points)
     m = len(points)
     rows = 6 if points.rotation is not None else 3

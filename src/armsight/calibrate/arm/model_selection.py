@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.calibrate.arm.fit import ArmFit, Tolerance, fit_arm
+from armsight.calibrate.arm.fit import ArmFit, Tolerance, estimate_noise, fit_arm
 from armsight.calibrate.arm.initial_guess import start
 from armsight.calibrate.arm.model import ArmModel
-from armsight.calibrate.arm.parameter_selection import Choice, choose
+from armsight.calibrate.arm.parameter_selection import Choice, choose, orthonormal_basis
 from armsight.calibrate.arm.points import ArmPoints
+from armsight.errors import NotConverged
 
 Array = NDArray[np.float64]
 Couplings = tuple[tuple[str, str, float], ...]
@@ -20,12 +21,17 @@ Couplings = tuple[tuple[str, str, float], ...]
 FOLDS = 5
 PROVED = 2.0
 """A model is taken where left-out errors fall by this many of the fall's own standard errors: by chance once in 44."""
+FEWEST_JUDGED = 3
+"""Joint positions below which the spread of a fall says nothing."""
 PASSES = 6
 """Choices of what to free: where a fit lessens the noise, more can be told; two or three are the rule."""
 RIDGE = 1e-12
 """Keeps directions that no row tells (a tool on the last axis) where they are, in scaled information."""
 COUPLED = 0.5
 """A coupling of one is believed where it takes the error below this share of what it is without."""
+COUPLING_MISS = 0.2
+"""A coupling of one leaves errors of about what it does beside base and tool; where the error is below this share of
+that, there is none, and it is not tried."""
 COUPLING_RANGE_RAD = 0.2
 """A joint that moved less cannot tell whether the next one's reading holds its own."""
 REPLACED = "the axes before and behind are parallel: the next joint's d_m says the same, and beta_rad their tilt"
@@ -33,7 +39,8 @@ REPLACED = "the axes before and behind are parallel: the next joint's d_m says t
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Level:
-    """A kind of model: its name, its fit to all rows, its choice, the left-out errors (m,), couplings it holds."""
+    """A kind of model: its name, fit and choice, the errors (m,) at rows left out as one step tells them (left_out),
+    couplings it holds."""
 
     name: str
     fitted: ArmFit
@@ -58,9 +65,10 @@ def coupled(model: ArmModel, points: ArmPoints, nominal: Array) -> tuple[Array, 
     joints = model.arm.joints
     found: Couplings = ()
     size = _robust(model, p, points)
+    effect = _coupling_effects(model, p, points)
     for i in range(1, model.arm.n):
         turn = model.arm.revolute[i] and model.arm.revolute[i - 1]
-        if not turn or np.ptp(points.q[:, i - 1]) < COUPLING_RANGE_RAD:
+        if not turn or np.ptp(points.q[:, i - 1]) < COUPLING_RANGE_RAD or size < COUPLING_MISS * effect[i - 1]:
             continue
         for share in (1.0, -1.0):
             driven = points.q.copy()
@@ -74,6 +82,16 @@ def coupled(model: ArmModel, points: ArmPoints, nominal: Array) -> tuple[Array, 
     return p, found
 
 
+def _coupling_effects(model: ArmModel, p: Array, points: ArmPoints) -> Array:
+    """Return (n - 1,): the median error in m that each coupling of one makes beside base and tool, to first order."""
+    n = model.arm.n
+    J = model.predict(p, points)[1][:, :3].reshape(-1, len(p))
+    Q = orthonormal_basis(J[:, model.n_geometry :])
+    own = J[:, 6 * n : model.n_geometry]
+    own = own - Q @ (Q.T @ own)
+    return np.asarray(np.median(np.linalg.norm(own.reshape(len(points), 3, n - 1), axis=1), axis=0))
+
+
 def _robust(model: ArmModel, p: Array, points: ArmPoints) -> float:
     return float(np.median(np.linalg.norm(model.errors(p, points)[0], axis=1)))
 
@@ -85,20 +103,71 @@ def plain_level(model: ArmModel, points: ArmPoints, fitted: ArmFit, name: str, c
     return Level(name=name, fitted=fitted, choice=choice, left_m=left, couplings=couplings)
 
 
+def fit_levels(
+    model: ArmModel,
+    points: ArmPoints,
+    guess: Array,
+    tolerance: Tolerance,
+    *,
+    scale: bool,
+    like: Sequence[Level] = (),
+) -> list[Level]:
+    """Return the fits of all kinds of model, the nominal one first; richer ones that did not converge are left out.
+
+    like: levels of other rows of the same arm, to begin at; the answer does not hang on them. Raises NotConverged for
+    the nominal one.
+    """
+    begun = {x.name: x.fitted for x in like}
+    p, couplings = coupled(model, points, guess)
+    levels = [plain_level(model, points, fit_arm(model, points, guess, (), tolerance), "nominal")]
+    if couplings:
+        fitted = fit_arm(model, points, p, (), tolerance)
+        levels.append(plain_level(model, points, fitted, "coupled readings", couplings))
+    plain = levels[-1]
+    for name, offered in candidates(model, scale=scale):
+        told = f"{plain.name} and {name}" if couplings else name
+        try:
+            levels.append(level(model, points, plain, told, offered, tolerance, begun.get(told)))
+        except NotConverged:
+            continue
+    return levels
+
+
+def best_level(levels: Sequence[Level], position: NDArray[np.intp], *, proved: float = PROVED) -> Level:
+    """Return the richest level with a significant gain over the one before it that has one; position (m,) of rows."""
+    best = levels[0]
+    for richer in levels[1:]:
+        if significant_gain(best.left_m, richer.left_m, position, proved=proved):
+            best = richer
+    return best
+
+
 def level(
-    model: ArmModel, points: ArmPoints, first: Level, name: str, offered: Sequence[str], tolerance: Tolerance
+    model: ArmModel,
+    points: ArmPoints,
+    first: Level,
+    name: str,
+    offered: Sequence[str],
+    tolerance: Tolerance,
+    like: ArmFit | None = None,
 ) -> Level:
-    """Fit one kind of model to all rows, from a level without free geometry. Raises NotConverged."""
+    """Fit one kind of model, from a level without free geometry, or from where a fit to other rows ended.
+
+    Raises NotConverged.
+    """
     choice, fitted = first.choice, first.fitted
-    for _ in range(PASSES):  # first with the nominal arm's noise, then with the calibrated one's
+    p, noise = fitted.p, (fitted.sigma_m, fitted.sigma_rad)
+    if like is not None:
+        p, noise = like.p, estimate_noise(model, like.p, points, len(like.free))
+    for _ in range(PASSES):  # first with the noise where it begins, then with that of the fit
         before = choice.free
-        noise = fitted.sigma_m, fitted.sigma_rad
-        choice = choose(model, points, fitted.p, offered, tolerance, noise)
+        choice = choose(model, points, p, offered, tolerance, noise)
         if set(choice.free) == set(before):
             break
         # What an earlier pass had freed and this one does not goes back to nominal: fixed means unchanged.
         kept = [name in choice.free or k >= model.n_geometry for k, name in enumerate(model.names)]
-        fitted = fit_arm(model, points, np.where(kept, fitted.p, first.fitted.p), choice.free, tolerance)
+        fitted = fit_arm(model, points, np.where(kept, p, first.fitted.p), choice.free, tolerance)
+        p, noise = fitted.p, (fitted.sigma_m, fitted.sigma_rad)
     told = tuple((d, REPLACED) for d in model.replaced if "geometry" in name)
     choice = replace(choice, fixed=(*choice.fixed, *told))
     left = left_out(model, points, fitted)
@@ -106,7 +175,8 @@ def level(
 
 
 def left_out(model: ArmModel, points: ArmPoints, fitted: ArmFit) -> Array:
-    """Return the error (m,) in m at each row, predicted without its joint position and every FOLDS-th beside it.
+    """Return the error (m,) in m at each row, predicted without its joint position and every FOLDS-th beside it, by a
+    step from the fit: what levels are compared by. What is claimed comes from full refits (cross_validation).
 
     All rows of one joint position are left out together: what one of them has wrong the others have too. Leaving rows
     out moves the fit by (H - H_k)^-1 g_k, H the information and g_k the gradient of those rows: one
@@ -135,13 +205,19 @@ def left_out(model: ArmModel, points: ArmPoints, fitted: ArmFit) -> Array:
     return out
 
 
-def significant_gain(before_m: Array, after_m: Array, position: NDArray[np.intp]) -> bool:
+def significant_gain(before_m: Array, after_m: Array, position: NDArray[np.intp], *, proved: float = PROVED) -> bool:
     """Whether errors (m,) fall beyond their own uncertainty, joint position by joint position: its rows hang together.
 
-    Gross rows are levelled so that none decides alone.
+    Gross rows are levelled so that none decides alone. Rows that are not judged (NaN) are left out. proved: how many of
+    the fall's standard errors it must be.
     """
+    judged = np.isfinite(before_m) & np.isfinite(after_m)
+    before_m, after_m = before_m[judged], after_m[judged]
+    which = np.unique(position[judged], return_inverse=True)[1]
+    if not len(which) or which.max() + 1 < FEWEST_JUDGED:
+        return False
     cap = 5.0 * float(np.median(before_m))
     fall = np.minimum(before_m, cap) - np.minimum(after_m, cap)
-    fall = np.bincount(position, fall) / np.bincount(position)
+    fall = np.bincount(which, fall) / np.bincount(which)
     uncertainty = float(fall.std(ddof=1)) / np.sqrt(len(fall))
-    return bool(fall.mean() > PROVED * uncertainty and fall.mean() > 1e-3 * before_m.mean())
+    return bool(fall.mean() > proved * uncertainty and fall.mean() > 1e-3 * before_m.mean())

@@ -45,7 +45,7 @@ def choose(
     """Return which candidates can be told from each other and from base and tools by these measurements."""
     J = model.evaluate(p, points, *noise).shared[0]
     mounts = J[:, model.n_geometry :]
-    Q = _basis(mounts)
+    Q = orthonormal_basis(mounts)
     index = [model.names.index(name) for name in candidates]
     columns = J[:, index] * np.array([tolerance.of(name) for name in candidates])
     whole = np.linalg.norm(columns, axis=0)
@@ -69,7 +69,7 @@ def choose(
     return Choice(free=tuple(candidates[i] for i in free), fixed=fixed, condition=condition)
 
 
-def _basis(columns: Array) -> Array:
+def orthonormal_basis(columns: Array) -> Array:
     """Return an orthonormal basis of the columns' span."""
     size = np.linalg.norm(columns, axis=0)
     U, s, _ = np.linalg.svd(columns[:, size > 0.0] / size[size > 0.0], full_matrices=False)

@@ -10,6 +10,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.calibrate.arm.initial_guess import start
 from armsight.calibrate.arm.model import ArmModel
+from armsight.calibrate.arm.other_arm import explained
 from armsight.calibrate.arm.points import ArmPoints
 from armsight.errors import Degenerate, Inconsistent
 
@@ -42,7 +43,8 @@ def check_fit(model: ArmModel, points: ArmPoints, error_m: Array) -> None:
     """Raise Inconsistent where the best fit's errors (m,) say that the measurements are not of this arm."""
     spread = spread_m(points.xyz_m)
     if exceeded(error_m) > MOST_SHARE * spread:
-        raise senseless(error_m, spread, _disagreeing(model, points, MOST_SHARE * spread))
+        other = explained(model, points)
+        raise senseless(error_m, spread, () if other else _disagreeing(model, points, MOST_SHARE * spread), other)
 
 
 def exceeded(error_m: Array) -> float:
@@ -50,15 +52,26 @@ def exceeded(error_m: Array) -> float:
     return float(np.quantile(error_m, 1.0 - WRONG))
 
 
-def senseless(error_m: Array, spread: float, rows: Sequence[int] = ()) -> Inconsistent:
-    """Return the refusal; rows from 0 that do not agree with the majority, none where there is no majority."""
+def senseless(error_m: Array, spread: float, rows: Sequence[int] = (), other: str = "") -> Inconsistent:
+    """Return the refusal; rows from 0 that do not agree with the majority, none where there is no majority.
+
+    other: why they are of another arm, where that is known.
+    """
     told = f": row{'s' * (len(rows) > 1)} {ranges(rows)} do not agree with the others" if len(rows) else ""
     cure = "Leave those rows out, or measure them again" if len(rows) else "Give the file of this arm"
+    if other:
+        return Inconsistent(
+            f"the nominal arm misses a fifth of the positions by {1e3 * exceeded(error_m):.3g} mm or more, and the "
+            f"tool moved by {1e3 * spread:.3g} mm",
+            consequence="Nothing is written",
+            cure=other,
+        )
     return Inconsistent(
         f"the best fit misses a fifth of the positions by {1e3 * exceeded(error_m):.3g} mm or more, and the tool moved "
         f"by {1e3 * spread:.3g} mm{told}",
         consequence="The measurements are not of this arm at these readings, and nothing is written",
-        cure=f"{cure}; look for another arm's rows, readings and positions out of step, positions of a reflection",
+        cure=f"{cure}; look for another arm's rows, readings and positions out of step, positions of a reflection, "
+        "rows of several places on the tool without a column `point`",
     )
 
 

@@ -11,9 +11,10 @@ from scipy.stats import chi2
 
 from armsight.calibrate.arm.fit import MEDIAN_3
 from armsight.calibrate.arm.initial_guess import placed
+from armsight.calibrate.arm.one_place import check_one_place
 from armsight.calibrate.arm.plausibility import MOST_SHARE, ranges, senseless, spread_m
 from armsight.calibrate.arm.points import ArmPoints, check_points
-from armsight.errors import Ambiguous, Degenerate, NotEnoughData
+from armsight.errors import Ambiguous, Degenerate, Inconsistent, NotEnoughData
 from armsight.fitting import Evaluation, Loss, LossKind, Problem, Settings, solve
 from armsight.kinematics import Arm, fk
 from armsight.records import NamedCovariance
@@ -50,13 +51,15 @@ class WorldCalibration:
 def calibrate_world(arm: Arm, points: ArmPoints) -> WorldCalibration:
     """Return where the rig stands in base axes, from the tool's positions in rig axes at joint readings.
 
+    The tool's origin where rows have no name of a point, or one and the same; else the arm's tool points by name.
     Kabsch on the arm's forward kinematics from the triple of positions that half of the rows agree with best, then
     robust least squares with the noise estimated. Rows that do not agree are rejected. Raises as check_points,
     NotEnoughData where too few agree, Inconsistent where fewer than half do, Ambiguous where the others agree on
     another place, Degenerate where the positions lie on one line.
     """
     check_points(arm, points)
-    local = fk(arm, points.q)[:, :3, 3]
+    check_one_place(arm, points)
+    local = _places(arm, points)
     base = np.asarray(arm.T_world_base.inv().apply(local))
     T, kept = _majority(base, points.xyz_m)
     size = np.linalg.norm(T.apply(points.xyz_m) - base, axis=1)
@@ -69,6 +72,26 @@ def calibrate_world(arm: Arm, points: ArmPoints) -> WorldCalibration:
     size = np.linalg.norm(T.apply(points.xyz_m) - base, axis=1)
     rejected = tuple((int(row), f"misses the others' rig by {1e3 * size[row]:.3g} mm") for row in out)
     return WorldCalibration(T_base_rig=T, covariance=covariance, residual_m=size, rejected=rejected)
+
+
+def _places(arm: Arm, points: ArmPoints) -> Array:
+    """Return where the arm puts the rows' points, (m, 3) in world; Inconsistent where it does not know one of them."""
+    T = fk(arm, points.q)
+    known = {point.name: point for point in arm.tool_points}
+    if len(points.labels) == 1 and (not known or points.labels == ("",)):
+        return np.asarray(T[:, :3, 3])
+    unknown = [label for label in points.labels if label not in known]
+    if unknown:
+        there = f"its file knows {', '.join(known)}" if known else "its file knows no points by name"
+        raise Inconsistent(
+            f"the rows are of the tool's points {', '.join(map(repr, points.labels))}, and where "
+            f"{', '.join(map(repr, unknown))} is on {arm.name} is not known: {there}",
+            consequence="Where the rig stands is not given",
+            cure="Give an arm.yaml with these tool_points (calibrate arm writes it), or rows of the tool's own origin",
+        )
+    in_tool = {name: arm.T_flange_tool.inv().apply(point.xyz_m) for name, point in known.items()}
+    at = np.stack([in_tool[label] for label in points.point])
+    return np.asarray(np.einsum("mij,mj->mi", T[:, :3, :3], at) + T[:, :3, 3])
 
 
 def _majority(base_m: Array, rig_m: Array) -> tuple[RigidTransform, NDArray[np.intp]]:

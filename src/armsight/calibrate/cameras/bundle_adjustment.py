@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import chdtri
 
 from armsight.calibrate.cameras.kernels.move_poses import move_poses
@@ -179,6 +180,13 @@ def residuals_px(observations: Observations, fit: Fit) -> Array:
     whitened = fit.residuals.reshape(G, C, n, 2)
     sigma = np.divide(1.0, observations.weight, out=np.zeros_like(observations.weight), where=observations.weight > 0.0)
     return np.asarray(whitened * sigma[..., None])
+
+
+def poses_of_boards(observations: Observations, fit: Fit) -> Array:
+    """Return T_camera_board (G, 4, 4) of each view, of the left camera where there are two, in the board's own axes."""
+    local = bundle_of(fit, observations.n_cameras).poses
+    T_camera_middle = RigidTransform.from_components(local[:, :3], Rotation.from_rotvec(local[:, 3:]))
+    return np.asarray((T_camera_middle * RigidTransform.from_translation(-observations.middle)).as_matrix())
 
 
 def without(observations: Observations, bad: NDArray[np.bool_]) -> Observations:

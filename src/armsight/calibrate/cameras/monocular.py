@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.calibrate.cameras.bundle_adjustment import bundle_of, residuals_px
+from armsight.calibrate.cameras.bundle_adjustment import bundle_of, poses_of_boards, residuals_px
 from armsight.calibrate.cameras.cross_validation import left_out
 from armsight.calibrate.cameras.lens_choice import refuse_other_lens, start_of, with_hint
-from armsight.calibrate.cameras.observations import pack
+from armsight.calibrate.cameras.observations import Observations, pack
 from armsight.calibrate.cameras.options import BoardOptions
 from armsight.calibrate.cameras.outlier_rejection import RobustFit, fit_tilted
 from armsight.calibrate.cameras.preconditions import check_count, check_spread, different_views
@@ -33,7 +33,8 @@ class CameraCalibration:
     covariance: of the free intrinsics, by name (px; none for distortion). rms_px: of the points' 2-D residuals;
     holdout_rms_px: the same on views left out of the fit, None where there were too few. sources, view_rms_px: of
     the views used. uv_px, residual_px (n, 2): every point used and its residual (model minus detected).
-    rejected: (source, why). advice: what would make it surer.
+    used: the observations in the fit; T_camera_board (G, 4, 4): where its views show the board. rejected: (source,
+    why). advice: what would make it surer.
     """
 
     camera: Camera
@@ -46,6 +47,8 @@ class CameraCalibration:
     sources: tuple[str, ...]
     uv_px: Array
     residual_px: Array
+    used: Observations
+    T_camera_board: Array
     advice: tuple[str, ...]
 
     @property
@@ -90,6 +93,8 @@ def calibrate_camera(
         sources=tuple(names[0] for names in robust_fit.observations.sources),
         uv_px=robust_fit.observations.uv[seen],
         residual_px=residual[seen],
+        used=robust_fit.observations,
+        T_camera_board=poses_of_boards(robust_fit.observations, robust_fit.fit),
         advice=(*advice, *on_tilt, *doubts(covariance, robust_fit), *robust_fit.notes),
     )
 

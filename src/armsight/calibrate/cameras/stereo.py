@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.calibrate.cameras.bundle_adjustment import Bundle, adjust, bundle_of, residuals_px
+from armsight.calibrate.cameras.bundle_adjustment import Bundle, adjust, bundle_of, poses_of_boards, residuals_px
 from armsight.calibrate.cameras.cross_validation import epipolar_rms, left_out, metric_of
 from armsight.calibrate.cameras.lens_choice import refuse_other_lens, start_of, with_hint
 from armsight.calibrate.cameras.monocular import doubts, require_points, require_views, required, rms, view_rms
@@ -37,8 +37,8 @@ class StereoCalibration:
     left out of the fit, None where there were too few. metric: expected_m, mean_m, rms_m of the distance of
     neighbouring points after triangulation and board_rms_m of a rigid fit, on left-out pairs; where there were too
     few, metric_is_left_out is False and it is of the fit's own pairs; empty where no folds were asked for. rejected:
-    (source, why). used: the observations in the fit. residual_px: of every point used (n, 2), model minus detected, by
-    side. advice: what would make it surer.
+    (source, why). used: the observations in the fit; T_left_board (G, 4, 4): where they show the board. residual_px: of
+    every point used (n, 2), model minus detected, by side. advice: what would make it surer.
     """
 
     rig: Rig
@@ -54,6 +54,7 @@ class StereoCalibration:
     view_rms_px: tuple[float, ...]
     used: Observations
     residual_px: Mapping[str, Array]
+    T_left_board: Array
     advice: tuple[str, ...]
 
     @property
@@ -178,6 +179,7 @@ def judged(
         view_rms_px=view_rms(residual, seen),
         used=used,
         residual_px={side: residual[:, c][seen[:, c]] for c, side in enumerate(SIDES)},
+        T_left_board=poses_of_boards(used, robust_fit.fit),
         advice=(*advice, *doubts(covariance, robust_fit), *robust_fit.notes),
     )
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from armsight.calibrate.handeye.correlation import FEWEST
 from armsight.calibrate.handeye.result import HandEye
 from armsight.units import DEG, MM
 
@@ -22,8 +23,9 @@ WEAK_TURN_RAD = 8.0 * DEG
 
 def advise(result: HandEye, pitch_m: float | None) -> HandEye:
     """Return the result with its advice, most urgent first."""
-    advice = [*_scale(result, pitch_m), *_outliers(result), *_poses(result), result.noise.explanation() + "."]
-    return replace(result, advice=tuple(advice))
+    concerns = (*_scale(result, pitch_m), *_outliers(result), *_poses(result), *_drift(result))
+    advice = (*concerns, *_copies(result), result.noise.explanation() + ".")
+    return replace(result, concerns=concerns, advice=advice)
 
 
 def verdict(result: HandEye) -> str:
@@ -33,13 +35,29 @@ def verdict(result: HandEye) -> str:
     turn = 1.96 * max(std[name] for name in ("rx_rad", "ry_rad", "rz_rad")) / DEG
     text = (
         f"The camera's place in the {result.camera_parent} is known to {place:.2g} mm and {turn:.2g} degrees (95 %) "
-        f"from {result.n_used} of {len(result.pairs)} poses; a pose left out is predicted to "
+        f"from {result.n_used} of {len(result.pairs)} poses{_worth(result)}; a pose left out is predicted to "
         f"{result.loo_rms_m / MM:.2g} mm "
         f"and {result.loo_rms_rad / DEG:.2g} degrees"
     )
     if scale_is_wrong(result):
         return text + ", but the target is not of the size that was given: measure it and run again."
     return text + "."
+
+
+def _worth(result: HandEye) -> str:
+    """Return how many independent poses a recording's are worth, in words."""
+    correlation = result.correlation
+    return "" if correlation is None else f", worth {correlation.n_effective:.0f} independent ones"
+
+
+def _drift(result: HandEye) -> list[str]:
+    correlation = result.correlation
+    if correlation is None or correlation.n_effective >= FEWEST:
+        return []
+    return [
+        f"The errors of this recording drift over some {correlation.time_s:.2g} s, so that its {result.n_used} poses "
+        f"are worth {correlation.n_effective:.0f} independent ones: record longer, or several times, and turn more."
+    ]
 
 
 def scale_is_wrong(result: HandEye) -> bool:
@@ -64,17 +82,18 @@ def _scale(result: HandEye, pitch_m: float | None) -> list[str]:
 
 def _outliers(result: HandEye) -> list[str]:
     wrong = [name for name, why in result.rejected if why.startswith("off by")]
-    copies = len(result.rejected) - len(wrong)
-    out = []
-    if wrong:
-        out.append(
-            f"{len(wrong)} of {len(result.pairs)} poses contradict the others and were left out ({', '.join(wrong[:8])}"
-            + (", ..." if len(wrong) > 8 else "")
-            + "): look at these images and robot poses."
-        )
-    if copies:
-        out.append(f"{copies} rows repeat others and were left out: copies add no knowledge.")
-    return out
+    if not wrong:
+        return []
+    named = ", ".join(wrong[:8]) + (", ..." if len(wrong) > 8 else "")
+    return [
+        f"{len(wrong)} of {len(result.pairs)} poses contradict the others and were left out ({named}): look at these "
+        "images and robot poses."
+    ]
+
+
+def _copies(result: HandEye) -> list[str]:
+    copies = sum(not why.startswith("off by") for _, why in result.rejected)
+    return [f"{copies} rows repeat others and were left out: copies add no knowledge."] if copies else []
 
 
 def _poses(result: HandEye) -> list[str]:

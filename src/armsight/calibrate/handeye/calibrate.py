@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from scipy.stats import t as student
 
 from armsight.calibrate.handeye.advice import advise
 from armsight.calibrate.handeye.consensus import LEAST_SHARE, Consensus, check_reading, consensus
+from armsight.calibrate.handeye.correlation import fit_drifting, left_out_blocks
 from armsight.calibrate.handeye.noise import noise_of_pairs
 from armsight.calibrate.handeye.pairs import MIN_PAIRS, Array, Arrays, PosePairs, Setup, pose
 from armsight.calibrate.handeye.result import NAMES, HandEye, Scale
@@ -99,9 +101,31 @@ def _calibrate(pairs: PosePairs, setup: Setup, options: HandEyeOptions) -> HandE
         rejected=_rejected(pairs, repeated, used, errors),
         residuals=found,
         left_out=errors,
+        concerns=(),
         advice=(),
     )
+    if pairs.t_s is not None:
+        finished = _of_a_recording(finished, pairs.t_s)
     return advise(finished, options.target_pitch_m)
+
+
+def _of_a_recording(found: HandEye, t_s: Array) -> HandEye:
+    """Return the calibration with the errors' drift in it: weighed, claimed and left out by it."""
+    arrays = found.pairs.arrays(found.setup)
+    poses = (found.T_parent_camera, found.T_parent_target)
+    start = tuple(part for one in poses for part in (one.rotation.as_matrix(), np.asarray(one.translation)))
+    start = cast("tuple[Array, Array, Array, Array]", start)
+    fitted = fit_drifting(arrays, found.used, start, t_s)
+    at = (fitted.R_X, fitted.t_x, fitted.R_Z, fitted.t_z)
+    return replace(
+        found,
+        T_parent_camera=pose(fitted.R_X, fitted.t_x),
+        T_parent_target=pose(fitted.R_Z, fitted.t_z),
+        covariance=NamedCovariance(names=NAMES, matrix=fitted.C),
+        residuals=residuals(arrays, *at),
+        left_out=left_out_blocks(arrays, found.used, at, t_s, fitted.correlation),
+        correlation=fitted.correlation,
+    )
 
 
 def _solve_in_order(pairs: PosePairs, setup: Setup) -> tuple[Solution, Array, NDArray[np.intp]]:

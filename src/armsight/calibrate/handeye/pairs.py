@@ -35,12 +35,15 @@ class Setup(StrEnum):
 class PosePairs:
     """n poses T_base_flange of the robot and n poses T_camera_target of the camera, row by row, and the rows' names.
 
+    t_s (n,): when, of poses of one recording; None of poses that were taken one by one.
+
     Raises NotEnoughData below MIN_PAIRS rows, Inconsistent for tables of different length.
     """
 
     T_base_flange: RigidTransform
     T_camera_target: RigidTransform
     names: tuple[str, ...]
+    t_s: Array | None = None
 
     def __post_init__(self) -> None:
         n, m = _count(self.T_base_flange), _count(self.T_camera_target)
@@ -85,6 +88,7 @@ class PosePairs:
             T_base_flange=self.T_base_flange[i],
             T_camera_target=self.T_camera_target[i],
             names=tuple(self.names[k] for k in i),
+            t_s=None if self.t_s is None else self.t_s[i],
         )
 
     def canonical_order(self) -> NDArray[np.intp]:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 from scipy.stats import t as student
 
+from armsight.calibrate.handeye.correlation import Correlation
 from armsight.calibrate.handeye.noise import Noise
 from armsight.calibrate.handeye.pairs import Array, PosePairs, Setup
 from armsight.calibrate.handeye.rotation_excitation import RotationExcitation
@@ -38,6 +39,8 @@ class HandEye:
     and seat's axes, widened for the noise being estimated: +- 1.96 std holds 95 %. pairs: as given. used (n,): which
     pairs the answer rests on. rejected: (name, why) of the others. residuals (n, 6), left_out (n, 6): measured
     T_camera_target against the fit to all used pairs, and against the fit to the others; camera axes, m and rad.
+    correlation: of the errors in time, where the poses are of one recording; left_out is then against what is further
+    away in time. advice: what would make it surer; concerns: those that keep it from being trusted.
     """
 
     setup: Setup
@@ -53,8 +56,10 @@ class HandEye:
     rejected: tuple[tuple[str, str], ...]
     residuals: Array
     left_out: Array
+    concerns: tuple[str, ...]
     advice: tuple[str, ...]
     reprojection_rms_px: float | None = None
+    correlation: Correlation | None = None
 
     def __post_init__(self) -> None:
         n = len(self.pairs)

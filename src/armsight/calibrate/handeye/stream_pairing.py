@@ -50,7 +50,7 @@ def pairs_of_streams(
             cure="Move the hand through more and wider turns while recording",
         )
     names = tuple(f"t = {tc[inside[i]]:.3f} s" for i in chosen)
-    pairs = PosePairs(T_base_flange=flange[chosen], T_camera_target=camera[inside[chosen]], names=names)
+    pairs = PosePairs(T_base_flange=flange[chosen], T_camera_target=camera[inside[chosen]], names=names, t_s=at[chosen])
     return pairs, found
 
 

@@ -11,6 +11,7 @@ from scipy.special import chdtri
 
 from armsight.calibrate.identify.axes import PLAUSIBLE, Candidate, candidates, plausible
 from armsight.calibrate.identify.chain import Axis, ChainModel, at_home, fit_chain, moved_by
+from armsight.calibrate.identify.coupling import suggest_coupling
 from armsight.calibrate.identify.joint_paths import LOST_SHARE, JointPath
 from armsight.calibrate.identify.path_fit import GROSS
 from armsight.calibrate.identify.residuals import SweepResiduals
@@ -37,6 +38,8 @@ RIVAL = 3.0
 """Half chi-square within which two arms explain the readings alike (odds of 20 to 1)."""
 SURE = 1e-12
 """Where a line is rejected less clearly than this, by one noisy sweep in ten thousand, its values decide as well."""
+PLAIN = 1e6
+"""Huber's scale from which all readings weigh alike."""
 STARTED = 12
 """Combinations of axes fitted at most."""
 
@@ -105,7 +108,7 @@ def fit_globally(seen: SweepResiduals, found: Sequence[JointPath]) -> GlobalFit:
         if best is None or (-len(again.rows), _price(again)) < (-len(best.rows), _price(best)):
             best = again
     if best is not None:
-        _check_dropped(found, best)
+        _check_dropped(seen, found, best, rows)
     if best is None:
         raise NotConverged(
             "no arm explains the sweeps",
@@ -115,7 +118,7 @@ def fit_globally(seen: SweepResiduals, found: Sequence[JointPath]) -> GlobalFit:
     return replace(best, alternatives=tuple(one for one in tried if _rivals(one, best)))
 
 
-def _check_dropped(found: Sequence[JointPath], whole: GlobalFit) -> None:
+def _check_dropped(seen: SweepResiduals, found: Sequence[JointPath], whole: GlobalFit, rows: NDArray[np.intp]) -> None:
     """Raise Inconsistent where an arm explains its other sweeps, and too little of one."""
     dropped = [row for row, _ in whole.dropped]
     for j, item in enumerate(found, 1):
@@ -125,9 +128,23 @@ def _check_dropped(found: Sequence[JointPath], whole: GlobalFit) -> None:
             raise Inconsistent(
                 f"{off} of the {count} readings of joint {j} do not agree with any arm that explains the other sweeps",
                 consequence="The arm is not identified",
-                cure="Another joint may have moved with it, or its commanded values are not exact: sweep again, or use "
-                "only their order (--increments order)",
+                cure=" ".join(
+                    [
+                        "Another joint may have moved with it, or its commanded values are not exact: sweep again, or "
+                        "use only their order (--increments order)",
+                        *_suspected(seen.take(rows), whole.model),
+                    ]
+                ),
             )
+
+
+def _suspected(seen: SweepResiduals, model: ChainModel) -> list[str]:
+    """Return what coupling the readings suggest, with none of them discarded."""
+    try:
+        fit = fit_chain(seen, model, robust=PLAIN)
+    except NotConverged:
+        return []
+    return [f"({note})" for note in suggest_coupling(seen, model, fit.shared)]
 
 
 def _rivals(one: GlobalFit, best: GlobalFit) -> bool:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.calibrate.identify.chain import Axis, at_home, moved_by
+from armsight.calibrate.identify.coupling import suggest_coupling
 from armsight.calibrate.identify.curves import Tilt, basis
 from armsight.calibrate.identify.global_fit import (
     GlobalFit,
@@ -126,6 +127,7 @@ def _at_once(
             "commanded values are not exact, or a joint gave way; standard deviations are widened accordingly, which "
             "may not be enough: with values that are not exact use only their order (--increments order)"
         )
+    notes += suggest_coupling(seen.take(whole.rows), whole.model, whole.fit.shared)
     widen = whole.scale2 if sigma is None else max(whole.scale2, 1.0)
     notes += [f"reading {row + 1} discarded: {why}" for row, why in whole.dropped]
     p, model = whole.fit.shared, whole.model
@@ -329,7 +331,15 @@ def _finish(
         sigma=seen.sigma,
         predicted_m=frames.predicted,
         beacon_m=frames.beacon,
+        misfit=_misfit(seen, found, frames),
     )
+
+
+def _misfit(seen: SweepResiduals, found: Sequence[JointPath], frames: _PlacedFrames) -> float:
+    """Return the RMS of the kept readings' whitened residuals."""
+    r, _ = seen.residuals(frames.predicted, np.zeros((len(seen.sweeps), 3, 1)))
+    rows = np.setdiff1d(np.concatenate([item.rows for item in found]), [row for row, _ in frames.dropped])
+    return float(np.sqrt(np.mean(r[rows] ** 2)))
 
 
 def _joints_found(

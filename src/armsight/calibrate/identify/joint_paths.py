@@ -136,7 +136,8 @@ def _one_path(seen: SweepResiduals, joint: int, rows: NDArray[np.intp], near: Pa
         raise Inconsistent(
             f"the path of joint {joint + 1} is neither a line nor a circle{off}",
             consequence="The joint is not identified",
-            cure="Two joints may have moved, or a reflection was taken for the beacon: look at its points, sweep again",
+            cure="Two joints may have moved (coupled gears do that), or a reflection was taken for the beacon: look at "
+            "its points, sweep again",
         )
     return JointPath(
         path=path,

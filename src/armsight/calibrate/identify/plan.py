@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armsight.calibrate.identify.rough_arm import RoughArm, View, pixel_slopes, prior_information
+from armsight.calibrate.identify.rough_arm import MARGIN_PX, RoughArm, View, pixel_slopes, prior_information
 from armsight.calibrate.identify.table import KEYS, degeneracy_notes, deviations, place_frames, propagate_covariance
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData, UsageError
 from armsight.geometry.lie import skew
@@ -28,6 +28,8 @@ PROBE_SHARE = 0.05
 RESTS, GRID, ROUNDS = 150, 41, 4
 """Rest poses tried a joint, values of its range, rounds of exchange."""
 PLAN_SEED = 1
+AT_LIMIT = 2e-4
+"""A reading (rad, m) so near a limit, or so far beyond, is at it: an encoder's step."""
 POOR_M, POOR_RAD = 0.005, np.deg2rad(1.0)
 """Expected standard deviations beyond these are named: an arm known worse is of no use to a controller."""
 
@@ -71,14 +73,17 @@ class Plan:
 
 
 def checked_limits(limits: ArrayLike, start: ArrayLike) -> tuple[Array, Array]:
-    """Return limits (n, 2) and start (n,) as arrays. Raises UsageError, Inconsistent for a start beyond the limits."""
+    """Return limits (n, 2) and start (n,) as arrays; a limit at which the arm stands is moved by an encoder's step.
+
+    Raises UsageError, Inconsistent for a start beyond the limits.
+    """
     low_high, q = np.asarray(limits, dtype=float), np.asarray(start, dtype=float)
     if low_high.shape != (len(q), 2) or not np.isfinite(low_high).all() or not (low_high[:, 0] < low_high[:, 1]).all():
         raise UsageError(
             f"the limits do not give {len(q)} joints a lower and an upper value each",
             cure="Write lo:hi for every joint, in rad or m, lower before upper",
         )
-    beyond = np.flatnonzero((q < low_high[:, 0]) | (q > low_high[:, 1]))
+    beyond = np.flatnonzero((q < low_high[:, 0] - AT_LIMIT) | (q > low_high[:, 1] + AT_LIMIT))
     if len(beyond):
         j = int(beyond[0])
         raise Inconsistent(
@@ -86,7 +91,8 @@ def checked_limits(limits: ArrayLike, start: ArrayLike) -> tuple[Array, Array]:
             consequence="Nothing is moved",
             cure="Bring the arm to a pose within the limits first, or correct them (rad, m)",
         )
-    return low_high, q
+    at_limit = np.abs(low_high - q[:, None]) <= AT_LIMIT
+    return low_high + at_limit * [-2.0 * AT_LIMIT, 2.0 * AT_LIMIT], q
 
 
 def probe(limits: Array, start: Array, joint: int, *, share: float = PROBE_SHARE, readings: int = 6) -> Array:
@@ -100,18 +106,26 @@ def probe(limits: Array, start: Array, joint: int, *, share: float = PROBE_SHARE
 
 
 def propose_sweeps(
-    arm: RoughArm, rig: Rig, limits: ArrayLike, start: ArrayLike, *, readings: int = 10, base: Array | None = None
+    arm: RoughArm,
+    rig: Rig,
+    limits: ArrayLike,
+    start: ArrayLike,
+    *,
+    readings: int = 10,
+    base: Array | None = None,
+    around_px: float = 0.0,
 ) -> Plan:
     """Return the sweeps that tell the arm best, and the standard deviations to expect of the table they give.
 
-    limits (n, 2), start (n,): in rad or m, joint by joint. base (4, 4): as identify takes it. Raises UsageError,
+    limits (n, 2), start (n,): in rad or m, joint by joint. base (4, 4): as identify takes it. around_px: how far
+    what belongs to the beacon, such as a target's other lights, reaches round it in the images. Raises UsageError,
     Inconsistent, NotEnoughData where the beacon is not in both images at the start, Degenerate where a joint cannot
     be moved in view.
     """
     low_high, q0 = checked_limits(limits, start)
     if len(q0) != len(arm.axes):
         raise UsageError(f"the arm has {len(arm.axes)} joints, the limits {len(q0)}")
-    view = View(arm=arm, rig=PackedRig.of(rig), sizes=_sizes(rig))
+    view = View(arm=arm, rig=PackedRig.of(rig), sizes=_sizes(rig), margin_px=MARGIN_PX + around_px)
     if not view.seen(q0[None])[0]:
         raise NotEnoughData(
             "the beacon is not surely in both images at the start pose",

@@ -36,6 +36,10 @@ class JointFound:
     residual_rms_px: float | None
 
 
+USELESS = 5.0
+"""Misfit in standard deviations of the noise from which an arm does not explain its readings."""
+USELESS_SHARE = 2e-3
+"""And its share of how far the beacon moved: below, readings almost without noise would be refused for nothing."""
 NOTHING = 1e-11
 """Eigenvalues of the scaled information below this mean that the readings say nothing of a combination."""
 FELT = 1e-4
@@ -72,7 +76,8 @@ class Identification:
 
     sigma: noise found, px with a rig, else m (or a factor on the given covariances). predicted_m: (m, 3) where the
     result puts the beacon at each reading. beacon_m: with all joints at zero, in rig axes. uncertainty: of the beacon's
-    place anywhere, where the whole arm was fitted at once.
+    place anywhere, where the whole arm was fitted at once. misfit: RMS of the kept readings' distances from the arm, in
+    standard deviations of the noise: about 1 of an arm that explains them.
     """
 
     arm: Arm
@@ -82,4 +87,12 @@ class Identification:
     sigma: float
     predicted_m: Array
     beacon_m: Array
+    misfit: float
     uncertainty: ParameterUncertainty | None = None
+
+    @property
+    def useless(self) -> bool:
+        """Whether the arm misses its own readings by far."""
+        reach_m = float(np.linalg.norm(np.ptp(self.predicted_m, axis=0)))
+        worst_m = max(joint.residual_rms_m for joint in self.joints)
+        return self.misfit > USELESS and worst_m > USELESS_SHARE * reach_m

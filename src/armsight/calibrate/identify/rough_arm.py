@@ -66,11 +66,12 @@ def known_arm(arm: Arm, T_rig_world: Array, sigma_px: float) -> RoughArm:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class View:
-    """Where both cameras see a roughly known arm's beacon."""
+    """Where both cameras see a roughly known arm's beacon, beyond margin_px from the images' edges."""
 
     arm: RoughArm
     rig: PackedRig
     sizes: Array
+    margin_px: float = MARGIN_PX
 
     def seen(self, q: Array) -> NDArray[np.bool_]:
         """Return for poses (m, n) whether the beacon is surely in both images: by SURE standard deviations of what is
@@ -80,7 +81,7 @@ class View:
         if self.arm.covariance is not None:
             C = self.arm.covariance
             spread = np.sqrt(np.maximum(np.einsum("mia,ab,mib->mi", G, C, G, optimize=True), 0.0)).reshape(uv.shape)
-        edge = SURE * spread + MARGIN_PX
+        edge = SURE * spread + self.margin_px
         with np.errstate(invalid="ignore"):
             inside = (uv > edge) & (uv < self.sizes - 1.0 - edge)
         return np.asarray(inside.all(axis=(1, 2)))

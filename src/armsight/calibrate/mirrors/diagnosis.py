@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.calibrate.cameras.bundle_adjustment import Bundle, adjust, bundle_of, residuals_px
+from armsight.calibrate.cameras.bundle_adjustment import Bundle, adjust, bundle_of, poses_of_boards, residuals_px
 from armsight.calibrate.cameras.initial_guess import board_poses, homographies
 from armsight.calibrate.cameras.monocular import rms, view_rms
 from armsight.calibrate.cameras.observations import Observations, pack
@@ -104,7 +104,7 @@ def check_alignment(
         raise Inconsistent("this rig has no mirrors", cure="Give the rig.yaml of `armsight calibrate mirrors`")
     if not left or len(left) != len(right):
         raise NotEnoughData("the board is not seen in both views", cure="Show the board to both views")
-    now = _relative(rig, left, right, board)
+    now = relative_rig(rig, left, right, board)
     before = rig.T_rig_left.inv() * rig.T_rig_right
     T_now = now.T_rig_left.inv() * now.T_rig_right
     change: Array = np.concatenate(
@@ -187,11 +187,12 @@ def _as_pair(used: Observations, fit: Fit) -> StereoCalibration:
         view_rms_px=view_rms(residual, seen),
         used=used,
         residual_px={side: residual[:, c][seen[:, c]] for c, side in enumerate(SIDES)},
+        T_left_board=poses_of_boards(used, fit),
         advice=tuple(advice),
     )
 
 
-def _relative(rig: Rig, left: Sequence[BoardView], right: Sequence[BoardView], board: Target) -> Rig:
+def relative_rig(rig: Rig, left: Sequence[BoardView], right: Sequence[BoardView], board: Target) -> Rig:
     """Return the rig with T_rig_right, and its covariance, as the views show it now; the lens is taken as it was."""
     observations = pack([left, right], board)
     for camera, size in zip((rig.left, rig.right), observations.sizes, strict=True):
@@ -249,25 +250,28 @@ def _suspect(design: Mirrors, mirror: int, change: Array, W: Array) -> Suspect:
     """Return the turn of one mirror that explains the change best."""
     tilt = np.zeros(2)
     for _ in range(DIAGNOSIS_ROUNDS):
-        r = _predicted(design, mirror, tilt) - change
+        r = _with_tilt(design, mirror, tilt) - change
         J = np.column_stack(
             [
-                (_predicted(design, mirror, tilt + step) - _predicted(design, mirror, tilt - step)) / (2.0 * STEP_RAD)
+                (_with_tilt(design, mirror, tilt + step) - _with_tilt(design, mirror, tilt - step)) / (2.0 * STEP_RAD)
                 for step in STEP_RAD * np.eye(2)
             ]
         )
         tilt = tilt - np.linalg.solve(J.T @ W @ J, J.T @ W @ r)
-    r = _predicted(design, mirror, tilt) - change
+    r = _with_tilt(design, mirror, tilt) - change
     return Suspect(mirror=mirror + 1, turn_rad=float(tilt[0]), tilt_rad=float(tilt[1]), chi2=float(r @ W @ r))
 
 
-def _predicted(design: Mirrors, mirror: int, tilt: Array) -> Array:
-    """Return the change (6,) of T_left_right that a turned mirror makes."""
+def _with_tilt(design: Mirrors, mirror: int, tilt: Array) -> Array:
     tilts = np.zeros((MIRRORS, 2))
-    before = _left_right(replace(design, tilts_rad=tilts))
-    tilts = tilts.copy()
     tilts[mirror] = tilt
-    after = _left_right(replace(design, tilts_rad=tilts))
+    return predicted_change(design, tilts)
+
+
+def predicted_change(design: Mirrors, tilts_rad: Array) -> Array:
+    """Return the change (6,) of T_left_right that turned mirrors (4, 2) make: dt in m, rotation vector in rad."""
+    before = _left_right(replace(design, tilts_rad=np.zeros((MIRRORS, 2))))
+    after = _left_right(replace(design, tilts_rad=tilts_rad))
     return np.concatenate(
         [after.translation - before.translation, (after.rotation * before.rotation.inv()).as_rotvec()]
     )

@@ -9,7 +9,7 @@ import numpy as np
 from nicegui import run, ui
 
 from armsight.app.operator import identify as work_of
-from armsight.app.operator.identify import FOLDER, WORK, Entry, IdentifyRequest, Range
+from armsight.app.operator.identify import FOLDER, WORK, Entry, IdentifyRequest, Range, SweepFit
 from armsight.app.operator.work import Work
 from armsight.app.schemas.arm import IdentifyOutput, JointStd, PlanOutput
 from armsight.console import texts
@@ -43,17 +43,20 @@ class _Identify:
         self._robot = console.require_robot()
         self._browser = ui.context.client.id
         with card(texts.JOINT_RANGES):
-            text_of("p", texts.JOINT_RANGES_HELP).classes("hint")
+            text_of("p", texts.JOINT_RANGES_HELP.format(light=work_of.light_of(console.folder, console.cell))).classes(
+                "hint"
+            )
             self._fields = [self._row(one) for one in ranges]
             with ui.element("div").classes("row"):
                 self._readings = ui.number(texts.READINGS, value=10, min=4, max=100, step=1)
                 button(texts.EXPECT, self._expect, kind="act quiet", testid="expect")
                 button(texts.IDENTIFY_RUN, self._run, testid="identify-run")
-            self._said = text_of("p", role="alert").classes("hint")
+            self._said = text_of("p", role="alert", testid="identify-said").classes("hint")
             self._plan = ui.element("div").classes("scroll")
         with card(texts.FOUND):
             self._found = ui.element("div").classes("scroll")
         with card(texts.FITS):
+            self._fitted = ui.element("div").classes("scroll")
             self._scene = self._made_scene()
         with self._found:
             self._table = ui.element("div")
@@ -66,20 +69,37 @@ class _Identify:
             text_of("p", str(error)).classes("notice")
             return None
 
-    def _row(self, one: Range) -> tuple[ui.number, ui.number]:
+    def _row(self, one: Range) -> tuple[ui.number, ui.number, ui.checkbox]:
         unit = "mm" if one.slides else "deg"
         with ui.element("div").classes("row"):
-            text_of("span", f"{texts.JOINT} {one.joint} ({one.name})").style("min-width: 9rem; font-weight: 600")
+            swept = ui.checkbox(texts.SWEEP_JOINT.format(joint=one.joint, name=one.name), value=True)
+            swept.style("flex: 0 0 12rem; font-weight: 600").props["data-testid"] = f"sweep-{one.joint}"
+            swept.on_value_change(self._ticked)
             low = ui.number(f"{texts.LOWER} ({unit})", value=one.lower, step=1.0)
             high = ui.number(f"{texts.UPPER} ({unit})", value=one.upper, step=1.0)
             for field, end in ((low, "lower"), (high, "upper")):
                 field.props["data-testid"] = f"range-{one.joint}-{end}"
-        return low, high
+        swept.on_value_change(lambda: [field.set_enabled(bool(swept.value)) for field in (low, high)])
+        return low, high, swept
+
+    def _ticked(self) -> None:
+        """Tell what leaving joints out means, or why it cannot be."""
+        self._plan.clear()
+        self._tell_left_out()
+
+    def _tell_left_out(self) -> None:
+        try:
+            words = self._asked().consequence()
+        except ArmsightError as error:
+            self._tell(str(error), "bad")
+            return
+        self._tell(words, "warn" if words else "good")
 
     def _asked(self) -> IdentifyRequest:
         pairs = zip(self._ranges, self._fields, strict=True)
         ranges = tuple(
-            replace(one, lower=float(low.value or 0.0), upper=float(high.value or 0.0)) for one, (low, high) in pairs
+            replace(one, lower=float(low.value or 0.0), upper=float(high.value or 0.0), swept=bool(swept.value))
+            for one, (low, high, swept) in pairs
         )
         return IdentifyRequest(
             folder=self._console.folder,
@@ -98,7 +118,7 @@ class _Identify:
             return
         if plan is None:  # the server is ending
             return
-        self._tell("", "good")
+        self._tell_left_out()
         with self._plan:
             _plan_table(plan)
 
@@ -106,7 +126,7 @@ class _Identify:
         asked, station = self._asked(), self._console.require_station()
         try:
             self._robot.bench.begin(WORK, self._browser, partial(work_of.run, asked, self._robot, station))
-            self._tell("", "good")
+            self._tell_left_out()
         except ArmsightError as error:
             self._tell(str(error), "bad")
 
@@ -124,9 +144,12 @@ class _Identify:
                 text_of("p", note).classes("hint")
             text_of("p", texts.SAVED_ARM.format(file=f"{FOLDER}/arm.yaml"), testid="verdict")
             text_of("a", texts.REPORT, href=f"/console/files/{FOLDER}/arm.report.html", target="_blank")
+        fits = work_of.fits(self._console.folder)
+        self._fitted.clear()
+        with self._fitted:
+            _fits_table(done, fits)
         if self._scene is not None:
-            paths, seen = work_of.fits(self._console.folder)
-            self._scene.show_fits(paths, seen, placed=(self._console.folder / FOLDER / "world.yaml").exists())
+            self._scene.show_fits(fits, placed=(self._console.folder / FOLDER / "world.yaml").exists())
 
 
 def _plan_table(plan: PlanOutput) -> None:
@@ -143,6 +166,24 @@ def _plan_table(plan: PlanOutput) -> None:
                     text_of("td", words)
     for note in plan.notes:
         text_of("p", note).classes("hint")
+
+
+def _fits_table(done: IdentifyOutput, fits: tuple[SweepFit, ...]) -> None:
+    """What was fitted to each joint's sweep: an arc about its axis, or a line along it."""
+    off_m = {fit.joint: fit.off_m for fit in fits}
+    with ui.element("table").classes("plain"):
+        with ui.element("tr"):
+            for head in texts.FITS_HEAD:
+                text_of("th", head)
+        for joint in done.joints:
+            turns = joint.type == "revolute"
+            shape = texts.FIT_ARC.format(radius=joint.radius_m / MM) if turns else texts.FIT_LINE
+            with ui.element("tr"):
+                text_of("td", str(joint.index))
+                text_of("td", shape if joint.decided else f"{shape}; {texts.FIT_OPEN}")
+                text_of("td", f"{joint.n - len(joint.discarded)} / {joint.n}")
+                text_of("td", f"{joint.residual_rms_m / MM:.3f} mm")
+                text_of("td", f"{off_m[joint.index] / MM:.3f} mm" if joint.index in off_m else texts.NO_VALUE)
 
 
 def _std_words(std: JointStd) -> tuple[str, ...]:

@@ -10,11 +10,13 @@ import numpy as np
 from nicegui import run, ui
 from nicegui.elements.mixins.text_element import TextElement
 
+from armsight.app.live.measurement import COMPLEX
 from armsight.app.live.station import Shown
 from armsight.app.schemas.live import LiveView, SideView
 from armsight.console import texts
 from armsight.console.jog import jog_card
-from armsight.console.layout import TICK_S, button, card, set_attribute, set_text, text_of
+from armsight.console.layout import TICK_S, button, canvas_of, card, set_attribute, set_text, text_of
+from armsight.console.plots import Plot
 from armsight.console.scene import Scene
 from armsight.console.state import Console
 from armsight.errors import ArmsightError
@@ -25,10 +27,6 @@ Refresh = Callable[[Shown], None]
 SLOW_S = 0.5
 """Time between two updates of scene and curves."""
 CURVE_POINTS = 300
-GREY = "#7b8794"
-"""Readable on light and dark paper."""
-LINES = ("#0072B2", "#D55E00", "#009E73")
-"""Okabe and Ito's blue, vermillion and green."""
 
 
 def live_page(console: Console, *, watching: bool = False) -> None:
@@ -45,17 +43,15 @@ def _measuring(console: Console, *, watching: bool) -> None:
     if not watching:
         _lost_camera(console)
     with ui.element("div").classes("columns"):
-        left = _picture(console, "left", texts.LEFT)
-        right = _picture(console, "right", texts.RIGHT)
+        pictures = [_picture(name) for name in console.pictures]
+        beside = _figures(console, watching=watching) if len(pictures) == 1 else None
     with ui.element("div").classes("columns"):
-        with card(texts.POSE):
-            pose = _pose()
-            status = _status()
-            record = (lambda: None) if watching else _record(console)
+        figures, record = beside or _figures(console, watching=watching)
         with card(texts.SCENE):
             scene = _scene(console)
-    with card(texts.CURVES):
-        curves = [_curve(names, unit) for names, unit in ((texts.AXES[:3], "mm"), (texts.AXES[3:], "deg"))]
+            legend = text_of("p", texts.SCENE_HELP, testid="scene-legend").classes("hint")
+    with card(texts.CURVES), ui.element("div").classes("plots"):
+        curves = [_curve(i) for i in range(len(texts.AXES))]
     if not watching:
         with card(texts.SEARCH):
             _search(console)
@@ -65,19 +61,24 @@ def _measuring(console: Console, *, watching: bool) -> None:
         shown = console.remember()
         record()
         if shown is not None:
-            for refresh in (left, right, pose, status):
+            for refresh in (*pictures, *figures):
                 refresh(shown)
         if scene is not None:
             scene.show(None if shown is None else shown.view)
 
     def slow() -> None:
         if scene is not None:
-            scene.show_track()
-        for rows, curve in zip((slice(0, 3), slice(3, 6)), curves, strict=True):
-            _draw(curve, [one.view for one in console.history], rows)
+            set_text(legend, _legend(scene.scale, scene.show_track()))
+        _draw(curves, [one.view for one in console.history])
 
     ui.timer(TICK_S, tick)
     ui.timer(SLOW_S, slow)
+
+
+def _figures(console: Console, *, watching: bool) -> tuple[tuple[Refresh, ...], Callable[[], None]]:
+    """The pose, how measuring goes, and recording; return what keeps them as they are now."""
+    with card(texts.POSE):
+        return (_pose(), _status()), (lambda: None) if watching else _record(console)
 
 
 def _lost_camera(console: Console) -> None:
@@ -94,16 +95,26 @@ def _lost_camera(console: Console) -> None:
     ui.timer(TICK_S, tick)
 
 
-def _picture(console: Console, side: str, title: str) -> Refresh:
-    with card(title):
-        canvas = ui.element("canvas")
-        canvas.props.update({"data-side": side, "data-testid": f"camera-{side}", "role": "img", "aria-label": title})
-        canvas.props["width"], canvas.props["height"] = 1280, 720
+def _legend(scale: float, range_m: tuple[float, float] | None) -> str:
+    """Return what the scene's ellipsoid and track say, in words."""
+    parts = [texts.SCENE_HELP]
+    if scale > 0.0:
+        parts.append(texts.ELLIPSOID.format(scale=scale))
+    if range_m is not None:
+        parts.append(texts.TRACK.format(least=1e3 * range_m[0], most=1e3 * range_m[1]))
+    return " ".join(parts)
+
+
+def _picture(side: str) -> Refresh:
+    with card(texts.PICTURES[side]):
+        canvas_of(side, testid=f"camera-{side}")
+        if side == COMPLEX:
+            text_of("p", texts.COMPLEX_HELP).classes("hint")
         hint = text_of("p").classes("hint")
         figures = text_of("p").classes("hint")
 
     def refresh(shown: Shown) -> None:
-        view = shown.view.left if side == "left" else shown.view.right
+        view = shown.view.right if side == "right" else shown.view.left
         set_text(hint, texts.ADVICE[view.advice])
         set_attribute(hint, "data-level", "good" if view.advice == "good" else "warn")
         set_text(figures, _aiming(view))
@@ -114,7 +125,10 @@ def _picture(console: Console, side: str, title: str) -> Refresh:
 def _aiming(view: SideView) -> str:
     brightest = texts.NO_VALUE if view.brightest is None else f"{view.brightest:.0f}"
     width = texts.NO_VALUE if view.sigma_px is None else f"{view.sigma_px:.1f}"
-    return texts.ADVICE_FIGURES.format(background=view.background, brightest=brightest, width=width)
+    figures = texts.ADVICE_FIGURES.format(background=view.background, brightest=brightest, width=width)
+    if view.n_clipped is not None:
+        figures += texts.ADVICE_CLIPPED.format(n=view.n_clipped)
+    return figures if view.exposure_s is None else figures + texts.ADVICE_EXPOSURE.format(ms=1e3 * view.exposure_s)
 
 
 def _number(name: str, testid: str) -> tuple[TextElement, TextElement]:
@@ -153,14 +167,20 @@ def _status() -> Refresh:
     with ui.element("div").classes("numbers"):
         fps, _ = _number(texts.FPS, "fps")
         latency, _ = _number(texts.LATENCY, "latency")
-        lost, _ = _number(texts.COUNTS, "lost")
+        lost = _number(texts.COUNTS, "lost")
+        partly = _number(texts.POSITION_COUNT, "position-only")
+        residual, _ = _number(texts.RESIDUAL, "residual")
     why = text_of("p").classes("hint")
 
     def refresh(shown: Shown) -> None:
         view = shown.view
         set_text(fps, f"{view.fps:.0f}")
         set_text(latency, f"{1e3 * view.latency_s:.0f} ms")
-        set_text(lost, f"{view.counts.lost + view.counts.position_only} / {view.sequence}")
+        for (label, below), n in ((lost, view.counts.lost), (partly, view.counts.position_only)):
+            set_text(label, texts.COUNT.format(n=n, share=n / max(view.sequence, 1)))
+            set_text(below, texts.OF_ALL.format(total=view.sequence))
+        px = view.residual_px
+        set_text(residual, texts.NO_VALUE if px is None else texts.RESIDUAL_VALUE.format(value=px))
         set_text(why, view.why)
 
     return refresh
@@ -195,49 +215,25 @@ def _scene(console: Console) -> Scene | None:
         return None
 
 
-def _curve(names: tuple[str, ...], unit: str) -> ui.echart:
-    lines = [
-        {
-            "name": name,
-            "type": "line",
-            "showSymbol": False,
-            "data": [],
-            "lineStyle": {"color": c},
-            "itemStyle": {"color": c},
-        }
-        for name, c in zip(names, LINES, strict=True)
-    ]
-    options = {
-        "animation": False,
-        "grid": {"left": 60, "right": 20, "top": 40, "bottom": 30},
-        "legend": {"data": list(names), "top": 0, "textStyle": {"color": GREY}},
-        "xAxis": {
-            "axisLine": {"onZero": False},
-            "type": "value",
-            "name": "s",
-            "min": "dataMin",
-            "max": "dataMax",
-            "axisLabel": {"formatter": "{value}"},
-        },
-        "yAxis": {"type": "value", "name": unit, "scale": True},
-        "series": lines,
-    }
-    return ui.echart(options).classes("w-full").style("height: 15rem")
+def _curve(axis: int) -> Plot:
+    """One of x y z rx ry rz over time, on an axis of its own: what moves is seen beside what is far away."""
+    name, unit = texts.AXES[axis], "mm" if axis < 3 else "deg"
+    return Plot(f"{name} ({unit})", (name,), testid=f"plot-{name}", along="{value} s", first=axis % 3)
 
 
-def _draw(curve: ui.echart, views: list[LiveView], rows: slice) -> None:
+def _draw(curves: list[Plot], views: list[LiveView]) -> None:
     if not views:
         return
     kept = views[:: max(1, len(views) // CURVE_POINTS)]
-    scale = 1e3 if rows.start == 0 else 1.0 / DEG
-    values = np.array([_values(view)[rows] for view in kept]) * scale
+    scale = np.repeat([1e3, 1.0 / DEG], 3)
+    values = np.array([_values(view) for view in kept]) * scale
     t_s = np.array([view.t_s for view in kept]) - kept[-1].t_s
-    for line, column in zip(curve.options["series"], values.T, strict=True):
-        line["data"] = [
-            [round(float(t), 2), round(float(v), 3) if np.isfinite(v) else None]
+    for curve, column in zip(curves, values.T, strict=True):
+        points = [
+            (round(float(t), 2), round(float(v), 3) if np.isfinite(v) else None)
             for t, v in zip(t_s, column, strict=True)
         ]
-    curve.update()
+        curve.show([points])
 
 
 def _search(console: Console) -> None:
@@ -267,7 +263,7 @@ def _level(field: ui.number) -> float | None:
 def _mask(console: Console, drawn: dict[str, Any]) -> None:
     """Add a rectangle drawn on a picture to what is masked."""
     side, box = drawn["side"], tuple(float(v) for v in drawn["mask"])
-    if side not in ("left", "right") or len(box) != 4:
+    if side not in console.pictures or len(box) != 4:
         return
     masked = {**console.look.masked, side: (*console.look.masked.get(side, ()), box)}
     console.set_look(replace(console.look, masked=masked))

@@ -247,7 +247,7 @@ class _Play:
 
     def _play(self) -> None:
         try:
-            act = partial(path_desk.play, self._asked(), self._robot, self._desk)
+            act = partial(path_desk.play, self._asked(), self._robot, self._desk, self._console.station)
             self._robot.bench.begin(WORK, self._browser, act)
             _tell(self._said, "")
         except ArmsightError as error:
@@ -273,4 +273,13 @@ class _Play:
         done: PlayOutput = work.result
         why = texts.PLAY_END if done.finished else done.stopped_by
         told = texts.PLAY_DONE.format(share=done.share, length=done.length_m / MM, time=done.took_s, why=why)
-        _tell(self._said, f"{told} {texts.PLAY_KEPT.format(folder=done.recording)}", "good" if done.finished else "bad")
+        kept = texts.PLAY_KEPT.format(folder=done.recording)
+        _tell(self._said, f"{told} {_watched(done)} {kept}", "good" if done.finished else "bad")
+
+
+def _watched(done: PlayOutput) -> str:
+    """Return what the cameras saw of it."""
+    seen = done.measured
+    if seen is None or seen.rms_m is None or seen.max_m is None:
+        return texts.PLAY_UNSEEN
+    return texts.PLAY_SEEN.format(n=seen.n, rms=seen.rms_m / MM, largest=seen.max_m / MM)

@@ -12,6 +12,8 @@ from armsight.app.schemas.verify import VerifyOutput
 from armsight.app.verify.run import VerifyJob, run_verify
 from armsight.console import texts
 from armsight.console.layout import button, card, set_attribute, set_text, text_of
+from armsight.console.pages.iso import iso_card
+from armsight.console.pages.supervision import supervision_card
 from armsight.console.state import Console
 from armsight.console.uploads import reports
 from armsight.errors import ArmsightError
@@ -45,6 +47,8 @@ def verify_page(console: Console) -> None:
                 set_attribute(said, "data-level", "bad")
 
         button(texts.VERIFY_RUN, verify, testid="verify-run")
+    supervision_card(console)
+    iso_card(console, lambda: listing.refresh(console))
     listing(console)
 
 

@@ -1,7 +1,10 @@
 // Camera pictures with what was found drawn on them. One message holds one picture and its findings, so that they
 // always belong together; the next one is asked for when this one is on the screen, so that nothing piles up.
 (() => {
-  const COLOURS = { named: "#009E73", other: "#E69F00", line: "#56B4E9", residual: "#D55E00", mask: "rgba(0,0,0,0.55)" };
+  const COLOURS = {
+    named: "#009E73", left: "#56B4E9", right: "#CC79A7", other: "#E69F00", line: "#56B4E9", residual: "#D55E00",
+    mask: "rgba(0,0,0,0.55)",
+  };
   const RESIDUAL_SCALE = 100;
 
   class Picture {
@@ -37,6 +40,7 @@
       if (this.canvas.width !== bitmap.width || this.canvas.height !== bitmap.height) {
         this.canvas.width = bitmap.width;
         this.canvas.height = bitmap.height;
+        this.canvas.style.aspectRatio = `${bitmap.width} / ${bitmap.height}`;
       }
       this.context.drawImage(bitmap, 0, 0);
       bitmap.close();
@@ -57,20 +61,19 @@
       for (const [u0, v0, u1, v1] of drawn) c.fillRect(Math.min(u0, u1), Math.min(v0, v1), Math.abs(u1 - u0), Math.abs(v1 - v0));
       c.strokeStyle = COLOURS.line;
       c.globalAlpha = 0.6;
-      for (const curve of found.epipolar) {
+      found.epipolar.forEach((curve, n) => {
+        c.strokeStyle = COLOURS[(found.epipolar_views || [])[n]] || COLOURS.line;
         c.beginPath();
         curve.forEach(([u, v], i) => (i ? c.lineTo(u, v) : c.moveTo(u, v)));
         c.stroke();
-      }
+      });
       c.globalAlpha = 1;
       for (const spot of this.canvas.dataset.plain ? found.spots.filter((s) => s.name) : found.spots) {
-        const colour = spot.name ? COLOURS.named : COLOURS.other;
+        const colour = spot.name ? COLOURS[spot.view] || COLOURS.named : COLOURS.other;
         c.strokeStyle = colour;
-        c.beginPath();
-        if (spot.name) c.arc(spot.u_px, spot.v_px, 11 * size, 0, 7);
-        else c.rect(spot.u_px - 9 * size, spot.v_px - 9 * size, 18 * size, 18 * size);
-        c.stroke();
-        this.label(spot.name || "?", spot.u_px + 14 * size, spot.v_px - 8 * size, colour, size);
+        this.mark(spot, size);
+        const mark = spot.view ? this.canvas.dataset[spot.view === "left" ? "markLeft" : "markRight"] : "";
+        this.label(spot.name ? `${spot.name} ${mark}`.trim() : "?", spot.u_px + 14 * size, spot.v_px - 8 * size, colour, size);
         if (spot.residual_px) {
           c.strokeStyle = COLOURS.residual;
           c.beginPath();
@@ -79,6 +82,19 @@
           c.stroke();
         }
       }
+    }
+
+    mark(spot, size) {
+      const c = this.context;
+      const [u, v, r] = [spot.u_px, spot.v_px, 11 * size];
+      c.beginPath();
+      if (!spot.name) c.rect(u - 9 * size, v - 9 * size, 18 * size, 18 * size);
+      else if (spot.view !== "right") c.arc(u, v, r, 0, 7);
+      else {
+        [[0, -1.3], [1.3, 0], [0, 1.3], [-1.3, 0]].forEach(([x, y], i) => (i ? c.lineTo(u + r * x, v + r * y) : c.moveTo(u + r * x, v + r * y)));
+        c.closePath();
+      }
+      c.stroke();
     }
 
     label(text, u, v, colour, size) {

@@ -1,0 +1,1 @@
+"""Two results of one kind side by side."""

@@ -1,0 +1,226 @@
+"""Cameras, rigs, hand-eye calibrations and arms of two files, number by number, and what the differences come to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from armsight.app.compare.parameters import Difference, Value, differences
+from armsight.errors import Inconsistent
+from armsight.kinematics import Arm, pose
+from armsight.optics import INTRINSICS, SIDES, Camera, Rig, triangulate
+from armsight.records import NamedCovariance
+from armsight.store.arm_file import read_arm
+from armsight.store.handeye_file import read_handeye
+from armsight.store.rigs import read_camera_file, read_rig
+
+Array = NDArray[np.float64]
+
+GRID = 9
+"""Points along each side of the image at which cameras are compared, its corners among them."""
+
+BASELINES = 8.0
+"""Working distance at which rigs are compared, in baselines, where none is given."""
+
+POSTURES = 300
+ENTRIES = (("a_m", "m"), ("alpha_rad", "rad"), ("d_m", "m"), ("theta_rad", "rad"), ("beta_rad", "rad"))
+POSE = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
+RIG_POSE = ("tx", "ty", "tz", "rx", "ry", "rz")
+NOT_ONE = "Nothing was compared"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Effect:
+    """What the differences come to, in a unit."""
+
+    name: str
+    value: float
+    unit: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Compared:
+    """Two calibrations: their numbers, covariances, and what the differences come to."""
+
+    differences: Sequence[Difference]
+    covariances: tuple[NamedCovariance | None, NamedCovariance | None]
+    effects: Sequence[Effect]
+    notes: Sequence[str] = ()
+
+
+def compare_cameras(a: Path, b: Path) -> Compared:
+    """Compare two camera.yaml. Raises BadFile, and Inconsistent for images of unequal size."""
+    first, second = read_camera_file(a), read_camera_file(b)
+    _same_size(first.camera, second.camera, "the images")
+    values = [Value(name=n, value=v, unit=u) for n, v, u in _intrinsics(first.camera, "")]
+    return Compared(
+        differences=differences(values, second.camera.intrinsics.tolist(), first.covariance, second.covariance),
+        covariances=(first.covariance, second.covariance),
+        effects=_shift_effects(first.camera, second.camera, ""),
+    )
+
+
+def compare_rigs(a: Path, b: Path, distance_m: float | None = None) -> Compared:
+    """Compare two rig.yaml at a distance from the cameras. Raises BadFile, and Inconsistent for rigs of two kinds."""
+    first, second = read_rig(a), read_rig(b)
+    if first.kind is not second.kind:
+        raise Inconsistent(
+            f"{a} is a rig of kind {first.kind} and {b} of kind {second.kind}",
+            consequence=NOT_ONE,
+            cure="Give two calibrations of one rig",
+        )
+    numbers: list[tuple[str, float, str]] = []
+    others: list[float] = []
+    effects: list[Effect] = []
+    for side in SIDES:
+        _same_size(first.camera(side), second.camera(side), f"the {side} images")
+        numbers += _intrinsics(first.camera(side), f"{side}.")
+        others += second.camera(side).intrinsics.tolist()
+        effects += _shift_effects(first.camera(side), second.camera(side), f"{side}: ")
+    T_a, T_b = (rig.T_rig_left.inv() * rig.T_rig_right for rig in (first, second))
+    here, there = _pose_values(T_a, T_b)
+    units = ("m", "m", "m", "rad", "rad", "rad")
+    numbers += [(f"right.{name}", value, unit) for name, value, unit in zip(RIG_POSE, here, units, strict=True)]
+    others += there
+    values = [Value(name=n, value=v, unit=u) for n, v, u in numbers]
+    baseline = (second.baseline_m - first.baseline_m) / first.baseline_m
+    effects.append(Effect(name="baseline of B over A, less one", value=baseline, unit="1"))
+    effects += _space_effects(first, second, distance_m or BASELINES * first.baseline_m)
+    return Compared(
+        differences=differences(values, others, first.covariance, second.covariance),
+        covariances=(first.covariance, second.covariance),
+        effects=effects,
+    )
+
+
+def compare_handeyes(a: Path, b: Path) -> Compared:
+    """Compare two handeye.yaml. Raises BadFile, and Inconsistent for cameras on hand and beside it."""
+    first, second = read_handeye(a), read_handeye(b)
+    if first.setup is not second.setup:
+        raise Inconsistent(
+            f"{a} is {first.setup} and {b} is {second.setup}",
+            consequence=NOT_ONE,
+            cure="Give two calibrations of one camera on one arm",
+        )
+    here, there = _pose_values(first.T_parent_camera, second.T_parent_camera)
+    units = ("m", "m", "m", "rad", "rad", "rad")
+    named = zip(POSE, here, units, strict=True)
+    values = [Value(name=f"camera.{name}", value=value, unit=unit) for name, value, unit in named]
+    found = differences(values, there, first.covariance, second.covariance)
+    off = first.T_parent_camera.inv() * second.T_parent_camera
+    effects = [
+        Effect(name="camera moved by", value=float(np.linalg.norm(off.translation)), unit="m"),
+        Effect(name="camera turned by", value=float(off.rotation.magnitude()), unit="rad"),
+    ]
+    note = "The target's own pose is not compared: it may have stood elsewhere."
+    return Compared(differences=found, covariances=(first.covariance, second.covariance), effects=effects, notes=[note])
+
+
+def compare_arms(a: Path, b: Path) -> Compared:
+    """Compare two arm.yaml. Raises BadFile, and Inconsistent for arms of other joints."""
+    first, second = read_arm(a), read_arm(b)
+    kinds = [[joint.type.value for joint in arm.joints] for arm in (first, second)]
+    if kinds[0] != kinds[1] or first.convention != second.convention:
+        raise Inconsistent(
+            f"{a} has the joints {', '.join(kinds[0])} ({first.convention}), {b} {', '.join(kinds[1])} "
+            f"({second.convention})",
+            consequence=NOT_ONE,
+            cure="Give two calibrations of one arm, in one convention (armsight convert arm)",
+        )
+    values: list[Value] = []
+    others: list[float] = []
+    names: dict[str, str] = {}
+    for i, (one, other) in enumerate(zip(first.joints, second.joints, strict=True), 1):
+        for key, unit in ENTRIES:
+            names |= {f"{one.name}.{key}": f"joint {i} {key}", f"{other.name}.{key}": f"joint {i} {key}"}
+            values.append(Value(name=f"joint {i} {key}", value=getattr(one, key), unit=unit))
+            others.append(getattr(other, key))
+    of = tuple(_renamed(arm.covariance, names) for arm in (first, second))
+    return Compared(
+        differences=differences(values, others, of[0], of[1]),
+        covariances=(of[0], of[1]),
+        effects=_reach_effects(first, second),
+    )
+
+
+def _renamed(covariance: NamedCovariance | None, names: dict[str, str]) -> NamedCovariance | None:
+    if covariance is None:
+        return None
+    return replace(covariance, names=tuple(names.get(one, one) for one in covariance.names))
+
+
+def _intrinsics(camera: Camera, prefix: str) -> list[tuple[str, float, str]]:
+    named = zip(INTRINSICS, camera.intrinsics.tolist(), strict=True)
+    return [(f"{prefix}{name}", value, "px" if i < 5 else "1") for i, (name, value) in enumerate(named)]
+
+
+def _pose_values(a: RigidTransform, b: RigidTransform) -> tuple[list[float], list[float]]:
+    """Return the six numbers of two poses; those of B's rotation as A's plus the turn between, in the parent's axes."""
+    turn = (b.rotation * a.rotation.inv()).as_rotvec()
+    start = a.rotation.as_rotvec()
+    return [*a.translation.tolist(), *start.tolist()], [*b.translation.tolist(), *(start + turn).tolist()]
+
+
+def _same_size(a: Camera, b: Camera, what: str) -> None:
+    if (a.width, a.height) != (b.width, b.height):
+        raise Inconsistent(
+            f"{what} are {a.width}x{a.height} px in A and {b.width}x{b.height} px in B",
+            consequence=NOT_ONE,
+            cure="Give two calibrations of one camera at one resolution",
+        )
+
+
+def _pixels(camera: Camera) -> Array:
+    u, v = np.linspace(0, camera.width - 1, GRID), np.linspace(0, camera.height - 1, GRID)
+    return np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+
+
+def _shift_effects(a: Camera, b: Camera, prefix: str) -> list[Effect]:
+    """Return how far B images a ray of A from where A does, over the image and at its corners."""
+    uv = _pixels(a)
+    rays = np.column_stack([a.rays(uv), np.ones(len(uv))])
+    shift = np.linalg.norm(b.project(rays) - uv, axis=1)
+    corners = shift.reshape(GRID, GRID)[np.ix_([0, -1], [0, -1])]
+    return [
+        Effect(name=f"{prefix}shift over the image, RMS", value=float(np.sqrt(np.nanmean(shift**2))), unit="px"),
+        Effect(name=f"{prefix}shift at the worst corner", value=float(np.nanmax(corners)), unit="px"),
+    ]
+
+
+def _space_effects(a: Rig, b: Rig, distance_m: float) -> list[Effect]:
+    """Return how far B measures points from where A does, on a plane before the left camera that both cameras see."""
+    uv = _pixels(a.left)
+    rays = np.column_stack([a.left.rays(uv), np.ones(len(uv))]) * distance_m
+    points = a.T_rig_left.apply(rays[np.isfinite(rays).all(axis=1)])
+    left, right = a.project(points)
+    size = np.array([a.right.width, a.right.height]) - 0.5
+    seen = np.isfinite(right).all(axis=1) & (right > -0.5).all(axis=1) & (right < size).all(axis=1)
+    if not seen.any():
+        return []
+    noise = np.eye(2)
+    measured = triangulate(b, left[seen], right[seen], noise, noise).xyz_m
+    off = np.linalg.norm(b.T_rig_left.inv().apply(measured) - a.T_rig_left.inv().apply(points[seen]), axis=1)
+    where = f"at {distance_m:.3g} m"
+    return [
+        Effect(name=f"points measured {where}, RMS", value=float(np.sqrt(np.nanmean(off**2))), unit="m"),
+        Effect(name=f"points measured {where}, largest", value=float(np.nanmax(off)), unit="m"),
+    ]
+
+
+def _reach_effects(a: Arm, b: Arm) -> list[Effect]:
+    """Return how far the flanges of both arms are apart, in the base's axes, at random postures within A's limits."""
+    low, high = (np.array([getattr(joint, end) for joint in a.joints]) for end in ("lower", "upper"))
+    low, high = np.where(np.isfinite(low), low, -np.pi), np.where(np.isfinite(high), high, np.pi)
+    q = np.random.default_rng(0).uniform(low, high, (POSTURES, a.n))
+    bare = [replace(arm, T_world_base=RigidTransform.identity(), couplings=a.couplings) for arm in (a, b)]
+    places = [np.array([pose(arm, row).translation for row in q]) for arm in bare]
+    off = np.linalg.norm(places[1] - places[0], axis=1)
+    return [
+        Effect(name="tool apart, RMS over postures", value=float(np.sqrt(np.mean(off**2))), unit="m"),
+        Effect(name="tool apart, largest", value=float(off.max()), unit="m"),
+    ]

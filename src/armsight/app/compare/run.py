@@ -1,0 +1,197 @@
+"""Two results in; whether they agree, what moved by how much, and a report out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from armsight.app.compare.calibrations import (
+    Compared,
+    compare_arms,
+    compare_cameras,
+    compare_handeyes,
+    compare_rigs,
+)
+from armsight.app.compare.parameters import Difference, Judgement, judged, judged_singly
+from armsight.app.compare.runs import TOO_FEW_INSIDE, Tracks, compare_tracks, compare_verifications
+from armsight.app.schemas.compare import ComparedEffect, ComparedParameter, CompareOutput
+from armsight.errors import BadFile, Inconsistent, UsageError
+from armsight.report.compare_report import CompareRun, Course, Row, compare_report
+from armsight.store import write_text
+from armsight.store.arm_file import ARM_FORMAT
+from armsight.store.handeye_file import HANDEYE_FORMAT
+from armsight.store.rigs import RIG_FORMAT
+from armsight.store.yamls import read_yaml
+from armsight.store.zoom import CAMERA_FORMAT
+from armsight.units import DEG, MM
+
+NOTHING = 1e-10
+"""m, px or rad below which a difference is rounding."""
+
+SUMMARY, REPORT = "compare.json", "report.html"
+
+FORMATS: Mapping[str, str] = {
+    CAMERA_FORMAT: "camera",
+    RIG_FORMAT: "rig",
+    HANDEYE_FORMAT: "handeye",
+    ARM_FORMAT: "arm",
+}
+FOLDERS: Mapping[str, str] = {"verify.json": "verify", "poses.csv": "measure"}
+"""What a folder holds by the file that tells it."""
+CALIBRATIONS = ("rig.yaml", "camera.yaml", "handeye.yaml", "arm.yaml")
+SHOWN: Mapping[str, tuple[float, str]] = {"m": (MM, "mm"), "rad": (DEG, "°"), "m/s": (MM, "mm/s"), "1": (1.0, "")}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CompareJob:
+    """Two results; out: a folder for report and summary. distance_m: at which rigs are compared."""
+
+    a: Path
+    b: Path
+    out: Path | None = None
+    distance_m: float | None = None
+
+
+def compare(job: CompareJob) -> CompareOutput:
+    """Compare two results of one kind; write the report where a folder is given; return what --json gives.
+
+    Raises UsageError for a path that holds no result, Inconsistent for two kinds or two things, DataRefused.
+    """
+    (kind, a), (other, b) = _result(job.a), _result(job.b)
+    if kind != other:
+        raise Inconsistent(
+            f"{job.a} is a result of kind {kind} and {job.b} of kind {other}",
+            consequence="Nothing was compared",
+            cure="Give two results of one kind",
+        )
+    tracks = compare_tracks(a, b) if kind == "measure" else None
+    found = tracks.compared if tracks is not None else _compared(kind, a, b, job.distance_m)
+    judgement = _judgement(kind, found, tracks)
+    done = CompareOutput(
+        kind=kind,
+        a=str(job.a),
+        b=str(job.b),
+        agree=judgement.agree,
+        verdict=_verdict(found, judgement, tracks),
+        p=judgement.p,
+        parameters=[_parameter(one) for one in found.differences],
+        effects=[ComparedEffect(name=one.name, value=one.value, unit=one.unit) for one in found.effects],
+        n=None if tracks is None else len(tracks.t_s),
+        notes=list(found.notes),
+        report=None if job.out is None else str(job.out / REPORT),
+    )
+    if job.out is not None:
+        job.out.mkdir(parents=True, exist_ok=True)
+        done.write(job.out / SUMMARY)
+        write_text(job.out / REPORT, compare_report(_run(done, tracks)))
+    return done
+
+
+def _result(path: Path) -> tuple[str, Path]:
+    """Return which kind of result a path is, and the file to read, or the folder of a verification."""
+    if path.is_dir():
+        for name, kind in FOLDERS.items():
+            if (path / name).exists():
+                return kind, path if kind == "verify" else path / name
+        there = [path / name for name in CALIBRATIONS if (path / name).exists()]
+        if len(there) == 1:
+            return _result(there[0])
+        held = f"several: {', '.join(file.name for file in there)}" if there else "none"
+        raise UsageError(
+            f"{path} holds no one result that can be compared ({held})",
+            cure="Give a folder of measure or verify, or the file of a camera, rig, hand-eye or arm",
+        )
+    if path.suffix == ".csv":
+        return "measure", path
+    format_ = str(read_yaml(path).get("format"))
+    if format_ not in FORMATS:
+        raise BadFile(
+            f"{path}: format {format_[:80]!r} is not compared",
+            consequence="Nothing was compared",
+            cure=f"Give two files of {', '.join(FORMATS)}, or two folders of measure or verify",
+        )
+    return FORMATS[format_], path
+
+
+def _compared(kind: str, a: Path, b: Path, distance_m: float | None) -> Compared:
+    comparers: Mapping[str, Callable[[Path, Path], Compared]] = {
+        "camera": compare_cameras,
+        "rig": lambda a, b: compare_rigs(a, b, distance_m),
+        "handeye": compare_handeyes,
+        "arm": compare_arms,
+        "verify": compare_verifications,
+    }
+    return comparers[kind](a, b)
+
+
+def _judgement(kind: str, found: Compared, tracks: Tracks | None) -> Judgement:
+    if tracks is not None:
+        return Judgement(agree=None if tracks.p is None else tracks.p >= TOO_FEW_INSIDE, p=tracks.p)
+    return judged_singly(found.differences) if kind == "verify" else judged(found.differences, *found.covariances)
+
+
+def _verdict(found: Compared, judgement: Judgement, tracks: Tracks | None) -> str:
+    effect = f" {_first_effect(found)}" if found.effects else ""
+    if judgement.agree:
+        return f"B agrees with A within their uncertainty.{effect}"
+    if judgement.agree is None:
+        silent = [one.name for one in found.differences if one.std is None and one.difference != 0.0]
+        if judgement.p is None:
+            return f"Neither result tells how sure it is: whether they agree cannot be told.{effect}"
+        differ = f"{', '.join(silent[:3])} differ{'s' if len(silent) == 1 else ''}"
+        return f"{differ}, and nothing tells how sure that is; what has an uncertainty agrees.{effect}"
+    if tracks is not None:
+        return f"B does not agree with A: too few differences lie inside their 95 % ellipsoid.{effect}"
+    worst = max((one for one in found.differences if one.sigmas is not None), key=lambda one: abs(one.sigmas or 0.0))
+    moved = _shown(worst.difference, worst.unit)
+    return f"B does not agree with A: {worst.name} differs by {moved}, {abs(worst.sigmas or 0.0):.1f} sigma.{effect}"
+
+
+def _first_effect(found: Compared) -> str:
+    """Return the first effect in space, or the first, in words."""
+    one = next((e for e in found.effects if e.unit == "m"), found.effects[0])
+    return f"What it comes to: {one.name} {_shown(one.value, one.unit)}."
+
+
+def _shown(value: float, unit: str) -> str:
+    factor, shown = SHOWN.get(unit, (1.0, unit))
+    text = f"{value / factor:.3g}" if abs(value) > NOTHING else "0"
+    return f"{text}{shown}" if shown == "°" else f"{text} {shown}".strip()
+
+
+def _parameter(one: Difference) -> ComparedParameter:
+    return ComparedParameter(
+        name=one.name, unit=one.unit, a=one.a, b=one.b, difference=one.difference, std=one.std, sigmas=one.sigmas
+    )
+
+
+def _run(done: CompareOutput, tracks: Tracks | None) -> CompareRun:
+    rows = []
+    for one in done.parameters:
+        factor, unit = SHOWN.get(one.unit, (1.0, one.unit))
+        std = None if one.std is None else one.std / factor
+        name = one.name.replace("_rad", "").replace("_m_s", "").replace("_m", "")
+        rows.append(
+            Row(
+                name=name,
+                unit=unit,
+                a=one.a / factor,
+                b=one.b / factor,
+                difference=one.difference / factor,
+                std=std,
+                sigmas=one.sigmas,
+            )
+        )
+    return CompareRun(
+        kind=done.kind,
+        a=done.a,
+        b=done.b,
+        agree=done.agree,
+        verdict=done.verdict,
+        p=done.p,
+        rows=rows,
+        effects=[(one.name, _shown(one.value, one.unit)) for one in done.effects],
+        notes=done.notes,
+        course=None if tracks is None else Course(t_s=tracks.t_s, values=tracks.values, std=tracks.std),
+    )

@@ -1,0 +1,110 @@
+"""A guided calibration as several pages share it: one thing at a time, and a page loaded anew finds all of it again."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+from armsight.app.guided.charts import Curves, History, figures_of
+from armsight.app.guided.step import Guided, Hint, Sample, Verdict
+from armsight.app.live.station import Station
+from armsight.errors import ArmsightError
+from armsight.records import Progress
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DeskState:
+    """What a page shows. busy: what is being done, empty for nothing. refused: why the last sample was not taken.
+
+    curves: figures by the number of samples. count: of what was done so far, so that a page knows that something was.
+    verdict: of the last calibration; not_done: why there is none. Both go with the next sample taken or dropped.
+    """
+
+    hint: Hint
+    samples: tuple[Sample, ...]
+    coverage: dict[str, tuple[int, ...]]
+    spread: tuple[tuple[str, str], ...]
+    curves: Curves = field(default_factory=dict)
+    count: int = 0
+    busy: str = ""
+    refused: str = ""
+    verdict: Verdict | None = None
+    not_done: str = ""
+
+
+class StepDesk:
+    """Does what pages ask of a step, in the order in which they ask; any thread may call it."""
+
+    def __init__(self, step: Guided) -> None:
+        self.step = step
+        self._lock = threading.Lock()
+        self._history = History()
+        self._state = self._looked()
+
+    @property
+    def name(self) -> str:
+        """The step's key."""
+        return self.step.name
+
+    @property
+    def state(self) -> DeskState:
+        """How it stands; the same object until something changes."""
+        return self._state
+
+    def accept(self, station: Callable[[], Station]) -> None:
+        """Take what is seen now; why it was not taken stands in the state."""
+        self._do("accept", lambda: self.step.accept(station()))
+
+    def drop(self, index: int) -> None:
+        """Forget a sample."""
+        self._do("drop", lambda: self.step.drop(index))
+
+    def run(self, progress: Progress) -> None:
+        """Calibrate; the verdict, or why there is none, stands in the state."""
+        with self._lock:
+            before = replace(self._state, busy="run", refused="", not_done="", verdict=None)
+            self._state = before
+            verdicts: list[Verdict] = []
+            why = _why(lambda: verdicts.append(self.step.run(progress)))
+            verdict = verdicts[0] if verdicts else None
+            self._state = replace(before, count=before.count + 1, busy="", verdict=verdict, not_done=why)
+
+    def _do(self, what: str, act: Callable[[], object]) -> None:
+        with self._lock:
+            before = replace(self._state, busy=what, refused="")
+            self._state = before
+            after: list[DeskState] = []
+
+            def both() -> None:
+                act()
+                after.append(self._looked())
+
+            why = _why(both)
+            self._state = replace(after[0] if after else before, count=before.count + 1, busy="", refused=why)
+
+    def _looked(self) -> DeskState:
+        step, history = self.step, self._history
+        history.remember(len(step.samples), figures_of(step))
+        return DeskState(
+            hint=step.hint(),
+            samples=step.samples,
+            coverage=step.coverage(),
+            spread=step.spread(),
+            curves=history.curves(),
+        )
+
+
+def _why(act: Callable[[], object]) -> str:
+    """Do it; return in words why it could not be done, empty where it was."""
+    try:
+        act()
+    except ArmsightError as error:
+        return str(error)
+    except Exception as error:  # a person waits for an answer, whatever it is
+        logging.getLogger(__name__).exception("a guided calibration failed")
+        return (
+            f"The program failed: {type(error).__name__}: {error}. Nothing was kept. Report it, with the console's log."
+        )
+    return ""

@@ -1,0 +1,140 @@
+"""The mirrors' alignment, live, while a person turns their screws before a board: `calibrate mirrors --check`."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from armsight.app.calibrate.board_images import see_two_boards
+from armsight.app.calibrate.board_pictures import BoardPictures
+from armsight.app.calibrate.mirrors import MirrorsJob
+from armsight.app.calibrate.mirrors_check import AlignmentWatch, check_output, reference_of
+from armsight.app.live.station import Station
+from armsight.app.schemas.cameras import MirrorCheckOutput, MirrorTurnOutput
+from armsight.calibrate.mirrors.diagnosis import APART, STILL
+from armsight.drivers import read_image
+from armsight.errors import UsageError
+from armsight.records import Frame, NotSeen
+from armsight.store import parse_board
+
+LOOKS = 120
+"""Looks kept for the plot: two minutes at one a second."""
+BACK = 4
+"""Looks that an answer rests on: with fewer a small board tells too little, with more it would lag behind the screw."""
+FINE_RAD = 5e-4
+"""A turn smaller than this is finer than a screw is set by hand: half a pixel at a focal length of 1000 px."""
+COARSE_RAD = 5e-4
+"""Standard deviation of an angle between the axes from which it is not said that nothing is left to turn: a turn of
+FINE_RAD makes an angle of twice as much, two of these."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stand:
+    """How the mirrors stand. check: as the command tells it, None where the board was not seen, and why in words.
+
+    turns: what is to be done, mirror by mirror, each by how much it is to be turned; empty where nothing is. others:
+    mirrors that may have moved in place of the one that is named. several: more than one mirror has moved.
+    """
+
+    number: int
+    check: MirrorCheckOutput | None = None
+    why: str = ""
+    turns: tuple[MirrorTurnOutput, ...] = ()
+    others: tuple[int, ...] = ()
+    several: bool = False
+
+    @property
+    def std_rad(self) -> float:
+        """The largest standard deviation of the three angles between the axes; NaN where the board was not seen."""
+        if self.check is None:
+            return float("nan")
+        std = self.check.change_std
+        return max(std.drx_rad, std.dry_rad, std.drz_rad)
+
+    @property
+    def unsure(self) -> bool:
+        """Whether nothing is seen to be turned, and too little is told for it to be said."""
+        return self.check is not None and not self.turns and self.std_rad > COARSE_RAD
+
+    @property
+    def done(self) -> bool:
+        """Whether the mirrors stand as they should, and are known well enough for it to be said."""
+        return self.check is not None and not self.turns and not self.unsure
+
+
+@dataclass(slots=True, kw_only=True)
+class MirrorAlignment:
+    """Looks at the picture of now, again and again.
+
+    job: what `calibrate mirrors --check` takes, without an image. With its rig the mirrors are held against how they
+    were calibrated, else, with its camera and baseline, against parallel axes. folder: takes the picture of now.
+    """
+
+    job: MirrorsJob
+    folder: Path
+    looks: deque[Stand] = field(default_factory=lambda: deque(maxlen=LOOKS))
+    _watch: AlignmentWatch | None = None
+    _count: int = 0
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    @property
+    def to_parallel(self) -> bool:
+        """Whether the mirrors are held against parallel axes."""
+        return self.job.parallel or self.job.rig is None
+
+    @property
+    def possible(self) -> bool:
+        """Whether there is anything to hold the mirrors against: a rig, or the lens and the baseline as designed."""
+        return self.job.rig is not None or (self.job.camera is not None and self.job.baseline_m is not None)
+
+    def look(self, station: Station) -> Stand:
+        """Return how the mirrors stand now. Raises UsageError where too little is known, DataRefused, DeviceFailed."""
+        if not station.job.complex:
+            raise UsageError("the cell has two cameras, and no mirrors", cure="Give one camera on the page Settings")
+        with self._lock:
+            return self._look(station)
+
+    def _look(self, station: Station) -> Stand:
+        board = parse_board(self.job.board)
+        if self._watch is None:
+            self._watch = AlignmentWatch(reference=reference_of(self.job), board=board, back=BACK)
+        file = self.folder / "now.png"
+        station.save_pair(file)
+        self._count += 1
+        frame = Frame(image=read_image(file), t_s=float(self._count), sequence=self._count, source="the picture")
+        file.unlink(missing_ok=True)
+        seen = see_two_boards(frame, board, BoardPictures())
+        if isinstance(seen, NotSeen):
+            stand = Stand(number=self._count, why=seen.why)
+        else:
+            stand = stand_of(self._count, check_output(self._watch.see(seen), ()))
+        self.looks.append(stand)
+        return stand
+
+    def hold_against(self, *, parallel: bool) -> None:
+        """Hold the mirrors against parallel axes from now on, or against the rig as it was calibrated."""
+        with self._lock:
+            self.job = replace(self.job, parallel=parallel)
+            self._watch = None
+            self.looks.clear()
+
+
+def stand_of(number: int, check: MirrorCheckOutput) -> Stand:
+    """Return what is to be turned by what a check tells; a suspect is turned back, fine turns are left."""
+    if check.turns is not None:
+        turns = tuple(turn for turn in check.turns if check.moved and _large(turn))
+    elif check.suspects:
+        best, *rest = check.suspects
+        turns = (MirrorTurnOutput(mirror=best.mirror, turn_rad=-best.turn_rad, tilt_rad=-best.tilt_rad),)
+        others = tuple(one.mirror for one in rest if one.chi2 - best.chi2 <= APART)
+        several = not others and best.chi2 > 4.0 * STILL
+        return Stand(number=number, check=check, turns=turns, others=others, several=several)
+    else:
+        turns = ()
+    return Stand(number=number, check=check, turns=turns)
+
+
+def _large(turn: MirrorTurnOutput) -> bool:
+    return max(abs(turn.turn_rad), abs(turn.tilt_rad)) >= FINE_RAD

@@ -1,0 +1,110 @@
+"""One light of the target as the measuring station shows it: the beacon of an arm's identification."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.app.live.station import Shown, Station
+from armsight.app.schemas.live import LiveView, SideView
+from armsight.clock import Clock
+from armsight.control.joint_sweep import Observation
+from armsight.errors import DeviceFailed, NotEnoughData
+from armsight.optics import Rig, triangulate
+
+Array = NDArray[np.float64]
+
+LOOK_S = 0.005
+PIXEL_COV = 0.04 * np.eye(2)
+"""Of a light's centre, px squared, where only its first place is wanted."""
+WAIT_S = 10.0
+"""A station that shows nothing new for so long is taken for lost."""
+LOST_LOOKS = 10
+"""Looks in a row without the beacon that mean it is lost; while the screen's pictures come single ones are skipped."""
+FASTEST_PX_S, STILL_PX, WIDEST_PX = 150.0, 3.0, 30.0
+"""How far a light may be from where it was, for it to be the same: by its speed, at rest, and at most."""
+SPARE = 1.25
+"""A target seems larger where it comes nearer, or is turned to the camera."""
+
+
+class StationObserver:
+    """The beacon as the measuring station shows it: one light of the target, by its name where the station tells it.
+
+    Where it does not, for three lights seen askew may fit several names, the light is followed from picture to picture.
+    """
+
+    def __init__(self, station: Station, rig: Rig, light: str, clock: Clock) -> None:
+        self._station, self._rig, self._light, self._clock = station, rig, light, clock
+        self._last: Shown | None = None
+        self._uv: tuple[float, Array] | None = None
+        self._lost = 0
+
+    def observe(self, while_: str) -> Observation:
+        """Return what the next moment shows. Raises NotEnoughData where the beacon is lost, DeviceFailed."""
+        shown = self._next(while_)
+        view = shown.view
+        taken_s = self._clock.now_s() - view.latency_s
+        uv = self._found(view)
+        if uv is None:
+            self._lost += 1
+            if self._lost >= LOST_LOOKS:
+                told = f" ({view.why})" if view.why else ""
+                raise NotEnoughData(
+                    f"the light {self._light} is lost {while_}{told}",
+                    consequence="The robot is held",
+                    cure="Free the view of it, or narrow the ranges to where both cameras see it",
+                )
+            return Observation(taken_s=taken_s, why="it is not in both pictures")
+        self._lost, self._uv = 0, (view.t_s, uv)
+        xyz_m = triangulate(self._rig, uv[:1], uv[1:], PIXEL_COV, PIXEL_COV).xyz_m[0]
+        return Observation(taken_s=taken_s, uv_px=uv, xyz_m=xyz_m)
+
+    def _next(self, while_: str) -> Shown:
+        """Wait for a newer moment."""
+        until_s = self._clock.now_s() + WAIT_S
+        while (shown := self._station.shown) is None or shown is self._last:
+            if self._station.failure or self._clock.now_s() > until_s:
+                why = self._station.failure or "no pictures come"
+                raise DeviceFailed(f"{why} {while_}", consequence="The robot is held", cure="Look at the cameras")
+            self._clock.sleep_until(self._clock.now_s() + LOOK_S)
+        self._last = shown
+        return shown
+
+    def _found(self, view: LiveView) -> Array | None:
+        """Return the light's uv_px (2, 2) in both pictures: by its name, or as it has become; None where lost."""
+        places = []
+        for side, pictured in enumerate((view.left, view.right)):
+            place = _named(pictured, self._light)
+            if place is None and self._uv is not None:
+                place = _followed(pictured, self._uv[1][side], view.t_s - self._uv[0])
+            if place is None:
+                return None
+            places.append(place)
+        return np.array(places)
+
+
+def _named(view: SideView, name: str) -> Array | None:
+    return next((np.array([spot.u_px, spot.v_px]) for spot in view.spots if spot.name == name), None)
+
+
+def _followed(view: SideView, before_px: Array, passed_s: float) -> Array | None:
+    """Return the spot that a light at before_px (2,) has become; None where none or more than one may be it."""
+    places = np.array([[spot.u_px, spot.v_px] for spot in view.spots]).reshape(-1, 2)
+    away = np.sort(np.linalg.norm(places - before_px, axis=1))
+    gate = min(FASTEST_PX_S * passed_s + STILL_PX, WIDEST_PX)
+    if not len(away) or away[0] > gate or (len(away) > 1 and away[1] < 2.0 * gate):
+        return None
+    return np.asarray(places[np.argmin(np.linalg.norm(places - before_px, axis=1))])
+
+
+def around_px(shown: Shown | None, light: str) -> float:
+    """Return how far the target's other lights are from this one in the pictures of now, with SPARE; 0 unseen.
+
+    Where they stay in the pictures too, a light is told by its name all the way.
+    """
+    far = [0.0]
+    for view in () if shown is None else (shown.view.left, shown.view.right):
+        own = _named(view, light)
+        if own is not None:
+            far += [float(np.hypot(spot.u_px - own[0], spot.v_px - own[1])) for spot in view.spots if spot.name]
+    return SPARE * max(far)

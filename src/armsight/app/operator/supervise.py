@@ -1,0 +1,194 @@
+"""The arm supervised from the page: the target as the station sees it, beside where the joints say it is."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from scipy.spatial.transform import RigidTransform
+
+from armsight.app.live.station import Shown, Station
+from armsight.app.operator.placing import rig_pose
+from armsight.app.operator.robot_cell import RobotCell
+from armsight.app.operator.seat import Person
+from armsight.app.operator.teach import LEAST_CYCLE_S
+from armsight.app.operator.teach import seen as pose_of_view
+from armsight.app.schemas.verify_live import VerifyLiveOutput
+from armsight.app.verify.live import ERRORS, REPORT, SUMMARY
+from armsight.app.verify.live_output import LiveLog, live_output
+from armsight.app.verify.supervising import JOINT_STD, LATENCY_STD_S
+from armsight.errors import ArmsightError, NotEnoughData, StaleData, UsageError
+from armsight.records import PoseStatus, TargetPose
+from armsight.records.joint_history import JointHistory
+from armsight.report.live_report import live_report
+from armsight.store import write_text
+from armsight.store.cell_file import CellFile, cell_path
+from armsight.store.handeye_file import read_handeye
+from armsight.units import DEG, MM
+from armsight.verify.supervision import Compared, Expectation, Level, Limits, Watch
+
+LOOK_S = 0.004
+KEPT = 90_000
+"""Moments kept for the files: the newest hour at 25 a second."""
+SHOWN = 600
+"""Moments kept for the curves of a page."""
+BLIND_S = 0.5
+"""Nothing compared for so long is told."""
+SUPERVISION = Person(who="supervision")
+DOUBTS = (
+    "where the cameras and the target are is of the hand-eye calibration, whose uncertainty is not counted",
+    "the station shows some 25 moments a second: an error shorter than that may pass unseen",
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SupervisedState:
+    """What a page shows: the level so far, the newest comparison in mm and deg, None where nothing was, and why."""
+
+    running: bool
+    level: Level
+    n: int
+    error_mm: float | None = None
+    std_mm: float | None = None
+    error_deg: float | None = None
+    why: str = ""
+
+
+class StationSupervisor:
+    """Compares every moment that the station shows, raises levels, and stops the robot beyond one that says so."""
+
+    def __init__(
+        self, folder: Path, cell: CellFile, robot: RobotCell, station: Callable[[], Station | None], limits: Limits
+    ) -> None:
+        """Begin at once. Raises UsageError for carried cameras, NotEnoughData where cameras or target have no place on
+        the robot, BadFile.
+        """
+        self._expectation = _expectation(folder, cell, robot)
+        self.out = folder / time.strftime("supervised-%Y%m%d-%H%M%S")
+        self._robot, self._station = robot, station
+        self._in_world = bool(cell.world)
+        self._history = JointHistory(max(robot.service.desk.robot.cycle_s, LEAST_CYCLE_S))
+        self._watch = Watch(limits)
+        self._log = LiveLog(limits=limits)
+        self._last: tuple[Compared | None, str] = (None, "")
+        self._why = ""
+        self.curve: deque[tuple[float, float, float]] = deque(maxlen=SHOWN)
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="supervising", daemon=True)
+        self._thread.start()
+
+    @property
+    def state(self) -> SupervisedState:
+        """How far off the arm is."""
+        compared, lost = self._last
+        if compared is None:
+            return SupervisedState(
+                running=not self._ended.is_set(), level=self._watch.level, n=len(self._log.rows), why=self._why or lost
+            )
+        return SupervisedState(
+            running=not self._ended.is_set(),
+            level=self._watch.level,
+            n=len(self._log.rows),
+            error_mm=compared.error_m / MM,
+            std_mm=compared.std_m / MM,
+            error_deg=compared.error_rad / DEG,
+            why=self._why,
+        )
+
+    def end(self) -> VerifyLiveOutput:
+        """End it; write verify.json, errors.csv and report.html. Raises NotEnoughData where nothing was seen."""
+        self._ended.set()
+        self._thread.join()
+        if not self._log.rows:
+            raise NotEnoughData("the cameras showed nothing", consequence="Nothing was supervised")
+        done = live_output(self._log, recording="", doubts=DOUBTS)
+        done.write(self.out / SUMMARY)
+        write_text(self.out / ERRORS, self._log.csv())
+        write_text(self.out / REPORT, live_report(self._log.series(), done.to_dict(), inputs=[]))
+        return done
+
+    def _run(self) -> None:
+        last: Shown | None = None
+        newest_s = time.monotonic()
+        while not self._ended.wait(LOOK_S):
+            self._read()
+            station = self._station()
+            shown = None if station is None else station.shown
+            if shown is None or shown is last:
+                if time.monotonic() - newest_s > BLIND_S:
+                    self._last = (None, "no pictures come")
+                continue
+            last, newest_s = shown, time.monotonic()
+            self._take(shown)
+
+    def _read(self) -> None:
+        try:
+            reading = self._robot.service.host.snapshot().reading
+        except ArmsightError:
+            return
+        if reading is not None:
+            self._history.add(reading)
+
+    def _take(self, shown: Shown) -> None:
+        begun_s = time.perf_counter()
+        pose = pose_of_view(shown.view)
+        compared, lost = self._compared(pose)
+        alarm = None if compared is None else self._watch.add(compared)
+        if alarm is not None:
+            self._log.raised(alarm)
+            self._why = alarm.why
+            if alarm.level is Level.STOP:
+                self._robot.seat.stop(SUPERVISION)
+                self._log.stopped = True
+        if self._watch.level is Level.GOOD:
+            self._why = ""
+        self._last = (compared, lost)
+        if compared is not None:
+            self.curve.append((compared.t_s, compared.error_m / MM, compared.error_rad / DEG))
+        self._log.add(
+            shown.view.sequence, pose, compared, self._watch.level, lost, (time.perf_counter() - begun_s) * 1e3
+        )
+        if len(self._log.rows) > KEPT:
+            del self._log.rows[: KEPT // 10]
+
+    def _compared(self, pose: TargetPose) -> tuple[Compared | None, str]:
+        """Return the comparison, or what is missing for it."""
+        if pose.status is not PoseStatus.OK or pose.T_parent_target is None:
+            return None, pose.why or "the target is not seen whole"
+        expectation = self._expectation
+        if self._in_world:  # the station's poses are there already
+            expectation = replace(expectation, T_parent_rig=RigidTransform.identity())
+        try:
+            return expectation.compare(pose, self._history.at(pose.t_s)), ""
+        except StaleData as error:
+            return None, error.cause
+
+
+def _expectation(folder: Path, cell: CellFile, robot: RobotCell) -> Expectation:
+    """Return where the target should be seen."""
+    if cell.cameras == "carried":
+        raise UsageError("the cameras ride on the arm", cure="Supervise with cameras that stand beside it")
+    handeye = cell_path(folder, cell.handeye, "handeye")
+    arm = robot.seat.arm
+    T_world_rig = rig_pose(folder, cell, arm, None)
+    if arm is None or handeye is None or T_world_rig is None:
+        raise NotEnoughData(
+            "where the cameras and the target are on the robot is not known",
+            consequence="Nothing is supervised",
+            cure="Calibrate hand-eye first, on the page Calibrate",
+        )
+    return Expectation(
+        arm=replace(arm, T_flange_tool=read_handeye(handeye).T_parent_target),
+        T_parent_rig=T_world_rig,
+        joint_std=JOINT_STD,
+        time_std_s=LATENCY_STD_S,
+    )
+
+
+def limits_of(warn_mm: float, stop_mm: float) -> Limits:
+    """Return the levels of a page's figures, 0 for none. Raises UsageError where the arm would stop before it warns."""
+    return Limits(warn_m=warn_mm * MM or None, stop_m=stop_mm * MM or None)

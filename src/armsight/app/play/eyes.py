@@ -1,0 +1,76 @@
+"""Cameras that watch a path while it is played."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from typing import Protocol
+
+from armsight.app.measure.run import target_of
+from armsight.app.play.job import PlayJob, load_sight
+from armsight.app.servo.devices import open_servo
+from armsight.app.servo.job import ServoDevices
+from armsight.app.servo.run import measuring
+from armsight.app.servo.vision import Vision, VisionThread, probe
+from armsight.control.events import QueueSink
+from armsight.control.play import PlaySight
+from armsight.errors import ArmsightError
+from armsight.records import PoseStatus, TargetPose
+from armsight.store import read_rig
+
+Seen = Callable[[TargetPose, float], None]
+"""Is told a pose in rig axes, and when it was exposed on the loop's clock."""
+
+
+class Watcher(Protocol):
+    """Tells where cameras see the target while a path is played. stepped: whether their time is simulated."""
+
+    sight: PlaySight
+    stepped: bool
+
+    def open(self, stack: ExitStack, sink: QueueSink, seen: Seen) -> None:
+        """Tell what is seen until stack ends. Raises where nothing comes."""
+        ...
+
+    def counts(self) -> Mapping[PoseStatus, int]:
+        """Return the frames so far by what they showed."""
+        ...
+
+    def failed(self) -> ArmsightError | None:
+        """Return what ended it."""
+        ...
+
+
+class Eyes:
+    """Cameras that watch: robot and cameras of one clock, and what measuring needs. Nothing is open."""
+
+    def __init__(self, job: PlayJob, devices: ServoDevices | None) -> None:
+        """Raises UsageError, BadFile, DeviceNotFound."""
+        cameras = job.cameras()
+        rig, target = read_rig(cameras.rig), target_of(cameras.target)
+        self.sight = load_sight(cameras.handeye)
+        self.devices = devices or open_servo(cameras, rig, target)
+        self.setup = measuring(rig, target, self.devices)
+        self.latency_s = job.latency_s
+        self.stepped = self.devices.stepped is not None
+        self._vision: Vision | None = None
+        self._thread: VisionThread | None = None
+
+    def open(self, stack: ExitStack, sink: QueueSink, seen: Seen) -> None:
+        """Open the cameras and measure what they see until stack ends. Raises where too few frames come."""
+        pairs = stack.enter_context(self.devices.pairs)
+        self._vision = vision = Vision(self.setup, self.devices, self.latency_s, sink)
+        if self.devices.stepped is not None:
+            self.devices.stepped.watch(pairs, vision.take)  # type: ignore[arg-type]  # of a live cell, by number too
+        else:
+            self._thread = stack.enter_context(VisionThread(vision, self.devices))
+        probe(vision, self.devices.clock, self.failed)
+        vision.beside = seen
+
+    def counts(self) -> Mapping[PoseStatus, int]:
+        """Return the frames so far by what they showed."""
+        return dict.fromkeys(PoseStatus, 0) if self._vision is None else self._vision.counts
+
+    def failed(self) -> ArmsightError | None:
+        """Return what ended the cameras."""
+        return None if self._thread is None else self._thread.failed

@@ -1,0 +1,50 @@
+"""Poses of one recording are not independent: what is claimed of them holds where their errors drift."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from armsight.calibrate.handeye import HandEye, calibrate_eye_in_hand, pairs_of_streams, verdict
+
+sys.path.insert(0, str(Path(__file__).parent))
+from drifting_streams import error, streams
+
+SEEDS = range(8)
+
+
+@pytest.fixture(scope="module")
+def found() -> list[HandEye]:
+    out = []
+    for seed in SEEDS:
+        made = streams(seed)
+        out.append(calibrate_eye_in_hand(pairs_of_streams(made.t_s, made.flange, made.t_s, made.camera)[0]))
+    return out
+
+
+def test_the_deviations_claimed_hold(found: list[HandEye]) -> None:
+    """48 parameters: 95 % are held by 1.96 deviations; below 40 with a chance of 0.1 %, were they independent."""
+    z = np.array([error(one.T_parent_camera) / list(one.std().values()) for one in found])
+    assert (np.abs(z) < 1.96).sum() >= 40
+    assert 0.6 < np.sqrt(np.mean(z**2)) < 1.5
+
+
+def test_a_drift_is_told_and_counted(found: list[HandEye]) -> None:
+    drift = np.array([streams(seed).drift_s for seed in SEEDS])
+    worth = np.array([one.correlation.n_effective for one in found if one.correlation is not None])
+    assert len(worth) == len(found)
+    assert np.corrcoef(np.log(drift), np.log(worth))[0, 1] < -0.6  # the longer the drift, the less they are worth
+    assert (worth < 60.0).all()
+    slow = found[int(np.argmin(worth))]
+    assert "independent ones" in verdict(slow) and any("record longer" in one for one in slow.concerns)
+
+
+def test_poses_taken_one_by_one_are_claimed_as_before(found: list[HandEye]) -> None:
+    from dataclasses import replace
+
+    alone = calibrate_eye_in_hand(replace(found[0].pairs, t_s=None))
+    assert alone.correlation is None and "independent" not in verdict(alone)
+    assert alone.std()["x_m"] < found[0].std()["x_m"]

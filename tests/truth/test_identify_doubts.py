@@ -1,0 +1,60 @@
+"""Coupled readings that `identify` suggests, and the paper's method where it is of no use; arms of the test's own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from armsight.app.identify.sweep_files import IdentifyJob, identified
+from armsight.calibrate.identify import Sweeps, identify
+from armsight.errors import Inconsistent
+
+ROWS = np.array([[0.3, 0.2, 0.2, 1.4], [-0.4, 0.1, 0.3, 0.7], [0.6, -0.1, 0.15, 1.9], [0.1, 0.2, 0.25, 1.1]])
+"""theta, d, a, alpha of four turning joints."""
+
+
+def swept(share: float, noise_m: float, arc: float = 2.0) -> Sweeps:
+    """Return sweeps of 12 readings; joint 3 moves along by a share of joint 2's reading."""
+    joint = np.repeat(np.arange(4), 12)
+    q = np.tile([0.2, -0.3, 0.1, 0.3], (48, 1))
+    q[np.arange(48), joint] = np.tile(np.linspace(-0.5 * arc, 0.5 * arc, 12), 4)
+    values = q.copy()
+    values[:, 2] += share * q[:, 1]
+    xyz = np.empty((48, 3))
+    for k, row in enumerate(values):
+        x = np.zeros(3)
+        for (theta, d, a, alpha), value in zip(ROWS[::-1], row[::-1], strict=True):
+            c, s, ca, sa = np.cos(value + theta), np.sin(value + theta), np.cos(alpha), np.sin(alpha)
+            x = np.array([[c, -s * ca, s * sa], [s, c * ca, -c * sa], [0.0, sa, ca]]) @ x + [a * c, a * s, d]
+        xyz[k] = x
+    return Sweeps(joint=joint, q=q, xyz_m=xyz + np.random.default_rng(1).normal(0.0, noise_m, xyz.shape))
+
+
+@pytest.mark.parametrize("share", [0.01, 0.02])
+def test_a_planted_coupling_is_suggested(share: float) -> None:
+    try:
+        told = " ".join(identify(swept(share, 2e-4)).notes)
+    except Inconsistent as refusal:  # the larger one: no arm explains all sweeps
+        told = str(refusal)
+    assert "look coupled: joint 3 moves along" in told and "of joint 2's reading" in told
+
+
+def test_no_coupling_is_suggested_without_one() -> None:
+    result = identify(swept(0.0, 2e-4))
+    assert not [note for note in result.notes if "coupled" in note or "times its readings" in note]
+    assert result.misfit == pytest.approx(1.0, abs=0.25)
+
+
+def test_the_method_of_the_paper_is_refused_where_it_is_useless(tmp_path: Path) -> None:
+    out = tmp_path / "arm.yaml"
+    noisy = swept(0.0, 1e-3, arc=0.3)
+    with pytest.raises(
+        Inconsistent, match=r"misses its own readings by \d+ standard deviations.*--method ml"
+    ) as refusal:
+        identified(IdentifyJob(out=out, method="paper"), noisy, None)
+    assert refusal.value.exit_code == 3 and not out.exists()
+    assert identified(IdentifyJob(out=out), noisy, None).misfit < 2.0 and out.exists()
+    clean = identify(swept(0.0, 1e-6), method="paper")
+    assert not clean.useless

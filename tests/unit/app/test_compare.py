@@ -1,0 +1,152 @@
+"""Two results of one kind: agreement as chance has it, what moved named with its sigma, other kinds refused."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+from typer.testing import CliRunner
+
+from armsight.app.compare.parameters import Value, differences, judged
+from armsight.app.compare.run import CompareJob, compare
+from armsight.cli.commands import app
+from armsight.errors import BadFile, Inconsistent, NotEnoughData, UsageError
+from armsight.kinematics import preset
+from armsight.optics import Camera, Rig, RigKind
+from armsight.records import NamedCovariance
+from armsight.store import write_camera, write_rig
+from armsight.store.arm_file import write_arm
+
+CAMERA = Camera.pinhole(640, 480, 500.0, 500.0, 320.0, 240.0)
+KNOWN = NamedCovariance(names=("fx", "fy", "cx", "cy"), matrix=np.diag([0.4, 0.4, 0.3, 0.3]) ** 2)
+
+
+def camera_file(folder, name, *, covariance=KNOWN, **moved):
+    values = dict(zip(("fx", "fy", "cx", "cy"), CAMERA.intrinsics[:4].tolist(), strict=True))
+    values = {key: value + moved.get(key, 0.0) for key, value in values.items()}
+    file = folder / name
+    write_camera(file, Camera.pinhole(640, 480, *values.values()), covariance=covariance, rms_px=0.1)
+    return file
+
+
+def poses_file(folder, name, seed, *, shift_m=0.0, start_s=0.0, std_m=1e-4, std_rad=1e-3):
+    rng = np.random.default_rng(seed)
+    lines = ["t_s,status,x_m,y_m,z_m,qx,qy,qz,qw,sx_m,sy_m,sz_m,srx_rad,sry_rad,srz_rad,spots"]
+    for i in range(200):
+        xyz = np.array([0.1 * np.cos(0.05 * i) + shift_m, 0.1 * np.sin(0.05 * i), 0.8]) + std_m * rng.standard_normal(3)
+        turn = Rotation.from_rotvec(std_rad * rng.standard_normal(3)) * Rotation.from_euler("z", 0.05 * i)
+        numbers = [start_s + i / 30, *xyz, *turn.as_quat(canonical=True)]
+        text = [f"{numbers[0]:.9f}", "ok", *(f"{v:.12f}" for v in numbers[1:]), *[str(std_m)] * 3, *[str(std_rad)] * 3]
+        lines.append(",".join([*text, "A B C"]))
+    file = folder / name
+    file.write_text("\n".join(lines) + "\n")
+    return file
+
+
+def test_chance_parts_results_as_often_as_p_says():
+    rng = np.random.default_rng(1)
+    mixed = rng.standard_normal((4, 4))
+    C = [NamedCovariance(names=tuple("abcd"), matrix=mixed @ mixed.T * scale) for scale in (1.0, 0.3)]
+    draws = [rng.multivariate_normal(np.zeros(4), one.matrix, 2000) for one in C]
+    p = []
+    for a, b in zip(*draws, strict=True):
+        values = [Value(name=name, value=value, unit="m") for name, value in zip("abcd", a.tolist(), strict=True)]
+        p.append(judged(differences(values, b.tolist(), *C), *C).p)
+    assert np.allclose(np.quantile(p, [0.05, 0.25, 0.5, 0.75, 0.95]), [0.05, 0.25, 0.5, 0.75, 0.95], atol=0.05)
+
+
+def test_a_moved_principal_point_is_named_with_its_sigma(tmp_path):
+    a = camera_file(tmp_path, "a.yaml")
+    same = compare(CompareJob(a=a, b=camera_file(tmp_path, "b.yaml", cx=0.3, fy=-0.3)))
+    assert same.agree
+    assert "agrees with A within their uncertainty" in same.verdict
+    moved = compare(CompareJob(a=a, b=camera_file(tmp_path, "c.yaml", cx=2.0)))
+    assert moved.agree is False
+    assert f"cx differs by 2 px, {2.0 / np.hypot(0.3, 0.3):.1f} sigma" in moved.verdict
+    effects = {one.name: one.value for one in moved.effects}
+    assert effects["shift at the worst corner"] == pytest.approx(2.0, abs=1e-6)
+
+
+def test_what_has_no_uncertainty_is_not_called_equal(tmp_path):
+    a, b = (camera_file(tmp_path, f"{n}.yaml", covariance=None, cx=n) for n in (0.0, 1.0))
+    silent = compare(CompareJob(a=a, b=b))
+    assert silent.agree is None and silent.p is None
+    known = NamedCovariance(names=("fx", "fy"), matrix=np.diag([0.4, 0.4]) ** 2)
+    a, b = (camera_file(tmp_path, f"{n}.yaml", covariance=known, cx=n) for n in (0.0, 1.0))
+    partly = compare(CompareJob(a=a, b=b))
+    assert partly.agree is None
+    assert partly.verdict.startswith("cx differs, and nothing tells how sure")
+
+
+def test_a_longer_baseline_shows_where_points_are_measured(tmp_path):
+    files = []
+    for baseline_m in (0.12, 0.1206):
+        T = RigidTransform.from_translation([baseline_m, 0.0, 0.0])
+        known = NamedCovariance(names=("right.tx",), matrix=np.array([[1e-5**2]]))
+        rig = Rig(
+            kind=RigKind.STEREO,
+            left=CAMERA,
+            right=CAMERA,
+            T_rig_left=RigidTransform.identity(),
+            T_rig_right=T,
+            rms_px=0.1,
+            covariance=known,
+        )
+        files.append(tmp_path / f"{baseline_m}.yaml")
+        write_rig(files[-1], rig)
+    done = compare(CompareJob(a=files[0], b=files[1], distance_m=1.0))
+    effects = {one.name: one.value for one in done.effects}
+    assert "right.tx differs by 0.6 mm" in done.verdict
+    assert effects["baseline of B over A, less one"] == pytest.approx(0.005)
+    assert 5e-3 < effects["points measured at 1 m, RMS"] < 6.5e-3  # 0.5 % of the distance from the left camera
+
+
+def test_arms_are_compared_where_their_tool_goes(tmp_path):
+    arm = preset("irb120")
+    longer = replace(arm, joints=(replace(arm.joints[0], d_m=arm.joints[0].d_m + 1e-3), *arm.joints[1:]))
+    for name, one in (("a.yaml", arm), ("b.yaml", longer), ("c.yaml", preset("ur10"))):
+        write_arm(tmp_path / name, one)
+    done = compare(CompareJob(a=tmp_path / "a.yaml", b=tmp_path / "b.yaml"))
+    assert done.agree is None
+    assert {one.name: one.value for one in done.effects}["tool apart, largest"] == pytest.approx(1e-3, rel=1e-6)
+    assert [one.name for one in done.parameters if one.difference] == ["joint 1 d_m"]
+
+
+def test_measurements_agree_where_their_noise_is_as_claimed(tmp_path):
+    a = poses_file(tmp_path, "a.csv", 1)
+    done = compare(CompareJob(a=a, b=poses_file(tmp_path, "b.csv", 2)))
+    assert done.agree and done.n == 200
+    assert {one.name: one.value for one in done.effects}["inside their 95 % ellipsoid"] > 0.9
+    apart = compare(CompareJob(a=a, b=poses_file(tmp_path, "c.csv", 3, shift_m=5e-4)))
+    assert apart.agree is False
+    assert next(one for one in apart.parameters if one.name == "mean x_m").difference == pytest.approx(5e-4, abs=5e-5)
+    with pytest.raises(NotEnoughData, match="of one moment"):
+        compare(CompareJob(a=a, b=poses_file(tmp_path, "d.csv", 4, start_s=1000.0)))
+
+
+def test_other_kinds_and_other_things_are_refused(tmp_path):
+    camera, other = camera_file(tmp_path, "camera.yaml"), tmp_path / "small.yaml"
+    write_camera(other, Camera.pinhole(320, 240, 250.0, 250.0, 160.0, 120.0), rms_px=0.1)
+    with pytest.raises(Inconsistent, match=r"kind camera and .* of kind measure"):
+        compare(CompareJob(a=camera, b=poses_file(tmp_path, "a.csv", 1)))
+    with pytest.raises(Inconsistent, match="640x480 px in A and 320x240 px in B"):
+        compare(CompareJob(a=camera, b=other))
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(UsageError, match="holds no one result"):
+        compare(CompareJob(a=camera, b=tmp_path / "empty"))
+    (tmp_path / "odd.yaml").write_text("format: armsight/odd\nversion: 1\n")
+    with pytest.raises(BadFile, match="is not compared"):
+        compare(CompareJob(a=camera, b=tmp_path / "odd.yaml"))
+
+
+def test_the_command_writes_a_report_only_where_it_is_told_to(tmp_path):
+    a, b = poses_file(tmp_path, "a.csv", 1), poses_file(tmp_path, "b.csv", 2)
+    run = CliRunner().invoke
+    assert run(app, ["compare", str(a), str(b)]).exit_code == 0
+    assert not (tmp_path / "out").exists()
+    told = run(app, ["compare", str(a), str(b), "-o", str(tmp_path / "out"), "--json"])
+    assert told.exit_code == 0
+    assert json.loads(told.stdout)["agree"] is True
+    assert (tmp_path / "out/report.html").stat().st_size < 1_500_000
+    assert run(app, ["compare", str(a), str(b), "-o", str(tmp_path / "out")]).exit_code == UsageError.exit_code

@@ -1,0 +1,205 @@
+"""The guided step Mirrors: alignment told live, samples taken and dropped, and the command's own result."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from armsight.app.calibrate.mirrors import MirrorsJob, run_mirrors
+from armsight.app.guided.charts import History, figures_of
+from armsight.app.guided.mirror_alignment import COARSE_RAD, MirrorAlignment
+from armsight.app.guided.mirrors import MirrorsStep
+from armsight.app.guided.step import Figure, Next
+from armsight.app.live.measurement import COMPLEX, LiveJob
+from armsight.app.simulate.run import simulate
+from armsight.console import texts
+from armsight.console.pages.mirrors import turn_words
+from armsight.console.state import Console, steps_of
+from armsight.errors import BadImage, Inconsistent, NotEnoughData, UsageError
+from armsight.optics import Camera
+from armsight.records import Silent
+from armsight.store import read_rig, write_camera
+from armsight.store.cell_file import CellFile, CellMirrors, read_cell
+
+
+@dataclass
+class OnePicture:
+    """Stands for a station: gives the pictures of a folder one after the other, round and round."""
+
+    folder: Path
+    right: str = ""
+    taken: int = 0
+
+    @property
+    def job(self) -> LiveJob:
+        return LiveJob(left=str(self.folder), right=self.right)
+
+    def save_pair(self, left: Path, right: Path | None = None) -> None:
+        files = sorted(self.folder.iterdir())
+        left.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(files[self.taken % len(files)], left)
+        self.taken += 1
+
+
+def step_of(mirror_boards: Any, folder: Path, **more: Any) -> MirrorsStep:
+    return MirrorsStep(
+        board=mirror_boards.board, built=CellMirrors(), folder=folder / "mirrors", out=folder / "rig.yaml", **more
+    )
+
+
+@pytest.fixture(scope="module")
+def done(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """A step led to its end, and the figures as they went."""
+    made, folder = request.getfixturevalue("mirror_boards"), tmp_path_factory.mktemp("step")
+    stale = folder / "mirrors" / "image" / "099.png"
+    stale.parent.mkdir(parents=True)
+    shutil.copy(next(made.off.iterdir()), stale)
+    step, station, history = step_of(made, folder), OnePicture(made.straight), History()
+    hints = [step.hint()]
+    for _ in range(8):
+        step.accept(station)  # type: ignore[arg-type]
+        hints.append(step.hint())
+        history.remember(len(step.samples), figures_of(step))
+    return step, hints, history, step.run(Silent()), folder
+
+
+def test_it_leads_to_the_result_of_the_command(done: Any, mirror_boards: Any) -> None:
+    step, hints, _, verdict, folder = done
+    assert [hint.what for hint in hints[:2]] == [Next.BOARD_TWICE, Next.TO_CELL]
+    assert hints[1].side == COMPLEX
+    assert len(list((folder / "mirrors" / "image").iterdir())) == 8, "what an earlier calibration left is gone"
+    again = run_mirrors(
+        MirrorsJob(out=folder / "again.yaml", board=mirror_boards.board, image=str(mirror_boards.straight))
+    )
+    rows = dict(verdict.rows)
+    assert rows["baseline"].startswith(f"{1e3 * again.baseline_m:.2f} ± ") and rows["images used"] == "8 of 8"
+    assert {name for name, _ in (*step.spread(), *verdict.rows)} <= set(texts.ROW_NAMES)
+    assert verdict.good and verdict.file == folder / "rig.yaml" and verdict.report is not None
+    rig, fx = read_rig(verdict.file), mirror_boards.camera[0]
+    assert rig.kind == "mirror" and rig.left.intrinsics[0] == pytest.approx(fx, rel=0.01)
+    assert rig.baseline_m == pytest.approx(mirror_boards.baseline_m, abs=2e-3)
+
+
+def test_live_standard_deviations_fall_as_boards_are_added(done: Any) -> None:
+    step, _, history, _, _ = done
+    assert {name for name, _ in step.spread()} >= {"baseline", "axes turn towards each other", "right view turned"}
+    curves = history.curves()
+    baseline = curves["± baseline", "mm"]
+    assert [n for n, _ in baseline] == [5, 6, 7, 8] and baseline[-1][1] < baseline[0][1]
+    assert 0.0 < curves["residual, RMS", "px"][-1][1] < 0.5
+    covered = step.coverage()[COMPLEX]
+    assert curves["picture covered", "%"][-1][1] == pytest.approx(100.0 * sum(n > 0 for n in covered) / 9)
+
+
+def test_a_dropped_sample_is_gone_with_its_picture(mirror_boards: Any, tmp_path: Path) -> None:
+    step, station = step_of(mirror_boards, tmp_path), OnePicture(mirror_boards.straight)
+    for _ in range(2):
+        step.accept(station)  # type: ignore[arg-type]
+    step.drop(0)
+    assert [one.name for one in step.samples] == ["001"]
+    assert [file.name for file in (tmp_path / "mirrors" / "image").iterdir()] == ["001.png"]
+    with pytest.raises(NotEnoughData, match="1 images"):
+        step.run(Silent())
+
+
+def test_a_picture_without_both_views_is_not_taken(mirror_boards: Any, boards: Any, tmp_path: Path) -> None:
+    step = step_of(mirror_boards, tmp_path)
+    with pytest.raises(BadImage, match="once"):
+        step.accept(OnePicture(boards.folder / "left"))  # type: ignore[arg-type]
+    assert step.samples == () and not list(tmp_path.rglob("*.png"))
+    with pytest.raises(UsageError, match="two cameras"):
+        step.accept(OnePicture(mirror_boards.straight, right="camera:1"))  # type: ignore[arg-type]
+
+
+def test_the_lit_target_needs_the_lens_and_the_baseline(mirror_boards: Any, tmp_path: Path) -> None:
+    """Three lights, each in both views, of the simulated rig; without the lens it is told what is missing."""
+    simulate("pachidis2005-static", tmp_path / "cell", frames=1, room="dark")
+    lit = CellMirrors(shown="target", baseline_m=0.12)
+    target, camera = tmp_path / "cell" / "target.yaml", tmp_path / "camera.yaml"
+    step = replace(step_of(mirror_boards, tmp_path), built=lit, target=target)
+    assert step.hint().what is Next.NEEDS_LENS
+    assert replace(step, target=None).hint().what is Next.NEEDS_TARGET
+    write_camera(camera, replace(read_rig(tmp_path / "cell" / "rig.yaml").left, plate=None))
+    step = replace(step, camera=camera)
+    assert replace(step, built=CellMirrors(shown="target")).hint().what is Next.NEEDS_BASELINE
+    assert step.hint().what is Next.SHOW_LIGHTS
+    sample = step.accept(OnePicture(tmp_path / "cell" / "image"))  # type: ignore[arg-type]
+    assert sample.detail.startswith("3 lights in each view")
+    assert step.hint().what is Next.TURN_LIGHTS and step.figures() == ()
+    with pytest.raises(Inconsistent, match="640x480"):
+        step.accept(OnePicture(mirror_boards.straight))  # type: ignore[arg-type]
+
+
+def lens(mirror_boards: Any, folder: Path) -> Path:
+    write_camera(folder / "camera.yaml", Camera.pinhole(640, 480, *mirror_boards.camera))
+    return folder / "camera.yaml"
+
+
+def test_alignment_tells_which_mirror_to_turn_and_which_way(mirror_boards: Any, tmp_path: Path) -> None:
+    job = MirrorsJob(
+        board=mirror_boards.board, camera=lens(mirror_boards, tmp_path), baseline_m=mirror_boards.baseline_m
+    )
+    alignment = MirrorAlignment(job=job, folder=tmp_path)
+    off = alignment.look(OnePicture(mirror_boards.off))  # type: ignore[arg-type]
+    turn, tilt = mirror_boards.tilt
+    assert alignment.to_parallel and not off.done and [one.mirror for one in off.turns] == [2]
+    assert (off.turns[0].turn_rad, off.turns[0].tilt_rad) == pytest.approx((-turn, -tilt), abs=7e-4)
+    words = turn_words(off.turns[0])
+    assert words.startswith("Mirror 2: turn ") and "anticlockwise" in words and "back" in words
+    alignment.hold_against(parallel=True)  # begins anew
+    station: Any = OnePicture(mirror_boards.straight)
+    straight = [alignment.look(station) for _ in range(3)][-1]
+    assert straight.done and straight.turns == () and 0.0 < straight.std_rad < COARSE_RAD
+    assert len(alignment.looks) == 3 and not list(tmp_path.glob("*.png"))
+    told = straight.check.change_std.model_copy(update={"drx_rad": 2.0 * COARSE_RAD})
+    vague = replace(straight, check=straight.check.model_copy(update={"change_std": told}))
+    assert vague.unsure and not vague.done, "what is not known is not called good"
+
+
+def test_alignment_is_held_against_the_calibrated_rig(mirror_boards: Any, done: Any, tmp_path: Path) -> None:
+    alignment = MirrorAlignment(job=MirrorsJob(board=mirror_boards.board, rig=done[3].file), folder=tmp_path)
+    station: Any = OnePicture(mirror_boards.off)
+    stand = alignment.look(station)
+    assert stand.turns[0].mirror in (2, *stand.others) and not alignment.to_parallel
+    alignment.hold_against(parallel=True)
+    stand = alignment.look(station)
+    assert alignment.to_parallel and stand.turns[0].mirror == 2
+
+
+def test_a_board_that_is_not_seen_is_told(mirror_boards: Any, boards: Any, tmp_path: Path) -> None:
+    job = MirrorsJob(board=mirror_boards.board, camera=lens(mirror_boards, tmp_path), baseline_m=0.16)
+    alignment = MirrorAlignment(job=job, folder=tmp_path)
+    stand = alignment.look(OnePicture(boards.folder / "left"))  # type: ignore[arg-type]
+    assert stand.check is None and "once" in stand.why and not stand.done
+    bare = MirrorAlignment(job=MirrorsJob(board=job.board), folder=tmp_path)
+    assert alignment.possible and not bare.possible
+    with pytest.raises(UsageError, match="nothing to hold"):
+        bare.look(OnePicture(mirror_boards.off))  # type: ignore[arg-type]
+
+
+def test_the_cell_keeps_how_the_mirrors_were_built(tmp_path: Path) -> None:
+    console = Console(folder=tmp_path, cell=CellFile(left="camera:0"))
+    assert console.step("mirrors").name == "mirrors" and "stereo" not in steps_of(console)
+    console.set_mirrors(CellMirrors(baseline_m=0.12, plate_m=0.0))
+    assert read_cell(tmp_path).mirrors == CellMirrors(baseline_m=0.12, plate_m=0.0)
+    assert console.mirror_alignment().job.baseline_m == 0.12
+    two = Console(folder=tmp_path, cell=CellFile(left="camera:0", right="camera:1"))
+    assert {"mirrors", "stereo"} <= set(steps_of(two)) <= set(texts.STEPS)
+    with pytest.raises(UsageError, match="two cameras"):
+        two.step("mirrors")
+
+
+def test_a_chart_forgets_what_was_dropped() -> None:
+    history = History()
+    for n, value in ((5, 3.0), (6, 2.0), (7, 1.0)):
+        history.remember(n, (Figure(name="± x", value=value, unit="mm"),))
+    history.remember(6, (Figure(name="± x", value=2.5, unit="mm"),))
+    assert history.curves() == {("± x", "mm"): [(5, 3.0), (6, 2.5)]}
+
+
+def test_every_hint_has_its_words() -> None:
+    assert set(texts.NEXT) == {str(what) for what in Next}

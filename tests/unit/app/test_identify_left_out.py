@@ -1,0 +1,159 @@
+"""Joints left out of a live identification: held, told, and never claimed to be known."""
+
+from __future__ import annotations
+
+import importlib.util
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from typer.testing import CliRunner
+
+from armsight.app.identify.left_out import FirstJoints, consequence, first_joints, swept_joints
+from armsight.app.operator.identify import FOLDER, IdentifyRequest, Range, entries, fits
+from armsight.cli.commands import app
+from armsight.errors import DeviceFailed, UsageError
+from armsight.kinematics import presets
+from armsight.records import JointReading
+from armsight.store.arm_file import read_arm
+from armsight.store.cell_file import CellFile
+from armsight.store.sweeps import read_sweeps
+
+
+def of_live_tests() -> Any:
+    """The simulated cell of the tests of live identification, which stand beside this file."""
+    file = Path(__file__).with_name("test_identify_live.py")
+    spec = importlib.util.spec_from_file_location("cell_of_live_tests", file)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def true_place(q1: float, q2: float, q3: float) -> np.ndarray:
+    """Where the light of Kapucu and Baysec's arm is in world (3,), link by link from its published table."""
+    place = np.array([0.0, 0.0, q3])
+    place = np.array([0.1, 0.0, -0.05]) + Rotation.from_euler("x", 90, degrees=True).apply(place)
+    place = Rotation.from_euler("z", q2).apply(place)
+    place = np.array([0.0, 0.0, 1.27]) + Rotation.from_euler("x", 90, degrees=True).apply(place)
+    return np.asarray(Rotation.from_euler("z", q1).apply(place))
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """The cell and what came out with joint 3 left out."""
+    live, folder = of_live_tests(), tmp_path_factory.mktemp("left-out")
+    cell = live.Cell(folder)
+    model = live.nearly_right(folder)
+    return cell, cell.run(model=model, left_out=(3,), nominal=str(model)), folder
+
+
+def test_a_joint_left_out_stands_still_and_is_told(done: Any) -> None:
+    cell, out, folder = done
+    asked = np.array(cell.asked)
+    assert np.ptp(asked[:, 2]) == 0.0 and np.ptp(asked[:, :2], axis=0).min() > 1.0
+    assert [joint.index for joint in out.joints] == [1, 2] and [one.joint for one in out.left_out] == [3]
+    assert out.left_out[0].held_at == pytest.approx(asked[0, 2], abs=1e-3)
+    assert out.notes[0].startswith("joint 3 is left out and held") and "no model of the whole robot" in out.notes[0]
+    assert out.plan.notes[0] == out.notes[0], "told before anything moves, too"
+    assert read_sweeps(folder / "arm.sweep.csv").n == 2
+    assert [one.joint for one in out.plan.sweeps] in ([1, 2], [2, 1])
+
+
+def test_the_arm_of_the_swept_joints_is_right_while_the_other_stands(done: Any) -> None:
+    _, out, folder = done
+    arm = read_arm(folder / "arm.yaml")
+    assert arm.n == 2 and arm.name == "arm, joints 1 and 2 of 3"
+    for q1, q2 in ((0.3, 0.4), (2.0, 1.2), (4.5, -0.2)):
+        off_m = arm.fk([q1, q2])[:3, 3] - true_place(q1, q2, out.left_out[0].held_at)
+        assert np.linalg.norm(off_m) < 3e-3
+    first = out.joints[0]
+    assert abs(first.d_m - 1.27) < 4.0 * first.std.d_m and abs(first.alpha_rad - np.pi / 2) < 4.0 * first.std.alpha_rad
+
+
+def test_only_the_last_joints_can_be_left_out(done: Any) -> None:
+    cell, _, _ = done
+    assert swept_joints(6, ()) == 6 and swept_joints(6, (6, 5)) == 4 and consequence(6, ()) == ""
+    assert "joints 5 and 6 are left out" in consequence(6, (5, 6)) and "behind joint 4" in consequence(6, (5, 6))
+    sent = len(cell.asked)
+    for wrong, said in (((2,), "joint 2 cannot be left out while joint 3 is swept"), ((1, 2, 3), "all joints"),
+                        ((4,), "cannot be left out of 3")):  # fmt: skip
+        with pytest.raises(UsageError, match=said):
+            cell.run(left_out=wrong)
+    assert len(cell.asked) == sent
+
+
+class Arm6:
+    """Stands for a robot of six joints that stands where it is told."""
+
+    name, cycle_s, n_joints = "six", 0.01, 6
+
+    def __init__(self) -> None:
+        self.q = np.linspace(0.1, 0.6, 6)
+
+    def read(self) -> JointReading:
+        return JointReading(q=self.q, t_s=0.0, sequence=0, source=self.name)
+
+
+def test_a_held_joint_that_moves_ends_it() -> None:
+    robot = Arm6()
+    first = FirstJoints(robot=robot, m=4)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(first.held, [0.5, 0.6])
+    np.testing.assert_array_equal(first.read().q, robot.q[:4])
+    robot.q = robot.q + np.array([0.3, 0.0, 0.0, 0.0, 0.0, 0.02])
+    with pytest.raises(DeviceFailed, match="joint 6 is left out and has moved"):
+        first.read()
+
+
+def test_the_first_joints_carry_the_tool_where_the_whole_arm_has_it() -> None:
+    arm, held = presets.ur10(), np.array([0.4, -1.1])
+    first = first_joints(arm, 4, held)
+    for q in np.random.default_rng(2).uniform(-2.0, 2.0, (5, 4)):
+        np.testing.assert_allclose(first.fk(q), arm.fk(np.concatenate([q, held])), atol=1e-12)
+
+
+def test_the_command_line_refuses_what_cannot_be_left_out(tmp_path: Path) -> None:
+    common = ["identify", "--live", "sim:kapucu2005-rrp", "--rig", "r", "--target", "t", "--left", "l", "--right", "r"]
+    result = CliRunner().invoke(app, [*common, "--limits=0:1,0:1,0:1", "--leave-out", "x", "-o", str(tmp_path / "a")])
+    assert result.exit_code == 2 and "names no joints" in result.stderr
+    result = CliRunner().invoke(app, ["identify", "--sweep", "s.csv", "--leave-out", "3", "-o", str(tmp_path / "a")])
+    assert result.exit_code == 2 and "--leave-out only means something with --live" in result.stderr
+
+
+def test_the_scene_shows_each_joint_s_arc_and_axis(done: Any, tmp_path: Path) -> None:
+    """Joint 1 turns about the vertical through the origin, joint 2 about a level line at a height of 1.27 m."""
+    _, out, folder = done
+    (tmp_path / FOLDER).mkdir()
+    for name in ("arm.yaml", "arm.sweep.csv", "world.yaml"):
+        shutil.copy(folder / name, tmp_path / FOLDER / name)
+    first, second = fits(tmp_path)
+    assert (first.joint, second.joint) == (1, 2)
+    np.testing.assert_allclose(first.axis[:, :2], 0.0, atol=3e-3)
+    np.testing.assert_allclose(second.axis[:, 2], 1.27, atol=3e-3)
+    for fit, joint in zip((first, second), out.joints, strict=True):
+        assert fit.centre is not None and fit.off_m == pytest.approx(joint.residual_rms_m, rel=0.3)
+        radius = np.linalg.norm(fit.path - fit.centre, axis=1)
+        np.testing.assert_allclose(radius, joint.radius_m, rtol=0.01)
+        away = np.linalg.norm(fit.path[:, None] - fit.seen[None], axis=2).min(axis=0)
+        assert away.max() < 4.0 * fit.off_m + 0.05 and len(fit.seen) == 10
+
+
+def test_a_page_tells_what_leaving_out_means() -> None:
+    ranges = tuple(Range(joint=j, name=f"j{j}", lower=-1.0, upper=1.0, swept=j != 6) for j in range(1, 7))
+    asked = IdentifyRequest(folder=Path(), cell=CellFile(), ranges=ranges)
+    assert asked.left_out == (6,) and asked.consequence().startswith("joint 6 is left out")
+    wrong = replace(asked, ranges=tuple(replace(one, swept=one.joint != 3) for one in ranges))
+    with pytest.raises(UsageError, match="joint 3 cannot be left out while joints 4, 5 and 6 are swept"):
+        wrong.consequence()
+
+
+def test_an_entry_that_is_chosen_is_not_held_against_the_model(done: Any) -> None:
+    _, out, folder = done
+    table = entries(out, read_arm(folder / "model.yaml"))
+    chosen = [one for one in table if np.isnan(one.std)]
+    assert {one.joint for one in chosen} == {2} and all(np.isnan(one.deviation) for one in chosen)
+    assert next(one for one in table if (one.joint, one.name) == (1, "d")).deviation == pytest.approx(-3.0, abs=2.0)

@@ -1,0 +1,158 @@
+"""A mirror rig live: one camera, both views in its one picture, measured as the command measures it."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armsight.app.live.measurement import COMPLEX, LiveJob, LiveMeasurement, Look, Moment
+from armsight.app.live.station import Shown
+from armsight.app.live.uncertainty_shapes import drawn_ellipsoid, track_colours
+from armsight.app.live.views import complex_view
+from armsight.app.operator.robot_cell import prepare_simulated
+from armsight.app.record.recorder import Recorder
+from armsight.app.simulate.run import simulate
+from armsight.clock import ManualClock
+from armsight.console.pictures import picture_message
+from armsight.console.state import Console
+from armsight.errors import UsageError
+from armsight.store import read_poses
+from armsight.store.cell_file import CellFile
+from armsight.store.recording import ImageFormat, Recording, RecordingWriter
+
+FRAMES = 3
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What a simulated mirror rig sees of a lit target, traced surface by surface."""
+    folder = tmp_path_factory.mktemp("mirror") / "cell"
+    simulate("pachidis2005-static", folder, frames=FRAMES, room="dark")
+    return folder
+
+
+def job(cell: Path, **more: Any) -> LiveJob:
+    return LiveJob(left=str(cell / "image"), rig=cell / "rig.yaml", target=cell / "target.yaml", **more)
+
+
+def moments(measurement: LiveMeasurement) -> list[Moment]:
+    with measurement.pairs:
+        return list(measurement.moments())
+
+
+@pytest.fixture(scope="module")
+def seen(cell: Path) -> list[Moment]:
+    return moments(LiveMeasurement(job(cell), ManualClock()))
+
+
+def test_the_poses_are_the_simulated_ones(cell: Path, seen: list[Moment]) -> None:
+    truth = read_poses(cell / "truth.csv")
+    assert [one.view.status for one in seen] == ["ok"] * FRAMES
+    for one, true in zip(seen, truth, strict=True):
+        off_m = np.array(one.view.xyz_m) - true.T_parent_target[:3, 3]
+        assert np.abs(off_m / np.array(one.view.std[:3])).max() < 5.0 and np.abs(off_m).max() < 1e-3
+
+
+def test_the_one_picture_tells_which_spot_is_of_which_view(seen: list[Moment]) -> None:
+    """The left view of a point lies to the right of its right view (MATH 3.2), and each on a curve of its own view."""
+    for one in seen:
+        view = complex_view(one.view)
+        at = {(spot.name, spot.view): np.array([spot.u_px, spot.v_px]) for spot in view.spots if spot.name}
+        assert set(at) == {(name, side) for name in "ABC" for side in ("left", "right")}
+        assert not [spot for spot in view.spots if not spot.name], "each of the six spots has a name"
+        assert view.n_clipped == 0 and view.advice == "good"
+        for name in "ABC":
+            assert at[name, "left"][0] > at[name, "right"][0] + 50.0
+        assert view.epipolar_views == ["left"] * 3 + ["right"] * 3
+        for side in ("left", "right"):
+            curves = [np.array(c) for c, v in zip(view.epipolar, view.epipolar_views, strict=True) if v == side]
+            for name in "ABC":
+                assert min(np.linalg.norm(near(c, at[name, side])) for c in curves) < 1.0
+
+
+def near(curve: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Return the way from a place to a curve's line, straight between its points."""
+    a, b = curve[:-1], curve[1:]
+    along = np.clip(((place - a) * (b - a)).sum(axis=1) / ((b - a) ** 2).sum(axis=1), 0.0, 1.0)
+    ways = a + along[:, None] * (b - a) - place
+    return np.asarray(ways[np.argmin(np.linalg.norm(ways, axis=1))])
+
+
+def test_a_mask_on_the_one_picture_hides_what_is_under_it(cell: Path, seen: list[Moment]) -> None:
+    spot = next(one for one in complex_view(seen[0].view).spots if (one.name, one.view) == ("A", "right"))
+    measurement = LiveMeasurement(job(cell), ManualClock())
+    measurement.look(Look(masked={COMPLEX: ((spot.u_px - 9, spot.v_px - 9, spot.u_px + 9, spot.v_px + 9),)}))
+    view = complex_view(moments(measurement)[0].view)
+    assert min(np.hypot(one.u_px - spot.u_px, one.v_px - spot.v_px) for one in view.spots) > 9.0
+    assert view != complex_view(seen[0].view)
+
+
+def test_masks_count_before_there_is_a_rig(cell: Path) -> None:
+    bare = LiveMeasurement(LiveJob(left=str(cell / "image")), ManualClock())
+    assert len(complex_view(moments(bare)[0].view).spots) == 6
+    masked = LiveMeasurement(LiveJob(left=str(cell / "image")), ManualClock())
+    masked.look(Look(masked={COMPLEX: ((0.0, 0.0, 5000.0, 5000.0),)}))
+    assert complex_view(moments(masked)[0].view).spots == []
+
+
+def test_the_browser_gets_one_picture_with_both_views(cell: Path, seen: list[Moment], tmp_path: Path) -> None:
+    console = Console(folder=tmp_path)
+    message = picture_message(console, Shown(view=seen[0].view, left_jpeg=b"JPEG"), COMPLEX)
+    (length,) = struct.unpack("<I", message[:4])
+    told = json.loads(message[4 : 4 + length])
+    assert message[4 + length :] == b"JPEG"
+    assert {(spot["name"], spot["view"]) for spot in told["spots"]} == {
+        (n, s) for n in "ABC" for s in ("left", "right")
+    }
+
+
+def test_the_wrong_number_of_cameras_is_refused(cell: Path, scene: Any) -> None:
+    with pytest.raises(UsageError, match="the rig has two"):
+        LiveMeasurement(LiveJob(left=str(scene.folder / "left"), rig=scene.folder / "rig.yaml"), ManualClock())
+    with pytest.raises(UsageError, match="the rig has mirrors"):
+        LiveMeasurement(LiveJob(left="a", right="b", rig=cell / "rig.yaml"), ManualClock())
+    with pytest.raises(UsageError, match="the left camera is missing"):
+        Console(folder=cell).job_of(CellFile(right="camera:0"))
+    console = Console(folder=cell, cell=CellFile(left="image"))
+    assert console.pictures == (COMPLEX,) and Console(folder=cell).pictures == ("left", "right")
+
+
+def test_a_recording_of_it_has_one_camera(seen: list[Moment], tmp_path: Path) -> None:
+    file = tmp_path / "one.mcap"
+    with Recorder(RecordingWriter(file, clock=ManualClock()), ImageFormat.PNG, live=False) as recorder:
+        for one in seen:
+            recorder.put(one.pair[0], None)
+    with Recording(file) as recording:
+        assert tuple(recording.cameras) == ("image",) and recording.count("/image/image") == FRAMES
+        frames = list(recording.frames("image"))
+    np.testing.assert_array_equal(frames[0].image, seen[0].pair[0].image)
+
+
+def test_an_ellipsoid_is_drawn_large_enough_to_be_seen() -> None:
+    R = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+    drawn = drawn_ellipsoid(R @ np.diag([1e-5, 2e-5, 1e-4]) ** 2 @ R.T)
+    assert drawn is not None and np.linalg.det(drawn.R) == pytest.approx(1.0)
+    assert drawn.scale == 500.0 and drawn.semi_axes_m[2] == pytest.approx(0.05)
+    assert abs(drawn.R[:, 2] @ R[:, 2]) == pytest.approx(1.0)
+    assert drawn_ellipsoid(25.0 * np.eye(3)) is None, "it would hold the whole scene"
+    assert drawn_ellipsoid(np.zeros((3, 3))) is None and drawn_ellipsoid(np.full((3, 3), np.nan)) is None
+
+
+def test_a_tracks_colours_go_from_best_to_worst() -> None:
+    best, middle, worst, unknown = track_colours([1e-4, 2e-4, 3e-4, np.nan])
+    np.testing.assert_allclose(middle, 0.5 * (best + worst))
+    np.testing.assert_array_equal(best, unknown)
+    assert worst[0] > best[0] and best[2] > worst[2]
+
+
+def test_a_simulated_robot_with_a_mirror_rig_brings_its_one_camera(tmp_path: Path) -> None:
+    made = prepare_simulated("sim:pachidis2005-static", tmp_path)
+    assert made is not None and (made.left, made.right) == ("camera:sim:pachidis2005-static:image", "")
+    assert made.cameras == "carried"
+    job = Console(folder=tmp_path, cell=made).job_of(made)
+    assert job is not None and job.complex and job.rig == tmp_path / "rig.yaml"

@@ -1,0 +1,132 @@
+"""The arm supervised from the operator's page, before a station and a robot of the test's own."""
+
+from __future__ import annotations
+
+import json
+import threading
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform
+
+from armsight.app.operator.robot_cell import prepare_simulated
+from armsight.app.operator.supervise import StationSupervisor, limits_of
+from armsight.errors import NotEnoughData, UsageError
+from armsight.records import JointReading
+from armsight.store.arm_file import read_arm
+from armsight.store.cell_file import read_cell
+from armsight.store.handeye_file import read_handeye
+from armsight.verify.supervision import Level
+
+HOME = np.deg2rad([0.0, -60.0, 90.0, -30.0, 90.0, 0.0])
+STD = (1e-4, 1e-4, 1e-4, 1e-3, 1e-3, 1e-3)
+
+
+class Cell:
+    """A robot that stands at HOME and tells it 100 times a second; its cameras see the target off by so much."""
+
+    def __init__(self, folder) -> None:
+        self.folder = folder
+        arm, handeye = read_arm(folder / "arm.yaml"), read_handeye(folder / "handeye.yaml")
+        T_flange = RigidTransform.from_matrix(arm.fk(HOME)) * arm.T_flange_tool.inv()
+        T_world_rig = arm.T_world_base * handeye.T_parent_camera
+        self.T_rig_target = T_world_rig.inv() * T_flange * handeye.T_parent_target
+        self.t_s, self.stops = 10.0, []
+        host = SimpleNamespace(snapshot=self.snapshot)
+        desk = SimpleNamespace(robot=SimpleNamespace(cycle_s=0.01))
+        seat = SimpleNamespace(arm=arm, stop=self.stops.append)
+        self.robot = SimpleNamespace(
+            service=SimpleNamespace(host=host, desk=desk), seat=seat, joints=lambda: HOME.copy()
+        )
+        self.station = SimpleNamespace(shown=None)
+        self.number, self.heard = 0, threading.Event()
+
+    def snapshot(self):
+        self.t_s += 0.01
+        if self.t_s > 10.05:  # some readings are there
+            self.heard.set()
+        return SimpleNamespace(reading=JointReading(t_s=self.t_s, q=HOME, sequence=0, source="test"))
+
+    def show(self, supervisor, off_m=(0.0, 0.0, 0.0), status="ok", times=1):
+        """Show moments, each once the one before was taken."""
+        for _ in range(times):
+            self.number += 1
+            n = supervisor.state.n
+            T = RigidTransform.from_translation(off_m) * self.T_rig_target
+            self.station.shown = SimpleNamespace(
+                view=SimpleNamespace(
+                    t_s=self.t_s,
+                    sequence=self.number,
+                    status=status,
+                    why="a hand is before it",
+                    parent="rig",
+                    xyz_m=tuple(T.translation),
+                    quat_xyzw=tuple(T.rotation.as_quat()),
+                    std=STD,
+                )
+            )
+            pause = threading.Event()
+            for _ in range(2000):
+                if supervisor.state.n > n:
+                    break
+                pause.wait(0.005)
+            assert supervisor.state.n > n
+
+    def supervised(self, warn_mm=2.0, stop_mm=5.0):
+        run = StationSupervisor(
+            self.folder, read_cell(self.folder), self.robot, lambda: self.station, limits_of(warn_mm, stop_mm)
+        )
+        assert self.heard.wait(10.0)
+        return run
+
+
+@pytest.fixture
+def cell(tmp_path):
+    prepare_simulated("sim:webcam-cell", tmp_path / "cell")
+    return Cell(tmp_path / "cell")
+
+
+def test_an_arm_that_is_where_it_says_raises_nothing_and_one_that_is_not_is_stopped(cell):
+    run = cell.supervised()
+    cell.show(run, times=4)
+    assert run.state.level is Level.GOOD and run.state.error_mm == pytest.approx(0.0, abs=1e-6)
+    cell.show(run, off_m=(0.0, 0.0035, 0.0), times=3)
+    assert run.state.level is Level.WARN and not cell.stops
+    assert run.state.error_mm == pytest.approx(3.5, abs=1e-6) and "the level is 2 mm" in run.state.why
+    cell.show(run, off_m=(0.0, 0.009, 0.0), times=2)
+    assert run.state.level is Level.STOP and len(cell.stops) == 1 and cell.stops[0].who == "supervision"
+    done = run.end()
+    assert done.stopped and done.level == "stop" and done.n_compared == done.n == 9
+    assert {path.name for path in run.out.iterdir()} == {"verify.json", "errors.csv", "report.html"}
+    assert json.loads((run.out / "verify.json").read_text())["errors"]["max_m"] == pytest.approx(0.009, abs=1e-6)
+
+
+def test_a_target_that_is_hidden_is_told_and_compared_with_nothing(cell):
+    run = cell.supervised()
+    cell.show(run)
+    cell.show(run, status="lost", times=2)
+    state = run.state
+    assert state.error_mm is None and state.why == "a hand is before it" and not cell.stops
+    assert run.end().n_compared == 1
+
+
+def test_without_a_stop_level_the_robot_is_never_stopped(cell):
+    run = cell.supervised(stop_mm=0.0)
+    cell.show(run, off_m=(0.05, 0.0, 0.0), times=3)
+    assert run.state.level is Level.WARN and not cell.stops
+    run.end()
+
+
+def test_what_cannot_be_supervised_is_refused(cell):
+    with pytest.raises(UsageError, match="above"):
+        limits_of(5.0, 2.0)
+    unplaced = read_cell(cell.folder).model_copy(update={"handeye": ""})
+    with pytest.raises(NotEnoughData, match="not known"):
+        StationSupervisor(cell.folder, unplaced, cell.robot, lambda: cell.station, limits_of(1.0, 2.0))
+    carried = read_cell(cell.folder).model_copy(update={"cameras": "carried"})
+    with pytest.raises(UsageError, match="ride on the arm"):
+        StationSupervisor(cell.folder, carried, cell.robot, lambda: cell.station, limits_of(1.0, 2.0))
+    run = cell.supervised()
+    with pytest.raises(NotEnoughData, match="showed nothing"):
+        run.end()

@@ -1,0 +1,106 @@
+"""A path played from the page is held against what the measuring station shows."""
+
+from __future__ import annotations
+
+import threading
+from contextlib import ExitStack
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from armsight.app.operator.robot_cell import prepare_simulated
+from armsight.app.operator.watched import watcher_of
+from armsight.clock import ManualClock
+from armsight.records import PoseStatus
+from armsight.store.arm_file import read_arm
+from armsight.store.cell_file import read_cell
+from armsight.store.handeye_file import read_handeye
+
+FLANGE = RigidTransform.from_components([-0.9, -0.1, 0.3], Rotation.from_euler("y", 90.0, degrees=True))
+"""T_base_flange of the test."""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    made = tmp_path_factory.mktemp("watched") / "cell"
+    prepare_simulated("sim:webcam-cell", made)
+    return made
+
+
+def view(T: RigidTransform, t_s: float, status: str = "ok") -> SimpleNamespace:
+    return SimpleNamespace(
+        view=SimpleNamespace(
+            t_s=t_s,
+            status=status,
+            why="a hand is before it",
+            parent="rig",
+            xyz_m=tuple(T.translation),
+            quat_xyzw=tuple(T.rotation.as_quat()),
+            std=(1e-4,) * 6,
+        )
+    )
+
+
+def watched(folder, station, act):
+    """Return what was seen while the station did something."""
+    seen, told = [], []
+    clock = ManualClock(100.0)
+    watcher = watcher_of(folder, read_cell(folder), read_arm(folder / "arm.yaml"), station, clock)
+    assert watcher is not None
+    waiting = threading.Semaphore(0)
+
+    def take(pose, exposed_s):
+        seen.append((watcher.sight, pose, exposed_s))
+        waiting.release()
+
+    with ExitStack() as stack:
+        watcher.open(stack, SimpleNamespace(pose=told.append), take)
+        act(station, clock, lambda: waiting.acquire(timeout=10.0))
+    return watcher, seen, told
+
+
+def test_the_flange_is_seen_where_it_is_and_lost_frames_are_counted(folder):
+    handeye = read_handeye(folder / "handeye.yaml")
+    T_rig_target = handeye.T_parent_camera.inv() * FLANGE * handeye.T_parent_target
+
+    def act(station, clock, wait):
+        for t_s, status in ((99.9, "ok"), (99.95, "lost"), (99.98, "ok")):
+            station.shown = view(T_rig_target, t_s, status)
+            assert wait()
+
+    station = SimpleNamespace(shown=None, failure="", job=SimpleNamespace(rig="rig.yaml"))
+    watcher, seen, told = watched(folder, station, act)
+    assert [exposed for _, _, exposed in seen] == [99.9, 99.95, 99.98] == [pose.t_s for pose in told]
+    assert watcher.counts()[PoseStatus.OK] == 2 and watcher.counts()[PoseStatus.LOST] == 1
+    sight, pose, _ = seen[-1]
+    found = sight.flange(RigidTransform.from_matrix(pose.T_parent_target))
+    assert np.asarray(found.as_matrix()) == pytest.approx(FLANGE.as_matrix(), abs=1e-9)
+    assert watcher.failed() is None
+
+
+@pytest.mark.parametrize("how", ["camera", "silent"])
+def test_cameras_that_go_end_the_watching_with_the_reason(folder, how):
+    def act(station, clock, wait):
+        if how == "camera":
+            station.failure = "the left camera is gone"
+        else:
+            clock.advance(10.0)
+        while all(thread.name != "watching" for thread in threading.enumerate()) is False:
+            threading.Event().wait(0.005)
+
+    station = SimpleNamespace(shown=None, failure="", job=SimpleNamespace(rig="rig.yaml"))
+    watcher, _, _ = watched(folder, station, act)
+    said = str(watcher.failed())
+    assert ("left camera is gone" if how == "camera" else "no pictures come") in said
+    assert "nobody watched it" in said
+
+
+def test_nothing_watches_without_cameras_rig_or_hand_eye(folder):
+    cell, arm, clock = read_cell(folder), read_arm(folder / "arm.yaml"), ManualClock()
+    aiming = SimpleNamespace(job=SimpleNamespace(rig=None))
+    assert watcher_of(folder, cell, arm, None, clock) is None
+    assert watcher_of(folder, cell, arm, aiming, clock) is None
+    unplaced = cell.model_copy(update={"handeye": ""})
+    assert watcher_of(folder, unplaced, arm, SimpleNamespace(job=SimpleNamespace(rig="r")), clock) is None

@@ -1,0 +1,98 @@
+"""Which chain of a branching URDF is the arm: tips, bases, grippers, mimicking joints."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from armsight.app.kinematics import arm_file, arm_source, load_arm
+from armsight.errors import BadFile, UsageError
+from armsight.kinematics import fk
+from armsight.store.urdf import arm_from_urdf
+
+LIMIT = '<limit lower="-2" upper="2"/>'
+
+
+def joint(name: str, parent: str, child: str, xyz: str = "0 0 0", *, kind: str = "revolute", more: str = "") -> str:
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/><origin xyz="{xyz}"/>'
+        f'<axis xyz="0 0 1"/>{LIMIT}{more}</joint>'
+    )
+
+
+def robot(*joints: str) -> str:
+    links = sorted({part.split('"')[0] for text in joints for part in text.split('link="')[1:]})
+    return "".join(['<robot name="r">', *(f'<link name="{link}"/>' for link in links), *joints, "</robot>"])
+
+
+GRIPPER = robot(
+    joint("j1", "base", "upper", "0 0 0.3"),
+    joint("j2", "upper", "fore", "0.4 0 0"),
+    joint("mount", "fore", "hand", "0.2 0 0", kind="fixed"),
+    joint("finger1", "hand", "left", kind="prismatic"),
+    joint("finger2", "hand", "right", kind="prismatic", more='<mimic joint="finger1"/>'),
+    joint("eye", "fore", "camera", kind="fixed"),
+)
+TWO_ARMS = robot(
+    joint("lift", "floor", "torso", kind="prismatic"),
+    joint("l1", "torso", "l_upper", "0 0.2 1"),
+    joint("l2", "l_upper", "l_hand", "0.5 0 0"),
+    joint("r1", "torso", "r_upper", "0 -0.2 1"),
+    joint("r2", "r_upper", "r_hand", "0.5 0 0"),
+    joint("neck", "torso", "head", kind="floating"),
+)
+
+
+def test_a_branch_without_a_tip_is_refused_with_the_tips() -> None:
+    with pytest.raises(BadFile, match="branches at the link hand into finger1, finger2") as error:
+        arm_from_urdf(GRIPPER)
+    assert "--tip, such as hand (2 joints), camera (2 joints), left (3 joints), right (3 joints)" in str(error.value)
+    with pytest.raises(BadFile, match="branches at the link torso into l1, r1, neck") as error:
+        arm_from_urdf(TWO_ARMS)
+    assert "r_hand (3 joints)" in str(error.value)
+
+
+def test_a_mimicking_joint_matters_only_inside_the_chain() -> None:
+    arm = arm_from_urdf(GRIPPER, tip="hand")
+    assert [j.name for j in arm.joints] == ["j1", "j2"]
+    np.testing.assert_allclose(fk(arm, [0.0, np.pi / 2])[:3, 3], [0.4, 0.2, 0.3], atol=1e-15)
+    with pytest.raises(BadFile, match=r"finger2: mimics the joint 'finger1', and is in the chain.*--tip"):
+        arm_from_urdf(GRIPPER, tip="right")
+
+
+def test_a_base_begins_the_chain_and_is_the_world() -> None:
+    whole, above = arm_from_urdf(TWO_ARMS, tip="r_hand"), arm_from_urdf(TWO_ARMS, base="torso", tip="r_hand")
+    assert [j.name for j in whole.joints] == ["lift", "r1", "r2"]
+    assert [j.name for j in above.joints] == ["r1", "r2"]
+    np.testing.assert_allclose(fk(above, [0.0, 0.0])[:3, 3], [0.5, -0.2, 1.0], atol=1e-15)
+    np.testing.assert_allclose(fk(whole, [0.7, 0.0, 0.0])[:3, 3], [0.5, -0.2, 1.7], atol=1e-15)
+    hand = arm_from_urdf(TWO_ARMS, base="l_upper")  # below it nothing branches
+    assert [j.name for j in hand.joints] == ["l2"]
+    with pytest.raises(BadFile, match="the link r_hand does not hang on the link l_upper"):
+        arm_from_urdf(TWO_ARMS, base="l_upper", tip="r_hand")
+    with pytest.raises(BadFile, match="neck: type 'floating' leaves the arm free to float"):
+        arm_from_urdf(TWO_ARMS, tip="head")
+    with pytest.raises(BadFile, match="no link 'nose'"):
+        arm_from_urdf(TWO_ARMS, base="nose")
+
+
+def test_a_chain_is_named_with_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "two.urdf"
+    path.write_text(TWO_ARMS, encoding="utf-8")
+    assert arm_source(str(path)) == str(path)
+    named = arm_source(str(path), tip="l_hand", base="torso")
+    assert named == f"{path}#torso:l_hand"
+    assert [j.name for j in load_arm(named).joints] == ["l1", "l2"]
+    assert [j.name for j in load_arm(f"{path}#l_hand").joints] == ["lift", "l1", "l2"]
+    assert [j.name for j in load_arm(arm_source(str(path), base="l_upper")).joints] == ["l2"]
+    assert arm_file(named) == path
+    assert arm_file("ur5") is None
+    with pytest.raises(UsageError, match="names its chain already"):
+        arm_source(named, tip="r_hand")
+    with pytest.raises(UsageError, match="'ur10' is no URDF"):
+        load_arm("ur10#tool0")
+    odd = tmp_path / "a#b.urdf"
+    odd.write_text(robot(joint("j1", "base", "end")), encoding="utf-8")
+    assert load_arm(str(odd)).n == 1
