@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from armsight.app.live.measurement import LiveJob, LiveMeasurement, Look, Moment
+from armsight.app.live.priority import measure_first, pictures_last
 from armsight.app.measure.warm_up import prepare
 from armsight.app.record.recorder import Recorder
 from armsight.app.schemas.live import LiveView
@@ -205,6 +206,7 @@ def _work(job: LiveJob, told: Connection, commands: Connection) -> None:
     """Measure until told to end; what goes wrong is told in words."""
     with suppress(KeyboardInterrupt, BrokenPipeError):
         try:
+            measure_first()
             _Worker(job, told, commands, SystemClock()).run()
         except ArmsightError as error:
             told.send(_Failed(str(error)))
@@ -305,6 +307,7 @@ class _Worker:
 
     def _send(self) -> None:
         """Send the newest moment, and no faster than a screen shows."""
+        pictures_last()
         next_s = 0.0
         while True:
             with self._posted:
