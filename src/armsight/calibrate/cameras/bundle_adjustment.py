@@ -26,10 +26,13 @@ EMPTY.setflags(write=False)
 POSE = ("tx", "ty", "tz", "rx", "ry", "rz")
 EMPTY_PLACE = "none"
 """The name of a fisheye's tenth intrinsic, which stands for nothing."""
-WIDEST_FIT = float(np.tan(np.radians(88.5)))
+WIDEST_FIT = float(np.tan(np.radians(89.9)))
 """Tangent of the angle up to which a fisheye's points may come to lie on the way of a fit."""
 BY_CHANCE = 1e-3
 """Further distortion coefficients are freed where chi-square would fall by more than noise does this often."""
+VALLEY, VALLEY_SETTLED = 8, 1e-10
+"""A fisheye's four terms lead through a narrow, bent valley: damped steps in it lower the cost by little each, and so
+many times the iterations are needed."""
 COST_SETTLED = 1e-6
 """Relative fall of the cost that ends the fit. The step that brings it is a hundredth of the doubt, and convergence is
 quadratic: the next one would not be seen."""
@@ -153,6 +156,8 @@ def adjust(
     Raises NotConverged, Undetermined, Cancelled as the engine does.
     """
     settings = Settings(estimate_noise=True, max_iterations=max_iterations, cost_tolerance=COST_SETTLED)
+    if observations.lens is LensKind.FISHEYE:
+        settings = replace(settings, max_iterations=VALLEY * max_iterations, cost_tolerance=VALLEY_SETTLED)
     return solve(problem_of(observations, start, fixed), settings, progress)
 
 

@@ -21,7 +21,7 @@ from armsight.calibrate.cameras.options import BoardOptions
 from armsight.calibrate.cameras.preconditions import DOUBTFUL_TILT_DEG, LEAST_POINTS, LEAST_VIEWS, check_tilt
 from armsight.errors import NotConverged, NotEnoughData, Undetermined
 from armsight.fitting import Fit
-from armsight.optics import SIDES, LensKind
+from armsight.optics import SIDES, WIDEST_RAD, LensKind
 from armsight.records import Progress
 
 Array = NDArray[np.float64]
@@ -57,6 +57,11 @@ def fit_without_outliers(
     rejected: list[tuple[str, str]] = []
     fit = adjust(observations, start, fixed, max_iterations=options.max_iterations, progress=progress)
     for _ in range(MOST_ROUNDS):
+        beyond = _beyond(observations, fit)
+        if beyond.any():  # the model ends there: such points would push all others aside
+            observations = without(observations, beyond)
+            state = bundle_of(fit, observations.n_cameras)
+            fit = adjust(observations, state, fixed, max_iterations=options.max_iterations, progress=progress)
         wider = _freed(observations, fit, fixed, options)
         judged = options.reject and (wider == fixed or options.lens is LensKind.PINHOLE)
         bad_views, bad_points = _misfits(observations, fit) if judged else ({}, None)
@@ -109,6 +114,19 @@ def _freed(observations: Observations, fit: Fit, fixed: frozenset[str], options:
     return fixed - names if names and asks_to_be_freed(observations, fit, fixed, names) else fixed
 
 
+def _beyond(observations: Observations, fit: Fit) -> NDArray[np.bool_]:
+    """Tell which points (G, C, n) a fisheye lens has beyond the angle up to which it is used; none of a pinhole."""
+    seen = observations.weight > 0.0
+    if observations.lens is LensKind.PINHOLE:
+        return np.zeros_like(seen)
+    k = bundle_of(fit, observations.n_cameras).k[:, :, None]  # (C, 10, 1): fx, fy, cx, cy, skew, k1, k2, k3, k4, none
+    y = (observations.uv[..., 1] - k[:, 3]) / k[:, 1]
+    x = (observations.uv[..., 0] - k[:, 2] - k[:, 4] * y) / k[:, 0]
+    q = WIDEST_RAD**2
+    widest = WIDEST_RAD * (1.0 + q * (k[:, 5] + q * (k[:, 6] + q * (k[:, 7] + q * k[:, 8]))))
+    return np.asarray(seen & (np.hypot(x, y) > widest))
+
+
 def _misfits(observations: Observations, fit: Fit) -> tuple[dict[int, str], NDArray[np.bool_] | None]:
     """Return the views to leave out, with the reason, and the points (G, C, n), None where all fit."""
     residual = np.linalg.norm(residuals_px(observations, fit), axis=3)  # (G, C, n) px
@@ -135,8 +153,9 @@ def _misfits(observations: Observations, fit: Fit) -> tuple[dict[int, str], NDAr
 def _notes(given: Observations, left: Observations) -> tuple[str, ...]:
     """Return a line for every image of which single points were left out."""
     lost = ((given.weight > 0.0) & (left.weight == 0.0)).sum(axis=2)  # (G, C)
+    why = "do not fit" if given.lens is LensKind.PINHOLE else "lie beyond 85 degrees, or do not fit,"
     return tuple(
-        f"{given.sources[g][c]}: {lost[g, c]} of its points do not fit and are left out"
+        f"{given.sources[g][c]}: {lost[g, c]} of its points {why} and are left out"
         for g, c in zip(*np.nonzero(lost), strict=True)
     )
 
