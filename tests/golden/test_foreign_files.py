@@ -164,7 +164,9 @@ def test_other_models_are_refused_by_name():
     with pytest.raises(BadFile, match=r"documented.yaml, cam1: camera_model is 'omni'"):
         foreign.rig_from_kalibr(DATA / "kalibr" / "documented.yaml")
     content = read_yaml(ROS[0])
-    with pytest.raises(BadFile, match="distortion_model is 'equidistant'"):
+    with pytest.raises(BadFile, match="distortion_model is 'thin_prism'"):
+        ros_rig({**content, "distortion_model": "thin_prism"}, content, "l", "r")
+    with pytest.raises(BadFile, match="holds 5 coefficients, and a fisheye lens has four"):
         ros_rig({**content, "distortion_model": "equidistant"}, content, "l", "r")
     wide = {**content, "distortion_coefficients": {"rows": 1, "cols": 8, "data": [0.0] * 5 + [0.1, 0.0, 0.0]}}
     with pytest.raises(BadFile, match="rational"):

@@ -43,7 +43,7 @@ HANDEYE = (
 )
 HANDEYE_MAYBE = (
     "T_flange_camera T_base_target T_base_camera T_flange_target target_scale reprojection_rms_px time_offset_s "
-    "time_offset_std_s proposals"
+    "time_offset_std_s proposals n_effective correlation_time_s"
 )
 TIP = "tip_m point_m std residual_rms_m n_used rejected turning_rms_rad"
 ARM = (
