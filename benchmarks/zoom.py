@@ -74,7 +74,7 @@ def calibrated(made: SimZoomLens, zooms: Sequence[float], rng: np.random.Generat
 def truth(made: SimZoomLens, zoom: float) -> Camera:
     """The true camera at a setting."""
     lens = made.lens(zoom)
-    return Camera(width=lens.width, height=lens.height, intrinsics=lens.vector)
+    return Camera(width=lens.width, height=lens.height, intrinsics=lens.vector[:10])
 
 
 def trial(seed: int, lens: int, settings: int) -> tuple[list[np.ndarray], list[tuple[float, float, float]], list]:

@@ -23,7 +23,7 @@ RELATIVE = 2e-4
 
 def camera(lens: SimZoomLens, zoom: float) -> Camera:
     made = lens.lens(zoom)
-    return Camera(width=made.width, height=made.height, intrinsics=made.vector)
+    return Camera(width=made.width, height=made.height, intrinsics=made.vector[:10])
 
 
 def setting(lens: SimZoomLens, zoom: float, rng: np.random.Generator | None = None) -> ZoomSetting:
