@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import base64
+import gzip
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -147,7 +150,8 @@ def test_jacobian_path_formulas_and_picture(tmp_path: Path, joints: Path) -> Non
     run("kinematics", "show", "--arm", "irb120", "--joints", "0,-0.2,0.3,0,0.5,0", "-o", tmp_path / "arm.html")
     run("kinematics", "show", "--arm", "irb120", "--joints", joints, "-o", tmp_path / "track.html")
     page = (tmp_path / "arm.html").read_text()
-    assert "scatter3d" in page
+    drawn = re.search(r'id="figures">(.*?)</script>', page)
+    assert drawn is not None and b"scatter3d" in gzip.decompress(base64.b64decode(drawn[1]))
     assert "http://" not in page.split("<script>")[0]
 
 

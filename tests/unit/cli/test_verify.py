@@ -118,7 +118,7 @@ def test_what_cannot_be_is_refused(armsight: Any, files: tuple[Path, Path, list[
         ([], 2, "no --joints"),
         (["--joints", joints, "--align", "sideways"], 2, "none, base, tool, both"),
         (["--joints", joints, "--commanded", measured], 2, "verify twice"),
-        (["--joints", joints, "--compare", tmp_path / "out"], 2, "is an input"),
+        (["--joints", joints, "--compare", tmp_path / "out"], 2, "names the folder that is written to"),
         (["--joints", short], 3, "40 measured rows and 5"),
         (["--joints", five], 3, "has 5 joints"),
     ):
