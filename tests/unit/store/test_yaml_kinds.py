@@ -209,7 +209,7 @@ def changed(content, key, value):
 
 
 REFUSED_RIGS = {
-    "unknown key": ("cameras.left.fz", 1.0, r"unknown key cameras\.left\.fz .*valid here: width, height, fx"),
+    "unknown key": ("cameras.left.fz", 1.0, r"unknown key cameras\.left\.fz .*valid here: width, height, lens, fx"),
     "mistyped key": ("cameras.left.T_rig_camra", {}, "did you mean 'T_rig_camera'"),
     "missing key": ("cameras.right.fy", KeyError, r"cameras\.right\.fy is missing"),
     "nan": ("cameras.left.cx", float("nan"), r"cameras\.left\.cx is nan, which is not a finite number"),
@@ -217,7 +217,7 @@ REFUSED_RIGS = {
     "text for a number": ("cameras.left.fx", "wide", r"cameras\.left\.fx: .*not 'wide'"),
     "truth for a number": ("cameras.left.fx", True, r"cameras\.left\.fx"),
     "fraction of a pixel": ("cameras.left.width", 640.5, r"cameras\.left\.width"),
-    "short list": ("cameras.left.distortion", [0.0] * 4, r"cameras\.left\.distortion"),
+    "short list": ("cameras.left.distortion", [0.0] * 4, r"cameras\.left: .*distortion of a pinhole lens"),
     "kind": ("kind", "trinocular", "'stereo' or 'mirror'"),
     "version of the future": ("version", 2, "version"),
     "focal length": ("cameras.left.fx", -800.0, "focal lengths"),
