@@ -71,12 +71,13 @@ def main() -> None:
 
 
 def frames(folder: Path) -> None:
-    """Write PAIRS pairs of a lit target that moves, with its rig and target."""
+    """Write PAIRS pairs of a lit target that swings to and fro, raw as cameras send them, with its rig and target."""
     cell = load_cell("led-cell", seed=3, frames=PAIRS)
-    for number, pair in enumerate(cell.frames()):
+    there = list(cell.frames())
+    for number, pair in enumerate(there + there[-2:0:-1]):
         for side, frame in zip(("left", "right"), pair, strict=True):
             (folder / side).mkdir(exist_ok=True)
-            cv2.imwrite(str(folder / side / f"{number:03d}.png"), np.asarray(frame.image))
+            cv2.imwrite(str(folder / side / f"{number:03d}.bmp"), np.asarray(frame.image))
     (folder / "cell").mkdir()
     for name, content in (("rig", cell.rig), ("target", cell.target)):
         text = yaml.safe_dump({"format": f"armsight/{name}", "version": 1, **content})

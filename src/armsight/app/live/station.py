@@ -320,7 +320,7 @@ class _Worker:
             self._save_pair(moment)
             if self._clock.now_s() < next_s:
                 continue
-            next_s = self._clock.now_s() + 0.9 / PICTURES_HZ
+            next_s = max(next_s + 0.9 / PICTURES_HZ, self._clock.now_s() - 1.0 / PICTURES_HZ)  # jitter skips none
             right = b"" if self._one_picture else jpeg(moment.pair[1])
             self._tell(Shown(view=moment.view, left_jpeg=jpeg(moment.pair[0]), right_jpeg=right))
             if self._recorder is not None:

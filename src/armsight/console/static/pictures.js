@@ -10,7 +10,7 @@
   class Picture {
     constructor(canvas) {
       this.canvas = canvas;
-      this.context = canvas.getContext("2d");
+      this.context = canvas.getContext("2d", { alpha: false });
       this.side = canvas.dataset.side;
       this.shown = 0;
       this.masks = [];
@@ -26,10 +26,23 @@
       this.socket = new WebSocket(`${scheme}://${location.host}/console/pictures/${this.side}`);
       this.socket.binaryType = "arraybuffer";
       this.socket.onopen = () => this.socket.send("next");
-      this.socket.onmessage = (message) => this.show(message.data);
+      this.socket.onmessage = (message) => this.take(message.data);
       this.socket.onclose = () => {
         if (document.body.contains(this.canvas)) setTimeout(() => this.connect(), 1000);
       };
+    }
+
+    async take(data) {
+      this.waiting = data;
+      if (this.drawing) return;
+      this.drawing = true;
+      while (this.waiting) {
+        const next = this.waiting;
+        this.waiting = null;
+        if (this.socket.readyState === WebSocket.OPEN) this.socket.send("next");
+        await this.show(next).catch(() => {}); // a picture cut short by the network: the next one comes
+      }
+      this.drawing = false;
     }
 
     async show(data) {
@@ -48,7 +61,6 @@
       this.draw(found);
       this.shown += 1;
       this.canvas.dataset.shown = this.shown;
-      if (this.socket.readyState === WebSocket.OPEN) this.socket.send("next");
     }
 
     draw(found) {
