@@ -217,7 +217,11 @@ class Reader:
         after = self.folder.with_suffix(".place")
         with self.typed(text) as keyboard:
             running = self.begin(step, f"set -euo pipefail\n{text}\npwd > {after}", keyboard)
-            code = _end_of(running, LIVE_S if live else LIMIT_S, interrupt=live)
+            try:
+                code = _end_of(running, LIVE_S if live else LIMIT_S, interrupt=live)
+            finally:
+                if running.poll() is None:  # this tool itself is being stopped
+                    os.killpg(running.pid, signal.SIGKILL)
         if after.exists():
             self.place = Path(after.read_text(encoding="utf-8").strip())
             after.unlink()
