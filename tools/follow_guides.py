@@ -31,7 +31,7 @@ import yaml
 
 ROOT = Path(__file__).resolve().parent.parent
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-COMMAND = re.compile(r"(?:\$ )?((?:armsight|python|pip|apt-get|make|openssl|cat|cd|cp|export|ls|printf|sed) .*)")
+COMMAND = re.compile(r"(?:\$ )?((?:armsight|python|pip|apt-get|make|openssl|cat|cd|cp|echo|export|ls|printf|sed) .*)")
 HEREDOC = re.compile(r"<<-?\s*['\"]?(\w+)")
 PYTHON_BEGINS = re.compile(r"(?:import|from) \w")
 
