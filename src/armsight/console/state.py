@@ -270,7 +270,7 @@ def _handeye(console: Console, folder: Path) -> Guided:
         out=console.folder / "handeye-calibrated.yaml",
         arm=console.file("arm"),
         setup=Setup.EYE_IN_HAND if console.cell.cameras == "carried" else Setup.EYE_TO_HAND,
-        read_joints=console.require_robot().joints,
+        read_joints=console.require_robot().reading,
     )
 
 
@@ -279,7 +279,7 @@ def _arm(console: Console, folder: Path) -> Guided:
         folder=folder,
         out=console.folder / "arm-calibrated.yaml",
         model=str(console.file("arm")),
-        read_joints=console.require_robot().joints,
+        read_joints=console.require_robot().reading,
     )
 
 

@@ -307,5 +307,5 @@ def _spread(values: Array) -> float:
 
 
 def _deviation(values: Array) -> float:
-    """Return the standard deviation of one component of vectors (n, 3): of a hand that only turned in most poses too."""
+    """Return the standard deviation of one component of vectors (n, 3): also of a hand that mostly only turned."""
     return float(np.sqrt(((values - values.mean(axis=0)) ** 2).mean()))
