@@ -25,6 +25,7 @@ import urllib.request
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import cycle
 from pathlib import Path
 
 import yaml
@@ -88,7 +89,7 @@ NOT_HERE: Mapping[str, str] = {
 }
 """Part of a command -> what it needs that is not here."""
 
-KEYS: Mapping[str, str] = {"--with keyboard": "qqq...x", "--wait": "y\n........ "}
+KEYS: Mapping[str, str] = {"--with keyboard": "y\nqqq...x", "--wait": "y\n........ "}
 """Part of a command -> the keys that its reader presses, one a second."""
 
 
@@ -304,9 +305,9 @@ class Reader:
 
 
 def _type(keyboard: int, keys: str, done: threading.Event) -> None:
-    """Press one key after the other, the first once the command has had time to begin."""
-    wait_s = 15.0
-    for key in keys:
+    """Press one key after the other, the first once the command has had time to begin, and all again until it ends."""
+    wait_s = 10.0
+    for key in cycle(keys):
         if done.wait(wait_s):
             return
         os.write(keyboard, key.encode())
