@@ -32,7 +32,8 @@ import yaml
 
 ROOT = Path(__file__).resolve().parent.parent
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-COMMAND = re.compile(r"(?:\$ )?((?:armsight|python|pip|apt-get|make|openssl|cat|cd|cp|echo|export|ls|printf|sed) .*)")
+WORDS = "armsight|python|pip|apt-get|make|openssl|cat|cd|cp|echo|export|ls|printf|sed"
+COMMAND = re.compile(rf"(?:\$ )?(\(?(?:{WORDS}) .*)")
 HEREDOC = re.compile(r"<<-?\s*['\"]?(\w+)")
 PYTHON_BEGINS = re.compile(r"(?:import|from) \w")
 
@@ -241,7 +242,8 @@ class Reader:
 
     def asked(self, running: subprocess.Popen[bytes], begins: int) -> str:
         """Return what is wrong with a server that has just been begun, or nothing once it answered."""
-        for _ in range(int(LIMIT_S / 4)):
+        until_s = time.monotonic() + LIMIT_S
+        while time.monotonic() < until_s:
             told = self.log.read_bytes()[begins:].decode("utf-8", "replace")
             if running.poll() is not None:
                 return f"ended by itself with exit code {running.returncode}"
