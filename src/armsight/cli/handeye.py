@@ -35,6 +35,12 @@ def handeye(
     ] = None,
     robot_stream: Annotated[Path | None, typer.Option(help="poses.csv of the flange, time-stamped.")] = None,
     camera_stream: Annotated[Path | None, typer.Option(help="poses.csv of the target in the camera.")] = None,
+    clocks_within: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0, metavar="SECONDS", help="With streams: their clocks differ by this at most; else by any."
+        ),
+    ] = None,
     setup: Annotated[str, typer.Option(help="eye-in-hand or eye-to-hand.")] = "eye-in-hand",
     free_camera: Annotated[bool, typer.Option("--free-camera", help="With images: refine the camera as well.")] = False,
     propose: Annotated[int, typer.Option(min=0, help="Propose so many further poses.")] = 0,
@@ -58,6 +64,7 @@ def handeye(
             robot=robot,
             robot_stream=robot_stream,
             camera_stream=camera_stream,
+            clocks_within_s=clocks_within,
             free_camera=free_camera,
             propose=propose,
             workers=workers,

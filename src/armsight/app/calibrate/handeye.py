@@ -59,6 +59,7 @@ from armsight.store.schema import pose_mapping
 class HandEyeJob:
     """One of: pairs; images with camera, board and robot; robot_stream with camera_stream (poses.csv files).
 
+    clocks_within_s: by how much the streams' clocks differ at most; None: any offset is looked for.
     free_camera: fit the intrinsics along with images. propose: how many further poses to propose. bits: of the
     light in 16-bit images. strict: an image that cannot be read stops the run.
     """
@@ -72,6 +73,7 @@ class HandEyeJob:
     robot: Path | None = None
     robot_stream: Path | None = None
     camera_stream: Path | None = None
+    clocks_within_s: float | None = None
     free_camera: bool = False
     propose: int = 0
     workers: int | None = None
@@ -298,7 +300,7 @@ def _from_streams(job: HandEyeJob) -> _Solved:
             raise NotEnoughData(f"{path}: fewer than two poses of status ok", cure="Record the streams again")
         times.append(np.array([p.t_s for p in read]))
         poses.append(RigidTransform.from_matrix(np.stack([p.pose.as_matrix() for p in read if p.pose is not None])))
-    pairs, offset = pairs_of_streams(times[0], poses[0], times[1], poses[1])
+    pairs, offset = pairs_of_streams(times[0], poses[0], times[1], poses[1], within_s=job.clocks_within_s)
     return _Solved(result=_solve(pairs, job.setup), inputs=[job.robot_stream, job.camera_stream], offset=offset)
 
 
