@@ -226,6 +226,6 @@ def cloud_figure(xyz_m: Array, sigma_m: Array, measured_m: Array) -> Figure:
     xyz, seen, shown = 1e3 * xyz_m, 1e3 * measured_m, np.where(np.isfinite(sigma_m), 1e3 * sigma_m, np.nan)
     colours = {"color": shown, "colorscale": "Viridis", "colorbar": {"title": {"text": "mm"}}}
     cloud = points_in_space("tool", xyz, {"size": 3, **colours})
-    measured = points_in_space("measured", seen, {"size": 2, "color": INK, "symbol": "cross"})
+    measured = points_in_space("measured", seen, {"size": 2, "color": INK})
     scene = {"aspectmode": "data", **{f"{a}axis": {"title": {"text": f"{a}, mm"}} for a in "xyz"}}
     return Figure(data=[cloud, measured], layout=layout(scene=scene), height_px=520)
