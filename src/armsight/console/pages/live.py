@@ -69,7 +69,7 @@ def _measuring(console: Console, *, watching: bool) -> None:
     def slow() -> None:
         if scene is not None:
             set_text(legend, _legend(scene.scale, scene.show_track()))
-        _draw(curves, [one.view for one in console.history])
+        _draw(curves, list(console.history))
 
     ui.timer(TICK_S, tick)
     ui.timer(SLOW_S, slow)
