@@ -79,13 +79,17 @@ def mirror_set(seed: int, size: int | None = None) -> Dataset:
             "-o rig-of-lights.yaml",
             "armsight measure --rig rig.yaml --target target.yaml --image lights --stills -o run",
         ),
-        assumptions=(
-            f"lens: {LENS.width}x{LENS.height}, focal lengths {LENS.focal_px} px, distortion {LENS.distortion}",
-            f"mirrors: baseline {MIRRORS.baseline_m} m, plate {MIRRORS.plate_m} m of index {MIRRORS.index}, turned by "
-            f"{MIRRORS.tilts_rad} rad",
-            f"board: {board}, random places 0.42 to 0.75 m away, tilted up to 35 deg, whole in both views",
-            "lit target: an isosceles triangle of 60 mm, 0.5 to 0.7 m away, tilted up to 20 deg",
-        ),
+        assumptions=_assumptions(board),
+    )
+
+
+def _assumptions(board: str) -> tuple[str, ...]:
+    return (
+        f"lens: {LENS.width}x{LENS.height}, focal lengths {LENS.focal_px} px, distortion {LENS.distortion}",
+        f"mirrors: baseline {MIRRORS.baseline_m} m, plate {MIRRORS.plate_m} m of index {MIRRORS.index}, turned by "
+        f"{MIRRORS.tilts_rad} rad",
+        f"board: {board}, random places 0.42 to 0.75 m away, tilted up to 35 deg, whole in both views",
+        "lit target: an isosceles triangle of 60 mm, 0.5 to 0.7 m away, tilted up to 20 deg",
     )
 
 
