@@ -9,7 +9,7 @@ demo: install
 	$(BIN)/armsight demo -o demo
 
 test: install
-	$(BIN)/pytest -n 2
+	$(BIN)/pytest -n 2 --dist worksteal
 
 check: install
 	$(BIN)/ruff format --check src tests benchmarks tools examples
