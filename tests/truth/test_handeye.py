@@ -241,7 +241,7 @@ def streams(seed: int, offset_s: float) -> tuple[np.ndarray, RigidTransform, np.
     return t_robot, robot, t_camera, shaken(rng, seen(t_camera + offset_s), 0.1 * MM, 0.05 * DEG)
 
 
-@pytest.mark.parametrize("offset_s", [-0.21, 0.0, 0.137])
+@pytest.mark.parametrize("offset_s", [-0.21, 0.0, 0.137, -11.3])
 def test_the_clocks_offset_is_found_and_its_doubt_true(offset_s: float) -> None:
     t_robot, robot, t_camera, camera = streams(12, offset_s)
     found = time_offset(t_robot, robot.rotation, t_camera, camera.rotation)
@@ -249,6 +249,27 @@ def test_the_clocks_offset_is_found_and_its_doubt_true(offset_s: float) -> None:
     given, _ = pairs_of_streams(t_robot, robot, t_camera, camera)
     result = calibrate_eye_in_hand(given)
     assert np.abs(off(result)[:3]).max() < 1 * MM
+
+
+def test_clocks_with_another_zero_are_laid_on_each_other() -> None:
+    t_robot, robot, t_camera, camera = streams(12, 0.137)
+    for zero_s in (25.0, -1.7e9):  # of which 12 s in common, and of a clock that counts from 1970
+        late = np.flatnonzero(t_camera > (7.0 if zero_s > 0.0 else 0.0))
+        found = time_offset(t_robot, robot.rotation, t_camera[late] - zero_s, camera.rotation[late])
+        assert abs(found.offset_s - 0.137 - zero_s) < max(5 * found.std_s, 1e-6) < 1e-3
+    with pytest.raises(Inconsistent, match=r"within 2 s.*larger offset"):
+        time_offset(t_robot, robot.rotation, t_camera - 25.0, camera.rotation, within_s=2.0)
+
+
+def test_a_motion_that_is_done_twice_leaves_the_offset_open_unless_the_clocks_are_known() -> None:
+    t_robot, robot, t_camera, camera = streams(12, 0.137)
+    once = np.arange(0.0, 20.0, 0.02)
+    again = np.concatenate([np.interp(once, t_robot, np.arange(len(t_robot))).astype(int)] * 2)
+    t_twice, twice = np.arange(0.0, 40.0, 0.02), robot.rotation[again]
+    with pytest.raises(Ambiguous, match="clocks-within"):
+        time_offset(t_twice, twice, t_camera, camera.rotation)
+    found = time_offset(t_twice, twice, t_camera, camera.rotation, within_s=5.0)
+    assert abs(found.offset_s - 0.137) < 0.02
 
 
 def test_streams_that_say_nothing_of_time_are_refused() -> None:

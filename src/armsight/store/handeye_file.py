@@ -87,7 +87,10 @@ class TipModel(Origin):
     point_m: Vector3 | None = None
     covariance: CovarianceModel | None = None
     residual_rms_m: Finite | None = None
+    loo_rms_m: Finite | None = None
     n_used: int | None = None
+    n_effective: Finite | None = None
+    correlation_time_s: Finite | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -272,6 +275,11 @@ def write_tip(path: Path, result: TipCalibration, *, inputs: Sequence[Path] = ()
         "residual_rms_m": result.residual_rms_m,
         "n_used": result.n_used,
     }
+    if result.loo_rms_m is not None:
+        content["loo_rms_m"] = result.loo_rms_m
+    if result.correlation is not None:
+        content["n_effective"] = result.correlation.n_effective
+        content["correlation_time_s"] = result.correlation.time_s
     write_document(path, TIP_FORMAT, content, inputs)
 
 

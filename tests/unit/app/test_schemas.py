@@ -45,7 +45,8 @@ HANDEYE_MAYBE = (
     "T_flange_camera T_base_target T_base_camera T_flange_target target_scale reprojection_rms_px time_offset_s "
     "time_offset_std_s proposals n_effective correlation_time_s crossval camera_file"
 )
-TIP = "tip_m point_m std residual_rms_m n_used rejected turning_rms_rad"
+TIP = "tip_m point_m std residual_rms_m n_used rejected turning_rms_rad notes"
+TIP_MAYBE = "mean_tip_m loo_rms_m n_effective correlation_time_s"
 ARM = (
     "n before after crossval free fixed std corrections condition outliers still couplings at_limit notes "
     "noise model verdict gain other_arm urdf"
@@ -137,8 +138,8 @@ KEYS: dict[type[Output], tuple[str, str]] = {
     PoseOutput: ("xyz_m quat_xyzw", ""),
     PointStd: (PLACE, ""),
     PoseStd: (f"{PLACE} {TURN}", ""),
-    OUTPUTS["calibrate-tooltip"]: (TIP, "mean_tip_m"),
-    OUTPUTS["calibrate-pivot"]: (f"{TIP} goal_m reached", "mean_tip_m"),
+    OUTPUTS["calibrate-tooltip"]: (TIP, TIP_MAYBE),
+    OUTPUTS["calibrate-pivot"]: (f"{TIP} goal_m reached", TIP_MAYBE),
     OUTPUTS["calibrate-arm"]: (ARM, "holdout proposals expected_std"),
     arm.ToolErrors: ("mean_m rms_m max_m", ""),
     arm.BeforeAfter: ("before after", ""),

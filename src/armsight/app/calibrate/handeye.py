@@ -65,6 +65,7 @@ from armsight.store.schema import pose_mapping
 class HandEyeJob:
     """One of: pairs; images with camera, board and robot; robot_stream with camera_stream (poses.csv files).
 
+    clocks_within_s: by how much the streams' clocks differ at most; None: any offset is looked for.
     free_camera: fit the intrinsics along with images. propose: how many further poses to propose. bits: of the
     light in 16-bit images. strict: an image that cannot be read stops the run.
     """
@@ -78,6 +79,7 @@ class HandEyeJob:
     robot: Path | None = None
     robot_stream: Path | None = None
     camera_stream: Path | None = None
+    clocks_within_s: float | None = None
     free_camera: bool = False
     propose: int = 0
     workers: int | None = None
@@ -236,7 +238,8 @@ def calibrate_tip(
 ) -> TipOutput:
     """Find the tip from a poses.csv, write tip.yaml; return the figures as --json gives them.
 
-    point (3,) in m, sigma_m: where it rests, if measured, and how well. Raises DataRefused.
+    point (3,) in m, sigma_m: where it rests, if measured, and how well. Poses with times are taken as of one recording,
+    whose errors may drift. Raises DataRefused.
     """
     found = read_poses(poses, parent="world", format_=format_, timed=False)
     read = [pose for pose in found if pose.status is PoseStatus.OK]
@@ -245,23 +248,28 @@ def calibrate_tip(
             f"{poses}: no pose of status ok", consequence="No tip is given", cure="Record the target again"
         )
     measured = None if point is None else MeasuredPoint(xyz_m=np.asarray(point, float), sigma_m=sigma_m)
-    result = calibrate_tooltip([p.pose for p in read if p.pose is not None], _covariances(read), measured)
+    chosen = [p.pose for p in read if p.pose is not None]
+    result = calibrate_tooltip(chosen, _covariances(read), measured, _times(found, read))
     write_tip(out, result, inputs=[poses])
     return tip_output(result)
 
 
 def tip_output(result: TipCalibration) -> TipOutput:
     """Return a tool-tip calibration as --json gives it."""
-    paper = result.paper_tip_m
+    paper, drift = result.paper_tip_m, result.correlation
     return TipOutput(
         tip_m=result.tip_m.tolist(),
         point_m=result.point_m.tolist(),
         std=PointStd(**result.std()),
         residual_rms_m=result.residual_rms_m,
+        loo_rms_m=result.loo_rms_m,
         n_used=result.n_used,
+        n_effective=None if drift is None else drift.n_effective,
+        correlation_time_s=None if drift is None else drift.time_s,
         rejected=[RejectedRow(row=row + 1, why=why) for row, why in result.rejected],
         turning_rms_rad=result.turn_rms_rad.tolist(),
         mean_tip_m=None if paper is None else paper.tolist(),
+        notes=list(result.notes),
     )
 
 
@@ -355,8 +363,16 @@ def _from_streams(job: HandEyeJob) -> _Solved:
             raise NotEnoughData(f"{path}: fewer than two poses of status ok", cure="Record the streams again")
         times.append(np.array([p.t_s for p in read]))
         poses.append(RigidTransform.from_matrix(np.stack([p.pose.as_matrix() for p in read if p.pose is not None])))
-    pairs, offset = pairs_of_streams(times[0], poses[0], times[1], poses[1])
+    pairs, offset = pairs_of_streams(times[0], poses[0], times[1], poses[1], within_s=job.clocks_within_s)
     return _Solved(result=_solve(pairs, job.setup), inputs=[job.robot_stream, job.camera_stream], offset=offset)
+
+
+def _times(found: Sequence[TargetPose], used: Sequence[TargetPose]) -> np.ndarray | None:
+    """Return the times (n,) of the poses used; None where the file has none: all alike, or its rows only counted."""
+    t_s = np.array([pose.t_s for pose in found])
+    if not np.ptp(t_s) > 0.0 or (t_s == np.arange(len(t_s))).all():
+        return None
+    return np.array([pose.t_s for pose in used])
 
 
 def _covariances(poses: Sequence[TargetPose]) -> np.ndarray | None:

@@ -126,12 +126,24 @@ class TipOutput(Output):
     point_m: Vector = Field(description="The point on which it rested, in the poses' parent frame, m.")
     std: PointStd = Field(description="Standard deviations of the tip.")
     residual_rms_m: float = Field(description="Distance of the tip from the point, RMS over the used poses, m.")
+    loo_rms_m: float | None = Field(
+        None,
+        exclude_if=absent,
+        description="The same by the tip of the other poses, RMS, m; with times: of those further away in time.",
+    )
     n_used: int = Field(description="Poses that the result rests on.")
+    n_effective: float | None = Field(
+        None, exclude_if=absent, description="Independent poses that they are worth; of poses with times only."
+    )
+    correlation_time_s: float | None = Field(
+        None, exclude_if=absent, description="After which a drift of the errors is forgotten, s; with times only."
+    )
     rejected: list[RejectedRow] = Field(description="Poses left out.")
     turning_rms_rad: Vector = Field(description="Turns of the tool about its principal axes, falling, RMS, rad.")
     mean_tip_m: Vector | None = Field(
         None, exclude_if=absent, description="The mean of Pachidis eq. (13), m; where the point was measured."
     )
+    notes: list[str] = Field(description="What to know of the result, and to do.")
 
 
 class PivotOutput(TipOutput):
