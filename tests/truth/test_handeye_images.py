@@ -120,7 +120,6 @@ def test_the_command_says_what_is_kept_with_both_numbers(tmp_path: Path) -> None
     (photos / "robot_poses.csv").rename(tmp_path / "robot_poses.csv")
     write_camera(tmp_path / "camera.yaml", CAMERA)
     out = tmp_path / "handeye.yaml"
-    (tmp_path / "handeye.camera.yaml").write_text("of an earlier run")
     words = ["calibrate", "handeye", "--images", photos, "--camera", tmp_path / "camera.yaml", "--workers", 1]
     words += ["--board", "checkerboard:9x6:0.025", "--robot", tmp_path / "robot_poses.csv", "--free-camera", "-o", out]
     done = CliRunner().invoke(app, [*map(str, words), "--json"])
@@ -132,5 +131,11 @@ def test_the_command_says_what_is_kept_with_both_numbers(tmp_path: Path) -> None
         assert 0.0 < crossval[name]["position_m"] < 0.01
         assert 0.0 < crossval[name]["reprojection_px"] < 5.0
     assert not (tmp_path / "handeye.camera.yaml").exists()
+    over = [str(word).replace("handeye.yaml", "camera.yaml") for word in words]
+    (tmp_path / "camera.camera.yaml").write_bytes((tmp_path / "camera.yaml").read_bytes())
+    over[over.index(str(tmp_path / "camera.yaml"))] = str(tmp_path / "camera.camera.yaml")
+    refused = CliRunner().invoke(app, over)
+    assert refused.exit_code == 2
+    assert "would be written over" in refused.stderr
     assert "kept: poses" in out.read_text() and "corners and camera:" in out.read_text()
     assert "From poses or from corners" in (tmp_path / "handeye.report.html").read_text(encoding="utf-8")

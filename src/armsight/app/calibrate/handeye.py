@@ -50,7 +50,6 @@ from armsight.records import BoardView, NotSeen, PoseStatus, Progress, Silent, T
 from armsight.report.handeye_report import handeye_report
 from armsight.report.run import BoardViews
 from armsight.store import parse_board, read_camera, read_poses, write_camera, write_text
-from armsight.store.atomic import disk_errors
 from armsight.store.handeye_file import (
     named_poses,
     read_pairs,
@@ -114,11 +113,12 @@ def calibrate_handeye(job: HandEyeJob, progress: Progress | None = None) -> Hand
     if job.pairs is not None:
         solved = _Solved(result=_solve(read_pairs(job.pairs, _of_setup(job)), job.setup), inputs=[job.pairs])
     elif job.images:
+        _check_names(job)
         solved = _from_images(job, progress)
     else:
         solved = _from_streams(job)
     proposed = propose(solved.result, job.propose) if job.propose else None
-    camera_file = _write_camera(job.out.with_suffix(".camera.yaml"), solved)
+    camera_file = _write_camera(freed_camera_path(job.out), solved)
     write_handeye(job.out, solved.result, verdict(solved.result), inputs=solved.inputs)
     files = [("file", item.name) for item in solved.inputs[:20]]
     write_text(report_path(job.out), handeye_report(solved.result, inputs=files, boards=solved.boards))
@@ -126,14 +126,14 @@ def calibrate_handeye(job: HandEyeJob, progress: Progress | None = None) -> Hand
     return output.model_copy(update={"camera_file": camera_file})
 
 
-def _write_camera(path: Path, solved: _Solved) -> str | None:
-    """Write the camera that was freed and kept, beside the result that belongs to it; return its path.
+def freed_camera_path(out: Path) -> Path:
+    """Return where the freed camera goes beside a handeye.yaml."""
+    return out.with_suffix(".camera.yaml")
 
-    An earlier run's goes where there is none: it does not belong to the handeye.yaml beside it.
-    """
+
+def _write_camera(path: Path, solved: _Solved) -> str | None:
+    """Write the camera that was freed and kept, beside the result that belongs to it; return its path."""
     if solved.freed is None:
-        with disk_errors(path):
-            path.unlink(missing_ok=True)
         return None
     write_camera(path, solved.freed, rms_px=solved.result.reprojection_rms_px, inputs=solved.inputs)
     return str(path)
@@ -297,6 +297,17 @@ def _require_named(images: set[str], robot: Mapping[str, RigidTransform], file: 
             f"none of the images is named in {file}, which begins with {next(iter(robot), 'nothing')!r}",
             consequence="No image has a robot pose",
             cure="Write the images' file names into the column file",
+        )
+
+
+def _check_names(job: HandEyeJob) -> None:
+    """Raise UsageError where the freed camera would be written over a file that is to be read."""
+    freed = freed_camera_path(job.out)
+    if job.free_camera and freed.resolve() in {path.resolve() for path in (job.camera, job.robot) if path is not None}:
+        raise UsageError(
+            f"{freed} is to be read, and the freed camera would be written over it",
+            consequence="Nothing is written",
+            cure="Give another name with -o",
         )
 
 
