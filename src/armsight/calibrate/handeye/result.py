@@ -10,7 +10,6 @@ from scipy.spatial.transform import RigidTransform
 from scipy.stats import t as student
 
 from armsight.calibrate.correlation import Correlation
-from armsight.calibrate.handeye.correlation import Correlation
 from armsight.calibrate.handeye.image_comparison import ImageComparison
 from armsight.calibrate.handeye.noise import Noise
 from armsight.calibrate.handeye.pairs import Array, PosePairs, Setup
