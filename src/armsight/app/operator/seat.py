@@ -125,8 +125,8 @@ class Seat:
         """Take a browser's sign of life; enable: whether its deadman's button is held, push: its jog key.
 
         seen_s: t_s of the newest state that it had; an enable that is older than FRESH_S lay in a buffer, and does not
-        count until it was let go of. Raises DeviceFailed with who drives where another does, UsageError for whom may
-        only watch, DeviceLost.
+        count until it was let go of. Raises DeviceFailed with who drives where another does, and at every beat of an
+        enable that does not count; UsageError for whom may only watch, DeviceLost.
         """
         if browser != self._browser or self._desk.driver is not self._lease:
             if not enable:
@@ -147,6 +147,8 @@ class Seat:
         if stale and enable:
             raise DeviceFailed("the connection is slow", consequence="The robot is held", cure=LET_GO)
         self._follow(push if self._held else None)
+        if self._again:  # said at every beat: who holds on has to know why nothing moves
+            raise DeviceFailed("the enable was held on", consequence="The robot is held", cure=LET_GO)
 
     @alone
     def look(self) -> None:

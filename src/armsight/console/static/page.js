@@ -1,5 +1,9 @@
-// What every page needs beside NiceGUI: the page's language, and files brought into the cell's folder.
+// What every page needs beside NiceGUI: the page's language, a connection that is gone, and files brought into the cell's folder.
 (() => {
+  // Without its connection the page keeps what it showed last: nothing of it may look like now.
+  setInterval(() => {
+    if (window.socket) document.documentElement.toggleAttribute("data-offline", !window.socket.connected);
+  }, 250);
   document.addEventListener("DOMContentLoaded", () => (document.documentElement.lang = "en"));
   document.addEventListener("change", async (event) => {
     const chooser = event.target;
