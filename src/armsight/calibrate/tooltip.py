@@ -14,10 +14,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
-from scipy.stats import f as fisher
-from scipy.stats import t as student
 
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
+from armsight.fitting.quantiles import f_isf, t_ppf
 from armsight.records import NamedCovariance, frozen_array
 from armsight.units import DEG, MM
 
@@ -124,7 +123,7 @@ def calibrate_tooltip(
     for _ in range(TIP_ROUNDS):
         x, cov, e, V, scale2, dof = _fit(R, t, C, keep, point)
         q = _distance(R, e, V, cov, keep, scale2)
-        limit = 3.0 * float(fisher.isf(FALSE_ALARM / n, 3, dof))
+        limit = 3.0 * float(f_isf(FALSE_ALARM / n, 3, dof))
         fitting = q <= limit
         if (fitting == keep).all():
             break
@@ -134,7 +133,7 @@ def calibrate_tooltip(
     turn = _turns(R[keep])
     _require_turning(turn)
     _require_point(e[keep], t[keep], n)
-    widen = (float(student.ppf(0.975, dof)) / NORMAL_95) ** 2
+    widen = (float(t_ppf(0.975, dof)) / NORMAL_95) ** 2
     return TipCalibration(
         tip_m=x[:3],
         point_m=x[3:],
