@@ -14,12 +14,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
-from scipy.stats import f as fisher
-from scipy.stats import t as student
 
 from armsight.calibrate.correlation import Correlation
 from armsight.calibrate.tooltip_stream import PivotStream, checked_times
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
+from armsight.fitting.quantiles import f_isf, t_ppf
 from armsight.records import NamedCovariance, frozen_array
 from armsight.units import DEG, MM
 
@@ -151,7 +150,7 @@ def calibrate_tooltip(
     _require_turning(turn)
     _require_point(e[keep], t[keep], len(R))
     left, correlation = _left_out(R, e, V * scale2, cov, keep), None
-    cov = cov * (float(student.ppf(0.975, dof)) / NORMAL_95) ** 2
+    cov = cov * (float(t_ppf(0.975, dof)) / NORMAL_95) ** 2
     if times is not None:
         stream = PivotStream(R=R, t=t, V=V, t_s=times, prior=None if point is None else point.information())
         found = stream.fit(x, keep, _turned(R, keep))
@@ -187,7 +186,7 @@ def _agreed(R: Array, t: Array, C: Array | None, point: MeasuredPoint | None) ->
         fit = _fit(R, t, C, keep, point)
         _, cov, e, V, scale2, dof = fit
         q = _distance(R, e, V, cov, keep, scale2)
-        limit = 3.0 * float(fisher.isf(FALSE_ALARM / n, 3, dof))
+        limit = 3.0 * float(f_isf(FALSE_ALARM / n, 3, dof))
         fitting = q <= limit
         if (fitting == keep).all():
             break

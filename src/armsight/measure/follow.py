@@ -9,8 +9,8 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
+from armsight.fitting.quantiles import chi2_isf
 from armsight.measure.begin import AnyFrame, Beginner, Beginning
 from armsight.measure.motion.estimate import MAX_GAP_S, MotionFilter, Start
 from armsight.measure.motion.kernels import state as kernels
@@ -261,7 +261,7 @@ def _plausible(expected: Expected, light: NDArray[np.intp], uv: Array, cov: Arra
 
 @cache
 def _most_chi2(dof: int) -> float:
-    return float(chi2.isf(VIEW_CHANCE, dof))
+    return float(chi2_isf(VIEW_CHANCE, dof))
 
 
 def _firm(views: Sequence[View]) -> bool:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import savgol_coeffs, savgol_filter
+from scipy.ndimage import correlate1d
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.geometry import euler_rad
@@ -177,6 +177,9 @@ def ranges(frames: Sequence[int], limit: int = 8) -> str:
 NEIGHBOURS = 11
 """Frames in a row through which the smooth track goes: a third of a second of ordinary cameras."""
 
+PARABOLA = np.linalg.pinv(np.vander(np.arange(NEIGHBOURS) - NEIGHBOURS // 2, 3))[2]
+"""Weights of the frames in the middle value of the parabola through them."""
+
 AT_REST = 6.0
 """Range of the smoothed values over the claimed standard deviation, up to which nothing moved."""
 
@@ -202,7 +205,7 @@ def scatter_of(series: Series) -> Scatter | None:
     half = NEIGHBOURS // 2
     for start, stop in runs(np.asarray(np.isfinite(full).all(axis=1))):
         if stop - start >= NEIGHBOURS:
-            inside = savgol_filter(full[start:stop], NEIGHBOURS, 2, axis=0)
+            inside = correlate1d(full[start:stop], PARABOLA, axis=0)
             smooth[start + half : stop - half] = inside[half:-half]
     known = np.isfinite(smooth[:, 0])
     if not known.any():
@@ -210,5 +213,5 @@ def scatter_of(series: Series) -> Scatter | None:
     typical = np.nanmedian(std[known], axis=0)
     if (np.ptp(smooth[known], axis=0) <= AT_REST * typical).all():
         return Scatter(values=full - np.nanmean(full, axis=0), resting=True)
-    weight = float(savgol_coeffs(NEIGHBOURS, 2)[half])
+    weight = float(PARABOLA[half])
     return Scatter(values=(full - smooth) / np.sqrt(1.0 - weight), resting=False)

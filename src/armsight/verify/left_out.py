@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
-from scipy.stats import t as student
+
+from armsight.fitting.quantiles import chi2_sf, t_sf
 
 Array = NDArray[np.float64]
 
@@ -118,7 +118,7 @@ def falls(poorer: Fitted, richer: Fitted) -> float:
     spread = float(fall.std(ddof=1)) / np.sqrt(len(fall))
     if not spread > 0.0:
         return 0.0 if fall.sum() > 0.0 else 1.0
-    return float(student.sf(fall.mean() / spread, len(fall) - 1))
+    return float(t_sf(fall.mean() / spread, len(fall) - 1))
 
 
 def by_chance(problem: Linear, poorer: Fitted, richer: Fitted) -> float:
@@ -134,4 +134,4 @@ def by_chance(problem: Linear, poorer: Fitted, richer: Fitted) -> float:
         return 0.0 if poorer.squares > 0.0 else 1.0
     worth = max(freedom / problem.inflation, 4.0)
     ratio = worth * np.log(max(poorer.squares, 1e-300) / max(richer.squares, 1e-300))
-    return float(chi2.sf(ratio, k))
+    return float(chi2_sf(ratio, k))

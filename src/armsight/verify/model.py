@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
-from scipy.stats import chi2
 
 from armsight.fitting import Evaluation, Fit, Loss, LossKind, Problem, Settings, solve
+from armsight.fitting.quantiles import chi2_ppf
 from armsight.geometry.lie import skew
 from armsight.verify.records import Measured
 
@@ -20,7 +20,7 @@ Expected = Callable[[Array], tuple[Array, Array]]
 axes."""
 
 POSE = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
-MEDIAN_3 = float(chi2.median(3))
+MEDIAN_3 = float(chi2_ppf(0.5, 3))
 """Median of a squared length of three unit normals: the noise comes from the median, which gross errors leave alone."""
 LEAST_SIGMA = 1e-9
 """Noise (m, rad) of data without any; a test's, never a measurement's."""
@@ -192,7 +192,7 @@ def fit_model(model: Model, guess: Array, free: Collection[str]) -> ModelFit:
     Parameters that the data leave open stay where they are and are named in the fit. Raises NotConverged.
     """
     rows = model.rows
-    loss = Loss(kind=LossKind.HUBER, scale=float(np.sqrt(chi2.ppf(0.99, rows))), block=rows)
+    loss = Loss(kind=LossKind.HUBER, scale=float(np.sqrt(chi2_ppf(0.99, rows))), block=rows)
     measurement = measurement_std(model.measured)
     residual, _ = model.linearised(guess)
     noise = Noise(measurement=measurement, extra=extra_noise(residual, measurement, 0))

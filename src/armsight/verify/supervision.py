@@ -12,9 +12,9 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
-from scipy.stats import chi2
 
 from armsight.errors import UsageError
+from armsight.fitting.quantiles import chi2_ppf
 from armsight.geometry.lie import skew
 from armsight.kinematics import Arm, fk_jacobian, parameter_jacobian, parameter_names
 from armsight.records import PoseStatus, TargetPose
@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 FALSE_ALARM = 1e-9
 """Probability that noise alone lifts one decision over a level: at 60 a second one in half a year."""
-BEYOND = float(np.sqrt(chi2.ppf(1.0 - FALSE_ALARM, 3)))
+BEYOND = float(np.sqrt(chi2_ppf(1.0 - FALSE_ALARM, 3)))
 """... in standard deviations of a vector's length."""
 WINDOW = 10
 """Poses in a row that are judged together as well: their mean shows errors that noise hides in one."""

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import argrelmin
 
 from armsight.errors import Ambiguous, ArmsightError, Degenerate, Inconsistent, NotConverged, NotEnoughData
 from armsight.verify.alignment import SENSELESS, STARTS_M, Align, closed_form, free_names
@@ -102,6 +101,8 @@ def _lags(t_arm: Array, t_s: Array) -> Array:
 
 def _candidates(stream: Stream, measured: Measured, t_s: Array, nominal: Mounts, lags: Array) -> Array:
     """Return the lags worth a fit: the best minima of the misfit for several tools, and of turns alone."""
+    from scipy.signal import argrelmin  # imported here: it takes longer than most commands need to begin
+
     first = measured.labels[0]
     mine = np.array([point == first for point in measured.point])
     xyz, t = measured.xyz_m[mine], t_s[mine]

@@ -4,13 +4,14 @@ import json
 
 import numpy as np
 import pytest
+from scipy.signal import savgol_coeffs
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.records import PoseStatus, TargetPose
 from armsight.report.boards import chosen_views
 from armsight.report.figures import MAX_PLOTTED, band, json_text, spread, thinned
 from armsight.report.html import figure_of, with_deviation
-from armsight.report.series import Series, scatter_of, series_of
+from armsight.report.series import NEIGHBOURS, PARABOLA, Series, scatter_of, series_of
 
 STD = np.array([2e-5, 2e-5, 1e-4, 3e-4, 2e-4, 1e-4])
 
@@ -137,3 +138,7 @@ def test_boards_shown_are_the_worst_the_best_and_some_between():
     assert len(set(chosen)) == 12
     assert chosen[:4] == order[:4] and chosen[-4:] == order[-4:]
     assert chosen_views([0.2, 0.3], 12) == [1, 0]
+
+
+def test_the_parabola_is_savitzkys_and_golays():
+    np.testing.assert_allclose(PARABOLA, savgol_coeffs(NEIGHBOURS, 2), atol=1e-12)

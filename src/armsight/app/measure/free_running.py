@@ -8,12 +8,12 @@ from heapq import merge
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2 as chi2_distribution
 
 from armsight.app.measure.streams import Stream, timing_of
 from armsight.app.schemas.measure import FreeRunning
 from armsight.app.schemas.timing import BothCounts, BothSeconds
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
+from armsight.fitting.quantiles import chi2_isf
 from armsight.measure.begin import AnyFrame
 from armsight.measure.follow import MAX_WITHOUT_WHOLE_S, Follower
 from armsight.measure.motion.estimate import Start, smooth
@@ -299,7 +299,7 @@ def _figures(
     change, std_s, mid_s = np.zeros(4), None, 0.0
     if timing is not None:
         change, std_s, mid_s = timing.change, float(np.sqrt(timing.covariance[0, 0])), timing.prior.mid_s
-        if note is None and timing.surprise > chi2_distribution.isf(TIMING_CHANCE, len(change)):
+        if note is None and timing.surprise > chi2_isf(TIMING_CHANCE, len(change)):
             note = f"{OTHER_TIMING} by {change[0] / MS:+.2f} ms"
     return FreeRunning(
         delay_s=float(right.delay_s + change[0] - PPM * change[1] * mid_s),

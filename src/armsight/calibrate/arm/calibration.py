@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from armsight.calibrate.arm.cross_validation import LeftOut, cross_validate
 from armsight.calibrate.arm.fit import ArmFit, Tolerance
@@ -29,12 +28,13 @@ from armsight.calibrate.arm.plausibility import check_fit, exceeded
 from armsight.calibrate.arm.points import ArmPoints, check_points
 from armsight.calibrate.arm.tool_points import tool_points
 from armsight.errors import Inconsistent, NotConverged
+from armsight.fitting.quantiles import chi2_ppf
 from armsight.kinematics import Arm
 from armsight.records import NamedCovariance
 
 Array = NDArray[np.float64]
 
-GROSS = float(np.sqrt(chi2.ppf(0.99999, 3)))
+GROSS = float(np.sqrt(chi2_ppf(0.99999, 3)))
 """Errors of place beyond so many standard deviations are gross."""
 CONFIRMED = 1.0
 """Standard errors by which errors must fall in nested folds too, after the kind of model was taken by two of them: the

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.points import ArmPoints
 from armsight.fitting import Fit, Loss, LossKind, Prior, Problem, Settings, solve
+from armsight.fitting.quantiles import chi2_ppf
 
 Array = NDArray[np.float64]
 
-MEDIAN_3 = float(chi2.median(3))
+MEDIAN_3 = float(chi2_ppf(0.5, 3))
 """Median of a squared length of three unit normals: the noise comes from the median, which gross errors leave alone."""
 FIT_ROUNDS = 4
 """Fits with the noise of the one before; the ratio of the two noises settles in two or three."""
@@ -73,7 +73,7 @@ def fit_arm(
     fixed = frozenset(model.names) - set(free) - set(mounts)
     priors = {name: Prior(mean=0.0, sigma=tolerance.of(name)) for name in free}
     rows = 6 if points.rotation is not None else 3
-    loss = Loss(kind=LossKind.HUBER, scale=float(np.sqrt(chi2.ppf(0.99, rows))), block=rows)
+    loss = Loss(kind=LossKind.HUBER, scale=float(np.sqrt(chi2_ppf(0.99, rows))), block=rows)
     sigma = noise or estimate_noise(model, guess, points, len(free) + len(mounts))
     p = guess
     for _ in range(1 if noise else FIT_ROUNDS):

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
-from scipy.stats import chi2
 
 from armsight.calibrate.arm.fit import MEDIAN_3
 from armsight.calibrate.arm.initial_guess import placed
@@ -16,13 +15,14 @@ from armsight.calibrate.arm.plausibility import MOST_SHARE, ranges, senseless, s
 from armsight.calibrate.arm.points import ArmPoints, check_points
 from armsight.errors import Ambiguous, Degenerate, Inconsistent, NotEnoughData
 from armsight.fitting import Evaluation, Loss, LossKind, Problem, Settings, solve
+from armsight.fitting.quantiles import chi2_ppf
 from armsight.kinematics import Arm, fk
 from armsight.records import NamedCovariance
 
 Array = NDArray[np.float64]
 
 NAMES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
-GROSS = float(np.sqrt(chi2.ppf(1.0 - 1e-7, 3)))
+GROSS = float(np.sqrt(chi2_ppf(1.0 - 1e-7, 3)))
 """Errors beyond so many standard deviations are gross, and left out."""
 WORLD_FIT_TRIES = 300
 """Draws of three positions: with half of the rows wrong, one draw in eight is without a wrong one."""

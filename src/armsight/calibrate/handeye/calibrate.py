@@ -7,8 +7,6 @@ from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import f as fisher
-from scipy.stats import t as student
 
 from armsight.calibrate.handeye.advice import advise
 from armsight.calibrate.handeye.consensus import LEAST_SHARE, Consensus, check_reading, consensus
@@ -19,6 +17,7 @@ from armsight.calibrate.handeye.result import NAMES, HandEye, Scale
 from armsight.calibrate.handeye.rotation_excitation import require_metres, require_turning, rotation_excitation
 from armsight.calibrate.handeye.solution import Solution, residuals, solve_pairs, uncertainty
 from armsight.errors import DataRefused, Inconsistent
+from armsight.fitting.quantiles import f_isf, t_sf
 from armsight.records import NamedCovariance
 from armsight.units import DEG, MM
 
@@ -190,7 +189,7 @@ def _whole(arrays: Arrays, setup: Setup, given: Consensus) -> tuple[Solution, Ar
 def _limit(solution: Solution) -> float:
     """Return the T-square that a good pair exceeds by chance in FALSE_ALARM of all sets of this size."""
     dof = max(3 * solution.n_used - 6, 3)
-    return 6.0 * float(fisher.isf(FALSE_ALARM / len(solution.keep), 6, dof))
+    return 6.0 * float(f_isf(FALSE_ALARM / len(solution.keep), 6, dof))
 
 
 def true_scale(solution: Solution) -> Scale | None:
@@ -209,7 +208,7 @@ def true_scale(solution: Solution) -> Scale | None:
     std = float(np.sqrt(free.C[12, 12]))
     if not (free.gamma > 0.0 and std < 0.2):
         return None
-    p = 2.0 * float(student.sf(abs(free.gamma - 1.0) / std, doubts.dof[12]))
+    p = 2.0 * float(t_sf(abs(free.gamma - 1.0) / std, doubts.dof[12]))
     return Scale(factor=1.0 / free.gamma, std=float(doubts.std[12]) / free.gamma**2, p=p)
 
 

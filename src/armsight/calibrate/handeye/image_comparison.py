@@ -8,7 +8,6 @@ from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import ttest_rel
 
 from armsight.units import DEG, MM
 
@@ -152,6 +151,8 @@ def compare(errors: Mapping[Basis, ImageErrors]) -> ImageComparison:
 
 def is_better(before: ImageErrors, after: ImageErrors, which: NDArray[np.bool_], *, proof: bool = True) -> bool:
     """Whether errors at the images left out (k,) fall, in m and in px; proof: by LEAST_FALL and beyond CHANCE."""
+    from scipy.stats import ttest_rel  # imported here: it takes longer than most commands need to begin
+
     if which.sum() < FEWEST_JUDGED or not after.judged[which].all():
         return False
     for old, new in ((before.points_m, after.points_m), (before.reprojection_px, after.reprojection_px)):

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
-from scipy.stats import t as student
 
 from armsight.calibrate.correlation import Correlation
 from armsight.calibrate.handeye.image_comparison import ImageComparison
 from armsight.calibrate.handeye.noise import Noise
 from armsight.calibrate.handeye.pairs import Array, PosePairs, Setup
 from armsight.calibrate.handeye.rotation_excitation import RotationExcitation
+from armsight.fitting.quantiles import t_ppf
 from armsight.records import NamedCovariance, frozen_array
 
 POSE_NAMES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
@@ -107,7 +107,7 @@ class HandEye:
     @property
     def coverage_factor(self) -> float:
         """Student's factor on the standard deviations for the noise being estimated."""
-        return float(student.ppf(0.975, self.dof) / student.ppf(0.975, np.inf))
+        return float(t_ppf(0.975, self.dof) / t_ppf(0.975, np.inf))
 
     def std(self, who: str = "camera") -> dict[str, float]:
         """Return the standard deviations of the 'camera' or the 'target' pose by name."""

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from scipy.stats import t as student
 
 from armsight.calibrate.handeye.kernels import closed_forms as starts
 from armsight.calibrate.handeye.kernels import fit as kernels
 from armsight.calibrate.handeye.kernels import noise as noise_kernels
 from armsight.calibrate.handeye.pairs import Array, Arrays, Setup
 from armsight.errors import NotConverged
+from armsight.fitting.quantiles import t_ppf
 from armsight.geometry.kernels import rotvec_of
 
 FLOOR = np.array([1e-22, 1e-22, 1e-24])
@@ -200,7 +200,7 @@ def uncertainty(solution: Solution) -> VarianceUncertainty:
     variance = np.diag(C)
     grown = variance + 2.0 * np.maximum(np.diag(C @ lost @ C), 0.0)
     dof = np.clip(2.0 * variance**2 / np.maximum(spread, 1e-300), 1.0, 1e6)
-    factor = student.ppf(0.975, dof) / NORMAL_95
+    factor = t_ppf(0.975, dof) / NORMAL_95
     return VarianceUncertainty(variance_covariance=covariance, dof=dof, std=np.sqrt(grown) * factor)
 
 

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize_scalar
-from scipy.signal import correlate
 from scipy.spatial.transform import Rotation, Slerp
 
 from armsight.errors import Ambiguous, Degenerate, Inconsistent, NotEnoughData
@@ -167,6 +166,8 @@ def _correlate(a: _Stream, b: _Stream) -> tuple[Array, Array]:
 
 def _sliding(x: Array, y: Array) -> Array:
     """Return the sums of x[k + s] y[k] for all shifts s from 1 - len(y) to len(x) - 1."""
+    from scipy.signal import correlate  # imported here: it takes longer than most commands need to begin
+
     return np.asarray(correlate(x, y, mode="full", method="fft"))
 
 

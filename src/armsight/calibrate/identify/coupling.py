@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import f as fisher
 
 from armsight.calibrate.identify.chain import ChainModel
 from armsight.calibrate.identify.residuals import SweepResiduals
+from armsight.fitting.quantiles import f_sf
 
 Array = NDArray[np.float64]
 
@@ -45,7 +45,7 @@ def suggest_coupling(kept: SweepResiduals, model: ChainModel, p: Array) -> list[
                 continue
             share = -float(own @ left) / size2
             rest = float(left @ left) - share**2 * size2
-            chance = float(fisher.sf(share**2 * size2 * dof / max(rest, 1e-300), 1, dof)) * n * n
+            chance = float(f_sf(share**2 * size2 * dof / max(rest, 1e-300), 1, dof)) * n * n
             found.append((rest, i, by, share, chance))
     if not found:
         return []

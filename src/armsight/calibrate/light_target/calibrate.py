@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2 as chi2_law
 
 from armsight.calibrate.light_target.adjustment import LightBundle, LightObservations, fit_bundle
 from armsight.calibrate.light_target.advice import advise
@@ -36,6 +35,7 @@ from armsight.calibrate.light_target.layout import (
 )
 from armsight.calibrate.light_target.naming import Named, find_shape
 from armsight.calibrate.light_target.result import TargetCalibration, distances_of
+from armsight.fitting.quantiles import chi2_isf, chi2_ppf
 from armsight.optics import Rig, triangulate
 from armsight.records import NamedCovariance
 from armsight.units import MM
@@ -192,8 +192,8 @@ def _fit(
             raise not_rigid(int(used.sum()), total, named, overlaid=labelled.overlaid)
         bundle = fit_bundle(rig, layout, seen.take(used), values, R[used], t[used])
         dof = 4 * n - (5 if layout.on_line else 6)
-        middle = max(float(np.median(bundle.frame_chi2)) / float(chi2_law.median(dof)), 1.0)
-        limit = middle * float(chi2_law.isf(FALSE_ALARM / total, dof))
+        middle = max(float(np.median(bundle.frame_chi2)) / float(chi2_ppf(0.5, dof)), 1.0)
+        limit = middle * float(chi2_isf(FALSE_ALARM / total, dof))
         worst = int(np.argmax(bundle.frame_chi2))
         if bundle.frame_chi2[worst] <= limit:
             break

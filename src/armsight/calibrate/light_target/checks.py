@@ -7,7 +7,6 @@ from itertools import permutations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2 as chi2_law
 
 from armsight.calibrate.light_target.adjustment import LightBundle
 from armsight.calibrate.light_target.align import align
@@ -15,6 +14,7 @@ from armsight.calibrate.light_target.layout import LETTERS, line_frame
 from armsight.calibrate.light_target.naming import BEHIND, WIDE, Named, distances, facing
 from armsight.calibrate.light_target.result import Distance
 from armsight.errors import Ambiguous, Degenerate, Inconsistent, NotEnoughData, UsageError
+from armsight.fitting.quantiles import chi2_isf
 from armsight.units import MM
 
 Array = NDArray[np.float64]
@@ -164,7 +164,7 @@ def require_rigid(bundle: LightBundle, epipolar: tuple[float, int], n: int, fram
         return
     noise = max(epipolar[0] / max(epipolar[1], 1), 1.0)
     rms = float(np.sqrt(np.mean(bundle.residual_px**2)))
-    limit = max(SHAPE_LOOSE**2, float(chi2_law.isf(FALSE_ALARM, dof)) / dof)
+    limit = max(SHAPE_LOOSE**2, float(chi2_isf(FALSE_ALARM, dof)) / dof)
     if chi2 / dof > limit * noise and rms > LOOSE_PX:
         raise Inconsistent(
             f"the lengths change more than noise: no one shape of {n} lights fits {frames} frames better than "

@@ -8,10 +8,10 @@ from itertools import permutations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2 as chi2_law
 
 from armsight.calibrate.light_target.align import align
 from armsight.calibrate.light_target.frames import Sight
+from armsight.fitting.quantiles import chi2_isf
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -99,7 +99,7 @@ def _orders(perms: Index) -> Index:
 def _best_hypothesis(sights: Sequence[Sight], perms: Index) -> tuple[Array, Array]:
     """Return the shape (n, 3) of one choice of one frame that most frames share, and its distances' variances."""
     order = _orders(perms)
-    gate = float(chi2_law.isf(NAMING_GATE, order.shape[1]))
+    gate = float(chi2_isf(NAMING_GATE, order.shape[1]))
     xyz, cov = (np.concatenate([getattr(s, name) for s in sights]) for name in ("xyz_m", "cov_m2"))
     first = np.cumsum([0] + [len(s.rows) for s in sights[:-1]])  # each frame's first choice
     D, V = distances(xyz)[:, order], _variances(xyz, cov)[:, order]  # (c, p, m)
@@ -150,7 +150,7 @@ def _near(
     sights: Sequence[Sight], d: Array, variances: Array, perms: Index
 ) -> tuple[list[tuple[int, int, int]], tuple[tuple[int, float], ...]]:
     """Return (sight, choice, naming) whose distances come near d (m,), and for sights without any by how much not."""
-    order, gate = _orders(perms), float(chi2_law.isf(NAMING_GATE, len(d)))
+    order, gate = _orders(perms), float(chi2_isf(NAMING_GATE, len(d)))
     tried: list[tuple[int, int, int]] = []
     misfit: list[tuple[int, float]] = []
     for s, sight in enumerate(sights):

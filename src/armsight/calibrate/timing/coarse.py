@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import argrelmin
 
 from armsight.errors import Ambiguous, Degenerate, Inconsistent, NotEnoughData
 from armsight.optics import SIDES, Rig
@@ -94,6 +93,8 @@ def _distances(t: Array, normal: Array, t_other: Array, d: Array, delays: Array)
 
 
 def _chosen(delays: Array, rms: Array) -> Coarse:
+    from scipy.signal import argrelmin  # imported here: it takes longer than most commands need to begin
+
     tried = np.isfinite(rms)
     if not tried.any():
         raise Inconsistent(

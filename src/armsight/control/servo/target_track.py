@@ -6,15 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import distributions
 
+from armsight.fitting.quantiles import chi2_isf
 from armsight.geometry.lie import skew
 from armsight.measure.motion.estimate import MotionFilter
 from armsight.optics import PackedRig, Rig
 
 Array = NDArray[np.float64]
 
-MOST_SURPRISE2 = float(distributions.chi2.isf(1e-6, 6))
+MOST_SURPRISE2 = float(chi2_isf(1e-6, 6))
 """Squared Mahalanobis distance from where even a knock would have put the target, beyond which it jumped."""
 UNKNOWN_TURN_RAD = 10.0
 """Standard deviation of a rotation of which nothing is known."""

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy.signal import correlate2d
 from scipy.spatial import cKDTree
 
 from armsight.measure.boards.dots import Dots
@@ -186,7 +186,7 @@ def placements(lattice: Lattice, dots: Dots, grid: Grid) -> list[Placed]:
         table[moved[:, 0], moved[:, 1]] = members
         margin = np.array(mask.shape) - 1
         table = np.pad(table, ((margin[0],) * 2, (margin[1],) * 2), constant_values=-1)
-        held = correlate2d((table >= 0).astype(np.int64), mask, mode="valid")
+        held = np.einsum("ijkl,kl->ij", sliding_window_view(table >= 0, mask.shape), mask)
         best = int(held.max())
         if best < PART * len(wanted):
             continue

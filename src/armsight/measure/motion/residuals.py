@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
-from scipy.stats import chi2 as chi2_distribution
 
+from armsight.fitting.quantiles import chi2_sf
 from armsight.measure.motion.estimate import Start
 from armsight.measure.motion.kernels.state import N
 from armsight.measure.motion.kernels.views import observe
@@ -44,7 +44,7 @@ class MotionResiduals:
         chi2 = np.bincount(self.view, self.chi2, n_views)
         dof = np.maximum(np.bincount(self.view, self.dof, n_views), LEAST_DOF)
         scale = max(float(np.median(chi2 / dof)), 1.0) if n_views else 1.0
-        return np.asarray(chi2_distribution.sf(chi2 / scale, dof) < VIEW_CHANCE)
+        return np.asarray(chi2_sf(chi2 / scale, dof) < VIEW_CHANCE)
 
     def of_views(self, chosen: NDArray[np.bool_]) -> MotionResiduals:
         """Return the residuals of the chosen views (n_views,)."""

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import distributions
 
+from armsight.fitting.quantiles import chi2_isf
 from armsight.measure.motion.estimate import MotionFilter
 from armsight.measure.poses.assignment import Prediction
 from armsight.measure.poses.kernels import pose as kernels
@@ -41,7 +41,7 @@ FIRST_WINDOW_PX = 32
 LEAST_WINDOW_PX = 8
 """Half the smallest window, beside the spot itself."""
 
-MOST_SURPRISE2 = float(distributions.chi2.isf(1e-6, 6))
+MOST_SURPRISE2 = float(chi2_isf(1e-6, 6))
 """Squared Mahalanobis distance of a pose from where the target's motion puts it, beyond which it is something
 else's."""
 

@@ -1,0 +1,52 @@
+"""Chances and quantiles of the chi-squared, F and Student distributions, as scipy.stats gives them.
+
+From scipy.special: to import scipy.stats takes longer than most commands need to begin. Arguments are numbers or
+arrays, whose shapes broadcast to that of what is returned; without degrees of freedom it is NaN.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import special
+
+Array = NDArray[np.float64]
+
+
+def chi2_sf(x: ArrayLike, dof: ArrayLike) -> Array:
+    """Return the chance of more than x."""
+    return _array(special.chdtrc(_array(dof), np.maximum(_array(x), 0.0)))
+
+
+def chi2_isf(chance: ArrayLike, dof: ArrayLike) -> Array:
+    """Return what is exceeded with this chance."""
+    return _array(np.where(_array(dof) > 0.0, special.chdtri(_array(dof), _array(chance)), np.nan))
+
+
+def chi2_ppf(part: ArrayLike, dof: ArrayLike) -> Array:
+    """Return what this part stays below."""
+    return _array(2.0 * special.gammaincinv(_array(dof) / 2.0, _array(part)))
+
+
+def f_sf(x: ArrayLike, dof1: ArrayLike, dof2: ArrayLike) -> Array:
+    """Return the chance of more than x."""
+    return _array(special.fdtrc(_array(dof1), _array(dof2), np.maximum(_array(x), 0.0)))
+
+
+def f_isf(chance: ArrayLike, dof1: ArrayLike, dof2: ArrayLike) -> Array:
+    """Return what is exceeded with this chance."""
+    return _array(special.fdtri(_array(dof1), _array(dof2), 1.0 - _array(chance)))
+
+
+def t_sf(x: ArrayLike, dof: ArrayLike) -> Array:
+    """Return the chance of more than x, of Student's t."""
+    return _array(special.stdtr(_array(dof), -_array(x)))
+
+
+def t_ppf(part: ArrayLike, dof: ArrayLike) -> Array:
+    """Return what this part stays below, of Student's t; dof may be infinite."""
+    return _array(special.stdtrit(_array(dof), _array(part)))
+
+
+def _array(values: ArrayLike) -> Array:
+    return np.asarray(values, dtype=np.float64)
