@@ -173,7 +173,7 @@ def _sliding(x: Array, y: Array) -> Array:
 def _peaks(offsets: Array, correlations: Array) -> list[int]:
     """Return the places of the highest correlations, each more than half a window from those before it."""
     left = correlations.copy()
-    out = []
+    out: list[int] = []
     while len(out) < CANDIDATES and (k := int(np.argmax(left))) >= 0 and left[k] > -1.0:
         out.append(k)
         left[np.abs(offsets - offsets[k]) <= 0.5 * WINDOW_S] = -1.0
