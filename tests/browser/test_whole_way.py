@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -84,10 +83,6 @@ def test_a_first_time_user_calibrates_cameras_and_hand_eye(calibrated: tuple[Any
     assert np.linalg.norm(placed.translation - world.T_base_rig.translation) < 0.01
 
 
-@pytest.mark.skipif(
-    "ARMSIGHT_ALONE" not in os.environ,
-    reason="sweeps and paths of a simulated robot in real time need both cores for themselves: set ARMSIGHT_ALONE=1",
-)
 def test_a_first_time_user_identifies_teaches_checks_and_plays(
     browser: Any, console: Any, calibrated: tuple[Any, str, Path]
 ) -> None:

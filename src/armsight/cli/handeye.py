@@ -42,7 +42,9 @@ def handeye(
         ),
     ] = None,
     setup: Annotated[str, typer.Option(help="eye-in-hand or eye-to-hand.")] = "eye-in-hand",
-    free_camera: Annotated[bool, typer.Option("--free-camera", help="With images: refine the camera as well.")] = False,
+    free_camera: Annotated[
+        bool, typer.Option("--free-camera", help="With images: refine the camera, if left-out images get better.")
+    ] = False,
     propose: Annotated[int, typer.Option(min=0, help="Propose so many further poses.")] = 0,
     workers: Workers = None,
     bits: Bits = None,
@@ -175,6 +177,10 @@ def handeye_tables(face: CommandUI, done: HandEyeOutput, out: Path) -> None:
         if pose is not None:
             face.table(name, ["", "mm", "+-"], pose_rows(pose, std))
     face.say(done.verdict)
+    if done.crossval is not None:
+        face.say(done.crossval.why)
+    if done.camera_file is not None:
+        face.say(f"The result belongs to the freed camera: {done.camera_file}")
     for text in done.advice:
         face.say(f"- {text}")
     for item in done.rejected[:8]:

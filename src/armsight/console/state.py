@@ -25,6 +25,7 @@ from armsight.app.operator.path_desk import PathDesk
 from armsight.app.operator.robot_cell import RobotCell, cameras_of
 from armsight.app.operator.supervise import StationSupervisor
 from armsight.app.operator.teach import TeachDesk, teach_desk
+from armsight.app.schemas.live import LiveView
 from armsight.calibrate.handeye import Setup
 from armsight.errors import ArmsightError, NotEnoughData, UsageError
 from armsight.optics import RigKind
@@ -44,7 +45,7 @@ class Console:
     station: Station | None = None
     look: Look = field(default_factory=Look)
     last_recording: Path | None = None
-    history: deque[Shown] = field(default_factory=lambda: deque(maxlen=HISTORY))
+    history: deque[LiveView] = field(default_factory=lambda: deque(maxlen=HISTORY))
     steps: dict[str, StepDesk] = field(default_factory=dict)
     _alignment: MirrorAlignment | None = None
     robot: RobotCell | None = None
@@ -187,11 +188,16 @@ class Console:
         return file
 
     def remember(self) -> Shown | None:
-        """Return the newest moment, kept for the curves."""
+        """Return the newest moment; what is said of it, without the pictures, is kept for the curves."""
         shown = self.station.shown if self.station is not None else None
-        if shown is not None and (not self.history or self.history[-1] is not shown):
-            self.history.append(shown)
+        if shown is not None and (not self.history or self.history[-1] is not shown.view):
+            self.history.append(shown.view)
         return shown
+
+    @property
+    def current(self) -> bool:
+        """Whether the newest moment is how it is now."""
+        return self.station is not None and self.station.current
 
     def close(self) -> None:
         """End measuring, and teaching and supervision with it."""
@@ -269,7 +275,7 @@ def _handeye(console: Console, folder: Path) -> Guided:
         out=console.folder / "handeye-calibrated.yaml",
         arm=console.file("arm"),
         setup=Setup.EYE_IN_HAND if console.cell.cameras == "carried" else Setup.EYE_TO_HAND,
-        read_joints=console.require_robot().joints,
+        read_joints=console.require_robot().reading,
     )
 
 
@@ -278,7 +284,7 @@ def _arm(console: Console, folder: Path) -> Guided:
         folder=folder,
         out=console.folder / "arm-calibrated.yaml",
         model=str(console.file("arm")),
-        read_joints=console.require_robot().joints,
+        read_joints=console.require_robot().reading,
     )
 
 

@@ -20,10 +20,11 @@ from armsight.app.guided.poses import HandEyeStep, TipCalibrationStep
 from armsight.app.guided.step import Hint, Next, Sample, Verdict
 from armsight.app.live.station import Shown
 from armsight.app.schemas.live import Counts, LiveView, SideView
+from armsight.clock import ManualClock
 from armsight.console import texts
-from armsight.errors import BadImage, NotEnoughData
+from armsight.errors import BadImage, DeviceFailed, NotEnoughData
 from armsight.kinematics import presets
-from armsight.records import BoardView, Silent
+from armsight.records import BoardView, JointReading, Silent
 from armsight.store import parse_board
 from armsight.store.handeye_file import read_handeye, read_tip
 
@@ -169,6 +170,7 @@ class CarriedCamera:
     folder: Path
     q: np.ndarray
     moves_while_seen: bool = False
+    hangs: bool = False
 
     def __post_init__(self) -> None:
         arm = presets.ur10()
@@ -188,17 +190,20 @@ class CarriedCamera:
         self.station: Any = Poses([(T[:3, 3], Rotation.from_matrix(T[:3, :3])) for T in seen])
         self._read = 0
 
-    def read_joints(self) -> np.ndarray:
-        """Where the arm stands: before and after each picture."""
+    def read_joints(self) -> JointReading:
+        """Where the arm stands: before and after each picture, of which the second reading is the newer one."""
         row, after = divmod(self._read, 2)
         self._read += 1
-        return self.q[row] + (0.001 if after and self.moves_while_seen else 0.0)
+        q = self.q[row] + (0.001 if after and self.moves_while_seen else 0.0)
+        return JointReading(q=q, t_s=AFTER_S if after and not self.hangs else 0.0, sequence=self._read, source="arm")
 
     def step(self) -> HandEyeStep:
         out = self.folder / "handeye.yaml"
         return HandEyeStep(folder=self.folder, out=out, arm=self.folder / "arm.yaml", read_joints=self.read_joints)
 
 
+AFTER_S = 1e12
+"""Later than any picture."""
 HOME = np.array([0.2, 1.2, 1.7, -1.0, 1.4, 0.3])
 
 
@@ -233,6 +238,14 @@ def test_no_pose_is_taken_while_the_robot_moves(tmp_path: Path) -> None:
     cell = CarriedCamera(tmp_path, np.tile(HOME, (2, 1)), moves_while_seen=True)
     step = cell.step()
     with pytest.raises(NotEnoughData, match="moved while"):
+        step.accept(cell.station)
+    assert step.samples == ()
+
+
+def test_no_pose_is_taken_with_joints_older_than_the_picture(tmp_path: Path) -> None:
+    cell = CarriedCamera(tmp_path, np.tile(HOME, (2000, 1)), hangs=True)
+    step = replace(cell.step(), clock=ManualClock(10.0))
+    with pytest.raises(DeviceFailed, match="too late"):
         step.accept(cell.station)
     assert step.samples == ()
 

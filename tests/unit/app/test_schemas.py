@@ -43,7 +43,7 @@ HANDEYE = (
 )
 HANDEYE_MAYBE = (
     "T_flange_camera T_base_target T_base_camera T_flange_target target_scale reprojection_rms_px time_offset_s "
-    "time_offset_std_s proposals n_effective correlation_time_s"
+    "time_offset_std_s proposals n_effective correlation_time_s crossval camera_file"
 )
 TIP = "tip_m point_m std residual_rms_m n_used rejected turning_rms_rad notes"
 TIP_MAYBE = "mean_tip_m loo_rms_m n_effective correlation_time_s"
@@ -132,6 +132,8 @@ KEYS: dict[type[Output], tuple[str, str]] = {
     OUTPUTS["calibrate-handeye"]: (HANDEYE, HANDEYE_MAYBE),
     handeye.RejectedPair: ("row name why", ""),
     handeye.NoisePart: ("value", "std at_most"),
+    handeye.ImageCrossval: ("kept n_images poses corners why", "corners_and_camera"),
+    handeye.ImagesLeftOut: ("position_m orientation_rad points_m reprojection_px", ""),
     handeye.HandEyeNoise: ("translation_m robot_m camera_m robot_rad camera_rad", ""),
     PoseOutput: ("xyz_m quat_xyzw", ""),
     PointStd: (PLACE, ""),

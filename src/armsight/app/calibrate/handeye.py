@@ -16,6 +16,8 @@ from armsight.app.schemas.base import PointStd, PoseOutput, PoseStd, RejectedRow
 from armsight.app.schemas.handeye import (
     HandEyeNoise,
     HandEyeOutput,
+    ImageCrossval,
+    ImagesLeftOut,
     NoisePart,
     ProposedPose,
     RejectedPair,
@@ -23,8 +25,11 @@ from armsight.app.schemas.handeye import (
     TipOutput,
 )
 from armsight.calibrate.handeye import (
+    Basis,
     HandEye,
     HandEyeOptions,
+    ImageComparison,
+    LeftOutErrors,
     Noise,
     PosePairs,
     Proposal,
@@ -40,10 +45,12 @@ from armsight.calibrate.handeye import (
 from armsight.calibrate.tooltip import MeasuredPoint, TipCalibration, calibrate_tooltip
 from armsight.drivers import ImageReading, list_images, open_source
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
+from armsight.optics import Camera
 from armsight.records import BoardView, NotSeen, PoseStatus, Progress, Silent, TargetPose
 from armsight.report.handeye_report import handeye_report
 from armsight.report.run import BoardViews
-from armsight.store import parse_board, read_camera, read_poses, write_text
+from armsight.store import parse_board, read_camera, read_poses, write_camera, write_text
+from armsight.store.atomic import disk_errors
 from armsight.store.handeye_file import (
     named_poses,
     read_pairs,
@@ -89,6 +96,7 @@ class _Solved:
     unseen: Sequence[tuple[str, str]] = ()
     offset: TimeOffset | None = None
     boards: BoardViews | None = None
+    freed: Camera | None = None
 
 
 def calibrate_handeye(job: HandEyeJob, progress: Progress | None = None) -> HandEyeOutput:
@@ -110,10 +118,25 @@ def calibrate_handeye(job: HandEyeJob, progress: Progress | None = None) -> Hand
     else:
         solved = _from_streams(job)
     proposed = propose(solved.result, job.propose) if job.propose else None
+    camera_file = _write_camera(job.out.with_suffix(".camera.yaml"), solved)
     write_handeye(job.out, solved.result, verdict(solved.result), inputs=solved.inputs)
     files = [("file", item.name) for item in solved.inputs[:20]]
     write_text(report_path(job.out), handeye_report(solved.result, inputs=files, boards=solved.boards))
-    return handeye_output(solved.result, solved.unseen, offset=solved.offset, proposed=proposed)
+    output = handeye_output(solved.result, solved.unseen, offset=solved.offset, proposed=proposed)
+    return output.model_copy(update={"camera_file": camera_file})
+
+
+def _write_camera(path: Path, solved: _Solved) -> str | None:
+    """Write the camera that was freed and kept, beside the result that belongs to it; return its path.
+
+    An earlier run's goes where there is none: it does not belong to the handeye.yaml beside it.
+    """
+    if solved.freed is None:
+        with disk_errors(path):
+            path.unlink(missing_ok=True)
+        return None
+    write_camera(path, solved.freed, rms_px=solved.result.reprojection_rms_px, inputs=solved.inputs)
+    return str(path)
 
 
 def handeye_output(
@@ -152,6 +175,7 @@ def handeye_output(
         advice=list(result.advice),
         target_scale=None if scale is None else TargetScale(factor=scale.factor, std=scale.std, p=scale.p),
         reprojection_rms_px=result.reprojection_rms_px,
+        crossval=None if result.comparison is None else _crossval(result.comparison),
         time_offset_s=None if offset is None else offset.offset_s,
         time_offset_std_s=None if offset is None else offset.std_s,
         proposals=None if proposed is None else [_proposed(item) for item in proposed],
@@ -160,6 +184,33 @@ def handeye_output(
 
 def _pose(pose: RigidTransform) -> PoseOutput:
     return PoseOutput(**pose_mapping(pose))
+
+
+def _crossval(comparison: ImageComparison) -> ImageCrossval:
+    def of(basis: Basis) -> ImagesLeftOut | None:
+        errors = comparison.errors.get(basis)
+        return None if errors is None else _left_out(errors)
+
+    return ImageCrossval(
+        kept=str(comparison.kept),
+        n_images=comparison.n_judged,
+        poses=of(Basis.POSES),
+        corners=of(Basis.CORNERS),
+        corners_and_camera=of(Basis.CORNERS_AND_CAMERA),
+        why=comparison.sentence(),
+    )
+
+
+def _left_out(errors: LeftOutErrors) -> ImagesLeftOut:
+    def known(value: float) -> float | None:
+        return value if np.isfinite(value) else None
+
+    return ImagesLeftOut(
+        position_m=known(errors.position_m),
+        orientation_rad=known(errors.angle_rad),
+        points_m=known(errors.points_m),
+        reprojection_px=known(errors.reprojection_px),
+    )
 
 
 def _proposed(item: Proposal) -> ProposedPose:
@@ -287,7 +338,8 @@ def _from_images(job: HandEyeJob, progress: Progress) -> _Solved:
     done = calibrate_from_views(views, poses, camera, board, job.setup, free_camera=job.free_camera)
     inputs = [job.camera, job.robot, *list_images(job.images)]
     boards = hand_boards(done.result, views, done.camera, board, pictures)
-    return _Solved(result=done.result, inputs=inputs, unseen=unseen, boards=boards)
+    freed = None if done.camera is camera else done.camera
+    return _Solved(result=done.result, inputs=inputs, unseen=unseen, boards=boards, freed=freed)
 
 
 def _from_streams(job: HandEyeJob) -> _Solved:

@@ -20,9 +20,9 @@ from armsight.app.operator.placing import flange_pose
 from armsight.app.schemas.live import LiveView
 from armsight.calibrate.handeye import PosePairs, Setup
 from armsight.clock import Clock, SystemClock
-from armsight.errors import NotEnoughData
+from armsight.errors import DeviceFailed, NotEnoughData
 from armsight.kinematics import Arm
-from armsight.records import PoseStatus, Progress, TargetPose
+from armsight.records import JointReading, PoseStatus, Progress, TargetPose
 from armsight.store import write_poses
 from armsight.store.atomic import write_text
 from armsight.store.handeye_file import write_pairs
@@ -30,13 +30,15 @@ from armsight.store.tables import cells
 from armsight.units import DEG
 
 Array = NDArray[np.float64]
-ReadJoints = Callable[[], Array]
-"""Returns the robot's joints (n,) in rad or m, at rest. Raises DeviceFailed."""
+ReadJoints = Callable[[], JointReading]
+"""Returns the robot's newest joints in rad or m, their time on the machine's clock. Raises DeviceFailed."""
 
 TURNED = 20.0 * DEG
 """A rotation's RMS about an axis from which a lever is told well: sin 20 degrees is a third of the lever's length."""
 STILL = 2e-4
 """Joints (rad or m) that moved less while a pose was taken stood still: at 1 m it is 0.2 mm."""
+LATE_S, LOOK_S = 2.0, 0.005
+"""How much later than a picture its joints may come, and the time between two looks for them."""
 AXES = ("x", "y", "z")
 
 
@@ -130,20 +132,35 @@ class PoseSamples:
         return (*rows, ("needed", f"{TURNED / DEG:.0f} deg about two of them"))
 
     def accept(self, station: Station) -> Sample:
-        """Take the pose in a picture exposed from now on, and the joints. Raises NotEnoughData, DeviceFailed."""
+        """Take the pose in a picture exposed from now on, and the joints, told before it and after.
+
+        Raises NotEnoughData, DeviceFailed.
+        """
         began = None if self.read_joints is None else self.read_joints()
         pose = seen_pose(station, self.clock.now_s())
         if self.read_joints is not None and began is not None:
-            q = self.read_joints()
-            if np.abs(q - began).max() > STILL:
+            ended = self._joints_since(self.read_joints, pose.t_s)
+            if np.abs(ended.q - began.q).max() > STILL:
                 raise NotEnoughData(
                     "the robot moved while the picture was taken",
                     consequence="No pose was taken",
                     cure="Let it come to rest, then accept",
                 )
-            self._joints.append(q)
+            self._joints.append(ended.q)
         self._poses.append(pose)
         return self.samples[-1]
+
+    def _joints_since(self, read_joints: ReadJoints, t_s: float) -> JointReading:
+        until_s = self.clock.now_s() + LATE_S
+        while (reading := read_joints()).t_s < t_s:
+            if self.clock.now_s() >= until_s:
+                raise DeviceFailed(
+                    "the robot tells where it stands too late",
+                    consequence="No pose was taken",
+                    cure="Look at the robot's link, and at what else this computer does",
+                )
+            self.clock.sleep_until(self.clock.now_s() + LOOK_S)
+        return reading
 
     def _turn_vectors(self) -> Array:
         """Return the turns against their mean (n, 3), rotation vectors in the axes of the hand, else of the target."""

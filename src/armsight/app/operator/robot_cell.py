@@ -24,6 +24,7 @@ from armsight.app.simulate.run import write_set_up
 from armsight.app.simulate.scenarios import build_world, load_scenario
 from armsight.control.guard import Limits
 from armsight.errors import NotEnoughData
+from armsight.records import JointReading
 from armsight.store.cell_file import CellFile, cell_path, read_cell, write_cell
 from armsight.store.limits_file import read_limits
 
@@ -42,11 +43,16 @@ class RobotCell:
     bench: Bench = field(default_factory=Bench)
 
     def joints(self) -> Array:
-        """Return the newest reading (n,) in rad or m. Raises DeviceLost, NotEnoughData before the first."""
+        """Return the newest values (n,) in rad or m. Raises as reading."""
+        return self.reading().q
+
+    def reading(self) -> JointReading:
+        """Return the newest reading, with its time on the machine's clock. Raises DeviceLost, NotEnoughData before the
+        first."""
         reading = self.service.host.snapshot().reading
         if reading is None:
             raise NotEnoughData("the robot told no joints yet", consequence="No pose was taken", cure="Try again")
-        return reading.q
+        return reading
 
 
 @contextmanager

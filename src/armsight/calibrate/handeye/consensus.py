@@ -43,6 +43,10 @@ more, real ones below 0.1."""
 LEAST_SHARE = 0.6
 """At least this share of the pairs must agree."""
 
+NEAR = 0.1
+"""... within the noise of most, or within this share of the motion: a few noisy pairs have no tails to judge by, and a
+pair that does not belong is off by the motion itself."""
+
 SCALE_WRONG = 1.5
 """A target's size that is off by more than this factor is a wrong unit, not a badly printed sheet."""
 
@@ -63,9 +67,9 @@ MIN_SHIFTED = 6
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Consensus:
-    """RX, tX, RZ, tZ, gamma of most pairs, keep (n,): which agree; robust standard deviations of one component,
-    sigma_rad and
-    sigma_m (camera's unit), and their shares of the motion."""
+    """RX, tX, RZ, tZ, gamma of most pairs, keep (n,): which agree within the noise; robust standard deviations of one
+    component, sigma_rad and sigma_m (camera's unit), their shares of the motion, and agree: the share of the pairs that
+    share it within the noise or NEAR."""
 
     R_X: Array
     t_x: Array
@@ -77,6 +81,7 @@ class Consensus:
     sigma_m: float
     share_turn: float
     share_move: float
+    agree: float
 
     @property
     def score(self) -> float:
@@ -95,7 +100,20 @@ class Consensus:
 
 
 def consensus(arrays: Arrays) -> Consensus:
-    """Return what most pairs of F X B = Z agree on (least median of squares), with the scale free where it must be."""
+    """Return what most pairs of F X B = Z agree on (least median of squares), with the scale free where it must be.
+
+    Where most turned about one axis alone they agree on an answer that the others contradict; then what all pairs say
+    together is taken, if it explains them.
+    """
+    found = _of_most(arrays)
+    if found.agree < LEAST_SHARE or found.share > UNRELATED:
+        whole = _of_all(arrays)
+        if whole is not None and whole.agree >= LEAST_SHARE and whole.share <= NEAR:
+            return whole
+    return found
+
+
+def _of_most(arrays: Arrays) -> Consensus:
     RF, tF, RB, tB = arrays
     n = len(RF)
     samples = _samples(n)
@@ -108,20 +126,59 @@ def consensus(arrays: Arrays) -> Consensus:
         ok, tX, tZ, gamma, sigma_m = starts.translation_consensus(RX, RF, tF, tB, samples, free, mask, errors)
         outcomes.append((sigma_m if ok and gamma > 0.0 else np.inf, tX, tZ, float(gamma), mask))
     sigma_m, tX, tZ, gamma, mask = outcomes[1] if outcomes[1][0] < SCALE_WINS * outcomes[0][0] else outcomes[0]
-    turn = _spread(_turns(RB))
-    move = np.hypot(_spread(tB), abs(gamma) * _spread(-np.einsum("nji,nj->ni", RF, tF)))
+    return _judged(arrays, (RX, tX, RZ, tZ), gamma, mask, (float(sigma_rad), float(sigma_m)))
+
+
+def _of_all(arrays: Arrays) -> Consensus | None:
+    """Return the closed forms of all pairs, None where their translations leave something open."""
+    RF, tF, RB, tB = arrays
+    every = np.ones(len(RF), bool)
+    RX, RZ = starts.shah_rotations(RF, RB, every)
+    ok, tX, tZ, gamma = starts.translations(RX, RF, tF, tB, every, False)
+    if not ok:
+        return None
+    start = (RX, tX, RZ, tZ)
+    turned, moved = _left(arrays, start, gamma)
+    sigmas = (float(np.median(turned)) / starts.MEDIAN_NORM, float(np.median(moved)) / starts.MEDIAN_NORM)
+    return _judged(arrays, start, float(gamma), None, sigmas)
+
+
+def _judged(
+    arrays: Arrays,
+    start: tuple[Array, Array, Array, Array],
+    gamma: float,
+    mask: NDArray[np.bool_] | None,
+    sigmas: tuple[float, float],
+) -> Consensus:
+    """mask (n,): which agree within the noise; None for those that are near."""
+    RF, tF, RB, tB = arrays
+    turn = max(_spread(_turns(RB)), 1e-12)
+    move = max(float(np.hypot(_spread(tB), abs(gamma) * _deviation(-np.einsum("nji,nj->ni", RF, tF)))), 1e-12)
+    turned, moved = _left(arrays, start, gamma)
+    near = np.asarray((turned <= NEAR * turn) & (moved <= NEAR * move))
+    keep = near if mask is None else mask
     return Consensus(
-        R_X=RX,
-        t_x=tX,
-        R_Z=RZ,
-        t_z=tZ,
+        R_X=start[0],
+        t_x=start[1],
+        R_Z=start[2],
+        t_z=start[3],
         gamma=gamma,
-        keep=mask,
-        sigma_rad=float(sigma_rad),
-        sigma_m=float(sigma_m),
-        share_turn=float(sigma_rad / max(turn, 1e-12)),
-        share_move=float(sigma_m / max(move, 1e-12)),
+        keep=keep,
+        sigma_rad=sigmas[0],
+        sigma_m=sigmas[1],
+        share_turn=sigmas[0] / turn,
+        share_move=sigmas[1] / move,
+        agree=float((keep | near).mean()),
     )
+
+
+def _left(arrays: Arrays, start: tuple[Array, Array, Array, Array], gamma: float) -> tuple[Array, Array]:
+    """Return the angle and the distance (n,) that each pair leaves open, the latter in the camera's unit."""
+    RF, tF, RB, tB = arrays
+    RX, tX, RZ, tZ = start
+    turned = Rotation.from_matrix(RF @ RX @ RB @ RZ.T).magnitude()
+    seen = gamma * (np.einsum("nji,nj->ni", RF, tZ - tF) - tX) @ RX
+    return np.asarray(turned), np.linalg.norm(tB - seen, axis=1)
 
 
 def check_reading(arrays: Arrays, setup: Setup, given: Consensus, in_order: Arrays) -> None:
@@ -167,13 +224,13 @@ def require_metric(given: Consensus) -> None:
 
 def require_agreement(given: Consensus) -> None:
     """Raise Inconsistent where the poses of robot and camera do not belong together."""
-    agree = float(given.keep.mean())
-    if given.share <= UNRELATED and agree >= LEAST_SHARE:
+    if given.share <= UNRELATED and given.agree >= LEAST_SHARE:
         return
+    n = len(given.keep)
     raise Inconsistent(
         "the camera's poses do not follow the robot's: the best explanation leaves "
         f"{100.0 * given.share_turn:.3g} % of the turns and {100.0 * given.share_move:.3g} % of the moves open"
-        + (f", and only {given.keep.sum()} of {len(given.keep)} pairs share it" if agree < LEAST_SHARE else ""),
+        + (f", and only {given.agree * n:.0f} of {n} pairs share it" if given.agree < LEAST_SHARE else ""),
         consequence="No place of the camera explains them; no calibration is given",
         cure="Check which robot pose belongs to which image, that the target stood still (eye-to-hand: moved with the "
         "hand), and the order of the quaternion's columns (x, y, z, w)",
@@ -247,3 +304,8 @@ def _turns(R: Array) -> Array:
 def _spread(values: Array) -> float:
     """Return the robust standard deviation of one component of vectors (n, 3) about their median."""
     return float(np.median(np.linalg.norm(values - np.median(values, axis=0), axis=1)) / starts.MEDIAN_NORM)
+
+
+def _deviation(values: Array) -> float:
+    """Return the standard deviation of one component of vectors (n, 3): also of a hand that mostly only turned."""
+    return float(np.sqrt(((values - values.mean(axis=0)) ** 2).mean()))
