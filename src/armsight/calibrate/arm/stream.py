@@ -17,8 +17,7 @@ from armsight.records import NamedCovariance
 Array = NDArray[np.float64]
 
 ALIKE = 0.1
-"""Rows whose errors are alike by more than this from one joint position to the next are samples of a stream; of 60
-independent rows with times that is seen once in a hundred sets."""
+"""Rows whose errors are alike by more than this from one moment to the next are samples of a stream."""
 FEWEST_TIMED = 12
 """Joint positions below which nothing can be said of time."""
 FORGOTTEN = 3.0
