@@ -147,6 +147,9 @@ def _write(job: JoinJob, arm: Arm | None, paired: Paired, rows: list[NDArray[np.
     names, columns = [*(f"q{i + 1}" for i in range(q.shape[1])), *POSITION], [q, xyz]
     if R is not None and job.kind == "points":
         names, columns = [*names, *QUATERNION], [*columns, R.as_quat(canonical=True)]
+    if paired.at_s is not None and job.kind == "points":  # calibrate arm takes neighbours in time as what they are
+        at_s = np.array([paired.at_s[group].mean() for group in rows])
+        names, columns = [*names, "t_s"], [*columns, at_s[:, None]]
     labels = [measured.point[group[0]] for group in rows]
     named = any(labels)
     lines = [",".join([*names, *(["point"] if named else [])])]

@@ -141,7 +141,7 @@ def time_blocks(t_s: Array, correlation: Correlation, *, blocks: int = BLOCKS) -
         gap = min(correlation.time_s, 0.5 * width) if correlation.share > DRIFTS else 0.0
         inside = (t_s >= low) & (t_s < high)
         if inside.any():
-            out.append((inside, ~inside & ((t_s < low - gap) | (t_s > high + gap))))
+            out.append((inside, ~inside & ((t_s < low - gap) | (t_s >= high + gap))))
     return out
 
 

@@ -22,7 +22,7 @@ TOLERANCE_MM, TOLERANCE_DEG = 2.0, 1.72
 @takes_tables
 def arm(
     model: Annotated[str, typer.Option(metavar="ARM", help="The nominal arm: arm.yaml, .urdf or a preset's name.")],
-    points: Annotated[Path, typer.Option(help="points.csv: q1..qn,x_m,y_m,z_m[,qx,qy,qz,qw][,point].")],
+    points: Annotated[Path, typer.Option(help="points.csv: q1..qn,x_m,y_m,z_m[,qx,qy,qz,qw][,point][,t_s].")],
     out: Annotated[Path, typer.Option("-o", "--out", help="arm.yaml to write.")],
     holdout: Annotated[Path | None, typer.Option(help="Further points, only for judging.")] = None,
     scale: Annotated[bool, typer.Option("--scale/--no-scale", help="Try joint scales too.")] = True,

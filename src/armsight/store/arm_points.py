@@ -1,4 +1,4 @@
-"""points.csv: the tool's positions, and maybe rotations, at joint readings."""
+"""points.csv: the tool's positions, and maybe rotations, at joint readings; times of a recording."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ from armsight.store.tracks import POSITION, QUATERNION
 
 
 def read_arm_points(path: Path, format_: TableFormat = OURS) -> ArmPoints:
-    """Return the measurements of a points.csv: q1..qn,x_m,y_m,z_m[,qx,qy,qz,qw][,point], or of a table that can be
-    understood as one.
+    """Return the measurements of a points.csv: q1..qn,x_m,y_m,z_m[,qx,qy,qz,qw][,point][,t_s], or of a table that can
+    be understood as one.
 
     Raises BadFile that names line and column, Inconsistent where units contradict the numbers.
     """
     data = standard_bytes(path, "points", format_)
-    table = parse_table(data, str(path), POSITION, optional=(*QUATERNION, "point"), text=("point",), series="q")
+    optional = (*QUATERNION, "point", "t_s")
+    table = parse_table(data, str(path), POSITION, optional=optional, text=("point",), blank=("t_s",), series="q")
     readings = table.series("q")
     if not readings:
         raise BadFile(f"{path}: no column q1", consequence="The file is not used", cure="Give q1 .. qn in every row")
@@ -42,9 +43,11 @@ def read_arm_points(path: Path, format_: TableFormat = OURS) -> ArmPoints:
                 for xyz, quat in zip(table.stacked(POSITION), table.stacked(QUATERNION), strict=True)
             ]
         rotation = np.stack([pose.rotation.as_matrix() for pose in poses])
+    t_s = table.numbers.get("t_s")
     return ArmPoints(
         q=table.stacked(readings),
         xyz_m=table.stacked(POSITION),
         rotation=rotation,
         point=table.text.get("point", ()),
+        t_s=None if t_s is None or np.isnan(t_s).any() else t_s,
     )

@@ -85,7 +85,7 @@ def test_one_row_for_each_rest(run: Path, tmp_path: Path) -> None:
     done = join(replace(job, still=True, offset_s=-LEAD_S))
     assert 2 <= done.n < 10
     assert check_points(tmp_path / "p.csv", 2.5e-4) == done.n  # means of noise of 0.1 mm
-    assert (tmp_path / "p.csv").read_text().startswith("q1,q2,q3,q4,q5,q6,x_m,y_m,z_m,qx,qy,qz,qw\n")
+    assert (tmp_path / "p.csv").read_text().startswith("q1,q2,q3,q4,q5,q6,x_m,y_m,z_m,qx,qy,qz,qw,t_s\n")
 
 
 @pytest.mark.parametrize(("setup", "by"), [(Setup.EYE_IN_HAND, "joints"), (Setup.EYE_TO_HAND, "stream")])

@@ -140,7 +140,7 @@ KEYS: dict[type[Output], tuple[str, str]] = {
     PoseStd: (f"{PLACE} {TURN}", ""),
     OUTPUTS["calibrate-tooltip"]: (TIP, TIP_MAYBE),
     OUTPUTS["calibrate-pivot"]: (f"{TIP} goal_m reached", TIP_MAYBE),
-    OUTPUTS["calibrate-arm"]: (ARM, "holdout proposals expected_std"),
+    OUTPUTS["calibrate-arm"]: (ARM, "holdout proposals expected_std n_effective correlation_time_s"),
     arm.ToolErrors: ("mean_m rms_m max_m", ""),
     arm.BeforeAfter: ("before after", ""),
     arm.Outlier: ("row error_m", ""),

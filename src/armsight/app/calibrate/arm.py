@@ -172,6 +172,8 @@ def arm_output(result: ArmCalibration) -> ArmCalibrationOutput:
     held = _before_after(result.left_before, result.left_after) if result.held else None
     return ArmCalibrationOutput(
         n=len(result.error_m),
+        n_effective=None if result.correlation is None else result.correlation.n_effective,
+        correlation_time_s=None if result.correlation is None else result.correlation.time_s,
         before=_errors(result.before),
         after=_errors(result.after),
         crossval=_before_after(result.cross_before, result.cross_after),

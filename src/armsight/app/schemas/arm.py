@@ -90,6 +90,12 @@ class ArmCalibrationOutput(Output):
     """The calibration of a known arm's geometry."""
 
     n: int = Field(description="Rows given.")
+    n_effective: float | None = Field(
+        None, exclude_if=absent, description="Independent rows that they are worth; of samples of a stream only."
+    )
+    correlation_time_s: float | None = Field(
+        None, exclude_if=absent, description="After which a drift of the errors is forgotten, s; of a stream only."
+    )
     before: ToolErrors = Field(description="Errors on the rows used, nominal geometry, base and tool fitted.")
     after: ToolErrors = Field(description="Errors on the rows used, geometry kept, base and tool fitted.")
     crossval: BeforeAfter = Field(description="Errors on rows left out by nested cross-validation, refitted fully.")

@@ -19,6 +19,7 @@ from armsight.calibrate.arm.model_selection import (
     best_level,
     coupled,
     fit_levels,
+    left_out,
     significant_gain,
 )
 from armsight.calibrate.arm.one_place import check_one_place
@@ -26,7 +27,9 @@ from armsight.calibrate.arm.other_arm import OtherArm, other_arm
 from armsight.calibrate.arm.parameter_selection import still
 from armsight.calibrate.arm.plausibility import check_fit, exceeded
 from armsight.calibrate.arm.points import ArmPoints, check_points
+from armsight.calibrate.arm.stream import believed, drift_of, in_blocks
 from armsight.calibrate.arm.tool_points import tool_points
+from armsight.calibrate.correlation import Correlation
 from armsight.errors import Inconsistent, NotConverged
 from armsight.fitting.quantiles import chi2_ppf
 from armsight.kinematics import Arm
@@ -66,9 +69,10 @@ class ArmCalibration:
     where one was given (held), else the same. free, condition: see Choice. fixed: (name, why) of what is as in the
     nominal arm. at_limit: corrections as large as the nominal arm is believed to; notes: what else to know. model,
     fitted: names and values of the parameters (changes to the nominal arm), noise. outliers: (row from 0, error in
-    m). couplings: (joint, by which, share). level: which kind of model was taken. still: joints that did not move.
-    before_m, error_m: (m,) before and after, by row. other_arm: why the
-    nominal arm is that of another one; nothing is corrected then.
+    m). couplings: (joint, by which, share). correlation: of the errors in time, of samples of a stream; folds are
+    blocks of time then, and covariance is widened for it. level: which kind of model was taken. still: joints that did
+    not move. before_m, error_m: (m,) before and after, by row. other_arm: why the nominal arm is that of another one;
+    nothing is corrected then.
     """
 
     arm: Arm
@@ -97,6 +101,7 @@ class ArmCalibration:
     error_m: Array
     before_m: Array
     other_arm: OtherArm | None = None
+    correlation: Correlation | None = None
 
     def std(self) -> dict[str, float]:
         """Return the standard deviations of the freed parameters, base and tool."""
@@ -132,8 +137,10 @@ def calibrate_arm(
     levels = _levels(model, points, tolerance, scale=scale)
     errors = [_size(model, x, points) for x in levels]
     check_fit(model, points, min(errors, key=exceeded))
+    points, levels, correlation = _in_time(model, points, levels)
+    holdout = None if holdout is None else in_blocks(holdout, correlation)
     left = cross_validate(model, points, levels, tolerance, scale=scale)
-    judged = _Judged(levels=levels, chosen=best_level(levels, points.position), left=left)
+    judged = _Judged(levels=levels, chosen=best_level(levels, points.group), left=left)
     other = other_arm(model, points, _plain(levels, judged.chosen), judged.chosen, tolerance)
     if other is not None:
         kept = _result(model, points, holdout, replace(judged, chosen=levels[0]), tolerance)
@@ -155,7 +162,7 @@ class _Judged:
 
     def proved(self, points: ArmPoints) -> Level:
         """Return the chosen level where the nested folds show its gain, else the nominal one."""
-        shown = significant_gain(self.left.nominal_m, self.left.chosen_m, points.position, proved=CONFIRMED)
+        shown = significant_gain(self.left.nominal_m, self.left.chosen_m, points.group, proved=CONFIRMED)
         return self.chosen if shown else self.first
 
 
@@ -168,6 +175,19 @@ def _levels(model: ArmModel, points: ArmPoints, tolerance: Tolerance, *, scale: 
         p, _ = coupled(model, points, guess)
         check_fit(model, points, np.linalg.norm(model.errors(p, points)[0], axis=1))
         raise
+
+
+def _in_time(
+    model: ArmModel, points: ArmPoints, levels: list[Level]
+) -> tuple[ArmPoints, list[Level], Correlation | None]:
+    """Return rows and levels as they are; of samples of a stream the rows in blocks of time, the levels' left-out
+    errors by them, and how long the errors that the richest level leaves are alike."""
+    drift = drift_of(model, points, levels[-1].fitted)
+    blocked = points if drift is None else in_blocks(points, drift.correlation)
+    if drift is None or blocked.block is None:
+        return points, levels, None
+    again = [replace(x, left_m=left_out(model, blocked, x.fitted)) for x in levels]
+    return blocked, again, drift.correlation
 
 
 def _plain(levels: Sequence[Level], best: Level) -> Level:
@@ -203,11 +223,12 @@ def _result(
     at_limit = limits_reached(model, best.fitted.p, best.choice.free, tolerance)
     before_m, after_m = _size(model, first, points), _size(model, best, points)
     gross = np.flatnonzero(after_m > GROSS * best.fitted.sigma_m)
+    fitted, correlation = believed(model, points, best.fitted)
     return ArmCalibration(
-        arm=_arm(model, best),
+        arm=_arm(model, fitted),
         nominal=model.arm,
         model=model,
-        fitted=best.fitted,
+        fitted=fitted,
         gain=gain,
         level=best.name,
         before=Errors.of(before_m),
@@ -220,15 +241,16 @@ def _result(
         free=best.choice.free,
         fixed=_fixed(best, judged.levels[-1]),
         condition=best.choice.condition,
-        covariance=best.fitted.fit.covariance,
+        covariance=fitted.fit.covariance,
         outliers=tuple((int(i), float(after_m[i])) for i in gross),
         couplings=best.couplings,
         still=still(model, points),
         at_limit=at_limit,
-        notes=(*(item.sentence for item in at_limit), *_unjudged(points, rows)),
+        notes=(*(item.sentence for item in at_limit), *_unjudged(points, rows), *_in_stream(points, correlation)),
         verdict=" ".join([_verdict(judged, proved, best, held), *(f"{item.sentence}." for item in at_limit)]),
         error_m=after_m,
         before_m=before_m,
+        correlation=correlation,
     )
 
 
@@ -239,14 +261,14 @@ def _held(
     if holdout is None:
         return proved, None
     held = _size(model, first, holdout), _size(model, proved, holdout)
-    gain = proved is not first and significant_gain(*held, holdout.position)
+    gain = proved is not first and significant_gain(*held, holdout.group)
     return proved if gain else first, held
 
 
-def _arm(model: ArmModel, best: Level) -> Arm:
-    """Return the arm of a level, with the covariance of its links and the places of its tool's points."""
-    arm, covariance = model.arm_at(best.fitted.p), best.fitted.fit.covariance
-    arm = replace(arm, tool_points=tool_points(model, best.fitted))
+def _arm(model: ArmModel, fitted: ArmFit) -> Arm:
+    """Return the arm of a fit, with the covariance of its links and the places of its tool's points."""
+    arm, covariance = model.arm_at(fitted.p), fitted.fit.covariance
+    arm = replace(arm, tool_points=tool_points(model, fitted))
     if covariance is not None:
         links = tuple(name for name in covariance.names if name in model.names[: 5 * model.arm.n])
         if links:
@@ -271,6 +293,17 @@ def _unjudged(points: ArmPoints, judged: NDArray[np.bool_]) -> list[str]:
     return [
         f"{int((~judged).sum())} of {len(points)} rows{of} are not judged by cross-validation: rows of other joint "
         "positions do not tell where they should be"
+    ]
+
+
+def _in_stream(points: ArmPoints, correlation: Correlation | None) -> list[str]:
+    """Return a note of rows that are samples of a stream."""
+    if correlation is None:
+        return []
+    return [
+        f"The rows are samples of a stream, whose errors are alike for some {correlation.time_s:.2g} s: the "
+        f"{len(points)} rows are worth {correlation.n_effective:.0f} independent ones. Deviations are claimed "
+        f"accordingly, and left out are blocks of time ({int(points.group.max()) + 1} in all), not rows"
     ]
 
 

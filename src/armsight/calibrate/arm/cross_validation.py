@@ -42,7 +42,8 @@ class LeftOut:
 def cross_validate(
     model: ArmModel, points: ArmPoints, levels: Sequence[Level], tolerance: Tolerance, *, scale: bool
 ) -> LeftOut:
-    """Return the errors at each row, calibrated without its joint position and every FOLDS-th beside it.
+    """Return the errors at each row, calibrated without its joint position and every FOLDS-th beside it, or without its
+    block of time, every FOLDS-th beside it and what is near them in time.
 
     levels: of all rows; the folds begin where they ended. A fold takes a kind of model as all rows do, by one step
     (left_out); with fewer rows the same fall is fewer of its standard errors, by the root of their share. Raises
@@ -51,9 +52,9 @@ def cross_validate(
     m = len(points)
     nominal, chosen = np.full(m, np.nan), np.full(m, np.nan)
     by_level = {x.name: np.full(m, np.nan) for x in levels}
-    fold = points.position % FOLDS
+    fold = points.group % FOLDS
     for k in range(int(fold.max()) + 1):
-        rest = points.take(np.flatnonzero(fold != k))
+        rest = points.take(np.flatnonzero(points.away(fold == k)))
         known = np.array([label in rest.labels for label in points.point])
         rows = np.flatnonzero((fold == k) & known)
         if not len(rows):
@@ -67,7 +68,7 @@ def cross_validate(
         sizes = {x.name: np.linalg.norm(model.errors(x.fitted.p, there)[0], axis=1) for x in refitted}
         nominal[rows] = sizes[refitted[0].name]
         fewer = PROVED * float(np.sqrt(len(rest) / m))
-        taken = best_level(refitted, rest.position, proved=fewer)
+        taken = best_level(refitted, rest.group, proved=fewer)
         chosen[rows] = sizes[taken.name]
         for name, errors in by_level.items():
             errors[rows] = sizes.get(name, nominal[rows])

@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import norm
+from scipy.stats import t as student
 
 from armsight.calibrate.arm.fit import ArmFit, Tolerance, estimate_noise, fit_arm
 from armsight.calibrate.arm.initial_guess import start
@@ -21,6 +23,8 @@ Couplings = tuple[tuple[str, str, float], ...]
 FOLDS = 5
 PROVED = 2.0
 """A model is taken where left-out errors fall by this many of the fall's own standard errors: by chance once in 44."""
+FEW = 10
+"""Groups of rows, up to which the fall's standard error is itself so poorly known that Student's factor is taken."""
 FEWEST_JUDGED = 3
 """Joint positions below which the spread of a fall says nothing."""
 PASSES = 6
@@ -133,11 +137,11 @@ def fit_levels(
     return levels
 
 
-def best_level(levels: Sequence[Level], position: NDArray[np.intp], *, proved: float = PROVED) -> Level:
-    """Return the richest level with a significant gain over the one before it that has one; position (m,) of rows."""
+def best_level(levels: Sequence[Level], group: NDArray[np.intp], *, proved: float = PROVED) -> Level:
+    """Return the richest level with a significant gain over the one before it that has one; group (m,) of rows."""
     best = levels[0]
     for richer in levels[1:]:
-        if significant_gain(best.left_m, richer.left_m, position, proved=proved):
+        if significant_gain(best.left_m, richer.left_m, group, proved=proved):
             best = richer
     return best
 
@@ -178,7 +182,8 @@ def left_out(model: ArmModel, points: ArmPoints, fitted: ArmFit) -> Array:
     """Return the error (m,) in m at each row, predicted without its joint position and every FOLDS-th beside it, by a
     step from the fit: what levels are compared by. What is claimed comes from full refits (cross_validation).
 
-    All rows of one joint position are left out together: what one of them has wrong the others have too. Leaving rows
+    All rows of one joint position, or of one block of time, are left out together: what one of them has wrong the
+    others have too. Leaving rows
     out moves the fit by (H - H_k)^-1 g_k, H the information and g_k the gradient of those rows: one
     Gauss-Newton step from the fit to all rows, which is at its minimum for the rest to second order.
     """
@@ -193,7 +198,7 @@ def left_out(model: ArmModel, points: ArmPoints, fitted: ArmFit) -> Array:
     scale[scale == 0.0] = 1.0
     out = np.empty(m)
     none = np.zeros((1, 0))
-    fold = points.position % FOLDS
+    fold = points.group % FOLDS
     for k in range(fold.max() + 1):
         rows = np.flatnonzero(fold == k)
         flat = J[rows].reshape(-1, len(index))
@@ -205,19 +210,22 @@ def left_out(model: ArmModel, points: ArmPoints, fitted: ArmFit) -> Array:
     return out
 
 
-def significant_gain(before_m: Array, after_m: Array, position: NDArray[np.intp], *, proved: float = PROVED) -> bool:
-    """Whether errors (m,) fall beyond their own uncertainty, joint position by joint position: its rows hang together.
+def significant_gain(before_m: Array, after_m: Array, group: NDArray[np.intp], *, proved: float = PROVED) -> bool:
+    """Whether errors (m,) fall beyond their own uncertainty, group by group, whose rows hang together: those of one
+    joint position, or of one block of time.
 
     Gross rows are levelled so that none decides alone. Rows that are not judged (NaN) are left out. proved: how many of
     the fall's standard errors it must be.
     """
     judged = np.isfinite(before_m) & np.isfinite(after_m)
     before_m, after_m = before_m[judged], after_m[judged]
-    which = np.unique(position[judged], return_inverse=True)[1]
+    which = np.unique(group[judged], return_inverse=True)[1]
     if not len(which) or which.max() + 1 < FEWEST_JUDGED:
         return False
     cap = 5.0 * float(np.median(before_m))
     fall = np.minimum(before_m, cap) - np.minimum(after_m, cap)
     fall = np.bincount(which, fall) / np.bincount(which)
     uncertainty = float(fall.std(ddof=1)) / np.sqrt(len(fall))
+    if len(fall) <= FEW:
+        proved = float(student.isf(norm.sf(proved), len(fall) - 1))
     return bool(fall.mean() > proved * uncertainty and fall.mean() > 1e-3 * before_m.mean())

@@ -169,7 +169,7 @@ def other_arm(model: ArmModel, points: ArmPoints, plain: Level, best: Level, tol
     found = open_fit(model, points, plain.fitted)
     if found is not None:
         left = left_out(model, points, found)
-        if significant_gain(plain.left_m, left, points.position) and np.median(left) < AS_GOOD * np.median(best.left_m):
+        if significant_gain(plain.left_m, left, points.group) and np.median(left) < AS_GOOD * np.median(best.left_m):
             wide = beyond(model, found, tolerance)
             certain |= any(item.certain for item in wide)
             wide = wide or (beyond(model, found, tolerance, sure=0.0) if kept else ())

@@ -34,13 +34,18 @@ ABSURD = 12.0
 class ArmPoints:
     """Measurements: joint readings q (m, n), positions xyz_m (m, 3), and where known rotations (m, 3, 3).
 
-    point: (m,) names which of the tool's points a row is of.
+    point: (m,) names which of the tool's points a row is of. t_s: (m,) times, where the rows are of one recording.
+    block: (m,) of time that each row is of, where the errors of neighbours were found alike, and gap_s: how far in time
+    rows must be apart to be independent.
     """
 
     q: Array
     xyz_m: Array
     rotation: Array | None = None
     point: tuple[str, ...] = ()
+    t_s: Array | None = None
+    block: NDArray[np.intp] | None = None
+    gap_s: float = 0.0
 
     def __post_init__(self) -> None:
         m = len(self.xyz_m)
@@ -51,6 +56,8 @@ class ArmPoints:
         object.__setattr__(self, "point", tuple(self.point) or ("",) * m)
         if len(self.point) != m:
             raise Inconsistent(f"{m} positions, but {len(self.point)} names of points")
+        if self.t_s is not None:
+            object.__setattr__(self, "t_s", frozen_array("t_s", self.t_s, (m,)))
 
     def __len__(self) -> int:
         return len(self.xyz_m)
@@ -68,11 +75,33 @@ class ArmPoints:
         place[np.argsort(first)] = np.arange(len(first))
         return place[which.ravel()]
 
+    @property
+    def group(self) -> NDArray[np.intp]:
+        """Which rows (m,) hang together, counted from 0: those of a block of time, else those of a joint position."""
+        return self.position if self.block is None else np.unique(self.block, return_inverse=True)[1]
+
+    def away(self, left: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return which rows (m,) are none of those left out, nor nearer to one in time than errors are alike."""
+        rest = ~left
+        if self.block is None or self.t_s is None or not left.any():
+            return rest
+        times = np.sort(self.t_s[left])
+        k = np.searchsorted(times, self.t_s)
+        before, after = times[np.maximum(k - 1, 0)], times[np.minimum(k, len(times) - 1)]
+        near = np.minimum(np.abs(self.t_s - before), np.abs(self.t_s - after)) <= self.gap_s
+        return np.asarray(rest & ~near)
+
     def take(self, rows: NDArray[np.intp]) -> ArmPoints:
         """Return the measurements of some rows."""
         rotation = None if self.rotation is None else self.rotation[rows]
         return ArmPoints(
-            q=self.q[rows], xyz_m=self.xyz_m[rows], rotation=rotation, point=tuple(self.point[i] for i in rows)
+            q=self.q[rows],
+            xyz_m=self.xyz_m[rows],
+            rotation=rotation,
+            point=tuple(self.point[i] for i in rows),
+            t_s=None if self.t_s is None else self.t_s[rows],
+            block=None if self.block is None else self.block[rows],
+            gap_s=self.gap_s,
         )
 
 

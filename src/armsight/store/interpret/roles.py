@@ -76,6 +76,7 @@ ROLES: Mapping[str, Role] = {
             name="points",
             rotation="maybe",
             joints="wanted",
+            time="maybe",
             words={"point": ("reflector", "smr", "prism")},
         ),
         Role(name="measured", rotation="maybe", joints="maybe", time="maybe", keeps_unknown=True),

@@ -1,0 +1,81 @@
+"""Rows of one recording are not independent: how long their errors are alike, blocks of time, and wider deviations."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.calibrate.arm.fit import ArmFit
+from armsight.calibrate.arm.model import ArmModel
+from armsight.calibrate.arm.parameter_selection import orthonormal_basis
+from armsight.calibrate.arm.points import ArmPoints
+from armsight.calibrate.correlation import Averaged, Correlation, fit_averaged, score_covariance
+from armsight.records import NamedCovariance
+
+Array = NDArray[np.float64]
+
+ALIKE = 0.1
+"""Rows whose errors are alike by more than this from one moment to the next are samples of a stream."""
+FEWEST_TIMED = 12
+"""Joint positions below which nothing can be said of time."""
+FORGOTTEN = 3.0
+"""Blocks of time last so many correlation times: what is left of a drift from one to the next is 5 %."""
+FEWEST_BLOCKS, MOST_BLOCKS = 5, 60
+
+
+def drift_of(model: ArmModel, points: ArmPoints, fitted: ArmFit) -> Averaged | None:
+    """Return how long the errors that a fit leaves are alike; None without times, or where they are too few."""
+    if points.t_s is None or points.position.max() + 1 < FEWEST_TIMED or not np.ptp(points.t_s) > 0.0:
+        return None
+    r, J, _ = _weighted(model, points, fitted)
+    basis = orthonormal_basis(J.reshape(-1, J.shape[2]))  # directions that are open, or told twice, are not there
+    return fit_averaged(r, basis.reshape(*r.shape, -1), points.t_s)
+
+
+def in_blocks(points: ArmPoints, correlation: Correlation | None) -> ArmPoints:
+    """Return the rows with the block of time that each is of, where they are samples of a stream; else as they are."""
+    if points.t_s is None or correlation is None:
+        return points
+    moments = np.unique(points.t_s)
+    span = float(moments[-1] - moments[0])
+    if not span > 0.0 or correlation.neighbours(float(np.median(np.diff(moments)))) < ALIKE:
+        return points
+    count = int(np.clip(span / (FORGOTTEN * correlation.time_s), FEWEST_BLOCKS, MOST_BLOCKS))
+    block = np.minimum(((points.t_s - moments[0]) / span * count).astype(np.intp), count - 1)
+    return replace(points, block=block, gap_s=min(correlation.time_s, 0.5 * span / count))
+
+
+def believed(model: ArmModel, points: ArmPoints, fitted: ArmFit) -> tuple[ArmFit, Correlation | None]:
+    """Return the fit as far as it is to be believed, and how long its errors are alike: of rows in blocks of time with
+    a covariance that says so, of others as it is."""
+    drift = None if points.block is None else drift_of(model, points, fitted)
+    if drift is None:
+        return fitted, None
+    return widened(model, points, fitted, drift), drift.correlation
+
+
+def widened(model: ArmModel, points: ArmPoints, fitted: ArmFit, drift: Averaged) -> ArmFit:
+    """Return the fit with the covariance that it has where the errors drift: of the gradient's true scatter (the
+    sandwich of Huber 1967), not of as many independent rows."""
+    covariance = fitted.fit.covariance
+    if covariance is None or points.t_s is None:
+        return fitted
+    _, J, names = _weighted(model, points, fitted)
+    known = [names.index(name) for name in covariance.names]
+    scatter = score_covariance(drift, J[:, :, known], points.t_s) + np.diag(fitted.prior_weight[known])
+    C = covariance.matrix @ scatter @ covariance.matrix
+    wide = NamedCovariance(names=covariance.names, matrix=0.5 * (C + C.T))
+    return replace(fitted, fit=replace(fitted.fit, covariance=wide))
+
+
+def _weighted(model: ArmModel, points: ArmPoints, fitted: ArmFit) -> tuple[Array, Array, list[str]]:
+    """Return whitened residuals (m, k), their derivative (m, k, F) by what was fitted, both with the robust weights,
+    and the names (F,)."""
+    evaluation = model.evaluate(fitted.p, points, fitted.sigma_m, fitted.sigma_rad)
+    index = [model.names.index(name) for name in fitted.free]
+    root = np.sqrt(fitted.fit.weights.reshape(len(points), -1))
+    r = evaluation.residuals.reshape(len(points), -1) * root
+    J = evaluation.shared[0][:, index].reshape(*r.shape, len(index)) * root[:, :, None]
+    return r, J, list(fitted.free)
