@@ -3,13 +3,13 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
 
-.PHONY: demo test check docs install lock clean
+.PHONY: demo test check guides docs install lock clean
 
 demo: install
 	$(BIN)/armsight demo -o demo
 
 test: install
-	$(BIN)/pytest -n 2
+	$(BIN)/pytest -n 2 --dist worksteal
 
 check: install
 	$(BIN)/ruff format --check src tests benchmarks tools examples
@@ -17,6 +17,9 @@ check: install
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python tools/structure.py
+
+guides: install
+	$(BIN)/python tools/follow_guides.py
 
 install: $(READY)
 

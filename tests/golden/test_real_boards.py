@@ -67,6 +67,13 @@ def test_wrong_size_is_told_with_the_right_one(size: tuple[int, int]) -> None:
         find_board(picture(STEREO / "left01.jpg"), board_target(TargetKind.CHECKERBOARD, *size, 0.025))
 
 
+@needs_stereo
+@pytest.mark.parametrize(("name", "columns"), [("right06", 8), ("right11", 8), ("left13", 10)])
+def test_a_wrong_count_is_refused_where_the_board_ends_in_half_squares(name: str, columns: int) -> None:
+    with pytest.raises(BadImage, match=r"one of 9x6 was|is not where the others put it"):
+        find_board(picture(STEREO / f"{name}.jpg"), board_target(TargetKind.CHECKERBOARD, columns, 6, 0.025))
+
+
 @needs_dots
 def test_all_dots_are_found_from_the_big_one_on() -> None:
     views = [find_board(picture(DOTS / f"{n}.png"), SHEET, source=f"{n}.png") for n in range(15)]

@@ -14,6 +14,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.calibrate.handeye import (
+    Basis,
     HandEye,
     HandEyeOptions,
     PosePairs,
@@ -240,7 +241,7 @@ def streams(seed: int, offset_s: float) -> tuple[np.ndarray, RigidTransform, np.
     return t_robot, robot, t_camera, shaken(rng, seen(t_camera + offset_s), 0.1 * MM, 0.05 * DEG)
 
 
-@pytest.mark.parametrize("offset_s", [-0.21, 0.0, 0.137])
+@pytest.mark.parametrize("offset_s", [-0.21, 0.0, 0.137, -11.3])
 def test_the_clocks_offset_is_found_and_its_doubt_true(offset_s: float) -> None:
     t_robot, robot, t_camera, camera = streams(12, offset_s)
     found = time_offset(t_robot, robot.rotation, t_camera, camera.rotation)
@@ -248,6 +249,27 @@ def test_the_clocks_offset_is_found_and_its_doubt_true(offset_s: float) -> None:
     given, _ = pairs_of_streams(t_robot, robot, t_camera, camera)
     result = calibrate_eye_in_hand(given)
     assert np.abs(off(result)[:3]).max() < 1 * MM
+
+
+def test_clocks_with_another_zero_are_laid_on_each_other() -> None:
+    t_robot, robot, t_camera, camera = streams(12, 0.137)
+    for zero_s in (25.0, -1.7e9):  # of which 12 s in common, and of a clock that counts from 1970
+        late = np.flatnonzero(t_camera > (7.0 if zero_s > 0.0 else 0.0))
+        found = time_offset(t_robot, robot.rotation, t_camera[late] - zero_s, camera.rotation[late])
+        assert abs(found.offset_s - 0.137 - zero_s) < max(5 * found.std_s, 1e-6) < 1e-3
+    with pytest.raises(Inconsistent, match=r"within 2 s.*larger offset"):
+        time_offset(t_robot, robot.rotation, t_camera - 25.0, camera.rotation, within_s=2.0)
+
+
+def test_a_motion_that_is_done_twice_leaves_the_offset_open_unless_the_clocks_are_known() -> None:
+    t_robot, robot, t_camera, camera = streams(12, 0.137)
+    once = np.arange(0.0, 20.0, 0.02)
+    again = np.concatenate([np.interp(once, t_robot, np.arange(len(t_robot))).astype(int)] * 2)
+    t_twice, twice = np.arange(0.0, 40.0, 0.02), robot.rotation[again]
+    with pytest.raises(Ambiguous, match="clocks-within"):
+        time_offset(t_twice, twice, t_camera, camera.rotation)
+    found = time_offset(t_twice, twice, t_camera, camera.rotation, within_s=5.0)
+    assert abs(found.offset_s - 0.137) < 0.02
 
 
 def test_streams_that_say_nothing_of_time_are_refused() -> None:
@@ -281,28 +303,29 @@ def pictures(seed: int, K: np.ndarray, distortion: np.ndarray) -> tuple[list[Boa
     return views, shaken(rng, Z * seen.inv() * X.inv(), 0.05 * MM, 0.01 * DEG)
 
 
-def test_images_beat_poses_and_know_the_cameras_share() -> None:
+def test_images_are_no_worse_than_poses_and_corners_know_the_cameras_share() -> None:
     K = np.array([[1100.0, 0, 640], [0, 1100, 480], [0, 0, 1]])
     distortion = np.array([-0.2, 0.05, 1e-3, -5e-4, 0.0])
     camera = Camera.pinhole(1280, 960, 1100, 1100, 640, 480, distortion=distortion)
     board = board_target(TargetKind.CHECKERBOARD, 9, 6, 0.025)
-    z, by_image, by_pose, corner_m = [], [], [], []
+    z, by_image, by_pose = [], [], []
     for seed in range(6):
         views, robot = pictures(seed, K, distortion)
         done = calibrate_from_views(views, list(robot), camera, board, Setup.EYE_IN_HAND)
         result = done.result
+        assert result.comparison is not None
         z.append(off(result) / np.sqrt(np.diag(result.covariance.matrix)))
-        by_image.append(off(result)[:3])
-        by_pose.append(off(calibrate_eye_in_hand(result.pairs))[:3])
-        corner_m.append(result.noise.camera_m.value)
         assert result.reprojection_rms_px == pytest.approx(0.1 * np.sqrt(2), rel=0.05)
-        assert result.noise.robot_m.known
+        assert result.noise.robot_m.known == (result.comparison.kept is Basis.CORNERS)
+        by_image.append(off(result)[:3])
+        by_pose.append(off(done.from_poses)[:3])
     assert np.sqrt((np.array(z) ** 2).mean()) == pytest.approx(1.0, abs=0.35)  # 6 x 12 correlated numbers
     assert np.linalg.norm(by_image) < np.linalg.norm(by_pose)
     wrong = Camera.pinhole(1280, 960, 1108, 1108, 640, 480, distortion=distortion)
     views, robot = pictures(7, K, distortion)
     freed = calibrate_from_views(views, list(robot), wrong, board, Setup.EYE_IN_HAND, free_camera=True)
     assert freed.camera.intrinsics[:2] == pytest.approx([1100, 1100], abs=1.5)
+    assert freed.result.comparison is not None and freed.result.comparison.kept is Basis.CORNERS_AND_CAMERA
     with pytest.raises(Inconsistent, match="the camera file says 640x480"):
         small = Camera.pinhole(640, 480, 550, 550, 320, 240)
         calibrate_from_views(views, list(robot), small, board, Setup.EYE_IN_HAND)

@@ -248,6 +248,14 @@ def test_frames_averaged_over_time_are_told_or_refused() -> None:
     assert calibrate_noise(smoothed(0.4, every=6)).frame_ratio == pytest.approx(1.047, abs=0.03)  # 0.6^6
 
 
+def test_light_that_changes_is_no_noise() -> None:
+    rng = np.random.default_rng(12)
+    light = room(rng)
+    clouds = [cv2.GaussianBlur(rng.normal(0.0, 30.0, light.shape), (0, 0), 3.0).clip(-8.0) for _ in range(6)]
+    with pytest.raises(Degenerate, match="alike over several pixels"):
+        calibrate_noise([rounded(exposed(light + cloud, rng, gain=0.01, read=0.3)) for cloud in clouds])
+
+
 def test_too_little_is_refused() -> None:
     frames = shots(room(np.random.default_rng(15)), 4, seed=15)
     with pytest.raises(NotEnoughData, match="3 frames are too few"):

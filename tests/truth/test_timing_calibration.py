@@ -44,6 +44,7 @@ class Truth:
     turned_rad: float = 0.0
     portrait: bool = False
     start_s: float = 0.0
+    uneven_s: float = 0.0  # standard deviation of the right camera's exposures about their stamps
 
 
 def rig_of(truth: Truth) -> Rig:
@@ -95,7 +96,8 @@ def _track(truth: Truth, rig: Rig, way: Path, side: int, rng: np.random.Generato
     kept[[0, -1]] = True
     t, stamp = t[kept], stamp[kept]
     stamp = stamp + rng.normal(0.0, truth.jitter_s[side], len(t))
-    uv = np.stack([_pixels(truth, rig, way, t, side, light) for light in LIGHTS[: truth.lights]], axis=1)
+    seen = t + rng.normal(0.0, truth.uneven_s, len(t)) if side and truth.uneven_s else t
+    uv = np.stack([_pixels(truth, rig, way, seen, side, light) for light in LIGHTS[: truth.lights]], axis=1)
     uv = uv + rng.normal(0.0, truth.noise_px[side], uv.shape)
     inside = ((uv > 5.0) & (uv < [WIDTH - 6.0, HEIGHT - 6.0])).all(axis=2)
     frame, light = np.nonzero(inside)
@@ -174,6 +176,11 @@ def test_stamps_that_come_late_now_and_then_do_no_harm() -> None:
     late = np.where(rng.random(len(left)) < 0.02, rng.uniform(0.0, 0.03, len(left)), 0.0)
     e, s = off(truth, calibrate_timing(rig, replace(left, t_s=left.t_s + late), right, PLACES))
     assert (np.abs(e) < 4.0 * s).all() and abs(e[0]) < 2e-4
+
+
+def test_exposures_that_are_not_at_their_stamps_are_told() -> None:
+    found = calibrate_timing(*record(Truth(uneven_s=2e-3), np.random.default_rng(8)))
+    assert found.verdict.startswith("weak") and "right view" in found.verdict
 
 
 def test_one_beacon_before_parallel_cameras_tells_the_difference_of_the_read_outs_only() -> None:

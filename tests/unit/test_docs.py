@@ -1,6 +1,7 @@
 """Every code block of the README and the docs runs; blocks of one page share a folder and follow each other.
 
-Blocks marked `text` are output or need hardware and are not run. `make` lines are checked against the Makefile.
+Blocks marked `text` are output, need hardware or take long, and are not run here: tools/follow_guides.py follows them.
+`make` lines are checked against the Makefile.
 """
 
 from __future__ import annotations

@@ -191,6 +191,7 @@ def calibrate_tool_tip(
     *,
     point_m: ArrayLike | None = None,
     point_std_m: float = 0.0,
+    t_s: ArrayLike | None = None,
 ) -> ToolTipResult:
     """Return the tool's tip from poses of a frame that was turned about it while it rested on one point.
 
@@ -204,6 +205,9 @@ def calibrate_tool_tip(
         (3,) in m, where the tip rests in the world, if that was measured.
     point_std_m
         Standard deviation in m of one coordinate of point_m.
+    t_s
+        (n,) in s, where the poses are of one recording: how long their errors are alike is estimated, and they are
+        weighed and believed by it.
 
     Raises
     ------
@@ -225,7 +229,7 @@ def calibrate_tool_tip(
     point = None
     if point_m is not None:
         point = MeasuredPoint(xyz_m=as_vectors(point_m, 3, "point_m", single=True), sigma_m=point_std_m)
-    return ToolTipResult(detail=calibrate_tooltip(poses, given, point))
+    return ToolTipResult(detail=calibrate_tooltip(poses, given, point, t_s))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)

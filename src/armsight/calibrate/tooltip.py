@@ -3,7 +3,7 @@
 The end P rests on a fixed point while the target (or the flange) is turned about it: every pose T_i says
 R_i tip + t_i = point. Pachidis takes the point from a measurement and averages (eqs. 10-13), so that an error of the
 point goes straight into the tip; with the point unknown as well (MATH 3.2) no measurement of it is needed, and one
-that exists counts for as much as it is sure.
+that exists counts for as much as it is sure. Poses with times are of one recording: their errors may drift.
 """
 
 from __future__ import annotations
@@ -17,6 +17,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import f as fisher
 from scipy.stats import t as student
 
+from armsight.calibrate.correlation import Correlation
+from armsight.calibrate.tooltip_stream import PivotStream, checked_times
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
 from armsight.records import NamedCovariance, frozen_array
 from armsight.units import DEG, MM
@@ -43,8 +45,9 @@ TIP_SETTLED = 1e-10
 """Weights follow the tip's place; the fit is settled when it moves by less (m)."""
 
 NOISE_M = 0.1 * MM
-NOISE_RAD = 0.1 * DEG
-"""Ratio of the noises where poses bring no covariance; their common size is estimated."""
+NOISES_RAD_M = (1.0, 3.0, 10.0, 30.0, 100.0)
+"""Noise of orientation over that of position, of which the likeliest is taken where poses bring no covariance; their
+common size is estimated."""
 
 GOOD_ENOUGH_M = 0.1 * MM
 NORMAL_95 = 1.959964
@@ -65,27 +68,37 @@ class MeasuredPoint:
                 cure="Give the standard deviation of one coordinate",
             )
 
+    def information(self) -> tuple[Array, Array]:
+        """Return (tip, point) as it wants them, (6,), and how sure it is of each, (6, 6) in 1/m^2: of the tip not."""
+        sure = np.diag([0.0, 0.0, 0.0, *[1.0 / self.sigma_m**2] * 3])
+        return np.concatenate([np.zeros(3), self.xyz_m]), sure
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TipCalibration:
     """tip_m (3,) in the turned frame's axes, point_m (3,) in its parent's; covariance of both by name, widened so that
-    +- 1.96 std holds 95 %. residuals_m (n, 3): R tip + t - point of all poses. used (n,). rejected: (row, why).
-    paper_tip_m: the mean of Pachidis eq. (13), where the point was measured.
+    +- 1.96 std holds 95 %. residuals_m (n, 3): R tip + t - point of all poses; left_out_m (n, 3): the same by the other
+    poses (by those further away in time, where they are of one recording), NaN where these do not tell. used (n,).
+    rejected: (row, why). paper_tip_m: the mean of Pachidis eq. (13), where the point was measured. correlation: of the
+    errors in time, where times were given.
     """
 
     tip_m: Array
     point_m: Array
     covariance: NamedCovariance
     residuals_m: Array
+    left_out_m: Array
     used: NDArray[np.bool_]
     rejected: tuple[tuple[int, str], ...]
     turn_rms_rad: Array
     paper_tip_m: Array | None = None
+    correlation: Correlation | None = None
 
     def __post_init__(self) -> None:
         for name in ("tip_m", "point_m", "turn_rms_rad"):
             object.__setattr__(self, name, frozen_array(name, getattr(self, name), (3,)))
         object.__setattr__(self, "residuals_m", frozen_array("residuals_m", self.residuals_m, (None, 3)))
+        self.left_out_m.setflags(write=False)
 
     @property
     def n_used(self) -> int:
@@ -97,6 +110,18 @@ class TipCalibration:
         """Root mean square length of the residuals of the used poses."""
         return float(np.sqrt((self.residuals_m[self.used] ** 2).sum(axis=1).mean()))
 
+    @property
+    def loo_rms_m(self) -> float | None:
+        """Root mean square length of the left-out residuals of the used poses; None where none could be told."""
+        squares = (self.left_out_m[self.used] ** 2).sum(axis=1)
+        squares = squares[np.isfinite(squares)]
+        return float(np.sqrt(squares.mean())) if len(squares) else None
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What to know of it, and to do."""
+        return () if self.correlation is None else self.correlation.warnings(self.n_used)
+
     def std(self) -> dict[str, float]:
         """Return the standard deviations of the tip by coordinate."""
         whole = self.covariance.std()
@@ -107,22 +132,60 @@ def calibrate_tooltip(
     poses: RigidTransform | Sequence[RigidTransform],
     covariances: ArrayLike | None = None,
     point: MeasuredPoint | None = None,
+    t_s: ArrayLike | None = None,
 ) -> TipCalibration:
     """Return the tip from poses of the turned frame in a fixed one, the tip resting on one point.
 
     covariances: (n, 6, 6) of the poses, translation then rotation vector in the parent's axes; without them one noise
     of position and orientation is assumed and its size estimated. point: where it rests, if measured; without a
-    sigma worth having leave it out. Raises NotEnoughData below MIN_POSES, Degenerate for too little turning or
-    one axis, Inconsistent where the poses share no point.
+    sigma worth having leave it out. t_s (n,): times in s, where the poses are of one recording: how long their errors
+    are alike is estimated then, and they are weighed and believed by it. Raises NotEnoughData below MIN_POSES,
+    Degenerate for too little turning or one axis, Inconsistent where the poses share no point.
     """
     R, t = _split(poses)
-    n = len(R)
-    C = _covariances(covariances, n)
-    turn = _turns(R)
+    times = None if t_s is None else checked_times(np.asarray(t_s, float), len(R))
+    C = None if covariances is None else frozen_array("covariances", covariances, (len(R), 6, 6))
+    _require_turning(_turns(R))
+    keep, (x, cov, e, V, scale2, dof) = _agreed(R, t, C, point)
+    turn = _turns(R[keep])
     _require_turning(turn)
+    _require_point(e[keep], t[keep], len(R))
+    left, correlation = _left_out(R, e, V * scale2, cov, keep), None
+    cov = cov * (float(student.ppf(0.975, dof)) / NORMAL_95) ** 2
+    if times is not None:
+        stream = PivotStream(R=R, t=t, V=V, t_s=times, prior=None if point is None else point.information())
+        found = stream.fit(x, keep, _turned(R, keep))
+        x, cov, left, correlation = found.x, found.C, found.left_out_m, found.correlation
+        e = R @ x[:3] + t - x[3:]
+    return TipCalibration(
+        tip_m=x[:3],
+        point_m=x[3:],
+        covariance=NamedCovariance(names=NAMES, matrix=cov),
+        residuals_m=e,
+        left_out_m=left,
+        used=keep,
+        rejected=tuple(
+            (int(i), f"the tip is {np.linalg.norm(e[i]) / MM:.3g} mm from the point where the others rest")
+            for i in np.flatnonzero(~keep)
+        ),
+        turn_rms_rad=turn,
+        paper_tip_m=None if point is None else mean_tip(R[keep], t[keep], point.xyz_m),
+        correlation=correlation,
+    )
+
+
+_Fit = tuple[Array, Array, Array, Array, float, int]
+
+
+def _agreed(R: Array, t: Array, C: Array | None, point: MeasuredPoint | None) -> tuple[NDArray[np.bool_], _Fit]:
+    """Return which poses agree on a tip, and the fit to them; Inconsistent where too few do."""
+    n = len(R)
     keep = _consensus(R, t)
+    if C is None:
+        C = _likeliest(R, t, keep, point)
     for _ in range(TIP_ROUNDS):
-        x, cov, e, V, scale2, dof = _fit(R, t, C, keep, point)
+        fit = _fit(R, t, C, keep, point)
+        _, cov, e, V, scale2, dof = fit
         q = _distance(R, e, V, cov, keep, scale2)
         limit = 3.0 * float(fisher.isf(FALSE_ALARM / n, 3, dof))
         fitting = q <= limit
@@ -131,23 +194,7 @@ def calibrate_tooltip(
         if fitting.sum() < max(MIN_POSES, LEAST_SHARE * n):
             raise _no_point(int(fitting.sum()), n)
         keep = fitting
-    turn = _turns(R[keep])
-    _require_turning(turn)
-    _require_point(e[keep], t[keep], n)
-    widen = (float(student.ppf(0.975, dof)) / NORMAL_95) ** 2
-    return TipCalibration(
-        tip_m=x[:3],
-        point_m=x[3:],
-        covariance=NamedCovariance(names=NAMES, matrix=cov * widen),
-        residuals_m=e,
-        used=keep,
-        rejected=tuple(
-            (int(i), f"the tip is {np.linalg.norm(e[i]) / MM:.3g} mm from the point where the others rest")
-            for i in np.flatnonzero(~keep)
-        ),
-        turn_rms_rad=turn,
-        paper_tip_m=None if point is None else mean_tip(R[keep], t[keep], point.xyz_m),
-    )
+    return keep, fit
 
 
 def mean_tip(R: Array, t: Array, point_m: Array) -> Array:
@@ -160,19 +207,25 @@ class TipRecording:
     """Poses recorded so far while the operator pivots, and what they are worth; every `with_pose` is a new one."""
 
     poses: tuple[RigidTransform, ...] = ()
+    t_s: tuple[float, ...] = ()
     point: MeasuredPoint | None = None
     good_m: float = GOOD_ENOUGH_M
     latest: TipCalibration | None = field(default=None)
     waiting: str = "turn the tool about its end"
 
-    def with_pose(self, pose: RigidTransform) -> TipRecording:
-        """Return the recording with one more pose, and the calibration that it now allows."""
+    def with_pose(self, pose: RigidTransform, t_s: float | None = None) -> TipRecording:
+        """Return the recording with one more pose, and the calibration that it now allows. t_s: when it was measured,
+        in s; poses are taken as of one recording where all come with one."""
         poses = (*self.poses, pose)
+        times = self.t_s if t_s is None else (*self.t_s, t_s)
         try:
-            latest, waiting = calibrate_tooltip(poses, point=self.point), ""
+            timed = times if len(times) == len(poses) else None
+            latest, waiting = calibrate_tooltip(poses, point=self.point, t_s=timed), ""
         except (NotEnoughData, Degenerate, Inconsistent) as error:
             latest, waiting = None, error.cause
-        return TipRecording(poses=poses, point=self.point, good_m=self.good_m, latest=latest, waiting=waiting)
+        return TipRecording(
+            poses=poses, t_s=times, point=self.point, good_m=self.good_m, latest=latest, waiting=waiting
+        )
 
     @property
     def std_m(self) -> float:
@@ -209,10 +262,18 @@ def _split(poses: RigidTransform | Sequence[RigidTransform]) -> tuple[Array, Arr
     return M[:, :3, :3], M[:, :3, 3]
 
 
-def _covariances(given: ArrayLike | None, n: int) -> Array:
-    if given is None:
-        return np.tile(np.diag([NOISE_M**2] * 3 + [NOISE_RAD**2] * 3), (n, 1, 1))
-    return frozen_array("covariances", given, (n, 6, 6))
+def _likeliest(R: Array, t: Array, keep: NDArray[np.bool_], point: MeasuredPoint | None) -> Array:
+    """Return the covariances (n, 6, 6) whose ratio of the noises the kept poses make likeliest (REML)."""
+    best, found = -np.inf, np.empty(0)
+    for ratio in NOISES_RAD_M:
+        C = np.tile(NOISE_M**2 * np.diag([1.0] * 3 + [ratio**2] * 3), (len(R), 1, 1))
+        _, cov, _, V, scale2, dof = _fit(R, t, C, keep, point)
+        scale2 = max(scale2, 1e-300)
+        logdet = np.linalg.slogdet(V[keep])[1].sum() - np.linalg.slogdet(cov / scale2)[1]
+        likelihood = -0.5 * (float(logdet) + dof * float(np.log(scale2)))
+        if likelihood > best:
+            best, found = likelihood, C
+    return found
 
 
 def _fit(
@@ -236,10 +297,9 @@ def _fit(
         e = np.einsum("nia,a->ni", J, new) + t
         scale2 = float(np.einsum("ni,nij,nj->", e[keep], W[keep], e[keep])) / dof
         if point is not None:  # a measurement of the point, in its own units: the poses' factor must be known first
-            prior = np.zeros((6, 6))
-            prior[3:, 3:] = np.eye(3) * max(scale2, 1e-30) / point.sigma_m**2
-            H = H + prior
-            new = np.linalg.solve(H, g + prior @ np.concatenate([np.zeros(3), point.xyz_m]))
+            wanted, sure = point.information()
+            H = H + sure * max(scale2, 1e-30)
+            new = np.linalg.solve(H, g + sure @ wanted * max(scale2, 1e-30))
             e = np.einsum("nia,a->ni", J, new) + t
         moved = float(np.abs(new - x).max())
         x = new
@@ -255,6 +315,14 @@ def _distance(R: Array, e: Array, V: Array, cov: Array, keep: NDArray[np.bool_],
     S = V * scale2 + np.where(keep[:, None, None], -M, M)
     S = S + 1e-24 * np.eye(3)
     return np.asarray(np.einsum("ni,ni->n", e, np.linalg.solve(S, e[:, :, None])[:, :, 0]))
+
+
+def _left_out(R: Array, e: Array, V: Array, cov: Array, keep: NDArray[np.bool_]) -> Array:
+    """Return (n, 3): each residual by the fit to the other kept poses; V (n, 3, 3): their covariances."""
+    J = np.concatenate([R, np.tile(-np.eye(3), (len(R), 1, 1))], axis=2)
+    own = J @ cov @ J.transpose(0, 2, 1) @ np.linalg.inv(V + 1e-24 * np.eye(3))  # the share of itself in its fit
+    others = np.eye(3) - np.where(keep[:, None, None], own, 0.0)
+    return np.asarray(np.linalg.solve(others + 1e-12 * np.eye(3), e[:, :, None])[:, :, 0])
 
 
 def _consensus(R: Array, t: Array) -> NDArray[np.bool_]:
@@ -281,6 +349,12 @@ def _turns(R: Array) -> Array:
     w = (rotations.mean().inv() * rotations).as_rotvec()
     w = w - w.mean(axis=0)
     return np.sqrt(np.maximum(np.linalg.eigvalsh(w.T @ w / len(w))[::-1], 0.0))
+
+
+def _turned(R: Array, keep: NDArray[np.bool_]) -> Array:
+    """Return how far each frame (n,) is turned from the mean of the kept ones, in rad."""
+    rotations = Rotation.from_matrix(R)
+    return np.asarray((rotations[np.flatnonzero(keep)].mean().inv() * rotations).magnitude())
 
 
 def _require_turning(turn: Array) -> None:

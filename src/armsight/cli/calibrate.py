@@ -23,7 +23,11 @@ Detector: TypeAlias = Annotated[
 
 Lens: TypeAlias = Annotated[
     str,
-    typer.Option("--lens", metavar="NAME", help="pinhole, or fisheye (OpenCV's fisheye, Kalibr's equidistant)."),
+    typer.Option(
+        "--lens",
+        metavar="NAME",
+        help="pinhole, or fisheye (OpenCV's fisheye, Kalibr's equidistant); of a pair also both: fisheye,pinhole.",
+    ),
 ]
 
 calibrate = typer.Typer(help="Calibrate a camera, or a pair of cameras.", no_args_is_help=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -62,18 +63,20 @@ def console(
 def _without_robot(face: CommandUI, folder: Path, changed: dict[str, Any], options: ServeOptions) -> None:
     from fastapi import FastAPI
 
+    from armsight.app.operator.one_console import one_console
     from armsight.console.application import add_console
     from armsight.console.state import Console
     from armsight.server.serving import serve_pages
 
-    made = Console.of_folder(folder)
-    try:
-        made.apply(made.cell.model_copy(update=changed))
-        server = FastAPI()
-        add_console(server, made)
-        serve_pages(server, options, ready=lambda url: _say(face, url))
-    finally:
-        made.close()
+    with one_console(folder):
+        made = Console.of_folder(folder)
+        try:
+            made.apply(made.cell.model_copy(update=changed))
+            server = FastAPI()
+            add_console(server, made)
+            serve_pages(server, options, ready=lambda url: _say(face, url))
+        finally:
+            made.close()
 
 
 def serve_cell(face: CommandUI, robot: str, folder: Path, changed: dict[str, Any], options: ServeOptions) -> None:
@@ -81,6 +84,7 @@ def serve_cell(face: CommandUI, robot: str, folder: Path, changed: dict[str, Any
 
     changed: entries of the cell's file. Raises what its files, the robot, the address and the disk refuse.
     """
+    from armsight.app.operator.one_console import one_console
     from armsight.app.operator.robot_cell import open_robot_cell, prepare_simulated
     from armsight.console.application import add_console
     from armsight.console.state import Console
@@ -89,11 +93,13 @@ def serve_cell(face: CommandUI, robot: str, folder: Path, changed: dict[str, Any
     from armsight.server.auth import Authenticator
     from armsight.server.serving import check_options, serve_pages
 
-    if not changed:
-        prepare_simulated(robot, folder)
-    face.say(f"{robot} is being opened")
     cancelled = face.progress("opening").cancelled
-    with open_robot_cell(robot, folder) as cell:
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(one_console(folder))
+        if not changed:
+            prepare_simulated(robot, folder)
+        face.say(f"{robot} is being opened")
+        cell = stack.enter_context(open_robot_cell(robot, folder))
         if cancelled():
             raise Cancelled("stopped before the page was served")
         made = Console.of_folder(folder, cell)

@@ -16,7 +16,7 @@ from armsight.errors import UsageError
 from armsight.units import MM
 
 if TYPE_CHECKING:
-    from armsight.app.schemas.handeye import HandEyeOutput
+    from armsight.app.schemas.handeye import HandEyeOutput, TipOutput
     from armsight.calibrate.handeye import Setup
 
 POINT_SIGMA_MM = 0.2
@@ -35,8 +35,16 @@ def handeye(
     ] = None,
     robot_stream: Annotated[Path | None, typer.Option(help="poses.csv of the flange, time-stamped.")] = None,
     camera_stream: Annotated[Path | None, typer.Option(help="poses.csv of the target in the camera.")] = None,
+    clocks_within: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0, metavar="SECONDS", help="With streams: their clocks differ by this at most; else by any."
+        ),
+    ] = None,
     setup: Annotated[str, typer.Option(help="eye-in-hand or eye-to-hand.")] = "eye-in-hand",
-    free_camera: Annotated[bool, typer.Option("--free-camera", help="With images: refine the camera as well.")] = False,
+    free_camera: Annotated[
+        bool, typer.Option("--free-camera", help="With images: refine the camera, if left-out images get better.")
+    ] = False,
     propose: Annotated[int, typer.Option(min=0, help="Propose so many further poses.")] = 0,
     workers: Workers = None,
     bits: Bits = None,
@@ -58,6 +66,7 @@ def handeye(
             robot=robot,
             robot_stream=robot_stream,
             camera_stream=camera_stream,
+            clocks_within_s=clocks_within,
             free_camera=free_camera,
             propose=propose,
             workers=workers,
@@ -96,7 +105,9 @@ def tooltip(
         format_ = table_options.format(face)
         done = calibrate_tip(poses, out, point=_point(point), sigma_m=point_sigma, format_=format_)
         face.table("Tip", ["", "mm", "+-"], tip_rows(done.tip_m, done.std))
-        face.say(f"{done.n_used} poses, residual {figure(done.residual_rms_m / MM)} mm RMS. Result: {out}")
+        face.say(f"{_worth(done)}, residual {figure(done.residual_rms_m / MM)} mm RMS{_left_out(done)}. Result: {out}")
+        for note in done.notes:
+            face.say(note)
         for item in done.rejected:
             face.say(f"  left out: row {item.row}: {item.why}")
         face.result(done)
@@ -138,8 +149,20 @@ def pivot(
         done = run_pivot(job, face.progress("pivoting"))
         face.table("Tip", ["", "mm", "+-"], tip_rows(done.tip_m, done.std))
         said = "good enough" if done.reached else "not yet as good as wanted: pivot on, or lower the goal"
-        face.say(f"{done.n_used} poses, {said}. Result: {out}")
+        face.say(f"{_worth(done)}, {said}{_left_out(done)}. Result: {out}")
+        for note in done.notes:
+            face.say(note)
         face.result(done)
+
+
+def _worth(done: TipOutput) -> str:
+    """Return how many poses there are, and how many independent ones those of a recording are worth, in words."""
+    worth = "" if done.n_effective is None else f", worth {done.n_effective:.0f} independent ones"
+    return f"{done.n_used} poses{worth}"
+
+
+def _left_out(done: TipOutput) -> str:
+    return "" if done.loo_rms_m is None else f", left out {figure(done.loo_rms_m / MM)} mm"
 
 
 def handeye_tables(face: CommandUI, done: HandEyeOutput, out: Path) -> None:
@@ -154,6 +177,10 @@ def handeye_tables(face: CommandUI, done: HandEyeOutput, out: Path) -> None:
         if pose is not None:
             face.table(name, ["", "mm", "+-"], pose_rows(pose, std))
     face.say(done.verdict)
+    if done.crossval is not None:
+        face.say(done.crossval.why)
+    if done.camera_file is not None:
+        face.say(f"The result belongs to the freed camera: {done.camera_file}")
     for text in done.advice:
         face.say(f"- {text}")
     for item in done.rejected[:8]:

@@ -81,6 +81,8 @@ def level_of(console: Console) -> Level:
         return Level("idle", texts.STARTING)
     if station.ended:
         return Level("idle", texts.ENDED)
+    if station.silent_s > 0.0:
+        return Level("bad", texts.SILENT.format(seconds=station.silent_s))
     status = station.shown.view.status
     if status == "ok":
         return Level("good", texts.MEASURING)

@@ -194,6 +194,11 @@ class Console:
             self.history.append(shown.view)
         return shown
 
+    @property
+    def current(self) -> bool:
+        """Whether the newest moment is how it is now."""
+        return self.station is not None and self.station.current
+
     def close(self) -> None:
         """End measuring, and teaching and supervision with it."""
         if self.supervisor is not None:

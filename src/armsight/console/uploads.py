@@ -16,6 +16,8 @@ from armsight.store.atomic import write_bytes
 
 LARGEST_BYTES = 2_000_000
 """Of a file brought: a rig with its covariance has 20 kB, a long table of readings some 100 kB."""
+LONGEST_NAME_BYTES = 200
+"""Of a file's name: file systems end at 255, and the writer's temporary name is longer."""
 NAME = re.compile(r"\w[\w.-]{0,80}\.(ya?ml|csv|urdf)")
 REPORT = re.compile(r"(?:\w[\w.-]{0,80}/)?\w[\w.-]{0,80}\.html")
 """A report in the cell's folder, or in a folder inside it."""
@@ -33,24 +35,32 @@ def add_files(server: FastAPI, console: Console) -> None:
 
     @server.put("/console/files/{name}", include_in_schema=False)
     async def take(name: str, request: Request) -> PlainTextResponse:
-        path = console.folder / name
-        if person_of(request).role != "drive":
-            return PlainTextResponse(texts.WATCHING, 403)
-        if not NAME.fullmatch(name):
-            return PlainTextResponse(texts.NOT_A_NAME.format(name=name[:80]), 400)
-        if path.exists():
-            return PlainTextResponse(texts.EXISTS.format(name=name), 409)
+        refused = _refused(console.folder, name, person_of(request).role)
+        if refused is not None:
+            return refused
         data = bytearray()
         async for part in request.stream():
             data += part
             if len(data) > LARGEST_BYTES:
                 return PlainTextResponse(texts.TOO_BIG.format(mb=LARGEST_BYTES // 1_000_000), 413)
+        if not data.strip():
+            return PlainTextResponse(texts.EMPTY_FILE.format(name=name), 400)
         try:
-            console.folder.mkdir(parents=True, exist_ok=True)
-            write_bytes(path, bytes(data))
+            write_bytes(console.folder / name, bytes(data))
         except ArmsightError as error:
             return PlainTextResponse(str(error), 507)
         return PlainTextResponse(texts.UPLOADED.format(name=name))
+
+
+def _refused(folder: Path, name: str, role: str) -> PlainTextResponse | None:
+    """Return why a file of this name is not taken from somebody, None where it may come."""
+    if role != "drive":
+        return PlainTextResponse(texts.WATCHING, 403)
+    if not NAME.fullmatch(name) or len(name.encode()) > LONGEST_NAME_BYTES:
+        return PlainTextResponse(texts.NOT_A_NAME.format(name=name[:80]), 400)
+    if (folder / name).exists():
+        return PlainTextResponse(texts.EXISTS.format(name=name), 409)
+    return None
 
 
 def reports(folder: Path) -> list[Path]:

@@ -21,8 +21,17 @@ except ImportError:  # not on this system: its camera drivers refuse a second re
 class DeviceLock:
     """Held while a device is open; the system lets go of it when the process ends, however it ends."""
 
-    def __init__(self, device: str, *, folder: Path | None = None) -> None:
+    def __init__(
+        self,
+        device: str,
+        *,
+        folder: Path | None = None,
+        consequence: str = "Two programs cannot read one camera: each would miss the other's frames",
+        cure: str = "Stop the other program, or choose another camera",
+    ) -> None:
+        """folder: of the file that tells others; consequence and cure: what a second holder is told."""
         self._device = device
+        self._consequence, self._cure = consequence, cure
         self._folder = folder or Path(tempfile.gettempdir())
         self._file: int | None = None
 
@@ -43,8 +52,8 @@ class DeviceLock:
             os.close(file)
             raise DeviceFailed(
                 f"{self._device} is in use{f' by process {holder}' if holder.isdecimal() else ''}",
-                consequence="Two programs cannot read one camera: each would miss the other's frames",
-                cure="Stop the other program, or choose another camera",
+                consequence=self._consequence,
+                cure=self._cure,
             ) from None
         os.ftruncate(file, 0)
         os.pwrite(file, str(os.getpid()).encode("ascii"), 0)

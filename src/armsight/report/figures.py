@@ -35,6 +35,9 @@ FINEST = 1e-5
 LONGEST = 18
 """Letters of a file's name on an axis."""
 
+FROM = {"eye": {"x": 1.45, "y": 1.45, "z": 1.2}, "center": {"x": 0.0, "y": 0.0, "z": -0.12}}
+"""Where a view in space is seen from at first: far enough that the axes' numbers are in it."""
+
 MAX_NAMED = 20
 """Names on an axis: upright, they stand clear of each other on a telephone."""
 
@@ -50,13 +53,22 @@ class Figure:
 
 def layout(**more: Any) -> dict[str, Any]:
     """Return the layout that all figures share, with more of it or other."""
+    if "scene" in more:
+        more["scene"] = {"camera": FROM, **more["scene"]}
     return {
         "font": {"family": FONT, "size": 12, "color": INK},
         "paper_bgcolor": "#ffffff",
         "plot_bgcolor": "#ffffff",
         "margin": {"l": 62, "r": 16, "t": 28, "b": 44},
         "hovermode": "closest",
-        "legend": {"orientation": "h", "y": 1.0, "yanchor": "bottom", "x": 0.0, "xanchor": "left"},
+        "legend": {
+            "orientation": "h",
+            "y": 1.0,
+            "yanchor": "bottom",
+            "x": 0.0,
+            "xanchor": "left",
+            "itemsizing": "constant",
+        },
         **more,
     }
 
@@ -214,6 +226,6 @@ def cloud_figure(xyz_m: Array, sigma_m: Array, measured_m: Array) -> Figure:
     xyz, seen, shown = 1e3 * xyz_m, 1e3 * measured_m, np.where(np.isfinite(sigma_m), 1e3 * sigma_m, np.nan)
     colours = {"color": shown, "colorscale": "Viridis", "colorbar": {"title": {"text": "mm"}}}
     cloud = points_in_space("tool", xyz, {"size": 3, **colours})
-    measured = points_in_space("measured", seen, {"size": 2, "color": INK, "symbol": "cross"})
+    measured = points_in_space("measured", seen, {"size": 2, "color": INK})
     scene = {"aspectmode": "data", **{f"{a}axis": {"title": {"text": f"{a}, mm"}} for a in "xyz"}}
     return Figure(data=[cloud, measured], layout=layout(scene=scene), height_px=520)

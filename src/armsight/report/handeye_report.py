@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.calibrate.handeye import HandEye, Part, scale_is_wrong, verdict
+from armsight.calibrate.handeye import HandEye, ImageComparison, Part, scale_is_wrong, verdict
 from armsight.report.boards import add_boards
 from armsight.report.figures import (
     BLUE,
@@ -57,6 +57,8 @@ def handeye_report(
     )
     if result.advice:
         page.add("What to know, and to do", "", bullets(result.advice))
+    if result.comparison is not None:
+        page.add("From poses or from corners", result.comparison.sentence(), _comparison(result.comparison))
     page.add(
         "Result",
         "Position in mm, orientation as a rotation vector in degrees, in the axes of the frame named first. "
@@ -148,6 +150,26 @@ def _poses(result: HandEye) -> list[str]:
             rows.append([key.rpartition("_")[0], shown, uncertainty, unit])
         out.append(table([name, "value", "±", "unit"], rows, numbers=(1, 2)))
     return out
+
+
+def _comparison(comparison: ImageComparison) -> str:
+    """Return the errors at images left out of every calibration from these images."""
+
+    def told(value: float, factor: float) -> str:
+        return figure_of(value / factor) if np.isfinite(value) else "no prediction"
+
+    rows = [
+        [
+            f"{basis.told}{', kept' * (basis is comparison.kept)}",
+            told(errors.position_m, MM),
+            told(errors.points_m, MM),
+            told(errors.angle_rad, DEG),
+            told(errors.reprojection_px, 1.0),
+        ]
+        for basis, errors in comparison.errors.items()
+    ]
+    names = ["from", "target's position, mm", "board's points, mm", "orientation, °", "corners, px"]
+    return table(names, rows, numbers=(1, 2, 3, 4))
 
 
 def _noise(result: HandEye) -> str:

@@ -48,7 +48,7 @@ def identify_report(
         page.add("Beside the nominal arm", f"Identified, and {nominal.name}.", _beside(result, nominal))
     page.add(
         "Paths and axes",
-        "Readings by joint, where the result puts the beacon (small), and the axes with all joints at zero. Crosses "
+        "Readings by joint, where the result puts the beacon (small), and the axes with all joints at zero. Diamonds "
         "are readings that were discarded.",
         page.plot(path_figure(result, sweeps, xyz)),
     )
@@ -165,7 +165,7 @@ def path_figure(result: Identification, sweeps: Sweeps, xyz_m: Array) -> Figure:
         ]
         if len(lost):
             traces.append(
-                _cloud(f"joint {j + 1}, discarded", lost, "markers", {"size": 5, "color": RED, "symbol": "x"})
+                _cloud(f"joint {j + 1}, discarded", lost, "markers", {"size": 5, "color": RED, "symbol": "diamond"})
             )
     scene = {"aspectmode": "data", **{f"{a}axis": {"title": {"text": f"{a}, mm"}} for a in "xyz"}}
     return Figure(data=traces, layout=layout(scene=scene), height_px=560)

@@ -21,8 +21,8 @@ DEFAULT_EYE = {"x": 1.25, "y": 1.25, "z": 1.25}
 def fitted_scene(scene: Mapping[str, Any], data: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Return a scene to scale whose axes end where the data does, so small that all of it is in the view.
 
-    plotly's own 'data' lets a long thin thing run out of the picture. Traces that only the legend names do not count: the
-    page goes back to 'data' where one is called up. Without data the scene is unchanged.
+    plotly's own "data" lets a long thin thing run out of the picture. Traces that only the legend names do not count:
+    the page goes back to it where one is called up. Without data the scene is unchanged.
     """
     shown = [trace for trace in data if trace.get("visible") != "legendonly"]
     traces = [trace for trace in shown if trace.get("type") == "scatter3d"]

@@ -66,8 +66,7 @@ def read_cell(folder: Path) -> CellFile:
 
 
 def write_cell(folder: Path, cell: CellFile) -> Path:
-    """Write cell.yaml into the folder, which is made where it is missing; return the file."""
-    folder.mkdir(parents=True, exist_ok=True)
+    """Write cell.yaml into the folder, which is made where it is missing; return the file. Raises DeviceFailed."""
     content: dict[str, Any] = cell.model_dump(exclude={"format", "version", "created", "software", "inputs"})
     path = folder / CELL_NAME
     write_document(path, CELL_FORMAT, content, [])

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.calibrate.handeye import HandEye, PosePairs, Setup
+from armsight.calibrate.handeye import HandEye, ImageComparison, LeftOutErrors, PosePairs, Setup
 from armsight.calibrate.tooltip import TipCalibration
 from armsight.errors import BadFile, Inconsistent
 from armsight.geometry import pose_from_quat
@@ -24,6 +24,7 @@ from armsight.store.schema import (
     Finite,
     Origin,
     PoseModel,
+    Strict,
     Vector3,
     covariance_mapping,
     named,
@@ -42,6 +43,23 @@ CELLS = (*POSITION, *QUATERNION)
 PAIR_COLUMNS = tuple(f"{who}_{cell}" for who in ("base_flange", "camera_target") for cell in CELLS)
 
 
+class LeftOutModel(Strict):
+    """Errors at images left out, RMS; null where not all of them were predicted."""
+
+    position_m: Finite | None
+    orientation_rad: Finite | None
+    points_m: Finite | None
+    reprojection_px: Finite | None
+
+
+class ImagesModel(Strict):
+    """What a result from images rests on, and the errors of all that were compared."""
+
+    kept: Literal["poses", "corners", "corners and camera"]
+    n_images: int
+    errors: dict[str, LeftOutModel]
+
+
 class HandEyeModel(Origin):
     """handeye.yaml: the poses that its setup names."""
 
@@ -57,6 +75,7 @@ class HandEyeModel(Origin):
     loo_rms_m: Finite | None = None
     loo_rms_rad: Finite | None = None
     n_used: int | None = None
+    crossval: ImagesModel | None = None
     verdict: str | None = None
 
 
@@ -68,7 +87,10 @@ class TipModel(Origin):
     point_m: Vector3 | None = None
     covariance: CovarianceModel | None = None
     residual_rms_m: Finite | None = None
+    loo_rms_m: Finite | None = None
     n_used: int | None = None
+    n_effective: Finite | None = None
+    correlation_time_s: Finite | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -177,9 +199,29 @@ def write_handeye(path: Path, result: HandEye, verdict: str, *, inputs: Sequence
         "loo_rms_m": result.loo_rms_m,
         "loo_rms_rad": result.loo_rms_rad,
         "n_used": result.n_used,
+        **({} if result.comparison is None else {"crossval": _crossval(result.comparison)}),
         "verdict": verdict,
     }
     write_document(path, HANDEYE_FORMAT, content, inputs)
+
+
+def _crossval(comparison: ImageComparison) -> dict[str, object]:
+    """Return what the result rests on, and the errors at images left out by what it could have rested on."""
+
+    def known(errors: LeftOutErrors) -> dict[str, float | None]:
+        figures = {
+            "position_m": errors.position_m,
+            "orientation_rad": errors.angle_rad,
+            "points_m": errors.points_m,
+            "reprojection_px": errors.reprojection_px,
+        }
+        return {name: value if np.isfinite(value) else None for name, value in figures.items()}
+
+    return {
+        "kept": str(comparison.kept),
+        "n_images": comparison.n_judged,
+        "errors": {str(basis): known(errors) for basis, errors in comparison.errors.items()},
+    }
 
 
 def write_handeye_poses(
@@ -233,6 +275,11 @@ def write_tip(path: Path, result: TipCalibration, *, inputs: Sequence[Path] = ()
         "residual_rms_m": result.residual_rms_m,
         "n_used": result.n_used,
     }
+    if result.loo_rms_m is not None:
+        content["loo_rms_m"] = result.loo_rms_m
+    if result.correlation is not None:
+        content["n_effective"] = result.correlation.n_effective
+        content["correlation_time_s"] = result.correlation.time_s
     write_document(path, TIP_FORMAT, content, inputs)
 
 

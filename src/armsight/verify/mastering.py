@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.errors import NotEnoughData, UsageError
+from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Arm, fk
 from armsight.units import DEG, MM
 from armsight.verify.alignment import Align, align, free_names, gross
@@ -35,6 +35,8 @@ ADDS = 1e-3
 CANDIDATES = 400
 SPAN_RAD, SPAN_M = np.deg2rad(30.0), 0.1
 """How far joints go from the middle pose, to either side."""
+LEFT_M, LEFT_RAD = 0.02, np.deg2rad(2.0)
+"""RMS of what an explanation may leave: ten times what nominal lengths and any measurement leave."""
 WEIGHTY = 0.6
 """A pose is said to decide a joint where leaving it out costs that joint this share of what it costs the most."""
 
@@ -121,7 +123,8 @@ def check_mastering(arm: Arm, q: Array, measured: Measured, how: Align) -> Maste
     """Return what poses measured after a crash say. q (m, n): the joints' values there. how: what of base and tool is
     not known from before.
 
-    Raises UsageError for positions without rotations, NotEnoughData, and as `align`.
+    Raises UsageError for positions without rotations, NotEnoughData, Inconsistent where the poses are not those of this
+    arm at these joint values, and as `align`.
     """
     if measured.rotation is None:
         raise UsageError("positions without rotations do not tell a joint from the tool", cure="Measure whole poses")
@@ -143,9 +146,23 @@ def check_mastering(arm: Arm, q: Array, measured: Measured, how: Align) -> Maste
         found = _explained(case, start, arm, how)
         off = gross(found.after, found.after)
         if not off.any() or len(kept) - off.sum() < FEWEST or rejected:
+            _require_fit(found)
             return replace(found, kept=kept, rejected=rejected)
         rejected = tuple((int(measured.rows[kept[i]]), _missed(found.after[i])) for i in np.flatnonzero(off))
         kept = kept[~off]
+
+
+def _require_fit(found: Mastering) -> None:
+    """Raise Inconsistent where the cause that is named leaves errors that are no noise: then it is none."""
+    place, turn = (float(np.sqrt(np.square(part).sum(axis=1).mean())) for part in np.split(found.after, 2, axis=1))
+    if found.cause != "several" and (place > LEFT_M or turn > LEFT_RAD):
+        raise Inconsistent(
+            f"no joint's zero and no bent tool explains the poses: {place / MM:.3g} mm and {turn / DEG:.3g} deg (RMS) "
+            "are left",
+            consequence="Nothing is said about the crash",
+            cure="Check that the rows are in the order of the joint values, that the arm's file is this arm's, and the "
+            "frame: with world.yaml, poses are in the rig's axes",
+        )
 
 
 def _missed(error: Array) -> str:

@@ -121,6 +121,17 @@ def test_its_recording_is_complete(station: Station, tmp_path: Path) -> None:
         assert recording.count("/left/image") == recording.count("/right/image") > 5
 
 
+def test_a_recording_that_cannot_be_begun_is_told_and_measuring_goes_on(station: Station, tmp_path: Path) -> None:
+    wait(lambda: station.shown is not None)
+    (tmp_path / "file").write_text("no folder")
+    station.record(tmp_path / "file" / "live.mcap")
+    wait(lambda: station.recording.failure)
+    assert "cannot be written" in station.recording.failure and station.recording.file is None
+    before = station.shown
+    wait(lambda: station.shown is not before)
+    assert station.failure == ""
+
+
 def test_a_pair_is_saved_bit_for_bit(station: Station, scene: Any, tmp_path: Path) -> None:
     import cv2
 

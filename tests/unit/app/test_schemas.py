@@ -43,9 +43,10 @@ HANDEYE = (
 )
 HANDEYE_MAYBE = (
     "T_flange_camera T_base_target T_base_camera T_flange_target target_scale reprojection_rms_px time_offset_s "
-    "time_offset_std_s proposals n_effective correlation_time_s"
+    "time_offset_std_s proposals n_effective correlation_time_s crossval camera_file"
 )
-TIP = "tip_m point_m std residual_rms_m n_used rejected turning_rms_rad"
+TIP = "tip_m point_m std residual_rms_m n_used rejected turning_rms_rad notes"
+TIP_MAYBE = "mean_tip_m loo_rms_m n_effective correlation_time_s"
 ARM = (
     "n before after crossval free fixed std corrections condition outliers still couplings at_limit notes "
     "noise model verdict gain other_arm urdf"
@@ -131,12 +132,14 @@ KEYS: dict[type[Output], tuple[str, str]] = {
     OUTPUTS["calibrate-handeye"]: (HANDEYE, HANDEYE_MAYBE),
     handeye.RejectedPair: ("row name why", ""),
     handeye.NoisePart: ("value", "std at_most"),
+    handeye.ImageCrossval: ("kept n_images poses corners why", "corners_and_camera"),
+    handeye.ImagesLeftOut: ("position_m orientation_rad points_m reprojection_px", ""),
     handeye.HandEyeNoise: ("translation_m robot_m camera_m robot_rad camera_rad", ""),
     PoseOutput: ("xyz_m quat_xyzw", ""),
     PointStd: (PLACE, ""),
     PoseStd: (f"{PLACE} {TURN}", ""),
-    OUTPUTS["calibrate-tooltip"]: (TIP, "mean_tip_m"),
-    OUTPUTS["calibrate-pivot"]: (f"{TIP} goal_m reached", "mean_tip_m"),
+    OUTPUTS["calibrate-tooltip"]: (TIP, TIP_MAYBE),
+    OUTPUTS["calibrate-pivot"]: (f"{TIP} goal_m reached", TIP_MAYBE),
     OUTPUTS["calibrate-arm"]: (ARM, "holdout proposals expected_std"),
     arm.ToolErrors: ("mean_m rms_m max_m", ""),
     arm.BeforeAfter: ("before after", ""),

@@ -26,8 +26,17 @@ OPTIONS = BoardOptions(lens=LensKind.FISHEYE, folds=0)
 SIZE = np.array([1280.0, 1024.0])
 
 
-def seen(lens: Lens, rng: np.random.Generator, n: int = 14, baseline_m: float | None = None) -> list[list[BoardView]]:
-    """Return views of boards all over the image; with a baseline those of a second camera to the right, too."""
+def seen(
+    lens: Lens,
+    rng: np.random.Generator,
+    n: int = 14,
+    baseline_m: float | None = None,
+    other: Lens | None = None,
+) -> list[list[BoardView]]:
+    """Return views of boards all over the image; with a baseline those of a second camera to the right, too.
+
+    other: the second camera's lens where it is not the first's.
+    """
     shifts = [np.zeros(3)] if baseline_m is None else [np.zeros(3), np.array([baseline_m, 0.0, 0.0])]
     out: list[list[BoardView]] = [[] for _ in shifts]
     X = BOARD.xyz_m - BOARD.xyz_m.mean(axis=0)
@@ -37,7 +46,7 @@ def seen(lens: Lens, rng: np.random.Generator, n: int = 14, baseline_m: float | 
         facing = Rotation.align_vectors(ray[None], np.array([[0.0, 0.0, 1.0]]))[0]
         tilt = Rotation.from_euler("zxy", rng.uniform([-30.0, -40.0, -40.0], [30.0, 40.0, 40.0]), degrees=True)
         points = (facing * tilt).apply(X) + rng.uniform(0.2, 0.5) * ray
-        uv = [lens.project(points - shift) for shift in shifts]
+        uv = [one.project(points - shift) for one, shift in zip((lens, other or lens), shifts, strict=False)]
         if not all(np.isfinite(one).all() and (one > 5.0).all() and (one < SIZE - 6.0).all() for one in uv):
             continue
         for side, one in zip(out, uv, strict=True):
@@ -97,3 +106,22 @@ def test_printed_circles_and_unknown_names_are_refused() -> None:
         calibrate_camera(views, parse_board("circles:9x6:0.025"), OPTIONS)
     with pytest.raises(UsageError, match="p1"):
         BoardOptions(lens=LensKind.FISHEYE, fixed=frozenset({"p1"}))
+
+
+def test_a_pair_of_a_fisheye_and_a_pinhole() -> None:
+    distortion = (-0.05, 0.01, 1e-3, 0.0, 0.0)
+    pinhole = Lens(width=1280, height=1024, focal_px=(480.0, 482.0), centre_px=(650.0, 500.0), distortion=distortion)
+    left, right = seen(FISHEYE, np.random.default_rng(6), baseline_m=0.12, other=pinhole)
+    mixed = BoardOptions(lens=LensKind.FISHEYE, right_lens=LensKind.PINHOLE)
+    done = calibrate_stereo(left, right, BOARD, mixed)
+    assert (done.rig.left.lens, done.rig.right.lens) == (LensKind.FISHEYE, LensKind.PINHOLE)
+    assert abs(done.rig.baseline_m - 0.12) < 4.0 * done.baseline_std_m < 0.002
+    assert {"left.k4", "right.p1"} < set(done.std)
+    assert done.rms_px == pytest.approx(SIGMA_PX * np.sqrt(2.0), rel=0.1)
+    both_pinholes = calibrate_stereo(left, right, BOARD, BoardOptions(folds=0))  # all in the image's inner 60 %
+    told = [line for line in both_pinholes.advice if "the left camera: a fisheye lens leaves" in line]
+    assert told
+    assert "fisheye, or fisheye,pinhole where the other camera is a pinhole" in told[0]
+    swapped = BoardOptions(lens=LensKind.PINHOLE, right_lens=LensKind.FISHEYE, folds=0)
+    with pytest.raises(Inconsistent, match=r"the left camera: .*this looks like a fisheye lens"):
+        calibrate_stereo(left, right, BOARD, swapped)

@@ -5,10 +5,12 @@ from pathlib import Path
 
 import pytest
 
+import armsight.store
 from armsight.app.verify.live_output import ERROR_COLUMNS, HEADER
 from armsight.app.verify.output import NAMES
 from armsight.store.arm_file import arm_from_mapping
 from armsight.store.cell_file import CellFile
+from armsight.store.handeye_file import HandEyeModel, TipModel
 from armsight.store.interpret.read import is_ours
 from armsight.store.interpret.roles import ROLES
 from armsight.store.iso9283_plan import PLAN_COLUMNS
@@ -17,6 +19,7 @@ from armsight.store.path_file import parse_path
 from armsight.store.picks_file import parse_picks
 from armsight.store.rigs import CameraModel, rig_from_mapping
 from armsight.store.schema import validated
+from armsight.store.spots_csv import parse_spot_track
 from armsight.store.tables import parse_table
 from armsight.store.targets import target_from_mapping
 from armsight.store.tokens import TokensModel
@@ -42,12 +45,17 @@ READERS = {
     "armsight/target": target_from_mapping,
     "armsight/arm": arm_from_mapping,
     "armsight/world": world_from_mapping,
+    "armsight/handeye": lambda content: validated(HandEyeModel, content, "x"),
+    "armsight/tip": lambda content: validated(TipModel, content, "x"),
     "armsight/limits": limits_from_mapping,
     "armsight/cell": lambda content: validated(CellFile, content, "x"),
     "armsight/tokens": lambda content: validated(TokensModel, content, "x").tokens,
     "t_s,x_m": lambda data: parse_poses(data, "x"),
     "t_s,spot": lambda data: parse_table(data, "x", POINT_COLUMNS, text=("spot",)),
     "t_s,camera": lambda data: parse_table(data, "x", SPOT_COLUMNS, text=("camera", "spot")),
+    "t_s,u_px": lambda data: parse_spot_track(data, "x"),
+    "joint,q1": lambda data: standard(data, "sweep"),
+    "frame,joint": lambda data: standard(data, "sweep_joints"),
     "index,t_s": lambda data: parse_path(data, "x"),
     "u_px,v_px": lambda data: parse_picks(data, "x"),
     "index,x_m": lambda data: parse_table(data, "x", PLAN_COLUMNS, text=("tag", "pose"), series="q"),
@@ -75,6 +83,13 @@ def reader_of(kind, text):
 def test_every_kind_is_shown():
     shown = {reader_of(kind, text)[0] for kind, text in BLOCKS}
     assert shown == set(READERS.values())
+
+
+def test_every_format_of_the_store_is_shown():
+    store = Path(armsight.store.__file__).parent
+    formats = {name for path in store.rglob("*.py") for name in re.findall(r'"(armsight/[a-z]+)"', path.read_text())}
+    shown = {parse_yaml(text.encode(), "x")["format"] for kind, text in BLOCKS if kind == "yaml"}
+    assert formats - shown == {"armsight/recording"}, "the recording is no text file; all others are shown"
 
 
 @pytest.mark.parametrize("number", range(len(BLOCKS)))

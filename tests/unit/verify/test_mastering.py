@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from armsight.errors import NotEnoughData, UsageError
+from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import fk, preset
 from armsight.verify import Align, Measured
 from armsight.verify.mastering import check_mastering, propose
@@ -63,6 +63,14 @@ def test_a_row_of_another_pose_is_left_out_by_number() -> None:
     found = check_mastering(ARM, wrong, measured((0.0, 0.0, 0.4, 0.0, 0.0, 0.0)), Align.NONE)
     assert [row for row, _ in found.rejected] == [7]
     assert found.cause == "joint 3"
+
+
+def test_poses_in_another_frame_are_no_crash() -> None:
+    seen = replace(measured(), std=None)
+    T = RigidTransform.from_components([1.7, 0.1, 0.3], Rotation.from_rotvec([1.2, 1.2, 1.2]))
+    turned = replace(seen, xyz_m=T.apply(seen.xyz_m), rotation=T.rotation.as_matrix() @ seen.rotation)
+    with pytest.raises(Inconsistent, match="are left"):
+        check_mastering(ARM, Q, turned, Align.NONE)
 
 
 def test_what_cannot_be_judged_is_refused() -> None:

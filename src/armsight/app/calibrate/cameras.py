@@ -45,7 +45,7 @@ class CalibrateJob:
     detector: one of armsight.measure.boards.DETECTORS, for checkerboards. noise: still frames of the camera, or a file
     that holds its noise. zoom: of a zoom lens, the setting at which the images were taken; out then keeps its other
     settings. camera_settings: what is asked of live cameras. bits: of the light in 16-bit images. strict: an image that
-    cannot be read stops the run. lens: one of LensKind, of the camera or of both.
+    cannot be read stops the run. lens: one of LensKind, of the camera or of both, or two with a comma.
     """
 
     board: str
@@ -68,13 +68,19 @@ class CalibrateJob:
     @property
     def options(self) -> BoardOptions:
         """What the calibration is free to do; UsageError for a lens that there is not, or that cannot zoom."""
-        if self.lens not in list(LensKind):
+        names = self.lens.split(",")
+        for name in names:
+            if name not in list(LensKind):
+                raise UsageError(
+                    f"{name[:40]!r} is not a kind of lens", cure=f"Give --lens with one of {', '.join(LensKind)}"
+                )
+        if len(names) > (2 if self.right else 1):
             raise UsageError(
-                f"{self.lens[:40]!r} is not a kind of lens", cure=f"Give --lens with one of {', '.join(LensKind)}"
+                f"{len(names)} kinds of lens are given", cure="Give one, or for a pair left and right: fisheye,pinhole"
             )
-        if self.lens == LensKind.FISHEYE and self.zoom is not None:
+        if LensKind.FISHEYE in names and self.zoom is not None:
             raise UsageError("a fisheye lens with --zoom", cure="Settings of a zoom lens are pinholes: leave one away")
-        return BoardOptions(folds=self.folds, lens=LensKind(self.lens))
+        return BoardOptions(folds=self.folds, lens=LensKind(names[0]), right_lens=LensKind(names[-1]))
 
     @property
     def reading(self) -> ImageReading:

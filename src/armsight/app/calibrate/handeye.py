@@ -16,6 +16,8 @@ from armsight.app.schemas.base import PointStd, PoseOutput, PoseStd, RejectedRow
 from armsight.app.schemas.handeye import (
     HandEyeNoise,
     HandEyeOutput,
+    ImageCrossval,
+    ImagesLeftOut,
     NoisePart,
     ProposedPose,
     RejectedPair,
@@ -23,8 +25,11 @@ from armsight.app.schemas.handeye import (
     TipOutput,
 )
 from armsight.calibrate.handeye import (
+    Basis,
     HandEye,
     HandEyeOptions,
+    ImageComparison,
+    LeftOutErrors,
     Noise,
     PosePairs,
     Proposal,
@@ -40,10 +45,12 @@ from armsight.calibrate.handeye import (
 from armsight.calibrate.tooltip import MeasuredPoint, TipCalibration, calibrate_tooltip
 from armsight.drivers import ImageReading, list_images, open_source
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
+from armsight.optics import Camera
 from armsight.records import BoardView, NotSeen, PoseStatus, Progress, Silent, TargetPose
 from armsight.report.handeye_report import handeye_report
 from armsight.report.run import BoardViews
-from armsight.store import parse_board, read_camera, read_poses, write_text
+from armsight.store import parse_board, read_camera, read_poses, write_camera, write_text
+from armsight.store.atomic import disk_errors
 from armsight.store.handeye_file import (
     named_poses,
     read_pairs,
@@ -59,6 +66,7 @@ from armsight.store.schema import pose_mapping
 class HandEyeJob:
     """One of: pairs; images with camera, board and robot; robot_stream with camera_stream (poses.csv files).
 
+    clocks_within_s: by how much the streams' clocks differ at most; None: any offset is looked for.
     free_camera: fit the intrinsics along with images. propose: how many further poses to propose. bits: of the
     light in 16-bit images. strict: an image that cannot be read stops the run.
     """
@@ -72,6 +80,7 @@ class HandEyeJob:
     robot: Path | None = None
     robot_stream: Path | None = None
     camera_stream: Path | None = None
+    clocks_within_s: float | None = None
     free_camera: bool = False
     propose: int = 0
     workers: int | None = None
@@ -87,6 +96,7 @@ class _Solved:
     unseen: Sequence[tuple[str, str]] = ()
     offset: TimeOffset | None = None
     boards: BoardViews | None = None
+    freed: Camera | None = None
 
 
 def calibrate_handeye(job: HandEyeJob, progress: Progress | None = None) -> HandEyeOutput:
@@ -108,10 +118,25 @@ def calibrate_handeye(job: HandEyeJob, progress: Progress | None = None) -> Hand
     else:
         solved = _from_streams(job)
     proposed = propose(solved.result, job.propose) if job.propose else None
+    camera_file = _write_camera(job.out.with_suffix(".camera.yaml"), solved)
     write_handeye(job.out, solved.result, verdict(solved.result), inputs=solved.inputs)
     files = [("file", item.name) for item in solved.inputs[:20]]
     write_text(report_path(job.out), handeye_report(solved.result, inputs=files, boards=solved.boards))
-    return handeye_output(solved.result, solved.unseen, offset=solved.offset, proposed=proposed)
+    output = handeye_output(solved.result, solved.unseen, offset=solved.offset, proposed=proposed)
+    return output.model_copy(update={"camera_file": camera_file})
+
+
+def _write_camera(path: Path, solved: _Solved) -> str | None:
+    """Write the camera that was freed and kept, beside the result that belongs to it; return its path.
+
+    An earlier run's goes where there is none: it does not belong to the handeye.yaml beside it.
+    """
+    if solved.freed is None:
+        with disk_errors(path):
+            path.unlink(missing_ok=True)
+        return None
+    write_camera(path, solved.freed, rms_px=solved.result.reprojection_rms_px, inputs=solved.inputs)
+    return str(path)
 
 
 def handeye_output(
@@ -150,6 +175,7 @@ def handeye_output(
         advice=list(result.advice),
         target_scale=None if scale is None else TargetScale(factor=scale.factor, std=scale.std, p=scale.p),
         reprojection_rms_px=result.reprojection_rms_px,
+        crossval=None if result.comparison is None else _crossval(result.comparison),
         time_offset_s=None if offset is None else offset.offset_s,
         time_offset_std_s=None if offset is None else offset.std_s,
         proposals=None if proposed is None else [_proposed(item) for item in proposed],
@@ -158,6 +184,33 @@ def handeye_output(
 
 def _pose(pose: RigidTransform) -> PoseOutput:
     return PoseOutput(**pose_mapping(pose))
+
+
+def _crossval(comparison: ImageComparison) -> ImageCrossval:
+    def of(basis: Basis) -> ImagesLeftOut | None:
+        errors = comparison.errors.get(basis)
+        return None if errors is None else _left_out(errors)
+
+    return ImageCrossval(
+        kept=str(comparison.kept),
+        n_images=comparison.n_judged,
+        poses=of(Basis.POSES),
+        corners=of(Basis.CORNERS),
+        corners_and_camera=of(Basis.CORNERS_AND_CAMERA),
+        why=comparison.sentence(),
+    )
+
+
+def _left_out(errors: LeftOutErrors) -> ImagesLeftOut:
+    def known(value: float) -> float | None:
+        return value if np.isfinite(value) else None
+
+    return ImagesLeftOut(
+        position_m=known(errors.position_m),
+        orientation_rad=known(errors.angle_rad),
+        points_m=known(errors.points_m),
+        reprojection_px=known(errors.reprojection_px),
+    )
 
 
 def _proposed(item: Proposal) -> ProposedPose:
@@ -185,7 +238,8 @@ def calibrate_tip(
 ) -> TipOutput:
     """Find the tip from a poses.csv, write tip.yaml; return the figures as --json gives them.
 
-    point (3,) in m, sigma_m: where it rests, if measured, and how well. Raises DataRefused.
+    point (3,) in m, sigma_m: where it rests, if measured, and how well. Poses with times are taken as of one recording,
+    whose errors may drift. Raises DataRefused.
     """
     found = read_poses(poses, parent="world", format_=format_, timed=False)
     read = [pose for pose in found if pose.status is PoseStatus.OK]
@@ -194,23 +248,28 @@ def calibrate_tip(
             f"{poses}: no pose of status ok", consequence="No tip is given", cure="Record the target again"
         )
     measured = None if point is None else MeasuredPoint(xyz_m=np.asarray(point, float), sigma_m=sigma_m)
-    result = calibrate_tooltip([p.pose for p in read if p.pose is not None], _covariances(read), measured)
+    chosen = [p.pose for p in read if p.pose is not None]
+    result = calibrate_tooltip(chosen, _covariances(read), measured, _times(found, read))
     write_tip(out, result, inputs=[poses])
     return tip_output(result)
 
 
 def tip_output(result: TipCalibration) -> TipOutput:
     """Return a tool-tip calibration as --json gives it."""
-    paper = result.paper_tip_m
+    paper, drift = result.paper_tip_m, result.correlation
     return TipOutput(
         tip_m=result.tip_m.tolist(),
         point_m=result.point_m.tolist(),
         std=PointStd(**result.std()),
         residual_rms_m=result.residual_rms_m,
+        loo_rms_m=result.loo_rms_m,
         n_used=result.n_used,
+        n_effective=None if drift is None else drift.n_effective,
+        correlation_time_s=None if drift is None else drift.time_s,
         rejected=[RejectedRow(row=row + 1, why=why) for row, why in result.rejected],
         turning_rms_rad=result.turn_rms_rad.tolist(),
         mean_tip_m=None if paper is None else paper.tolist(),
+        notes=list(result.notes),
     )
 
 
@@ -279,7 +338,8 @@ def _from_images(job: HandEyeJob, progress: Progress) -> _Solved:
     done = calibrate_from_views(views, poses, camera, board, job.setup, free_camera=job.free_camera)
     inputs = [job.camera, job.robot, *list_images(job.images)]
     boards = hand_boards(done.result, views, done.camera, board, pictures)
-    return _Solved(result=done.result, inputs=inputs, unseen=unseen, boards=boards)
+    freed = None if done.camera is camera else done.camera
+    return _Solved(result=done.result, inputs=inputs, unseen=unseen, boards=boards, freed=freed)
 
 
 def _from_streams(job: HandEyeJob) -> _Solved:
@@ -292,8 +352,16 @@ def _from_streams(job: HandEyeJob) -> _Solved:
             raise NotEnoughData(f"{path}: fewer than two poses of status ok", cure="Record the streams again")
         times.append(np.array([p.t_s for p in read]))
         poses.append(RigidTransform.from_matrix(np.stack([p.pose.as_matrix() for p in read if p.pose is not None])))
-    pairs, offset = pairs_of_streams(times[0], poses[0], times[1], poses[1])
+    pairs, offset = pairs_of_streams(times[0], poses[0], times[1], poses[1], within_s=job.clocks_within_s)
     return _Solved(result=_solve(pairs, job.setup), inputs=[job.robot_stream, job.camera_stream], offset=offset)
+
+
+def _times(found: Sequence[TargetPose], used: Sequence[TargetPose]) -> np.ndarray | None:
+    """Return the times (n,) of the poses used; None where the file has none: all alike, or its rows only counted."""
+    t_s = np.array([pose.t_s for pose in found])
+    if not np.ptp(t_s) > 0.0 or (t_s == np.arange(len(t_s))).all():
+        return None
+    return np.array([pose.t_s for pose in used])
 
 
 def _covariances(poses: Sequence[TargetPose]) -> np.ndarray | None:

@@ -87,7 +87,7 @@ def pivoted(
         if pose.status is not PoseStatus.OK or pose.pose is None or not _is_new(pose, taken):
             continue
         taken.append(pose)
-        recording = recording.with_pose(pose.pose)
+        recording = recording.with_pose(pose.pose, pose.t_s)
         progress.update(len(taken), 0, recording.progress())
     return recording, taken
 

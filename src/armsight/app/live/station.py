@@ -20,7 +20,7 @@ from armsight.app.schemas.live import LiveView
 from armsight.clock import Clock, SystemClock
 from armsight.errors import ArmsightError, DeviceFailed, UsageError
 from armsight.records import Frame, Silent
-from armsight.store.atomic import write_bytes
+from armsight.store.atomic import disk_errors, write_bytes
 from armsight.store.recording import ImageFormat, RecordingWriter
 
 PICTURES_HZ = 30.0
@@ -28,6 +28,8 @@ PICTURES_HZ = 30.0
 JPEG_QUALITY = 80
 SAVE_S = 5.0
 """Time after which a pair that was asked for is given up."""
+SILENT_S, SILENT_FRAMES = 2.0, 4.0
+"""A station is silent after so long without a picture, or so many times the pace of the last ones."""
 END_S = 5.0
 """Time that the process gets to write what it records before it is ended by force."""
 
@@ -89,9 +91,11 @@ class Station:
     `shown` is the newest moment, `failure` why it does not measure (empty where it does).
     """
 
-    def __init__(self, job: LiveJob) -> None:
+    def __init__(self, job: LiveJob, clock: Clock | None = None) -> None:
         """Start nothing yet."""
         self.job = job
+        self._clock = clock or SystemClock()
+        self._heard_s = 0.0
         self.shown: Shown | None = None
         self.recording = RecordingState()
         self.failure = ""
@@ -104,6 +108,21 @@ class Station:
         self._saved, self._save_failure = threading.Event(), ""
         self._newer = threading.Condition()
         self._saving = threading.Lock()
+
+    @property
+    def silent_s(self) -> float:
+        """For how long no picture has come from a station that should give some; 0 while they come at their pace."""
+        shown = self.shown
+        if shown is None or self.ended or self.failure:
+            return 0.0
+        since_s = self._clock.now_s() - self._heard_s
+        usual_s = SILENT_FRAMES / shown.view.fps if shown.view.fps > 0.0 else 0.0
+        return since_s if since_s > max(SILENT_S, usual_s) else 0.0
+
+    @property
+    def current(self) -> bool:
+        """Whether what is shown is so now; the last picture of a source that has ended stands for it."""
+        return self.shown is not None and not self.failure and self.silent_s == 0.0
 
     def start(self) -> None:
         """Start measuring, or start anew after a failure."""
@@ -183,6 +202,7 @@ class Station:
                 match message:
                     case Shown():
                         with self._newer:
+                            self._heard_s = self._clock.now_s()
                             self.shown = message
                             self._newer.notify_all()
                     case RecordingState():
@@ -288,7 +308,8 @@ class _Worker:
         if file is None:
             return
         try:
-            file.parent.mkdir(parents=True, exist_ok=True)
+            with disk_errors(file):
+                file.parent.mkdir(parents=True, exist_ok=True)
             writer = RecordingWriter(file, clock=self._clock)
             self._recorder = Recorder(writer, ImageFormat.PNG, live=True).__enter__()
             self._file = file

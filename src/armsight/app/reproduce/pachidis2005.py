@@ -91,9 +91,9 @@ DOUBTS = (
     "The printed l of eq. (6) is not the optical shift of the plate: up to 0.8 mm of depth (MATH B3, 3.1).",
 )
 MISSING = (
-    "Following by armsight's own servo and recording by teaching are not built yet: the simulation follows the target, "
+    "Following by armsight servo and recording by armsight teach are not run here: the simulation follows the target, "
     "and the recorded poses of the moved target stand for the taught path.",
-    "Playing the path back (Fig. 9b to 9d, the tool tip in real time) needs the player; drawn is the recorded path.",
+    "Playing the path back (Fig. 9b to 9d, the tool tip in real time) is armsight play; drawn is the recorded path.",
     "The needle's calibration before the third experiment is armsight calibrate tooltip; here the path is that of the "
     "target's origin.",
     "Figs. 1 to 6 and 10 are drawings, templates and screens.",

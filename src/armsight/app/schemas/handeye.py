@@ -50,6 +50,28 @@ class ProposedPose(Output):
     expected_std_m: float = Field(description="Standard deviation of the camera's place to expect with it, m.")
 
 
+class ImagesLeftOut(Output):
+    """Errors of one calibration at images left out, RMS."""
+
+    position_m: float | None = Field(description="Of T_camera_target's position, m; null where not all were predicted.")
+    orientation_rad: float | None = Field(description="Of T_camera_target's orientation, rad.")
+    points_m: float | None = Field(description="Of the board's points in space, m.")
+    reprojection_px: float | None = Field(description="Of the corners in the image, px.")
+
+
+class ImageCrossval(Output):
+    """Calibrations from the same images, each judged by images it never saw (nested folds)."""
+
+    kept: str = Field(description="What the result is from: poses, corners, or corners and camera (freed).")
+    n_images: int = Field(description="Images left out that they are judged by.")
+    poses: ImagesLeftOut | None = Field(description="From the target's poses; null where no image can be judged.")
+    corners: ImagesLeftOut | None = Field(description="From the corners (bundle adjustment).")
+    corners_and_camera: ImagesLeftOut | None = Field(
+        None, exclude_if=absent, description="From the corners, the camera freed; with --free-camera."
+    )
+    why: str = Field(description="Why it was kept, in words.")
+
+
 class HandEyeOutput(Output):
     """armsight calibrate handeye."""
 
@@ -82,6 +104,12 @@ class HandEyeOutput(Output):
     reprojection_rms_px: float | None = Field(
         None, exclude_if=absent, description="Reprojection residual of the images, RMS, px; with images only."
     )
+    crossval: ImageCrossval | None = Field(
+        None, exclude_if=absent, description="Result from poses against that from corners; with images only."
+    )
+    camera_file: str | None = Field(
+        None, exclude_if=absent, description="The freed camera that the result belongs to, where it was kept."
+    )
     time_offset_s: float | None = Field(
         None, exclude_if=absent, description="Add it to the camera's times to get the robot's, s; with streams only."
     )
@@ -98,12 +126,24 @@ class TipOutput(Output):
     point_m: Vector = Field(description="The point on which it rested, in the poses' parent frame, m.")
     std: PointStd = Field(description="Standard deviations of the tip.")
     residual_rms_m: float = Field(description="Distance of the tip from the point, RMS over the used poses, m.")
+    loo_rms_m: float | None = Field(
+        None,
+        exclude_if=absent,
+        description="The same by the tip of the other poses, RMS, m; with times: of those further away in time.",
+    )
     n_used: int = Field(description="Poses that the result rests on.")
+    n_effective: float | None = Field(
+        None, exclude_if=absent, description="Independent poses that they are worth; of poses with times only."
+    )
+    correlation_time_s: float | None = Field(
+        None, exclude_if=absent, description="After which a drift of the errors is forgotten, s; with times only."
+    )
     rejected: list[RejectedRow] = Field(description="Poses left out.")
     turning_rms_rad: Vector = Field(description="Turns of the tool about its principal axes, falling, RMS, rad.")
     mean_tip_m: Vector | None = Field(
         None, exclude_if=absent, description="The mean of Pachidis eq. (13), m; where the point was measured."
     )
+    notes: list[str] = Field(description="What to know of the result, and to do.")
 
 
 class PivotOutput(TipOutput):

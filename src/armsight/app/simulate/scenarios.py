@@ -44,11 +44,14 @@ def load_scenario(name: str) -> tuple[Any, str]:
     """Return a scenario, checked, and its text. Raises DeviceNotFound with the known names; BadFile naming the key."""
     found = scenario_text(name)
     if found is None:
-        every = (*scenario_names(), *known(CELLS), *known(SETS))
+        written = (*known(CELLS), *known(SETS))
         raise DeviceNotFound(
-            f"there is no scenario {name!r}",
+            f"{name} is no scenario: it can be written, and not run live"
+            if name in written
+            else f"there is no scenario {name!r}",
             consequence="There is nothing to simulate",
-            cure=f"Known are: {', '.join(every)}; or give a scenario file (.yaml)",
+            cure=f"Known are: {', '.join(scenario_names())}; or give a scenario file (.yaml). For armsight simulate "
+            f"alone: {', '.join(written)}",
         )
     data, where = found
     content = parse_yaml(data, where)

@@ -47,12 +47,14 @@ class Bundle:
     poses: Array
 
 
-def names_of(n_cameras: int, lens: LensKind = LensKind.PINHOLE) -> tuple[str, ...]:
+def names_of(lenses: tuple[LensKind, ...]) -> tuple[str, ...]:
     """Return the names of the shared parameters: plain for one camera, by side and with the right pose for two."""
-    names = INTRINSICS_OF[lens]
-    if n_cameras == 1:
-        return names
-    return tuple(f"{side}.{name}" for side in SIDES for name in names) + tuple(f"right.{name}" for name in POSE)
+    if len(lenses) == 1:
+        return INTRINSICS_OF[lenses[0]]
+    each = zip(SIDES, lenses, strict=True)
+    return tuple(f"{side}.{name}" for side, lens in each for name in INTRINSICS_OF[lens]) + tuple(
+        f"right.{name}" for name in POSE
+    )
 
 
 RIGHT = frozenset(f"right.{name}" for name in INTRINSICS)
@@ -66,10 +68,10 @@ def problem_of(observations: Observations, start: Bundle, fixed: frozenset[str])
     equations = _BoardEquations(observations)
     tied, pair = equations.tied, observations.n_cameras == 2
     k0 = np.tile(start.k.mean(axis=0), (2, 1)) if tied else start.k
-    names = names_of(observations.n_cameras, observations.lens)
+    names = names_of(observations.lenses)
     if tied:
         fixed = fixed | RIGHT
-    if observations.lens is LensKind.FISHEYE:
+    if LensKind.FISHEYE in observations.lenses:
         fixed = fixed | {name for name in names if name.split(".")[-1] == EMPTY_PLACE}
     return Problem(
         names=names,
@@ -104,8 +106,8 @@ class _BoardEquations:
         if self.tied:
             k = np.ascontiguousarray(k[[0, 0]])
         side = shared[split:] if n_cameras == 2 else np.zeros(6)
-        lens = [FISHEYE, WIDEST_FIT] if seen.lens is LensKind.FISHEYE else [0.0, 1.0]
-        packed = np.ascontiguousarray(np.column_stack([k, np.tile(lens, (n_cameras, 1))]))
+        kinds = [[FISHEYE, WIDEST_FIT] if lens is LensKind.FISHEYE else [0.0, 1.0] for lens in seen.lenses]
+        packed = np.ascontiguousarray(np.column_stack([k, kinds]))
         sides, poses = np.array(side), np.array(local)  # writable: one compilation serves all
         fine = view_normal_equations(
             packed, sides, poses, seen.X, seen.radius_m, seen.uv, seen.weight, r, A, b, C, c, W
@@ -156,7 +158,7 @@ def adjust(
     Raises NotConverged, Undetermined, Cancelled as the engine does.
     """
     settings = Settings(estimate_noise=True, max_iterations=max_iterations, cost_tolerance=COST_SETTLED)
-    if observations.lens is LensKind.FISHEYE:
+    if LensKind.FISHEYE in observations.lenses:
         settings = replace(settings, max_iterations=VALLEY * max_iterations, cost_tolerance=VALLEY_SETTLED)
     return solve(problem_of(observations, start, fixed), settings, progress)
 

@@ -17,6 +17,7 @@ from armsight.calibrate.cameras.rigs import rig_of
 from armsight.errors import DataRefused
 from armsight.geometry import align_points
 from armsight.optics import Rig
+from armsight.optics.camera import INTRINSICS_OF
 from armsight.optics.epipolar import epipolar_distance
 from armsight.optics.triangulate import triangulate
 
@@ -72,14 +73,14 @@ def left_out(robust_fit: RobustFit, options: BoardOptions) -> LeftOut | None:
     rows: list[tuple[Observations, Rig | None]] = []
     for out, state in _folds(robust_fit, options, folds):
         part = observations.take(out)
-        everything = frozenset(names_of(observations.n_cameras, observations.lens))
+        everything = frozenset(names_of(observations.lenses))
         fit = adjust(part, start_at(state, out), everything, max_iterations=options.max_iterations)
         squares += float((residuals_px(part, fit) ** 2).sum())
         n_points += part.n_points
         rows.append(
             (
                 part,
-                rig_of(bundle_of(fit, 2), observations.sizes, lens=observations.lens)
+                rig_of(bundle_of(fit, 2), observations.sizes, lenses=observations.lenses)
                 if observations.n_cameras == 2
                 else None,
             )
@@ -97,8 +98,8 @@ def _folds(robust_fit: RobustFit, options: BoardOptions, folds: int) -> Iterator
     whole = bundle_of(robust_fit.fit, robust_fit.observations.n_cameras)
     start_k = whole.k.copy()
     if options.automatic_k3:
-        names = names_of(1, robust_fit.observations.lens)
-        start_k[:, [names.index(name) for name in LAST_TERMS[robust_fit.observations.lens]]] = 0.0
+        for c, lens in enumerate(robust_fit.observations.lenses):
+            start_k[c, [INTRINSICS_OF[lens].index(name) for name in LAST_TERMS[lens]]] = 0.0
     views = np.arange(robust_fit.observations.n_views)
     for fold in range(folds):
         stay, out = views[views % folds != fold], views[views % folds == fold]

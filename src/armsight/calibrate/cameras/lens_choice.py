@@ -36,7 +36,7 @@ GOOD_PX = 1.0
 
 def start_of(observations: Observations) -> Bundle:
     """Return the start of one camera, of the lens that the observations are of."""
-    if observations.lens is LensKind.FISHEYE:
+    if observations.lenses[0] is LensKind.FISHEYE:
         return start_of_fisheye(observations)
     H = homographies(observations)
     size = observations.sizes[0]
@@ -62,7 +62,7 @@ def refuse_other_lens(given: Observations, fit: RobustFit, options: BoardOptions
 
     given: all that was to be fitted. Asked where the lens is wide, residuals are large or many points were left out.
     """
-    state = bundle_of(fit.fit, given.n_cameras)
+    state, pair, options = bundle_of(fit.fit, given.n_cameras), options.lenses, options.of_camera(c)
     used = fit.observations
     kept = int(np.count_nonzero(used.weight[:, c])) / max(int(np.count_nonzero(given.weight[:, c])), 1)
     if fit.fit.scale < NOISY and kept > KEPT and options.lens is LensKind.PINHOLE:
@@ -75,6 +75,7 @@ def refuse_other_lens(given: Observations, fit: RobustFit, options: BoardOptions
     other = other_lens(given.camera(c), options)
     if other is None or not other.median_px < BETTER * own:
         return []
+    asked = other.lens.value if given.n_cameras == 1 else _of_pair(pair, c)
     seen = (
         f"{name}: a {other.lens.value} lens leaves {other.median_px:.2f} px of the board's points (median), "
         f"a {options.lens.value} {own:.2f} px"
@@ -83,15 +84,24 @@ def refuse_other_lens(given: Observations, fit: RobustFit, options: BoardOptions
         raise Inconsistent(
             f"{seen}: this looks like a {other.lens.value} lens",
             consequence="Towards the image's edge every ray would be wrong, so nothing was written",
-            cure=f"Use --lens {other.lens.value}",
+            cure=f"Use --lens {asked}",
         )
-    return [f"{seen}; compare the two with --lens {other.lens.value}"]
+    return [f"{seen}; compare the two with --lens {asked}"]
+
+
+def _of_pair(lenses: tuple[LensKind, LensKind], c: int) -> str:
+    """Return what to ask for where camera c of a pair has the other kind of lens."""
+    swapped = [OTHER[lens] if side == c else lens for side, lens in enumerate(lenses)]
+    if swapped[0] == swapped[1]:
+        return swapped[0].value
+    both = ",".join(lens.value for lens in swapped)
+    return f"{swapped[c].value}, or {both} where the other camera is a {swapped[1 - c].value}"
 
 
 def other_lens(one: Observations, options: BoardOptions) -> Fitted | None:
     """Return what the other kind of lens leaves of one camera's points, None where it cannot be fitted."""
     lens = OTHER[options.lens]
-    seen = replace(one, lens=lens)
+    seen = replace(one, lenses=(lens,))
     plain = BoardOptions(lens=lens, max_iterations=options.max_iterations, automatic_k3=False)
     try:
         fit = adjust(seen, start_of(seen), fixed_names(plain, 1), max_iterations=plain.max_iterations)

@@ -70,7 +70,7 @@ def calibrate_camera(
     options = options or BoardOptions()
     require_views(views, board)
     require_points(board, options.lens)
-    observations = pack([views], board, options.lens)
+    observations = pack([views], board, (options.lens,))
     kept, repeated = different_views(observations)
     observations = observations.take(kept)
     advice = check_count(len(kept)) + check_spread(observations, 0, "the camera")

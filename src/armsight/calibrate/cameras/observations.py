@@ -25,7 +25,7 @@ class Observations:
     X (n, 3) m, centred on the board's middle (`middle`, (3,) m) so that poses and shape are told apart well.
     uv (G, C, n, 2) px, zero where not seen. weight (G, C, n): 1 / sigma, 0 where not seen. sizes: (width, height) of
     each camera's images. sources: names of the images of each view. radius_m: of printed circles, 0 for points.
-    one_lens: both views are of one camera (a mirror rig's) and share its intrinsics. lens: of every camera.
+    one_lens: both views are of one camera (a mirror rig's) and share its intrinsics. lenses: of each camera.
     """
 
     X: Array
@@ -36,7 +36,7 @@ class Observations:
     sources: tuple[tuple[str, ...], ...]
     radius_m: float
     one_lens: bool = False
-    lens: LensKind = LensKind.PINHOLE
+    lenses: tuple[LensKind, ...] = (LensKind.PINHOLE, LensKind.PINHOLE)
 
     @property
     def n_views(self) -> int:
@@ -65,12 +65,20 @@ class Observations:
             uv=np.ascontiguousarray(self.uv[:, c : c + 1]),
             weight=np.ascontiguousarray(self.weight[:, c : c + 1]),
             sizes=(self.sizes[c],),
+            lenses=(self.lenses[c],),
             sources=tuple((names[c],) for names in self.sources),
         )
 
 
-def pack(views: Sequence[Sequence[BoardView]], board: Target, lens: LensKind = LensKind.PINHOLE) -> Observations:
-    """Return the observations of C sequences of G views each; raises Inconsistent for images of unequal size."""
+def pack(
+    views: Sequence[Sequence[BoardView]],
+    board: Target,
+    lenses: tuple[LensKind, ...] = (LensKind.PINHOLE, LensKind.PINHOLE),
+) -> Observations:
+    """Return the observations of C sequences of G views each, by cameras of these lenses.
+
+    Raises Inconsistent for images of unequal size.
+    """
     n, G, C = len(board.names), len(views[0]), len(views)
     uv, weight = np.zeros((G, C, n, 2)), np.zeros((G, C, n))
     for c, camera in enumerate(views):
@@ -93,7 +101,7 @@ def pack(views: Sequence[Sequence[BoardView]], board: Target, lens: LensKind = L
         sizes=tuple((camera[0].width, camera[0].height) for camera in views),
         sources=tuple(tuple(camera[g].source for camera in views) for g in range(G)),
         radius_m=0.5 * board.diameter_m if board.diameter_m else 0.0,
-        lens=lens,
+        lenses=tuple(lenses[:C]),
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from armsight.calibrate.cameras.bundle_adjustment import (
     adjust,
     asks_to_be_freed,
     bundle_of,
+    names_of,
     residuals_px,
     start_at,
     without,
@@ -63,7 +64,7 @@ def fit_without_outliers(
             state = bundle_of(fit, observations.n_cameras)
             fit = adjust(observations, state, fixed, max_iterations=options.max_iterations, progress=progress)
         wider = _freed(observations, fit, fixed, options)
-        judged = options.reject and (wider == fixed or options.lens is LensKind.PINHOLE)
+        judged = options.reject and (wider == fixed or LensKind.FISHEYE not in observations.lenses)
         bad_views, bad_points = _misfits(observations, fit) if judged else ({}, None)
         if wider == fixed and not bad_views and bad_points is None:
             break
@@ -89,7 +90,7 @@ def fit_tilted(
     name: of the camera, for the message. Asked before the fit, and again after it: a lens's distortion looks like
     tilt until it is known.
     """
-    if options.lens is LensKind.PINHOLE:
+    if LensKind.FISHEYE not in observations.lenses:
         check_tilt(start.poses, name)
     try:
         robust_fit = fit_without_outliers(observations, start, options, progress)
@@ -101,30 +102,34 @@ def fit_tilted(
 
 def fixed_names(options: BoardOptions, n_cameras: int) -> frozenset[str]:
     """Return the names held in the first fit."""
-    plain = options.fixed | (LAST_TERMS[options.lens] if options.automatic_k3 else frozenset())
-    return frozenset(plain) if n_cameras == 1 else frozenset(f"{side}.{name}" for side in SIDES for name in plain)
+    each = [options.fixed | (LAST_TERMS[lens] if options.automatic_k3 else frozenset()) for lens in options.lenses]
+    if n_cameras == 1:
+        return frozenset(each[0])
+    known = names_of(options.lenses)
+    return frozenset(f"{side}.{name}" for side, plain in zip(SIDES, each, strict=True) for name in plain) & set(known)
 
 
 def _freed(observations: Observations, fit: Fit, fixed: frozenset[str], options: BoardOptions) -> frozenset[str]:
     """Return the fixed names without the last terms of the distortion where the data ask for them."""
     if not options.automatic_k3:
         return fixed
-    last = LAST_TERMS[options.lens] - options.fixed
-    names = frozenset(name for name in fixed if name.split(".")[-1] in last)
+    held = replace(options, automatic_k3=False)
+    names = fixed & (fixed_names(options, observations.n_cameras) - fixed_names(held, observations.n_cameras))
     return fixed - names if names and asks_to_be_freed(observations, fit, fixed, names) else fixed
 
 
 def _beyond(observations: Observations, fit: Fit) -> NDArray[np.bool_]:
     """Tell which points (G, C, n) a fisheye lens has beyond the angle up to which it is used; none of a pinhole."""
     seen = observations.weight > 0.0
-    if observations.lens is LensKind.PINHOLE:
+    fisheye = np.array([lens is LensKind.FISHEYE for lens in observations.lenses])[:, None]  # (C, 1)
+    if not fisheye.any():
         return np.zeros_like(seen)
     k = bundle_of(fit, observations.n_cameras).k[:, :, None]  # (C, 10, 1): fx, fy, cx, cy, skew, k1, k2, k3, k4, none
     y = (observations.uv[..., 1] - k[:, 3]) / k[:, 1]
     x = (observations.uv[..., 0] - k[:, 2] - k[:, 4] * y) / k[:, 0]
     q = WIDEST_RAD**2
     widest = WIDEST_RAD * (1.0 + q * (k[:, 5] + q * (k[:, 6] + q * (k[:, 7] + q * k[:, 8]))))
-    return np.asarray(seen & (np.hypot(x, y) > widest))
+    return np.asarray(seen & fisheye & (np.hypot(x, y) > widest))
 
 
 def _misfits(observations: Observations, fit: Fit) -> tuple[dict[int, str], NDArray[np.bool_] | None]:
@@ -153,9 +158,11 @@ def _misfits(observations: Observations, fit: Fit) -> tuple[dict[int, str], NDAr
 def _notes(given: Observations, left: Observations) -> tuple[str, ...]:
     """Return a line for every image of which single points were left out."""
     lost = ((given.weight > 0.0) & (left.weight == 0.0)).sum(axis=2)  # (G, C)
-    why = "do not fit" if given.lens is LensKind.PINHOLE else "lie beyond 85 degrees, or do not fit,"
+    why = [
+        "do not fit" if lens is LensKind.PINHOLE else "lie beyond 85 degrees, or do not fit," for lens in given.lenses
+    ]
     return tuple(
-        f"{given.sources[g][c]}: {lost[g, c]} of its points {why} and are left out"
+        f"{given.sources[g][c]}: {lost[g, c]} of its points {why[c]} and are left out"
         for g, c in zip(*np.nonzero(lost), strict=True)
     )
 

@@ -27,13 +27,13 @@ def rig_of(
     *,
     covariance: NamedCovariance | None = None,
     rms_px: float | None = None,
-    lens: LensKind = LensKind.PINHOLE,
+    lenses: tuple[LensKind, ...] = (LensKind.PINHOLE, LensKind.PINHOLE),
 ) -> Rig:
     """Return the rig, its reference the left camera."""
     return Rig(
         kind=RigKind.STEREO,
-        left=camera_of(state.k[0], sizes[0], lens),
-        right=camera_of(state.k[1], sizes[1], lens),
+        left=camera_of(state.k[0], sizes[0], lenses[0]),
+        right=camera_of(state.k[1], sizes[1], lenses[1]),
         T_rig_left=RigidTransform.identity(),
         T_rig_right=as_pose(state.side_pose),
         covariance=covariance,

@@ -109,12 +109,12 @@ def fit_pairs(
     progress: Progress | None = None,
 ) -> tuple[RobustFit, list[tuple[str, str]], list[str]]:
     """Return the fit of the pairs that agree, (source, why) of others, and advice; raises as calibrate_stereo."""
-    observations, rejected = _different_pairs(left, right, board, options.lens)
+    observations, rejected = _different_pairs(left, right, board, options.lenses)
     advice = check_count(observations.n_views)
     starts = [start_of(observations.camera(c)) for c in range(2)]
     for c, side in enumerate(SIDES):
         advice += check_spread(observations, c, f"the {side} camera")
-        if options.lens is LensKind.PINHOLE:
+        if options.lenses[c] is LensKind.PINHOLE:
             check_tilt(starts[c].poses, f"the {side} camera")
     observations, starts, paired = _paired(observations, starts, board, options)
     agree = np.flatnonzero(paired.agreeing)
@@ -130,14 +130,14 @@ def fit_pairs(
     try:
         robust_fit, on_tilt = fit_tilted(given, start, options, "the pair", progress)
     except (Degenerate, NotConverged, NotEnoughData, Undetermined) as error:
-        raise with_hint(error, given.camera(0), options) from error
+        raise with_hint(error, given.camera(0), options.of_camera(0)) from error
     for c, side in enumerate(SIDES):
         advice += refuse_other_lens(given, robust_fit, options, c, f"the {side} camera")
     return robust_fit, rejected, [*advice, *on_tilt]
 
 
 def _different_pairs(
-    left: Sequence[BoardView], right: Sequence[BoardView], board: Target, lens: LensKind
+    left: Sequence[BoardView], right: Sequence[BoardView], board: Target, lenses: tuple[LensKind, LensKind]
 ) -> tuple[Observations, list[tuple[str, str]]]:
     """Return the pairs that show something new, and (source, why) of the others."""
     if len(left) != len(right):
@@ -147,8 +147,9 @@ def _different_pairs(
             cure="Give a right image for every left one, in the same order",
         )
     require_views(left, board)
-    require_points(board, lens)
-    observations = pack([left, right], board, lens)
+    for lens in lenses:
+        require_points(board, lens)
+    observations = pack([left, right], board, lenses)
     kept, rejected = different_views(observations)
     return observations.take(kept), rejected
 
@@ -162,7 +163,7 @@ def judged(
     residual, seen = residuals_px(used, robust_fit.fit), used.weight > 0.0
     covariance = of_one_lens(required(robust_fit)) if used.one_lens else required(robust_fit)
     overall = rms(residual, seen)
-    rig = rig_of(state, used.sizes, covariance=covariance, rms_px=overall, lens=used.lens)
+    rig = rig_of(state, used.sizes, covariance=covariance, rms_px=overall, lenses=used.lenses)
     out = left_out(robust_fit, options)
     metric = out.metric if out else metric_of([(used, rig)]) if options.folds else None
     return StereoCalibration(
@@ -194,9 +195,9 @@ def _paired(
     renumbered, paired = pair_views(observations, [start.poses for start in starts], board, final=False)
     if paired.agreeing.all():
         return renumbered, starts, paired
-    fixed = fixed_names(options, 1)
     fitted = []
     for c, start in enumerate(starts):
+        fixed = fixed_names(options.of_camera(c), 1)
         try:
             fit = adjust(observations.camera(c), start, fixed, max_iterations=options.max_iterations)
         except (NotConverged, Undetermined):

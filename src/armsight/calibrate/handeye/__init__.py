@@ -7,6 +7,7 @@ from armsight.calibrate.handeye.calibrate import (
     calibrate_eye_to_hand,
     expected_deviation,
 )
+from armsight.calibrate.handeye.image_comparison import Basis, ImageComparison, LeftOutErrors
 from armsight.calibrate.handeye.images import ImageHandEye, calibrate_from_views
 from armsight.calibrate.handeye.noise import Noise, Part
 from armsight.calibrate.handeye.pairs import PosePairs, Setup
@@ -17,9 +18,12 @@ from armsight.calibrate.handeye.stream_pairing import pairs_of_streams
 from armsight.calibrate.handeye.timing import TimeOffset, time_offset
 
 __all__ = [
+    "Basis",
     "HandEye",
     "HandEyeOptions",
+    "ImageComparison",
     "ImageHandEye",
+    "LeftOutErrors",
     "Noise",
     "Part",
     "PosePairs",

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from armsight.calibrate.handeye.correlation import FEWEST
 from armsight.calibrate.handeye.result import HandEye
 from armsight.units import DEG, MM
 
@@ -51,13 +50,7 @@ def _worth(result: HandEye) -> str:
 
 
 def _drift(result: HandEye) -> list[str]:
-    correlation = result.correlation
-    if correlation is None or correlation.n_effective >= FEWEST:
-        return []
-    return [
-        f"The errors of this recording drift over some {correlation.time_s:.2g} s, so that its {result.n_used} poses "
-        f"are worth {correlation.n_effective:.0f} independent ones: record longer, or several times, and turn more."
-    ]
+    return [] if result.correlation is None else list(result.correlation.warnings(result.n_used))
 
 
 def scale_is_wrong(result: HandEye) -> bool:

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 from scipy.stats import t as student
 
-from armsight.calibrate.handeye.correlation import Correlation
+from armsight.calibrate.correlation import Correlation
+from armsight.calibrate.handeye.image_comparison import ImageComparison
 from armsight.calibrate.handeye.noise import Noise
 from armsight.calibrate.handeye.pairs import Array, PosePairs, Setup
 from armsight.calibrate.handeye.rotation_excitation import RotationExcitation
@@ -40,7 +41,8 @@ class HandEye:
     pairs the answer rests on. rejected: (name, why) of the others. residuals (n, 6), left_out (n, 6): measured
     T_camera_target against the fit to all used pairs, and against the fit to the others; camera axes, m and rad.
     correlation: of the errors in time, where the poses are of one recording; left_out is then against what is further
-    away in time. advice: what would make it surer; concerns: those that keep it from being trusted.
+    away in time. comparison: of images, what the result rests on and by which errors. advice: what would make it
+    surer; concerns: those that keep it from being trusted.
     """
 
     setup: Setup
@@ -60,6 +62,7 @@ class HandEye:
     advice: tuple[str, ...]
     reprojection_rms_px: float | None = None
     correlation: Correlation | None = None
+    comparison: ImageComparison | None = None
 
     def __post_init__(self) -> None:
         n = len(self.pairs)

@@ -27,15 +27,17 @@ def pairs_of_streams(
     camera: RigidTransform,
     *,
     most: int = MAX_PAIRS,
+    within_s: float | None = None,
 ) -> tuple[PosePairs, TimeOffset]:
     """Return pairs of the camera's poses with the robot's at the same moment, and the offset between their clocks.
 
-    robot: T_base_flange (n) at robot_t_s, camera: T_camera_target (m) at camera_t_s, both increasing. Among the slower
+    robot: T_base_flange (n) at robot_t_s, camera: T_camera_target (m) at camera_t_s, both increasing; within_s: by how
+    much the clocks differ at most, where that is known. Among the slower
     half of the camera's poses, where a wrong time matters least, those are chosen that lie furthest from each other.
     Raises as time_offset, and NotEnoughData where too few poses differ.
     """
     tr, tc = np.asarray(robot_t_s, float), np.asarray(camera_t_s, float)
-    found = time_offset(tr, robot.rotation, tc, camera.rotation)
+    found = time_offset(tr, robot.rotation, tc, camera.rotation, within_s=within_s)
     at = tc + found.offset_s
     inside = np.flatnonzero((at >= tr[0]) & (at <= tr[-1]))
     at = at[inside]

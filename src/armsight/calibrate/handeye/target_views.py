@@ -50,7 +50,7 @@ def poses_of_views(views: Sequence[BoardView], camera: Camera, board: Target) ->
                 consequence="Pixels and rays do not belong together",
                 cure="Give the calibration of this camera at this resolution",
             )
-    sightings = pack([views], board, camera.lens)
+    sightings = pack([views], board, (camera.lens,))
     start = Bundle(k=camera.intrinsics[None], side_pose=np.zeros(6), poses=_start(sightings, camera))
     fit = adjust(sightings, start, frozenset(camera.names), max_iterations=ITERATIONS)
     R = Rotation.from_rotvec(fit.local[:, 3:])

@@ -54,7 +54,8 @@ def coarse_delay(rig: Rig, tracks: tuple[SpotTrack, SpotTrack], times_s: tuple[A
         raise NotEnoughData(
             f"the light was seen in {len(t[0])} left and {len(t[1])} right frames",
             consequence="No timing is given",
-            cure="Wave the target for 10 to 20 s where both cameras see it; set --threshold where lights are not found",
+            cure="Wave the target for 10 to 20 s where both cameras see it, before a dark ground (lights that stand "
+            "still are left out); set --threshold where lights are not found",
         )
     d = [_directions(rig, side, track.uv_px[i]) for side, track, i in zip(SIDES, tracks, rows, strict=True)]
     thin = max(1, round(len(t[0]) / max(float(np.ptp(t[0])) * RATE_HZ, 1.0)))

@@ -15,6 +15,7 @@ from armsight.app.schemas.arm import IdentifyOutput, JointStd, PlanOutput
 from armsight.console import texts
 from armsight.console.jog import jog_card
 from armsight.console.layout import button, card, set_attribute, set_text, text_of
+from armsight.console.numbers import number, whole_number
 from armsight.console.scene import Scene
 from armsight.console.state import Console
 from armsight.console.working import Working
@@ -98,20 +99,22 @@ class _Identify:
     def _asked(self) -> IdentifyRequest:
         pairs = zip(self._ranges, self._fields, strict=True)
         ranges = tuple(
-            replace(one, lower=float(low.value or 0.0), upper=float(high.value or 0.0), swept=bool(swept.value))
+            replace(one, lower=_limit(one, low), upper=_limit(one, high), swept=True)
+            if swept.value
+            else replace(one, swept=False)
             for one, (low, high, swept) in pairs
         )
         return IdentifyRequest(
             folder=self._console.folder,
             cell=self._console.cell,
             ranges=ranges,
-            readings=int(self._readings.value or 0),
+            readings=whole_number(self._readings),
         )
 
     async def _expect(self) -> None:
-        asked = self._asked()
         self._plan.clear()
         try:
+            asked = self._asked()
             plan = await run.io_bound(partial(work_of.expected, asked, self._robot, self._console.require_station()))
         except ArmsightError as error:
             self._tell(str(error), "bad")
@@ -123,8 +126,8 @@ class _Identify:
             _plan_table(plan)
 
     def _run(self) -> None:
-        asked, station = self._asked(), self._console.require_station()
         try:
+            asked, station = self._asked(), self._console.require_station()
             self._robot.bench.begin(WORK, self._browser, partial(work_of.run, asked, self._robot, station))
             self._tell_left_out()
         except ArmsightError as error:
@@ -150,6 +153,11 @@ class _Identify:
             _fits_table(done, fits)
         if self._scene is not None:
             self._scene.show_fits(fits, placed=(self._console.folder / FOLDER / "world.yaml").exists())
+
+
+def _limit(one: Range, field: ui.number) -> float:
+    """Return an end of a joint's range; an empty field is no zero, to which the joint would go."""
+    return number(field, of=texts.SWEEP_JOINT.format(joint=one.joint, name=one.name))
 
 
 def _plan_table(plan: PlanOutput) -> None:

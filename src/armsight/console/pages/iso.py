@@ -13,6 +13,7 @@ from armsight.app.operator.work import Work
 from armsight.console import texts
 from armsight.console.jog import jog_card
 from armsight.console.layout import button, card, set_attribute, set_text, text_of
+from armsight.console.numbers import number, whole_number
 from armsight.console.state import Console
 from armsight.console.working import Working
 from armsight.errors import ArmsightError
@@ -54,9 +55,9 @@ class _Iso:
         return IsoRequest(
             folder=self._console.folder,
             cell=self._console.cell,
-            side_mm=float(self._side.value or 0.0),
-            cycles=int(self._cycles.value or 0),
-            speed_mm_s=float(self._speed.value or 0.0),
+            side_mm=number(self._side, empty=0.0),
+            cycles=whole_number(self._cycles),
+            speed_mm_s=number(self._speed),
         )
 
     async def _plan(self) -> None:
@@ -69,8 +70,8 @@ class _Iso:
             self._tell(_told(made), "good")
 
     def _run(self) -> None:
-        asked, station = self._asked(), self._console.require_station()
         try:
+            asked, station = self._asked(), self._console.require_station()
             self._robot.bench.begin(WORK, self._browser, partial(iso_run.run, asked, self._robot, station))
             self._tell("", "good")
         except ArmsightError as error:

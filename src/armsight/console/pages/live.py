@@ -64,7 +64,7 @@ def _measuring(console: Console, *, watching: bool) -> None:
             for refresh in (*pictures, *figures):
                 refresh(shown)
         if scene is not None:
-            scene.show(None if shown is None else shown.view)
+            scene.show(shown.view if shown is not None and console.current else None)
 
     def slow() -> None:
         if scene is not None:
@@ -78,7 +78,7 @@ def _measuring(console: Console, *, watching: bool) -> None:
 def _figures(console: Console, *, watching: bool) -> tuple[tuple[Refresh, ...], Callable[[], None]]:
     """The pose, how measuring goes, and recording; return what keeps them as they are now."""
     with card(texts.POSE):
-        return (_pose(), _status()), (lambda: None) if watching else _record(console)
+        return (_pose(console), _status()), (lambda: None) if watching else _record(console)
 
 
 def _lost_camera(console: Console) -> None:
@@ -92,6 +92,7 @@ def _lost_camera(console: Console) -> None:
         line.set_visibility(bool(failure))
         set_text(words, texts.CAMERA_LOST.format(why=failure) if failure else "")
 
+    tick()
     ui.timer(TICK_S, tick)
 
 
@@ -137,7 +138,8 @@ def _number(name: str, testid: str) -> tuple[TextElement, TextElement]:
         return text_of("div", texts.NO_VALUE, testid=testid).classes("value"), text_of("div").classes("std")
 
 
-def _pose() -> Refresh:
+def _pose(console: Console) -> Refresh:
+    """The pose with its spread; nothing while no pictures come, since the target may have gone anywhere."""
     with ui.element("div").classes("numbers"):
         numbers = [_number(name, f"pose-{name}") for name in texts.AXES]
 
@@ -149,7 +151,7 @@ def _pose() -> Refresh:
         )
         for i, (value, spread) in enumerate(numbers):
             unit, scale, digits = ("mm", 1e3, 2) if i < 3 else ("deg", 1.0 / DEG, 3)
-            known = np.isfinite(values[i])
+            known = console.current and np.isfinite(values[i])
             set_text(value, f"{scale * values[i]:.{digits}f} {unit}" if known else texts.NO_VALUE)
             claim = known and np.isfinite(std[i])
             set_text(spread, texts.SPREAD.format(value=f"{scale * std[i]:.{digits + 1}f}", unit=unit) if claim else "")

@@ -52,5 +52,14 @@ def _upload() -> None:
     with ui.element("label"):
         text_of("span", texts.UPLOAD.format(mb=LARGEST_BYTES // 1_000_000))
         chooser = ui.element("input")
-        chooser.props.update({"type": "file", "data-upload": "/console/files/", "data-testid": "upload"})
+        chooser.props.update(
+            {
+                "type": "file",
+                "data-upload": "/console/files/",
+                "data-largest": str(LARGEST_BYTES),
+                "data-too-big": texts.TOO_BIG.format(mb=LARGEST_BYTES // 1_000_000),
+                "data-not-sent": texts.NOT_SENT,
+                "data-testid": "upload",
+            }
+        )
     text_of("p", role="alert", id="uploaded").classes("hint")

@@ -7,6 +7,7 @@ from nicegui import ui
 from armsight.app.operator.supervise import StationSupervisor, SupervisedState, limits_of
 from armsight.console import texts
 from armsight.console.layout import TICK_S, button, card, set_attribute, set_text, text_of
+from armsight.console.numbers import number
 from armsight.console.plots import Plot
 from armsight.console.state import Console
 from armsight.errors import ArmsightError
@@ -52,7 +53,7 @@ class _Supervision:
                     self._console.cell,
                     self._console.require_robot(),
                     lambda: self._console.station,
-                    limits_of(float(self._warn.value or 0.0), float(self._stop.value or 0.0)),
+                    limits_of(number(self._warn), number(self._stop)),
                 )
                 self._tell("", "good")
             else:

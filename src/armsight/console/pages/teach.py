@@ -16,6 +16,7 @@ from armsight.app.schemas.play import PlayOutput
 from armsight.console import texts
 from armsight.console.jog import jog_card
 from armsight.console.layout import TICK_S, button, card, set_attribute, set_text, text_of
+from armsight.console.numbers import number
 from armsight.console.scene import Scene
 from armsight.console.state import Console
 from armsight.console.working import Working
@@ -59,7 +60,7 @@ def _scene(console: Console, path: _Path) -> Scene | None:
 
     def tick() -> None:
         shown = console.remember()
-        made.show(None if shown is None else shown.view)
+        made.show(shown.view if shown is not None and console.current else None)
 
     ui.timer(TICK_S, tick)
     return made
@@ -178,7 +179,8 @@ class _Path:
         self._do(self._desk.undo)
 
     def _change(self) -> None:
-        self._do(partial(self._desk.change, str(self._tool.value), float(self._figure.value or 0.0)))
+        tool = str(self._tool.value)
+        self._do(lambda: self._desk.change(tool, number(self._figure) if TOOLS.get(tool) else 0.0))
 
     def _do(self, act: Any) -> None:
         try:
@@ -219,7 +221,7 @@ class _Play:
         return PlayRequest(
             folder=self._console.folder,
             cell=self._console.cell,
-            speed_mm_s=float(self._speed.value or 0.0),
+            speed_mm_s=number(self._speed),
             keep_rotation=bool(self._keep.value),
         )
 

@@ -6,12 +6,18 @@
     if (!(chooser instanceof HTMLInputElement) || !chooser.dataset.upload || !chooser.files.length) return;
     const file = chooser.files[0];
     const said = document.getElementById("uploaded");
+    if (file.size > Number(chooser.dataset.largest)) {
+      said.textContent = chooser.dataset.tooBig; // a gigabyte is not sent only to be refused
+      said.dataset.level = "bad";
+      chooser.value = "";
+      return;
+    }
     try {
       const answer = await fetch(chooser.dataset.upload + encodeURIComponent(file.name), { method: "PUT", body: file });
       said.textContent = await answer.text();
       said.dataset.level = answer.ok ? "good" : "bad";
-    } catch (error) {
-      said.textContent = String(error);
+    } catch {
+      said.textContent = chooser.dataset.notSent;
       said.dataset.level = "bad";
     }
     chooser.value = "";

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from armsight.errors import BadImage, Unseen
 from armsight.measure.boards.gridmap import GridMap, fit_map
 from armsight.measure.boards.kernels.subpixel import fit_corners
+from armsight.measure.boards.miscount import refuse_miscount
 from armsight.measure.boards.orient import most_upright
 from armsight.measure.boards.xcorner import xcorner_corners
 from armsight.records import BoardView, Target
@@ -31,6 +32,8 @@ PERHAPS_BEYOND = 0.3
 """Where this share of one more row looks like corners, the whole image is searched for a larger board."""
 ALTERNATING = 0.5
 """Share of the board's own step from black to white that the squares beyond must show to be the board's."""
+BEHIND = 0.25
+"""How far behind one more row of corners its squares are looked at: printed boards may end in half squares."""
 OFF_GRID = 0.15
 """A corner further than this from the smooth grid, in squares, is not the board's."""
 SMOOTH = 0.02
@@ -142,6 +145,7 @@ def _first_square_is_black(image: Image | Array, board: Target, uv: Array) -> bo
 def refine_corners(image: Image, board: Target, guess: Array, source: str) -> BoardView:
     """Fit every corner twice, the second time with straightened edges, and keep what passes the checks."""
     grid, sign = grid_of(board), parity_of(board)
+    refuse_miscount(image, board, guess, source)
     if not _first_square_is_black(image, board, guess):
         sign = -sign
     uv = guess
@@ -232,6 +236,8 @@ def _refuse(
             continue
         sure = like.mean() > 1.0 - LOST_SHARE and not _margin(image, board, smooth, more, sign)
         whole = _larger_grid(image, board)
+        if whole is None and sure:
+            whole = _one_more(image, board, column="column" in side)
         if sure or whole is not None:
             seen = "" if whole is None else f"; one of {whole[0]}x{whole[1]} was found"
             raise BadImage(
@@ -245,16 +251,19 @@ def _refuse(
 def _margin(image: Image, board: Target, smooth: GridMap, more: Array, sign: Array) -> bool:
     """Whether the squares behind one more row of corners (m, 2) do not alternate: the edge of a blurred board."""
     grid = grid_of(board)
-    outwards = np.rint(more[0] - np.clip(more[0], 0, grid.max(axis=0)))
-    inner = grid[(grid < grid.max(axis=0)).all(axis=1)]
-    behind = more + np.minimum(outwards, 0.0)  # a square is named by its corner nearest to the origin
-    steps = [_step(image, smooth, cells, _sign_at(cells, sign)) for cells in (inner, behind)]
-    return steps[1] < ALTERNATING * steps[0]  # not where there is nothing to compare
+    last = grid.max(axis=0)
+    inner = grid[(grid < last).all(axis=1)]
+    outwards = np.rint(more[0] - np.clip(more[0], 0, last))
+    along = more[(np.where(outwards == 0.0, more, 0.0) < last).all(axis=1)]
+    behind = along + np.minimum(outwards, 0.0)  # a square is named by its corner nearest to the origin
+    usual = _step(image, smooth(inner + 0.5), _sign_at(inner, sign))
+    beyond = _step(image, smooth(along + np.where(outwards == 0.0, 0.5, BEHIND * outwards)), _sign_at(behind, sign))
+    return beyond < ALTERNATING * usual  # not where there is nothing to compare
 
 
-def _step(image: Image, smooth: GridMap, cells: Array, sign: Array) -> float:
-    """Return how much brighter the middles of the squares of sign +1 are in the image than the others; NaN for none."""
-    at = np.rint(smooth(cells + 0.5)).astype(int)
+def _step(image: Image, uv: Array, sign: Array) -> float:
+    """Return how much brighter the image is at the pixels (n, 2) of sign +1 than at the others; NaN for none."""
+    at = np.rint(uv).astype(int)
     seen = ((at >= 0) & (at < [image.shape[1], image.shape[0]])).all(axis=1)
     if len(np.unique(sign[seen])) < 2:
         return float("nan")
@@ -302,6 +311,13 @@ def _larger_grid(image: Image, board: Target) -> tuple[int, int] | None:
     wanted, other = _sorted_size(board), _largest_grid(image)
     larger = other is not None and other != wanted and other[0] >= wanted[0] and other[1] >= wanted[1]
     return other if larger else None
+
+
+def _one_more(image: Image, board: Target, *, column: bool) -> tuple[int, int] | None:
+    """Return the counts, the larger first, of the board with one more column or row if that is found."""
+    columns, rows = (board.columns + 1, board.rows) if column else (board.columns, board.rows + 1)
+    found = coarse_corners(image, columns, rows, "auto") is not None
+    return (max(columns, rows), min(columns, rows)) if found else None
 
 
 def _largest_grid(image: Image) -> tuple[int, int] | None:

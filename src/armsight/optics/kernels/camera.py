@@ -13,61 +13,70 @@ from math import atan, sqrt, tan
 
 import numpy as np
 
-from armsight._numba import inner_kernel, kernel
+from armsight._numba import inline_kernel, inner_kernel, kernel
 
 UNDISTORT_STEPS = 30
 UNDISTORT_TOLERANCE = 1e-13
 
 FISHEYE = -1.0
-"""Stands where a plate's thickness would."""
+"""Stands where a plate's thickness would. Functions of a fisheye take scalars: with an array, numba would count the
+references to it in every pinhole's loop as well, which doubles its time."""
 NEAR_AXIS = 1e-12
 """Square of the tangent below which the fisheye's series about the axis is exact to rounding."""
 
 
-@inner_kernel
+@inline_kernel
 def is_fisheye(k):
     """Tell whether a vector of intrinsics is of a fisheye lens."""
     return k.shape[0] > 10 and k[10] < 0.0
 
 
 @inner_kernel
-def fisheye_angle(k, theta):
+def fisheye_angle(k1, k2, k3, k4, theta):
     """Return theta_d and d theta_d / d theta."""
     q = theta * theta
-    k1, k2, k3, k4 = k[5], k[6], k[7], k[8]
     image = theta * (1.0 + q * (k1 + q * (k2 + q * (k3 + q * k4))))
     return image, 1.0 + q * (3.0 * k1 + q * (5.0 * k2 + q * (7.0 * k3 + q * 9.0 * k4)))
 
 
 @inner_kernel
-def fisheye_radial(k, r2):
+def fisheye_radial(k1, k2, k3, k4, r2):
     """Return theta_d / r and its derivative by r^2, for a point with the square r2 of its tangent."""
     if r2 < NEAR_AXIS:
-        slope = k[5] - 1.0 / 3.0
+        slope = k1 - 1.0 / 3.0
         return 1.0 + slope * r2, slope
     r = sqrt(r2)
-    image, rate = fisheye_angle(k, atan(r))
+    image, rate = fisheye_angle(k1, k2, k3, k4, atan(r))
     return image / r, 0.5 * (rate / (1.0 + r2) - image / r) / r2
 
 
 @inner_kernel
-def fisheye_sees(k, x, y):
-    """Tell whether a normalised point lies within the angle up to which the lens is known and does not fold."""
-    r2 = x * x + y * y
-    if not r2 <= k[11] * k[11]:
-        return False
-    return fisheye_angle(k, atan(sqrt(r2)))[1] > 0.0
+def fisheye_sees(k1, k2, k3, k4, widest, r2):
+    """Tell whether a point with the square r2 of its tangent is within the widest one and the lens does not fold."""
+    return r2 <= widest * widest and fisheye_angle(k1, k2, k3, k4, atan(sqrt(r2)))[1] > 0.0
 
 
 @inner_kernel
-def distort(k, x, y):
-    """Return the distorted normalised point and its derivative (xx, xy, yy) by (x, y); xy is symmetric."""
+def distort_fisheye(k1, k2, k3, k4, x, y):
+    """As distort, of a fisheye lens."""
+    radial, slope = fisheye_radial(k1, k2, k3, k4, x * x + y * y)
+    turn = 2.0 * slope
+    return x * radial, y * radial, radial + turn * x * x, turn * x * y, radial + turn * y * y
+
+
+@inner_kernel
+def see_fisheye(k1, k2, k3, k4, widest, x, y):
+    """Return whether a fisheye lens sees a normalised point, and what distort_fisheye does."""
+    if not fisheye_sees(k1, k2, k3, k4, widest, x * x + y * y):
+        return False, x, y, 0.0, 0.0, 0.0
+    xd, yd, dxx, dxy, dyy = distort_fisheye(k1, k2, k3, k4, x, y)
+    return True, xd, yd, dxx, dxy, dyy
+
+
+@inline_kernel
+def distort_pinhole(k1, k2, p1, p2, k3, x, y):
+    """As distort, of a pinhole; within its caller, as a call takes longer than it does."""
     r2 = x * x + y * y
-    if is_fisheye(k):
-        radial, slope = fisheye_radial(k, r2)
-        turn = 2.0 * slope
-        return x * radial, y * radial, radial + turn * x * x, turn * x * y, radial + turn * y * y
-    k1, k2, p1, p2, k3 = k[5], k[6], k[7], k[8], k[9]
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
     slope = k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3)  # d radial / d r2
     xd = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
@@ -76,6 +85,14 @@ def distort(k, x, y):
     dxy = 2.0 * x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
     dyy = radial + 2.0 * y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
     return xd, yd, dxx, dxy, dyy
+
+
+@inner_kernel
+def distort(k, x, y):
+    """Return the distorted normalised point and its derivative (xx, xy, yy) by (x, y); xy is symmetric."""
+    if is_fisheye(k):
+        return distort_fisheye(k[5], k[6], k[7], k[8], x, y)
+    return distort_pinhole(k[5], k[6], k[7], k[8], k[9], x, y)
 
 
 PLATE_ROUNDS = 4
@@ -114,9 +131,12 @@ def project_point(k, x, y, z, uv, J):
     iz = 1.0 / z
     a = x * iz
     b = y * iz
-    if is_fisheye(k) and not fisheye_sees(k, a, b):
-        return False
-    xd, yd, dxx, dxy, dyy = distort(k, a, b)
+    if is_fisheye(k):
+        seen, xd, yd, dxx, dxy, dyy = see_fisheye(k[5], k[6], k[7], k[8], k[11], a, b)
+        if not seen:
+            return False
+    else:
+        xd, yd, dxx, dxy, dyy = distort_pinhole(k[5], k[6], k[7], k[8], k[9], a, b)
     fx, fy, skew = k[0], k[1], k[4]
     uv[0] = fx * xd + skew * yd + k[2]
     uv[1] = fy * yd + k[3]
@@ -169,19 +189,19 @@ def intrinsics_jacobian(k, x, y, z, D):
 
 
 @inner_kernel
-def fisheye_tangent(k, image):
+def fisheye_tangent(k1, k2, k3, k4, widest, image):
     """Return tan(theta) / theta_d of the ray whose theta_d is image; negative where the lens has none.
 
     Newton's iteration within a bracket that shrinks: theta_d grows up to the widest angle.
     """
-    low, high = 0.0, atan(k[11])
-    if not image <= fisheye_angle(k, high)[0]:
+    low, high = 0.0, atan(widest)
+    if not image <= fisheye_angle(k1, k2, k3, k4, high)[0]:
         return -1.0
     if image * image < NEAR_AXIS:
-        return 1.0 + (1.0 / 3.0 - k[5]) * image * image
+        return 1.0 + (1.0 / 3.0 - k1) * image * image
     theta = min(image, high)
     for _ in range(UNDISTORT_STEPS):
-        found, rate = fisheye_angle(k, theta)
+        found, rate = fisheye_angle(k1, k2, k3, k4, theta)
         error = found - image
         if abs(error) < UNDISTORT_TOLERANCE:
             return tan(theta) / image
@@ -196,48 +216,64 @@ def fisheye_tangent(k, image):
 
 
 @inner_kernel
-def undistort_pinhole(k, xd, yd, xy):
-    """Fill xy (2,) with the ray of a distorted normalised point by Newton's iteration; False where there is none."""
+def undistort_fisheye(k1, k2, k3, k4, widest, xd, yd):
+    """As undistort_pinhole, of a fisheye lens."""
+    stretch = fisheye_tangent(k1, k2, k3, k4, widest, sqrt(xd * xd + yd * yd))
+    x = stretch * xd
+    y = stretch * yd
+    _, _, dxx, dxy, dyy = distort_fisheye(k1, k2, k3, k4, x, y)
+    return stretch > 0.0, x, y, dxx, dxy, dyy
+
+
+@inner_kernel
+def undistort_pinhole(k1, k2, p1, p2, k3, xd, yd):
+    """Return whether a distorted normalised point has a ray, found by Newton's iteration, the ray (x, y) and the
+    derivative (xx, xy, yy) of the distortion there.
+    """
     x = xd
     y = yd
     for _ in range(UNDISTORT_STEPS):
-        fx, fy, dxx, dxy, dyy = distort(k, x, y)
+        fx, fy, dxx, dxy, dyy = distort_pinhole(k1, k2, p1, p2, k3, x, y)
         det = dxx * dyy - dxy * dxy
         if not det > 0.0:
-            return False
+            break
         ex = fx - xd
         ey = fy - yd
         x -= (dyy * ex - dxy * ey) / det
         y -= (dxx * ey - dxy * ex) / det
         if abs(ex) + abs(ey) < UNDISTORT_TOLERANCE:
-            xy[0] = x
-            xy[1] = y
-            return True
-    return False
+            return True, x, y, dxx, dxy, dyy  # the step was too short to change them
+    return False, x, y, 0.0, 0.0, 0.0
+
+
+@inner_kernel
+def ray_of(k, u, v):
+    """Return whether a pixel has a ray under this model, the ray (x/z, y/z) and the distortion's derivative there.
+
+    It has none where Newton's iteration does not converge, where the distortion folds over, and beyond the angle that a
+    fisheye lens is known to.
+    """
+    yd = (v - k[3]) / k[1]
+    xd = (u - k[2] - k[4] * yd) / k[0]
+    if is_fisheye(k):
+        found, x, y, dxx, dxy, dyy = undistort_fisheye(k[5], k[6], k[7], k[8], k[11], xd, yd)
+    else:
+        found, x, y, dxx, dxy, dyy = undistort_pinhole(k[5], k[6], k[7], k[8], k[9], xd, yd)
+    return found and dxx * dyy - dxy * dxy > 0.0 and dxx > 0.0, x, y, dxx, dxy, dyy
 
 
 @inner_kernel
 def undistort_point(k, u, v, xy, J):
     """Fill xy (2,) with the normalised ray (x/z, y/z) of a pixel and J (2, 2) = d xy / d (u, v).
 
-    False where Newton's iteration does not converge, where the distortion folds over, and beyond the angle that a
-    fisheye lens is known to: the pixel has no ray under this model.
+    False where the pixel has no ray under this model, see ray_of.
     """
-    yd = (v - k[3]) / k[1]
-    xd = (u - k[2] - k[4] * yd) / k[0]
-    if is_fisheye(k):
-        stretch = fisheye_tangent(k, sqrt(xd * xd + yd * yd))
-        if not stretch > 0.0:
-            return False
-        xy[0] = stretch * xd
-        xy[1] = stretch * yd
-    elif not undistort_pinhole(k, xd, yd, xy):
+    found, x, y, dxx, dxy, dyy = ray_of(k, u, v)
+    if not found:
         return False
-    x, y = xy[0], xy[1]
-    _, _, dxx, dxy, dyy = distort(k, x, y)
     det = dxx * dyy - dxy * dxy
-    if not (det > 0.0 and dxx > 0.0):
-        return False
+    xy[0] = x
+    xy[1] = y
     # d(xd, yd)/d(u, v) = [[1/fx, -skew/(fx fy)], [0, 1/fy]]
     a = 1.0 / k[0]
     b = -k[4] / (k[0] * k[1])
@@ -265,11 +301,10 @@ def project_many(k, R, t, X, uv):
 @kernel
 def undistort_many(k, uv, xy):
     """Fill xy (n, 2) with the normalised rays of pixels uv (n, 2); NaN where a pixel has no ray."""
-    J = np.empty((2, 2))
     for i in range(uv.shape[0]):
-        if not undistort_point(k, uv[i, 0], uv[i, 1], xy[i], J):
-            xy[i, 0] = np.nan
-            xy[i, 1] = np.nan
+        found, x, y, _, _, _ = ray_of(k, uv[i, 0], uv[i, 1])
+        xy[i, 0] = x if found else np.nan
+        xy[i, 1] = y if found else np.nan
 
 
 @inner_kernel

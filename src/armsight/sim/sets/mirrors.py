@@ -23,8 +23,8 @@ from armsight.sim.sets.dataset import Dataset, checked_size
 
 Array = NDArray[np.float64]
 
-USUAL, LEAST, LIT = 20, 8, 12
-"""Images of the board, the least of them, and images of the lit target."""
+USUAL, LEAST, LIT, COVERED = 20, 8, 12, 8
+"""Images of the board, the least of them, images of the lit target, and places seen with one path covered."""
 BOARD = Board(columns=7, rows=5, square_m=0.015)
 LENS = Lens(
     width=768,
@@ -38,13 +38,14 @@ SPOTS_M = {"A": (-0.034, 0.0, 0.0), "B": (0.026, 0.027, 0.0), "C": (0.026, -0.02
 EDGE_PX = 12.0
 """How far inside the image every view of the board ends."""
 TRIES = 400
-BOARD_STREAM, LIGHTS_STREAM = 1, 2
+BOARD_STREAM, LIGHTS_STREAM, COVERED_STREAMS = 1, 2, {"left": 3, "right": 4}
 
 
 def mirror_set(seed: int, size: int | None = None) -> Dataset:
     """Return a set for `calibrate mirrors`: complex images of a board at `size` places, and of a lit target.
 
-    The mirrors stand some tenths of a milliradian off. Raises UsageError for too few images.
+    Of the first places there are images with one path covered as well. The mirrors stand some tenths of a milliradian
+    off. Raises UsageError for too few images.
     """
     n = checked_size(size, USUAL, LEAST, "images of the board")
     views = mirror_views(LENS, MIRRORS)
@@ -54,7 +55,10 @@ def mirror_set(seed: int, size: int | None = None) -> Dataset:
     def images() -> Iterator[tuple[str, Frame]]:
         places = {side: _outgoing(view) for side, view in views.items()}
         for index, pose in enumerate(boards):
-            yield f"complex/{index:06d}", _board_image(places, pose, seed, index)
+            yield f"complex/{index:06d}", _board_image(places, pose, (seed, BOARD_STREAM, index))
+        for index, pose in enumerate(boards[:COVERED]):
+            for side, stream in COVERED_STREAMS.items():
+                yield f"{side}/{index:06d}", _board_image({side: places[side]}, pose, (seed, stream, index))
         cameras = {side: _camera(view) for side, view in views.items()}
         for index, pose in enumerate(lights):
             yield f"lights/{index:06d}", _lit_image(cameras, pose, seed, index)
@@ -63,13 +67,14 @@ def mirror_set(seed: int, size: int | None = None) -> Dataset:
     return Dataset(
         name="mirrors",
         seed=seed,
-        n_images=n + len(lights),
+        n_images=n + len(COVERED_STREAMS) * COVERED + len(lights),
         images=images,
         rigs={"rig_true.yaml": mirror_rig(views)},
         cameras={"camera.yaml": LENS.mapping()},
         targets={"target.yaml": {"kind": "spots", "spots_m": {key: list(xyz) for key, xyz in SPOTS_M.items()}}},
         commands=(
             f"armsight calibrate mirrors --image complex --board {board} -o rig.yaml",
+            f"armsight calibrate mirrors --left-only left --right-only right --board {board} -o rig-of-halves.yaml",
             "armsight calibrate mirrors --image lights --target target.yaml --camera camera.yaml --baseline-mm 120 "
             "-o rig-of-lights.yaml",
             "armsight measure --rig rig.yaml --target target.yaml --image lights --stills -o run",
@@ -92,15 +97,18 @@ def _outgoing(view: MirrorLens) -> tuple[Array, Array]:
     return place.reshape(*rays.shape[:2], 3), ray.reshape(*rays.shape[:2], 3)
 
 
-def _board_image(places: dict[str, tuple[Array, Array]], pose: RigidTransform, seed: int, index: int) -> Frame:
-    """Return both views of a board at a pose in rig axes, upon one another: the plate gives each half the light."""
+def _board_image(places: dict[str, tuple[Array, Array]], pose: RigidTransform, noise: tuple[int, int, int]) -> Frame:
+    """Return the views of a board at a pose in rig axes, upon one another: the plate gives each half the light.
+
+    noise: seed, stream and the image's number.
+    """
     light: LightImage = ambient(LENS.width, LENS.height, 0.0)
     for place, ray in places.values():
         R, t = pose.rotation.inv().as_matrix(), np.asarray(pose.translation)
         start, way = (place - t) @ R.T, ray @ R.T
         along = -start[..., 2] / way[..., 2]
         light = light + 0.5 * board_light_at((start + along[..., None] * way)[..., :2], BOARD)
-    rng = np.random.default_rng([seed, BOARD_STREAM, index])
+    index, rng = noise[-1], np.random.default_rng(noise)
     image = IDEAL.develop(np.ascontiguousarray(light, np.float32), Sensor(), rng)
     return Frame(image=image, t_s=float(index), sequence=index, source="mirrors/complex")
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from armsight._numba import inner_kernel, inner_sum_kernel, sum_kernel
 from armsight.geometry.kernels import rotation_from_rotvec
-from armsight.optics.kernels.camera import NEAR_AXIS, distort, fisheye_sees, is_fisheye
+from armsight.optics.kernels.camera import NEAR_AXIS, distort_pinhole, is_fisheye, see_fisheye
 
 N_INTRINSICS = 10
 N_POSE = 6
@@ -38,9 +38,8 @@ def view_normal_equations(k, side, poses, X, radius, uv, weight, r, A, b, C, c_l
     k (C, 12): packed intrinsics of C = 1 or 2 cameras, without a plate. side (6,): T_left_right as (t m, rotation
     vector rad), not looked at for one camera. poses (G, 6): T_left_board alike. X (n, 3) board points; radius of
     printed circles in m, 0 for points. uv (G, C, n, 2) px. weight (G, C, n): 1 / sigma, 0 where not seen.
-    r (G, C 2n). A (S,
-    S), b (S,): shared parameters, S = 10 C + 6 (C - 1), intrinsics and then the step (dt, dw) of T_left_right. C (G,
-    6, 6), c_local (G, 6): the step of each board's pose. W (G, S, 6): mixed.
+    r (G, C 2n). A (S, S), b (S,): shared parameters, S = 10 C + 6 (C - 1), intrinsics and then the step (dt, dw) of
+    T_left_right. C (G, 6, 6), c_local (G, 6): the step of each board's pose. W (G, S, 6): mixed.
 
     A printed circle's outline has its centre at the pole of the line at infinity by the dual conic
     radius^2 (I - n n') - p p' of the board's normal n; the point is moved there. That shift is left out of
@@ -86,9 +85,12 @@ def view_normal_equations(k, side, poses, X, radius, uv, weight, r, A, b, C, c_l
                 iz = 1.0 / q2
                 x, y = q0 * iz, q1 * iz
                 fisheye = is_fisheye(kc)
-                if fisheye and not fisheye_sees(kc, x, y):
-                    return False
-                xd, yd, dxx, dxy, dyy = distort(kc, x, y)
+                if fisheye:
+                    seen, xd, yd, dxx, dxy, dyy = see_fisheye(kc[5], kc[6], kc[7], kc[8], kc[11], x, y)
+                    if not seen:
+                        return False
+                else:
+                    xd, yd, dxx, dxy, dyy = distort_pinhole(kc[5], kc[6], kc[7], kc[8], kc[9], x, y)
                 r2 = x * x + y * y
                 r4 = r2 * r2
                 for h in range(2):

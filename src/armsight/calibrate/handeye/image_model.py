@@ -1,0 +1,185 @@
+"""The corners of every image and the robot's poses, each with its noise, in one least-squares fit: a bundle adjustment.
+
+Three things are unknown of every image: nothing more than the target's pose in the camera (6), which the corners
+measure by reprojection, and the robot, with its own noise, through the hand-eye equation. Taking the robot as exact
+and reprojecting through it would weigh its millimetres as pixels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from armsight.calibrate.cameras.bundle_adjustment import EMPTY, Bundle, problem_of
+from armsight.calibrate.handeye.kernels import fit as kernels
+from armsight.calibrate.handeye.kernels import noise as noise_kernels
+from armsight.calibrate.handeye.pairs import Array, Arrays, Setup, components
+from armsight.calibrate.handeye.result import NAMES, HandEye
+from armsight.calibrate.handeye.target_views import ViewPoses, cross
+from armsight.calibrate.handeye.variances import Restricted, restricted_variances
+from armsight.fitting import EvaluatedNormalEquations, Evaluation, Fit, Problem, Settings, solve
+from armsight.optics import Camera
+
+FREE_INTRINSICS = frozenset({"fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"})
+"""What is freed of the camera on request; skew and k3 stay."""
+
+LEAST = np.array([1e-12, 1e-12, 0.0])
+"""Beside the corners' noise at least a micrometre and a microradian are left to the robot: none is exact, and weights
+without end would ruin the arithmetic."""
+
+Poses = tuple[Array, Array, Array, Array]
+"""RX (3, 3), tX (3,), RZ (3, 3), tZ (3,): T_parent_camera and T_parent_target."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ImageModel:
+    """The used pairs (n,) and where the pose fit left the unknowns."""
+
+    setup: Setup
+    arrays: Arrays
+    used: np.ndarray
+    seen: ViewPoses
+    start: Poses
+
+    @classmethod
+    def of(cls, result: HandEye, seen: ViewPoses) -> ImageModel:
+        """Return the model of a result from the poses seen."""
+        RX, tX = components(result.T_parent_camera)
+        RZ, tZ = components(result.T_parent_target)
+        return cls(
+            setup=result.setup,
+            arrays=result.pairs.arrays(result.setup),
+            used=result.used,
+            seen=seen,
+            start=(RX, tX, RZ, tZ),
+        )
+
+    def linearised(self, at: Poses) -> tuple[Array, Array, Array]:
+        """Return residuals e (n, 6), derivatives J (n, 6, 12) by X and Z, and lever shapes L (n, 6, 6)."""
+        RX, tX, RZ, tZ = at
+        RF, tF, RB, tB = self.arrays
+        n = len(RF)
+        e, J, L = np.empty((n, 6)), np.empty((n, 6, 13)), np.empty((n, 6, 6))
+        P, t_hat, work, E = np.empty((3, 3)), np.empty(3), np.empty((2, 3, 3)), np.empty((3, 3))
+        for i in range(n):
+            kernels.residual(RX, tX, RZ, tZ, 1.0, RF[i], tF[i], RB[i], tB[i], e[i], P, t_hat, work)
+            kernels.jacobian(RX, 1.0, e[i], P, t_hat, J[i])
+            to_hand = self.setup is Setup.EYE_TO_HAND
+            length = noise_kernels.lever_frame(RX, tX, 1.0, RF[i], tF[i], t_hat, to_hand, E)
+            reach = np.concatenate(
+                [-cross(length * E[2:])[0], np.eye(3)]
+            )  # (6, 3): dw at the flange seen at the target
+            L[i] = reach @ reach.T
+        return e, J[:, :, :12], L
+
+    def variances(self) -> Restricted:
+        """Return the noises beside that of the corners, by restricted maximum likelihood."""
+        e, J, L = self.linearised(self.start)
+        n = len(e)
+        Q = np.zeros((3, n, 6, 6))
+        Q[0, :, :3, :3] = Q[1, :, 3:, 3:] = np.eye(3)
+        Q[2] = L
+        return restricted_variances(e, J, self.seen.covariance, Q, self.used, LEAST)
+
+    def reproject(self, V: Array, camera: Camera, free_camera: bool) -> Fit:
+        """Return the fit of X, Z, the camera and the target's pose in each used view to corners and robot."""
+        used = np.flatnonzero(self.used)
+        sightings = self.seen.sightings.take(used)
+        F = self.arrays[0][used], self.arrays[1][used]
+        whiten = np.linalg.inv(np.linalg.cholesky(V))  # (n, 6, 6)
+        G = len(used)
+        poses = self.seen.centred[used]
+        boards = problem_of(
+            sightings, Bundle(k=camera.intrinsics[None], side_pose=np.zeros(6), poses=poses), frozenset()
+        )
+
+        def evaluate(shared: Array, local: Array) -> Evaluation:
+            corners = boards.evaluate(shared[12:], local)
+            by_corners = corners.condensed
+            if by_corners is None or not np.isfinite(corners.residuals).all():
+                bad = np.full((G, corners.residuals.shape[1] + 6), np.nan)
+                return Evaluation(residuals=bad, shared=EMPTY, local=EMPTY)
+            e, J, by_pose = self._at(shared, local, F, sightings.middle)
+            e = np.einsum("nij,nj->ni", whiten, e)
+            J, by_pose = whiten @ J, whiten @ by_pose
+            condensed = _with_robot(by_corners, e, J, by_pose)
+            residuals = np.concatenate([corners.residuals, e], axis=1)
+            return Evaluation(residuals=residuals, shared=EMPTY, local=EMPTY, condensed=condensed)
+
+        def retract(shared: Array, local: Array, ds: Array, dl: Array) -> tuple[Array, Array]:
+            return _stepped(shared, ds), boards.retract(shared[12:], local, ds[12:], dl)[1]
+
+        RX, tX, RZ, tZ = self.start
+        rotvecs = [Rotation.from_matrix(R).as_rotvec() for R in (RX, RZ)]
+        problem = Problem(
+            names=(*NAMES, *camera.names),
+            guess=np.concatenate([tX, rotvecs[0], tZ, rotvecs[1], camera.intrinsics]),
+            evaluate=evaluate,
+            n_residuals=2 * sightings.n_points + 6 * G,
+            local_names=("tx", "ty", "tz", "rx", "ry", "rz"),
+            local_guess=poses,
+            fixed=frozenset(camera.names) - (FREE_INTRINSICS if free_camera else frozenset()),
+            retract=retract,
+        )
+        return solve(problem, Settings(cost_tolerance=1e-9))
+
+    def _at(self, shared: Array, local: Array, F: tuple[Array, Array], middle: Array) -> tuple[Array, Array, Array]:
+        """Return e (n, 6), its derivatives (n, 6, 12) by X and Z and (n, 6, 6) by the poses of the board's middle."""
+        turned = Rotation.from_rotvec(np.array(local[:, 3:]))  # scipy takes no read-only array
+        lever = turned.apply(middle)
+        inner = replace(self, arrays=(*F, np.ascontiguousarray(turned.as_matrix()), local[:, :3] - lever))
+        e, J, _ = inner.linearised((rotation_of(shared[3:6]), shared[:3], rotation_of(shared[9:12]), shared[6:9]))
+        by_pose = np.tile(np.eye(6), (len(local), 1, 1))
+        by_pose[:, :3, 3:] = cross(lever)
+        by_pose[:, 3:, 3:] = _left_inverse(e[:, 3:])
+        return e, J, by_pose
+
+
+def poses_of(fit: Fit) -> Poses:
+    """Return X and Z of a fit of ImageModel.reproject."""
+    return rotation_of(fit.shared[3:6]), fit.shared[:3], rotation_of(fit.shared[9:12]), fit.shared[6:9]
+
+
+def camera_of(fit: Fit, camera: Camera) -> Camera:
+    """Return the camera with the intrinsics of a fit of ImageModel.reproject."""
+    return replace(camera, intrinsics=fit.shared[12:])
+
+
+def _with_robot(corners: EvaluatedNormalEquations, e: Array, J: Array, by_pose: Array) -> EvaluatedNormalEquations:
+    """Return the normal equations of X, Z, camera and poses: the corners' and the robot's whitened errors e (n, 6).
+
+    J (n, 6, 12), by_pose (n, 6, 6): derivatives of e by X and Z and by the poses.
+    """
+    A, b, W = np.zeros((22, 22)), np.zeros(22), np.zeros((len(e), 22, 6))
+    A[:12, :12], A[12:, 12:] = np.einsum("nia,nib->ab", J, J), corners.A
+    b[:12], b[12:] = np.einsum("nia,ni->a", J, e), corners.b
+    W[:, :12], W[:, 12:] = J.transpose(0, 2, 1) @ by_pose, corners.W
+    return EvaluatedNormalEquations(
+        A=A,
+        b=b,
+        C=corners.C + by_pose.transpose(0, 2, 1) @ by_pose,
+        c=corners.c + np.einsum("nia,ni->na", by_pose, e),
+        W=W,
+    )
+
+
+def _stepped(shared: Array, step: Array) -> Array:
+    """Return X, Z and the camera after a step; the rotations of X and Z (rotvecs at 3 and 9) turn by theirs."""
+    moved = shared + step
+    for at in (3, 9):
+        turn, before = Rotation.from_rotvec(step[at : at + 3]), Rotation.from_rotvec(np.array(shared[at : at + 3]))
+        moved[at : at + 3] = (turn * before).as_rotvec()
+    return moved
+
+
+def rotation_of(rotvec: Array) -> Array:
+    """Return the matrix (3, 3) of a rotation vector (3,)."""
+    return np.asarray(Rotation.from_rotvec(np.array(rotvec)).as_matrix())
+
+
+def _left_inverse(w: Array) -> Array:
+    """Return (n, 3, 3): d log(Exp(d) Exp(w)) / d d, to the third order in w (residuals are small)."""
+    K = cross(w)
+    return np.asarray(np.eye(3) - 0.5 * K + (K @ K) / 12.0)

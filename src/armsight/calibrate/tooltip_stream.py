@@ -1,0 +1,81 @@
+"""The tip from poses of one recording, whose errors are alike for a while: weighed, claimed and left out by it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.calibrate.correlation import Averaged, Correlation, fit_averaged, time_blocks
+from armsight.errors import Inconsistent
+from armsight.records import frozen_array
+
+Array = NDArray[np.float64]
+
+FEWEST_KEPT = 4
+"""Poses that must stay where a block of time is left out."""
+LEAST_SHARE_TURN = 0.3
+"""Share of the turn that they must still have: with less, their tip says nothing of the block."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DriftingTip:
+    """x (6,) = tip, point; its covariance; left_out_m (n, 3): R tip + t - point of each pose by the poses further away
+    in time, NaN where they do not tell it."""
+
+    x: Array
+    C: Array
+    left_out_m: Array
+    correlation: Correlation
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PivotStream:
+    """Poses R (n, 3, 3), t (n, 3) at t_s (n,); V (n, 3, 3): covariances of their residuals up to a factor. prior: what
+    is known of x beforehand, with its information (6, 6)."""
+
+    R: Array
+    t: Array
+    V: Array
+    t_s: Array
+    prior: tuple[Array, Array] | None = None
+
+    def fit(self, x: Array, keep: NDArray[np.bool_], turn: Array) -> DriftingTip:
+        """Return the fit to the kept poses, x (6,) near it; turn (n,): how far each is turned from the mean, rad."""
+        found = self._averaged(x, keep)
+        left = np.full((len(self.R), 3), np.nan)
+        for inside, away in time_blocks(self.t_s, found.correlation):
+            others = keep & away
+            if others.sum() < FEWEST_KEPT or _rms(turn[others]) < LEAST_SHARE_TURN * _rms(turn[keep]):
+                continue
+            left[inside] = self._residuals(x + self._averaged(x, others).step)[inside]
+        return DriftingTip(x=x + found.step, C=found.C, left_out_m=left, correlation=found.correlation)
+
+    def _averaged(self, x: Array, keep: NDArray[np.bool_]) -> Averaged:
+        """Return the fit of a step from x, residuals made of one size by the square roots of V."""
+        value, vector = np.linalg.eigh(self.V[keep])
+        root = (vector / np.sqrt(value)[:, None, :]) @ vector.transpose(0, 2, 1)  # (n, 3, 3)
+        J = np.concatenate([self.R[keep], np.tile(-np.eye(3), (int(keep.sum()), 1, 1))], axis=2)
+        r = np.einsum("nij,nj->ni", root, self._residuals(x)[keep])
+        prior = None if self.prior is None else (self.prior[0] - x, self.prior[1])
+        return fit_averaged(r, root @ J, self.t_s[keep], prior)
+
+    def _residuals(self, x: Array) -> Array:
+        return np.asarray(self.R @ x[:3] + self.t - x[3:])
+
+
+def checked_times(t_s: Array, n: int) -> Array:
+    """Return times (n,) of one recording; Inconsistent where there are not as many, or they all are the same."""
+    t = frozen_array("t_s", t_s, (n,))
+    if not np.ptp(t) > 0.0:
+        raise Inconsistent(
+            f"all {n} poses are of one moment",
+            consequence="How long their errors are alike cannot be told",
+            cure="Give the times at which they were measured, or none",
+        )
+    return t
+
+
+def _rms(turn: Array) -> float:
+    return float(np.sqrt(np.mean(turn**2)))

@@ -1,0 +1,136 @@
+"""Few images: the result from the corners is kept only where images left out prove it better; held against truth."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+from typer.testing import CliRunner
+
+from armsight.calibrate.handeye import Basis, ImageHandEye, Setup, calibrate_from_views
+from armsight.calibrate.handeye.image_comparison import ImageErrors, compare
+from armsight.calibrate.handeye.image_model import ImageModel, camera_of, poses_of
+from armsight.calibrate.handeye.pairs import pose
+from armsight.calibrate.handeye.target_views import poses_of_views
+from armsight.cli.commands import app
+from armsight.store import write_camera
+
+sys.path.insert(0, str(Path(__file__).parent))
+from handeye_scenes import BOARD, CAMERA, CELLS, Scene, error_mm, scene
+
+
+def calibrated(s: Scene, *, free_camera: bool) -> ImageHandEye:
+    return calibrate_from_views(s.views, list(s.robot), CAMERA, BOARD, Setup.EYE_IN_HAND, free_camera=free_camera)
+
+
+def errors_mm(s: Scene, *, free_camera: bool) -> tuple[float, float, float]:
+    """Errors against truth: from the poses, of the bundle adjustment, of what is kept."""
+    done = calibrated(s, free_camera=free_camera)
+    model = ImageModel.of(done.from_poses, poses_of_views(s.views, CAMERA, BOARD))
+    fit = model.reproject(model.variances().V[done.from_poses.used], CAMERA, free_camera)
+    at, camera = poses_of(fit), camera_of(fit, CAMERA) if free_camera else CAMERA
+    return (
+        error_mm(done.from_poses.T_parent_camera, CAMERA, s),
+        error_mm(pose(at[0], at[1]), camera, s),
+        error_mm(done.result.T_parent_camera, done.camera, s),
+    )
+
+
+def test_of_few_images_the_kept_result_is_no_worse_than_that_of_the_poses() -> None:
+    found = [
+        errors_mm(scene(cell, 6, seed), free_camera=free)
+        for cell in (CELLS["good robot, noisy corners"], CELLS["noisy robot"])
+        for seed in range(3)
+        for free in (False, True)
+    ]
+    poses, bundle, kept = np.array(found).T
+    assert (bundle > 1.2 * poses).sum() >= 3  # the control: a bundle that is always kept overfits
+    assert (kept <= 1.05 * poses).all()
+
+
+def test_where_the_corners_know_more_theirs_is_kept_and_better() -> None:
+    s = scene(CELLS["good robot, noisy corners"], 16, 0)
+    done = calibrated(s, free_camera=False)
+    assert done.result.comparison is not None
+    assert done.result.comparison.kept is Basis.CORNERS
+    poses, bundle, kept = errors_mm(s, free_camera=False)
+    assert kept == bundle < 0.8 * poses
+
+
+def errors(points_m: np.ndarray, px: np.ndarray) -> ImageErrors:
+    return ImageErrors(residuals=np.tile(points_m[:, None], (1, 6)), points_m=points_m, reprojection_px=px)
+
+
+def test_what_is_kept_by_errors_left_out() -> None:
+    rng = np.random.default_rng(0)
+    before = rng.uniform(1.0, 2.0, 8)
+
+    def kept(points: np.ndarray, px: np.ndarray, n: int = 8) -> Basis:
+        poses, corners = errors(before[:n], before[:n]), errors(points[:n], px[:n])
+        return compare({Basis.POSES: poses, Basis.CORNERS: corners}).kept
+
+    assert kept(0.7 * before, 0.7 * before) is Basis.CORNERS
+    assert kept(0.7 * before, 1.01 * before) is Basis.POSES  # worse in the image
+    assert kept(0.97 * before, 0.97 * before) is Basis.POSES  # better, but by too little of so few
+    assert kept(0.7 * before, 0.7 * before, 3) is Basis.POSES  # too few to judge by
+    assert kept(np.where(np.arange(8) == 2, np.nan, 0.7 * before), 0.7 * before) is Basis.POSES  # one fold has no fit
+    lucky = np.where(np.arange(8) == 0, 0.01, before)  # one image alone is better
+    assert kept(lucky, lucky) is Basis.POSES
+    many = np.tile(before, 2)
+    both = {Basis.POSES: errors(many, many), Basis.CORNERS: errors(0.97 * many, 0.97 * many)}
+    assert compare(both).kept is Basis.CORNERS
+    freed = compare(both | {Basis.CORNERS_AND_CAMERA: errors(0.95 * many, 0.95 * many)})
+    assert freed.kept is Basis.CORNERS
+    assert "a freed camera is not proved better: the camera stays as given" in freed.sentence()
+
+
+def test_four_images_are_calibrated_from_poses_and_say_so() -> None:
+    s = scene(CELLS["noisy robot"], 4, 1)
+    done = calibrated(s, free_camera=True)
+    assert done.result.comparison is not None
+    assert done.result.comparison.kept is Basis.POSES
+    assert done.camera is CAMERA
+
+
+def pictures_in(folder: Path, s: Scene) -> None:
+    """Write the scene's robot poses, and its boards drawn into images of 1280 x 960 px."""
+    rows = ["file,x_m,y_m,z_m,qx,qy,qz,qw"]
+    corners = np.array([[x, y] for y in range(-1, 7) for x in range(-1, 10)], float) * 0.025
+    for k, view in enumerate(s.views):
+        H, _ = cv2.findHomography(BOARD.xyz_m[view.index, :2], view.uv_px)
+        image = np.full((960 * 2, 1280 * 2), 235, np.uint8)
+        for x, y in corners:
+            if round(x / 0.025 + y / 0.025) % 2 == 0 and x < 0.2249 and y < 0.1499:
+                square = np.array([[x, y], [x + 0.025, y], [x + 0.025, y + 0.025], [x, y + 0.025]])[None]
+                uv = cv2.perspectiveTransform(square, H)[0]
+                cv2.fillConvexPoly(image, np.round((2 * uv + 0.5) * 16).astype(int), 20, cv2.LINE_AA, shift=4)
+        cv2.imwrite(str(folder / f"{k}.png"), cv2.resize(image, (1280, 960), interpolation=cv2.INTER_AREA))
+        T = s.robot[k]
+        rows.append(",".join([f"{k}.png", *(repr(float(v)) for v in (*T.translation, *T.rotation.as_quat()))]))
+    (folder / "robot_poses.csv").write_text("\n".join(rows) + "\n")
+
+
+def test_the_command_says_what_is_kept_with_both_numbers(tmp_path: Path) -> None:
+    photos = tmp_path / "photos"
+    photos.mkdir()
+    pictures_in(photos, scene(CELLS["noisy robot"], 6, 2))
+    (photos / "robot_poses.csv").rename(tmp_path / "robot_poses.csv")
+    write_camera(tmp_path / "camera.yaml", CAMERA)
+    out = tmp_path / "handeye.yaml"
+    (tmp_path / "handeye.camera.yaml").write_text("of an earlier run")
+    words = ["calibrate", "handeye", "--images", photos, "--camera", tmp_path / "camera.yaml", "--workers", 1]
+    words += ["--board", "checkerboard:9x6:0.025", "--robot", tmp_path / "robot_poses.csv", "--free-camera", "-o", out]
+    done = CliRunner().invoke(app, [*map(str, words), "--json"])
+    assert done.exit_code == 0, done.output
+    crossval = json.loads(done.stdout)["crossval"]
+    assert (crossval["kept"], crossval["n_images"]) == ("poses", 6)
+    assert "result from the poses is kept" in crossval["why"]
+    for name in ("poses", "corners", "corners_and_camera"):
+        assert 0.0 < crossval[name]["position_m"] < 0.01
+        assert 0.0 < crossval[name]["reprojection_px"] < 5.0
+    assert not (tmp_path / "handeye.camera.yaml").exists()
+    assert "kept: poses" in out.read_text() and "corners and camera:" in out.read_text()
+    assert "From poses or from corners" in (tmp_path / "handeye.report.html").read_text(encoding="utf-8")

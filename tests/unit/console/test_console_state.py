@@ -1,0 +1,52 @@
+"""What the console says of measuring: pictures that stop coming are never shown as how it is now."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from armsight.app.live.measurement import LiveJob
+from armsight.app.live.station import Shown, Station
+from armsight.app.schemas.live import Counts, LiveView, SideView
+from armsight.clock import ManualClock
+from armsight.console.layout import level_of
+from armsight.console.state import Console
+
+SIDE = SideView(width=4, height=3, spots=[], epipolar=[], advice="good", background=0.0, brightest=None, sigma_px=None)
+
+
+def view(fps: float) -> LiveView:
+    return LiveView(
+        sequence=1, t_s=0.0, fps=fps, latency_s=0.01, measuring_s=0.001, status="ok", why="", parent="rig",
+        xyz_m=(0.0, 0.0, 1.0), euler_rad=(0.0, 0.0, 0.0), quat_xyzw=(0.0, 0.0, 0.0, 1.0), std=None, residual_px=0.1,
+        counts=Counts(ok=1, position_only=0, lost=0), left=SIDE, right=SIDE,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("fps", "silent_after_s"), [(30.0, 2.0), (0.0, 2.0), (1.0, 4.0)])
+def test_pictures_that_stop_are_told_and_their_pose_is_not_current(
+    tmp_path: Path, fps: float, silent_after_s: float
+) -> None:
+    clock = ManualClock()
+    station = Station(LiveJob(left="a", right="b"), clock)
+    console = Console(folder=tmp_path, station=station)
+    station.shown = Shown(view=view(fps), left_jpeg=b"")
+    clock.advance(silent_after_s - 0.1)
+    assert console.current and level_of(console).level == "good"
+    clock.advance(0.2)
+    assert not console.current
+    assert level_of(console).level == "bad" and "No new picture" in level_of(console).words
+
+
+def test_a_failure_ends_the_pose_and_a_source_that_ended_keeps_its_last(tmp_path: Path) -> None:
+    clock = ManualClock()
+    station = Station(LiveJob(left="a", right="b"), clock)
+    console = Console(folder=tmp_path, station=station)
+    assert not console.current and level_of(console).level == "idle"
+    station.shown = Shown(view=view(30.0), left_jpeg=b"")
+    clock.advance(60.0)
+    station.ended = True
+    assert console.current and "ended" in level_of(console).words
+    station.ended, station.failure = False, "the left camera is gone"
+    assert not console.current and "the left camera is gone" in level_of(console).words

@@ -1,0 +1,89 @@
+"""The tool that follows the guides sees every command, and its lists name only what the guides still say."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="module")
+def tool():
+    spec = importlib.util.spec_from_file_location("follow_guides", ROOT / "tools" / "follow_guides.py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    yield module
+    del sys.modules[spec.name]
+
+
+def commands(tool):
+    return [step for page in tool.pages() for step in tool.steps(page)]
+
+
+def test_every_guide_is_followed(tool):
+    assert {page.name for page in (ROOT / "docs" / "guide").glob("*.md")} <= {page.name for page in tool.pages()}
+    assert tool.pages()[0] == ROOT / "README.md"
+
+
+def test_commands_are_told_from_what_they_print(tool):
+    block = "armsight a \\\n    --b\nCause: none\n$ armsight c\n# armsight d\ncat > x <<END\narmsight: e\nEND\n"
+    told = [step.text for step in tool.shell_steps("x", 1, block, everything=False)]
+    assert told == ["armsight a \\\n    --b", "armsight c", "cat > x <<END\narmsight: e\nEND"]
+    assert [step.line for step in tool.shell_steps("x", 1, block, everything=False)] == [1, 4, 6]
+
+
+def test_no_line_with_a_command_is_missed(tool):
+    for page in tool.pages():
+        blocks = "".join(match[2] for match in tool.FENCE.finditer(page.read_text()) if match[1] in {"bash", "text"})
+        lines = re.findall(r"^(?:\$ )?armsight \w", blocks, re.MULTILINE)
+        seen = [step for step in tool.steps(page) if re.match("armsight ", step.text)]
+        assert len(seen) == len(lines), page
+
+
+def test_what_stands_in_and_what_cannot_run_is_in_the_guides(tool):
+    texts = [step.text for step in commands(tool)]
+    for part in (*tool.NOT_HERE, *tool.KEYS):
+        assert any(part in text for text in texts), part
+    for page, parts in tool.STAND_INS.items():
+        own = [step.text for step in commands(tool) if step.page == page]
+        assert any(part in text for part in parts for text in own), page
+
+
+@pytest.mark.parametrize(
+    ("command", "what"), [("true", "run"), ("armsight-there-is-none", "failed"), ("pip install x", "not here")]
+)
+def test_what_became_of_a_command_is_told(tool, tmp_path, command, what):
+    reader = tool.Reader(tmp_path / "page")
+    outcome = reader.follow(tool.Step(page="x", line=1, kind="shell", text=command))
+    assert outcome.what == what
+    counts = {"run": "1 | 0 | 0", "failed": "0 | 1 | 0", "not here": "0 | 0 | 1"}[what]
+    assert f"| all | 1 | {counts} |" in tool.table([outcome])
+
+
+def test_a_place_gone_to_holds_for_the_next_command(tool, tmp_path):
+    reader = tool.Reader(tmp_path / "page")
+    for text in ("mkdir inside", "cd inside", "touch here"):
+        assert reader.follow(tool.Step(page="x", line=1, kind="shell", text=text)).what == "run"
+    assert (tmp_path / "page" / "inside" / "here").exists()
+
+
+SERVER = "exec python -u -m http.server 0 --bind 127.0.0.1"
+
+
+@pytest.mark.parametrize(("script", "told"), [(SERVER, ""), ("exit 3", "ended by itself with exit code 3")])
+def test_a_server_is_asked_and_ended(tool, tmp_path, script, told):
+    reader = tool.Reader(tmp_path / "page")
+    step = tool.Step(page="x", line=1, kind="shell", text="armsight serve")
+    running = reader.begin(step, script, subprocess.DEVNULL)
+    reader.services.append((step, running))
+    assert reader.asked(running, 0) == told
+    ended = reader.finish()
+    assert running.poll() is not None
+    assert ended == ("armsight serve had ended by itself with exit code 3" if told else "")
