@@ -19,6 +19,9 @@ Array = NDArray[np.float64]
 ARROW = 0.08
 """Length of a frame's axes as a share of the arm's size in the picture."""
 
+NO_DISTANCE = 1e-9
+"""Scaled singular value that is zero but for rounding."""
+
 MAX_POSTURES = 30
 """Postures drawn of a track; more of them hide each other."""
 
@@ -56,7 +59,8 @@ def _verdict(inside: bool, names: Sequence[str]) -> Verdict:
 
 def _cards(arm: Arm, q: Array, T: Array) -> list[Card]:
     x, y, z = (figure_of(float(value) / MM, "mm", digits=6) for value in T[:3, 3])
-    distance = figure_of(float(singularity_distance(arm, q)))
+    nearness = float(singularity_distance(arm, q))
+    distance = figure_of(nearness if nearness > NO_DISTANCE else 0.0)
     return [
         Card(name="tool x", value=x),
         Card(name="tool y", value=y),
@@ -70,7 +74,7 @@ def _joint_table(arm: Arm, q: Array) -> str:
     for joint, value in zip(arm.joints, q, strict=True):
         turns = joint.type is JointType.REVOLUTE
         scale, unit = (DEG, "°") if turns else (MM, "mm")
-        ends = [figure_of(end / scale, digits=6) for end in (joint.lower, joint.upper)]
+        ends = [figure_of(end / scale, unit, digits=6) for end in (joint.lower, joint.upper)]
         geometry = (joint.a_m / MM, joint.alpha_rad / DEG, joint.d_m / MM, joint.theta_rad / DEG, joint.beta_rad / DEG)
         rows.append(
             [

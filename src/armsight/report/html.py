@@ -7,6 +7,7 @@ import functools
 import gzip
 import html
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -14,6 +15,7 @@ from importlib import resources
 
 from armsight._version import __version__
 from armsight.report.figures import Figure, json_text
+from armsight.report.space import fitted_scene
 
 STYLE = """
 :root{--ink:#1c2733;--soft:#5b6b7b;--line:#dfe5eb;--back:#f4f6f8;--blue:#1f5fa8;--good:#2e7d4f;--warn:#b86a00;
@@ -44,6 +46,7 @@ table{border-collapse:collapse;width:100%;font-size:14px;font-variant-numeric:ta
 th,td{padding:6px 10px;border-bottom:1px solid var(--line);text-align:left;vertical-align:top;overflow-wrap:break-word}
 th{color:var(--soft);font-weight:600;font-size:13px;overflow-wrap:normal}
 td.n,th.n{text-align:right;white-space:nowrap}
+td.n~td:last-child:not(.n){min-width:24ch}
 tr:last-child td{border-bottom:0}
 .plot{width:100%}
 .pair{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(420px,100%),1fr));gap:14px 28px;margin:8px 0 14px}
@@ -58,8 +61,11 @@ ul{margin:6px 0 0;padding-left:20px}
 footer{color:var(--soft);font-size:13px;margin-top:18px}
 @media (max-width:600px){main{padding:16px 10px 32px}section{padding:14px 12px}header h1{font-size:22px;
 overflow-wrap:anywhere}.verdict,ul{overflow-wrap:anywhere}.plot.wide{min-width:640px}
-td:last-child:not(.n){min-width:20ch}}
+td:last-child:not(.n){min-width:20ch}th:first-child,td:first-child{min-width:11ch}}
 @media print{body{background:#fff}main{max-width:none;padding:0}section,.verdict,figure,.cards div{break-inside:avoid}
+table{font-size:11px}th{font-size:11px}th,td{padding:3px 5px}
+td.n~td:last-child:not(.n){min-width:12ch}
+.scroll{overflow:visible}tr{break-inside:avoid}
 section{border:0;border-top:1px solid var(--line);border-radius:0;padding:12px 0}.modebar{display:none!important}}
 """
 
@@ -72,13 +78,20 @@ POLICY = (
 SCRIPT = """
 const dark=matchMedia('(prefers-color-scheme: dark)');
 const DARK={'#1c2733':'#e3e9ef','#ffffff':'#18212a','#e8edf2':'#2c3947','#c9d3dc':'#46566a','#1f5fa8':'#7db3f0',
-'#2e7d4f':'#6cc394','#c23b3b':'#ef8079','rgba(31,95,168,0.22)':'rgba(125,179,240,0.28)'};
+'#2e7d4f':'#6cc394','#c23b3b':'#ef8079','#7b1fa2':'#c58be0','#5c6bc0':'#9fa8e8','#a0522d':'#d39069',
+'rgba(31,95,168,0.22)':'rgba(125,179,240,0.28)'};
 const unpack=id=>{const bytes=Uint8Array.from(atob(document.getElementById(id).textContent),c=>c.charCodeAt(0));
 return new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream('gzip'))).text()};
 Promise.all([unpack('figures'),unpack('plotly')]).then(([source,code])=>{
 const dressed=()=>JSON.parse(dark.matches?source.replace(/#[0-9a-f]{6}|rgba\\([^)]*\\)/g,c=>DARK[c]||c):source);
-const draw=()=>{for(const f of dressed()){
-Plotly.react(f.id,f.data,f.layout,{responsive:true,displaylogo:false,displayModeBar:'hover'})}};
+const away=f=>{const s=f.layout.scene,p=document.getElementById(f.id);if(!s)return;
+const k=Math.max(1,p.clientHeight/p.clientWidth),c=s.camera=s.camera||{};c.eye=c.eye||{x:1.25,y:1.25,z:1.25};
+for(const n of 'xyz')c.eye[n]*=k};
+const draw=()=>{for(const f of dressed()){away(f);
+Plotly.react(f.id,f.data,f.layout,{responsive:true,displaylogo:false,displayModeBar:'hover'});
+if(f.layout.scene){const p=document.getElementById(f.id);p.removeAllListeners('plotly_restyle');
+p.on('plotly_restyle',()=>Plotly.relayout(p,{'scene.aspectmode':'data','scene.xaxis.autorange':true,
+'scene.yaxis.autorange':true,'scene.zaxis.autorange':true}))}}};
 const fit=()=>{for(const f of dressed()){Plotly.Plots.resize(f.id)}};
 (0,eval)(code);draw();dark.addEventListener('change',draw);
 addEventListener('beforeprint',fit);addEventListener('afterprint',fit);document.documentElement.dataset.drawn='yes'});
@@ -138,7 +151,10 @@ class Page:
     def plot(self, figure: Figure) -> str:
         """Take a figure; return its place in the page."""
         name = f"figure{len(self._figures) + 1}"
-        self._figures.append({"id": name, "data": figure.data, "layout": figure.layout})
+        shape = dict(figure.layout)
+        if shape.get("scene", {}).get("aspectmode") == "data":
+            shape["scene"] = fitted_scene(shape["scene"], figure.data)
+        self._figures.append({"id": name, "data": figure.data, "layout": shape})
         wide = " wide" if "xaxis2" in figure.layout else ""
         return (
             f'<div class="scroll"><div class="plot{wide}" id="{name}" style="height:{figure.height_px}px"></div></div>'
@@ -185,6 +201,11 @@ def table(header: Sequence[str], rows: Sequence[Sequence[object]], *, numbers: S
 def bullets(items: Sequence[str]) -> str:
     """Return a list of plain text."""
     return "<ul>" + "".join(f"<li>{text(item)}</li>" for item in items) + "</ul>"
+
+
+def in_degrees(sentence: str) -> str:
+    """Return a sentence of the command line with the signs that a page has everywhere."""
+    return re.sub(r"(?<=\d) deg\b", "°", sentence).replace("+-", "±")
 
 
 def figure_of(value: float | None, unit: str = "", *, digits: int = 3) -> str:

@@ -84,7 +84,9 @@ def _sentence(result: Identification) -> str:
     worst = max(joint.residual_rms_m for joint in result.joints)
     lost = sum(len(joint.discarded) for joint in result.joints)
     text = f"The readings agree with the arm to {worst / MM:.3g} mm RMS on the worst joint"
-    return text + (f"; {lost} readings were discarded." if lost else ".")
+    text += f"; {lost} reading{'s were' if lost > 1 else ' was'} discarded." if lost else "."
+    open_ = [str(number) for number, joint in enumerate(result.joints, 1) if not joint.decided]
+    return text + (f" Whether joint {' and joint '.join(open_)} turns or slides is not sure." if open_ else "")
 
 
 def _cards(result: Identification, rig: Rig | None) -> list[Card]:

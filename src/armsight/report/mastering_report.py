@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from datetime import datetime
 from typing import Any
 
-from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table, with_deviation
+from armsight.report.html import Card, Page, Verdict, bullets, figure_of, in_degrees, table, with_deviation
 from armsight.units import DEG, MM
 
 LEVELS = {"none": "good", "undecided": "warn"}
@@ -15,13 +15,18 @@ ALONE = (
 )
 
 
-def mastering_report(summary: Mapping[str, Any], name: str, *, created: datetime | None = None) -> str:
-    """Return the page as HTML text that needs no other file. summary: as verify.json holds it."""
+def mastering_report(
+    summary: Mapping[str, Any], name: str, *, slides: Collection[int] = (), created: datetime | None = None
+) -> str:
+    """Return the page as HTML text that needs no other file. summary: as verify.json holds it; slides: the indices,
+    from 1, of joints that slide."""
     cause = summary["cause"]
     page = Page(
-        title=f"{name} after a crash",
+        title=f"After a crash: {name}",
         subtitle=f"{summary['n']} poses compared, {len(summary['rejected'])} left out",
-        verdict=Verdict(level=LEVELS.get(cause, "bad"), word=f"Cause: {cause}", sentence=summary["verdict"]),
+        verdict=Verdict(
+            level=LEVELS.get(cause, "bad"), word=f"Cause: {cause}", sentence=in_degrees(summary["verdict"])
+        ),
         cards=[
             Card(name="error of place", value=figure_of(summary["rms_before_m"] / MM, "mm"), note="RMS, as measured"),
             Card(name="without the cause", value=figure_of(summary["rms_after_m"] / MM, "mm"), note="RMS"),
@@ -30,9 +35,10 @@ def mastering_report(summary: Mapping[str, Any], name: str, *, created: datetime
     rows = []
     for joint in summary["joints"]:
         value, std = joint["offset_rad"], joint["std_rad"]
-        shown = ("–", "–") if value is None else with_deviation(value / DEG, None if std is None else std / DEG)
-        rows.append([f"{joint['index']} {joint['name']}", *shown, joint["why"]])
-    page.add("Joints", ALONE, table(["joint", "zero, ° (slide: m x 57.3)", "+-", ""], rows, numbers=(1, 2)))
+        scale, unit = (MM, "mm") if joint["index"] in slides else (DEG, "°")
+        shown = ("–", "–") if value is None else with_deviation(value / scale, None if std is None else std / scale)
+        rows.append([f"{joint['index']} {joint['name']}", *shown, unit, joint["why"]])
+    page.add("Joints", ALONE, table(["joint", "zero", "±", "unit", ""], rows, numbers=(1, 2)))
     if summary["doubts"]:
         page.add("What to know", "", bullets(summary["doubts"]))
     if summary["rejected"]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.report.figures import BLUE, GREY, ORANGE, Figure, axis, layout, place
+from armsight.report.figures import BLUE, GREEN, GREY, ORANGE, RED, Figure, axis, layout
 from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table
 from armsight.report.verify_report import BY_PLACE, ISO_TOLD, LISTED, PRINT, iso_by_place, iso_table
 from armsight.units import MM
@@ -17,7 +17,13 @@ from armsight.verify import Measured, Repeats
 
 Array = NDArray[np.float64]
 
-COLOURS = (BLUE, ORANGE, GREY)
+CARD_NAMES: Mapping[str, str] = {
+    "RP_m": "RP, repeatability of a pose",
+    "RD_m": "RD, repeatability of a distance",
+    "vAP_m": "vAP, variation between approaches",
+    "RT_m": "RT, repeatability of a path",
+}
+COLOURS = (BLUE, ORANGE, GREEN, RED, GREY)
 
 
 def repeats_report(
@@ -37,8 +43,8 @@ def repeats_report(
         subtitle=f"{summary['n']} rows, {len(summary['rejected'])} left out",
         verdict=Verdict(
             level="good" if given else "warn",
-            word=f"{given} figures given" if given else "No figure can be given",
-            sentence=summary["verdict"],
+            word="Repeatability" if given else "No figure can be given",
+            sentence=_headline(iso, summary["verdict"]),
         ),
         cards=_cards(iso),
     )
@@ -46,7 +52,7 @@ def repeats_report(
     if other is not None:
         page.add("Beside the other run", f"The other run is {other[0]}. SI units.", _compared(iso, other[1]["iso9283"]))
     if any(repeats.at_pose):
-        page.add("Visits about their mean", "Each row less the mean of its pose.", page.plot(_about(measured, repeats)))
+        page.add("Visits about their mean", "Each row less the mean of its pose.", _about(page, measured, repeats))
         told = "Distance of each row from the mean of its pose, in the order of the rows: a drift climbs or falls."
         page.add("Deviation over the rows", told, page.plot(_course(measured, repeats)))
     page.style = PRINT.format(first=4, zoom=0.72)
@@ -60,6 +66,19 @@ def repeats_report(
     return page.html(created=created or datetime.now())
 
 
+def _headline(iso: Mapping[str, Any], verdict: str) -> str:
+    """Return the verdict, after what the repeatability of the worst pose means."""
+    worst = iso.get("RP_m", {"value": None})["value"]
+    if worst is None:
+        return verdict
+    poses = sum(name.startswith("RP_m ") for name in iso)
+    among = f", the worst of {poses} poses" if poses > 1 else ""
+    return (
+        f"The tool comes back to within {figure_of(worst / MM, 'mm')} of where it comes back on average (RP{among}). "
+        f"{verdict}"
+    )
+
+
 def _compared(iso: Mapping[str, Any], other: Mapping[str, Any]) -> str:
     """Return the figures that both or one of two runs give, side by side; those of the worst place."""
     rows = []
@@ -67,16 +86,16 @@ def _compared(iso: Mapping[str, Any], other: Mapping[str, Any]) -> str:
         pair = [run.get(name, {"value": None, "std": None}) for run in (other, iso)]
         if any(item["value"] is not None for item in pair):
             rows.append([name, *(figure_of(item[what]) for item in pair for what in ("value", "std"))])
-    return table(["figure", "the other run", "+-", "this run", "+-"], rows, numbers=(1, 2, 3, 4))
+    return table(["figure", "the other run", "±", "this run", "±"], rows, numbers=(1, 2, 3, 4))
 
 
 def _cards(iso: Mapping[str, Any]) -> list[Card]:
     cards = []
-    for name in ("RP_m", "RD_m", "vAP_m", "RT_m"):
+    for name in CARD_NAMES:
         item = iso.get(name)
         if item is not None and item["value"] is not None:
             note = f"{item['n']} of {item['wanted']} repeats"
-            cards.append(Card(name=name[:-2], value=figure_of(item["value"] / MM, "mm"), note=note))
+            cards.append(Card(name=CARD_NAMES[name], value=figure_of(item["value"] / MM, "mm"), note=note))
     return cards
 
 
@@ -94,33 +113,21 @@ def _course(measured: Measured, repeats: Repeats) -> Figure:
     return Figure(data=data, layout=shape, height_px=300)
 
 
-def _about(measured: Measured, repeats: Repeats) -> Figure:
+def _about(page: Page, measured: Measured, repeats: Repeats) -> str:
     """Return each visit's row less the mean of its pose, seen from above and from the side."""
+    seen = (_side(measured, repeats, 1), _side(measured, repeats, 2))
+    return '<div class="pair">' + "".join(map(page.plot, seen)) + "</div>"
+
+
+def _side(measured: Measured, repeats: Repeats, up: int) -> Figure:
+    """Return x and the coordinate up of each visit about the mean of its pose, to one scale."""
     pose = np.array(repeats.at_pose)
     data: list[dict[str, Any]] = []
     for k, name in enumerate(sorted(set(pose) - {""})):
         about = measured.xyz_m[pose == name]
         about = (about - about.mean(axis=0)) / MM
-        for panel, up in ((1, 1), (2, 2)):
-            data.append(
-                {
-                    "type": "scatter",
-                    "mode": "markers",
-                    "name": name,
-                    "showlegend": panel == 1,
-                    "x": about[:, 0],
-                    "y": about[:, up],
-                    "marker": {"color": COLOURS[k % len(COLOURS)], "size": 5, "symbol": k // len(COLOURS)},
-                    **place(panel),
-                }
-            )
-    return Figure(
-        data=data,
-        layout=layout(
-            xaxis=axis("x, mm", domain=[0.0, 0.46]),
-            yaxis=axis("y, mm"),
-            xaxis2=axis("x, mm", domain=[0.54, 1.0], anchor="y2"),
-            yaxis2=axis("z, mm", anchor="x2"),
-        ),
-        height_px=360,
-    )
+        marker = {"color": COLOURS[k % len(COLOURS)], "size": 5, "symbol": k // len(COLOURS)}
+        where = {"x": about[:, 0], "y": about[:, up]}
+        data.append({"type": "scatter", "mode": "markers", "name": name, "marker": marker, **where})
+    shape = layout(xaxis=axis("x, mm"), yaxis=axis(f"{'xyz'[up]}, mm", scaleanchor="x"))
+    return Figure(data=data, layout=shape, height_px=380)

@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 WANTED_SHARE = 1.0 / 3.0
 """armsight's error over the paper's that is wanted in each row where the paper's figure can be believed."""
 
+NOTHING = 1e-9
+"""mm, degrees or px below which a number is rounding."""
 UNITS = {"m": ("mm", MM), "rad": ("°", DEG), "px": ("px", 1.0), "": ("", 1.0)}
 TRUTH, METHOD, OURS = GREY, ORANGE, BLUE
 PANEL_PX = 330
@@ -201,11 +203,14 @@ def _cards(done: Reproduction) -> list[Card]:
     methods = [row.share_of_method for item in done.tables for row in item.rows if row.share_of_method is not None]
     of_print = figure_of(float(np.median(shares)) if shares else None, digits=2)
     of_method = figure_of(float(np.median(methods)) if methods else None, digits=2)
+    printed = [
+        Card(name="compared with print", value=str(len(shares)), note="rows whose printed figure can be believed"),
+        Card(name="error over the printed one", value=of_print, note="median over those rows"),
+    ]
     return [
         Card(name="rows", value=str(sum(len(item.rows) for item in done.tables)), note="in all tables"),
-        Card(name="compared with print", value=str(len(shares)), note="rows whose printed figure can be believed"),
-        Card(name="error, share of print", value=of_print, note="median over those rows"),
-        Card(name="error, share of method", value=of_method, note="of the paper's method on the same frames"),
+        *(printed if shares else ()),
+        Card(name="error over its method's", value=of_method, note="the paper's method on the same frames, median"),
     ]
 
 
@@ -226,11 +231,20 @@ def _table(item: ComparisonTable) -> str:
     for row in item.rows:
         unit, scale = UNITS[row.unit]
         values = (row.paper, row.paper_method, row.armsight, row.truth, *row.errors)
-        shown = [figure_of(None if value is None else value / scale, digits=4) for value in values]
+        shown = [_shown(value, scale) for value in values]
         share = "–" if row.share is None else f"{row.share:.3f}" if row.credible else f"({row.share:.3f})"
         of_method = "–" if row.share_of_method is None else f"{row.share_of_method:.3f}"
         rows.append([f"{row.label}, {unit}" if unit else row.label, *shown, share, of_method])
-    return table(head, rows, numbers=tuple(range(1, len(head))))
+    kept = [k for k in range(len(head)) if any(row[k] != "–" for row in rows)]
+    told = [[row[k] for k in kept] for row in rows]
+    return table([head[k] for k in kept], told, numbers=tuple(range(1, len(kept))))
+
+
+def _shown(value: float | None, scale: float) -> str:
+    """Return a number in the unit shown; what is far below what anything here measures is zero."""
+    if value is None:
+        return "–"
+    return figure_of(0.0 if abs(value / scale) < NOTHING else value / scale, digits=4)
 
 
 def _notes(item: ComparisonTable) -> str:

@@ -14,7 +14,8 @@ from scipy.spatial.transform import RigidTransform
 from armsight.kinematics import Arm
 from armsight.report.arm_view import arm_figure
 from armsight.report.figures import BLUE, GREY, ORANGE, RED, Figure, axis, bars, layout, place, spread, thinned
-from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table, with_deviation
+from armsight.report.html import Card, Page, Verdict, bullets, figure_of, in_degrees, table, with_deviation
+from armsight.report.iso_symbols import FIGURES
 from armsight.units import DEG, MM, MS
 from armsight.verify import Verification
 
@@ -31,6 +32,10 @@ COMPONENTS = (("", ""), ("x", "a"), ("y", "b"), ("z", "c"))
 """A figure's parts as columns: its own, then along and about each axis."""
 ISO_TOLD = "The worst place of each figure, ± its own standard deviation."
 BY_PLACE = "Robot alone: without the measurement's scatter, and with what few repeats leave out."
+PLACED: Mapping[str, str] = {
+    "T_measured_base": "base, in the measurements' axes",
+    "T_flange_tool": "tool, in the flange's axes",
+}
 ARROWS = 400
 ARROW_SHARE = 0.08
 """Length of the longest arrow as a share of the space that the tool moved in."""
@@ -61,7 +66,11 @@ def verify_report(
     page = Page(
         title="Verification" if arm is None else f"Verification of {arm.name}",
         subtitle=f"{summary['n']} rows compared, {len(summary['rejected'])} left out",
-        verdict=Verdict(level=LEVELS.get(cause, "bad"), word=f"Cause: {cause}", sentence=summary["verdict"]),
+        verdict=Verdict(
+            level=LEVELS.get(cause, "bad"),
+            word="No cause looked for" if arm is None else f"Cause: {cause}",
+            sentence=in_degrees(summary["verdict"]),
+        ),
         cards=_cards(summary),
     )
     page.add("Errors of the tool", "Measured minus expected, in the base's axes.", _task_table(summary))
@@ -112,7 +121,7 @@ def _cards(summary: Mapping[str, Any]) -> list[Card]:
         cards.append(Card(name="before aligning", value=figure_of(before["rms_m"] / MM, "mm"), note=f"aligned: {free}"))
     if time["offset_s"] is not None:
         shown, std = with_deviation(time["offset_s"] / MS, time["std_s"] / MS)
-        cards.append(Card(name="time offset", value=f"{shown} ms", note=f"+- {std} ms"))
+        cards.append(Card(name="time offset", value=f"{shown} ms", note=f"± {std} ms"))
     share = summary["explained"]["measurement"]
     if share is not None:
         cards.append(
@@ -184,8 +193,11 @@ def iso_table(figures: Mapping[str, Any]) -> str:
         for name, line in lines.items()
     ]
     parts = [table(header, rows, numbers=range(1, len(header)))] if rows else []
-    if notes:
-        parts.append(bullets([f"{family}: {text}" for text, family in notes.items()]))
+    families = dict.fromkeys(line.partition(",")[0] for line in lines)
+    told = [f"{family}: {FIGURES[family]}" for family in families if family in FIGURES]
+    told += [f"{family}: {text}" for text, family in notes.items()]
+    if told:
+        parts.append(bullets(told))
     if why:
         parts.append("<p>Withheld:</p>" + bullets([f"{', '.join(names)}: {text}" for text, names in why.items()]))
     return "".join(parts)
@@ -200,8 +212,13 @@ def iso_by_place(figures: Mapping[str, Any]) -> str:
         if item["value"] is None or not where:
             continue
         symbol, unit, factor = _symbol(key)
-        numbers = (figure_of(None if item[k] is None else item[k] / factor) for k in ("value", "std", "corrected"))
-        rows.append([where, symbol, unit, *numbers, _repeats(item)])
+        std = None if item["std"] is None else item["std"] / factor
+        own = (
+            with_deviation(item["value"] / factor, std) if std else (figure_of(item["value"] / factor), figure_of(std))
+        )
+        alone = None if item["corrected"] is None else item["corrected"] / factor
+        shown = with_deviation(alone, std)[0] if alone is not None and std else figure_of(alone)
+        rows.append([where, symbol, unit, *own, shown, _repeats(item)])
         if item["note"]:
             notes.setdefault(item["note"], where)
     rows.sort(key=lambda row: str(row[0]))
@@ -230,11 +247,11 @@ def _alignment_table(summary: Mapping[str, Any]) -> str:
     told = summary["alignment"]
     rows = [
         [
-            name,
+            words,
             *(figure_of(v / MM, "mm", digits=6) for v in told[name]["xyz_m"]),
             ", ".join(f"{v:.6f}" for v in told[name]["quat_xyzw"]),
         ]
-        for name in ("T_measured_base", "T_flange_tool")
+        for name, words in PLACED.items()
     ]
     parts = [table(["", "x", "y", "z", "quaternion x y z w"], rows, numbers=(1, 2, 3))]
     if told["undetermined"]:

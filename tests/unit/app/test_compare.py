@@ -10,12 +10,14 @@ from typer.testing import CliRunner
 
 from armsight.app.compare.parameters import Value, differences, judged
 from armsight.app.compare.run import CompareJob, compare
+from armsight.app.measure.made_with import made_with
+from armsight.app.verify.run import VerifyJob, run_verify
 from armsight.cli.commands import app
 from armsight.errors import BadFile, Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import preset
 from armsight.optics import Camera, Rig, RigKind
-from armsight.records import NamedCovariance
-from armsight.store import write_camera, write_rig
+from armsight.records import NamedCovariance, Target, TargetKind
+from armsight.store import read_rig, write_camera, write_rig
 from armsight.store.arm_file import write_arm
 
 CAMERA = Camera.pinhole(640, 480, 500.0, 500.0, 320.0, 240.0)
@@ -150,3 +152,101 @@ def test_the_command_writes_a_report_only_where_it_is_told_to(tmp_path):
     assert json.loads(told.stdout)["agree"] is True
     assert (tmp_path / "out/report.html").stat().st_size < 1_500_000
     assert run(app, ["compare", str(a), str(b), "-o", str(tmp_path / "out")]).exit_code == UsageError.exit_code
+
+
+def run_folder(folder, seed, rig, target=None):
+    """A folder of measure: poses, and the summary's part on what they were measured with."""
+    folder.mkdir()
+    poses_file(folder, "poses.csv", seed)
+    told = made_with(rig, target or beacons(0.1))
+    (folder / "measure.json").write_text(json.dumps({"n_frames": 200, "made_with": told.to_dict()}))
+    return folder
+
+
+def beacons(width_m):
+    xyz = [[0.0, 0.0, 0.0], [width_m, 0.0, 0.0], [0.0, 0.05, 0.0]]
+    return Target(kind=TargetKind.SPOTS, names=("A", "B", "C"), xyz_m=np.array(xyz))
+
+
+def pair(baseline_m):
+    right = RigidTransform.from_translation([baseline_m, 0.0, 0.0])
+    eye = RigidTransform.identity()
+    return Rig(kind=RigKind.STEREO, left=CAMERA, right=CAMERA, T_rig_left=eye, T_rig_right=right)
+
+
+def test_another_rig_or_target_is_told(tmp_path):
+    write_rig(tmp_path / "rig.yaml", pair(0.12))
+    again = replace(read_rig(tmp_path / "rig.yaml"), rms_px=0.3)  # what a file adds changes nothing
+    a = run_folder(tmp_path / "a", 1, pair(0.12))
+    same = compare(CompareJob(a=a, b=run_folder(tmp_path / "b", 2, again)))
+    assert (same.same_rig, same.same_target) == (True, True)
+    assert "another" not in same.verdict and "One rig and one target" in same.notes[0]
+    other = compare(CompareJob(a=a, b=run_folder(tmp_path / "c", 3, pair(0.1201), beacons(0.1001))))
+    assert (other.same_rig, other.same_target) == (False, False)
+    assert other.verdict.endswith("They were measured with another rig and another target.")
+    bare = compare(CompareJob(a=a, b=poses_file(tmp_path, "bare.csv", 4)))
+    assert bare.same_rig is None and bare.notes[0].startswith("Not recorded of both")
+    assert "same_rig" not in bare.to_dict()
+    (a / "measure.json").write_text("{")
+    with pytest.raises(BadFile, match="not the summary of a measurement"):
+        compare(CompareJob(a=a, b=tmp_path / "b"))
+
+
+def handeye_file(folder, name, *, moved_m=0.0, setup="eye-in-hand"):
+    """A handeye.yaml with 0.2 mm and 0.5 mrad on the camera's pose."""
+    camera, target = ("flange", "base") if setup == "eye-in-hand" else ("base", "flange")
+    names = ["x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad"]
+    matrix = np.diag([2e-4**2] * 3 + [5e-4**2] * 3).tolist()
+    pose = "{xyz_m: [%s, 0.0, 0.1], quat_xyzw: [0.0, 0.0, 0.0, 1.0]}"
+    lines = [
+        "format: armsight/handeye",
+        "version: 1",
+        f"setup: {setup}",
+        f"T_{camera}_camera: {pose % (0.05 + moved_m)}",
+        f"T_{target}_target: {pose % 0.8}",
+        f"covariance: {{names: {json.dumps([f'camera.{one}' for one in names])}, matrix: {json.dumps(matrix)}}}",
+    ]
+    file = folder / name
+    file.write_text("\n".join(lines) + "\n")
+    return file
+
+
+def test_a_camera_knocked_on_the_hand_is_named(tmp_path):
+    a = handeye_file(tmp_path, "a.yaml")
+    same = compare(CompareJob(a=a, b=handeye_file(tmp_path, "b.yaml", moved_m=1e-4)))
+    assert same.kind == "handeye" and same.agree
+    moved = compare(CompareJob(a=a, b=handeye_file(tmp_path, "c.yaml", moved_m=2e-3), out=tmp_path / "out"))
+    first = max(moved.parameters, key=lambda one: abs(one.sigmas or 0.0))
+    assert moved.agree is False and first.sigmas == pytest.approx(2e-3 / np.hypot(2e-4, 2e-4), rel=1e-6)
+    assert {one.name: one.value for one in moved.effects}["camera moved by"] == pytest.approx(2e-3, rel=1e-9)
+    assert "hand-eye calibrations" in (tmp_path / "out/report.html").read_text()
+    with pytest.raises(Inconsistent, match=r"eye-in-hand and .* eye-to-hand"):
+        compare(CompareJob(a=a, b=handeye_file(tmp_path, "d.yaml", setup="eye-to-hand")))
+
+
+def verify_folder(folder, seed, *, scatter_m=3e-5):
+    """A folder of verify: thirty visits of two poses."""
+    folder.mkdir()
+    rng = np.random.default_rng(seed)
+    lines = ["pose,visit,x_m,y_m,z_m"]
+    for visit in range(30):
+        for name, x_m in (("P1", 0.3), ("P2", 0.6)):
+            x, y, z = np.array([x_m, 0.1, 0.4]) + scatter_m * rng.standard_normal(3)
+            lines.append(f"{name},{visit},{x},{y},{z}")
+    (folder / "visits.csv").write_text("\n".join(lines) + "\n")
+    run_verify(VerifyJob(measured=folder / "visits.csv", out=folder))
+    return folder
+
+
+def test_verifications_agree_until_an_arm_scatters_more(tmp_path):
+    a = verify_folder(tmp_path / "a", 1)
+    same = compare(CompareJob(a=a, b=verify_folder(tmp_path / "b", 2)))
+    assert same.kind == "verify" and same.agree
+    worn = compare(CompareJob(a=a, b=verify_folder(tmp_path / "c", 3, scatter_m=9e-5)))
+    assert worn.agree is False and "RP" in worn.verdict
+    names = {one.name: one for one in worn.parameters}
+    assert names["RP_m"].b == pytest.approx(3.0 * names["RP_m"].a, rel=0.35)
+    assert same.same_rig is None and "same_rig" not in same.to_dict()
+    (a / "verify.json").write_text("{}")
+    with pytest.raises(BadFile, match="not the summary of a verification"):
+        compare(CompareJob(a=a, b=tmp_path / "b"))

@@ -32,7 +32,7 @@ from armsight.app.schemas.base import Output, PointStd, PoseOutput, PoseStd, abs
 from armsight.app.schemas.catalogue import OUTPUTS
 
 MEASURE = "n_frames n_ok n_position_only n_lost reprojection_rms_px ms_per_frame reasons"
-MEASURE_MAYBE = "candidates std consistency skew timing error zoom assumed_fps"
+MEASURE_MAYBE = "candidates std consistency skew timing error zoom assumed_fps made_with"
 STEREO = (
     "rms_px epipolar_rms_px baseline_m n_pairs n_used rejected std holdout_rms_px holdout_epipolar_rms_px metric "
     "metric_is_left_out alignment advice"
@@ -187,7 +187,7 @@ KEYS: dict[type[Output], tuple[str, str]] = {
     ),
     OUTPUTS["record-repair"]: ("file messages duration_s lost_bytes damaged_chunks", ""),
     OUTPUTS["convert-recording"]: ("from out n", ""),
-    OUTPUTS["compare"]: ("kind a b agree verdict p parameters effects notes", "n report"),
+    OUTPUTS["compare"]: ("kind a b agree verdict p parameters effects notes", "n report same_rig same_target"),
     compare.ComparedParameter: ("name unit a b difference std sigmas", ""),
     compare.ComparedEffect: ("name value unit", ""),
     OUTPUTS["join"]: ("kind by offset_s offset_std_s drift_ppm n_measured n rejected notes file", ""),

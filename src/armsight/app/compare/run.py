@@ -73,11 +73,13 @@ def compare(job: CompareJob) -> CompareOutput:
         a=str(job.a),
         b=str(job.b),
         agree=judgement.agree,
-        verdict=_verdict(found, judgement, tracks),
+        verdict=_told(found, judgement, tracks),
         p=judgement.p,
         parameters=[_parameter(one) for one in found.differences],
         effects=[ComparedEffect(name=one.name, value=one.value, unit=one.unit) for one in found.effects],
         n=None if tracks is None else len(tracks.t_s),
+        same_rig=None if tracks is None else tracks.shared.rig,
+        same_target=None if tracks is None else tracks.shared.target,
         notes=list(found.notes),
         report=None if job.out is None else str(job.out / REPORT),
     )
@@ -129,6 +131,11 @@ def _judgement(kind: str, found: Compared, tracks: Tracks | None) -> Judgement:
     if tracks is not None:
         return Judgement(agree=None if tracks.p is None else tracks.p >= TOO_FEW_INSIDE, p=tracks.p)
     return judged_singly(found.differences) if kind == "verify" else judged(found.differences, *found.covariances)
+
+
+def _told(found: Compared, judgement: Judgement, tracks: Tracks | None) -> str:
+    warning = "" if tracks is None else tracks.shared.warning
+    return f"{_verdict(found, judgement, tracks)} {warning}".strip()
 
 
 def _verdict(found: Compared, judgement: Judgement, tracks: Tracks | None) -> str:

@@ -12,6 +12,7 @@ from scipy.special import bdtr
 
 from armsight.app.compare.calibrations import Compared, Effect
 from armsight.app.compare.parameters import Difference
+from armsight.app.compare.shared import Shared, shared
 from armsight.app.verify.run import read_run
 from armsight.errors import NotEnoughData
 from armsight.records import PoseStatus, TargetPose
@@ -40,6 +41,7 @@ NAMES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 class Tracks:
     """Differences B less A (n, 6) in m and rad at t_s (n,), rotations as vectors in the parent's axes, and the standard
     deviations (n, 6) of them as of independent measurements. p: how often chance leaves so few inside; None: unknown.
+    shared: whether both had one rig and one target.
     """
 
     compared: Compared
@@ -47,6 +49,7 @@ class Tracks:
     values: Array
     std: Array
     p: float | None
+    shared: Shared
 
 
 def compare_tracks(a: Path, b: Path) -> Tracks:
@@ -64,17 +67,19 @@ def compare_tracks(a: Path, b: Path) -> Tracks:
     known = np.asarray((variance > 0.0).all(axis=1))
     std = np.where(known[:, None], np.sqrt(variance), np.nan)
     p, inside = _judged(values[known], std[known])
+    common = shared(a, b)
     return Tracks(
         compared=Compared(
             differences=_means(np.array([_six(first[i]) for i, _ in rows]), values, std[known]),
             covariances=(None, None),
             effects=_apart(values, inside),
-            notes=NOTES,
+            notes=(*common.notes, *NOTES),
         ),
         t_s=np.array([first[i].t_s for i, _ in rows]),
         values=values,
         std=std,
         p=p,
+        shared=common,
     )
 
 

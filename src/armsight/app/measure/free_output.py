@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.measure.free_running import FreeRun, MovingPose, measure_free_running
+from armsight.app.measure.made_with import made_with
 from armsight.app.measure.outputs import POINTS, POSES, REPORT, SPOTS, SUMMARY, TUM, moved_pose
 from armsight.app.measure.streams import streams_of
 from armsight.app.measure.warm_up import prepare
@@ -59,6 +60,7 @@ def measure_free(job: MeasureJob, setup: Setup, world: World | None, progress: P
         )
     _write(job.out, setup, moved, done)
     summary = _summary(done, [one.pose for one in moved], ms)
+    summary = summary.model_copy(update={"made_with": made_with(setup.rig, setup.target)})
     progress.update(0, 0, "writing the report")
     write_text(job.out / REPORT, measure_report(_report(job, setup, world, done, moved, summary)))
     summary.write(job.out / SUMMARY)

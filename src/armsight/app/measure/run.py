@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from armsight.app.measure.collector import About, Collector
 from armsight.app.measure.free_output import measure_free
+from armsight.app.measure.made_with import made_with
 from armsight.app.measure.outputs import REPORT, SUMMARY, Outputs
 from armsight.app.measure.streams import require_timing, runs_free
 from armsight.app.measure.warm_up import prepare
@@ -183,10 +184,10 @@ def run(
     if outputs.n_frames == 0 and failure is not None:
         raise failure
     consistency = check.finish()
-    failure = failure or _nothing_seen(outputs, consistency)
-    about = about or About()
+    failure, about = failure or _nothing_seen(outputs, consistency), about or About()
     summary = outputs.summary(skew=pairs.skew, error=str(failure) if failure else "", consistency=consistency)
-    summary = summary.model_copy(update={"assumed_fps": about.assumed_fps})
+    told = {"assumed_fps": about.assumed_fps, "made_with": made_with(setup.rig, setup.target)}
+    summary = summary.model_copy(update=told)
     progress.update(0, 0, "writing the report")
     report.write(out / REPORT, summary, about)
     summary.write(out / SUMMARY)

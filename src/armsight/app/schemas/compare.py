@@ -46,5 +46,11 @@ class CompareOutput(Output):
     parameters: list[ComparedParameter] = Field(description="Number by number.")
     effects: list[ComparedEffect] = Field(description="What the differences come to.")
     n: int | None = Field(None, exclude_if=absent, description="Poses that stand in both; of measurements.")
+    same_rig: bool | None = Field(
+        None, exclude_if=absent, description="Whether both were measured with one rig; left out where not recorded."
+    )
+    same_target: bool | None = Field(
+        None, exclude_if=absent, description="Whether both were measured with one target; left out where not recorded."
+    )
     notes: list[str] = Field(description="What to know.")
     report: str | None = Field(None, exclude_if=absent, description="The report; with -o.")

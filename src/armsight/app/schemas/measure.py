@@ -110,6 +110,13 @@ class ZoomAt(Output):
     pupil_m: float = Field(description="Where the centre of projection stands; 0 where the settings do not say it, m.")
 
 
+class MadeWith(Output):
+    """Which rig and target a run was measured with, as fingerprints: equal only where their numbers are."""
+
+    rig: str = Field(description="SHA-256 of the cameras' intrinsics and poses.")
+    target: str = Field(description="SHA-256 of the target's names and points.")
+
+
 class MeasureOutput(Output):
     """armsight measure; also OUT/measure.json."""
 
@@ -138,6 +145,7 @@ class MeasureOutput(Output):
     zoom: dict[str, ZoomAt] | None = Field(
         None, exclude_if=absent, description="The cameras that zoom, by left and right."
     )
+    made_with: MadeWith | None = Field(None, exclude_if=absent, description="Which rig and target it was.")
 
 
 class TruthError(Output):

@@ -16,7 +16,7 @@ from armsight.app.schemas.verify_live import MasteringJoint, MasteringOutput, Ma
 from armsight.app.verify.in_view import seen_whole
 from armsight.app.verify.run import in_world
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
-from armsight.kinematics import Arm, fk
+from armsight.kinematics import Arm, JointType, fk
 from armsight.optics import Rig
 from armsight.records import Target
 from armsight.report.mastering_report import mastering_report
@@ -101,8 +101,13 @@ def run_mastering(job: MasteringJob) -> MasteringOutput:
     result = check_mastering(arm, paired.q, paired.measured, how)
     done = _output(result, arm, [*file.rejected, *paired.rejected, *result.rejected], [*file.notes, *paired.notes])
     done.write(job.out / SUMMARY)
-    write_text(job.out / REPORT, mastering_report(done.to_dict(), arm.name))
+    write_text(job.out / REPORT, mastering_report(done.to_dict(), arm.name, slides=_slides(arm)))
     return done
+
+
+def _slides(arm: Arm) -> list[int]:
+    """Return the indices, from 1, of the joints that slide."""
+    return [k for k, joint in enumerate(arm.joints, 1) if joint.type is JointType.PRISMATIC]
 
 
 def _arm(job: MasteringJob) -> tuple[Arm, Align]:
