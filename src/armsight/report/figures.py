@@ -35,9 +35,6 @@ FINEST = 1e-5
 LONGEST = 18
 """Letters of a file's name on an axis."""
 
-FROM = {"eye": {"x": 1.45, "y": 1.45, "z": 1.2}, "center": {"x": 0.0, "y": 0.0, "z": -0.12}}
-"""Where a view in space is seen from at first: far enough that the axes' numbers are in it."""
-
 MAX_NAMED = 20
 """Names on an axis: upright, they stand clear of each other on a telephone."""
 
@@ -53,8 +50,6 @@ class Figure:
 
 def layout(**more: Any) -> dict[str, Any]:
     """Return the layout that all figures share, with more of it or other."""
-    if "scene" in more:
-        more["scene"] = {"camera": FROM, **more["scene"]}
     return {
         "font": {"family": FONT, "size": 12, "color": INK},
         "paper_bgcolor": "#ffffff",

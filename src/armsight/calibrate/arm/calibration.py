@@ -217,12 +217,10 @@ def _result(
     best, held = _held(model, holdout, first, proved)
     gain = best is not first
     rows = errors.judged
-    before = Errors.of(errors.nominal_m[rows])
-    cross = before, Errors.of(errors.chosen_m[rows]) if gain else before
+    cross = Errors.of(errors.nominal_m[rows]), Errors.of((errors.chosen_m if gain else errors.nominal_m)[rows])
     left = cross if held is None else (Errors.of(held[0]), Errors.of(held[1 if gain else 0]))
     at_limit = limits_reached(model, best.fitted.p, best.choice.free, tolerance)
     before_m, after_m = _size(model, first, points), _size(model, best, points)
-    gross = np.flatnonzero(after_m > GROSS * best.fitted.sigma_m)
     fitted, correlation = believed(model, points, best.fitted)
     return ArmCalibration(
         arm=_arm(model, fitted),
@@ -242,7 +240,7 @@ def _result(
         fixed=_fixed(best, judged.levels[-1]),
         condition=best.choice.condition,
         covariance=fitted.fit.covariance,
-        outliers=tuple((int(i), float(after_m[i])) for i in gross),
+        outliers=_gross(after_m, best.fitted.sigma_m),
         couplings=best.couplings,
         still=still(model, points),
         at_limit=at_limit,
@@ -252,6 +250,10 @@ def _result(
         before_m=before_m,
         correlation=correlation,
     )
+
+
+def _gross(after_m: Array, sigma_m: float) -> tuple[tuple[int, float], ...]:
+    return tuple((int(i), float(after_m[i])) for i in np.flatnonzero(after_m > GROSS * sigma_m))
 
 
 def _held(

@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
-from scipy.stats import t as student
+from scipy.special import ndtr
 
 from armsight.calibrate.arm.fit import ArmFit, Tolerance, estimate_noise, fit_arm
 from armsight.calibrate.arm.initial_guess import start
@@ -16,6 +15,7 @@ from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.parameter_selection import Choice, choose, orthonormal_basis
 from armsight.calibrate.arm.points import ArmPoints
 from armsight.errors import NotConverged
+from armsight.fitting.quantiles import t_ppf
 
 Array = NDArray[np.float64]
 Couplings = tuple[tuple[str, str, float], ...]
@@ -227,5 +227,5 @@ def significant_gain(before_m: Array, after_m: Array, group: NDArray[np.intp], *
     fall = np.bincount(which, fall) / np.bincount(which)
     uncertainty = float(fall.std(ddof=1)) / np.sqrt(len(fall))
     if len(fall) <= FEW:
-        proved = float(student.isf(norm.sf(proved), len(fall) - 1))
+        proved = float(-t_ppf(ndtr(-proved), len(fall) - 1))
     return bool(fall.mean() > proved * uncertainty and fall.mean() > 1e-3 * before_m.mean())
