@@ -105,7 +105,7 @@ KINDS: Mapping[str, tuple[Step, ...]] = {
     ),
     "mirrors": (
         "simulate mirrors -o set",
-        "calibrate mirrors --image set/complex --board checkerboard:9x6:0.02 -o rig.yaml",
+        "calibrate mirrors --image set/complex --board checkerboard:7x5:0.015 -o rig.yaml",
         "measure --rig rig.yaml --target set/target.yaml --image set/lights -o measured",
     ),
     "handeye": ("simulate handeye -o set", "calibrate handeye --pairs set/pairs.csv -o handeye.yaml"),

@@ -46,6 +46,9 @@ def identify(
         float | None,
         typer.Option(min=1e-9, help="Noise: px of a pixel with --rig, else m of a place; else it is found."),
     ] = None,
+    mask: Annotated[
+        Path | None, typer.Option(help="With frames or --live: image that is black where no light may be looked for.")
+    ] = None,
     nominal: Annotated[
         str | None, typer.Option(metavar="ARM", help="arm.yaml, .urdf or preset to put beside, in the report.")
     ] = None,
@@ -112,6 +115,7 @@ def identify(
                     propose=propose,
                     left_out=_numbers(leave_out),
                     camera_settings=camera_options.settings(),
+                    mask=mask,
                 ),
                 face,
                 yes,
@@ -139,6 +143,7 @@ def identify(
             increments=increments,
             sigma=sigma,
             nominal=nominal,
+            mask=mask,
             table=table_options.format(face),
         )
         _tell(run_identify(job, face.progress("identifying")), out, face)

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -132,6 +133,9 @@ def test_an_arm_is_identified_from_frames(armsight: Any, tmp_path: Path) -> None
     where = read_arm(tmp_path / "arm.yaml").T_world_base  # in the frame of --world, where the arm stands at the origin
     assert np.linalg.norm(where.translation) < 5e-3 and where.rotation.magnitude() < 2e-3
     assert (tmp_path / "arm.sweep.csv").exists()
+    cv2.imwrite(str(tmp_path / "black.png"), np.zeros_like(cv2.imread(str(next((cell / "left").iterdir())), 0)))
+    masked = armsight("identify", *words, *frames, "--mask", tmp_path / "black.png", "-o", tmp_path / "no.yaml")
+    assert masked.code == 3 and "seen in none" in str(masked.json["error"])
     nothing = armsight("identify", *words, "-o", tmp_path / "no.yaml")
     assert nothing.code == 2 and "--sweep" in str(nothing.json["error"])
 

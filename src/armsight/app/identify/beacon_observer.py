@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 
 from armsight.clock import Clock
 from armsight.control.joint_sweep import Observation
+from armsight.drivers import read_image
 from armsight.errors import DeviceLost, NotEnoughData
 from armsight.measure.poses.pipeline import Setup, measure_pair
-from armsight.records import Frame
+from armsight.measure.settings import SpotSettings
+from armsight.records import Frame, Target
 
 LOST_FRAMES = 3
 """Frames in a row without the beacon that mean it is lost: single ones are lost to flicker."""
+
+
+def beacon_settings(target: Target, mask: Path | None) -> SpotSettings:
+    """Return how the beacon is looked for; mask: an image that is black where no light may be. Raises BadFile."""
+    return SpotSettings(colour=target.colour, mask=None if mask is None else read_image(mask) > 0)
 
 
 class StereoBeaconObserver:

@@ -12,7 +12,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.identify.beacon_observer import StereoBeaconObserver
+from armsight.app.identify.beacon_observer import StereoBeaconObserver, beacon_settings
 from armsight.app.identify.left_out import FirstJoints, consequence, first_joints, swept_joints
 from armsight.app.identify.sweep_files import IdentifyJob, identified, joint_std
 from armsight.app.measure.run import target_of
@@ -27,7 +27,6 @@ from armsight.control.joint_sweep import BeaconObserver, Pace, Sweeper
 from armsight.drivers import AUTOMATIC, ROBOTS, CameraSettings, PairSource, Robot, is_live, load
 from armsight.errors import ArmsightError, BadFile, Cancelled, DataRefused, Inconsistent, UsageError
 from armsight.measure.poses.pipeline import Setup
-from armsight.measure.settings import SpotSettings
 from armsight.optics import Rig
 from armsight.records import Progress, Silent, Target
 from armsight.store import read_rig, read_world
@@ -53,6 +52,7 @@ class LiveJob:
     limits: limits.yaml (limits: [[lo, hi], ...]) or 'lo:hi,lo:hi', in rad or m. model: an arm.yaml whose tool is the
     beacon, roughly right, that takes the place of the probe; it needs world. propose: give the plan only. around_px: as
     propose_sweeps takes it. left_out: the last joints (from 1) that are not swept but held; limits are of all joints.
+    mask: an image that is black where no light may be looked for.
     """
 
     robot: str
@@ -73,6 +73,7 @@ class LiveJob:
     around_px: float = 0.0
     left_out: tuple[int, ...] = ()
     camera_settings: CameraSettings = AUTOMATIC
+    mask: Path | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,7 +103,7 @@ def run_identify_live(
     swept_joints(len(read_limits(job.limits)), job.left_out)  # refused before anything is opened
     _check(job, target)
     robot, pairs = devices or open_devices(job, target, clock)
-    setup = Setup(rig=rig, target=target, settings=SpotSettings(colour=target.colour))
+    setup = Setup(rig=rig, target=target, settings=beacon_settings(target, job.mask))
     with robot, pairs:
         return identify_observed(job, person, robot, StereoBeaconObserver(setup, iter(pairs), clock), clock, progress)
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.app.calibrate.cameras import report_path
+from armsight.app.identify.beacon_observer import beacon_settings
 from armsight.app.identify.left_out import consequence, first_joints, named
 from armsight.app.kinematics import load_arm
 from armsight.app.measure.run import target_of
@@ -23,7 +24,6 @@ from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Joint
 from armsight.measure.poses.pipeline import Setup, check_sizes, measure_spots
 from armsight.measure.poses.stationary_lights import without_standing
-from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import find_spots
 from armsight.optics import Rig
 from armsight.records import Progress, Silent, Spots
@@ -43,7 +43,7 @@ class IdentifyJob:
     sigma: noise of a pixel coordinate in px with a rig, else of a place in m, where known.
     world: where the rig stands to the base; the first frame is then the base's foot on the first axis. nominal: an arm
     (file or preset) to put beside the identified one. held: where the joints stood, in rad or m, that the robot has
-    behind the swept ones.
+    behind the swept ones. mask: an image that is black where no light may be looked for in the frames.
     """
 
     out: Path
@@ -59,6 +59,7 @@ class IdentifyJob:
     sigma: float | None = None
     nominal: str | None = None
     held: tuple[float, ...] = ()
+    mask: Path | None = None
     table: TableFormat = OURS
 
 
@@ -70,6 +71,8 @@ def run_identify(job: IdentifyJob, progress: Progress | None = None) -> Identify
     rig = None if job.rig is None else read_rig(job.rig)
     notes: list[str] = []
     if job.sweep is not None:
+        if job.mask is not None:
+            raise UsageError("--mask is for frames, and a sweep has none", cure="Leave it out")
         sweeps = read_sweeps(job.sweep, job.table)
         if rig is None and sweeps.uv_px is not None and not sweeps.xyz_m.any():
             raise UsageError(f"{job.sweep} has pixels only", cure="Give the rig that saw them (--rig)")
@@ -144,7 +147,7 @@ def seen_in_frames(job: IdentifyJob, rig: Rig, progress: Progress) -> tuple[Swee
         raise UsageError("frames need --target, --left and --joints")
     target = target_of(job.target)
     frames, joint, q = read_sweep_joints(job.joints, job.table)
-    setup = Setup(rig=rig, target=target, settings=SpotSettings(colour=target.colour))
+    setup = Setup(rig=rig, target=target, settings=beacon_settings(target, job.mask))
     wanted = set(frames.tolist())
     spots: list[tuple[int, Spots, Spots]] = []
     with open_pairs(job.left, job.right, colour=target.colour is not None) as pairs:
