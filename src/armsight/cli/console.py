@@ -66,15 +66,15 @@ def _without_robot(face: CommandUI, folder: Path, changed: dict[str, Any], optio
     from armsight.app.operator.one_console import one_console
     from armsight.console.application import add_console
     from armsight.console.state import Console
-    from armsight.server.serving import serve_pages
+    from armsight.server.serving import listening, serve_pages
 
-    with one_console(folder):
+    with listening(options) as listener, one_console(folder):
         made = Console.of_folder(folder)
         try:
-            made.apply(made.cell.model_copy(update=changed))
+            _tell_refusal(face, made.begin(changed))
             server = FastAPI()
             add_console(server, made)
-            serve_pages(server, options, ready=lambda url: _say(face, url))
+            serve_pages(server, options, listener, ready=lambda url: _say(face, url))
         finally:
             made.close()
 
@@ -91,10 +91,11 @@ def serve_cell(face: CommandUI, robot: str, folder: Path, changed: dict[str, Any
     from armsight.errors import Cancelled
     from armsight.server.application import create_app
     from armsight.server.auth import Authenticator
-    from armsight.server.serving import check_options, serve_pages
+    from armsight.server.serving import check_options, listening, serve_pages
 
     cancelled = face.progress("opening").cancelled
     with contextlib.ExitStack() as stack:
+        listener = stack.enter_context(listening(options))
         stack.enter_context(one_console(folder))
         if not changed:
             prepare_simulated(robot, folder)
@@ -104,12 +105,17 @@ def serve_cell(face: CommandUI, robot: str, folder: Path, changed: dict[str, Any
             raise Cancelled("stopped before the page was served")
         made = Console.of_folder(folder, cell)
         try:
-            made.apply(made.cell.model_copy(update={**changed, "robot": robot}))
+            _tell_refusal(face, made.begin(changed, robot=robot))
             server = create_app(cell.service, Authenticator(check_options(options)))
             add_console(server, made)
-            serve_pages(server, options, ready=lambda url: _say(face, url))
+            serve_pages(server, options, listener, ready=lambda url: _say(face, url))
         finally:
             made.close()
+
+
+def _tell_refusal(face: CommandUI, refusal: str) -> None:
+    if refusal:
+        face.say(f"Nothing is measured yet, the page Settings mends it: {refusal}")
 
 
 def _say(face: CommandUI, url: str) -> None:

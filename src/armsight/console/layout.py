@@ -74,7 +74,8 @@ def level_of(console: Console) -> Level:
     """Return what the measuring does just now, in words."""
     station = console.station
     if station is None:
-        return Level("idle", texts.NO_CAMERAS)
+        refused = Level("bad", f"{texts.FAILED}: {console.refusal}")
+        return refused if console.refusal else Level("idle", texts.NO_CAMERAS)
     if station.failure:
         return Level("bad", f"{texts.FAILED}: {station.failure}")
     if station.shown is None:

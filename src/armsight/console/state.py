@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 from armsight.app.calibrate.mirrors import MirrorsJob
 from armsight.app.guided.boards import BoardCalibration
@@ -52,17 +53,35 @@ class Console:
     supervisor: StationSupervisor | None = None
     _teaching: TeachDesk | None = None
     _path: PathDesk | None = None
+    refusal: str = ""
+    """Why the cell as it was kept is not measured."""
 
     @classmethod
     def of_folder(cls, folder: Path, robot: RobotCell | None = None) -> Console:
         """Return the console of a folder's cell, not measuring yet. Raises BadFile."""
         return cls(folder=folder, cell=read_cell(folder), robot=robot)
 
+    def begin(self, changed: Mapping[str, Any], *, robot: str | None = None) -> str:
+        """Measure the cell as it was kept, with entries of its file changed; return why not where it cannot be.
+
+        What was kept and went wrong since is for the page Settings to mend; what was given just now is refused.
+        Raises as apply for changed entries.
+        """
+        kept = self.cell if robot is None else self.cell.model_copy(update={"robot": robot})
+        try:
+            self.apply(kept.model_copy(update=dict(changed)))
+        except ArmsightError as error:
+            if changed:
+                raise
+            self.refusal = str(error)
+        return self.refusal
+
     def apply(self, cell: CellFile) -> None:
         """Check what a cell names, keep it in cell.yaml, and measure with it. Raises UsageError, DataRefused."""
         job = self.job_of(cell)
         write_cell(self.folder, cell)
         self.cell = cell
+        self.refusal = ""
         self.close()
         self.look = Look()
         self._forget_steps()

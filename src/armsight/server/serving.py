@@ -82,23 +82,23 @@ def serve(service: Service, options: ServeOptions, *, ready: Callable[[str], Non
     Raises as check_options; DeviceFailed where the address cannot be had.
     """
     tokens = check_options(options)
-    with _listening(options) as listener:
+    with listening(options) as listener:
         server = _server(service, Authenticator(tokens), options)
         ready(_url(options, listener))
         server.run(sockets=[listener])
 
 
-def serve_pages(app: FastAPI, options: ServeOptions, *, ready: Callable[[str], None]) -> None:
+def serve_pages(app: FastAPI, options: ServeOptions, listener: socket.socket, *, ready: Callable[[str], None]) -> None:
     """Serve an application with pages, behind the gate, until SIGINT or SIGTERM; ready is called with http://HOST:PORT.
 
-    Raises as serve.
+    listener: of listening, opened before anything that takes long, so that a port in use is told at once. Raises as
+    check_options.
     """
     tokens = check_options(options)
     gate = Gate(app, Authenticator(tokens), secure=options.tls_cert is not None)
-    with _listening(options) as listener:
-        server = _web_server(gate, options)
-        ready(_url(options, listener).replace("ws", "http", 1))
-        server.run(sockets=[listener])
+    server = _web_server(gate, options)
+    ready(_url(options, listener).replace("ws", "http", 1))
+    server.run(sockets=[listener])
 
 
 @contextlib.contextmanager
@@ -106,7 +106,7 @@ def background(service: Service, options: ServeOptions | None = None) -> Iterato
     """Serve from a thread while the block runs; gives the address. Raises as serve."""
     options = options or ServeOptions(port=0)
     tokens = check_options(options)
-    with _listening(options) as listener:
+    with listening(options) as listener:
         server = _server(service, Authenticator(tokens), options)
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, name="armsight-serve")
         thread.start()
@@ -156,7 +156,8 @@ def _web_server(app: ASGIApp, options: ServeOptions) -> uvicorn.Server:
 
 
 @contextlib.contextmanager
-def _listening(options: ServeOptions) -> Iterator[socket.socket]:
+def listening(options: ServeOptions) -> Iterator[socket.socket]:
+    """Hold the listening socket while the block runs. Raises DeviceFailed where the address cannot be had."""
     try:
         family, *_, where = socket.getaddrinfo(options.bind, options.port, type=socket.SOCK_STREAM)[0]
         listener = socket.create_server((str(where[0]), int(where[1])), family=family, backlog=REQUESTS)

@@ -5,13 +5,18 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 from armsight.app.live.measurement import LiveJob
 from armsight.app.live.station import Shown, Station
 from armsight.app.schemas.live import Counts, LiveView, SideView
+from armsight.cli.commands import app
 from armsight.clock import ManualClock
 from armsight.console.layout import level_of
 from armsight.console.state import Console
+from armsight.errors import BadFile
+from armsight.server.serving import ServeOptions, listening
+from armsight.store.cell_file import CellFile, write_cell
 
 SIDE = SideView(width=4, height=3, spots=[], epipolar=[], advice="good", background=0.0, brightest=None, sigma_px=None)
 
@@ -50,3 +55,29 @@ def test_a_failure_ends_the_pose_and_a_source_that_ended_keeps_its_last(tmp_path
     assert console.current and "ended" in level_of(console).words
     station.ended, station.failure = False, "the left camera is gone"
     assert not console.current and "the left camera is gone" in level_of(console).words
+
+
+def test_a_cell_whose_files_went_missing_is_served_and_the_reason_shown(tmp_path: Path) -> None:
+    write_cell(tmp_path, CellFile(rig="rig.yaml"))
+    console = Console.of_folder(tmp_path)
+    assert "rig.yaml is not there" in console.begin({})
+    assert level_of(console).level == "bad" and "rig.yaml is not there" in level_of(console).words
+    console.apply(CellFile())
+    assert level_of(console).level == "idle"
+
+
+def test_what_is_given_with_the_command_and_wrong_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(BadFile, match=r"target\.yaml is not there"):
+        Console.of_folder(tmp_path).begin({"target": "target.yaml"})
+    assert not (tmp_path / "cell.yaml").exists()
+
+
+def test_a_port_in_use_is_told_before_anything_is_opened(tmp_path: Path) -> None:
+    with listening(ServeOptions(port=0)) as taken:
+        done = CliRunner().invoke(
+            app,
+            ["console", "--robot", "sim:webcam-cell", "--folder", str(tmp_path / "cell"),
+             "--port", str(taken.getsockname()[1])],
+        )  # fmt: skip
+    assert done.exit_code == 4 and "Choose another port" in done.output
+    assert not (tmp_path / "cell").exists()
