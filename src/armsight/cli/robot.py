@@ -44,7 +44,8 @@ def test(
         face.say(
             f"{done.driver}: {done.n_cycles} cycles of {1e3 * done.cycle_s:g} ms, {done.late} late, {done.missed} "
             f"missed; periods {done.period_ms.median:.3f} ms median, {done.period_ms.p99:.3f} p99, "
-            f"{done.period_ms.max:.3f} longest. The robot is {done.state}."
+            f"{done.period_ms.max:.3f} longest; new readings at most {done.silence_ms:.0f} ms apart. "
+            f"The robot is {done.state}."
         )
         face.result(done)
 

@@ -212,7 +212,7 @@ KEYS: dict[type[Output], tuple[str, str]] = {
     OUTPUTS["path-from-picks"]: ("file frame n n_picks length_m points refused", ""),
     paths.PickedPointOutput: ("pick px other_px std_px correlation second xyz_m std", ""),
     paths.RefusedPickOutput: ("pick u_px v_px kind why", ""),
-    OUTPUTS["robot-test"]: ("driver cycle_s n_cycles late missed period_ms q state", ""),
+    OUTPUTS["robot-test"]: ("driver cycle_s n_cycles late missed period_ms silence_ms q state", ""),
     robot.PeriodOutput: ("median p99 max", ""),
     OUTPUTS["robot-jog"]: ("asked sent reached limited state", ""),
     OUTPUTS["servo"]: (

@@ -16,7 +16,7 @@ from armsight.cli.commands import app
 from armsight.clock import ManualClock
 from armsight.control.guard import Box, JointLimit, Limits
 from armsight.errors import BadFile, Cancelled, DeviceFailed, Inconsistent, StaleData, UsageError
-from armsight.records import Silent
+from armsight.records import JointReading, Silent
 from armsight.store.limits_file import read_limits, write_limits
 
 SIM = "sim:webcam-cell"
@@ -46,7 +46,23 @@ def test_a_link_that_falls_silent_is_a_failure() -> None:
     robot = open_robot(SIM, clock)
     with pytest.raises(StaleData):
         robot.fault("frozen")
-        read_link(SIM, for_s=1.0, clock=clock, opened=robot)
+        read_link(SIM, for_s=2.0, clock=clock, opened=robot)
+
+
+def test_readings_that_stop_for_a_moment_are_told_and_the_test_goes_on() -> None:
+    clock = ManualClock()
+    robot = open_robot(SIM, clock)
+    read, begun_s = robot.read, clock.now_s()
+
+    def halting() -> JointReading:
+        if 0.2 < clock.now_s() - begun_s < 0.5:
+            raise StaleData("the newest reading is old")
+        return read()
+
+    robot.read = halting  # type: ignore[method-assign]
+    done = read_link(SIM, for_s=1.0, clock=clock, opened=robot)
+    assert done.n_cycles == 125
+    assert done.silence_ms == pytest.approx(304.0, abs=8.1)
 
 
 def test_a_jog_goes_where_it_was_asked_to_and_tells() -> None:

@@ -18,8 +18,9 @@ from armsight.records import JointReading, Progress, Silent
 from armsight.units import MS
 
 FOR_S = 5.0
-SILENT_CYCLES = 20.0
-"""Cycles without a new reading, after which a link is not there; at the beginning a controller may need some."""
+GONE_S = 1.0
+GONE_CYCLES = 20.0
+"""A link without a new reading for longer than both is not there; what is shorter is told as its longest silence."""
 
 
 def test_robot(
@@ -42,7 +43,7 @@ def test_robot(
     arm = opened or open_robot(robot, clock, driver_settings(robot, rsi_config=rsi_config))
     with arm:
         start_s, told = clock.now_s(), progress
-        jitter, reading = run_beside(
+        jitter, reading, silence_s = run_beside(
             lambda: _watched(arm, for_s, told.cancelled, clock),
             lambda: told.update(min(for_s, clock.now_s() - start_s), for_s),
         )
@@ -56,22 +57,27 @@ def test_robot(
         late=timing.late,
         missed=timing.missed,
         period_ms=PeriodOutput(median=median, p99=p99, max=most),
+        silence_ms=silence_s / MS,
         q=reading.q.tolist(),
         state=state.value,
     )
 
 
-def _watched(robot: Robot, for_s: float, cancelled: Callable[[], bool], clock: Clock) -> tuple[Jitter, JointReading]:
-    """Return how punctual cycles were that read the robot, and its last reading."""
+def _watched(
+    robot: Robot, for_s: float, cancelled: Callable[[], bool], clock: Clock
+) -> tuple[Jitter, JointReading, float]:
+    """Return how punctual cycles were that read the robot, its last reading, and the longest time without a new one."""
     jitter = Jitter(LATE_SHARE * robot.cycle_s)
     reading = robot.read()
     start_s = due_s = new_s = clock.now_s()
+    silence_s = 0.0
     with quiet_interpreter():
         while due_s - start_s < for_s:
             due_s += robot.cycle_s
             clock.sleep_until(due_s)
             woke_s = clock.now_s()
-            newest = robot.read()
+            newest = _newest(robot, reading)
+            silence_s = max(silence_s, woke_s - new_s)
             new_s = woke_s if newest.sequence != reading.sequence else new_s
             reading = newest
             _check(robot, woke_s - new_s)
@@ -80,13 +86,21 @@ def _watched(robot: Robot, for_s: float, cancelled: Callable[[], bool], clock: C
             due_s += missed * robot.cycle_s
             if cancelled():
                 raise Cancelled("stopped", consequence="The link was not tested to the end")
-    return jitter, reading
+    return jitter, reading, silence_s
+
+
+def _newest(robot: Robot, last: JointReading) -> JointReading:
+    """Return what a robot reads; the last reading again where it has only an old one, for how long is told."""
+    try:
+        return robot.read()
+    except StaleData:
+        return last
 
 
 def _check(robot: Robot, quiet_s: float) -> None:
     if robot.state is RobotState.CLOSED:
         raise DeviceFailed(f"{robot.name} closed the link", consequence="The test ends", cure="Look at its controller")
-    if quiet_s > SILENT_CYCLES * robot.cycle_s:
+    if quiet_s > max(GONE_S, GONE_CYCLES * robot.cycle_s):
         raise StaleData(
             f"{robot.name}: no new reading for {quiet_s / MS:.0f} ms",
             consequence="The link does not work",

@@ -24,6 +24,7 @@ class RobotTestOutput(Output):
     late: int = Field(description="Cycles that began more than half a cycle too late.")
     missed: int = Field(description="Cycles that never began, because the one before took too long.")
     period_ms: PeriodOutput = Field(description="Times between the beginnings of two cycles, ms.")
+    silence_ms: float = Field(description="The longest time without a new reading, ms.")
     q: list[float] = Field(description="The last reading, rad or m.")
     state: str = Field(description="What the robot can do: ready, moving or stopped.")
 
