@@ -281,6 +281,7 @@ class Reader:
                 stdout=log,
                 stderr=log,
                 start_new_session=True,
+                preexec_fn=_hears_ctrl_c,
             )
 
     @contextmanager
@@ -314,6 +315,11 @@ def _type(keyboard: int, keys: str, done: threading.Event) -> None:
             return
         os.write(keyboard, key.encode())
         wait_s = 1.0
+
+
+def _hears_ctrl_c() -> None:
+    """For a new process: what a shell began in the background has Ctrl-C ignored, and so has all that it begins."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def _end_of(running: subprocess.Popen[bytes], limit_s: float, *, interrupt: bool) -> int | None:

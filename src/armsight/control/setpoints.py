@@ -74,7 +74,8 @@ class CycleState:
 
     t_s: now, on the loop's clock. cycle_s: until the next cycle. q (n,): the newest reading, of q_s; None where none
     came yet. q_sent (n,): where the robot was last told to go. qd_sent (n,): at which velocity. T_base_tool: of q_sent
-    by the arm's model. running: whether the guard followed the last set point; where it did not, a path waits.
+    by the arm's model. running: whether the guard followed the last set point; where it did not, a path waits. refused:
+    that it did not for the set point's own sake, nor would at a second try; else the enable or a reading is missing.
     """
 
     t_s: float
@@ -84,6 +85,7 @@ class CycleState:
     qd_sent: Array
     T_base_tool: RigidTransform
     running: bool = True
+    refused: bool = False
     q_s: float | None = None
 
 

@@ -120,6 +120,18 @@ def test_a_reason_to_hold_is_a_state_and_an_event() -> None:
     assert [event.message for event in decision.events] == ["holding: no spot in the left view"]
 
 
+def test_a_source_is_told_whether_it_was_refused_for_its_own_sake() -> None:
+    bench = Bench()
+    bench.run(JointGoal(q=HOME), 2, enabled=False)
+    state = bench.guard.cycle_state(0.0, None)
+    assert not state.running and not state.refused
+    bench.run(JointGoal(q=HOME + 9.0), 2)
+    state = bench.guard.cycle_state(0.0, None)
+    assert not state.running and state.refused
+    bench.run(JointGoal(q=HOME), 1, enabled=False)
+    assert not bench.guard.cycle_state(0.0, None).refused
+
+
 @pytest.mark.parametrize("state", [RobotState.LOST, RobotState.STOPPED, RobotState.CLOSED])
 def test_nothing_is_sent_to_a_robot_that_takes_nothing(state: RobotState) -> None:
     bench = Bench()

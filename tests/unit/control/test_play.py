@@ -44,7 +44,7 @@ class Follower:
 
     def __init__(self, source: PathSource) -> None:
         self.source = source
-        self.t_s, self.T, self.running = 0.0, STAND, True
+        self.t_s, self.T, self.running, self.refused = 0.0, STAND, True, True
         self.still = np.zeros(6)
 
     def cycle(self):
@@ -56,6 +56,7 @@ class Follower:
             qd_sent=self.still,
             T_base_tool=self.T,
             running=self.running,
+            refused=self.refused and not self.running,
         )
         wanted = self.source.next(now)
         self.t_s += CYCLE_S
@@ -171,6 +172,19 @@ def test_an_arm_far_from_the_path_is_not_brought_back() -> None:
     follower.running, follower.T = True, follower.T * RigidTransform.from_translation([0.0, 0.0, -0.05])
     wanted = follower.cycle()
     assert isinstance(wanted, Hold) and "50 mm from the path" in wanted.why
+
+
+def test_an_enable_that_is_let_go_of_again_and_again_is_no_refusal() -> None:
+    source = planned()
+    follower = Follower(source)
+    follower.until(lambda _: source.progress.s_m > 0.01)
+    follower.refused = False
+    for _ in range(20):
+        follower.running = not follower.running
+        wanted = follower.cycle()
+        assert not (isinstance(wanted, Hold) and wanted.why)
+    follower.running = True
+    follower.until(lambda wanted: isinstance(wanted, Finished))
 
 
 def test_a_place_that_the_guard_refuses_again_and_again_is_given_up_until_it_is_resumed() -> None:

@@ -42,6 +42,7 @@ def run(source: PathSource, seconds: float, *, followed):
             qd_sent=np.zeros(6),
             T_base_tool=T,
             running=running,
+            refused=not running,
         )
         wanted = source.next(now)
         asked.append(wanted)

@@ -83,6 +83,7 @@ class Guard:
             qd_sent=self._follower.now.qd,
             T_base_tool=self._follower.T_base_tool,
             running=self.state is GuardState.RUNNING,
+            refused=self._refused is not None and self._kind == self._refused.kind,
             q_s=None if reading is None else reading.t_s,
         )
 

@@ -153,10 +153,8 @@ class PathSource:
         """Stay on the path where it was: the guard brings the arm to rest in its own way."""
         if not self._stood:
             self._stood, self._still_s = True, now.t_s
-            place = (self._stage, self._state[0] if self._rejoin is None else self._kept_m)
-            further = place[0] != self._tried_at[0] or abs(place[1] - self._tried_at[1]) > TRIED_M
-            self._tries = 1 if further else self._tries + 1
-            self._tried_at = place
+            if now.refused:
+                self._count_try()
         if now.t_s - self._still_s > CALM_S and not self._given_up:
             self._tries = 0
         self._waiting = True
@@ -164,6 +162,13 @@ class PathSource:
             self._kept_m = self._state[0]
         self._state = (self._state[0], 0.0, 0.0)
         return Hold(why=self._given_up) if self._given_up else Hold()
+
+    def _count_try(self) -> None:
+        """Count that the path's own set point was refused; an enable that was let go of is no refusal."""
+        place = (self._stage, self._state[0] if self._rejoin is None else self._kept_m)
+        further = place[0] != self._tried_at[0] or abs(place[1] - self._tried_at[1]) > TRIED_M
+        self._tries = 1 if further else self._tries + 1
+        self._tried_at = place
 
     @property
     def _given_up(self) -> str:
