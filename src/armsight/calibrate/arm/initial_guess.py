@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -18,8 +20,6 @@ TURNS = 60
 """Turns of placing the base with the tools held, then the tools with the base held."""
 ENOUGH = 200
 """Rows that a start is looked for with."""
-RIDGE_M = 1e-9
-"""Keeps the tool's place where no reading tells it (square root of its weight beside rows of size 1)."""
 
 
 def start(model: ArmModel, points: ArmPoints, like: Array | None = None) -> Array:
@@ -69,23 +69,72 @@ def mounts_by_turns(F: Array, xyz_m: Array, which: NDArray[np.intp], at: Array) 
     F (m, 4, 4): base to flange. xyz_m (m, 3): positions of the points which (m,), counted from 0. at (k, 3): where the
     search begins. Raises Degenerate for positions on one line.
     """
-    base = RigidTransform.identity()
-    rms = np.inf
+    placed(xyz_m, xyz_m)
+    sums, rms = _Sums.of(F, xyz_m, which, len(at)), np.inf
     for _ in range(TURNS):
-        local = np.einsum("mij,mj->mi", F[:, :3, :3], at[which]) + F[:, :3, 3]
-        base = placed(xyz_m, local)
-        R, t = base.rotation.as_matrix(), base.translation
-        wanted = (xyz_m - t) @ R - F[:, :3, 3]  # what the tool's points should add, in base axes
-        at = np.stack([_point(F[which == k, :3, :3], wanted[which == k], at[k]) for k in range(len(at))])
-        local = np.einsum("mij,mj->mi", F[:, :3, :3], at[which]) + F[:, :3, 3]
-        before, rms = rms, float(np.sqrt(np.mean((local @ R.T + t - xyz_m) ** 2)))
+        R, t = sums.base(at)
+        at = sums.points(R, t, at)
+        before, rms = rms, sums.rms(R, t, at)
         if before - rms < 1e-7 * rms:
             break
-    return base, at, rms
+    local = np.einsum("mij,mj->mi", F[:, :3, :3], at[which]) + F[:, :3, 3]
+    base = placed(xyz_m, local)
+    return base, at, float(np.sqrt(np.mean((base.apply(local) - xyz_m) ** 2)))
 
 
-def _point(R: Array, wanted: Array, before: Array) -> Array:
-    """Return the point x with R x nearest to wanted; what is not told stays as before."""
-    A = R.reshape(-1, 3)
-    off = np.append((wanted - R @ before).ravel(), np.zeros(3))
-    return np.asarray(before + np.linalg.lstsq(np.vstack([A, RIDGE_M * np.eye(3)]), off, rcond=None)[0])
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Sums:
+    """All that turns need of the rows: both problems are linear in sums over them, which are made once.
+
+    Positions x and the flange's p are counted from their means; R is the flange's rotation, k the tool's point. n (k,):
+    rows; r (k, 3, 3): of R; rp (k, 3): of R' p; xp (3, 3): of x p'; xr (k, 3, 3, 3): of x_i R_jl; xx, pp: of squares.
+    """
+
+    n: Array
+    r: Array
+    rp: Array
+    xp: Array
+    xr: Array
+    xx: float
+    pp: float
+
+    @classmethod
+    def of(cls, F: Array, xyz_m: Array, which: NDArray[np.intp], k: int) -> _Sums:
+        x, R = xyz_m - xyz_m.mean(axis=0), F[:, :3, :3]
+        p = F[:, :3, 3] - F[:, :3, 3].mean(axis=0)
+        member = (which[:, None] == np.arange(k)).astype(np.float64)
+        return cls(
+            n=member.sum(axis=0),
+            r=np.einsum("mk,mij->kij", member, R),
+            rp=np.einsum("mk,mji,mj->ki", member, R, p),
+            xp=x.T @ p,
+            xr=np.einsum("mk,mijl->kijl", member, np.einsum("mi,mjl->mijl", x, R)),
+            xx=float((x**2).sum()),
+            pp=float((p**2).sum()),
+        )
+
+    def base(self, at: Array) -> tuple[Array, Array]:
+        """Return rotation (3, 3) and translation (3,) from the flange's to the positions' origin, by Kabsch."""
+        U, _, Vt = np.linalg.svd(self._cross(at))
+        R = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
+        return R, -R @ self._total(at) / self.n.sum()
+
+    def points(self, R: Array, t: Array, before: Array) -> Array:
+        """Return the points (k, 3) that fit best: R' R is one, so each is a mean; one without rows stays as before."""
+        total = np.einsum("kijl,ij->kl", self.xr, R) - (R.T @ t) @ self.r - self.rp
+        return np.where(self.n[:, None] > 0.0, total / np.maximum(self.n, 1.0)[:, None], before)
+
+    def rms(self, R: Array, t: Array, at: Array) -> float:
+        """Return the RMS per coordinate in m; of fits to 1e-8 of the positions' spread only its size."""
+        local = float(self.n @ (at**2).sum(axis=1)) + 2.0 * float((at * self.rp).sum()) + self.pp
+        moved = local + 2.0 * float(R.T @ t @ self._total(at)) + float(self.n.sum() * (t @ t))
+        squares = moved - 2.0 * float((R * self._cross(at)).sum()) + self.xx
+        return float(np.sqrt(max(squares, 0.0) / (3.0 * self.n.sum())))
+
+    def _cross(self, at: Array) -> Array:
+        """Return the sum (3, 3) of x times what the flange carries."""
+        return np.asarray(self.xp + np.einsum("kijl,kl->ij", self.xr, at))
+
+    def _total(self, at: Array) -> Array:
+        """Return the sum (3,) of what the flange carries."""
+        return np.asarray(np.einsum("kij,kj->i", self.r, at))
