@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import struct
+from contextlib import suppress
 
 from fastapi import FastAPI, WebSocket, WebSocketDisconnect
 
@@ -31,13 +32,16 @@ def add_pictures(server: FastAPI, console: Console) -> None:
             return
         await socket.accept()
         last: Shown | None = None
-        try:
+        with suppress(WebSocketDisconnect):
+            await socket.receive_text()
             while True:
-                await socket.receive_text()
-                last = await _newer(console, last)
-                await socket.send_bytes(picture_message(console, last, side))
-        except WebSocketDisconnect:
-            return
+                asked = asyncio.ensure_future(socket.receive_text())  # for the next one, or the page is gone
+                try:
+                    last = await _newer(console, last, asked)
+                    await socket.send_bytes(picture_message(console, last, side))
+                    await asked
+                finally:
+                    asked.cancel()
 
 
 def picture_message(console: Console, shown: Shown, side: str) -> bytes:
@@ -51,8 +55,11 @@ def picture_message(console: Console, shown: Shown, side: str) -> bytes:
     return struct.pack("<I", len(head)) + head + data
 
 
-async def _newer(console: Console, last: Shown | None) -> Shown:
+async def _newer(console: Console, last: Shown | None, asked: asyncio.Future[str]) -> Shown:
+    """Return the next newer picture. Raises WebSocketDisconnect where the page goes while none comes."""
     while True:
+        if asked.done() and asked.exception() is not None:
+            asked.result()
         shown = console.station.shown if console.station is not None else None
         if shown is not None and shown is not last:
             return shown

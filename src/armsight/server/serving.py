@@ -117,15 +117,18 @@ def background(service: Service, options: ServeOptions | None = None) -> Iterato
             thread.join()
 
 
-class _DenialsAreNoError(logging.Filter):
-    """Leaves out what uvicorn says of every connection that was kept out as it should be; the log of ours has it."""
+class _ComingsAndGoingsAreNoError(logging.Filter):
+    """Leaves out what uvicorn says of clients that were kept out as they should be, or went before an answer came."""
 
     def filter(self, record: logging.LogRecord) -> bool:
         """Return whether the record is kept."""
-        return record.msg != "ASGI callable returned without completing handshake."
+        if record.msg == "ASGI callable returned without completing handshake.":
+            return False  # the log of ours has it
+        error = record.exc_info[1] if record.exc_info else None
+        return not (isinstance(error, RuntimeError) and str(error) == "No response returned.")
 
 
-_QUIET = _DenialsAreNoError()
+_QUIET = _ComingsAndGoingsAreNoError()
 
 
 def _server(service: Service, auth: Authenticator, options: ServeOptions) -> uvicorn.Server:
