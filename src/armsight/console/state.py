@@ -10,6 +10,9 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from armsight.app.calibrate.mirrors import MirrorsJob
 from armsight.app.guided.boards import BoardCalibration
 from armsight.app.guided.desk import StepDesk
@@ -33,8 +36,16 @@ from armsight.optics import RigKind
 from armsight.store import read_rig, read_world
 from armsight.store.cell_file import CellFile, CellMirrors, cell_path, read_cell, write_cell
 
+Array = NDArray[np.float64]
+
 HISTORY = 1800
 """Moments kept for the curves: a minute at 30 a second."""
+
+
+def values_of(view: LiveView) -> Array:
+    """Return x, y, z in m and rx, ry, rz in rad (6,), NaN where not known."""
+    none = (np.nan,) * 3
+    return np.array([*(view.xyz_m or none), *(view.euler_rad or none)])
 
 
 @dataclass(slots=True, kw_only=True)
@@ -46,7 +57,9 @@ class Console:
     station: Station | None = None
     look: Look = field(default_factory=Look)
     last_recording: Path | None = None
-    history: deque[LiveView] = field(default_factory=lambda: deque(maxlen=HISTORY))
+    history: deque[Array] = field(default_factory=lambda: deque(maxlen=HISTORY))
+    """(7,) each: t_s, then as values_of."""
+    _newest: LiveView | None = None
     steps: dict[str, StepDesk] = field(default_factory=dict)
     _alignment: MirrorAlignment | None = None
     robot: RobotCell | None = None
@@ -207,10 +220,11 @@ class Console:
         return file
 
     def remember(self) -> Shown | None:
-        """Return the newest moment; what is said of it, without the pictures, is kept for the curves."""
+        """Return the newest moment; its pose is kept for the curves."""
         shown = self.station.shown if self.station is not None else None
-        if shown is not None and (not self.history or self.history[-1] is not shown.view):
-            self.history.append(shown.view)
+        if shown is not None and self._newest is not shown.view:
+            self._newest = shown.view
+            self.history.append(np.append(shown.view.t_s, values_of(shown.view)))
         return shown
 
     @property

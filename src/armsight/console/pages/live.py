@@ -9,16 +9,17 @@ from typing import Any
 import numpy as np
 from nicegui import run, ui
 from nicegui.elements.mixins.text_element import TextElement
+from numpy.typing import NDArray
 
 from armsight.app.live.measurement import COMPLEX
 from armsight.app.live.station import Shown
-from armsight.app.schemas.live import LiveView, SideView
+from armsight.app.schemas.live import SideView
 from armsight.console import texts
 from armsight.console.jog import jog_card
 from armsight.console.layout import TICK_S, button, canvas_of, card, set_attribute, set_text, text_of
 from armsight.console.plots import Plot
 from armsight.console.scene import Scene
-from armsight.console.state import Console
+from armsight.console.state import Console, values_of
 from armsight.errors import ArmsightError
 from armsight.units import DEG
 
@@ -145,7 +146,7 @@ def _pose(console: Console) -> Refresh:
 
     def refresh(shown: Shown) -> None:
         view = shown.view
-        values = _values(view)
+        values = values_of(view)
         std = (
             np.full(6, np.nan) if view.std is None else np.pad(view.std, (0, 6 - len(view.std)), constant_values=np.nan)
         )
@@ -157,12 +158,6 @@ def _pose(console: Console) -> Refresh:
             set_text(spread, texts.SPREAD.format(value=f"{scale * std[i]:.{digits + 1}f}", unit=unit) if claim else "")
 
     return refresh
-
-
-def _values(view: LiveView) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Return x y z rx ry rz (6,), NaN where not known."""
-    none = (np.nan,) * 3
-    return np.array([*(view.xyz_m or none), *(view.euler_rad or none)])
 
 
 def _status() -> Refresh:
@@ -223,13 +218,12 @@ def _curve(axis: int) -> Plot:
     return Plot(f"{name} ({unit})", (name,), testid=f"plot-{name}", along="{value} s", first=axis % 3)
 
 
-def _draw(curves: list[Plot], views: list[LiveView]) -> None:
-    if not views:
+def _draw(curves: list[Plot], moments: list[NDArray[np.float64]]) -> None:
+    if not moments:
         return
-    kept = views[:: max(1, len(views) // CURVE_POINTS)]
-    scale = np.repeat([1e3, 1.0 / DEG], 3)
-    values = np.array([_values(view) for view in kept]) * scale
-    t_s = np.array([view.t_s for view in kept]) - kept[-1].t_s
+    kept = np.array(moments[:: max(1, len(moments) // CURVE_POINTS)])
+    values = kept[:, 1:] * np.repeat([1e3, 1.0 / DEG], 3)
+    t_s = kept[:, 0] - kept[-1, 0]
     for curve, column in zip(curves, values.T, strict=True):
         points = [
             (round(float(t), 2), round(float(v), 3) if np.isfinite(v) else None)
