@@ -9,7 +9,8 @@ demo: install
 	$(BIN)/armsight demo -o demo
 
 test: install
-	$(BIN)/pytest -n 2 --dist worksteal
+	$(BIN)/pytest -n 2 --dist worksteal -m "not alone"
+	$(BIN)/pytest -m alone
 
 check: install
 	$(BIN)/ruff format --check src tests benchmarks tools examples

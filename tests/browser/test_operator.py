@@ -11,6 +11,7 @@ import pytest
 CHROMIUM = "/usr/bin/chromium"
 
 pytestmark = [
+    pytest.mark.alone,
     pytest.mark.skipif(not Path(CHROMIUM).exists(), reason="no Chromium on this machine"),
     pytest.mark.timeout(300),
 ]

@@ -51,6 +51,7 @@ class Pair:
         )
         chosen = {"arm": Model(), "cumulative": cumulative, "axes": "tool" if tool else "world", **more}
         self.robot = AlterRobot(self.twin.path, settings=chosen, clock=self.clock)
+        self._drained = False
         self._lock = threading.Lock()
         self._done = threading.Event()
         self._pump = threading.Thread(target=self._start_up, daemon=True)
@@ -70,9 +71,18 @@ class Pair:
                 if self.robot.state is RobotState.CLOSED:
                     self.twin.cycle()
                     continue
+                self._drain()
                 before, heard = self._taken(), self.robot.counts.heard
                 self.twin.cycle()
                 self._wait(before, heard)
+
+    def _drain(self) -> None:
+        """Once it is open, let the driver take what was sent while it opened."""
+        for _ in range(0 if self._drained else 20_000):
+            if self.robot._last is not None and self.robot._last.sequence == self.twin._number:
+                break
+            time.sleep(0.0001)
+        self._drained = True
 
     def _taken(self) -> int:
         counts = self.robot.counts
