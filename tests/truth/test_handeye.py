@@ -129,6 +129,17 @@ def test_too_little_turning_is_refused() -> None:
     assert "tilt the hand" in caught.value.cure
 
 
+def test_an_answer_that_rests_on_one_pair_is_refused_by_its_name() -> None:
+    turns = [[0.0, 0.0, a] for a in (-0.5, 0.0, 0.5, 0.2, -0.3)]
+    turns[2] = [0.6, 0.0, 0.1]
+    rng, t = np.random.default_rng(1), cell(5, 5).T_camera_target.translation
+    seen = RigidTransform.from_components(t, FACING * Rotation.from_rotvec(turns))
+    robot = Z * seen.inv() * X.inv()
+    with pytest.raises(Degenerate, match="without row 3 the other pairs") as caught:
+        calibrate_eye_in_hand(pairs(robot, shaken(rng, seen, 0.3 * MM, 0.05 * DEG)))
+    assert "tilt the hand about two axes" in caught.value.cure
+
+
 def test_units_are_recognised() -> None:
     good = cell(6)
 

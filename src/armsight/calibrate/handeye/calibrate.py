@@ -16,7 +16,7 @@ from armsight.calibrate.handeye.pairs import MIN_PAIRS, Array, Arrays, PosePairs
 from armsight.calibrate.handeye.result import NAMES, HandEye, Scale
 from armsight.calibrate.handeye.rotation_excitation import require_metres, require_turning, rotation_excitation
 from armsight.calibrate.handeye.solution import Solution, residuals, solve_pairs, uncertainty
-from armsight.errors import DataRefused, Inconsistent
+from armsight.errors import DataRefused, Degenerate, Inconsistent
 from armsight.fitting.quantiles import f_isf, t_sf
 from armsight.records import NamedCovariance
 from armsight.units import DEG, MM
@@ -76,6 +76,7 @@ def _calibrate(pairs: PosePairs, setup: Setup, options: HandEyeOptions) -> HandE
     chosen = pairs.take(rows) if repeated else pairs
     require_turning(rotation_excitation(chosen.T_base_flange.rotation))
     solution, left_out, order = _solve_in_order(chosen, setup)
+    _require_others(chosen, order[solution.keep & ~np.isfinite(left_out).all(axis=1)])
     used = np.zeros(len(pairs), bool)
     used[rows[order[solution.keep]]] = True
     turned = rotation_excitation(pairs.T_base_flange[np.flatnonzero(used)].rotation)
@@ -106,6 +107,16 @@ def _calibrate(pairs: PosePairs, setup: Setup, options: HandEyeOptions) -> HandE
     if pairs.t_s is not None:
         finished = _of_a_recording(finished, pairs.t_s)
     return advise(finished, options.target_pitch_m)
+
+
+def _require_others(pairs: PosePairs, alone: NDArray[np.intp]) -> None:
+    """Raise Degenerate where there are pairs (k,) without which the others do not tell the whole answer."""
+    if alone.size:
+        raise Degenerate(
+            f"without {pairs.names[alone[0]]} the other pairs do not fix the whole answer",
+            consequence="An error in that pose would go unseen; no calibration is given",
+            cure="Add poses that tilt the hand about two axes as that one does, five in all at least",
+        )
 
 
 def _of_a_recording(found: HandEye, t_s: Array) -> HandEye:
