@@ -11,7 +11,6 @@ import pytest
 CHROMIUM = "/usr/bin/chromium"
 
 pytestmark = [
-    pytest.mark.alone,
     pytest.mark.skipif(not Path(CHROMIUM).exists(), reason="no Chromium on this machine"),
     pytest.mark.timeout(300),
 ]
@@ -30,6 +29,7 @@ def joint(page: Any, number: int) -> float:
     return float(page.inner_text(f".jog .axis:nth-child({number}) span").split()[2])
 
 
+@pytest.mark.alone
 def test_a_jog_key_moves_the_arm_and_escape_stops_it(browser: Any, console: Any, cell: tuple[str, Path]) -> None:
     page = console.opened(browser, f"{cell[0]}/live")
     console.measuring(page)
@@ -46,6 +46,7 @@ def test_a_jog_key_moves_the_arm_and_escape_stops_it(browser: Any, console: Any,
     page.close()
 
 
+@pytest.mark.alone
 def test_a_second_operator_is_told_who_drives_and_a_lost_page_stops_the_arm(
     browser: Any, console: Any, cell: tuple[str, Path]
 ) -> None:
@@ -67,6 +68,7 @@ def test_a_second_operator_is_told_who_drives_and_a_lost_page_stops_the_arm(
     other.close()
 
 
+@pytest.mark.alone
 def test_a_reload_while_a_path_is_recorded_loses_nothing(browser: Any, console: Any, cell: tuple[str, Path]) -> None:
     """It is one stretch to its end, and no moment between two of its poses was left out."""
     page = console.opened(browser, f"{cell[0]}/teach")

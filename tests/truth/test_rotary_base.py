@@ -83,7 +83,7 @@ def test_exact_views_give_the_exact_axis() -> None:
 
 def test_deviations_agree_with_the_spread() -> None:
     rng, steps, claimed, scales = np.random.default_rng(1), [], [], []
-    for _ in range(200):
+    for _ in range(100):
         found = calibrate_rotary(ANGLES, views(ANGLES, rng))
         off = found.base.direction - BASE.direction
         place = found.base.point_m - BASE.point_m
@@ -91,7 +91,9 @@ def test_deviations_agree_with_the_spread() -> None:
         claimed.append([found.std[name] for name in ("axis.tilt1", "axis.tilt2", "axis.p1", "axis.p2")])
         scales.append(found.scale)
     spread = np.sqrt(np.mean(np.array(steps) ** 2, axis=0))
-    np.testing.assert_allclose(spread / np.mean(claimed, axis=0), 1.0, atol=0.2)  # 4 standard deviations of 200 repeats
+    np.testing.assert_allclose(
+        spread / np.mean(claimed, axis=0), 1.0, atol=0.28
+    )  # 4 standard deviations of 100 repeats
     assert np.mean(scales) == pytest.approx(1.0, abs=0.05)
 
 
