@@ -40,7 +40,8 @@ from armsight.console.state import Console
 from bench import machine, table
 
 CHROMIUM = "/usr/bin/chromium"
-PAIRS = 30
+PAIRS = 150
+"""So many that the files' beginning anew, when nothing is read ahead yet, is behind the p99."""
 PAGES = ("live", "calibrate", "identify", "teach", "verify", "settings")
 HOURS, RATE_HZ, TICK_HZ = 8.0, 30.0, 10.0
 VISITS_PER_HOUR = 60.0
@@ -60,23 +61,28 @@ def main() -> None:
     print(machine())
     with tempfile.TemporaryDirectory() as name, sync_playwright() as player:
         folder = Path(name)
-        frames(folder)
-        with served(folder) as (address, console):
-            pictures(player, address, asked.seconds)
-            for nice in (0, 19):
-                latencies(player, address, console, asked.blocks, asked.seconds, nice)
+        for room, nices in (("dark", (0, 19)), ("workshop", (0,))):
+            frames(folder / room, room)
+            with served(folder / room) as (address, console):
+                if room == "dark":
+                    pictures(player, address, asked.seconds)
+                for nice in nices:
+                    latencies(player, address, console, asked.blocks, asked.seconds, nice, room)
         with begun(folder) as (address, pid):
             visits(player, address, pid, asked.visits)
     accelerated()
 
 
-def frames(folder: Path) -> None:
-    """Write PAIRS pairs of a lit target that swings to and fro, raw as cameras send them, with its rig and target."""
-    cell = load_cell("led-cell", seed=3, frames=PAIRS)
+def frames(folder: Path, room: str) -> None:
+    """Write PAIRS pairs of a lit target that swings to and fro, raw as cameras send them, with its rig and target.
+
+    In the dark it is followed; in the workshop one pair in ten is lost and the whole pictures are searched anew.
+    """
+    cell = load_cell("led-cell", seed=3, frames=PAIRS, room=room)
     there = list(cell.frames())
     for number, pair in enumerate(there + there[-2:0:-1]):
         for side, frame in zip(("left", "right"), pair, strict=True):
-            (folder / side).mkdir(exist_ok=True)
+            (folder / side).mkdir(parents=True, exist_ok=True)
             cv2.imwrite(str(folder / side / f"{number:03d}.bmp"), np.asarray(frame.image))
     (folder / "cell").mkdir()
     for name, content in (("rig", cell.rig), ("target", cell.target)):
@@ -160,7 +166,7 @@ def pictures(player: Any, address: str, seconds: float) -> None:
     browser.close()
 
 
-def latencies(player: Any, address: str, console: Console, blocks: int, seconds: float, nice: int) -> None:
+def latencies(player: Any, address: str, console: Console, blocks: int, seconds: float, nice: int, room: str) -> None:
     """Print the loop's latency and measuring time without browsers and with three, block by block in turn."""
     browsers = [launched(player, nice) for _ in range(3)]
     pages = [browser.new_page(viewport={"width": 1400, "height": 900}) for browser in browsers]
@@ -185,7 +191,7 @@ def latencies(player: Any, address: str, console: Console, blocks: int, seconds:
     ratios = [b / a for a, b in zip(rows[0][2:], rows[1][2:], strict=True)]
     rows.append(("ratio", "", *ratios))
     table(
-        f"The measuring loop, browsers at nice {nice}, {blocks} blocks of {seconds:g} s each in turn (wanted: p99 1.1)",
+        f"Measuring, {room}, browsers at nice {nice}, {blocks} blocks of {seconds:g} s in turn (p99 wanted: 1.1)",
         ("browsers on /live", "pairs", "latency median ms", "p99 ms", "measuring median ms", "p99 ms"),
         rows,
     )

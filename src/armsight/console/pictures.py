@@ -17,13 +17,22 @@ from armsight.console.state import Console
 LOOK_S = 0.005
 """Time between two looks for a newer picture."""
 SIDES = ("left", "right", COMPLEX)
+WIDEST_PX = 8192
+"""What a page that does not say its width gets at most: every camera's picture as it is."""
 
 
 def add_pictures(server: FastAPI, console: Console) -> None:
     """Serve the newest picture of a side at /console/pictures/left and /right, as often as the browser asks.
 
-    A mirror rig's one picture, with what was found of both views in it, is at /console/pictures/complex.
+    Each time it says how wide the picture is on its screen, in px; all get what the widest of them needs. A mirror
+    rig's one picture, with what was found of both views in it, is at /console/pictures/complex.
     """
+    widths_px: dict[WebSocket, int] = {}
+
+    def ask(socket: WebSocket, text: str) -> None:
+        widths_px[socket] = min(int(text), WIDEST_PX) if text.isdecimal() and int(text) > 0 else WIDEST_PX
+        if console.station is not None:
+            console.station.show_width(max(widths_px.values()))
 
     @server.websocket("/console/pictures/{side}")
     async def pictures(socket: WebSocket, side: str) -> None:
@@ -32,16 +41,19 @@ def add_pictures(server: FastAPI, console: Console) -> None:
             return
         await socket.accept()
         last: Shown | None = None
-        with suppress(WebSocketDisconnect):
-            await socket.receive_text()
-            while True:
-                asked = asyncio.ensure_future(socket.receive_text())  # for the next one, or the page is gone
-                try:
-                    last = await _newer(console, last, asked)
-                    await socket.send_bytes(picture_message(console, last, side))
-                    await asked
-                finally:
-                    asked.cancel()
+        try:
+            with suppress(WebSocketDisconnect):
+                ask(socket, await socket.receive_text())
+                while True:
+                    asked = asyncio.ensure_future(socket.receive_text())  # for the next one, or the page is gone
+                    try:
+                        last = await _newer(console, last, asked)
+                        await socket.send_bytes(picture_message(console, last, side))
+                        ask(socket, await asked)
+                    finally:
+                        asked.cancel()
+        finally:
+            widths_px.pop(socket, None)
 
 
 def picture_message(console: Console, shown: Shown, side: str) -> bytes:

@@ -6,6 +6,7 @@ import threading
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -85,6 +86,10 @@ def station(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     made.stop()
 
 
+def decoded(data: bytes) -> Any:
+    return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
+
+
 def wait(what: Any) -> None:
     """Wait until a condition holds; fails where it never does."""
     ready = threading.Event()
@@ -101,6 +106,20 @@ def test_a_process_shows_what_it_measures(station: Station) -> None:
     assert station.shown.left_jpeg[:2] == b"\xff\xd8"
     first = station.shown.view.sequence
     wait(lambda: station.shown is not None and station.shown.view.sequence > first)
+
+
+def test_pictures_are_no_wider_than_what_shows_them(station: Station) -> None:
+    def widths() -> list[int]:
+        assert station.shown is not None
+        return [decoded(data).shape[1] for data in (station.shown.left_jpeg, station.shown.right_jpeg)]
+
+    wait(lambda: station.shown is not None)
+    full = station.shown.view.left.width if station.shown is not None else 0
+    station.show_width(full // 2)
+    wait(lambda: widths() == [full // 2] * 2)
+    assert station.shown is not None and station.shown.view.left.width == full, "what is found stays in its px"
+    station.show_width(4 * full)
+    wait(lambda: widths() == [full] * 2)
 
 
 def test_what_is_shown_since_a_moment_was_exposed_after_it(station: Station) -> None:

@@ -13,12 +13,12 @@ import cv2
 import numpy as np
 
 from armsight.app.live.measurement import LiveJob, LiveMeasurement, Look, Moment
-from armsight.app.live.priority import measure_first, pictures_last
 from armsight.app.measure.warm_up import prepare
 from armsight.app.record.recorder import Recorder
 from armsight.app.schemas.live import LiveView
 from armsight.clock import Clock, SystemClock
 from armsight.errors import ArmsightError, DeviceFailed, UsageError
+from armsight.priority import beside_measuring, measure_first
 from armsight.records import Frame, Silent
 from armsight.store.atomic import disk_errors, write_bytes
 from armsight.store.recording import ImageFormat, RecordingWriter
@@ -68,6 +68,11 @@ class _Save:
 
 
 @dataclass(frozen=True, slots=True)
+class _Width:
+    width_px: int
+
+
+@dataclass(frozen=True, slots=True)
 class _Saved:
     failure: str
 
@@ -108,6 +113,7 @@ class Station:
         self._saved, self._save_failure = threading.Event(), ""
         self._newer = threading.Condition()
         self._saving = threading.Lock()
+        self._width_px: int | None = None
 
     @property
     def silent_s(self) -> float:
@@ -132,6 +138,7 @@ class Station:
         commands, self._commands = context.Pipe(duplex=False)
         self._process = context.Process(target=_work, args=(self.job, told, commands), daemon=True, name="measuring")
         self.failure, self.ended, self.shown, self._stopping = "", False, None, False
+        self._width_px = None
         self._process.start()
         told.close()
         commands.close()
@@ -154,6 +161,12 @@ class Station:
     def look(self, how: Look) -> None:
         """Look for spots in another way from now on."""
         self._send(how)
+
+    def show_width(self, width_px: int) -> None:
+        """Show pictures no wider than this from now on: more than a screen has costs it its time and is not seen."""
+        if width_px != self._width_px:
+            self._width_px = width_px
+            self._send(_Width(width_px))
 
     def record(self, file: Path | None) -> None:
         """Record all frames into a new .mcap, or end the recording (None). What happens stands in `recording`."""
@@ -245,6 +258,7 @@ class _Worker:
         self._ending = False
         self._recorder: Recorder | None = None
         self._save: _Save | None = None
+        self._width_px: int | None = None
         self._file: Path | None = None
 
     def run(self) -> None:
@@ -298,6 +312,8 @@ class _Worker:
                 self._record(file)
             case _Save():
                 self._save = command
+            case _Width(width_px):
+                self._width_px = width_px
 
     def _wait_for_the_end(self) -> None:
         while not self._obey():
@@ -327,8 +343,8 @@ class _Worker:
         self._tell(RecordingState(failure=failure))
 
     def _send(self) -> None:
-        """Send the newest moment, and no faster than a screen shows."""
-        pictures_last()
+        """Send the newest moment, no faster than a screen shows, and rest as long as that took."""
+        beside_measuring()
         next_s = 0.0
         while True:
             with self._posted:
@@ -339,11 +355,15 @@ class _Worker:
             if moment is None:
                 continue
             self._save_pair(moment)
-            if self._clock.now_s() < next_s:
+            begun_s = self._clock.now_s()
+            if begun_s < next_s:
                 continue
-            next_s = max(next_s + 0.9 / PICTURES_HZ, self._clock.now_s() - 1.0 / PICTURES_HZ)  # jitter skips none
-            right = b"" if self._one_picture else jpeg(moment.pair[1])
-            self._tell(Shown(view=moment.view, left_jpeg=jpeg(moment.pair[0]), right_jpeg=right))
+            left = jpeg(moment.pair[0], self._width_px)
+            right = b"" if self._one_picture else jpeg(moment.pair[1], self._width_px)
+            self._tell(Shown(view=moment.view, left_jpeg=left, right_jpeg=right))
+            ended_s = self._clock.now_s()
+            jitter_s = 1.0 / PICTURES_HZ  # which skips none
+            next_s = max(next_s + 0.9 / PICTURES_HZ, begun_s - jitter_s, 2.0 * ended_s - begun_s)
             if self._recorder is not None:
                 recorder = self._recorder
                 self._tell(RecordingState(file=self._file, n_pairs=recorder.written, n_dropped=recorder.dropped))
@@ -368,7 +388,11 @@ class _Worker:
             self._told.send(message)
 
 
-def jpeg(frame: Frame) -> bytes:
-    """Return a frame as a JPEG file's bytes."""
-    _, data = cv2.imencode(".jpg", np.asarray(frame.image), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+def jpeg(frame: Frame, width_px: int | None = None) -> bytes:
+    """Return a frame as a JPEG file's bytes, no wider than told."""
+    image = np.asarray(frame.image)
+    if width_px is not None and width_px < frame.width:
+        size = (width_px, max(round(frame.height * width_px / frame.width), 1))
+        image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     return data.tobytes()

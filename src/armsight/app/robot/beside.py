@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 from typing import TypeVar
 
-from armsight.app.robot.priority import raise_priority
+from armsight.priority import control_first
 
 Result = TypeVar("Result")
 
@@ -24,7 +24,7 @@ def run_beside(work: Callable[[], Result], tell: Callable[[], None]) -> Result:
     errors: list[BaseException] = []
 
     def run() -> None:
-        raise_priority()
+        control_first()
         try:
             results.append(work())
         except BaseException as error:  # raised again below, where somebody hears it

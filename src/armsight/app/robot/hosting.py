@@ -22,7 +22,6 @@ from armsight.app.robot.channels import JointTrack
 from armsight.app.robot.host import LoopEvent, LoopRecord, Snapshot
 from armsight.app.robot.loop_side import Channels, lateness_s, run_loop
 from armsight.app.robot.opening import open_robot
-from armsight.app.robot.priority import raise_priority
 from armsight.clock import Clock, SystemClock
 from armsight.control.guard import Limits
 from armsight.control.setpoints import Hold, JointGoal, JointVelocity, SetPoint, ToolTwist
@@ -30,6 +29,7 @@ from armsight.drivers import Robot
 from armsight.drivers.remote.protocol import RobotDescription
 from armsight.errors import ArmsightError, DeviceFailed, DeviceLost, UsageError
 from armsight.kinematics import Arm
+from armsight.priority import control_first
 
 BEGIN_S = 120.0
 """Longest wait for the loop's first cycle: kernels may have to be compiled, a controller to answer."""
@@ -279,7 +279,7 @@ def _interrupts_ignored() -> Iterator[None]:
 
 def _loop_process(channels: Channels, spec: RobotSpec, parent: int) -> None:
     """Run a robot's loop; the process that started it ends it."""
-    raise_priority()
+    control_first()
     clock = SystemClock()
     try:
         robot = open_robot(spec.robot, clock, spec.settings)

@@ -13,6 +13,7 @@
       this.context = canvas.getContext("2d", { alpha: false });
       this.side = canvas.dataset.side;
       this.shown = 0;
+      [this.width, this.height] = [canvas.width, canvas.height];
       this.masks = [];
       this.drag = null;
       this.connect();
@@ -25,11 +26,15 @@
       const scheme = location.protocol === "https:" ? "wss" : "ws";
       this.socket = new WebSocket(`${scheme}://${location.host}/console/pictures/${this.side}`);
       this.socket.binaryType = "arraybuffer";
-      this.socket.onopen = () => this.socket.send("next");
+      this.socket.onopen = () => this.ask();
       this.socket.onmessage = (message) => this.take(message.data);
       this.socket.onclose = () => {
         if (document.body.contains(this.canvas)) setTimeout(() => this.connect(), 1000);
       };
+    }
+
+    ask() { // no wider than it stands on this screen: decoding and drawing more is what slows a page down
+      this.socket.send(String(Math.ceil(Math.max(320, this.canvas.clientWidth * devicePixelRatio))));
     }
 
     async take(data) {
@@ -39,7 +44,7 @@
       while (this.waiting) {
         const next = this.waiting;
         this.waiting = null;
-        if (this.socket.readyState === WebSocket.OPEN) this.socket.send("next");
+        if (this.socket.readyState === WebSocket.OPEN) this.ask();
         await this.show(next).catch(() => {}); // a picture cut short by the network: the next one comes
       }
       this.drawing = false;
@@ -53,9 +58,15 @@
       if (this.canvas.width !== bitmap.width || this.canvas.height !== bitmap.height) {
         this.canvas.width = bitmap.width;
         this.canvas.height = bitmap.height;
-        this.canvas.style.aspectRatio = `${bitmap.width} / ${bitmap.height}`;
       }
-      this.context.drawImage(bitmap, 0, 0);
+      if (this.width !== found.width || this.height !== found.height) {
+        [this.width, this.height] = [found.width, found.height];
+        this.canvas.style.aspectRatio = `${this.width} / ${this.height}`;
+      }
+      const c = this.context;
+      c.setTransform(1, 0, 0, 1, 0, 0);
+      c.drawImage(bitmap, 0, 0);
+      c.setTransform(bitmap.width / this.width, 0, 0, bitmap.height / this.height, 0, 0); // from here on in its px
       bitmap.close();
       this.masks = found.masks;
       this.draw(found);
@@ -65,7 +76,7 @@
 
     draw(found) {
       const c = this.context;
-      const size = Math.max(1, this.canvas.width / 640);
+      const size = Math.max(1, this.width / 640);
       c.lineWidth = 1.5 * size;
       c.font = `600 ${16 * size}px system-ui, sans-serif`;
       c.fillStyle = COLOURS.mask;
@@ -122,8 +133,8 @@
     place(event) {
       const box = this.canvas.getBoundingClientRect();
       return [
-        ((event.clientX - box.left) * this.canvas.width) / box.width,
-        ((event.clientY - box.top) * this.canvas.height) / box.height,
+        ((event.clientX - box.left) * this.width) / box.width,
+        ((event.clientY - box.top) * this.height) / box.height,
       ];
     }
 

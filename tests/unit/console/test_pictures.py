@@ -1,0 +1,87 @@
+"""The pictures' socket: each page says how wide it shows them, and all get what the widest needs."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import cast
+
+import pytest
+import uvicorn
+from fastapi import FastAPI
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import ClientConnection, connect
+
+from armsight.app.live.station import Shown, Station
+from armsight.app.schemas.live import Counts, LiveView, SideView
+from armsight.console.pictures import WIDEST_PX, add_pictures
+from armsight.console.state import Console
+
+
+class Asked:
+    """A station that has something new at every look, and keeps the widths that it is asked for."""
+
+    def __init__(self) -> None:
+        self.widths_px: list[int] = []
+
+    @property
+    def shown(self) -> Shown:
+        side = SideView(
+            width=640, height=480, spots=[], epipolar=[], advice="good", background=0.0, brightest=0.0, sigma_px=None
+        )
+        view = LiveView(
+            sequence=0, t_s=0.0, fps=30.0, latency_s=0.0, measuring_s=0.0, status="lost", why="", parent="rig",
+            xyz_m=None, euler_rad=None, quat_xyzw=None, std=None, residual_px=None,
+            counts=Counts(ok=0, position_only=0, lost=1), left=side, right=side,
+        )  # fmt: skip
+        return Shown(view=view, left_jpeg=b"left", right_jpeg=b"right")
+
+    def show_width(self, width_px: int) -> None:
+        self.widths_px.append(width_px)
+
+
+@pytest.fixture
+def served(tmp_path: Path) -> Iterator[tuple[str, Asked]]:
+    console, station, pages = Console(folder=tmp_path), Asked(), FastAPI()
+    console.station = cast(Station, station)
+    add_pictures(pages, console)
+    listener = socket.create_server(("127.0.0.1", 0))
+    server = uvicorn.Server(uvicorn.Config(pages, log_level="error", ws="websockets-sansio"))
+    thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
+    thread.start()
+    yield f"ws://127.0.0.1:{listener.getsockname()[1]}/console/pictures", station
+    server.should_exit = True
+    thread.join(30.0)
+
+
+def picture(page: ClientConnection, width: str) -> bytes:
+    """Ask for the next picture as a page of that width does."""
+    page.send(width)
+    return bytes(page.recv(timeout=30.0, decode=False))
+
+
+def test_the_widest_page_is_what_counts_until_it_goes(served: tuple[str, Asked]) -> None:
+    address, station = served
+    with connect(f"{address}/left") as small:
+        assert picture(small, "390").endswith(b"left")
+        with connect(f"{address}/right") as large:
+            assert picture(large, "900").endswith(b"right")
+            picture(small, "400")
+            assert station.widths_px == [390, 900, 900]
+        assert any(picture(small, "410") and station.widths_px[-1] == 410 for _ in range(100)), "the large one is gone"
+
+
+@pytest.mark.parametrize("said", ["next", "0", "-5", "1e3", "9" * 30])
+def test_a_width_that_is_none_is_every_width(served: tuple[str, Asked], said: str) -> None:
+    address, station = served
+    with connect(f"{address}/left") as page:
+        picture(page, said)
+    assert station.widths_px == [WIDEST_PX]
+
+
+def test_a_side_that_is_none_is_refused(served: tuple[str, Asked]) -> None:
+    address, _ = served
+    with pytest.raises(InvalidStatus), connect(f"{address}/top"):
+        pass
