@@ -42,6 +42,8 @@ from bench import machine, table
 CHROMIUM = "/usr/bin/chromium"
 PAIRS = 150
 """So many that the files' beginning anew, when nothing is read ahead yet, is behind the p99."""
+ROOMS = {"dark": (0, 19), "workshop": (0,)}
+"""Rooms of the streams, and how nice the browsers are."""
 PAGES = ("live", "calibrate", "identify", "teach", "verify", "settings")
 HOURS, RATE_HZ, TICK_HZ = 8.0, 30.0, 10.0
 VISITS_PER_HOUR = 60.0
@@ -61,9 +63,11 @@ def main() -> None:
     print(machine())
     with tempfile.TemporaryDirectory() as name, sync_playwright() as player:
         folder = Path(name)
-        for room, nices in (("dark", (0, 19)), ("workshop", (0,))):
+        for room in ROOMS:
             frames(folder / room, room)
-            with served(folder / room) as (address, console):
+        with served(folder / "cell") as (address, console):
+            for room, nices in ROOMS.items():
+                show(console, folder / room)
                 if room == "dark":
                     pictures(player, address, asked.seconds)
                 for nice in nices:
@@ -84,10 +88,16 @@ def frames(folder: Path, room: str) -> None:
         for side, frame in zip(("left", "right"), pair, strict=True):
             (folder / side).mkdir(parents=True, exist_ok=True)
             cv2.imwrite(str(folder / side / f"{number:03d}.bmp"), np.asarray(frame.image))
-    (folder / "cell").mkdir()
     for name, content in (("rig", cell.rig), ("target", cell.target)):
         text = yaml.safe_dump({"format": f"armsight/{name}", "version": 1, **content})
-        (folder / "cell" / f"{name}.yaml").write_text(text)
+        (folder / f"{name}.yaml").write_text(text)
+
+
+def show(console: Console, folder: Path) -> None:
+    """Measure the two streams of a folder, again and again."""
+    entries = {"left": "left", "right": "right", "rig": "rig.yaml", "target": "target.yaml"}
+    paths = {name: str(folder / file) for name, file in entries.items()}
+    console.apply(console.cell.model_copy(update={**paths, "play_again": True}))
 
 
 def free_port() -> int:
@@ -103,12 +113,9 @@ def await_port(port: int) -> None:
 
 @contextmanager
 def served(folder: Path) -> Iterator[tuple[str, Console]]:
-    """Serve the console of the two streams from this process, which so sees what the station tells."""
-    console, port = Console.of_folder(folder / "cell"), free_port()
-    streams = {side: str(folder / side) for side in ("left", "right")}
-    console.apply(
-        console.cell.model_copy(update={**streams, "play_again": True, "rig": "rig.yaml", "target": "target.yaml"})
-    )
+    """Serve a console from this process, which so sees what its station tells."""
+    folder.mkdir()
+    console, port = Console.of_folder(folder), free_port()
     pages = FastAPI()
     add_console(pages, console)
     server = uvicorn.Server(uvicorn.Config(pages, port=port, log_level="error"))

@@ -393,6 +393,6 @@ def jpeg(frame: Frame, width_px: int | None = None) -> bytes:
     image = np.asarray(frame.image)
     if width_px is not None and width_px < frame.width:
         size = (width_px, max(round(frame.height * width_px / frame.width), 1))
-        image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+        image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
     _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     return data.tobytes()
