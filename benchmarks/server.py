@@ -32,7 +32,8 @@ from armsight.app.robot.service import Service
 from armsight.drivers.remote import Link, ServerAddress
 from armsight.drivers.remote import protocol as say
 from armsight.errors import ArmsightError
-from armsight.server.serving import ServeOptions, background
+from armsight.server.serving import background
+from armsight.server.web_server import ServeOptions
 from armsight.sim.arms import FlangeLimits, SimArm, SimJoint
 from armsight.sim.robot import SimRobot
 from armsight.sim.servo import Drive

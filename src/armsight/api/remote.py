@@ -104,7 +104,7 @@ class RobotConnection:
 
     def stop(self) -> None:
         """Bring the robot to rest until a driver resets it. Raises DeviceLost without a connection."""
-        self._link.ask(say.StopMessage)
+        self._link.stop()
 
     def drive(self) -> RobotDriver:
         """Return the right to drive, to be used as a context manager. Raises DeviceFailed where another one has it."""
@@ -195,7 +195,7 @@ class RobotDriver:
 
     def stop(self) -> None:
         """Come to rest until reset."""
-        self._do(say.StopMessage)
+        self._link.stop()
 
     def reset(self) -> None:
         """Take commands again after a stop; enable() must be called again before motion."""

@@ -12,7 +12,7 @@ from armsight.cli.command_ui import CommandUI
 from armsight.cli.options import SRC
 
 if TYPE_CHECKING:
-    from armsight.server.serving import ServeOptions
+    from armsight.server.web_server import ServeOptions
 
 PORT = 8080
 
@@ -38,6 +38,9 @@ def console(
         "127.0.0.1"
     ),
     port: Annotated[int, typer.Option(min=1, max=65535, help="Of the web page.")] = PORT,
+    stop_port: Annotated[
+        int | None, typer.Option(min=0, max=65535, help="Of the line for stops. [default: the next one]")
+    ] = None,
     tokens: Annotated[Path | None, typer.Option(help="tokens.yaml: who may watch and who may drive.")] = None,
     tls_cert: Annotated[Path | None, typer.Option(help="The server's certificate, PEM.")] = None,
     tls_key: Annotated[Path | None, typer.Option(help="The certificate's key, PEM.")] = None,
@@ -48,9 +51,11 @@ def console(
     along where the folder holds none.
     """
     with CommandUI(as_json=False) as face:
-        from armsight.server.serving import ServeOptions, check_options
+        from armsight.server.web_server import ServeOptions, check_options
 
-        options = ServeOptions(bind=bind, port=port, tokens=tokens, tls_cert=tls_cert, tls_key=tls_key)
+        options = ServeOptions(
+            bind=bind, port=port, stop_port=stop_port, tokens=tokens, tls_cert=tls_cert, tls_key=tls_key
+        )
         check_options(options)
         given = {"left": left, "right": right, "rig": rig, "target": target, "play_again": play_again or None}
         changed = {name: value for name, value in given.items() if value is not None}
@@ -66,9 +71,10 @@ def _without_robot(face: CommandUI, folder: Path, changed: dict[str, Any], optio
     from armsight.app.operator.one_console import one_console
     from armsight.console.application import add_console
     from armsight.console.state import Console
-    from armsight.server.serving import listening, serve_pages
+    from armsight.server.serving import serve_pages
+    from armsight.server.web_server import listening
 
-    with listening(options) as listener, one_console(folder):
+    with listening(options.bind, options.port) as listener, one_console(folder):
         made = Console.of_folder(folder)
         try:
             _tell_refusal(face, made.begin(changed))
@@ -91,11 +97,12 @@ def serve_cell(face: CommandUI, robot: str, folder: Path, changed: dict[str, Any
     from armsight.errors import Cancelled
     from armsight.server.application import create_app
     from armsight.server.auth import Authenticator
-    from armsight.server.serving import check_options, listening, serve_pages
+    from armsight.server.serving import serve_pages
+    from armsight.server.web_server import check_options, listening
 
     cancelled = face.progress("opening").cancelled
     with contextlib.ExitStack() as stack:
-        listener = stack.enter_context(listening(options))
+        listener = stack.enter_context(listening(options.bind, options.port))
         stack.enter_context(one_console(folder))
         if not changed:
             prepare_simulated(robot, folder)
@@ -108,7 +115,7 @@ def serve_cell(face: CommandUI, robot: str, folder: Path, changed: dict[str, Any
             _tell_refusal(face, made.begin(changed, robot=robot))
             server = create_app(cell.service, Authenticator(check_options(options)))
             add_console(server, made)
-            serve_pages(server, options, listener, ready=lambda url: _say(face, url))
+            serve_pages(server, options, listener, ready=lambda url: _say(face, url), service=cell.service)
         finally:
             made.close()
 

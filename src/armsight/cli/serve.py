@@ -10,7 +10,7 @@ import typer
 from armsight.cli.command_ui import CommandUI
 
 if TYPE_CHECKING:
-    from armsight.server.serving import ServeOptions
+    from armsight.server.web_server import ServeOptions
 
 
 def serve(
@@ -24,6 +24,10 @@ def serve(
         "127.0.0.1"
     ),
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen at; 0 takes a free one.")] = 8765,
+    stop_port: Annotated[
+        int | None,
+        typer.Option(min=0, max=65535, help="Port of the line for stops; 0 takes a free one. [default: the next one]"),
+    ] = None,
     tokens: Annotated[Path | None, typer.Option(help="tokens.yaml: who may watch and who may drive.")] = None,
     tls_cert: Annotated[Path | None, typer.Option(help="The server's certificate, PEM.")] = None,
     tls_key: Annotated[Path | None, typer.Option(help="The certificate's key, PEM.")] = None,
@@ -56,7 +60,7 @@ def serve(
     with CommandUI(as_json=False) as face:
         from armsight.app.robot.event_log import default_log
         from armsight.errors import UsageError
-        from armsight.server.serving import ServeOptions
+        from armsight.server.web_server import ServeOptions
         from armsight.server.whole import serve_robot
 
         if add_token is not None:
@@ -64,7 +68,9 @@ def serve(
             return
         if robot is None:
             raise UsageError("no robot is named", consequence="Nothing is served", cure="Give --robot DRIVER:DEVICE")
-        options = ServeOptions(bind=bind, port=port, tokens=tokens, tls_cert=tls_cert, tls_key=tls_key)
+        options = ServeOptions(
+            bind=bind, port=port, stop_port=stop_port, tokens=tokens, tls_cert=tls_cert, tls_key=tls_key
+        )
         if console is not None:
             _with_pages(
                 face, robot, console, options, {"arm": arm, "limits": limits, "rsi-config": rsi_config, "log": log}
@@ -94,7 +100,7 @@ def _with_pages(face: CommandUI, robot: str, folder: Path, options: ServeOptions
     """Serve programs and the operator's pages with one loop, one right to drive, and the same tokens."""
     from armsight.cli.console import serve_cell
     from armsight.errors import UsageError
-    from armsight.server.serving import check_options
+    from armsight.server.web_server import check_options
 
     given = [f"--{name}" for name, value in own.items() if value is not None]
     if given:

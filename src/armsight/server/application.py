@@ -10,12 +10,11 @@ from typing import Annotated, Any
 
 from fastapi import Depends, FastAPI, HTTPException, Request, WebSocket
 from fastapi.responses import HTMLResponse
-from starlette.requests import HTTPConnection
 
 from armsight.app.robot.service import Service
 from armsight.drivers.remote import protocol as say
 from armsight.errors import ArmsightError
-from armsight.server.auth import Authenticator, Caller, Identity
+from armsight.server.auth import Authenticator, Identity, address_of, caller_of
 from armsight.server.sockets import Connection
 
 PUMP_S = 0.02
@@ -27,7 +26,7 @@ async def known(request: Request) -> Identity:
     found = request.app.state.auth.check(caller_of(request))
     if isinstance(found, Identity):
         return found
-    request.app.state.service.desk.note("warning", f"{_address(request)} was kept out: {found.why}")
+    request.app.state.service.desk.note("warning", f"{address_of(request)} was kept out: {found.why}")
     raise HTTPException(found.status, found.why, headers={"WWW-Authenticate": "Bearer"})
 
 
@@ -76,17 +75,6 @@ def create_app(service: Service, auth: Authenticator) -> FastAPI:
     return app
 
 
-def caller_of(connection: HTTPConnection) -> Caller:
-    """Return what a request says of itself."""
-    headers = connection.headers
-    return Caller(
-        address=_address(connection),
-        authorization=headers.get("authorization", ""),
-        host=headers.get("host", ""),
-        origin=headers.get("origin", ""),
-    )
-
-
 def openapi_page(schema: dict[str, Any]) -> str:
     """Return the OpenAPI description as a page that needs nothing from elsewhere: a robot's cell is often offline."""
     rows = "".join(
@@ -106,10 +94,6 @@ def openapi_page(schema: dict[str, Any]) -> str:
         f"<table><tr><th>Method</th><th>Path</th><th>What</th></tr>{rows}{sockets}</table>"
         "<p>Machines read <a href='/openapi.json'>/openapi.json</a>.</p></body></html>"
     )
-
-
-def _address(connection: HTTPConnection) -> str:
-    return connection.client.host if connection.client else "unknown"
 
 
 def _pumping(service: Service) -> Any:

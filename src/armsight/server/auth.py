@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections import OrderedDict, deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from http.cookies import SimpleCookie
 from ipaddress import ip_address
 from typing import Literal
 from urllib.parse import urlsplit
+
+from starlette.requests import HTTPConnection
 
 from armsight.clock import Clock, SystemClock
 from armsight.store.tokens import TokenEntry
@@ -23,6 +26,11 @@ ADDRESSES = 1024
 """Addresses with failures that are remembered; the oldest is forgotten first."""
 
 LONGEST_TOKEN = 200
+
+COOKIE = "armsight_token"
+"""In which a browser keeps its token."""
+
+LONGEST_COOKIE = 4096
 
 LOCAL_HOSTS = ("localhost", "127.0.0.1", "::1")
 
@@ -60,14 +68,18 @@ class Authenticator:
     WebSocket is not held back by the browser's rule of the same origin.
     """
 
-    def __init__(self, tokens: Sequence[TokenEntry] = (), *, clock: Clock | None = None) -> None:
+    def __init__(
+        self, tokens: Sequence[TokenEntry] = (), *, clock: Clock | None = None, page_port: int | None = None
+    ) -> None:
+        """page_port: of this machine's own pages, where they come from another port than they ask."""
         self._tokens = tuple(tokens)
+        self._page_port = page_port
         self._clock = clock or SystemClock()
         self._failed: OrderedDict[str, deque[float]] = OrderedDict()
 
     def check(self, caller: Caller) -> Identity | Denied:
         """Return who the caller is, or why they stay out."""
-        if caller.origin and urlsplit(caller.origin).netloc.lower() != caller.host.lower():
+        if caller.origin and not self._own_page(caller):
             return Denied(status=403, why=f"a page of {caller.origin[:80]!r} may not use this server")
         if not self._tokens:
             return self._local(caller)
@@ -81,6 +93,16 @@ class Authenticator:
             self._note_failure(caller.address)
             return Denied(status=401, why="no valid token")
         return Identity(who=found.name, role=found.role)
+
+    def _own_page(self, caller: Caller) -> bool:
+        """Tell whether the page that asks is one of this server."""
+        try:
+            origin, host = urlsplit(caller.origin), urlsplit(f"//{caller.host}")
+            if self._page_port is not None:
+                return origin.hostname == host.hostname and origin.port == self._page_port
+        except ValueError:
+            return False
+        return origin.netloc.lower() == caller.host.lower()
 
     def _local(self, caller: Caller) -> Identity | Denied:
         """Let in who is on this machine and asked for this machine: a foreign name that leads here is a trick."""
@@ -107,6 +129,29 @@ class Authenticator:
         self._failed.move_to_end(address)
         while len(self._failed) > ADDRESSES:
             self._failed.popitem(last=False)
+
+
+def caller_of(connection: HTTPConnection, token: str = "") -> Caller:
+    """Return what a request says of itself; token: one that it brings elsewhere than in its header or its cookie."""
+    headers = connection.headers
+    said = headers.get("authorization", "")
+    if not said and not token:
+        cookies: SimpleCookie = SimpleCookie()
+        cookies.load(headers.get("cookie", "")[:LONGEST_COOKIE])
+        token = cookies[COOKIE].value if COOKIE in cookies else ""
+    if token and len(token) <= LONGEST_TOKEN:
+        said = f"Bearer {token}"
+    return Caller(
+        address=address_of(connection),
+        authorization=said,
+        host=headers.get("host", ""),
+        origin=headers.get("origin", ""),
+    )
+
+
+def address_of(connection: HTTPConnection) -> str:
+    """Return the address that a request comes from."""
+    return connection.client.host if connection.client else "unknown"
 
 
 def is_loopback(address: str) -> bool:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from html import escape
-from http.cookies import SimpleCookie
 from urllib.parse import parse_qs
 
 from starlette.requests import HTTPConnection, Request
@@ -11,10 +10,8 @@ from starlette.responses import HTMLResponse, PlainTextResponse, RedirectRespons
 from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocketClose
 
-from armsight.server.application import caller_of
-from armsight.server.auth import LONGEST_TOKEN, Authenticator, Caller, Denied
+from armsight.server.auth import COOKIE, Authenticator, Denied, caller_of
 
-COOKIE = "armsight_token"
 IDENTITY = "armsight.identity"
 LOGIN = "/login"
 LONGEST_BODY = 4096
@@ -47,7 +44,7 @@ class Gate:
         if scope["type"] == "http" and scope["path"] == LOGIN and scope["method"] == "POST":
             await (await self._login(Request(scope, receive)))(scope, receive, send)
             return
-        found = self._auth.check(_with_cookie(HTTPConnection(scope)))
+        found = self._auth.check(caller_of(HTTPConnection(scope)))
         if not isinstance(found, Denied):
             await self.app({**scope, IDENTITY: found}, receive, send)
         elif scope["type"] == "websocket":
@@ -63,27 +60,12 @@ class Gate:
             if len(body) > LONGEST_BODY:
                 return PlainTextResponse("too long", 413)
         token = parse_qs(body.decode("utf-8", "replace")).get("token", [""])[0].strip()
-        found = self._auth.check(_caller(request, token))
+        found = self._auth.check(caller_of(request, token))
         if isinstance(found, Denied):
             return _asking(found)
         answer = RedirectResponse("/", status_code=303)
         answer.set_cookie(COOKIE, token, max_age=DAY_S, httponly=True, samesite="strict", secure=self._secure)
         return answer
-
-
-def _with_cookie(connection: HTTPConnection) -> Caller:
-    if connection.headers.get("authorization"):
-        return caller_of(connection)
-    cookies: SimpleCookie = SimpleCookie()
-    cookies.load(connection.headers.get("cookie", "")[:LONGEST_BODY])
-    morsel = cookies.get(COOKIE)
-    return _caller(connection, "" if morsel is None else morsel.value)
-
-
-def _caller(connection: HTTPConnection, token: str) -> Caller:
-    said = caller_of(connection)
-    given = f"Bearer {token}" if token and len(token) <= LONGEST_TOKEN else said.authorization
-    return Caller(address=said.address, authorization=given, host=said.host, origin=said.origin)
 
 
 def _denied(denied: Denied, path: str) -> Response:

@@ -12,12 +12,12 @@ from starlette.websockets import WebSocketDisconnect, WebSocketState
 
 from armsight._version import __version__
 from armsight.app.robot.desk import Lease
-from armsight.app.robot.host import HEARTBEAT_S, SETPOINT_S
+from armsight.app.robot.host import SETPOINT_S
 from armsight.app.robot.service import Service
-from armsight.clock import SystemClock
 from armsight.drivers.remote import protocol as say
 from armsight.errors import ArmsightError, DeviceFailed
 from armsight.server.auth import Authenticator, Caller, Denied
+from armsight.server.connections import age_of
 from armsight.server.session import VIOLATIONS, Session
 
 STATE_S = 0.05
@@ -30,8 +30,8 @@ BROKE_RULES = 1008
 TOO_LONG = 1009
 """Close codes of RFC 6455: against the rules, and a message that is too long."""
 
-CLIENTS = 32
-"""Connections at a time."""
+WATCHERS, WATCHERS_PER_ADDRESS = 32, 16
+"""Connections that watch at a time; who drives is not counted among them, and always finds room."""
 
 
 class Connection:
@@ -52,7 +52,6 @@ class Connection:
         self._socket = socket
         self._caller = caller
         self._role = role
-        self._clock = SystemClock()
         self._who = ""
         self._lease: Lease | None = None
 
@@ -60,7 +59,7 @@ class Connection:
         """Let the client in, or tell why not; take its messages until it leaves. Its leaving holds the robot."""
         if not await self._enter():
             return
-        session = Session(self._role, self._clock.now_s())
+        session = Session(self._role)
         await self._send(self._welcome(session))
         teller = asyncio.create_task(self._tell())
         why = "the server ended"
@@ -69,7 +68,7 @@ class Connection:
         finally:
             if self._lease is not None:
                 self._desk.leave(self._lease, why)  # first of all, and at once: nothing is awaited before it
-            self._service.n_clients -= 1
+            self._count(-1)
             teller.cancel()
             with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
                 await teller
@@ -78,8 +77,8 @@ class Connection:
         found = self._auth.check(self._caller)
         if not isinstance(found, Denied) and self._role == "drive" and found.role != "drive":
             found = Denied(status=403, why=f"{found.who} may watch, not drive")
-        if not isinstance(found, Denied) and self._service.n_clients >= CLIENTS:
-            found = Denied(status=503, why=f"{CLIENTS} clients are connected; no more are taken")
+        if not isinstance(found, Denied) and self._role == "watch":
+            found = self._crowded() or found
         if isinstance(found, Denied):
             self._desk.note("warning", f"{self._caller.address} was kept out: {found.why}")
             await self._deny(found)
@@ -91,18 +90,29 @@ class Connection:
             except DeviceFailed as error:
                 self._desk.note("warning", f"{self._who} was refused to drive: {error.cause}")
                 await self._socket.accept()
-                await self._send(refusal(error, None))
+                await self._send(say.Refused.of(error, None))
                 await self._socket.close(TAKEN, error.cause[:120])
                 return False
-        self._service.n_clients += 1
+        self._count(1)
         try:
             await self._socket.accept()
         except BaseException:
-            self._service.n_clients -= 1
+            self._count(-1)
             if self._lease is not None:
                 self._desk.leave(self._lease, "its connection ended")
             raise
         return True
+
+    def _crowded(self) -> Denied | None:
+        """Return why no more may watch; None while there is room."""
+        watchers = self._service.watchers
+        if watchers[self._caller.address] < WATCHERS_PER_ADDRESS and watchers.total() < WATCHERS:
+            return None
+        return Denied(status=503, why=f"{watchers.total()} clients watch; no more are taken")
+
+    def _count(self, change: int) -> None:
+        if self._role == "watch":
+            self._service.watchers[self._caller.address] += change
 
     async def _deny(self, denied: Denied) -> None:
         await self._socket.send_denial_response(PlainTextResponse(denied.why, denied.status))
@@ -116,9 +126,11 @@ class Connection:
             role=self._role,
             who=self._who,
             robot=self._desk.robot,
-            heartbeat_s=HEARTBEAT_S,
+            heartbeat_s=self._service.host.enable_age_s,
             setpoint_s=SETPOINT_S,
             max_bytes=say.MAX_BYTES,
+            stop_port=self._service.stop_port,
+            enable_key="" if self._lease is None else self._lease.key,
         )
 
     async def _listen(self, session: Session) -> str:
@@ -130,8 +142,9 @@ class Connection:
                 return f"{self._who} is gone"
             if message["type"] == "websocket.disconnect":
                 return self._left(message.get("code"))
+            await asyncio.sleep(0)  # what a client has piled up must not hold up the others
             text = message.get("text") if message.get("text") is not None else message.get("bytes", b"")
-            answer = self._answer(session, text or "")
+            answer = self._answer(session, text or "", age_of(message))
             with contextlib.suppress(WebSocketDisconnect, RuntimeError):
                 await self._send(answer)
                 if session.spent:
@@ -145,11 +158,11 @@ class Connection:
             return f"{self._who} sent a message that is too long"
         return f"{self._who} is gone" if code in (None, 1005, 1006, 1011) else f"{self._who} left"
 
-    def _answer(self, session: Session, text: str | bytes) -> say.ServerMessage:
+    def _answer(self, session: Session, text: str | bytes, age_s: float) -> say.ServerMessage:
         """Do what a message says and return the answer; what is refused is kept in the log."""
         seq = None
         try:
-            command = session.admit(text, self._clock.now_s())
+            command = session.admit(text)
             seq = command.seq
             if isinstance(command, say.ReadMessage):
                 return self._desk.state(command.seq)
@@ -161,10 +174,10 @@ class Connection:
                 )
             if self._lease is None:
                 raise DeviceFailed("this connection does not drive", consequence="Nothing was done")
-            return self._desk.perform(self._lease, command)
+            return self._desk.perform(self._lease, command, age_s=age_s)
         except ArmsightError as error:
             self._desk.note("warning", f"a message of {self._who} was refused: {error.cause}")
-            return refusal(error, seq)
+            return say.Refused.of(error, seq)
 
     async def _tell(self) -> None:
         """Send the state now and then, and events as they come; a client that does not read holds up only itself."""
@@ -179,10 +192,3 @@ class Connection:
     async def _send(self, message: say.ServerMessage) -> None:
         if self._socket.client_state is WebSocketState.CONNECTED:
             await self._socket.send_text(message.model_dump_json())
-
-
-def refusal(error: ArmsightError, seq: int | None) -> say.Refused:
-    """Return an error as the client gets it."""
-    return say.Refused(
-        reply_to=seq, kind=type(error).__name__, cause=error.cause, consequence=error.consequence, cure=error.cure
-    )

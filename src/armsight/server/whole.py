@@ -12,7 +12,8 @@ from armsight.app.robot.models import arm_model
 from armsight.app.robot.service import Service
 from armsight.control.guard import Limits
 from armsight.errors import Cancelled
-from armsight.server.serving import ServeOptions, check_options, serve
+from armsight.server.serving import serve
+from armsight.server.web_server import ServeOptions, check_options
 from armsight.store.limits_file import read_limits
 
 

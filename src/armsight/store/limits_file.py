@@ -50,6 +50,7 @@ class LimitsModel(Origin):
     forbidden: list[BoxModel] | None = None
     margin_m: NotNegative | None = None
     singularity: NotNegative | None = None
+    enable_age_s: Positive | None = None
     target_age_s: Positive | None = None
     silent_cycles: Positive | None = None
     late_cycles: Positive | None = None

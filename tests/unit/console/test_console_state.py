@@ -15,7 +15,7 @@ from armsight.clock import ManualClock
 from armsight.console.layout import level_of
 from armsight.console.state import Console
 from armsight.errors import BadFile
-from armsight.server.serving import ServeOptions, listening
+from armsight.server.web_server import ServeOptions, listening
 from armsight.store.cell_file import CellFile, write_cell
 
 SIDE = SideView(width=4, height=3, spots=[], epipolar=[], advice="good", background=0.0, brightest=None, sigma_px=None)
@@ -73,7 +73,7 @@ def test_what_is_given_with_the_command_and_wrong_is_refused(tmp_path: Path) -> 
 
 
 def test_a_port_in_use_is_told_before_anything_is_opened(tmp_path: Path) -> None:
-    with listening(ServeOptions(port=0)) as taken:
+    with listening("127.0.0.1", 0) as taken:
         done = CliRunner().invoke(
             app,
             ["console", "--robot", "sim:webcam-cell", "--folder", str(tmp_path / "cell"),

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import pickle
 import subprocess
 import threading
 
 import numpy as np
 import pytest
 
+from armsight.app.robot.channels import LineChannels
 from armsight.app.robot.host import LoopEvent, Snapshot
 from armsight.app.robot.service import Service
 from armsight.control.setpoints import JointGoal
@@ -46,6 +48,7 @@ class FakeHost:
         self.guard, self.robot, self.dropped = "disabled", RobotState.READY, 0
         self.ended = False
         self.heard = threading.Event()
+        self.line = LineChannels()
 
     def tick(self, cycles: int = 1) -> None:
         self.cycle += cycles
@@ -63,15 +66,20 @@ class FakeHost:
             q_sent=self.q, enabled=True, dropped=self.dropped, late=0, missed=0,
         )  # fmt: skip
 
-    def post(self, setpoint) -> None:
+    enable_age_s = 0.25
+
+    def grant(self, lease: int, key: str) -> None:
+        self.line.grant.write(pickle.dumps((lease, key)))
+
+    def post(self, setpoint, *, age_s: float = 0.0) -> None:
         self._tell("post", setpoint)
         if isinstance(setpoint, JointGoal):
             self.q = setpoint.q
 
-    def beat(self, *, enable: bool) -> None:
+    def beat(self, *, enable: bool, age_s: float = 0.0, lease: int = 0, number: int | None = None) -> None:
         self._tell("beat", enable)
 
-    def release(self, why: str) -> None:
+    def release(self, why: str, *, lease: int = 0) -> None:
         self._tell("release", why)
         self.heard.set()
 

@@ -9,7 +9,7 @@ import pytest
 from armsight.clock import ManualClock
 from armsight.errors import BadFile, UsageError
 from armsight.server.auth import FAILURES, WINDOW_S, Authenticator, Caller, Denied, Identity, is_loopback
-from armsight.server.serving import ServeOptions, check_options
+from armsight.server.web_server import ServeOptions, check_options
 from armsight.store.tokens import add_token, read_tokens
 
 

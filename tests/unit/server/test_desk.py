@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from armsight.app.robot.desk import SILENT_S
-from armsight.app.robot.host import HEARTBEAT_S
 from armsight.control.setpoints import Hold, JointGoal, JointVelocity
 from armsight.drivers import RobotState
 from armsight.drivers.remote import protocol as say
@@ -66,9 +65,9 @@ def test_without_a_live_enable_nothing_moves(desk, host):
     with pytest.raises(DeviceFailed, match="enable is off"):
         desk.perform(lease, goal)
     desk.perform(lease, make(say.Heartbeat, enable=True))
-    host.t_s += 1.1 * HEARTBEAT_S
+    host.t_s += 1.1 * host.enable_age_s
     for message in (goal, make(say.JointStepMessage, step=[0.1, 0.1]), make(say.JointVelocityMessage, qd=[0.1, 0.1])):
-        with pytest.raises(DeviceFailed, match="no heartbeat"):
+        with pytest.raises(DeviceFailed, match="newest enable"):
             desk.perform(lease, message)
     assert not posts(host)
 

@@ -10,7 +10,8 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.robot.channels import Newest, Queue
-from armsight.app.robot.host import HEARTBEAT_S, LoopCommand, LoopEvent
+from armsight.app.robot.host import LoopCommand, LoopEvent
+from armsight.control.guard.limits import ENABLE_AGE_S
 from armsight.app.robot.hosting import ProcessHost, RobotSpec, ThreadHost
 from armsight.app.robot.loop_side import Channels, CountedClock, lateness_s
 from armsight.app.robot.models import arm_model
@@ -91,7 +92,7 @@ def test_a_driver_who_is_gone_is_a_hold(how):
         loop.advance(0.4, beat=True)
         assert loop.host.snapshot().guard == "running"
         if how == "silent":
-            loop.advance(HEARTBEAT_S + 2 * CYCLE_S)
+            loop.advance(ENABLE_AGE_S + 2 * CYCLE_S)
         elif how == "release":
             loop.host.release("gone")
             loop.advance(CYCLE_S)

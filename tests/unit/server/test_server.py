@@ -13,8 +13,9 @@ from websockets.sync.client import connect
 from armsight.drivers.remote import Link, ServerAddress
 from armsight.drivers.remote import protocol as say
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, UsageError
-from armsight.server.serving import ServeOptions, background
+from armsight.server.serving import background
 from armsight.server.session import VIOLATIONS
+from armsight.server.web_server import ServeOptions
 from armsight.store.tokens import add_token
 
 WAIT_S = 20.0

@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.app.operator.placing import flange_pose
 from armsight.app.robot.alone import alone
 from armsight.app.robot.desk import EnableLost, Lease
-from armsight.app.robot.host import HEARTBEAT_S, Snapshot
+from armsight.app.robot.host import Snapshot
 from armsight.app.robot.service import Service
 from armsight.control.setpoints import CycleState, JointVelocity, ToolTwist
 from armsight.control.sources import JogFrame, JogSource
@@ -186,7 +186,7 @@ class Seat:
     @alone
     def enabled(self, browser: str) -> bool:
         """Return whether this browser holds the enable now."""
-        return self._held and browser == self._browser and self._host.now_s() - self._beat_s <= HEARTBEAT_S
+        return self._held and browser == self._browser and self._host.now_s() - self._beat_s <= self._host.enable_age_s
 
     @alone
     def step(self, browser: str, step: Array) -> tuple[Array, tuple[str, ...]]:

@@ -7,6 +7,7 @@ left out, so that no lock is needed and a process that dies holds nobody up.
 from __future__ import annotations
 
 import zlib
+from dataclasses import dataclass, field
 from multiprocessing import RawArray
 from typing import Any
 
@@ -112,6 +113,18 @@ class Queue:
             self._slots.set_taken(number)
             return data
         return None
+
+
+@dataclass(frozen=True, slots=True)
+class LineChannels:
+    """What the line for stops shares.
+
+    orders: to the loop. grant: whose enable counts, written by the server. notes: for the server's log.
+    """
+
+    orders: Queue = field(default_factory=lambda: Queue(256, 512))
+    grant: Newest = field(default_factory=lambda: Newest(256))
+    notes: Queue = field(default_factory=lambda: Queue(256, 512))
 
 
 class JointTrack:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 from dataclasses import dataclass
 from threading import RLock
 from typing import Any, Protocol
@@ -11,12 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.robot.alone import alone
-from armsight.app.robot.host import HEARTBEAT_S, Host, Snapshot, flange_pose
+from armsight.app.robot.host import Host, Snapshot, flange_pose
 from armsight.control.setpoints import Hold, JointGoal, JointVelocity, SetPoint, ToolTwist
 from armsight.drivers import RobotState
 from armsight.drivers.remote import protocol as say
-from armsight.errors import DeviceFailed, Inconsistent, UsageError
+from armsight.errors import DeviceFailed, Inconsistent, StaleData, UsageError
 from armsight.geometry import pose_from_quat, xyz_quat
+from armsight.units import MS
 
 Array = NDArray[np.float64]
 
@@ -50,11 +52,15 @@ class EnableLost(DeviceFailed):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lease:
-    """The right to drive: one at a time. number tells leases of the same person apart."""
+    """The right to drive: one at a time. number tells leases of the same person apart.
+
+    key: what their enable is known by on the line for stops; for them alone.
+    """
 
     number: int
     who: str
     since_s: float
+    key: str
 
 
 class Desk:
@@ -107,7 +113,8 @@ class Desk:
                 )
             self.leave(held, f"{held.who} was silent for {SILENT_S:g} s and {who} drives now")
         self._leases += 1
-        self._lease = Lease(number=self._leases, who=who, since_s=now_s)
+        self._lease = Lease(number=self._leases, who=who, since_s=now_s, key=secrets.token_hex(16))
+        self._host.grant(self._lease.number, self._lease.key)
         self.note("info", f"{who} drives")
         return self._lease
 
@@ -118,7 +125,8 @@ class Desk:
             return
         self._lease = None
         self._enabled, self._reenable, self._goal = False, False, None
-        self._host.release(why)
+        self._host.grant(lease.number, "")
+        self._host.release(why, lease=lease.number)
         self.note("info", f"{lease.who} no longer drives: {why}")
 
     @alone
@@ -130,11 +138,12 @@ class Desk:
         self.note("warning", f"stopped by {who}")
 
     @alone
-    def perform(self, lease: Lease, command: say.Command) -> say.Accepted:
-        """Do what the driver asks and return where it leads.
+    def perform(self, lease: Lease, command: say.Command, *, age_s: float = 0.0) -> say.Accepted:
+        """Do what the driver asked age_s ago and return where it leads.
 
-        Raises DeviceFailed where the robot is stopped, not enabled, or driven by another; Inconsistent and UsageError
-        for what it cannot do; DeviceLost where the loop has ended.
+        Raises DeviceFailed where the robot is stopped, not enabled, or driven by another; StaleData for a set point
+        that was too long under way; Inconsistent and UsageError for what it cannot do; DeviceLost where the loop has
+        ended.
         """
         if lease is not self._lease:
             raise DeviceFailed(
@@ -146,7 +155,7 @@ class Desk:
                 now_s, lease.who, command.type, command.model_dump(exclude={"session", "type"}, mode="json")
             )
         now = self._host.snapshot()
-        q, limited = self._done(lease, command, now)
+        q, limited = self._done(lease, command, now, age_s)
         T = flange_pose(self._host.arm, q) if q is not None and self.robot.takes_poses else None
         return say.Accepted(
             reply_to=command.seq,
@@ -192,48 +201,50 @@ class Desk:
         """Keep something that happened."""
         self._log.event(self._host.now_s(), level, message)
 
-    def _done(self, lease: Lease, command: say.Command, now: Snapshot) -> tuple[Array | None, tuple[str, ...]]:
+    def _done(
+        self, lease: Lease, command: say.Command, now: Snapshot, age_s: float
+    ) -> tuple[Array | None, tuple[str, ...]]:
         """Do what is asked; return the joint values it leads to (n,), and the limits that cut it."""
         match command:
             case say.Heartbeat():
-                self._beat(command.enable)
+                self._beat(lease, command, age_s)
             case say.HoldMessage():
-                self._post(Hold(why=f"{lease.who} asked for it"))
+                self._post(Hold(why=f"{lease.who} asked for it"), age_s)
             case say.StopMessage():
                 self.stop(lease.who)
             case say.ResetMessage():
                 self._reset(lease, now)
-            case say.JointVelocityMessage():
-                self._allow(now)
-                self._post(JointVelocity(qd=self._joints("qd", command.qd)))
-            case say.ToolTwistMessage():
-                self._allow(now)
-                self._need_poses()
-                self._post(
-                    ToolTwist(
-                        velocity_m_s=np.array(command.velocity_m_s), angular_rad_s=np.array(command.angular_rad_s)
-                    )
-                )
-            case say.JointGoalMessage():
-                self._allow(now)
-                return self._go(self._reachable(command.q), now), ()
-            case say.JointStepMessage():
-                self._allow(now)
-                begin, step = self._begin_cycle(now), self._joints("step", command.step)
-                return self._cut((begin if self._goal is None else self._goal) + step, now)
-            case say.FlangePoseMessage():
-                self._allow(now)
-                return self._cut(self._joints_of(command.T_base_flange, self._begin_cycle(now)), now)
+            case say.ReadMessage():
+                raise UsageError("read is no command of a driver", consequence="Nothing was done")
             case _:
-                raise UsageError(f"{command.type} is no command of a driver", consequence="Nothing was done")
+                return self._move(command, now, age_s)
         return None, ()
 
-    def _beat(self, enable: bool) -> None:
-        self._reenable = self._reenable and enable
-        self._beat_s, self._enabled = self._host.now_s(), enable and not self._reenable
-        if not enable:
+    def _move(self, command: say.Motion, now: Snapshot, age_s: float) -> tuple[Array | None, tuple[str, ...]]:
+        """Do what sets the robot in motion, where that is allowed; return as _done."""
+        self._allow(now, age_s)
+        match command:
+            case say.JointVelocityMessage():
+                self._post(JointVelocity(qd=self._joints("qd", command.qd)), age_s)
+            case say.ToolTwistMessage(velocity_m_s=v, angular_rad_s=w):
+                self._need_poses()
+                self._post(ToolTwist(velocity_m_s=np.array(v), angular_rad_s=np.array(w)), age_s)
+            case say.JointGoalMessage():
+                return self._go(self._reachable(command.q), now, age_s), ()
+            case say.JointStepMessage():
+                begin, step = self._begin_cycle(now), self._joints("step", command.step)
+                return self._cut((begin if self._goal is None else self._goal) + step, now, age_s)
+            case say.FlangePoseMessage():
+                return self._cut(self._joints_of(command.T_base_flange, self._begin_cycle(now)), now, age_s)
+        return None, ()
+
+    def _beat(self, lease: Lease, said: say.Heartbeat, age_s: float) -> None:
+        """Take an enable, or its end; it counts from when it was sent."""
+        self._reenable = self._reenable and said.enable
+        self._beat_s, self._enabled = self._host.now_s() - age_s, said.enable and not self._reenable
+        if not said.enable:
             self._goal = None
-        self._host.beat(enable=enable)
+        self._host.beat(enable=said.enable, age_s=age_s, lease=lease.number, number=said.number)
 
     def _reset(self, lease: Lease, now: Snapshot) -> None:
         self._host.reset()
@@ -241,16 +252,16 @@ class Desk:
         self._enabled, self._reenable = False, True  # who still holds the enable must let go of it first
         self.note("info", f"reset by {lease.who}")
 
-    def _post(self, setpoint: SetPoint) -> None:
+    def _post(self, setpoint: SetPoint, age_s: float) -> None:
         self._goal = None
-        self._host.post(setpoint)
+        self._host.post(setpoint, age_s=age_s)
 
-    def _go(self, q: Array, now: Snapshot) -> Array:
-        self._host.post(JointGoal(q=q))
+    def _go(self, q: Array, now: Snapshot, age_s: float) -> Array:
+        self._host.post(JointGoal(q=q), age_s=age_s)
         self._goal, self._dropped = q, now.dropped
         return q
 
-    def _cut(self, goal: Array, now: Snapshot) -> tuple[Array, tuple[str, ...]]:
+    def _cut(self, goal: Array, now: Snapshot, age_s: float) -> tuple[Array, tuple[str, ...]]:
         """Go towards joint values (n,) as far as one cycle allows, all joints alike, within their range."""
         joints = self.robot.joints
         way = goal - self._from
@@ -265,7 +276,7 @@ class Desk:
         far = tuple(f"lead of {j.name}" for j, a, b in zip(joints, asked, near, strict=True) if a != b)
         q = np.clip(near, self._lower, self._upper)
         ends = tuple(f"range of {j.name}" for j, a, b in zip(joints, near, q, strict=True) if a != b)
-        return self._go(q, now), slow + far + ends
+        return self._go(q, now, age_s), slow + far + ends
 
     def _begin_cycle(self, now: Snapshot) -> Array:
         """Return where this cycle's steps begin: together they lead no further from there than a cycle's way."""
@@ -276,8 +287,8 @@ class Desk:
             self._from = now.q_sent if self._goal is None else self._goal
         return self._from
 
-    def _allow(self, now: Snapshot) -> None:
-        """Raise DeviceFailed where motion is not allowed now."""
+    def _allow(self, now: Snapshot, age_s: float) -> None:
+        """Raise DeviceFailed where motion is not allowed now, StaleData for what was asked too long ago."""
         if self._robot_state(now) is RobotState.LOST:
             raise DeviceFailed(f"the link to {self.robot.name} is lost", consequence="Nothing was sent")
         if self._robot_state(now) is RobotState.STOPPED:
@@ -286,14 +297,20 @@ class Desk:
                 consequence="Nothing was sent",
                 cure="Reset it first",
             )
-        silent_s = self._host.now_s() - self._beat_s
-        if not self._enabled or silent_s > HEARTBEAT_S:
+        longest_s = self._host.enable_age_s
+        old_s = self._host.now_s() - self._beat_s
+        if not self._enabled or old_s > longest_s:
             off = "the enable must be let go of and given anew" if self._reenable else "the driver's enable is off"
-            why = f"no heartbeat for {silent_s:.2f} s" if self._enabled else off
             raise EnableLost(
-                f"motion is not enabled: {why}",
+                f"motion is not enabled: {f'the newest enable is {old_s:.2f} s old' if self._enabled else off}",
                 consequence="Nothing was sent",
-                cure=f"Send a heartbeat with enable at least every {HEARTBEAT_S:g} s while the operator allows motion",
+                cure=f"Send a heartbeat with enable several times in {longest_s:g} s, over a line that is faster",
+            )
+        if age_s > longest_s:
+            raise StaleData(
+                f"a command that may be {age_s / MS:.0f} ms old",
+                consequence="Nothing was sent",
+                cure=f"Drive over a line whose round trip is well below {longest_s / MS:.0f} ms",
             )
 
     def _robot_state(self, now: Snapshot) -> RobotState:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight.app.robot.channels import LineChannels
 from armsight.control.setpoints import SetPoint
 from armsight.drivers import RobotState
 from armsight.drivers.remote.protocol import RobotDescription
@@ -16,9 +17,6 @@ from armsight.kinematics import Arm
 from armsight.records import JointReading
 
 Array = NDArray[np.float64]
-
-HEARTBEAT_S = 0.25
-"""Without a driver's heartbeat for so long the robot is held."""
 
 SETPOINT_S = 0.25
 """A velocity holds so long; a place holds until it is reached."""
@@ -70,8 +68,13 @@ LoopRecord = LoopEvent | LoopCommand | JointReading
 class Host(Protocol):
     """A robot's loop with its guard, wherever it runs. No method waits for the loop.
 
-    Motion needs beat(enable=True) at least every HEARTBEAT_S; without it the loop holds the robot by itself.
+    Motion needs beat(enable=True), sent no longer ago than enable_age_s; without it the loop holds the robot by itself.
     """
+
+    @property
+    def enable_age_s(self) -> float:
+        """How old an enable or a set point may be."""
+        ...
 
     @property
     def description(self) -> RobotDescription:
@@ -95,16 +98,28 @@ class Host(Protocol):
         """Return by how much at most 99 % of the cycles began too late."""
         ...
 
-    def post(self, setpoint: SetPoint) -> None:
-        """Replace what is asked of the robot. Raises DeviceLost where the loop does not take it."""
+    @property
+    def line(self) -> LineChannels:
+        """What the line for stops shares with the loop and with the server."""
         ...
 
-    def beat(self, *, enable: bool) -> None:
-        """Tell the loop that the driver is alive, and whether motion is allowed. Raises DeviceLost."""
+    def grant(self, lease: int, key: str) -> None:
+        """Let the line for stops take the enables of lease number lease, by its key; an empty key: of nobody."""
         ...
 
-    def release(self, why: str) -> None:
-        """Hold at once and forget what was asked and enabled: the driver is gone. Never raises."""
+    def post(self, setpoint: SetPoint, *, age_s: float = 0.0) -> None:
+        """Replace what is asked of the robot, sent age_s ago. Raises DeviceLost where the loop does not take it."""
+        ...
+
+    def beat(self, *, enable: bool, age_s: float = 0.0, lease: int = 0, number: int | None = None) -> None:
+        """Tell the loop that a driver was alive age_s ago, and whether motion was allowed then. Raises DeviceLost.
+
+        number: of the enable, which grows; one that another way has overtaken does not count.
+        """
+        ...
+
+    def release(self, why: str, *, lease: int = 0) -> None:
+        """Hold at once and forget what was asked and enabled: the driver is gone, and this lease. Never raises."""
         ...
 
     def stop(self, why: str) -> None:

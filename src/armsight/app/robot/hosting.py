@@ -18,7 +18,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.robot.channels import JointTrack
+from armsight.app.robot.channels import JointTrack, LineChannels
 from armsight.app.robot.host import LoopEvent, LoopRecord, Snapshot
 from armsight.app.robot.loop_side import Channels, lateness_s, run_loop
 from armsight.app.robot.opening import open_robot
@@ -54,12 +54,12 @@ class RobotSpec:
 class _LoopHost:
     """The server's side of the channels; a Host. Subclasses run the loop. For one thread at a time."""
 
-    def __init__(self, arm: Arm, clock: Clock, track: JointTrack | None = None) -> None:
-        self._arm = arm
+    def __init__(self, arm: Arm, limits: Limits, clock: Clock, track: JointTrack | None = None) -> None:
+        self._arm, self._limits = arm, limits
         self._clock = clock
         self._channels = Channels(track=track)
         self._description: RobotDescription | None = None
-        self._urgent: deque[tuple[str, Any]] = deque()
+        self._urgent: deque[tuple[Any, ...]] = deque()
         self._kept: list[LoopRecord] = []
         self._ended = ""
 
@@ -74,6 +74,16 @@ class _LoopHost:
     def arm(self) -> Arm | None:
         """The arm's model."""
         return self._arm
+
+    @property
+    def enable_age_s(self) -> float:
+        """How old an enable or a set point may be."""
+        return self._limits.enable_age_s
+
+    @property
+    def line(self) -> LineChannels:
+        """What the line for stops shares with loop and server."""
+        return self._channels.line
 
     def now_s(self) -> float:
         """Return the time on the loop's clock."""
@@ -98,27 +108,27 @@ class _LoopHost:
             )
         return found
 
-    def post(self, setpoint: SetPoint) -> None:
+    def grant(self, lease: int, key: str) -> None:
+        """Let the line for stops take the enables of a lease by its key; an empty key: of nobody."""
+        self.line.grant.write(pickle.dumps((lease, key)))
+
+    def post(self, setpoint: SetPoint, *, age_s: float = 0.0) -> None:
         """Replace what is asked of the robot. Raises DeviceLost, UsageError for what a client cannot ask."""
         match setpoint:
-            case JointGoal(q=q):
-                self._order("goal", q)
-            case JointVelocity(qd=qd):
-                self._order("velocity", qd)
-            case ToolTwist(velocity_m_s=v, angular_rad_s=w):
-                self._order("twist", (v, w))
+            case JointGoal() | JointVelocity() | ToolTwist():
+                self._order("follow", setpoint, self.now_s() - age_s)
             case Hold():
                 self._order("hold")
             case _:
                 raise UsageError(f"{type(setpoint).__name__} is no set point of a client")
 
-    def beat(self, *, enable: bool) -> None:
-        """Tell the loop that the driver is alive, and whether motion is allowed. Raises DeviceLost."""
-        self._order("beat", enable)
+    def beat(self, *, enable: bool, age_s: float = 0.0, lease: int = 0, number: int | None = None) -> None:
+        """Tell the loop that a driver was alive age_s ago, and whether motion was allowed then. Raises DeviceLost."""
+        self._order("beat", (enable, number), self.now_s() - age_s, lease)
 
-    def release(self, why: str) -> None:
+    def release(self, why: str, *, lease: int = 0) -> None:
         """Hold at once: the driver is gone."""
-        self._urge("release", why)
+        self._urge("release", why, 0.0, lease)
 
     def stop(self, why: str) -> None:
         """Come to rest and take nothing until reset."""
@@ -131,18 +141,19 @@ class _LoopHost:
     def records(self) -> list[LoopRecord]:
         """Return what the loop did since this was last asked."""
         self._push()
-        while (data := self._channels.records.get()) is not None:
-            self._take(pickle.loads(data))
+        for queue in (self.line.notes, self._channels.records):
+            while (data := queue.get()) is not None:
+                self._take(pickle.loads(data))
         kept, self._kept = self._kept, []
         return kept
 
-    def _order(self, order: str, value: Any = None) -> None:
-        if self._ended or not self._push() or not self._channels.orders.put(pickle.dumps((order, value))):
+    def _order(self, *order: Any) -> None:
+        if self._ended or not self._push() or not self._channels.orders.put(pickle.dumps(order)):
             raise DeviceLost("the loop of the robot takes no orders", consequence="Nothing was sent")
 
-    def _urge(self, order: str, value: Any) -> None:
+    def _urge(self, *order: Any) -> None:
         """Give an order that must not be lost: where there is no room for it now it waits, and others behind it."""
-        self._urgent.append((order, value))
+        self._urgent.append(order)
         self._push()
 
     def _push(self) -> bool:
@@ -192,7 +203,8 @@ class ProcessHost(_LoopHost):
 
     def __init__(self, spec: RobotSpec, track: JointTrack | None = None) -> None:
         """track: filled with where a simulated arm is."""
-        super().__init__(spec.arm, SystemClock(), track)  # monotonic time is one for all processes of a machine
+        clock = SystemClock()  # monotonic time is one for all processes of a machine
+        super().__init__(spec.arm, spec.limits, clock, track)
         self._process = multiprocessing.get_context("spawn").Process(
             target=_loop_process, args=(self._channels, spec, os.getpid()), name="armsight-loop", daemon=True
         )
@@ -236,8 +248,8 @@ class ThreadHost(_LoopHost):
         ended: Callable[[], None] = lambda: None,
     ) -> None:
         """ended is called in the loop's thread at its end."""
-        super().__init__(arm, clock)
-        self._robot, self._limits, self._when_ended = robot, limits or Limits(), ended
+        super().__init__(arm, limits or Limits(), clock)
+        self._robot, self._when_ended = robot, ended
         self._thread = threading.Thread(target=self._run, name="armsight-loop", daemon=True)
 
     def _run(self) -> None:

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.robot.channels import JointTrack, Newest, Queue
-from armsight.app.robot.host import HEARTBEAT_S, SETPOINT_S, LoopCommand, LoopEvent, Snapshot
+from armsight.app.robot.channels import JointTrack, LineChannels, Newest, Queue
+from armsight.app.robot.host import SETPOINT_S, LoopCommand, LoopEvent, Snapshot
 from armsight.clock import Clock
 from armsight.control.guard import Guard, GuardState, Limits
 from armsight.control.loop import ControlLoop, LoopStatus
-from armsight.control.setpoints import CycleState, JointGoal, JointVelocity, SetPoint, ToolTwist
+from armsight.control.setpoints import CycleState, JointGoal, SetPoint
 from armsight.control.sources.client import ClientSource
 from armsight.drivers import Robot
 from armsight.drivers.remote.protocol import JointDescription, RobotDescription
@@ -53,10 +53,12 @@ def _histogram() -> Any:
 class Channels:
     """What server and loop share. orders: to the loop; records: from it; state: its newest; lateness: of its cycles.
 
-    track: where a simulated arm is, for the process that draws what cameras see of it.
+    line: of the line for stops, which the server has no part in. track: where a simulated arm is, for the process that
+    draws what cameras see of it.
     """
 
     orders: Queue = field(default_factory=lambda: Queue(1024, 1024))
+    line: LineChannels = field(default_factory=LineChannels)
     records: Queue = field(default_factory=_up)
     state: Newest = field(default_factory=Newest)
     lateness: Any = field(default_factory=_histogram)
@@ -118,16 +120,18 @@ class RecordSink:
 
 
 class OrderSource:
-    """Set points and heartbeats of whoever drives, from the queue of orders: the loop's source, and its enable.
+    """Set points and heartbeats of whoever drives, from the queues of orders: the loop's source, and its enable.
 
     Places are followed until they are reached, velocities for SETPOINT_S; all is forgotten when the enable ends, the
-    driver leaves or the guard stops. dropped: how often that was. was_enabled: what enabled() said last.
+    driver leaves or the guard stops. The enable comes by two ways, the server's and the line for stops; whichever is
+    first counts. dropped: how often it forgot. was_enabled: what enabled() said last.
     """
 
     name = "client"
 
-    def __init__(self, orders: Queue, clock: Clock, parent: int | None) -> None:
-        self._orders = orders
+    def __init__(self, channels: Channels, clock: Clock, parent: int | None, enable_age_s: float) -> None:
+        self._orders, self._line_orders = channels.orders, channels.line.orders
+        self._enable_age_s = enable_age_s
         self._clock = clock
         self._parent = parent
         self._loop: ControlLoop | None = None
@@ -135,6 +139,7 @@ class OrderSource:
         self._goal: JointGoal | None = None
         self._asked = False
         self._beat_s = -math.inf
+        self._lease, self._number = 0, 0
         self._enable = False
         self._off = 0
         self.was_enabled = False
@@ -146,8 +151,9 @@ class OrderSource:
 
     def next(self, now: CycleState) -> SetPoint:
         """Take the orders that came, and return what is wanted."""
-        while (data := self._orders.get()) is not None:
-            self._obey(*pickle.loads(data))
+        for queue in (self._line_orders, self._orders):  # a stop before all that a server may have piled up
+            while (data := queue.get()) is not None:
+                self._obey(*pickle.loads(data))
         if self._parent is not None and os.getppid() != self._parent:
             self._leave()  # the server's process died
         if not self._alive():
@@ -175,22 +181,20 @@ class OrderSource:
         self._goal, self._asked = None, False
 
     def _alive(self) -> bool:
-        return self._enable and self._clock.now_s() - self._beat_s <= HEARTBEAT_S
+        return self._enable and self._clock.now_s() - self._beat_s <= self._enable_age_s
 
-    def _obey(self, order: str, value: Any = None) -> None:
+    def _obey(self, order: str, value: Any = None, sent_s: float = -math.inf, lease: int = 0) -> None:
         match order:
-            case "goal":
-                self._follow(JointGoal(q=value))
-            case "velocity":
-                self._follow(JointVelocity(qd=value))
-            case "twist":
-                self._follow(ToolTwist(velocity_m_s=value[0], angular_rad_s=value[1]))
+            case "follow":
+                self._follow(value, sent_s)
             case "hold":
                 self.drop()
             case "beat":
-                self._beat(value)
+                self._beat(value, sent_s, lease)
             case "release":
-                self._beat(False)
+                self._let_go()
+                if lease:  # what that driver still has under way counts no more
+                    self._lease, self._number = max(self._lease, lease + 1), 0
                 self.drop()
             case "stop" if self._loop is not None:
                 self._loop.stop(value)
@@ -201,18 +205,28 @@ class OrderSource:
             case "end":
                 self._leave()
 
-    def _follow(self, wanted: SetPoint) -> None:
+    def _follow(self, wanted: SetPoint, sent_s: float) -> None:
         if self._alive():  # what came before the enable, or after its end, is not done later
-            self._client.post(wanted, self._clock.now_s())
+            self._client.post(wanted, sent_s)
             self._goal, self._asked = wanted if isinstance(wanted, JointGoal) else None, True
 
-    def _beat(self, enable: bool) -> None:
-        self._enable, self._beat_s = enable, self._clock.now_s()
+    def _beat(self, said: tuple[bool, int | None], sent_s: float, lease: int) -> None:
+        """Take an enable, or its end, with its number; not from who has left, nor one that was overtaken."""
+        enable, number = said
+        if lease and (lease < self._lease or (lease == self._lease and number is not None and number <= self._number)):
+            return
+        if lease > self._lease or number is not None:
+            self._lease, self._number = lease, number or 0
         if not enable:
-            self._off = OFF_CYCLES
+            self._let_go()
+            return
+        self._enable, self._beat_s = True, max(sent_s, self._beat_s)
+
+    def _let_go(self) -> None:
+        self._enable, self._beat_s, self._off = False, -math.inf, OFF_CYCLES
 
     def _leave(self) -> None:
-        self._beat(False)
+        self._let_go()
         self.drop()
         if self._loop is not None:
             self._loop.end()
@@ -229,7 +243,7 @@ def run_loop(
     try:
         with robot:
             guard = Guard(arm, limits, robot.cycle_s)
-            source = OrderSource(channels.orders, clock, parent)
+            source = OrderSource(channels, clock, parent, limits.enable_age_s)
             counted = CountedClock(clock, channels.lateness)
             loop = ControlLoop(robot, guard, source, counted, enabled=source.enabled, sink=sink)
             source.attach(loop)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import secrets
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from threading import RLock
@@ -12,6 +12,7 @@ from typing import Any, Protocol
 from armsight.app.robot.alone import alone
 from armsight.app.robot.desk import Desk, DeskLog
 from armsight.app.robot.host import Host, LoopCommand, LoopEvent
+from armsight.app.robot.token_bucket import TokenBucket
 from armsight.drivers.remote import protocol as say
 from armsight.records import JointReading
 
@@ -64,10 +65,13 @@ class Service:
     def __init__(self, host: Host, log: Log) -> None:
         self.lock = RLock()
         self.host = host
-        self.n_clients = 0
+        self.watchers: Counter[str] = Counter()
+        """How many clients watch, by their addresses."""
+        self.stop_port: int | None = None
+        """Of the line for stops; None where there is none."""
         self._log = log
         self._subscriptions: set[Subscription] = set()
-        self._budget, self._filled_s, self._left_out = BURST, host.now_s(), 0
+        self._warnings, self._left_out = TokenBucket(WARNINGS_PER_S, BURST, host.now_s()), 0
         self._tell_dropped, self._told_failed = 1, False
         self.desk = Desk(host, self, instance=secrets.token_hex(8), lock=self.lock)
 
@@ -96,7 +100,7 @@ class Service:
     @alone
     def event(self, t_s: float, level: str, message: str) -> None:
         """Keep something that happened, and tell it to who listens; of a flood of warnings only their number."""
-        if level == "warning" and not self._affordable(t_s):
+        if level == "warning" and not self._warnings.pay(t_s):
             self._left_out += 1
             return
         if self._left_out:
@@ -124,11 +128,3 @@ class Service:
         if self._log.failed and not self._told_failed:
             self._told_failed = True
             self._keep(now_s, "error", f"nothing is recorded any more: {self._log.failed}")
-
-    def _affordable(self, t_s: float) -> bool:
-        self._budget = min(BURST, self._budget + max(0.0, t_s - self._filled_s) * WARNINGS_PER_S)
-        self._filled_s = t_s
-        if self._budget < 1.0:
-            return False
-        self._budget -= 1.0
-        return True

@@ -25,6 +25,9 @@ JOINT_JERK = 250.0
 """rad/s^3: to full acceleration in 20 ms, five cycles of 4 ms."""
 SLIDE_JERK = 50.0
 
+ENABLE_AGE_S = 0.15
+"""An enable sent longer ago is none: with the way to rest behind it the arm stands 0.3 s after the hand let go."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Box:
@@ -79,6 +82,7 @@ POSITIVE = (
     "turn_acceleration_rad_s2",
     "jerk_m_s3",
     "turn_jerk_rad_s3",
+    "enable_age_s",
     "target_age_s",
     "silent_cycles",
     "late_cycles",
@@ -99,7 +103,8 @@ class Limits:
     speed to jerk: of the tool's origin and of its turning. joints: one per joint, or none. workspace: the box that tool
     and flange stay in; forbidden: boxes they stay out of; margin_m: how far they keep from both, for what the arm's
     model does not know. singularity: least singular value of the Jacobian, lengths in units of the arm's mean link, for
-    motion asked for in space. target_age_s: of the frame a set point is from. silent_cycles: without a new reading.
+    motion asked for in space. enable_age_s: of an enable or a set point that came over a network, ENABLE_AGE_S at most.
+    target_age_s: of the frame a set point is from. silent_cycles: without a new reading.
     late_cycles, lost_s: lateness of a cycle that makes it hold, and stop. following (rad), following_m: how far
     readings may be from all that was sent within lag_s. jump_m, jump_rad: how far a ToolPose may be from the tool.
     calm_cycles: in time, before motion goes on after a late one. retreat (n,): readings to go back to, at the share
@@ -117,6 +122,7 @@ class Limits:
     forbidden: tuple[Box, ...] = ()
     margin_m: float = 0.005
     singularity: float = 0.03
+    enable_age_s: float = ENABLE_AGE_S
     target_age_s: float = 0.15
     silent_cycles: float = 3.0
     late_cycles: float = 0.5
@@ -142,6 +148,12 @@ class Limits:
         object.__setattr__(self, "forbidden", tuple(self.forbidden))
         if self.retreat is not None:
             object.__setattr__(self, "retreat", frozen_array("retreat", self.retreat, (None,)))
+        if self.enable_age_s > ENABLE_AGE_S:
+            raise Inconsistent(
+                f"enable_age_s is {self.enable_age_s:g}, longer than {ENABLE_AGE_S:g} s",
+                consequence="A hand that lets go would stop the arm too late, and the robot is not moved",
+                cure="Give less, or leave it away; a line too slow for that is none to drive over",
+            )
         if self.retreat_speed > 1.0:
             raise Inconsistent(f"retreat_speed is {self.retreat_speed:g}, which is no share of the speed up to 1")
 

@@ -1,104 +1,42 @@
-"""A client's connection to a robot server."""
+"""A client's link to a robot server: its connection, and beside it the line for stops."""
 
 from __future__ import annotations
 
 import contextlib
-import os
-import socket
-import ssl
-import struct
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
-from ipaddress import ip_address
-from pathlib import Path
+from dataclasses import replace
 from typing import Any
 from urllib.parse import urlsplit
 
-from pydantic import ValidationError
-from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
-from websockets.sync.client import ClientConnection
-from websockets.sync.client import connect as open_socket
-
-from armsight import errors
 from armsight.drivers.remote import protocol as say
-from armsight.errors import ArmsightError, DeviceFailed, DeviceLost, DeviceNotFound, UsageError
-
-TOKEN_VARIABLE = "ARMSIGHT_TOKEN"
-"""The environment variable that gives the token where nothing else does: a command line shows to everyone."""
-
-OPEN_S = 5.0
-ANSWER_S = 2.0
-"""Longest waits, in s, for a connection and for an answer."""
+from armsight.drivers.remote.wire import Answer, ServerAddress, Wire
+from armsight.errors import ArmsightError, DeviceFailed
 
 EVENTS = 1000
 """Events kept for the program that does not fetch them."""
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ServerAddress:
-    """Where a robot server is, and what opens it.
-
-    url: ws://HOST:PORT, or wss://HOST:PORT with TLS. ca_file: certificates to trust besides the system's, such as the
-    server's own. token: None takes the environment variable ARMSIGHT_TOKEN. Raises UsageError for another url, and for
-    a token that would cross the network in plain text.
-    """
-
-    url: str
-    token: str | None = None
-    ca_file: Path | None = None
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "token", self.token or os.environ.get(TOKEN_VARIABLE) or None)
-        try:
-            parts = urlsplit(self.url)
-            port, host = parts.port, parts.hostname
-        except ValueError:
-            port = host = None
-        if host is None or port is None or parts.scheme not in ("ws", "wss") or parts.path not in ("", "/"):
-            raise UsageError(
-                f"{self.url!r} is not the address of a robot server",
-                consequence="There is no connection",
-                cure="Give ws://HOST:PORT, or wss://HOST:PORT where the server has a certificate",
-            )
-        if self.token and parts.scheme == "ws" and not _is_loopback(host):
-            raise UsageError(
-                f"the token would go to {host} in plain text",
-                consequence="There is no connection",
-                cure="Use wss://, and a server with --tls-cert and --tls-key",
-            )
-
-    def tls(self) -> ssl.SSLContext | None:
-        """Return how the server's certificate is checked; None without TLS. Raises UsageError for a wrong ca_file."""
-        if not self.url.startswith("wss:"):
-            return None
-        try:
-            return ssl.create_default_context(cafile=None if self.ca_file is None else str(self.ca_file))
-        except OSError as error:
-            raise UsageError(
-                f"{self.ca_file} holds no certificates: {error}", consequence="There is no connection"
-            ) from error
+BEATS = 5.0
+"""Heartbeats within the time after which an enable is too old: some of them may be late."""
 
 
 class Link:
-    """One WebSocket to a robot server, for several threads. What the server says without being asked is kept."""
+    """A connection to a robot server, for several threads. What the server says without being asked is kept.
+
+    Where the server has a line for stops, that is opened besides: stop and beat go by both ways.
+    """
 
     def __init__(self, address: ServerAddress, path: str) -> None:
         self.address = address
-        self._path = path
-        self._socket: ClientConnection | None = None
-        self._reader: threading.Thread | None = None
+        self._wire = Wire(address, path, self._take)
+        self._line: Wire | None = None
         self._welcome: say.Welcome | None = None
         self._state: say.StateMessage | None = None
         self._events: deque[say.EventMessage] = deque(maxlen=EVENTS)
-        self._answers: dict[int | None, say.ServerMessage] = {}
-        self._waiting: set[int | None] = set()
-        self._news = threading.Condition()
-        self._sending = threading.Lock()
-        self._seq = 0
-        self._ended = ""
+        self._beating = threading.Lock()
+        self._beats = 0
 
     @property
     def welcome(self) -> say.Welcome:
@@ -110,157 +48,89 @@ class Link:
     @property
     def ended(self) -> str:
         """Why the connection ended, in words; empty while it lives."""
-        return self._ended
+        return self._wire.ended
 
     def open(self) -> say.Welcome:
-        """Connect and return the server's welcome.
-
-        Raises DeviceNotFound where no server answers, DeviceFailed where it refuses, UsageError for wrong files.
-        """
-        headers = {"Authorization": f"Bearer {self.address.token}"} if self.address.token else {}
-        where = self.address.url
-        try:
-            self._socket = open_socket(
-                where.rstrip("/") + self._path,
-                ssl=self.address.tls(),
-                additional_headers=headers,
-                proxy=None,  # a robot's link goes straight
-                open_timeout=OPEN_S,
-                close_timeout=1.0,
-                max_size=64 * say.MAX_BYTES,
-                compression=None,
-                ping_interval=None,  # the server pings; a thread for it here may race close() in joining the reader
-            ).__enter__()
-        except InvalidStatus as error:
-            raise refused_entry(where, error) from error
-        except ssl.SSLError as error:
-            raise DeviceFailed(
-                f"{where}: its certificate is not trusted ({error.reason or error})",
-                consequence="There is no connection",
-                cure="Give the certificate's file as ca_file, or check that it is this server",
-            ) from error
-        except (OSError, InvalidHandshake, EOFError) as error:
-            raise DeviceNotFound(
-                f"no robot server answers at {where}: {error}"[:300],
-                consequence="There is no connection",
-                cure="Check that `armsight serve` runs there, its port, and ws against wss",
-            ) from error
-        return self._begin(self._socket)
-
-    def _begin(self, connection: ClientConnection) -> say.Welcome:
-        try:
-            first = say.parse_answer(connection.recv(timeout=OPEN_S))
-        except (TimeoutError, ConnectionClosed) as error:
-            connection.close()
-            raise DeviceFailed(f"{self.address.url} says nothing", consequence="There is no connection") from error
-        except ArmsightError:
-            connection.close()
-            raise
-        if isinstance(first, say.Refused):
-            connection.close()
-            raise as_error(first)
-        if not isinstance(first, say.Welcome) or first.version != say.VERSION:
-            connection.close()
-            raise DeviceFailed(f"{self.address.url} does not speak version {say.VERSION} of the protocol")
-        self._welcome, self._ended, self._seq = first, "", 0
-        self._answers.clear()
-        self._reader = threading.Thread(target=self._read, args=(connection,), name="armsight-link", daemon=True)
-        self._reader.start()
+        """Connect and return the server's welcome. Raises as Wire.open."""
+        first = self._wire.open()
+        if not isinstance(first, say.Welcome):
+            self._wire.close()
+            raise DeviceFailed(f"{self.address.url} is a line for stops", cure="Give the port of the server itself")
+        self._welcome, self._beats = first, 0
+        if first.stop_port is not None:
+            self._open_line(first.stop_port)
         return first
 
-    def ask(self, make: Callable[..., say.Command], **fields: Any) -> say.Accepted | say.StateMessage:
+    def ask(self, make: Callable[..., say.Command], **fields: Any) -> Answer:
         """Send a message and return its answer. Raises the refusal's error, DeviceLost without a connection."""
-        connection, seq = self._send(make, fields)
-        with self._news:
-            found = self._news.wait_for(lambda: seq in self._answers or bool(self._ended), timeout=ANSWER_S)
-            self._waiting.discard(seq)
-            answer = self._answers.pop(seq, None)
-        if answer is None:
-            if not found:
-                self._end(f"{self.address.url} did not answer for {ANSWER_S:g} s")
-                connection.close()
-            raise self._lost()
-        if isinstance(answer, say.Refused):
-            raise as_error(answer)
-        if isinstance(answer, say.Accepted | say.StateMessage):
-            return answer
-        raise DeviceFailed(f"{self.address.url} answered with {answer.type}", consequence="It is not known what it did")
+        return self._wire.ask(make, **fields)
+
+    def beat(self, *, enable: bool, waits: bool) -> None:
+        """Say by both ways that the program lives, and whether motion is allowed. Raises as ask.
+
+        waits: for the answers, as who asks for it wants to know; a regular beat must not wait behind others.
+        """
+        with self._beating:
+            self._beats += 1
+            number = self._beats
+        if self._line is not None and not self._line.ended:
+            with contextlib.suppress(ArmsightError):  # the other way has the same beat
+                give = self._line.ask if waits else self._line.tell
+                give(say.Heartbeat, enable=enable, number=number, key=self.welcome.enable_key)
+        (self._wire.ask if waits else self._wire.tell)(say.Heartbeat, enable=enable, number=number)
+
+    def stop(self) -> None:
+        """Stop the robot until it is reset, by the line that nothing else shares. Raises as ask."""
+        if self._line is not None and not self._line.ended:
+            with contextlib.suppress(ArmsightError):
+                self._line.ask(say.StopMessage)
+                self._wire.tell(say.StopMessage)  # what is asked after it finds it stopped
+                return
+        self._wire.ask(say.StopMessage)
 
     def newest_state(self) -> say.StateMessage | None:
         """Return the newest state that the server told by itself; None before the first."""
-        with self._news:
-            return self._state
+        return self._state
 
     def take_events(self) -> list[say.EventMessage]:
         """Return what the server told of events since this was last asked."""
-        with self._news:
-            events = list(self._events)
-            self._events.clear()
+        events = []
+        with contextlib.suppress(IndexError):
+            while True:
+                events.append(self._events.popleft())
         return events
 
     def cut(self) -> None:
-        """End the connection as a pulled cable does: without a word to the server."""
-        if self._socket is not None:
-            with contextlib.suppress(OSError):
-                self._socket.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-                self._socket.socket.shutdown(socket.SHUT_RDWR)
+        """End the connections as a pulled cable does: without a word to the server."""
+        for wire in (self._wire, self._line):
+            if wire is not None:
+                wire.cut()
 
     def close(self) -> None:
-        """End the connection; legal always."""
-        connection, self._socket = self._socket, None
-        if connection is not None:
-            connection.close()
-        if self._reader is not None and self._reader is not threading.current_thread():
-            self._reader.join()
-        self._reader = None
-        self._end("closed")
+        """End the connections; legal always."""
+        line, self._line = self._line, None
+        if line is not None:
+            line.close()
+        self._wire.close()
 
-    def _send(self, make: Callable[..., say.Command], fields: dict[str, Any]) -> tuple[ClientConnection, int]:
-        with self._sending:
-            connection = self._socket
-            if connection is None or self._ended:
-                raise self._lost()
-            seq = self._seq + 1
-            command = _made(make, session=self.welcome.session, seq=seq, **fields)
-            self._seq = seq
-            with self._news:
-                self._waiting.add(seq)
-            try:
-                connection.send(command.model_dump_json())
-            except (ConnectionClosed, OSError) as error:
-                self._end(_why(error))
-                raise self._lost() from error
-            return connection, seq
-
-    def _read(self, connection: ClientConnection) -> None:
+    def _open_line(self, port: int) -> None:
+        """Open the line for stops; where a network keeps it shut the connection has to do alone, which is told."""
+        parts = urlsplit(self.address.url)
+        host = f"[{parts.hostname}]" if ":" in (parts.hostname or "") else parts.hostname
+        line = Wire(replace(self.address, url=f"{parts.scheme}://{host}:{port}"), say.STOP_PATH, lambda _: None)
         try:
-            for text in connection:
-                self._take(say.parse_answer(text))
-            self._end("the server closed the connection")
-        except (ConnectionClosed, OSError, ArmsightError) as error:
-            self._end(_why(error))
+            line.open()
+        except ArmsightError as error:
+            told = f"the line for stops cannot be reached, stops share the way of all else: {error.cause}"
+            self._events.append(say.EventMessage(t_s=0.0, level="warning", message=told))
+            return
+        self._line = line
 
     def _take(self, message: say.ServerMessage) -> None:
-        with self._news:
-            if isinstance(message, say.EventMessage):
-                self._events.append(message)
-            elif isinstance(message, say.StateMessage) and message.reply_to is None:
-                self._state = message
-            elif not isinstance(message, say.Welcome) and message.reply_to in self._waiting:
-                self._answers[message.reply_to] = message
-                self._news.notify_all()
-
-    def _end(self, why: str) -> None:
-        with self._news:
-            self._ended = self._ended or why
-            self._news.notify_all()
-
-    def _lost(self) -> DeviceLost:
-        return DeviceLost(
-            f"the connection to {self.address.url} is lost ({self._ended or 'not open'})",
-            consequence="The server holds the robot",
-            cure="Open it again",
-        )
+        if isinstance(message, say.EventMessage):
+            self._events.append(message)
+        elif isinstance(message, say.StateMessage):
+            self._state = message
 
 
 class Heart:
@@ -292,7 +162,7 @@ class Heart:
         """Set whether motion is allowed, and tell the server now. Raises as Link.ask."""
         self._enable = enable
         self.touch()
-        self._link.ask(say.Heartbeat, enable=enable)
+        self._link.beat(enable=enable, waits=True)
 
     def end(self) -> None:
         """Beat no more; legal always."""
@@ -302,53 +172,11 @@ class Heart:
         self._thread = None
 
     def _run(self) -> None:
-        pause_s = self._link.welcome.heartbeat_s / 3.0
+        pause_s = self._link.welcome.heartbeat_s / BEATS
         while not self._over.wait(pause_s):
             alive = self._time_s() - self._touched_s <= self._quiet_s
             try:
-                self._link.ask(say.Heartbeat, enable=self._enable and alive)
+                self._link.beat(enable=self._enable and alive, waits=False)
             except ArmsightError:
                 if self._link.ended:
                     return
-
-
-def as_error(refused: say.Refused) -> ArmsightError:
-    """Return a refusal as the error that it was at the server; DeviceFailed where this program does not know it."""
-    kind = getattr(errors, refused.kind, None)
-    plain = isinstance(kind, type) and issubclass(kind, ArmsightError) and kind.__init__ is ArmsightError.__init__
-    made: type[ArmsightError] = kind if plain and kind is not None else DeviceFailed
-    return made(refused.cause, consequence=refused.consequence, cure=refused.cure)
-
-
-def refused_entry(url: str, error: InvalidStatus) -> DeviceFailed:
-    """Return why a server let nobody in."""
-    response = error.response
-    said = (response.body or b"").decode("utf-8", "replace")[:200] or response.reason_phrase
-    return DeviceFailed(
-        f"{url} refuses ({response.status_code}): {said}",
-        consequence="There is no connection",
-        cure=f"Give a token of the server's token file, for instance in {TOKEN_VARIABLE}",
-    )
-
-
-def _made(make: Callable[..., say.Command], **fields: Any) -> say.Command:
-    try:
-        return make(**fields)
-    except ValidationError as error:
-        first = error.errors(include_url=False, include_input=False)[0]
-        raise UsageError(
-            f"{'.'.join(map(str, first['loc']))}: {first['msg']}", consequence="Nothing was sent"
-        ) from error
-
-
-def _is_loopback(host: str) -> bool:
-    try:
-        return host == "localhost" or ip_address(host).is_loopback
-    except ValueError:
-        return False
-
-
-def _why(error: Exception) -> str:
-    if isinstance(error, ConnectionClosed) and error.rcvd is not None:
-        return error.rcvd.reason or f"closed with code {error.rcvd.code}"
-    return str(error)[:200] or type(error).__name__

@@ -6,11 +6,11 @@ Lengths are in m, angles in rad, times in s on the server's monotonic clock, who
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Literal, get_args
+from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
-from armsight.errors import Inconsistent
+from armsight.errors import ArmsightError, Inconsistent
 
 VERSION = 1
 """Of the protocol: it stands in every path (/api/v1/) and grows where an old client would misread a message."""
@@ -23,6 +23,7 @@ MAX_JOINTS = 16
 STREAM_PATH = f"/api/v{VERSION}/stream"
 DRIVE_PATH = f"/api/v{VERSION}/drive"
 STATE_PATH = f"/api/v{VERSION}/state"
+STOP_PATH = f"/api/v{VERSION}/stop"
 
 Number = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
 Time = Annotated[float, Field(allow_inf_nan=False)]
@@ -54,10 +55,18 @@ class _FromClient(_Model):
 
 
 class Heartbeat(_FromClient):
-    """The driver is alive. Motion needs one with enable at least every `heartbeat_s` of `welcome`."""
+    """The driver is alive. Motion needs one with enable that was sent within the last `heartbeat_s` of `welcome`.
+
+    Send it several times in that span, on the driving connection and on the line for stops, on both with the same
+    number: whichever way is faster counts.
+    """
 
     type: Literal["heartbeat"] = "heartbeat"
     enable: bool = Field(description="Whether the operator allows motion now (the deadman's switch).")
+    number: int | None = Field(
+        None, ge=1, lt=2**53, description="Grows with each heartbeat of a driver; one that is overtaken does not count."
+    )
+    key: str = Field("", max_length=64, description="On the line for stops: `enable_key` of the driver's `welcome`.")
 
 
 class JointGoalMessage(_FromClient):
@@ -120,22 +129,18 @@ class ReadMessage(_FromClient):
     type: Literal["read"] = "read"
 
 
-Command = (
-    Heartbeat
-    | JointGoalMessage
-    | JointVelocityMessage
-    | JointStepMessage
-    | FlangePoseMessage
-    | ToolTwistMessage
-    | HoldMessage
-    | StopMessage
-    | ResetMessage
-    | ReadMessage
-)
+Motion = JointGoalMessage | JointVelocityMessage | JointStepMessage | FlangePoseMessage | ToolTwistMessage
+"""What sets the robot in motion."""
+
+Command = Heartbeat | Motion | HoldMessage | StopMessage | ResetMessage | ReadMessage
 """What a client may say."""
 
-WATCHING = (StopMessage, ReadMessage)
-"""What a client may say on the watching connection."""
+ALLOWED: dict[str, tuple[type[_FromClient], ...]] = {
+    "watch": (StopMessage, ReadMessage),
+    "drive": get_args(Command),
+    "stop": (StopMessage, Heartbeat),
+}
+"""What a client may say on which connection."""
 
 
 class JointDescription(_Model):
@@ -169,9 +174,26 @@ class Welcome(_Model):
     role: Literal["watch", "drive"] = Field(description="What this connection may do.")
     who: str = Field(description="The name that the token stands for.")
     robot: RobotDescription
-    heartbeat_s: float = Field(description="Without a heartbeat for so long the robot is held, in s.")
+    heartbeat_s: float = Field(description="An enable sent longer ago than this is none, in s: the robot is held.")
     setpoint_s: float = Field(description="How long a velocity holds without being sent again, in s.")
     max_bytes: int = Field(description="Longest message that the server takes.")
+    stop_port: int | None = Field(None, description="Port of the line for stops on the same machine; null: none.")
+    enable_key: str = Field("", description="Names the driver's enable on the line for stops; empty for watchers.")
+
+
+class LineWelcome(_Model):
+    """The first message on the line for stops."""
+
+    type: Literal["line"] = "line"
+    version: int = Field(description="Of the protocol.")
+    session: str = Field(description="This connection's nonce; every message on it carries it.")
+
+
+class Done(_Model):
+    """The answer on the line for stops: the loop has been told."""
+
+    type: Literal["done"] = "done"
+    reply_to: int
 
 
 class ReadingMessage(_Model):
@@ -241,8 +263,15 @@ class Refused(_Model):
     consequence: str
     cure: str
 
+    @classmethod
+    def of(cls, error: ArmsightError, seq: int | None) -> Self:
+        """Return an error as the client gets it, as the answer to message seq."""
+        return cls(
+            reply_to=seq, kind=type(error).__name__, cause=error.cause, consequence=error.consequence, cure=error.cure
+        )
 
-ServerMessage = Welcome | StateMessage | EventMessage | Accepted | Refused
+
+ServerMessage = Welcome | StateMessage | EventMessage | Accepted | Refused | LineWelcome | Done
 """What the server may say."""
 
 _COMMANDS: TypeAdapter[Command] = TypeAdapter(Annotated[Command, Field(discriminator="type")])

@@ -14,7 +14,8 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.clock import Clock, SystemClock
 from armsight.drivers.remote import protocol as say
-from armsight.drivers.remote.link import Heart, Link, ServerAddress
+from armsight.drivers.remote.link import Heart, Link
+from armsight.drivers.remote.wire import ServerAddress
 from armsight.drivers.robot import RobotState, Sent
 from armsight.errors import ArmsightError, DeviceFailed, DeviceLost, Inconsistent, StaleData, UsageError
 from armsight.geometry import pose_from_quat, xyz_quat
@@ -167,7 +168,7 @@ class RemoteRobot:
         link = self._link
         if link is not None:
             try:
-                link.ask(say.StopMessage)
+                link.stop()
             except ArmsightError:
                 link.cut()  # the server holds a robot whose driver is gone
 

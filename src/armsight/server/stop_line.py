@@ -1,0 +1,179 @@
+"""The line for stops: a process and a port that nothing else shares, for the stop and the enable alone.
+
+Pages, pictures, readers, logs and recordings are the web server's, in another process; here nothing waits for them.
+What is said on this line goes to the robot's loop through memory of its own.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import multiprocessing
+import os
+import pickle
+import signal
+import socket
+import time
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import PlainTextResponse, Response
+from starlette.routing import Route, WebSocketRoute
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from armsight.app.robot.host import LoopEvent
+from armsight.drivers.remote import protocol as say
+from armsight.errors import ArmsightError, DeviceFailed, DeviceLost
+from armsight.server.auth import Authenticator, Denied, Identity, address_of, caller_of
+from armsight.server.connections import Connections, age_of
+from armsight.server.session import Session
+from armsight.server.web_server import ServeOptions, check_options, listening, web_server
+
+if TYPE_CHECKING:
+    from armsight.app.robot.channels import LineChannels
+    from armsight.app.robot.service import Service
+
+ORPHAN_S = 0.2
+"""How often it looks whether the server that started it lives."""
+
+END_S = 2.0
+
+
+class StopLine:
+    """Takes stops from everyone who is known, and the enable of who drives, by their key."""
+
+    def __init__(self, channels: LineChannels, auth: Authenticator) -> None:
+        self._channels, self._auth = channels, auth
+
+    def app(self) -> Starlette:
+        """Return the application: a WebSocket, and the stop as a plain POST."""
+        return Starlette(
+            routes=[
+                WebSocketRoute(say.STOP_PATH, self.serve),
+                Route(say.STOP_PATH, self.post, methods=["POST"]),
+            ]
+        )
+
+    async def post(self, request: Request) -> Response:
+        """Stop the robot until it is reset."""
+        found = self._auth.check(caller_of(request))
+        if isinstance(found, Denied):
+            self.note(f"{address_of(request)} was kept out of the line for stops: {found.why}")
+            return PlainTextResponse(found.why, found.status)
+        self._stop(found)
+        return Response(status_code=204)
+
+    async def serve(self, socket: WebSocket) -> None:
+        """Take what a caller says until they leave."""
+        found = self._auth.check(caller_of(socket))
+        if isinstance(found, Denied):
+            self.note(f"{address_of(socket)} was kept out of the line for stops: {found.why}")
+            await socket.send_denial_response(PlainTextResponse(found.why, found.status))
+            return
+        session = Session("stop")
+        await socket.accept()
+        with contextlib.suppress(WebSocketDisconnect, RuntimeError):
+            await socket.send_text(say.LineWelcome(version=say.VERSION, session=session.nonce).model_dump_json())
+            while not session.spent:
+                message = await socket.receive()
+                if message["type"] == "websocket.disconnect":
+                    return
+                await asyncio.sleep(0)  # what a caller has piled up must not hold up the others
+                answer = self._answer(session, found, message.get("text") or "", age_of(message))
+                await socket.send_text(answer.model_dump_json())
+            await socket.close(1008, "against the protocol")
+
+    def _answer(self, session: Session, who: Identity, text: str, age_s: float) -> say.Done | say.Refused:
+        seq = None
+        try:
+            command = session.admit(text)
+            seq = command.seq
+            if isinstance(command, say.Heartbeat):
+                self._beat(command, age_s)
+            else:
+                self._stop(who)
+        except ArmsightError as error:
+            return say.Refused.of(error, seq)
+        return say.Done(reply_to=command.seq)
+
+    def _beat(self, said: say.Heartbeat, age_s: float) -> None:
+        lease, key = pickle.loads(self._channels.grant.read() or pickle.dumps((0, "")))
+        if not key or said.key != key:
+            raise DeviceFailed("this key does not drive", consequence="Nothing was done", cure="Connect to drive anew")
+        self._order("beat", (said.enable, said.number), time.monotonic() - age_s, lease)
+
+    def _stop(self, who: Identity) -> None:
+        self._order("stop", f"stopped by {who.who}")
+
+    def _order(self, *order: object) -> None:
+        if not self._channels.orders.put(pickle.dumps(order)):
+            raise DeviceLost("the loop of the robot takes no orders", consequence="Nothing was sent")
+
+    def note(self, message: str) -> None:
+        """Tell the server's log; what finds no room there is left out."""
+        self._channels.notes.put(pickle.dumps(LoopEvent(t_s=time.monotonic(), level="warning", message=message[:200])))
+
+
+@contextlib.contextmanager
+def stop_line(service: Service, options: ServeOptions, *, page_port: int | None = None) -> Iterator[None]:
+    """Serve the line for stops of a robot while the block runs, beside the server that options are of.
+
+    Its port is options.stop_port; where that is None the one after options.port, or any that is free. page_port: of the
+    pages that may use it. Raises DeviceFailed where the port that was asked for cannot be had.
+    """
+    with _listening(options) as listener:
+        service.stop_port = listener.getsockname()[1]
+        process = multiprocessing.get_context("spawn").Process(
+            target=run_stop_line,
+            args=(service.host.line, options, listener, page_port, os.getpid()),
+            name="armsight-stop-line",
+            daemon=True,
+        )
+        process.start()
+        try:
+            yield
+        finally:
+            service.stop_port = None
+            process.terminate()
+            process.join(END_S)
+            if process.is_alive():
+                process.kill()
+                process.join()
+
+
+def run_stop_line(
+    channels: LineChannels, options: ServeOptions, listener: socket.socket, page_port: int | None, parent: int
+) -> None:
+    """Serve until the process that started this one ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches both; the server ends this one in order
+    line = StopLine(channels, Authenticator(check_options(options), page_port=page_port))
+    server = web_server(line.app(), options, Connections(line.note), lifespan=False)
+
+    async def watch() -> None:
+        while os.getppid() == parent and not server.should_exit:
+            await asyncio.sleep(ORPHAN_S)
+        server.should_exit = True
+
+    async def run() -> None:
+        watching = asyncio.create_task(watch())
+        await server.serve(sockets=[listener])
+        watching.cancel()
+
+    asyncio.run(run())
+
+
+@contextlib.contextmanager
+def _listening(options: ServeOptions) -> Iterator[socket.socket]:
+    """Hold the listening socket of the line."""
+    if options.stop_port is not None or options.port == 0:
+        with listening(options.bind, options.stop_port or 0) as listener:
+            yield listener
+        return
+    with contextlib.ExitStack() as stack:
+        try:
+            listener = stack.enter_context(listening(options.bind, options.port + 1))
+        except DeviceFailed:
+            listener = stack.enter_context(listening(options.bind, 0))
+        yield listener

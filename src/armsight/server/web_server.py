@@ -1,0 +1,143 @@
+"""The web server: which addresses are safe to listen at, the listening socket, and uvicorn with our limits."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import logging
+import socket
+import ssl
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import uvicorn
+from starlette.types import ASGIApp
+
+from armsight.drivers.remote import protocol as say
+from armsight.errors import BadFile, DeviceFailed, UsageError
+from armsight.server.auth import is_loopback
+from armsight.server.connections import Connections, LimitedHttp, LimitedWebSocket
+from armsight.store.tokens import TokenEntry, read_tokens
+
+LOOPBACK = "127.0.0.1"
+PORT = 8765
+
+PING_S = 5.0
+"""A client whose machine is gone without a word is noticed within twice this; the robot is held long before."""
+
+BACKLOG = 128
+"""Connections that wait to be taken."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServeOptions:
+    """Where a server listens, who may come in, and its certificate.
+
+    stop_port: of the line for stops; None: the one after port, or any that is free.
+    """
+
+    bind: str = LOOPBACK
+    port: int = PORT
+    stop_port: int | None = None
+    tokens: Path | None = None
+    tls_cert: Path | None = None
+    tls_key: Path | None = None
+
+    @property
+    def scheme(self) -> str:
+        """The scheme of its WebSockets."""
+        return "ws" if self.tls_cert is None else "wss"
+
+
+def check_options(options: ServeOptions) -> tuple[TokenEntry, ...]:
+    """Return the tokens of options that are safe.
+
+    Raises UsageError for an address beyond this machine without TLS and tokens, BadFile for wrong files.
+    """
+    if (options.tls_cert is None) != (options.tls_key is None):
+        raise UsageError(
+            "a certificate needs its key, and a key its certificate",
+            consequence="Nothing is served",
+            cure="Give both --tls-cert and --tls-key",
+        )
+    missing = [
+        flag
+        for flag, given in (("--tls-cert and --tls-key", options.tls_cert), ("--tokens", options.tokens))
+        if not given
+    ]
+    if missing and not is_loopback(options.bind):
+        raise UsageError(
+            f"the address {options.bind} can be reached from other machines, without {' and '.join(missing)}",
+            consequence="Anyone there could move the robot; nothing is served",
+            cure=f"Give {' and '.join(missing)}, or leave --bind away to serve this machine only",
+        )
+    if options.tls_cert is not None and options.tls_key is not None:
+        _check_certificate(options.tls_cert, options.tls_key)
+    return () if options.tokens is None else read_tokens(options.tokens)
+
+
+def web_server(
+    app: ASGIApp, options: ServeOptions, connections: Connections, *, lifespan: bool = True
+) -> uvicorn.Server:
+    """Return the server of an application, with the limits of connections."""
+    logging.getLogger("uvicorn.error").addFilter(_QUIET)
+    config = uvicorn.Config(
+        app,
+        http=functools.partial(LimitedHttp, connections=connections),  # type: ignore[arg-type]
+        ws=functools.partial(LimitedWebSocket, connections=connections),  # type: ignore[arg-type]
+        ws_max_size=say.MAX_BYTES,
+        ws_ping_interval=PING_S,
+        ws_ping_timeout=PING_S,
+        ws_per_message_deflate=False,  # a small message must not unpack to a large one
+        proxy_headers=False,  # a client must not choose the address that its failures are counted by
+        server_header=False,
+        access_log=False,
+        log_config=None,
+        lifespan="on" if lifespan else "off",
+        timeout_graceful_shutdown=2,
+        ssl_certfile=options.tls_cert,
+        ssl_keyfile=options.tls_key,
+    )
+    return uvicorn.Server(config)
+
+
+@contextlib.contextmanager
+def listening(bind: str, port: int) -> Iterator[socket.socket]:
+    """Hold the listening socket while the block runs. Raises DeviceFailed where the address cannot be had."""
+    try:
+        family, *_, where = socket.getaddrinfo(bind, port, type=socket.SOCK_STREAM)[0]
+        listener = socket.create_server((str(where[0]), int(where[1])), family=family, backlog=BACKLOG)
+    except (OSError, OverflowError) as error:
+        raise DeviceFailed(
+            f"cannot listen at {bind}, port {port}: {error}",
+            consequence="Nothing is served",
+            cure="Choose another port with --port, or an address of this machine with --bind",
+        ) from error
+    with listener:
+        yield listener
+
+
+class _ComingsAndGoingsAreNoError(logging.Filter):
+    """Leaves out what uvicorn says of clients that were kept out as they should be, or went before an answer came."""
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Return whether the record is kept."""
+        if record.msg == "ASGI callable returned without completing handshake.":
+            return False  # the log of ours has it
+        error = record.exc_info[1] if record.exc_info else None
+        return not (isinstance(error, RuntimeError) and str(error) == "No response returned.")
+
+
+_QUIET = _ComingsAndGoingsAreNoError()
+
+
+def _check_certificate(cert: Path, key: Path) -> None:
+    try:
+        ssl.create_default_context(ssl.Purpose.CLIENT_AUTH).load_cert_chain(cert, key)
+    except OSError as error:  # ssl.SSLError is one
+        raise BadFile(
+            f"{cert} and {key} are no certificate with its key: {error.strerror or error}",
+            consequence="Nothing is served",
+            cure="Give both as PEM files that belong together",
+        ) from error
