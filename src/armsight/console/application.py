@@ -9,9 +9,10 @@ from importlib.resources import files
 from fastapi import FastAPI, Request
 from fastapi.responses import RedirectResponse
 from fastapi.staticfiles import StaticFiles
-from nicegui import ui
+from nicegui import app, ui
 
 from armsight.console import texts
+from armsight.console.headers import SafeHeaders
 from armsight.console.layout import STATIC, page, text_of
 from armsight.console.pages.calibrate import calibrate_page
 from armsight.console.pages.identify import identify_page
@@ -39,6 +40,7 @@ WATCHED: dict[str, Callable[[Console], None]] = {"live": partial(live_page, watc
 
 def add_console(server: FastAPI, console: Console) -> None:
     """Add the console's pages to a server: /live and its sisters; / leads to /live."""
+    server.add_middleware(SafeHeaders)
     server.mount(STATIC, StaticFiles(directory=str(files("armsight") / "console" / "static")))
     add_pictures(server, console)
     add_files(server, console)
@@ -50,6 +52,7 @@ def add_console(server: FastAPI, console: Console) -> None:
 
     for name, build in PAGES.items():
         _add_page(name, build, console)
+    app.on_page_exception(lambda: text_of("p", texts.PAGE_FAILED))  # what went wrong is for the log, not for callers
     ui.run_with(server, title=texts.TITLE, dark=None, show_welcome_message=False, tailwind=False)
 
 
