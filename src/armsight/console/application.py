@@ -10,6 +10,7 @@ from fastapi import FastAPI, Request
 from fastapi.responses import RedirectResponse
 from fastapi.staticfiles import StaticFiles
 from nicegui import app, ui
+from starlette.applications import Starlette
 
 from armsight.console import texts
 from armsight.console.headers import SafeHeaders
@@ -53,6 +54,7 @@ def add_console(server: FastAPI, console: Console) -> None:
     for name, build in PAGES.items():
         _add_page(name, build, console)
     app.on_page_exception(lambda: text_of("p", texts.PAGE_FAILED))  # what went wrong is for the log, not for callers
+    server.mount("/api", Starlette())  # what is no path there is told so here: a page of NiceGUI would be kept for it
     ui.run_with(server, title=texts.TITLE, dark=None, show_welcome_message=False, tailwind=False)
 
 

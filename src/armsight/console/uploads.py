@@ -30,8 +30,10 @@ def add_files(server: FastAPI, console: Console) -> None:
 
     @server.get("/console/files/{name:path}", include_in_schema=False)
     async def report(name: str) -> FileResponse:
+        if not REPORT.fullmatch(name):
+            raise HTTPException(404)
         path = (console.folder / name).resolve()
-        if not REPORT.fullmatch(name) or not path.is_relative_to(console.folder.resolve()) or not path.is_file():
+        if not path.is_relative_to(console.folder.resolve()) or not path.is_file():
             raise HTTPException(404)
         return FileResponse(path, media_type="text/html", headers={"content-security-policy": REPORT_POLICY})
 

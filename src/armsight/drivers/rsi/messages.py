@@ -44,8 +44,8 @@ class RobMessage:
 def parse(data: bytes) -> RobMessage:
     """Return the state in one packet. Raises Inconsistent where it is none."""
     try:
-        text = data.decode("utf-8")  # here and not by the parser: in another encoding no declaration would be seen
-        if "<!" in text:  # entities may grow without bound
+        text = data.decode("utf-8")  # here and not by the parser: in another encoding no declaration would be seen,
+        if "<!" in text or "\0" in text:  # and zeros make it take the text for one; entities may grow without bound
             raise Inconsistent("a packet declares entities")
         root = ET.fromstring(text)
         if root.tag != "Rob":

@@ -77,14 +77,14 @@ def read_tags(path: Path) -> RsiTags:
     """Return what an RSI Ethernet file says. Raises BadFile where it is none, or no corrections can be sent by it."""
     try:
         data = read_file(path, limit=LARGEST_FILE)
-        text = data.decode("utf-8-sig")  # here and not by the parser: in another encoding no entity would be seen
+        text = data.decode("utf-8-sig")  # here, as in messages.parse
     except UnicodeDecodeError as error:
         raise BadFile(f"{path} is not UTF-8 text", cure="Give the controller's RSI Ethernet file") from error
     except OSError as error:
         raise BadFile(
             f"{path} cannot be read: {error.strerror}", cure="Give the controller's RSI Ethernet file"
         ) from error
-    if len(data) > LARGEST_FILE or "<!DOCTYPE" in text or "<!ENTITY" in text:
+    if len(data) > LARGEST_FILE or any(part in text for part in ("<!DOCTYPE", "<!ENTITY", "\0")):
         raise BadFile(f"{path} is no RSI Ethernet file", cure="Give the controller's RSI Ethernet file")
     try:
         root = ET.fromstring(text)
