@@ -1,4 +1,4 @@
-"""What these tests share with those of the server: a loop and a log in memory, tokens, a certificate; and raw sockets."""
+"""What these tests share with the server's: a loop and a log in memory, tokens, a certificate; and raw sockets."""
 
 from __future__ import annotations
 

@@ -30,7 +30,9 @@ from armsight.store.tokens import add_token, read_tokens
 
 WAIT_S = 20.0
 PAGES = sorted(application.PAGES)
-NOT_YET = pytest.mark.xfail(strict=True, reason="answers of the door itself, and of a server alone, have no headers yet")
+NOT_YET = pytest.mark.xfail(
+    strict=True, reason="answers of the door itself, and of a server alone, have no headers yet"
+)
 
 
 @pytest.fixture(scope="module")
@@ -92,9 +94,7 @@ def test_nobody_without_a_token_opens_a_socket(served: Any, path: str) -> None:
 
 @pytest.mark.parametrize("origin", ["http://evil.example", "null"])
 @pytest.mark.parametrize(("method", "path"), ALL)
-def test_a_foreign_page_reaches_nothing_even_with_the_cookie(
-    served: Any, method: str, path: str, origin: str
-) -> None:
+def test_a_foreign_page_reaches_nothing_even_with_the_cookie(served: Any, method: str, path: str, origin: str) -> None:
     assert ask(served, method, path, origin=origin, cookie=f"{COOKIE}={served.drive}").status_code == 403
 
 
@@ -291,7 +291,9 @@ def test_only_files_of_a_cell_are_taken(served: Any, said: Callable[..., bytes],
     head = f"PUT /console/files/{name} HTTP/1.1\r\nHost: localhost\r\nContent-Length: 1\r\n"
     told = said(served.socket, f"{head}Authorization: Bearer {served.drive}\r\n\r\nx".encode())
     assert told.split()[1] in (b"400", b"404", b"405")
-    assert {path.name for path in served.folder.iterdir()} == before and not (served.folder.parent / "rig.yaml").exists()
+    assert {path.name for path in served.folder.iterdir()} == before and not (
+        served.folder.parent / "rig.yaml"
+    ).exists()
 
 
 def test_a_file_is_not_brought_through_a_link_that_leads_nowhere(served: Any) -> None:

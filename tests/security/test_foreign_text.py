@@ -48,7 +48,7 @@ MARKUP = [
     "\"'><img src=x onerror=alert(1)>",
     "<svg/onload=alert(1)>",
     "<a href='javascript:alert(1)'>x</a>",
-    "<a href=\"https://evil.example\">x</a>",
+    '<a href="https://evil.example">x</a>',
     "<iframe srcdoc='x'>",
     "</style><style>*{display:none}",
     "<!--",
@@ -61,7 +61,7 @@ FORMULAS = [
     "+1+cmd|'!A0",
     "-1+cmd|'!A0",
     "@SUM(1)",
-    "=HYPERLINK(\"https://evil.example\",\"x\")",
+    '=HYPERLINK("https://evil.example","x")',
     "\t=1+1",
     "\r=1+1",
     "'=1+1",
@@ -209,7 +209,7 @@ def test_spots_and_poses_of_a_foreign_recording_write_no_formula(tmp_path: Path)
 
 @pytest.mark.parametrize("unit", ["mm", "m"])
 def test_a_table_that_is_converted_writes_no_formula(unit: str, tmp_path: Path) -> None:
-    (tmp_path / "in.csv").write_text(f"q1,x_{unit},y_{unit},z_{unit},point\n0,1,2,3,=1+1\n0.1,4,5,6,\"@a,b\"\n")
+    (tmp_path / "in.csv").write_text(f'q1,x_{unit},y_{unit},z_{unit},point\n0,1,2,3,=1+1\n0.1,4,5,6,"@a,b"\n')
     convert_table(tmp_path / "in.csv", tmp_path / "out.csv", kind="points")
     rows = rows_of(tmp_path / "out.csv")
     place = rows[0].index("point")
