@@ -330,3 +330,33 @@ def test_a_rule_that_is_taken_away_is_seen(
     else:
         monkeypatch.setattr(Path, "is_relative_to", lambda *_: True)
         assert ask(served, "GET", "/console/files/link.html", served.drive).text == "secret"
+
+
+ODD = {
+    "deep": "[" * 1900,
+    "a huge share": '{"do": "override", "share": 1' + "0" * 400 + "}",
+    "a huge time": '{"do": "beat", "enable": true, "seen": 1' + "0" * 400 + "}",
+    "a digit that is no number": '{"do": "beat", "enable": true, "seen": 1, "push": "joints:\u00b2:1"}',
+    "a share that is no number": '{"do": "override", "share": NaN}',
+    "an axis without end": '{"do": "beat", "enable": true, "push": "joints:' + "9" * 1500 + ':1"}',
+    "no mapping": "[1]",
+    "too long": '{"do": "' + "x" * 5000 + '"}',
+}
+RAISING = ("deep", "a huge share", "a huge time", "a digit that is no number")
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        pytest.param(
+            kind, marks=pytest.mark.xfail(kind in RAISING, strict=True, reason="ends the connection by an exception")
+        )
+        for kind in ODD
+    ],
+)
+def test_odd_messages_of_a_page_do_nothing(served: Any, kind: str) -> None:
+    path = f"{served.socket}/console/robot?browser=odd"
+    with connect(path, additional_headers={"authorization": f"Bearer {served.drive}"}, proxy=None) as line:
+        line.send(ODD[kind])
+        assert [json.loads(line.recv(timeout=WAIT_S))["mine"] for _ in range(3)]
+    served.robot.seat.override = 0.5
