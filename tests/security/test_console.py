@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,7 +15,7 @@ import httpx
 import pytest
 from nicegui import Client
 from websockets.exceptions import InvalidStatus
-from websockets.sync.client import connect
+from websockets.sync.client import ClientConnection, connect
 
 from armsight.app.operator.robot_cell import RobotCell
 from armsight.app.operator.seat import Seat
@@ -180,6 +182,59 @@ def test_a_watcher_does_not_learn_the_name_of_the_drivers_page(served: Any) -> N
     assert "ann" in told[-1], "who drives is told"
     assert not any(name in text for text in [*told, ask(served, "GET", "/live", served.watch).text])
     served.robot.seat.leave(name)
+
+
+@contextmanager
+def pages_socket(served: Any, token: str, page: str) -> Iterator[ClientConnection]:
+    """Open NiceGUI's socket of a page, as its script does."""
+    query = f"EIO=4&transport=websocket&implicit_handshake=true&client_id={page}&tab_id={token}&document_id={token}"
+    path = f"{served.socket}/_nicegui_ws/socket.io/?{query}&next_message_id=0"
+    with connect(path, additional_headers={"authorization": f"Bearer {token}"}, proxy=None) as line:
+        assert str(line.recv(timeout=WAIT_S)).startswith("0{")
+        line.send("40")
+        assert str(line.recv(timeout=WAIT_S)).startswith("40{")
+        yield line
+
+
+def page_of(served: Any, path: str, token: str) -> Client:
+    """Open a page and return it as the server has it."""
+    known = set(Client.instances)
+    ask(served, "GET", path, token)
+    (made,) = set(Client.instances) - known
+    return Client.instances[made]
+
+
+def clicked(served: Any, token: str, *, ours: bool) -> bool:
+    """Whether a click on a driver's page is heard that comes over a socket of this page, or of another one's."""
+    page = page_of(served, "/settings", served.drive)
+    pairs = [(element, one) for element in page.elements.values() for one in element._event_listeners.values()]
+    element, listener = next(pair for pair in pairs if pair[1].type == "click")
+    heard = threading.Event()
+    listener.handler = lambda *_: heard.set()
+    event = {"id": element.id, "client_id": page.id, "listener_id": listener.id, "args": []}
+    with pages_socket(served, served.drive, page.id) as own:
+        other = page_of(served, "/live", token)
+        with pages_socket(served, token, other.id) as line:
+            (own if ours else line).send("42" + json.dumps(["event", event]))
+            (own if ours else line).send("42" + json.dumps(["ack", {"client_id": other.id, "next_message_id": 0}]))
+            ask(served, "GET", "/live", token)  # what was sent before is done by then
+            return heard.wait(WAIT_S if ours else 0.2)
+
+
+def test_a_page_hears_its_own_socket_alone(served: Any) -> None:
+    assert clicked(served, served.drive, ours=True)
+    assert not clicked(served, served.watch, ours=False), "though it knows the page's name"
+    assert not clicked(served, served.drive, ours=False)
+
+
+def test_a_socket_that_takes_anothers_page_is_refused(served: Any) -> None:
+    page = page_of(served, "/settings", served.drive)
+    with (
+        pages_socket(served, served.drive, page.id),
+        pytest.raises(AssertionError),
+        pages_socket(served, served.watch, page.id),
+    ):
+        pass
 
 
 def test_a_watcher_stops_the_robot(served: Any) -> None:

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from importlib.resources import files
+from typing import Any
 
 from fastapi import FastAPI, Request
 from fastapi.responses import RedirectResponse
 from fastapi.staticfiles import StaticFiles
-from nicegui import app, ui
+from nicegui import app, core, ui
 from starlette.applications import Starlette
 
 from armsight.console import texts
@@ -55,6 +56,7 @@ def add_console(server: FastAPI, console: Console) -> None:
         _add_page(name, build, console)
     app.on_page_exception(lambda: text_of("p", texts.PAGE_FAILED))  # what went wrong is for the log, not for callers
     server.mount("/api", Starlette())  # what is no path there is told so here: a page of NiceGUI would be kept for it
+    _hear_own_pages_only()
     ui.run_with(server, title=texts.TITLE, dark=None, show_welcome_message=False, tailwind=False)
 
 
@@ -64,6 +66,20 @@ def _add_page(name: str, build: Callable[[Console], None], console: Console) -> 
         person = person_of(request)
         with page(name, console):
             (build if person.role == "drive" else WATCHED.get(name, _not_for_watchers))(console)
+
+
+def _hear_own_pages_only() -> None:
+    """Let a browser's socket speak for the page that it opened: NiceGUI takes a page's name alone for the right to it.
+
+    A socket is in the room of its page from its handshake on.
+    """
+    heard = core.sio.handlers["/"]["event"]
+
+    def check(sid: str, message: dict[str, Any]) -> None:
+        if message.get("client_id") in core.sio.rooms(sid):
+            heard(sid, message)
+
+    core.sio.on("event", check)
 
 
 def _not_for_watchers(_: Console) -> None:
