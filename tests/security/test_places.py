@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import stat
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -126,6 +128,13 @@ def test_a_pipe_that_nobody_reads_is_told_and_one_that_is_read_is_written(tmp_pa
     finally:
         os.close(reader)
     assert stat.S_ISFIFO(pipe.stat().st_mode)
+
+
+def test_standard_output_by_its_name_is_written_to() -> None:
+    code = "from armsight.store import write_text; from pathlib import Path; write_text(Path('/dev/stdout'), 'told')"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "told"
+    assert Path("/dev/stdout").is_symlink()
 
 
 def test_a_disk_that_is_full_is_told(tmp_path: Path) -> None:

@@ -67,10 +67,10 @@ def write_bytes(path: Path, data: bytes) -> None:
     /dev/null, or a pipe, is written to and never replaced. Raises DeviceFailed where the disk refuses.
     """
     with disk_errors(path):
-        path = Path(os.path.realpath(path)) if path.is_symlink() else path
         if path.exists() and not path.is_file():
             _write_into(path, data)
             return
+        path = Path(os.path.realpath(path)) if path.is_symlink() else path
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
         try:
