@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
+from armsight._files import read_file
 from armsight.errors import BadImage, Inconsistent
 from armsight.records import Frame
 
@@ -53,11 +54,13 @@ def as_image(image: ImageLike, name: str = "the image") -> Image:
 
 def read_image(path: str) -> Image:
     """Return an image file's content, grey or BGR as stored. Raises BadImage where it cannot be read."""
+    from armsight.drivers.images import LARGEST_BYTES, too_large
+
     try:
-        data = np.frombuffer(Path(path).read_bytes(), np.uint8)
+        data = read_file(Path(path), limit=LARGEST_BYTES)
     except OSError as error:
         raise BadImage(f"{path} cannot be read ({error.strerror})", cure="Check the path") from error
-    image = cv2.imdecode(data, cv2.IMREAD_ANYCOLOR) if data.size else None
+    image = None if too_large(data) else cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_ANYCOLOR)
     if image is None:
         raise BadImage(f"{path} is no image", cure="Give PNG, JPEG, BMP or TIFF")
     return np.asarray(image, dtype=np.uint8)

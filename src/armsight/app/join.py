@@ -18,7 +18,7 @@ from armsight.kinematics import Arm
 from armsight.store import write_text
 from armsight.store.handeye_file import write_pairs
 from armsight.store.interpret import OURS, TableFormat
-from armsight.store.tables import cells
+from armsight.store.tables import cells, word
 from armsight.store.tracks import POSITION, QUATERNION
 from armsight.store.verify_files import MeasuredFile, read_commanded, read_measured, read_reported_joints
 from armsight.verify import Align, Measured, Paired, Reported
@@ -154,7 +154,7 @@ def _write(job: JoinJob, arm: Arm | None, paired: Paired, rows: list[NDArray[np.
     named = any(labels)
     lines = [",".join([*names, *(["point"] if named else [])])]
     table = np.concatenate(columns, axis=1)
-    lines += [f"{cells(row)},{label}" if named else cells(row) for row, label in zip(table, labels, strict=True)]
+    lines += [f"{cells(row)},{word(label)}" if named else cells(row) for row, label in zip(table, labels, strict=True)]
     write_text(job.out, "\n".join(lines) + "\n")
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +14,7 @@ from armsight.app.schemas.files import ConvertTableOutput
 from armsight.errors import UsageError
 from armsight.store import write_text
 from armsight.store.interpret import OURS, TableFormat, interpret, kind_of_table
-from armsight.store.tables import parse_table
+from armsight.store.tables import bare, parse_table, word
 
 KINDS = ("joints", "poses", "points", "pairs", "robot_poses", "sweep")
 """Kinds of tables that can be asked for, named as the files are."""
@@ -35,8 +37,8 @@ def convert_table(
     format_.check()
     kind = kind or kind_of_table(source, format_, KINDS)
     found = interpret(source, UNTIMED.get(kind, kind), format_)
-    lines = [line for line in found.data.decode().splitlines() if line]
-    header = lines[0].split(",")
+    rows = [row for row in csv.reader(io.StringIO(found.data.decode("utf-8-sig"), newline="")) if row]
+    header = rows[0]
     words = [name for name in header if name in ("file", "point", "status", "spots")]
     table = parse_table(
         found.data,
@@ -48,7 +50,7 @@ def convert_table(
         series="q",
     )
     if out is not None:
-        write_text(out, "\n".join(lines) + "\n")
+        write_text(out, "\n".join(",".join(word(bare(cell)) for cell in row) for row in rows) + "\n")
     return ConvertTableOutput(
         kind=kind,
         how=found.how,

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Any, Self
+from unicodedata import category
 
 import typer
 from rich.console import Console
@@ -25,6 +26,9 @@ if TYPE_CHECKING:
     from armsight.app.schemas.base import Output
 
 UNFORESEEN = 1
+PRIVATE = 0o600
+UNSEEN = ("Cc", "Cf", "Cs")
+"""Kinds of letters that are not shown but do something: control, formatting (right to left) and halves of letters."""
 STOPPING = (signal.SIGINT, signal.SIGTERM)
 """Ctrl-C, and what a service manager sends: both bring the work to its end, a second one stops it at once."""
 LINE_EVERY_S = 5.0
@@ -40,7 +44,7 @@ class CommandUI:
 
     def __init__(self, *, as_json: bool) -> None:
         self._as_json = as_json
-        self.console = Console(stderr=True, highlight=False)
+        self.console = Console(stderr=True, highlight=False, markup=False)
         self._stopped = threading.Event()
         self._before: list[tuple[int, Any]] = []
         self._bar: Bar | None = None
@@ -54,7 +58,7 @@ class CommandUI:
     def say(self, text: str) -> None:
         """Print a line for the person."""
         self._end_bar()
-        self.console.print(text, markup=False, soft_wrap=True)
+        self.console.print(visible(text), soft_wrap=True)
 
     def table(self, title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
         """Print a table for the person; the first column is text, the others are numbers."""
@@ -63,7 +67,7 @@ class CommandUI:
         for column, name in enumerate(header):
             table.add_column(name, justify="left" if column == 0 else "right")
         for row in rows:
-            table.add_row(*row)
+            table.add_row(*(visible(cell) for cell in row))
         self.console.print(table)
 
     def result(self, result: Output) -> None:
@@ -100,7 +104,7 @@ class CommandUI:
     def _tell(self, error: ArmsightError) -> None:
         head = "stopped" if isinstance(error, Cancelled) else "error"
         style = "bold red" if self.console.is_terminal else ""
-        self.console.print(f"{head}: {error}", style=style, markup=False, soft_wrap=True)
+        self.console.print(f"{head}: {visible(str(error))}", style=style, soft_wrap=True)
         if self._as_json:
             self.result(_refusal(error))
 
@@ -134,7 +138,7 @@ class Bar:
         if note != self._note:
             self._note = note
             self._begun_s = time.monotonic()
-        label = f"{self._what}: {note}" if note else self._what
+        label = visible(f"{self._what}: {note}" if note else self._what)
         if self._console.is_terminal:
             self._draw(label, done, total)
         else:
@@ -152,7 +156,7 @@ class Bar:
 
     def _draw(self, label: str, done: float, total: float) -> None:
         if self._bar is None:
-            name, speed = TextColumn("{task.description}"), TextColumn("{task.fields[rate]}")
+            name, speed = TextColumn("{task.description}", markup=False), TextColumn("{task.fields[rate]}")
             columns = (name, BarColumn(), MofNCompleteColumn(), speed, TimeRemainingColumn())
             self._bar = Progress(*columns, console=self._console)
             self._task = self._bar.add_task(label, total=total or None, rate="")
@@ -170,7 +174,7 @@ class Bar:
             return
         self._label, self._told_s = label, now_s
         if not done:
-            self._console.print(f"{label} ...", markup=False, soft_wrap=True)
+            self._console.print(f"{label} ...", soft_wrap=True)
             return
         rate = self._rate(done)
         text = f"{label} {done:.0f}" + (f" of {total:.0f}" if total else "")
@@ -179,7 +183,7 @@ class Bar:
         if rate and total and not finished:
             left_s = round((total - done) / rate)
             text += f", {left_s // 60}:{left_s % 60:02d} left"
-        self._console.print(text, markup=False, soft_wrap=True)
+        self._console.print(text, soft_wrap=True)
 
     def _rate(self, done: float) -> float:
         passed_s = time.monotonic() - self._begun_s
@@ -204,12 +208,19 @@ def unforeseen(error: Exception) -> ArmsightError:
     path = log_path()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(f"{' '.join(sys.argv)}\n{''.join(traceback.format_exception(error))}", encoding="utf-8")
+        # a new file for its owner alone: in a folder that all may write to, another's link could lead anywhere
+        with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, PRIVATE), "w", encoding="utf-8") as file:
+            file.write(f"{' '.join(sys.argv)}\n{''.join(traceback.format_exception(error))}")
         where = f"The details are in {path}"
     except OSError:
         where = "The details could not be written to a file"
     first = (str(error).splitlines() or [""])[0]
     return ArmsightError(f"armsight met something it does not know: {type(error).__name__}: {first}"[:300], cure=where)
+
+
+def visible(text: str) -> str:
+    """Return text with what a terminal would obey written out: files name things, and anybody may have written them."""
+    return "".join(one if one in "\n\t" or category(one) not in UNSEEN else repr(one)[1:-1] for one in text)
 
 
 def log_path() -> Path:

@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from importlib.resources import files
+from typing import Any
 
 from fastapi import FastAPI, Request
 from fastapi.responses import RedirectResponse
 from fastapi.staticfiles import StaticFiles
-from nicegui import ui
+from nicegui import app, core, ui
+from starlette.applications import Starlette
 
 from armsight.console import texts
+from armsight.console.headers import SafeHeaders
 from armsight.console.layout import STATIC, page, text_of
 from armsight.console.pages.calibrate import calibrate_page
 from armsight.console.pages.identify import identify_page
@@ -39,6 +42,7 @@ WATCHED: dict[str, Callable[[Console], None]] = {"live": partial(live_page, watc
 
 def add_console(server: FastAPI, console: Console) -> None:
     """Add the console's pages to a server: /live and its sisters; / leads to /live."""
+    server.add_middleware(SafeHeaders)
     server.mount(STATIC, StaticFiles(directory=str(files("armsight") / "console" / "static")))
     add_pictures(server, console)
     add_files(server, console)
@@ -50,6 +54,9 @@ def add_console(server: FastAPI, console: Console) -> None:
 
     for name, build in PAGES.items():
         _add_page(name, build, console)
+    app.on_page_exception(lambda: text_of("p", texts.PAGE_FAILED))  # what went wrong is for the log, not for callers
+    server.mount("/api", Starlette())  # what is no path there is told so here: a page of NiceGUI would be kept for it
+    _hear_own_pages_only()
     ui.run_with(server, title=texts.TITLE, dark=None, show_welcome_message=False, tailwind=False)
 
 
@@ -59,6 +66,20 @@ def _add_page(name: str, build: Callable[[Console], None], console: Console) -> 
         person = person_of(request)
         with page(name, console):
             (build if person.role == "drive" else WATCHED.get(name, _not_for_watchers))(console)
+
+
+def _hear_own_pages_only() -> None:
+    """Let a browser's socket speak for the page that it opened: NiceGUI takes a page's name alone for the right to it.
+
+    A socket is in the room of its page from its handshake on.
+    """
+    heard = core.sio.handlers["/"]["event"]
+
+    def check(sid: str, message: dict[str, Any]) -> None:
+        if message.get("client_id") in core.sio.rooms(sid):
+            heard(sid, message)
+
+    core.sio.on("event", check)
 
 
 def _not_for_watchers(_: Console) -> None:

@@ -20,6 +20,7 @@ ENABLE_HELP = "Hold to enable: the robot moves only while this is held down"
 RESET = "Release the stop"
 OVERRIDE = "Speed"
 WATCHING = "Your token may watch: see the page Live. The stop works for you as well."
+PAGE_FAILED = "This page could not be built. What went wrong is in the log of the console."
 GONE = "No connection to the console. The robot is held."
 STALE = "The console was started anew. Load this page again."
 ROBOT = {

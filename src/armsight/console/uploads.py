@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 
@@ -9,6 +10,7 @@ from fastapi import FastAPI, HTTPException, Request
 from fastapi.responses import FileResponse, PlainTextResponse
 
 from armsight.console import texts
+from armsight.console.headers import REPORT_POLICY
 from armsight.console.robot_link import person_of
 from armsight.console.state import Console
 from armsight.errors import ArmsightError
@@ -28,10 +30,12 @@ def add_files(server: FastAPI, console: Console) -> None:
 
     @server.get("/console/files/{name:path}", include_in_schema=False)
     async def report(name: str) -> FileResponse:
-        path = console.folder / name
-        if not REPORT.fullmatch(name) or not path.is_file():
+        if not REPORT.fullmatch(name):
             raise HTTPException(404)
-        return FileResponse(path)
+        path = (console.folder / name).resolve()
+        if not path.is_relative_to(console.folder.resolve()) or not path.is_file():
+            raise HTTPException(404)
+        return FileResponse(path, media_type="text/html", headers={"content-security-policy": REPORT_POLICY})
 
     @server.put("/console/files/{name}", include_in_schema=False)
     async def take(name: str, request: Request) -> PlainTextResponse:
@@ -58,7 +62,7 @@ def _refused(folder: Path, name: str, role: str) -> PlainTextResponse | None:
         return PlainTextResponse(texts.WATCHING, 403)
     if not NAME.fullmatch(name) or len(name.encode()) > LONGEST_NAME_BYTES:
         return PlainTextResponse(texts.NOT_A_NAME.format(name=name[:80]), 400)
-    if (folder / name).exists():
+    if os.path.lexists(folder / name):  # a link too, wherever it leads
         return PlainTextResponse(texts.EXISTS.format(name=name), 409)
     return None
 

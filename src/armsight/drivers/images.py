@@ -11,9 +11,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight._files import read_file
+from armsight.drivers.image_size import LARGEST_PX, said_size
 from armsight.errors import BadFile, BadImage, NotEnoughData, UsageError
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")
+LARGEST_BYTES = 6 * LARGEST_PX
+"""Of an image file: the largest image as it is, in colours of 16 bits."""
 PNG_END = b"IEND\xaeB`\x82"
 JPEG_SCAN = b"\xff\xda"
 JPEG_END = b"\xff\xd9"
@@ -101,7 +105,7 @@ def read_image(path: Path, *, colour: bool = False, bits: int | None = None) -> 
 def read_pixels(path: Path, *, colour: bool = False) -> NDArray[np.generic]:
     """Return the pixels in path as read_image does, as deep as the file has them."""
     try:
-        data = path.read_bytes()
+        data = read_file(path, limit=LARGEST_BYTES)
     except OSError as error:
         raise BadFile(
             f"{path} cannot be read ({error.strerror or error})", consequence="The frame is missing", cure="Check it"
@@ -115,7 +119,7 @@ def decode_image(data: bytes, where: str, *, colour: bool = False) -> NDArray[np
 
 
 def _decoded(data: bytes, where: str, *, colour: bool) -> NDArray[np.generic]:
-    why = "it is empty" if not data else _broken_off(data)
+    why = "it is empty" if not data else _broken_off(data) or too_large(data)
     image = None
     if not why:
         flags = cv2.IMREAD_COLOR if colour else cv2.IMREAD_GRAYSCALE
@@ -177,6 +181,16 @@ def _broken_off(data: bytes) -> str:
         return "it breaks off before its end"
     if data.startswith(b"\xff\xd8") and data.rfind(JPEG_END) < data.rfind(JPEG_SCAN):
         return "it breaks off before its end"
+    return ""
+
+
+def too_large(data: bytes) -> str:
+    """Say why the bytes of an image file are not given to a decoder, or ''."""
+    size = said_size(data)
+    if size is None:
+        return "its head is damaged, or of no known kind"
+    if len(data) > LARGEST_BYTES or size[0] * size[1] > LARGEST_PX:
+        return f"{size[0]} x {size[1]} px are more than the {LARGEST_PX / 1e6:.0f} million that a camera's image has"
     return ""
 
 

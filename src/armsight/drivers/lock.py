@@ -42,7 +42,8 @@ class DeviceLock:
         plain = re.sub(r"[^A-Za-z0-9]+", "-", self._device).strip("-")
         path = self._folder / f"armsight-{plain}.lock"
         try:
-            file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+            # no link: in a folder that all may write to, somebody's could lead to a file that is emptied here
+            file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)
         except OSError:
             return self  # a folder that cannot be written must not keep anybody from their camera
         try:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from armsight.kinematics import Arm, JointType, link_frames, near_singularities, singularity_distance
 from armsight.report.figures import BLUE, GREEN, GREY, INK, ORANGE, RED, Figure, axis, layout, spread
-from armsight.report.html import Card, Page, Verdict, figure_of, table
+from armsight.report.html import Card, Page, Verdict, figure_of, table, text
 from armsight.units import DEG, MM
 
 Array = NDArray[np.float64]
@@ -100,7 +100,7 @@ def arm_figure(arm: Arm, q: Array) -> Figure:
     bones = _skeleton(arm, frames)
     size = max(float(np.ptp(bones, axis=0).max()), 1e-3)
     data += [_line(np.array([z0, z1]), GREY, 2, "axis") for z0, z1 in _axes(frames, 0.5 * ARROW * size)]
-    data.append(_line(bones, INK, 9, arm.name, mode="lines+markers", marker={"size": 4, "color": ORANGE}))
+    data.append(_line(bones, INK, 9, text(arm.name), mode="lines+markers", marker={"size": 4, "color": ORANGE}))
     for T, name in ((frames[0], "base"), (frames[-1], "tool")):
         for k, colour in enumerate((RED, GREEN, BLUE)):
             tip = T[:3, 3] + ARROW * size * T[:3, k]

@@ -18,7 +18,7 @@ from armsight.kinematics.target import start_values
 from armsight.records import TaughtPath
 from armsight.report.arm_view import arm_figure
 from armsight.report.figures import BLUE, GREEN, GREY, INK, ORANGE, RED, Figure, axis, layout, thinned
-from armsight.report.html import Card, Page, Verdict, figure_of, table
+from armsight.report.html import Card, Page, Verdict, figure_of, table, text
 from armsight.units import MM
 
 Array = NDArray[np.float64]
@@ -187,7 +187,7 @@ def _trouble(
     gap = np.full((1, 3), np.nan)
     ways = np.concatenate([np.concatenate([xyz[[max(row - 1, 0), row]], gap]) for row in rows])
     points = xyz[list(rows)]
-    texts = ["<br>".join(issue.text for issue in told[row]) for row in rows]
+    texts = ["<br>".join(text(issue.text) for issue in told[row]) for row in rows]
     marks = _line3d(points, colour, word, 1, mode="markers", marker={"size": 3, "color": colour})
     return [
         _line3d(ways, colour, word, 9, legendgroup=word, hoverinfo="skip"),
@@ -216,7 +216,7 @@ def _box(box: Box, colour: str, T_world_base: Array) -> dict[str, Any]:
     for a, b in ((1, 5), (3, 7), (2, 6)):
         edges += [np.full((1, 3), np.nan), corners[[a, b]]]
     points = box.lower_m + np.concatenate(edges) * (box.upper_m - box.lower_m)
-    return _line3d(points @ T_world_base[:3, :3].T + T_world_base[:3, 3], colour, box.name, 3, hoverinfo="name")
+    return _line3d(points @ T_world_base[:3, :3].T + T_world_base[:3, 3], colour, text(box.name), 3, hoverinfo="name")
 
 
 def _joints(path: TaughtPath, arm: Arm, limits: Limits, found: PathCheck) -> list[Figure]:
@@ -238,7 +238,7 @@ def _shares(arm: Arm, s: Array, share: Array, title: str, ends: tuple[float, flo
             rows = thinned(share[:, i])
             colour = JOINT_COLOURS[i % len(JOINT_COLOURS)]
             line = {"color": colour, "width": 2}
-            data.append({"type": "scatter", "x": s[rows], "y": share[rows, i], "name": joint.name, "line": line})
+            data.append({"type": "scatter", "x": s[rows], "y": share[rows, i], "name": text(joint.name), "line": line})
     for end in ends:
         line = {"color": RED, "width": 1, "dash": "dash"}
         data.append({"type": "scatter", "x": s[[0, -1]], "y": np.full(2, end), "line": line, "showlegend": False})

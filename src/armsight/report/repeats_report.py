@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.report.figures import BLUE, GREEN, GREY, ORANGE, RED, Figure, axis, layout
-from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table
+from armsight.report.html import Card, Page, Verdict, bullets, figure_of, table, text
 from armsight.report.verify_report import BY_PLACE, ISO_TOLD, LISTED, PRINT, iso_by_place, iso_table
 from armsight.units import MM
 from armsight.verify import Measured, Repeats
@@ -108,7 +108,7 @@ def _course(measured: Measured, repeats: Repeats) -> Figure:
         off = np.linalg.norm(measured.xyz_m[rows] - measured.xyz_m[rows].mean(axis=0), axis=1) / MM
         marker = {"color": COLOURS[k % len(COLOURS)], "size": 5, "symbol": k // len(COLOURS)}
         where = {"x": measured.rows[rows].astype(float), "y": off}
-        data.append({"type": "scatter", "mode": "markers", "name": name, "marker": marker, **where})
+        data.append({"type": "scatter", "mode": "markers", "name": text(name), "marker": marker, **where})
     shape = layout(xaxis=axis("row"), yaxis=axis("distance, mm", rangemode="tozero"))
     return Figure(data=data, layout=shape, height_px=300)
 
@@ -128,6 +128,6 @@ def _side(measured: Measured, repeats: Repeats, up: int) -> Figure:
         about = (about - about.mean(axis=0)) / MM
         marker = {"color": COLOURS[k % len(COLOURS)], "size": 5, "symbol": k // len(COLOURS)}
         where = {"x": about[:, 0], "y": about[:, up]}
-        data.append({"type": "scatter", "mode": "markers", "name": name, "marker": marker, **where})
+        data.append({"type": "scatter", "mode": "markers", "name": text(name), "marker": marker, **where})
     shape = layout(xaxis=axis("x, mm"), yaxis=axis(f"{'xyz'[up]}, mm", scaleanchor="x"))
     return Figure(data=data, layout=shape, height_px=380)

@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.kinematics import Arm
 from armsight.report.arm_view import arm_figure
 from armsight.report.figures import BLUE, GREY, ORANGE, RED, Figure, axis, bars, layout, place, spread, thinned
-from armsight.report.html import Card, Page, Verdict, bullets, figure_of, in_degrees, table, with_deviation
+from armsight.report.html import Card, Page, Verdict, bullets, figure_of, in_degrees, table, text, with_deviation
 from armsight.report.iso_symbols import FIGURES
 from armsight.units import DEG, MM, MS
 from armsight.verify import Verification
@@ -344,7 +344,7 @@ def over_joints(result: Verification, arm: Arm) -> Figure:
         left, low = column / columns, 1.0 - (line + 1) / lines
         unit = DEG if arm.revolute[i] else MM
         more[f"xaxis{name}"] = axis(
-            f"{joint.name}, {'°' if arm.revolute[i] else 'mm'}",
+            f"{text(joint.name)}, {'°' if arm.revolute[i] else 'mm'}",
             domain=[left + 0.04, left + 1 / columns - 0.02],
             anchor=f"y{name}",
         )
@@ -353,7 +353,7 @@ def over_joints(result: Verification, arm: Arm) -> Figure:
             {
                 "type": "scatter",
                 "mode": "markers",
-                "name": joint.name,
+                "name": text(joint.name),
                 "x": q[result.kept[rows], i] / unit,
                 "y": size[rows] / MM,
                 "marker": {"color": BLUE, "size": 3},

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import hashlib
 import json
 import math
 import os
+import stat
 import tempfile
 from collections.abc import Iterator, Mapping
 from io import FileIO
@@ -16,6 +18,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from armsight._files import open_file, read_file
 from armsight.clock import Clock, SystemClock
 from armsight.errors import BadFile, DeviceFailed
 
@@ -42,8 +45,7 @@ def disk_errors(path: Path) -> Iterator[None]:
 def read_bytes(path: Path, *, limit: int) -> bytes:
     """Return the file's content; BadFile where it cannot be read or holds more than limit bytes."""
     try:
-        with path.open("rb") as file:
-            data = file.read(limit + 1)
+        data = read_file(path, limit=limit)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise BadFile(
@@ -61,9 +63,14 @@ def read_bytes(path: Path, *, limit: int) -> bytes:
 def write_bytes(path: Path, data: bytes) -> None:
     """Replace the file's content in one step: a crash leaves the old file or the new one, never half of one.
 
-    Makes the folder where it is missing. Raises DeviceFailed where the disk refuses.
+    Makes the folder where it is missing. A link stays, and the file that it leads to is replaced; a device such as
+    /dev/null, or a pipe, is written to and never replaced. Raises DeviceFailed where the disk refuses.
     """
     with disk_errors(path):
+        if path.exists() and not path.is_file():
+            _write_into(path, data)
+            return
+        path = Path(os.path.realpath(path)) if path.is_symlink() else path
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
         try:
@@ -77,6 +84,18 @@ def write_bytes(path: Path, data: bytes) -> None:
             Path(name).unlink(missing_ok=True)
             raise
         _sync_folder(path.parent)
+
+
+def _write_into(path: Path, data: bytes) -> None:
+    """Write to a character device or a pipe. Raises OSError for all else, and where nobody reads the pipe."""
+    if stat.S_ISBLK(path.stat().st_mode):
+        raise OSError(errno.EINVAL, "it is a disk, not a file")
+    handle = os.open(path, os.O_WRONLY | getattr(os, "O_NONBLOCK", 0))
+    with os.fdopen(handle, "wb", buffering=0) as file:
+        os.set_blocking(handle, True)
+        rest = memoryview(data)
+        while rest:
+            rest = rest[file.write(rest) :]
 
 
 def write_text(path: Path, text: str) -> None:
@@ -137,7 +156,7 @@ def write_json(path: Path, value: Any) -> None:
 def sha256(path: Path) -> str:
     """Return the SHA-256 of the file's content in hexadecimal; BadFile where it cannot be read."""
     try:
-        with path.open("rb") as file:
+        with open_file(path) as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise BadFile(f"{path}: cannot be read ({error.strerror or error})", cure="Check the path") from error

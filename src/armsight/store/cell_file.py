@@ -74,10 +74,10 @@ def write_cell(folder: Path, cell: CellFile) -> Path:
 
 
 def cell_path(folder: Path, name: str, what: str) -> Path | None:
-    """Return a file of the cell, None where it has none. Raises BadFile where it is named and not there."""
+    """Return a file of the cell, None where it has none. Raises BadFile where it is named and not there, as within."""
     if not name:
         return None
-    path = folder / name
+    path = within(folder, name)
     if not path.is_file():
         raise BadFile(
             f"{path} is not there",
@@ -85,3 +85,17 @@ def cell_path(folder: Path, name: str, what: str) -> Path | None:
             cure=f"Put the file into {folder}, or choose another",
         )
     return path
+
+
+def within(folder: Path, name: str) -> Path:
+    """Return a path in the cell's folder. Raises BadFile for one that leads out of it.
+
+    Whoever may open the cell's pages chooses its files, and is not to read all others of the computer thereby.
+    """
+    if Path(name).is_absolute() or ".." in Path(name).parts:
+        raise BadFile(
+            f"{name[:80]} is not in {folder}",
+            consequence="It is not read",
+            cure="Copy it into the cell's folder, or put a link to it there",
+        )
+    return folder / name

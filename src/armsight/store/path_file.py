@@ -12,7 +12,7 @@ from armsight.geometry import pose_from_quat, xyz_quat
 from armsight.records import TaughtPath
 from armsight.store.atomic import read_bytes, write_text
 from armsight.store.schema import named
-from armsight.store.tables import MAX_BYTES, cells, number, parse_table
+from armsight.store.tables import MAX_BYTES, cells, number, parse_table, word
 from armsight.store.tracks import POSITION, QUATERNION
 
 COLUMNS = ("index", "t_s", *POSITION, *QUATERNION, "speed_m_s", "tag")
@@ -25,7 +25,7 @@ def write_path(path: Path, taught: TaughtPath) -> None:
     for i, pose in enumerate(taught.poses):
         xyz, quat = xyz_quat(pose)
         speed = number(taught.speed_m_s[i])
-        rows.append(f"{i},{number(taught.t_s[i])},{cells([*xyz, *quat])},{speed},{taught.tags[i]}")
+        rows.append(f"{i},{number(taught.t_s[i])},{cells([*xyz, *quat])},{speed},{word(taught.tags[i])}")
     write_text(path, "\n".join(rows) + "\n")
 
 

@@ -6,6 +6,7 @@ import csv
 import difflib
 import io
 import math
+import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +21,9 @@ MAX_BYTES = 1_000_000_000
 """An hour of poses at 1 kHz has 0.7 GB."""
 
 Array = NDArray[np.float64]
+
+_FORMULA = re.compile(r"'*[=+\-@\t\r]")
+"""What spreadsheets take for the beginning of a formula, marked or not."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -115,7 +119,7 @@ def parse_table(
     numbers, words = {}, {}
     for name, cells in zip(header, columns, strict=True):
         if name in text:
-            words[name] = tuple(cell.strip() for cell in cells)
+            words[name] = tuple(bare(cell.strip()) for cell in cells)
         else:
             numbers[name] = number_column(cells, name, lines, where, name in blank)
     return Table(where=where, numbers=numbers, text=words, lines=tuple(lines))
@@ -218,6 +222,22 @@ def number(value: float) -> str:
     """Return the shortest text that reads back as the same float; empty for NaN, which stands for nothing."""
     value = float(value)
     return "" if math.isnan(value) else repr(value)
+
+
+def word(text: str) -> str:
+    """Return a text as one cell: quoted where CSV needs it, and with ' before it where a spreadsheet saw a formula.
+
+    Names come out of files that anybody wrote, and a spreadsheet runs what begins with an equals sign. parse_table
+    takes the mark away again.
+    """
+    if _FORMULA.match(text) and not _is_number(text):
+        text = f"'{text}"
+    return '"' + text.replace('"', '""') + '"' if any(mark in text for mark in ',"\n\r') else text
+
+
+def bare(text: str) -> str:
+    """Return a cell's text without the mark that word gave it."""
+    return text[1:] if text.startswith("'") and _FORMULA.match(text) else text
 
 
 def cells(values: Sequence[float] | Array) -> str:

@@ -21,7 +21,7 @@ from armsight.records import Motion, Points, PoseStatus, Spots, TargetPose
 from armsight.store.atomic import RowFile, read_bytes, write_text
 from armsight.store.interpret import OURS, TableFormat, check_joint_values, standard_bytes
 from armsight.store.schema import LARGEST, named
-from armsight.store.tables import MAX_BYTES, Array, Table, cells, number, parse_table, read_table
+from armsight.store.tables import MAX_BYTES, Array, Table, cells, number, parse_table, read_table, word
 
 POSITION = ("x_m", "y_m", "z_m")
 QUATERNION = ("qx", "qy", "qz", "qw")
@@ -106,7 +106,7 @@ class PointsWriter(_Writer):
             return
         deviation = np.sqrt(np.diagonal(points.covariance_m2, axis1=1, axis2=2))  # (n, 3)
         for name, xyz, std in zip(points.names, points.xyz_m.tolist(), deviation.tolist(), strict=True):
-            self._rows.add(f"{number(t_s)},{name},{cells(xyz)},{cells(std)}")
+            self._rows.add(f"{number(t_s)},{word(name)},{cells(xyz)},{cells(std)}")
 
 
 class SpotsWriter(_Writer):
@@ -120,7 +120,7 @@ class SpotsWriter(_Writer):
             return
         deviation = np.sqrt(np.diagonal(spots.covariance_px2, axis1=1, axis2=2))  # (n, 2)
         for name, uv, std in zip(names, spots.uv_px.tolist(), deviation.tolist(), strict=True):
-            self._rows.add(f"{number(t_s)},{camera},{name},{cells(uv)},{cells(std)}")
+            self._rows.add(f"{number(t_s)},{word(camera)},{word(name)},{cells(uv)},{cells(std)}")
 
 
 def pose_row(pose: TargetPose) -> str:
@@ -145,7 +145,7 @@ def pose_row(pose: TargetPose) -> str:
         if pose.systematic_covariance is not None:
             variances = pose.systematic_covariance.diagonal().tolist()
             systematic[: len(variances)] = [math.sqrt(max(v, 0.0)) for v in variances]
-    row = f"{number(pose.t_s)},{cells(values)},{pose.status.value},{' '.join(pose.spots)}"
+    row = f"{number(pose.t_s)},{cells(values)},{pose.status.value},{word(' '.join(pose.spots))}"
     return f"{row},{cells(systematic)},{cells(lights)}"
 
 

@@ -80,7 +80,7 @@ def arm_from_urdf(text: str, where: str = "URDF", *, tip: str | None = None, bas
 
 def _parsed(text: str, where: str) -> ElementTree.Element:
     """Return the robot element. Document types, and with them entities, are refused before the parser sees them."""
-    if re.search(r"<!\s*(DOCTYPE|ENTITY)", text, re.IGNORECASE):
+    if re.search(r"<!\s*(DOCTYPE|ENTITY)|\0", text, re.IGNORECASE):  # zeros: the parser would take it for UTF-16
         raise BadFile(
             f"{where}: holds a document type or entities",
             consequence="It is not read: they could expand without end",

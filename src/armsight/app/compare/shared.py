@@ -68,7 +68,7 @@ def _made_with(path: Path) -> MadeWith | None:
         held = json.loads(read_bytes(path, limit=MAX_SUMMARY_BYTES))
         told = held.get("made_with") if isinstance(held, dict) else None
         return None if told is None else MadeWith.model_validate(told)
-    except (ValueError, ValidationError) as error:
+    except (ValueError, ValidationError, RecursionError) as error:
         raise BadFile(
             f"{path}: not the summary of a measurement ({str(error).splitlines()[0]})",
             consequence="Whether both runs had one rig and target cannot be told",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable
 from itertools import chain
 from pathlib import Path
@@ -12,13 +13,16 @@ from armsight.app.record.record import RIG_NAME, TARGET_NAME
 from armsight.app.schemas.files import ExportOutput
 from armsight.app.simulate.cells import PNG
 from armsight.drivers import ordered_map
-from armsight.errors import Cancelled, DeviceFailed, Inconsistent, UsageError
+from armsight.errors import BadFile, Cancelled, DeviceFailed, Inconsistent, UsageError
 from armsight.records import Frame, Progress, Silent
 from armsight.store import PosesWriter, SpotsWriter, write_bytes, write_text, write_tum
 from armsight.store.atomic import RowFile, disk_errors, json_text
 from armsight.store.recording import Recording
 from armsight.store.rosbag2 import write_rosbag2
-from armsight.store.tables import cells, number
+from armsight.store.tables import cells, number, word
+
+FOLDER = re.compile(r"\w[\w.-]*(/\w[\w.-]*)*")
+"""A camera's name that leads into the folder written to; whoever wrote the recording chose it."""
 
 KINDS = ("files", "rosbag2")
 """What a recording can be written as."""
@@ -73,6 +77,12 @@ def _folder(recording: Recording, out: Path, progress: Progress) -> dict[str, in
             done[name] = 1
     times: dict[str, list[float]] = {}
     for camera in recording.cameras:
+        if not FOLDER.fullmatch(camera):
+            raise BadFile(
+                f"{recording.path}: {camera[:60]!r} names no folder within {out}",
+                consequence="Its frames would be written elsewhere; nothing is",
+                cure="Give the topic another name, and record it anew",
+            )
         times[camera] = _frames(recording, camera, out / camera, progress)
         done[camera] = len(times[camera])
     first = next(iter(times.values()), [])
@@ -159,10 +169,7 @@ def _commands(recording: Recording, path: Path) -> int:
     return _rows(
         path,
         "t_s,kind,values",
-        (
-            f"{number(it.t_s)},{_quoted(it.kind)},{_quoted(json_text(it.values, indent=None))}"
-            for it in recording.commands()
-        ),
+        (f"{number(it.t_s)},{word(it.kind)},{word(json_text(it.values, indent=None))}" for it in recording.commands()),
     )
 
 
@@ -170,7 +177,7 @@ def _events(recording: Recording, path: Path) -> int:
     return _rows(
         path,
         "t_s,level,name,message",
-        (f"{number(it.t_s)},{it.level},{_quoted(it.name)},{_quoted(it.message)}" for it in recording.events()),
+        (f"{number(it.t_s)},{it.level},{word(it.name)},{word(it.message)}" for it in recording.events()),
     )
 
 
@@ -181,8 +188,3 @@ def _rows(path: Path, header: str, rows: Iterable[str]) -> int:
             table.add(row)
             count += 1
     return count
-
-
-def _quoted(text: str) -> str:
-    """Return text as a CSV cell."""
-    return '"' + text.replace('"', '""') + '"'

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from armsight.app.schemas.verify_live import DecisionTime, LiveAlarm, LiveErrors, LiveLevels, VerifyLiveOutput
 from armsight.records import PoseStatus, TargetPose
 from armsight.report.live_report import LiveSeries
-from armsight.store.tables import cells, number
+from armsight.store.tables import cells, number, word
 from armsight.units import DEG, MM
 from armsight.verify.supervision import Alarm, Compared, Level, Limits
 
@@ -78,9 +78,8 @@ class LiveLog:
         lines = [",".join(HEADER)]
         for row in self.rows:
             sizes = np.linalg.norm(row.error.reshape(2, 3), axis=1)
-            why = row.lost.replace('"', "'")
             told = cells([*row.error, *sizes, *row.std, row.ms])
-            lines.append(f'{number(row.t_s)},{row.level.word if not row.lost else "lost"},{told},"{why}"')
+            lines.append(f"{number(row.t_s)},{row.level.word if not row.lost else 'lost'},{told},{word(row.lost)}")
         return "\n".join(lines) + "\n"
 
     def series(self) -> LiveSeries:

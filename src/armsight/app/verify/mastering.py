@@ -22,7 +22,7 @@ from armsight.records import Target
 from armsight.report.mastering_report import mastering_report
 from armsight.store import read_rig, read_world, write_text
 from armsight.store.schema import pose_mapping
-from armsight.store.tables import cells
+from armsight.store.tables import cells, word
 from armsight.store.verify_files import MeasuredFile, read_measured, read_reported_joints
 from armsight.verify import Align
 from armsight.verify.mastering import CANDIDATES, SPAN_M, Mastering, Proposal, check_mastering, propose
@@ -183,7 +183,7 @@ def _poses_csv(arm: Arm, found: Proposal) -> str:
     names = [joint.name for joint in arm.joints]
     lines = [",".join(["pose", *(f"q{i + 1}" for i in range(arm.n)), "decides"])]
     for k, (q, which) in enumerate(zip(arm.readings(found.q), found.decides, strict=True), start=1):
-        lines.append(f"{k},{cells(q)},{' '.join(names[i] for i in which)}")
+        lines.append(f"{k},{cells(q)},{word(' '.join(names[i] for i in which))}")
     return "\n".join(lines) + "\n"
 
 

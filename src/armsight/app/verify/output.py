@@ -20,7 +20,7 @@ from armsight.app.schemas.verify import (
 )
 from armsight.kinematics import Arm
 from armsight.store.schema import pose_mapping
-from armsight.store.tables import cells
+from armsight.store.tables import cells, word
 from armsight.store.verify_files import MeasuredFile
 from armsight.units import DEG, MM
 from armsight.verify import Cause, Figures, JointVerdict, Verification
@@ -216,5 +216,6 @@ def repeats_csv(file: MeasuredFile) -> str:
         own = pose == name
         apart[own] = np.linalg.norm(xyz[own] - xyz[own].mean(axis=0), axis=1)
     for k, row in enumerate(file.measured.rows):
-        lines.append(f"{row},{told.pose[k]},{told.visit[k]},{told.run[k]},{cells([*xyz[k], apart[k]])}")
+        words = ",".join(word(text) for text in (told.pose[k], told.visit[k], told.run[k]))
+        lines.append(f"{row},{words},{cells([*xyz[k], apart[k]])}")
     return "\n".join(lines) + "\n"

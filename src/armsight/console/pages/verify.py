@@ -17,6 +17,7 @@ from armsight.console.pages.supervision import supervision_card
 from armsight.console.state import Console
 from armsight.console.uploads import reports
 from armsight.errors import ArmsightError
+from armsight.store.cell_file import within
 
 FIELDS = ("measured", "joints")
 
@@ -55,7 +56,7 @@ def verify_page(console: Console) -> None:
 def _verify(console: Console, names: dict[str, str]) -> VerifyOutput:
     """Verify files of the cell's folder into a folder of their own, named after the time."""
     out = console.folder / f"verify-{datetime.now():%Y%m%d-%H%M%S}"
-    measured, joints = (console.folder / names[name] for name in FIELDS)
+    measured, joints = (within(console.folder, names[name]) for name in FIELDS)
     arm = console.file("arm") if names["joints"] else None
     job = VerifyJob(measured=measured, out=out, arm=None if arm is None else str(arm), joints=joints if arm else None)
     return run_verify(job)

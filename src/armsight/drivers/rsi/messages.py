@@ -43,14 +43,15 @@ class RobMessage:
 
 def parse(data: bytes) -> RobMessage:
     """Return the state in one packet. Raises Inconsistent where it is none."""
-    if b"<!" in data:  # no declarations: entities may grow without bound
-        raise Inconsistent("a packet declares entities")
     try:
-        root = ET.fromstring(data)
+        text = data.decode("utf-8")  # here and not by the parser: in another encoding no declaration would be seen,
+        if "<!" in text or "\0" in text:  # and zeros make it take the text for one; entities may grow without bound
+            raise Inconsistent("a packet declares entities")
+        root = ET.fromstring(text)
         if root.tag != "Rob":
             raise Inconsistent("a packet is no Rob message")
-        text = (root.findtext("IPOC") or "").strip()
-        if re.fullmatch(r"[0-9]{1,18}", text) is None:
+        ipoc = (root.findtext("IPOC") or "").strip()
+        if re.fullmatch(r"[0-9]{1,18}", ipoc) is None:
             raise Inconsistent("a packet has no IPOC")
         q, q_set, place = (_values(root, *what) for what in (("AIPos", JOINTS), ("ASPos", JOINTS), ("RIst", POSE)))
         delay = root.find("Delay")
@@ -60,7 +61,7 @@ def parse(data: bytes) -> RobMessage:
     if q is None:
         raise Inconsistent("a packet has no AIPos")
     return RobMessage(
-        ipoc=int(text),
+        ipoc=int(ipoc),
         q=_within(np.radians(q), LARGEST_RAD),
         q_set=None if q_set is None else _within(np.radians(q_set), LARGEST_RAD),
         T_base_flange=None if place is None else pose_of(place),

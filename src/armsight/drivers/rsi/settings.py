@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from armsight._files import read_file
 from armsight.errors import BadFile, UsageError
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
@@ -75,16 +76,19 @@ def rsi_settings(values: Mapping[str, Any]) -> RsiSettings:
 def read_tags(path: Path) -> RsiTags:
     """Return what an RSI Ethernet file says. Raises BadFile where it is none, or no corrections can be sent by it."""
     try:
-        data = path.read_bytes()[: LARGEST_FILE + 1]
+        data = read_file(path, limit=LARGEST_FILE)
+        text = data.decode("utf-8-sig")  # here, as in messages.parse
+    except UnicodeDecodeError as error:
+        raise BadFile(f"{path} is not UTF-8 text", cure="Give the controller's RSI Ethernet file") from error
     except OSError as error:
         raise BadFile(
             f"{path} cannot be read: {error.strerror}", cure="Give the controller's RSI Ethernet file"
         ) from error
-    if len(data) > LARGEST_FILE or b"<!DOCTYPE" in data or b"<!ENTITY" in data:
+    if len(data) > LARGEST_FILE or any(part in text for part in ("<!DOCTYPE", "<!ENTITY", "\0")):
         raise BadFile(f"{path} is no RSI Ethernet file", cure="Give the controller's RSI Ethernet file")
     try:
-        root = ET.fromstring(data)
-    except ET.ParseError as error:
+        root = ET.fromstring(text)
+    except (ET.ParseError, ValueError) as error:
         raise BadFile(f"{path} is no XML: {error}", cure="Give the controller's RSI Ethernet file") from error
     return _tags(root, path)
 

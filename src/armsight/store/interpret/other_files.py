@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import io
 import re
+import struct
+import zlib
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.io import loadmat
+from scipy.io import loadmat, whosmat
 from scipy.io.matlab import MatReadError
 
 from armsight.errors import BadFile, NotEnoughData
@@ -20,6 +23,10 @@ from armsight.store.interpret.table_format import column_names
 Array = NDArray[np.float64]
 
 MAT_BYTES = 200_000_000
+"""Of a file, and of what its variables unpack to."""
+MAT_HEAD, MAT_COMPRESSED = 128, 15
+"""Bytes before the first variable, and the type of a compressed one, in version 5 of the format."""
+MAT_NUMBERS = ("double", "single", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)))
 POSE_SUFFIXES = (".yaml", ".yml", ".txt", ".csv", ".json")
 MOST_FILES = 20_000
 ROTATION = tuple(f"r{row}{column}" for row in range(3) for column in range(3))
@@ -34,14 +41,24 @@ def mat_table(path: Path, *, unnamed: bool = False) -> RawTable:
     unnamed: the file's only matrix is taken as a table without names. Raises BadFile, NotEnoughData.
     """
     try:
-        content = loadmat(io.BytesIO(read_bytes(path, limit=MAT_BYTES)))  # type: ignore[arg-type]  # it takes open files
+        content = _loaded(read_bytes(path, limit=MAT_BYTES))
     except NotImplementedError as error:
         raise BadFile(
             f"{path}: a MATLAB file of version 7.3, which is HDF5",
             consequence="It is not read",
             cure="Save it in MATLAB with save(..., '-v7')",
         ) from error
-    except (MatReadError, ValueError, TypeError, KeyError, IndexError, OSError, EOFError, MemoryError) as error:
+    except (
+        MatReadError,
+        ValueError,
+        TypeError,
+        KeyError,
+        IndexError,
+        OSError,
+        EOFError,
+        MemoryError,
+        zlib.error,
+    ) as error:
         reason = " ".join(str(error).split())[:120]
         raise BadFile(f"{path}: no MATLAB file that can be read: {reason}", consequence="It is not used") from error
     arrays = {
@@ -56,6 +73,27 @@ def mat_table(path: Path, *, unnamed: bool = False) -> RawTable:
         columns: dict[str, Array] = {str(k): column for k, column in enumerate(table.T)}
         return _of_columns(columns, str(path), "one matrix without names", ())
     return _of_variables(arrays, str(path))
+
+
+def _loaded(data: bytes) -> dict[str, Any]:
+    """Return the variables of numbers. Raises ValueError where they unpack to more than MAT_BYTES, and as loadmat.
+
+    A compressed variable of a few kilobytes can hold gigabytes, which loadmat takes the memory for before it looks.
+    """
+    at, unpacked = MAT_HEAD, 0
+    order = "<" if data[MAT_HEAD - 2 : MAT_HEAD] == b"IM" else ">"
+    while data[:6] == b"MATLAB" and at + 8 <= len(data):
+        kind, size = struct.unpack_from(order + "II", data, at)
+        if kind == MAT_COMPRESSED:
+            packed = data[at + 8 : at + 8 + size]
+            unpacked += len(zlib.decompressobj().decompress(packed, MAT_BYTES + 1))
+        if unpacked > MAT_BYTES:
+            raise ValueError(f"its variables unpack to more than {MAT_BYTES // 1_000_000} MB")
+        at += 8 + size
+    file: Any = io.BytesIO(data)  # its types know of paths only
+    names = [name for name, _, kind in whosmat(file) if kind in MAT_NUMBERS]
+    content: dict[str, Any] = loadmat(file, variable_names=names)
+    return content
 
 
 def _of_variables(arrays: dict[str, Array], where: str) -> RawTable:

@@ -16,7 +16,7 @@ from armsight.store.interpret.raw import RawTable
 from armsight.store.interpret.roles import PAIR_FRAMES, POSITION, QUATERNION, Role
 from armsight.store.interpret.table_format import SKIPPED, TableFormat
 from armsight.store.interpret.units import UNITS
-from armsight.store.tables import number, number_column
+from armsight.store.tables import bare, number, number_column, word
 
 Array = NDArray[np.float64]
 
@@ -49,12 +49,8 @@ class Standard:
         out = [",".join(self.columns)]
         for line, row in zip(self.lines, zip(*texts, strict=True), strict=True):
             out += [""] * (line - 1 - len(out))
-            out.append(",".join(_quoted(cell) for cell in row))
+            out.append(",".join(word(bare(cell)) for cell in row))
         return ("\n".join(out) + "\n").encode()
-
-
-def _quoted(cell: str) -> str:
-    return '"' + cell.replace('"', '""') + '"' if any(mark in cell for mark in ',"\n') else cell
 
 
 def standard_table(raw: RawTable, role: Role, format_: TableFormat) -> Standard:

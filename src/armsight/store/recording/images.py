@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.drivers.images import too_large
 from armsight.errors import BadFile, BadImage
 from armsight.store.recording.protobuf import compressed_image_head, fields, raw_image_head
 from armsight.store.recording.schemas import COMPRESSED_IMAGE, RAW_IMAGE
@@ -98,7 +99,7 @@ def _raw(content: dict[int, int | memoryview], where: str) -> Image:
 def _compressed(content: dict[int, int | memoryview], where: str) -> Image:
     data = _bytes(content.get(2))
     try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if len(data) else None
+        image = None if too_large(bytes(data)) else cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error:
         image = None
     if image is None or image.dtype != np.uint8 or image.shape[2:] not in ((), (3,)):

@@ -355,7 +355,8 @@ class McapFile:
 def _create(path: Path, overwrite: bool) -> FileIO:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        return FileIO(path, "w" if overwrite else "x")
+        own = overwrite and (path.is_file() or not path.exists())  # a device is never replaced, nor deleted later
+        return FileIO(path, "w" if own else "x")
     except FileExistsError:
         raise UsageError(
             f"{path} is there already",

@@ -14,6 +14,7 @@ import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
+from armsight._files import open_file
 from armsight.errors import BadFile, DataRefused, Inconsistent, NotEnoughData
 from armsight.geometry import pose_from_quat
 from armsight.records import Frame, JointReading, PoseStatus, Spots, TargetPose
@@ -89,7 +90,7 @@ class Recording:
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
-            self._file: BinaryIO = path.open("rb")
+            self._file: BinaryIO = open_file(path)
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or str(error)
             raise BadFile(f"{path}: cannot be read ({reason})", cure="Check the path") from error
@@ -152,7 +153,7 @@ class Recording:
             for number, channel in self._content.channels.items()
             if wanted is None or channel.topic in wanted
         }
-        with self.path.open("rb") as file:  # its own place in the file: several may read at once
+        with open_file(self.path) as file:  # its own place in the file: several may read at once
             for block in self._content.blocks:
                 for message in _messages_of(file, block, self.path):
                     if message.channel in numbers:
@@ -241,7 +242,7 @@ class Recording:
     def _json(self, message: Recorded) -> dict[str, Any]:
         try:
             content = json.loads(bytes(message.data)) if message.encoding == "json" else None
-        except ValueError:
+        except (ValueError, RecursionError):  # lists within lists without end
             content = None
         if isinstance(content, dict):
             return content

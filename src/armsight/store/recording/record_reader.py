@@ -127,10 +127,12 @@ def chunk_data(file: BinaryIO, chunk: ChunkSpan, path: Path) -> bytes:
 
 
 def _decompressed(stored: bytes, chunk: ChunkSpan) -> bytes:
+    """Return what was stored, at most a byte more than the chunk says: a few bytes can unpack to any size."""
     if chunk.compression == "zstd":
-        return zstandard.ZstdDecompressor().decompress(stored, max_output_size=chunk.size)
+        with zstandard.ZstdDecompressor().stream_reader(stored) as reader:
+            return bytes(reader.read(chunk.size + 1))
     if chunk.compression == "lz4":
-        return bytes(lz4.frame.decompress(stored))
+        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(stored, max_length=chunk.size + 1))
     if chunk.compression:
         raise ValueError("an unknown compression")
     return stored

@@ -10,6 +10,7 @@ from typing import BinaryIO
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
+from armsight._files import open_file
 from armsight.errors import BadFile, NotEnoughData
 from armsight.store.recording import record_reader
 from armsight.store.recording.mcapfile import MAGIC, McapFile
@@ -33,7 +34,7 @@ def repair(source: Path, out: Path, *, overwrite: bool = False) -> Repaired:
     file, NotEnoughData where no message is whole, UsageError where out is there already, DeviceFailed.
     """
     try:
-        file = source.open("rb")
+        file = open_file(source)
     except OSError as error:
         raise BadFile(f"{source}: cannot be read ({error.strerror or error})", cure="Check the path") from error
     with file:

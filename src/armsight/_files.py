@@ -1,0 +1,30 @@
+"""Opening files that others may have named: a device or a pipe is none, since reading it may never begin or end."""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from io import BufferedReader
+from pathlib import Path
+
+_FLAGS = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+"""A pipe that nobody writes into opens at once, to be refused, in place of never."""
+
+
+def open_file(path: Path) -> BufferedReader:
+    """Return the file, open for reading bytes. Raises OSError, also for a folder, a device, a pipe or a socket."""
+    handle = os.open(path, _FLAGS)
+    kind = os.fstat(handle).st_mode
+    if stat.S_ISREG(kind):
+        return os.fdopen(handle, "rb")
+    os.close(handle)
+    if stat.S_ISDIR(kind):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+    raise OSError(errno.EINVAL, "it is a device or a pipe, not a file")
+
+
+def read_file(path: Path, *, limit: int) -> bytes:
+    """Return the file's content, up to limit + 1 bytes: one more tells that it is too large. Raises as open_file."""
+    with open_file(path) as file:
+        return file.read(limit + 1)

@@ -1,0 +1,411 @@
+"""The console as somebody attacks it from the network: as nobody, as one who may only watch, out of a foreign page."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import httpx
+import pytest
+from nicegui import Client
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import ClientConnection, connect
+
+from armsight.app.operator.robot_cell import RobotCell
+from armsight.app.operator.seat import Seat
+from armsight.app.robot.service import Service
+from armsight.console import application, texts, uploads
+from armsight.console.headers import SAID
+from armsight.console.state import Console
+from armsight.control.guard import Limits
+from armsight.server import serving
+from armsight.server.application import create_app
+from armsight.server.auth import Authenticator
+from armsight.server.gate import COOKIE, Gate
+from armsight.store.tokens import add_token, read_tokens
+
+WAIT_S = 20.0
+PAGES = sorted(application.PAGES)
+NOT_YET = pytest.mark.xfail(
+    strict=True, reason="answers of the door itself, and of a server alone, have no headers yet"
+)
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory: pytest.TempPathFactory, fakes: Any) -> Any:
+    """A console with a robot behind its door, on a free port."""
+    folder = tmp_path_factory.mktemp("cell")
+    tokens = folder.parent / f"{folder.name}-tokens.yaml"
+    drive, watch = add_token(tokens, "ann", "drive"), add_token(tokens, "eve", "watch")
+    host, log = fakes.FakeHost(), fakes.KeptLog()
+    service = Service(host, log)
+    robot = RobotCell(robot="fake:0", service=service, seat=Seat(service), limits=Limits())
+    auth = Authenticator(read_tokens(tokens))
+    app = create_app(service, auth)
+    console = Console(folder=folder, robot=robot)
+    application.add_console(app, console)
+    options = serving.ServeOptions(port=0)
+    with serving.listening(options) as listener:
+        server = serving._web_server(Gate(app, auth, secure=True), options)
+        with fakes.running(server, listener):
+            port = listener.getsockname()[1]
+            yield SimpleNamespace(
+                at=f"http://127.0.0.1:{port}", socket=f"ws://127.0.0.1:{port}", folder=folder, host=host, app=app,
+                drive=drive, watch=watch, console=console, robot=robot,
+            )  # fmt: skip
+
+
+def ask(served: Any, method: str, path: str, token: str = "", **headers: str) -> httpx.Response:
+    known = {"authorization": f"Bearer {token}"} if token else {}
+    return httpx.request(method, served.at + path, headers={**known, **headers}, timeout=WAIT_S)
+
+
+def moved(served: Any) -> list[Any]:
+    return [what for what in served.host.told if what[0] in ("post", "reset") or what == ("beat", True)]
+
+
+ALL = [("GET", f"/{page}") for page in PAGES] + [
+    ("GET", "/"),
+    ("GET", "/console/files/report.html"),
+    ("PUT", "/console/files/rig.yaml"),
+    ("POST", "/console/stop"),
+    ("GET", "/console/static/robot.js"),
+    ("GET", "/_nicegui_ws/socket.io/?EIO=4&transport=polling"),
+    ("GET", "/docs"),
+    ("GET", "/openapi.json"),
+]
+SOCKETS = ["/console/robot?browser=x", "/console/pictures/left", "/_nicegui_ws/socket.io/?EIO=4&transport=websocket"]
+
+
+@pytest.mark.parametrize(("method", "path"), ALL)
+def test_nobody_without_a_token_reaches_anything(served: Any, method: str, path: str) -> None:
+    assert ask(served, method, path).status_code == 401
+
+
+@pytest.mark.parametrize("path", SOCKETS)
+def test_nobody_without_a_token_opens_a_socket(served: Any, path: str) -> None:
+    with pytest.raises(InvalidStatus):
+        connect(served.socket + path, proxy=None)
+
+
+@pytest.mark.parametrize("origin", ["http://evil.example", "null"])
+@pytest.mark.parametrize(("method", "path"), ALL)
+def test_a_foreign_page_reaches_nothing_even_with_the_cookie(served: Any, method: str, path: str, origin: str) -> None:
+    assert ask(served, method, path, origin=origin, cookie=f"{COOKIE}={served.drive}").status_code == 403
+
+
+@pytest.mark.parametrize("path", SOCKETS)
+def test_a_foreign_page_opens_no_socket_even_with_the_cookie(served: Any, path: str) -> None:
+    headers = {"origin": "http://evil.example", "cookie": f"{COOKIE}={served.drive}"}
+    with pytest.raises(InvalidStatus):
+        connect(served.socket + path, additional_headers=headers, proxy=None)
+
+
+def test_what_is_no_path_of_the_interface_leaves_nothing_behind(served: Any) -> None:
+    before = len(Client.instances)
+    for path in ("/api/nothing", "/api/v1/../../live", "/api/", "/api/v1/stream"):
+        assert ask(served, "GET", path).status_code in (401, 404)
+    assert len(Client.instances) == before
+
+
+@pytest.mark.parametrize("name", [page for page in PAGES if page != "live"])
+def test_a_watcher_sees_no_page_that_changes_anything(served: Any, name: str) -> None:
+    page = ask(served, "GET", f"/{name}", served.watch)
+    assert texts.WATCHING in page.text and "field-" not in page.text
+
+
+LISTENING = {"sub_pages_open", "sub_pages_navigate", "update:value", "update:modelValue"}
+"""What NiceGUI itself hears of every page: navigation, and the dark mode's and the header's own state."""
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_no_element_of_a_watchers_page_hears_anything(served: Any, name: str) -> None:
+    known = set(Client.instances)
+    ask(served, "GET", f"/{name}", served.watch)
+    (made,) = set(Client.instances) - known
+    elements = Client.instances[made].elements.values()
+    heard = {(element.tag, one.type) for element in elements for one in element._event_listeners.values()}
+    assert {kind for _, kind in heard} <= LISTENING
+    assert {tag for tag, _ in heard} <= {"q-layout", "nicegui-dark_mode", "nicegui-header"}
+
+
+def test_a_drivers_page_hears_more(served: Any) -> None:
+    known = set(Client.instances)
+    ask(served, "GET", "/settings", served.drive)
+    (made,) = set(Client.instances) - known
+    elements = Client.instances[made].elements.values()
+    assert any(one.type == "click" for element in elements for one in element._event_listeners.values())
+
+
+MESSAGES = [
+    {"do": "beat", "enable": True, "seen": 1e9},
+    {"do": "beat", "enable": True, "seen": 1e9, "push": "joints:0:1"},
+    {"do": "reset"},
+    {"do": "override", "share": 1.0},
+]
+
+
+@pytest.mark.parametrize("browser", ["another", "of-the-driver"])
+@pytest.mark.parametrize("message", MESSAGES)
+def test_a_watcher_moves_nothing_over_the_pages_socket(served: Any, message: dict[str, Any], browser: str) -> None:
+    before, override = moved(served), served.robot.seat.override
+    headers = {"authorization": f"Bearer {served.watch}"}
+    with connect(f"{served.socket}/console/robot?browser={browser}", additional_headers=headers, proxy=None) as line:
+        first = json.loads(line.recv(timeout=WAIT_S))
+        assert first["drives"] is False
+        line.send(json.dumps(message))
+        for _ in range(2):
+            told = json.loads(line.recv(timeout=WAIT_S))
+        assert not told["enabled"] and not told["mine"]
+    assert moved(served) == before and served.robot.seat.override == override
+
+
+def test_a_watcher_does_not_learn_the_name_of_the_drivers_page(served: Any) -> None:
+    known = set(Client.instances)
+    ask(served, "GET", "/live", served.drive)
+    (name,) = set(Client.instances) - known  # who knows it speaks for that page
+    headers = [{"authorization": f"Bearer {token}"} for token in (served.drive, served.watch)]
+    path = f"{served.socket}/console/robot?browser="
+    with (
+        connect(path + name, additional_headers=headers[0], proxy=None) as driver,
+        connect(f"{path}eve", additional_headers=headers[1], proxy=None) as watcher,
+    ):
+        seen = json.loads(driver.recv(timeout=WAIT_S))["t"]
+        driver.send(json.dumps({"do": "beat", "enable": True, "seen": seen}))
+        told = [str(watcher.recv(timeout=WAIT_S)) for _ in range(3)]
+    assert "ann" in told[-1], "who drives is told"
+    assert not any(name in text for text in [*told, ask(served, "GET", "/live", served.watch).text])
+    served.robot.seat.leave(name)
+
+
+@contextmanager
+def pages_socket(served: Any, token: str, page: str) -> Iterator[ClientConnection]:
+    """Open NiceGUI's socket of a page, as its script does."""
+    query = f"EIO=4&transport=websocket&implicit_handshake=true&client_id={page}&tab_id={token}&document_id={token}"
+    path = f"{served.socket}/_nicegui_ws/socket.io/?{query}&next_message_id=0"
+    with connect(path, additional_headers={"authorization": f"Bearer {token}"}, proxy=None) as line:
+        assert str(line.recv(timeout=WAIT_S)).startswith("0{")
+        line.send("40")
+        assert str(line.recv(timeout=WAIT_S)).startswith("40{")
+        yield line
+
+
+def page_of(served: Any, path: str, token: str) -> Client:
+    """Open a page and return it as the server has it."""
+    known = set(Client.instances)
+    ask(served, "GET", path, token)
+    (made,) = set(Client.instances) - known
+    return Client.instances[made]
+
+
+def clicked(served: Any, token: str, *, ours: bool) -> bool:
+    """Whether a click on a driver's page is heard that comes over a socket of this page, or of another one's."""
+    page = page_of(served, "/settings", served.drive)
+    pairs = [(element, one) for element in page.elements.values() for one in element._event_listeners.values()]
+    element, listener = next(pair for pair in pairs if pair[1].type == "click")
+    heard = threading.Event()
+    listener.handler = lambda *_: heard.set()
+    event = {"id": element.id, "client_id": page.id, "listener_id": listener.id, "args": []}
+    with pages_socket(served, served.drive, page.id) as own:
+        other = page_of(served, "/live", token)
+        with pages_socket(served, token, other.id) as line:
+            (own if ours else line).send("42" + json.dumps(["event", event]))
+            (own if ours else line).send("42" + json.dumps(["ack", {"client_id": other.id, "next_message_id": 0}]))
+            ask(served, "GET", "/live", token)  # what was sent before is done by then
+            return heard.wait(WAIT_S if ours else 0.2)
+
+
+def test_a_page_hears_its_own_socket_alone(served: Any) -> None:
+    assert clicked(served, served.drive, ours=True)
+    assert not clicked(served, served.watch, ours=False), "though it knows the page's name"
+    assert not clicked(served, served.drive, ours=False)
+
+
+def test_a_socket_that_takes_anothers_page_is_refused(served: Any) -> None:
+    page = page_of(served, "/settings", served.drive)
+    with (
+        pages_socket(served, served.drive, page.id),
+        pytest.raises(AssertionError),
+        pages_socket(served, served.watch, page.id),
+    ):
+        pass
+
+
+def test_a_watcher_stops_the_robot(served: Any) -> None:
+    assert ask(served, "POST", "/console/stop", served.watch).status_code == 204
+    assert any(what[0] == "stop" for what in served.host.told)
+
+
+def test_a_watcher_brings_no_file(served: Any) -> None:
+    assert ask(served, "PUT", "/console/files/rig.yaml", served.watch).status_code == 403
+    assert not (served.folder / "rig.yaml").exists()
+
+
+@pytest.mark.parametrize("path", ["/live", "/nothing", "/console/files/none.html", "/console/static/robot.js"])
+def test_every_answer_says_how_it_may_be_shown(served: Any, path: str) -> None:
+    headers = ask(served, "GET", path, served.drive).headers
+    assert {name: set(headers.get_list(name)) for name in SAID} == {name: {value} for name, value in SAID.items()}
+    assert "server" not in headers and "x-powered-by" not in headers and "access-control-allow-origin" not in headers
+
+
+@NOT_YET
+@pytest.mark.parametrize("where", ["door", "server alone"])
+def test_answers_of_the_door_and_of_a_server_alone_say_so_too(served: Any, service: Any, where: str) -> None:
+    if where == "door":
+        headers = ask(served, "GET", "/live").headers
+    else:
+        with serving.background(service) as url:
+            headers = httpx.get(url.replace("ws", "http", 1) + "/docs", timeout=WAIT_S).headers
+    assert headers.get("x-frame-options") == "DENY" and headers.get("x-content-type-options") == "nosniff"
+
+
+def test_the_cookie_is_for_this_server_and_no_script(served: Any) -> None:
+    answer = httpx.post(f"{served.at}/login", data={"token": served.drive}, timeout=WAIT_S)
+    kept = answer.headers["set-cookie"]
+    assert all(flag in kept for flag in ("HttpOnly", "Secure", "SameSite=strict", "Path=/"))
+    assert served.drive not in answer.headers["location"] and served.drive not in answer.text
+
+
+def test_a_foreign_page_cannot_log_a_browser_in(served: Any) -> None:
+    sent = {"data": {"token": served.drive}, "headers": {"origin": "http://evil.example"}, "timeout": WAIT_S}
+    answer = httpx.post(f"{served.at}/login", **sent)
+    assert answer.status_code == 403 and "set-cookie" not in answer.headers
+
+
+@pytest.mark.parametrize("token", ["<script>alert(1)</script>", "'\"><img src=x>", "{why}", "%00", "x" * 300])
+def test_what_was_typed_as_token_does_not_come_back(served: Any, token: str) -> None:
+    served.app.state.auth._failed.clear()
+    answer = httpx.post(f"{served.at}/login", data={"token": token}, timeout=WAIT_S)
+    assert answer.status_code == 401 and token not in answer.text
+    served.app.state.auth._failed.clear()
+
+
+def test_a_page_that_fails_tells_nothing_of_the_fault(served: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object) -> None:
+        raise RuntimeError("/home/secret/place")
+
+    monkeypatch.setattr("armsight.console.application.text_of", application.text_of)
+    monkeypatch.setattr("armsight.console.layout.level_of", broken)
+    monkeypatch.setattr(Console, "require_robot", broken)
+    answer = ask(served, "GET", "/teach", served.drive)
+    assert "secret" not in answer.text and "Traceback" not in answer.text
+    assert answer.status_code == 500 and texts.PAGE_FAILED in answer.text
+
+
+OUTSIDE = [
+    "../secret.html",
+    "..%2Fsecret.html",
+    "%2e%2e/secret.html",
+    "sub/../../secret.html",
+    "sub%2f..%2f..%2fsecret.html",
+    "..%5Csecret.html",
+    "/etc/passwd",
+    "%2Fetc%2Fpasswd",
+    "cell.yaml",
+    "link.html",
+    "linked/secret.html",
+    "report.html%00.yaml",
+    ".hidden.html",
+]
+
+
+@pytest.fixture
+def reports(served: Any) -> Path:
+    folder: Path = served.folder
+    (folder.parent / "secret.html").write_text("secret")
+    (folder / "report.html").write_text("<script>told=1</script>")
+    (folder / ".hidden.html").write_text("secret")
+    (folder / "cell.yaml").write_text("secret")
+    for name, goal in (("link.html", folder.parent / "secret.html"), ("linked", folder.parent)):
+        if not (folder / name).is_symlink():
+            (folder / name).symlink_to(goal)
+    return folder
+
+
+@pytest.mark.parametrize("name", OUTSIDE)
+def test_only_reports_of_the_cell_are_served(served: Any, reports: Path, said: Callable[..., bytes], name: str) -> None:
+    head = f"GET /console/files/{name} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n"
+    told = said(served.socket, f"{head}Authorization: Bearer {served.drive}\r\n\r\n".encode())
+    assert told.split()[1] in (b"404", b"405", b"307") and b"\r\n\r\nsecret" not in told
+
+
+@pytest.mark.parametrize("name", ["../rig.yaml", "..%2Frig.yaml", "rig.html", "x.mcap", "r%0d%0aig.yaml", "con.yaml/x"])
+def test_only_files_of_a_cell_are_taken(served: Any, said: Callable[..., bytes], name: str) -> None:
+    before = {path.name for path in served.folder.iterdir()}
+    head = f"PUT /console/files/{name} HTTP/1.1\r\nHost: localhost\r\nContent-Length: 1\r\n"
+    told = said(served.socket, f"{head}Authorization: Bearer {served.drive}\r\n\r\nx".encode())
+    assert told.split()[1] in (b"400", b"404", b"405")
+    assert {path.name for path in served.folder.iterdir()} == before and not (
+        served.folder.parent / "rig.yaml"
+    ).exists()
+
+
+def test_a_file_is_not_brought_through_a_link_that_leads_nowhere(served: Any) -> None:
+    goal = served.folder.parent / "made.yaml"
+    (served.folder / "new.yaml").symlink_to(goal)
+    assert ask(served, "PUT", "/console/files/new.yaml", served.drive).status_code == 409
+    assert not goal.exists()
+
+
+def test_a_report_reaches_neither_robot_nor_console(served: Any, reports: Path) -> None:
+    policy = ask(served, "GET", "/console/files/report.html", served.drive).headers["content-security-policy"]
+    assert policy.startswith("sandbox ") and "allow-same-origin" not in policy and "frame-ancestors 'none'" in policy
+
+
+@pytest.mark.parametrize("name", ["/etc/passwd", "../secret.yaml", "a/../../secret.yaml"])
+@pytest.mark.parametrize("what", ["rig", "target", "world"])
+def test_a_cell_names_no_file_elsewhere(served: Any, name: str, what: str) -> None:
+    cell = served.console.cell.model_copy(update={what: name})
+    with pytest.raises(uploads.ArmsightError, match="is not in"):
+        served.console.job_of(cell)
+
+
+@pytest.mark.parametrize("rule", ["sandbox", "links", "headers"])
+def test_a_rule_that_is_taken_away_is_seen(
+    served: Any, reports: Path, monkeypatch: pytest.MonkeyPatch, rule: str
+) -> None:
+    if rule == "headers":
+        monkeypatch.setattr("armsight.console.headers.SAID", {})
+        assert "content-security-policy" not in ask(served, "GET", "/live", served.drive).headers
+    elif rule == "sandbox":
+        monkeypatch.setattr(uploads, "REPORT_POLICY", "default-src *")
+        policy = ask(served, "GET", "/console/files/report.html", served.drive).headers["content-security-policy"]
+        assert "sandbox" not in policy
+    else:
+        monkeypatch.setattr(Path, "is_relative_to", lambda *_: True)
+        assert ask(served, "GET", "/console/files/link.html", served.drive).text == "secret"
+
+
+ODD = {
+    "deep": "[" * 1900,
+    "a huge share": '{"do": "override", "share": 1' + "0" * 400 + "}",
+    "a huge time": '{"do": "beat", "enable": true, "seen": 1' + "0" * 400 + "}",
+    "a digit that is no number": '{"do": "beat", "enable": true, "seen": 1, "push": "joints:\u00b2:1"}',
+    "a share that is no number": '{"do": "override", "share": NaN}',
+    "an axis without end": '{"do": "beat", "enable": true, "push": "joints:' + "9" * 1500 + ':1"}',
+    "no mapping": "[1]",
+    "too long": '{"do": "' + "x" * 5000 + '"}',
+}
+RAISING = ("deep", "a huge share", "a huge time", "a digit that is no number")
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        pytest.param(
+            kind, marks=pytest.mark.xfail(kind in RAISING, strict=True, reason="ends the connection by an exception")
+        )
+        for kind in ODD
+    ],
+)
+def test_odd_messages_of_a_page_do_nothing(served: Any, kind: str) -> None:
+    path = f"{served.socket}/console/robot?browser=odd"
+    with connect(path, additional_headers={"authorization": f"Bearer {served.drive}"}, proxy=None) as line:
+        line.send(ODD[kind])
+        assert [json.loads(line.recv(timeout=WAIT_S))["mine"] for _ in range(3)]
+    served.robot.seat.override = 0.5
