@@ -6,7 +6,7 @@ Two streams of 1280x720 at 30 a second are files played at their own pace. What 
 each picture. Browsers are real Chromiums on this machine: once beside the console as any program is, once behind it
 (nice 19), which stands for browsers on machines of their own. Needs Debian's Chromium and Linux's /proc.
 
---two measures two consoles with robots side by side instead: how long a page takes, and what is left to another program.
+--two measures two consoles with robots side by side instead: how long a page takes, and what another program gets.
 """
 
 from __future__ import annotations
