@@ -48,7 +48,7 @@ def bound_control() -> bool:
 
     To be called in the main thread, which alone may be asked to by Python; another learns whether it has been.
     """
-    if not hasattr(os, "sched_setscheduler"):
+    if not hasattr(os, "SCHED_RESET_ON_FORK"):  # Linux alone has it, and the bound
         return False
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGXCPU, _put_back)
@@ -58,8 +58,11 @@ def bound_control() -> bool:
 
 def give_way() -> None:
     """Let the calling thread run behind usual work, yet not never: for what can wait."""
-    if hasattr(os, "sched_setscheduler"):
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), BEHIND)
+    if not hasattr(os, "SCHED_RESET_ON_FORK"):  # elsewhere niceness is of a whole process
+        return
+    thread = threading.get_native_id()
+    if os.getpriority(os.PRIO_PROCESS, thread) < BEHIND:  # who was begun behind more stays there
+        os.setpriority(os.PRIO_PROCESS, thread, BEHIND)
 
 
 def _limit() -> None:
@@ -74,7 +77,7 @@ def _limit() -> None:
 
 def _put_back(number: int, frame: FrameType | None) -> None:
     """Let every thread of this process run as usual, for BACK_S."""
-    first = [int(thread.name) for thread in Path("/proc/self/task").iterdir() if _goes_first(int(thread.name))]
+    first = [thread for thread in _threads() if _goes_first(thread)]
     for thread in first:
         _schedule(thread, first=False)
     back = threading.Timer(BACK_S, _give_back, (first,))
@@ -84,8 +87,12 @@ def _put_back(number: int, frame: FrameType | None) -> None:
 
 def _give_back(threads: list[int]) -> None:
     _limit()
-    for thread in threads:
+    for thread in set(threads) & _threads():  # the number of one that has ended may be another process's by now
         _schedule(thread, first=True)
+
+
+def _threads() -> set[int]:
+    return {int(thread.name) for thread in Path("/proc/self/task").iterdir()}
 
 
 def _goes_first(thread: int) -> bool:

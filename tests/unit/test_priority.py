@@ -16,7 +16,7 @@ import pytest
 from armsight import priority
 from armsight.app.robot.beside import run_beside
 
-LINUX = pytest.mark.skipif(not hasattr(os, "sched_setscheduler"), reason="the system has no such order")
+LINUX = pytest.mark.skipif(not hasattr(os, "SCHED_RESET_ON_FORK"), reason="the system has no such order")
 ENOUGH_S = 1.0
 """Of a processor's time: far more than a thread may take."""
 
