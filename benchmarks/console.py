@@ -1,10 +1,12 @@
 """The operator's console: pictures a second in a browser, what browsers cost the measuring loop, and hours of use.
 
-    python benchmarks/console.py [--quick] [--visits N] [--blocks N] [--seconds S]
+    python benchmarks/console.py [--quick] [--two] [--visits N] [--blocks N] [--seconds S]
 
 Two streams of 1280x720 at 30 a second are files played at their own pace. What the loop took is what it tells with
 each picture. Browsers are real Chromiums on this machine: once beside the console as any program is, once behind it
 (nice 19), which stands for browsers on machines of their own. Needs Debian's Chromium and Linux's /proc.
+
+--two measures two consoles with robots side by side instead: how long a page takes, and what another program gets.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
+from urllib.request import urlopen
 
 import cv2
 import numpy as np
@@ -48,12 +51,15 @@ PAGES = ("live", "calibrate", "identify", "teach", "verify", "settings")
 HOURS, RATE_HZ, TICK_HZ = 8.0, 30.0, 10.0
 VISITS_PER_HOUR = 60.0
 """Pages that people open in a busy hour."""
+LIVE_HZ, SETTLED_S = 4.0, 15.0
+"""Pages asked of each console in a second; time that a console gets to begin."""
 MB = 1e6
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--two", action="store_true", help="only two consoles side by side; needs no Chromium")
     parser.add_argument("--visits", type=int, default=300, help="pages opened and closed")
     parser.add_argument("--blocks", type=int, default=5, help="alternating blocks of each kind")
     parser.add_argument("--seconds", type=float, default=10.0, help="of a block")
@@ -61,6 +67,9 @@ def main() -> None:
     if asked.quick:
         asked.visits, asked.blocks, asked.seconds = 24, 2, 3.0
     print(machine())
+    if asked.two:
+        side_by_side(2.0 * asked.seconds)
+        return
     with tempfile.TemporaryDirectory() as name, sync_playwright() as player:
         folder = Path(name)
         for room in ROOMS:
@@ -214,6 +223,49 @@ def told(console: Console, seconds: float) -> np.ndarray:
             out.append((now.view.latency_s, now.view.measuring_s))
         time.sleep(0.005)
     return np.array(out)
+
+
+def side_by_side(seconds: float) -> None:
+    """Print how long pages of none, one and two consoles take, and which share of a processor another program gets."""
+    rows = []
+    with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
+        addresses: list[str] = []
+        for n in range(3):
+            if n:
+                addresses.append(stack.enter_context(begun(Path(name) / str(n)))[0])
+                waited(addresses, SETTLED_S)
+            other = subprocess.Popen([sys.executable, "-c", "while True: pass"], start_new_session=True)
+            begun_s = time.monotonic()
+            took_ms = 1e3 * waited(addresses, seconds)
+            share = busy_s(other.pid) / (time.monotonic() - begun_s)
+            other.kill()
+            other.wait()
+            figures = [f"{f(took_ms):.0f}" for f in (np.median, np.max)] if n else ["", ""]
+            rows.append((n, *figures, f"{100 * share:.0f} %"))
+    table(
+        f"Consoles side by side with a program that always works, {os.cpu_count()} processors, {seconds:g} s each",
+        ("consoles", "GET /live median ms", "longest ms", "the program's share of a processor"),
+        rows,
+    )
+
+
+def waited(addresses: list[str], seconds: float) -> np.ndarray:
+    """Ask every console for its page LIVE_HZ times a second; return (n,) how long each took in s."""
+    out, until_s = [], time.monotonic() + seconds
+    while time.monotonic() < until_s:
+        for address in addresses:
+            begun_s = time.monotonic()
+            with urlopen(f"{address}/live", timeout=60.0) as page:
+                page.read()
+            out.append(time.monotonic() - begun_s)
+        time.sleep(1.0 / LIVE_HZ)
+    return np.array(out)
+
+
+def busy_s(pid: int) -> float:
+    """Return the time that a process has worked, in s."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def rss(pid: int) -> float:

@@ -1,58 +1,109 @@
-"""The operating system's order of threads: a robot's loop, measuring, pictures of it, and all usual work last.
+"""The operating system's order of threads: a control loop first, pictures of it last, all other work as usual.
 
 Linux allows real-time priorities to root, and to whom limits.conf gives rtprio; elsewhere nothing changes. Niceness
 would not do: Linux shares the processors between sessions first.
+
+A thread with such a priority that never sleeps takes its processor from everybody. So the kernel watches it
+(RLIMIT_RTTIME): a watchdog in a thread of this process would wait for the interpreter's lock, which the loop may hold,
+and the loop now and then for a lock that the watchdog holds.
 """
 
 from __future__ import annotations
 
 import os
+import signal
+import threading
 from contextlib import suppress
+from pathlib import Path
+from types import FrameType
 
 CONTROL = 10
 """Of SCHED_FIFO: before all usual work, behind the kernel's own threads."""
-MEASURING = 2
-"""Of SCHED_RR: before all usual work, such as browsers, behind a robot's loop."""
-BESIDE_MEASURING = 1
+BEHIND = 5
+"""Niceness of what gives way: Linux gives it a third of the time of usual work beside it."""
+WORKS_S = 0.1
+"""Longest that a thread works before all others without sleeping: 25 cycles of 4 ms, and a tenth of what tells a loop
+that hangs. The kernel counts in its ticks of 1 to 10 ms."""
+BACK_S = 2.0
+"""Time after which a thread that worked for so long may go first again: loading and compiling before a loop's first
+cycle works for seconds. One that goes on has WORKS_S of every BACK_S."""
+HANGS_S = 10.0
+"""A thread that works on first for so long without running any of Python's code is ended by the kernel, with its
+process: compiled code that does not end. Nothing else could take its processor away."""
 
 
 def control_first() -> bool:
-    """Let the calling thread, and those it starts, run before all others; return whether the system allows that.
+    """Let the calling thread run before all others; return whether the system allows that.
+
+    Threads and processes that it starts run as usual. It sleeps at least every WORKS_S, or runs as usual for BACK_S. Of
+    a process whose main thread neither calls this nor bound_control no thread goes first.
 
     Without it a machine with other work wakes a 4 ms loop 3 ms late at p99; with it 0.01 ms.
     """
-    if not hasattr(os, "sched_setscheduler"):
+    return bound_control() and _schedule(threading.get_native_id(), first=True)
+
+
+def bound_control() -> bool:
+    """Bound what threads of this process that go first may work; return whether they are bound.
+
+    To be called in the main thread, which alone may be asked to by Python; another learns whether it has been.
+    """
+    if not hasattr(os, "SCHED_RESET_ON_FORK"):  # Linux alone has it, and the bound
         return False
-    return _schedule(os.SCHED_FIFO, CONTROL)
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGXCPU, _put_back)
+        _limit()
+    return signal.getsignal(signal.SIGXCPU) is _put_back
 
 
-def measure_first() -> None:
-    """Let the calling thread, and those it starts, run before usual work.
-
-    Those too, for a thread that other work keeps from running may hold the interpreter's lock, or a camera's frame,
-    and measuring then waits for both. Not on a single processor: one is left for what is the page's.
-    """
-    if hasattr(os, "sched_setscheduler") and (os.cpu_count() or 1) > 1:
-        _schedule(os.SCHED_RR, MEASURING)
-
-
-def beside_measuring() -> None:
-    """Let the calling thread run behind the one that measures, yet before usual work where that one does.
-
-    For what shares its interpreter and works little; who works long leaves processors to usual work by resting.
-    """
-    if hasattr(os, "sched_getscheduler") and os.sched_getscheduler(0) == os.SCHED_RR:
-        _schedule(os.SCHED_RR, BESIDE_MEASURING)
+def give_way() -> None:
+    """Let the calling thread run behind usual work, yet not never: for what can wait."""
+    if not hasattr(os, "SCHED_RESET_ON_FORK"):  # elsewhere niceness is of a whole process
+        return
+    thread = threading.get_native_id()
+    if os.getpriority(os.PRIO_PROCESS, thread) < BEHIND:  # who was begun behind more stays there
+        os.setpriority(os.PRIO_PROCESS, thread, BEHIND)
 
 
-def as_usual() -> None:
-    """Let the calling thread run as all usual work does, whoever started it: for long work that can wait."""
-    if hasattr(os, "sched_setscheduler"):
-        _schedule(os.SCHED_OTHER, 0)
+def _limit() -> None:
+    """Have the kernel tell of a thread that goes first and works for WORKS_S; it raises that bound as it tells."""
+    import resource  # not on Windows
+
+    _, hard = resource.getrlimit(resource.RLIMIT_RTTIME)
+    ends = round(1e6 * HANGS_S)
+    ends = ends if hard == resource.RLIM_INFINITY else min(ends, hard)
+    resource.setrlimit(resource.RLIMIT_RTTIME, (min(round(1e6 * WORKS_S), ends), ends))
 
 
-def _schedule(policy: int, priority: int) -> bool:
+def _put_back(number: int, frame: FrameType | None) -> None:
+    """Let every thread of this process run as usual, for BACK_S."""
+    first = [thread for thread in _threads() if _goes_first(thread)]
+    for thread in first:
+        _schedule(thread, first=False)
+    back = threading.Timer(BACK_S, _give_back, (first,))
+    back.daemon = True
+    back.start()
+
+
+def _give_back(threads: list[int]) -> None:
+    _limit()
+    for thread in set(threads) & _threads():  # the number of one that has ended may be another process's by now
+        _schedule(thread, first=True)
+
+
+def _threads() -> set[int]:
+    return {int(thread.name) for thread in Path("/proc/self/task").iterdir()}
+
+
+def _goes_first(thread: int) -> bool:
+    with suppress(ProcessLookupError):
+        return os.sched_getscheduler(thread) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO
+    return False
+
+
+def _schedule(thread: int, *, first: bool) -> bool:
+    policy, priority = (os.SCHED_FIFO, CONTROL) if first else (os.SCHED_OTHER, 0)
     with suppress(OSError):
-        os.sched_setscheduler(0, policy, os.sched_param(priority))
+        os.sched_setscheduler(thread, policy | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
         return True
     return False

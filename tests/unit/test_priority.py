@@ -1,60 +1,154 @@
-"""What runs before what: a thread's place in the system's order, and that a system which refuses changes nothing."""
+"""What runs before what: the loop's thread alone, within its bound, and a system that refuses changes nothing."""
 
 from __future__ import annotations
 
 import os
+import resource
+import signal
+import subprocess
+import sys
 import threading
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 
 import pytest
 
 from armsight import priority
+from armsight.app.robot.beside import run_beside
 
-Place = tuple[int, int]
-LINUX = pytest.mark.skipif(not hasattr(os, "sched_setscheduler"), reason="the system has no such order")
-
-
-def place() -> Place:
-    return os.sched_getscheduler(0), os.sched_getparam(0).sched_priority
+LINUX = pytest.mark.skipif(not hasattr(os, "SCHED_RESET_ON_FORK"), reason="the system has no such order")
+ENOUGH_S = 1.0
+"""Of a processor's time: far more than a thread may take."""
 
 
-def in_a_thread(*steps: Callable[[], object]) -> Place:
-    """Return where a thread stands that has done this."""
-    out: list[Place] = []
+def first() -> bool:
+    """Return whether the calling thread goes first."""
+    return os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO
 
-    def run() -> None:
-        for step in steps:
-            step()
-        out.append(place())
 
-    thread = threading.Thread(target=run)
+def in_a_thread(step: Callable[[], object]) -> object:
+    out: list[object] = []
+    thread = threading.Thread(target=lambda: out.append(step()))
     thread.start()
     thread.join()
     return out[0]
 
 
+def allowed() -> bool:
+    """Return whether the system lets a thread go first."""
+    return priority.bound_control() and bool(in_a_thread(priority.control_first))
+
+
+@pytest.fixture(autouse=True)
+def kept(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Leave no handler behind, and no bound that ends the tests' own process."""
+    before = signal.getsignal(signal.SIGXCPU)
+    monkeypatch.setattr(priority, "HANGS_S", 3600.0)
+    yield
+    signal.signal(signal.SIGXCPU, before)
+
+
 @LINUX
-def test_measuring_and_what_it_starts_come_before_usual_work() -> None:
-    if not in_a_thread(priority.control_first)[1]:
+def test_the_loop_alone_goes_first_and_nothing_that_it_starts() -> None:
+    if not allowed():
         pytest.skip("the system does not allow it")
-    started: list[Place] = []
-    control = in_a_thread(priority.control_first)
-    measuring = in_a_thread(priority.measure_first, lambda: started.append(in_a_thread()))
-    pictures = in_a_thread(priority.measure_first, priority.beside_measuring)
-    assert control[1] > measuring[1] > pictures[1] > 0
-    assert started == [measuring]
-    assert in_a_thread(priority.measure_first, priority.as_usual) == (os.SCHED_OTHER, 0)
+    child = [sys.executable, "-S", "-c", "import os; print(os.sched_getscheduler(0))"]
+
+    def loop() -> tuple[bool, object, str]:
+        return first(), in_a_thread(first), subprocess.run(child, check=True, capture_output=True).stdout.decode()
+
+    assert run_beside(loop, lambda: None) == (True, False, f"{os.SCHED_OTHER}\n")
+    assert not first() and not in_a_thread(first)
 
 
 @LINUX
-def test_beside_what_measures_as_usual_is_as_usual() -> None:
-    assert in_a_thread(priority.beside_measuring) == in_a_thread()
+def test_what_the_loop_starts_would_go_first_without_the_systems_word(monkeypatch: pytest.MonkeyPatch) -> None:
+    if not allowed():
+        pytest.skip("the system does not allow it")
+    monkeypatch.setattr(os, "SCHED_RESET_ON_FORK", 0)  # a planted fault
+    assert run_beside(lambda: in_a_thread(first), lambda: None)
+
+
+def works(until: Callable[[], bool]) -> float:
+    """Work without sleeping until something is so; return how much of a processor that took in s."""
+    begun_s = time.thread_time()
+    while not until() and time.thread_time() - begun_s < ENOUGH_S:
+        pass
+    return time.thread_time() - begun_s
 
 
 @LINUX
-def test_measuring_leaves_a_single_processor_to_others(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(os, "cpu_count", lambda: 1)
-    assert in_a_thread(priority.measure_first) == in_a_thread()
+def test_a_loop_that_does_not_sleep_goes_first_no_more_and_later_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    if not allowed():
+        pytest.skip("the system does not allow it")
+    later: list[tuple[float, Callable[..., None], tuple[list[int]]]] = []
+
+    class Later(threading.Timer):
+        def start(self) -> None:
+            later.append((self.interval, self.function, tuple(self.args)))  # type: ignore[arg-type]
+
+    monkeypatch.setattr(threading, "Timer", Later)
+
+    def loop() -> tuple[float, bool]:
+        took_s = works(lambda: not first())
+        ((wait_s, act, threads),) = later
+        assert wait_s == priority.BACK_S
+        act(*threads)
+        return took_s, first()
+
+    took_s, again = run_beside(loop, lambda: None)
+    assert took_s < ENOUGH_S and again
+    assert resource.getrlimit(resource.RLIMIT_RTTIME)[0] == round(1e6 * priority.WORKS_S), "it counts anew"
+
+
+@LINUX
+def test_a_loop_that_sleeps_stays_first() -> None:
+    if not allowed():
+        pytest.skip("the system does not allow it")
+
+    def loop() -> bool:
+        for _ in range(4):
+            until_s = time.thread_time() + 0.6 * priority.WORKS_S
+            works(lambda: time.thread_time() > until_s)  # noqa: B023 - it is called here and now
+            time.sleep(1e-4)
+        return first()
+
+    assert run_beside(loop, lambda: None)
+
+
+@LINUX
+def test_a_loop_without_a_bound_would_be_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    if not allowed():
+        pytest.skip("the system does not allow it")
+    monkeypatch.setattr(priority, "_put_back", lambda *_: None)  # a planted fault: nobody takes the priority away
+    took_s = run_beside(lambda: works(lambda: not first()), lambda: None)
+    assert took_s >= ENOUGH_S
+
+
+@LINUX
+def test_no_thread_goes_first_where_the_main_one_has_not_bound_it() -> None:
+    signal.signal(signal.SIGXCPU, signal.SIG_DFL)
+    assert in_a_thread(priority.control_first) is False
+
+
+@LINUX
+def test_compiled_code_that_hangs_is_ended_by_the_system() -> None:
+    """The bound holds without the interpreter, which such code keeps for itself."""
+    if not allowed():
+        pytest.skip("the system does not allow it")
+    program = "from armsight import priority; priority.HANGS_S = 0.2; priority.control_first(); sum(iter(int, 1))"
+    done = subprocess.run([sys.executable, "-c", program], timeout=60, check=False)
+    assert done.returncode == -signal.SIGKILL
+
+
+@LINUX
+def test_what_gives_way_does_so_alone() -> None:
+    def nice() -> int:
+        return os.getpriority(os.PRIO_PROCESS, threading.get_native_id())
+
+    before = nice()
+    assert in_a_thread(lambda: (priority.give_way(), nice())[1]) == max(before, priority.BEHIND)
+    assert nice() == before
 
 
 @LINUX
@@ -64,4 +158,4 @@ def test_a_system_that_refuses_changes_nothing(monkeypatch: pytest.MonkeyPatch) 
 
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
     assert priority.control_first() is False
-    assert in_a_thread(priority.measure_first, priority.as_usual) == in_a_thread()
+    assert not first()

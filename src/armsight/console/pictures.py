@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import re
 import struct
 from contextlib import suppress
 
@@ -19,6 +20,7 @@ LOOK_S = 0.005
 SIDES = ("left", "right", COMPLEX)
 WIDEST_PX = 8192
 """What a page that does not say its width gets at most: every camera's picture as it is."""
+WIDTH = re.compile(r"[1-9][0-9]{0,5}")
 
 
 def add_pictures(server: FastAPI, console: Console) -> None:
@@ -30,7 +32,7 @@ def add_pictures(server: FastAPI, console: Console) -> None:
     widths_px: dict[WebSocket, int] = {}
 
     def ask(socket: WebSocket, text: str) -> None:
-        widths_px[socket] = min(int(text), WIDEST_PX) if text.isdecimal() and int(text) > 0 else WIDEST_PX
+        widths_px[socket] = min(int(text), WIDEST_PX) if WIDTH.fullmatch(text) else WIDEST_PX
         if console.station is not None:
             console.station.show_width(max(widths_px.values()))
 
@@ -43,9 +45,9 @@ def add_pictures(server: FastAPI, console: Console) -> None:
         last: Shown | None = None
         try:
             with suppress(WebSocketDisconnect):
-                ask(socket, await socket.receive_text())
+                ask(socket, await _said(socket))
                 while True:
-                    asked = asyncio.ensure_future(socket.receive_text())  # for the next one, or the page is gone
+                    asked = asyncio.ensure_future(_said(socket))  # for the next one, or the page is gone
                     try:
                         last = await _newer(console, last, asked)
                         await socket.send_bytes(picture_message(console, last, side))
@@ -65,6 +67,14 @@ def picture_message(console: Console, shown: Shown, side: str) -> bytes:
     masks = [list(box) for box in console.look.masked.get(side, ())]
     head = json.dumps({**view.to_dict(), "masks": masks}).encode()
     return struct.pack("<I", len(head)) + head + data
+
+
+async def _said(socket: WebSocket) -> str:
+    """Return what a page says, nothing where it is no text. Raises WebSocketDisconnect."""
+    said = await socket.receive()
+    if said["type"] == "websocket.disconnect":
+        raise WebSocketDisconnect(said.get("code", 1005))
+    return said.get("text") or ""
 
 
 async def _newer(console: Console, last: Shown | None, asked: asyncio.Future[str]) -> Shown:

@@ -6,25 +6,23 @@ import asyncio
 import contextlib
 import json
 import math
-from typing import Any
+from typing import Annotated, Any
 
-from fastapi import FastAPI, Request, Response, WebSocket, WebSocketDisconnect
+from fastapi import FastAPI, Query, Request, Response, WebSocket, WebSocketDisconnect
 from starlette.requests import HTTPConnection
 
-from armsight.app.operator.seat import Person, Push, Seat
+from armsight.app.operator.seat import Person, Seat
 from armsight.console import texts
 from armsight.console.layout import SIGNS
+from armsight.console.messages import BROWSER, Beat, Override, Reset, Stop, robot_message
 from armsight.console.state import Console
-from armsight.errors import ArmsightError
+from armsight.errors import ArmsightError, UsageError
 
 TELL_S = 0.1
 """Time between two states told to a browser."""
 
 IDENTITY = "armsight.identity"
 """Where the server that lets callers in puts who they are into a request's scope."""
-
-LONGEST = 2000
-"""Characters of a message; ours have a tenth."""
 
 
 def person_of(connection: HTTPConnection | None) -> Person:
@@ -43,8 +41,8 @@ def add_robot_link(server: FastAPI, console: Console) -> None:
         return Response(status_code=204)
 
     @server.websocket("/console/robot")
-    async def robot(socket: WebSocket, browser: str = "") -> None:
-        if console.robot is None or not browser or len(browser) > 64:
+    async def robot(socket: WebSocket, browser: Annotated[str, Query(pattern=BROWSER)]) -> None:
+        if console.robot is None:
             await socket.close(code=1008)
             return
         await socket.accept()
@@ -58,67 +56,63 @@ class RobotLink:
         self._seat, self._socket, self._browser = seat, socket, browser
         self._person = person_of(socket)
         self._refused = ""
+        self._told_s = -math.inf
 
     async def serve(self) -> None:
         """Take what the browser says until its connection ends; then the robot is let go of first of all."""
         teller = asyncio.create_task(self._tell())
         try:
-            while True:
-                self._take(await self._socket.receive_text())
-        except WebSocketDisconnect:
-            pass
+            while (said := await self._socket.receive())["type"] == "websocket.receive":
+                self.take(said.get("text"))
         finally:
             self._seat.leave(self._browser)
             teller.cancel()
             with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
                 await teller
 
-    def _take(self, text: str) -> None:
-        """Do what a message asks; what is refused is told with the next state."""
-        message = _read(text)
+    def take(self, text: str | None) -> None:
+        """Do what a message asks; what is refused, or is no message, is told with the next state."""
         try:
-            match message.get("do"):
-                case "beat":
-                    self._beat(message)
-                case "stop":
+            match robot_message(text):
+                case Beat() as beat:
+                    self._beat(beat)
+                case Stop():
                     self._seat.stop(self._person)
-                case "reset":
+                case Reset():
                     self._seat.reset(self._browser, self._person)
                     self._refused = ""
-                case "override":
-                    self._override(message)
+                case Override(share=share):
+                    self._override(share)
         except ArmsightError as error:
             self._refused = str(error)
 
-    def _beat(self, message: dict[str, Any]) -> None:
-        enable = message.get("enable") is True
-        seen_s = message.get("seen")
-        seen_s = float(seen_s) if isinstance(seen_s, int | float) else -math.inf
-        self._seat.beat(self._browser, self._person, enable=enable, seen_s=seen_s, push=_push(message.get("push")))
-        if enable:
+    def _beat(self, beat: Beat) -> None:
+        seen_s = -math.inf if beat.seen is None else beat.seen
+        if beat.enable and seen_s > self._told_s:  # it would stay fresh however long it lay in a buffer
+            raise UsageError("the page saw a state that it was not told", consequence="Nothing was done")
+        push = None if beat.push is None else beat.push.held()
+        self._seat.beat(self._browser, self._person, enable=beat.enable, seen_s=seen_s, push=push)
+        if beat.enable:
             self._refused = ""
 
-    def _override(self, message: dict[str, Any]) -> None:
+    def _override(self, share: float) -> None:
         """Take another speed, from who drives or may do so while nobody does."""
-        share = message.get("share")
-        if (
-            self._person.role == "drive"
-            and self._seat.browser in ("", self._browser)
-            and isinstance(share, int | float)
-        ):
-            self._seat.override = float(share)
+        if self._person.role == "drive" and self._seat.browser in ("", self._browser):
+            self._seat.override = share
 
     async def _tell(self) -> None:
         while True:
             self._seat.look()
-            await self._socket.send_text(json.dumps(self._state()))
+            await self._socket.send_text(json.dumps(self.state()))
             await asyncio.sleep(TELL_S)
 
-    def _state(self) -> dict[str, Any]:
+    def state(self) -> dict[str, Any]:
+        """Return what the page is told."""
         try:
             now = self._seat.state(self._browser)
         except ArmsightError as error:
             return {"level": "bad", "words": str(error), "refused": self._refused, "mine": False, "enabled": False}
+        self._told_s = now.t_s
         level, words = texts.robot_words(now.robot, now.guard, now.why, now.driver, mine=now.mine)
         return {
             "t": now.t_s,
@@ -132,22 +126,3 @@ class RobotLink:
             "override": now.override,
             "drives": self._person.role == "drive",
         }
-
-
-def _read(text: str) -> dict[str, Any]:
-    try:
-        message = json.loads(text) if len(text) <= LONGEST else {}
-    except ValueError:
-        return {}
-    return message if isinstance(message, dict) else {}
-
-
-def _push(said: Any) -> Push | None:
-    """Return the jog key that a message names, None for none, or for what is none."""
-    if not isinstance(said, str):
-        return None
-    frame, _, rest = said.partition(":")
-    axis, _, sense = rest.partition(":")
-    if frame not in ("joints", "base", "tool") or not axis.isdigit() or sense not in ("1", "-1"):
-        return None
-    return Push(frame=frame, axis=int(axis), sense=float(sense))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Collection
 from itertools import pairwise
 
@@ -53,6 +54,7 @@ FIT_COLOURS = ("#0072B2", "#7a4fb5", "#00775a", "#8a5a00", "#a0306e", "#14181c")
 """Of joints' sweeps and axes; each has its number beside it."""
 POINT = "place-"
 """Begins the name of a path's ball."""
+POINT_NAME = re.compile(f"{POINT}([0-9]{{1,9}})")
 PATH_COLOUR = "#7a4fb5"
 UPRIGHT = RigidTransform.from_rotation(Rotation.from_matrix([[1, 0, 0], [0, 0, 1], [0, -1, 0]]))
 """From a rig's axes (x right, y down, z forward) to a screen's (z up), where its place in world is not known."""
@@ -143,10 +145,9 @@ class Scene:
                 self._scene.line(one, next_).material(PATH_COLOUR)
 
     def _clicked(self, event: SceneClickEventArguments) -> None:
-        names = [hit.object_name or "" for hit in event.hits]
-        found = next((name for name in names if name.startswith(POINT)), None)
+        found = next((place for hit in event.hits if (place := POINT_NAME.fullmatch(str(hit.object_name)))), None)
         if found is not None and self._picked is not None:
-            self._picked(int(found.removeprefix(POINT)))
+            self._picked(int(found[1]))
 
     def show_fits(self, fits: Collection[SweepFit], *, placed: bool) -> None:
         """Draw of each sweep its arc or line, the joint's axis with its number, and dots for what was seen.

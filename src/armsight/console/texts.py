@@ -95,8 +95,10 @@ FIELD_EMPTY = "The field “{field}” is empty"
 FIELD_NO_NUMBER = "The field “{field}” holds “{value}”, which is no number"
 FIELD_BEYOND = "The field “{field}” holds {value:g}; it takes {low:g} to {high:g}"
 FIELD_NOT_WHOLE = "The field “{field}” holds {value:g}, which is no whole number"
+FIELD_NO_TEXT = "The field “{field}” holds what is no line of text"
+FIELD_OUTSIDE = "The field “{field}” names “{value}”, which is not in the cell's folder"
 FIELD_CONSEQUENCE = "Nothing is done, and nothing moves"
-FIELD_CURE = "Type the figure anew, in the unit beside its name"
+FIELD_CURE = "Type it anew; a figure in the unit beside its name"
 
 ADVICE = {
     "good": "Good: the lights are bright and sharp.",
@@ -114,6 +116,7 @@ SEARCH = "How lights are looked for"
 THRESHOLD = "Threshold (grey level; empty: found by itself)"
 INVERTED = "Dark spots on light"
 MASK = "Mask with the pointer"
+MASKS_FULL = "There are {n} masks on this picture already"
 UNMASK = "Remove all masks"
 MASK_HELP = "Drag a rectangle over lamps and windows: nothing is looked for inside."
 

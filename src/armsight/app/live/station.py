@@ -13,18 +13,20 @@ import cv2
 import numpy as np
 
 from armsight.app.live.measurement import LiveJob, LiveMeasurement, Look, Moment
+from armsight.app.live.recording import LiveRecording, RecordingState
 from armsight.app.measure.warm_up import prepare
-from armsight.app.record.recorder import Recorder
 from armsight.app.schemas.live import LiveView
 from armsight.clock import Clock, SystemClock
 from armsight.errors import ArmsightError, DeviceFailed, UsageError
-from armsight.priority import beside_measuring, measure_first
+from armsight.priority import give_way
 from armsight.records import Frame, Silent
-from armsight.store.atomic import disk_errors, write_bytes
-from armsight.store.recording import ImageFormat, RecordingWriter
+from armsight.store.atomic import write_bytes
 
 PICTURES_HZ = 30.0
 """Pictures a second that a screen gets at most: more is not seen."""
+RESTS = 4.0
+"""Of the time that a picture took: where others want the processors it takes longer, and so fewer are drawn, by every
+browser too. With three browsers on two processors p99 from light to pose is 110 ms with 1, 25 ms with 4."""
 JPEG_QUALITY = 80
 SAVE_S = 5.0
 """Time after which a pair that was asked for is given up."""
@@ -44,16 +46,6 @@ class Shown:
     view: LiveView
     left_jpeg: bytes
     right_jpeg: bytes = b""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RecordingState:
-    """file: being written, None where nothing is; n_pairs: in it; failure: why the last one ended, empty if well."""
-
-    file: Path | None = None
-    n_pairs: int = 0
-    n_dropped: int = 0
-    failure: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,7 +231,6 @@ def _work(job: LiveJob, told: Connection, commands: Connection) -> None:
     """Measure until told to end; what goes wrong is told in words."""
     with suppress(KeyboardInterrupt, BrokenPipeError):
         try:
-            measure_first()
             _Worker(job, told, commands, SystemClock()).run()
         except ArmsightError as error:
             told.send(_Failed(str(error)))
@@ -256,10 +247,9 @@ class _Worker:
         self._posted = threading.Condition()
         self._tell_lock = threading.Lock()
         self._ending = False
-        self._recorder: Recorder | None = None
+        self._recording = LiveRecording(self._tell, clock)
         self._save: _Save | None = None
         self._width_px: int | None = None
-        self._file: Path | None = None
 
     def run(self) -> None:
         """Measure to the end of the source, or until told to end."""
@@ -275,18 +265,14 @@ class _Worker:
             self._tell(_Ended())
             self._wait_for_the_end()
         finally:
-            self._record(None)
+            self._recording.end()
             with self._posted:
                 self._ending = True
                 self._posted.notify()
             sender.join()
 
     def _take(self, moment: Moment) -> None:
-        if self._recorder is not None:
-            try:
-                self._recorder.put(moment.pair[0], None if self._one_picture else moment.pair[1])
-            except ArmsightError as error:
-                self._close_recording(str(error))
+        self._recording.put(moment.pair[0], None if self._one_picture else moment.pair[1])
         with self._posted:
             self._mailbox = moment
             self._posted.notify()
@@ -308,8 +294,10 @@ class _Worker:
             case Look():
                 with suppress(UsageError):  # the page refuses what cannot be before it asks
                     self._measurement.look(command)
-            case _Record(file):
-                self._record(file)
+            case _Record(None):
+                self._recording.end()
+            case _Record(Path() as file):
+                self._recording.begin(file)
             case _Save():
                 self._save = command
             case _Width(width_px):
@@ -319,32 +307,9 @@ class _Worker:
         while not self._obey():
             self._commands.poll(None)
 
-    def _record(self, file: Path | None) -> None:
-        self._close_recording("")
-        if file is None:
-            return
-        try:
-            with disk_errors(file):
-                file.parent.mkdir(parents=True, exist_ok=True)
-            writer = RecordingWriter(file, clock=self._clock)
-            self._recorder = Recorder(writer, ImageFormat.PNG, live=True).__enter__()
-            self._file = file
-        except ArmsightError as error:
-            self._tell(RecordingState(failure=str(error)))
-
-    def _close_recording(self, failure: str) -> None:
-        recorder, self._recorder, self._file = self._recorder, None, None
-        if recorder is None:
-            return
-        try:
-            recorder.close()
-        except ArmsightError as error:
-            failure = failure or str(error)
-        self._tell(RecordingState(failure=failure))
-
     def _send(self) -> None:
-        """Send the newest moment, no faster than a screen shows, and rest as long as that took."""
-        beside_measuring()
+        """Send the newest moment, no faster than a screen shows, and rest RESTS times as long as that took."""
+        give_way()
         next_s = 0.0
         while True:
             with self._posted:
@@ -363,15 +328,13 @@ class _Worker:
             self._tell(Shown(view=moment.view, left_jpeg=left, right_jpeg=right))
             ended_s = self._clock.now_s()
             jitter_s = 1.0 / PICTURES_HZ  # which skips none
-            next_s = max(next_s + 0.9 / PICTURES_HZ, begun_s - jitter_s, 2.0 * ended_s - begun_s)
-            if self._recorder is not None:
-                recorder = self._recorder
-                self._tell(RecordingState(file=self._file, n_pairs=recorder.written, n_dropped=recorder.dropped))
+            next_s = max(next_s + 0.9 / PICTURES_HZ, begun_s - jitter_s, ended_s + RESTS * (ended_s - begun_s))
+            self._recording.tell()
 
     def _save_pair(self, moment: Moment) -> None:
-        asked, self._save = self._save, None
-        if asked is None:
+        if self._save is None:
             return
+        asked, self._save = self._save, None  # nobody asks for another before this one is answered
         failure = ""
         try:
             for file, frame in zip((asked.left, asked.right), moment.pair, strict=True):

@@ -12,7 +12,6 @@ from typing import Self
 
 from armsight.clock import Clock, SystemClock
 from armsight.drivers import cores
-from armsight.priority import as_usual
 from armsight.records import Frame
 from armsight.store.recording import Encoded, ImageFormat, RecordingWriter, encode
 
@@ -69,7 +68,7 @@ class Recorder:
         self._live = live
         self._clock = clock or SystemClock()
         self._sync_s = sync_s
-        self._pool = ThreadPoolExecutor(workers or cores(), thread_name_prefix="encode", initializer=as_usual)
+        self._pool = ThreadPoolExecutor(workers or cores(), thread_name_prefix="encode")
         self._waiting: deque[_Waiting] = deque()
         self._bytes = 0
         self._pace_s = 0.0
@@ -158,7 +157,6 @@ class Recorder:
         return self._bytes + size > QUEUE_BYTES or (n * self._pace_s > QUEUE_S if self._live else n >= QUEUE_PAIRS)
 
     def _write(self) -> None:
-        as_usual()
         try:
             while True:
                 with self._room:
@@ -204,7 +202,6 @@ class Recorder:
             )
 
     def _sync(self) -> None:
-        as_usual()
         while not self._ending.wait(self._sync_s):
             try:
                 self._writer.sync()

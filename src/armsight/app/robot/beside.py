@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 from typing import TypeVar
 
-from armsight.priority import control_first
+from armsight.priority import bound_control, control_first
 
 Result = TypeVar("Result")
 
@@ -30,6 +30,7 @@ def run_beside(work: Callable[[], Result], tell: Callable[[], None]) -> Result:
         except BaseException as error:  # raised again below, where somebody hears it
             errors.append(error)
 
+    bound_control()
     thread = threading.Thread(target=run, name="control loop")
     thread.start()
     while thread.is_alive():

@@ -13,9 +13,9 @@ from armsight.app.operator.identify import FOLDER, WORK, Entry, IdentifyRequest,
 from armsight.app.operator.work import Work
 from armsight.app.schemas.arm import IdentifyOutput, JointStd, PlanOutput
 from armsight.console import texts
+from armsight.console.fields import number, ticked, whole_number
 from armsight.console.jog import jog_card
 from armsight.console.layout import button, card, set_attribute, set_text, text_of
-from armsight.console.numbers import number, whole_number
 from armsight.console.scene import Scene
 from armsight.console.state import Console
 from armsight.console.working import Working
@@ -80,7 +80,7 @@ class _Identify:
             high = ui.number(f"{texts.UPPER} ({unit})", value=one.upper, step=1.0)
             for field, end in ((low, "lower"), (high, "upper")):
                 field.props["data-testid"] = f"range-{one.joint}-{end}"
-        swept.on_value_change(lambda: [field.set_enabled(bool(swept.value)) for field in (low, high)])
+        swept.on_value_change(lambda: [field.set_enabled(ticked(swept)) for field in (low, high)])
         return low, high, swept
 
     def _ticked(self) -> None:
@@ -100,7 +100,7 @@ class _Identify:
         pairs = zip(self._ranges, self._fields, strict=True)
         ranges = tuple(
             replace(one, lower=_limit(one, low), upper=_limit(one, high), swept=True)
-            if swept.value
+            if ticked(swept)
             else replace(one, swept=False)
             for one, (low, high, swept) in pairs
         )

@@ -11,9 +11,9 @@ from armsight.app.operator import iso_run
 from armsight.app.operator.iso_run import WORK, IsoDone, IsoPlan, IsoRequest
 from armsight.app.operator.work import Work
 from armsight.console import texts
+from armsight.console.fields import number, whole_number
 from armsight.console.jog import jog_card
 from armsight.console.layout import button, card, set_attribute, set_text, text_of
-from armsight.console.numbers import number, whole_number
 from armsight.console.state import Console
 from armsight.console.working import Working
 from armsight.errors import ArmsightError

@@ -11,16 +11,18 @@ from nicegui import run, ui
 from nicegui.elements.mixins.text_element import TextElement
 from numpy.typing import NDArray
 
-from armsight.app.live.measurement import COMPLEX
+from armsight.app.live.measurement import COMPLEX, Look
 from armsight.app.live.station import Shown
 from armsight.app.schemas.live import SideView
 from armsight.console import texts
+from armsight.console.fields import number, ticked
 from armsight.console.jog import jog_card
 from armsight.console.layout import TICK_S, button, canvas_of, card, set_attribute, set_text, text_of
+from armsight.console.messages import drawn
 from armsight.console.plots import Plot
 from armsight.console.scene import Scene
 from armsight.console.state import Console, values_of
-from armsight.errors import ArmsightError
+from armsight.errors import ArmsightError, UsageError
 from armsight.units import DEG
 
 Refresh = Callable[[Shown], None]
@@ -28,6 +30,8 @@ Refresh = Callable[[Shown], None]
 SLOW_S = 0.5
 """Time between two updates of scene and curves."""
 CURVE_POINTS = 300
+MASKS = 50
+"""Of a picture; each costs measuring its time."""
 
 
 def live_page(console: Console, *, watching: bool = False) -> None:
@@ -56,7 +60,6 @@ def _measuring(console: Console, *, watching: bool) -> None:
     if not watching:
         with card(texts.SEARCH):
             _search(console)
-        ui.on("armsight_mask", lambda event: _mask(console, event.args))
 
     def tick() -> None:
         shown = console.remember()
@@ -241,25 +244,39 @@ def _search(console: Console) -> None:
         masking = ui.checkbox(texts.MASK)
         button(texts.UNMASK, lambda: console.set_look(replace(console.look, masked={})), kind="act quiet")
     text_of("p", texts.MASK_HELP).classes("hint")
-    threshold.on_value_change(lambda: console.set_look(replace(console.look, threshold=_level(threshold))))
-    inverted.on_value_change(lambda: console.set_look(replace(console.look, inverted=bool(inverted.value))))
+    said = text_of("p", role="alert").classes("hint")
+
+    def look(change: Callable[[], Look]) -> None:
+        """Look in another way, or tell why not."""
+        try:
+            console.set_look(change())
+            set_text(said, "")
+        except ArmsightError as error:
+            set_text(said, str(error))
+            set_attribute(said, "data-level", "bad")
+
+    threshold.on_value_change(lambda: look(lambda: replace(console.look, threshold=_level(threshold))))
+    ui.on("armsight_mask", lambda event: look(lambda: masked(console, event.args)))
+    inverted.on_value_change(lambda: console.set_look(replace(console.look, inverted=ticked(inverted))))
     masking.on_value_change(
         lambda: ui.run_javascript(
             "document.querySelectorAll('canvas[data-side]')"
-            f".forEach((c) => c.dataset.masking = '{'true' if masking.value else 'false'}')"
+            f".forEach((c) => c.dataset.masking = '{'true' if ticked(masking) else 'false'}')"
         )
     )
 
 
 def _level(field: ui.number) -> float | None:
-    value = field.value
-    return None if value is None or not 0.0 <= float(value) < 255.0 else float(value)
+    """Return the threshold typed, None where it is found by itself. Raises UsageError."""
+    return None if field.value in (None, "") else number(field)
 
 
-def _mask(console: Console, drawn: dict[str, Any]) -> None:
-    """Add a rectangle drawn on a picture to what is masked."""
-    side, box = drawn["side"], tuple(float(v) for v in drawn["mask"])
-    if side not in console.pictures or len(box) != 4:
-        return
-    masked = {**console.look.masked, side: (*console.look.masked.get(side, ()), box)}
-    console.set_look(replace(console.look, masked=masked))
+def masked(console: Console, said: Any) -> Look:
+    """Return how lights are looked for with a rectangle more, as the page tells it. Raises UsageError."""
+    box = drawn(said)
+    if box.side not in console.pictures:
+        raise UsageError("no picture of this cell was drawn on", consequence="Nothing is masked")
+    there = console.look.masked.get(box.side, ())
+    if len(there) >= MASKS:
+        raise UsageError(texts.MASKS_FULL.format(n=MASKS), consequence="Nothing is masked", cure=texts.UNMASK)
+    return replace(console.look, masked={**console.look.masked, box.side: (*there, box.mask)})

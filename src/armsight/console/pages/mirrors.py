@@ -12,6 +12,7 @@ from pydantic import ValidationError
 from armsight.app.guided.mirror_alignment import MirrorAlignment, Stand
 from armsight.app.schemas.cameras import MirrorCheckOutput, MirrorTurnOutput
 from armsight.console import texts
+from armsight.console.fields import number, ticked
 from armsight.console.layout import SIGNS, button, card, set_attribute, set_text, text_of
 from armsight.console.plots import Plot
 from armsight.console.state import Console
@@ -42,8 +43,8 @@ def built_card(console: Console, changed: Callable[[], None]) -> None:
         said = text_of("p", role="alert").classes("hint")
 
         def keep() -> None:
-            values = {name: field.value for name, field in fields.items()}
             try:
+                values = {name: number(field) for name, field in fields.items() if field.value not in (None, "")}
                 console.set_mirrors(_built(str(shown.value), values))
             except (ArmsightError, ValidationError) as error:
                 words = texts.MIRRORS_WRONG if isinstance(error, ValidationError) else str(error)
@@ -60,11 +61,9 @@ def _mm(built: CellMirrors, name: str) -> float | None:
     return value if value is None or name == "index" else round(value / MM, 3)
 
 
-def _built(shown: str, values: dict[str, float | None]) -> CellMirrors:
-    """Return what was typed, mm in m; an empty field is the design's usual value. Raises ValidationError."""
-    scaled = {
-        name: float(value) * (1.0 if name == "index" else MM) for name, value in values.items() if value is not None
-    }
+def _built(shown: str, values: dict[str, float]) -> CellMirrors:
+    """Return what was typed, mm in m; a field left out is the design's usual value. Raises ValidationError."""
+    scaled = {name: value * (1.0 if name == "index" else MM) for name, value in values.items()}
     return CellMirrors.model_validate({"shown": shown, **scaled})
 
 
@@ -103,7 +102,7 @@ class _Alignment:
         self._show()
 
     async def _tick(self) -> None:
-        watched, station = self._watch.value and self._alignment.possible, self._console.station
+        watched, station = ticked(self._watch) and self._alignment.possible, self._console.station
         if self._busy or not watched or station is None or station.shown is None:
             return
         self._busy = True

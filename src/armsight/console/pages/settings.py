@@ -5,6 +5,7 @@ from __future__ import annotations
 from nicegui import run, ui
 
 from armsight.console import texts
+from armsight.console.fields import file_name, text, ticked
 from armsight.console.layout import button, card, set_attribute, set_text, text_of
 from armsight.console.state import Console
 from armsight.console.uploads import LARGEST_BYTES
@@ -28,9 +29,9 @@ def settings_page(console: Console) -> None:
     said = text_of("p", role="alert").classes("hint")
 
     async def apply() -> None:
-        changed = {name: (field.value or "").strip() for name, field in fields.items()}
         try:
-            cell = console.cell.model_copy(update={**changed, "play_again": bool(again.value)})
+            changed = {name: _typed(console, name, field) for name, field in fields.items()}
+            cell = console.cell.model_copy(update={**changed, "play_again": ticked(again)})
             await run.io_bound(console.apply, cell)
             set_text(said, texts.APPLIED)
             set_attribute(said, "data-level", "good")
@@ -45,6 +46,11 @@ def _field(console: Console, name: str) -> ui.input:
     field = ui.input(texts.FIELDS[name], value=getattr(console.cell, name)).classes("w-full")
     field.props["data-testid"] = f"field-{name}"
     return field
+
+
+def _typed(console: Console, name: str, field: ui.input) -> str:
+    """Return what a field holds: a source or board as it is, else a file of the folder. Raises UsageError."""
+    return text(field) if name in SOURCES else file_name(field, kept=getattr(console.cell, name))
 
 
 def _upload() -> None:

@@ -6,8 +6,8 @@ from nicegui import ui
 
 from armsight.app.operator.supervise import StationSupervisor, SupervisedState, limits_of
 from armsight.console import texts
+from armsight.console.fields import number
 from armsight.console.layout import TICK_S, button, card, set_attribute, set_text, text_of
-from armsight.console.numbers import number
 from armsight.console.plots import Plot
 from armsight.console.state import Console
 from armsight.errors import ArmsightError

@@ -14,9 +14,9 @@ from armsight.app.operator.work import Work
 from armsight.app.schemas.paths import PathCheckOutput
 from armsight.app.schemas.play import PlayOutput
 from armsight.console import texts
+from armsight.console.fields import number, text, ticked
 from armsight.console.jog import jog_card
 from armsight.console.layout import TICK_S, button, card, set_attribute, set_text, text_of
-from armsight.console.numbers import number
 from armsight.console.scene import Scene
 from armsight.console.state import Console
 from armsight.console.working import Working
@@ -94,7 +94,7 @@ class _Recording:
 
     def _mark(self) -> None:
         try:
-            self._recorder.recorder.tag(str(self._tag.value or ""))
+            self._recorder.recorder.tag(text(self._tag))
         except ArmsightError as error:
             _tell(self._said, str(error), "bad")
 
@@ -134,7 +134,9 @@ class _Path:
                 button(texts.PATH_USE, self._change, kind="act quiet", testid="change")
 
     def pick(self, row: int) -> None:
-        """Choose a place, or choose it no more."""
+        """Choose a place, or choose it no more; a row that the path has not is none."""
+        if self._desk.path is None or row >= len(self._desk.path):
+            return
         self._chosen ^= {row}
         self.show()
 
@@ -222,7 +224,7 @@ class _Play:
             folder=self._console.folder,
             cell=self._console.cell,
             speed_mm_s=number(self._speed),
-            keep_rotation=bool(self._keep.value),
+            keep_rotation=ticked(self._keep),
         )
 
     async def _check(self) -> None:

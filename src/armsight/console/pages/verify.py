@@ -11,6 +11,7 @@ from nicegui import run, ui
 from armsight.app.schemas.verify import VerifyOutput
 from armsight.app.verify.run import VerifyJob, run_verify
 from armsight.console import texts
+from armsight.console.fields import file_name
 from armsight.console.layout import button, card, set_attribute, set_text, text_of
 from armsight.console.pages.iso import iso_card
 from armsight.console.pages.supervision import supervision_card
@@ -36,7 +37,7 @@ def verify_page(console: Console) -> None:
             set_text(said, texts.RUNNING_VERIFY)
             result.clear()
             try:
-                done = await run.io_bound(partial(_verify, console, {n: f.value or "" for n, f in fields.items()}))
+                done = await run.io_bound(partial(_verify, console, {n: file_name(f) for n, f in fields.items()}))
                 if done is None:  # the server is ending
                     return
                 set_text(said, done.verdict)

@@ -80,7 +80,11 @@
   }
 
   const holder = (target) => target instanceof Element && target.closest("[data-testid=enable], [data-jog]");
-  const what = (element) => element.dataset.jog || null;
+  const what = (element) => {
+    if (!element.dataset.jog) return null;
+    const [frame, axis, sense] = element.dataset.jog.split(":");
+    return { frame, axis: Number(axis), sense };
+  };
   document.addEventListener("pointerdown", (event) => {
     const element = holder(event.target);
     if (!element || event.button !== 0 || element.hasAttribute("disabled")) return;

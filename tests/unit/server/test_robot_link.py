@@ -1,0 +1,175 @@
+"""The robot's connection of a page: whatever a browser says, nothing is raised and nothing moves without the enable."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from types import SimpleNamespace
+
+import pytest
+from fastapi import FastAPI
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from armsight.app.operator.seat import Seat
+from armsight.console import robot_link
+from armsight.console.messages import LONGEST, Beat, JogKey
+from armsight.console.robot_link import RobotLink, add_robot_link
+
+NOW = 100.0
+KEY = {"frame": "joints", "axis": 0, "sense": "1"}
+BEAT = {"do": "beat", "enable": True, "push": KEY, "seen": NOW}
+OVERRIDE = {"do": "override", "share": 0.5}
+
+
+def key(**changed):
+    return json.dumps({**BEAT, "push": {**KEY, **changed}})
+
+
+NO_MESSAGES = [
+    "", "{", "null", "[]", '"beat"', "1", "{}", '{"do": "dance"}', '{"do": null}', '{"do": {}}', '{"do": "\\ud800"}',
+    *[key(axis=axis) for axis in ("²", "0", 0.5, True, -1, 16, 10**400, None, [0])],
+    *[key(sense=sense) for sense in (0, 1, "2", "", 0.1, True, None)],
+    *[key(frame=frame) for frame in ("world", "\ud800", 0, None)],
+    key(more=1),
+    *[json.dumps({**BEAT, "push": push}) for push in ("joints:²:1", "joints:0:1", True, [KEY])],
+    *[json.dumps({**BEAT, "enable": enable}) for enable in (1, "true", None, [True])],
+    *[json.dumps({**BEAT, "seen": seen}) for seen in (float("nan"), float("inf"), 1e300, "now", True, 10**400)],
+    json.dumps({"do": "beat"}), json.dumps({**BEAT, "more": 1}),
+    json.dumps({**BEAT, "seen": NOW + 1e-3}),
+    '{"do": "stop", "do": "beat", "enable": true, "seen": 100}',
+    '{"do": "beat", "enable": false, "enable": true, "seen": 100}',
+    *[json.dumps({**OVERRIDE, "share": s}) for s in (float("nan"), float("inf"), -0.1, 1.1, "1", True, None, {})],
+    '{"do": "override"}',
+    '{"do": "stop", "at": 1}', '{"do": "reset", "at": 1}',
+    "[" * 900 + "]" * 900, '{"do":' * 300 + "1" + "}" * 300,
+    json.dumps(BEAT) + " " * LONGEST, "x" * 10_000_000,
+    None,
+]  # fmt: skip
+"""None stands for bytes."""
+
+
+@pytest.fixture
+def link(service):
+    made = RobotLink(Seat(service), SimpleNamespace(scope={}), "a")
+    made.state()
+    return made
+
+
+def moved(host):
+    """Return whether the robot was asked to move, or told that it may."""
+    return any(what[0] in ("post", "reset") or what == ("beat", True) for what in host.told)
+
+
+def refuses(link, host, said):
+    """Return whether a message is told as refused, with nothing done."""
+    link.take(said)
+    return bool(json.loads(json.dumps(link.state()))["refused"]) and not host.told and link.state()["override"] == 0.5
+
+
+@pytest.mark.parametrize("said", NO_MESSAGES, ids=range(len(NO_MESSAGES)))
+def test_what_is_no_message_is_told_and_does_nothing(link, host, said):
+    assert refuses(link, host, said)
+
+
+def test_messages_do_what_they_say(link, host):
+    for said in (BEAT, OVERRIDE, {"do": "stop"}, {"do": "reset"}, {"do": "beat", "enable": False}):
+        link.take(json.dumps(said))
+        assert link.state()["refused"] == ""
+    assert [what[0] for what in host.told] == ["beat", "post", "stop", "reset", "beat"]
+    for share, kept in ((0, 0.01), (1, 1.0)):
+        link.take(json.dumps({**OVERRIDE, "share": share}))
+        assert link.state()["override"] == kept
+
+
+def test_letting_go_counts_whatever_was_seen(link, host):
+    link.take(json.dumps(BEAT))
+    link.take(json.dumps({"do": "beat", "enable": False, "seen": NOW + 1.0}))
+    assert ("beat", False) in host.told
+    assert not link.state()["enabled"]
+
+
+def lax(text):
+    """Stand for reading without a schema: what is there is taken as it is."""
+    said = json.loads(text or "{}")
+    push = said.get("push") or None
+    return Beat.model_construct(
+        do="beat", enable=bool(said.get("enable")), seen=said.get("seen"),
+        push=push if push is None else JogKey.model_construct(**{**KEY, **push}),
+    )  # fmt: skip
+
+
+def test_reading_without_the_schema_would_be_found(service, host, monkeypatch):
+    monkeypatch.setattr(robot_link, "robot_message", lax)
+
+    def found(said):
+        host.told.clear()
+        fresh = RobotLink(Seat(service), SimpleNamespace(scope={}), "a")
+        try:
+            return not refuses(fresh, host, said)
+        except Exception:
+            return True
+
+    assert sum(found(said) for said in NO_MESSAGES) >= 30
+
+
+VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(st.characters(), max_size=8),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    max_leaves=6,
+)
+LIKELY = VALUES | st.sampled_from([True, False, "joints", "base", "tool", 0, 1, -1, "²", NOW, 0.5, KEY])
+NEARLY = st.fixed_dictionaries(
+    {"do": st.sampled_from(["beat", "stop", "reset", "override"]) | VALUES},
+    optional=dict.fromkeys(("enable", "push", "seen", "share", "axis"), LIKELY),
+)
+SAID = st.text(max_size=60) | (VALUES | NEARLY).map(json.dumps)
+
+
+@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(said=SAID)
+def test_whatever_is_said_nothing_is_raised_and_nothing_moves_without_the_enable(service, host, said):
+    host.told.clear()
+    host.t_s += 20.0  # whoever drove before is silent for long
+    link = RobotLink(Seat(service), SimpleNamespace(scope={}), "a")
+    link.state()
+    link.take(said)
+    assert 0.01 <= link.state()["override"] <= 1.0
+    if moved(host):
+        asked = json.loads(said)
+        assert asked["do"] == "reset" or (asked["do"] == "beat" and asked["enable"] is True and asked["seen"] >= NOW)
+    link.take('{"do": "stop"}')
+    link._seat.leave("a")
+
+
+def test_bytes_and_a_page_that_goes_end_nothing_but_the_connection(service, host):
+    frames = [{"bytes": b"\xff", "text": None}, {"bytes": b""}, {"text": json.dumps({"do": "stop"})}]
+    said = [{"type": "websocket.receive", **frame} for frame in frames] + [{"type": "websocket.disconnect"}]
+    sent = []
+
+    async def receive():
+        await asyncio.sleep(0)
+        return said.pop(0)
+
+    async def send_text(text):
+        sent.append(json.loads(text))
+
+    socket = SimpleNamespace(scope={}, receive=receive, send_text=send_text)
+    asyncio.run(RobotLink(Seat(service), socket, "a").serve())
+    assert ("stop", "stopped by operator") in host.told and sent
+
+
+@pytest.mark.parametrize("query", ["", *[f"browser={name}" for name in ("", "x" * 65, "a%20b", "%00", "%C2%B2")]])
+def test_a_page_without_a_name_is_refused(service, query):
+    pages, sent = FastAPI(), []
+    add_robot_link(pages, SimpleNamespace(robot=SimpleNamespace(seat=Seat(service))))
+
+    async def receive():
+        return {"type": "websocket.connect"}
+
+    async def send(message):
+        sent.append(message)
+
+    scope = {"type": "websocket", "path": "/console/robot", "query_string": query.encode(), "headers": []}
+    asyncio.run(pages(scope, receive, send))
+    assert [(message["type"], message["code"]) for message in sent] == [("websocket.close", 1008)]
