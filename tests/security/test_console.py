@@ -23,17 +23,16 @@ from armsight.console import application, texts, uploads
 from armsight.console.headers import SAID
 from armsight.console.state import Console
 from armsight.control.guard import Limits
-from armsight.server import serving
 from armsight.server.application import create_app
-from armsight.server.auth import Authenticator
-from armsight.server.gate import COOKIE, Gate
+from armsight.server.auth import COOKIE, Authenticator
+from armsight.server.connections import Connections
+from armsight.server.gate import Gate
+from armsight.server.serving import background
+from armsight.server.web_server import ServeOptions, listening, web_server
 from armsight.store.tokens import add_token, read_tokens
 
 WAIT_S = 20.0
 PAGES = sorted(application.PAGES)
-NOT_YET = pytest.mark.xfail(
-    strict=True, reason="answers of the door itself, and of a server alone, have no headers yet"
-)
 
 
 @pytest.fixture(scope="module")
@@ -49,9 +48,9 @@ def served(tmp_path_factory: pytest.TempPathFactory, fakes: Any) -> Any:
     app = create_app(service, auth)
     console = Console(folder=folder, robot=robot)
     application.add_console(app, console)
-    options = serving.ServeOptions(port=0)
-    with serving.listening(options) as listener:
-        server = serving._web_server(Gate(app, auth, secure=True), options)
+    options = ServeOptions(port=0)
+    with listening(options.bind, options.port) as listener:
+        server = web_server(Gate(app, auth, secure=True), options, Connections(lambda _: None))
         with fakes.running(server, listener):
             port = listener.getsockname()[1]
             yield SimpleNamespace(
@@ -253,13 +252,12 @@ def test_every_answer_says_how_it_may_be_shown(served: Any, path: str) -> None:
     assert "server" not in headers and "x-powered-by" not in headers and "access-control-allow-origin" not in headers
 
 
-@NOT_YET
 @pytest.mark.parametrize("where", ["door", "server alone"])
 def test_answers_of_the_door_and_of_a_server_alone_say_so_too(served: Any, service: Any, where: str) -> None:
     if where == "door":
         headers = ask(served, "GET", "/live").headers
     else:
-        with serving.background(service) as url:
+        with background(service) as url:
             headers = httpx.get(url.replace("ws", "http", 1) + "/docs", timeout=WAIT_S).headers
     assert headers.get("x-frame-options") == "DENY" and headers.get("x-content-type-options") == "nosniff"
 
@@ -391,18 +389,9 @@ ODD = {
     "no mapping": "[1]",
     "too long": '{"do": "' + "x" * 5000 + '"}',
 }
-RAISING = ("deep", "a huge share", "a huge time", "a digit that is no number")
 
 
-@pytest.mark.parametrize(
-    "kind",
-    [
-        pytest.param(
-            kind, marks=pytest.mark.xfail(kind in RAISING, strict=True, reason="ends the connection by an exception")
-        )
-        for kind in ODD
-    ],
-)
+@pytest.mark.parametrize("kind", ODD)
 def test_odd_messages_of_a_page_do_nothing(served: Any, kind: str) -> None:
     path = f"{served.socket}/console/robot?browser=odd"
     with connect(path, additional_headers={"authorization": f"Bearer {served.drive}"}, proxy=None) as line:

@@ -222,7 +222,6 @@ def test_no_command_takes_a_token_where_ps_shows_it() -> None:
     assert {name for _, name in found} <= {"tokens", "add_token"}, "a file's name, and a name with a role"
 
 
-@pytest.mark.xfail(strict=True, reason="an address with a name and a secret in it is not refused yet")
 def test_an_address_holds_no_secret() -> None:
     with pytest.raises(UsageError) as caught:
         ServerAddress(url="wss://ann:secret@robot.example:8765")

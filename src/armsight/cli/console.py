@@ -98,7 +98,7 @@ def serve_cell(face: CommandUI, robot: str, folder: Path, changed: dict[str, Any
     from armsight.server.application import create_app
     from armsight.server.auth import Authenticator
     from armsight.server.serving import serve_pages
-    from armsight.server.web_server import check_options, listening
+    from armsight.server.web_server import listening
 
     cancelled = face.progress("opening").cancelled
     with contextlib.ExitStack() as stack:
@@ -113,7 +113,7 @@ def serve_cell(face: CommandUI, robot: str, folder: Path, changed: dict[str, Any
         made = Console.of_folder(folder, cell)
         try:
             _tell_refusal(face, made.begin(changed, robot=robot))
-            server = create_app(cell.service, Authenticator(check_options(options)))
+            server = create_app(cell.service, Authenticator(options.tokens or ()))
             add_console(server, made)
             serve_pages(server, options, listener, ready=lambda url: _say(face, url), service=cell.service)
         finally:

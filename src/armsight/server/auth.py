@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import re
 from collections import OrderedDict, deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from http.cookies import SimpleCookie
 from ipaddress import ip_address
+from pathlib import Path
 from typing import Literal
-from urllib.parse import urlsplit
 
 from starlette.requests import HTTPConnection
 
 from armsight.clock import Clock, SystemClock
-from armsight.store.tokens import TokenEntry
+from armsight.errors import BadFile
+from armsight.store.tokens import TokenEntry, read_tokens
 
 Role = Literal["watch", "drive"]
 
@@ -32,7 +34,8 @@ COOKIE = "armsight_token"
 
 LONGEST_COOKIE = 4096
 
-LOCAL_HOSTS = ("localhost", "127.0.0.1", "::1")
+LOCAL_HOST = re.compile(r"(localhost|127\.0\.0\.1|\[::1\])(:[0-9]{1,5})?", re.IGNORECASE)
+"""What a browser sends as Host for this machine, and nothing that only looks like it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,10 +72,14 @@ class Authenticator:
     """
 
     def __init__(
-        self, tokens: Sequence[TokenEntry] = (), *, clock: Clock | None = None, page_port: int | None = None
+        self, tokens: Sequence[TokenEntry] | Path = (), *, clock: Clock | None = None, page_port: int | None = None
     ) -> None:
-        """page_port: of this machine's own pages, where they come from another port than they ask."""
-        self._tokens = tuple(tokens)
+        """tokens: or their file, which is read anew when it has changed. page_port: of this machine's own pages, where
+        they come from another port than they ask. Raises BadFile."""
+        self._file = tokens if isinstance(tokens, Path) else None
+        self._entries = read_tokens(tokens) if isinstance(tokens, Path) else tuple(tokens)
+        self._open = self._file is None and not self._entries
+        self._read_at = self._stamp()
         self._page_port = page_port
         self._clock = clock or SystemClock()
         self._failed: OrderedDict[str, deque[float]] = OrderedDict()
@@ -81,7 +88,7 @@ class Authenticator:
         """Return who the caller is, or why they stay out."""
         if caller.origin and not self._own_page(caller):
             return Denied(status=403, why=f"a page of {caller.origin[:80]!r} may not use this server")
-        if not self._tokens:
+        if self._open:
             return self._local(caller)
         if self._waits(caller.address):
             return Denied(status=429, why=f"{FAILURES} wrong tokens within {WINDOW_S:g} s; wait")
@@ -94,26 +101,44 @@ class Authenticator:
             return Denied(status=401, why="no valid token")
         return Identity(who=found.name, role=found.role)
 
+    def knows(self, who: Identity) -> bool:
+        """Tell whether somebody who came in may still do what they may."""
+        return self._open or any((entry.name, entry.role) == (who.who, who.role) for entry in self._tokens())
+
+    def _tokens(self) -> tuple[TokenEntry, ...]:
+        """Return the tokens as they are now; none while their file cannot be read, and nobody comes in."""
+        stamp = self._stamp()
+        if stamp != self._read_at and self._file is not None:
+            try:
+                self._entries = read_tokens(self._file)
+            except (BadFile, OSError):
+                self._entries = ()
+            self._read_at = stamp
+        return self._entries
+
+    def _stamp(self) -> tuple[int, int] | None:
+        try:
+            found = None if self._file is None else self._file.stat()
+        except OSError:
+            return (0, 0)
+        return None if found is None else (found.st_mtime_ns, found.st_ino)
+
     def _own_page(self, caller: Caller) -> bool:
         """Tell whether the page that asks is one of this server."""
-        try:
-            origin, host = urlsplit(caller.origin), urlsplit(f"//{caller.host}")
-            if self._page_port is not None:
-                return origin.hostname == host.hostname and origin.port == self._page_port
-        except ValueError:
-            return False
-        return origin.netloc.lower() == caller.host.lower()
+        origin, host = caller.origin.lower().partition("://")[2], caller.host.lower()
+        if self._page_port is not None:
+            host = f"{re.sub(r':[0-9]+$', '', host)}:{self._page_port}"
+        return origin == host
 
     def _local(self, caller: Caller) -> Identity | Denied:
         """Let in who is on this machine and asked for this machine: a foreign name that leads here is a trick."""
-        name = urlsplit(f"//{caller.host}").hostname or ""
-        if name not in LOCAL_HOSTS or not is_loopback(caller.address):
+        if LOCAL_HOST.fullmatch(caller.host) is None or not is_loopback(caller.address):
             return Denied(status=403, why="without tokens only this machine may use the server, by the name localhost")
         return Identity(who="local", role="drive")
 
     def _entry(self, token: str) -> TokenEntry | None:
         """Return the token's entry; every entry is compared, so that the time does not tell which came near."""
-        matching = [entry for entry in self._tokens if entry.matches(token)]
+        matching = [entry for entry in self._tokens() if entry.matches(token)]
         return matching[0] if matching else None
 
     def _waits(self, address: str) -> bool:

@@ -23,7 +23,8 @@ def serve(service: Service, options: ServeOptions, *, ready: Callable[[str], Non
 
     Raises as check_options; DeviceFailed where the address cannot be had.
     """
-    auth = Authenticator(check_options(options))
+    check_options(options)
+    auth = Authenticator(options.tokens or ())
     with listening(options.bind, options.port) as listener, stop_line(service, options):
         server = web_server(create_app(service, auth), options, _connections(service))
         ready(_url(options, listener))
@@ -43,7 +44,8 @@ def serve_pages(
     listener: of listening, opened before anything that takes long, so that a port in use is told at once. service: of
     the robot that the pages move, which gets its line for stops. Raises as check_options.
     """
-    gate = Gate(app, Authenticator(check_options(options)), secure=options.tls_cert is not None)
+    check_options(options)
+    gate = Gate(app, Authenticator(options.tokens or ()), secure=options.tls_cert is not None)
     with contextlib.ExitStack() as stack:
         if service is not None:
             stack.enter_context(stop_line(service, options, page_port=listener.getsockname()[1]))
@@ -56,7 +58,8 @@ def serve_pages(
 def background(service: Service, options: ServeOptions | None = None, *, with_stop_line: bool = False) -> Iterator[str]:
     """Serve from a thread while the block runs; gives the address. Raises as serve."""
     options = options or ServeOptions(port=0)
-    auth = Authenticator(check_options(options))
+    check_options(options)
+    auth = Authenticator(options.tokens or ())
     with contextlib.ExitStack() as stack:
         listener = stack.enter_context(listening(options.bind, options.port))
         if with_stop_line:

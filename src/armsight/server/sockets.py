@@ -16,7 +16,7 @@ from armsight.app.robot.host import SETPOINT_S
 from armsight.app.robot.service import Service
 from armsight.drivers.remote import protocol as say
 from armsight.errors import ArmsightError, DeviceFailed
-from armsight.server.auth import Authenticator, Caller, Denied
+from armsight.server.auth import Authenticator, Caller, Denied, Identity
 from armsight.server.connections import age_of
 from armsight.server.session import VIOLATIONS, Session
 
@@ -53,6 +53,7 @@ class Connection:
         self._caller = caller
         self._role = role
         self._who = ""
+        self._found = Identity(who="", role="watch")
         self._lease: Lease | None = None
 
     async def serve(self) -> None:
@@ -83,7 +84,7 @@ class Connection:
             self._desk.note("warning", f"{self._caller.address} was kept out: {found.why}")
             await self._deny(found)
             return False
-        self._who = f"{found.who}@{self._caller.address}"
+        self._found, self._who = found, f"{found.who}@{self._caller.address}"
         if self._role == "drive":
             try:
                 self._lease = self._desk.take(self._who)
@@ -186,6 +187,8 @@ class Connection:
                 with contextlib.suppress(DeviceFailed):
                     await self._send(self._desk.state())
                 await asyncio.sleep(STATE_S)
+                if not self._auth.knows(self._found):
+                    await self._socket.close(BROKE_RULES, "its token was taken out")
                 for event in events.take():
                     await self._send(event)
 

@@ -29,7 +29,7 @@ from armsight.errors import ArmsightError, DeviceFailed, DeviceLost
 from armsight.server.auth import Authenticator, Denied, Identity, address_of, caller_of
 from armsight.server.connections import Connections, age_of
 from armsight.server.session import Session
-from armsight.server.web_server import ServeOptions, check_options, listening, web_server
+from armsight.server.web_server import ServeOptions, listening, web_server
 
 if TYPE_CHECKING:
     from armsight.app.robot.channels import LineChannels
@@ -81,6 +81,8 @@ class StopLine:
                 if message["type"] == "websocket.disconnect":
                     return
                 await asyncio.sleep(0)  # what a caller has piled up must not hold up the others
+                if not self._auth.knows(found):
+                    break
                 answer = self._answer(session, found, message.get("text") or "", age_of(message))
                 await socket.send_text(answer.model_dump_json())
             await socket.close(1008, "against the protocol")
@@ -148,7 +150,7 @@ def run_stop_line(
 ) -> None:
     """Serve until the process that started this one ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches both; the server ends this one in order
-    line = StopLine(channels, Authenticator(check_options(options), page_port=page_port))
+    line = StopLine(channels, Authenticator(options.tokens or (), page_port=page_port))
     server = web_server(line.app(), options, Connections(line.note), lifespan=False)
 
     async def watch() -> None:

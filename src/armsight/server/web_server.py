@@ -92,6 +92,7 @@ def web_server(
         ws_per_message_deflate=False,  # a small message must not unpack to a large one
         proxy_headers=False,  # a client must not choose the address that its failures are counted by
         server_header=False,
+        headers=[("x-frame-options", "DENY"), ("x-content-type-options", "nosniff")],
         access_log=False,
         log_config=None,
         lifespan="on" if lifespan else "off",

@@ -11,11 +11,11 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.app.robot.channels import Newest, Queue
 from armsight.app.robot.host import LoopCommand, LoopEvent
-from armsight.control.guard.limits import ENABLE_AGE_S
 from armsight.app.robot.hosting import ProcessHost, RobotSpec, ThreadHost
 from armsight.app.robot.loop_side import Channels, CountedClock, lateness_s
 from armsight.app.robot.models import arm_model
 from armsight.clock import ManualClock
+from armsight.control.guard.limits import ENABLE_AGE_S
 from armsight.control.setpoints import JointGoal, JointVelocity
 from armsight.drivers import RobotState
 from armsight.errors import DeviceFailed, DeviceLost, UsageError

@@ -54,6 +54,12 @@ class ServerAddress:
             port, host = parts.port, parts.hostname
         except ValueError:
             port = host = None
+        if "@" in self.url:
+            raise UsageError(
+                "an address with a name or a password in it",
+                consequence="There is no connection: addresses stand in messages and logs",
+                cure=f"Give ws://HOST:PORT, and the token as token or in {TOKEN_VARIABLE}",
+            )
         if host is None or port is None or parts.scheme not in ("ws", "wss") or parts.path not in ("", "/"):
             raise UsageError(
                 f"{self.url!r} is not the address of a robot server",
