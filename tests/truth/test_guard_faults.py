@@ -355,7 +355,6 @@ REMOVALS = {
     "finite": ("not finite", SERVO, Watch, "finite", nothing),
     "jump of a path": ("discontinuous path", PLAY, Follower, "_check_jump", nothing),
     "singularity": ("towards a singularity", SERVO, Breach, "worse_than", lambda *_: ()),
-    "boxes": ("into a forbidden box", SERVO, Breach, "worse_than", lambda *_: ()),
     "range": ("beyond a joint's range", GOAL, Breach, "worse_than", lambda *_: ()),
     "way to rest": ("enable gone", PLAY, Follower, "_braked", last_velocity),
 }

@@ -274,7 +274,8 @@ class Desk:
         lead = LEAD_S * self._speed
         near = np.clip(asked, now.q_sent - lead, now.q_sent + lead)
         far = tuple(f"lead of {j.name}" for j, a, b in zip(joints, asked, near, strict=True) if a != b)
-        q = np.clip(near, self._lower, self._upper)
+        # who stands beyond an end stays there, or comes back as far as was asked: a step of one joint moves no other
+        q = np.clip(near, np.minimum(self._lower, now.q_sent), np.maximum(self._upper, now.q_sent))
         ends = tuple(f"range of {j.name}" for j, a, b in zip(joints, near, q, strict=True) if a != b)
         return self._go(q, now, age_s), slow + far + ends
 

@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.control.guard.decision import GuardState
 from armsight.control.guard.limits import JointBounds, Limits
 from armsight.control.guard.motion import Ceiling, Course, Planner, State
-from armsight.control.guard.space import OF_MOTION, Breach, Sight, Space, pose_difference
+from armsight.control.guard.space import HAIR, Breach, Sight, Space, pose_difference
 from armsight.control.guard.watch import Fault, hold_reason
 from armsight.control.setpoints import Finished, Hold, JointGoal, JointVelocity, SetPoint, ToolPose, ToolTwist
 from armsight.kinematics import Arm
@@ -64,6 +64,7 @@ class Follower:
         self._space = Space(arm, limits, bounds)
         self._planner = Planner(arm.n, cycle_s)
         self._before: dict[bool, Breach] = {}
+        self._allowed: Array | None = None
         self.stand(np.zeros(arm.n))
 
     @property
@@ -85,9 +86,18 @@ class Follower:
         self._ways = np.zeros((2, 6))
         self._goal: Array | None = None
         self._sight = self._space.look(self._now.q)
+        self._before.clear()
+        self._allowed = None
+
+    def outside(self) -> str:
+        """Return which limits it stands outside of and the way back, in words; empty inside."""
+        return self._breach_now(in_space=False).told()
 
     def correct(self, q: Array) -> None:
         """Take note that the robot was really sent to q (n,), near where it was told."""
+        if np.abs(q - self._now.q).max() > HAIR:
+            self._before.clear()
+            self._allowed = None
         self._now = State(np.array(q, dtype=float), self._now.qd, self._now.qdd)
 
     def tried(self, wanted: SetPoint, share: float) -> tuple[Move | None, Fault | None]:
@@ -229,14 +239,15 @@ class Follower:
     def _check_goal(self, q: Array, *, in_space: bool) -> None:
         """Raise Refused for joint values that may not be gone to at all, and are not a way back into the limits."""
         still = np.zeros(self.arm.n)
-        broken = self._space.at(q, still, still, in_space=in_space)
-        worse = broken.worse_than(self._breach_now(in_space))
+        there, before = self._space.at(q, still, still, in_space=in_space), self._breach_now(in_space)
+        worse = there.worse_than(self._allow(before))
         if worse:
             raise Refused(Fault(GuardState.HOLDING, worse[0], f"where it shall go is beyond a limit: {worse[0]}"))
+        self._check_way_back(there, before, q)
 
     def _nowhere(self, broken: tuple[str, ...]) -> None:
         """Slow down for a cycle where that is enough, between two fast motions; else refuse the set point."""
-        if OF_MOTION.issuperset(broken):
+        if self._space.names.only_motion(broken):
             return
         raise Refused(Fault(GuardState.HOLDING, broken[0], f"at a limit: {', '.join(broken)}"))
 
@@ -261,10 +272,27 @@ class Follower:
             dt_s = brake.duration_s / (BRAKE_SAMPLES - 1)
             q, qd, qdd = brake.sampled([i * dt_s for i in range(BRAKE_SAMPLES)])
             found, sight = self._space.along(q, qd, qdd, dt_s, before, in_space=in_space)
-            broken = found.worse_than(before)
+            broken = found.worse_than(self._allow(before))
             if not broken:
+                self._check_way_back(found, before, q[-1])
                 return Move(state, brake, sight, limited), ()
         return None, broken
+
+    def _check_way_back(self, there: Breach, before: Breach, q: Array) -> None:
+        """Raise Refused where the arm stands outside and would not, at rest at q (n,), be nearer to any such limit."""
+        if not there.lessens(before, float(np.abs(q - self._now.q).max())):
+            raise Refused(Fault(GuardState.HOLDING, "outside", f"the arm stands {before.told()}"))
+
+    def _allow(self, before: Breach) -> Array:
+        """Return by how much each limit may be broken: no more than ever since the arm was stood here.
+
+        Compared with the cycle before, rounding might lead it outwards a hair at a time.
+        """
+        if self._allowed is None or len(self._allowed) != len(before.depths):
+            self._allowed = np.where(before.limits.of_place, np.inf, before.depths)
+        place = before.limits.of_place
+        self._allowed = np.where(place, np.minimum(self._allowed, np.maximum(before.depths, 0.0)), before.depths)
+        return self._allowed
 
     def _breach_now(self, in_space: bool) -> Breach:
         """Return what is broken where the arm was last sent; worked out once a cycle."""

@@ -54,6 +54,7 @@ class Guard:
         self._refused: Fault | None = None
         self._stop_sent = False
         self._resting = 0
+        self._outside = ""
 
     @property
     def q_sent(self) -> Array:
@@ -67,6 +68,7 @@ class Guard:
         self.state, self.why, self._kind = GuardState.DISABLED, "", ""
         self._cut = self._refused = None
         self._stop_sent, self._begun, self._resting = False, True, 0
+        self._outside = self._follower.outside()
 
     def reset(self, q: Array, now_s: float) -> None:
         """Leave STOPPED; the robot stands at q (n,). The enable must be let go of and given anew before it moves."""
@@ -102,8 +104,13 @@ class Guard:
         elif retreat is not None:
             move, refused = self._follower.tried(retreat, self.limits.retreat_speed)
             retreating, fault = refused is None, refused or fault
-        events = self._enter(fault, retreating, inputs.now_s, move)
+        events = self._standing_outside(inputs.now_s) + self._enter(fault, retreating, inputs.now_s, move)
         return self._sent(move, fault, events)
+
+    def _standing_outside(self, now_s: float) -> tuple[GuardEvent, ...]:
+        """Return, once, which limits the arm stood outside of when it was taken over, and the way back."""
+        told, self._outside = self._outside, ""
+        return (GuardEvent(now_s, "warning", f"the arm stands {told}"),) if told else ()
 
     def acknowledge(self, q: Array, limited: tuple[str, ...] = ()) -> None:
         """Take note of where the robot says it was really told to go (n,); a command that it cut is a fault."""

@@ -6,22 +6,28 @@ import numpy as np
 
 from armsight._numba import fast_kernel
 
-SPEED, TURNING, ACCELERATION, TURNING_ACCELERATION, RANGE, JOINT_SPEED, WORKSPACE, BOXES = 0, 1, 2, 3, 4, 5, 6, 7
-"""Places in the table of depths; forbidden boxes follow from BOXES on."""
+TOOL = 4
+"""Entries of the table of depths for the tool: speed, turning, and the accelerations of both. Each joint has three
+behind them: below its lower end, above its upper one, too fast, n of each kind; then come the faces and boxes."""
+FACES = 6
+"""Of the workspace, for each of two points: below and above in x, y, z."""
 
 
 @fast_kernel
 def depths(T, J, q, qd, qdd, dt, base, offset, joints, most, boxes, margin, outside, out):
-    """Fill out (BOXES + b,) with the largest excess over each limit along m places; 0 and below: kept.
+    """Fill out (TOOL + 3 n + 2 FACES + 2 b,) with the largest excess over each limit along m places; 0, below: kept.
+
+    Each limit has an entry of its own: what is broken of one must not excuse another.
 
     T (m, 4, 4) and J (m, 6, n) of the tool in world axes at readings q (m, n), moving at qd and qdd (m, n), dt s from
     place to place. base (3, 4): T_base_world. offset (3,): the flange in tool axes. joints (3, n): lower, upper,
     speed. most (4,): speed (m/s) and turning (rad/s) of the tool, its acceleration and that of its turning. boxes
     (1 + b, 6): lower and upper corners in base axes, the workspace first. Between two places the tool goes no further
-    than from one to the other; boxes keep half of that beside the margin, but those of outside (1 + b,), whose limit
-    is broken already: there only the places count, or there was no way back.
+    than from one to the other; walls keep half of that beside the margin, but those of outside (2 FACES + 2 b,), whose
+    limit is broken already: there only the places count, or there was no way back.
     """
     m, n = q.shape
+    walls = TOOL + 3 * n
     points = np.empty((m, 2, 3))
     twist = np.zeros(6)
     out[:] = -np.inf
@@ -41,8 +47,9 @@ def depths(T, J, q, qd, qdd, dt, base, offset, joints, most, boxes, margin, outs
             out[half] = max(out[half], np.sqrt(fast) - most[half])
             out[2 + half] = max(out[2 + half], np.sqrt(max(pushed, turned)) - most[2 + half])
         for j in range(n):
-            out[RANGE] = max(out[RANGE], joints[0, j] - q[i, j], q[i, j] - joints[1, j])
-            out[JOINT_SPEED] = max(out[JOINT_SPEED], abs(qd[i, j]) - joints[2, j])
+            out[TOOL + j] = max(out[TOOL + j], joints[0, j] - q[i, j])
+            out[TOOL + n + j] = max(out[TOOL + n + j], q[i, j] - joints[1, j])
+            out[TOOL + 2 * n + j] = max(out[TOOL + 2 * n + j], abs(qd[i, j]) - joints[2, j])
         for r in range(3):
             tool = base[r, 3]
             flange = 0.0
@@ -59,13 +66,19 @@ def depths(T, J, q, qd, qdd, dt, base, offset, joints, most, boxes, margin, outs
             for r in range(3):
                 square += (points[i, p, r] - points[i - 1, p, r]) ** 2
             stride = max(stride, square)
+    way = 0.5 * np.sqrt(stride)
     for i in range(m):
         for p in range(2):
-            for b in range(len(boxes)):
+            for r in range(3):
+                for side in range(2):
+                    entry = FACES * p + 2 * r + side
+                    inside = points[i, p, r] - boxes[0, r] if side == 0 else boxes[0, 3 + r] - points[i, p, r]
+                    keep = margin if outside[entry] else margin + way
+                    out[walls + entry] = max(out[walls + entry], keep - inside)
+            for b in range(1, len(boxes)):
+                entry = 2 * FACES + 2 * (b - 1) + p
                 inside = np.inf
                 for r in range(3):
-                    low, high = points[i, p, r] - boxes[b, r], boxes[b, 3 + r] - points[i, p, r]
-                    inside = min(inside, low, high)
-                keep = margin if outside[b] else margin + 0.5 * np.sqrt(stride)
-                depth = keep - inside if b == 0 else keep + inside
-                out[WORKSPACE + b] = max(out[WORKSPACE + b], depth)
+                    inside = min(inside, points[i, p, r] - boxes[b, r], boxes[b, 3 + r] - points[i, p, r])
+                keep = margin if outside[entry] else margin + way
+                out[walls + entry] = max(out[walls + entry], keep + inside)

@@ -116,6 +116,6 @@ class Planner:
         trajectory = Trajectory(self._n)
         try:
             result = self._ruckig.calculate(wanted, trajectory)
-        except RuckigError:
+        except (RuckigError, ValueError):  # the second: a result that its Python side has no name for
             return None
         return Course(trajectory) if result in (Result.Working, Result.Finished) else None

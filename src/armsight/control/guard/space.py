@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from armsight.control.guard.kernels import RANGE, WORKSPACE, depths
+from armsight.control.guard.kernels import FACES, TOOL, depths
 from armsight.control.guard.limits import Box, JointBounds, Limits
 from armsight.kinematics import Arm, fk_jacobian
 
@@ -21,18 +21,13 @@ ROTATION_RAD = 1e-7
 EVERYWHERE = Box(lower_m=np.full(3, -1e9), upper_m=np.full(3, 1e9), name="without walls")
 KEPT_BACK = 0.99
 """Share of the limits of the tool that is checked for: the real arm differs from its model by parts in a thousand."""
-OF_MOTION = frozenset(
-    {
-        "speed of the tool",
-        "turning of the tool",
-        "acceleration of the tool",
-        "turning acceleration of the tool",
-        "speed of a joint",
-    }
-)
-"""Limits that a slower motion keeps: where only these are broken the arm slows down and goes on."""
 HAIR = 1e-9
-"""What is worse by less than this (m, rad, m/s) than it was is not worse."""
+"""What is worse by less than this (m, rad, m/s) than it was is not worse: rounding."""
+OUTSIDE = 1e-6
+"""Who is beyond a limit by less than this (m, rad) stands at it: where motion has ended within rounding and HAIR."""
+LESS, LESS_SHARE = 1e-12, 0.02
+"""A way back lessens by more than this, and by more than this share of the joints' largest way (m or rad): a straight
+motion along a wall bends away from it a little, and is none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,16 +40,57 @@ class Sight:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Breach:
-    """By how much each limit is broken, in the order of names; 0 or less where it is kept."""
+class LimitNames:
+    """What messages call each limit. of_motion, of_place: which of them a slower motion keeps, and which are places.
+
+    Where only limits of motion are broken the arm slows down and goes on.
+    """
 
     names: tuple[str, ...]
-    depths: Array
+    of_motion: NDArray[np.bool_]
+    of_place: NDArray[np.bool_]
 
-    def worse_than(self, before: Breach) -> tuple[str, ...]:
-        """Return the limits that are broken here, and more than before; who is beyond one may come back."""
-        worse = self.depths > np.maximum(before.depths, 0.0) + HAIR
-        return tuple(self.names[i] for i in np.flatnonzero(worse)) if worse.any() else ()
+    def of(self, which: NDArray[np.bool_]) -> tuple[str, ...]:
+        """Return the names of those in a mask."""
+        return tuple(self.names[i] for i in np.flatnonzero(which))
+
+    def only_motion(self, names: tuple[str, ...]) -> bool:
+        """Tell whether a slower motion keeps all limits of these names."""
+        return set(names) <= set(self.of(self.of_motion))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Breach:
+    """By how much each limit is broken, in the order of its names; 0 or less where it is kept.
+
+    end: the same at the end alone, which is asked for where the arm stands outside.
+    """
+
+    limits: LimitNames
+    depths: Array
+    end: Array
+
+    def worse_than(self, allowed: Array) -> tuple[str, ...]:
+        """Return the limits that are broken here, and more than allowed: each for itself."""
+        worse = self.depths > np.maximum(allowed, 0.0) + HAIR
+        return self.limits.of(worse) if worse.any() else ()
+
+    def outside(self) -> NDArray[np.bool_]:
+        """Return the limits of place that are broken by more than rounding."""
+        return np.asarray(self.limits.of_place & (self.end > OUTSIDE))
+
+    def lessens(self, before: Breach, way: float) -> bool:
+        """Tell whether this ends less far outside than before, of one limit at least; inside there is nothing to.
+
+        way: of the joint that goes furthest until then, in rad or m.
+        """
+        out = before.outside()
+        return not out.any() or bool((self.end < before.end - LESS - LESS_SHARE * way)[out].any())
+
+    def told(self) -> str:
+        """Return where it stands outside and the way back, in words; empty inside."""
+        found = ", ".join(f"{self.limits.names[i]} by {self.end[i]:.3g}" for i in np.flatnonzero(self.outside()))
+        return f"outside its limits (rad, m): {found}; only motion back towards them is followed" if found else ""
 
 
 class Space:
@@ -73,19 +109,38 @@ class Space:
         )
         spaces = (limits.workspace or EVERYWHERE, *limits.forbidden)
         self._boxes = np.array([[*box.lower_m, *box.upper_m] for box in spaces])
-        self._kept = np.zeros(len(spaces), dtype=bool)
+        self._kept = np.zeros(2 * FACES + 2 * len(limits.forbidden), dtype=bool)
+        self._walls = TOOL + 3 * arm.n
         self.rows = 6 if arm.n >= 6 else 3
         """How many rows of a Jacobian motion in space uses: three where joints are too few to turn the tool."""
-        self._names = (
+        self.names = self._named(spaces[0].name)
+
+    def _named(self, workspace: str) -> LimitNames:
+        """Return the names of all limits, in the kernel's order, then those of coupled values, then singularities."""
+        joints = range(1, self.arm.n + 1)
+        ends = [f"range of joint {i} ({end})" for end in ("lower", "upper") for i in joints]
+        tool = (
             "speed of the tool",
             "turning of the tool",
             "acceleration of the tool",
             "turning acceleration of the tool",
-            "range of a joint",
-            "speed of a joint",
-            f"workspace {spaces[0].name}",
-            *(f"forbidden box {box.name}" for box in limits.forbidden),
-            "distance to a singularity",
+        )
+        speeds = [f"speed of joint {i}" for i in joints]
+        points = ("tool", "flange")
+        faces = [
+            f"workspace {workspace} ({side} {axis}, {point})"
+            for point in points
+            for axis in "xyz"
+            for side in ("lower", "upper")
+        ]
+        boxes = [f"forbidden box {box.name} ({point})" for box in self._limits.forbidden for point in points]
+        coupled = [] if self._gearing is None else [f"coupled {end}" for end in ends]
+        names = (*tool, *ends, *speeds, *faces, *boxes, *coupled, "distance to a singularity")
+        motion, single = {*tool, *speeds}, names[-1]
+        return LimitNames(
+            names,
+            np.array([name in motion for name in names]),
+            np.array([name not in motion and name != single for name in names]),
         )
 
     def look(self, q: Array) -> Sight:
@@ -105,13 +160,48 @@ class Space:
         T, J = fk_jacobian(self.arm, values, all_cores=False)
         if self._gearing is not None:
             J = np.ascontiguousarray(J @ self._gearing)
-        found = np.empty(len(self._names))
+        kept = self._kept if before is None else before.depths[self._walls :][: len(self._kept)] > 0.0
+        found = self._depths(T, J, (q, qd, qdd), dt_s, values, kept)
+        end = found
+        if before is not None and before.outside().any():
+            end = self._on_the_way_back(T, J, (q, qd, qdd), values, before, found)
+        found[-1] = self._limits.singularity - self.singularity(J) if in_space else -np.inf
+        return Breach(self.names, found, end), self._in_base(q[0], T[0], J[0])
+
+    def _on_the_way_back(
+        self, T: Array, J: Array, motion: tuple[Array, ...], values: Array, before: Breach, found: Array
+    ) -> Array:
+        """Return the depths at the end of a motion that begins outside, and tell in found what grows anywhere on it.
+
+        The largest depth alone would let it come nearer and go out again.
+        """
+        out, kept = before.outside(), before.depths[self._walls : self._walls + len(self._kept)] > 0.0
+        least, end = before.depths.copy(), before.depths
+        for i in range(len(values)):
+            at = slice(i, i + 1)
+            parts = tuple(part[at] for part in motion)
+            end = self._depths(T[at], J[at], parts, 0.0, values[at], kept)
+            grown = out & (end > np.maximum(least, 0.0) + HAIR)
+            found[grown] = np.inf
+            least = np.minimum(least, end)
+        return end
+
+    def _depths(
+        self,
+        T: Array,
+        J: Array,
+        motion: tuple[Array, Array, Array],
+        dt_s: float,
+        values: Array,
+        kept: NDArray[np.bool_],
+    ) -> Array:
+        """Return the depths of all limits, that of singularities left at none."""
+        found = np.full(len(self.names.names), -np.inf)
+        n = self._walls + len(kept)
         depths(
             T,
             J,
-            q,
-            qd,
-            qdd,
+            *motion,
             dt_s,
             self._T_base_world,
             self._flange,
@@ -119,14 +209,12 @@ class Space:
             self._most,
             self._boxes,
             self._limits.margin_m,
-            self._kept if before is None else before.depths[WORKSPACE:-1] > 0.0,
-            found[:-1],
+            kept,
+            found[:n],
         )
         if self._gearing is not None:
-            beyond = np.maximum(self.arm.lower - values, values - self.arm.upper)
-            found[RANGE] = max(found[RANGE], float(beyond.max()))
-        found[-1] = self._limits.singularity - self.singularity(J) if in_space else -np.inf
-        return Breach(self._names, found), self._in_base(q[0], T[0], J[0])
+            found[n:-1] = np.concatenate([(self.arm.lower - values).max(axis=0), (values - self.arm.upper).max(axis=0)])
+        return found
 
     def at(self, q: Array, qd: Array, qdd: Array, *, in_space: bool) -> Breach:
         """Return what is broken at readings q (n,), moving at qd and qdd (n,)."""
