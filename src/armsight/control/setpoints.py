@@ -76,6 +76,7 @@ class CycleState:
     came yet. q_sent (n,): where the robot was last told to go. qd_sent (n,): at which velocity. T_base_tool: of q_sent
     by the arm's model. running: whether the guard followed the last set point; where it did not, a path waits. refused:
     that it did not for the set point's own sake, nor would at a second try; else the enable or a reading is missing.
+    enabled: whether the operator's enable was held in the last cycle.
     """
 
     t_s: float
@@ -87,6 +88,7 @@ class CycleState:
     running: bool = True
     refused: bool = False
     q_s: float | None = None
+    enabled: bool = True
 
 
 class SetPointSource(Protocol):

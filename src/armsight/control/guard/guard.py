@@ -87,6 +87,7 @@ class Guard:
             running=self.state is GuardState.RUNNING,
             refused=self._refused is not None and self._kind == self._refused.kind,
             q_s=None if reading is None else reading.t_s,
+            enabled=self.state is not GuardState.DISABLED,
         )
 
     def step(self, wanted: SetPoint, reading: JointReading | None, inputs: Inputs) -> Decision:

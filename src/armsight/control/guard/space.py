@@ -190,7 +190,7 @@ class Space:
         self,
         T: Array,
         J: Array,
-        motion: tuple[Array, Array, Array],
+        motion: tuple[Array, ...],
         dt_s: float,
         values: Array,
         kept: NDArray[np.bool_],
