@@ -9,8 +9,9 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.control.guard import TargetState
-from armsight.control.servo import Mount, ServoSettings, ServoSource, Turning, on_axis
+from armsight.control.servo import Mount, ServoError, ServoSettings, ServoSource, Turning, on_axis
 from armsight.control.servo.delay import ArmLag, CameraDelay
+from armsight.control.servo.reaction import Reaction
 from armsight.control.servo.target_track import CALM_S, LOST_S, TargetTrack
 from armsight.control.setpoints import CycleState, Hold, ToolTwist
 from armsight.errors import Inconsistent
@@ -25,7 +26,7 @@ Q = np.array([0.0, -1.0, 1.5, -0.5, 1.5, 0.0])
 CYCLE_S, FRAME_S, LATE_S = 0.01, 0.05, 0.04
 COVARIANCE = np.diag(np.square([1e-5, 1e-5, 1e-4, 1e-3, 1e-3, 1e-4]))
 T_FLANGE_CAMERA = RigidTransform.from_components([0.05, 0.0, 0.06], Rotation.from_rotvec([0.0, 0.1, 0.4]))
-T_BASE_CAMERA = RigidTransform.from_components([-0.5, 0.3, 0.8], Rotation.from_rotvec([0.0, 1.5, 0.0]))
+T_BASE_CAMERA = RigidTransform.from_components([-0.5, 0.3, 0.8], Rotation.from_rotvec([0.0, -1.5, 0.0]))
 V = np.array([0.06, -0.03, 0.02])
 
 
@@ -51,6 +52,7 @@ class Bench:
         self.t_s = 0.0
         self.frame = 1
         self.wanted: object = None
+        self.enabled = True
 
     def target_at(self, t_s: float) -> RigidTransform:
         return RigidTransform.from_translation(V * t_s) * self.start
@@ -82,6 +84,7 @@ class Bench:
                 qd_sent=np.zeros(6),
                 T_base_tool=self.T_base_flange,
                 q_s=self.t_s,
+                enabled=self.enabled,
             )
             self.wanted = self.source.next(now)
         return self.wanted
@@ -223,12 +226,64 @@ def moved(by_m: float):
     return change
 
 
-def test_a_jump_is_a_hold_until_the_target_moved_on_smoothly_for_a_while():
+def turned_over(pose: TargetPose) -> TargetPose:
+    """The other pose that a flat target may be seen at."""
+    return replace(pose, T_parent_target=pose.T_parent_target @ np.diag([1.0, -1.0, -1.0, 1.0]))
+
+
+@pytest.mark.parametrize("lie", [moved(0.2), turned_over], ids=["moved", "turned over"])
+def test_after_a_jump_elsewhere_only_a_fresh_enable_goes_on(lie):
     setup = bench()
     assert isinstance(setup.run(1.0), ToolTwist)
-    assert "jumped" in why(setup.run(1.1, moved(0.2)))
+    assert "jumped" in why(setup.run(1.1, lie))
     assert setup.source.target(setup.t_s)[0] is TargetState.JUMPED
-    assert isinstance(setup.run(1.1 + CALM_S + 0.1, moved(0.2)), ToolTwist)
+    assert "enable" in why(setup.run(1.1 + 4 * CALM_S, lie))
+    setup.enabled = False
+    setup.run(setup.t_s + CYCLE_S, lie)
+    setup.enabled = True
+    assert isinstance(setup.run(setup.t_s + 0.1, lie), ToolTwist)
+
+
+def test_after_a_jump_and_back_it_goes_on_by_itself():
+    setup = bench()
+    setup.run(1.0)
+    assert "jumped" in why(setup.run(1.3, moved(0.2)))
+    assert isinstance(setup.run(1.4 + 2 * CALM_S), ToolTwist)
+
+
+def test_without_the_rule_a_flip_is_followed_after_a_short_hold(monkeypatch):
+    monkeypatch.setattr(ServoSource, "_jumped_away", lambda *_: False)
+    setup = bench()
+    setup.run(1.0)
+    assert isinstance(setup.run(1.1 + 2 * CALM_S, turned_over), ToolTwist)
+
+
+def test_a_target_behind_the_camera_is_not_seen():
+    def behind(pose: TargetPose) -> TargetPose:
+        return replace(pose, T_parent_target=np.diag([1.0, 1.0, -1.0, 1.0]) @ pose.T_parent_target)
+
+    setup = bench()
+    setup.run(1.0)
+    assert "too old" in why(setup.run(1.3, behind))
+
+
+def error(by_m: float) -> ServoError:
+    return ServoError(translation_m=np.array([by_m, 0.0, 0.0]), rotation_rad=np.zeros(3))
+
+
+@pytest.mark.parametrize(("share", "error_m", "missing"), [(0.0, 0.05, True), (-1.0, 0.05, False), (0.0, 0.0, False)])
+def test_a_target_that_stays_in_the_picture_while_the_camera_goes_to_it_is_not_followed(share, error_m, missing):
+    """share: of the camera's way by which the target moves before it: none of it, all of it; or it is followed well."""
+    reaction = Reaction(0.02)
+    noise = np.random.default_rng(1).normal(0.0, 1e-4, 60)
+    for k in range(60):
+        flange, seen = np.eye(4), np.eye(4)
+        flange[0, 3] = 1e-3 * k
+        seen[:3, 3] = share * flange[0, 3] + noise[k], 0.0, 0.5
+        reaction.see(flange, seen, error(error_m))
+        assert reaction.missing == (missing and k > 20)
+    reaction.forget()
+    assert not reaction.missing
 
 
 def test_a_delay_that_grows_beyond_what_the_gain_is_stable_at_is_a_hold():

@@ -10,6 +10,8 @@ from contextlib import closing
 from dataclasses import replace
 from typing import Any, Protocol, cast
 
+import numpy as np
+
 from armsight.app.measure.run import lost_pair
 from armsight.app.servo.job import ServoDevices
 from armsight.app.sources.frames import require_size
@@ -25,6 +27,8 @@ from armsight.records import Frame, PoseStatus, TargetPose
 
 JOIN_S = 2.0
 """How long the end of the thread is waited for."""
+NOISY_SHARE = 0.05
+"""Share of an image's pixels that differ from one picture to the next where a sensor's noise is in them."""
 PROBED = 15
 """Pairs of which the cameras' delay is measured before anything moves."""
 PROBED_S = 5.0
@@ -59,6 +63,8 @@ class Vision:
         self._latency_s = latency_s
         self._sink = sink
         self._track: Track | None = None
+        self._last: tuple[Frame, Frame] | None = None
+        self._noisy = False
         self._ahead_s = math.inf  # the clock's time at the cameras' zero
 
     def take(self, pair: tuple[Frame, Frame]) -> None:
@@ -85,9 +91,20 @@ class Vision:
         self._ahead_s = min(self._ahead_s, self._clock.now_s() - newest_s - self._latency_s)
         return self._ahead_s
 
+    def _stands(self, pair: tuple[Frame, Frame]) -> bool:
+        """Tell whether a camera sent its last picture again. A sensor's noise never repeats; rendered pictures may."""
+        last, self._last = self._last, pair
+        if last is None or any(a.image.shape != b.image.shape for a, b in zip(last, pair, strict=True)):
+            return False
+        changed = [float(np.mean(a.image[::8, ::8] != b.image[::8, ::8])) for a, b in zip(last, pair, strict=True)]
+        self._noisy = self._noisy or min(changed) > NOISY_SHARE
+        return self._noisy and any(np.array_equal(a.image, b.image) for a, b in zip(last, pair, strict=True))
+
     def _measured(self, pair: tuple[Frame, Frame]) -> Measured:
         for side, frame in zip(SIDES, pair, strict=True):
             require_size(self._setup.rig, side, frame, "The calibration says nothing about such frames")
+        if self._stands(pair):
+            return lost_pair(pair, "a camera sends the same picture again")
         try:
             measured = measure_pair(self._setup, *pair, self._track)
         except Inconsistent as error:  # the views look exchanged, which one frame cannot decide

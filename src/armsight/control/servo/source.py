@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.control.guard import TargetState
+from armsight.control.guard.space import pose_difference
 from armsight.control.servo.delay import ArmLag, CameraDelay
 from armsight.control.servo.law import ServoError, cross, delay_cycles, servo_error, servo_twist, stability_gain
+from armsight.control.servo.reaction import Reaction
 from armsight.control.servo.target_track import LOST_S, TargetMotion, TargetTrack, Tracked
 from armsight.control.setpoints import CycleState, Hold, SetPoint, ToolTwist
 from armsight.errors import Inconsistent, StaleData
@@ -19,7 +21,7 @@ from armsight.kinematics import Arm
 from armsight.optics import Rig
 from armsight.records import JointReading, PoseStatus, Target, TargetPose
 from armsight.records.joint_history import JointHistory
-from armsight.units import MS
+from armsight.units import DEG, MM, MS
 
 Array = NDArray[np.float64]
 
@@ -30,6 +32,7 @@ WHY = {
     TargetState.STALE: "the last frame with the target is too old",
     TargetState.JUMPED: "the target jumped",
 }
+ANEW = "let the enable go and give it anew"
 NOT_SEEN, SETTLING = "the target was not seen yet", "the target was seen only just now"
 
 
@@ -57,7 +60,9 @@ class ServoSettings:
     gain_r: K_t and K_r in 1/s. turning: how the arm turns; where it KEEPs the rotation first seen, only the position
     of T_flange_desired counts. arm_lag_s: from a command to the arm's motion, as first assumed. predict: go for where
     the target will be when the command takes effect, with its velocity fed forward; else the law of MATH 3.3 alone, of
-    the newest frame as it was.
+    the newest frame as it was. resume_m, resume_rad: after a jump the target is followed again by itself where it is so
+    near to where it would have been. chase_m: so far the camera may go while the target, seen away from where it is
+    wanted, stays where it is in the picture: then the picture stands, or the target is fixed to the camera.
     """
 
     mount: Mount
@@ -68,6 +73,9 @@ class ServoSettings:
     arm_lag_s: float = 0.0
     predict: bool = True
     turning: Turning = Turning.ALIGN
+    resume_m: float = 0.02
+    resume_rad: float = 5.0 * DEG
+    chase_m: float = 0.02
 
     def with_gain(self, gain: float) -> ServoSettings:
         """Return the same with one gain for place and rotation, in 1/s."""
@@ -124,6 +132,8 @@ class ServoSource:
         self._lag = ArmLag(settings.arm_lag_s, cycle_s)
         self._seen: Seen | None = None
         self._unplaced = ""
+        self._before_jump: Tracked | None = None
+        self._reaction = Reaction(settings.chase_m)
         self.error: ServoError | None = None
 
     @property
@@ -161,7 +171,7 @@ class ServoSource:
         self._camera.add(exposed_s, now_s)
         self._lag.estimate(now_s)
         T_rig_target, covariance = pose.T_parent_target, pose.covariance
-        if T_rig_target is None or covariance is None:
+        if T_rig_target is None or covariance is None or not T_rig_target[2, 3] > 0.0:  # nothing behind it is seen
             return
         try:
             T_base_flange = self._flange_at(exposed_s)
@@ -173,6 +183,9 @@ class ServoSource:
         T_base_rig = T_base_flange @ self._T_parent_camera if on_flange else self._T_parent_camera
         T_base_target, R = T_base_rig @ T_rig_target, T_base_rig[:3, :3]
         whole = pose.status is PoseStatus.OK
+        before = self._track.now
+        if on_flange and whole:
+            self._reaction.see(T_base_flange, T_rig_target, self.error)
         if whole:
             turned = np.zeros((6, 6))
             turned[:3, :3] = turned[3:, 3:] = R
@@ -182,6 +195,9 @@ class ServoSource:
             if centre_m is None:
                 return
             self._track.add_position(exposed_s, T_base_target[:3, 3], R @ covariance @ R.T, centre_m)
+        now = self._track.now
+        if before is not None and now is not None and now.jumped and not before.jumped:
+            self._before_jump = before
         if not self.settings.predict:
             self._seen = Seen(T_flange_target=inverse(T_base_flange) @ T_base_target, whole=whole)
 
@@ -193,7 +209,7 @@ class ServoSource:
         age_s = now_s - tracked.seen_s
         if age_s > LOST_S:
             return TargetState.LOST, age_s
-        if tracked.jumped:
+        if tracked.jumped or self._jumped_away(tracked):
             return TargetState.JUMPED, age_s
         return (TargetState.STALE if age_s > STALE_S else TargetState.FRESH), age_s
 
@@ -201,6 +217,9 @@ class ServoSource:
         """Return the tool's twist towards where the target is wanted; Hold, with why, where it is not followed."""
         if now.q_s is not None and self.history.add(JointReading(q=now.q, t_s=now.q_s, sequence=0, source=self.name)):
             self._lag.add(now.t_s, now.q_s, now.q, now.q_sent)
+        if not now.enabled:  # who gives the enable anew has looked where the target is
+            self._before_jump = None
+            self._reaction.forget()
         tracked, why = self._track.now, self._why_not(now.t_s)
         if why or tracked is None:
             self.error = None
@@ -236,16 +255,39 @@ class ServoSource:
         """Return why the target is not followed, or nothing."""
         if self._unplaced:
             return self._unplaced
+        if self._reaction.missing:
+            return f"the target stays in the picture as the camera moves: a picture that stands? {ANEW}"
         state, age_s = self.target(now_s)
+        tracked = self._track.now
+        if state is TargetState.JUMPED and tracked is not None and tracked.settled:
+            way_m = float(np.linalg.norm(self._jump(tracked)[0]))
+            return f"the target jumped by {way_m / MM:.0f} mm, or turned, and stays so: {ANEW}"
         if state is not TargetState.FRESH:
             return NOT_SEEN if age_s is None else WHY[state]
-        tracked = self._track.now
         if tracked is None or not tracked.settled:
             return SETTLING
         n = delay_cycles(self.delay_s, self.servo_cycle_s)
         if max(self.settings.gain_t, self.settings.gain_r) >= stability_gain(self.servo_cycle_s, n):
             return f"the delay has grown to {self.delay_s / MS:.0f} ms, at which the gain is not stable"
         return ""
+
+    def _jumped_away(self, tracked: Tracked) -> bool:
+        """Tell whether the target stands elsewhere since a jump; one that came back is where it was."""
+        if self._before_jump is None or not tracked.settled:
+            return False
+        way_m, turn = self._jump(tracked)
+        near = float(np.linalg.norm(way_m)) <= self.settings.resume_m
+        if near and (not tracked.whole or float(np.linalg.norm(turn)) <= self.settings.resume_rad):
+            self._before_jump = None
+            return False
+        return True
+
+    def _jump(self, tracked: Tracked) -> tuple[Array, Array]:
+        """Return the way (3,) in m and the rotation vector (3,) from where the target would be without the last jump."""
+        if self._before_jump is None:
+            return np.zeros(3), np.zeros(3)
+        t_s = tracked.seen_s
+        return pose_difference(tracked.at(t_s).T_base_target, self._before_jump.at(t_s).T_base_target)
 
     def _keep(self, T_flange_target: Array, whole: bool) -> None:
         """Take the first rotation seen as the one wanted, where it is to be kept."""
