@@ -59,7 +59,7 @@ CASES = {
     "lost target": Case(ends=HOLDING, motions=(SERVO,)),
     "jumped target": Case(ends=HOLDING, motions=(SERVO,)),
     "link silent": Case(ends=STOPPED, by_robot=True),
-    "readings frozen": Case(ends=STOPPED, within=2.0 + SILENT_CYCLES),
+    "readings frozen": Case(ends=HOLDING, within=2.0 + SILENT_CYCLES),
     "reading jumps": Case(ends=STOPPED),
     "late cycle": Case(ends=HOLDING),
     "loop stands still": Case(ends=STOPPED, by_robot=True),

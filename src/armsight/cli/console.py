@@ -53,9 +53,8 @@ def console(
     with CommandUI(as_json=False) as face:
         from armsight.server.web_server import ServeOptions, check_options
 
-        options = ServeOptions(
-            bind=bind, port=port, stop_port=stop_port, tokens=tokens, tls_cert=tls_cert, tls_key=tls_key
-        )
+        at = {"bind": bind, "port": port, "stop_port": stop_port}
+        options = ServeOptions(**at, tokens=tokens, tls_cert=tls_cert, tls_key=tls_key)  # type: ignore[arg-type]
         check_options(options)
         given = {"left": left, "right": right, "rig": rig, "target": target, "play_again": play_again or None}
         changed = {name: value for name, value in given.items() if value is not None}

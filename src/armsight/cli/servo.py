@@ -74,6 +74,10 @@ def servo(
         float | None,
         typer.Option(help="From a command to the arm's motion, s. [default: two cycles]", rich_help_panel=ARM),
     ] = None,
+    resume_mm: Annotated[
+        float, typer.Option(help="A target that jumped is followed again by itself so near to where it would be.")
+    ] = 20.0,
+    resume_deg: Annotated[float, typer.Option(help="The same for its rotation.")] = 5.0,
     hand: Annotated[
         str | None,
         typer.Option(
@@ -113,6 +117,8 @@ def servo(
             seconds_s=seconds,
             hand=hand,
             hand_speed_m_s=hand_speed,
+            resume_m=resume_mm * MM,
+            resume_rad=resume_deg * DEG,
         )
 
         def confirm(question: str) -> bool:

@@ -9,6 +9,7 @@ from pathlib import Path
 from armsight.app.servo.stepped import SteppedClock
 from armsight.clock import Clock
 from armsight.drivers import PairSource, Robot
+from armsight.units import DEG
 
 LATENCY_S = 0.03
 """From the middle of an exposure to the frame in memory, of cameras nobody has measured: two frames at 60 a second."""
@@ -24,7 +25,8 @@ class ServoJob:
     control.servo.Turning. predict:
     go for where the target will be. arm_lag_s: from a command to the arm's motion, as first assumed; None: two cycles.
     latency_s: from exposure to frame in memory. speed: share of the limits' speeds. seconds_s: end after so long. hand,
-    hand_speed_m_s: how the target of a simulated cell is led.
+    hand_speed_m_s: how the target of a simulated cell is led. resume_m, resume_rad: how near to where it would be
+    a target that jumped has to be, to be followed again by itself.
     """
 
     robot: str
@@ -49,6 +51,8 @@ class ServoJob:
     seconds_s: float | None = None
     hand: str | None = None
     hand_speed_m_s: float = 0.05
+    resume_m: float = 0.02
+    resume_rad: float = 5.0 * DEG
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

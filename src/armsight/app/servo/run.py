@@ -67,7 +67,13 @@ def _check(job: ServoJob) -> None:
     """Raise UsageError for what cannot be meant."""
     if job.at not in (CAMERA, TOOL):
         raise UsageError(f"--at {job.at} is neither {CAMERA} nor {TOOL}", cure="Say whose axis the target is wanted on")
-    positive = (("--latency", job.latency_s), ("--arm-lag", job.arm_lag_s), ("--hand-speed", job.hand_speed_m_s))
+    positive = (
+        ("--latency", job.latency_s),
+        ("--arm-lag", job.arm_lag_s),
+        ("--hand-speed", job.hand_speed_m_s),
+        ("--resume-mm", job.resume_m),
+        ("--resume-deg", job.resume_rad),
+    )
     for name, value in positive:
         if value is not None and not (np.isfinite(value) and value >= 0.0):
             raise UsageError(f"{name} {value:g} cannot be", cure="Give a number, zero or more")
@@ -105,6 +111,8 @@ def _settings(job: ServoJob, handeye: HandEyeFile, arm: Arm, cycle_s: float) -> 
         arm_lag_s=LAG_CYCLES * cycle_s if job.arm_lag_s is None else job.arm_lag_s,
         predict=job.predict,
         turning=_turning(job.rotation),
+        resume_m=job.resume_m,
+        resume_rad=job.resume_rad,
     )
 
 

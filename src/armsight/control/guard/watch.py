@@ -88,13 +88,18 @@ class Watch:
         return Fault(GuardState.STOPPED, "link", f"the robot is {inputs.robot.value}", without_robot=True)
 
     def silence(self, reading: JointReading | None, now_s: float) -> Fault | None:
-        """No new reading for too long; readings that stay away, and the same one again and again."""
+        """No new reading for too long: readings that stay away, and the same one again and again.
+
+        A busy computer reads late, and the makers' own links bear many cycles of that: so the arm is held first, and
+        stopped where readings stay away for as long as a loop may stand still.
+        """
         if reading is not None and (self._reading is None or reading.sequence != self._reading.sequence):
             self._reading, self._new_s = reading, now_s
         quiet_s = 0.0 if self._new_s is None else now_s - self._new_s
         if quiet_s <= self._limits.silent_cycles * self._cycle_s:
             return None
-        return Fault(GuardState.STOPPED, "silence", f"no new reading from the robot for {quiet_s / MS:.0f} ms")
+        state = GuardState.STOPPED if quiet_s > self._limits.lost_s else GuardState.HOLDING
+        return Fault(state, f"silence {state}", f"no new reading from the robot for {quiet_s / MS:.0f} ms")
 
     def following(self, reading: JointReading | None) -> Fault | None:
         """A reading far from all that was sent lately: the robot does not follow, or the reading jumped."""

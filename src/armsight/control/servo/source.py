@@ -283,7 +283,7 @@ class ServoSource:
         return True
 
     def _jump(self, tracked: Tracked) -> tuple[Array, Array]:
-        """Return the way (3,) in m and the rotation vector (3,) from where the target would be without the last jump."""
+        """Return the way (3,) in m and the rotation vector (3,) from where the target would be but for the jump."""
         if self._before_jump is None:
             return np.zeros(3), np.zeros(3)
         t_s = tracked.seen_s
