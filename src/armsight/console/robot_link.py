@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import json
 import math
+import time
 from typing import Annotated, Any
 
 from fastapi import FastAPI, Query, Request, Response, WebSocket, WebSocketDisconnect
@@ -23,6 +24,9 @@ TELL_S = 0.1
 
 IDENTITY = "armsight.identity"
 """Where the server that lets callers in puts who they are into a request's scope."""
+
+SENT_AFTER = "armsight.sent_after_s"
+"""Where the server says after what time (time.monotonic()) a message was sent, by the round trip that it measures."""
 
 
 def person_of(connection: HTTPConnection | None) -> Person:
@@ -63,19 +67,20 @@ class RobotLink:
         teller = asyncio.create_task(self._tell())
         try:
             while (said := await self._socket.receive())["type"] == "websocket.receive":
-                self.take(said.get("text"))
+                sent_after_s = said.get(SENT_AFTER)
+                self.take(said.get("text"), 0.0 if sent_after_s is None else time.monotonic() - sent_after_s)
         finally:
             self._seat.leave(self._browser)
             teller.cancel()
             with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
                 await teller
 
-    def take(self, text: str | None) -> None:
-        """Do what a message asks; what is refused, or is no message, is told with the next state."""
+    def take(self, text: str | None, age_s: float = 0.0) -> None:
+        """Do what a message asked age_s ago; what is refused, or is no message, is told with the next state."""
         try:
             match robot_message(text):
                 case Beat() as beat:
-                    self._beat(beat)
+                    self._beat(beat, age_s)
                 case Stop():
                     self._seat.stop(self._person)
                 case Reset():
@@ -86,12 +91,12 @@ class RobotLink:
         except ArmsightError as error:
             self._refused = str(error)
 
-    def _beat(self, beat: Beat) -> None:
+    def _beat(self, beat: Beat, age_s: float) -> None:
         seen_s = -math.inf if beat.seen is None else beat.seen
         if beat.enable and seen_s > self._told_s:  # it would stay fresh however long it lay in a buffer
             raise UsageError("the page saw a state that it was not told", consequence="Nothing was done")
         push = None if beat.push is None else beat.push.held()
-        self._seat.beat(self._browser, self._person, enable=beat.enable, seen_s=seen_s, push=push)
+        self._seat.beat(self._browser, self._person, enable=beat.enable, seen_s=seen_s, age_s=age_s, push=push)
         if beat.enable:
             self._refused = ""
 

@@ -120,13 +120,21 @@ class Seat:
 
     @alone
     def beat(
-        self, browser: str, person: Person, *, enable: bool, seen_s: float = math.inf, push: Push | None = None
+        self,
+        browser: str,
+        person: Person,
+        *,
+        enable: bool,
+        seen_s: float = math.inf,
+        age_s: float = 0.0,
+        push: Push | None = None,
     ) -> None:
         """Take a browser's sign of life; enable: whether its deadman's button is held, push: its jog key.
 
-        seen_s: t_s of the newest state that it had; an enable that is older than FRESH_S lay in a buffer, and does not
-        count until it was let go of. Raises DeviceFailed with who drives where another does, and at every beat of an
-        enable that does not count; UsageError for whom may only watch, DeviceLost.
+        age_s: how old the beat may be, by the round trip. seen_s: t_s of the newest state that it had; an enable that
+        is older than FRESH_S lay in a buffer, and does not count until it was let go of. Raises DeviceFailed with who
+        drives where another does, and at every beat of an enable that does not count; UsageError for whom may only
+        watch, DeviceLost.
         """
         if browser != self._browser or self._desk.driver is not self._lease:
             if not enable:
@@ -142,8 +150,8 @@ class Seat:
         now_s = self._host.now_s()
         stale = now_s - seen_s > FRESH_S
         self._again = enable and (self._again or stale)
-        self._pressed, self._held, self._beat_s = enable, enable and not self._again, now_s
-        self._perform(say.Heartbeat(session="", seq=1, enable=self._held))
+        self._pressed, self._held, self._beat_s = enable, enable and not self._again, now_s - age_s
+        self._perform(say.Heartbeat(session="", seq=1, enable=self._held), age_s)
         if stale and enable:
             raise DeviceFailed("the connection is slow", consequence="The robot is held", cure=LET_GO)
         self._follow(push if self._held else None)
@@ -299,7 +307,7 @@ class Seat:
             )
         )
 
-    def _perform(self, command: say.Command) -> say.Accepted:
+    def _perform(self, command: say.Command, age_s: float = 0.0) -> say.Accepted:
         if self._lease is None:
             raise DeviceFailed("nobody drives", consequence="Nothing was done", cure="Hold the enable")
-        return self._desk.perform(self._lease, command)
+        return self._desk.perform(self._lease, command, age_s=age_s)

@@ -1,6 +1,6 @@
 // The robot's controls: the enable that is held, jog keys that are held, the stop. Whatever ends the holding lets go.
 (() => {
-  const BEAT_MS = 80;
+  const BEAT_MS = 30; // an enable is none after 150 ms: a few may be late
   let socket = null, held = false, push = null, source = null, state = {}, heard = 0, instance = null, tried = 0;
 
   const bar = () => document.querySelector("[data-robot]");
