@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
 import multiprocessing
 import os
 import pickle
@@ -101,7 +102,7 @@ class StopLine:
         return say.Done(reply_to=command.seq)
 
     def _beat(self, said: say.Heartbeat, age_s: float) -> None:
-        lease, key = pickle.loads(self._channels.grant.read() or pickle.dumps((0, "")))
+        lease, key = json.loads(self._channels.grant.read() or b'[0, ""]')
         if not key or said.key != key:
             raise DeviceFailed("this key does not drive", consequence="Nothing was done", cure="Connect to drive anew")
         self._order("beat", (said.enable, said.number), time.monotonic() - age_s, lease)

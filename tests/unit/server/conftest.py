@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import pickle
+import json
 import subprocess
 import threading
 
@@ -69,7 +69,7 @@ class FakeHost:
     enable_age_s = 0.25
 
     def grant(self, lease: int, key: str) -> None:
-        self.line.grant.write(pickle.dumps((lease, key)))
+        self.line.grant.write(json.dumps([lease, key]).encode())
 
     def post(self, setpoint, *, age_s: float = 0.0) -> None:
         self._tell("post", setpoint)

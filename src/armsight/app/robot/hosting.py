@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import multiprocessing
 import os
 import pickle
@@ -110,7 +111,7 @@ class _LoopHost:
 
     def grant(self, lease: int, key: str) -> None:
         """Let the line for stops take the enables of a lease by its key; an empty key: of nobody."""
-        self.line.grant.write(pickle.dumps((lease, key)))
+        self.line.grant.write(json.dumps([lease, key]).encode())
 
     def post(self, setpoint: SetPoint, *, age_s: float = 0.0) -> None:
         """Replace what is asked of the robot. Raises DeviceLost, UsageError for what a client cannot ask."""

@@ -30,6 +30,9 @@ Array = NDArray[np.float64]
 STALE_CYCLES = 3.5
 """A reading older than so many cycles is stale: two packets in a row may be late, a third is a fault."""
 
+SILENT_CYCLES = 9.0
+"""A link that was silent for so many cycles is lost, and stays so until it is opened again."""
+
 LARGEST_PACKET = 4096
 """Bytes of a packet at most: a Rob message has about 600."""
 
@@ -79,7 +82,7 @@ class RsiRobot(CyclicRobot):
             max_speed=np.full(6, self.settings.max_speed_rad_s),
         )
         cycle_s = self.settings.cycle_s
-        times = LinkTimes(cycle_s=cycle_s, stale_s=STALE_CYCLES * cycle_s, silent_s=self.settings.late_limit * cycle_s)
+        times = LinkTimes(cycle_s=cycle_s, stale_s=STALE_CYCLES * cycle_s, silent_s=SILENT_CYCLES * cycle_s)
         super().__init__(f"rsi:{device}", limits=limits, times=times, clock=clock or SystemClock())
         self.takes_poses = self._guidance() == "pose"
         self._poses = PoseGoals(self.name, self.settings.speed_m_s, self.settings.speed_rad_s, self.cycle_s)
