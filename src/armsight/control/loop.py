@@ -1,7 +1,8 @@
 """The control loop: read, ask the source, ask the guard, send; once a cycle, in the thread that calls it.
 
-It waits by sleeping, then spinning. Before the first cycle everything is compiled and called once; the garbage
-collector is off while it runs; nothing in it opens a file or waits for another thread.
+It waits by sleeping, then spinning; where the robot's controller sets the pace, for its next cycle, so that each of
+those takes one step at most and has nothing to catch up. Before the first cycle everything is compiled and called once;
+the garbage collector is off while it runs; nothing in it opens a file or waits for another thread but the link's.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from armsight.control.events import EventSink, NoSink
 from armsight.control.guard import Decision, Guard, GuardState, Inputs, TargetState
 from armsight.control.jitter import Jitter, Timing
 from armsight.control.setpoints import CycleState, Finished, Hold, SetPoint, SetPointSource
-from armsight.drivers import Robot, RobotState, Sent
+from armsight.drivers import Pace, Paced, Robot, RobotState, Sent
 from armsight.errors import ArmsightError, DeviceFailed
 from armsight.records import JointReading
 
@@ -35,6 +36,8 @@ END_S = 3.0
 """A robot that did not come to rest so long after the end was asked for is stopped by its own means."""
 LATE_SHARE = 0.5
 """A cycle that begins later than this share of itself counts as late."""
+PATIENCE = 1.5
+"""Cycles that a controller's next one is waited for; then this one passes without a step."""
 
 
 @runtime_checkable
@@ -99,6 +102,8 @@ class ControlLoop:
         self._jitter = Jitter(LATE_SHARE * guard.cycle_s)
         self._reading: JointReading | None = None
         self._finished = False
+        self._paced = robot if isinstance(robot, Paced) else None
+        self._pace: Pace | None = None
 
     @property
     def status(self) -> LoopStatus | None:
@@ -156,6 +161,8 @@ class ControlLoop:
         if warm_up is not None:
             warm_up()
         guard.begin(self._standing(), self._clock.now_s())
+        if self._paced is not None:
+            self._paced.slow_down(guard.bounds.speed)  # also where others ask it for motion beside this loop
 
     def _standing(self) -> Array:
         """Return where the robot stands by its last command; one that takes only poses, by its reading."""
@@ -167,13 +174,15 @@ class ControlLoop:
         clock, cycle_s = self._clock, self._guard.cycle_s
         start_s = due_s = ending_s = clock.now_s() + cycle_s
         while True:
+            waiting, missed, due_s = self._due(due_s)
             clock.sleep_until(due_s)
             woke_s = clock.now_s()
             late_s = woke_s - due_s
-            missed = int(late_s / cycle_s)
-            status = self._cycle(woke_s, late_s)
+            missed = max(missed, int(late_s / cycle_s))
+            status = self._cycle(woke_s, late_s, waiting=waiting)
             self._jitter.cycle(woke_s, late_s, clock.now_s(), missed)
-            due_s += (1 + missed) * cycle_s
+            if self._paced is None:
+                due_s += (1 + missed) * cycle_s
             if woke_s - start_s >= for_s or (until is not None and until(status)):
                 self._ending = True
             if not self._ending:
@@ -184,13 +193,33 @@ class ControlLoop:
                 self._robot.stop()
                 return
 
-    def _cycle(self, now_s: float, late_s: float) -> LoopStatus:
-        """Do one cycle, begun late_s too late; also called by tests and by loops that keep time otherwise."""
+    def _due(self, due_s: float) -> tuple[bool, int, float]:
+        """Return whether this cycle has to pass without a step, how many were missed before it, and when it was due.
+
+        A robot without a pace of its own is told the next step at due_s. Of another it was due when the controller was
+        given the last one, or earlier by those that it could have been given since.
+        """
+        if self._paced is None:
+            return False, 0, due_s
+        before = self._pace or self._paced.wait_step(-1, 0.0)
+        pace = self._pace = self._paced.wait_step(before.steps, PATIENCE * self._guard.cycle_s)
+        missed = max(0, pace.cycles - before.cycles - 1)
+        unused = pace.steps - before.steps - 1
+        if unused < 0:
+            return True, missed, self._clock.now_s()
+        return False, missed, pace.t_s - unused * self._guard.cycle_s
+
+    def _cycle(self, now_s: float, late_s: float, *, waiting: bool = False) -> LoopStatus:
+        """Do one cycle, begun late_s too late; also called by tests and by loops that keep time otherwise.
+
+        waiting: the controller has not taken the last step yet.
+        """
         guard, source = self._guard, self._source
         if self._reset:
             self._do_reset(now_s)  # before the robot is asked for its state: what it was before the reset is no fault
         reading, robot_state = self._read()
-        wanted = Hold() if self._ending else self._asked(source, guard.cycle_state(now_s, self._reading))
+        idle = self._ending or waiting  # a set point that could not be sent would be lost to a path
+        wanted = Hold() if idle else self._asked(source, guard.cycle_state(now_s, self._reading))
         target, age_s = source.target(now_s) if isinstance(source, FollowsTarget) else (None, None)
         inputs = Inputs(
             now_s=now_s,
@@ -200,12 +229,13 @@ class ControlLoop:
             stop=self._stop_why,
             target=target,
             target_age_s=age_s,
+            waiting=waiting,
         )
         decision = guard.step(wanted, reading, inputs)
         self._send(decision, now_s)
         for event in decision.events:
             self._sink.event(event.t_s, event.message, event.level, f"guard/{source.name}")
-        self._finished = isinstance(wanted, Finished)
+        self._finished = self._finished if waiting else isinstance(wanted, Finished)
         return self._told(now_s, decision, source.name, robot_state)
 
     def _asked(self, source: SetPointSource, now: CycleState) -> SetPoint:

@@ -1,6 +1,7 @@
 """The only place that touches hardware: cameras, robots, files as cameras."""
 
 from armsight.drivers.camera_settings import AUTOMATIC, CameraSettings, PairSettings, by_side
+from armsight.drivers.cyclic import Pace, Paced
 from armsight.drivers.images import AS_THEY_ARE, ImageReading, list_images, read_image
 from armsight.drivers.live import LivePairs, OpenCvCamera, cameras_there
 from armsight.drivers.lock import DeviceLock
@@ -32,6 +33,8 @@ __all__ = [
     "LivePairs",
     "OpenCvCamera",
     "Overlaid",
+    "Pace",
+    "Paced",
     "PairSettings",
     "PairSource",
     "Replay",

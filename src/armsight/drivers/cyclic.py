@@ -1,16 +1,18 @@
 """What drivers of controllers that exchange one packet a cycle have in common: state, readings, goals, refusals.
 
 A thread of the driver answers the controller in every cycle with the goal of that moment; a caller that is late leaves
-the goal where it is, so the arm holds its position.
+the goal where it is, so the arm holds its position. The controller sets the pace: each of its cycles takes one step at
+most, and none before it took the last one, so it has never anything to catch up.
 """
 
 from __future__ import annotations
 
+import math
 import threading
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Self
+from typing import Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +20,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.clock import Clock
 from armsight.drivers.joint_goals import JointGoals, JointLimits
+from armsight.drivers.pose_goals import PoseGoals
 from armsight.drivers.robot import RobotState, Sent
 from armsight.errors import DeviceFailed, DeviceLost, StaleData, UsageError
 from armsight.records import JointReading
@@ -30,11 +33,40 @@ REST = 2e-4
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LinkTimes:
-    """Times of a link, in s: its cycle; after what time a reading is stale; after what silence the link is lost."""
+    """Times of a link, in s: its cycle; after what time a reading is stale; after what silence the link is lost.
+
+    The last is the time after which the controller's own watchdog ends the motion: until then it may be late.
+    """
 
     cycle_s: float
     stale_s: float
     silent_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pace:
+    """How far a controller is.
+
+    steps: so many it was given, one a cycle at most. cycles: of its own until the newest, those that were missed among
+    them. t_s: when the newest was answered.
+    """
+
+    steps: int
+    cycles: int
+    t_s: float
+
+
+@runtime_checkable
+class Paced(Protocol):
+    """A robot whose controller sets the pace: whoever moves it waits for each step to go out before the next."""
+
+    def wait_step(self, after: int, wait_s: float) -> Pace:
+        """Return the pace as soon as more than `after` steps went out, or what it is after wait_s."""
+        ...
+
+    def slow_down(self, max_speed: Array) -> None:
+        """Let no joint go faster than max_speed (n,) in rad/s or m/s, whoever asks."""
+        ...
 
 
 class CyclicRobot(ABC):
@@ -46,13 +78,19 @@ class CyclicRobot(ABC):
 
     takes_poses = False
 
-    def __init__(self, name: str, *, limits: JointLimits, times: LinkTimes, clock: Clock) -> None:
+    def __init__(
+        self, name: str, *, limits: JointLimits, times: LinkTimes, clock: Clock, poses: PoseGoals | None = None
+    ) -> None:
+        """poses: where the flange is told to go, on a link that takes poses."""
         self.name = name
         self.cycle_s = times.cycle_s
         self._times = times
         self._clock = clock
         self._goals = JointGoals(name, limits, times.cycle_s)
+        self._poses = poses or PoseGoals(name, math.inf, math.inf, times.cycle_s)
         self._lock = threading.RLock()
+        self._ticked = threading.Condition()
+        self._pace = Pace(steps=0, cycles=0, t_s=clock.now_s())
         self._reading: JointReading | None = None
         self._heard_s = clock.now_s()
         self._open = False
@@ -60,6 +98,7 @@ class CyclicRobot(ABC):
         self._lost = ""
         self._held = False
         self._commands = 0
+        self._noted = -1
 
     @property
     def n_joints(self) -> int:
@@ -140,6 +179,19 @@ class CyclicRobot(ABC):
                 )
             self._stopped = ""
 
+    def wait_step(self, after: int, wait_s: float) -> Pace:
+        """Return the pace as soon as more than `after` steps and the last command went out, or what it is after wait_s.
+
+        A command that came between two of them waits for the second.
+        """
+        with self._ticked:
+            self._ticked.wait_for(lambda: self._pace.steps > max(after, self._noted), wait_s)
+            return self._pace
+
+    def slow_down(self, max_speed: Array) -> None:
+        """Let no joint go faster than max_speed (n,) in rad/s or m/s, whoever asks; it is never faster than before."""
+        self._goals.slow_down(max_speed)
+
     @abstractmethod
     def _start(self) -> None:
         """Open the link, start its thread and wait for the first reading; leave nothing open where that fails."""
@@ -148,9 +200,24 @@ class CyclicRobot(ABC):
     def _finish(self) -> None:
         """Close the link; never raises."""
 
+    def _tick(self, cycles: int, *, taken: bool) -> None:
+        """Begin the answer to one of the controller's cycles, the given number after the one answered last.
+
+        taken: whether it took what it was sent last, as far as it tells; else that goes out again.
+        """
+        with self._lock:  # a step belongs to the cycle before or after, never into it
+            if taken:
+                self._goals.take()
+                self._poses.take()
+            pace = self._pace
+            self._pace = Pace(steps=pace.steps + taken, cycles=pace.cycles + cycles, t_s=self._clock.now_s())
+        with self._ticked:
+            self._ticked.notify_all()
+
     def _hold(self) -> None:
         """Forget what was asked and not yet sent."""
         self._goals.hold()
+        self._poses.hold()
 
     def _rebase(self, q: Array) -> None:
         """Take the place where the arm stands, q (n,), for its goal."""
@@ -213,4 +280,5 @@ class CyclicRobot(ABC):
     def _note(self, q: Array, pose: RigidTransform | None, limited: tuple[str, ...]) -> Sent:
         """Return a command as it goes out."""
         self._commands += 1
+        self._noted = self._pace.steps
         return Sent(q=q, t_s=self._clock.now_s(), sequence=self._commands - 1, pose=pose, limited=limited)

@@ -44,12 +44,13 @@ class JointGoals:
     """The goal of one arm, safe between the thread that asks and the thread that sends.
 
     Commands of one cycle change the goal of that cycle and never add up beyond its way; a cycle ends when `take` hands
-    the goal to the wire.
+    the goal to the wire. A goal that the controller may not have taken goes out again: no two steps reach it as one.
     """
 
     def __init__(self, name: str, limits: JointLimits, cycle_s: float) -> None:
         self._name = name
         self._limits = limits
+        self._cycle_s = cycle_s
         self._longest = limits.max_speed * cycle_s
         self._lead = limits.max_speed * max(LEAD_S, 2.0 * cycle_s)
         self._lock = threading.Lock()
@@ -65,6 +66,11 @@ class JointGoals:
     def sent(self) -> Array:
         """Where the controller was last told to go, (n,)."""
         return self._sent
+
+    def slow_down(self, max_speed: Array) -> None:
+        """Allow no more than max_speed (n,) in rad/s or m/s, where that is less than the limits say."""
+        with self._lock:
+            self._longest = np.minimum(self._limits.max_speed, max_speed) * self._cycle_s
 
     def start(self, q: Array) -> None:
         """Begin at q (n,), with nothing asked."""

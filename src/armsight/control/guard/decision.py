@@ -43,7 +43,8 @@ class Inputs:
 
     now_s: on the loop's clock. enabled: whether the operator's enable is alive. robot: what its link says. late_s: by
     how much this cycle began too late. stop: why a stop is asked for, empty where none is. target, target_age_s: of the
-    target that the source depends on and of the frame it was seen in; None where there is none.
+    target that the source depends on and of the frame it was seen in; None where there is none. waiting: the controller
+    has not taken the last step yet, so that none can be sent.
     """
 
     now_s: float
@@ -53,6 +54,7 @@ class Inputs:
     stop: str = ""
     target: TargetState | None = None
     target_age_s: float | None = None
+    waiting: bool = False
 
 
 @dataclass(frozen=True, slots=True)

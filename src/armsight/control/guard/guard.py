@@ -53,7 +53,7 @@ class Guard:
         self._cut: Fault | None = None
         self._refused: Fault | None = None
         self._stop_sent = False
-        self._resting = 0
+        self._resting = self._waited = 0
         self._outside = ""
 
     @property
@@ -94,9 +94,12 @@ class Guard:
         """Decide what is sent this cycle. Raises UsageError before begin(); no set point, reading or input raises."""
         if not self._begun:
             raise UsageError("the guard was not told where the robot stands", cure="Call begin() first")
-        if inputs.late_s >= self.cycle_s:
+        self._waited = self._waited + 1 if inputs.waiting else 0
+        if inputs.late_s >= self.cycle_s or self._waited > self.limits.silent_cycles:
             self._follower.stand(self._follower.now.q)  # told nothing for a cycle, the robot came to rest by itself
         fault = self._worst(wanted, reading, inputs)
+        if inputs.waiting:
+            return self._waits(fault, inputs.now_s)
         retreat = None if fault is None else self._retreat(fault, inputs)
         move: Move | None = None
         retreating = False
@@ -193,6 +196,16 @@ class Guard:
         settled = self._resting * self.cycle_s > self.limits.lag_s  # the arm comes to rest later than its commands
         stopped = settled and self.state is GuardState.STOPPED
         return self._decision(None if stopped else step, events, stop_robot=stopped and self._first_stop())
+
+    def _waits(self, fault: Fault | None, now_s: float) -> Decision:
+        """Say what is so while nothing can be sent: the arm stands still, and goes on where it was once it can be."""
+        events = () if fault is None else self._enter(fault, retreating=False, now_s=now_s, move=None)
+        if fault is not None and fault.without_robot:
+            return self._sent(None, fault, events)
+        standing = self._follower.now.at_rest
+        self._resting = self._resting + 1 if standing else 0
+        settled = self._resting * self.cycle_s > self.limits.lag_s and self.state is GuardState.STOPPED
+        return self._decision(None, events, stop_robot=settled and self._first_stop())
 
     def _first_stop(self) -> bool:
         first, self._stop_sent = not self._stop_sent, True

@@ -22,6 +22,7 @@ from armsight.drivers.joint_goals import JointLimits
 from armsight.drivers.pose_goals import PoseGoals, between
 from armsight.drivers.robot import Sent
 from armsight.errors import DeviceFailed, DeviceNotFound, Inconsistent, UsageError
+from armsight.priority import control_first
 from armsight.records import JointReading
 from armsight.units import DEG, MM
 
@@ -30,8 +31,9 @@ Array = NDArray[np.float64]
 STALE_CYCLES = 3.5
 """A reading older than so many cycles is stale: two frames in a row may be lost, a third is a fault."""
 
-SILENT_CYCLES = 9.0
-"""A link that was silent for so many cycles is lost, and stays so until it is opened again."""
+SILENT_CYCLES = 10.0
+"""A link that was silent for so many cycles is lost, and stays so until it is opened again: the controller ends path
+control after as many late answers in a row."""
 
 MOST_MISSED = 50
 """Frames farther ahead than this are those of a controller that has started anew."""
@@ -87,9 +89,10 @@ class AlterRobot(CyclicRobot):
         )
         cycle_s = self.settings.cycle_s
         times = LinkTimes(cycle_s=cycle_s, stale_s=STALE_CYCLES * cycle_s, silent_s=SILENT_CYCLES * cycle_s)
-        super().__init__(f"alter:{device}", limits=limits, times=times, clock=clock or SystemClock())
+        name = f"alter:{device}"
+        poses = PoseGoals(name, self.settings.speed_m_s, self.settings.speed_rad_s, cycle_s)
+        super().__init__(name, limits=limits, times=times, clock=clock or SystemClock(), poses=poses)
         self._arm: ArmOnLink | None = self.settings.arm
-        self._poses = PoseGoals(self.name, self.settings.speed_m_s, self.settings.speed_rad_s, cycle_s)
         self.counts = AlterCounts()
         self._last: StateFrame | None = None
         self._nominal = self._model_offset = RigidTransform.identity()
@@ -168,6 +171,7 @@ class AlterRobot(CyclicRobot):
         self.counts = AlterCounts()
         self._last, self._wrong = None, ""
         self._behind, self._first_late = 0, 0
+        self._answered: int | None = None
         self._splitter = FrameSplitter()
         self._closing = False
         self._line = self._open_line()
@@ -208,6 +212,7 @@ class AlterRobot(CyclicRobot):
             self._line.close()
 
     def _run(self) -> None:
+        control_first()
         while not self._closing:
             try:
                 data = self._line.read(self._line.in_waiting or 1)
@@ -231,9 +236,13 @@ class AlterRobot(CyclicRobot):
         if not self._possible(state):
             self.counts.refused += 1
             return
+        cycles = 1 if self._last is None else (state.sequence - self._last.sequence) % SEQUENCES
         self._hear(state)
-        if newest and state.on and not self._lost:
-            self._answer(state)
+        if newest and not self._lost:
+            self._tick(cycles, taken=self._answered in (None, state.taken))
+            self._answered = None
+            if state.on:
+                self._answer(state)
         self.counts.heard += 1
         self._first.set()
 
@@ -291,8 +300,7 @@ class AlterRobot(CyclicRobot):
     def _answer(self, state: StateFrame) -> None:
         """Answer with the way from where the controller is told to be to the goal, no longer than a cycle allows."""
         with self._lock:
-            self._goals.take()
-            goal = self._within_a_cycle(state.T_base_flange, self._poses.take())
+            goal = self._within_a_cycle(state.T_base_flange, self._poses.sent)
             start = state.T_base_flange if self.settings.cumulative else self._nominal
             tool = self.settings.axes == "tool"
             way_m, turn = between(start, goal)
@@ -304,6 +312,7 @@ class AlterRobot(CyclicRobot):
             self._line.write(
                 answer(state.sequence, way_m, turn, cumulative=self.settings.cumulative, tool=tool, hold=hold)
             )
+            self._answered = state.sequence
 
     def _within_a_cycle(self, here: RigidTransform, goal: RigidTransform) -> RigidTransform:
         way_m, turn = between(here, goal)
@@ -315,10 +324,6 @@ class AlterRobot(CyclicRobot):
         return RigidTransform.from_components(
             np.asarray(here.translation) + share * way_m, Rotation.from_rotvec(share * turn) * here.rotation
         )
-
-    def _hold(self) -> None:
-        super()._hold()
-        self._poses.hold()
 
     def _rebase(self, q: Array) -> None:
         super()._rebase(q)

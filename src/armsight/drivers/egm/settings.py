@@ -20,7 +20,7 @@ class EgmSettings(BaseModel):
     guidance: what the controller's program runs, EGMRunJoint or EGMRunPose. controller: the only address that is
     listened to; empty: the first that speaks. bind: the own address to listen at. open_s: how long to wait
     for the first packet. stale_s: age of a reading that is stale: two packets in a row may be late, and an ordinary
-    system too. silent_s: silence after which the link is lost. max_speed_rad_s, lower_rad,
+    system too. silent_s: silence after which the link is lost, CommTimeout of EGMSetupUC. max_speed_rad_s, lower_rad,
     upper_rad: of each joint; speed_m_s, speed_rad_s: of the flange in pose guidance.
     """
 
@@ -33,7 +33,7 @@ class EgmSettings(BaseModel):
     bind: str = "0.0.0.0"
     open_s: Positive = 5.0
     stale_s: Positive = 0.02
-    silent_s: Positive = 0.1
+    silent_s: Positive = 1.0
     max_speed_rad_s: Positive = math.pi / 3
     lower_rad: list[float] | None = None
     upper_rad: list[float] | None = None

@@ -28,9 +28,10 @@ class RsiSettings(BaseModel):
 
     rsi_config: the controller's RSI Ethernet XML file, whose Sen type and tags are used. cycle_s: 0.004 (IPO_FAST) or
     0.012 (IPO). guidance: joint (AK) or pose (RKorr); left out, what the file takes, joints first. late_limit: late
-    packets after which the controller ends RSI, its ETHERNET object's Timeout, or more. controller: the only address
-    that is listened to; empty: the first that speaks. bind: the own address to listen at. max_speed_rad_s, lower_rad,
-    upper_rad: of each joint; speed_m_s, speed_rad_s: of the flange in pose guidance.
+    packets after which the controller ends RSI, its ETHERNET object's Timeout, or more. stale_s: age of a reading that
+    is stale. silent_s: silence after which the link is lost; left out, as long as late_limit cycles. controller: the
+    only address that is listened to; empty: the first that speaks. bind: the own address to listen at.
+    max_speed_rad_s, lower_rad, upper_rad: of each joint; speed_m_s, speed_rad_s: of the flange in pose guidance.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -39,6 +40,8 @@ class RsiSettings(BaseModel):
     cycle_s: Positive = 0.004
     guidance: Literal["joint", "pose"] | None = None
     late_limit: Annotated[int, Field(ge=1)] = 100
+    stale_s: Positive = 0.02
+    silent_s: Positive | None = None
     controller: str = ""
     bind: str = "0.0.0.0"
     open_s: Positive = 5.0

@@ -78,7 +78,10 @@ class Worker:
             far.close()
 
     def receive(self, wait_s: float) -> ControllerState | None:
-        """Return the next state; None where none comes within wait_s. Raises DeviceLost where ur-rtde has ended."""
+        """Return the newest state; None where none comes within wait_s. Raises DeviceLost where ur-rtde has ended.
+
+        Those before it are left out: the cycles in which they could be answered are over.
+        """
         self._link.settimeout(wait_s)
         try:
             data = self._link.recv(STATE.size, socket.MSG_WAITALL)
@@ -86,6 +89,10 @@ class Worker:
             return None
         except OSError:
             data = b""
+        self._link.settimeout(0.0)
+        with contextlib.suppress(OSError):
+            while len(self._link.recv(STATE.size, socket.MSG_PEEK)) == STATE.size and STATE.unpack(data)[0] >= 0.0:
+                data = self._link.recv(STATE.size)
         if len(data) < STATE.size:
             raise DeviceLost("ur-rtde has ended")
         stamp_s, *q, runtime, safety = STATE.unpack(data)

@@ -19,6 +19,7 @@ from armsight.drivers.lock import DeviceLock
 from armsight.drivers.rtde.link import ControllerState, Worker, address
 from armsight.drivers.rtde.worker import PLAYING
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, Inconsistent, UsageError
+from armsight.priority import control_first
 
 Array = NDArray[np.float64]
 
@@ -47,9 +48,9 @@ class RtdeSettings(BaseModel):
 
     cycle_s: 0.002 with an e-Series, 0.008 with a CB3. lookahead_s, gain: of servoj: how smoothly and how tightly the
     arm follows. stale_s: age of a reading that is stale; at 2 ms an ordinary system that is busy is later than three
-    cycles now and then. silent_s: silence after which the link is lost. watchdog_hz: the controller ends its program
-    where it hears less often from here. open_s: how long opening may
-    take. max_speed_rad_s, lower_rad, upper_rad: of each joint.
+    cycles now and then. silent_s: silence after which the link is lost: one period of watchdog_hz. watchdog_hz: the
+    controller ends its program where it hears less often from here. open_s: how long opening may take.
+    max_speed_rad_s, lower_rad, upper_rad: of each joint.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -142,6 +143,7 @@ class RtdeRobot(CyclicRobot):
         self._undo.close()
 
     def _run(self) -> None:
+        control_first()
         while not self._closing and not self._lost:
             try:
                 state = self._worker.receive(self.cycle_s)
@@ -158,10 +160,12 @@ class RtdeRobot(CyclicRobot):
         """Take a state of the controller, and answer it with the goal of this moment."""
         if state.stamp_s < self._stamp_s:
             raise DeviceLost("its controller has started anew")
-        self.missed += max(0, round((state.stamp_s - self._stamp_s) / self.cycle_s) - 1)
+        cycles = max(1, round((state.stamp_s - self._stamp_s) / self.cycle_s))
+        self.missed += cycles - 1
         self._stamp_s = state.stamp_s
         self._hear(state)
-        self._worker.send(self._goals.take().tolist())
+        self._tick(cycles, taken=True)  # its program asks for the newest goal when it is ready for one
+        self._worker.send(self._goals.sent.tolist())
 
     def _hear(self, state: ControllerState) -> None:
         """Take the reading of a state. Raises Inconsistent where there is none, DeviceLost where nothing moves."""

@@ -1,7 +1,8 @@
 """An emulated ABB controller that runs EGM: its own process sends its state over UDP and takes guidance.
 
-It does what the manual says of a controller: joint or pose guidance, whichever comes; a sensor that falls silent ends
-the guidance and the arm stays where it is, and the program starts EGM anew.
+It does what the manual says of a controller: joint or pose guidance, whichever comes, no faster than
+MaxSpeedDeviation; a sensor that falls silent ends the guidance and the arm stays where it is, and the program starts
+EGM anew. It smooths nothing, so that whatever comes at once is gone at once.
 """
 
 from __future__ import annotations
@@ -42,6 +43,9 @@ DRIVER = "127.0.0.1:6510"
 """Where a driver listens by ABB's usual port."""
 
 JOINTS = 6
+
+MAX_SPEED_DEVIATION_RAD_S = math.radians(60.0)
+"""How fast a joint goes at most to where the sensor has it: MaxSpeedDeviation of EGMActJoint."""
 
 LATE_CYCLES = 5
 """A twin so far behind time lets the cycles go that it has missed."""
@@ -84,6 +88,7 @@ class EgmController:
         self._clock = clock
         self._origin_s = clock.now_s()
         self._servo = Servo(drive, home, keep=1000)
+        self._wanted = self._planned = self._servo.goal
         self._faults: set[EgmFault] = set()
         self._sequence = 0
         self._started_cycle = 0
@@ -114,11 +119,11 @@ class EgmController:
         kind = EgmFault(fault)
         (self._faults.add if on else self._faults.discard)(kind)
         if on and kind is not EgmFault.FROZEN:
-            self._servo.halt()
+            self._halt(kind is not EgmFault.BLOCKED)
 
     def restart(self) -> None:
         """Start anew: numbers and time begin at zero, and the arm stays where it is."""
-        self._servo.halt()
+        self._halt()
         self._receive()  # what is still under way was meant for the session before
         self._sequence, self._started_cycle, self._sensor_sequence = 0, self._cycles, -1
 
@@ -126,10 +131,12 @@ class EgmController:
         """Move the arm by (n,) in rad without EGM: by hand, or by another program."""
         q = self.q + np.asarray(by, dtype=float)
         self._servo = Servo(self._drive, q, self._servo.t_s, keep=1000)
+        self._wanted = self._planned = q
 
     def cycle(self) -> None:
         """Take what has come, move for one cycle, and send."""
         self._listen()
+        self._plan()
         self._cycles += 1
         self._servo.advance(self._cycles * self._drive.cycle_s)
         if EgmFault.SILENT in self._faults:
@@ -149,7 +156,20 @@ class EgmController:
         if self._silent_s > COMM_TIMEOUT_S and self._sensor_sequence >= 0:
             self.counts.timeouts += 1
             self._sensor_sequence = -1
-            self._servo.halt()
+            self._halt()
+
+    def _halt(self, plan: bool = True) -> None:
+        """Stay where the arm is; plan: take no more of what was guided."""
+        self._servo.halt()
+        if plan:
+            self._wanted = self._planned = self._servo.goal
+
+    def _plan(self) -> None:
+        """Go on towards where the sensor has the arm; what holds it up does not hold up the plan."""
+        longest = 1.001 * MAX_SPEED_DEVIATION_RAD_S * self._drive.cycle_s
+        self._planned = self._planned + np.clip(self._wanted - self._planned, -longest, longest)
+        if EgmFault.BLOCKED not in self._faults:
+            self._servo.command(self._servo.t_s, self._planned)
 
     def _receive(self) -> list[bytes]:
         """Return the packets that have come from the sensor; those of others are refused."""
@@ -176,8 +196,8 @@ class EgmController:
             return
         self.counts.taken += 1
         self._sensor_sequence, self._silent_s = sequence, 0.0
-        if not self._faults & {EgmFault.MOTORS_OFF, EgmFault.EGM_STOPPED, EgmFault.BLOCKED}:
-            self._servo.command(self._servo.t_s, goal)
+        if not self._faults & {EgmFault.MOTORS_OFF, EgmFault.EGM_STOPPED}:
+            self._wanted = goal
 
     def _goal(self, sensor: dict[int, list[int | float | bytes]]) -> tuple[int, Array]:
         """Return number and joint goal (n,) in rad of a sensor's message; raises where it holds none."""
@@ -191,7 +211,7 @@ class EgmController:
                 raise BadWire("another number of joints")
             q = np.radians(degrees)
         else:
-            q = self.arm.reach(_pose(planned[2][-1]), self._servo.goal)
+            q = self.arm.reach(_pose(planned[2][-1]), self._planned)
         if not np.isfinite(q).all():
             raise BadWire("a goal is not finite")
         low, high = (np.array([getattr(joint, end) for joint in self.arm.joints]) for end in ("lower", "upper"))
@@ -201,7 +221,7 @@ class EgmController:
         """Return the controller's state as an EgmRobot message."""
         now_ms = round((self._cycles - self._started_cycle) * self._drive.cycle_s * 1000)
         q = self._servo.read(self._servo.t_s)[0]
-        goal = self._servo.goal
+        goal = self._planned
         near = float(np.abs(goal - q).max()) < CONVERGED_RAD
         motors = MOTORS_OFF if EgmFault.MOTORS_OFF in self._faults else MOTORS_ON
         mci = MCI_RUNNING if not self._faults & {EgmFault.MOTORS_OFF, EgmFault.EGM_STOPPED} else MCI_STOPPED

@@ -1,0 +1,286 @@
+"""What drivers of controllers that send their state over UDP have in common: socket, sender, guidance by poses."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import Generic, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from armsight.clock import Clock
+from armsight.drivers.cyclic import CyclicRobot, LinkTimes
+from armsight.drivers.joint_goals import JointLimits
+from armsight.drivers.pose_goals import PoseGoals, between
+from armsight.drivers.robot import Sent
+from armsight.errors import DeviceFailed, DeviceLost, Inconsistent, UsageError
+from armsight.priority import control_first
+from armsight.records import JointReading
+
+Array = NDArray[np.float64]
+Sender = tuple[str, int]
+
+LARGEST_PACKET = 4096
+"""Bytes of a packet at most: a controller's state has about 700."""
+
+LARGEST_SPEED_RAD_S = 60.0
+"""No joint of a robot moves so fast: a reading that says so is refused."""
+
+JUMP_CYCLES = 3
+"""Over so many missed cycles a joint may have moved; an arm that is elsewhere after more is refused until the link is
+lost: the old goal must not pull it back."""
+
+RESTART_PACKETS = 3
+"""So many packets behind the newest, one behind the other in order, are those of a link that has started anew."""
+
+
+@dataclass(slots=True)
+class UdpCounts:
+    """Packets since the link was opened.
+
+    heard: good ones. missed: cycles whose packet never came. repeated: with a number that was there. refused: that are
+    no state of a controller. foreign: of another sender. late: answers that the controller tells it did not take.
+    """
+
+    heard: int = 0
+    missed: int = 0
+    repeated: int = 0
+    refused: int = 0
+    foreign: int = 0
+    late: int = 0
+
+
+class UdpSettings(Protocol):
+    """What the settings of every such link hold; see those of the drivers."""
+
+    @property
+    def controller(self) -> str: ...  # noqa: D102
+    @property
+    def bind(self) -> str: ...  # noqa: D102
+    @property
+    def open_s(self) -> float: ...  # noqa: D102
+    @property
+    def speed_m_s(self) -> float: ...  # noqa: D102
+    @property
+    def speed_rad_s(self) -> float: ...  # noqa: D102
+
+
+class UdpState(Protocol):
+    """A controller's state of one cycle: joints (n,) in rad, and the flange's pose where it tells one."""
+
+    @property
+    def q(self) -> Array: ...  # noqa: D102
+    @property
+    def T_base_flange(self) -> RigidTransform | None: ...  # noqa: D102
+
+
+State = TypeVar("State", bound=UdpState)
+
+
+class UdpRobot(CyclicRobot, Generic[State]):
+    """A robot that sends to this computer's UDP port and takes the answer from there.
+
+    A driver says what a packet is, whether it is newer than the last, what is wrong with it, and what the answer is. Of
+    packets that have piled up only the newest is answered: the cycles of the others are over.
+    """
+
+    guided_by = "poses"
+    """What to do instead where a robot that is guided by poses is asked for joint steps."""
+
+    def __init__(
+        self, name: str, port: int, settings: UdpSettings, *, limits: JointLimits, times: LinkTimes, clock: Clock
+    ) -> None:
+        poses = PoseGoals(name, settings.speed_m_s, settings.speed_rad_s, times.cycle_s)
+        super().__init__(name, limits=limits, times=times, clock=clock, poses=poses)
+        self.port = port
+        self.counts = UdpCounts()
+        self._link_settings = settings
+        self._last: State | None = None
+
+    def step_joints(self, step: Array) -> Sent:
+        """Move on by step (n,) in rad; in pose guidance only a step of zeros, which asks for nothing."""
+        if not self.takes_poses:
+            return super().step_joints(step)
+        with self._lock:
+            reading = self._ready()
+            if np.shape(step) != (self.n_joints,) or np.any(step):  # not a number is not zero
+                raise UsageError(
+                    f"{self.name} is guided by poses",
+                    consequence="Nothing was sent",
+                    cure=f"Send poses, or {self.guided_by}",
+                )
+            return self._note(reading.q, self._poses.next, ())
+
+    def move_pose(self, T_base_flange: RigidTransform) -> Sent:
+        """Move towards a pose of the flange in the controller's frame, as far as one cycle allows.
+
+        The joint values of the answer are those read last: only the controller knows which belong to the pose.
+        """
+        if not self.takes_poses:
+            return super().move_pose(T_base_flange)
+        with self._lock:
+            reading = self._ready()
+            here = None if self._last is None else self._last.T_base_flange
+            if here is None:
+                raise DeviceLost(f"{self.name} tells no pose", consequence="Nothing was sent")
+            pose, limited = self._poses.go(T_base_flange, here)
+            return self._note(reading.q, pose, limited)
+
+    def _start(self) -> None:
+        self.counts = UdpCounts()
+        self._last = None
+        self._behind = 0
+        self._sender: Sender | None = None
+        self._other: Sender | None = None
+        self._closing = False
+        self._begin()
+        self._socket = self._bind()
+        self._first = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=self.name, daemon=True)
+        self._thread.start()
+        if not self._first.wait(self._link_settings.open_s):
+            self._finish()
+            wrong = f" ({self.counts.refused} packets were no state)" if self.counts.refused else ""
+            raise self._not_opened(
+                f"no controller has sent to UDP port {self.port} within {self._link_settings.open_s:g} s{wrong}"
+            )
+
+    def _bind(self) -> socket.socket:
+        link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            link.bind((self._link_settings.bind, self.port))
+        except OSError as error:
+            link.close()
+            raise DeviceFailed(
+                f"UDP port {self.port} cannot be taken: {error.strerror or error}",
+                consequence="The robot is not opened: one program at a time may drive it",
+                cure="Stop the other program, or choose another port here and on the controller",
+            ) from error
+        return link
+
+    def _finish(self) -> None:
+        self._closing = True
+        self._thread.join()
+        self._socket.close()
+
+    def _run(self) -> None:
+        control_first()
+        while not self._closing:
+            packets = self._received()
+            if not packets and self._silent():
+                self._lose(self._why_silent())
+            newest = {sender: i for i, (_, sender) in enumerate(packets)}
+            for i, (data, sender) in enumerate(packets):
+                self._take(data, sender, newest=newest[sender] == i)
+
+    def _received(self) -> list[tuple[bytes, Sender]]:
+        """Return the packets that are there; wait for one as long as a cycle lasts."""
+        packets: list[tuple[bytes, Sender]] = []
+        self._socket.settimeout(self.cycle_s)
+        with contextlib.suppress(OSError):  # none within the time, no more, or a datagram's error report
+            while True:
+                packets.append(self._socket.recvfrom(LARGEST_PACKET))
+                self._socket.settimeout(0.0)
+        return packets
+
+    def _take(self, data: bytes, sender: Sender, *, newest: bool = True) -> None:
+        """Take one packet, and answer where it is a good one and none has come behind it."""
+        if self._sender not in (None, sender) or self._link_settings.controller not in ("", sender[0]):
+            self.counts.foreign += 1
+            self._other = sender
+            return
+        try:
+            state = self._parse(data)
+        except Inconsistent:
+            self.counts.refused += 1
+            return
+        last = self._last
+        if last is None and not self._may_begin(state):
+            return
+        self._sender = sender
+        if last is not None and self._cycles_between(last, state) <= 0:
+            self.counts.repeated += 1
+            self._heard_s = self._clock.now_s()
+            self._hear_old(state, last, sender)
+            return
+        cycles = 1 if last is None else self._cycles_between(last, state)
+        if last is not None and not self._possible(state.q, last.q, cycles):
+            self.counts.refused += 1
+            return
+        taken = last is None or self._taken(state)
+        self.counts.missed += cycles - 1
+        self._behind = 0
+        self._last = state
+        self._hear(state)
+        self.counts.heard += 1
+        if newest and not self._lost:
+            self._tick(cycles, taken=taken)
+            self._answer(state, sender)
+        self._first.set()
+
+    def _possible(self, q: Array, last: Array, cycles: int) -> bool:
+        """Tell whether joints can be where they are read, so many cycles after the last reading."""
+        return bool(np.abs(q - last).max() <= LARGEST_SPEED_RAD_S * min(cycles, JUMP_CYCLES) * self.cycle_s)
+
+    def _why_silent(self) -> str:
+        other = f"; {self._other[0]}:{self._other[1]} sends instead" if self._other else ""
+        return f"its controller has fallen silent{other}"
+
+    def _begin(self) -> None:
+        """Forget the link of before."""
+
+    def _may_begin(self, state: State) -> bool:
+        """Tell whether the link may begin with this state."""
+        return True
+
+    @abstractmethod
+    def _not_opened(self, nobody: str) -> DeviceFailed:
+        """Return the error of a link on which no controller has spoken, which nobody tells, or none that may begin."""
+
+    @abstractmethod
+    def _parse(self, data: bytes) -> State:
+        """Return the state in a packet. Raises Inconsistent where it holds none, or not what the guidance needs."""
+
+    @abstractmethod
+    def _cycles_between(self, last: State, state: State) -> int:
+        """Return by how many of the controller's cycles a state is newer than the last; 0 or less: it is not."""
+
+    @abstractmethod
+    def _taken(self, state: State) -> bool:
+        """Tell whether the controller took the last answer, as far as this state tells."""
+
+    @abstractmethod
+    def _hear(self, state: State) -> None:
+        """Take a state that is newer than all before."""
+
+    @abstractmethod
+    def _hear_old(self, state: State, newest: State, sender: Sender) -> None:
+        """Take a state that is not newer than the newest: a late one, the same again, or those of a new start."""
+
+    @abstractmethod
+    def _answer(self, state: State, sender: Sender) -> None:
+        """Answer a state with where the arm is told to go."""
+
+    def _rebase(self, q: Array) -> None:
+        super()._rebase(q)
+        if self._last is not None and self._last.T_base_flange is not None:
+            self._poses.start(self._last.T_base_flange)
+
+    def _off(self, reading: JointReading) -> float:
+        here = None if self._last is None else self._last.T_base_flange
+        if not self.takes_poses or here is None:
+            return super()._off(reading)
+        way_m, turn = between(here, self._poses.sent)
+        return float(max(np.abs(way_m).max(), np.abs(turn).max()))
+
+
+def udp_port(device: str, example: str) -> int:
+    """Return the UDP port that a person gave. Raises UsageError with an example such as egm:6510."""
+    if device.isascii() and device.isdigit() and 0 < int(device) < 65536:
+        return int(device)
+    raise UsageError(f"{device!r} is no UDP port", consequence="There is no robot", cure=f"Give for instance {example}")
