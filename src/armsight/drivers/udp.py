@@ -39,6 +39,10 @@ RESTART_PACKETS = 3
 """So many packets behind the newest, one behind the other in order, are those of a link that has started anew."""
 
 
+NEW_SESSION_CYCLES = 9
+"""A controller that was silent for longer may have ended what it did and begun anew, before it is given up."""
+
+
 @dataclass(slots=True)
 class UdpCounts:
     """Packets since the link was opened.
@@ -212,6 +216,8 @@ class UdpRobot(CyclicRobot, Generic[State]):
         if last is not None and not self._possible(state.q, last.q, cycles):
             self.counts.refused += 1
             return
+        if last is not None and self._clock.now_s() - self._heard_s > NEW_SESSION_CYCLES * self.cycle_s:
+            self._check_session(state)
         taken = last is None or self._taken(state)
         self.counts.missed += cycles - 1
         self._behind = 0
@@ -237,6 +243,9 @@ class UdpRobot(CyclicRobot, Generic[State]):
     def _may_begin(self, state: State) -> bool:
         """Tell whether the link may begin with this state."""
         return True
+
+    def _check_session(self, state: State) -> None:
+        """Lose the link where a state, after a silence, may be of a session that has begun since."""
 
     @abstractmethod
     def _not_opened(self, nobody: str) -> DeviceFailed:

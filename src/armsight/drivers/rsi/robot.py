@@ -114,15 +114,25 @@ class RsiRobot(UdpRobot[RobMessage]):
         return True
 
     def _taken(self, state: RobMessage) -> bool:
-        """Tell whether the answer given last was in time, by how many the controller counts as late since.
+        """Tell whether the answer given last was in time."""
+        late = self._late_since(state)
+        return late is None or late < 1
 
-        Each cycle without an answer in time counts: those whose packets never came as well, which had none.
+    def _check_session(self, state: RobMessage) -> None:
+        """A session of before counts all cycles since as late; in a new one the old correction would pull the arm."""
+        late = self._late_since(state)
+        if late is None or late < 0:
+            self._lose("RSI on its controller may have started anew meanwhile")
+
+    def _late_since(self, state: RobMessage) -> int | None:
+        """Return how many answers were late since the last one, and that one, beyond the cycles that had none.
+
+        0: the last was in time. None where the controller does not tell.
         """
-        last, late = self._last, self._late_when_answered
-        if last is None or late is None or state.n_late is None or self._answered_ipoc is None:
-            return True
-        since = round((state.ipoc - self._answered_ipoc) * MS / self.cycle_s)
-        return state.n_late - late < max(since, 1)
+        if self._late_when_answered is None or state.n_late is None or self._answered_ipoc is None:
+            return None
+        without = max(round((state.ipoc - self._answered_ipoc) * MS / self.cycle_s), 1) - 1
+        return state.n_late - self._late_when_answered - without
 
     def _hear(self, state: RobMessage) -> None:
         if state.n_late is not None:

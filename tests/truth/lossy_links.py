@@ -1,0 +1,366 @@
+"""Random histories of a guarded arm behind a link that loses, delays and bunches packets; no thread, one clock.
+
+Driver and emulated controller speak over a wire that decides by a seed what becomes of each packet. The judge reads the
+emulated controller alone: where the motors were at each of its cycles, by its own time and its own kinematics.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import armsight.control.loop as loop_module
+from armsight.clock import ManualClock
+from armsight.control import CycleState, JointGoal, JointVelocity, SetPoint, ToolTwist
+from armsight.control.guard import Box, Guard, GuardState, JointLimit, Limits
+from armsight.control.loop import ControlLoop
+from armsight.drivers.alter import AlterRobot
+from armsight.drivers.alter.frames import FrameSplitter
+from armsight.drivers.egm import EgmRobot
+from armsight.drivers.rsi import RsiRobot
+from armsight.kinematics import Arm, Joint
+from armsight.sim.twins.alter import AlterController
+from armsight.sim.twins.base import small_arm, twin_drive, twin_home
+from armsight.sim.twins.egm import EgmController
+from armsight.sim.twins.rsi import RsiController
+
+Array = NDArray[np.float64]
+
+WINDOW = 3
+"""Cycles of the controller that a speed is taken over."""
+SPEED_TOLERANCE = 0.02
+PLACE_TOLERANCE = 2e-4
+"""rad and m by which an arm may pass a range or a wall: twenty encoder steps, and what a controller rounds."""
+
+SPEEDS = np.array([0.5, 0.5, 0.5, 0.6, 0.6, 0.4])
+REACH = 0.35
+"""Each joint's range about the place it begins at, rad."""
+
+
+@dataclass(slots=True)
+class Found:
+    """What the judge found. Ratios are of the largest speed to its limit, ways beyond limits in rad and m."""
+
+    histories: int = 0
+    cycles: int = 0
+    moved: int = 0
+    lost: int = 0
+    late: int = 0
+    stopped: int = 0
+    joint_ratio: float = 0.0
+    tool_ratio: float = 0.0
+    joint_beyond: float = 0.0
+    wall_beyond_m: float = 0.0
+    too_fast: int = 0
+    beyond: int = 0
+
+
+@dataclass(slots=True)
+class Wire:
+    """One way of a link, in cycles: what is sent now is there later, with others, or never."""
+
+    rng: np.random.Generator
+    loss: float
+    late: float
+    under_way: list[tuple[int, bytes]] = field(default_factory=list)
+    held_until: int = 0
+    lost: int = 0
+
+    def send(self, data: bytes, cycle: int) -> None:
+        if self.rng.random() < self.loss:
+            self.lost += 1
+            return
+        due = cycle + (int(self.rng.integers(1, 4)) if self.rng.random() < self.late else 0)
+        if self.rng.random() < 0.2 * self.late:  # everything stands still for a while, and comes at once
+            self.held_until = cycle + int(self.rng.integers(2, 9))
+        self.under_way.append((max(due, self.held_until), data))
+
+    def due(self, cycle: int) -> list[bytes]:
+        here = [data for when, data in self.under_way if when <= cycle]
+        self.under_way = [(when, data) for when, data in self.under_way if when > cycle]
+        return here
+
+
+class Socket:
+    """Stands for a socket or a serial line: what is written is kept."""
+
+    def __init__(self) -> None:
+        self.out: list[bytes] = []
+
+    def sendto(self, data: bytes, there: Any) -> int:
+        self.out.append(data)
+        return len(data)
+
+    def write(self, data: bytes) -> int:
+        self.out.append(data)
+        return len(data)
+
+    def drained(self) -> list[bytes]:
+        out, self.out = self.out, []
+        return out
+
+    def close(self) -> None: ...
+
+    def settimeout(self, time_s: float) -> None: ...
+
+
+class TwinSocket(Socket):
+    """The emulated controller's end: what has come is read from it."""
+
+    def __init__(self, driver: tuple[str, int]) -> None:
+        super().__init__()
+        self.inbox: list[bytes] = []
+        self._driver = driver
+
+    def recvfrom(self, size: int) -> tuple[bytes, tuple[str, int]]:
+        return self.recv(size), self._driver
+
+    def recv(self, size: int) -> bytes:
+        if not self.inbox:
+            raise BlockingIOError
+        return self.inbox.pop(0)
+
+
+class Model:
+    """The emulated controller's arm, as the driver of a serial link takes it."""
+
+    def fk(self, q: Array) -> Any:
+        return small_arm().flange(q)
+
+    def ik(self, T_base_flange: Any, near: Array) -> Array:
+        return small_arm().reach(T_base_flange.as_matrix(), near)
+
+
+class UdpLink:
+    """EGM or RSI without sockets and threads."""
+
+    def __init__(self, kind: str, clock: ManualClock, **settings: object) -> None:
+        there = ("127.0.0.1", 49000)
+        self.cycle_s = 0.004
+        drive = twin_drive(small_arm(), self.cycle_s)
+        if kind == "egm":
+            self.twin: Any = EgmController(there, arm=small_arm(), drive=drive, home=HOME, clock=clock)
+            self.robot: Any = EgmRobot("49000", settings=settings, clock=clock)
+        else:
+            self.twin = RsiController(there, arm=small_arm(), drive=drive, home=HOME)
+            self.robot = RsiRobot("49000", settings=settings, clock=clock)
+        self.twin.close()
+        self.far = self.twin._socket = TwinSocket(there)
+        self.near = Socket()
+        self.robot._bind = lambda: self.near
+        self.robot._run = self._begin
+
+    def _begin(self) -> None:
+        self.twin.cycle()
+        self.hear(self.spoken(), together=True, between=lambda: None)
+        self.far.inbox += self.near.drained()
+
+    def spoken(self) -> list[bytes]:
+        """Return what the controller has sent."""
+        return self.far.drained()
+
+    def answer(self, data: bytes) -> None:
+        """Bring an answer to the controller."""
+        self.far.inbox.append(data)
+
+    def hear(self, packets: list[bytes], *, together: bool, between: Callable[[], None]) -> list[bytes]:
+        """Bring packets to the driver, at once or one by one; return its answers."""
+        for i, data in enumerate(packets):
+            self.robot._take(data, ("127.0.0.1", 50000), newest=not together or i == len(packets) - 1)
+            if not together:
+                between()
+        return self.near.drained()
+
+
+class AlterLink:
+    """A serial line without a driver's thread."""
+
+    def __init__(self, clock: ManualClock, **settings: object) -> None:
+        self.cycle_s = 0.028
+        drive = twin_drive(small_arm(), self.cycle_s)
+        self.twin = AlterController(arm=small_arm(), drive=drive, home=HOME)
+        os.set_blocking(self.twin._slave, False)
+        self.robot: Any = AlterRobot("line", settings={"arm": Model(), **settings}, clock=clock)
+        self.near = Socket()
+        self.robot._open_line = lambda: self.near
+        self.robot._run = self._begin
+        self._frames: list[Any] = []
+        self._splitter = FrameSplitter()
+
+    def _begin(self) -> None:
+        self.twin.cycle()
+        for data in self.hear(self.spoken(), together=True, between=lambda: None):
+            self.answer(data)
+
+    def spoken(self) -> list[bytes]:
+        try:
+            data = os.read(self.twin._slave, 4096)
+        except BlockingIOError:
+            return []
+        return [data[i : i + 48] for i in range(0, len(data), 48)]
+
+    def answer(self, data: bytes) -> None:
+        os.write(self.twin._slave, data)
+
+    def hear(self, packets: list[bytes], *, together: bool, between: Callable[[], None]) -> list[bytes]:
+        states = [state for data in packets for state in self._splitter.feed(data)]
+        for i, state in enumerate(states):
+            self.robot._take(state, newest=not together or i == len(states) - 1)
+            if not together:
+                between()
+        return self.near.drained()
+
+
+HOME = twin_home(small_arm())
+ARM = Arm(
+    name="small",
+    joints=tuple(
+        Joint(
+            name=joint.name,
+            a_m=joint.a_m,
+            alpha_rad=joint.alpha_rad,
+            d_m=joint.d_m,
+            theta_rad=joint.theta_rad,
+            lower=joint.lower,
+            upper=joint.upper,
+        )
+        for joint in small_arm().joints
+    ),
+)
+
+
+def tool_m(q: Array) -> Array:
+    """Return where the tool's origin is (3,), by the emulated arm's own kinematics."""
+    return np.asarray(small_arm().frames(q)[-1][:3, 3])
+
+
+class Restless:
+    """A source that wants something else every few tenths of a second, mostly more than is allowed."""
+
+    name = "restless"
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self._rng = rng
+        self._until_s, self._wanted = -1.0, JointVelocity(qd=np.zeros(6))
+
+    def next(self, now: CycleState) -> SetPoint:
+        if now.t_s >= self._until_s:
+            rng = self._rng
+            self._until_s = now.t_s + rng.uniform(0.2, 1.5)
+            some = rng.random(6) < rng.choice([0.2, 0.6, 1.0])
+            self._wanted = (
+                JointVelocity(qd=some * rng.choice([-1.0, 1.0], 6) * SPEEDS * rng.choice([0.5, 0.95, 2.0])),
+                JointGoal(q=HOME + rng.uniform(-1.2, 1.2, 6) * REACH),
+                ToolTwist(velocity_m_s=rng.normal(0.0, 0.1, 3), angular_rad_s=rng.normal(0.0, 0.3, 3)),
+            )[rng.integers(0, 3)]
+        return self._wanted
+
+
+def limits_of(rng: np.random.Generator) -> Limits:
+    """Return limits of which each one binds in some histories."""
+    here = tool_m(HOME)
+    joints = tuple(
+        JointLimit(lower=q - REACH, upper=q + REACH, speed=speed) for q, speed in zip(HOME, SPEEDS, strict=True)
+    )
+    walls = rng.uniform(0.03, 0.2, (2, 3))
+    return Limits(
+        joints=joints,
+        speed_m_s=float(rng.choice([0.03, 0.1, 1.0])),
+        turn_rad_s=5.0,
+        workspace=Box(lower_m=here - walls[0] - 0.005, upper_m=here + walls[1] + 0.005, name="workspace"),
+    )
+
+
+def history(kind: str, seed: int, found: Found, *, cycles: int = 500, fault: str = "") -> None:
+    """Run one history of a link of a kind (alter, egm, rsi), and add what the judge finds.
+
+    fault takes one rule away: "pace" (the loop steps by its own clock), "confirm" (a goal counts as taken once it is
+    sent).
+    """
+    rng = np.random.default_rng([seed, len(kind), ord(kind[0])])
+    clock = ManualClock(100.0)
+    link: Any = AlterLink(clock) if kind == "alter" else UdpLink(kind, clock, silent_s=1.0)
+    loss, late = rng.choice([0.0, 0.02, 0.05, 0.1]), rng.choice([0.0, 0.05, 0.2])
+    up, down = (Wire(rng=rng, loss=loss, late=late) for _ in range(2))
+    limits = limits_of(rng)
+    loop = ControlLoop(
+        link.robot, Guard(ARM, limits, link.cycle_s), Restless(rng), clock, enabled=lambda: True, by_pose=False
+    )
+    if fault == "pace":
+        loop._paced = None
+    if fault == "confirm":
+        tick = link.robot._tick
+        link.robot._tick = lambda cycles, *, taken: tick(cycles, taken=True)
+    q, goals, stalled = [], [], 0
+    patience, loop_module.PATIENCE = loop_module.PATIENCE, 0.0
+    try:
+        with link.robot:
+            loop._begin()
+            for cycle in range(cycles):
+                clock.advance(link.cycle_s)
+                goals.append(_controller_cycle(link, down.due(cycle)))
+                q.append(link.twin.q)
+                for data in link.spoken():
+                    up.send(data, cycle)
+                step = (lambda: None) if stalled else (lambda: _loop_cycle(loop, clock))
+                for data in link.hear(up.due(cycle), together=rng.random() < 0.5, between=step):
+                    down.send(data, cycle)
+                step()
+                stalled = max(0, stalled - 1) if stalled else int(rng.integers(1, 12)) * (rng.random() < 0.2 * late)
+                if loop.status is not None and loop.status.state is GuardState.STOPPED:
+                    found.stopped += 1
+                    break
+    finally:
+        loop_module.PATIENCE = patience
+        if kind == "alter":
+            link.twin.close()
+    found.lost += up.lost + down.lost
+    _judge(np.array(q), np.array(goals), limits, link.cycle_s, found)
+
+
+def _controller_cycle(link: Any, answers: list[bytes]) -> Array:
+    """Let the controller do a cycle; return where its motors are told to go, not a number where it halts by itself."""
+    for data in answers:
+        link.answer(data)
+    counts = link.twin.counts
+    name = "timeouts" if isinstance(link.twin, EgmController) else "ended"
+    before = getattr(counts, name)
+    link.twin.cycle()
+    halted = getattr(counts, name) > before
+    return np.full(6, np.nan) if halted else np.asarray(link.twin._servo.goal)
+
+
+def _loop_cycle(loop: ControlLoop, clock: ManualClock) -> None:
+    """Let the loop do a cycle as it does in its thread, without waiting."""
+    waiting, _, due_s = loop._due(clock.now_s())
+    loop._cycle(clock.now_s(), clock.now_s() - due_s, waiting=waiting)
+
+
+def _judge(q: Array, goals: Array, limits: Limits, cycle_s: float, found: Found) -> None:
+    """Add what one history shows: q, goals (m, 6) at the ends of the controller's cycles."""
+    window_s = WINDOW * cycle_s
+    ratios = []
+    for rows in (q, goals):
+        joint = np.abs(rows[WINDOW:] - rows[:-WINDOW]) / window_s / SPEEDS
+        place = np.array([tool_m(row) for row in rows])
+        tool = np.linalg.norm(place[WINDOW:] - place[:-WINDOW], axis=1) / window_s / limits.speed_m_s
+        ratios.append((float(np.nanmax(joint, initial=0.0)), float(np.nanmax(tool, initial=0.0))))
+        walls = limits.workspace
+        if walls is not None:
+            over = np.nanmax(np.maximum(walls.lower_m - place, place - walls.upper_m))
+            found.wall_beyond_m = max(found.wall_beyond_m, float(over))
+            found.beyond += over > PLACE_TOLERANCE
+        out = np.nanmax(np.abs(rows - HOME) - REACH)
+        found.joint_beyond = max(found.joint_beyond, float(out))
+        found.beyond += out > PLACE_TOLERANCE
+    worst = np.max(ratios, axis=0)
+    found.joint_ratio, found.tool_ratio = max(found.joint_ratio, worst[0]), max(found.tool_ratio, worst[1])
+    found.too_fast += bool(worst.max() > 1.0 + SPEED_TOLERANCE)
+    found.histories += 1
+    found.cycles += len(q)
+    found.moved += int((np.abs(np.diff(q, axis=0)).max(axis=1) > 1e-6).sum())
