@@ -1,97 +1,249 @@
-"""Drivers of controllers against their twins, each twin a process of its own, in real time.
+"""A guarded arm in real time behind each link, its emulated controller in a process of its own.
 
-python benchmarks/links.py [alter] [rsi] [--for 60]
+python benchmarks/links.py [alter] [rsi] [egm] [rtde] [--for 60] [--busy 2] [--jitter] [--rsi-simulator "COMMAND"]
 
-Prints for each link: cycles, those that neither side has, answers late by the controller's count, how far the arm
-stands at the end from where it was last told to go, and how late the caller's own cycle began.
+A restless source wants more than the limits allow. Prints the controller's cycles that were missed and the answers it
+counts as late, how late the loop woke, and, by the emulated controller's own record and time, the largest speed over
+three cycles as a share of its limit and how far ranges and walls were passed. --busy: processes that do nothing but
+compute, beside all that. --jitter (rtde): connections stand still for up to 40 ms now and then, each way by itself.
+--rsi-simulator: a program that plays a KUKA controller, told address and port; its joints are jogged and read back.
 """
 
 from __future__ import annotations
 
 import argparse
+import asyncio
 import contextlib
 import gc
-import os
-import signal
+import json
+import multiprocessing
+import random
+import shlex
 import socket
 import subprocess
 import sys
+import tempfile
+import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from tests.truth.lossy_links import ARM, SPEED_TOLERANCE, WINDOW, Found, Model, Restless, judge, limits_of
+
+from armsight.app.robot.beside import run_beside
 from armsight.clock import SystemClock
-from armsight.drivers.alter import AlterRobot
-from armsight.drivers.rsi import RsiRobot
-from armsight.sim.twins.base import small_arm
+from armsight.control.guard import Guard, Limits
+from armsight.control.loop import ControlLoop
+from armsight.control.sources import GoalSource
+from armsight.drivers import ROBOTS, load
+from armsight.kinematics import Joint
+from armsight.sim.twins.alter import AlterTwin
+from armsight.sim.twins.egm import EgmTwin
+from armsight.sim.twins.rsi import RsiTwin
+from armsight.sim.twins.rtde import RtdeTwin
 
-SWING_RAD = 0.05
-PERIOD_S = 4.0
+KINDS = ("alter", "rsi", "egm", "rtde")
+CONTROLLER, NEARER = "127.77.0.1", "127.78.0.1"
+RTDE_PORTS = (30004, 30003, 29999)
+LONGEST_STILL_S = 0.04
 
 
-class Model:
-    """The twin's arm, as the driver of a serial link takes it."""
+def controller(kind: str, port: str, file: str) -> None:
+    """Be the controller until standard input closes; then write down where its motors were."""
+    made: dict[str, Any] = {
+        "alter": lambda: AlterTwin(clock=SystemClock()),
+        "rsi": lambda: RsiTwin(connect=f"127.0.0.1:{port}", clock=SystemClock()),
+        "egm": lambda: EgmTwin(connect=f"127.0.0.1:{port}"),
+        "rtde": lambda: RtdeTwin(port=f"{CONTROLLER}:{RTDE_PORTS[0]}"),
+    }
+    ended = threading.Event()
+    threading.Thread(target=lambda: (sys.stdin.read(), ended.set()), daemon=True).start()
+    rows, stamps = [], []
+    with made[kind]() as twin:
+        inner = twin.server.controller if kind == "rtde" else twin.controller
+        name = "move" if kind == "alter" else "cycle"
+        cycle = getattr(inner, name)
 
-    def fk(self, q: np.ndarray) -> RigidTransform:
-        return small_arm().flange(q)
+        def noted() -> None:
+            cycle()
+            rows.append(inner.q)
+            stamps.append(time.monotonic())
 
-    def ik(self, T_base_flange: RigidTransform, near: np.ndarray) -> np.ndarray:
-        return small_arm().reach(T_base_flange.as_matrix(), near)
+        setattr(inner, name, noted)
+        print(twin.address, flush=True)
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+        twin.run(lambda: not ended.is_set())
+        counts = {} if kind == "rtde" else {key: getattr(inner.counts, key) for key in inner.counts.__slots__}
+        np.savez(file, q=np.array(rows), t_s=np.array(stamps), cycle_s=inner._drive.cycle_s)
+        print(json.dumps(counts))
+
+
+async def still(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, rng: random.Random) -> None:
+    """Carry bytes one way; now and then nothing for a while, and then all at once."""
+    with contextlib.suppress(OSError):
+        while data := await reader.read(65536):
+            if rng.random() < 0.01:
+                await asyncio.sleep(rng.uniform(0.0, LONGEST_STILL_S))
+            writer.write(data)
+            await writer.drain()
+    writer.close()
+
+
+def jittering(seed: int, ready: Any) -> None:
+    """Carry the controller's connections over a line that stands still now and then."""
+    rng = random.Random(seed)
+
+    async def join(near_reader: Any, near_writer: Any, port: int) -> None:
+        far_reader, far_writer = await asyncio.open_connection(CONTROLLER, port)
+        for writer in (near_writer, far_writer):
+            writer.get_extra_info("socket").setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        await asyncio.gather(still(near_reader, far_writer, rng), still(far_reader, near_writer, rng))
+
+    async def main() -> None:
+        for port in RTDE_PORTS:
+            await asyncio.start_server(lambda r, w, port=port: join(r, w, port), NEARER, port)
+        ready.set()
+        await asyncio.Event().wait()
+
+    asyncio.run(main())
+
+
+def busy() -> None:
+    while True:
+        pass
 
 
 @contextlib.contextmanager
-def twin(*arguments: str) -> Iterator[str]:
-    """Run a twin; give the device it tells."""
-    command = [sys.executable, "-c", "from armsight.cli import main; main()", "twin", *arguments]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+def beside(processes: list[multiprocessing.Process]) -> Iterator[None]:
+    for process in processes:
+        process.start()
     try:
-        if process.stdout is not None:
-            yield process.stdout.readline().strip().partition(":")[2]
+        yield
     finally:
-        os.kill(process.pid, signal.SIGINT)
-        process.wait(10)
+        for process in processes:
+            process.kill()
 
 
-def run(robot: AlterRobot | RsiRobot, time_s: float) -> None:
+def driven(kind: str, device: str, for_s: float, seed: int, limits: Limits) -> dict[str, Any]:
+    """Let a guarded loop move the arm for a while; return what loop and driver tell."""
+    settings: dict[str, Any] = {"bind": "127.0.0.1"} if kind in ("rsi", "egm") else {}
+    if kind == "alter":
+        settings = {"arm": Model(), "speed_m_s": 1.5, "speed_rad_s": 6.0}
     clock = SystemClock()
-    lateness, limited = [], 0
+    robot: Any = load(ROBOTS, kind)(device, settings=settings, clock=clock)
+    source = Restless(np.random.default_rng(seed))
     with robot:
-        gc.disable()
-        start, sent = robot.read().q, None
-        begin_s = clock.now_s()
-        for k in range(round(time_s / robot.cycle_s)):
-            due_s = begin_s + (k + 1) * robot.cycle_s
-            clock.sleep_until(due_s)
-            lateness.append(clock.now_s() - due_s)
-            wave = SWING_RAD * 0.5 * (1.0 - np.cos(2.0 * np.pi * (due_s - begin_s) / PERIOD_S))
-            sent = robot.step_joints(start + wave - (start if sent is None else sent.q))
-            limited += bool(sent.limited)
-        time.sleep(1.0)
-        off = np.abs(robot.read().q - sent.q).max()
-        gc.enable()
-        counts, late = robot.counts, np.percentile(lateness, [50, 99, 100]) * 1e3
-    print(f"{robot.name.partition(':')[0]}: {counts.heard} cycles of {robot.cycle_s * 1e3:g} ms heard in {time_s:g} s")
-    print(f"  missed {counts.missed}, answers late {counts.late}, refused {counts.refused}, repeated {counts.repeated}")
-    print(f"  commands {len(lateness)}, limited {limited}; at rest off by {off * 1e6:.1f} urad (encoder step 10 urad)")
-    print(f"  caller late by {late[0]:.3f} ms median, {late[1]:.3f} p99, {late[2]:.3f} at most", flush=True)
+        guard = Guard(ARM, limits, robot.cycle_s)
+        loop = ControlLoop(robot, guard, source, clock, enabled=lambda: True, by_pose=False)
+        timing = run_beside(lambda: loop.run(for_s=for_s), lambda: None)
+        counts = getattr(robot, "counts", None)
+        missed = robot.missed if counts is None else counts.missed
+        late = "not told" if counts is None else counts.late
+        return {"timing": timing, "missed": missed, "late": late, "status": loop.status, "cycles": robot._pace.cycles}
+
+
+def run(kind: str, args: argparse.Namespace) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = str(probe.getsockname()[1])
+    limits = limits_of(np.random.default_rng(args.seed))
+    with tempfile.TemporaryDirectory() as folder:
+        file = str(Path(folder) / "controller.npz")
+        command = [sys.executable, __file__, "--controller", kind, "--port", port, "--file", file]
+        twin = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        told = twin.stdout.readline() if twin.stdout else ""
+        device = told.strip().partition(":")[2]
+        context = multiprocessing.get_context("spawn")
+        others = [context.Process(target=busy, daemon=True) for _ in range(args.busy)]
+        ready = context.Event()
+        if kind == "rtde" and args.jitter:
+            others.append(context.Process(target=jittering, args=(args.seed, ready), daemon=True))
+        if kind == "rtde":
+            device = NEARER if args.jitter else CONTROLLER
+        with beside(others):
+            if kind == "rtde" and args.jitter:
+                ready.wait(60.0)
+            said = driven(kind, device, args.time_s, args.seed, limits)
+        out, _ = twin.communicate("")
+        record = np.load(file)
+        found, by_log = Found(), Found()
+        judge((record["q"],), limits, float(record["cycle_s"]), found)
+        stamps = record["t_s"]
+        span_s = stamps[WINDOW:] - stamps[:-WINDOW]
+        speed = np.abs(record["q"][WINDOW:] - record["q"][:-WINDOW]).max(axis=1) / span_s
+        by_log.joint_ratio = float(speed.max())
+    timing, status = said["timing"], said["status"]
+    ms = [1e3 * value for value in timing.lateness_s]
+    print(
+        f"{kind}: {said['cycles']} of its controller's cycles in {args.time_s:g} s, missed {said['missed']}, answers "
+        f"late {said['late']}; at the end {status.state} {status.why}"
+    )
+    print(
+        f"  loop: {timing.n_cycles} cycles, late {timing.late}, missed {timing.missed}, woke late by {ms[0]:.3f} ms "
+        f"median, {ms[1]:.3f} p99, {ms[2]:.3f} at most; the controller counts {out.strip()}"
+    )
+    print(
+        f"  by the controller's time, over {WINDOW} cycles: joints {found.joint_ratio:.3f} of their limit, tool "
+        f"{found.tool_ratio:.3f} (allowed {1.0 + SPEED_TOLERANCE:g}); beyond a range by {1e3 * found.joint_beyond:.3f} "
+        f"mrad, a wall by {1e3 * found.wall_beyond_m:.3f} mm; {found.moved} cycles in motion"
+    )
+    print(f"  by the stamps of its log: up to {by_log.joint_ratio:.3f} rad/s", flush=True)
+
+
+def simulated(args: argparse.Namespace) -> None:
+    """Jog a KUKA controller that somebody else emulates."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = str(probe.getsockname()[1])
+    program = subprocess.Popen([*shlex.split(args.rsi_simulator), "127.0.0.1", port], stderr=subprocess.DEVNULL)
+    clock = SystemClock()
+    context = multiprocessing.get_context("spawn")
+    robot: Any = load(ROBOTS, "rsi")(port, settings={"bind": "127.0.0.1", "open_s": 20.0}, clock=clock)
+    joints = tuple(Joint(name=f"a{i}") for i in range(1, 7))
+    try:
+        with beside([context.Process(target=busy, daemon=True) for _ in range(args.busy)]), robot:
+            guard = Guard(type(ARM)(name="kuka", joints=joints), Limits(turn_rad_s=0.3), robot.cycle_s)
+            start, begun = robot.read().q, robot._pace.cycles
+            goal = start + np.radians([2.0, -1.0, 1.5, 0.0, 3.0, -2.0])
+            loop = ControlLoop(robot, guard, GoalSource(goal), clock, enabled=lambda: True, by_pose=False)
+            timing = run_beside(lambda: loop.run(for_s=args.time_s), lambda: None)
+            off = float(np.degrees(np.abs(robot.read().q - goal).max()))
+            cycles, missed = robot._pace.cycles - begun, robot.counts.missed
+    finally:
+        program.kill()
+    print(
+        f"simulator: {cycles} cycles in {args.time_s:g} s, missed {missed} ({100.0 * missed / cycles:.3f} %), repeated "
+        f"{robot.counts.repeated}, loop late {timing.late}, missed {timing.missed}; off by {off:.4f} deg; "
+        f"{loop.status.state} {loop.status.why}"
+    )
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser()
-    parser.add_argument("links", nargs="*", default=["alter", "rsi"])
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("kinds", nargs="*", default=list(KINDS))
     parser.add_argument("--for", dest="time_s", type=float, default=60.0)
-    chosen = parser.parse_args()
-    if "alter" in chosen.links:
-        with twin("alter") as device:
-            run(AlterRobot(device, settings={"arm": Model()}), chosen.time_s)
-    if "rsi" in chosen.links:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            probe.bind(("127.0.0.1", 0))
-            port = probe.getsockname()[1]
-        with twin("rsi", "--connect", f"127.0.0.1:{port}"):
-            run(RsiRobot(str(port), settings={"bind": "127.0.0.1"}), chosen.time_s)
+    parser.add_argument("--busy", type=int, default=0)
+    parser.add_argument("--jitter", action="store_true")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--rsi-simulator", default="")
+    parser.add_argument("--controller", choices=KINDS, help=argparse.SUPPRESS)
+    parser.add_argument("--port", help=argparse.SUPPRESS)
+    parser.add_argument("--file", help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    if args.controller:
+        controller(args.controller, args.port, args.file)
+    elif args.rsi_simulator:
+        simulated(args)
+    else:
+        for kind in args.kinds:
+            run(kind, args)
 
 
 if __name__ == "__main__":

@@ -284,7 +284,9 @@ def history(kind: str, seed: int, found: Found, *, cycles: int = 500, fault: str
     """
     rng = np.random.default_rng([seed, len(kind), ord(kind[0])])
     clock = ManualClock(100.0)
-    link: Any = AlterLink(clock) if kind == "alter" else UdpLink(kind, clock, silent_s=1.0)
+    link: Any = (
+        AlterLink(clock, speed_m_s=1.5, speed_rad_s=6.0) if kind == "alter" else UdpLink(kind, clock, silent_s=1.0)
+    )
     loss, late = rng.choice([0.0, 0.02, 0.05, 0.1]), rng.choice([0.0, 0.05, 0.2])
     up, down = (Wire(rng=rng, loss=loss, late=late) for _ in range(2))
     limits = limits_of(rng)
@@ -320,7 +322,7 @@ def history(kind: str, seed: int, found: Found, *, cycles: int = 500, fault: str
         if kind == "alter":
             link.twin.close()
     found.lost += up.lost + down.lost
-    _judge(np.array(q), np.array(goals), limits, link.cycle_s, found)
+    judge((np.array(q), np.array(goals)), limits, link.cycle_s, found)
 
 
 def _controller_cycle(link: Any, answers: list[bytes]) -> Array:
@@ -341,11 +343,11 @@ def _loop_cycle(loop: ControlLoop, clock: ManualClock) -> None:
     loop._cycle(clock.now_s(), clock.now_s() - due_s, waiting=waiting)
 
 
-def _judge(q: Array, goals: Array, limits: Limits, cycle_s: float, found: Found) -> None:
-    """Add what one history shows: q, goals (m, 6) at the ends of the controller's cycles."""
+def judge(motions: tuple[Array, ...], limits: Limits, cycle_s: float, found: Found) -> None:
+    """Add what one history shows: joints (m, 6) at the ends of the controller's cycles, of motors and their goals."""
     window_s = WINDOW * cycle_s
     ratios = []
-    for rows in (q, goals):
+    for rows in motions:
         joint = np.abs(rows[WINDOW:] - rows[:-WINDOW]) / window_s / SPEEDS
         place = np.array([tool_m(row) for row in rows])
         tool = np.linalg.norm(place[WINDOW:] - place[:-WINDOW], axis=1) / window_s / limits.speed_m_s
@@ -362,5 +364,5 @@ def _judge(q: Array, goals: Array, limits: Limits, cycle_s: float, found: Found)
     found.joint_ratio, found.tool_ratio = max(found.joint_ratio, worst[0]), max(found.tool_ratio, worst[1])
     found.too_fast += bool(worst.max() > 1.0 + SPEED_TOLERANCE)
     found.histories += 1
-    found.cycles += len(q)
-    found.moved += int((np.abs(np.diff(q, axis=0)).max(axis=1) > 1e-6).sum())
+    found.cycles += len(motions[0])
+    found.moved += int((np.abs(np.diff(motions[0], axis=0)).max(axis=1) > 1e-6).sum())

@@ -163,6 +163,7 @@ class ControlLoop:
         guard.begin(self._standing(), self._clock.now_s())
         if self._paced is not None:
             self._paced.slow_down(guard.bounds.speed)  # also where others ask it for motion beside this loop
+            self._pace = self._paced.wait_step(-1, 0.0)
 
     def _standing(self) -> Array:
         """Return where the robot stands by its last command; one that takes only poses, by its reading."""
@@ -199,12 +200,12 @@ class ControlLoop:
         A robot without a pace of its own is told the next step at due_s. Of another it was due when the controller was
         given the last one, or earlier by those that it could have been given since.
         """
-        if self._paced is None:
+        before = self._pace
+        if self._paced is None or before is None:
             return False, 0, due_s
-        before = self._pace or self._paced.wait_step(-1, 0.0)
         pace = self._pace = self._paced.wait_step(before.steps, PATIENCE * self._guard.cycle_s)
         missed = max(0, pace.cycles - before.cycles - 1)
-        unused = pace.steps - before.steps - 1
+        unused = pace.steps - max(before.steps, pace.asked) - 1
         if unused < 0:
             return True, missed, self._clock.now_s()
         return False, missed, pace.t_s - unused * self._guard.cycle_s

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import threading
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import Protocol, Self, runtime_checkable
 
@@ -47,11 +47,12 @@ class LinkTimes:
 class Pace:
     """How far a controller is.
 
-    steps: so many it was given, one a cycle at most. cycles: of its own until the newest, those that were missed among
-    them. t_s: when the newest was answered.
+    steps: so many it was given, one a cycle at most. asked: how many those were when the last command came; it is among
+    the next. cycles: of its own until the newest, those that were missed among them. t_s: when the newest was answered.
     """
 
     steps: int
+    asked: int
     cycles: int
     t_s: float
 
@@ -61,7 +62,7 @@ class Paced(Protocol):
     """A robot whose controller sets the pace: whoever moves it waits for each step to go out before the next."""
 
     def wait_step(self, after: int, wait_s: float) -> Pace:
-        """Return the pace as soon as more than `after` steps went out, or what it is after wait_s."""
+        """Return the pace once more than `after` steps and the last command went out, or what it is after wait_s."""
         ...
 
     def slow_down(self, max_speed: Array) -> None:
@@ -90,7 +91,7 @@ class CyclicRobot(ABC):
         self._poses = poses or PoseGoals(name, math.inf, math.inf, times.cycle_s)
         self._lock = threading.RLock()
         self._ticked = threading.Condition()
-        self._pace = Pace(steps=0, cycles=0, t_s=clock.now_s())
+        self._pace = Pace(steps=0, asked=-1, cycles=0, t_s=clock.now_s())
         self._reading: JointReading | None = None
         self._heard_s = clock.now_s()
         self._open = False
@@ -98,7 +99,6 @@ class CyclicRobot(ABC):
         self._lost = ""
         self._held = False
         self._commands = 0
-        self._noted = -1
 
     @property
     def n_joints(self) -> int:
@@ -180,12 +180,9 @@ class CyclicRobot(ABC):
             self._stopped = ""
 
     def wait_step(self, after: int, wait_s: float) -> Pace:
-        """Return the pace as soon as more than `after` steps and the last command went out, or what it is after wait_s.
-
-        A command that came between two of them waits for the second.
-        """
+        """Return the pace once more than `after` steps and the last command went out, or what it is after wait_s."""
         with self._ticked:
-            self._ticked.wait_for(lambda: self._pace.steps > max(after, self._noted), wait_s)
+            self._ticked.wait_for(lambda: self._pace.steps > max(after, self._pace.asked), wait_s)
             return self._pace
 
     def slow_down(self, max_speed: Array) -> None:
@@ -210,7 +207,7 @@ class CyclicRobot(ABC):
                 self._goals.take()
                 self._poses.take()
             pace = self._pace
-            self._pace = Pace(steps=pace.steps + taken, cycles=pace.cycles + cycles, t_s=self._clock.now_s())
+            self._pace = replace(pace, steps=pace.steps + taken, cycles=pace.cycles + cycles, t_s=self._clock.now_s())
         with self._ticked:
             self._ticked.notify_all()
 
@@ -280,5 +277,5 @@ class CyclicRobot(ABC):
     def _note(self, q: Array, pose: RigidTransform | None, limited: tuple[str, ...]) -> Sent:
         """Return a command as it goes out."""
         self._commands += 1
-        self._noted = self._pace.steps
+        self._pace = replace(self._pace, asked=self._pace.steps)
         return Sent(q=q, t_s=self._clock.now_s(), sequence=self._commands - 1, pose=pose, limited=limited)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
+import armsight.control.loop as loop_module
 from armsight.app.robot.guarding import guard_for
 from armsight.app.robot.opening import open_robot
 from armsight.app.robot.recorder import LoopRecorder
@@ -17,11 +18,14 @@ from armsight.clock import ManualClock
 from armsight.control import CycleState, Finished, Hold, JointGoal, JointVelocity, SetPoint, ToolTwist
 from armsight.control.enable import Enable
 from armsight.control.events import QueueSink
-from armsight.control.guard import GuardState
+from armsight.control.guard import Guard, GuardState, Limits
 from armsight.control.jitter import Jitter
 from armsight.control.loop import ControlLoop
 from armsight.control.sources import ClientSource, GoalSource, JogFrame, JogSource
+from armsight.drivers.cyclic import CyclicRobot, LinkTimes
+from armsight.drivers.joint_goals import JointLimits
 from armsight.errors import DeviceFailed, UsageError
+from armsight.kinematics import Arm, Joint
 from armsight.store.recording import Recording
 
 
@@ -219,3 +223,122 @@ def test_the_loop_may_be_stopped_from_another_thread(cell) -> None:
     loop.stop()
     thread.join()
     assert loop.status.state is GuardState.STOPPED and loop.status.at_rest
+
+
+class Cyclic(CyclicRobot):
+    """A controller without a wire: the test says when it asks, and whether it took what it was sent."""
+
+    def __init__(self, clock: ManualClock) -> None:
+        limits = JointLimits(lower=np.full(2, -1.0), upper=np.full(2, 1.0), max_speed=np.full(2, 2.0))
+        times = LinkTimes(cycle_s=0.01, stale_s=9.0, silent_s=9.0)
+        super().__init__("cyclic", limits=limits, times=times, clock=clock)
+        self.goals: list[float] = []
+
+    def _start(self) -> None:
+        self.asks()
+
+    def _finish(self) -> None: ...
+
+    def asks(self, *, taken: bool = True, cycles: int = 1) -> None:
+        self._heard(self._goals.sent, self._clock.now_s())
+        self._tick(cycles, taken=taken)
+        self.goals.append(float(self._goals.sent[0]))
+
+
+ARM = Arm(name="two", joints=(Joint(name="a"), Joint(name="b")))
+
+
+class Steady:
+    name = "steady"
+
+    def next(self, now: CycleState) -> SetPoint:
+        return JointVelocity(qd=np.array([0.1, 0.0]))
+
+
+@pytest.fixture
+def paced(monkeypatch: pytest.MonkeyPatch):
+    """A loop whose robot sets the pace, and a way to do one of its cycles; nothing is waited for."""
+    monkeypatch.setattr(loop_module, "PATIENCE", 0.0)
+    clock = ManualClock(10.0)
+    robot = Cyclic(clock)
+    with robot:
+        loop = ControlLoop(robot, Guard(ARM, Limits(), 0.01), Steady(), clock, enabled=lambda: True)
+        loop._begin()
+
+        def cycle() -> bool:
+            waiting, _, due_s = loop._due(clock.now_s())
+            loop._cycle(clock.now_s(), clock.now_s() - due_s, waiting=waiting)
+            return waiting
+
+        def ask(**how) -> None:
+            clock.advance(0.01)
+            robot.asks(**how)
+
+        yield robot, loop, ask, cycle
+
+
+def test_each_cycle_of_the_controller_takes_one_step_however_often_the_loop_runs(paced) -> None:
+    robot, _, ask, cycle = paced
+    for _ in range(60):
+        ask()
+        assert [cycle() for _ in range(3)] == [False, True, True]
+    assert np.diff(robot.goals).max() == pytest.approx(0.001)
+
+
+def test_a_step_that_was_not_taken_goes_out_again_and_none_is_added(paced) -> None:
+    robot, loop, ask, cycle = paced
+    for _ in range(60):
+        ask()
+        cycle()
+    before = robot.goals[-1]
+    for _ in range(2):
+        ask(taken=False)
+        assert cycle()
+    assert robot.goals[-1] == before
+    ask()
+    cycle()
+    assert robot.goals[-1] - before == pytest.approx(0.001)
+    assert loop.status.state is GuardState.RUNNING
+
+
+def test_a_command_that_came_late_waits_for_a_cycle_of_its_own(paced) -> None:
+    robot, _, ask, cycle = paced
+    for _ in range(60):
+        ask()
+        cycle()
+    step, sent = robot.step_joints, []
+
+    def late(values):
+        if not sent:
+            robot.asks()  # the controller asks while the loop still computes
+        sent.append(values)
+        return step(values)
+
+    robot.step_joints = late
+    ask()
+    assert not cycle()
+    assert cycle()
+    assert len(sent) == 1
+
+
+def test_after_a_pause_the_arm_sets_out_from_rest(paced) -> None:
+    robot, loop, ask, cycle = paced
+    for _ in range(60):
+        ask()
+        cycle()
+    for _ in range(5):
+        ask(taken=False)
+        cycle()
+    ask()
+    cycle()
+    ask()
+    assert 0.0 <= robot.goals[-1] - robot.goals[-2] < 0.0005
+    assert not loop.status.at_rest
+
+
+def test_nobody_goes_faster_than_the_guard_allows_beside_the_loop(paced) -> None:
+    robot, *_ = paced
+    fastest = Guard(ARM, Limits(), 0.01).bounds.speed[0]
+    sent = robot.step_joints(np.array([1.0, 0.0]))
+    assert sent.q[0] - robot.goals[-1] == pytest.approx(0.01 * fastest)
+    assert sent.limited
