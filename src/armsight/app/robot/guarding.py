@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from armsight.control.guard import Guard, Limits
+from armsight.control.guard.fit import check_fit
+from armsight.control.guard.space import Space
 from armsight.drivers import Robot
-from armsight.errors import Inconsistent, UsageError
+from armsight.errors import DataRefused, UsageError
 from armsight.kinematics import Arm, Joint
 from armsight.store.arm_file import arm_from_mapping, read_arm
-from armsight.store.interpret import limits_look_like_degrees
 from armsight.store.limits_file import read_limits
+
+Array = NDArray[np.float64]
 
 BLIND_TURN_RAD_S = 0.1
 """Where the arm's lengths are not known, all joints together turn no faster: 0.1 m/s at one metre."""
@@ -53,19 +61,30 @@ def guard_for(robot: Robot, arm: Path | None = None, limits: Path | None = None,
             consequence="Nothing is moved",
             cure="Give the arm of this robot (--arm)",
         )
-    _check_degrees(known, kept, limits)
-    return Guard(known, kept.slowed(share), robot.cycle_s)
+    with _of_file(limits):
+        check_fit(known, kept)  # before a share of a speed in degrees looks like one in radians
+        return Guard(known, kept.slowed(share), robot.cycle_s)
 
 
-def _check_degrees(arm: Arm, limits: Limits, file: Path | None) -> None:
-    """Raise Inconsistent where the limits of revolute joints are degrees: they would keep the arm within nothing."""
-    for k, (joint, revolute) in enumerate(zip(limits.joints, arm.revolute, strict=False)):
-        if revolute and limits_look_like_degrees([joint.lower, joint.upper]):
-            raise Inconsistent(
-                f"{file}: joint {k + 1}: the limits {joint.lower:g} to {joint.upper:g} look like degrees",
-                consequence="Taken as radians they would limit nothing; nothing is moved",
-                cure="Write lower and upper in rad, or leave them out where the arm's own limits hold",
-            )
+@contextlib.contextmanager
+def _of_file(file: Path | None) -> Iterator[None]:
+    """Put the name of the limits' file before what is wrong with them."""
+    try:
+        yield
+    except (DataRefused, UsageError) as error:
+        if file is None:
+            raise
+        raise type(error)(f"{file}: {error.cause}", consequence=error.consequence, cure=error.cure) from error
+
+
+def standing_outside(guard: Guard, q: Array) -> str:
+    """Return which limits a robot whose readings are q (n,) stands outside of, by how much and what then is followed.
+
+    Empty where it stands within. For whoever is asked whether it may move: the guard tells it in the recording alone.
+    """
+    still = np.zeros(guard.arm.n)
+    told = Space(guard.arm, guard.limits, guard.bounds).at(q, still, still, in_space=False).told()
+    return f"the arm stands {told}" if told else ""
 
 
 def arm_of(robot: Robot, arm: Path | None) -> Arm | None:
