@@ -21,9 +21,9 @@ NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False, le=1e6)]
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Plausible:
-    """most: the largest value of a key that is meant as it stands; beyond it the number is in the unit `small`.
+    """most: the largest value of a key that is meant as it stands, in unit; beyond it, it is taken for one in small.
 
-    one: one of those in the key's own unit.
+    one: one of those in the key's own unit. small is empty where no other unit is likely.
     """
 
     most: float
@@ -48,15 +48,15 @@ PLAUSIBLE = {
     "following": Plausible(0.5, "rad", "degrees", DEG),
     "following_m": Plausible(0.5, "m", "mm", MM),
     # a least singular value, lengths in mean links, is below 1 for every preset
-    "singularity": Plausible(1.0, "1", "percent", 0.01),
+    "singularity": Plausible(1.0, "", "percent", 0.01),
     # ten frames or commands of one second; a target may be waited for during minutes
     "target_age_s": Plausible(10.0, "s", "ms", MS),
     "lost_s": Plausible(10.0, "s", "ms", MS),
     "lag_s": Plausible(10.0, "s", "ms", MS),
     "retreat_after_s": Plausible(900.0, "s", "ms", MS),
     # shares and counts of cycles: beyond a second of the fastest link, of 1 ms, they watch nothing
-    "silent_cycles": Plausible(1000.0, "cycles", "ms", MS),
-    "late_cycles": Plausible(1000.0, "cycles", "ms", MS),
+    "silent_cycles": Plausible(1000.0, "cycles", "", 1.0),
+    "late_cycles": Plausible(1000.0, "cycles", "", 1.0),
 }
 MOST_M = 30.0
 """Of a corner: no arm stands so far from its box, a linear axis of 10 m is a long one; millimetres go beyond it."""
@@ -90,7 +90,7 @@ class LimitsModel(Origin):
     turn_acceleration_rad_s2: Positive | None = None
     jerk_m_s3: Positive | None = None
     turn_jerk_rad_s3: Positive | None = None
-    joints: list[JointLimitModel] | None = None
+    joints: Annotated[list[JointLimitModel], Field(min_length=1)] | None = None
     workspace: BoxModel | None = None
     forbidden: list[BoxModel] | None = None
     margin_m: NotNegative | None = None
@@ -113,6 +113,8 @@ class LimitsModel(Origin):
 
 def limits_from_mapping(content: Mapping[str, Any], where: str = "limits") -> Limits:
     """Return the limits that limits.yaml's structure describes; BadFile, with the key, where they cannot be."""
+    with named(where):
+        _check_values(content)
     model = validated(LimitsModel, content, where)
     names = {field.name for field in dataclasses.fields(Limits)}
     given = {name: getattr(model, name) for name in names if getattr(model, name) is not None}
@@ -131,15 +133,29 @@ def _check_units(given: Mapping[str, Any]) -> None:
     """Raise Inconsistent for values that no arm has: they are in another unit, and would keep nothing."""
     for key, plausible in PLAUSIBLE.items():
         value = given.get(key)
-        if value is not None and value > plausible.most:
+        if value is None or value <= plausible.most:
+            continue
+        unit, small = plausible.unit, plausible.small
+        like = f": it looks like {small}" if small else ""
+        raise Inconsistent(
+            " ".join(f"{key} is {value:g} {unit}".split()) + f", more than any arm needs ({plausible.most:g}){like}",
+            consequence="As it stands it would not keep what is meant, and nothing is moved",
+            cure=f"{value:g} {small} would be {key}: {value * plausible.one:.4g}" if small else f"Give {unit}",
+        )
+
+
+def _check_values(content: Any, key: str = "") -> None:
+    """Raise Inconsistent for a key without a value: what was to stand there would not be kept."""
+    parts = content.items() if isinstance(content, Mapping) else enumerate(content) if isinstance(content, list) else ()
+    for part, value in parts:
+        at = f"{key}[{part}]" if isinstance(part, int) else f"{key}.{part}" if key else str(part)
+        if value is None:
             raise Inconsistent(
-                f"{key} is {value:g} {plausible.unit}, more than any arm needs ({plausible.most:g}): it looks like "
-                f"{plausible.small}",
-                consequence="As it stands it would not keep what is meant, and nothing is moved",
-                cure=f"Write {plausible.unit}: {value:g} {plausible.small} would be {key}: {value * plausible.one:.4g}"
-                if plausible.unit != "cycles"
-                else "Write how many cycles",
+                f"{at[:80]} has no value",
+                consequence="What should stand there would not be kept, and nothing is moved",
+                cure="Give one, or leave the key away for the default",
             )
+        _check_values(value, at)
 
 
 def _joint(model: JointLimitModel, number: int) -> JointLimit:
@@ -177,7 +193,7 @@ def _box(model: BoxModel, key: str) -> Box:
         raise Inconsistent(
             f"{called}: a corner at {furthest:g} m is further away than any arm: it looks like mm",
             consequence="As it stands it would limit nothing, and nothing is moved",
-            cure=f"Write m (from mm: lower_m: {lower}, upper_m: {upper}); a wall without an end may be {MOST_M:g} m off",
+            cure=f"Write m (from mm: lower_m: {lower}, upper_m: {upper}); an endless wall may be {MOST_M:g} m off",
         )
     with named(called):
         return Box(lower_m=model.lower_m, upper_m=model.upper_m, name=model.name)  # type: ignore[arg-type]  # it copies

@@ -14,7 +14,7 @@ from armsight.control.guard import Guard, Limits
 from armsight.control.guard.fit import check_fit
 from armsight.control.guard.space import Space
 from armsight.drivers import Robot
-from armsight.errors import DataRefused, UsageError
+from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics import Arm, Joint
 from armsight.store.arm_file import arm_from_mapping, read_arm
 from armsight.store.limits_file import read_limits
@@ -71,20 +71,44 @@ def _of_file(file: Path | None) -> Iterator[None]:
     """Put the name of the limits' file before what is wrong with them."""
     try:
         yield
-    except (DataRefused, UsageError) as error:
+    except (Inconsistent, UsageError) as error:
         if file is None:
             raise
         raise type(error)(f"{file}: {error.cause}", consequence=error.consequence, cure=error.cure) from error
 
 
-def standing_outside(guard: Guard, q: Array) -> str:
-    """Return which limits a robot whose readings are q (n,) stands outside of, by how much and what then is followed.
+def standing(robot: Robot, n: int) -> Array:
+    """Return the readings (n,) at which an open robot was last told to stand; by its own where it takes only poses."""
+    if not getattr(robot, "takes_joints", True):
+        return robot.read().q
+    return robot.step_joints(np.zeros(n)).q
 
-    Empty where it stands within. For whoever is asked whether it may move: the guard tells it in the recording alone.
+
+def standing_outside(guard: Guard, robot: Robot) -> str:
+    """Return which limits an open robot stands outside of, by how much and what is then followed; empty within.
+
+    For whoever is asked whether it may move, and for the result: the guard tells it in the recording alone.
     """
-    still = np.zeros(guard.arm.n)
+    n = guard.arm.n
+    q, still = standing(robot, n), np.zeros(n)
     told = Space(guard.arm, guard.limits, guard.bounds).at(q, still, still, in_space=False).told()
     return f"the arm stands {told}" if told else ""
+
+
+def noted(outside: str) -> str:
+    """Return what is added to the question before a motion of an arm that stands outside its limits."""
+    return f" Note: {outside}." if outside else ""
+
+
+@contextlib.contextmanager
+def beside_outside(outside: str) -> Iterator[None]:
+    """Tell, with why a way is refused, that the arm stands outside its limits already."""
+    try:
+        yield
+    except Inconsistent as error:
+        if not outside or outside in error.cause:
+            raise
+        raise Inconsistent(f"{error.cause}; {outside}", consequence=error.consequence, cure=error.cure) from error
 
 
 def arm_of(robot: Robot, arm: Path | None) -> Arm | None:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 MOST_TURN_RAD = 4.0 * math.pi
-"""Two turns either way: no revolute joint but an endless one has a wider range, and degrees are wider with most arms."""
+"""Two turns either way: only an endless joint has a wider range, and degrees are wider with most arms."""
 ENDLESS_RAD = 800.0
 """Beyond it a range is that of an endless joint: in degrees it would be two turns and more."""
 WIDER = 1.5

@@ -89,8 +89,16 @@ class Breach:
 
     def told(self) -> str:
         """Return where it stands outside and the way back, in words; empty inside."""
-        found = ", ".join(f"{self.limits.names[i]} by {self.end[i]:.3g}" for i in np.flatnonzero(self.outside()))
+        found = ", ".join(
+            f"{self.limits.names[i]} by {self.end[i]:.3g} (way back: {_way_back(self.limits.names[i])})"
+            for i in np.flatnonzero(self.outside())
+        )
         return f"outside its limits (rad, m): {found}; only motion back towards them is followed" if found else ""
+
+
+def _way_back(name: str) -> str:
+    """Return in which direction a limit of place is kept again."""
+    return "+" if "(lower" in name else "-" if "(upper" in name else "out of it"
 
 
 class Space:
