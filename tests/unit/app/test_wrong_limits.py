@@ -12,13 +12,17 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 from typer.testing import CliRunner
 
+from armsight.app.play.job import PlayJob
+from armsight.app.play.run import run_play
 from armsight.app.robot.guarding import guard_for
 from armsight.app.robot.jog import JogJob, jog_robot
 from armsight.app.robot.opening import open_robot
+from armsight.app.servo.job import ServoJob
+from armsight.app.servo.run import run_servo
 from armsight.cli.commands import app
 from armsight.clock import ManualClock, SystemClock
 from armsight.control.guard import Box, Guard, JointLimit, Limits
-from armsight.errors import ArmsightError, BadFile, Inconsistent, UsageError
+from armsight.errors import ArmsightError, BadFile, Cancelled, Inconsistent, UsageError
 from armsight.kinematics import Arm, Joint, preset
 from armsight.store.limits_file import limits_from_mapping, read_limits
 
@@ -253,3 +257,22 @@ def test_every_command_that_takes_limits_refuses_them(tmp_path: Path, command: s
     done = CliRunner().invoke(app, [*args, "--robot", SIM, "--limits", str(path)])
     assert done.exit_code == 3, done.output
     assert "speed_m_s: 0.1" in " ".join(done.stderr.split())
+
+
+def test_servo_and_play_tell_of_an_arm_that_stands_outside(tmp_path: Path) -> None:
+    """teach is a servo with a recorder beside it."""
+    path = tmp_path / "limits.yaml"
+    path.write_text(OUTSIDE)
+    CliRunner().invoke(app, ["simulate", "webcam-cell", "--frames", "1", "-o", str(tmp_path / "set")])
+    rig, target, handeye = (tmp_path / "set" / f"{name}.yaml" for name in ("rig", "target", "handeye"))
+    asked: list[str] = []
+    servo = ServoJob(robot=SIM, rig=rig, target=target, handeye=handeye, out=tmp_path / "servo", at="tool", limits=path)
+    with pytest.raises(Cancelled):
+        run_servo(servo, lambda question: bool(asked.append(question)))
+    assert "Note: the arm stands outside its limits" in asked[0]
+    rows = [f"{k},,{-0.78 + 0.001 * k},-0.163941,0.255445,0.5,-0.5,-0.5,0.5,0.02," for k in range(11)]
+    (tmp_path / "path.csv").write_text("index,t_s,x_m,y_m,z_m,qx,qy,qz,qw,speed_m_s,tag\n" + "\n".join(rows) + "\n")
+    play = PlayJob(robot=SIM, path=tmp_path / "path.csv", out=tmp_path / "play", limits=path)
+    with pytest.raises(Inconsistent, match="the arm stands outside its limits"):
+        run_play(play, lambda question: bool(asked.append(question)))
+    assert len(asked) == 1
