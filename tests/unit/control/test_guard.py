@@ -190,6 +190,13 @@ def test_from_beyond_a_limit_it_may_only_come_back() -> None:
     assert bench.run(JointGoal(q=HOME), 20).state is GuardState.HOLDING  # and not in again
 
 
+def test_outside_it_does_not_move_along_the_limit() -> None:
+    bench = Bench(Limits(joints=(JointLimit(lower=HOME[0] + 0.2), *(JointLimit(),) * 5)))
+    decision = bench.run(JointVelocity(qd=0.1 * LAST), 5)
+    assert decision.state is GuardState.HOLDING and "range of joint 1 (lower) by 0.2" in decision.why
+    assert np.array_equal(bench.q[-1], HOME)
+
+
 def test_goals_beyond_a_joints_range_are_not_begun() -> None:
     bench = Bench(Limits(joints=tuple(JointLimit(lower=q - 0.2, upper=q + 0.2) for q in HOME)))
     decision = bench.run(JointGoal(q=HOME + 0.3), 10)

@@ -96,13 +96,12 @@ def jog_robot(
         if not confirm(question(job, robot, guard, float(start[j])) + noted(outside)):
             raise Cancelled("not confirmed", consequence="Nothing was moved", cure="Give --yes to move without asking")
         with recording(job.record, clock) as sink:
-            told = progress  # its cancelled() is the operator's enable: Ctrl-C lets go
             source, watcher = GoalSource(goal, "jog"), _Watcher(robot.cycle_s)
-            loop = ControlLoop(robot, guard, source, clock, enabled=lambda: not told.cancelled(), sink=sink)
+            loop = ControlLoop(robot, guard, source, clock, enabled=lambda: not progress.cancelled(), sink=sink)
 
             def tell() -> None:
                 if loop.status is not None:
-                    told.update(100.0 * abs(float(loop.status.q_sent[j] - start[j]) / job.by), 100.0)
+                    progress.update(100.0 * abs(float(loop.status.q_sent[j] - start[j]) / job.by), 100.0)
 
             run_beside(lambda: loop.run(until=watcher), tell)
         with beside_outside(outside):
