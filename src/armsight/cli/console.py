@@ -109,6 +109,9 @@ def serve_cell(face: CommandUI, robot: str, folder: Path, changed: dict[str, Any
         cell = stack.enter_context(open_robot_cell(robot, folder))
         if cancelled():
             raise Cancelled("stopped before the page was served")
+        cell.service.pump()
+        if cell.service.outside:
+            face.say(f"Note: {cell.service.outside}.")
         made = Console.of_folder(folder, cell)
         try:
             _tell_refusal(face, made.begin(changed, robot=robot))

@@ -10,11 +10,56 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from armsight.control.guard import Box, JointLimit, Limits
+from armsight.errors import Inconsistent
 from armsight.store.schema import Finite, Origin, Strict, Vector3, named, read_document, validated, write_document
+from armsight.units import DEG, MM, MS
 
 LIMITS_FORMAT = "armsight/limits"
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False, le=1e6)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False, le=1e6)]
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Plausible:
+    """most: the largest value of a key that is meant as it stands, in unit; beyond it, it is taken for one in small.
+
+    one: one of those in the key's own unit. small is empty where no other unit is likely.
+    """
+
+    most: float
+    unit: str
+    small: str
+    one: float
+
+
+PLAUSIBLE = {
+    # a delta arm's tool goes 10 m/s at 150 m/s^2; a SCARA's last joint turns at 2,600 deg/s, which is 45 rad/s
+    "speed_m_s": Plausible(20.0, "m/s", "mm/s", MM),
+    "turn_rad_s": Plausible(50.0, "rad/s", "deg/s", DEG),
+    "acceleration_m_s2": Plausible(500.0, "m/s^2", "mm/s^2", MM),
+    "turn_acceleration_rad_s2": Plausible(1000.0, "rad/s^2", "deg/s^2", DEG),
+    # those accelerations within 10 to 20 ms
+    "jerk_m_s3": Plausible(50_000.0, "m/s^3", "mm/s^3", MM),
+    "turn_jerk_rad_s3": Plausible(50_000.0, "rad/s^3", "deg/s^3", DEG),
+    # a tenth and more of most arms' reach; a path at 10 m/s goes 0.12 m in a cycle of 12 ms, one at 50 rad/s 0.6 rad
+    "margin_m": Plausible(0.5, "m", "mm", MM),
+    "jump_m": Plausible(0.5, "m", "mm", MM),
+    "jump_rad": Plausible(1.0, "rad", "degrees", DEG),
+    "following": Plausible(0.5, "rad", "degrees", DEG),
+    "following_m": Plausible(0.5, "m", "mm", MM),
+    # a least singular value, lengths in mean links, is below 1 for every preset
+    "singularity": Plausible(1.0, "", "percent", 0.01),
+    # ten frames or commands of one second; a target may be waited for during minutes
+    "target_age_s": Plausible(10.0, "s", "ms", MS),
+    "lost_s": Plausible(10.0, "s", "ms", MS),
+    "lag_s": Plausible(10.0, "s", "ms", MS),
+    "retreat_after_s": Plausible(900.0, "s", "ms", MS),
+    # shares and counts of cycles: beyond a second of the fastest link, of 1 ms, they watch nothing
+    "silent_cycles": Plausible(1000.0, "cycles", "", 1.0),
+    "late_cycles": Plausible(1000.0, "cycles", "", 1.0),
+}
+MOST_M = 30.0
+"""Of a corner: no arm stands so far from its box, a linear axis of 10 m is a long one; millimetres go beyond it."""
 
 
 class BoxModel(Strict):
@@ -45,7 +90,7 @@ class LimitsModel(Origin):
     turn_acceleration_rad_s2: Positive | None = None
     jerk_m_s3: Positive | None = None
     turn_jerk_rad_s3: Positive | None = None
-    joints: list[JointLimitModel] | None = None
+    joints: Annotated[list[JointLimitModel], Field(min_length=1)] | None = None
     workspace: BoxModel | None = None
     forbidden: list[BoxModel] | None = None
     margin_m: NotNegative | None = None
@@ -68,18 +113,54 @@ class LimitsModel(Origin):
 
 def limits_from_mapping(content: Mapping[str, Any], where: str = "limits") -> Limits:
     """Return the limits that limits.yaml's structure describes; BadFile, with the key, where they cannot be."""
+    with named(where):
+        _check_values(content)
     model = validated(LimitsModel, content, where)
     names = {field.name for field in dataclasses.fields(Limits)}
     given = {name: getattr(model, name) for name in names if getattr(model, name) is not None}
     with named(where):
+        _check_units(given)
         if model.joints is not None:
-            rows = [joint.model_dump(exclude_none=True) for joint in model.joints]
-            given["joints"] = tuple(JointLimit(**row) for row in rows)
+            given["joints"] = tuple(_joint(joint, k + 1) for k, joint in enumerate(model.joints))
         if model.workspace is not None:
-            given["workspace"] = _box(model.workspace)
+            given["workspace"] = _box(model.workspace, "workspace")
         if model.forbidden is not None:
-            given["forbidden"] = tuple(_box(box) for box in model.forbidden)
+            given["forbidden"] = tuple(_box(box, f"forbidden[{k}]") for k, box in enumerate(model.forbidden))
         return Limits(**given)
+
+
+def _check_units(given: Mapping[str, Any]) -> None:
+    """Raise Inconsistent for values that no arm has: they are in another unit, and would keep nothing."""
+    for key, plausible in PLAUSIBLE.items():
+        value = given.get(key)
+        if value is None or value <= plausible.most:
+            continue
+        unit, small = plausible.unit, plausible.small
+        like = f": it looks like {small}" if small else ""
+        raise Inconsistent(
+            " ".join(f"{key} is {value:g} {unit}".split()) + f", more than any arm needs ({plausible.most:g}){like}",
+            consequence="As it stands it would not keep what is meant, and nothing is moved",
+            cure=f"{value:g} {small} would be {key}: {value * plausible.one:.4g}" if small else f"Give {unit}",
+        )
+
+
+def _check_values(content: Any, key: str = "") -> None:
+    """Raise Inconsistent for a key without a value: what was to stand there would not be kept."""
+    parts = content.items() if isinstance(content, Mapping) else enumerate(content) if isinstance(content, list) else ()
+    for part, value in parts:
+        at = f"{key}[{part}]" if isinstance(part, int) else f"{key}.{part}" if key else str(part)
+        if value is None:
+            raise Inconsistent(
+                f"{at[:80]} has no value",
+                consequence="What should stand there would not be kept, and nothing is moved",
+                cure="Give one, or leave the key away for the default",
+            )
+        _check_values(value, at)
+
+
+def _joint(model: JointLimitModel, number: int) -> JointLimit:
+    with named(f"joint {number}"):
+        return JointLimit(**model.model_dump(exclude_none=True))
 
 
 def limits_mapping(limits: Limits) -> dict[str, Any]:
@@ -102,8 +183,20 @@ def write_limits(path: Path, limits: Limits, *, inputs: Sequence[Path] = ()) -> 
     write_document(path, LIMITS_FORMAT, limits_mapping(limits), inputs)
 
 
-def _box(model: BoxModel) -> Box:
-    return Box(lower_m=model.lower_m, upper_m=model.upper_m, name=model.name)  # type: ignore[arg-type]  # it copies
+def _box(model: BoxModel, key: str) -> Box:
+    """Return a box of the file; Inconsistent, with its key, where it is inside out or its corners are in mm."""
+    called = key if model.name == BoxModel.model_fields["name"].default else f"{key} {model.name}"
+    corners = [*model.lower_m, *model.upper_m]
+    furthest = max(corners, key=abs)
+    if abs(furthest) > MOST_M:
+        lower, upper = ([float(f"{v * MM:.4g}") for v in corner] for corner in (model.lower_m, model.upper_m))
+        raise Inconsistent(
+            f"{called}: a corner at {furthest:g} m is further away than any arm: it looks like mm",
+            consequence="As it stands it would limit nothing, and nothing is moved",
+            cure=f"Write m (from mm: lower_m: {lower}, upper_m: {upper}); an endless wall may be {MOST_M:g} m off",
+        )
+    with named(called):
+        return Box(lower_m=model.lower_m, upper_m=model.upper_m, name=model.name)  # type: ignore[arg-type]  # it copies
 
 
 def _box_mapping(box: Box) -> dict[str, Any]:

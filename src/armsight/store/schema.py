@@ -143,6 +143,8 @@ def _format_cure(content: Mapping[str, Any], format_: str) -> str:
     from armsight.store.foreign.format_detection import kind_of_mapping  # the foreign readers use this module
 
     kind = kind_of_mapping(content)
+    if kind is not None and kind.startswith("armsight/"):
+        return f"Give a file that begins with 'format: {format_}', not one of {kind}"
     if kind is not None:
         return f"This is a file of {kind}: convert it first with 'armsight convert'"
     return f"Give a file that begins with 'format: {format_}'"
@@ -178,6 +180,8 @@ def _told(model: type[BaseModel], detail: Any) -> str:
         return f"the key {key} is missing"
     if kind == "finite_number":
         return f"{key} is {value}, which is not a finite number"
+    if detail["loc"] == ("version",):
+        return f"version {_short(value)} is not known here, this armsight reads version 1"
     message = str(detail["msg"])
     shown = "" if isinstance(value, dict | list) else f", not {_short(value)}"
     return f"{key}: {message[:1].lower() + message[1:]}{shown}"

@@ -214,10 +214,10 @@ KEYS: dict[type[Output], tuple[str, str]] = {
     paths.RefusedPickOutput: ("pick u_px v_px kind why", ""),
     OUTPUTS["robot-test"]: ("driver cycle_s n_cycles late missed period_ms silence_ms q state", ""),
     robot.PeriodOutput: ("median p99 max", ""),
-    OUTPUTS["robot-jog"]: ("asked sent reached limited state", ""),
+    OUTPUTS["robot-jog"]: ("asked sent reached limited outside state", ""),
     OUTPUTS["servo"]: (
-        "state n_cycles late missed stopped_by n_frames n_ok n_position_only n_lost gain delay error followed holds "
-        "vision_ms recording",
+        "state n_cycles late missed stopped_by n_frames n_ok n_position_only n_lost gain delay error followed "
+        "outside holds vision_ms recording",
         "",
     ),
     OUTPUTS["teach"]: (
@@ -227,7 +227,7 @@ KEYS: dict[type[Output], tuple[str, str]] = {
     ),
     OUTPUTS["play"]: (
         "state n_cycles late missed stopped_by finished share length_m planned_s took_s slowest rounded_m measured "
-        "holds recording",
+        "outside holds recording",
         "",
     ),
     play.PlayMeasuredOutput: ("n rms_m max_m last_m mean_m arm_lag_s n_position_only n_lost", ""),

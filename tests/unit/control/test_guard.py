@@ -190,6 +190,13 @@ def test_from_beyond_a_limit_it_may_only_come_back() -> None:
     assert bench.run(JointGoal(q=HOME), 20).state is GuardState.HOLDING  # and not in again
 
 
+def test_outside_it_does_not_move_along_the_limit() -> None:
+    bench = Bench(Limits(joints=(JointLimit(lower=HOME[0] + 0.2), *(JointLimit(),) * 5)))
+    decision = bench.run(JointVelocity(qd=0.1 * LAST), 5)
+    assert decision.state is GuardState.HOLDING and "range of joint 1 (lower) by 0.2" in decision.why
+    assert np.array_equal(bench.q[-1], HOME)
+
+
 def test_goals_beyond_a_joints_range_are_not_begun() -> None:
     bench = Bench(Limits(joints=tuple(JointLimit(lower=q - 0.2, upper=q + 0.2) for q in HOME)))
     decision = bench.run(JointGoal(q=HOME + 0.3), 10)
@@ -229,5 +236,132 @@ def test_limits_that_cannot_be_are_refused() -> None:
 
 
 def test_limits_narrow_the_arms_own_and_never_widen_them() -> None:
-    wide = joint_bounds(ARM, Limits(joints=tuple(JointLimit(lower=-99.0, upper=99.0) for _ in HOME)))
+    wide = joint_bounds(ARM, Limits(joints=tuple(JointLimit(lower=-9.0, upper=9.0) for _ in HOME)))
     assert (wide.lower >= ARM.lower).all() and (wide.upper <= ARM.upper).all()
+
+
+LAST = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+"""The joint that turns the tool about itself: its motion is the tool's turning."""
+
+
+@pytest.mark.parametrize(
+    ("limits", "order", "most"),
+    [
+        (Limits(turn_rad_s=0.2), 1, 0.2),
+        (Limits(turn_acceleration_rad_s2=1.0), 2, 1.0),
+        (Limits(turn_jerk_rad_s3=20.0), 3, 20.0),
+        (Limits(joints=(*(JointLimit(),) * 5, JointLimit(speed=0.2))), 1, 0.2),
+        (Limits(joints=(*(JointLimit(),) * 5, JointLimit(acceleration=1.0))), 2, 1.0),
+        (Limits(joints=(*(JointLimit(),) * 5, JointLimit(jerk=20.0))), 3, 20.0),
+    ],
+)
+def test_turning_keeps_each_limit_and_uses_it(limits: Limits, order: int, most: float) -> None:
+    bench = Bench(limits)
+    bench.run(JointVelocity(qd=0.9 * LAST), 120)
+    found = np.abs(np.diff(np.array(bench.q)[:, 5], order)).max() / CYCLE_S**order
+    assert 0.5 * most < found <= most * (1.0 + 1e-9)
+
+
+@pytest.mark.parametrize("margin_m", [0.0, 0.02])
+@pytest.mark.parametrize("inside", [True, False], ids=["workspace", "forbidden box"])
+def test_the_tool_stops_its_margin_before_a_wall(margin_m: float, inside: bool) -> None:
+    at = ARM.fk(HOME)[:3, 3]
+    wall = at + np.array([2.0, 0.05, 2.0])
+    if inside:
+        limits = Limits(workspace=Box(lower_m=at - 2.0, upper_m=wall), margin_m=margin_m)
+    else:
+        box = Box(lower_m=at + np.array([-2.0, 0.05, -2.0]), upper_m=at + 2.0)
+        limits = Limits(forbidden=(box,), margin_m=margin_m)
+    bench = Bench(limits)
+    last = bench.run(ToolTwist(velocity_m_s=[0.0, 0.05, 0.0], angular_rad_s=np.zeros(3)), 300)
+    y = bench.tool()[:, 1, 3] - at[1]
+    assert 0.05 - margin_m - 2e-3 < y.max() <= 0.05 - margin_m + 1e-9
+    assert last.state is GuardState.HOLDING
+
+
+def test_the_flange_keeps_the_walls_as_the_tool_does() -> None:
+    arm = dataclasses.replace(ARM, T_flange_tool=RigidTransform.from_translation([0.0, 0.3, 0.0]))
+    T = RigidTransform.from_matrix(arm.fk(HOME))
+    flange = (T * arm.T_flange_tool.inv()).translation
+    way = np.sign(flange - T.translation) * np.eye(3)[np.argmax(np.abs(flange - T.translation))]
+    face = float(way @ flange) + 0.03  # which the flange meets before the tool
+    lower, upper = np.minimum(flange, T.translation) - 1.0, np.maximum(flange, T.translation) + 1.0
+    axis = int(np.argmax(np.abs(way)))
+    (upper if way[axis] > 0 else lower)[axis] = face * way[axis]
+    bench = Bench(Limits(workspace=Box(lower_m=lower, upper_m=upper)), arm=arm)
+    last = bench.run(ToolTwist(velocity_m_s=0.05 * way, angular_rad_s=np.zeros(3)), 300)
+    poses = [RigidTransform.from_matrix(arm.fk(q)) * arm.T_flange_tool.inv() for q in bench.q]
+    assert max(float(way @ pose.translation) for pose in poses) <= face - 0.005 + 1e-9
+    assert "flange" in last.why
+
+
+def test_motion_in_space_keeps_its_distance_to_singularities() -> None:
+    bench = Bench(Limits(singularity=0.1))
+    outwards = ARM.fk(HOME)[:3, 3] * [1.0, 1.0, 0.0]
+    velocity = 0.09 * outwards / np.linalg.norm(outwards)
+    last = bench.run(ToolTwist(velocity_m_s=velocity, angular_rad_s=np.zeros(3)), 1500)
+    J = np.array([ARM.jacobian(q) for q in bench.q])
+    J[:, :3] /= ARM.length_m
+    assert np.linalg.svd(J, compute_uv=False)[:, -1].min() >= 0.1 - 1e-9
+    assert last.state is GuardState.HOLDING and "singularity" in last.why
+
+
+@pytest.mark.parametrize(
+    ("inputs", "state", "word"),
+    [
+        ({"enabled": False}, GuardState.DISABLED, "enable"),
+        ({"target": TargetState.LOST}, GuardState.HOLDING, "lost"),
+        ({"target": TargetState.JUMPED}, GuardState.HOLDING, "jumped"),
+        ({"target": TargetState.FRESH, "target_age_s": 0.2}, GuardState.HOLDING, "stale"),
+        ({"late_s": 0.6 * CYCLE_S}, GuardState.HOLDING, "late"),
+        ({"late_s": 0.6}, GuardState.STOPPED, "stood still"),
+        ({"stop": "enough"}, GuardState.STOPPED, "enough"),
+        ({"robot": RobotState.LOST}, GuardState.STOPPED, "lost"),
+    ],
+)
+def test_each_fault_leads_to_its_state_and_the_arm_comes_to_rest(inputs: dict, state: GuardState, word: str) -> None:
+    bench = Bench()
+    motion = JointVelocity(qd=np.full(6, 0.05))
+    assert bench.run(motion, 20).state is GuardState.RUNNING
+    decision = bench.cycle(motion, **inputs)
+    assert decision.state is state and word in decision.why
+    assert bench.run(motion, 60, **inputs).at_rest
+
+
+def test_motion_goes_on_after_five_cycles_in_time() -> None:
+    bench = Bench()
+    motion = JointVelocity(qd=np.full(6, 0.05))
+    bench.cycle(motion, late_s=0.6 * CYCLE_S)
+    states = [bench.cycle(motion).state for _ in range(5)]
+    assert states == [GuardState.HOLDING] * 4 + [GuardState.RUNNING]
+
+
+def test_readings_that_stay_away_hold_and_then_stop() -> None:
+    guard = Guard(ARM, Limits(), CYCLE_S)
+    guard.begin(HOME, 0.0)
+    states = [guard.step(Hold(), None, Inputs(now_s=k * CYCLE_S, enabled=True)).state for k in range(1, 70)]
+    assert [states[k] for k in (2, 3, 61, 62)] == [
+        GuardState.RUNNING,
+        GuardState.HOLDING,
+        GuardState.HOLDING,
+        GuardState.STOPPED,
+    ]
+
+
+def test_a_robot_that_is_elsewhere_than_sent_is_stopped() -> None:
+    bench = Bench()
+    bench.q[-1] = HOME + 0.03
+    decision = bench.cycle(Hold())
+    assert decision.state is GuardState.STOPPED and "not where it was sent" in decision.why
+
+
+@pytest.mark.parametrize(
+    "wanted",
+    [
+        JointGoal(q=HOME[:5]),
+        JointVelocity(qd=np.zeros(7)),
+        ToolPose(T_base_tool=RigidTransform.from_translation([math.nan, 0.0, 0.0])),
+    ],
+)
+def test_a_set_point_of_another_arm_or_without_numbers_is_a_stop(wanted: SetPoint) -> None:
+    assert Bench().cycle(wanted).state is GuardState.STOPPED

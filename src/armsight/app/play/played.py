@@ -116,6 +116,7 @@ def play_output(
     watch: PlayWatch | None,
     counts: Mapping[PoseStatus, int] | None,
     recording: str,
+    outside: str,
 ) -> PlayOutput:
     """Return the figures of a path that ended."""
     plan = source.plan
@@ -133,6 +134,7 @@ def play_output(
         slowest=plan.slowest,
         rounded_m=plan.rounded_m,
         measured=None if watch is None or counts is None else _measured(watch, counts),
+        outside=outside,
         holds=tally.holds,
         recording=recording,
     )

@@ -14,7 +14,7 @@ from armsight.app.play.job import PlayJob, check, load_plan, tipped_guard
 from armsight.app.play.played import PlayedSource, PlayTally, Show, play_output
 from armsight.app.robot.beside import run_beside
 from armsight.app.robot.driver_settings import driver_settings
-from armsight.app.robot.guarding import arm_of, guard_for
+from armsight.app.robot.guarding import arm_of, beside_outside, guard_for, noted, standing, standing_outside
 from armsight.app.robot.opening import open_robot
 from armsight.app.robot.recorder import LoopRecorder
 from armsight.app.schemas.play import PlayOutput
@@ -56,9 +56,11 @@ class PlaySession:
         with ExitStack() as stack:
             robot = stack.enter_context(self._robot)
             check_arm(robot, guard.arm)
-            plan = load_plan(job, guard.arm, guard.limits, standing(robot, guard.arm.n))
+            outside = standing_outside(guard, robot)
+            with beside_outside(outside):
+                plan = load_plan(job, guard.arm, guard.limits, standing(robot, guard.arm.n))
             source = PathSource(plan, override=job.override)
-            if not confirm(question(robot, guard, plan, self._eyes is not None)):
+            if not confirm(question(robot, guard, plan, self._eyes is not None) + noted(outside)):
                 raise Cancelled("not confirmed", consequence="Nothing was moved", cure="Give --yes to move unasked")
             recorder = stack.enter_context(LoopRecorder(job.out / RECORDING, self._clock))
             self._watch = self._watching(stack, recorder.sink)
@@ -77,7 +79,7 @@ class PlaySession:
         if failed is not None:
             raise failed
         counts = None if self._eyes is None else self._eyes.counts()
-        return play_output(tally, timing, source, self._watch, counts, str(job.out / RECORDING))
+        return play_output(tally, timing, source, self._watch, counts, str(job.out / RECORDING), outside)
 
     def _watching(self, stack: ExitStack, sink: QueueSink) -> PlayWatch | None:
         """Open the cameras, and return what compares; None without any."""
@@ -171,13 +173,6 @@ def run_play(
     done = session.run(confirm, show, progress, begun, enabled)
     done.write(job.out / SUMMARY)
     return done
-
-
-def standing(robot: Robot, n: int) -> Array:
-    """Return the readings (n,) at which an open robot was last told to stand; by its own where it takes only poses."""
-    if not getattr(robot, "takes_joints", True):
-        return robot.read().q
-    return robot.step_joints(np.zeros(n)).q
 
 
 def question(robot: Robot, guard: Guard, plan: PathPlan, watched: bool) -> str:

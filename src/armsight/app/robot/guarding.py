@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from armsight.control.guard import Guard, Limits
+from armsight.control.guard.fit import check_fit
+from armsight.control.guard.space import Space
 from armsight.drivers import Robot
 from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics import Arm, Joint
 from armsight.store.arm_file import arm_from_mapping, read_arm
-from armsight.store.interpret import limits_look_like_degrees
 from armsight.store.limits_file import read_limits
+
+Array = NDArray[np.float64]
 
 BLIND_TURN_RAD_S = 0.1
 """Where the arm's lengths are not known, all joints together turn no faster: 0.1 m/s at one metre."""
@@ -53,19 +61,54 @@ def guard_for(robot: Robot, arm: Path | None = None, limits: Path | None = None,
             consequence="Nothing is moved",
             cure="Give the arm of this robot (--arm)",
         )
-    _check_degrees(known, kept, limits)
-    return Guard(known, kept.slowed(share), robot.cycle_s)
+    with _of_file(limits):
+        check_fit(known, kept)  # before a share of a speed in degrees looks like one in radians
+        return Guard(known, kept.slowed(share), robot.cycle_s)
 
 
-def _check_degrees(arm: Arm, limits: Limits, file: Path | None) -> None:
-    """Raise Inconsistent where the limits of revolute joints are degrees: they would keep the arm within nothing."""
-    for k, (joint, revolute) in enumerate(zip(limits.joints, arm.revolute, strict=False)):
-        if revolute and limits_look_like_degrees([joint.lower, joint.upper]):
-            raise Inconsistent(
-                f"{file}: joint {k + 1}: the limits {joint.lower:g} to {joint.upper:g} look like degrees",
-                consequence="Taken as radians they would limit nothing; nothing is moved",
-                cure="Write lower and upper in rad, or leave them out where the arm's own limits hold",
-            )
+@contextlib.contextmanager
+def _of_file(file: Path | None) -> Iterator[None]:
+    """Put the name of the limits' file before what is wrong with them."""
+    try:
+        yield
+    except (Inconsistent, UsageError) as error:
+        if file is None:
+            raise
+        raise type(error)(f"{file}: {error.cause}", consequence=error.consequence, cure=error.cure) from error
+
+
+def standing(robot: Robot, n: int) -> Array:
+    """Return the readings (n,) at which an open robot was last told to stand; by its own where it takes only poses."""
+    if not getattr(robot, "takes_joints", True):
+        return robot.read().q
+    return robot.step_joints(np.zeros(n)).q
+
+
+def standing_outside(guard: Guard, robot: Robot) -> str:
+    """Return which limits an open robot stands outside of, by how much and what is then followed; empty within.
+
+    For whoever is asked whether it may move, and for the result: the guard tells it in the recording alone.
+    """
+    n = guard.arm.n
+    q, still = standing(robot, n), np.zeros(n)
+    told = Space(guard.arm, guard.limits, guard.bounds).at(q, still, still, in_space=False).told()
+    return f"the arm stands {told}" if told else ""
+
+
+def noted(outside: str) -> str:
+    """Return what is added to the question before a motion of an arm that stands outside its limits."""
+    return f" Note: {outside}." if outside else ""
+
+
+@contextlib.contextmanager
+def beside_outside(outside: str) -> Iterator[None]:
+    """Tell, with why a way is refused, that the arm stands outside its limits already."""
+    try:
+        yield
+    except Inconsistent as error:
+        if not outside or outside in error.cause:
+            raise
+        raise Inconsistent(f"{error.cause}; {outside}", consequence=error.consequence, cure=error.cure) from error
 
 
 def arm_of(robot: Robot, arm: Path | None) -> Arm | None:

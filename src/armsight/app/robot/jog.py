@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from armsight.app.robot.beside import run_beside
 from armsight.app.robot.driver_settings import driver_settings
-from armsight.app.robot.guarding import guard_for
+from armsight.app.robot.guarding import beside_outside, guard_for, noted, standing_outside
 from armsight.app.robot.opening import open_robot
 from armsight.app.robot.recorder import LoopRecorder
 from armsight.app.schemas.robot import JogOutput
@@ -89,29 +89,30 @@ def jog_robot(
     robot = opened or open_robot(job.robot, clock, settings)
     guard = _checked(job, robot)
     with robot:
-        start = robot.read().q
+        start, outside = robot.read().q, standing_outside(guard, robot)
         j = job.joint - 1
         goal = start + job.by * (np.arange(len(start)) == j)
-        _check_range(job, guard, float(goal[j]))
-        if not confirm(question(job, robot, guard, float(start[j]))):
+        _check_range(job, guard, float(start[j]), outside)
+        if not confirm(question(job, robot, guard, float(start[j])) + noted(outside)):
             raise Cancelled("not confirmed", consequence="Nothing was moved", cure="Give --yes to move without asking")
         with recording(job.record, clock) as sink:
-            told = progress  # its cancelled() is the operator's enable: Ctrl-C lets go
             source, watcher = GoalSource(goal, "jog"), _Watcher(robot.cycle_s)
-            loop = ControlLoop(robot, guard, source, clock, enabled=lambda: not told.cancelled(), sink=sink)
+            loop = ControlLoop(robot, guard, source, clock, enabled=lambda: not progress.cancelled(), sink=sink)
 
             def tell() -> None:
                 if loop.status is not None:
-                    told.update(100.0 * abs(float(loop.status.q_sent[j] - start[j]) / job.by), 100.0)
+                    progress.update(100.0 * abs(float(loop.status.q_sent[j] - start[j]) / job.by), 100.0)
 
             run_beside(lambda: loop.run(until=watcher), tell)
-        _check_end(loop.status, robot)
+        with beside_outside(outside):
+            _check_end(loop.status, robot)
         sent = start if loop.status is None else loop.status.q_sent
         return JogOutput(
             asked=job.by,
             sent=sent.tolist(),
             reached=robot.read().q.tolist(),
             limited=watcher.limited,
+            outside=outside,
             state=robot.state.value,
         )
 
@@ -164,14 +165,20 @@ def _check_degrees(job: JogJob, guard: Guard) -> None:
         )
 
 
-def _check_range(job: JogJob, guard: Guard, goal: float) -> None:
-    j = job.joint - 1
+def _check_range(job: JogJob, guard: Guard, start: float, outside: str) -> None:
+    """Raise Inconsistent for a goal beyond the joint's range, unless the way there leads back towards it."""
+    j, goal = job.joint - 1, start + job.by
     low, high = float(guard.bounds.lower[j]), float(guard.bounds.upper[j])
-    if not low <= goal <= high:
+    beyond, before = (max(low - q, q - high) for q in (goal, start))
+    if beyond > 0.0 and not beyond < before:
+        way = low - start if start < low else high - start
         raise Inconsistent(
-            f"joint {job.joint} would go to {goal:.4g}, its limits are {low:.4g} to {high:.4g} rad or m",
+            f"joint {job.joint} would go to {goal:.4g}, its limits are {low:.4g} to {high:.4g} rad or m"
+            + (f"; {outside}" if outside else ""),
             consequence="Nothing was moved",
-            cure="Ask for a shorter way (--by)",
+            cure=f"Go back within them (--by {way:.4g} and more), or take the limits of where it stands"
+            if before > 0.0
+            else "Ask for a shorter way (--by)",
         )
 
 

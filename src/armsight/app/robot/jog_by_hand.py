@@ -10,7 +10,7 @@ from pathlib import Path
 
 from armsight.app.robot.beside import run_beside
 from armsight.app.robot.driver_settings import driver_settings
-from armsight.app.robot.guarding import arm_of, guard_for
+from armsight.app.robot.guarding import arm_of, guard_for, noted, standing_outside
 from armsight.app.robot.jog import SETTLE_S, recording
 from armsight.app.robot.opening import open_robot
 from armsight.app.schemas.robot import JogOutput
@@ -69,7 +69,8 @@ def jog_by_hand(
     source = JogSource(robot.n_joints, job.frame, speed_m_s=guard.limits.speed_m_s)
     axes = robot.n_joints if source.frame is JogFrame.JOINTS else 6
     with robot, inputs(job.by, axes) as hand:
-        if not confirm(_question(robot, guard, source.frame, hand)):
+        outside = standing_outside(guard, robot)
+        if not confirm(_question(robot, guard, source.frame, hand) + noted(outside)):
             raise Cancelled("not confirmed", consequence="Nothing was moved", cure="Give --yes to move without asking")
         enable = Enable(clock)
         with recording(job.record, clock) as sink:
@@ -80,6 +81,7 @@ def jog_by_hand(
             sent=([] if loop.status is None else loop.status.q_sent.tolist()),
             reached=robot.read().q.tolist(),
             limited=limited,
+            outside=outside,
             state=robot.state.value,
         )
 

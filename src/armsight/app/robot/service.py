@@ -19,6 +19,9 @@ from armsight.records import JointReading
 EVENTS = 100
 """Events that wait for a client; of a client that is slower the oldest are dropped."""
 
+OUTSIDE = "the arm stands outside"
+"""How the guard begins what it tells of an arm that it took over beyond a limit."""
+
 WARNINGS_PER_S = 20.0
 BURST = 100.0
 """Warnings kept: more of them a second come from a flood, are counted, and must not fill the disk."""
@@ -69,6 +72,8 @@ class Service:
         """How many clients watch, by their addresses."""
         self.stop_port: int | None = None
         """Of the line for stops; None where there is none."""
+        self.outside = ""
+        """Which limits the arm stood outside of when the loop took it over, in words; empty within."""
         self._log = log
         self._subscriptions: set[Subscription] = set()
         self._warnings, self._left_out = TokenBucket(WARNINGS_PER_S, BURST, host.now_s()), 0
@@ -90,6 +95,8 @@ class Service:
         """Fetch what the loop did, keep it and tell it; to be called some times a second."""
         for record in self.host.records():
             if isinstance(record, LoopEvent):
+                if record.message.startswith(OUTSIDE):
+                    self.outside = record.message
                 self._keep(record.t_s, record.level, record.message)
             elif isinstance(record, LoopCommand):
                 self._log.command(record.t_s, "loop", record.kind, record.values)

@@ -36,5 +36,6 @@ class PlayOutput(Output):
     slowest: str = Field(description="Where the arm's limits slow the path most, and to what; empty: nowhere.")
     rounded_m: float = Field(description="How far rounding corners moved the path, at most, m.")
     measured: PlayMeasuredOutput | None = Field(description="What the cameras saw; null: none watched.")
+    outside: str = Field(description="Which limits the arm stood outside of at the start, by how much; empty: none.")
     holds: list[str] = Field(description="Why the arm held, each reason once.")
     recording: str = Field(description="The recording: set points, commands, readings, poses and events.")

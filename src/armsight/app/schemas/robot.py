@@ -36,4 +36,5 @@ class JogOutput(Output):
     sent: list[float] = Field(description="Where the robot was last told to go, rad or m.")
     reached: list[float] = Field(description="What it reads at rest, rad or m.")
     limited: list[str] = Field(description="The limits that slowed the motion, in words.")
+    outside: str = Field(description="Which limits the arm stood outside of at the start, by how much; empty: none.")
     state: str = Field(description="What the robot can do now: ready, moving or stopped.")

@@ -57,6 +57,7 @@ class ServoOutput(Output):
     delay: ServoDelayOutput = Field(description="The delays that were measured.")
     error: ServoErrorOutput = Field(description="How far the target was from where it is wanted.")
     followed: float = Field(description="Share of the cycles in which the target was followed, 0 to 1.")
+    outside: str = Field(description="Which limits the arm stood outside of at the start, by how much; empty: none.")
     holds: list[str] = Field(description="Why the arm held, each reason once.")
     vision_ms: ServoTimeOutput | None = Field(description="How long measuring took; null: no pair came.")
     recording: str = Field(description="The recording: set points, commands, readings, poses and events.")

@@ -111,7 +111,7 @@ class Tally:
 
 
 def servo_output(
-    tally: Tally, timing: Timing, vision: Vision, source: ServoSource, gain: Gain, recording: str
+    tally: Tally, timing: Timing, vision: Vision, source: ServoSource, gain: Gain, recording: str, outside: str
 ) -> ServoOutput:
     """Return the figures of a servo that ended."""
     took = np.array(vision.took_ms)
@@ -137,6 +137,7 @@ def servo_output(
         delay=ServoDelayOutput(camera_s=source.camera_delay_s, arm_s=source.arm_lag_s),
         error=tally.error,
         followed=tally.followed / max(tally.cycles, 1),
+        outside=outside,
         holds=tally.holds,
         vision_ms=ServoTimeOutput(median=float(np.median(took)), p99=float(np.percentile(took, 99)))
         if len(took)

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.robot.beside import run_beside
+from armsight.app.robot.guarding import noted, standing_outside
 from armsight.app.robot.recorder import LoopRecorder
 from armsight.app.schemas.servo import ServoOutput
 from armsight.app.servo.job import ServoDevices, ServoJob
@@ -67,7 +68,8 @@ class ServoSession:
             if self._beside is not None:
                 self._beside.begin(source, self._guard.arm, clock, recorder.sink)
                 vision.beside = self._beside.observe
-            if not confirm(question(robot, self._guard, gain, source)):
+            outside = standing_outside(self._guard, robot)
+            if not confirm(question(robot, self._guard, gain, source) + noted(outside)):
                 raise Cancelled("not confirmed", consequence="Nothing was moved", cure="Give --yes to move unasked")
             tally = Tally(source, progress.cancelled)
             loop = ControlLoop(
@@ -82,7 +84,7 @@ class ServoSession:
         failed = self._failed() or recorder.failed
         if failed is not None:
             raise failed
-        return servo_output(tally, timing, vision, source, gain, str(self._job.out / RECORDING))
+        return servo_output(tally, timing, vision, source, gain, str(self._job.out / RECORDING), outside)
 
     def _watch(self, stack: ExitStack, vision: Vision) -> None:
         """Open the cameras and take their pairs: as the simulated clock moves, or in a thread."""

@@ -82,3 +82,11 @@ def depths(T, J, q, qd, qdd, dt, base, offset, joints, most, boxes, margin, outs
                     inside = min(inside, points[i, p, r] - boxes[b, r], boxes[b, 3 + r] - points[i, p, r])
                 keep = margin if outside[entry] else margin + way
                 out[walls + entry] = max(out[walls + entry], keep + inside)
+
+
+@fast_kernel
+def depths_each(T, J, q, qd, qdd, base, offset, joints, most, boxes, margin, outside, out):
+    """Fill out (m, ...) with the depths at each of m places by itself; the rest as depths has it."""
+    for i in range(len(q)):
+        at = slice(i, i + 1)
+        depths(T[at], J[at], q[at], qd[at], qdd[at], 0.0, base, offset, joints, most, boxes, margin, outside, out[i])

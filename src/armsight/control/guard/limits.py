@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.errors import Inconsistent, UsageError
+from armsight.control.guard.fit import check_fit
+from armsight.errors import Inconsistent
 from armsight.kinematics import Arm
 from armsight.records import frozen_array
 from armsight.units import DEG
@@ -41,9 +42,10 @@ class Box:
         for key in ("lower_m", "upper_m"):
             object.__setattr__(self, key, frozen_array(key, getattr(self, key), (3,)))
         if not (self.lower_m < self.upper_m).all():
+            axes = ", ".join(axis for axis, kept in zip("xyz", self.lower_m < self.upper_m, strict=True) if not kept)
             raise Inconsistent(
                 f"{self.name}: its lower corner {self.lower_m.tolist()} is not below its upper one "
-                f"{self.upper_m.tolist()}",
+                f"{self.upper_m.tolist()} in {axes}",
                 consequence="The box holds no space",
                 cure="Give the smaller value of each axis as lower_m",
             )
@@ -180,26 +182,15 @@ class JointBounds:
 def joint_bounds(arm: Arm, limits: Limits) -> JointBounds:
     """Return what limits and the arm's file say of each joint, the narrower of both.
 
-    Raises UsageError where the limits are those of another number of joints, Inconsistent where nothing is left.
+    Raises UsageError where the limits are those of another number of joints, Inconsistent where they cannot be those of
+    this arm, or leave it no place.
     """
+    check_fit(arm, limits)
     rows = limits.joints or (JointLimit(),) * arm.n
-    if len(rows) != arm.n or (limits.retreat is not None and len(limits.retreat) != arm.n):
-        given = len(rows) if len(rows) != arm.n or limits.retreat is None else len(limits.retreat)
-        raise UsageError(
-            f"the limits are those of {given} joints, {arm.name} has {arm.n}",
-            consequence="The robot is not moved",
-            cure="Take the limits of this arm",
-        )
     turns = arm.revolute
     lower, upper = (np.array([getattr(row, key) for row in rows]) for key in ("lower", "upper"))
     if not arm.couplings:  # with couplings the arm's own limits are those of other numbers, and are kept beside these
         lower, upper = np.maximum(lower, arm.lower), np.minimum(upper, arm.upper)
-    if not (lower < upper).all():
-        raise Inconsistent(
-            f"joint {int(np.argmin(lower < upper)) + 1}: limits and arm leave no way to go",
-            consequence="The robot is not moved",
-            cure="Compare the limits with the arm's file",
-        )
     fastest = np.array([math.inf if joint.max_speed is None else joint.max_speed for joint in arm.joints])
     speed = _of(rows, "speed", np.minimum(np.where(turns, JOINT_SPEED, SLIDE_SPEED_M_S), fastest))
     return JointBounds(

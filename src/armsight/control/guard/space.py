@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from armsight.control.guard.kernels import FACES, TOOL, depths
+from armsight.control.guard.kernels import FACES, TOOL, depths, depths_each
 from armsight.control.guard.limits import Box, JointBounds, Limits
 from armsight.kinematics import Arm, fk_jacobian
 
@@ -23,6 +23,8 @@ KEPT_BACK = 0.99
 """Share of the limits of the tool that is checked for: the real arm differs from its model by parts in a thousand."""
 HAIR = 1e-9
 """What is worse by less than this (m, rad, m/s) than it was is not worse: rounding."""
+ROUNDING = 1e-12
+"""Share of its trace by which J J^T is known worse than it is computed."""
 OUTSIDE = 1e-6
 """Who is beyond a limit by less than this (m, rad) stands at it: where motion has ended within rounding and HAIR."""
 LESS, LESS_SHARE = 1e-12, 0.02
@@ -89,8 +91,16 @@ class Breach:
 
     def told(self) -> str:
         """Return where it stands outside and the way back, in words; empty inside."""
-        found = ", ".join(f"{self.limits.names[i]} by {self.end[i]:.3g}" for i in np.flatnonzero(self.outside()))
+        found = ", ".join(
+            f"{self.limits.names[i]} by {self.end[i]:.3g} (way back: {_way_back(self.limits.names[i])})"
+            for i in np.flatnonzero(self.outside())
+        )
         return f"outside its limits (rad, m): {found}; only motion back towards them is followed" if found else ""
+
+
+def _way_back(name: str) -> str:
+    """Return in which direction a limit of place is kept again."""
+    return "+" if "(lower" in name else "-" if "(upper" in name else "out of it"
 
 
 class Space:
@@ -110,10 +120,22 @@ class Space:
         spaces = (limits.workspace or EVERYWHERE, *limits.forbidden)
         self._boxes = np.array([[*box.lower_m, *box.upper_m] for box in spaces])
         self._kept = np.zeros(2 * FACES + 2 * len(limits.forbidden), dtype=bool)
+        self._constants = (
+            self._T_base_world,
+            self._flange,
+            self._joints,
+            self._most,
+            self._boxes,
+            limits.margin_m,
+        )
         self._walls = TOOL + 3 * arm.n
         self.rows = 6 if arm.n >= 6 else 3
         """How many rows of a Jacobian motion in space uses: three where joints are too few to turn the tool."""
         self.names = self._named(spaces[0].name)
+        still = np.zeros((1, arm.n))
+        T, J = fk_jacobian(arm, still, all_cores=False)
+        out = np.empty((1, self._walls + len(self._kept)))
+        depths_each(T, J, still, still, still, *self._constants, self._kept, out)  # compiled before a cycle needs it
 
     def _named(self, workspace: str) -> LimitNames:
         """Return the names of all limits, in the kernel's order, then those of coupled values, then singularities."""
@@ -165,8 +187,31 @@ class Space:
         end = found
         if before is not None and before.outside().any():
             end = self._on_the_way_back(T, J, (q, qd, qdd), values, before, found)
-        found[-1] = self._limits.singularity - self.singularity(J) if in_space else -np.inf
+        if in_space and not self._beyond(found, before):
+            found[-1] = self._singular(J)
         return Breach(self.names, found, end), self._in_base(q[0], T[0], J[0])
+
+    def _beyond(self, found: Array, before: Breach | None) -> bool:
+        """Tell whether a limit of place is broken more than before: then singularities need not be looked for."""
+        if before is None:
+            return False
+        return bool((self.names.of_place & (found > np.maximum(before.depths, 0.0) + HAIR)).any())
+
+    def _singular(self, J: Array) -> float:
+        """Return by how much the distance to singularities is too small over Jacobians (m, 6, n); 0 where it is not.
+
+        Where J J^T less the square of the limit is positive definite at each, none is near: a fifth of the time of the
+        singular values, which are needed only where one is.
+        """
+        least = self._limits.singularity
+        scaled = self.scaled(J)
+        square = scaled @ np.swapaxes(scaled, -1, -2)
+        more = least**2 + ROUNDING * np.trace(square, axis1=-2, axis2=-1)[:, None, None]
+        try:
+            np.linalg.cholesky(square - more * np.eye(self.rows))
+        except np.linalg.LinAlgError:
+            return least - self.singularity(J)
+        return 0.0
 
     def _on_the_way_back(
         self, T: Array, J: Array, motion: tuple[Array, ...], values: Array, before: Breach, found: Array
@@ -176,15 +221,14 @@ class Space:
         The largest depth alone would let it come nearer and go out again.
         """
         out, kept = before.outside(), before.depths[self._walls : self._walls + len(self._kept)] > 0.0
-        least, end = before.depths.copy(), before.depths
-        for i in range(len(values)):
-            at = slice(i, i + 1)
-            parts = tuple(part[at] for part in motion)
-            end = self._depths(T[at], J[at], parts, 0.0, values[at], kept)
-            grown = out & (end > np.maximum(least, 0.0) + HAIR)
-            found[grown] = np.inf
-            least = np.minimum(least, end)
-        return end
+        each = np.full((len(values), len(found)), -np.inf)
+        n = self._walls + len(kept)
+        depths_each(T, J, *motion, *self._constants, kept, each[:, :n])
+        if self._gearing is not None:
+            each[:, n:-1] = np.hstack([self.arm.lower - values, values - self.arm.upper])
+        least = np.minimum.accumulate(np.vstack([before.depths, each[:-1]]))
+        found[(out & (each > np.maximum(least, 0.0) + HAIR)).any(axis=0)] = np.inf
+        return np.asarray(each[-1])
 
     def _depths(
         self,
@@ -198,20 +242,7 @@ class Space:
         """Return the depths of all limits, that of singularities left at none."""
         found = np.full(len(self.names.names), -np.inf)
         n = self._walls + len(kept)
-        depths(
-            T,
-            J,
-            *motion,
-            dt_s,
-            self._T_base_world,
-            self._flange,
-            self._joints,
-            self._most,
-            self._boxes,
-            self._limits.margin_m,
-            kept,
-            found[:n],
-        )
+        depths(T, J, *motion, dt_s, *self._constants, kept, found[:n])
         if self._gearing is not None:
             found[n:-1] = np.concatenate([(self.arm.lower - values).max(axis=0), (values - self.arm.upper).max(axis=0)])
         return found
