@@ -78,8 +78,10 @@ def serve(
             return
         kept = log or default_log()
 
-        def ready(url: str) -> None:
+        def ready(url: str, outside: str) -> None:
             face.say(f"{robot} is served at {url}; what happens is kept in {kept}. Ctrl-C ends it.")
+            if outside:
+                face.say(f"Note: {outside}.")
             if tokens is None:
                 face.say("Without --tokens everyone on this machine may drive.")
             face.say("This is no safety function: the emergency stop stands beside it.")

@@ -25,10 +25,12 @@ def serve_robot(
     *,
     limits: Path | None = None,
     rsi_config: Path | None = None,
-    ready: Callable[[str], None],
+    ready: Callable[[str, str], None],
     cancelled: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Serve DRIVER:DEVICE until SIGINT or SIGTERM; ready is called with the address once all is there.
+    """Serve DRIVER:DEVICE until SIGINT or SIGTERM; ready is called once all is there.
+
+    It is told the address, and which limits the arm stands outside of, in words; nothing within.
 
     arm: its file or a preset's name. limits: limits.yaml of the guard. rsi_config: of an rsi link. Raises what
     check_options, arm_model, the driver and the disk refuse.
@@ -46,6 +48,7 @@ def serve_robot(
             raise Cancelled("stopped before the robot was served")
         service = Service(host, kept)
         service.desk.note("info", f"{robot} is served")
-        serve(service, options, ready=ready)
+        service.pump()  # what the loop told as it took the arm over
+        serve(service, options, ready=lambda url: ready(url, service.outside))
         service.desk.note("info", "the server ends")
         service.pump()

@@ -2,6 +2,7 @@
 
 Corrections are absolute, from where RSI was started, and hold until another comes. An answer that does not carry the
 cycle's IPOC within the cycle is late; after so many late ones the controller ends RSI, and its program starts it again.
+So it does where a correction asks an axis for more than its largest speed.
 """
 
 from __future__ import annotations
@@ -153,11 +154,15 @@ class RsiController:
         if self._asked and self._connected and not answered:
             self.counts.late += 1
             if self.counts.late >= self.late_limit:
-                self.counts.ended += 1
-                self._servo.halt()
-                self._pause = PAUSE_CYCLES
-                self._asked = False
+                self._end()
         self._connected = self._connected or answered
+
+    def _end(self) -> None:
+        """End RSI; the arm stays where it is."""
+        self.counts.ended += 1
+        self._servo.halt()
+        self._pause = PAUSE_CYCLES
+        self._asked = False
 
     def _take(self, data: bytes) -> bool:
         """Take one answer; tell whether it was one to this cycle."""
@@ -168,6 +173,9 @@ class RsiController:
             return False
         if ipoc != self._ipoc:
             self.counts.mismatched += 1
+            return False
+        if (np.abs(goal - self._servo.goal) > 1.001 * self._drive.max_speed * self._drive.cycle_s).any():
+            self._end()
             return False
         self.counts.taken += 1
         self._servo.command(self._servo.t_s, goal)
