@@ -421,5 +421,6 @@ def test_a_reading_where_the_arm_cannot_be_is_refused() -> None:
     with pair.robot as robot:
         pair.advance(CYCLE_S)
         pair.twin._servo = type(pair.twin._servo)(pair.twin._drive, HOME + 1.0, pair.twin._servo.t_s, keep=1000)
+        pair.twin._start = HOME + 1.0
         pair.advance(2 * CYCLE_S)
         assert robot.counts.refused == 2
