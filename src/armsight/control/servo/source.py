@@ -75,7 +75,7 @@ class ServoSettings:
     turning: Turning = Turning.ALIGN
     resume_m: float = 0.02
     resume_rad: float = 5.0 * DEG
-    chase_m: float = 0.02
+    chase_m: float = 0.01
 
     def with_gain(self, gain: float) -> ServoSettings:
         """Return the same with one gain for place and rotation, in 1/s."""
@@ -185,7 +185,7 @@ class ServoSource:
         whole = pose.status is PoseStatus.OK
         before = self._track.now
         if on_flange and whole:
-            self._reaction.see(T_base_flange, T_rig_target, self.error)
+            self._reaction.see(T_base_rig, T_rig_target, np.sqrt(np.diag(covariance)[:3]), self.error)
         if whole:
             turned = np.zeros((6, 6))
             turned[:3, :3] = turned[3:, 3:] = R
@@ -196,7 +196,8 @@ class ServoSource:
                 return
             self._track.add_position(exposed_s, T_base_target[:3, 3], R @ covariance @ R.T, centre_m)
         now = self._track.now
-        if before is not None and now is not None and now.jumped and not before.jumped:
+        jumps = before is not None and now is not None and now.jumped and not before.jumped
+        if jumps and self._before_jump is None:  # a second jump, near where the first led, is none back
             self._before_jump = before
         if not self.settings.predict:
             self._seen = Seen(T_flange_target=inverse(T_base_flange) @ T_base_target, whole=whole)
@@ -283,11 +284,13 @@ class ServoSource:
         return True
 
     def _jump(self, tracked: Tracked) -> tuple[Array, Array]:
-        """Return the way (3,) in m and the rotation vector (3,) from where the target would be but for the jump."""
+        """Return the way (3,) in m and the rotation vector (3,) from where the target would have been but for the jump.
+
+        It is told where the new track begins: how a motion goes on is known for a moment only.
+        """
         if self._before_jump is None:
             return np.zeros(3), np.zeros(3)
-        t_s = tracked.seen_s
-        return pose_difference(tracked.at(t_s).T_base_target, self._before_jump.at(t_s).T_base_target)
+        return pose_difference(tracked.T_begun, self._before_jump.at(tracked.begun_s).T_base_target)
 
     def _keep(self, T_flange_target: Array, whole: bool) -> None:
         """Take the first rotation seen as the one wanted, where it is to be kept."""
