@@ -185,7 +185,7 @@ class ServoSource:
         whole = pose.status is PoseStatus.OK
         before = self._track.now
         if on_flange and whole:
-            self._reaction.see(T_base_rig, T_rig_target, np.sqrt(np.diag(covariance)[:3]), self.error)
+            self._reaction.see(T_base_rig, T_rig_target, np.sqrt(np.diag(covariance)))
         if whole:
             turned = np.zeros((6, 6))
             turned[:3, :3] = turned[3:, 3:] = R
