@@ -9,11 +9,11 @@ from armsight.control.guard.space import pose_difference
 
 Array = NDArray[np.float64]
 
-LIKELY = 6.0
-"""Standard deviations by which the scatter of a pose that stands may be above what its noise makes of it. A target that
-is followed well scatters by more: no honest run of 200 kept so calm for the camera's way of 10 mm."""
-FEW = 20.0
-"""Added to the scatter's limit: of a few poses it is not yet like a normal distribution."""
+LIKELY, FEW = 4.0, 8.0
+"""Standard deviations by which the scatter of a pose that stands may be above what its noise makes of it, and what is
+added to that: of few poses it is not yet like a normal distribution."""
+POSES = 5
+"""Of fewer poses the scatter tells nothing: two or three of a target that is followed at 0.2 m/s may agree."""
 TELLING = 10.0
 """The camera's motion tells once it would move a resting target before it by so many standard deviations of its pose."""
 STANDS = 3
@@ -39,7 +39,7 @@ class Reaction:
             self._n += 1
             self._mean = self._mean + before / self._n
             self._scatter += float(before @ (off - self._mean))
-        freedom = 6.0 * self._n
+        freedom = 6.0 * (self._n - 1)
         if not self._n or self._scatter > freedom + LIKELY * np.sqrt(2.0 * freedom) + FEW:
             self._n, self._mean, self._scatter = 1, np.zeros(6), 0.0
             self._T_base_since, self._T_since = T_base_rig, T_rig_target
@@ -48,7 +48,8 @@ class Reaction:
         told = np.concatenate(pose_difference(rested, self._T_since)) / sigma
         way_m = float(np.linalg.norm(T_base_rig[:3, 3] - self._T_base_since[:3, 3]))
         stands = self._same >= STANDS and way_m > STANDS_M
-        if stands or (way_m > self._chase_m and float(np.linalg.norm(told)) > TELLING):
+        told_by = self._n >= POSES and way_m > self._chase_m and float(np.linalg.norm(told)) > TELLING
+        if stands or told_by:
             self.missing = True
 
     def forget(self) -> None:

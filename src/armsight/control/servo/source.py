@@ -12,6 +12,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.control.guard import TargetState
 from armsight.control.guard.space import pose_difference
 from armsight.control.servo.delay import ArmLag, CameraDelay
+from armsight.control.servo.lateness import Lateness
 from armsight.control.servo.law import ServoError, cross, delay_cycles, servo_error, servo_twist, stability_gain
 from armsight.control.servo.reaction import Reaction
 from armsight.control.servo.target_track import LOST_S, TargetMotion, TargetTrack, Tracked
@@ -134,6 +135,7 @@ class ServoSource:
         self._unplaced = ""
         self._before_jump: Tracked | None = None
         self._reaction = Reaction(settings.chase_m)
+        self._lateness = Lateness()
         self.error: ServoError | None = None
 
     @property
@@ -186,6 +188,7 @@ class ServoSource:
         before = self._track.now
         if on_flange and whole:
             self._reaction.see(T_base_rig, T_rig_target, np.sqrt(np.diag(covariance)))
+            self._lateness.see(exposed_s, self._camera.period_s, T_base_rig, T_rig_target[:3, 3])
         if whole:
             turned = np.zeros((6, 6))
             turned[:3, :3] = turned[3:, 3:] = R
@@ -221,6 +224,7 @@ class ServoSource:
         if not now.enabled:  # who gives the enable anew has looked where the target is
             self._before_jump = None
             self._reaction.forget()
+            self._lateness.forget()
         tracked, why = self._track.now, self._why_not(now.t_s)
         if why or tracked is None:
             self.error = None
@@ -258,6 +262,9 @@ class ServoSource:
             return self._unplaced
         if self._reaction.missing:
             return f"the target stays in the picture as the camera moves: a picture that stands? {ANEW}"
+        if self._lateness.frames:
+            late_s = self._lateness.frames * self._camera.period_s
+            return f"the pictures are older than their times by about {late_s / MS:.0f} ms: {ANEW}"
         state, age_s = self.target(now_s)
         tracked = self._track.now
         if state is TargetState.JUMPED and tracked is not None and tracked.settled:
