@@ -93,9 +93,18 @@ class Log:
 class Cell:
     """One run: `go` until a moment; a copy by `branch` goes on from there by itself."""
 
-    def __init__(self, seed: int, mount: Mount, hand_m_s: float, *, limit_m_s: float = 0.1, reach_m: float = 0.12):
+    def __init__(
+        self,
+        seed: int,
+        mount: Mount,
+        hand_m_s: float,
+        *,
+        limit_m_s: float = 0.1,
+        reach_m: float = 0.12,
+        frame_s: float = FRAME_S,
+    ):
         rng = np.random.default_rng([seed, 7])
-        self.seed, self.mount = seed, mount
+        self.seed, self.mount, self.frame_s = seed, mount, frame_s
         carried = mount is Mount.EYE_IN_HAND
         off = RigidTransform.from_components(
             HANDEYE[0] * rng.normal(size=3), Rotation.from_rotvec(HANDEYE[1] * rng.normal(size=3))
@@ -109,7 +118,7 @@ class Cell:
         self.T_flange_desired = desired.as_matrix()
         self.hand = Reaches(rng, start, hand_m_s, reach_m=reach_m)
         self.off_q = JOINT_RAD * rng.normal(size=6)
-        gain = chosen_gain(None, max(CYCLE_S, FRAME_S), LATENCY_S + LAG_S + CYCLE_S)
+        gain = chosen_gain(None, max(CYCLE_S, frame_s), LATENCY_S + LAG_S + CYCLE_S)
         settings = ServoSettings(
             mount=mount,
             T_parent_camera=RigidTransform.from_matrix(self.T_parent_camera) * off,
@@ -153,14 +162,14 @@ class Cell:
             self.n += 1
             t_s = self.t_s
             self.q = [*self.q[-60:], (t_s, self.q[-1][1] + (self.q_sent - self.q[-1][1]) * -np.expm1(-CYCLE_S / LAG_S))]
-            while self.frame * FRAME_S + LATENCY_S <= t_s:
+            while self.frame * self.frame_s + LATENCY_S <= t_s:
                 self._see(self.frame, t_s)
                 self.frame += 1
             self._cycle(t_s)
         return self
 
     def _see(self, k: int, now_s: float) -> None:
-        t_s = k * FRAME_S
+        t_s = k * self.frame_s
         carried = self.mount is Mount.EYE_IN_HAND
         T_base_rig = self.flange_at(t_s) @ self.T_parent_camera if carried else self.T_parent_camera
         T = np.linalg.inv(T_base_rig) @ self.hand(t_s)
@@ -243,9 +252,9 @@ class Lie:
 
 @dataclass(frozen=True, kw_only=True)
 class Kind:
-    """A lie; mounts, hand: those it is told with; well: it begins as the target is followed within 5 mm.
+    """A lie; hand, mount, frame_s: those it is told with; well: it begins as the target is followed within 5 mm.
 
-    open_m: where it cannot be told from a target that moves, the way that it may lead the arm: why says so.
+    open: the honest thing that it cannot be told from.
     """
 
     tell: Callable[[Lie, Cell, int, float], Any]
@@ -253,6 +262,7 @@ class Kind:
     mount: Mount | None = None
     well: bool = False
     open: str = ""
+    frame_s: float = FRAME_S
 
 
 def frozen(lie: Lie, cell: Cell, k: int, t_s: float) -> Array:
@@ -339,7 +349,7 @@ def mirrored(lie: Lie, cell: Cell, k: int, t_s: float) -> Array:
 
 
 def late(lie: Lie, cell: Cell, k: int, t_s: float) -> Array:
-    back = round(min(0.25 * lie.since(t_s), 0.5) / FRAME_S)
+    back = round(min(0.25 * lie.since(t_s), 0.5) / cell.frame_s)
     return cell.noisy(cell.clean[max(k - back, 1)], k)
 
 
@@ -394,6 +404,7 @@ LIES: dict[str, Kind] = {
     "aside by 30 mm": Kind(tell=aside(0.03)),
     "aside by 100 mm": Kind(tell=aside(0.1)),
     "aside by 300 mm": Kind(tell=aside(0.3)),
+    "aside by 60 mm, 14 Hz": Kind(tell=aside(0.06), frame_s=0.07),
     "offset creeps by 5 to 20 mm/s": Kind(tell=creeping, open="a target that moves so"),
     "scale creeps to 20 % in 3 s": Kind(tell=scaled(0.2, 3.0), open="a target that moves so"),
     "scale wrong by 2 %": Kind(tell=scaled(0.02)),
@@ -461,13 +472,15 @@ def _angles(A: Array, B: Array) -> Array:
     return np.arccos(np.clip(cosines, -1.0, 1.0))
 
 
-def begun(seed: int, *, hand: str = "any", mount: Mount | None = None, well: bool = False) -> Cell:
+def begun(
+    seed: int, *, hand: str = "any", mount: Mount | None = None, well: bool = False, frame_s: float = FRAME_S
+) -> Cell:
     """Return an honest run up to the random moment at which a lie would begin."""
     rng = np.random.default_rng([seed, 6])
     mounts = list(Mount)[seed % 2] if mount is None else mount
     speed = rng.uniform(0.03, 0.08)
     rests = hand == "still" or (hand == "any" and seed % 3 == 0)
-    cell = Cell(seed, mounts, 0.0 if rests else speed)
+    cell = Cell(seed, mounts, 0.0 if rests else speed, frame_s=frame_s)
     cell.go(rng.uniform(*STARTS_S))
     if well:
         cell.go(30.0, lambda cell: cell.log.off_m[-1] < WELL_M and _hand_speed(cell) > 0.02)
@@ -508,6 +521,7 @@ def honest_run(seed: int, seconds: float = 10.0) -> Log:
         rng.choice([0.05, 0.1, 0.2, 0.35, 0.5]),
         limit_m_s=rng.choice([0.1, 0.25, 0.6]),
         reach_m=0.15,
+        frame_s=rng.choice([FRAME_S, FRAME_S, 0.07]),
     )
     t_s = 1.0
     while t_s < seconds and rng.random() < 0.9:

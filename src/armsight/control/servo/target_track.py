@@ -160,6 +160,4 @@ class TargetTrack:
 
     def _begun(self, t_s: float, T: Array, covariance: Array, *, jumped: bool, whole: bool) -> Tracked:
         begun = MotionFilter.begin(self._packed, np.zeros((0, 3)), t_s, T, covariance)
-        return Tracked(
-            filter=begun, begun_s=t_s, T_begun=T, steady_s=t_s, jumped=jumped, whole=whole, turned=whole
-        )
+        return Tracked(filter=begun, begun_s=t_s, T_begun=T, steady_s=t_s, jumped=jumped, whole=whole, turned=whole)
