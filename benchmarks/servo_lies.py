@@ -65,10 +65,8 @@ def lies(pool: Any, seeds: int, names: tuple[str, ...], end_s: float, show: bool
             turn = np.degrees([verdict.turn_rad for _, verdict in some])
             stopped = np.mean([verdict.stopped for _, verdict in some])
             over = int((way > BOUND_MM).sum())
-            rows.append(
-                (name, mount, len(some), float(np.median(way)), float(way.max()), float(away.max()), float(turn.max()))
-                + (100.0 * float(stopped), over, cell.LIES[name].open)
-            )
+            worst = (float(np.median(way)), float(way.max()), float(away.max()), float(turn.max()))
+            rows.append((name, mount, len(some), *worst, 100.0 * float(stopped), over, cell.LIES[name].open))
             if show:
                 for seed, verdict in sorted(some, key=lambda row: -row[1].way_m)[:5]:
                     print(name, mount, seed, f"{verdict.way_m / MM:.1f} mm", verdict.stopped, verdict.why)

@@ -1,7 +1,7 @@
 """A small servo cell, lies that its cameras may tell from a moment on, and a judge who looks at the true arm alone.
 
-The arm is a UR10 with a lag, encoders in steps, joints and a hand-eye calibration that are a little off; servo and guard
-are the product's. Poses are made, not measured: the true one with the noise that their covariance claims. The judge
+The arm is a UR10 with a lag, encoders in steps, joints and a hand-eye calibration that are a little off; servo and
+guard are the product's. Poses are made, not measured: the true one with the noise that their covariance claims. The judge
 knows nothing of the servo: it holds the true tool against that of the same run without the lie.
 """
 
@@ -49,7 +49,7 @@ class Reaches:
     """A hand that leads a target from place to place: reaches of least jerk, rests and reversals, with a tremor."""
 
     def __init__(self, rng: np.random.Generator, T_start: Array, speed_m_s: float, *, reach_m: float = 0.12) -> None:
-        """speed_m_s: the fastest moment of a reach, at most; zero for a hand that rests. T_start (4, 4): in base axes."""
+        """speed_m_s: the fastest moment of a reach; zero for a hand that rests. T_start (4, 4): in base axes."""
         self.T_start, self._t_s, self._xyz = T_start, [0.0], [np.zeros(3)]
         while speed_m_s and self._t_s[-1] < 60.0:
             to = rng.uniform(-reach_m, reach_m, 3)
@@ -376,10 +376,13 @@ def two_back(lie: Lie, cell: Cell, k: int, t_s: float) -> Array:
     return cell.noisy(cell.clean[max(k - 2, 1)], k - 2)
 
 
-def rotation_wrong(lie: Lie, cell: Cell, k: int, t_s: float) -> Array:
-    T = cell.noisy(cell.clean[k], k)
-    T[:3, :3] = Rotation.from_rotvec(lie.draw("turn", lambda rng: 20.0 * DEG * _unit(rng))).as_matrix() @ T[:3, :3]
-    return T
+def rotation_wrong(by_rad: float) -> Callable[..., Array]:
+    def tell(lie: Lie, cell: Cell, k: int, t_s: float) -> Array:
+        T = cell.noisy(cell.clean[k], k)
+        T[:3, :3] = Rotation.from_rotvec(lie.draw("turn", lambda rng: by_rad * _unit(rng))).as_matrix() @ T[:3, :3]
+        return T
+
+    return tell
 
 
 def loud(lie: Lie, cell: Cell, k: int, t_s: float) -> Array:
@@ -416,7 +419,8 @@ LIES: dict[str, Kind] = {
     "one camera frozen": Kind(tell=half_frozen),
     "frame before last": Kind(tell=two_back),
     "alternating, 60 mm": Kind(tell=aside(0.06, every=2)),
-    "rotation wrong by 20 deg": Kind(tell=rotation_wrong),
+    "rotation wrong by 20 deg": Kind(tell=rotation_wrong(20.0 * DEG)),
+    "rotation wrong by 4 deg": Kind(tell=rotation_wrong(4.0 * DEG)),
     "noise 20 times": Kind(tell=loud),
     "millimetres": Kind(tell=millimetres),
 }

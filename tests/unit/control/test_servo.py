@@ -13,7 +13,6 @@ from armsight.control.servo import Mount, ServoSettings, ServoSource, Turning, o
 from armsight.control.servo.delay import ArmLag, CameraDelay
 from armsight.control.servo.lateness import Lateness
 from armsight.control.servo.reaction import STANDS, Reaction
-
 from armsight.control.servo.target_track import CALM_S, LOST_S, TargetTrack
 from armsight.control.setpoints import CycleState, Hold, ToolTwist
 from armsight.errors import Inconsistent
@@ -272,7 +271,12 @@ def test_a_target_behind_the_camera_is_not_seen():
 SIGMA = np.sqrt(np.diag(COVARIANCE))
 
 
-def seen_by_a_moving_camera(reaction: Reaction, share: float, noise: float, n: int = 60) -> list[bool]:
+PLACE_ONLY = np.array([*SIGMA[:3], np.inf, np.inf, np.inf])
+
+
+def seen_by_a_moving_camera(
+    reaction: Reaction, share: float, noise: float, n: int = 60, sigma: np.ndarray = SIGMA
+) -> list[bool]:
     """Let a camera go 1 mm a frame; share: of its way by which the target moves before it, beside noise in sigmas."""
     rng, missing = np.random.default_rng(1), []
     for k in range(n):
@@ -280,15 +284,16 @@ def seen_by_a_moving_camera(reaction: Reaction, share: float, noise: float, n: i
         off = noise * SIGMA * rng.normal(size=6)
         rig[0, 3] = 1e-3 * k
         seen[:3, :3] = Rotation.from_rotvec(off[3:]).as_matrix()
-        seen[:3, 3] = off[:3] + [-share * rig[0, 3], 0.0, 0.5]
-        reaction.see(rig, seen, SIGMA)
+        seen[:3, 3] = off[:3] + np.array([-share * rig[0, 3], 0.0, 0.5])
+        reaction.see(rig, seen, sigma)
         missing.append(reaction.missing)
     return missing
 
 
-def test_a_pose_that_only_scatters_by_its_noise_as_the_camera_goes_10_mm_is_not_followed():
+@pytest.mark.parametrize("sigma", [SIGMA, PLACE_ONLY], ids=["pose", "place only"])
+def test_a_pose_that_only_scatters_by_its_noise_as_the_camera_goes_10_mm_is_not_followed(sigma):
     reaction = Reaction(0.01)
-    missing = seen_by_a_moving_camera(reaction, 0.0, 1.0)
+    missing = seen_by_a_moving_camera(reaction, 0.0, 1.0, sigma=sigma)
     assert 9 <= missing.index(True) <= 12
     reaction.forget()
     assert not reaction.missing

@@ -1,4 +1,4 @@
-"""Whether a moving camera's pictures are as old as their stamps say: a target placed by later ones takes the arm's way."""
+"""Whether a moving camera's pictures are as old as their stamps say: a target placed at other times takes its way."""
 
 from __future__ import annotations
 
@@ -30,7 +30,8 @@ class Lateness:
         self._T_base_rig, self._xyz_m = np.zeros((n, 4, 4)), np.ones((n, 4))
         self._rows = np.arange(n - FRAMES, n) - BACK[:, None]
         self._last_s = -np.inf
-        self.forget()
+        self._n = 0
+        self.frames = 0
 
     def see(self, t_s: float, period_s: float, T_base_rig: Array, xyz_m: Array) -> None:
         """Take where the rig was, (4, 4), as the target was seen at xyz_m (3,) in its axes, at t_s by the stamp."""

@@ -15,7 +15,7 @@ added to that: of few poses it is not yet like a normal distribution."""
 POSES = 5
 """Of fewer poses the scatter tells nothing: two or three of a target that is followed at 0.2 m/s may agree."""
 TELLING = 10.0
-"""The camera's motion tells once it would move a resting target before it by so many standard deviations of its pose."""
+"""The camera's motion tells once it would move a resting target by so many standard deviations of its pose."""
 STANDS = 3
 """So many poses in a row, equal to the last digit while the camera moved, are one picture: one may be sent twice."""
 STANDS_M = 0.001
@@ -27,11 +27,16 @@ class Reaction:
 
     def __init__(self, chase_m: float) -> None:
         self._chase_m = chase_m
+        self._n = self._same = 0
+        self._mean, self._scatter = np.zeros(6), 0.0
+        self._T_base_since = self._T_since = self._T_rig_target = np.eye(4)
         self.missing = False
-        self.forget()
 
     def see(self, T_base_rig: Array, T_rig_target: Array, sigma: Array) -> None:
-        """Take where the rig was, (4, 4), as the target was seen at (4, 4) with standard deviations (6,) in rig axes."""
+        """Take where the rig was, (4, 4), as the target was seen at (4, 4) with standard deviations (6,) in rig axes.
+
+        Those of a rotation that was not seen are infinite.
+        """
         self._same = self._same + 1 if np.array_equal(self._T_rig_target, T_rig_target) else 0
         if self._n:
             off = np.concatenate(pose_difference(T_rig_target, self._T_since)) / sigma
@@ -54,6 +59,5 @@ class Reaction:
 
     def forget(self) -> None:
         """Begin anew: the operator has looked."""
-        self._n, self._same, self._mean, self._scatter = 0, 0, np.zeros(6), 0.0
-        self._T_base_since = self._T_since = self._T_rig_target = np.eye(4)
+        self._n = self._same = 0
         self.missing = False

@@ -186,8 +186,10 @@ class ServoSource:
         T_base_target, R = T_base_rig @ T_rig_target, T_base_rig[:3, :3]
         whole = pose.status is PoseStatus.OK
         before = self._track.now
-        if on_flange and whole:
-            self._reaction.see(T_base_rig, T_rig_target, np.sqrt(np.diag(covariance)))
+        if on_flange:
+            sigma = np.full(6, np.inf)
+            sigma[: len(covariance)] = np.sqrt(np.diag(covariance))
+            self._reaction.see(T_base_rig, T_rig_target, sigma)
             self._lateness.see(exposed_s, self._camera.period_s, T_base_rig, T_rig_target[:3, 3])
         if whole:
             turned = np.zeros((6, 6))
