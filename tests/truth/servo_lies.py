@@ -1,8 +1,8 @@
 """A small servo cell, lies that its cameras may tell from a moment on, and a judge who looks at the true arm alone.
 
 The arm is a UR10 with a lag, encoders in steps, joints and a hand-eye calibration that are a little off; servo and
-guard are the product's. Poses are made, not measured: the true one with the noise that their covariance claims. The judge
-knows nothing of the servo: it holds the true tool against that of the same run without the lie.
+guard are the product's. Poses are made, not measured: the true one with the noise that their covariance claims. The
+judge knows nothing of the servo: it holds the true tool against that of the same run without the lie.
 """
 
 from __future__ import annotations
