@@ -9,9 +9,10 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.control.guard import TargetState
-from armsight.control.servo import Mount, ServoError, ServoSettings, ServoSource, Turning, on_axis
+from armsight.control.servo import Mount, ServoSettings, ServoSource, Turning, on_axis
 from armsight.control.servo.delay import ArmLag, CameraDelay
-from armsight.control.servo.reaction import Reaction
+from armsight.control.servo.lateness import Lateness
+from armsight.control.servo.reaction import STANDS, Reaction
 from armsight.control.servo.target_track import CALM_S, LOST_S, TargetTrack
 from armsight.control.setpoints import CycleState, Hold, ToolTwist
 from armsight.errors import Inconsistent
@@ -267,23 +268,77 @@ def test_a_target_behind_the_camera_is_not_seen():
     assert "too old" in why(setup.run(1.3, behind))
 
 
-def error(by_m: float) -> ServoError:
-    return ServoError(translation_m=np.array([by_m, 0.0, 0.0]), rotation_rad=np.zeros(3))
+SIGMA = np.sqrt(np.diag(COVARIANCE))
 
 
-@pytest.mark.parametrize(("share", "error_m", "missing"), [(0.0, 0.05, True), (-1.0, 0.05, False), (0.0, 0.0, False)])
-def test_a_target_that_stays_in_the_picture_while_the_camera_goes_to_it_is_not_followed(share, error_m, missing):
-    """share: of the camera's way by which the target moves before it: none of it, all of it; or it is followed well."""
-    reaction = Reaction(0.02)
-    noise = np.random.default_rng(1).normal(0.0, 1e-4, 60)
-    for k in range(60):
-        flange, seen = np.eye(4), np.eye(4)
-        flange[0, 3] = 1e-3 * k
-        seen[:3, 3] = share * flange[0, 3] + noise[k], 0.0, 0.5
-        reaction.see(flange, seen, error(error_m))
-        assert reaction.missing == (missing and k > 20)
+PLACE_ONLY = np.array([*SIGMA[:3], np.inf, np.inf, np.inf])
+
+
+def seen_by_a_moving_camera(
+    reaction: Reaction, share: float, noise: float, n: int = 60, sigma: np.ndarray = SIGMA
+) -> list[bool]:
+    """Let a camera go 1 mm a frame; share: of its way by which the target moves before it, beside noise in sigmas."""
+    rng, missing = np.random.default_rng(1), []
+    for k in range(n):
+        rig, seen = np.eye(4), np.eye(4)
+        off = noise * SIGMA * rng.normal(size=6)
+        rig[0, 3] = 1e-3 * k
+        seen[:3, :3] = Rotation.from_rotvec(off[3:]).as_matrix()
+        seen[:3, 3] = off[:3] + np.array([-share * rig[0, 3], 0.0, 0.5])
+        reaction.see(rig, seen, sigma)
+        missing.append(reaction.missing)
+    return missing
+
+
+@pytest.mark.parametrize("sigma", [SIGMA, PLACE_ONLY], ids=["pose", "place only"])
+def test_a_pose_that_only_scatters_by_its_noise_as_the_camera_goes_10_mm_is_not_followed(sigma):
+    reaction = Reaction(0.01)
+    missing = seen_by_a_moving_camera(reaction, 0.0, 1.0, sigma=sigma)
+    assert 9 <= missing.index(True) <= 12
     reaction.forget()
     assert not reaction.missing
+    assert not any(seen_by_a_moving_camera(Reaction(0.01), 1.0, 1.0)), "a target at rest"
+    assert not any(seen_by_a_moving_camera(Reaction(0.01), 0.05, 1.0)), "a target that is followed well"
+
+
+def test_one_picture_may_be_sent_twice_and_not_four_times():
+    missing = seen_by_a_moving_camera(Reaction(0.01), 0.0, 0.0)
+    assert missing.index(True) == STANDS
+    reaction = Reaction(0.01)
+    seen_by_a_moving_camera(reaction, 0.0, 0.0, STANDS)
+    assert not seen_by_a_moving_camera(reaction, 0.05, 1.0, 1)[0]
+
+
+@pytest.mark.parametrize("late", [0, 2, 8])
+def test_pictures_older_than_their_times_show_in_the_targets_way(late):
+    """The camera swings, the target rests; the picture is of `late` frames before."""
+    lateness = Lateness()
+    rigs = [np.eye(4) for _ in range(80)]
+    for k, rig in enumerate(rigs):
+        rig[:2, 3] = 0.01 * np.sin(0.25 * k), 0.005 * np.sin(0.4 * k)
+    for k in range(late, 80):
+        lateness.see(0.033 * k, 0.033, rigs[k], np.array([0.0, 0.0, 0.5]) - rigs[k - late][:3, 3])
+    assert lateness.frames == late
+    lateness.forget()
+    assert lateness.frames == 0
+
+
+def test_a_second_jump_near_the_first_is_none_back():
+    setup = bench()
+    setup.run(1.0)
+    setup.run(1.1 + 2 * CALM_S, moved(0.2))
+    assert "enable" in why(setup.run(1.2 + 4 * CALM_S, moved(0.215)))
+
+
+def test_a_motion_that_no_hand_makes_is_a_jump_where_a_knock_could_have_made_it():
+    track = TargetTrack(RIG)
+    rested, knocked = np.eye(4), np.eye(4)
+    knocked[0, 3] = 0.06
+    for k in range(20):
+        track.add(0.07 * k, rested, COVARIANCE)
+    track.add(1.4, knocked, COVARIANCE)
+    assert track.now is not None
+    assert track.now.jumped
 
 
 def test_a_delay_that_grows_beyond_what_the_gain_is_stable_at_is_a_hold():

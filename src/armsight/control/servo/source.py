@@ -12,6 +12,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.control.guard import TargetState
 from armsight.control.guard.space import pose_difference
 from armsight.control.servo.delay import ArmLag, CameraDelay
+from armsight.control.servo.lateness import Lateness
 from armsight.control.servo.law import ServoError, cross, delay_cycles, servo_error, servo_twist, stability_gain
 from armsight.control.servo.reaction import Reaction
 from armsight.control.servo.target_track import LOST_S, TargetMotion, TargetTrack, Tracked
@@ -75,7 +76,7 @@ class ServoSettings:
     turning: Turning = Turning.ALIGN
     resume_m: float = 0.02
     resume_rad: float = 5.0 * DEG
-    chase_m: float = 0.02
+    chase_m: float = 0.01
 
     def with_gain(self, gain: float) -> ServoSettings:
         """Return the same with one gain for place and rotation, in 1/s."""
@@ -134,6 +135,7 @@ class ServoSource:
         self._unplaced = ""
         self._before_jump: Tracked | None = None
         self._reaction = Reaction(settings.chase_m)
+        self._lateness = Lateness()
         self.error: ServoError | None = None
 
     @property
@@ -184,8 +186,11 @@ class ServoSource:
         T_base_target, R = T_base_rig @ T_rig_target, T_base_rig[:3, :3]
         whole = pose.status is PoseStatus.OK
         before = self._track.now
-        if on_flange and whole:
-            self._reaction.see(T_base_flange, T_rig_target, self.error)
+        if on_flange:
+            sigma = np.full(6, np.inf)
+            sigma[: len(covariance)] = np.sqrt(np.diag(covariance))
+            self._reaction.see(T_base_rig, T_rig_target, sigma)
+            self._lateness.see(exposed_s, self._camera.period_s, T_base_rig, T_rig_target[:3, 3])
         if whole:
             turned = np.zeros((6, 6))
             turned[:3, :3] = turned[3:, 3:] = R
@@ -196,7 +201,8 @@ class ServoSource:
                 return
             self._track.add_position(exposed_s, T_base_target[:3, 3], R @ covariance @ R.T, centre_m)
         now = self._track.now
-        if before is not None and now is not None and now.jumped and not before.jumped:
+        jumps = before is not None and now is not None and now.jumped and not before.jumped
+        if jumps and self._before_jump is None:  # a second jump, near where the first led, is none back
             self._before_jump = before
         if not self.settings.predict:
             self._seen = Seen(T_flange_target=inverse(T_base_flange) @ T_base_target, whole=whole)
@@ -220,6 +226,7 @@ class ServoSource:
         if not now.enabled:  # who gives the enable anew has looked where the target is
             self._before_jump = None
             self._reaction.forget()
+            self._lateness.forget()
         tracked, why = self._track.now, self._why_not(now.t_s)
         if why or tracked is None:
             self.error = None
@@ -257,6 +264,9 @@ class ServoSource:
             return self._unplaced
         if self._reaction.missing:
             return f"the target stays in the picture as the camera moves: a picture that stands? {ANEW}"
+        if self._lateness.frames:
+            late_s = self._lateness.frames * self._camera.period_s
+            return f"the pictures are older than their times by about {late_s / MS:.0f} ms: {ANEW}"
         state, age_s = self.target(now_s)
         tracked = self._track.now
         if state is TargetState.JUMPED and tracked is not None and tracked.settled:
@@ -283,11 +293,13 @@ class ServoSource:
         return True
 
     def _jump(self, tracked: Tracked) -> tuple[Array, Array]:
-        """Return the way (3,) in m and the rotation vector (3,) from where the target would be but for the jump."""
+        """Return the way (3,) in m and the rotation vector (3,) from where the target would have been but for the jump.
+
+        It is told where the new track begins: how a motion goes on is known for a moment only.
+        """
         if self._before_jump is None:
             return np.zeros(3), np.zeros(3)
-        t_s = tracked.seen_s
-        return pose_difference(tracked.at(t_s).T_base_target, self._before_jump.at(t_s).T_base_target)
+        return pose_difference(tracked.T_begun, self._before_jump.at(tracked.begun_s).T_base_target)
 
     def _keep(self, T_flange_target: Array, whole: bool) -> None:
         """Take the first rotation seen as the one wanted, where it is to be kept."""

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.control.guard.space import pose_difference
 from armsight.fitting.quantiles import chi2_isf
 from armsight.geometry.lie import skew
 from armsight.measure.motion.estimate import MotionFilter
@@ -26,6 +27,15 @@ SETTLED_S = 0.15
 """A track so young is not followed: its velocity is not known yet."""
 CALM_S = 0.3
 """After a jump the target is followed again once its poses have agreed with each other for so long."""
+HAND_M_S2, HAND_RAD_S2 = 10.0, 100.0
+"""A target in steady sight that is further from where it was going than this acceleration since the last pose explains
+jumped: hands of up to 0.5 m/s with stops and reversals needed 4.9 m/s^2 and 13 rad/s^2 (benchmarks/servo_lies.py)."""
+NOISE_SIGMAS = 4.0
+"""Standard deviations of a pose that are no motion of the target."""
+STEADY_S = 0.1
+"""After a gap the velocity is known again once poses came for so long: sooner, honest hands needed up to 23 m/s^2."""
+GAP_S = 0.15
+"""A longer time between two poses is a gap."""
 LOST_S = 0.5
 """A target not seen for so long is lost, and what was known of its motion is forgotten."""
 
@@ -45,13 +55,16 @@ class TargetMotion:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Tracked:
-    """What is known of a target: its motion since begun_s, after a jump or not.
+    """What is known of a target: its motion since begun_s, where it was at T_begun (4, 4), after a jump or not.
 
-    whole: whether the newest pose has its rotation; turned: whether any since begun_s had.
+    steady_s: since when there was no gap. whole: whether the newest pose has its rotation; turned: whether any since
+    begun_s had.
     """
 
     filter: MotionFilter
     begun_s: float
+    T_begun: Array
+    steady_s: float
     jumped: bool
     whole: bool
     turned: bool
@@ -123,14 +136,28 @@ class TargetTrack:
         if t_s <= now.seen_s:
             return
         after, _, knocked2 = now.filter.add_pose(t_s, T, C)
-        if knocked2 <= MOST_SURPRISE2:
-            jumped = now.jumped and not (t_s - now.begun_s >= CALM_S)
-            self.now = Tracked(
-                filter=after, begun_s=now.begun_s, jumped=jumped, whole=whole, turned=now.turned or turned
-            )
-        else:
+        if knocked2 > MOST_SURPRISE2 or self._sudden(now, t_s, T, C, whole=whole):
             self.now = self._begun(t_s, T, C, jumped=True, whole=whole)
+            return
+        self.now = replace(
+            now,
+            filter=after,
+            steady_s=t_s if t_s - now.seen_s > GAP_S else now.steady_s,
+            jumped=now.jumped and not (t_s - now.begun_s >= CALM_S),
+            whole=whole,
+            turned=now.turned or turned,
+        )
+
+    def _sudden(self, now: Tracked, t_s: float, T: Array, covariance: Array, *, whole: bool) -> bool:
+        """Tell whether no hand brings the target there: a knock could, and so the filter would take 10 mm for 3 m/s."""
+        since_s = t_s - now.seen_s
+        if since_s > GAP_S or now.seen_s - max(now.steady_s, now.begun_s) < STEADY_S:
+            return False
+        way_m, turn = pose_difference(now.at(t_s).T_base_target, T)
+        noise = NOISE_SIGMAS * np.sqrt([np.trace(covariance[:3, :3]), np.trace(covariance[3:, 3:])])
+        far = float(np.linalg.norm(way_m)) > 0.5 * HAND_M_S2 * since_s**2 + noise[0]
+        return bool(far or (whole and float(np.linalg.norm(turn)) > 0.5 * HAND_RAD_S2 * since_s**2 + noise[1]))
 
     def _begun(self, t_s: float, T: Array, covariance: Array, *, jumped: bool, whole: bool) -> Tracked:
         begun = MotionFilter.begin(self._packed, np.zeros((0, 3)), t_s, T, covariance)
-        return Tracked(filter=begun, begun_s=t_s, jumped=jumped, whole=whole, turned=whole)
+        return Tracked(filter=begun, begun_s=t_s, T_begun=T, steady_s=t_s, jumped=jumped, whole=whole, turned=whole)
