@@ -27,8 +27,9 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from armsight.app.robot.host import LoopEvent
 from armsight.drivers.remote import protocol as say
 from armsight.errors import ArmsightError, DeviceFailed, DeviceLost
+from armsight.priority import listen_first
 from armsight.server.auth import Authenticator, Denied, Identity, address_of, caller_of
-from armsight.server.connections import Connections, age_of
+from armsight.server.connections import LINE, Connections, age_of, known_as
 from armsight.server.session import Session
 from armsight.server.web_server import ServeOptions, listening, web_server
 
@@ -73,6 +74,7 @@ class StopLine:
             self.note(f"{address_of(socket)} was kept out of the line for stops: {found.why}")
             await socket.send_denial_response(PlainTextResponse(found.why, found.status))
             return
+        known_as(socket.scope, found.who)
         session = Session("stop")
         await socket.accept()
         with contextlib.suppress(WebSocketDisconnect, RuntimeError):
@@ -150,9 +152,10 @@ def run_stop_line(
     channels: LineChannels, options: ServeOptions, listener: socket.socket, page_port: int | None, parent: int
 ) -> None:
     """Serve until the process that started this one ends."""
+    listen_first()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches both; the server ends this one in order
     line = StopLine(channels, Authenticator(options.tokens or (), page_port=page_port))
-    server = web_server(line.app(), options, Connections(line.note), lifespan=False)
+    server = web_server(line.app(), options, Connections(line.note, LINE), lifespan=False)
 
     async def watch() -> None:
         while os.getppid() == parent and not server.should_exit:
