@@ -312,6 +312,13 @@ class LimitedWebSocket(WebSocketsSansIOProtocol):
             return
         super().handle_events()
 
+    def shutdown(self) -> None:
+        """End it with the server; one that is closing already cannot be told so, and is not waited for."""
+        if self.handshake_complete and self.conn.state is not OPEN:
+            self.transport.abort()
+            return
+        super().shutdown()
+
     async def send(self, message: Any) -> None:
         """Send, and begin to measure the round trip of a connection that was let in."""
         await super().send(message)
