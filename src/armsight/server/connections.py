@@ -67,7 +67,7 @@ LINE = Budget(400.0, 300.0, 131_072.0, 65_536.0)
 
 PARSING = 0.2
 PARSING_BURST_S = 0.05
-"""Share of the time that the parsing of one connection's bytes may take, and at once: ten times what our clients take."""
+"""Share of the time that the parsing of one connection's bytes may take, and at once: ten times what ours take."""
 
 PING_S = 0.02
 """How often the round trip of a connection that drives is measured: by so much more an age is judged too old."""
@@ -170,7 +170,9 @@ class Connections:
             most = Counter(self._open[one].who for one in free).most_common(1)[0][0]
             nobodys = [one for one in free if self._open[one].who == most]
         if nobodys:
-            max(nobodys, key=lambda one: self._open[one].load()).abort()
+            busiest = max(nobodys, key=lambda one: self._open[one].load())
+            del self._open[busiest]  # at once, so that the next one is not made room for by the same
+            busiest.abort()
 
     def _late(self, peer: tuple[Any, ...], line: socket.socket) -> None:
         if self._unknown.get(peer) is line:
@@ -179,7 +181,7 @@ class Connections:
 
 
 class Door(socket.socket):
-    """A listening socket whose connections are counted from their first moment, before TLS, and come a few at a time."""
+    """A listening socket whose connections are counted from the first moment, before TLS; it takes a few at a time."""
 
     def __init__(self, listener: socket.socket, connections: Connections) -> None:
         super().__init__(fileno=os.dup(listener.fileno()))

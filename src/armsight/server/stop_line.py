@@ -34,11 +34,17 @@ from armsight.server.session import Session
 from armsight.server.web_server import ServeOptions, listening, web_server
 
 if TYPE_CHECKING:
+    from multiprocessing.process import BaseProcess
+    from multiprocessing.synchronize import Event
+
     from armsight.app.robot.channels import LineChannels
     from armsight.app.robot.service import Service
 
 ORPHAN_S = 0.2
 """How often it looks whether the server that started it lives."""
+
+BEGIN_S = 60.0
+"""Longest wait until it serves: packages are read anew, on a machine that may be busy."""
 
 END_S = 2.0
 
@@ -130,14 +136,17 @@ def stop_line(service: Service, options: ServeOptions, *, page_port: int | None 
     """
     with _listening(options) as listener:
         service.stop_port = listener.getsockname()[1]
-        process = multiprocessing.get_context("spawn").Process(
+        context = multiprocessing.get_context("spawn")
+        up = context.Event()
+        process = context.Process(
             target=run_stop_line,
-            args=(service.host.line, options, listener, page_port, os.getpid()),
+            args=(service.host.line, options, listener, page_port, os.getpid(), up),
             name="armsight-stop-line",
             daemon=True,
         )
         process.start()
         try:
+            _wait(process, up)
             yield
         finally:
             service.stop_port = None
@@ -148,16 +157,32 @@ def stop_line(service: Service, options: ServeOptions, *, page_port: int | None 
                 process.join()
 
 
+def _wait(process: BaseProcess, up: Event) -> None:
+    """Wait until it serves: who comes before would have no line. Raises DeviceFailed where it does not begin."""
+    until_s = time.monotonic() + BEGIN_S
+    while not up.wait(ORPHAN_S):
+        if time.monotonic() > until_s or not process.is_alive():
+            raise DeviceFailed("the line for stops did not begin", consequence="Nothing is served")
+
+
 def run_stop_line(
-    channels: LineChannels, options: ServeOptions, listener: socket.socket, page_port: int | None, parent: int
+    channels: LineChannels,
+    options: ServeOptions,
+    listener: socket.socket,
+    page_port: int | None,
+    parent: int,
+    up: Event,
 ) -> None:
-    """Serve until the process that started this one ends."""
+    """Serve until the process that started this one ends; up is set once it does."""
     listen_first()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches both; the server ends this one in order
     line = StopLine(channels, Authenticator(options.tokens or (), page_port=page_port))
     server = web_server(line.app(), options, Connections(line.note, LINE), lifespan=False)
 
     async def watch() -> None:
+        while not (server.started or server.should_exit):
+            await asyncio.sleep(0.01)
+        up.set()
         while os.getppid() == parent and not server.should_exit:
             await asyncio.sleep(ORPHAN_S)
         server.should_exit = True
