@@ -158,7 +158,7 @@ def frame(text: bytes) -> bytes:
     return head + b"\0\0\0\0" + text
 
 
-def flooding(kind: str, port: int, path: str, token: str, over) -> None:
+def flooding(kind: str, port: int, path: str, token: str, over, begun) -> None:
     """Flood one port until over is set; connect again whenever it is closed."""
     key = base64.b64encode(os.urandom(16)).decode()
     head = (
@@ -166,6 +166,7 @@ def flooding(kind: str, port: int, path: str, token: str, over) -> None:
         f"Sec-WebSocket-Key: {key}\r\nSec-WebSocket-Version: 13\r\nAuthorization: Bearer {token}\r\n\r\n"
     ).encode()
     held: list[socket.socket] = []
+    begun.release()
     while not over.is_set():
         with suppress(OSError, ValueError, IndexError):
             link = socket.create_connection(("127.0.0.1", port), timeout=1.0)
@@ -387,7 +388,7 @@ def main() -> None:
             line.wait(10)
             first()
             for flooders in args.flooders:
-                over = context.Event()
+                over, begun = context.Event(), context.Semaphore(0)
                 crowd = [
                     context.Process(
                         target=flooding,
@@ -397,6 +398,7 @@ def main() -> None:
                             (say.STREAM_PATH, say.STOP_PATH)[i % 4 == 3],
                             token,
                             over,
+                            begun,
                         ),
                         daemon=True,
                     )
@@ -404,6 +406,8 @@ def main() -> None:
                 ]
                 for one in crowd:
                     one.start()
+                for _ in crowd:
+                    begun.acquire(timeout=60.0)
                 time.sleep(2.0 if crowd else 0.0)
                 trials = Trials(args.port, token, track, delays, stops, times, args.seed)
                 trials.run(args.trials, time.monotonic() + 60.0 * args.minutes / len(args.flooders))
