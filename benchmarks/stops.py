@@ -166,6 +166,7 @@ def flooding(kind: str, port: int, path: str, token: str, over, begun) -> None:
         f"Sec-WebSocket-Key: {key}\r\nSec-WebSocket-Version: 13\r\nAuthorization: Bearer {token}\r\n\r\n"
     ).encode()
     held: list[socket.socket] = []
+    os.setsid()  # Linux shares the processors between sessions first: flooders of other machines would take none
     begun.release()
     while not over.is_set():
         with suppress(OSError, ValueError, IndexError):
