@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
 import multiprocessing
 import os
 import pickle
@@ -24,6 +23,7 @@ from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from armsight.app.robot.channels import granted
 from armsight.app.robot.host import LoopEvent
 from armsight.drivers.remote import protocol as say
 from armsight.errors import ArmsightError, DeviceFailed, DeviceLost
@@ -110,10 +110,10 @@ class StopLine:
         return say.Done(reply_to=command.seq)
 
     def _beat(self, said: say.Heartbeat, age_s: float) -> None:
-        lease, key = json.loads(self._channels.grant.read() or b'[0, ""]')
+        lease, key = granted(self._channels.grant)
         if not key or said.key != key:
             raise DeviceFailed("this key does not drive", consequence="Nothing was done", cure="Connect to drive anew")
-        self._order("beat", (said.enable, said.number), time.monotonic() - age_s, lease)
+        self._order("beat", (said.enable, said.number), time.monotonic() - age_s, lease, key)
 
     def _stop(self, who: Identity) -> None:
         self._order("stop", f"stopped by {who.who}")
