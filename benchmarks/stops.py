@@ -20,12 +20,12 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import base64
 import multiprocessing
 import os
 import random
 import socket
-import struct
+import subprocess
+import sys
 import tempfile
 import threading
 import time
@@ -151,57 +151,6 @@ def delaying(ports: tuple[int, ...], delays, stops, ready) -> None:
         await asyncio.Event().wait()
 
     asyncio.run(main())
-
-
-def frame(text: bytes) -> bytes:
-    head = bytes([0x81]) + (bytes([0x80 | len(text)]) if len(text) < 126 else b"\xfe" + struct.pack("!H", len(text)))
-    return head + b"\0\0\0\0" + text
-
-
-def flooding(kind: str, port: int, path: str, token: str, over, begun) -> None:
-    """Flood one port until over is set; connect again whenever it is closed."""
-    key = base64.b64encode(os.urandom(16)).decode()
-    head = (
-        f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
-        f"Sec-WebSocket-Key: {key}\r\nSec-WebSocket-Version: 13\r\nAuthorization: Bearer {token}\r\n\r\n"
-    ).encode()
-    held: list[socket.socket] = []
-    os.setsid()  # Linux shares the processors between sessions first: flooders of other machines would take none
-    begun.release()
-    while not over.is_set():
-        with suppress(OSError, ValueError, IndexError):
-            link = socket.create_connection(("127.0.0.1", port), timeout=1.0)
-            if kind == "half a request":
-                link.sendall(head[: len(head) // 2])
-                held = [*held[-299:], link]
-                time.sleep(0.002)
-                continue
-            link.sendall(head)
-            hello = link.recv(65536)
-            if kind == "connects anew":
-                link.close()
-                continue
-            while b"session" not in hello:
-                hello += link.recv(65536)
-            session = hello.split(b'"session":"')[1][:32].decode()
-            if kind != "takes no answers":
-                threading.Thread(target=drain, args=(link,), daemon=True).start()
-            number = 0
-            while not over.is_set():
-                if kind in ("reads", "takes no answers"):
-                    texts = [f'{{"type":"read","session":"{session}","seq":{number + i + 1}}}' for i in range(200)]
-                    number += 200
-                elif kind == "no messages":
-                    texts = ["{" * 20] * 200
-                else:
-                    texts = [" " * 16_000] * 10
-                link.sendall(b"".join(frame(text.encode()) for text in texts))
-
-
-def drain(link: socket.socket) -> None:
-    with suppress(OSError):
-        while link.recv(262_144):
-            pass
 
 
 def rest_s(track: JointTrack, since_s: float) -> tuple[float, float]:
@@ -389,33 +338,25 @@ def main() -> None:
             line.wait(10)
             first()
             for flooders in args.flooders:
-                over, begun = context.Event(), context.Semaphore(0)
                 crowd = [
-                    context.Process(
-                        target=flooding,
-                        args=(
+                    subprocess.Popen(
+                        [
+                            sys.executable,
+                            str(Path(__file__).parent / "flooding.py"),
                             KINDS[i % len(KINDS)],
-                            ports[i % 4 == 3],
+                            str(ports[i % 4 == 3]),
                             (say.STREAM_PATH, say.STOP_PATH)[i % 4 == 3],
-                            token,
-                            over,
-                            begun,
-                        ),
-                        daemon=True,
+                        ],
+                        env={**os.environ, "FLOOD_TOKEN": token},
                     )
                     for i in range(flooders)
                 ]
-                for one in crowd:
-                    one.start()
-                for _ in crowd:
-                    begun.acquire(timeout=60.0)
                 time.sleep(2.0 if crowd else 0.0)
                 trials = Trials(args.port, token, track, delays, stops, times, args.seed)
                 trials.run(args.trials, time.monotonic() + 60.0 * args.minutes / len(args.flooders))
-                over.set()
                 for one in crowd:
-                    one.join(3.0)
                     one.kill()
+                    one.wait()
                 trials.tell(flooders)
         finally:
             server.terminate()
