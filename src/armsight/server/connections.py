@@ -43,7 +43,8 @@ PER_TURN = 4
 heads of so many together would keep a stop waiting for 0.2 s."""
 
 SLICE = 1024
-"""Bytes that are parsed before the budget is looked at again: 170 of the shortest messages, 5 ms."""
+"""Bytes that are parsed before others have their turn and the budget is looked at again: 170 of the shortest messages,
+5 ms."""
 
 HEAD_BYTES = 16_384
 """Longest head of a request."""
@@ -280,6 +281,7 @@ class LimitedWebSocket(WebSocketsSansIOProtocol):
         self._messages = TokenBucket(budget.messages_per_s, budget.messages_burst, now_s)
         self._bytes = TokenBucket(budget.bytes_per_s, budget.bytes_burst, now_s)
         self._parsing = TokenBucket(PARSING, PARSING_BURST_S, now_s)
+        self._backlog = b""
         self._pings: dict[bytes, float] = {}
         self._timer: asyncio.TimerHandle | None = None
 
@@ -298,13 +300,22 @@ class LimitedWebSocket(WebSocketsSansIOProtocol):
         if not self._bytes.pay(time.monotonic(), len(data)):
             self.turn_out(f"{budget.bytes_per_s / 1024:.0f} KiB a second")
             return
-        for start in range(0, len(data), SLICE):
-            if self.close_sent or self.transport.is_closing():
-                return
-            begun_s = time.thread_time()
-            super().data_received(data[start : start + SLICE])
-            if not self._parsing.pay(time.monotonic(), time.thread_time() - begun_s):
-                self.turn_out(f"{PARSING:.0%} of the time for its messages alone")
+        self._backlog += data
+        if len(self._backlog) == len(data):  # else a turn for what is there already comes
+            self._parse()
+
+    def _parse(self) -> None:
+        """Parse a slice; the next one has its turn behind what others sent meanwhile."""
+        part, self._backlog = self._backlog[:SLICE], self._backlog[SLICE:]
+        if not part or self.close_sent or self.transport.is_closing():
+            self._backlog = b""
+            return
+        begun_s = time.thread_time()
+        super().data_received(part)
+        if not self._parsing.pay(time.monotonic(), time.thread_time() - begun_s):
+            self.turn_out(f"{PARSING:.0%} of the time for its messages alone")
+        elif self._backlog:
+            self.loop.call_soon(self._parse)
 
     def handle_events(self) -> None:
         """Take messages as far as the caller's budget goes."""
@@ -340,6 +351,9 @@ class LimitedWebSocket(WebSocketsSansIOProtocol):
         """Forget it."""
         if self._timer is not None:
             self._timer.cancel()
+        rest, self._backlog = self._backlog, b""
+        if rest and not self.close_sent:
+            super().data_received(rest)  # a stop may be the last that was said
         self.guarded.closed(self.transport)
         super().connection_lost(exc)
 
@@ -358,6 +372,9 @@ class LimitedWebSocket(WebSocketsSansIOProtocol):
         if self.close_sent or self.transport.is_closing():
             return
         self.guarded.note(_address(self.transport), f"sent more than {what}: closed")
+        if not self.handshake_complete:  # nothing may be told before it is let in
+            self.transport.abort()
+            return
         self.conn.fail(code, f"more than {what}")
         self.transport.write(b"".join(self.conn.data_to_send()))
         self.close_sent = True

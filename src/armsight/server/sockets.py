@@ -65,18 +65,20 @@ class Connection:
         if not await self._enter():
             return
         session = Session(self._role)
-        await self._send(self._welcome(session))
-        teller = asyncio.create_task(self._tell())
-        why = "the server ended"
+        teller, why = None, "the server ended"
         try:
+            with contextlib.suppress(WebSocketDisconnect, RuntimeError):  # it may be gone by now
+                await self._send(self._welcome(session))
+            teller = asyncio.create_task(self._tell())
             why = await self._listen(session)
         finally:
             if self._lease is not None:
                 self._desk.leave(self._lease, why)  # first of all, and at once: nothing is awaited before it
             self._count_out()
-            teller.cancel()
-            with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
-                await teller
+            if teller is not None:
+                teller.cancel()
+                with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
+                    await teller
 
     async def _enter(self) -> bool:
         found = self._auth.check(self._caller)
@@ -97,14 +99,13 @@ class Connection:
                 await self._send(say.Refused.of(error, None))
                 await self._socket.close(TAKEN, error.cause[:120])
                 return False
-        self._count_in()
         try:
             await self._socket.accept()
         except BaseException:
-            self._count_out()
             if self._lease is not None:
                 self._desk.leave(self._lease, "its connection ended")
             raise
+        self._count_in()
         return True
 
     @property
