@@ -360,11 +360,12 @@ def main() -> None:
         proxy = context.Process(target=delaying, args=(ports, delays, stops, line), daemon=True)
         server.start()
         proxy.start()
+        end_s = time.monotonic() + 60.0 * args.minutes
         try:
             up.wait(60)
             line.wait(10)
             first()
-            for flooders in args.flooders:
+            for done, flooders in enumerate(args.flooders):
                 crowd = [
                     subprocess.Popen(
                         [
@@ -380,7 +381,7 @@ def main() -> None:
                 ]
                 time.sleep(2.0 if crowd else 0.0)
                 trials = Trials(args.port, token, track, delays, stops, times, args.seed, crowd)
-                trials.run(args.trials, time.monotonic() + 60.0 * args.minutes / len(args.flooders))
+                trials.run(args.trials, time.monotonic() + (end_s - time.monotonic()) / (len(args.flooders) - done))
                 for one in crowd:
                     one.kill()
                     one.wait()
