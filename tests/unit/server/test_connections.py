@@ -151,3 +151,60 @@ def test_a_line_for_stops_lets_less_through_than_a_server():
     assert LINE.messages_per_s < SERVER.messages_per_s and LINE.bytes_per_s < SERVER.bytes_per_s
     beats_and_pongs = 5.0 / 0.15 + 1.0 / limits.PING_S
     assert LINE.messages_burst >= 3.0 * beats_and_pongs, "what a line held back for 3 s is no flood"
+
+
+class Turns:
+    """An event loop whose turns a test takes."""
+
+    def __init__(self):
+        self.soon = []
+
+    def call_soon(self, act):
+        self.soon.append(act)
+
+
+@pytest.fixture
+def flooder(crowd, monkeypatch):
+    """A WebSocket of which only the limits are there; parsed: the lengths that reached the parser."""
+    monkeypatch.setattr(
+        limits.WebSocketsSansIOProtocol, "data_received", lambda self, data: self.parsed.append(len(data))
+    )
+    made = limits.LimitedWebSocket.__new__(limits.LimitedWebSocket)
+    made.guarded, made.loop, made.parsed = crowd, Turns(), []
+    made.transport = SimpleNamespace(is_closing=lambda: False, abort=lambda: None, get_extra_info=lambda _: None)
+    made.close_sent = made.handshake_complete = False
+    made.turned_out = []
+    made.turn_out = made.turned_out.append
+    made._backlog, made._timer = b"", None
+    made._bytes = limits.TokenBucket(SERVER.bytes_per_s, SERVER.bytes_burst, 0.0)
+    made._parsing = limits.TokenBucket(limits.PARSING, limits.PARSING_BURST_S, 0.0)
+    monkeypatch.setattr(limits.time, "monotonic", lambda: 0.0)
+    return made
+
+
+def test_a_flood_is_parsed_a_slice_a_turn(flooder):
+    flooder.data_received(b"x" * (2 * limits.SLICE))
+    flooder.data_received(b"x" * 10)
+    assert flooder.parsed == [limits.SLICE], "others have their turn"
+    while flooder.loop.soon:
+        flooder.loop.soon.pop(0)()
+    assert flooder.parsed == [limits.SLICE, limits.SLICE, 10]
+
+
+def test_what_is_over_the_budget_of_bytes_is_not_parsed(flooder):
+    flooder.data_received(b"x" * (int(SERVER.bytes_burst) + 1))
+    assert flooder.turned_out and flooder.parsed == []
+
+
+def test_parsing_that_takes_long_ends_the_connection(flooder, monkeypatch):
+    clock = iter([0.0, 2.0 * limits.PARSING_BURST_S])
+    monkeypatch.setattr(limits.time, "thread_time", lambda: next(clock))
+    flooder.data_received(b"x" * (3 * limits.SLICE))
+    assert flooder.turned_out and flooder.parsed == [limits.SLICE] and not flooder.loop.soon
+
+
+def test_what_was_said_last_counts_though_the_connection_ends(flooder, monkeypatch):
+    monkeypatch.setattr(limits.WebSocketsSansIOProtocol, "connection_lost", lambda self, exc: None)
+    flooder.data_received(b"x" * (limits.SLICE + 7))
+    flooder.connection_lost(None)
+    assert flooder.parsed == [limits.SLICE, 7]
