@@ -17,7 +17,7 @@
     session && line.readyState === WebSocket.OPEN && line.send(JSON.stringify({ ...message, session, seq: ++seq }));
   function openLine() {
     if (line || !state.line) return;
-    wanted = wanted || performance.now();
+    wanted = wanted ?? performance.now();
     const scheme = location.protocol === "https:" ? "wss:" : "ws:";
     const opened = (line = new WebSocket(`${scheme}//${location.hostname}:${state.line}/api/v1/stop`));
     opened.onmessage = (event) => {
@@ -27,7 +27,7 @@
     };
     opened.onclose = () => {
       session = null;
-      wanted = wanted || performance.now();
+      wanted = wanted ?? performance.now();
       setTimeout(() => {
         line = null;
         openLine();
@@ -94,7 +94,7 @@
       lamp.dataset.level = level;
     }
     const refused = document.getElementById("robot-refused");
-    const shared = state.mine && wanted && performance.now() - wanted > 3000 ? here.dataset.shared : "";
+    const shared = state.mine && wanted !== null && performance.now() - wanted > 3000 ? here.dataset.shared : "";
     if (refused) refused.textContent = gone || stale ? "" : state.refused || shared;
     const enable = document.querySelector("[data-testid=enable]");
     if (enable) {
