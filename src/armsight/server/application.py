@@ -15,7 +15,7 @@ from armsight.app.robot.service import Service
 from armsight.drivers.remote import protocol as say
 from armsight.errors import ArmsightError
 from armsight.server.auth import Authenticator, Identity, address_of, caller_of
-from armsight.server.connections import known_as
+from armsight.server.limited import known_as
 from armsight.server.sockets import Connection
 
 PUMP_S = 0.02

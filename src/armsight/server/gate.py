@@ -11,7 +11,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocketClose
 
 from armsight.server.auth import COOKIE, Authenticator, Denied, caller_of
-from armsight.server.connections import known_as
+from armsight.server.limited import known_as
 
 IDENTITY = "armsight.identity"
 LOGIN = "/login"

@@ -18,7 +18,7 @@ from armsight.app.robot.service import Service
 from armsight.drivers.remote import protocol as say
 from armsight.errors import ArmsightError, DeviceFailed
 from armsight.server.auth import Authenticator, Caller, Denied, Identity
-from armsight.server.connections import LimitedWebSocket, age_of, connection_of, known_as
+from armsight.server.limited import LimitedWebSocket, age_of, connection_of, known_as
 from armsight.server.session import VIOLATIONS, Session
 
 STATE_S = 0.05

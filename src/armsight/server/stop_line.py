@@ -21,6 +21,7 @@ from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
+from starlette.types import Message
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from armsight.app.robot.channels import granted
@@ -29,7 +30,8 @@ from armsight.drivers.remote import protocol as say
 from armsight.errors import ArmsightError, DeviceFailed, DeviceLost
 from armsight.priority import listen_first
 from armsight.server.auth import Authenticator, Denied, Identity, address_of, caller_of
-from armsight.server.connections import LINE, Connections, age_of, known_as
+from armsight.server.connections import LINE, Connections
+from armsight.server.limited import age_of, known_as
 from armsight.server.session import Session
 from armsight.server.web_server import ServeOptions, listening, web_server
 
@@ -92,17 +94,18 @@ class StopLine:
                 await asyncio.sleep(0)  # what a caller has piled up must not hold up the others
                 if not self._auth.knows(found):
                     break
-                answer = self._answer(session, found, message.get("text") or "", age_of(message))
+                answer = self._answer(socket, session, found, message)
                 await socket.send_text(answer.model_dump_json())
             await socket.close(1008, "against the protocol")
 
-    def _answer(self, session: Session, who: Identity, text: str, age_s: float) -> say.Done | say.Refused:
+    def _answer(self, socket: WebSocket, session: Session, who: Identity, message: Message) -> say.Done | say.Refused:
         seq = None
         try:
-            command = session.admit(text)
+            command = session.admit(message.get("text") or "")
             seq = command.seq
             if isinstance(command, say.Heartbeat):
-                self._beat(command, age_s)
+                self._beat(command, age_of(message))
+                known_as(socket.scope, who.who, keep=True)  # who drives does not make room for others
             else:
                 self._stop(who)
         except ArmsightError as error:

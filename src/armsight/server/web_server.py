@@ -17,7 +17,8 @@ from starlette.types import ASGIApp
 from armsight.drivers.remote import protocol as say
 from armsight.errors import BadFile, DeviceFailed, UsageError
 from armsight.server.auth import is_loopback
-from armsight.server.connections import HEAD_BYTES, Connections, Door, LimitedHttp, LimitedWebSocket
+from armsight.server.connections import HEAD_BYTES, Connections, Door
+from armsight.server.limited import LimitedHttp, LimitedWebSocket
 from armsight.store.tokens import TokenEntry, read_tokens
 
 LOOPBACK = "127.0.0.1"

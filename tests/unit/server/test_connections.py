@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from armsight.server import connections as limits
+from armsight.server import limited
 from armsight.server.connections import LINE, SERVER, Connections, Door
 
 FLOOD, HONEST = "192.0.2.1", "192.0.2.2"
@@ -149,7 +150,7 @@ def test_connections_are_taken_a_few_at_a_time(crowd):
 
 def test_a_line_for_stops_lets_less_through_than_a_server():
     assert LINE.messages_per_s < SERVER.messages_per_s and LINE.bytes_per_s < SERVER.bytes_per_s
-    beats_and_pongs = 5.0 / 0.15 + 1.0 / limits.PING_S
+    beats_and_pongs = 5.0 / 0.15 + 1.0 / limited.PING_S
     assert LINE.messages_burst >= 3.0 * beats_and_pongs, "what a line held back for 3 s is no flood"
 
 
@@ -167,28 +168,29 @@ class Turns:
 def flooder(crowd, monkeypatch):
     """A WebSocket of which only the limits are there; parsed: the lengths that reached the parser."""
     monkeypatch.setattr(
-        limits.WebSocketsSansIOProtocol, "data_received", lambda self, data: self.parsed.append(len(data))
+        limited.WebSocketsSansIOProtocol, "data_received", lambda self, data: self.parsed.append(len(data))
     )
-    made = limits.LimitedWebSocket.__new__(limits.LimitedWebSocket)
+    made = limited.LimitedWebSocket.__new__(limited.LimitedWebSocket)
     made.guarded, made.loop, made.parsed = crowd, Turns(), []
     made.transport = SimpleNamespace(is_closing=lambda: False, abort=lambda: None, get_extra_info=lambda _: None)
     made.close_sent = made.handshake_complete = False
     made.turned_out = []
     made.turn_out = made.turned_out.append
+    made._sent, made._sent_s = 0.0, 0.0
     made._backlog, made._timer = b"", None
-    made._bytes = limits.TokenBucket(SERVER.bytes_per_s, SERVER.bytes_burst, 0.0)
-    made._parsing = limits.TokenBucket(limits.PARSING, limits.PARSING_BURST_S, 0.0)
-    monkeypatch.setattr(limits.time, "monotonic", lambda: 0.0)
+    made._bytes = limited.TokenBucket(SERVER.bytes_per_s, SERVER.bytes_burst, 0.0)
+    made._parsing = limited.TokenBucket(limited.PARSING, limited.PARSING_BURST_S, 0.0)
+    monkeypatch.setattr(limited.time, "monotonic", lambda: 0.0)
     return made
 
 
 def test_a_flood_is_parsed_a_slice_a_turn(flooder):
-    flooder.data_received(b"x" * (2 * limits.SLICE))
+    flooder.data_received(b"x" * (2 * limited.SLICE))
     flooder.data_received(b"x" * 10)
-    assert flooder.parsed == [limits.SLICE], "others have their turn"
+    assert flooder.parsed == [limited.SLICE], "others have their turn"
     while flooder.loop.soon:
         flooder.loop.soon.pop(0)()
-    assert flooder.parsed == [limits.SLICE, limits.SLICE, 10]
+    assert flooder.parsed == [limited.SLICE, limited.SLICE, 10]
 
 
 def test_what_is_over_the_budget_of_bytes_is_not_parsed(flooder):
@@ -197,14 +199,27 @@ def test_what_is_over_the_budget_of_bytes_is_not_parsed(flooder):
 
 
 def test_parsing_that_takes_long_ends_the_connection(flooder, monkeypatch):
-    clock = iter([0.0, 2.0 * limits.PARSING_BURST_S])
-    monkeypatch.setattr(limits.time, "thread_time", lambda: next(clock))
-    flooder.data_received(b"x" * (3 * limits.SLICE))
-    assert flooder.turned_out and flooder.parsed == [limits.SLICE] and not flooder.loop.soon
+    clock = iter([0.0, 2.0 * limited.PARSING_BURST_S])
+    monkeypatch.setattr(limited.time, "thread_time", lambda: next(clock))
+    flooder.data_received(b"x" * (3 * limited.SLICE))
+    assert flooder.turned_out and flooder.parsed == [limited.SLICE] and not flooder.loop.soon
 
 
 def test_what_was_said_last_counts_though_the_connection_ends(flooder, monkeypatch):
-    monkeypatch.setattr(limits.WebSocketsSansIOProtocol, "connection_lost", lambda self, exc: None)
-    flooder.data_received(b"x" * (limits.SLICE + 7))
+    monkeypatch.setattr(limited.WebSocketsSansIOProtocol, "connection_lost", lambda self, exc: None)
+    flooder.data_received(b"x" * (limited.SLICE + 7))
     flooder.connection_lost(None)
-    assert flooder.parsed == [limits.SLICE, 7]
+    assert flooder.parsed == [limited.SLICE, 7]
+
+
+def test_who_sends_much_is_busy_for_a_while_and_who_polls_is_not(flooder, monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(limited.time, "monotonic", lambda: now[0])
+    flooder._sent = limited.QUIET
+    assert flooder.load() == 0.0
+    flooder._sent = 10.0 * limited.QUIET
+    assert flooder.load() == 10.0 * limited.QUIET
+    now[0] = limited.LOAD_S
+    assert limited.QUIET < flooder.load() < 5.0 * limited.QUIET
+    now[0] = 10.0 * limited.LOAD_S
+    assert flooder.load() == 0.0

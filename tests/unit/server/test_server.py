@@ -16,6 +16,7 @@ from armsight.drivers.remote import Link, ServerAddress
 from armsight.drivers.remote import protocol as say
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, UsageError
 from armsight.server.connections import UNKNOWN_PER_ADDRESS
+from armsight.server.limited import QUIET
 from armsight.server.serving import background
 from armsight.server.session import VIOLATIONS
 from armsight.server.sockets import CROWDED, WATCHERS_PER_ADDRESS
@@ -205,7 +206,7 @@ def test_connections_that_say_nothing_are_ended_before_tls_too(service, certific
 def test_a_watcher_more_finds_room_and_the_busiest_makes_it(url):
     with contextlib.ExitStack() as stack:
         quiet, busy, *others = (stack.enter_context(Raw(url, say.STREAM_PATH)) for _ in range(WATCHERS_PER_ADDRESS))
-        for _ in range(20):
+        for _ in range(int(2 * QUIET)):
             busy.say("read")
         assert stack.enter_context(Raw(url, say.STREAM_PATH)).say("stop")[0]["type"] == "accepted"
         assert busy.closed() == CROWDED

@@ -18,7 +18,3 @@ class TokenBucket:
             return False
         self._tokens -= tokens
         return True
-
-    def lacking(self, now_s: float) -> float:
-        """Return how many tokens are missing from a full bucket: how much was let through lately."""
-        return max(0.0, self._burst - self._tokens - max(0.0, now_s - self._filled_s) * self._per_s)
