@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+from types import SimpleNamespace
 
 import pytest
 from websockets.exceptions import InvalidStatus
@@ -14,8 +15,10 @@ from armsight.app.robot.channels import LineChannels, granted
 from armsight.app.robot.service import Service
 from armsight.drivers.remote import protocol as say
 from armsight.errors import DeviceFailed
-from armsight.server.auth import COOKIE, Authenticator, Caller, Denied
-from armsight.server.stop_line import stop_line
+from armsight.server.auth import COOKIE, Authenticator, Caller, Denied, Identity
+from armsight.server.limited import CONNECTION
+from armsight.server.session import Session
+from armsight.server.stop_line import StopLine, stop_line
 from armsight.server.web_server import ServeOptions
 from armsight.store.tokens import add_token
 
@@ -151,3 +154,16 @@ def test_a_pages_enable_counts_on_the_line_only_while_it_does_on_the_page(servic
 
 def test_nobody_is_granted_before_anybody_was():
     assert granted(LineChannels().grant) == (0, "")
+
+
+def test_who_drives_does_not_make_room_on_the_line():
+    kept = []
+    connection = SimpleNamespace(transport=None, guarded=SimpleNamespace(known=lambda *_, keep: kept.append(keep)))
+    channels, session = LineChannels(), Session("stop")
+    channels.grant.write(json.dumps([1, "key"]).encode())
+    line, socket = StopLine(channels, Authenticator()), SimpleNamespace(scope={"state": {CONNECTION: connection}})
+    for seq, said in enumerate(({"type": "stop"}, {"type": "heartbeat", "enable": True, "key": "key"}), start=1):
+        text = json.dumps({**said, "session": session.nonce, "seq": seq})
+        told = line._answer(socket, session, Identity(who="ann", role="drive"), {"text": text})
+        assert told.type == "done"
+    assert kept == [True], "by its enable alone"
