@@ -105,6 +105,12 @@ def test_whom_nobody_knows_makes_room_for_a_token(crowd):
     assert sum(one.aborted for one in nobodys) == 10 and not known.aborted
 
 
+def test_whom_nobody_knows_goes_before_a_token_that_has_more(crowd):
+    (nobody,) = come(crowd, FLOOD, [900])
+    known = come(crowd, FLOOD, range(limits.PER_ADDRESS), who="anna", load=900.0)
+    assert nobody.aborted and not any(one.aborted for one in known)
+
+
 def test_the_busiest_of_the_token_with_most_makes_room_and_never_who_drives(crowd):
     flood = come(crowd, FLOOD, range(limits.PER_ADDRESS - 2), who="anna", load=400.0)
     (driver,) = come(crowd, FLOOD, [900], who="anna", load=500.0)
@@ -136,14 +142,11 @@ def test_connections_are_taken_a_few_at_a_time(crowd):
         taken = []
         with Door(listener, crowd) as door:
             door.setblocking(False)
-            for _ in range(2):
+            for count in (limits.PER_TURN, limits.PER_TURN + 2):  # between them those that are there have their turn
                 with pytest.raises(BlockingIOError):
                     while True:
                         taken.append(door.accept()[0])
-                waiting.append(SimpleNamespace(close=lambda: None))
-                if len(taken) <= limits.PER_TURN:
-                    assert len(taken) == limits.PER_TURN, "those that are there have their turn"
-        assert len(taken) == limits.PER_TURN + 2
+                assert len(taken) == count
         for one in (*taken, *waiting):
             one.close()
 
