@@ -1,4 +1,5 @@
-"""The operating system's order of threads: a control loop first, pictures of it last, all other work as usual.
+"""The operating system's order of threads: a control loop first, then the line for stops, then all other work; the web
+server gives way to it, and pictures to the web server.
 
 Linux allows real-time priorities to root, and to whom limits.conf gives rtprio; elsewhere nothing changes. Niceness
 would not do: Linux shares the processors between sessions first.
@@ -19,8 +20,10 @@ from types import FrameType
 
 CONTROL = 10
 """Of SCHED_FIFO: before all usual work, behind the kernel's own threads."""
-BEHIND = 5
-"""Niceness of what gives way: Linux gives it a third of the time of usual work beside it."""
+LISTENS = 5
+"""Of SCHED_FIFO: the line for stops, behind every control loop."""
+SERVES, BEHIND = 5, 10
+"""Niceness of the web server, and of pictures behind it: Linux gives each a third of the time of what is before it."""
 WORKS_S = 0.1
 """Longest that a thread works before all others without sleeping: 25 cycles of 4 ms, and a tenth of what tells a loop
 that hangs. The kernel counts in its ticks of 1 to 10 ms."""
@@ -40,7 +43,15 @@ def control_first() -> bool:
 
     Without it a machine with other work wakes a 4 ms loop 3 ms late at p99; with it 0.01 ms.
     """
-    return bound_control() and _schedule(threading.get_native_id(), first=True)
+    return bound_control() and _schedule(threading.get_native_id(), CONTROL)
+
+
+def listen_first() -> bool:
+    """Let the calling thread run before usual work, behind control loops; else as control_first.
+
+    A flood that keeps it awake for WORKS_S makes it run as usual for BACK_S: nobody outside takes the processors.
+    """
+    return bound_control() and _schedule(threading.get_native_id(), LISTENS)
 
 
 def bound_control() -> bool:
@@ -56,13 +67,13 @@ def bound_control() -> bool:
     return signal.getsignal(signal.SIGXCPU) is _put_back
 
 
-def give_way() -> None:
-    """Let the calling thread run behind usual work, yet not never: for what can wait."""
+def give_way(niceness: int = BEHIND) -> None:
+    """Let the calling thread, and what it starts, run behind usual work, yet not never: for what can wait."""
     if not hasattr(os, "SCHED_RESET_ON_FORK"):  # elsewhere niceness is of a whole process
         return
     thread = threading.get_native_id()
-    if os.getpriority(os.PRIO_PROCESS, thread) < BEHIND:  # who was begun behind more stays there
-        os.setpriority(os.PRIO_PROCESS, thread, BEHIND)
+    if os.getpriority(os.PRIO_PROCESS, thread) < niceness:  # who was begun behind more stays there
+        os.setpriority(os.PRIO_PROCESS, thread, niceness)
 
 
 def _limit() -> None:
@@ -77,32 +88,35 @@ def _limit() -> None:
 
 def _put_back(number: int, frame: FrameType | None) -> None:
     """Let every thread of this process run as usual, for BACK_S."""
-    first = [thread for thread in _threads() if _goes_first(thread)]
+    first = {thread: priority for thread in _threads() if (priority := _goes_first(thread))}
     for thread in first:
-        _schedule(thread, first=False)
+        _schedule(thread, 0)
     back = threading.Timer(BACK_S, _give_back, (first,))
     back.daemon = True
     back.start()
 
 
-def _give_back(threads: list[int]) -> None:
+def _give_back(threads: dict[int, int]) -> None:
     _limit()
-    for thread in set(threads) & _threads():  # the number of one that has ended may be another process's by now
-        _schedule(thread, first=True)
+    for thread in threads.keys() & _threads():  # the number of one that has ended may be another process's by now
+        _schedule(thread, threads[thread])
 
 
 def _threads() -> set[int]:
     return {int(thread.name) for thread in Path("/proc/self/task").iterdir()}
 
 
-def _goes_first(thread: int) -> bool:
+def _goes_first(thread: int) -> int:
+    """Return the priority of a thread that goes first; 0 of one that runs as usual."""
     with suppress(ProcessLookupError):
-        return os.sched_getscheduler(thread) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO
-    return False
+        if os.sched_getscheduler(thread) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO:
+            return os.sched_getparam(thread).sched_priority
+    return 0
 
 
-def _schedule(thread: int, *, first: bool) -> bool:
-    policy, priority = (os.SCHED_FIFO, CONTROL) if first else (os.SCHED_OTHER, 0)
+def _schedule(thread: int, priority: int) -> bool:
+    """Give a thread a priority of SCHED_FIFO; 0: let it run as usual. Return whether the system allows that."""
+    policy = os.SCHED_FIFO if priority else os.SCHED_OTHER
     with suppress(OSError):
         os.sched_setscheduler(thread, policy | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
         return True

@@ -102,6 +102,38 @@ def test_a_loop_that_does_not_sleep_goes_first_no_more_and_later_again(monkeypat
 
 
 @LINUX
+def test_the_line_for_stops_goes_behind_a_loop_and_after_a_flood_there_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    if not allowed():
+        pytest.skip("the system does not allow it")
+    back: list[tuple[dict[int, int]]] = []
+
+    class Later:
+        def __init__(self, _: float, act: object, args: tuple[dict[int, int]]) -> None:
+            back.append(args)
+
+        def start(self) -> None:
+            pass
+
+    def line() -> tuple[int, int, int]:
+        def place() -> int:
+            thread = threading.get_native_id()
+            usual = os.sched_getscheduler(thread) & ~os.SCHED_RESET_ON_FORK != os.SCHED_FIFO
+            return 0 if usual else os.sched_getparam(thread).sched_priority
+
+        assert priority.listen_first()
+        listens = place()
+        priority._put_back(0, None)
+        flooded = place()
+        priority._give_back(*back[0])
+        return listens, flooded, place()
+
+    monkeypatch.setattr(priority.threading, "Timer", Later)
+    priority.bound_control()
+    assert in_a_thread(line) == (priority.LISTENS, 0, priority.LISTENS)
+    assert priority.LISTENS < priority.CONTROL
+
+
+@LINUX
 def test_a_loop_that_sleeps_stays_first() -> None:
     if not allowed():
         pytest.skip("the system does not allow it")

@@ -130,6 +130,7 @@ def _robot_bar(robot: RobotCell) -> None:
             "data-instance": robot.service.desk.instance,
             "data-gone": texts.GONE,
             "data-stale": texts.STALE,
+            "data-shared": texts.SHARED,
         }
     )
     with bar:

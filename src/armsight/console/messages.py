@@ -42,12 +42,16 @@ class JogKey(_Said):
 
 
 class Beat(_Said):
-    """The page is alive. enable: whether its button is held; seen: t of the newest state that it had, None of none."""
+    """The page is alive. enable: whether its button is held; seen: t of the newest state that it had, None of none.
+
+    number: of the beat, which the page says on the line for stops as well; one that was overtaken does not count.
+    """
 
     do: Literal["beat"]
     enable: bool
     push: JogKey | None = None
     seen: Seconds | None = None
+    number: int | None = Field(None, ge=1, lt=2**53)
 
 
 class Stop(_Said):

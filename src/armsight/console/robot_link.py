@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import json
 import math
+import secrets
 import time
 from typing import Annotated, Any
 
@@ -59,6 +60,7 @@ class RobotLink:
     def __init__(self, seat: Seat, socket: WebSocket, browser: str) -> None:
         self._seat, self._socket, self._browser = seat, socket, browser
         self._person = person_of(socket)
+        self._key = secrets.token_hex(16)  # names its enable on the line for stops, while the seat lets it
         self._refused = ""
         self._told_s = -math.inf
 
@@ -96,7 +98,8 @@ class RobotLink:
         if beat.enable and seen_s > self._told_s:  # it would stay fresh however long it lay in a buffer
             raise UsageError("the page saw a state that it was not told", consequence="Nothing was done")
         push = None if beat.push is None else beat.push.held()
-        self._seat.beat(self._browser, self._person, enable=beat.enable, seen_s=seen_s, age_s=age_s, push=push)
+        said = {"enable": beat.enable, "seen_s": seen_s, "age_s": age_s, "push": push, "number": beat.number}
+        self._seat.beat(self._browser, self._person, key=self._key, **said)  # type: ignore[arg-type]
         if beat.enable:
             self._refused = ""
 
@@ -130,4 +133,6 @@ class RobotLink:
             "enabled": now.enabled,
             "override": now.override,
             "drives": self._person.role == "drive",
+            "line": self._seat.service.stop_port,
+            "key": self._key,
         }

@@ -15,6 +15,7 @@ from armsight.app.robot.service import Service
 from armsight.drivers.remote import protocol as say
 from armsight.errors import ArmsightError
 from armsight.server.auth import Authenticator, Identity, address_of, caller_of
+from armsight.server.limited import known_as
 from armsight.server.sockets import Connection
 
 PUMP_S = 0.02
@@ -25,6 +26,7 @@ async def known(request: Request) -> Identity:
     """Return who asks. Raises HTTPException for whom the server does not know; each refusal is kept in the log."""
     found = request.app.state.auth.check(caller_of(request))
     if isinstance(found, Identity):
+        known_as(request.scope, found.who)
         return found
     request.app.state.service.desk.note("warning", f"{address_of(request)} was kept out: {found.why}")
     raise HTTPException(found.status, found.why, headers={"WWW-Authenticate": "Bearer"})

@@ -125,9 +125,12 @@ class Authenticator:
 
     def _own_page(self, caller: Caller) -> bool:
         """Tell whether the page that asks is one of this server."""
-        origin, host = caller.origin.lower().partition("://")[2], caller.host.lower()
+        scheme, _, origin = caller.origin.lower().partition("://")
+        host = caller.host.lower()
         if self._page_port is not None:
-            host = f"{re.sub(r':[0-9]+$', '', host)}:{self._page_port}"
+            host = re.sub(r":[0-9]+$", "", host)
+            if self._page_port != {"http": 80, "https": 443}.get(scheme):  # which browsers leave away
+                host = f"{host}:{self._page_port}"
         return origin == host
 
     def _local(self, caller: Caller) -> Identity | Denied:

@@ -11,6 +11,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocketClose
 
 from armsight.server.auth import COOKIE, Authenticator, Denied, caller_of
+from armsight.server.limited import known_as
 
 IDENTITY = "armsight.identity"
 LOGIN = "/login"
@@ -46,6 +47,7 @@ class Gate:
             return
         found = self._auth.check(caller_of(HTTPConnection(scope)))
         if not isinstance(found, Denied):
+            known_as(scope, found.who)
             await self.app({**scope, IDENTITY: found}, receive, send)
         elif scope["type"] == "websocket":
             await WebSocketClose(code=1008, reason=found.why[:120])(scope, receive, send)

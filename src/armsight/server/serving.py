@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from fastapi import FastAPI
 
 from armsight.app.robot.service import Service
+from armsight.priority import SERVES, give_way
 from armsight.server.application import create_app
 from armsight.server.auth import Authenticator
 from armsight.server.connections import Connections
@@ -26,6 +27,7 @@ def serve(service: Service, options: ServeOptions, *, ready: Callable[[str], Non
     check_options(options)
     auth = Authenticator(options.tokens or ())
     with listening(options.bind, options.port) as listener, stop_line(service, options):
+        give_way(SERVES)  # after the loop and the line for stops were begun
         server = web_server(create_app(service, auth), options, _connections(service))
         ready(_url(options, listener))
         server.run(sockets=[listener])
@@ -49,6 +51,7 @@ def serve_pages(
     with contextlib.ExitStack() as stack:
         if service is not None:
             stack.enter_context(stop_line(service, options, page_port=listener.getsockname()[1]))
+        give_way(SERVES)
         server = web_server(gate, options, _connections(service))
         ready(_url(options, listener).replace("ws", "http", 1))
         server.run(sockets=[listener])

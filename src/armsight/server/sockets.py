@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+from collections import Counter
 from typing import Literal
 
 from fastapi import WebSocket
@@ -17,7 +18,7 @@ from armsight.app.robot.service import Service
 from armsight.drivers.remote import protocol as say
 from armsight.errors import ArmsightError, DeviceFailed
 from armsight.server.auth import Authenticator, Caller, Denied, Identity
-from armsight.server.connections import age_of
+from armsight.server.limited import LimitedWebSocket, age_of, connection_of, known_as
 from armsight.server.session import VIOLATIONS, Session
 
 STATE_S = 0.05
@@ -31,7 +32,10 @@ TOO_LONG = 1009
 """Close codes of RFC 6455: against the rules, and a message that is too long."""
 
 WATCHERS, WATCHERS_PER_ADDRESS = 32, 16
-"""Connections that watch at a time; who drives is not counted among them, and always finds room."""
+"""Connections that watch at a time; one more, and the busiest makes room. Who drives is not counted among them."""
+
+CROWDED = 1013
+"""Close code: try again later."""
 
 
 class Connection:
@@ -61,30 +65,31 @@ class Connection:
         if not await self._enter():
             return
         session = Session(self._role)
-        await self._send(self._welcome(session))
-        teller = asyncio.create_task(self._tell())
-        why = "the server ended"
+        teller, why = None, "the server ended"
         try:
+            with contextlib.suppress(WebSocketDisconnect, RuntimeError):  # it may be gone by now
+                await self._send(self._welcome(session))
+            teller = asyncio.create_task(self._tell())
             why = await self._listen(session)
         finally:
             if self._lease is not None:
                 self._desk.leave(self._lease, why)  # first of all, and at once: nothing is awaited before it
-            self._count(-1)
-            teller.cancel()
-            with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
-                await teller
+            self._count_out()
+            if teller is not None:
+                teller.cancel()
+                with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
+                    await teller
 
     async def _enter(self) -> bool:
         found = self._auth.check(self._caller)
         if not isinstance(found, Denied) and self._role == "drive" and found.role != "drive":
             found = Denied(status=403, why=f"{found.who} may watch, not drive")
-        if not isinstance(found, Denied) and self._role == "watch":
-            found = self._crowded() or found
         if isinstance(found, Denied):
             self._desk.note("warning", f"{self._caller.address} was kept out: {found.why}")
             await self._deny(found)
             return False
         self._found, self._who = found, f"{found.who}@{self._caller.address}"
+        known_as(self._socket.scope, found.who, keep=self._role == "drive")
         if self._role == "drive":
             try:
                 self._lease = self._desk.take(self._who)
@@ -94,26 +99,53 @@ class Connection:
                 await self._send(say.Refused.of(error, None))
                 await self._socket.close(TAKEN, error.cause[:120])
                 return False
-        self._count(1)
         try:
             await self._socket.accept()
         except BaseException:
-            self._count(-1)
             if self._lease is not None:
                 self._desk.leave(self._lease, "its connection ended")
             raise
+        self._count_in()
         return True
 
-    def _crowded(self) -> Denied | None:
-        """Return why no more may watch; None while there is room."""
-        watchers = self._service.watchers
-        if watchers[self._caller.address] < WATCHERS_PER_ADDRESS and watchers.total() < WATCHERS:
-            return None
-        return Denied(status=503, why=f"{watchers.total()} clients watch; no more are taken")
+    @property
+    def address(self) -> str:
+        """Where it comes from."""
+        return self._caller.address
 
-    def _count(self, change: int) -> None:
-        if self._role == "watch":
-            self._service.watchers[self._caller.address] += change
+    @property
+    def load(self) -> float:
+        """How many messages it sent lately."""
+        line = connection_of(self._socket.scope)
+        return line.load() if isinstance(line, LimitedWebSocket) else 0.0
+
+    def turn_out(self) -> None:
+        """End it, because another one has to find room."""
+        self._desk.note("warning", f"{self._who} made room for others that watch")
+        line = connection_of(self._socket.scope)
+        if isinstance(line, LimitedWebSocket):
+            line.turn_out("there is room for beside others", code=CROWDED)
+
+    def _count_in(self) -> None:
+        """Count who watches; where there are too many the busiest goes, and of equal ones the oldest."""
+        if self._role != "watch":
+            return
+        watchers = self._service.watchers
+        counts = Counter(other.address for other in watchers)
+        crowd = None
+        if counts[self.address] >= WATCHERS_PER_ADDRESS:
+            crowd = self.address
+        elif len(watchers) >= WATCHERS:
+            crowd = counts.most_common(1)[0][0]
+        if crowd is not None:
+            busiest = max((other for other in watchers if other.address == crowd), key=lambda other: other.load)
+            watchers.remove(busiest)
+            busiest.turn_out()
+        watchers.append(self)
+
+    def _count_out(self) -> None:
+        if self in self._service.watchers:
+            self._service.watchers.remove(self)
 
     async def _deny(self, denied: Denied) -> None:
         await self._socket.send_denial_response(PlainTextResponse(denied.why, denied.status))

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
 import multiprocessing
 import os
 import pickle
@@ -22,22 +21,32 @@ from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
+from starlette.types import Message
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from armsight.app.robot.channels import granted
 from armsight.app.robot.host import LoopEvent
 from armsight.drivers.remote import protocol as say
 from armsight.errors import ArmsightError, DeviceFailed, DeviceLost
+from armsight.priority import listen_first
 from armsight.server.auth import Authenticator, Denied, Identity, address_of, caller_of
-from armsight.server.connections import Connections, age_of
+from armsight.server.connections import LINE, Connections
+from armsight.server.limited import age_of, known_as
 from armsight.server.session import Session
 from armsight.server.web_server import ServeOptions, listening, web_server
 
 if TYPE_CHECKING:
+    from multiprocessing.process import BaseProcess
+    from multiprocessing.synchronize import Event
+
     from armsight.app.robot.channels import LineChannels
     from armsight.app.robot.service import Service
 
 ORPHAN_S = 0.2
 """How often it looks whether the server that started it lives."""
+
+BEGIN_S = 60.0
+"""Longest wait until it serves: packages are read anew, on a machine that may be busy."""
 
 END_S = 2.0
 
@@ -73,6 +82,7 @@ class StopLine:
             self.note(f"{address_of(socket)} was kept out of the line for stops: {found.why}")
             await socket.send_denial_response(PlainTextResponse(found.why, found.status))
             return
+        known_as(socket.scope, found.who)
         session = Session("stop")
         await socket.accept()
         with contextlib.suppress(WebSocketDisconnect, RuntimeError):
@@ -84,17 +94,18 @@ class StopLine:
                 await asyncio.sleep(0)  # what a caller has piled up must not hold up the others
                 if not self._auth.knows(found):
                     break
-                answer = self._answer(session, found, message.get("text") or "", age_of(message))
+                answer = self._answer(socket, session, found, message)
                 await socket.send_text(answer.model_dump_json())
             await socket.close(1008, "against the protocol")
 
-    def _answer(self, session: Session, who: Identity, text: str, age_s: float) -> say.Done | say.Refused:
+    def _answer(self, socket: WebSocket, session: Session, who: Identity, message: Message) -> say.Done | say.Refused:
         seq = None
         try:
-            command = session.admit(text)
+            command = session.admit(message.get("text") or "")
             seq = command.seq
             if isinstance(command, say.Heartbeat):
-                self._beat(command, age_s)
+                self._beat(command, age_of(message))
+                known_as(socket.scope, who.who, keep=True)  # who drives does not make room for others
             else:
                 self._stop(who)
         except ArmsightError as error:
@@ -102,10 +113,10 @@ class StopLine:
         return say.Done(reply_to=command.seq)
 
     def _beat(self, said: say.Heartbeat, age_s: float) -> None:
-        lease, key = json.loads(self._channels.grant.read() or b'[0, ""]')
+        lease, key = granted(self._channels.grant)
         if not key or said.key != key:
             raise DeviceFailed("this key does not drive", consequence="Nothing was done", cure="Connect to drive anew")
-        self._order("beat", (said.enable, said.number), time.monotonic() - age_s, lease)
+        self._order("beat", (said.enable, said.number), time.monotonic() - age_s, lease, key)
 
     def _stop(self, who: Identity) -> None:
         self._order("stop", f"stopped by {who.who}")
@@ -128,14 +139,17 @@ def stop_line(service: Service, options: ServeOptions, *, page_port: int | None 
     """
     with _listening(options) as listener:
         service.stop_port = listener.getsockname()[1]
-        process = multiprocessing.get_context("spawn").Process(
+        context = multiprocessing.get_context("spawn")
+        up = context.Event()
+        process = context.Process(
             target=run_stop_line,
-            args=(service.host.line, options, listener, page_port, os.getpid()),
+            args=(service.host.line, options, listener, page_port, os.getpid(), up),
             name="armsight-stop-line",
             daemon=True,
         )
         process.start()
         try:
+            _wait(process, up)
             yield
         finally:
             service.stop_port = None
@@ -146,15 +160,32 @@ def stop_line(service: Service, options: ServeOptions, *, page_port: int | None 
                 process.join()
 
 
+def _wait(process: BaseProcess, up: Event) -> None:
+    """Wait until it serves: who comes before would have no line. Raises DeviceFailed where it does not begin."""
+    until_s = time.monotonic() + BEGIN_S
+    while not up.wait(ORPHAN_S):
+        if time.monotonic() > until_s or not process.is_alive():
+            raise DeviceFailed("the line for stops did not begin", consequence="Nothing is served")
+
+
 def run_stop_line(
-    channels: LineChannels, options: ServeOptions, listener: socket.socket, page_port: int | None, parent: int
+    channels: LineChannels,
+    options: ServeOptions,
+    listener: socket.socket,
+    page_port: int | None,
+    parent: int,
+    up: Event,
 ) -> None:
-    """Serve until the process that started this one ends."""
+    """Serve until the process that started this one ends; up is set once it does."""
+    listen_first()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches both; the server ends this one in order
     line = StopLine(channels, Authenticator(options.tokens or (), page_port=page_port))
-    server = web_server(line.app(), options, Connections(line.note), lifespan=False)
+    server = web_server(line.app(), options, Connections(line.note, LINE), lifespan=False)
 
     async def watch() -> None:
+        while not (server.started or server.should_exit):
+            await asyncio.sleep(0.01)
+        up.set()
         while os.getppid() == parent and not server.should_exit:
             await asyncio.sleep(ORPHAN_S)
         server.should_exit = True

@@ -17,7 +17,8 @@ from starlette.types import ASGIApp
 from armsight.drivers.remote import protocol as say
 from armsight.errors import BadFile, DeviceFailed, UsageError
 from armsight.server.auth import is_loopback
-from armsight.server.connections import Connections, LimitedHttp, LimitedWebSocket
+from armsight.server.connections import HEAD_BYTES, Connections, Door
+from armsight.server.limited import LimitedHttp, LimitedWebSocket
 from armsight.store.tokens import TokenEntry, read_tokens
 
 LOOPBACK = "127.0.0.1"
@@ -86,6 +87,8 @@ def web_server(
         app,
         http=functools.partial(LimitedHttp, connections=connections),  # type: ignore[arg-type]
         ws=functools.partial(LimitedWebSocket, connections=connections),  # type: ignore[arg-type]
+        loop="asyncio",  # whose listening socket is ours: it counts and ends those that hang in a handshake
+        h11_max_incomplete_event_size=HEAD_BYTES,
         ws_max_size=say.MAX_BYTES,
         ws_ping_interval=PING_S,
         ws_ping_timeout=PING_S,
@@ -100,7 +103,20 @@ def web_server(
         ssl_certfile=options.tls_cert,
         ssl_keyfile=options.tls_key,
     )
-    return uvicorn.Server(config)
+    return _Server(config, connections)
+
+
+class _Server(uvicorn.Server):
+    """A server whose connections are counted from their first moment."""
+
+    def __init__(self, config: uvicorn.Config, connections: Connections) -> None:
+        super().__init__(config)
+        self._connections = connections
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Begin to listen."""
+        doors: list[socket.socket] = [Door(one, self._connections) for one in sockets or ()]
+        await super().startup(doors)
 
 
 @contextlib.contextmanager

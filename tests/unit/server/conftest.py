@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import threading
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -133,3 +134,9 @@ def log():
 @pytest.fixture
 def service(host, log):
     return Service(host, log)
+
+
+@pytest.fixture(scope="session")
+def fakes():
+    """The loop and log in memory, for those who make a server of their own."""
+    return SimpleNamespace(FakeHost=FakeHost, KeptLog=KeptLog)

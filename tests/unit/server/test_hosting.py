@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import time
 from contextlib import contextmanager
 
@@ -280,3 +281,19 @@ def test_lateness_is_counted():
     assert lateness_s(counts, 0.5) == pytest.approx(1e-4, rel=0.03)
     assert lateness_s(counts, 1.0) >= 1.0
     assert lateness_s(np.zeros(640, dtype=np.uint64), 0.99) == 0.0
+
+
+def test_an_enable_of_the_line_counts_only_while_its_key_is_granted():
+    """An order that was under way while the key was taken back does not bring the enable back."""
+    with running() as loop:
+        for key, moves in (("old", False), ("", True), ("key", True)):  # the server's own way has no key
+            loop.host.release("anew")
+            loop.advance(3 * CYCLE_S)
+            loop.host.grant(0, "key")
+            for _ in range(4):
+                loop.host.line.orders.put(pickle.dumps(("beat", (True, None), loop.clock.now_s(), 0, key)))
+                loop.advance(CYCLE_S)
+            assert loop.host.snapshot().enabled is moves, key
+            loop.host.line.orders.put(pickle.dumps(("beat", (False, None), loop.clock.now_s(), 0, "old")))
+            loop.advance(2 * CYCLE_S)
+            assert not loop.host.snapshot().enabled, "letting go counts by whatever key"

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import socket
 import urllib.error
 import urllib.request
 
@@ -13,8 +15,11 @@ from websockets.sync.client import connect
 from armsight.drivers.remote import Link, ServerAddress
 from armsight.drivers.remote import protocol as say
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, UsageError
+from armsight.server.connections import UNKNOWN_PER_ADDRESS
+from armsight.server.limited import QUIET
 from armsight.server.serving import background
 from armsight.server.session import VIOLATIONS
+from armsight.server.sockets import CROWDED, WATCHERS_PER_ADDRESS
 from armsight.server.web_server import ServeOptions
 from armsight.store.tokens import add_token
 
@@ -186,6 +191,28 @@ def test_tls(service, certificate, tmp_path):
         link.close()
         with pytest.raises(DeviceFailed, match="not trusted"):
             Link(ServerAddress(url=url, token=token), say.STREAM_PATH).open()
+
+
+def test_connections_that_say_nothing_are_ended_before_tls_too(service, certificate):
+    cert, key = certificate
+    with background(service, ServeOptions(port=0, tls_cert=cert, tls_key=key)) as url, contextlib.ExitStack() as stack:
+        where = ("127.0.0.1", int(url.rpartition(":")[2]))
+        slow = [
+            stack.enter_context(socket.create_connection(where, timeout=WAIT_S)) for _ in range(UNKNOWN_PER_ADDRESS + 2)
+        ]
+        assert [one.recv(1) for one in slow[:2]] == [b"", b""], "the oldest make room, without a word of TLS"
+
+
+def test_a_watcher_more_finds_room_and_the_busiest_makes_it(url):
+    with contextlib.ExitStack() as stack:
+        quiet, busy, *others = (stack.enter_context(Raw(url, say.STREAM_PATH)) for _ in range(WATCHERS_PER_ADDRESS))
+        for _ in range(int(2 * QUIET)):
+            busy.say("read")
+        assert stack.enter_context(Raw(url, say.STREAM_PATH)).say("stop")[0]["type"] == "accepted"
+        assert busy.closed() == CROWDED
+        assert quiet.say("stop")[0]["type"] == "accepted" and others[-1].say("stop")[0]["type"] == "accepted"
+        stack.enter_context(Raw(url, say.STREAM_PATH))
+        assert [one.say("read")[0]["type"] for one in others].count("state") == len(others), "the oldest quiet one went"
 
 
 def test_a_server_started_anew_is_told_apart(service, host, log):

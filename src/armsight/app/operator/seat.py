@@ -88,6 +88,7 @@ class Seat:
         self._desk, self._host = service.desk, service.host
         self._browser = ""
         self._lease: Lease | None = None
+        self._line_key = ""
         self._held = False
         self._again = False
         self._pressed = False
@@ -128,9 +129,12 @@ class Seat:
         seen_s: float = math.inf,
         age_s: float = 0.0,
         push: Push | None = None,
+        number: int | None = None,
+        key: str = "",
     ) -> None:
         """Take a browser's sign of life; enable: whether its deadman's button is held, push: its jog key.
 
+        number: of the beat. key: by which the line for stops knows its enable, for as long as it counts here.
         age_s: how old the beat may be, by the round trip. seen_s: t_s of the newest state that it had; an enable that
         is older than FRESH_S lay in a buffer, and does not count until it was let go of. Raises DeviceFailed with who
         drives where another does, and at every beat of an enable that does not count; UsageError for whom may only
@@ -151,7 +155,11 @@ class Seat:
         stale = now_s - seen_s > FRESH_S
         self._again = enable and (self._again or stale)
         self._pressed, self._held, self._beat_s = enable, enable and not self._again, now_s - age_s
-        self._perform(say.Heartbeat(session="", seq=1, enable=self._held), age_s)
+        if not self._held:
+            self._let_line("")  # first, so that nothing that comes there brings it back
+        self._perform(say.Heartbeat(session="", seq=1, enable=self._held, number=number), age_s)
+        if self._held:
+            self._let_line(key)
         if stale and enable:
             raise DeviceFailed("the connection is slow", consequence="The robot is held", cure=LET_GO)
         self._follow(push if self._held else None)
@@ -179,6 +187,7 @@ class Seat:
     def stop(self, person: Person) -> None:
         """Stop the robot until it is reset; legal for everyone, always; never raises."""
         self._held, self._pushed = False, None
+        self._let_line("")
         self._desk.stop(person.who)
 
     @alone
@@ -186,6 +195,7 @@ class Seat:
         """Take commands again after a stop; the enable has to be held anew. Raises DeviceFailed, UsageError."""
         if browser != self._browser or self._desk.driver is not self._lease:
             self._take(browser, person)
+        self._let_line("")
         self._perform(say.ResetMessage(session="", seq=1))
         self._held, self._again = False, self._pressed
         if not self._pressed:  # browsers are silent while nothing is held: the desk waits to hear that it was let go of
@@ -252,7 +262,15 @@ class Seat:
                 cure="Ask for a token that may drive",
             )
         self._lease = self._desk.take(person.who)
+        self._line_key = self._lease.key  # a page's enable counts only as long as it does here
+        self._let_line("")
         self._browser, self._held, self._again, self._pressed, self._pushed = browser, False, False, False, None
+
+    def _let_line(self, key: str) -> None:
+        """Let the line for stops take enables by this key; an empty one: none."""
+        if self._lease is not None and key != self._line_key:
+            self._line_key = key
+            self._host.grant(self._lease.number, key)
 
     def _lose(self, why: str) -> None:
         """Stop the robot, and let anybody drive who releases the stop; who is lost has to let the enable go first."""
@@ -263,7 +281,7 @@ class Seat:
     def _let_go(self, why: str) -> None:
         if self._lease is not None:
             self._desk.leave(self._lease, why)
-        self._browser, self._lease = "", None
+        self._browser, self._lease, self._line_key = "", None, ""
         self._held, self._again, self._pressed, self._pushed = False, False, False, None
 
     def _follow(self, push: Push | None) -> None:

@@ -6,6 +6,7 @@ left out, so that no lock is needed and a process that dies holds nobody up.
 
 from __future__ import annotations
 
+import json
 import zlib
 from dataclasses import dataclass, field
 from multiprocessing import RawArray
@@ -125,6 +126,12 @@ class LineChannels:
     orders: Queue = field(default_factory=lambda: Queue(256, 512))
     grant: Newest = field(default_factory=lambda: Newest(256))
     notes: Queue = field(default_factory=lambda: Queue(256, 512))
+
+
+def granted(grant: Newest) -> tuple[int, str]:
+    """Return whose enable the line for stops takes: the lease's number, and its key; an empty one: nobody's."""
+    lease, key = json.loads(grant.read() or b'[0, ""]')
+    return int(lease), str(key)
 
 
 class JointTrack:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.robot.channels import JointTrack, LineChannels, Newest, Queue
+from armsight.app.robot.channels import JointTrack, LineChannels, Newest, Queue, granted
 from armsight.app.robot.host import SETPOINT_S, LoopCommand, LoopEvent, Snapshot
 from armsight.clock import Clock
 from armsight.control.guard import Guard, GuardState, Limits
@@ -130,7 +130,7 @@ class OrderSource:
     name = "client"
 
     def __init__(self, channels: Channels, clock: Clock, parent: int | None, enable_age_s: float) -> None:
-        self._orders, self._line_orders = channels.orders, channels.line.orders
+        self._orders, self._line_orders, self._grant = channels.orders, channels.line.orders, channels.line.grant
         self._enable_age_s = enable_age_s
         self._clock = clock
         self._parent = parent
@@ -183,13 +183,13 @@ class OrderSource:
     def _alive(self) -> bool:
         return self._enable and self._clock.now_s() - self._beat_s <= self._enable_age_s
 
-    def _obey(self, order: str, value: Any = None, sent_s: float = -math.inf, lease: int = 0) -> None:
+    def _obey(self, order: str, value: Any = None, sent_s: float = -math.inf, lease: int = 0, key: str = "") -> None:
         match order:
             case "follow":
                 self._follow(value, sent_s)
             case "hold":
                 self.drop()
-            case "beat":
+            case "beat" if not (key and value[0]) or granted(self._grant) == (lease, key):
                 self._beat(value, sent_s, lease)
             case "release":
                 self._let_go()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import secrets
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from threading import RLock
@@ -62,14 +62,32 @@ class Subscription:
         return events
 
 
+class Watcher(Protocol):
+    """A client that watches."""
+
+    @property
+    def address(self) -> str:
+        """Where it comes from."""
+        ...
+
+    @property
+    def load(self) -> float:
+        """How many messages it sent lately."""
+        ...
+
+    def turn_out(self) -> None:
+        """End it, because another one has to find room."""
+        ...
+
+
 class Service:
     """A robot as it is served. Any thread may call it; the host itself is spoken to under the same lock only."""
 
     def __init__(self, host: Host, log: Log) -> None:
         self.lock = RLock()
         self.host = host
-        self.watchers: Counter[str] = Counter()
-        """How many clients watch, by their addresses."""
+        self.watchers: list[Watcher] = []
+        """The clients that watch, the oldest first."""
         self.stop_port: int | None = None
         """Of the line for stops; None where there is none."""
         self.outside = ""

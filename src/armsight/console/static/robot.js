@@ -5,7 +5,35 @@
 
   const bar = () => document.querySelector("[data-robot]");
   const say = (message) => socket && socket.readyState === WebSocket.OPEN && socket.send(JSON.stringify(message));
-  const beat = () => say({ do: "beat", enable: held, push: held ? push : null, seen: state.t });
+  const beat = () => {
+    number += 1; // by both ways; the first to arrive counts
+    sayLine({ type: "heartbeat", enable: held, number, key: state.key });
+    say({ do: "beat", enable: held, push: held ? push : null, seen: state.t, number });
+  };
+
+  // The line for stops: a port of its own, which no picture and no page keeps waiting. Without it the page's way does.
+  let line = null, session = null, seq = 0, number = 0, wanted = null;
+  const sayLine = (message) =>
+    session && line.readyState === WebSocket.OPEN && line.send(JSON.stringify({ ...message, session, seq: ++seq }));
+  function openLine() {
+    if (line || !state.line) return;
+    wanted = wanted ?? performance.now();
+    const scheme = location.protocol === "https:" ? "wss:" : "ws:";
+    const opened = (line = new WebSocket(`${scheme}//${location.hostname}:${state.line}/api/v1/stop`));
+    opened.onmessage = (event) => {
+      const told = JSON.parse(event.data);
+      if (told.type !== "line") return;
+      [session, seq, wanted] = [told.session, 0, null];
+    };
+    opened.onclose = () => {
+      session = null;
+      wanted = wanted ?? performance.now();
+      setTimeout(() => {
+        line = null;
+        openLine();
+      }, 1000);
+    };
+  }
 
   function connect() {
     const here = bar();
@@ -17,6 +45,7 @@
       heard = performance.now();
       tried = 0;
       instance = instance || here.dataset.instance;
+      openLine();
       show();
     };
     socket.onclose = () => {
@@ -47,6 +76,7 @@
   }
   function stop() {
     letGo();
+    sayLine({ type: "stop" });
     say({ do: "stop" });
     fetch("/console/stop", { method: "POST", keepalive: true }).catch(() => {});
   }
@@ -64,7 +94,8 @@
       lamp.dataset.level = level;
     }
     const refused = document.getElementById("robot-refused");
-    if (refused) refused.textContent = gone || stale ? "" : state.refused || "";
+    const shared = state.mine && wanted !== null && performance.now() - wanted > 3000 ? here.dataset.shared : "";
+    if (refused) refused.textContent = gone || stale ? "" : state.refused || shared;
     const enable = document.querySelector("[data-testid=enable]");
     if (enable) {
       enable.dataset.alive = state.enabled ? "true" : "false";
