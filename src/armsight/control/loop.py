@@ -136,13 +136,13 @@ class ControlLoop:
         The robot stands still before it begins and after it ended. Raises what the robot raises where it cannot be
         begun; troubles under way are states of the guard, and are in the status and in the events.
         """
-        self._begin()
-        try:
-            with quiet_interpreter():
+        with quiet_interpreter():  # already as it begins, so that the link's thread has its turn in each cycle
+            self._begin()
+            try:
                 self._cycles(for_s, until)
-        except BaseException:
-            self._robot.stop()
-            raise
+            except BaseException:
+                self._robot.stop()
+                raise
         return self._jitter.timing()
 
     def _begin(self) -> None:
