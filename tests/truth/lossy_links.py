@@ -349,8 +349,10 @@ def judge(motions: tuple[Array, ...], limits: Limits, cycle_s: float, found: Fou
     ratios = []
     for rows in motions:
         joint = np.abs(rows[WINDOW:] - rows[:-WINDOW]) / window_s / SPEEDS
+        joint[[np.isnan(rows[i : i + WINDOW]).any() for i in range(len(joint))]] = np.nan  # it halted by itself
         place = np.array([tool_m(row) for row in rows])
         tool = np.linalg.norm(place[WINDOW:] - place[:-WINDOW], axis=1) / window_s / limits.speed_m_s
+        tool[np.isnan(joint[:, 0])] = np.nan
         ratios.append((float(np.nanmax(joint, initial=0.0)), float(np.nanmax(tool, initial=0.0))))
         walls = limits.workspace
         if walls is not None:

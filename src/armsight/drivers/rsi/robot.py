@@ -14,6 +14,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.clock import Clock, SystemClock
 from armsight.drivers.cyclic import LinkTimes
 from armsight.drivers.joint_goals import JointLimits
+from armsight.drivers.pose_goals import between
 from armsight.drivers.rsi.messages import RobMessage, answer, correction, parse
 from armsight.drivers.rsi.settings import RsiSettings, RsiTags, read_tags, rsi_settings
 from armsight.drivers.udp import RESTART_PACKETS, Sender, UdpRobot, udp_port
@@ -119,10 +120,24 @@ class RsiRobot(UdpRobot[RobMessage]):
         return late is None or late < 1
 
     def _check_session(self, state: RobMessage) -> None:
-        """A session of before counts all cycles since as late; in a new one the old correction would pull the arm."""
+        """Lose a link whose session may be new: a session of before has counted all cycles since as late.
+
+        In a new one the correction of before would pull the arm. Where none is in force, that is where it begins.
+        """
         late = self._late_since(state)
-        if late is None or late < 0:
+        if late is not None and late >= 0:
+            return
+        if self._corrects():
             self._lose("RSI on its controller may have started anew meanwhile")
+            return
+        self._start_q, self._start_pose = state.q, state.T_base_flange
+        self._rebase(state.q)
+
+    def _corrects(self) -> bool:
+        """Tell whether a correction is in force."""
+        if self.takes_poses and self._start_pose is not None:
+            return bool(np.concatenate(between(self._start_pose, self._poses.sent)).any())
+        return bool((self._goals.sent != self._start_q).any())
 
     def _late_since(self, state: RobMessage) -> int | None:
         """Return how many answers were late since the last one, and that one, beyond the cycles that had none.
