@@ -145,7 +145,7 @@ def driven(kind: str, device: str, for_s: float, seed: int, limits: Limits) -> d
         timing = run_beside(lambda: loop.run(for_s=for_s), lambda: None)
         counts = getattr(robot, "counts", None)
         missed = robot.missed if counts is None else counts.missed
-        late = "not told" if counts is None else counts.late
+        late = robot.late if counts is None else counts.late
         return {"timing": timing, "missed": missed, "late": late, "status": loop.status, "cycles": robot._pace.cycles}
 
 

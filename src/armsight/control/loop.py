@@ -25,7 +25,7 @@ from armsight.control.guard import Decision, Guard, GuardState, Inputs, TargetSt
 from armsight.control.jitter import Jitter, Timing
 from armsight.control.setpoints import CycleState, Finished, Hold, SetPoint, SetPointSource
 from armsight.drivers import Pace, Paced, Robot, RobotState, Sent
-from armsight.errors import ArmsightError, DeviceFailed
+from armsight.errors import ArmsightError, DeviceFailed, StaleData
 from armsight.records import JointReading
 
 Array = NDArray[np.float64]
@@ -34,6 +34,8 @@ SWITCH_S = 2e-4
 """How long another Python thread may keep the loop from running; Python's own 5 ms is longer than a cycle."""
 END_S = 3.0
 """A robot that did not come to rest so long after the end was asked for is stopped by its own means."""
+BEGIN_S = 0.5
+"""The first reading is waited for so long, as long as a loop that runs may be without one."""
 LATE_SHARE = 0.5
 """A cycle that begins later than this share of itself counts as late."""
 PATIENCE = 1.5
@@ -154,7 +156,7 @@ class ControlLoop:
                 consequence="It is not moved",
                 cure="Give the arm of this robot",
             )
-        self._reading = self._robot.read()
+        self._reading = self._first_reading()
         guard.begin(self._standing(), self._clock.now_s())
         guard.warm_up()
         warm_up = getattr(self._source, "warm_up", None)
@@ -164,6 +166,18 @@ class ControlLoop:
         if self._paced is not None:
             self._paced.slow_down(guard.bounds.speed)  # also where others ask it for motion beside this loop
             self._pace = self._paced.wait_step(-1, 0.0)
+
+    def _first_reading(self) -> JointReading:
+        """Return a fresh reading, wait BEGIN_S for it: a busy computer that has just loaded all reads late."""
+        until_s = self._clock.now_s() + BEGIN_S
+        while True:
+            try:
+                return self._robot.read()
+            except StaleData:
+                now_s = self._clock.now_s()
+                if now_s > until_s:
+                    raise
+                self._clock.sleep_until(now_s + self._guard.cycle_s)
 
     def _standing(self) -> Array:
         """Return where the robot stands by its last command; one that takes only poses, by its reading."""

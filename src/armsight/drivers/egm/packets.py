@@ -62,7 +62,8 @@ class ControllerPacket:
 
     sequence, tm_ms: its number and the controller's clock, both from its start. q (n,): measured joint values in rad.
     T_base_flange: measured pose where it is told, in the frame that EGMActPose or EGMActJoint has set on the
-    controller. why_still: why it takes no motion just now, in words; empty where it does.
+    controller. q_planned, T_planned: where it means to be, as far as it tells. why_still: why it takes no motion just
+    now, in words; empty where it does.
     """
 
     sequence: int
@@ -70,6 +71,7 @@ class ControllerPacket:
     q: Array
     q_planned: Array | None
     T_base_flange: RigidTransform | None
+    T_planned: RigidTransform | None
     why_still: str
 
 
@@ -95,6 +97,7 @@ def parse(data: bytes, n: int) -> ControllerPacket:
         q=q,
         q_planned=_joints(message.planned, n) if message.HasField("planned") else None,
         T_base_flange=_pose(message.feedBack),
+        T_planned=_pose(message.planned) if message.HasField("planned") else None,
         why_still=_why_still(message),
     )
 

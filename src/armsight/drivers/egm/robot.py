@@ -14,19 +14,13 @@ from armsight.clock import Clock, SystemClock
 from armsight.drivers.cyclic import LinkTimes
 from armsight.drivers.egm.packets import ControllerPacket, answer_joints, answer_pose, parse
 from armsight.drivers.egm.settings import EgmSettings, egm_settings
+from armsight.drivers.given_goals import GivenGoals
 from armsight.drivers.joint_goals import JointLimits
-from armsight.drivers.pose_goals import between
 from armsight.drivers.udp import RESTART_PACKETS, Sender, UdpRobot, udp_port
 from armsight.errors import DeviceFailed, DeviceNotFound, Inconsistent, UsageError
 from armsight.units import MS
 
 Array = NDArray[np.float64]
-
-MOVES = 1e-5
-"""Goals that differ by less, in rad or m, tell nothing of whether they were taken; lost, they are no jump."""
-
-PLANS = 1e-9
-"""A planned position that changed by less, in rad, is the same one."""
 
 
 class EgmRobot(UdpRobot[ControllerPacket]):
@@ -55,6 +49,7 @@ class EgmRobot(UdpRobot[ControllerPacket]):
             clock=clock or SystemClock(),
         )
         self.takes_poses = self.settings.guidance == "pose"
+        self._given = GivenGoals()
         self._answers = 0
 
     def _begin(self) -> None:
@@ -62,8 +57,7 @@ class EgmRobot(UdpRobot[ControllerPacket]):
 
     def _rebase(self, q: Array) -> None:
         super()._rebase(q)
-        self._asked_at: Array | None = None
-        self._asked_q, self._asked_pose = self._goals.sent, self._poses.sent
+        self._given.start()
 
     def _not_opened(self, nobody: str) -> DeviceFailed:
         return DeviceNotFound(
@@ -82,18 +76,9 @@ class EgmRobot(UdpRobot[ControllerPacket]):
         return state.sequence - last.sequence
 
     def _taken(self, state: ControllerPacket) -> bool:
-        """Tell whether the planned position moved since a goal went out that it has to move for.
-
-        A controller that smooths plans something between its goals, moves on at once, and limits by itself what it
-        catches up (MaxSpeedDeviation); one that takes goals as they are would catch it up within one cycle.
-        """
-        if self._asked_at is None or state.q_planned is None:
-            return True
-        if not np.abs(state.q_planned - self._asked_at).max() > PLANS:
-            self.counts.late += 1
-            return False
-        self._asked_at = None
-        return True
+        taken = self._given.taken(state.T_planned if self.takes_poses else state.q_planned)
+        self.counts.late += not taken
+        return taken
 
     def _hear(self, state: ControllerPacket) -> None:
         self._behind_sequence = -1
@@ -114,10 +99,7 @@ class EgmRobot(UdpRobot[ControllerPacket]):
     def _answer(self, state: ControllerPacket, sender: Sender) -> None:
         tm_ms = int(self._clock.now_s() / MS)
         q, pose = self._goals.sent, self._poses.sent
-        way = np.concatenate(between(self._asked_pose, pose)) if self.takes_poses else q - self._asked_q
-        if np.abs(way).max() > MOVES:
-            self._asked_at = state.q_planned
-        self._asked_q, self._asked_pose = q, pose
+        self._given.give(pose if self.takes_poses else q)
         data = answer_pose(self._answers, tm_ms, pose) if self.takes_poses else answer_joints(self._answers, tm_ms, q)
         self._answers += 1
         with contextlib.suppress(OSError):  # a controller that is gone is told by its silence

@@ -44,10 +44,11 @@ def address(device: str) -> tuple[str, int]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ControllerState:
-    """What the controller told in one cycle: its clock in s, joint values in rad, and what it can do."""
+    """What the controller told in one cycle: its clock in s, joints and where they are meant to be, what it can do."""
 
     stamp_s: float
     q: tuple[float, ...]
+    q_planned: tuple[float, ...]
     runtime: int
     safety: int
 
@@ -96,11 +97,12 @@ class Worker:
         if len(data) < STATE.size:
             raise DeviceLost("ur-rtde has ended")
         stamp_s, *q, runtime, safety = STATE.unpack(data)
+        n = len(q) // 2
         if math.isnan(stamp_s):
             self._link.settimeout(END_S)
             text = self._link.recv(LONGEST_TEXT).decode("utf-8", "replace")
             raise DeviceLost(f"ur-rtde says: {text}")
-        return ControllerState(stamp_s=stamp_s, q=tuple(q), runtime=runtime, safety=safety)
+        return ControllerState(stamp_s=stamp_s, q=tuple(q[:n]), q_planned=tuple(q[n:]), runtime=runtime, safety=safety)
 
     def send(self, q: Sequence[float]) -> None:
         """Send a goal (6,) in rad."""

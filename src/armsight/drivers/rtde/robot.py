@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from armsight.clock import Clock, SystemClock
 from armsight.drivers.cyclic import CyclicRobot, LinkTimes
+from armsight.drivers.given_goals import GivenGoals
 from armsight.drivers.joint_goals import JointLimits
 from armsight.drivers.lock import DeviceLock
 from armsight.drivers.rtde.link import ControllerState, Worker, address
@@ -92,7 +93,8 @@ class RtdeRobot(CyclicRobot):
         cycle_s = self.settings.cycle_s
         times = LinkTimes(cycle_s=cycle_s, stale_s=self.settings.stale_s, silent_s=self.settings.silent_s)
         super().__init__(f"rtde:{device}", limits=limits, times=times, clock=clock or SystemClock())
-        self.missed = 0
+        self.missed = self.late = 0
+        self._given = GivenGoals()
         self._stamp_s = -math.inf
         self._closing = False
 
@@ -104,7 +106,8 @@ class RtdeRobot(CyclicRobot):
             self._worker = Worker(self.host, self.port, numbers)
             undo.callback(lambda: self._worker.close(at_once=bool(self._lost) or self._reading is None))
             self._hear_first(self._first_state())
-            self.missed, self._closing = 0, False
+            self.missed, self.late, self._closing = 0, 0, False
+            self._given.start()
             self._thread = threading.Thread(target=self._run, name=self.name, daemon=True)
             self._thread.start()
             self._undo = undo.pop_all()
@@ -164,7 +167,10 @@ class RtdeRobot(CyclicRobot):
         self.missed += cycles - 1
         self._stamp_s = state.stamp_s
         self._hear(state)
-        self._tick(cycles, taken=True)  # its program asks for the newest goal when it is ready for one
+        taken = self._given.taken(np.array(state.q_planned))
+        self.late += not taken
+        self._tick(cycles, taken=taken)
+        self._given.give(self._goals.sent)
         self._worker.send(self._goals.sent.tolist())
 
     def _hear(self, state: ControllerState) -> None:

@@ -22,12 +22,12 @@ import sys
 import time
 from typing import Any
 
-STATE = struct.Struct("<d6diI")
-"""Controller's clock in s, joint values in rad, runtime_state, safety_status_bits."""
+STATE = struct.Struct("<d6d6diI")
+"""Controller's clock in s, joint values and where they are meant to be in rad, runtime_state, safety_status_bits."""
 
 GOAL = struct.Struct("<6d")
 
-VARIABLES = ["timestamp", "actual_q", "runtime_state", "safety_status_bits"]
+VARIABLES = ["timestamp", "actual_q", "target_q", "runtime_state", "safety_status_bits"]
 
 PLAYING = 2
 """runtime_state of a controller whose program runs."""
@@ -71,7 +71,7 @@ def main() -> None:
         text = f"{type(error).__name__}: {error}".encode()
         with contextlib.suppress(OSError):
             link.setblocking(True)
-            link.sendall(STATE.pack(math.nan, *[0.0] * 6, 0, 0) + text)
+            link.sendall(STATE.pack(math.nan, *[0.0] * 12, 0, 0) + text)
     os._exit(0)  # ur-rtde's destructors sleep, and there is nothing left for them to do
 
 
@@ -115,7 +115,7 @@ def keep_going(link: socket.socket, receiver: Any, controller: Any, cycle_s: flo
             time.sleep(POLL_S)
             continue
         last_s = stamp_s
-        q = receiver.getActualQ()
+        q = [*receiver.getActualQ(), *receiver.getTargetQ()]
         runtime, safety = int(receiver.getRuntimeState()), int(receiver.getSafetyStatusBits())
         link.sendall(STATE.pack(stamp_s, *q, runtime, safety))
         select.select([link], [], [], WAIT_SHARE * cycle_s)
