@@ -27,6 +27,7 @@ from armsight.calibrate.arm.other_arm import OtherArm, other_arm
 from armsight.calibrate.arm.parameter_selection import still
 from armsight.calibrate.arm.plausibility import check_fit, exceeded
 from armsight.calibrate.arm.points import ArmPoints, check_points
+from armsight.calibrate.arm.rotations import check_rotations, rotation_notes
 from armsight.calibrate.arm.stream import believed, drift_of, in_blocks
 from armsight.calibrate.arm.tool_points import tool_points
 from armsight.calibrate.correlation import Correlation
@@ -131,6 +132,7 @@ def calibrate_arm(
     check_points(nominal, points)
     check_one_place(nominal, points)
     model = ArmModel(arm=nominal, labels=points.labels, turned=points.rotation is not None)
+    check_rotations(model, points)
     if holdout is not None:
         check_points(nominal, holdout)
         _check_labels(model, holdout)
@@ -222,6 +224,7 @@ def _result(
     at_limit = limits_reached(model, best.fitted.p, best.choice.free, tolerance)
     before_m, after_m = _size(model, first, points), _size(model, best, points)
     fitted, correlation = believed(model, points, best.fitted)
+    notes = (*_unjudged(points, rows), *_in_stream(points, correlation))
     return ArmCalibration(
         arm=_arm(model, fitted),
         nominal=model.arm,
@@ -244,7 +247,7 @@ def _result(
         couplings=best.couplings,
         still=still(model, points),
         at_limit=at_limit,
-        notes=(*(item.sentence for item in at_limit), *_unjudged(points, rows), *_in_stream(points, correlation)),
+        notes=(*(item.sentence for item in at_limit), *rotation_notes(model, points, fitted), *notes),
         verdict=" ".join([_verdict(judged, proved, best, held), *(f"{item.sentence}." for item in at_limit)]),
         error_m=after_m,
         before_m=before_m,
