@@ -217,14 +217,13 @@ def _result(
 ) -> ArmCalibration:
     first, proved, errors = judged.first, judged.proved(points), judged.left
     best, held = _held(model, holdout, first, proved)
-    gain = best is not first
-    rows = errors.judged
+    gain, rows = best is not first, errors.judged
     cross = Errors.of(errors.nominal_m[rows]), Errors.of((errors.chosen_m if gain else errors.nominal_m)[rows])
     left = cross if held is None else (Errors.of(held[0]), Errors.of(held[1 if gain else 0]))
     at_limit = limits_reached(model, best.fitted.p, best.choice.free, tolerance)
     before_m, after_m = _size(model, first, points), _size(model, best, points)
     fitted, correlation = believed(model, points, best.fitted)
-    notes = (*_unjudged(points, rows), *_in_stream(points, correlation))
+    told = *_unjudged(points, rows), *_in_stream(points, correlation)
     return ArmCalibration(
         arm=_arm(model, fitted),
         nominal=model.arm,
@@ -247,7 +246,7 @@ def _result(
         couplings=best.couplings,
         still=still(model, points),
         at_limit=at_limit,
-        notes=(*(item.sentence for item in at_limit), *rotation_notes(model, points, fitted), *notes),
+        notes=(*(item.sentence for item in at_limit), *rotation_notes(model, points, fitted), *told),
         verdict=" ".join([_verdict(judged, proved, best, held), *(f"{item.sentence}." for item in at_limit)]),
         error_m=after_m,
         before_m=before_m,
