@@ -30,10 +30,10 @@ def readings() -> Array:
     return np.random.default_rng(0).uniform(-1.5, 1.5, (12, 2))
 
 
-def pivot(scale: float, tip_m: float = 0.18, point: MeasuredPoint | None = None) -> None:
+def pivot(scale: float, tip_m: float = 0.18, point: MeasuredPoint | None = None, far: float = 1.0) -> None:
     rng = np.random.default_rng(1)
     R = Rotation.from_rotvec(rng.normal(0.0, 0.4, (20, 3)))
-    at = scale * (np.array([0.5, 0.1, 0.3]) - R.apply([0.0, 0.0, tip_m]) + rng.normal(0.0, 1e-4, (20, 3)))
+    at = scale * (far * np.array([0.5, 0.1, 0.3]) - R.apply([0.0, 0.0, tip_m]) + rng.normal(0.0, 1e-4, (20, 3)))
     calibrate_tooltip(RigidTransform.from_components(at, R), point=point)
 
 
@@ -77,9 +77,9 @@ def test_millimetres_are_refused_with_the_cure_and_metres_taken(name: str) -> No
         CASES[name](MM)
 
 
-def test_a_tip_in_millimetres_is_refused_where_the_frame_hardly_moved() -> None:
+def test_a_tip_in_millimetres_is_refused_where_all_is_near() -> None:
     with pytest.raises(Inconsistent, match="the tip would be off the turned frame by 18"):
-        pivot(MM, tip_m=0.018)
+        pivot(MM, tip_m=0.018, far=0.05)
 
 
 def test_a_point_in_millimetres_is_refused_beside_poses_in_metres() -> None:
