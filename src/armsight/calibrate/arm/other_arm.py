@@ -137,8 +137,8 @@ class OtherArm:
             )
         return (
             f"This is not the nominal geometry of this arm: {'. And '.join(why)}. That is more than nominal "
-            "figures are believed to be off by, and nothing is corrected. Give the nominal figures of this very arm, or "
-            f"look for one that was typed wrong.{self._built()}"
+            "figures are believed to be off by, and nothing is corrected. Give the nominal figures of this very arm, "
+            f"or look for one that was typed wrong.{self._built()}"
         )
 
     def _built(self) -> str:
