@@ -143,7 +143,7 @@ def _solved(problem: Linear, added: Array, prior: Array | None) -> tuple[Array, 
     (m k,), the columns' sizes, information with priors and without."""
     w, n_fixed = problem.weight, problem.fixed.shape[2]
     X = np.concatenate([problem.fixed, added], axis=2) * w[:, None, None]
-    X = X.reshape(problem.residual.size, X.shape[2])
+    X = np.asarray(X.reshape(problem.residual.size, X.shape[2]))
     y = (problem.residual * w[:, None]).ravel()
     size = np.linalg.norm(X, axis=0)
     size[size == 0.0] = 1.0
@@ -154,7 +154,7 @@ def _solved(problem: Linear, added: Array, prior: Array | None) -> tuple[Array, 
     A = X.T @ X
     H = A + np.diag(precision + RIDGE)
     theta = np.linalg.solve(H, X.T @ y)
-    return np.asarray((theta / size)[n_fixed:]), theta, X, y, size, np.asarray(H), np.asarray(A)
+    return np.asarray((theta / size)[n_fixed:]), np.asarray(theta), X, y, np.asarray(size), np.asarray(H), np.asarray(A)
 
 
 def gain(poorer: Fitted, richer: Fitted) -> float:
