@@ -183,7 +183,7 @@ def test_mirrored_millimetres_and_inverted_rotations_are_recognised() -> None:
     turned = np.swapaxes(np.array(good.rotation), 1, 2)
     for measured, said in (
         (Measured(xyz_m=good.xyz_m * [1.0, -1.0, 1.0]), "left-handed"),
-        (Measured(xyz_m=1e3 * good.xyz_m), "times as far"),
+        (Measured(xyz_m=20.0 * good.xyz_m), "times as far"),
         (Measured(xyz_m=good.xyz_m, rotation=turned), "inverted"),
         (Measured(xyz_m=good.xyz_m[::-1]), "misses half"),
     ):

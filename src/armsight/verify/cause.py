@@ -34,7 +34,7 @@ DOMINANT = 0.8
 NEARLY_ALL = 0.9
 """... and share of the errors, or what it leaves is no more than so many times what the geometry leaves: a UR10 whose
 geometry is off leaves twice as much with its best single joint, which then takes 70 % off."""
-LEAVES = 1.5
+LEAVES = 1.25
 RIVAL_LOG = 10.0
 """Log likelihood ratio (times two) within which two joints explain alike: about 150 to 1."""
 RIVALS = 2
