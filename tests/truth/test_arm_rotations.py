@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,8 +11,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from armsight.calibrate.arm import ArmPoints, calibrate_arm
-from armsight.errors import Inconsistent
+from armsight.errors import BadFile, Inconsistent
 from armsight.kinematics import dh_arm, fk
+from armsight.store.arm_points import read_arm_points
 
 Array = NDArray[np.float64]
 
@@ -78,6 +80,29 @@ def test_rotations_that_are_not_the_tools_are_refused_by_name(how: str, told: st
     points, _, _ = simulated(1, 1e-4)
     with pytest.raises(Inconsistent, match=told):
         calibrate_arm(NOMINAL, wrong(points, how))
+
+
+def test_a_holdout_in_another_frame_is_laid_anew_and_another_arms_is_refused() -> None:
+    points, _, _ = simulated(4, 1e-4, m=120)
+    points = replace(points, rotation=None)
+    rows, held = points.take(np.arange(60)), points.take(np.arange(60, 120))
+    moved = replace(held, xyz_m=Rotation.from_rotvec([0.4, 0.1, 2.0]).apply(held.xyz_m) + [3.0, -1.0, 0.5])
+    here, there = (calibrate_arm(NOMINAL, rows, holdout=x) for x in (held, moved))
+    assert here.gain and there.gain  # 3.35e+03 mm, and no gain, before
+    assert there.left_after.mean_m < 1.2 * here.left_after.mean_m < 2e-4
+    assert any("another frame" in note for note in there.notes)
+    assert not any("another frame" in note for note in here.notes)
+    with pytest.raises(Inconsistent, match="also with base and tool laid anew"):
+        calibrate_arm(NOMINAL, rows, holdout=replace(held, xyz_m=np.array(held.xyz_m)[::-1]))
+
+
+def test_columns_that_verify_passes_over_are_read_past_and_slips_are_not(tmp_path: Path) -> None:
+    path = tmp_path / "points.csv"
+    path.write_text("q1,q2,x_m,y_m,z_m,goal_x_m,temperature_c\n0.1,0.2,0.3,0.4,0.5,7,warm\n")
+    assert read_arm_points(path).xyz_m.tolist() == [[0.3, 0.4, 0.5]]
+    path.write_text("q1,q2,x_m,y_m,z_m,points\n0.1,0.2,0.3,0.4,0.5,A\n")
+    with pytest.raises(BadFile, match="did you mean 'point'"):
+        read_arm_points(path)
 
 
 def test_single_wrong_rotations_are_named() -> None:
