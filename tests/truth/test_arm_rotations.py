@@ -86,7 +86,7 @@ def test_a_holdout_in_another_frame_is_laid_anew_and_another_arms_is_refused() -
     points, _, _ = simulated(4, 1e-4, m=120)
     points = replace(points, rotation=None)
     rows, held = points.take(np.arange(60)), points.take(np.arange(60, 120))
-    moved = replace(held, xyz_m=Rotation.from_rotvec([0.4, 0.1, 2.0]).apply(held.xyz_m) + [3.0, -1.0, 0.5])
+    moved = replace(held, xyz_m=Rotation.from_rotvec([0.4, 0.1, 2.0]).apply(np.array(held.xyz_m)) + np.ones(3))
     here, there = (calibrate_arm(NOMINAL, rows, holdout=x) for x in (held, moved))
     assert here.gain and there.gain  # 3.35e+03 mm, and no gain, before
     assert there.left_after.mean_m < 1.2 * here.left_after.mean_m < 2e-4
