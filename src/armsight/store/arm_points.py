@@ -78,6 +78,6 @@ def _further(data: bytes, known: Sequence[str]) -> tuple[str, ...]:
         name
         for name in dict.fromkeys(header)
         if name not in known
-        and not (name.startswith("q") and name[1:].isdecimal())
+        and not name[1:].isdecimal()  # q1 .. qn, or one of them written wrong
         and not difflib.get_close_matches(name, known, n=1, cutoff=SLIP)
     )
