@@ -181,7 +181,7 @@ def other_arm(model: ArmModel, points: ArmPoints, plain: Level, best: Level, tol
             certain = any(item.certain for item in wide) or (certain and bool(wide))
             wide = wide or (beyond(model, found, tolerance, sure=0.0) if kept else ())
             kept, left_m = (wide, float(left.mean())) if wide else (kept, left_m)
-            if certain and all(item.name.endswith(".scale") for item in wide if item.certain):
+            if certain and all(item.name.endswith(".scale") for item in wide):
                 sagging = sag_left_out(model, points, found, OPEN)
                 certain = bool(np.mean(sagging) > AS_GOOD * np.mean(left))
     known = None if best.couplings else known_arm(model, points, FITS_DOUBTED if kept else FITS)
