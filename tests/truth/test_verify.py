@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.errors import Ambiguous, Inconsistent
-from armsight.kinematics import Arm, dh_arm, fk
+from armsight.kinematics import Arm, dh_arm, fk, preset
+from armsight.store.verify_files import read_measured
 from armsight.verify import Align, Kind, Measured, Reported, Verification, verify
 from armsight.verify.alignment import align
 from armsight.verify.clocks import sampling_times
+from armsight.verify.left_out import Linear, fit_linear, jackknife_std, regions
 from armsight.verify.model import Mounts
 
+DATA = Path(__file__).parents[3] / "shared" / "data" / "ur10_tmac"
 QUARTER = np.pi / 2
 TABLE = np.array(  # a, alpha, d, theta of a UR10
     [
@@ -178,7 +183,7 @@ def test_mirrored_millimetres_and_inverted_rotations_are_recognised() -> None:
     turned = np.swapaxes(np.array(good.rotation), 1, 2)
     for measured, said in (
         (Measured(xyz_m=good.xyz_m * [1.0, -1.0, 1.0]), "left-handed"),
-        (Measured(xyz_m=1e3 * good.xyz_m), "times as far"),
+        (Measured(xyz_m=20.0 * good.xyz_m), "times as far"),
         (Measured(xyz_m=good.xyz_m, rotation=turned), "inverted"),
         (Measured(xyz_m=good.xyz_m[::-1]), "misses half"),
     ):
@@ -255,3 +260,44 @@ def test_stamps_that_are_none_are_refused_and_uneven_bursts_followed() -> None:
     found = sampling_times(stamps, "the rows")
     assert found.bursts and (np.diff(found.t_s) > 0.0).all()
     assert np.abs(found.t_s - t).max() < 0.015
+
+
+def test_a_wrong_model_shows_in_the_deviations_of_what_is_fitted_with_it() -> None:
+    rng = np.random.default_rng(5)
+    q = rng.uniform(-1.0, 1.0, (400, 2))
+    slope, bent = 0.3, 0.2  # the truth is bent, the model is not
+    y = slope * q[:, 0] + bent * q[:, 0] ** 2 + rng.normal(0.0, 0.01, 400)
+    one = np.ones((400, 1, 1))
+    for part in (q[:, 0] < 0.5, q[:, 0] > -0.5):  # two series of one arm
+        rows = np.flatnonzero(part)
+        problem = Linear(
+            residual=y[rows, None], fixed=one[rows], block=np.zeros(len(rows), dtype=np.intp), inflation=1.0
+        )
+        added = q[rows, :1, None]
+        region = regions(q[rows])
+        assert np.unique(region, return_counts=True)[1].min() > 30
+        off = abs(fit_linear(problem, added).values[0] - slope)
+        assert 0.1 * off < 2.0 * jackknife_std(problem, added, region)[0]
+        exact = Linear(residual=slope * q[rows, :1], fixed=one[rows], block=problem.block, inflation=1.0)
+        assert jackknife_std(exact, added, region)[0] < 1e-6
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason="the real measurements are not beside the project")
+def test_series_of_one_real_arm_agree_and_no_joint_is_blamed_for_its_model() -> None:
+    file = read_measured(DATA / "configurations.csv")
+    assert file.reported is not None
+    assert file.reported.q is not None
+    half = len(file.measured) // 2
+    found = []
+    for rows in (np.arange(half), np.arange(half, 2 * half)):
+        reported = Reported(q=file.reported.q[file.measured.rows[rows] - 1])
+        places = file.measured.take(rows)
+        places = Measured(xyz_m=places.xyz_m, rotation=places.rotation)
+        found.append(verify(preset("ur10"), reported, places, Align.BOTH).cause)
+        alone = verify(preset("ur10"), reported, Measured(xyz_m=places.xyz_m), Align.BOTH).cause
+        assert alone is not None
+        assert alone.cause == "model"  # joint 2 of all rows, for its gear, before what it leaves was looked at
+    first, second = (cause.joints for cause in found if cause is not None)
+    for a, b in zip(first[1:5], second[1:5], strict=True):
+        assert a.offset is not None and b.offset is not None and a.std and b.std
+        assert abs(a.offset - b.offset) < 3.0 * np.hypot(a.std, b.std)

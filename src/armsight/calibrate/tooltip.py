@@ -19,6 +19,7 @@ from armsight.calibrate.correlation import Correlation
 from armsight.calibrate.tooltip_stream import PivotStream, checked_times
 from armsight.errors import Degenerate, Inconsistent, NotEnoughData
 from armsight.fitting.quantiles import f_isf, t_ppf
+from armsight.geometry.lengths import FAR_M, TOOL_M, check_metres, check_spread
 from armsight.records import NamedCovariance, frozen_array
 from armsight.units import DEG, MM
 
@@ -142,6 +143,7 @@ def calibrate_tooltip(
     Degenerate for too little turning or one axis, Inconsistent where the poses share no point.
     """
     R, t = _split(poses)
+    _require_metres(t, point)
     times = None if t_s is None else checked_times(np.asarray(t_s, float), len(R))
     C = None if covariances is None else frozen_array("covariances", covariances, (len(R), 6, 6))
     _require_turning(_turns(R))
@@ -149,6 +151,7 @@ def calibrate_tooltip(
     turn = _turns(R[keep])
     _require_turning(turn)
     _require_point(e[keep], t[keep], len(R))
+    check_metres(np.linalg.norm(x[:3]), TOOL_M, "the tip would be off the turned frame by")
     left, correlation = _left_out(R, e, V * scale2, cov, keep), None
     cov = cov * (float(t_ppf(0.975, dof)) / NORMAL_95) ** 2
     if times is not None:
@@ -354,6 +357,14 @@ def _turned(R: Array, keep: NDArray[np.bool_]) -> Array:
     """Return how far each frame (n,) is turned from the mean of the kept ones, in rad."""
     rotations = Rotation.from_matrix(R)
     return np.asarray((rotations[np.flatnonzero(keep)].mean().inv() * rotations).magnitude())
+
+
+def _require_metres(t: Array, point: MeasuredPoint | None) -> None:
+    """Raise Inconsistent where the frame's positions (n, 3) or the point are so far away that they must be mm."""
+    check_spread(t, "the turned frame's positions")
+    check_metres(np.linalg.norm(t, axis=1), FAR_M, "the turned frame is away by")
+    if point is not None:
+        check_metres(np.linalg.norm(point.xyz_m), FAR_M, "the point that the tip rests on is away by")
 
 
 def _require_turning(turn: Array) -> None:

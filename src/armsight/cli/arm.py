@@ -77,6 +77,9 @@ def arm_tables(face: CommandUI, done: ArmOutput, out: Path) -> None:
     if freed:
         face.table("Corrections", ["", "mm, deg or share", "+-"], freed)
     face.say(done.verdict)
+    for note in done.notes:
+        if note not in done.verdict:
+            face.say(f"  {note}.")
     if done.still:
         face.say("Did not move: " + ", ".join(done.still) + ". Nothing of them is corrected by these rows.")
     for item in done.outliers[:8]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import Inconsistent
+from armsight.geometry.lengths import PITCH_M, TARGET_M, check_metres
 from armsight.records.checks import frozen_array
 from armsight.records.saving import Saveable
 
@@ -81,6 +82,7 @@ class Target(Saveable):
                 consequence="There is nothing to look for",
                 cure="Name the lights A, B, C ... and give each its place",
             )
+        check_metres(np.ptp(self.xyz_m, axis=0).max(), TARGET_M, "the target's points spread over")
         if self.diameter_m is not None and not self.diameter_m > 0.0:
             raise Inconsistent(f"a spot's diameter of {self.diameter_m} m is not positive")
 
@@ -148,6 +150,7 @@ def board_target(
             f"a board of {columns}x{rows} points {pitch_m} m apart cannot be",
             cure="Count the inner corners (or circles) and give the pitch in metres",
         )
+    check_metres(pitch_m, PITCH_M, "the board's points are apart by")
     n_columns, n_rows = (columns - 1, rows - 1) if kind is TargetKind.CHARUCO else (columns, rows)
     r, c = np.mgrid[0:n_rows, 0:n_columns]
     x = 2 * c + r % 2 if kind is TargetKind.ACIRCLES else c

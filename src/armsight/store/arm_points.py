@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import csv
+import difflib
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,16 +17,30 @@ from armsight.store.schema import named
 from armsight.store.tables import parse_table
 from armsight.store.tracks import POSITION, QUATERNION
 
+SLIP = 0.8
+"""Names that are so much alike (difflib's ratio) are one written wrong: `xm`, `qX`; goal_x_m and x_m are not."""
+
 
 def read_arm_points(path: Path, format_: TableFormat = OURS) -> ArmPoints:
     """Return the measurements of a points.csv: q1..qn,x_m,y_m,z_m[,qx,qy,qz,qw][,point][,t_s], or of a table that can
     be understood as one.
 
-    Raises BadFile that names line and column, Inconsistent where units contradict the numbers.
+    Columns that `verify` passes over (goal_x_m, temperature_c, ...) are passed over too; one that is nearly a column of
+    this table is a slip of writing, and refused. Raises BadFile that names line and column, Inconsistent where units
+    contradict the numbers.
     """
     data = standard_bytes(path, "points", format_)
-    optional = (*QUATERNION, "point", "t_s")
-    table = parse_table(data, str(path), POSITION, optional=optional, text=("point",), blank=("t_s",), series="q")
+    own = (*QUATERNION, "point", "t_s")
+    further = _further(data, (*POSITION, *own))
+    table = parse_table(
+        data,
+        str(path),
+        POSITION,
+        optional=(*own, *further),
+        text=("point", *further),
+        blank=("t_s", *further),
+        series="q",
+    )
     readings = table.series("q")
     if not readings:
         raise BadFile(f"{path}: no column q1", consequence="The file is not used", cure="Give q1 .. qn in every row")
@@ -50,4 +67,17 @@ def read_arm_points(path: Path, format_: TableFormat = OURS) -> ArmPoints:
         rotation=rotation,
         point=table.text.get("point", ()),
         t_s=None if t_s is None or np.isnan(t_s).any() else t_s,
+    )
+
+
+def _further(data: bytes, known: Sequence[str]) -> tuple[str, ...]:
+    """Return the columns of a table that are none of ours, nor nearly one."""
+    line = data.split(b"\n", 1)[0].decode("utf-8-sig", errors="replace")
+    header = [name.strip() for name in next(csv.reader([line]), [])]
+    return tuple(
+        name
+        for name in dict.fromkeys(header)
+        if name not in known
+        and not name[1:].isdecimal()  # q1 .. qn, or one of them written wrong
+        and not difflib.get_close_matches(name, known, n=1, cutoff=SLIP)
     )

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from armsight.calibrate.arm.parameter_selection import APART
 from armsight.verify.effects import Effect, Kind, effects, still
 from armsight.verify.evidence import Case, Evidence
-from armsight.verify.left_out import Fitted, by_chance, fit_linear, gain, poses_of
+from armsight.verify.left_out import Fitted, by_chance, fit_linear, gain, poses_of, regions
 from armsight.verify.left_out import falls as fall_by_chance
 from armsight.verify.model import ModelFit, Noise
 from armsight.verify.moved_rig import moved_rig
@@ -31,6 +31,10 @@ BEYOND = 0.02
 """Probability by chance of what the geometry takes off beyond a joint, from which on the joint is not all."""
 DOMINANT = 0.8
 """Share of all that can be gained from which on one joint is the cause beside a geometry that adds a little."""
+NEARLY_ALL = 0.9
+"""... and share of the errors, or what it leaves is no more than so many times what the geometry leaves: a UR10 whose
+geometry is off leaves twice as much with its best single joint, which then takes 70 % off."""
+LEAVES = 1.25
 RIVAL_LOG = 10.0
 """Log likelihood ratio (times two) within which two joints explain alike: about 150 to 1."""
 RIVALS = 2
@@ -197,7 +201,7 @@ def _decide(
     case: Case, aligned: ModelFit, trial: _Trial, judged: tuple[JointVerdict, ...], share: float | None
 ) -> Cause:
     able = np.flatnonzero([v.judged for v in judged])
-    before, after, plain = trial.before, trial.after, trial.plain
+    before, after, plain, region = trial.before, trial.after, trial.plain, regions(case.q)
     own_columns = before.columns(trial.effect)
     geometry, zeros = before.with_geometry(), before.with_joints(able)
     everything = before.with_geometry(before.joints[:, :, able])
@@ -210,10 +214,10 @@ def _decide(
     most = max(gains.values())
     adds = _adds(after, trial.own, beyond)
     needed = by_chance(before.linear, geometry, before.with_geometry(own_columns)) < CHANCE
-    one = trial.gained and (not adds or (needed and gains["joint"] >= DOMINANT * most))
+    one = trial.gained and (not adds or (needed and _dominates(gains["joint"], most)))
     several = _gained(before, plain, zeros) and (
         not _adds(before, zeros, everything)
-        or (_zeros_needed(before, geometry, everything) and gains["zeros"] >= DOMINANT * most)
+        or (_zeros_needed(before, geometry, everything) and _dominates(gains["zeros"], most))
     )
     told = Cause(cause="undecided", joints=judged, sentence="", gains=gains, measurement_share=share)
     moved = moved_rig(
@@ -223,16 +227,21 @@ def _decide(
         return replace(told, sentence=moved)
     if one:
         rival = _rival(case, aligned, trial)
-        joints = _estimates(judged, able, trial, after.with_joints(able), named=rival is None)
+        joints = _estimates(judged, able, trial, after.with_joints(able), after.std(able, region), named=rival is None)
         told = replace(told, joints=joints, rival=rival)
         return _named(case, trial, told, adds) if rival is None else replace(told, sentence=_between(trial, rival))
     if several:
-        joints = _estimates(judged, able, trial, zeros)
+        joints = _estimates(judged, able, trial, zeros, before.std(able, region))
         return replace(told, cause="several joints", joints=joints, sentence=_several(joints, gains))
     if _gained(before, plain, everything) or _gained(before, plain, geometry):
-        joints = _estimates(judged, able, trial, everything)
+        joints = _estimates(judged, able, trial, everything, before.std(able, region, geometry=True))
         return replace(told, cause="model", joints=joints, sentence=_model(gains, trial))
-    return _nothing(aligned, replace(told, joints=_estimates(judged, able, trial, zeros)))
+    return _nothing(aligned, replace(told, joints=_estimates(judged, able, trial, zeros, before.std(able, region))))
+
+
+def _dominates(share: float, most: float) -> bool:
+    """Whether a share of the errors is nearly all that can be taken off them."""
+    return share >= DOMINANT * most and (share >= NEARLY_ALL or 1.0 - share <= LEAVES * (1.0 - most))
 
 
 def _gained(evidence: Evidence, poorer: Fitted, richer: Fitted) -> bool:
@@ -262,12 +271,20 @@ def _rival(case: Case, aligned: ModelFit, trial: _Trial) -> int | None:
 
 
 def _estimates(
-    judged: tuple[JointVerdict, ...], able: NDArray[np.intp], trial: _Trial, fit: Fitted, *, named: bool = False
+    judged: tuple[JointVerdict, ...],
+    able: NDArray[np.intp],
+    trial: _Trial,
+    fit: Fitted,
+    regional: Array,
+    *,
+    named: bool = False,
 ) -> tuple[JointVerdict, ...]:
-    """Return what is known of each joint, zeros from a fit whose first values are those of the joints judged."""
+    """Return what is known of each joint, zeros from a fit whose first values are those of the joints judged;
+    regional: their standard deviations by regions left out, which hold what the model has wrong."""
     linear = trial.before.linear
     scale = fit.squares / max(linear.residual.size - fit.rank, 1) * trial.after.linear.inflation
     std = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0) * scale)
+    std[: len(regional)] = np.maximum(std[: len(regional)], regional)
     out = list(judged)
     for k, i in enumerate(able.tolist()):
         effect, alone = trial.single[i]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from armsight.calibrate.arm import ArmModel, Tolerance
 from armsight.kinematics import Arm, fk_jacobian, parameter_jacobian, parameter_names
 from armsight.verify.effects import Effect
-from armsight.verify.left_out import Fitted, Linear, fit_linear
+from armsight.verify.left_out import Fitted, Linear, fit_linear, jackknife_std
 from armsight.verify.model import Expected, Model, ModelFit, Mounts, Noise, fit_model
 from armsight.verify.records import Measured
 from armsight.verify.statistics import inflation
@@ -97,6 +97,14 @@ class Evidence:
     def with_joints(self, which: NDArray[np.intp]) -> Fitted:
         """Return the fit with the zeros of these joints."""
         return fit_linear(self.linear, self.joints[:, :, which])
+
+    def std(self, which: NDArray[np.intp], region: NDArray[np.intp], *, geometry: bool = False) -> Array:
+        """Return the standard deviations of these joints' zeros that regions left out show; geometry: freed as well."""
+        added, prior = self.joints[:, :, which], None
+        if geometry:
+            added = np.concatenate([added, self.geometry], axis=2)
+            prior = np.concatenate([np.full(len(which), np.inf), self.tolerance])
+        return jackknife_std(self.linear, added, region, prior)[: len(which)]
 
     def with_geometry(self, *more: Array) -> Fitted:
         """Return the fit with the links' geometry, within its tolerances, and with more columns before it."""

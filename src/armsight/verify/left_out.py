@@ -12,6 +12,8 @@ from armsight.fitting.quantiles import chi2_sf, t_sf
 Array = NDArray[np.float64]
 
 BLOCKS = 10
+HALVINGS = 3
+"""Eight regions of the joints' space: each takes an eighth away from what determines a zero."""
 RIDGE = 1e-9
 """Keeps directions that no row tells where they are, in scaled information."""
 SAME_POSE = 5e-3
@@ -65,6 +67,46 @@ def blocks(m: int, group: NDArray[np.intp] | None = None) -> NDArray[np.intp]:
     return np.asarray(np.unique(block, return_inverse=True)[1], dtype=np.intp)  # no number without rows
 
 
+def regions(q: Array) -> NDArray[np.intp]:
+    """Return (m,) which part of the joints' space each row of q (m, n) is in, of 2^HALVINGS about equal ones.
+
+    Halved again and again across the joint that spreads most, so that a part is near in all of them.
+    """
+    out = np.zeros(len(q), dtype=np.intp)
+    size = np.maximum(np.ptp(q, axis=0), 1e-300)
+    for _ in range(HALVINGS):
+        for part in range(out.max() + 1):
+            rows = np.flatnonzero(out == part)
+            if len(rows) < 2:
+                continue
+            values = q[rows, int(np.argmax((q[rows] / size).std(axis=0)))]
+            out[rows[values > np.median(values)]] += len(q)  # the upper half, numbered anew below
+        out = np.unique(out, return_inverse=True)[1].astype(np.intp)
+    return out
+
+
+def jackknife_std(problem: Linear, added: Array, region: NDArray[np.intp], prior: Array | None = None) -> Array:
+    """Return the standard deviations (K,) of the values of columns added (m, k, K), by fits without each region.
+
+    What the model has wrong differs from region to region and does not average out over rows; the scatter of the
+    residuals says nothing of it (delete-a-group jackknife, Kott 2001).
+    """
+    parts = np.unique(region)
+    left = []
+    for part in parts:
+        rows = np.flatnonzero(region != part)
+        some = Linear(
+            residual=problem.residual[rows],
+            fixed=problem.fixed[rows],
+            block=np.zeros(len(rows), dtype=np.intp),
+            inflation=problem.inflation,
+        )
+        left.append(_solved(some, added[rows], prior)[0])
+    if len(left) < 2:
+        return np.zeros(added.shape[2])
+    return np.asarray(np.sqrt((len(left) - 1.0) * np.var(left, axis=0)))
+
+
 def poses_of(q: Array) -> NDArray[np.intp]:
     """Return (m,) which pose each row of joint values (m, n) is at."""
     return np.unique(np.round(q / SAME_POSE), axis=0, return_inverse=True)[1].reshape(-1)
@@ -75,20 +117,9 @@ def fit_linear(problem: Linear, added: Array, prior: Array | None = None) -> Fit
 
     prior (K,): standard deviations about zero of the added ones, none where inf.
     """
-    w = problem.weight
     n_fixed, rows = problem.fixed.shape[2], problem.residual.shape[1]
-    X = np.concatenate([problem.fixed, added], axis=2) * w[:, None, None]
-    X = X.reshape(problem.residual.size, X.shape[2])  # (m k, B + K)
-    y = (problem.residual * w[:, None]).ravel()
-    size = np.linalg.norm(X, axis=0)
-    size[size == 0.0] = 1.0
-    X /= size
-    precision = np.zeros(X.shape[1])
-    if prior is not None:
-        precision[n_fixed:] = 1.0 / (prior * size[n_fixed:]) ** 2
-    A, b = X.T @ X, X.T @ y
-    H = A + np.diag(precision + RIDGE)
-    theta = np.linalg.solve(H, b)
+    _, theta, X, y, size, H, A = _solved(problem, added, prior)
+    b = X.T @ y
     squares = float(((y - X @ theta) ** 2).sum())
     block = np.repeat(problem.block, rows)
     left = np.zeros(problem.block.max() + 1)
@@ -105,6 +136,25 @@ def fit_linear(problem: Linear, added: Array, prior: Array | None = None) -> Fit
         left=left,
         rank=rank,
     )
+
+
+def _solved(problem: Linear, added: Array, prior: Array | None) -> tuple[Array, ...]:
+    """Return the values (K,) of the columns added, then the scaled solution (B + K,), columns (m k, B + K), residuals
+    (m k,), the columns' sizes, information with priors and without."""
+    w, n_fixed = problem.weight, problem.fixed.shape[2]
+    X = np.concatenate([problem.fixed, added], axis=2) * w[:, None, None]
+    X = np.asarray(X.reshape(problem.residual.size, X.shape[2]))
+    y = (problem.residual * w[:, None]).ravel()
+    size = np.linalg.norm(X, axis=0)
+    size[size == 0.0] = 1.0
+    X /= size
+    precision = np.zeros(X.shape[1])
+    if prior is not None:
+        precision[n_fixed:] = 1.0 / (prior * size[n_fixed:]) ** 2
+    A = X.T @ X
+    H = A + np.diag(precision + RIDGE)
+    theta = np.linalg.solve(H, X.T @ y)
+    return np.asarray((theta / size)[n_fixed:]), np.asarray(theta), X, y, np.asarray(size), np.asarray(H), np.asarray(A)
 
 
 def gain(poorer: Fitted, richer: Fitted) -> float:

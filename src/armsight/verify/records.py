@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import Inconsistent
+from armsight.geometry.lengths import check_spread
 from armsight.records import frozen_array
 
 Array = NDArray[np.float64]
@@ -35,6 +36,7 @@ class Measured:
     def __post_init__(self) -> None:
         m = len(self.xyz_m)
         object.__setattr__(self, "xyz_m", frozen_array("xyz_m", self.xyz_m, (m, 3)))
+        check_spread(self.xyz_m, "the measured positions")
         for name, shape in (("rotation", (m, 3, 3)), ("t_s", (m,)), ("std", (m, 6))):
             value = getattr(self, name)
             if value is not None:

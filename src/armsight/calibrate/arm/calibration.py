@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.calibrate.arm.cross_validation import LeftOut, cross_validate
-from armsight.calibrate.arm.fit import ArmFit, Tolerance
+from armsight.calibrate.arm.fit import ArmFit, Tolerance, fit_arm
 from armsight.calibrate.arm.initial_guess import start
 from armsight.calibrate.arm.limits import LimitReached, limits_reached
 from armsight.calibrate.arm.model import ArmModel
@@ -25,8 +25,9 @@ from armsight.calibrate.arm.model_selection import (
 from armsight.calibrate.arm.one_place import check_one_place
 from armsight.calibrate.arm.other_arm import OtherArm, other_arm
 from armsight.calibrate.arm.parameter_selection import still
-from armsight.calibrate.arm.plausibility import check_fit, exceeded
+from armsight.calibrate.arm.plausibility import MOST_SHARE, check_fit, exceeded, spread_m
 from armsight.calibrate.arm.points import ArmPoints, check_points
+from armsight.calibrate.arm.rotations import check_rotations, rotation_notes
 from armsight.calibrate.arm.stream import believed, drift_of, in_blocks
 from armsight.calibrate.arm.tool_points import tool_points
 from armsight.calibrate.correlation import Correlation
@@ -131,6 +132,7 @@ def calibrate_arm(
     check_points(nominal, points)
     check_one_place(nominal, points)
     model = ArmModel(arm=nominal, labels=points.labels, turned=points.rotation is not None)
+    check_rotations(model, points)
     if holdout is not None:
         check_points(nominal, holdout)
         _check_labels(model, holdout)
@@ -215,13 +217,13 @@ def _result(
 ) -> ArmCalibration:
     first, proved, errors = judged.first, judged.proved(points), judged.left
     best, held = _held(model, holdout, first, proved)
-    gain = best is not first
-    rows = errors.judged
+    gain, rows = best is not first, errors.judged
     cross = Errors.of(errors.nominal_m[rows]), Errors.of((errors.chosen_m if gain else errors.nominal_m)[rows])
     left = cross if held is None else (Errors.of(held[0]), Errors.of(held[1 if gain else 0]))
     at_limit = limits_reached(model, best.fitted.p, best.choice.free, tolerance)
     before_m, after_m = _size(model, first, points), _size(model, best, points)
     fitted, correlation = believed(model, points, best.fitted)
+    told = *_in_another_frame(model, first, holdout), *_unjudged(points, rows), *_in_stream(points, correlation)
     return ArmCalibration(
         arm=_arm(model, fitted),
         nominal=model.arm,
@@ -244,7 +246,7 @@ def _result(
         couplings=best.couplings,
         still=still(model, points),
         at_limit=at_limit,
-        notes=(*(item.sentence for item in at_limit), *_unjudged(points, rows), *_in_stream(points, correlation)),
+        notes=(*(item.sentence for item in at_limit), *rotation_notes(model, points, fitted), *told),
         verdict=" ".join([_verdict(judged, proved, best, held), *(f"{item.sentence}." for item in at_limit)]),
         error_m=after_m,
         before_m=before_m,
@@ -263,8 +265,32 @@ def _held(
     if holdout is None:
         return proved, None
     held = _size(model, first, holdout), _size(model, proved, holdout)
+    if _elsewhere(holdout, held):
+        held = (
+            _size(model, _laid_anew(model, first, holdout), holdout),
+            _size(model, _laid_anew(model, proved, holdout), holdout),
+        )
+        if _elsewhere(holdout, held):
+            raise Inconsistent(
+                f"the rows of the holdout miss by {_mm(np.minimum(*held))} mm, and the tool moved by "
+                f"{1e3 * spread_m(holdout.xyz_m):.3g} mm, also with base and tool laid anew",
+                consequence="They are not of this arm at these readings, and prove nothing",
+                cure="Give rows of this arm, readings and positions row by row",
+            )
     gain = proved is not first and significant_gain(*held, holdout.group)
     return proved if gain else first, held
+
+
+def _elsewhere(holdout: ArmPoints, held: tuple[Array, Array]) -> bool:
+    """Whether errors (m,) are those of another frame, not of an arm: a tracker set up anew for the holdout."""
+    return bool(min(exceeded(size) for size in held) > MOST_SHARE * spread_m(holdout.xyz_m))
+
+
+def _laid_anew(model: ArmModel, level: Level, holdout: ArmPoints) -> Level:
+    """Return a level with base and tool laid where they fit the holdout best; its geometry stays."""
+    p = level.fitted.p.copy()
+    p[model.n_geometry :] = start(model, holdout, like=p)[model.n_geometry :]
+    return replace(level, fitted=fit_arm(model, holdout, p, (), Tolerance()))
 
 
 def _arm(model: ArmModel, fitted: ArmFit) -> Arm:
@@ -282,6 +308,13 @@ def _fixed(best: Level, richest: Level) -> tuple[tuple[str, str], ...]:
     """Return (name, why) of every parameter that the kept or the richest model offered and that was not corrected."""
     why = dict.fromkeys(richest.choice.free, UNPROVED) | dict(richest.choice.fixed) | dict(best.choice.fixed)
     return tuple((name, reason) for name, reason in why.items() if name not in best.choice.free)
+
+
+def _in_another_frame(model: ArmModel, first: Level, holdout: ArmPoints | None) -> list[str]:
+    """Return a note of a holdout in which base and tool were laid anew."""
+    if holdout is None or not _elsewhere(holdout, (_size(model, first, holdout),) * 2):
+        return []
+    return ["The holdout's rows are in another frame than the measurements: base and tool were laid anew in them"]
 
 
 def _unjudged(points: ArmPoints, judged: NDArray[np.bool_]) -> list[str]:

@@ -19,6 +19,7 @@ from armsight.calibrate.arm.model import ArmModel
 from armsight.calibrate.arm.model_selection import Level, left_out, significant_gain
 from armsight.calibrate.arm.parameter_selection import Choice
 from armsight.calibrate.arm.points import ArmPoints
+from armsight.calibrate.arm.sag import sag_left_out
 from armsight.errors import ArmsightError, NotConverged
 from armsight.kinematics import PRESETS, Arm, in_convention, preset
 from armsight.units import DEG, MM
@@ -50,6 +51,8 @@ FITS = 0.5
 """An arm known by name is the one measured where its errors are below this share of the nominal arm's."""
 FITS_DOUBTED = 0.75
 """The same where a length is beyond what one may be off by, but not beyond what the lengths that add up in it may."""
+KNOWN_FITS = 0.05
+"""... and below this share of how far the tool moved: the least bad of arms that all miss is not the one measured."""
 SHORT_LIST = 3
 """Arms known by name that are looked at closely."""
 AS_GOOD = 1.2
@@ -133,9 +136,9 @@ class OtherArm:
                 f"to {self.nominal_m / MM:.3g} mm{lengths}"
             )
         return (
-            f"This is not the nominal geometry of this arm: {'. And '.join(why)}. No maker builds an arm so far off "
-            "its drawing, and nothing is corrected. Give the nominal figures of this very arm, or look for one that "
-            f"was typed wrong.{self._built()}"
+            f"This is not the nominal geometry of this arm: {'. And '.join(why)}. That is more than nominal "
+            "figures are believed to be off by, and nothing is corrected. Give the nominal figures of this very arm, "
+            f"or look for one that was typed wrong.{self._built()}"
         )
 
     def _built(self) -> str:
@@ -170,10 +173,17 @@ def other_arm(model: ArmModel, points: ArmPoints, plain: Level, best: Level, tol
     if found is not None:
         left = left_out(model, points, found)
         if significant_gain(plain.left_m, left, points.group) and np.median(left) < AS_GOOD * np.median(best.left_m):
+            # What tight belief has put into scales and lengths beside the wrong one is no evidence where the same rows,
+            # asked with hardly any, are sure of none.
             wide = beyond(model, found, tolerance)
-            certain |= any(item.certain for item in wide)
+            # What tight belief has put into scales and lengths beside the wrong one is no evidence where the same rows,
+            # asked with hardly any, are sure of none: a joint that sags under load is taken for one of another gear.
+            certain = any(item.certain for item in wide) or (certain and bool(wide))
             wide = wide or (beyond(model, found, tolerance, sure=0.0) if kept else ())
             kept, left_m = (wide, float(left.mean())) if wide else (kept, left_m)
+            if certain and all(item.name.endswith(".scale") for item in wide):
+                sagging = sag_left_out(model, points, found, OPEN)
+                certain = bool(np.mean(sagging) > AS_GOOD * np.mean(left))
     known = None if best.couplings else known_arm(model, points, FITS_DOUBTED if kept else FITS)
     if known is not None and not kept and known[1] > np.median(best.left_m):
         known = None  # what would be kept fits better still, with corrections that are believed
@@ -272,7 +282,8 @@ def known_arm(model: ArmModel, points: ArmPoints, share: float = FITS) -> tuple[
     others = sorted((replace(model, arm=arm) for arm in arms), key=lambda other: error_m(other, like))
     errors = [(other.arm.name, error_m(other)) for other in others[:SHORT_LIST]]
     best = min(errors, key=lambda item: item[1], default=("", np.inf))
-    return best if best[1] < share * error_m(model) else None
+    spread = float(np.median(np.linalg.norm(points.xyz_m - np.median(points.xyz_m, axis=0), axis=1)))
+    return best if best[1] < min(share * error_m(model), KNOWN_FITS * spread) else None
 
 
 def _differences(arm: Arm, other: Arm) -> tuple[str, ...]:

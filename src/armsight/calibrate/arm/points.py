@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import Inconsistent, NotEnoughData
+from armsight.geometry.lengths import check_spread
 from armsight.kinematics import Arm, fk
 from armsight.records import frozen_array
 
@@ -128,6 +129,7 @@ def check_points(arm: Arm, points: ArmPoints) -> None:
             cure="Give radians; the numbers look like degrees",
         )
     check_units(arm, points.q, points.xyz_m)
+    check_spread(points.xyz_m, "the positions")
 
 
 def _check_moves(arm: Arm, points: ArmPoints) -> None:

@@ -116,14 +116,14 @@ def consensus(arrays: Arrays) -> Consensus:
 def _of_most(arrays: Arrays) -> Consensus:
     RF, tF, RB, tB = arrays
     n = len(RF)
-    samples = _samples(n)
+    drawn = samples(n)
     keep = np.ones(n, bool)
     errors = np.empty(n)
-    RX, RZ, sigma_rad = starts.rotation_consensus(RF, RB, samples, keep, errors)
+    RX, RZ, sigma_rad = starts.rotation_consensus(RF, RB, drawn, keep, errors)
     outcomes = []
     for free in (False, True):
         mask = keep.copy()
-        ok, tX, tZ, gamma, sigma_m = starts.translation_consensus(RX, RF, tF, tB, samples, free, mask, errors)
+        ok, tX, tZ, gamma, sigma_m = starts.translation_consensus(RX, RF, tF, tB, drawn, free, mask, errors)
         outcomes.append((sigma_m if ok and gamma > 0.0 else np.inf, tX, tZ, float(gamma), mask))
     sigma_m, tX, tZ, gamma, mask = outcomes[1] if outcomes[1][0] < SCALE_WINS * outcomes[0][0] else outcomes[0]
     return _judged(arrays, (RX, tX, RZ, tZ), gamma, mask, (float(sigma_rad), float(sigma_m)))
@@ -241,7 +241,7 @@ def _size(found: Consensus) -> str:
     return f"{found.sigma_rad / DEG:.2g} degrees and {1e3 * found.sigma_m:.2g} mm apart"
 
 
-def _samples(n: int) -> NDArray[np.int64]:
+def samples(n: int) -> NDArray[np.int64]:
     """Return (S, 4) samples, all of them where they are few."""
     if comb(n, SAMPLE) <= N_SAMPLES:
         return np.array(list(combinations(range(n), SAMPLE)))
@@ -269,7 +269,7 @@ def _other_readings(arrays: Arrays, setup: Setup) -> dict[str, Arrays]:
         f"the setup is {other}, or the robot's poses are T_flange_base": (*_inverse(RF, tF), RB, tB),
         "the camera's poses are T_target_camera": (RF, tF, *_inverse(RB, tB)),
         "the robot's quaternions are written w, x, y, z": (*_scalar_first(RF, tF, setup), RB, tB),
-        "the camera's quaternions are written w, x, y, z": (RF, tF, _rolled(RB), tB),
+        "the camera's quaternions are written w, x, y, z": (RF, tF, rolled(RB), tB),
     }
 
 
@@ -280,12 +280,12 @@ def _inverse(R: Array, t: Array) -> tuple[Array, Array]:
 
 def _scalar_first(R: Array, t: Array, setup: Setup) -> tuple[Array, Array]:
     if setup is Setup.EYE_IN_HAND:
-        return _rolled(R), t
+        return rolled(R), t
     R, t = _inverse(R, t)
-    return _inverse(_rolled(R), t)
+    return _inverse(rolled(R), t)
 
 
-def _rolled(R: Array) -> Array:
+def rolled(R: Array) -> Array:
     """Return the rotations whose quaternion (x, y, z, w) was really written as (w, x, y, z)."""
     q = Rotation.from_matrix(R).as_quat()
     return np.ascontiguousarray(Rotation.from_quat(np.roll(q, -1, axis=1)).as_matrix())

@@ -8,16 +8,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from armsight.calibrate.handeye.pairs import Array, PosePairs
-from armsight.errors import Degenerate, Inconsistent
+from armsight.errors import Degenerate
+from armsight.geometry.lengths import FAR_M, check_metres
 from armsight.records import frozen_array
 from armsight.units import DEG
 
 LEAST_TURN_RAD = 2.5 * DEG
 """Least root-mean-square turn about the second axis: errors of orientation are blown up by its inverse, here 23
 times (0.05 degrees seen become more than a degree in the answer). Poses spread evenly over +-4.3 degrees reach it."""
-
-FAR_M = 50.0
-"""No robot's flange is so far from its base, and no camera sees a target so far away: such numbers are millimetres."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -70,15 +68,8 @@ def require_turning(found: RotationExcitation) -> None:
 
 def require_metres(pairs: PosePairs) -> None:
     """Raise Inconsistent where distances are so large that they must be millimetres."""
-    tables = (
-        ("robot's poses lie", "from the base", pairs.T_base_flange.translation),
-        ("camera sees the target", "away", pairs.T_camera_target.translation),
-    )
-    for what, where, t in tables:
-        middle = float(np.median(np.linalg.norm(t, axis=1)))
-        if middle > FAR_M:
-            raise Inconsistent(
-                f"the {what} {middle:.4g} m {where}: these are millimetres (or another unit) given as metres",
-                consequence="Every distance in the result would be wrong",
-                cure="Divide the coordinates by 1000, or name the right unit when exporting them",
-            )
+    for what, t in (
+        ("the robot's poses lie from the base by", pairs.T_base_flange.translation),
+        ("the camera sees the target from", pairs.T_camera_target.translation),
+    ):
+        check_metres(np.linalg.norm(t, axis=1), FAR_M, what)

@@ -35,6 +35,7 @@ from armsight.calibrate.identify.table import (
     propagate_covariance,
 )
 from armsight.errors import Inconsistent, UsageError
+from armsight.geometry.lengths import check_spread
 from armsight.optics import PackedRig, Rig
 
 Array = NDArray[np.float64]
@@ -46,7 +47,7 @@ AT_ODDS = 9.0
 ANOTHER = 5.0
 """Standard deviations by which an entry of another solution must differ for it to be another arm."""
 FAR_M = 10.0
-"""A beacon on an arm hardly moves further."""
+"""A beacon on an arm hardly moves further; one on a gantry does, and is told, not refused."""
 MEETING_STEPS = 20
 """Steps to where all paths meet; each squares the miss where their tangents differ."""
 FIRST_PX = 0.2
@@ -80,6 +81,7 @@ def identify(
         seen = SweepResiduals(sweeps=sweeps, rig=PackedRig.of(rig), sigma=sigma or FIRST_PX, unit=sigma or FIRST_PX)
     else:
         seen = position_residuals(sweeps, sigma or 1.0)
+    check_spread(sweeps.xyz_m, "the beacon's positions")
     found, seen = find_paths(seen, sigma)
     notes = _far(sweeps)
     frame = np.eye(4) if base is None else np.asarray(base, float)

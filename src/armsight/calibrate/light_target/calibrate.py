@@ -33,9 +33,10 @@ from armsight.calibrate.light_target.layout import (
     plane_frame,
     plane_layout,
 )
-from armsight.calibrate.light_target.naming import Named, find_shape
+from armsight.calibrate.light_target.naming import Named, distances, find_shape
 from armsight.calibrate.light_target.result import TargetCalibration, distances_of
 from armsight.fitting.quantiles import chi2_isf, chi2_ppf
+from armsight.geometry.lengths import TARGET_M, check_metres
 from armsight.optics import Rig, triangulate
 from armsight.records import NamedCovariance
 from armsight.units import MM
@@ -78,6 +79,7 @@ def calibrate_target(
     require_rigid(bundle, _epipolar(rig, seen.take(used)), lights, int(used.sum()))
     covariance = _covariance(layout, bundle)
     X, names = layout.spots(bundle.values), tuple(LETTERS[:lights])
+    check_metres(distances(X), TARGET_M, "by this rig the lights are apart by")
     if flat and lights > 2:
         raise on_line(distances_of(names, X, covariance))
     return advise(

@@ -1,0 +1,120 @@
+"""Rotations beside positions in an arm's calibration: how much they weigh, and whether they are those of the tool."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from armsight.calibrate.arm import ArmPoints, calibrate_arm
+from armsight.errors import BadFile, Inconsistent
+from armsight.kinematics import dh_arm, fk
+from armsight.store.arm_points import read_arm_points
+
+Array = NDArray[np.float64]
+
+UR10 = np.array([  # a, alpha, d
+    (0.0, np.pi / 2, 0.1273), (-0.612, 0.0, 0.0), (-0.5723, 0.0, 0.0),
+    (0.0, np.pi / 2, 0.163941), (0.0, -np.pi / 2, 0.1157), (0.0, 0.0, 0.0922),
+])  # fmt: skip
+NOMINAL = dh_arm("ur10", [(a, alpha, d, 0.0) for a, alpha, d in UR10])
+BASE, BASE_M = Rotation.from_rotvec([0.1, 0.2, 0.9]), np.array([1.0, 2.0, 0.3])
+TOOL, TOOL_M = Rotation.from_rotvec([0.3, -0.2, 0.5]), np.array([0.05, 0.02, 0.12])
+
+
+def simulated(seed: int, noise_rad: float, m: int = 60, held: int = 200) -> tuple[ArmPoints, Array, Array]:
+    """Return measurements of an arm off by 0.3 mm, 0.03 and 0.2 degrees, then readings and true places left out."""
+    rng = np.random.default_rng(seed)
+    lengths = UR10 + rng.normal(0.0, 1.0, UR10.shape) * [3e-4, 5e-4, 3e-4]
+    zeros = rng.normal(0.0, 3e-3, 6)
+    q = rng.uniform(-1.5, 1.5, (m + held, 6))
+    R, x = BASE, np.tile(BASE_M, (m + held, 1))
+    for (a, alpha, d), zero, values in zip(lengths, zeros, q.T, strict=True):
+        x = x + R.apply([0.0, 0.0, d])
+        R = R * Rotation.from_rotvec((values + zero)[:, None] * [0.0, 0.0, 1.0])
+        x = x + R.apply([a, 0.0, 0.0])
+        R = R * Rotation.from_rotvec([alpha, 0.0, 0.0])
+    x, R = x + R.apply(TOOL_M), R * TOOL
+    turned = (R * Rotation.from_rotvec(rng.normal(0.0, noise_rad, (m + held, 3)))).as_matrix()[:m]
+    seen = x[:m] + rng.normal(0.0, 5e-5, (m, 3))
+    return ArmPoints(q=q[:m], xyz_m=seen, rotation=turned), q[m:], x[m:]
+
+
+@pytest.mark.parametrize("noise_rad", [0.0, 1e-7, 1e-6])
+def test_rotations_better_than_any_arm_turns_its_tool_do_not_rule_the_positions(noise_rad: float) -> None:
+    points, q, truth = simulated(0, noise_rad)
+    result = calibrate_arm(NOMINAL, points)
+    alone = calibrate_arm(NOMINAL, replace(points, rotation=None))
+    off, off_alone = (np.linalg.norm(fk(x.arm, q)[:, :3, 3] - truth, axis=1).mean() for x in (result, alone))
+    assert off < off_alone < 4e-5  # weighed as they claim they left 0.29 to 0.87 mm
+    assert any("better than any arm" in note for note in result.notes)
+
+
+def wrong(points: ArmPoints, how: str) -> ArmPoints:
+    R = np.array(points.rotation)
+    turned = {
+        "inverted": R.transpose(0, 2, 1),
+        "w first": Rotation.from_quat(np.roll(Rotation.from_matrix(R).as_quat(), 1, axis=1)).as_matrix(),
+        "same": np.tile(np.eye(3), (len(R), 1, 1)),
+        "other rows": np.roll(R, 1, axis=0),
+        "other frame": Rotation.from_rotvec([0.5, 0.2, 1.0]).as_matrix() @ R,
+    }
+    return replace(points, rotation=turned[how])
+
+
+@pytest.mark.parametrize(
+    ("how", "told"),
+    [
+        ("inverted", "if they are inverted"),
+        ("w first", "written w, x, y, z"),
+        ("same", "the same in all rows"),
+        ("other rows", "0% of the rows agree"),
+        ("other frame", "not in the positions' frame"),
+    ],
+)
+def test_rotations_that_are_not_the_tools_are_refused_by_name(how: str, told: str) -> None:
+    points, _, _ = simulated(1, 1e-4)
+    with pytest.raises(Inconsistent, match=told):
+        calibrate_arm(NOMINAL, wrong(points, how))
+
+
+def test_a_holdout_in_another_frame_is_laid_anew_and_another_arms_is_refused() -> None:
+    points, _, _ = simulated(4, 1e-4, m=120)
+    points = replace(points, rotation=None)
+    rows, held = points.take(np.arange(60)), points.take(np.arange(60, 120))
+    moved = replace(held, xyz_m=Rotation.from_rotvec([0.4, 0.1, 2.0]).apply(np.array(held.xyz_m)) + np.ones(3))
+    here, there = (calibrate_arm(NOMINAL, rows, holdout=x) for x in (held, moved))
+    assert here.gain and there.gain  # 3.35e+03 mm, and no gain, before
+    assert there.left_after.mean_m < 1.2 * here.left_after.mean_m < 2e-4
+    assert any("another frame" in note for note in there.notes)
+    assert not any("another frame" in note for note in here.notes)
+    with pytest.raises(Inconsistent, match="also with base and tool laid anew"):
+        calibrate_arm(NOMINAL, rows, holdout=replace(held, xyz_m=np.array(held.xyz_m)[::-1]))
+
+
+def test_columns_that_verify_passes_over_are_read_past_and_slips_are_not(tmp_path: Path) -> None:
+    path = tmp_path / "points.csv"
+    path.write_text("q1,q2,x_m,y_m,z_m,goal_x_m,temperature_c\n0.1,0.2,0.3,0.4,0.5,7,warm\n")
+    assert read_arm_points(path).xyz_m.tolist() == [[0.3, 0.4, 0.5]]
+    path.write_text("q1,q2,x_m,y_m,z_m,points\n0.1,0.2,0.3,0.4,0.5,A\n")
+    with pytest.raises(BadFile, match="did you mean 'point'"):
+        read_arm_points(path)
+
+
+def test_single_wrong_rotations_are_named() -> None:
+    points, q, truth = simulated(2, 1e-4)
+    R = np.array(points.rotation)
+    R[[4, 17]] = R[[17, 4]]
+    result = calibrate_arm(NOMINAL, replace(points, rotation=R))
+    assert any("rows 5, 18 (2 of 60)" in note for note in result.notes)
+    assert np.linalg.norm(fk(result.arm, q)[:, :3, 3] - truth, axis=1).mean() < 5e-5
+
+
+def test_zeros_off_by_degrees_are_no_reason_to_refuse_rotations_of_a_tool_that_hardly_turns() -> None:
+    points, _, _ = simulated(3, 1e-4)
+    off = np.deg2rad([2.0, -2.0, 2.0, 2.0, -2.0, 2.0])
+    assert calibrate_arm(NOMINAL, replace(points, q=points.q - off)).gain
