@@ -15,7 +15,7 @@ import argparse
 import csv
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -26,7 +26,7 @@ from scipy.stats import chi2
 from armsight.errors import ArmsightError
 from armsight.measure.poses.outcome import Track
 from armsight.measure.poses.pipeline import Setup, measure_pair, warm_up
-from armsight.records import PoseStatus
+from armsight.records import PoseStatus, Target
 from backdrops import photographs
 from bench import machine, table
 from composites import SIDES, Composite, composite
@@ -40,6 +40,7 @@ SEQUENCE = 3
 """Pairs of a track; the last one is covered."""
 BEYOND = float(chi2.isf(1e-3, 6))
 SIGMAS = 3.0
+BISECTIONS = 9
 LEAST_HIDDEN, MOST_HIDDEN = 0.1, 0.95
 
 
@@ -137,6 +138,12 @@ class Edge:
             light=light, shares=(shares[0], shares[1]), edge=edge, soft_px=soft, shade=shade, others=others
         )
 
+    def hidden(self) -> Hidden:
+        """Return what it did."""
+        if self.made is None:
+            raise RuntimeError("nothing was covered yet")
+        return self.made
+
     def _paint(self, shade: str):  # type: ignore[no-untyped-def]
         rng = self.rng
         if shade == "dark":
@@ -192,8 +199,13 @@ class Form:
 
     def mask(self, shape: tuple[int, int], middle: Array, at: float) -> Array:
         """Return (h, w) in 0..1 of a cover whose edge stands `at` px behind the middle along its angle."""
-        y, x = np.mgrid[0 : shape[0], 0 : shape[1]]
-        return self.inside(x - middle[0], y - middle[1], at)
+        out = np.zeros(shape)
+        far = (1.0 + 2.0 * max(self.curve, self.wide, self.deep)) * self.reach + 12.0 * self.soft_px + abs(at)
+        x0, y0 = np.maximum(middle - far, 0.0).astype(int)
+        x1, y1 = np.minimum(middle + far, (shape[1], shape[0])).astype(int)
+        y, x = np.mgrid[y0:y1, x0:x1]
+        out[y0:y1, x0:x1] = self.inside(x - middle[0], y - middle[1], at)
+        return out
 
     def inside(self, x: Array, y: Array, at: float) -> Array:
         """Return the cover at places beside the light's middle."""
@@ -223,15 +235,17 @@ def place(form: Form, weights: Weights, wanted: float) -> float:
     n = len(weights.shine)
     y, x = np.mgrid[weights.y0 : weights.y0 + n, weights.x0 : weights.x0 + n]
     x, y, total = x - weights.middle[0], y - weights.middle[1], weights.shine.sum()
-    span = form.reach + 4.0 * form.soft_px
-    places = np.linspace(-span, span, 121)
-    shares = np.array([(weights.shine * form.inside(x, y, at)).sum() / total for at in places])
-    return float(places[int(np.argmin(np.abs(shares - wanted)))])
+    near, far = -form.reach - 4.0 * form.soft_px, form.reach + 4.0 * form.soft_px
+    for _ in range(BISECTIONS):  # the further off the edge, the less it takes
+        at = 0.5 * (near + far)
+        takes = (weights.shine * form.inside(x, y, at)).sum() > wanted * total
+        near, far = (at, far) if takes else (near, at)
+    return 0.5 * (near + far)
 
 
 def settings_of(seed: int) -> dict[str, object]:
     """Return what is pinned for a seed: dark for half of them, never a light hidden for another reason."""
-    pinned: dict[str, object] = {"hidden": False, "decoys": 0}
+    pinned: dict[str, object] = {"hidden": False, "decoys": 0, "width": 1280 if seed % 5 == 0 else 640}
     return pinned | ({"dark": True} if seed % 2 else {})
 
 
@@ -240,12 +254,12 @@ def tracked(seed: int) -> bool:
     return seed % 3 == 2
 
 
-def case(seed: int, hide: bool) -> tuple[list[Composite], Hidden | None]:
-    """Return the pairs of a case, the last one covered or not, and what the cover did."""
-    edge = Edge(seed) if hide else None
+def case(seed: int) -> tuple[list[Composite], list[Composite], Hidden]:
+    """Return the pairs of a case with the last one covered, the same uncovered, and what the cover did."""
+    edge = Edge(seed)
     if not tracked(seed):
         made = composite(seed, edge, **settings_of(seed))
-        return [made], edge.made if edge else None
+        return [made], [composite(seed, **settings_of(seed))], edge.hidden()
     rng = np.random.default_rng([seed, 778])
     first = composite(seed, **settings_of(seed))
     moving = rng.uniform() < 0.6
@@ -257,8 +271,9 @@ def case(seed: int, hide: bool) -> tuple[list[Composite], Hidden | None]:
         T[:3, 3] += (k - SEQUENCE + 1) * way
         T[:3, :3] = Rotation.from_rotvec((k - SEQUENCE + 1) * turn).as_matrix() @ T[:3, :3]
         pinned = {"T_rig_target": T, "diameter_m": first.settings["diameter_m"], "camera_seed": 10_000 * (k + 1) + seed}
-        pairs.append(composite(seed, edge if k == SEQUENCE - 1 else None, **settings_of(seed), **pinned))
-    return pairs, edge.made if edge else None
+        pairs.append(composite(seed, **settings_of(seed), **pinned))
+    covered = composite(seed, edge, **settings_of(seed), **pinned)
+    return [*pairs[:-1], covered], pairs, edge.hidden()
 
 
 def measure(pairs: Sequence[Composite], *, diameter: bool) -> Outcome:
@@ -278,10 +293,8 @@ def measure(pairs: Sequence[Composite], *, diameter: bool) -> Outcome:
     return Outcome(status=str(pose.status), why="", error=error, covariance=pose.covariance)
 
 
-def without_diameter(made: Composite):  # type: ignore[no-untyped-def]
+def without_diameter(made: Composite) -> Target:
     """Return the target without the size of its lights."""
-    from dataclasses import replace
-
     return replace(made.target, diameter_m=None)
 
 
@@ -357,10 +370,8 @@ def main() -> None:
     hidden: dict[int, Hidden] = {}
     outcomes: dict[str, dict[int, Outcome]] = {name: {} for name in ("covered", "control", "covered -", "control -")}
     for seed in seeds:
-        for name in ("covered", "control"):
-            pairs, what = case(seed, name == "covered")
-            if what is not None:
-                hidden[seed] = what
+        covered, control, hidden[seed] = case(seed)
+        for name, pairs in (("covered", covered), ("control", control)):
             outcomes[name][seed] = measure(pairs, diameter=True)
             outcomes[f"{name} -"][seed] = measure(pairs, diameter=False)
     rows = [
@@ -417,7 +428,7 @@ def write_pictures(folder: Path, seeds: Sequence[int]) -> None:
     """Write the covered pairs of some seeds, with what covers them."""
     folder.mkdir(parents=True, exist_ok=True)
     for seed in seeds:
-        pairs, what = case(seed, True)
+        pairs, _, what = case(seed)
         for side, picture in zip(SIDES, (pairs[-1].left, pairs[-1].right), strict=True):
             cv2.imwrite(str(folder / f"{seed:05d}-{side}.png"), picture)
         print(seed, what)

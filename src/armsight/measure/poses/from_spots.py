@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 from math import inf
 
+from armsight.errors import Unseen
 from armsight.measure.poses.assignment import Assignment, Match, Prediction
 from armsight.measure.poses.beacon import match_beacon
 from armsight.measure.poses.board_pose import swapped
 from armsight.measure.poses.correspondence import AS_FOUND, match_known
 from armsight.measure.poses.explanations import explain, left_out_notes
 from armsight.measure.poses.few_lights import match_by_place, match_few
+from armsight.measure.poses.hidden import solve_seen, why_hidden
 from armsight.measure.poses.outcome import Measured, Track
 from armsight.measure.poses.pairs import Pairs, pair_spots
 from armsight.measure.poses.plausibility import impossible
@@ -19,7 +21,7 @@ from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.shortlist import Shortlist
 from armsight.measure.poses.solving import misfit_chi2, solve_assignment, solve_spots, take_spots
 from armsight.measure.poses.tracking import continuation, doubtful, expected, next_track
-from armsight.records import NotSeen, PoseStatus, Spots, TargetPose
+from armsight.records import Frame, NotSeen, PoseStatus, Spots, TargetPose
 
 SWAP_RATIO = 0.1
 """Exchanged views are believed where they bring chi-square below this share of what it is."""
@@ -36,11 +38,17 @@ def measure_spots(setup: Setup, t_s: float, left: Spots, right: Spots, track: Tr
 
 
 def measure_among(
-    setup: Setup, t_s: float, left: Spots, right: Spots, track: Track | None, among: Shortlist | None
+    setup: Setup,
+    t_s: float,
+    left: Spots,
+    right: Spots,
+    track: Track | None,
+    among: Shortlist | None,
+    frames: tuple[Frame, Frame] | None = None,
 ) -> tuple[Measured, float]:
     """As measure_spots; among: what the spots were chosen from, where they are not all that is bright.
 
-    The number is how many other arrangements are expected to fit as well by chance.
+    frames: the images, in which the outlines of the lights are compared. The number is how many other arrangements are expected to fit as well by chance.
     """
     pairs = pair_spots(setup.packed, left, right, setup.slack_px, overlaid=setup.overlaid)
     match = _match(setup, left, right, pairs, expected(setup, track, t_s), among)
@@ -55,10 +63,17 @@ def measure_among(
         return lost_moment(t_s, left, right, missed, track), 1.0
     index = pairs.index[match.best.pair]
     matched = take_spots(left, index[:, 0]), take_spots(right, index[:, 1])
-    solved = solve_spots(setup, t_s, match.best.names, *matched)
+    seen = solve_seen(setup, t_s, match.best.names, *matched, frames)
+    names, solved, matched = seen.names, seen.solved, (seen.left, seen.right)
+    if not names:
+        missed = NotSeen(why_hidden(seen.hidden, PoseStatus.LOST), Unseen.HALF_HIDDEN)
+        return lost_moment(t_s, left, right, missed, track), 1.0
     if solved.pose.status is PoseStatus.LOST:
         return lost_moment(t_s, left, right, solved.missed, track), 1.0
-    if against := impossible(setup, match.best.names, solved, *matched):
+    if seen.hidden and solved.pose.status is PoseStatus.POSITION_ONLY:
+        why = why_hidden(seen.hidden, solved.pose.status)
+        solved = replace(solved, pose=replace(solved.pose, why=why), cause=Unseen.HALF_HIDDEN)
+    if against := impossible(setup, names, solved, *matched):
         return lost_moment(t_s, left, right, against, track), 1.0
     step = continuation(setup, track, t_s, solved)
     if track is not None and doubtful(setup, track, t_s, solved, step):
@@ -71,7 +86,7 @@ def measure_among(
         points=solved.points,
         left=matched[0],
         right=matched[1],
-        names=match.best.names,
+        names=names,
         left_seen=left,
         right_seen=right,
         track=next_track(setup, t_s, solved, *matched, track, step),
