@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.measure.poses.kernels import hidden as kernels
-from armsight.measure.poses.kernels import pose as pose_kernels
 from armsight.measure.poses.pose import Solved
 from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.solving import solve_spots
 from armsight.records import Frame, PoseStatus, Spots
 
+Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 JOINT = "joint"
@@ -22,15 +22,13 @@ JOINT = "joint"
 
 
 class Seen(NamedTuple):
-    """Spots with their names, and what is solved from them. hidden: names of lights that were left out; widened: whether
-    any is taken with more doubt than its own noise gives it."""
+    """Spots with their names, and what is solved from them. hidden: names of lights that were left out."""
 
     names: tuple[str, ...]
     left: Spots
     right: Spots
     solved: Solved
     hidden: tuple[str, ...] = ()
-    widened: bool = False
 
 
 def solve_seen(
@@ -50,34 +48,40 @@ def solve_seen(
     n = len(names)
     if frames is None or n < 2 or solved.pose.status is PoseStatus.LOST or len(solved.points) != n:
         return Seen(names, left, right, solved)
-    uv, cov = np.empty((n, 2, 2)), np.empty((n, 2, 2, 2))
-    pose_kernels.stack_views(left.uv_px, left.covariance_px2, right.uv_px, right.covariance_px2, uv, cov)
-    variance, odd = np.zeros((n, 2, 2, 2)), np.zeros((n, 2), np.uint8)
+    out = np.zeros((2, n, kernels.FINDING))
     verdict = kernels.compare_lights(
         channels(frames[0]),
         channels(frames[1]),
-        np.uint8(setup.settings.options[1]),
+        setup.settings.options,
         setup.packed.R,
         setup.packed.t,
         solved.points.xyz_m,
-        uv,
-        cov,
-        np.column_stack([left.size_px, right.size_px]),
-        usable(left, right),
-        variance,
-        odd,
+        left.uv_px,
+        left.covariance_px2,
+        sizes(left),
+        right.uv_px,
+        right.covariance_px2,
+        sizes(right),
+        out,
     )
     if verdict == kernels.NO_DOUBT:
         return Seen(names, left, right, solved)
-    left = replace(left, covariance_px2=left.covariance_px2 + variance[:, 0])
-    right = replace(right, covariance_px2=right.covariance_px2 + variance[:, 1])
-    kept = np.flatnonzero(~odd.any(axis=1))
-    hidden = tuple(name for name, is_odd in zip(names, odd.any(axis=1), strict=True) if is_odd)
+    left, right = widened(left, out[0]), widened(right, out[1])
+    odd = out[:, :, kernels.ODD].any(axis=0)
+    hidden = tuple(name for name, is_odd in zip(names, odd.tolist(), strict=True) if is_odd)
     if hidden:
-        names, left, right = tuple(names[i] for i in kept), left.take(kept), right.take(kept)
+        kept = np.flatnonzero(~odd)
+        names, left, right = tuple(names[i] for i in kept.tolist()), left.take(kept), right.take(kept)
     if not names:
-        return Seen(names, left, right, solved, hidden, widened=True)
-    return Seen(names, left, right, solve_spots(setup, t_s, names, left, right), hidden, widened=True)
+        return Seen(names, left, right, solved, hidden)
+    return Seen(names, left, right, solve_spots(setup, t_s, names, left, right), hidden)
+
+
+def widened(spots: Spots, found: Array) -> Spots:
+    """Return the spots with what may be hidden of each, found (n, FINDING), in their covariances."""
+    return replace(
+        spots, covariance_px2=spots.covariance_px2 + found[:, [[kernels.UU, kernels.UV], [kernels.UV, kernels.VV]]]
+    )
 
 
 def channels(frame: Frame) -> Image:
@@ -85,13 +89,13 @@ def channels(frame: Frame) -> Image:
     return frame.image if frame.image.ndim == 3 else frame.image[:, :, None]
 
 
-def usable(left: Spots, right: Spots) -> NDArray[np.uint8]:
-    """Return (n, 2): which spots are alone in their bright area, so that its outline is theirs."""
-    out = np.ones((len(left), 2), np.uint8)
-    for side, spots in enumerate((left, right)):
-        if JOINT in spots.model:
-            out[[kind == JOINT for kind in spots.model], side] = 0
-    return out
+def sizes(spots: Spots) -> Array:
+    """Return the spots' sizes (n,); 0 for lights that touch, whose outline is not their own."""
+    if JOINT not in spots.model:
+        return spots.size_px
+    size = np.where([kind == JOINT for kind in spots.model], 0.0, spots.size_px)
+    size.setflags(write=False)  # as the others: one compilation serves both
+    return size
 
 
 def why_hidden(hidden: tuple[str, ...], status: PoseStatus) -> str:

@@ -6,11 +6,12 @@ a light narrower in one direction and hardly in the other; its centre moves by l
 
 from __future__ import annotations
 
-from math import atan2, cos, log, pi, sin, sqrt
+from math import atan2, cos, exp, log, pi, sin, sqrt
 
 import numpy as np
 
 from armsight._numba import inner_kernel, kernel
+from armsight.measure.spots.kernels.detection.area import O_FLIP
 from armsight.measure.spots.kernels.outline import AREA, OUTLINE, RING, XX, XY, YY, outline
 
 GATE_PX = 0.27
@@ -23,11 +24,13 @@ ODD_SIGMAS = 3.0
 UNEVEN = 0.5
 """Logarithm of the ratio of radii from which a light is of another size, whatever its form; lights of twice the
 brightness that are clipped differ by 0.3."""
-FALSE_TWIN = 1e9
 BLUR_PX2 = 1.0
 """Square of the part of a radius that does not shrink with distance: the lens's blur and the pixel."""
 
-NO_DOUBT, DOUBT, ODD = range(3)
+NO_DOUBT, DOUBT, ODD_ONE = range(3)
+UU, UV, VV, ODD = range(4)
+FINDING = 4
+"""Of a light in one view: variance to be added to its centre's, and 1 where it is unlike every other one."""
 
 
 @inner_kernel
@@ -57,34 +60,52 @@ def differences(mine, other, out):
 
 
 @inner_kernel
-def add_along(angle, length, variance):
-    """Add length^2 along a direction to variance (2, 2)."""
+def add_along(angle, length, row):
+    """Add length^2 along a direction to the variance in row (.., uu, uv, vv)."""
     c = length * cos(angle)
     s = length * sin(angle)
-    variance[0, 0] += c * c
-    variance[0, 1] += c * s
-    variance[1, 0] += c * s
-    variance[1, 1] += s * s
+    row[UU] += c * c
+    row[UV] += c * s
+    row[VV] += s * s
 
 
 @inner_kernel
-def compare_view(outlines, sigma, variance, odd):
-    """Compare the lights (n, OUTLINE) of one view; return NO_DOUBT, DOUBT or ODD.
+def shortest(mine, mean):
+    """Return the direction in which a light falls short most of the mean's second moments."""
+    return 0.5 * atan2(2.0 * (mean[XY] - mine[XY]), mean[XX] - mine[XX] - (mean[YY] - mine[YY]))
 
-    sigma (n,): largest standard deviation of each centre. Adds to variance (n, 2, 2) what may be hidden of each, and sets
-    odd (n,) to 1 where one is unlike every other.
+
+@inner_kernel
+def doubt_light(mine, mean, gate, d, row):
+    """Add to row what may be hidden of a light, or lie beside it, where it is further off the others' mean than the gate."""
+    differences(mine, mean, d)
+    if d[0] > gate:
+        add_along(shortest(mine, mean), d[0], row)
+    if d[1] > gate:
+        add_along(shortest(mine, mean) + 0.5 * pi, d[1], row)
+    uneven = abs(d[2]) * sqrt(mean[AREA] / pi)
+    if abs(d[2]) > UNEVEN and uneven > gate:
+        row[UU] += uneven * uneven
+        row[VV] += uneven * uneven
+
+
+@inner_kernel
+def compare_view(outlines, sigma, work, out):
+    """Compare the lights (n, OUTLINE) of one view; return NO_DOUBT, DOUBT or ODD_ONE.
+
+    sigma (n,): largest standard deviation of each centre. Fills out (n, FINDING).
     """
     n = outlines.shape[0]
-    mean = np.empty(OUTLINE)
-    d = np.empty(3)
+    mean = work[0]
+    d = work[1]
     verdict = NO_DOUBT
     for i in range(n):
         if not outlines[i, AREA] > 0.0:
             continue
         mean[:] = 0.0
         others = 0
-        narrower = FALSE_TWIN
-        wider = FALSE_TWIN
+        narrower = 1e9
+        wider = 1e9
         for k in range(n):
             if k == i or not outlines[k, AREA] > 0.0:
                 continue
@@ -98,60 +119,51 @@ def compare_view(outlines, sigma, variance, odd):
             continue
         for m in range(OUTLINE):
             mean[m] /= others
-        if max(narrower, wider) > ODD_PX + ODD_SIGMAS * sigma[i] and not (others == 1 and wider > narrower):
-            odd[i] = 1
-            verdict = ODD
-        differences(outlines[i], mean, d)
-        gate = GATE_PX + GATE_SIGMAS * sigma[i]
-        # direction in which it falls short most of the others' moments
-        angle = 0.5 * atan2(
-            2.0 * (mean[XY] - outlines[i, XY]), mean[XX] - outlines[i, XX] - (mean[YY] - outlines[i, YY])
-        )
-        if d[0] > gate:
-            add_along(angle, d[0], variance[i])
-        if d[1] > gate:
-            add_along(angle + 0.5 * pi, d[1], variance[i])
-        uneven = abs(d[2]) * sqrt(mean[AREA] / pi)
-        if abs(d[2]) > UNEVEN and uneven > gate:
-            add_along(0.0, uneven, variance[i])
-            add_along(0.5 * pi, uneven, variance[i])
-        if verdict == NO_DOUBT and variance[i, 0, 0] + variance[i, 1, 1] > 0.0:
+        if others == 1:  # of two lights the smaller one
+            wider = 0.0
+        doubt_light(outlines[i], mean, GATE_PX + GATE_SIGMAS * sigma[i], d, out[i])
+        if max(narrower, wider) > ODD_PX + ODD_SIGMAS * sigma[i]:
+            out[i, ODD] = 1.0
+            verdict = ODD_ONE
+        elif verdict == NO_DOUBT and out[i, UU] + out[i, VV] > 0.0:
             verdict = DOUBT
     return verdict
 
 
-@kernel
-def compare_lights(left, right, flip, R, t, P, uv, cov, size, usable, variance, odd):
-    """Compare a target's lights in both images (h, w, c); return NO_DOUBT, DOUBT or ODD.
+@inner_kernel
+def outlines_of(image, flip, R, t, P, uv, cov, size, outlines, sigma, work):
+    """Fill outlines (n, OUTLINE), as at the first light's distance, and sigma (n,) of the lights in one image."""
+    first = 0.0
+    for i in range(P.shape[0]):
+        c = cov[i]
+        sigma[i] = sqrt(0.5 * (c[0, 0] + c[1, 1]) + sqrt(0.25 * (c[0, 0] - c[1, 1]) ** 2 + c[0, 1] ** 2))
+        depth = R[2, 0] * P[i, 0] + R[2, 1] * P[i, 1] + R[2, 2] * P[i, 2] + t[2]
+        if i == 0:
+            first = depth
+        outlines[i, AREA] = 0.0
+        if not (size[i] > 0.0 and depth > 0.0 and first > 0.0):
+            continue
+        outline(image, flip, uv[i, 0], uv[i, 1], size[i], work, outlines[i])
+        if outlines[i, AREA] > 0.0:
+            share = max(1.0 - BLUR_PX2 * pi / outlines[i, AREA], 0.0)
+            nearer = exp(2.0 * share * log(depth / first))
+            for m in range(OUTLINE):
+                outlines[i, m] *= nearer
 
-    R (2, 3, 3), t (2, 3): of the cameras; P (n, 3): the lights in rig axes. uv (n, 2, 2), cov (n, 2, 2, 2), size, usable
-    (n, 2): [light, side]. Fills variance (n, 2, 2, 2) with what may be hidden, and odd (n, 2).
+
+@kernel
+def compare_lights(left, right, options, R, t, P, left_uv, left_cov, left_size, right_uv, right_cov, right_size, out):
+    """Compare a target's lights in both images (h, w, c); return NO_DOUBT, DOUBT or ODD_ONE.
+
+    R (2, 3, 3), t (2, 3): of the cameras; P (n, 3): the lights in rig axes. uv (n, 2), cov (n, 2, 2) and size (n,) of the
+    spots of each side; a size of zero or less: not to be looked at. Fills out (2, n, FINDING), zero before.
     """
-    n = uv.shape[0]
-    outlines = np.zeros((n, OUTLINE))
+    n = P.shape[0]
+    flip = np.uint8(options[O_FLIP])
+    outlines = np.empty((n, OUTLINE))
     sigma = np.empty(n)
-    depth = np.empty(n)
-    ring = np.empty(RING)
-    sums = np.empty(6)
-    worst = NO_DOUBT
-    for side in range(2):
-        image = left if side == 0 else right
-        for i in range(n):
-            outlines[i, AREA] = 0.0
-            c = cov[i, side]
-            root = sqrt(0.25 * (c[0, 0] - c[1, 1]) ** 2 + c[0, 1] ** 2)
-            sigma[i] = sqrt(0.5 * (c[0, 0] + c[1, 1]) + root)
-            depth[i] = t[side, 2]
-            for m in range(3):
-                depth[i] += R[side, 2, m] * P[i, m]
-            if usable[i, side] == 0 or not depth[i] > 0.0:
-                continue
-            outline(image, flip, uv[i, side, 0], uv[i, side, 1], size[i, side], ring, sums, outlines[i])
-            area = outlines[i, AREA]
-            if area > 0.0:  # as at the first light's distance
-                share = max(1.0 - BLUR_PX2 * pi / area, 0.0)
-                nearer = (depth[i] / depth[0]) ** (2.0 * share)
-                for m in range(OUTLINE):
-                    outlines[i, m] *= nearer
-        worst = max(worst, compare_view(outlines, sigma, variance[:, side], odd[:, side]))
-    return worst
+    work = np.empty((2, RING))
+    outlines_of(left, flip, R[0], t[0], P, left_uv, left_cov, left_size, outlines, sigma, work)
+    verdict = compare_view(outlines, sigma, work, out[0])
+    outlines_of(right, flip, R[1], t[1], P, right_uv, right_cov, right_size, outlines, sigma, work)
+    return max(verdict, compare_view(outlines, sigma, work, out[1]))
