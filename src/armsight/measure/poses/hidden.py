@@ -7,15 +7,18 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from armsight.measure.poses.kernels import hidden as kernels
-from armsight.measure.poses.pose import Solved
+from armsight.measure.poses.pose import MAX_DOUBTFUL_SIGMA, Solved
 from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.solving import solve_spots
 from armsight.records import Frame, PoseStatus, Spots
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
+
+LEAST_VARIANCE_PX2 = 1e-6
 
 JOINT = "joint"
 """The model of lights that touch: the outline of one of them is that of all."""
@@ -39,10 +42,10 @@ def solve_seen(
     right: Spots,
     frames: tuple[Frame, Frame] | None,
 ) -> Seen:
-    """Return the pose of named spots (solve_spots), after a look at whether each light is there as a whole.
+    """Return the pose of named spots (solve_spots), after a look at whether all of each light is there.
 
-    frames: the images that they were found in; without them nothing is looked at. A light unlike every other one is left
-    out, and one that may be cut off a little is as uncertain as what may be hidden of it is wide.
+    frames: the images that they were found in; without them nothing is looked at. A light unlike every other one is
+    left out; where one may be cut off a little the pose is as uncertain as what may be hidden of it makes it.
     """
     solved = solve_spots(setup, t_s, names, left, right)
     n = len(names)
@@ -66,22 +69,75 @@ def solve_seen(
     )
     if verdict == kernels.NO_DOUBT:
         return Seen(names, left, right, solved)
-    left, right = widened(left, out[0]), widened(right, out[1])
     odd = out[:, :, kernels.ODD].any(axis=0)
+    if not odd.any():
+        widened = widen(setup, t_s, names, left, right, solved, out)
+        if widened is not None:
+            return Seen(names, left, right, widened)
+        odd = out[:, :, [kernels.UU, kernels.VV]].any(axis=(0, 2))
     hidden = tuple(name for name, is_odd in zip(names, odd.tolist(), strict=True) if is_odd)
-    if hidden:
-        kept = np.flatnonzero(~odd)
-        names, left, right = tuple(names[i] for i in kept.tolist()), left.take(kept), right.take(kept)
+    kept = np.flatnonzero(~odd)
+    names, left, right = tuple(names[i] for i in kept.tolist()), left.take(kept), right.take(kept)
     if not names:
         return Seen(names, left, right, solved, hidden)
     return Seen(names, left, right, solve_spots(setup, t_s, names, left, right), hidden)
 
 
-def widened(spots: Spots, found: Array) -> Spots:
-    """Return the spots with what may be hidden of each, found (n, FINDING), in their covariances."""
-    return replace(
-        spots, covariance_px2=spots.covariance_px2 + found[:, [[kernels.UU, kernels.UV], [kernels.UV, kernels.VV]]]
-    )
+def widen(
+    setup: Setup, t_s: float, names: tuple[str, ...], left: Spots, right: Spots, solved: Solved, found: Array
+) -> Solved | None:
+    """Return the solved pose, as uncertain as its lights' centres may be off: found (2, n, FINDING).
+
+    Every centre is moved by a standard deviation of what may be hidden, both ways, and the pose solved anew: where a
+    light is nearly free, poses bend too much for slopes. None where the rotation is then not known any more.
+    """
+    T, C = solved.T, solved.pose.covariance
+    if T is None or C is None:
+        return solved
+    C = np.array(C)
+    for side in range(2):
+        for i, (uu, uv, vv, _) in enumerate(found[side].tolist()):
+            if not uu + vv > 0.0:
+                continue
+            variances, ways = np.linalg.eigh(np.array([[uu, uv], [uv, vv]]))
+            for variance, way in zip(variances.tolist(), ways.T, strict=True):
+                if not variance > LEAST_VARIANCE_PX2:
+                    continue
+                moved = [
+                    _moved_by(setup, t_s, names, left, right, T, side, i, sign * np.sqrt(variance) * way)
+                    for sign in (-1.0, 1.0)
+                ]
+                possible = [d for d in moved if d is not None]
+                if not possible:
+                    return None
+                for d in possible:
+                    C += np.outer(d, d) / len(possible)
+    if max(C[3, 3], C[4, 4], C[5, 5]) > MAX_DOUBTFUL_SIGMA**2:
+        return None
+    return replace(solved, pose=replace(solved.pose, covariance=C))
+
+
+def _moved_by(
+    setup: Setup,
+    t_s: float,
+    names: tuple[str, ...],
+    left: Spots,
+    right: Spots,
+    T: Array,
+    side: int,
+    i: int,
+    step_px: Array,
+) -> Array | None:
+    """Return the way (6,) from the pose T to that with one spot moved by step_px (2,); None where that fits no pose."""
+    both = [left, right]
+    uv = np.array(both[side].uv_px)
+    uv[i] += step_px
+    both[side] = replace(both[side], uv_px=uv)
+    other = solve_spots(setup, t_s, names, *both).T
+    if other is None:
+        return None
+    turn = Rotation.from_matrix(other[:3, :3] @ T[:3, :3].T).as_rotvec()
+    return np.concatenate([other[:3, 3] - T[:3, 3], turn])
 
 
 def channels(frame: Frame) -> Image:
