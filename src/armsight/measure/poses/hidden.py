@@ -22,6 +22,8 @@ LEAST_VARIANCE_PX2 = 1e-6
 
 JOINT = "joint"
 """The model of lights that touch: the outline of one of them is that of all."""
+TOUCH_SIZES = 3.0
+"""Distance in sizes of both (sigmas) within which two lights share an outline."""
 
 
 class Seen(NamedTuple):
@@ -61,10 +63,10 @@ def solve_seen(
         solved.points.xyz_m,
         left.uv_px,
         left.covariance_px2,
-        sizes(left),
+        sizes(left, overlaid=setup.overlaid),
         right.uv_px,
         right.covariance_px2,
-        sizes(right),
+        sizes(right, overlaid=setup.overlaid),
         out,
     )
     if verdict == kernels.NO_DOUBT:
@@ -74,13 +76,14 @@ def solve_seen(
         widened = widen(setup, t_s, names, left, right, solved, out)
         if widened is not None:
             return Seen(names, left, right, widened)
-        odd = out[:, :, [kernels.UU, kernels.VV]].any(axis=(0, 2))
+        odd[np.argmax(out[:, :, [kernels.UU, kernels.VV]].sum(axis=(0, 2)))] = True
     hidden = tuple(name for name, is_odd in zip(names, odd.tolist(), strict=True) if is_odd)
     kept = np.flatnonzero(~odd)
     names, left, right = tuple(names[i] for i in kept.tolist()), left.take(kept), right.take(kept)
     if not names:
         return Seen(names, left, right, solved, hidden)
-    return Seen(names, left, right, solve_spots(setup, t_s, names, left, right), hidden)
+    rest = solve_seen(setup, t_s, names, left, right, frames)
+    return rest._replace(hidden=(*hidden, *rest.hidden))
 
 
 def widen(
@@ -93,7 +96,9 @@ def widen(
     """
     T, C = solved.T, solved.pose.covariance
     if T is None or C is None:
-        return solved
+        return solve_spots(
+            setup, t_s, names, *(_doubted(spots, out) for spots, out in zip((left, right), found, strict=True))
+        )
     C = np.array(C)
     for side in range(2):
         for i, (uu, uv, vv, _) in enumerate(found[side].tolist()):
@@ -115,6 +120,12 @@ def widen(
     if max(C[3, 3], C[4, 4], C[5, 5]) > MAX_DOUBTFUL_SIGMA**2:
         return None
     return replace(solved, pose=replace(solved.pose, covariance=C))
+
+
+def _doubted(spots: Spots, found: Array) -> Spots:
+    """Return the spots with what may be hidden of each, found (n, FINDING), in their covariances."""
+    hidden = found[:, [[kernels.UU, kernels.UV], [kernels.UV, kernels.VV]]]
+    return replace(spots, covariance_px2=spots.covariance_px2 + hidden)
 
 
 def _moved_by(
@@ -145,11 +156,18 @@ def channels(frame: Frame) -> Image:
     return frame.image if frame.image.ndim == 3 else frame.image[:, :, None]
 
 
-def sizes(spots: Spots) -> Array:
-    """Return the spots' sizes (n,); 0 for lights that touch, whose outline is not their own."""
+def sizes(spots: Spots, *, overlaid: bool) -> Array:
+    """Return the spots' sizes (n,); 0 for those whose outline is not their own: lights of the target that touch.
+
+    What is left of a disc is fitted as two lights that touch, too, of which one is the target's: it is looked at. In an
+    image of both views (overlaid) any light may touch one of the other view.
+    """
     if JOINT not in spots.model:
         return spots.size_px
-    size = np.where([kind == JOINT for kind in spots.model], 0.0, spots.size_px)
+    apart = np.linalg.norm(spots.uv_px[:, None] - spots.uv_px[None], axis=2)
+    np.fill_diagonal(apart, np.inf)
+    touching = (apart < TOUCH_SIZES * (spots.size_px[:, None] + spots.size_px[None])).any(axis=1) | overlaid
+    size = np.where(touching & [kind == JOINT for kind in spots.model], 0.0, spots.size_px)
     size.setflags(write=False)  # as the others: one compilation serves both
     return size
 

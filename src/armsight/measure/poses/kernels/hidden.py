@@ -16,16 +16,18 @@ from armsight.measure.spots.kernels.outline import AREA, OUTLINE, RING, XX, XY, 
 
 GATE_PX = 0.36
 WIDER_PX = 0.5
-"""How far (px, both views together) a light's radius along one direction may fall short of the others', and exceed it: of
-265 composites whose lights nobody covers, 10 and 2 % have a light beyond; of 36 poses that a half-hidden light made worse
-than they claimed, 86 %."""
+"""How far (px, both views together) a light's radius along one direction may fall short of the others', and exceed it:
+of 265 composites whose lights nobody covers, 10 and 2 % have a light beyond; of 36 poses that a half-hidden light made
+worse than they claimed, 86 %."""
 CUT = 2.0
-"""Variance of the centre for each px^2 that a light's second moment falls short: 1 where half of it is hidden, 2.5 where
-four fifths are."""
+"""Variance of the centre for each px^2 that a light's second moment falls short: 1 where half of it is hidden, 2.5
+where four fifths are."""
+CLAIMED = 3.0
+"""Standard deviations that a centre's own covariance already allows for."""
 ODD_PX = 0.6
 ODD_SIGMAS = 3.0
-"""The same in one view, and standard deviations of its centre on top, against each other light, from which it is no light
-like the others: one composite in 265."""
+"""The same in one view, and standard deviations of its centre on top, against each other light, from which it is no
+light like the others: one composite in 265."""
 BLUR_PX2 = 1.0
 """Square of the part of a radius that does not shrink with distance: the lens's blur and the pixel."""
 
@@ -37,8 +39,8 @@ FINDING = 4
 
 @inner_kernel
 def radii(mine, other, out):
-    """Fill out (3,), logarithms: how much narrower and how much wider a light is than the other, each in the direction in
-    which it is so most, and how much larger."""
+    """Fill out (3,), logarithms: how much narrower and how much wider a light is than the other, each in the direction
+    in which it is so most, and how much larger."""
     det = other[XX] * other[YY] - other[XY] ** 2
     half = 0.5 * (other[YY] * mine[XX] - 2.0 * other[XY] * mine[XY] + other[XX] * mine[YY]) / det
     ratio = (mine[XX] * mine[YY] - mine[XY] ** 2) / det
@@ -72,7 +74,7 @@ def add_along(angle, variance, row):
 
 
 @inner_kernel
-def doubt_light(mine, mean, narrower, wider, row):
+def doubt_light(mine, mean, sigma, narrower, wider, row):
     """Add to row what may be hidden of a light (where narrower), and what may lie beside it (where wider).
 
     What is cut off at a light's middle takes the square of the centre's shift from its second moment along the cut.
@@ -82,10 +84,11 @@ def doubt_light(mine, mean, narrower, wider, row):
     yy = mean[YY] - mine[YY]
     angle = 0.5 * atan2(2.0 * xy, xx - yy)
     root = sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
+    known = (CLAIMED * sigma) ** 2
     if narrower:
-        add_along(angle, CUT * max(0.5 * (xx + yy) + root, 0.0), row)
+        add_along(angle, max(CUT * (root + 0.5 * (xx + yy)) - known, 0.0), row)
     if wider:
-        add_along(angle + 0.5 * pi, CUT * max(root - 0.5 * (xx + yy), 0.0), row)
+        add_along(angle + 0.5 * pi, max(CUT * (root - 0.5 * (xx + yy)) - known, 0.0), row)
 
 
 @inner_kernel
@@ -153,28 +156,29 @@ def outlines_of(image, flip, R, t, P, uv, cov, size, outlines, sigma, work):
 def compare_lights(left, right, options, R, t, P, left_uv, left_cov, left_size, right_uv, right_cov, right_size, out):
     """Compare a target's lights in both images (h, w, c); return NO_DOUBT, DOUBT or ODD_ONE.
 
-    R (2, 3, 3), t (2, 3): of the cameras; P (n, 3): the lights in rig axes. uv (n, 2), cov (n, 2, 2) and size (n,) of the
-    spots of each side; a size of zero or less: not to be looked at. Fills out (2, n, FINDING), zero before.
+    R (2, 3, 3), t (2, 3): of the cameras; P (n, 3): the lights in rig axes. uv (n, 2), cov (n, 2, 2) and size (n,) of
+    the spots of each side; a size of zero or less: not to be looked at. Fills out (2, n, FINDING), zero before.
     """
     n = P.shape[0]
     flip = np.uint8(options[O_FLIP])
     outlines = np.empty((2, n, OUTLINE))
     mean = np.empty((2, n, OUTLINE))
     found = np.empty((2, n, 3))
-    sigma = np.empty(n)
+    sigma = np.empty((2, n))
     work = np.empty((2, RING))
-    outlines_of(left, flip, R[0], t[0], P, left_uv, left_cov, left_size, outlines[0], sigma, work)
-    compare_view(outlines[0], sigma, mean[0], work[0], found[0])
-    outlines_of(right, flip, R[1], t[1], P, right_uv, right_cov, right_size, outlines[1], sigma, work)
-    compare_view(outlines[1], sigma, mean[1], work[0], found[1])
+    outlines_of(left, flip, R[0], t[0], P, left_uv, left_cov, left_size, outlines[0], sigma[0], work)
+    compare_view(outlines[0], sigma[0], mean[0], work[0], found[0])
+    outlines_of(right, flip, R[1], t[1], P, right_uv, right_cov, right_size, outlines[1], sigma[1], work)
+    compare_view(outlines[1], sigma[1], mean[1], work[0], found[1])
     verdict = NO_DOUBT
     for i in range(n):
         narrower = found[0, i, 0] ** 2 + found[1, i, 0] ** 2 > GATE_PX**2
         wider = found[0, i, 1] ** 2 + found[1, i, 1] ** 2 > WIDER_PX**2
         for side in range(2):
             if (narrower and found[side, i, 0] > 0.0) or (wider and found[side, i, 1] > 0.0):
-                doubt_light(outlines[side, i], mean[side, i], narrower, wider, out[side, i])
-                verdict = max(verdict, DOUBT)
+                doubt_light(outlines[side, i], mean[side, i], sigma[side, i], narrower, wider, out[side, i])
+                if out[side, i, UU] + out[side, i, VV] > 0.0:
+                    verdict = max(verdict, DOUBT)
             if found[side, i, 2] > 0.0:
                 out[side, i, ODD] = 1.0
                 verdict = ODD_ONE

@@ -1,6 +1,6 @@
 """The outline of one light as it is in the image, whatever model measured it: its area and second moments.
 
-An edge before a light takes from it in one direction: lights of one target are compared by it (poses/kernels/hidden.py).
+Lights of one target are compared by it (poses/kernels/hidden.py): an edge before one takes from it in one direction.
 """
 
 from __future__ import annotations
