@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 LEAST_VARIANCE_PX2 = 1e-6
+LITTLE_WIDER = 1.5
+"""Factor by which doubt in a light may widen a rotation that is hardly known anyway before it is none."""
 
 JOINT = "joint"
 """The model of lights that touch: the outline of one of them is that of all."""
@@ -94,12 +96,12 @@ def widen(
     Every centre is moved by a standard deviation of what may be hidden, both ways, and the pose solved anew: where a
     light is nearly free, poses bend too much for slopes. None where the rotation is then not known any more.
     """
-    T, C = solved.T, solved.pose.covariance
-    if T is None or C is None:
+    T, own = solved.T, solved.pose.covariance
+    if T is None or own is None:
         return solve_spots(
             setup, t_s, names, *(_doubted(spots, out) for spots, out in zip((left, right), found, strict=True))
         )
-    C = np.array(C)
+    C = np.array(own)
     for side in range(2):
         for i, (uu, uv, vv, _) in enumerate(found[side].tolist()):
             if not uu + vv > 0.0:
@@ -117,7 +119,8 @@ def widen(
                     return None
                 for d in possible:
                     C += np.outer(d, d) / len(possible)
-    if max(C[3, 3], C[4, 4], C[5, 5]) > MAX_DOUBTFUL_SIGMA**2:
+    before = float(np.diag(own)[3:].max())
+    if max(C[3, 3], C[4, 4], C[5, 5]) > max(MAX_DOUBTFUL_SIGMA**2, LITTLE_WIDER**2 * before):
         return None
     return replace(solved, pose=replace(solved.pose, covariance=C))
 

@@ -28,6 +28,9 @@ ODD_PX = 0.6
 ODD_SIGMAS = 3.0
 """The same in one view, and standard deviations of its centre on top, against each other light, from which it is no
 light like the others: one composite in 265."""
+COMPARABLE_PX = 0.3
+"""Standard deviation of a centre above which a light's own outline is in doubt, as where something bright touches it:
+the others are not compared with it."""
 BLUR_PX2 = 1.0
 """Square of the part of a radius that does not shrink with distance: the lens's blur and the pixel."""
 
@@ -110,7 +113,7 @@ def compare_view(outlines, sigma, mean, d, found):
         narrower = 1e9
         wider = 1e9
         for k in range(n):
-            if k == i or not outlines[k, AREA] > 0.0:
+            if k == i or not outlines[k, AREA] > 0.0 or sigma[k] > COMPARABLE_PX:
                 continue
             others += 1
             for m in range(OUTLINE):
@@ -122,7 +125,7 @@ def compare_view(outlines, sigma, mean, d, found):
             continue
         for m in range(OUTLINE):
             mean[i, m] /= others
-        if others == 1:  # of two lights the smaller one
+        if n == 2:  # of two lights the smaller one
             wider = 0.0
         if max(narrower, wider) > ODD_PX + ODD_SIGMAS * sigma[i]:
             found[i, 2] = 1.0
