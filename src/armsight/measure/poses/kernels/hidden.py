@@ -28,9 +28,12 @@ ODD_PX = 0.6
 ODD_SIGMAS = 3.0
 """The same in one view, and standard deviations of its centre on top, against each other light, from which it is no
 light like the others: one composite in 265."""
+UNEVEN = 0.32
+"""Logarithm of the ratio of radii from which a light is of another size, whatever its form: clipped lights of twice the
+brightness differ by 0.26."""
 COMPARABLE_PX = 0.3
 """Standard deviation of a centre above which a light's own outline is in doubt, as where something bright touches it:
-the others are not compared with it."""
+the others are not compared with it, and it is not taken for wider than it knows."""
 BLUR_PX2 = 1.0
 """Square of the part of a radius that does not shrink with distance: the lens's blur and the pixel."""
 
@@ -57,13 +60,18 @@ def radii(mine, other, out):
 def differences(mine, other, out):
     """Fill out (3,): px by which a light is narrower, and wider, in one direction than the other; log of their ratio.
 
-    What it is in both directions does not count for the first two: a fainter light is smaller all round.
+    What it is in both directions does not count for the first two, up to UNEVEN: a fainter light is smaller all round.
     """
     radii(mine, other, out)
     radius = sqrt(other[AREA] / pi)
     both = out[0] + out[1]
-    out[0] = min(out[0], both) * radius
-    out[1] = min(out[1], both) * radius
+    narrower = min(out[0], both)
+    wider = min(out[1], both)
+    if abs(out[2]) > UNEVEN:
+        narrower = max(narrower, -out[2])
+        wider = max(wider, out[2])
+    out[0] = narrower * radius
+    out[1] = wider * radius
 
 
 @inner_kernel
@@ -87,11 +95,14 @@ def doubt_light(mine, mean, sigma, narrower, wider, row):
     yy = mean[YY] - mine[YY]
     angle = 0.5 * atan2(2.0 * xy, xx - yy)
     root = sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
+    half = 0.5 * (xx + yy)
     known = (CLAIMED * sigma) ** 2
     if narrower:
-        add_along(angle, max(CUT * (root + 0.5 * (xx + yy)) - known, 0.0), row)
+        add_along(angle, max(CUT * (half + root) - known, 0.0), row)
+        add_along(angle + 0.5 * pi, max(CUT * (half - root) - known, 0.0), row)
     if wider:
-        add_along(angle + 0.5 * pi, max(CUT * (root - 0.5 * (xx + yy)) - known, 0.0), row)
+        add_along(angle, max(-CUT * (half + root) - known, 0.0), row)
+        add_along(angle + 0.5 * pi, max(-CUT * (half - root) - known, 0.0), row)
 
 
 @inner_kernel
@@ -106,7 +117,7 @@ def compare_view(outlines, sigma, mean, d, found):
         found[i, 0] = 0.0
         found[i, 1] = 0.0
         found[i, 2] = 0.0
-        if not outlines[i, AREA] > 0.0:
+        if outlines[i, AREA] == 0.0:
             continue
         mean[i] = 0.0
         others = 0
@@ -116,11 +127,16 @@ def compare_view(outlines, sigma, mean, d, found):
             if k == i or not outlines[k, AREA] > 0.0 or sigma[k] > COMPARABLE_PX:
                 continue
             others += 1
+            if outlines[i, AREA] < 0.0:
+                continue
             for m in range(OUTLINE):
                 mean[i, m] += outlines[k, m]
             differences(outlines[i], outlines[k], d)
             narrower = min(narrower, d[0])
             wider = min(wider, d[1])
+        if outlines[i, AREA] < 0.0:  # dark in its middle, where others are bright
+            found[i, 2] = 1.0 if others > 1 else 0.0
+            continue
         if others == 0:
             continue
         for m in range(OUTLINE):
@@ -131,7 +147,8 @@ def compare_view(outlines, sigma, mean, d, found):
             found[i, 2] = 1.0
         differences(outlines[i], mean[i], d)
         found[i, 0] = max(d[0], 0.0)
-        found[i, 1] = max(d[1], 0.0)
+        if sigma[i] <= COMPARABLE_PX:
+            found[i, 1] = max(d[1], 0.0)
 
 
 @inner_kernel

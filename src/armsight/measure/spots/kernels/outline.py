@@ -78,7 +78,8 @@ def add_row(image, flip, y, u, v, first, last, low, scale, sums):
 def outline(image, flip, u, v, size, work, out):
     """Fill out (OUTLINE,) for the light at (u, v) in image (h, w, c): its rows of pixels that hang together.
 
-    size: its radius or sigma, for the ring and as a bound. work (2, RING). AREA is 0 where it has none.
+    size: its radius or sigma, for the ring and as a bound. work (2, RING). AREA is 0 where it cannot be told,
+    negative where there is no light in its middle.
     """
     out[AREA] = 0.0
     h = image.shape[0]
@@ -92,7 +93,10 @@ def outline(image, flip, u, v, size, work, out):
         for x in range(x0 - 1, x0 + 2):
             top = max(top, level_at(image, flip, y, x))
     background = ring_median(image, flip, u, v, RING_SIZES * size + RING_PX, work[0])
-    if background < 0.0 or top - background < LEAST_HEIGHT * image.shape[2]:
+    if background < 0.0:
+        return
+    if top - background < LEAST_HEIGHT * image.shape[2]:
+        out[AREA] = -1.0
         return
     low = background + LOW * (top - background)
     scale = 1.0 / ((HIGH - LOW) * (top - background))
