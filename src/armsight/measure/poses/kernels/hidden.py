@@ -27,7 +27,7 @@ CLAIMED = 3.0
 ODD_PX = 0.6
 ODD_SIGMAS = 3.0
 """The same in one view, and standard deviations of its centre on top, against each other light, from which it is no
-light like the others: one composite in 265."""
+light like the others: one composite in 265. A narrower one is not, however little is claimed of its centre."""
 UNEVEN = 0.32
 """Logarithm of the ratio of radii from which a light is of another size, whatever its form: clipped lights of twice the
 brightness differ by 0.26."""
@@ -143,7 +143,8 @@ def compare_view(outlines, sigma, mean, d, found):
             mean[i, m] /= others
         if n == 2:  # of two lights the smaller one
             wider = 0.0
-        if max(narrower, wider) > ODD_PX + ODD_SIGMAS * sigma[i]:
+        doubt = ODD_SIGMAS * sigma[i]
+        if narrower > ODD_PX + min(doubt, ODD_PX) or wider > ODD_PX + doubt:
             found[i, 2] = 1.0
         differences(outlines[i], mean[i], d)
         found[i, 0] = max(d[0], 0.0)

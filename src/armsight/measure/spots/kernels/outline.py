@@ -127,6 +127,7 @@ def outline(image, flip, u, v, size, work, out):
             y += 1 - 2 * way
     total = sums[0]
     if not total > 0.0:
+        out[AREA] = -1.0
         return
     x = sums[1] / total
     y_ = sums[2] / total
