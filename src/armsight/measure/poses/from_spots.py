@@ -48,8 +48,8 @@ def measure_among(
 ) -> tuple[Measured, float]:
     """As measure_spots; among: what the spots were chosen from, where they are not all that is bright.
 
-    frames: the images, in which the lights' outlines are compared. The number is how many other arrangements are expected
-    to fit as well by chance.
+    frames: the images, in which the lights' outlines are compared. The number is how many other arrangements are
+    expected to fit as well by chance.
     """
     pairs = pair_spots(setup.packed, left, right, setup.slack_px, overlaid=setup.overlaid)
     match = _match(setup, left, right, pairs, expected(setup, track, t_s), among)

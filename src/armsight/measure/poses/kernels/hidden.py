@@ -27,7 +27,10 @@ CLAIMED = 3.0
 ODD_PX = 0.6
 ODD_SIGMAS = 3.0
 """The same in one view, and standard deviations of its centre on top, against each other light, from which it is no
-light like the others: one composite in 265. A narrower one is not, however little is claimed of its centre."""
+light like the others: one composite in 265. A narrower one, or one that is wider in both views, is
+not, however little is claimed of its centre: LITTLE_PX on top."""
+LITTLE_PX = 0.15
+IN_ONE_VIEW = 0.5
 UNEVEN = 0.32
 """Logarithm of the ratio of radii from which a light is of another size, whatever its form: clipped lights of twice the
 brightness differ by 0.26."""
@@ -144,8 +147,10 @@ def compare_view(outlines, sigma, mean, d, found):
         if n == 2:  # of two lights the smaller one
             wider = 0.0
         doubt = ODD_SIGMAS * sigma[i]
-        if narrower > ODD_PX + min(doubt, ODD_PX) or wider > ODD_PX + doubt:
+        if narrower > ODD_PX + min(doubt, LITTLE_PX) or wider > ODD_PX + doubt:
             found[i, 2] = 1.0
+        elif wider > ODD_PX + LITTLE_PX:
+            found[i, 2] = IN_ONE_VIEW
         differences(outlines[i], mean[i], d)
         found[i, 0] = max(d[0], 0.0)
         if sigma[i] <= COMPARABLE_PX:
@@ -200,7 +205,7 @@ def compare_lights(left, right, options, R, t, P, left_uv, left_cov, left_size, 
                 doubt_light(outlines[side, i], mean[side, i], sigma[side, i], narrower, wider, out[side, i])
                 if out[side, i, UU] + out[side, i, VV] > 0.0:
                     verdict = max(verdict, DOUBT)
-            if found[side, i, 2] > 0.0:
-                out[side, i, ODD] = 1.0
-                verdict = ODD_ONE
+        if found[0, i, 2] + found[1, i, 2] >= 1.0:
+            out[0, i, ODD] = 1.0
+            verdict = ODD_ONE
     return verdict
