@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 LEAST_VARIANCE_PX2 = 1e-6
+SHARES = (1.0, 0.5, 0.25)
+"""Of what may be hidden, the shares by which a centre is moved until the target still fits."""
 LITTLE_WIDER = 1.5
 """Factor by which doubt in a light may widen a rotation that is hardly known anyway before it is none."""
 
@@ -110,13 +112,13 @@ def widen(
             for variance, way in zip(variances.tolist(), ways.T, strict=True):
                 if not variance > LEAST_VARIANCE_PX2:
                     continue
-                moved = [
-                    _moved_by(setup, t_s, names, left, right, T, side, i, sign * np.sqrt(variance) * way)
-                    for sign in (-1.0, 1.0)
-                ]
-                possible = [d for d in moved if d is not None]
-                if not possible:
-                    return None
+                possible: list[Array] = []
+                for share in SHARES:  # what no pose fits is not hidden
+                    steps = [sign * share * np.sqrt(variance) * way for sign in (-1.0, 1.0)]
+                    moved = [_moved_by(setup, t_s, names, left, right, T, side, i, step) for step in steps]
+                    possible = [d for d in moved if d is not None]
+                    if possible:
+                        break
                 for d in possible:
                     C += np.outer(d, d) / len(possible)
     before = float(np.diag(own)[3:].max())
