@@ -18,7 +18,7 @@ from armsight.records import Frame, PoseStatus, Spots
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-LEAST_VARIANCE_PX2 = 1e-6
+LEAST_STEP_PX = 1e-3
 SHARES = (1.0, 0.5, 0.25)
 """Of what may be hidden, the shares by which a centre is moved until the target still fits."""
 LITTLE_WIDER = 1.5
@@ -57,7 +57,27 @@ def solve_seen(
     n = len(names)
     if frames is None or n < 2 or solved.pose.status is PoseStatus.LOST or len(solved.points) != n:
         return Seen(names, left, right, solved)
-    out = np.zeros((2, n, kernels.FINDING))
+    verdict, out = compare(setup, solved, left, right, frames)
+    if verdict == kernels.NO_DOUBT:
+        return Seen(names, left, right, solved)
+    odd: NDArray[np.bool_] = np.asarray(out[:, :, kernels.ODD].any(axis=0))
+    if not odd.any():
+        widened = widen(setup, t_s, names, left, right, solved, out)
+        if widened is not None:
+            return Seen(names, left, right, widened)
+        odd[np.argmax(out[:, :, [kernels.UU, kernels.VV]].sum(axis=(0, 2)))] = True
+    hidden = tuple(name for name, is_odd in zip(names, odd.tolist(), strict=True) if is_odd)
+    kept = np.flatnonzero(~odd)
+    names, left, right = tuple(names[i] for i in kept.tolist()), left.take(kept), right.take(kept)
+    if not names:
+        return Seen(names, left, right, solved, hidden)
+    rest = solve_seen(setup, t_s, names, left, right, frames)
+    return rest._replace(hidden=(*hidden, *rest.hidden))
+
+
+def compare(setup: Setup, solved: Solved, left: Spots, right: Spots, frames: tuple[Frame, Frame]) -> tuple[int, Array]:
+    """Return the verdict on the lights' outlines and what was found of each, (2, n, FINDING)."""
+    out = np.zeros((2, len(left), kernels.FINDING))
     verdict = kernels.compare_lights(
         channels(frames[0]),
         channels(frames[1]),
@@ -73,21 +93,7 @@ def solve_seen(
         sizes(right, overlaid=setup.overlaid),
         out,
     )
-    if verdict == kernels.NO_DOUBT:
-        return Seen(names, left, right, solved)
-    odd = out[:, :, kernels.ODD].any(axis=0)
-    if not odd.any():
-        widened = widen(setup, t_s, names, left, right, solved, out)
-        if widened is not None:
-            return Seen(names, left, right, widened)
-        odd[np.argmax(out[:, :, [kernels.UU, kernels.VV]].sum(axis=(0, 2)))] = True
-    hidden = tuple(name for name, is_odd in zip(names, odd.tolist(), strict=True) if is_odd)
-    kept = np.flatnonzero(~odd)
-    names, left, right = tuple(names[i] for i in kept.tolist()), left.take(kept), right.take(kept)
-    if not names:
-        return Seen(names, left, right, solved, hidden)
-    rest = solve_seen(setup, t_s, names, left, right, frames)
-    return rest._replace(hidden=(*hidden, *rest.hidden))
+    return int(verdict), out
 
 
 def widen(
@@ -109,18 +115,9 @@ def widen(
             if not uu + vv > 0.0:
                 continue
             variances, ways = np.linalg.eigh(np.array([[uu, uv], [uv, vv]]))
-            for variance, way in zip(variances.tolist(), ways.T, strict=True):
-                if not variance > LEAST_VARIANCE_PX2:
-                    continue
-                possible: list[Array] = []
-                for share in SHARES:  # what no pose fits is not hidden
-                    steps = [sign * share * np.sqrt(variance) * way for sign in (-1.0, 1.0)]
-                    moved = [_moved_by(setup, t_s, names, left, right, T, side, i, step) for step in steps]
-                    possible = [d for d in moved if d is not None]
-                    if possible:
-                        break
-                for d in possible:
-                    C += np.outer(d, d) / len(possible)
+            for step in (np.sqrt(np.maximum(variances, 0.0)) * ways).T:
+                possible = _moves(setup, names, (left, right), T, (side, i), step)
+                C += sum((np.outer(d, d) for d in possible), np.zeros((6, 6))) / max(len(possible), 1)
     before = float(np.diag(own)[3:].max())
     if max(C[3, 3], C[4, 4], C[5, 5]) > max(MAX_DOUBTFUL_SIGMA**2, LITTLE_WIDER**2 * before):
         return None
@@ -133,23 +130,32 @@ def _doubted(spots: Spots, found: Array) -> Spots:
     return replace(spots, covariance_px2=spots.covariance_px2 + hidden)
 
 
+def _moves(
+    setup: Setup, names: tuple[str, ...], spots: tuple[Spots, Spots], T: Array, at: tuple[int, int], step_px: Array
+) -> list[Array]:
+    """Return the ways (6,) from the pose T to those with the spot at (side, light) moved by step_px (2,), both ways.
+
+    Where the target then fits neither way, less is hidden; nothing where it never does.
+    """
+    if not step_px @ step_px > LEAST_STEP_PX**2:
+        return []
+    for share in SHARES:
+        moved = [_moved_by(setup, names, spots, T, at, sign * share * step_px) for sign in (-1.0, 1.0)]
+        possible = [d for d in moved if d is not None]
+        if possible:
+            return possible
+    return []
+
+
 def _moved_by(
-    setup: Setup,
-    t_s: float,
-    names: tuple[str, ...],
-    left: Spots,
-    right: Spots,
-    T: Array,
-    side: int,
-    i: int,
-    step_px: Array,
+    setup: Setup, names: tuple[str, ...], spots: tuple[Spots, Spots], T: Array, at: tuple[int, int], step_px: Array
 ) -> Array | None:
     """Return the way (6,) from the pose T to that with one spot moved by step_px (2,); None where that fits no pose."""
-    both = [left, right]
+    both, (side, i) = list(spots), at
     uv = np.array(both[side].uv_px)
     uv[i] += step_px
     both[side] = replace(both[side], uv_px=uv)
-    other = solve_spots(setup, t_s, names, *both).T
+    other = solve_spots(setup, 0.0, names, *both).T
     if other is None:
         return None
     turn = Rotation.from_matrix(other[:3, :3] @ T[:3, :3].T).as_rotvec()

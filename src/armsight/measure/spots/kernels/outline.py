@@ -31,10 +31,10 @@ LEAST_MOMENT = 0.05
 @inner_kernel
 def level_at(image, flip, y, x):
     """Return the sum of a pixel's channels."""
-    total = 0
+    total = 0.0
     for c in range(image.shape[2]):
-        total += np.int64(image[y, x, c] ^ flip)
-    return float(total)
+        total += float(image[y, x, c] ^ flip)
+    return total
 
 
 @inner_kernel
