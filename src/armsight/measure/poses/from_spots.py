@@ -57,9 +57,8 @@ def measure_among(
         chosen = picked or setup.settings.colour is not None
         missed = match.missed if chosen and match.why else explain(setup, left, right, pairs, match.missed)
         return lost_moment(t_s, left, right, missed, track), 1.0
-    index = pairs.index[match.best.pair]
-    matched = take_spots(left, index[:, 0]), take_spots(right, index[:, 1])
-    look = _look(setup, t_s, match.best.names, matched, seen)
+    i, j = pairs.index[match.best.pair].T
+    look = _look(setup, t_s, match.best.names, (take_spots(left, i), take_spots(right, j)), seen)
     if isinstance(look, NotSeen):
         return lost_moment(t_s, left, right, look, track), 1.0
     names, solved, matched = look.names, look.solved, (look.left, look.right)
