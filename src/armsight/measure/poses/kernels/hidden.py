@@ -27,8 +27,8 @@ CLAIMED = 3.0
 ODD_PX = 0.6
 ODD_SIGMAS = 3.0
 """The same in one view, and standard deviations of its centre on top, against each other light, from which it is no
-light like the others: one composite in 265. A narrower one, or one that is wider in both views, is
-not, however little is claimed of its centre: LITTLE_PX on top."""
+light like the others: one composite in 265. One that is so in both views is not, however little is claimed of its
+centre: LITTLE_PX on top."""
 LITTLE_PX = 0.15
 IN_ONE_VIEW = 0.5
 UNEVEN = 0.32
@@ -147,9 +147,9 @@ def compare_view(outlines, sigma, mean, d, found):
         if n == 2:  # of two lights the smaller one
             wider = 0.0
         doubt = ODD_SIGMAS * sigma[i]
-        if narrower > ODD_PX + min(doubt, LITTLE_PX) or wider > ODD_PX + doubt:
+        if narrower > ODD_PX + doubt or (wider > ODD_PX + doubt and sigma[i] <= COMPARABLE_PX):
             found[i, 2] = 1.0
-        elif wider > ODD_PX + LITTLE_PX:
+        elif max(narrower, wider) > ODD_PX + LITTLE_PX:
             found[i, 2] = IN_ONE_VIEW
         differences(outlines[i], mean[i], d)
         found[i, 0] = max(d[0], 0.0)

@@ -93,10 +93,7 @@ def outline(image, flip, u, v, size, work, out):
         for x in range(x0 - 1, x0 + 2):
             top = max(top, level_at(image, flip, y, x))
     background = ring_median(image, flip, u, v, RING_SIZES * size + RING_PX, work[0])
-    if background < 0.0:
-        return
-    if top - background < LEAST_HEIGHT * image.shape[2]:
-        out[AREA] = -1.0
+    if background < 0.0 or top - background < LEAST_HEIGHT * image.shape[2]:
         return
     low = background + LOW * (top - background)
     scale = 1.0 / ((HIGH - LOW) * (top - background))
