@@ -12,7 +12,7 @@ camera of `webcam.py`: no code is shared with the product or its simulation, but
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -37,7 +37,10 @@ from scenes import (
     motion_of,
     psf_of,
 )
-from webcam import Picture, develop, draw_webcam
+from webcam import Light, Picture, develop, draw_webcam
+
+Cover = Callable[[list[Light], list[Lens], list[Disc], Mapping[str, object]], None]
+"""Changes the light on both sensors, given the lenses, the target's lights and the settings."""
 
 CLEAR = 25.0
 """Grey levels above nine tenths of its surroundings that a light must reach to count as standing clear."""
@@ -133,8 +136,8 @@ DEFAULTS = tuple(draw_settings(0, {}))
 """Names of all settings that may be pinned."""
 
 
-def composite(seed: int, **overrides: object) -> Composite:
-    """Return the composite of a seed; overrides pin settings by name."""
+def composite(seed: int, cover: Cover | None = None, **overrides: object) -> Composite:
+    """Return the composite of a seed; overrides pin settings by name. cover: puts something before the lights."""
     if overrides.pop("dark", False):
         overrides = {"background": "dark", "plate": False, "decoys": 0, "hidden": False} | overrides
     settings = draw_settings(seed, overrides)
@@ -150,6 +153,8 @@ def composite(seed: int, **overrides: object) -> Composite:
     radius_m = 0.5 * float(settings["diameter_m"]) if disc else 0.0
     discs = [Disc(centre=T[:3, :3] @ p + T[:3, 3], normal=T[:3, 2], radius_m=radius_m) for p in model]
     lit, truth = draw_light(lenses, discs, list(spots), T, settings, streams["scene"])
+    if cover is not None:
+        cover(lit, lenses, discs, settings)
     pictures = [develop(light, settings, streams["camera"]) for light in lit]
     return Composite(
         seed=seed,

@@ -96,6 +96,8 @@ class Unseen(StrEnum):
     OVERLAPPING = "overlapping"
     """A spot of one view may lie on one of the other's."""
     LIGHTS_MISSING = "lights_missing"
+    HALF_HIDDEN = "half_hidden"
+    """Something covers a part of a light."""
 
 
 class BadImage(DataRefused):

@@ -126,7 +126,10 @@ class MeasureOutput(Output):
     n_lost: int = Field(description="Pairs that gave nothing.")
     reprojection_rms_px: float | None = Field(description="RMS of the 2-D residual per light and view, px.")
     ms_per_frame: FrameTime = Field(description="How long a pair takes.", json_schema_extra={"unit": "ms"})
-    reasons: dict[str, int] = Field(description="How often each cause took a pose or its orientation away.")
+    reasons: dict[str, int] = Field(
+        description="How often each cause took a pose or its orientation away; `half hidden`: a light that "
+        "something covers in part."
+    )
     candidates: Candidates | None = Field(None, exclude_if=absent, description="Bright things in all images.")
     std: PoseDeviations | None = Field(
         None, exclude_if=absent, description="Median standard deviations of the full poses."

@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 from math import inf
 
+from armsight.errors import Unseen
 from armsight.measure.poses.assignment import Assignment, Match, Prediction
 from armsight.measure.poses.beacon import match_beacon
 from armsight.measure.poses.board_pose import swapped
 from armsight.measure.poses.correspondence import AS_FOUND, match_known
 from armsight.measure.poses.explanations import explain, left_out_notes
 from armsight.measure.poses.few_lights import match_by_place, match_few
+from armsight.measure.poses.hidden import Seen, solve_seen, why_hidden
 from armsight.measure.poses.outcome import Measured, Track
 from armsight.measure.poses.pairs import Pairs, pair_spots
 from armsight.measure.poses.plausibility import impossible
@@ -19,7 +21,9 @@ from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.shortlist import Shortlist
 from armsight.measure.poses.solving import misfit_chi2, solve_assignment, solve_spots, take_spots
 from armsight.measure.poses.tracking import continuation, doubtful, expected, next_track
-from armsight.records import NotSeen, PoseStatus, Spots, TargetPose
+from armsight.records import Frame, NotSeen, PoseStatus, Spots, TargetPose
+
+Pair = tuple[Frame, Frame] | None
 
 SWAP_RATIO = 0.1
 """Exchanged views are believed where they bring chi-square below this share of what it is."""
@@ -36,11 +40,11 @@ def measure_spots(setup: Setup, t_s: float, left: Spots, right: Spots, track: Tr
 
 
 def measure_among(
-    setup: Setup, t_s: float, left: Spots, right: Spots, track: Track | None, among: Shortlist | None
+    setup: Setup, t_s: float, left: Spots, right: Spots, track: Track | None, among: Shortlist | None, seen: Pair = None
 ) -> tuple[Measured, float]:
     """As measure_spots; among: what the spots were chosen from, where they are not all that is bright.
 
-    The number is how many other arrangements are expected to fit as well by chance.
+    seen: the images, to compare the lights' outlines. The number: how many other arrangements should fit by chance.
     """
     pairs = pair_spots(setup.packed, left, right, setup.slack_px, overlaid=setup.overlaid)
     match = _match(setup, left, right, pairs, expected(setup, track, t_s), among)
@@ -53,12 +57,12 @@ def measure_among(
         chosen = picked or setup.settings.colour is not None
         missed = match.missed if chosen and match.why else explain(setup, left, right, pairs, match.missed)
         return lost_moment(t_s, left, right, missed, track), 1.0
-    index = pairs.index[match.best.pair]
-    matched = take_spots(left, index[:, 0]), take_spots(right, index[:, 1])
-    solved = solve_spots(setup, t_s, match.best.names, *matched)
-    if solved.pose.status is PoseStatus.LOST:
-        return lost_moment(t_s, left, right, solved.missed, track), 1.0
-    if against := impossible(setup, match.best.names, solved, *matched):
+    i, j = pairs.index[match.best.pair].T
+    look = _look(setup, t_s, match.best.names, (take_spots(left, i), take_spots(right, j)), seen)
+    if isinstance(look, NotSeen):
+        return lost_moment(t_s, left, right, look, track), 1.0
+    names, solved, matched = look.names, look.solved, (look.left, look.right)
+    if against := impossible(setup, names, solved, *matched):
         return lost_moment(t_s, left, right, against, track), 1.0
     step = continuation(setup, track, t_s, solved)
     if track is not None and doubtful(setup, track, t_s, solved, step):
@@ -71,7 +75,7 @@ def measure_among(
         points=solved.points,
         left=matched[0],
         right=matched[1],
-        names=match.best.names,
+        names=names,
         left_seen=left,
         right_seen=right,
         track=next_track(setup, t_s, solved, *matched, track, step),
@@ -79,6 +83,22 @@ def measure_among(
         cause=solved.cause,
     )
     return measured, match.chance
+
+
+def _look(
+    setup: Setup, t_s: float, names: tuple[str, ...], matched: tuple[Spots, Spots], frames: Pair
+) -> Seen | NotSeen:
+    """Return the lights that are there as a whole with what is solved from them, or why nothing is."""
+    seen = solve_seen(setup, t_s, names, *matched, frames)
+    if not seen.names:
+        return NotSeen(why_hidden(seen.hidden, PoseStatus.LOST), Unseen.HALF_HIDDEN)
+    status = seen.solved.pose.status
+    if status is PoseStatus.LOST:
+        return seen.solved.missed
+    if not seen.hidden or status is PoseStatus.OK:
+        return seen
+    pose = replace(seen.solved.pose, why=why_hidden(seen.hidden, status))
+    return seen._replace(solved=replace(seen.solved, pose=pose, cause=Unseen.HALF_HIDDEN))
 
 
 def _match(

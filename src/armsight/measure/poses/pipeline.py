@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.errors import Inconsistent, NotConverged
+from armsight.errors import Inconsistent, NotConverged, Unseen
 from armsight.measure.poses.board_pose import measure_board_pair
 from armsight.measure.poses.correspondence import AS_FOUND, BY_CHANCE
 from armsight.measure.poses.from_spots import lost_moment, measure_among, measure_spots
+from armsight.measure.poses.hidden import solve_seen
 from armsight.measure.poses.kernels import pose as kernels
 from armsight.measure.poses.outcome import Measured, Track
 from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.shortlist import Shortlist, likeness, shortlist
-from armsight.measure.poses.solving import solve_spots
 from armsight.measure.poses.tracking import MAX_GAP_S, continuation, jumped, next_track
 from armsight.measure.settings import SpotSettings
 from armsight.measure.spots import SECOND_LOOK, Candidates, find_candidates, track_spots
@@ -27,6 +27,7 @@ __all__ = ["Measured", "Setup", "Track", "measure_pair", "measure_spots", "warm_
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
+Pair = tuple[Frame, Frame]
 
 
 def measure_pair(setup: Setup, left: Frame, right: Frame, track: Track | None = None) -> Measured:
@@ -50,14 +51,17 @@ def measure_pair(setup: Setup, left: Frame, right: Frame, track: Track | None = 
         if measured is not None:
             return measured
     at_left, at_right = _candidates(setup, left, right)
-    measured = _measure_candidates(setup, t_s, at_left, at_right, track)
+    frames = left, right
+    measured = _measure_candidates(setup, frames, t_s, at_left, at_right, track)
     if measured.pose.status is PoseStatus.OK or measured.alternatives or len(measured.names) == len(setup.model):
         return measured
+    if measured.cause is Unseen.HALF_HIDDEN:
+        return measured  # what else is bright is not the light that was left out
     if setup.settings.colour is not None or _too_many(setup, measured):
         return measured  # all that has the colour was looked at; more lights would tell no more
     if not any(_more_to_see(at, seen) for at, seen in ((at_left, measured.left_seen), (at_right, measured.right_seen))):
         return measured
-    again = _measure_candidates(setup, t_s, *_candidates(setup, left, right, faint=True), track)
+    again = _measure_candidates(setup, frames, t_s, *_candidates(setup, left, right, faint=True), track)
     return again if again.pose.status is PoseStatus.OK or measured.pose.status is PoseStatus.LOST else measured
 
 
@@ -77,22 +81,27 @@ def _candidates(setup: Setup, left: Frame, right: Frame, *, faint: bool = False)
     return found, found if setup.overlaid else find_candidates(right.image, setup.sides[1], faint=faint)
 
 
-def _measure_candidates(setup: Setup, t_s: float, left: Candidates, right: Candidates, track: Track | None) -> Measured:
+def _measure_candidates(
+    setup: Setup, frames: Pair, t_s: float, left: Candidates, right: Candidates, track: Track | None
+) -> Measured:
     """Return the pose from candidates: all measured where they are few, else those that may be the target's."""
     if left.quiet and right.quiet:
         at_left, at_right = left.positions(), right.positions()
         expected_of_each = len(setup.model) * (2 if setup.overlaid else 1)
         if max(len(at_left), len(at_right)) > expected_of_each and len(setup.model) >= 3:
             more = Shortlist(left=at_left, right=at_right, bright=len(at_left) + len(at_right), arrangements=AS_FOUND)
-            return _measure_chosen(setup, t_s, left, right, (at_left, at_right), track, more)
+            return _measure_chosen(setup, frames, t_s, left, right, (at_left, at_right), track, more)
         seen = left.measure(at_left)
-        return measure_spots(setup, t_s, seen, seen if setup.overlaid else right.measure(at_right), track)
+        other = seen if setup.overlaid else right.measure(at_right)
+        return measure_among(setup, t_s, seen, other, track, None, frames)[0]
     among = shortlist(setup, left, right)
     if among.first is not None:
-        measured = _measure_chosen(setup, t_s, left, right, among.first, track, among)
+        measured = _measure_chosen(setup, frames, t_s, left, right, among.first, track, among)
         if measured.pose.status is PoseStatus.OK or measured.alternatives:
             return measured
-    measured = _measure_chosen(setup, t_s, left, right, (among.left, among.right), track, among)
+        if measured.cause is Unseen.HALF_HIDDEN:
+            return measured
+    measured = _measure_chosen(setup, frames, t_s, left, right, (among.left, among.right), track, among)
     if measured.pose.status is not PoseStatus.LOST or not among.why or among.why in measured.pose.why:
         return measured
     return replace(measured, pose=replace(measured.pose, why=f"{measured.pose.why}; {among.why}"))
@@ -100,6 +109,7 @@ def _measure_candidates(setup: Setup, t_s: float, left: Candidates, right: Candi
 
 def _measure_chosen(
     setup: Setup,
+    frames: Pair,
     t_s: float,
     left: Candidates,
     right: Candidates,
@@ -112,7 +122,7 @@ def _measure_chosen(
         seen_left = seen_right = left.measure(np.union1d(*chosen))
     else:
         seen_left, seen_right = left.measure(chosen[0]), right.measure(chosen[1])
-    measured, chance = measure_among(setup, t_s, seen_left, seen_right, track, among)
+    measured, chance = measure_among(setup, t_s, seen_left, seen_right, track, among, frames)
     measured = replace(measured, busy=among.arrangements != AS_FOUND)
     if measured.pose.status is PoseStatus.LOST or chance == 0.0 or setup.settings.colour is not None:
         return measured
@@ -185,8 +195,9 @@ def _measure_windows(setup: Setup, left: Frame, right: Frame, t_s: float, track:
         right_seen = None if left_seen is None else _in_windows(right, at_right, track.half_window_px, setup.sides[1])
     if left_seen is None or right_seen is None:
         return None
-    solved = solve_spots(setup, t_s, track.names, left_seen, right_seen)
-    if not solved.fits or solved.pose.status is PoseStatus.LOST:
+    seen = solve_seen(setup, t_s, track.names, left_seen, right_seen, (left, right))
+    solved, left_seen, right_seen = seen.solved, seen.left, seen.right
+    if not solved.fits or solved.pose.status is PoseStatus.LOST or seen.hidden:
         return None
     step = continuation(setup, track, t_s, solved)
     if not step.likely or (track.motion is None and jumped(setup, track, t_s, solved)):

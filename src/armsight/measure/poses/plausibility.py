@@ -27,6 +27,8 @@ def add_outline_shift(packed: PackedRig, left: Spots, right: Spots, cov: Array) 
     The centre of a disc's image is off by r^2 sin a cos a / f, r in px, at a tilt of a.
     """
     for side, spots in enumerate((left, right)):
+        if OUTLINE not in spots.model:
+            continue
         for i, kind in enumerate(spots.model):
             if kind == OUTLINE:
                 shift = OUTLINE_SHARE * spots.size_px[i] ** 2 / packed.k[side][0]
