@@ -142,7 +142,7 @@ def driven(kind: str, device: str, for_s: float, seed: int, limits: Limits) -> d
     with robot:
         guard = Guard(ARM, limits, robot.cycle_s)
         loop = ControlLoop(robot, guard, source, clock, enabled=lambda: True, by_pose=False)
-        timing = run_beside(lambda: loop.run(for_s=for_s), lambda: None)
+        timing = loop.run(for_s=for_s)
         counts = getattr(robot, "counts", None)
         missed = robot.missed if counts is None else counts.missed
         late = robot.late if counts is None else counts.late
@@ -170,7 +170,7 @@ def run(kind: str, args: argparse.Namespace) -> None:
         with beside(others):
             if kind == "rtde" and args.jitter:
                 ready.wait(60.0)
-            said = driven(kind, device, args.time_s, args.seed, limits)
+            said = run_beside(lambda: driven(kind, device, args.time_s, args.seed, limits), lambda: None)
         out, _ = twin.communicate("")
         record = np.load(file)
         found, by_log = Found(), Found()
@@ -207,15 +207,20 @@ def simulated(args: argparse.Namespace) -> None:
     context = multiprocessing.get_context("spawn")
     robot: Any = load(ROBOTS, "rsi")(port, settings={"bind": "127.0.0.1", "open_s": 20.0}, clock=clock)
     joints = tuple(Joint(name=f"a{i}") for i in range(1, 7))
-    try:
-        with beside([context.Process(target=busy, daemon=True) for _ in range(args.busy)]), robot:
+
+    def jogged() -> tuple[Any, ...]:
+        with robot:
             guard = Guard(type(ARM)(name="kuka", joints=joints), Limits(turn_rad_s=0.3), robot.cycle_s)
             start, begun = robot.read().q, robot._pace.cycles
             goal = start + np.radians([2.0, -1.0, 1.5, 0.0, 3.0, -2.0])
             loop = ControlLoop(robot, guard, GoalSource(goal), clock, enabled=lambda: True, by_pose=False)
-            timing = run_beside(lambda: loop.run(for_s=args.time_s), lambda: None)
+            timing = loop.run(for_s=args.time_s)
             off = float(np.degrees(np.abs(robot.read().q - goal).max()))
-            cycles, missed = robot._pace.cycles - begun, robot.counts.missed
+            return loop, timing, off, robot._pace.cycles - begun, robot.counts.missed
+
+    try:
+        with beside([context.Process(target=busy, daemon=True) for _ in range(args.busy)]):
+            loop, timing, off, cycles, missed = run_beside(jogged, lambda: None)
     finally:
         program.kill()
     print(

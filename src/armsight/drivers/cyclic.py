@@ -23,6 +23,7 @@ from armsight.drivers.joint_goals import JointGoals, JointLimits
 from armsight.drivers.pose_goals import PoseGoals
 from armsight.drivers.robot import RobotState, Sent
 from armsight.errors import DeviceFailed, DeviceLost, StaleData, UsageError
+from armsight.priority import bound_control
 from armsight.records import JointReading
 
 Array = NDArray[np.float64]
@@ -127,6 +128,7 @@ class CyclicRobot(ABC):
         if self._open:
             raise DeviceFailed(f"{self.name} is open already", consequence="It is not opened twice")
         self._reading, self._stopped, self._lost, self._held = None, "", "", False
+        bound_control()  # opened in the main thread, the link's thread may go first
         self._start()
         self._open = True
         return self
