@@ -146,7 +146,7 @@ def _pose(part: Any) -> RigidTransform | None:
     place, turn = part.cartesian.pos, part.cartesian.orient
     xyz_m = MM * np.array([place.x, place.y, place.z])
     quat = np.array([turn.u1, turn.u2, turn.u3, turn.u0])
-    if not ((np.abs(xyz_m) < LARGEST_M).all() and abs(float(quat @ quat) - 1.0) < 1e-2):
+    if not ((np.abs(xyz_m) < LARGEST_M).all() and np.abs(quat).max() < 2.0 and abs(float(quat @ quat) - 1.0) < 1e-2):
         raise Inconsistent("a packet has a pose that no flange can have")
     return RigidTransform.from_components(xyz_m, Rotation.from_quat(quat))
 
