@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armsight.api.arrays import Array, Poses, as_joint_numbers, as_poses, as_vectors
+from armsight.api.arrays import Array, Poses, as_joint_numbers, as_poses, as_rotations, names_of
 from armsight.api.results import Result, Row, pose_rows, with_std
 from armsight.app.calibrate.arm import arm_output
 from armsight.app.calibrate.handeye import handeye_output, tip_output
@@ -21,10 +21,11 @@ from armsight.calibrate.arm import calibrate_arm as solve_arm
 from armsight.calibrate.handeye import HandEye, PosePairs, Setup, calibrate_eye_in_hand, calibrate_eye_to_hand, verdict
 from armsight.calibrate.identify import Identification, Sweeps, identify
 from armsight.calibrate.tooltip import MeasuredPoint, TipCalibration, calibrate_tooltip
-from armsight.errors import Inconsistent
+from armsight.errors import Inconsistent, UsageError
 from armsight.geometry import euler_rad
 from armsight.kinematics import Arm
 from armsight.optics import Rig
+from armsight.records import checked_array, require_kind
 from armsight.store.handeye_file import write_handeye, write_tip
 
 
@@ -138,8 +139,10 @@ def calibrate_hand_eye(
         The fit found no answer.
     """
     robot, camera = as_poses(T_base_flange, "T_base_flange"), as_poses(T_camera_target, "T_camera_target")
-    rows = tuple(names) if names is not None else tuple(f"row {i}" for i in range(len(robot)))
+    rows = names_of(names, "names") if names is not None else tuple(f"row {i}" for i in range(len(robot)))
     pairs = PosePairs(T_base_flange=robot, T_camera_target=camera, names=rows)
+    if setup not in tuple(Setup):
+        raise UsageError(f"there is no setup {setup!r}", cure=f"Use one of: {', '.join(Setup)}")
     calibrate = calibrate_eye_in_hand if Setup(setup) is Setup.EYE_IN_HAND else calibrate_eye_to_hand
     return HandEyeResult(detail=calibrate(pairs))
 
@@ -219,17 +222,13 @@ def calibrate_tool_tip(
         The poses have no common point.
     """
     poses = as_poses(T_world_target, "T_world_target")
-    given = None if covariances is None else np.asarray(covariances, float)
-    if given is not None and given.shape != (len(poses), 6, 6):
-        raise Inconsistent(
-            f"{len(poses)} poses and covariances of shape {given.shape}",
-            consequence="They do not belong together",
-            cure="Give covariances (n, 6, 6)",
-        )
+    n = len(poses)
+    given = None if covariances is None else checked_array("covariances", covariances, (n, 6, 6))
+    times = None if t_s is None else checked_array("t_s", t_s, (n,))
     point = None
     if point_m is not None:
-        point = MeasuredPoint(xyz_m=as_vectors(point_m, 3, "point_m", single=True), sigma_m=point_std_m)
-    return ToolTipResult(detail=calibrate_tooltip(poses, given, point, t_s))
+        point = MeasuredPoint(xyz_m=point_m, sigma_m=point_std_m)
+    return ToolTipResult(detail=calibrate_tooltip(poses, given, point, times))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -309,7 +308,7 @@ def identify_arm(
     Inconsistent
         Rows that do not belong together.
     """
-    positions, readings = as_vectors(xyz_m, 3, "xyz_m"), as_vectors(q, None, "q")
+    positions, readings = checked_array("xyz_m", xyz_m, (None, 3)), checked_array("q", q, (None, None))
     moving = as_joint_numbers(joint, len(positions))
     if len(readings) != len(positions):
         raise Inconsistent(
@@ -317,9 +316,17 @@ def identify_arm(
             consequence="Nobody knows which belong together",
             cure="Give one row of each per reading",
         )
-    pixels = None if uv_px is None else np.asarray(uv_px, float)
+    pixels = None if uv_px is None else checked_array("uv_px", uv_px, (len(positions), 2, 2))
+    if rig is not None:
+        require_kind("rig", rig, Rig)
+    if (rig is None) != (pixels is None):
+        raise UsageError(
+            "of rig and uv_px only one is given",
+            consequence="Pixels say nothing without their cameras",
+            cure="Give both, or neither",
+        )
     sweeps = Sweeps(joint=moving - 1, q=readings, xyz_m=positions, uv_px=pixels)
-    return ArmIdentification(detail=identify(sweeps, rig=rig if pixels is not None else None, name=name))
+    return ArmIdentification(detail=identify(sweeps, rig=rig, name=name))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -389,7 +396,15 @@ def calibrate_arm(
     Inconsistent
         The measurements are not of this arm.
     """
-    positions, readings = as_vectors(xyz_m, 3, "xyz_m"), as_vectors(q, nominal.n, "q")
-    turned = None if rotation is None else np.asarray(rotation, float)
+    require_kind("nominal", nominal, Arm, cure="Give an Arm: read_arm(path), or presets.ur10()")
+    positions, readings = checked_array("xyz_m", xyz_m, (None, 3)), checked_array("q", q, (None, nominal.n))
+    if len(readings) != len(positions):
+        raise Inconsistent(
+            f"{len(readings)} rows of q and {len(positions)} of xyz_m",
+            consequence="Nobody knows which belong together",
+            cure="Give one row of each per reading",
+        )
+    point = names_of(point, "point")
+    turned = None if rotation is None else as_rotations(rotation, "rotation", len(positions))
     points = ArmPoints(q=nominal.values(readings), xyz_m=positions, rotation=turned, point=tuple(point))
     return ArmResult(detail=solve_arm(nominal, points))

@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics.convention import Convention, distal_rows
-from armsight.records import NamedCovariance, Saveable, frozen_array
+from armsight.records import NamedCovariance, Saveable, for_kernels, frozen_array, real_array
 
 if TYPE_CHECKING:
     from armsight.kinematics.inverse_kinematics import Inverse
@@ -23,6 +23,9 @@ Array = NDArray[np.float64]
 
 LARGEST_ANGLE_RAD = 1e4
 """Joint angles beyond this are not angles of an arm: degrees, encoder counts or a fault."""
+
+FAR_TURNED_RAD = 4.0 * math.pi
+"""A turning joint two turns beyond a limit is not where the arm can be, but in degrees (20 deg read as rad: three)."""
 
 LIMIT_SLACK = 1e-9
 """Joint values this far (rad or m) beyond a limit are at it: rounding of a solution that ends there."""
@@ -234,21 +237,36 @@ class Arm(Saveable):
 
     def checked(self, q: ArrayLike) -> Array:
         """Return joint values as float64 (n,) or (m, n); Inconsistent where their number or size cannot be."""
-        array = np.ascontiguousarray(q, dtype=np.float64)
-        if array.ndim not in (1, 2) or array.shape[-1] != self.n:
+        array = real_array("q", q)
+        if array.ndim not in (1, 2) or array.shape[-1] != len(self.joints):
             raise UsageError(
                 f"{self.name} has {self.n} joints, but the joint values have shape {array.shape}",
                 consequence="No pose can be computed",
                 cure=f"Give {self.n} values per row: {', '.join(joint.name for joint in self.joints)}",
             )
-        size = float(np.abs(array).max(initial=0.0))
+        array = for_kernels(array)
+        if not np.vdot(array, array) <= FAR_TURNED_RAD**2:  # also true for NaN; most are nearer, and that is quick
+            self._require_sizes(array)
+        return array
+
+    def _require_sizes(self, q: Array) -> None:
+        size = float(np.abs(q).max(initial=0.0))
         if not size <= LARGEST_ANGLE_RAD:  # also true for NaN
             raise Inconsistent(
                 "a joint value is not finite" if not math.isfinite(size) else f"a joint value is {size:g}",
                 consequence="No pose can be computed",
                 cure="Give radians for turning and metres for sliding joints, and leave rows without a reading out",
             )
-        return array
+        limit = np.maximum(np.abs(self.lower), np.abs(self.upper)) + FAR_TURNED_RAD
+        far = self.revolute & (np.abs(q) > limit) & np.isfinite(limit)
+        if far.any():
+            value = float(q[far if q.ndim == 2 else np.nonzero(far)][0])
+            name = self.joints[int(np.argwhere(far)[0][-1])].name
+            raise Inconsistent(
+                f"joint {name} is at {value:g} rad, turns beyond its limits",
+                consequence="No pose can be computed",
+                cure="Give radians: the numbers look like degrees",
+            )
 
     def fk(self, q: ArrayLike) -> Array:
         """Return T_world_tool (4, 4) of joint values q (n,), or (m, 4, 4) of q (m, n); see kinematics.fk."""
@@ -272,8 +290,8 @@ class Arm(Saveable):
         return ik(self, T_world_tool, q0)
 
     def within_limits(self, q: ArrayLike) -> NDArray[np.bool_]:
-        """Tell for joint values (n,) or (m, n) whether all joints are within their limits: shape () or (m,)."""
-        values = np.asarray(q, float)
+        """Tell for joint values (n,) or (m, n) whether all are within their limits, () or (m,); raises as `checked`."""
+        values = self.checked(q)
         inside = (values >= self.lower - LIMIT_SLACK) & (values <= self.upper + LIMIT_SLACK)
         return np.asarray(inside.all(axis=-1))
 

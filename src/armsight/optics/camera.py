@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 import numpy as np
@@ -10,9 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from armsight.errors import Inconsistent
 from armsight.optics.kernels.camera import FISHEYE, project_many, undistort_many
-from armsight.records import Saveable, frozen_array
+from armsight.records import Saveable, checked_rows, frozen_array
 
 Array = NDArray[np.float64]
+
+SIDES = ("left", "right")
 
 INTRINSICS = ("fx", "fy", "cx", "cy", "skew", "k1", "k2", "p1", "p2", "k3")
 """Names and order of a camera's intrinsics vector; fx..skew in px, the rest without unit."""
@@ -23,6 +25,8 @@ FISHEYE_INTRINSICS = ("fx", "fy", "cx", "cy", "skew", "k1", "k2", "k3", "k4", "n
 WIDEST_RAD = float(np.radians(85.0))
 """Rays are X/Z, Y/Z here, which a ray at 90 degrees has not; at 85 they are 11.4 and a pixel changes them by 130 times
 what it does in the middle. Beyond it a fisheye lens is not used."""
+
+NO_TURN, NO_SHIFT = frozen_array("R", np.eye(3), (3, 3)), frozen_array("t", np.zeros(3), (3,))
 
 
 class LensKind(StrEnum):
@@ -59,7 +63,8 @@ class Camera(Saveable):
     r = hypot(x, y), theta = atan(r), theta_d = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8) (Kannala
     and Brandt 2006, equation 6); points further than widest_rad from the axis have no image. plate: the camera looks
     through one, its normal (-1, 0, 1); the camera's centre is then where the optical axis seems to come from
-    (MATH 3.1).
+    (MATH 3.1). packed (12,): intrinsics and plate as the compiled code takes them; zeros without a plate, see its
+    FISHEYE.
     """
 
     width: int
@@ -67,6 +72,7 @@ class Camera(Saveable):
     intrinsics: Array
     plate: Plate | None = None
     lens: LensKind = LensKind.PINHOLE
+    packed: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         k = frozen_array("intrinsics", self.intrinsics, (len(INTRINSICS),))
@@ -85,6 +91,13 @@ class Camera(Saveable):
                 consequence="The model has k1, k2, k3, k4 and no plate",
                 cure="Say lens: pinhole for five coefficients or a mirror rig",
             )
+        if self.lens is LensKind.FISHEYE:
+            rest = (FISHEYE, float(np.tan(self.widest_rad)))
+        else:
+            rest = (0.0, 1.0) if self.plate is None else (self.plate.thickness_m, self.plate.index)
+        packed = np.concatenate([k, rest])
+        packed.setflags(write=False)
+        object.__setattr__(self, "packed", packed)
 
     @classmethod
     def pinhole(
@@ -149,14 +162,6 @@ class Camera(Saveable):
         return min([WIDEST_RAD, *folds])
 
     @property
-    def packed(self) -> Array:
-        """Intrinsics and plate (12,) as the compiled code takes them; zeros without a plate, see its FISHEYE."""
-        if self.lens is LensKind.FISHEYE:
-            return np.concatenate([self.intrinsics, [FISHEYE, np.tan(self.widest_rad)]])
-        plate = (0.0, 1.0) if self.plate is None else (self.plate.thickness_m, self.plate.index)
-        return np.concatenate([self.intrinsics, plate])
-
-    @property
     def matrix(self) -> Array:
         """The (3, 3) camera matrix in px."""
         fx, fy, cx, cy, skew = self.intrinsics[:5]
@@ -168,18 +173,22 @@ class Camera(Saveable):
         return np.asarray(self.intrinsics[5:9] if self.lens is LensKind.FISHEYE else self.intrinsics[5:])
 
     def project(self, points_m: ArrayLike) -> Array:
-        """Return the pixels (n, 2) of points (n, 3) in camera axes; NaN behind the camera and beyond widest_rad."""
-        X = np.ascontiguousarray(np.atleast_2d(np.asarray(points_m, float)))
+        """Return the pixels (n, 2) of points (n, 3) or one (3,) in camera axes, in m.
+
+        NaN behind the camera, beyond widest_rad and where a point is NaN. Raises Inconsistent for any other shape.
+        """
+        X = checked_rows("points_m", points_m, 3, nan=True)
         uv = np.empty((len(X), 2))
-        project_many(self.packed, np.eye(3), np.zeros(3), X, uv)
+        project_many(self.packed, NO_TURN, NO_SHIFT, X, uv)
         return uv
 
     def rays(self, uv_px: ArrayLike) -> Array:
-        """Return the normalised rays (n, 2) = (X/Z, Y/Z) of pixels (n, 2); NaN where a pixel has none.
+        """Return the normalised rays (n, 2) = (X/Z, Y/Z) of pixels (n, 2) or one (2,).
 
+        NaN where a pixel has none or is NaN. Raises Inconsistent for any other shape.
         Directions: through a plate a ray does not go through the camera's centre, but up to 0.2 mm beside it.
         """
-        uv = np.ascontiguousarray(np.atleast_2d(np.asarray(uv_px, float)))
+        uv = checked_rows("uv_px", uv_px, 2, nan=True)
         xy = np.empty_like(uv)
         undistort_many(self.packed, uv, xy)
         return xy

@@ -103,10 +103,11 @@ def spot_target(
     covariance: NDArray[np.float64] | None = None,
 ) -> Target:
     """Return a lit target from the named positions of its spots in m; covariance (3 n, 3 n) of these, m^2."""
+    places = [frozen_array(f"the place of light {name}", place, (3,)) for name, place in spots_m.items()]
     return Target(
         kind=TargetKind.SPOTS,
         names=tuple(spots_m),
-        xyz_m=np.array(list(spots_m.values()), dtype=float).reshape(-1, 3),
+        xyz_m=np.array(places).reshape(-1, 3),
         diameter_m=diameter_m,
         colour=colour,
         covariance=covariance,
