@@ -227,7 +227,7 @@ def calibrate_tool_tip(
     times = None if t_s is None else checked_array("t_s", t_s, (n,))
     point = None
     if point_m is not None:
-        point = MeasuredPoint(xyz_m=point_m, sigma_m=point_std_m)
+        point = MeasuredPoint(xyz_m=checked_array("point_m", point_m, (3,)), sigma_m=point_std_m)
     return ToolTipResult(detail=calibrate_tooltip(poses, given, point, times))
 
 

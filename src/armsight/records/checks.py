@@ -118,7 +118,7 @@ def _require_shape(name: str, array: NDArray[np.float64], shape: Shape) -> None:
         wanted += "," if len(shape) == 1 else ""
         turned = array.ndim == len(shape) == 2 and array.shape[0] == shape[1]
         raise Inconsistent(
-            f"{name} has the shape {array.shape}, not ({wanted})",
+            f"{name} has shape {array.shape}, not ({wanted})",
             consequence="It cannot be used",
             cure="Transpose it: one row each" if turned else "Give one row each",
         )
