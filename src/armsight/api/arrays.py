@@ -14,15 +14,12 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight._files import read_file
 from armsight.errors import BadImage, Inconsistent, UsageError
-from armsight.records import Frame, checked_array, real_array
+from armsight.records import Frame, checked_array, real_array, require_kind, require_rigid
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 ImageLike = ArrayLike | str | PathLike[str]
 Poses = RigidTransform | ArrayLike | Sequence[RigidTransform]
-
-ROTATION_TOLERANCE = 1e-3
-"""Rotation matrices further from orthonormal than this (largest entry of R^T R - I) are refused: not rounding."""
 
 
 def as_image(image: ImageLike, name: str = "the image") -> Image:
@@ -124,7 +121,7 @@ def as_matrices(poses: Poses, name: str) -> Array:
         )
     if not len(T):
         raise Inconsistent(f"{name} is empty", consequence="There is nothing to work on", cure="Give at least one pose")
-    _require_rigid(T, name)
+    require_rigid(name, T)
     return np.ascontiguousarray(RigidTransform.from_matrix(T).as_matrix())
 
 
@@ -133,15 +130,14 @@ def as_rotations(rotations: Rotation | ArrayLike, name: str, rows: int) -> Array
     R = checked_array(name, rotations.as_matrix() if isinstance(rotations, Rotation) else rotations, (rows, 3, 3))
     T = np.tile(np.eye(4), (rows, 1, 1))
     T[:, :3, :3] = R
-    _require_rigid(T, name)
+    require_rigid(name, T)
     return R
 
 
-def names_of(names: Sequence[str], name: str) -> tuple[str, ...]:
-    """Return one name per row; raises UsageError where it is one text or not texts."""
-    if isinstance(names, str) or not all(isinstance(value, str) for value in names):
-        raise UsageError(f"{name} is no list of names", consequence="Rows cannot be told apart", cure="Give one a row")
-    return tuple(names)
+def as_path(path: str | PathLike[str], name: str = "path") -> Path:
+    """Return a file's path; raises UsageError for what is none."""
+    require_kind(name, path, str, PathLike, cure="Give a file's path as text or pathlib.Path")
+    return Path(path)
 
 
 def as_joint_numbers(joint: ArrayLike, rows: int) -> NDArray[np.intp]:
@@ -171,25 +167,3 @@ def _stacked(poses: Any, name: str) -> Array:
     if isinstance(poses, list | tuple) and any(isinstance(pose, RigidTransform) for pose in poses):
         poses = [pose.as_matrix() if isinstance(pose, RigidTransform) else pose for pose in poses]
     return real_array(name, poses)
-
-
-def _require_rigid(T: Array, name: str) -> None:
-    finite = np.isfinite(T).all(axis=(1, 2))
-    if not finite.all():
-        raise Inconsistent(
-            f"pose {int(np.argmin(finite))} of {name} is not finite",
-            consequence="It says no place",
-            cure="Leave out the poses in which nothing was measured",
-        )
-    R = T[:, :3, :3]
-    off = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2))
-    off = np.maximum(off, np.abs(T[:, 3] - [0.0, 0.0, 0.0, 1.0]).max(axis=1))
-    off = np.where(np.linalg.det(R) > 0.0, off, np.inf)
-    worst = int(np.argmax(off))
-    if off[worst] > ROTATION_TOLERANCE:
-        raise Inconsistent(
-            f"pose {worst} of {name} is no rigid transform"
-            + (f" (off by {off[worst]:.2g})" if np.isfinite(off[worst]) else " (it mirrors)"),
-            consequence="Its rotation cannot be trusted",
-            cure="Give [[R, t], [0, 0, 0, 1]] with R orthonormal and right-handed, t in metres",
-        )

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from os import PathLike
-from pathlib import Path
 from types import NoneType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from armsight.api.arrays import Image, ImageLike, as_images
+from armsight.api.arrays import Image, ImageLike, as_images, as_path
 from armsight.api.results import Result, Row, with_std
 from armsight.app.calibrate.board_images import Seen, in_parallel, see_board
 from armsight.app.calibrate.cameras import camera_output, stereo_output
@@ -24,7 +23,7 @@ from armsight.calibrate.mirrors.calibration import MirrorCalibration
 from armsight.errors import BadImage, Inconsistent, NotEnoughData, UsageError
 from armsight.measure.boards import find_two_boards
 from armsight.optics import Camera, Rig
-from armsight.records import BoardView, Frame, NotSeen, Target, require_kind
+from armsight.records import BoardView, Frame, NotSeen, Target, require_kind, require_number
 from armsight.store import parse_board, write_camera
 
 if TYPE_CHECKING:
@@ -94,7 +93,7 @@ class CameraResult(_BoardResult):
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write camera.yaml with the covariance."""
-        write_camera(Path(path), self.camera, covariance=self.detail.covariance, rms_px=self.rms_px)
+        write_camera(as_path(path), self.camera, covariance=self.detail.covariance, rms_px=self.rms_px)
 
     def plot(self) -> go.Figure:
         """Return a plotly figure of the residuals over the image."""
@@ -225,6 +224,8 @@ def calibrate_mirrors(
         The board is seen twice in too few images; else as calibrate_camera.
     """
     target, options = _board(board), _options(options)
+    if thickness_m is not None:
+        require_number("thickness_m", thickness_m)
     seen = list(in_parallel(lambda item: (item[0], _two(item[1], target)), as_images(images, "image")))
     missed = tuple((name, views.why) for name, views in seen if isinstance(views, NotSeen))
     found = [views for _, views in seen if not isinstance(views, NotSeen)]

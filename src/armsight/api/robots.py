@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from os import PathLike
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armsight.api.arrays import Array, Poses, as_joint_numbers, as_poses, as_rotations, names_of
+from armsight.api.arrays import Array, Poses, as_joint_numbers, as_path, as_poses, as_rotations
 from armsight.api.results import Result, Row, pose_rows, with_std
 from armsight.app.calibrate.arm import arm_output
 from armsight.app.calibrate.handeye import handeye_output, tip_output
@@ -25,7 +24,7 @@ from armsight.errors import Inconsistent, UsageError
 from armsight.geometry import euler_rad
 from armsight.kinematics import Arm
 from armsight.optics import Rig
-from armsight.records import checked_array, require_kind
+from armsight.records import checked_array, require_kind, require_number, require_texts
 from armsight.store.handeye_file import write_handeye, write_tip
 
 
@@ -95,7 +94,7 @@ class HandEyeResult(Result):
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write handeye.yaml."""
-        write_handeye(Path(path), self.detail, self.verdict)
+        write_handeye(as_path(path), self.detail, self.verdict)
 
     def _pose(self, setup: Setup, name: str) -> Array:
         if self.detail.setup is not setup:
@@ -139,7 +138,7 @@ def calibrate_hand_eye(
         The fit found no answer.
     """
     robot, camera = as_poses(T_base_flange, "T_base_flange"), as_poses(T_camera_target, "T_camera_target")
-    rows = names_of(names, "names") if names is not None else tuple(f"row {i}" for i in range(len(robot)))
+    rows = require_texts("names", names) if names is not None else tuple(f"row {i}" for i in range(len(robot)))
     pairs = PosePairs(T_base_flange=robot, T_camera_target=camera, names=rows)
     if setup not in tuple(Setup):
         raise UsageError(f"there is no setup {setup!r}", cure=f"Use one of: {', '.join(Setup)}")
@@ -185,7 +184,7 @@ class ToolTipResult(Result):
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write tip.yaml."""
-        write_tip(Path(path), self.detail)
+        write_tip(as_path(path), self.detail)
 
 
 def calibrate_tool_tip(
@@ -225,6 +224,7 @@ def calibrate_tool_tip(
     n = len(poses)
     given = None if covariances is None else checked_array("covariances", covariances, (n, 6, 6))
     times = None if t_s is None else checked_array("t_s", t_s, (n,))
+    require_number("point_std_m", point_std_m)
     point = None
     if point_m is not None:
         point = MeasuredPoint(xyz_m=checked_array("point_m", point_m, (3,)), sigma_m=point_std_m)
@@ -308,6 +308,7 @@ def identify_arm(
     Inconsistent
         Rows that do not belong together.
     """
+    require_kind("name", name, str)
     positions, readings = checked_array("xyz_m", xyz_m, (None, 3)), checked_array("q", q, (None, None))
     moving = as_joint_numbers(joint, len(positions))
     if len(readings) != len(positions):
@@ -404,7 +405,7 @@ def calibrate_arm(
             consequence="Nobody knows which belong together",
             cure="Give one row of each per reading",
         )
-    point = names_of(point, "point")
+    point = require_texts("point", point)
     turned = None if rotation is None else as_rotations(rotation, "rotation", len(positions))
     points = ArmPoints(q=nominal.values(readings), xyz_m=positions, rotation=turned, point=tuple(point))
     return ArmResult(detail=solve_arm(nominal, points))

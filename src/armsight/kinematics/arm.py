@@ -6,6 +6,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from numbers import Real
+from types import NoneType
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -14,7 +16,16 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics.convention import Convention, distal_rows
-from armsight.records import NamedCovariance, Saveable, for_kernels, frozen_array, real_array
+from armsight.records import (
+    NamedCovariance,
+    Saveable,
+    for_kernels,
+    frozen_array,
+    one_of,
+    real_array,
+    require_kind,
+    require_number,
+)
 
 if TYPE_CHECKING:
     from armsight.kinematics.inverse_kinematics import Inverse
@@ -75,9 +86,14 @@ class Joint:
                 consequence="The arm cannot be modelled",
                 cure="Use one of: " + ", ".join(JointType),
             ) from None
+        require_kind("the name of a joint", self.name, str)
         for key in ("a_m", "alpha_rad", "d_m", "theta_rad", "beta_rad", "sign"):
-            if not math.isfinite(getattr(self, key)):
+            value = getattr(self, key)
+            if isinstance(value, Real) and not math.isfinite(value):
                 raise Inconsistent(f"{key} of joint {self.name} is not finite", consequence="The arm has no geometry")
+            require_number(f"{key} of joint {self.name}", value)
+        for key in ("lower", "upper"):
+            require_kind(f"{key} of joint {self.name}", getattr(self, key), Real, cure="Give a number")
         if not GAIN_RANGE[0] <= abs(self.sign) <= GAIN_RANGE[1]:
             raise Inconsistent(
                 f"the sign of joint {self.name} is {self.sign:g}",
@@ -92,8 +108,15 @@ class Joint:
             )
         for key in ("max_speed", "stall_effort"):
             value = getattr(self, key)
-            if value is not None and not (math.isfinite(value) and value > 0.0):
-                raise Inconsistent(f"{key} of joint {self.name} is {value:g}, which is not a positive number")
+            if value is None:
+                continue
+            require_kind(f"{key} of joint {self.name}", value, Real, cure="Give a number")
+            if not (math.isfinite(value) and value > 0.0):
+                raise Inconsistent(
+                    f"{key} of joint {self.name} is {value:g}, which is not a positive number",
+                    consequence="No track can be held against it",
+                    cure="Leave it out where it is not known",
+                )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -162,16 +185,24 @@ class Arm(Saveable):
     found: dict[str, object] = field(init=False, repr=False, default_factory=dict)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "joints", tuple(self.joints))
-        object.__setattr__(self, "convention", Convention(self.convention))
+        for field_name in ("name", "source"):
+            require_kind(field_name, getattr(self, field_name), str)
+        for field_name, kind in (("joints", Joint), ("couplings", Coupling), ("tool_points", ToolPoint)):
+            entries = getattr(self, field_name)
+            require_kind(field_name, entries, Sequence, cure=f"Give a tuple of {kind.__name__}")
+            for entry in entries:
+                require_kind(f"an entry of {field_name}", entry, kind)
+            object.__setattr__(self, field_name, tuple(entries))
+        for field_name in ("T_world_base", "T_flange_tool"):
+            require_kind(field_name, getattr(self, field_name), RigidTransform, cure="RigidTransform.from_matrix(T)")
+        require_kind("covariance", self.covariance, NamedCovariance, NoneType)
+        object.__setattr__(self, "convention", one_of(Convention, "convention", self.convention))
         if not self.joints:
             raise Inconsistent("an arm needs at least one joint", consequence="There is nothing to move")
         names = [joint.name for joint in self.joints]
         if len(set(names)) != len(names):
             raise Inconsistent(f"joint names repeat: {', '.join(names)}", cure="Give each joint a name of its own")
-        object.__setattr__(self, "couplings", tuple(self.couplings))
         _check_couplings(self.couplings, names)
-        object.__setattr__(self, "tool_points", tuple(self.tool_points))
         points = [point.name for point in self.tool_points]
         if len(set(points)) != len(points):
             raise Inconsistent(f"names of tool points repeat: {', '.join(points)}", cure="Give each a name of its own")

@@ -111,7 +111,11 @@ def start_values(arm: Arm, q_seed: ArrayLike | None) -> Array:
     if q_seed is not None:
         values = arm.checked(q_seed)
         if values.ndim != 1:
-            raise UsageError("give one joint vector as the place to be near")
+            raise UsageError(
+                "the joint values to be near have many rows",
+                consequence="Nobody knows which are meant",
+                cure="Give one row",
+            )
         return values
     with np.errstate(invalid="ignore"):
         middle = 0.5 * (arm.lower + arm.upper)

@@ -4,13 +4,24 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
+from types import NoneType
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armsight.errors import Inconsistent
 from armsight.optics.kernels.camera import FISHEYE, project_many, undistort_many
-from armsight.records import Saveable, checked_rows, frozen_array
+from armsight.records import (
+    Saveable,
+    checked_array,
+    checked_rows,
+    frozen_array,
+    one_of,
+    real_array,
+    require_count,
+    require_kind,
+    require_number,
+)
 
 Array = NDArray[np.float64]
 
@@ -75,10 +86,14 @@ class Camera(Saveable):
     packed: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        require_count("width", self.width)
+        require_count("height", self.height)
+        require_kind("plate", self.plate, Plate, NoneType)
+        object.__setattr__(self, "lens", one_of(LensKind, "lens", self.lens))
         k = frozen_array("intrinsics", self.intrinsics, (len(INTRINSICS),))
         object.__setattr__(self, "intrinsics", k)
         if self.width < 1 or self.height < 1:
-            raise Inconsistent(f"an image of {self.width}x{self.height} px cannot be")
+            raise Inconsistent(f"an image of {self.width}x{self.height} px cannot be", cure="Give its size in px")
         if not (k[0] > 0.0 and k[1] > 0.0):
             raise Inconsistent(
                 f"focal lengths fx {k[0]:g}, fy {k[1]:g} px are not positive",
@@ -116,7 +131,7 @@ class Camera(Saveable):
         return cls(
             width=width,
             height=height,
-            intrinsics=np.concatenate([[fx, fy, cx, cy, skew], np.asarray(distortion, float)]),
+            intrinsics=_intrinsics(fx, fy, cx, cy, skew, checked_array("distortion", distortion, (5,))),
         )
 
     @classmethod
@@ -133,14 +148,14 @@ class Camera(Saveable):
         distortion: ArrayLike = (0.0, 0.0, 0.0, 0.0),
     ) -> Camera:
         """Return a camera with a fisheye lens; distortion is k1, k2, k3, k4. Raises Inconsistent for another number."""
-        k = np.asarray(distortion, float).ravel()
+        k = real_array("distortion", distortion)
         if k.shape != (4,):
             raise Inconsistent(
                 f"a fisheye lens with {k.size} coefficients",
                 consequence="The model has four: k1, k2, k3, k4",
                 cure="Say lens: pinhole for k1, k2, p1, p2, k3",
             )
-        intrinsics = np.concatenate([[fx, fy, cx, cy, skew], k, [0.0]])
+        intrinsics = _intrinsics(fx, fy, cx, cy, skew, [*checked_array("distortion", k, (4,)), 0.0])
         return cls(width=width, height=height, intrinsics=intrinsics, lens=LensKind.FISHEYE)
 
     @property
@@ -195,6 +210,15 @@ class Camera(Saveable):
 
     def is_close(self, other: Camera, *, tol: float) -> bool:
         """Tell whether two cameras have the same size, lens, intrinsics and plate within tol."""
+        require_kind("other", other, Camera)
+        require_number("tol", tol)
         return (self.width, self.height, self.lens) == (other.width, other.height, other.lens) and bool(
             np.allclose(self.packed, other.packed, rtol=0.0, atol=tol)
         )
+
+
+def _intrinsics(fx: float, fy: float, cx: float, cy: float, skew: float, distortion: ArrayLike) -> Array:
+    """Return fx, fy, cx, cy, skew (px) with the coefficients (5,) as one vector; raises UsageError for no numbers."""
+    for name, value in (("fx", fx), ("fy", fy), ("cx", cx), ("cy", cy), ("skew", skew)):
+        require_number(name, value)
+    return np.concatenate([[fx, fy, cx, cy, skew], np.asarray(distortion, float)])

@@ -12,7 +12,7 @@ from armsight.errors import Degenerate, Inconsistent
 from armsight.optics.kernels import triangulation as kernels
 from armsight.optics.packed import PackedRig
 from armsight.optics.rig import Rig
-from armsight.records import checked_array, checked_rows, require_kind
+from armsight.records import checked_array, checked_rows, real_array, require_kind
 
 Array = NDArray[np.float64]
 
@@ -115,5 +115,5 @@ def _triangulate(
 
 def _covariances(name: str, value: ArrayLike, n: int) -> Array:
     """Return (n, 2, 2), or (2, 2) for all rows."""
-    one = np.shape(value) == (2, 2)
-    return checked_array(name, value, (2, 2) if one else (n, 2, 2), nan=True)
+    array = real_array(name, value)
+    return checked_array(name, array, (2, 2) if array.ndim == 2 else (n, 2, 2), nan=True)

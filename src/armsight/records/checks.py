@@ -5,9 +5,11 @@ Compiled code checks no index: an array of another shape makes it read, and writ
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from enum import StrEnum
 from math import isfinite
-from numbers import Real
-from typing import TypeVar
+from numbers import Integral, Real
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from armsight.errors import Inconsistent, UsageError
 
 Record = TypeVar("Record")
+Choice = TypeVar("Choice", bound=StrEnum)
 
 
 Shape = tuple[int | None, ...]
@@ -22,6 +25,9 @@ Shape = tuple[int | None, ...]
 
 REAL = "iuf"
 """numpy's kinds of real numbers; truth values, texts and objects are none, however numpy would convert them."""
+
+ROTATION_TOLERANCE = 1e-3
+"""Rotation matrices further from orthonormal than this (largest entry of R^T R - I) are refused: not rounding."""
 
 
 def frozen_array(name: str, value: ArrayLike, shape: Shape) -> NDArray[np.float64]:
@@ -79,6 +85,78 @@ def require_number(name: str, value: object, *, cure: str = "") -> None:
     if not real or not isfinite(float(value)):  # type: ignore[arg-type]  # it is real
         raise UsageError(
             f"{name} is {value!r}, no number", consequence="It cannot be used", cure=cure or "Give a number"
+        )
+
+
+def require_numbers(record: object, *names: str) -> None:
+    """Raise UsageError where one of a record's fields is no finite number; None is let through."""
+    for name in names:
+        value = getattr(record, name)
+        if value is not None and not (type(value) is float and isfinite(value)):
+            require_number(name, value)
+
+
+def require_count(name: str, value: object, least: int = 0) -> None:
+    """Raise UsageError where value is no whole number of at least so many."""
+    if not isinstance(value, Integral) or isinstance(value, bool) or value < least:
+        raise UsageError(
+            f"{name} is {value!r}, not a whole number from {least}",
+            consequence="It cannot be used",
+            cure="Give a whole number",
+        )
+
+
+def require_texts(name: str, values: object) -> tuple[str, ...]:
+    """Return a sequence of texts as a tuple; raises UsageError where it is one text or holds anything else."""
+    if isinstance(values, str) or not isinstance(values, Iterable):
+        raise UsageError(f"{name} is no list of texts", consequence="It cannot be used", cure="Give one text a row")
+    found = tuple(values)
+    for value in found:
+        require_kind(f"an entry of {name}", value, str)
+    return found
+
+
+def one_of(kind: type[Choice], name: str, value: Any) -> Choice:
+    """Return the member of an enumeration; raises UsageError, with the members, for anything else."""
+    try:
+        return kind(value)
+    except ValueError:
+        raise UsageError(
+            f"{name} is {value!r}, which is not known",
+            consequence="It cannot be used",
+            cure=f"Use one of: {', '.join(kind)}",
+        ) from None
+
+
+def checked_poses(name: str, value: ArrayLike, rows: int | None = None) -> NDArray[np.float64]:
+    """Return rigid transforms (n, 4, 4), checked; raises Inconsistent, naming the row (from 0), for any other."""
+    T = checked_array(name, value, (rows, 4, 4), nan=True)
+    require_rigid(name, T)
+    return T
+
+
+def require_rigid(name: str, T: NDArray[np.float64]) -> None:
+    """Raise Inconsistent, naming the row, where one of T (n, 4, 4) is not finite or no rigid transform."""
+    finite = np.isfinite(T).all(axis=(1, 2))
+    if not finite.all():
+        raise Inconsistent(
+            f"pose {int(np.argmin(finite))} of {name} is not finite",
+            consequence="It says no place",
+            cure="Leave out the poses in which nothing was measured",
+        )
+    if not len(T):
+        return
+    R = T[:, :3, :3]
+    off = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2))
+    off = np.maximum(off, np.abs(T[:, 3] - [0.0, 0.0, 0.0, 1.0]).max(axis=1))
+    off = np.where(np.linalg.det(R) > 0.0, off, np.inf)
+    worst = int(np.argmax(off))
+    if off[worst] > ROTATION_TOLERANCE:
+        raise Inconsistent(
+            f"pose {worst} of {name} is no rigid transform"
+            + (f" (off by {off[worst]:.2g})" if np.isfinite(off[worst]) else " (it mirrors)"),
+            consequence="Its rotation cannot be trusted",
+            cure="Give [[R, t], [0, 0, 0, 1]] with R orthonormal and right-handed, t in metres",
         )
 
 
