@@ -18,7 +18,7 @@ from armsight.api.results import Result, Row
 from armsight.drivers.remote import Heart, Link, ServerAddress
 from armsight.drivers.remote import protocol as say
 from armsight.errors import DeviceFailed
-from armsight.records import checked_array, require_kind
+from armsight.records import real_array, require_kind
 from armsight.units import MS
 
 POLL_S = 0.02
@@ -160,7 +160,7 @@ class RobotDriver:
 
         Raises DeviceFailed where the guard does not go there, with its reason, and after timeout_s.
         """
-        goal = checked_array("q", q, (len(self._link.welcome.robot.joints),))
+        goal = real_array("q", q)
         begun = self._do(say.JointGoalMessage, q=goal.tolist())
         ran_s = time.monotonic()
         until_s = ran_s + timeout_s
@@ -183,12 +183,12 @@ class RobotDriver:
 
     def jog(self, qd: ArrayLike) -> None:
         """Move with joint velocities qd (n,) in rad/s or m/s; to be called again within the server's setpoint_s."""
-        self._do(say.JointVelocityMessage, qd=checked_array("qd", qd, (None,)).tolist())
+        self._do(say.JointVelocityMessage, qd=real_array("qd", qd).tolist())
 
     def twist(self, velocity_m_s: ArrayLike, angular_rad_s: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         """Move the tool with a velocity (3,) and an angular velocity (3,) in base axes; to be called again as jog."""
-        v = checked_array("velocity_m_s", velocity_m_s, (3,))
-        w = checked_array("angular_rad_s", angular_rad_s, (3,))
+        v = real_array("velocity_m_s", velocity_m_s)
+        w = real_array("angular_rad_s", angular_rad_s)
         self._do(say.ToolTwistMessage, velocity_m_s=v.tolist(), angular_rad_s=w.tolist())
 
     def hold(self) -> None:

@@ -16,6 +16,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics.convention import Convention, distal_rows
+from armsight.kinematics.kernels.chain import one_pose
 from armsight.records import (
     NamedCovariance,
     Saveable,
@@ -233,10 +234,14 @@ class Arm(Saveable):
     @property
     def reach_m(self) -> float:
         """Upper bound of the distance of the tool's origin from the base's, in m; inf with an unlimited slide."""
+        known = self.found.get("reach_m")
+        if isinstance(known, float):
+            return known
         rows = self.chain[1:-1]
         ends = np.where(self.revolute, 0.0, rows[:, 1]) * np.where(self.revolute, 0.0, rows[:, 9:11].T) + rows[:, 3]
         links = np.hypot(rows[:, 4], np.abs(ends).max(axis=0))
-        return float(links.sum() + np.linalg.norm(self.chain[-1, [3, 7, 11]]))
+        self.found["reach_m"] = reach_m = float(links.sum() + np.linalg.norm(self.chain[-1, [3, 7, 11]]))
+        return reach_m
 
     @property
     def length_m(self) -> float:
@@ -276,7 +281,8 @@ class Arm(Saveable):
                 cure=f"Give {self.n} values per row: {', '.join(joint.name for joint in self.joints)}",
             )
         array = for_kernels(array)
-        if not np.vdot(array, array) <= FAR_TURNED_RAD**2:  # also true for NaN; most are nearer, and that is quick
+        flat = array.ravel()
+        if not flat.dot(flat) <= FAR_TURNED_RAD**2:  # also true for NaN; most are nearer, and that is quick
             self._require_sizes(array)
         return array
 
@@ -301,9 +307,14 @@ class Arm(Saveable):
 
     def fk(self, q: ArrayLike) -> Array:
         """Return T_world_tool (4, 4) of joint values q (n,), or (m, 4, 4) of q (m, n); see kinematics.fk."""
+        values = self.checked(q)
+        if values.ndim == 1:  # here, for an import and two calls on the way cost as much as the chain
+            T = np.empty((4, 4))
+            one_pose(self.chain, values, T)
+            return T
         from armsight.kinematics.forward_kinematics import fk
 
-        return fk(self, q)
+        return fk(self, values)
 
     def jacobian(self, q: ArrayLike, *, axes: Literal["world", "base", "tool"] = "world") -> Array:
         """Return the geometric Jacobian (6, n) or (m, 6, n): linear, then angular velocity; see kinematics.jacobian."""

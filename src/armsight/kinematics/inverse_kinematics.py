@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cache
+from itertools import compress
+from math import hypot
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,7 +32,7 @@ from armsight.kinematics.kernels.numeric import solve_damped_least_squares
 from armsight.kinematics.numeric import FROM_START_ONLY, MAX_STEPS, Attempt, Stop, search_starts, solve_numeric
 from armsight.kinematics.singular import near_singularities
 from armsight.kinematics.target import Task, Tolerance, start_values, target_matrices, task_of
-from armsight.records import frozen_array
+from armsight.records import frozen_array, trusted
 
 Array = NDArray[np.float64]
 
@@ -102,6 +105,7 @@ class Inverse:
         return self.solutions[i]
 
 
+@cache
 def branch_names(code: int) -> tuple[str, str, str]:
     """Return the branch of a solution's code (kernels.closed) in words."""
     return (
@@ -111,6 +115,7 @@ def branch_names(code: int) -> tuple[str, str, str]:
     )
 
 
+@cache
 def singular_names(code: int) -> tuple[str, ...]:
     """Return the names of the singularities in a solution's code."""
     names = ((AT_SHOULDER, "shoulder"), (AT_ELBOW, "elbow"), (AT_WRIST, "wrist"))
@@ -138,17 +143,18 @@ def ik(
         raise UsageError("give one pose; `ik_many` takes many")
     q_seed = start_values(arm, q_seed)
     task = task_of(arm, task)
-    distance = float(np.linalg.norm(T[0, :3, 3] - arm.chain[0, [3, 7, 11]]))
+    (x, y, z), base = T[0, :3, 3].tolist(), arm.chain[0]
+    distance = hypot(x - base[3], y - base[7], z - base[11])
     if distance > arm.reach_m:
         why = f"the pose is {distance:.4g} m from the base; the arm reaches {arm.reach_m:.4g} m at most"
         return Inverse(solutions=(), beyond_limits=(), status=Status.OUT_OF_REACH, why=why, complete=True)
     family = family_of(arm) if task is Task.POSE else None
     if family is None:
         return _searched(arm, T[0], q_seed, task, tolerance)
-    found = _closed(arm, family, T[0], q_seed, tolerance)
+    found, within = _closed(arm, family, T[0], q_seed, tolerance)
     if not family.exact and not found:
         return _searched(arm, T[0], q_seed, task, tolerance)
-    return _sorted_out(arm, found, q_seed, family.exact, "no joint values bring the wrist there")
+    return _sorted_out(arm, found, within, family.exact, "no joint values bring the wrist there")
 
 
 def ik_many(
@@ -184,8 +190,13 @@ def in_range(arm: Arm, q: Array, q_seed: Array) -> Array:
     return out
 
 
-def _closed(arm: Arm, family: Family, T: Array, q_seed: Array, tolerance: Tolerance) -> list[Solution]:
-    """Return the closed form's solutions that keep the tolerance, refined where the family is not exact."""
+def _closed(
+    arm: Arm, family: Family, T: Array, q_seed: Array, tolerance: Tolerance
+) -> tuple[list[Solution], list[bool]]:
+    """Return the closed form's solutions that keep the tolerance, nearest first, and which are within the limits.
+
+    They are refined where the family is not exact.
+    """
     Q, code = np.empty((9, 6)), np.zeros(9, dtype=np.int64)
     errors, inside = np.empty((9, 2)), np.empty(9, dtype=np.bool_)
     theta = dh_angles(arm, q_seed)
@@ -194,22 +205,20 @@ def _closed(arm: Arm, family: Family, T: Array, q_seed: Array, tolerance: Tolera
         Q[count], code[count] = q_seed, -1
         count = _refine(arm, T, Q, code, count + 1, tolerance)
     settle(arm.chain, T, count, q_seed, LIMIT_SLACK, Q, errors, inside)
+    order = np.abs(Q[:count] - q_seed).max(axis=1).argsort(kind="stable").tolist() if count else []
+    codes, off, inner = code.tolist(), errors.tolist(), inside.tolist()
     found: list[Solution] = []
-    for k in range(count):
-        m, rad = errors[k]
-        if m > tolerance.m or rad > tolerance.rad:
+    within: list[bool] = []
+    for k in order:
+        m, rad = off[k]
+        if not (m <= tolerance.m and rad <= tolerance.rad):  # also where one is NaN
             continue
-        bits = int(code[k])
-        found.append(
-            Solution(
-                q=Q[k],
-                branch=branch_names(bits) if bits >= 0 else (),
-                singular=singular_names(bits) if family.exact else near_singularities(arm, Q[k], SINGULAR_HERE),
-                error_m=float(m),
-                error_rad=float(rad),
-            )
-        )
-    return found
+        q, bits = Q[k], codes[k]
+        singular = singular_names(bits) if family.exact else near_singularities(arm, q, SINGULAR_HERE)
+        branch = branch_names(bits) if bits >= 0 else ()
+        found.append(trusted(Solution, q=q, branch=branch, singular=singular, error_m=m, error_rad=rad))
+        within.append(inner[k])
+    return found, within
 
 
 def _refine(arm: Arm, T: Array, Q: Array, code: NDArray[np.int64], count: int, tolerance: Tolerance) -> int:
@@ -254,7 +263,9 @@ def _searched(arm: Arm, T: Array, q_seed: Array, task: Task, tolerance: Toleranc
         if arm.n > rows:
             break
     if found or closest is None:
-        return _sorted_out(arm, found, q_seed, False, "")
+        found.sort(key=lambda solution: float(np.abs(solution.q - q_seed).max()))
+        within = [bool(arm.within_limits(solution.q)) for solution in found]
+        return _sorted_out(arm, found, within, False, "")
     status = Status.LIMITS if closest.stopped is Stop.LIMITS else Status.NO_SOLUTION
     why = f"{closest.stopped}; the closest approach is {closest.error_m:.3g} m and {closest.error_rad:.3g} rad off"
     return Inverse(solutions=(), beyond_limits=(), status=status, why=why, complete=False)
@@ -272,16 +283,10 @@ def _gap(arm: Arm, a: Array, b: Array) -> float:
     return float(np.abs(difference - turns * whole_turns(arm)).max())
 
 
-def _sorted_out(arm: Arm, found: list[Solution], q_seed: Array, complete: bool, why_none: str) -> Inverse:
-    """Return the record: within limits and beyond, nearest first, and the status."""
-    if found:
-        values = np.array([solution.q for solution in found])  # (k, n)
-        order = np.abs(values - q_seed).max(axis=1).argsort(kind="stable")
-        within = arm.within_limits(values)
-        inside = tuple(found[k] for k in order if within[k])
-        beyond = tuple(found[k] for k in order if not within[k])
-    else:
-        inside = beyond = ()
+def _sorted_out(arm: Arm, found: list[Solution], within: list[bool], complete: bool, why_none: str) -> Inverse:
+    """Return the record: found, nearest first, parted into within limits and beyond, and the status."""
+    inside = tuple(compress(found, within))
+    beyond = () if len(inside) == len(found) else tuple(s for s, fits in zip(found, within, strict=True) if not fits)
     if inside:
         singular = all(solution.singular for solution in inside)
         names = sorted({name for solution in inside for name in solution.singular})

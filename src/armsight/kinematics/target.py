@@ -117,6 +117,9 @@ def start_values(arm: Arm, q_seed: ArrayLike | None) -> Array:
                 cure="Give one row",
             )
         return values
-    with np.errstate(invalid="ignore"):
-        middle = 0.5 * (arm.lower + arm.upper)
-    return np.where(np.isfinite(middle), middle, np.clip(0.0, arm.lower, arm.upper))
+    known = arm.found.get("middle")
+    if not isinstance(known, np.ndarray):
+        with np.errstate(invalid="ignore"):
+            middle = 0.5 * (arm.lower + arm.upper)
+        known = arm.found["middle"] = np.where(np.isfinite(middle), middle, np.clip(0.0, arm.lower, arm.upper))
+    return known.copy()

@@ -107,7 +107,9 @@ def _triangulate(
         _covariances("cov_left_px2", cov_left_px2, n),
         _covariances("cov_right_px2", cov_right_px2, n),
     )
-    xyz, covariance, chi2 = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan), np.full(n, np.nan)
+    xyz, covariance, chi2 = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty(n)
+    for out in (xyz, covariance, chi2):
+        out.fill(np.nan)
     verdict = np.zeros(n, np.int8)
     kernels.triangulate_rows(packed.k, packed.R, packed.t, uv, cov, likeliest, xyz, covariance, chi2, verdict)
     return Triangulation(xyz_m=xyz, covariance_m2=covariance, chi2=chi2, verdict=verdict)
