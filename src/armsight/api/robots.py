@@ -311,12 +311,6 @@ def identify_arm(
     require_kind("name", name, str)
     positions, readings = checked_array("xyz_m", xyz_m, (None, 3)), checked_array("q", q, (None, None))
     moving = as_joint_numbers(joint, len(positions))
-    if len(readings) != len(positions):
-        raise Inconsistent(
-            f"{len(readings)} rows of q and {len(positions)} of xyz_m",
-            consequence="Nobody knows which belong together",
-            cure="Give one row of each per reading",
-        )
     pixels = None if uv_px is None else checked_array("uv_px", uv_px, (len(positions), 2, 2))
     if rig is not None:
         require_kind("rig", rig, Rig)
@@ -399,12 +393,6 @@ def calibrate_arm(
     """
     require_kind("nominal", nominal, Arm, cure="Give an Arm: read_arm(path), or presets.ur10()")
     positions, readings = checked_array("xyz_m", xyz_m, (None, 3)), checked_array("q", q, (None, nominal.n))
-    if len(readings) != len(positions):
-        raise Inconsistent(
-            f"{len(readings)} rows of q and {len(positions)} of xyz_m",
-            consequence="Nobody knows which belong together",
-            cure="Give one row of each per reading",
-        )
     point = require_texts("point", point)
     turned = None if rotation is None else as_rotations(rotation, "rotation", len(positions))
     points = ArmPoints(q=nominal.values(readings), xyz_m=positions, rotation=turned, point=tuple(point))
