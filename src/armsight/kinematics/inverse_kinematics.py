@@ -32,7 +32,7 @@ from armsight.kinematics.kernels.numeric import solve_damped_least_squares
 from armsight.kinematics.numeric import FROM_START_ONLY, MAX_STEPS, Attempt, Stop, search_starts, solve_numeric
 from armsight.kinematics.singular import near_singularities
 from armsight.kinematics.target import Task, Tolerance, start_values, target_matrices, task_of
-from armsight.records import frozen_array, trusted
+from armsight.records import frozen_array
 
 Array = NDArray[np.float64]
 
@@ -75,6 +75,19 @@ class Solution:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "q", frozen_array("q", self.q, (None,)))
+
+    @classmethod
+    def of_solver(
+        cls, q: Array, branch: tuple[str, ...], singular: tuple[str, ...], error_m: float, error_rad: float
+    ) -> Solution:
+        """Return the record of a read-only q that nobody else writes to, unchecked: eight of them a pose."""
+        made, put = object.__new__(cls), object.__setattr__
+        put(made, "q", q)
+        put(made, "branch", branch)
+        put(made, "singular", singular)
+        put(made, "error_m", error_m)
+        put(made, "error_rad", error_rad)
+        return made
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -198,25 +211,25 @@ def _closed(
     They are refined where the family is not exact.
     """
     Q, code = np.empty((9, 6)), np.zeros(9, dtype=np.int64)
-    errors, inside = np.empty((9, 2)), np.empty(9, dtype=np.bool_)
+    errors, inside = np.empty((9, 3)), np.empty(9, dtype=np.bool_)
     theta = dh_angles(arm, q_seed)
     count = solve_closed(family.numbers, family.T_base_world, family.T_tool_six, T, theta, Q, code)
     if not family.exact:
         Q[count], code[count] = q_seed, -1
         count = _refine(arm, T, Q, code, count + 1, tolerance)
     settle(arm.chain, T, count, q_seed, LIMIT_SLACK, Q, errors, inside)
-    order = np.abs(Q[:count] - q_seed).max(axis=1).argsort(kind="stable").tolist() if count else []
+    Q.setflags(write=False)
     codes, off, inner = code.tolist(), errors.tolist(), inside.tolist()
     found: list[Solution] = []
     within: list[bool] = []
-    for k in order:
-        m, rad = off[k]
+    for k in sorted(range(count), key=lambda k: off[k][2]):
+        m, rad, _ = off[k]
         if not (m <= tolerance.m and rad <= tolerance.rad):  # also where one is NaN
             continue
         q, bits = Q[k], codes[k]
         singular = singular_names(bits) if family.exact else near_singularities(arm, q, SINGULAR_HERE)
         branch = branch_names(bits) if bits >= 0 else ()
-        found.append(trusted(Solution, q=q, branch=branch, singular=singular, error_m=m, error_rad=rad))
+        found.append(Solution.of_solver(q, branch, singular, m, rad))
         within.append(inner[k])
     return found, within
 
