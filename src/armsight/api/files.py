@@ -13,7 +13,6 @@ from armsight.api.arrays import Array, as_path
 from armsight.api.tracks import PoseTrack
 from armsight.errors import UsageError
 from armsight.records import require_kind
-from armsight.records.path import FRAMES
 from armsight.store import arm_file, path_file
 from armsight.store.urdf import read_urdf
 
@@ -24,6 +23,9 @@ if TYPE_CHECKING:
     from armsight.store.recording import Recording
 
 PathText = str | PathLike[str]
+
+FRAMES = ("world", "base")
+"""Frames that a path.csv may be said to be in."""
 
 
 def read_rig(path: PathText) -> Rig:

@@ -8,18 +8,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.errors import Inconsistent, UsageError
-from armsight.records.checks import checked_array, checked_poses, frozen_array, real_array, require_texts
+from armsight.errors import Inconsistent
+from armsight.records.checks import checked_array, checked_poses, frozen_array, real_array, require_kind, require_texts
 from armsight.records.saving import Saveable
 
 Array = NDArray[np.float64]
 
 WELD_ON, WELD_OFF = "weld_on", "weld_off"
 """Tags that playing acts on; any other word, or none, is kept and means nothing to it."""
-
-
-FRAMES = ("world", "base")
-"""Frames that the poses of a path may be in."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -39,12 +35,7 @@ class TaughtPath(Saveable):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "tags", require_texts("tags", self.tags))
-        if self.parent not in FRAMES:
-            raise UsageError(
-                f"the poses of a path are in the frame {self.parent!r}, which is not known",
-                consequence="It is not used",
-                cure=f"Use {' or '.join(FRAMES)}",
-            )
+        require_kind("parent", self.parent, str, cure="Name the frame of the poses")
         n = len(self.tags)
         T = frozen_array("T_world_tip", checked_poses("T_world_tip", self.T_world_tip, n), (n, 4, 4))
         object.__setattr__(self, "T_world_tip", T)

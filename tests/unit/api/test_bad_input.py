@@ -382,7 +382,7 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "t_s": array(np.arange(3.0), nan=True, more={"backwards": [2.0, 1.0, 0.0]}),
             "speed_m_s": array(np.ones(3), nan=True, more={"negative": -np.ones(3)}),
             "tags": Arg(good=("",) * 3, wrong={"a text": "abc", "numbers": (1, 2, 3), "too few": ("",)}),
-            "parent": choice("world"),
+            "parent": text("world"),
         },
     ),
     "TaughtPath.of_poses": (
@@ -391,7 +391,7 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "poses": poses(_poses(3, 1)),
             "t_s": array(np.arange(3.0), nan=True),
             "speed_m_s": array(np.ones(3), nan=True, more={"a number": -1.0}),
-            "parent": choice("world"),
+            "parent": text("world"),
         },
     ),
     "calibrate_arm": (
