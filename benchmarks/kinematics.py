@@ -16,6 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
+import cv2
 import numpy as np
 
 from armsight.kinematics import (
@@ -34,6 +35,7 @@ from armsight.kinematics.inverse_kinematics import dh_angles
 from armsight.kinematics.kernels.chain import many_poses, many_poses_jacobians
 from armsight.kinematics.kernels.closed import solve_closed_many
 from armsight.kinematics.kernels.numeric import solve_many
+from armsight.optics import Camera, parallel_rig, triangulate
 from armsight.store.urdf import urdf_text
 from bench import interleaved_ms, machine, table
 
@@ -221,11 +223,51 @@ def single(repeats: int) -> None:
             "pose (RigidTransform)": often(lambda: pose(arm, q)),
             "inverse_many of one": often(lambda: ik_many(arm, T)),
             "inverse, with records": often(lambda: ik(arm, T)),
+            "Arm.fk": often(lambda: arm.fk(q)),
+            "Arm.ik near q": often(lambda: arm.ik(T, q)),
+            **{name: often(call) for name, call in seen_points().items()},
+            **{name: often(call) for name, call in peers_of_one(arm, q).items()},
         },
         repeats,
     )
     rows = [[name, per_pose_us(values, 100), float(values.min()) * 10] for name, values in times.items()]
-    table("One pose through the public function, us (wanted: 15 for forward)", ["function", "median", "fastest"], rows)
+    table(
+        "One pose through the public function, us (wanted: 2 for forward, 15 for the others)",
+        ["function", "median", "fastest"],
+        rows,
+    )
+
+
+def seen_points() -> dict[str, Callable[[], object]]:
+    """Three points through a rig's public functions, and through OpenCV's."""
+    camera = Camera.pinhole(640, 480, 600.0, 600.0, 320.0, 240.0)
+    rig, noise = parallel_rig(camera, 0.1), 0.01 * np.eye(2)
+    points = np.array([[0.0, 0.0, 1.0], [0.1, 0.0, 1.2], [0.0, 0.1, 0.9]])
+    left, right = rig.project(points)
+    turn, shift, zero = np.zeros(3), np.array([-0.1, 0.0, 0.0]), np.zeros(5)
+    P_left, P_right = (camera.matrix @ np.column_stack([np.eye(3), t]) for t in (np.zeros(3), shift))
+
+    def projected() -> None:
+        for t in (turn, shift):
+            cv2.projectPoints(points, turn, t, camera.matrix, zero)
+
+    def placed() -> object:
+        rays = [cv2.undistortPoints(uv, camera.matrix, zero, P=camera.matrix).reshape(-1, 2).T for uv in (left, right)]
+        return cv2.triangulatePoints(P_left, P_right, *rays)
+
+    return {
+        "Rig.project, 3 points": lambda: rig.project(points),
+        "OpenCV projectPoints, twice": projected,
+        "triangulate, 3 points": lambda: triangulate(rig, left, right, noise, noise),
+        "OpenCV undistort, triangulatePoints": placed,
+    }
+
+
+def peers_of_one(arm: Arm, q: np.ndarray) -> dict[str, Callable[[], object]]:
+    pin = optional("pinocchio")
+    if pin is None:
+        return {}
+    return {"Pinocchio forwardKinematics": Pinocchio(pin, arm, q[None]).poses}
 
 
 def shares(m: int) -> None:

@@ -10,19 +10,16 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight._files import read_file
-from armsight.errors import BadImage, Inconsistent
-from armsight.records import Frame
+from armsight.errors import BadImage, Inconsistent, UsageError
+from armsight.records import Frame, checked_array, real_array, require_kind, require_rigid
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 ImageLike = ArrayLike | str | PathLike[str]
 Poses = RigidTransform | ArrayLike | Sequence[RigidTransform]
-
-ROTATION_TOLERANCE = 1e-3
-"""Rotation matrices further from orthonormal than this (largest entry of R^T R - I) are refused: not rounding."""
 
 
 def as_image(image: ImageLike, name: str = "the image") -> Image:
@@ -32,7 +29,16 @@ def as_image(image: ImageLike, name: str = "the image") -> Image:
     """
     if isinstance(image, str | PathLike):
         return read_image(fspath(image))
-    array = np.asarray(image)
+    try:
+        array = np.asarray(image)
+    except (TypeError, ValueError) as error:
+        raise BadImage(f"{name} is no array ({error})", cure="Give 8-bit grey (h, w) or BGR (h, w, 3)") from error
+    if isinstance(image, np.ma.MaskedArray) and np.ma.getmaskarray(image).any():
+        raise BadImage(
+            f"{name} is masked in places",
+            consequence="What is below the mask would be measured",
+            cure="Give the plain image, and the mask as SpotSettings(mask=...), True where spots may be",
+        )
     if array.ndim == 3 and array.shape[2] == 1:
         array = array[:, :, 0]
     if array.dtype == np.uint16:
@@ -80,7 +86,13 @@ def as_images(images: ImageLike | Iterable[ImageLike], name: str) -> list[tuple[
         from armsight.drivers import list_images
 
         return [(path.name, read_image(str(path))) for path in list_images(fspath(images))]
-    many: Iterable[Any] = images  # type: ignore[assignment]  # an array of images is one as well
+    if not isinstance(images, Iterable) or (isinstance(images, np.ndarray) and images.ndim < 3):
+        raise UsageError(
+            f"{name}s are one {type(images).__name__}",
+            consequence="There are no images to look at",
+            cure="Give a list of images, or a folder",
+        )
+    many: Iterable[Any] = images
     out = []
     for number, image in enumerate(many):
         called = Path(fspath(image)).name if isinstance(image, str | PathLike) else f"{name} {number}"
@@ -109,41 +121,31 @@ def as_matrices(poses: Poses, name: str) -> Array:
         )
     if not len(T):
         raise Inconsistent(f"{name} is empty", consequence="There is nothing to work on", cure="Give at least one pose")
-    _require_rigid(T, name)
+    require_rigid(name, T)
     return np.ascontiguousarray(RigidTransform.from_matrix(T).as_matrix())
 
 
-def as_vectors(values: ArrayLike, columns: int | None, name: str, *, single: bool = False) -> Array:
-    """Return finite float64 (n, columns), or (columns,) where single; raises Inconsistent for anything else."""
-    try:
-        array = np.ascontiguousarray(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise Inconsistent(
-            f"{name} is not an array of numbers ({error})",
-            consequence="It cannot be used",
-            cure="Give rows of equal length, of numbers only",
-        ) from error
-    wanted = 1 if single else 2
-    if array.ndim != wanted or (columns is not None and array.shape[-1] != columns):
-        text = f"({columns or 'n'},)" if single else f"(n, {columns or 'm'})"
-        raise Inconsistent(
-            f"{name} has the shape {array.shape}, not {text}",
-            consequence="It cannot be used",
-            cure="Give one row per reading" if not single else "Give one vector",
-        )
-    if not np.isfinite(array).all():
-        row = int(np.argwhere(~np.isfinite(array))[0][0])
-        raise Inconsistent(
-            f"{name} holds a value that is not finite at row {row}",
-            consequence="It cannot be used",
-            cure="Leave out the rows in which nothing was measured",
-        )
-    return array
+def as_rotations(rotations: Rotation | ArrayLike, name: str, rows: int) -> Array:
+    """Return (rows, 3, 3), checked as poses are; a scipy Rotation is taken as well."""
+    R = checked_array(name, rotations.as_matrix() if isinstance(rotations, Rotation) else rotations, (rows, 3, 3))
+    T = np.tile(np.eye(4), (rows, 1, 1))
+    T[:, :3, :3] = R
+    require_rigid(name, T)
+    return R
+
+
+def as_path(path: str | PathLike[str], name: str = "path") -> Path:
+    """Return a file's path; raises UsageError for what is none."""
+    require_kind(name, path, str, PathLike, cure="Give a file's path as text or pathlib.Path")
+    return Path(path)
 
 
 def as_joint_numbers(joint: ArrayLike, rows: int) -> NDArray[np.intp]:
     """Return which joint moves in each row, counted from 1, as (rows,); raises Inconsistent for anything else."""
-    numbers = np.asarray(joint)
+    try:
+        numbers = np.asarray(joint)
+    except ValueError:  # rows of different lengths
+        numbers = np.empty(0, object)
     if numbers.shape != (rows,) or not np.issubdtype(numbers.dtype, np.integer):
         raise Inconsistent(
             f"joint has the shape {numbers.shape} and the type {numbers.dtype}",
@@ -154,37 +156,14 @@ def as_joint_numbers(joint: ArrayLike, rows: int) -> NDArray[np.intp]:
 
 
 def _stacked(poses: Any, name: str) -> Array:
-    try:
-        if isinstance(poses, RigidTransform):
-            return np.asarray(poses.as_matrix(), float)
-        if isinstance(poses, list | tuple) and any(isinstance(pose, RigidTransform) for pose in poses):
-            poses = [pose.as_matrix() if isinstance(pose, RigidTransform) else pose for pose in poses]
-        return np.asarray(poses, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    if isinstance(poses, Rotation):
         raise Inconsistent(
-            f"{name} is not an array of numbers ({error})",
+            f"{name} is a Rotation, which says no place",
             consequence="It is read as no pose",
-            cure="Give 4x4 matrices (n, 4, 4), or a scipy RigidTransform",
-        ) from error
-
-
-def _require_rigid(T: Array, name: str) -> None:
-    finite = np.isfinite(T).all(axis=(1, 2))
-    if not finite.all():
-        raise Inconsistent(
-            f"pose {int(np.argmin(finite))} of {name} is not finite",
-            consequence="It says no place",
-            cure="Leave out the poses in which nothing was measured",
+            cure="Give RigidTransform.from_components(translation, rotation)",
         )
-    R = T[:, :3, :3]
-    off = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2))
-    off = np.maximum(off, np.abs(T[:, 3] - [0.0, 0.0, 0.0, 1.0]).max(axis=1))
-    off = np.where(np.linalg.det(R) > 0.0, off, np.inf)
-    worst = int(np.argmax(off))
-    if off[worst] > ROTATION_TOLERANCE:
-        raise Inconsistent(
-            f"pose {worst} of {name} is no rigid transform"
-            + (f" (off by {off[worst]:.2g})" if np.isfinite(off[worst]) else " (it mirrors)"),
-            consequence="Its rotation cannot be trusted",
-            cure="Give [[R, t], [0, 0, 0, 1]] with R orthonormal and right-handed, t in metres",
-        )
+    if isinstance(poses, RigidTransform):
+        return np.asarray(poses.as_matrix(), float)
+    if isinstance(poses, list | tuple) and any(isinstance(pose, RigidTransform) for pose in poses):
+        poses = [pose.as_matrix() if isinstance(pose, RigidTransform) else pose for pose in poses]
+    return real_array(name, poses)

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from os import PathLike
-from pathlib import Path
+from types import NoneType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from armsight.api.arrays import Image, ImageLike, as_images
+from armsight.api.arrays import Image, ImageLike, as_images, as_path
 from armsight.api.results import Result, Row, with_std
 from armsight.app.calibrate.board_images import Seen, in_parallel, see_board
 from armsight.app.calibrate.cameras import camera_output, stereo_output
@@ -20,10 +20,10 @@ from armsight.calibrate import cameras as solvers
 from armsight.calibrate.cameras import BoardOptions, CameraCalibration, StereoCalibration
 from armsight.calibrate.mirrors import calibration as mirror_solver
 from armsight.calibrate.mirrors.calibration import MirrorCalibration
-from armsight.errors import BadImage, Inconsistent, NotEnoughData
+from armsight.errors import BadImage, Inconsistent, NotEnoughData, UsageError
 from armsight.measure.boards import find_two_boards
 from armsight.optics import Camera, Rig
-from armsight.records import BoardView, Frame, NotSeen, Target
+from armsight.records import BoardView, Frame, NotSeen, Target, require_kind, require_number
 from armsight.store import parse_board, write_camera
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ class CameraResult(_BoardResult):
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write camera.yaml with the covariance."""
-        write_camera(Path(path), self.camera, covariance=self.detail.covariance, rms_px=self.rms_px)
+        write_camera(as_path(path), self.camera, covariance=self.detail.covariance, rms_px=self.rms_px)
 
     def plot(self) -> go.Figure:
         """Return a plotly figure of the residuals over the image."""
@@ -158,7 +158,7 @@ def calibrate_camera(images: Images, board: str | Target, *, options: BoardOptio
     BadImage
         One of them is no image.
     """
-    target = _board(board)
+    target, options = _board(board), _options(options)
     seen = _seen(as_images(images, "image"), target)
     views = [view for _, view in seen if isinstance(view, BoardView)]
     missed = tuple((name, view.why) for name, view in seen if isinstance(view, NotSeen))
@@ -189,7 +189,7 @@ def calibrate_stereo(
     Inconsistent
         Not as many left as right images; else as calibrate_camera.
     """
-    target = _board(board)
+    target, options = _board(board), _options(options)
     pairs = _paired(as_images(left_images, "left image"), as_images(right_images, "right image"))
     left, right, missed = _both(_seen(pairs[0], target), _seen(pairs[1], target))
     _require(left, missed)
@@ -223,7 +223,9 @@ def calibrate_mirrors(
     NotEnoughData
         The board is seen twice in too few images; else as calibrate_camera.
     """
-    target = _board(board)
+    target, options = _board(board), _options(options)
+    if thickness_m is not None:
+        require_number("thickness_m", thickness_m)
     seen = list(in_parallel(lambda item: (item[0], _two(item[1], target)), as_images(images, "image")))
     missed = tuple((name, views.why) for name, views in seen if isinstance(views, NotSeen))
     found = [views for _, views in seen if not isinstance(views, NotSeen)]
@@ -236,7 +238,18 @@ def calibrate_mirrors(
 
 
 def _board(board: str | Target) -> Target:
-    return parse_board(board) if isinstance(board, str) else board
+    require_kind("board", board, str, Target, cure="Give 'checkerboard:9x6:0.025' or a Target, see calibrate_camera")
+    target = parse_board(board) if isinstance(board, str) else board
+    if not target.is_board:
+        raise UsageError(
+            "the board is a target of lights", consequence="It is in no image", cure="Give a printed board"
+        )
+    return target
+
+
+def _options(options: BoardOptions | None) -> BoardOptions | None:
+    require_kind("options", options, BoardOptions, NoneType, cure="Give BoardOptions(...)")
+    return options
 
 
 def _seen(images: list[tuple[str, Image]], board: Target) -> list[tuple[str, Seen]]:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from os import PathLike, fspath
-from pathlib import Path
+from os import PathLike
+from types import NoneType
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from armsight import store
-from armsight.api.arrays import Array
+from armsight.api.arrays import Array, as_path
 from armsight.api.tracks import PoseTrack
 from armsight.errors import UsageError
+from armsight.records import require_kind
 from armsight.store import arm_file, path_file
 from armsight.store.urdf import read_urdf
 
@@ -23,20 +24,23 @@ if TYPE_CHECKING:
 
 PathText = str | PathLike[str]
 
+FRAMES = ("world", "base")
+"""Frames that a path.csv may be said to be in."""
+
 
 def read_rig(path: PathText) -> Rig:
     """Return the rig in a rig.yaml. Raises BadFile, naming the key."""
-    return store.read_rig(Path(path))
+    return store.read_rig(as_path(path))
 
 
 def read_camera(path: PathText) -> Camera:
     """Return the camera in a camera.yaml. Raises BadFile, naming the key."""
-    return store.read_camera(Path(path))
+    return store.read_camera(as_path(path))
 
 
 def read_target(path: PathText) -> Target:
     """Return the target in a target.yaml. Raises BadFile, naming the key."""
-    return store.read_target(Path(path))
+    return store.read_target(as_path(path))
 
 
 def read_arm(path: PathText, *, tip: str | None = None, base: str | None = None) -> Arm:
@@ -44,7 +48,9 @@ def read_arm(path: PathText, *, tip: str | None = None, base: str | None = None)
 
     tip, base: of a URDF, the last and the first link of the arm's chain, where the file holds more than one chain.
     """
-    file = Path(path)
+    file = as_path(path)
+    for name, link in (("tip", tip), ("base", base)):
+        require_kind(name, link, str, NoneType)
     if file.suffix.lower() == ".urdf":
         return read_urdf(file, tip=tip, base=base)
     if tip is not None or base is not None:
@@ -54,17 +60,21 @@ def read_arm(path: PathText, *, tip: str | None = None, base: str | None = None)
 
 def read_poses(path: PathText) -> PoseTrack:
     """Return the poses in a poses.csv. Raises BadFile, naming line and column."""
-    return PoseTrack(poses=store.read_poses(Path(path)))
+    return PoseTrack(poses=store.read_poses(as_path(path)))
 
 
 def read_path(path: PathText, *, frame: str = "world") -> TaughtPath:
     """Return the path in a path.csv, its poses in frame world or base. Raises BadFile, naming line and column."""
-    return path_file.read_path(Path(path), parent=frame)
+    if frame not in FRAMES:
+        raise UsageError(
+            f"there is no frame {frame!r}", consequence="No path is read", cure=f"Use {' or '.join(FRAMES)}"
+        )
+    return path_file.read_path(as_path(path), parent=frame)
 
 
 def read_joints(path: PathText) -> tuple[Array, Array]:
     """Return times (n,) in s and joint values (n, m) in rad and m of a joints.csv. Raises BadFile."""
-    motion = store.read_joints(Path(path))
+    motion = store.read_joints(as_path(path))
     return np.asarray(motion.t_s), np.asarray(motion.q)
 
 
@@ -75,4 +85,4 @@ def open_recording(path: PathText) -> Recording:
     """
     from armsight.store.recording import Recording
 
-    return Recording(Path(fspath(path)))
+    return Recording(as_path(path))

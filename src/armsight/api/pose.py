@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,7 +21,7 @@ from armsight.measure.poses.outcome import Measured, Track
 from armsight.measure.poses.pipeline import Setup, measure_pair
 from armsight.measure.settings import DEFAULTS, SpotSettings
 from armsight.optics import Rig, RigKind
-from armsight.records import PoseStatus, Spots, Target, TargetPose, spot_target
+from armsight.records import PoseStatus, Spots, Target, TargetPose, require_kind, require_number, spot_target
 from armsight.records.target import Colour
 
 
@@ -49,6 +50,7 @@ def LightTarget(
     Inconsistent
         The positions are no target.
     """
+    require_kind("lights_m", lights_m, Mapping, cure="Give {'A': (x, y, z), ...} in m")
     return spot_target(dict(lights_m), diameter_m=diameter_m, colour=colour, covariance=covariance)
 
 
@@ -75,6 +77,7 @@ def find_spots(image: ImageLike, settings: SpotSettings = DEFAULTS) -> Spots:
     Inconsistent
         The settings' mask has another size.
     """
+    require_kind("settings", settings, SpotSettings, cure="Give SpotSettings(...)")
     return detection.find_spots(as_image(image), settings)
 
 
@@ -193,6 +196,7 @@ def estimate_pose(
     Degenerate
         The target's lights are on one line.
     """
+    require_number("t_s", t_s)
     return _estimate(_measure(_setup(rig, target, settings, right is None), left, right, t_s, None))
 
 
@@ -204,6 +208,7 @@ class PoseTracker:
     """
 
     def __init__(self, rig: Rig, target: Target, *, settings: SpotSettings = DEFAULTS) -> None:
+        _require_setup(rig, target, settings)
         self._rig, self._target, self._settings = rig, target, settings
         self.reset()
 
@@ -231,7 +236,8 @@ class PoseTracker:
         Inconsistent
             Time does not grow; else as estimate_pose.
         """
-        if not np.isfinite(t_s) or (self._poses and not t_s > self._poses[-1].t_s):
+        require_number("t_s", t_s)
+        if self._poses and not t_s > self._poses[-1].t_s:
             raise Inconsistent(
                 f"the time {t_s:g} s does not come after the one before",
                 consequence="The pair cannot be tracked",
@@ -258,6 +264,7 @@ class PoseTracker:
 
 
 def _setup(rig: Rig, target: Target, settings: SpotSettings, one_image: bool) -> Setup:
+    _require_setup(rig, target, settings)
     if one_image and rig.kind is not RigKind.MIRROR:
         raise Inconsistent(
             "there is no right image, and the rig has two cameras",
@@ -265,6 +272,12 @@ def _setup(rig: Rig, target: Target, settings: SpotSettings, one_image: bool) ->
             cure="Give both images; one image holds both views only of a mirror rig",
         )
     return Setup(rig, target, settings, overlaid=one_image)
+
+
+def _require_setup(rig: Rig, target: Target, settings: SpotSettings) -> None:
+    require_kind("rig", rig, Rig, cure="Give a Rig: read_rig(path), or that of calibrate_stereo")
+    require_kind("target", target, Target, cure="Give a Target: read_target(path), or LightTarget(...)")
+    require_kind("settings", settings, SpotSettings, cure="Give SpotSettings(...)")
 
 
 def _measure(setup: Setup, left: ImageLike, right: ImageLike | None, t_s: float, track: Track | None) -> Measured:

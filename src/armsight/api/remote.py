@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from types import TracebackType
+from types import NoneType, TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -18,6 +18,7 @@ from armsight.api.results import Result, Row
 from armsight.drivers.remote import Heart, Link, ServerAddress
 from armsight.drivers.remote import protocol as say
 from armsight.errors import DeviceFailed
+from armsight.records import real_array, require_kind
 from armsight.units import MS
 
 POLL_S = 0.02
@@ -159,7 +160,7 @@ class RobotDriver:
 
         Raises DeviceFailed where the guard does not go there, with its reason, and after timeout_s.
         """
-        goal = np.asarray(q, dtype=float)
+        goal = real_array("q", q)
         begun = self._do(say.JointGoalMessage, q=goal.tolist())
         ran_s = time.monotonic()
         until_s = ran_s + timeout_s
@@ -182,11 +183,12 @@ class RobotDriver:
 
     def jog(self, qd: ArrayLike) -> None:
         """Move with joint velocities qd (n,) in rad/s or m/s; to be called again within the server's setpoint_s."""
-        self._do(say.JointVelocityMessage, qd=np.asarray(qd, dtype=float).tolist())
+        self._do(say.JointVelocityMessage, qd=real_array("qd", qd).tolist())
 
     def twist(self, velocity_m_s: ArrayLike, angular_rad_s: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         """Move the tool with a velocity (3,) and an angular velocity (3,) in base axes; to be called again as jog."""
-        v, w = (np.asarray(value, dtype=float) for value in (velocity_m_s, angular_rad_s))
+        v = real_array("velocity_m_s", velocity_m_s)
+        w = real_array("angular_rad_s", angular_rad_s)
         self._do(say.ToolTwistMessage, velocity_m_s=v.tolist(), angular_rad_s=w.tolist())
 
     def hold(self) -> None:
@@ -219,7 +221,14 @@ def connect(url: str, *, token: str | None = None, ca_file: str | PathLike[str] 
     ARMSIGHT_TOKEN. ca_file: a PEM file with the server's certificate where no authority known to the system signed it.
     Raises UsageError for another url, DeviceNotFound where no server answers, DeviceFailed where it refuses.
     """
-    return RobotConnection(ServerAddress(url=url, token=token, ca_file=None if ca_file is None else Path(ca_file)))
+    require_kind("url", url, str, cure="Give ws://HOST:PORT")
+    require_kind("token", token, str, NoneType)
+    return RobotConnection(ServerAddress(url=url, token=token, ca_file=None if ca_file is None else _pem(ca_file)))
+
+
+def _pem(ca_file: str | PathLike[str]) -> Path:
+    require_kind("ca_file", ca_file, str, PathLike, cure="Give a PEM file's path")
+    return Path(ca_file)
 
 
 def _taken(link: Link, make: Any, **fields: Any) -> say.Accepted:

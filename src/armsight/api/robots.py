@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from os import PathLike
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armsight.api.arrays import Array, Poses, as_joint_numbers, as_poses, as_vectors
+from armsight.api.arrays import Array, Poses, as_joint_numbers, as_path, as_poses, as_rotations
 from armsight.api.results import Result, Row, pose_rows, with_std
 from armsight.app.calibrate.arm import arm_output
 from armsight.app.calibrate.handeye import handeye_output, tip_output
@@ -21,10 +20,11 @@ from armsight.calibrate.arm import calibrate_arm as solve_arm
 from armsight.calibrate.handeye import HandEye, PosePairs, Setup, calibrate_eye_in_hand, calibrate_eye_to_hand, verdict
 from armsight.calibrate.identify import Identification, Sweeps, identify
 from armsight.calibrate.tooltip import MeasuredPoint, TipCalibration, calibrate_tooltip
-from armsight.errors import Inconsistent
+from armsight.errors import Inconsistent, UsageError
 from armsight.geometry import euler_rad
 from armsight.kinematics import Arm
 from armsight.optics import Rig
+from armsight.records import checked_array, require_kind, require_number, require_texts
 from armsight.store.handeye_file import write_handeye, write_tip
 
 
@@ -94,7 +94,7 @@ class HandEyeResult(Result):
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write handeye.yaml."""
-        write_handeye(Path(path), self.detail, self.verdict)
+        write_handeye(as_path(path), self.detail, self.verdict)
 
     def _pose(self, setup: Setup, name: str) -> Array:
         if self.detail.setup is not setup:
@@ -138,8 +138,10 @@ def calibrate_hand_eye(
         The fit found no answer.
     """
     robot, camera = as_poses(T_base_flange, "T_base_flange"), as_poses(T_camera_target, "T_camera_target")
-    rows = tuple(names) if names is not None else tuple(f"row {i}" for i in range(len(robot)))
+    rows = require_texts("names", names) if names is not None else tuple(f"row {i}" for i in range(len(robot)))
     pairs = PosePairs(T_base_flange=robot, T_camera_target=camera, names=rows)
+    if setup not in tuple(Setup):
+        raise UsageError(f"there is no setup {setup!r}", cure=f"Use one of: {', '.join(Setup)}")
     calibrate = calibrate_eye_in_hand if Setup(setup) is Setup.EYE_IN_HAND else calibrate_eye_to_hand
     return HandEyeResult(detail=calibrate(pairs))
 
@@ -182,7 +184,7 @@ class ToolTipResult(Result):
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write tip.yaml."""
-        write_tip(Path(path), self.detail)
+        write_tip(as_path(path), self.detail)
 
 
 def calibrate_tool_tip(
@@ -219,17 +221,14 @@ def calibrate_tool_tip(
         The poses have no common point.
     """
     poses = as_poses(T_world_target, "T_world_target")
-    given = None if covariances is None else np.asarray(covariances, float)
-    if given is not None and given.shape != (len(poses), 6, 6):
-        raise Inconsistent(
-            f"{len(poses)} poses and covariances of shape {given.shape}",
-            consequence="They do not belong together",
-            cure="Give covariances (n, 6, 6)",
-        )
+    n = len(poses)
+    given = None if covariances is None else checked_array("covariances", covariances, (n, 6, 6))
+    times = None if t_s is None else checked_array("t_s", t_s, (n,))
+    require_number("point_std_m", point_std_m)
     point = None
     if point_m is not None:
-        point = MeasuredPoint(xyz_m=as_vectors(point_m, 3, "point_m", single=True), sigma_m=point_std_m)
-    return ToolTipResult(detail=calibrate_tooltip(poses, given, point, t_s))
+        point = MeasuredPoint(xyz_m=checked_array("point_m", point_m, (3,)), sigma_m=point_std_m)
+    return ToolTipResult(detail=calibrate_tooltip(poses, given, point, times))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -309,17 +308,20 @@ def identify_arm(
     Inconsistent
         Rows that do not belong together.
     """
-    positions, readings = as_vectors(xyz_m, 3, "xyz_m"), as_vectors(q, None, "q")
+    require_kind("name", name, str)
+    positions, readings = checked_array("xyz_m", xyz_m, (None, 3)), checked_array("q", q, (None, None))
     moving = as_joint_numbers(joint, len(positions))
-    if len(readings) != len(positions):
-        raise Inconsistent(
-            f"{len(readings)} rows of q and {len(positions)} of xyz_m",
-            consequence="Nobody knows which belong together",
-            cure="Give one row of each per reading",
+    pixels = None if uv_px is None else checked_array("uv_px", uv_px, (len(positions), 2, 2))
+    if rig is not None:
+        require_kind("rig", rig, Rig)
+    if (rig is None) != (pixels is None):
+        raise UsageError(
+            "of rig and uv_px only one is given",
+            consequence="Pixels say nothing without their cameras",
+            cure="Give both, or neither",
         )
-    pixels = None if uv_px is None else np.asarray(uv_px, float)
     sweeps = Sweeps(joint=moving - 1, q=readings, xyz_m=positions, uv_px=pixels)
-    return ArmIdentification(detail=identify(sweeps, rig=rig if pixels is not None else None, name=name))
+    return ArmIdentification(detail=identify(sweeps, rig=rig, name=name))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -389,7 +391,9 @@ def calibrate_arm(
     Inconsistent
         The measurements are not of this arm.
     """
-    positions, readings = as_vectors(xyz_m, 3, "xyz_m"), as_vectors(q, nominal.n, "q")
-    turned = None if rotation is None else np.asarray(rotation, float)
+    require_kind("nominal", nominal, Arm, cure="Give an Arm: read_arm(path), or presets.ur10()")
+    positions, readings = checked_array("xyz_m", xyz_m, (None, 3)), checked_array("q", q, (None, nominal.n))
+    point = require_texts("point", point)
+    turned = None if rotation is None else as_rotations(rotation, "rotation", len(positions))
     points = ArmPoints(q=nominal.values(readings), xyz_m=positions, rotation=turned, point=tuple(point))
     return ArmResult(detail=solve_arm(nominal, points))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from types import NoneType
 from typing import Any
 
 import numpy as np
@@ -14,9 +15,8 @@ from armsight.app.simulate.cells import load_cell, room_choice
 from armsight.app.simulate.run import CELL_FRAMES
 from armsight.app.simulate.scenarios import build_world, load_scenario, scenario_names
 from armsight.drivers import CELLS, known
-from armsight.errors import Inconsistent
 from armsight.optics import Rig
-from armsight.records import Target
+from armsight.records import Target, require_count, require_kind
 from armsight.store import rig_from_mapping, target_from_mapping
 
 
@@ -74,11 +74,15 @@ def simulate(
         There is no such scenario; the message names those that are.
     BadFile
         A scenario file's key cannot be as it is.
-    Inconsistent
-        A number of frames below 1.
+    UsageError
+        A number of frames below 1, or what is no number or no text.
     """
-    if frames is not None and frames < 1:
-        raise Inconsistent(f"{frames} frames cannot be simulated", cure="Give at least one")
+    require_kind("scenario", scenario, str, cure="Give one of scenarios(), or a scenario file's path")
+    require_kind("room", room, str, NoneType, cure="Give a room's name, or a picture's path")
+    if seed is not None:
+        require_count("seed", seed)
+    if frames is not None:
+        require_count("frames", frames, least=1)
     if scenario in known(CELLS) and scenario not in scenario_names():
         return Simulation(load_cell(scenario, seed=seed or 0, frames=frames or CELL_FRAMES, room=room), scenario)
     model = load_scenario(scenario)[0]

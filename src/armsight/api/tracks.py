@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.api.arrays import Array
+from armsight.api.arrays import Array, as_path
 from armsight.api.results import POSE_NAMES, Result, Row
 from armsight.geometry import euler_rad
 from armsight.records import PoseStatus, TargetPose
@@ -104,8 +104,8 @@ class PoseTrack(Result):
         """Write poses.csv and return its path."""
         from armsight.store import write_poses
 
-        write_poses(Path(path), self.poses)
-        return Path(path)
+        write_poses(as_path(path), self.poses)
+        return as_path(path)
 
     def plot(self) -> go.Figure:
         """Return a plotly figure: position (mm) and orientation (deg) over time with their 95 % bands."""

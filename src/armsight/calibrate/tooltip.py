@@ -65,6 +65,7 @@ class MeasuredPoint:
         if not self.sigma_m > 0.0:
             raise Inconsistent(
                 f"a point measured to {self.sigma_m} m is not believed",
+                consequence="It is not used",
                 cure="Give the standard deviation of one coordinate",
             )
 

@@ -6,6 +6,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from numbers import Real
+from types import NoneType
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -14,7 +16,17 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics.convention import Convention, distal_rows
-from armsight.records import NamedCovariance, Saveable, frozen_array
+from armsight.kinematics.kernels.chain import one_pose
+from armsight.records import (
+    NamedCovariance,
+    Saveable,
+    for_kernels,
+    frozen_array,
+    one_of,
+    real_array,
+    require_kind,
+    require_number,
+)
 
 if TYPE_CHECKING:
     from armsight.kinematics.inverse_kinematics import Inverse
@@ -23,6 +35,9 @@ Array = NDArray[np.float64]
 
 LARGEST_ANGLE_RAD = 1e4
 """Joint angles beyond this are not angles of an arm: degrees, encoder counts or a fault."""
+
+FAR_TURNED_RAD = 4.0 * math.pi
+"""A turning joint two turns beyond a limit is not where the arm can be, but in degrees (20 deg read as rad: three)."""
 
 LIMIT_SLACK = 1e-9
 """Joint values this far (rad or m) beyond a limit are at it: rounding of a solution that ends there."""
@@ -72,9 +87,14 @@ class Joint:
                 consequence="The arm cannot be modelled",
                 cure="Use one of: " + ", ".join(JointType),
             ) from None
+        require_kind("the name of a joint", self.name, str)
         for key in ("a_m", "alpha_rad", "d_m", "theta_rad", "beta_rad", "sign"):
-            if not math.isfinite(getattr(self, key)):
+            value = getattr(self, key)
+            if isinstance(value, Real) and not math.isfinite(value):
                 raise Inconsistent(f"{key} of joint {self.name} is not finite", consequence="The arm has no geometry")
+            require_number(f"{key} of joint {self.name}", value)
+        for key in ("lower", "upper"):
+            require_kind(f"{key} of joint {self.name}", getattr(self, key), Real, cure="Give a number")
         if not GAIN_RANGE[0] <= abs(self.sign) <= GAIN_RANGE[1]:
             raise Inconsistent(
                 f"the sign of joint {self.name} is {self.sign:g}",
@@ -89,8 +109,15 @@ class Joint:
             )
         for key in ("max_speed", "stall_effort"):
             value = getattr(self, key)
-            if value is not None and not (math.isfinite(value) and value > 0.0):
-                raise Inconsistent(f"{key} of joint {self.name} is {value:g}, which is not a positive number")
+            if value is None:
+                continue
+            require_kind(f"{key} of joint {self.name}", value, Real, cure="Give a number")
+            if not (math.isfinite(value) and value > 0.0):
+                raise Inconsistent(
+                    f"{key} of joint {self.name} is {value:g}, which is not a positive number",
+                    consequence="No track can be held against it",
+                    cure="Leave it out where it is not known",
+                )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -159,16 +186,24 @@ class Arm(Saveable):
     found: dict[str, object] = field(init=False, repr=False, default_factory=dict)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "joints", tuple(self.joints))
-        object.__setattr__(self, "convention", Convention(self.convention))
+        for field_name in ("name", "source"):
+            require_kind(field_name, getattr(self, field_name), str)
+        for field_name, kind in (("joints", Joint), ("couplings", Coupling), ("tool_points", ToolPoint)):
+            entries = getattr(self, field_name)
+            require_kind(field_name, entries, Sequence, cure=f"Give a tuple of {kind.__name__}")
+            for entry in entries:
+                require_kind(f"an entry of {field_name}", entry, kind)
+            object.__setattr__(self, field_name, tuple(entries))
+        for field_name in ("T_world_base", "T_flange_tool"):
+            require_kind(field_name, getattr(self, field_name), RigidTransform, cure="RigidTransform.from_matrix(T)")
+        require_kind("covariance", self.covariance, NamedCovariance, NoneType)
+        object.__setattr__(self, "convention", one_of(Convention, "convention", self.convention))
         if not self.joints:
             raise Inconsistent("an arm needs at least one joint", consequence="There is nothing to move")
         names = [joint.name for joint in self.joints]
         if len(set(names)) != len(names):
             raise Inconsistent(f"joint names repeat: {', '.join(names)}", cure="Give each joint a name of its own")
-        object.__setattr__(self, "couplings", tuple(self.couplings))
         _check_couplings(self.couplings, names)
-        object.__setattr__(self, "tool_points", tuple(self.tool_points))
         points = [point.name for point in self.tool_points]
         if len(set(points)) != len(points):
             raise Inconsistent(f"names of tool points repeat: {', '.join(points)}", cure="Give each a name of its own")
@@ -199,10 +234,14 @@ class Arm(Saveable):
     @property
     def reach_m(self) -> float:
         """Upper bound of the distance of the tool's origin from the base's, in m; inf with an unlimited slide."""
+        known = self.found.get("reach_m")
+        if isinstance(known, float):
+            return known
         rows = self.chain[1:-1]
         ends = np.where(self.revolute, 0.0, rows[:, 1]) * np.where(self.revolute, 0.0, rows[:, 9:11].T) + rows[:, 3]
         links = np.hypot(rows[:, 4], np.abs(ends).max(axis=0))
-        return float(links.sum() + np.linalg.norm(self.chain[-1, [3, 7, 11]]))
+        self.found["reach_m"] = reach_m = float(links.sum() + np.linalg.norm(self.chain[-1, [3, 7, 11]]))
+        return reach_m
 
     @property
     def length_m(self) -> float:
@@ -234,27 +273,48 @@ class Arm(Saveable):
 
     def checked(self, q: ArrayLike) -> Array:
         """Return joint values as float64 (n,) or (m, n); Inconsistent where their number or size cannot be."""
-        array = np.ascontiguousarray(q, dtype=np.float64)
-        if array.ndim not in (1, 2) or array.shape[-1] != self.n:
+        array = real_array("q", q)
+        if array.ndim not in (1, 2) or array.shape[-1] != len(self.joints):
             raise UsageError(
                 f"{self.name} has {self.n} joints, but the joint values have shape {array.shape}",
                 consequence="No pose can be computed",
                 cure=f"Give {self.n} values per row: {', '.join(joint.name for joint in self.joints)}",
             )
-        size = float(np.abs(array).max(initial=0.0))
+        array = for_kernels(array)
+        flat = array.ravel()
+        if not flat.dot(flat) <= FAR_TURNED_RAD**2:  # also true for NaN; most are nearer, and that is quick
+            self._require_sizes(array)
+        return array
+
+    def _require_sizes(self, q: Array) -> None:
+        size = float(np.abs(q).max(initial=0.0))
         if not size <= LARGEST_ANGLE_RAD:  # also true for NaN
             raise Inconsistent(
                 "a joint value is not finite" if not math.isfinite(size) else f"a joint value is {size:g}",
                 consequence="No pose can be computed",
                 cure="Give radians for turning and metres for sliding joints, and leave rows without a reading out",
             )
-        return array
+        limit = np.maximum(np.abs(self.lower), np.abs(self.upper)) + FAR_TURNED_RAD
+        far = self.revolute & (np.abs(q) > limit) & np.isfinite(limit)
+        if far.any():
+            value = float(q[far if q.ndim == 2 else np.nonzero(far)][0])
+            name = self.joints[int(np.argwhere(far)[0][-1])].name
+            raise Inconsistent(
+                f"joint {name} is at {value:g} rad, turns beyond its limits",
+                consequence="No pose can be computed",
+                cure="Give radians: the numbers look like degrees",
+            )
 
     def fk(self, q: ArrayLike) -> Array:
         """Return T_world_tool (4, 4) of joint values q (n,), or (m, 4, 4) of q (m, n); see kinematics.fk."""
+        values = self.checked(q)
+        if values.ndim == 1:  # here, for an import and two calls on the way cost as much as the chain
+            T = np.empty((4, 4))
+            one_pose(self.chain, values, T)
+            return T
         from armsight.kinematics.forward_kinematics import fk
 
-        return fk(self, q)
+        return fk(self, values)
 
     def jacobian(self, q: ArrayLike, *, axes: Literal["world", "base", "tool"] = "world") -> Array:
         """Return the geometric Jacobian (6, n) or (m, 6, n): linear, then angular velocity; see kinematics.jacobian."""
@@ -272,8 +332,8 @@ class Arm(Saveable):
         return ik(self, T_world_tool, q0)
 
     def within_limits(self, q: ArrayLike) -> NDArray[np.bool_]:
-        """Tell for joint values (n,) or (m, n) whether all joints are within their limits: shape () or (m,)."""
-        values = np.asarray(q, float)
+        """Tell for joint values (n,) or (m, n) whether all are within their limits, () or (m,); raises as `checked`."""
+        values = self.checked(q)
         inside = (values >= self.lower - LIMIT_SLACK) & (values <= self.upper + LIMIT_SLACK)
         return np.asarray(inside.all(axis=-1))
 

@@ -74,6 +74,12 @@ def fk_jacobian(
     values = arm.checked(q)
     shape = values.shape[:-1]
     T, J = (np.empty((*shape, 4, 4)), np.empty((*shape, 6, arm.n))) if out is None else out
+    if out is not None and (T.shape != (*shape, 4, 4) or J.shape != (*shape, 6, arm.n)):
+        raise UsageError(
+            f"out has shapes {T.shape} and {J.shape}",
+            consequence="It would be written to beyond its end",
+            cure=f"Give {(*shape, 4, 4)} and {(*shape, 6, arm.n)}",
+        )
     if values.ndim == 1:
         one_pose_jacobian(arm.chain, values, T, J)
     elif all_cores and len(values) >= ALL_CORES_FROM:

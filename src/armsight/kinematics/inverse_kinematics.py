@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cache
+from itertools import compress
+from math import hypot
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -73,6 +76,19 @@ class Solution:
     def __post_init__(self) -> None:
         object.__setattr__(self, "q", frozen_array("q", self.q, (None,)))
 
+    @classmethod
+    def of_solver(
+        cls, q: Array, branch: tuple[str, ...], singular: tuple[str, ...], error_m: float, error_rad: float
+    ) -> Solution:
+        """Return the record of a read-only q that nobody else writes to, unchecked: eight of them a pose."""
+        made, put = object.__new__(cls), object.__setattr__
+        put(made, "q", q)
+        put(made, "branch", branch)
+        put(made, "singular", singular)
+        put(made, "error_m", error_m)
+        put(made, "error_rad", error_rad)
+        return made
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Inverse:
@@ -102,6 +118,7 @@ class Inverse:
         return self.solutions[i]
 
 
+@cache
 def branch_names(code: int) -> tuple[str, str, str]:
     """Return the branch of a solution's code (kernels.closed) in words."""
     return (
@@ -111,6 +128,7 @@ def branch_names(code: int) -> tuple[str, str, str]:
     )
 
 
+@cache
 def singular_names(code: int) -> tuple[str, ...]:
     """Return the names of the singularities in a solution's code."""
     names = ((AT_SHOULDER, "shoulder"), (AT_ELBOW, "elbow"), (AT_WRIST, "wrist"))
@@ -138,17 +156,18 @@ def ik(
         raise UsageError("give one pose; `ik_many` takes many")
     q_seed = start_values(arm, q_seed)
     task = task_of(arm, task)
-    distance = float(np.linalg.norm(T[0, :3, 3] - arm.chain[0, [3, 7, 11]]))
+    (x, y, z), base = T[0, :3, 3].tolist(), arm.chain[0]
+    distance = hypot(x - base[3], y - base[7], z - base[11])
     if distance > arm.reach_m:
         why = f"the pose is {distance:.4g} m from the base; the arm reaches {arm.reach_m:.4g} m at most"
         return Inverse(solutions=(), beyond_limits=(), status=Status.OUT_OF_REACH, why=why, complete=True)
     family = family_of(arm) if task is Task.POSE else None
     if family is None:
         return _searched(arm, T[0], q_seed, task, tolerance)
-    found = _closed(arm, family, T[0], q_seed, tolerance)
+    found, within = _closed(arm, family, T[0], q_seed, tolerance)
     if not family.exact and not found:
         return _searched(arm, T[0], q_seed, task, tolerance)
-    return _sorted_out(arm, found, q_seed, family.exact, "no joint values bring the wrist there")
+    return _sorted_out(arm, found, within, family.exact, "no joint values bring the wrist there")
 
 
 def ik_many(
@@ -184,32 +203,35 @@ def in_range(arm: Arm, q: Array, q_seed: Array) -> Array:
     return out
 
 
-def _closed(arm: Arm, family: Family, T: Array, q_seed: Array, tolerance: Tolerance) -> list[Solution]:
-    """Return the closed form's solutions that keep the tolerance, refined where the family is not exact."""
+def _closed(
+    arm: Arm, family: Family, T: Array, q_seed: Array, tolerance: Tolerance
+) -> tuple[list[Solution], list[bool]]:
+    """Return the closed form's solutions that keep the tolerance, nearest first, and which are within the limits.
+
+    They are refined where the family is not exact.
+    """
     Q, code = np.empty((9, 6)), np.zeros(9, dtype=np.int64)
-    errors, inside = np.empty((9, 2)), np.empty(9, dtype=np.bool_)
+    errors, inside = np.empty((9, 3)), np.empty(9, dtype=np.bool_)
     theta = dh_angles(arm, q_seed)
     count = solve_closed(family.numbers, family.T_base_world, family.T_tool_six, T, theta, Q, code)
     if not family.exact:
         Q[count], code[count] = q_seed, -1
         count = _refine(arm, T, Q, code, count + 1, tolerance)
     settle(arm.chain, T, count, q_seed, LIMIT_SLACK, Q, errors, inside)
+    Q.setflags(write=False)
+    codes, off, inner = code.tolist(), errors.tolist(), inside.tolist()
     found: list[Solution] = []
-    for k in range(count):
-        m, rad = errors[k]
-        if m > tolerance.m or rad > tolerance.rad:
+    within: list[bool] = []
+    for k in sorted(range(count), key=lambda k: off[k][2]):
+        m, rad, _ = off[k]
+        if not (m <= tolerance.m and rad <= tolerance.rad):  # also where one is NaN
             continue
-        bits = int(code[k])
-        found.append(
-            Solution(
-                q=Q[k],
-                branch=branch_names(bits) if bits >= 0 else (),
-                singular=singular_names(bits) if family.exact else near_singularities(arm, Q[k], SINGULAR_HERE),
-                error_m=float(m),
-                error_rad=float(rad),
-            )
-        )
-    return found
+        q, bits = Q[k], codes[k]
+        singular = singular_names(bits) if family.exact else near_singularities(arm, q, SINGULAR_HERE)
+        branch = branch_names(bits) if bits >= 0 else ()
+        found.append(Solution.of_solver(q, branch, singular, m, rad))
+        within.append(inner[k])
+    return found, within
 
 
 def _refine(arm: Arm, T: Array, Q: Array, code: NDArray[np.int64], count: int, tolerance: Tolerance) -> int:
@@ -254,7 +276,9 @@ def _searched(arm: Arm, T: Array, q_seed: Array, task: Task, tolerance: Toleranc
         if arm.n > rows:
             break
     if found or closest is None:
-        return _sorted_out(arm, found, q_seed, False, "")
+        found.sort(key=lambda solution: float(np.abs(solution.q - q_seed).max()))
+        within = [bool(arm.within_limits(solution.q)) for solution in found]
+        return _sorted_out(arm, found, within, False, "")
     status = Status.LIMITS if closest.stopped is Stop.LIMITS else Status.NO_SOLUTION
     why = f"{closest.stopped}; the closest approach is {closest.error_m:.3g} m and {closest.error_rad:.3g} rad off"
     return Inverse(solutions=(), beyond_limits=(), status=status, why=why, complete=False)
@@ -272,16 +296,10 @@ def _gap(arm: Arm, a: Array, b: Array) -> float:
     return float(np.abs(difference - turns * whole_turns(arm)).max())
 
 
-def _sorted_out(arm: Arm, found: list[Solution], q_seed: Array, complete: bool, why_none: str) -> Inverse:
-    """Return the record: within limits and beyond, nearest first, and the status."""
-    if found:
-        values = np.array([solution.q for solution in found])  # (k, n)
-        order = np.abs(values - q_seed).max(axis=1).argsort(kind="stable")
-        within = arm.within_limits(values)
-        inside = tuple(found[k] for k in order if within[k])
-        beyond = tuple(found[k] for k in order if not within[k])
-    else:
-        inside = beyond = ()
+def _sorted_out(arm: Arm, found: list[Solution], within: list[bool], complete: bool, why_none: str) -> Inverse:
+    """Return the record: found, nearest first, parted into within limits and beyond, and the status."""
+    inside = tuple(compress(found, within))
+    beyond = () if len(inside) == len(found) else tuple(s for s, fits in zip(found, within, strict=True) if not fits)
     if inside:
         singular = all(solution.singular for solution in inside)
         names = sorted({name for solution in inside for name in solution.singular})

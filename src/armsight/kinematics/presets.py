@@ -9,6 +9,7 @@ from types import MappingProxyType
 from armsight.errors import UsageError
 from armsight.kinematics.arm import Arm, Joint, JointType
 from armsight.kinematics.convention import Convention
+from armsight.records import require_kind
 from armsight.units import DEG
 
 PER_M = 1000.0
@@ -284,6 +285,8 @@ PRESETS: Mapping[str, Callable[[], Arm]] = MappingProxyType(
 
 def preset(name: str) -> Arm:
     """Return the arm of that name; UsageError with the known names for another one."""
+    known = f"Use one of: {', '.join(PRESETS)}"
+    require_kind("name", name, str, cure=known)
     if name not in PRESETS:
-        raise UsageError(f"there is no arm named {name!r}", cure=f"Use one of: {', '.join(PRESETS)}")
+        raise UsageError(f"there is no arm named {name!r}", consequence="There is nothing to move", cure=known)
     return PRESETS[name]()

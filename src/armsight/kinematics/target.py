@@ -12,6 +12,7 @@ from scipy.spatial.transform import RigidTransform
 from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics.arm import Arm
 from armsight.kinematics.kernels.checks import NO_ROTATION, NOT_FINITE, check_poses, farthest
+from armsight.records import for_kernels, real_array
 
 Array = NDArray[np.float64]
 
@@ -72,14 +73,14 @@ def target_matrices(arm: Arm, poses: RigidTransform | ArrayLike) -> Array:
     poses: RigidTransform, (4, 4) or (m, 4, 4). Raises Inconsistent for values that are not finite, for matrices that
     are no rigid motion and for poses so far off that their unit must be wrong; the row (from 0) is named.
     """
-    T = np.asarray(poses.as_matrix() if isinstance(poses, RigidTransform) else poses, dtype=np.float64)
+    T = real_array("the pose", poses.as_matrix() if isinstance(poses, RigidTransform) else poses)
     if T.ndim not in (2, 3) or T.shape[-2:] != (4, 4):
         raise UsageError(
             f"a pose is a 4x4 matrix, not an array of shape {T.shape}",
             consequence="No joint values can be given",
             cure="Give T_world_tool as (4, 4), (n, 4, 4) or a RigidTransform",
         )
-    T = np.ascontiguousarray(T.reshape(-1, 4, 4))
+    T = for_kernels(T.reshape(-1, 4, 4))
     fault, row, value = check_poses(T, ROTATION_TOLERANCE)
     if fault == NOT_FINITE:
         raise Inconsistent(
@@ -110,8 +111,15 @@ def start_values(arm: Arm, q_seed: ArrayLike | None) -> Array:
     if q_seed is not None:
         values = arm.checked(q_seed)
         if values.ndim != 1:
-            raise UsageError("give one joint vector as the place to be near")
+            raise UsageError(
+                "the joint values to be near have many rows",
+                consequence="Nobody knows which are meant",
+                cure="Give one row",
+            )
         return values
-    with np.errstate(invalid="ignore"):
-        middle = 0.5 * (arm.lower + arm.upper)
-    return np.where(np.isfinite(middle), middle, np.clip(0.0, arm.lower, arm.upper))
+    known = arm.found.get("middle")
+    if not isinstance(known, np.ndarray):
+        with np.errstate(invalid="ignore"):
+            middle = 0.5 * (arm.lower + arm.upper)
+        known = arm.found["middle"] = np.where(np.isfinite(middle), middle, np.clip(0.0, arm.lower, arm.upper))
+    return known.copy()

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from types import NoneType
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import UsageError
-from armsight.records import Colour
+from armsight.records import Colour, require_count, require_kind, require_numbers
 
 METHODS = ("likelihood", "seed")
 MODELS = ("auto", "gaussian", "ellipse")
@@ -51,6 +52,7 @@ class SpotSettings:
     mask_bytes: NDArray[np.uint8] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        self._check_kinds()
         self._check()
         options = np.array(
             [
@@ -69,6 +71,19 @@ class SpotSettings:
         mask.setflags(write=False)
         object.__setattr__(self, "options", options)
         object.__setattr__(self, "mask_bytes", mask)
+
+    def _check_kinds(self) -> None:
+        require_numbers(self, "threshold", "max_radius_px", "gain")
+        for name in ("min_pixels", "max_spots", "saturation"):
+            require_count(name, getattr(self, name))
+        require_kind("inverted", self.inverted, bool, np.bool_)
+        require_kind("colour", self.colour, Colour, NoneType)
+        if self.mask is not None and np.asarray(self.mask).dtype.kind not in "bu":
+            raise UsageError(
+                f"the mask is of type {np.asarray(self.mask).dtype}",
+                consequence="No spots are searched",
+                cure="Give truth values (h, w), True where spots may be",
+            )
 
     def _check(self) -> None:
         def refuse(cause: str) -> None:

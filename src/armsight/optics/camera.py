@@ -2,17 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
+from types import NoneType
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armsight.errors import Inconsistent
 from armsight.optics.kernels.camera import FISHEYE, project_many, undistort_many
-from armsight.records import Saveable, frozen_array
+from armsight.records import (
+    Saveable,
+    checked_array,
+    checked_rows,
+    frozen_array,
+    one_of,
+    real_array,
+    require_count,
+    require_kind,
+    require_number,
+)
 
 Array = NDArray[np.float64]
+
+SIDES = ("left", "right")
 
 INTRINSICS = ("fx", "fy", "cx", "cy", "skew", "k1", "k2", "p1", "p2", "k3")
 """Names and order of a camera's intrinsics vector; fx..skew in px, the rest without unit."""
@@ -23,6 +36,8 @@ FISHEYE_INTRINSICS = ("fx", "fy", "cx", "cy", "skew", "k1", "k2", "k3", "k4", "n
 WIDEST_RAD = float(np.radians(85.0))
 """Rays are X/Z, Y/Z here, which a ray at 90 degrees has not; at 85 they are 11.4 and a pixel changes them by 130 times
 what it does in the middle. Beyond it a fisheye lens is not used."""
+
+NO_TURN, NO_SHIFT = frozen_array("R", np.eye(3), (3, 3)), frozen_array("t", np.zeros(3), (3,))
 
 
 class LensKind(StrEnum):
@@ -59,7 +74,8 @@ class Camera(Saveable):
     r = hypot(x, y), theta = atan(r), theta_d = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8) (Kannala
     and Brandt 2006, equation 6); points further than widest_rad from the axis have no image. plate: the camera looks
     through one, its normal (-1, 0, 1); the camera's centre is then where the optical axis seems to come from
-    (MATH 3.1).
+    (MATH 3.1). packed (12,): intrinsics and plate as the compiled code takes them; zeros without a plate, see its
+    FISHEYE.
     """
 
     width: int
@@ -67,12 +83,17 @@ class Camera(Saveable):
     intrinsics: Array
     plate: Plate | None = None
     lens: LensKind = LensKind.PINHOLE
+    packed: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        require_count("width", self.width)
+        require_count("height", self.height)
+        require_kind("plate", self.plate, Plate, NoneType)
+        object.__setattr__(self, "lens", one_of(LensKind, "lens", self.lens))
         k = frozen_array("intrinsics", self.intrinsics, (len(INTRINSICS),))
         object.__setattr__(self, "intrinsics", k)
         if self.width < 1 or self.height < 1:
-            raise Inconsistent(f"an image of {self.width}x{self.height} px cannot be")
+            raise Inconsistent(f"an image of {self.width}x{self.height} px cannot be", cure="Give its size in px")
         if not (k[0] > 0.0 and k[1] > 0.0):
             raise Inconsistent(
                 f"focal lengths fx {k[0]:g}, fy {k[1]:g} px are not positive",
@@ -85,6 +106,13 @@ class Camera(Saveable):
                 consequence="The model has k1, k2, k3, k4 and no plate",
                 cure="Say lens: pinhole for five coefficients or a mirror rig",
             )
+        if self.lens is LensKind.FISHEYE:
+            rest = (FISHEYE, float(np.tan(self.widest_rad)))
+        else:
+            rest = (0.0, 1.0) if self.plate is None else (self.plate.thickness_m, self.plate.index)
+        packed = np.concatenate([k, rest])
+        packed.setflags(write=False)
+        object.__setattr__(self, "packed", packed)
 
     @classmethod
     def pinhole(
@@ -103,7 +131,7 @@ class Camera(Saveable):
         return cls(
             width=width,
             height=height,
-            intrinsics=np.concatenate([[fx, fy, cx, cy, skew], np.asarray(distortion, float)]),
+            intrinsics=_intrinsics(fx, fy, cx, cy, skew, checked_array("distortion", distortion, (5,))),
         )
 
     @classmethod
@@ -120,14 +148,14 @@ class Camera(Saveable):
         distortion: ArrayLike = (0.0, 0.0, 0.0, 0.0),
     ) -> Camera:
         """Return a camera with a fisheye lens; distortion is k1, k2, k3, k4. Raises Inconsistent for another number."""
-        k = np.asarray(distortion, float).ravel()
+        k = real_array("distortion", distortion)
         if k.shape != (4,):
             raise Inconsistent(
                 f"a fisheye lens with {k.size} coefficients",
                 consequence="The model has four: k1, k2, k3, k4",
                 cure="Say lens: pinhole for k1, k2, p1, p2, k3",
             )
-        intrinsics = np.concatenate([[fx, fy, cx, cy, skew], k, [0.0]])
+        intrinsics = _intrinsics(fx, fy, cx, cy, skew, [*checked_array("distortion", k, (4,)), 0.0])
         return cls(width=width, height=height, intrinsics=intrinsics, lens=LensKind.FISHEYE)
 
     @property
@@ -149,14 +177,6 @@ class Camera(Saveable):
         return min([WIDEST_RAD, *folds])
 
     @property
-    def packed(self) -> Array:
-        """Intrinsics and plate (12,) as the compiled code takes them; zeros without a plate, see its FISHEYE."""
-        if self.lens is LensKind.FISHEYE:
-            return np.concatenate([self.intrinsics, [FISHEYE, np.tan(self.widest_rad)]])
-        plate = (0.0, 1.0) if self.plate is None else (self.plate.thickness_m, self.plate.index)
-        return np.concatenate([self.intrinsics, plate])
-
-    @property
     def matrix(self) -> Array:
         """The (3, 3) camera matrix in px."""
         fx, fy, cx, cy, skew = self.intrinsics[:5]
@@ -168,24 +188,37 @@ class Camera(Saveable):
         return np.asarray(self.intrinsics[5:9] if self.lens is LensKind.FISHEYE else self.intrinsics[5:])
 
     def project(self, points_m: ArrayLike) -> Array:
-        """Return the pixels (n, 2) of points (n, 3) in camera axes; NaN behind the camera and beyond widest_rad."""
-        X = np.ascontiguousarray(np.atleast_2d(np.asarray(points_m, float)))
+        """Return the pixels (n, 2) of points (n, 3) or one (3,) in camera axes, in m.
+
+        NaN behind the camera, beyond widest_rad and where a point is NaN. Raises Inconsistent for any other shape.
+        """
+        X = checked_rows("points_m", points_m, 3, nan=True)
         uv = np.empty((len(X), 2))
-        project_many(self.packed, np.eye(3), np.zeros(3), X, uv)
+        project_many(self.packed, NO_TURN, NO_SHIFT, X, uv)
         return uv
 
     def rays(self, uv_px: ArrayLike) -> Array:
-        """Return the normalised rays (n, 2) = (X/Z, Y/Z) of pixels (n, 2); NaN where a pixel has none.
+        """Return the normalised rays (n, 2) = (X/Z, Y/Z) of pixels (n, 2) or one (2,).
 
+        NaN where a pixel has none or is NaN. Raises Inconsistent for any other shape.
         Directions: through a plate a ray does not go through the camera's centre, but up to 0.2 mm beside it.
         """
-        uv = np.ascontiguousarray(np.atleast_2d(np.asarray(uv_px, float)))
+        uv = checked_rows("uv_px", uv_px, 2, nan=True)
         xy = np.empty_like(uv)
         undistort_many(self.packed, uv, xy)
         return xy
 
     def is_close(self, other: Camera, *, tol: float) -> bool:
         """Tell whether two cameras have the same size, lens, intrinsics and plate within tol."""
+        require_kind("other", other, Camera)
+        require_number("tol", tol)
         return (self.width, self.height, self.lens) == (other.width, other.height, other.lens) and bool(
             np.allclose(self.packed, other.packed, rtol=0.0, atol=tol)
         )
+
+
+def _intrinsics(fx: float, fy: float, cx: float, cy: float, skew: float, distortion: ArrayLike) -> Array:
+    """Return fx, fy, cx, cy, skew (px) with the coefficients (5,) as one vector; raises UsageError for no numbers."""
+    for name, value in (("fx", fx), ("fy", fy), ("cx", cx), ("cy", cy), ("skew", skew)):
+        require_number(name, value)
+    return np.concatenate([[fx, fy, cx, cy, skew], np.asarray(distortion, float)])

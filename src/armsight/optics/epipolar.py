@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from armsight.errors import Inconsistent
 from armsight.geometry.lie import skew
 from armsight.optics.kernels import rays as kernels
 from armsight.optics.packed import PackedRig
 from armsight.optics.rig import Rig
+from armsight.records import checked_array, checked_rows
 
 Array = NDArray[np.float64]
 
@@ -29,6 +31,8 @@ def epipolar_distance(rig: Rig, left_px: ArrayLike, right_px: ArrayLike) -> Arra
     """
     packed = PackedRig.of(rig)
     rays = [_rays(packed, side, px) for side, px in enumerate((left_px, right_px))]
+    if len(rays[0][0]) != len(rays[1][0]):
+        raise Inconsistent(f"{len(rays[0][0])} left pixels with {len(rays[1][0])} right ones", cure="Give pairs")
     out = np.full((len(rays[0][0]), 2), np.nan)
     kernels.epipolar_rows(*rays[0], *rays[1], packed.baseline, out)
     return out
@@ -43,6 +47,8 @@ def epipolar_chi2(
     """
     d_left, D_left = _rays(packed, 0, left_px)
     d_right, D_right = _rays(packed, 1, right_px)
+    cov_left_px2 = checked_array("cov_left_px2", cov_left_px2, (len(d_left), 2, 2))
+    cov_right_px2 = checked_array("cov_right_px2", cov_right_px2, (len(d_right), 2, 2))
     chi2 = np.empty((len(d_left), len(d_right)))
     kernels.epipolar_matrix(d_left, D_left, cov_left_px2, d_right, D_right, cov_right_px2, packed.baseline, chi2)
     return chi2
@@ -50,7 +56,7 @@ def epipolar_chi2(
 
 def _rays(packed: PackedRig, side: int, px: ArrayLike) -> tuple[Array, Array]:
     """Return the rays (n, 3) and their derivatives (n, 3, 2) by the pixels of one side."""
-    uv = np.ascontiguousarray(np.atleast_2d(np.asarray(px, float)))
+    uv = checked_rows("left_px" if side == 0 else "right_px", px, 2, nan=True)
     d, D, ok = np.empty((len(uv), 3)), np.empty((len(uv), 3, 2)), np.empty(len(uv), np.bool_)
     kernels.rays_in_rig(packed.k[side], packed.R[side], uv, d, D, ok)
     return d, D
@@ -63,8 +69,8 @@ def epipolar_curve(rig: Rig, side: str, px: ArrayLike, depths_m: ArrayLike) -> A
     bends the curve; points outside the image are given too.
     """
     other = "right" if side == "left" else "left"
-    x, y = rig.camera(side).rays(np.asarray(px, float)[None])[0]
-    along = np.asarray(depths_m, float)[:, None] * np.array([x, y, 1.0])
+    x, y = rig.camera(side).rays(checked_array("px", px, (2,), nan=True))[0]
+    along = checked_array("depths_m", depths_m, (None,))[:, None] * np.array([x, y, 1.0])
     T_other_side = rig.T_rig_camera(other).inv() * rig.T_rig_camera(side)
     points = T_other_side.apply(along)
     uv = np.full((len(along), 2), np.nan)

@@ -15,9 +15,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.errors import Inconsistent, NotConverged
 from armsight.fitting import Evaluation, Problem, solve
-from armsight.optics.camera import INTRINSICS, Camera, Plate
+from armsight.optics.camera import INTRINSICS, SIDES, Camera, Plate
 from armsight.optics.kernels.camera import plate_shift
-from armsight.optics.rig import SIDES, Rig, RigKind
+from armsight.optics.rig import Rig, RigKind
 
 Array = NDArray[np.float64]
 

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.optics.rig import SIDES, Rig
+from armsight.optics.camera import SIDES
 from armsight.records import frozen_array
+
+if TYPE_CHECKING:
+    from armsight.optics.rig import Rig
 
 Array = NDArray[np.float64]
 
@@ -29,7 +33,14 @@ class PackedRig:
 
     @classmethod
     def of(cls, rig: Rig) -> PackedRig:
-        """Pack a rig; do it once per rig, not once per frame."""
+        """Return a rig packed, which is done once and kept with it."""
+        found = rig.found.get("packed")
+        if not isinstance(found, PackedRig):
+            found = rig.found["packed"] = cls._pack(rig)
+        return found
+
+    @classmethod
+    def _pack(cls, rig: Rig) -> PackedRig:
         poses = [rig.T_rig_camera(side).inv() for side in SIDES]
         return cls(
             k=frozen_array("k", [rig.camera(side).packed for side in SIDES], (2, 12)),

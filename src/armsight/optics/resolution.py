@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import Inconsistent
-from armsight.optics.rig import SIDES, Rig
+from armsight.optics.camera import SIDES
+from armsight.optics.rig import Rig
 from armsight.optics.triangulate import triangulate
 
 Array = NDArray[np.float64]

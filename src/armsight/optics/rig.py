@@ -2,21 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
+from types import NoneType
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.optics.camera import INTRINSICS, Camera
+from armsight.errors import UsageError
+from armsight.optics.camera import INTRINSICS, SIDES, Camera
 from armsight.optics.kernels.camera import project_many
+from armsight.optics.packed import PackedRig
 from armsight.optics.zoom import ZoomLens
-from armsight.records import CameraTiming, NamedCovariance, NoiseModel, Saveable
+from armsight.records import (
+    CameraTiming,
+    NamedCovariance,
+    NoiseModel,
+    Saveable,
+    checked_rows,
+    one_of,
+    require_kind,
+    require_numbers,
+)
 
 Array = NDArray[np.float64]
-
-SIDES = ("left", "right")
 
 RIGHT_POSE = tuple(f"right.{name}" for name in ("tx", "ty", "tz", "rx", "ry", "rz"))
 """Names of the pose parameters in a rig's covariance: T_rig_right moved as t + dt, Exp(dw) R."""
@@ -49,6 +59,7 @@ class Rig(Saveable):
     (rad) for the pose T_rig_right of a rig whose reference is the left camera; None where not known. noise: of the grey
     levels of the left and the right camera, where known; timing: when their lines are exposed. Optics makes no use of
     either. zoom: the lenses' settings, where they zoom; optics.zoom_rig.at_zoom gives the rig at one of each.
+    found: what was worked out once from the fields above (its packed form); never part of the rig's value.
     """
 
     kind: RigKind
@@ -61,6 +72,24 @@ class Rig(Saveable):
     noise: tuple[NoiseModel | None, NoiseModel | None] = (None, None)
     timing: tuple[CameraTiming | None, CameraTiming | None] = (None, None)
     zoom: tuple[MountedZoom | None, MountedZoom | None] = (None, None)
+    found: dict[str, object] = field(init=False, repr=False, default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "kind", one_of(RigKind, "kind", self.kind))
+        for name in SIDES:
+            require_kind(name, self.camera(name), Camera)
+            require_kind(f"T_rig_{name}", self.T_rig_camera(name), RigidTransform)
+        require_kind("covariance", self.covariance, NamedCovariance, NoneType)
+        require_numbers(self, "rms_px")
+        for name, kind in (("noise", NoiseModel), ("timing", CameraTiming), ("zoom", MountedZoom)):
+            pair = getattr(self, name)
+            require_kind(name, pair, tuple, cure="Give (left, right), None where not known")
+            if len(pair) != len(SIDES):
+                raise UsageError(
+                    f"{name} has {len(pair)} entries", consequence="A rig has two cameras", cure="Give two"
+                )
+            for side, each in zip(SIDES, pair, strict=True):
+                require_kind(f"{name} of the {side} camera", each, kind, NoneType)
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -74,20 +103,29 @@ class Rig(Saveable):
 
     def camera(self, side: str) -> Camera:
         """Return the camera of 'left' or 'right'."""
-        return {"left": self.left, "right": self.right}[side]
+        _require_side(side)
+        return self.left if side == "left" else self.right
 
     def T_rig_camera(self, side: str) -> RigidTransform:
         """Return the pose of the 'left' or 'right' camera in rig axes."""
-        return {"left": self.T_rig_left, "right": self.T_rig_right}[side]
+        _require_side(side)
+        return self.T_rig_left if side == "left" else self.T_rig_right
 
     def project(self, points_m: ArrayLike) -> tuple[Array, Array]:
-        """Return the left and right pixels (n, 2) of points (n, 3) in rig axes; NaN behind a camera."""
-        X = np.ascontiguousarray(np.atleast_2d(np.asarray(points_m, float)))
-        out = []
-        for side in SIDES:
-            T_camera_rig = self.T_rig_camera(side).inv()
-            uv = np.empty((len(X), 2))
-            R = np.ascontiguousarray(T_camera_rig.rotation.as_matrix())
-            project_many(self.camera(side).packed, R, np.asarray(T_camera_rig.translation), X, uv)
-            out.append(uv)
-        return out[0], out[1]
+        """Return the left and right pixels (n, 2) of points (n, 3) or one (3,) in rig axes, in m.
+
+        NaN behind a camera, beyond its widest_rad and where a point is NaN. Raises Inconsistent for any other shape.
+        """
+        X = checked_rows("points_m", points_m, 3, nan=True)
+        packed = PackedRig.of(self)
+        left, right = np.empty((len(X), 2)), np.empty((len(X), 2))
+        project_many(packed.k[0], packed.R[0], packed.t[0], X, left)
+        project_many(packed.k[1], packed.R[1], packed.t[1], X, right)
+        return left, right
+
+
+def _require_side(side: str) -> None:
+    if side not in SIDES:
+        raise UsageError(
+            f"there is no camera {side!r}", consequence="None is given", cure=f"Use one of: {', '.join(SIDES)}"
+        )

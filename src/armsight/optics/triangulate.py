@@ -12,6 +12,7 @@ from armsight.errors import Degenerate, Inconsistent
 from armsight.optics.kernels import triangulation as kernels
 from armsight.optics.packed import PackedRig
 from armsight.optics.rig import Rig
+from armsight.records import checked_array, checked_rows, real_array, require_kind
 
 Array = NDArray[np.float64]
 
@@ -67,8 +68,9 @@ def triangulate(
 ) -> Triangulation:
     """Return the points of greatest likelihood: least whitened reprojection error in both distorted images.
 
-    left_px, right_px: (n, 2). cov_left_px2, cov_right_px2: (n, 2, 2), or (2, 2) for all rows.
-    Raises Inconsistent where the shapes do not belong together.
+    left_px, right_px: (n, 2), or (2,) of one point. cov_left_px2, cov_right_px2: (n, 2, 2), or (2, 2) for all rows.
+    A row that is NaN in any of them gives none (`Verdict.NO_RAY`). Raises Inconsistent where the shapes do not belong
+    together.
     """
     return _triangulate(rig, left_px, right_px, cov_left_px2, cov_right_px2, likeliest=True)
 
@@ -80,17 +82,6 @@ def triangulate_closed(
     return _triangulate(rig, left_px, right_px, cov_left_px2, cov_right_px2, likeliest=False)
 
 
-def stack_pairs(left: ArrayLike, right: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """Return (n, 2, *shape) [row, side] from two (n, *shape) arrays, or (*shape) to be repeated.
-
-    Raises Inconsistent where the two differ in shape.
-    """
-    a, b = np.asarray(left, float), np.asarray(right, float)
-    if a.shape != b.shape or a.shape[a.ndim - len(shape) :] != shape:
-        raise Inconsistent(f"left has shape {a.shape} and right {b.shape}; both should be (n, {shape})")
-    return np.ascontiguousarray(np.stack([a, b], axis=a.ndim - len(shape)))
-
-
 def _triangulate(
     rig: Rig,
     left_px: ArrayLike,
@@ -100,15 +91,31 @@ def _triangulate(
     *,
     likeliest: bool,
 ) -> Triangulation:
+    require_kind("rig", rig, Rig)
     packed = PackedRig.of(rig)
-    uv = stack_pairs(np.atleast_2d(left_px), np.atleast_2d(right_px), (2,))  # (n, 2, 2)
-    n = len(uv)
-    cov = stack_pairs(cov_left_px2, cov_right_px2, (2, 2))
-    if cov.ndim == 3:
-        cov = np.repeat(cov[None], n, axis=0)  # (n, 2, 2, 2)
-    if len(cov) != n:
-        raise Inconsistent(f"{n} pairs of pixels with {len(cov)} covariances")
-    xyz, covariance, chi2 = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan), np.full(n, np.nan)
+    left, right = checked_rows("left_px", left_px, 2, nan=True), checked_rows("right_px", right_px, 2, nan=True)
+    n = len(left)
+    if len(right) != n:
+        raise Inconsistent(
+            f"{n} pixels on the left and {len(right)} on the right",
+            consequence="Nothing is triangulated",
+            cure="Give as many of both, row by row of the same point",
+        )
+    uv, cov = np.empty((n, 2, 2)), np.empty((n, 2, 2, 2))
+    uv[:, 0], uv[:, 1] = left, right
+    cov[:, 0], cov[:, 1] = (
+        _covariances("cov_left_px2", cov_left_px2, n),
+        _covariances("cov_right_px2", cov_right_px2, n),
+    )
+    xyz, covariance, chi2 = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty(n)
+    for out in (xyz, covariance, chi2):
+        out.fill(np.nan)
     verdict = np.zeros(n, np.int8)
     kernels.triangulate_rows(packed.k, packed.R, packed.t, uv, cov, likeliest, xyz, covariance, chi2, verdict)
     return Triangulation(xyz_m=xyz, covariance_m2=covariance, chi2=chi2, verdict=verdict)
+
+
+def _covariances(name: str, value: ArrayLike, n: int) -> Array:
+    """Return (n, 2, 2), or (2, 2) for all rows."""
+    array = real_array(name, value)
+    return checked_array(name, array, (2, 2) if array.ndim == 2 else (n, 2, 2), nan=True)

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import Inconsistent, UsageError
-from armsight.optics.camera import INTRINSICS
-from armsight.optics.rig import RIGHT_POSE, SIDES, MountedZoom, Rig, RigKind
+from armsight.optics.camera import INTRINSICS, SIDES
+from armsight.optics.rig import RIGHT_POSE, MountedZoom, Rig, RigKind
 from armsight.optics.zoom import SURE, ZoomLens, ZoomState
 from armsight.records import NamedCovariance
 

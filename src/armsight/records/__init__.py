@@ -1,7 +1,22 @@
 """The nouns that flow through armsight: frozen, checked, copied, read-only."""
 
 from armsight.records.board import BoardView
-from armsight.records.checks import frozen_array, trusted
+from armsight.records.checks import (
+    checked_array,
+    checked_poses,
+    checked_rows,
+    for_kernels,
+    frozen_array,
+    one_of,
+    real_array,
+    require_count,
+    require_kind,
+    require_number,
+    require_numbers,
+    require_rigid,
+    require_texts,
+    trusted,
+)
 from armsight.records.covariance import NamedCovariance
 from armsight.records.frames import Frame
 from armsight.records.measured import Points, PoseStatus, Spots, TargetPose
@@ -41,7 +56,19 @@ __all__ = [
     "TargetPose",
     "TaughtPath",
     "board_target",
+    "checked_array",
+    "checked_poses",
+    "checked_rows",
+    "for_kernels",
     "frozen_array",
+    "one_of",
+    "real_array",
+    "require_count",
+    "require_kind",
+    "require_number",
+    "require_numbers",
+    "require_rigid",
+    "require_texts",
     "spot_target",
     "trusted",
     "unmeasured_target",

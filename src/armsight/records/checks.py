@@ -1,38 +1,221 @@
-"""How a record takes an array: copied to float64, shape and finiteness checked, made read-only."""
+"""What callers hand over, checked before a record keeps it or compiled code reads it: numbers, shape, finiteness, kind.
+
+Compiled code checks no index: an array of another shape makes it read, and write, what lies beside.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from enum import StrEnum
 from math import isfinite
-from typing import TypeVar
+from numbers import Integral, Real
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armsight.errors import Inconsistent
+from armsight.errors import Inconsistent, UsageError
 
 Record = TypeVar("Record")
+Choice = TypeVar("Choice", bound=StrEnum)
 
 
-def frozen_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
+FLOAT64 = np.dtype(np.float64)
+
+Shape = tuple[int | None, ...]
+"""Lengths of the axes, None for any."""
+
+REAL = "iuf"
+"""numpy's kinds of real numbers; truth values, texts and objects are none, however numpy would convert them."""
+
+ROTATION_TOLERANCE = 1e-3
+"""Rotation matrices further from orthonormal than this (largest entry of R^T R - I) are refused: not rounding."""
+
+
+def frozen_array(name: str, value: ArrayLike, shape: Shape) -> NDArray[np.float64]:
     """Return a read-only float64 copy of value; None in shape stands for any length.
 
-    Raises Inconsistent, naming the field, where the shape differs or an entry is not finite.
+    Raises Inconsistent, naming the field, where it is no numbers, the shape differs or an entry is not finite.
     """
-    array = np.array(value, dtype=np.float64)
-    if array.shape != shape and (
-        array.ndim != len(shape)
-        or any(want is not None and have != want for have, want in zip(array.shape, shape, strict=True))
-    ):
-        wanted = ", ".join("n" if want is None else str(want) for want in shape)
-        raise Inconsistent(f"{name} has shape {array.shape}, not ({wanted})", consequence="It cannot be used")
-    if not (isfinite(np.vdot(array, array)) or np.isfinite(array).all()):  # the first is three times as fast
+    array = np.array(real_array(name, value))
+    _require_shape(name, array, shape)
+    _require_finite(name, array)
+    array.setflags(write=False)
+    return array
+
+
+def checked_array(name: str, value: ArrayLike, shape: Shape, *, nan: bool = False) -> NDArray[np.float64]:
+    """Return value as C-contiguous float64 for compiled code, not copied where it can be; raises as frozen_array.
+
+    nan: entries may be NaN (never infinite), for functions whose answer is then NaN in that row.
+    """
+    array = for_kernels(real_array(name, value))
+    _require_shape(name, array, shape)
+    _require_finite(name, array, nan=nan)
+    return array
+
+
+def for_kernels(array: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the array as compiled code takes it, copied only where it must be: contiguous and writeable.
+
+    A read-only or strided array is another type to numba, which would compile anew for it: seconds.
+    """
+    flags = array.flags
+    return array if flags.c_contiguous and flags.writeable else array.copy()
+
+
+def checked_rows(name: str, value: ArrayLike, columns: int, *, nan: bool = False) -> NDArray[np.float64]:
+    """Return one row (columns,) or many (n, columns) as (n, columns); see checked_array."""
+    array = real_array(name, value)
+    return checked_array(name, array[None] if array.shape == (columns,) else array, (None, columns), nan=nan)
+
+
+def require_kind(name: str, value: object, *kinds: type, cure: str = "") -> None:
+    """Raise UsageError where value is of none of these kinds: a path for a record, a dict for settings."""
+    if not isinstance(value, kinds):
+        wanted = " or ".join(kind.__name__ for kind in kinds)
+        raise UsageError(
+            f"{name} is of type {type(value).__name__}, not {wanted}",
+            consequence="It cannot be used",
+            cure=cure or f"Give a {wanted}",
+        )
+
+
+def require_number(name: str, value: object, *, cure: str = "") -> None:
+    """Raise UsageError where value is no finite real number: a text, an array, a truth value."""
+    real = isinstance(value, Real) and not isinstance(value, bool | np.bool_)
+    if not real or not isfinite(float(value)):  # type: ignore[arg-type]  # it is real
+        raise UsageError(
+            f"{name} is {value!r}, no number", consequence="It cannot be used", cure=cure or "Give a number"
+        )
+
+
+def require_numbers(record: object, *names: str) -> None:
+    """Raise UsageError where one of a record's fields is no finite number; None is let through."""
+    for name in names:
+        value = getattr(record, name)
+        if value is not None and not (type(value) is float and isfinite(value)):
+            require_number(name, value)
+
+
+def require_count(name: str, value: object, least: int = 0) -> None:
+    """Raise UsageError where value is no whole number of at least so many."""
+    if not isinstance(value, Integral) or isinstance(value, bool) or value < least:
+        raise UsageError(
+            f"{name} is {value!r}, not a whole number from {least}",
+            consequence="It cannot be used",
+            cure="Give a whole number",
+        )
+
+
+def require_texts(name: str, values: object) -> tuple[str, ...]:
+    """Return a sequence of texts as a tuple; raises UsageError where it is one text or holds anything else."""
+    if isinstance(values, str) or not isinstance(values, Iterable):
+        raise UsageError(f"{name} is no list of texts", consequence="It cannot be used", cure="Give one text a row")
+    found = tuple(values)
+    for value in found:
+        require_kind(f"an entry of {name}", value, str)
+    return found
+
+
+def one_of(kind: type[Choice], name: str, value: Any) -> Choice:
+    """Return the member of an enumeration; raises UsageError, with the members, for anything else."""
+    try:
+        return kind(value)
+    except ValueError:
+        raise UsageError(
+            f"{name} is {value!r}, which is not known",
+            consequence="It cannot be used",
+            cure=f"Use one of: {', '.join(kind)}",
+        ) from None
+
+
+def checked_poses(name: str, value: ArrayLike, rows: int | None = None) -> NDArray[np.float64]:
+    """Return rigid transforms (n, 4, 4), checked; raises Inconsistent, naming the row (from 0), for any other."""
+    T = checked_array(name, value, (rows, 4, 4), nan=True)
+    require_rigid(name, T)
+    return T
+
+
+def require_rigid(name: str, T: NDArray[np.float64]) -> None:
+    """Raise Inconsistent, naming the row, where one of T (n, 4, 4) is not finite or no rigid transform."""
+    finite = np.isfinite(T).all(axis=(1, 2))
+    if not finite.all():
         raise Inconsistent(
-            f"{name} holds a value that is not finite",
+            f"pose {int(np.argmin(finite))} of {name} is not finite",
+            consequence="It says no place",
+            cure="Leave out the poses in which nothing was measured",
+        )
+    if not len(T):
+        return
+    R = T[:, :3, :3]
+    off = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2))
+    off = np.maximum(off, np.abs(T[:, 3] - [0.0, 0.0, 0.0, 1.0]).max(axis=1))
+    off = np.where(np.linalg.det(R) > 0.0, off, np.inf)
+    worst = int(np.argmax(off))
+    if off[worst] > ROTATION_TOLERANCE:
+        raise Inconsistent(
+            f"pose {worst} of {name} is no rigid transform"
+            + (f" (off by {off[worst]:.2g})" if np.isfinite(off[worst]) else " (it mirrors)"),
+            consequence="Its rotation cannot be trusted",
+            cure="Give [[R, t], [0, 0, 0, 1]] with R orthonormal and right-handed, t in metres",
+        )
+
+
+def real_array(name: str, value: ArrayLike) -> NDArray[np.float64]:
+    """Return value as float64, the very array where it is one; raises Inconsistent for what is masked or not real."""
+    if type(value) is np.ndarray and value.dtype == FLOAT64:
+        return value
+    if isinstance(value, np.ma.MaskedArray) and np.ma.getmaskarray(value).any():
+        raise Inconsistent(
+            f"{name} is masked in places",
+            consequence="What is below the mask would be taken as measured",
+            cure="Leave the masked rows out",
+        )
+    try:
+        array = np.asarray(value)
+    except (TypeError, ValueError) as error:
+        raise _no_numbers(name, str(error)) from error
+    if array.dtype.kind not in REAL:
+        raise _no_numbers(name, f"numpy makes {array.dtype} of it")
+    return array.astype(np.float64)
+
+
+def _no_numbers(name: str, why: str) -> Inconsistent:
+    return Inconsistent(
+        f"{name} is not an array of numbers ({why})",
+        consequence="It cannot be used",
+        cure="Give rows of equal length, of real numbers only",
+    )
+
+
+def _require_shape(name: str, array: NDArray[np.float64], shape: Shape) -> None:
+    fits = len(array.shape) == len(shape)
+    for have, want in zip(array.shape, shape, strict=False):
+        fits = fits and (want is None or have == want)
+    if not fits:
+        wanted = ", ".join("n" if want is None else str(want) for want in shape)
+        wanted += "," if len(shape) == 1 else ""
+        turned = array.ndim == len(shape) == 2 and array.shape[0] == shape[1]
+        raise Inconsistent(
+            f"{name} has shape {array.shape}, not ({wanted})",
+            consequence="It cannot be used",
+            cure="Transpose it: one row each" if turned else "Give one row each",
+        )
+
+
+def _require_finite(name: str, array: NDArray[np.float64], *, nan: bool = False) -> None:
+    flat = array.ravel()
+    if isfinite(flat.dot(flat)):  # three times as fast as to look at each
+        return
+    bad = np.isinf(array) if nan else ~np.isfinite(array)
+    if bad.any():
+        row = f" at row {np.argwhere(bad)[0][0]}" if array.ndim else ""
+        raise Inconsistent(
+            f"{name} holds a value that is {'infinite' if nan else 'not finite'}{row}",
             consequence="It cannot be used",
             cure="Leave out what was not measured",
         )
-    array.setflags(write=False)
-    return array
 
 
 def trusted(kind: type[Record], **fields: object) -> Record:

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.errors import Inconsistent
-from armsight.records.checks import frozen_array, trusted
+from armsight.errors import Inconsistent, UsageError
+from armsight.records.checks import checked_array, frozen_array, real_array, require_kind, require_texts, trusted
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -34,6 +34,8 @@ class Spots:
     rejected: tuple[tuple[float, float, str], ...] = ()
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "model", require_texts("model", self.model))
+        require_kind("rejected", self.rejected, tuple, cure="Give a tuple of (u, v, why)")
         n = len(self.model)
         object.__setattr__(self, "uv_px", frozen_array("uv_px", self.uv_px, (n, 2)))
         object.__setattr__(self, "covariance_px2", frozen_array("covariance_px2", self.covariance_px2, (n, 2, 2)))
@@ -61,10 +63,11 @@ class Spots:
 
         covariance_px2: (n, 2, 2), or (2, 2) for all.
         """
-        n = len(uv_px)
+        uv_px = checked_array("uv_px", uv_px, (None, 2))
+        n, covariance_px2 = len(uv_px), real_array("covariance_px2", covariance_px2)
         return cls(
             uv_px=uv_px,
-            covariance_px2=np.broadcast_to(covariance_px2, (n, 2, 2)),
+            covariance_px2=np.broadcast_to(covariance_px2, (n, 2, 2)) if covariance_px2.ndim == 2 else covariance_px2,
             peak=np.zeros(n),
             size_px=np.ones(n),
             model=("gaussian",) * n,
@@ -72,7 +75,14 @@ class Spots:
 
     def take(self, index: NDArray[np.intp] | list[int]) -> Spots:
         """Return the spots at the given positions, in that order."""
-        i = np.asarray(index, dtype=np.intp)
+        i = np.asarray(index)
+        if i.ndim != 1 or (i.size and i.dtype.kind not in "iu") or (i.size and not 0 <= i.min() <= i.max() < len(self)):
+            raise UsageError(
+                f"{index!r} are not positions of {len(self)} spots",
+                consequence="None are taken",
+                cure="Give whole numbers from 0",
+            )
+        i = i.astype(np.intp)
         return trusted(
             Spots,
             uv_px=self.uv_px[i],

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import Inconsistent
-from armsight.records.checks import frozen_array
+from armsight.records.checks import checked_array, checked_poses, frozen_array, real_array, require_kind, require_texts
 from armsight.records.saving import Saveable
 
 Array = NDArray[np.float64]
@@ -34,12 +34,13 @@ class TaughtPath(Saveable):
     parent: str = "world"
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "tags", require_texts("tags", self.tags))
+        require_kind("parent", self.parent, str, cure="Name the frame of the poses")
         n = len(self.tags)
-        object.__setattr__(self, "T_world_tip", frozen_array("T_world_tip", self.T_world_tip, (n, 4, 4)))
+        T = frozen_array("T_world_tip", checked_poses("T_world_tip", self.T_world_tip, n), (n, 4, 4))
+        object.__setattr__(self, "T_world_tip", T)
         for name in ("t_s", "speed_m_s"):
-            values = np.array(getattr(self, name), dtype=np.float64)
-            if values.shape != (n,) or np.isinf(values).any():
-                raise Inconsistent(f"{name} of a path of {n} poses has shape {values.shape} or is infinite")
+            values = checked_array(name, getattr(self, name), (n,), nan=True).copy()
             values.setflags(write=False)
             object.__setattr__(self, name, values)
         known = self.t_s[np.isfinite(self.t_s)]
@@ -48,23 +49,26 @@ class TaughtPath(Saveable):
                 "the times of a path do not grow", consequence="It is not used", cure="Put its rows into their order"
             )
         if np.any(self.speed_m_s[np.isfinite(self.speed_m_s)] <= 0.0):
-            raise Inconsistent("a speed of a path is not positive", consequence="It is not used")
+            raise Inconsistent(
+                "a speed of a path is not positive", consequence="It is not used", cure="Give m/s, or NaN for any"
+            )
 
     @classmethod
     def of_poses(
         cls,
-        poses: RigidTransform,
+        poses: RigidTransform | ArrayLike,
         *,
         t_s: Array | None = None,
         speed_m_s: float | Array = np.nan,
         parent: str = "world",
     ) -> TaughtPath:
-        """Return the path through poses (n), without tags."""
-        n = len(poses)
+        """Return the path through poses, RigidTransform (n) or (n, 4, 4), without tags."""
+        T = checked_poses("poses", poses.as_matrix() if isinstance(poses, RigidTransform) else poses)
+        n, speeds = len(T), real_array("speed_m_s", speed_m_s)
         return cls(
-            T_world_tip=poses.as_matrix(),
+            T_world_tip=T,
             t_s=np.full(n, np.nan) if t_s is None else t_s,
-            speed_m_s=np.broadcast_to(np.asarray(speed_m_s, dtype=np.float64), (n,)),
+            speed_m_s=np.full(n, speeds) if speeds.ndim == 0 else speeds,
             tags=("",) * n,
             parent=parent,
         )

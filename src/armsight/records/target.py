@@ -4,14 +4,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from types import NoneType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import Inconsistent
+<<<<<<< HEAD
 from armsight.geometry.lengths import PITCH_M, TARGET_M, check_metres
 from armsight.records.checks import frozen_array
+=======
+from armsight.records.checks import frozen_array, one_of, require_count, require_kind, require_numbers, require_texts
+>>>>>>> face/face
 from armsight.records.saving import Saveable
+
+LARGEST_TARGET_M = 20.0
+"""Rigs see to about ten metres; in millimetres a beacon of three lights is 50 and more across."""
 
 
 class TargetKind(StrEnum):
@@ -33,10 +41,13 @@ class Colour:
     min_value: float = 0.3
 
     def __post_init__(self) -> None:
-        if not all(0.0 <= hue <= 360.0 for hue in self.hue_deg):
-            raise Inconsistent(f"hue {self.hue_deg} is outside 0 to 360 degrees")
+        hue_deg = frozen_array("hue_deg", self.hue_deg, (2,))
+        object.__setattr__(self, "hue_deg", tuple(hue_deg.tolist()))
+        require_numbers(self, "min_saturation", "min_value")
+        if not ((hue_deg >= 0.0) & (hue_deg <= 360.0)).all():
+            raise Inconsistent(f"hue {self.hue_deg} is outside 0 to 360 degrees", cure="Give (from, to) in degrees")
         if not (0.0 <= self.min_saturation <= 1.0 and 0.0 <= self.min_value <= 1.0):
-            raise Inconsistent("saturation and value run from 0 to 1")
+            raise Inconsistent("saturation and value run from 0 to 1", cure="Give shares, not per cent")
 
 
 RED = Colour(hue_deg=(340.0, 20.0))
@@ -71,8 +82,22 @@ class Target(Saveable):
     covariance: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "names", tuple(self.names))
+        object.__setattr__(self, "kind", one_of(TargetKind, "kind", self.kind))
+        object.__setattr__(self, "names", require_texts("names", self.names))
+        require_kind("colour", self.colour, Colour, NoneType)
+        require_kind("dictionary", self.dictionary, str)
+        require_kind("model_known", self.model_known, bool)
+        require_numbers(self, "diameter_m", "pitch_m", "marker_m")
+        for count in ("columns", "rows"):
+            require_count(count, getattr(self, count))
         object.__setattr__(self, "xyz_m", frozen_array("xyz_m", self.xyz_m, (len(self.names), 3)))
+        span_m = float(np.ptp(self.xyz_m, axis=0).max(initial=0.0)) if len(self.names) else 0.0
+        if span_m > LARGEST_TARGET_M:
+            raise Inconsistent(
+                f"the points of the target are {span_m:.4g} m apart",
+                consequence="It is not looked for",
+                cure="Give metres: the numbers look like millimetres",
+            )
         if self.covariance is not None:
             size = 3 * len(self.names)
             object.__setattr__(self, "covariance", frozen_array("covariance", self.covariance, (size, size)))
@@ -84,7 +109,7 @@ class Target(Saveable):
             )
         check_metres(np.ptp(self.xyz_m, axis=0).max(), TARGET_M, "the target's points spread over")
         if self.diameter_m is not None and not self.diameter_m > 0.0:
-            raise Inconsistent(f"a spot's diameter of {self.diameter_m} m is not positive")
+            raise Inconsistent(f"a spot's diameter of {self.diameter_m} m is not positive", cure="Leave it out")
 
     @property
     def covariance_names(self) -> tuple[str, ...]:
@@ -105,10 +130,11 @@ def spot_target(
     covariance: NDArray[np.float64] | None = None,
 ) -> Target:
     """Return a lit target from the named positions of its spots in m; covariance (3 n, 3 n) of these, m^2."""
+    places = [frozen_array(f"the place of light {name}", place, (3,)) for name, place in spots_m.items()]
     return Target(
         kind=TargetKind.SPOTS,
         names=tuple(spots_m),
-        xyz_m=np.array(list(spots_m.values()), dtype=float).reshape(-1, 3),
+        xyz_m=np.array(places).reshape(-1, 3),
         diameter_m=diameter_m,
         colour=colour,
         covariance=covariance,

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from armsight.kinematics import Arm
 from armsight.optics import Camera, Rig
-from armsight.records import Target, TaughtPath
+from armsight.records import Target, TaughtPath, require_kind
 from armsight.store.arm_file import write_arm
 from armsight.store.path_file import write_path
 from armsight.store.rigs import write_camera, write_rig
@@ -23,24 +23,29 @@ def save(record: object, path: str | PathLike[str]) -> None:
 
 @save.register
 def _(record: Camera, path: str | PathLike[str]) -> None:
-    write_camera(Path(path), record)
+    write_camera(_file(path), record)
 
 
 @save.register
 def _(record: Rig, path: str | PathLike[str]) -> None:
-    write_rig(Path(path), record)
+    write_rig(_file(path), record)
 
 
 @save.register
 def _(record: Target, path: str | PathLike[str]) -> None:
-    write_target(Path(path), record)
+    write_target(_file(path), record)
 
 
 @save.register
 def _(record: Arm, path: str | PathLike[str]) -> None:
-    write_arm(Path(path), record)
+    write_arm(_file(path), record)
 
 
 @save.register
 def _(record: TaughtPath, path: str | PathLike[str]) -> None:
-    write_path(Path(path), record)
+    write_path(_file(path), record)
+
+
+def _file(path: str | PathLike[str]) -> Path:
+    require_kind("path", path, str, PathLike, cure="Give a file's path as text or pathlib.Path")
+    return Path(path)

@@ -12,6 +12,7 @@ from armsight.kinematics import (
     Joint,
     dh_arm,
     fk,
+    fk_jacobian,
     ik,
     ik_many,
     jacobian,
@@ -146,3 +147,8 @@ def test_unknown_words_are_answered_with_the_known_ones() -> None:
 def test_an_axis_that_is_not_of_unit_length() -> None:
     with pytest.raises(Inconsistent, match="length 2, not 1"):
         link_to_line(np.eye(4), [0, 0, 0], [0, 0, 2])
+
+
+def test_arrays_to_fill_that_are_too_small() -> None:
+    with pytest.raises(UsageError, match="beyond its end"):
+        fk_jacobian(ARM, np.tile(HOME, (3, 1)), out=(np.empty((2, 4, 4)), np.empty((3, 6, 6))))

@@ -56,7 +56,11 @@ class ArmPoints:
             object.__setattr__(self, "rotation", frozen_array("rotation", self.rotation, (m, 3, 3)))
         object.__setattr__(self, "point", tuple(self.point) or ("",) * m)
         if len(self.point) != m:
-            raise Inconsistent(f"{m} positions, but {len(self.point)} names of points")
+            raise Inconsistent(
+                f"{m} positions, but {len(self.point)} names of points",
+                consequence="Nobody knows which row is of which point",
+                cure="Give one name a row, or none",
+            )
         if self.t_s is not None:
             object.__setattr__(self, "t_s", frozen_array("t_s", self.t_s, (m,)))
 

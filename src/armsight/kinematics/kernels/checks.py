@@ -16,7 +16,7 @@ def check_poses(T, tolerance):
     """Return what is wrong with the first bad one of T (m, 4, 4), its row, and how far it is from a rotation."""
     for i in range(T.shape[0]):
         R = T[i]
-        for r in range(3):
+        for r in range(4):
             for c in range(4):
                 if not np.isfinite(R[r, c]):
                     return NOT_FINITE, i, np.nan
@@ -31,6 +31,7 @@ def check_poses(T, tolerance):
             + R[0, 2] * (R[1, 0] * R[2, 1] - R[1, 1] * R[2, 0])
         )
         off = max(off, abs(det - 1.0))
+        off = max(off, abs(R[3, 0]) + abs(R[3, 1]) + abs(R[3, 2]) + abs(R[3, 3] - 1.0))  # a transposed pose has t there
         if off > tolerance:
             return NO_ROTATION, i, off
     return FINE, -1, 0.0

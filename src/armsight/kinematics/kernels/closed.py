@@ -285,10 +285,14 @@ def nearest_turns(chain, q, here, slack):
 
 @kernel
 def settle(chain, T, count, here, slack, Q, errors, inside):
-    """Bring the first count rows of Q (8, n) near here (n,); fill errors (8, 2) in m and rad and inside (8,)."""
+    """Bring the first count rows of Q (8, n) near here (n,); fill errors (8, 3) and inside (8,).
+
+    errors: off the pose in m and rad, and the largest distance of a joint from here.
+    """
     n = chain.shape[0] - 2
     F = np.empty((n + 2, 12))
     e = np.empty(6)
     for k in range(count):
         inside[k] = nearest_turns(chain, Q[k], here, slack)
         errors[k, 0], errors[k, 1] = pose_error(chain, T, Q[k], np.int64(6), F, e)
+        errors[k, 2] = np.abs(Q[k] - here).max()

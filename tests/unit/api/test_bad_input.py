@@ -1,0 +1,634 @@
+"""Every public function by every kind of argument that is none: our own error, or the right answer.
+
+The table is held against the face: a public name, or a parameter, without an entry fails.
+"""
+
+from __future__ import annotations
+
+import inspect
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+import armsight
+from armsight.optics import parallel_rig
+
+Same = dict[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arg:
+    """What goes into a parameter: good; wrong, to be refused; same, to give what good gives."""
+
+    good: Any
+    wrong: dict[str, Any]
+    same: dict[str, Any] = field(default_factory=dict)
+
+
+NO_ARRAY: dict[str, Any] = {
+    "a text": "values.csv",
+    "a dict": {"x": 1.0},
+    "a Rotation": Rotation.identity(),
+    "a set": {1.0, 2.0},
+    "ragged": [[1.0, 2.0, 3.0], [1.0]],
+    "an object": object(),
+}
+
+
+def array(good: Any, *, nan: bool = False, one: bool = False, more: dict[str, Any] | None = None) -> Arg:
+    """An array of numbers. nan: NaN in is NaN out; one: a single row is taken as well."""
+    a = np.asarray(good, float)
+    hole = a.copy()
+    hole.flat[-1] = np.nan
+    spike = a.copy()
+    spike.flat[-1] = np.inf
+    mask = np.zeros(a.shape, bool)
+    mask.flat[0] = True
+    wrong = {
+        "a rank more": a[None, None],
+        "a number": 1.0,
+        "last axis short": a[..., :-1],
+        "last axis long": np.concatenate([a, a[..., :1]], axis=-1),
+        "masked": np.ma.masked_array(a, mask),
+        "objects": a.astype(object),
+        "texts": a.astype(str),
+        "complex": a + 1j,
+        "truth": a > 0,
+        "infinite": spike,
+        **NO_ARRAY,
+        **({} if nan else {"nan": hole}),
+        **({"transposed": a.T} if a.ndim == 2 and a.shape[0] != a.shape[1] else {}),
+        **(more or {}),
+    }
+    still = a.copy()
+    still.setflags(write=False)
+    wide = np.repeat(a, 2, axis=0)[::2]
+    same = {
+        "a list": a.tolist(),
+        "read-only": still,
+        "strided": wide,
+        "by columns": np.asfortranarray(a),
+        "big-endian": a.astype(">f8"),
+        "nothing masked": np.ma.masked_array(a, np.zeros(a.shape, bool)),
+        **({"integer": a.astype(int)} if (a == np.round(a)).all() else {}),
+        **({"uint16": a.astype(np.uint16)} if (a == np.round(a)).all() and (a >= 0).all() else {}),
+    }
+    return Arg(good=a, wrong=wrong, same=same)
+
+
+def image(good: np.ndarray) -> Arg:
+    still = good.copy()
+    still.setflags(write=False)
+    wrong = {
+        "16 bits": good.astype(np.uint16),
+        "floats": good.astype(float),
+        "nan": np.full(good.shape, np.nan),
+        "truth": good > 0,
+        "objects": good.astype(object),
+        "a line": good[0],
+        "channels first": np.stack([good] * 4),
+        "empty": good[:0],
+        "masked": np.ma.masked_array(good, good == good.max()),
+        "a number": 3,
+        "a dict": {},
+        "no file": "no-such-file.png",
+        "ragged": [[1, 2], [1]],
+    }
+    return Arg(good=good, wrong=wrong, same={"read-only": still, "strided": np.repeat(good, 2, axis=1)[:, ::2]})
+
+
+def record(good: Any, **same: Any) -> Arg:
+    """One of our records, or settings: a file's name, a dict or a tuple are none."""
+    wrong = {"a text": "rig.yaml", "a dict": {"left": 1}, "a tuple": (9, 6, 0.025), "the kind": type(good)}
+    return Arg(good=good, wrong=wrong | {"an array": np.eye(3)}, same=same)
+
+
+def number(good: Any, **wrong: Any) -> Arg:
+    none = {"a text": "1.0", "nan": np.nan, "infinite": np.inf, "a row": [1.0, 2.0], "a dict": {}, "complex": 1j}
+    return Arg(good=good, wrong=none | wrong)
+
+
+def choice(good: str) -> Arg:
+    return Arg(good=good, wrong={"another": "nonsense", "a number": 3, "a list": [good], "none": None})
+
+
+def text(good: str) -> Arg:
+    return Arg(good=good, wrong={"a number": 3, "a list": [good], "a dict": {}, "bytes": good.encode()})
+
+
+def path(good: Any = None) -> Arg:
+    return Arg(good=good, wrong={"a number": 3, "none": None, "a list": ["a"], "nowhere": "/dev/null/file.yaml"})
+
+
+def poses(good: RigidTransform, *, as_matrix: bool = False, **wrong: Any) -> Arg:
+    a = good.as_matrix()
+    hole, spike = a.copy(), a.copy()
+    hole[..., 0, 3], spike[..., 0, 3] = np.nan, np.inf
+    still = a.copy()
+    still.setflags(write=False)
+    none = {
+        "3x4": a[..., :3, :],
+        "a rank more": a[None, None],
+        "nan": hole,
+        "infinite": spike,
+        "scaled": 2.0 * a,
+        "mirrored": a @ np.diag([1.0, 1.0, -1.0, 1.0]),
+        "transposed": np.swapaxes(a, -1, -2),
+        "masked": np.ma.masked_array(a, a == 1.0),
+        "objects": a.astype(object),
+        "complex": a + 0j,
+        **NO_ARRAY,
+    }
+    same = {"a matrix": a, "read-only": still, "by columns": np.asfortranarray(a), "a list": a.tolist()}
+    return Arg(good=a if as_matrix else good, wrong=none | wrong, same=same)
+
+
+CAMERA = armsight.Camera.pinhole(320, 240, 250.0, 250.0, 160.0, 120.0)
+RIG = parallel_rig(CAMERA, 0.1)
+LIGHTS = {"A": (-0.05, 0.0, 0.0), "B": (0.05, 0.04, 0.0), "C": (0.03, -0.04, 0.0)}
+TARGET = armsight.LightTarget(LIGHTS)
+ARM = armsight.presets.ur10()
+Q = np.array([0.0, -1.0, 1.0, 1.0, 2.0, 0.0])
+QS = np.array([Q, Q + 1.0])
+DEGREES = np.array([90.0, -90.0, 90.0, 0.0, 90.0, 0.0])
+POINTS = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 4.0], [0.0, 1.0, 5.0], [1.0, 1.0, 6.0]])
+PIXELS = np.array([[160.0, 120.0], [200.0, 100.0], [210.0, 60.0]])
+BOARD = "checkerboard:9x6:0.025"
+
+
+def _images() -> list[np.ndarray]:
+    y, x = np.mgrid[0:240, 0:320]
+    out = []
+    for side in (0.0, 0.1):
+        grey = np.full((240, 320), 8.0)
+        for light in LIGHTS.values():
+            X, Y, Z = np.add(light, (0.05 - side, 0.0, 0.5))
+            grey += 150.0 * np.exp(-((x - 160 - 250 * X / Z) ** 2 + (y - 120 - 250 * Y / Z) ** 2) / 8.0)
+        out.append(grey.astype(np.uint8))
+    return out
+
+
+def _poses(n: int, seed: int) -> RigidTransform:
+    rng = np.random.default_rng(seed)
+    return RigidTransform.from_components(rng.normal(0, 0.2, (n, 3)), Rotation.from_rotvec(rng.normal(0, 0.5, (n, 3))))
+
+
+LEFT, RIGHT = _images()
+FLANGE = _poses(12, 1)
+SEEN = (FLANGE * _poses(1, 4)[0]).inv() * _poses(1, 3)[0]
+TIP = np.array([0.0, 0.0, 0.2])
+TURNED = RigidTransform.from_components(FLANGE.rotation.apply(-TIP), FLANGE.rotation)
+IMAGES = Arg(good=[LEFT], wrong={"a number": 3, "one image": LEFT, "none": None, "16 bits": [LEFT.astype(np.uint16)]})
+SETTINGS = record(armsight.SpotSettings())
+BOARDS = Arg(good=BOARD, wrong={"a tuple": (9, 6, 0.025), "a dict": {}, "lights": TARGET, "nonsense": "chess", "no": 3})
+OPTIONS = Arg(good=None, wrong={"a dict": {"fixed": ["skew"]}, "a text": "fast"})
+SIDE = choice("left")
+JOINT_VALUES = array(QS, more={"degrees": DEGREES, "empty": []})
+AT_HOME = Arg(good=Q, wrong={**array(Q).wrong, "degrees": DEGREES, "many": QS}, same=array(Q).same)
+COV = np.array([[1.0, 0.0], [0.0, 1.0]])
+FOUND = armsight.Spots.of_centres(PIXELS, COV)
+INTRINSICS = np.array([250.0, 250.0, 160.0, 120.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+LENGTHS = {"width": number(320), "height": number(240), "fx": number(250.0), "fy": number(250.0)}
+CENTRE = {"cx": number(160.0), "cy": number(120.0), "skew": number(0.0)}
+NAMES = Arg(good=None, wrong={"one text": "ABCDEFGHIJKL", "numbers": [1, 2], "too few": ["A"]})
+
+TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
+    "Arm.values": (ARM.values, {"readings": JOINT_VALUES}),
+    "Arm.readings": (ARM.readings, {"q": JOINT_VALUES}),
+    "Arm.checked": (ARM.checked, {"q": JOINT_VALUES}),
+    "Arm.fk": (ARM.fk, {"q": JOINT_VALUES}),
+    "Arm.jacobian": (ARM.jacobian, {"q": JOINT_VALUES, "axes": choice("world")}),
+    "Arm.within_limits": (ARM.within_limits, {"q": JOINT_VALUES}),
+    "Arm.ik": (
+        ARM.ik,
+        {
+            "T_world_tool": poses(RigidTransform.from_matrix(ARM.fk(Q)), millimetres=np.diag([1e3, 1e3, 1e3, 1.0])),
+            "q0": AT_HOME,
+        },
+    ),
+    "Camera": (
+        armsight.Camera,
+        {
+            "width": number(320),
+            "height": number(240),
+            "intrinsics": array(INTRINSICS),
+            "plate": Arg(good=None, wrong={"a number": 0.003, "a dict": {}}),
+            "lens": choice("pinhole"),
+        },
+    ),
+    "Camera.pinhole": (armsight.Camera.pinhole, {**LENGTHS, **CENTRE, "distortion": array(np.zeros(5))}),
+    "Camera.fisheye": (armsight.Camera.fisheye, {**LENGTHS, **CENTRE, "distortion": array(np.zeros(4))}),
+    "Camera.project": (CAMERA.project, {"points_m": array(POINTS, nan=True, more={"empty": []})}),
+    "Camera.rays": (CAMERA.rays, {"uv_px": array(PIXELS, nan=True, more={"empty": []})}),
+    "Camera.is_close": (CAMERA.is_close, {"other": record(CAMERA), "tol": number(1e-9)}),
+    "Colour": (
+        armsight.Colour,
+        {
+            "hue_deg": array((340.0, 20.0), more={"too much": (0.0, 400.0)}),
+            "min_saturation": number(0.3, percent=30.0),
+            "min_value": number(0.3, percent=30.0),
+        },
+    ),
+    "Joint": (
+        armsight.Joint,
+        {
+            "name": text("j1"),
+            "type": choice("revolute"),
+            **{key: number(0.0) for key in ("a_m", "alpha_rad", "d_m", "theta_rad", "beta_rad")},
+            "lower": Arg(good=-1.0, wrong={"a text": "-1", "nan": np.nan, "a row": [1.0]}),
+            "upper": Arg(good=1.0, wrong={"a text": "1", "nan": np.nan, "a row": [1.0]}),
+            "sign": number(1.0, percent=100.0),
+            "max_speed": number(1.0),
+            "stall_effort": number(1.0),
+        },
+    ),
+    "Arm": (
+        armsight.Arm,
+        {
+            "name": text("arm"),
+            "joints": Arg(
+                good=ARM.joints, wrong={"none": (), "numbers": (1, 2), "one": ARM.joints[0], "a text": "ur10"}
+            ),
+            "convention": choice("standard"),
+            "T_world_base": record(RigidTransform.identity()),
+            "T_flange_tool": record(RigidTransform.identity()),
+            "source": text("sheet"),
+            "covariance": Arg(good=None, wrong={"an array": np.eye(3)}),
+            "couplings": Arg(good=(), wrong={"texts": ("j1", "j2"), "a number": 3}),
+            "tool_points": Arg(good=(), wrong={"texts": ("A",), "a number": 3}),
+        },
+    ),
+    "LightTarget": (
+        armsight.LightTarget,
+        {
+            "lights_m": Arg(
+                good=LIGHTS,
+                wrong={
+                    "none": {},
+                    "a list": list(LIGHTS.values()),
+                    "a text": "target.yaml",
+                    "flat": {"A": (0.0, 1.0)},
+                    "nan": {"A": (0.0, 0.0, np.nan)},
+                    "texts": {"A": ("0", "0", "0")},
+                    "millimetres": {name: [1e3 * x for x in at] for name, at in LIGHTS.items()},
+                    "numbers as names": {1: (0.0, 0.0, 0.0)},
+                },
+            ),
+            "diameter_m": number(0.01, none_at_all=0.0),
+            "colour": record(armsight.Colour(hue_deg=(340.0, 20.0))),
+            "covariance": array(np.eye(9)),
+        },
+    ),
+    "PoseTracker": (armsight.PoseTracker, {"rig": record(RIG), "target": record(TARGET), "settings": SETTINGS}),
+    "PoseTracker.update": (
+        lambda left=LEFT, right=RIGHT, t_s=0.0: armsight.PoseTracker(RIG, TARGET).update(left, right, t_s),
+        {"left": image(LEFT), "right": image(RIGHT), "t_s": number(0.0)},
+    ),
+    "Rig": (
+        armsight.Rig,
+        {
+            "kind": choice("stereo"),
+            "left": record(CAMERA),
+            "right": record(CAMERA),
+            "T_rig_left": record(RIG.T_rig_left),
+            "T_rig_right": record(RIG.T_rig_right),
+            "covariance": Arg(good=None, wrong={"an array": np.eye(3)}),
+            "rms_px": number(0.1),
+            "noise": Arg(good=(None, None), wrong={"a number": 3, "one": (None,), "texts": ("a", "b")}),
+            "timing": Arg(good=(None, None), wrong={"a number": 3, "one": (None,), "texts": ("a", "b")}),
+            "zoom": Arg(good=(None, None), wrong={"a number": 3, "one": (None,), "texts": ("a", "b")}),
+        },
+    ),
+    "Rig.camera": (RIG.camera, {"side": SIDE}),
+    "Rig.T_rig_camera": (RIG.T_rig_camera, {"side": SIDE}),
+    "Rig.project": (RIG.project, {"points_m": array(POINTS, nan=True, more={"empty": []})}),
+    "SpotSettings": (
+        armsight.SpotSettings,
+        {
+            "threshold": number(40.0, too_high=300.0),
+            "inverted": Arg(good=False, wrong={"a text": "no", "a row": [True]}),
+            "mask": Arg(
+                good=LEFT > 20,
+                wrong={"a line": np.ones(3, bool), "a text": "mask.png", "floats": 0.5 * LEFT, "nan": LEFT * np.nan},
+                same={"bytes": (LEFT > 20).astype(np.uint8), "strided": np.repeat(LEFT > 20, 2, axis=1)[:, ::2]},
+            ),
+            "min_pixels": number(3, none_at_all=0, share=0.5),
+            "max_radius_px": number(32.0, none_at_all=0.0),
+            "max_spots": number(64, none_at_all=0, share=0.5),
+            "model": choice("auto"),
+            "saturation": number(255, too_high=4095),
+            "gain": number(0.1, negative=-1.0),
+            "colour": record(armsight.Colour(hue_deg=(340.0, 20.0))),
+            "method": choice("likelihood"),
+        },
+    ),
+    "Spots": (
+        armsight.Spots,
+        {
+            "uv_px": array(PIXELS),
+            "covariance_px2": array(np.stack([COV] * 3)),
+            "peak": array(np.ones(3)),
+            "size_px": array(np.ones(3)),
+            "model": Arg(
+                good=("gaussian",) * 3, wrong={"a text": "abc", "too few": ("gaussian",), "numbers": (1, 2, 3)}
+            ),
+            "rejected": Arg(good=(), wrong={"a number": 3}),
+        },
+    ),
+    "Spots.none": (armsight.Spots.none, {"rejected": Arg(good=(), wrong={"a number": 3})}),
+    "Spots.of_centres": (
+        armsight.Spots.of_centres,
+        {"uv_px": array(PIXELS), "covariance_px2": array(np.stack([COV] * 3))},
+    ),
+    "Spots.take": (
+        FOUND.take,
+        {
+            "index": Arg(
+                good=[0, 1], wrong={"beyond": [9], "text": "A", "floats": [0.5], "rank": [[0]], "truth": [True]}
+            )
+        },
+    ),
+    "Target": (
+        armsight.Target,
+        {
+            "kind": choice("spots"),
+            "names": Arg(good=("A", "B", "C"), wrong={"a text": "ABC", "numbers": (1, 2, 3), "twice": ("A", "A", "B")}),
+            "xyz_m": array(list(LIGHTS.values())),
+            "diameter_m": number(0.01),
+            "colour": record(armsight.Colour(hue_deg=(340.0, 20.0))),
+            "columns": number(0),
+            "rows": number(0),
+            "pitch_m": number(0.0),
+            "marker_m": number(0.0),
+            "dictionary": text(""),
+            "model_known": Arg(good=True, wrong={"a text": "yes"}),
+            "covariance": array(np.eye(9)),
+        },
+    ),
+    "TaughtPath": (
+        armsight.TaughtPath,
+        {
+            "T_world_tip": poses(_poses(3, 1), as_matrix=True),
+            "t_s": array(np.arange(3.0), nan=True, more={"backwards": [2.0, 1.0, 0.0]}),
+            "speed_m_s": array(np.ones(3), nan=True, more={"negative": -np.ones(3)}),
+            "tags": Arg(good=("",) * 3, wrong={"a text": "abc", "numbers": (1, 2, 3), "too few": ("",)}),
+            "parent": text("world"),
+        },
+    ),
+    "TaughtPath.of_poses": (
+        armsight.TaughtPath.of_poses,
+        {
+            "poses": poses(_poses(3, 1)),
+            "t_s": array(np.arange(3.0), nan=True),
+            "speed_m_s": array(np.ones(3), nan=True, more={"a number": -1.0}),
+            "parent": text("world"),
+        },
+    ),
+    "calibrate_arm": (
+        armsight.calibrate_arm,
+        {
+            "nominal": record(ARM),
+            "q": array(np.zeros((9, 6)), more={"fewer rows": np.zeros((4, 6)), "degrees": np.full((9, 6), 90.0)}),
+            "xyz_m": array(np.ones((9, 3)), more={"fewer rows": np.ones((4, 3))}),
+            "rotation": array(np.tile(np.eye(3), (9, 1, 1)), more={"scaled": np.tile(2.0 * np.eye(3), (9, 1, 1))}),
+            "point": Arg(good=(), wrong={"a text": "AAAAAAAAA", "too few": ("A",), "numbers": (1,) * 9}),
+        },
+    ),
+    "calibrate_camera": (armsight.calibrate_camera, {"images": IMAGES, "board": BOARDS, "options": OPTIONS}),
+    "calibrate_hand_eye": (
+        armsight.calibrate_hand_eye,
+        {
+            "T_base_flange": poses(FLANGE),
+            "T_camera_target": poses(SEEN),
+            "setup": choice("eye-in-hand"),
+            "names": NAMES,
+        },
+    ),
+    "calibrate_mirrors": (
+        armsight.calibrate_mirrors,
+        {"images": IMAGES, "board": BOARDS, "thickness_m": number(0.003, negative=-0.003), "options": OPTIONS},
+    ),
+    "calibrate_stereo": (
+        armsight.calibrate_stereo,
+        {"left_images": IMAGES, "right_images": IMAGES, "board": BOARDS, "options": OPTIONS},
+    ),
+    "calibrate_tool_tip": (
+        armsight.calibrate_tool_tip,
+        {
+            "T_world_target": poses(TURNED),
+            "covariances": array(np.tile(1e-8 * np.eye(6), (12, 1, 1)), more={"one": np.eye(6)}),
+            "point_m": array(np.zeros(3)),
+            "point_std_m": number(0.001, negative=-1.0),
+            "t_s": array(np.arange(12.0)),
+        },
+    ),
+    "connect": (
+        armsight.connect,
+        {"url": text("ws://127.0.0.1:9"), "token": text("abc"), "ca_file": path()},
+    ),
+    "estimate_pose": (
+        armsight.estimate_pose,
+        {
+            "left": image(LEFT),
+            "right": image(RIGHT),
+            "rig": record(RIG),
+            "target": record(TARGET),
+            "settings": SETTINGS,
+            "t_s": number(0.0),
+        },
+    ),
+    "find_spots": (armsight.find_spots, {"image": image(LEFT), "settings": SETTINGS}),
+    "identify_arm": (
+        armsight.identify_arm,
+        {
+            "joint": Arg(
+                good=[1] * 9,
+                wrong={"halves": [1.5] * 9, "zero": [0] * 9, "beyond": [7] * 9, "texts": ["j1"] * 9, "one": 1},
+            ),
+            "q": array(np.ones((9, 1)), more={"fewer rows": np.zeros((4, 1))}),
+            "xyz_m": array(np.ones((9, 3)), more={"fewer rows": np.ones((4, 3))}),
+            "rig": record(RIG),
+            "uv_px": array(np.ones((9, 2, 2))),
+            "name": text("arm"),
+        },
+    ),
+    "open_recording": (armsight.open_recording, {"path": path()}),
+    "presets.preset": (armsight.presets.preset, {"name": choice("ur10")}),
+    "read_arm": (armsight.read_arm, {"path": path(), "tip": text("tool0"), "base": text("base")}),
+    "read_camera": (armsight.read_camera, {"path": path()}),
+    "read_joints": (armsight.read_joints, {"path": path()}),
+    "read_path": (armsight.read_path, {"path": path(), "frame": choice("world")}),
+    "read_poses": (armsight.read_poses, {"path": path()}),
+    "read_rig": (armsight.read_rig, {"path": path()}),
+    "read_target": (armsight.read_target, {"path": path()}),
+    "simulate": (
+        armsight.simulate,
+        {
+            "scenario": choice("webcam-cell"),
+            "frames": number(2, none_at_all=0, share=1.5),
+            "seed": number(1, negative=-1, share=1.5),
+            "room": Arg(good=None, wrong={"a number": 3, "nowhere": "no-such-room", "a list": ["office"]}),
+        },
+    ),
+    "triangulate": (
+        armsight.triangulate,
+        {
+            "rig": record(RIG),
+            "left_px": array(PIXELS, nan=True, more={"fewer rows": PIXELS[:2]}),
+            "right_px": array(PIXELS - (20.0, 0.0), nan=True, more={"fewer rows": PIXELS[:2]}),
+            "cov_left_px2": array(np.stack([COV] * 3), nan=True, more={"fewer rows": np.stack([COV] * 2)}),
+            "cov_right_px2": array(np.stack([COV] * 3), nan=True, more={"fewer rows": np.stack([COV] * 2)}),
+        },
+    ),
+    **{
+        f"{kind}.save": (thing.save, {"path": path()})
+        for kind, thing in {
+            "Arm": ARM,
+            "Camera": CAMERA,
+            "Rig": RIG,
+            "Target": TARGET,
+            "TaughtPath": armsight.TaughtPath.of_poses(_poses(3, 1)),
+            "PoseTrack": armsight.PoseTrack(),
+        }.items()
+    },
+}
+"""By public name: what is called, and each of its parameters."""
+
+MADE_BY_US = (
+    *("ArmIdentification", "ArmResult", "CameraResult", "HandEyeResult", "PoseEstimate", "PoseTrack", "RigResult"),
+    *("RobotConnection", "Simulation", "ToolTipResult", "ArmsightError", "DataRefused", "UsageError", "PoseStatus"),
+)
+"""Results, errors and names that people read but do not make: their constructors check nothing."""
+
+SAVED_ALIKE = tuple(f"{name}.save" for name in MADE_BY_US if name.endswith(("Result", "Identification", "Estimate")))
+"""Results that take long to make; their `save` is one line, to the same writers."""
+
+NEEDED_TOGETHER = {"rig": "uv_px", "uv_px": "rig", "point_std_m": "point_m", "point_m": "point_std_m"}
+"""Parameters that mean something only with another."""
+
+
+def _parameters(call: Callable[..., Any]) -> list[str]:
+    return [name for name in inspect.signature(call).parameters if name not in ("self", "cls")]
+
+
+def _face() -> Iterator[tuple[str, list[str]]]:
+    """Every public callable with arguments: functions, constructors, methods, and what is in public modules."""
+    for name in dir(armsight):
+        thing = getattr(armsight, name)
+        if isinstance(thing, ModuleType):
+            for inner, function in inspect.getmembers(thing, inspect.isfunction):
+                if not inner.startswith("_") and function.__module__ == thing.__name__:
+                    yield f"{name}.{inner}", _parameters(function)
+        elif inspect.isclass(thing):
+            if name not in MADE_BY_US:
+                yield name, _parameters(thing)
+            for inner, method in inspect.getmembers(thing, callable):
+                ours = getattr(method, "__module__", None) or ""
+                if not inner.startswith("_") and ours.startswith("armsight"):
+                    yield f"{name}.{inner}", _parameters(method)
+        elif callable(thing):
+            yield name, _parameters(thing)
+
+
+def test_the_table_has_every_public_function_and_parameter() -> None:
+    face = {name: parameters for name, parameters in _face() if parameters and name not in SAVED_ALIKE}
+    assert {name: sorted(arguments) for name, (_, arguments) in TABLE.items()} == {
+        name: sorted(parameters) for name, parameters in face.items()
+    }
+
+
+def _called(name: str, parameter: str, value: Any) -> Any:
+    call, arguments = TABLE[name]
+    given = {}
+    for key, argument in arguments.items():
+        plain = inspect.signature(call).parameters[key].default
+        if key == parameter:
+            given[key] = value
+        elif plain is inspect.Parameter.empty or NEEDED_TOGETHER.get(parameter) == key:
+            given[key] = argument.good
+    return call(**given)
+
+
+CASES = [
+    pytest.param(name, parameter, label, id=f"{name}({parameter}: {label})")
+    for name, (_, arguments) in TABLE.items()
+    for parameter, argument in arguments.items()
+    for label in argument.wrong
+]
+
+
+@pytest.mark.parametrize(("name", "parameter", "label"), CASES)
+def test_what_is_no_argument_is_refused_with_an_error_of_ours(name: str, parameter: str, label: str) -> None:
+    with pytest.raises(armsight.ArmsightError) as caught:
+        _called(name, parameter, TABLE[name][1][parameter].wrong[label])
+    assert caught.value.cause and (caught.value.consequence or caught.value.cure)
+
+
+def _numbers(result: Any) -> list[np.ndarray]:
+    """All arrays of an answer, wherever they are in it."""
+    if isinstance(result, np.ndarray | float):
+        return [np.asarray(result)]
+    if isinstance(result, RigidTransform):
+        return [result.as_matrix()]
+    if isinstance(result, tuple | list):
+        return [found for part in result for found in _numbers(part)]
+    names = getattr(result, "__dataclass_fields__", ())
+    return [found for name in names if name != "found" for found in _numbers(getattr(result, name))]
+
+
+@cache
+def _right(name: str, parameter: str) -> list[np.ndarray]:
+    return _numbers(_called(name, parameter, TABLE[name][1][parameter].good))
+
+
+@pytest.mark.parametrize(
+    ("name", "parameter", "label"),
+    [
+        pytest.param(name, parameter, label, id=f"{name}({parameter}: {label})")
+        for name, (_, arguments) in TABLE.items()
+        if name not in ("calibrate_arm", "identify_arm")  # whose few rows are enough for a refusal only
+        for parameter, argument in arguments.items()
+        for label in argument.same
+    ],
+)
+def test_the_same_numbers_in_another_form_give_the_same_answer(name: str, parameter: str, label: str) -> None:
+    found = _numbers(_called(name, parameter, TABLE[name][1][parameter].same[label]))
+    right = _right(name, parameter)
+    assert len(found) == len(right) > 0
+    for a, b in zip(found, right, strict=True):
+        np.testing.assert_allclose(np.asarray(a, float), np.asarray(b, float), rtol=1e-12, atol=1e-12)
+
+
+COMPILED = ("Camera.project", "Camera.rays", "Rig.project", "triangulate", "Arm.fk", "Arm.jacobian", "Arm.ik")
+"""What hands arrays to compiled code at once, and compiles in seconds."""
+
+
+def reach_compiled_code() -> None:
+    """Run in a process whose compiled code checks its indices: wrong arrays never get there, good ones stay inside."""
+    for name in COMPILED:
+        for parameter, argument in TABLE[name][1].items():
+            _called(name, parameter, argument.good)
+            for value in argument.wrong.values():
+                with pytest.raises(armsight.ArmsightError):
+                    _called(name, parameter, value)
+    reached = armsight.optics.kernels.camera.project_many  # the planted fault: it is the check that keeps arrays out
+    with pytest.raises(IndexError):
+        reached(CAMERA.packed, np.eye(3), np.zeros(3), POINTS[:, :2].copy(), np.empty((len(POINTS), 2)))
+
+
+def test_no_array_of_another_shape_reaches_compiled_code(tmp_path: Path) -> None:
+    code = "import armsight.optics.kernels.camera, test_bad_input; test_bad_input.reach_compiled_code()"
+    paths = os.pathsep.join([str(Path(__file__).parent), str(Path(armsight.__file__).parents[1])])
+    environment = {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": paths}
+    done = subprocess.run([sys.executable, "-c", code], env=os.environ | environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr[-2000:]
