@@ -237,7 +237,9 @@ def _usable(rows: _Rows, xyz: Array, quat: Array | None) -> tuple[Index, list[tu
     good, rejected, lost = [], [], 0
     for i in range(len(table)):
         row = int(rows.row[i])
-        if status[i] == PoseStatus.POSITION_ONLY.value:
+        if status[i] == PoseStatus.DOUBTFUL.value:
+            rejected.append((row, "doubtful: it, or its run, does not fit what its measurement claims"))
+        elif status[i] == PoseStatus.POSITION_ONLY.value:
             rejected.append((row, "a position only: that of the mean of the lights seen, another point"))
         elif status[i] == PoseStatus.LOST.value or np.isnan(xyz[i]).all():
             lost += 1

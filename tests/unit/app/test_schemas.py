@@ -31,7 +31,7 @@ from armsight.app.schemas import (
 from armsight.app.schemas.base import Output, PointStd, PoseOutput, PoseStd, absent
 from armsight.app.schemas.catalogue import OUTPUTS
 
-MEASURE = "n_frames n_ok n_position_only n_lost reprojection_rms_px ms_per_frame reasons"
+MEASURE = "n_frames n_ok n_doubtful n_position_only n_lost reprojection_rms_px ms_per_frame reasons"
 MEASURE_MAYBE = "candidates std consistency skew timing error zoom assumed_fps made_with"
 STEREO = (
     "rms_px epipolar_rms_px baseline_m n_pairs n_used rejected std holdout_rms_px holdout_epipolar_rms_px metric "

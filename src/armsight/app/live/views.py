@@ -16,7 +16,7 @@ from armsight.measure.poses.pipeline import Measured
 from armsight.measure.settings import SpotSettings
 from armsight.optics import SIDES, Rig
 from armsight.optics.epipolar import epipolar_curve
-from armsight.records import Frame, PoseStatus, Spots, TargetPose
+from armsight.records import Frame, Spots, TargetPose
 
 DEPTHS_M = np.geomspace(0.15, 30.0, 24)
 """Where along a pixel's ray its epipolar curve is drawn: from a hand before the lens to a hall's other end."""
@@ -35,9 +35,9 @@ class RunView:
 def live_view(pose: TargetPose, run: RunView, sides: Sequence[SideView]) -> LiveView:
     """Return what a screen shows of one moment: the pose in its frame, and both pictures."""
     T, covariance = pose.pose, pose.covariance
-    whole = pose.status is PoseStatus.OK and T is not None
+    whole = pose.status.size == 6 and T is not None
     return LiveView(
-        sequence=run.counts.ok + run.counts.position_only + run.counts.lost,
+        sequence=run.counts.ok + run.counts.doubtful + run.counts.position_only + run.counts.lost,
         t_s=pose.t_s,
         fps=run.fps,
         latency_s=run.latency_s,

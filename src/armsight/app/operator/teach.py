@@ -71,7 +71,7 @@ class TeachDesk:
             recording=recorder.state is Teaching.RECORDING,
             n=len(recorder),
             stretches=recorder.stretches,
-            lost=counts.lost + counts.position_only + counts.unplaced,
+            lost=counts.lost + counts.doubtful + counts.position_only + counts.unplaced,
             tip=recorder.tip,
         )
 

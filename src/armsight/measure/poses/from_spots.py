@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from math import inf
 
+from armsight.errors import Unseen
 from armsight.measure.poses.assignment import Assignment, Match, Prediction
 from armsight.measure.poses.beacon import match_beacon
 from armsight.measure.poses.board_pose import swapped
@@ -62,7 +63,7 @@ def measure_among(
         return lost_moment(t_s, left, right, against, track), 1.0
     step = continuation(setup, track, t_s, solved)
     if track is not None and doubtful(setup, track, t_s, solved, step):
-        return lost_moment(t_s, left, right, NotSeen(_DOUBTFUL), replace(track, doubted=True)), 1.0
+        return lost_moment(t_s, left, right, NotSeen(_DOUBTFUL, Unseen.MOTION), replace(track, doubted=True)), 1.0
     misfit = 0.0 if setup.overlaid or picked else misfit_chi2(solved, *matched)
     if misfit > float(setup.model.limits[min(len(matched[0]), len(setup.model))]):
         _refuse_swapped(setup, left, right, misfit)
@@ -89,7 +90,7 @@ def _match(
     if setup.settings.colour is not None and len(model) == 1:
         return match_beacon(setup, left, right, pairs, prediction, alone=among is None)
     if not len(pairs.index):
-        return Match(best=None, why="" if among is None else among.nothing)
+        return Match(best=None, why="" if among is None else among.nothing, cause=Unseen.UNPAIRED)
     match = Match(best=None)
     if known and len(model) >= 3:
         match = match_known(
@@ -114,7 +115,8 @@ def _match(
             or (prediction and few.predicted)
         ):
             return few
-        return Match(best=None, why=f"{among.bright} bright spots, and too few lights to tell which of them they are")
+        why = f"{among.bright} bright spots, and too few lights to tell which of them they are"
+        return Match(best=None, why=why, cause=Unseen.CROWD)
     return match
 
 

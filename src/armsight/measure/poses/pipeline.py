@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.errors import Inconsistent, NotConverged
+from armsight.errors import Inconsistent, NotConverged, Unseen
 from armsight.measure.poses.board_pose import measure_board_pair
 from armsight.measure.poses.correspondence import AS_FOUND, BY_CHANCE
 from armsight.measure.poses.from_spots import lost_moment, measure_among, measure_spots
@@ -28,6 +28,8 @@ __all__ = ["Measured", "Setup", "Track", "measure_pair", "measure_spots", "warm_
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
+_BEYOND = "the spots fit the target, but by far not as well as they claim"
+
 
 def measure_pair(setup: Setup, left: Frame, right: Frame, track: Track | None = None) -> Measured:
     """Return the target's pose from one pair of frames, with everything it came from.
@@ -40,6 +42,14 @@ def measure_pair(setup: Setup, left: Frame, right: Frame, track: Track | None = 
     there) raises nothing: the status and `why` of the pose say it.
     """
     check_sizes(setup, left, right)
+    measured = _measure(setup, left, right, track)
+    pose = measured.pose
+    if pose.status is not PoseStatus.OK or measured.cause is not Unseen.BEYOND_CLAIMS:
+        return measured
+    return replace(measured, pose=replace(pose, status=PoseStatus.DOUBTFUL, why=_BEYOND))
+
+
+def _measure(setup: Setup, left: Frame, right: Frame, track: Track | None) -> Measured:
     t_s = 0.5 * (left.t_s + right.t_s)
     if setup.target.is_board:
         return measure_board_pair(setup, left, right, t_s)
@@ -123,7 +133,7 @@ def _measure_chosen(
         f"{among.bright} bright spots: {len(measured.names)} of them fit the target, but no better than some would by "
         "chance; mask the background, lower the exposure, or give the target one more light"
     )
-    return replace(lost_moment(t_s, seen_left, seen_right, NotSeen(why), track), busy=measured.busy)
+    return replace(lost_moment(t_s, seen_left, seen_right, NotSeen(why, Unseen.CROWD), track), busy=measured.busy)
 
 
 def warm_up() -> None:
