@@ -84,9 +84,9 @@ class PoseEstimate(Result):
 
     status: 'ok', 'doubtful' (not to be acted on), 'position_only' or 'lost'; why: the reason where it is not 'ok'.
     T_rig_target: (4, 4), of which only the translation means something where the position alone is known; None where
-    lost. covariance: (6, 6) of translation (m) and rotation vector (rad) in the rig's axes, (3, 3) of the position alone; it holds all that is
-    known of: the spots' noise, and the rig's and the target's own covariance where they have one. detail: everything
-    that the pose came from.
+    lost. covariance: (6, 6) of translation (m) and rotation vector (rad) in the rig's axes, (3, 3) of the position
+    alone; it holds all that is known of: the spots' noise, and the rig's and the target's own covariance where they
+    have one. detail: everything that the pose came from.
     """
 
     status: PoseStatus

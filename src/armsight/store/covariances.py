@@ -28,7 +28,9 @@ UNCORRELATED = "holds standard deviations only: its errors are taken as uncorrel
 class Columns(Protocol):
     """A table's numbers, and where a row stands."""
 
-    numbers: Mapping[str, Array]
+    @property
+    def numbers(self) -> Mapping[str, Array]:
+        """The columns by name."""
 
     def place(self, row: int) -> str:
         """Return the file and line of a row."""

@@ -25,7 +25,6 @@ from armsight.store.covariances import (
     SYSTEMATIC_COVARIANCE,
     above_diagonal,
     covariances,
-    has_correlations,
 )
 from armsight.store.interpret import OURS, TableFormat, check_joint_values, standard_bytes
 from armsight.store.schema import LARGEST, named
@@ -146,10 +145,10 @@ def pose_row(pose: TargetPose) -> str:
     """Return one row of poses.csv: cells that mean nothing are empty, spots are separated by spaces.
 
     ok, doubtful: all cells but lights_... and slights_.... position_only: the target's origin is not known, those are
-    the mean of the lights seen and its standard deviations; where the origin is known after all, its position, no quaternion, no
-    srx..srz. lost: only t_s, status, spots. sys_...: the standard deviations of what repeats from frame to frame (rig
-    and target), empty where nothing is known of it. cov_..., sys_cov_...: what stands beside these on the diagonal; of
-    a position three cells.
+    the mean of the lights seen and its standard deviations; where the origin is known after all, its position, no
+    quaternion, no srx..srz. lost: only t_s, status, spots. sys_...: the standard deviations of what repeats from
+    frame to frame (rig and target), empty where nothing is known of it. cov_..., sys_cov_...: what stands beside
+    these on the diagonal; of a position three cells.
     """
     return f"{_pose_cells(pose)},{_covariance_cells(pose)}"
 
@@ -227,12 +226,6 @@ def parse_poses(data: bytes, where: str, *, parent: str = "rig") -> tuple[Target
         _target_pose(table, row, statuses[row], poses.get(row), parent, known.get(row), of_lights=row in of_lights)
         for row in range(len(table))
     )
-
-
-def correlations_told(path: Path) -> bool:
-    """Whether a table of ours tells how the errors of a position are related; False for a file of another kind."""
-    head = read_bytes(path, limit=MAX_BYTES).split(b"\n", 1)[0].decode("utf-8-sig", errors="replace")
-    return has_correlations(dict.fromkeys(name.strip() for name in head.split(",")))
 
 
 def _covariances(

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from armsight.errors import Inconsistent
 from armsight.verify.clocks import SHARED
 from armsight.verify.iso9283 import ArrivalTest, CommandedPath, Iso9283Test, PathRun, PathTest, PoseVisits, Stamps
+from armsight.verify.iso9283.observations import random_part
 from armsight.verify.iso9283.pose import pose_figures
 from armsight.verify.records import Measured, Repeats
 
@@ -209,14 +210,14 @@ def _covariance(
 
     Where the shared part is not told, none of the deviation can be taken out of the scatter of repeats.
     """
-    if measured.std is None or repeats.systematic is None:
+    if measured.covariance is None or repeats.systematic is None:
         return None, None
     size = 6 if turned else 3
     own = np.concatenate(members)
-    shared = np.mean(repeats.systematic[own, :size] ** 2, axis=0)
-    total = measured.std[:, :size] ** 2
-    each = [np.diag(np.maximum(total[rows].mean(axis=0) - shared, 0.0) / len(rows) + shared) for rows in members]
-    return np.array(each), np.diag(shared)
+    shared = repeats.systematic[own, :size, :size].mean(axis=0)
+    total = measured.covariance[:, :size, :size]
+    each = [random_part(total[rows].mean(axis=0), shared) / len(rows) + shared for rows in members]
+    return np.array(each), shared
 
 
 def _commanded(

@@ -18,6 +18,7 @@ from armsight.errors import BadFile, Inconsistent, NotEnoughData, UsageError
 from armsight.optics import Camera, parallel_rig
 from armsight.records import CameraTiming, NamedCovariance, PoseStatus, spot_target
 from armsight.store import Table, read_poses, read_table, write_rig, write_target
+from armsight.store.covariances import COVARIANCE, SYSTEMATIC_COVARIANCE
 from armsight.store.tracks import LIGHTS as MEAN
 from armsight.store.tracks import LIGHTS_STD, POSE_COLUMNS, SYSTEMATIC, VELOCITY, VELOCITY_STD
 
@@ -95,10 +96,9 @@ def moving_table(folder: Path) -> Table:
     path = folder / "out" / "poses.csv"
     rows = [row for row in path.read_text().splitlines() if ",lost," not in row]
     path.write_text("\n".join(rows) + "\n")
-    names = (*SYSTEMATIC, *MEAN, *LIGHTS_STD, *VELOCITY, *VELOCITY_STD)
-    return read_table(
-        path, POSE_COLUMNS, optional=names, text=("status", "spots"), blank=(*SYSTEMATIC, *MEAN, *LIGHTS_STD)
-    )
+    empty = (*SYSTEMATIC, *MEAN, *LIGHTS_STD, *COVARIANCE, *SYSTEMATIC_COVARIANCE)
+    names = (*empty, *VELOCITY, *VELOCITY_STD)
+    return read_table(path, POSE_COLUMNS, optional=names, text=("status", "spots"), blank=empty)
 
 
 def test_tables_of_spots_of_free_running_cameras_give_poses_and_velocity_at_the_left_frames(tmp_path: Path) -> None:

@@ -213,6 +213,7 @@ def moved_pose(pose: TargetPose, T_parent_rig: RigidTransform | None, parent: st
         residual_px=pose.residual_px,
         why=pose.why,
         systematic_covariance=_moved(T_parent_rig, pose.systematic_covariance),
+        origin_known=pose.origin_known,
     )
 
 

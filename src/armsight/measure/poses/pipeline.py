@@ -212,6 +212,7 @@ def _measure_windows(setup: Setup, left: Frame, right: Frame, t_s: float, track:
         right_seen=right_seen,
         track=next_track(setup, t_s, solved, left_seen, right_seen, track, step, innovation),
         tracked=True,
+        cause=solved.cause,
     )
 
 
