@@ -104,14 +104,18 @@ def measure_tables(face: CommandUI, summary: MeasureOutput, out: Path) -> None:
     face.table("Measured", ["", ""], rows)
     if free is not None and free.note:
         face.say(f"Doubtful: {free.note}")
-    for kind, count in list(summary.reasons.items())[:REJECTED_SHOWN]:
-        face.say(f"  {count} x {REASONS.get(kind, kind)}")
+    _reasons(face, summary)
     found = summary.consistency
     if found is not None and found.sentence:
         loud = found.verdict == "inconsistent"
         face.say(f"{'INCONSISTENT: the poses are not to be trusted. ' if loud else 'Note: '}{found.sentence}")
         face.say(f"  {found.advice}".rstrip())
     face.say(f"Results: {out}; open {out / 'report.html'}")
+
+
+def _reasons(face: CommandUI, summary: MeasureOutput) -> None:
+    for kind, count in list(summary.reasons.items())[:REJECTED_SHOWN]:
+        face.say(f"  {count} x {REASONS.get(kind, kind)}")
 
 
 def camera_tables(face: CommandUI, done: CameraOutput, out: Path) -> None:

@@ -9,11 +9,16 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.errors import BadFile
+from armsight.errors import BadFile, Inconsistent
+from armsight.store.schema import LARGEST, named
 
 Array = NDArray[np.float64]
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
+DEVIATIONS = ("sx_m", "sy_m", "sz_m", "srx_rad", "sry_rad", "srz_rad")
+SYSTEMATIC = tuple(f"sys_{name}" for name in DEVIATIONS)
+LIGHTS = ("lights_x_m", "lights_y_m", "lights_z_m")
+LIGHTS_STD = tuple(f"s{name}" for name in LIGHTS)
 COVARIANCE = tuple(f"cov_{a}_{b}" for a, b in combinations(AXES, 2))
 """Of a pose, row by row above the diagonal; m and rad, in the axes of sx_m .. srz_rad."""
 SYSTEMATIC_COVARIANCE = tuple(f"sys_{name}" for name in COVARIANCE)
@@ -78,6 +83,36 @@ def covariances(table: Columns, std: Array, rows: Sequence[int], lead: str = "")
         cells = np.nan_to_num(table.numbers[name][at])
         out[:, i, j] = out[:, j, i] = cells
     _require_positive(table, out, std, rows)
+    return out
+
+
+def pose_covariances(
+    table: Columns, sizes: Sequence[int], of_lights: set[int]
+) -> dict[int, tuple[Array, Array | None]]:
+    """Return by row of a poses.csv the covariance, and the part of it that repeats where that is told.
+
+    sizes: what is known of each row (PoseStatus.size); of_lights: the rows whose position is that of the lights. Raises
+    BadFile.
+    """
+    out: dict[int, tuple[Array, Array | None]] = {}
+    kinds: dict[tuple[int, bool], list[int]] = {}
+    for row, size in enumerate(sizes):
+        if size:
+            kinds.setdefault((size, row in of_lights), []).append(row)
+    for (size, lights), rows in kinds.items():
+        std, shared = (
+            np.column_stack([table.numbers.get(name, np.full(len(sizes), np.nan))[rows] for name in names[:size]])
+            for names in (LIGHTS_STD if lights else DEVIATIONS, SYSTEMATIC)
+        )
+        for part in (std, shared):
+            bad = ((part < 0.0) | (part > LARGEST)).any(axis=1)
+            if bad.any():
+                with named(table.place(rows[int(np.argmax(bad))])):
+                    raise Inconsistent(f"a standard deviation is negative or larger than {LARGEST:g}")
+        whole = covariances(table, np.nan_to_num(std), rows)
+        told = [i for i, row in enumerate(shared) if not np.isnan(row).any()]
+        repeats = dict(zip(told, covariances(table, shared[told], [rows[i] for i in told], "sys_"), strict=True))
+        out |= {row: (whole[i], repeats.get(i)) for i, row in enumerate(rows)}
     return out
 
 

@@ -14,17 +14,21 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.clock import Clock
-from armsight.errors import BadFile, Inconsistent
+from armsight.errors import BadFile
 from armsight.geometry import pose_from_quat, quat_of_matrix, xyz_quat
 from armsight.geometry.poses import QUAT_NORM_TOLERANCE
 from armsight.records import Motion, Points, PoseStatus, Spots, TargetPose
 from armsight.store.atomic import RowFile, read_bytes, write_text
 from armsight.store.covariances import (
     COVARIANCE,
+    DEVIATIONS,
+    LIGHTS,
+    LIGHTS_STD,
     POINT_COVARIANCE,
+    SYSTEMATIC,
     SYSTEMATIC_COVARIANCE,
     above_diagonal,
-    covariances,
+    pose_covariances,
 )
 from armsight.store.interpret import OURS, TableFormat, check_joint_values, standard_bytes
 from armsight.store.schema import LARGEST, named
@@ -33,10 +37,6 @@ from armsight.store.tables import MAX_BYTES, Array, Table, cells, number, parse_
 POSITION = ("x_m", "y_m", "z_m")
 QUATERNION = ("qx", "qy", "qz", "qw")
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
-DEVIATIONS = ("sx_m", "sy_m", "sz_m", "srx_rad", "sry_rad", "srz_rad")
-SYSTEMATIC = tuple(f"sys_{name}" for name in DEVIATIONS)
-LIGHTS = ("lights_x_m", "lights_y_m", "lights_z_m")
-LIGHTS_STD = tuple(f"s{name}" for name in LIGHTS)
 POSE_COLUMNS = ("t_s", *POSITION, *QUATERNION, *DEVIATIONS, "status", "spots")
 VELOCITY = ("vx_m_s", "vy_m_s", "vz_m_s", "wx_rad_s", "wy_rad_s", "wz_rad_s")
 VELOCITY_STD = tuple(f"s{name}" for name in VELOCITY)
@@ -221,37 +221,11 @@ def parse_poses(data: bytes, where: str, *, parent: str = "rig") -> tuple[Target
     )
     T = _stack(xyz, quat, [table.place(row) for row in seen]).as_matrix() if seen else ()
     poses = dict(zip(seen, T, strict=True))
-    known = _covariances(table, statuses, of_lights)
+    known = pose_covariances(table, [status.size for status in statuses], of_lights)
     return tuple(
         _target_pose(table, row, statuses[row], poses.get(row), parent, known.get(row), of_lights=row in of_lights)
         for row in range(len(table))
     )
-
-
-def _covariances(
-    table: Table, statuses: Sequence[PoseStatus], of_lights: set[int]
-) -> dict[int, tuple[Array, Array | None]]:
-    """Return by row the covariance, and the part of it that repeats where that is told. Raises BadFile."""
-    out: dict[int, tuple[Array, Array | None]] = {}
-    kinds: dict[tuple[int, bool], list[int]] = {}
-    for row, status in enumerate(statuses):
-        if status.size:
-            kinds.setdefault((status.size, row in of_lights), []).append(row)
-    for (size, lights), rows in kinds.items():
-        std, shared = (
-            np.column_stack([table.numbers.get(name, np.full(len(table), np.nan))[rows] for name in names[:size]])
-            for names in (LIGHTS_STD if lights else DEVIATIONS, SYSTEMATIC)
-        )
-        for part in (std, shared):
-            bad = ((part < 0.0) | (part > LARGEST)).any(axis=1)
-            if bad.any():
-                with named(table.place(rows[int(np.argmax(bad))])):
-                    raise Inconsistent(f"a standard deviation is negative or larger than {LARGEST:g}")
-        whole = covariances(table, np.nan_to_num(std), rows)
-        told = [i for i, row in enumerate(shared) if not np.isnan(row).any()]
-        repeats = dict(zip(told, covariances(table, shared[told], [rows[i] for i in told], "sys_"), strict=True))
-        out |= {row: (whole[i], repeats.get(i)) for i, row in enumerate(rows)}
-    return out
 
 
 def _has(table: Table, row: int, names: Sequence[str]) -> bool:

@@ -20,6 +20,10 @@ from armsight.records import PoseStatus
 from armsight.store.atomic import read_bytes
 from armsight.store.covariances import (
     COVARIANCE,
+    DEVIATIONS,
+    LIGHTS,
+    LIGHTS_STD,
+    SYSTEMATIC,
     SYSTEMATIC_COVARIANCE,
     UNCORRELATED,
     covariances,
@@ -28,12 +32,8 @@ from armsight.store.covariances import (
 from armsight.store.interpret import OURS, TableFormat, check_joint_values, standard_bytes
 from armsight.store.tables import MAX_BYTES, Table, parse_table
 from armsight.store.tracks import (
-    DEVIATIONS,
-    LIGHTS,
-    LIGHTS_STD,
     POSITION,
     QUATERNION,
-    SYSTEMATIC,
     VELOCITY,
     VELOCITY_STD,
     parse_tum,

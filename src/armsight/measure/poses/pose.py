@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import sqrt
 from typing import NamedTuple
 
@@ -128,8 +128,7 @@ def solve_pose(
     if state != kernels.SOLVED:
         return _unsolved(state, packed, t_s, spots, P, S, residual)
     if not wide <= limit:
-        missed = lost(t_s, _not_the_target(residual))
-        return Solved(pose=missed, points=no_points(), fits=False, cause=Unseen.MISFIT)
+        return _lost(t_s, _not_the_target(residual), Unseen.MISFIT)
     carried = packed.covariance if covariance is None else covariance
     systematic = None
     if carried.size:
@@ -141,15 +140,14 @@ def solve_pose(
     if systematic is not None:
         C += systematic
     if not _certain(C, MAX_DOUBTFUL_SIGMA if in_doubt else MAX_ROTATION_SIGMA):
-        seen = _placed(packed, names, P, S, cov_px2, residual)
-        why = in_doubt or _WHY[kernels.OPEN]
+        seen, why = _placed(packed, names, P, S, cov_px2, residual), in_doubt or _WHY[kernels.OPEN]
         cause = Unseen.ONE_OFF if in_doubt == _MISFIT else Unseen.ROTATION_OPEN
         return Solved(pose=position_only(t_s, seen, why), points=seen.points, cause=cause)
     if packed.covariance.size:
         A = _slopes(packed, cov_px2, P, S)
         S += A @ packed.covariance @ A.transpose(0, 2, 1)
-    whole = _whole(t_s, trusted(Points, names=names, xyz_m=P, covariance_m2=S), T, C, residual, systematic)
-    return replace(whole, cause=Unseen.BEYOND_CLAIMS) if factor > BEYOND_CLAIMS else whole
+    points = trusted(Points, names=names, xyz_m=P, covariance_m2=S)
+    return _whole(t_s, points, T, C, residual, systematic, factor)
 
 
 def _unsolved(
@@ -157,7 +155,7 @@ def _unsolved(
 ) -> Solved:
     """Return what is left where the fit did not come to a pose: the position of the points, if there are any."""
     if state in (kernels.NO_WEIGHT, kernels.NO_POINT):
-        return Solved(pose=lost(t_s, _WHY[state]), points=no_points(), fits=False, cause=Unseen.NO_POINT)
+        return _lost(t_s, _WHY[state], Unseen.NO_POINT)
     seen = _placed(packed, spots.names, P, S, spots.cov_px2, residual)
     pose, cause = position_only(t_s, seen, _WHY[state]), _CAUSE.get(state, Unseen.NO_POINT)
     return Solved(pose=pose, points=seen.points, fits=state == kernels.OPEN, cause=cause)
@@ -198,7 +196,7 @@ def solve_frame(packed: PackedRig, t_s: float, names: tuple[str, ...], uv_px: Ar
     """
     seen = solve_points(packed, names, uv_px, cov_px2)
     if isinstance(seen, NotSeen):
-        return Solved(pose=lost(t_s, seen.why), points=no_points(), fits=False, cause=seen.cause)
+        return _lost(t_s, seen.why, seen.cause)
     T, C = np.eye(4), np.empty((6, 6))
     if not kernels.pachidis_frame(seen.points.xyz_m, seen.joint_m2, T, C) or not _certain(C, MAX_ROTATION_SIGMA):
         pose = position_only(t_s, seen, "the three lights lie on one line")
@@ -244,8 +242,16 @@ def _of_mean(joint_m2: Array, n: int) -> Array:
     return np.asarray(joint_m2.reshape(n, 3, n, 3).sum(axis=(0, 2)) / n**2)
 
 
-def _whole(t_s: float, points: Points, T: Array, C: Array, residual: Array, systematic: Array | None = None) -> Solved:
-    """Return the pose T (4, 4) with its covariance C (6, 6)."""
+def _whole(
+    t_s: float,
+    points: Points,
+    T: Array,
+    C: Array,
+    residual: Array,
+    systematic: Array | None = None,
+    factor: float = 1.0,
+) -> Solved:
+    """Return the pose T (4, 4) with its covariance C (6, 6), widened by a factor for its residuals."""
     pose = trusted(
         TargetPose,
         t_s=t_s,
@@ -259,7 +265,7 @@ def _whole(t_s: float, points: Points, T: Array, C: Array, residual: Array, syst
         systematic_covariance=systematic,
         origin_known=True,
     )
-    return Solved(pose=pose, points=points, T=T)
+    return Solved(pose=pose, points=points, T=T, cause=Unseen.BEYOND_CLAIMS if factor > BEYOND_CLAIMS else Unseen.OTHER)
 
 
 def misfit_factor(chi2: float, n_spots: int) -> float:
@@ -312,6 +318,10 @@ def _slopes(packed: PackedRig, cov_px2: Array, P: Array, S: Array) -> Array:
 def lost(t_s: float, why: str) -> TargetPose:
     """Return the record of a moment without any pose."""
     return TargetPose(t_s=t_s, status=PoseStatus.LOST, parent=PARENT, why=why)
+
+
+def _lost(t_s: float, why: str, cause: Unseen) -> Solved:
+    return Solved(pose=lost(t_s, why), points=no_points(), fits=False, cause=cause)
 
 
 def no_points() -> Points:
