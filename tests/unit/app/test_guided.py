@@ -59,7 +59,7 @@ class Poses:
         view = LiveView(
             sequence=1, t_s=t_s, fps=30.0, latency_s=0.01, measuring_s=0.001, status="ok", why="",
             parent="rig", xyz_m=tuple(xyz), euler_rad=(0.0, 0.0, 0.0), quat_xyzw=tuple(turn.as_quat()),
-            std=(1e-4,) * 3 + (1e-3,) * 3, residual_px=0.1, counts=Counts(ok=1, position_only=0, lost=0),
+            std=(1e-4,) * 3 + (1e-3,) * 3, residual_px=0.1, counts=Counts(ok=1, doubtful=0, position_only=0, lost=0),
             left=SIDE, right=SIDE,
         )  # fmt: skip
         return Shown(view=view, left_jpeg=b"", right_jpeg=b"")
@@ -70,7 +70,7 @@ def test_what_a_view_shows_keeps_the_whole_covariance() -> None:
     rng = np.random.default_rng(3)
     A, B = rng.standard_normal((2, 6, 6)) * 1e-4
     T = RigidTransform.from_components([0.1, 0.2, 0.7], Rotation.from_rotvec([0.1, 0.2, 0.3])).as_matrix()
-    run = RunView(fps=30.0, latency_s=0.01, measuring_s=0.001, counts=Counts(ok=1, position_only=0, lost=0))
+    run = RunView(fps=30.0, latency_s=0.01, measuring_s=0.001, counts=Counts(ok=1, doubtful=0, position_only=0, lost=0))
     pose = TargetPose(
         t_s=1.0, status=PoseStatus.OK, parent="rig", T_parent_target=T, covariance=A @ A.T + B @ B.T,
         systematic_covariance=B @ B.T,

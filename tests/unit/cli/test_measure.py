@@ -19,7 +19,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from armsight.errors import DeviceLost
+from armsight.cli.tables import REASONS
+from armsight.errors import DeviceLost, Unseen
 from armsight.measure.consistency import diagnosis
 from armsight.records import Frame
 
@@ -93,6 +94,10 @@ def test_a_wrong_baseline_is_told_everywhere(armsight: Any, scene: Any, tmp_path
     assert "INCONSISTENT" in done.text and ">Inconsistent<" in page
 
 
+def test_every_kind_of_reason_has_words_for_people() -> None:
+    assert set(REASONS) == set(Unseen)
+
+
 def test_no_row_of_an_inconsistent_run_is_to_be_acted_on(
     armsight: Any, scene: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -116,7 +121,7 @@ def test_no_row_of_an_inconsistent_run_is_to_be_acted_on(
     refused = armsight("calibrate", "tooltip", "--poses", out / "poses.csv", "-o", tmp_path / "tip.yaml")
     assert refused.code == 3 and "status ok" in refused.json["error"]["cause"]
     for file in ("poses.csv", "points.csv"):
-        refused = armsight("verify", "measure", "--measured", out / file, "-o", tmp_path / "verified")
+        refused = armsight("verify", "--measured", out / file, "-o", tmp_path / "verified")
         assert refused.code == 3, refused.text
 
 

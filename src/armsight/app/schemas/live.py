@@ -49,7 +49,7 @@ class Counts(Output):
     """Pairs of frames since the start."""
 
     ok: int = Field(description="With a whole pose.")
-    doubtful: int = Field(0, description="With a whole pose that does not fit the claims.")
+    doubtful: int = Field(description="With a whole pose that does not fit the claims.")
     position_only: int = Field(description="With a position only.")
     lost: int = Field(description="Without.")
 
