@@ -128,7 +128,7 @@ class MeasureOutput(Output):
     reprojection_rms_px: float | None = Field(description="RMS of the 2-D residual per light and view, px.")
     ms_per_frame: FrameTime = Field(description="How long a pair takes.", json_schema_extra={"unit": "ms"})
     reasons: dict[str, int] = Field(
-        description="How often each kind of cause (listed above) took a pose or its orientation away, or made it doubtful."
+        description="How often each kind of cause (listed above) took a pose or its rotation away, or made it doubtful."
     )
     candidates: Candidates | None = Field(None, exclude_if=absent, description="Bright things in all images.")
     std: PoseDeviations | None = Field(
