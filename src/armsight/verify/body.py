@@ -92,16 +92,8 @@ def bodies_of(
     squares = (off**2).sum(axis=2)
     each = np.sqrt(np.nanmean(squares, axis=0))
     first = np.array([rows[key][0] for key in whole], dtype=np.intp)
-    body = replace(
-        measured.take(first),
-        xyz_m=np.array([t[:3, 3] for t in T]),
-        rotation=np.array([t[:3, :3] for t in T]),
-        std=None,
-        covariance=None,
-        point=(),
-    )
     return Bodies(
-        measured=body,
+        measured=_placed(measured.take(first), np.array(T)),
         repeats=_of(repeats, first, [str(key[1]) for key in whole]),
         commanded=np.array(wanted),
         points=labels,
@@ -110,6 +102,10 @@ def bodies_of(
         worst=(labels[int(np.argmax(each))], float(each.max())),
         left_out=len(keys) - len(whole),
     )
+
+
+def _placed(measured: Measured, T: Array) -> Measured:
+    return replace(measured, xyz_m=T[:, :3, 3], rotation=T[:, :3, :3], std=None, covariance=None, point=())
 
 
 def _means(xyz_m: Array, which: Index, rows: list[int], n: int) -> Array:

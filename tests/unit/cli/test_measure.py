@@ -94,6 +94,19 @@ def test_a_wrong_baseline_is_told_everywhere(armsight: Any, scene: Any, tmp_path
     assert "INCONSISTENT" in done.text and ">Inconsistent<" in page
 
 
+def test_a_frame_far_beyond_its_claims_is_doubtful_by_itself(armsight: Any, scene: Any, tmp_path: Path) -> None:
+    folder = copied(scene, tmp_path / "scene")
+    text = (folder / "rig.yaml").read_text()
+    (folder / "rig.yaml").write_text(text.replace("xyz_m: [0.1,", "xyz_m: [0.1005,"))
+    inputs = ["--rig", folder / "rig.yaml", "--target", folder / "target.yaml"]
+    done = armsight("measure", *inputs, *scene.sources(), "-o", tmp_path / "out")
+    assert done.code == 0 and done.json["consistency"]["verdict"] != "inconsistent"
+    n = done.json["n_doubtful"]
+    assert 0 < n < COUNT and done.json["reasons"] == {"beyond_claims": n} and done.json["n_ok"] == COUNT - n
+    assert [row["status"] for row in rows(tmp_path / "out" / "poses.csv")].count("doubtful") == n
+    assert [row["status"] for row in rows(tmp_path / "out" / "points.csv")].count("doubtful") == 3 * n
+
+
 def test_every_kind_of_reason_has_words_for_people() -> None:
     assert set(REASONS) == set(Unseen)
 

@@ -48,9 +48,7 @@ def test_positions_and_turns_of_the_body_are_judged_not_one_point() -> None:
     assert figures["RP_a_rad P1"].value < 0.2 * TURN_RAD and figures["RP_b_rad P2"].value < 0.2 * TURN_RAD
     centre = np.mean(list(POINTS.values()), axis=0)
     radius = np.hypot(*(np.array(POINTS["A"]) - centre)[:2])
-    assert (
-        figures["RP_m P1"].value < 3.6 * MOVE_M < 3.0 * TURN_RAD * radius
-    )  # that is what A alone shows
+    assert figures["RP_m P1"].value < 3.6 * MOVE_M < 3.0 * TURN_RAD * radius  # that is what A alone shows
     assert figures["AP_m P1"].value < 1e-4 and figures["AP_c_rad P1"].value < 2e-3
     assert sum("one body" in note for note in notes) == 1 and not any("only" in note for note in notes)
     assert not any("distances" in note for note in notes)
