@@ -97,7 +97,7 @@ def test_a_wrong_baseline_is_told_everywhere(armsight: Any, scene: Any, tmp_path
 def test_a_frame_far_beyond_its_claims_is_doubtful_by_itself(armsight: Any, scene: Any, tmp_path: Path) -> None:
     folder = copied(scene, tmp_path / "scene")
     text = (folder / "rig.yaml").read_text()
-    (folder / "rig.yaml").write_text(text.replace("xyz_m: [0.1,", "xyz_m: [0.1005,"))
+    (folder / "rig.yaml").write_text(text.replace("xyz_m: [0.1,", "xyz_m: [0.1002,"))
     inputs = ["--rig", folder / "rig.yaml", "--target", folder / "target.yaml"]
     done = armsight("measure", *inputs, *scene.sources(), "-o", tmp_path / "out")
     assert done.code == 0 and done.json["consistency"]["verdict"] != "inconsistent"
@@ -120,12 +120,11 @@ def test_no_row_of_an_inconsistent_run_is_to_be_acted_on(
     good = armsight("measure", *inputs, *scene.sources(), "-o", out)
     assert (good.code, good.json["n_ok"], good.json["n_doubtful"], good.json["reasons"]) == (0, COUNT, 0, {})
     text = (folder / "rig.yaml").read_text()
-    (folder / "rig.yaml").write_text(text.replace("xyz_m: [0.1,", "xyz_m: [0.1005,"))
-    monkeypatch.setattr(diagnosis, "INCONSISTENT", 0.6)  # with the lights of this scene a larger fault leaves no pose
+    (folder / "rig.yaml").write_text(text.replace("xyz_m: [0.1,", "xyz_m: [0.1001,"))
+    monkeypatch.setattr(diagnosis, "INCONSISTENT", 2.0)  # a fault beyond 5 is refused or doubted frame by frame here
     done = armsight("measure", *inputs, *scene.sources(), "-o", out, "--overwrite")
     assert (done.code, done.json["n_ok"], done.json["n_doubtful"]) == (3, 0, COUNT)
-    assert done.json["reasons"].keys() <= {"inconsistent", "beyond_claims"}
-    assert sum(done.json["reasons"].values()) == COUNT
+    assert done.json["reasons"] == {"inconsistent": COUNT}
     assert {path.name for path in out.iterdir()} == set(FILES)
     assert {row["status"] for row in rows(out / "poses.csv")} == {"doubtful"}
     assert all(row["x_m"] and row["qw"] and row["srx_rad"] for row in rows(out / "poses.csv"))
