@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from armsight.app.schemas.catalogue import OUTPUTS
+from armsight.cli.tables import REASONS
 from armsight.drivers.remote.protocol import protocol_schema
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
@@ -39,7 +40,9 @@ pose of b in a.
 
 `NAME` stands for names of the data, `[]` for each item of a list. The JSON schema of each object is linked beside its
 command. This page and the schemas are made by `tools/json_schemas.py` from `armsight.app.schemas`.
-"""
+
+`reasons` of `measure` and `demo` counts by kind what took poses away or made them doubtful: {kinds}.
+""".format(kinds="; ".join(f"`{kind}` ({words})" for kind, words in sorted(REASONS.items())))
 
 
 def main() -> int:

@@ -77,7 +77,7 @@ class BadFile(DataRefused):
 
 
 class Unseen(StrEnum):
-    """What kept a board or a target from being seen, as far as something of its own helps against it."""
+    """What kept a board or a target from being seen, or its pose from being taken: the kinds that files count."""
 
     OTHER = "other"
     BLURRED = "blurred"
@@ -96,8 +96,37 @@ class Unseen(StrEnum):
     OVERLAPPING = "overlapping"
     """A spot of one view may lie on one of the other's."""
     LIGHTS_MISSING = "lights_missing"
+    UNREADABLE = "unreadable"
+    """The image cannot be read."""
+    NO_BOARD = "no_board"
+    CROWD = "crowd"
+    """So much is bright that which of it is the target would be chance."""
+    UNPAIRED = "unpaired"
+    """No spot of one view belongs to one of the other."""
+    SWAPPED = "swapped"
+    """Left and right look exchanged."""
+    WRONG_TARGET = "wrong_target"
+    """Lights are seen whose size, distance or order is not the target's."""
+    MISFIT = "misfit"
+    """The spots do not fit the target, the calibration or the moment."""
+    ONE_OFF = "one_off"
+    """One of the spots is off, and it is not clear which."""
+    ROTATION_OPEN = "rotation_open"
+    """The spots leave the rotation open."""
+    SMALL_TARGET = "small_target"
+    """A target of one or two lights has no rotation."""
+    NO_POINT = "no_point"
+    """The spots give no place before the cameras."""
     HALF_HIDDEN = "half_hidden"
     """Something covers a part of a light."""
+    MOTION = "motion"
+    """The lights are not where the target's motion puts them."""
+    GAP = "gap"
+    """No view for too long, with cameras that run free."""
+    BEYOND_CLAIMS = "beyond_claims"
+    """There is a pose, and its residuals are far beyond what the spots claim."""
+    INCONSISTENT = "inconsistent"
+    """There is a pose, and the whole run says that rig or target are wrong."""
 
 
 class BadImage(DataRefused):

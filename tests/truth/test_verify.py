@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.errors import Ambiguous, Inconsistent
 from armsight.kinematics import Arm, dh_arm, fk, preset
+from armsight.records import PoseStatus, TargetPose
+from armsight.store import write_poses
 from armsight.store.verify_files import read_measured
 from armsight.verify import Align, Kind, Measured, Reported, Verification, verify
 from armsight.verify.alignment import align
@@ -95,6 +98,47 @@ def test_one_wrong_zero_is_named_with_its_value(joint: int, turned: bool) -> Non
     assert [v.judged for v in result.cause.joints] == [False, True, True, True, True, False]
     open_ = {"tool.rx_rad", "tool.ry_rad", "tool.rz_rad"}
     assert set(result.undetermined) == (set() if turned else open_)
+
+
+def along_the_view(q: np.ndarray, rng: np.random.Generator) -> tuple[Measured, np.ndarray]:
+    """Poses whose errors go almost together, along a direction of their own in each: as of cameras that move."""
+    T = BASE * RigidTransform.from_matrix(flange(TABLE, q)) * TOOL
+    L = rng.standard_normal((len(q), 6, 2)) @ rng.standard_normal((len(q), 2, 6)) + 0.05 * rng.standard_normal(
+        (len(q), 6, 6)
+    )
+    L *= 5.0 * STD[:, None]
+    noise = np.einsum("mij,mj->mi", L, rng.standard_normal((len(q), 6)))
+    C = L @ L.transpose(0, 2, 1)
+    turned = Rotation.from_rotvec(noise[:, 3:]) * T.rotation
+    return Measured(xyz_m=T.translation + noise[:, :3], rotation=turned.as_matrix(), covariance=C), C
+
+
+def test_a_file_gives_the_fit_of_the_poses_in_memory_and_correlations_count(tmp_path: Path) -> None:
+    q, rng = poses(3)
+    measured, C = along_the_view(q, rng)
+    T = RigidTransform.from_components(measured.xyz_m, Rotation.from_matrix(measured.rotation)).as_matrix()
+    rows = [
+        TargetPose(t_s=float(i), status=PoseStatus.OK, parent="rig", T_parent_target=T[i], covariance=C[i])
+        for i in range(len(q))
+    ]
+    write_poses(tmp_path / "poses.csv", rows)
+    file = read_measured(tmp_path / "poses.csv")
+    assert np.abs(file.measured.covariance - C).max() < 1e-12 * C.max() and not file.notes
+    found = [
+        verify(arm(), Reported(q=q), one, Align.BOTH).mounts
+        for one in (measured, replace(file.measured, t_s=None), Measured(
+            xyz_m=measured.xyz_m, rotation=measured.rotation, std=measured.std
+        ))
+    ]  # fmt: skip
+    off = [np.linalg.norm((one.base * BASE.inv()).translation) for one in found]
+    assert np.abs(found[0].vector - found[1].vector).max() < 1e-9
+    assert off[0] < 0.5 * off[2]
+    columns = (tmp_path / "poses.csv").read_text().splitlines()
+    keep = columns[0].split(",").index("cov_x_y")
+    (tmp_path / "old.csv").write_text("\n".join(",".join(row.split(",")[:keep]) for row in columns) + "\n")
+    old = read_measured(tmp_path / "old.csv")
+    assert any("uncorrelated" in note for note in old.notes)
+    assert np.allclose(old.measured.covariance, measured.std[:, :, None] ** 2 * np.eye(6), rtol=1e-12, atol=0.0)
 
 
 @pytest.mark.parametrize("joint", [0, 5])

@@ -15,7 +15,7 @@ from armsight.api.tracks import PoseTrack
 from armsight.errors import Inconsistent
 from armsight.geometry import euler_rad
 from armsight.measure import spots as detection
-from armsight.measure.consistency.check import RunCheck
+from armsight.measure.consistency.check import RunCheck, settled
 from armsight.measure.consistency.diagnosis import Consistency
 from armsight.measure.poses.outcome import Measured, Track
 from armsight.measure.poses.pipeline import Setup, measure_pair
@@ -85,11 +85,11 @@ def find_spots(image: ImageLike, settings: SpotSettings = DEFAULTS) -> Spots:
 class PoseEstimate(Result):
     """The target's pose in the rig's frame at one moment, or why there is none.
 
-    status: 'ok', 'position_only' or 'lost'; why: the reason where it is not 'ok'. T_rig_target: (4, 4), of which only
-    the translation means something where the position alone is known; None where lost. covariance: (6, 6) of
-    translation (m) and rotation vector (rad) in the rig's axes, (3, 3) of the position alone; it holds all that is
-    known of: the spots' noise, and the rig's and the target's own covariance where they have one. detail: everything
-    that the pose came from.
+    status: 'ok', 'doubtful' (not to be acted on), 'position_only' or 'lost'; why: the reason where it is not 'ok'.
+    T_rig_target: (4, 4), of which only the translation means something where the position alone is known; None where
+    lost. covariance: (6, 6) of translation (m) and rotation vector (rad) in the rig's axes, (3, 3) of the position
+    alone; it holds all that is known of: the spots' noise, and the rig's and the target's own covariance where they
+    have one. detail: everything that the pose came from.
     """
 
     status: PoseStatus
@@ -254,8 +254,9 @@ class PoseTracker:
 
     @property
     def track(self) -> PoseTrack:
-        """The poses so far."""
-        return PoseTrack(poses=tuple(self._poses))
+        """The poses so far; all are doubtful once the run is found inconsistent."""
+        doubted = self._check is not None and self._check.inconsistent
+        return PoseTrack(poses=tuple(settled(pose, inconsistent=doubted) for pose in self._poses))
 
     @property
     def consistency(self) -> Consistency | None:

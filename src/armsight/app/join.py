@@ -117,7 +117,7 @@ def _inverse(measured: Measured) -> Measured:
     if measured.rotation is None:
         return measured
     R = measured.rotation.transpose(0, 2, 1)
-    return replace(measured, xyz_m=-np.einsum("mij,mj->mi", R, measured.xyz_m), rotation=R, std=None)
+    return replace(measured, xyz_m=-np.einsum("mij,mj->mi", R, measured.xyz_m), rotation=R, std=None, covariance=None)
 
 
 def _rests(paired: Paired) -> list[NDArray[np.intp]]:

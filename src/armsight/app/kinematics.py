@@ -213,7 +213,9 @@ def _starts(arm: Arm, near: Path | None, poses: int) -> Array | None:
 
 def _solve(arm: Arm, target: TargetPose, here: Array, aim: Task) -> Inverse:
     """Return the solutions of one row of poses.csv; a row that holds too little has none."""
-    enough = target.pose is not None and (target.status is PoseStatus.OK or aim is Task.POSITION)
+    enough = target.pose is not None and (
+        target.status is PoseStatus.OK or (target.status is PoseStatus.POSITION_ONLY and aim is Task.POSITION)
+    )
     if not enough or target.pose is None:
         why = f"the pose is {target.status}"
         return Inverse(solutions=(), beyond_limits=(), status=Status.NO_SOLUTION, why=why, complete=False)

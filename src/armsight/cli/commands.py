@@ -26,7 +26,17 @@ from armsight.cli.path import path
 from armsight.cli.play import play
 from armsight.cli.record import record
 from armsight.cli.reproduce import reproduce
-from armsight.cli.result_folders import ARM, MEASURED, SETS, VERIFIED, VIEWS, WORLD, keep_inputs, keeps_results
+from armsight.cli.result_folders import (
+    ARM,
+    MEASURED,
+    SETS,
+    VERIFIED,
+    VIEWS,
+    WORLD,
+    ResultsDoubted,
+    keep_inputs,
+    keeps_results,
+)
 from armsight.cli.robot import robot
 from armsight.cli.serve import serve
 from armsight.cli.servo import servo
@@ -151,7 +161,8 @@ def measure(
 ) -> None:
     """Measure the target's pose in every pair of frames.
 
-    Writes poses.csv, points.csv, spots.csv, poses.tum, measure.json and report.html.
+    Writes poses.csv, points.csv, spots.csv, poses.tum, measure.json and report.html. Exit code 3, with all of them
+    written, where the run is inconsistent: its poses are doubtful.
     """
     with CommandUI(as_json=json) as face:
         from armsight.app.measure.run import MeasureJob
@@ -190,6 +201,8 @@ def measure(
         summary = run(job, face.progress("measuring"))
         measure_tables(face, summary, out)
         face.result(summary)
+        if summary.consistency is not None and summary.consistency.verdict == "inconsistent":
+            raise ResultsDoubted
 
 
 @app.command()

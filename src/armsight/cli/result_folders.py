@@ -22,6 +22,16 @@ SET_FILES = ("photos", "complex", "lights", "camera.yaml", "rig_true.yaml", "arm
 SETS = (*SET_TABLES, *SET_FILES, "poses.csv", "handeye_true.yaml", "tip_true.yaml")
 VERIFIED = ("verify.json", "errors.csv", "report.html", "live.mcap", "mastering.csv")
 
+NOT_TO_BE_TRUSTED = 3
+
+
+class ResultsDoubted(typer.Exit):
+    """The end of a command whose results are written and not to be trusted."""
+
+    def __init__(self) -> None:
+        super().__init__(NOT_TO_BE_TRUSTED)
+
+
 OVERWRITE = Annotated[bool, typer.Option("--overwrite", help="Replace the results of another run in the folder.")]
 
 
@@ -114,6 +124,9 @@ def _replacing(out: Path, names: tuple[str, ...], overwrite: bool, work: Callabl
     earlier = EarlierResults(out, names)
     try:
         work()
+    except ResultsDoubted:
+        earlier.settle()
+        raise
     except typer.Exit as ended:
         if ended.exit_code in (0, Cancelled.exit_code):
             earlier.settle()

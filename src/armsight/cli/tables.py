@@ -18,6 +18,37 @@ if TYPE_CHECKING:
 
 REJECTED_SHOWN = 8
 
+REASONS = {
+    "no_spot": "no spot in a view: the lights must be on, and brighter than what is round them",
+    "dark_path": "no two spots are both views of one light: one path of the mirrors may be dark",
+    "ambiguous": "ambiguous: more than one way to name the lights fits",
+    "overlapping": "a spot of one view may lie on one of the other's",
+    "lights_missing": "too few of the target's lights are seen",
+    "unreadable": "the image cannot be read",
+    "no_board": "the board is not seen in both views",
+    "in_part": "the board is seen in part",
+    "blurred": "the board is blurred",
+    "only_once": "the board is seen in one view of two",
+    "thrice": "the board is seen more than once in each view",
+    "beyond_size": "the board goes on beyond its counts",
+    "other": "something else, which the report tells",
+    "crowd": "so much is bright that the target may be chance: mask the background, or lower the exposure",
+    "unpaired": "no spot of one view belongs to one of the other",
+    "swapped": "left and right look exchanged",
+    "wrong_target": "the lights' size, distance or order is not the target's",
+    "misfit": "the spots do not fit the target: its measures, the calibration or the moment of the exposures is off",
+    "one_off": "one of the spots is off, and it is not clear which",
+    "rotation_open": "the spots leave the rotation open",
+    "small_target": "a target of one or two lights has no rotation",
+    "no_point": "the spots give no place before the cameras",
+    "motion": "the lights are not where the target's motion puts them",
+    "half_hidden": "something covers a part of a light",
+    "gap": "the target was not seen for too long",
+    "beyond_claims": "doubtful: the spots fit by far not as well as they claim",
+    "inconsistent": "doubtful: the run says that rig or target are wrong",
+}
+"""What the kinds of reasons in measure.json mean; the report has each frame's own words."""
+
 
 def figure(value: float | None, digits: int = 3) -> str:
     """Return a number with so many significant digits, never in powers of ten; '-' for none."""
@@ -49,6 +80,7 @@ def measure_tables(face: CommandUI, summary: MeasureOutput, out: Path) -> None:
     rows = [
         ["pairs of frames", str(summary.n_frames)],
         ["pose", str(summary.n_ok)],
+        ["doubtful", str(summary.n_doubtful)],
         ["position only", str(summary.n_position_only)],
         ["lost", str(summary.n_lost)],
         ["reprojection, px RMS", figure(summary.reprojection_rms_px)],
@@ -77,14 +109,18 @@ def measure_tables(face: CommandUI, summary: MeasureOutput, out: Path) -> None:
     face.table("Measured", ["", ""], rows)
     if free is not None and free.note:
         face.say(f"Doubtful: {free.note}")
-    for reason, count in list(summary.reasons.items())[:REJECTED_SHOWN]:
-        face.say(f"  {count} x {reason}")
+    _reasons(face, summary)
     found = summary.consistency
     if found is not None and found.sentence:
         loud = found.verdict == "inconsistent"
         face.say(f"{'INCONSISTENT: the poses are not to be trusted. ' if loud else 'Note: '}{found.sentence}")
         face.say(f"  {found.advice}".rstrip())
     face.say(f"Results: {out}; open {out / 'report.html'}")
+
+
+def _reasons(face: CommandUI, summary: MeasureOutput) -> None:
+    for kind, count in list(summary.reasons.items())[:REJECTED_SHOWN]:
+        face.say(f"  {count} x {REASONS.get(kind, kind)}")
 
 
 def camera_tables(face: CommandUI, done: CameraOutput, out: Path) -> None:

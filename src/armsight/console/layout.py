@@ -87,6 +87,8 @@ def level_of(console: Console) -> Level:
     status = station.shown.view.status
     if status == "ok":
         return Level("good", texts.MEASURING)
+    if status == "doubtful":
+        return Level("bad", texts.DOUBTFUL)
     return Level("warn", texts.POSITION_ONLY) if status == "position_only" else Level("bad", texts.LOST)
 
 

@@ -115,18 +115,25 @@ class PoseStatus(StrEnum):
     """How much of the pose is known."""
 
     OK = "ok"
+    DOUBTFUL = "doubtful"
+    """A whole pose that does not fit the claims, or of a run that does not: not to be acted on."""
     POSITION_ONLY = "position_only"
     LOST = "lost"
+
+    @property
+    def size(self) -> int:
+        """Coordinates that are known: 6 of a whole pose, 3 of a position, 0."""
+        return {PoseStatus.POSITION_ONLY: 3, PoseStatus.LOST: 0}.get(self, 6)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TargetPose:
     """The target at one moment.
 
-    status OK: T_parent_target (4, 4) and covariance (6, 6) are there. POSITION_ONLY: T_parent_target carries the
-    position of the mean of the spots seen, or where origin_known that of the target's origin (its rotation is the
-    identity and means nothing), covariance is its (3, 3).
-    LOST: both None.
+    status OK: T_parent_target (4, 4) and covariance (6, 6) are there. DOUBTFUL: they are there as well, and the frame
+    or its run does not fit what is claimed: whoever acts on a pose takes OK alone. POSITION_ONLY: T_parent_target
+    carries the position of the mean of the spots seen, or where origin_known that of the target's origin (its rotation
+    is the identity and means nothing), covariance is its (3, 3). LOST: both None.
     why: the reason where the status is not OK. residual_px: (m,) reprojection residuals used. covariance holds all
     that is known of: the spots' noise and, where rig or target bring a covariance, theirs. systematic_covariance, of
     the same shape: the part of it that repeats from frame to frame (rig and target); None where there is none.
@@ -146,7 +153,7 @@ class TargetPose:
     def __post_init__(self) -> None:
         if not np.isfinite(self.t_s):
             raise Inconsistent(f"the time {self.t_s} is not finite")
-        size = {PoseStatus.OK: 6, PoseStatus.POSITION_ONLY: 3, PoseStatus.LOST: 0}[self.status]
+        size = self.status.size
         if (size == 0) != (self.T_parent_target is None) or (size == 0) != (self.covariance is None):
             raise Inconsistent(f"a pose of status {self.status} must have both pose and covariance, or neither")
         for name in ("covariance", "systematic_covariance"):

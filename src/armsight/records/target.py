@@ -10,12 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armsight.errors import Inconsistent
-<<<<<<< HEAD
 from armsight.geometry.lengths import PITCH_M, TARGET_M, check_metres
-from armsight.records.checks import frozen_array
-=======
 from armsight.records.checks import frozen_array, one_of, require_count, require_kind, require_numbers, require_texts
->>>>>>> face/face
 from armsight.records.saving import Saveable
 
 LARGEST_TARGET_M = 20.0

@@ -72,12 +72,12 @@ def _subtitle(run: MeasureRun, series: Series) -> str:
 
 
 def _verdict(run: MeasureRun, series: Series, errors: Errors | None) -> Verdict:
-    n, ok = len(run.poses), int(series.where(PoseStatus.OK).sum())
+    n, ok = len(run.poses), int(series.whole.sum())
     if ok == 0:
         losses = losses_of(run.poses)
         why = f" Most often: {losses[0].why.rstrip('.')}." if losses else ""
         return Verdict(level="bad", word="No pose", sentence=f"None of {n:,} frames gave a full pose.{why} {run.error}")
-    middle = _median_columns(series.std[series.where(PoseStatus.OK)])
+    middle = _median_columns(series.std[series.whole])
     sentence = (
         f"{ok:,} of {n:,} frames ({100 * ok / n:.1f} %) gave a full pose, half of them known to "
         f"{figure_of(float(np.max(middle[:3])), 'mm', digits=2)} and "
@@ -128,13 +128,14 @@ def _inside(errors: Errors) -> tuple[float, float, float]:
 def _cards(run: MeasureRun, series: Series, errors: Errors | None) -> list[Card]:
     n = len(run.poses)
     count = {status: int(series.where(status).sum()) for status in PoseStatus}
-    middle = _median_columns(series.std[series.where(PoseStatus.OK)])
+    middle = _median_columns(series.std[series.whole])
     spots = sum(len(rows) for rows in run.residuals.values())
     cards = [
         Card(
             name="full poses",
-            value=f"{count[PoseStatus.OK]:,}",
-            note=f"of {n:,}; {count[PoseStatus.POSITION_ONLY]:,} position only, {count[PoseStatus.LOST]:,} lost",
+            value=f"{int(series.whole.sum()):,}",
+            note=f"of {n:,}, {count[PoseStatus.DOUBTFUL]:,} doubtful; "
+            f"{count[PoseStatus.POSITION_ONLY]:,} position only, {count[PoseStatus.LOST]:,} lost",
         ),
         Card(
             name="position uncertainty",
@@ -335,7 +336,7 @@ def _add_losses(page: Page, run: MeasureRun, series: Series) -> None:
     if not losses:
         page.add("What was lost", "Nothing: every frame gave a full pose.")
         return
-    names = {PoseStatus.POSITION_ONLY: "position only", PoseStatus.LOST: "lost"}
+    names = {PoseStatus.DOUBTFUL: "doubtful", PoseStatus.POSITION_ONLY: "position only", PoseStatus.LOST: "lost"}
     when = "first – last, s" if series.timed else ""
     rows = [
         [
@@ -354,8 +355,8 @@ def _add_losses(page: Page, run: MeasureRun, series: Series) -> None:
         rows.append(["", f"{len(rest)} more reasons", f"{count:,}", f"{100 * count / len(run.poses):.1f} %", "", ""])
     page.add(
         "What was lost, and why",
-        "Frames without a full pose, counted from 0; frames with the same reason stand together, in the first one's "
-        "wording.",
+        "Frames without a full pose, or with one that is doubtful, counted from 0; frames with the same reason stand "
+        "together, in the first one's wording.",
         table(["", "why", "frames", "share", "which", when], rows, numbers=(2, 3, 5)),
     )
 

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.optics import SIDES, Camera, Rig
-from armsight.records import PoseStatus
 from armsight.report.figures import GREEN, GREY, INK, ORANGE, Figure, axis, layout
 from armsight.report.run import MeasureRun
 from armsight.units import MM
@@ -84,7 +83,7 @@ def _best(run: MeasureRun) -> int | None:
     known = [
         (float(np.trace(pose.covariance[:3, :3])), i)
         for i, pose in enumerate(run.poses)
-        if pose.status is PoseStatus.OK and pose.covariance is not None
+        if pose.status.size == 6 and pose.covariance is not None
     ]
     return min(known)[1] if known else None
 

@@ -49,13 +49,18 @@ class Series:
         """Return the mask (n,) of the frames with this status."""
         return np.array([s is status for s in self.status], dtype=bool)
 
+    @property
+    def whole(self) -> NDArray[np.bool_]:
+        """The mask (n,) of the frames with a full pose, doubtful ones too."""
+        return self.where(PoseStatus.OK) | self.where(PoseStatus.DOUBTFUL)
+
     def full(self) -> tuple[Array, Array]:
         """Return values and standard deviations with NaN wherever the pose is not full.
 
         A position alone is that of the mean of the spots seen, another point than the target's origin.
         """
-        ok = self.where(PoseStatus.OK)[:, None]
-        return np.where(ok, self.values, np.nan), np.where(ok, self.std, np.nan)
+        whole = self.whole[:, None]
+        return np.where(whole, self.values, np.nan), np.where(whole, self.std, np.nan)
 
 
 def series_of(poses: Sequence[TargetPose], *, timed: bool = True) -> Series:
@@ -84,7 +89,7 @@ def series_of(poses: Sequence[TargetPose], *, timed: bool = True) -> Series:
 
 
 def _ok(poses: Sequence[TargetPose]) -> NDArray[np.intp]:
-    return np.array([i for i, pose in enumerate(poses) if pose.status is PoseStatus.OK], dtype=np.intp)
+    return np.array([i for i, pose in enumerate(poses) if pose.status.size == 6], dtype=np.intp)
 
 
 def _matrices(poses: Sequence[TargetPose], ok: NDArray[np.intp]) -> Array:

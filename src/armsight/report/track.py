@@ -80,7 +80,7 @@ def _is_far(run: MeasureRun, xyz: Array) -> bool:
 def time_figure(series: Series) -> Figure:
     """Return x, y, z, rx, ry, rz over time with their 95 % bands, and marks where there is no full pose."""
     data: list[dict[str, Any]] = []
-    ok, position = series.where(PoseStatus.OK), series.where(PoseStatus.POSITION_ONLY)
+    ok, position = series.whole, series.where(PoseStatus.POSITION_ONLY)
     full, std = series.full()
     for k in range(6):
         values, half = full[:, k], WITHIN_95 * std[:, k]

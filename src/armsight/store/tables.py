@@ -18,7 +18,7 @@ from armsight.errors import BadFile, NotEnoughData
 from armsight.store.atomic import read_bytes
 
 MAX_BYTES = 1_000_000_000
-"""An hour of poses at 1 kHz has 0.7 GB."""
+"""A quarter of an hour of poses at 1 kHz has 0.9 GB."""
 
 Array = NDArray[np.float64]
 

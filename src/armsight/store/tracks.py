@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -14,11 +14,22 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.clock import Clock
-from armsight.errors import BadFile, Inconsistent
+from armsight.errors import BadFile
 from armsight.geometry import pose_from_quat, quat_of_matrix, xyz_quat
 from armsight.geometry.poses import QUAT_NORM_TOLERANCE
 from armsight.records import Motion, Points, PoseStatus, Spots, TargetPose
 from armsight.store.atomic import RowFile, read_bytes, write_text
+from armsight.store.covariances import (
+    COVARIANCE,
+    DEVIATIONS,
+    LIGHTS,
+    LIGHTS_STD,
+    POINT_COVARIANCE,
+    SYSTEMATIC,
+    SYSTEMATIC_COVARIANCE,
+    above_diagonal,
+    pose_covariances,
+)
 from armsight.store.interpret import OURS, TableFormat, check_joint_values, standard_bytes
 from armsight.store.schema import LARGEST, named
 from armsight.store.tables import MAX_BYTES, Array, Table, cells, number, parse_table, read_table, word
@@ -26,10 +37,6 @@ from armsight.store.tables import MAX_BYTES, Array, Table, cells, number, parse_
 POSITION = ("x_m", "y_m", "z_m")
 QUATERNION = ("qx", "qy", "qz", "qw")
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
-DEVIATIONS = ("sx_m", "sy_m", "sz_m", "srx_rad", "sry_rad", "srz_rad")
-SYSTEMATIC = tuple(f"sys_{name}" for name in DEVIATIONS)
-LIGHTS = ("lights_x_m", "lights_y_m", "lights_z_m")
-LIGHTS_STD = tuple(f"s{name}" for name in LIGHTS)
 POSE_COLUMNS = ("t_s", *POSITION, *QUATERNION, *DEVIATIONS, "status", "spots")
 VELOCITY = ("vx_m_s", "vy_m_s", "vz_m_s", "wx_rad_s", "wy_rad_s", "wz_rad_s")
 VELOCITY_STD = tuple(f"s{name}" for name in VELOCITY)
@@ -73,7 +80,7 @@ class _Writer:
 class PosesWriter(_Writer):
     """poses.csv, row by row: an interrupted run leaves what was measured."""
 
-    columns = (*POSE_COLUMNS, *SYSTEMATIC, *LIGHTS, *LIGHTS_STD)
+    columns = (*POSE_COLUMNS, *SYSTEMATIC, *LIGHTS, *LIGHTS_STD, *COVARIANCE, *SYSTEMATIC_COVARIANCE)
 
     def write(self, pose: TargetPose) -> None:
         """Add one pose."""
@@ -87,26 +94,37 @@ class MovingPosesWriter(_Writer):
     """
 
     columns = (*POSE_COLUMNS, *SYSTEMATIC, *LIGHTS, *LIGHTS_STD, *VELOCITY, *VELOCITY_STD)
+    columns = (*columns, *COVARIANCE, *SYSTEMATIC_COVARIANCE)
 
     def write(self, pose: TargetPose, velocity: Array | None, std: Array | None) -> None:
         """Add one pose with velocity (6,) and its standard deviations (6,); None where they are not known."""
         known = velocity is not None and std is not None
         values = np.concatenate([velocity, std]).tolist() if known else [math.nan] * 12
-        self._rows.add(f"{pose_row(pose)},{cells(values)}")
+        self._rows.add(f"{_pose_cells(pose)},{cells(values)},{_covariance_cells(pose)}")
 
 
 class PointsWriter(_Writer):
     """points.csv, row by row."""
 
-    columns = POINT_COLUMNS
+    columns = (*POINT_COLUMNS, *POINT_COVARIANCE, "status")
 
-    def write(self, t_s: float, points: Points) -> None:
-        """Add the points of one moment, in rig axes."""
+    def write(self, t_s: float, points: Points, *, status: PoseStatus = PoseStatus.OK) -> None:
+        """Add the points of one moment, in rig axes; status: DOUBTFUL where they are not to be acted on."""
         if not len(points):
             return
         deviation = np.sqrt(np.diagonal(points.covariance_m2, axis1=1, axis2=2))  # (n, 3)
-        for name, xyz, std in zip(points.names, points.xyz_m.tolist(), deviation.tolist(), strict=True):
-            self._rows.add(f"{number(t_s)},{word(name)},{cells(xyz)},{cells(std)}")
+        related = points.covariance_m2[:, (0, 0, 1), (1, 2, 2)].tolist()  # xy, xz, yz
+        rows = zip(points.names, points.xyz_m.tolist(), deviation.tolist(), related, strict=True)
+        for name, xyz, std, off in rows:
+            self._rows.add(f"{number(t_s)},{word(name)},{cells(xyz)},{cells(std)},{cells(off)},{status.value}")
+
+
+def restate_points(path: Path, status: Mapping[float, PoseStatus]) -> None:
+    """Give the rows of a points.csv the status of their moment, by t_s."""
+    head, *rows = path.read_text(encoding="utf-8").splitlines()  # our own, of any size
+    words = {number(t_s): one.value for t_s, one in status.items()}
+    told = (f"{row.rpartition(',')[0]},{words.get(row.partition(',')[0], row.rpartition(',')[2])}" for row in rows)
+    write_text(path, "\n".join([head, *told]) + "\n")
 
 
 class SpotsWriter(_Writer):
@@ -126,11 +144,22 @@ class SpotsWriter(_Writer):
 def pose_row(pose: TargetPose) -> str:
     """Return one row of poses.csv: cells that mean nothing are empty, spots are separated by spaces.
 
-    ok: all cells but the last six. position_only: the target's origin is not known, the last six are the mean of the
-    lights seen and its standard deviations; where the origin is known after all, its position, no quaternion, no
-    srx..srz. lost: only t_s, status, spots. sys_...: the standard deviations of what repeats from frame to frame (rig
-    and target), empty where nothing is known of it.
+    ok, doubtful: all cells but lights_... and slights_.... position_only: the target's origin is not known, those are
+    the mean of the lights seen and its standard deviations; where the origin is known after all, its position, no
+    quaternion, no srx..srz. lost: only t_s, status, spots. sys_...: the standard deviations of what repeats from
+    frame to frame (rig and target), empty where nothing is known of it. cov_..., sys_cov_...: what stands beside
+    these on the diagonal; of a position three cells.
     """
+    return f"{_pose_cells(pose)},{_covariance_cells(pose)}"
+
+
+def _covariance_cells(pose: TargetPose) -> str:
+    own_origin = pose.status is not PoseStatus.POSITION_ONLY or pose.origin_known
+    systematic = pose.systematic_covariance if own_origin else None
+    return cells([*above_diagonal(pose.covariance), *above_diagonal(systematic)])
+
+
+def _pose_cells(pose: TargetPose) -> str:
     values, systematic, lights = [math.nan] * 13, [math.nan] * 6, [math.nan] * 6
     T = pose.T_parent_target
     if pose.status is PoseStatus.POSITION_ONLY and not pose.origin_known:
@@ -140,7 +169,7 @@ def pose_row(pose: TargetPose) -> str:
         values[:3] = T[:3, 3].tolist()
         variances = pose.covariance.diagonal().tolist()
         values[7 : 7 + len(variances)] = [math.sqrt(v) for v in variances]
-        if pose.status is PoseStatus.OK:
+        if pose.status.size == 6:
             values[3:7] = quat_of_matrix(T)
         if pose.systematic_covariance is not None:
             variances = pose.systematic_covariance.diagonal().tolist()
@@ -168,12 +197,13 @@ def read_poses(
 def parse_poses(data: bytes, where: str, *, parent: str = "rig") -> tuple[TargetPose, ...]:
     """Return the poses in the bytes of a poses.csv, in the frame parent.
 
-    The file holds standard deviations only: the covariances come back diagonal, and zero where the standard deviations'
-    cells or columns are empty. The columns from sx_m on may be missing (status is then ok). A position_only row has the
+    The covariances come back whole; diagonal in files of standard deviations only (has_correlations tells), zero where
+    the standard deviations' cells or columns are empty. The columns from sx_m on may be missing (status is then ok). A
+    position_only row has the
     mean of its lights in lights_...; in files of earlier versions, which lack these columns, in x_m to z_m. Raises
     BadFile that names file, line and column.
     """
-    further = (*SYSTEMATIC, *LIGHTS, *LIGHTS_STD, *VELOCITY, *VELOCITY_STD)
+    further = (*SYSTEMATIC, *LIGHTS, *LIGHTS_STD, *VELOCITY, *VELOCITY_STD, *COVARIANCE, *SYSTEMATIC_COVARIANCE)
     table = parse_table(
         data,
         where,
@@ -186,13 +216,14 @@ def parse_poses(data: bytes, where: str, *, parent: str = "rig") -> tuple[Target
     seen = [row for row, status in enumerate(statuses) if status is not PoseStatus.LOST]
     of_lights = {row for row in seen if statuses[row] is PoseStatus.POSITION_ONLY and _has(table, row, LIGHTS)}
     xyz = np.array([_full(table, row, LIGHTS if row in of_lights else POSITION) for row in seen]).reshape(-1, 3)
-    quat = np.array(
-        [_full(table, row, QUATERNION) if statuses[row] is PoseStatus.OK else IDENTITY for row in seen]
-    ).reshape(-1, 4)
+    quat = np.array([_full(table, row, QUATERNION) if statuses[row].size == 6 else IDENTITY for row in seen]).reshape(
+        -1, 4
+    )
     T = _stack(xyz, quat, [table.place(row) for row in seen]).as_matrix() if seen else ()
     poses = dict(zip(seen, T, strict=True))
+    known = pose_covariances(table, [status.size for status in statuses], of_lights)
     return tuple(
-        _target_pose(table, row, statuses[row], poses.get(row), parent, of_lights=row in of_lights)
+        _target_pose(table, row, statuses[row], poses.get(row), parent, known.get(row), of_lights=row in of_lights)
         for row in range(len(table))
     )
 
@@ -227,25 +258,26 @@ def _stack(xyz_m: Array, quat_xyzw: Array, places: Sequence[str]) -> RigidTransf
 
 
 def _target_pose(
-    table: Table, row: int, status: PoseStatus, T: Array | None, parent: str, *, of_lights: bool
+    table: Table,
+    row: int,
+    status: PoseStatus,
+    T: Array | None,
+    parent: str,
+    known: tuple[Array, Array | None] | None,
+    *,
+    of_lights: bool,
 ) -> TargetPose:
-    size = {PoseStatus.OK: 6, PoseStatus.POSITION_ONLY: 3, PoseStatus.LOST: 0}[status]
-    deviation, systematic = (
-        np.array([table.numbers[name][row] if name in table.numbers else np.nan for name in names[:size]])
-        for names in (LIGHTS_STD if of_lights else DEVIATIONS, SYSTEMATIC)
-    )
+    covariance, systematic = (None, None) if known is None else known
     with named(table.place(row)):
-        if any((part < 0.0).any() or (part > LARGEST).any() for part in (deviation, systematic)):
-            raise Inconsistent(f"a standard deviation is negative or larger than {LARGEST:g}")
         return TargetPose(
             t_s=float(table.numbers["t_s"][row]),
             status=status,
             parent=parent,
             spots=tuple(table.text["spots"][row].split()) if "spots" in table.text else (),
             T_parent_target=T,
-            covariance=np.diag(np.where(np.isnan(deviation), 0.0, deviation) ** 2) if size else None,
-            systematic_covariance=np.diag(systematic**2) if size and not np.isnan(systematic).any() else None,
-            origin_known=status is PoseStatus.OK
+            covariance=covariance,
+            systematic_covariance=systematic,
+            origin_known=status.size == 6
             or (status is PoseStatus.POSITION_ONLY and not of_lights and LIGHTS[0] in table.numbers),
         )
 
@@ -309,7 +341,8 @@ def parse_times(data: bytes, where: str) -> Array:
 
 def read_points(path: Path) -> Table:
     """Return the table in a points.csv."""
-    return read_table(path, POINT_COLUMNS, text=("spot",), need_rows=False)
+    more = (*POINT_COVARIANCE, "status")
+    return read_table(path, POINT_COLUMNS, optional=more, text=("spot", "status"), need_rows=False)
 
 
 def read_spots(path: Path) -> Table:

@@ -18,15 +18,22 @@ from armsight.errors import BadFile, NotEnoughData
 from armsight.geometry.poses import QUAT_NORM_TOLERANCE
 from armsight.records import PoseStatus
 from armsight.store.atomic import read_bytes
-from armsight.store.interpret import OURS, TableFormat, check_joint_values, standard_bytes
-from armsight.store.tables import MAX_BYTES, Table, parse_table
-from armsight.store.tracks import (
+from armsight.store.covariances import (
+    COVARIANCE,
     DEVIATIONS,
     LIGHTS,
     LIGHTS_STD,
+    SYSTEMATIC,
+    SYSTEMATIC_COVARIANCE,
+    UNCORRELATED,
+    covariances,
+    has_correlations,
+)
+from armsight.store.interpret import OURS, TableFormat, check_joint_values, standard_bytes
+from armsight.store.tables import MAX_BYTES, Table, parse_table
+from armsight.store.tracks import (
     POSITION,
     QUATERNION,
-    SYSTEMATIC,
     VELOCITY,
     VELOCITY_STD,
     parse_tum,
@@ -168,6 +175,7 @@ def _parse(data: bytes, where: str, required: tuple[str, ...]) -> _Rows:
     clean = b"".join(b"\n" if NUL in line else line for line in lines)
     header = _header(clean)
     poses = (*POSITION, *QUATERNION, *DEVIATIONS, *SYSTEMATIC, *LIGHTS, *LIGHTS_STD, *VELOCITY, *VELOCITY_STD)
+    poses = (*poses, *COVARIANCE, *SYSTEMATIC_COVARIANCE)
     optional = ("t_s", *poses, *GOAL, "speed_m_s")
     known = {*optional, *WORDS}
     unused = tuple(
@@ -213,11 +221,13 @@ def _measured(rows: _Rows) -> MeasuredFile:
         xyz_m=table.stacked(POSITION)[index],
         rotation=None if quat is None else Rotation.from_quat(quat[index]).as_matrix(),
         t_s=table.numbers["t_s"][index] if "t_s" in table.numbers else None,
-        std=_std(table, index, turned),
+        covariance=_covariance(table, index, turned),
         row=rows.row[index],
         point=_labels(table, index),
     )
     notes = [f"{lost} rows are lost (no pose) and not compared"] if lost else []
+    if measured.covariance is not None and not has_correlations(table.numbers):
+        notes.append(f"the file {UNCORRELATED}")
     notes += [f"columns not used: {', '.join(rows.unused)[:200]}"] if rows.unused else []
     return MeasuredFile(
         measured=measured,
@@ -237,7 +247,9 @@ def _usable(rows: _Rows, xyz: Array, quat: Array | None) -> tuple[Index, list[tu
     good, rejected, lost = [], [], 0
     for i in range(len(table)):
         row = int(rows.row[i])
-        if status[i] == PoseStatus.POSITION_ONLY.value:
+        if status[i] == PoseStatus.DOUBTFUL.value:
+            rejected.append((row, "doubtful: it, or its run, does not fit what its measurement claims"))
+        elif status[i] == PoseStatus.POSITION_ONLY.value:
             rejected.append((row, "a position only: that of the mean of the lights seen, another point"))
         elif status[i] == PoseStatus.LOST.value or np.isnan(xyz[i]).all():
             lost += 1
@@ -250,14 +262,24 @@ def _usable(rows: _Rows, xyz: Array, quat: Array | None) -> tuple[Index, list[tu
     return np.array(good, dtype=np.intp), rejected, lost
 
 
-def _std(table: Table, index: Index, turned: bool) -> Array | None:
-    """Return standard deviations (m, 6); None where a row of those used has none."""
+def _covariance(table: Table, index: Index, turned: bool) -> Array | None:
+    """Return covariances (m, 6, 6), of positions with zeros beyond; None where a row of those used has no standard
+    deviations."""
     names = DEVIATIONS if turned else DEVIATIONS[:3]
     if any(name not in table.numbers for name in names):
         return None
-    std = np.zeros((len(index), 6))
-    std[:, : len(names)] = table.stacked(names)[index]
-    return None if np.isnan(std).any() or not std[:, :3].any() else std
+    std = table.stacked(names)[index]
+    if np.isnan(std).any() or not std[:, :3].any():
+        return None
+    return _in_six(covariances(table, std, index.tolist()))
+
+
+def _in_six(covariance: Array) -> Array:
+    """Return covariances (m, k, k) as (m, 6, 6), with zeros beyond."""
+    out = np.zeros((len(covariance), 6, 6))
+    k = covariance.shape[1]
+    out[:, :k, :k] = covariance
+    return out
 
 
 def _labels(table: Table, index: Index) -> tuple[str, ...]:
@@ -299,8 +321,8 @@ def _repeats(table: Table, index: Index) -> Repeats:
     systematic = None
     if all(name in table.numbers for name in SYSTEMATIC[:3]):
         there = tuple(name for name in SYSTEMATIC if name in table.numbers)
-        systematic = np.zeros((len(index), 6))
-        systematic[:, : len(there)] = np.nan_to_num(table.stacked(there)[index])
+        std = np.nan_to_num(table.stacked(there)[index])
+        systematic = _in_six(covariances(table, std[:, : 6 if len(there) == 6 else 3], index.tolist(), "sys_"))
     return Repeats(path=words.pop("tag"), systematic=systematic, **words)
 
 

@@ -16,7 +16,7 @@ from armsight.verify.effects import Effect, Kind, effects, still
 from armsight.verify.evidence import Case, Evidence
 from armsight.verify.left_out import Fitted, by_chance, fit_linear, gain, poses_of, regions
 from armsight.verify.left_out import falls as fall_by_chance
-from armsight.verify.model import ModelFit, Noise
+from armsight.verify.model import ModelFit
 from armsight.verify.moved_rig import moved_rig
 
 Array = NDArray[np.float64]
@@ -183,7 +183,7 @@ def _best_effect(case: Case, aligned: ModelFit, offered: list[Effect]) -> _Trial
                 single[each.joint] = each, fit
         effect = min(single.values(), key=lambda pair: pair[1].left_out)[0]
         fitted = case.fit(aligned.p, effect)
-        noise = Noise(measurement=fitted.noise.measurement, extra=fitted.noise.extra)
+        noise = fitted.noise
     after = Evidence.at(case, fitted, effect, noise)
     return _Trial(
         effect=effect,

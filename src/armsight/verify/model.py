@@ -24,6 +24,8 @@ MEDIAN_3 = float(chi2_ppf(0.5, 3))
 """Median of a squared length of three unit normals: the noise comes from the median, which gross errors leave alone."""
 LEAST_SIGMA = 1e-9
 """Noise (m, rad) of data without any; a test's, never a measurement's."""
+ROUNDING = 2e-9
+"""Share of a variance that is added to it: twice what files may be off by (NOT_POSITIVE of store.covariances)."""
 NOISE_ROUNDS = 5
 SETTLED = 0.01
 
@@ -130,10 +132,25 @@ class Model:
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Noise:
     """Standard deviations (m, 2) of one coordinate in m and of one turn in rad: of the measurement where that is known,
-    with extra (2,) for all that it does not explain."""
+    with extra (2,) for all that it does not explain, alike in all directions. covariance (m, 6, 6): of the measurement,
+    by which residuals are whitened; None where nobody says."""
 
     measurement: Array
     extra: Array
+    covariance: Array | None = None
+    _whitener: Array | None = field(init=False, repr=False, default=None)
+
+    def __post_init__(self) -> None:
+        if self.covariance is not None:
+            floor = np.repeat(np.maximum(self.extra, LEAST_SIGMA) ** 2, 3)
+            own = self.covariance * (1.0 + ROUNDING * np.eye(6))  # (m, 6, 6)
+            lower = np.linalg.cholesky(own + np.diag(floor))
+            object.__setattr__(self, "_whitener", np.linalg.inv(lower))
+
+    @classmethod
+    def of(cls, measured: Measured, extra: Array) -> Noise:
+        """Return the noise of measurements."""
+        return cls(measurement=measurement_std(measured), extra=extra, covariance=measured.covariance)
 
     @property
     def sigma(self) -> Array:
@@ -142,6 +159,10 @@ class Noise:
 
     def whiten(self, a: Array) -> Array:
         """Return residuals (m, rows, ...) in standard deviations."""
+        if self._whitener is not None:
+            rows = a.shape[1]  # of a lower triangle the first rows whiten the position alone
+            W = self._whitener[:, :rows, :rows]
+            return np.asarray((W @ a.reshape(len(a), rows, -1)).reshape(a.shape))
         sigma = np.repeat(self.sigma, 3, axis=1)[:, : a.shape[1]]
         return np.asarray(a / sigma.reshape(*sigma.shape, *[1] * (a.ndim - 2)))
 
@@ -195,13 +216,13 @@ def fit_model(model: Model, guess: Array, free: Collection[str]) -> ModelFit:
     loss = Loss(kind=LossKind.HUBER, scale=float(np.sqrt(chi2_ppf(0.99, rows))), block=rows)
     measurement = measurement_std(model.measured)
     residual, _ = model.linearised(guess)
-    noise = Noise(measurement=measurement, extra=extra_noise(residual, measurement, 0))
+    noise = Noise.of(model.measured, extra_noise(residual, measurement, 0))
     p = guess
     for _ in range(NOISE_ROUNDS):
         fit = solve(_problem(model, p, free, noise, loss), Settings(allow_undetermined=True, max_iterations=200))
         p = fit.shared
         residual, _ = model.linearised(p)
-        before, after = noise, Noise(measurement=measurement, extra=extra_noise(residual, measurement, len(free)))
+        before, after = noise, Noise.of(model.measured, extra_noise(residual, measurement, len(free)))
         if np.abs(np.log(after.sigma / before.sigma)).max() < SETTLED:
             break
         noise = after

@@ -22,7 +22,8 @@ class Measured:
     """Measured positions xyz_m (m, 3), rotations (m, 3, 3) where known, in any fixed frame.
 
     t_s (m,): stamps, None where rows have none. std (m, 6): standard deviations of x, y, z in m and of a turn about
-    each axis in rad, None where nobody says. row (m,): the row of the file, from 1. point (m,): which of several points
+    each axis in rad, None where nobody says. covariance (m, 6, 6): the same with what relates the axes; by std,
+    diagonal, where only that is given. row (m,): the row of the file, from 1. point (m,): which of several points
     of the tool was measured.
     """
 
@@ -30,14 +31,20 @@ class Measured:
     rotation: Array | None = None
     t_s: Array | None = None
     std: Array | None = None
+    covariance: Array | None = None
     row: Index | None = None
     point: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         m = len(self.xyz_m)
+        if self.covariance is not None:
+            object.__setattr__(self, "std", np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2)))
+        elif self.std is not None:
+            squares = np.asarray(self.std, float) ** 2
+            object.__setattr__(self, "covariance", squares[:, :, None] * np.eye(6))
         object.__setattr__(self, "xyz_m", frozen_array("xyz_m", self.xyz_m, (m, 3)))
         check_spread(self.xyz_m, "the measured positions")
-        for name, shape in (("rotation", (m, 3, 3)), ("t_s", (m,)), ("std", (m, 6))):
+        for name, shape in (("rotation", (m, 3, 3)), ("t_s", (m,)), ("std", (m, 6)), ("covariance", (m, 6, 6))):
             value = getattr(self, name)
             if value is not None:
                 object.__setattr__(self, name, frozen_array(name, value, shape))
@@ -73,7 +80,7 @@ class Measured:
             xyz_m=self.xyz_m[index],
             rotation=None if self.rotation is None else self.rotation[index],
             t_s=None if self.t_s is None else self.t_s[index],
-            std=None if self.std is None else self.std[index],
+            covariance=None if self.covariance is None else self.covariance[index],
             row=self.rows[index],
             point=tuple(self.point[i] for i in index.tolist()),
         )
@@ -82,8 +89,8 @@ class Measured:
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Repeats:
     """Which repeat each measured row (m,) is of, "" where the file does not say: the commanded pose and its visit, or
-    the path (its tag) and the run along it; approach: the direction a visit came from. systematic (m, 6): the part of
-    the standard deviations that all rows share, None where nobody says. arrival: which arrival at the pose a row shows
+    the path (its tag) and the run along it; approach: the direction a visit came from. systematic (m, 6, 6): the part
+    of the covariance that all rows share, None where nobody says. arrival: which arrival at the pose a row shows
     the arm on its way in; robot: which of several exchanged robots."""
 
     pose: tuple[str, ...]

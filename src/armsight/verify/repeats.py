@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from armsight.errors import Inconsistent
+from armsight.verify.body import FEWEST, Bodies, bodies_of
 from armsight.verify.clocks import SHARED
 from armsight.verify.iso9283 import ArrivalTest, CommandedPath, Iso9283Test, PathRun, PathTest, PoseVisits, Stamps
+from armsight.verify.iso9283.observations import random_part
 from armsight.verify.iso9283.pose import pose_figures
 from armsight.verify.records import Measured, Repeats
 
@@ -50,19 +52,18 @@ def iso9283_test(
     of the repeatability.
     """
     notes: list[str] = []
-    use = np.arange(len(measured))
+    use, body = np.arange(len(measured)), _bodies(measured, repeats, command, notes)
+    if len(measured.labels) > 1 and body is None:
+        notes.append(f"ISO 9283: of {len(measured.labels)} points only {measured.labels[0]!r} is judged")
     if len(measured.labels) > 1:
         use = np.flatnonzero(measured.which == 0)
-        notes.append(f"ISO 9283: of {len(measured.labels)} points only {measured.labels[0]!r} is judged")
     _check_arrivals(measured, repeats)
     visited, run, moving = (np.array(words)[use] for words in (repeats.at_pose, repeats.run, repeats.arrival))
     at_pose, on_path, on_way = use[visited != ""], use[run != ""], use[moving != ""]
-    visits = _visit_numbers(repeats, at_pose, notes)
-    pose_of = np.array(repeats.at_pose)[at_pose]
-    poses = tuple(
-        _visits(at_pose[pose_of == name], visits[pose_of == name], measured, repeats, command, notes)
-        for name in sorted(set(pose_of.tolist()))
-    )
+    if body is None:
+        poses = _all_visits(at_pose, measured, repeats, command, notes)
+    else:
+        poses = _all_visits(np.arange(len(body.measured)), body.measured, body.repeats, _told(body, command), notes)
     path_of = [(repeats.robot[i], repeats.path[i] or PATH) for i in on_path]
     paths = tuple(
         _path(key, on_path[[of == key for of in path_of]], measured, repeats, command, notes)
@@ -76,6 +77,42 @@ def iso9283_test(
         for place in (" ".join(key).strip(),)
     )
     return Iso9283Test(poses=poses, paths=paths, arrivals=arrivals), tuple(notes)
+
+
+def _all_visits(
+    at_pose: Index, measured: Measured, repeats: Repeats, command: Command | None, notes: list[str]
+) -> tuple[PoseVisits, ...]:
+    """Return the visits of every pose that rows (k,) are at rest at."""
+    visits = _visit_numbers(repeats, at_pose, notes)
+    pose_of = np.array(repeats.at_pose)[at_pose]
+    return tuple(
+        _visits(at_pose[pose_of == name], visits[pose_of == name], measured, repeats, command, notes)
+        for name in sorted(set(pose_of.tolist()))
+    )
+
+
+def _bodies(measured: Measured, repeats: Repeats, command: Command | None, notes: list[str]) -> Bodies | None:
+    """Return the body that three or more points are of, at each visit; None where they make none."""
+    at_rest = np.flatnonzero(np.array(repeats.at_pose) != "")
+    if len(measured.labels) < FEWEST or not len(at_rest):
+        return None
+    wanted = None
+    if command is not None and len(command.row):
+        wanted = np.full((len(measured), 3), np.nan)
+        _, mine, told = np.intersect1d(measured.rows, command.row, return_indices=True)
+        wanted[mine] = command.T[told, :3, 3]
+    found = bodies_of(measured, repeats, at_rest, _visit_numbers(repeats, at_rest, notes), wanted)
+    if found is not None:
+        notes += [note for note in found.notes if wanted is not None or "commanded" not in note]
+    return found
+
+
+def _told(body: Bodies, command: Command | None) -> Command | None:
+    """Return where the body was told to be, at the visits for which that is known."""
+    known = np.isfinite(body.commanded[:, 0, 0])
+    if command is None or not known.any():
+        return None
+    return replace(command, row=body.measured.rows[known], T=body.commanded[known], turned=True)
 
 
 def repeatability_m(visits: PoseVisits) -> float | None:
@@ -209,14 +246,14 @@ def _covariance(
 
     Where the shared part is not told, none of the deviation can be taken out of the scatter of repeats.
     """
-    if measured.std is None or repeats.systematic is None:
+    if measured.covariance is None or repeats.systematic is None:
         return None, None
     size = 6 if turned else 3
     own = np.concatenate(members)
-    shared = np.mean(repeats.systematic[own, :size] ** 2, axis=0)
-    total = measured.std[:, :size] ** 2
-    each = [np.diag(np.maximum(total[rows].mean(axis=0) - shared, 0.0) / len(rows) + shared) for rows in members]
-    return np.array(each), np.diag(shared)
+    shared = repeats.systematic[own, :size, :size].mean(axis=0)
+    total = measured.covariance[:, :size, :size]
+    each = [random_part(total[rows].mean(axis=0), shared) / len(rows) + shared for rows in members]
+    return np.array(each), shared
 
 
 def _commanded(

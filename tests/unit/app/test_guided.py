@@ -6,6 +6,7 @@ import shutil
 import threading
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,15 +17,17 @@ from armsight.app.calibrate.cameras import CalibrateJob, calibrate_stereo
 from armsight.app.guided.boards import BoardCalibration, tilt
 from armsight.app.guided.charts import figures_of
 from armsight.app.guided.desk import StepDesk
-from armsight.app.guided.poses import HandEyeStep, TipCalibrationStep
+from armsight.app.guided.poses import HandEyeStep, TipCalibrationStep, seen_pose
 from armsight.app.guided.step import Hint, Next, Sample, Verdict
 from armsight.app.live.station import Shown
+from armsight.app.live.views import RunView, live_view
+from armsight.app.operator.teach import seen
 from armsight.app.schemas.live import Counts, LiveView, SideView
 from armsight.clock import ManualClock
 from armsight.console import texts
 from armsight.errors import BadImage, DeviceFailed, NotEnoughData
 from armsight.kinematics import presets
-from armsight.records import BoardView, JointReading, Silent
+from armsight.records import BoardView, JointReading, PoseStatus, Silent, TargetPose
 from armsight.store import parse_board
 from armsight.store.handeye_file import read_handeye, read_tip
 
@@ -56,10 +59,38 @@ class Poses:
         view = LiveView(
             sequence=1, t_s=t_s, fps=30.0, latency_s=0.01, measuring_s=0.001, status="ok", why="",
             parent="rig", xyz_m=tuple(xyz), euler_rad=(0.0, 0.0, 0.0), quat_xyzw=tuple(turn.as_quat()),
-            std=(1e-4,) * 3 + (1e-3,) * 3, residual_px=0.1, counts=Counts(ok=1, position_only=0, lost=0),
+            std=(1e-4,) * 3 + (1e-3,) * 3, residual_px=0.1, counts=Counts(ok=1, doubtful=0, position_only=0, lost=0),
             left=SIDE, right=SIDE,
         )  # fmt: skip
         return Shown(view=view, left_jpeg=b"", right_jpeg=b"")
+
+
+def test_what_a_view_shows_keeps_the_whole_covariance() -> None:
+    """On its way to teaching, supervision and hand-eye; what is doubtful is no pose to take."""
+    rng = np.random.default_rng(3)
+    A, B = rng.standard_normal((2, 6, 6)) * 1e-4
+    T = RigidTransform.from_components([0.1, 0.2, 0.7], Rotation.from_rotvec([0.1, 0.2, 0.3])).as_matrix()
+    run = RunView(fps=30.0, latency_s=0.01, measuring_s=0.001, counts=Counts(ok=1, doubtful=0, position_only=0, lost=0))
+    pose = TargetPose(
+        t_s=1.0, status=PoseStatus.OK, parent="rig", T_parent_target=T, covariance=A @ A.T + B @ B.T,
+        systematic_covariance=B @ B.T,
+    )  # fmt: skip
+    for status in (PoseStatus.OK, PoseStatus.DOUBTFUL):
+        view = LiveView.model_validate_json(
+            live_view(replace(pose, status=status), run, (SIDE, SIDE)).model_dump_json()
+        )
+        back = seen(view)
+        assert back.status is status
+        assert np.array_equal(back.covariance, pose.covariance)
+        assert np.array_equal(back.systematic_covariance, pose.systematic_covariance)
+    station: Any = SimpleNamespace(shown_since=lambda t_s: SimpleNamespace(view=view))
+    with pytest.raises(NotEnoughData):
+        seen_pose(station, 0.0)
+    place = TargetPose(
+        t_s=1.0, status=PoseStatus.POSITION_ONLY, parent="rig", T_parent_target=T, covariance=(A @ A.T)[:3, :3]
+    )
+    back = seen(live_view(place, run, (SIDE, SIDE)))
+    assert back.status is PoseStatus.POSITION_ONLY and np.array_equal(back.covariance, place.covariance)
 
 
 def test_a_rig_is_led_to_the_result_of_the_command(boards: Any, tmp_path: Path) -> None:

@@ -64,6 +64,9 @@ class Cell:
                     xyz_m=tuple(T.translation),
                     quat_xyzw=tuple(T.rotation.as_quat()),
                     std=STD,
+                    covariance=None,
+                    systematic_covariance=None,
+                    covariance_m2=None,
                 )
             )
             pause = threading.Event()

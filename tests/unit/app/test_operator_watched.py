@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from armsight.app.operator import watched as watched_module
 from armsight.app.operator.robot_cell import prepare_simulated
 from armsight.app.operator.watched import watcher_of
 from armsight.clock import ManualClock
@@ -29,7 +30,7 @@ def folder(tmp_path_factory):
     return made
 
 
-def view(T: RigidTransform, t_s: float, status: str = "ok") -> SimpleNamespace:
+def view(T: RigidTransform, t_s: float, status: str = "ok", covariance=None) -> SimpleNamespace:
     return SimpleNamespace(
         view=SimpleNamespace(
             t_s=t_s,
@@ -39,15 +40,18 @@ def view(T: RigidTransform, t_s: float, status: str = "ok") -> SimpleNamespace:
             xyz_m=tuple(T.translation),
             quat_xyzw=tuple(T.rotation.as_quat()),
             std=(1e-4,) * 6,
+            covariance=None if covariance is None else covariance.tolist(),
+            systematic_covariance=None,
+            covariance_m2=None,
         )
     )
 
 
-def watched(folder, station, act):
+def watched(folder, station, act, cell=None):
     """Return what was seen while the station did something."""
     seen, told = [], []
     clock = ManualClock(100.0)
-    watcher = watcher_of(folder, read_cell(folder), read_arm(folder / "arm.yaml"), station, clock)
+    watcher = watcher_of(folder, cell or read_cell(folder), read_arm(folder / "arm.yaml"), station, clock)
     assert watcher is not None
     waiting = threading.Semaphore(0)
 
@@ -59,6 +63,30 @@ def watched(folder, station, act):
         watcher.open(stack, SimpleNamespace(pose=told.append), take)
         act(station, clock, lambda: waiting.acquire(timeout=10.0))
     return watcher, seen, told
+
+
+def test_in_the_rigs_axes_the_covariance_is_turned_with_the_pose_and_doubtful_is_not_ok(folder, monkeypatch):
+    handeye = read_handeye(folder / "handeye.yaml")
+    T_rig_target = handeye.T_parent_camera.inv() * FLANGE * handeye.T_parent_target
+    T_rig_parent = RigidTransform.from_components([0.3, -0.2, 0.1], Rotation.from_rotvec([0.4, -0.7, 1.1]))
+    A = np.random.default_rng(4).standard_normal((6, 6)) * 1e-4
+    C = A @ A.T
+
+    def act(station, clock, wait):
+        for t_s, status in ((99.9, "ok"), (99.95, "doubtful")):
+            station.shown = view(T_rig_parent.inv() * T_rig_target, t_s, status, C)
+            assert wait()
+
+    monkeypatch.setattr(watched_module, "rig_pose", lambda *_: T_rig_parent.inv())
+    station = SimpleNamespace(shown=None, failure="", job=SimpleNamespace(rig="rig.yaml"))
+    cell = read_cell(folder).model_copy(update={"world": "world.yaml"})
+    watcher, seen, _ = watched(folder, station, act, cell)
+    turned = np.kron(np.eye(2), T_rig_parent.rotation.as_matrix())
+    pose = seen[0][1]
+    assert np.allclose(pose.T_parent_target, T_rig_target.as_matrix(), atol=1e-9)
+    assert np.abs(pose.covariance - turned @ C @ turned.T).max() < 1e-12 * np.abs(C).max() * 100
+    assert [pose.status for _, pose, _ in seen] == [PoseStatus.OK, PoseStatus.DOUBTFUL]
+    assert watcher.counts()[PoseStatus.DOUBTFUL] == 1
 
 
 def test_the_flange_is_seen_where_it_is_and_lost_frames_are_counted(folder):

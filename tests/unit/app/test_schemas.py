@@ -31,7 +31,7 @@ from armsight.app.schemas import (
 from armsight.app.schemas.base import Output, PointStd, PoseOutput, PoseStd, absent
 from armsight.app.schemas.catalogue import OUTPUTS
 
-MEASURE = "n_frames n_ok n_position_only n_lost reprojection_rms_px ms_per_frame reasons"
+MEASURE = "n_frames n_ok n_doubtful n_position_only n_lost reprojection_rms_px ms_per_frame reasons"
 MEASURE_MAYBE = "candidates std consistency skew timing error zoom assumed_fps made_with"
 STEREO = (
     "rms_px epipolar_rms_px baseline_m n_pairs n_used rejected std holdout_rms_px holdout_epipolar_rms_px metric "
@@ -216,13 +216,13 @@ KEYS: dict[type[Output], tuple[str, str]] = {
     robot.PeriodOutput: ("median p99 max", ""),
     OUTPUTS["robot-jog"]: ("asked sent reached limited outside state", ""),
     OUTPUTS["servo"]: (
-        "state n_cycles late missed stopped_by n_frames n_ok n_position_only n_lost gain delay error followed "
-        "outside holds vision_ms recording",
+        "state n_cycles late missed stopped_by n_frames n_ok n_doubtful n_position_only n_lost gain delay error "
+        "followed outside holds vision_ms recording",
         "",
     ),
     OUTPUTS["teach"]: (
-        "state n_cycles late stopped_by path parent n_rows n_stretches length_m n_ok n_position_only n_lost n_unplaced "
-        "servo",
+        "state n_cycles late stopped_by path parent n_rows n_stretches length_m n_ok n_doubtful n_position_only n_lost "
+        "n_unplaced servo",
         "",
     ),
     OUTPUTS["play"]: (
@@ -230,7 +230,7 @@ KEYS: dict[type[Output], tuple[str, str]] = {
         "outside holds recording",
         "",
     ),
-    play.PlayMeasuredOutput: ("n rms_m max_m last_m mean_m arm_lag_s n_position_only n_lost", ""),
+    play.PlayMeasuredOutput: ("n rms_m max_m last_m mean_m arm_lag_s n_doubtful n_position_only n_lost", ""),
     servo.ServoGainOutput: ("used no_overshoot stable cycle_s n_delay note", ""),
     servo.ServoDelayOutput: ("camera_s arm_s", ""),
     servo.ServoErrorOutput: ("rms_m max_m last_m last_rad", ""),

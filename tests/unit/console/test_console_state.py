@@ -25,7 +25,7 @@ def view(fps: float) -> LiveView:
     return LiveView(
         sequence=1, t_s=0.0, fps=fps, latency_s=0.01, measuring_s=0.001, status="ok", why="", parent="rig",
         xyz_m=(0.0, 0.0, 1.0), euler_rad=(0.0, 0.0, 0.0), quat_xyzw=(0.0, 0.0, 0.0, 1.0), std=None, residual_px=0.1,
-        counts=Counts(ok=1, position_only=0, lost=0), left=SIDE, right=SIDE,
+        counts=Counts(ok=1, doubtful=0, position_only=0, lost=0), left=SIDE, right=SIDE,
     )  # fmt: skip
 
 

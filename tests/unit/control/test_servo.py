@@ -218,6 +218,13 @@ def test_nothing_seen_stale_and_lost_are_holds_that_say_so():
     assert isinstance(setup.run(2.5), ToolTwist)
 
 
+def test_a_doubtful_pose_is_not_followed():
+    setup = bench()
+    assert "not seen yet" in why(setup.run(0.6, lambda pose: replace(pose, status=PoseStatus.DOUBTFUL)))
+    assert isinstance(setup.run(1.5), ToolTwist)
+    assert "too old" in why(setup.run(1.7, lambda pose: replace(pose, status=PoseStatus.DOUBTFUL)))
+
+
 def moved(by_m: float):
     def change(pose: TargetPose) -> TargetPose:
         T = np.array(pose.T_parent_target)

@@ -20,8 +20,7 @@ def seen(t_s: float, xyz, *, status: PoseStatus = PoseStatus.OK, turn=(0.0, 0.0,
     if status is PoseStatus.LOST:
         return TargetPose(t_s=t_s, status=status, parent="rig")
     T = RigidTransform.from_components(xyz, Rotation.from_rotvec(turn)).as_matrix()
-    size = 6 if status is PoseStatus.OK else 3
-    return TargetPose(t_s=t_s, status=status, parent="rig", T_parent_target=T, covariance=1e-8 * np.eye(size))
+    return TargetPose(t_s=t_s, status=status, parent="rig", T_parent_target=T, covariance=1e-8 * np.eye(status.size))
 
 
 def led(recorder: PathRecorder, times, **more) -> None:
@@ -53,10 +52,12 @@ def test_frames_without_a_whole_pose_are_counted_and_not_recorded() -> None:
     led(recorder, [0.1, 0.2])
     led(recorder, [0.3], status=PoseStatus.POSITION_ONLY)
     led(recorder, [0.4, 0.5], status=PoseStatus.LOST)
+    led(recorder, [0.55], status=PoseStatus.DOUBTFUL)
     led(recorder, [0.6])
     counts = recorder.counts
     assert recorder.path().t_s.tolist() == [0.1, 0.2, 0.6]
     assert (counts.ok, counts.position_only, counts.lost, counts.unplaced) == (3, 1, 2, 0)
+    assert counts.doubtful == 1
 
 
 def test_a_vector_is_the_last_of_its_frames_or_their_mean_and_spans_no_lost_one() -> None:

@@ -13,7 +13,9 @@ import typer
 from scipy.spatial.transform import RigidTransform, Rotation
 from typer.testing import CliRunner
 
+from armsight.app.calibrate.handeye import calibrate_tip
 from armsight.calibrate.handeye import PosePairs, Setup
+from armsight.calibrate.tooltip import calibrate_tooltip
 from armsight.cli.handeye import add_to
 from armsight.errors import BadFile
 from armsight.records import PoseStatus, TargetPose
@@ -39,6 +41,32 @@ def recording(n: int = 14, *, to_hand: bool = False) -> PosePairs:
     noise = Rotation.from_rotvec(rng.normal(0, 8e-4, (n, 3)))
     seen = RigidTransform.from_components(seen.translation + rng.normal(0, 3e-4, (n, 3)), noise * seen.rotation)
     return PosePairs(T_base_flange=robot, T_camera_target=seen, names=tuple(f"row {i + 1}" for i in range(n)))
+
+
+def test_a_tip_from_a_file_is_that_of_the_poses_in_memory(tmp_path: Path) -> None:
+    """Errors that go almost together: without the columns cov_... the answer is another, and the lack is told."""
+    rng, tip, n = np.random.default_rng(5), np.array([0.0, 0.02, 0.15]), 24
+    R = Rotation.from_rotvec(rng.uniform(-0.6, 0.6, (n, 3)))
+    L = rng.standard_normal((n, 6, 2)) @ rng.standard_normal((n, 2, 6)) + 0.05 * rng.standard_normal((n, 6, 6))
+    L *= np.array([1e-4] * 3 + [1e-3] * 3)[:, None]
+    noise, C = np.einsum("nij,nj->ni", L, rng.standard_normal((n, 6))), L @ L.transpose(0, 2, 1)
+    turned = Rotation.from_rotvec(noise[:, 3:]) * R
+    T = RigidTransform.from_components(np.array([0.05, -0.1, 0.7]) - R.apply(tip) + noise[:, :3], turned)
+    poses = [
+        TargetPose(t_s=0.0, status=PoseStatus.OK, parent="rig", T_parent_target=T[i].as_matrix(), covariance=C[i])
+        for i in range(n)
+    ]
+    write_poses(tmp_path / "poses.csv", poses)
+    done = calibrate_tip(tmp_path / "poses.csv", tmp_path / "tip.yaml")
+    memory = calibrate_tooltip([pose.pose for pose in poses], C)
+    assert np.abs(np.array(done.tip_m) - memory.tip_m).max() < 1e-12 and not done.notes
+    assert done.std.x_m == pytest.approx(memory.std()["x_m"], rel=1e-9)
+    rows = (tmp_path / "poses.csv").read_text().splitlines()
+    keep = rows[0].split(",").index("cov_x_y")
+    (tmp_path / "old.csv").write_text("\n".join(",".join(row.split(",")[:keep]) for row in rows) + "\n")
+    old = calibrate_tip(tmp_path / "old.csv", tmp_path / "old.yaml")
+    assert any("uncorrelated" in note for note in old.notes)
+    assert np.abs(np.array(old.tip_m) - memory.tip_m).max() > 1e-6
 
 
 @pytest.mark.parametrize("to_hand", [False, True])

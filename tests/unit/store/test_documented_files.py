@@ -10,6 +10,7 @@ from armsight.app.verify.live_output import ERROR_COLUMNS, HEADER
 from armsight.app.verify.output import NAMES
 from armsight.store.arm_file import arm_from_mapping
 from armsight.store.cell_file import CellFile
+from armsight.store.covariances import POINT_COVARIANCE
 from armsight.store.handeye_file import HandEyeModel, TipModel
 from armsight.store.interpret.read import is_ours
 from armsight.store.interpret.roles import ROLES
@@ -51,7 +52,9 @@ READERS = {
     "armsight/cell": lambda content: validated(CellFile, content, "x"),
     "armsight/tokens": lambda content: validated(TokensModel, content, "x").tokens,
     "t_s,x_m": lambda data: parse_poses(data, "x"),
-    "t_s,spot": lambda data: parse_table(data, "x", POINT_COLUMNS, text=("spot",)),
+    "t_s,spot": lambda data: parse_table(
+        data, "x", (*POINT_COLUMNS, *POINT_COVARIANCE, "status"), text=("spot", "status")
+    ),
     "t_s,camera": lambda data: parse_table(data, "x", SPOT_COLUMNS, text=("camera", "spot")),
     "t_s,u_px": lambda data: parse_spot_track(data, "x"),
     "joint,q1": lambda data: standard(data, "sweep"),

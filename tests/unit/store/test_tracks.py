@@ -10,6 +10,7 @@ from armsight import store
 from armsight.errors import BadFile, NotEnoughData
 from armsight.geometry import is_close
 from armsight.records import Motion, Points, PoseStatus, Spots, TargetPose
+from armsight.store.covariances import COVARIANCE
 from armsight.store.tables import parse_table
 from armsight.store.tracks import POSE_COLUMNS, parse_joints, parse_poses, parse_times, parse_tum
 
@@ -51,7 +52,8 @@ def assert_same(back, poses):
         if want.pose is not None:
             assert np.array_equal(got.pose.translation, want.pose.translation)
             assert is_close(got.pose, want.pose, tol_m=0.0, tol_rad=1e-14)
-            assert np.allclose(np.diag(got.covariance), np.diag(want.covariance), rtol=1e-15, atol=0.0)
+            scale = np.sqrt(np.diag(want.covariance))
+            assert np.abs((got.covariance - want.covariance) / np.outer(scale, scale)).max() < 1e-12
 
 
 def test_poses_come_back(tmp_path):
@@ -65,9 +67,13 @@ def test_poses_come_back(tmp_path):
     header, first = (tmp_path / "poses.csv").read_text().splitlines()[:2]
     assert header == "t_s,x_m,y_m,z_m,qx,qy,qz,qw,sx_m,sy_m,sz_m,srx_rad,sry_rad,srz_rad,status,spots," + (
         "sys_sx_m,sys_sy_m,sys_sz_m,sys_srx_rad,sys_sry_rad,sys_srz_rad,"
-        "lights_x_m,lights_y_m,lights_z_m,slights_x_m,slights_y_m,slights_z_m"
+        "lights_x_m,lights_y_m,lights_z_m,slights_x_m,slights_y_m,slights_z_m,"
+        "cov_x_y,cov_x_z,cov_x_rx,cov_x_ry,cov_x_rz,cov_y_z,cov_y_rx,cov_y_ry,cov_y_rz,"
+        "cov_z_rx,cov_z_ry,cov_z_rz,cov_rx_ry,cov_rx_rz,cov_ry_rz,"
+        "sys_cov_x_y,sys_cov_x_z,sys_cov_x_rx,sys_cov_x_ry,sys_cov_x_rz,sys_cov_y_z,sys_cov_y_rx,sys_cov_y_ry,"
+        "sys_cov_y_rz,sys_cov_z_rx,sys_cov_z_ry,sys_cov_z_rz,sys_cov_rx_ry,sys_cov_rx_rz,sys_cov_ry_rz"
     )
-    assert first.endswith(",ok,A B C,,,,,,,,,,,,")
+    assert ",ok,A B C,,,,,,,,,,,,," in first and first.endswith(15 * ",")
 
 
 def test_cells_that_mean_nothing_are_empty(tmp_path):
@@ -77,15 +83,15 @@ def test_cells_that_mean_nothing_are_empty(tmp_path):
     assert cells[1:14] == [""] * 13  # nobody knows where the target's origin is
     assert cells[14:22] == ["position_only", "A", *[""] * 6]
     assert [float(cell) for cell in cells[22:25]] == [0.1, 1 / 3, 2.0]
-    np.testing.assert_allclose([float(cell) for cell in cells[25:]], np.sqrt([1e-8, 2e-8, 3e-8]))
-    assert lost.split(",")[1:] == [""] * 13 + ["lost", "", *[""] * 12]
+    np.testing.assert_allclose([float(cell) for cell in cells[25:28]], np.sqrt([1e-8, 2e-8, 3e-8]))
+    assert lost.split(",")[1:] == [""] * 13 + ["lost", "", *[""] * 42]
 
 
 def test_a_position_of_the_origin_stays_in_the_columns_of_the_pose(tmp_path):
     known = replace(make_poses(1)[1], origin_known=True)
     store.write_poses(tmp_path / "poses.csv", [known])
     cells = (tmp_path / "poses.csv").read_text().splitlines()[1].split(",")
-    assert [float(cell) for cell in cells[1:4]] == [0.1, 1 / 3, 2.0] and cells[22:] == [""] * 6
+    assert [float(cell) for cell in cells[1:4]] == [0.1, 1 / 3, 2.0] and cells[22:28] == [""] * 6
     assert store.read_poses(tmp_path / "poses.csv")[0].origin_known
 
 
@@ -102,9 +108,61 @@ def test_poses_without_deviations_are_read(tmp_path):
     assert not poses[0].covariance.any()
 
 
+def correlated(rng, scale):
+    """A covariance whose axes go almost together: correlations up to 0.99."""
+    A = rng.standard_normal((6, 2)) @ rng.standard_normal((2, 6)) + 0.05 * rng.standard_normal((6, 6))
+    return scale[:, None] * (A @ A.T) * scale
+
+
+def test_strong_correlations_come_back_with_the_part_that_repeats(tmp_path):
+    rng, scale = np.random.default_rng(8), np.array([1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 3e-3])
+    poses = []
+    for pose in make_poses(20)[:20]:
+        shared = correlated(rng, 0.3 * scale)
+        poses.append(replace(pose, covariance=correlated(rng, scale) + shared, systematic_covariance=shared))
+    R = np.linalg.cholesky(poses[0].covariance[:3, :3])
+    poses.append(replace(make_poses(0)[0], covariance=R @ R.T))
+    poses.append(replace(poses[-1], origin_known=True, systematic_covariance=0.1 * (R @ R.T)))
+    store.write_poses(tmp_path / "poses.csv", poses)
+    for got, want in zip(store.read_poses(tmp_path / "poses.csv"), poses, strict=True):
+        for name in ("covariance", "systematic_covariance"):
+            C, back = getattr(want, name), getattr(got, name)
+            if C is None:
+                assert back is None
+                continue
+            s = np.sqrt(np.diag(C))
+            assert np.abs((back - C) / np.outer(s, s)).max() < 1e-12
+    assert max(abs(p.covariance[i, j]) / np.sqrt(p.covariance[i, i] * p.covariance[j, j])
+               for p in poses[:20] for i in range(6) for j in range(i)) > 0.9  # fmt: skip
+
+
+def test_a_doubtful_pose_comes_back_as_one(tmp_path):
+    pose = replace(make_poses(1)[0], status=PoseStatus.DOUBTFUL)
+    store.write_poses(tmp_path / "poses.csv", [pose])
+    assert_same(store.read_poses(tmp_path / "poses.csv"), [pose])
+    assert store.write_tum(tmp_path / "poses.tum", [pose]) == 0
+
+
+@pytest.mark.parametrize(
+    ("columns", "cells"),
+    [
+        ("cov_x_y,cov_x_z", "0,0"),
+        (",".join(COVARIANCE), ",".join(["1.1e-6", *["0"] * 14])),
+        (",".join(COVARIANCE), ",".join(["9e-7", "9e-7", "0", "0", "0", "-9e-7", *["0"] * 9])),
+    ],
+    ids=["in part", "beyond one", "not positive"],
+)
+def test_what_is_no_covariance_is_refused_by_its_line(columns, cells):
+    head = "t_s,x_m,y_m,z_m,qx,qy,qz,qw,sx_m,sy_m,sz_m,srx_rad,sry_rad,srz_rad"
+    text = f"{head},{columns}\n0,1,2,3,0,0,0,1,1e-3,1e-3,1e-3,1e-3,1e-3,1e-3,{cells}\n"
+    with pytest.raises(BadFile, match="line 2"):
+        parse_poses(text.encode(), "poses.csv")
+
+
 def test_points_and_spots_come_back(tmp_path):
     rng = np.random.default_rng(3)
-    points = Points(names=("A", "B"), xyz_m=rng.standard_normal((2, 3)), covariance_m2=np.stack([np.eye(3) / 9] * 2))
+    C = np.array([[1.0, 0.5, 0.2], [0.5, 1.0, -0.3], [0.2, -0.3, 1.0]]) / 9
+    points = Points(names=("A", "B"), xyz_m=rng.standard_normal((2, 3)), covariance_m2=np.stack([C] * 2))
     spots = Spots(
         uv_px=rng.standard_normal((2, 2)),
         covariance_px2=np.stack([np.diag([0.04, 0.09])] * 2),
@@ -120,7 +178,10 @@ def test_points_and_spots_come_back(tmp_path):
     table = store.read_points(tmp_path / "points.csv")
     assert table.text["spot"] == ("A", "B")
     assert np.array_equal(table.stacked(("x_m", "y_m", "z_m")), points.xyz_m)
-    assert table.numbers["sx_m"][0] == 1 / 3
+    assert table.numbers["sx_m"][0] == 1 / 3 and table.text["status"] == ("ok", "ok")
+    assert np.allclose(table.stacked(("cov_x_y", "cov_x_z", "cov_y_z")), C[(0, 0, 1), (1, 2, 2)], rtol=1e-15)
+    store.restate_points(tmp_path / "points.csv", {0.1: PoseStatus.DOUBTFUL})
+    assert store.read_points(tmp_path / "points.csv").text["status"] == ("doubtful", "doubtful")
     table = store.read_spots(tmp_path / "spots.csv")
     assert table.text["camera"] == ("left", "left")
     assert np.array_equal(table.stacked(("u_px", "v_px")), spots.uv_px)

@@ -66,7 +66,7 @@ def test_a_row_of_another_pose_is_left_out_by_number() -> None:
 
 
 def test_poses_in_another_frame_are_no_crash() -> None:
-    seen = replace(measured(), std=None)
+    seen = replace(measured(), std=None, covariance=None)
     T = RigidTransform.from_components([1.7, 0.1, 0.3], Rotation.from_rotvec([1.2, 1.2, 1.2]))
     turned = replace(seen, xyz_m=T.apply(seen.xyz_m), rotation=T.rotation.as_matrix() @ seen.rotation)
     with pytest.raises(Inconsistent, match="are left"):

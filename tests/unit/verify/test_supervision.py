@@ -61,6 +61,13 @@ def test_errors_are_measured_minus_expected_in_the_bases_axes() -> None:
     np.testing.assert_allclose(found.std_m, 1e-4, rtol=1e-9)
 
 
+def test_a_doubtful_pose_is_not_compared() -> None:
+    T = (RIG.inv() * RigidTransform.from_matrix(fk(ARM, Q))).as_matrix()
+    pose = TargetPose(t_s=0.0, status=PoseStatus.DOUBTFUL, parent="rig", T_parent_target=T, covariance=1e-8 * np.eye(6))
+    with pytest.raises(UsageError):
+        Expectation(arm=ARM, T_parent_rig=RIG).compare(pose, STILL)
+
+
 def test_a_moving_arm_makes_an_unsure_moment_an_unsure_pose() -> None:
     expectation = Expectation(arm=ARM, T_parent_rig=RIG, time_std_s=0.01)
     moving = replace(STILL, speed=np.array([1.0, 0, 0, 0, 0, 0]))

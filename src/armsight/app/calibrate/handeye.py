@@ -50,6 +50,7 @@ from armsight.records import BoardView, NotSeen, PoseStatus, Progress, Silent, T
 from armsight.report.handeye_report import handeye_report
 from armsight.report.run import BoardViews
 from armsight.store import parse_board, read_camera, read_poses, write_camera, write_text
+from armsight.store.covariances import UNCORRELATED
 from armsight.store.handeye_file import (
     named_poses,
     read_pairs,
@@ -251,11 +252,13 @@ def calibrate_tip(
     chosen = [p.pose for p in read if p.pose is not None]
     result = calibrate_tooltip(chosen, _covariances(read), measured, _times(found, read))
     write_tip(out, result, inputs=[poses])
-    return tip_output(result)
+    weighed = _covariances(read)
+    uncorrelated = weighed is not None and not (weighed * (1.0 - np.eye(6))).any()
+    return tip_output(result, (f"{poses.name} {UNCORRELATED}",) if uncorrelated else ())
 
 
-def tip_output(result: TipCalibration) -> TipOutput:
-    """Return a tool-tip calibration as --json gives it."""
+def tip_output(result: TipCalibration, notes: tuple[str, ...] = ()) -> TipOutput:
+    """Return a tool-tip calibration as --json gives it; notes: on what it was found from."""
     paper, drift = result.paper_tip_m, result.correlation
     return TipOutput(
         tip_m=result.tip_m.tolist(),
@@ -269,7 +272,7 @@ def tip_output(result: TipCalibration) -> TipOutput:
         rejected=[RejectedRow(row=row + 1, why=why) for row, why in result.rejected],
         turning_rms_rad=result.turn_rms_rad.tolist(),
         mean_tip_m=None if paper is None else paper.tolist(),
-        notes=list(result.notes),
+        notes=[*result.notes, *notes],
     )
 
 

@@ -63,10 +63,11 @@ def compare_tracks(a: Path, b: Path) -> Tracks:
             cure="Give two measurements of one recording, or of runs whose times begin together",
         )
     values = np.array([_difference(first[i], second[j]) for i, j in rows])
-    variance = np.array([_variance(first[i]) + _variance(second[j]) for i, j in rows])
+    covariance = np.array([_covariance(first[i]) + _covariance(second[j]) for i, j in rows])  # (n, 6, 6)
+    variance = np.diagonal(covariance, axis1=1, axis2=2)
     known = np.asarray((variance > 0.0).all(axis=1))
     std = np.where(known[:, None], np.sqrt(variance), np.nan)
-    p, inside = _judged(values[known], std[known])
+    p, inside = _judged(values[known], covariance[known])
     common = shared(a, b)
     return Tracks(
         compared=Compared(
@@ -138,16 +139,19 @@ def _difference(a: TargetPose, b: TargetPose) -> Array:
     return np.concatenate([B[:3, 3] - A[:3, 3], Rotation.from_matrix(B[:3, :3] @ A[:3, :3].T).as_rotvec()])
 
 
-def _variance(pose: TargetPose) -> Array:
-    return np.zeros(6) if pose.covariance is None else np.diag(pose.covariance)
+def _covariance(pose: TargetPose) -> Array:
+    return np.zeros((6, 6)) if pose.covariance is None else pose.covariance
 
 
-def _judged(values: Array, std: Array) -> tuple[float | None, float | None]:
+def _judged(values: Array, covariance: Array) -> tuple[float | None, float | None]:
     """Return how often chance leaves so few differences inside their 95 % ellipsoid, and the share that is inside."""
     n = len(values)
     if n == 0:
         return None, None
-    inside = int(np.count_nonzero(((values / std) ** 2).sum(axis=1) <= INSIDE_95))
+    std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))  # scaled by it: metres and radians are far apart
+    correlation = covariance / (std[:, :, None] * std[:, None, :])
+    distance2 = np.einsum("ni,nij,nj->n", values / std, np.linalg.pinv(correlation, hermitian=True), values / std)
+    inside = int(np.count_nonzero(distance2 <= INSIDE_95))
     return float(bdtr(inside, n, 0.95)), inside / n
 
 

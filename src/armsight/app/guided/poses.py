@@ -56,13 +56,22 @@ def seen_pose(station: Station, since_s: float) -> TargetPose:
 
 
 def pose_of(view: LiveView) -> TargetPose:
-    """Return the pose that a view shows, its covariance without the correlations."""
+    """Return the pose that a view shows, with its covariance; without correlations where the view has deviations only.
+
+    The status stays with the view: seen_pose and teach.seen ask for it.
+    """
     T = np.eye(4)
     T[:3, 3] = view.xyz_m or (0.0, 0.0, 0.0)
     T[:3, :3] = Rotation.from_quat(view.quat_xyzw or (0.0, 0.0, 0.0, 1.0)).as_matrix()
-    std = np.array(view.std or np.full(6, np.nan))
+    covariance = np.array(view.covariance or np.diag(np.square(view.std or np.full(6, np.nan))))
+    systematic = None if view.systematic_covariance is None else np.array(view.systematic_covariance)
     return TargetPose(
-        t_s=view.t_s, status=PoseStatus.OK, parent=view.parent, T_parent_target=T, covariance=np.diag(std**2)
+        t_s=view.t_s,
+        status=PoseStatus.OK,
+        parent=view.parent,
+        T_parent_target=T,
+        covariance=covariance,
+        systematic_covariance=systematic,
     )
 
 

@@ -16,7 +16,7 @@ from armsight.measure.poses.pipeline import Measured
 from armsight.measure.settings import SpotSettings
 from armsight.optics import SIDES, Rig
 from armsight.optics.epipolar import epipolar_curve
-from armsight.records import Frame, PoseStatus, Spots, TargetPose
+from armsight.records import Frame, Spots, TargetPose
 
 DEPTHS_M = np.geomspace(0.15, 30.0, 24)
 """Where along a pixel's ray its epipolar curve is drawn: from a hand before the lens to a hall's other end."""
@@ -35,9 +35,9 @@ class RunView:
 def live_view(pose: TargetPose, run: RunView, sides: Sequence[SideView]) -> LiveView:
     """Return what a screen shows of one moment: the pose in its frame, and both pictures."""
     T, covariance = pose.pose, pose.covariance
-    whole = pose.status is PoseStatus.OK and T is not None
+    whole = pose.status.size == 6 and T is not None
     return LiveView(
-        sequence=run.counts.ok + run.counts.position_only + run.counts.lost,
+        sequence=run.counts.ok + run.counts.doubtful + run.counts.position_only + run.counts.lost,
         t_s=pose.t_s,
         fps=run.fps,
         latency_s=run.latency_s,
@@ -50,6 +50,8 @@ def live_view(pose: TargetPose, run: RunView, sides: Sequence[SideView]) -> Live
         quat_xyzw=_four(T.rotation.as_quat(canonical=True)) if whole and T is not None else None,
         std=None if covariance is None else tuple(np.sqrt(np.diag(covariance)).tolist()),
         covariance_m2=None if covariance is None else np.asarray(covariance)[:3, :3].tolist(),
+        covariance=_six(covariance),
+        systematic_covariance=_six(pose.systematic_covariance),
         residual_px=float(np.sqrt(np.mean(pose.residual_px**2))) if len(pose.residual_px) else None,
         counts=run.counts,
         left=sides[0],
@@ -117,6 +119,10 @@ def _spots(measured: Measured, side: int, seen: Spots, *, overlaid: bool) -> Ite
 def _curve(rig: Rig, side: str, px: NDArray[np.float64]) -> list[tuple[float, float]]:
     uv = epipolar_curve(rig, side, px, DEPTHS_M)
     return [(round(float(u), 1), round(float(v), 1)) for u, v in uv[np.isfinite(uv).all(axis=1)]]
+
+
+def _six(covariance: NDArray[np.float64] | None) -> list[list[float]] | None:
+    return covariance.tolist() if covariance is not None and len(covariance) == 6 else None
 
 
 def _three(values: NDArray[np.float64]) -> tuple[float, float, float]:

@@ -57,7 +57,7 @@ class Collector:
         self._samples: dict[str, tuple[Sample, ...]] = {}
 
     @property
-    def poses(self) -> Sequence[TargetPose]:
+    def poses(self) -> list[TargetPose]:
         """The poses so far, one per pair."""
         return self._poses
 

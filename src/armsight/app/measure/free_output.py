@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.app.measure.free_running import FreeRun, MovingPose, measure_free_running
+from armsight.app.measure.free_running import KINDS, FreeRun, MovingPose, measure_free_running
 from armsight.app.measure.made_with import made_with
 from armsight.app.measure.outputs import POINTS, POSES, REPORT, SPOTS, SUMMARY, TUM, moved_pose
 from armsight.app.measure.streams import streams_of
@@ -123,11 +123,12 @@ def _summary(done: FreeRun, poses: Sequence[TargetPose], ms: float) -> MeasureOu
     return MeasureOutput(
         n_frames=len(poses),
         n_ok=counts[PoseStatus.OK],
+        n_doubtful=counts[PoseStatus.DOUBTFUL],
         n_position_only=counts[PoseStatus.POSITION_ONLY],
         n_lost=counts[PoseStatus.LOST],
         reprojection_rms_px=float(np.sqrt(np.mean(np.sum(left_over**2, axis=1)))) if len(left_over) else None,
         ms_per_frame=FrameTime(median=ms, p99=None),
-        reasons=dict(Counter(pose.why for pose in poses if pose.why).most_common()),
+        reasons={kind.value: n for kind, n in Counter(KINDS[pose.why] for pose in poses if pose.why).most_common()},
         timing=done.figures,
     )
 

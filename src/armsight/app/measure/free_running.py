@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from armsight.app.measure.streams import Stream, timing_of
 from armsight.app.schemas.measure import FreeRunning
 from armsight.app.schemas.timing import BothCounts, BothSeconds
-from armsight.errors import Cancelled, Inconsistent, NotEnoughData, UsageError
+from armsight.errors import Cancelled, Inconsistent, NotEnoughData, Unseen, UsageError
 from armsight.fitting.quantiles import chi2_isf
 from armsight.measure.begin import AnyFrame
 from armsight.measure.follow import MAX_WITHOUT_WHOLE_S, Follower
@@ -56,6 +56,9 @@ BEFORE_S = 0.05
 """How long before its first view something is said of the target."""
 TOO_LITTLE = "too few lights were seen about that time to say where the target was"
 GONE = "the target was lost or not found yet, no camera saw three of its lights, or its spots left its motion"
+OLD = "no view for so long that only the position is known"
+KINDS = {TOO_LITTLE: Unseen.LIGHTS_MISSING, GONE: Unseen.GAP, OLD: Unseen.GAP}
+"""Kind of each reason, as files count them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -235,7 +238,6 @@ class _Told:
             return MovingPose(pose=TargetPose(t_s=t_s, status=PoseStatus.LOST, parent="rig", why=TOO_LITTLE))
         if np.sqrt(np.trace(C[3:, 3:])) > MAX_ROTATION_STD_RAD:
             T[:3, :3] = np.eye(3)
-            why = "no view for so long that only the position is known"
             return MovingPose(
                 pose=TargetPose(
                     t_s=t_s,
@@ -244,7 +246,7 @@ class _Told:
                     spots=names,
                     T_parent_target=T,
                     covariance=C[:3, :3],
-                    why=why,
+                    why=OLD,
                     systematic_covariance=systematic[:3, :3],
                     origin_known=True,
                 )

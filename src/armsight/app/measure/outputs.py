@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from array import array
 from collections import Counter
+from collections.abc import MutableSequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
@@ -17,11 +18,13 @@ from armsight.app.measure.consistency import consistency_output
 from armsight.app.schemas.base import PoseStd
 from armsight.app.schemas.measure import Candidates, FrameTime, MeasureOutput, PoseDeviations, SkewOutput
 from armsight.drivers import Skew
+from armsight.errors import Unseen
 from armsight.geometry import moved_parent_covariance, quat_of_matrix
+from armsight.measure.consistency.check import settled
 from armsight.measure.consistency.diagnosis import Consistency
 from armsight.measure.poses.pipeline import Measured
 from armsight.records import PoseStatus, TargetPose
-from armsight.store import PointsWriter, PosesWriter, SpotsWriter
+from armsight.store import PointsWriter, PosesWriter, SpotsWriter, restate_points, write_poses, write_tum
 from armsight.store.atomic import RowFile
 
 Array = NDArray[np.float64]
@@ -49,7 +52,8 @@ class Outputs:
         self._parent = parent
         self._stack = ExitStack()
         self._counts: Counter[PoseStatus] = Counter()
-        self._reasons: Counter[str] = Counter()
+        self._reasons: Counter[str] = Counter()  # sentences, for people
+        self._kinds: Counter[Unseen] = Counter()
         self._squares_px2 = 0.0
         self._residuals = 0
         self._ms = array("d")
@@ -80,6 +84,11 @@ class Outputs:
         """Frames in which at least a position was found."""
         return self.n_frames - self._counts[PoseStatus.LOST]
 
+    @property
+    def commonest(self) -> str:
+        """What took a pose away most often, in words; empty where nothing did."""
+        return next((why for why, _ in self._reasons.most_common(1)), "")
+
     def took(self, ms: float) -> None:
         """Note how many milliseconds a frame has taken in all: searched, checked, written and kept for the report."""
         self._ms.append(ms)
@@ -89,13 +98,13 @@ class Outputs:
         pose = moved_pose(measured.pose, self._T_parent_rig, self._parent)
         t_s = pose.t_s
         self._poses.write(pose)
-        self._points.write(t_s, measured.points)
+        self._points.write(t_s, measured.points, status=_status_of_points(pose))
         self._spots.write(t_s, "left", measured.names, measured.left)
         self._spots.write(t_s, "right", measured.names, measured.right)
         T = pose.T_parent_target
         if pose.status is PoseStatus.OK and T is not None:
             self._tum.add(" ".join(repr(value) for value in (t_s, *T[:3, 3].tolist(), *quat_of_matrix(T))))
-        if pose.status is PoseStatus.OK and pose.covariance is not None:
+        if pose.status.size == 6 and pose.covariance is not None:
             repeats = np.zeros((6, 6)) if pose.systematic_covariance is None else pose.systematic_covariance
             variances = np.concatenate([np.diag(pose.covariance), np.diag(repeats).clip(min=0.0)])
             self._std.extend(np.sqrt(variances).tolist())
@@ -104,9 +113,27 @@ class Outputs:
         if pose.why:
             known = pose.why in self._reasons or len(self._reasons) < REASONS_KEPT
             self._reasons[pose.why if known else "other reasons"] += 1
+            self._kinds[measured.cause] += 1
         self._squares_px2 += float(pose.residual_px @ pose.residual_px)
         self._residuals += len(pose.residual_px)
         return pose
+
+    def settle(self, poses: MutableSequence[TargetPose], *, inconsistent: bool) -> None:
+        """Give all rows, in place too, the status of the verdict on their run; to be called once, when it has ended.
+
+        While it goes a row only knows what was known by then.
+        """
+        changed = 0
+        for i, pose in enumerate(poses):
+            poses[i] = settled(pose, inconsistent=inconsistent)
+            changed += poses[i] is not pose
+        if not changed:
+            return
+        write_poses(self._folder / POSES, poses)
+        write_tum(self._folder / TUM, poses)
+        restate_points(self._folder / POINTS, {pose.t_s: _status_of_points(pose) for pose in poses})
+        self._counts = Counter(pose.status for pose in poses)
+        self._kinds[Unseen.INCONSISTENT] += changed if inconsistent else -changed
 
     def summary(
         self, *, skew: Skew | None = None, error: str = "", consistency: Consistency | None = None
@@ -116,6 +143,7 @@ class Outputs:
         return MeasureOutput(
             n_frames=self.n_frames,
             n_ok=self._counts[PoseStatus.OK],
+            n_doubtful=self._counts[PoseStatus.DOUBTFUL],
             n_position_only=self._counts[PoseStatus.POSITION_ONLY],
             n_lost=self._counts[PoseStatus.LOST],
             reprojection_rms_px=float(np.sqrt(2.0 * self._squares_px2 / self._residuals)) if self._residuals else None,
@@ -123,13 +151,18 @@ class Outputs:
                 median=float(np.median(ms)) if len(ms) else None,
                 p99=float(np.percentile(ms, 99)) if len(ms) else None,
             ),
-            reasons=dict(self._reasons.most_common()),
+            reasons={kind.value: n for kind, n in self._kinds.most_common() if n},
             candidates=Candidates(**self._candidates) if self._candidates else None,
             std=_medians(np.array(self._std).reshape(-1, 2, 6)),
             consistency=None if consistency is None else consistency_output(consistency),
             skew=None if skew is None else _skew(skew),
             error=error or None,
         )
+
+
+def _status_of_points(pose: TargetPose) -> PoseStatus:
+    """Return the status of the points of a moment: they are whole even where the pose is not."""
+    return PoseStatus.DOUBTFUL if pose.status is PoseStatus.DOUBTFUL else PoseStatus.OK
 
 
 def _medians(std: Array) -> PoseDeviations | None:
@@ -168,7 +201,7 @@ def moved_pose(pose: TargetPose, T_parent_rig: RigidTransform | None, parent: st
     T = None
     if pose.T_parent_target is not None:
         T = T_parent_rig.as_matrix() @ pose.T_parent_target
-        if pose.status is not PoseStatus.OK:
+        if pose.status.size < 6:
             T[:3, :3] = np.eye(3)  # the rotation means nothing
     return TargetPose(
         t_s=pose.t_s,
@@ -180,6 +213,7 @@ def moved_pose(pose: TargetPose, T_parent_rig: RigidTransform | None, parent: st
         residual_px=pose.residual_px,
         why=pose.why,
         systematic_covariance=_moved(T_parent_rig, pose.systematic_covariance),
+        origin_known=pose.origin_known,
     )
 
 

@@ -36,7 +36,7 @@ from armsight.drivers import (
     read_image,
 )
 from armsight.drivers.live import MAX_SKEW_S
-from armsight.errors import ArmsightError, Cancelled, Inconsistent, NotEnoughData, UsageError
+from armsight.errors import ArmsightError, Cancelled, Inconsistent, NotEnoughData, Unseen, UsageError
 from armsight.measure.consistency.check import RunCheck
 from armsight.measure.consistency.diagnosis import Consistency
 from armsight.measure.consistency.explain import advice, sentence
@@ -184,6 +184,7 @@ def run(
     if outputs.n_frames == 0 and failure is not None:
         raise failure
     consistency = check.finish()
+    outputs.settle(report.poses, inconsistent=consistency.verdict == "inconsistent")
     failure, about = failure or _nothing_seen(outputs, consistency), about or About()
     summary = outputs.summary(skew=pairs.skew, error=str(failure) if failure else "", consistency=consistency)
     told = {"assumed_fps": about.assumed_fps, "made_with": made_with(setup.rig, setup.target)}
@@ -240,15 +241,15 @@ def _one(setup: Setup, pair: Pair, track: Track | None) -> Step:
     swapped = None
     unreadable = [f"{frame.source}: {frame.unreadable}" for frame in pair if frame.unreadable]
     if unreadable:
-        return Step(pair=pair, measured=lost_pair(pair, unreadable[0]), ms=0.0)
+        return Step(pair=pair, measured=lost_pair(pair, unreadable[0], Unseen.UNREADABLE), ms=0.0)
     try:
         measured = measure_pair(setup, *pair, track)
     except Inconsistent as error:  # sizes were checked before: the views look exchanged, which one frame cannot decide
-        measured, swapped = lost_pair(pair, error.cause), error
+        measured, swapped = lost_pair(pair, error.cause, Unseen.SWAPPED), error
     return Step(pair=pair, measured=measured, ms=(time.perf_counter() - start_s) * 1e3, swapped=swapped)
 
 
-def lost_pair(pair: Pair, why: str) -> Measured:
+def lost_pair(pair: Pair, why: str, cause: Unseen = Unseen.OTHER) -> Measured:
     """Return the record of a pair that gave nothing."""
     none = Spots.none()
     return Measured(
@@ -259,6 +260,7 @@ def lost_pair(pair: Pair, why: str) -> Measured:
         names=(),
         left_seen=none,
         right_seen=none,
+        cause=cause,
     )
 
 
@@ -354,8 +356,7 @@ def _nothing_seen(outputs: Outputs, consistency: Consistency) -> NotEnoughData |
     """Return the error for a run in which no frame gave even a position, or in which there was none."""
     if outputs.n_seen:
         return None
-    reasons = outputs.summary().reasons
-    first = next(iter(reasons), "")
+    first = outputs.commonest
     if consistency.refused > 0.0:
         return NotEnoughData(
             f"the target is seen in the {outputs.n_frames} pairs and fits in none of them. {sentence(consistency)}",

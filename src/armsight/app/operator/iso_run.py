@@ -29,6 +29,7 @@ from armsight.kinematics import Arm, singularity_distance, track_path
 from armsight.records import Progress, TargetPose
 from armsight.store import World, read_rig, write_text, write_world
 from armsight.store.cell_file import CellFile, cell_path
+from armsight.store.covariances import COVARIANCE, above_diagonal
 from armsight.store.handeye_file import read_handeye
 from armsight.store.iso9283_plan import write_test_plan
 from armsight.store.tables import cells
@@ -305,7 +306,7 @@ def visits_csv(visits: list[Visit]) -> str:
     """Return visits.csv: a row for every frame, with the pose it is a visit of, and the cycle."""
     n = len(visits[0].q)
     header = "pose,visit,x_m,y_m,z_m,qx,qy,qz,qw,sx_m,sy_m,sz_m,srx_rad,sry_rad,srz_rad,t_s"
-    lines = [",".join([header, *(f"q{i + 1}" for i in range(n))])]
+    lines = [",".join([header, *(f"q{i + 1}" for i in range(n)), *COVARIANCE])]
     for visit in visits:
         for pose in visit.poses:
             T = pose.pose
@@ -313,7 +314,8 @@ def visits_csv(visits: list[Visit]) -> str:
                 continue
             quat = T.rotation.as_quat(canonical=True)
             std = np.sqrt(np.diag(pose.covariance))
-            values = cells(np.concatenate([T.translation, quat, std, [pose.t_s], visit.q]))
+            related = above_diagonal(pose.covariance)
+            values = cells(np.concatenate([T.translation, quat, std, [pose.t_s], visit.q, related]))
             lines.append(f"{visit.name},{visit.cycle},{values}")
     return "\n".join(lines) + "\n"
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.guided.poses import pose_of
@@ -71,7 +72,7 @@ class TeachDesk:
             recording=recorder.state is Teaching.RECORDING,
             n=len(recorder),
             stretches=recorder.stretches,
-            lost=counts.lost + counts.position_only + counts.unplaced,
+            lost=counts.lost + counts.doubtful + counts.position_only + counts.unplaced,
             tip=recorder.tip,
         )
 
@@ -125,7 +126,20 @@ def seen(view: LiveView) -> TargetPose:
     """Return the target's pose that a view tells; without one, why."""
     if view.status == PoseStatus.OK.value:
         return pose_of(view)
-    return TargetPose(t_s=view.t_s, status=PoseStatus(view.status), parent=view.parent, why=view.why)
+    if view.status == PoseStatus.DOUBTFUL.value and view.xyz_m is not None:
+        return replace(pose_of(view), status=PoseStatus.DOUBTFUL, why=view.why)
+    if view.status == PoseStatus.POSITION_ONLY.value and view.xyz_m is not None and view.covariance_m2 is not None:
+        T = np.eye(4)
+        T[:3, 3] = view.xyz_m
+        return TargetPose(
+            t_s=view.t_s,
+            status=PoseStatus.POSITION_ONLY,
+            parent=view.parent,
+            T_parent_target=T,
+            covariance=np.array(view.covariance_m2),
+            why=view.why,
+        )
+    return TargetPose(t_s=view.t_s, status=PoseStatus.LOST, parent=view.parent, why=view.why)
 
 
 def _place(folder: Path, cell: CellFile, robot: RobotCell, history: JointHistory) -> RigPlace:

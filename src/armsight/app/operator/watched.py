@@ -8,10 +8,10 @@ from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from armsight.app.live.station import Shown, Station
+from armsight.app.measure.outputs import moved_pose
 from armsight.app.operator.placing import rig_pose
 from armsight.app.operator.teach import seen as pose_of_view
 from armsight.app.play.eyes import Seen
@@ -81,8 +81,7 @@ class StationWatcher:
     def _in_rig(self, pose: TargetPose) -> TargetPose:
         if pose.T_parent_target is None:
             return pose
-        T = np.asarray(self._T_rig_parent.as_matrix()) @ pose.T_parent_target
-        return replace(pose, T_parent_target=T, parent="rig")
+        return moved_pose(pose, self._T_rig_parent, "rig")
 
 
 def watcher_of(

@@ -149,6 +149,7 @@ def _measured(watch: PlayWatch, counts: Mapping[PoseStatus, int]) -> PlayMeasure
         last_m=seen.last_m,
         mean_m=None if seen.mean_m is None else seen.mean_m.tolist(),
         arm_lag_s=watch.arm_lag_s,
+        n_doubtful=counts[PoseStatus.DOUBTFUL],
         n_position_only=counts[PoseStatus.POSITION_ONLY],
         n_lost=counts[PoseStatus.LOST],
     )

@@ -49,6 +49,7 @@ class Counts(Output):
     """Pairs of frames since the start."""
 
     ok: int = Field(description="With a whole pose.")
+    doubtful: int = Field(description="With a whole pose that does not fit the claims.")
     position_only: int = Field(description="With a position only.")
     lost: int = Field(description="Without.")
 
@@ -61,7 +62,7 @@ class LiveView(Output):
     fps: float = Field(description="Pairs measured a second, over the last second.")
     latency_s: float = Field(description="From the exposure (for files: the moment it is played) to the pose.")
     measuring_s: float = Field(description="Time that measuring this pair took.")
-    status: str = Field(description="ok, position_only or lost.")
+    status: str = Field(description="ok, doubtful, position_only or lost.")
     why: str = Field(description="Why there is no whole pose; else empty.")
     parent: str = Field(description="Frame that the pose is in: rig, or the world's name.")
     xyz_m: tuple[float, float, float] | None = Field(description="Position of the target.")
@@ -70,6 +71,14 @@ class LiveView(Output):
     std: tuple[float, ...] | None = Field(description="Standard deviations: x, y, z in m, then rotation vector, rad.")
     covariance_m2: list[list[float]] | None = Field(
         None, exclude_if=absent, description="Covariance of the position (3, 3), m squared, where it is known."
+    )
+    covariance: list[list[float]] | None = Field(
+        None,
+        exclude_if=absent,
+        description="Covariance of a whole pose (6, 6): x, y, z in m, then rotation vector, rad.",
+    )
+    systematic_covariance: list[list[float]] | None = Field(
+        None, exclude_if=absent, description="The part of it that repeats from pair to pair, of rig and target."
     )
     residual_px: float | None = Field(description="RMS of the reprojection residuals.")
     counts: Counts = Field(description="Since the start.")

@@ -122,13 +122,13 @@ class MeasureOutput(Output):
 
     n_frames: int = Field(description="Pairs of frames.")
     n_ok: int = Field(description="Pairs that gave a pose.")
+    n_doubtful: int = Field(description="Pairs that gave a pose that does not fit the claims, or whose run does not.")
     n_position_only: int = Field(description="Pairs that gave a position without an orientation.")
     n_lost: int = Field(description="Pairs that gave nothing.")
     reprojection_rms_px: float | None = Field(description="RMS of the 2-D residual per light and view, px.")
     ms_per_frame: FrameTime = Field(description="How long a pair takes.", json_schema_extra={"unit": "ms"})
     reasons: dict[str, int] = Field(
-        description="How often each cause took a pose or its orientation away; `half hidden`: a light that "
-        "something covers in part."
+        description="How often each kind of cause (listed above) took a pose or its rotation away, or made it doubtful."
     )
     candidates: Candidates | None = Field(None, exclude_if=absent, description="Bright things in all images.")
     std: PoseDeviations | None = Field(

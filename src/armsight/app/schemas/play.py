@@ -16,6 +16,7 @@ class PlayMeasuredOutput(Output):
     last_m: float | None = Field(description="The newest distance, m.")
     mean_m: list[float] | None = Field(description="Mean of the difference in base axes (x, y, z), m.")
     arm_lag_s: float = Field(description="From a command to the arm's motion, s.")
+    n_doubtful: int = Field(description="Frames whose pose does not fit the claims: not compared.")
     n_position_only: int = Field(description="Frames that told only where the target is: not compared.")
     n_lost: int = Field(description="Frames without the target.")
 

@@ -51,6 +51,7 @@ class ServoOutput(Output):
     stopped_by: str = Field(description="Why it ended: time, operator, or in words what the guard stopped for.")
     n_frames: int = Field(description="Pairs of frames measured.")
     n_ok: int = Field(description="Pairs that showed the whole target.")
+    n_doubtful: int = Field(description="Pairs whose pose does not fit the claims: not followed.")
     n_position_only: int = Field(description="Pairs that showed where it is, but not how it is turned.")
     n_lost: int = Field(description="Pairs that did not show it.")
     gain: ServoGainOutput = Field(description="The gain, and what the delay allows.")

@@ -21,6 +21,7 @@ class TeachOutput(Output):
     n_stretches: int = Field(description="Stretches between a start and a pause.")
     length_m: float = Field(description="Length of the path, m.")
     n_ok: int = Field(description="Frames whose pose was taken.")
+    n_doubtful: int = Field(description="Frames whose pose does not fit the claims: not recorded.")
     n_position_only: int = Field(description="Frames that told only where the target is: not recorded.")
     n_lost: int = Field(description="Frames without the target: not recorded.")
     n_unplaced: int = Field(description="Frames at whose exposure the arm's place was not known: not recorded.")

@@ -124,6 +124,7 @@ def servo_output(
         stopped_by=tally.stopped_by(),
         n_frames=sum(counts.values()),
         n_ok=counts[PoseStatus.OK],
+        n_doubtful=counts[PoseStatus.DOUBTFUL],
         n_position_only=counts[PoseStatus.POSITION_ONLY],
         n_lost=counts[PoseStatus.LOST],
         gain=ServoGainOutput(

@@ -77,6 +77,7 @@ def saved(job: TeachJob, recorder: PathRecorder, stopped_by: str, servo: ServoOu
         n_stretches=recorder.stretches,
         length_m=float(path.length_m[-1]),
         n_ok=counts.ok,
+        n_doubtful=counts.doubtful,
         n_position_only=counts.position_only,
         n_lost=counts.lost,
         n_unplaced=counts.unplaced,

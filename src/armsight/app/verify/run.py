@@ -197,20 +197,18 @@ def in_world(measured: Measured, world: World) -> Measured:
     """Return measurements in a rig's axes in those of the rig's parent."""
     T = world.T_parent_rig
     R = T.rotation.as_matrix()
-    std = None
-    if measured.std is not None:
-        variance = measured.std.reshape(-1, 2, 3) ** 2  # independent axes; what turns them mixes them
-        std = np.sqrt(variance @ (R**2).T).reshape(-1, 6)
+    turned = np.kron(np.eye(2), R)  # (6, 6)
+    covariance = None if measured.covariance is None else turned @ measured.covariance @ turned.T
     rotation = None if measured.rotation is None else R @ measured.rotation
-    return replace(measured, xyz_m=T.apply(measured.xyz_m), rotation=rotation, std=std)
+    return replace(measured, xyz_m=T.apply(measured.xyz_m), rotation=rotation, covariance=covariance)
 
 
 def shared_in_world(repeats: Repeats, world: World) -> Repeats:
-    """Return repeats with the shared part of the standard deviations in the axes of a rig's parent."""
+    """Return repeats with the shared part of the covariance in the axes of a rig's parent."""
     if repeats.systematic is None:
         return repeats
-    turned = world.T_parent_rig.rotation.as_matrix() ** 2
-    return replace(repeats, systematic=np.sqrt(repeats.systematic.reshape(-1, 2, 3) ** 2 @ turned.T).reshape(-1, 6))
+    turned = np.kron(np.eye(2), world.T_parent_rig.rotation.as_matrix())
+    return replace(repeats, systematic=turned @ repeats.systematic @ turned.T)
 
 
 def read_run(folder: Path) -> VerifyOutput:

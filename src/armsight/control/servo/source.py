@@ -173,6 +173,8 @@ class ServoSource:
         self._camera.add(exposed_s, now_s)
         self._lag.estimate(now_s)
         T_rig_target, covariance = pose.T_parent_target, pose.covariance
+        if pose.status is PoseStatus.DOUBTFUL:  # as good as not seen
+            return
         if T_rig_target is None or covariance is None or not T_rig_target[2, 3] > 0.0:  # nothing behind it is seen
             return
         try:

@@ -34,10 +34,12 @@ class Teaching(StrEnum):
 class TeachCounts:
     """Frames that came while recording, by what became of them.
 
-    ok: their poses were taken. position_only, lost: without a whole pose. unplaced: where the rig was is not known.
+    ok: their poses were taken. doubtful: whole poses not to be acted on. position_only, lost: without a whole pose.
+    unplaced: where the rig was is not known.
     """
 
     ok: int = 0
+    doubtful: int = 0
     position_only: int = 0
     lost: int = 0
     unplaced: int = 0
@@ -98,7 +100,7 @@ class PathRecorder:
         self._tag = ""
         self._newest: RigidTransform | None = None
         self._last_s = -np.inf
-        self._counts = dict.fromkeys(("ok", "position_only", "lost", "unplaced"), 0)
+        self._counts = dict.fromkeys(("ok", "doubtful", "position_only", "lost", "unplaced"), 0)
 
     @property
     def state(self) -> Teaching:

@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from armsight.errors import Unseen
 from armsight.measure.consistency.causes import causes_of
 from armsight.measure.consistency.diagnosis import Consistency, judge
 from armsight.measure.consistency.evidence import Evidence, frame_of
 from armsight.measure.consistency.refit import refit
 from armsight.measure.poses.outcome import Measured
 from armsight.measure.poses.setup import Setup
-from armsight.records import PoseStatus
+from armsight.records import PoseStatus, TargetPose
 
 FIRST_LOOK = 8
 """Frames after which the sums are judged for the first time."""
@@ -23,6 +24,18 @@ NEXT_LOOK = 1.5
 
 MOST_REFITTED = 200
 """Refused frames that are looked at again (some milliseconds each): a run that is refused throughout says no more."""
+
+
+DOUBT = "the residuals of the run say that rig or target are wrong"
+
+
+def settled(pose: TargetPose, *, inconsistent: bool) -> TargetPose:
+    """Return a pose with the status that the verdict on its run gives it; doubt about the frame itself stays."""
+    if inconsistent and pose.status is PoseStatus.OK:
+        return replace(pose, status=PoseStatus.DOUBTFUL, why=DOUBT)
+    if not inconsistent and pose.status is PoseStatus.DOUBTFUL and pose.why == DOUBT:
+        return replace(pose, status=PoseStatus.OK, why="")
+    return pose
 
 
 class RunCheck:
@@ -45,7 +58,16 @@ class RunCheck:
         if self._evidence.frames >= self._next:
             self._known = self._judge(changes=False)
             self._next = NEXT_LOOK * self._evidence.frames
-        return measured if self._known is None else self._widened(measured, self._known)
+        if self._known is None:
+            return measured
+        wider = self._widened(measured, self._known)
+        pose = settled(wider.pose, inconsistent=self.inconsistent)
+        return wider if pose is wider.pose else replace(wider, pose=pose, cause=Unseen.INCONSISTENT)
+
+    @property
+    def inconsistent(self) -> bool:
+        """Whether the run was inconsistent when it was judged last."""
+        return self._known is not None and self._known.verdict == "inconsistent"
 
     def finish(self) -> Consistency:
         """Return the verdict over the whole run."""
@@ -58,7 +80,7 @@ class RunCheck:
 
     def _telling(self, measured: Measured) -> Measured:
         """Return the moment with all its lights, where it was refused or some were left out."""
-        ok = measured.pose.status is PoseStatus.OK
+        ok = measured.pose.status in (PoseStatus.OK, PoseStatus.DOUBTFUL)
         self._whole += ok
         if (ok and not measured.notes) or self._refitted >= MOST_REFITTED:
             return measured

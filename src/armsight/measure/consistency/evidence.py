@@ -15,7 +15,7 @@ from armsight.measure.poses.outcome import Measured
 from armsight.measure.poses.setup import Setup
 from armsight.measure.poses.tracking import positions_of
 from armsight.optics import RIG_PARAMETERS
-from armsight.records import PoseStatus, Spots
+from armsight.records import Spots
 
 Array = NDArray[np.float64]
 
@@ -220,7 +220,7 @@ def target_basis(setup: Setup) -> Array:
 def frame_of(setup: Setup, measured: Measured) -> Frame | None:
     """Return what a moment with a complete pose of a measured target says; None for any other."""
     pose = measured.pose
-    if pose.status is not PoseStatus.OK or pose.T_parent_target is None or pose.covariance is None:
+    if pose.status.size < 6 or pose.T_parent_target is None or pose.covariance is None:
         return None
     if not setup.target.model_known:
         return None

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.errors import Unseen
 from armsight.measure.poses.assignment import Match, Prediction
 from armsight.measure.poses.few_lights import match_few
 from armsight.measure.poses.pairs import Pairs
@@ -33,7 +34,7 @@ def match_beacon(
     hidden a room's lamp would be the only one, and where there is one lamp of its colour there may be one of its size.
     """
     if not len(pairs.index):
-        return Match(best=None, why=_nothing(left, right))
+        return Match(best=None, why=_nothing(left, right), cause=Unseen.UNPAIRED)
     chosen = alone or setup.settings.mask is not None or setup.settings.threshold is not None
     sizes = np.array([_radius_px(spots, pairs.index[:, side]) for side, spots in enumerate((left, right))])
     known = setup.model.radius_m > 0.0
@@ -42,17 +43,19 @@ def match_beacon(
         wanted = _wanted_px(setup, pairs)
         fits = np.all((sizes >= wanted / SMALLER - LESS_PX) & (sizes <= LARGER * wanted + MORE_PX), axis=0)
         if not fits.any():
-            return Match(best=None, why=f"{_lights(pairs)} seen, not of the size that diameter_m in target.yaml says")
+            why = f"{_lights(pairs)} seen, not of the size that diameter_m in target.yaml says"
+            return Match(best=None, why=why, cause=Unseen.WRONG_TARGET)
         pairs, wanted, kept = _only(pairs, fits), wanted[:, fits], np.flatnonzero(fits)
     match = match_few(setup.model, pairs, known=setup.target.model_known, prediction=prediction)
     if match.best is None or len(match.best.pair) > 1:
         of_size = " and of its diameter_m" if known else ""
         cure = "cover or mask the others (--mask)" + ("" if known else ", or give diameter_m in target.yaml")
-        return Match(best=None, why=f"{_lights(pairs)} seen{of_size}, and any could be the beacon: {cure}")
+        why = f"{_lights(pairs)} seen{of_size}, and any could be the beacon: {cure}"
+        return Match(best=None, why=why, cause=Unseen.AMBIGUOUS)
     if not (chosen or match.predicted):
         why = _untold(max(len(left), len(right)), float(wanted.min()) if known else None)
         if why:
-            return Match(best=None, why=why)
+            return Match(best=None, why=why, cause=Unseen.AMBIGUOUS)
     return replace(match, best=replace(match.best, pair=kept[match.best.pair]))
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from armsight.errors import BadImage, Inconsistent
+from armsight.errors import BadImage, Inconsistent, Unseen
 from armsight.measure.boards import find_board, find_two_boards
 from armsight.measure.poses.outcome import Measured
 from armsight.measure.poses.pose import NamedSpots, lost, no_points, solve_pose
@@ -36,7 +36,7 @@ def measure_board_pair(setup: Setup, left: Frame, right: Frame, t_s: float) -> M
             return pose_of_views(setup, *find_two_boards(left.image, setup.target, source=left.source), t_s)
         views = [find_board(frame.image, setup.target, source=frame.source) for frame in (left, right)]
     except BadImage as error:
-        return _lost(t_s, str(error))
+        return _lost(t_s, str(error), Unseen.NO_BOARD if error.unseen is Unseen.OTHER else error.unseen)
     return pose_of_views(setup, views[0], views[1], t_s)
 
 
@@ -44,7 +44,8 @@ def pose_of_views(setup: Setup, left: BoardView, right: BoardView, t_s: float) -
     """Return the pose of a board from its points found in both views; see measure_board_pair."""
     index, at_left, at_right = np.intersect1d(left.index, right.index, assume_unique=True, return_indices=True)
     if len(index) < LEAST_POINTS:
-        return _lost(t_s, f"{len(index)} points of the board are seen by both cameras, {LEAST_POINTS} are needed")
+        why = f"{len(index)} points of the board are seen by both cameras, {LEAST_POINTS} are needed"
+        return _lost(t_s, why, Unseen.IN_PART)
     uv = np.ascontiguousarray(np.stack([left.uv_px[at_left], right.uv_px[at_right]], axis=1))  # (n, 2, 2)
     variance = np.array([left.sigma_px, right.sigma_px]) ** 2
     cov = np.tile(variance[:, None, None] * np.eye(2), (len(index), 1, 1, 1))  # (n, 2, 2, 2)
@@ -82,9 +83,10 @@ def _fit(setup: Setup, t_s: float, index: NDArray[np.intp], uv: Array, cov: Arra
         dropped.append(names[worst])
         kept = np.delete(kept, worst)
     if worst is not None:
-        return _lost(t_s, f"more than {len(dropped)} points of the board are off: a wrong board or a bad calibration")
+        why = f"more than {len(dropped)} points of the board are off: a wrong board or a bad calibration"
+        return _lost(t_s, why, Unseen.MISFIT)
     if solved.pose.status is PoseStatus.LOST:
-        return _lost(t_s, solved.pose.why)
+        return _lost(t_s, solved.pose.why, solved.cause)
     return Measured(
         pose=solved.pose,
         points=solved.points,
@@ -94,6 +96,7 @@ def _fit(setup: Setup, t_s: float, index: NDArray[np.intp], uv: Array, cov: Arra
         left_seen=Spots.none(),
         right_seen=Spots.none(),
         notes=tuple(f"{name} left out: it does not fit the others" for name in dropped),
+        cause=solved.cause,
     )
 
 
@@ -128,8 +131,15 @@ def _spots(uv: Array, cov: Array) -> Spots:
     return Spots(uv_px=uv, covariance_px2=cov, peak=np.zeros(n), size_px=np.zeros(n), model=("corner",) * n)
 
 
-def _lost(t_s: float, why: str) -> Measured:
+def _lost(t_s: float, why: str, cause: Unseen) -> Measured:
     none = Spots.none()
     return Measured(
-        pose=lost(t_s, why), points=no_points(), left=none, right=none, names=(), left_seen=none, right_seen=none
+        pose=lost(t_s, why),
+        points=no_points(),
+        left=none,
+        right=none,
+        names=(),
+        left_seen=none,
+        right_seen=none,
+        cause=cause,
     )

@@ -107,7 +107,7 @@ def _search(
 ) -> tuple[list[Assignment] | NotSeen, int]:
     """Return all assignments within MARGIN of the best, or why there is none; and how many fit at all."""
     if not pairs.complete:
-        return NotSeen(f"more than {kernels.MAX_PAIRS} pairs of spots could belong together: {_FEWER}"), 0
+        return NotSeen(f"more than {kernels.MAX_PAIRS} pairs of spots could belong together: {_FEWER}", Unseen.CROWD), 0
     found = search_arrangements(
         packed,
         model,
@@ -118,7 +118,7 @@ def _search(
         scope=SCOPE,
     )
     if found.cut:
-        return NotSeen(f"too many arrangements of the spots are possible: {_FEWER}"), 0
+        return NotSeen(f"too many arrangements of the spots are possible: {_FEWER}", Unseen.CROWD), 0
     if not len(found.rows):
         why = f"no arrangement of the {len(left)} and {len(right)} spots seen is the target's"
         return NotSeen(why, Unseen.LIGHTS_MISSING), 0

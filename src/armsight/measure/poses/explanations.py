@@ -29,7 +29,7 @@ def explain(setup: Setup, left: Spots, right: Spots, pairs: Pairs, missed: NotSe
     if not len(left) or not len(right):
         return NotSeen(f"no spot in the {'right' if len(left) else 'left'} image", Unseen.NO_SPOT)
     if not len(pairs.index) and pairs.behind:
-        return NotSeen("every pair of spots lies behind the cameras: left and right may be swapped")
+        return NotSeen("every pair of spots lies behind the cameras: left and right may be swapped", Unseen.SWAPPED)
     slack = LOOSE_SLACK * setup.slack_px
     loose = pair_spots(setup.packed, left, right, slack, overlaid=setup.overlaid)
     if setup.target.model_known and len(setup.model) >= 3 and len(loose.index):
@@ -39,8 +39,10 @@ def explain(setup: Setup, left: Spots, right: Spots, pairs: Pairs, missed: NotSe
             return solved.missed if solved.pose.why else missed
     if not len(pairs.index):
         if setup.overlaid:
-            return NotSeen("no two spots agree as left and right view of one light (epipolar distance)")
-        return NotSeen("no spot of the left image agrees with one of the right image (epipolar distance)")
+            why = "no two spots agree as left and right view of one light (epipolar distance)"
+            return NotSeen(why, Unseen.UNPAIRED)
+        why = "no spot of the left image agrees with one of the right image (epipolar distance)"
+        return NotSeen(why, Unseen.UNPAIRED)
     overlapping = _overlapping(left, 2 * len(setup.model)) if setup.overlaid else ""
     if not overlapping:
         return missed

@@ -36,7 +36,7 @@ def match_by_place(left: Spots, right: Spots, pairs: Pairs) -> Match:
         n = f"{len(sides[0])} in the left image and {len(sides[1])} in the right one"
         cause = f"a target that has not been measured needs exactly three lights in both views, not {n}"
         more = max(len(side) for side in sides) > 3
-        return Match(best=None, why=f"{cause}: {_UNMEASURED}" if more else cause)
+        return Match(best=None, why=f"{cause}: {_UNMEASURED}" if more else cause, cause=_few(more))
     orders = []
     for spots, seen, name in ((left, sides[0], "left"), (right, sides[1], "right")):
         order = _order_by_place(spots.uv_px[seen])
@@ -47,7 +47,9 @@ def match_by_place(left: Spots, right: Spots, pairs: Pairs) -> Match:
     for i, j in zip(*orders, strict=True):
         at = np.flatnonzero((pairs.index[:, 0] == i) & (pairs.index[:, 1] == j))
         if not len(at):
-            return Match(best=None, why="the order of the lights differs between the two images")
+            return Match(
+                best=None, why="the order of the lights differs between the two images", cause=Unseen.WRONG_TARGET
+            )
         rows.append(at[0])
     return Match(best=Assignment(names=("A", "B", "C"), pair=np.array(rows, dtype=np.intp), chi2=0.0))
 
@@ -56,7 +58,8 @@ def _overlaid_by_place(spots: Spots, pairs: Pairs) -> Match:
     triples = overlaid_triples(pairs)
     if len(triples) != 1:
         ways = "more than one way" if triples else "no way"
-        return Match(best=None, why=f"there is {ways} to make three pairs of the {len(spots)} lights of both views")
+        why = f"there is {ways} to make three pairs of the {len(spots)} lights of both views"
+        return Match(best=None, why=why, cause=Unseen.AMBIGUOUS if triples else Unseen.UNPAIRED)
     rows = np.array(triples[0], dtype=np.intp)
     order = _order_by_place(spots.uv_px[pairs.index[rows, 0]])
     if order is None:
@@ -80,15 +83,21 @@ def match_few(model: TargetModel, pairs: Pairs, *, known: bool, prediction: Pred
             if any(kernels.distance_fits(pairs.xyz_m, pairs.cov_m2, o[0], o[1], d, PAIR_GATE) for d in gap)
         ]
         if not fitting:
-            return Match(best=None, why="two lights are seen, but no two of the target's are that far apart")
+            why = "two lights are seen, but no two of the target's are that far apart"
+            return Match(best=None, why=why, cause=Unseen.WRONG_TARGET)
         options = fitting
     if len(options) > 1:
         return _ambiguous("the lights can be paired in more than one way")
     chosen = options[0]
     if len(chosen) > min(2, len(names)):
-        return Match(best=None, why=f"{len(chosen)} lights are seen and none of their arrangements is the target's")
+        why = f"{len(chosen)} lights are seen and none of their arrangements is the target's"
+        return Match(best=None, why=why, cause=Unseen.WRONG_TARGET)
     label = names if len(names) == 1 else ("?",) * len(chosen)
     return Match(best=Assignment(names=label, pair=np.array(chosen, dtype=np.intp), chi2=0.0))
+
+
+def _few(more: bool) -> Unseen:
+    return Unseen.CROWD if more else Unseen.LIGHTS_MISSING
 
 
 def _ambiguous(how: str) -> Match:

@@ -66,7 +66,7 @@ def measure_among(
         return lost_moment(t_s, left, right, against, track), 1.0
     step = continuation(setup, track, t_s, solved)
     if track is not None and doubtful(setup, track, t_s, solved, step):
-        return lost_moment(t_s, left, right, NotSeen(_DOUBTFUL), replace(track, doubted=True)), 1.0
+        return lost_moment(t_s, left, right, NotSeen(_DOUBTFUL, Unseen.MOTION), replace(track, doubted=True)), 1.0
     misfit = 0.0 if setup.overlaid or picked else misfit_chi2(solved, *matched)
     if misfit > float(setup.model.limits[min(len(matched[0]), len(setup.model))]):
         _refuse_swapped(setup, left, right, misfit)
@@ -109,7 +109,7 @@ def _match(
     if setup.settings.colour is not None and len(model) == 1:
         return match_beacon(setup, left, right, pairs, prediction, alone=among is None)
     if not len(pairs.index):
-        return Match(best=None, why="" if among is None else among.nothing)
+        return Match(best=None, why="" if among is None else among.nothing, cause=Unseen.UNPAIRED)
     match = Match(best=None)
     if known and len(model) >= 3:
         match = match_known(
@@ -134,7 +134,8 @@ def _match(
             or (prediction and few.predicted)
         ):
             return few
-        return Match(best=None, why=f"{among.bright} bright spots, and too few lights to tell which of them they are")
+        why = f"{among.bright} bright spots, and too few lights to tell which of them they are"
+        return Match(best=None, why=why, cause=Unseen.CROWD)
     return match
 
 

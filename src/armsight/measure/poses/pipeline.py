@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Pair = tuple[Frame, Frame]
 
+_BEYOND = "the spots fit the target, but by far not as well as they claim"
+
 
 def measure_pair(setup: Setup, left: Frame, right: Frame, track: Track | None = None) -> Measured:
     """Return the target's pose from one pair of frames, with everything it came from.
@@ -41,6 +43,18 @@ def measure_pair(setup: Setup, left: Frame, right: Frame, track: Track | None = 
     there) raises nothing: the status and `why` of the pose say it.
     """
     check_sizes(setup, left, right)
+    measured = _measure(setup, left, right, track)
+    if (
+        setup.target.is_board
+    ):  # judged corner by corner: of real boards print and lens leave more than the corners' noise
+        return measured
+    pose = measured.pose
+    if pose.status is not PoseStatus.OK or measured.cause is not Unseen.BEYOND_CLAIMS:
+        return measured
+    return replace(measured, pose=replace(pose, status=PoseStatus.DOUBTFUL, why=_BEYOND))
+
+
+def _measure(setup: Setup, left: Frame, right: Frame, track: Track | None) -> Measured:
     t_s = 0.5 * (left.t_s + right.t_s)
     if setup.target.is_board:
         return measure_board_pair(setup, left, right, t_s)
@@ -133,7 +147,7 @@ def _measure_chosen(
         f"{among.bright} bright spots: {len(measured.names)} of them fit the target, but no better than some would by "
         "chance; mask the background, lower the exposure, or give the target one more light"
     )
-    return replace(lost_moment(t_s, seen_left, seen_right, NotSeen(why), track), busy=measured.busy)
+    return replace(lost_moment(t_s, seen_left, seen_right, NotSeen(why, Unseen.CROWD), track), busy=measured.busy)
 
 
 def warm_up() -> None:
@@ -213,6 +227,7 @@ def _measure_windows(setup: Setup, left: Frame, right: Frame, t_s: float, track:
         right_seen=right_seen,
         track=next_track(setup, t_s, solved, left_seen, right_seen, track, step, innovation),
         tracked=True,
+        cause=solved.cause,
     )
 
 

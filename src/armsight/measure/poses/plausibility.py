@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.errors import Unseen
 from armsight.measure.poses.correspondence import OUTLINE
 from armsight.measure.poses.pose import Solved
 from armsight.measure.poses.setup import Setup
@@ -44,7 +45,8 @@ def impossible(setup: Setup, names: tuple[str, ...], solved: Solved, left: Spots
     if model.one_sided and solved.T[:3, 2] @ (solved.T[:3, 3] - eye) < 0.0:
         return NotSeen(
             "the lights fit the target seen from behind: a mirror image, or y counts upwards in target.yaml; "
-            "z must point away from the cameras: change the sign of every y and z there"
+            "z must point away from the cameras: change the sign of every y and z there",
+            Unseen.WRONG_TARGET,
         )
     if model.radius_m <= 0.0:
         return None
@@ -61,5 +63,6 @@ def impossible(setup: Setup, names: tuple[str, ...], solved: Solved, left: Spots
     seen, wanted = np.median(np.array(shares), axis=0)
     return NotSeen(
         f"the lights are {2.0 * seen:.0f} px wide and would be {2.0 * wanted:.0f} px by diameter_m in target.yaml: "
-        "correct it, or leave it out"
+        "correct it, or leave it out",
+        Unseen.WRONG_TARGET,
     )

@@ -34,12 +34,20 @@ MISFIT_SIGMA = 2.326
 """Residuals further out than this normal deviation (1 %) widen the pose: cameras' noise models are off by up to a
 factor of two in variance, so that a frame alone proves little."""
 
+BEYOND_CLAIMS = 9.0
+"""... and from this factor (residuals of three times what noise may do, which is no noise model's slip: VERY_NOISY of
+consistency) the pose is doubtful, widened as it is."""
+
 _WHY = {
     kernels.NO_WEIGHT: "the covariance of a spot is not positive",
     kernels.NO_POINT: "the rays of a named spot do not meet in front of both cameras",
     kernels.BEHIND_CAMERA: "the fit put the target behind a camera",
     kernels.OPEN: "the spots leave some direction of the pose open",
     kernels.ENDLESS: "the fit did not settle",
+}
+_CAUSE = {
+    kernels.OPEN: Unseen.ROTATION_OPEN,
+    kernels.ENDLESS: Unseen.MISFIT,
 }
 _MISFIT = "one of the spots is off, and it is not clear which: only the position is known"
 _FOLDED = "the spots fit tilts to either side of the line of sight: only the position is known"
@@ -120,7 +128,7 @@ def solve_pose(
     if state != kernels.SOLVED:
         return _unsolved(state, packed, t_s, spots, P, S, residual)
     if not wide <= limit:
-        return Solved(pose=lost(t_s, _not_the_target(residual)), points=no_points(), fits=False)
+        return _lost(t_s, _not_the_target(residual), Unseen.MISFIT)
     carried = packed.covariance if covariance is None else covariance
     systematic = None
     if carried.size:
@@ -128,17 +136,18 @@ def solve_pose(
         chi2 = rig_covariance.carry_to_pose(
             packed.k, packed.R, packed.t, cov_px2, xyz_m, T, carried, C, residual, systematic
         )
-    in_doubt = _widen(packed, spots, xyz_m, folds.depth_chi2(P, S), T, chi2, C)
+    in_doubt, factor = _widen(packed, spots, xyz_m, folds.depth_chi2(P, S), T, chi2, C)
     if systematic is not None:
         C += systematic
     if not _certain(C, MAX_DOUBTFUL_SIGMA if in_doubt else MAX_ROTATION_SIGMA):
-        seen = _placed(packed, names, P, S, cov_px2, residual)
-        why = in_doubt or _WHY[kernels.OPEN]
-        return Solved(pose=position_only(t_s, seen, why), points=seen.points)
+        seen, why = _placed(packed, names, P, S, cov_px2, residual), in_doubt or _WHY[kernels.OPEN]
+        cause = Unseen.ONE_OFF if in_doubt == _MISFIT else Unseen.ROTATION_OPEN
+        return Solved(pose=position_only(t_s, seen, why), points=seen.points, cause=cause)
     if packed.covariance.size:
         A = _slopes(packed, cov_px2, P, S)
         S += A @ packed.covariance @ A.transpose(0, 2, 1)
-    return _whole(t_s, trusted(Points, names=names, xyz_m=P, covariance_m2=S), T, C, residual, systematic)
+    points = trusted(Points, names=names, xyz_m=P, covariance_m2=S)
+    return _whole(t_s, points, T, C, residual, systematic, factor)
 
 
 def _unsolved(
@@ -146,9 +155,10 @@ def _unsolved(
 ) -> Solved:
     """Return what is left where the fit did not come to a pose: the position of the points, if there are any."""
     if state in (kernels.NO_WEIGHT, kernels.NO_POINT):
-        return Solved(pose=lost(t_s, _WHY[state]), points=no_points(), fits=False)
+        return _lost(t_s, _WHY[state], Unseen.NO_POINT)
     seen = _placed(packed, spots.names, P, S, spots.cov_px2, residual)
-    return Solved(pose=position_only(t_s, seen, _WHY[state]), points=seen.points, fits=state == kernels.OPEN)
+    pose, cause = position_only(t_s, seen, _WHY[state]), _CAUSE.get(state, Unseen.NO_POINT)
+    return Solved(pose=pose, points=seen.points, fits=state == kernels.OPEN, cause=cause)
 
 
 def _not_the_target(residual: Array) -> str:
@@ -161,11 +171,11 @@ def _not_the_target(residual: Array) -> str:
 
 def _widen(
     packed: PackedRig, spots: NamedSpots, xyz_m: Array, depth_chi2: float, T: Array, chi2: float, C: Array
-) -> str:
+) -> tuple[str, float]:
     """Widen the covariance C (6, 6) of a pose T (4, 4), in place, for large residuals, and for tilts that fit as well.
 
     xyz_m: of the spots, not writeable. depth_chi2: how surely the points by themselves tell the tilt. Returns what is
-    in doubt, or nothing.
+    in doubt, or nothing, and the factor of the residuals.
     """
     _, _, uv_px, cov_px2, radius_m, normal = spots
     factor = misfit_factor(chi2, len(xyz_m))
@@ -176,7 +186,7 @@ def _widen(
     if depth_chi2 < folds.PLAIN * factor:
         plane = _plane(xyz_m, normal)
         folded = folds.fold(packed.k, packed.R, packed.t, xyz_m, radius_m, normal, plane, uv_px, cov_px2, T, factor, C)
-    return _MISFIT if factor > 1.0 else _FOLDED if folded > FOLDED else ""
+    return _MISFIT if factor > 1.0 else _FOLDED if folded > FOLDED else "", factor
 
 
 def solve_frame(packed: PackedRig, t_s: float, names: tuple[str, ...], uv_px: Array, cov_px2: Array) -> Solved:
@@ -186,10 +196,11 @@ def solve_frame(packed: PackedRig, t_s: float, names: tuple[str, ...], uv_px: Ar
     """
     seen = solve_points(packed, names, uv_px, cov_px2)
     if isinstance(seen, NotSeen):
-        return Solved(pose=lost(t_s, seen.why), points=no_points(), fits=False)
+        return _lost(t_s, seen.why, seen.cause)
     T, C = np.eye(4), np.empty((6, 6))
     if not kernels.pachidis_frame(seen.points.xyz_m, seen.joint_m2, T, C) or not _certain(C, MAX_ROTATION_SIGMA):
-        return Solved(pose=position_only(t_s, seen, "the three lights lie on one line"), points=seen.points)
+        pose = position_only(t_s, seen, "the three lights lie on one line")
+        return Solved(pose=pose, points=seen.points, cause=Unseen.ROTATION_OPEN)
     systematic = None
     if seen.systematic_m2 is not None:
         systematic = np.empty((6, 6))
@@ -202,9 +213,9 @@ def solve_points(packed: PackedRig, names: tuple[str, ...], uv_px: Array, cov_px
     n = len(names)
     P, S, residual = np.empty((n, 3)), np.empty((n, 3, 3)), np.zeros((n, 2, 2))
     if not kernels.triangulate_all(packed.k, packed.R, packed.t, uv_px, cov_px2, P, S):
-        return NotSeen(_WHY[kernels.NO_POINT])
+        return NotSeen(_WHY[kernels.NO_POINT], Unseen.NO_POINT)
     if not kernels.point_residuals(packed.k, packed.R, packed.t, uv_px, P, residual):
-        return NotSeen(_WHY[kernels.NO_POINT])
+        return NotSeen(_WHY[kernels.NO_POINT], Unseen.NO_POINT)
     return _placed(packed, names, P, S, cov_px2, residual)
 
 
@@ -231,8 +242,16 @@ def _of_mean(joint_m2: Array, n: int) -> Array:
     return np.asarray(joint_m2.reshape(n, 3, n, 3).sum(axis=(0, 2)) / n**2)
 
 
-def _whole(t_s: float, points: Points, T: Array, C: Array, residual: Array, systematic: Array | None = None) -> Solved:
-    """Return the pose T (4, 4) with its covariance C (6, 6)."""
+def _whole(
+    t_s: float,
+    points: Points,
+    T: Array,
+    C: Array,
+    residual: Array,
+    systematic: Array | None = None,
+    factor: float = 1.0,
+) -> Solved:
+    """Return the pose T (4, 4) with its covariance C (6, 6), widened by a factor for its residuals."""
     pose = trusted(
         TargetPose,
         t_s=t_s,
@@ -246,7 +265,7 @@ def _whole(t_s: float, points: Points, T: Array, C: Array, residual: Array, syst
         systematic_covariance=systematic,
         origin_known=True,
     )
-    return Solved(pose=pose, points=points, T=T)
+    return Solved(pose=pose, points=points, T=T, cause=Unseen.BEYOND_CLAIMS if factor > BEYOND_CLAIMS else Unseen.OTHER)
 
 
 def misfit_factor(chi2: float, n_spots: int) -> float:
@@ -299,6 +318,10 @@ def _slopes(packed: PackedRig, cov_px2: Array, P: Array, S: Array) -> Array:
 def lost(t_s: float, why: str) -> TargetPose:
     """Return the record of a moment without any pose."""
     return TargetPose(t_s=t_s, status=PoseStatus.LOST, parent=PARENT, why=why)
+
+
+def _lost(t_s: float, why: str, cause: Unseen) -> Solved:
+    return Solved(pose=lost(t_s, why), points=no_points(), fits=False, cause=cause)
 
 
 def no_points() -> Points:

@@ -46,13 +46,13 @@ def solve_spots(setup: Setup, t_s: float, names: tuple[str, ...], left: Spots, r
     if len(names) < 3:
         seen = solve_points(packed, names, uv, cov)
         if isinstance(seen, NotSeen):
-            return Solved(pose=lost(t_s, seen.why), points=no_points(), fits=False)
+            return Solved(pose=lost(t_s, seen.why), points=no_points(), fits=False, cause=seen.cause)
         whole = len(names) == len(model)
         why = "a target of one or two spots" if whole else f"{len(names)} of {len(model)} spots seen"
         return Solved(
             pose=position_only(t_s, seen, f"{why}: only their position is known"),
             points=seen.points,
-            cause=Unseen.OTHER if whole else Unseen.LIGHTS_MISSING,
+            cause=Unseen.SMALL_TARGET if whole else Unseen.LIGHTS_MISSING,
         )
     if not setup.target.model_known:
         return solve_frame(packed, t_s, names, uv, cov)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
+from armsight.store.covariances import COVARIANCE, SYSTEMATIC_COVARIANCE
+
 POSITION = ("x_m", "y_m", "z_m")
 QUATERNION = ("qx", "qy", "qz", "qw")
 POSE = (*POSITION, *QUATERNION)
@@ -20,6 +22,8 @@ POSE_EXTRAS = (
     *_VELOCITY,
     *(f"s{name}" for name in _VELOCITY),
     *_LIGHTS,
+    *COVARIANCE,
+    *SYSTEMATIC_COVARIANCE,
     "status",
     "spots",
 )

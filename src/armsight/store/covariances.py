@@ -1,0 +1,138 @@
+"""Covariances as columns of a table: the standard deviations, and beside them the upper triangle of the matrix."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import combinations
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armsight.errors import BadFile, Inconsistent
+from armsight.store.schema import LARGEST, named
+
+Array = NDArray[np.float64]
+
+AXES = ("x", "y", "z", "rx", "ry", "rz")
+DEVIATIONS = ("sx_m", "sy_m", "sz_m", "srx_rad", "sry_rad", "srz_rad")
+SYSTEMATIC = tuple(f"sys_{name}" for name in DEVIATIONS)
+LIGHTS = ("lights_x_m", "lights_y_m", "lights_z_m")
+LIGHTS_STD = tuple(f"s{name}" for name in LIGHTS)
+COVARIANCE = tuple(f"cov_{a}_{b}" for a, b in combinations(AXES, 2))
+"""Of a pose, row by row above the diagonal; m and rad, in the axes of sx_m .. srz_rad."""
+SYSTEMATIC_COVARIANCE = tuple(f"sys_{name}" for name in COVARIANCE)
+POINT_COVARIANCE = tuple(f"cov_{a}_{b}" for a, b in combinations(AXES[:3], 2))
+"""Of a position."""
+
+NOT_POSITIVE = 1e-9
+"""Least eigenvalue of a correlation matrix, below zero, that rounding explains (of one written in full: 1e-15)."""
+UNCORRELATED = "holds standard deviations only: its errors are taken as uncorrelated between the axes"
+
+
+class Columns(Protocol):
+    """A table's numbers, and where a row stands."""
+
+    @property
+    def numbers(self) -> Mapping[str, Array]:
+        """The columns by name."""
+
+    def place(self, row: int) -> str:
+        """Return the file and line of a row."""
+
+
+def above_diagonal(covariance: Array | None) -> list[float]:
+    """Return the 15 cells of a covariance (6, 6); of a (3, 3) those of the position, NaN for the rest."""
+    cells = [float("nan")] * len(COVARIANCE)
+    if covariance is None:
+        return cells
+    axes = AXES[: len(covariance)]
+    for (i, a), (j, b) in combinations(enumerate(axes), 2):
+        cells[COVARIANCE.index(f"cov_{a}_{b}")] = float(covariance[i, j])
+    return cells
+
+
+def has_correlations(names: Mapping[str, object], lead: str = "") -> bool:
+    """Whether a table with these columns tells how the errors of a position are related."""
+    return f"{lead}{POINT_COVARIANCE[0]}" in names
+
+
+def covariances(table: Columns, std: Array, rows: Sequence[int], lead: str = "") -> Array:
+    """Return the covariances (n, k, k) of rows of a table with standard deviations (n, k), k 3 or 6.
+
+    Cells that are empty, or columns that are not there, are correlations of nought. lead: of the columns' names. Raises
+    BadFile where a matrix is no covariance, or where only some of its columns are there.
+    """
+    k = std.shape[1]
+    out = np.zeros((len(std), k, k))
+    out[:, range(k), range(k)] = std**2
+    pairs = list(combinations(range(k), 2))
+    names = [f"{lead}cov_{AXES[i]}_{AXES[j]}" for i, j in pairs]
+    there = [name for name in names if name in table.numbers]
+    if not there or not len(std):
+        return out
+    if len(there) < len(names):
+        missing = next(name for name in names if name not in table.numbers)
+        raise BadFile(
+            f"{table.place(rows[0])}: the column {missing} is missing beside {there[0]}",
+            consequence="The file is not used",
+            cure="Give the whole upper triangle of the covariance, or standard deviations only",
+        )
+    at = np.asarray(rows, dtype=np.intp)
+    for (i, j), name in zip(pairs, names, strict=True):
+        cells = np.nan_to_num(table.numbers[name][at])
+        out[:, i, j] = out[:, j, i] = cells
+    _require_positive(table, out, std, rows)
+    return out
+
+
+def pose_covariances(
+    table: Columns, sizes: Sequence[int], of_lights: set[int]
+) -> dict[int, tuple[Array, Array | None]]:
+    """Return by row of a poses.csv the covariance, and the part of it that repeats where that is told.
+
+    sizes: what is known of each row (PoseStatus.size); of_lights: the rows whose position is that of the lights. Raises
+    BadFile.
+    """
+    out: dict[int, tuple[Array, Array | None]] = {}
+    kinds: dict[tuple[int, bool], list[int]] = {}
+    for row, size in enumerate(sizes):
+        if size:
+            kinds.setdefault((size, row in of_lights), []).append(row)
+    for (size, lights), rows in kinds.items():
+        std, shared = (
+            np.column_stack([table.numbers.get(name, np.full(len(sizes), np.nan))[rows] for name in names[:size]])
+            for names in (LIGHTS_STD if lights else DEVIATIONS, SYSTEMATIC)
+        )
+        for part in (std, shared):
+            bad = ((part < 0.0) | (part > LARGEST)).any(axis=1)
+            if bad.any():
+                with named(table.place(rows[int(np.argmax(bad))])):
+                    raise Inconsistent(f"a standard deviation is negative or larger than {LARGEST:g}")
+        whole = covariances(table, np.nan_to_num(std), rows)
+        told = [i for i, row in enumerate(shared) if not np.isnan(row).any()]
+        repeats = dict(zip(told, covariances(table, shared[told], [rows[i] for i in told], "sys_"), strict=True))
+        out |= {row: (whole[i], repeats.get(i)) for i, row in enumerate(rows)}
+    return out
+
+
+def _require_positive(table: Columns, covariance: Array, std: Array, rows: Sequence[int]) -> None:
+    related = np.flatnonzero(np.abs(covariance).sum(axis=(1, 2)) > (std**2).sum(axis=1))  # any cell beside the diagonal
+    if not related.size:
+        return
+    C, s = covariance[related], std[related]
+    scale = np.where(s > 0.0, s, 1.0)
+    with np.errstate(over="ignore"):
+        correlation = C / (scale[:, :, None] * scale[:, None, :])
+    impossible = ((s == 0.0)[:, :, None] & (C != 0.0)).any(axis=(1, 2)) | ~(np.abs(correlation) <= 1.0 + 1e-9).all(
+        axis=(1, 2)
+    )
+    safe = np.where(impossible[:, None, None], 0.0, correlation)
+    impossible |= np.linalg.eigvalsh(safe)[:, 0] < -NOT_POSITIVE
+    if impossible.any():
+        row = rows[int(related[int(np.argmax(impossible))])]
+        raise BadFile(
+            f"{table.place(row)}: its columns cov_... are no covariance beside its standard deviations",
+            consequence="The file is not used",
+            cure="Write covariances in m and rad, in the axes of the standard deviations",
+        )
