@@ -13,6 +13,9 @@ from armsight.errors import Inconsistent
 
 Array = NDArray[np.float64]
 
+HAIR = 1e-6
+"""Share of a step that is rounding."""
+
 GRID_S = 0.004
 """Longest step of the motion's record: at 10 rad/s^2 a straight line in between is 20 urad off at most."""
 
@@ -73,7 +76,7 @@ class Servo:
         """Let the joints move until t_s is covered."""
         decay = math.exp(-self._dt_s / self.drive.lag_s) if self.drive.lag_s > 0.0 else 0.0
         longest = self.drive.max_speed * self._dt_s
-        while self.t_s < t_s:
+        while t_s - self.t_s > HAIR * self._dt_s:  # rounding of long sums must not make two steps of one
             while self._queue and self._queue[0][0] <= self.t_s + 1e-9:
                 self._goal = self._queue.popleft()[1]
             rest = self._goal - self._q[-1]
