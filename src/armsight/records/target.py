@@ -14,9 +14,6 @@ from armsight.geometry.lengths import PITCH_M, TARGET_M, check_metres
 from armsight.records.checks import frozen_array, one_of, require_count, require_kind, require_numbers, require_texts
 from armsight.records.saving import Saveable
 
-LARGEST_TARGET_M = 20.0
-"""Rigs see to about ten metres; in millimetres a beacon of three lights is 50 and more across."""
-
 
 class TargetKind(StrEnum):
     """The kinds of target; the first is lights, the others are printed."""
@@ -87,13 +84,6 @@ class Target(Saveable):
         for count in ("columns", "rows"):
             require_count(count, getattr(self, count))
         object.__setattr__(self, "xyz_m", frozen_array("xyz_m", self.xyz_m, (len(self.names), 3)))
-        span_m = float(np.ptp(self.xyz_m, axis=0).max(initial=0.0)) if len(self.names) else 0.0
-        if span_m > LARGEST_TARGET_M:
-            raise Inconsistent(
-                f"the points of the target are {span_m:.4g} m apart",
-                consequence="It is not looked for",
-                cure="Give metres: the numbers look like millimetres",
-            )
         if self.covariance is not None:
             size = 3 * len(self.names)
             object.__setattr__(self, "covariance", frozen_array("covariance", self.covariance, (size, size)))

@@ -33,6 +33,7 @@ CURES: Mapping[Unseen, str] = {
     Unseen.DARK_PATH: "Open both paths: every light must be in the image twice",
     Unseen.AMBIGUOUS: "Give --baseline-mm, --near-mm and --gap-mm as the mirrors stand, or calibrate with --board",
     Unseen.OVERLAPPING: "Move the target a little, until the spots of the two views part",
+    Unseen.HALF_HIDDEN: "Take away what stands before the lights, or turn the target until all are seen whole",
     Unseen.LIGHTS_MISSING: "Show all lights of the target to both views",
 }
 """What helps against what kept the lights from being named."""
