@@ -39,7 +39,6 @@ UNRELATED = 0.25
 """Residuals above this share of how far the frame moved, and above LOOSE_M, mean that there is no resting point."""
 
 LOOSE_M = 2.0 * MM
-
 TIP_ROUNDS = 20
 TIP_SETTLED = 1e-10
 """Weights follow the tip's place; the fit is settled when it moves by less (m)."""
