@@ -7,13 +7,14 @@ import importlib.util
 import math
 import os
 import socket
+import struct
 import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from armsight.drivers.rtde.worker import GOAL, STATE
+from armsight.drivers.rtde.worker import GOAL, PLAYING, STATE
 from armsight.errors import DeviceFailed, DeviceLost, DeviceNotFound, UsageError
 
 PORT = 30004
@@ -91,8 +92,8 @@ class Worker:
         except OSError:
             data = b""
         self._link.settimeout(0.0)
-        with contextlib.suppress(OSError):
-            while len(self._link.recv(STATE.size, socket.MSG_PEEK)) == STATE.size and STATE.unpack(data)[0] >= 0.0:
+        with contextlib.suppress(OSError, struct.error):  # no more, or the reason of an end behind it
+            while _goes_on(data) and STATE.unpack(self._link.recv(STATE.size, socket.MSG_PEEK))[0] >= 0.0:
                 data = self._link.recv(STATE.size)
         if len(data) < STATE.size:
             raise DeviceLost("ur-rtde has ended")
@@ -157,6 +158,12 @@ class Relay:
         for pipe in (self._process.stdin, self._process.stdout):
             if pipe is not None:
                 pipe.close()
+
+
+def _goes_on(data: bytes) -> bool:
+    """Tell whether a state is one of a program that runs; one that tells an end is not passed over."""
+    stamp_s, *_, runtime, _ = STATE.unpack(data)
+    return bool(stamp_s >= 0.0 and runtime == PLAYING)
 
 
 def _there(name: str) -> bool:
