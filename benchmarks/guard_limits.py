@@ -27,8 +27,8 @@ def main() -> None:
     for seed in range(args.seed, args.seed + args.histories):
         history(seed, found)
     print(
-        f"{args.histories} histories of {CYCLES} cycles of {CYCLE_S * 1e3:g} ms, {found.outside} begun outside; "
-        f"{found.moved} of {found.cycles} cycles in motion; {time.monotonic() - begun_s:.0f} s"
+        f"{args.histories} histories of {CYCLES} cycles of {CYCLE_S * 1e3:g} ms, {found.outside} begun outside, "
+        f"{found.refused} refused; {found.moved} of {found.cycles} cycles in motion; {time.monotonic() - begun_s:.0f} s"
     )
     for kind, worst in found.worst.items():
         print(f"{kind}: grew by {worst:.2e} at most, {found.grown[kind]} times by more than {SLACK:g}")

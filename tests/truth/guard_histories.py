@@ -15,6 +15,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.control import Hold, JointGoal, JointVelocity, SetPoint, ToolPose, ToolTwist
 from armsight.control.guard import Box, Guard, GuardState, Inputs, JointLimit, Limits
+from armsight.errors import Inconsistent
 from armsight.kinematics import preset
 from armsight.records import JointReading
 
@@ -33,6 +34,7 @@ class Found:
     cycles: int = 0
     moved: int = 0
     outside: int = 0
+    refused: int = 0
     worst: dict[str, float] = field(default_factory=dict)
     grown: Counter[str] = field(default_factory=Counter)
 
@@ -108,7 +110,11 @@ def history(seed: int, found: Found) -> None:
     """Run one history, and add what it came to."""
     rng = np.random.default_rng(seed)
     arm, limits, q = world(rng)
-    guard = Guard(arm, limits, CYCLE_S)
+    try:
+        guard = Guard(arm, limits, CYCLE_S)
+    except Inconsistent:  # boxes that leave the arm no place at all are refused, and nothing moves
+        found.refused += 1
+        return
     guard.begin(q, 0.0)
     least = depths(arm, limits, q)
     found.outside += any(least.values())
