@@ -63,24 +63,43 @@ class UdpSettings(Protocol):
     """What the settings of every such link hold; see those of the drivers."""
 
     @property
-    def controller(self) -> str: ...  # noqa: D102
+    def controller(self) -> str:
+        """The only address that is listened to; empty: the first that speaks."""
+        ...
+
     @property
-    def bind(self) -> str: ...  # noqa: D102
+    def bind(self) -> str:
+        """The own address to listen at."""
+        ...
+
     @property
-    def open_s(self) -> float: ...  # noqa: D102
+    def open_s(self) -> float:
+        """How long to wait for the first packet, in s."""
+        ...
+
     @property
-    def speed_m_s(self) -> float: ...  # noqa: D102
+    def speed_m_s(self) -> float:
+        """Largest speed of the flange in pose guidance, in m/s."""
+        ...
+
     @property
-    def speed_rad_s(self) -> float: ...  # noqa: D102
+    def speed_rad_s(self) -> float:
+        """Largest turning of the flange in pose guidance, in rad/s."""
+        ...
 
 
 class UdpState(Protocol):
     """A controller's state of one cycle: joints (n,) in rad, and the flange's pose where it tells one."""
 
     @property
-    def q(self) -> Array: ...  # noqa: D102
+    def q(self) -> Array:
+        """Joint values (n,) in rad."""
+        ...
+
     @property
-    def T_base_flange(self) -> RigidTransform | None: ...  # noqa: D102
+    def T_base_flange(self) -> RigidTransform | None:
+        """The flange's measured pose; None where it is not told."""
+        ...
 
 
 State = TypeVar("State", bound=UdpState)
