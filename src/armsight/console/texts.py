@@ -193,7 +193,6 @@ ROW_NAMES = {
 }
 """Names of rows and plots as the guided steps give them, in words; a name that is not here is shown as it is."""
 WHAT_NEXT = "What to do next"
-COVERAGE = "Where the board has been"
 COVERED = "{side} picture, {place}: {n} boards"
 SO_FAR = "How sure it is so far (1 σ)"
 SO_FAR_PLOT = "Against the number of samples"
