@@ -77,7 +77,7 @@ def servo(
     resume_mm: Annotated[
         float, typer.Option(help="A target that jumped is followed again by itself so near to where it would be.")
     ] = 20.0,
-    resume_deg: Annotated[float, typer.Option(help="The same for its rotation.")] = 5.0,
+    resume_deg: Annotated[float, typer.Option(help="The same for its rotation.")] = 3.0,
     hand: Annotated[
         str | None,
         typer.Option(

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import gc
 import math
+import re
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -40,6 +41,8 @@ LATE_SHARE = 0.5
 """A cycle that begins later than this share of itself counts as late."""
 PATIENCE = 1.5
 """Cycles that a controller's next one is waited for; then this one passes without a step."""
+HOW_LONG = re.compile(r",? (?:for|last seen) (?:more than )?[\d.e+-]+ m?s\b.*")
+"""What differs from cycle to cycle of one reason."""
 
 
 @runtime_checkable
@@ -69,6 +72,11 @@ class LoopStatus:
     n_cycles: int
     late: int
     missed: int
+
+    @property
+    def reason(self) -> str:
+        """Why it does not run, without for how long: the same in each cycle."""
+        return HOW_LONG.sub("", self.why)
 
 
 class ControlLoop:

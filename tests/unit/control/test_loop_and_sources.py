@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -84,6 +85,48 @@ def test_a_stop_is_taken_in_the_next_cycle_and_lasts_until_the_reset(cell) -> No
     assert states[19] is GuardState.RUNNING
     assert set(states[20:120]) == {GuardState.STOPPED}
     assert states[-1] is GuardState.DISABLED  # the enable was never let go of
+
+
+class Failing(Turning):
+    """Moves the arm, then meets something that it does not know."""
+
+    name = "failing"
+
+    def __init__(self) -> None:
+        self.asked = 0
+
+    def next(self, now: CycleState) -> SetPoint:
+        self.asked += 1
+        if self.asked == 20:
+            raise ZeroDivisionError("float division by zero")
+        return super().next(now)
+
+
+def test_a_source_that_fails_is_a_hold_and_the_loop_goes_on(cell) -> None:
+    robot, clock = cell
+    seen = []
+    loop = ControlLoop(robot, guard_for(robot), Failing(), clock, enabled=lambda: True)
+    loop.run(until=lambda now: bool(seen.append(now)) or len(seen) == 60)
+    assert seen[19].state is GuardState.HOLDING
+    assert seen[19].why == "the source failing failed: float division by zero"
+    assert seen[-1].state is GuardState.RUNNING
+
+
+@pytest.mark.parametrize(
+    ("why", "reason"),
+    [
+        ("at a limit: the upper limit of joint 1, joint 6 too fast", None),
+        ("the target is lost, last seen 0.734 s ago", "the target is lost"),
+        ("no new reading from the robot for 340 ms", "no new reading from the robot"),
+        ("no set point from the client for more than 100 ms", "no set point from the client"),
+        ("the target jumped by 31 mm, or turned, and stays so: let the enable go", None),
+    ],
+)
+def test_a_reason_is_the_same_in_each_cycle_and_names_all_limits(cell, why: str, reason: str | None) -> None:
+    robot, clock = cell
+    loop = ControlLoop(robot, guard_for(robot), Turning(), clock, enabled=lambda: True)
+    loop.run(for_s=0.1)
+    assert replace(loop.status, why=why).reason == (why if reason is None else reason)
 
 
 def test_sources_are_exchanged_under_way(cell) -> None:

@@ -6,6 +6,7 @@ import socket
 from types import SimpleNamespace
 
 import pytest
+from websockets.frames import Frame, Opcode
 
 from armsight.server import connections as limits
 from armsight.server import limited
@@ -199,6 +200,17 @@ def test_a_flood_is_parsed_a_slice_a_turn(flooder):
 def test_what_is_over_the_budget_of_bytes_is_not_parsed(flooder):
     flooder.data_received(b"x" * (int(SERVER.bytes_burst) + 1))
     assert flooder.turned_out and flooder.parsed == []
+
+
+def test_what_is_over_the_budget_of_messages_is_not_passed_on(flooder, monkeypatch):
+    passed = []
+    monkeypatch.setattr(limited.WebSocketsSansIOProtocol, "handle_events", lambda self: passed.append(self.conn.events))
+    flooder._messages = limited.TokenBucket(SERVER.messages_per_s, SERVER.messages_burst, 0.0)
+    for count, taken in ((int(SERVER.messages_burst), 1), (1, 1)):
+        flooder.conn = SimpleNamespace(events=[Frame(Opcode.TEXT, b"x")] * count)
+        flooder.handle_events()
+        assert len(passed) == taken
+    assert flooder.turned_out == [f"{SERVER.messages_per_s:g} messages a second"]
 
 
 def test_parsing_that_takes_long_ends_the_connection(flooder, monkeypatch):

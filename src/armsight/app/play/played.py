@@ -79,8 +79,8 @@ class PlayTally:
         self.last = status
         self.cycles += 1
         self.began_s = status.t_s if self.began_s is None else self.began_s
-        if status.why and status.why.split(",")[0] not in self.holds:
-            self.holds.append(status.why.split(",")[0])
+        if status.why and status.reason not in self.holds:
+            self.holds.append(status.reason)
         if status.state is not GuardState.HOLDING:
             self._held_s = None
         elif self._held_s is None:

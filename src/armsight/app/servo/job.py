@@ -52,7 +52,7 @@ class ServoJob:
     hand: str | None = None
     hand_speed_m_s: float = 0.05
     resume_m: float = 0.02
-    resume_rad: float = 5.0 * DEG
+    resume_rad: float = 3.0 * DEG
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -80,8 +80,8 @@ class Tally:
             self.last_rad = float(np.linalg.norm(error.rotation_rad))
             self._sum_m2 += self.last_m**2
             self._max_m = max(self._max_m, self.last_m)
-        elif status.why and status.why.split(",")[0] not in self.holds:
-            self.holds.append(status.why.split(",")[0])  # after a comma stands for how long
+        elif status.why and status.reason not in self.holds:
+            self.holds.append(status.reason)
         return self._cancelled() or status.state is GuardState.STOPPED
 
     @property

@@ -17,7 +17,7 @@ ROUGH_M = 0.001
 """Second differences (root of the mean square) below which nothing moves enough to tell."""
 SMOOTHER = 0.25
 """The way by older pictures is smoother by less than this only where they are older: honest hands of up to 0.5 m/s
-gave 0.46 and more, a delay of two frames 0.06 to 0.11, one that grows 0.08 to 0.18."""
+gave 0.39 and more, a delay of two frames 0.06 to 0.11, one that grows 0.08 to 0.18."""
 GAP = 1.5
 """Frames further apart than so many periods begin anew."""
 

@@ -75,7 +75,7 @@ class ServoSettings:
     predict: bool = True
     turning: Turning = Turning.ALIGN
     resume_m: float = 0.02
-    resume_rad: float = 5.0 * DEG
+    resume_rad: float = 3.0 * DEG
     chase_m: float = 0.01
 
     def with_gain(self, gain: float) -> ServoSettings:

@@ -27,7 +27,7 @@ SETTLED_S = 0.15
 """A track so young is not followed: its velocity is not known yet."""
 CALM_S = 0.3
 """After a jump the target is followed again once its poses have agreed with each other for so long."""
-HAND_M_S2, HAND_RAD_S2 = 10.0, 100.0
+HAND_M_S2, HAND_RAD_S2 = 10.0, 50.0
 """A target in steady sight that is further from where it was going than this acceleration since the last pose explains
 jumped: hands of up to 0.5 m/s with stops and reversals needed 4.9 m/s^2 and 13 rad/s^2 (benchmarks/servo_lies.py)."""
 NOISE_SIGMAS = 4.0
