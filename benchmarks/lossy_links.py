@@ -1,6 +1,6 @@
 """Speed and limits of a guarded arm behind links that lose, delay and bunch packets, by the controller's own time.
 
-python benchmarks/lossy_links.py [alter] [egm] [rsi] [--histories 300] [--fault pace | confirm]
+python benchmarks/lossy_links.py [alter] [egm] [rsi] [rtde] [--histories 300] [--fault pace | confirm]
 
 Prints, for each link, the largest speed over any three cycles of the controller as a share of its limit, of the motors
 and of where they are told to go, and by how much a range or a wall was passed. --fault takes a rule away, to see that
@@ -21,7 +21,7 @@ from tests.truth.lossy_links import SPEED_TOLERANCE, WINDOW, Found, history
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("kinds", nargs="*", default=["alter", "egm", "rsi"])
+    parser.add_argument("kinds", nargs="*", default=["alter", "egm", "rsi", "rtde"])
     parser.add_argument("--histories", type=int, default=300)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--fault", default="")

@@ -6,28 +6,22 @@ emulated controller alone: where the motors were at each of its cycles, by its o
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from tests.truth.emulated_links import HOME, Wire, link_of
 
 import armsight.control.loop as loop_module
 from armsight.clock import ManualClock
 from armsight.control import CycleState, JointGoal, JointVelocity, SetPoint, ToolTwist
 from armsight.control.guard import Box, Guard, GuardState, JointLimit, Limits
 from armsight.control.loop import ControlLoop
-from armsight.drivers.alter import AlterRobot
-from armsight.drivers.alter.frames import FrameSplitter
-from armsight.drivers.egm import EgmRobot
-from armsight.drivers.rsi import RsiRobot
 from armsight.kinematics import Arm, Joint
-from armsight.sim.twins.alter import AlterController
-from armsight.sim.twins.base import small_arm, twin_drive, twin_home
+from armsight.sim.twins.base import small_arm
 from armsight.sim.twins.egm import EgmController
-from armsight.sim.twins.rsi import RsiController
+from armsight.sim.twins.ur_controller import UrController
 
 Array = NDArray[np.float64]
 
@@ -60,163 +54,6 @@ class Found:
     beyond: int = 0
 
 
-@dataclass(slots=True)
-class Wire:
-    """One way of a link, in cycles: what is sent now is there later, with others, or never."""
-
-    rng: np.random.Generator
-    loss: float
-    late: float
-    under_way: list[tuple[int, bytes]] = field(default_factory=list)
-    held_until: int = 0
-    lost: int = 0
-
-    def send(self, data: bytes, cycle: int) -> None:
-        if self.rng.random() < self.loss:
-            self.lost += 1
-            return
-        due = cycle + (int(self.rng.integers(1, 4)) if self.rng.random() < self.late else 0)
-        if self.rng.random() < 0.2 * self.late:  # everything stands still for a while, and comes at once
-            self.held_until = cycle + int(self.rng.integers(2, 9))
-        self.under_way.append((max(due, self.held_until), data))
-
-    def due(self, cycle: int) -> list[bytes]:
-        here = [data for when, data in self.under_way if when <= cycle]
-        self.under_way = [(when, data) for when, data in self.under_way if when > cycle]
-        return here
-
-
-class Socket:
-    """Stands for a socket or a serial line: what is written is kept."""
-
-    def __init__(self) -> None:
-        self.out: list[bytes] = []
-
-    def sendto(self, data: bytes, there: Any) -> int:
-        self.out.append(data)
-        return len(data)
-
-    def write(self, data: bytes) -> int:
-        self.out.append(data)
-        return len(data)
-
-    def drained(self) -> list[bytes]:
-        out, self.out = self.out, []
-        return out
-
-    def close(self) -> None: ...
-
-    def settimeout(self, time_s: float) -> None: ...
-
-
-class TwinSocket(Socket):
-    """The emulated controller's end: what has come is read from it."""
-
-    def __init__(self, driver: tuple[str, int]) -> None:
-        super().__init__()
-        self.inbox: list[bytes] = []
-        self._driver = driver
-
-    def recvfrom(self, size: int) -> tuple[bytes, tuple[str, int]]:
-        return self.recv(size), self._driver
-
-    def recv(self, size: int) -> bytes:
-        if not self.inbox:
-            raise BlockingIOError
-        return self.inbox.pop(0)
-
-
-class Model:
-    """The emulated controller's arm, as the driver of a serial link takes it."""
-
-    def fk(self, q: Array) -> Any:
-        return small_arm().flange(q)
-
-    def ik(self, T_base_flange: Any, near: Array) -> Array:
-        return small_arm().reach(T_base_flange.as_matrix(), near)
-
-
-class UdpLink:
-    """EGM or RSI without sockets and threads."""
-
-    def __init__(self, kind: str, clock: ManualClock, **settings: object) -> None:
-        there = ("127.0.0.1", 49000)
-        self.cycle_s = 0.004
-        drive = twin_drive(small_arm(), self.cycle_s)
-        if kind == "egm":
-            self.twin: Any = EgmController(there, arm=small_arm(), drive=drive, home=HOME, clock=clock)
-            self.robot: Any = EgmRobot("49000", settings=settings, clock=clock)
-        else:
-            self.twin = RsiController(there, arm=small_arm(), drive=drive, home=HOME)
-            self.robot = RsiRobot("49000", settings=settings, clock=clock)
-        self.twin.close()
-        self.far = self.twin._socket = TwinSocket(there)
-        self.near = Socket()
-        self.robot._bind = lambda: self.near
-        self.robot._run = self._begin
-
-    def _begin(self) -> None:
-        self.twin.cycle()
-        self.hear(self.spoken(), together=True, between=lambda: None)
-        self.far.inbox += self.near.drained()
-
-    def spoken(self) -> list[bytes]:
-        """Return what the controller has sent."""
-        return self.far.drained()
-
-    def answer(self, data: bytes) -> None:
-        """Bring an answer to the controller."""
-        self.far.inbox.append(data)
-
-    def hear(self, packets: list[bytes], *, together: bool, between: Callable[[], None]) -> list[bytes]:
-        """Bring packets to the driver, at once or one by one; return its answers."""
-        for i, data in enumerate(packets):
-            self.robot._take(data, ("127.0.0.1", 50000), newest=not together or i == len(packets) - 1)
-            if not together:
-                between()
-        return self.near.drained()
-
-
-class AlterLink:
-    """A serial line without a driver's thread."""
-
-    def __init__(self, clock: ManualClock, **settings: object) -> None:
-        self.cycle_s = 0.028
-        drive = twin_drive(small_arm(), self.cycle_s)
-        self.twin = AlterController(arm=small_arm(), drive=drive, home=HOME)
-        os.set_blocking(self.twin._slave, False)
-        self.robot: Any = AlterRobot("line", settings={"arm": Model(), **settings}, clock=clock)
-        self.near = Socket()
-        self.robot._open_line = lambda: self.near
-        self.robot._run = self._begin
-        self._frames: list[Any] = []
-        self._splitter = FrameSplitter()
-
-    def _begin(self) -> None:
-        self.twin.cycle()
-        for data in self.hear(self.spoken(), together=True, between=lambda: None):
-            self.answer(data)
-
-    def spoken(self) -> list[bytes]:
-        try:
-            data = os.read(self.twin._slave, 4096)
-        except BlockingIOError:
-            return []
-        return [data[i : i + 48] for i in range(0, len(data), 48)]
-
-    def answer(self, data: bytes) -> None:
-        os.write(self.twin._slave, data)
-
-    def hear(self, packets: list[bytes], *, together: bool, between: Callable[[], None]) -> list[bytes]:
-        states = [state for data in packets for state in self._splitter.feed(data)]
-        for i, state in enumerate(states):
-            self.robot._take(state, newest=not together or i == len(states) - 1)
-            if not together:
-                between()
-        return self.near.drained()
-
-
-HOME = twin_home(small_arm())
 ARM = Arm(
     name="small",
     joints=tuple(
@@ -277,18 +114,17 @@ def limits_of(rng: np.random.Generator) -> Limits:
 
 
 def history(kind: str, seed: int, found: Found, *, cycles: int = 500, fault: str = "") -> None:
-    """Run one history of a link of a kind (alter, egm, rsi), and add what the judge finds.
+    """Run one history of a link of a kind (alter, egm, rsi, rtde), and add what the judge finds.
 
     fault takes one rule away: "pace" (the loop steps by its own clock), "confirm" (a goal counts as taken once it is
     sent).
     """
     rng = np.random.default_rng([seed, len(kind), ord(kind[0])])
     clock = ManualClock(100.0)
-    link: Any = (
-        AlterLink(clock, speed_m_s=1.5, speed_rad_s=6.0) if kind == "alter" else UdpLink(kind, clock, silent_s=1.0)
-    )
-    loss, late = rng.choice([0.0, 0.02, 0.05, 0.1]), rng.choice([0.0, 0.05, 0.2])
-    up, down = (Wire(rng=rng, loss=loss, late=late) for _ in range(2))
+    link = link_of(kind, clock)
+    tcp = kind == "rtde"
+    loss, late = rng.choice([0.0, 0.02, 0.05, 0.1]) * (not tcp), rng.choice([0.0, 0.05, 0.2])
+    up, down = (Wire(rng=rng, loss=loss, late=late, in_order=tcp) for _ in range(2))
     limits = limits_of(rng)
     loop = ControlLoop(
         link.robot, Guard(ARM, limits, link.cycle_s), Restless(rng), clock, enabled=lambda: True, by_pose=False
@@ -329,6 +165,9 @@ def _controller_cycle(link: Any, answers: list[bytes]) -> Array:
     """Let the controller do a cycle; return where its motors are told to go, not a number where it halts by itself."""
     for data in answers:
         link.answer(data)
+    if isinstance(link.twin, UrController):
+        link.twin.cycle()
+        return np.asarray(link.twin._servo.goal)
     counts = link.twin.counts
     name = "timeouts" if isinstance(link.twin, EgmController) else "ended"
     before = getattr(counts, name)

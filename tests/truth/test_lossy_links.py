@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from tests.truth.lossy_links import SPEED_TOLERANCE, Found, history
 
-KINDS = ("alter", "egm", "rsi")
-SEEDS = {"alter": (6, 8), "egm": (4, 10), "rsi": (3, 4)}
+KINDS = ("alter", "egm", "rsi", "rtde")
+SEEDS = {"alter": (6, 8), "egm": (4, 10), "rsi": (3, 4), "rtde": (5, 7)}
 """With losses, late packets and both, so that each rule is needed in one of them."""
 
 
