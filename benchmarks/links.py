@@ -33,7 +33,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from tests.truth.lossy_links import ARM, SPEED_TOLERANCE, WINDOW, Found, Model, Restless, judge, limits_of
+from tests.truth.emulated_links import Model
+from tests.truth.lossy_links import ARM, SPEED_TOLERANCE, WINDOW, Found, Restless, judge, limits_of
 
 from armsight.app.robot.beside import run_beside
 from armsight.clock import SystemClock

@@ -1,4 +1,4 @@
-"""Drivers and emulated controllers joined without sockets, threads and time of their own; a wire that is no good one."""
+"""Drivers and emulated controllers joined without sockets, threads and time of their own, and a wire that loses."""
 
 from __future__ import annotations
 
