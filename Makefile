@@ -2,10 +2,11 @@
 PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
+RUNS := .venv/.runs
 
 .PHONY: demo test check guides docs install lock clean
 
-demo: install
+demo: $(RUNS)
 	$(BIN)/armsight demo -o demo
 
 test: install
@@ -25,17 +26,26 @@ guides: install
 install: $(READY)
 
 $(READY): pyproject.toml requirements.lock tools/make_environment.py
-	$(PYTHON) tools/make_environment.py .venv
+	$(PYTHON) tools/make_environment.py .venv requirements.lock
 	$(BIN)/python -m armsight.app.compilation
+	@touch $@ $(RUNS)
+
+# what it takes to run it, without what the tests and the documentation need
+$(RUNS): pyproject.toml requirements-run.lock tools/make_environment.py
+	$(PYTHON) tools/make_environment.py .venv requirements-run.lock
+	$(BIN)/python -m armsight.app.compilation demo
 	@touch $@
 
 docs: install
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 	@echo "Open site/index.html"
 
+LOCKED = $(BIN)/python -m uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url \
+	--custom-compile-command "make lock" pyproject.toml --extra install
+
 lock:
-	$(BIN)/python -m uv pip compile --universal --python-version 3.11 --generate-hashes --no-emit-index-url --extra dev \
-		--custom-compile-command "make lock" pyproject.toml -o requirements.lock
+	$(LOCKED) --extra dev -o requirements.lock
+	$(LOCKED) --constraint requirements.lock -o requirements-run.lock
 
 clean:
 	rm -rf .venv demo dist build site .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis

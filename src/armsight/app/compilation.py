@@ -10,7 +10,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from threading import Lock
@@ -268,29 +268,38 @@ SHARES = (
 """The groups of each process, of like length; the rest follows when both are done. No kernel that Python calls belongs
 to both: tests/unit/app/test_compilation.py."""
 
+DEMO = ("spots", "boards", "simulator", "poses", "cameras", "measure")
+"""What `armsight demo` runs."""
 
-def compile_all(progress: Progress | None = None) -> None:
-    """Compile everything that is not compiled yet, in two processes; a minute, or seconds where all is there."""
+
+def compile_all(progress: Progress | None = None, groups: Collection[str] = tuple(GROUPS)) -> None:
+    """Compile all of the groups that is not compiled yet, in two processes; a minute, or seconds where it is there."""
     told, lock, done = progress or Silent(), Lock(), [0]
 
     def run(names: tuple[str, ...]) -> None:
+        if not names:
+            return
         command = [sys.executable, "-m", "armsight.app.compilation", *names]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
             for line in process.stdout or ():
                 with lock:
                     done[0] += 1
-                    told.update(done[0], len(GROUPS), f"{COMPILING}: {line.strip()}")
+                    told.update(done[0], len(groups), f"{COMPILING}: {line.strip()}")
 
-    told.update(0, len(GROUPS), COMPILING)
+    told.update(0, len(groups), COMPILING)
+    shared = [tuple(name for name in share if name in groups) for share in SHARES]
     with ThreadPoolExecutor(len(SHARES)) as pool:
-        list(pool.map(run, SHARES))
-    run(tuple(name for name in GROUPS if not any(name in share for share in SHARES)))
+        list(pool.map(run, shared))
+    run(tuple(name for name in groups if not any(name in share for share in shared)))
 
 
 def main(names: list[str]) -> int:
-    """Compile the named groups in turn and print the name of each when done; without names all, in two processes."""
-    if not names:
-        compile_all(_Lines())
+    """Compile the named groups in turn and print the name of each when done.
+
+    Without names all are compiled, and with `demo` what it needs, in two processes.
+    """
+    if not names or names == ["demo"]:
+        compile_all(_Lines(), DEMO if names else tuple(GROUPS))
         return 0
     for name in names:
         GROUPS[name]()
