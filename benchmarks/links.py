@@ -17,6 +17,7 @@ import contextlib
 import gc
 import json
 import multiprocessing
+import os
 import random
 import shlex
 import socket
@@ -52,6 +53,8 @@ KINDS = ("alter", "rsi", "egm", "rtde")
 CONTROLLER, NEARER = "127.77.0.1", "127.78.0.1"
 RTDE_PORTS = (30004, 30003, 29999)
 LONGEST_STILL_S = 0.04
+FIRST = 20
+"""Of SCHED_FIFO: before the loop, as on a computer of its own."""
 
 
 def controller(kind: str, port: str, file: str) -> None:
@@ -80,6 +83,8 @@ def controller(kind: str, port: str, file: str) -> None:
         gc.collect()
         gc.freeze()
         gc.disable()
+        with contextlib.suppress(OSError):  # a controller is a real-time system, whatever else this machine does
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(FIRST))
         twin.run(lambda: not ended.is_set())
         counts = {} if kind == "rtde" else {key: getattr(inner.counts, key) for key in inner.counts.__slots__}
         np.savez(file, q=np.array(rows), t_s=np.array(stamps), cycle_s=inner._drive.cycle_s)

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.control import Finished, Hold, JointGoal, JointVelocity, SetPoint, ToolPose, ToolTwist
 from armsight.control.guard import (
@@ -202,6 +202,22 @@ def test_goals_beyond_a_joints_range_are_not_begun() -> None:
     decision = bench.run(JointGoal(q=HOME + 0.3), 10)
     assert decision.state is GuardState.HOLDING
     assert np.array_equal(bench.q[-1], HOME)
+
+
+def test_goals_that_no_joint_can_have_are_a_hold() -> None:
+    decision = Bench().cycle(JointGoal(q=np.degrees(HOME)))
+    assert decision.state is GuardState.HOLDING and "radians" not in decision.why
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_pose_beside_a_singularity_is_followed_or_a_hold(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    bench = Bench(q=[0.3, -1.0, 10.0 ** rng.uniform(-7, -1), -0.5, 10.0 ** rng.uniform(-8, -1), 0.0])
+    off = RigidTransform.from_components(rng.normal(0.0, 0.003, 3), Rotation.from_rotvec(rng.normal(0.0, 0.02, 3)))
+    T_base_tool = RigidTransform.from_matrix(ARM.fk(bench.q[0]))
+    decision = bench.cycle(ToolPose(T_base_tool=T_base_tool * off))
+    assert decision.state in (GuardState.HOLDING, GuardState.RUNNING)
+    assert np.abs(bench.q[-1] - bench.q[0]).max() < 1e-3
 
 
 def test_a_coupled_arm_is_guarded_in_its_own_values() -> None:

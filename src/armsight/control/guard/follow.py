@@ -17,6 +17,7 @@ from armsight.control.guard.motion import Ceiling, Course, Planner, State
 from armsight.control.guard.space import HAIR, Breach, Sight, Space, pose_difference
 from armsight.control.guard.watch import Fault, hold_reason
 from armsight.control.setpoints import Finished, Hold, JointGoal, JointVelocity, SetPoint, ToolPose, ToolTwist
+from armsight.errors import Inconsistent
 from armsight.kinematics import Arm
 from armsight.units import DEG, MM
 
@@ -106,6 +107,8 @@ class Follower:
             return self._move(wanted, share), hold_reason(wanted)
         except Refused as refused:
             return None, refused.fault
+        except Inconsistent as error:  # joint values that the arm cannot have, such as a goal in degrees
+            return None, Fault(GuardState.HOLDING, "reach", error.cause)
 
     def advance(self, move: Move | None) -> Array:
         """Go on by a move, or along the way to rest where there is none; return the step (n,)."""

@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 
 NEWTON_STEPS = 4
 """For the way of one cycle two are enough; a pose not met by then is not reached."""
+ASTRAY = np.pi
+"""rad or m from where it began beyond which a search ran away: a pose of the next cycle is near."""
 POSITION_M = 1e-7
 ROTATION_RAD = 1e-7
 EVERYWHERE = Box(lower_m=np.full(3, -1e9), upper_m=np.full(3, 1e9), name="without walls")
@@ -299,7 +301,7 @@ class Space:
             error = (np.concatenate([way, turn])[:, None] / self._lengths)[: self.rows, 0]
             J = self.scaled(at.J)
             q = q + J.T @ np.linalg.solve(J @ J.T + 1e-12 * np.eye(self.rows), error)
-            if not (np.abs(q) < 1e3).all():
+            if not (np.abs(q - sight.q) < ASTRAY).all():
                 return None
             at = self.look(q)
         way, turn = pose_difference(T_base_tool, at.T)
