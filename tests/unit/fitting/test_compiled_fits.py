@@ -15,7 +15,7 @@ from scipy.special import erf
 from armsight.fitting import Evaluation, Fit, Problem, solve
 from armsight.geometry import pose_from_rotvec
 from armsight.kinematics import fk, preset, solve_numeric
-from armsight.measure.boards.kernels.subpixel import _descend, prepare
+from armsight.measure.boards.kernels import subpixel
 from armsight.measure.poses.kernels import pose as pose_kernels
 from armsight.measure.spots.kernels.fitting.leastsquares import fit_model
 from armsight.measure.spots.kernels.fitting.light_models import STREAK, grid_of, light_and_slopes
@@ -169,16 +169,15 @@ def test_a_boards_corner_is_the_engines() -> None:
 
     truth = np.array([0.21, -0.33, 0.15, 1.75, 0.9, 1.1, 120.0, 0.8, -0.5, 85.0])
     v = level(truth) + rng.normal(0.0, 1.0, x.shape)
-    p = np.zeros(14)
-    p[:10] = truth + np.array([0.2, 0.2, 0.05, -0.05, 0.2, -0.1, 5.0, 0.0, 0.0, -8.0])
-    start = p[:10].copy()
-    prepare(p)
-    H = np.empty((10, 10))
-    _descend(0, x, y, v, len(x), p, 5.0, H)
+    p = truth + np.array([0.2, 0.2, 0.05, -0.05, 0.2, -0.1, 5.0, 0.0, 0.0, -8.0])
+    start = p.copy()
+    H, window = np.empty((10, 10)), np.ones((subpixel.ROWS, len(x)))
+    window[[subpixel.X, subpixel.Y, subpixel.V]] = x, y, v
+    subpixel._descend(0, len(x), p, 5.0, H, window)
     slow = by_engine(lambda q: level(q) - v, start)
     assert slow.covariance is not None
     std = np.sqrt(np.diag(slow.covariance.matrix))
-    assert (np.abs(p[:10] - slow.shared) < 0.05 * std).all()
+    assert (np.abs(p - slow.shared) < 0.05 * std).all()
     full = np.tril(H) + np.tril(H, -1).T
     assert np.sqrt(np.diag(np.linalg.inv(full))) == pytest.approx(std, rel=0.01)
 

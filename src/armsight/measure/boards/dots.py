@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -23,7 +25,7 @@ LARGEST_SHARE = 1.0 / 16.0
 """A dot covers at most this share of the image."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Dots:
     """Candidates: uv (n, 2), half axes (n, 2) in px, the long one first, and its direction (n,) in rad."""
 
@@ -31,10 +33,15 @@ class Dots:
     axes: Array
     angle: Array
 
-    @property
+    @cached_property
     def area(self) -> Array:
         """Area (n,) in px^2."""
         return np.asarray(np.pi * self.axes[:, 0] * self.axes[:, 1])
+
+    @cached_property
+    def tree(self) -> cKDTree:
+        """What finds the dot nearest to a pixel."""
+        return cKDTree(self.uv)
 
     @property
     def shape(self) -> Array:

@@ -12,8 +12,6 @@ Array = NDArray[np.float64]
 
 POINTS_FOR_CUBIC = 24
 """A cubic has ten coefficients a coordinate; with fewer points than this it would follow single corners."""
-STEP = 1e-3
-"""Step of the numerical derivatives, in squares."""
 FAR = 4.0
 """Points further from the map than this many robust standard deviations do not shape it."""
 
@@ -35,13 +33,24 @@ class GridMap:
 
     def derivatives(self, grid: Array) -> tuple[Array, Array]:
         """Return the image steps of one square (n, 2, 2; columns: along x, y) and second derivatives (n, 2, 3)."""
-        e = STEP * self.half
-        g = np.asarray(grid, float)
-        x, y = np.array([e, 0.0]), np.array([0.0, e])
-        f0, px, mx, py, my = self(g), self(g + x), self(g - x), self(g + y), self(g - y)
-        first = np.stack([(px - mx) / (2 * e), (py - my) / (2 * e)], axis=2)
-        cross = (self(g + x + y) - self(g + x - y) - self(g - x + y) + self(g - x - y)) / (4 * e * e)
-        second = np.stack([(px - 2 * f0 + mx) / e**2, cross, (py - 2 * f0 + my) / e**2], axis=2)
+        g = (np.asarray(grid, float) - self.centre) / self.half
+        x, y = g[:, 0], g[:, 1]
+        h = np.column_stack([g, np.ones(len(g))]) @ self.H.T
+        w, by_w = h[:, 2:], self.H[2, :2]
+        u = h[:, :2] / w
+        along = (self.H[:2, :2] - u[:, :, None] * by_w) / w[:, :, None]  # (n, 2, 2) of the homography
+        bent = -(along[:, :, [0, 0, 1]] * by_w[[0, 1, 1]] + along[:, :, [0, 1, 1]] * by_w[[0, 0, 1]]) / w[:, :, None]
+        none, one = np.zeros(len(g)), np.ones(len(g))
+        rows = (  # of the monomials, by x, y, xx, xy and yy
+            (none, one, none, 2.0 * x, y, none, 3.0 * x * x, 2.0 * x * y, y * y, none),
+            (none, none, one, none, x, 2.0 * y, none, x * x, 2.0 * x * y, 3.0 * y * y),
+            (none, none, none, 2.0 * one, none, none, 6.0 * x, 2.0 * y, none, none),
+            (none, none, none, none, one, none, none, 2.0 * x, 2.0 * y, none),
+            (none, none, none, none, none, 2.0 * one, none, none, 2.0 * x, 6.0 * y),
+        )
+        lens = np.array(rows).transpose(2, 0, 1) @ self.cubic  # (n, 5, 2)
+        first = (along + lens[:, :2].transpose(0, 2, 1)) / self.half
+        second = (bent + lens[:, 2:].transpose(0, 2, 1)) / self.half**2
         return first, second
 
 

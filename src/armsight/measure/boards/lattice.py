@@ -10,7 +10,6 @@ from itertools import product
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from armsight.measure.boards.dots import Dots
 from armsight.measure.boards.gridmap import GridMap, fit_map
@@ -82,13 +81,12 @@ def lattices(dots: Dots) -> Iterator[Lattice]:
     """Yield the lattices of at least four dots grown from the most regular dots outwards, none from a used dot."""
     if len(dots.uv) < 4:
         return
-    tree = cKDTree(dots.uv)
     used: set[int] = set()
     tried = 0
-    for seed, steps in _seeds(dots, tree):
+    for seed, steps in _seeds(dots):
         if seed in used:
             continue
-        lattice = _grow(dots, tree, seed, steps)
+        lattice = _grow(dots, seed, steps)
         tried += 1
         if len(lattice) >= 4:
             used |= set(lattice.values())
@@ -97,10 +95,10 @@ def lattices(dots: Dots) -> Iterator[Lattice]:
             return
 
 
-def _seeds(dots: Dots, tree: cKDTree) -> Iterator[tuple[int, Array]]:
+def _seeds(dots: Dots) -> Iterator[tuple[int, Array]]:
     """Yield dots with two pairs of opposite, alike neighbours, the most regular first, and the steps (2, 2) to them."""
     n = min(NEIGHBOURS + 1, len(dots.uv))
-    near = np.asarray(tree.query(dots.uv, k=n)[1])[:, 1:]  # (m, k)
+    near = np.asarray(dots.tree.query(dots.uv, k=n)[1])[:, 1:]  # (m, k)
     step = dots.uv[near] - dots.uv[:, None]
     length = np.linalg.norm(step, axis=2)
     log_area = np.log(dots.area)
@@ -123,7 +121,7 @@ def _seeds(dots: Dots, tree: cKDTree) -> Iterator[tuple[int, Array]]:
         yield dot, steps
 
 
-def _grow(dots: Dots, tree: cKDTree, seed: int, steps: Array) -> Lattice:
+def _grow(dots: Dots, seed: int, steps: Array) -> Lattice:
     """Grow a lattice, the best-fitting dot next: strangers, which fit worse, come last and lead nothing astray."""
     lattice: Lattice = {}
     taken: set[int] = set()
@@ -137,7 +135,7 @@ def _grow(dots: Dots, tree: cKDTree, seed: int, steps: Array) -> Lattice:
             if after in lattice:
                 continue
             step = sense * E[:, axis]
-            distance, k = tree.query(dots.uv[dot] + step)
+            distance, k = dots.tree.query(dots.uv[dot] + step)
             error = float(distance / np.linalg.norm(step))
             if error > NEAR or not _alike(dots, dot, int(k)):
                 continue
@@ -211,21 +209,22 @@ def _fitted(table: Index, at: Index, dots: Dots, grid: Grid) -> Placed | None:
     usual = float(np.median(dots.area[numbering[numbering >= 0]])) if (numbering >= 0).any() else 0.0
     empty = np.flatnonzero(numbering < 0)
     if len(empty) and usual > 0.0:
-        gap, nearest = (np.asarray(part) for part in cKDTree(dots.uv).query(expected[empty]))
+        gap, nearest = (np.asarray(part) for part in dots.tree.query(expected[empty]))
         fits = (gap < ON_MAP * pitch_px[empty]) & (dots.area[nearest] < BIGGEST * usual)
         fits &= (dots.area[nearest] > usual / ALIKE) & ~np.isin(nearest, numbering)
         numbering[empty[fits]] = nearest[fits]
     held = np.flatnonzero(numbering >= 0)
     if len(held) < PART * len(wanted):
         return None
-    return Placed(numbering=numbering, beyond=any(_goes_on(side, dots, smooth, usual) for side in grid.beyond))
+    return Placed(numbering=numbering, beyond=_goes_on(grid.beyond, dots, smooth, usual))
 
 
-def _goes_on(side: Index, dots: Dots, smooth: GridMap, usual_px2: float) -> bool:
-    """Tell whether most places (m, 2) next to one side of the board hold a dot like the board's."""
-    expected = smooth(side.astype(float))
-    pitch_px = np.linalg.norm(smooth.derivatives(side.astype(float))[0], axis=1).min(axis=1)
-    gap, nearest = (np.asarray(part) for part in cKDTree(dots.uv).query(expected))
+def _goes_on(sides: tuple[Index, ...], dots: Dots, smooth: GridMap, usual_px2: float) -> bool:
+    """Tell whether most places (m, 2) next to one of the board's sides hold a dot like the board's."""
+    at = np.concatenate(sides).astype(float)
+    pitch_px = np.linalg.norm(smooth.derivatives(at)[0], axis=1).min(axis=1)
+    gap, nearest = (np.asarray(part) for part in dots.tree.query(smooth(at)))
     ratio = dots.area[nearest] / usual_px2
     held = (gap < NEAR_SIDE * pitch_px) & (ratio < ALIKE**2) & (ratio > ALIKE**-2)
-    return bool(np.count_nonzero(held) >= FULL_SIDE * len(side))
+    ends = np.cumsum([len(side) for side in sides])[:-1]
+    return any(np.count_nonzero(side) >= FULL_SIDE * len(side) for side in np.split(held, ends))
