@@ -88,10 +88,6 @@ class Link:
                 return
         self._wire.ask(say.StopMessage)
 
-    def newest_state(self) -> say.StateMessage | None:
-        """Return the newest state that the server told by itself; None before the first."""
-        return self._state
-
     def take_events(self) -> list[say.EventMessage]:
         """Return what the server told of events since this was last asked."""
         events = []
