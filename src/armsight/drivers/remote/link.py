@@ -23,7 +23,7 @@ BEATS = 5.0
 
 
 class Link:
-    """A connection to a robot server, for several threads. What the server says without being asked is kept.
+    """A connection to a robot server, for several threads. The events that the server tells without being asked are kept.
 
     Where the server has a line for stops, that is opened besides: stop and beat go by both ways.
     """
@@ -33,7 +33,6 @@ class Link:
         self._wire = Wire(address, path, self._take)
         self._line: Wire | None = None
         self._welcome: say.Welcome | None = None
-        self._state: say.StateMessage | None = None
         self._events: deque[say.EventMessage] = deque(maxlen=EVENTS)
         self._beating = threading.Lock()
         self._beats = 0
@@ -125,8 +124,6 @@ class Link:
     def _take(self, message: say.ServerMessage) -> None:
         if isinstance(message, say.EventMessage):
             self._events.append(message)
-        elif isinstance(message, say.StateMessage):
-            self._state = message
 
 
 class Heart:
