@@ -1,10 +1,10 @@
 """How often free-running cameras' 95 % intervals hold, of a target in a hand that follows no model of armsight's.
 
-Run with --quick for a quarter of the recordings. tests/truth/hand_held.py makes the motion (reaches, rests, reversals,
+Run with --runs 3 for a quarter of the recordings. tests/truth/hand_held.py makes the motion (reaches, rests, reversals,
 tremor), the cameras and their clocks with numpy alone: 30 frames a second, stamps that jitter by 2 ms, read-outs of 18
 ms, a delay and a drift, 2 % of the frames lost, spots of 0.05 px. The timing is calibrated from a recording of its own;
-both go through the commands' functions from tables of spots. Inside: of the whole poses with the status ok, the 6-vector
-within the 95 % ellipsoid, and each of the six axes within its interval.
+both go through the commands' functions from tables of spots. Inside: of the whole poses with the status ok, the
+6-vector within the 95 % ellipsoid, and each of the six axes within its interval.
 """
 
 from __future__ import annotations
@@ -128,10 +128,10 @@ def recording(
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="3 recordings a condition in place of 12")
+    parser.add_argument("--runs", type=int, default=12, help="recordings a condition")
     parser.add_argument("--jitter-ms", type=float, default=2.0)
     given = parser.parse_args()
-    runs = 3 if given.quick else 12
+    runs = given.runs
     made = bench.test_scene("hand_held")
     print(bench.machine())
     rows, whole = [], Tally()

@@ -1,4 +1,4 @@
-"""A target in a hand before two cameras that run free, made with numpy and scipy alone: it shares nothing with the product.
+"""A target in a hand before two cameras that run free, made with numpy and scipy alone.
 
 The hand goes from place to place in reaches of least jerk (Flash and Hogan 1985), some of which it breaks off and turns
 back from, rests between them, and trembles at 6 to 11 Hz. Each camera exposes line by line on a clock of its own; a
@@ -68,7 +68,7 @@ class Seen:
 
 
 def hand(rng: np.random.Generator, speed: float, seconds: float, mount: Mount) -> Way:
-    """Return the way of a hand whose fastest reaches come to speed (m/s, peak); 0: it holds still but for its tremor."""
+    """Return the way of a hand whose fastest reaches come to speed (m/s, peak); 0: still but for its tremor."""
     begin, took, steps, turns = [], [], [], []
     t = rng.uniform(0.2, 0.6)
     place, turned = np.zeros(3), np.zeros(3)
