@@ -16,7 +16,7 @@ from armsight.errors import Cancelled, Inconsistent, NotEnoughData, Unseen, Usag
 from armsight.fitting.quantiles import chi2_isf
 from armsight.measure.begin import AnyFrame
 from armsight.measure.consistency.check import DOUBT, settled
-from armsight.measure.consistency.diagnosis import Consistency
+from armsight.measure.consistency.diagnosis import INCONSISTENT_M, INCONSISTENT_RAD, Consistency
 from armsight.measure.consistency.moving import MovingCheck, check_motion
 from armsight.measure.follow import MAX_WITHOUT_WHOLE_S, Follower
 from armsight.measure.motion.estimate import Start, smooth
@@ -53,6 +53,8 @@ OTHER_TIMING = (
 )
 TIMING_CHANCE = 1e-5
 """Chance below which what a recording says of its timing is not what was calibrated."""
+SURPRISING = 0.01
+"""Chance from which on what is left open of the timing is as much wider as the recording's own is surprising."""
 MISFIT_S = 0.1
 """Nothing is said of the target this near to a view that does not fit its motion, when all that is left does."""
 BEFORE_S = 0.05
@@ -122,7 +124,7 @@ def measure_free_running(
         left_clock=streams[0].clock_covariance,
         check=check,
         seen_s=seen_s,
-        doubted=check.verdict.verdict == "inconsistent" or _contradicts(smoothed.timing),
+        doubted=check.verdict.verdict == "inconsistent" or _contradicts(smoothed.timing, asked),
     )
     poses = [
         told.pose(float(t), state, _names(setup, views, seen_s, float(t))) for t, state in zip(at_s, asked, strict=True)
@@ -289,7 +291,8 @@ class _Told:
         out = float(self.left_clock(state.t_s)[0, 0]) * np.outer(v, v)
         if self.timing is not None:
             D = state.by_timing[:6]
-            out += D @ self.timing.covariance @ D.T
+            surprise = self.timing.surprise / float(chi2_isf(SURPRISING, len(self.timing.change)))
+            out += max(surprise, 1.0) * (D @ self.timing.covariance @ D.T)
         fault = self.check.verdict.second_moment
         if fault is not None:
             S = self.check.slopes[np.abs(self.seen_s - state.t_s).argmin()]
@@ -325,7 +328,7 @@ def _figures(
     change, std_s, mid_s = np.zeros(4), None, 0.0
     if timing is not None:
         change, std_s, mid_s = timing.change, float(np.sqrt(timing.covariance[0, 0])), timing.prior.mid_s
-        if note is None and _contradicts(timing):
+        if note is None and _contradicts(timing, states):
             note = f"{OTHER_TIMING} by {change[0] / MS:+.2f} ms"
     return FreeRunning(
         delay_s=float(right.delay_s + change[0] - PPM * change[1] * mid_s),
@@ -342,9 +345,16 @@ def _figures(
     )
 
 
-def _contradicts(timing: TimingEstimate | None) -> bool:
-    """Tell whether what a recording says of its timing is beyond chance not what was calibrated."""
-    return timing is not None and bool(timing.surprise > chi2_isf(TIMING_CHANCE, len(timing.change)))
+def _contradicts(timing: TimingEstimate | None, states: Sequence[MotionState | None]) -> bool:
+    """Tell whether what a recording says of its timing is beyond chance not what was calibrated, and moves the poses.
+
+    By as much as a fault of rig or target must before a run is called inconsistent.
+    """
+    moved = [state.by_timing[:6] @ timing.change for state in states if state is not None] if timing else []
+    if timing is None or not moved or not timing.surprise > chi2_isf(TIMING_CHANCE, len(timing.change)):
+        return False
+    square = np.mean(np.square(moved), axis=0)
+    return bool(square[:3].sum() > INCONSISTENT_M**2 or square[3:].sum() > INCONSISTENT_RAD**2)
 
 
 def _of_side(views: Iterable[View], side: int) -> int:
