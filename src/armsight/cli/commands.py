@@ -201,7 +201,8 @@ def measure(
         summary = run(job, face.progress("measuring"))
         measure_tables(face, summary, out)
         face.result(summary)
-        if summary.consistency is not None and summary.consistency.verdict == "inconsistent":
+        inconsistent = summary.consistency is not None and summary.consistency.verdict == "inconsistent"
+        if inconsistent or (summary.timing is not None and summary.n_doubtful):
             raise ResultsDoubted
 
 

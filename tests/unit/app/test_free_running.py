@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.app.measure.run import MeasureJob, measure
+from armsight.app.schemas.measure import MeasureOutput
 from armsight.drivers import AUTOMATIC, CameraSettings
 from armsight.errors import BadFile, Inconsistent, NotEnoughData, UsageError
 from armsight.optics import Camera, parallel_rig
@@ -275,7 +276,37 @@ def test_a_delay_that_is_a_little_off_makes_the_poses_doubtful(tmp_path: Path) -
     with_delay(tmp_path, DELAY + 0.001)
     summary = measure(job(tmp_path))
     assert summary.timing is not None and "no longer what was calibrated" in (summary.timing.note or "")
-    assert "Doubtful" in (tmp_path / "out" / "report.html").read_text()
+    all_doubtful(tmp_path, summary)
+
+
+def all_doubtful(folder: Path, summary: MeasureOutput) -> None:
+    """Nothing acts on a pose of a run that does not fit its claims."""
+    assert summary.n_ok == 0 and summary.n_doubtful > 100
+    assert summary.reasons["inconsistent"] == summary.n_doubtful
+    statuses = [one.status for one in read_poses(folder / "out" / "poses.csv")]
+    assert statuses.count(PoseStatus.DOUBTFUL) == summary.n_doubtful and PoseStatus.OK not in statuses
+    assert "Inconsistent" in (folder / "out" / "report.html").read_text()
+
+
+def test_a_target_larger_than_its_file_says_makes_the_run_doubtful_and_names_the_scale(tmp_path: Path) -> None:
+    timed_rig(tmp_path)
+    spots(tmp_path, seconds=6.0)
+    write_target(
+        tmp_path / "target.yaml",
+        spot_target({name: (0.996 * x, 0.996 * y, 0.996 * z) for name, (x, y, z) in LIGHTS.items()}),
+    )
+    summary = measure(job(tmp_path))
+    all_doubtful(tmp_path, summary)
+    assert summary.consistency is not None
+    assert summary.consistency.cause == "scale" and summary.consistency.estimate == pytest.approx(0.004, abs=0.001)
+
+
+def test_a_run_that_fits_its_claims_is_called_ok(tmp_path: Path) -> None:
+    timed_rig(tmp_path)
+    spots(tmp_path)
+    summary = measure(job(tmp_path))
+    assert summary.consistency is not None and summary.consistency.verdict == "ok"
+    assert summary.n_doubtful == 0
 
 
 def with_delay(folder: Path, delay_s: float) -> None:

@@ -8,11 +8,12 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from armsight.app.measure.consistency import consistency_output
 from armsight.app.measure.free_running import KINDS, FreeRun, MovingPose, measure_free_running
 from armsight.app.measure.made_with import made_with
 from armsight.app.measure.outputs import POINTS, POSES, REPORT, SPOTS, SUMMARY, TUM, moved_pose
@@ -98,9 +99,10 @@ def _write(out: Path, setup: Setup, moved: Sequence[MovingPose], done: FreeRun) 
         for one, rig_pose in zip(moved, done.poses, strict=True):
             pose, T = one.pose, one.pose.T_parent_target
             poses.write(pose, one.velocity, one.velocity_std)
+            if pose.status.size == 6 and T is not None:
+                points.write(pose.t_s, _points(setup, rig_pose.pose), status=pose.status)
             if pose.status is PoseStatus.OK and T is not None:
                 tum.add(" ".join(repr(value) for value in (pose.t_s, *T[:3, 3].tolist(), *quat_of_matrix(T))))
-                points.write(pose.t_s, _points(setup, rig_pose.pose))
         for view in done.views:
             names = [setup.model.names[k] for k in view.lights.tolist()]
             spots.write(view.t_s, SIDES[view.side], names, Spots.of_centres(view.uv_px, view.cov_px2))
@@ -129,6 +131,7 @@ def _summary(done: FreeRun, poses: Sequence[TargetPose], ms: float) -> MeasureOu
         reprojection_rms_px=float(np.sqrt(np.mean(np.sum(left_over**2, axis=1)))) if len(left_over) else None,
         ms_per_frame=FrameTime(median=ms, p99=None),
         reasons={kind.value: n for kind, n in Counter(KINDS[pose.why] for pose in poses if pose.why).most_common()},
+        consistency=consistency_output(done.consistency),
         timing=done.figures,
     )
 
@@ -167,9 +170,15 @@ def _report(
         subtitle=f"{len(moved)} poses over {moved[-1].pose.t_s - moved[0].pose.t_s:.1f} s, from "
         f"{figures.n_views.left} left and {figures.n_views.right} right views, each at its own time",
         facts=facts,
-        consistency={"verdict": "doubtful", "sentence": _sentence(figures.note), "advice": ""} if figures.note else {},
+        consistency=_doubts(figures.note, summary),
     )
 
 
-def _sentence(note: str) -> str:
-    return f"{note[0].upper()}{note[1:]}."
+def _doubts(note: str | None, summary: MeasureOutput) -> dict[str, Any]:
+    """Return what the report says of the run: the check's cause where it has one, else what the views say."""
+    found = {} if summary.consistency is None else summary.consistency.model_dump()
+    if note and not found.get("sentence"):
+        found |= {"verdict": "doubtful", "sentence": f"{note[0].upper()}{note[1:]}.", "advice": ""}
+    if summary.n_doubtful:
+        found["verdict"] = "inconsistent"
+    return found

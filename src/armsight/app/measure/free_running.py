@@ -15,9 +15,12 @@ from armsight.app.schemas.timing import BothCounts, BothSeconds
 from armsight.errors import Cancelled, Inconsistent, NotEnoughData, Unseen, UsageError
 from armsight.fitting.quantiles import chi2_isf
 from armsight.measure.begin import AnyFrame
+from armsight.measure.consistency.check import DOUBT, settled
+from armsight.measure.consistency.diagnosis import INCONSISTENT_M, INCONSISTENT_RAD, Consistency
+from armsight.measure.consistency.moving import MovingCheck, check_motion
 from armsight.measure.follow import MAX_WITHOUT_WHOLE_S, Follower
 from armsight.measure.motion.estimate import Start, smooth
-from armsight.measure.motion.residuals import fitting_stretches, motion_residuals, without_outliers
+from armsight.measure.motion.residuals import MotionResiduals, fitting_stretches, motion_residuals, without_outliers
 from armsight.measure.motion.states import MotionState, View
 from armsight.measure.motion.timing import TimingEstimate, TimingPrior
 from armsight.measure.poses.setup import Setup
@@ -50,6 +53,8 @@ OTHER_TIMING = (
 )
 TIMING_CHANCE = 1e-5
 """Chance below which what a recording says of its timing is not what was calibrated."""
+SURPRISING = 0.01
+"""Chance from which on what is left open of the timing is as much wider as the recording's own is surprising."""
 MISFIT_S = 0.1
 """Nothing is said of the target this near to a view that does not fit its motion, when all that is left does."""
 BEFORE_S = 0.05
@@ -57,7 +62,7 @@ BEFORE_S = 0.05
 TOO_LITTLE = "too few lights were seen about that time to say where the target was"
 GONE = "the target was lost or not found yet, no camera saw three of its lights, or its spots left its motion"
 OLD = "no view for so long that only the position is known"
-KINDS = {TOO_LITTLE: Unseen.LIGHTS_MISSING, GONE: Unseen.GAP, OLD: Unseen.GAP}
+KINDS = {TOO_LITTLE: Unseen.LIGHTS_MISSING, GONE: Unseen.GAP, OLD: Unseen.GAP, DOUBT: Unseen.INCONSISTENT}
 """Kind of each reason, as files count them."""
 
 
@@ -78,6 +83,7 @@ class FreeRun:
     views: Sequence[View]
     residuals: dict[str, Array]
     figures: FreeRunning
+    consistency: Consistency
 
 
 def measure_free_running(
@@ -110,18 +116,28 @@ def measure_free_running(
     whole = np.array([len(view.lights) >= 3 for view in views])
     unsure = (_from(seen_s[off], at_s) < MISFIT_S) | (_from(seen_s[whole & ~off], at_s) > MAX_WITHOUT_WHOLE_S)
     asked = [None if refused else states[k] for k, refused in zip(rows[: len(at_s)], unsure, strict=True)]
+    check = check_motion(setup, views, starts, smoothed.jerk)
     told = _Told(
-        setup=setup, wider=max(chi2 or 1.0, 1.0), timing=smoothed.timing, left_clock=streams[0].clock_covariance
+        setup=setup,
+        wider=max(chi2 or 1.0, 1.0),
+        timing=smoothed.timing,
+        left_clock=streams[0].clock_covariance,
+        check=check,
+        seen_s=seen_s,
+        doubted=check.verdict.verdict == "inconsistent" or _contradicts(smoothed.timing, asked),
     )
     poses = [
         told.pose(float(t), state, _names(setup, views, seen_s, float(t))) for t, state in zip(at_s, asked, strict=True)
     ]
     figures = _figures(timing, smoothed.timing, views, len(starts), chi2, asked, times)
-    residuals = {
+    return FreeRun(poses=poses, views=views, residuals=_by_side(found), figures=figures, consistency=check.verdict)
+
+
+def _by_side(found: MotionResiduals) -> dict[str, Array]:
+    return {
         name: np.column_stack([found.view[found.side == side], found.residual_px[found.side == side]])
         for side, name in enumerate(SIDES)
     }
-    return FreeRun(poses=poses, views=views, residuals=residuals, figures=figures)
 
 
 def _that_fit(setup: Setup, views: list[View], starts: list[Start]) -> tuple[list[View], list[Start]]:
@@ -220,12 +236,18 @@ def _prior(timing: Sequence[CameraTiming], streams: Sequence[Stream], times: Seq
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Told:
     """Turns states into poses: their uncertainty widened by what the spots do not fit the motion, and with what rig,
-    target and timing leave open. left_clock: covariance of the clock that the poses' times are of."""
+    target and timing leave open, and may have wrong by the check of the views, which are of seen_s.
+
+    left_clock: covariance of the clock that the poses' times are of. doubted: the run does not fit its claims.
+    """
 
     setup: Setup
     wider: float
     timing: TimingEstimate | None
     left_clock: Callable[[float], Array]
+    check: MovingCheck
+    seen_s: Array
+    doubted: bool
 
     def pose(self, t_s: float, state: MotionState | None, names: tuple[str, ...]) -> MovingPose:
         """Return the pose of a state at t_s, seen by the lights of these names."""
@@ -261,7 +283,7 @@ class _Told:
             systematic_covariance=systematic,
         )
         std = np.sqrt(self.wider * np.diag(state.velocity_covariance))
-        return MovingPose(pose=pose, velocity=state.velocity, velocity_std=std)
+        return MovingPose(pose=settled(pose, inconsistent=self.doubted), velocity=state.velocity, velocity_std=std)
 
     def _systematic(self, state: MotionState) -> Array:
         """Return the covariance (6, 6) of what repeats from pose to pose."""
@@ -269,7 +291,12 @@ class _Told:
         out = float(self.left_clock(state.t_s)[0, 0]) * np.outer(v, v)
         if self.timing is not None:
             D = state.by_timing[:6]
-            out += D @ self.timing.covariance @ D.T
+            surprise = self.timing.surprise / float(chi2_isf(SURPRISING, len(self.timing.change)))
+            out += max(surprise, 1.0) * (D @ self.timing.covariance @ D.T)
+        fault = self.check.verdict.second_moment
+        if fault is not None:
+            S = self.check.slopes[np.abs(self.seen_s - state.t_s).argmin()]
+            out += S @ fault @ S.T
         fixed = systematic_covariance(self.setup, state)
         return out if fixed is None else out + fixed
 
@@ -301,7 +328,7 @@ def _figures(
     change, std_s, mid_s = np.zeros(4), None, 0.0
     if timing is not None:
         change, std_s, mid_s = timing.change, float(np.sqrt(timing.covariance[0, 0])), timing.prior.mid_s
-        if note is None and timing.surprise > chi2_isf(TIMING_CHANCE, len(change)):
+        if note is None and _contradicts(timing, states):
             note = f"{OTHER_TIMING} by {change[0] / MS:+.2f} ms"
     return FreeRunning(
         delay_s=float(right.delay_s + change[0] - PPM * change[1] * mid_s),
@@ -316,6 +343,18 @@ def _figures(
         speed_m_s=rms,
         nearest_pairs_m=None if rms is None else rms * float(np.sqrt(np.mean(_nearest(*times) ** 2))),
     )
+
+
+def _contradicts(timing: TimingEstimate | None, states: Sequence[MotionState | None]) -> bool:
+    """Tell whether what a recording says of its timing is beyond chance not what was calibrated, and moves the poses.
+
+    By as much as a fault of rig or target must before a run is called inconsistent.
+    """
+    moved = [state.by_timing[:6] @ timing.change for state in states if state is not None] if timing else []
+    if timing is None or not moved or not timing.surprise > chi2_isf(TIMING_CHANCE, len(timing.change)):
+        return False
+    square = np.mean(np.square(moved), axis=0)
+    return bool(square[:3].sum() > INCONSISTENT_M**2 or square[3:].sum() > INCONSISTENT_RAD**2)
 
 
 def _of_side(views: Iterable[View], side: int) -> int:

@@ -14,6 +14,8 @@ import numpy as np
 from armsight._numba import kernel
 from armsight.fitting.kernels import invert_spd
 from armsight.geometry.kernels import copy_2, multiply
+from armsight.measure.motion.kernels.state import STATE, N, P, R, multiply_t, state_at
+from armsight.measure.motion.kernels.views import observe
 from armsight.measure.poses.kernels.rig_covariance import PARAMETERS, add_information, light_slopes, place_slopes
 from armsight.optics.kernels.triangulation import invert_2
 
@@ -79,3 +81,120 @@ def frame_evidence(k, R, t, cov, X, T, basis, velocity, residual, N, b, S, C):
             for a in range(q):
                 N[j, a] += B[i, j] * S[i, a]
     return chi2
+
+
+@kernel
+def run_evidence(
+    side,
+    first,
+    light,
+    uv,
+    cov,
+    tau,
+    k,
+    Rc,
+    tc,
+    X,
+    basis,
+    weight,
+    block,
+    xs,
+    xp,
+    Cp,
+    Cs,
+    Fs,
+    dp,
+    ds,
+    information,
+    score,
+    chi2,
+):
+    """As frame_evidence for single views, each at its own time, whose motion the filter eliminates.
+
+    Fill dp, ds (n, 18, q): how predicted and filtered states follow the parameters; add to each block's sums. An
+    innovation e of covariance S knows of the parameters' error x by A x, A = D + H d: D the pixels' derivatives by the
+    parameters, H by the state, d those of the predicted state. So N = A'S^-1 A and b = -A'S^-1 e, summed over views.
+
+    weight, block (n,): of each view, and the block it counts for; information (B, q, q), score (B, q), chi2 (B,). xs,
+    xp, Cp, Cs, Fs: as run_filter leaves them. basis (m, 3, p): as target_basis has it. The
+    last column, a delay, stays 0: smoothing has estimated it.
+    """
+    q = dp.shape[2]
+    T = np.eye(4)
+    x = np.empty(STATE)
+    place = np.empty(3)
+    here = np.empty(2)
+    J = np.empty((2, 3))
+    E = np.empty((2, 3))
+    D = np.empty((2, PARAMETERS))
+    G6 = np.empty((2, 6))
+    for i in range(first.shape[0] - 1):
+        dp[i] = 0.0
+        if Fs[i, 0, 0] != 0.0:
+            multiply(Fs[i], ds[i - 1], dp[i])
+        ds[i] = dp[i]
+        a, s = first[i], side[i]
+        m = 2 * (first[i + 1] - a)
+        if m == 0:
+            continue
+        H = np.zeros((m, N))
+        G = np.empty((m, N))
+        S = np.empty((m, m))
+        inverse = np.empty((m, m))
+        A = np.zeros((m, q))
+        e = np.empty(m)
+        seen = True
+        for j in range(m // 2):
+            at = X[light[a + j]]
+            state_at(xs[i], tau[a + j], x)
+            for c in range(3):
+                T[c, 3] = x[P + c]
+                for r in range(3):
+                    T[c, r] = x[R + 3 * c + r]
+            seen &= observe(xp[i], k[s], Rc[s], tc[s], at, tau[a + j], here, H[2 * j : 2 * j + 2])
+            e[2 * j] = uv[a + j, 0] - here[0]
+            e[2 * j + 1] = uv[a + j, 1] - here[1]
+            # slopes where the gain has them
+            seen &= observe(xs[i], k[s], Rc[s], tc[s], at, tau[a + j], here, H[2 * j : 2 * j + 2])
+            seen &= light_slopes(k, Rc, tc, T, at, place, s, here, J, D, G6)
+            if not seen:
+                break
+            place_slopes(J, T, E)
+            for c in range(2):
+                for p in range(PARAMETERS):
+                    A[2 * j + c, p] = D[c, p]
+                for p in range(basis.shape[2]):
+                    for r in range(3):
+                        A[2 * j + c, PARAMETERS + p] += E[c, r] * basis[light[a + j], r, p]
+        if not seen:
+            continue
+        multiply(H, Cp[i], G)
+        multiply_t(G, H, S)
+        for j in range(m // 2):
+            for c in range(2):
+                for r in range(2):
+                    S[2 * j + c, 2 * j + r] += cov[a + j, c, r]
+        if not invert_spd(S, inverse):
+            continue
+        for j in range(m):
+            for p in range(q):
+                for c in range(N):
+                    A[j, p] += H[j, c] * dp[i, c, p]
+        SA = inverse @ A
+        w = weight[i]
+        o = block[i]
+        for j in range(m):
+            for c in range(m):
+                chi2[o] += w * e[j] * inverse[j, c] * e[c]
+            for p in range(q):
+                score[o, p] -= w * e[j] * SA[j, p]
+        information[o] += w * (A.T @ SA)
+        # the gain, C H' / cov with the covariance afterwards, turns what is missed into the state
+        RA = np.empty((m, q))
+        for j in range(m // 2):
+            V = cov[a + j]
+            det = V[0, 0] * V[1, 1] - V[0, 1] * V[1, 0]
+            for p in range(q):
+                RA[2 * j, p] = (V[1, 1] * A[2 * j, p] - V[0, 1] * A[2 * j + 1, p]) / det
+                RA[2 * j + 1, p] = (V[0, 0] * A[2 * j + 1, p] - V[1, 0] * A[2 * j, p]) / det
+        ds[i] -= Cs[i] @ (H.T @ RA)

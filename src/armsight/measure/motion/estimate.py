@@ -1,7 +1,7 @@
 """From named spots of single views to poses and velocities: causal, or smoothed over a whole recording.
 
 The strength of the jerk that drives the motion is taken from the data: filters of several levels run side by side, and
-a hidden Markov chain tells how likely each level is at each moment.
+a hidden Markov chain tells how likely each is at each moment: by the views before one, and smoothed by all others.
 """
 
 from __future__ import annotations
@@ -50,9 +50,13 @@ class Start:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Smoothed:
-    """States at the times asked for, None where no track is near; the views' timing, where a prior of it was given."""
+    """States at the times asked for, None where no track is near; the views' timing, where a prior of it was given.
+
+    jerk (n,): of each view, m^2/s^5.
+    """
 
     states: Sequence[MotionState | None]
+    jerk: Array
     timing: TimingEstimate | None = None
 
 
@@ -73,26 +77,61 @@ def smooth(
     t = np.array([view.t_s for view in views])
     if len(starts) == 0 or starts[0].view != 0 or np.any(np.diff(t) < 0.0):
         raise Inconsistent("views come in the order of time, and a track begins with the first of them")
-    columns, order = _columns(views, t, at_s)
-    n, K = len(columns.t), len(JERK_LEVELS)
-    begin, C0, fresh = np.zeros((n, STATE)), np.zeros((n, N, N)), np.zeros(n, np.bool_)
+    cameras = _cameras(packed, positions_m)
+    seen, order = _columns(views, t, np.zeros(0))
+    jerk = _strength(seen, cameras, _begin(len(t), order, starts, t))
+    rows, order = _columns(views, t, at_s)
+    begin = _begin(len(rows.t), order, starts, t)
+    lead = int(order[0])  # times before the first view are told backwards from it
+    rows = rows.after(lead)
+    begin = (begin[0][lead:], begin[1][lead:], begin[2][lead:])
+    lines = np.zeros((len(rows.tau), 0)) if prior is None else prior.lines(views)
+    track, timing = _track(rows, cameras, np.interp(rows.t, t, jerk), begin, lines, prior)
+    states = [track.told(int(row), t, time) for row, time in zip(rows.asked, at_s, strict=True)]
+    return Smoothed(states=states, jerk=jerk, timing=timing)
+
+
+def _cameras(packed: PackedRig, positions_m: Array) -> tuple[Any, ...]:
+    return packed.k, packed.R, packed.t, np.ascontiguousarray(positions_m)
+
+
+_Begin = tuple[Array, Array, NDArray[np.bool_]]
+"""States (n, 24) and covariances (n, 18, 18) with which rows begin anew, and which rows (n,) do."""
+
+
+def _begin(n: int, order: NDArray[np.int64], starts: Sequence[Start], t: Array) -> _Begin:
+    """Return where the n rows begin anew; order: the rows of the views, of times t."""
+    x, C, fresh = np.zeros((n, STATE)), np.zeros((n, N, N)), np.zeros(n, np.bool_)
     for start in starts:
         row = order[start.view]
-        begin[row], C0[row] = state_of(t[start.view], start.T, start.covariance)
+        x[row], C[row] = state_of(t[start.view], start.T, start.covariance)
         fresh[row] = True
-    lead = int(np.argmax(fresh))  # times before the first view are told backwards from it
-    rows = columns.after(lead)
-    begin, C0, fresh = begin[lead:], C0[lead:], fresh[lead:]
-    cameras: tuple[Any, ...] = (packed.k, packed.R, packed.t, np.ascontiguousarray(positions_m))
-    logs, weight, post = (np.empty((n - lead, K)) for _ in range(3))
+    return x, C, fresh
+
+
+def _strength(seen: _Columns, cameras: tuple[Any, ...], begin: _Begin) -> Array:
+    """Return the jerk's level (n,) at each view, such that the others predict it as well as they claim.
+
+    The level by which views follow from those before is that of the motion's slow part, which has most of its power: a
+    hand's tremor, or a break in its motion, is smoothed away under it, beyond what the states then claim. So it is the
+    least, and what the other views, before and after, say of one decides how much more there is (of smoothing splines:
+    Wahba 1983, Nychka 1988).
+    """
+    n, K = len(seen.t), len(JERK_LEVELS)
+    logs, post = np.empty((n, K)), np.empty((n, K))
     run_filters: Any = levels.run_filters  # many columns by one star
-    run_filters(*rows.arrays, *cameras, JERK_LEVELS, ANGULAR_RATIO, LEVEL_CHANGE, begin, C0, fresh, logs, weight)
-    levels.levels_of_all(logs, weight, fresh, LEVEL_CHANGE, post)
-    jerk = maximum_filter1d(post @ JERK_LEVELS, 2 * ONSET_VIEWS + 1)
-    lines = np.zeros((len(rows.tau), 0)) if prior is None else prior.lines(views)
-    track, timing = _track(rows, cameras, jerk, (begin, C0, fresh), lines, prior)
-    states = [track.told(int(row) - lead, t, time) for row, time in zip(columns.asked, at_s, strict=True)]
-    return Smoothed(states=states, timing=timing)
+    left_out: Any = levels.left_out
+    run_filters(*seen.arrays, *cameras, JERK_LEVELS, ANGULAR_RATIO, LEVEL_CHANGE, *begin, logs)
+    levels.levels_of_all(logs, begin[2], LEVEL_CHANGE, post)
+    least = maximum_filter1d(post @ JERK_LEVELS, 2 * ONSET_VIEWS + 1)
+    for m, level in enumerate(JERK_LEVELS):
+        if m and level <= least.min():
+            logs[:, m] = logs[:, m - 1]
+            continue
+        track, _ = _track(seen, cameras, np.maximum(least, level), begin, np.zeros((len(seen.tau), 0)), None)
+        left_out(track.xs, track.Cs, *seen.arrays[1:], *cameras, logs[:, m])
+    levels.levels_of_all(logs, begin[2], LEVEL_CHANGE, post)
+    return np.asarray(maximum_filter1d(np.maximum(least, post @ JERK_LEVELS), 2 * ONSET_VIEWS + 1))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -120,22 +159,17 @@ def _track(
     rows: _Columns,
     cameras: tuple[Any, ...],
     jerk: Array,
-    begin: tuple[Array, Array, NDArray[np.bool_]],
+    begin: _Begin,
     lines: Array,
     prior: TimingPrior | None,
 ) -> tuple[_Track, TimingEstimate | None]:
     """Filter and smooth with a given jerk, and with the timing that this itself finds where there is a prior of it."""
-    n, q = len(rows.t), lines.shape[1]
-    xs, xp = (np.empty((n, STATE)) for _ in range(2))
-    Cs, Cp, Fs = (np.empty((n, N, N)) for _ in range(3))
-    ds, dp = (np.empty((n, N, q)) for _ in range(2))
-    run_filter: Any = levels.run_filter
+    q = lines.shape[1]
+    run, (ds, dp) = Filtered.empty(rows, cameras), (np.empty((len(rows.t), N, q)) for _ in range(2))
     change, timing = np.zeros(q), None
     for _ in range(TIMING_ROUNDS):
         L, g = np.zeros((q, q)), np.zeros(q)
-        t, side, first, light, uv, cov, tau = rows.arrays
-        seen = (t, side, first, light, uv, cov, tau + lines @ change, lines)
-        run_filter(*seen, *cameras, jerk, ANGULAR_RATIO, *begin, xs, Cs, ds, xp, Cp, dp, Fs, L, g)
+        run.fill(rows, jerk, begin, (lines, change), (ds, dp), (L, g))
         if prior is None:
             break
         timing = estimate_timing(prior, L, g, change)
@@ -143,8 +177,65 @@ def _track(
         change = np.array(timing.change)
         if np.abs(lines @ moved).max(initial=0.0) < TIMING_SETTLED_S:
             break
-    view_kernels.smooth(xs, Cs, ds, xp, Cp, dp, Fs)
-    return _Track(t=rows.t, xs=xs, Cs=Cs, ds=ds, jerk=jerk), timing
+    run.smooth(ds, dp)
+    return _Track(t=rows.t, xs=run.xs, Cs=run.Cs, ds=ds, jerk=jerk), timing
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Filtered:
+    """What one filter over n rows leaves, as smooth wants it: states xs (n, 24), Cs, predictions xp, Cp, and Fs.
+
+    spots: side, first, light, uv, cov, tau of the rows; cameras: as kernels take them, with the lights' positions.
+    """
+
+    spots: tuple[Any, ...]
+    cameras: tuple[Any, ...]
+    xs: Array
+    xp: Array
+    Cs: Array
+    Cp: Array
+    Fs: Array
+
+    @classmethod
+    def of(
+        cls, packed: PackedRig, positions_m: Array, views: Sequence[View], starts: Sequence[Start], jerk: Array
+    ) -> Filtered:
+        """Return the filter of a motion of strength jerk (n,) over n views. See smooth."""
+        t = np.array([view.t_s for view in views])
+        rows, order = _columns(views, t, np.zeros(0))
+        run, none = cls.empty(rows, _cameras(packed, positions_m)), np.zeros((len(t), N, 0))
+        lines = np.zeros((len(rows.tau), 0)), np.zeros(0)
+        run.fill(rows, jerk, _begin(len(t), order, starts, t), lines, (none, none), (np.zeros((0, 0)), np.zeros(0)))
+        return run
+
+    @classmethod
+    def empty(cls, rows: _Columns, cameras: tuple[Any, ...]) -> Filtered:
+        """Return room for the filter of these rows."""
+        n = len(rows.t)
+        xs, xp = (np.empty((n, STATE)) for _ in range(2))
+        Cs, Cp, Fs = (np.empty((n, N, N)) for _ in range(3))
+        return cls(spots=rows.arrays[1:], cameras=cameras, xs=xs, xp=xp, Cs=Cs, Cp=Cp, Fs=Fs)
+
+    def fill(
+        self,
+        rows: _Columns,
+        jerk: Array,
+        begin: _Begin,
+        late: tuple[Array, Array],
+        by_timing: tuple[Array, Array],
+        sums: tuple[Array, Array],
+    ) -> None:
+        """Run the filter. late: lines (m, q) and change (q,) of the timing; by_timing, sums: its ds, dp and L, g."""
+        run_filter: Any = levels.run_filter  # many columns by one star
+        (lines, change), (ds, dp) = late, by_timing
+        t, *spots, tau = rows.arrays
+        seen = (t, *spots, tau + lines @ change, lines)
+        states = (self.xs, self.Cs, ds, self.xp, self.Cp, dp, self.Fs)
+        run_filter(*seen, *self.cameras, jerk, ANGULAR_RATIO, *begin, *states, *sums)
+
+    def smooth(self, ds: Array, dp: Array) -> None:
+        """Smooth xs and Cs in place, and how they depend on unknowns: ds of filtered and dp of predicted states."""
+        view_kernels.smooth(self.xs, self.Cs, ds, self.xp, self.Cp, dp, self.Fs)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

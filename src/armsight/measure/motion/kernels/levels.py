@@ -5,11 +5,21 @@ from __future__ import annotations
 import numpy as np
 
 from armsight._numba import inner_kernel, kernel
-from armsight.measure.motion.kernels.state import STATE, N, add_jerk, multiply, predict
-from armsight.measure.motion.kernels.views import by_timing, pose_distance2, update, update_pose
+from armsight.fitting.kernels import invert_spd
+from armsight.measure.motion.kernels.state import STATE, N, add_jerk, multiply, multiply_t, predict
+from armsight.measure.motion.kernels.views import (
+    by_timing,
+    log_determinant,
+    observe,
+    pose_distance2,
+    update,
+    update_pose,
+)
 
 IMPOSSIBLE = -1e6
 """Log likelihood of a view that a state cannot explain at all."""
+LEFT = 1e-6
+"""Share of a spot's variance that is left of it at the least where a view alone says where the target is."""
 LOST_WEIGHT = 1e-4
 """Probability of a level below which its filter goes on from the likeliest one's state."""
 
@@ -112,8 +122,8 @@ def step_poses(xs, Cs, w, best, dt, jerk, ratio, stick, x_seen, cov, xs_new, Cs_
 
 
 @kernel
-def run_filters(t, side, first, light, uv, cov, tau, k, Rc, tc, X, jerk, ratio, stick, begin, C0, fresh, logs, weight):
-    """Filters of different jerk over all views: fill logs, weight (n, K) with each view's likelihoods and the levels'.
+def run_filters(t, side, first, light, uv, cov, tau, k, Rc, tc, X, jerk, ratio, stick, begin, C0, fresh, logs):
+    """Filters of different jerk over all views: fill logs (n, K) with each view's log likelihoods.
 
     t (n,), side (n,), first (n + 1,): views in the order of time, and which spots are theirs; light, uv (m, 2), cov,
     tau (m,): spots. begin (n, 24), C0 (n, 18, 18): states with which the rows of fresh (n,) start anew.
@@ -136,36 +146,92 @@ def run_filters(t, side, first, light, uv, cov, tau, k, Rc, tc, X, jerk, ratio, 
             dt = t[i] - t[i - 1]
         s = side[i]
         step_filters(xs, Cs, w, dt, jerk, ratio, stick, k[s], Rc[s], tc[s], at, tau[a:b], uv[a:b], cov[a:b], logs[i])
-        weight[i] = w
 
 
 @kernel
-def levels_of_all(logs, weight, fresh, stick, post):
+def levels_of_all(logs, fresh, stick, post):
     """Fill post (n, K) with the levels' probabilities given all views (forward-backward, within each stretch)."""
     n, K = logs.shape
-    back = np.ones(K)
     e = np.empty(K)
+    w = np.empty(K)
+    for i in range(n):
+        if fresh[i]:
+            w[:] = 1.0 / K
+        for m in range(K):
+            e[m] = mixed(w, m, stick)
+        tempered(logs[i], e, w)
+        post[i] = w
+    back = np.ones(K)
     for i in range(n - 1, -1, -1):
         total = 0.0
         for m in range(K):
-            post[i, m] = weight[i, m] * back[m]
+            post[i, m] *= back[m]
             total += post[i, m]
         for m in range(K):
             post[i, m] /= total
         if fresh[i]:
             back[:] = 1.0
             continue
-        top = -1e300
-        for m in range(K):
-            top = max(top, logs[i, m])
-        for m in range(K):
-            e[m] = np.exp(max(logs[i, m] - top, -300.0)) * back[m]
-        total = 0.0
+        tempered(logs[i], back, e)
         for m in range(K):
             back[m] = mixed(e, m, stick)
-            total += back[m]
-        for m in range(K):
-            back[m] /= total
+
+
+@inner_kernel
+def tempered(log, before, after):
+    """Fill after (K,) with probabilities before (K,) times the likelihoods of log (K,), their sum 1."""
+    top = -1e300
+    for m in range(log.shape[0]):
+        top = max(top, log[m])
+    total = 0.0
+    for m in range(log.shape[0]):
+        after[m] = before[m] * np.exp(max(log[m] - top, -300.0))
+        total += after[m]
+    for m in range(log.shape[0]):
+        after[m] /= total
+
+
+@kernel
+def left_out(xs, Cs, side, first, light, uv, cov, tau, k, Rc, tc, X, logs):
+    """Fill logs (n,) with the log density of each view's spots by what all other views say of them, but for a constant.
+
+    xs, Cs: smoothed by all views. What is left of a spot about them, r with covariance S = cov - H C H', is cov / S
+    times smaller than about the others, so that their log density is -(r S^-1 r - log |S|) / 2.
+    """
+    here = np.empty(2)
+    for i in range(first.shape[0] - 1):
+        a, b = first[i], first[i + 1]
+        m = 2 * (b - a)
+        H = np.zeros((m, N))
+        G = np.empty((m, N))
+        S = np.empty((m, m))
+        inverse = np.empty((m, m))
+        r = np.empty(m)
+        logs[i] = 0.0 if m == 0 else IMPOSSIBLE
+        s = side[i]
+        seen = m > 0
+        for j in range(b - a):
+            seen &= observe(xs[i], k[s], Rc[s], tc[s], X[light[a + j]], tau[a + j], here, H[2 * j : 2 * j + 2])
+            for c in range(2):
+                r[2 * j + c] = uv[a + j, c] - here[c]
+        if not seen:
+            continue
+        multiply(H, Cs[i], G)
+        multiply_t(G, H, S)
+        for j in range(m):
+            for c in range(m):
+                S[j, c] = -S[j, c]
+        for j in range(b - a):
+            for c in range(2):
+                for d in range(2):
+                    S[2 * j + c, 2 * j + d] += (1.0 + LEFT) * cov[a + j, c, d]
+        if not invert_spd(S, inverse):
+            continue
+        chi2 = 0.0
+        for j in range(m):
+            for c in range(m):
+                chi2 += r[j] * inverse[j, c] * r[c]
+        logs[i] = 0.5 * (log_determinant(S) - chi2)
 
 
 @kernel
