@@ -11,6 +11,8 @@ from typing import Any
 
 import pytest
 
+import armsight
+
 JOINTS = "q1,q2,q3,q4,q5,q6\n0,0,0,0,0,0\n"
 FK = "kinematics fk --arm ur10 --joints joints.csv -o poses.csv --json"
 POSIX = {"LC_ALL": "POSIX", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
@@ -46,7 +48,8 @@ def shell(folder: Path, command: str, **environment: str) -> subprocess.Complete
         f"armsight() {{ '{sys.executable}' -m armsight \"$@\"; }}\n"
         f"python() {{ '{sys.executable}' \"$@\"; }}\n{command}"
     )
-    env = {**os.environ, "ARMSIGHT_LOG_FOLDER": str(folder / "logs"), **environment}
+    source = str(Path(armsight.__file__).parents[1])  # where PYTHONPATH is relative, another folder has another armsight
+    env = {**os.environ, "PYTHONPATH": source, "ARMSIGHT_LOG_FOLDER": str(folder / "logs"), **environment}
     done = subprocess.run(["bash", "-c", script], cwd=folder, env=env, capture_output=True, check=False)
     assert b"Traceback" not in done.stderr, done.stderr.decode(errors="replace")
     assert b"Exception ignored" not in done.stderr
