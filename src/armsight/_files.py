@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import stat
@@ -28,3 +29,14 @@ def read_file(path: Path, *, limit: int) -> bytes:
     """Return the file's content, up to limit + 1 bytes: one more tells that it is too large. Raises as open_file."""
     with open_file(path) as file:
         return file.read(limit + 1)
+
+
+def readable(text: str) -> str:
+    """Return text that UTF-8 can hold: file names that the locale could not decode are decoded, or their letters lost."""
+    try:
+        text.encode("utf-8")
+    except UnicodeEncodeError:
+        with contextlib.suppress(UnicodeEncodeError):
+            return text.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
+        return text.encode("utf-8", "replace").decode("utf-8")
+    return text

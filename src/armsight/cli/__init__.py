@@ -1,6 +1,8 @@
 """The command line: parse, call one app function, print."""
 
 import os
+import sys
+from typing import TextIO
 
 
 def main() -> None:
@@ -10,6 +12,30 @@ def main() -> None:
     are small, and OpenBLAS's threads wait for each other by spinning, on a busy machine longer than they work.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when numpy is imported
-    from armsight.cli.commands import app  # imported here so that `import armsight.cli` costs nothing
+    try:
+        _open_streams()
+        from armsight.cli.commands import app  # imported here so that `import armsight.cli` costs nothing
 
-    app(prog_name="armsight")
+        app(prog_name="armsight")
+    except KeyboardInterrupt:
+        sys.stderr.write("stopped\n")
+        sys.exit(130)
+    except OSError as error:  # help on a full disk: what commands do is told by themselves
+        discard(sys.stdout)
+        sys.stderr.write(f"error: the output cannot be written ({error.strerror or error})\n")
+        sys.exit(4)
+
+
+def discard(stream: TextIO) -> None:
+    """Let what waits for a stream that takes nothing go nowhere, or Python would try it again at its end."""
+    with open(os.devnull, "wb") as nowhere:
+        os.dup2(nowhere.fileno(), stream.fileno())
+
+
+def _open_streams() -> None:
+    """Open the standard streams that the caller closed: else the next file has their number, and gets what is printed."""
+    for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
+        if getattr(sys, name) is None:
+            while os.open(os.devnull, os.O_RDWR) < number:
+                pass
+            setattr(sys, name, open(number, mode, encoding="utf-8", closefd=False))

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
+import json
 import os
 import signal
 import sys
@@ -12,7 +15,7 @@ import traceback
 from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType, TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Self, TextIO
 from unicodedata import category
 
 import typer
@@ -20,7 +23,9 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from armsight.errors import ArmsightError, Cancelled
+from armsight._files import readable
+from armsight.cli import discard
+from armsight.errors import ArmsightError, Cancelled, DataRefused, DeviceFailed, UsageError
 
 if TYPE_CHECKING:
     from armsight.app.schemas.base import Output
@@ -31,6 +36,8 @@ UNSEEN = ("Cc", "Cf", "Cs")
 """Kinds of letters that are not shown but do something: control, formatting (right to left) and halves of letters."""
 STOPPING = (signal.SIGINT, signal.SIGTERM)
 """Ctrl-C, and what a service manager sends: both bring the work to its end, a second one stops it at once."""
+LONGEST_SHOWN = 60
+"""Letters of a name that the system found too long."""
 LINE_EVERY_S = 5.0
 """How often progress is told where there is no terminal to draw a bar on."""
 
@@ -39,20 +46,24 @@ class CommandUI:
     """One command's way to the person: used as a context manager round its work.
 
     Everything for people goes to stderr. With as_json, stdout carries one JSON object and nothing else: the result,
-    or {"error": {...}}. Errors end the program with their exit code.
+    or {"error": {...}}. Errors end the program with their exit code. Ctrl-C ends work at its next step where it asks for
+    it, else at once, with exit code 130; until_stopped: it has no other end, which is then a good one.
     """
 
-    def __init__(self, *, as_json: bool) -> None:
+    def __init__(self, *, as_json: bool, until_stopped: bool = False) -> None:
         self._as_json = as_json
-        self.console = Console(stderr=True, highlight=False, markup=False)
+        self._until_stopped = until_stopped
+        # rich's own type of a file has more than what it calls
+        self.console = Console(file=_Heard(sys.stderr), highlight=False, markup=False)  # type: ignore[arg-type]
         self._stopped = threading.Event()
         self._before: list[tuple[int, Any]] = []
         self._bar: Bar | None = None
+        self._listener: Bar | None = None
 
     def progress(self, what: str) -> Bar:
         """Return the progress of a piece of work; the one before it ends."""
         self._end_bar()
-        self._bar = Bar(what, self.console, self._stopped)
+        self._bar = self._listener = Bar(what, self.console, self._stopped)
         return self._bar
 
     def say(self, text: str) -> None:
@@ -74,8 +85,7 @@ class CommandUI:
         """Give the command's result; printed only with --json."""
         self._end_bar()
         if self._as_json:
-            sys.stdout.write(result.to_json() + "\n")
-            sys.stdout.flush()
+            _print_json(result.to_json())
 
     def __enter__(self) -> Self:
         os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")  # OpenCV's own complaints repeat ours without a cure
@@ -90,26 +100,34 @@ class CommandUI:
         self._end_bar()
         for number, handler in self._before:
             signal.signal(number, handler)
+        if error is None and self._stopped.is_set() and not self._until_stopped:
+            self._tell(Cancelled("what was done until then is kept"), as_json=False)
+            raise typer.Exit(Cancelled.exit_code)
         if error is None or isinstance(error, typer.Exit):
             return
-        if isinstance(error, KeyboardInterrupt):
-            error = Cancelled("stopped")
+        if isinstance(error, KeyboardInterrupt | typer.Abort):
+            error = Cancelled("before it was done", consequence="What was not yet written stays as it was")
+        if isinstance(error, OSError) and error.filename is not None or isinstance(error, MemoryError):
+            error = _refused_by_system(error)
         if isinstance(error, ArmsightError):
-            self._tell(error)
+            self._tell(error, as_json=self._as_json)
             raise typer.Exit(error.exit_code) from None
         if isinstance(error, Exception):
-            self._tell(unforeseen(error))
+            self._tell(unforeseen(error), as_json=self._as_json)
             raise typer.Exit(UNFORESEEN) from None
 
-    def _tell(self, error: ArmsightError) -> None:
+    def _tell(self, error: ArmsightError, *, as_json: bool) -> None:
         head = "stopped" if isinstance(error, Cancelled) else "error"
         style = "bold red" if self.console.is_terminal else ""
-        self.console.print(f"{head}: {visible(str(error))}", style=style, soft_wrap=True)
-        if self._as_json:
-            self.result(_refusal(error))
+        text = visible(str(error)).removeprefix("stopped ")
+        self.console.print(f"{head}: {text}", style=style, soft_wrap=True)
+        if as_json:
+            with contextlib.suppress(DeviceFailed):  # nobody reads: the exit code tells
+                _print_json(_refusal(error))
 
     def _interrupt(self, number: int, frame: FrameType | None) -> None:
-        if self._stopped.is_set():
+        heard = self._until_stopped if self._listener is None else self._listener.listens
+        if self._stopped.is_set() or not heard:
             raise KeyboardInterrupt
         self._stopped.set()
         self.console.print("stopping ... (Ctrl-C again to stop at once)")
@@ -118,6 +136,27 @@ class CommandUI:
         if self._bar is not None:
             self._bar.close()
             self._bar = None
+
+
+class _Heard:
+    """Standard error, whose loss (a full disk, a closed terminal) costs the words and not the work."""
+
+    def __init__(self, file: TextIO) -> None:
+        self._file = file
+
+    def write(self, text: str) -> int:
+        """Write, or not."""
+        with contextlib.suppress(OSError):
+            self._file.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        """Hand on, or not."""
+        with contextlib.suppress(OSError):
+            self._file.flush()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._file, name)
 
 
 class Bar:
@@ -132,6 +171,8 @@ class Bar:
         self._begun_s = self._told_s = time.monotonic()
         self._note = ""
         self._label = ""
+        self.listens = False
+        """Whether the work has asked for an end: before, nobody would hear of it."""
 
     def update(self, done: float, total: float, note: str = "") -> None:
         """Show that done of total is finished; total 0 means unknown. A new note begins the clock anew."""
@@ -146,6 +187,7 @@ class Bar:
 
     def cancelled(self) -> bool:
         """Tell whether Ctrl-C was pressed."""
+        self.listens = True
         return self._stopped.is_set()
 
     def close(self) -> None:
@@ -190,17 +232,31 @@ class Bar:
         return done / passed_s if passed_s > 0.2 else 0.0
 
 
-def _refusal(error: ArmsightError) -> Output:
-    from armsight.app.schemas.base import Refusal, RefusalOutput
+def _refusal(error: ArmsightError) -> str:
+    """Return RefusalOutput as JSON, without its imports: they may be what was interrupted."""
+    refusal = {
+        "kind": type(error).__name__,
+        "cause": error.cause,
+        "consequence": error.consequence,
+        "cure": error.cure,
+        "exit_code": error.exit_code,
+    }
+    return readable(json.dumps({"error": refusal}, ensure_ascii=False))
 
-    refusal = Refusal(
-        kind=type(error).__name__,
-        cause=error.cause,
-        consequence=error.consequence,
-        cure=error.cure,
-        exit_code=error.exit_code,
+
+def _refused_by_system(error: OSError | MemoryError) -> ArmsightError:
+    """Return what the system said of a file, or of memory, as an error with a cure."""
+    if isinstance(error, MemoryError):
+        return DataRefused("there is not enough memory", consequence="Nothing was done", cure="Give fewer or smaller data")
+    name = str(error.filename)
+    name = name if len(name) <= LONGEST_SHOWN else f"{name[:LONGEST_SHOWN]}..."
+    if error.errno == errno.ENAMETOOLONG:
+        return UsageError(f"the name is too long for this disk: {name}", cure="Give a shorter one")
+    return DeviceFailed(
+        f"{name}: {error.strerror or error}",
+        consequence="It was not done",
+        cure="Check that the file or folder is still there, its permissions, and the free space",
     )
-    return RefusalOutput(error=refusal)
 
 
 def unforeseen(error: Exception) -> ArmsightError:
@@ -209,7 +265,8 @@ def unforeseen(error: Exception) -> ArmsightError:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         # a new file for its owner alone: in a folder that all may write to, another's link could lead anywhere
-        with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, PRIVATE), "w", encoding="utf-8") as file:
+        handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, PRIVATE)
+        with os.fdopen(handle, "w", encoding="utf-8", errors="backslashreplace") as file:
             file.write(f"{' '.join(sys.argv)}\n{''.join(traceback.format_exception(error))}")
         where = f"The details are in {path}"
     except OSError:
@@ -220,7 +277,26 @@ def unforeseen(error: Exception) -> ArmsightError:
 
 def visible(text: str) -> str:
     """Return text with what a terminal would obey written out: files name things, and anybody may have written them."""
+    text = readable(text)
     return "".join(one if one in "\n\t" or category(one) not in UNSEEN else repr(one)[1:-1] for one in text)
+
+
+def _print_json(text: str) -> None:
+    """Write to standard output. Raises DeviceFailed where it is full, or nobody reads it any more."""
+    try:
+        text.encode(sys.stdout.encoding or "utf-8")
+    except UnicodeEncodeError:
+        text = json.dumps(json.loads(text))  # JSON's own way to write what this code page has not
+    try:
+        sys.stdout.write(text + "\n")
+        sys.stdout.flush()
+    except OSError as error:
+        discard(sys.stdout)
+        raise DeviceFailed(
+            f"standard output cannot be written ({error.strerror or error})",
+            consequence="Files are written as they would be; what a program should read is lost",
+            cure="Check where the output goes",
+        ) from error
 
 
 def log_path() -> Path:

@@ -21,7 +21,7 @@ from armsight.cli.examples import add_examples
 from armsight.cli.identify import identify
 from armsight.cli.join import join
 from armsight.cli.kinematics import convert_arm, kinematics
-from armsight.cli.options import SRC, AsJson, Bits, Fps, Inverted, Limit, OutFolder, Seed, Strict, Threshold
+from armsight.cli.options import MOST_FRAMES, SRC, AsJson, Bits, Fps, Inverted, Limit, OutFolder, Seed, Strict, Threshold
 from armsight.cli.path import path
 from armsight.cli.play import play
 from armsight.cli.record import record
@@ -211,7 +211,7 @@ def measure(
 def demo(
     out: OutFolder = Path("demo"),
     seed: Seed = 1,
-    frames: Annotated[int, typer.Option(min=1, help="How many pairs of frames.")] = 300,
+    frames: Annotated[int, typer.Option(min=1, max=MOST_FRAMES, help="How many pairs of frames.")] = 300,
     cell: Annotated[str, typer.Option(help="Which simulated cell.")] = "hand-cell",
     room: Annotated[
         str | None,
@@ -250,7 +250,9 @@ def simulate(
     seed: Annotated[
         int | None, typer.Option(min=0, help="The same seed gives the same run. [default: the file's]")
     ] = None,
-    frames: Annotated[int | None, typer.Option(min=1, help="How many frames, or rows. [default: the file's]")] = None,
+    frames: Annotated[
+        int | None, typer.Option(min=1, max=MOST_FRAMES, help="How many frames, or rows. [default: the file's]")
+    ] = None,
     room: Annotated[
         str | None,
         typer.Option(help="Behind the target: dark, workshop, office, plain or a picture. [default: its own]"),

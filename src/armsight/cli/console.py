@@ -50,7 +50,7 @@ def console(
     What is given here is kept in FOLDER/cell.yaml, as the page Settings shows it. A simulated robot brings its cell
     along where the folder holds none.
     """
-    with CommandUI(as_json=False) as face:
+    with CommandUI(as_json=False, until_stopped=True) as face:
         from armsight.server.web_server import ServeOptions, check_options
 
         at = {"bind": bind, "port": port, "stop_port": stop_port}

@@ -45,7 +45,7 @@ def record(
 
     Stop with Ctrl-C. Whatever happens to the program or the disk, all but the last second is readable.
     """
-    with CommandUI(as_json=json) as face:
+    with CommandUI(as_json=json, until_stopped=frames is None and seconds is None) as face:
         from armsight.app.record.record import RecordJob
         from armsight.app.record.record import record as run
         from armsight.drivers.live import MAX_SKEW_S

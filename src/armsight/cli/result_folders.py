@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import hashlib
 import inspect
+import os
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
 from armsight.cli.command_ui import CommandUI
 from armsight.errors import Cancelled, UsageError
+
+if TYPE_CHECKING:
+    from armsight.drivers.lock import DeviceLock
 
 MEASURED = ("poses.csv", "points.csv", "spots.csv", "poses.tum", "measure.json", "report.html")
 VIEWS = ("left", "right", "image")
@@ -86,13 +92,29 @@ def _keeping_inputs(command: Callable[..., Any]) -> Callable[..., Any]:
 
     @functools.wraps(command)
     def run(**given: Any) -> Any:
-        with CommandUI(as_json=given.get("json", False)):
-            for out in _texts(given["out"]):
-                if not Path(out).is_dir():
-                    _refuse_inputs(Path(out).parent, (Path(out).name,), given)
-        return command(**given)
+        with contextlib.ExitStack() as held:
+            with CommandUI(as_json=given.get("json", False)):
+                for out in _texts(given["out"]):
+                    if not Path(out).is_dir():
+                        _refuse_inputs(Path(out).parent, (Path(out).name,), given)
+                    if not Path(out).exists() or Path(out).is_file() or Path(out).is_dir():
+                        held.enter_context(_written_once(Path(out)))
+            return command(**given)
 
     return run
+
+
+def _written_once(out: Path) -> DeviceLock:
+    """Return what a command holds that writes to a place: two at once would mix their results, and both say done."""
+    from armsight.drivers.lock import DeviceLock
+
+    place = os.fsencode(out.resolve())
+    return DeviceLock(
+        str(out),
+        key=f"results-{hashlib.sha256(place).hexdigest()[:32]}",
+        consequence="Another command is writing its results there; nothing was done",
+        cure="Wait for its end, or give another place (-o)",
+    )
 
 
 def _refuse_inputs(folder: Path, names: Collection[str], given: Mapping[str, Any]) -> None:

@@ -90,7 +90,7 @@ def servo(
     json: AsJson = False,
 ) -> None:
     """Follow a target that the cameras see, through the guard. Ctrl-C brings the arm to rest."""
-    with CommandUI(as_json=json) as face:
+    with CommandUI(as_json=json, until_stopped=seconds is None) as face:
         from armsight.app.servo.job import ServoJob
         from armsight.app.servo.run import run_servo
 

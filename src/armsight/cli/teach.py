@@ -92,7 +92,7 @@ def teach(
 
     With --robot the arm follows meanwhile; without one the cameras stand (--world), or --from takes poses.csv.
     """
-    with CommandUI(as_json=json) as face:
+    with CommandUI(as_json=json, until_stopped=seconds is None) as face:
         from armsight.app.servo.job import ServoJob
         from armsight.app.teach.job import TeachJob
         from armsight.app.teach.standing import StandingJob, teach_poses

@@ -23,7 +23,7 @@ def twin(
     cycle: Annotated[float | None, typer.Option(min=1e-4, max=1.0, help="The controller's cycle in s.")] = None,
 ) -> None:
     """Emulate a robot's controller, for tests without a robot; Ctrl-C ends it. Prints what --robot takes."""
-    with CommandUI(as_json=False) as face:
+    with CommandUI(as_json=False, until_stopped=True) as face:
         from armsight.app.robot.twin import run_twin
 
         stop = face.progress("twin")

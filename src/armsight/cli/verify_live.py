@@ -176,7 +176,8 @@ def check_options(mode: str, given: Mapping[str, Any], needed: Sequence[str], fo
 
 
 def _live(given: Mapping[str, Any], foreign: list[str]) -> None:
-    with CommandUI(as_json=given["json"]) as face:
+    until_stopped = given["frames"] is None and given["seconds"] is None
+    with CommandUI(as_json=given["json"], until_stopped=until_stopped) as face:
         from armsight.app.verify.live import run_verify_live
         from armsight.app.verify.supervising import JOINT_STD, LATENCY_S, LATENCY_STD_S, LiveVerifyJob
         from armsight.verify.supervision import Limits

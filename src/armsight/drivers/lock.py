@@ -26,11 +26,12 @@ class DeviceLock:
         device: str,
         *,
         folder: Path | None = None,
+        key: str | None = None,
         consequence: str = "Two programs cannot read one camera: each would miss the other's frames",
         cure: str = "Stop the other program, or choose another camera",
     ) -> None:
-        """folder: of the file that tells others; consequence and cure: what a second holder is told."""
-        self._device = device
+        """folder: of the file that tells others, named by key where the device's name is no file's; consequence and cure: what a second holder is told."""
+        self._device, self._key = device, key or device
         self._consequence, self._cure = consequence, cure
         self._folder = folder or Path(tempfile.gettempdir())
         self._file: int | None = None
@@ -39,7 +40,7 @@ class DeviceLock:
         """Take it. Raises DeviceFailed where another holder, in this process or another, has it."""
         if fcntl is None:
             return self
-        plain = re.sub(r"[^A-Za-z0-9]+", "-", self._device).strip("-")
+        plain = re.sub(r"[^A-Za-z0-9]+", "-", self._key).strip("-")
         path = self._folder / f"armsight-{plain}.lock"
         try:
             # no link: in a folder that all may write to, somebody's could lead to a file that is emptied here

@@ -18,7 +18,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from armsight._files import open_file, read_file
+from armsight._files import open_file, read_file, readable
 from armsight.clock import Clock, SystemClock
 from armsight.errors import BadFile, DeviceFailed
 
@@ -100,7 +100,7 @@ def _write_into(path: Path, data: bytes) -> None:
 
 def write_text(path: Path, text: str) -> None:
     """Replace the file's content with UTF-8 text in one step; see write_bytes."""
-    write_bytes(path, text.encode("utf-8"))
+    write_bytes(path, readable(text).encode("utf-8"))
 
 
 def _mode_of(path: Path) -> int:
@@ -137,7 +137,7 @@ def plain(value: Any) -> Any:
 
 def json_text(value: Any, *, indent: int | None = 2) -> str:
     """Return value as strict JSON text; a number that is not finite (no data) becomes null."""
-    return json.dumps(_finite(plain(value)), indent=indent, ensure_ascii=False, allow_nan=False)
+    return readable(json.dumps(_finite(plain(value)), indent=indent, ensure_ascii=False, allow_nan=False))
 
 
 def _finite(value: Any) -> Any:
@@ -189,7 +189,7 @@ class RowFile:
     def flush(self) -> None:
         """Give the waiting rows to the system."""
         if self._rows:
-            data = ("\n".join(self._rows) + "\n").encode("utf-8")
+            data = (readable("\n".join(self._rows)) + "\n").encode("utf-8")
             with disk_errors(self._path):
                 while data:
                     data = data[self._file.write(data) :]

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import typer
 from rich.console import Console
 from typer.testing import CliRunner
 
@@ -124,13 +125,14 @@ def test_no_number_that_is_not_finite_gets_into_json(capsys: pytest.CaptureFixtu
 
 def test_ctrl_c_asks_first_and_the_second_one_stops_at_once() -> None:
     before = signal.getsignal(signal.SIGINT)
-    with CommandUI(as_json=False) as face:
+    with pytest.raises(typer.Exit) as ended, CommandUI(as_json=False) as face:
         bar = face.progress("working")
         assert not bar.cancelled()
         os.kill(os.getpid(), signal.SIGINT)
         assert bar.cancelled()
         with pytest.raises(KeyboardInterrupt):
             os.kill(os.getpid(), signal.SIGINT)
+    assert ended.value.exit_code == 130, "work that was stopped is not done, whatever it returns"
     assert signal.getsignal(signal.SIGINT) is before
 
 
@@ -146,3 +148,18 @@ def test_progress_tells_count_and_end_on_a_terminal_and_elsewhere(terminal: bool
     text = console.export_text()
     assert "measuring" in text
     assert "40" in text
+
+
+@pytest.mark.parametrize("with_progress", [True, False])
+def test_work_that_asks_for_no_end_is_stopped_at_once(with_progress: bool) -> None:
+    with pytest.raises(typer.Exit) as ended, CommandUI(as_json=False) as face:
+        if with_progress:
+            face.progress("working")  # and never asks it
+        os.kill(os.getpid(), signal.SIGINT)
+        raise AssertionError("it went on")
+    assert ended.value.exit_code == 130
+
+
+def test_what_runs_until_it_is_stopped_has_a_good_end() -> None:
+    with CommandUI(as_json=False, until_stopped=True):
+        os.kill(os.getpid(), signal.SIGINT)

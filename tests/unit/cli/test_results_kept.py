@@ -14,7 +14,7 @@ import pytest
 
 from armsight.app.simulate.run import simulate
 from armsight.cli.command_ui import CommandUI
-from armsight.errors import Cancelled
+from armsight.errors import Cancelled, UsageError
 from armsight.records import Silent
 from armsight.store.earlier_results import EarlierResults
 
@@ -134,7 +134,7 @@ def test_earlier_results_come_back_or_go_as_a_whole(tmp_path: Path) -> None:
 
 
 def test_sigterm_is_like_ctrl_c(capsys: pytest.CaptureFixture[str]) -> None:
-    with CommandUI(as_json=False) as face:
+    with CommandUI(as_json=False, until_stopped=True) as face:
         progress = face.progress("working")
         assert not progress.cancelled()
         signal.raise_signal(signal.SIGTERM)
@@ -177,3 +177,22 @@ def test_times_beside_the_frames_are_used_and_an_assumed_time_is_said(
     (tmp_path / "times.csv").write_text("t_s\n1.0\n")
     done, times_s, _ = measured("of-another-run")
     assert done.json["assumed_fps"] == 30.0
+
+
+def test_two_commands_do_not_write_to_one_place_at_once(
+    armsight: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    inner: list[Any] = []
+
+    def meanwhile(*_: object, **__: object) -> None:
+        monkeypatch.undo()
+        inner.append(armsight("simulate", "hand-cell", "-o", tmp_path / "x" / ".." / "cell", "--frames", 1))
+        raise UsageError("enough")
+
+    monkeypatch.setattr("armsight.app.simulate.run.simulate", meanwhile)
+    words = ["simulate", "hand-cell", "-o", tmp_path / "cell", "--frames", 1]
+    assert armsight(*words).code == 2
+    assert inner[0].code == 4
+    assert "-o" in inner[0].text
+    assert not (tmp_path / "cell").exists()
+    assert armsight(*words).code == 0, "the first one's end lets go"

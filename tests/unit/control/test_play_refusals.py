@@ -142,3 +142,16 @@ def test_the_weld_is_off_while_the_tip_rests() -> None:
     source.resume()
     run(source, 0.5, followed=lambda at: at.progress.s_m < 0.03)
     assert not source.progress.welding  # the guard does not follow
+
+
+def test_a_path_in_millimetres_is_refused_before_it_is_sampled(monkeypatch: pytest.MonkeyPatch) -> None:
+    turn = np.linspace(0.0, 6.0, 20_000)  # rows 18 mm apart: no jump
+    places = np.stack([400.0 + 60.0 * np.cos(turn), 60.0 * np.sin(turn), np.full(len(turn), 300.0)], axis=1)
+
+    def sampled(*_: object) -> None:
+        raise AssertionError("minutes of work")
+
+    monkeypatch.setattr("armsight.control.play.plan._rounded", sampled)
+    with pytest.raises(Inconsistent) as refused:
+        plan_path(through(places), ARM, Limits(), Q, FAST)
+    assert "millimetres" in refused.value.cure

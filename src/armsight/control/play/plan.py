@@ -17,6 +17,7 @@ from armsight.control.play.track import Leg, Track, Way, quats
 from armsight.control.play.weave import Weave, WeaveKind
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
 from armsight.kinematics import Arm
+from armsight.kinematics.target import target_matrices
 from armsight.records import WELD_OFF, WELD_ON, TaughtPath
 from armsight.units import MM
 
@@ -118,6 +119,7 @@ def plan_path(
     """
     settings = settings or PlaySettings()
     stand = np.asarray(q, dtype=np.float64)
+    target_matrices(arm, _in_world(path, arm))  # millimetres are told before they are sampled, for minutes
     T_base_stand = arm.T_world_base.inv() * RigidTransform.from_matrix(arm.fk(arm.values(stand)))
     path = _usable(_in_base(path, arm), settings, T_base_stand)
     s, T_seam, rounded_m = _rounded(path, settings)
@@ -156,6 +158,12 @@ def _in_base(path: TaughtPath, arm: Arm) -> TaughtPath:
         raise UsageError(f"the path is in the frame {path.parent!r}", consequence="Nothing is moved")
     T = arm.T_world_base.inv().as_matrix() @ path.T_world_tip
     return replace(path, T_world_tip=T, parent="base")
+
+
+def _in_world(path: TaughtPath, arm: Arm) -> Array:
+    """Return the poses (m, 4, 4) of a path in base or world axes as an arm reaches for them."""
+    T = path.T_world_tip
+    return arm.T_world_base.as_matrix() @ T if path.parent == "base" else T
 
 
 def _usable(path: TaughtPath, settings: PlaySettings, T_base_stand: RigidTransform) -> TaughtPath:

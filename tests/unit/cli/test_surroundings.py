@@ -1,0 +1,106 @@
+"""What a command stands in: streams that are closed or full, other locales, interrupts at any moment, odd places."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import armsight
+
+JOINTS = "q1,q2,q3,q4,q5,q6\n0,0,0,0,0,0\n"
+FK = "kinematics fk --arm ur10 --joints joints.csv -o poses.csv --json"
+POSIX = {"LC_ALL": "POSIX", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+INTERRUPTED = """
+import sys
+
+class Interrupts:
+    def find_spec(self, name, path=None, target=None):
+        if name == {name!r}:
+            sys.meta_path.remove(self)
+            raise KeyboardInterrupt
+
+sys.meta_path.insert(0, Interrupts())
+from armsight.cli import main
+main()
+"""
+CRASHES = """
+import armsight.kinematics.presets as presets
+
+def preset(*_):
+    raise ZeroDivisionError("odd \\udcff")
+
+presets.preset = preset
+from armsight.cli import main
+main()
+"""
+
+
+def shell(folder: Path, command: str, **environment: str) -> subprocess.CompletedProcess[bytes]:
+    """Run `armsight ...`, `interrupted NAME ...` as a shell does, in a folder with joints.csv."""
+    (folder / "joints.csv").write_text(JOINTS)
+    script = (
+        f"armsight() {{ '{sys.executable}' -m armsight \"$@\"; }}\n"
+        f"python() {{ '{sys.executable}' \"$@\"; }}\n{command}"
+    )
+    source = str(Path(armsight.__file__).parents[1])  # where PYTHONPATH is relative, another folder has another armsight
+    env = {**os.environ, "PYTHONPATH": source, "ARMSIGHT_LOG_FOLDER": str(folder / "logs"), **environment}
+    done = subprocess.run(["bash", "-c", script], cwd=folder, env=env, capture_output=True, check=False)
+    assert b"Traceback" not in done.stderr, done.stderr.decode(errors="replace")
+    assert b"Exception ignored" not in done.stderr
+    return done
+
+
+@pytest.mark.parametrize(
+    ("command", "code"),
+    [
+        (f"armsight {FK} > /dev/full", 4),
+        ("armsight --help > /dev/full", 4),
+        (f"armsight {FK} 2> /dev/full", 0),
+        (f"armsight {FK} <&- >&- 2>&-", 0),
+        (f"armsight {FK} -o /dev/full", 4),
+        ("mkdir gone && cd gone && rmdir ../gone && armsight kinematics fk --arm ur10 --joints q.csv -o poses.csv", 4),
+        (f"armsight {FK} -o $(printf 'x%.0s' $(seq 300)).csv", 2),
+        (f"mkfifo pipe && armsight {FK} --joints pipe", 3),
+        (f"mkfifo pipe && armsight {FK} -o pipe", 4),
+        ("armsight simulate webcam-cell --frames 1000000000 -o cell", 2),
+        (f"TERM=dumb COLUMNS=60 NO_COLOR=1 LANG=C armsight {FK}", 0),
+        (f"python -O -m armsight {FK}", 0),
+    ],
+)
+def test_each_ends_with_its_code_and_no_traceback(tmp_path: Path, command: str, code: int) -> None:
+    done = shell(tmp_path, command)
+    assert done.returncode == code, done.stderr.decode(errors="replace")
+    if code == 0 and not os.path.lexists(tmp_path / "gone"):
+        assert (tmp_path / "poses.csv").read_text().startswith("t_s,"), "nothing that was printed is in the file"
+
+
+@pytest.mark.parametrize("environment", [POSIX, {"LC_ALL": "C.UTF-8"}])
+@pytest.mark.parametrize("name", ["n\u00fc", "n\udcff"])
+def test_any_name_in_any_locale(tmp_path: Path, environment: dict[str, str], name: str) -> None:
+    (tmp_path / name).mkdir()
+    word = os.fsencode(name).decode("latin-1")
+    quoted = "$'" + "".join(one if one.isascii() else f"\\x{ord(one):02x}" for one in word) + "'"
+    assert shell(tmp_path, f"armsight {FK} -o {quoted}/poses.csv", **environment).returncode == 0
+    done = shell(tmp_path, f"armsight {FK} --joints {quoted}/no.csv", **environment)
+    assert done.returncode == 3
+    assert "no.csv" in json.loads(done.stdout)["error"]["cause"]
+    (tmp_path / "crash.py").write_text(CRASHES)
+    done = shell(tmp_path, f"python crash.py {FK} -o {quoted}/poses.csv", **environment)
+    assert done.returncode == 1
+    (log,) = (tmp_path / "logs").iterdir()
+    assert "ZeroDivisionError" in log.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(("name", "told"), [("armsight.cli.commands", False), ("numpy", True)])
+def test_an_interrupt_during_an_import_is_a_stop(tmp_path: Path, name: str, told: bool) -> None:
+    (tmp_path / "run.py").write_text(INTERRUPTED.format(name=name))
+    done: Any = shell(tmp_path, f"python run.py {FK}")
+    assert done.returncode == 130
+    assert b"stopped" in done.stderr
+    assert not told or json.loads(done.stdout)["error"]["exit_code"] == 130
