@@ -45,7 +45,7 @@ TRUE_CLAIM = 0.999
 
 def measure_report(run: MeasureRun, *, created: datetime | None = None) -> str:
     """Return the page of a measurement as HTML text that needs no other file."""
-    series = series_of(run.poses, timed=run.timed)
+    series = series_of(run.poses, timed=run.timed, apart=run.stills)
     errors = errors_of(run.poses, run.truth) if run.truth is not None else None
     page = Page(
         title=run.title,
@@ -67,6 +67,8 @@ def _subtitle(run: MeasureRun, series: Series) -> str:
     n = len(run.poses)
     if n < 2:
         return f"{n} frame{'s' * (n != 1)}"
+    if series.apart:
+        return f"{n:,} single shots"
     over = f" over {figure_of(float(np.ptp(series.t_s)), 's')}" if series.timed else ""
     return f"{n:,} pairs of frames{over}"
 
@@ -204,15 +206,16 @@ def _add_truth(page: Page, errors: Errors | None) -> None:
 
 
 def _add_track(page: Page, run: MeasureRun, series: Series, errors: Errors | None) -> None:
+    by, band = ("of each shot", "bar") if series.apart else ("over time", "band")
     if np.isfinite(series.values[:, 0]).any():
         page.add(
-            f"Track in the axes of {run.parent}",
+            f"{'Places' if series.apart else 'Track'} in the axes of {run.parent}",
             "Drag to turn, scroll to zoom; a click on a name in the legend hides or shows it.",
             page.plot(track_figure(run, series)),
         )
         page.add(
-            "Position and rotation over time",
-            "The band holds the true value in 95 % of the frames (1.96 standard deviations); rx, ry, rz are angles "
+            f"Position and rotation {by}",
+            f"The {band} holds the true value in 95 % of the frames (1.96 standard deviations); rx, ry, rz are angles "
             "about x, y, z with R = Rz Ry Rx. Red marks at the bottom are frames without a full pose; "
             "orange dots are the mean of the spots seen where not all were." + _thinned_told(len(series.t_s)),
             page.plot(time_figure(series)),
@@ -224,9 +227,14 @@ def _add_deviation(page: Page, series: Series, errors: Errors | None) -> None:
     """Add the errors over time; where no truth is known, how the poses lie about themselves."""
     if errors is not None:
         figure = deviation_figure(series, errors.values, errors.std)
-        page.add("Error over time", "Measured minus true, within the claimed 95 % band.", page.plot(figure))
+        title = "Error of each shot" if series.apart else "Error over time"
+        page.add(title, "Measured minus true, within the claimed 95 % band.", page.plot(figure))
         return
     std = series.full()[1]
+    if series.apart:  # they lie where each was taken: nothing is there that they could scatter about
+        told = "Half the width of the 95 % bars: what may be read off the pose in each shot."
+        page.add("What each shot claims", told, page.plot(deviation_figure(series, None, std)))
+        return
     scatter = scatter_of(series)
     if scatter is None:
         told = "Half the width of the 95 % band: what may be read off the pose at each moment."

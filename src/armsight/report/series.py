@@ -31,7 +31,7 @@ class Series:
     degrees.
 
     NaN where a frame does not say. Angles are unwrapped: they run on beyond 180 degrees. timed: whether the times are
-    known; where they are not, t_s counts frames.
+    known; where they are not, t_s counts frames. apart: single shots, of which one tells nothing of the next.
     """
 
     t_s: Array
@@ -39,6 +39,7 @@ class Series:
     values: Array
     std: Array
     timed: bool = True
+    apart: bool = False
 
     @property
     def time_label(self) -> str:
@@ -63,10 +64,10 @@ class Series:
         return np.where(whole, self.values, np.nan), np.where(whole, self.std, np.nan)
 
 
-def series_of(poses: Sequence[TargetPose], *, timed: bool = True) -> Series:
+def series_of(poses: Sequence[TargetPose], *, timed: bool = True, apart: bool = False) -> Series:
     """Return the columns of poses; rotations become the angles of R = Rz Ry Rx, their covariance with them.
 
-    timed: whether the poses' times are more than an assumption.
+    timed: whether the poses' times are more than an assumption. apart: whether they are single shots.
     """
     n = len(poses)
     values, std = np.full((n, 6), np.nan), np.full((n, 6), np.nan)
@@ -77,11 +78,12 @@ def series_of(poses: Sequence[TargetPose], *, timed: bool = True) -> Series:
     ok = _ok(poses)
     if len(ok):
         angles = euler_rad(Rotation.from_matrix(_matrices(poses, ok)[:, :3, :3]))  # (m, 3)
-        values[ok, 3:] = np.unwrap(angles, axis=0)
+        values[ok, 3:] = angles if apart else np.unwrap(angles, axis=0)
         std[ok, 3:] = _euler_std(angles, _covariances(poses, ok)[:, 3:, 3:])
     return Series(
         t_s=np.array([pose.t_s for pose in poses]) if timed else np.arange(float(n)),
         timed=timed,
+        apart=apart,
         status=tuple(pose.status for pose in poses),
         values=values / SCALE,
         std=std / SCALE,

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from armsight.optics import SIDES
 from armsight.records import PoseStatus
 from armsight.report.figures import (
+    BAND,
     BLUE,
     GREY,
     MAX_PLOTTED,
@@ -47,13 +48,15 @@ def track_figure(run: MeasureRun, series: Series) -> Figure:
     xyz = series.full()[0][:, :3]
     every = np.unique(np.linspace(0, len(xyz) - 1, MAX_PLOTTED).astype(int))
     data: list[dict[str, Any]] = []
+    mode = "markers" if series.apart else "lines+markers"
     if run.truth is not None:
         true = np.array([np.asarray(pose.translation) for pose in run.truth]).reshape(-1, 3) / MM
-        data.append(line(true[every], "truth", {"color": GREY, "width": 5}))
+        truth = line(true[every], "truth", {"color": GREY, "width": 5})
+        data.append({**truth, "mode": "markers", "marker": {"color": GREY, "size": 5}} if series.apart else truth)
     colours = {"color": series.t_s[every], "colorscale": "Viridis", "size": 2.5}
     bar = {"title": {"text": series.time_label}, "thickness": 12, "len": 0.7}
     trace = line(xyz[every], "full pose", {"color": BLUE, "width": 2})
-    data.append({**trace, "mode": "lines+markers", "marker": {**colours, "colorbar": bar}})
+    data.append({**trace, "mode": mode, "marker": {**colours, "colorbar": bar}})
     if position.any():
         some = np.flatnonzero(position)[:: max(1, int(position.sum()) // MAX_PLOTTED)]
         marks = line(series.values[some, :3], "position only", {})
@@ -84,7 +87,7 @@ def time_figure(series: Series) -> Figure:
     full, std = series.full()
     for k in range(6):
         values, half = full[:, k], WITHIN_95 * std[:, k]
-        data += _banded(series.t_s, values, values - half, values + half, k)
+        data += _banded(series, values, values - half, values + half, k)
         data += _marks_below(series.t_s[~ok], k)
         if k < 3 and position.any():
             data.append(_dots(series.t_s[position], series.values[position, k], k))
@@ -97,10 +100,10 @@ def deviation_figure(series: Series, values: Array | None, std: Array) -> Figure
     for k in range(6):
         if values is not None:
             half = WITHIN_95 * std[:, k]
-            data += _banded(series.t_s, values[:, k], -half, half, k)
+            data += _banded(series, values[:, k], -half, half, k)
         else:
             half = WITHIN_95 * series.full()[1][:, k]
-            data += _banded(series.t_s, half, np.full_like(half, np.nan), half, k)
+            data += _banded(series, half, np.full_like(half, np.nan), half, k)
     titles = [f"Δ{title}" for title in TITLES] if values is not None else [f"± {title}" for title in TITLES]
     shape = _six(titles, series.time_label)
     if values is None:
@@ -109,16 +112,21 @@ def deviation_figure(series: Series, values: Array | None, std: Array) -> Figure
     return Figure(data=data, layout=shape, height_px=640)
 
 
-def _banded(t_s: Array, values: Array, low: Array, high: Array, k: int) -> list[dict[str, Any]]:
-    """Return the traces of one of six plots: a band, a line with gaps, marks where a frame stands alone."""
+def _banded(series: Series, values: Array, low: Array, high: Array, k: int) -> list[dict[str, Any]]:
+    """Return the traces of one of six plots: a band, a line with gaps, marks where a frame stands alone.
+
+    Of single shots it is bars and marks: no line leads from one to the next.
+    """
     where: dict[str, Any] = {**place(k + 1), "showlegend": False}
     keep = thinned(np.where(np.isfinite(high), high, values))
     known = np.isfinite(values)
     gaps = np.flatnonzero(~known[1:] & known[:-1]) + 1  # the first frame of each gap, so that lines do not cross it
     keep = np.unique(np.concatenate([keep, thinned(values), gaps[:MAX_PLOTTED]]))
-    x, y = t_s[keep], values[keep]
-    traces = [band(x, low[keep], high[keep], **where)] if np.isfinite(low).any() else []
-    mode = "lines+markers" if len(keep) <= MARKED else "lines"
+    x, y = series.t_s[keep], values[keep]
+    draw = _bars if series.apart else band
+    traces = [draw(x, low[keep], high[keep], **where)] if np.isfinite(low).any() else []
+    mode = "markers" if series.apart else "lines+markers" if len(keep) <= MARKED else "lines"
+    at = "%{x:.3f} s" if series.timed else "frame %{x:.0f}"
     traces.append(
         {
             "type": "scatter",
@@ -127,7 +135,7 @@ def _banded(t_s: Array, values: Array, low: Array, high: Array, k: int) -> list[
             "mode": mode,
             "line": {"color": BLUE, "width": 1.2},
             "marker": {"size": 3},
-            "hovertemplate": "%{x:.3f} s: %{y:.4f}<extra></extra>",
+            "hovertemplate": at + ": %{y:.4f}<extra></extra>",
             **where,
         }
     )
@@ -136,6 +144,13 @@ def _banded(t_s: Array, values: Array, low: Array, high: Array, k: int) -> list[
         marks = {"mode": "markers", "marker": {"size": 3, "color": BLUE}, "hoverinfo": "skip"}
         traces.append({"type": "scatter", "x": x[alone], "y": y[alone], **marks, **where})
     return traces
+
+
+def _bars(x: Array, low: Array, high: Array, **more: Any) -> dict[str, Any]:
+    """Return an upright bar from low to high at each x (n,)."""
+    gap = np.full_like(x, np.nan)
+    xs, ys = np.stack([x, x, gap], axis=1).ravel(), np.stack([low, high, gap], axis=1).ravel()
+    return {"type": "scatter", "x": xs, "y": ys, "mode": "lines", "line": {"color": BAND, "width": 4}, "hoverinfo": "skip", **more}
 
 
 def _marks_below(t_s: Array, k: int) -> list[dict[str, Any]]:

@@ -226,7 +226,7 @@ KEYS: dict[type[Output], tuple[str, str]] = {
         "",
     ),
     OUTPUTS["play"]: (
-        "state n_cycles late missed stopped_by finished share length_m planned_s took_s slowest rounded_m measured "
+        "state n_cycles late missed stopped_by finished share length_m planned_fastest_m_s planned_s took_s slowest rounded_m measured "
         "outside holds recording",
         "",
     ),

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -137,6 +139,48 @@ def test_a_path_is_asked_for_run_and_recorded(path: Path) -> None:
     assert any(text.startswith("path at") for text in told) and any(text.startswith("finished at") for text in told)
     with pytest.raises(UsageError, match="holds a recording"):
         played(job(path))
+
+
+@pytest.mark.parametrize("weave", ["none", "sine:0.002:0.01"])
+def test_the_speed_that_is_told_is_the_largest_of_the_recording(path: Path, weave: str) -> None:
+    asked: list[str] = []
+    tip = path.parent / "tip.yaml"  # its flange goes further than the tip where the tool turns
+    write_text(tip, "format: armsight/tip\nversion: 1\ntip_m: [0.02, 0.0, 0.1]\n")
+    turned = read_path(path).T_world_tip.copy()
+    turned[:, :3, :3] = turned[:, :3, :3] @ Rotation.from_rotvec([0.0, 0.3, 0.0]).as_matrix()
+    write_path(path, TaughtPath.of_poses(RigidTransform.from_matrix(turned), speed_m_s=0.03))
+    played(job(path, tip=tip, weave=weave), confirm=lambda question: bool(asked.append(question)) or True)
+    told_mm_s = float(re.search(r"at up to ([0-9.]+) mm/s", asked[0])[1])
+    with open_robot(SIM, ManualClock()) as robot:
+        arm = arm_of(robot, None)
+    with Recording(path.parent / "out" / "play.mcap") as recording:
+        sent = [c for c in recording.commands() if c.kind == "joints"]
+    flange = arm.fk(arm.values(np.array([c.values["q"] for c in sent])))
+    took_s = np.median(np.diff([c.t_s for c in sent]))
+    speed = [
+        np.linalg.norm(np.diff(flange[:, :3, :3] @ place + flange[:, :3, 3], axis=0), axis=1).max() / took_s
+        for place in ([0.02, 0.0, 0.1], [0.0, 0.0, 0.0])
+    ]
+    assert max(speed) / MM == pytest.approx(told_mm_s, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("more", "why"),
+    [
+        ({"approach_speed_m_s": 50.0}, "--approach-speed 50 is in m/s"),
+        ({"path_speed_m_s": 10.0}, "--path-speed 10 is in m/s"),
+        ({"stop_m": 10.0}, "--stop-at 10 is in m"),
+    ],
+)
+def test_speeds_and_lengths_in_millimetres_are_refused(path: Path, more: dict, why: str) -> None:
+    with pytest.raises(UsageError, match=why) as refused:
+        played(replace(job(path), **more))
+    assert "mm" in str(refused.value.cure)
+
+
+def test_a_share_of_the_limits_slows_the_way_to_the_path_too(path: Path) -> None:
+    slow = played(replace(job(path), speed=0.1))  # a share of the limits slows what was asked for, and refuses nothing
+    assert slow.finished and slow.planned_fastest_m_s < 0.01
 
 
 def test_nothing_is_written_or_moved_without_a_yes(path: Path) -> None:

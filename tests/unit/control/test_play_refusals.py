@@ -9,8 +9,9 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from armsight.control.guard import Limits
+from armsight.control.paths import PathTrouble, check_path, outliers, resampled
+from armsight.control.paths.jumps import jump_step
 from armsight.control.play import PathSource, PlaySettings, Weave, plan_path
-from armsight.control.play.jumps import jump_step
 from armsight.control.setpoints import CycleState, Finished, Hold, ToolPose
 from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics import presets
@@ -82,6 +83,31 @@ def test_a_row_far_off_a_dense_path_is_refused(places, step: int) -> None:
     assert jump_step(places, np.full(len(places), np.nan)) == step
     with pytest.raises(Inconsistent, match=rf"jumps by .* (before|back at) row ({step}|{step + 1})\."):
         plan_path(through(places), ARM, Limits(), Q, FAST)
+    checked = check_path(through(places), ARM, Limits(), start=Q)  # one rule decides for both
+    told = [issue.row for issue in checked.issues if issue.trouble is PathTrouble.JUMP and "path jumps" in issue.text]
+    assert told[0] in (step, step + 1)
+
+
+@pytest.mark.parametrize(("step_m", "pitch_m"), [(0.005, 0.01), (0.005, 0.008), (0.002, 0.01), (0.01, 0.015)])
+def test_the_turning_points_of_a_raster_are_no_outliers(step_m: float, pitch_m: float) -> None:
+    corners = [[x, pitch_m * k, 0.01] for k in range(5) for x in ((0.0, 0.1) if k % 2 == 0 else (0.1, 0.0))]
+    raster = resampled(through(corners), step_m)
+    assert not outliers(raster)
+    assert check_path(raster, ARM, Limits(), start=Q).ok
+    assert plan_path(raster, ARM, Limits(), Q, FAST).length_m == pytest.approx(0.5 + 4 * pitch_m, rel=1e-9)
+    T = raster.T_world_tip.copy()
+    T[12, 2, 3] += 0.02
+    spoiled = replace(raster, T_world_tip=T)
+    with pytest.raises(Inconsistent, match="mm and back at row 12"):
+        plan_path(spoiled, ARM, Limits(), Q, FAST)
+    assert any("mm and back at row 12" in issue.text for issue in check_path(spoiled, ARM, Limits(), start=Q).issues)
+
+
+def test_keeping_the_rotation_is_not_advised_where_it_is_kept() -> None:
+    for keeps in (False, True):
+        with pytest.raises(Inconsistent, match="cannot run it") as refused:
+            plan_path(through([[0.0, 0.0, 0.0], [0.0, 0.0, 3.0]]), ARM, Limits(), Q, replace(FAST, keep_rotation=keeps))
+        assert ("--keep-rotation" in str(refused.value.cure)) is not keeps
 
 
 def test_what_is_led_evenly_or_meant_is_no_jump() -> None:

@@ -461,3 +461,13 @@ def test_pages_fit_a_telephone_and_draw_without_an_error(tmp_path):
             assert undrawn == 0, name
         browser.close()
     assert troubles == []
+
+
+def test_single_shots_have_no_track_no_seconds_and_nothing_to_scatter_about():
+    poses, _ = poses_and_truth(lost=(7,), position=(11,))
+    text = measure_report(full_run(poses=poses, truth=None, stills=True, timed=False, title="Measurement"))
+    for told in ("Track", "over time", "scatters by", "smooth track", " s:"):
+        assert told not in text, told
+    assert "single shots" in text and "Places in the axes of" in text and "What each shot claims" in text
+    tracked = measure_report(full_run(poses=poses, truth=None, title="Measurement"))
+    assert "Track in the axes of" in tracked and "Deviation over time" in tracked

@@ -34,7 +34,8 @@ MAX_PROBLEMS = 2
 class About:
     """What a report says beside the measurement: more lines on its inputs, and the true pose per pair where known.
 
-    assumed_fps: frames a second that were assumed, where nothing tells the frames' times.
+    assumed_fps: frames a second that were assumed, where nothing tells the frames' times. stills: whether the frames
+    are single shots, which have no track and no seconds.
     """
 
     title: str = "Measurement"
@@ -42,6 +43,7 @@ class About:
     assumptions: Sequence[str] = ()
     truth: Sequence[RigidTransform] | None = None
     assumed_fps: float | None = None
+    stills: bool = False
 
 
 class Collector:
@@ -77,7 +79,8 @@ class Collector:
             target=self._setup.target,
             residuals={side: np.vstack(rows) for side, rows in self._residuals.items() if rows},
             samples=[sample for pair in self._samples.values() for sample in pair],
-            timed=about.assumed_fps is None,
+            timed=about.assumed_fps is None and not about.stills,
+            stills=about.stills,
             truth=None if about.truth is None else about.truth[: len(self._poses)],
             median_ms=summary.ms_per_frame.median,
             p99_ms=summary.ms_per_frame.p99,

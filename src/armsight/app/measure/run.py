@@ -148,7 +148,7 @@ def measure(job: MeasureJob, progress: Progress | None = None) -> MeasureOutput:
         world=world,
         limit=job.limit,
         progress=progress or Silent(),
-        about=About(facts=facts, assumed_fps=None if job.stills else times.assumed_fps),
+        about=About(facts=facts, assumed_fps=None if job.stills else times.assumed_fps, stills=job.stills),
         stills=job.stills,
     )
     return with_zoom(summary, zoomed, job.out)

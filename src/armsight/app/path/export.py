@@ -26,6 +26,7 @@ from armsight.control.paths import (
     urscript,
     with_approach,
 )
+from armsight.control.paths.jumps import PathJump, path_jumps
 from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics import Arm, JointType
 from armsight.records import TaughtPath
@@ -78,10 +79,11 @@ def export_path(job: ExportJob) -> PathExportOutput:
     if kind not in PROGRAMS:
         return _as_it_is(job, path, kind)
     arm = _arm(job)
+    jumps = path_jumps(path)
     path = with_approach(_in_base(path, arm), job.approach_m)
     stops = (1, len(path) - 2) if job.approach_m > 0.0 else ()  # a blend would cut the path's ends off
     moves = program_moves(path, speed_m_s=job.speed_m_s, blend_m=job.blend_m, stops=stops)
-    found = None if arm is None else _checked(job, path, arm)
+    found = None if arm is None else _checked(job, path, arm, jumps)
     start = None if arm is None or found is None else _start(arm, found)
     program = Program(
         name=job.out.stem if job.name is None else job.name,
@@ -150,10 +152,12 @@ def _in_base(path: TaughtPath, arm: Arm | None) -> TaughtPath:
     return replace(path, T_world_tip=T, parent="base")
 
 
-def _checked(job: ExportJob, path: TaughtPath, arm: Arm) -> PathCheck:
+def _checked(job: ExportJob, path: TaughtPath, arm: Arm, jumps: tuple[PathJump, ...]) -> PathCheck:
+    if jumps:
+        raise Inconsistent(jumps[0].text, consequence="No program is written", cure=jumps[0].cure)
     limits = Limits() if job.limits is None else read_limits(job.limits)
     first = None if job.start is None else reading_values(arm, job.start)
-    found = check_path(path, arm, limits, speed_m_s=job.speed_m_s, start=first)
+    found = check_path(path, arm, limits, speed_m_s=job.speed_m_s, start=first, taught=False)
     if not found.ok:
         told = "; ".join(issue.text for issue in found.issues[:TOLD])
         more = f"; and {len(found.issues) - TOLD} more" if len(found.issues) > TOLD else ""

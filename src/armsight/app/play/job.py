@@ -17,9 +17,12 @@ from armsight.errors import BadFile, UsageError
 from armsight.kinematics import Arm
 from armsight.store.handeye_file import read_handeye, read_tip
 from armsight.store.path_file import read_path
+from armsight.units import MM
 
 STOP_M = 0.01
 """A tip that the cameras see further from where it was told to be has hit something, or is another one."""
+STOP_MOST_M = 0.5
+"""Off by so much the tip is anywhere: a larger --stop-at is millimetres, and would never stop."""
 FRAMES = ("world", "base")
 
 
@@ -118,6 +121,12 @@ def check(job: PlayJob) -> None:
         raise UsageError(
             f"--stop-at {job.stop_m:g} is no distance", consequence="Nothing is moved", cure="Give m, more than zero"
         )
+    if job.stop_m is not None and job.stop_m > STOP_MOST_M:
+        raise UsageError(
+            f"--stop-at {job.stop_m:g} is in m: the arm would not be stopped before its tip is so far off",
+            consequence="Nothing is moved",
+            cure=f"Give m: {job.stop_m:g} mm are {job.stop_m * MM:g}",
+        )
 
 
 def tipped(arm: Arm, tip: Path | None) -> Arm:
@@ -138,7 +147,24 @@ def load_plan(job: PlayJob, arm: Arm, limits: Limits, q: ArrayLike) -> PathPlan:
 
     Nothing moves. Raises BadFile, UsageError, NotEnoughData, and Inconsistent for a path that cannot be run, with why.
     """
+    _check_speeds(job, limits)
     return plan_path(read_path(job.path, parent=job.frame), arm, limits, q, job.settings)
+
+
+def _check_speeds(job: PlayJob, limits: Limits) -> None:
+    """Raise UsageError for a speed that was asked for and that the limits forbid: mm/s given as m/s."""
+    usual = PlaySettings()
+    most = limits.speed_m_s / job.speed  # the share of it that is given slows what was asked for
+    for flag, value, otherwise in (
+        ("--path-speed", job.path_speed_m_s, usual.speed_m_s),
+        ("--approach-speed", job.approach_speed_m_s, usual.approach_speed_m_s),
+    ):
+        if value > max(most, otherwise):
+            raise UsageError(
+                f"{flag} {value:g} is in m/s, and the guard allows the tool {most:g} m/s",
+                consequence="Nothing is moved",
+                cure=f"Give m/s: {value:g} mm/s are {value * MM:g}; or allow more (speed_m_s in --limits)",
+            )
 
 
 def load_sight(handeye: Path) -> PlaySight:

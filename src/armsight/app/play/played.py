@@ -132,6 +132,7 @@ def play_output(
         planned_s=plan.time_s,
         took_s=tally.took_s,
         slowest=plan.slowest,
+        planned_fastest_m_s=plan.fastest_m_s,
         rounded_m=plan.rounded_m,
         measured=None if watch is None or counts is None else _measured(watch, counts),
         outside=outside,

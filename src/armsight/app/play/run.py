@@ -189,6 +189,6 @@ def question(robot: Robot, guard: Guard, plan: PathPlan, watched: bool) -> str:
     seen = "cameras watch" if watched else "no camera watches"
     return (
         f"{robot.name} brings the tip over {legs / MM:.1f} mm to the path and along {plan.length_m / MM:.1f} mm of it, "
-        f"at up to {float(plan.speed_m_s.max()) / MM:.1f} mm/s, in about {plan.time_s:.0f} s; {', '.join(told)}; "
+        f"at up to {plan.fastest_m_s / MM:.1f} mm/s ({plan.fastest}), in about {plan.time_s:.0f} s; {', '.join(told)}; "
         f"corners are rounded by up to {plan.rounded_m / MM:.2f} mm; {seen}.{slowed} Move?"
     )

@@ -35,6 +35,9 @@ class PlayOutput(Output):
     planned_s: float = Field(description="How long it was to take without pauses, at full override, s.")
     took_s: float = Field(description="How long it took, s.")
     slowest: str = Field(description="Where the arm's limits slow the path most, and to what; empty: nowhere.")
+    planned_fastest_m_s: float = Field(
+        description="Largest speed that tip or flange reach, also on the way to the path, at full override, m/s."
+    )
     rounded_m: float = Field(description="How far rounding corners moved the path, at most, m.")
     measured: PlayMeasuredOutput | None = Field(description="What the cameras saw; null: none watched.")
     outside: str = Field(description="Which limits the arm stood outside of at the start, by how much; empty: none.")

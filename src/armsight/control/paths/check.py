@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.control.guard.limits import Limits, joint_bounds
+from armsight.control.paths.jumps import path_jumps
 from armsight.errors import NotEnoughData, UsageError
 from armsight.kinematics import Arm, JointPath, track_path
 from armsight.kinematics.path import JUMP
@@ -83,14 +84,16 @@ def check_path(
     T_base_world: RigidTransform | None = None,
     speed_m_s: float | None = None,
     start: ArrayLike | None = None,
+    taught: bool = True,
 ) -> PathCheck:
     """Return what is wrong with a path for an arm, row by row, before any motion; ok where nothing is.
 
     Checked at the rows: reach, the joints' ranges, singularity, boxes of tool and flange; between rows: jumps, speeds
     of tool and joints. Boxes are also checked along straight tool ways between rows. T_base_world: of a path in world;
     None: the arm's own base. speed_m_s: where the path leaves it open, the limits' where None. start (n,): readings
-    where the arm stands, for the branch. Raises NotEnoughData for an empty path, UsageError for a speed that is none
-    or a frame that is neither world nor base.
+    where the arm stands, for the branch. taught: whether the rows are a path's own, in which outliers and steps that
+    nobody led are jumps too, and not samples. Raises NotEnoughData for an empty path, UsageError for a speed that is
+    none or a frame that is neither world nor base.
     """
     if not len(path):
         raise NotEnoughData("the path has no rows", consequence="It is not checked")
@@ -107,6 +110,7 @@ def check_path(
         *_joints(arm, q, joint_speed, bounds.lower, bounds.upper, bounds.speed),
         *_singular(arm, track.q, limits),
         *_boxes(arm, T_base_tip, limits),
+        *(_issue(jump.row, PathTrouble.JUMP, jump.text, jump.size) for jump in (path_jumps(path) if taught else ())),
     ]
     ordered = tuple(sorted(issues, key=lambda issue: issue.row))
     return PathCheck(rows=len(path), q=q, t_s=t_s, joint_speed=joint_speed, issues=ordered)

@@ -11,8 +11,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.control.guard.limits import Limits, joint_bounds
 from armsight.control.paths import PathCheck, PathTrouble, check_path, poses_at
-from armsight.control.play.jumps import check_jumps
-from armsight.control.play.pace import timed
+from armsight.control.paths.jumps import SAME_M, distinct_rows, of_rows, path_jumps
+from armsight.control.play.pace import SPEED_SHARE, timed
 from armsight.control.play.track import Leg, Track, Way, quats
 from armsight.control.play.weave import Weave, WeaveKind
 from armsight.errors import Inconsistent, NotEnoughData, UsageError
@@ -29,10 +29,10 @@ MOST_SAMPLES = 40_000
 """Ten metres at STEP_M; longer paths are sampled more coarsely."""
 PER_WAVE = 40
 """Least samples of a wave of a weave."""
+LEG_PLACES = 33
+"""Places of a leg at which the flange's speed is looked at: it differs along a leg that turns about the tip."""
 CHECK_M = 1e-3
 """Between two poses that are checked for the arm; also half a millimetre and less where a weave is narrow."""
-SAME_M = 1e-6
-"""Rows nearer together than this are one place."""
 BLEND_SHARE = 0.5
 """Of a path, over which its corners may be rounded."""
 LEAST_SPEED_M_S = 2e-4
@@ -73,7 +73,8 @@ class PathPlan:
     approach: legs from where the tip stood to the start. track: the path with its weave. s_m (n,), seam_m (n, 3),
     tip_m (n, 3): samples of the length, of the path without and with weave. welds: lengths at which a weld is switched
     on or off. rounded_m: how far rounding moves the path at most. speed_m_s (n,): as planned. time_s: of all, without
-    pauses, at full override. slowest: the place of the least planned speed, in words.
+    pauses, at full override. slowest: the place of the least planned speed, in words. fastest_m_s, fastest: the largest
+    speed that tip or flange reach anywhere, the way to the path included, and which of them where.
     """
 
     approach: tuple[Leg, ...]
@@ -85,6 +86,8 @@ class PathPlan:
     welds: tuple[tuple[float, bool], ...]
     rounded_m: float
     slowest: str
+    fastest_m_s: float
+    fastest: str
     check: PathCheck
 
     @property
@@ -124,8 +127,8 @@ def plan_path(
     path = _usable(_in_base(path, arm), settings, T_base_stand)
     s, T_seam, rounded_m = _rounded(path, settings)
     T_tip = _woven(T_seam, s, settings.weave, _welded(path, s))
-    legs = _approach(T_base_stand, RigidTransform.from_matrix(T_tip[0]), settings)
-    check, q_track, rows = _checked(arm, limits, stand, legs, s, T_tip)
+    legs = _approach(T_base_stand, RigidTransform.from_matrix(T_tip[0]), settings, limits)
+    check, q_track, rows = _checked(arm, limits, stand, legs, s, T_tip, keeps=settings.keep_rotation)
     wanted = _wanted_speed(path, s, settings)
     speed = timed(s, T_tip, (s[rows], q_track), wanted, limits, joint_bounds(arm, limits))
     slow = int(np.argmin(speed))
@@ -135,6 +138,7 @@ def plan_path(
             consequence="Nothing is moved",
             cure="Round its corners more (--blend), smooth it (armsight path smooth), or give a wider weave",
         )
+    fastest_m_s, fastest = _fastest(arm, legs, s, T_tip, speed)
     slowed = f"{speed[slow] / MM:.1f} mm/s at {s[slow]:.3f} m" if speed[slow] < 0.99 * wanted[slow] else ""
     return PathPlan(
         approach=legs,
@@ -146,6 +150,8 @@ def plan_path(
         welds=_welds(path),
         rounded_m=rounded_m,
         slowest=slowed,
+        fastest_m_s=fastest_m_s,
+        fastest=fastest,
         check=check,
     )
 
@@ -168,28 +174,18 @@ def _in_world(path: TaughtPath, arm: Arm) -> Array:
 
 def _usable(path: TaughtPath, settings: PlaySettings, T_base_stand: RigidTransform) -> TaughtPath:
     """Return the path without rows at one place and with the rotations to run. Raises for jumps and too few rows."""
-    keep = [0] if len(path) else []
-    for row in range(1, len(path)):
-        if np.linalg.norm(path.xyz_m[row] - path.xyz_m[keep[-1]]) > SAME_M:
-            keep.append(row)
-        elif path.tags[row] and not path.tags[keep[-1]]:
-            keep[-1] = row
+    keep = distinct_rows(path)
     if len(keep) < 2:
         raise NotEnoughData(
             f"the path has {len(keep)} places", consequence="Nothing is moved", cure="Give at least two"
         )
-    T = path.T_world_tip[keep].copy()
     if settings.keep_rotation:
+        T = path.T_world_tip.copy()
         T[:, :3, :3] = T_base_stand.rotation.as_matrix()
-    kept = TaughtPath(
-        T_world_tip=T,
-        t_s=path.t_s[keep],
-        speed_m_s=path.speed_m_s[keep],
-        tags=tuple(path.tags[row] for row in keep),
-        parent=path.parent,
-    )
-    check_jumps(kept, keep)
-    return kept
+        path = replace(path, T_world_tip=T)
+    for jump in path_jumps(path):
+        raise Inconsistent(jump.text, consequence="Nothing is moved", cure=jump.cure)
+    return of_rows(path, keep)
 
 
 def _rounded(path: TaughtPath, settings: PlaySettings) -> tuple[Array, Array, float]:
@@ -265,18 +261,37 @@ def _woven(T: Array, s: Array, weave: Weave, welded: Array) -> Array:
     return out
 
 
-def _approach(stand: RigidTransform, start: RigidTransform, settings: PlaySettings) -> tuple[Leg, ...]:
+def _approach(stand: RigidTransform, start: RigidTransform, settings: PlaySettings, limits: Limits) -> tuple[Leg, ...]:
     """Return the legs from where the tip stands to the path's start, by way of a place before it on the tool's axis."""
     before = start * RigidTransform.from_translation([0.0, 0.0, -settings.retract_m])
-    speed = settings.approach_speed_m_s
+    speed = min(settings.approach_speed_m_s, SPEED_SHARE * limits.speed_m_s)
     legs = (Leg(stand, before, speed), Leg(before, start, speed))
     return tuple(leg for leg in legs if leg.length_m > SAME_M)
 
 
+def _fastest(arm: Arm, legs: tuple[Leg, ...], s: Array, T: Array, speed: Array) -> tuple[float, str]:
+    """Return the largest speed that tip or flange reach in m/s, and which of them where; lengths count no weave."""
+    ways = [(T, s, speed, "along it")]
+    for leg in legs:
+        at = np.linspace(0.0, leg.length_m, LEG_PLACES)
+        poses = np.array([leg.pose(place).as_matrix() for place in at])
+        ways.append((poses, at, np.full(LEG_PLACES, leg.speed_at(0.0)), "on the way to it"))
+    T_tool_flange = arm.T_flange_tool.inv().as_matrix()
+    found = []
+    for poses, at, allowed, where in ways:
+        for name, xyz in (("tip", poses[:, :3, 3]), ("flange", (poses @ T_tool_flange)[:, :3, 3])):
+            per_m = np.linalg.norm(np.gradient(xyz, at, axis=0), axis=1)
+            found.append((float((allowed * per_m).max()), f"the {name}, {where}"))
+    return max(found, key=lambda one: round(one[0], 6))  # where both are as fast, the tip along the path is told
+
+
 def _checked(
-    arm: Arm, limits: Limits, stand: Array, legs: tuple[Leg, ...], s: Array, T: Array
+    arm: Arm, limits: Limits, stand: Array, legs: tuple[Leg, ...], s: Array, T: Array, *, keeps: bool
 ) -> tuple[PathCheck, Array, Array]:
-    """Return the check of all that is run, and readings (k, n) at the track's rows (k,). Raises Inconsistent."""
+    """Return the check of all that is run, and readings (k, n) at the track's rows (k,). Raises Inconsistent.
+
+    keeps: whether the tool's rotation is kept already.
+    """
     every = max(1, min(int(CHECK_M / (s[1] - s[0])), 8))
     rows = np.unique(np.append(np.arange(0, len(s), every), len(s) - 1))
     poses, parts = [], []
@@ -286,7 +301,7 @@ def _checked(
         parts += [f"on the way to the path (leg {k + 1})"] * count
     n = len(poses)
     whole = TaughtPath.of_poses(RigidTransform.from_matrix(np.array([*poses, *T[rows]])), parent="base")
-    check = check_path(whole, arm, limits, speed_m_s=limits.speed_m_s, start=stand)
+    check = check_path(whole, arm, limits, speed_m_s=limits.speed_m_s, start=stand, taught=False)
     for issue in check.issues:
         if issue.trouble in SLOWED:
             continue
@@ -294,7 +309,8 @@ def _checked(
         raise Inconsistent(
             f"{arm.name} cannot run it: {issue.trouble.value} {where}: {issue.text}",
             consequence="Nothing is moved",
-            cure="Move the path or the arm's stand, or keep the tool's rotation (--keep-rotation)",
+            cure="Move the path or the arm's stand"
+            + ("" if keeps else ", or keep the tool's rotation (--keep-rotation)"),
         )
     _check_branch(check, arm, stand)
     return check, np.asarray(check.q[n:]), rows
