@@ -46,8 +46,8 @@ class CommandUI:
     """One command's way to the person: used as a context manager round its work.
 
     Everything for people goes to stderr. With as_json, stdout carries one JSON object and nothing else: the result,
-    or {"error": {...}}. Errors end the program with their exit code. Ctrl-C ends work at its next step where it asks for
-    it, else at once, with exit code 130; until_stopped: it has no other end, which is then a good one.
+    or {"error": {...}}. Errors end the program with their exit code. Ctrl-C ends work at its next step where it
+    asks for it, else at once, with exit code 130; until_stopped: it has no other end, which is then a good one.
     """
 
     def __init__(self, *, as_json: bool, until_stopped: bool = False) -> None:
@@ -107,7 +107,7 @@ class CommandUI:
             return
         if isinstance(error, KeyboardInterrupt | typer.Abort):
             error = Cancelled("before it was done", consequence="What was not yet written stays as it was")
-        if isinstance(error, OSError) and error.filename is not None or isinstance(error, MemoryError):
+        if (isinstance(error, OSError) and error.filename is not None) or isinstance(error, MemoryError):
             error = _refused_by_system(error)
         if isinstance(error, ArmsightError):
             self._tell(error, as_json=self._as_json)
@@ -247,7 +247,9 @@ def _refusal(error: ArmsightError) -> str:
 def _refused_by_system(error: OSError | MemoryError) -> ArmsightError:
     """Return what the system said of a file, or of memory, as an error with a cure."""
     if isinstance(error, MemoryError):
-        return DataRefused("there is not enough memory", consequence="Nothing was done", cure="Give fewer or smaller data")
+        return DataRefused(
+            "there is not enough memory", consequence="Nothing was done", cure="Give fewer or smaller data"
+        )
     name = str(error.filename)
     name = name if len(name) <= LONGEST_SHOWN else f"{name[:LONGEST_SHOWN]}..."
     if error.errno == errno.ENAMETOOLONG:

@@ -139,7 +139,6 @@ def plan_path(
             cure="Round its corners more (--blend), smooth it (armsight path smooth), or give a wider weave",
         )
     fastest_m_s, fastest = _fastest(arm, legs, s, T_tip, speed)
-    slowed = f"{speed[slow] / MM:.1f} mm/s at {s[slow]:.3f} m" if speed[slow] < 0.99 * wanted[slow] else ""
     return PathPlan(
         approach=legs,
         track=Track(T_tip, s, speed),
@@ -149,7 +148,7 @@ def plan_path(
         speed_m_s=speed,
         welds=_welds(path),
         rounded_m=rounded_m,
-        slowest=slowed,
+        slowest=f"{speed[slow] / MM:.1f} mm/s at {s[slow]:.3f} m" if speed[slow] < 0.99 * wanted[slow] else "",
         fastest_m_s=fastest_m_s,
         fastest=fastest,
         check=check,

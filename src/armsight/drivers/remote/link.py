@@ -23,7 +23,7 @@ BEATS = 5.0
 
 
 class Link:
-    """A connection to a robot server, for several threads. The events that the server tells without being asked are kept.
+    """A connection to a robot server, for several threads. Events that the server tells unasked are kept.
 
     Where the server has a line for stops, that is opened besides: stop and beat go by both ways.
     """
