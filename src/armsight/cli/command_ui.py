@@ -107,7 +107,9 @@ class CommandUI:
             return
         if isinstance(error, KeyboardInterrupt | typer.Abort):
             error = Cancelled("before it was done", consequence="What was not yet written stays as it was")
-        if isinstance(error, OSError) and error.filename is not None or isinstance(error, MemoryError):
+        if isinstance(error, MemoryError) or (
+            isinstance(error, OSError) and (error.filename is not None or error.errno == errno.ENOENT)
+        ):
             error = _refused_by_system(error)
         if isinstance(error, ArmsightError):
             self._tell(error, as_json=self._as_json)
@@ -119,8 +121,8 @@ class CommandUI:
     def _tell(self, error: ArmsightError, *, as_json: bool) -> None:
         head = "stopped" if isinstance(error, Cancelled) else "error"
         style = "bold red" if self.console.is_terminal else ""
-        text = visible(str(error)).removeprefix("stopped ")
-        self.console.print(f"{head}: {text}", style=style, soft_wrap=True)
+        text = visible(str(error))
+        self.console.print(text if text.startswith(head) else f"{head}: {text}", style=style, soft_wrap=True)
         if as_json:
             with contextlib.suppress(DeviceFailed):  # nobody reads: the exit code tells
                 _print_json(_refusal(error))
@@ -247,8 +249,10 @@ def _refusal(error: ArmsightError) -> str:
 def _refused_by_system(error: OSError | MemoryError) -> ArmsightError:
     """Return what the system said of a file, or of memory, as an error with a cure."""
     if isinstance(error, MemoryError):
-        return DataRefused("there is not enough memory", consequence="Nothing was done", cure="Give fewer or smaller data")
-    name = str(error.filename)
+        return DataRefused(
+            "there is not enough memory", consequence="Nothing was done", cure="Give fewer or smaller data"
+        )
+    name = "the folder that you are in" if error.filename is None else str(error.filename)
     name = name if len(name) <= LONGEST_SHOWN else f"{name[:LONGEST_SHOWN]}..."
     if error.errno == errno.ENAMETOOLONG:
         return UsageError(f"the name is too long for this disk: {name}", cure="Give a shorter one")

@@ -21,7 +21,19 @@ from armsight.cli.examples import add_examples
 from armsight.cli.identify import identify
 from armsight.cli.join import join
 from armsight.cli.kinematics import convert_arm, kinematics
-from armsight.cli.options import MOST_FRAMES, SRC, AsJson, Bits, Fps, Inverted, Limit, OutFolder, Seed, Strict, Threshold
+from armsight.cli.options import (
+    MOST_FRAMES,
+    SRC,
+    AsJson,
+    Bits,
+    Fps,
+    Inverted,
+    Limit,
+    OutFolder,
+    Seed,
+    Strict,
+    Threshold,
+)
 from armsight.cli.path import path
 from armsight.cli.play import play
 from armsight.cli.record import record

@@ -30,25 +30,26 @@ from armsight.cli import main
 main()
 """
 CRASHES = """
-import armsight.kinematics.presets as presets
+import armsight.app.kinematics as kinematics
 
-def preset(*_):
+def fail(*_):
     raise ZeroDivisionError("odd \\udcff")
 
-presets.preset = preset
+kinematics.write_poses_of_joints = fail
 from armsight.cli import main
 main()
 """
 
 
 def shell(folder: Path, command: str, **environment: str) -> subprocess.CompletedProcess[bytes]:
-    """Run `armsight ...`, `interrupted NAME ...` as a shell does, in a folder with joints.csv."""
+    """Run `armsight ...` or `python ...` as a shell does, in a folder with joints.csv."""
     (folder / "joints.csv").write_text(JOINTS)
     script = (
-        f"armsight() {{ '{sys.executable}' -m armsight \"$@\"; }}\n"
-        f"python() {{ '{sys.executable}' \"$@\"; }}\n{command}"
+        f"armsight() {{ '{sys.executable}' -m armsight \"$@\"; }}\npython() {{ '{sys.executable}' \"$@\"; }}\n{command}"
     )
-    source = str(Path(armsight.__file__).parents[1])  # where PYTHONPATH is relative, another folder has another armsight
+    source = str(
+        Path(armsight.__file__).parents[1]
+    )  # where PYTHONPATH is relative, another folder has another armsight
     env = {**os.environ, "PYTHONPATH": source, "ARMSIGHT_LOG_FOLDER": str(folder / "logs"), **environment}
     done = subprocess.run(["bash", "-c", script], cwd=folder, env=env, capture_output=True, check=False)
     assert b"Traceback" not in done.stderr, done.stderr.decode(errors="replace")
