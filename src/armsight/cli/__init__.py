@@ -2,6 +2,7 @@
 
 import os
 import sys
+from pathlib import Path
 from typing import TextIO
 
 
@@ -28,14 +29,14 @@ def main() -> None:
 
 def discard(stream: TextIO) -> None:
     """Let what waits for a stream that takes nothing go nowhere, or Python would try it again at its end."""
-    with open(os.devnull, "wb") as nowhere:
+    with Path(os.devnull).open("wb") as nowhere:
         os.dup2(nowhere.fileno(), stream.fileno())
 
 
 def _open_streams() -> None:
-    """Open the standard streams that the caller closed: else the next file has their number, and gets what is printed."""
+    """Open the standard streams that the caller closed: else the next file has their number, and what is printed."""
     for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
         if getattr(sys, name) is None:
             while os.open(os.devnull, os.O_RDWR) < number:
                 pass
-            setattr(sys, name, open(number, mode, encoding="utf-8", closefd=False))
+            setattr(sys, name, os.fdopen(number, mode, encoding="utf-8", closefd=False))

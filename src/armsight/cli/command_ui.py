@@ -46,8 +46,8 @@ class CommandUI:
     """One command's way to the person: used as a context manager round its work.
 
     Everything for people goes to stderr. With as_json, stdout carries one JSON object and nothing else: the result,
-    or {"error": {...}}. Errors end the program with their exit code. Ctrl-C ends work at its next step where it asks for
-    it, else at once, with exit code 130; until_stopped: it has no other end, which is then a good one.
+    or {"error": {...}}. Errors end the program with their exit code. Ctrl-C ends work with exit code 130: at its next
+    step where it asks for that, else at once; until_stopped: the work has no other end, which is then a good one.
     """
 
     def __init__(self, *, as_json: bool, until_stopped: bool = False) -> None:

@@ -30,7 +30,10 @@ class DeviceLock:
         consequence: str = "Two programs cannot read one camera: each would miss the other's frames",
         cure: str = "Stop the other program, or choose another camera",
     ) -> None:
-        """folder: of the file that tells others, named by key where the device's name is no file's; consequence and cure: what a second holder is told."""
+        """folder: of the file that tells others, named by key where the device's name is no file's.
+
+        consequence and cure: what a second holder is told.
+        """
         self._device, self._key = device, key or device
         self._consequence, self._cure = consequence, cure
         self._folder = folder or Path(tempfile.gettempdir())

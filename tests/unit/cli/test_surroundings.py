@@ -69,6 +69,7 @@ def shell(folder: Path, command: str, **environment: str) -> subprocess.Complete
         (f"armsight {FK} -o $(printf 'x%.0s' $(seq 300)).csv", 2),
         (f"mkfifo pipe && armsight {FK} --joints pipe", 3),
         (f"mkfifo pipe && armsight {FK} -o pipe", 4),
+        ("mkfifo pipe && armsight calibrate tooltip --poses joints.csv -o pipe", 2),
         ("armsight simulate webcam-cell --frames 1000000000 -o cell", 2),
         (f"TERM=dumb COLUMNS=60 NO_COLOR=1 LANG=C armsight {FK}", 0),
         (f"python -O -m armsight {FK}", 0),
