@@ -32,7 +32,7 @@ def read_file(path: Path, *, limit: int) -> bytes:
 
 
 def readable(text: str) -> str:
-    """Return text that UTF-8 can hold: what the locale could not decode of a name is decoded, or its letters lost."""
+    """Return text that UTF-8 can hold: names of files that the locale could not decode are, or lose their letters."""
     try:
         text.encode("utf-8")
     except UnicodeEncodeError:

@@ -34,7 +34,7 @@ def discard(stream: TextIO) -> None:
 
 
 def _open_streams() -> None:
-    """Open the standard streams that the caller closed: else the next file gets their number, and what is printed."""
+    """Open the standard streams that the caller closed: else the next file has their number, and what is printed."""
     for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
         if getattr(sys, name) is None:
             while os.open(os.devnull, os.O_RDWR) < number:

@@ -46,8 +46,8 @@ class CommandUI:
     """One command's way to the person: used as a context manager round its work.
 
     Everything for people goes to stderr. With as_json, stdout carries one JSON object and nothing else: the result,
-    or {"error": {...}}. Errors end the program with their exit code. Ctrl-C ends work at its next step where it
-    asks for it, else at once, with exit code 130; until_stopped: it has no other end, which is then a good one.
+    or {"error": {...}}. Errors end the program with their exit code. Ctrl-C ends work with exit code 130: at its next
+    step where it asks for that, else at once; until_stopped: the work has no other end, which is then a good one.
     """
 
     def __init__(self, *, as_json: bool, until_stopped: bool = False) -> None:
@@ -107,7 +107,9 @@ class CommandUI:
             return
         if isinstance(error, KeyboardInterrupt | typer.Abort):
             error = Cancelled("before it was done", consequence="What was not yet written stays as it was")
-        if (isinstance(error, OSError) and error.filename is not None) or isinstance(error, MemoryError):
+        if isinstance(error, MemoryError) or (
+            isinstance(error, OSError) and (error.filename is not None or error.errno == errno.ENOENT)
+        ):
             error = _refused_by_system(error)
         if isinstance(error, ArmsightError):
             self._tell(error, as_json=self._as_json)
@@ -119,8 +121,8 @@ class CommandUI:
     def _tell(self, error: ArmsightError, *, as_json: bool) -> None:
         head = "stopped" if isinstance(error, Cancelled) else "error"
         style = "bold red" if self.console.is_terminal else ""
-        text = visible(str(error)).removeprefix("stopped ")
-        self.console.print(f"{head}: {text}", style=style, soft_wrap=True)
+        text = visible(str(error))
+        self.console.print(text if text.startswith(head) else f"{head}: {text}", style=style, soft_wrap=True)
         if as_json:
             with contextlib.suppress(DeviceFailed):  # nobody reads: the exit code tells
                 _print_json(_refusal(error))
@@ -250,7 +252,7 @@ def _refused_by_system(error: OSError | MemoryError) -> ArmsightError:
         return DataRefused(
             "there is not enough memory", consequence="Nothing was done", cure="Give fewer or smaller data"
         )
-    name = str(error.filename)
+    name = "the folder that you are in" if error.filename is None else str(error.filename)
     name = name if len(name) <= LONGEST_SHOWN else f"{name[:LONGEST_SHOWN]}..."
     if error.errno == errno.ENAMETOOLONG:
         return UsageError(f"the name is too long for this disk: {name}", cure="Give a shorter one")

@@ -83,10 +83,11 @@ def keep_inputs(app: typer.Typer, *, in_place: Collection[str] = ()) -> None:
         for command in [] if one is None else one.registered_commands:
             name = f"{prefix} {command.name or getattr(command.callback, '__name__', '')}".strip().replace("_", "-")
             if command.callback is not None and name not in in_place:
-                command.callback = _keeping_inputs(command.callback)
+                command.callback = _keeping_inputs(command.callback, one_file=prefix != "calibrate")
 
 
-def _keeping_inputs(command: Callable[..., Any]) -> Callable[..., Any]:
+def _keeping_inputs(command: Callable[..., Any], *, one_file: bool) -> Callable[..., Any]:
+    """one_file: the command writes nothing beside its output, which may be a device or a pipe then."""
     if "out" not in inspect.signature(command).parameters:
         return command
 
@@ -99,6 +100,12 @@ def _keeping_inputs(command: Callable[..., Any]) -> Callable[..., Any]:
                         _refuse_inputs(Path(out).parent, (Path(out).name,), given)
                     if not Path(out).exists() or Path(out).is_file() or Path(out).is_dir():
                         held.enter_context(_written_once(Path(out)))
+                    elif not one_file:
+                        raise UsageError(
+                            f"{out} is a device or a pipe, and reports are written beside the result",
+                            consequence="Nothing was done",
+                            cure="Give a file (-o)",
+                        )
             return command(**given)
 
     return run

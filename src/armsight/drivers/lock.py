@@ -32,7 +32,7 @@ class DeviceLock:
     ) -> None:
         """folder: of the file that tells others, named by key where the device's name is no file's.
 
-        consequence, cure: what a second holder is told.
+        consequence and cure: what a second holder is told.
         """
         self._device, self._key = device, key or device
         self._consequence, self._cure = consequence, cure

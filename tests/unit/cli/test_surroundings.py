@@ -30,19 +30,19 @@ from armsight.cli import main
 main()
 """
 CRASHES = """
-import armsight.kinematics.presets as presets
+import armsight.app.kinematics as kinematics
 
-def preset(*_):
+def fail(*_):
     raise ZeroDivisionError("odd \\udcff")
 
-presets.preset = preset
+kinematics.write_poses_of_joints = fail
 from armsight.cli import main
 main()
 """
 
 
 def shell(folder: Path, command: str, **environment: str) -> subprocess.CompletedProcess[bytes]:
-    """Run `armsight ...`, `interrupted NAME ...` as a shell does, in a folder with joints.csv."""
+    """Run `armsight ...` or `python ...` as a shell does, in a folder with joints.csv."""
     (folder / "joints.csv").write_text(JOINTS)
     script = (
         f"armsight() {{ '{sys.executable}' -m armsight \"$@\"; }}\npython() {{ '{sys.executable}' \"$@\"; }}\n{command}"
@@ -69,6 +69,7 @@ def shell(folder: Path, command: str, **environment: str) -> subprocess.Complete
         (f"armsight {FK} -o $(printf 'x%.0s' $(seq 300)).csv", 2),
         (f"mkfifo pipe && armsight {FK} --joints pipe", 3),
         (f"mkfifo pipe && armsight {FK} -o pipe", 4),
+        ("mkfifo pipe && armsight calibrate tooltip --poses joints.csv -o pipe", 2),
         ("armsight simulate webcam-cell --frames 1000000000 -o cell", 2),
         (f"TERM=dumb COLUMNS=60 NO_COLOR=1 LANG=C armsight {FK}", 0),
         (f"python -O -m armsight {FK}", 0),
