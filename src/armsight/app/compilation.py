@@ -186,10 +186,13 @@ def identify() -> None:
 
 
 def motion() -> None:
-    """Compile the filter of a moving target and its smoother."""
+    """Compile the filter of a moving target, its smoother, and the check of a run of single views."""
+    from armsight.measure.consistency.moving import check_motion
     from armsight.measure.motion.estimate import MotionFilter, Start, smooth
     from armsight.measure.motion.states import View
+    from armsight.measure.poses.setup import Setup
     from armsight.optics import Camera, PackedRig, parallel_rig
+    from armsight.records import spot_target
 
     rig = parallel_rig(Camera.pinhole(*SIZE, 500.0, 500.0, 320.0, 240.0), 0.1)
     lights = np.array([[-0.05, 0.0, 0.0], [0.05, 0.04, 0.0], [0.03, -0.04, 0.0]])
@@ -202,7 +205,10 @@ def motion() -> None:
         for n in range(4)
     ]
     packed, covariance = PackedRig.of(rig), 1e-6 * np.eye(6)
-    smooth(packed, lights, views, [Start(view=0, T=T, covariance=covariance)], np.array([-0.01, 0.015]))
+    starts = [Start(view=0, T=T, covariance=covariance)]
+    smooth(packed, lights, views, starts, np.array([-0.01, 0.015]))
+    setup = Setup(rig, spot_target({"A": lights[0], "B": lights[1], "C": lights[2]}))
+    check_motion(setup, views, starts, np.ones(len(views)))
     follower = MotionFilter.begin(packed, lights, 0.0, T, covariance)
     for view in views:
         follower = follower.add(view)
