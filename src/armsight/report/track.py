@@ -150,7 +150,15 @@ def _bars(x: Array, low: Array, high: Array, **more: Any) -> dict[str, Any]:
     """Return an upright bar from low to high at each x (n,)."""
     gap = np.full_like(x, np.nan)
     xs, ys = np.stack([x, x, gap], axis=1).ravel(), np.stack([low, high, gap], axis=1).ravel()
-    return {"type": "scatter", "x": xs, "y": ys, "mode": "lines", "line": {"color": BAND, "width": 4}, "hoverinfo": "skip", **more}
+    return {
+        "type": "scatter",
+        "x": xs,
+        "y": ys,
+        "mode": "lines",
+        "line": {"color": BAND, "width": 4},
+        "hoverinfo": "skip",
+        **more,
+    }
 
 
 def _marks_below(t_s: Array, k: int) -> list[dict[str, Any]]:

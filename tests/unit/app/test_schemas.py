@@ -226,8 +226,8 @@ KEYS: dict[type[Output], tuple[str, str]] = {
         "",
     ),
     OUTPUTS["play"]: (
-        "state n_cycles late missed stopped_by finished share length_m planned_fastest_m_s planned_s took_s slowest rounded_m measured "
-        "outside holds recording",
+        "state n_cycles late missed stopped_by finished share length_m planned_fastest_m_s planned_s took_s "
+        "slowest rounded_m measured outside holds recording",
         "",
     ),
     play.PlayMeasuredOutput: ("n rms_m max_m last_m mean_m arm_lag_s n_doubtful n_position_only n_lost", ""),
