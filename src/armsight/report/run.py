@@ -42,7 +42,8 @@ class MeasureRun:
     minus projected u, v in px. samples: images to show. truth: the true pose per frame, in the same frame.
     facts: more lines for the table of inputs. error: why the run ended early. consistency: what the check of the
     residuals says, as measure.json holds it; empty where there was none, or verdict, sentence and advice alone. timed:
-    whether the times of the frames are known and not assumed. stills: whether they are single shots, with no track. T_parent_rig: where the cameras are in the parent frame.
+    whether the times of the frames are known and not assumed. stills: whether they are single shots, with no track.
+    T_parent_rig: where the cameras are in the parent frame.
     """
 
     poses: Sequence[TargetPose]
