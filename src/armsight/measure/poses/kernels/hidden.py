@@ -147,7 +147,7 @@ def compare_view(outlines, sigma, mean, d, found):
         if n == 2:  # of two lights the smaller one
             wider = 0.0
         doubt = ODD_SIGMAS * sigma[i]
-        if narrower > ODD_PX + doubt or (wider > ODD_PX + doubt and sigma[i] <= COMPARABLE_PX):
+        if max(narrower, wider) > ODD_PX + doubt:
             found[i, 2] = 1.0
         elif max(narrower, wider) > ODD_PX + LITTLE_PX:
             found[i, 2] = IN_ONE_VIEW
