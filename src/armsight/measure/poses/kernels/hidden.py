@@ -31,6 +31,9 @@ ODD_SIGMAS = 3.0
 """The same in one view, and standard deviations of its centre on top, against each other light, from which it is no
 light like the others: one composite in 265. One that is so in both views is not, however little is claimed of its
 centre: LITTLE_PX on top."""
+TOUCHED_SIGMAS = 4.0
+"""The same for the excess of a light whose centre claims COMPARABLE_PX or worse, so that something may touch it: of 19
+such lights of composites beyond, 11 are off by 4 to 22 of their standard deviations; of 10 between 3 and 4, one."""
 LITTLE_PX = 0.15
 IN_ONE_VIEW = 0.5
 UNEVEN = 0.32
@@ -38,7 +41,7 @@ UNEVEN = 0.32
 brightness differ by 0.26."""
 COMPARABLE_PX = 0.3
 """Standard deviation of a centre above which a light's own outline is in doubt, as where something bright touches it:
-the others are not compared with it, and it is not taken for wider than it knows."""
+the others are not compared with it."""
 BLUR_PX2 = 1.0
 """Square of the part of a radius that does not shrink with distance: the lens's blur and the pixel."""
 
@@ -152,7 +155,8 @@ def compare_view(outlines, sigma, mean, d, found):
         if n == 2:  # of two lights the smaller one
             wider = 0.0
         doubt = ODD_SIGMAS * sigma[i]
-        if max(narrower, wider) > ODD_PX + doubt:
+        touched = TOUCHED_SIGMAS * sigma[i] if sigma[i] > COMPARABLE_PX else doubt
+        if narrower > ODD_PX + doubt or wider > ODD_PX + touched:
             found[i, 2] = 1.0
         elif max(narrower, wider) > ODD_PX + LITTLE_PX:
             found[i, 2] = IN_ONE_VIEW
