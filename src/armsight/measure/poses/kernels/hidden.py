@@ -32,9 +32,9 @@ ODD_SIGMAS = 3.0
 light like the others: one composite in 265. One that is so in both views is not, however little is claimed of its
 centre: LITTLE_PX on top."""
 LARGER = 2.0
-"""Ratio of its size to each other one's from which a light whose centre claims COMPARABLE_PX or worse is wider by itself,
-and not by what is bright beside it: of 11 such lights of composites, 2.4 and more, all are off by more than 4 of their
-standard deviations; of the 19 others that look wider, 1.3 at the most, one is."""
+"""Ratio of its size to each other one's from which a light whose centre claims COMPARABLE_PX or worse is wider by
+itself, and not by what is bright beside it: of 11 such lights of composites, 2.4 and more, all are off by more than 4
+of their standard deviations; of the 19 others that look wider, 1.3 at the most, one is."""
 LITTLE_PX = 0.15
 IN_ONE_VIEW = 0.5
 UNEVEN = 0.32
