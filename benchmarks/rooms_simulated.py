@@ -326,7 +326,7 @@ def write_image(path: Path, frame: Frame) -> None:
 def run_rows(title: str, cell: Cell, folder: Path) -> None:
     """Run the command on the folder and print its pace, its share of tracked pairs and its errors."""
     command(folder, folder / "start", ["--frames", "5"])
-    start_s, _ = command(folder, folder / "start", ["--frames", "5"])
+    start_s, _ = command(folder, folder / "start", ["--frames", "5", "--overwrite"])
     seconds, summary = command(folder, folder / "out", [])
     errors = pose_errors(cell, folder / "out")
     tracked, cpu_ms = tracked_share(cell, folder)

@@ -100,6 +100,33 @@ def test_a_light_cut_off_a_little_makes_the_pose_as_uncertain_as_it_makes_it_wro
         assert found.pose.status is not PoseStatus.OK or mahalanobis2(found) < WITHIN
 
 
+@pytest.mark.parametrize(("light", "angle", "share"), [(0, 1.6, 0.85), (0, 4.7, 0.85), (2, 4.7, 0.85)])
+def test_what_both_views_lack_a_little_makes_the_pose_more_uncertain(
+    light: int, angle: float, share: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cut = {light: (angle, share * RADIUS_PX)}
+    assert mahalanobis2(measured((cut, cut))) < WITHIN
+    monkeypatch.setattr(hidden.kernels, "compare_lights", lambda *_: int(hidden.kernels.NO_DOUBT))
+    assert mahalanobis2(measured((cut, cut))) > WITHIN
+
+
+def test_a_light_taken_together_with_what_touches_it_is_left_out_however_little_it_claims_to_know() -> None:
+    rng = np.random.default_rng(0)
+    found = measured()
+    images = [draw(uv, np.full(3, 180.0), {}, rng) for uv in RIG.project(POSE.apply(XYZ))]
+    at = np.array(found.right.uv_px)
+    at[0] += [8.0, 0.0]
+    y, x = np.mgrid[0:480, 0:640]
+    images[1][np.hypot(x - at[0, 0], y - at[0, 1]) < 13.0] = 180
+    cov, size = np.array(found.right.covariance_px2), np.array(found.right.size_px)
+    cov[0], size[0] = 0.57**2 * np.eye(2), 13.0
+    right = replace(found.right, uv_px=at, covariance_px2=cov, size_px=size)
+    solved = hidden.solve_spots(SETUP, 0.0, found.names, found.left, found.right)
+    frames = tuple(Frame(image=image, t_s=0.0, sequence=0, source="drawn") for image in images)
+    _, out = hidden.compare(SETUP, solved, found.left, right, frames)
+    assert out[:, :, hidden.kernels.ODD].any(axis=0).tolist() == [True, False, False]
+
+
 def test_a_light_that_an_edge_reaches_on_a_track_is_left_out_and_the_track_goes_on() -> None:
     track = None
     for k in range(3):
