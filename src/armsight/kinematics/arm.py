@@ -137,6 +137,12 @@ class Arm(Saveable):
         points = [point.name for point in self.tool_points]
         if len(set(points)) != len(points):
             raise Inconsistent(f"names of tool points repeat: {', '.join(points)}", cure="Give each a name of its own")
+        if self.compliant and not any(joint.mass_kg for joint in self.joints):
+            raise Inconsistent(
+                f"joints of {self.name} have a compliance, and none of its links a mass_kg",
+                consequence="How far they give way under its weight is not known",
+                cure="Give the links' mass_kg and com_m, or leave compliance out",
+            )
         if self.down_in_base is not None:
             object.__setattr__(self, "down_in_base", _unit(self.down_in_base))
         chain = _chain(self)

@@ -164,8 +164,24 @@ class ArmModel:
         out[:, 1:] += p[6 * self.arm.n : 7 * self.arm.n - 1] * q[:, :-1]
         return out
 
-    def predict(self, p: Array, points: ArmPoints) -> tuple[Array, Array]:
-        """Return the tool's poses (m, 4, 4) and their derivative (m, 6, P), (dt, dw) in world axes."""
+    def give(self, p: Array) -> Array:
+        """Return (n,) by how much each joint gives way, rad per metre of lever of the weight it carries."""
+        nominal = np.array([joint.compliance for joint in self.arm.joints])
+        return np.asarray(p[7 * self.arm.n - 1 : self.n_geometry] + nominal * self.carried)
+
+    def lever_m(self, p: Array, points: ArmPoints) -> Array:
+        """Return (m, n) the lever in m by which what each joint carries turns it, where the arm rests."""
+        arm = self.arm_at(p, None)
+        torque = stand_in(arm).gravity_torque(arm.sagged(self.values(p, points.q)))
+        return np.asarray(torque / np.maximum(self.carried, LEAST_WEIGHT_N))
+
+    def predict(self, p: Array, points: ArmPoints, lever_m: Array | None = None) -> tuple[Array, Array]:
+        """Return the tool's poses (m, 4, 4) and their derivative (m, 6, P), (dt, dw) in world axes.
+
+        lever_m: (m, n) to hold the levers at; the derivative is then exact, and a fit settles.
+        """
+        lever = self.lever_m(p, points) if lever_m is None else lever_m
+        rest = self.values(p, points.q) + self.give(p) * lever
         n, g = self.arm.n, self.n_geometry
         T = np.empty((len(points), 4, 4))
         J = np.zeros((len(points), 6, len(p)))
@@ -176,20 +192,16 @@ class ArmModel:
         arm = self.arm_at(p, None)
         for k in range(len(self.labels)):
             rows = np.flatnonzero(which == k)
-            q = arm.sagged(self.values(p, points.q[rows]))
+            q = rest[rows]
             T[rows], own = parameter_jacobian(replace(arm, T_flange_tool=self.pose(p, k + 1)), q)
             J[rows, :, : 5 * n] = own[:, :, : 5 * n]
             turn = own[:, :, drive]  # (m, 6, n)
             J[rows, :, 5 * n : 6 * n] = turn * (sign * q)[:, None, :]
             J[rows, :, 6 * n : 7 * n - 1] = turn[:, :, 1:] * (scaled[1:] * points.q[rows][:, :-1])[:, None, :]
-            J[rows, :, 7 * n - 1 : g] = turn * (scaled * self.lever_m(arm, q))[:, None, :]
+            J[rows, :, 7 * n - 1 : g] = turn * (scaled * lever[rows])[:, None, :]
             J[rows, :, g : g + 6] = own[:, :, 5 * n : 5 * n + 6]
             J[rows, :, g + 6 * (k + 1) : g + 6 * (k + 2)] = own[:, :, 5 * n + 6 :]
         return T, J
-
-    def lever_m(self, arm: Arm, q: Array) -> Array:
-        """Return (m, n) the lever in m by which what each joint carries turns it, at its value in rows q (m, n)."""
-        return np.asarray(stand_in(arm).gravity_torque(q) / np.maximum(self.carried, LEAST_WEIGHT_N))
 
     def _which(self, points: ArmPoints) -> NDArray[np.intp]:
         """Return (m,) which of the tool's points each row is of."""
@@ -206,9 +218,11 @@ class ArmModel:
         tools[:, :3, :3], tools[:, :3, 3] = Rotation.from_rotvec(mounts[:, 3:]).as_matrix(), mounts[:, :3]
         return _errors(T @ tools[self._which(points)], points)
 
-    def evaluate(self, p: Array, points: ArmPoints, sigma_m: float, sigma_rad: float) -> Evaluation:
-        """Return whitened residuals and Jacobian; one block of three or six rows per measurement."""
-        T, J = self.predict(p, points)
+    def evaluate(
+        self, p: Array, points: ArmPoints, sigma_m: float, sigma_rad: float, lever_m: Array | None = None
+    ) -> Evaluation:
+        """Return whitened residuals and Jacobian; one block of three or six rows a measurement; lever_m as predict."""
+        T, J = self.predict(p, points, lever_m)
         place, turn = _errors(T, points)
         r = place / sigma_m
         slopes = J[:, :3] / sigma_m
