@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics.convention import Convention, distal_rows
-from armsight.kinematics.joint import Joint, JointType
+from armsight.kinematics.joint import Coupling, Joint, JointType
 from armsight.kinematics.kernels.chain import one_pose
 from armsight.kinematics.kernels.gravity import many_torques, settle_under_weight
 from armsight.records import (
@@ -46,15 +46,6 @@ SAME_DIRECTION = 1e-12
 
 GRAVITY_M_S2 = 9.80665
 """Standard gravity; it differs by 0.3 % over the earth, which no compliance is known to."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Coupling:
-    """A controller's reading that is not the joint's own: value of joint = its reading + share * reading of by."""
-
-    joint: str
-    by: str
-    share: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -1,4 +1,4 @@
-"""One joint of an arm and the link behind it."""
+"""One joint of an arm and the link behind it, and how its reading may hang on another's."""
 
 from __future__ import annotations
 
@@ -103,3 +103,12 @@ class Joint:
                 )
         com_m = frozen_array(f"com_m of joint {self.name}", self.com_m, (3,))
         object.__setattr__(self, "com_m", tuple(com_m.tolist()))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Coupling:
+    """A controller's reading that is not the joint's own: value of joint = its reading + share * reading of by."""
+
+    joint: str
+    by: str
+    share: float = 1.0

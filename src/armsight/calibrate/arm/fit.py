@@ -98,7 +98,7 @@ def fit_arm(
             fixed=fixed,
             priors=priors,
             loss=loss,
-            evaluate=lambda q, _, s=sigma, held=lever: model.evaluate(q, points, *s, held),  # type: ignore[misc]
+            evaluate=lambda q, _, s=sigma, held=lever: model.evaluate(q, points, s[0], s[1], held),  # type: ignore[misc]
             retract=model.retract,
             local_guess=np.zeros((1, 0)),
         )
