@@ -133,7 +133,7 @@ def _proposal(job: ArmJob, result: ArmCalibration, points: ArmPoints) -> Proposa
 
 
 def _write_urdf(path: Path, arm: Arm) -> Path | None:
-    """Write the arm as a URDF; return its path, None where joint scales or couplings have no place in one.
+    """Write the arm as a URDF; return its path, None where joint scales, sag or couplings have no place in one.
 
     An earlier run's URDF is deleted then: it is of another arm than the arm.yaml beside it.
     """
