@@ -219,10 +219,9 @@ class Arm(Saveable):
             return np.array([0.0, 0.0, -1.0])
         return np.asarray(self.T_world_base.as_matrix()[:3, :3] @ self.down_in_base)
 
-    def based(self, T_world_base: RigidTransform | None = None) -> Arm:
-        """Return the arm with its base elsewhere in other world axes (None: at their origin), upright as it was."""
-        T = RigidTransform.identity() if T_world_base is None else T_world_base
-        return replace(self, T_world_base=T, down_in_base=self.base_down)
+    def based(self) -> Arm:
+        """Return the arm with its base as the world; what falls still falls along the same line in it."""
+        return replace(self, T_world_base=RigidTransform.identity(), down_in_base=self.base_down)
 
     @property
     def base_down(self) -> Array:
