@@ -128,6 +128,7 @@ class Arm(Saveable):
         points = [point.name for point in self.tool_points]
         if len(set(points)) != len(points):
             raise Inconsistent(f"names of tool points repeat: {', '.join(points)}", cure="Give each a name of its own")
+        self.found["compliant"] = any(joint.compliance > 0.0 for joint in self.joints)
         if self.compliant and not any(joint.mass_kg for joint in self.joints):
             raise Inconsistent(
                 f"joints of {self.name} have a compliance, and none of its links a mass_kg",
@@ -193,7 +194,7 @@ class Arm(Saveable):
     @property
     def compliant(self) -> bool:
         """Whether a joint gives way under the arm's weight."""
-        return any(joint.compliance > 0.0 for joint in self.joints)
+        return bool(self.found["compliant"])
 
     @property
     def direct(self) -> bool:
@@ -203,7 +204,8 @@ class Arm(Saveable):
     def values(self, readings: ArrayLike) -> Array:
         """Return the joints' own values (n,) or (m, n) of a controller's readings at rest; raises as `checked`."""
         readings = self.checked(readings)
-        return self.sagged(readings @ self.gearing.T if self.couplings else readings)
+        driven = readings @ self.gearing.T if self.couplings else readings
+        return self.sagged(driven) if self.compliant else driven
 
     def readings(self, q: ArrayLike) -> Array:
         """Return what the controller shows, (n,) or (m, n), where the joints' values are q and the arm rests."""
