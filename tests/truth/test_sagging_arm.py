@@ -129,3 +129,12 @@ def test_a_stiff_arm_gains_no_compliance(seed: int) -> None:
     result = calibrated(seed, 0.0, nominal=with_masses())
     assert not result.arm.compliant
     assert not [name for name in result.free if name.endswith(".sag")]
+
+
+@pytest.mark.parametrize(("off_m", "told"), [(9e-3, False), (25e-3, True)])
+def test_links_of_a_soft_arm_bend_but_another_length_is_told(off_m: float, told: bool) -> None:
+    arm = with_masses()
+    wrong = tuple(replace(joint, d_m=joint.d_m + off_m * (k == 4)) for k, joint in enumerate(arm.joints))
+    result = calibrated(0, 6e-4, nominal=replace(arm, joints=wrong), zero_rad=2e-3)
+    assert (result.other_arm is not None) == told
+    assert result.gain != told
