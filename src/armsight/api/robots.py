@@ -395,5 +395,5 @@ def calibrate_arm(
     positions, readings = checked_array("xyz_m", xyz_m, (None, 3)), checked_array("q", q, (None, nominal.n))
     point = require_texts("point", point)
     turned = None if rotation is None else as_rotations(rotation, "rotation", len(positions))
-    points = ArmPoints(q=nominal.values(readings), xyz_m=positions, rotation=turned, point=tuple(point))
+    points = ArmPoints(q=readings @ nominal.gearing.T, xyz_m=positions, rotation=turned, point=tuple(point))
     return ArmResult(detail=solve_arm(nominal, points))

@@ -109,7 +109,7 @@ def _reported(job: JoinJob, arm: Arm | None) -> Reported:
     if found.q is None or found.q.shape[1] != arm.n:
         count = 0 if found.q is None else found.q.shape[1]
         raise UsageError(f"{job.joints} has {count} joints, {arm.name} has {arm.n}", cure="Give the log of this arm")
-    return replace(found, q=found.q @ arm.gearing.T) if arm.couplings else found
+    return found if arm.direct else replace(found, q=arm.values(found.q))
 
 
 def _inverse(measured: Measured) -> Measured:

@@ -282,11 +282,11 @@ def write_formulas(arm: str, out: Path) -> FormulasOutput:
     suffix = out.suffix.lower()
     if suffix not in (".py", ".tex"):
         raise UsageError(f"{out.name} ends in neither .py nor .tex", cure="Choose one of them")
-    if model.couplings:
+    if not model.direct:
         raise Inconsistent(
-            f"the readings of {', '.join(c.joint for c in model.couplings)} are coupled to other joints'",
+            f"the joints of {model.name} are not where its controller shows them: readings are coupled, or joints sag",
             consequence="The formulas, which are of the joints' own values, would be taken for those of the readings",
-            cure="Leave `coupled` out of a copy of the arm file, and give the formulas the joints' own values",
+            cure="Leave `coupled` and `compliance` out of a copy of the file; give the formulas the joints' own values",
         )
     write_text(out, python_source(model) if suffix == ".py" else latex_source(model))
     return FormulasOutput(arm=model.name, file=str(out))

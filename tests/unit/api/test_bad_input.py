@@ -205,6 +205,8 @@ NAMES = Arg(good=None, wrong={"one text": "ABCDEFGHIJKL", "numbers": [1, 2], "to
 TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
     "Arm.values": (ARM.values, {"readings": JOINT_VALUES}),
     "Arm.readings": (ARM.readings, {"q": JOINT_VALUES}),
+    "Arm.sagged": (ARM.sagged, {"q": JOINT_VALUES}),
+    "Arm.gravity_torque": (ARM.gravity_torque, {"q": JOINT_VALUES}),
     "Arm.checked": (ARM.checked, {"q": JOINT_VALUES}),
     "Arm.fk": (ARM.fk, {"q": JOINT_VALUES}),
     "Arm.jacobian": (ARM.jacobian, {"q": JOINT_VALUES, "axes": choice("world")}),
@@ -250,6 +252,9 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "sign": number(1.0, percent=100.0),
             "max_speed": number(1.0),
             "stall_effort": number(1.0),
+            "compliance": number(0.0, negative=-1e-3),
+            "mass_kg": number(0.0, negative=-1.0),
+            "com_m": array((0.0, 0.1, 0.2)),
         },
     ),
     "Arm": (
@@ -266,6 +271,7 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
             "covariance": Arg(good=None, wrong={"an array": np.eye(3)}),
             "couplings": Arg(good=(), wrong={"texts": ("j1", "j2"), "a number": 3}),
             "tool_points": Arg(good=(), wrong={"texts": ("A",), "a number": 3}),
+            "down_in_base": array((0.0, 0.0, -1.0), more={"not of unit length": (0.0, 0.0, -9.8)}),
         },
     ),
     "LightTarget": (

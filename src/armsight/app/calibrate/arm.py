@@ -133,7 +133,7 @@ def _proposal(job: ArmJob, result: ArmCalibration, points: ArmPoints) -> Proposa
 
 
 def _write_urdf(path: Path, arm: Arm) -> Path | None:
-    """Write the arm as a URDF; return its path, None where joint scales or couplings have no place in one.
+    """Write the arm as a URDF; return its path, None where joint scales, sag or couplings have no place in one.
 
     An earlier run's URDF is deleted then: it is of another arm than the arm.yaml beside it.
     """
@@ -146,9 +146,9 @@ def _write_urdf(path: Path, arm: Arm) -> Path | None:
 
 
 def _measurements(arm: Arm, path: Path, format_: TableFormat) -> ArmPoints:
-    """Return points.csv with the controller's readings turned into the joints' own values."""
+    """Return points.csv with the controller's coupled readings parted into what each joint is driven to."""
     points = read_arm_points(path, format_.of_joints([joint.name for joint in arm.joints]))
-    return replace(points, q=arm.values(points.q)) if arm.couplings else points
+    return replace(points, q=points.q @ arm.gearing.T) if arm.couplings and points.q.shape[1] == arm.n else points
 
 
 def _in_view(rig: Rig, world: World) -> Any:
@@ -253,7 +253,8 @@ def _zero_covariance(result: ArmCalibration, names: Sequence[str]) -> Array:
 def run_calibrate_world(arm: str, points: Path, out: Path, format_: TableFormat = OURS) -> RobotWorldOutput:
     """Find where the rig stands to the arm's base, write world.yaml; return the figures. Raises DataRefused."""
     model = load_arm(arm)
-    result = calibrate_world(model, _measurements(model, points, format_))
+    driven = _measurements(model, points, format_)
+    result = calibrate_world(model, replace(driven, q=model.sagged(driven.q)) if model.compliant else driven)
     n_used = len(result.residual_m) - len(result.rejected)
     world = World(
         parent="base",
