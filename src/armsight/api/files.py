@@ -1,41 +1,87 @@
-"""Files by path: what is in them as records, and records into them."""
+"""Files by path: what is in them as records, and records into them; the name's ending and the content decide."""
 
 from __future__ import annotations
 
-from os import PathLike
+from collections.abc import Mapping, Sequence
+from os import PathLike, fspath
+from pathlib import Path
 from types import NoneType
-from typing import TYPE_CHECKING
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from armsight import store
 from armsight.api.arrays import Array, as_path
-from armsight.api.tracks import PoseTrack
+from armsight.api.given import Given, as_table, speaks_python
+from armsight.api.runs import Columns, read_columns
+from armsight.api.tracks import TUM_SUFFIXES, PoseTrack
+from armsight.app.calibrate.zoom import fix_camera, fix_rig
+from armsight.app.convert import convert_camera, convert_handeye, convert_poses, convert_rig, load_camera, load_rig, load_tum
+from armsight.app.kinematics import convert_arm
+from armsight.app.record.export import export
+from armsight.app.schemas.base import Output
+from armsight.app.schemas.files import ExportOutput, RepairOutput
+from armsight.app.tables import convert_table
+from armsight.control.guard import Limits
 from armsight.errors import UsageError
-from armsight.records import require_kind
-from armsight.store import arm_file, path_file
+from armsight.kinematics import Arm
+from armsight.optics import Camera, Rig
+from armsight.records import Motion, Progress, Target, TaughtPath, require_kind, require_number
+from armsight.store import arm_file, limits_file, path_file, write_text
+from armsight.store.foreign import FrameNames
+from armsight.store.handeye_file import HandEyeFile, TipFile, read_handeye, read_tip
+from armsight.store.interpret import OURS, TableFormat
+from armsight.store.recording import Recording, cut
+from armsight.store.saving import file_to_write
 from armsight.store.urdf import read_urdf
+from armsight.store.worlds import World
+from armsight.store.yamls import read_yaml
 
-if TYPE_CHECKING:
-    from armsight.kinematics import Arm
-    from armsight.optics import Camera, Rig
-    from armsight.records import Target, TaughtPath
-    from armsight.store.recording import Recording
-
-PathText = str | PathLike[str]
+PathText: TypeAlias = str | PathLike[str]
+Kind = Literal["camera", "rig", "handeye", "arm", "poses", "table", "recording"]
 
 FRAMES = ("world", "base")
 """Frames that a path.csv may be said to be in."""
+RIG_KEYS = {"cam1", "cameraMatrix2", "M2", "K2", "R", "T"}
+"""Of these each says that a file of another program is of two cameras."""
 
 
-def read_rig(path: PathText) -> Rig:
-    """Return the rig in a rig.yaml. Raises BadFile, naming the key."""
-    return store.read_rig(as_path(path))
+@speaks_python
+def read_rig(
+    path: PathText | Sequence[PathText],
+    *,
+    size: tuple[int, int] | None = None,
+    unit_m: float = 1.0,
+    zoom_left: float | None = None,
+    zoom_right: float | None = None,
+) -> Rig:
+    """Return the rig in a rig.yaml, or in a file of OpenCV or Kalibr, or in the two files of ROS or OpenCV.
+
+    size (width, height) and unit_m (length of its unit): of an OpenCV file that leaves them open. zoom_left,
+    zoom_right: of a rig with zoom lenses, where they stand. Raises BadFile, naming the key.
+    """
+    require_number("unit_m", unit_m)
+    files = [as_path(path)] if isinstance(path, str | PathLike) or not isinstance(path, Sequence) else [*map(as_path, path)]
+    if zoom_left is None and zoom_right is None:
+        return load_rig(files, size=_size(size), unit_m=unit_m)
+    with Given(name="rig.yaml") as given:
+        fix_rig(files[0], given.out, (zoom_left, zoom_right))
+        return store.read_rig(given.out)
 
 
-def read_camera(path: PathText) -> Camera:
-    """Return the camera in a camera.yaml. Raises BadFile, naming the key."""
-    return store.read_camera(as_path(path))
+@speaks_python
+def read_camera(path: PathText, *, size: tuple[int, int] | None = None, zoom: float | None = None) -> Camera:
+    """Return the camera in a camera.yaml, or in a file of ROS, OpenCV or Kalibr. Raises BadFile, naming the key.
+
+    size (width, height): of an OpenCV file that leaves it open. zoom: of a zoom lens, where it stands.
+    """
+    if zoom is None:
+        return load_camera(as_path(path), size=_size(size))
+    require_number("zoom", zoom)
+    with Given(name="camera.yaml") as given:
+        fix_camera(as_path(path), given.out, zoom)
+        return store.read_camera(given.out)
 
 
 def read_target(path: PathText) -> Target:
@@ -43,6 +89,7 @@ def read_target(path: PathText) -> Target:
     return store.read_target(as_path(path))
 
 
+@speaks_python
 def read_arm(path: PathText, *, tip: str | None = None, base: str | None = None) -> Arm:
     """Return the arm in an arm.yaml or a URDF. Raises BadFile, naming the key or the element.
 
@@ -58,12 +105,20 @@ def read_arm(path: PathText, *, tip: str | None = None, base: str | None = None)
     return arm_file.read_arm(file)
 
 
-def read_poses(path: PathText) -> PoseTrack:
-    """Return the poses in a poses.csv. Raises BadFile, naming line and column."""
-    return PoseTrack(poses=store.read_poses(as_path(path)))
+@speaks_python
+def read_poses(path: PathText, *, table: TableFormat = OURS) -> PoseTrack:
+    """Return the poses in a poses.csv, in TUM (.tum, .txt), or in a table that says what its columns are.
+
+    table: what a foreign table leaves open. Raises BadFile, naming line and column.
+    """
+    require_kind("table", table, TableFormat)
+    file = as_path(path)
+    if file.suffix.lower() in TUM_SUFFIXES and table is OURS:
+        return PoseTrack(poses=tuple(load_tum(file)))
+    return PoseTrack(poses=store.read_poses(file, format_=table))
 
 
-def read_path(path: PathText, *, frame: str = "world") -> TaughtPath:
+def read_path(path: PathText, *, frame: Literal["world", "base"] = "world") -> TaughtPath:
     """Return the path in a path.csv, its poses in frame world or base. Raises BadFile, naming line and column."""
     if frame not in FRAMES:
         raise UsageError(
@@ -72,17 +127,194 @@ def read_path(path: PathText, *, frame: str = "world") -> TaughtPath:
     return path_file.read_path(as_path(path), parent=frame)
 
 
-def read_joints(path: PathText) -> tuple[Array, Array]:
-    """Return times (n,) in s and joint values (n, m) in rad and m of a joints.csv. Raises BadFile."""
-    motion = store.read_joints(as_path(path))
+@speaks_python
+def read_joints(path: PathText, *, table: TableFormat = OURS) -> tuple[Array, Array]:
+    """Return times (n,) in s and joint values (n, m) in rad and m of a joints.csv. Raises BadFile.
+
+    table: what a foreign table leaves open.
+    """
+    require_kind("table", table, TableFormat)
+    motion = store.read_joints(as_path(path), table)
     return np.asarray(motion.t_s), np.asarray(motion.q)
+
+
+def write_joints(path: PathText, t_s: ArrayLike, q: ArrayLike) -> Path:
+    """Write joints.csv of times (n,) and values (n, m), and return its path. Raises UsageError, Inconsistent."""
+    file = file_to_write(path, ".csv")
+    store.write_joints(file, Motion(t_s=t_s, q=q))  # type: ignore[arg-type]  # the record makes arrays of them
+    return file
+
+
+@speaks_python
+def read_table(path: PathText, *, kind: str | None = None, table: TableFormat = OURS) -> Columns:
+    """Return any table (points, spots, pairs, sweeps, a robot's log) as columns by name, in our names and units.
+
+    kind: joints, poses, points, pairs, robot_poses or sweep; else that which the columns can be. table: what it leaves
+    open. Raises UsageError, BadFile.
+    """
+    require_kind("kind", kind, str, NoneType)
+    require_kind("table", table, TableFormat)
+    with Given(name="table.csv") as given:
+        convert_table(as_path(path), given.out, kind=kind, format_=table)
+        return read_columns(given.out.read_bytes())
+
+
+def write_table(path: PathText, columns: Mapping[str, Any] | ArrayLike) -> Path:
+    """Write columns by name (a DataFrame), (t_s, q), (t_s, T), q or T as CSV, and return its path."""
+    file = file_to_write(path, ".csv")
+    write_text(file, as_table("columns", columns))
+    return file
+
+
+def read_world(path: PathText) -> World:
+    """Return where a rig stands, from a world.yaml. Raises BadFile, naming the key."""
+    return store.read_world(as_path(path))
+
+
+def read_hand_eye(path: PathText) -> HandEyeFile:
+    """Return where a camera and its target are, from a handeye.yaml. Raises BadFile, naming the key."""
+    return read_handeye(as_path(path))
+
+
+def read_tool_tip(path: PathText) -> TipFile:
+    """Return where a tool's tip is, from a tip.yaml. Raises BadFile, naming the key."""
+    return read_tip(as_path(path))
+
+
+def read_limits(path: PathText) -> Limits:
+    """Return what the guard keeps, from a limits.yaml. Raises BadFile, naming the key."""
+    return limits_file.read_limits(as_path(path))
 
 
 def open_recording(path: PathText) -> Recording:
     """Return a recording (.mcap) open for reading: use it as a context manager. Raises BadFile.
 
-    `cameras` names its cameras, `frames(camera)` yields frames with image and t_s, `poses()` and `joints()` the rest.
+    `cameras` names its cameras, `frames(camera)` yields frames with image and t_s, `poses()` and `joints()` the rest;
+    `rig` and `target` are those recorded with it.
     """
-    from armsight.store.recording import Recording
-
     return Recording(as_path(path))
+
+
+@speaks_python
+def cut_recording(
+    path: PathText, out: PathText, start_s: float, end_s: float, *, overwrite: bool = False
+) -> RepairOutput:
+    """Copy what was recorded from start_s to end_s, with rig and target, into a new recording.
+
+    Raises BadFile, NotEnoughData where nothing was recorded then, UsageError.
+    """
+    require_number("start_s", start_s)
+    require_number("end_s", end_s)
+    source, file = as_path(path), file_to_write(out, ".mcap")
+    with Recording(source) as recording:
+        ends = [recording.origin_ns + round(1e9 * t_s) for t_s in (start_s, end_s)]
+    done = cut(source, file, ends[0], ends[1], overwrite=overwrite)
+    return RepairOutput(
+        file=str(file),
+        messages=done.messages,
+        duration_s=done.seconds_s,
+        lost_bytes=done.lost_bytes,
+        damaged_chunks=done.damaged_chunks,
+    )
+
+
+@speaks_python
+def export_recording(
+    path: PathText, out: PathText, *, to: Literal["files", "rosbag2"] = "files", progress: Progress | None = None
+) -> ExportOutput:
+    """Write a recording's content as PNG folders and tables, its poses as .csv or .tum, or all as a bag of ROS 2.
+
+    out: a folder, or a .csv or .tum. Raises BadFile, NotEnoughData, UsageError.
+    """
+    return export(as_path(path), as_path(out, "out"), to=to, progress=progress)
+
+
+@speaks_python
+def convert(
+    source: Any,
+    out: PathText | Sequence[PathText],
+    *,
+    to: str | None = None,
+    kind: Kind | None = None,
+    size: tuple[int, int] | None = None,
+    unit_m: float = 1.0,
+    convention: Literal["standard", "craig"] | None = None,
+    names: FrameNames | None = None,
+    table: TableFormat = OURS,
+) -> Output:
+    """Write a record or a file of one kind as a file of another program, or the other way round.
+
+    Parameters
+    ----------
+    source
+        A Camera, Rig, Arm, PoseTrack or hand-eye result; or a file, or the two files of ROS or OpenCV.
+    out
+        The file; for a rig of ROS left, right, and maybe a launch file of TF.
+    to
+        Cameras and rigs: armsight, ros, opencv, kalibr, colmap; hand-eye: easy_handeye, easy_handeye2, tf;
+        recordings: files, rosbag2. Arms, poses and tables by the name's ending.
+    kind
+        What it is, where the file does not tell.
+    size, unit_m
+        Of an OpenCV file that leaves them open.
+    convention
+        Of an arm.yaml.
+    names
+        Of frames in TF.
+    table
+        What a foreign table leaves open.
+
+    Raises
+    ------
+    BadFile, UsageError
+        Not a file of this kind, or no such conversion.
+
+    Examples
+    --------
+    >>> camera = armsight.Camera.pinhole(640, 480, 500.0, 500.0, 320.0, 240.0)
+    >>> armsight.convert(camera, folder / "info.yaml", to="ros").target
+    'ros'
+    >>> armsight.read_camera(folder / "info.yaml").width
+    640
+    """
+    with Given() as given:
+        many = isinstance(source, list | tuple)
+        sources = [given.file("source", one) for one in (source if many else [source])]
+        outs = [as_path(one, "out") for one in (out if isinstance(out, list | tuple) else [out])]
+        chosen = kind or _kind(source, sources)
+        if chosen == "rig":
+            return convert_rig(sources, outs, to=to, size=_size(size), unit_m=unit_m)
+        if chosen == "camera":
+            return convert_camera(sources[0], outs[0], to=to, size=_size(size))
+        if chosen == "arm":
+            return convert_arm(fspath(sources[0]), outs[0], convention=convention)
+        if chosen == "handeye":
+            return convert_handeye(sources[0], outs[0], to=to or "", names=names or FrameNames())
+        if chosen == "recording":
+            return export(sources[0], outs[0], to=to or "files")
+        if chosen == "poses" and {path.suffix.lower() for path in (sources[0], outs[0])} & set(TUM_SUFFIXES):
+            return convert_poses(sources[0], outs[0])
+        return convert_table(sources[0], outs[0], kind=None if chosen == "table" else chosen, format_=table)
+
+
+def _kind(source: object, files: Sequence[Path]) -> str:
+    """Return which kind of thing is converted, by its content."""
+    if isinstance(source, Rig) or len(files) > 1:
+        return "rig"
+    suffix = files[0].suffix.lower()
+    if suffix == ".mcap":
+        return "recording"
+    if suffix == ".urdf":
+        return "arm"
+    if suffix not in (".yaml", ".yml"):
+        return "poses" if suffix in TUM_SUFFIXES or isinstance(source, PoseTrack) else "table"
+    content = read_yaml(files[0])
+    if not isinstance(content, Mapping):
+        return "table"
+    name = str(content.get("format", "")).removeprefix("armsight/")
+    return name if name in ("camera", "rig", "handeye", "arm") else "rig" if RIG_KEYS & set(content) else "camera"
+
+
+def _size(size: tuple[int, int] | None) -> tuple[int, int] | None:
+    require_kind("size", size, tuple, list, NoneType, cure="Give (width, height)")
+    return None if size is None else (int(size[0]), int(size[1]))

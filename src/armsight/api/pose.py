@@ -54,7 +54,7 @@ def LightTarget(
     return spot_target(dict(lights_m), diameter_m=diameter_m, colour=colour, covariance=covariance)
 
 
-def find_spots(image: ImageLike, settings: SpotSettings = DEFAULTS) -> Spots:
+def find_spots(image: ImageLike, settings: SpotSettings = DEFAULTS, *, bits: int | None = None) -> Spots:
     """Return all spots of light in an image, searched without prior.
 
     Parameters
@@ -63,6 +63,8 @@ def find_spots(image: ImageLike, settings: SpotSettings = DEFAULTS) -> Spots:
         uint8 (h, w) grey or (h, w, 3) BGR, or an image file's path.
     settings
         Threshold, mask, colour and sizes of the search.
+    bits
+        Of the light in uint16 arrays and 16-bit files, such as 12.
 
     Returns
     -------
@@ -78,7 +80,7 @@ def find_spots(image: ImageLike, settings: SpotSettings = DEFAULTS) -> Spots:
         The settings' mask has another size.
     """
     require_kind("settings", settings, SpotSettings, cure="Give SpotSettings(...)")
-    return detection.find_spots(as_image(image), settings)
+    return detection.find_spots(as_image(image, bits=bits), settings)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)

@@ -145,6 +145,17 @@ class Recording:
         except ValueError as error:
             raise record_reader.damaged(self.path, span, str(error)) from error
 
+    @property
+    def rig(self) -> Rig:
+        """The rig recorded with it. Raises NotEnoughData where none was."""
+        return rig_from_mapping(parse_yaml(self.attachment("rig.yaml"), f"{self.path}: rig.yaml"), str(self.path))
+
+    @property
+    def target(self) -> Target:
+        """The target recorded with it. Raises NotEnoughData where none was."""
+        content = parse_yaml(self.attachment("target.yaml"), f"{self.path}: target.yaml")
+        return target_from_mapping(content, str(self.path))
+
     def messages(self, topics: Iterable[str] | None = None) -> Iterator[Recorded]:
         """Yield the messages of the given topics (None: of all) as they stand in the file. Raises BadFile."""
         wanted = None if topics is None else frozenset(topics)

@@ -1,0 +1,396 @@
+"""Hand-eye and tool tip."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import RigidTransform
+
+from armsight.api.arrays import Array, Poses, as_poses
+from armsight.api.given import Given, PathText, RigLike, Source, TableLike, TargetLike, speaks_python
+from armsight.api.results import Result, Row, error_figure, pose_rows, with_std
+from armsight.app.calibrate.handeye import HandEyeJob, Solved, handeye_output, solve_handeye, tip_output
+from armsight.app.calibrate.pivot import PivotJob, find_tip
+from armsight.calibrate.handeye import (
+    HandEye,
+    PosePairs,
+    Proposal,
+    Setup,
+    calibrate_eye_in_hand,
+    calibrate_eye_to_hand,
+    propose,
+    verdict,
+)
+from armsight.calibrate.tooltip import GOOD_ENOUGH_M, MeasuredPoint, TipCalibration, calibrate_tooltip
+from armsight.drivers import CameraSettings
+from armsight.errors import Inconsistent
+from armsight.geometry import euler_rad
+from armsight.optics import Camera
+from armsight.records import Progress, Target, checked_array, one_of, require_count, require_number, require_texts
+from armsight.store.handeye_file import write_handeye, write_tip
+from armsight.store.interpret import TableFormat
+from armsight.store.saving import YAML, file_to_write
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class HandEyeResult(Result):
+    """Where the camera is on the arm (or beside it), and how far to believe it. detail: everything else.
+
+    solved: what it came from beyond pairs: of images those without a board, of streams the offset of their clocks.
+    """
+
+    detail: HandEye
+    solved: Solved | None = None
+
+    @property
+    def T_flange_camera(self) -> Array:
+        """Pose of the camera on the flange (4, 4). Raises Inconsistent for a camera that is not on the arm."""
+        return self._pose(Setup.EYE_IN_HAND, "T_flange_camera")
+
+    @property
+    def T_base_target(self) -> Array:
+        """Pose of the target in the base (4, 4). Raises Inconsistent for a target that is on the arm."""
+        return self._pose(Setup.EYE_IN_HAND, "T_base_target")
+
+    @property
+    def T_base_camera(self) -> Array:
+        """Pose of the camera in the base (4, 4). Raises Inconsistent for a camera that is on the arm."""
+        return self._pose(Setup.EYE_TO_HAND, "T_base_camera")
+
+    @property
+    def T_flange_target(self) -> Array:
+        """Pose of the target on the flange (4, 4). Raises Inconsistent for a target that is not on the arm."""
+        return self._pose(Setup.EYE_TO_HAND, "T_flange_target")
+
+    @property
+    def std(self) -> dict[str, float]:
+        """Standard deviations of the camera's pose: x_m, y_m, z_m, rx_rad, ry_rad, rz_rad."""
+        return self.detail.std("camera")
+
+    @property
+    def rejected(self) -> tuple[tuple[str, str], ...]:
+        """(row, why) of the pairs that were left out."""
+        return self.detail.rejected
+
+    @property
+    def left_out_rms_m(self) -> float:
+        """Error of the target's place in pairs that were left out of the fit, RMS, m."""
+        return self.detail.loo_rms_m
+
+    @property
+    def left_out_rms_rad(self) -> float:
+        """Error of its rotation in pairs left out, RMS, rad."""
+        return self.detail.loo_rms_rad
+
+    @property
+    def camera(self) -> Camera | None:
+        """The camera that was freed and kept; None where none was."""
+        return None if self.solved is None else self.solved.freed
+
+    @property
+    def time_offset_s(self) -> float | None:
+        """Of two streams: what turns the camera's times into the robot's; None else."""
+        return None if self.solved is None or self.solved.offset is None else self.solved.offset.offset_s
+
+    def propose(self, n: int, reachable: Callable[[RigidTransform], bool] | None = None) -> tuple[Proposal, ...]:
+        """Return the n next poses to drive to: T_base_flange, and the standard deviation to expect after it.
+
+        reachable: tells whether the robot can go to a T_base_flange. Raises Inconsistent where no pose is left.
+        """
+        require_count("n", n, least=1)
+        return propose(self.detail, n, reachable)
+
+    @property
+    def verdict(self) -> str:
+        """Whether the result can be trusted."""
+        return verdict(self.detail)
+
+    @property
+    def title(self) -> str:
+        """What it is, in a few words."""
+        where = "T_flange_camera" if self.detail.setup is Setup.EYE_IN_HAND else "T_base_camera"
+        return f"Hand-eye ({self.detail.setup}): {where} from {self.detail.n_used} of {len(self.detail.pairs)} pairs"
+
+    def rows(self) -> list[Row]:
+        """Return the camera's pose with standard deviations, residuals and the verdict."""
+        found = self.detail
+        T = found.T_parent_camera
+        values = [*np.asarray(T.translation).tolist(), *euler_rad(T.rotation).tolist()]
+        return [
+            *pose_rows(dict(zip(self.std, values, strict=True)), self.std),
+            ("left-out error", f"{1e3 * found.loo_rms_m:.3g} mm, {np.rad2deg(found.loo_rms_rad):.3g} deg RMS"),
+            *((f"rejected {name}", why) for name, why in self.rejected[:5]),
+            ("verdict", self.verdict),
+            *(("advice", text) for text in found.advice),
+        ]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the figures as `armsight calibrate handeye --json` gives them."""
+        of = self.solved
+        return handeye_output(self.detail, of.unseen if of else (), offset=of.offset if of else None).to_dict()
+
+    def save(self, path: str | PathLike[str]) -> Path:
+        """Write handeye.yaml and return its path."""
+        file = file_to_write(path, *YAML)
+        write_handeye(file, self.detail, self.verdict)
+        return file
+
+    def plot(self) -> go.Figure:
+        """Return a plotly figure of each pair's error of place, mm."""
+        return error_figure(self.title, np.linalg.norm(self.detail.residuals[:, :3], axis=1), self.detail.pairs.names)
+
+    def _pose(self, setup: Setup, name: str) -> Array:
+        if self.detail.setup is not setup:
+            raise Inconsistent(
+                f"{name} belongs to {setup}, and this calibration is {self.detail.setup}",
+                cure="Give setup='eye-to-hand' for a camera beside the arm, 'eye-in-hand' for one on it",
+            )
+        camera = name.endswith("camera")
+        return np.asarray((self.detail.T_parent_camera if camera else self.detail.T_parent_target).as_matrix())
+
+
+def calibrate_hand_eye(
+    T_base_flange: Poses,
+    T_camera_target: Poses,
+    *,
+    setup: Literal["eye-in-hand", "eye-to-hand"] | Setup = "eye-in-hand",
+    names: Sequence[str] | None = None,
+) -> HandEyeResult:
+    """Return where the camera is, from poses of the robot and of the target at the same moments, row by row.
+
+    Parameters
+    ----------
+    T_base_flange
+        N poses (n, 4, 4) in m, or RigidTransform: the flange in the robot's base, as its controller says.
+    T_camera_target
+        N poses alike: the target in the camera's frame.
+    setup
+        The camera is on the arm ('eye-in-hand') or beside it ('eye-to-hand').
+    names
+        Of the rows, for messages.
+
+    Raises
+    ------
+    NotEnoughData
+        Fewer rows than the answer has directions.
+    Degenerate
+        Too little turning, or about one axis only.
+    Inconsistent
+        Wrong units, inverted poses, or rows that do not belong together.
+    NotConverged
+        The fit found no answer.
+    """
+    robot, camera = as_poses(T_base_flange, "T_base_flange"), as_poses(T_camera_target, "T_camera_target")
+    rows = require_texts("names", names) if names is not None else tuple(f"row {i}" for i in range(len(robot)))
+    pairs = PosePairs(T_base_flange=robot, T_camera_target=camera, names=rows)
+    calibrate = calibrate_eye_in_hand if one_of(Setup, "setup", setup) is Setup.EYE_IN_HAND else calibrate_eye_to_hand
+    return HandEyeResult(detail=calibrate(pairs))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class ToolTipResult(Result):
+    """Where the tool's end is in the axes of the turned frame. detail: everything else."""
+
+    detail: TipCalibration
+
+    @property
+    def tip_m(self) -> Array:
+        """The tip (3,) in the turned frame's axes."""
+        return self.detail.tip_m
+
+    @property
+    def point_m(self) -> Array:
+        """The point (3,) on which it rested, in the poses' parent frame."""
+        return self.detail.point_m
+
+    @property
+    def std(self) -> dict[str, float]:
+        """Standard deviations of the tip: x_m, y_m, z_m."""
+        return self.detail.std()
+
+    @property
+    def title(self) -> str:
+        """What it is, in a few words."""
+        return f"Tool tip from {self.detail.n_used} of {len(self.detail.used)} poses"
+
+    def rows(self) -> list[Row]:
+        """Return the tip's coordinates with standard deviations, and the residual."""
+        named = zip(self.std.items(), self.tip_m.tolist(), strict=True)
+        rows = [(name.removesuffix("_m"), with_std(value, std, "mm", scale=1e3)) for (name, std), value in named]
+        return [*rows, ("residual", f"{1e3 * self.detail.residual_rms_m:.3g} mm RMS")]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the figures as `armsight calibrate tooltip --json` gives them."""
+        return tip_output(self.detail).to_dict()
+
+    def save(self, path: str | PathLike[str]) -> Path:
+        """Write tip.yaml and return its path."""
+        file = file_to_write(path, *YAML)
+        write_tip(file, self.detail)
+        return file
+
+    def plot(self) -> go.Figure:
+        """Return a plotly figure of each pose's residual, mm."""
+        return error_figure(self.title, np.linalg.norm(self.detail.residuals_m, axis=1))
+
+
+def calibrate_tool_tip(
+    T_world_target: Poses,
+    covariances: ArrayLike | None = None,
+    *,
+    point_m: ArrayLike | None = None,
+    point_std_m: float = 0.0,
+    t_s: ArrayLike | None = None,
+) -> ToolTipResult:
+    """Return the tool's tip from poses of a frame that was turned about it while it rested on one point.
+
+    Parameters
+    ----------
+    T_world_target
+        N poses (n, 4, 4) in m, or RigidTransform.
+    covariances
+        (n, 6, 6) in m and rad, where known.
+    point_m
+        (3,) in m, where the tip rests in the world, if that was measured.
+    point_std_m
+        Standard deviation in m of one coordinate of point_m.
+    t_s
+        (n,) in s, where the poses are of one recording: how long their errors are alike is estimated, and they are
+        weighed and believed by it.
+
+    Raises
+    ------
+    NotEnoughData
+        Too few poses.
+    Degenerate
+        Too little turning.
+    Inconsistent
+        The poses have no common point.
+    """
+    poses = as_poses(T_world_target, "T_world_target")
+    n = len(poses)
+    given = None if covariances is None else checked_array("covariances", covariances, (n, 6, 6))
+    times = None if t_s is None else checked_array("t_s", t_s, (n,))
+    require_number("point_std_m", point_std_m)
+    point = None
+    if point_m is not None:
+        point = MeasuredPoint(xyz_m=checked_array("point_m", point_m, (3,)), sigma_m=point_std_m)
+    return ToolTipResult(detail=calibrate_tooltip(poses, given, point, times))
+
+
+@speaks_python
+def calibrate_hand_eye_from_images(
+    images: Source,
+    T_base_flange: TableLike,
+    camera: Camera | PathText,
+    board: str | Target,
+    *,
+    setup: Literal["eye-in-hand", "eye-to-hand"] | Setup = "eye-in-hand",
+    free_camera: bool = False,
+    bits: int | None = None,
+    strict: bool = False,
+    workers: int | None = None,
+    table: TableFormat | None = None,
+    progress: Progress | None = None,
+) -> HandEyeResult:
+    """Return where the camera is, from its images of a printed board at known poses of the robot.
+
+    Parameters
+    ----------
+    images
+        As calibrate_camera takes them.
+    T_base_flange
+        Poses (n, 4, 4) in the order of the images, or robot_poses.csv.
+    camera
+        The camera that took them.
+    board
+        As calibrate_camera takes it.
+    free_camera
+        Refine the camera too, where images left out get better by it: `camera` of the result.
+
+    Raises
+    ------
+    NotEnoughData, Degenerate, Inconsistent, NotConverged
+        As calibrate_hand_eye; too few images with the board, or other counts of images and poses.
+    """
+    with Given(name="handeye.yaml") as given:
+        job = given.job(HandEyeJob, locals(), robot=T_base_flange, setup=one_of(Setup, "setup", setup))
+        solved = solve_handeye(job, progress)
+        return HandEyeResult(detail=solved.result, solved=solved)
+
+
+@speaks_python
+def calibrate_hand_eye_from_streams(
+    robot_stream: TableLike,
+    camera_stream: TableLike,
+    *,
+    setup: Literal["eye-in-hand", "eye-to-hand"] | Setup = "eye-in-hand",
+    clocks_within_s: float | None = None,
+    table: TableFormat | None = None,
+) -> HandEyeResult:
+    """Return where the camera is, from two streams of poses on clocks of their own.
+
+    Parameters
+    ----------
+    robot_stream
+        T_base_flange over time: (t_s, T), a PoseTrack or a file.
+    camera_stream
+        T_camera_target over time, alike.
+    clocks_within_s
+        By how much the clocks differ at most; else any offset is looked for.
+
+    Raises
+    ------
+    NotEnoughData, Degenerate, Inconsistent, NotConverged
+        As calibrate_hand_eye; streams that do not show one motion.
+    """
+    with Given(name="handeye.yaml") as given:
+        solved = solve_handeye(given.job(HandEyeJob, locals(), setup=one_of(Setup, "setup", setup)))
+        return HandEyeResult(detail=solved.result, solved=solved)
+
+
+@speaks_python
+def calibrate_pivot(
+    rig: RigLike,
+    target: TargetLike,
+    left: Source,
+    right: Source | None = None,
+    *,
+    goal_m: float = GOOD_ENOUGH_M,
+    point_m: ArrayLike | None = None,
+    point_std_m: float = 0.0,
+    camera_settings: CameraSettings | None = None,
+    progress: Progress | None = None,
+) -> ToolTipResult:
+    """Return the tip of a tool from frames while it pivots on a point, as soon as it is known well enough.
+
+    Parameters
+    ----------
+    rig, target
+        Records or files; the target is on the tool.
+    left, right
+        Frames, as `measure` takes them.
+    goal_m
+        Standard deviation of the tip's place at which to stop.
+    point_m, point_std_m
+        Where it rests in rig axes, if measured, and how well.
+
+    Raises
+    ------
+    NotEnoughData
+        The poses do not tell the tip.
+    """
+    with Given(name="tip.yaml") as given:
+        point = None if point_m is None else tuple(checked_array("point_m", point_m, (3,)).tolist())
+        return ToolTipResult(
+            detail=find_tip(given.job(PivotJob, locals(), point=point, sigma_m=point_std_m), progress)[1]
+        )

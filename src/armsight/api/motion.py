@@ -1,0 +1,428 @@
+"""Robots that move: servo, teach, play, jog; and emulated controllers to try it on.
+
+Nothing moves unasked: `confirm` is True, or a function that is given the motion in words and says whether it may begin.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import ConfigDict, Field
+
+from armsight.api.given import (
+    ArmLike,
+    Given,
+    PathText,
+    PlaceLike,
+    RigLike,
+    Source,
+    TableLike,
+    TargetLike,
+    as_text,
+    speaks_python,
+)
+from armsight.api.runs import ARRAYS
+from armsight.app.play.job import PlayJob
+from armsight.app.play.run import run_play
+from armsight.app.robot.jog import JogJob, jog_robot
+from armsight.app.robot.link_test import test_robot
+from armsight.app.robot.twin import run_twin
+from armsight.app.schemas.play import PlayOutput
+from armsight.app.schemas.robot import JogOutput, RobotTestOutput
+from armsight.app.schemas.servo import ServoOutput
+from armsight.app.schemas.teach import TeachOutput
+from armsight.app.servo.job import LATENCY_S, ServoDevices, ServoJob
+from armsight.app.servo.run import run_servo
+from armsight.app.sources.complex_images import complex_pairs
+from armsight.app.sources.frames import open_pairs, open_source
+from armsight.app.teach.following import teach_following
+from armsight.app.teach.job import PATH, TeachJob
+from armsight.app.teach.standing import StandingJob, teach_poses, teach_standing
+from armsight.clock import SystemClock
+from armsight.control.guard import Limits
+from armsight.drivers import CameraSettings, Robot
+from armsight.errors import ArmsightError, UsageError
+from armsight.records import Progress, TaughtPath, require_count, require_kind, require_number
+from armsight.store import read_rig
+from armsight.store.path_file import read_path
+from armsight.units import DEG
+
+Confirm = bool | Callable[[str], bool]
+"""Whether the arm may move: True, or what is asked with the motion in words."""
+RobotLike = str | Robot
+"""DRIVER:DEVICE, such as sim:webcam-cell or rtde:192.168.0.10; or a driver of one's own that keeps drivers.Robot."""
+
+
+class TeachResult(TeachOutput):
+    """What `teach` found: its figures, and `taught`, the path."""
+
+    model_config: ClassVar[ConfigDict] = ARRAYS
+    taught: Annotated[TaughtPath, Field(exclude=True, repr=False)]
+
+
+@speaks_python
+def servo(
+    robot: RobotLike,
+    rig: RigLike,
+    target: TargetLike,
+    handeye: PlaceLike,
+    *,
+    confirm: Confirm = False,
+    distance_m: float = 0.6,
+    at: Literal["camera", "tool"] = "camera",
+    gain: float | None = None,
+    rotation: Literal["align", "keep", "hold"] = "align",
+    predict: bool = True,
+    seconds_s: float | None = None,
+    left: str | None = None,
+    right: str | None = None,
+    image: str | None = None,
+    latency_s: float = LATENCY_S,
+    exposure_s: float | None = None,
+    arm: ArmLike | None = None,
+    limits: Limits | PathText | None = None,
+    speed: float = 1.0,
+    arm_lag_s: float | None = None,
+    resume_m: float = 0.02,
+    resume_rad: float = 5.0 * DEG,
+    hand: Literal["still", "circle", "trapezium", "random"] | None = None,
+    hand_speed_m_s: float = 0.05,
+    out: PathText | None = None,
+    progress: Progress | None = None,
+) -> ServoOutput:
+    """Let an arm follow a target that the cameras see, through the guard, and return what it came to.
+
+    Parameters
+    ----------
+    robot
+        DRIVER:DEVICE, or a driver of one's own. A simulated cell brings its cameras.
+    handeye
+        Where the cameras are: the result of calibrate_hand_eye, or handeye.yaml.
+    confirm
+        True, or a function that is told the motion and returns whether it may begin.
+    distance_m, at
+        Where the target is wanted: so far along the camera's or the tool's z axis.
+    gain
+        1/s; None: the largest without overshoot at the measured delay.
+    rotation
+        How the arm turns after the target.
+    predict
+        Go for where the target will be.
+    seconds_s
+        End after so long; else progress ends it.
+    left, right, image
+        Live cameras, 'camera:NAME'.
+    arm, limits, speed
+        The arm where the robot does not tell it, what the guard keeps, and the share of its speeds.
+    hand, hand_speed_m_s
+        How the target of a simulated cell is led.
+    out
+        A folder for servo.json and the recording.
+
+    Raises
+    ------
+    Cancelled
+        Not confirmed.
+    DataRefused, DeviceFailed, UsageError
+        Nothing was moved, or the arm was brought to rest.
+    """
+    with Given(out) as given:
+        job, devices = _servo_job(given, locals())
+        return run_servo(job, as_question(confirm), progress=progress, devices=devices)
+
+
+@speaks_python
+def teach(
+    rig: RigLike | None = None,
+    target: TargetLike | None = None,
+    left: Source | None = None,
+    right: Source | None = None,
+    *,
+    image: Source | None = None,
+    world: PlaceLike | None = None,
+    poses: TableLike | None = None,
+    robot: RobotLike | None = None,
+    handeye: PlaceLike | None = None,
+    confirm: Confirm = False,
+    tip: PlaceLike | None = None,
+    every: int = 1,
+    mean: bool = False,
+    path_speed_m_s: float | None = None,
+    seconds_s: float | None = None,
+    distance_m: float = 0.6,
+    at: Literal["camera", "tool"] = "camera",
+    gain: float | None = None,
+    rotation: Literal["align", "keep", "hold"] = "align",
+    latency_s: float = LATENCY_S,
+    exposure_s: float | None = None,
+    arm: ArmLike | None = None,
+    limits: Limits | PathText | None = None,
+    speed: float = 1.0,
+    arm_lag_s: float | None = None,
+    hand: Literal["still", "circle", "trapezium", "random"] | None = None,
+    hand_speed_m_s: float = 0.05,
+    out: PathText | None = None,
+    progress: Progress | None = None,
+) -> TeachResult:
+    """Return the path along which a target was led: before cameras that stand, before an arm that follows, or measured.
+
+    Parameters
+    ----------
+    rig, target, left, right, image
+        As `measure` takes them; with robot as `servo` does.
+    world
+        T_base_rig of cameras that stand.
+    poses
+        Instead of frames: poses that were measured, as `measure` returns them.
+    robot, handeye, confirm
+        The arm that follows, as `servo` takes them.
+    tip
+        The result of calibrate_tool_tip, or tip.yaml; else the target's origin.
+    every, mean
+        Frames per row of the path, and whether a row is their mean.
+    path_speed_m_s
+        Written into the path.
+    out
+        A folder for path.csv and teach.json.
+
+    Raises
+    ------
+    NotEnoughData
+        Less than two poses.
+    UsageError, DataRefused, DeviceFailed
+        As measure and servo.
+
+    Examples
+    --------
+    >>> cell = armsight.simulate("hand-cell", frames=4)
+    >>> seen = armsight.measure(cell.rig, cell.target, [f.left for f in cell], [f.right for f in cell])
+    >>> len(armsight.teach(poses=seen.poses).taught)
+    4
+    """
+    with Given(out) as given:
+        values = locals()
+        job = given.job(TeachJob, values)
+        if poses is not None:
+            placed = None if world is None else given.file("world", world)
+            done = teach_poses(job, given.file("poses", poses), world=placed)
+        elif rig is None or target is None:
+            raise UsageError("rig and target are needed", consequence="Nothing is taught", cure="Give them, or poses")
+        elif robot is None:
+            done = teach_standing(job, given.job(StandingJob, values), progress)
+        elif handeye is None:
+            raise UsageError("handeye is needed", consequence="Nothing is taught", cure="Give it with the robot")
+        else:
+            following, devices = _servo_job(given, values)
+            done = teach_following(job, following, as_question(confirm), progress=progress, devices=devices)
+        parent = done.parent if done.parent in ("world", "base") else "world"
+        return TeachResult(**dict(done), taught=read_path(given.out / PATH, parent=parent))
+
+
+@speaks_python
+def play(
+    robot: RobotLike,
+    path: TaughtPath | PathText,
+    *,
+    confirm: Confirm = False,
+    arm: ArmLike | None = None,
+    tip: PlaceLike | None = None,
+    limits: Limits | PathText | None = None,
+    override: float = 1.0,
+    weave: str = "none",
+    path_speed_m_s: float = 0.01,
+    blend_m: float = 0.003,
+    approach_speed_m_s: float = 0.02,
+    retract_m: float = 0.05,
+    keep_rotation: bool = False,
+    frame: Literal["world", "base"] = "world",
+    speed: float = 1.0,
+    rig: RigLike | None = None,
+    target: TargetLike | None = None,
+    handeye: PlaceLike | None = None,
+    left: str | None = None,
+    right: str | None = None,
+    image: str | None = None,
+    latency_s: float = LATENCY_S,
+    exposure_s: float | None = None,
+    stop_m: float = 0.01,
+    out: PathText | None = None,
+    progress: Progress | None = None,
+) -> PlayOutput:
+    """Run a path with the tip of an arm's tool, through the guard, and return what it came to.
+
+    Parameters
+    ----------
+    robot, confirm, arm, limits, speed
+        As `servo` takes them.
+    path
+        A TaughtPath, or path.csv in this frame.
+    tip
+        In flange axes: the result of calibrate_tool_tip, or tip.yaml; else the arm's tool.
+    override
+        Share of the planned speed.
+    weave
+        'none', 'sine:AMPLITUDE:WAVELENGTH' or 'zigzag:AMPLITUDE:WAVELENGTH' in m.
+    path_speed_m_s, blend_m, approach_speed_m_s, retract_m, keep_rotation
+        How it is run.
+    rig, target, handeye, left, right, image
+        Cameras that watch.
+    stop_m
+        How far the tip may be seen from where it was told to be.
+    out
+        A folder for play.json and the recording.
+
+    Raises
+    ------
+    Cancelled
+        Not confirmed.
+    DataRefused, DeviceFailed, UsageError
+        A path that the arm cannot run; nothing was moved, or the arm was brought to rest.
+    """
+    with Given(out) as given:
+        job = given.job(PlayJob, locals(), robot=_named(robot))
+        if isinstance(robot, str):
+            return run_play(job, as_question(confirm), progress=progress)
+        if job.watched:
+            return run_play(job, as_question(confirm), progress=progress, devices=_devices(robot, job.cameras()))
+        return run_play(job, as_question(confirm), progress=progress, opened=(robot, SystemClock(), None))
+
+
+@speaks_python
+def jog(
+    robot: RobotLike,
+    joint: int,
+    by: float,
+    *,
+    confirm: Confirm = False,
+    speed: float = 0.5,
+    arm: ArmLike | None = None,
+    limits: Limits | PathText | None = None,
+    record: PathText | None = None,
+    rsi_config: PathText | None = None,
+    progress: Progress | None = None,
+) -> JogOutput:
+    """Move one joint (from 1) by so much, in rad or m, through the guard; return what was sent and reached.
+
+    robot, confirm, arm, limits, speed: as `servo` takes them. record: an .mcap file for commands and readings.
+    rsi_config: of an rsi link. Raises Cancelled where it is not confirmed, UsageError, Inconsistent for a way beyond a
+    limit, DeviceFailed.
+
+    Examples
+    --------
+    >>> armsight.jog("sim:webcam-cell", 1, 0.01, confirm=True).state
+    'ready'
+    """
+    require_count("joint", joint, least=1)
+    require_number("by", by)
+    with Given() as given:
+        job = given.job(JogJob, locals(), robot=_named(robot))
+        return jog_robot(job, as_question(confirm), progress, opened=None if isinstance(robot, str) else robot)
+
+
+@speaks_python
+def check_robot(
+    robot: RobotLike, *, for_s: float = 5.0, rsi_config: PathText | None = None, progress: Progress | None = None
+) -> RobotTestOutput:
+    """Read a robot once a cycle for a time, and return how punctual that is; nothing moves.
+
+    rsi_config: of an rsi link. Raises UsageError, DeviceNotFound, DeviceLost, StaleData, DeviceFailed.
+    """
+    require_number("for_s", for_s)
+    with Given() as given:
+        config = None if rsi_config is None else given.file("rsi_config", rsi_config)
+        opened = None if isinstance(robot, str) else robot
+        return test_robot(_named(robot), for_s=for_s, progress=progress, opened=opened, rsi_config=config)
+
+
+@contextmanager
+def twin(
+    name: Literal["alter", "rsi", "egm", "rtde"],
+    *,
+    port: str | None = None,
+    connect: str | None = None,
+    arm: ArmLike | None = None,
+    cycle_s: float | None = None,
+) -> Iterator[str]:
+    """Run an emulated controller while the block runs; gives what opens it, DRIVER:DEVICE.
+
+    port: where it listens. connect: HOST:PORT where the driver listens, for rsi and egm. arm: which it has. cycle_s: of
+    the controller. Raises UsageError, DeviceNotFound with the twins there are, DeviceFailed.
+
+    Examples
+    --------
+    >>> with armsight.twin("rtde", port="0") as robot:
+    ...     armsight.check_robot(robot, for_s=0.2).state
+    'ready'
+    """
+    for text, value in (("name", name), ("port", port or ""), ("connect", connect or "")):
+        require_kind(text, value, str)
+    if cycle_s is not None:
+        require_number("cycle_s", cycle_s)
+    ended, ready = threading.Event(), threading.Event()
+    told: list[str] = []
+    failed: list[ArmsightError] = []
+
+    def tell(address: str) -> None:
+        told.append(address)
+        ready.set()
+
+    with Given() as given:
+        model = None if arm is None else given.arm("arm", arm)
+
+        def run() -> None:
+            try:
+                on = partial(_is_on, ended)
+                run_twin(name, port=port, connect=connect, arm=model, cycle_s=cycle_s, on=on, tell=tell)
+            except ArmsightError as error:
+                failed.append(error)
+            finally:
+                ready.set()
+
+        thread = threading.Thread(target=run, name=f"twin {name}", daemon=True)
+        thread.start()
+        try:
+            ready.wait()
+            if not failed:
+                yield told[0]
+        finally:
+            ended.set()
+            thread.join()
+    if failed:
+        raise failed[0]
+
+
+def _is_on(ended: threading.Event) -> bool:
+    return not ended.is_set()
+
+
+def as_question(confirm: Confirm) -> Callable[[str], bool]:
+    """Return what is asked before motion. Raises UsageError for what is neither truth nor function."""
+    if callable(confirm):
+        return confirm
+    require_kind("confirm", confirm, bool, cure="Give True, or a function of the question")
+    return lambda _: confirm
+
+
+def _named(robot: RobotLike) -> str:
+    return as_text("robot", robot) if isinstance(robot, str) or not hasattr(robot, "step_joints") else robot.name
+
+
+def _servo_job(given: Given, values: dict[str, Any]) -> tuple[ServoJob, ServoDevices | None]:
+    robot = values["robot"]
+    job = given.job(ServoJob, values, robot=_named(robot))
+    return job, None if isinstance(robot, str) else _devices(robot, job)
+
+
+def _devices(robot: Robot, job: ServoJob) -> ServoDevices:
+    """Return a driver of one's own, and the live cameras that a job names."""
+    clock, settings = SystemClock(), CameraSettings(exposure_s=job.exposure_s)
+    if job.image is None:
+        pairs = open_pairs(job.left, job.right, settings=settings)
+        return ServoDevices(robot=robot, pairs=pairs, clock=clock)
+    source = partial(open_source, job.image, settings=settings, clock=clock)
+    both, overlaid = complex_pairs(source, read_rig(job.rig))
+    return ServoDevices(robot=robot, pairs=both, clock=clock, overlaid=overlaid)
