@@ -17,17 +17,27 @@ from armsight.api.given import Given, as_table, speaks_python
 from armsight.api.runs import Columns, read_columns
 from armsight.api.tracks import TUM_SUFFIXES, PoseTrack
 from armsight.app.calibrate.zoom import fix_camera, fix_rig
-from armsight.app.convert import convert_camera, convert_handeye, convert_poses, convert_rig, load_camera, load_rig, load_tum
-from armsight.app.kinematics import convert_arm
+from armsight.app.convert import (
+    convert_camera,
+    convert_handeye,
+    convert_poses,
+    convert_rig,
+    load_camera,
+    load_rig,
+    load_tum,
+)
+from armsight.app.kinematics import convert_arm, draw_arm
+from armsight.app.kinematics import write_formulas as write_formulas_of
 from armsight.app.record.export import export
 from armsight.app.schemas.base import Output
 from armsight.app.schemas.files import ExportOutput, RepairOutput
+from armsight.app.schemas.kinematics import FormulasOutput, ShowOutput
 from armsight.app.tables import convert_table
 from armsight.control.guard import Limits
 from armsight.errors import UsageError
 from armsight.kinematics import Arm
 from armsight.optics import Camera, Rig
-from armsight.records import Motion, Progress, Target, TaughtPath, require_kind, require_number
+from armsight.records import Motion, Progress, Target, TaughtPath, checked_array, require_kind, require_number
 from armsight.store import arm_file, limits_file, path_file, write_text
 from armsight.store.foreign import FrameNames
 from armsight.store.handeye_file import HandEyeFile, TipFile, read_handeye, read_tip
@@ -49,7 +59,7 @@ RIG_KEYS = {"cam1", "cameraMatrix2", "M2", "K2", "R", "T"}
 
 @speaks_python
 def read_rig(
-    path: PathText | Sequence[PathText],
+    path: PathText | list[PathText] | tuple[PathText, ...],
     *,
     size: tuple[int, int] | None = None,
     unit_m: float = 1.0,
@@ -62,7 +72,7 @@ def read_rig(
     zoom_right: of a rig with zoom lenses, where they stand. Raises BadFile, naming the key.
     """
     require_number("unit_m", unit_m)
-    files = [as_path(path)] if isinstance(path, str | PathLike) or not isinstance(path, Sequence) else [*map(as_path, path)]
+    files = [as_path(one) for one in (path if isinstance(path, list | tuple) else [path])]
     if zoom_left is None and zoom_right is None:
         return load_rig(files, size=_size(size), unit_m=unit_m)
     with Given(name="rig.yaml") as given:
@@ -232,7 +242,7 @@ def export_recording(
 @speaks_python
 def convert(
     source: Any,
-    out: PathText | Sequence[PathText],
+    out: PathText | list[PathText] | tuple[PathText, ...],
     *,
     to: str | None = None,
     kind: Kind | None = None,
@@ -295,6 +305,21 @@ def convert(
         if chosen == "poses" and {path.suffix.lower() for path in (sources[0], outs[0])} & set(TUM_SUFFIXES):
             return convert_poses(sources[0], outs[0])
         return convert_table(sources[0], outs[0], kind=None if chosen == "table" else chosen, format_=table)
+
+
+@speaks_python
+def show_arm(arm: Arm | PathText, out: PathText, *, q: ArrayLike | None = None) -> ShowOutput:
+    """Write a page with the arm in 3-D at joint readings q (n,), else in the middle. Raises UsageError."""
+    with Given() as given:
+        joints = None if q is None else ",".join(map(repr, checked_array("q", q, (None,)).tolist()))
+        return draw_arm(given.arm("arm", arm), as_path(out, "out"), joints=joints)
+
+
+@speaks_python
+def write_formulas(arm: Arm | PathText, out: PathText) -> FormulasOutput:
+    """Write an arm's forward kinematics and Jacobian as formulas: .py or .tex. Raises UsageError, Inconsistent."""
+    with Given() as given:
+        return write_formulas_of(given.arm("arm", arm), as_path(out, "out"))
 
 
 def _kind(source: object, files: Sequence[Path]) -> str:

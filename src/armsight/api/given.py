@@ -151,6 +151,10 @@ class Given:
         write_text(path, as_table(name, value))
         return path
 
+    def picture(self, name: str, value: Any) -> Path:
+        """Return the file of one image."""
+        return Path(fspath(value)) if isinstance(value, str | PathLike) else self._image(name, 0, value)
+
     def source(self, name: str, value: object) -> str:
         """Return frames as the command line names them; images are written without loss."""
         if isinstance(value, str | PathLike):

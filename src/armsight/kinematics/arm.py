@@ -30,6 +30,7 @@ from armsight.records import (
 
 if TYPE_CHECKING:
     from armsight.kinematics.inverse_kinematics import Inverse
+    from armsight.kinematics.path import JointPath
 
 Array = NDArray[np.float64]
 
@@ -322,14 +323,52 @@ class Arm(Saveable):
 
         return jacobian(self, q, axes=axes)
 
-    def ik(self, T_world_tool: RigidTransform | ArrayLike, q0: ArrayLike | None = None) -> Inverse:
-        """Return every solution found for one pose, nearest to q0 (n,) first: `arm.ik(T, q0)[0].q`.
+    def ik(
+        self,
+        T_world_tool: RigidTransform | ArrayLike,
+        near: ArrayLike | None = None,
+        *,
+        task: Literal["pose", "position"] | None = None,
+    ) -> Inverse:
+        """Return every solution found for one pose, nearest to near (n,) first: `arm.ik(T, near)[0].q`.
 
-        See kinematics.ik; where there is none, `status` and `why` say the reason.
+        task: position: the tool's rotation is left free; None: as many as the arm's joints can hold. See kinematics.ik;
+        where there is none, `status` and `why` say the reason.
         """
         from armsight.kinematics.inverse_kinematics import ik
 
-        return ik(self, T_world_tool, q0)
+        return ik(self, T_world_tool, near, task=task)
+
+    def ik_many(
+        self,
+        T_world_tool: RigidTransform | ArrayLike,
+        near: ArrayLike | None = None,
+        *,
+        task: Literal["pose", "position"] | None = None,
+    ) -> tuple[Inverse, ...]:
+        """Return the solutions of many poses (m, 4, 4), one entry a pose; raises as ik.
+
+        near: (n,) for the first pose, each further one being solved near the one before; or (m, n), one row a pose.
+        """
+        from armsight.kinematics.inverse_kinematics import ik_each
+
+        return ik_each(self, T_world_tool, near, task=task)
+
+    def track(
+        self,
+        T_world_tool: RigidTransform | ArrayLike,
+        *,
+        t_s: ArrayLike | None = None,
+        near: ArrayLike | None = None,
+        task: Literal["pose", "position"] | None = None,
+    ) -> JointPath:
+        """Return one continuous joint track along poses (m, 4, 4), as far as it goes, with what is wrong where.
+
+        t_s (m,): for the joints' speeds. near (n,): where the arm stands. See kinematics.track_path.
+        """
+        from armsight.kinematics.path import track_path
+
+        return track_path(self, T_world_tool, t_s=t_s, start=near, task=task)
 
     def within_limits(self, q: ArrayLike) -> NDArray[np.bool_]:
         """Tell for joint values (n,) or (m, n) whether all are within their limits, () or (m,); raises as `checked`."""

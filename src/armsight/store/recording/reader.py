@@ -17,12 +17,16 @@ from mcap.records import Channel, Schema
 from armsight._files import open_file
 from armsight.errors import BadFile, DataRefused, Inconsistent, NotEnoughData
 from armsight.geometry import pose_from_quat
-from armsight.records import Frame, JointReading, PoseStatus, Spots, TargetPose
+from armsight.optics import Rig
+from armsight.records import Frame, JointReading, PoseStatus, Spots, Target, TargetPose
 from armsight.store.recording import record_reader, schemas
 from armsight.store.recording.images import decode
 from armsight.store.recording.mcapfile import MAGIC
 from armsight.store.recording.protobuf import NS
 from armsight.store.recording.writer import FORMAT, METADATA
+from armsight.store.rigs import rig_from_mapping
+from armsight.store.targets import target_from_mapping
+from armsight.store.yamls import parse_yaml
 
 IMAGES = (schemas.RAW_IMAGE, schemas.COMPRESSED_IMAGE)
 

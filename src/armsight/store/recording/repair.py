@@ -15,7 +15,6 @@ from armsight.errors import BadFile, NotEnoughData
 from armsight.store.recording import record_reader
 from armsight.store.recording.mcapfile import MAGIC, McapFile
 
-
 CALIBRATION = ("/calibration", "/tf")
 """Ends of the topics that say where the cameras are: they stand once, before the frames."""
 
@@ -31,9 +30,7 @@ class Repaired:
     damaged_chunks: int
 
 
-def repair(
-    source: Path, out: Path, *, overwrite: bool = False, within_ns: tuple[int, int] | None = None
-) -> Repaired:
+def repair(source: Path, out: Path, *, overwrite: bool = False, within_ns: tuple[int, int] | None = None) -> Repaired:
     """Copy all that is whole in source into a new, complete file; source is only read.
 
     within_ns: only messages of these times, see cut.
@@ -128,9 +125,9 @@ class _Copy:
                 self._channels[record.id] = (number, record.topic)
         elif record.channel in self._channels:
             number, topic = self._channels[record.channel]
-            if self._within_ns is not None and not topic.endswith(CALIBRATION):
-                if not self._within_ns[0] <= record.t_ns <= self._within_ns[1]:
-                    return
+            first_ns, last_ns = self._within_ns or (record.t_ns, record.t_ns)
+            if not first_ns <= record.t_ns <= last_ns and not topic.endswith(CALIBRATION):
+                return
             self.out.add_message(number, record.t_ns, record.sequence, record.data)
             self.first_ns = min(self.first_ns, record.t_ns) if self.counts else record.t_ns
             self.last_ns = max(self.last_ns, record.t_ns)
