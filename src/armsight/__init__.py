@@ -48,6 +48,9 @@ if TYPE_CHECKING:
     from armsight.api.hand_eye import calibrate_hand_eye_from_streams as calibrate_hand_eye_from_streams
     from armsight.api.hand_eye import calibrate_pivot as calibrate_pivot
     from armsight.api.hand_eye import calibrate_tool_tip as calibrate_tool_tip
+    from armsight.api.identify import ArmIdentification as ArmIdentification
+    from armsight.api.identify import identify_arm as identify_arm
+    from armsight.api.identify import identify_arm_from_frames as identify_arm_from_frames
     from armsight.api.light import NoiseResult as NoiseResult
     from armsight.api.light import TargetResult as TargetResult
     from armsight.api.light import TimingResult as TimingResult
@@ -57,13 +60,15 @@ if TYPE_CHECKING:
     from armsight.api.light import calibrate_timing as calibrate_timing
     from armsight.api.light import calibrate_zoom_rig as calibrate_zoom_rig
     from armsight.api.light import check_mirrors as check_mirrors
+    from armsight.api.links import check_robot as check_robot
+    from armsight.api.links import jog as jog
+    from armsight.api.links import twin as twin
+    from armsight.api.machine import doctor as doctor
+    from armsight.api.machine import reproduce as reproduce
     from armsight.api.motion import TeachResult as TeachResult
-    from armsight.api.motion import check_robot as check_robot
-    from armsight.api.motion import jog as jog
     from armsight.api.motion import play as play
     from armsight.api.motion import servo as servo
     from armsight.api.motion import teach as teach
-    from armsight.api.motion import twin as twin
     from armsight.api.pose import LightTarget as LightTarget
     from armsight.api.pose import PoseEstimate as PoseEstimate
     from armsight.api.pose import PoseTracker as PoseTracker
@@ -74,24 +79,19 @@ if TYPE_CHECKING:
     from armsight.api.remote import RobotConnection as RobotConnection
     from armsight.api.remote import RobotDriver as RobotDriver
     from armsight.api.remote import connect as connect
-    from armsight.api.robots import ArmIdentification as ArmIdentification
     from armsight.api.robots import ArmResult as ArmResult
     from armsight.api.robots import RobotWorldResult as RobotWorldResult
     from armsight.api.robots import calibrate_arm as calibrate_arm
     from armsight.api.robots import calibrate_robot_world as calibrate_robot_world
-    from armsight.api.robots import identify_arm as identify_arm
-    from armsight.api.robots import identify_arm_from_frames as identify_arm_from_frames
     from armsight.api.runs import JoinResult as JoinResult
     from armsight.api.runs import MeasureResult as MeasureResult
     from armsight.api.runs import VerifyResult as VerifyResult
     from armsight.api.runs import compare as compare
-    from armsight.api.runs import doctor as doctor
     from armsight.api.runs import join as join
     from armsight.api.runs import measure as measure
     from armsight.api.runs import plan_verification as plan_verification
     from armsight.api.runs import record as record
     from armsight.api.runs import repair_recording as repair_recording
-    from armsight.api.runs import reproduce as reproduce
     from armsight.api.runs import verify as verify
     from armsight.api.simulation import SimulatedFrame as SimulatedFrame
     from armsight.api.simulation import Simulation as Simulation
@@ -163,13 +163,11 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "MeasureResult",
         "VerifyResult",
         "compare",
-        "doctor",
         "join",
         "measure",
         "plan_verification",
         "record",
         "repair_recording",
-        "reproduce",
         "verify",
     ),
     "armsight.api.cameras": ("CameraResult", "RigResult", "calibrate_camera", "calibrate_mirrors", "calibrate_stereo"),
@@ -194,15 +192,15 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "calibrate_tool_tip",
     ),
     "armsight.api.robots": (
-        "ArmIdentification",
         "ArmResult",
         "RobotWorldResult",
         "calibrate_arm",
         "calibrate_robot_world",
-        "identify_arm",
-        "identify_arm_from_frames",
     ),
-    "armsight.api.motion": ("TeachResult", "check_robot", "jog", "play", "servo", "teach", "twin"),
+    "armsight.api.links": ("check_robot", "jog", "twin"),
+    "armsight.api.motion": ("TeachResult", "play", "servo", "teach"),
+    "armsight.api.identify": ("ArmIdentification", "identify_arm", "identify_arm_from_frames"),
+    "armsight.api.machine": ("doctor", "reproduce"),
     "armsight.api.watch": (
         "LiveIdentification",
         "check_mastering",

@@ -1,13 +1,10 @@
-"""Robots that move: servo, teach, play, jog; and emulated controllers to try it on.
+"""Robots that move: servo, teach, play.
 
 Nothing moves unasked: `confirm` is True, or a function that is given the motion in words and says whether it may begin.
 """
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from functools import partial
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -22,17 +19,13 @@ from armsight.api.given import (
     Source,
     TableLike,
     TargetLike,
-    as_text,
     speaks_python,
 )
+from armsight.api.links import Confirm, RobotLike, as_question, name_of
 from armsight.api.runs import ARRAYS
 from armsight.app.play.job import PlayJob
 from armsight.app.play.run import run_play
-from armsight.app.robot.jog import JogJob, jog_robot
-from armsight.app.robot.link_test import test_robot
-from armsight.app.robot.twin import run_twin
 from armsight.app.schemas.play import PlayOutput
-from armsight.app.schemas.robot import JogOutput, RobotTestOutput
 from armsight.app.schemas.servo import ServoOutput
 from armsight.app.schemas.teach import TeachOutput
 from armsight.app.servo.job import LATENCY_S, ServoDevices, ServoJob
@@ -45,16 +38,11 @@ from armsight.app.teach.standing import StandingJob, teach_poses, teach_standing
 from armsight.clock import SystemClock
 from armsight.control.guard import Limits
 from armsight.drivers import CameraSettings, Robot
-from armsight.errors import ArmsightError, UsageError
-from armsight.records import Progress, TaughtPath, require_count, require_kind, require_number
+from armsight.errors import UsageError
+from armsight.records import Progress, TaughtPath
 from armsight.store import read_rig
 from armsight.store.path_file import read_path
 from armsight.units import DEG
-
-Confirm = bool | Callable[[str], bool]
-"""Whether the arm may move: True, or what is asked with the motion in words."""
-RobotLike = str | Robot
-"""DRIVER:DEVICE, such as sim:webcam-cell or rtde:192.168.0.10; or a driver of one's own that keeps drivers.Robot."""
 
 
 class TeachResult(TeachOutput):
@@ -283,7 +271,7 @@ def play(
         A path that the arm cannot run; nothing was moved, or the arm was brought to rest.
     """
     with Given(out) as given:
-        job = given.job(PlayJob, locals(), robot=_named(robot))
+        job = given.job(PlayJob, locals(), robot=name_of(robot))
         if isinstance(robot, str):
             return run_play(job, as_question(confirm), progress=progress)
         if job.watched:
@@ -291,129 +279,9 @@ def play(
         return run_play(job, as_question(confirm), progress=progress, opened=(robot, SystemClock(), None))
 
 
-@speaks_python
-def jog(
-    robot: RobotLike,
-    joint: int,
-    by: float,
-    *,
-    confirm: Confirm = False,
-    speed: float = 0.5,
-    arm: ArmLike | None = None,
-    limits: Limits | PathText | None = None,
-    record: PathText | None = None,
-    rsi_config: PathText | None = None,
-    progress: Progress | None = None,
-) -> JogOutput:
-    """Move one joint (from 1) by so much, in rad or m, through the guard; return what was sent and reached.
-
-    robot, confirm, arm, limits, speed: as `servo` takes them. record: an .mcap file for commands and readings.
-    rsi_config: of an rsi link. Raises Cancelled where it is not confirmed, UsageError, Inconsistent for a way beyond a
-    limit, DeviceFailed.
-
-    Examples
-    --------
-    >>> armsight.jog("sim:webcam-cell", 1, 0.01, confirm=True).state
-    'ready'
-    """
-    require_count("joint", joint, least=1)
-    require_number("by", by)
-    with Given() as given:
-        job = given.job(JogJob, locals(), robot=_named(robot))
-        return jog_robot(job, as_question(confirm), progress, opened=None if isinstance(robot, str) else robot)
-
-
-@speaks_python
-def check_robot(
-    robot: RobotLike, *, for_s: float = 5.0, rsi_config: PathText | None = None, progress: Progress | None = None
-) -> RobotTestOutput:
-    """Read a robot once a cycle for a time, and return how punctual that is; nothing moves.
-
-    rsi_config: of an rsi link. Raises UsageError, DeviceNotFound, DeviceLost, StaleData, DeviceFailed.
-    """
-    require_number("for_s", for_s)
-    with Given() as given:
-        config = None if rsi_config is None else given.file("rsi_config", rsi_config)
-        opened = None if isinstance(robot, str) else robot
-        return test_robot(_named(robot), for_s=for_s, progress=progress, opened=opened, rsi_config=config)
-
-
-@contextmanager
-def twin(
-    name: Literal["alter", "rsi", "egm", "rtde"],
-    *,
-    port: str | None = None,
-    connect: str | None = None,
-    arm: ArmLike | None = None,
-    cycle_s: float | None = None,
-) -> Iterator[str]:
-    """Run an emulated controller while the block runs; gives what opens it, DRIVER:DEVICE.
-
-    port: where it listens. connect: HOST:PORT where the driver listens, for rsi and egm. arm: which it has. cycle_s: of
-    the controller. Raises UsageError, DeviceNotFound with the twins there are, DeviceFailed.
-
-    Examples
-    --------
-    >>> with armsight.twin("rtde", port="0") as robot:
-    ...     armsight.check_robot(robot, for_s=0.2).state
-    'ready'
-    """
-    for text, value in (("name", name), ("port", port or ""), ("connect", connect or "")):
-        require_kind(text, value, str)
-    if cycle_s is not None:
-        require_number("cycle_s", cycle_s)
-    ended, ready = threading.Event(), threading.Event()
-    told: list[str] = []
-    failed: list[ArmsightError] = []
-
-    def tell(address: str) -> None:
-        told.append(address)
-        ready.set()
-
-    with Given() as given:
-        model = None if arm is None else given.arm("arm", arm)
-
-        def run() -> None:
-            try:
-                on = partial(_is_on, ended)
-                run_twin(name, port=port, connect=connect, arm=model, cycle_s=cycle_s, on=on, tell=tell)
-            except ArmsightError as error:
-                failed.append(error)
-            finally:
-                ready.set()
-
-        thread = threading.Thread(target=run, name=f"twin {name}", daemon=True)
-        thread.start()
-        try:
-            ready.wait()
-            if not failed:
-                yield told[0]
-        finally:
-            ended.set()
-            thread.join()
-    if failed:
-        raise failed[0]
-
-
-def _is_on(ended: threading.Event) -> bool:
-    return not ended.is_set()
-
-
-def as_question(confirm: Confirm) -> Callable[[str], bool]:
-    """Return what is asked before motion. Raises UsageError for what is neither truth nor function."""
-    if callable(confirm):
-        return confirm
-    require_kind("confirm", confirm, bool, cure="Give True, or a function of the question")
-    return lambda _: confirm
-
-
-def _named(robot: RobotLike) -> str:
-    return as_text("robot", robot) if isinstance(robot, str) or not hasattr(robot, "step_joints") else robot.name
-
-
 def _servo_job(given: Given, values: dict[str, Any]) -> tuple[ServoJob, ServoDevices | None]:
     robot = values["robot"]
-    job = given.job(ServoJob, values, robot=_named(robot))
+    job = given.job(ServoJob, values, robot=name_of(robot))
     return job, None if isinstance(robot, str) else _devices(robot, job)
 
 

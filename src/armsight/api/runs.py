@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -21,13 +20,11 @@ from armsight.api.given import (
     Source,
     TableLike,
     TargetLike,
-    as_text,
     speaks_python,
 )
 from armsight.api.tracks import PoseTrack
 from armsight.app.compare.run import CompareJob
 from armsight.app.compare.run import compare as run_compare
-from armsight.app.doctor import doctor as look_at_machine
 from armsight.app.join import JoinJob
 from armsight.app.join import join as run_join
 from armsight.app.measure.outputs import POSES
@@ -35,20 +32,16 @@ from armsight.app.measure.run import MeasureJob
 from armsight.app.measure.run import measure as run_measure
 from armsight.app.record.record import RecordJob, mend
 from armsight.app.record.record import record as run_record
-from armsight.app.reproduce.run import reproduce as run_paper
 from armsight.app.schemas.compare import CompareOutput
 from armsight.app.schemas.files import JoinOutput, RecordOutput, RepairOutput
-from armsight.app.schemas.machine import DoctorOutput
 from armsight.app.schemas.measure import MeasureOutput
-from armsight.app.schemas.reproduce import ReproduceOutput
 from armsight.app.schemas.verify import VerifyOutput, VerifyPlanOutput
 from armsight.app.verify.plan import PlanJob, run_plan
 from armsight.app.verify.run import ERRORS, VerifyJob, run_verify
 from armsight.calibrate.handeye import Setup
 from armsight.drivers import CameraSettings, PairSettings
 from armsight.drivers.live import MAX_SKEW_S
-from armsight.optics.resolution import CENTROID_SIGMA_PX
-from armsight.records import Progress, checked_array, one_of, require_count, require_number
+from armsight.records import Progress, one_of
 from armsight.store import read_poses
 from armsight.store.atomic import read_bytes
 from armsight.store.interpret import TableFormat
@@ -371,47 +364,6 @@ def join(
         job = given.job(JoinJob, locals(), setup=one_of(Setup, "setup", setup), out=given.out)
         done = run_join(job)
         return JoinResult(**dict(done), table=read_columns(read_bytes(given.out, limit=10**9)))
-
-
-@speaks_python
-def doctor(
-    rig: RigLike | None = None,
-    *,
-    depths_m: Sequence[float] = (),
-    sigma_px: float = CENTROID_SIGMA_PX,
-    accuracy_m: float | None = None,
-) -> DoctorOutput:
-    """Return what this machine can do (versions, cameras, drivers, compiled code), and what a rig can tell apart.
-
-    depths_m: distances for the rig. sigma_px: of a spot's centre. accuracy_m: tell also what reaches this standard
-    deviation of a point. Raises UsageError, BadFile.
-    """
-    depths = checked_array("depths_m", depths_m, (None,)).tolist()
-    require_number("sigma_px", sigma_px)
-    if accuracy_m is not None:
-        require_number("accuracy_m", accuracy_m)
-    with Given() as given:
-        file = None if rig is None else given.file("rig", rig)
-        return look_at_machine(file, depths_m=depths, sigma_px=sigma_px, accuracy_m=accuracy_m)
-
-
-@speaks_python
-def reproduce(
-    paper: Literal["korayem2018", "pachidis2005", "kapucu2005"],
-    out: PathText,
-    *,
-    seed: int = 1,
-    frames: int | None = None,
-    progress: Progress | None = None,
-) -> ReproduceOutput:
-    """Do a paper's experiment on its simulated cell, by its method and by ours, and write report and tables into out.
-
-    seed: of the noise. frames: fewer than the paper has. Raises UsageError with the papers there are, DeviceFailed.
-    """
-    require_count("seed", seed)
-    if frames is not None:
-        require_count("frames", frames, least=1)
-    return run_paper(as_text("paper", paper), as_path(out, "out"), seed=seed, frames=frames, progress=progress)
 
 
 def read_columns(data: bytes) -> Columns:

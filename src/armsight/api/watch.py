@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from pydantic import ConfigDict, Field
 
 from armsight.api.given import ArmLike, Given, PathText, PlaceLike, RigLike, TableLike, TargetLike, speaks_python
-from armsight.api.motion import Confirm, as_question
+from armsight.api.links import Confirm, as_question
 from armsight.api.runs import ARRAYS
 from armsight.app.identify.live import LiveJob, OperatorCallbacks, run_identify_live
 from armsight.app.schemas.arm import IdentifyOutput, ProposedPlanOutput

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import Inconsistent
-from armsight.kinematics.arm import Arm, Joint, JointType
+from armsight.kinematics.arm import Arm
 from armsight.kinematics.convention import Convention, link_matrix
 from armsight.kinematics.forward_kinematics import in_convention
+from armsight.kinematics.joints import Joint, JointType
 from armsight.kinematics.lines import link_to_line, unit_direction
 
 Array = NDArray[np.float64]
