@@ -70,6 +70,12 @@ def read_rig(
 
     size (width, height) and unit_m (length of its unit): of an OpenCV file that leaves them open. zoom_left,
     zoom_right: of a rig with zoom lenses, where they stand. Raises BadFile, naming the key.
+
+    Examples
+    --------
+    >>> rig = armsight.simulate("hand-cell", frames=1).rig
+    >>> armsight.read_rig(rig.save(folder / "rig.yaml")) == rig
+    True
     """
     require_number("unit_m", unit_m)
     files = [as_path(one) for one in (path if isinstance(path, list | tuple) else [path])]
@@ -85,6 +91,12 @@ def read_camera(path: PathText, *, size: tuple[int, int] | None = None, zoom: fl
     """Return the camera in a camera.yaml, or in a file of ROS, OpenCV or Kalibr. Raises BadFile, naming the key.
 
     size (width, height): of an OpenCV file that leaves it open. zoom: of a zoom lens, where it stands.
+
+    Examples
+    --------
+    >>> camera = armsight.Camera.pinhole(640, 480, 500.0, 500.0, 320.0, 240.0)
+    >>> armsight.read_camera(camera.save(folder / "camera.yaml")).width
+    640
     """
     if zoom is None:
         return load_camera(as_path(path), size=_size(size))
@@ -95,7 +107,14 @@ def read_camera(path: PathText, *, size: tuple[int, int] | None = None, zoom: fl
 
 
 def read_target(path: PathText) -> Target:
-    """Return the target in a target.yaml. Raises BadFile, naming the key."""
+    """Return the target in a target.yaml. Raises BadFile, naming the key.
+
+    Examples
+    --------
+    >>> target = armsight.LightTarget({"A": (0, 0, 0), "B": (0.1, 0, 0), "C": (0, 0.07, 0)})
+    >>> armsight.read_target(target.save(folder / "target.yaml")).names
+    ('A', 'B', 'C')
+    """
     return store.read_target(as_path(path))
 
 
@@ -104,6 +123,11 @@ def read_arm(path: PathText, *, tip: str | None = None, base: str | None = None)
     """Return the arm in an arm.yaml or a URDF. Raises BadFile, naming the key or the element.
 
     tip, base: of a URDF, the last and the first link of the arm's chain, where the file holds more than one chain.
+
+    Examples
+    --------
+    >>> armsight.read_arm(armsight.presets.ur10().save(folder / "arm.urdf")).n
+    6
     """
     file = as_path(path)
     for name, link in (("tip", tip), ("base", base)):
@@ -120,6 +144,13 @@ def read_poses(path: PathText, *, table: TableFormat = OURS) -> PoseTrack:
     """Return the poses in a poses.csv, in TUM (.tum, .txt), or in a table that says what its columns are.
 
     table: what a foreign table leaves open. Raises BadFile, naming line and column.
+
+    Examples
+    --------
+    >>> T = armsight.simulate("hand-cell", frames=3).T_rig_target
+    >>> file = armsight.write_table(folder / "poses.csv", (np.arange(3.0), T))
+    >>> armsight.read_poses(armsight.read_poses(file).save(folder / "poses.tum")).T_parent_target.shape
+    (3, 4, 4)
     """
     require_kind("table", table, TableFormat)
     file = as_path(path)
@@ -129,7 +160,15 @@ def read_poses(path: PathText, *, table: TableFormat = OURS) -> PoseTrack:
 
 
 def read_path(path: PathText, *, frame: Literal["world", "base"] = "world") -> TaughtPath:
-    """Return the path in a path.csv, its poses in frame world or base. Raises BadFile, naming line and column."""
+    """Return the path in a path.csv, its poses in frame world or base. Raises BadFile, naming line and column.
+
+    Examples
+    --------
+    >>> T = np.tile(np.eye(4), (3, 1, 1))
+    >>> T[:, 0, 3] = [0.0, 0.1, 0.2]
+    >>> len(armsight.read_path(armsight.TaughtPath.of_poses(T).save(folder / "path.csv")))
+    3
+    """
     if frame not in FRAMES:
         raise UsageError(
             f"there is no frame {frame!r}", consequence="No path is read", cure=f"Use {' or '.join(FRAMES)}"
@@ -142,6 +181,12 @@ def read_joints(path: PathText, *, table: TableFormat = OURS) -> tuple[Array, Ar
     """Return times (n,) in s and joint values (n, m) in rad and m of a joints.csv. Raises BadFile.
 
     table: what a foreign table leaves open.
+
+    Examples
+    --------
+    >>> t_s, q = armsight.read_joints(armsight.write_joints(folder / "joints.csv", [0.0, 0.1], np.zeros((2, 6))))
+    >>> q.shape
+    (2, 6)
     """
     require_kind("table", table, TableFormat)
     motion = store.read_joints(as_path(path), table)
@@ -149,7 +194,13 @@ def read_joints(path: PathText, *, table: TableFormat = OURS) -> tuple[Array, Ar
 
 
 def write_joints(path: PathText, t_s: ArrayLike, q: ArrayLike) -> Path:
-    """Write joints.csv of times (n,) and values (n, m), and return its path. Raises UsageError, Inconsistent."""
+    """Write joints.csv of times (n,) and values (n, m), and return its path. Raises UsageError, Inconsistent.
+
+    Examples
+    --------
+    >>> armsight.write_joints(folder / "joints.csv", [0.0, 0.1], np.zeros((2, 6))).name
+    'joints.csv'
+    """
     file = file_to_write(path, ".csv")
     store.write_joints(file, Motion(t_s=t_s, q=q))  # type: ignore[arg-type]  # the record makes arrays of them
     return file
@@ -161,6 +212,14 @@ def read_table(path: PathText, *, kind: str | None = None, table: TableFormat = 
 
     kind: joints, poses, points, pairs, robot_poses or sweep; else that which the columns can be. table: what it leaves
     open. Raises UsageError, BadFile.
+
+    Examples
+    --------
+    >>> file = folder / "tracker.csv"
+    >>> file.write_text("time [s],X [mm],Y [mm],Z [mm],rx [deg],ry [deg],rz [deg]\\n0,100,200,300,0,0,90\\n")
+    78
+    >>> armsight.read_table(file, kind="poses", table=armsight.TableFormat(euler="xyz-fixed"))["x_m"]
+    array([0.1])
     """
     require_kind("kind", kind, str, NoneType)
     require_kind("table", table, TableFormat)
@@ -170,29 +229,64 @@ def read_table(path: PathText, *, kind: str | None = None, table: TableFormat = 
 
 
 def write_table(path: PathText, columns: Mapping[str, Any] | ArrayLike) -> Path:
-    """Write columns by name (a DataFrame), (t_s, q), (t_s, T), q or T as CSV, and return its path."""
+    """Write columns by name (a DataFrame), (t_s, q), (t_s, T), q or T as CSV, and return its path.
+
+    Examples
+    --------
+    >>> armsight.write_table(folder / "points.csv", {"x_m": [0.1, 0.2], "point": ["A", "B"]}).read_text()
+    'x_m,point\\n0.1,A\\n0.2,B\\n'
+    """
     file = file_to_write(path, ".csv")
     write_text(file, as_table("columns", columns))
     return file
 
 
 def read_world(path: PathText) -> World:
-    """Return where a rig stands, from a world.yaml. Raises BadFile, naming the key."""
+    """Return where a rig stands, from a world.yaml. Raises BadFile, naming the key.
+
+    Examples
+    --------
+    >>> done = armsight.write_simulation("webcam-cell", folder / "cell", frames=1)
+    >>> armsight.read_world(folder / "cell" / "world.yaml").parent
+    'world'
+    """
     return store.read_world(as_path(path))
 
 
 def read_hand_eye(path: PathText) -> HandEyeFile:
-    """Return where a camera and its target are, from a handeye.yaml. Raises BadFile, naming the key."""
+    """Return where a camera and its target are, from a handeye.yaml. Raises BadFile, naming the key.
+
+    Examples
+    --------
+    >>> done = armsight.write_simulation("webcam-cell", folder / "cell", frames=1)
+    >>> armsight.read_hand_eye(folder / "cell" / "handeye.yaml").setup
+    <Setup.EYE_TO_HAND: 'eye-to-hand'>
+    """
     return read_handeye(as_path(path))
 
 
 def read_tool_tip(path: PathText) -> TipFile:
-    """Return where a tool's tip is, from a tip.yaml. Raises BadFile, naming the key."""
+    """Return where a tool's tip is, from a tip.yaml. Raises BadFile, naming the key.
+
+    Examples
+    --------
+    >>> turn = Rotation.from_rotvec(np.random.default_rng(1).normal(0.0, 0.4, (20, 3)))
+    >>> poses = RigidTransform.from_components(-turn.apply([0.0, 0.0, 0.2]), turn)
+    >>> file = armsight.calibrate_tool_tip(poses).save(folder / "tip.yaml")
+    >>> armsight.read_tool_tip(file).tip_m.round(6) + 0.0
+    array([0. , 0. , 0.2])
+    """
     return read_tip(as_path(path))
 
 
 def read_limits(path: PathText) -> Limits:
-    """Return what the guard keeps, from a limits.yaml. Raises BadFile, naming the key."""
+    """Return what the guard keeps, from a limits.yaml. Raises BadFile, naming the key.
+
+    Examples
+    --------
+    >>> armsight.read_limits(armsight.Limits(speed_m_s=0.05).save(folder / "limits.yaml")).speed_m_s
+    0.05
+    """
     return limits_file.read_limits(as_path(path))
 
 
@@ -201,6 +295,13 @@ def open_recording(path: PathText) -> Recording:
 
     `cameras` names its cameras, `frames(camera)` yields frames with image and t_s, `poses()` and `joints()` the rest;
     `rig` and `target` are those recorded with it.
+
+    Examples
+    --------
+    >>> done = armsight.record(folder / "run.mcap", cell="hand-cell", frames=2)
+    >>> with armsight.open_recording(folder / "run.mcap") as recording:
+    ...     recording.cameras, [frame.image.shape for frame in recording.frames("left")]
+    (('left', 'right'), [(720, 1280), (720, 1280)])
     """
     return Recording(as_path(path))
 
@@ -212,6 +313,14 @@ def cut_recording(
     """Copy what was recorded from start_s to end_s, with rig and target, into a new recording.
 
     Raises BadFile, NotEnoughData where nothing was recorded then, UsageError.
+
+    Examples
+    --------
+    >>> done = armsight.record(folder / "run.mcap", cell="hand-cell", frames=4)
+    >>> cut = armsight.cut_recording(folder / "run.mcap", folder / "part.mcap", 0.02, 0.08)
+    >>> with armsight.open_recording(cut.file) as part:
+    ...     len(list(part.frames("left"))), part.rig.kind
+    (2, <RigKind.STEREO: 'stereo'>)
     """
     require_number("start_s", start_s)
     require_number("end_s", end_s)
@@ -235,6 +344,12 @@ def export_recording(
     """Write a recording's content as PNG folders and tables, its poses as .csv or .tum, or all as a bag of ROS 2.
 
     out: a folder, or a .csv or .tum. Raises BadFile, NotEnoughData, UsageError.
+
+    Examples
+    --------
+    >>> done = armsight.record(folder / "run.mcap", cell="hand-cell", frames=2)
+    >>> armsight.export_recording(folder / "run.mcap", folder / "run").n["left"]
+    2
     """
     return export(as_path(path), as_path(out, "out"), to=to, progress=progress)
 
@@ -309,7 +424,13 @@ def convert(
 
 @speaks_python
 def show_arm(arm: Arm | PathText, out: PathText, *, q: ArrayLike | None = None) -> ShowOutput:
-    """Write a page with the arm in 3-D at joint readings q (n,), else in the middle. Raises UsageError."""
+    """Write a page with the arm in 3-D at joint readings q (n,), else in the middle. Raises UsageError.
+
+    Examples
+    --------
+    >>> armsight.show_arm(armsight.presets.ur10(), folder / "arm.html").arm
+    'ur10'
+    """
     with Given() as given:
         joints = None if q is None else ",".join(map(repr, checked_array("q", q, (None,)).tolist()))
         return draw_arm(given.arm("arm", arm), as_path(out, "out"), joints=joints)
@@ -317,7 +438,13 @@ def show_arm(arm: Arm | PathText, out: PathText, *, q: ArrayLike | None = None) 
 
 @speaks_python
 def write_formulas(arm: Arm | PathText, out: PathText) -> FormulasOutput:
-    """Write an arm's forward kinematics and Jacobian as formulas: .py or .tex. Raises UsageError, Inconsistent."""
+    """Write an arm's forward kinematics and Jacobian as formulas: .py or .tex. Raises UsageError, Inconsistent.
+
+    Examples
+    --------
+    >>> armsight.write_formulas("stanford-rrp", folder / "arm.py").arm
+    'stanford-rrp'
+    """
     with Given() as given:
         return write_formulas_of(given.arm("arm", arm), as_path(out, "out"))
 

@@ -23,13 +23,11 @@ from scipy.spatial.transform import RigidTransform
 from armsight.api.arrays import ImageLike, as_image, as_path, as_poses
 from armsight.api.commands import in_python
 from armsight.api.tracks import PoseTrack
-from armsight.control.guard import Limits
 from armsight.errors import ArmsightError, UsageError
 from armsight.kinematics import Arm
 from armsight.optics import Rig
 from armsight.records import Target, real_array, require_count, require_kind, require_number
 from armsight.store import World, write_text, write_world
-from armsight.store.limits_file import write_limits
 from armsight.store.tables import cells
 from armsight.store.targets import board_text
 
@@ -97,7 +95,9 @@ class Given:
 
     def job(self, kind: type[J], values: Mapping[str, Any], /, **more: Any) -> J:
         """Return a job filled from a function's arguments by name; what is None keeps the job's own default."""
-        taken = {"out": self.out, **values, **more}
+        taken = {**values, **more}
+        if taken.get("out") is None:
+            taken["out"] = self.out
         filled = {}
         for field in fields(kind):  # type: ignore[arg-type]  # every job is a dataclass
             if taken.get(field.name) is not None:
@@ -140,9 +140,6 @@ class Given:
             path = self.folder / f"{name}{ENDING.get(name, '.yaml')}"
             save(path)
             return path
-        if isinstance(value, Limits):
-            write_limits(self.folder / "limits.yaml", value)
-            return self.folder / "limits.yaml"
         if name == "world":
             return self._world(name, value)
         if name == "mask":

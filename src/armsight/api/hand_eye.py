@@ -188,6 +188,15 @@ def calibrate_hand_eye(
         Wrong units, inverted poses, or rows that do not belong together.
     NotConverged
         The fit found no answer.
+
+    Examples
+    --------
+    >>> turn = Rotation.from_rotvec(np.random.default_rng(1).normal(0.0, 0.5, (12, 3)))
+    >>> T_base_flange = RigidTransform.from_components(np.random.default_rng(2).normal(0.0, 0.2, (12, 3)), turn)
+    >>> T_flange_camera = RigidTransform.from_translation([0.0, 0.05, 0.1])
+    >>> T_camera_target = (T_base_flange * T_flange_camera).inv() * RigidTransform.from_translation([0.5, 0.0, 0.0])
+    >>> armsight.calibrate_hand_eye(T_base_flange, T_camera_target).T_flange_camera[:3, 3].round(6).tolist()
+    [0.0, 0.05, 0.1]
     """
     robot, camera = as_poses(T_base_flange, "T_base_flange"), as_poses(T_camera_target, "T_camera_target")
     rows = require_texts("names", names) if names is not None else tuple(f"row {i}" for i in range(len(robot)))
@@ -275,6 +284,13 @@ def calibrate_tool_tip(
         Too little turning.
     Inconsistent
         The poses have no common point.
+
+    Examples
+    --------
+    >>> turn = Rotation.from_rotvec(np.random.default_rng(1).normal(0.0, 0.4, (20, 3)))
+    >>> poses = RigidTransform.from_components(-turn.apply([0.0, 0.0, 0.2]), turn)
+    >>> armsight.calibrate_tool_tip(poses).tip_m.round(6) + 0.0
+    array([0. , 0. , 0.2])
     """
     poses = as_poses(T_world_target, "T_world_target")
     n = len(poses)
@@ -352,6 +368,17 @@ def calibrate_hand_eye_from_streams(
     ------
     NotEnoughData, Degenerate, Inconsistent, NotConverged
         As calibrate_hand_eye; streams that do not show one motion.
+
+    Examples
+    --------
+    >>> t_s = np.linspace(0.0, 6.0, 200)
+    >>> turn = Rotation.from_rotvec(0.5 * np.sin(np.outer(t_s, [1.0, 1.3, 1.7])))
+    >>> T_base_flange = RigidTransform.from_components(0.2 * np.sin(np.outer(t_s, [0.9, 1.1, 1.4])), turn)
+    >>> T_flange_camera = RigidTransform.from_translation([0.0, 0.05, 0.1])
+    >>> T_camera_target = (T_base_flange * T_flange_camera).inv() * RigidTransform.from_translation([0.5, 0.0, 0.0])
+    >>> done = armsight.calibrate_hand_eye_from_streams((t_s, T_base_flange), (t_s + 0.1, T_camera_target))
+    >>> round(abs(done.time_offset_s), 3)
+    0.1
     """
     with Given(name="handeye.yaml") as given:
         solved = solve_handeye(given.job(HandEyeJob, locals(), setup=one_of(Setup, "setup", setup)))

@@ -113,6 +113,17 @@ def identify_arm(
         Too few readings of a joint, or too short a sweep.
     Inconsistent
         Rows that do not belong together.
+
+    Examples
+    --------
+    >>> arm = armsight.presets.puma761()
+    >>> q = np.zeros((90, 6))
+    >>> joint = np.repeat(np.arange(1, 7), 15)
+    >>> for j in range(6):
+    ...     q[joint == j + 1, j] = np.linspace(-0.7, 0.7, 15)
+    >>> seen = (arm.fk(q) @ [0.05, 0.03, 0.1, 1.0])[:, :3] + np.random.default_rng(1).normal(0.0, 1e-4, (90, 3))
+    >>> armsight.identify_arm(joint, q, seen).arm.n
+    6
     """
     positions, readings = checked_array("xyz_m", xyz_m, (None, 3)), checked_array("q", q, (None, None))
     moving = as_joint_numbers(joint, len(positions))

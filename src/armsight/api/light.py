@@ -19,32 +19,32 @@ from armsight.app.schemas.handeye import LightTargetOutput
 from armsight.app.schemas.timing import TimingOutput
 from armsight.drivers import CameraSettings
 from armsight.optics import Camera, Rig
-from armsight.records import NoiseModel, Progress, Target
+from armsight.records import ByValue, NoiseModel, Progress, Target
 from armsight.store import read_rig, read_target
 
 
-class TargetResult(LightTargetOutput):
+class TargetResult(ByValue, LightTargetOutput):
     """What `calibrate_target` found: its figures, and `target`."""
 
     model_config: ClassVar[ConfigDict] = ARRAYS
     target: Annotated[Target, Field(exclude=True, repr=False)]
 
 
-class TimingResult(TimingOutput):
+class TimingResult(ByValue, TimingOutput):
     """What `calibrate_timing` found: its figures, and `rig`, the rig with its cameras' timing."""
 
     model_config: ClassVar[ConfigDict] = ARRAYS
     rig: Annotated[Rig, Field(exclude=True, repr=False)]
 
 
-class NoiseResult(NoiseOutput):
+class NoiseResult(ByValue, NoiseOutput):
     """What `calibrate_noise` found: its figures, and `model`, as `CameraResult.save` and Rig(noise=...) take it."""
 
     model_config: ClassVar[ConfigDict] = ARRAYS
     model: Annotated[NoiseModel, Field(exclude=True, repr=False)]
 
 
-class ZoomRigResult(ZoomRigOutput):
+class ZoomRigResult(ByValue, ZoomRigOutput):
     """What `calibrate_zoom_rig` found: its figures, and `rig`."""
 
     model_config: ClassVar[ConfigDict] = ARRAYS

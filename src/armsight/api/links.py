@@ -73,6 +73,11 @@ def check_robot(
     """Read a robot once a cycle for a time, and return how punctual that is; nothing moves.
 
     rsi_config: of an rsi link. Raises UsageError, DeviceNotFound, DeviceLost, StaleData, DeviceFailed.
+
+    Examples
+    --------
+    >>> armsight.check_robot("sim:webcam-cell", for_s=0.1).state
+    'ready'
     """
     require_number("for_s", for_s)
     with Given() as given:
@@ -97,9 +102,9 @@ def twin(
 
     Examples
     --------
-    >>> with armsight.twin("rtde", port="0") as robot:
-    ...     armsight.check_robot(robot, for_s=0.2).state
-    'ready'
+    >>> with armsight.twin("alter") as robot:
+    ...     robot.partition(":")[0]
+    'alter'
     """
     for text, value in (("name", name), ("port", port or ""), ("connect", connect or "")):
         require_kind(text, value, str)

@@ -33,6 +33,11 @@ def doctor(
 
     depths_m: distances for the rig. sigma_px: of a spot's centre. accuracy_m: tell also what reaches this standard
     deviation of a point. Raises UsageError, BadFile.
+
+    Examples
+    --------
+    >>> "rtde" in armsight.doctor().drivers["robots"]
+    True
     """
     depths = checked_array("depths_m", depths_m, (None,)).tolist()
     require_number("sigma_px", sigma_px)

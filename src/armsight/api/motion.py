@@ -39,13 +39,13 @@ from armsight.clock import SystemClock
 from armsight.control.guard import Limits
 from armsight.drivers import CameraSettings, Robot
 from armsight.errors import UsageError
-from armsight.records import Progress, TaughtPath
+from armsight.records import ByValue, Progress, TaughtPath
 from armsight.store import read_rig
 from armsight.store.path_file import read_path
 from armsight.units import DEG
 
 
-class TeachResult(TeachOutput):
+class TeachResult(ByValue, TeachOutput):
     """What `teach` found: its figures, and `taught`, the path."""
 
     model_config: ClassVar[ConfigDict] = ARRAYS

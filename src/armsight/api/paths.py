@@ -17,14 +17,14 @@ from armsight.app.path.tools import smooth_path
 from armsight.app.schemas.paths import PathCheckOutput, PathExportOutput, PathPicksOutput
 from armsight.control import paths as tools
 from armsight.control.guard import Limits
-from armsight.records import Progress, Silent, TaughtPath, checked_array, require_kind, require_number
+from armsight.records import ByValue, Progress, Silent, TaughtPath, checked_array, require_kind, require_number
 from armsight.store.path_file import read_path
 from armsight.units import DEG
 
 __all__ = ["angle", "check", "export", "fillet", "from_picks", "join", "offset", "resample", "reverse", "smooth"]
 
 
-class PicksResult(PathPicksOutput):
+class PicksResult(ByValue, PathPicksOutput):
     """What `from_picks` found: its figures, and `taught`, the path."""
 
     model_config: ClassVar[ConfigDict] = ARRAYS

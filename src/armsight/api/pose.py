@@ -87,6 +87,13 @@ def find_spots(image: ImageLike, settings: SpotSettings = DEFAULTS, *, bits: int
         It is no such image.
     Inconsistent
         The settings' mask has another size.
+
+    Examples
+    --------
+    >>> image = np.zeros((240, 320), np.uint8)
+    >>> image[100:104, 200:204] = 255
+    >>> armsight.find_spots(image).uv_px.round(1).tolist()
+    [[201.5, 101.5]]
     """
     require_kind("settings", settings, SpotSettings, cure="Give SpotSettings(...)")
     return detection.find_spots(as_image(image, bits=bits), settings)
@@ -228,6 +235,14 @@ def estimate_pose(
         An image has not the size of its camera, or left and right are swapped.
     Degenerate
         The target's lights are on one line.
+
+    Examples
+    --------
+    >>> cell = armsight.simulate("hand-cell", frames=1)
+    >>> frame = next(iter(cell))
+    >>> pose = armsight.estimate_pose(frame.left, frame.right, cell.rig, cell.target)
+    >>> pose.ok, bool(abs(pose.xyz_m - frame.T_rig_target[:3, 3]).max() < 0.005)
+    (True, True)
     """
     require_number("t_s", t_s)
     return _estimate(_measure(_setup(rig, target, settings, right is None), left, right, t_s, None, bits))

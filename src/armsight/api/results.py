@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from armsight.app.display import Row as Row
 from armsight.app.display import as_html, as_text
+from armsight.records import ByValue
 from armsight.units import DEG, MM
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ POSE_NAMES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 """What a pose's six numbers are called."""
 
 
-class Result:
+class Result(ByValue):
     """A result that prints itself. Subclasses give `title`, `rows` and `to_dict`."""
 
     __slots__ = ()

@@ -41,7 +41,7 @@ from armsight.app.verify.run import ERRORS, VerifyJob, run_verify
 from armsight.calibrate.handeye import Setup
 from armsight.drivers import CameraSettings, PairSettings
 from armsight.drivers.live import MAX_SKEW_S
-from armsight.records import Progress, one_of
+from armsight.records import ByValue, Progress, one_of, require_number
 from armsight.store import read_poses
 from armsight.store.atomic import read_bytes
 from armsight.store.interpret import TableFormat
@@ -56,7 +56,7 @@ ARRAYS: ConfigDict = ConfigDict(frozen=True, extra="forbid", populate_by_name=Tr
 Columns = dict[str, Any]
 
 
-class MeasureResult(MeasureOutput):
+class MeasureResult(ByValue, MeasureOutput):
     """What `measure` found: the figures of measure.json, and `poses`, the track."""
 
     model_config: ClassVar[ConfigDict] = ARRAYS
@@ -67,7 +67,7 @@ class MeasureResult(MeasureOutput):
         return self.poses.plot()
 
 
-class VerifyResult(VerifyOutput):
+class VerifyResult(ByValue, VerifyOutput):
     """What `verify` found: the figures of verify.json, and `errors`, columns by row of what was compared."""
 
     model_config: ClassVar[ConfigDict] = ARRAYS
@@ -82,7 +82,7 @@ class VerifyResult(VerifyOutput):
         return figure
 
 
-class JoinResult(JoinOutput):
+class JoinResult(ByValue, JoinOutput):
     """What `join` found: its figures, and `table`, the columns of the rows that belong together."""
 
     model_config: ClassVar[ConfigDict] = ARRAYS
@@ -221,6 +221,12 @@ def repair_recording(path: PathText, out: PathText | None = None, *, overwrite: 
     """Make a readable recording of one that was cut off: as out, or in its place with the broken one kept beside it.
 
     Raises BadFile for what is no recording, UsageError where a file would be lost.
+
+    Examples
+    --------
+    >>> done = armsight.record(folder / "run.mcap", cell="hand-cell", frames=2)
+    >>> armsight.repair_recording(folder / "run.mcap", folder / "whole.mcap").lost_bytes
+    0
     """
     return mend(as_path(path), None if out is None else as_path(out, "out"), overwrite=overwrite)
 
@@ -296,6 +302,11 @@ def plan_verification(
 
     part: cube (all), poses, paths, or a motion's name. side_m: of the cube; else the largest that fits. speed_m_s:
     along the paths. Raises UsageError, DataRefused where no cube fits.
+
+    Examples
+    --------
+    >>> armsight.plan_verification("irb120", folder / "plan", "poses", side_m=0.1).cube.side_m
+    0.1
     """
     with Given(out) as given:
         job = given.job(PlanJob, {"arm": arm, "what": part, "side_m": side_m, "speed_m_s": speed_m_s})
@@ -314,12 +325,14 @@ def compare(a: Any, b: Any, *, distance_m: float | None = None, out: PathText | 
     --------
     >>> rig = armsight.simulate("hand-cell", frames=1).rig
     >>> armsight.compare(rig, rig).verdict
-    'the same: A and B hold the same values'
+    'Neither result tells how sure it is: whether they agree cannot be told...'
     """
     with Given() as given:
         files = {name: given.file(name, value) for name, value in (("a", a), ("b", b))}
         place = None if out is None else as_path(out, "out")
-        return run_compare(given.job(CompareJob, {**files, "distance_m": distance_m}, out=place))
+        if distance_m is not None:
+            require_number("distance_m", distance_m)
+        return run_compare(CompareJob(**files, out=place, distance_m=distance_m))
 
 
 @speaks_python
@@ -359,6 +372,13 @@ def join(
     -------
     JoinResult
         `table`: its columns by name; offset_s and what was left out.
+
+    Examples
+    --------
+    >>> arm, t_s = armsight.presets.ur10(), np.linspace(0.0, 4.0, 400)
+    >>> q = np.outer(np.sin(1.3 * t_s), np.linspace(0.2, 0.5, 6)) + [0.0, -1.0, 1.0, 1.0, 2.0, 0.0]
+    >>> round(armsight.join((t_s + 0.3, arm.fk(q)), joints=(t_s, q), arm=arm).offset_s, 4)
+    -0.3
     """
     with Given(out, name="joined.csv") as given:
         job = given.job(JoinJob, locals(), setup=one_of(Setup, "setup", setup), out=given.out)

@@ -20,13 +20,13 @@ from armsight.app.simulate.scenarios import build_world, load_scenario, scenario
 from armsight.drivers import CELLS, known
 from armsight.kinematics import Arm
 from armsight.optics import Rig
-from armsight.records import Progress, Target, require_count, require_kind, require_number
+from armsight.records import ByValue, Progress, Target, require_count, require_kind, require_number
 from armsight.store import rig_from_mapping, target_from_mapping
 from armsight.store.arm_file import arm_from_mapping
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SimulatedFrame:
+class SimulatedFrame(ByValue):
     """What the cameras see at t_s, and where the target truly is: T_rig_target (4, 4). right: None for a mirror rig."""
 
     t_s: float
@@ -148,7 +148,7 @@ def simulate(
     --------
     >>> cell = armsight.simulate("hand-cell", frames=2)
     >>> [frame.left.shape for frame in cell], cell.T_rig_target.shape
-    ([(480, 640), (480, 640)], (2, 4, 4))
+    ([(720, 1280), (720, 1280)], (2, 4, 4))
     """
     require_kind("scenario", scenario, str, Mapping, cure="Give one of scenarios(), or a scenario file's path")
     require_kind("room", room, str, NoneType, cure="Give a room's name, or a picture's path")
@@ -195,11 +195,22 @@ def write_simulation(
     """Write a simulated cell's frames, files and truth into a folder; or a set for one calibration, by its name.
 
     frames, seed, room, zoom: as `simulate` takes them. Raises as it, and DeviceFailed where the disk refuses.
+
+    Examples
+    --------
+    >>> armsight.write_simulation("hand-cell", folder / "cell", frames=2).n_frames
+    2
     """
     require_kind("scenario", scenario, str)
     return write_files(scenario, as_path(out, "out"), seed=seed, frames=frames, room=room, zoom=zoom, progress=progress)
 
 
 def scenarios() -> tuple[str, ...]:
-    """Return the names of the built-in scenarios and cells."""
+    """Return the names of the built-in scenarios and cells.
+
+    Examples
+    --------
+    >>> "webcam-cell" in armsight.scenarios()
+    True
+    """
     return tuple(sorted({*scenario_names(), *known(CELLS)}))

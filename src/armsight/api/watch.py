@@ -21,12 +21,12 @@ from armsight.app.verify.supervising import JOINT_STD, LATENCY_S, LATENCY_STD_S,
 from armsight.control.joint_sweep import Pace
 from armsight.drivers import CameraSettings
 from armsight.kinematics import Arm
-from armsight.records import Progress, checked_array, require_number
+from armsight.records import ByValue, Progress, checked_array, require_number
 from armsight.store.arm_file import read_arm
 from armsight.verify.supervision import Limits
 
 
-class LiveIdentification(IdentifyOutput):
+class LiveIdentification(ByValue, IdentifyOutput):
     """What `identify_arm_live` found: its figures, and `arm`."""
 
     model_config: ClassVar[ConfigDict] = ARRAYS
@@ -159,8 +159,8 @@ def supervise(
 @speaks_python
 def propose_mastering_poses(
     arm: ArmLike,
+    around: ArrayLike,
     *,
-    around: ArrayLike | None = None,
     span_rad: float = float(np.deg2rad(30.0)),
     tool: Literal["fixed", "free"] | None = None,
     world: PlaceLike | None = None,
@@ -172,11 +172,14 @@ def propose_mastering_poses(
 
     around: readings (n,) about which they are, within span_rad. tool: whether it is known from before. rig, target,
     world: only poses that the cameras see. out: a folder for mastering.csv. Raises UsageError, DataRefused.
+
+    Examples
+    --------
+    >>> len(armsight.propose_mastering_poses("ur10", [0.0, -1.0, 1.0, 1.0, 2.0, 0.0]).poses)
+    10
     """
     with Given(out) as given:
-        middle = (
-            None if around is None else ",".join(repr(v) for v in checked_array("around", around, (None,)).tolist())
-        )
+        middle = ",".join(map(repr, checked_array("around", around, (None,)).tolist()))
         return propose_mastering(given.job(MasteringJob, locals(), around=middle))
 
 
@@ -194,6 +197,13 @@ def check_mastering(
 
     measured, joints, arm, world: as `verify` takes them. tool: whether it is known from before. out: a folder for the
     report. Raises UsageError, DataRefused.
+
+    Examples
+    --------
+    >>> arm = armsight.presets.ur10()
+    >>> q = np.array([pose.q for pose in armsight.propose_mastering_poses(arm, [0.0, -1.0, 1.0, 1.0, 2.0, 0.0]).poses])
+    >>> armsight.check_mastering(arm.fk(q), q, arm, tool="fixed").cause
+    'none'
     """
     with Given(out) as given:
         return run_mastering(given.job(MasteringJob, locals()))

@@ -76,6 +76,13 @@ def triangulate(
     (2, 2) for all rows.
     A row that is NaN in any of them gives none (`Verdict.NO_RAY`). Raises Inconsistent where the shapes do not belong
     together.
+
+    Examples
+    --------
+    >>> rig = armsight.simulate("hand-cell", frames=1).rig
+    >>> left, right = rig.project([[0.1, 0.0, 1.0]])
+    >>> armsight.triangulate(rig, left, right, np.eye(2), np.eye(2)).xyz_m.round(6) + 0.0
+    array([[0.1, 0. , 1. ]])
     """
     return _triangulate(rig, uv_left_px, uv_right_px, covariance_left_px2, covariance_right_px2, likeliest=True)
 

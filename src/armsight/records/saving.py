@@ -6,8 +6,10 @@ from importlib import import_module
 from os import PathLike
 from pathlib import Path
 
+from armsight.records.by_value import ByValue
 
-class Saveable:
+
+class Saveable(ByValue):
     """A record with `save`. The writer is reached by name: records know of no files."""
 
     __slots__ = ()

@@ -7,15 +7,18 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from armsight.control.guard import Limits
 from armsight.errors import UsageError
 from armsight.kinematics import Arm
 from armsight.optics import Camera, Rig
 from armsight.records import Target, TaughtPath, require_kind
 from armsight.store.arm_file import write_arm
+from armsight.store.limits_file import write_limits
 from armsight.store.path_file import write_path
 from armsight.store.rigs import write_camera, write_rig
 from armsight.store.targets import write_target
 from armsight.store.urdf import write_urdf
+from armsight.store.worlds import World, write_world
 
 Writer = Callable[[Path, Any], object]
 
@@ -26,6 +29,8 @@ WRITERS: Mapping[type, Mapping[str, Writer]] = {
     Target: dict.fromkeys(YAML, write_target),
     Arm: {**dict.fromkeys(YAML, write_arm), ".urdf": write_urdf},
     TaughtPath: {".csv": write_path},
+    World: dict.fromkeys(YAML, write_world),
+    Limits: dict.fromkeys(YAML, write_limits),
 }
 
 
