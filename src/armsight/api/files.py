@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike
 
 from armsight import store
 from armsight.api.arrays import Array, as_path
-from armsight.api.given import Given, as_table, speaks_python
+from armsight.api.checks import speaks_python
+from armsight.api.given import Given, as_table
 from armsight.api.runs import Columns, read_columns
 from armsight.api.tracks import TUM_SUFFIXES, PoseTrack
 from armsight.app.calibrate.zoom import fix_camera, fix_rig
@@ -469,4 +470,7 @@ def _kind(source: object, files: Sequence[Path]) -> str:
 
 def _size(size: tuple[int, int] | None) -> tuple[int, int] | None:
     require_kind("size", size, tuple, list, NoneType, cure="Give (width, height)")
-    return None if size is None else (int(size[0]), int(size[1]))
+    if size is None:
+        return None
+    width, height = checked_array("size", size, (2,)).tolist()
+    return int(width), int(height)

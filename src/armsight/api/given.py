@@ -6,14 +6,13 @@ option, check and result is the same, and `armsight.verify(...)` gives what `arm
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
-from functools import wraps
 from os import PathLike, fspath, sep
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import TracebackType
-from typing import Any, ParamSpec, Protocol, Self, TypeVar
+from typing import Any, Protocol, Self, TypeVar
 
 import cv2
 import numpy as np
@@ -21,12 +20,11 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
 from armsight.api.arrays import ImageLike, as_image, as_path, as_poses
-from armsight.api.commands import in_python
 from armsight.api.tracks import PoseTrack
 from armsight.errors import ArmsightError, UsageError
 from armsight.kinematics import Arm
 from armsight.optics import Rig
-from armsight.records import Target, real_array, require_count, require_kind, require_number
+from armsight.records import Target, real_array, require_kind
 from armsight.store import World, write_text, write_world
 from armsight.store.tables import cells
 from armsight.store.targets import board_text
@@ -51,36 +49,25 @@ PlaceLike = ArrayLike | RigidTransform | _Saveable | PathText
 """Where something is: a pose (4, 4), a result that holds it, or a file."""
 
 J = TypeVar("J")
-P = ParamSpec("P")
-R = TypeVar("R")
 
 SOURCES = ("left", "right", "image", "images", "source", "frames", "left_only", "right_only")
+RECORDS = (
+    *("a", "b", "arm", "camera", "compare", "handeye", "left", "limits", "path", "record", "rig", "right"),
+    *("rsi_config", "source", "target", "tip"),
+)
+"""Parameters that an array or a dictionary is none of."""
 ENDING = {"poses": ".csv", "path": ".csv"}
 POSE_COLUMNS = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
-
-
-def speaks_python(call: Callable[P, R]) -> Callable[P, R]:
-    """Let errors of a function name parameters and functions where the command line would name flags and commands."""
-
-    @wraps(call)
-    def run(*args: P.args, **given: P.kwargs) -> R:
-        try:
-            return call(*args, **given)
-        except ArmsightError as error:
-            in_python(error)
-            raise
-
-    return run
 
 
 class Given:
     """A folder for what a job reads and writes; out: where results stay, else they go with the block."""
 
     def __init__(self, out: PathText | None = None, *, name: str = "") -> None:
+        given = None if out is None else as_path(out, "out")
         self._temporary = TemporaryDirectory(prefix="armsight-")
         self.folder = Path(self._temporary.name)
-        place = self.folder / "out" if out is None else as_path(out, "out")
-        self.out = place / name if out is None and name else place
+        self.out = given or self.folder / "out" / name
 
     def __enter__(self) -> Self:
         return self
@@ -115,14 +102,6 @@ class Given:
             return self.source(name, value)
         if name == "board":
             return board_text(value) if isinstance(value, Target) else as_text(name, value)
-        if "bool" in kinds:
-            require_kind(name, value, bool)
-        elif "int" in kinds:
-            require_count(name, value)
-        elif "float" in kinds:
-            require_number(name, value)
-        elif "str" in kinds:
-            return as_text(name, value)
         return value
 
     def arm(self, name: str, value: object) -> str:
@@ -144,6 +123,12 @@ class Given:
             return self._world(name, value)
         if name == "mask":
             return self._image(name, 0, value)
+        if name in RECORDS:
+            raise UsageError(
+                f"{name} is of type {type(value).__name__}",
+                consequence="It cannot be used",
+                cure="Give a record or a file",
+            )
         path = self.folder / f"{name}.csv"
         write_text(path, as_table(name, value))
         return path

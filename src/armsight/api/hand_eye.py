@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
 from armsight.api.arrays import Array, Poses, as_poses
-from armsight.api.given import Given, PathText, RigLike, Source, TableLike, TargetLike, speaks_python
+from armsight.api.checks import speaks_python
+from armsight.api.given import Given, PathText, RigLike, Source, TableLike, TargetLike
 from armsight.api.results import Result, Row, error_figure, pose_rows, with_std
 from armsight.app.calibrate.handeye import HandEyeJob, Solved, handeye_output, solve_handeye, tip_output
 from armsight.app.calibrate.pivot import PivotJob, find_tip

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armsight.api.arrays import Poses, as_joint_numbers, as_poses
-from armsight.api.given import Given, PathText, RigLike, Source, TableLike, TargetLike, speaks_python
+from armsight.api.checks import speaks_python
+from armsight.api.given import Given, PathText, RigLike, Source, TableLike, TargetLike
 from armsight.api.results import Result, Row, with_std
 from armsight.app.identify.sweep_files import IdentifyJob, identify_output, seen_in_frames
 from armsight.calibrate.identify import Identification, Sweeps, identify
@@ -69,6 +70,7 @@ class ArmIdentification(Result):
         return self.arm.save(path)
 
 
+@speaks_python
 def identify_arm(
     joint: ArrayLike,
     q: ArrayLike,

@@ -6,7 +6,8 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import ConfigDict, Field
 
-from armsight.api.given import Given, PathText, RigLike, Source, TableLike, TargetLike, speaks_python
+from armsight.api.checks import speaks_python
+from armsight.api.given import Given, PathText, RigLike, Source, TableLike, TargetLike
 from armsight.api.runs import ARRAYS
 from armsight.app.calibrate.camera_noise import NoiseJob, find_noise
 from armsight.app.calibrate.light_target import TargetJob, calibrate_lit_target

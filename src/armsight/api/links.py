@@ -11,13 +11,13 @@ from contextlib import contextmanager
 from functools import partial
 from typing import Literal
 
+from armsight.api.checks import speaks_python
 from armsight.api.commands import in_python
 from armsight.api.given import (
     ArmLike,
     Given,
     PathText,
     as_text,
-    speaks_python,
 )
 from armsight.app.robot.jog import JogJob, jog_robot
 from armsight.app.robot.link_test import test_robot

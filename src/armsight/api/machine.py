@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from typing import Literal
 
 from armsight.api.arrays import as_path
+from armsight.api.checks import speaks_python
 from armsight.api.given import (
     Given,
     PathText,
     RigLike,
     as_text,
-    speaks_python,
 )
 from armsight.app.doctor import doctor as look_at_machine
 from armsight.app.reproduce.run import reproduce as run_paper

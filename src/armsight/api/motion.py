@@ -10,6 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import ConfigDict, Field
 
+from armsight.api.checks import speaks_python
 from armsight.api.given import (
     ArmLike,
     Given,
@@ -19,7 +20,6 @@ from armsight.api.given import (
     Source,
     TableLike,
     TargetLike,
-    speaks_python,
 )
 from armsight.api.links import Confirm, RobotLike, as_question, name_of
 from armsight.api.runs import ARRAYS

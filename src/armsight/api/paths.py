@@ -8,7 +8,8 @@ from numpy.typing import ArrayLike
 from pydantic import ConfigDict, Field
 
 from armsight.api.arrays import as_path
-from armsight.api.given import ArmLike, Given, PathText, PlaceLike, RigLike, Source, TableLike, speaks_python
+from armsight.api.checks import speaks_python
+from armsight.api.given import ArmLike, Given, PathText, PlaceLike, RigLike, Source, TableLike
 from armsight.api.runs import ARRAYS
 from armsight.app.path.check import check as run_check
 from armsight.app.path.export import ExportJob, export_path

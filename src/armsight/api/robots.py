@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armsight.api.arrays import Array, Poses, as_poses, as_rotations
+from armsight.api.checks import speaks_python
 from armsight.api.results import Result, Row, error_figure, pose_rows
 from armsight.app.calibrate.arm import arm_output, in_view, world_of, world_output
 from armsight.calibrate.arm import (
@@ -96,6 +97,7 @@ class ArmResult(Result):
         return self.arm.save(path)
 
 
+@speaks_python
 def calibrate_arm(
     nominal: Arm,
     q: ArrayLike,

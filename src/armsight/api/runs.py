@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from pydantic import ConfigDict, Field
 
 from armsight.api.arrays import Array, as_path
+from armsight.api.checks import speaks_python
 from armsight.api.given import (
     ArmLike,
     Given,
@@ -20,7 +21,6 @@ from armsight.api.given import (
     Source,
     TableLike,
     TargetLike,
-    speaks_python,
 )
 from armsight.api.tracks import PoseTrack
 from armsight.app.compare.run import CompareJob

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from armsight.api.arrays import Array, Image, as_path
+from armsight.api.checks import speaks_python
 from armsight.app.schemas.files import SimulateOutput
 from armsight.app.simulate.cells import load_cell, room_choice
 from armsight.app.simulate.run import CELL_FRAMES
@@ -182,6 +183,7 @@ def read_scenario(scenario: str) -> dict[str, Any]:
     return content
 
 
+@speaks_python
 def write_simulation(
     scenario: str,
     out: str | PathLike[str],

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import ConfigDict, Field
 
-from armsight.api.given import ArmLike, Given, PathText, PlaceLike, RigLike, TableLike, TargetLike, speaks_python
+from armsight.api.checks import speaks_python
+from armsight.api.given import ArmLike, Given, PathText, PlaceLike, RigLike, TableLike, TargetLike
 from armsight.api.links import Confirm, as_question
 from armsight.api.runs import ARRAYS
 from armsight.app.identify.live import LiveJob, OperatorCallbacks, run_identify_live
@@ -21,7 +22,7 @@ from armsight.app.verify.supervising import JOINT_STD, LATENCY_S, LATENCY_STD_S,
 from armsight.control.joint_sweep import Pace
 from armsight.drivers import CameraSettings
 from armsight.kinematics import Arm
-from armsight.records import ByValue, Progress, checked_array, require_number
+from armsight.records import ByValue, Progress, checked_array, require_count, require_kind, require_number
 from armsight.store.arm_file import read_arm
 from armsight.verify.supervision import Limits
 
@@ -90,7 +91,7 @@ def identify_arm_live(
             rows = checked_array("limits", limits, (None, 2)).tolist()  # type: ignore[arg-type]
             limits = ",".join(f"{low!r}:{high!r}" for low, high in rows)
         require_number("speed", speed)
-        pace, left_out = Pace(speed=speed), tuple(leave_out)
+        pace, left_out = Pace(speed=speed), tuple(as_numbers("leave_out", leave_out))
         job = given.job(LiveJob, locals(), out=given.out)
         done = run_identify_live(job, OperatorCallbacks(confirm=as_question(confirm)), progress)
         return (
@@ -207,3 +208,11 @@ def check_mastering(
     """
     with Given(out) as given:
         return run_mastering(given.job(MasteringJob, locals()))
+
+
+def as_numbers(name: str, values: Sequence[int]) -> Sequence[int]:
+    """Return whole numbers from 1. Raises UsageError for anything else."""
+    require_kind(name, values, list, tuple, cure="Give the numbers of joints, from 1")
+    for value in values:
+        require_count(f"an entry of {name}", value, least=1)
+    return values
