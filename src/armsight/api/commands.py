@@ -49,11 +49,9 @@ COMMANDS: Mapping[str, str] = {
 """The public name that does what a command does; docs/python.md has every flag."""
 
 PARAMETERS: Mapping[str, str] = {
-    "--acceleration-m-s2": "acceleration_m_s2",
     "--approach-speed": "approach_speed_m_s",
     "--arm-lag": "arm_lag_s",
     "--as": "kind",
-    "--at-speed": "path_speed_m_s",
     "--band": "band_m",
     "--baseline-mm": "baseline_m",
     "--blend": "blend_m",
@@ -62,13 +60,10 @@ PARAMETERS: Mapping[str, str] = {
     "--distance": "distance_m",
     "--exposure": "exposure_s",
     "--for": "for_s",
-    "--frames": "frames",
     "--from": "poses",
     "--gap-mm": "gap_m",
     "--goal": "goal_m",
     "--hand-speed": "hand_speed_m_s",
-    "--joint-std": "joint_std_rad",
-    "--keep-frames": "keep_frames",
     "--latency": "latency_s",
     "--latency-std": "latency_std_s",
     "--max-skew": "max_skew_s",

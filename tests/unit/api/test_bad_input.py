@@ -753,8 +753,11 @@ SAVED_ALIKE = tuple(
 """Results that take long to make; their `save` is one line, to the same writers."""
 
 NEEDED_TOGETHER = {
-    **{"rig": ("uv_px", "T_base_rig"), "uv_px": ("rig",), "T_base_rig": ("rig", "uv_px")},
-    **{"point_std_m": ("point_m",), "point_m": ("point_std_m",)},
+    "rig": ("uv_px", "T_base_rig"),
+    "uv_px": ("rig",),
+    "T_base_rig": ("rig", "uv_px"),
+    "point_std_m": ("point_m",),
+    "point_m": ("point_std_m",),
 }
 """Parameters that mean something only with another."""
 
