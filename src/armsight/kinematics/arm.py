@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import NoneType
 from typing import TYPE_CHECKING, Literal
@@ -23,6 +23,7 @@ from armsight.records import (
     one_of,
     real_array,
     require_kind,
+    require_number,
 )
 
 if TYPE_CHECKING:
@@ -250,6 +251,15 @@ class Arm(Saveable):
         from armsight.kinematics.path import track_path
 
         return track_path(self, T_world_tool, t_s=t_s, start=near, task=task)
+
+    def moved(self, changes: Mapping[str, float]) -> Arm:
+        """Return the arm with parameters changed by so much: {"j3.theta_rad": 0.005}; see kinematics.moved."""
+        from armsight.kinematics.derivatives import moved
+
+        require_kind("changes", changes, Mapping, cure='Give {"j3.theta_rad": 0.005}')
+        for name, by in changes.items():
+            require_number(name, by)
+        return moved(self, changes)
 
     def within_limits(self, q: ArrayLike) -> NDArray[np.bool_]:
         """Tell for joint values (n,) or (m, n) whether all are within their limits, () or (m,); raises as `checked`."""

@@ -346,6 +346,14 @@ TABLE: dict[str, tuple[Callable[..., Any], dict[str, Arg]]] = {
     "Arm.checked": (ARM.checked, {"q": JOINT_VALUES}),
     "Arm.fk": (ARM.fk, {"q": JOINT_VALUES}),
     "Arm.jacobian": (ARM.jacobian, {"q": JOINT_VALUES, "axes": choice("world")}),
+    "Arm.moved": (
+        ARM.moved,
+        {
+            "changes": Arg(
+                good={}, wrong={"a text": "j3", "no name": {"j9.a_m": 1.0}, "texts": {"j3.a_m": "1"}, "a list": [1]}
+            )
+        },
+    ),
     "Arm.within_limits": (ARM.within_limits, {"q": JOINT_VALUES}),
     "Arm.ik": (
         ARM.ik,
