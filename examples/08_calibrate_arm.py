@@ -18,5 +18,5 @@ result = armsight.calibrate_arm(nominal, q, xyz_m)
 print(result)
 
 T = result.arm.fk(q[0])
-best = result.arm.ik(T, q0=q[0])[0].q  # inverse kinematics, nearest to q0 first
+best = result.arm.ik(T, near=q[0])[0].q  # inverse kinematics, nearest first
 J = result.arm.jacobian(best)

@@ -88,7 +88,11 @@ def _check(job: JoinJob) -> None:
     if job.kind not in KINDS:
         raise UsageError(f"no table is called {job.kind!r}", cure=f"Give --as with one of {', '.join(KINDS)}")
     if (job.joints is None) == (job.robot_stream is None):
-        raise UsageError("give --joints with --arm, or --robot-stream with the flange's poses")
+        raise UsageError(
+            "what the robot did is not said, or twice",
+            consequence="Nothing is joined",
+            cure="Give --joints with --arm, or --robot-stream with the flange's poses",
+        )
     if job.joints is not None and job.arm is None:
         raise UsageError("--joints needs --arm", cure="Give the arm: its nominal geometry is enough")
     if job.robot_stream is not None and job.kind != "pairs":

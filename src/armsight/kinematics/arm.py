@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import NoneType
 from typing import TYPE_CHECKING, Literal
@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics.convention import Convention, distal_rows
-from armsight.kinematics.joint import Coupling, Joint, JointType
+from armsight.kinematics.joints import Coupling, Joint, JointType, ToolPoint, check_couplings
 from armsight.kinematics.kernels.chain import one_pose
 from armsight.kinematics.kernels.gravity import many_torques, settle_under_weight
 from armsight.records import (
@@ -25,10 +25,12 @@ from armsight.records import (
     one_of,
     real_array,
     require_kind,
+    require_number,
 )
 
 if TYPE_CHECKING:
     from armsight.kinematics.inverse_kinematics import Inverse
+    from armsight.kinematics.path import JointPath
 
 Array = NDArray[np.float64]
 
@@ -41,41 +43,8 @@ FAR_TURNED_RAD = 4.0 * math.pi
 LIMIT_SLACK = 1e-9
 """Joint values this far (rad or m) beyond a limit are at it: rounding of a solution that ends there."""
 
-SAME_DIRECTION = 1e-12
-"""Share (squared) of an axis along another below which they are square to each other."""
-
 GRAVITY_M_S2 = 9.80665
 """Standard gravity; it differs by 0.3 % over the earth, which no compliance is known to."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ToolPoint:
-    """A named point of the tool: xyz_m (3,) in flange axes, std_m (3,) of its coordinates, infinite where not known."""
-
-    name: str
-    xyz_m: Array
-    std_m: Array
-
-    def __post_init__(self) -> None:
-        if not self.name:
-            raise Inconsistent("a point of the tool has no name", cure="Name it, for instance A")
-        object.__setattr__(self, "xyz_m", frozen_array(f"the place of tool point {self.name}", self.xyz_m, (3,)))
-        std = np.array(self.std_m, dtype=np.float64)
-        if std.shape != (3,) or not (std >= 0.0).all():  # also false for NaN
-            raise Inconsistent(
-                f"the standard deviations of tool point {self.name} are {std.tolist()}",
-                cure="Give three of x, y, z in m, none negative",
-            )
-        std.setflags(write=False)
-        object.__setattr__(self, "std_m", std)
-
-    def seen_from(self, T: RigidTransform) -> ToolPoint:
-        """Return the point in other axes, T those of the old ones in them; deviations turned as if independent."""
-        turn = np.asarray(T.rotation.as_matrix())
-        known = np.where(np.isfinite(self.std_m), self.std_m, 0.0)
-        std = np.sqrt(turn**2 @ known**2)
-        std[(turn**2 @ np.isinf(self.std_m)) > SAME_DIRECTION] = np.inf
-        return ToolPoint(name=self.name, xyz_m=np.asarray(T.apply(self.xyz_m)), std_m=std)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -124,7 +93,7 @@ class Arm(Saveable):
         names = [joint.name for joint in self.joints]
         if len(set(names)) != len(names):
             raise Inconsistent(f"joint names repeat: {', '.join(names)}", cure="Give each joint a name of its own")
-        _check_couplings(self.couplings, names)
+        check_couplings(self.couplings, names)
         points = [point.name for point in self.tool_points]
         if len(set(points)) != len(points):
             raise Inconsistent(f"names of tool points repeat: {', '.join(points)}", cure="Give each a name of its own")
@@ -314,14 +283,61 @@ class Arm(Saveable):
 
         return jacobian(self, q, axes=axes)
 
-    def ik(self, T_world_tool: RigidTransform | ArrayLike, q0: ArrayLike | None = None) -> Inverse:
-        """Return every solution found for one pose, nearest to q0 (n,) first: `arm.ik(T, q0)[0].q`.
+    def ik(
+        self,
+        T_world_tool: RigidTransform | ArrayLike,
+        near: ArrayLike | None = None,
+        *,
+        task: Literal["pose", "position"] | None = None,
+    ) -> Inverse:
+        """Return every solution found for one pose, nearest to near (n,) first: `arm.ik(T, near)[0].q`.
 
-        See kinematics.ik; where there is none, `status` and `why` say the reason.
+        task: position: the tool's rotation is left free; None: as many as the arm's joints can hold. See kinematics.ik;
+        where there is none, `status` and `why` say the reason.
         """
         from armsight.kinematics.inverse_kinematics import ik
 
-        return ik(self, T_world_tool, q0)
+        return ik(self, T_world_tool, near, task=task)
+
+    def ik_many(
+        self,
+        T_world_tool: RigidTransform | ArrayLike,
+        near: ArrayLike | None = None,
+        *,
+        task: Literal["pose", "position"] | None = None,
+    ) -> tuple[Inverse, ...]:
+        """Return the solutions of many poses (m, 4, 4), one entry a pose; raises as ik.
+
+        near: (n,) for the first pose, each further one being solved near the one before; or (m, n), one row a pose.
+        """
+        from armsight.kinematics.inverse_kinematics import ik_each
+
+        return ik_each(self, T_world_tool, near, task=task)
+
+    def track(
+        self,
+        T_world_tool: RigidTransform | ArrayLike,
+        *,
+        t_s: ArrayLike | None = None,
+        near: ArrayLike | None = None,
+        task: Literal["pose", "position"] | None = None,
+    ) -> JointPath:
+        """Return one continuous joint track along poses (m, 4, 4), as far as it goes, with what is wrong where.
+
+        t_s (m,): for the joints' speeds. near (n,): where the arm stands. See kinematics.track_path.
+        """
+        from armsight.kinematics.path import track_path
+
+        return track_path(self, T_world_tool, t_s=t_s, start=near, task=task)
+
+    def moved(self, changes: Mapping[str, float]) -> Arm:
+        """Return the arm with parameters changed by so much: {"j3.theta_rad": 0.005}; see kinematics.moved."""
+        from armsight.kinematics.derivatives import moved
+
+        require_kind("changes", changes, Mapping, cure='Give {"j3.theta_rad": 0.005}')
+        for name, by in changes.items():
+            require_number(name, by)
+        return moved(self, changes)
 
     def within_limits(self, q: ArrayLike) -> NDArray[np.bool_]:
         """Tell for joint values (n,) or (m, n) whether all are within their limits, () or (m,); raises as `checked`."""
@@ -333,8 +349,7 @@ class Arm(Saveable):
 def _unit(down: Array) -> Array:
     """Return the direction (3,) at unit length, read-only; Inconsistent where it is none."""
     down = np.array(frozen_array("down_in_base", down, (3,)))
-    size = float(np.linalg.norm(down))
-    if not abs(size - 1.0) < 1e-3:
+    if not abs((size := float(np.linalg.norm(down))) - 1.0) < 1e-3:
         raise Inconsistent(
             f"down_in_base {down.tolist()} is not of unit length",
             consequence="Which way the arm's weight pulls is not known",
@@ -343,20 +358,6 @@ def _unit(down: Array) -> Array:
     down /= size
     down.setflags(write=False)
     return down
-
-
-def _check_couplings(couplings: Sequence[Coupling], names: Sequence[str]) -> None:
-    """Raise Inconsistent where a coupling names no joints, or one that does not come before."""
-    for coupling in couplings:
-        known = coupling.joint in names and coupling.by in names
-        if not known or names.index(coupling.by) >= names.index(coupling.joint):
-            raise Inconsistent(
-                f"{coupling.joint} is coupled to {coupling.by}, which is no joint before it",
-                consequence="Its readings cannot be turned into values",
-                cure=f"Name joints in their order from the base: {', '.join(names)}",
-            )
-        if not (math.isfinite(coupling.share) and abs(coupling.share) <= 2.0):
-            raise Inconsistent(f"{coupling.joint} is coupled to {coupling.by} by {coupling.share:g}, not by about one")
 
 
 def _chain(arm: Arm) -> Array:

@@ -14,7 +14,7 @@ from armsight.errors import Inconsistent
 from armsight.kinematics.arm import Arm
 from armsight.kinematics.convention import Convention, link_matrix
 from armsight.kinematics.forward_kinematics import in_convention, link_frames
-from armsight.kinematics.joint import Joint, JointType
+from armsight.kinematics.joints import Joint, JointType
 from armsight.kinematics.lines import link_to_line, unit_direction
 
 Array = NDArray[np.float64]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
-from armsight.errors import UsageError
+from armsight.errors import Inconsistent, UsageError
 from armsight.kinematics.arm import LIMIT_SLACK, Arm
 from armsight.kinematics.closed_form import Family, family_of
 from armsight.kinematics.kernels.closed import (
@@ -168,6 +168,32 @@ def ik(
     if not family.exact and not found:
         return _searched(arm, T[0], q_seed, task, tolerance)
     return _sorted_out(arm, found, within, family.exact, "no joint values bring the wrist there")
+
+
+def ik_each(
+    arm: Arm,
+    poses: RigidTransform | ArrayLike,
+    q_seed: ArrayLike | None = None,
+    *,
+    task: Task | str | None = None,
+) -> tuple[Inverse, ...]:
+    """Return the solutions of each pose, near (n,) for the first and then near the one before, or near rows (m, n).
+
+    Raises as ik, and Inconsistent where there are other counts of rows and poses.
+    """
+    T = target_matrices(arm, poses)
+    rows = None if q_seed is None else arm.checked(q_seed)
+    if rows is not None and rows.ndim == 2 and len(rows) != len(T):
+        raise Inconsistent(
+            f"{len(rows)} rows of joint values for {len(T)} poses", cure="Give one row for all, or one for each pose"
+        )
+    here = start_values(arm, None if rows is None or rows.ndim == 2 else rows)
+    found = []
+    for i, one in enumerate(T):
+        answer = ik(arm, one, here if rows is None or rows.ndim == 1 else rows[i], task=task)
+        here = answer[0].q if len(answer) else here
+        found.append(answer)
+    return tuple(found)
 
 
 def ik_many(

@@ -9,7 +9,7 @@ from types import MappingProxyType
 from armsight.errors import UsageError
 from armsight.kinematics.arm import Arm
 from armsight.kinematics.convention import Convention
-from armsight.kinematics.joint import Joint, JointType
+from armsight.kinematics.joints import Joint, JointType
 from armsight.records import require_kind
 from armsight.units import DEG
 

@@ -17,7 +17,7 @@ from sympy.printing.pycode import PythonCodePrinter  # type: ignore[import-untyp
 from armsight.errors import UsageError
 from armsight.kinematics.arm import Arm
 from armsight.kinematics.convention import distal_rows
-from armsight.kinematics.joint import JointType
+from armsight.kinematics.joints import JointType
 
 QUARTER_TOLERANCE = 1e-12
 """Twists this close to a quarter turn are written as one."""

@@ -1,14 +1,24 @@
-"""One joint of an arm and the link behind it, and how its reading may hang on another's."""
+"""What an arm is made of: joints with the links behind them, couplings, named points of the tool."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from numbers import Real
 
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
 from armsight.errors import Inconsistent
 from armsight.records import frozen_array, require_kind, require_number
+
+Array = NDArray[np.float64]
+
+SAME_DIRECTION = 1e-12
+"""Share (squared) of an axis along another below which they are square to each other."""
 
 GAIN_RANGE = (0.5, 2.0)
 """The sign carries the joint's scale where one was identified; further from one it is a mistake of units."""
@@ -112,3 +122,47 @@ class Coupling:
     joint: str
     by: str
     share: float = 1.0
+
+
+def check_couplings(couplings: Sequence[Coupling], names: Sequence[str]) -> None:
+    """Raise Inconsistent where a coupling names no joints, or one that does not come before."""
+    for coupling in couplings:
+        known = coupling.joint in names and coupling.by in names
+        if not known or names.index(coupling.by) >= names.index(coupling.joint):
+            raise Inconsistent(
+                f"{coupling.joint} is coupled to {coupling.by}, which is no joint before it",
+                consequence="Its readings cannot be turned into values",
+                cure=f"Name joints in their order from the base: {', '.join(names)}",
+            )
+        if not (math.isfinite(coupling.share) and abs(coupling.share) <= 2.0):
+            raise Inconsistent(f"{coupling.joint} is coupled to {coupling.by} by {coupling.share:g}, not by about one")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ToolPoint:
+    """A named point of the tool: xyz_m (3,) in flange axes, std_m (3,) of its coordinates, infinite where not known."""
+
+    name: str
+    xyz_m: Array
+    std_m: Array
+
+    def __post_init__(self) -> None:
+        if not self.name:
+            raise Inconsistent("a point of the tool has no name", cure="Name it, for instance A")
+        object.__setattr__(self, "xyz_m", frozen_array(f"the place of tool point {self.name}", self.xyz_m, (3,)))
+        std = np.array(self.std_m, dtype=np.float64)
+        if std.shape != (3,) or not (std >= 0.0).all():  # also false for NaN
+            raise Inconsistent(
+                f"the standard deviations of tool point {self.name} are {std.tolist()}",
+                cure="Give three of x, y, z in m, none negative",
+            )
+        std.setflags(write=False)
+        object.__setattr__(self, "std_m", std)
+
+    def seen_from(self, T: RigidTransform) -> ToolPoint:
+        """Return the point in other axes, T those of the old ones in them; deviations turned as if independent."""
+        turn = np.asarray(T.rotation.as_matrix())
+        known = np.where(np.isfinite(self.std_m), self.std_m, 0.0)
+        std = np.sqrt(turn**2 @ known**2)
+        std[(turn**2 @ np.isinf(self.std_m)) > SAME_DIRECTION] = np.inf
+        return ToolPoint(name=self.name, xyz_m=np.asarray(T.apply(self.xyz_m)), std_m=std)
