@@ -127,6 +127,14 @@ def _inside(errors: Errors) -> tuple[float, float, float]:
     return float(np.mean(distance2 <= INSIDE_95)), float(low) / n, float(min(high, n)) / n
 
 
+def _judged(inside: float, low: float, high: float) -> str:
+    if inside < low:
+        return "the claimed standard deviations are too small"
+    if inside > high:
+        return "the claimed standard deviations are larger than the errors (RMS / claimed below 1)"
+    return "the claims are true"
+
+
 def _cards(run: MeasureRun, series: Series, errors: Errors | None) -> list[Card]:
     n = len(run.poses)
     count = {status: int(series.where(status).sum()) for status in PoseStatus}
@@ -196,7 +204,7 @@ def _add_truth(page: Page, errors: Errors | None) -> None:
         "Errors against the truth",
         f"Measured minus true over {len(values):,} full poses; rotations as a vector in the parent's axes. "
         f"{100 * inside:.1f} % of the errors lie inside their own 95 % ellipsoid; true claims leave "
-        f"{100 * low:.1f} to {100 * high:.1f} %. A ratio near 1 says that the claimed standard deviations are true.",
+        f"{100 * low:.1f} to {100 * high:.1f} %: {_judged(inside, low, high)}.",
         table(
             ["", "mean", "standard deviation", "RMS", "largest", "claimed (RMS)", "RMS / claimed"],
             rows,
