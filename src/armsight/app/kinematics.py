@@ -238,7 +238,7 @@ def write_joint_path(
 ) -> PathOutput:
     """Write joints.csv, a continuous track along poses.csv, as far as it goes; tell what is wrong with it where."""
     model = load_arm(arm)
-    targets = read_poses(poses, parent="world", format_=format_)
+    targets = read_poses(poses, parent="world", format_=format_, stream=True)
     blind = [k for k, target in enumerate(targets) if target.status is not PoseStatus.OK]
     if blind:
         raise Inconsistent(

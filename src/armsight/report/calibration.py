@@ -119,7 +119,7 @@ def _cards(run: CalibrationRun) -> list[Card]:
             Card(name="length on the board", value=figure_of(run.metric[shown] / MM, "mm"), note="RMS error, left out")
         )
     cards += [
-        Card(name=f"coverage, {fit.name}", value=f"{100 * coverage(fit):.0f} %", note="of the image, between the points")
+        Card(name=f"coverage, {fit.name}", value=f"{100 * coverage(fit):.0f} %", note="of the image")
         for fit in run.cameras
         if len(fit.uv_px)
     ]

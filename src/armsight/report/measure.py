@@ -128,11 +128,9 @@ def _inside(errors: Errors) -> tuple[float, float, float]:
 
 
 def _judged(inside: float, low: float, high: float) -> str:
-    if inside < low:
-        return "the claimed standard deviations are too small"
-    if inside > high:
-        return "the claimed standard deviations are larger than the errors (RMS / claimed below 1)"
-    return "the claims are true"
+    if low <= inside <= high:
+        return "the claims are true"
+    return f"the claimed standard deviations are {'too small' if inside < low else 'larger than the errors'}"
 
 
 def _cards(run: MeasureRun, series: Series, errors: Errors | None) -> list[Card]:
@@ -182,20 +180,13 @@ def _add_truth(page: Page, errors: Errors | None) -> None:
     known = np.isfinite(errors.values[:, 0])
     values, std = errors.values[known], errors.std[known]
     claimed = _rms_columns(std)
+    rms = _rms_columns(values)
+    figures = np.stack([values.mean(axis=0), values.std(axis=0), rms, np.abs(values).max(axis=0), claimed], axis=1)
     rows = [
         [
             f"{axis}, {unit}",
-            *(
-                figure_of(float(x))
-                for x in (
-                    np.mean(values[:, i]),
-                    np.std(values[:, i]),
-                    np.sqrt(np.mean(values[:, i] ** 2)),
-                    np.abs(values[:, i]).max(),
-                    claimed[i],
-                )
-            ),
-            figure_of(float(np.sqrt(np.mean(values[:, i] ** 2)) / claimed[i])) if claimed[i] > 0.0 else "–",
+            *(figure_of(float(figure)) for figure in figures[i]),
+            figure_of(float(rms[i] / claimed[i])) if claimed[i] > 0.0 else "–",
         ]
         for i, (axis, unit) in enumerate(zip(AXES, UNITS, strict=True))
     ]

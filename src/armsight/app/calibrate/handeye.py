@@ -367,7 +367,7 @@ def _from_streams(job: HandEyeJob) -> Solved:
         raise UsageError("--robot-stream needs --camera-stream, both as poses.csv")
     times, poses = [], []
     for path, format_ in ((job.robot_stream, job.table), (job.camera_stream, job.table.of_camera)):
-        read = [p for p in read_poses(path, format_=format_) if p.status is PoseStatus.OK]
+        read = [p for p in read_poses(path, format_=format_, stream=True) if p.status is PoseStatus.OK]
         if len(read) < 2:
             raise NotEnoughData(f"{path}: fewer than two poses of status ok", cure="Record the streams again")
         times.append(np.array([p.t_s for p in read]))

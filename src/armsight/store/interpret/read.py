@@ -51,9 +51,9 @@ def standard_bytes(path: Path, role: str, format_: TableFormat = OURS) -> bytes:
 def interpret(path: Path, role: str, format_: TableFormat = OURS) -> Interpreted:
     """Return a table in the columns that a role of ROLES has.
 
-    path: a table in text, YAML, JSON, a .mat, or a folder with one file per pose or with the table. A table of ours comes back as it
-    is, and one of which nothing is understood too: its reader names what is missing. Raises BadFile, NotEnoughData,
-    Inconsistent, Ambiguous, UsageError.
+    path: a table in text, YAML, JSON, a .mat, or a folder with one file per pose or with the table. A table of ours
+    comes back as it is, and one of which nothing is understood too: its reader names what is missing. Raises BadFile,
+    NotEnoughData, Inconsistent, Ambiguous, UsageError.
     """
     wanted = ROLES[role]
     format_.check()
