@@ -20,12 +20,12 @@ from armsight.records import Frame, checked_array, real_array, require_count, re
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
-ImageLike = ArrayLike | str | PathLike[str]
+ImageLike = ArrayLike | str | PathLike[str] | Frame
 Poses = RigidTransform | ArrayLike | Sequence[RigidTransform]
 
 
 def as_image(image: ImageLike, name: str = "the image", bits: int | None = None) -> Image:
-    """Return an image as contiguous uint8 (h, w) grey or (h, w, 3) BGR; a path is read.
+    """Return an image as contiguous uint8 (h, w) grey or (h, w, 3) BGR; a path is read, of a Frame its image taken.
 
     Colours are in OpenCV's order, blue first, as cv2.imread gives them. bits: of the light in uint16 arrays and 16-bit
     files alike, scaled so that full scale is 255. Raises BadImage for any other type or shape, and for 16 bits of which
@@ -35,6 +35,10 @@ def as_image(image: ImageLike, name: str = "the image", bits: int | None = None)
         require_count("bits", bits, least=LEAST_BITS)
     if isinstance(image, str | PathLike):
         return read_image(fspath(image), bits)
+    if isinstance(image, Frame):
+        if image.unreadable:
+            raise BadImage(f"{name} gave no picture ({image.unreadable})", consequence="There is nothing to search")
+        image = image.image
     try:
         array = np.asarray(image)
     except (TypeError, ValueError) as error:

@@ -24,14 +24,17 @@ from armsight.app.robot.link_test import test_robot
 from armsight.app.robot.twin import run_twin
 from armsight.app.schemas.robot import JogOutput, RobotTestOutput
 from armsight.control.guard import Limits
-from armsight.drivers import Robot
-from armsight.errors import ArmsightError
+from armsight.drivers import Robot, RobotState
+from armsight.errors import ArmsightError, UsageError
 from armsight.records import Progress, require_count, require_kind, require_number
 
 Confirm = bool | Callable[[str], bool]
 """Whether the arm may move: True, or what is asked with the motion in words."""
 RobotLike = str | Robot
 """DRIVER:DEVICE, such as sim:webcam-cell or rtde:192.168.0.10; or a driver of one's own that keeps drivers.Robot."""
+
+ROBOT_MEMBERS = ("__enter__", "__exit__", *(name for name in vars(Robot) if not name.startswith("_")))
+"""What a driver of one's own has to have."""
 
 
 @speaks_python
@@ -158,5 +161,15 @@ def as_question(confirm: Confirm) -> Callable[[str], bool]:
 
 
 def name_of(robot: RobotLike) -> str:
-    """Return DRIVER:DEVICE, or the name of a driver of one's own."""
-    return as_text("robot", robot) if isinstance(robot, str) or not hasattr(robot, "step_joints") else robot.name
+    """Return DRIVER:DEVICE, or the name of a driver of one's own. Raises UsageError where that is not complete."""
+    if isinstance(robot, str) or not hasattr(robot, "step_joints"):
+        return as_text("robot", robot)
+    lacking = [name for name in ROBOT_MEMBERS if not hasattr(robot, name)]
+    if lacking or not isinstance(robot.state, RobotState):
+        what = f"has no {', '.join(lacking)}" if lacking else f"has the state {robot.state!r}, which is no RobotState"
+        raise UsageError(
+            f"the robot of type {type(robot).__name__} {what}",
+            consequence="It cannot be driven",
+            cure="Give an object with all that help(armsight.Robot) lists; its state is such as RobotState.READY",
+        )
+    return robot.name
