@@ -165,11 +165,16 @@ def name_of(robot: RobotLike) -> str:
     if isinstance(robot, str) or not hasattr(robot, "step_joints"):
         return as_text("robot", robot)
     lacking = [name for name in ROBOT_MEMBERS if not hasattr(robot, name)]
-    if lacking or not isinstance(robot.state, RobotState):
-        what = f"has no {', '.join(lacking)}" if lacking else f"has the state {robot.state!r}, which is no RobotState"
-        raise UsageError(
-            f"the robot of type {type(robot).__name__} {what}",
-            consequence="It cannot be driven",
-            cure="Give an object with all that help(armsight.Robot) lists; its state is such as RobotState.READY",
-        )
-    return robot.name
+    if isinstance(robot, type):
+        what = "is a class: it has to be called first"
+    elif lacking:
+        what = f"has no {', '.join(lacking)}"
+    elif not isinstance(robot.state, RobotState):
+        what = f"has the state {robot.state!r}, which is no RobotState"
+    else:
+        return robot.name
+    raise UsageError(
+        f"the robot {getattr(robot, 'name', type(robot).__name__)!r} {what}",
+        consequence="It cannot be driven",
+        cure="Give an object with all that help(armsight.Robot) lists; its state is such as RobotState.READY",
+    )
