@@ -23,7 +23,7 @@ from scipy.spatial.transform import RigidTransform
 
 from armsight.api.arrays import ImageLike, as_image, as_path, as_poses
 from armsight.api.tracks import PoseTrack
-from armsight.errors import ArmsightError, UsageError
+from armsight.errors import ArmsightError, Inconsistent, UsageError
 from armsight.kinematics import Arm
 from armsight.optics import Rig
 from armsight.records import Frame, Target, real_array, require_kind
@@ -169,8 +169,16 @@ class Given:
         """Return a recording of frames with times of their own; an endless camera's first `limit` where one is given."""
         path = self.folder / f"{name}.mcap"
         with RecordingWriter(path) as writer:
+            before_s = -np.inf
             for frame in islice(chain([first], rest), self._limit):
                 require_kind(f"a frame of {name}", frame, Frame)
+                if frame.t_s <= before_s:
+                    raise Inconsistent(
+                        f"frame {frame.sequence} of {name} is of {frame.t_s:g} s, that before it of {before_s:g} s",
+                        consequence="Frames without an order in time cannot be followed",
+                        cure="Give each its own t_s, in s, growing",
+                    )
+                before_s = frame.t_s
                 writer.frame(name, frame)
         return f"{path}:{name}"
 
@@ -224,7 +232,7 @@ def _cell(value: object) -> str:
 
 
 def _columns(name: str, rows: Any) -> dict[str, NDArray[Any]]:
-    if isinstance(rows, RigidTransform) or np.ndim(rows) == 3 or _is_list_of_poses(rows):
+    if isinstance(rows, RigidTransform) or _is_list_of_poses(rows) or real_array(name, rows).ndim == 3:
         T = as_poses(rows, name)
         values = np.hstack([T.translation, T.rotation.as_quat(canonical=True)])
         return dict(zip(POSE_COLUMNS, values.T, strict=True))
