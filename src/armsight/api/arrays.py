@@ -35,20 +35,7 @@ def as_image(image: ImageLike, name: str = "the image", bits: int | None = None)
         require_count("bits", bits, least=LEAST_BITS)
     if isinstance(image, str | PathLike):
         return read_image(fspath(image), bits)
-    if isinstance(image, Frame):
-        if image.unreadable:
-            raise BadImage(f"{name} gave no picture ({image.unreadable})", consequence="There is nothing to search")
-        image = image.image
-    try:
-        array = np.asarray(image)
-    except (TypeError, ValueError) as error:
-        raise BadImage(f"{name} is no array ({error})", cure="Give 8-bit grey (h, w) or BGR (h, w, 3)") from error
-    if isinstance(image, np.ma.MaskedArray) and np.ma.getmaskarray(image).any():
-        raise BadImage(
-            f"{name} is masked in places",
-            consequence="What is below the mask would be measured",
-            cure="Give the plain image, and the mask as SpotSettings(mask=...), True where spots may be",
-        )
+    array = _plain(image.image if isinstance(image, Frame) else image, name)
     if array.ndim == 3 and array.shape[2] == 1:
         array = array[:, :, 0]
     if array.dtype == np.uint16 and array.size:
@@ -62,6 +49,20 @@ def as_image(image: ImageLike, name: str = "the image", bits: int | None = None)
     if not array.size:
         raise BadImage(f"{name} is empty: its shape is {array.shape}", cure="Check that the camera gave a frame")
     return np.ascontiguousarray(array)
+
+
+def _plain(image: object, name: str) -> NDArray[Any]:
+    try:
+        array = np.asarray(image)
+    except (TypeError, ValueError) as error:
+        raise BadImage(f"{name} is no array ({error})", cure="Give 8-bit grey (h, w) or BGR (h, w, 3)") from error
+    if isinstance(image, np.ma.MaskedArray) and np.ma.getmaskarray(image).any():
+        raise BadImage(
+            f"{name} is masked in places",
+            consequence="What is below the mask would be measured",
+            cure="Give the plain image, and the mask as SpotSettings(mask=...), True where spots may be",
+        )
+    return array
 
 
 def read_image(path: str, bits: int | None = None) -> Image:

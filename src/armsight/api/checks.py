@@ -32,8 +32,7 @@ def speaks_python(call: Callable[P, R]) -> Callable[P, R]:
             for name, value in signature.bind(*args, **given).arguments.items():
                 if name in checks:
                     checks[name](name, value)
-                if name in RANGES and isinstance(value, int | float) and not RANGES[name](value):
-                    raise _out_of_range(name, value)
+                require_range(name, value)
             return call(*args, **given)
         except ArmsightError as error:
             in_python(error)
@@ -58,8 +57,12 @@ def check_of(annotation: str) -> Check | None:
     return partial(_or_none, check) if "None" in parts else check
 
 
-def _out_of_range(name: str, value: float) -> UsageError:
-    return UsageError(f"{name} is {value:g}, which cannot be", consequence="It cannot be used", cure=RANGES[name].cure)
+def require_range(name: str, value: object) -> None:
+    """Raise UsageError for a number that a parameter of this name cannot have; see RANGES."""
+    if name in RANGES and isinstance(value, int | float) and not RANGES[name](value):
+        raise UsageError(
+            f"{name} is {value:g}, which cannot be", consequence="It cannot be used", cure=RANGES[name].cure
+        )
 
 
 def _or_none(check: Check, name: str, value: object) -> None:

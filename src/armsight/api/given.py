@@ -166,7 +166,7 @@ class Given:
             return str(folder)
 
     def _recorded(self, name: str, first: Frame, rest: Iterator[Any]) -> str:
-        """Return a recording of frames with times of their own; an endless camera's first `limit` where one is given."""
+        """Return a recording of frames with times of their own, the first so many where there is a limit."""
         path = self.folder / f"{name}.mcap"
         with RecordingWriter(path) as writer:
             before_s = -np.inf

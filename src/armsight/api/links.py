@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from functools import partial
 from typing import Literal
 
-from armsight.api.checks import speaks_python
+from armsight.api.checks import require_range, speaks_python
 from armsight.api.commands import in_python
 from armsight.api.given import (
     ArmLike,
@@ -111,8 +111,7 @@ def twin(
     """
     for text, value in (("name", name), ("port", port or ""), ("connect", connect or "")):
         require_kind(text, value, str)
-    if cycle_s is not None:
-        require_number("cycle_s", cycle_s)
+    require_range("cycle_s", cycle_s)
     with Given() as given:
         model = None if arm is None else given.arm("arm", arm)
         with _running(partial(run_twin, name, port=port, connect=connect, arm=model, cycle_s=cycle_s)) as address:

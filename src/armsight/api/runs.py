@@ -46,6 +46,7 @@ from armsight.store import read_poses
 from armsight.store.atomic import read_bytes
 from armsight.store.interpret import TableFormat
 from armsight.store.recording import ImageFormat
+from armsight.store.saving import file_to_write
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
@@ -211,6 +212,7 @@ def record(
     >>> armsight.record(folder / "run.mcap", *sides, rig=cell.rig, target=cell.target).n_pairs
     2
     """
+    file_to_write(out, ".mcap")
     with Given(out) as given:
         kind = one_of(ImageFormat, "format", format)
         return run_record(given.job(RecordJob, locals(), kind=kind, limit=frames, out=given.out), progress)

@@ -11,7 +11,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
 from armsight._files import open_file
-from armsight.errors import BadFile, NotEnoughData
+from armsight.errors import BadFile, NotEnoughData, UsageError
 from armsight.store.recording import record_reader
 from armsight.store.recording.mcapfile import MAGIC, McapFile
 
