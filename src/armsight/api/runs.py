@@ -128,7 +128,7 @@ def measure(
     rig, target
         Records, or their files; of a printed board also 'checkerboard:9x6:0.025'.
     left, right
-        Folders, patterns, videos, one recording as left, 'camera:NAME', or lists of images.
+        Folders, patterns, videos, one recording as left, 'camera:NAME', lists of images, or iterables of Frame.
     image
         Instead: images that hold both views of a mirror rig.
     times
@@ -191,12 +191,10 @@ def record(
         FILE.mcap.
     left, right
         As `measure` takes them; or cell, a simulated one such as 'hand-cell', in their place.
-    rig, target
-        Go into the recording.
     format
         png (bit for bit, small), raw (bit for bit, quick) or jpeg (smallest).
     frames, seconds_s
-        When to stop; else with the frames, or by progress.
+        When to stop; else with the frames.
 
     Raises
     ------

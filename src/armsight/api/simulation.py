@@ -134,7 +134,8 @@ def simulate(
     seed
         Of everything random in it; its own if not given.
     room
-        'workshop', 'office', 'plain', 'dark', or a picture's path; its own if not given.
+        'workshop', 'office', 'plain', 'dark', or a picture's path; its own if not given. To light a workshop takes some
+        seconds each time, 'dark' none.
     zoom
         Zoom lenses before the cameras, at this setting.
 
