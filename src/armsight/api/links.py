@@ -111,7 +111,9 @@ def twin(
     """
     for text, value in (("name", name), ("port", port or ""), ("connect", connect or "")):
         require_kind(text, value, str)
-    require_range("cycle_s", cycle_s)
+    if cycle_s is not None:
+        require_number("cycle_s", cycle_s)
+        require_range("cycle_s", cycle_s)
     with Given() as given:
         model = None if arm is None else given.arm("arm", arm)
         with _running(partial(run_twin, name, port=port, connect=connect, arm=model, cycle_s=cycle_s)) as address:

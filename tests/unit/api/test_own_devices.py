@@ -19,7 +19,7 @@ class Camera:
     """Gives frames only while it is open, and without end."""
 
     def __init__(self, side: str) -> None:
-        self.side, self.opened = side, []
+        self.side, self.opened, self.n = side, [], 0
 
     def __enter__(self) -> Camera:
         self.opened.append(True)
@@ -31,6 +31,7 @@ class Camera:
     def __iter__(self) -> Iterator[armsight.Frame]:
         for number in range(10**9):
             assert self.opened == [True]
+            self.n = number + 1
             image = getattr(FRAMES[number % 3], self.side)
             yield armsight.Frame(image=image, t_s=5.0 + number / 60.0, sequence=number, source=self.side)
 
@@ -72,7 +73,7 @@ def test_a_camera_is_opened_read_as_far_as_asked_with_its_times_and_closed() -> 
     plain = armsight.measure(CELL.rig, CELL.target, [f.left for f in FRAMES], [f.right for f in FRAMES], stills=True)
     off_m = done.poses.T_parent_target[0, :3, 3] - plain.poses.T_parent_target[0, :3, 3]
     assert done.n_ok == 3 and abs(off_m).max() < 1e-9
-    assert left.opened == right.opened == [True, False]
+    assert left.opened == right.opened == [True, False] and left.n == right.n == 3
 
 
 def test_a_frame_is_an_image_too() -> None:
